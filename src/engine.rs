@@ -1,0 +1,145 @@
+//! What the two optimisation engines are to whoever drives them.
+//!
+//! An engine owns its working memory and moves an iterate that somebody else owns, one step at a
+//! time. A *step* is the smallest unit that can be observed, stopped and resumed: one trial of
+//! Levenberg-Marquardt or Dogleg ([`crate::nlls`]), or one sweep of coordinate descent
+//! ([`crate::descent`]).
+//!
+//! Invariants, each a test:
+//! - `resume(x, memory())` after `k` steps, followed by `n` steps, gives the same bytes as `k + n`
+//!   steps without a break.
+//! - A step never makes the cost of an engine that calls itself monotone larger.
+
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
+
+/// Why an optimisation ended. Every variant is an outcome, none an error.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Stop {
+    /// The relative decrease of the cost fell below its tolerance.
+    CostConverged,
+    /// The largest entry of the gradient fell below its tolerance.
+    GradientConverged,
+    /// The largest movement of any block fell below its tolerance.
+    MovementConverged,
+    /// The cost reached the target that was asked for.
+    TargetCost,
+    /// The limit of iterations was reached.
+    MaxIterations,
+    /// The limit of time was reached.
+    MaxTime,
+    /// No step that decreases the cost could be found any more, however short.
+    Stalled,
+    /// Somebody asked for it to stop.
+    Interrupted,
+}
+
+impl Stop {
+    /// Whether the iterate is a (numerical) optimum, not merely the last one reached.
+    pub fn converged(self) -> bool {
+        matches!(
+            self,
+            Stop::CostConverged
+                | Stop::GradientConverged
+                | Stop::MovementConverged
+                | Stop::TargetCost
+        )
+    }
+
+    /// One clause for a person, e.g. "the cost changed by less than its tolerance".
+    pub fn explain(self) -> &'static str {
+        match self {
+            Stop::CostConverged => "the cost changed by less than its tolerance",
+            Stop::GradientConverged => "the gradient fell below its tolerance",
+            Stop::MovementConverged => "nothing moved by more than the tolerance",
+            Stop::TargetCost => "the target cost was reached",
+            Stop::MaxIterations => "the limit of iterations was reached",
+            Stop::MaxTime => "the time limit was reached",
+            Stop::Stalled => "no step decreased the cost any further",
+            Stop::Interrupted => "it was interrupted",
+        }
+    }
+
+    /// The word used in TOML, CSV and JSON.
+    pub fn word(self) -> &'static str {
+        match self {
+            Stop::CostConverged => "cost-converged",
+            Stop::GradientConverged => "gradient-converged",
+            Stop::MovementConverged => "movement-converged",
+            Stop::TargetCost => "target-cost",
+            Stop::MaxIterations => "max-iterations",
+            Stop::MaxTime => "max-time",
+            Stop::Stalled => "stalled",
+            Stop::Interrupted => "interrupted",
+        }
+    }
+}
+
+/// What one step did.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Step {
+    /// Cost of the iterate after the step.
+    pub cost: f64,
+    /// Largest movement of any block, in the block's own unit.
+    pub movement: f64,
+    /// Whether the iterate changed.
+    pub accepted: bool,
+    /// Why to stop here, if the engine itself wants to.
+    pub stop: Option<Stop>,
+    /// Named numbers for the trace (damping, gradient, active blocks, ...), the same names in the
+    /// same order at every step of one engine.
+    pub notes: Vec<(&'static str, f64)>,
+}
+
+/// Why an engine cannot go on at all (a numerical end is a [`Stop`], not one of these).
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum SolveError {
+    /// The starting values cannot be evaluated.
+    #[error("the starting values cannot be evaluated: {0}")]
+    InfeasibleStart(String),
+    /// A residual, Jacobian or cost is NaN or infinite where it must be finite.
+    #[error("not a finite number in {0}")]
+    NotFinite(String),
+    /// The problem as posed has no unique solution; says which parameters.
+    #[error("{0}")]
+    RankDeficient(String),
+    /// The problem is posed in a way that the engine cannot take.
+    #[error("{0}")]
+    Misuse(String),
+}
+
+/// An optimisation engine over problems of type `P`.
+pub trait Engine<P: ?Sized> {
+    /// What is moved.
+    type Iterate: Clone + Send + Serialize + DeserializeOwned;
+    /// What besides the iterate decides all future steps (damping, active set, sweep number).
+    type Memory: Clone + Send + Serialize + DeserializeOwned;
+    /// Name of the method, for traces and checkpoints.
+    const NAME: &'static str;
+
+    /// Prepares for `problem` and returns the cost of the starting iterate.
+    ///
+    /// # Errors
+    /// Where the start cannot be evaluated or the problem cannot be solved as posed.
+    fn start(&mut self, problem: &P, x: &mut Self::Iterate) -> Result<f64, SolveError>;
+
+    /// Makes one step.
+    ///
+    /// # Errors
+    /// Only where going on has no meaning; every numerical end is a [`Step::stop`].
+    fn step(&mut self, problem: &P, x: &mut Self::Iterate) -> Result<Step, SolveError>;
+
+    /// What a checkpoint must hold besides the iterate.
+    fn memory(&self) -> Self::Memory;
+
+    /// Like [`Engine::start`], but goes on from a checkpoint.
+    ///
+    /// # Errors
+    /// As [`Engine::start`], and where `memory` does not belong to this problem.
+    fn resume(
+        &mut self,
+        problem: &P,
+        x: &mut Self::Iterate,
+        memory: Self::Memory,
+    ) -> Result<f64, SolveError>;
+}

@@ -1,0 +1,112 @@
+//! Outputs that appear whole or not at all.
+//!
+//! A file is written beside its final place under a temporary name and renamed when complete, so a
+//! reader never sees half of one and a failure leaves what was there before.
+
+use super::FileError;
+use std::{
+    io::{BufWriter, Write},
+    path::Path,
+};
+
+/// Refuses an output path that is taken, unless `force` says that it may be replaced.
+///
+/// Called before any work is done, so that a refusal costs the user nothing.
+///
+/// # Errors
+/// [`FileError::Exists`] where the file exists; [`FileError::Write`] where its folder does not, or
+/// where the path is a folder.
+pub fn check(path: &Path, force: bool) -> Result<(), FileError> {
+    let not_found = |message: &str| {
+        FileError::write(path, std::io::Error::new(std::io::ErrorKind::NotFound, message))
+    };
+    if path.is_dir() {
+        return Err(not_found("it is a folder, a file name was expected"));
+    }
+    if path.exists() && !force {
+        return Err(FileError::Exists { path: path.to_owned() });
+    }
+    if !folder_of(path).is_dir() {
+        return Err(not_found("its folder does not exist"));
+    }
+    Ok(())
+}
+
+/// Writes a file atomically: `fill` writes the content, then the file takes its name.
+///
+/// # Errors
+/// As [`check`], and [`FileError::Write`] where writing or renaming fails.
+pub fn write(
+    path: &Path,
+    force: bool,
+    fill: impl FnOnce(&mut dyn Write) -> std::io::Result<()>,
+) -> Result<(), FileError> {
+    check(path, force)?;
+    let failed = |source| FileError::write(path, source);
+    let temporary = tempfile::Builder::new()
+        .prefix(".rowgram-")
+        .tempfile_in(folder_of(path))
+        .map_err(failed)?;
+    let mut writer = BufWriter::new(temporary);
+    fill(&mut writer).map_err(failed)?;
+    let temporary = writer.into_inner().map_err(|e| failed(e.into_error()))?;
+    temporary.as_file().sync_all().map_err(failed)?;
+    share(&temporary).map_err(failed)?;
+    if force {
+        temporary.persist(path).map_err(|e| failed(e.error))?;
+    } else {
+        temporary.persist_noclobber(path).map_err(|e| match e.error.kind() {
+            std::io::ErrorKind::AlreadyExists => FileError::Exists { path: path.to_owned() },
+            _ => failed(e.error),
+        })?;
+    }
+    Ok(())
+}
+
+/// Temporary files are private by default; an output should be as readable as any other file.
+#[cfg(unix)]
+fn share(file: &tempfile::NamedTempFile) -> std::io::Result<()> {
+    use std::os::unix::fs::PermissionsExt;
+    file.as_file().set_permissions(std::fs::Permissions::from_mode(0o644))
+}
+
+#[cfg(not(unix))]
+fn share(_: &tempfile::NamedTempFile) -> std::io::Result<()> {
+    Ok(())
+}
+
+fn folder_of(path: &Path) -> &Path {
+    match path.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_failed_write_leaves_what_was_there() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("out.txt");
+        write(&path, false, |w| w.write_all(b"first")).unwrap();
+        assert!(matches!(write(&path, false, |_| Ok(())), Err(FileError::Exists { .. })));
+        let broken = write(&path, true, |w| {
+            w.write_all(b"half")?;
+            Err(std::io::Error::other("disk full"))
+        });
+        assert!(matches!(broken, Err(FileError::Write { .. })));
+        assert_eq!(std::fs::read(&path).unwrap(), b"first");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "no litter");
+        write(&path, true, |w| w.write_all(b"second")).unwrap();
+        assert_eq!(std::fs::read(&path).unwrap(), b"second");
+    }
+
+    #[test]
+    fn a_missing_folder_is_named() {
+        let missing = Path::new("/nonexistent-folder/out.txt");
+        let message = write(missing, false, |_| Ok(())).unwrap_err().to_string();
+        assert!(message.contains("/nonexistent-folder/out.txt"), "{message}");
+    }
+}
