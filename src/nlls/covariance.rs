@@ -7,7 +7,7 @@
 //! determine are named, never hidden behind a small number on the diagonal.
 
 use super::{
-    Curvature, Linear,
+    Linear,
     cholesky::NotPositiveDefinite,
     normal::{Normal, backward_solve, forward_solve},
     problem::{BlockId, Problem},
@@ -36,7 +36,7 @@ impl<'a> Covariance<'a> {
     /// # Errors
     /// [`SolveError::RankDeficient`] names the blocks that the observations leave undetermined.
     pub fn new(problem: &'a Problem, x: &[f64], linear: Linear) -> Result<Self, SolveError> {
-        let mut normal = Normal::new(problem, linear, Curvature::Reweighted)?;
+        let mut normal = Normal::new(problem, linear)?;
         normal
             .linearize(problem, x)
             .map_err(|(batch, factor)| problem.infeasible(&problem.batches[batch], factor))?;

@@ -177,14 +177,21 @@ pub(super) struct Linearization {
     pub(super) jacobian: Vec<f64>,
 }
 
-/// How the loss enters the normal equations.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+/// How the loss enters the normal equations: which share of its (negative) curvature along the
+/// residual is kept, next to its weight `rho'`.
+///
+/// All of it is the Gauss-Newton Hessian of the robust cost itself, right near the optimum and far
+/// too optimistic away from it; none of it is iteratively reweighted least squares, safe
+/// everywhere and slow at the end, where its model promises half of what a step gains.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Curvature {
-    /// Triggs' correction: the Gauss-Newton Hessian of the robust cost itself, with the (negative)
-    /// curvature of the loss along the residual as far as it stays positive.
+    /// None at first, then by how well the model predicts the decrease.
+    #[default]
+    Adaptive,
+    /// All (Triggs' correction).
     Full,
-    /// Iteratively reweighted least squares: the loss only as a weight.
+    /// None (iteratively reweighted least squares).
     Reweighted,
 }
 
@@ -221,7 +228,7 @@ fn chunk_cost(residual: &[f64], rows: usize, loss: super::Loss) -> f64 {
 pub(super) fn linearize_batch(
     batch: &dyn Batch,
     loss: super::Loss,
-    curvature: Curvature,
+    curvature_share: f64,
     x: Point<'_>,
     width: usize,
     out: &mut Linearization,
@@ -244,7 +251,7 @@ pub(super) fn linearize_batch(
             if loss != super::Loss::Trivial {
                 for (r, j) in residual.chunks_exact_mut(rows).zip(jacobian.chunks_exact_mut(stride))
                 {
-                    apply_loss(loss, curvature, r, j, width);
+                    apply_loss(loss, curvature_share, r, j, width);
                 }
             }
             Ok(cost)
@@ -254,11 +261,11 @@ pub(super) fn linearize_batch(
 }
 
 /// Replaces `r`, `J` by `r~`, `J~` with `J~^T r~` the gradient of `1/2 rho(|r|^2)` and `J~^T J~` its
-/// Gauss-Newton Hessian `rho' J^T (I + 2 rho''/rho' r r^T) J`, as far as that is positive
-/// (Triggs et al., section 4.3).
+/// Gauss-Newton Hessian `rho' J^T (I + c 2 rho''/rho' r r^T) J` with the share `c` of the loss's
+/// curvature, as far as that is positive (Triggs et al., section 4.3).
 fn apply_loss(
     loss: super::Loss,
-    curvature: Curvature,
+    curvature_share: f64,
     r: &mut [f64],
     jacobian: &mut [f64],
     width: usize,
@@ -266,13 +273,12 @@ fn apply_loss(
     let s: f64 = r.iter().map(|v| v * v).sum();
     let rho = loss.evaluate(s);
     let weight = rho.first.sqrt();
-    let alpha = match curvature {
-        Curvature::Reweighted => 0.0,
-        Curvature::Full if s == 0.0 || rho.first == 0.0 => 0.0,
-        // 1 - sqrt(1 + 2 s rho''/rho'), held below 1 so that r / (1 - alpha) stays finite.
-        Curvature::Full => {
-            1.0 - (1.0 + 2.0 * s * rho.second / rho.first).max(MIN_RADIAL_CURVATURE).sqrt()
-        }
+    let alpha = if curvature_share == 0.0 || s == 0.0 || rho.first == 0.0 {
+        0.0
+    } else {
+        // Held below 1 so that r / (1 - alpha) stays finite.
+        let radial = 1.0 + 2.0 * curvature_share * s * rho.second / rho.first;
+        1.0 - radial.max(MIN_RADIAL_CURVATURE).sqrt()
     };
     if alpha > 0.0 {
         for column in 0..width {

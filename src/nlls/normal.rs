@@ -13,7 +13,7 @@
 //! move have zero columns in `J` and 1 on the diagonal.
 
 use super::{
-    Curvature, Linear,
+    Linear,
     cholesky::{BlockMatrix, Cholesky, NotPositiveDefinite},
     factor::{InfeasibleFactor, Linearization, batch_cost, linearize_batch},
     problem::Problem,
@@ -47,7 +47,8 @@ pub(super) struct Normal {
     pub(super) matrix: BlockMatrix,
     pub(super) cholesky: Cholesky,
     spare: Linearization,
-    curvature: Curvature,
+    /// Share of the losses' curvature in the next linearisation.
+    pub(super) curvature_share: f64,
     /// `J^T r` over the tangents of all blocks.
     pub(super) gradient: Vec<f64>,
     /// Diagonal of `J^T J` over the tangents of all blocks.
@@ -63,11 +64,7 @@ fn damping(diagonal: f64) -> f64 {
 
 impl Normal {
     /// Analyses the problem.
-    pub(super) fn new(
-        problem: &Problem,
-        linear: Linear,
-        curvature: Curvature,
-    ) -> Result<Normal, SolveError> {
+    pub(super) fn new(problem: &Problem, linear: Linear) -> Result<Normal, SolveError> {
         let (structure, matrix) = Structure::new(problem, linear)?;
         let cholesky = Cholesky::analyze(&matrix, linear == Linear::Dense);
         let tangent = problem.tangent_len();
@@ -80,7 +77,7 @@ impl Normal {
             cholesky,
             structure,
             spare: Linearization::default(),
-            curvature,
+            curvature_share: 0.0,
             gradient: vec![0.0; tangent],
             diagonal: vec![0.0; tangent],
         })
@@ -112,7 +109,7 @@ impl Normal {
         for (k, (named, out)) in problem.batches.iter().zip(&mut self.linearizations).enumerate() {
             let point = problem.point(x);
             let batch = named.batch.as_ref();
-            total += linearize_batch(batch, named.loss, self.curvature, point, named.width, out)
+            total += linearize_batch(batch, named.loss, self.curvature_share, point, named.width, out)
                 .map_err(|infeasible| (k, infeasible))?;
         }
         self.freeze(problem);

@@ -49,7 +49,7 @@ impl Default for Options {
         Options {
             method: Method::LevenbergMarquardt,
             linear: Linear::Schur,
-            curvature: Curvature::Full,
+            curvature: Curvature::Adaptive,
             cost_tolerance: 1e-9,
             gradient_tolerance: 1e-10,
             step_tolerance: 1e-12,
@@ -88,6 +88,8 @@ pub struct Memory {
     nu: f64,
     /// Dogleg's radius; none before the first step, which is then as long as Gauss-Newton's.
     radius: Option<f64>,
+    /// Share of the losses' curvature in the Hessian.
+    curvature_share: f64,
     values: usize,
 }
 
@@ -112,6 +114,12 @@ struct Work {
     solved: bool,
 }
 
+/// A step gains this many times what the model promised: the loss's curvature is missing in it.
+const MODEL_TOO_STIFF: f64 = 1.25;
+/// A step gains less than this share of what was promised: there is too much of it.
+const MODEL_TOO_SOFT: f64 = 0.5;
+/// How fast the share of the curvature goes to 1 or to 0.
+const CURVATURE_GAIN: f64 = 0.4;
 /// Beyond this damping a step is shorter than rounding.
 const MAX_LAMBDA: f64 = 1e30;
 const MIN_LAMBDA: f64 = 1e-15;
@@ -121,7 +129,7 @@ const GAUSS_NEWTON_LAMBDA: f64 = 1e-10;
 impl LeastSquares {
     /// An engine with these settings.
     pub fn new(options: Options) -> LeastSquares {
-        let memory = Memory { lambda: options.initial_damping, nu: 2.0, radius: None, values: 0 };
+        let memory = Memory::new(&options);
         LeastSquares { options, memory, work: None }
     }
 
@@ -139,7 +147,7 @@ impl LeastSquares {
                 problem.offsets.last().copied().unwrap_or(0)
             )));
         }
-        let mut normal = Normal::new(problem, self.options.linear, self.options.curvature)?;
+        let mut normal = Normal::new(problem, self.options.linear)?;
         let cost = normal
             .cost(problem, x)
             .map_err(|(batch, factor)| problem.infeasible(&problem.batches[batch], factor))?;
@@ -174,9 +182,7 @@ impl Engine<Problem> for LeastSquares {
     const NAME: &'static str = "least-squares";
 
     fn start(&mut self, problem: &Problem, x: &mut Vec<f64>) -> Result<f64, SolveError> {
-        self.memory.lambda = self.options.initial_damping;
-        self.memory.nu = 2.0;
-        self.memory.radius = None;
+        self.memory = Memory::new(&self.options);
         self.prepare(problem, x)
     }
 
@@ -185,6 +191,7 @@ impl Engine<Problem> for LeastSquares {
             return Err(SolveError::Misuse("the engine was not started".into()));
         };
         if !work.linearized {
+            work.normal.curvature_share = self.memory.curvature_share;
             work.normal
                 .linearize(problem, x)
                 .map_err(|(batch, factor)| problem.infeasible(&problem.batches[batch], factor))?;
@@ -207,6 +214,7 @@ impl Engine<Problem> for LeastSquares {
                 ("gradient_cosine", cosine),
                 ("predicted_decrease", 0.0),
                 ("ratio", 0.0),
+                ("curvature_share", self.memory.curvature_share),
             ],
         };
         if cosine <= self.options.gradient_tolerance {
@@ -240,11 +248,15 @@ impl Engine<Problem> for LeastSquares {
             work.cost = trial_cost;
             work.linearized = false;
             self.memory.advance(&self.options, ratio, trial.length);
+            self.memory.adapt_curvature(&self.options, ratio);
         } else if trial.predicted <= 8.0 * f64::EPSILON * work.cost {
             // What is left to gain is below the rounding of the cost itself.
             step.stop = Some(Stop::CostConverged);
         } else {
             step.stop = self.memory.retreat(&self.options, trial.length);
+            if self.memory.adapt_curvature(&self.options, ratio) {
+                work.linearized = false;
+            }
         }
         Ok(step)
     }
@@ -272,6 +284,32 @@ impl Engine<Problem> for LeastSquares {
 }
 
 impl Memory {
+    fn new(options: &Options) -> Memory {
+        let curvature_share = if options.curvature == Curvature::Full { 1.0 } else { 0.0 };
+        Memory {
+            lambda: options.initial_damping,
+            nu: 2.0,
+            radius: None,
+            curvature_share,
+            values: 0,
+        }
+    }
+
+    /// Moves the share of the losses' curvature by the ratio of actual to predicted decrease;
+    /// says whether it changed.
+    fn adapt_curvature(&mut self, options: &Options, ratio: f64) -> bool {
+        if options.curvature != Curvature::Adaptive {
+            return false;
+        }
+        let before = self.curvature_share;
+        if ratio > MODEL_TOO_STIFF {
+            self.curvature_share = 1.0 - (1.0 - before) * CURVATURE_GAIN;
+        } else if ratio < MODEL_TOO_SOFT {
+            self.curvature_share = before * CURVATURE_GAIN;
+        }
+        self.curvature_share != before
+    }
+
     /// After a step that was taken.
     fn advance(&mut self, options: &Options, ratio: f64, length: f64) {
         match options.method {
