@@ -37,10 +37,7 @@ pub fn project([x, y, z]: [f64; 3], [f, k1, k2]: Interior) -> Option<[f64; 2]> {
 
 /// The position and its derivatives; `None` as [`project`].
 #[inline]
-pub fn project_with_derivatives(
-    [x, y, z]: [f64; 3],
-    [f, k1, k2]: Interior,
-) -> Option<Projection> {
+pub fn project_with_derivatives([x, y, z]: [f64; 3], [f, k1, k2]: Interior) -> Option<Projection> {
     if z == 0.0 {
         return None;
     }
@@ -51,8 +48,7 @@ pub fn project_with_derivatives(
     let slope = f * (2.0 * k1 + 4.0 * k2 * square);
     let scale = f * distortion;
     // du/dp, symmetric
-    let (a, b, c) =
-        (scale + slope * p[0] * p[0], slope * p[0] * p[1], scale + slope * p[1] * p[1]);
+    let (a, b, c) = (scale + slope * p[0] * p[0], slope * p[0] * p[1], scale + slope * p[1] * p[1]);
     // dp/dP = 1/z [-1 0 -p_x; 0 -1 -p_y]
     let row = |left: f64, right: f64| {
         [-inverse * left, -inverse * right, -inverse * (left * p[0] + right * p[1])]
@@ -60,8 +56,7 @@ pub fn project_with_derivatives(
     Some(Projection {
         image_px: [scale * p[0], scale * p[1]],
         by_point: [row(a, b), row(b, c)],
-        by_interior: [0, 1].map(|k| {
-            [distortion * p[k], f * square * p[k], f * square * square * p[k]]
-        }),
+        by_interior: [0, 1]
+            .map(|k| [distortion * p[k], f * square * p[k], f * square * square * p[k]]),
     })
 }

@@ -188,7 +188,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    const SMALL: &str = "1 2 2\n0 0 1.5 -2\n0 1 3e1 4\n.1 .2 .3\n1 2 3 500 -0.1 0.01\n0 0 -5\n1\n1\n-6\n";
+    const SMALL: &str =
+        "1 2 2\n0 0 1.5 -2\n0 1 3e1 4\n.1 .2 .3\n1 2 3 500 -0.1 0.01\n0 0 -5\n1\n1\n-6\n";
 
     #[test]
     fn what_is_written_is_read_back() {

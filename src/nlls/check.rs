@@ -26,7 +26,11 @@ pub struct JacobianCheck {
 /// differences along each tangent, extrapolated once (error `O(h^4)`).
 ///
 /// `None` where the factor is infeasible at `x` or a step away from it.
-pub fn check_jacobian(factor: &dyn Factor, spaces: &[Space], x: &[&[f64]]) -> Option<JacobianCheck> {
+pub fn check_jacobian(
+    factor: &dyn Factor,
+    spaces: &[Space],
+    x: &[&[f64]],
+) -> Option<JacobianCheck> {
     let rows = factor.rows();
     let width: usize = spaces.iter().map(|space| space.tangent()).sum();
     let mut residual = vec![0.0; rows];
@@ -60,8 +64,7 @@ pub fn check_jacobian(factor: &dyn Factor, spaces: &[Space], x: &[&[f64]]) -> Op
                 let error = (analytic - difference).abs() / difference.abs().max(1.0);
                 // A NaN must not look small.
                 if worst.is_none_or(|w| !(error <= w.error)) {
-                    worst =
-                        Some(JacobianCheck { error, row, block, entry, analytic, difference });
+                    worst = Some(JacobianCheck { error, row, block, entry, analytic, difference });
                 }
             }
             column += 1;

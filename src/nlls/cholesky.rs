@@ -186,12 +186,9 @@ impl Cholesky {
         {
             return Cholesky::Sparse(Box::new(sparse));
         }
-        let scratch = llt::factor::cholesky_in_place_scratch::<f64>(
-            dimension,
-            Par::Seq,
-            Spec::default(),
-        )
-        .or(llt::solve::solve_in_place_scratch::<f64>(dimension, MAX_COLUMNS, Par::Seq));
+        let scratch =
+            llt::factor::cholesky_in_place_scratch::<f64>(dimension, Par::Seq, Spec::default())
+                .or(llt::solve::solve_in_place_scratch::<f64>(dimension, MAX_COLUMNS, Par::Seq));
         Cholesky::Dense {
             dimension,
             factor: vec![0.0; dimension * dimension],
@@ -378,8 +375,7 @@ mod tests {
         let matrix = banded(200, 4);
         let n = matrix.dimension();
         let x: Vec<f64> = (0..2 * n).map(|k| (k as f64).sin()).collect();
-        let rhs: Vec<f64> =
-            [multiply(&matrix, &x[..n]), multiply(&matrix, &x[n..])].concat();
+        let rhs: Vec<f64> = [multiply(&matrix, &x[..n]), multiply(&matrix, &x[n..])].concat();
         for dense in [true, false] {
             let mut cholesky = Cholesky::analyze(&matrix, dense);
             assert_eq!(matches!(cholesky, Cholesky::Dense { .. }), dense);
@@ -407,6 +403,9 @@ mod tests {
         }
         let mut broken = banded(60, 2);
         broken.values[3] = f64::NAN;
-        assert_eq!(Cholesky::analyze(&broken, true).factorize(&broken), Err(NotPositiveDefinite(None)));
+        assert_eq!(
+            Cholesky::analyze(&broken, true).factorize(&broken),
+            Err(NotPositiveDefinite(None))
+        );
     }
 }

@@ -74,9 +74,8 @@ impl<'a> Covariance<'a> {
                 out[row * columns + column] = values[row];
             }
         }
-        let frozen = |block: BlockId, k: usize| {
-            self.problem.blocks[block.index()].frozen >> k & 1 == 1
-        };
+        let frozen =
+            |block: BlockId, k: usize| self.problem.blocks[block.index()].frozen >> k & 1 == 1;
         for row in 0..rows {
             for column in 0..columns {
                 if frozen(first, row) || frozen(second, column) {
@@ -236,8 +235,7 @@ fn describe(problem: &Problem, normal: &Normal, directions: &[Vec<f64>]) -> Solv
     let mut shares: Vec<(f64, usize)> = (0..normal.structure.kept.len())
         .map(|place| {
             let range = normal.matrix.starts[place]..normal.matrix.starts[place + 1];
-            let share: f64 =
-                directions.iter().flat_map(|d| &d[range.clone()]).map(|v| v * v).sum();
+            let share: f64 = directions.iter().flat_map(|d| &d[range.clone()]).map(|v| v * v).sum();
             (share, place)
         })
         .collect();

@@ -218,10 +218,7 @@ pub(super) fn batch_cost(
 }
 
 fn chunk_cost(residual: &[f64], rows: usize, loss: super::Loss) -> f64 {
-    residual
-        .chunks_exact(rows)
-        .map(|r| loss.evaluate(r.iter().map(|v| v * v).sum()).value)
-        .sum()
+    residual.chunks_exact(rows).map(|r| loss.evaluate(r.iter().map(|v| v * v).sum()).value).sum()
 }
 
 /// Linearises a batch and folds the loss into residuals and Jacobians; returns its cost.

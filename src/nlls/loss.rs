@@ -75,11 +75,7 @@ impl Loss {
             Loss::Cauchy(a) => {
                 let square = a * a;
                 let first = 1.0 / (1.0 + s / square);
-                Rho {
-                    value: square * (s / square).ln_1p(),
-                    first,
-                    second: -first * first / square,
-                }
+                Rho { value: square * (s / square).ln_1p(), first, second: -first * first / square }
             }
             Loss::GemanMcClure(a) => {
                 let square = a * a;

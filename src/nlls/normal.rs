@@ -92,9 +92,8 @@ impl Normal {
         let mut total = 0.0;
         for (k, named) in problem.batches.iter().enumerate() {
             let point = problem.point(x);
-            total +=
-                batch_cost(named.batch.as_ref(), named.loss, point, &mut self.spare.residual)
-                    .map_err(|infeasible| (k, infeasible))?;
+            total += batch_cost(named.batch.as_ref(), named.loss, point, &mut self.spare.residual)
+                .map_err(|infeasible| (k, infeasible))?;
         }
         Ok(total)
     }
@@ -109,8 +108,9 @@ impl Normal {
         for (k, (named, out)) in problem.batches.iter().zip(&mut self.linearizations).enumerate() {
             let point = problem.point(x);
             let batch = named.batch.as_ref();
-            total += linearize_batch(batch, named.loss, self.curvature_share, point, named.width, out)
-                .map_err(|infeasible| (k, infeasible))?;
+            total +=
+                linearize_batch(batch, named.loss, self.curvature_share, point, named.width, out)
+                    .map_err(|infeasible| (k, infeasible))?;
         }
         self.freeze(problem);
         Ok(total)
@@ -128,7 +128,11 @@ impl Normal {
                 for (block, dim) in named.batch.blocks(f).iter().zip(&named.dims) {
                     let frozen = problem.blocks[block.index()].frozen;
                     for k in (0..*dim).filter(|k| frozen >> k & 1 == 1) {
-                        jacobian.iter_mut().skip(column + k).step_by(named.width).for_each(|v| *v = 0.0);
+                        jacobian
+                            .iter_mut()
+                            .skip(column + k)
+                            .step_by(named.width)
+                            .for_each(|v| *v = 0.0);
                     }
                     column += dim;
                 }
@@ -441,12 +445,9 @@ fn eliminate(
     lambda: f64,
     partial: &mut Partial,
 ) -> Result<(), NotPositiveDefinite> {
-    for sums in [
-        &mut partial.values,
-        &mut partial.gradient,
-        &mut partial.correction,
-        &mut partial.diagonal,
-    ] {
+    for sums in
+        [&mut partial.values, &mut partial.gradient, &mut partial.correction, &mut partial.diagonal]
+    {
         sums.fill(0.0);
     }
     for list in [&mut partial.factor, &mut partial.gradient_e, &mut partial.diagonal_e] {
@@ -495,7 +496,8 @@ fn eliminate(
                 if place != NONE {
                     let local = share.kept.partition_point(|&other| other < place);
                     let position = touch.partition_point(|&other| (other as usize) < local);
-                    let at: usize = touch[..position].iter().map(|&k| size_of(k)).sum::<usize>() * n;
+                    let at: usize =
+                        touch[..position].iter().map(|&k| size_of(k)).sum::<usize>() * n;
                     let start = share.starts[local];
                     for (row, r) in jacobian.chunks_exact(width).zip(residual) {
                         let own = &row[own_column..own_column + n];

@@ -162,7 +162,8 @@ impl Problem {
         loss: Loss,
         batch: impl Batch + 'static,
     ) -> Result<(), SolveError> {
-        let misuse = |message: String| Err(SolveError::Misuse(format!("batch {name:?}: {message}")));
+        let misuse =
+            |message: String| Err(SolveError::Misuse(format!("batch {name:?}: {message}")));
         if batch.is_empty() {
             return misuse("it has no factors".into());
         }
@@ -235,10 +236,7 @@ impl Problem {
 
     /// Degrees of freedom that may move.
     pub fn parameter_count(&self) -> usize {
-        self.blocks
-            .iter()
-            .map(|b| b.space.tangent() - b.frozen.count_ones() as usize)
-            .sum()
+        self.blocks.iter().map(|b| b.space.tangent() - b.frozen.count_ones() as usize).sum()
     }
 
     /// The values of one block inside `x`.

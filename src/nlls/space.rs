@@ -154,7 +154,8 @@ impl Space {
         }
         let off_unit = |v: &[f64]| {
             let norm = v.iter().map(|c| c * c).sum::<f64>().sqrt();
-            ((norm - 1.0).abs() > 1e-9).then(|| format!("length {norm}, a unit vector was expected"))
+            ((norm - 1.0).abs() > 1e-9)
+                .then(|| format!("length {norm}, a unit vector was expected"))
         };
         match self {
             Space::Euclidean(_) => None,
@@ -318,6 +319,8 @@ mod tests {
         assert!(Space::Rotation.defect(&[2.0, 0.0, 0.0, 0.0]).unwrap().contains("unit"));
         assert!(Space::Euclidean(2).defect(&[1.0, f64::NAN]).unwrap().contains("entry 1"));
         assert!(Space::Pose.defect(&[1.0]).unwrap().contains("7 numbers"));
-        assert!(Space::Similarity.defect(&[1., 0., 0., 0., 0., 0., 0., 0.]).unwrap().contains("scale"));
+        assert!(
+            Space::Similarity.defect(&[1., 0., 0., 0., 0., 0., 0., 0.]).unwrap().contains("scale")
+        );
     }
 }

@@ -112,8 +112,7 @@ impl Structure {
         structure.sort_factors(problem)?;
         let touched = structure.find_touched(problem);
         structure.refuse_idle_blocks(problem, &touched)?;
-        let dims: Vec<usize> =
-            structure.kept.iter().map(|&k| blocks[k].space.tangent()).collect();
+        let dims: Vec<usize> = structure.kept.iter().map(|&k| blocks[k].space.tangent()).collect();
         structure.cut_into_shares(&touched, &dims);
         let matrix = structure.reduced_pattern(problem, &dims);
         structure.connect_shares(&matrix);

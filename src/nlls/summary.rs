@@ -55,8 +55,7 @@ impl Summary {
             .iter()
             .zip(costs)
             .map(|(named, cost)| {
-                let squares: f64 =
-                    problem.residuals(x, &named.name)?.iter().map(|r| r * r).sum();
+                let squares: f64 = problem.residuals(x, &named.name)?.iter().map(|r| r * r).sum();
                 Ok(BatchSummary {
                     name: named.name.clone(),
                     factors: named.batch.len(),

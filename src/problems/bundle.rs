@@ -106,8 +106,7 @@ fn reproject(
 ) -> Result<(), Infeasible> {
     let r = rotation::matrix([pose[0], pose[1], pose[2], pose[3]]);
     let x = [point[0], point[1], point[2]];
-    let in_camera: [f64; 3] =
-        std::array::from_fn(|k| crate::geometry::dot(r[k], x) + pose[4 + k]);
+    let in_camera: [f64; 3] = std::array::from_fn(|k| crate::geometry::dot(r[k], x) + pose[4 + k]);
     let interior = [interior[0], interior[1], interior[2]];
     let Some(visit) = derivatives else {
         let u = bal::project(in_camera, interior).ok_or(Infeasible)?;
