@@ -8,6 +8,7 @@
     reason = "a test that cannot go on fails, its helpers too"
 )]
 
+mod architecture;
 mod data;
 mod drive;
 mod engine;
