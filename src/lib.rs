@@ -7,6 +7,7 @@
 
 pub mod camera;
 pub mod cli;
+pub mod drive;
 pub mod engine;
 pub mod error;
 pub mod geometry;
