@@ -178,7 +178,7 @@ fn each_dependency_has_its_place() {
     const PLACES: &[(&[&str], &[&str])] = &[
         (&["argmin"], &["drive/executor"]),
         (&["clarabel"], &["convex"]),
-        (&["faer"], &["nlls/linear", "nlls/linear_sparse", "nlls/linear_dense"]),
+        (&["faer"], &["nlls/cholesky"]),
         (&["indicatif"], &["drive", "cli"]),
         (&["clap"], &["cli"]),
         (&["tempfile"], &["io/output"]),

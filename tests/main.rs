@@ -9,6 +9,7 @@
     reason = "a test that cannot go on fails, its helpers too"
 )]
 
+mod adjust;
 mod architecture;
 mod data;
 mod drive;

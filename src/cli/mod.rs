@@ -3,7 +3,9 @@
 //! Data goes to files or stdout, messages to stderr. Exit codes: 0 ok, 1 failure, 2 bad input,
 //! 3 incomplete or a quality gate failed.
 
-use crate::error::Error;
+mod adjust;
+
+use crate::{error::Error, io::FileError};
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
 
@@ -25,7 +27,9 @@ struct Cli {
 }
 
 #[derive(Debug, Subcommand)]
-enum Verb {}
+enum Verb {
+    Adjust(adjust::Args),
+}
 
 /// Parses the command line, runs the verb, reports what went wrong.
 pub fn main() -> ExitCode {
@@ -52,7 +56,9 @@ fn run(cli: Cli) -> Result<(), Error> {
         .num_threads(cli.threads)
         .build_global()
         .map_err(|e| Error::Argument(format!("--threads {}: {e}", cli.threads)))?;
-    match cli.verb {}
+    match cli.verb {
+        Verb::Adjust(args) => adjust::run(&args),
+    }
 }
 
 #[expect(clippy::print_stderr, reason = "the program's last word goes to stderr")]
@@ -77,4 +83,30 @@ fn start_logging(verbose: u8, quiet: bool) {
         .without_time()
         .with_target(false)
         .init();
+}
+
+/// Writes text for a person to stdout.
+fn print(text: &str) -> Result<(), Error> {
+    use std::io::Write;
+    let mut out = std::io::stdout().lock();
+    match writeln!(out, "{}", text.trim_end()).and_then(|()| out.flush()) {
+        // A reader that has seen enough is no failure.
+        Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
+        result => result.map_err(|e| FileError::write("stdout".as_ref(), e).into()),
+    }
+}
+
+/// Writes one line of JSON to stdout.
+fn print_json(value: &impl serde::Serialize) -> Result<(), Error> {
+    let line = serde_json::to_string(value)
+        .map_err(|e| FileError::write("stdout".as_ref(), std::io::Error::other(e)))?;
+    print(&line)
+}
+
+/// The most memory this process has used, in megabytes, where the system tells.
+fn peak_memory_mb() -> Option<f64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    let kilobytes: f64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some(kilobytes / 1024.0)
 }

@@ -9,7 +9,8 @@
 use super::{
     Linear,
     cholesky::NotPositiveDefinite,
-    normal::{Normal, backward_solve, forward_solve},
+    eliminate::{backward_solve, forward_solve},
+    normal::Normal,
     problem::{BlockId, Problem},
     structure::NONE,
 };

@@ -15,6 +15,7 @@
 pub mod check;
 mod cholesky;
 pub mod covariance;
+mod eliminate;
 mod factor;
 mod loss;
 mod normal;

@@ -5,7 +5,7 @@ use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rowgram::{
-    engine::{Engine, SolveError, Stop},
+    engine::{Engine, SolveError},
     geometry::rotation,
     nlls::{
         BlockId, Factors, LeastSquares, Linear, Loss, Method, Options, Problem, Space,

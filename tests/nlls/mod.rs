@@ -3,4 +3,4 @@
 mod bundle;
 mod covariance;
 mod engine;
-mod toys;
+pub mod toys;
