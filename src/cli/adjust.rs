@@ -45,13 +45,13 @@ pub(super) struct Args {
     #[arg(long, value_name = "N")]
     max_iterations: Option<u64>,
     /// The longest time to solve for, in seconds.
-    #[arg(long, value_name = "SECONDS")]
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
     max_seconds: Option<f64>,
     /// Stop as soon as the cost is not above this.
     #[arg(long, value_name = "COST")]
     target_cost: Option<f64>,
     /// Stop where a step gains less than this share of the cost.
-    #[arg(long, value_name = "SHARE", default_value_t = 1e-9)]
+    #[arg(long, value_name = "SHARE", default_value_t = 1e-9, allow_negative_numbers = true)]
     cost_tolerance: f64,
     /// Write the adjusted block here (gzipped if the name ends in .gz).
     #[arg(short, long, value_name = "OUT.txt")]
