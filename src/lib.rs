@@ -12,6 +12,7 @@ pub mod engine;
 pub mod error;
 pub mod geometry;
 pub mod io;
+pub mod lanes;
 pub mod nlls;
 pub mod problems;
 

@@ -9,54 +9,57 @@
 //! The formula is taken as it stands: a point behind the camera has an image too, as in every
 //! program whose costs are compared on these files.
 
+use crate::lanes::Lane;
+
 /// Interior orientation `[f_px, k1, k2]`.
 pub type Interior = [f64; 3];
 
 /// An image position and how it changes.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Projection {
+pub struct Projection<L> {
     /// Position in pixels from the image centre, `u` right and `v` up.
-    pub image_px: [f64; 2],
+    pub image_px: [L; 2],
     /// `2 x 3`: by the point in the camera frame.
-    pub by_point: [[f64; 3]; 2],
+    pub by_point: [[L; 3]; 2],
     /// `2 x 3`: by `f`, `k1`, `k2`.
-    pub by_interior: [[f64; 3]; 2],
+    pub by_interior: [[L; 3]; 2],
 }
 
-/// The position alone; `None` in the plane of the projection centre, where there is none.
-#[inline]
-pub fn project([x, y, z]: [f64; 3], [f, k1, k2]: Interior) -> Option<[f64; 2]> {
-    if z == 0.0 {
-        return None;
-    }
-    let p = [-x / z, -y / z];
-    let square = p[0] * p[0] + p[1] * p[1];
-    let scale = f * (1.0 + square * (k1 + square * k2));
-    Some([scale * p[0], scale * p[1]])
+/// The position alone; not finite in the plane of the projection centre, where there is none.
+#[inline(always)]
+pub fn project<L: Lane>([x, y, z]: [L; 3], [f, k1, k2]: [L; 3]) -> [L; 2] {
+    let inverse = z.like(-1.0) / z;
+    let p = [x * inverse, y * inverse];
+    let square = p[0].mul_add(p[0], p[1] * p[1]);
+    let scale = f * square.mul_add(square.mul_add(k2, k1), z.like(1.0));
+    [scale * p[0], scale * p[1]]
 }
 
-/// The position and its derivatives; `None` as [`project`].
-#[inline]
-pub fn project_with_derivatives([x, y, z]: [f64; 3], [f, k1, k2]: Interior) -> Option<Projection> {
-    if z == 0.0 {
-        return None;
-    }
-    let inverse = 1.0 / z;
-    let p = [-x * inverse, -y * inverse];
-    let square = p[0] * p[0] + p[1] * p[1];
-    let distortion = 1.0 + square * (k1 + square * k2);
-    let slope = f * (2.0 * k1 + 4.0 * k2 * square);
+/// The position and its derivatives; not finite as [`project`].
+#[inline(always)]
+pub fn project_with_derivatives<L: Lane>([x, y, z]: [L; 3], [f, k1, k2]: [L; 3]) -> Projection<L> {
+    let inverse = z.like(-1.0) / z;
+    let p = [x * inverse, y * inverse];
+    let square = p[0].mul_add(p[0], p[1] * p[1]);
+    let distortion = square.mul_add(square.mul_add(k2, k1), z.like(1.0));
+    let slope = f * (k1 * 2.0 + k2 * square * 4.0);
     let scale = f * distortion;
     // du/dp, symmetric
-    let (a, b, c) = (scale + slope * p[0] * p[0], slope * p[0] * p[1], scale + slope * p[1] * p[1]);
-    // dp/dP = 1/z [-1 0 -p_x; 0 -1 -p_y]
-    let row = |left: f64, right: f64| {
-        [-inverse * left, -inverse * right, -inverse * (left * p[0] + right * p[1])]
-    };
-    Some(Projection {
+    let mixed = slope * p[0] * p[1];
+    let along = [(slope * p[0]).mul_add(p[0], scale), (slope * p[1]).mul_add(p[1], scale)];
+    let fs = f * square;
+    Projection {
         image_px: [scale * p[0], scale * p[1]],
-        by_point: [row(a, b), row(b, c)],
-        by_interior: [0, 1]
-            .map(|k| [distortion * p[k], f * square * p[k], f * square * square * p[k]]),
-    })
+        by_point: [through(p, inverse, along[0], mixed), through(p, inverse, mixed, along[1])],
+        by_interior: [
+            [distortion * p[0], fs * p[0], fs * square * p[0]],
+            [distortion * p[1], fs * p[1], fs * square * p[1]],
+        ],
+    }
+}
+
+/// A row `[left right]` of `du/dp` times `dp/dP = -1/z [1 0 p_x; 0 1 p_y]`.
+#[inline(always)]
+fn through<L: Lane>(p: [L; 2], inverse: L, left: L, right: L) -> [L; 3] {
+    [inverse * left, inverse * right, inverse * left.mul_add(p[0], right * p[1])]
 }

@@ -2,6 +2,7 @@
 
 use super::{
     factor::{Factor, Jacobian},
+    problem::Problem,
     space::Space,
 };
 
@@ -63,7 +64,7 @@ pub fn check_jacobian(
                 let analytic = entries[row * width + column];
                 let error = (analytic - difference).abs() / difference.abs().max(1.0);
                 // A NaN must not look small.
-                if worst.is_none_or(|w| !(error <= w.error)) {
+                if worst.is_none_or(|w| error > w.error || error.is_nan()) {
                     worst = Some(JacobianCheck { error, row, block, entry, analytic, difference });
                 }
             }
@@ -71,4 +72,73 @@ pub fn check_jacobian(
         }
     }
     worst
+}
+
+/// Compares the Jacobians of `factors` of the batch called `name` at `x` with central differences,
+/// as [`check_jacobian`] does for one factor; the place of the worst is that in its factor.
+///
+/// `None` where there is no such batch or factor, or one is infeasible.
+pub fn check_batch(
+    problem: &Problem,
+    x: &[f64],
+    name: &str,
+    factors: std::ops::Range<usize>,
+) -> Option<JacobianCheck> {
+    let named = problem.batches.iter().find(|named| named.name == name)?;
+    let mut worst: Option<JacobianCheck> = None;
+    for factor in factors {
+        if factor >= named.batch.len() {
+            return None;
+        }
+        let one = OfBatch { problem, named, factor, x };
+        let blocks = named.batch.blocks(factor);
+        let spaces: Vec<Space> = blocks.iter().map(|&block| problem.space(block)).collect();
+        let values: Vec<&[f64]> = blocks.iter().map(|&block| problem.values(x, block)).collect();
+        let check = check_jacobian(&one, &spaces, &values)?;
+        if worst.is_none_or(|w| check.error > w.error || check.error.is_nan()) {
+            worst = Some(check);
+        }
+    }
+    worst
+}
+
+/// One factor of a batch as a factor of its own.
+struct OfBatch<'a> {
+    problem: &'a Problem,
+    named: &'a super::problem::NamedBatch,
+    factor: usize,
+    x: &'a [f64],
+}
+
+impl Factor for OfBatch<'_> {
+    fn rows(&self) -> usize {
+        self.named.batch.rows()
+    }
+
+    fn blocks(&self) -> &[super::BlockId] {
+        self.named.batch.blocks(self.factor)
+    }
+
+    fn linearize(
+        &self,
+        x: &[&[f64]],
+        residual: &mut [f64],
+        jacobian: Option<&mut Jacobian<'_>>,
+    ) -> Result<(), super::Infeasible> {
+        let mut values = self.x.to_vec();
+        for (&block, new) in self.blocks().iter().zip(x) {
+            let at = self.problem.offsets[block.index()];
+            values[at..at + new.len()].copy_from_slice(new);
+        }
+        self.named
+            .batch
+            .linearize(
+                self.factor..self.factor + 1,
+                self.problem.point(&values),
+                residual,
+                jacobian.map(Jacobian::entries),
+                self.named.width,
+            )
+            .map_err(|_| super::Infeasible)
+    }
 }

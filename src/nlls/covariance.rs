@@ -37,11 +37,11 @@ impl<'a> Covariance<'a> {
     /// # Errors
     /// [`SolveError::RankDeficient`] names the blocks that the observations leave undetermined.
     pub fn new(problem: &'a Problem, x: &[f64], linear: Linear) -> Result<Self, SolveError> {
-        let mut normal = Normal::new(problem, linear)?;
+        let mut normal = Normal::new(problem, linear, false)?;
         normal
             .linearize(problem, x)
             .map_err(|(batch, factor)| problem.infeasible(&problem.batches[batch], factor))?;
-        if let Err(NotPositiveDefinite(Some(block))) = normal.reduce(problem, 0.0) {
+        if let Err(NotPositiveDefinite(Some(block))) = normal.reduce(problem, x, 0.0) {
             return Err(undetermined_point(problem, block));
         }
         if let Some(block) = weak_point(problem, &normal) {
@@ -52,7 +52,7 @@ impl<'a> Covariance<'a> {
             return Err(describe(problem, &normal, &directions));
         }
         // Looking for them put a shift into the factor.
-        normal.reduce(problem, 0.0).map_err(|_| {
+        normal.reduce(problem, x, 0.0).map_err(|_| {
             SolveError::RankDeficient("the normal equations are not positive definite".into())
         })?;
         Ok(Covariance { problem, normal })

@@ -27,6 +27,7 @@ pub(super) struct Partial {
 }
 
 /// The weight of a diagonal entry in the damping.
+#[inline(always)]
 pub(super) fn damping(diagonal: f64) -> f64 {
     if diagonal > 0.0 { diagonal } else { 1.0 }
 }

@@ -4,7 +4,10 @@
 //! standard deviation), with its Jacobian `[dr/dx_1 ... dr/dx_k]` with respect to the *tangent* of
 //! each block ([`super::Space`]).
 
-use super::problem::BlockId;
+use super::{
+    fused::{Fusable, FusedWork},
+    problem::BlockId,
+};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -27,6 +30,10 @@ impl<'a> Jacobian<'a> {
     pub fn new(entries: &'a mut [f64], width: usize) -> Jacobian<'a> {
         debug_assert!(width > 0 && entries.len().is_multiple_of(width));
         Jacobian { entries, width }
+    }
+
+    pub(super) fn entries(&mut self) -> &mut [f64] {
+        self.entries
     }
 
     /// Row `row`: the derivatives by the first block, then by the second, and so on. All zero
@@ -113,6 +120,11 @@ pub trait Batch: Send + Sync {
         jacobian: Option<&mut [f64]>,
         width: usize,
     ) -> Result<(), InfeasibleFactor>;
+
+    /// The batch's fused form, where it has one ([`super::PairFactor`]).
+    fn fuse(&self, _request: Fusable<'_>) -> Option<FusedWork> {
+        None
+    }
 }
 
 /// A batch made of single factors.
@@ -268,30 +280,43 @@ fn apply_loss(
     width: usize,
 ) {
     let s: f64 = r.iter().map(|v| v * v).sum();
-    let rho = loss.evaluate(s);
-    let weight = rho.first.sqrt();
-    let alpha = if curvature_share == 0.0 || s == 0.0 || rho.first == 0.0 {
-        0.0
-    } else {
-        // Held below 1 so that r / (1 - alpha) stays finite.
-        let radial = 1.0 + 2.0 * curvature_share * s * rho.second / rho.first;
-        1.0 - radial.max(MIN_RADIAL_CURVATURE).sqrt()
-    };
-    if alpha > 0.0 {
+    let weights = robust_weights(loss, curvature_share, s);
+    if weights.shift > 0.0 {
         for column in 0..width {
             let along: f64 =
                 r.iter().enumerate().map(|(k, v)| v * jacobian[k * width + column]).sum();
-            let shift = alpha * along / s;
             for (k, v) in r.iter().enumerate() {
                 let entry = &mut jacobian[k * width + column];
-                *entry = weight * (*entry - shift * v);
+                *entry = weights.jacobian * (*entry - weights.shift * along * v);
             }
         }
     } else {
-        jacobian.iter_mut().for_each(|v| *v *= weight);
+        jacobian.iter_mut().for_each(|v| *v *= weights.jacobian);
     }
-    let scale = weight / (1.0 - alpha);
-    r.iter_mut().for_each(|v| *v *= scale);
+    r.iter_mut().for_each(|v| *v *= weights.residual);
+}
+
+/// How a loss changes one residual and its Jacobian: `J~ = jacobian (J - shift r r^T J)`,
+/// `r~ = residual r`.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Weights {
+    pub(super) jacobian: f64,
+    pub(super) shift: f64,
+    pub(super) residual: f64,
+}
+
+/// The weights at `s = |r|^2`.
+#[inline]
+pub(super) fn robust_weights(loss: super::Loss, curvature_share: f64, s: f64) -> Weights {
+    let rho = loss.evaluate(s);
+    let weight = rho.first.sqrt();
+    if curvature_share == 0.0 || rho.second == 0.0 || s == 0.0 || rho.first == 0.0 {
+        return Weights { jacobian: weight, shift: 0.0, residual: weight };
+    }
+    // alpha is held below 1 so that r / (1 - alpha) stays finite.
+    let radial = 1.0 + 2.0 * curvature_share * s * rho.second / rho.first;
+    let alpha = 1.0 - radial.max(MIN_RADIAL_CURVATURE).sqrt();
+    Weights { jacobian: weight, shift: alpha / s, residual: weight / (1.0 - alpha) }
 }
 
 /// The least share of the curvature along an outlying residual that is kept; 0 would be the exact

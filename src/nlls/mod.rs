@@ -12,13 +12,16 @@
 //! Results are bit-identical for any number of threads: work is cut into ranges that depend on the
 //! problem only, and their sums are added in order.
 
+mod attempt;
 pub mod check;
 mod cholesky;
 pub mod covariance;
 mod eliminate;
 mod factor;
+mod fused;
 mod loss;
 mod normal;
+mod pairs;
 mod problem;
 mod space;
 mod structure;
@@ -28,7 +31,9 @@ mod trust_region;
 pub use factor::{
     Batch, Curvature, Factor, Factors, Infeasible, InfeasibleFactor, Jacobian, Point,
 };
+pub use fused::{Fusable, FusedWork};
 pub use loss::{Loss, Rho};
+pub use pairs::{Linearized, Pair, PairFactor, Pairs};
 pub use problem::{BlockId, Problem};
 pub use space::{MAX_TANGENT, Space, direction_basis};
 pub use summary::{BatchSummary, Summary};

@@ -15,8 +15,9 @@
 use super::{
     Linear,
     cholesky::{BlockMatrix, Cholesky, NotPositiveDefinite},
-    eliminate::{Partial, backward_solve, damping, eliminate, forward_solve, inner},
+    eliminate::{Partial, damping, eliminate},
     factor::{InfeasibleFactor, Linearization, batch_cost, linearize_batch},
+    fused::{self, FusedWork, Settings, Sums},
     problem::Problem,
     structure::{NONE, Structure},
 };
@@ -27,11 +28,11 @@ use rayon::prelude::*;
 #[derive(Debug)]
 pub(super) struct Normal {
     pub(super) structure: Structure,
-    linearizations: Vec<Linearization>,
-    partials: Vec<Partial>,
+    pub(super) linearizations: Vec<Linearization>,
+    pub(super) partials: Vec<Partial>,
     pub(super) matrix: BlockMatrix,
     pub(super) cholesky: Cholesky,
-    spare: Linearization,
+    pub(super) spare: Linearization,
     /// Share of the losses' curvature in the next linearisation.
     pub(super) curvature_share: f64,
     /// `J^T r` over the tangents of all blocks.
@@ -39,16 +40,30 @@ pub(super) struct Normal {
     /// Diagonal of `J^T J` over the tangents of all blocks.
     pub(super) diagonal: Vec<f64>,
     /// `-(g_k - W V^-1 g_e)`, then `d_k`.
-    kept_vector: Vec<f64>,
+    pub(super) kept_vector: Vec<f64>,
+    /// The batch that is eliminated without being stored, if there is one that can be.
+    pub(super) fused: Option<(usize, FusedWork)>,
+    /// The largest `|g_k| / sqrt(D_k)` of the points that the fused batch eliminates.
+    pub(super) fused_slope: f64,
 }
 
 impl Normal {
-    /// Analyses the problem.
-    pub(super) fn new(problem: &Problem, linear: Linear) -> Result<Normal, SolveError> {
-        let (structure, matrix) = Structure::new(problem, linear)?;
+    /// Analyses the problem. With `fuse`, a batch that can be eliminated without being stored is;
+    /// then only [`Normal::attempt`] makes steps.
+    pub(super) fn new(problem: &Problem, linear: Linear, fuse: bool) -> Result<Normal, SolveError> {
+        let (mut structure, matrix) = Structure::new(problem, linear)?;
         let cholesky = Cholesky::analyze(&matrix, linear == Linear::Dense);
-        let tangent = problem.tangent_len();
-        let partials = structure.shares.iter().map(|share| Partial::new(share)).collect();
+        let fused = if fuse { fused::find(problem, &structure, &matrix) } else { None };
+        let mut tangent = problem.tangent_len();
+        let mut partials = Vec::new();
+        if fused.is_some() {
+            // Vectors over tangents reach as far as the last kept block.
+            let ends = structure.kept.iter().map(|&k| &problem.blocks[k]);
+            tangent = ends.map(|block| block.tangent + block.space.tangent()).max().unwrap_or(0);
+            structure.forget_factors();
+        } else {
+            partials.extend(structure.shares.iter().map(Partial::new));
+        }
         Ok(Normal {
             linearizations: vec![Linearization::default(); problem.batches.len()],
             partials,
@@ -58,6 +73,8 @@ impl Normal {
             structure,
             spare: Linearization::default(),
             curvature_share: 0.0,
+            fused,
+            fused_slope: 0.0,
             gradient: vec![0.0; tangent],
             diagonal: vec![0.0; tangent],
         })
@@ -71,6 +88,16 @@ impl Normal {
     ) -> Result<f64, (usize, InfeasibleFactor)> {
         let mut total = 0.0;
         for (k, named) in problem.batches.iter().enumerate() {
+            if let Some((batch, work)) = &mut self.fused
+                && *batch == k
+            {
+                let cost = work.0.cost(problem, x, named.loss);
+                if cost.is_finite() {
+                    total += cost;
+                    continue;
+                }
+                // Below, the scalar form says which factor it is.
+            }
             let point = problem.point(x);
             total += batch_cost(named.batch.as_ref(), named.loss, point, &mut self.spare.residual)
                 .map_err(|infeasible| (k, infeasible))?;
@@ -86,6 +113,9 @@ impl Normal {
     ) -> Result<f64, (usize, InfeasibleFactor)> {
         let mut total = 0.0;
         for (k, (named, out)) in problem.batches.iter().zip(&mut self.linearizations).enumerate() {
+            if self.fused.as_ref().is_some_and(|(batch, _)| *batch == k) {
+                continue;
+            }
             let point = problem.point(x);
             let batch = named.batch.as_ref();
             total +=
@@ -102,6 +132,7 @@ impl Normal {
             return;
         }
         for (named, out) in problem.batches.iter().zip(&mut self.linearizations) {
+            // Empty for the batch that is never stored.
             let stride = named.batch.rows() * named.width;
             out.jacobian.par_chunks_mut(stride).enumerate().for_each(|(f, jacobian)| {
                 let mut column = 0;
@@ -120,22 +151,42 @@ impl Normal {
         }
     }
 
-    /// Forms the reduced system at the current linearisation, with damping `lambda`, and
-    /// factorises it; fills [`Normal::gradient`] and [`Normal::diagonal`].
+    /// Forms the reduced system at the current linearisation, which is the one at `x`, with damping
+    /// `lambda`, and factorises it; fills [`Normal::gradient`] and [`Normal::diagonal`].
     pub(super) fn reduce(
         &mut self,
         problem: &Problem,
+        x: &[f64],
         lambda: f64,
     ) -> Result<(), NotPositiveDefinite> {
-        let (structure, linearizations) = (&self.structure, &self.linearizations);
-        self.partials
-            .par_iter_mut()
-            .zip(&structure.shares)
-            .map(|(partial, share)| {
-                eliminate(problem, structure, share, linearizations, lambda, partial)
-            })
-            .collect::<Result<(), NotPositiveDefinite>>()?;
-        self.add_partials(problem);
+        self.matrix.values.fill(0.0);
+        self.kept_vector.fill(0.0);
+        self.gradient.fill(0.0);
+        self.diagonal.fill(0.0);
+        if let Some((batch, work)) = &mut self.fused {
+            let settings = Settings {
+                loss: problem.batches[*batch].loss,
+                curvature_share: self.curvature_share,
+                lambda,
+            };
+            let sums = Sums {
+                matrix: &mut self.matrix,
+                gradient: &mut self.gradient,
+                diagonal: &mut self.diagonal,
+                correction: &mut self.kept_vector,
+            };
+            self.fused_slope = work.0.reduce(problem, x, settings, sums)?;
+        } else {
+            let (structure, linearizations) = (&self.structure, &self.linearizations);
+            self.partials
+                .par_iter_mut()
+                .zip(&structure.shares)
+                .map(|(partial, share)| {
+                    eliminate(problem, structure, share, linearizations, lambda, partial)
+                })
+                .collect::<Result<(), NotPositiveDefinite>>()?;
+            self.add_partials(problem);
+        }
         self.add_plain(problem);
         let mut shift = Vec::with_capacity(self.kept_vector.len());
         for &block in &self.structure.kept {
@@ -151,10 +202,6 @@ impl Normal {
     }
 
     fn add_partials(&mut self, problem: &Problem) {
-        self.matrix.values.fill(0.0);
-        self.kept_vector.fill(0.0);
-        self.gradient.fill(0.0);
-        self.diagonal.fill(0.0);
         for (partial, share) in self.partials.iter().zip(&self.structure.shares) {
             for &(local, global, len) in &share.copies {
                 let to = &mut self.matrix.values[global..global + len];
@@ -224,127 +271,6 @@ impl Normal {
                 column += named.dims[k];
             }
         }
-    }
-
-    /// Solves for the step `d` over the tangents of all blocks.
-    pub(super) fn solve(&mut self, problem: &Problem, d: &mut [f64]) {
-        d.fill(0.0);
-        // kept_vector holds -W V^-1 g_e; the right-hand side is -(g_k + that).
-        for (place, &block) in self.structure.kept.iter().enumerate() {
-            let block = &problem.blocks[block];
-            let start = self.matrix.starts[place];
-            for k in 0..block.space.tangent() {
-                let g = self.gradient[block.tangent + k];
-                self.kept_vector[start + k] = -(g + self.kept_vector[start + k]);
-            }
-        }
-        self.cholesky.solve(&mut self.kept_vector, 1);
-        for (place, &block) in self.structure.kept.iter().enumerate() {
-            let block = &problem.blocks[block];
-            let n = block.space.tangent();
-            let start = self.matrix.starts[place];
-            d[block.tangent..block.tangent + n]
-                .copy_from_slice(&self.kept_vector[start..start + n]);
-        }
-        self.substitute(problem, d);
-    }
-
-    /// Fills in `d_e` where `d` holds `d_k`.
-    fn substitute(&self, problem: &Problem, d: &mut [f64]) {
-        let kept: &[f64] = d;
-        let steps: Vec<Vec<f64>> = self
-            .partials
-            .par_iter()
-            .zip(&self.structure.shares)
-            .map(|(partial, share)| {
-                let mut steps = partial.gradient_e.clone();
-                let (mut at, mut factor_at) = (0, 0);
-                for e in share.eliminated.clone() {
-                    let block = self.structure.eliminated[e];
-                    let n = problem.blocks[block].space.tangent();
-                    let step = &mut steps[at..at + n];
-                    for &(b, f) in self.structure.factors(e) {
-                        self.add_coupling(problem, (b as usize, f as usize), block, kept, step);
-                    }
-                    let factor = &partial.factor[factor_at..factor_at + n * n];
-                    forward_solve(factor, n, step);
-                    backward_solve(factor, n, step);
-                    step.iter_mut().for_each(|v| *v = -*v);
-                    at += n;
-                    factor_at += n * n;
-                }
-                steps
-            })
-            .collect();
-        for (steps, share) in steps.iter().zip(&self.structure.shares) {
-            let mut at = 0;
-            for e in share.eliminated.clone() {
-                let block = &problem.blocks[self.structure.eliminated[e]];
-                let n = block.space.tangent();
-                d[block.tangent..block.tangent + n].copy_from_slice(&steps[at..at + n]);
-                at += n;
-            }
-        }
-    }
-
-    /// `out += E^T F d_k` for one factor of the eliminated block `eliminated`.
-    fn add_coupling(
-        &self,
-        problem: &Problem,
-        (b, f): (usize, usize),
-        eliminated: usize,
-        d: &[f64],
-        out: &mut [f64],
-    ) {
-        let named = &problem.batches[b];
-        let (rows, width) = (named.batch.rows(), named.width);
-        let jacobian = &self.linearizations[b].jacobian[f * rows * width..(f + 1) * rows * width];
-        for row in jacobian.chunks_exact(width) {
-            let (mut product, mut own, mut column) = (0.0, 0, 0);
-            for (block, &dim) in named.batch.blocks(f).iter().zip(&named.dims) {
-                if block.index() == eliminated {
-                    own = column;
-                } else if self.structure.place[block.index()] != NONE {
-                    let at = problem.blocks[block.index()].tangent;
-                    product += inner(&row[column..column + dim], &d[at..at + dim]);
-                }
-                column += dim;
-            }
-            for (out, v) in out.iter_mut().zip(&row[own..]) {
-                *out += v * product;
-            }
-        }
-    }
-
-    /// `|J v|^2` at the current linearisation.
-    pub(super) fn squared_product(&self, problem: &Problem, v: &[f64]) -> f64 {
-        let mut total = 0.0;
-        for (named, linearization) in problem.batches.iter().zip(&self.linearizations) {
-            let (rows, width) = (named.batch.rows(), named.width);
-            let partial: Vec<f64> = linearization
-                .jacobian
-                .par_chunks(rows * width * 1024)
-                .enumerate()
-                .map(|(chunk, jacobians)| {
-                    let mut sum = 0.0;
-                    for (k, jacobian) in jacobians.chunks_exact(rows * width).enumerate() {
-                        for row in jacobian.chunks_exact(width) {
-                            let (mut product, mut column) = (0.0, 0);
-                            let blocks = named.batch.blocks(chunk * 1024 + k);
-                            for (block, dim) in blocks.iter().zip(&named.dims) {
-                                let at = problem.blocks[block.index()].tangent;
-                                product += inner(&row[column..column + dim], &v[at..at + dim]);
-                                column += dim;
-                            }
-                            sum += product * product;
-                        }
-                    }
-                    sum
-                })
-                .collect();
-            total += partial.iter().sum::<f64>();
-        }
-        total
     }
 
     /// The Cholesky factor of `V` of eliminated block `e`, row-major.

@@ -281,6 +281,20 @@ impl Problem {
         }
     }
 
+    /// As [`Problem::plus`] for the blocks whose tangents lie within `d` as far as it reaches, and
+    /// for no eliminated ones; the rest of `out` is left as it is.
+    pub(super) fn plus_within(&self, x: &[f64], d: &[f64], out: &mut [f64]) {
+        for (block, ends) in self.blocks.iter().zip(self.offsets.windows(2)) {
+            let range = ends[0]..ends[1];
+            if block.is_fixed() {
+                out[range.clone()].copy_from_slice(&x[range]);
+            } else if !block.eliminate {
+                let d = &d[block.tangent..block.tangent + block.space.tangent()];
+                block.space.plus(&x[range.clone()], d, &mut out[range]);
+            }
+        }
+    }
+
     /// The cost `1/2 sum rho(|r|^2)` of each batch, in the order in which they were added.
     ///
     /// # Errors

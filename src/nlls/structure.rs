@@ -36,6 +36,11 @@ pub(super) struct Share {
 }
 
 impl Share {
+    /// Whether local block `(row, column)`, `row >= column`, is touched.
+    pub(super) fn has(&self, row: usize, column: usize) -> bool {
+        self.table[row * self.kept.len() + column] != NONE
+    }
+
     #[inline]
     pub(super) fn at(&self, row: usize, column: usize) -> usize {
         self.table[row * self.kept.len() + column] as usize
@@ -119,10 +124,25 @@ impl Structure {
         Ok((structure, matrix))
     }
 
+    /// Frees what only the stored path reads.
+    pub(super) fn forget_factors(&mut self) {
+        self.factor_ptr = Vec::new();
+        self.factors = Vec::new();
+        self.touch_ptr = Vec::new();
+        self.touch = Vec::new();
+        for share in &mut self.shares {
+            share.table = Vec::new();
+            share.copies = Vec::new();
+        }
+    }
+
     /// The factors of eliminated block `e`.
     #[inline]
     pub(super) fn factors(&self, e: usize) -> &[FactorRef] {
-        &self.factors[self.factor_ptr[e]..self.factor_ptr[e + 1]]
+        match self.factor_ptr.get(e..e + 2) {
+            Some(ends) => &self.factors[ends[0]..ends[1]],
+            None => &[],
+        }
     }
 
     /// The kept blocks touched by eliminated block `e`, as places in its share's list.

@@ -6,7 +6,7 @@
 //! Dogleg (Powell; Madsen, Nielsen and Tingleff 2004, section 3.3) goes from the minimum along the
 //! gradient towards the Gauss-Newton step, as far as a radius in the norm `|D^1/2 d|` allows.
 
-use super::{Curvature, Linear, normal::Normal, problem::Problem};
+use super::{Curvature, Linear, attempt::Attempt, normal::Normal, problem::Problem};
 use crate::engine::{Engine, SolveError, Step, Stop};
 use serde::{Deserialize, Serialize};
 
@@ -147,7 +147,11 @@ impl LeastSquares {
                 problem.offsets.last().copied().unwrap_or(0)
             )));
         }
-        let mut normal = Normal::new(problem, self.options.linear)?;
+        let mut normal = Normal::new(
+            problem,
+            self.options.linear,
+            self.options.method == Method::LevenbergMarquardt,
+        )?;
         let cost = normal
             .cost(problem, x)
             .map_err(|(batch, factor)| problem.infeasible(&problem.batches[batch], factor))?;
@@ -155,7 +159,7 @@ impl LeastSquares {
             return Err(SolveError::NotFinite("the cost of the starting values".into()));
         }
         self.memory.values = x.len();
-        let tangent = problem.tangent_len();
+        let tangent = normal.gradient.len();
         self.work = Some(Work {
             normal,
             cost,
@@ -167,13 +171,6 @@ impl LeastSquares {
         });
         Ok(cost)
     }
-}
-
-/// A trial step that is ready to be judged.
-struct Trial {
-    predicted: f64,
-    /// `|D^1/2 d|`.
-    length: f64,
 }
 
 impl Engine<Problem> for LeastSquares {
@@ -199,11 +196,15 @@ impl Engine<Problem> for LeastSquares {
             work.solved = false;
         }
         let trial = match self.options.method {
-            Method::LevenbergMarquardt => damped_step(problem, work, self.memory.lambda),
-            Method::Dogleg => dogleg_step(problem, work, &mut self.memory),
+            Method::LevenbergMarquardt => {
+                let Work { normal, step, trial, .. } = work;
+                normal.attempt(problem, x, self.memory.lambda, step, trial)
+            }
+            Method::Dogleg => dogleg_step(problem, x, work, &mut self.memory),
         };
         let residual_norm = (2.0 * work.cost).sqrt();
-        let cosine = largest_cosine(&work.normal, residual_norm);
+        let slope = work.normal.largest_slope();
+        let cosine = if residual_norm > 0.0 { slope / residual_norm } else { 0.0 };
         let mut step = Step {
             cost: work.cost,
             movement: 0.0,
@@ -226,26 +227,21 @@ impl Engine<Problem> for LeastSquares {
             step.stop = self.memory.retreat(&self.options, 0.0);
             return Ok(step);
         };
-        problem.plus(x, &work.step, &mut work.trial);
-        let trial_cost = match work.normal.cost(problem, &work.trial) {
-            Ok(cost) if cost.is_finite() => cost,
-            _ => f64::INFINITY,
-        };
-        let decrease = work.cost - trial_cost;
+        let decrease = work.cost - trial.cost;
         let ratio = decrease / trial.predicted;
         step.notes[2].1 = trial.predicted;
         step.notes[3].1 = ratio.max(f64::MIN);
         if trial.predicted > 0.0 && ratio >= self.options.acceptance && decrease > 0.0 {
             std::mem::swap(x, &mut work.trial);
             step.accepted = true;
-            step.movement = work.step.iter().fold(0.0, |most, v| v.abs().max(most));
-            step.cost = trial_cost;
+            step.movement = trial.movement;
+            step.cost = trial.cost;
             if decrease <= self.options.cost_tolerance * work.cost {
                 step.stop = Some(Stop::CostConverged);
             } else if trial.length <= self.options.step_tolerance * residual_norm {
                 step.stop = Some(Stop::MovementConverged);
             }
-            work.cost = trial_cost;
+            work.cost = trial.cost;
             work.linearized = false;
             self.memory.advance(&self.options, ratio, trial.length);
             self.memory.adapt_curvature(&self.options, ratio);
@@ -349,43 +345,21 @@ impl Memory {
     }
 }
 
-/// `max_k |g_k| / (sqrt(D_k) |r|)`.
-fn largest_cosine(normal: &Normal, residual_norm: f64) -> f64 {
-    if residual_norm == 0.0 {
-        return 0.0;
-    }
-    let largest = normal
-        .gradient
-        .iter()
-        .zip(&normal.diagonal)
-        .filter(|(_, d)| **d > 0.0)
-        .fold(0.0, |most: f64, (g, d)| (g.abs() / d.sqrt()).max(most));
-    largest / residual_norm
-}
-
 fn scaled_length(step: &[f64], diagonal: &[f64]) -> f64 {
     step.iter().zip(diagonal).map(|(d, w)| d * d * w).sum::<f64>().sqrt()
 }
 
-fn damped_step(problem: &Problem, work: &mut Work, lambda: f64) -> Option<Trial> {
-    work.normal.reduce(problem, lambda).ok()?;
-    work.normal.solve(problem, &mut work.step);
-    let normal = &work.normal;
-    // -(g d + 1/2 d H d) with H d = -g - lambda D d.
-    let mut predicted = 0.0;
-    for ((d, g), w) in work.step.iter().zip(&normal.gradient).zip(&normal.diagonal) {
-        predicted += 0.5 * d * (lambda * w * d - g);
-    }
-    let length = scaled_length(&work.step, &normal.diagonal);
-    (predicted.is_finite() && length.is_finite()).then_some(Trial { predicted, length })
-}
-
-fn dogleg_step(problem: &Problem, work: &mut Work, memory: &mut Memory) -> Option<Trial> {
+fn dogleg_step(
+    problem: &Problem,
+    x: &[f64],
+    work: &mut Work,
+    memory: &mut Memory,
+) -> Option<Attempt> {
     if !work.solved {
         if memory.radius.is_none() {
             memory.lambda = GAUSS_NEWTON_LAMBDA;
         }
-        work.normal.reduce(problem, memory.lambda).ok()?;
+        work.normal.reduce(problem, x, memory.lambda).ok()?;
         work.gauss_newton.resize(work.step.len(), 0.0);
         work.normal.solve(problem, &mut work.gauss_newton);
         work.solved = true;
@@ -427,5 +401,12 @@ fn dogleg_step(problem: &Problem, work: &mut Work, memory: &mut Memory) -> Optio
     let slope: f64 = work.step.iter().zip(&normal.gradient).map(|(d, g)| d * g).sum();
     let predicted = -slope - 0.5 * normal.squared_product(problem, &work.step);
     let length = scaled_length(&work.step, &normal.diagonal);
-    (predicted.is_finite() && length.is_finite()).then_some(Trial { predicted, length })
+    problem.plus(x, &work.step, &mut work.trial);
+    let cost = match work.normal.cost(problem, &work.trial) {
+        Ok(cost) if cost.is_finite() => cost,
+        _ => f64::INFINITY,
+    };
+    let movement = work.step.iter().fold(0.0, |most: f64, v| v.abs().max(most));
+    let attempt = Attempt { predicted, length, movement, cost };
+    (predicted.is_finite() && length.is_finite()).then_some(attempt)
 }

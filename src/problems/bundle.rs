@@ -11,8 +11,9 @@
 use crate::{
     camera::bal,
     engine::SolveError,
-    geometry::{cross, rotation},
-    nlls::{BlockId, Factor, Factors, Infeasible, Jacobian, Loss, Problem, Space},
+    geometry::rotation,
+    lanes::Lane,
+    nlls::{BlockId, Linearized, Loss, Pair, PairFactor, Pairs, Problem, Space},
 };
 use serde::{Deserialize, Serialize};
 
@@ -74,116 +75,153 @@ pub struct Bundle {
 }
 
 /// The image measurement of a point by a camera with a lens of its own: blocks
-/// `[PoseAnd(3), Euclidean(3)]`.
-#[derive(Debug, Clone)]
-pub struct Reprojection {
-    /// Camera, point.
-    pub blocks: [BlockId; 2],
-    /// Measured position.
-    pub image_px: [f64; 2],
-}
+/// `[PoseAnd(3), Euclidean(3)]`, data the measured position in pixels.
+#[derive(Debug, Clone, Copy)]
+pub struct Reprojection;
 
 /// The image measurement of a point by a camera that shares its lens: blocks
-/// `[Pose, Euclidean(3) lens, Euclidean(3)]`.
-#[derive(Debug, Clone)]
-pub struct SharedReprojection {
-    /// Pose, lens, point.
-    pub blocks: [BlockId; 3],
-    /// Measured position.
-    pub image_px: [f64; 2],
-}
+/// `[Pose, Euclidean(3) lens, Euclidean(3)]`, data the measured position in pixels.
+#[derive(Debug, Clone, Copy)]
+pub struct SharedReprojection;
 
-/// Residual of one measurement and, where wanted, its derivatives by the pose increment, the
-/// interior orientation and the point.
-#[inline]
-fn reproject(
-    pose: &[f64],
-    interior: &[f64],
-    point: &[f64],
-    image_px: [f64; 2],
-    residual: &mut [f64],
-    derivatives: Option<&mut dyn FnMut(usize, [f64; 6], [f64; 3], [f64; 3])>,
-) -> Result<(), Infeasible> {
+/// What all measurements of one image need of its camera: the rotation matrix by rows, the
+/// translation, `f`, `k1`, `k2`.
+type Prepared<L> = [L; 15];
+
+#[inline(always)]
+fn prepare(pose: &[f64], interior: &[f64]) -> Prepared<f64> {
     let r = rotation::matrix([pose[0], pose[1], pose[2], pose[3]]);
-    let x = [point[0], point[1], point[2]];
-    let in_camera: [f64; 3] = std::array::from_fn(|k| crate::geometry::dot(r[k], x) + pose[4 + k]);
-    let interior = [interior[0], interior[1], interior[2]];
-    let Some(visit) = derivatives else {
-        let u = bal::project(in_camera, interior).ok_or(Infeasible)?;
-        residual[0] = u[0] - image_px[0];
-        residual[1] = u[1] - image_px[1];
-        return Ok(());
-    };
-    let projection = bal::project_with_derivatives(in_camera, interior).ok_or(Infeasible)?;
-    for k in 0..2 {
-        residual[k] = projection.image_px[k] - image_px[k];
-        let by_camera = projection.by_point[k];
-        // The camera frame turns by w and shifts by s: dP = w x P + s.
-        let by_turn = cross(in_camera, by_camera);
-        let by_pose =
-            [by_turn[0], by_turn[1], by_turn[2], by_camera[0], by_camera[1], by_camera[2]];
-        let by_point = std::array::from_fn(|c| {
-            by_camera[0] * r[0][c] + by_camera[1] * r[1][c] + by_camera[2] * r[2][c]
-        });
-        visit(k, by_pose, projection.by_interior[k], by_point);
+    let mut prepared = [0.0; 15];
+    for k in 0..3 {
+        prepared[3 * k..3 * k + 3].copy_from_slice(&r[k]);
+        prepared[9 + k] = pose[4 + k];
+        prepared[12 + k] = interior[k];
     }
-    Ok(())
+    prepared
 }
 
-impl Factor for Reprojection {
-    fn rows(&self) -> usize {
-        2
-    }
+// No closures from here on: one that is not inlined would be compiled without the instruction set
+// that the engine has chosen.
 
-    fn blocks(&self) -> &[BlockId] {
-        &self.blocks
-    }
+/// `row . x + start`.
+#[inline(always)]
+fn affine<L: Lane>(row: [L; 3], x: &[L; 3], start: L) -> L {
+    row[0].mul_add(x[0], row[1].mul_add(x[1], row[2].mul_add(x[2], start)))
+}
 
-    fn linearize(
-        &self,
-        x: &[&[f64]],
-        residual: &mut [f64],
-        jacobian: Option<&mut Jacobian<'_>>,
-    ) -> Result<(), Infeasible> {
-        let (pose, interior) = x[0].split_at(7);
-        let Some(jacobian) = jacobian else {
-            return reproject(pose, interior, x[1], self.image_px, residual, None);
-        };
-        let mut write = |row: usize, by_pose: [f64; 6], by_lens: [f64; 3], by_point: [f64; 3]| {
-            let row = jacobian.row(row);
-            row[..6].copy_from_slice(&by_pose);
-            row[6..9].copy_from_slice(&by_lens);
-            row[9..12].copy_from_slice(&by_point);
-        };
-        reproject(pose, interior, x[1], self.image_px, residual, Some(&mut write))
+#[inline(always)]
+fn to_camera<L: Lane>(c: &Prepared<L>, x: &[L; 3]) -> [L; 3] {
+    [
+        affine([c[0], c[1], c[2]], x, c[9]),
+        affine([c[3], c[4], c[5]], x, c[10]),
+        affine([c[6], c[7], c[8]], x, c[11]),
+    ]
+}
+
+#[inline(always)]
+fn residual<L: Lane>(c: &Prepared<L>, x: &[L; 3], measured_px: &[L; 2]) -> [L; 2] {
+    let image_px = bal::project(to_camera(c, x), [c[12], c[13], c[14]]);
+    [image_px[0] - measured_px[0], image_px[1] - measured_px[1]]
+}
+
+/// `a b - c d`.
+#[inline(always)]
+fn minor<L: Lane>(a: L, b: L, c: L, d: L) -> L {
+    a.mul_add(b, -(c * d))
+}
+
+/// A row of the Jacobian by the pose increment, from the one by the point in the camera frame,
+/// which turns by `w` and shifts by `s`: `dP = w x P + s`, so `j dP = w (P x j) + s j`.
+#[inline(always)]
+fn by_increment<L: Lane>(p: &[L; 3], j: &[L; 3]) -> [L; 6] {
+    [
+        minor(p[1], j[2], p[2], j[1]),
+        minor(p[2], j[0], p[0], j[2]),
+        minor(p[0], j[1], p[1], j[0]),
+        j[0],
+        j[1],
+        j[2],
+    ]
+}
+
+/// A row of the Jacobian by the point in the world frame: `j R`.
+#[inline(always)]
+fn by_world<L: Lane>(c: &Prepared<L>, j: &[L; 3]) -> [L; 3] {
+    [
+        affine([c[0], c[3], c[6]], j, j[0].like(0.0)),
+        affine([c[1], c[4], c[7]], j, j[0].like(0.0)),
+        affine([c[2], c[5], c[8]], j, j[0].like(0.0)),
+    ]
+}
+
+/// The residual and its derivatives by the pose increment, the interior orientation and the point.
+#[inline(always)]
+fn linearize<L: Lane>(
+    c: &Prepared<L>,
+    x: &[L; 3],
+    measured_px: &[L; 2],
+) -> Linearized<L, 2, 6, 3, 3> {
+    let p = to_camera(c, x);
+    let found = bal::project_with_derivatives(p, [c[12], c[13], c[14]]);
+    let (u, j) = (found.image_px, &found.by_point);
+    Linearized {
+        residual: [u[0] - measured_px[0], u[1] - measured_px[1]],
+        by_kept: [by_increment(&p, &j[0]), by_increment(&p, &j[1])],
+        by_shared: found.by_interior,
+        by_point: [by_world(c, &j[0]), by_world(c, &j[1])],
     }
 }
 
-impl Factor for SharedReprojection {
-    fn rows(&self) -> usize {
-        2
+/// `[pose, lens]` side by side.
+#[inline(always)]
+fn beside<L: Lane>(p: &[L; 6], l: &[L; 3]) -> [L; 9] {
+    [p[0], p[1], p[2], p[3], p[4], p[5], l[0], l[1], l[2]]
+}
+
+impl PairFactor<2, 9, 0, 3, 15, 2> for Reprojection {
+    fn prepare(kept: &[f64], _: &[f64]) -> Prepared<f64> {
+        prepare(&kept[..7], &kept[7..])
     }
 
-    fn blocks(&self) -> &[BlockId] {
-        &self.blocks
+    #[inline(always)]
+    fn residual<L: Lane>(camera: &Prepared<L>, point: &[L; 3], measured_px: &[L; 2]) -> [L; 2] {
+        residual(camera, point, measured_px)
     }
 
-    fn linearize(
-        &self,
-        x: &[&[f64]],
-        residual: &mut [f64],
-        jacobian: Option<&mut Jacobian<'_>>,
-    ) -> Result<(), Infeasible> {
-        let Some(jacobian) = jacobian else {
-            return reproject(x[0], x[1], x[2], self.image_px, residual, None);
-        };
-        let mut write = |row: usize, by_pose: [f64; 6], by_lens: [f64; 3], by_point: [f64; 3]| {
-            let row = jacobian.row(row);
-            row[..6].copy_from_slice(&by_pose);
-            row[6..9].copy_from_slice(&by_lens);
-            row[9..12].copy_from_slice(&by_point);
-        };
-        reproject(x[0], x[1], x[2], self.image_px, residual, Some(&mut write))
+    #[inline(always)]
+    fn linearize<L: Lane>(
+        camera: &Prepared<L>,
+        point: &[L; 3],
+        measured_px: &[L; 2],
+    ) -> Linearized<L, 2, 9, 0, 3> {
+        let found = linearize(camera, point, measured_px);
+        let (pose, lens) = (&found.by_kept, &found.by_shared);
+        Linearized {
+            residual: found.residual,
+            by_kept: [beside(&pose[0], &lens[0]), beside(&pose[1], &lens[1])],
+            by_shared: [[]; 2],
+            by_point: found.by_point,
+        }
+    }
+}
+
+impl PairFactor<2, 6, 3, 3, 15, 2> for SharedReprojection {
+    fn prepare(kept: &[f64], shared: &[f64]) -> Prepared<f64> {
+        prepare(kept, shared)
+    }
+
+    #[inline(always)]
+    fn residual<L: Lane>(camera: &Prepared<L>, point: &[L; 3], measured_px: &[L; 2]) -> [L; 2] {
+        residual(camera, point, measured_px)
+    }
+
+    #[inline(always)]
+    fn linearize<L: Lane>(
+        camera: &Prepared<L>,
+        point: &[L; 3],
+        measured_px: &[L; 2],
+    ) -> Linearized<L, 2, 6, 3, 3> {
+        linearize(camera, point, measured_px)
     }
 }
 
@@ -274,20 +312,23 @@ impl Bundle {
             })
             .collect::<Result<Vec<_>, SolveError>>()?;
         let ends = |o: &Observation| (cameras[o.camera as usize], points[o.point as usize]);
+        let observations = network.observations.iter();
         match lens {
             None => {
-                let factors = network.observations.iter().map(|o| {
+                let pairs = observations.map(|o| {
                     let (camera, point) = ends(o);
-                    Reprojection { blocks: [camera, point], image_px: o.image_px }
+                    Pair::new(camera, point, o.image_px)
                 });
-                problem.add(TIE_POINTS, loss, Factors(factors.collect()))?;
+                let pairs = Pairs::<Reprojection, 2, 9, 0, 3, 15, 2>::new(pairs.collect());
+                problem.add(TIE_POINTS, loss, pairs)?;
             }
             Some(lens) => {
-                let factors = network.observations.iter().map(|o| {
+                let pairs = observations.map(|o| {
                     let (camera, point) = ends(o);
-                    SharedReprojection { blocks: [camera, lens, point], image_px: o.image_px }
+                    Pair::with_shared(camera, lens, point, o.image_px)
                 });
-                problem.add(TIE_POINTS, loss, Factors(factors.collect()))?;
+                let pairs = Pairs::<SharedReprojection, 2, 6, 3, 3, 15, 2>::new(pairs.collect());
+                problem.add(TIE_POINTS, loss, pairs)?;
             }
         }
         Ok(Bundle { problem, cameras, lens, points })

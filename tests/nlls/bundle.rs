@@ -5,13 +5,9 @@ use crate::data;
 use proptest::prelude::*;
 use rowgram::{
     engine::Engine,
-    geometry::rotation,
     io::bal,
-    nlls::{
-        LeastSquares, Linear, Loss, Method, Options, Problem, Space, Summary,
-        check::check_jacobian, solve,
-    },
-    problems::bundle::{Bundle, InteriorSharing, Network, Reprojection, SharedReprojection},
+    nlls::{LeastSquares, Linear, Loss, Method, Options, Summary, check::check_batch, solve},
+    problems::bundle::{Bundle, Camera, InteriorSharing, Network, Observation, TIE_POINTS},
 };
 
 proptest! {
@@ -23,24 +19,71 @@ proptest! {
         k in prop::array::uniform2(-0.2..0.2f64),
         behind in any::<bool>(),
     ) {
-        let mut problem = Problem::new();
-        let mut id = || problem.block("b", Space::Euclidean(1), &[0.0]).unwrap();
-        let (a, b, c) = (id(), id(), id());
-        let q = rotation::exp(w);
         // In front or behind: the formula holds for both.
         let depth = if behind { 4.0 } else { -4.0 };
-        let pose = [q[0], q[1], q[2], q[3], t[0], t[1], t[2] + depth];
-        let interior = [3.0, k[0], k[1]];
-        let camera: Vec<f64> = pose.iter().chain(&interior).copied().collect();
-        let own = Reprojection { blocks: [a, b], image_px: [0.2, -0.1] };
-        let shared = SharedReprojection { blocks: [a, c, b], image_px: [0.2, -0.1] };
-        let point = Space::Euclidean(3);
-        for check in [
-            check_jacobian(&own, &[Space::PoseAnd(3), point], &[&camera, &x]),
-            check_jacobian(&shared, &[Space::Pose, point, point], &[&pose, &interior, &x]),
-        ] {
-            let check = check.unwrap();
+        let network = Network {
+            cameras: vec![Camera {
+                rotation_rad: w,
+                translation: [t[0], t[1], t[2] + depth],
+                interior: [3.0, k[0], k[1]],
+            }],
+            points: vec![x],
+            observations: vec![Observation { camera: 0, point: 0, image_px: [0.2, -0.1] }],
+        };
+        for sharing in [InteriorSharing::PerImage, InteriorSharing::Shared] {
+            let bundle = Bundle::new(&network, sharing, Loss::Trivial).unwrap();
+            let start = bundle.problem.start();
+            let check = check_batch(&bundle.problem, &start, TIE_POINTS, 0..1).unwrap();
             prop_assert!(check.error < 1e-8, "{check:?}");
+        }
+    }
+}
+
+#[test]
+fn the_fused_path_takes_the_steps_of_the_stored_one() {
+    // More observations per point than fit into a chunk, a camera that measures a point twice,
+    // fixed cameras, fixed entries of cameras, lenses and points.
+    let mut start = network(14, 8, 60, 0.5);
+    perturb(&mut start, 15, 1.0);
+    let twice = start.observations[3];
+    start.observations.push(Observation {
+        image_px: [twice.image_px[0] + 0.5, twice.image_px[1] - 0.25],
+        ..twice
+    });
+    for sharing in [InteriorSharing::PerImage, InteriorSharing::Shared] {
+        for loss in [Loss::Trivial, Loss::Cauchy(2.0)] {
+            for held in [false, true] {
+                let traces: Vec<Vec<f64>> = [Linear::Schur, Linear::Sparse]
+                    .iter()
+                    .map(|&linear| {
+                        let mut bundle = Bundle::new(&start, sharing, loss).unwrap();
+                        if held {
+                            let (fixed, partly, point) =
+                                (bundle.camera(5), bundle.camera(9), bundle.point(7));
+                            bundle.problem.fix(fixed);
+                            bundle.problem.fix_entries(partly, &[1, 4]).unwrap();
+                            bundle.problem.fix_entries(point, &[2]).unwrap();
+                            if let Some(lens) = bundle.lens() {
+                                bundle.problem.fix_entries(lens, &[1]).unwrap();
+                            }
+                        }
+                        let mut x = bundle.problem.start();
+                        let mut engine =
+                            LeastSquares::new(Options { linear, ..Options::default() });
+                        engine.start(&bundle.problem, &mut x).unwrap();
+                        let mut trace = Vec::new();
+                        for _ in 0..5 {
+                            let step = engine.step(&bundle.problem, &mut x).unwrap();
+                            trace.extend([step.cost, step.movement, step.notes[2].1]);
+                        }
+                        trace
+                    })
+                    .collect();
+                for (fused, stored) in traces[0].iter().zip(&traces[1]) {
+                    let error = (fused - stored).abs() / stored.abs().max(1e-6);
+                    assert!(error < 1e-5, "{sharing:?} {loss} {held}: {traces:?}");
+                }
+            }
         }
     }
 }

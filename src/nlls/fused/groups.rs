@@ -1,0 +1,245 @@
+//! Observations gathered into registers, chunk by chunk, and their cost.
+//!
+//! A chunk is a run of whole points whose observations stay in the nearest cache; it is worked on
+//! a register's width of observations at a time, whatever points they belong to.
+
+use super::layout::{CHUNK, Layout, ShareWork};
+use crate::{
+    lanes::{MAX_WIDTH, Register},
+    nlls::{loss::Loss, pairs::PairFactor},
+};
+use pulp::{Arch, Simd, WithSimd};
+use std::{marker::PhantomData, ops::Range};
+
+/// The inputs of a few observations, one place per lane.
+pub(super) struct Stage<const P: usize, const Q: usize, const D: usize> {
+    prepared: [[f64; MAX_WIDTH]; Q],
+    point: [[f64; MAX_WIDTH]; P],
+    data: [[f64; MAX_WIDTH]; D],
+}
+
+impl<const P: usize, const Q: usize, const D: usize> Stage<P, Q, D> {
+    #[inline(always)]
+    pub(super) fn new() -> Self {
+        Stage {
+            prepared: [[0.0; MAX_WIDTH]; Q],
+            point: [[0.0; MAX_WIDTH]; P],
+            data: [[0.0; MAX_WIDTH]; D],
+        }
+    }
+
+    #[inline(always)]
+    fn set(&mut self, lane: usize, prepared: &[f64; Q], point: &[f64; P], data: &[f64; D]) {
+        for k in 0..Q {
+            self.prepared[k][lane] = prepared[k];
+        }
+        for k in 0..P {
+            self.point[k][lane] = point[k];
+        }
+        for k in 0..D {
+            self.data[k][lane] = data[k];
+        }
+    }
+
+    /// The registers: prepared values, point, data.
+    #[inline(always)]
+    #[expect(clippy::type_complexity, reason = "three arrays of registers")]
+    pub(super) fn load<V: Simd>(
+        &self,
+        simd: V,
+    ) -> ([Register<V>; Q], [Register<V>; P], [Register<V>; D]) {
+        (
+            std::array::from_fn(|k| Register::load(simd, &self.prepared[k])),
+            std::array::from_fn(|k| Register::load(simd, &self.point[k])),
+            std::array::from_fn(|k| Register::load(simd, &self.data[k])),
+        )
+    }
+}
+
+/// Walks over the observations of a chunk, a register's width at a time.
+pub(super) struct Groups {
+    point: usize,
+    last_point: usize,
+    observation: usize,
+    origin: usize,
+}
+
+impl Groups {
+    #[inline(always)]
+    pub(super) fn new<const K: usize, const S: usize, const D: usize>(
+        layout: &Layout<K, S, D>,
+        chunk: &Range<usize>,
+    ) -> Self {
+        let origin = layout.points[chunk.start].first as usize;
+        Groups { point: chunk.start, last_point: chunk.end, observation: origin, origin }
+    }
+
+    /// Puts the next `width` observations, or what is left of them, into `stage`, with the points'
+    /// coordinates from `value`; returns the place of the first, counted from the chunk's first,
+    /// and their number.
+    #[inline(always)]
+    pub(super) fn fill<
+        const K: usize,
+        const S: usize,
+        const P: usize,
+        const Q: usize,
+        const D: usize,
+    >(
+        &mut self,
+        stage: &mut Stage<P, Q, D>,
+        layout: &Layout<K, S, D>,
+        width: usize,
+        prepared: &[[f64; Q]],
+        value: impl Fn(usize) -> [f64; P],
+    ) -> Option<(usize, usize)> {
+        let first = self.observation - self.origin;
+        let mut count = 0;
+        while count < width && self.point < self.last_point {
+            let end = layout.points[self.point + 1].first as usize;
+            let point = value(self.point);
+            while count < width && self.observation < end {
+                let camera = layout.observed_by[self.observation] as usize;
+                stage.set(count, &prepared[camera], &point, &layout.data[self.observation]);
+                self.observation += 1;
+                count += 1;
+            }
+            if self.observation == end {
+                self.point += 1;
+            }
+        }
+        (count > 0).then_some((first, count))
+    }
+}
+
+/// The points of `range` in chunks of whole points with at most [`CHUNK`] observations, or one
+/// point with more.
+pub(super) fn chunks<const K: usize, const S: usize, const D: usize>(
+    layout: &Layout<K, S, D>,
+    range: Range<usize>,
+) -> impl Iterator<Item = Range<usize>> + '_ {
+    let mut next = range.start;
+    std::iter::from_fn(move || {
+        if next >= range.end {
+            return None;
+        }
+        let first = layout.points[next].first as usize;
+        let mut end = next + 1;
+        while end < range.end && layout.points[end + 1].first as usize - first <= CHUNK {
+            end += 1;
+        }
+        let chunk = next..end;
+        next = end;
+        Some(chunk)
+    })
+}
+
+/// The values of a point that begin at `at`.
+#[inline(always)]
+pub(super) fn coordinates<const P: usize>(x: &[f64], at: u32) -> [f64; P] {
+    let at = at as usize;
+    std::array::from_fn(|k| x[at + k])
+}
+
+/// The cost of the observations of `chunk`.
+#[inline(always)]
+pub(super) fn chunk_cost<
+    V: Simd,
+    F: PairFactor<R, K, S, P, Q, D>,
+    const R: usize,
+    const K: usize,
+    const S: usize,
+    const P: usize,
+    const Q: usize,
+    const D: usize,
+>(
+    simd: V,
+    layout: &Layout<K, S, D>,
+    chunk: Range<usize>,
+    prepared: &[[f64; Q]],
+    value: impl Fn(usize) -> [f64; P],
+    loss: Loss,
+) -> f64 {
+    let mut total = 0.0;
+    let (mut stage, mut groups) = (Stage::<P, Q, D>::new(), Groups::new(layout, &chunk));
+    let width = Register::<V>::WIDTH;
+    while let Some((_, count)) = groups.fill(&mut stage, layout, width, prepared, &value) {
+        let (prepared, point, data) = stage.load(simd);
+        let residual = F::residual(&prepared, &point, &data);
+        let mut square = residual[0] * residual[0];
+        for r in &residual[1..] {
+            square = square + *r * *r;
+        }
+        let mut squares = [0.0; MAX_WIDTH];
+        square.store(&mut squares);
+        for square in &squares[..count] {
+            total += match loss {
+                Loss::Trivial => *square,
+                _ => loss.evaluate(*square).value,
+            };
+        }
+    }
+    0.5 * total
+}
+
+struct Cost<
+    'a,
+    F,
+    const R: usize,
+    const K: usize,
+    const S: usize,
+    const P: usize,
+    const Q: usize,
+    const D: usize,
+> {
+    layout: &'a Layout<K, S, D>,
+    share: &'a ShareWork<P>,
+    prepared: &'a [[f64; Q]],
+    x: &'a [f64],
+    loss: Loss,
+    factor: PhantomData<F>,
+}
+
+impl<
+    F: PairFactor<R, K, S, P, Q, D>,
+    const R: usize,
+    const K: usize,
+    const S: usize,
+    const P: usize,
+    const Q: usize,
+    const D: usize,
+> WithSimd for Cost<'_, F, R, K, S, P, Q, D>
+{
+    type Output = f64;
+
+    #[inline(always)]
+    fn with_simd<V: Simd>(self, simd: V) -> f64 {
+        let Cost { layout, share, prepared, x, loss, .. } = self;
+        let value = |e: usize| coordinates::<P>(x, layout.points[e].at);
+        let mut total = 0.0;
+        for chunk in chunks(layout, share.range.clone()) {
+            total +=
+                chunk_cost::<V, F, R, K, S, P, Q, D>(simd, layout, chunk, prepared, value, loss);
+        }
+        total
+    }
+}
+
+/// The cost of one share at `x`; not finite where an observation is infeasible.
+pub(super) fn share_cost<
+    F: PairFactor<R, K, S, P, Q, D>,
+    const R: usize,
+    const K: usize,
+    const S: usize,
+    const P: usize,
+    const Q: usize,
+    const D: usize,
+>(
+    layout: &Layout<K, S, D>,
+    share: &ShareWork<P>,
+    prepared: &[[f64; Q]],
+    x: &[f64],
+    loss: Loss,
+) -> f64 {
+    let factor = PhantomData::<F>;
+    Arch::new().dispatch(Cost::<F, R, K, S, P, Q, D> { layout, share, prepared, x, loss, factor })
+}

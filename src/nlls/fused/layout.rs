@@ -1,0 +1,218 @@
+//! What the fused path keeps in memory: observations by point, and the sums of each share.
+
+use crate::nlls::{
+    cholesky::BlockMatrix,
+    structure::{NONE, Share},
+};
+use std::ops::Range;
+
+/// Numbers per row of a kept Jacobian in memory: whole registers.
+pub(super) const fn padded(k: usize) -> usize {
+    k.div_ceil(8) * 8
+}
+
+/// Length of one block of the reduced system in a share: rows of whole registers, then the
+/// columns that are left over, each padded.
+pub(super) const fn block_len(k: usize) -> usize {
+    k * (k / 8 * 8) + (k % 8) * padded(k)
+}
+
+/// Observations that are linearised before their points are eliminated: their Jacobians fit into
+/// half of a first-level cache.
+pub(super) const CHUNK: usize = 48;
+/// The most tangent dimensions of a kept block that the fused path takes.
+pub(super) const MAX_KEPT: usize = 32;
+/// The most shared blocks; with more, every camera has about its own.
+pub(super) const MAX_SHARED: usize = 8;
+
+/// A kept block of the batch, fixed or not.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Camera {
+    /// Its index in the problem.
+    pub(super) block: u32,
+    /// Its shared block's index in the problem.
+    pub(super) shared: u32,
+    /// Its place among the kept blocks, or [`NONE`].
+    pub(super) place: u32,
+    /// Its shared block's place in [`Layout::shared`].
+    pub(super) lens: u32,
+}
+
+/// An eliminated block.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct PointAt {
+    /// Where its values begin.
+    pub(super) at: u32,
+    /// Where its observations begin.
+    pub(super) first: u32,
+    /// Its index in the problem.
+    pub(super) block: u32,
+    /// Bits of entries that must not move.
+    pub(super) frozen: u32,
+}
+
+/// What all shares read.
+#[derive(Debug)]
+pub(super) struct Layout<const K: usize, const S: usize, const D: usize> {
+    pub(super) cameras: Vec<Camera>,
+    /// Where a camera's columns are frozen 0, others 1; empty where nothing is frozen.
+    pub(super) camera_mask: Vec<[f64; K]>,
+    /// The same of the shared blocks.
+    pub(super) lens_mask: Vec<[f64; S]>,
+    /// The places of the shared blocks among the kept ones, or [`NONE`].
+    pub(super) shared: Vec<u32>,
+    /// One more entry than points.
+    pub(super) points: Vec<PointAt>,
+    /// Per observation its camera; those of one point by their places, fixed ones last.
+    pub(super) observed_by: Vec<u32>,
+    pub(super) data: Vec<[f64; D]>,
+    /// Where each kept block's tangent begins.
+    pub(super) tangents: Vec<usize>,
+}
+
+/// One share of the points and its sums.
+#[derive(Debug)]
+pub(super) struct ShareWork<const P: usize> {
+    pub(super) range: Range<usize>,
+    /// Local place of each camera, or [`NONE`].
+    pub(super) local: Vec<u32>,
+    /// Cameras by local place.
+    pub(super) members: Vec<u32>,
+    /// `members x members`: which block belongs to a pair of cameras, or [`NONE`].
+    table: Vec<u32>,
+    /// The slot of the reduced matrix behind each block.
+    pub(super) slots: Vec<u32>,
+    pub(super) values: Vec<f64>,
+    pub(super) gradient: Vec<f64>,
+    pub(super) correction: Vec<f64>,
+    pub(super) diagonal: Vec<f64>,
+    /// Per local camera and shared block, `K x S`.
+    pub(super) camera_lens: Vec<f64>,
+    /// `S x S` per pair of shared blocks.
+    pub(super) lens_lens: Vec<f64>,
+    pub(super) lens_gradient: Vec<f64>,
+    pub(super) lens_correction: Vec<f64>,
+    pub(super) lens_diagonal: Vec<f64>,
+    pub(super) moved: Vec<[f64; P]>,
+    pub(super) buffers: Buffers,
+}
+
+/// Room for the observations of one chunk, row by row.
+#[derive(Debug, Default)]
+pub(super) struct Buffers {
+    pub(super) residual: Vec<f64>,
+    pub(super) by_kept: Vec<f64>,
+    pub(super) by_shared: Vec<f64>,
+    pub(super) by_point: Vec<f64>,
+    /// `Q_i`, of one point.
+    pub(super) whitened: Vec<f64>,
+    /// `Q_i u` of one point, or `J d` of a chunk.
+    pub(super) along: Vec<f64>,
+    /// `T` of each shared block.
+    pub(super) lens_sums: Vec<f64>,
+}
+
+impl<const P: usize> ShareWork<P> {
+    /// The accumulators of `share` for observations of `rows` rows; `None` where the reduced
+    /// matrix lacks a block.
+    pub(super) fn new<const K: usize, const S: usize, const D: usize>(
+        share: &Share,
+        layout: &Layout<K, S, D>,
+        matrix: &BlockMatrix,
+        rows: usize,
+    ) -> Option<Self> {
+        let mut by_place: Vec<(u32, u32)> = layout
+            .cameras
+            .iter()
+            .enumerate()
+            .filter(|(_, camera)| share.kept.binary_search(&camera.place).is_ok())
+            .map(|(k, camera)| (camera.place, k as u32))
+            .collect();
+        by_place.sort_unstable();
+        let members: Vec<u32> = by_place.iter().map(|&(_, k)| k).collect();
+        let n = members.len();
+        let mut local = vec![NONE; layout.cameras.len()];
+        for (k, &camera) in members.iter().enumerate() {
+            local[camera as usize] = k as u32;
+        }
+        let (mut table, mut slots) = (vec![NONE; n * n], Vec::new());
+        for (row, &(row_place, _)) in by_place.iter().enumerate() {
+            let row_in_share = share.kept.binary_search(&row_place).ok()?;
+            for (column, &(column_place, _)) in by_place[..=row].iter().enumerate() {
+                let column_in_share = share.kept.binary_search(&column_place).ok()?;
+                if share.has(row_in_share, column_in_share) {
+                    let slot = matrix.slot(row_place as usize, column_place as usize)?;
+                    table[row * n + column] = slots.len() as u32;
+                    slots.push(slot as u32);
+                }
+            }
+        }
+        let lenses = layout.shared.len();
+        let longest = share
+            .eliminated
+            .clone()
+            .map(|e| (layout.points[e + 1].first - layout.points[e].first) as usize)
+            .max()
+            .unwrap_or(0);
+        Some(ShareWork {
+            range: share.eliminated.clone(),
+            values: vec![0.0; slots.len() * block_len(K)],
+            gradient: vec![0.0; n * padded(K)],
+            correction: vec![0.0; n * padded(K)],
+            diagonal: vec![0.0; n * padded(K)],
+            camera_lens: vec![0.0; n * lenses * K * S],
+            lens_lens: vec![0.0; lenses * lenses * S * S],
+            lens_gradient: vec![0.0; lenses * S],
+            lens_correction: vec![0.0; lenses * S],
+            lens_diagonal: vec![0.0; lenses * S],
+            moved: vec![[0.0; P]; share.eliminated.len()],
+            buffers: Buffers::new::<K, S, P>(longest.max(CHUNK), rows, lenses),
+            local,
+            members,
+            table,
+            slots,
+        })
+    }
+
+    /// Which block belongs to two local cameras, `row >= column`.
+    #[inline(always)]
+    pub(super) fn block(&self, row: usize, column: usize) -> usize {
+        self.table[row * self.members.len() + column] as usize
+    }
+
+    pub(super) fn clear(&mut self) {
+        for sums in [
+            &mut self.values,
+            &mut self.gradient,
+            &mut self.correction,
+            &mut self.diagonal,
+            &mut self.camera_lens,
+            &mut self.lens_lens,
+            &mut self.lens_gradient,
+            &mut self.lens_correction,
+            &mut self.lens_diagonal,
+        ] {
+            sums.fill(0.0);
+        }
+    }
+}
+
+impl Buffers {
+    /// Room for `count` observations of `rows` rows.
+    fn new<const K: usize, const S: usize, const P: usize>(
+        count: usize,
+        rows: usize,
+        lenses: usize,
+    ) -> Buffers {
+        let rows = count * rows;
+        Buffers {
+            residual: vec![0.0; rows],
+            by_kept: vec![0.0; rows * padded(K)],
+            by_shared: vec![0.0; rows * S],
+            by_point: vec![0.0; rows * P],
+            whitened: vec![0.0; rows * P],
+            along: vec![0.0; rows],
+            lens_sums: vec![0.0; lenses * P * S],
+        }
+    }
+}

@@ -1,0 +1,233 @@
+//! The fused path: linearise, eliminate and forget, point by point.
+//!
+//! A point's observations are linearised several per register; then, with `V = sum Jp^T Jp + lambda D =
+//! L L^T`, `Q_i = Jp_i L^-T` and `u = L^-1 g`, the reduced system receives for each pair of its cameras
+//!
+//! ```text
+//! S_ij -= Jc_i^T (Q_i Q_j^T) Jc_j      S_ii += Jc_i^T (I - Q_i Q_i^T) Jc_i      b_i -= Jc_i^T Q_i u
+//! ```
+//!
+//! a product of rank `R` (2 for image measurements) where the usual `W V^-1 W^T` has rank `P` (3). With
+//! a shared block, `T = sum Q_i^T Js_i` gives `S_is += Jc_i^T (Js_i - Q_i T)` and `S_ss += sum Js^T Js - T^T T`.
+//! Back-substitution linearises once more instead of reading Jacobians from memory, moves the point
+//! and evaluates the trial cost while it is at hand. Nothing per observation is ever stored.
+
+mod add;
+mod groups;
+mod layout;
+mod linearize;
+mod plan;
+mod point;
+mod shared;
+mod small;
+mod sweep;
+
+use super::{
+    Loss,
+    cholesky::{BlockMatrix, NotPositiveDefinite},
+    factor::robust_weights,
+    pairs::{Pair, PairFactor},
+    problem::Problem,
+    structure::Structure,
+};
+use groups::share_cost;
+use plan::Plan;
+use rayon::prelude::*;
+use sweep::{eliminate_share, substitute_share};
+
+/// What a batch needs to know to offer its fused form.
+#[derive(Debug)]
+pub struct Fusable<'a> {
+    problem: &'a Problem,
+    structure: &'a Structure,
+    matrix: &'a BlockMatrix,
+    batch: usize,
+}
+
+/// A batch's fused form.
+#[derive(Debug)]
+pub struct FusedWork(pub(super) Box<dyn Work>);
+
+/// The one batch that touches eliminated blocks, in its fused form, if it has one.
+pub(super) fn find(
+    problem: &Problem,
+    structure: &Structure,
+    matrix: &BlockMatrix,
+) -> Option<(usize, FusedWork)> {
+    let (first, _) = structure.factors(0).first()?;
+    let batch = *first as usize;
+    let request = Fusable { problem, structure, matrix, batch };
+    problem.batches[batch].batch.fuse(request).map(|work| (batch, work))
+}
+
+impl FusedWork {
+    pub(super) fn new<
+        F: PairFactor<R, K, S, P, Q, D>,
+        const R: usize,
+        const K: usize,
+        const S: usize,
+        const P: usize,
+        const Q: usize,
+        const D: usize,
+    >(
+        pairs: &[Pair<D>],
+        request: Fusable<'_>,
+    ) -> Option<FusedWork> {
+        let plan = Plan::<F, R, K, S, P, Q, D>::new(pairs, request)?;
+        Some(FusedWork(Box::new(plan)))
+    }
+}
+
+/// What decides one linearisation.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Settings {
+    pub(super) loss: Loss,
+    pub(super) curvature_share: f64,
+    pub(super) lambda: f64,
+}
+
+/// Where the sums of a reduction go; kept blocks only.
+pub(super) struct Sums<'a> {
+    pub(super) matrix: &'a mut BlockMatrix,
+    /// `J^T r` and the diagonal of `J^T J` over tangents.
+    pub(super) gradient: &'a mut [f64],
+    pub(super) diagonal: &'a mut [f64],
+    /// `-W V^-1 g_e` over the reduced system.
+    pub(super) correction: &'a mut [f64],
+}
+
+/// What came of moving the points.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(super) struct Moved {
+    /// Cost at the trial values; infinite where one of them is infeasible.
+    pub(super) cost: f64,
+    /// The points' part of the predicted decrease.
+    pub(super) predicted: f64,
+    /// The points' part of `|D^1/2 d|^2`.
+    pub(super) squared_length: f64,
+    /// The largest entry of any point's step.
+    pub(super) movement: f64,
+}
+
+/// What the engine asks of a fused batch.
+pub(super) trait Work: Send + Sync + std::fmt::Debug {
+    /// The cost at `x`; infinite where a factor is infeasible.
+    fn cost(&mut self, problem: &Problem, x: &[f64], loss: Loss) -> f64;
+
+    /// Adds the batch to the reduced system; returns the largest `|g_k| / sqrt(D_k)` of the points.
+    fn reduce(
+        &mut self,
+        problem: &Problem,
+        x: &[f64],
+        settings: Settings,
+        sums: Sums<'_>,
+    ) -> Result<f64, NotPositiveDefinite>;
+
+    /// Writes the moved points into `trial`, which holds the moved kept blocks already; `step` is
+    /// the kept blocks' step.
+    fn substitute(
+        &mut self,
+        problem: &Problem,
+        x: &[f64],
+        settings: Settings,
+        step: &[f64],
+        trial: &mut [f64],
+    ) -> Moved;
+}
+
+impl<
+    F: PairFactor<R, K, S, P, Q, D>,
+    const R: usize,
+    const K: usize,
+    const S: usize,
+    const P: usize,
+    const Q: usize,
+    const D: usize,
+> Work for Plan<F, R, K, S, P, Q, D>
+{
+    fn cost(&mut self, problem: &Problem, x: &[f64], loss: Loss) -> f64 {
+        self.prepare(problem, x);
+        let (layout, prepared) = (&self.layout, &self.prepared);
+        let costs: Vec<f64> = self
+            .shares
+            .par_iter()
+            .map(|share| share_cost::<F, R, K, S, P, Q, D>(layout, share, prepared, x, loss))
+            .collect();
+        finite_or_infinite(costs.iter().sum::<f64>())
+    }
+
+    fn reduce(
+        &mut self,
+        problem: &Problem,
+        x: &[f64],
+        settings: Settings,
+        mut sums: Sums<'_>,
+    ) -> Result<f64, NotPositiveDefinite> {
+        self.prepare(problem, x);
+        let (layout, prepared) = (&self.layout, &self.prepared);
+        let largest = self
+            .shares
+            .par_iter_mut()
+            .map(|share| {
+                eliminate_share::<F, R, K, S, P, Q, D>(layout, share, prepared, x, settings)
+            })
+            .collect::<Result<Vec<f64>, NotPositiveDefinite>>()?;
+        for share in &self.shares {
+            layout.add_share(share, &mut sums);
+        }
+        Ok(largest.into_iter().fold(0.0, f64::max))
+    }
+
+    fn substitute(
+        &mut self,
+        problem: &Problem,
+        x: &[f64],
+        settings: Settings,
+        step: &[f64],
+        trial: &mut [f64],
+    ) -> Moved {
+        self.prepare_steps(problem, step);
+        self.prepare_trial(problem, trial);
+        let (layout, steps) = (&self.layout, &self.steps);
+        let prepared = (&self.prepared[..], &self.trial_prepared[..]);
+        let moved: Vec<Moved> = self
+            .shares
+            .par_iter_mut()
+            .map(|share| {
+                substitute_share::<F, R, K, S, P, Q, D>(layout, share, prepared, steps, x, settings)
+            })
+            .collect();
+        for share in &self.shares {
+            for (e, values) in share.range.clone().zip(&share.moved) {
+                let at = layout.points[e].at as usize;
+                trial[at..at + P].copy_from_slice(values);
+            }
+        }
+        let mut total = Moved::default();
+        for moved in moved {
+            total.cost += moved.cost;
+            total.predicted += moved.predicted;
+            total.squared_length += moved.squared_length;
+            total.movement = total.movement.max(moved.movement);
+        }
+        total.cost = finite_or_infinite(total.cost);
+        total
+    }
+}
+
+fn finite_or_infinite(cost: f64) -> f64 {
+    if cost.is_finite() { cost } else { f64::INFINITY }
+}
+
+/// Folds the loss into the rows of one observation: `residual` becomes `r~`, and `apply` is called
+/// with `(weight, shift, r)` such that `J~ = weight (J - shift r (r^T J))`.
+fn fold_loss<const R: usize>(
+    settings: &Settings,
+    residual: &mut [f64; R],
+    apply: impl FnOnce(f64, f64, &[f64; R]),
+) {
+    let square: f64 = residual.iter().map(|v| v * v).sum();
+    let weights = robust_weights(settings.loss, settings.curvature_share, square);
+    apply(weights.jacobian, weights.shift, residual);
+    residual.iter_mut().for_each(|v| *v *= weights.residual);
+}

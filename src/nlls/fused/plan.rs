@@ -1,0 +1,247 @@
+//! The plan of the fused path: observations sorted by point, cameras counted, shares laid out.
+
+use super::{
+    Fusable,
+    layout::{Camera, Layout, MAX_KEPT, MAX_SHARED, PointAt, ShareWork},
+};
+use crate::nlls::{
+    pairs::{Pair, PairFactor},
+    problem::Problem,
+    structure::{NONE, Structure},
+};
+use std::marker::PhantomData;
+
+/// A batch of pairs, ready to be reduced.
+pub(super) struct Plan<
+    F,
+    const R: usize,
+    const K: usize,
+    const S: usize,
+    const P: usize,
+    const Q: usize,
+    const D: usize,
+> {
+    pub(super) layout: Layout<K, S, D>,
+    pub(super) shares: Vec<ShareWork<P>>,
+    pub(super) prepared: Vec<[f64; Q]>,
+    pub(super) trial_prepared: Vec<[f64; Q]>,
+    /// Steps of each camera and of its shared block.
+    pub(super) steps: Vec<([f64; K], [f64; S])>,
+    factor: PhantomData<F>,
+}
+
+impl<
+    F,
+    const R: usize,
+    const K: usize,
+    const S: usize,
+    const P: usize,
+    const Q: usize,
+    const D: usize,
+> std::fmt::Debug for Plan<F, R, K, S, P, Q, D>
+{
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Plan({} observations)", self.layout.data.len())
+    }
+}
+
+impl<
+    F: PairFactor<R, K, S, P, Q, D>,
+    const R: usize,
+    const K: usize,
+    const S: usize,
+    const P: usize,
+    const Q: usize,
+    const D: usize,
+> Plan<F, R, K, S, P, Q, D>
+{
+    /// The plan, or `None` where the batch does not have the shape for it.
+    pub(super) fn new(pairs: &[Pair<D>], request: Fusable<'_>) -> Option<Self> {
+        let Fusable { problem, structure, matrix, batch } = request;
+        if K > MAX_KEPT || u32::try_from(pairs.len().max(*problem.offsets.last()?)).is_err() {
+            return None;
+        }
+        if structure.plain.iter().any(|&(other, _)| other as usize == batch) {
+            return None;
+        }
+        let sorted = Sorted::new(pairs.len(), problem, structure, batch)?;
+        let (cameras, shared_blocks) = find_cameras::<D, S>(pairs, structure)?;
+        let mut ordinal = vec![NONE; problem.blocks.len()];
+        for (k, camera) in cameras.iter().enumerate() {
+            ordinal[camera.block as usize] = k as u32;
+        }
+        let (observed_by, data) = sorted.collect(pairs, &ordinal, &cameras);
+        let frozen = problem.blocks.iter().any(|block| block.frozen != 0);
+        let mask = |block: usize, k: usize| {
+            f64::from(u8::from(problem.blocks[block].frozen >> k & 1 == 0))
+        };
+        let layout = Layout {
+            camera_mask: (0..if frozen { cameras.len() } else { 0 })
+                .map(|c| std::array::from_fn(|k| mask(cameras[c].block as usize, k)))
+                .collect(),
+            lens_mask: (0..if frozen { shared_blocks.len() } else { 0 })
+                .map(|l| std::array::from_fn(|k| mask(shared_blocks[l], k)))
+                .collect(),
+            shared: shared_blocks.iter().map(|&block| structure.place[block]).collect(),
+            points: sorted.points,
+            tangents: structure.kept.iter().map(|&k| problem.blocks[k].tangent).collect(),
+            observed_by,
+            data,
+            cameras,
+        };
+        let shares = structure
+            .shares
+            .iter()
+            .map(|share| ShareWork::new(share, &layout, matrix, R))
+            .collect::<Option<Vec<_>>>()?;
+        let count = layout.cameras.len();
+        Some(Plan {
+            shares,
+            prepared: vec![[0.0; Q]; count],
+            trial_prepared: vec![[0.0; Q]; count],
+            steps: vec![([0.0; K], [0.0; S]); count],
+            factor: PhantomData,
+            layout,
+        })
+    }
+
+    pub(super) fn prepare(&mut self, problem: &Problem, x: &[f64]) {
+        prepare_cameras::<F, R, K, S, P, Q, D>(&self.layout, problem, x, &mut self.prepared);
+    }
+
+    pub(super) fn prepare_trial(&mut self, problem: &Problem, x: &[f64]) {
+        prepare_cameras::<F, R, K, S, P, Q, D>(&self.layout, problem, x, &mut self.trial_prepared);
+    }
+
+    /// Takes the kept blocks' steps, zero for those that are fixed.
+    pub(super) fn prepare_steps(&mut self, problem: &Problem, step: &[f64]) {
+        for (camera, (kept, shared)) in self.layout.cameras.iter().zip(&mut self.steps) {
+            kept.fill(0.0);
+            shared.fill(0.0);
+            if camera.place != NONE {
+                let at = problem.blocks[camera.block as usize].tangent;
+                kept.copy_from_slice(&step[at..at + K]);
+            }
+            if S > 0 && self.layout.shared[camera.lens as usize] != NONE {
+                let at = problem.blocks[camera.shared as usize].tangent;
+                shared.copy_from_slice(&step[at..at + S]);
+            }
+        }
+    }
+}
+
+fn prepare_cameras<
+    F: PairFactor<R, K, S, P, Q, D>,
+    const R: usize,
+    const K: usize,
+    const S: usize,
+    const P: usize,
+    const Q: usize,
+    const D: usize,
+>(
+    layout: &Layout<K, S, D>,
+    problem: &Problem,
+    x: &[f64],
+    out: &mut [[f64; Q]],
+) {
+    let point = problem.point(x);
+    for (camera, out) in layout.cameras.iter().zip(out) {
+        let kept = point.block(Problem::id(camera.block as usize));
+        let shared =
+            if S == 0 { &[][..] } else { point.block(Problem::id(camera.shared as usize)) };
+        *out = F::prepare(kept, shared);
+    }
+}
+
+/// Observations in the order of their points.
+struct Sorted {
+    points: Vec<PointAt>,
+    order: Vec<u32>,
+}
+
+impl Sorted {
+    /// `None` where another batch has a say in a point: its sums would be missing.
+    fn new(
+        observations: usize,
+        problem: &Problem,
+        structure: &Structure,
+        batch: usize,
+    ) -> Option<Sorted> {
+        let mut points = Vec::with_capacity(structure.eliminated.len() + 1);
+        let mut order = Vec::with_capacity(observations);
+        for (e, &block) in structure.eliminated.iter().enumerate() {
+            points.push(PointAt {
+                at: problem.offsets[block] as u32,
+                first: order.len() as u32,
+                block: block as u32,
+                frozen: problem.blocks[block].frozen as u32,
+            });
+            for &(b, f) in structure.factors(e) {
+                if b as usize != batch {
+                    return None;
+                }
+                order.push(f);
+            }
+        }
+        points.push(PointAt { at: 0, first: order.len() as u32, block: NONE, frozen: 0 });
+        Some(Sorted { points, order })
+    }
+
+    /// Camera and data of each observation; those of one point in the order of their cameras'
+    /// places.
+    fn collect<const D: usize>(
+        &self,
+        pairs: &[Pair<D>],
+        ordinal: &[u32],
+        cameras: &[Camera],
+    ) -> (Vec<u32>, Vec<[f64; D]>) {
+        let mut observed_by = Vec::with_capacity(pairs.len());
+        let mut data = Vec::with_capacity(pairs.len());
+        let mut one = Vec::new();
+        for ends in self.points.windows(2) {
+            let camera_of = |f: u32| ordinal[pairs[f as usize].kept().index()];
+            one.clear();
+            one.extend_from_slice(&self.order[ends[0].first as usize..ends[1].first as usize]);
+            one.sort_by_key(|&f| (cameras[camera_of(f) as usize].place, f));
+            observed_by.extend(one.iter().map(|&f| camera_of(f)));
+            data.extend(one.iter().map(|&f| pairs[f as usize].data));
+        }
+        (observed_by, data)
+    }
+}
+
+/// The kept blocks of the batch and the shared ones; `None` where one kept block goes with several
+/// shared ones, or there are too many of those.
+fn find_cameras<const D: usize, const S: usize>(
+    pairs: &[Pair<D>],
+    structure: &Structure,
+) -> Option<(Vec<Camera>, Vec<usize>)> {
+    let mut ordinal = vec![NONE; structure.place.len()];
+    let mut cameras: Vec<Camera> = Vec::new();
+    let mut shared: Vec<usize> = Vec::new();
+    for pair in pairs {
+        let block = pair.kept().index();
+        let lens_block = if S == 0 { 0 } else { pair.shared().index() };
+        if ordinal[block] == NONE {
+            let lens = match shared.iter().position(|&other| other == lens_block) {
+                _ if S == 0 => 0,
+                Some(lens) => lens,
+                None if shared.len() == MAX_SHARED => return None,
+                None => {
+                    shared.push(lens_block);
+                    shared.len() - 1
+                }
+            };
+            ordinal[block] = cameras.len() as u32;
+            cameras.push(Camera {
+                block: block as u32,
+                shared: lens_block as u32,
+                place: structure.place[block],
+                lens: lens as u32,
+            });
+        } else if S > 0 && cameras[ordinal[block] as usize].shared as usize != lens_block {
+            return None;
+        }
+    }
+    Some((cameras, shared))
+}

@@ -1,0 +1,186 @@
+//! Elimination of one point from the Jacobians of its observations.
+
+use super::{
+    layout::{Buffers, Layout, MAX_KEPT, ShareWork, block_len, padded},
+    shared::add_shared,
+    small::Small,
+};
+use crate::nlls::{cholesky::NotPositiveDefinite, structure::NONE};
+use pulp::Simd;
+
+/// Eliminates point `e`, whose chunk begins with observation `origin`; returns its largest
+/// `|g_k| / sqrt(D_k)`.
+#[inline(always)]
+pub(super) fn eliminate_point<
+    V: Simd,
+    const R: usize,
+    const K: usize,
+    const S: usize,
+    const P: usize,
+    const D: usize,
+>(
+    simd: V,
+    layout: &Layout<K, S, D>,
+    share: &mut ShareWork<P>,
+    buffers: &mut Buffers,
+    (e, origin): (usize, usize),
+    lambda: f64,
+) -> Result<f64, NotPositiveDefinite> {
+    let point = layout.points[e];
+    let first = point.first as usize - origin;
+    let end = layout.points[e + 1].first as usize - origin;
+    if point.frozen != 0 {
+        for row in buffers.by_point[first * R * P..end * R * P].chunks_exact_mut(P) {
+            for (k, v) in row.iter_mut().enumerate() {
+                *v *= f64::from(u8::from(point.frozen >> k & 1 == 0));
+            }
+        }
+    }
+    let by_point = &buffers.by_point[first * R * P..end * R * P];
+    let mut small = Small::<P>::new(by_point, &buffers.residual[first * R..end * R]);
+    let mut slope = 0.0;
+    for k in 0..P {
+        if small.diagonal[k] > 0.0 {
+            slope = f64::max(slope, small.g[k].abs() / small.diagonal[k].sqrt());
+        }
+    }
+    if !small.factorize(lambda, point.frozen) {
+        return Err(NotPositiveDefinite(Some(point.block as usize)));
+    }
+    let u = small.forward(small.g);
+    // Q_i row by row, and what the point takes from each residual, Q_i u.
+    let whitened = &mut buffers.whitened[..(end - first) * R * P];
+    let along = &mut buffers.along[..(end - first) * R];
+    for ((row, q), along) in
+        by_point.chunks_exact(P).zip(whitened.chunks_exact_mut(P)).zip(along.iter_mut())
+    {
+        let y = small.forward(std::array::from_fn(|k| row[k]));
+        q.copy_from_slice(&y);
+        *along = (0..P).map(|k| y[k] * u[k]).sum();
+    }
+    if S > 0 {
+        add_shared::<R, K, S, P, D>(layout, share, buffers, (first, end), origin, &u);
+    }
+    let stride = R * padded(K);
+    for i in 0..end - first {
+        let local = share.local[layout.observed_by[origin + first + i] as usize];
+        if local == NONE {
+            // Cameras are sorted by place: the fixed ones come last.
+            break;
+        }
+        let local = local as usize;
+        let jacobian = &buffers.by_kept[(first + i) * stride..(first + i + 1) * stride];
+        let residual = &buffers.residual[(first + i) * R..(first + i + 1) * R];
+        let along = &buffers.along[i * R..(i + 1) * R];
+        add_vectors::<V, R, K, P>(simd, jacobian, residual, along, share, local);
+        let q_i = &buffers.whitened[i * R * P..(i + 1) * R * P];
+        for j in 0..=i {
+            let other = share.local[layout.observed_by[origin + first + j] as usize] as usize;
+            let q_j = &buffers.whitened[j * R * P..(j + 1) * R * P];
+            let middle = middle::<R, P>(q_i, q_j, i == j);
+            let at = share.block(local, other) * block_len(K);
+            let block = &mut share.values[at..at + block_len(K)];
+            let column = &buffers.by_kept[(first + j) * stride..(first + j + 1) * stride];
+            add_product::<V, R, K>(simd, block, jacobian, &middle, column);
+            if i != j && local == other {
+                // One camera has measured the point twice: its diagonal block gets both halves.
+                let turned = self::middle::<R, P>(q_j, q_i, false);
+                add_product::<V, R, K>(simd, block, column, &turned, jacobian);
+            }
+        }
+    }
+    Ok(slope)
+}
+
+/// `-Q_i Q_j^T`, and `I` added where they are one observation.
+#[inline(always)]
+fn middle<const R: usize, const P: usize>(q_i: &[f64], q_j: &[f64], same: bool) -> [[f64; R]; R] {
+    let mut middle = [[0.0; R]; R];
+    for (a, row) in middle.iter_mut().enumerate() {
+        for (b, entry) in row.iter_mut().enumerate() {
+            let mut product = 0.0;
+            for k in 0..P {
+                product += q_i[a * P + k] * q_j[b * P + k];
+            }
+            *entry = f64::from(u8::from(same && a == b)) - product;
+        }
+    }
+    middle
+}
+
+/// `g += J^T r`, `b -= J^T (Q u)`, `D += diag(J^T J)` for one observation.
+#[inline(always)]
+fn add_vectors<V: Simd, const R: usize, const K: usize, const P: usize>(
+    simd: V,
+    jacobian: &[f64],
+    residual: &[f64],
+    along: &[f64],
+    share: &mut ShareWork<P>,
+    local: usize,
+) {
+    let range = local * padded(K)..(local + 1) * padded(K);
+    let gradient = V::as_mut_simd_f64s(&mut share.gradient[range.clone()]).0;
+    let correction = V::as_mut_simd_f64s(&mut share.correction[range.clone()]).0;
+    let diagonal = V::as_mut_simd_f64s(&mut share.diagonal[range]).0;
+    for row in 0..R {
+        let line = V::as_simd_f64s(&jacobian[row * padded(K)..(row + 1) * padded(K)]).0;
+        let r = simd.splat_f64s(residual[row]);
+        let a = simd.splat_f64s(-along[row]);
+        for k in 0..line.len() {
+            gradient[k] = simd.mul_add_e_f64s(line[k], r, gradient[k]);
+            correction[k] = simd.mul_add_e_f64s(line[k], a, correction[k]);
+            diagonal[k] = simd.mul_add_e_f64s(line[k], line[k], diagonal[k]);
+        }
+    }
+}
+
+/// `block += J_row^T M J_column`, in the layout of [`block_len`].
+#[inline(always)]
+fn add_product<V: Simd, const R: usize, const K: usize>(
+    simd: V,
+    block: &mut [f64],
+    row: &[f64],
+    middle: &[[f64; R]; R],
+    column: &[f64],
+) {
+    let mut product = [[0.0; MAX_KEPT]; R];
+    for (a, product) in product.iter_mut().enumerate() {
+        let to = V::as_mut_simd_f64s(&mut product[..padded(K)]).0;
+        for b in 0..R {
+            let from = V::as_simd_f64s(&column[b * padded(K)..(b + 1) * padded(K)]).0;
+            let m = simd.splat_f64s(middle[a][b]);
+            for k in 0..to.len() {
+                to[k] = if b == 0 {
+                    simd.mul_f64s(m, from[k])
+                } else {
+                    simd.mul_add_e_f64s(m, from[k], to[k])
+                };
+            }
+        }
+    }
+    let whole = K / 8 * 8;
+    let (main, rest) = block.split_at_mut(K * whole);
+    if whole > 0 {
+        for i in 0..K {
+            let to = V::as_mut_simd_f64s(&mut main[i * whole..(i + 1) * whole]).0;
+            for a in 0..R {
+                let from = V::as_simd_f64s(&product[a][..whole]).0;
+                let factor = simd.splat_f64s(row[a * padded(K) + i]);
+                for k in 0..to.len() {
+                    to[k] = simd.mul_add_e_f64s(factor, from[k], to[k]);
+                }
+            }
+        }
+    }
+    for j in whole..K {
+        let to = &mut rest[(j - whole) * padded(K)..(j - whole + 1) * padded(K)];
+        let to = V::as_mut_simd_f64s(to).0;
+        for a in 0..R {
+            let from = V::as_simd_f64s(&row[a * padded(K)..(a + 1) * padded(K)]).0;
+            let factor = simd.splat_f64s(product[a][j]);
+            for k in 0..to.len() {
+                to[k] = simd.mul_add_e_f64s(factor, from[k], to[k]);
+            }
+        }
+    }
+}

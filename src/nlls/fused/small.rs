@@ -1,0 +1,94 @@
+//! The small system of one point.
+
+use crate::nlls::eliminate::damping;
+
+/// `V`, its damping and `g` of one point.
+pub(super) struct Small<const P: usize> {
+    /// The lower triangle of `V`, then its Cholesky factor.
+    v: [[f64; P]; P],
+    pub(super) g: [f64; P],
+    /// `lambda D`.
+    pub(super) damped: [f64; P],
+    /// `D`, 0 where nothing is known.
+    pub(super) diagonal: [f64; P],
+}
+
+impl<const P: usize> Small<P> {
+    /// Sums over rows of Jacobians and their residuals.
+    #[inline(always)]
+    pub(super) fn new(by_point: &[f64], residual: &[f64]) -> Self {
+        let (mut v, mut g) = ([[0.0; P]; P], [0.0; P]);
+        for (row, r) in by_point.chunks_exact(P).zip(residual) {
+            for i in 0..P {
+                g[i] += row[i] * r;
+                for j in 0..=i {
+                    v[i][j] += row[i] * row[j];
+                }
+            }
+        }
+        let diagonal = std::array::from_fn(|k| v[k][k]);
+        Small { v, g, damped: [0.0; P], diagonal }
+    }
+
+    /// Damps and factorises, holding the entries with a bit in `frozen`; `false` where the matrix
+    /// is not positive definite.
+    #[inline(always)]
+    pub(super) fn factorize(&mut self, lambda: f64, frozen: u32) -> bool {
+        for k in 0..P {
+            let held = frozen >> k & 1 == 1;
+            if held {
+                for j in 0..P {
+                    self.v[k.max(j)][k.min(j)] = 0.0;
+                }
+                self.g[k] = 0.0;
+                self.diagonal[k] = 0.0;
+            }
+            self.damped[k] = if held { 1.0 } else { lambda * damping(self.diagonal[k]) };
+            self.v[k][k] += self.damped[k];
+        }
+        let mut definite = true;
+        for j in 0..P {
+            let mut pivot = self.v[j][j];
+            for k in 0..j {
+                pivot -= self.v[j][k] * self.v[j][k];
+            }
+            definite &= pivot > 0.0 && pivot.is_finite();
+            let pivot = pivot.sqrt();
+            self.v[j][j] = pivot;
+            for i in j + 1..P {
+                let mut sum = self.v[i][j];
+                for k in 0..j {
+                    sum -= self.v[i][k] * self.v[j][k];
+                }
+                self.v[i][j] = sum / pivot;
+            }
+        }
+        definite
+    }
+
+    /// `L^-1 b`.
+    #[inline(always)]
+    pub(super) fn forward(&self, b: [f64; P]) -> [f64; P] {
+        let mut y = b;
+        for i in 0..P {
+            for k in 0..i {
+                y[i] -= self.v[i][k] * y[k];
+            }
+            y[i] /= self.v[i][i];
+        }
+        y
+    }
+
+    /// `L^-T b`.
+    #[inline(always)]
+    pub(super) fn backward(&self, b: [f64; P]) -> [f64; P] {
+        let mut y = b;
+        for i in (0..P).rev() {
+            for k in i + 1..P {
+                y[i] -= self.v[k][i] * y[k];
+            }
+            y[i] /= self.v[i][i];
+        }
+        y
+    }
+}

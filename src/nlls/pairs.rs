@@ -1,0 +1,193 @@
+//! Factors between one kept and one eliminated block, with sizes known at compile time.
+//!
+//! This is the shape that carries the load of bundle adjustment. A factor is written once over
+//! [`Lane`]s; from that the engine has the scalar form that every solver can use, and a fused one
+//! that linearises several observations per register, eliminates each point while its Jacobians
+//! are in the cache and stores nothing per observation ([`super::fused`]).
+
+use super::{
+    factor::{Batch, InfeasibleFactor, Point},
+    fused::{Fusable, FusedWork},
+    problem::BlockId,
+};
+use crate::lanes::Lane;
+use std::{marker::PhantomData, ops::Range};
+
+/// Residual and Jacobians of one factor, or of one per lane.
+#[derive(Debug, Clone, Copy)]
+pub struct Linearized<L, const R: usize, const K: usize, const S: usize, const P: usize> {
+    /// The residual.
+    pub residual: [L; R],
+    /// By the tangent of the kept block.
+    pub by_kept: [[L; K]; R],
+    /// By the tangent of the shared block.
+    pub by_shared: [[L; S]; R],
+    /// By the eliminated block.
+    pub by_point: [[L; P]; R],
+}
+
+/// A factor of a kept block (a camera), perhaps a block shared by many of those (a lens), and an
+/// eliminated Euclidean block (a point).
+///
+/// `R` rows, `K`, `S` and `P` tangent dimensions (`S = 0`: nothing is shared), `Q` numbers prepared
+/// per kept block and linearisation, `D` numbers of data per observation. A value that is not
+/// finite says that the factor is infeasible there.
+pub trait PairFactor<
+    const R: usize,
+    const K: usize,
+    const S: usize,
+    const P: usize,
+    const Q: usize,
+    const D: usize,
+>: Send + Sync + 'static
+{
+    /// What all observations of one kept block need of it, once per linearisation: a rotation
+    /// matrix, say.
+    fn prepare(kept: &[f64], shared: &[f64]) -> [f64; Q];
+
+    /// The residual alone.
+    fn residual<L: Lane>(prepared: &[L; Q], point: &[L; P], data: &[L; D]) -> [L; R];
+
+    /// The residual and its Jacobians.
+    fn linearize<L: Lane>(
+        prepared: &[L; Q],
+        point: &[L; P],
+        data: &[L; D],
+    ) -> Linearized<L, R, K, S, P>;
+}
+
+/// One observation: its blocks and its data.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pair<const D: usize> {
+    /// Kept, shared (left out where nothing is shared), eliminated.
+    blocks: [BlockId; 3],
+    /// The data.
+    pub data: [f64; D],
+}
+
+impl<const D: usize> Pair<D> {
+    /// An observation of `point` by `kept`.
+    pub fn new(kept: BlockId, point: BlockId, data: [f64; D]) -> Pair<D> {
+        Pair { blocks: [kept, point, point], data }
+    }
+
+    /// An observation of `point` by `kept`, which shares `shared` with others.
+    pub fn with_shared(kept: BlockId, shared: BlockId, point: BlockId, data: [f64; D]) -> Pair<D> {
+        Pair { blocks: [kept, shared, point], data }
+    }
+}
+
+/// A batch of such factors.
+#[derive(Debug, Clone)]
+pub struct Pairs<
+    F,
+    const R: usize,
+    const K: usize,
+    const S: usize,
+    const P: usize,
+    const Q: usize,
+    const D: usize,
+> {
+    pub(super) pairs: Vec<Pair<D>>,
+    factor: PhantomData<F>,
+}
+
+impl<
+    F: PairFactor<R, K, S, P, Q, D>,
+    const R: usize,
+    const K: usize,
+    const S: usize,
+    const P: usize,
+    const Q: usize,
+    const D: usize,
+> Pairs<F, R, K, S, P, Q, D>
+{
+    /// A batch over these observations.
+    pub fn new(pairs: Vec<Pair<D>>) -> Self {
+        Pairs { pairs, factor: PhantomData }
+    }
+
+    fn arity() -> usize {
+        if S == 0 { 2 } else { 3 }
+    }
+}
+
+impl<
+    F: PairFactor<R, K, S, P, Q, D>,
+    const R: usize,
+    const K: usize,
+    const S: usize,
+    const P: usize,
+    const Q: usize,
+    const D: usize,
+> Batch for Pairs<F, R, K, S, P, Q, D>
+{
+    fn len(&self) -> usize {
+        self.pairs.len()
+    }
+
+    fn rows(&self) -> usize {
+        R
+    }
+
+    fn blocks(&self, factor: usize) -> &[BlockId] {
+        &self.pairs[factor].blocks[..Self::arity()]
+    }
+
+    fn linearize(
+        &self,
+        range: Range<usize>,
+        x: Point<'_>,
+        residual: &mut [f64],
+        mut jacobian: Option<&mut [f64]>,
+        width: usize,
+    ) -> Result<(), InfeasibleFactor> {
+        let first = range.start;
+        let mut prepared = [0.0; Q];
+        let mut prepared_for = None;
+        for (k, pair) in self.pairs[range].iter().enumerate() {
+            let kept = pair.blocks[0];
+            if prepared_for != Some(pair.blocks) {
+                let shared = if S == 0 { &[][..] } else { x.block(pair.blocks[1]) };
+                prepared = F::prepare(x.block(kept), shared);
+                prepared_for = Some(pair.blocks);
+            }
+            let values = x.block(pair.blocks[Self::arity() - 1]);
+            let point: [f64; P] = std::array::from_fn(|i| values[i]);
+            let out = &mut residual[k * R..(k + 1) * R];
+            match jacobian.as_deref_mut() {
+                None => out.copy_from_slice(&F::residual(&prepared, &point, &pair.data)),
+                Some(all) => {
+                    let found = F::linearize(&prepared, &point, &pair.data);
+                    out.copy_from_slice(&found.residual);
+                    for row in 0..R {
+                        let to = &mut all[(k * R + row) * width..(k * R + row + 1) * width];
+                        to[..K].copy_from_slice(&found.by_kept[row]);
+                        to[K..K + S].copy_from_slice(&found.by_shared[row]);
+                        to[K + S..].copy_from_slice(&found.by_point[row]);
+                    }
+                }
+            }
+            if out.iter().any(|v| !v.is_finite()) {
+                return Err(InfeasibleFactor(first + k));
+            }
+        }
+        Ok(())
+    }
+
+    fn fuse(&self, request: Fusable<'_>) -> Option<FusedWork> {
+        FusedWork::new::<F, R, K, S, P, Q, D>(&self.pairs, request)
+    }
+}
+
+impl<const D: usize> Pair<D> {
+    #[inline(always)]
+    pub(super) fn kept(&self) -> BlockId {
+        self.blocks[0]
+    }
+
+    #[inline(always)]
+    pub(super) fn shared(&self) -> BlockId {
+        self.blocks[1]
+    }
+}
