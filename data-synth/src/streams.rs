@@ -11,6 +11,13 @@ use rand_distr::StandardNormal;
 #[derive(Debug, Clone, Copy)]
 #[repr(u64)]
 pub(crate) enum Stage {
+    RowStart = 1,
+    Site = 2,
+    Plant = 3,
+    Soil = 4,
+    Weed = 16,
+    FalsePixel = 17,
+    MissedPixel = 18,
     BlockPose = 32,
     BlockLens = 33,
     BlockRelief = 34,
@@ -29,6 +36,11 @@ pub(crate) fn stream(seed: u64, stage: Stage, item: u64) -> ChaCha8Rng {
     let mut rng = ChaCha8Rng::from_seed(key);
     rng.set_stream(item);
     rng
+}
+
+/// The number of item `second` within item `first` (both below 2^32).
+pub(crate) fn pair(first: usize, second: usize) -> u64 {
+    ((first as u64) << 32) | (second as u64 & 0xffff_ffff)
 }
 
 /// The three draws that everything here is made of.

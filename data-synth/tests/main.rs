@@ -1,6 +1,11 @@
 //! Closed loops over the public interface, one module per subject.
 
+#![allow(clippy::unwrap_used, reason = "a test that fails may panic")]
+
 mod block;
+mod corruption;
+mod field;
+mod threads;
 
 /// Mean and standard deviation.
 fn moments(values: &[f64]) -> (f64, f64) {
