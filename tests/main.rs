@@ -1,3 +1,4 @@
 //! All integration tests in one binary: one module per subject.
 
 mod data;
+mod synth;
