@@ -1,5 +1,7 @@
 //! `rowgram synth` as a person or a script calls it.
 
+use data_synth::block::{Block, BlockConfig, write_bal};
+use rowgram::{camera, geometry::rotation, io::bal};
 use std::{
     fs,
     path::Path,
@@ -202,6 +204,27 @@ fn bundle_writes_a_block_and_its_truth() {
 
     assert_refused(&synth(&arguments), &["block.txt", "--force"]);
     assert!(synth(&[&arguments[..], &["--force"]].concat()).status.success());
+}
+
+/// The generator's camera and the estimator's were written apart from each other; they agree.
+#[test]
+fn both_cameras_see_the_same() {
+    let config = BlockConfig { images: 30, points: 3000, sigma_px: 0.0, ..BlockConfig::default() };
+    let block = Block::fly(&config).unwrap();
+    let mut file = Vec::new();
+    write_bal(&block.cameras_true, &block.points_true, &block.observations, &mut file).unwrap();
+    let network = bal::parse(std::str::from_utf8(&file).unwrap()).unwrap();
+    assert_eq!(network.observations.len(), block.observations.len());
+    for observation in &network.observations {
+        let of = &network.cameras[observation.camera as usize];
+        let point = network.points[observation.point as usize];
+        let turned = rotation::rotate(rotation::exp(of.rotation_rad), point);
+        let camera_m = [0, 1, 2].map(|i| turned[i] + of.translation[i]);
+        let image_px = camera::bal::project(camera_m, of.interior).unwrap();
+        for (seen, measured) in image_px.into_iter().zip(observation.image_px) {
+            assert!((seen - measured).abs() < 1e-8, "{seen} is not {measured}");
+        }
+    }
 }
 
 #[test]
