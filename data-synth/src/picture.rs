@@ -35,6 +35,10 @@ pub fn picture(field: &Field, weeds: &[Weed]) -> RgbImage {
     let soil = Soil::new(field.config.seed, frame.gsd_m, field.config.along_across(SUN[0], SUN[1]));
     let tallest_m =
         ribbons.iter().flat_map(|leaf| leaf.axis_m).fold(0.05, |most, node| node[2].max(most));
+    // The field's axes at the top-left pixel, and how they change from column to column and row to row.
+    let corner = field.config.along_across(frame.left_m, frame.top_m);
+    let column = field.config.along_across(frame.gsd_m, 0.0);
+    let row = field.config.along_across(0.0, -frame.gsd_m);
     let width = frame.width_px as usize;
     let mut image = RgbImage::new(frame.width_px, frame.height_px);
     image.par_chunks_mut(3 * width * BAND_ROWS).enumerate().for_each(|(band, colours)| {
@@ -48,10 +52,10 @@ pub fn picture(field: &Field, weeds: &[Weed]) -> RgbImage {
         }
         for (index, colour) in colours.chunks_exact_mut(3).enumerate() {
             let (u, v) = (index % width, rows.start + index / width);
-            let [x_m, y_m] = frame.ground(u as f64, v as f64);
-            let [along_m, across_m] = field.config.along_across(x_m, y_m);
+            let [along_m, across_m] =
+                [0, 1].map(|i| corner[i] + u as f64 * column[i] + v as f64 * row[i]);
             let light = if shade[index] { 0.58 } else { 1.0 };
-            let soil = soil.colour(u as i64, v as i64, along_m as f32, across_m as f32);
+            let soil = soil.colour(u as i32, v as i32, along_m as f32, across_m as f32);
             colour.copy_from_slice(&soil_pixel(soil.map(|channel| light * channel)));
         }
         let mut height_m = vec![f32::NEG_INFINITY; count * width];
@@ -74,7 +78,7 @@ pub fn picture(field: &Field, weeds: &[Weed]) -> RgbImage {
                 let fold = 0.42 * hit.across.signum() * slope.across;
                 let light = 0.45 + 0.55 * (slope.along + fold).clamp(0.0, 1.0);
                 let depth = 0.72 + 0.28 * z_m / tallest_m;
-                let grain = 1.0 + 0.05 * f64::from(soil.grain(hit.u as i64, !(hit.v as i64)));
+                let grain = 1.0 + 0.05 * f64::from(soil.grain(hit.u as i32, !(hit.v as i32)));
                 // A midrib is about a tenth of the blade's width and fades where pixels are wider.
                 let rib = (0.25 * half_px).min(1.0) * (1.0 - hit.across.abs() / 0.16).max(0.0);
                 let value = 178.0 * leaf.brightness * light * depth * grain + 34.0 * rib;

@@ -8,12 +8,11 @@
 use crate::streams::{Draw, Stage, stream};
 
 const TABLE: usize = 4096;
-const WRAP: i64 = TABLE as i64 - 1;
 
 /// The random tables of one field's soil.
 pub(crate) struct Soil {
-    shuffled: Vec<u16>,
-    values: Vec<f32>,
+    shifts: Box<[u16; TABLE]>,
+    values: Box<[f32; TABLE]>,
     gsd_m: f32,
     sun: [f32; 2],
 }
@@ -22,30 +21,34 @@ impl Soil {
     /// `sun`: horizontal direction to the sun in the field's axes (along, across).
     pub(crate) fn new(seed: u64, gsd_m: f64, sun: [f64; 2]) -> Soil {
         let mut rng = stream(seed, Stage::Soil, 0);
-        let mut shuffled: Vec<u16> = (0..TABLE as u16).collect();
-        for last in (1..TABLE).rev() {
-            shuffled.swap(last, (rng.unit() * (last + 1) as f64) as usize);
-        }
-        let values = (0..TABLE).map(|_| rng.between(-1.0, 1.0) as f32).collect();
-        Soil { shuffled, values, gsd_m: gsd_m as f32, sun: sun.map(|part| part as f32) }
+        let shifts = Box::new([0; TABLE].map(|_: u16| rng.between(0.0, TABLE as f64) as u16));
+        let values = Box::new([0.0; TABLE].map(|_: f32| rng.between(-1.0, 1.0) as f32));
+        Soil { shifts, values, gsd_m: gsd_m as f32, sun: sun.map(|part| part as f32) }
     }
 
     /// A random value in [-1, 1) of a whole position.
-    pub(crate) fn grain(&self, x: i64, y: i64) -> f32 {
-        let row = self.shuffled[(y & WRAP) as usize] as i64;
-        let at = self.shuffled[((x + row) & WRAP) as usize] as i64;
-        self.values[((at + y) & WRAP) as usize]
+    pub(crate) fn grain(&self, x: i32, y: i32) -> f32 {
+        self.values[x.wrapping_add(self.shift(y)) as usize % TABLE]
+    }
+
+    /// Where a row of the lattice begins in the one sequence of values.
+    fn shift(&self, y: i32) -> i32 {
+        i32::from(self.shifts[y as usize % TABLE])
     }
 
     /// Smooth noise in [-1, 1) with features about one unit wide.
     fn noise(&self, x: f32, y: f32) -> f32 {
-        let (floor_x, floor_y) = (x.floor(), y.floor());
-        let (i, j) = (floor_x as i64, floor_y as i64);
+        let (i, s) = split(x);
+        let (j, t) = split(y);
         let smooth = |t: f32| t * t * (3.0 - 2.0 * t);
-        let (a, b) = (smooth(x - floor_x), smooth(y - floor_y));
-        let upper = self.grain(i, j) * (1.0 - a) + self.grain(i + 1, j) * a;
-        let lower = self.grain(i, j + 1) * (1.0 - a) + self.grain(i + 1, j + 1) * a;
-        upper * (1.0 - b) + lower * b
+        let (a, b) = (smooth(s), smooth(t));
+        let row = |shift: i32| {
+            let at = i.wrapping_add(shift);
+            let left = self.values[at as usize % TABLE];
+            left + a * (self.values[at.wrapping_add(1) as usize % TABLE] - left)
+        };
+        let (upper, lower) = (row(self.shift(j)), row(self.shift(j.wrapping_add(1))));
+        upper + b * (lower - upper)
     }
 
     /// Noise of a wavelength, fading out where a pixel is wider than half of it.
@@ -61,7 +64,7 @@ impl Soil {
 
     /// The colour of the soil at the pixel (`u`, `v`) that lies at (`along_m`, `across_m`) in the
     /// field's axes: red, green, blue in [0, 255] before shadow. Red always leads green.
-    pub(crate) fn colour(&self, u: i64, v: i64, along_m: f32, across_m: f32) -> [f32; 3] {
+    pub(crate) fn colour(&self, u: i32, v: i32, along_m: f32, across_m: f32) -> [f32; 3] {
         let octave = |wavelength_m| self.octave(along_m, across_m, wavelength_m);
         let aside = |wavelength_m: f32| {
             let step_m = 0.6 * wavelength_m;
@@ -86,4 +89,11 @@ impl Soil {
         let red = 1.0 + 0.02 * broad;
         [light * red, light * 0.815, light * (0.625 - 0.02 * broad)]
     }
+}
+
+/// The whole number below and what is left of it, without the call that `floor` is on old processors.
+fn split(x: f32) -> (i32, f32) {
+    let toward_zero = x as i32;
+    let whole = if toward_zero as f32 > x { toward_zero - 1 } else { toward_zero };
+    (whole, x - whole as f32)
 }
