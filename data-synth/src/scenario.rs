@@ -163,6 +163,7 @@ presets! {
     "whole_field" = WholeField |field, _| {
         field.rows = 130;
         field.row_length_m = 75.0;
+        field.spacing_m = 0.194;
         field.heading_deg = -3.0;
         field.curve_m = 0.10;
     },
