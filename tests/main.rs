@@ -15,3 +15,4 @@ mod data;
 mod drive;
 mod engine;
 mod nlls;
+mod synth;

@@ -4,6 +4,7 @@
 //! 3 incomplete or a quality gate failed.
 
 mod adjust;
+mod synth;
 
 use crate::{error::Error, io::FileError};
 use clap::{Parser, Subcommand};
@@ -29,6 +30,7 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Verb {
     Adjust(adjust::Args),
+    Synth(synth::Args),
 }
 
 /// Parses the command line, runs the verb, reports what went wrong.
@@ -58,6 +60,7 @@ fn run(cli: Cli) -> Result<(), Error> {
         .map_err(|e| Error::Argument(format!("--threads {}: {e}", cli.threads)))?;
     match cli.verb {
         Verb::Adjust(args) => adjust::run(&args),
+        Verb::Synth(args) => synth::run(&args),
     }
 }
 

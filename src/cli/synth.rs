@@ -1,0 +1,304 @@
+//! `rowgram synth`: synthetic fields and blocks with their truth.
+
+use crate::{
+    error::Error,
+    io::{FileError, output},
+};
+use clap::Subcommand;
+use data_synth::{
+    ConfigError,
+    block::{Block, BlockConfig, write_bal},
+    field::{Field, GrowthStage, Phyllotaxy},
+    scenario::{Preset, Scenario},
+};
+use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
+use std::{
+    io::Write,
+    path::{Path, PathBuf},
+};
+
+/// Make synthetic data with known truth.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, Subcommand)]
+enum What {
+    /// Leaf mask, picture and true plants of a field from straight above.
+    ///
+    /// Writes mask.png (255 leaf, 0 other), picture.png, plants.csv (u_px,v_px,row,x_m,y_m; the
+    /// centre of the top-left pixel is at 0,0) and field.toml (every parameter, for --config).
+    Mask(Box<MaskArgs>),
+    /// Measurements of a nadir aerial block as a BAL text file, start values included.
+    Bundle(BundleArgs),
+}
+
+/// Runs `rowgram synth`.
+///
+/// # Errors
+/// A parameter that cannot be used, an output that exists, a file that cannot be read or written.
+pub(super) fn run(args: &Args) -> Result<(), Error> {
+    match &args.what {
+        What::Mask(args) => mask(args),
+        What::Bundle(args) => bundle(args),
+    }
+}
+
+impl From<ConfigError> for Error {
+    fn from(error: ConfigError) -> Error {
+        Error::Argument(error.to_string())
+    }
+}
+
+#[derive(Debug, clap::Args)]
+struct MaskArgs {
+    /// Folder to write into, made if missing.
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+    /// Replace files that exist.
+    #[arg(long)]
+    force: bool,
+    /// Parameters from a field.toml; options given here come before it.
+    #[arg(long, value_name = "FILE", conflicts_with = "preset")]
+    config: Option<PathBuf>,
+    /// Parameters of a usual scenario, such as early20, mid20_gaps or whole_field.
+    #[arg(long, value_name = "NAME")]
+    preset: Option<Preset>,
+    #[command(flatten)]
+    layout: LayoutArgs,
+    #[command(flatten)]
+    look: LookArgs,
+    /// Seed of everything random [default: 1].
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    seed: Option<u64>,
+}
+
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Layout")]
+struct LayoutArgs {
+    /// Number of rows [default: 6].
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    rows: Option<usize>,
+    /// Length of a row, metres [default: 5].
+    #[arg(long, value_name = "M", allow_negative_numbers = true)]
+    row_length: Option<f64>,
+    /// Distance between rows, metres [default: 0.76].
+    #[arg(long, value_name = "M", allow_negative_numbers = true)]
+    inter_row: Option<f64>,
+    /// Distance between planting sites along a row, metres [default: 0.2].
+    #[arg(long, value_name = "M", allow_negative_numbers = true)]
+    spacing: Option<f64>,
+    /// Standard deviation along the row, fraction of the spacing [default: 0.15].
+    #[arg(long, value_name = "FRACTION", allow_negative_numbers = true)]
+    jitter: Option<f64>,
+    /// Standard deviation across the row, metres [default: 0.01].
+    #[arg(long, value_name = "M", allow_negative_numbers = true)]
+    jitter_across: Option<f64>,
+    /// Fraction of empty sites [default: 0.05].
+    #[arg(long, value_name = "FRACTION", allow_negative_numbers = true)]
+    missing: Option<f64>,
+    /// Fraction of planted sites with two plants, 3-6 cm apart [default: 0.03].
+    #[arg(long, value_name = "FRACTION", allow_negative_numbers = true)]
+    doubles: Option<f64>,
+    /// How far the rows bow out in their middle, metres [default: 0].
+    #[arg(long, value_name = "M", allow_negative_numbers = true)]
+    curve: Option<f64>,
+    /// Direction of the rows, degrees counter-clockwise from the picture's u axis [default: 0].
+    #[arg(long, value_name = "DEG", allow_negative_numbers = true)]
+    heading: Option<f64>,
+    /// Put the sites of all rows side by side.
+    #[arg(long)]
+    grid: bool,
+}
+
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Plants, picture and corruption")]
+struct LookArgs {
+    /// Growth stage: early, mid or late [default: mid].
+    #[arg(long, value_name = "STAGE")]
+    stage: Option<GrowthStage>,
+    /// Leaf arrangement: distichous or random [default: distichous].
+    #[arg(long, value_name = "KIND")]
+    phyllotaxy: Option<Phyllotaxy>,
+    /// How far stalks lean, root mean square, metres [default: 0].
+    #[arg(long, value_name = "M", allow_negative_numbers = true)]
+    tilt: Option<f64>,
+    /// Ground sampling distance, metres per pixel [default: 0.015].
+    #[arg(long, value_name = "M", allow_negative_numbers = true)]
+    gsd: Option<f64>,
+    /// Bare ground around the rows, metres [default: 0.8].
+    #[arg(long, value_name = "M", allow_negative_numbers = true)]
+    margin: Option<f64>,
+    /// Weeds per square metre [default: 0].
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    weeds: Option<f64>,
+    /// Fraction of other pixels taken for leaf [default: 0].
+    #[arg(long, value_name = "FRACTION", allow_negative_numbers = true)]
+    false_pixels: Option<f64>,
+    /// Fraction of leaf pixels not taken for leaf [default: 0].
+    #[arg(long, value_name = "FRACTION", allow_negative_numbers = true)]
+    missed_pixels: Option<f64>,
+}
+
+impl MaskArgs {
+    /// What to make: the defaults, then the preset or file, then the options.
+    fn scenario(&self) -> Result<Scenario, Error> {
+        fn set<T: Clone>(value: &mut T, option: &Option<T>) {
+            if let Some(option) = option {
+                *value = option.clone();
+            }
+        }
+        let mut scenario = match (&self.config, self.preset) {
+            (Some(path), _) => read_scenario(path)?,
+            (None, Some(preset)) => Scenario::preset(preset),
+            (None, None) => Scenario::default(),
+        };
+        let (field, layout, look) = (&mut scenario.field, &self.layout, &self.look);
+        set(&mut field.seed, &self.seed);
+        set(&mut field.rows, &layout.rows);
+        set(&mut field.row_length_m, &layout.row_length);
+        set(&mut field.inter_row_m, &layout.inter_row);
+        set(&mut field.spacing_m, &layout.spacing);
+        set(&mut field.jitter_along, &layout.jitter);
+        set(&mut field.jitter_across_m, &layout.jitter_across);
+        set(&mut field.missing_fraction, &layout.missing);
+        set(&mut field.doubles_fraction, &layout.doubles);
+        set(&mut field.curve_m, &layout.curve);
+        set(&mut field.heading_deg, &layout.heading);
+        field.grid |= layout.grid;
+        set(&mut field.stage, &look.stage);
+        set(&mut field.phyllotaxy, &look.phyllotaxy);
+        set(&mut field.tilt_m, &look.tilt);
+        set(&mut field.gsd_m, &look.gsd);
+        set(&mut field.margin_m, &look.margin);
+        let corruption = &mut scenario.corruption;
+        set(&mut corruption.weeds_per_m2, &look.weeds);
+        set(&mut corruption.false_fraction, &look.false_pixels);
+        set(&mut corruption.missed_fraction, &look.missed_pixels);
+        scenario.check()?;
+        Ok(scenario)
+    }
+}
+
+fn read_scenario(path: &Path) -> Result<Scenario, FileError> {
+    let text = std::fs::read_to_string(path).map_err(|source| FileError::read(path, source))?;
+    toml::from_str(&text).map_err(|error| {
+        let before = error.span().and_then(|span| text.get(..span.start));
+        let line = before.map(|before| before.matches('\n').count() + 1);
+        FileError::malformed(path, line, error.message())
+    })
+}
+
+fn mask(args: &MaskArgs) -> Result<(), Error> {
+    let scenario = args.scenario()?;
+    let config = toml::to_string(&scenario).map_err(|e| Error::Argument(e.to_string()))?;
+    let folder = &args.output;
+    std::fs::create_dir_all(folder).map_err(|source| FileError::write(folder, source))?;
+    let path = |name| folder.join(name);
+    for name in ["mask.png", "picture.png", "plants.csv", "field.toml"] {
+        output::check(&path(name), args.force)?;
+    }
+    let scene = scenario.build()?;
+    let (mask, picture) = scene.mask_and_picture();
+    let (width, height) = mask.dimensions();
+    let leaf_pixels = mask.iter().filter(|&&pixel| pixel != 0).count();
+    let png = |name, pixels: &[u8], colour| {
+        output::write(&path(name), args.force, |writer| {
+            PngEncoder::new(writer)
+                .write_image(pixels, width, height, colour)
+                .map_err(std::io::Error::other)
+        })
+    };
+    png("mask.png", mask.as_raw(), ExtendedColorType::L8)?;
+    png("picture.png", picture.as_raw(), ExtendedColorType::Rgb8)?;
+    output::write(&path("plants.csv"), args.force, |writer| write_plants(&scene.field, writer))?;
+    output::write(&path("field.toml"), args.force, |writer| writer.write_all(config.as_bytes()))?;
+    tracing::info!(
+        "{}: {} plants, {width} x {height} pixels, {leaf_pixels} of them leaf",
+        folder.display(),
+        scene.field.plants.len(),
+    );
+    Ok(())
+}
+
+fn write_plants(field: &Field, writer: &mut dyn Write) -> std::io::Result<()> {
+    writeln!(writer, "u_px,v_px,row,x_m,y_m")?;
+    for plant in &field.plants {
+        writeln!(
+            writer,
+            "{:.4},{:.4},{},{:.5},{:.5}",
+            plant.u_px, plant.v_px, plant.row, plant.x_m, plant.y_m
+        )?;
+    }
+    Ok(())
+}
+
+#[derive(Debug, clap::Args)]
+struct BundleArgs {
+    /// BAL file to write, with the start values.
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// Also write the same measurements with the true values.
+    #[arg(long, value_name = "FILE")]
+    truth: Option<PathBuf>,
+    /// Replace files that exist.
+    #[arg(long)]
+    force: bool,
+    /// Number of images.
+    #[arg(long, value_name = "N", default_value_t = 200, allow_negative_numbers = true)]
+    images: usize,
+    /// Number of strips; 0 makes the block about square.
+    #[arg(long, value_name = "N", default_value_t = 0, allow_negative_numbers = true)]
+    strips: usize,
+    /// Number of ground points.
+    #[arg(long, value_name = "N", default_value_t = 40_000, allow_negative_numbers = true)]
+    points: usize,
+    /// Standard deviation of each measured coordinate, pixels.
+    #[arg(long, value_name = "PX", default_value_t = 0.5, allow_negative_numbers = true)]
+    sigma_px: f64,
+    /// Fraction of gross measurements.
+    #[arg(long, value_name = "FRACTION", default_value_t = 0.0, allow_negative_numbers = true)]
+    outliers: f64,
+    /// Seed of everything random.
+    #[arg(long, value_name = "N", default_value_t = 1, allow_negative_numbers = true)]
+    seed: u64,
+}
+
+fn bundle(args: &BundleArgs) -> Result<(), Error> {
+    let config = BlockConfig {
+        seed: args.seed,
+        images: args.images,
+        strips: args.strips,
+        points: args.points,
+        sigma_px: args.sigma_px,
+        outlier_fraction: args.outliers,
+        ..BlockConfig::default()
+    };
+    config.check()?;
+    output::check(&args.output, args.force)?;
+    if let Some(truth) = &args.truth {
+        output::check(truth, args.force)?;
+        if *truth == args.output {
+            return Err(Error::Argument("--truth: expected another file than --output".into()));
+        }
+    }
+    let block = Block::fly(&config)?;
+    output::write(&args.output, args.force, |writer| {
+        write_bal(&block.cameras_start, &block.points_start, &block.observations, writer)
+    })?;
+    if let Some(truth) = &args.truth {
+        output::write(truth, args.force, |writer| {
+            write_bal(&block.cameras_true, &block.points_true, &block.observations, writer)
+        })?;
+    }
+    tracing::info!(
+        "{}: {} images, {} points, {} observations",
+        args.output.display(),
+        block.cameras_true.len(),
+        block.points_true.len(),
+        block.observations.len(),
+    );
+    Ok(())
+}
