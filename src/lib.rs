@@ -9,5 +9,6 @@ pub mod cli;
 pub mod engine;
 pub mod error;
 pub mod io;
+pub mod raster;
 
 pub use error::{Error, Kind};
