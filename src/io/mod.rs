@@ -2,6 +2,7 @@
 
 pub mod images;
 pub mod output;
+pub mod points;
 
 use crate::error::Kind;
 use std::path::{Path, PathBuf};
