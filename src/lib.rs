@@ -10,5 +10,6 @@ pub mod engine;
 pub mod error;
 pub mod io;
 pub mod raster;
+pub mod score;
 
 pub use error::{Error, Kind};
