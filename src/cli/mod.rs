@@ -3,6 +3,10 @@
 //! Data goes to files or stdout, messages to stderr. Exit codes: 0 ok, 1 failure, 2 bad input,
 //! 3 incomplete or a quality gate failed.
 
+mod evaluate;
+mod segment;
+mod stdout;
+
 use crate::error::Error;
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
@@ -25,7 +29,10 @@ struct Cli {
 }
 
 #[derive(Debug, Subcommand)]
-enum Verb {}
+enum Verb {
+    Segment(segment::Args),
+    Evaluate(evaluate::Args),
+}
 
 /// Parses the command line, runs the verb, reports what went wrong.
 pub fn main() -> ExitCode {
@@ -52,7 +59,10 @@ fn run(cli: Cli) -> Result<(), Error> {
         .num_threads(cli.threads)
         .build_global()
         .map_err(|e| Error::Argument(format!("--threads {}: {e}", cli.threads)))?;
-    match cli.verb {}
+    match cli.verb {
+        Verb::Segment(args) => segment::run(&args),
+        Verb::Evaluate(args) => evaluate::run(&args),
+    }
 }
 
 #[expect(clippy::print_stderr, reason = "the program's last word goes to stderr")]
