@@ -5,10 +5,15 @@
 //! are `u` right and `v` down in pixels, and **the centre of the top-left pixel is (0, 0)**; every
 //! format with another convention is converted at its border.
 
+pub mod camera;
 pub mod cli;
+pub mod drive;
 pub mod engine;
 pub mod error;
+pub mod geometry;
 pub mod io;
+pub mod nlls;
+pub mod problems;
 pub mod raster;
 pub mod score;
 

@@ -1,6 +1,20 @@
 //! All integration tests in one binary: one module per subject.
 
+#![allow(
+    unreachable_pub,
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "a test that cannot go on fails, its helpers too"
+)]
+
+mod adjust;
+mod architecture;
 mod data;
+mod drive;
+mod engine;
 mod evaluate;
+mod nlls;
 mod program;
 mod segment;

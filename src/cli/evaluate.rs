@@ -1,6 +1,6 @@
 //! `rowgram evaluate`: found plants against the truth.
 
-use super::stdout;
+use super::{print, print_json};
 use crate::{error::Error, io::points, score::Score};
 use std::path::PathBuf;
 
@@ -46,5 +46,5 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     let found = points::read(&args.plants)?;
     let truth = points::read(&args.truth)?;
     let score = Score::new(&found, &truth, &args.radius)?;
-    if args.json { stdout::json(&score) } else { stdout::text(&score) }
+    if args.json { print_json(&score) } else { print(&score.to_string()) }
 }

@@ -3,11 +3,11 @@
 //! Data goes to files or stdout, messages to stderr. Exit codes: 0 ok, 1 failure, 2 bad input,
 //! 3 incomplete or a quality gate failed.
 
+mod adjust;
 mod evaluate;
 mod segment;
-mod stdout;
 
-use crate::error::Error;
+use crate::{error::Error, io::FileError};
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
 
@@ -30,6 +30,7 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Verb {
+    Adjust(adjust::Args),
     Segment(segment::Args),
     Evaluate(evaluate::Args),
 }
@@ -60,6 +61,7 @@ fn run(cli: Cli) -> Result<(), Error> {
         .build_global()
         .map_err(|e| Error::Argument(format!("--threads {}: {e}", cli.threads)))?;
     match cli.verb {
+        Verb::Adjust(args) => adjust::run(&args),
         Verb::Segment(args) => segment::run(&args),
         Verb::Evaluate(args) => evaluate::run(&args),
     }
@@ -87,4 +89,30 @@ fn start_logging(verbose: u8, quiet: bool) {
         .without_time()
         .with_target(false)
         .init();
+}
+
+/// Writes text for a person to stdout.
+fn print(text: &str) -> Result<(), Error> {
+    use std::io::Write;
+    let mut out = std::io::stdout().lock();
+    match writeln!(out, "{}", text.trim_end()).and_then(|()| out.flush()) {
+        // A reader that has seen enough is no failure.
+        Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
+        result => result.map_err(|e| FileError::write("stdout".as_ref(), e).into()),
+    }
+}
+
+/// Writes one line of JSON to stdout.
+fn print_json(value: &impl serde::Serialize) -> Result<(), Error> {
+    let line = serde_json::to_string(value)
+        .map_err(|e| FileError::write("stdout".as_ref(), std::io::Error::other(e)))?;
+    print(&line)
+}
+
+/// The most memory this process has used, in megabytes, where the system tells.
+fn peak_memory_mb() -> Option<f64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    let kilobytes: f64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some(kilobytes / 1024.0)
 }

@@ -1,6 +1,6 @@
 //! `rowgram segment`: the leaf mask of a photo.
 
-use super::stdout;
+use super::print_json;
 use crate::{
     error::Error,
     io::{FileError, images, output},
@@ -104,7 +104,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
         filled_pixels: filled.pixels,
     };
     if args.json {
-        return stdout::json(&summary);
+        return print_json(&summary);
     }
     tracing::info!(
         "{}: {plant_pixels} of {} pixels are plant ({:.2} %), in {} components",

@@ -1,5 +1,7 @@
 //! Files, one format per module; the only part of the library that opens any.
 
+pub mod bal;
+pub mod checkpoint;
 pub mod images;
 pub mod output;
 pub mod points;

@@ -1,3 +1,5 @@
+//! Every kind of picture, whole and damaged.
+
 use super::*;
 use image::{ImageBuffer, Luma, Rgb, Rgba};
 use proptest::prelude::*;

@@ -1,3 +1,5 @@
+//! The matching against trying everything, a dense solver, and the clock.
+
 use super::*;
 use proptest::prelude::*;
 

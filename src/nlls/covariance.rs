@@ -1,0 +1,272 @@
+//! Covariances from the undamped normal equations, `C = (J^T J)^-1`, for residuals whitened to unit
+//! variance (multiply by the a-posteriori variance factor otherwise).
+//!
+//! Columns of `C` are solved for where they are asked for, through the same elimination as a step:
+//! with `E_b` the unit columns of block `b`, `S X_k = E_bk - W V^-1 E_be` and
+//! `X_e = V^-1 (E_be - W^T X_k)`. Damping plays no part; parameters that the observations do not
+//! determine are named, never hidden behind a small number on the diagonal.
+
+use super::{
+    Linear,
+    cholesky::NotPositiveDefinite,
+    eliminate::{backward_solve, forward_solve},
+    normal::Normal,
+    problem::{BlockId, Problem},
+    structure::NONE,
+};
+use crate::engine::SolveError;
+use nalgebra::{DMatrix, SymmetricEigen};
+
+/// Covariances of the blocks of one problem at one solution.
+#[derive(Debug)]
+pub struct Covariance<'a> {
+    problem: &'a Problem,
+    normal: Normal,
+}
+
+/// A direction is undetermined where its curvature, with every parameter scaled to unit curvature
+/// of its own, is below this: some 1e4 roundings of a unit diagonal.
+const RANK_TOLERANCE: f64 = 1e-12;
+/// Undetermined directions looked for at once.
+const DIRECTIONS: usize = 12;
+
+impl<'a> Covariance<'a> {
+    /// Factorises the normal equations of `problem` at `x`, without the losses' curvature (each
+    /// residual with its weight `rho'`).
+    ///
+    /// # Errors
+    /// [`SolveError::RankDeficient`] names the blocks that the observations leave undetermined.
+    pub fn new(problem: &'a Problem, x: &[f64], linear: Linear) -> Result<Self, SolveError> {
+        let mut normal = Normal::new(problem, linear)?;
+        normal
+            .linearize(problem, x)
+            .map_err(|(batch, factor)| problem.infeasible(&problem.batches[batch], factor))?;
+        if let Err(NotPositiveDefinite(Some(block))) = normal.reduce(problem, 0.0) {
+            return Err(undetermined_point(problem, block));
+        }
+        if let Some(block) = weak_point(problem, &normal) {
+            return Err(undetermined_point(problem, block));
+        }
+        let directions = undetermined_directions(problem, &mut normal);
+        if !directions.is_empty() {
+            return Err(describe(problem, &normal, &directions));
+        }
+        // Looking for them put a shift into the factor.
+        normal.reduce(problem, 0.0).map_err(|_| {
+            SolveError::RankDeficient("the normal equations are not positive definite".into())
+        })?;
+        Ok(Covariance { problem, normal })
+    }
+
+    /// The covariance of one block's tangent, row-major; entries that were fixed are 0.
+    pub fn block(&mut self, block: BlockId) -> Vec<f64> {
+        self.cross(block, block)
+    }
+
+    /// The covariance between the tangents of two blocks, `first x second`, row-major.
+    pub fn cross(&mut self, first: BlockId, second: BlockId) -> Vec<f64> {
+        let (rows, columns) =
+            (self.problem.space(first).tangent(), self.problem.space(second).tangent());
+        let solution = self.columns(second);
+        let mut out = vec![0.0; rows * columns];
+        for column in 0..columns {
+            let values = self.rows_of(first, second, column, &solution);
+            for row in 0..rows {
+                out[row * columns + column] = values[row];
+            }
+        }
+        let frozen =
+            |block: BlockId, k: usize| self.problem.blocks[block.index()].frozen >> k & 1 == 1;
+        for row in 0..rows {
+            for column in 0..columns {
+                if frozen(first, row) || frozen(second, column) {
+                    out[row * columns + column] = 0.0;
+                }
+            }
+        }
+        out
+    }
+
+    /// The kept part of the columns of `C` that belong to `block`, column after column.
+    fn columns(&mut self, block: BlockId) -> Vec<f64> {
+        let index = block.index();
+        let n = self.problem.space(block).tangent();
+        let dimension = self.normal.matrix.dimension();
+        let mut rhs = vec![0.0; dimension * n];
+        let place = self.normal.structure.place[index];
+        let e = self.normal.structure.point[index];
+        if place != NONE {
+            let start = self.normal.matrix.starts[place as usize];
+            for k in 0..n {
+                rhs[k * dimension + start + k] = 1.0;
+            }
+        } else if e != NONE {
+            let factor = self.normal.point_factor(e as usize).to_vec();
+            for (kept, transposed) in self.normal.coupling(self.problem, e as usize) {
+                let start = self.normal.matrix.starts[kept];
+                let dim = transposed.len() / n;
+                for column in 0..n {
+                    let mut unit = vec![0.0; n];
+                    unit[column] = 1.0;
+                    solve_small(&factor, n, &mut unit);
+                    for j in 0..dim {
+                        let sum: f64 = (0..n).map(|i| transposed[i * dim + j] * unit[i]).sum();
+                        rhs[column * dimension + start + j] = -sum;
+                    }
+                }
+            }
+        } else {
+            return rhs;
+        }
+        self.normal.cholesky.solve(&mut rhs, n);
+        rhs
+    }
+
+    /// Rows `block` of column `column` of `of`, given the kept part of its columns.
+    fn rows_of(&self, block: BlockId, of: BlockId, column: usize, solution: &[f64]) -> Vec<f64> {
+        let index = block.index();
+        let n = self.problem.space(block).tangent();
+        let dimension = self.normal.matrix.dimension();
+        let kept = &solution[column * dimension..(column + 1) * dimension];
+        let place = self.normal.structure.place[index];
+        let e = self.normal.structure.point[index];
+        if place != NONE {
+            let start = self.normal.matrix.starts[place as usize];
+            return kept[start..start + n].to_vec();
+        }
+        let mut values = vec![0.0; n];
+        if e == NONE {
+            return values;
+        }
+        if block == of {
+            values[column] = 1.0;
+        }
+        for (other, transposed) in self.normal.coupling(self.problem, e as usize) {
+            let start = self.normal.matrix.starts[other];
+            let dim = transposed.len() / n;
+            for i in 0..n {
+                for j in 0..dim {
+                    values[i] -= transposed[i * dim + j] * kept[start + j];
+                }
+            }
+        }
+        solve_small(self.normal.point_factor(e as usize), n, &mut values);
+        values
+    }
+}
+
+fn solve_small(factor: &[f64], n: usize, b: &mut [f64]) {
+    forward_solve(factor, n, b);
+    backward_solve(factor, n, b);
+}
+
+/// An eliminated block whose own matrix has lost a pivot to rounding.
+fn weak_point(problem: &Problem, normal: &Normal) -> Option<usize> {
+    (0..normal.structure.eliminated.len()).find_map(|e| {
+        let block = normal.structure.eliminated[e];
+        let n = problem.blocks[block].space.tangent();
+        let factor = normal.point_factor(e);
+        let weak = (0..n).any(|k| {
+            let diagonal: f64 = factor[k * n..=k * n + k].iter().map(|v| v * v).sum();
+            factor[k * n + k].powi(2) < RANK_TOLERANCE * diagonal
+        });
+        weak.then_some(block)
+    })
+}
+
+fn undetermined_point(problem: &Problem, block: usize) -> SolveError {
+    SolveError::RankDeficient(format!(
+        "{} is not determined by its observations (seen once, or along nearly one line?); leave it out or give it a prior",
+        problem.describe(Problem::id(block))
+    ))
+}
+
+/// Directions of the kept parameters, scaled to unit curvature each, that have next to none
+/// together: inverse subspace iteration with Rayleigh-Ritz.
+fn undetermined_directions(problem: &Problem, normal: &mut Normal) -> Vec<Vec<f64>> {
+    let n = normal.matrix.dimension();
+    if n == 0 {
+        return Vec::new();
+    }
+    let scale: Vec<f64> = normal
+        .structure
+        .kept
+        .iter()
+        .flat_map(|&block| {
+            let block = &problem.blocks[block];
+            block.tangent..block.tangent + block.space.tangent()
+        })
+        .map(|k| normal.diagonal[k])
+        .map(|d| if d > 0.0 { 1.0 / d.sqrt() } else { 1.0 })
+        .collect();
+    let mut scaled = normal.matrix.clone();
+    scaled.scale(&scale);
+    let mut shifted = scaled.clone();
+    // Makes the factorisation exist; small against what counts as undetermined.
+    let mut shift = RANK_TOLERANCE * 0.01;
+    shifted.add_to_diagonal(&vec![shift; n]);
+    while normal.cholesky.factorize(&shifted).is_err() && shift < 1.0 {
+        shifted.add_to_diagonal(&vec![9.0 * shift; n]);
+        shift *= 10.0;
+    }
+    let count = DIRECTIONS.min(n);
+    // Any start with a part along every direction will do; this one is the same every time.
+    let mut basis = DMatrix::from_fn(n, count, |i, j| {
+        ((i * count + j) as f64 * 0.754_877_666_246_692_7).fract() - 0.5
+    });
+    for _ in 0..4 {
+        basis = basis.qr().q();
+        normal.cholesky.solve(basis.as_mut_slice(), count);
+    }
+    let basis = basis.qr().q();
+    let mut image = DMatrix::zeros(n, count);
+    for k in 0..count {
+        let mut product = vec![0.0; n];
+        scaled.multiply(basis.column(k).as_slice(), &mut product);
+        image.set_column(k, &nalgebra::DVector::from_vec(product));
+    }
+    let ritz = SymmetricEigen::new(basis.transpose() * image);
+    (0..count)
+        .filter(|&k| ritz.eigenvalues[k] < RANK_TOLERANCE)
+        .map(|k| (&basis * ritz.eigenvectors.column(k)).as_slice().to_vec())
+        .collect()
+}
+
+fn describe(problem: &Problem, normal: &Normal, directions: &[Vec<f64>]) -> SolveError {
+    let mut shares: Vec<(f64, usize)> = (0..normal.structure.kept.len())
+        .map(|place| {
+            let range = normal.matrix.starts[place]..normal.matrix.starts[place + 1];
+            let share: f64 = directions.iter().flat_map(|d| &d[range.clone()]).map(|v| v * v).sum();
+            (share, place)
+        })
+        .collect();
+    shares.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+    let total: f64 = shares.iter().map(|(share, _)| share).sum();
+    let involved: Vec<_> = shares.iter().filter(|(share, _)| *share > 1e-3 * total).collect();
+    let names: Vec<String> = involved
+        .iter()
+        .take(6)
+        .map(|(_, place)| {
+            let range = normal.matrix.starts[*place]..normal.matrix.starts[*place + 1];
+            let entries: Vec<String> = (0..range.len())
+                .filter(|k| directions.iter().any(|d| d[range.start + k].powi(2) > 1e-3))
+                .map(|k| k.to_string())
+                .collect();
+            let name = problem.describe(Problem::id(normal.structure.kept[*place]));
+            if entries.is_empty() {
+                name
+            } else {
+                format!("{name} (entries {})", entries.join(" "))
+            }
+        })
+        .collect();
+    let more = involved.len().saturating_sub(names.len());
+    let at_least = if directions.len() == DIRECTIONS { "at least " } else { "" };
+    SolveError::RankDeficient(format!(
+        "the observations leave {at_least}{} direction(s) undetermined, moving {}{}; \
+         fix the gauge, fix one of the parameters or add observations",
+        directions.len(),
+        names.join(", "),
+        if more > 0 { format!(" and {more} more") } else { String::new() }
+    ))
+}

@@ -1,0 +1,78 @@
+//! Engine one: sparse nonlinear least squares.
+//!
+//! ```text
+//! min_x  1/2 sum_i rho_i( |r_i(x)|^2 )
+//! ```
+//!
+//! over parameter blocks that live in [`Space`]s, with residuals given by [`Factor`]s in named
+//! [`Batch`]es, each with a [`Loss`]. [`LeastSquares`] is the engine (Levenberg-Marquardt or
+//! Dogleg); [`solve`] runs it to the end, [`crate::drive`] with observers, limits and checkpoints.
+//! [`covariance`] gives standard deviations, [`check`] tests Jacobians.
+//!
+//! Results are bit-identical for any number of threads: work is cut into ranges that depend on the
+//! problem only, and their sums are added in order.
+
+pub mod check;
+mod cholesky;
+pub mod covariance;
+mod eliminate;
+mod factor;
+mod loss;
+mod normal;
+mod problem;
+mod space;
+mod structure;
+mod summary;
+mod trust_region;
+
+pub use factor::{
+    Batch, Curvature, Factor, Factors, Infeasible, InfeasibleFactor, Jacobian, Point,
+};
+pub use loss::{Loss, Rho};
+pub use problem::{BlockId, Problem};
+pub use space::{MAX_TANGENT, Space, direction_basis};
+pub use summary::{BatchSummary, Summary};
+pub use trust_region::{LeastSquares, Memory, Method, Options};
+
+use crate::engine::{Engine, SolveError, Stop};
+use serde::{Deserialize, Serialize};
+
+/// How the linear system of a step is solved.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Linear {
+    /// Dense Cholesky of the whole system: for small problems.
+    Dense,
+    /// Sparse Cholesky of the whole system.
+    Sparse,
+    /// Blocks marked with [`Problem::eliminate`] first, one by one; then Cholesky of the reduced
+    /// system, sparse or dense by its fill.
+    #[default]
+    Schur,
+}
+
+/// Runs [`LeastSquares`] on `problem` from `x` until it stops by itself or after
+/// `max_iterations`; `x` holds the result.
+///
+/// # Errors
+/// As [`Engine::start`] and [`Engine::step`].
+pub fn solve(
+    problem: &Problem,
+    x: &mut Vec<f64>,
+    options: &Options,
+    max_iterations: u64,
+) -> Result<Summary, SolveError> {
+    let mut engine = LeastSquares::new(options.clone());
+    let initial_cost = engine.start(problem, x)?;
+    let (mut stop, mut iterations, mut final_cost) = (Stop::MaxIterations, 0, initial_cost);
+    while iterations < max_iterations {
+        let step = engine.step(problem, x)?;
+        iterations += 1;
+        final_cost = step.cost;
+        if let Some(reason) = step.stop {
+            stop = reason;
+            break;
+        }
+    }
+    Summary::new(problem, x, initial_cost, final_cost, iterations, stop)
+}

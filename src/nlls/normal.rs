@@ -1,0 +1,428 @@
+//! The numeric part of the normal equations: linearise, eliminate, solve, substitute back.
+//!
+//! With eliminated blocks `e` and kept blocks `k`, residual `r` and Jacobian `[E F]`, a damped step
+//! solves
+//!
+//! ```text
+//! [ V    W^T ] [ d_e ]     [ g_e ]     V = E^T E + lambda D_e,  U = F^T F + lambda D_k,
+//! [ W    U   ] [ d_k ] = - [ g_k ]     W = F^T E,  g_e = E^T r,  g_k = F^T r
+//! ```
+//!
+//! by `S d_k = -(g_k - W V^-1 g_e)`, `S = U - W V^-1 W^T`, and `d_e = -V^-1 (g_e + W^T d_k)`, one small
+//! `V` at a time. `D` is the diagonal of `J^T J` (Marquardt), 1 where that is 0. Entries that must not
+//! move have zero columns in `J` and 1 on the diagonal.
+
+use super::{
+    Linear,
+    cholesky::{BlockMatrix, Cholesky, NotPositiveDefinite},
+    eliminate::{Partial, backward_solve, damping, eliminate, forward_solve, inner},
+    factor::{InfeasibleFactor, Linearization, batch_cost, linearize_batch},
+    problem::Problem,
+    structure::{NONE, Structure},
+};
+use crate::engine::SolveError;
+use rayon::prelude::*;
+
+/// The normal equations of one problem, with all their memory.
+#[derive(Debug)]
+pub(super) struct Normal {
+    pub(super) structure: Structure,
+    linearizations: Vec<Linearization>,
+    partials: Vec<Partial>,
+    pub(super) matrix: BlockMatrix,
+    pub(super) cholesky: Cholesky,
+    spare: Linearization,
+    /// Share of the losses' curvature in the next linearisation.
+    pub(super) curvature_share: f64,
+    /// `J^T r` over the tangents of all blocks.
+    pub(super) gradient: Vec<f64>,
+    /// Diagonal of `J^T J` over the tangents of all blocks.
+    pub(super) diagonal: Vec<f64>,
+    /// `-(g_k - W V^-1 g_e)`, then `d_k`.
+    kept_vector: Vec<f64>,
+}
+
+impl Normal {
+    /// Analyses the problem.
+    pub(super) fn new(problem: &Problem, linear: Linear) -> Result<Normal, SolveError> {
+        let (structure, matrix) = Structure::new(problem, linear)?;
+        let cholesky = Cholesky::analyze(&matrix, linear == Linear::Dense);
+        let tangent = problem.tangent_len();
+        let partials = structure.shares.iter().map(|share| Partial::new(share)).collect();
+        Ok(Normal {
+            linearizations: vec![Linearization::default(); problem.batches.len()],
+            partials,
+            kept_vector: vec![0.0; matrix.dimension()],
+            matrix,
+            cholesky,
+            structure,
+            spare: Linearization::default(),
+            curvature_share: 0.0,
+            gradient: vec![0.0; tangent],
+            diagonal: vec![0.0; tangent],
+        })
+    }
+
+    /// The cost at `x`, or which factor of which batch cannot be evaluated.
+    pub(super) fn cost(
+        &mut self,
+        problem: &Problem,
+        x: &[f64],
+    ) -> Result<f64, (usize, InfeasibleFactor)> {
+        let mut total = 0.0;
+        for (k, named) in problem.batches.iter().enumerate() {
+            let point = problem.point(x);
+            total += batch_cost(named.batch.as_ref(), named.loss, point, &mut self.spare.residual)
+                .map_err(|infeasible| (k, infeasible))?;
+        }
+        Ok(total)
+    }
+
+    /// Linearises all batches at `x`; returns the cost.
+    pub(super) fn linearize(
+        &mut self,
+        problem: &Problem,
+        x: &[f64],
+    ) -> Result<f64, (usize, InfeasibleFactor)> {
+        let mut total = 0.0;
+        for (k, (named, out)) in problem.batches.iter().zip(&mut self.linearizations).enumerate() {
+            let point = problem.point(x);
+            let batch = named.batch.as_ref();
+            total +=
+                linearize_batch(batch, named.loss, self.curvature_share, point, named.width, out)
+                    .map_err(|infeasible| (k, infeasible))?;
+        }
+        self.freeze(problem);
+        Ok(total)
+    }
+
+    /// Clears the columns of entries that must not move.
+    fn freeze(&mut self, problem: &Problem) {
+        if problem.blocks.iter().all(|block| block.frozen == 0) {
+            return;
+        }
+        for (named, out) in problem.batches.iter().zip(&mut self.linearizations) {
+            let stride = named.batch.rows() * named.width;
+            out.jacobian.par_chunks_mut(stride).enumerate().for_each(|(f, jacobian)| {
+                let mut column = 0;
+                for (block, dim) in named.batch.blocks(f).iter().zip(&named.dims) {
+                    let frozen = problem.blocks[block.index()].frozen;
+                    for k in (0..*dim).filter(|k| frozen >> k & 1 == 1) {
+                        jacobian
+                            .iter_mut()
+                            .skip(column + k)
+                            .step_by(named.width)
+                            .for_each(|v| *v = 0.0);
+                    }
+                    column += dim;
+                }
+            });
+        }
+    }
+
+    /// Forms the reduced system at the current linearisation, with damping `lambda`, and
+    /// factorises it; fills [`Normal::gradient`] and [`Normal::diagonal`].
+    pub(super) fn reduce(
+        &mut self,
+        problem: &Problem,
+        lambda: f64,
+    ) -> Result<(), NotPositiveDefinite> {
+        let (structure, linearizations) = (&self.structure, &self.linearizations);
+        self.partials
+            .par_iter_mut()
+            .zip(&structure.shares)
+            .map(|(partial, share)| {
+                eliminate(problem, structure, share, linearizations, lambda, partial)
+            })
+            .collect::<Result<(), NotPositiveDefinite>>()?;
+        self.add_partials(problem);
+        self.add_plain(problem);
+        let mut shift = Vec::with_capacity(self.kept_vector.len());
+        for &block in &self.structure.kept {
+            let block = &problem.blocks[block];
+            for k in 0..block.space.tangent() {
+                let frozen = block.frozen >> k & 1 == 1;
+                let diagonal = damping(self.diagonal[block.tangent + k]);
+                shift.push(if frozen { 1.0 } else { lambda * diagonal });
+            }
+        }
+        self.matrix.add_to_diagonal(&shift);
+        self.cholesky.factorize(&self.matrix)
+    }
+
+    fn add_partials(&mut self, problem: &Problem) {
+        self.matrix.values.fill(0.0);
+        self.kept_vector.fill(0.0);
+        self.gradient.fill(0.0);
+        self.diagonal.fill(0.0);
+        for (partial, share) in self.partials.iter().zip(&self.structure.shares) {
+            for &(local, global, len) in &share.copies {
+                let to = &mut self.matrix.values[global..global + len];
+                for (to, from) in to.iter_mut().zip(&partial.values[local..local + len]) {
+                    *to += from;
+                }
+            }
+            for (k, &kept) in share.kept.iter().enumerate() {
+                let block = problem.blocks[self.structure.kept[kept as usize]].tangent;
+                let start = self.matrix.starts[kept as usize];
+                for (offset, local) in (share.starts[k]..share.starts[k + 1]).enumerate() {
+                    self.gradient[block + offset] += partial.gradient[local];
+                    self.diagonal[block + offset] += partial.diagonal[local];
+                    self.kept_vector[start + offset] += partial.correction[local];
+                }
+            }
+            let mut at = 0;
+            for e in share.eliminated.clone() {
+                let block = &problem.blocks[self.structure.eliminated[e]];
+                let n = block.space.tangent();
+                let to = block.tangent..block.tangent + n;
+                self.gradient[to.clone()].copy_from_slice(&partial.gradient_e[at..at + n]);
+                self.diagonal[to].copy_from_slice(&partial.diagonal_e[at..at + n]);
+                at += n;
+            }
+        }
+    }
+
+    /// Adds the factors that touch no eliminated block.
+    fn add_plain(&mut self, problem: &Problem) {
+        for &(b, f) in &self.structure.plain {
+            let named = &problem.batches[b as usize];
+            let (rows, width) = (named.batch.rows(), named.width);
+            let linearization = &self.linearizations[b as usize];
+            let f = f as usize;
+            let residual = &linearization.residual[f * rows..(f + 1) * rows];
+            let jacobian = &linearization.jacobian[f * rows * width..(f + 1) * rows * width];
+            let blocks = named.batch.blocks(f);
+            let mut column = 0;
+            for (k, block) in blocks.iter().enumerate() {
+                let place = self.structure.place[block.index()];
+                if place != NONE {
+                    let dim = named.dims[k];
+                    let at = problem.blocks[block.index()].tangent;
+                    for row in 0..rows {
+                        let j = &jacobian[row * width + column..row * width + column + dim];
+                        for (offset, v) in j.iter().enumerate() {
+                            self.gradient[at + offset] += v * residual[row];
+                            self.diagonal[at + offset] += v * v;
+                        }
+                    }
+                    let mut other_column = 0;
+                    for (other, other_dim) in blocks[..=k].iter().zip(&named.dims) {
+                        let other_place = self.structure.place[other.index()];
+                        if other_place != NONE {
+                            add_product(
+                                &mut self.matrix,
+                                (place as usize, column, dim),
+                                (other_place as usize, other_column, *other_dim),
+                                jacobian,
+                                width,
+                            );
+                        }
+                        other_column += other_dim;
+                    }
+                }
+                column += named.dims[k];
+            }
+        }
+    }
+
+    /// Solves for the step `d` over the tangents of all blocks.
+    pub(super) fn solve(&mut self, problem: &Problem, d: &mut [f64]) {
+        d.fill(0.0);
+        // kept_vector holds -W V^-1 g_e; the right-hand side is -(g_k + that).
+        for (place, &block) in self.structure.kept.iter().enumerate() {
+            let block = &problem.blocks[block];
+            let start = self.matrix.starts[place];
+            for k in 0..block.space.tangent() {
+                let g = self.gradient[block.tangent + k];
+                self.kept_vector[start + k] = -(g + self.kept_vector[start + k]);
+            }
+        }
+        self.cholesky.solve(&mut self.kept_vector, 1);
+        for (place, &block) in self.structure.kept.iter().enumerate() {
+            let block = &problem.blocks[block];
+            let n = block.space.tangent();
+            let start = self.matrix.starts[place];
+            d[block.tangent..block.tangent + n]
+                .copy_from_slice(&self.kept_vector[start..start + n]);
+        }
+        self.substitute(problem, d);
+    }
+
+    /// Fills in `d_e` where `d` holds `d_k`.
+    fn substitute(&self, problem: &Problem, d: &mut [f64]) {
+        let kept: &[f64] = d;
+        let steps: Vec<Vec<f64>> = self
+            .partials
+            .par_iter()
+            .zip(&self.structure.shares)
+            .map(|(partial, share)| {
+                let mut steps = partial.gradient_e.clone();
+                let (mut at, mut factor_at) = (0, 0);
+                for e in share.eliminated.clone() {
+                    let block = self.structure.eliminated[e];
+                    let n = problem.blocks[block].space.tangent();
+                    let step = &mut steps[at..at + n];
+                    for &(b, f) in self.structure.factors(e) {
+                        self.add_coupling(problem, (b as usize, f as usize), block, kept, step);
+                    }
+                    let factor = &partial.factor[factor_at..factor_at + n * n];
+                    forward_solve(factor, n, step);
+                    backward_solve(factor, n, step);
+                    step.iter_mut().for_each(|v| *v = -*v);
+                    at += n;
+                    factor_at += n * n;
+                }
+                steps
+            })
+            .collect();
+        for (steps, share) in steps.iter().zip(&self.structure.shares) {
+            let mut at = 0;
+            for e in share.eliminated.clone() {
+                let block = &problem.blocks[self.structure.eliminated[e]];
+                let n = block.space.tangent();
+                d[block.tangent..block.tangent + n].copy_from_slice(&steps[at..at + n]);
+                at += n;
+            }
+        }
+    }
+
+    /// `out += E^T F d_k` for one factor of the eliminated block `eliminated`.
+    fn add_coupling(
+        &self,
+        problem: &Problem,
+        (b, f): (usize, usize),
+        eliminated: usize,
+        d: &[f64],
+        out: &mut [f64],
+    ) {
+        let named = &problem.batches[b];
+        let (rows, width) = (named.batch.rows(), named.width);
+        let jacobian = &self.linearizations[b].jacobian[f * rows * width..(f + 1) * rows * width];
+        for row in jacobian.chunks_exact(width) {
+            let (mut product, mut own, mut column) = (0.0, 0, 0);
+            for (block, &dim) in named.batch.blocks(f).iter().zip(&named.dims) {
+                if block.index() == eliminated {
+                    own = column;
+                } else if self.structure.place[block.index()] != NONE {
+                    let at = problem.blocks[block.index()].tangent;
+                    product += inner(&row[column..column + dim], &d[at..at + dim]);
+                }
+                column += dim;
+            }
+            for (out, v) in out.iter_mut().zip(&row[own..]) {
+                *out += v * product;
+            }
+        }
+    }
+
+    /// `|J v|^2` at the current linearisation.
+    pub(super) fn squared_product(&self, problem: &Problem, v: &[f64]) -> f64 {
+        let mut total = 0.0;
+        for (named, linearization) in problem.batches.iter().zip(&self.linearizations) {
+            let (rows, width) = (named.batch.rows(), named.width);
+            let partial: Vec<f64> = linearization
+                .jacobian
+                .par_chunks(rows * width * 1024)
+                .enumerate()
+                .map(|(chunk, jacobians)| {
+                    let mut sum = 0.0;
+                    for (k, jacobian) in jacobians.chunks_exact(rows * width).enumerate() {
+                        for row in jacobian.chunks_exact(width) {
+                            let (mut product, mut column) = (0.0, 0);
+                            let blocks = named.batch.blocks(chunk * 1024 + k);
+                            for (block, dim) in blocks.iter().zip(&named.dims) {
+                                let at = problem.blocks[block.index()].tangent;
+                                product += inner(&row[column..column + dim], &v[at..at + dim]);
+                                column += dim;
+                            }
+                            sum += product * product;
+                        }
+                    }
+                    sum
+                })
+                .collect();
+            total += partial.iter().sum::<f64>();
+        }
+        total
+    }
+
+    /// The Cholesky factor of `V` of eliminated block `e`, row-major.
+    pub(super) fn point_factor(&self, e: usize) -> &[f64] {
+        let shares = &self.structure.shares;
+        let share = shares.partition_point(|share| share.eliminated.end <= e);
+        let (squares, first) = (&self.structure.squares, shares[share].eliminated.start);
+        &self.partials[share].factor[squares[e] - squares[first]..squares[e + 1] - squares[first]]
+    }
+
+    /// `W^T` of eliminated block `e`: per touched kept block its place and `E^T F`, row-major.
+    pub(super) fn coupling(&self, problem: &Problem, e: usize) -> Vec<(usize, Vec<f64>)> {
+        let own = self.structure.eliminated[e];
+        let n = problem.blocks[own].space.tangent();
+        let mut found: Vec<(usize, Vec<f64>)> = Vec::new();
+        for &(b, f) in self.structure.factors(e) {
+            let (named, f) = (&problem.batches[b as usize], f as usize);
+            let (rows, width) = (named.batch.rows(), named.width);
+            let jacobian = &self.linearizations[b as usize].jacobian[f * rows * width..];
+            let blocks = named.batch.blocks(f);
+            let columns = columns_of(&named.dims);
+            let own_column =
+                blocks.iter().position(|block| block.index() == own).map_or(0, |k| columns[k]);
+            for (k, block) in blocks.iter().enumerate() {
+                let place = self.structure.place[block.index()];
+                if place == NONE {
+                    continue;
+                }
+                let (place, dim) = (place as usize, named.dims[k]);
+                let position = found.iter().position(|(other, _)| *other == place);
+                let position = position.unwrap_or_else(|| {
+                    found.push((place, vec![0.0; n * dim]));
+                    found.len() - 1
+                });
+                for row in jacobian[..rows * width].chunks_exact(width) {
+                    for i in 0..n {
+                        for j in 0..dim {
+                            found[position].1[i * dim + j] +=
+                                row[own_column + i] * row[columns[k] + j];
+                        }
+                    }
+                }
+            }
+        }
+        found
+    }
+}
+
+fn columns_of(dims: &[usize]) -> Vec<usize> {
+    dims.iter()
+        .scan(0, |column, dim| {
+            let here = *column;
+            *column += dim;
+            Some(here)
+        })
+        .collect()
+}
+
+/// Adds `J_row^T J_column` to a block of the reduced matrix; both given as (place, column, dim).
+fn add_product(
+    matrix: &mut BlockMatrix,
+    first: (usize, usize, usize),
+    second: (usize, usize, usize),
+    jacobian: &[f64],
+    width: usize,
+) {
+    let (row, column) = if first.0 >= second.0 { (first, second) } else { (second, first) };
+    let Some(slot) = matrix.slot(row.0, column.0) else {
+        debug_assert!(false, "the pattern holds every pair of every factor");
+        return;
+    };
+    let at = matrix.value_ptr[slot];
+    let to = &mut matrix.values[at..at + row.2 * column.2];
+    for line in jacobian.chunks_exact(width) {
+        for j in 0..column.2 {
+            for i in 0..row.2 {
+                to[j * row.2 + i] += line[row.1 + i] * line[column.1 + j];
+            }
+        }
+    }
+}

@@ -1,0 +1,100 @@
+//! What came of an adjustment, for a person ([`std::fmt::Display`]) and for a machine (serde).
+
+use super::problem::Problem;
+use crate::engine::{SolveError, Stop};
+use serde::Serialize;
+
+/// One batch at the solution.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct BatchSummary {
+    /// Its name.
+    pub name: String,
+    /// How many factors it has.
+    pub factors: usize,
+    /// Its part of the cost, `1/2 sum rho(|r|^2)`.
+    pub cost: f64,
+    /// Root of the mean of `|r|^2` over the factors, without the loss, in the unit of `r`.
+    pub rmse: f64,
+}
+
+/// The outcome of an adjustment.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Summary {
+    /// `1/2 sum rho(|r|^2)` at the start.
+    pub initial_cost: f64,
+    /// `1/2 sum rho(|r|^2)` at the end.
+    pub final_cost: f64,
+    /// Trials made, refused ones included.
+    pub iterations: u64,
+    /// Why it stopped.
+    pub stop: Stop,
+    /// Sum of the lengths of all residuals.
+    pub residuals: usize,
+    /// Degrees of freedom that could move.
+    pub parameters: usize,
+    /// Batch by batch.
+    pub batches: Vec<BatchSummary>,
+}
+
+impl Summary {
+    /// Evaluates every batch at `x`.
+    ///
+    /// # Errors
+    /// Where a factor cannot be evaluated there.
+    pub fn new(
+        problem: &Problem,
+        x: &[f64],
+        initial_cost: f64,
+        final_cost: f64,
+        iterations: u64,
+        stop: Stop,
+    ) -> Result<Summary, SolveError> {
+        let costs = problem.costs(x)?;
+        let batches = problem
+            .batches
+            .iter()
+            .zip(costs)
+            .map(|(named, cost)| {
+                let squares: f64 = problem.residuals(x, &named.name)?.iter().map(|r| r * r).sum();
+                Ok(BatchSummary {
+                    name: named.name.clone(),
+                    factors: named.batch.len(),
+                    cost,
+                    rmse: (squares / named.batch.len() as f64).sqrt(),
+                })
+            })
+            .collect::<Result<_, SolveError>>()?;
+        Ok(Summary {
+            initial_cost,
+            final_cost,
+            iterations,
+            stop,
+            residuals: problem.residual_count(),
+            parameters: problem.parameter_count(),
+            batches,
+        })
+    }
+}
+
+impl std::fmt::Display for Summary {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        writeln!(
+            f,
+            "cost {:.6e} -> {:.6e} in {} iterations; stopped because {}",
+            self.initial_cost,
+            self.final_cost,
+            self.iterations,
+            self.stop.explain()
+        )?;
+        writeln!(f, "{} residuals, {} free parameters", self.residuals, self.parameters)?;
+        let width = self.batches.iter().map(|b| b.name.len()).max().unwrap_or(0);
+        for batch in &self.batches {
+            writeln!(
+                f,
+                "  {:width$}  {:>9} factors  rmse {:.6}  cost {:.6e}",
+                batch.name, batch.factors, batch.rmse, batch.cost
+            )?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,431 @@
+//! Levenberg-Marquardt and Dogleg, one trial per step.
+//!
+//! Levenberg-Marquardt solves `(J^T J + lambda D) d = -J^T r` with `D` the diagonal of `J^T J` and moves
+//! `lambda` by the ratio `rho` of the actual to the predicted decrease (Nielsen, IMM-REP-1999-05):
+//! `lambda max(1/3, 1 - (2 rho - 1)^3)` after a good step, `lambda nu` with doubling `nu` after a bad one.
+//! Dogleg (Powell; Madsen, Nielsen and Tingleff 2004, section 3.3) goes from the minimum along the
+//! gradient towards the Gauss-Newton step, as far as a radius in the norm `|D^1/2 d|` allows.
+
+use super::{Curvature, Linear, normal::Normal, problem::Problem};
+use crate::engine::{Engine, SolveError, Step, Stop};
+use serde::{Deserialize, Serialize};
+
+/// Which trial step.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Method {
+    /// Damped Gauss-Newton.
+    #[default]
+    LevenbergMarquardt,
+    /// Gauss-Newton and steepest descent blended within a radius.
+    Dogleg,
+}
+
+/// Settings of the engine. The defaults suit bundle adjustment.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
+pub struct Options {
+    /// Which trial step.
+    pub method: Method,
+    /// How the linear systems are solved.
+    pub linear: Linear,
+    /// How a robust loss enters the Hessian.
+    pub curvature: Curvature,
+    /// Stop where an accepted step decreases the cost by less than this share of it.
+    pub cost_tolerance: f64,
+    /// Stop where the cosine between the residual and every column of the Jacobian,
+    /// `|g_k| / (sqrt(D_k) |r|)`, is below this.
+    pub gradient_tolerance: f64,
+    /// Stop where `|D^1/2 d|` of a step falls below this share of `|r|`.
+    pub step_tolerance: f64,
+    /// `lambda` of the first Levenberg-Marquardt step.
+    pub initial_damping: f64,
+    /// A step is taken where the actual decrease is at least this share of the predicted one.
+    pub acceptance: f64,
+}
+
+impl Default for Options {
+    fn default() -> Options {
+        Options {
+            method: Method::LevenbergMarquardt,
+            linear: Linear::Schur,
+            curvature: Curvature::Adaptive,
+            cost_tolerance: 1e-9,
+            gradient_tolerance: 1e-10,
+            step_tolerance: 1e-12,
+            initial_damping: 1e-4,
+            acceptance: 1e-3,
+        }
+    }
+}
+
+impl Options {
+    fn check(&self) -> Result<(), SolveError> {
+        for (name, value) in [
+            ("cost-tolerance", self.cost_tolerance),
+            ("gradient-tolerance", self.gradient_tolerance),
+            ("step-tolerance", self.step_tolerance),
+            ("acceptance", self.acceptance),
+        ] {
+            if !(0.0..1.0).contains(&value) {
+                return Err(SolveError::Misuse(format!("{name} is {value}, expected 0 to 1")));
+            }
+        }
+        if !(self.initial_damping > 0.0 && self.initial_damping.is_finite()) {
+            return Err(SolveError::Misuse(format!(
+                "initial-damping is {}, expected a positive number",
+                self.initial_damping
+            )));
+        }
+        Ok(())
+    }
+}
+
+/// What besides the iterate decides the next steps.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Memory {
+    lambda: f64,
+    nu: f64,
+    /// Dogleg's radius; none before the first step, which is then as long as Gauss-Newton's.
+    radius: Option<f64>,
+    /// Share of the losses' curvature in the Hessian.
+    curvature_share: f64,
+    values: usize,
+}
+
+/// The engine: sparse nonlinear least squares.
+#[derive(Debug)]
+pub struct LeastSquares {
+    options: Options,
+    memory: Memory,
+    work: Option<Work>,
+}
+
+#[derive(Debug)]
+struct Work {
+    normal: Normal,
+    cost: f64,
+    trial: Vec<f64>,
+    step: Vec<f64>,
+    gauss_newton: Vec<f64>,
+    /// The linearisation belongs to the current iterate.
+    linearized: bool,
+    /// `gauss_newton` does.
+    solved: bool,
+}
+
+/// A step gains this many times what the model promised: the loss's curvature is missing in it.
+const MODEL_TOO_STIFF: f64 = 1.25;
+/// A step gains less than this share of what was promised: there is too much of it.
+const MODEL_TOO_SOFT: f64 = 0.5;
+/// How fast the share of the curvature goes to 1 or to 0.
+const CURVATURE_GAIN: f64 = 0.4;
+/// Beyond this damping a step is shorter than rounding.
+const MAX_LAMBDA: f64 = 1e30;
+const MIN_LAMBDA: f64 = 1e-15;
+/// Damping of Dogleg's Gauss-Newton step, raised where the system is singular.
+const GAUSS_NEWTON_LAMBDA: f64 = 1e-10;
+
+impl LeastSquares {
+    /// An engine with these settings.
+    pub fn new(options: Options) -> LeastSquares {
+        let memory = Memory::new(&options);
+        LeastSquares { options, memory, work: None }
+    }
+
+    /// The settings.
+    pub fn options(&self) -> &Options {
+        &self.options
+    }
+
+    fn prepare(&mut self, problem: &Problem, x: &[f64]) -> Result<f64, SolveError> {
+        self.options.check()?;
+        if x.len() != problem.offsets.last().copied().unwrap_or(0) {
+            return Err(SolveError::Misuse(format!(
+                "{} values were given, the problem has {}",
+                x.len(),
+                problem.offsets.last().copied().unwrap_or(0)
+            )));
+        }
+        let mut normal = Normal::new(problem, self.options.linear)?;
+        let cost = normal
+            .cost(problem, x)
+            .map_err(|(batch, factor)| problem.infeasible(&problem.batches[batch], factor))?;
+        if !cost.is_finite() {
+            return Err(SolveError::NotFinite("the cost of the starting values".into()));
+        }
+        self.memory.values = x.len();
+        let tangent = problem.tangent_len();
+        self.work = Some(Work {
+            normal,
+            cost,
+            trial: x.to_vec(),
+            step: vec![0.0; tangent],
+            gauss_newton: Vec::new(),
+            linearized: false,
+            solved: false,
+        });
+        Ok(cost)
+    }
+}
+
+/// A trial step that is ready to be judged.
+struct Trial {
+    predicted: f64,
+    /// `|D^1/2 d|`.
+    length: f64,
+}
+
+impl Engine<Problem> for LeastSquares {
+    type Iterate = Vec<f64>;
+    type Memory = Memory;
+    const NAME: &'static str = "least-squares";
+
+    fn start(&mut self, problem: &Problem, x: &mut Vec<f64>) -> Result<f64, SolveError> {
+        self.memory = Memory::new(&self.options);
+        self.prepare(problem, x)
+    }
+
+    fn step(&mut self, problem: &Problem, x: &mut Vec<f64>) -> Result<Step, SolveError> {
+        let Some(work) = &mut self.work else {
+            return Err(SolveError::Misuse("the engine was not started".into()));
+        };
+        if !work.linearized {
+            work.normal.curvature_share = self.memory.curvature_share;
+            work.normal
+                .linearize(problem, x)
+                .map_err(|(batch, factor)| problem.infeasible(&problem.batches[batch], factor))?;
+            work.linearized = true;
+            work.solved = false;
+        }
+        let trial = match self.options.method {
+            Method::LevenbergMarquardt => damped_step(problem, work, self.memory.lambda),
+            Method::Dogleg => dogleg_step(problem, work, &mut self.memory),
+        };
+        let residual_norm = (2.0 * work.cost).sqrt();
+        let cosine = largest_cosine(&work.normal, residual_norm);
+        let mut step = Step {
+            cost: work.cost,
+            movement: 0.0,
+            accepted: false,
+            stop: None,
+            notes: vec![
+                ("damping", self.memory.lambda),
+                ("gradient_cosine", cosine),
+                ("predicted_decrease", 0.0),
+                ("ratio", 0.0),
+                ("curvature_share", self.memory.curvature_share),
+            ],
+        };
+        if cosine <= self.options.gradient_tolerance {
+            step.stop = Some(Stop::GradientConverged);
+            return Ok(step);
+        }
+        let Some(trial) = trial else {
+            // Not positive definite: more damping is the remedy.
+            step.stop = self.memory.retreat(&self.options, 0.0);
+            return Ok(step);
+        };
+        problem.plus(x, &work.step, &mut work.trial);
+        let trial_cost = match work.normal.cost(problem, &work.trial) {
+            Ok(cost) if cost.is_finite() => cost,
+            _ => f64::INFINITY,
+        };
+        let decrease = work.cost - trial_cost;
+        let ratio = decrease / trial.predicted;
+        step.notes[2].1 = trial.predicted;
+        step.notes[3].1 = ratio.max(f64::MIN);
+        if trial.predicted > 0.0 && ratio >= self.options.acceptance && decrease > 0.0 {
+            std::mem::swap(x, &mut work.trial);
+            step.accepted = true;
+            step.movement = work.step.iter().fold(0.0, |most, v| v.abs().max(most));
+            step.cost = trial_cost;
+            if decrease <= self.options.cost_tolerance * work.cost {
+                step.stop = Some(Stop::CostConverged);
+            } else if trial.length <= self.options.step_tolerance * residual_norm {
+                step.stop = Some(Stop::MovementConverged);
+            }
+            work.cost = trial_cost;
+            work.linearized = false;
+            self.memory.advance(&self.options, ratio, trial.length);
+            self.memory.adapt_curvature(&self.options, ratio);
+        } else if trial.predicted <= 8.0 * f64::EPSILON * work.cost {
+            // What is left to gain is below the rounding of the cost itself.
+            step.stop = Some(Stop::CostConverged);
+        } else {
+            step.stop = self.memory.retreat(&self.options, trial.length);
+            if self.memory.adapt_curvature(&self.options, ratio) {
+                work.linearized = false;
+            }
+        }
+        Ok(step)
+    }
+
+    fn memory(&self) -> Memory {
+        self.memory.clone()
+    }
+
+    fn resume(
+        &mut self,
+        problem: &Problem,
+        x: &mut Vec<f64>,
+        memory: Memory,
+    ) -> Result<f64, SolveError> {
+        if memory.values != x.len() {
+            return Err(SolveError::Misuse(format!(
+                "the checkpoint holds {} values, the problem has {}",
+                memory.values,
+                x.len()
+            )));
+        }
+        self.memory = memory;
+        self.prepare(problem, x)
+    }
+}
+
+impl Memory {
+    fn new(options: &Options) -> Memory {
+        let curvature_share = if options.curvature == Curvature::Full { 1.0 } else { 0.0 };
+        Memory {
+            lambda: options.initial_damping,
+            nu: 2.0,
+            radius: None,
+            curvature_share,
+            values: 0,
+        }
+    }
+
+    /// Moves the share of the losses' curvature by the ratio of actual to predicted decrease;
+    /// says whether it changed.
+    fn adapt_curvature(&mut self, options: &Options, ratio: f64) -> bool {
+        if options.curvature != Curvature::Adaptive {
+            return false;
+        }
+        let before = self.curvature_share;
+        if ratio > MODEL_TOO_STIFF {
+            self.curvature_share = 1.0 - (1.0 - before) * CURVATURE_GAIN;
+        } else if ratio < MODEL_TOO_SOFT {
+            self.curvature_share = before * CURVATURE_GAIN;
+        }
+        self.curvature_share != before
+    }
+
+    /// After a step that was taken.
+    fn advance(&mut self, options: &Options, ratio: f64, length: f64) {
+        match options.method {
+            Method::LevenbergMarquardt => {
+                let factor = (1.0 - (2.0 * ratio - 1.0).powi(3)).max(1.0 / 3.0);
+                self.lambda = (self.lambda * factor).max(MIN_LAMBDA);
+            }
+            Method::Dogleg => {
+                let radius = self.radius.unwrap_or(length);
+                self.radius = Some(if ratio > 0.75 {
+                    radius.max(3.0 * length)
+                } else if ratio < 0.25 {
+                    0.5 * radius
+                } else {
+                    radius
+                });
+                self.lambda = (self.lambda / 5.0).max(GAUSS_NEWTON_LAMBDA);
+            }
+        }
+        self.nu = 2.0;
+    }
+
+    /// After a trial that was refused (or impossible: `length` 0).
+    fn retreat(&mut self, options: &Options, length: f64) -> Option<Stop> {
+        match options.method {
+            Method::Dogleg if length > 0.0 => {
+                let radius = 0.25 * length.min(self.radius.unwrap_or(length));
+                self.radius = Some(radius);
+                (radius < f64::MIN_POSITIVE.sqrt()).then_some(Stop::Stalled)
+            }
+            _ => {
+                self.lambda *= self.nu;
+                self.nu *= 2.0;
+                (self.lambda > MAX_LAMBDA).then_some(Stop::Stalled)
+            }
+        }
+    }
+}
+
+/// `max_k |g_k| / (sqrt(D_k) |r|)`.
+fn largest_cosine(normal: &Normal, residual_norm: f64) -> f64 {
+    if residual_norm == 0.0 {
+        return 0.0;
+    }
+    let largest = normal
+        .gradient
+        .iter()
+        .zip(&normal.diagonal)
+        .filter(|(_, d)| **d > 0.0)
+        .fold(0.0, |most: f64, (g, d)| (g.abs() / d.sqrt()).max(most));
+    largest / residual_norm
+}
+
+fn scaled_length(step: &[f64], diagonal: &[f64]) -> f64 {
+    step.iter().zip(diagonal).map(|(d, w)| d * d * w).sum::<f64>().sqrt()
+}
+
+fn damped_step(problem: &Problem, work: &mut Work, lambda: f64) -> Option<Trial> {
+    work.normal.reduce(problem, lambda).ok()?;
+    work.normal.solve(problem, &mut work.step);
+    let normal = &work.normal;
+    // -(g d + 1/2 d H d) with H d = -g - lambda D d.
+    let mut predicted = 0.0;
+    for ((d, g), w) in work.step.iter().zip(&normal.gradient).zip(&normal.diagonal) {
+        predicted += 0.5 * d * (lambda * w * d - g);
+    }
+    let length = scaled_length(&work.step, &normal.diagonal);
+    (predicted.is_finite() && length.is_finite()).then_some(Trial { predicted, length })
+}
+
+fn dogleg_step(problem: &Problem, work: &mut Work, memory: &mut Memory) -> Option<Trial> {
+    if !work.solved {
+        if memory.radius.is_none() {
+            memory.lambda = GAUSS_NEWTON_LAMBDA;
+        }
+        work.normal.reduce(problem, memory.lambda).ok()?;
+        work.gauss_newton.resize(work.step.len(), 0.0);
+        work.normal.solve(problem, &mut work.gauss_newton);
+        work.solved = true;
+    }
+    let normal = &work.normal;
+    let newton_length = scaled_length(&work.gauss_newton, &normal.diagonal);
+    let radius = memory.radius.unwrap_or(newton_length);
+    if newton_length <= radius {
+        work.step.copy_from_slice(&work.gauss_newton);
+    } else {
+        // The minimum of the model along -D^-1 g.
+        let (mut slope, steepest) = (0.0, &mut work.step);
+        for ((d, g), w) in steepest.iter_mut().zip(&normal.gradient).zip(&normal.diagonal) {
+            *d = if *w > 0.0 { -g / w } else { 0.0 };
+            slope += -g * *d;
+        }
+        let curvature = normal.squared_product(problem, steepest);
+        let cauchy = slope / curvature;
+        let steepest_length = scaled_length(steepest, &normal.diagonal);
+        if cauchy * steepest_length >= radius {
+            steepest.iter_mut().for_each(|d| *d *= radius / steepest_length);
+        } else {
+            // |a + t (b - a)| = radius with a Cauchy's, b Gauss-Newton's step.
+            let (mut aa, mut ac, mut cc) = (0.0, 0.0, 0.0);
+            for ((a, b), w) in steepest.iter_mut().zip(&work.gauss_newton).zip(&normal.diagonal) {
+                *a *= cauchy;
+                let c = b - *a;
+                aa += w * *a * *a;
+                ac += w * *a * c;
+                cc += w * c * c;
+            }
+            let gap = radius * radius - aa;
+            let t = gap / (ac + (ac * ac + cc * gap).sqrt());
+            for (a, b) in steepest.iter_mut().zip(&work.gauss_newton) {
+                *a += t * (b - *a);
+            }
+        }
+    }
+    let slope: f64 = work.step.iter().zip(&normal.gradient).map(|(d, g)| d * g).sum();
+    let predicted = -slope - 0.5 * normal.squared_product(problem, &work.step);
+    let length = scaled_length(&work.step, &normal.diagonal);
+    (predicted.is_finite() && length.is_finite()).then_some(Trial { predicted, length })
+}

@@ -1,0 +1,3 @@
+//! Estimation problems over the two engines: one file each, equations first.
+
+pub mod bundle;

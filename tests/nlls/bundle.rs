@@ -1,0 +1,191 @@
+//! Bundle adjustment: factors, solvers against each other, exact and real blocks.
+
+use super::toys::{network, perturb};
+use crate::data;
+use proptest::prelude::*;
+use rowgram::{
+    engine::Engine,
+    geometry::rotation,
+    io::bal,
+    nlls::{
+        LeastSquares, Linear, Loss, Method, Options, Problem, Space, Summary,
+        check::check_jacobian, solve,
+    },
+    problems::bundle::{Bundle, InteriorSharing, Network, Reprojection, SharedReprojection},
+};
+
+proptest! {
+    #[test]
+    fn reprojection_jacobians_match_differences(
+        w in prop::array::uniform3(-1.5..1.5f64),
+        t in prop::array::uniform3(-0.3..0.3f64),
+        x in prop::array::uniform3(-1.0..1.0f64),
+        k in prop::array::uniform2(-0.2..0.2f64),
+        behind in any::<bool>(),
+    ) {
+        let mut problem = Problem::new();
+        let mut id = || problem.block("b", Space::Euclidean(1), &[0.0]).unwrap();
+        let (a, b, c) = (id(), id(), id());
+        let q = rotation::exp(w);
+        // In front or behind: the formula holds for both.
+        let depth = if behind { 4.0 } else { -4.0 };
+        let pose = [q[0], q[1], q[2], q[3], t[0], t[1], t[2] + depth];
+        let interior = [3.0, k[0], k[1]];
+        let camera: Vec<f64> = pose.iter().chain(&interior).copied().collect();
+        let own = Reprojection { blocks: [a, b], image_px: [0.2, -0.1] };
+        let shared = SharedReprojection { blocks: [a, c, b], image_px: [0.2, -0.1] };
+        let point = Space::Euclidean(3);
+        for check in [
+            check_jacobian(&own, &[Space::PoseAnd(3), point], &[&camera, &x]),
+            check_jacobian(&shared, &[Space::Pose, point, point], &[&pose, &interior, &x]),
+        ] {
+            let check = check.unwrap();
+            prop_assert!(check.error < 1e-8, "{check:?}");
+        }
+    }
+}
+
+fn adjust(network: &Network, sharing: InteriorSharing, options: &Options) -> (Summary, Network) {
+    let bundle = Bundle::new(network, sharing, Loss::Trivial).unwrap();
+    let mut x = bundle.problem.start();
+    let summary = solve(&bundle.problem, &mut x, options, 100).unwrap();
+    let mut adjusted = network.clone();
+    bundle.update(&x, &mut adjusted);
+    (summary, adjusted)
+}
+
+#[test]
+fn exact_observations_recover_the_truth() {
+    let truth = network(1, 3, 120, 0.0);
+    for sharing in [InteriorSharing::PerImage, InteriorSharing::Shared] {
+        let mut start = truth.clone();
+        perturb(&mut start, 2, 1.0);
+        // The gauge: the pose of the first camera, and the scale by one point.
+        let mut with_point = start.clone();
+        with_point.points[0] = truth.points[0];
+        let mut bundle = Bundle::new(&with_point, sharing, Loss::Trivial).unwrap();
+        bundle.problem.fix_entries(bundle.camera(0), &[0, 1, 2, 3, 4, 5]).unwrap();
+        bundle.problem.fix(bundle.point(0));
+        let mut x = bundle.problem.start();
+        let options = Options { cost_tolerance: 1e-14, ..Options::default() };
+        let summary = solve(&bundle.problem, &mut x, &options, 100).unwrap();
+        assert!(summary.final_cost < 1e-12, "{sharing:?}: {summary}");
+        let mut found = with_point.clone();
+        bundle.update(&x, &mut found);
+        for (a, b) in found.points.iter().flatten().zip(truth.points.iter().flatten()) {
+            assert!((a - b).abs() < 1e-6, "{sharing:?}: {a} {b}");
+        }
+        for (a, b) in found.cameras.iter().zip(&truth.cameras) {
+            for k in 0..3 {
+                assert!((a.rotation_rad[k] - b.rotation_rad[k]).abs() < 1e-7);
+                assert!((a.translation[k] - b.translation[k]).abs() < 1e-5);
+            }
+            assert!((a.interior[0] - b.interior[0]).abs() < 1e-3);
+        }
+    }
+}
+
+#[test]
+fn dense_sparse_and_schur_take_the_same_steps() {
+    let mut start = network(4, 3, 150, 0.5);
+    perturb(&mut start, 5, 1.0);
+    for sharing in [InteriorSharing::PerImage, InteriorSharing::Shared] {
+        for loss in [Loss::Trivial, Loss::Huber(1.0)] {
+            let traces: Vec<Vec<(f64, f64)>> = [Linear::Dense, Linear::Sparse, Linear::Schur]
+                .iter()
+                .map(|&linear| {
+                    let bundle = Bundle::new(&start, sharing, loss).unwrap();
+                    let mut x = bundle.problem.start();
+                    let mut engine = LeastSquares::new(Options { linear, ..Options::default() });
+                    engine.start(&bundle.problem, &mut x).unwrap();
+                    (0..6)
+                        .map(|_| {
+                            let step = engine.step(&bundle.problem, &mut x).unwrap();
+                            (step.cost, step.movement)
+                        })
+                        .collect()
+                })
+                .collect();
+            for (dense, others) in traces[0].iter().zip(traces[1].iter().zip(&traces[2])) {
+                for other in [others.0, others.1] {
+                    assert!((dense.0 - other.0).abs() <= 1e-9 * dense.0, "{traces:?}");
+                    assert!((dense.1 - other.1).abs() <= 1e-5 * dense.1.max(1e-6), "{traces:?}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn both_methods_and_both_losses_reach_one_optimum() {
+    let mut start = network(6, 3, 150, 0.5);
+    perturb(&mut start, 7, 1.0);
+    let dogleg = Options { method: Method::Dogleg, ..Options::default() };
+    let (first, _) = adjust(&start, InteriorSharing::PerImage, &Options::default());
+    let (second, _) = adjust(&start, InteriorSharing::PerImage, &dogleg);
+    assert!(first.stop.converged() && second.stop.converged(), "{first} {second}");
+    assert!((first.final_cost / second.final_cost - 1.0).abs() < 1e-6, "{first} {second}");
+    // Half a pixel of noise on 2n residuals with 2n - u degrees of freedom.
+    let freedom = (first.residuals - (first.parameters - 7)) as f64;
+    let sigma = (2.0 * first.final_cost / freedom).sqrt();
+    assert!((sigma - 0.5).abs() < 0.05, "a-posteriori sigma {sigma}");
+}
+
+#[test]
+fn the_number_of_threads_changes_no_bit() {
+    // Enough observations for several shares.
+    let mut start = network(8, 6, 6000, 0.5);
+    perturb(&mut start, 9, 1.0);
+    for (sharing, loss) in
+        [(InteriorSharing::PerImage, Loss::Trivial), (InteriorSharing::Shared, Loss::Huber(1.0))]
+    {
+        let results: Vec<Vec<u64>> = [1, 2, 3, 7]
+            .iter()
+            .map(|&threads| {
+                let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+                pool.install(|| {
+                    let bundle = Bundle::new(&start, sharing, loss).unwrap();
+                    let mut x = bundle.problem.start();
+                    solve(&bundle.problem, &mut x, &Options::default(), 5).unwrap();
+                    x.iter().map(|v| v.to_bits()).collect()
+                })
+            })
+            .collect();
+        assert!(results.windows(2).all(|pair| pair[0] == pair[1]), "{sharing:?}");
+    }
+}
+
+#[test]
+fn a_network_with_holes_is_named() {
+    let mut broken = network(1, 2, 20, 0.0);
+    broken.points.push([0.0; 3]);
+    assert!(broken.defect().unwrap().contains("point 20 is seen by no camera"));
+    let mut broken = network(1, 2, 20, 0.0);
+    broken.observations.retain(|o| o.camera != 2);
+    assert!(broken.defect().unwrap().contains("camera 2 sees no point"));
+    broken.observations[0].point = 99;
+    assert!(broken.defect().unwrap().contains("point 99"));
+    assert!(Bundle::new(&broken, InteriorSharing::PerImage, Loss::Trivial).is_err());
+}
+
+/// Best known costs of the real blocks, without loss and with Huber at 1 px (the data's README).
+const REFERENCE: [(&str, f64, Option<f64>); 3] = [
+    ("problem-49-7776-pre.txt", 13344.2403, Some(7648.631)),
+    ("problem-21-11315-pre.txt", 30378.6358, None),
+    ("problem-16-22106-pre.txt", 18033.9035, Some(12336.962)),
+];
+
+#[test]
+fn real_blocks_reach_the_best_known_cost() {
+    for (name, plain, huber) in REFERENCE {
+        let Some(path) = data::path(&format!("ba_bal/{name}")) else { return };
+        let network = bal::read(&path).unwrap();
+        for (loss, reference) in [(Loss::Trivial, Some(plain)), (Loss::Huber(1.0), huber)] {
+            let Some(reference) = reference else { continue };
+            let bundle = Bundle::new(&network, InteriorSharing::PerImage, loss).unwrap();
+            let mut x = bundle.problem.start();
+            let summary = solve(&bundle.problem, &mut x, &Options::default(), 60).unwrap();
+            assert!(summary.final_cost < reference * (1.0 + 1e-4), "{name} {loss}: {summary}");
+        }
+    }
+}
