@@ -15,5 +15,7 @@ pub mod io;
 pub mod lanes;
 pub mod nlls;
 pub mod problems;
+pub mod raster;
+pub mod score;
 
 pub use error::{Error, Kind};

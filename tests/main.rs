@@ -14,5 +14,8 @@ mod architecture;
 mod data;
 mod drive;
 mod engine;
+mod evaluate;
 mod nlls;
 mod synth;
+mod program;
+mod segment;

@@ -5,6 +5,8 @@
 
 mod adjust;
 mod synth;
+mod evaluate;
+mod segment;
 
 use crate::{error::Error, io::FileError};
 use clap::{Parser, Subcommand};
@@ -31,6 +33,8 @@ struct Cli {
 enum Verb {
     Adjust(adjust::Args),
     Synth(synth::Args),
+    Segment(segment::Args),
+    Evaluate(evaluate::Args),
 }
 
 /// Parses the command line, runs the verb, reports what went wrong.
@@ -61,6 +65,8 @@ fn run(cli: Cli) -> Result<(), Error> {
     match cli.verb {
         Verb::Adjust(args) => adjust::run(&args),
         Verb::Synth(args) => synth::run(&args),
+        Verb::Segment(args) => segment::run(&args),
+        Verb::Evaluate(args) => evaluate::run(&args),
     }
 }
 

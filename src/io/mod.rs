@@ -2,7 +2,9 @@
 
 pub mod bal;
 pub mod checkpoint;
+pub mod images;
 pub mod output;
+pub mod points;
 
 use crate::error::Kind;
 use std::path::{Path, PathBuf};
