@@ -24,6 +24,7 @@ mod normal;
 mod pairs;
 mod problem;
 mod space;
+mod stages;
 mod structure;
 mod summary;
 mod trust_region;
@@ -36,6 +37,7 @@ pub use loss::{Loss, Rho};
 pub use pairs::{Linearized, Pair, PairFactor, Pairs};
 pub use problem::{BlockId, Problem};
 pub use space::{MAX_TANGENT, Space, direction_basis};
+pub use stages::Stages;
 pub use summary::{BatchSummary, Summary};
 pub use trust_region::{LeastSquares, Memory, Method, Options};
 

@@ -152,8 +152,8 @@ impl Normal {
     }
 
     /// Forms the reduced system at the current linearisation, which is the one at `x`, with damping
-    /// `lambda`, and factorises it; fills [`Normal::gradient`] and [`Normal::diagonal`].
-    pub(super) fn reduce(
+    /// `lambda`; fills [`Normal::gradient`] and [`Normal::diagonal`].
+    pub(super) fn eliminate(
         &mut self,
         problem: &Problem,
         x: &[f64],
@@ -198,6 +198,17 @@ impl Normal {
             }
         }
         self.matrix.add_to_diagonal(&shift);
+        Ok(())
+    }
+
+    /// [`Normal::eliminate`], then factorises the reduced system.
+    pub(super) fn reduce(
+        &mut self,
+        problem: &Problem,
+        x: &[f64],
+        lambda: f64,
+    ) -> Result<(), NotPositiveDefinite> {
+        self.eliminate(problem, x, lambda)?;
         self.cholesky.factorize(&self.matrix)
     }
 

@@ -86,7 +86,6 @@ impl Structure {
         let (mut kept, mut eliminated) = (Vec::new(), Vec::new());
         for (k, block) in blocks.iter().enumerate().filter(|(_, block)| !block.is_fixed()) {
             if eliminating && block.eliminate {
-                point[k] = eliminated.len() as u32;
                 eliminated.push(k);
             } else {
                 place[k] = kept.len() as u32;
@@ -95,6 +94,10 @@ impl Structure {
         }
         if kept.is_empty() && eliminated.is_empty() {
             return Err(SolveError::Misuse("every block is fixed: nothing to solve for".into()));
+        }
+        sort_by_neighbourhood(problem, &place, &mut eliminated);
+        for (e, &k) in eliminated.iter().enumerate() {
+            point[k] = e as u32;
         }
         let mut structure = Structure {
             kept,
@@ -329,6 +332,27 @@ impl Structure {
             }
         }
     }
+}
+
+/// Puts eliminated blocks that touch the same kept ones next to each other, so that a share's sums
+/// stay in the cache and differ from the other shares'.
+fn sort_by_neighbourhood(problem: &Problem, place: &[u32], eliminated: &mut [usize]) {
+    let mut ends = vec![(NONE, 0); problem.blocks.len()];
+    for named in &problem.batches {
+        for f in 0..named.batch.len() {
+            let blocks = named.batch.blocks(f);
+            for block in blocks.iter().filter(|b| problem.blocks[b.index()].eliminate) {
+                let end = &mut ends[block.index()];
+                for other in blocks {
+                    let place = place[other.index()];
+                    if place != NONE {
+                        *end = (end.0.min(place), end.1.max(place));
+                    }
+                }
+            }
+        }
+    }
+    eliminated.sort_unstable_by_key(|&k| (ends[k], k));
 }
 
 impl Share {
