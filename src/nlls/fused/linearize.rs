@@ -24,7 +24,6 @@ fn scatter<V: Simd>(value: Register<V>, to: &mut [f64], stride: usize, count: us
 
 /// Linearises the observations of `chunk` into the buffers.
 #[inline(always)]
-#[expect(clippy::too_many_arguments, reason = "one loop, called in one place")]
 pub(super) fn linearize_chunk<
     V: Simd,
     F: PairFactor<R, K, S, P, Q, D>,
