@@ -6,8 +6,10 @@
 //! format with another convention is converted at its border.
 
 pub mod cli;
+pub mod descent;
 pub mod engine;
 pub mod error;
 pub mod io;
+pub mod problems;
 
 pub use error::{Error, Kind};

@@ -1,0 +1,3 @@
+//! The estimation problems, one module each, equations first.
+
+pub mod plants;

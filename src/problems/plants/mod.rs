@@ -1,0 +1,5 @@
+//! Plants from leaf pixels.
+
+pub mod assignment;
+mod buckets;
+pub mod index;
