@@ -6,6 +6,7 @@
 //! format with another convention is converted at its border.
 
 pub mod cli;
+pub mod convex;
 pub mod descent;
 pub mod engine;
 pub mod error;

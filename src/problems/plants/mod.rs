@@ -3,3 +3,5 @@
 pub mod assignment;
 mod buckets;
 pub mod index;
+mod inner;
+pub use inner::{Quadratic, median as inner_median};

@@ -1,0 +1,291 @@
+//! One plant, its pixels held: the convex inner problem.
+//!
+//! With `median`, the exact minimiser of the stated cost,
+//! `F(x) = w sum_n |z_n - x| + 1/2 x^T H x - g^T x`, `w = 1/sigma`, and with `mean` the closed form
+//! of the same with squared distances, `F(x) = w/2 sum_n |z_n - x|^2 + 1/2 x^T H x - g^T x`. `x` and
+//! `z_n` are offsets from the plant's present place, in pixels; `H` (positive semi-definite) and `g`
+//! are the prior's.
+//!
+//! The sum of norms is not smooth at its pixels. A pixel `z_k` of multiplicity `m` is the minimiser
+//! exactly when the gradient of the rest is no longer than `w m` there (the vertex case); it is
+//! tested at the pixel next to the iterate. Elsewhere Newton steps converge quadratically; one that
+//! does not decrease `F` is replaced by a Weiszfeld step, which always does, so the result is never
+//! worse than the start.
+//!
+//! Reference: Y. Vardi and C.-H. Zhang, "The multivariate L1-median and associated data depth",
+//! PNAS 97 (2000), for the vertex case.
+
+/// `1/2 x^T H x - g^T x`, with `x` an offset in pixels.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Quadratic {
+    /// `H` as (uu, uv, vv).
+    pub hessian: [f64; 3],
+    /// `g`.
+    pub pull: [f64; 2],
+}
+
+impl Quadratic {
+    /// Adds `(n^T x - c)^2 / (2 variance)`, but for its constant.
+    pub fn add(&mut self, normal: [f64; 2], offset: f64, variance: f64) {
+        let [a, b] = normal;
+        self.hessian[0] += a * a / variance;
+        self.hessian[1] += a * b / variance;
+        self.hessian[2] += b * b / variance;
+        self.pull[0] += a * offset / variance;
+        self.pull[1] += b * offset / variance;
+    }
+
+    /// `H x - g`.
+    pub fn gradient(&self, x: [f64; 2]) -> [f64; 2] {
+        let [uu, uv, vv] = self.hessian;
+        [uu * x[0] + uv * x[1] - self.pull[0], uv * x[0] + vv * x[1] - self.pull[1]]
+    }
+
+    fn value(&self, x: [f64; 2]) -> f64 {
+        let [uu, uv, vv] = self.hessian;
+        0.5 * (uu * x[0] * x[0] + vv * x[1] * x[1]) + uv * x[0] * x[1]
+            - self.pull[0] * x[0]
+            - self.pull[1] * x[1]
+    }
+
+    /// The minimiser with the least norm.
+    fn minimiser(&self) -> [f64; 2] {
+        let [uu, uv, vv] = self.hessian;
+        let trace = uu + vv;
+        if trace <= 0.0 {
+            return [0.0; 2];
+        }
+        solve(self.hessian, self.pull)
+            // Of rank one: H = t n n^T, so g = t c n and x = c n = g / t.
+            .unwrap_or([self.pull[0] / trace, self.pull[1] / trace])
+    }
+}
+
+/// Solves a symmetric 2 x 2 system, unless it is (numerically) singular.
+fn solve([uu, uv, vv]: [f64; 3], [a, b]: [f64; 2]) -> Option<[f64; 2]> {
+    let determinant = uu * vv - uv * uv;
+    if determinant <= 1e-12 * (uu + vv) * (uu + vv) {
+        return None;
+    }
+    Some([(vv * a - uv * b) / determinant, (uu * b - uv * a) / determinant])
+}
+
+/// The minimiser of `w/2 sum |z_n - x|^2` + prior.
+pub fn mean(u: &[f64], v: &[f64], weight: f64, prior: &Quadratic) -> [f64; 2] {
+    if u.is_empty() {
+        return prior.minimiser();
+    }
+    let mass = weight * u.len() as f64;
+    let [uu, uv, vv] = prior.hessian;
+    let right = [
+        weight * u.iter().sum::<f64>() + prior.pull[0],
+        weight * v.iter().sum::<f64>() + prior.pull[1],
+    ];
+    solve([uu + mass, uv, vv + mass], right).unwrap_or([0.0; 2])
+}
+
+/// `F`, its derivatives and what a Weiszfeld step needs, all at one place.
+#[derive(Debug, Clone, Copy)]
+struct Local {
+    value: f64,
+    gradient: [f64; 2],
+    hessian: [f64; 3],
+    /// `w sum 1/d_n`.
+    stiffness: f64,
+    /// Pixels at the very place, left out of the derivatives.
+    here: usize,
+    /// The nearest other pixel, and its squared distance.
+    nearest: usize,
+    nearest2: f64,
+}
+
+/// Evaluates `F` at `x`.
+fn evaluate(u: &[f64], v: &[f64], weight: f64, prior: &Quadratic, x: [f64; 2]) -> Local {
+    // Below this distance (squared, in pixels) a pixel is the place itself.
+    const HERE2: f64 = 1e-20;
+    let (mut sum, mut gradient, mut hessian, mut stiffness) = (0.0, [0.0; 2], [0.0; 3], 0.0);
+    let (mut here, mut nearest, mut nearest2) = (0, 0, f64::INFINITY);
+    for (n, (&zu, &zv)) in u.iter().zip(v).enumerate() {
+        let (du, dv) = (x[0] - zu, x[1] - zv);
+        let d2 = du * du + dv * dv;
+        if d2 <= HERE2 {
+            here += 1;
+            continue;
+        }
+        if d2 < nearest2 {
+            (nearest, nearest2) = (n, d2);
+        }
+        let d = d2.sqrt();
+        let inverse = 1.0 / d;
+        let (eu, ev) = (du * inverse, dv * inverse);
+        sum += d;
+        gradient[0] += eu;
+        gradient[1] += ev;
+        hessian[0] += ev * ev * inverse;
+        hessian[1] -= eu * ev * inverse;
+        hessian[2] += eu * eu * inverse;
+        stiffness += inverse;
+    }
+    let pull = prior.gradient(x);
+    Local {
+        value: weight * sum + prior.value(x),
+        gradient: [weight * gradient[0] + pull[0], weight * gradient[1] + pull[1]],
+        hessian: [0, 1, 2].map(|k| weight * hessian[k] + prior.hessian[k]),
+        stiffness: weight * stiffness,
+        here,
+        nearest,
+        nearest2,
+    }
+}
+
+impl Local {
+    /// Whether the place, being a pixel of its own, is the minimiser.
+    fn is_optimal_vertex(&self, weight: f64) -> bool {
+        self.here > 0 && self.gradient[0].hypot(self.gradient[1]) <= weight * self.here as f64
+    }
+
+    /// A step that decreases `F` for certain: the minimiser of a quadratic that lies above it.
+    fn weiszfeld(&self, weight: f64, prior: &Quadratic) -> [f64; 2] {
+        let [uu, uv, vv] = prior.hessian;
+        let downhill = self.gradient.map(|g| -g);
+        if self.here == 0 {
+            return solve([uu + self.stiffness, uv, vv + self.stiffness], downhill)
+                .unwrap_or([0.0; 2]);
+        }
+        // Off a pixel that is not the minimiser; the same curvature both ways keeps it exact.
+        let left = 1.0 - weight * self.here as f64 / downhill[0].hypot(downhill[1]);
+        downhill.map(|g| g * left / (self.stiffness + uu + vv))
+    }
+
+    /// Whether this place is better than `before`: by its value or, where rounding hides the
+    /// difference, by its gradient.
+    fn improves(&self, before: &Local) -> bool {
+        let noise = 1e-14 * before.value.abs();
+        let slope = |local: &Local| local.gradient[0].hypot(local.gradient[1]);
+        self.value < before.value - noise
+            || (self.value <= before.value + noise && slope(self) < slope(before))
+    }
+}
+
+/// The minimiser of `w sum |z_n - x|` + prior; `F` there is never larger than at the origin.
+pub fn median(u: &[f64], v: &[f64], weight: f64, prior: &Quadratic) -> [f64; 2] {
+    /// Steps shorter than this end the search; in pixels.
+    const SHORT_PX: f64 = 1e-11;
+    /// Rounds of the search; twenty are seldom needed.
+    const ROUNDS: usize = 200;
+    /// The nearest pixel is tested as the minimiser once it is this close; squared pixels.
+    const CLOSE2: f64 = 0.5;
+    if u.is_empty() {
+        return prior.minimiser();
+    }
+    let mut x = [0.0; 2];
+    let mut local = evaluate(u, v, weight, prior, x);
+    let mut tested = usize::MAX;
+    for _ in 0..ROUNDS {
+        if local.is_optimal_vertex(weight) {
+            break;
+        }
+        if local.nearest2 < CLOSE2 && tested != local.nearest {
+            tested = local.nearest;
+            let vertex = [u[tested], v[tested]];
+            if evaluate(u, v, weight, prior, vertex).is_optimal_vertex(weight) {
+                return vertex;
+            }
+        }
+        let newton = if local.here == 0 {
+            solve(local.hessian, [-local.gradient[0], -local.gradient[1]])
+        } else {
+            None
+        };
+        let mut step = newton.unwrap_or_else(|| local.weiszfeld(weight, prior));
+        let mut next = evaluate(u, v, weight, prior, [x[0] + step[0], x[1] + step[1]]);
+        if newton.is_some() && !next.improves(&local) {
+            step = local.weiszfeld(weight, prior);
+            next = evaluate(u, v, weight, prior, [x[0] + step[0], x[1] + step[1]]);
+        }
+        if !next.improves(&local) {
+            break;
+        }
+        x = [x[0] + step[0], x[1] + step[1]];
+        local = next;
+        if step[0].hypot(step[1]) <= SHORT_PX {
+            break;
+        }
+    }
+    x
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    fn cost(u: &[f64], v: &[f64], weight: f64, prior: &Quadratic, x: [f64; 2]) -> f64 {
+        let data: f64 = u.iter().zip(v).map(|(u, v)| (u - x[0]).hypot(v - x[1])).sum();
+        weight * data + prior.value(x)
+    }
+
+    #[test]
+    fn the_median_satisfies_the_optimality_condition_and_no_neighbour_is_better() {
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        for case in 0..300 {
+            let count = [1, 2, 3, 4, 7, 60, 250][case % 7];
+            let side = [2, 6, 40][case / 7 % 3];
+            let mut draw = || f64::from(rng.random_range(-side..=side));
+            let (u, v): (Vec<f64>, Vec<f64>) = (0..count).map(|_| (draw(), draw())).unzip();
+            let mut prior = Quadratic::default();
+            if case % 3 > 0 {
+                prior.add([0.3, 0.95], draw() / 3.0, 4.0);
+            }
+            if case % 3 > 1 {
+                prior.add([0.95, -0.3], draw() / 3.0, 9.0);
+            }
+            let weight = 1.0 / f64::from(1 + side);
+            let x = median(&u, &v, weight, &prior);
+            let local = evaluate(&u, &v, weight, &prior, x);
+            let norm = local.gradient[0].hypot(local.gradient[1]);
+            assert!(norm <= weight * local.here as f64 + 1e-8, "case {case}: {norm} {local:?}");
+            for angle in 0..16 {
+                let (s, c) = (f64::from(angle) * 0.39).sin_cos();
+                for radius in [1e-4, 0.1, 2.0] {
+                    let y = [x[0] + radius * c, x[1] + radius * s];
+                    assert!(
+                        cost(&u, &v, weight, &prior, x)
+                            <= cost(&u, &v, weight, &prior, y) + 1e-12 * (1.0 + count as f64)
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn collinear_and_coincident_pixels_have_a_median() {
+        let x = median(&[-3.0, 1.0, 2.0, 10.0], &[0.0; 4], 0.1, &Quadratic::default());
+        assert!((1.0..=2.0).contains(&x[0]) && x[1] == 0.0, "{x:?}");
+        let x = median(&[-3.0, 1.0, 10.0], &[-3.0, 1.0, 10.0], 0.1, &Quadratic::default());
+        assert_eq!(x, [1.0, 1.0]);
+        let x = median(&[5.0; 9], &[7.0; 9], 0.1, &Quadratic::default());
+        assert!((x[0] - 5.0).abs().max((x[1] - 7.0).abs()) < 1e-12, "{x:?}");
+    }
+
+    #[test]
+    fn without_pixels_the_prior_decides_and_moves_no_further_than_it_must() {
+        let mut prior = Quadratic::default();
+        assert_eq!(median(&[], &[], 1.0, &prior), [0.0, 0.0]);
+        prior.add([0.6, 0.8], 5.0, 2.0);
+        let x = median(&[], &[], 1.0, &prior);
+        approx::assert_abs_diff_eq!(x[0], 3.0, epsilon = 1e-12);
+        approx::assert_abs_diff_eq!(x[1], 4.0, epsilon = 1e-12);
+        prior.add([1.0, 0.0], 0.0, 2.0);
+        let x = mean(&[], &[], 1.0, &prior);
+        approx::assert_abs_diff_eq!(x[0], 0.0, epsilon = 1e-9);
+        approx::assert_abs_diff_eq!(x[1], 6.25, epsilon = 1e-9);
+    }
+
+    #[test]
+    fn the_mean_without_a_prior_is_the_mean() {
+        let x = mean(&[1.0, 2.0, 6.0], &[0.0, 3.0, 3.0], 0.7, &Quadratic::default());
+        assert!((x[0] - 3.0).abs().max((x[1] - 2.0).abs()) < 1e-12, "{x:?}");
+    }
+}
