@@ -11,6 +11,7 @@ pub mod descent;
 pub mod engine;
 pub mod error;
 pub mod io;
+pub mod phenotype;
 pub mod problems;
 
 pub use error::{Error, Kind};

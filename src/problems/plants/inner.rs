@@ -49,7 +49,7 @@ impl Quadratic {
     }
 
     /// The minimiser with the least norm.
-    fn minimiser(&self) -> [f64; 2] {
+    pub fn minimiser(&self) -> [f64; 2] {
         let [uu, uv, vv] = self.hessian;
         let trace = uu + vv;
         if trace <= 0.0 {
