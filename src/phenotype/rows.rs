@@ -187,14 +187,19 @@ impl<'s> Windows<'s> {
             }
             let (a, b) = ((half_u * s).abs(), (half_v * c).abs());
             let half = a + b;
-            // Strips wide enough to hold some of the sample each.
-            let strip = (half / 40.0).max(1.0);
+            // Strips wide enough to hold some of the sample each. A pixel is shared between the two
+            // nearest, which with two pixels or more hides the lattice of the picture.
+            let strip = (half / 40.0).max(2.0);
             let strips = (2.0 * half / strip).ceil().max(1.0) as usize;
             counts.clear();
             counts.resize(strips, 0.0);
             for at in pixels {
                 let across = c * (at[1] - middle[1]) - s * (at[0] - middle[0]);
-                counts[(((across + half) / strip) as usize).min(strips - 1)] += self.weight;
+                let place = (across + half) / strip - 0.5;
+                let left = place.floor();
+                let part = place - left;
+                counts[(left.max(0.0) as usize).min(strips - 1)] += self.weight * (1.0 - part);
+                counts[((left + 1.0) as usize).min(strips - 1)] += self.weight * part;
             }
             let area = 4.0 * half_u * half_v;
             let share = (pixels.len() as f64 * self.weight / area).min(1.0);
@@ -203,7 +208,8 @@ impl<'s> Windows<'s> {
                 let upto = area_below(a, b, area, (k as f64 + 1.0) * strip - half);
                 let inside = upto - below;
                 below = upto;
-                if inside > 1e-9 * area {
+                // A corner is too small to say anything.
+                if inside > 0.25 * area / strips as f64 {
                     between += (count - share * inside).powi(2) / inside;
                 }
             }

@@ -9,7 +9,7 @@ use super::index::Bounds;
 
 /// Plants by the square of the picture in which they lie.
 #[derive(Debug, Clone, Default)]
-pub struct Buckets {
+pub(super) struct Buckets {
     origin_px: [f64; 2],
     side_px: f64,
     columns: usize,
@@ -20,7 +20,7 @@ pub struct Buckets {
 
 impl Buckets {
     /// Buckets over the extent of the pixels.
-    pub fn new(extent: Option<Bounds>, plants: &[[f64; 2]]) -> Buckets {
+    pub(super) fn new(extent: Option<Bounds>, plants: &[[f64; 2]]) -> Buckets {
         let Some(extent) = extent else { return Buckets::default() };
         let width = f64::from(extent.u_max) - f64::from(extent.u_min) + 1.0;
         let height = f64::from(extent.v_max) - f64::from(extent.v_min) + 1.0;
@@ -56,7 +56,7 @@ impl Buckets {
     }
 
     /// Follows a plant to its new place.
-    pub fn moved(&mut self, plant: u32, old: [f64; 2], new: [f64; 2]) {
+    pub(super) fn moved(&mut self, plant: u32, old: [f64; 2], new: [f64; 2]) {
         let (from, to) = (self.bucket_of(old), self.bucket_of(new));
         if from != to {
             self.members[from].retain(|&member| member != plant);
@@ -65,7 +65,7 @@ impl Buckets {
     }
 
     /// Lists the plants whose squared distance to the box is at most `reach2`.
-    pub fn within(
+    pub(super) fn within(
         &self,
         bounds: &Bounds,
         reach2: f32,
@@ -95,7 +95,7 @@ impl Buckets {
     }
 
     /// Distance from a place to the second nearest plant; infinite with fewer than two.
-    pub fn second_nearest(&self, at: [f64; 2], plants: &[[f64; 2]]) -> f64 {
+    pub(super) fn second_nearest(&self, at: [f64; 2], plants: &[[f64; 2]]) -> f64 {
         if self.plants < 2 {
             return f64::INFINITY;
         }

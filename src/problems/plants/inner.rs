@@ -50,8 +50,7 @@ impl Quadratic {
 
     /// The minimiser with the least norm.
     pub fn minimiser(&self) -> [f64; 2] {
-        let [uu, uv, vv] = self.hessian;
-        let trace = uu + vv;
+        let trace = self.hessian[0] + self.hessian[2];
         if trace <= 0.0 {
             return [0.0; 2];
         }
