@@ -143,3 +143,31 @@ pub trait Engine<P: ?Sized> {
         memory: Self::Memory,
     ) -> Result<f64, SolveError>;
 }
+
+/// Lends an engine: whoever drives it gives it back with its working memory.
+impl<P: ?Sized, E: Engine<P>> Engine<P> for &mut E {
+    type Iterate = E::Iterate;
+    type Memory = E::Memory;
+    const NAME: &'static str = E::NAME;
+
+    fn start(&mut self, problem: &P, x: &mut Self::Iterate) -> Result<f64, SolveError> {
+        (**self).start(problem, x)
+    }
+
+    fn step(&mut self, problem: &P, x: &mut Self::Iterate) -> Result<Step, SolveError> {
+        (**self).step(problem, x)
+    }
+
+    fn memory(&self) -> Self::Memory {
+        (**self).memory()
+    }
+
+    fn resume(
+        &mut self,
+        problem: &P,
+        x: &mut Self::Iterate,
+        memory: Self::Memory,
+    ) -> Result<f64, SolveError> {
+        (**self).resume(problem, x, memory)
+    }
+}

@@ -8,6 +8,7 @@
 pub mod cli;
 pub mod convex;
 pub mod descent;
+pub mod drive;
 pub mod engine;
 pub mod error;
 pub mod io;

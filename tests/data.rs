@@ -8,7 +8,7 @@
 use std::path::PathBuf;
 
 /// The path of `name` inside the data folder, or `None` with a printed reason.
-pub fn path(name: &str) -> Option<PathBuf> {
+pub(crate) fn path(name: &str) -> Option<PathBuf> {
     let root = std::env::var_os("ROWGRAM_DATA").map_or_else(
         || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/data"),
         PathBuf::from,

@@ -1,3 +1,14 @@
 //! All integration tests in one binary: one module per subject.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "a test that cannot go on fails, its helpers too"
+)]
+
+mod architecture;
 mod data;
+mod drive;
+mod engine;

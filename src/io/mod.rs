@@ -1,5 +1,6 @@
 //! Files, one format per module; the only part of the library that opens any.
 
+pub mod checkpoint;
 pub mod output;
 
 use crate::error::Kind;

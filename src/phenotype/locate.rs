@@ -17,12 +17,11 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
 /// Where the descent starts.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Init {
     /// k-means++: leaf pixels far from each other.
     #[serde(rename = "kmeans++")]
-    #[value(name = "kmeans++")]
     KmeansPlusPlus,
     /// Detected rows, plants shared by length and spaced evenly.
     Rows,

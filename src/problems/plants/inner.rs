@@ -15,59 +15,7 @@
 //! Reference: Y. Vardi and C.-H. Zhang, "The multivariate L1-median and associated data depth",
 //! PNAS 97 (2000), for the vertex case.
 
-/// `1/2 x^T H x - g^T x`, with `x` an offset in pixels.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Quadratic {
-    /// `H` as (uu, uv, vv).
-    pub hessian: [f64; 3],
-    /// `g`.
-    pub pull: [f64; 2],
-}
-
-impl Quadratic {
-    /// Adds `(n^T x - c)^2 / (2 variance)`, but for its constant.
-    pub fn add(&mut self, normal: [f64; 2], offset: f64, variance: f64) {
-        let [a, b] = normal;
-        self.hessian[0] += a * a / variance;
-        self.hessian[1] += a * b / variance;
-        self.hessian[2] += b * b / variance;
-        self.pull[0] += a * offset / variance;
-        self.pull[1] += b * offset / variance;
-    }
-
-    /// `H x - g`.
-    pub fn gradient(&self, x: [f64; 2]) -> [f64; 2] {
-        let [uu, uv, vv] = self.hessian;
-        [uu * x[0] + uv * x[1] - self.pull[0], uv * x[0] + vv * x[1] - self.pull[1]]
-    }
-
-    fn value(&self, x: [f64; 2]) -> f64 {
-        let [uu, uv, vv] = self.hessian;
-        0.5 * (uu * x[0] * x[0] + vv * x[1] * x[1]) + uv * x[0] * x[1]
-            - self.pull[0] * x[0]
-            - self.pull[1] * x[1]
-    }
-
-    /// The minimiser with the least norm.
-    pub fn minimiser(&self) -> [f64; 2] {
-        let trace = self.hessian[0] + self.hessian[2];
-        if trace <= 0.0 {
-            return [0.0; 2];
-        }
-        solve(self.hessian, self.pull)
-            // Of rank one: H = t n n^T, so g = t c n and x = c n = g / t.
-            .unwrap_or([self.pull[0] / trace, self.pull[1] / trace])
-    }
-}
-
-/// Solves a symmetric 2 x 2 system, unless it is (numerically) singular.
-fn solve([uu, uv, vv]: [f64; 3], [a, b]: [f64; 2]) -> Option<[f64; 2]> {
-    let determinant = uu * vv - uv * uv;
-    if determinant <= 1e-12 * (uu + vv) * (uu + vv) {
-        return None;
-    }
-    Some([(vv * a - uv * b) / determinant, (uu * b - uv * a) / determinant])
-}
+use crate::convex::{Quadratic, solve2};
 
 /// The minimiser of `w/2 sum |z_n - x|^2` + prior.
 pub fn mean(u: &[f64], v: &[f64], weight: f64, prior: &Quadratic) -> [f64; 2] {
@@ -80,7 +28,7 @@ pub fn mean(u: &[f64], v: &[f64], weight: f64, prior: &Quadratic) -> [f64; 2] {
         weight * u.iter().sum::<f64>() + prior.pull[0],
         weight * v.iter().sum::<f64>() + prior.pull[1],
     ];
-    solve([uu + mass, uv, vv + mass], right).unwrap_or([0.0; 2])
+    solve2([uu + mass, uv, vv + mass], right).unwrap_or([0.0; 2])
 }
 
 /// `F`, its derivatives and what a Weiszfeld step needs, all at one place.
@@ -148,7 +96,7 @@ impl Local {
         let [uu, uv, vv] = prior.hessian;
         let downhill = self.gradient.map(|g| -g);
         if self.here == 0 {
-            return solve([uu + self.stiffness, uv, vv + self.stiffness], downhill)
+            return solve2([uu + self.stiffness, uv, vv + self.stiffness], downhill)
                 .unwrap_or([0.0; 2]);
         }
         // Off a pixel that is not the minimiser; the same curvature both ways keeps it exact.
@@ -192,7 +140,7 @@ pub fn median(u: &[f64], v: &[f64], weight: f64, prior: &Quadratic) -> [f64; 2] 
             }
         }
         let newton = if local.here == 0 {
-            solve(local.hessian, [-local.gradient[0], -local.gradient[1]])
+            solve2(local.hessian, [-local.gradient[0], -local.gradient[1]])
         } else {
             None
         };

@@ -30,7 +30,8 @@ pub mod lines;
 mod options;
 pub mod start;
 
-pub use inner::{Quadratic, mean as inner_mean, median as inner_median};
+pub use crate::convex::Quadratic;
+pub use inner::{mean as inner_mean, median as inner_median};
 pub use options::{Form, Model, PlantUpdate, Prior, SigmaRule};
 
 use crate::{
