@@ -14,5 +14,7 @@ pub mod error;
 pub mod io;
 pub mod phenotype;
 pub mod problems;
+pub mod raster;
+pub mod score;
 
 pub use error::{Error, Kind};

@@ -12,3 +12,4 @@ mod architecture;
 mod data;
 mod drive;
 mod engine;
+mod locate;

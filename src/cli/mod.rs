@@ -3,6 +3,8 @@
 //! Data goes to files or stdout, messages to stderr. Exit codes: 0 ok, 1 failure, 2 bad input,
 //! 3 incomplete or a quality gate failed.
 
+mod locate;
+
 use crate::error::Error;
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
@@ -25,7 +27,9 @@ struct Cli {
 }
 
 #[derive(Debug, Subcommand)]
-enum Verb {}
+enum Verb {
+    Locate(locate::Locate),
+}
 
 /// Parses the command line, runs the verb, reports what went wrong.
 pub fn main() -> ExitCode {
@@ -52,7 +56,9 @@ fn run(cli: Cli) -> Result<(), Error> {
         .num_threads(cli.threads)
         .build_global()
         .map_err(|e| Error::Argument(format!("--threads {}: {e}", cli.threads)))?;
-    match cli.verb {}
+    match cli.verb {
+        Verb::Locate(verb) => verb.run(),
+    }
 }
 
 #[expect(clippy::print_stderr, reason = "the program's last word goes to stderr")]

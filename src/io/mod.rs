@@ -1,7 +1,9 @@
 //! Files, one format per module; the only part of the library that opens any.
 
 pub mod checkpoint;
+pub mod images;
 pub mod output;
+pub mod points;
 
 use crate::error::Kind;
 use std::path::{Path, PathBuf};
