@@ -156,9 +156,18 @@ impl Assignment {
         for &leaf in &self.walk.found {
             let (mut touched, mut farthest2) = (false, 0.0_f32);
             self.losers.clear();
-            for pixel in index.pixels_of(leaf as usize) {
-                let d2 = distance2(index.u_px()[pixel], index.v_px()[pixel], new);
-                let pair = &mut self.pairs[pixel];
+            let pixels = index.pixels_of(leaf as usize);
+            let (us, vs) = (&index.u_px()[pixels.clone()], &index.v_px()[pixels.clone()]);
+            let mut distances2 = [0.0_f32; LEAF];
+            for (d2, (&u, &v)) in distances2.iter_mut().zip(us.iter().zip(vs)) {
+                *d2 = distance2(u, v, new);
+            }
+            let pairs = &mut self.pairs[pixels.clone()];
+            for ((pixel, pair), &d2) in pixels.zip(pairs).zip(&distances2) {
+                let (near, second) = (pair.near == plant, pair.second == plant);
+                if !near && !second && d2 > pair.second2 {
+                    continue;
+                }
                 let first = before(d2, plant, pair.near2, pair.near);
                 if pair.near == plant {
                     if before(d2, plant, pair.second2, pair.second) {

@@ -46,40 +46,75 @@ struct Local {
     nearest2: f64,
 }
 
+/// Pixels taken at once; their sums are kept apart and added at the end.
+const LANES: usize = 4;
+/// Below this distance (squared, in pixels) a pixel is the place itself.
+const HERE2: f64 = 1e-20;
+
+/// The sums of one evaluation, one per lane.
+#[derive(Default)]
+struct Lanes {
+    distance: [f64; LANES],
+    gradient: [[f64; LANES]; 2],
+    hessian: [[f64; LANES]; 3],
+    stiffness: [f64; LANES],
+    here: [f64; LANES],
+}
+
+impl Lanes {
+    /// Adds a pixel; without a branch, so that several go at once.
+    #[inline(always)]
+    fn add(&mut self, lane: usize, du: f64, dv: f64) -> f64 {
+        let d2 = du * du + dv * dv;
+        let apart = d2 > HERE2;
+        let d = d2.sqrt();
+        let inverse = if apart { 1.0 / d } else { 0.0 };
+        let (eu, ev) = (du * inverse, dv * inverse);
+        self.distance[lane] += d;
+        self.gradient[0][lane] += eu;
+        self.gradient[1][lane] += ev;
+        self.hessian[0][lane] += ev * ev * inverse;
+        self.hessian[1][lane] -= eu * ev * inverse;
+        self.hessian[2][lane] += eu * eu * inverse;
+        self.stiffness[lane] += inverse;
+        self.here[lane] += if apart { 0.0 } else { 1.0 };
+        if apart { d2 } else { f64::INFINITY }
+    }
+}
+
 /// Evaluates `F` at `x`.
 fn evaluate(u: &[f64], v: &[f64], weight: f64, prior: &Quadratic, x: [f64; 2]) -> Local {
-    // Below this distance (squared, in pixels) a pixel is the place itself.
-    const HERE2: f64 = 1e-20;
-    let (mut sum, mut gradient, mut hessian, mut stiffness) = (0.0, [0.0; 2], [0.0; 3], 0.0);
-    let (mut here, mut nearest, mut nearest2) = (0, 0, f64::INFINITY);
-    for (n, (&zu, &zv)) in u.iter().zip(v).enumerate() {
-        let (du, dv) = (x[0] - zu, x[1] - zv);
-        let d2 = du * du + dv * dv;
-        if d2 <= HERE2 {
-            here += 1;
-            continue;
+    let mut lanes = Lanes::default();
+    let (mut block, mut nearest2) = (0, f64::INFINITY);
+    let (head_u, tail_u) = u.as_chunks::<LANES>();
+    let (head_v, tail_v) = v.as_chunks::<LANES>();
+    for (k, (us, vs)) in head_u.iter().zip(head_v).enumerate() {
+        let mut d2 = [0.0; LANES];
+        for lane in 0..LANES {
+            d2[lane] = lanes.add(lane, x[0] - us[lane], x[1] - vs[lane]);
         }
-        if d2 < nearest2 {
-            (nearest, nearest2) = (n, d2);
+        let least = d2[0].min(d2[1]).min(d2[2].min(d2[3]));
+        if least < nearest2 {
+            (block, nearest2) = (k * LANES, least);
         }
-        let d = d2.sqrt();
-        let inverse = 1.0 / d;
-        let (eu, ev) = (du * inverse, dv * inverse);
-        sum += d;
-        gradient[0] += eu;
-        gradient[1] += ev;
-        hessian[0] += ev * ev * inverse;
-        hessian[1] -= eu * ev * inverse;
-        hessian[2] += eu * eu * inverse;
-        stiffness += inverse;
     }
+    for (k, (zu, zv)) in tail_u.iter().zip(tail_v).enumerate() {
+        let d2 = lanes.add(0, x[0] - zu, x[1] - zv);
+        if d2 < nearest2 {
+            (block, nearest2) = (head_u.len() * LANES + k, d2);
+        }
+    }
+    let distance2 = |n: usize| (x[0] - u[n]).powi(2) + (x[1] - v[n]).powi(2);
+    let last = (block + LANES).min(u.len());
+    let nearest = (block..last).find(|&n| distance2(n) == nearest2).unwrap_or(block);
+    let sum = |lanes: &[f64; LANES]| (lanes[0] + lanes[1]) + (lanes[2] + lanes[3]);
     let pull = prior.gradient(x);
     Local {
-        value: weight * sum + prior.value(x),
-        gradient: [weight * gradient[0] + pull[0], weight * gradient[1] + pull[1]],
-        hessian: [0, 1, 2].map(|k| weight * hessian[k] + prior.hessian[k]),
-        stiffness: weight * stiffness,
-        here,
+        value: weight * sum(&lanes.distance) + prior.value(x),
+        gradient: [0, 1].map(|k| weight * sum(&lanes.gradient[k]) + pull[k]),
+        hessian: [0, 1, 2].map(|k| weight * sum(&lanes.hessian[k]) + prior.hessian[k]),
+        stiffness: weight * sum(&lanes.stiffness),
+        here: sum(&lanes.here) as usize,
         nearest,
         nearest2,
     }
@@ -89,6 +124,22 @@ impl Local {
     /// Whether the place, being a pixel of its own, is the minimiser.
     fn is_optimal_vertex(&self, weight: f64) -> bool {
         self.here > 0 && self.gradient[0].hypot(self.gradient[1]) <= weight * self.here as f64
+    }
+
+    /// Whether a pixel near `x`, at `offset` from it, could be the minimiser: by the derivatives at
+    /// `x` without that pixel, with room for their change on the way. Sure once `x` is very near.
+    fn may_be_optimal(&self, weight: f64, offset: [f64; 2]) -> bool {
+        let d = self.nearest2.sqrt();
+        let (eu, ev) = (-offset[0] / d, -offset[1] / d);
+        let [uu, uv, vv] = self.hessian;
+        let (stiff, [du, dv]) = (weight / d, offset);
+        let (uu, uv, vv) = (uu - stiff * ev * ev, uv + stiff * eu * ev, vv - stiff * eu * eu);
+        let gradient = [
+            self.gradient[0] - weight * eu + uu * du + uv * dv,
+            self.gradient[1] - weight * ev + uv * du + vv * dv,
+        ];
+        let room = 1e-9 + 0.5 * self.stiffness * d;
+        gradient[0].hypot(gradient[1]) <= 2.0 * weight + room
     }
 
     /// A step that decreases `F` for certain: the minimiser of a quadratic that lies above it.
@@ -118,6 +169,8 @@ impl Local {
 pub fn median(u: &[f64], v: &[f64], weight: f64, prior: &Quadratic) -> [f64; 2] {
     /// Steps shorter than this end the search; in pixels.
     const SHORT_PX: f64 = 1e-11;
+    /// The same after a Newton step: the next would be about its square.
+    const SHORT_NEWTON_PX: f64 = 1e-6;
     /// Rounds of the search; twenty are seldom needed.
     const ROUNDS: usize = 200;
     /// The nearest pixel is tested as the minimiser once it is this close; squared pixels.
@@ -133,9 +186,13 @@ pub fn median(u: &[f64], v: &[f64], weight: f64, prior: &Quadratic) -> [f64; 2] 
             break;
         }
         if local.nearest2 < CLOSE2 && tested != local.nearest {
-            tested = local.nearest;
-            let vertex = [u[tested], v[tested]];
-            if evaluate(u, v, weight, prior, vertex).is_optimal_vertex(weight) {
+            let vertex = [u[local.nearest], v[local.nearest]];
+            if local.may_be_optimal(weight, [vertex[0] - x[0], vertex[1] - x[1]]) {
+                tested = local.nearest;
+            }
+            if tested == local.nearest
+                && evaluate(u, v, weight, prior, vertex).is_optimal_vertex(weight)
+            {
                 return vertex;
             }
         }
@@ -144,9 +201,11 @@ pub fn median(u: &[f64], v: &[f64], weight: f64, prior: &Quadratic) -> [f64; 2] 
         } else {
             None
         };
+        let mut short_px = if newton.is_some() { SHORT_NEWTON_PX } else { SHORT_PX };
         let mut step = newton.unwrap_or_else(|| local.weiszfeld(weight, prior));
         let mut next = evaluate(u, v, weight, prior, [x[0] + step[0], x[1] + step[1]]);
         if newton.is_some() && !next.improves(&local) {
+            short_px = SHORT_PX;
             step = local.weiszfeld(weight, prior);
             next = evaluate(u, v, weight, prior, [x[0] + step[0], x[1] + step[1]]);
         }
@@ -155,7 +214,7 @@ pub fn median(u: &[f64], v: &[f64], weight: f64, prior: &Quadratic) -> [f64; 2] 
         }
         x = [x[0] + step[0], x[1] + step[1]];
         local = next;
-        if step[0].hypot(step[1]) <= SHORT_PX {
+        if step[0].hypot(step[1]) <= short_px {
             break;
         }
     }
