@@ -135,8 +135,9 @@ pub fn plant(
         ..DefaultSettings::default()
     };
     let failed = |what: String| SolveError::NotFinite(format!("the certificate: {what}"));
-    let mut solver = DefaultSolver::new(&objective, &linear, &constraints, &right, &cones, settings)
-        .map_err(|error| failed(error.to_string()))?;
+    let mut solver =
+        DefaultSolver::new(&objective, &linear, &constraints, &right, &cones, settings)
+            .map_err(|error| failed(error.to_string()))?;
     solver.solve();
     let solution = &solver.solution;
     // Tolerances this tight are often just missed; the gap says how well it went.
@@ -182,16 +183,21 @@ mod tests {
             let certificate = plant(&u, &v, weight, &prior).unwrap();
             let x = inner_median(&u, &v, weight, &prior);
             let [uu, uv, vv] = prior.hessian;
-            let value = weight * u.iter().zip(&v).map(|(u, v)| (u - x[0]).hypot(v - x[1])).sum::<f64>()
+            let value = weight
+                * u.iter().zip(&v).map(|(u, v)| (u - x[0]).hypot(v - x[1])).sum::<f64>()
                 + 0.5 * (uu * x[0] * x[0] + 2.0 * uv * x[0] * x[1] + vv * x[1] * x[1])
                 - prior.pull[0] * x[0]
                 - prior.pull[1] * x[1];
             let scale = 1.0 + value.abs();
             assert!(certificate.gap() <= 1e-8 * scale, "case {case}: {certificate:?}");
-            assert!((value - certificate.primal).abs() <= 1e-8 * scale, "case {case}: {value} {certificate:?}");
+            assert!(
+                (value - certificate.primal).abs() <= 1e-8 * scale,
+                "case {case}: {value} {certificate:?}"
+            );
             if count >= 20 {
                 // The minimiser itself is less sharp than the minimum: its error is the square root.
-                let error = (x[0] - certificate.offset_px[0]).hypot(x[1] - certificate.offset_px[1]);
+                let error =
+                    (x[0] - certificate.offset_px[0]).hypot(x[1] - certificate.offset_px[1]);
                 assert!(error <= 1e-5, "case {case}: {error:e}");
             }
         }

@@ -231,7 +231,9 @@ impl<P: BlockCost> Engine<P> for Descent {
     ) -> Result<f64, SolveError> {
         Descent::check(problem, x)?;
         if memory.touched.iter().any(|&block| block as usize >= problem.len()) {
-            return Err(SolveError::Misuse("the checkpoint names blocks that are not there".into()));
+            return Err(SolveError::Misuse(
+                "the checkpoint names blocks that are not there".into(),
+            ));
         }
         self.touched = Touched::new(problem.len(), false);
         for block in memory.touched {

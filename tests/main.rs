@@ -12,4 +12,7 @@ mod architecture;
 mod data;
 mod drive;
 mod engine;
+mod evaluate;
 mod locate;
+mod program;
+mod segment;

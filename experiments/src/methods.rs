@@ -61,7 +61,13 @@ pub(crate) const METHODS: &[Method] = &[
         init: Init::Rows,
         ..PAPER
     },
-    Method { name: "rows + regular spacing", init: Init::Rows, prior: Prior::None, fit: false, ..PAPER },
+    Method {
+        name: "rows + regular spacing",
+        init: Init::Rows,
+        prior: Prior::None,
+        fit: false,
+        ..PAPER
+    },
 ];
 
 /// One method on one mask.

@@ -1,5 +1,6 @@
 //! `rowgram locate`: plants in a photo or a leaf mask.
 
+use super::{segment::same_file, stdout};
 use crate::{
     descent::{self, Descent, Order},
     drive::{Drive, Limits},
@@ -52,7 +53,12 @@ pub(super) struct Locate {
     #[arg(long, default_value = "cyclic", value_parser = word::<Order>, value_name = "WORD")]
     order: Order,
     /// Thresholds of the leaf mask: hue from, hue to, least saturation, least value.
-    #[arg(long, default_value = "30,79,30,163", value_parser = thresholds, value_name = "T1,T2,T3,T4")]
+    #[arg(
+        long,
+        default_value = "30,79,30,163",
+        value_name = "TAU1,TAU2,TAU3,TAU4",
+        allow_hyphen_values = true
+    )]
     tau: Thresholds,
     /// Leave out components of fewer pixels.
     #[arg(long, default_value_t = 0, value_name = "N")]
@@ -108,20 +114,10 @@ fn word<T: for<'de> Deserialize<'de>>(text: &str) -> Result<T, String> {
     T::deserialize(text).map_err(|error| error.to_string())
 }
 
-fn thresholds(text: &str) -> Result<Thresholds, String> {
-    let numbers: Result<Vec<i64>, _> = text.split(',').map(|part| part.trim().parse()).collect();
-    match numbers.as_deref() {
-        Ok(&[t1, t2, t3, t4]) => Thresholds::new(t1, t2, t3, t4).map_err(|e| e.to_string()),
-        _ => Err("four whole numbers with commas between were expected".to_owned()),
-    }
-}
-
 impl Locate {
     /// Runs the verb.
     pub(super) fn run(self) -> Result<(), Error> {
-        for path in [Some(&self.output), self.overlay.as_ref(), self.trace.as_ref()] {
-            path.map_or(Ok(()), |path| output::check(path, self.force))?;
-        }
+        self.check_outputs()?;
         let options = self.options()?;
         let (mut mask, photo) = match images::read(&self.image)? {
             Picture::Mask(mask) => (mask, None),
@@ -161,6 +157,21 @@ impl Locate {
         self.report(&summary)
     }
 
+    /// Refuses what would fail, or destroy an input, after the work is done.
+    fn check_outputs(&self) -> Result<(), Error> {
+        let mut taken = vec![&self.image];
+        let outputs = [Some(&self.output), self.overlay.as_ref(), self.trace.as_ref()];
+        for path in outputs.into_iter().flatten() {
+            if taken.iter().any(|other| same_file(path, other)) {
+                let path = path.display();
+                return Err(Error::Argument(format!("{path} is given twice")));
+            }
+            taken.push(path);
+            output::check(path, self.force)?;
+        }
+        Ok(())
+    }
+
     fn options(&self) -> Result<Options, Error> {
         if let Some(gsd) = self.gsd.filter(|gsd| !(gsd.is_finite() && *gsd > 0.0)) {
             return Err(Error::Argument(format!(
@@ -197,12 +208,7 @@ impl Locate {
         })
     }
 
-    fn write(
-        &self,
-        located: &Located,
-        photo: Option<RgbImage>,
-        mask: &Mask,
-    ) -> Result<(), Error> {
+    fn write(&self, located: &Located, photo: Option<RgbImage>, mask: &Mask) -> Result<(), Error> {
         let positions: Vec<[f64; 2]> = located.plants.iter().map(|p| p.position_px).collect();
         let rows: Vec<f64> =
             located.plants.iter().map(|p| p.row.map_or(f64::NAN, |row| row as f64)).collect();
@@ -225,7 +231,6 @@ impl Locate {
         Ok(())
     }
 
-    #[expect(clippy::print_stdout, reason = "the summary is the output")]
     fn report(&self, summary: &Summary) -> Result<(), Error> {
         tracing::info!(
             "{} plants in {} rows from {} leaf pixels; {} sweeps, {}; mean distance {:.2} px",
@@ -240,9 +245,7 @@ impl Locate {
             tracing::warn!("{} plants have no leaf pixel", summary.plants_without_pixels);
         }
         if self.json {
-            let line = serde_json::to_string(summary)
-                .map_err(|error| Error::Incomplete(format!("the summary: {error}")))?;
-            println!("{line}");
+            stdout::json(summary)?;
         }
         Ok(())
     }

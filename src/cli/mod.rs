@@ -3,7 +3,10 @@
 //! Data goes to files or stdout, messages to stderr. Exit codes: 0 ok, 1 failure, 2 bad input,
 //! 3 incomplete or a quality gate failed.
 
+mod evaluate;
 mod locate;
+mod segment;
+mod stdout;
 
 use crate::error::Error;
 use clap::{Parser, Subcommand};
@@ -29,6 +32,8 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Verb {
     Locate(locate::Locate),
+    Segment(segment::Args),
+    Evaluate(evaluate::Args),
 }
 
 /// Parses the command line, runs the verb, reports what went wrong.
@@ -58,6 +63,8 @@ fn run(cli: Cli) -> Result<(), Error> {
         .map_err(|e| Error::Argument(format!("--threads {}: {e}", cli.threads)))?;
     match cli.verb {
         Verb::Locate(verb) => verb.run(),
+        Verb::Segment(args) => segment::run(&args),
+        Verb::Evaluate(args) => evaluate::run(&args),
     }
 }
 

@@ -159,8 +159,9 @@ impl Setup {
             (Init::Random, _) => start::random(&index, plants, &mut rng),
             _ => start::kmeans_plus_plus(&index, plants, &mut rng),
         };
-        let across: Vec<f64> =
-            rows.map(|rows| rows.rows.iter().map(|row| row.across_px).collect()).unwrap_or_default();
+        let across: Vec<f64> = rows
+            .map(|rows| rows.rows.iter().map(|row| row.across_px).collect())
+            .unwrap_or_default();
         let along = rows.map(|rows| columns(rows, plants)).unwrap_or_default();
         let problem = Plants::new(index, plants, options.model, axes)?;
         let field = problem.field(positions, &across, &along)?;
@@ -232,8 +233,7 @@ pub fn regular_rows(rows: &[Row], axes: &Axes, count: usize) -> Vec<[f64; 2]> {
     if rows.is_empty() || total <= 0.0 {
         return Vec::new();
     }
-    let ideal: Vec<f64> =
-        rows.iter().map(|row| count as f64 * row.length_px() / total).collect();
+    let ideal: Vec<f64> = rows.iter().map(|row| count as f64 * row.length_px() / total).collect();
     let mut shares: Vec<usize> = ideal.iter().map(|share| share.floor() as usize).collect();
     let mut by_remainder: Vec<usize> = (0..rows.len()).collect();
     by_remainder.sort_by(|&a, &b| ideal[b].fract().total_cmp(&ideal[a].fract()).then(a.cmp(&b)));

@@ -105,7 +105,8 @@ pub fn detect(index: &PixelIndex) -> Detection {
     let diagonal = size[0].hypot(size[1]);
     let mut window = FIRST_WINDOW_PX.min(diagonal);
     let first = Windows::new(&sample, size, window, stride as f64);
-    let scores: Vec<f64> = (0..180).map(|degree| first.score(f64::from(degree).to_radians())).collect();
+    let scores: Vec<f64> =
+        (0..180).map(|degree| first.score(f64::from(degree).to_radians())).collect();
     let (best, contrast) = scores
         .iter()
         .copied()
@@ -238,8 +239,7 @@ fn area_below(a: f64, b: f64, area: f64, at: f64) -> f64 {
 
 /// Row lines at a heading, by position across, and the distance between them.
 fn lines(index: &PixelIndex, axes: &Axes) -> (Vec<Row>, Option<f64>) {
-    let places: Vec<[f64; 2]> =
-        (0..index.len()).map(|n| axes.aligned(index.position(n))).collect();
+    let places: Vec<[f64; 2]> = (0..index.len()).map(|n| axes.aligned(index.position(n))).collect();
     let low = places.iter().map(|p| p[1]).fold(f64::INFINITY, f64::min).floor();
     let high = places.iter().map(|p| p[1]).fold(f64::NEG_INFINITY, f64::max);
     let mut profile = vec![0.0; (high - low) as usize + 1];
@@ -275,7 +275,8 @@ fn lines(index: &PixelIndex, axes: &Axes) -> (Vec<Row>, Option<f64>) {
         let nearest = kept.partition_point(|&k| (k as f64) < strip);
         let candidates = [nearest.checked_sub(1), (nearest < kept.len()).then_some(nearest)];
         let distance = |k: usize| (kept[k] as f64 - strip).abs();
-        let row = candidates.into_iter().flatten().min_by(|&a, &b| distance(a).total_cmp(&distance(b)));
+        let row =
+            candidates.into_iter().flatten().min_by(|&a, &b| distance(a).total_cmp(&distance(b)));
         if let Some(row) = row.filter(|&row| distance(row) <= band) {
             along[row].push(a);
             across[row] += b;
@@ -326,9 +327,8 @@ fn period(profile: &[f64]) -> Option<f64> {
         .collect();
     let variance = correlation.first().copied().filter(|&v| v > 0.0)?;
     let correlation = blur(&correlation, 1.5);
-    let peak = |k: usize| {
-        correlation[k] > correlation[k - 1] && correlation[k] >= correlation[k + 1]
-    };
+    let peak =
+        |k: usize| correlation[k] > correlation[k - 1] && correlation[k] >= correlation[k + 1];
     let valley = (1..correlation.len()).find(|&k| correlation[k] < 0.0)?;
     let peaks: Vec<usize> =
         (valley.max(1)..correlation.len().saturating_sub(1)).filter(|&k| peak(k)).collect();
@@ -393,7 +393,8 @@ mod tests {
             let index = field(degrees, 6, 50.0, k as u64);
             let detection = detect(&index);
             let rows = detection.rows().unwrap_or_else(|| panic!("{degrees}: {detection:?}"));
-            let error = (rows.axes.heading_rad.to_degrees() - degrees + 90.0).rem_euclid(180.0) - 90.0;
+            let error =
+                (rows.axes.heading_rad.to_degrees() - degrees + 90.0).rem_euclid(180.0) - 90.0;
             assert!(error.abs() < 0.4, "{degrees} degrees: off by {error}");
             assert_eq!(rows.rows.len(), 6, "{degrees} degrees: {rows:?}");
             let spacing = rows.spacing_px.unwrap();

@@ -97,7 +97,9 @@ impl Assignment {
         let leaves: Vec<Vec<Pair>> = (0..index.leaves())
             .into_par_iter()
             .with_min_len(256)
-            .map_init(Vec::new, |candidates, leaf| assign(index, leaf, plants, &buckets, candidates))
+            .map_init(Vec::new, |candidates, leaf| {
+                assign(index, leaf, plants, &buckets, candidates)
+            })
             .collect();
         let pairs: Vec<Pair> = leaves.into_iter().flatten().collect();
         let column = |f: fn(&Pair) -> f32| pairs.iter().map(f).collect::<Vec<f32>>();

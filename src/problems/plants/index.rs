@@ -79,7 +79,8 @@ impl PixelIndex {
         let mut keyed: Vec<(u64, [u32; 2])> =
             pixels.iter().map(|&p| (hilbert(order, p), p)).collect();
         keyed.sort_unstable();
-        let (mut u_px, mut v_px) = (Vec::with_capacity(keyed.len()), Vec::with_capacity(keyed.len()));
+        let (mut u_px, mut v_px) =
+            (Vec::with_capacity(keyed.len()), Vec::with_capacity(keyed.len()));
         for (_, [u, v]) in keyed {
             u_px.push(u as f32);
             v_px.push(v as f32);
@@ -91,7 +92,8 @@ impl PixelIndex {
         });
         let mut levels = vec![leaves.collect::<Vec<_>>()];
         while let Some(top) = levels.last().filter(|top| top.len() > 1) {
-            let parents = top.chunks(FAN).map(|c| c.iter().copied().fold(Bounds::EMPTY, Bounds::join));
+            let parents =
+                top.chunks(FAN).map(|c| c.iter().copied().fold(Bounds::EMPTY, Bounds::join));
             levels.push(parents.collect());
         }
         PixelIndex { u_px, v_px, levels }

@@ -92,8 +92,8 @@ impl Moments {
     fn fit(&self, variance_px2: f64) -> Line {
         let (a, b) = (self.along / self.count, self.across / self.count);
         let spread = (self.along2 - a * self.along).max(0.0);
-        let slope =
-            (self.product - a * self.across) / (spread + variance_px2 / (SLOPE_SIGMA * SLOPE_SIGMA));
+        let slope = (self.product - a * self.across)
+            / (spread + variance_px2 / (SLOPE_SIGMA * SLOPE_SIGMA));
         Line { offset_px: b - slope * a, slope, variance_px2 }
     }
 

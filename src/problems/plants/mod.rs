@@ -153,7 +153,8 @@ impl Plants {
         let floor_px2 = self.model.floor_px * self.model.floor_px;
         let family = |offsets: &[f64], exchanged| {
             // A wide start: the descent narrows it.
-            let gaps = offsets.windows(2).map(|w| (w[1] - w[0]).abs()).fold(f64::INFINITY, f64::min);
+            let gaps =
+                offsets.windows(2).map(|w| (w[1] - w[0]).abs()).fold(f64::INFINITY, f64::min);
             let start_px = if gaps.is_finite() { gaps / 10.0 } else { 10.0 * self.model.floor_px };
             let variance_px2 = (start_px * start_px).max(floor_px2);
             Family::new(offsets, exchanged, variance_px2, floor_px2, &positions_px, &self.axes)

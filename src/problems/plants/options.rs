@@ -147,7 +147,8 @@ mod tests {
             assert_eq!(json, format!("\"{word}\""));
             assert_eq!(serde_json::from_str::<SigmaRule>(&json).unwrap(), rule);
         }
-        for word in ["", "fixed", "fixed:", "fixed:0", "fixed:-1", "fixed:nan", "fixed:inf", "mean"] {
+        for word in ["", "fixed", "fixed:", "fixed:0", "fixed:-1", "fixed:nan", "fixed:inf", "mean"]
+        {
             assert!(word.parse::<SigmaRule>().is_err(), "{word}");
         }
     }

@@ -137,7 +137,8 @@ fn fast_updates_equal_brute_force_bit_for_bit() {
         let mut slow = fast.clone();
         let options = Options { order: Order::Shuffled, ..Options::default() };
         let outcome = run(&problem, &mut fast, options, 12, |_, _| ()).unwrap();
-        let reference = run(&BruteForce(problem.clone()), &mut slow, options, 12, |_, _| ()).unwrap();
+        let reference =
+            run(&BruteForce(problem.clone()), &mut slow, options, 12, |_, _| ()).unwrap();
         assert_eq!(fast.positions_px, slow.positions_px, "{model:?}");
         assert_eq!(outcome.sweeps, reference.sweeps);
         assert_eq!(fast.sigma_px.to_bits(), slow.sigma_px.to_bits());
@@ -164,8 +165,8 @@ fn converged_plants_are_certified_by_the_cone_programme() {
             assert!(moved < 0.1, "{model:?}: plant {plant} was {moved} px from its optimum");
             x.positions_px[plant] = at;
             let certificate = problem.certify(&mut x, plant).unwrap();
-            let error = (certificate.offset_px[0] - offset[0])
-                .hypot(certificate.offset_px[1] - offset[1]);
+            let error =
+                (certificate.offset_px[0] - offset[0]).hypot(certificate.offset_px[1] - offset[1]);
             assert!(error < 1e-4, "{model:?}: plant {plant}: {error:e}");
             assert!(certificate.gap() < 1e-8 * (1.0 + certificate.primal.abs()));
         }

@@ -1,0 +1,157 @@
+//! `rowgram segment`, as a user meets it.
+
+use crate::{data, program::rowgram};
+use image::{Rgb, RgbImage};
+use insta::assert_snapshot;
+use rowgram::io::images;
+use std::path::Path;
+
+const SOIL: Rgb<u8> = Rgb([150, 120, 90]);
+const LEAF: Rgb<u8> = Rgb([70, 160, 60]);
+
+/// A leaf of 8 x 4 pixels with a hole, a speck, and soil.
+fn photo(folder: &Path) -> RgbImage {
+    let photo = RgbImage::from_fn(30, 20, |u, v| match (u, v) {
+        (7, 7) => SOIL,
+        (5..13, 6..10) | (25, 15) => LEAF,
+        _ => SOIL,
+    });
+    photo.save(folder.join("photo.png")).unwrap();
+    photo
+}
+
+fn folder() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    photo(folder.path());
+    folder
+}
+
+#[test]
+fn a_photo_becomes_a_mask() {
+    let folder = folder();
+    let run = rowgram(folder.path(), "segment photo.png --tau 30,79,30,163 -o mask.png");
+    assert_eq!((run.code, run.stdout.as_str()), (0, ""));
+    assert_snapshot!(run.stderr.trim(), @"INFO mask.png: 32 of 600 pixels are plant (5.33 %), in 2 components");
+    let mask = images::read_mask(&folder.path().join("mask.png")).unwrap();
+    assert!(mask.get(5, 6) && mask.get(25, 15) && !mask.get(7, 7) && !mask.get(4, 6));
+    assert_eq!(mask.count(), 32);
+    let stored = image::open(folder.path().join("mask.png")).unwrap();
+    let image::DynamicImage::ImageLuma8(stored) = stored else { panic!("it is grey") };
+    assert!(stored.pixels().all(|pixel| pixel.0[0] == 0 || pixel.0[0] == 255));
+}
+
+#[test]
+fn a_mask_is_cleaned_and_drawn() {
+    let folder = folder();
+    let options = "--min-pixels 2 --fill-holes 1 --overlay seen.png --json --quiet";
+    let run = rowgram(folder.path(), &format!("segment photo.png -o mask.png {options}"));
+    assert_eq!((run.code, run.stderr.as_str()), (0, ""));
+    assert_snapshot!(run.stdout, @r#"{"image":"photo.png","output":"mask.png","width_px":30,"height_px":20,"thresholds":{"tau1":30,"tau2":79,"tau3":30,"tau4":163},"plant_pixels":32,"plant_share":0.05333333333333334,"components":1,"removed_components":1,"removed_pixels":1,"filled_holes":1,"filled_pixels":1}"#);
+    let seen = images::read_photo(&folder.path().join("seen.png")).unwrap();
+    assert_eq!(seen.get_pixel(0, 0), &SOIL);
+    assert_eq!(seen.get_pixel(25, 15), &LEAF, "the speck is not marked");
+    assert_ne!(seen.get_pixel(5, 6), &LEAF);
+}
+
+#[test]
+fn the_smallest_pictures_work() {
+    let folder = tempfile::tempdir().unwrap();
+    RgbImage::from_pixel(1, 1, LEAF).save(folder.path().join("one.png")).unwrap();
+    let run = rowgram(folder.path(), "segment one.png -o mask.png --overlay seen.png");
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    assert_eq!(images::read_mask(&folder.path().join("mask.png")).unwrap().data, [1]);
+    RgbImage::from_pixel(1, 1, SOIL).save(folder.path().join("soil.png")).unwrap();
+    let run = rowgram(folder.path(), "segment soil.png -o empty.png --json");
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    assert_snapshot!(run.stderr.trim(), @"WARN soil.png: no pixel is plant; the mask is empty");
+    assert!(run.stdout.contains("\"plant_pixels\":0,\"plant_share\":0.0"), "{}", run.stdout);
+    // A PNG header with a width of 0.
+    let mut bytes = std::fs::read(folder.path().join("one.png")).unwrap();
+    bytes[16..20].fill(0);
+    let mut crc = flate2::Crc::new();
+    crc.update(&bytes[12..29]);
+    bytes[29..33].copy_from_slice(&crc.sum().to_be_bytes());
+    std::fs::write(folder.path().join("zero.png"), bytes).unwrap();
+    let run = rowgram(folder.path(), "segment zero.png -o none.png");
+    assert_eq!(run.code, 2);
+    assert!(run.stderr.starts_with("error: zero.png: "), "{}", run.stderr);
+}
+
+#[test]
+fn bad_input_is_explained() {
+    let folder = folder();
+    let path = |name: &str| folder.path().join(name);
+    let photo = std::fs::read(path("photo.png")).unwrap();
+    std::fs::write(path("cut.png"), &photo[..photo.len() / 2]).unwrap();
+    std::fs::write(path("text.png"), "u_px,v_px\n").unwrap();
+    std::fs::write(path("empty.png"), "").unwrap();
+    std::fs::write(path("taken.png"), "mine").unwrap();
+    images::write_mask(&path("mask.png"), false, &rowgram::raster::Mask::empty(3, 3)).unwrap();
+    std::os::unix::fs::symlink(path("photo.png"), path("link.png")).unwrap();
+    let error = |arguments: &str| {
+        let run = rowgram(folder.path(), &format!("segment {arguments}"));
+        assert_eq!((run.code, run.stdout.as_str()), (2, ""), "{arguments}: {}", run.stderr);
+        assert!(!path("new.png").exists(), "{arguments}");
+        run.stderr
+    };
+    assert_snapshot!(error("photo.png --tau 30,181,30,163 -o new.png"), @"error: --tau 30,181,30,163: tau2 is 181, expected a number from 0 to 180");
+    assert_snapshot!(error("photo.png --tau 80,79,30,163 -o new.png"), @"error: --tau 80,79,30,163: tau1 is 80 and tau2 is 79, expected tau1 <= tau2 (they bound the hue)");
+    assert_snapshot!(error("photo.png --tau -1,79,30,163 -o new.png"), @"error: --tau -1,79,30,163: tau1 is -1, expected a number from 0 to 180");
+    assert_snapshot!(error("photo.png --tau 30,79 -o new.png"), @r#"error: --tau 30,79: thresholds "30,79": expected four whole numbers tau1,tau2,tau3,tau4, such as 30,79,30,163"#);
+    assert!(
+        error("cut.png -o new.png").starts_with("error: cut.png: damaged or unsupported PNG: ")
+    );
+    assert_snapshot!(error("text.png -o new.png"), @"error: text.png: expected a PNG, JPEG or TIFF picture");
+    assert_snapshot!(error("empty.png -o new.png"), @"error: empty.png: the file is empty, expected a PNG, JPEG or TIFF picture");
+    assert_snapshot!(error("mask.png -o new.png"), @"error: mask.png: it holds a mask (two values), expected a photo");
+    assert_snapshot!(error("none.png -o new.png"), @"error: cannot read none.png: No such file or directory (os error 2)");
+    assert_snapshot!(error(". -o new.png"), @"error: cannot read .: it is a folder");
+    assert_snapshot!(error("photo.png -o taken.png"), @"error: taken.png exists already; give --force to replace it, or another path");
+    assert_snapshot!(error("photo.png -o new.png --overlay taken.png"), @"error: taken.png exists already; give --force to replace it, or another path");
+    assert_snapshot!(error("photo.png -o photo.png --force"), @"error: photo.png is the photo, expected another output");
+    assert_snapshot!(error("photo.png -o link.png --force"), @"error: link.png is the photo, expected another output");
+    assert_snapshot!(error("photo.png -o new.png --overlay ./new.png"), @"error: ./new.png is given for two outputs");
+    assert_snapshot!(error("photo.png -o new.jpg"), @"error: new.jpg: expected a name that ends in .png");
+    assert_eq!(std::fs::read(path("photo.png")).unwrap(), photo);
+    assert_eq!(std::fs::read(path("taken.png")).unwrap(), b"mine");
+    let run = rowgram(folder.path(), "segment photo.png -o taken.png --force");
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    let run = rowgram(folder.path(), "segment photo.png -o missing/new.png");
+    assert_eq!(run.code, 1, "the folder is no input");
+    assert!(run.stderr.contains("its folder does not exist"), "{}", run.stderr);
+}
+
+#[test]
+fn masks_do_not_depend_on_the_number_of_threads() {
+    let folder = tempfile::tempdir().unwrap();
+    let photo = RgbImage::from_fn(701, 403, |u, v| {
+        Rgb([(u * v) as u8, (3 * u + 5 * v) as u8, (u ^ v) as u8])
+    });
+    photo.save(folder.path().join("photo.png")).unwrap();
+    let masks = [1, 2, 5].map(|threads| {
+        let run = rowgram(
+            folder.path(),
+            &format!("segment photo.png -o {threads}.png --threads {threads}"),
+        );
+        assert_eq!(run.code, 0, "{}", run.stderr);
+        std::fs::read(folder.path().join(format!("{threads}.png"))).unwrap()
+    });
+    assert!(masks[0] == masks[1] && masks[1] == masks[2]);
+}
+
+#[test]
+fn real_photos_and_masks_are_told_apart() {
+    for (name, mask) in [
+        ("maize_plots/image/500001.jpg", false),
+        ("seg_rgbweed/Images/IMG_3438.JPG", false),
+        ("seg_rgbweed/Weed_Plant_Masks/IMG_3438_mask.png", false),
+        ("field_masks/mid20/1000.png", true),
+        ("leaf_cvppp_a1/plant001_fg.png", true),
+        ("leaf_cvppp_a1/plant001_label.png", false),
+        ("leaf_cvppp_a1/plant001_rgb.png", false),
+    ] {
+        if let Some(path) = data::path(name) {
+            assert_eq!(images::is_mask(&path).unwrap(), mask, "{name}");
+        }
+    }
+}
