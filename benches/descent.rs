@@ -25,8 +25,10 @@ fn field(pixels: usize) -> (Plants, Field) {
         for k in 0..per_row {
             let centre = [30.0 + 14.0 * k as f64, 30.0 + 50.0 * row as f64];
             for _ in 0..8 {
-                let (angle, length) =
-                    (6.283 * rng.random::<f64>(), 12.0 + 10.0 * rng.random::<f64>());
+                let (angle, length) = (
+                    std::f64::consts::TAU * rng.random::<f64>(),
+                    12.0 + 10.0 * rng.random::<f64>(),
+                );
                 for step in 0..40 {
                     let r = length * f64::from(step) / 40.0;
                     let (u, v) = (centre[0] + r * angle.cos(), centre[1] + r * angle.sin());

@@ -147,10 +147,17 @@ pub fn detect(index: &PixelIndex) -> Detection {
     Detection::Found(Rows { axes, rows: rows.0, spacing_px: rows.1, contrast })
 }
 
+/// A part of the bounding box and the sample in it.
+struct Window<'s> {
+    half_u: f64,
+    half_v: f64,
+    middle: [f64; 2],
+    pixels: Vec<&'s [f64; 2]>,
+}
+
 /// The sample cut into windows, with the part of the bounding box that each covers.
 struct Windows<'s> {
-    /// (half width, half height, middle, pixels) of every window.
-    windows: Vec<(f64, f64, [f64; 2], Vec<&'s [f64; 2]>)>,
+    windows: Vec<Window<'s>>,
     /// Pixels that one of the sample stands for.
     weight: f64,
 }
@@ -168,11 +175,11 @@ impl<'s> Windows<'s> {
                     ((k % counts[0]) as f64 + 0.5) * cell[0] - size[0] / 2.0,
                     ((k / counts[0]) as f64 + 0.5) * cell[1] - size[1] / 2.0,
                 ];
-                (cell[0] / 2.0, cell[1] / 2.0, middle, Vec::new())
+                Window { half_u: cell[0] / 2.0, half_v: cell[1] / 2.0, middle, pixels: Vec::new() }
             })
             .collect();
         for at in sample {
-            windows[cell_of(at[1], 1) * counts[0] + cell_of(at[0], 0)].3.push(at);
+            windows[cell_of(at[1], 1) * counts[0] + cell_of(at[0], 0)].pixels.push(at);
         }
         Windows { windows, weight }
     }
@@ -182,7 +189,7 @@ impl<'s> Windows<'s> {
         let (s, c) = heading_rad.sin_cos();
         let (mut between, mut within) = (0.0, 0.0);
         let mut counts: Vec<f64> = Vec::new();
-        for (half_u, half_v, middle, pixels) in &self.windows {
+        for Window { half_u, half_v, middle, pixels } in &self.windows {
             if pixels.is_empty() {
                 continue;
             }

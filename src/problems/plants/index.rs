@@ -289,9 +289,9 @@ mod tests {
             let at = [(round * 23 % 420) as f64 - 10.3, (round * 17 % 100) as f64];
             index.within_reach(&reach, &[at], &mut walk);
             assert!(walk.found.is_sorted());
-            for n in 0..3000 {
+            for (n, &value) in values.iter().enumerate() {
                 let [u, v] = index.position(n);
-                if (u - at[0]).powi(2) + (v - at[1]).powi(2) <= f64::from(values[n]) {
+                if (u - at[0]).powi(2) + (v - at[1]).powi(2) <= f64::from(value) {
                     assert!(walk.found.contains(&((n / LEAF) as u32)));
                 }
             }

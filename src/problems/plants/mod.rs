@@ -328,15 +328,16 @@ impl BlockCost for Plants {
 
     fn prepare(&self, x: &mut Field) -> Result<(), SolveError> {
         self.check(&x.positions_px)?;
-        let lines = |family: &Family, wanted: bool| wanted != family.lines.is_empty();
+        let sound = |family: &Family, wanted: bool| {
+            family.lines.is_empty() != wanted && family.is_sound(self.plants)
+        };
         let prior = self.model.prior;
-        if !(x.sigma_px.is_finite() && x.sigma_px > 0.0)
-            || x.balance.len() != self.plants
-            || !x.rows.is_sound(self.plants)
-            || !x.columns.is_sound(self.plants)
-            || !lines(&x.rows, prior != Prior::None)
-            || !lines(&x.columns, prior == Prior::Grid)
-        {
+        let belongs = x.sigma_px.is_finite()
+            && x.sigma_px > 0.0
+            && x.balance.len() == self.plants
+            && sound(&x.rows, prior != Prior::None)
+            && sound(&x.columns, prior == Prior::Grid);
+        if !belongs {
             return Err(SolveError::Misuse("the field does not belong to this problem".to_owned()));
         }
         x.work.assignment = Assignment::new(&self.index, &x.positions_px);

@@ -21,7 +21,8 @@ fn field(seed: u64) -> (PixelIndex, Vec<[f64; 2]>) {
             let centre = AXES.image([along, across + rng.random::<f64>() - 0.5]);
             centres.push(centre);
             for _ in 0..6 {
-                let (angle, length) = (6.28 * rng.random::<f64>(), 5.0 + 9.0 * rng.random::<f64>());
+                let (angle, length) =
+                    (std::f64::consts::TAU * rng.random::<f64>(), 5.0 + 9.0 * rng.random::<f64>());
                 for step in 0..30 {
                     let r = length * f64::from(step) / 30.0;
                     let at = [centre[0] + r * f64::cos(angle), centre[1] + r * f64::sin(angle)];
