@@ -1,6 +1,6 @@
 //! One error for the whole library, joined from the modules' own.
 
-use crate::{engine::SolveError, io};
+use crate::{engine::SolveError, io, phenotype::locate::LocateError};
 
 /// What kind of failure an [`Error`] is; decides the exit code of the program.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -34,6 +34,9 @@ pub enum Error {
     /// An optimisation could not be started or had to be abandoned.
     #[error(transparent)]
     Solve(#[from] SolveError),
+    /// Plants could not be located as asked.
+    #[error(transparent)]
+    Locate(#[from] LocateError),
     /// An option or argument has an unusable value: what it is, and what was expected.
     #[error("{0}")]
     Argument(String),
@@ -47,7 +50,8 @@ impl Error {
     pub fn kind(&self) -> Kind {
         match self {
             Error::File(error) => error.kind(),
-            Error::Solve(_) => Kind::Failure,
+            Error::Solve(_) | Error::Locate(LocateError::Solve(_)) => Kind::Failure,
+            Error::Locate(_) => Kind::BadInput,
             Error::Argument(_) => Kind::BadInput,
             Error::Incomplete(_) => Kind::Incomplete,
         }

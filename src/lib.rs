@@ -7,6 +7,8 @@
 
 pub mod camera;
 pub mod cli;
+pub mod convex;
+pub mod descent;
 pub mod drive;
 pub mod engine;
 pub mod error;
@@ -14,6 +16,7 @@ pub mod geometry;
 pub mod io;
 pub mod lanes;
 pub mod nlls;
+pub mod phenotype;
 pub mod problems;
 pub mod raster;
 pub mod score;

@@ -1,2 +1,82 @@
-//! Experiments.
-fn main() {}
+//! Experiments with rowgram: tidy tables and figures from runs on data and on synthetic fields.
+//!
+//! Every experiment reads a data folder and writes `NAME.csv` (one line per run) and `NAME.md` (the
+//! table of means) into an output folder.
+
+mod locate;
+mod methods;
+mod plots;
+mod table;
+mod whole_field;
+
+use clap::{Args, Parser, Subcommand};
+use std::{path::PathBuf, process::ExitCode};
+
+/// Experiments with rowgram.
+#[derive(Debug, Parser)]
+#[command(name = "experiments", arg_required_else_help = true)]
+struct Cli {
+    #[command(subcommand)]
+    experiment: Experiment,
+}
+
+/// Where an experiment reads and writes.
+#[derive(Debug, Args)]
+struct Folders {
+    /// The data folder.
+    #[arg(long, value_name = "DIR")]
+    data: PathBuf,
+    /// Where the tables go; made if it is not there.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+}
+
+#[derive(Debug, Subcommand)]
+enum Experiment {
+    /// Plant location, every variant: synthetic masks (true number of plants).
+    LocateMasks {
+        #[command(flatten)]
+        folders: Folders,
+        /// Masks per scenario, at most.
+        #[arg(long, default_value_t = 10)]
+        masks: usize,
+    },
+    /// Plant location, every variant: real plots, thresholds chosen on `train`, reported on `val`.
+    LocatePlots {
+        #[command(flatten)]
+        folders: Folders,
+    },
+    /// Both of the above.
+    Locate {
+        #[command(flatten)]
+        folders: Folders,
+    },
+    /// Speed and accuracy on one mask of a whole field.
+    WholeField {
+        #[command(flatten)]
+        folders: Folders,
+    },
+}
+
+fn main() -> ExitCode {
+    let done = match Cli::parse().experiment {
+        Experiment::LocateMasks { folders, masks } => locate::run(&folders, masks),
+        Experiment::LocatePlots { folders } => plots::run(&folders),
+        Experiment::Locate { folders } => {
+            locate::run(&folders, 10).and_then(|()| plots::run(&folders))
+        }
+        Experiment::WholeField { folders } => whole_field::run(&folders),
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            complain(&error);
+            ExitCode::from(error.kind().exit_code())
+        }
+    }
+}
+
+#[expect(clippy::print_stderr, reason = "the program's last word goes to stderr")]
+fn complain(error: &rowgram::Error) {
+    eprintln!("error: {error}");
+}

@@ -4,9 +4,10 @@
 //! 3 incomplete or a quality gate failed.
 
 mod adjust;
-mod synth;
 mod evaluate;
+mod locate;
 mod segment;
+mod synth;
 
 use crate::{error::Error, io::FileError};
 use clap::{Parser, Subcommand};
@@ -33,6 +34,7 @@ struct Cli {
 enum Verb {
     Adjust(adjust::Args),
     Synth(synth::Args),
+    Locate(locate::Locate),
     Segment(segment::Args),
     Evaluate(evaluate::Args),
 }
@@ -65,6 +67,7 @@ fn run(cli: Cli) -> Result<(), Error> {
     match cli.verb {
         Verb::Adjust(args) => adjust::run(&args),
         Verb::Synth(args) => synth::run(&args),
+        Verb::Locate(verb) => verb.run(),
         Verb::Segment(args) => segment::run(&args),
         Verb::Evaluate(args) => evaluate::run(&args),
     }

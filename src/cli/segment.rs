@@ -144,7 +144,7 @@ fn check_outputs(args: &Args) -> Result<(), Error> {
 }
 
 /// Whether two paths lead to the same file, through whatever links; the files need not exist yet.
-fn same_file(one: &Path, other: &Path) -> bool {
+pub(super) fn same_file(one: &Path, other: &Path) -> bool {
     let resolved = |path: &Path| {
         path.canonicalize().or_else(|error| {
             let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());

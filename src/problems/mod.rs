@@ -1,3 +1,4 @@
-//! Estimation problems over the two engines: one file each, equations first.
+//! Estimation problems over the two engines: one module each, equations first.
 
 pub mod bundle;
+pub mod plants;

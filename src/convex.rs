@@ -1,0 +1,213 @@
+//! Exact reference solutions of convex subproblems, by an interior-point method (Clarabel).
+//!
+//! With the assignment of pixels to plants held, the place of one plant is a second-order cone
+//! programme:
+//!
+//! `min  w sum_n t_n + 1/2 x^T H x - g^T x   subject to  |z_n - x| <= t_n`,
+//!
+//! `x`, `z_n` offsets in pixels, `w = 1/sigma`, `H` and `g` the prior's. It shares no code with the
+//! plant locator's own solver, which makes it an oracle in tests and a certificate for users:
+//! the dual objective bounds the optimum from below.
+
+use crate::engine::SolveError;
+use clarabel::{
+    algebra::CscMatrix,
+    solver::{DefaultSettings, DefaultSolver, IPSolver, SolverStatus, SupportedConeT},
+};
+
+/// `1/2 x^T H x - g^T x`, with `x` an offset in pixels: the prior of one plant.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Quadratic {
+    /// `H` as (uu, uv, vv).
+    pub hessian: [f64; 3],
+    /// `g`.
+    pub pull: [f64; 2],
+}
+
+impl Quadratic {
+    /// Adds `(n^T x - c)^2 / (2 variance)`, but for its constant.
+    pub fn add(&mut self, normal: [f64; 2], offset: f64, variance: f64) {
+        let [a, b] = normal;
+        self.hessian[0] += a * a / variance;
+        self.hessian[1] += a * b / variance;
+        self.hessian[2] += b * b / variance;
+        self.pull[0] += a * offset / variance;
+        self.pull[1] += b * offset / variance;
+    }
+
+    /// `H x - g`, the gradient.
+    pub fn gradient(&self, x: [f64; 2]) -> [f64; 2] {
+        let [uu, uv, vv] = self.hessian;
+        [uu * x[0] + uv * x[1] - self.pull[0], uv * x[0] + vv * x[1] - self.pull[1]]
+    }
+
+    /// The value at `x`.
+    pub fn value(&self, x: [f64; 2]) -> f64 {
+        let [uu, uv, vv] = self.hessian;
+        0.5 * (uu * x[0] * x[0] + vv * x[1] * x[1]) + uv * x[0] * x[1]
+            - self.pull[0] * x[0]
+            - self.pull[1] * x[1]
+    }
+
+    /// The minimiser with the least norm.
+    pub fn minimiser(&self) -> [f64; 2] {
+        let trace = self.hessian[0] + self.hessian[2];
+        if trace <= 0.0 {
+            return [0.0; 2];
+        }
+        solve2(self.hessian, self.pull)
+            // Of rank one: H = t n n^T, so g = t c n and x = c n = g / t.
+            .unwrap_or([self.pull[0] / trace, self.pull[1] / trace])
+    }
+}
+
+/// Solves a symmetric 2 x 2 system, unless it is (numerically) singular.
+pub fn solve2([uu, uv, vv]: [f64; 3], [a, b]: [f64; 2]) -> Option<[f64; 2]> {
+    let determinant = uu * vv - uv * uv;
+    if determinant <= 1e-12 * (uu + vv) * (uu + vv) {
+        return None;
+    }
+    Some([(vv * a - uv * b) / determinant, (uu * b - uv * a) / determinant])
+}
+
+/// The optimum of one plant's inner problem with bounds on both sides.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Certificate {
+    /// The minimiser, an offset in pixels.
+    pub offset_px: [f64; 2],
+    /// The objective there: an upper bound on the optimum.
+    pub primal: f64,
+    /// The dual objective: a lower bound on the optimum.
+    pub dual: f64,
+}
+
+impl Certificate {
+    /// How far the optimum can lie below the primal objective.
+    pub fn gap(&self) -> f64 {
+        (self.primal - self.dual).abs()
+    }
+}
+
+/// Solves the inner problem of one plant.
+///
+/// # Errors
+/// [`SolveError::Misuse`] without any pixel or with a weight that is not positive;
+/// [`SolveError::NotFinite`] where the interior-point method fails.
+pub fn plant(
+    u_px: &[f64],
+    v_px: &[f64],
+    weight: f64,
+    prior: &Quadratic,
+) -> Result<Certificate, SolveError> {
+    if u_px.is_empty() || u_px.len() != v_px.len() || weight.is_nan() || weight <= 0.0 {
+        return Err(SolveError::Misuse("a certificate needs pixels and a positive weight".into()));
+    }
+    let count = u_px.len();
+    // Variables: x_u, x_v, t_0, ..., t_{N-1}. Rows of cone n: (t_n, z_n - x), as s = b - A x.
+    let objective = {
+        let [uu, uv, vv] = prior.hessian;
+        let mut starts = vec![0, 1, 3];
+        starts.resize(count + 3, 3);
+        CscMatrix::new(count + 2, count + 2, starts, vec![0, 0, 1], vec![uu, uv, vv])
+    };
+    let mut linear = vec![-prior.pull[0], -prior.pull[1]];
+    linear.resize(count + 2, weight);
+    let (mut starts, mut rows, mut values) = (vec![0], Vec::new(), Vec::new());
+    for axis in 1..=2 {
+        rows.extend((0..count).map(|n| 3 * n + axis));
+        values.extend(std::iter::repeat_n(1.0, count));
+        starts.push(rows.len());
+    }
+    for n in 0..count {
+        rows.push(3 * n);
+        values.push(-1.0);
+        starts.push(rows.len());
+    }
+    let constraints = CscMatrix::new(3 * count, count + 2, starts, rows, values);
+    let right: Vec<f64> = u_px.iter().zip(v_px).flat_map(|(&u, &v)| [0.0, u, v]).collect();
+    let cones = vec![SupportedConeT::SecondOrderConeT(3); count];
+    let settings = DefaultSettings {
+        verbose: false,
+        tol_gap_abs: 1e-13,
+        tol_gap_rel: 1e-13,
+        tol_feas: 1e-13,
+        max_threads: 1,
+        ..DefaultSettings::default()
+    };
+    let failed = |what: String| SolveError::NotFinite(format!("the certificate: {what}"));
+    let mut solver =
+        DefaultSolver::new(&objective, &linear, &constraints, &right, &cones, settings)
+            .map_err(|error| failed(error.to_string()))?;
+    solver.solve();
+    let solution = &solver.solution;
+    // Tolerances this tight are often just missed; the gap says how well it went.
+    match solution.status {
+        SolverStatus::Solved
+        | SolverStatus::AlmostSolved
+        | SolverStatus::InsufficientProgress
+        | SolverStatus::NumericalError
+            if solution.x.len() >= 2 && solution.x.iter().all(|x| x.is_finite()) =>
+        {
+            Ok(Certificate {
+                offset_px: [solution.x[0], solution.x[1]],
+                primal: solution.obj_val,
+                dual: solution.obj_val_dual,
+            })
+        }
+        status => Err(failed(status.to_string())),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::problems::plants::inner_median;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    #[test]
+    fn the_inner_solver_matches_the_cone_programme() {
+        let mut rng = ChaCha8Rng::seed_from_u64(8);
+        for case in 0..40 {
+            let count = [1, 3, 20, 150][case % 4];
+            let mut draw = || f64::from(rng.random_range(-12..=12));
+            let (u, v): (Vec<f64>, Vec<f64>) = (0..count).map(|_| (draw(), draw())).unzip();
+            let mut prior = Quadratic::default();
+            if case % 3 > 0 {
+                prior.add([0.2, 0.98], draw() / 4.0, 2.5);
+            }
+            if case % 3 > 1 {
+                prior.add([0.98, -0.2], draw() / 4.0, 6.0);
+            }
+            let weight = 0.15;
+            let certificate = plant(&u, &v, weight, &prior).unwrap();
+            let x = inner_median(&u, &v, weight, &prior);
+            let [uu, uv, vv] = prior.hessian;
+            let value = weight
+                * u.iter().zip(&v).map(|(u, v)| (u - x[0]).hypot(v - x[1])).sum::<f64>()
+                + 0.5 * (uu * x[0] * x[0] + 2.0 * uv * x[0] * x[1] + vv * x[1] * x[1])
+                - prior.pull[0] * x[0]
+                - prior.pull[1] * x[1];
+            let scale = 1.0 + value.abs();
+            assert!(certificate.gap() <= 1e-8 * scale, "case {case}: {certificate:?}");
+            assert!(
+                (value - certificate.primal).abs() <= 1e-8 * scale,
+                "case {case}: {value} {certificate:?}"
+            );
+            if count >= 20 {
+                // The minimiser itself is less sharp than the minimum: its error is the square root.
+                let error =
+                    (x[0] - certificate.offset_px[0]).hypot(x[1] - certificate.offset_px[1]);
+                assert!(error <= 1e-5, "case {case}: {error:e}");
+            }
+        }
+    }
+
+    #[test]
+    fn bad_input_is_refused() {
+        let prior = Quadratic::default();
+        assert!(plant(&[], &[], 1.0, &prior).is_err());
+        assert!(plant(&[0.0], &[0.0], 0.0, &prior).is_err());
+        assert!(plant(&[0.0], &[0.0], f64::NAN, &prior).is_err());
+    }
+}

@@ -1,0 +1,4 @@
+//! Plant traits from a mask.
+
+pub mod locate;
+pub mod rows;

@@ -1,0 +1,449 @@
+//! Heading, lines and spacing of the rows, from the leaf mask alone.
+//!
+//! For a heading `h`, cut the picture into strips along `h` and let `delta_i` be the share of strip
+//! `i` that is leaf. The heading is where the strips tell most about the mask:
+//!
+//! `eta^2(h) = sum_i l_i (delta_i - delta)^2 / (delta (1 - delta) sum_i l_i)`,
+//!
+//! the correlation ratio of the mask given the position across (`l_i`: area of the strip inside the
+//! mask's bounding box). Dividing by the area keeps a long narrow picture from looking like a row.
+//! First in windows small enough that a degree of error does not smear a row, then over windows
+//! that double in size while the angle is refined.
+//!
+//! The profile `delta` at that heading has its peaks on the rows; the lag at which its
+//! autocorrelation peaks is the distance between rows. One peak is one row; no contrast is no row.
+//!
+//! Headings are measured from the image's `u` axis towards its `v` axis; along and across as in
+//! [`Axes`]; everything else in pixels.
+
+use crate::problems::plants::{index::PixelIndex, lines::Axes};
+use std::f64::consts::PI;
+
+/// Pixels that the search for the heading looks at, at most.
+const SAMPLE: usize = 60_000;
+/// Side of the first windows, in pixels.
+const FIRST_WINDOW_PX: f64 = 512.0;
+/// The heading is believed from this correlation ratio on ...
+const LEAST_CONTRAST: f64 = 0.03;
+/// ... and where it exceeds that of the median direction this many times.
+const LEAST_PROMINENCE: f64 = 2.0;
+
+/// One row.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Row {
+    /// Position across the rows.
+    pub across_px: f64,
+    /// Where it begins along the rows.
+    pub start_px: f64,
+    /// Where it ends along the rows.
+    pub end_px: f64,
+    /// Leaf pixels that belong to it.
+    pub pixels: usize,
+}
+
+impl Row {
+    /// From its beginning to its end.
+    pub fn length_px(&self) -> f64 {
+        self.end_px - self.start_px
+    }
+}
+
+/// The rows of a mask.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Rows {
+    /// Their axes: origin in the middle of the mask's bounding box.
+    pub axes: Axes,
+    /// The rows, by position across. At least one.
+    pub rows: Vec<Row>,
+    /// Distance between rows, where there is more than one.
+    pub spacing_px: Option<f64>,
+    /// Correlation ratio at the heading, between 0 and 1.
+    pub contrast: f64,
+}
+
+/// What was found.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Detection {
+    /// Rows.
+    Found(Rows),
+    /// No heading stands out: the highest correlation ratio and how it compares with the median.
+    NoRows {
+        /// Highest correlation ratio.
+        contrast: f64,
+        /// Highest over median correlation ratio.
+        prominence: f64,
+    },
+}
+
+impl Detection {
+    /// The rows, if any were found.
+    pub fn rows(&self) -> Option<&Rows> {
+        match self {
+            Detection::Found(rows) => Some(rows),
+            Detection::NoRows { .. } => None,
+        }
+    }
+}
+
+/// Finds the rows of a mask.
+pub fn detect(index: &PixelIndex) -> Detection {
+    let none = |contrast, prominence| Detection::NoRows { contrast, prominence };
+    let Some(extent) = index.extent() else { return none(0.0, 0.0) };
+    let (origin_px, _) = extent.circle();
+    let size = [
+        f64::from(extent.u_max) - f64::from(extent.u_min) + 1.0,
+        f64::from(extent.v_max) - f64::from(extent.v_min) + 1.0,
+    ];
+    let stride = index.len().div_ceil(SAMPLE);
+    let sample: Vec<[f64; 2]> = (0..index.len())
+        .step_by(stride)
+        .map(|n| {
+            let [u, v] = index.position(n);
+            [u - origin_px[0], v - origin_px[1]]
+        })
+        .collect();
+    let diagonal = size[0].hypot(size[1]);
+    let mut window = FIRST_WINDOW_PX.min(diagonal);
+    let first = Windows::new(&sample, size, window, stride as f64);
+    let scores: Vec<f64> =
+        (0..180).map(|degree| first.score(f64::from(degree).to_radians())).collect();
+    let (best, contrast) = scores
+        .iter()
+        .copied()
+        .enumerate()
+        .fold((0, f64::NEG_INFINITY), |best, next| if next.1 > best.1 { next } else { best });
+    let mut sorted = scores;
+    sorted.sort_by(f64::total_cmp);
+    let prominence = contrast / sorted[90].max(1e-9);
+    if contrast.is_nan() || contrast < LEAST_CONTRAST || prominence < LEAST_PROMINENCE {
+        return none(contrast, prominence);
+    }
+    let (mut heading, mut step) = ((best as f64).to_radians(), 1_f64.to_radians());
+    loop {
+        let windows = Windows::new(&sample, size, window, stride as f64);
+        // Down to a sixteenth of a pixel over the length of the window.
+        let finest = (1.0 / 16.0) / window;
+        while step > finest {
+            let score = |k: i32| windows.score(heading + f64::from(k) * step / 2.0);
+            let (middle, left, right) = (score(0), score(-1), score(1));
+            if left > middle && left >= right {
+                heading -= step / 2.0;
+            } else if right > middle {
+                heading += step / 2.0;
+            }
+            step /= 2.0;
+        }
+        if window >= diagonal {
+            break;
+        }
+        window = (window * 2.0).min(diagonal);
+        step *= 8.0;
+    }
+    let axes = Axes { origin_px, heading_rad: heading.rem_euclid(PI) };
+    let rows = lines(index, &axes);
+    if rows.0.is_empty() {
+        return none(contrast, prominence);
+    }
+    Detection::Found(Rows { axes, rows: rows.0, spacing_px: rows.1, contrast })
+}
+
+/// A part of the bounding box and the sample in it.
+struct Window<'s> {
+    half_u: f64,
+    half_v: f64,
+    middle: [f64; 2],
+    pixels: Vec<&'s [f64; 2]>,
+}
+
+/// The sample cut into windows, with the part of the bounding box that each covers.
+struct Windows<'s> {
+    windows: Vec<Window<'s>>,
+    /// Pixels that one of the sample stands for.
+    weight: f64,
+}
+
+impl<'s> Windows<'s> {
+    fn new(sample: &'s [[f64; 2]], size: [f64; 2], side: f64, weight: f64) -> Windows<'s> {
+        let counts = size.map(|s| (s / side).ceil().max(1.0) as usize);
+        let cell = [size[0] / counts[0] as f64, size[1] / counts[1] as f64];
+        let cell_of = |x: f64, axis: usize| {
+            (((x + size[axis] / 2.0) / cell[axis]) as usize).min(counts[axis] - 1)
+        };
+        let mut windows: Vec<_> = (0..counts[0] * counts[1])
+            .map(|k| {
+                let middle = [
+                    ((k % counts[0]) as f64 + 0.5) * cell[0] - size[0] / 2.0,
+                    ((k / counts[0]) as f64 + 0.5) * cell[1] - size[1] / 2.0,
+                ];
+                Window { half_u: cell[0] / 2.0, half_v: cell[1] / 2.0, middle, pixels: Vec::new() }
+            })
+            .collect();
+        for at in sample {
+            windows[cell_of(at[1], 1) * counts[0] + cell_of(at[0], 0)].pixels.push(at);
+        }
+        Windows { windows, weight }
+    }
+
+    /// The correlation ratio at a heading, all windows together.
+    fn score(&self, heading_rad: f64) -> f64 {
+        let (s, c) = heading_rad.sin_cos();
+        let (mut between, mut within) = (0.0, 0.0);
+        let mut counts: Vec<f64> = Vec::new();
+        for Window { half_u, half_v, middle, pixels } in &self.windows {
+            if pixels.is_empty() {
+                continue;
+            }
+            let (a, b) = ((half_u * s).abs(), (half_v * c).abs());
+            let half = a + b;
+            // Strips wide enough to hold some of the sample each. A pixel is shared between the two
+            // nearest, which with two pixels or more hides the lattice of the picture.
+            let strip = (half / 40.0).max(2.0);
+            let strips = (2.0 * half / strip).ceil().max(1.0) as usize;
+            counts.clear();
+            counts.resize(strips, 0.0);
+            for at in pixels {
+                let across = c * (at[1] - middle[1]) - s * (at[0] - middle[0]);
+                let place = (across + half) / strip - 0.5;
+                let left = place.floor();
+                let part = place - left;
+                counts[(left.max(0.0) as usize).min(strips - 1)] += self.weight * (1.0 - part);
+                counts[((left + 1.0) as usize).min(strips - 1)] += self.weight * part;
+            }
+            let area = 4.0 * half_u * half_v;
+            let share = (pixels.len() as f64 * self.weight / area).min(1.0);
+            let mut below = 0.0;
+            for (k, count) in counts.iter().enumerate() {
+                let upto = area_below(a, b, area, (k as f64 + 1.0) * strip - half);
+                let inside = upto - below;
+                below = upto;
+                // A corner is too small to say anything.
+                if inside > 0.25 * area / strips as f64 {
+                    between += (count - share * inside).powi(2) / inside;
+                }
+            }
+            // A window full of leaf tells nothing.
+            within += (share * (1.0 - share)).max(0.02) * area;
+        }
+        between / within.max(1.0)
+    }
+}
+
+/// Area of a rectangle on one side of a line: its profile is a trapezoid, the convolution of two
+/// boxes of half widths `a` and `b`.
+fn area_below(a: f64, b: f64, area: f64, at: f64) -> f64 {
+    let (a, b) = (a.max(b), a.min(b));
+    let at = at.clamp(-a - b, a + b);
+    let height = area / (2.0 * a).max(f64::MIN_POSITIVE);
+    let ramp = |x: f64| if b > 0.0 { height * x * x / (4.0 * b) } else { 0.0 };
+    if at < b - a {
+        ramp(at + a + b)
+    } else if at <= a - b {
+        height * (at + a)
+    } else {
+        area - ramp(a + b - at)
+    }
+}
+
+/// Row lines at a heading, by position across, and the distance between them.
+fn lines(index: &PixelIndex, axes: &Axes) -> (Vec<Row>, Option<f64>) {
+    let places: Vec<[f64; 2]> = (0..index.len()).map(|n| axes.aligned(index.position(n))).collect();
+    let low = places.iter().map(|p| p[1]).fold(f64::INFINITY, f64::min).floor();
+    let high = places.iter().map(|p| p[1]).fold(f64::NEG_INFINITY, f64::max);
+    let mut profile = vec![0.0; (high - low) as usize + 1];
+    for place in &places {
+        profile[(place[1] - low) as usize] += 1.0;
+    }
+    let period = period(&profile);
+    let smooth_px = period.map_or(profile.len() as f64 / 8.0, |period| period / 7.0);
+    let smooth = blur(&profile, smooth_px);
+    let apart = period.map_or(profile.len() as f64, |period| 0.6 * period);
+    let highest = smooth.iter().copied().fold(0.0, f64::max);
+    let mut peaks: Vec<usize> = (0..smooth.len())
+        .filter(|&k| {
+            let left = k.checked_sub(1).map_or(0.0, |j| smooth[j]);
+            let right = smooth.get(k + 1).copied().unwrap_or(0.0);
+            smooth[k] > left && smooth[k] >= right && smooth[k] >= 0.2 * highest
+        })
+        .collect();
+    // The higher of two that are too close stays.
+    peaks.sort_by(|&a, &b| smooth[b].total_cmp(&smooth[a]).then(a.cmp(&b)));
+    let mut kept: Vec<usize> = Vec::new();
+    for peak in peaks {
+        if kept.iter().all(|&k| k.abs_diff(peak) as f64 > apart) {
+            kept.push(peak);
+        }
+    }
+    kept.sort_unstable();
+    let band = period.map_or(profile.len() as f64, |period| period / 2.0);
+    let mut along: Vec<Vec<f64>> = vec![Vec::new(); kept.len()];
+    let mut across = vec![0.0; kept.len()];
+    for [a, b] in places {
+        let strip = b - low - 0.5;
+        let nearest = kept.partition_point(|&k| (k as f64) < strip);
+        let candidates = [nearest.checked_sub(1), (nearest < kept.len()).then_some(nearest)];
+        let distance = |k: usize| (kept[k] as f64 - strip).abs();
+        let row =
+            candidates.into_iter().flatten().min_by(|&a, &b| distance(a).total_cmp(&distance(b)));
+        if let Some(row) = row.filter(|&row| distance(row) <= band) {
+            along[row].push(a);
+            across[row] += b;
+        }
+    }
+    let rows: Vec<Row> = along
+        .into_iter()
+        .zip(across)
+        .filter(|(along, _)| !along.is_empty())
+        .map(|(mut along, across)| {
+            along.sort_by(f64::total_cmp);
+            let pixels = along.len();
+            // A little is cut off at both ends: weeds and noise beyond the row.
+            let trim = pixels / 500;
+            Row {
+                across_px: across / pixels as f64,
+                start_px: along[trim] - 0.5,
+                end_px: along[pixels - 1 - trim] + 0.5,
+                pixels,
+            }
+        })
+        .collect();
+    let gaps: Vec<f64> = rows.windows(2).map(|w| w[1].across_px - w[0].across_px).collect();
+    let spacing = period.filter(|_| rows.len() > 1).map(|period| refine(&gaps, period));
+    (rows, spacing)
+}
+
+/// The distance between rows that explains the gaps, each a whole number of them.
+fn refine(gaps: &[f64], period: f64) -> f64 {
+    let steps = |gap: &f64| (gap / period).round().max(1.0);
+    let total: f64 = gaps.iter().sum();
+    total / gaps.iter().map(steps).sum::<f64>()
+}
+
+/// The lag at which a profile repeats itself, if it does.
+fn period(profile: &[f64]) -> Option<f64> {
+    let profile = blur(profile, 2.0);
+    let mean = profile.iter().sum::<f64>() / profile.len() as f64;
+    let centred: Vec<f64> = profile.iter().map(|x| x - mean).collect();
+    // Rows more than 4000 pixels apart are not looked for.
+    let lags = (profile.len() * 3 / 4).min(4000);
+    let correlation: Vec<f64> = (0..lags)
+        .map(|lag| {
+            let sum: f64 = centred.iter().zip(&centred[lag..]).map(|(a, b)| a * b).sum();
+            // Per overlap, but not so that a handful of strips decides.
+            sum / (profile.len() - lag) as f64
+        })
+        .collect();
+    let variance = correlation.first().copied().filter(|&v| v > 0.0)?;
+    let correlation = blur(&correlation, 1.5);
+    let peak =
+        |k: usize| correlation[k] > correlation[k - 1] && correlation[k] >= correlation[k + 1];
+    let valley = (1..correlation.len()).find(|&k| correlation[k] < 0.0)?;
+    let peaks: Vec<usize> =
+        (valley.max(1)..correlation.len().saturating_sub(1)).filter(|&k| peak(k)).collect();
+    let best = peaks.iter().map(|&k| correlation[k]).fold(0.0, f64::max);
+    if best < 0.15 * variance {
+        return None;
+    }
+    // The first that is nearly as high as the highest: later ones are its multiples.
+    peaks.into_iter().find(|&k| correlation[k] >= 0.6 * best).map(|k| k as f64)
+}
+
+/// Three box filters in a row, nearly a Gaussian; the ends are repeated as zero.
+fn blur(values: &[f64], sigma: f64) -> Vec<f64> {
+    let radius = ((sigma * sigma * 4.0 + 1.0).sqrt() / 2.0 - 0.5).round().max(0.0) as usize;
+    let mut values = values.to_vec();
+    for _ in 0..3 {
+        let mut sums = vec![0.0; values.len() + 1];
+        for (k, value) in values.iter().enumerate() {
+            sums[k + 1] = sums[k] + value;
+        }
+        for (k, value) in values.iter_mut().enumerate() {
+            let (first, last) = (k.saturating_sub(radius), (k + radius + 1).min(sums.len() - 1));
+            *value = (sums[last] - sums[first]) / (2 * radius + 1) as f64;
+        }
+    }
+    values
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    /// Ragged rows at a heading: blobs along parallel lines inside a square picture.
+    fn field(degrees: f64, rows: i32, spacing: f64, seed: u64) -> PixelIndex {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let axes = Axes { origin_px: [300.0, 300.0], heading_rad: degrees.to_radians() };
+        let mut pixels = Vec::new();
+        for row in 0..rows {
+            let across = (f64::from(row) - f64::from(rows - 1) / 2.0) * spacing;
+            let mut along = -200.0;
+            while along < 200.0 {
+                for _ in 0..70 {
+                    let mut blur = || (0..3).map(|_| rng.random::<f64>() - 0.5).sum::<f64>();
+                    let place = [along + 12.0 * blur(), across + 9.0 * blur()];
+                    let [u, v] = axes.image(place);
+                    pixels.push([u.round() as u32, v.round() as u32]);
+                }
+                along += 14.0 + 4.0 * rng.random::<f64>();
+            }
+        }
+        pixels.sort_unstable();
+        pixels.dedup();
+        PixelIndex::new(&pixels)
+    }
+
+    #[test]
+    fn headings_from_0_to_180_degrees_are_recovered() {
+        for k in 0..36 {
+            let degrees = f64::from(k) * 5.0 + f64::from(k % 3) * 0.7;
+            let index = field(degrees, 6, 50.0, k as u64);
+            let detection = detect(&index);
+            let rows = detection.rows().unwrap_or_else(|| panic!("{degrees}: {detection:?}"));
+            let error =
+                (rows.axes.heading_rad.to_degrees() - degrees + 90.0).rem_euclid(180.0) - 90.0;
+            assert!(error.abs() < 0.4, "{degrees} degrees: off by {error}");
+            assert_eq!(rows.rows.len(), 6, "{degrees} degrees: {rows:?}");
+            let spacing = rows.spacing_px.unwrap();
+            assert!((spacing - 50.0).abs() < 0.7, "{degrees} degrees: spacing {spacing}");
+            for row in &rows.rows {
+                assert!((row.length_px() - 412.0).abs() < 25.0, "{row:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn one_row_and_two_rows_are_rows() {
+        for (count, degrees) in [(1, 0.0), (1, 33.0), (2, 90.0), (2, 140.0)] {
+            let detection = detect(&field(degrees, count, 60.0, 4));
+            let rows = detection.rows().unwrap_or_else(|| panic!("{count}: {detection:?}"));
+            assert_eq!(rows.rows.len(), count as usize, "{degrees}: {rows:?}");
+            assert_eq!(rows.spacing_px.is_some(), count > 1);
+        }
+    }
+
+    #[test]
+    fn scattered_leaves_and_degenerate_masks_have_no_rows_or_one() {
+        let mut rng = ChaCha8Rng::seed_from_u64(9);
+        let mut draw = || [rng.random_range(0..400_u32), rng.random_range(0..400_u32)];
+        let scattered: Vec<[u32; 2]> = (0..8000).map(|_| draw()).collect();
+        let detection = detect(&PixelIndex::new(&scattered));
+        assert!(detection.rows().is_none(), "{detection:?}");
+        let square: Vec<[u32; 2]> = (0..10_000).map(|k| [k % 100, k / 100]).collect();
+        assert!(detect(&PixelIndex::new(&square)).rows().is_none());
+        assert!(detect(&PixelIndex::new(&[])).rows().is_none());
+        // Must not panic, whatever they answer.
+        detect(&PixelIndex::new(&[[7, 7]]));
+        detect(&PixelIndex::new(&(0..50).map(|k| [3, k]).collect::<Vec<_>>()));
+        detect(&PixelIndex::new(&(0..50).map(|k| [k, 3]).collect::<Vec<_>>()));
+    }
+
+    #[test]
+    fn the_area_below_a_line_grows_to_the_whole() {
+        for (a, b) in [(3.0, 1.0), (1.0, 3.0), (2.0, 0.0), (2.0, 2.0)] {
+            assert_eq!(area_below(a, b, 10.0, -a - b), 0.0);
+            approx::assert_relative_eq!(area_below(a, b, 10.0, 0.0), 5.0, epsilon = 1e-12);
+            approx::assert_relative_eq!(area_below(a, b, 10.0, a + b), 10.0, epsilon = 1e-12);
+        }
+    }
+}

@@ -1,0 +1,205 @@
+//! `rowgram locate` as a user meets it.
+
+use std::{
+    path::{Path, PathBuf},
+    process::{Command, Output},
+};
+
+fn rowgram(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_rowgram")).args(arguments).output().unwrap()
+}
+
+/// A mask of three rows of plants: discs 24 px apart, rows 60 px apart, turned by 10 degrees.
+fn mask(folder: &Path) -> (PathBuf, Vec<[f64; 2]>) {
+    let (s, c) = 10_f64.to_radians().sin_cos();
+    let mut centres = Vec::new();
+    for row in 0..3 {
+        for k in 0..12 {
+            let (along, across) = (24.0 * f64::from(k), 60.0 * f64::from(row));
+            centres.push([60.0 + c * along - s * across, 30.0 + s * along + c * across]);
+        }
+    }
+    let mut image = image::GrayImage::new(360, 240);
+    for centre in &centres {
+        for (u, v, pixel) in image.enumerate_pixels_mut() {
+            if (f64::from(u) - centre[0]).hypot(f64::from(v) - centre[1]) < 8.0 {
+                pixel.0 = [255];
+            }
+        }
+    }
+    let path = folder.join("mask.png");
+    image.save(&path).unwrap();
+    (path, centres)
+}
+
+fn read(path: &Path) -> (Vec<String>, Vec<Vec<f64>>) {
+    let text = std::fs::read_to_string(path).unwrap();
+    let mut lines = text.lines();
+    let header = lines.next().unwrap().split(',').map(str::to_owned).collect();
+    let number = |field: &str| field.parse().unwrap_or(f64::NAN);
+    (header, lines.map(|line| line.split(',').map(number).collect()).collect())
+}
+
+fn farthest(plants: &[Vec<f64>], centres: &[[f64; 2]]) -> f64 {
+    let nearest = |c: &[f64; 2]| {
+        plants.iter().map(|p| (p[0] - c[0]).hypot(p[1] - c[1])).fold(f64::INFINITY, f64::min)
+    };
+    centres.iter().map(nearest).fold(0.0, f64::max)
+}
+
+#[test]
+fn plants_in_a_mask_are_found_by_every_variant() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mask, centres) = mask(folder.path());
+    let out = folder.path().join("plants.csv");
+    let (mask, output) = (mask.to_str().unwrap(), out.to_str().unwrap());
+    for prior in ["none", "rows", "grid"] {
+        for update in ["mean", "median"] {
+            for (form, sigma) in
+                [("joint", "paper"), ("conditional", "planar"), ("joint", "fixed:6")]
+            {
+                let run = rowgram(&[
+                    "locate", mask, "--plants", "36", "--prior", prior, "--update", update,
+                    "--form", form, "--sigma", sigma, "--init", "rows", "--force", "-o", output,
+                ]);
+                assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+                let (header, plants) = read(&out);
+                assert_eq!(header, ["u_px", "v_px", "row"]);
+                assert_eq!(plants.len(), 36);
+                let error = farthest(&plants, &centres);
+                assert!(error < 2.0, "{prior} {update} {form} {sigma}: {error}");
+                assert!(plants.windows(2).all(|pair| pair[0][2] <= pair[1][2]));
+            }
+        }
+    }
+}
+
+#[test]
+fn the_summary_trace_overlay_and_metres_are_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mask, _) = mask(folder.path());
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let run = rowgram(&[
+        "locate",
+        mask.to_str().unwrap(),
+        "--plants",
+        "36",
+        "--gsd",
+        "0.01",
+        "--json",
+        "--quiet",
+        "--trace",
+        &path("trace.csv"),
+        "--overlay",
+        &path("overlay.png"),
+        "-o",
+        &path("plants.csv"),
+    ]);
+    assert!(run.status.success() && run.stderr.is_empty());
+    let json: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+    assert_eq!((json["plants"].as_u64(), json["rows"].as_u64()), (Some(36), Some(3)));
+    assert!((json["heading_deg"].as_f64().unwrap() - 10.0).abs() < 0.5, "{json}");
+    assert!((json["row_spacing_m"].as_f64().unwrap() - 0.6).abs() < 0.01, "{json}");
+    assert!(json["final_cost"].as_f64() <= json["initial_cost"].as_f64());
+    let (header, plants) = read(&folder.path().join("plants.csv"));
+    assert_eq!(header, ["u_px", "v_px", "row", "x_m", "y_m"]);
+    assert!(plants.iter().all(|plant| (plant[0] * 0.01 - plant[3]).abs() < 1e-9));
+    assert!(std::fs::read_to_string(path("trace.csv")).unwrap().contains("sigma_px"));
+    assert_eq!(image::open(path("overlay.png")).unwrap().width(), 360);
+}
+
+#[test]
+fn the_result_depends_on_the_seed_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mask, _) = mask(folder.path());
+    let run = |name: &str, seed: &str, threads: &str| {
+        let out = folder.path().join(name);
+        let run = rowgram(&[
+            "locate",
+            mask.to_str().unwrap(),
+            "--plants",
+            "30",
+            "--prior",
+            "none",
+            "--seed",
+            seed,
+            "--order",
+            "shuffled",
+            "--threads",
+            threads,
+            "-o",
+            out.to_str().unwrap(),
+        ]);
+        assert!(run.status.success());
+        std::fs::read(out).unwrap()
+    };
+    assert_eq!(run("a.csv", "1", "1"), run("b.csv", "1", "4"));
+    assert_ne!(run("c.csv", "2", "1"), run("d.csv", "1", "1"));
+}
+
+#[test]
+fn bad_input_is_refused_with_code_2_and_a_reason() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mask, _) = mask(folder.path());
+    let mask = mask.to_str().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    image::GrayImage::new(50, 40).save(path("black.png")).unwrap();
+    image::GrayImage::from_pixel(60, 60, image::Luma([255])).save(path("white.png")).unwrap();
+    std::fs::write(path("text.png"), "no picture").unwrap();
+    std::fs::write(path("there.csv"), "").unwrap();
+    let (black, white, text) = (path("black.png"), path("white.png"), path("text.png"));
+    let (out, there) = (path("out.csv"), path("there.csv"));
+    let cases: &[(&[&str], &str)] = &[
+        (&[mask, "--plants", "0"], "at least 1"),
+        (&[mask, "--plants", "-3"], "-3"),
+        (&[mask, "--plants", "9999999"], "leaf pixels"),
+        (&[&black, "--plants", "3"], "no leaf pixel"),
+        (&[&white, "--plants", "3"], "no rows"),
+        (&[&text, "--plants", "3"], "text.png"),
+        (&["/nonexistent.png", "--plants", "3"], "/nonexistent.png"),
+        (&[mask, "--plants", "3", "--gsd", "0"], "gsd"),
+        (&[mask, "--plants", "3", "--gsd", "nan"], "gsd"),
+        (&[mask, "--plants", "3", "--prior", "columns"], "columns"),
+        (&[mask, "--plants", "3", "--sigma", "fixed:-1"], "fixed:PX"),
+        (&[mask, "--plants", "3", "--init", "kmeans"], "kmeans++"),
+        (&[mask, "--plants", "3", "--tau", "30,79,30"], "tau"),
+        (&[mask, "--plants", "3", "--tau", "30,790,30,163"], "180"),
+    ];
+    for (arguments, reason) in cases {
+        let run = rowgram(&[&["locate"], *arguments, &["-o", &out]].concat());
+        let message = String::from_utf8_lossy(&run.stderr);
+        assert_eq!(run.status.code(), Some(2), "{arguments:?}: {message}");
+        assert!(message.contains(reason), "{arguments:?}: {message}");
+        assert!(!Path::new(&out).exists());
+    }
+    let run = rowgram(&["locate", mask, "--plants", "3", "--force", "-o", mask]);
+    assert_eq!(run.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&run.stderr).contains("twice"));
+    let run = rowgram(&["locate", mask, "--plants", "3", "-o", &there]);
+    assert_eq!(run.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&run.stderr).contains("--force"));
+}
+
+#[test]
+fn a_field_of_rows_is_located_better_than_by_chance() {
+    let Some(folder) = crate::data::path("field_masks/early20") else { return };
+    let out = tempfile::tempdir().unwrap();
+    let plants = out.path().join("plants.csv");
+    let (_, truth) = read(&folder.join("1000.csv"));
+    let truth: Vec<[f64; 2]> = truth.iter().map(|row| [row[0], row[1]]).collect();
+    let run = rowgram(&[
+        "locate",
+        folder.join("1000.png").to_str().unwrap(),
+        "--plants",
+        &truth.len().to_string(),
+        "--gsd",
+        "0.015",
+        "-o",
+        plants.to_str().unwrap(),
+    ]);
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    let (_, found) = read(&plants);
+    let found: Vec<[f64; 2]> = found.iter().map(|row| [row[0], row[1]]).collect();
+    let score = rowgram::score::Score::new(&found, &truth, &[10.0 / 1.5]).unwrap();
+    assert!(score.radii[0].f1.unwrap() > 0.5, "{score:?}");
+}
