@@ -1,8 +1,11 @@
 //! What the fused path keeps in memory: observations by point, and the sums of each share.
 
-use crate::nlls::{
-    cholesky::BlockMatrix,
-    structure::{NONE, Share},
+use crate::{
+    lanes::MAX_WIDTH,
+    nlls::{
+        cholesky::BlockMatrix,
+        structure::{NONE, Share},
+    },
 };
 use std::ops::Range;
 
@@ -198,13 +201,13 @@ impl<const P: usize> ShareWork<P> {
 }
 
 impl Buffers {
-    /// Room for `count` observations of `rows` rows.
+    /// Room for `count` observations of `rows` rows, and for the lanes behind the last.
     fn new<const K: usize, const S: usize, const P: usize>(
         count: usize,
         rows: usize,
         lenses: usize,
     ) -> Buffers {
-        let rows = count * rows;
+        let rows = (count + MAX_WIDTH) * rows;
         Buffers {
             residual: vec![0.0; rows],
             by_kept: vec![0.0; rows * padded(K)],

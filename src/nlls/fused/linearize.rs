@@ -12,13 +12,15 @@ use crate::{
 use pulp::Simd;
 use std::ops::Range;
 
-/// Writes the first `count` lanes of `value` to `to`, `stride` apart.
+/// Writes the lanes of `value` to `to`, `stride` apart. All of them, also those without an
+/// observation: the next group writes over them, and the buffers have room behind the last.
 #[inline(always)]
-fn scatter<V: Simd>(value: Register<V>, to: &mut [f64], stride: usize, count: usize) {
+fn scatter<V: Simd>(value: Register<V>, to: &mut [f64], stride: usize) {
     let mut lanes = [0.0; MAX_WIDTH];
     value.store(&mut lanes);
-    for (lane, to) in lanes[..count].iter().zip(to.iter_mut().step_by(stride)) {
-        *to = *lane;
+    let to = &mut to[..(Register::<V>::WIDTH - 1) * stride + 1];
+    for lane in 0..Register::<V>::WIDTH {
+        to[lane * stride] = lanes[lane];
     }
 }
 
@@ -51,18 +53,18 @@ pub(super) fn linearize_chunk<
         let found = F::linearize(&prepared, &point, &data);
         for row in 0..R {
             let at = first * R + row;
-            scatter(found.residual[row], &mut buffers.residual[at..], R, count);
+            scatter(found.residual[row], &mut buffers.residual[at..], R);
             let (to, stride) = (&mut buffers.by_kept[at * padded(K)..], R * padded(K));
             for k in 0..K {
-                scatter(found.by_kept[row][k], &mut to[k..], stride, count);
+                scatter(found.by_kept[row][k], &mut to[k..], stride);
             }
             for k in 0..S {
                 let to = &mut buffers.by_shared[at * S + k..];
-                scatter(found.by_shared[row][k], to, R * S, count);
+                scatter(found.by_shared[row][k], to, R * S);
             }
             for k in 0..P {
                 let to = &mut buffers.by_point[at * P + k..];
-                scatter(found.by_point[row][k], to, R * P, count);
+                scatter(found.by_point[row][k], to, R * P);
             }
         }
         if settings.loss != Loss::Trivial {
@@ -176,10 +178,10 @@ pub(super) fn apply_chunk<
         let found = F::linearize(&prepared, &point, &data);
         for row in 0..R {
             let at = first * R + row;
-            scatter(found.residual[row], &mut buffers.residual[at..], R, count);
+            scatter(found.residual[row], &mut buffers.residual[at..], R);
             for k in 0..P {
                 let to = &mut buffers.by_point[at * P + k..];
-                scatter(found.by_point[row][k], to, R * P, count);
+                scatter(found.by_point[row][k], to, R * P);
             }
             let mut along = found.by_kept[row][0] * Register::load(simd, &kept[0]);
             for k in 1..K {
@@ -190,7 +192,7 @@ pub(super) fn apply_chunk<
                 let d = Register::load(simd, &shared[k]);
                 along = found.by_shared[row][k].mul_add(d, along);
             }
-            scatter(along, &mut buffers.along[at..], R, count);
+            scatter(along, &mut buffers.along[at..], R);
         }
         if settings.loss != Loss::Trivial {
             for o in first..first + count {

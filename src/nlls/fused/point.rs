@@ -98,11 +98,11 @@ fn middle<const R: usize, const P: usize>(q_i: &[f64], q_j: &[f64], same: bool) 
     let mut middle = [[0.0; R]; R];
     for (a, row) in middle.iter_mut().enumerate() {
         for (b, entry) in row.iter_mut().enumerate() {
-            let mut product = 0.0;
+            let mut left = if same && a == b { 1.0 } else { 0.0 };
             for k in 0..P {
-                product += q_i[a * P + k] * q_j[b * P + k];
+                left -= q_i[a * P + k] * q_j[b * P + k];
             }
-            *entry = f64::from(u8::from(same && a == b)) - product;
+            *entry = left;
         }
     }
     middle
@@ -143,17 +143,19 @@ fn add_product<V: Simd, const R: usize, const K: usize>(
     middle: &[[f64; R]; R],
     column: &[f64],
 ) {
-    let mut product = [[0.0; MAX_KEPT]; R];
-    for (a, product) in product.iter_mut().enumerate() {
-        let to = V::as_mut_simd_f64s(&mut product[..padded(K)]).0;
+    // M J_column in registers, as many as there are; the rest of the array costs nothing.
+    let mut product = [[simd.splat_f64s(0.0); MAX_KEPT]; R];
+    let columns = padded(K) / V::F64_LANES;
+    let column: &[V::f64s] = V::as_simd_f64s(&column[..R * padded(K)]).0;
+    for a in 0..R {
         for b in 0..R {
-            let from = V::as_simd_f64s(&column[b * padded(K)..(b + 1) * padded(K)]).0;
             let m = simd.splat_f64s(middle[a][b]);
-            for k in 0..to.len() {
-                to[k] = if b == 0 {
-                    simd.mul_f64s(m, from[k])
+            for k in 0..columns {
+                let from = column[b * columns + k];
+                product[a][k] = if b == 0 {
+                    simd.mul_f64s(m, from)
                 } else {
-                    simd.mul_add_e_f64s(m, from[k], to[k])
+                    simd.mul_add_e_f64s(m, from, product[a][k])
                 };
             }
         }
@@ -163,24 +165,35 @@ fn add_product<V: Simd, const R: usize, const K: usize>(
     if whole > 0 {
         for i in 0..K {
             let to = V::as_mut_simd_f64s(&mut main[i * whole..(i + 1) * whole]).0;
-            for a in 0..R {
-                let from = V::as_simd_f64s(&product[a][..whole]).0;
-                let factor = simd.splat_f64s(row[a * padded(K) + i]);
-                for k in 0..to.len() {
-                    to[k] = simd.mul_add_e_f64s(factor, from[k], to[k]);
+            for k in 0..whole / V::F64_LANES {
+                let mut sum = to[k];
+                for a in 0..R {
+                    let factor = simd.splat_f64s(row[a * padded(K) + i]);
+                    sum = simd.mul_add_e_f64s(factor, product[a][k], sum);
                 }
+                to[k] = sum;
             }
         }
     }
-    for j in whole..K {
-        let to = &mut rest[(j - whole) * padded(K)..(j - whole + 1) * padded(K)];
+    // The columns that are left over, as vectors over the rows.
+    let row: &[V::f64s] = V::as_simd_f64s(&row[..R * padded(K)]).0;
+    let mut factors = [[0.0; 8]; R];
+    for a in 0..R {
+        let last = &product[a][whole / V::F64_LANES..columns];
+        for (to, from) in V::as_mut_simd_f64s(&mut factors[a]).0.iter_mut().zip(last) {
+            *to = *from;
+        }
+    }
+    for j in 0..K - whole {
+        let to = &mut rest[j * padded(K)..(j + 1) * padded(K)];
         let to = V::as_mut_simd_f64s(to).0;
-        for a in 0..R {
-            let from = V::as_simd_f64s(&row[a * padded(K)..(a + 1) * padded(K)]).0;
-            let factor = simd.splat_f64s(product[a][j]);
-            for k in 0..to.len() {
-                to[k] = simd.mul_add_e_f64s(factor, from[k], to[k]);
+        for k in 0..columns {
+            let mut sum = to[k];
+            for a in 0..R {
+                let factor = simd.splat_f64s(factors[a][j]);
+                sum = simd.mul_add_e_f64s(factor, row[a * columns + k], sum);
             }
+            to[k] = sum;
         }
     }
 }

@@ -4,7 +4,7 @@ use crate::nlls::eliminate::damping;
 
 /// `V`, its damping and `g` of one point.
 pub(super) struct Small<const P: usize> {
-    /// The lower triangle of `V`, then its Cholesky factor.
+    /// The lower triangle of `V`, then its Cholesky factor with the pivots inverted.
     v: [[f64; P]; P],
     pub(super) g: [f64; P],
     /// `lambda D`.
@@ -53,14 +53,14 @@ impl<const P: usize> Small<P> {
                 pivot -= self.v[j][k] * self.v[j][k];
             }
             definite &= pivot > 0.0 && pivot.is_finite();
-            let pivot = pivot.sqrt();
-            self.v[j][j] = pivot;
+            let inverse = 1.0 / pivot.sqrt();
+            self.v[j][j] = inverse;
             for i in j + 1..P {
                 let mut sum = self.v[i][j];
                 for k in 0..j {
                     sum -= self.v[i][k] * self.v[j][k];
                 }
-                self.v[i][j] = sum / pivot;
+                self.v[i][j] = sum * inverse;
             }
         }
         definite
@@ -74,7 +74,7 @@ impl<const P: usize> Small<P> {
             for k in 0..i {
                 y[i] -= self.v[i][k] * y[k];
             }
-            y[i] /= self.v[i][i];
+            y[i] *= self.v[i][i];
         }
         y
     }
@@ -87,7 +87,7 @@ impl<const P: usize> Small<P> {
             for k in i + 1..P {
                 y[i] -= self.v[k][i] * y[k];
             }
-            y[i] /= self.v[i][i];
+            y[i] *= self.v[i][i];
         }
         y
     }
