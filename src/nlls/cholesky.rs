@@ -170,6 +170,14 @@ impl std::fmt::Debug for Cholesky {
     }
 }
 
+/// How faer cuts its work: by the dimension, never by the number of threads, for the cuts decide how
+/// sums are rounded.
+fn parallelism(dimension: usize) -> Par {
+    if dimension < 1500 { Par::Seq } else { Par::Rayon(TWO) }
+}
+
+const TWO: std::num::NonZeroUsize = std::num::NonZeroUsize::MIN.saturating_add(1);
+
 /// Below this dimension the dense factorisation always wins.
 const SMALL: usize = 160;
 /// Share of a full lower triangle from which a sparse factor is slower than a dense one.
@@ -186,9 +194,10 @@ impl Cholesky {
         {
             return Cholesky::Sparse(Box::new(sparse));
         }
-        let scratch =
-            llt::factor::cholesky_in_place_scratch::<f64>(dimension, Par::Seq, Spec::default())
-                .or(llt::solve::solve_in_place_scratch::<f64>(dimension, MAX_COLUMNS, Par::Seq));
+        let par = parallelism(dimension);
+        let factor = llt::factor::cholesky_in_place_scratch::<f64>(dimension, par, Spec::default());
+        let solve = llt::solve::solve_in_place_scratch::<f64>(dimension, MAX_COLUMNS, par);
+        let scratch = factor.or(solve);
         Cholesky::Dense {
             dimension,
             factor: vec![0.0; dimension * dimension],
@@ -210,7 +219,7 @@ impl Cholesky {
                 llt::factor::cholesky_in_place(
                     a,
                     Default::default(),
-                    Par::Seq,
+                    parallelism(n),
                     MemStack::new(memory),
                     Spec::default(),
                 )
@@ -268,7 +277,7 @@ impl Sparse {
         )
         .ok()?;
         let scratch = symbolic
-            .factorize_numeric_llt_scratch::<f64>(Par::Seq, Spec::default())
+            .factorize_numeric_llt_scratch::<f64>(parallelism(n), Spec::default())
             .or(symbolic.solve_in_place_scratch::<f64>(MAX_COLUMNS, Par::Seq));
         Some(Sparse {
             values: vec![0.0; row_index.len()],
@@ -295,7 +304,7 @@ impl Sparse {
                 SparseColMatRef::new(pattern, self.values.as_slice()),
                 Side::Lower,
                 Default::default(),
-                Par::Seq,
+                parallelism(n),
                 MemStack::new(&mut self.memory),
                 Spec::default(),
             )

@@ -208,30 +208,33 @@ impl Structure {
     }
 
     /// Per eliminated block, the kept blocks it shares a factor with, ascending.
-    fn find_touched(&self, problem: &Problem) -> Vec<Vec<u32>> {
-        (0..self.eliminated.len())
-            .map(|e| {
-                let mut touched: Vec<u32> = self
-                    .factors(e)
-                    .iter()
-                    .flat_map(|&(b, f)| problem.batches[b as usize].batch.blocks(f as usize))
-                    .map(|block| self.place[block.index()])
-                    .filter(|&place| place != NONE)
-                    .collect();
-                touched.sort_unstable();
-                touched.dedup();
-                touched
-            })
-            .collect()
+    fn find_touched(&self, problem: &Problem) -> Touched {
+        let mut touched =
+            Touched { first: vec![0], places: Vec::with_capacity(self.factors.len()) };
+        let mut one: Vec<u32> = Vec::new();
+        for e in 0..self.eliminated.len() {
+            one.clear();
+            for &(b, f) in self.factors(e) {
+                for block in problem.batches[b as usize].batch.blocks(f as usize) {
+                    let place = self.place[block.index()];
+                    if place != NONE {
+                        one.push(place);
+                    }
+                }
+            }
+            if !one.is_sorted_by(|a, b| a < b) {
+                one.sort_unstable();
+                one.dedup();
+            }
+            touched.places.extend_from_slice(&one);
+            touched.first.push(touched.places.len());
+        }
+        touched
     }
 
-    fn refuse_idle_blocks(
-        &self,
-        problem: &Problem,
-        touched: &[Vec<u32>],
-    ) -> Result<(), SolveError> {
+    fn refuse_idle_blocks(&self, problem: &Problem, touched: &Touched) -> Result<(), SolveError> {
         let mut busy = vec![false; self.kept.len()];
-        touched.iter().flatten().for_each(|&k| busy[k as usize] = true);
+        touched.places.iter().for_each(|&k| busy[k as usize] = true);
         for &(b, f) in &self.plain {
             for block in problem.batches[b as usize].batch.blocks(f as usize) {
                 if self.place[block.index()] != NONE {
@@ -252,7 +255,7 @@ impl Structure {
         }
     }
 
-    fn cut_into_shares(&mut self, touched: &[Vec<u32>], dims: &[usize]) {
+    fn cut_into_shares(&mut self, touched: &Touched, dims: &[usize]) {
         let total = self.factors.len();
         let shares = total.div_ceil(SHARE_FACTORS).clamp(1, MAX_SHARES);
         let mut first = 0;
@@ -266,19 +269,20 @@ impl Structure {
                 end = self.eliminated.len();
             }
             if end > first {
-                self.shares.push(Share::new(first..end, &touched[first..end], dims));
+                self.shares.push(Share::new(first..end, touched, dims));
                 first = end;
             }
         }
-        self.touch_ptr.push(0);
+        let mut local = vec![NONE; dims.len()];
         for share in &self.shares {
+            for (k, &place) in share.kept.iter().enumerate() {
+                local[place as usize] = k as u32;
+            }
             for e in share.eliminated.clone() {
-                let local =
-                    touched[e].iter().map(|k| share.kept.partition_point(|other| other < k) as u32);
-                self.touch.extend(local);
-                self.touch_ptr.push(self.touch.len());
+                self.touch.extend(touched.of(e).iter().map(|&place| local[place as usize]));
             }
         }
+        self.touch_ptr.clone_from(&touched.first);
     }
 
     fn reduced_pattern(&self, problem: &Problem, dims: &[usize]) -> BlockMatrix {
@@ -334,6 +338,18 @@ impl Structure {
     }
 }
 
+/// Per eliminated block the places of the kept ones that it touches, one list after the other.
+struct Touched {
+    first: Vec<usize>,
+    places: Vec<u32>,
+}
+
+impl Touched {
+    fn of(&self, e: usize) -> &[u32] {
+        &self.places[self.first[e]..self.first[e + 1]]
+    }
+}
+
 /// Puts eliminated blocks that touch the same kept ones next to each other, so that a share's sums
 /// stay in the cache and differ from the other shares'.
 fn sort_by_neighbourhood(problem: &Problem, place: &[u32], eliminated: &mut [usize]) {
@@ -356,21 +372,24 @@ fn sort_by_neighbourhood(problem: &Problem, place: &[u32], eliminated: &mut [usi
 }
 
 impl Share {
-    fn new(eliminated: std::ops::Range<usize>, touched: &[Vec<u32>], dims: &[usize]) -> Share {
-        let mut kept: Vec<u32> = touched.iter().flatten().copied().collect();
-        kept.sort_unstable();
-        kept.dedup();
+    fn new(eliminated: std::ops::Range<usize>, touched: &Touched, dims: &[usize]) -> Share {
+        let mut seen = vec![false; dims.len()];
+        let places =
+            &touched.places[touched.first[eliminated.start]..touched.first[eliminated.end]];
+        places.iter().for_each(|&place| seen[place as usize] = true);
+        let kept: Vec<u32> = (0..dims.len() as u32).filter(|&place| seen[place as usize]).collect();
         let n = kept.len();
         let mut local = vec![NONE; dims.len()];
         for (k, &block) in kept.iter().enumerate() {
             local[block as usize] = k as u32;
         }
         let mut table = vec![NONE; n * n];
-        for touched in touched {
+        for e in eliminated.clone() {
+            let touched = touched.of(e);
             for (k, &row) in touched.iter().enumerate() {
+                let line = &mut table[local[row as usize] as usize * n..];
                 for &column in &touched[..=k] {
-                    let (row, column) = (local[row as usize], local[column as usize]);
-                    table[row as usize * n + column as usize] = 0;
+                    line[local[column as usize] as usize] = 0;
                 }
             }
         }
