@@ -121,7 +121,7 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Options {
-        Options { order: Order::Cyclic, seed: 0, movement_tolerance: 1e-2, cost_tolerance: 0.0 }
+        Options { order: Order::Cyclic, seed: 0, movement_tolerance: 1e-2, cost_tolerance: 1e-6 }
     }
 }
 
