@@ -7,9 +7,10 @@
 //! - The order of sweep `k` is a pure function of `(seed, k)`, so nothing of it has to be kept.
 //! - A block is visited only while *touched*: at the start, and whenever an update or the end of a
 //!   sweep says that its optimum may have moved ([`Touched::mark`]).
-//! - It ends when no block is touched or none moved by more than the tolerance, or, where one joint
-//!   objective exists, when a sweep decreases it by less than the relative tolerance. A problem
-//!   without a joint objective (the paper's conditionals) is judged by movement alone.
+//! - It ends when no block is touched, or none moved by more than the tolerance and the end of the
+//!   sweep touched no other, or, where one joint objective exists, when a sweep decreases it by less
+//!   than the relative tolerance. A problem without a joint objective (the paper's conditionals) is
+//!   judged by movement alone.
 //!
 //! Reference: S. J. Wright, "Coordinate descent algorithms", Mathematical Programming 151 (2015).
 
@@ -121,7 +122,7 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Options {
-        Options { order: Order::Cyclic, seed: 0, movement_tolerance: 1e-2, cost_tolerance: 0.0 }
+        Options { order: Order::Cyclic, seed: 0, movement_tolerance: 1e-2, cost_tolerance: 1e-6 }
     }
 }
 
@@ -198,14 +199,17 @@ impl<P: BlockCost> Engine<P> for Descent {
                 movement = movement.max(problem.update(x, block, &mut self.touched));
             }
         }
+        let waiting = self.touched.count();
         problem.end_sweep(x, &mut self.touched);
+        let waiting_after = self.touched.count();
         self.sweep += 1;
         let before = self.cost;
         self.cost = problem.cost(x);
         if !(self.cost.is_finite() && movement.is_finite()) {
             return Err(SolveError::NotFinite(format!("sweep {}", self.sweep)));
         }
-        let still = movement <= self.options.movement_tolerance || self.touched.count() == 0;
+        let still = waiting_after == 0
+            || (movement <= self.options.movement_tolerance && waiting_after == waiting);
         let flat = problem.monotone()
             && self.options.cost_tolerance > 0.0
             && before - self.cost <= self.options.cost_tolerance * before.abs();

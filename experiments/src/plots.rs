@@ -32,11 +32,11 @@ const JUDGES: [&str; 2] = ["k-means", "rows, inter-row joint"];
 
 /// The candidates of every setting: four thresholds, least pixels of a component.
 const CANDIDATES: [&[i64]; 5] = [
-    &[20, 25, 30, 35, 40],
-    &[60, 70, 79, 90],
-    &[30, 50, 70, 90, 110],
-    &[163, 200, 230, 255],
-    &[0, 50, 200, 600],
+    &[20, 25, 30, 35, 40, 45, 50],
+    &[60, 65, 70, 79, 90],
+    &[0, 15, 30, 50, 70],
+    &[100, 130, 163, 200, 255],
+    &[0, 10, 25, 50, 200],
 ];
 
 struct Plot {

@@ -8,7 +8,8 @@
 //! the correlation ratio of the mask given the position across (`l_i`: area of the strip inside the
 //! mask's bounding box). Dividing by the area keeps a long narrow picture from looking like a row.
 //! First in windows small enough that a degree of error does not smear a row, then over windows
-//! that double in size while the angle is refined.
+//! that double in size while the angle is refined. Of several peaks, the highest that shows a
+//! repeating profile is taken.
 //!
 //! The profile `delta` at that heading has its peaks on the rows; the lag at which its
 //! autocorrelation peaks is the distance between rows. One peak is one row; no contrast is no row.
@@ -21,6 +22,8 @@ use std::f64::consts::PI;
 
 /// Pixels that the search for the heading looks at, at most.
 const SAMPLE: usize = 60_000;
+/// Another peak is looked at if it has this share of the highest correlation ratio.
+const LEAST_RIVAL: f64 = 0.3;
 /// Side of the first windows, in pixels.
 const FIRST_WINDOW_PX: f64 = 512.0;
 /// The heading is believed from this correlation ratio on ...
@@ -102,49 +105,86 @@ pub fn detect(index: &PixelIndex) -> Detection {
             [u - origin_px[0], v - origin_px[1]]
         })
         .collect();
-    let diagonal = size[0].hypot(size[1]);
-    let mut window = FIRST_WINDOW_PX.min(diagonal);
-    let first = Windows::new(&sample, size, window, stride as f64);
+    let finder = Finder { sample: &sample, size, weight: stride as f64 };
+    let window = FIRST_WINDOW_PX.min(size[0].hypot(size[1]));
+    let first = Windows::new(&finder, window);
     let scores: Vec<f64> =
         (0..180).map(|degree| first.score(f64::from(degree).to_radians())).collect();
-    let (best, contrast) = scores
-        .iter()
-        .copied()
-        .enumerate()
-        .fold((0, f64::NEG_INFINITY), |best, next| if next.1 > best.1 { next } else { best });
-    let mut sorted = scores;
+    let mut sorted = scores.clone();
     sorted.sort_by(f64::total_cmp);
+    let contrast = sorted[179];
     let prominence = contrast / sorted[90].max(1e-9);
     if contrast.is_nan() || contrast < LEAST_CONTRAST || prominence < LEAST_PROMINENCE {
         return none(contrast, prominence);
     }
-    let (mut heading, mut step) = ((best as f64).to_radians(), 1_f64.to_radians());
-    loop {
-        let windows = Windows::new(&sample, size, window, stride as f64);
-        // Down to a sixteenth of a pixel over the length of the window.
-        let finest = (1.0 / 16.0) / window;
-        while step > finest {
-            let score = |k: i32| windows.score(heading + f64::from(k) * step / 2.0);
-            let (middle, left, right) = (score(0), score(-1), score(1));
-            if left > middle && left >= right {
-                heading -= step / 2.0;
-            } else if right > middle {
-                heading += step / 2.0;
-            }
-            step /= 2.0;
+    let mut found: Option<Rows> = None;
+    for degree in peaks(&scores) {
+        let heading_rad = finder.refine((degree as f64).to_radians(), window).rem_euclid(PI);
+        let axes = Axes { origin_px, heading_rad };
+        let (rows, spacing_px) = lines(index, &axes);
+        let repeats = spacing_px.is_some();
+        if !rows.is_empty() && (found.is_none() || repeats) {
+            found = Some(Rows { axes, rows, spacing_px, contrast: scores[degree] });
         }
-        if window >= diagonal {
+        if repeats {
             break;
         }
-        window = (window * 2.0).min(diagonal);
-        step *= 8.0;
     }
-    let axes = Axes { origin_px, heading_rad: heading.rem_euclid(PI) };
-    let rows = lines(index, &axes);
-    if rows.0.is_empty() {
-        return none(contrast, prominence);
+    found.map_or(none(contrast, prominence), Detection::Found)
+}
+
+/// The headings, in whole degrees, at which the score peaks, the highest first: a field's edges can
+/// tell more of the mask than rows whose leaves have closed, but only rows repeat themselves.
+fn peaks(scores: &[f64]) -> Vec<usize> {
+    let around = |degree: usize, by: usize| scores[(degree + by) % scores.len()];
+    let highest = scores.iter().copied().fold(0.0, f64::max);
+    let mut peaks: Vec<usize> = (0..scores.len())
+        .filter(|&degree| {
+            let nearby = (1..=10).flat_map(|by| [around(degree, by), around(degree, 180 - by)]);
+            scores[degree] >= LEAST_CONTRAST.max(LEAST_RIVAL * highest)
+                && nearby.fold(0.0, f64::max) <= scores[degree]
+        })
+        .collect();
+    peaks.sort_by(|&a, &b| scores[b].total_cmp(&scores[a]).then(a.cmp(&b)));
+    peaks
+}
+
+/// What the search for a heading looks at.
+struct Finder<'s> {
+    /// Some of the pixels, from the middle of the mask.
+    sample: &'s [[f64; 2]],
+    /// Width and height of the mask.
+    size: [f64; 2],
+    /// Pixels that one of the sample stands for.
+    weight: f64,
+}
+
+impl Finder<'_> {
+    /// Refines a heading by bisection while the windows grow to the whole mask.
+    fn refine(&self, mut heading: f64, mut window: f64) -> f64 {
+        let diagonal = self.size[0].hypot(self.size[1]);
+        let mut step = 1_f64.to_radians();
+        loop {
+            let windows = Windows::new(self, window);
+            // Down to a sixteenth of a pixel over the length of the window.
+            let finest = (1.0 / 16.0) / window;
+            while step > finest {
+                let score = |k: i32| windows.score(heading + f64::from(k) * step / 2.0);
+                let (middle, left, right) = (score(0), score(-1), score(1));
+                if left > middle && left >= right {
+                    heading -= step / 2.0;
+                } else if right > middle {
+                    heading += step / 2.0;
+                }
+                step /= 2.0;
+            }
+            if window >= diagonal {
+                return heading;
+            }
+            window = (window * 2.0).min(diagonal);
+            step *= 8.0;
+        }
     }
-    Detection::Found(Rows { axes, rows: rows.0, spacing_px: rows.1, contrast })
 }
 
 /// A part of the bounding box and the sample in it.
@@ -163,7 +203,8 @@ struct Windows<'s> {
 }
 
 impl<'s> Windows<'s> {
-    fn new(sample: &'s [[f64; 2]], size: [f64; 2], side: f64, weight: f64) -> Windows<'s> {
+    fn new(finder: &Finder<'s>, side: f64) -> Windows<'s> {
+        let &Finder { sample, size, weight } = finder;
         let counts = size.map(|s| (s / side).ceil().max(1.0) as usize);
         let cell = [size[0] / counts[0] as f64, size[1] / counts[1] as f64];
         let cell_of = |x: f64, axis: usize| {
@@ -262,7 +303,7 @@ fn lines(index: &PixelIndex, axes: &Axes) -> (Vec<Row>, Option<f64>) {
         .filter(|&k| {
             let left = k.checked_sub(1).map_or(0.0, |j| smooth[j]);
             let right = smooth.get(k + 1).copied().unwrap_or(0.0);
-            smooth[k] > left && smooth[k] >= right && smooth[k] >= 0.2 * highest
+            smooth[k] > left && smooth[k] >= right && smooth[k] >= 0.35 * highest
         })
         .collect();
     // The higher of two that are too close stays.

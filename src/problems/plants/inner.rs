@@ -46,6 +46,24 @@ struct Local {
     nearest2: f64,
 }
 
+/// `F` of the mean at `x`, but for a constant.
+pub(super) fn mean_cost(u: &[f64], v: &[f64], weight: f64, prior: &Quadratic, x: [f64; 2]) -> f64 {
+    let squares: f64 =
+        u.iter().zip(v).map(|(zu, zv)| (zu - x[0]).powi(2) + (zv - x[1]).powi(2)).sum();
+    0.5 * weight * squares + prior.value(x)
+}
+
+/// `F` of the median at `x`, but for a constant.
+pub(super) fn median_cost(
+    u: &[f64],
+    v: &[f64],
+    weight: f64,
+    prior: &Quadratic,
+    x: [f64; 2],
+) -> f64 {
+    evaluate(u, v, weight, prior, x).value
+}
+
 /// Pixels taken at once; their sums are kept apart and added at the end.
 const LANES: usize = 4;
 /// Below this distance (squared, in pixels) a pixel is the place itself.
@@ -229,7 +247,10 @@ mod tests {
 
     fn cost(u: &[f64], v: &[f64], weight: f64, prior: &Quadratic, x: [f64; 2]) -> f64 {
         let data: f64 = u.iter().zip(v).map(|(u, v)| (u - x[0]).hypot(v - x[1])).sum();
-        weight * data + prior.value(x)
+        let value = weight * data + prior.value(x);
+        let fast = median_cost(u, v, weight, prior, x);
+        assert!((value - fast).abs() <= 1e-12 * (1.0 + value.abs()), "{value} {fast}");
+        value
     }
 
     #[test]

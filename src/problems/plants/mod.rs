@@ -12,9 +12,11 @@
 //! form minimises squares, not the stated distances.
 //!
 //! One update takes the pixels that the plant wins, moves it to the exact optimum for them
-//! ([`crate::convex`] certifies it) and lets every pixel choose again. The first lies above the
-//! true, non-convex objective and touches it where the plant was, so `J` never increases
-//! (majorise-minimise). Only pixels near the plant are read ([`assignment`]). After each sweep
+//! ([`crate::convex`] certifies it) and lets every pixel choose again. The cost for held pixels lies
+//! above the true, non-convex objective and touches it where the plant was, so `J` never increases
+//! (majorise-minimise). A long step goes beyond that optimum, as far as the cost for the held pixels
+//! stays below that of not moving: the pixels to come lie ahead. The last steps are exact, as are all
+//! of the conditional form. Only pixels near the plant are read ([`assignment`]). After each sweep
 //! memberships, lines, variances and `sigma` are refitted, each by its exact minimiser.
 //!
 //! In the paper's conditional form the prior of a plant is taken from the other plants and there is
@@ -45,6 +47,8 @@ use serde::{Deserialize, Serialize};
 
 /// `sigma` is never less than this, in pixels: every pixel its own plant would make it zero.
 const SIGMA_FLOOR_PX: f64 = 0.1;
+/// Steps longer than this many pixels go beyond the optimum, which saves half of the sweeps.
+const RELAXED_PX: f64 = 0.1;
 /// Positions beyond this many pixels are refused: no picture is as large.
 const FARTHEST_PX: f64 = 1e9;
 
@@ -105,6 +109,9 @@ impl Plants {
         let fixed = if let SigmaRule::Fixed(px) = model.sigma { px } else { 1.0 };
         if [model.floor_px, model.settle_px, fixed].iter().any(|x| !(x.is_finite() && *x > 0.0)) {
             return misuse("floor, settling distance and sigma have to be positive".to_owned());
+        }
+        if !(1.0..2.0).contains(&model.relaxation) {
+            return misuse("the relaxation has to be at least 1 and less than 2".to_owned());
         }
         if ![axes.origin_px[0], axes.origin_px[1], axes.heading_rad].iter().all(|x| x.is_finite()) {
             return misuse("the axes are not finite".to_owned());
@@ -211,7 +218,18 @@ impl Plants {
             PlantUpdate::Median => inner_median,
             PlantUpdate::Mean => inner_mean,
         };
-        let offset = inner(&x.work.u, &x.work.v, weight, &prior);
+        let mut offset = inner(&x.work.u, &x.work.v, weight, &prior);
+        if self.monotone() && offset[0].hypot(offset[1]) > RELAXED_PX {
+            let Work { u, v, .. } = &x.work;
+            let beyond = offset.map(|step| step * self.model.relaxation);
+            let value = |at| match self.model.update {
+                PlantUpdate::Median => inner::median_cost(u, v, weight, &prior, at),
+                PlantUpdate::Mean => inner::mean_cost(u, v, weight, &prior, at),
+            };
+            if value(beyond) <= value([0.0; 2]) {
+                offset = beyond;
+            }
+        }
         x.balance[plant] = prior.gradient(offset).map(|g| g / weight);
         let at = &mut x.positions_px[plant];
         *at = [at[0] + offset[0], at[1] + offset[1]];
@@ -365,6 +383,10 @@ impl BlockCost for Plants {
         self.gather(x, plant);
         let old = x.positions_px[plant];
         let offset = self.solve(x, plant);
+        let movement = offset[0].hypot(offset[1]);
+        if movement > RELAXED_PX {
+            touched.mark(plant);
+        }
         if x.positions_px[plant] == old {
             return 0.0;
         }
@@ -372,7 +394,7 @@ impl BlockCost for Plants {
         work.assignment.follow(&self.index, positions_px, plant as u32, old, |p| {
             touched.mark(p as usize);
         });
-        offset[0].hypot(offset[1])
+        movement
     }
 
     fn end_sweep(&self, x: &mut Field, touched: &mut Touched) {

@@ -119,6 +119,8 @@ pub struct Model {
     pub floor_px: f64,
     /// A plant is visited again when its prior moves its optimum by more than this; pixels.
     pub settle_px: f64,
+    /// How far a long step goes, 1 being the optimum for the pixels that the plant has; less than 2.
+    pub relaxation: f64,
 }
 
 impl Default for Model {
@@ -129,7 +131,8 @@ impl Default for Model {
             sigma: SigmaRule::default(),
             form: Form::default(),
             floor_px: 1.0,
-            settle_px: 5e-3,
+            settle_px: 5e-2,
+            relaxation: 1.7,
         }
     }
 }

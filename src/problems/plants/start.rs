@@ -25,11 +25,12 @@ pub fn random(index: &PixelIndex, count: usize, rng: &mut ChaCha8Rng) -> Vec<[f6
     sample(rng, index.len(), count).into_iter().map(|pixel| index.position(pixel)).collect()
 }
 
-/// `count` leaf pixels by k-means++.
+/// `count` leaf pixels by k-means++, in the order of the index, so that plants visited one after
+/// the other are neighbours.
 pub fn kmeans_plus_plus(index: &PixelIndex, count: usize, rng: &mut ChaCha8Rng) -> Vec<[f64; 2]> {
-    let mut plants = Vec::with_capacity(count);
+    let mut plants: Vec<usize> = Vec::with_capacity(count);
     if index.is_empty() || count == 0 {
-        return plants;
+        return Vec::new();
     }
     let mut nearest2 = vec![f32::INFINITY; index.len()];
     let mut reach = Reach::new(index, &nearest2);
@@ -39,9 +40,10 @@ pub fn kmeans_plus_plus(index: &PixelIndex, count: usize, rng: &mut ChaCha8Rng) 
     let mut pixel = rng.random_range(0..index.len());
     loop {
         let plant = index.position(pixel);
-        plants.push(plant);
+        plants.push(pixel);
         if plants.len() == count {
-            return plants;
+            plants.sort_unstable();
+            return plants.into_iter().map(|pixel| index.position(pixel)).collect();
         }
         index.within_reach(&reach, &[plant], &mut walk);
         changed.clear();
