@@ -35,6 +35,14 @@ pub enum FileError {
         /// The file.
         path: PathBuf,
     },
+    /// The output path cannot be used as given.
+    #[error("cannot write {}: {message}", path.display())]
+    Unusable {
+        /// The path.
+        path: PathBuf,
+        /// Why.
+        message: &'static str,
+    },
     /// The content is not what the format asks for.
     #[error("{}{}: {message}", path.display(), line.map(|n| format!(", line {n}")).unwrap_or_default())]
     Malformed {
@@ -71,9 +79,10 @@ impl FileError {
     pub fn kind(&self) -> Kind {
         match self {
             FileError::Write { .. } => Kind::Failure,
-            FileError::Read { .. } | FileError::Exists { .. } | FileError::Malformed { .. } => {
-                Kind::BadInput
-            }
+            FileError::Read { .. }
+            | FileError::Exists { .. }
+            | FileError::Unusable { .. }
+            | FileError::Malformed { .. } => Kind::BadInput,
         }
     }
 }

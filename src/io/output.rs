@@ -14,20 +14,18 @@ use std::{
 /// Called before any work is done, so that a refusal costs the user nothing.
 ///
 /// # Errors
-/// [`FileError::Exists`] where the file exists; [`FileError::Write`] where its folder does not, or
-/// where the path is a folder.
+/// [`FileError::Exists`] where the file exists; [`FileError::Unusable`] where its folder does not,
+/// or where the path is a folder.
 pub fn check(path: &Path, force: bool) -> Result<(), FileError> {
-    let not_found = |message: &str| {
-        FileError::write(path, std::io::Error::new(std::io::ErrorKind::NotFound, message))
-    };
+    let unusable = |message| FileError::Unusable { path: path.to_owned(), message };
     if path.is_dir() {
-        return Err(not_found("it is a folder, a file name was expected"));
+        return Err(unusable("it is a folder, a file name was expected"));
     }
     if path.exists() && !force {
         return Err(FileError::Exists { path: path.to_owned() });
     }
     if !folder_of(path).is_dir() {
-        return Err(not_found("its folder does not exist"));
+        return Err(unusable("its folder does not exist"));
     }
     Ok(())
 }
