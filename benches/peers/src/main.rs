@@ -14,7 +14,7 @@ use arael::{
     matrix::matrix3d,
     model::{CrossBlock, EulerAngleParam, Param, SelfBlock},
     refs::{self, Ref},
-    simple_lm::{LmConfig, LmIter},
+    simple_lm::{LmConfig, LmIter, LmProblem},
     vect::{vect2d, vect3d},
 };
 use std::{cell::RefCell, error::Error, ops::ControlFlow, rc::Rc, time::Instant};
