@@ -251,8 +251,8 @@ int main(int count, char** arguments) {
               solve_seconds, peak_memory_mb(),
               ceres::TerminationTypeToString(summary.termination_type), CERES_VERSION_STRING);
   for (size_t i = 0; i < log.entries.size(); ++i)
-    std::printf("%s{\"iteration\":%d,\"best_cost\":%.17g,\"seconds\":%.9g}", i == 0 ? "" : ",",
-                log.entries[i].iteration, log.entries[i].cost, log.entries[i].seconds);
+    std::printf("%s[%d,%.17g,%.9g]", i == 0 ? "" : ",", log.entries[i].iteration,
+                log.entries[i].cost, log.entries[i].seconds);
   std::printf("]}\n");
   return 0;
 }

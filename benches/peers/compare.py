@@ -3,8 +3,8 @@
 
 Every program gets the same file, start, loss, number of threads and stopping rule, and runs in
 its own process. The runs are interleaved: in each repetition every program runs once before any
-runs again, so that what disturbs the machine disturbs all of them. Of a program with several
-variants only the fastest goes on after the first repetition.
+runs again, so that what disturbs the machine disturbs all of them. A variant
+of a program that is clearly slower than its fastest one is dropped after a repetition.
 
 Python 3.9 with its standard library is enough. A peer that is not installed is named, with the
 way to install it, and left out. See README.md beside this file.
@@ -196,16 +196,16 @@ def measure(file, candidates, options):
 
 
 def fastest_variants(racing, runs, options):
-    """Of each program the variant that is fastest among those that found its lowest cost."""
+    """The variants that found their program's lowest cost and may yet be its fastest."""
     kept = []
     for name in dict.fromkeys(program.name for program in racing):
         variants = [p for p in racing if p.name == name and runs[str(p)]]
-        if not variants:
-            continue
-        costs = {str(p): min(r["final_cost"] for r in runs[str(p)]) for p in variants}
+        lowest = min((r["final_cost"] for p in variants for r in runs[str(p)]), default=0.0)
         good = [p for p in variants
-                if costs[str(p)] <= min(costs.values()) * (1 + options.same_optimum)]
-        kept.append(min(good, key=lambda p: solve_seconds(runs[str(p)], options)))
+                if min(r["final_cost"] for r in runs[str(p)]) <= lowest * (1 + options.same_optimum)]
+        fastest = min((solve_seconds(runs[str(p)], options) for p in good), default=0.0)
+        kept += [p for p in good
+                 if solve_seconds(runs[str(p)], options) <= options.contender * fastest]
     return kept
 
 
@@ -216,11 +216,11 @@ def solve_seconds(results, options):
 
 def seconds_to(results, cost):
     """The earliest that any of the runs was at or below the cost; None if none was."""
-    reached = [
-        min((entry["seconds"] for entry in r["log"] if entry["best_cost"] <= cost), default=None)
+    moments = [
+        min((seconds for _, reached, seconds in r["log"] if reached <= cost), default=None)
         for r in results
     ]
-    return min((seconds for seconds in reached if seconds is not None), default=None)
+    return min((seconds for seconds in moments if seconds is not None), default=None)
 
 
 def summarize(file, runs, options):
@@ -320,6 +320,9 @@ def arguments():
                         metavar="FILE=COST", help="best known cost of a file; else the lowest seen")
     parser.add_argument("--same-optimum", type=float, default=1e-4,
                         help="relative difference of costs still called the same optimum")
+    parser.add_argument("--contender", type=float, default=1.5,
+                        help="a variant this many times slower than its program's fastest is "
+                             "dropped after a repetition")
     parser.add_argument("--peers", default="arael,ceres", help="which peers, by commas")
     parser.add_argument("--rowgram", help="our program; target/release/rowgram if not given")
     parser.add_argument("--timeout", type=float, default=600.0, help="longest run, in seconds")

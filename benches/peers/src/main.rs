@@ -216,9 +216,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let log: Vec<String> = log
         .borrow()
         .iter()
-        .map(|(iteration, cost, seconds)| {
-            format!(r#"{{"iteration":{iteration},"best_cost":{cost},"seconds":{seconds}}}"#)
-        })
+        .map(|(iteration, cost, seconds)| format!("[{iteration},{cost},{seconds}]"))
         .collect();
     println!(
         r#"{{"initial_cost":{},"final_cost":{},"iterations":{},"build_seconds":{build_seconds},"solve_seconds":{solve_seconds},"peak_memory_mb":{},"stop":"{:?}","log":[{}]}}"#,
