@@ -18,5 +18,6 @@ mod evaluate;
 mod locate;
 mod nlls;
 mod program;
+mod run;
 mod segment;
 mod synth;

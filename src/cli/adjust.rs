@@ -108,22 +108,24 @@ const DEFAULT_MAX_ITERATIONS: u64 = 200;
 const MAX_DENSE_PARAMETERS: usize = 20_000;
 
 #[derive(Serialize)]
-struct Report<'a> {
+pub(super) struct Report {
     file: String,
-    cameras: usize,
-    points: usize,
-    observations: usize,
+    pub(super) cameras: usize,
+    pub(super) points: usize,
+    pub(super) observations: usize,
     loss: String,
-    initial_cost: f64,
-    final_cost: f64,
-    rmse_px: f64,
-    iterations: u64,
+    pub(super) initial_cost: f64,
+    pub(super) final_cost: f64,
+    pub(super) rmse_px: f64,
+    pub(super) iterations: u64,
     load_seconds: f64,
     solve_seconds: f64,
     peak_memory_mb: Option<f64>,
-    stop: Stop,
+    pub(super) stop: Stop,
     converged: bool,
-    log: &'a [LogEntry],
+    log: Vec<LogEntry>,
+    #[serde(skip)]
+    summary: Summary,
 }
 
 /// Runs the verb.
@@ -131,6 +133,33 @@ struct Report<'a> {
 /// # Errors
 /// Bad input, outputs that exist, and whatever ends the adjustment early.
 pub(super) fn run(args: &Args) -> Result<(), Error> {
+    let report = work(args)?;
+    if args.json {
+        super::print_json(&report)?;
+    } else {
+        super::print(&format!(
+            "{} images, {} points, {} observations\n{}read in {:.3} s, solved in {:.3} s",
+            report.cameras,
+            report.points,
+            report.observations,
+            report.summary,
+            report.load_seconds,
+            report.solve_seconds
+        ))?;
+    }
+    if report.stop == Stop::MaxIterations && args.max_iterations.is_none() {
+        return Err(Error::Incomplete(format!(
+            "not converged after {DEFAULT_MAX_ITERATIONS} iterations; give --max-iterations to allow more"
+        )));
+    }
+    Ok(())
+}
+
+/// Reads, adjusts, writes the files; prints nothing.
+///
+/// # Errors
+/// As [`run`], but that the default limit of iterations is as good an end as any.
+pub(super) fn work(args: &Args) -> Result<Report, Error> {
     let limits = args.limits()?;
     for path in [&args.output, &args.trace].into_iter().flatten() {
         output::check(path, args.force)?;
@@ -173,7 +202,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
         bundle.update(&outcome.x, &mut network);
         bal::write(path, &network, args.force)?;
     }
-    let report = Report {
+    Ok(Report {
         file: args.file.display().to_string(),
         cameras: network.cameras.len(),
         points: network.points.len(),
@@ -188,22 +217,9 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
         peak_memory_mb: super::peak_memory_mb(),
         stop: outcome.stop,
         converged: outcome.stop.converged(),
-        log: &outcome.log,
-    };
-    if args.json {
-        super::print_json(&report)?;
-    } else {
-        super::print(&format!(
-            "{} images, {} points, {} observations\n{summary}read in {load_seconds:.3} s, solved in {solve_seconds:.3} s",
-            report.cameras, report.points, report.observations
-        ))?;
-    }
-    if outcome.stop == Stop::MaxIterations && args.max_iterations.is_none() {
-        return Err(Error::Incomplete(format!(
-            "not converged after {DEFAULT_MAX_ITERATIONS} iterations; give --max-iterations to allow more"
-        )));
-    }
-    Ok(())
+        log: outcome.log,
+        summary,
+    })
 }
 
 impl Args {

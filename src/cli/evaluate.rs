@@ -4,7 +4,7 @@ use super::{print, print_json};
 use crate::{error::Error, io::points, score::Score};
 use std::path::PathBuf;
 
-/// Score plant positions against the true ones.
+/// Score plant positions against the true ones
 ///
 /// Pairs found and true plants one to one: as many pairs as possible within the radius, and among
 /// those the shortest in sum. Prints precision, recall and F1 at each radius, and the median and RMS
@@ -40,11 +40,19 @@ pub(super) struct Args {
 /// # Errors
 /// Where a radius or a file cannot be used.
 pub(super) fn run(args: &Args) -> Result<(), Error> {
+    let score = score(args)?;
+    if args.json { print_json(&score) } else { print(&score.to_string()) }
+}
+
+/// Reads and scores; prints nothing.
+///
+/// # Errors
+/// As [`run`].
+pub(super) fn score(args: &Args) -> Result<Score, Error> {
     // An unusable radius is told before the files are read.
     Score::new(&[], &[], &args.radius)
         .map_err(|error| Error::Argument(format!("--radius: {error}")))?;
     let found = points::read(&args.plants)?;
     let truth = points::read(&args.truth)?;
-    let score = Score::new(&found, &truth, &args.radius)?;
-    if args.json { print_json(&score) } else { print(&score.to_string()) }
+    Ok(Score::new(&found, &truth, &args.radius)?)
 }

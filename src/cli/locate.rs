@@ -91,13 +91,13 @@ pub(super) struct Locate {
 
 /// What is printed as JSON.
 #[derive(Debug, Serialize)]
-struct Summary {
+pub(super) struct Summary {
     plants: usize,
-    pixels: usize,
-    rows: usize,
+    pub(super) pixels: usize,
+    pub(super) rows: usize,
     heading_deg: Option<f64>,
     row_spacing_px: Option<f64>,
-    row_spacing_m: Option<f64>,
+    pub(super) row_spacing_m: Option<f64>,
     sigma_px: f64,
     mean_distance_px: f64,
     plants_without_pixels: usize,
@@ -117,6 +117,12 @@ fn word<T: for<'de> Deserialize<'de>>(text: &str) -> Result<T, String> {
 impl Locate {
     /// Runs the verb.
     pub(super) fn run(self) -> Result<(), Error> {
+        let summary = self.work()?;
+        self.report(&summary)
+    }
+
+    /// Reads, locates, writes the files; prints nothing.
+    pub(super) fn work(&self) -> Result<Summary, Error> {
         self.check_outputs()?;
         let options = self.options()?;
         let (mut mask, photo) = match images::read(&self.image)? {
@@ -138,7 +144,7 @@ impl Locate {
         self.write(&located, photo, &mask)?;
         let rows = located.detection.rows();
         let row_spacing_px = rows.and_then(|rows| rows.spacing_px);
-        let summary = Summary {
+        Ok(Summary {
             plants: located.plants.len(),
             pixels,
             rows: rows.map_or(0, |rows| rows.rows.len()),
@@ -153,8 +159,7 @@ impl Locate {
             sweeps: outcome.iterations,
             stop: outcome.stop.word(),
             seconds: outcome.seconds,
-        };
-        self.report(&summary)
+        })
     }
 
     /// Refuses what would fail, or destroy an input, after the work is done.

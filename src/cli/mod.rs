@@ -6,6 +6,7 @@
 mod adjust;
 mod evaluate;
 mod locate;
+mod run;
 mod segment;
 mod synth;
 
@@ -33,6 +34,7 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Verb {
+    Run(run::Args),
     Adjust(adjust::Args),
     Synth(synth::Args),
     Locate(locate::Locate),
@@ -66,6 +68,7 @@ fn run(cli: Cli) -> Result<(), Error> {
         .build_global()
         .map_err(|e| Error::Argument(format!("--threads {}: {e}", cli.threads)))?;
     match cli.verb {
+        Verb::Run(args) => run::run(&args),
         Verb::Adjust(args) => adjust::run(&args),
         Verb::Synth(args) => synth::run(&args),
         Verb::Locate(verb) => verb.run(),

@@ -9,7 +9,7 @@ use crate::{
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// Find the plant pixels of a photo by their colour.
+/// Find the plant pixels of a photo by their colour
 ///
 /// Writes a PNG of the photo's size, 255 where plants are and 0 elsewhere. A pixel is plant where
 /// its hue is from TAU1 to TAU2 and its saturation is at least TAU3 or its value at least TAU4, in
