@@ -116,7 +116,9 @@ fn bad_input_is_refused_with_code_2_and_leaves_outputs_alone() {
     let empty = damaged("empty.txt", "");
     let unseen =
         damaged("unseen.txt", "1 2 1\n0 0 1 1\n0\n0\n0\n0\n0\n0\n1\n0\n0\n0\n0\n-1\n0\n0\n-1\n");
-    let cases: [(&[&str], &str); 10] = [
+    let cases: [(&[&str], &str); 12] = [
+        (&[&file, "--threads", "100000"], "1024"),
+        (&[&file, "-o", "/nowhere/out.txt"], "its folder does not exist"),
         (&[&cut], "line"),
         (&[&word], "line 2"),
         (&[&empty], "number of cameras"),

@@ -117,7 +117,7 @@ fn bad_input_is_explained() {
     let run = rowgram(folder.path(), "segment photo.png -o taken.png --force");
     assert_eq!(run.code, 0, "{}", run.stderr);
     let run = rowgram(folder.path(), "segment photo.png -o missing/new.png");
-    assert_eq!(run.code, 1, "the folder is no input");
+    assert_eq!(run.code, 2, "a path that cannot be used is bad input");
     assert!(run.stderr.contains("its folder does not exist"), "{}", run.stderr);
 }
 

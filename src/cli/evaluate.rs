@@ -54,5 +54,5 @@ pub(super) fn score(args: &Args) -> Result<Score, Error> {
         .map_err(|error| Error::Argument(format!("--radius: {error}")))?;
     let found = points::read(&args.plants)?;
     let truth = points::read(&args.truth)?;
-    Ok(Score::new(&found, &truth, &args.radius)?)
+    Score::new(&found, &truth, &args.radius)
 }

@@ -33,13 +33,15 @@ pub fn check(path: &Path, force: bool) -> Result<(), FileError> {
 /// Writes a file atomically: `fill` writes the content, then the file takes its name.
 ///
 /// # Errors
-/// As [`check`], and [`FileError::Write`] where writing or renaming fails.
+/// [`FileError::Exists`] where the file exists, [`FileError::Write`] where writing or renaming fails.
 pub fn write(
     path: &Path,
     force: bool,
     fill: impl FnOnce(&mut dyn Write) -> std::io::Result<()>,
 ) -> Result<(), FileError> {
-    check(path, force)?;
+    if path.exists() && !force {
+        return Err(FileError::Exists { path: path.to_owned() });
+    }
     let failed = |source| FileError::write(path, source);
     let temporary = tempfile::Builder::new()
         .prefix(".rowgram-")
