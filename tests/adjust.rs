@@ -44,7 +44,8 @@ fn json_tells_what_the_adjustment_did() {
     let file = block(folder.path());
     let out = folder.path().join("out.txt.gz").to_str().unwrap().to_owned();
     let trace = folder.path().join("trace.csv").to_str().unwrap().to_owned();
-    let output = adjust(&[&file, "--json", "-o", &out, "--trace", &trace]);
+    let figure = folder.path().join("figure.svg").to_str().unwrap().to_owned();
+    let output = adjust(&[&file, "--json", "-o", &out, "--trace", &trace, "--figure", &figure]);
     assert!(output.status.success(), "{}", stderr(&output));
     let stdout = String::from_utf8(output.stdout).unwrap();
     assert_eq!(stdout.lines().count(), 1);
@@ -63,6 +64,9 @@ fn json_tells_what_the_adjustment_did() {
     assert!(report["stop"].as_str().unwrap().ends_with("converged"));
     let rows = std::fs::read_to_string(&trace).unwrap().lines().count() as u64;
     assert!(rows > report["iterations"].as_u64().unwrap());
+    let drawing = std::fs::read_to_string(&figure).unwrap();
+    assert!(drawing.starts_with("<svg") && drawing.contains("iteration"));
+    assert!(drawing.matches("<circle").count() > 3, "a mark per moment");
     // Adjusting the result again finds nothing more to gain.
     let again = adjust(&[&out, "--json"]);
     let again: Value = serde_json::from_slice(&again.stdout).unwrap();

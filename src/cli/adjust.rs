@@ -59,6 +59,9 @@ pub(super) struct Args {
     /// Write one line per iteration here, as CSV.
     #[arg(long, value_name = "TRACE.csv")]
     trace: Option<PathBuf>,
+    /// Draw how the cost fell here, as SVG (the numbers are those of --trace).
+    #[arg(long, value_name = "FIGURE.svg")]
+    figure: Option<PathBuf>,
     /// Keep a checkpoint here, from which --resume goes on.
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
@@ -161,7 +164,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
 /// As [`run`], but that the default limit of iterations is as good an end as any.
 pub(super) fn work(args: &Args) -> Result<Report, Error> {
     let limits = args.limits()?;
-    for path in [&args.output, &args.trace].into_iter().flatten() {
+    for path in [&args.output, &args.trace, &args.figure].into_iter().flatten() {
         output::check(path, args.force)?;
     }
     let begin = Instant::now();
@@ -201,6 +204,10 @@ pub(super) fn work(args: &Args) -> Result<Report, Error> {
     if let Some(path) = &args.output {
         bundle.update(&outcome.x, &mut network);
         bal::write(path, &network, args.force)?;
+    }
+    if let Some(path) = &args.figure {
+        let title = format!("{}, loss {}", args.file.display(), args.loss);
+        super::figures::convergence(path, args.force, &title, &outcome.log)?;
     }
     Ok(Report {
         file: args.file.display().to_string(),

@@ -5,6 +5,7 @@
 
 mod adjust;
 mod evaluate;
+mod figures;
 mod locate;
 mod run;
 mod segment;
