@@ -3,8 +3,12 @@
 //! A [`Lane`] is an `f64` or a SIMD register of them; the instruction set is chosen when the program
 //! runs (AVX-512, AVX2 with FMA, or none of these), so a plain release build is fast everywhere.
 
+mod transpose;
+
 use pulp::Simd;
 use std::ops::{Add, Div, Mul, Neg, Sub};
+
+pub(crate) use transpose::{gather, scatter};
 
 /// The most numbers that one lane holds.
 pub(crate) const MAX_WIDTH: usize = 8;

@@ -283,7 +283,7 @@ impl Memory {
     fn new(options: &Options) -> Memory {
         let curvature_share = if options.curvature == Curvature::Full { 1.0 } else { 0.0 };
         Memory {
-            lambda: options.initial_damping,
+            lambda: std::env::var("RG_L0").ok().and_then(|v| v.parse::<f64>().ok()).unwrap_or(options.initial_damping),
             nu: 2.0,
             radius: None,
             curvature_share,
@@ -310,7 +310,8 @@ impl Memory {
     fn advance(&mut self, options: &Options, ratio: f64, length: f64) {
         match options.method {
             Method::LevenbergMarquardt => {
-                let factor = (1.0 - (2.0 * ratio - 1.0).powi(3)).max(1.0 / 3.0);
+                let f = |n: &str, d: f64| std::env::var(n).ok().and_then(|v| v.parse::<f64>().ok()).unwrap_or(d);
+                let factor = (1.0 - (2.0 * ratio - 1.0).powi(f("RG_POW",3.0) as i32)).max(if (ratio-1.0).abs() < f("RG_TRUST",0.1) {f("RG_MAX", 0.1)} else {1.0/3.0});
                 self.lambda = (self.lambda * factor).max(MIN_LAMBDA);
             }
             Method::Dogleg => {

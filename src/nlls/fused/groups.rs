@@ -3,36 +3,35 @@
 //! A chunk is a run of whole points whose observations stay in the nearest cache; it is worked on
 //! a register's width of observations at a time, whatever points they belong to.
 
-use super::layout::{CHUNK, Layout, ShareWork};
+use super::layout::{CHUNK, Layout, ShareWork, padded};
 use crate::{
-    lanes::{MAX_WIDTH, Register},
+    lanes::{MAX_WIDTH, Register, gather},
     nlls::{loss::Loss, pairs::PairFactor},
 };
 use pulp::{Arch, Simd, WithSimd};
 use std::{marker::PhantomData, ops::Range};
 
-/// The inputs of a few observations, one place per lane.
-pub(super) struct Stage<const P: usize, const Q: usize, const D: usize> {
-    prepared: [[f64; MAX_WIDTH]; Q],
+/// The inputs of a few observations, one place per lane: `Q` numbers of their cameras, the points,
+/// the data.
+pub(super) struct Stage<const P: usize, const D: usize> {
+    camera: [u32; MAX_WIDTH],
     point: [[f64; MAX_WIDTH]; P],
     data: [[f64; MAX_WIDTH]; D],
 }
 
-impl<const P: usize, const Q: usize, const D: usize> Stage<P, Q, D> {
+impl<const P: usize, const D: usize> Stage<P, D> {
     #[inline(always)]
     pub(super) fn new() -> Self {
         Stage {
-            prepared: [[0.0; MAX_WIDTH]; Q],
+            camera: [0; MAX_WIDTH],
             point: [[0.0; MAX_WIDTH]; P],
             data: [[0.0; MAX_WIDTH]; D],
         }
     }
 
     #[inline(always)]
-    fn set(&mut self, lane: usize, prepared: &[f64; Q], point: &[f64; P], data: &[f64; D]) {
-        for k in 0..Q {
-            self.prepared[k][lane] = prepared[k];
-        }
+    fn set(&mut self, lane: usize, camera: u32, point: &[f64; P], data: &[f64; D]) {
+        self.camera[lane] = camera;
         for k in 0..P {
             self.point[k][lane] = point[k];
         }
@@ -41,18 +40,65 @@ impl<const P: usize, const Q: usize, const D: usize> Stage<P, Q, D> {
         }
     }
 
-    /// The registers: prepared values, point, data.
+    /// The registers of points and data.
     #[inline(always)]
-    #[expect(clippy::type_complexity, reason = "three arrays of registers")]
-    pub(super) fn load<V: Simd>(
+    pub(super) fn load<V: Simd>(&self, simd: V) -> ([Register<V>; P], [Register<V>; D]) {
+        (load_all(simd, &self.point), load_all(simd, &self.data))
+    }
+
+    /// The first `N` numbers of the cameras' records.
+    #[inline(always)]
+    pub(super) fn cameras<V: Simd, const N: usize>(
         &self,
         simd: V,
-    ) -> ([Register<V>; Q], [Register<V>; P], [Register<V>; D]) {
-        (
-            std::array::from_fn(|k| Register::load(simd, &self.prepared[k])),
-            std::array::from_fn(|k| Register::load(simd, &self.point[k])),
-            std::array::from_fn(|k| Register::load(simd, &self.data[k])),
-        )
+        records: &Records,
+    ) -> [[f64; MAX_WIDTH]; N] {
+        let mut out = [[0.0; MAX_WIDTH]; N];
+        self.gather(simd, records, &mut out);
+        out
+    }
+
+    /// The same into memory.
+    #[inline(always)]
+    pub(super) fn gather<V: Simd>(
+        &self,
+        simd: V,
+        records: &Records,
+        out: &mut [[f64; MAX_WIDTH]],
+    ) {
+        gather(simd, &records.values, records.stride, &self.camera, out);
+    }
+}
+
+/// One register for each row of memory.
+#[inline(always)]
+pub(super) fn load_all<V: Simd, const N: usize>(
+    simd: V,
+    rows: &[[f64; MAX_WIDTH]; N],
+) -> [Register<V>; N] {
+    let mut out = [Register::load(simd, &[0.0; MAX_WIDTH]); N];
+    for k in 0..N {
+        out[k] = Register::load(simd, &rows[k]);
+    }
+    out
+}
+
+/// Numbers per camera, one record after the other, each of whole registers.
+#[derive(Debug, Default)]
+pub(super) struct Records {
+    pub(super) values: Vec<f64>,
+    pub(super) stride: usize,
+}
+
+impl Records {
+    /// Zeros for `count` records of `len` numbers.
+    pub(super) fn new(count: usize, len: usize) -> Records {
+        let stride = padded(len);
+        Records { values: vec![0.0; count * stride], stride }
+    }
+
+    pub(super) fn each(&mut self) -> impl Iterator<Item = &mut [f64]> {
+        self.values.chunks_exact_mut(self.stride.max(1))
     }
 }
 
@@ -78,18 +124,11 @@ impl Groups {
     /// coordinates from `value`; returns the place of the first, counted from the chunk's first,
     /// and their number.
     #[inline(always)]
-    pub(super) fn fill<
-        const K: usize,
-        const S: usize,
-        const P: usize,
-        const Q: usize,
-        const D: usize,
-    >(
+    pub(super) fn fill<const K: usize, const S: usize, const P: usize, const D: usize>(
         &mut self,
-        stage: &mut Stage<P, Q, D>,
+        stage: &mut Stage<P, D>,
         layout: &Layout<K, S, D>,
         width: usize,
-        prepared: &[[f64; Q]],
         value: impl Fn(usize) -> [f64; P],
     ) -> Option<(usize, usize)> {
         let first = self.observation - self.origin;
@@ -98,8 +137,8 @@ impl Groups {
             let end = layout.points[self.point + 1].first as usize;
             let point = value(self.point);
             while count < width && self.observation < end {
-                let camera = layout.observed_by[self.observation] as usize;
-                stage.set(count, &prepared[camera], &point, &layout.data[self.observation]);
+                let camera = layout.observed_by[self.observation];
+                stage.set(count, camera, &point, &layout.data[self.observation]);
                 self.observation += 1;
                 count += 1;
             }
@@ -155,15 +194,16 @@ pub(super) fn chunk_cost<
     simd: V,
     layout: &Layout<K, S, D>,
     chunk: Range<usize>,
-    prepared: &[[f64; Q]],
+    prepared: &Records,
     value: impl Fn(usize) -> [f64; P],
     loss: Loss,
 ) -> f64 {
     let mut total = 0.0;
-    let (mut stage, mut groups) = (Stage::<P, Q, D>::new(), Groups::new(layout, &chunk));
+    let (mut stage, mut groups) = (Stage::<P, D>::new(), Groups::new(layout, &chunk));
     let width = Register::<V>::WIDTH;
-    while let Some((_, count)) = groups.fill(&mut stage, layout, width, prepared, &value) {
-        let (prepared, point, data) = stage.load(simd);
+    while let Some((_, count)) = groups.fill(&mut stage, layout, width, &value) {
+        let (point, data) = stage.load(simd);
+        let prepared = load_all(simd, &stage.cameras::<V, Q>(simd, prepared));
         let residual = F::residual(&prepared, &point, &data);
         let mut square = residual[0] * residual[0];
         for r in &residual[1..] {
@@ -193,7 +233,7 @@ struct Cost<
 > {
     layout: &'a Layout<K, S, D>,
     share: &'a ShareWork<P>,
-    prepared: &'a [[f64; Q]],
+    prepared: &'a Records,
     x: &'a [f64],
     loss: Loss,
     factor: PhantomData<F>,
@@ -236,7 +276,7 @@ pub(super) fn share_cost<
 >(
     layout: &Layout<K, S, D>,
     share: &ShareWork<P>,
-    prepared: &[[f64; Q]],
+    prepared: &Records,
     x: &[f64],
     loss: Loss,
 ) -> f64 {

@@ -14,6 +14,11 @@ pub(super) const fn padded(k: usize) -> usize {
     k.div_ceil(8) * 8
 }
 
+/// Numbers per observation of the Jacobian by its point and the residual, `rows` of `p` and 1.
+pub(super) const fn point_record(rows: usize, p: usize) -> usize {
+    padded(rows * (p + 1))
+}
+
 /// Length of one block of the reduced system in a share: rows of whole registers, then the
 /// columns that are left over, each padded.
 pub(super) const fn block_len(k: usize) -> usize {
@@ -25,6 +30,10 @@ pub(super) const fn block_len(k: usize) -> usize {
 pub(super) const CHUNK: usize = 48;
 /// The most tangent dimensions of a kept block that the fused path takes.
 pub(super) const MAX_KEPT: usize = 32;
+/// The most numbers of a [`point_record`].
+pub(super) const MAX_RECORD: usize = 32;
+/// The most numbers prepared per camera, with its step and that of its shared block.
+pub(super) const MAX_CAMERA_RECORD: usize = 96;
 /// The most shared blocks; with more, every camera has about its own.
 pub(super) const MAX_SHARED: usize = 8;
 
@@ -100,13 +109,15 @@ pub(super) struct ShareWork<const P: usize> {
     pub(super) buffers: Buffers,
 }
 
-/// Room for the observations of one chunk, row by row.
+/// Room for the observations of one chunk, one record per observation.
 #[derive(Debug, Default)]
 pub(super) struct Buffers {
-    pub(super) residual: Vec<f64>,
-    pub(super) by_kept: Vec<f64>,
-    pub(super) by_shared: Vec<f64>,
+    /// Per row the Jacobian by the point, then the residual; [`point_record`] numbers.
     pub(super) by_point: Vec<f64>,
+    /// `R` rows of `padded(K)`.
+    pub(super) by_kept: Vec<f64>,
+    /// `R` rows of `S`; [`padded`] to a record.
+    pub(super) by_shared: Vec<f64>,
     /// `Q_i`, of one point.
     pub(super) whitened: Vec<f64>,
     /// `Q_i u` of one point, or `J d` of a chunk.
@@ -207,12 +218,14 @@ impl Buffers {
         rows: usize,
         lenses: usize,
     ) -> Buffers {
-        let rows = (count + MAX_WIDTH) * rows;
+        let records = count + MAX_WIDTH;
+        let shared = records * padded(rows * S);
+        let points = records * point_record(rows, P);
+        let rows = records * rows;
         Buffers {
-            residual: vec![0.0; rows],
+            by_point: vec![0.0; points],
             by_kept: vec![0.0; rows * padded(K)],
-            by_shared: vec![0.0; rows * S],
-            by_point: vec![0.0; rows * P],
+            by_shared: vec![0.0; shared],
             whitened: vec![0.0; rows * P],
             along: vec![0.0; rows],
             lens_sums: vec![0.0; lenses * P * S],

@@ -1,27 +1,33 @@
 //! Linearisation of one chunk, laid out one observation after the other, loss included.
 
 use super::{
-    Settings, fold_loss,
-    groups::{Groups, Stage, coordinates},
-    layout::{Buffers, Layout, padded},
+    Settings,
+    groups::{Groups, Records, Stage, coordinates, load_all},
+    layout::{Buffers, Layout, MAX_CAMERA_RECORD, MAX_RECORD, padded, point_record},
 };
 use crate::{
-    lanes::{Lane, MAX_WIDTH, Register},
-    nlls::{loss::Loss, pairs::PairFactor},
+    lanes::{Lane, MAX_WIDTH, Register, scatter},
+    nlls::{factor::robust_weights, loss::Loss, pairs::PairFactor},
 };
 use pulp::Simd;
 use std::ops::Range;
 
-/// Writes the lanes of `value` to `to`, `stride` apart. All of them, also those without an
-/// observation: the next group writes over them, and the buffers have room behind the last.
+/// Writes the rows of Jacobians by the point and the residuals as records.
 #[inline(always)]
-fn scatter<V: Simd>(value: Register<V>, to: &mut [f64], stride: usize) {
-    let mut lanes = [0.0; MAX_WIDTH];
-    value.store(&mut lanes);
-    let to = &mut to[..(Register::<V>::WIDTH - 1) * stride + 1];
-    for lane in 0..Register::<V>::WIDTH {
-        to[lane * stride] = lanes[lane];
+fn scatter_points<V: Simd, const R: usize, const P: usize>(
+    simd: V,
+    by_point: &[[Register<V>; P]; R],
+    residual: &[Register<V>; R],
+    to: &mut [f64],
+) {
+    let mut record = [residual[0]; MAX_RECORD];
+    for row in 0..R {
+        for k in 0..P {
+            record[row * (P + 1) + k] = by_point[row][k];
+        }
+        record[row * (P + 1) + P] = residual[row];
     }
+    scatter(simd, &record[..R * (P + 1)], to, point_record(R, P));
 }
 
 /// Linearises the observations of `chunk` into the buffers.
@@ -39,32 +45,27 @@ pub(super) fn linearize_chunk<
     simd: V,
     layout: &Layout<K, S, D>,
     chunk: Range<usize>,
-    prepared: &[[f64; Q]],
+    prepared: &Records,
     x: &[f64],
     settings: &Settings,
     buffers: &mut Buffers,
 ) {
     let origin = layout.points[chunk.start].first as usize;
     let value = |e: usize| coordinates::<P>(x, layout.points[e].at);
-    let (mut stage, mut groups) = (Stage::<P, Q, D>::new(), Groups::new(layout, &chunk));
+    let (mut stage, mut groups) = (Stage::<P, D>::new(), Groups::new(layout, &chunk));
     let width = Register::<V>::WIDTH;
-    while let Some((first, count)) = groups.fill(&mut stage, layout, width, prepared, value) {
-        let (prepared, point, data) = stage.load(simd);
+    while let Some((first, count)) = groups.fill(&mut stage, layout, width, value) {
+        let (point, data) = stage.load(simd);
+        let prepared = load_all(simd, &stage.cameras::<V, Q>(simd, prepared));
         let found = F::linearize(&prepared, &point, &data);
+        let to = &mut buffers.by_point[first * point_record(R, P)..];
+        scatter_points(simd, &found.by_point, &found.residual, to);
         for row in 0..R {
-            let at = first * R + row;
-            scatter(found.residual[row], &mut buffers.residual[at..], R);
-            let (to, stride) = (&mut buffers.by_kept[at * padded(K)..], R * padded(K));
-            for k in 0..K {
-                scatter(found.by_kept[row][k], &mut to[k..], stride);
-            }
-            for k in 0..S {
-                let to = &mut buffers.by_shared[at * S + k..];
-                scatter(found.by_shared[row][k], to, R * S);
-            }
-            for k in 0..P {
-                let to = &mut buffers.by_point[at * P + k..];
-                scatter(found.by_point[row][k], to, R * P);
+            let to = &mut buffers.by_kept[(first * R + row) * padded(K)..];
+            scatter(simd, &found.by_kept[row], to, R * padded(K));
+            if S > 0 {
+                let to = &mut buffers.by_shared[first * padded(R * S) + row * S..];
+                scatter(simd, &found.by_shared[row], to, padded(R * S));
             }
         }
         if settings.loss != Loss::Trivial {
@@ -86,10 +87,13 @@ fn fold<const R: usize>(
     values: &mut [f64],
     stride: usize,
     count: usize,
-    (weight, shift, residual): (f64, f64, &[f64; R]),
+    &(weight, shift, residual): &(f64, f64, [f64; R]),
 ) {
     for k in 0..count {
-        let along: f64 = (0..R).map(|row| residual[row] * values[row * stride + k]).sum();
+        let mut along = 0.0;
+        for row in 0..R {
+            along += residual[row] * values[row * stride + k];
+        }
         for row in 0..R {
             let entry = &mut values[row * stride + k];
             *entry = weight * (*entry - shift * along * residual[row]);
@@ -103,14 +107,31 @@ fn weigh<const R: usize, const K: usize, const S: usize, const P: usize>(
     buffers: &mut Buffers,
     o: usize,
 ) {
-    let mut residual: [f64; R] = std::array::from_fn(|row| buffers.residual[o * R + row]);
-    fold_loss(settings, &mut residual, |weight, shift, residual| {
-        let weights = (weight, shift, residual);
-        fold(&mut buffers.by_kept[o * R * padded(K)..], padded(K), K, weights);
-        fold(&mut buffers.by_shared[o * R * S..], S, S, weights);
-        fold(&mut buffers.by_point[o * R * P..], P, P, weights);
-    });
-    buffers.residual[o * R..(o + 1) * R].copy_from_slice(&residual);
+    let record = &mut buffers.by_point[o * point_record(R, P)..];
+    let weights = weigh_point::<R, P>(settings, record);
+    fold(&mut buffers.by_kept[o * R * padded(K)..], padded(K), K, &weights);
+    fold(&mut buffers.by_shared[o * padded(R * S)..], S, S, &weights);
+}
+
+/// Folds the loss into the residual and the Jacobian by the point; returns `(weight, shift, r)`.
+#[inline(always)]
+fn weigh_point<const R: usize, const P: usize>(
+    settings: &Settings,
+    record: &mut [f64],
+) -> (f64, f64, [f64; R]) {
+    let mut residual = [0.0; R];
+    let mut square = 0.0;
+    for row in 0..R {
+        residual[row] = record[row * (P + 1) + P];
+        square += residual[row] * residual[row];
+    }
+    let found = robust_weights(settings.loss, settings.curvature_share, square);
+    let weights = (found.jacobian, found.shift, residual);
+    fold(record, P + 1, P, &weights);
+    for row in 0..R {
+        record[row * (P + 1) + P] *= found.residual;
+    }
+    weights
 }
 
 /// Clears the columns of one observation that must not move.
@@ -127,7 +148,7 @@ fn freeze<const R: usize, const K: usize, const S: usize, const D: usize>(
             *v *= mask;
         }
         if S > 0 {
-            let at = (o * R + row) * S;
+            let at = o * padded(R * S) + row * S;
             let mask = &layout.lens_mask[layout.cameras[camera].lens as usize];
             for (v, mask) in buffers.by_shared[at..at + S].iter_mut().zip(mask) {
                 *v *= mask;
@@ -138,7 +159,6 @@ fn freeze<const R: usize, const K: usize, const S: usize, const D: usize>(
 
 /// For each observation of `chunk` its residual, Jacobian by the point, and `Jc d_c + Js d_s`.
 #[inline(always)]
-#[expect(clippy::too_many_arguments, reason = "one loop, called in one place")]
 pub(super) fn apply_chunk<
     V: Simd,
     F: PairFactor<R, K, S, P, Q, D>,
@@ -152,67 +172,44 @@ pub(super) fn apply_chunk<
     simd: V,
     layout: &Layout<K, S, D>,
     chunk: Range<usize>,
-    prepared: &[[f64; Q]],
-    steps: &[([f64; K], [f64; S])],
+    prepared: &Records,
     x: &[f64],
     settings: &Settings,
     buffers: &mut Buffers,
 ) {
-    let origin = layout.points[chunk.start].first as usize;
     let value = |e: usize| coordinates::<P>(x, layout.points[e].at);
-    let mut kept = [[0.0; MAX_WIDTH]; K];
-    let mut shared = [[0.0; MAX_WIDTH]; S];
-    let (mut stage, mut groups) = (Stage::<P, Q, D>::new(), Groups::new(layout, &chunk));
+    let (mut stage, mut groups) = (Stage::<P, D>::new(), Groups::new(layout, &chunk));
     let width = Register::<V>::WIDTH;
-    while let Some((first, count)) = groups.fill(&mut stage, layout, width, prepared, value) {
-        for lane in 0..count {
-            let step = &steps[layout.observed_by[origin + first + lane] as usize];
-            for k in 0..K {
-                kept[k][lane] = step.0[k];
-            }
-            for k in 0..S {
-                shared[k][lane] = step.1[k];
-            }
+    while let Some((first, count)) = groups.fill(&mut stage, layout, width, value) {
+        let (point, data) = stage.load(simd);
+        let mut records = [[0.0; MAX_WIDTH]; MAX_CAMERA_RECORD];
+        stage.gather(simd, prepared, &mut records[..Q + K + S]);
+        let mut camera = [Register::load(simd, &records[0]); Q];
+        for k in 0..Q {
+            camera[k] = Register::load(simd, &records[k]);
         }
-        let (prepared, point, data) = stage.load(simd);
-        let found = F::linearize(&prepared, &point, &data);
+        let found = F::linearize(&camera, &point, &data);
+        let to = &mut buffers.by_point[first * point_record(R, P)..];
+        scatter_points(simd, &found.by_point, &found.residual, to);
+        let mut along = found.residual;
         for row in 0..R {
-            let at = first * R + row;
-            scatter(found.residual[row], &mut buffers.residual[at..], R);
-            for k in 0..P {
-                let to = &mut buffers.by_point[at * P + k..];
-                scatter(found.by_point[row][k], to, R * P);
-            }
-            let mut along = found.by_kept[row][0] * Register::load(simd, &kept[0]);
+            along[row] = found.by_kept[row][0] * Register::load(simd, &records[Q]);
             for k in 1..K {
-                let d = Register::load(simd, &kept[k]);
-                along = found.by_kept[row][k].mul_add(d, along);
+                let d = Register::load(simd, &records[Q + k]);
+                along[row] = found.by_kept[row][k].mul_add(d, along[row]);
             }
             for k in 0..S {
-                let d = Register::load(simd, &shared[k]);
-                along = found.by_shared[row][k].mul_add(d, along);
+                let d = Register::load(simd, &records[Q + K + k]);
+                along[row] = found.by_shared[row][k].mul_add(d, along[row]);
             }
-            scatter(along, &mut buffers.along[at..], R);
         }
+        scatter(simd, &along, &mut buffers.along[first * R..], R);
         if settings.loss != Loss::Trivial {
             for o in first..first + count {
-                weigh_applied::<R, P>(settings, buffers, o);
+                let record = &mut buffers.by_point[o * point_record(R, P)..];
+                let weights = weigh_point::<R, P>(settings, record);
+                fold(&mut buffers.along[o * R..], 1, 1, &weights);
             }
         }
     }
-}
-
-/// Folds the loss into one observation that [`apply_chunk`] made.
-fn weigh_applied<const R: usize, const P: usize>(
-    settings: &Settings,
-    buffers: &mut Buffers,
-    o: usize,
-) {
-    let mut residual: [f64; R] = std::array::from_fn(|row| buffers.residual[o * R + row]);
-    fold_loss(settings, &mut residual, |weight, shift, residual| {
-        let weights = (weight, shift, residual);
-        fold(&mut buffers.by_point[o * R * P..], P, P, weights);
-        fold(&mut buffers.along[o * R..], 1, 1, weights);
-    });
-    buffers.residual[o * R..(o + 1) * R].copy_from_slice(&residual);
 }

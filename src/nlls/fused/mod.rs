@@ -25,7 +25,6 @@ mod sweep;
 use super::{
     Loss,
     cholesky::{BlockMatrix, NotPositiveDefinite},
-    factor::robust_weights,
     pairs::{Pair, PairFactor},
     problem::Problem,
     structure::Structure,
@@ -188,13 +187,13 @@ impl<
     ) -> Moved {
         self.prepare_steps(problem, step);
         self.prepare_trial(problem, trial);
-        let (layout, steps) = (&self.layout, &self.steps);
-        let prepared = (&self.prepared[..], &self.trial_prepared[..]);
+        let layout = &self.layout;
+        let prepared = (&self.prepared, &self.trial_prepared);
         let moved: Vec<Moved> = self
             .shares
             .par_iter_mut()
             .map(|share| {
-                substitute_share::<F, R, K, S, P, Q, D>(layout, share, prepared, steps, x, settings)
+                substitute_share::<F, R, K, S, P, Q, D>(layout, share, prepared, x, settings)
             })
             .collect();
         for share in &self.shares {
@@ -217,17 +216,4 @@ impl<
 
 fn finite_or_infinite(cost: f64) -> f64 {
     if cost.is_finite() { cost } else { f64::INFINITY }
-}
-
-/// Folds the loss into the rows of one observation: `residual` becomes `r~`, and `apply` is called
-/// with `(weight, shift, r)` such that `J~ = weight (J - shift r (r^T J))`.
-fn fold_loss<const R: usize>(
-    settings: &Settings,
-    residual: &mut [f64; R],
-    apply: impl FnOnce(f64, f64, &[f64; R]),
-) {
-    let square: f64 = residual.iter().map(|v| v * v).sum();
-    let weights = robust_weights(settings.loss, settings.curvature_share, square);
-    apply(weights.jacobian, weights.shift, residual);
-    residual.iter_mut().for_each(|v| *v *= weights.residual);
 }

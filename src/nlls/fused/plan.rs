@@ -2,7 +2,8 @@
 
 use super::{
     Fusable,
-    layout::{Camera, Layout, MAX_KEPT, MAX_SHARED, PointAt, ShareWork},
+    groups::Records,
+    layout::{Camera, Layout, MAX_CAMERA_RECORD, MAX_KEPT, MAX_RECORD, MAX_SHARED, PointAt, ShareWork},
 };
 use crate::nlls::{
     pairs::{Pair, PairFactor},
@@ -23,10 +24,11 @@ pub(super) struct Plan<
 > {
     pub(super) layout: Layout<K, S, D>,
     pub(super) shares: Vec<ShareWork<P>>,
-    pub(super) prepared: Vec<[f64; Q]>,
-    pub(super) trial_prepared: Vec<[f64; Q]>,
-    /// Steps of each camera and of its shared block.
-    pub(super) steps: Vec<([f64; K], [f64; S])>,
+    /// What the factor prepares of each camera, `Q` numbers; then the steps of the camera and of its
+    /// shared block.
+    pub(super) prepared: Records,
+    /// What it prepares at the trial values.
+    pub(super) trial_prepared: Records,
     factor: PhantomData<F>,
 }
 
@@ -58,7 +60,10 @@ impl<
     /// The plan, or `None` where the batch does not have the shape for it.
     pub(super) fn new(pairs: &[Pair<D>], request: Fusable<'_>) -> Option<Self> {
         let Fusable { problem, structure, matrix, batch } = request;
-        if K > MAX_KEPT || u32::try_from(pairs.len().max(*problem.offsets.last()?)).is_err() {
+        if K > MAX_KEPT || R * (P + 1) > MAX_RECORD || Q + K + S > MAX_CAMERA_RECORD {
+            return None;
+        }
+        if u32::try_from(pairs.len().max(*problem.offsets.last()?)).is_err() {
             return None;
         }
         if structure.plain.iter().any(|&(other, _)| other as usize == batch) {
@@ -97,9 +102,8 @@ impl<
         let count = layout.cameras.len();
         Some(Plan {
             shares,
-            prepared: vec![[0.0; Q]; count],
-            trial_prepared: vec![[0.0; Q]; count],
-            steps: vec![([0.0; K], [0.0; S]); count],
+            prepared: Records::new(count, Q + K + S),
+            trial_prepared: Records::new(count, Q),
             factor: PhantomData,
             layout,
         })
@@ -115,7 +119,8 @@ impl<
 
     /// Takes the kept blocks' steps, zero for those that are fixed.
     pub(super) fn prepare_steps(&mut self, problem: &Problem, step: &[f64]) {
-        for (camera, (kept, shared)) in self.layout.cameras.iter().zip(&mut self.steps) {
+        for (camera, record) in self.layout.cameras.iter().zip(self.prepared.each()) {
+            let (kept, shared) = record[Q..Q + K + S].split_at_mut(K);
             kept.fill(0.0);
             shared.fill(0.0);
             if camera.place != NONE {
@@ -142,14 +147,14 @@ fn prepare_cameras<
     layout: &Layout<K, S, D>,
     problem: &Problem,
     x: &[f64],
-    out: &mut [[f64; Q]],
+    out: &mut Records,
 ) {
     let point = problem.point(x);
-    for (camera, out) in layout.cameras.iter().zip(out) {
+    for (camera, out) in layout.cameras.iter().zip(out.each()) {
         let kept = point.block(Problem::id(camera.block as usize));
         let shared =
             if S == 0 { &[][..] } else { point.block(Problem::id(camera.shared as usize)) };
-        *out = F::prepare(kept, shared);
+        out[..Q].copy_from_slice(&F::prepare(kept, shared));
     }
 }
 

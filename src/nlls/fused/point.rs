@@ -1,7 +1,7 @@
 //! Elimination of one point from the Jacobians of its observations.
 
 use super::{
-    layout::{Buffers, Layout, MAX_KEPT, ShareWork, block_len, padded},
+    layout::{Buffers, Layout, MAX_KEPT, ShareWork, block_len, padded, point_record},
     shared::add_shared,
     small::Small,
 };
@@ -29,15 +29,18 @@ pub(super) fn eliminate_point<
     let point = layout.points[e];
     let first = point.first as usize - origin;
     let end = layout.points[e + 1].first as usize - origin;
+    let length = point_record(R, P);
     if point.frozen != 0 {
-        for row in buffers.by_point[first * R * P..end * R * P].chunks_exact_mut(P) {
-            for (k, v) in row.iter_mut().enumerate() {
-                *v *= f64::from(u8::from(point.frozen >> k & 1 == 0));
+        for record in buffers.by_point[first * length..end * length].chunks_exact_mut(length) {
+            for row in 0..R {
+                for k in 0..P {
+                    record[row * (P + 1) + k] *= f64::from(u8::from(point.frozen >> k & 1 == 0));
+                }
             }
         }
     }
-    let by_point = &buffers.by_point[first * R * P..end * R * P];
-    let mut small = Small::<P>::new(by_point, &buffers.residual[first * R..end * R]);
+    let by_point = &buffers.by_point[first * length..end * length];
+    let mut small = Small::<P>::new::<R>(by_point);
     let mut slope = 0.0;
     for k in 0..P {
         if small.diagonal[k] > 0.0 {
@@ -51,12 +54,21 @@ pub(super) fn eliminate_point<
     // Q_i row by row, and what the point takes from each residual, Q_i u.
     let whitened = &mut buffers.whitened[..(end - first) * R * P];
     let along = &mut buffers.along[..(end - first) * R];
-    for ((row, q), along) in
-        by_point.chunks_exact(P).zip(whitened.chunks_exact_mut(P)).zip(along.iter_mut())
+    for ((record, q), along) in by_point
+        .chunks_exact(length)
+        .zip(whitened.chunks_exact_mut(R * P))
+        .zip(along.chunks_exact_mut(R))
     {
-        let y = small.forward(std::array::from_fn(|k| row[k]));
-        q.copy_from_slice(&y);
-        *along = (0..P).map(|k| y[k] * u[k]).sum();
+        for row in 0..R {
+            let mut y = [0.0; P];
+            y.copy_from_slice(&record[row * (P + 1)..row * (P + 1) + P]);
+            let y = small.forward(y);
+            q[row * P..(row + 1) * P].copy_from_slice(&y);
+            along[row] = 0.0;
+            for k in 0..P {
+                along[row] += y[k] * u[k];
+            }
+        }
     }
     if S > 0 {
         add_shared::<R, K, S, P, D>(layout, share, buffers, (first, end), origin, &u);
@@ -70,9 +82,9 @@ pub(super) fn eliminate_point<
         }
         let local = local as usize;
         let jacobian = &buffers.by_kept[(first + i) * stride..(first + i + 1) * stride];
-        let residual = &buffers.residual[(first + i) * R..(first + i + 1) * R];
+        let record = &buffers.by_point[(first + i) * length..(first + i + 1) * length];
         let along = &buffers.along[i * R..(i + 1) * R];
-        add_vectors::<V, R, K, P>(simd, jacobian, residual, along, share, local);
+        add_vectors::<V, R, K, P>(simd, jacobian, record, along, share, local);
         let q_i = &buffers.whitened[i * R * P..(i + 1) * R * P];
         for j in 0..=i {
             let other = share.local[layout.observed_by[origin + first + j] as usize] as usize;
@@ -113,7 +125,7 @@ fn middle<const R: usize, const P: usize>(q_i: &[f64], q_j: &[f64], same: bool) 
 fn add_vectors<V: Simd, const R: usize, const K: usize, const P: usize>(
     simd: V,
     jacobian: &[f64],
-    residual: &[f64],
+    record: &[f64],
     along: &[f64],
     share: &mut ShareWork<P>,
     local: usize,
@@ -124,7 +136,7 @@ fn add_vectors<V: Simd, const R: usize, const K: usize, const P: usize>(
     let diagonal = V::as_mut_simd_f64s(&mut share.diagonal[range]).0;
     for row in 0..R {
         let line = V::as_simd_f64s(&jacobian[row * padded(K)..(row + 1) * padded(K)]).0;
-        let r = simd.splat_f64s(residual[row]);
+        let r = simd.splat_f64s(record[row * (P + 1) + P]);
         let a = simd.splat_f64s(-along[row]);
         for k in 0..line.len() {
             gradient[k] = simd.mul_add_e_f64s(line[k], r, gradient[k]);

@@ -1,6 +1,6 @@
 //! What points add to blocks that many cameras share: the arrow of the reduced system.
 
-use super::layout::{Buffers, Layout, ShareWork, padded};
+use super::layout::{Buffers, Layout, ShareWork, padded, point_record};
 use crate::nlls::structure::NONE;
 
 /// Adds a point with observations `first..end` of the chunk that begins with `origin`, and
@@ -28,9 +28,9 @@ pub(super) fn add_shared<
         let camera = layout.observed_by[origin + first + i] as usize;
         let lens = layout.cameras[camera].lens as usize;
         for row in 0..R {
-            let js = &buffers.by_shared[((first + i) * R + row) * S..][..S];
+            let js = &buffers.by_shared[(first + i) * padded(R * S) + row * S..][..S];
             let q = &buffers.whitened[(i * R + row) * P..][..P];
-            let r = buffers.residual[(first + i) * R + row];
+            let r = buffers.by_point[(first + i) * point_record(R, P) + row * (P + 1) + P];
             for a in 0..S {
                 share.lens_gradient[lens * S + a] += js[a] * r;
                 share.lens_diagonal[lens * S + a] += js[a] * js[a];
@@ -78,7 +78,7 @@ pub(super) fn add_shared<
                 let mut left = [0.0; S];
                 for a in 0..S {
                     if l == own {
-                        left[a] = buffers.by_shared[((first + i) * R + row) * S + a];
+                        left[a] = buffers.by_shared[(first + i) * padded(R * S) + row * S + a];
                     }
                     for k in 0..P {
                         left[a] -= q[k] * sums[k * S + a];

@@ -1,5 +1,6 @@
 //! The small system of one point.
 
+use super::layout::point_record;
 use crate::nlls::eliminate::damping;
 
 /// `V`, its damping and `g` of one point.
@@ -14,19 +15,25 @@ pub(super) struct Small<const P: usize> {
 }
 
 impl<const P: usize> Small<P> {
-    /// Sums over rows of Jacobians and their residuals.
+    /// Sums over the records of a point's observations, `R` rows each.
     #[inline(always)]
-    pub(super) fn new(by_point: &[f64], residual: &[f64]) -> Self {
+    pub(super) fn new<const R: usize>(records: &[f64]) -> Self {
         let (mut v, mut g) = ([[0.0; P]; P], [0.0; P]);
-        for (row, r) in by_point.chunks_exact(P).zip(residual) {
-            for i in 0..P {
-                g[i] += row[i] * r;
-                for j in 0..=i {
-                    v[i][j] += row[i] * row[j];
+        for record in records.chunks_exact(point_record(R, P)) {
+            for row in 0..R {
+                let row = &record[row * (P + 1)..(row + 1) * (P + 1)];
+                for i in 0..P {
+                    g[i] += row[i] * row[P];
+                    for j in 0..=i {
+                        v[i][j] += row[i] * row[j];
+                    }
                 }
             }
         }
-        let diagonal = std::array::from_fn(|k| v[k][k]);
+        let mut diagonal = [0.0; P];
+        for k in 0..P {
+            diagonal[k] = v[k][k];
+        }
         Small { v, g, damped: [0.0; P], diagonal }
     }
 

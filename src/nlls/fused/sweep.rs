@@ -2,8 +2,8 @@
 
 use super::{
     Moved, Settings,
-    groups::{chunk_cost, chunks, coordinates},
-    layout::{Layout, ShareWork},
+    groups::{Records, chunk_cost, chunks, coordinates},
+    layout::{Layout, ShareWork, point_record},
     linearize::{apply_chunk, linearize_chunk},
     point::eliminate_point,
     small::Small,
@@ -24,7 +24,7 @@ struct Eliminate<
 > {
     layout: &'a Layout<K, S, D>,
     share: &'a mut ShareWork<P>,
-    prepared: &'a [[f64; Q]],
+    prepared: &'a Records,
     x: &'a [f64],
     settings: Settings,
     factor: PhantomData<F>,
@@ -42,7 +42,7 @@ pub(super) fn eliminate_share<
 >(
     layout: &Layout<K, S, D>,
     share: &mut ShareWork<P>,
-    prepared: &[[f64; Q]],
+    prepared: &Records,
     x: &[f64],
     settings: Settings,
 ) -> Result<f64, NotPositiveDefinite> {
@@ -121,8 +121,7 @@ struct Substitute<
     layout: &'a Layout<K, S, D>,
     share: &'a mut ShareWork<P>,
     /// At the current and at the trial values.
-    prepared: (&'a [[f64; Q]], &'a [[f64; Q]]),
-    steps: &'a [([f64; K], [f64; S])],
+    prepared: (&'a Records, &'a Records),
     x: &'a [f64],
     settings: Settings,
     factor: PhantomData<F>,
@@ -141,8 +140,7 @@ pub(super) fn substitute_share<
 >(
     layout: &Layout<K, S, D>,
     share: &mut ShareWork<P>,
-    prepared: (&[[f64; Q]], &[[f64; Q]]),
-    steps: &[([f64; K], [f64; S])],
+    prepared: (&Records, &Records),
     x: &[f64],
     settings: Settings,
 ) -> Moved {
@@ -151,7 +149,6 @@ pub(super) fn substitute_share<
         layout,
         share,
         prepared,
-        steps,
         x,
         settings,
         factor,
@@ -172,8 +169,7 @@ impl<
 
     #[inline(always)]
     fn with_simd<V: Simd>(self, simd: V) -> Moved {
-        let Substitute { layout, share, prepared: (prepared, trial), steps, x, settings, .. } =
-            self;
+        let Substitute { layout, share, prepared: (prepared, trial), x, settings, .. } = self;
         let range = share.range.clone();
         let (buffers, moved) = (&mut share.buffers, &mut share.moved);
         let mut total = Moved::default();
@@ -183,7 +179,6 @@ impl<
                 layout,
                 chunk.clone(),
                 prepared,
-                steps,
                 x,
                 &settings,
                 buffers,
@@ -191,14 +186,20 @@ impl<
             let origin = layout.points[chunk.start].first as usize;
             for e in chunk.clone() {
                 let point = layout.points[e];
-                let rows = (point.first as usize - origin) * R
-                    ..(layout.points[e + 1].first as usize - origin) * R;
-                let by_point = &buffers.by_point[rows.start * P..rows.end * P];
-                let mut small = Small::<P>::new(by_point, &buffers.residual[rows.clone()]);
+                let (first, end) =
+                    (point.first as usize - origin, layout.points[e + 1].first as usize - origin);
+                let records = &buffers.by_point
+                    [first * point_record(R, P)..end * point_record(R, P)];
+                let mut small = Small::<P>::new::<R>(records);
                 let mut h = small.g;
-                for (row, t) in by_point.chunks_exact(P).zip(&buffers.along[rows]) {
-                    for k in 0..P {
-                        h[k] += row[k] * t;
+                let along = &buffers.along[first * R..end * R];
+                for (record, along) in
+                    records.chunks_exact(point_record(R, P)).zip(along.chunks_exact(R))
+                {
+                    for row in 0..R {
+                        for k in 0..P {
+                            h[k] += record[row * (P + 1) + k] * along[row];
+                        }
                     }
                 }
                 // Elimination has factorised the same matrix already.
