@@ -1,26 +1,22 @@
-//! Cholesky factorisation of the (reduced) normal equations; the only file that knows faer.
+//! Cholesky factorisation of the (reduced) normal equations; with its parts the only file that knows
+//! faer.
 //!
 //! The matrix is symmetric, stored as the blocks of its lower triangle ([`BlockMatrix`]). A
 //! fill-reducing order is found once on the graph of blocks (approximate minimum degree), the
-//! symbolic factorisation once, and all memory is kept between factorisations. A matrix that would
-//! fill in anyway is factorised dense.
+//! symbolic factorisation once ([`tree`]), and all memory is kept between factorisations
+//! ([`fronts`]). A matrix that would fill in anyway is one dense front. The products inside a front
+//! are faer's; the tree and what runs beside what are ours, because faer's own supernodal method
+//! works on one front at a time and its threads meet at a barrier after every product.
+
+mod fronts;
+mod tree;
 
 use faer::{
-    Conj, MatMut, Par, Side, Spec,
     dyn_stack::{MemBuffer, MemStack},
-    linalg::cholesky::llt,
-    perm::PermRef,
-    sparse::{
-        SparseColMatRef, SymbolicSparseColMatRef,
-        linalg::{
-            amd,
-            cholesky::{
-                CholeskySymbolicParams, LltRef, SymbolicCholesky, SymmetricOrdering,
-                factorize_symbolic_cholesky,
-            },
-        },
-    },
+    sparse::{SymbolicSparseColMatRef, linalg::amd},
 };
+use fronts::Fronts;
+use tree::Tree;
 
 /// The lower triangle of a symmetric matrix in blocks, column of blocks by column of blocks.
 ///
@@ -147,190 +143,49 @@ impl BlockMatrix {
 pub(super) struct NotPositiveDefinite(pub(super) Option<usize>);
 
 /// A Cholesky factorisation that remembers its analysis and memory.
-pub(super) enum Cholesky {
-    Dense { dimension: usize, factor: Vec<f64>, memory: MemBuffer },
-    Sparse(Box<Sparse>),
+#[derive(Debug)]
+pub(super) struct Cholesky {
+    dimension: usize,
+    fronts: Fronts,
 }
-
-pub(super) struct Sparse {
-    symbolic: SymbolicCholesky<usize>,
-    column_ptr: Vec<usize>,
-    row_index: Vec<usize>,
-    values: Vec<f64>,
-    factor: Vec<f64>,
-    memory: MemBuffer,
-}
-
-impl std::fmt::Debug for Cholesky {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Cholesky::Dense { dimension, .. } => write!(f, "Cholesky::Dense({dimension})"),
-            Cholesky::Sparse(sparse) => write!(f, "Cholesky::Sparse({})", sparse.column_ptr.len()),
-        }
-    }
-}
-
-/// How faer cuts its work: by the dimension, never by the number of threads, for the cuts decide how
-/// sums are rounded.
-fn parallelism(dimension: usize) -> Par {
-    if dimension < 1500 { Par::Seq } else { Par::Rayon(TWO) }
-}
-
-const TWO: std::num::NonZeroUsize = std::num::NonZeroUsize::MIN.saturating_add(1);
 
 /// Below this dimension the dense factorisation always wins.
 const SMALL: usize = 160;
 /// Share of a full lower triangle from which a sparse factor is slower than a dense one.
-const FULL: f64 = 0.7;
+const FULL: f64 = 0.8;
+/// Right-hand sides solved at a time.
+const MAX_COLUMNS: usize = 32;
 
 impl Cholesky {
     /// Analyses the pattern of `matrix`.
     pub(super) fn analyze(matrix: &BlockMatrix, prefer_dense: bool) -> Cholesky {
         let dimension = matrix.dimension();
-        if !prefer_dense
-            && dimension > SMALL
-            && let Some(sparse) = Sparse::analyze(matrix)
-            && (sparse.factor.len() as f64) < FULL * 0.5 * (dimension as f64).powi(2)
-        {
-            return Cholesky::Sparse(Box::new(sparse));
-        }
-        let par = parallelism(dimension);
-        let factor = llt::factor::cholesky_in_place_scratch::<f64>(dimension, par, Spec::default());
-        let solve = llt::solve::solve_in_place_scratch::<f64>(dimension, MAX_COLUMNS, par);
-        let scratch = factor.or(solve);
-        Cholesky::Dense {
-            dimension,
-            factor: vec![0.0; dimension * dimension],
-            memory: MemBuffer::new(scratch),
-        }
+        let full = 0.5 * (dimension as f64).powi(2);
+        let tree = (!prefer_dense && dimension > SMALL && (matrix.values.len() as f64) < FULL * full)
+            .then(|| Tree::sparse(matrix))
+            .flatten()
+            .filter(|tree| (tree.factor_len() as f64) < FULL * full)
+            .unwrap_or_else(|| Tree::dense(matrix));
+        Cholesky { dimension, fronts: Fronts::new(tree) }
     }
 
     /// Factorises `matrix`, whose pattern is the one that was analysed.
     pub(super) fn factorize(&mut self, matrix: &BlockMatrix) -> Result<(), NotPositiveDefinite> {
-        match self {
-            Cholesky::Dense { dimension, factor, memory } => {
-                let n = *dimension;
-                factor.fill(0.0);
-                matrix.for_each_column(|row, column, values| {
-                    let at = column * n + row;
-                    factor[at..at + values.len()].copy_from_slice(values);
-                });
-                let a = MatMut::from_column_major_slice_mut(factor, n, n);
-                llt::factor::cholesky_in_place(
-                    a,
-                    Default::default(),
-                    parallelism(n),
-                    MemStack::new(memory),
-                    Spec::default(),
-                )
-                .map_err(|_| NotPositiveDefinite(None))?;
-                // A NaN passes every comparison that would reject a bad pivot.
-                (0..n)
-                    .all(|k| factor[k * n + k].is_finite() && factor[k * n + k] > 0.0)
-                    .then_some(())
-                    .ok_or(NotPositiveDefinite(None))
-            }
-            Cholesky::Sparse(sparse) => sparse.factorize(matrix),
-        }
+        self.fronts.factorize(matrix)
     }
 
     /// Solves for `columns` right-hand sides stored one after the other.
     pub(super) fn solve(&mut self, rhs: &mut [f64], columns: usize) {
-        match self {
-            Cholesky::Dense { dimension, factor, memory } => {
-                let n = *dimension;
-                let l = faer::MatRef::from_column_major_slice(factor, n, n);
-                for chunk in rhs.chunks_mut(n * MAX_COLUMNS) {
-                    let count = chunk.len() / n;
-                    llt::solve::solve_in_place(
-                        l,
-                        MatMut::from_column_major_slice_mut(chunk, n, count),
-                        Par::Seq,
-                        MemStack::new(memory),
-                    );
-                }
-                debug_assert_eq!(rhs.len(), n * columns);
-            }
-            Cholesky::Sparse(sparse) => sparse.solve(rhs, columns),
+        debug_assert_eq!(rhs.len(), self.dimension * columns);
+        for chunk in rhs.chunks_mut(self.dimension.max(1) * MAX_COLUMNS) {
+            self.fronts.solve(chunk, self.dimension, chunk.len() / self.dimension);
         }
     }
 }
 
-/// Right-hand sides solved at a time.
-const MAX_COLUMNS: usize = 32;
-
-impl Sparse {
-    fn analyze(matrix: &BlockMatrix) -> Option<Sparse> {
-        let n = matrix.dimension();
-        let (mut column_ptr, mut row_index) = (vec![0; n + 1], Vec::new());
-        matrix.for_each_column(|row, column, values| {
-            row_index.extend(row..row + values.len());
-            column_ptr[column + 1] = row_index.len();
-        });
-        let (forward, inverse) = order(matrix)?;
-        let pattern = SymbolicSparseColMatRef::new_checked(n, n, &column_ptr, None, &row_index);
-        let symbolic = factorize_symbolic_cholesky(
-            pattern,
-            Side::Lower,
-            SymmetricOrdering::Custom(PermRef::new_checked(&forward, &inverse, n)),
-            CholeskySymbolicParams::default(),
-        )
-        .ok()?;
-        let scratch = symbolic
-            .factorize_numeric_llt_scratch::<f64>(parallelism(n), Spec::default())
-            .or(symbolic.solve_in_place_scratch::<f64>(MAX_COLUMNS, Par::Seq));
-        Some(Sparse {
-            values: vec![0.0; row_index.len()],
-            factor: vec![0.0; symbolic.len_val()],
-            memory: MemBuffer::new(scratch),
-            symbolic,
-            column_ptr,
-            row_index,
-        })
-    }
-
-    fn factorize(&mut self, matrix: &BlockMatrix) -> Result<(), NotPositiveDefinite> {
-        let n = self.column_ptr.len() - 1;
-        let (mut at, values) = (0, &mut self.values);
-        matrix.for_each_column(|_, _, column| {
-            values[at..at + column.len()].copy_from_slice(column);
-            at += column.len();
-        });
-        let pattern =
-            SymbolicSparseColMatRef::new_checked(n, n, &self.column_ptr, None, &self.row_index);
-        self.symbolic
-            .factorize_numeric_llt(
-                &mut self.factor,
-                SparseColMatRef::new(pattern, self.values.as_slice()),
-                Side::Lower,
-                Default::default(),
-                parallelism(n),
-                MemStack::new(&mut self.memory),
-                Spec::default(),
-            )
-            .map_err(|_| NotPositiveDefinite(None))?;
-        self.factor.iter().all(|v| v.is_finite()).then_some(()).ok_or(NotPositiveDefinite(None))
-    }
-
-    fn solve(&mut self, rhs: &mut [f64], columns: usize) {
-        let n = self.column_ptr.len() - 1;
-        debug_assert_eq!(rhs.len(), n * columns);
-        let factor = LltRef::new(&self.symbolic, self.factor.as_slice());
-        for chunk in rhs.chunks_mut(n * MAX_COLUMNS) {
-            let count = chunk.len() / n;
-            factor.solve_in_place_with_conj(
-                Conj::No,
-                MatMut::from_column_major_slice_mut(chunk, n, count),
-                Par::Seq,
-                MemStack::new(&mut self.memory),
-            );
-        }
-    }
-}
-
-/// A fill-reducing order of the scalars: minimum degree on the graph of blocks, which is as good
-/// as on the scalars and cheaper by the square of the block size.
-fn order(matrix: &BlockMatrix) -> Option<(Vec<usize>, Vec<usize>)> {
+/// A fill-reducing order of the blocks, new to old: minimum degree on the graph of blocks, which is
+/// as good as on the scalars and cheaper by the square of the block size.
+fn order(matrix: &BlockMatrix) -> Option<Vec<usize>> {
     let blocks = matrix.block_count();
     let rows: Vec<usize> = matrix.rows.iter().map(|&row| row as usize).collect();
     let graph =
@@ -345,13 +200,7 @@ fn order(matrix: &BlockMatrix) -> Option<(Vec<usize>, Vec<usize>)> {
         MemStack::new(&mut memory),
     )
     .ok()?;
-    let scalars: Vec<usize> =
-        forward.iter().flat_map(|&b| matrix.starts[b]..matrix.starts[b + 1]).collect();
-    let mut back = vec![0; scalars.len()];
-    for (new, &old) in scalars.iter().enumerate() {
-        back[old] = new;
-    }
-    Some((scalars, back))
+    Some(forward)
 }
 
 #[cfg(test)]
@@ -387,7 +236,6 @@ mod tests {
         let rhs: Vec<f64> = [multiply(&matrix, &x[..n]), multiply(&matrix, &x[n..])].concat();
         for dense in [true, false] {
             let mut cholesky = Cholesky::analyze(&matrix, dense);
-            assert_eq!(matches!(cholesky, Cholesky::Dense { .. }), dense);
             for _ in 0..2 {
                 cholesky.factorize(&matrix).unwrap();
                 let mut solution = rhs.clone();
