@@ -207,7 +207,7 @@ mod tests {
         Arch::Scalar.dispatch(Try);
         #[cfg(target_arch = "x86_64")]
         if let Some(simd) = x86::V3::try_new() {
-            simd.vectorize(Try);
+            Simd::vectorize(simd, Try);
         }
     }
 }

@@ -161,11 +161,12 @@ impl Cholesky {
     pub(super) fn analyze(matrix: &BlockMatrix, prefer_dense: bool) -> Cholesky {
         let dimension = matrix.dimension();
         let full = 0.5 * (dimension as f64).powi(2);
-        let tree = (!prefer_dense && dimension > SMALL && (matrix.values.len() as f64) < FULL * full)
-            .then(|| Tree::sparse(matrix))
-            .flatten()
-            .filter(|tree| (tree.factor_len() as f64) < FULL * full)
-            .unwrap_or_else(|| Tree::dense(matrix));
+        let tree =
+            (!prefer_dense && dimension > SMALL && (matrix.values.len() as f64) < FULL * full)
+                .then(|| Tree::sparse(matrix))
+                .flatten()
+                .filter(|tree| (tree.factor_len() as f64) < FULL * full)
+                .unwrap_or_else(|| Tree::dense(matrix));
         Cholesky { dimension, fronts: Fronts::new(tree) }
     }
 

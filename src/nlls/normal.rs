@@ -62,6 +62,7 @@ impl Normal {
             tangent = ends.map(|block| block.tangent + block.space.tangent()).max().unwrap_or(0);
             structure.forget_factors();
         } else {
+            structure.complete(problem, &matrix);
             partials.extend(structure.shares.iter().map(Partial::new));
         }
         Ok(Normal {

@@ -5,12 +5,10 @@
 //! with its own small accumulator over just the kept blocks that it touches; accumulators are
 //! added in the order of the ranges, so that the sums do not depend on the number of threads.
 
-use super::{
-    Linear,
-    cholesky::BlockMatrix,
-    problem::{BlockId, Problem},
-};
+use super::{Linear, cholesky::BlockMatrix, problem::Problem};
 use crate::engine::SolveError;
+use rayon::prelude::*;
+use std::ops::Range;
 
 /// Not a kept block, not a slot.
 pub(super) const NONE: u32 = u32::MAX;
@@ -22,7 +20,7 @@ pub(super) type FactorRef = (u32, u32);
 #[derive(Debug, Clone)]
 pub(super) struct Share {
     /// Places in [`Structure::eliminated`].
-    pub(super) eliminated: std::ops::Range<usize>,
+    pub(super) eliminated: Range<usize>,
     /// The kept blocks that it touches, ascending.
     pub(super) kept: Vec<u32>,
     /// Where each kept block begins in local vectors; one more entry than blocks.
@@ -86,7 +84,9 @@ impl Structure {
         let (mut kept, mut eliminated) = (Vec::new(), Vec::new());
         for (k, block) in blocks.iter().enumerate().filter(|(_, block)| !block.is_fixed()) {
             if eliminating && block.eliminate {
-                eliminated.push(k);
+                // Its place among the eliminated ones, until they are sorted.
+                point[k] = eliminated.len() as u32;
+                eliminated.push(k as u32);
             } else {
                 place[k] = kept.len() as u32;
                 kept.push(k);
@@ -95,47 +95,73 @@ impl Structure {
         if kept.is_empty() && eliminated.is_empty() {
             return Err(SolveError::Misuse("every block is fixed: nothing to solve for".into()));
         }
-        sort_by_neighbourhood(problem, &place, &mut eliminated);
-        for (e, &k) in eliminated.iter().enumerate() {
-            point[k] = e as u32;
+        let Census { owner, plain, mut neighbourhood } =
+            Census::take(problem, &place, &point, &eliminated)?;
+        neighbourhood.par_sort_unstable();
+        let eliminated: Vec<usize> =
+            neighbourhood.iter().map(|&(_, first)| eliminated[first as usize] as usize).collect();
+        let mut sorted = vec![0u32; eliminated.len()];
+        for (e, &(_, first)) in neighbourhood.iter().enumerate() {
+            sorted[first as usize] = e as u32;
+            point[eliminated[e]] = e as u32;
         }
         let mut structure = Structure {
             kept,
             place,
-            squares: std::iter::once(0)
-                .chain(eliminated.iter().scan(0, |sum, &k| {
-                    *sum += blocks[k].space.tangent().pow(2);
-                    Some(*sum)
-                }))
-                .collect(),
+            squares: Vec::new(),
             eliminated,
             point,
             factor_ptr: Vec::new(),
             factors: Vec::new(),
             touch_ptr: Vec::new(),
             touch: Vec::new(),
-            plain: Vec::new(),
+            plain,
             shares: Vec::new(),
         };
-        structure.sort_factors(problem)?;
-        let touched = structure.find_touched(problem);
-        structure.refuse_idle_blocks(problem, &touched)?;
+        structure.list_factors(problem, &owner, &sorted);
         let dims: Vec<usize> = structure.kept.iter().map(|&k| blocks[k].space.tangent()).collect();
-        structure.cut_into_shares(&touched, &dims);
+        structure.shares = structure
+            .cuts()
+            .into_par_iter()
+            .with_max_len(1)
+            .map(|range| Share::new(&structure, problem, range, dims.len()))
+            .collect();
+        structure.refuse_idle_blocks(problem)?;
         let matrix = structure.reduced_pattern(problem, &dims);
-        structure.connect_shares(&matrix);
         Ok((structure, matrix))
+    }
+
+    /// Fills in what only the stored path reads.
+    pub(super) fn complete(&mut self, problem: &Problem, matrix: &BlockMatrix) {
+        let squares = self.eliminated.iter().scan(0, |sum, &k| {
+            *sum += problem.blocks[k].space.tangent().pow(2);
+            Some(*sum)
+        });
+        self.squares = std::iter::once(0).chain(squares).collect();
+        let mut local = vec![NONE; self.kept.len()];
+        let (mut touch_ptr, mut touch, mut one) = (vec![0], Vec::new(), Vec::new());
+        for share in &self.shares {
+            for (k, &place) in share.kept.iter().enumerate() {
+                local[place as usize] = k as u32;
+            }
+            for e in share.eliminated.clone() {
+                self.touched(problem, e, &mut one);
+                touch.extend(one.iter().map(|&place| local[place as usize]));
+                touch_ptr.push(touch.len());
+            }
+        }
+        (self.touch_ptr, self.touch) = (touch_ptr, touch);
+        for share in &mut self.shares {
+            share.connect(matrix);
+        }
     }
 
     /// Frees what only the stored path reads.
     pub(super) fn forget_factors(&mut self) {
         self.factor_ptr = Vec::new();
         self.factors = Vec::new();
-        self.touch_ptr = Vec::new();
-        self.touch = Vec::new();
         for share in &mut self.shares {
             share.table = Vec::new();
-            share.copies = Vec::new();
         }
     }
 
@@ -154,87 +180,53 @@ impl Structure {
         &self.touch[self.touch_ptr[e]..self.touch_ptr[e + 1]]
     }
 
-    /// Splits the factors into those of each eliminated block and the plain rest.
-    fn sort_factors(&mut self, problem: &Problem) -> Result<(), SolveError> {
-        let point_of = |blocks: &[BlockId]| -> Result<Option<u32>, (BlockId, BlockId)> {
-            let mut found: Option<BlockId> = None;
-            for &block in blocks {
-                if self.point[block.index()] != NONE
-                    && let Some(first) = found.replace(block)
-                {
-                    return Err((first, block));
-                }
-            }
-            Ok(found.map(|block| self.point[block.index()]))
-        };
-        let mut counts = vec![0usize; self.eliminated.len() + 1];
-        let mut plain = Vec::new();
+    /// Lists the factors of each eliminated block; `owner` as in [`Census`], `sorted` the places
+    /// that its numbers stand for.
+    fn list_factors(&mut self, problem: &Problem, owner: &[u32], sorted: &[u32]) {
+        let mut ends = vec![0usize; self.eliminated.len() + 1];
+        for &first in owner.iter().filter(|&&first| first != NONE) {
+            ends[sorted[first as usize] as usize + 1] += 1;
+        }
+        for e in 1..ends.len() {
+            ends[e] += ends[e - 1];
+        }
+        let mut next = ends.clone();
+        let mut factors = vec![(0, 0); ends[ends.len() - 1]];
+        let mut owner = owner.iter();
         for (b, named) in problem.batches.iter().enumerate() {
-            for f in 0..named.batch.len() {
-                let blocks = named.batch.blocks(f);
-                match point_of(blocks) {
-                    Err((first, second)) => {
-                        return Err(SolveError::Misuse(format!(
-                            "factor {f} of {:?} joins {} and {}, which are both to be eliminated",
-                            named.name,
-                            problem.describe(first),
-                            problem.describe(second)
-                        )));
-                    }
-                    Ok(Some(e)) => counts[e as usize + 1] += 1,
-                    Ok(None) => {
-                        if blocks.iter().any(|block| self.place[block.index()] != NONE) {
-                            plain.push((b as u32, f as u32));
-                        }
-                    }
+            for (f, &first) in owner.by_ref().take(named.batch.len()).enumerate() {
+                if first != NONE {
+                    let next = &mut next[sorted[first as usize] as usize];
+                    factors[*next] = (b as u32, f as u32);
+                    *next += 1;
                 }
             }
         }
-        for e in 1..counts.len() {
-            counts[e] += counts[e - 1];
-        }
-        let mut next = counts.clone();
-        let mut factors = vec![(0, 0); counts[counts.len() - 1]];
-        for (b, named) in problem.batches.iter().enumerate() {
-            for f in 0..named.batch.len() {
-                if let Ok(Some(e)) = point_of(named.batch.blocks(f)) {
-                    factors[next[e as usize]] = (b as u32, f as u32);
-                    next[e as usize] += 1;
-                }
-            }
-        }
-        (self.factor_ptr, self.factors, self.plain) = (counts, factors, plain);
-        Ok(())
+        (self.factor_ptr, self.factors) = (ends, factors);
     }
 
-    /// Per eliminated block, the kept blocks it shares a factor with, ascending.
-    fn find_touched(&self, problem: &Problem) -> Touched {
-        let mut touched =
-            Touched { first: vec![0], places: Vec::with_capacity(self.factors.len()) };
-        let mut one: Vec<u32> = Vec::new();
-        for e in 0..self.eliminated.len() {
-            one.clear();
-            for &(b, f) in self.factors(e) {
-                for block in problem.batches[b as usize].batch.blocks(f as usize) {
-                    let place = self.place[block.index()];
-                    if place != NONE {
-                        one.push(place);
-                    }
+    /// The kept blocks that eliminated block `e` shares a factor with, ascending.
+    fn touched(&self, problem: &Problem, e: usize, out: &mut Vec<u32>) {
+        out.clear();
+        for &(b, f) in self.factors(e) {
+            for block in problem.batches[b as usize].batch.blocks(f as usize) {
+                let place = self.place[block.index()];
+                if place != NONE {
+                    out.push(place);
                 }
             }
-            if !one.is_sorted_by(|a, b| a < b) {
-                one.sort_unstable();
-                one.dedup();
-            }
-            touched.places.extend_from_slice(&one);
-            touched.first.push(touched.places.len());
         }
-        touched
+        if !out.is_sorted_by(|a, b| a < b) {
+            out.sort_unstable();
+            out.dedup();
+        }
     }
 
-    fn refuse_idle_blocks(&self, problem: &Problem, touched: &Touched) -> Result<(), SolveError> {
+    fn refuse_idle_blocks(&self, problem: &Problem) -> Result<(), SolveError> {
         let mut busy = vec![false; self.kept.len()];
-        touched.places.iter().for_each(|&k| busy[k as usize] = true);
+        for share in &self.shares {
+            share.kept.iter().for_each(|&k| busy[k as usize] = true);
+        }
         for &(b, f) in &self.plain {
             for block in problem.batches[b as usize].batch.blocks(f as usize) {
                 if self.place[block.index()] != NONE {
@@ -255,34 +247,23 @@ impl Structure {
         }
     }
 
-    fn cut_into_shares(&mut self, touched: &Touched, dims: &[usize]) {
+    /// Ranges of eliminated blocks with about the same number of factors.
+    fn cuts(&self) -> Vec<Range<usize>> {
         let total = self.factors.len();
-        let shares = total.div_ceil(SHARE_FACTORS).clamp(1, MAX_SHARES);
-        let mut first = 0;
-        for share in 0..shares {
-            let goal = total * (share + 1) / shares;
-            let mut end = first;
-            while end < self.eliminated.len() && self.factor_ptr[end + 1] <= goal {
-                end += 1;
-            }
-            if share + 1 == shares {
+        let count = total.div_ceil(SHARE_FACTORS).clamp(1, MAX_SHARES);
+        let (mut first, mut cuts) = (0, Vec::new());
+        for share in 0..count {
+            let goal = total * (share + 1) / count;
+            let mut end = self.factor_ptr.partition_point(|&at| at <= goal) - 1;
+            if share + 1 == count {
                 end = self.eliminated.len();
             }
             if end > first {
-                self.shares.push(Share::new(first..end, touched, dims));
+                cuts.push(first..end);
                 first = end;
             }
         }
-        let mut local = vec![NONE; dims.len()];
-        for share in &self.shares {
-            for (k, &place) in share.kept.iter().enumerate() {
-                local[place as usize] = k as u32;
-            }
-            for e in share.eliminated.clone() {
-                self.touch.extend(touched.of(e).iter().map(|&place| local[place as usize]));
-            }
-        }
-        self.touch_ptr.clone_from(&touched.first);
+        cuts
     }
 
     fn reduced_pattern(&self, problem: &Problem, dims: &[usize]) -> BlockMatrix {
@@ -308,94 +289,112 @@ impl Structure {
                 }
             }
         }
-        for column in &mut columns {
+        columns.par_iter_mut().for_each(|column| {
             column.sort_unstable();
             column.dedup();
-        }
+        });
         BlockMatrix::new(dims, &columns)
     }
+}
 
-    fn connect_shares(&mut self, matrix: &BlockMatrix) {
-        for share in &mut self.shares {
-            let n = share.kept.len();
-            for row in 0..n {
-                for column in 0..=row {
-                    let local = share.table[row * n + column];
-                    let (r, c) = (share.kept[row] as usize, share.kept[column] as usize);
-                    if local != NONE
-                        && let Some(slot) = matrix.slot(r, c)
-                    {
-                        let global = matrix.value_ptr[slot];
-                        share.copies.push((
-                            local as usize,
-                            global,
-                            matrix.value_ptr[slot + 1] - global,
-                        ));
+/// What one walk over all factors finds.
+struct Census {
+    /// Per factor, batch after batch, its eliminated block by its place before sorting, or [`NONE`].
+    owner: Vec<u32>,
+    /// Factors of kept blocks alone.
+    plain: Vec<FactorRef>,
+    /// Per eliminated block the first and the last kept one that it touches, and its place before
+    /// sorting. Blocks that touch the same kept ones go next to each other, so that a share's sums
+    /// stay in the cache and differ from the other shares'.
+    neighbourhood: Vec<(u64, u32)>,
+}
+
+impl Census {
+    fn take(
+        problem: &Problem,
+        place: &[u32],
+        point: &[u32],
+        eliminated: &[u32],
+    ) -> Result<Census, SolveError> {
+        let total = problem.batches.iter().map(|named| named.batch.len()).sum();
+        let mut owner = Vec::with_capacity(total);
+        let mut plain = Vec::new();
+        let mut ends = vec![(NONE, 0u32); eliminated.len()];
+        for (b, named) in problem.batches.iter().enumerate() {
+            for f in 0..named.batch.len() {
+                let blocks = named.batch.blocks(f);
+                let (mut found, mut low, mut high) = (NONE, NONE, 0);
+                for block in blocks {
+                    let e = point[block.index()];
+                    if e != NONE {
+                        if found != NONE {
+                            let first = Problem::id(eliminated[found as usize] as usize);
+                            return Err(SolveError::Misuse(format!(
+                                "factor {f} of {:?} joins {} and {}, which are both to be eliminated",
+                                named.name,
+                                problem.describe(first),
+                                problem.describe(*block)
+                            )));
+                        }
+                        found = e;
+                    } else if place[block.index()] != NONE {
+                        low = low.min(place[block.index()]);
+                        high = high.max(place[block.index()]);
                     }
+                }
+                owner.push(found);
+                if found != NONE {
+                    let end = &mut ends[found as usize];
+                    *end = (end.0.min(low), end.1.max(high));
+                } else if low != NONE {
+                    plain.push((b as u32, f as u32));
                 }
             }
         }
+        let neighbourhood = ends
+            .into_iter()
+            .enumerate()
+            .map(|(e, (low, high))| (u64::from(low) << 32 | u64::from(high), e as u32))
+            .collect();
+        Ok(Census { owner, plain, neighbourhood })
     }
-}
-
-/// Per eliminated block the places of the kept ones that it touches, one list after the other.
-struct Touched {
-    first: Vec<usize>,
-    places: Vec<u32>,
-}
-
-impl Touched {
-    fn of(&self, e: usize) -> &[u32] {
-        &self.places[self.first[e]..self.first[e + 1]]
-    }
-}
-
-/// Puts eliminated blocks that touch the same kept ones next to each other, so that a share's sums
-/// stay in the cache and differ from the other shares'.
-fn sort_by_neighbourhood(problem: &Problem, place: &[u32], eliminated: &mut [usize]) {
-    let mut ends = vec![(NONE, 0); problem.blocks.len()];
-    for named in &problem.batches {
-        for f in 0..named.batch.len() {
-            let blocks = named.batch.blocks(f);
-            for block in blocks.iter().filter(|b| problem.blocks[b.index()].eliminate) {
-                let end = &mut ends[block.index()];
-                for other in blocks {
-                    let place = place[other.index()];
-                    if place != NONE {
-                        *end = (end.0.min(place), end.1.max(place));
-                    }
-                }
-            }
-        }
-    }
-    eliminated.sort_unstable_by_key(|&k| (ends[k], k));
 }
 
 impl Share {
-    fn new(eliminated: std::ops::Range<usize>, touched: &Touched, dims: &[usize]) -> Share {
-        let mut seen = vec![false; dims.len()];
-        let places =
-            &touched.places[touched.first[eliminated.start]..touched.first[eliminated.end]];
-        places.iter().for_each(|&place| seen[place as usize] = true);
-        let kept: Vec<u32> = (0..dims.len() as u32).filter(|&place| seen[place as usize]).collect();
-        let n = kept.len();
-        let mut local = vec![NONE; dims.len()];
-        for (k, &block) in kept.iter().enumerate() {
-            local[block as usize] = k as u32;
-        }
-        let mut table = vec![NONE; n * n];
+    fn new(
+        structure: &Structure,
+        problem: &Problem,
+        eliminated: Range<usize>,
+        kept: usize,
+    ) -> Share {
+        let (mut first, mut places, mut one) = (vec![0], Vec::new(), Vec::new());
+        let mut local = vec![NONE; kept];
         for e in eliminated.clone() {
-            let touched = touched.of(e);
+            structure.touched(problem, e, &mut one);
+            one.iter().for_each(|&place| local[place as usize] = 0);
+            places.extend_from_slice(&one);
+            first.push(places.len());
+        }
+        let kept: Vec<u32> = (0..kept as u32).filter(|&place| local[place as usize] == 0).collect();
+        for (k, &place) in kept.iter().enumerate() {
+            local[place as usize] = k as u32;
+        }
+        places.iter_mut().for_each(|place| *place = local[*place as usize]);
+        let n = kept.len();
+        let mut table = vec![NONE; n * n];
+        for ends in first.windows(2) {
+            let touched = &places[ends[0]..ends[1]];
             for (k, &row) in touched.iter().enumerate() {
-                let line = &mut table[local[row as usize] as usize * n..];
+                let line = &mut table[row as usize * n..(row as usize + 1) * n];
                 for &column in &touched[..=k] {
-                    line[local[column as usize] as usize] = 0;
+                    line[column as usize] = 0;
                 }
             }
         }
+        let dim = |place: u32| problem.blocks[structure.kept[place as usize]].space.tangent();
         let mut starts = vec![0];
-        for &block in &kept {
-            starts.push(starts[starts.len() - 1] + dims[block as usize]);
+        for &place in &kept {
+            starts.push(starts[starts.len() - 1] + dim(place));
         }
         let mut len = 0;
         for row in 0..n {
@@ -403,10 +402,28 @@ impl Share {
                 let entry = &mut table[row * n + column];
                 if *entry != NONE {
                     *entry = len as u32;
-                    len += dims[kept[row] as usize] * dims[kept[column] as usize];
+                    len += dim(kept[row]) * dim(kept[column]);
                 }
             }
         }
         Share { eliminated, kept, starts, table, len, copies: Vec::new() }
+    }
+
+    /// Finds the places of its blocks in `matrix`.
+    fn connect(&mut self, matrix: &BlockMatrix) {
+        let n = self.kept.len();
+        for row in 0..n {
+            for column in 0..=row {
+                let local = self.table[row * n + column];
+                let (r, c) = (self.kept[row] as usize, self.kept[column] as usize);
+                if local != NONE
+                    && let Some(slot) = matrix.slot(r, c)
+                {
+                    let global = matrix.value_ptr[slot];
+                    let length = matrix.value_ptr[slot + 1] - global;
+                    self.copies.push((local as usize, global, length));
+                }
+            }
+        }
     }
 }

@@ -95,14 +95,7 @@ impl Fronts {
             front.gather(rhs, dimension, b.as_mut());
             let (mut top, bottom) = b.split_at_row_mut(front.width);
             let (diagonal, below) = l.split_at_row(front.width);
-            matmul(
-                top.as_mut(),
-                Accum::Add,
-                below.transpose(),
-                bottom.as_ref(),
-                -1.0,
-                Par::Seq,
-            );
+            matmul(top.as_mut(), Accum::Add, below.transpose(), bottom.as_ref(), -1.0, Par::Seq);
             solve_upper_triangular_in_place(diagonal.transpose(), top.as_mut(), Par::Seq);
             front.scatter(top.as_ref(), bottom.as_ref(), rhs, dimension);
         }
@@ -161,7 +154,8 @@ impl Front {
 
 impl Memory {
     fn new(task: &Task) -> Memory {
-        let scratch = llt::factor::cholesky_in_place_scratch::<f64>(PANEL, Par::Seq, Spec::default());
+        let scratch =
+            llt::factor::cholesky_in_place_scratch::<f64>(PANEL, Par::Seq, Spec::default());
         Memory {
             factor: vec![0.0; task.factor_len],
             stack: vec![0.0; task.stack_len],
@@ -178,7 +172,6 @@ impl Memory {
         task: &Task,
         others: &[Memory],
     ) -> Result<(), NotPositiveDefinite> {
-        let own = others.len();
         for &k in &task.fronts {
             let front = &tree.fronts[k];
             let (rows, width, rest) = (front.order, front.width, front.rest());
@@ -192,7 +185,7 @@ impl Memory {
             for &child in &front.children {
                 let child_task = tree.task_of[child];
                 let other = others.get(child_task);
-                debug_assert!(other.is_some() || task.fronts.contains(&child) || own == 0);
+                debug_assert!(other.is_some() || task.fronts.contains(&child));
                 let stack = other.map_or(&self.stack, |memory| &memory.stack);
                 extend_add(&tree.fronts[child], stack, columns, update, (rows, width));
             }
@@ -273,8 +266,7 @@ fn factorize_columns(
     let mut first = 0;
     while first < width {
         let count = PANEL.min(width - first);
-        let (panel, right) =
-            l.as_mut().get_mut(first.., first..).split_at_col_mut(count);
+        let (panel, right) = l.as_mut().get_mut(first.., first..).split_at_col_mut(count);
         let (mut diagonal, mut below) = panel.split_at_row_mut(count);
         llt::factor::cholesky_in_place(
             diagonal.as_mut(),
@@ -290,11 +282,7 @@ fn factorize_columns(
         }
         let diagonal = diagonal.as_ref();
         if rows - first < CUT_FROM {
-            solve_lower_triangular_in_place(
-                diagonal,
-                below.as_mut().transpose_mut(),
-                Par::Seq,
-            );
+            solve_lower_triangular_in_place(diagonal, below.as_mut().transpose_mut(), Par::Seq);
         } else {
             below.as_mut().par_row_chunks_mut(PIECE).for_each(|piece| {
                 solve_lower_triangular_in_place(diagonal, piece.transpose_mut(), Par::Seq);

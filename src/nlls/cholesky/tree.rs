@@ -178,7 +178,8 @@ impl Tree {
                 first[parent] = first[parent].min(first[k]);
             }
         }
-        let roots: Vec<usize> = (0..count).filter(|&k| self.fronts[k].parent == NO_PARENT).collect();
+        let roots: Vec<usize> =
+            (0..count).filter(|&k| self.fronts[k].parent == NO_PARENT).collect();
         let limit = SUBTREE_SHARE * roots.iter().map(|&k| work[k]).sum::<f64>();
         let (mut open, mut subtrees, mut above) = (roots, Vec::new(), Vec::new());
         while let Some(k) = open.pop() {

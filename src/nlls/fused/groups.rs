@@ -22,11 +22,7 @@ pub(super) struct Stage<const P: usize, const D: usize> {
 impl<const P: usize, const D: usize> Stage<P, D> {
     #[inline(always)]
     pub(super) fn new() -> Self {
-        Stage {
-            camera: [0; MAX_WIDTH],
-            point: [[0.0; MAX_WIDTH]; P],
-            data: [[0.0; MAX_WIDTH]; D],
-        }
+        Stage { camera: [0; MAX_WIDTH], point: [[0.0; MAX_WIDTH]; P], data: [[0.0; MAX_WIDTH]; D] }
     }
 
     #[inline(always)]
@@ -60,12 +56,7 @@ impl<const P: usize, const D: usize> Stage<P, D> {
 
     /// The same into memory.
     #[inline(always)]
-    pub(super) fn gather<V: Simd>(
-        &self,
-        simd: V,
-        records: &Records,
-        out: &mut [[f64; MAX_WIDTH]],
-    ) {
+    pub(super) fn gather<V: Simd>(&self, simd: V, records: &Records, out: &mut [[f64; MAX_WIDTH]]) {
         gather(simd, &records.values, records.stride, &self.camera, out);
     }
 }

@@ -135,30 +135,49 @@ impl<const P: usize> ShareWork<P> {
         matrix: &BlockMatrix,
         rows: usize,
     ) -> Option<Self> {
-        let mut by_place: Vec<(u32, u32)> = layout
-            .cameras
-            .iter()
-            .enumerate()
-            .filter(|(_, camera)| share.kept.binary_search(&camera.place).is_ok())
-            .map(|(k, camera)| (camera.place, k as u32))
-            .collect();
-        by_place.sort_unstable();
-        let members: Vec<u32> = by_place.iter().map(|&(_, k)| k).collect();
-        let n = members.len();
+        // Cameras are in the order of their places, and so are the kept blocks of the share.
+        let mut members: Vec<u32> = Vec::new();
+        let mut in_share: Vec<usize> = Vec::new();
         let mut local = vec![NONE; layout.cameras.len()];
-        for (k, &camera) in members.iter().enumerate() {
-            local[camera as usize] = k as u32;
+        let mut next = 0;
+        for (k, camera) in layout.cameras.iter().enumerate() {
+            while next < share.kept.len() && share.kept[next] < camera.place {
+                next += 1;
+            }
+            if share.kept.get(next) == Some(&camera.place) {
+                local[k] = members.len() as u32;
+                members.push(k as u32);
+                in_share.push(next);
+            }
         }
-        let (mut table, mut slots) = (vec![NONE; n * n], Vec::new());
-        for (row, &(row_place, _)) in by_place.iter().enumerate() {
-            let row_in_share = share.kept.binary_search(&row_place).ok()?;
-            for (column, &(column_place, _)) in by_place[..=row].iter().enumerate() {
-                let column_in_share = share.kept.binary_search(&column_place).ok()?;
-                if share.has(row_in_share, column_in_share) {
-                    let slot = matrix.slot(row_place as usize, column_place as usize)?;
-                    table[row * n + column] = slots.len() as u32;
-                    slots.push(slot as u32);
+        let n = members.len();
+        let (mut table, mut count) = (vec![NONE; n * n], 0);
+        for row in 0..n {
+            for column in 0..=row {
+                if share.has(in_share[row], in_share[column]) {
+                    table[row * n + column] = count;
+                    count += 1;
                 }
+            }
+        }
+        let mut slots = vec![NONE; count as usize];
+        for column in 0..n {
+            let place = |k: usize| layout.cameras[members[k] as usize].place;
+            let own = place(column) as usize;
+            let mut slot = matrix.column_ptr[own];
+            for row in column..n {
+                let block = table[row * n + column];
+                if block == NONE {
+                    continue;
+                }
+                let rows = &matrix.rows[..matrix.column_ptr[own + 1]];
+                while rows.get(slot).is_some_and(|&other| other < place(row)) {
+                    slot += 1;
+                }
+                if rows.get(slot) != Some(&place(row)) {
+                    return None;
+                }
+                slots[block as usize] = slot as u32;
             }
         }
         let lenses = layout.shared.len();

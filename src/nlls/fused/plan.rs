@@ -3,13 +3,16 @@
 use super::{
     Fusable,
     groups::Records,
-    layout::{Camera, Layout, MAX_CAMERA_RECORD, MAX_KEPT, MAX_RECORD, MAX_SHARED, PointAt, ShareWork},
+    layout::{
+        Camera, Layout, MAX_CAMERA_RECORD, MAX_KEPT, MAX_RECORD, MAX_SHARED, PointAt, ShareWork,
+    },
 };
 use crate::nlls::{
     pairs::{Pair, PairFactor},
     problem::Problem,
     structure::{NONE, Structure},
 };
+use rayon::prelude::*;
 use std::marker::PhantomData;
 
 /// A batch of pairs, ready to be reduced.
@@ -69,13 +72,13 @@ impl<
         if structure.plain.iter().any(|&(other, _)| other as usize == batch) {
             return None;
         }
-        let sorted = Sorted::new(pairs.len(), problem, structure, batch)?;
+        let points = find_points(problem, structure, batch)?;
         let (cameras, shared_blocks) = find_cameras::<D, S>(pairs, structure)?;
         let mut ordinal = vec![NONE; problem.blocks.len()];
         for (k, camera) in cameras.iter().enumerate() {
             ordinal[camera.block as usize] = k as u32;
         }
-        let (observed_by, data) = sorted.collect(pairs, &ordinal, &cameras);
+        let (observed_by, data) = collect(pairs, structure, &points, &ordinal);
         let frozen = problem.blocks.iter().any(|block| block.frozen != 0);
         let mask = |block: usize, k: usize| {
             f64::from(u8::from(problem.blocks[block].frozen >> k & 1 == 0))
@@ -88,7 +91,7 @@ impl<
                 .map(|l| std::array::from_fn(|k| mask(shared_blocks[l], k)))
                 .collect(),
             shared: shared_blocks.iter().map(|&block| structure.place[block]).collect(),
-            points: sorted.points,
+            points,
             tangents: structure.kept.iter().map(|&k| problem.blocks[k].tangent).collect(),
             observed_by,
             data,
@@ -96,7 +99,7 @@ impl<
         };
         let shares = structure
             .shares
-            .iter()
+            .par_iter()
             .map(|share| ShareWork::new(share, &layout, matrix, R))
             .collect::<Option<Vec<_>>>()?;
         let count = layout.cameras.len();
@@ -158,61 +161,62 @@ fn prepare_cameras<
     }
 }
 
-/// Observations in the order of their points.
-struct Sorted {
-    points: Vec<PointAt>,
-    order: Vec<u32>,
+/// The eliminated blocks with the numbers of their observations; `None` where another batch has a
+/// say in one: its sums would be missing.
+fn find_points(problem: &Problem, structure: &Structure, batch: usize) -> Option<Vec<PointAt>> {
+    let mut points = Vec::with_capacity(structure.eliminated.len() + 1);
+    let mut first = 0;
+    for (e, &block) in structure.eliminated.iter().enumerate() {
+        points.push(PointAt {
+            at: problem.offsets[block] as u32,
+            first,
+            block: block as u32,
+            frozen: problem.blocks[block].frozen as u32,
+        });
+        let factors = structure.factors(e);
+        if factors.iter().any(|&(b, _)| b as usize != batch) {
+            return None;
+        }
+        first += factors.len() as u32;
+    }
+    points.push(PointAt { at: 0, first, block: NONE, frozen: 0 });
+    Some(points)
 }
 
-impl Sorted {
-    /// `None` where another batch has a say in a point: its sums would be missing.
-    fn new(
-        observations: usize,
-        problem: &Problem,
-        structure: &Structure,
-        batch: usize,
-    ) -> Option<Sorted> {
-        let mut points = Vec::with_capacity(structure.eliminated.len() + 1);
-        let mut order = Vec::with_capacity(observations);
-        for (e, &block) in structure.eliminated.iter().enumerate() {
-            points.push(PointAt {
-                at: problem.offsets[block] as u32,
-                first: order.len() as u32,
-                block: block as u32,
-                frozen: problem.blocks[block].frozen as u32,
-            });
-            for &(b, f) in structure.factors(e) {
-                if b as usize != batch {
-                    return None;
-                }
-                order.push(f);
+/// Camera and data of each observation, those of one point in the order of their cameras.
+fn collect<const D: usize>(
+    pairs: &[Pair<D>],
+    structure: &Structure,
+    points: &[PointAt],
+    ordinal: &[u32],
+) -> (Vec<u32>, Vec<[f64; D]>) {
+    let total = points.last().map_or(0, |end| end.first as usize);
+    let (mut observed_by, mut data) = (vec![0; total], vec![[0.0; D]; total]);
+    let (mut cameras_left, mut data_left) = (&mut observed_by[..], &mut data[..]);
+    let mut parts = Vec::with_capacity(structure.shares.len());
+    for share in &structure.shares {
+        let ends = (points[share.eliminated.start].first, points[share.eliminated.end].first);
+        let count = (ends.1 - ends.0) as usize;
+        let cameras = cameras_left.split_off_mut(..count).unwrap_or_default();
+        let data = data_left.split_off_mut(..count).unwrap_or_default();
+        parts.push((share.eliminated.clone(), cameras, data));
+    }
+    parts.into_par_iter().with_max_len(1).for_each(|(range, cameras, data)| {
+        let (mut one, mut at) = (Vec::new(), 0);
+        for e in range {
+            one.clear();
+            for &(_, f) in structure.factors(e) {
+                one.push((ordinal[pairs[f as usize].kept().index()], f));
+            }
+            one.sort_unstable();
+            for &(camera, f) in &one {
+                cameras[at] = camera;
+                data[at] = pairs[f as usize].data;
+                at += 1;
             }
         }
-        points.push(PointAt { at: 0, first: order.len() as u32, block: NONE, frozen: 0 });
-        Some(Sorted { points, order })
-    }
-
-    /// Camera and data of each observation; those of one point in the order of their cameras'
-    /// places.
-    fn collect<const D: usize>(
-        &self,
-        pairs: &[Pair<D>],
-        ordinal: &[u32],
-        cameras: &[Camera],
-    ) -> (Vec<u32>, Vec<[f64; D]>) {
-        let mut observed_by = Vec::with_capacity(pairs.len());
-        let mut data = Vec::with_capacity(pairs.len());
-        let mut one = Vec::new();
-        for ends in self.points.windows(2) {
-            let camera_of = |f: u32| ordinal[pairs[f as usize].kept().index()];
-            one.clear();
-            one.extend_from_slice(&self.order[ends[0].first as usize..ends[1].first as usize]);
-            one.sort_by_key(|&f| (cameras[camera_of(f) as usize].place, f));
-            observed_by.extend(one.iter().map(|&f| camera_of(f)));
-            data.extend(one.iter().map(|&f| pairs[f as usize].data));
-        }
-        (observed_by, data)
-    }
+    });
+    (observed_by, data)
 }
 
 /// The kept blocks of the batch and the shared ones; `None` where one kept block goes with several
@@ -248,5 +252,7 @@ fn find_cameras<const D: usize, const S: usize>(
             return None;
         }
     }
+    // In the order of the reduced system, fixed ones last.
+    cameras.sort_by_key(|camera| camera.place);
     Some((cameras, shared))
 }

@@ -188,8 +188,8 @@ impl<
                 let point = layout.points[e];
                 let (first, end) =
                     (point.first as usize - origin, layout.points[e + 1].first as usize - origin);
-                let records = &buffers.by_point
-                    [first * point_record(R, P)..end * point_record(R, P)];
+                let records =
+                    &buffers.by_point[first * point_record(R, P)..end * point_record(R, P)];
                 let mut small = Small::<P>::new::<R>(records);
                 let mut h = small.g;
                 let along = &buffers.along[first * R..end * R];
