@@ -155,9 +155,7 @@ pub(crate) fn gather<S: Simd>(
         }
         let turned = transpose(simd, &rows);
         let count = (out.len() - first).min(width);
-        for k in 0..count {
-            out[first + k] = turned[k];
-        }
+        out[first..first + count].copy_from_slice(&turned[..count]);
         first += width;
     }
 }
