@@ -10,6 +10,7 @@
 )]
 
 mod adjust;
+mod adjustment;
 mod architecture;
 mod camera;
 mod data;

@@ -87,7 +87,7 @@ pub struct Interior {
 }
 
 /// The centre of an image, the centre of its top-left pixel being (0, 0).
-pub(super) fn centre_px(size_px: [u32; 2]) -> [f64; 2] {
+pub fn centre_px(size_px: [u32; 2]) -> [f64; 2] {
     size_px.map(|n| 0.5 * (f64::from(n) - 1.0))
 }
 

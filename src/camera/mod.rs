@@ -15,5 +15,5 @@ mod polynomial;
 pub mod smac;
 
 pub use description::{Camera, Correlation};
-pub use interior::{CameraError, Interior, Model};
+pub use interior::{CameraError, Interior, Model, centre_px as image_centre_px};
 pub use lens::{Lens, MAX_PARAMETERS, Parameter, Projection};
