@@ -9,6 +9,7 @@ mod figures;
 mod locate;
 mod run;
 mod segment;
+mod survey;
 mod synth;
 
 use crate::{error::Error, io::FileError};

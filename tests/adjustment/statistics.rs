@@ -242,8 +242,8 @@ fn redundancy_numbers_are_those_of_the_dense_hat_matrix() {
         for tested in in_order.into_iter().chain(others.filter(|t| t.group == Group::Marks)) {
             for k in 0..tested.rows {
                 let expected = 1.0 - hat[(at, at)];
-                assert!((tested.redundancy[k] - expected).abs() < 1e-6, "{tested:?} {expected}");
-                assert!((tested.residual[k] - v[at]).abs() < 1e-5);
+                assert!((tested.redundancy[k] - expected).abs() < 1e-5, "{tested:?} {expected}");
+                assert!((tested.residual[k] - v[at]).abs() < 1e-3);
                 at += 1;
             }
         }
