@@ -298,12 +298,7 @@ impl Description {
                 sigma_rate_rad_s: 0.0,
             }),
         };
-        let image_size = match &all.image_size {
-            None => None,
-            Some(text) => Some(size(text).ok_or_else(|| {
-                Error::Argument(format!("--image-size {text}: expected WIDTHxHEIGHT"))
-            })?),
-        };
+        let image_size = image_size(all.image_size.as_deref())?;
         Ok(Description {
             model,
             tie_sigma_px: sigma(all.tie_sigma, "--tie-sigma", 1.0)?,
@@ -339,6 +334,15 @@ impl Description {
             to: all.to,
         })
     }
+}
+
+/// An image size as it is typed.
+///
+/// # Errors
+/// Where it is none.
+pub(super) fn image_size(text: Option<&str>) -> Result<Option<[u32; 2]>, Error> {
+    let wrong = |text| Error::Argument(format!("--image-size {text}: expected WIDTHxHEIGHT"));
+    text.map(|text| size(text).ok_or_else(|| wrong(text))).transpose()
 }
 
 fn size(text: &str) -> Option<[u32; 2]> {

@@ -1,6 +1,7 @@
 //! `rowgram adjust` of a block with control: what is read, in which order things are done, what is
 //! written.
 
+pub(super) mod convert;
 mod description;
 mod figures;
 mod report;
@@ -116,25 +117,29 @@ fn check_outputs(
     Ok(())
 }
 
-fn read_model(description: &Description, format: Format) -> Result<Model, Error> {
-    let path = &description.model;
+fn read_model(
+    path: &Path,
+    format: Format,
+    list: Option<&Path>,
+    tracks: Option<&Path>,
+    size_px: Option<[u32; 2]>,
+) -> Result<Model, Error> {
     Ok(match format {
         Format::ColmapText | Format::ColmapBinary => colmap::read(path)?,
         Format::Bundler => {
             let beside = path.with_file_name("list.txt");
-            let list = description.list.clone().or_else(|| beside.is_file().then_some(beside));
-            let size_px = description.image_size.ok_or_else(|| {
+            let list = list.or_else(|| beside.is_file().then_some(beside.as_path()));
+            let size_px = size_px.ok_or_else(|| {
                 Error::Argument(format!(
                     "{}: Bundler's files have no image sizes; give --image-size WIDTHxHEIGHT",
                     path.display()
                 ))
             })?;
-            bundler::read(path, list.as_deref(), size_px)?
+            bundler::read(path, list, size_px)?
         }
         Format::Opensfm => {
-            let tracks =
-                description.tracks.clone().unwrap_or_else(|| path.with_file_name("tracks.csv"));
-            opensfm::read(path, &tracks)?
+            let beside = path.with_file_name("tracks.csv");
+            opensfm::read(path, tracks.unwrap_or(&beside))?
         }
     })
 }
@@ -163,7 +168,13 @@ fn write_model(path: &Path, format: Format, model: &mut Model, force: bool) -> R
 
 /// Reads the block and its control.
 fn assemble(description: &Description, format: Format) -> Result<(Model, Vec<Aside>), Error> {
-    let mut model = read_model(description, format)?;
+    let mut model = read_model(
+        &description.model,
+        format,
+        description.list.as_deref(),
+        description.tracks.as_deref(),
+        description.image_size,
+    )?;
     let survey = &mut model.survey;
     let mut unmatched = Vec::new();
     survey.tie_sigma_px = description.tie_sigma_px;
