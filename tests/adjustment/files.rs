@@ -116,7 +116,8 @@ fn colmap_models_come_back_and_are_what_colmap_reads() {
 /// COLMAP's own equations on its text files, OPENCV lens.
 fn colmap_reader(folder: &Path) {
     let text = |name: &str| std::fs::read_to_string(folder.join(name)).unwrap();
-    let numbers = |words: &[&str]| -> Vec<f64> { words.iter().map(|w| w.parse().unwrap()).collect() };
+    let numbers =
+        |words: &[&str]| -> Vec<f64> { words.iter().map(|w| w.parse().unwrap()).collect() };
     let cameras = text("cameras.txt");
     let row = cameras.lines().find(|line| !line.starts_with('#')).unwrap();
     let p = numbers(&row.split_whitespace().skip(4).collect::<Vec<_>>());
@@ -169,8 +170,7 @@ fn bundler_files_come_back_and_are_what_bundler_reads() {
     let mut numbers = numbers.into_iter();
     let mut next = || numbers.next().unwrap();
     let (cameras, points) = (next() as usize, next() as usize);
-    let cameras: Vec<[f64; 15]> =
-        (0..cameras).map(|_| std::array::from_fn(|_| next())).collect();
+    let cameras: Vec<[f64; 15]> = (0..cameras).map(|_| std::array::from_fn(|_| next())).collect();
     let mut count = 0;
     for _ in 0..points {
         let x = Vector3::new(next(), next(), next());
@@ -282,7 +282,7 @@ fn damaged_files_are_named_with_the_line() {
     };
     damage("cameras.txt", "OPENCV", "OPENCAVE", "OPENCAVE");
     damage("cameras.txt", " 1000 750 ", " 1000 nan ", "cameras.txt");
-    damage("points3D.txt", "\n100 ", "\n1oo ", "points3D.txt:");
+    damage("points3D.txt", "\n100 ", "\n1oo ", "line 2: expected the number of a point");
     colmap::write(at, &model, colmap::Form::Binary, false).unwrap();
     for name in ["cameras.bin", "images.bin", "points3D.bin"] {
         let whole = std::fs::read(at.join(name)).unwrap();

@@ -2,7 +2,7 @@
 
 use super::toy::{self, NOISE, Plan, measured, truth, with_positions};
 use rowgram::{
-    camera::{Interior, Lens, Model as LensModel},
+    camera::{Interior, Model as LensModel},
     io::{colmap, model::Model},
     problems::adjustment::{Role, Survey},
 };
@@ -118,7 +118,9 @@ fn a_block_with_control_is_adjusted_and_reported() {
     for name in ["report.json", "summary.txt", "tie_points.csv", "marks.csv", "camera-1.toml"] {
         assert!(has(name), "{name}");
     }
-    assert!(before.iter().filter(|(path, _)| path.extension() == Some("svg".as_ref())).count() >= 3);
+    assert!(
+        before.iter().filter(|(path, _)| path.extension() == Some("svg".as_ref())).count() >= 3
+    );
     let second = Command::new(env!("CARGO_BIN_EXE_rowgram"))
         .args(["adjust", "block.toml", "--force"])
         .current_dir(folder.path())
@@ -148,7 +150,11 @@ fn bad_control_is_refused_by_file_line_and_name() {
     let folder = tempfile::tempdir().unwrap();
     save(folder.path(), &survey());
     let cases: [(&str, &dyn Fn(&str) -> String, &[&str]); 11] = [
-        ("gcps.csv", &|t| t.replace("easting_m", "offset"), &["gcps.csv:1", "easting_m", "offset"]),
+        (
+            "gcps.csv",
+            &|t| t.replace("easting_m", "offset"),
+            &["gcps.csv, line 1:", "easting_m", "offset"],
+        ),
         (
             "gcps.csv",
             &|t| t.replacen("easting_m,northing_m", "lon,lat", 1),
@@ -164,22 +170,34 @@ fn bad_control_is_refused_by_file_line_and_name() {
             },
             &["gcps.csv", "look like degrees"],
         ),
-        ("gcps.csv", &|t| damaged(t, 3, 1, "nan"), &["gcps.csv:4", "easting_m", "finite number"]),
-        ("gcps.csv", &|t| damaged(t, 3, 4, "-0.02"), &["gcps.csv:4", "positive number"]),
-        ("gcps.csv", &|t| damaged(t, 2, 0, "G00"), &["gcps.csv:3", "G00 is there twice"]),
-        ("gcps.csv", &|t| damaged(t, 2, 6, "chekc"), &["gcps.csv:3", "control, check or tie"]),
-        ("marks.csv", &|t| damaged(t, 5, 1, "G99"), &["marks.csv:6", "no ground point \"G99\""]),
+        (
+            "gcps.csv",
+            &|t| damaged(t, 3, 1, "nan"),
+            &["gcps.csv, line 4:", "easting_m", "finite number"],
+        ),
+        ("gcps.csv", &|t| damaged(t, 3, 4, "-0.02"), &["gcps.csv, line 4:", "positive number"]),
+        ("gcps.csv", &|t| damaged(t, 2, 0, "G00"), &["gcps.csv, line 3:", "G00 is there twice"]),
+        (
+            "gcps.csv",
+            &|t| damaged(t, 2, 6, "chekc"),
+            &["gcps.csv, line 3:", "control, check or tie"],
+        ),
+        (
+            "marks.csv",
+            &|t| damaged(t, 5, 1, "G99"),
+            &["marks.csv, line 6:", "no ground point \"G99\""],
+        ),
         (
             "marks.csv",
             &|t| format!("{t}{}\n", t.lines().nth(1).unwrap()),
-            &["marks.csv:", "marked twice", "first in line 2"],
+            &["marks.csv, line ", "marked twice", "first in line 2"],
         ),
         (
             "marks.csv",
             &|t| t.replace("IMG_", "DJI_"),
             &["no row names an image of the block", "DJI_0001.JPG", "IMG_0001.JPG"],
         ),
-        ("gnss.csv", &|t| damaged(t, 2, 3, "12;13"), &["gnss.csv:3", "expected 6 columns"]),
+        ("gnss.csv", &|t| damaged(t, 2, 3, "12;13"), &["gnss.csv, line 3:", "expected 6 columns"]),
     ];
     for (name, damage, parts) in cases {
         let path = folder.path().join(name);
@@ -210,8 +228,7 @@ fn bad_control_is_refused_by_file_line_and_name() {
     let path = folder.path().join("marks.csv");
     let whole = std::fs::read_to_string(&path).unwrap();
     std::fs::write(&path, damaged(&whole, 1, 0, "IMG_9999.JPG")).unwrap();
-    let arguments =
-        ["adjust", "sparse", "--control", "gcps.csv", "--marks", "marks.csv", "--json"];
+    let arguments = ["adjust", "sparse", "--control", "gcps.csv", "--marks", "marks.csv", "--json"];
     let output = rowgram(folder.path(), &arguments);
     assert!(output.status.success(), "{}", text(&output.stderr));
     assert!(text(&output.stderr).contains("IMG_9999.JPG"), "{}", text(&output.stderr));
@@ -262,10 +279,8 @@ fn reconstructions_are_converted() {
     assert_eq!(back.observations.len(), survey.observations.len());
     assert_eq!(back.cameras[0].interior.model(), LensModel::Brown);
     // Bundler has no principal point: refused, and nothing is written.
-    let output = rowgram(
-        folder.path(),
-        &["convert", "sparse", "--to", "bundler", "-o", "bundle.out"],
-    );
+    let output =
+        rowgram(folder.path(), &["convert", "sparse", "--to", "bundler", "-o", "bundle.out"]);
     assert_eq!(output.status.code(), Some(2));
     assert!(!folder.path().join("bundle.out").exists());
 }

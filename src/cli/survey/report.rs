@@ -17,6 +17,8 @@ use std::{fmt::Write, path::Path};
 const CONFIDENCE: f64 = 0.95;
 /// Probability of a false alarm of each single test that is reported.
 const SIGNIFICANCE: f64 = 0.001;
+/// Variance factors below this, or above its inverse, are pointed out.
+const LEAST_FACTOR: f64 = 0.25;
 /// Interior parameters that are correlated by more than this are nearly the same.
 const NEARLY_THE_SAME: f64 = 0.95;
 
@@ -223,6 +225,15 @@ fn fill(out: &mut String, report: &Report) -> std::fmt::Result {
             group.statistics.group.name(),
             group.statistics.observations,
             group.statistics.redundancy
+        )?;
+    }
+    let off = |group: &Group| {
+        group.variance_factor.is_some_and(|v| !(LEAST_FACTOR..=1.0 / LEAST_FACTOR).contains(&v))
+    };
+    if report.groups.iter().any(off) {
+        writeln!(
+            out,
+            "  hint: an own sigma0 far from 1 says that the standard deviations of its kind are not the given ones, or that the lens model lacks something; --variance-components estimates them"
         )?;
     }
     for interior in &report.interiors {
