@@ -19,6 +19,8 @@ const CONFIDENCE: f64 = 0.95;
 const SIGNIFICANCE: f64 = 0.001;
 /// Variance factors below this, or above its inverse, are pointed out.
 const LEAST_FACTOR: f64 = 0.25;
+/// Interior parameters whose neutral value is not 0.
+const NEVER_ZERO: [&str; 5] = ["c_px", "f_px", "aspect", "cx_px", "cy_px"];
 /// Interior parameters that are correlated by more than this are nearly the same.
 const NEARLY_THE_SAME: f64 = 0.95;
 
@@ -240,12 +242,12 @@ fn fill(out: &mut String, report: &Report) -> std::fmt::Result {
         writeln!(out, "camera {}", interior.camera + 1)?;
         for k in 0..interior.names.len() {
             let (value, sigma) = (interior.values[k], interior.standard_deviations[k]);
-            writeln!(
-                out,
-                "  {:8} {value:>16.9e} +- {sigma:.2e}  ({:.1} sigma from 0)",
-                interior.names[k],
-                (value / sigma).abs()
-            )?;
+            write!(out, "  {:8} {value:>16.9e} +- {sigma:.2e}", interior.names[k])?;
+            // Whether it is needed at all: only where 0 would mean that it is not.
+            if !NEVER_ZERO.contains(&interior.names[k]) {
+                write!(out, "  ({:.1} sigma from 0)", (value / sigma).abs())?;
+            }
+            writeln!(out)?;
         }
     }
     report.nearly_the_same.iter().try_for_each(|line| writeln!(out, "  {line}"))?;
