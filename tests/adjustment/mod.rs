@@ -1,0 +1,9 @@
+//! Bundle adjustment with control, statistics and calibration.
+
+mod bad_input;
+mod calibration;
+mod files;
+mod program;
+mod snooping;
+mod statistics;
+mod toy;
