@@ -11,6 +11,7 @@
 
 mod adjust;
 mod architecture;
+mod camera;
 mod data;
 mod drive;
 mod engine;
