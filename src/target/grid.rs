@@ -26,7 +26,7 @@ const MIN_EDGE: f64 = 0.3;
 
 /// The grids of a picture, the largest first.
 pub(super) fn grids(blurred: &Grey, corners: &[Corner]) -> Vec<Grid> {
-    let links = links(blurred, corners);
+    let links = squares(corners, &links(blurred, corners));
     let mut placed = vec![false; corners.len()];
     let mut grids = Vec::new();
     for seed in 0..corners.len() {
@@ -70,6 +70,39 @@ fn links(blurred: &Grey, corners: &[Corner]) -> Links {
     }
     mutual
 }
+
+/// The links that are a side of a square: two steps the one way round lead to the same corner as
+/// two the other way, and opposite sides are of about the same length. Whatever lines up with a
+/// board by chance is not.
+fn squares(corners: &[Corner], links: &Links) -> Links {
+    let length = |a: usize, b: usize| {
+        let (a, b) = (corners[a].at, corners[b].at);
+        (a[0] - b[0]).hypot(a[1] - b[1])
+    };
+    // `turn` is 1 for the square towards larger angles and 3 for the other.
+    let closes = |corner: usize, edge: usize, turn: usize| {
+        let (other, back) = links[corner][edge]?;
+        let (beside, back_beside) = links[corner][(edge + turn) % 4]?;
+        let (opposite, _) = links[other][(back + 4 - turn) % 4]?;
+        let (again, _) = links[beside][(back_beside + turn) % 4]?;
+        let ratio = length(corner, other) / length(beside, opposite);
+        let ratio_beside = length(corner, beside) / length(other, opposite);
+        let alike = |ratio: f64| (1.0 / MAX_SIDE_RATIO..=MAX_SIDE_RATIO).contains(&ratio);
+        (opposite == again && alike(ratio) && alike(ratio_beside)).then_some(())
+    };
+    let mut kept = links.clone();
+    for (corner, edges) in kept.iter_mut().enumerate() {
+        for (edge, link) in edges.iter_mut().enumerate() {
+            if closes(corner, edge, 1).or_else(|| closes(corner, edge, 3)).is_none() {
+                *link = None;
+            }
+        }
+    }
+    kept
+}
+
+/// Opposite sides of a square differ by perspective and lens, not by more than this.
+const MAX_SIDE_RATIO: f64 = 2.5;
 
 /// How well `other` would do as a neighbour: distance, made longer by the angles it is off; and
 /// by which edge of either.
@@ -224,11 +257,19 @@ fn grown(
         .filter(|&&radius| radius < 0.45 * spacing)
         .find_map(|&radius| ring.corner(blurred, at, radius))?;
     // It must continue the edges of every neighbour that is there, and no corner may be taken twice.
-    let neighbours = STEPS.iter().filter_map(|(di, dj)| grid.get(&(place.0 + di, place.1 + dj)));
     let mut count = 0;
-    for neighbour in neighbours {
+    for (di, dj) in STEPS {
+        let Some(neighbour) = grid.get(&(place.0 + di, place.1 + dj)) else { continue };
         let (_, edge, _) = candidate(neighbour, &corner, false)?;
-        if !has_edge(blurred, neighbour, &corner, edge) {
+        let contrast = corner.contrast / neighbour.contrast;
+        let step = (neighbour.at[0] - at[0]).hypot(neighbour.at[1] - at[1]);
+        let before = grid
+            .get(&(place.0 + 2 * di, place.1 + 2 * dj))
+            .map(|behind| (neighbour.at[0] - behind.at[0]).hypot(neighbour.at[1] - behind.at[1]));
+        if !(0.4..=2.5).contains(&contrast)
+            || before.is_some_and(|before| !(0.5..=2.0).contains(&(step / before)))
+            || !has_edge(blurred, neighbour, &corner, edge)
+        {
             return None;
         }
         count += 1;
