@@ -2,6 +2,7 @@
 
 pub mod bal;
 pub mod checkpoint;
+pub mod corners;
 pub mod images;
 pub mod output;
 pub mod points;

@@ -1,4 +1,5 @@
 //! Estimation problems over the two engines: one module each, equations first.
 
 pub mod bundle;
+pub mod calibration;
 pub mod plants;
