@@ -37,35 +37,57 @@ enum Shape {
 /// # Errors
 /// [`SolveError::InfeasibleStart`] where no trial sees all views as planes in front of the camera.
 pub fn search(views: &[View], request: &Request) -> Result<State, SolveError> {
+    trials(views, request)
+        .into_iter()
+        .find_map(|trial| adjust(views, request, &trial.adjusted, LOSS, MAIN_ITERATIONS).ok())
+        .map(|solution| solution.state)
+        .ok_or_else(no_trial)
+}
+
+/// The trial that the best start came from, with nothing adjusted.
+///
+/// # Errors
+/// As [`search`].
+pub fn best_trial(views: &[View], request: &Request) -> Result<State, SolveError> {
+    trials(views, request).into_iter().next().map(|trial| trial.state).ok_or_else(no_trial)
+}
+
+fn no_trial() -> SolveError {
+    SolveError::InfeasibleStart(
+        "no lens was found under which the photos show a plane in front of the camera; \
+         are the corners of each photo in the order of the board?"
+            .into(),
+    )
+}
+
+struct Trial {
+    cost: f64,
+    state: State,
+    /// After a few steps.
+    adjusted: State,
+}
+
+/// All trials that lead anywhere, the best first.
+fn trials(views: &[View], request: &Request) -> Vec<Trial> {
     use rayon::prelude::*;
     let trials: Vec<(Shape, f64)> = [Shape::Rectilinear, Shape::Equidistant]
         .into_iter()
         .flat_map(|shape| DISTANCES.map(|share| (shape, share)))
         .collect();
-    let mut found: Vec<(f64, State)> = trials
+    // Principal distance and radial terms alone.
+    let few = Request { free: radial_only(request), ..request.clone() };
+    let mut found: Vec<Trial> = trials
         .par_iter()
         .filter_map(|&(shape, share)| {
             let state = trial(views, request, shape, share)?;
-            // Principal distance and radial terms alone, then everything.
-            let few = Request { free: radial_only(request), ..request.clone() };
             let first = adjust(views, &few, &state, LOSS, TRIAL_ITERATIONS).ok()?;
             let cost = first.calibration.problem.costs(&first.x).ok()?.iter().sum();
-            Some((cost, first.state))
+            Some(Trial { cost, state, adjusted: first.state })
         })
         .collect();
     // Equal costs keep the order of the trials, which is the same for any number of threads.
-    found.sort_by(|a, b| a.0.total_cmp(&b.0));
+    found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
     found
-        .into_iter()
-        .find_map(|(_, state)| adjust(views, request, &state, LOSS, MAIN_ITERATIONS).ok())
-        .map(|solution| solution.state)
-        .ok_or_else(|| {
-            SolveError::InfeasibleStart(
-                "no lens was found under which the photos show a plane in front of the camera; \
-                 are the corners of each photo in the order of the board?"
-                    .into(),
-            )
-        })
 }
 
 /// The parameters of the request that shape the radial curve, with the principal distance.
@@ -216,4 +238,22 @@ fn nearest_rotation(a: Vector3<f64>, b: Vector3<f64>) -> Option<Rotation3<f64>> 
     let r = svd.u? * svd.v_t?;
     (r.determinant() > 0.0 && r.iter().all(|v| v.is_finite()))
         .then(|| Rotation3::from_matrix_unchecked(r))
+}
+
+/// Corners of a board in any order but the board's lie further from every projective map of it
+/// than any lens bends them: this share of the spread of the corners.
+const MAX_BEND: f64 = 0.15;
+
+/// Whether a photo can be one of the board: its corners are nearly a projective map of it.
+pub fn resembles_plane(view: &View) -> bool {
+    let pairs: Vec<_> = view.marks.iter().map(|mark| (mark.board_m, mark.image_px)).collect();
+    let Some(h) = homography(&pairs) else { return false };
+    let count = pairs.len() as f64;
+    let mean: [f64; 2] =
+        std::array::from_fn(|k| pairs.iter().map(|pair| pair.1[k]).sum::<f64>() / count);
+    let square = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2);
+    let spread: f64 = pairs.iter().map(|pair| square(pair.1, mean)).sum();
+    let bend: f64 =
+        pairs.iter().map(|pair| square(pair.1, crate::geometry::homography::apply(&h, pair.0))).sum();
+    bend.is_finite() && bend < MAX_BEND * MAX_BEND * spread
 }
