@@ -115,13 +115,13 @@ fn synthetic() -> Vec<View> {
     (0..35)
         .map(|k| {
             let q = rotation::multiply(
-                rotation::exp([0.5 * wave(k, 0.618_034), 0.5 * wave(k, 0.324_718), 0.2]),
+                rotation::exp([0.4 * wave(k, 0.618_034), 0.4 * wave(k, 0.324_718), 0.2]),
                 rotation::exp([std::f64::consts::PI, 0.0, 0.0]),
             );
             let t = [
                 -0.0875 + 0.05 * wave(k, 0.41),
                 0.0625 + 0.04 * wave(k, 0.73),
-                -0.22 - 0.05 * wave(k, 0.21),
+                -0.32 - 0.05 * wave(k, 0.21),
             ];
             let marks = (0..48).map(|c| {
                 let board_m = [0.025 * (c % 8) as f64, 0.025 * (c / 8) as f64];

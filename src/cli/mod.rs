@@ -4,6 +4,7 @@
 //! 3 incomplete or a quality gate failed.
 
 mod adjust;
+mod calibrate;
 mod evaluate;
 mod figures;
 mod locate;
@@ -37,6 +38,7 @@ struct Cli {
 enum Verb {
     Run(run::Args),
     Adjust(adjust::Args),
+    Calibrate(calibrate::Calibrate),
     Synth(synth::Args),
     Locate(locate::Locate),
     Segment(segment::Args),
@@ -71,6 +73,7 @@ fn run(cli: Cli) -> Result<(), Error> {
     match cli.verb {
         Verb::Run(args) => run::run(&args),
         Verb::Adjust(args) => adjust::run(&args),
+        Verb::Calibrate(verb) => verb.run(),
         Verb::Synth(args) => synth::run(&args),
         Verb::Locate(verb) => verb.run(),
         Verb::Segment(args) => segment::run(&args),

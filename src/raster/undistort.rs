@@ -259,7 +259,10 @@ mod tests {
         }
         let photo = RgbImage::from_fn(20, 20, |u, v| Rgb([(5 * u + 3 * v) as u8; 3]));
         for kind in [Interpolation::Bilinear, Interpolation::Bicubic] {
-            assert_eq!(sample(&photo, [8.2, 9.5], kind).unwrap(), [(41.0f64 + 28.5).round() as u8; 3]);
+            assert_eq!(
+                sample(&photo, [8.2, 9.5], kind).unwrap(),
+                [(41.0f64 + 28.5).round() as u8; 3]
+            );
         }
         assert!(sample(&photo, [-0.6, 3.0], Interpolation::Bicubic).is_none());
     }
@@ -273,7 +276,8 @@ mod tests {
             .into_iter()
             .map(|crop| {
                 let ideal = ideal_camera(&camera, crop, 1.0).unwrap();
-                let (_, black) = undistort(&photo, &camera, &ideal, Interpolation::Bilinear).unwrap();
+                let (_, black) =
+                    undistort(&photo, &camera, &ideal, Interpolation::Bilinear).unwrap();
                 assert_eq!(black == 0, crop != Crop::All, "{crop:?}: {black}");
                 ideal.size_px()
             })

@@ -5,7 +5,7 @@ use crate::{
     error::Error,
     io::{FileError, corners, images},
     problems::calibration::{Mark, View, start},
-    target::{Board, BoardCorner, NotFound, Options, detect},
+    target::{BoardCorner, NotFound, Options, detect},
 };
 use rayon::prelude::*;
 use serde::Serialize;
@@ -240,7 +240,9 @@ fn read(path: &Path, args: &Args) -> Result<(Vec<Photo>, [u32; 2]), Error> {
         let complete = count == args.board.columns * args.board.rows;
         let status = match count {
             // Too few for a pose and a share in the lens.
-            0..6 => Status::NoBoard { reason: format!("only {count} corners, at least 6 are needed") },
+            0..6 => {
+                Status::NoBoard { reason: format!("only {count} corners, at least 6 are needed") }
+            }
             _ if complete => Status::Used,
             _ => Status::UsedPart,
         };
@@ -366,4 +368,3 @@ pub(super) fn corner_table(photos: &[Photo]) -> Vec<corners::ImageCorners> {
     })
     .collect()
 }
-

@@ -392,9 +392,7 @@ fn camera(
         names: found.free.iter().map(|name| (*name).to_owned()).collect(),
         // Symmetric to the last bit, as the file asks for.
         matrix: (0..found.free.len())
-            .map(|i| {
-                (0..found.free.len()).map(|j| found.correlation[i.max(j)][i.min(j)]).collect()
-            })
+            .map(|i| (0..found.free.len()).map(|j| found.correlation[i.max(j)][i.min(j)]).collect())
             .collect(),
     });
     Ok(camera)

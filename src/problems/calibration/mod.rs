@@ -18,15 +18,17 @@
 //! statistics.
 
 mod marks;
+mod photos;
 pub mod start;
 pub mod statistics;
 
 use crate::{
-    camera::{CameraError, Interior, Lens, Model},
+    camera::{CameraError, Interior, Model},
     engine::{SolveError, Stop},
     nlls::{self, BlockId, Linear, Loss, Options, Problem, Space},
 };
-use marks::{FlatMarks, Marks};
+use marks::{Lenses, Marks};
+use photos::Photos;
 use serde::{Deserialize, Serialize};
 
 /// A corner of the board, measured in one photo.
@@ -84,12 +86,13 @@ pub const CORNERS: &str = "corners";
 pub struct Calibration {
     /// The problem; its blocks start at the values given.
     pub problem: Problem,
-    /// The block of the interior orientation.
+    /// The block of the free parameters of the interior orientation, in their order.
     pub lens: BlockId,
     /// The block of each photo's pose.
     pub poses: Vec<BlockId>,
     /// The block of the height of each corner of the board, where heights are unknown.
     pub heights: Vec<Option<BlockId>>,
+    lenses: Lenses,
 }
 
 /// Where a calibration stands.
@@ -116,29 +119,34 @@ impl Calibration {
         loss: Loss,
     ) -> Result<Calibration, SolveError> {
         let mut problem = Problem::new();
-        let values = state.interior.values();
-        let lens = problem.block("lens", Space::Euclidean(values.len()), values)?;
-        let held: Vec<usize> = (0..values.len()).filter(|&k| !request.free[k]).collect();
-        if held.len() == values.len() {
-            problem.fix(lens);
-        } else {
-            problem.fix_entries(lens, &held)?;
+        let lenses = Lenses::new(&state.interior, &request.free);
+        if lenses.free_count() == 0 {
+            return Err(SolveError::Misuse("no parameter of the lens is free".into()));
         }
+        let lens = problem.block("lens", Space::Euclidean(lenses.free_count()), &lenses.block())?;
         let mut poses = Vec::with_capacity(views.len());
         for pose in &state.poses {
             let block = problem.block("photo", Space::Pose, pose)?;
             problem.eliminate(block);
             poses.push(block);
         }
-        let model = request.model;
-        let size_px = request.size_px;
         let mut heights = vec![None; state.heights_m.len()];
         match request.shape {
+            BoardShape::Flat if loss == Loss::Trivial => {
+                let mut photos = Vec::with_capacity(views.len());
+                let mut marks = Vec::new();
+                for (view, &pose) in views.iter().zip(&poses) {
+                    let first = marks.len();
+                    marks.extend_from_slice(&view.marks);
+                    photos.push(([lens, pose], first..marks.len()));
+                }
+                problem.add(CORNERS, loss, Photos::new(lenses.clone(), photos, marks))?;
+            }
             BoardShape::Flat => {
                 let marks = views.iter().zip(&poses).flat_map(|(view, &pose)| {
                     view.marks.iter().map(move |mark| ([lens, pose], *mark))
                 });
-                problem.add(CORNERS, loss, FlatMarks::new(model, size_px, marks.collect()))?;
+                problem.add(CORNERS, loss, Marks::new(lenses.clone(), marks.collect()))?;
             }
             BoardShape::Free => {
                 for (block, &height) in heights.iter_mut().zip(&state.heights_m) {
@@ -166,10 +174,10 @@ impl Calibration {
                         problem.fix(*block);
                     }
                 }
-                problem.add(CORNERS, loss, Marks::new(model, size_px, all))?;
+                problem.add(CORNERS, loss, Marks::new(lenses.clone(), all))?;
             }
         }
-        Ok(Calibration { problem, lens, poses, heights })
+        Ok(Calibration { problem, lens, poses, heights, lenses })
     }
 
     /// The state at the values `x`.
@@ -177,14 +185,14 @@ impl Calibration {
     /// # Errors
     /// Where the values are no interior orientation.
     pub fn state(&self, request: &Request, x: &[f64]) -> Result<State, CameraError> {
-        let values = self.problem.values(x, self.lens);
+        let values = self.lenses.values(self.problem.values(x, self.lens));
         let pose = |&block: &BlockId| {
             let values = self.problem.values(x, block);
             std::array::from_fn(|k| values[k])
         };
         let height = |block: &Option<BlockId>| block.map_or(0.0, |b| self.problem.values(x, b)[0]);
         Ok(State {
-            interior: Interior::new(request.model, request.size_px, values)?,
+            interior: Interior::new(request.model, request.size_px, &values[..request.free.len()])?,
             poses: self.poses.iter().map(pose).collect(),
             heights_m: self.heights.iter().map(height).collect(),
         })

@@ -253,7 +253,9 @@ pub fn resembles_plane(view: &View) -> bool {
         std::array::from_fn(|k| pairs.iter().map(|pair| pair.1[k]).sum::<f64>() / count);
     let square = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2);
     let spread: f64 = pairs.iter().map(|pair| square(pair.1, mean)).sum();
-    let bend: f64 =
-        pairs.iter().map(|pair| square(pair.1, crate::geometry::homography::apply(&h, pair.0))).sum();
+    let bend: f64 = pairs
+        .iter()
+        .map(|pair| square(pair.1, crate::geometry::homography::apply(&h, pair.0)))
+        .sum();
     bend.is_finite() && bend < MAX_BEND * MAX_BEND * spread
 }

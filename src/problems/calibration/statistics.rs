@@ -7,7 +7,7 @@
 //! for `n` observations and `u` unknowns. A parameter is significant where the two-sided probability
 //! of its `t` under Student's distribution with `n - u` degrees of freedom is small.
 
-use super::{CORNERS, Request, Solution, View};
+use super::{Mark, Request, Solution, State, View};
 use crate::{
     camera::{Interior, Lens},
     engine::SolveError,
@@ -79,10 +79,26 @@ pub struct Statistics {
 ///
 /// # Errors
 /// Where a corner has no projection.
-pub fn residuals(views: &[View], solution: &Solution) -> Result<Vec<Vec<[f64; 2]>>, SolveError> {
-    let all = solution.calibration.problem.residuals(&solution.x, CORNERS)?;
-    let mut rest = all.chunks_exact(2).map(|r| [r[0], r[1]]);
-    Ok(views.iter().map(|view| rest.by_ref().take(view.marks.len()).collect()).collect())
+pub fn residuals(views: &[View], state: &State) -> Result<Vec<Vec<[f64; 2]>>, SolveError> {
+    views
+        .iter()
+        .zip(&state.poses)
+        .map(|(view, pose)| {
+            let r = rotation::matrix([pose[0], pose[1], pose[2], pose[3]]);
+            let residual = |mark: &Mark| {
+                let height = state.heights_m.get(mark.corner).copied().unwrap_or(0.0);
+                let board = [mark.board_m[0], mark.board_m[1], height];
+                let point = std::array::from_fn(|k| dot(r[k], board) + pose[4 + k]);
+                let [u, v] = state.interior.project(point)?;
+                Some([u - mark.image_px[0], v - mark.image_px[1]])
+            };
+            view.marks
+                .iter()
+                .map(residual)
+                .collect::<Option<Vec<_>>>()
+                .ok_or_else(|| SolveError::InfeasibleStart("a corner has no projection".into()))
+        })
+        .collect()
 }
 
 /// The statistics of a solution.
@@ -94,9 +110,9 @@ pub fn statistics(
     request: &Request,
     solution: &Solution,
 ) -> Result<Statistics, SolveError> {
-    let residuals = residuals(views, solution)?;
+    let residuals = residuals(views, &solution.state)?;
     let problem = &solution.calibration.problem;
-    let observations = problem.residual_count();
+    let observations = 2 * residuals.iter().map(Vec::len).sum::<usize>();
     let unknowns = problem.parameter_count();
     if observations <= unknowns {
         return Err(SolveError::RankDeficient(format!(
@@ -111,7 +127,14 @@ pub fn statistics(
     }
     let mut covariance = Covariance::new(problem, &solution.x, Linear::Schur)?;
     let count = request.free.len();
-    let block = DMatrix::from_row_slice(count, count, &covariance.block(solution.calibration.lens));
+    let free: Vec<usize> = (0..count).filter(|&k| request.free[k]).collect();
+    let own = covariance.block(solution.calibration.lens);
+    let mut block = DMatrix::<f64>::zeros(count, count);
+    for (i, &row) in free.iter().enumerate() {
+        for (j, &column) in free.iter().enumerate() {
+            block[(row, column)] = own[i * free.len() + j];
+        }
+    }
     let sigma = |k: usize| (variance * block[(k, k)]).max(0.0).sqrt();
     let student = StudentsT::new(0.0, 1.0, freedom)
         .map_err(|error| SolveError::Misuse(format!("Student's distribution: {error}")))?;
@@ -131,7 +154,6 @@ pub fn statistics(
             }
         })
         .collect();
-    let free: Vec<usize> = (0..count).filter(|&k| request.free[k]).collect();
     let correlation = free
         .iter()
         .map(|&i| {
@@ -231,7 +253,7 @@ pub fn undetermined(views: &[View], request: &Request, solution: &Solution) -> O
 fn reduced_normal(
     views: &[View],
     free: &[usize],
-    state: &super::State,
+    state: &State,
 ) -> Option<(DMatrix<f64>, DMatrix<f64>)> {
     let count = free.len();
     let mut reduced = DMatrix::zeros(count, count);
