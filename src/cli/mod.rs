@@ -5,12 +5,14 @@
 
 mod adjust;
 mod calibrate;
+mod camera;
 mod evaluate;
 mod figures;
 mod locate;
 mod run;
 mod segment;
 mod synth;
+mod undistort;
 
 use crate::{error::Error, io::FileError};
 use clap::{Parser, Subcommand};
@@ -39,6 +41,8 @@ enum Verb {
     Run(run::Args),
     Adjust(adjust::Args),
     Calibrate(calibrate::Calibrate),
+    Undistort(undistort::Args),
+    Camera(camera::CameraVerbs),
     Synth(synth::Args),
     Locate(locate::Locate),
     Segment(segment::Args),
@@ -74,6 +78,8 @@ fn run(cli: Cli) -> Result<(), Error> {
         Verb::Run(args) => run::run(&args),
         Verb::Adjust(args) => adjust::run(&args),
         Verb::Calibrate(verb) => verb.run(),
+        Verb::Undistort(args) => undistort::run(&args),
+        Verb::Camera(verb) => verb.run(),
         Verb::Synth(args) => synth::run(&args),
         Verb::Locate(verb) => verb.run(),
         Verb::Segment(args) => segment::run(&args),

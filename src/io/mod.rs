@@ -1,6 +1,7 @@
 //! Files, one format per module; the only part of the library that opens any.
 
 pub mod bal;
+pub mod camera;
 pub mod checkpoint;
 pub mod corners;
 pub mod images;

@@ -2,4 +2,5 @@
 
 pub mod bundle;
 pub mod calibration;
+pub mod lens_fit;
 pub mod plants;

@@ -7,14 +7,14 @@
 //! for `n` observations and `u` unknowns. A parameter is significant where the two-sided probability
 //! of its `t` under Student's distribution with `n - u` degrees of freedom is small.
 
-use super::{Mark, Request, Solution, State, View};
+use super::{BoardShape, Mark, Request, Solution, State, View};
 use crate::{
     camera::{Interior, Lens},
     engine::SolveError,
     geometry::{cross, dot, rotation},
     nlls::{Linear, covariance::Covariance},
 };
-use nalgebra::{DMatrix, Matrix6, SMatrix, SymmetricEigen};
+use nalgebra::{DMatrix, Dyn, Matrix6, SMatrix, SymmetricEigen};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
@@ -122,17 +122,13 @@ pub fn statistics(
     let squares: f64 = residuals.iter().flatten().map(|r| r[0] * r[0] + r[1] * r[1]).sum();
     let freedom = (observations - unknowns) as f64;
     let variance = squares / freedom;
-    if let Some(words) = undetermined(views, request, solution) {
-        return Err(SolveError::RankDeficient(words));
-    }
-    let mut covariance = Covariance::new(problem, &solution.x, Linear::Schur)?;
+    let free: Vec<usize> = (0..request.free.len()).filter(|&k| request.free[k]).collect();
+    let own = lens_covariance(views, request, solution, &free)?;
     let count = request.free.len();
-    let free: Vec<usize> = (0..count).filter(|&k| request.free[k]).collect();
-    let own = covariance.block(solution.calibration.lens);
     let mut block = DMatrix::<f64>::zeros(count, count);
     for (i, &row) in free.iter().enumerate() {
         for (j, &column) in free.iter().enumerate() {
-            block[(row, column)] = own[i * free.len() + j];
+            block[(row, column)] = own[(i, j)];
         }
     }
     let sigma = |k: usize| (variance * block[(k, k)]).max(0.0).sqrt();
@@ -165,14 +161,17 @@ pub fn statistics(
                 .collect()
         })
         .collect();
-    let heights_m = solution
-        .calibration
-        .heights
-        .iter()
-        .zip(&solution.state.heights_m)
-        .filter_map(|(block, height)| block.map(|block| (block, height)))
-        .map(|(block, &height)| [height, (variance * covariance.block(block)[0]).max(0.0).sqrt()])
-        .collect();
+    let mut heights_m = Vec::new();
+    if request.shape == BoardShape::Free {
+        let mut covariance = Covariance::new(problem, &solution.x, Linear::Schur)?;
+        let blocks = &solution.calibration.heights;
+        for (block, &height) in blocks.iter().zip(&solution.state.heights_m) {
+            if let Some(block) = *block {
+                let square = variance * covariance.block(block)[0];
+                heights_m.push([height, square.max(0.0).sqrt()]);
+            }
+        }
+    }
     let views = views
         .iter()
         .zip(&residuals)
@@ -206,21 +205,46 @@ fn view_statistics(view: &View, residuals: &[[f64; 2]], pose: &[f64; 7]) -> View
 }
 
 /// A direction of the interior orientation is undetermined below this curvature, every parameter
-/// scaled to unit curvature of its own.
-const RANK_TOLERANCE: f64 = 1e-11;
+/// scaled to unit curvature of its own: some roundings of one.
+const RANK_TOLERANCE: f64 = 1e-14;
 /// A parameter takes part in such a direction with at least this share of its length.
 const PART: f64 = 0.15;
 
-/// Says in words which free parameters the photos do not tell apart, if there are any.
-pub fn undetermined(views: &[View], request: &Request, solution: &Solution) -> Option<String> {
-    let free: Vec<usize> = (0..request.free.len()).filter(|&k| request.free[k]).collect();
-    let (reduced, alone) = reduced_normal(views, &free, &solution.state)?;
+/// `(J^T J)^-1` of the free interior parameters, everything else eliminated.
+fn lens_covariance(
+    views: &[View],
+    request: &Request,
+    solution: &Solution,
+    free: &[usize],
+) -> Result<DMatrix<f64>, SolveError> {
+    let failed = || SolveError::RankDeficient("a photo does not determine its own pose".into());
+    let (reduced, alone) = reduced_normal(views, free, &solution.state).ok_or_else(failed)?;
     // Scaled by the curvature without the poses: what a pose takes over entirely has none left.
     let scale: Vec<f64> =
         (0..free.len()).map(|k| 1.0 / alone[(k, k)].sqrt().max(f64::MIN_POSITIVE)).collect();
     let scaled =
         DMatrix::from_fn(free.len(), free.len(), |i, j| reduced[(i, j)] * scale[i] * scale[j]);
     let eigen = SymmetricEigen::new(scaled);
+    if let Some(words) = undetermined(request, free, &eigen) {
+        return Err(SolveError::RankDeficient(words));
+    }
+    if request.shape == BoardShape::Free {
+        let problem = &solution.calibration.problem;
+        let mut covariance = Covariance::new(problem, &solution.x, Linear::Schur)?;
+        let block = covariance.block(solution.calibration.lens);
+        return Ok(DMatrix::from_row_slice(free.len(), free.len(), &block));
+    }
+    let inverse = DMatrix::from_diagonal(&eigen.eigenvalues.map(|value| 1.0 / value));
+    let scaled = &eigen.eigenvectors * inverse * eigen.eigenvectors.transpose();
+    Ok(DMatrix::from_fn(free.len(), free.len(), |i, j| scaled[(i, j)] * scale[i] * scale[j]))
+}
+
+/// Says in words which free parameters the photos do not tell apart, if there are any.
+fn undetermined(
+    request: &Request,
+    free: &[usize],
+    eigen: &SymmetricEigen<f64, Dyn>,
+) -> Option<String> {
     let parameters = request.model.parameters();
     let mut sentences = Vec::new();
     for (k, value) in eigen.eigenvalues.iter().enumerate() {
