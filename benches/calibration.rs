@@ -49,9 +49,8 @@ fn request(model: Model, free: &str, size_px: [u32; 2]) -> Request {
 }
 
 fn measure(name: &str, views: &[View], request: &Request) {
-    const RUNS: usize = 15;
-    let time = |work: &mut dyn FnMut()| {
-        let mut times: Vec<f64> = (0..RUNS)
+    let time = |runs: usize, work: &mut dyn FnMut()| {
+        let mut times: Vec<f64> = (0..runs)
             .map(|_| {
                 let begin = Instant::now();
                 work();
@@ -59,12 +58,12 @@ fn measure(name: &str, views: &[View], request: &Request) {
             })
             .collect();
         times.sort_by(f64::total_cmp);
-        (times[0], times[RUNS / 2])
+        (times[0], times[runs / 2])
     };
     let trial = start::best_trial(views, request).unwrap();
     let begin = start::search(views, request).unwrap();
-    let whole = time(&mut || drop(start::search(views, request).unwrap()));
-    let from_trial = time(&mut || {
+    let whole = time(5, &mut || drop(start::search(views, request).unwrap()));
+    let from_trial = time(201, &mut || {
         drop(adjust(views, request, &trial, Loss::Trivial, MAX_ITERATIONS).unwrap());
     });
     let solution = adjust(views, request, &trial, Loss::Trivial, MAX_ITERATIONS).unwrap();

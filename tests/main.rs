@@ -11,6 +11,9 @@
 
 mod adjust;
 mod architecture;
+mod boards;
+mod calibrate;
+mod calibration;
 mod camera;
 mod data;
 mod drive;
@@ -22,3 +25,4 @@ mod program;
 mod run;
 mod segment;
 mod synth;
+mod target;

@@ -2,7 +2,7 @@
 
 use super::{
     Outcome,
-    report::{CurveRow, ResidualRow, RingRow},
+    residuals::{CurveRow, ResidualRow, RingRow},
 };
 use crate::{
     error::Error,
@@ -66,8 +66,10 @@ pub(super) fn residuals(
     let mut lengths: Vec<f64> = rows.iter().map(|row| row.du_px.hypot(row.dv_px)).collect();
     lengths.sort_by(f64::total_cmp);
     let usual = lengths.get(lengths.len() / 2).copied().unwrap_or(1.0).max(1e-9);
-    // The usual arrow is a fortieth of the picture's width long.
-    let factor = 10f64.powf((width / 40.0 / usual).log10().round());
+    // The usual arrow is about a hundredth of the picture's width long.
+    let wanted = width / 100.0 / usual;
+    let decade = 10f64.powf(wanted.log10().floor());
+    let factor = [5.0, 2.0, 1.0].map(|k| k * decade).into_iter().find(|k| *k <= wanted).unwrap_or(decade);
     save(path, force, |svg| {
         let drawn = (900, (900.0 * height / width) as u32 + 90);
         let area = SVGBackend::with_string(svg, drawn).into_drawing_area();
@@ -147,7 +149,12 @@ pub(super) fn by_radius(
             .draw_series(LineSeries::new(means(|r| r.radial_rms_px), BLUE.stroke_width(2)))?
             .label("rms radial")
             .legend(|(x, y)| PathElement::new([(x, y), (x + 18, y)], BLUE.stroke_width(2)));
-        chart.configure_series_labels().border_style(GREY).background_style(WHITE).draw()?;
+        chart
+            .configure_series_labels()
+            .position(SeriesLabelPosition::LowerLeft)
+            .border_style(GREY)
+            .background_style(WHITE)
+            .draw()?;
         area.present()?;
         drop(chart);
         Ok(())
@@ -165,7 +172,7 @@ pub(super) fn distortion(
         .iter()
         .filter_map(|row| row.distortion_px.map(|distortion| (row.radius_px, distortion)))
         .collect();
-    let centre = super::report::principal_point(&outcome.solution.state.interior);
+    let centre = super::residuals::principal_point(&outcome.solution.state.interior);
     let seen = outcome
         .views
         .iter()
@@ -202,7 +209,12 @@ pub(super) fn distortion(
             )])?
             .label("furthest corner")
             .legend(|(x, y)| PathElement::new([(x, y), (x + 18, y)], GREY.stroke_width(1)));
-        chart.configure_series_labels().border_style(GREY).background_style(WHITE).draw()?;
+        chart
+            .configure_series_labels()
+            .position(SeriesLabelPosition::LowerLeft)
+            .border_style(GREY)
+            .background_style(WHITE)
+            .draw()?;
         area.present()?;
         drop(chart);
         Ok(())

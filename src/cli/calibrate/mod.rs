@@ -2,8 +2,10 @@
 
 mod figures;
 mod gather;
+mod models;
 mod pictures;
 mod report;
+mod residuals;
 
 use crate::{
     camera::{Camera, CameraError, Correlation, Model},
@@ -180,7 +182,8 @@ struct Outcome {
     views: Vec<View>,
     solution: Solution,
     statistics: Statistics,
-    models: Vec<report::ModelRow>,
+    models: Vec<models::ModelRow>,
+    bend: Option<models::Bend>,
     camera: Camera,
 }
 
@@ -367,14 +370,15 @@ fn work(args: &Args, gathered: gather::Gathered) -> Result<Outcome, Error> {
         photo.status = gather::Status::Misfit { rms_px, usual_px: usual };
     }
     gather::name_blurred(&mut photos, &used);
-    let models = report::compare(args, &views, &request, &found)?;
+    let models = models::compare(args, &views, &request, &found)?;
+    let bend = models::bend(args, &views, &request, &solution, &found);
     let camera = camera(args, &request, &solution, &found).map_err(|e| {
         Error::Incomplete(format!("the calibrated camera cannot be described: {e}"))
     })?;
     if !solution.stop.converged() {
         tracing::warn!("the adjustment did not converge: {}", solution.stop.explain());
     }
-    Ok(Outcome { request, photos, used, views, solution, statistics: found, models, camera })
+    Ok(Outcome { request, photos, used, views, solution, statistics: found, models, bend, camera })
 }
 
 fn camera(
