@@ -116,7 +116,7 @@ fn known_lenses_come_back_within_their_sigmas() {
 #[test]
 fn sigmas_are_what_repetitions_scatter() {
     let lens = wide(SIZE);
-    let request = request(Model::Brown, "f_px aspect cx_px cy_px k1 k2 p1 p2");
+    let request = request(Model::Brown, BROWN);
     const RUNS: usize = 24;
     let mut found: Vec<(f64, f64)> = Vec::new();
     let clean = views(&lens, 8, 0.0, 5);
@@ -178,23 +178,17 @@ fn a_bent_board_is_measured() {
     // The same poses, with the corners above and below the plane.
     let begin = start::search(&clean, &request).unwrap();
     let mut state = adjust(&clean, &request, &begin, Loss::Trivial, 100).unwrap().state;
+    let before = residuals(&clean, &state).unwrap();
     state.heights_m = (0..48).map(height).collect();
-    let bent: Vec<View> = residuals(&clean, &state)
-        .unwrap()
-        .iter()
-        .zip(&clean)
-        .map(|(residuals, view)| View {
-            marks: view
-                .marks
-                .iter()
-                .zip(residuals)
-                .map(|(mark, r)| Mark {
-                    image_px: [mark.image_px[0] + 2.0 * r[0], mark.image_px[1] + 2.0 * r[1]],
-                    ..*mark
-                })
-                .collect(),
-        })
-        .collect();
+    let after = residuals(&clean, &state).unwrap();
+    let mut bent = clean;
+    for ((view, before), after) in bent.iter_mut().zip(&before).zip(&after) {
+        for ((mark, before), after) in view.marks.iter_mut().zip(before).zip(after) {
+            for k in 0..2 {
+                mark.image_px[k] += after[k] - before[k];
+            }
+        }
+    }
     let flat = calibrate(&bent, &request).unwrap();
     let flat = statistics(&bent, &request, &flat).unwrap();
     let free = Request { shape: BoardShape::Free, ..request };

@@ -102,7 +102,7 @@ fn both_refinements_agree_and_know_how_sharp_a_photo_is() {
 
 #[test]
 fn a_large_photo_is_like_a_small_one() {
-    let lens = wide([4000, 3000]);
+    let lens = wide([3200, 2400]);
     let board = Board { columns: 8, rows: 6 };
     let place = pose(board, [0.02, 0.0, -0.25], 0.5, 0.3, 0.1);
     let look = Look { blur_px: 0.0, noise: 3.0, shade: 0.3 };
@@ -132,7 +132,7 @@ fn what_is_not_the_board_is_said() {
     }
     // Texture everywhere, and no board.
     let texture = GrayImage::from_fn(640, 480, |u, v| {
-        Luma([((u * 2_654_435_761u32.rotate_left(v % 31)) >> 21) as u8])
+        Luma([(u.wrapping_mul(2_654_435_761u32.rotate_left(v % 31)) >> 21) as u8])
     });
     assert!(detect(&texture, UNIQUE, &options).is_err());
 }

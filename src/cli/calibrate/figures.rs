@@ -69,7 +69,8 @@ pub(super) fn residuals(
     // The usual arrow is about a hundredth of the picture's width long.
     let wanted = width / 100.0 / usual;
     let decade = 10f64.powf(wanted.log10().floor());
-    let factor = [5.0, 2.0, 1.0].map(|k| k * decade).into_iter().find(|k| *k <= wanted).unwrap_or(decade);
+    let factor =
+        [5.0, 2.0, 1.0].map(|k| k * decade).into_iter().find(|k| *k <= wanted).unwrap_or(decade);
     save(path, force, |svg| {
         let drawn = (900, (900.0 * height / width) as u32 + 90);
         let area = SVGBackend::with_string(svg, drawn).into_drawing_area();

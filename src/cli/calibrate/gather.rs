@@ -5,7 +5,7 @@ use crate::{
     error::Error,
     io::{FileError, corners, images},
     problems::calibration::{Mark, View, start},
-    target::{BoardCorner, NotFound, Options, detect},
+    target::{Board, BoardCorner, NotFound, Options, detect},
 };
 use rayon::prelude::*;
 use serde::Serialize;
@@ -20,7 +20,10 @@ pub(super) enum Status {
     /// What can be seen of it took part.
     UsedPart,
     /// A part of the board was found, and left out.
-    Part,
+    Part {
+        /// Columns and rows of inner corners that can be seen.
+        seen: String,
+    },
     /// No board was found.
     NoBoard {
         /// Why.
@@ -58,7 +61,9 @@ impl std::fmt::Display for Status {
         match self {
             Status::Used => write!(f, "used"),
             Status::UsedPart => write!(f, "used in part"),
-            Status::Part => write!(f, "left out: only a part of the board can be seen"),
+            Status::Part { seen } => {
+                write!(f, "left out: only a part of the board can be seen ({seen} inner corners)")
+            }
             Status::NoBoard { reason } => write!(f, "left out: {reason}"),
             Status::OtherBoard { found } => {
                 write!(f, "left out: a board of {found} inner corners")
@@ -169,7 +174,7 @@ fn one(path: &Path, found: Result<crate::target::Detection, NotFound>, args: &Ar
             photo.status = match (detection.complete, args.partial) {
                 (true, _) => Status::Used,
                 (false, true) => Status::UsedPart,
-                (false, false) => Status::Part,
+                (false, false) => Status::Part { seen: extent(&photo.corners).to_string() },
             };
         }
         Err(NotFound::OtherSize { found, .. }) => {
@@ -178,6 +183,13 @@ fn one(path: &Path, found: Result<crate::target::Detection, NotFound>, args: &Ar
         Err(reason) => photo.status = Status::NoBoard { reason: reason.to_string() },
     }
     photo
+}
+
+/// Columns and rows that corners take up, the longer side first.
+fn extent(corners: &[BoardCorner]) -> Board {
+    let columns = corners.iter().map(|c| c.column + 1).max().unwrap_or(0);
+    let rows = corners.iter().map(|c| c.row + 1).max().unwrap_or(0);
+    Board { columns: columns.max(rows), rows: columns.min(rows) }
 }
 
 /// Reads corners; photos that are given too are taken by their names.
@@ -307,16 +319,19 @@ pub(super) fn enough(photos: &[Photo], used: &[usize], args: &Args) -> Result<()
         .iter()
         .filter_map(|photo| match &photo.status {
             Status::OtherBoard { found } => Some(found.as_str()),
+            Status::Part { seen } => Some(seen.as_str()),
             _ => None,
         })
         .collect();
     other.sort_unstable();
-    if let Some(found) = other.get(other.len() / 2)
-        && 2 * other.len() > photos.len()
+    // Parts of a board differ in size from photo to photo; another board does not.
+    let usual = other.chunk_by(|a, b| a == b).max_by_key(|same| same.len());
+    if let Some(&[size, ..]) = usual
+        && let Some(count) = usual.map(<[&str]>::len)
+        && 2 * count > photos.len()
     {
         return Err(Error::Argument(format!(
-            "{} of {} photos show a board of {found} inner corners, --board says {}",
-            other.len(),
+            "{count} of {} photos show a board of {size} inner corners, --board says {}",
             photos.len(),
             args.board
         )));

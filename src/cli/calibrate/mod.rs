@@ -9,6 +9,7 @@ mod residuals;
 
 use crate::{
     camera::{Camera, CameraError, Correlation, Model},
+    engine::SolveError,
     error::Error,
     io::{FileError, output},
     nlls::Loss,
@@ -327,6 +328,16 @@ fn default_terms(model: Model) -> &'static [&'static str] {
     }
 }
 
+/// What the photos cannot determine is a matter of the photos and of what is asked of them.
+fn fault(error: SolveError) -> Error {
+    match error {
+        SolveError::RankDeficient(words) | SolveError::InfeasibleStart(words) => {
+            Error::Argument(words)
+        }
+        other => other.into(),
+    }
+}
+
 /// A photo that is this many times worse than the usual one does not fit.
 const MISFIT_RATIO: f64 = 5.0;
 /// Nor does one within this distance, pixels, whatever the others do.
@@ -340,8 +351,8 @@ fn work(args: &Args, gathered: gather::Gathered) -> Result<Outcome, Error> {
         used = (0..photos.len()).filter(|&k| photos[k].status.is_used()).collect::<Vec<_>>();
         views = used.iter().map(|&k| gather::view(&photos[k], args)).collect::<Vec<_>>();
         gather::enough(&photos, &used, args)?;
-        solution = calibrate(&views, &request)?;
-        found = statistics(&views, &request, &solution)?;
+        solution = calibrate(&views, &request).map_err(fault)?;
+        found = statistics(&views, &request, &solution).map_err(fault)?;
         let mut sorted: Vec<f64> = found.views.iter().map(|view| view.rms_px).collect();
         sorted.sort_by(f64::total_cmp);
         let usual = sorted[sorted.len() / 2];
