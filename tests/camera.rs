@@ -80,8 +80,11 @@ proptest! {
                     continue;
                 }
                 let analytic = [found.by_parameters[0][place], found.by_parameters[1][place]];
-                // A step that moves the image by about a pixel.
-                let size = analytic[0].hypot(analytic[1]).max(1.0);
+                // A step that moves the image by a fraction of a pixel at its corner, where the
+                // coefficients have most to say.
+                let corner = lens.unproject([1200.0, 900.0]).unwrap();
+                let there = lens.project_with_derivatives(corner).unwrap().by_parameters;
+                let size = there[0][place].hypot(there[1][place]).max(1.0);
                 let along = |h: f64| {
                     let mut values = lens.values().to_vec();
                     values[place] += h;
@@ -120,8 +123,8 @@ proptest! {
             }
         }
         for place in 0..9 {
-            let size = shifted.by_parameters[0][place].hypot(shifted.by_parameters[1][place]);
-            let h = 0.3 / size.max(1.0);
+            let corner = lens.corrected_residual(point, [1200.0, 900.0]).unwrap().by_parameters;
+            let h = 0.3 / corner[0][place].hypot(corner[1][place]).max(1.0);
             let along = |h: f64| {
                 let mut values = lens.values().to_vec();
                 values[place] += h;
