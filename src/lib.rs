@@ -42,5 +42,6 @@ pub mod phenotype;
 pub mod problems;
 pub mod raster;
 pub mod score;
+pub mod target;
 
 pub use error::{Error, Kind};

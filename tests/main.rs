@@ -12,6 +12,9 @@
 mod adjust;
 mod adjustment;
 mod architecture;
+mod boards;
+mod calibrate;
+mod calibration;
 mod camera;
 mod data;
 mod drive;
@@ -23,3 +26,4 @@ mod program;
 mod run;
 mod segment;
 mod synth;
+mod target;

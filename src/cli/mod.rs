@@ -4,6 +4,8 @@
 //! 3 incomplete or a quality gate failed.
 
 mod adjust;
+mod calibrate;
+mod camera;
 mod evaluate;
 mod figures;
 mod locate;
@@ -11,6 +13,7 @@ mod run;
 mod segment;
 mod survey;
 mod synth;
+mod undistort;
 
 use crate::{error::Error, io::FileError};
 use clap::{Parser, Subcommand};
@@ -39,6 +42,9 @@ enum Verb {
     Run(run::Args),
     Adjust(adjust::Args),
     Convert(survey::convert::Args),
+    Calibrate(calibrate::Calibrate),
+    Undistort(undistort::Args),
+    Camera(camera::CameraVerbs),
     Synth(synth::Args),
     Locate(locate::Locate),
     Segment(segment::Args),
@@ -74,6 +80,9 @@ fn run(cli: Cli) -> Result<(), Error> {
         Verb::Run(args) => run::run(&args),
         Verb::Adjust(args) => adjust::run(&args),
         Verb::Convert(args) => survey::convert::run(&args),
+        Verb::Calibrate(verb) => verb.run(),
+        Verb::Undistort(args) => undistort::run(&args),
+        Verb::Camera(verb) => verb.run(),
         Verb::Synth(args) => synth::run(&args),
         Verb::Locate(verb) => verb.run(),
         Verb::Segment(args) => segment::run(&args),

@@ -1,5 +1,6 @@
 //! Small geometry: rotations and rigid transformations on plain arrays.
 
+pub mod homography;
 pub mod rotation;
 
 /// Cross product of two 3-vectors.

@@ -16,7 +16,11 @@ use crate::raster::Mask;
 use image::{
     DynamicImage, ExtendedColorType, GrayImage, ImageDecoder, ImageEncoder, ImageFormat, Limits,
     RgbImage,
-    codecs::{png::PngDecoder, png::PngEncoder, tiff::TiffDecoder},
+    codecs::{
+        jpeg::JpegEncoder,
+        png::{PngDecoder, PngEncoder},
+        tiff::{TiffDecoder, TiffEncoder},
+    },
 };
 use std::{io::Cursor, path::Path};
 use zune_jpeg::zune_core::{bytestream::ZCursor, colorspace::ColorSpace, options::DecoderOptions};
@@ -55,6 +59,22 @@ pub fn read_photo(path: &Path) -> Result<RgbImage, FileError> {
     }
 }
 
+/// Reads a picture in grey, whether photo or mask: luma of JPEGs as stored.
+///
+/// # Errors
+/// As [`read`].
+pub fn read_grey(path: &Path) -> Result<GrayImage, FileError> {
+    Ok(decode(path)?.image.into_luma8())
+}
+
+/// Reads a picture in colour, whether photo or mask.
+///
+/// # Errors
+/// As [`read`].
+pub fn read_colour(path: &Path) -> Result<RgbImage, FileError> {
+    Ok(decode(path)?.into_rgb())
+}
+
 /// Reads a mask; here a colour picture that is all black or all white is one too.
 ///
 /// # Errors
@@ -91,6 +111,38 @@ pub fn write_photo(path: &Path, force: bool, photo: &RgbImage) -> Result<(), Fil
     let size = (photo.width() as usize, photo.height() as usize);
     write_png(path, force, photo.as_raw(), size, ExtendedColorType::Rgb8)
 }
+
+/// Writes a photo in the format of the path's ending: PNG, TIFF, or JPEG of quality 95.
+///
+/// # Errors
+/// As [`output::write`], and where the ending names none of these or the picture has no pixel.
+pub fn write_as_named(path: &Path, force: bool, photo: &RgbImage) -> Result<(), FileError> {
+    let ending = path.extension().and_then(|end| end.to_str()).unwrap_or("").to_lowercase();
+    let (width, height) = photo.dimensions();
+    let colour = ExtendedColorType::Rgb8;
+    match ending.as_str() {
+        "png" => write_photo(path, force, photo),
+        "jpg" | "jpeg" => output::write(path, force, |writer| {
+            JpegEncoder::new_with_quality(writer, JPEG_QUALITY)
+                .write_image(photo.as_raw(), width, height, colour)
+                .map_err(std::io::Error::other)
+        }),
+        "tif" | "tiff" => {
+            let mut bytes = Cursor::new(Vec::new());
+            TiffEncoder::new(&mut bytes)
+                .write_image(photo.as_raw(), width, height, colour)
+                .map_err(|error| FileError::write(path, std::io::Error::other(error)))?;
+            output::write(path, force, |writer| writer.write_all(bytes.get_ref()))
+        }
+        _ => Err(FileError::Unusable {
+            path: path.to_owned(),
+            message: "expected a name that ends in .png, .jpg or .tif",
+        }),
+    }
+}
+
+/// High enough that what is measured in a photo does not change.
+const JPEG_QUALITY: u8 = 95;
 
 fn write_png(
     path: &Path,

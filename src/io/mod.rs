@@ -6,6 +6,7 @@ pub mod camera;
 pub mod checkpoint;
 pub mod colmap;
 pub mod control;
+pub mod corners;
 pub mod images;
 pub mod model;
 pub mod opensfm;

@@ -2,4 +2,6 @@
 
 pub mod adjustment;
 pub mod bundle;
+pub mod calibration;
+pub mod lens_fit;
 pub mod plants;

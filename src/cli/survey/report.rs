@@ -328,7 +328,7 @@ pub(super) fn write(folder: &Path, outcome: &Outcome, force: bool) -> Result<(),
             matrix: symmetric(&interior.correlation),
         });
         let name = format!("camera-{}.toml", interior.camera + 1);
-        camera::write(&in_folder(folder, &name), &described, force)?;
+        camera::write(&in_folder(folder, &name), force, &described)?;
     }
     Ok(())
 }
