@@ -32,12 +32,16 @@
 //! ```
 
 pub mod block;
+pub mod camera;
 pub mod corrupt;
 pub mod field;
+pub mod habit;
 pub mod leaf;
 pub mod picture;
 pub mod render;
 pub mod scenario;
+pub mod site;
+pub mod terrain;
 
 mod block_camera;
 mod block_ground;
