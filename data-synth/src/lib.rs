@@ -33,19 +33,27 @@
 
 pub mod block;
 pub mod camera;
+pub mod clutter;
 pub mod corrupt;
+pub mod exif;
 pub mod field;
+pub mod flight;
 pub mod habit;
 pub mod leaf;
+pub mod photo;
 pub mod picture;
 pub mod render;
 pub mod scenario;
 pub mod site;
+pub mod targets;
 pub mod terrain;
+pub mod tie_points;
+pub mod twin;
 
 mod block_camera;
 mod block_ground;
 mod check;
+mod mesh;
 mod soil;
 mod streams;
 

@@ -22,6 +22,7 @@ pub(crate) enum Stage {
     Target = 9,
     Weed = 16,
     FalsePixel = 17,
+    Grass = 19,
     MissedPixel = 18,
     FlightDrift = 48,
     Shot = 49,
