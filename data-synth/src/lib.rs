@@ -37,6 +37,7 @@ pub mod clutter;
 pub mod corrupt;
 pub mod exif;
 pub mod field;
+pub mod files;
 pub mod flight;
 pub mod habit;
 pub mod leaf;
@@ -49,6 +50,7 @@ pub mod targets;
 pub mod terrain;
 pub mod tie_points;
 pub mod twin;
+pub mod visible;
 
 mod block_camera;
 mod block_ground;

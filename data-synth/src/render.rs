@@ -103,6 +103,11 @@ impl Bands {
         Bands { lists }
     }
 
+    /// The numbers of the leaves that touch a band, ascending.
+    pub(crate) fn numbers(&self, band: usize) -> &[u32] {
+        &self.lists[band]
+    }
+
     pub(crate) fn leaves<'a>(
         &'a self,
         band: usize,

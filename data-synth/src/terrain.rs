@@ -173,9 +173,21 @@ impl Terrain {
         (value, [slope_x, slope_y])
     }
 
-    /// Where a ray meets the ground: how many `direction`s it goes from `origin_m`. `None` where the
-    /// ray does not go down or never arrives.
+    /// Where a ray meets the ground: how many `direction`s it goes from `origin_m`, to a micrometre of
+    /// height; `start` is a guess. `None` where the ray does not go down or never arrives.
     pub fn meet(&self, origin_m: [f64; 3], direction: [f64; 3], start: f64) -> Option<f64> {
+        self.meet_within(origin_m, direction, start, 1e-5).map(|(reach, _)| reach)
+    }
+
+    /// As [`Terrain::meet`], until a step of Newton's method is shorter than `step_m` in height: what then is left is
+    /// about half the ground's curvature times the step's square. Also the gradient of the ground there.
+    pub(crate) fn meet_within(
+        &self,
+        origin_m: [f64; 3],
+        direction: [f64; 3],
+        start: f64,
+        step_m: f64,
+    ) -> Option<(f64, [f64; 2])> {
         if direction[2] >= 0.0 || !direction[2].is_finite() {
             return None;
         }
@@ -187,8 +199,8 @@ impl Terrain {
             let sinking = direction[2] - gradient[0] * direction[0] - gradient[1] * direction[1];
             let step = if sinking < 0.0 { above / sinking } else { above / direction[2] };
             reach -= step;
-            if step.abs() * -direction[2] < 1e-6 {
-                return (reach > 0.0).then_some(reach);
+            if step.abs() * -direction[2] < step_m {
+                return (reach > 0.0).then_some((reach, gradient));
             }
         }
         None

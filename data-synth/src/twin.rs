@@ -129,7 +129,7 @@ impl Twin {
 /// The usual flights by name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FlightPreset {
-    /// A dozen small photos of 12 rows.
+    /// A dozen small photos of 20 rows.
     Small,
     /// As in the paper: a wide-angle action camera with SMAC distortion at 15 m, 1.5 cm/px, 60 % overlap both ways,
     /// 8 m/s, 18 control and 10 check points.
@@ -180,12 +180,12 @@ impl TwinConfig {
 fn small() -> TwinConfig {
     TwinConfig {
         field: FieldConfig {
-            rows: 12,
-            row_length_m: 12.0,
+            rows: 20,
+            row_length_m: 18.0,
             heading_deg: 12.0,
             curve_m: 0.05,
             tilt_m: 0.01,
-            plots: PlotConfig { rows: 4, length_m: 5.5, alley_m: 1.0 },
+            plots: PlotConfig { rows: 5, length_m: 8.25, alley_m: 1.5 },
             terrain: TerrainConfig {
                 slope_percent: 2.0,
                 slope_direction_deg: 70.0,
@@ -200,6 +200,7 @@ fn small() -> TwinConfig {
         camera: CameraConfig::compact(1000, 750, 800.0),
         flight: FlightConfig {
             height_m: 12.0,
+            margin_m: -3.0,
             speed_m_s: 4.0,
             position_m: 0.2,
             gnss: GnssConfig { horizontal_m: 0.5, vertical_m: 0.8, ..GnssConfig::default() },

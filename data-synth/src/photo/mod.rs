@@ -167,7 +167,7 @@ impl<'a> Studio<'a> {
         Photo { image, mask, plants }
     }
 
-    /// The photo without anything that its sensor does to it, as a picture of the light.
+    /// How far the ground in the middle of every block moves during the exposure, pixels.
     fn motion(&self, shot: &Shot) -> Vec<[f32; 2]> {
         let config = self.camera.config();
         let exposure = 0.5 * shot.exposure_s;
@@ -278,7 +278,7 @@ impl<'a> View<'a> {
         let gsd_m = self.gsd_m((corner[0] + TILE / 2) as f64, (corner[1] + TILE / 2) as f64);
         let rows = out.mask.len() / out.width;
         let columns = TILE.min(out.width - corner[0]);
-        let mut ground_m = 0.0;
+        let mut last = Tangent { place_m: [0.0; 3], slope: [0.0; 2] };
         for line in 0..rows {
             let v = corner[1] + line;
             let (origin, rotation) = self.shot.pose(self.shot.row_time_s(v as f64));
@@ -305,7 +305,7 @@ impl<'a> View<'a> {
                     owners[sample] = thing.plant;
                 }
                 if bare > 0 {
-                    let colour = self.ground(origin, ray, gsd_m, &mut ground_m);
+                    let colour = self.ground(origin, ray, gsd_m, &mut last);
                     for (sum, part) in light.iter_mut().zip(colour) {
                         *sum += 0.25 * f32::from(bare) * part;
                     }
@@ -319,16 +319,30 @@ impl<'a> View<'a> {
         }
     }
 
-    /// The light that comes from the ground along a ray. `ground_m` is the height last met.
-    fn ground(&self, origin: [f64; 3], ray: [f64; 3], gsd_m: f32, ground_m: &mut f64) -> [f32; 3] {
+    /// The light that comes from the ground along a ray. `last` is where the ray before met it.
+    fn ground(&self, origin: [f64; 3], ray: [f64; 3], gsd_m: f32, last: &mut Tangent) -> [f32; 3] {
+        let start = last.meet(origin, ray);
         let terrain = &self.studio.world.field.terrain;
-        let start = (origin[2] - *ground_m) / -ray[2];
-        let Some(reach) = terrain.meet(origin, ray, start) else { return [0.0; 3] };
-        let place = [0, 1, 2].map(|i| origin[i] + reach * ray[i]);
-        *ground_m = place[2];
-        let (_, slope) = terrain.height_and_gradient(place[0], place[1]);
-        let (colour, relief) = self.studio.ground.look(place[0], place[1], gsd_m);
-        self.shader.ground(place.map(|value| value as f32), slope, colour, relief)
+        let met = terrain.meet_within(origin, ray, start, 1e-3);
+        let Some((reach, slope)) = met else { return [0.0; 3] };
+        let place_m = [0, 1, 2].map(|i| origin[i] + reach * ray[i]);
+        *last = Tangent { place_m, slope };
+        let (colour, relief) = self.studio.ground.look(place_m[0], place_m[1], gsd_m);
+        self.shader.ground(place_m.map(|value| value as f32), slope, colour, relief)
+    }
+}
+
+/// The tangent plane of the ground at a place: where the next ray begins its search.
+struct Tangent {
+    place_m: [f64; 3],
+    slope: [f64; 2],
+}
+
+impl Tangent {
+    fn meet(&self, origin: [f64; 3], ray: [f64; 3]) -> f64 {
+        let [a, b] = self.slope;
+        let away = [0, 1, 2].map(|i| origin[i] - self.place_m[i]);
+        (away[2] - a * away[0] - b * away[1]) / (a * ray[0] + b * ray[1] - ray[2])
     }
 }
 
