@@ -254,12 +254,18 @@ impl Camera {
     /// The pixel at which a point of the camera frame appears; `None` where it is not in front of the
     /// camera, or farther out than the model reaches (a little beyond the corners of the image).
     pub fn project(&self, point: [f64; 3]) -> Option<[f64; 2]> {
+        self.project_within(point, 1e-9)
+    }
+
+    /// As [`Camera::project`], until a step of Newton's method is shorter than `step_px`; what then is left
+    /// is about the square of it.
+    pub(crate) fn project_within(&self, point: [f64; 3], step_px: f64) -> Option<[f64; 2]> {
         let [u, v, w] = point;
         if w.partial_cmp(&0.0) != Some(std::cmp::Ordering::Less) {
             return None;
         }
         let wanted = [-self.config.c_px * u / w, -self.config.c_px * v / w];
-        let radius = f64::hypot(wanted[0], wanted[1]);
+        let radius = (wanted[0] * wanted[0] + wanted[1] * wanted[1]).sqrt();
         if radius.is_nan() || radius >= self.ideal_limit_px {
             return None;
         }
@@ -276,7 +282,7 @@ impl Camera {
             let (dx, dy) = ((d * ex - b * ey) / determinant, (a * ey - b * ex) / determinant);
             xb += dx;
             yb += dy;
-            if dx.abs().max(dy.abs()) < 1e-9 {
+            if dx.abs().max(dy.abs()) < step_px {
                 if xb * xb + yb * yb > self.limit_px * self.limit_px {
                     return None;
                 }

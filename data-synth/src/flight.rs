@@ -207,7 +207,7 @@ impl Shot {
     /// The pixel at which a point of the mapping frame appears, each row seen at its own moment; `None`
     /// where the camera does not see it.
     pub fn project(&self, camera: &Camera, point_m: [f64; 3]) -> Option<[f64; 2]> {
-        self.project_at(camera, point_m, 0.0)
+        self.project_within(camera, point_m, 0.0, 1e-9)
     }
 
     /// As [`Shot::project`] with all rows `shift_s` seconds later.
@@ -215,7 +215,7 @@ impl Shot {
         let at = |after_s: f64| {
             let (centre_m, rotation) = self.pose(after_s);
             let away = [0, 1, 2].map(|i| point_m[i] - centre_m[i]);
-            camera.project(transpose_times(&rotation, away))
+            camera.project_within(transpose_times(&rotation, away), step_px)
         };
         let mut pixel = at(shift_s)?;
         if self.readout_s == 0.0 {
@@ -226,7 +226,7 @@ impl Shot {
             let next = at(shift_s + self.row_time_s(pixel[1]))?;
             let moved = (next[1] - pixel[1]).abs().max((next[0] - pixel[0]).abs());
             pixel = next;
-            if moved < 1e-9 {
+            if moved < step_px {
                 return Some(pixel);
             }
         }
@@ -329,6 +329,7 @@ pub fn fly(
 fn check_view(shots: &[Shot], field: &Field, camera: &Camera) -> Result<(), ConfigError> {
     let (width, height) =
         (f64::from(camera.config().width_px), f64::from(camera.config().height_px));
+    let steepest = field.terrain.steepest();
     for shot in shots {
         let below_m = shot.centre_m[2] - field.terrain.height_m(shot.centre_m[0], shot.centre_m[1]);
         if below_m < 1.0 {
@@ -341,7 +342,6 @@ fn check_view(shots: &[Shot], field: &Field, camera: &Camera) -> Result<(), Conf
         {
             let (origin, direction) = shot.ray(camera, corner[0], corner[1]);
             let flat = f64::hypot(direction[0], direction[1]) / -direction[2];
-            let steepest = field.terrain.steepest();
             let grazing = direction[2] >= 0.0 || flat * steepest >= 1.0;
             if grazing || field.terrain.meet(origin, direction, below_m).is_none() {
                 let expected = format!(

@@ -88,7 +88,8 @@ pub(crate) fn reflectance(hue_deg: f64, saturation: f64, value: f64) -> [f32; 3]
         4 => [middle, 0.0, chroma],
         _ => [chroma, 0.0, middle],
     };
-    [r, g, b].map(|part| (part + value - chroma).max(0.0).powf(2.2) as f32)
+    // The tone curve is about a square.
+    [r, g, b].map(|part| (part + value - chroma).max(0.0).powi(2) as f32)
 }
 
 impl Mesh {
@@ -225,8 +226,14 @@ impl<'a> World<'a> {
         World { field, weeds, clutter, targets, low, size, cells }
     }
 
-    /// Everything that stands within `low_m..high_m` (X, Y) or reaches into it.
-    pub(crate) fn gather(&self, low_m: [f64; 2], high_m: [f64; 2]) -> Mesh {
+    /// Everything that stands within `low_m..high_m` (X, Y) or reaches into it, on those square metres (given
+    /// by their middle) that `wanted` wants.
+    pub(crate) fn gather(
+        &self,
+        low_m: [f64; 2],
+        high_m: [f64; 2],
+        wanted: impl Fn([f64; 2]) -> bool + Sync,
+    ) -> Mesh {
         let first = low_m.map(|value| (value - REACH_M).floor() as i64);
         let last = high_m.map(|value| (value + REACH_M).floor() as i64);
         let rows: Vec<Mesh> = (first[1]..=last[1])
@@ -234,7 +241,9 @@ impl<'a> World<'a> {
             .map(|y| {
                 let mut mesh = Mesh::default();
                 for x in first[0]..=last[0] {
-                    self.cell(&mut mesh, x, y);
+                    if wanted([x as f64 + 0.5, y as f64 + 0.5]) {
+                        self.cell(&mut mesh, x, y);
+                    }
                 }
                 mesh
             })

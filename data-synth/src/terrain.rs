@@ -146,9 +146,17 @@ impl Terrain {
         (height, gradient)
     }
 
-    /// The steepest that furrows and slope can be together, metres per metre; relief is gentle beside.
+    /// The steepest that slope, furrows and relief can be together, metres per metre; the relief's part is the largest
+    /// of its gradients at its nodes and between them.
     pub fn steepest(&self) -> f64 {
-        let relief = self.relief.iter().fold(0.0, |most: f64, value| most.max(value.abs()));
+        let mut relief = 0.0f64;
+        if !self.relief.is_empty() {
+            for i in 0..4 * TABLE * TABLE {
+                let at = |k: usize| 0.5 * k as f64;
+                let (_, [dx, dy]) = self.relief(at(i % (2 * TABLE)), at(i / (2 * TABLE)));
+                relief = relief.max(f64::hypot(dx, dy));
+            }
+        }
         f64::hypot(self.slope[0], self.slope[1])
             + self.half_furrow_m * TAU / self.field.inter_row_m
             + relief / self.wavelength_m

@@ -226,8 +226,8 @@ fn paper() -> TwinConfig {
                 slope_percent: 1.0,
                 slope_direction_deg: 30.0,
                 relief_m: 0.25,
-                relief_wavelength_m: 15.0,
-                furrow_m: 0.04,
+                relief_wavelength_m: 20.0,
+                furrow_m: 0.03,
             },
             habit: Habit {
                 azimuth_preference: 0.3,
@@ -281,7 +281,7 @@ fn seneca() -> TwinConfig {
             ..FlightConfig::default()
         },
         targets: TargetConfig { control: 6, check: 4, size_m: 0.8, ..TargetConfig::default() },
-        image: ImageConfig { soil_contrast: 0.35, ..ImageConfig::default() },
+        image: ImageConfig { soil_contrast: 0.6, ..ImageConfig::default() },
         ..TwinConfig::default()
     }
 }

@@ -18,7 +18,9 @@ pub(super) struct Shadows {
     slant: [f64; 2],
     width: usize,
     height: usize,
-    highest_m: Vec<f32>,
+    columns: usize,
+    /// Tiles that no triangle touches are left out.
+    tiles: Vec<Option<Box<[f32]>>>,
 }
 
 impl Shadows {
@@ -55,28 +57,30 @@ impl Shadows {
             })
             .collect();
         let bins = Bins::new(&places, &mesh.triangles, width, height);
-        let mut highest_m = vec![f32::NEG_INFINITY; width * height];
-        highest_m.par_chunks_mut(width * TILE).enumerate().for_each_init(
-            Samples::<1>::new,
-            |samples, (row, band)| {
-                for column in 0..width.div_ceil(TILE) {
-                    let list = bins.tile(column, row);
-                    if list.is_empty() {
-                        continue;
-                    }
-                    samples.clear();
-                    let corner = [column * TILE, row * TILE];
-                    samples.draw(list, &places, &mesh.triangles, corner, &[[0.0; 2]]);
-                    let columns = TILE.min(width - corner[0]);
-                    for (line, out) in band.chunks_mut(width).enumerate() {
-                        let from = line * TILE;
-                        out[corner[0]..corner[0] + columns]
-                            .copy_from_slice(&samples.depth[from..from + columns]);
-                    }
+        let columns = width.div_ceil(TILE);
+        let tiles = (0..columns * height.div_ceil(TILE))
+            .into_par_iter()
+            .map_init(Samples::<1>::new, |samples, tile| {
+                let (column, row) = (tile % columns, tile / columns);
+                let list = bins.tile(column, row);
+                if list.is_empty() {
+                    return None;
                 }
-            },
-        );
-        Shadows { low, cell_m, slant, width, height, highest_m }
+                samples.clear();
+                let corner = [column * TILE, row * TILE];
+                samples.draw(list, &places, &mesh.triangles, corner, &[[0.0; 2]]);
+                Some(samples.depth.clone().into_boxed_slice())
+            })
+            .collect();
+        Shadows { low, cell_m, slant, width, height, columns, tiles }
+    }
+
+    /// Height of the highest thing on a ray of the lattice, metres.
+    fn highest_m(&self, i: usize, j: usize) -> f32 {
+        match &self.tiles[j / TILE * self.columns + i / TILE] {
+            Some(tile) => tile[j % TILE * TILE + i % TILE],
+            None => f32::NEG_INFINITY,
+        }
     }
 
     /// How much of the sun reaches a point, 0 to 1.
@@ -91,10 +95,10 @@ impl Shadows {
             return 1.0;
         }
         let (s, t) = (a - i, b - j);
-        let start = j as usize * self.width + i as usize;
-        let free = |index: usize| f32::from(u8::from(self.highest_m[index] <= z + BIAS_M));
-        let upper = free(start) * (1.0 - s) + free(start + 1) * s;
-        let lower = free(start + self.width) * (1.0 - s) + free(start + self.width + 1) * s;
+        let (i, j) = (i as usize, j as usize);
+        let free = |i, j| f32::from(u8::from(self.highest_m(i, j) <= z + BIAS_M));
+        let upper = free(i, j) * (1.0 - s) + free(i + 1, j) * s;
+        let lower = free(i, j + 1) * (1.0 - s) + free(i + 1, j + 1) * s;
         upper * (1.0 - t) + lower * t
     }
 }
