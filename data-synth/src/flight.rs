@@ -212,6 +212,17 @@ impl Shot {
 
     /// As [`Shot::project`] with all rows `shift_s` seconds later.
     pub fn project_at(&self, camera: &Camera, point_m: [f64; 3], shift_s: f64) -> Option<[f64; 2]> {
+        self.project_within(camera, point_m, shift_s, 1e-9)
+    }
+
+    /// As [`Shot::project_at`], until the steps of both iterations are shorter than `step_px`.
+    pub(crate) fn project_within(
+        &self,
+        camera: &Camera,
+        point_m: [f64; 3],
+        shift_s: f64,
+        step_px: f64,
+    ) -> Option<[f64; 2]> {
         let at = |after_s: f64| {
             let (centre_m, rotation) = self.pose(after_s);
             let away = [0, 1, 2].map(|i| point_m[i] - centre_m[i]);
@@ -284,10 +295,12 @@ pub fn fly(
                 config.height_m + rise_m,
             ];
             let wind_rad = config.wind_direction_deg.to_radians();
-            let cross = config.wind_m_s * (wind_rad.cos() * side[0] + wind_rad.sin() * side[1]);
+            let (along, across) = (
+                config.wind_m_s * (wind_rad.cos() * toward[0] + wind_rad.sin() * toward[1]),
+                config.wind_m_s * (wind_rad.cos() * side[0] + wind_rad.sin() * side[1]),
+            );
             // Heading into the wind so that wind and airspeed together go along the strip.
-            let crab =
-                if config.speed_m_s > 0.0 { (-cross / config.speed_m_s).asin() } else { 0.0 };
+            let crab = f64::atan2(-across, (config.speed_m_s - along).max(1e-9));
             let heading = f64::atan2(toward[1], toward[0]) + crab + yaw;
             let kappa = heading - std::f64::consts::FRAC_PI_2;
             let rotation = multiply(
