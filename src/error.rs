@@ -1,6 +1,8 @@
 //! One error for the whole library, joined from the modules' own.
 
-use crate::{engine::SolveError, io, phenotype::locate::LocateError};
+use crate::{
+    engine::SolveError, io, phenotype::locate::LocateError, problems::adjustment::AdjustError,
+};
 
 /// What kind of failure an [`Error`] is; decides the exit code of the program.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -37,6 +39,9 @@ pub enum Error {
     /// Plants could not be located as asked.
     #[error(transparent)]
     Locate(#[from] LocateError),
+    /// A block with control could not be adjusted.
+    #[error(transparent)]
+    Adjust(#[from] AdjustError),
     /// An option or argument has an unusable value: what it is, and what was expected.
     #[error("{0}")]
     Argument(String),
@@ -51,7 +56,13 @@ impl Error {
         match self {
             Error::File(error) => error.kind(),
             Error::Solve(_) | Error::Locate(LocateError::Solve(_)) => Kind::Failure,
-            Error::Locate(_) => Kind::BadInput,
+            // A block that its observations do not determine is as much an input's fault as a number
+            // that is none.
+            Error::Adjust(
+                AdjustError::Survey(_) | AdjustError::Solve(SolveError::RankDeficient(_)),
+            )
+            | Error::Locate(_) => Kind::BadInput,
+            Error::Adjust(AdjustError::Solve(_)) => Kind::Failure,
             Error::Argument(_) => Kind::BadInput,
             Error::Incomplete(_) => Kind::Incomplete,
         }

@@ -31,6 +31,13 @@ pub trait Lane:
 
     /// The square root.
     fn sqrt(self) -> Self;
+
+    /// `f` of each number by itself: for what cannot be written without branches. `inputs` must
+    /// not be empty.
+    fn each<const I: usize, const O: usize>(
+        inputs: &[Self; I],
+        f: impl Fn(&[f64; I]) -> [f64; O],
+    ) -> [Self; O];
 }
 
 impl Lane for f64 {
@@ -47,6 +54,14 @@ impl Lane for f64 {
     #[inline(always)]
     fn sqrt(self) -> f64 {
         f64::sqrt(self)
+    }
+
+    #[inline(always)]
+    fn each<const I: usize, const O: usize>(
+        inputs: &[f64; I],
+        f: impl Fn(&[f64; I]) -> [f64; O],
+    ) -> [f64; O] {
+        f(inputs)
     }
 }
 
@@ -131,6 +146,26 @@ impl<S: Simd> Lane for Register<S> {
     fn sqrt(self) -> Self {
         Register { simd: self.simd, value: self.simd.sqrt_f64s(self.value) }
     }
+
+    #[inline(always)]
+    fn each<const I: usize, const O: usize>(
+        inputs: &[Self; I],
+        f: impl Fn(&[f64; I]) -> [f64; O],
+    ) -> [Self; O] {
+        let mut columns = [[0.0; MAX_WIDTH]; I];
+        for (column, input) in columns.iter_mut().zip(inputs) {
+            input.store(column);
+        }
+        let mut results = [[0.0; MAX_WIDTH]; O];
+        for lane in 0..Self::WIDTH {
+            let found = f(&std::array::from_fn(|k| columns[k][lane]));
+            for (result, value) in results.iter_mut().zip(found) {
+                result[lane] = value;
+            }
+        }
+        let simd = inputs[0].simd;
+        std::array::from_fn(|k| Register::load(simd, &results[k]))
+    }
 }
 
 #[cfg(test)]
@@ -154,6 +189,13 @@ mod tests {
             for k in 0..Register::<S>::WIDTH {
                 let one = formula(a[k], b[k]);
                 assert!((one - out[k]).abs() < 1e-14 || (one.is_nan() && out[k].is_nan()));
+            }
+            let [sum, product] = Lane::each(&[x, y], |&[x, y]| [x + y, x * y]);
+            let mut outs = [[0.0; MAX_WIDTH]; 2];
+            sum.store(&mut outs[0]);
+            product.store(&mut outs[1]);
+            for k in 0..Register::<S>::WIDTH {
+                assert_eq!([outs[0][k], outs[1][k]], [a[k] + b[k], a[k] * b[k]]);
             }
         }
     }

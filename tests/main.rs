@@ -10,7 +10,9 @@
 )]
 
 mod adjust;
+mod adjustment;
 mod architecture;
+mod camera;
 mod data;
 mod drive;
 mod engine;

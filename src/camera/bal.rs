@@ -9,6 +9,10 @@
 //! The formula is taken as it stands: a point behind the camera has an image too, as in every
 //! program whose costs are compared on these files.
 
+use super::{
+    lens::{self, Lens, MAX_PARAMETERS, Parameter, unit},
+    polynomial,
+};
 use crate::lanes::Lane;
 
 /// Interior orientation `[f_px, k1, k2]`.
@@ -62,4 +66,89 @@ pub fn project_with_derivatives<L: Lane>([x, y, z]: [L; 3], [f, k1, k2]: [L; 3])
 #[inline(always)]
 fn through<L: Lane>(p: [L; 2], inverse: L, left: L, right: L) -> [L; 3] {
     [inverse * left, inverse * right, inverse * left.mul_add(p[0], right * p[1])]
+}
+
+/// Number of parameters.
+pub const COUNT: usize = 3;
+/// The parameters.
+pub static PARAMETERS: [Parameter; COUNT] =
+    [Parameter::new("f_px", "px"), Parameter::new("k1", "1"), Parameter::new("k2", "1")];
+
+/// The same model as a lens: with an image centre, and without images of points behind the camera
+/// or beyond the radius up to which it is one to one.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Bal {
+    values: Interior,
+    centre_px: [f64; 2],
+    valid_radius: f64,
+}
+
+impl Bal {
+    /// A lens with these values and the image's centre, pixels.
+    pub fn new(values: Interior, centre_px: [f64; 2]) -> Bal {
+        let slope = [1.0, 3.0 * values[1], 5.0 * values[2]];
+        let turn = polynomial::smallest_positive_root(&slope).map_or(f64::INFINITY, f64::sqrt);
+        Bal { values, centre_px, valid_radius: turn }
+    }
+
+    /// The lens of values whose valid radius is known.
+    pub(super) fn with_limit(values: Interior, centre_px: [f64; 2], valid_radius: f64) -> Bal {
+        Bal { values, centre_px, valid_radius }
+    }
+
+    /// The tangent of the angle from the axis up to which the model is one to one; infinite where
+    /// it is so everywhere.
+    pub fn valid_radius(&self) -> f64 {
+        self.valid_radius
+    }
+
+    pub(super) fn centre_px(&self) -> [f64; 2] {
+        self.centre_px
+    }
+
+    fn sees(&self, [x, y, z]: [f64; 3]) -> bool {
+        z < 0.0 && x * x + y * y <= self.valid_radius * self.valid_radius * z * z
+    }
+}
+
+impl Lens for Bal {
+    fn parameters(&self) -> &'static [Parameter] {
+        &PARAMETERS
+    }
+
+    fn values(&self) -> &[f64] {
+        &self.values
+    }
+
+    fn project(&self, point: [f64; 3]) -> Option<[f64; 2]> {
+        let [x, y] = self.sees(point).then(|| project(point, self.values))?;
+        Some([self.centre_px[0] + x, self.centre_px[1] - y])
+    }
+
+    fn project_with_derivatives(&self, point: [f64; 3]) -> Option<lens::Projection> {
+        let found = self.sees(point).then(|| project_with_derivatives(point, self.values))?;
+        let mut by_parameters = [[0.0; MAX_PARAMETERS]; 2];
+        by_parameters[0][..COUNT].copy_from_slice(&found.by_interior[0]);
+        by_parameters[1][..COUNT].copy_from_slice(&found.by_interior[1].map(|v| -v));
+        Some(lens::Projection {
+            image_px: [
+                self.centre_px[0] + found.image_px[0],
+                self.centre_px[1] - found.image_px[1],
+            ],
+            by_point: [found.by_point[0], found.by_point[1].map(|v| -v)],
+            by_parameters,
+        })
+    }
+
+    fn unproject(&self, image_px: [f64; 2]) -> Option<[f64; 3]> {
+        let [f, k1, k2] = self.values;
+        let at = [(image_px[0] - self.centre_px[0]) / f, (self.centre_px[1] - image_px[1]) / f];
+        let far = (at[0] * at[0] + at[1] * at[1]).sqrt();
+        let radius = polynomial::invert_monotonic(far, self.valid_radius, |r| {
+            let (q, dq) = polynomial::evaluate(&[1.0, k1, k2], r * r);
+            (r * q, q + 2.0 * r * r * dq)
+        })?;
+        let ratio = if far > 0.0 { radius / far } else { 0.0 };
+        far.is_finite().then(|| unit([at[0] * ratio, at[1] * ratio, -1.0]))
+    }
 }

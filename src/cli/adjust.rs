@@ -1,5 +1,7 @@
-//! `rowgram adjust`: bundle adjustment of a block in BAL format.
+//! `rowgram adjust`: bundle adjustment of a block in BAL format, and the way to [`super::survey`]
+//! for all others.
 
+use super::survey;
 use crate::{
     drive::{Drive, Fingerprint, Limits, LogEntry, Outcome, Progress},
     engine::Stop,
@@ -20,13 +22,23 @@ use std::{
 /// Reads and writes "Bundle Adjustment in the Large" text files, plain or gzipped. The cost is
 /// 1/2 sum rho(|r|^2) over residuals in pixels. Exit code 3 where the default limit of iterations
 /// ended it; an explicit limit is as good an end as any.
+///
+/// A COLMAP folder, Bundler's bundle.out, OpenSfM's reconstruction.json or a block.toml that names one
+/// and its control is adjusted with everything that is given: control and check points, camera
+/// positions, scale bars, interior orientation, a rolling shutter. Then residuals count in standard
+/// deviations, suspect observations are named and taken out, and a report gives standard deviations,
+/// correlations, redundancy numbers, tests and the errors of the check points.
 #[derive(Debug, ClapArgs)]
 #[command(after_help = "Examples:
   rowgram adjust block.txt -o adjusted.txt
   rowgram adjust block.txt.gz --loss huber:1.0 --trace trace.csv --json
-  rowgram adjust block.txt --interior shared --solver dense --max-iterations 20")]
+  rowgram adjust block.txt --interior shared --solver dense --max-iterations 20
+  rowgram adjust sparse/0 --control gcps.csv --marks marks.csv --check A1,A2 \\
+      --free f_px,cx_px,cy_px,k1,k2 --report report -o adjusted
+  rowgram adjust block.toml --leave-one-out --variance-components")]
 pub(super) struct Args {
-    /// The block, plain or gzipped.
+    /// The block: a BAL file, plain or gzipped; a COLMAP folder, bundle.out, reconstruction.json or
+    /// block.toml.
     file: PathBuf,
     /// Robust loss and its scale in pixels: trivial, huber:A, soft-l1:A, cauchy:A,
     /// geman-mcclure:A or tukey:A.
@@ -38,9 +50,10 @@ pub(super) struct Args {
     /// Which trial step.
     #[arg(long, value_enum, default_value_t = Step::Lm)]
     method: Step,
-    /// Who shares an interior orientation; "shared" starts at the mean of the file's.
-    #[arg(long, value_enum, default_value_t = Interior::PerImage)]
-    interior: Interior,
+    /// Who shares an interior orientation; "shared" starts at the mean of the file's. BAL files have
+    /// one per image if not given, others what the file says.
+    #[arg(long, value_enum)]
+    interior: Option<Interior>,
     /// The most iterations; 200 if not given.
     #[arg(long, value_name = "N")]
     max_iterations: Option<u64>,
@@ -77,6 +90,8 @@ pub(super) struct Args {
     /// Replace outputs that exist.
     #[arg(long)]
     force: bool,
+    #[command(flatten)]
+    survey: survey::Options,
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
@@ -136,6 +151,23 @@ pub(super) struct Report {
 /// # Errors
 /// Bad input, outputs that exist, and whatever ends the adjustment early.
 pub(super) fn run(args: &Args) -> Result<(), Error> {
+    if survey::is_one(&args.file) {
+        args.refuse_bal_options()?;
+        let per_image = matches!(args.interior, Some(Interior::PerImage));
+        return survey::run(
+            &args.file,
+            &args.survey,
+            (args.loss, per_image),
+            args.output.as_deref(),
+            (args.json, args.force),
+        );
+    }
+    if let Some(option) = args.survey.given() {
+        return Err(Error::Argument(format!(
+            "{option}: {} is a BAL file, which has no names to join control to",
+            args.file.display()
+        )));
+    }
     let report = work(args)?;
     if args.json {
         super::print_json(&report)?;
@@ -177,8 +209,8 @@ pub(super) fn work(args: &Args) -> Result<Report, Error> {
 
     let begin = Instant::now();
     let sharing = match args.interior {
-        Interior::PerImage => InteriorSharing::PerImage,
-        Interior::Shared => InteriorSharing::Shared,
+        None | Some(Interior::PerImage) => InteriorSharing::PerImage,
+        Some(Interior::Shared) => InteriorSharing::Shared,
     };
     let bundle = Bundle::new(&network, sharing, args.loss)?;
     let parameters = bundle.problem.parameter_count();
@@ -230,6 +262,23 @@ pub(super) fn work(args: &Args) -> Result<Report, Error> {
 }
 
 impl Args {
+    /// Options that only BAL files have.
+    fn refuse_bal_options(&self) -> Result<(), Error> {
+        let given = [
+            (self.trace.is_some(), "--trace"),
+            (self.figure.is_some(), "--figure"),
+            (self.checkpoint.is_some(), "--checkpoint"),
+            (self.resume.is_some(), "--resume"),
+            (self.max_iterations.is_some(), "--max-iterations"),
+            (self.max_seconds.is_some(), "--max-seconds"),
+            (self.target_cost.is_some(), "--target-cost"),
+        ];
+        match given.iter().find(|(given, _)| *given) {
+            Some((_, name)) => Err(Error::Argument(format!("{name} is for BAL files only"))),
+            None => Ok(()),
+        }
+    }
+
     fn limits(&self) -> Result<Limits, Error> {
         let max_time = match self.max_seconds {
             None => None,
@@ -275,7 +324,11 @@ impl Args {
             let mark = Fingerprint::new()
                 .numbers(&bundle.problem.start())
                 .count(bundle.problem.residual_count() as u64)
-                .text(&format!("{options:?} {} {:?}", self.loss, self.interior));
+                .text(&format!(
+                    "{options:?} {} {:?}",
+                    self.loss,
+                    self.interior.unwrap_or(Interior::PerImage)
+                ));
             drive = drive.fingerprint(mark.finish());
         }
         if let Some(path) = &self.trace {

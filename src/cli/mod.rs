@@ -9,6 +9,7 @@ mod figures;
 mod locate;
 mod run;
 mod segment;
+mod survey;
 mod synth;
 
 use crate::{error::Error, io::FileError};
@@ -37,6 +38,7 @@ struct Cli {
 enum Verb {
     Run(run::Args),
     Adjust(adjust::Args),
+    Convert(survey::convert::Args),
     Synth(synth::Args),
     Locate(locate::Locate),
     Segment(segment::Args),
@@ -71,6 +73,7 @@ fn run(cli: Cli) -> Result<(), Error> {
     match cli.verb {
         Verb::Run(args) => run::run(&args),
         Verb::Adjust(args) => adjust::run(&args),
+        Verb::Convert(args) => survey::convert::run(&args),
         Verb::Synth(args) => synth::run(&args),
         Verb::Locate(verb) => verb.run(),
         Verb::Segment(args) => segment::run(&args),

@@ -1,10 +1,17 @@
 //! Files, one format per module; the only part of the library that opens any.
 
 pub mod bal;
+pub mod bundler;
+pub mod camera;
 pub mod checkpoint;
+pub mod colmap;
+pub mod control;
 pub mod images;
+pub mod model;
+pub mod opensfm;
 pub mod output;
 pub mod points;
+mod table;
 
 use crate::error::Kind;
 use std::path::{Path, PathBuf};

@@ -65,12 +65,23 @@ impl<'a> Covariance<'a> {
 
     /// The covariance between the tangents of two blocks, `first x second`, row-major.
     pub fn cross(&mut self, first: BlockId, second: BlockId) -> Vec<f64> {
+        let solution = self.columns(second);
+        self.cross_of(first, second, &solution)
+    }
+
+    /// [`Covariance::cross`] of several blocks with one, solved for once: how the blocks of a
+    /// selected inverse are had without ever holding all of it.
+    pub fn cross_many(&mut self, firsts: &[BlockId], second: BlockId) -> Vec<Vec<f64>> {
+        let solution = self.columns(second);
+        firsts.iter().map(|&first| self.cross_of(first, second, &solution)).collect()
+    }
+
+    fn cross_of(&self, first: BlockId, second: BlockId, solution: &[f64]) -> Vec<f64> {
         let (rows, columns) =
             (self.problem.space(first).tangent(), self.problem.space(second).tangent());
-        let solution = self.columns(second);
         let mut out = vec![0.0; rows * columns];
         for column in 0..columns {
-            let values = self.rows_of(first, second, column, &solution);
+            let values = self.rows_of(first, second, column, solution);
             for row in 0..rows {
                 out[row * columns + column] = values[row];
             }
@@ -230,6 +241,42 @@ fn undetermined_directions(problem: &Problem, normal: &mut Normal) -> Vec<Vec<f6
         .filter(|&k| ritz.eigenvalues[k] < RANK_TOLERANCE)
         .map(|k| (&basis * ritz.eigenvectors.column(k)).as_slice().to_vec())
         .collect()
+}
+
+/// A direction of the parameters that the observations leave undetermined: its entries by block,
+/// scaled so that every parameter has unit curvature of its own, and of unit length over all kept
+/// blocks.
+pub type Direction = Vec<(BlockId, Vec<f64>)>;
+
+/// The directions of the kept blocks that the observations leave undetermined at `x`, at most a
+/// dozen; none where there is a covariance.
+///
+/// # Errors
+/// Where a factor cannot be evaluated, or an eliminated block is undetermined by itself.
+pub fn undetermined(
+    problem: &Problem,
+    x: &[f64],
+    linear: Linear,
+) -> Result<Vec<Direction>, SolveError> {
+    let mut normal = Normal::new(problem, linear, false)?;
+    normal
+        .linearize(problem, x)
+        .map_err(|(batch, factor)| problem.infeasible(&problem.batches[batch], factor))?;
+    if let Err(NotPositiveDefinite(Some(block))) = normal.reduce(problem, x, 0.0) {
+        return Err(undetermined_point(problem, block));
+    }
+    let directions = undetermined_directions(problem, &mut normal);
+    Ok(directions
+        .iter()
+        .map(|direction| {
+            (0..normal.structure.kept.len())
+                .map(|place| {
+                    let range = normal.matrix.starts[place]..normal.matrix.starts[place + 1];
+                    (Problem::id(normal.structure.kept[place]), direction[range].to_vec())
+                })
+                .collect()
+        })
+        .collect())
 }
 
 fn describe(problem: &Problem, normal: &Normal, directions: &[Vec<f64>]) -> SolveError {

@@ -19,6 +19,7 @@ pub mod covariance;
 mod eliminate;
 mod factor;
 mod fused;
+mod linearized;
 mod loss;
 mod normal;
 mod pairs;
@@ -33,6 +34,7 @@ pub use factor::{
     Batch, Curvature, Factor, Factors, Infeasible, InfeasibleFactor, Jacobian, Point,
 };
 pub use fused::{Fusable, FusedWork};
+pub use linearized::LinearizedFactor;
 pub use loss::{Loss, Rho};
 pub use pairs::{Linearized, Pair, PairFactor, Pairs};
 pub use problem::{BlockId, Problem};

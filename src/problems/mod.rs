@@ -1,4 +1,5 @@
-//! Estimation problems over the two engines: one module each, equations first.
+//! Estimation problems: the equations of each, posed for the engines.
 
+pub mod adjustment;
 pub mod bundle;
 pub mod plants;

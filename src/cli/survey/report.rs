@@ -1,0 +1,332 @@
+//! What came of an adjustment: a summary for a person, a report for a machine, a folder with both,
+//! tables, figures and cameras.
+
+use super::{Outcome, figures, in_folder, tables, write_text};
+use crate::{
+    error::Error,
+    io::{FileError, camera, output},
+    problems::adjustment::{
+        Alignment, Aside, AxisError, GroupStatistics, InteriorAccuracy, LeftOut, Removed, Testing,
+        rmse,
+    },
+};
+use serde::Serialize;
+use std::{fmt::Write, path::Path};
+
+/// Confidence of intervals and of the global test.
+const CONFIDENCE: f64 = 0.95;
+/// Probability of a false alarm of each single test that is reported.
+const SIGNIFICANCE: f64 = 0.001;
+/// Interior parameters that are correlated by more than this are nearly the same.
+const NEARLY_THE_SAME: f64 = 0.95;
+
+/// A kind of observations with its variance component.
+#[derive(Serialize)]
+struct Group {
+    #[serde(flatten)]
+    statistics: GroupStatistics,
+    variance_factor: Option<f64>,
+    /// The factor on its standard deviations that was used.
+    sigma_factor: f64,
+}
+
+/// A control or check point.
+#[derive(Serialize)]
+struct Ground {
+    name: String,
+    role: crate::problems::adjustment::Role,
+    axes: crate::problems::adjustment::Axes,
+    given_m: [f64; 3],
+    adjusted_m: [f64; 3],
+    difference_m: [f64; 3],
+    sigma_m: [f64; 3],
+}
+
+/// An observation that the test rejects.
+#[derive(Serialize)]
+struct Suspect {
+    name: String,
+    excess: f64,
+}
+
+/// All of it. Standard deviations are scaled by `sigma0`.
+#[derive(Serialize)]
+pub(super) struct Report {
+    images: usize,
+    tie_points: usize,
+    iterations: u64,
+    initial_cost: f64,
+    final_cost: f64,
+    stop: crate::engine::Stop,
+    observations: usize,
+    parameters: usize,
+    redundancy: usize,
+    sigma0: f64,
+    /// Where `sigma0` lies with 95 % if the standard deviations given are right.
+    sigma0_interval: Option<[f64; 2]>,
+    groups: Vec<Group>,
+    interiors: Vec<InteriorAccuracy>,
+    nearly_the_same: Vec<String>,
+    ground: Vec<Ground>,
+    /// Root mean square errors of the check points along X, Y, Z with their 95 % intervals.
+    check_rmse: [Option<AxisError>; 3],
+    alignment: Option<Alignment>,
+    removed: Vec<Removed>,
+    suspects: Vec<Suspect>,
+    left_out: Vec<LeftOut>,
+    set_aside: Vec<Aside>,
+    mean_velocity_m_s: Option<f64>,
+}
+
+impl Report {
+    pub(super) fn new(outcome: &Outcome) -> Report {
+        let (adjusted, statistics) = (&outcome.adjusted, &outcome.adjusted.statistics);
+        let survey = &adjusted.survey;
+        let sigma0 = statistics.sigma0;
+        let mut interiors = statistics.interiors.clone();
+        for interior in &mut interiors {
+            interior.standard_deviations.iter_mut().for_each(|sigma| *sigma *= sigma0);
+        }
+        let ground = ground(outcome);
+        let check_rmse = std::array::from_fn(|axis| {
+            let errors: Vec<f64> = ground
+                .iter()
+                .filter(|point| point.role == crate::problems::adjustment::Role::Check)
+                .filter(|point| point.axes.indices().contains(&axis))
+                .map(|point| point.difference_m[axis])
+                .collect();
+            rmse(&errors, CONFIDENCE)
+        });
+        let findings = statistics.findings(Testing::Pope, SIGNIFICANCE);
+        let speeds: Vec<f64> = (0..survey.images.len())
+            .filter_map(|k| survey.velocity_m_s(k))
+            .map(|v| (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]).sqrt())
+            .collect();
+        Report {
+            images: survey.images.len(),
+            tie_points: survey.points.len(),
+            iterations: adjusted.summary.iterations,
+            initial_cost: adjusted.summary.initial_cost,
+            final_cost: adjusted.summary.final_cost,
+            stop: adjusted.summary.stop,
+            observations: statistics.observations,
+            parameters: statistics.parameters,
+            redundancy: statistics.redundancy,
+            sigma0,
+            sigma0_interval: statistics.variance_interval(CONFIDENCE).map(|i| i.map(f64::sqrt)),
+            groups: statistics
+                .groups
+                .iter()
+                .map(|group| Group {
+                    statistics: *group,
+                    variance_factor: group.variance_factor(),
+                    sigma_factor: outcome.settings.sigma_factors[group.group as usize],
+                })
+                .collect(),
+            nearly_the_same: interiors.iter().flat_map(nearly_the_same).collect(),
+            interiors,
+            ground,
+            check_rmse,
+            alignment: outcome.alignment.clone(),
+            removed: outcome.removed.clone(),
+            suspects: findings
+                .iter()
+                .take(200)
+                .map(|finding| Suspect {
+                    name: adjusted.name(finding.subject),
+                    excess: finding.excess,
+                })
+                .collect(),
+            left_out: outcome.left_out.clone(),
+            set_aside: outcome.unmatched.iter().chain(&adjusted.screened.aside).cloned().collect(),
+            mean_velocity_m_s: (!speeds.is_empty())
+                .then(|| speeds.iter().sum::<f64>() / speeds.len() as f64),
+        }
+    }
+}
+
+/// Control and check points with what the adjustment makes of them.
+fn ground(outcome: &Outcome) -> Vec<Ground> {
+    let adjusted = &outcome.adjusted;
+    let (survey, sigma0) = (&adjusted.survey, adjusted.statistics.sigma0);
+    let mut rows = Vec::new();
+    for (k, point) in survey.ground.iter().enumerate() {
+        let check = adjusted.check_points.iter().find(|check| check.ground == k);
+        let taking_part = adjusted.ground_m[k].zip(adjusted.statistics.ground[k]);
+        let (at, covariance) = match (check, taking_part) {
+            (Some(check), _) => (check.position_m, check.covariance_m2),
+            (None, Some((at, accuracy))) => (at, accuracy.covariance_m2),
+            (None, None) => continue,
+        };
+        rows.push(Ground {
+            name: point.name.clone(),
+            role: point.role,
+            axes: point.axes,
+            given_m: point.position_m,
+            adjusted_m: at,
+            difference_m: std::array::from_fn(|axis| at[axis] - point.position_m[axis]),
+            sigma_m: std::array::from_fn(|axis| sigma0 * covariance[axis][axis].max(0.0).sqrt()),
+        });
+    }
+    rows
+}
+
+fn nearly_the_same(interior: &InteriorAccuracy) -> Vec<String> {
+    let mut found = Vec::new();
+    for (i, row) in interior.correlation.iter().enumerate() {
+        for (j, correlation) in row.iter().enumerate().take(i) {
+            if correlation.abs() > NEARLY_THE_SAME {
+                found.push(format!(
+                    "{} and {} are nearly the same parameter here (correlation {correlation:.4})",
+                    interior.names[j], interior.names[i]
+                ));
+            }
+        }
+    }
+    found
+}
+
+/// What a person reads.
+pub(super) fn summary(outcome: &Outcome) -> String {
+    let report = Report::new(outcome);
+    let mut text = String::new();
+    // Writing to a string cannot fail.
+    let _ = fill(&mut text, &report);
+    text
+}
+
+fn fill(out: &mut String, report: &Report) -> std::fmt::Result {
+    writeln!(out, "{} images, {} tie points", report.images, report.tie_points)?;
+    writeln!(
+        out,
+        "cost {:.6e} -> {:.6e} in {} iterations; stopped because {}",
+        report.initial_cost,
+        report.final_cost,
+        report.iterations,
+        report.stop.explain()
+    )?;
+    write!(
+        out,
+        "{} observations, {} parameters, redundancy {}; sigma0 {:.4}",
+        report.observations, report.parameters, report.redundancy, report.sigma0
+    )?;
+    if let Some([low, high]) = report.sigma0_interval {
+        let fits = if (low..=high).contains(&report.sigma0) { "fit" } else { "do not fit" };
+        write!(out, " (the standard deviations given {fits}: {low:.4} to {high:.4} expected)")?;
+    }
+    writeln!(out)?;
+    for group in &report.groups {
+        let factor = group.variance_factor.map_or("-".into(), |v| format!("{:.3}", v.sqrt()));
+        writeln!(
+            out,
+            "  {:22} {:>8} numbers  redundancy {:>10.1}  own sigma0 {factor}",
+            group.statistics.group.name(),
+            group.statistics.observations,
+            group.statistics.redundancy
+        )?;
+    }
+    for interior in &report.interiors {
+        writeln!(out, "camera {}", interior.camera + 1)?;
+        for k in 0..interior.names.len() {
+            let (value, sigma) = (interior.values[k], interior.standard_deviations[k]);
+            writeln!(
+                out,
+                "  {:8} {value:>16.9e} +- {sigma:.2e}  ({:.1} sigma from 0)",
+                interior.names[k],
+                (value / sigma).abs()
+            )?;
+        }
+    }
+    report.nearly_the_same.iter().try_for_each(|line| writeln!(out, "  {line}"))?;
+    for (axis, error) in ["X", "Y", "Z"].iter().zip(&report.check_rmse) {
+        if let Some(error) = error {
+            writeln!(
+                out,
+                "check points {axis}: rmse {:.4} m (95 %: {:.4} to {:.4}), mean {:+.4} m, {} points",
+                error.rmse_m, error.interval_m[0], error.interval_m[1], error.mean_m, error.count
+            )?;
+        }
+    }
+    for removed in report
+        .removed
+        .iter()
+        .filter(|removed| removed.group != crate::problems::adjustment::Group::TiePoints)
+    {
+        writeln!(
+            out,
+            "taken out: {} ({:.1} times the critical value, residual {:.3} {:.3} {:.3})",
+            removed.name,
+            removed.excess,
+            removed.residual[0],
+            removed.residual[1],
+            removed.residual[2]
+        )?;
+    }
+    let ties = report
+        .removed
+        .iter()
+        .filter(|removed| removed.group == crate::problems::adjustment::Group::TiePoints)
+        .count();
+    if ties > 0 {
+        writeln!(out, "taken out: {ties} measurements of tie points")?;
+    }
+    for left_out in &report.left_out {
+        match left_out.error_m {
+            Some([x, y, z]) => {
+                writeln!(out, "without {}: {x:+.4} {y:+.4} {z:+.4} m", left_out.name)?;
+            }
+            None => writeln!(out, "without {}: not determined", left_out.name)?,
+        }
+    }
+    if let Some(speed) = report.mean_velocity_m_s {
+        writeln!(out, "mean speed within the frames {speed:.2} m/s")?;
+    }
+    if !report.set_aside.is_empty() {
+        writeln!(out, "set aside: {} (the report names them)", report.set_aside.len())?;
+    }
+    Ok(())
+}
+
+/// Writes the folder.
+///
+/// # Errors
+/// Where it cannot be made or one of its files cannot be written.
+pub(super) fn write(folder: &Path, outcome: &Outcome, force: bool) -> Result<(), Error> {
+    std::fs::create_dir_all(folder).map_err(|e| FileError::write(folder, e))?;
+    let report = Report::new(outcome);
+    let path = in_folder(folder, "report.json");
+    output::write(&path, force, |out| {
+        serde_json::to_writer_pretty(&mut *out, &report)?;
+        writeln!(out)
+    })?;
+    write_text(&in_folder(folder, "summary.txt"), &summary(outcome), force)?;
+    tables::write(folder, outcome, force)?;
+    figures::write(folder, outcome, force)?;
+    let sigma0 = outcome.adjusted.statistics.sigma0;
+    for interior in &outcome.adjusted.statistics.interiors {
+        let mut described = outcome.adjusted.survey.cameras[interior.camera].clone();
+        for (name, sigma) in interior.names.iter().zip(&interior.standard_deviations) {
+            if let Some(place) = described.interior.model().place(name) {
+                described.standard_deviations[place] = Some(sigma * sigma0);
+            }
+        }
+        described.correlation = Some(crate::camera::Correlation {
+            names: interior.names.iter().map(|name| (*name).to_owned()).collect(),
+            matrix: symmetric(&interior.correlation),
+        });
+        let name = format!("camera-{}.toml", interior.camera + 1);
+        camera::write(&in_folder(folder, &name), &described, force)?;
+    }
+    Ok(())
+}
+
+/// What rounding has left asymmetric.
+fn symmetric(matrix: &[Vec<f64>]) -> Vec<Vec<f64>> {
+    let mut out = matrix.to_vec();
+    for i in 0..out.len() {
+        for j in 0..i {
+            out[j][i] = out[i][j];
+        }
+    }
+    out
+}

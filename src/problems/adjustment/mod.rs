@@ -1,0 +1,49 @@
+//! Bundle adjustment as photogrammetrists need it: many cameras with lenses that are held, free or
+//! known beforehand; control, check and tie points on the ground; camera positions, distances, a
+//! rolling shutter; and the statistics that a surveyor signs.
+//!
+//! ```text
+//! min 1/2 [ sum |u(P_ij; interior) - u_ij|^2 / s_tie^2       tie points, P_ij = R_i X_j + t_i
+//!         + sum |u(P_ik; interior) - u_ik|^2 / s_ik^2        marks of ground points
+//!         + sum |X_k - X_k0|^2 / s_k^2                       coordinates of control points
+//!         + sum |C_i + R_i^T l - C_i0|^2 / s_i^2             camera positions, lever arm l
+//!         + sum (|X_a - X_b| - d_ab)^2 / s_ab^2              scale bars
+//!         + (p - p_0)^T C_p^-1 (p - p_0) + ... ]             interior orientation, motion
+//! ```
+//!
+//! Residuals are in measured pixels. Check points take no part. A [`Survey`] is looked through
+//! ([`screen`]), posed ([`Posed`]), solved by [`crate::nlls`], and judged ([`Statistics`]);
+//! [`adjust()`] does all of it, [`snoop`] again and again until no observation is suspect.
+//!
+//! References: W. Foerstner and B. P. Wrobel, *Photogrammetric Computer Vision*, 2016, chapters 4 and
+//! 15; W. Baarda, *A testing procedure for use in geodetic networks*, 1968; A. J. Pope, *The statistics
+//! of residuals and the detection of outliers*, 1976.
+
+mod align;
+mod analysis;
+mod check_points;
+mod factors;
+mod inverse;
+mod posed;
+mod rank;
+mod reprojection;
+mod screening;
+mod statistics;
+mod survey;
+
+pub use align::{Alignment, align};
+pub use analysis::{
+    AdjustError, Adjusted, LeftOut, Removed, Snooped, Snooping, VarianceComponents, adjust,
+    leave_one_out, snoop, variance_components,
+};
+pub use check_points::{AxisError, CheckPoint, check_points, rmse};
+pub use posed::{Group, Posed, Settings};
+pub use screening::{Aside, Screened, SurveyError, screen};
+pub use statistics::{
+    Finding, GroupStatistics, ImageAccuracy, InteriorAccuracy, PointAccuracy, Statistics, Subject,
+    Tested, Testing,
+};
+pub use survey::{
+    Axes, GroundPoint, Image, Mark, Observation, Pose, Position, Role, RollingShutter, ScaleBar,
+    Survey, TiePoint,
+};

@@ -1,0 +1,432 @@
+//! A survey as a least-squares problem.
+
+use super::{
+    factors::{Antenna, Coordinates, Distance, Known, MarkFactor},
+    reprojection::{DATA, LENS, Moving, Still, lens_block, lens_values},
+    survey::{Axes, Role, Survey},
+};
+use crate::{
+    camera::Model,
+    engine::SolveError,
+    nlls::{BlockId, Factor, Factors, LeastSquares, Loss, Options, Pair, Pairs, Problem, Space},
+};
+use serde::{Deserialize, Serialize};
+
+/// The kinds of observations; each has its own variance component.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Group {
+    /// Measurements of tie points.
+    TiePoints,
+    /// Marks of ground points.
+    Marks,
+    /// Coordinates of control points.
+    Control,
+    /// Measured camera positions.
+    Positions,
+    /// Measured distances.
+    ScaleBars,
+    /// What is known of interior orientations beforehand.
+    Interior,
+    /// What is known of motions beforehand.
+    Motion,
+}
+
+impl Group {
+    /// All groups.
+    pub const ALL: [Group; 7] = [
+        Group::TiePoints,
+        Group::Marks,
+        Group::Control,
+        Group::Positions,
+        Group::ScaleBars,
+        Group::Interior,
+        Group::Motion,
+    ];
+
+    /// What a person calls it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Group::TiePoints => "tie points",
+            Group::Marks => "marks",
+            Group::Control => "control coordinates",
+            Group::Positions => "camera positions",
+            Group::ScaleBars => "scale bars",
+            Group::Interior => "interior orientation",
+            Group::Motion => "motion",
+        }
+    }
+}
+
+/// How a survey is adjusted.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
+pub struct Settings {
+    /// Robust loss of tie points, in standard deviations; statistics need least squares.
+    pub tie_loss: Loss,
+    /// Take SMAC's residuals in the domain of the corrected coordinates, for comparison.
+    pub corrected_domain: bool,
+    /// Without control: hold the first image, and one coordinate of the farthest one.
+    pub minimal_datum: bool,
+    /// Factors on the standard deviations of each group, in the order of [`Group::ALL`].
+    pub sigma_factors: [f64; 7],
+    /// The most iterations.
+    pub max_iterations: u64,
+}
+
+impl Default for Settings {
+    fn default() -> Settings {
+        Settings {
+            tie_loss: Loss::Trivial,
+            corrected_domain: false,
+            minimal_datum: false,
+            sigma_factors: [1.0; 7],
+            max_iterations: 100,
+        }
+    }
+}
+
+impl Settings {
+    pub(super) fn factor(&self, group: Group) -> f64 {
+        self.sigma_factors[group as usize]
+    }
+
+    /// The engine's settings.
+    pub fn engine(&self) -> Options {
+        Options { cost_tolerance: 1e-12, ..Options::default() }
+    }
+}
+
+/// A survey as a problem, and which block is what.
+#[derive(Debug)]
+pub struct Posed {
+    /// The problem; its blocks start at the survey's values.
+    pub problem: Problem,
+    pub(super) origin_m: [f64; 3],
+    pub(super) lenses: Vec<BlockId>,
+    pub(super) images: Vec<BlockId>,
+    /// None for ground points that take no part.
+    pub(super) ground: Vec<Option<BlockId>>,
+    pub(super) points: Vec<BlockId>,
+    /// Batches besides the tie points: group, name, the index of what each factor is about.
+    pub(super) batches: Vec<(Group, String, Vec<usize>)>,
+    pub(super) moving: bool,
+}
+
+/// The data of an image measurement.
+pub(super) fn measurement(
+    survey: &Survey,
+    image: usize,
+    image_px: [f64; 2],
+    sigma_px: f64,
+) -> [f64; DATA] {
+    let centre = survey.cameras[survey.images[image].camera].interior.centre_px();
+    [
+        image_px[0] - centre[0],
+        image_px[1] - centre[1],
+        1.0 / sigma_px,
+        survey.readout_share(image, image_px[1]),
+    ]
+}
+
+impl Posed {
+    /// Poses the adjustment of a survey that has been looked through
+    /// ([`super::screening::screen`]).
+    ///
+    /// # Errors
+    /// [`SolveError::Misuse`] where the survey cannot be posed.
+    pub fn new(survey: &Survey, settings: &Settings) -> Result<Posed, SolveError> {
+        let origin_m = survey.origin_m();
+        let mut local = survey.clone();
+        local.shift(origin_m);
+        let mut posed = Posed {
+            problem: Problem::new(),
+            origin_m,
+            lenses: Vec::new(),
+            images: Vec::new(),
+            ground: Vec::new(),
+            points: Vec::new(),
+            batches: Vec::new(),
+            moving: survey.rolling_shutter.is_some(),
+        };
+        posed.add_images(&local, settings)?;
+        posed.add_lenses(&local, settings)?;
+        posed.add_ground(&local, settings)?;
+        posed.add_tie_points(&local, settings)?;
+        posed.add_motion(&local, settings)?;
+        if settings.minimal_datum {
+            posed.hold_datum(&local)?;
+        }
+        Ok(posed)
+    }
+
+    fn add_images(&mut self, survey: &Survey, settings: &Settings) -> Result<(), SolveError> {
+        let space = if self.moving { Space::PoseAnd(6) } else { Space::Pose };
+        for image in &survey.images {
+            let mut values = image.pose.rotation.to_vec();
+            values.extend(image.pose.translation);
+            if self.moving {
+                values.extend(image.motion);
+            }
+            self.images.push(self.problem.block("image", space, &values)?);
+        }
+        let factor = settings.factor(Group::Positions);
+        let antennas = survey.positions.iter().map(|position| Antenna {
+            block: [self.images[position.image as usize]],
+            lever_arm_m: survey.lever_arm_m,
+            position_m: position.position_m,
+            sigma_m: position.sigma_m.map(|sigma| sigma * factor),
+        });
+        let antennas = antennas.collect();
+        let about = (0..survey.positions.len()).collect();
+        self.add(Group::Positions, "camera positions", antennas, about)
+    }
+
+    fn add_lenses(&mut self, survey: &Survey, settings: &Settings) -> Result<(), SolveError> {
+        for (index, camera) in survey.cameras.iter().enumerate() {
+            let corrected = settings.corrected_domain && camera.interior.model() == Model::Smac;
+            let values = lens_block(&camera.interior, corrected);
+            let block = self.problem.block("camera", Space::Euclidean(LENS), &values)?;
+            self.lenses.push(block);
+            let held: Vec<usize> =
+                (0..LENS).filter(|&k| !camera.free.get(k).copied().unwrap_or(false)).collect();
+            self.problem.fix_entries(block, &held)?;
+            let Some((places, covariance)) = camera.covariance() else { continue };
+            // Only what is free needs a prior; what is held is known exactly.
+            let free: Vec<usize> = (0..places.len()).filter(|&k| camera.free[places[k]]).collect();
+            if free.is_empty() {
+                continue;
+            }
+            let n = free.len();
+            let factor = settings.factor(Group::Interior);
+            let part = nalgebra::DMatrix::from_fn(n, n, |i, j| {
+                covariance[(free[i], free[j])] * factor * factor
+            });
+            let whitening = whitening(part).ok_or_else(|| {
+                SolveError::Misuse(format!(
+                    "camera {:?}: the covariance of its parameters is not positive definite",
+                    camera.name
+                ))
+            })?;
+            let known = Known {
+                block: [block],
+                places: free.iter().map(|&k| (places[k], places[k])).collect(),
+                expected: free.iter().map(|&k| values[places[k]]).collect(),
+                whitening,
+            };
+            let name = format!("interior orientation {index}");
+            self.add(Group::Interior, &name, vec![known], vec![index])?;
+        }
+        Ok(())
+    }
+
+    fn add_ground(&mut self, survey: &Survey, settings: &Settings) -> Result<(), SolveError> {
+        for point in &survey.ground {
+            self.ground.push(match point.role {
+                Role::Check => None,
+                Role::Control | Role::Tie => Some(self.problem.block(
+                    "ground point",
+                    Space::Euclidean(3),
+                    &point.position_m,
+                )?),
+            });
+        }
+        let mut marks = Vec::new();
+        let mut about = Vec::new();
+        let factor = settings.factor(Group::Marks);
+        for (k, mark) in survey.marks.iter().enumerate() {
+            if let Some(ground) = self.ground[mark.ground as usize] {
+                let image = mark.image as usize;
+                marks.push(MarkFactor {
+                    blocks: [self.images[image], self.lenses[survey.images[image].camera], ground],
+                    data: measurement(survey, image, mark.image_px, mark.sigma_px * factor),
+                });
+                about.push(k);
+            }
+        }
+        self.add(Group::Marks, "marks", marks, about)?;
+        let factor = settings.factor(Group::Control);
+        for (axes, name) in [
+            (Axes::Xyz, "control coordinates"),
+            (Axes::Xy, "control coordinates in plan"),
+            (Axes::Z, "control heights"),
+        ] {
+            let mut about = Vec::new();
+            let mut factors = Vec::new();
+            for (k, point) in survey.ground.iter().enumerate() {
+                if let (Some(block), Role::Control) = (self.ground[k], point.role)
+                    && point.axes == axes
+                {
+                    about.push(k);
+                    factors.push(Coordinates {
+                        block: [block],
+                        axes: axes.indices(),
+                        position_m: point.position_m,
+                        sigma_m: point.sigma_m.map(|sigma| sigma * factor),
+                    });
+                }
+            }
+            self.add(Group::Control, name, factors, about)?;
+        }
+        let factor = settings.factor(Group::ScaleBars);
+        let mut bars = Vec::new();
+        let mut about = Vec::new();
+        for (k, bar) in survey.scale_bars.iter().enumerate() {
+            if let [Some(a), Some(b)] = bar.ends.map(|end| self.ground[end as usize]) {
+                bars.push(Distance {
+                    blocks: [a, b],
+                    length_m: bar.length_m,
+                    sigma_m: bar.sigma_m * factor,
+                });
+                about.push(k);
+            }
+        }
+        self.add(Group::ScaleBars, "scale bars", bars, about)
+    }
+
+    fn add_tie_points(&mut self, survey: &Survey, settings: &Settings) -> Result<(), SolveError> {
+        for point in &survey.points {
+            let block = self.problem.block("tie point", Space::Euclidean(3), &point.position_m)?;
+            self.problem.eliminate(block);
+            self.points.push(block);
+        }
+        if survey.observations.is_empty() {
+            return Ok(());
+        }
+        let sigma_px = survey.tie_sigma_px * settings.factor(Group::TiePoints);
+        let pairs: Vec<Pair<DATA>> = survey
+            .observations
+            .iter()
+            .map(|o| {
+                let image = o.image as usize;
+                Pair::with_shared(
+                    self.images[image],
+                    self.lenses[survey.images[image].camera],
+                    self.points[o.point as usize],
+                    measurement(survey, image, o.image_px, sigma_px),
+                )
+            })
+            .collect();
+        let name = Group::TiePoints.name();
+        if self.moving {
+            let batch = Pairs::<Moving, 2, 12, LENS, 3, { 19 + LENS }, DATA>::new(pairs);
+            self.problem.add(name, settings.tie_loss, batch)
+        } else {
+            let batch = Pairs::<Still, 2, 6, LENS, 3, { 13 + LENS }, DATA>::new(pairs);
+            self.problem.add(name, settings.tie_loss, batch)
+        }
+    }
+
+    fn add_motion(&mut self, survey: &Survey, settings: &Settings) -> Result<(), SolveError> {
+        let Some(shutter) = survey.rolling_shutter else { return Ok(()) };
+        let mut known = Vec::new();
+        for (image, &block) in survey.images.iter().zip(&self.images) {
+            let turning = shutter.sigma_rate_rad_s > 0.0;
+            if !turning {
+                self.problem.fix_entries(block, &[6, 7, 8])?;
+            }
+            let entries: Vec<usize> = (if turning { 0 } else { 3 }..6).collect();
+            let factor = settings.factor(Group::Motion);
+            let n = entries.len();
+            let mut whitening = vec![0.0; n * n];
+            for (row, &entry) in entries.iter().enumerate() {
+                let sigma =
+                    if entry < 3 { shutter.sigma_rate_rad_s } else { shutter.sigma_velocity_m_s };
+                whitening[row * n + row] = 1.0 / (sigma * shutter.readout_s * factor);
+            }
+            known.push(Known {
+                block: [block],
+                places: entries.iter().map(|&k| (7 + k, 6 + k)).collect(),
+                expected: entries.iter().map(|&k| image.motion[k]).collect(),
+                whitening,
+            });
+        }
+        let about = (0..known.len()).collect();
+        self.add(Group::Motion, "motion", known, about)
+    }
+
+    /// Holds the first image and, of the one farthest from it, the coordinate of its centre that
+    /// points most away: position, orientation and scale of the block.
+    fn hold_datum(&mut self, survey: &Survey) -> Result<(), SolveError> {
+        let Some(first) = survey.images.first() else { return Ok(()) };
+        let from = first.pose.centre_m();
+        let distance = |k: usize| -> f64 {
+            let centre = survey.images[k].pose.centre_m();
+            (0..3).map(|axis| (centre[axis] - from[axis]).powi(2)).sum()
+        };
+        let Some(farthest) =
+            (1..survey.images.len()).max_by(|&a, &b| distance(a).total_cmp(&distance(b)))
+        else {
+            return Ok(());
+        };
+        // Where the first centre is, seen from the farthest camera.
+        let seen = survey.images[farthest].pose.to_camera(from);
+        let axis = (0..3).max_by(|&a, &b| seen[a].abs().total_cmp(&seen[b].abs())).unwrap_or(0);
+        self.problem.fix_entries(self.images[0], &[0, 1, 2, 3, 4, 5])?;
+        self.problem.fix_entries(self.images[farthest], &[3 + axis])
+    }
+
+    fn add<F: Factor + 'static>(
+        &mut self,
+        group: Group,
+        name: &str,
+        factors: Vec<F>,
+        about: Vec<usize>,
+    ) -> Result<(), SolveError> {
+        if factors.is_empty() {
+            return Ok(());
+        }
+        self.batches.push((group, name.to_owned(), about));
+        self.problem.add(name, Loss::Trivial, Factors(factors))
+    }
+
+    /// The engine for it.
+    pub fn engine(settings: &Settings) -> LeastSquares {
+        LeastSquares::new(settings.engine())
+    }
+
+    /// Takes the values `x` into `survey`, the one this came from. What was measured stays.
+    pub fn update(&self, x: &[f64], survey: &mut Survey) {
+        for (camera, &block) in survey.cameras.iter_mut().zip(&self.lenses) {
+            let values = lens_values(&camera.interior, self.problem.values(x, block));
+            if let Ok(interior) = camera.interior.with_values(&values) {
+                camera.interior = interior;
+            }
+        }
+        let ground = |survey: &Survey| -> Vec<[f64; 3]> {
+            survey.ground.iter().map(|point| point.position_m).collect()
+        };
+        let (kept, positions) = (ground(survey), survey.positions.clone());
+        survey.shift(self.origin_m);
+        for (image, &block) in survey.images.iter_mut().zip(&self.images) {
+            let v = self.problem.values(x, block);
+            image.pose.rotation = [v[0], v[1], v[2], v[3]];
+            image.pose.translation = [v[4], v[5], v[6]];
+            if self.moving {
+                image.motion.copy_from_slice(&v[7..]);
+            }
+        }
+        for (point, &block) in survey.points.iter_mut().zip(&self.points) {
+            point.position_m.copy_from_slice(self.problem.values(x, block));
+        }
+        survey.shift(self.origin_m.map(|v| -v));
+        for (point, position_m) in survey.ground.iter_mut().zip(kept) {
+            point.position_m = position_m;
+        }
+        survey.positions = positions;
+    }
+
+    /// Where the adjustment puts a ground point that took part, metres.
+    pub fn ground_m(&self, x: &[f64], ground: usize) -> Option<[f64; 3]> {
+        let values = self.problem.values(x, self.ground[ground]?);
+        Some(std::array::from_fn(|k| values[k] + self.origin_m[k]))
+    }
+}
+
+/// `W` with `W^T W = C^-1`: the inverse of the Cholesky factor of `C`, row-major.
+fn whitening(covariance: nalgebra::DMatrix<f64>) -> Option<Vec<f64>> {
+    let n = covariance.nrows();
+    let factor = covariance.cholesky()?.unpack();
+    let inverse = factor.solve_lower_triangular(&nalgebra::DMatrix::identity(n, n))?;
+    Some((0..n * n).map(|k| inverse[(k / n, k % n)]).collect())
+}

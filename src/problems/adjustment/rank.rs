@@ -1,0 +1,126 @@
+//! A rank deficiency in words: which parameters the observations cannot tell apart.
+
+use super::{posed::Posed, survey::Survey};
+use crate::{
+    camera::Lens,
+    engine::SolveError,
+    nlls::{
+        Linear,
+        covariance::{Direction, undetermined},
+    },
+};
+use std::collections::BTreeSet;
+
+/// An entry of a lens takes part where its share of the direction's lens part is above this.
+const TAKES_PART: f64 = 1e-3;
+/// A direction is one of lenses alone where they have this share of it.
+const LENS_ALONE: f64 = 0.05;
+
+/// Says why the normal equations of `posed` at `x` have no inverse; `otherwise` where nothing more
+/// is found.
+pub(super) fn explain(
+    survey: &Survey,
+    posed: &Posed,
+    x: &[f64],
+    otherwise: SolveError,
+) -> SolveError {
+    let Ok(directions) = undetermined(&posed.problem, x, Linear::Schur) else {
+        return otherwise;
+    };
+    if directions.is_empty() {
+        return otherwise;
+    }
+    let datum = directions.iter().filter(|direction| is_datum(posed, direction)).count();
+    let mut reasons: Vec<String> = Vec::new();
+    if datum > 0 {
+        reasons.push(format!(
+            "position, orientation or scale of the whole block is free in {datum} direction(s): the control does not fix it; give at least three control points or camera positions that are not in one line, or ask for a minimal datum"
+        ));
+    }
+    let mut of_lenses = BTreeSet::new();
+    let mut images = BTreeSet::new();
+    for direction in directions.iter().filter(|direction| !is_datum(posed, direction)) {
+        let names = lens_names(survey, posed, direction);
+        if names.is_empty() {
+            for (block, entries) in direction {
+                let share: f64 = entries.iter().map(|v| v * v).sum();
+                if let Some(k) = posed.images.iter().position(|image| image == block)
+                    && share > 0.05
+                {
+                    images.insert(survey.images[k].name.clone());
+                }
+            }
+        } else {
+            of_lenses.insert(names);
+        }
+    }
+    for names in of_lenses {
+        reasons.push(match names.as_slice() {
+            [one] => format!("{one} has no influence on any observation here; hold it"),
+            [first, second] => format!(
+                "{first} and {second} are the same parameter here; hold one of them, or give one a standard deviation"
+            ),
+            many => format!(
+                "{} cannot be told apart here; hold one of them, or give one a standard deviation",
+                many.join(", ")
+            ),
+        });
+    }
+    if !images.is_empty() {
+        let names: Vec<String> = images.iter().take(5).cloned().collect();
+        reasons.push(format!(
+            "{} image(s) are not tied to the block: {}",
+            images.len(),
+            names.join(", ")
+        ));
+    }
+    if reasons.is_empty() { otherwise } else { SolveError::RankDeficient(reasons.join("; ")) }
+}
+
+/// The parameters of lenses that carry a direction; none where it is not one of lenses.
+fn lens_names(survey: &Survey, posed: &Posed, direction: &Direction) -> Vec<String> {
+    let mut found: Vec<(f64, String)> = Vec::new();
+    let mut total = 0.0;
+    for (block, entries) in direction {
+        let Some(k) = posed.lenses.iter().position(|lens| lens == block) else { continue };
+        let camera = &survey.cameras[k];
+        for (parameter, entry) in camera.interior.parameters().iter().zip(entries) {
+            total += entry * entry;
+            let name = match parameter.name {
+                "c_px" | "f_px" => "the principal distance".to_owned(),
+                name => name.trim_end_matches("_px").to_owned(),
+            };
+            let name = if survey.cameras.len() > 1 {
+                format!("{name} of camera {:?}", camera.name)
+            } else {
+                name
+            };
+            found.push((entry * entry, name));
+        }
+    }
+    if total < LENS_ALONE {
+        return Vec::new();
+    }
+    found.retain(|(share, _)| *share > TAKES_PART * total);
+    found.sort_by(|a, b| b.0.total_cmp(&a.0).then_with(|| a.1.cmp(&b.1)));
+    // K0 and c in the order in which a person would say it.
+    let mut names: Vec<String> = found.into_iter().map(|(_, name)| name).collect();
+    names.sort_by_key(|name| name.starts_with("the "));
+    names
+}
+
+/// Whether a direction moves images and ground points and leaves lenses alone, all images taking
+/// part.
+fn is_datum(posed: &Posed, direction: &Direction) -> bool {
+    let mut moving = 0;
+    let mut lens = 0.0;
+    for (block, entries) in direction {
+        let share: f64 = entries.iter().map(|v| v * v).sum();
+        if posed.lenses.contains(block) {
+            lens += share;
+        } else if posed.images.contains(block) && share > 1e-9 {
+            moving += 1;
+        }
+    }
+    lens < 1e-3 && 2 * moving > posed.images.len()
+}

@@ -1,0 +1,337 @@
+//! The image of a point through any built-in lens, with or without a rolling shutter.
+//!
+//! ```text
+//! P = Exp(tau w) (R X + t) + tau s       tau: share of the readout, -1/2 .. 1/2; w = s = 0 without motion
+//! r = (u(P; interior) - u_measured) / sigma
+//! ```
+//!
+//! Blocks: `Pose` (or `PoseAnd(6)` with `w`, `s`), lens, point. A lens block holds the parameters of
+//! any model with the image centre as origin, then a number for the model; what the model does not
+//! have is frozen.
+
+use crate::{
+    camera::{Interior, Lens, MAX_PARAMETERS, Model},
+    geometry::{cross, rotation},
+    lanes::Lane,
+    nlls::{Linearized, PairFactor},
+};
+
+/// Length of a lens block.
+pub(super) const LENS: usize = MAX_PARAMETERS + 1;
+/// Numbers prepared per image: rotation by rows, translation, range of the model, lens block.
+const STILL: usize = 13 + LENS;
+/// The same and the motion.
+const MOVING: usize = STILL + 6;
+/// Numbers per observation: position from the image centre, 1/sigma, share of the readout.
+pub(super) const DATA: usize = 4;
+
+/// An image at rest.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Still;
+
+/// An image in motion.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Moving;
+
+/// The number of SMAC with its residual in the corrected domain.
+const CORRECTED: f64 = 4.0;
+
+fn number(model: Model) -> f64 {
+    match model {
+        Model::Smac => 0.0,
+        Model::Brown => 1.0,
+        Model::Fisheye => 2.0,
+        Model::Bal => 3.0,
+    }
+}
+
+fn model(number: f64) -> Model {
+    match number as u8 {
+        1 => Model::Brown,
+        2 => Model::Fisheye,
+        3 => Model::Bal,
+        _ => Model::Smac,
+    }
+}
+
+/// Places of the principal point among the parameters, where it is absolute.
+fn absolute_centre(model: Model) -> Option<usize> {
+    matches!(model, Model::Brown | Model::Fisheye).then_some(2)
+}
+
+/// The lens block of an interior orientation.
+pub(super) fn lens_block(interior: &Interior, corrected: bool) -> [f64; LENS] {
+    let mut block = [0.0; LENS];
+    let values = interior.values();
+    block[..values.len()].copy_from_slice(values);
+    if let Some(place) = absolute_centre(interior.model()) {
+        block[place] -= interior.centre_px()[0];
+        block[place + 1] -= interior.centre_px()[1];
+    }
+    block[LENS - 1] = if corrected { CORRECTED } else { number(interior.model()) };
+    block
+}
+
+/// The parameters in a lens block, in the terms of `interior`.
+pub(super) fn lens_values(interior: &Interior, block: &[f64]) -> Vec<f64> {
+    let mut values = block[..interior.values().len()].to_vec();
+    if let Some(place) = absolute_centre(interior.model()) {
+        values[place] += interior.centre_px()[0];
+        values[place + 1] += interior.centre_px()[1];
+    }
+    values
+}
+
+fn prepare<const Q: usize>(kept: &[f64], lens: &[f64]) -> [f64; Q] {
+    let mut out = [0.0; Q];
+    let r = rotation::matrix([kept[0], kept[1], kept[2], kept[3]]);
+    for k in 0..3 {
+        out[3 * k..3 * k + 3].copy_from_slice(&r[k]);
+        out[9 + k] = kept[4 + k];
+    }
+    out[12] = Interior::unchecked(model(lens[LENS - 1]), [0, 0], [0.0; 2], lens).limit();
+    out[13..STILL].copy_from_slice(lens);
+    if kept.len() > 7 {
+        out[STILL..].copy_from_slice(&kept[7..]);
+    }
+    out
+}
+
+/// A row times a vector, plus a start.
+#[inline(always)]
+fn affine<L: Lane>(row: [L; 3], x: &[L; 3], start: L) -> L {
+    row[0].mul_add(x[0], row[1].mul_add(x[1], row[2].mul_add(x[2], start)))
+}
+
+#[inline(always)]
+fn to_camera<L: Lane>(c: &[L], x: &[L; 3]) -> [L; 3] {
+    [
+        affine([c[0], c[1], c[2]], x, c[9]),
+        affine([c[3], c[4], c[5]], x, c[10]),
+        affine([c[6], c[7], c[8]], x, c[11]),
+    ]
+}
+
+/// What the lens is asked: point, measured position, range, lens block.
+const ASKED: usize = 6 + LENS;
+/// What it answers: residual, by point, by parameters.
+const ANSWERED: usize = 2 + 6 + 2 * MAX_PARAMETERS;
+
+fn lens_of(asked: &[f64; ASKED]) -> Interior {
+    Interior::with_limit(model(asked[ASKED - 1]), [0.0; 2], &asked[6..], asked[5])
+}
+
+/// Residual in pixels; NaN where there is no image.
+fn residual(asked: &[f64; ASKED]) -> [f64; 2] {
+    let point = [asked[0], asked[1], asked[2]];
+    if asked[ASKED - 1] == CORRECTED {
+        let found = lens_of(asked).corrected_residual(point, [asked[3], asked[4]]);
+        return found.map_or([f64::NAN; 2], |found| found.image_px);
+    }
+    let found = lens_of(asked).project(point);
+    found.map_or([f64::NAN; 2], |u| [u[0] - asked[3], u[1] - asked[4]])
+}
+
+/// Residual and derivatives; NaN where there is no image.
+fn answer(asked: &[f64; ASKED]) -> [f64; ANSWERED] {
+    let point = [asked[0], asked[1], asked[2]];
+    let lens = lens_of(asked);
+    let measured = [asked[3], asked[4]];
+    let found = if asked[ASKED - 1] == CORRECTED {
+        lens.corrected_residual(point, measured)
+    } else {
+        lens.project_with_derivatives(point).map(|mut found| {
+            found.image_px[0] -= measured[0];
+            found.image_px[1] -= measured[1];
+            found
+        })
+    };
+    let Some(found) = found else { return [f64::NAN; ANSWERED] };
+    let mut out = [0.0; ANSWERED];
+    out[..2].copy_from_slice(&found.image_px);
+    for row in 0..2 {
+        out[2 + 3 * row..5 + 3 * row].copy_from_slice(&found.by_point[row]);
+        let at = 8 + MAX_PARAMETERS * row;
+        out[at..at + MAX_PARAMETERS].copy_from_slice(&found.by_parameters[row]);
+    }
+    out
+}
+
+#[inline(always)]
+fn asked<L: Lane>(c: &[L], p: &[L; 3], data: &[L; DATA]) -> [L; ASKED] {
+    std::array::from_fn(|k| match k {
+        0..3 => p[k],
+        3..5 => data[k - 3],
+        _ => c[k + 7],
+    })
+}
+
+/// A row of the Jacobian by the pose increment `(w, s)`: `dP = w x P + s`.
+#[inline(always)]
+fn by_increment<L: Lane>(p: &[L; 3], j: &[L; 3]) -> [L; 6] {
+    [
+        p[1] * j[2] - p[2] * j[1],
+        p[2] * j[0] - p[0] * j[2],
+        p[0] * j[1] - p[1] * j[0],
+        j[0],
+        j[1],
+        j[2],
+    ]
+}
+
+#[inline(always)]
+fn by_world<L: Lane>(c: &[L], j: &[L; 3]) -> [L; 3] {
+    let zero = j[0].like(0.0);
+    [
+        affine([c[0], c[3], c[6]], j, zero),
+        affine([c[1], c[4], c[7]], j, zero),
+        affine([c[2], c[5], c[8]], j, zero),
+    ]
+}
+
+/// Everything but the rows by the kept block: residual, by lens, by the point in the frame of the
+/// pose's middle, by the point in the world.
+#[inline(always)]
+fn by_lens<L: Lane>(found: &[L; ANSWERED], row: usize, weight: L) -> [L; LENS] {
+    let zero = weight.like(0.0);
+    std::array::from_fn(|k| {
+        if k < MAX_PARAMETERS { found[8 + MAX_PARAMETERS * row + k] * weight } else { zero }
+    })
+}
+
+impl PairFactor<2, 6, LENS, 3, STILL, DATA> for Still {
+    fn prepare(kept: &[f64], shared: &[f64]) -> [f64; STILL] {
+        prepare(kept, shared)
+    }
+
+    #[inline(always)]
+    fn residual<L: Lane>(c: &[L; STILL], x: &[L; 3], data: &[L; DATA]) -> [L; 2] {
+        let p = to_camera(c, x);
+        let r = L::each(&asked(c, &p, data), residual);
+        [r[0] * data[2], r[1] * data[2]]
+    }
+
+    #[inline(always)]
+    fn linearize<L: Lane>(
+        c: &[L; STILL],
+        x: &[L; 3],
+        data: &[L; DATA],
+    ) -> Linearized<L, 2, 6, LENS, 3> {
+        let p = to_camera(c, x);
+        let found = L::each(&asked(c, &p, data), answer);
+        let weight = data[2];
+        let j = [
+            [found[2] * weight, found[3] * weight, found[4] * weight],
+            [found[5] * weight, found[6] * weight, found[7] * weight],
+        ];
+        Linearized {
+            residual: [found[0] * weight, found[1] * weight],
+            by_kept: [by_increment(&p, &j[0]), by_increment(&p, &j[1])],
+            by_shared: [by_lens(&found, 0, weight), by_lens(&found, 1, weight)],
+            by_point: [by_world(c, &j[0]), by_world(c, &j[1])],
+        }
+    }
+}
+
+/// `[q, tau, w, s]` to `P`.
+fn moved(m: &[f64; 10]) -> [f64; 3] {
+    let tau = m[3];
+    let turn = rotation::exp([tau * m[4], tau * m[5], tau * m[6]]);
+    let p = rotation::rotate(turn, [m[0], m[1], m[2]]);
+    [p[0] + tau * m[7], p[1] + tau * m[8], p[2] + tau * m[9]]
+}
+
+/// `P`, the rotation `E = Exp(tau w)` by rows, and `dP/dw` by rows.
+fn moved_with_derivatives(m: &[f64; 10]) -> [f64; 21] {
+    let tau = m[3];
+    let w = [tau * m[4], tau * m[5], tau * m[6]];
+    let turn = rotation::matrix(rotation::exp(w));
+    let p: [f64; 3] =
+        std::array::from_fn(|k| turn[k][0] * m[0] + turn[k][1] * m[1] + turn[k][2] * m[2]);
+    let square = w.iter().map(|v| v * v).sum::<f64>();
+    // (1 - cos a)/a^2 and (a - sin a)/a^3, by their series where they would lose digits.
+    let (a, b) = if square < 1e-6 {
+        (0.5 - square / 24.0, 1.0 / 6.0 - square / 120.0)
+    } else {
+        let angle = square.sqrt();
+        ((1.0 - angle.cos()) / square, (angle - angle.sin()) / (square * angle))
+    };
+    let mut out = [0.0; 21];
+    for k in 0..3 {
+        out[k] = p[k] + tau * m[7 + k];
+        out[3 + 3 * k..6 + 3 * k].copy_from_slice(&turn[k]);
+    }
+    for column in 0..3 {
+        let mut unit = [0.0; 3];
+        unit[column] = tau;
+        // The left Jacobian of Exp times the change of tau w.
+        let once = cross(w, unit);
+        let twice = cross(w, once);
+        let change: [f64; 3] = std::array::from_fn(|k| unit[k] + a * once[k] + b * twice[k]);
+        let moved = cross(change, p);
+        for row in 0..3 {
+            out[12 + 3 * row + column] = moved[row];
+        }
+    }
+    out
+}
+
+#[inline(always)]
+fn motion_asked<L: Lane>(c: &[L; MOVING], q: &[L; 3], tau: L) -> [L; 10] {
+    std::array::from_fn(|k| match k {
+        0..3 => q[k],
+        3 => tau,
+        _ => c[STILL + k - 4],
+    })
+}
+
+impl PairFactor<2, 12, LENS, 3, MOVING, DATA> for Moving {
+    fn prepare(kept: &[f64], shared: &[f64]) -> [f64; MOVING] {
+        prepare(kept, shared)
+    }
+
+    #[inline(always)]
+    fn residual<L: Lane>(c: &[L; MOVING], x: &[L; 3], data: &[L; DATA]) -> [L; 2] {
+        let q = to_camera(c, x);
+        let p = L::each(&motion_asked(c, &q, data[3]), moved);
+        let r = L::each(&asked(c, &p, data), residual);
+        [r[0] * data[2], r[1] * data[2]]
+    }
+
+    #[inline(always)]
+    fn linearize<L: Lane>(
+        c: &[L; MOVING],
+        x: &[L; 3],
+        data: &[L; DATA],
+    ) -> Linearized<L, 2, 12, LENS, 3> {
+        let q = to_camera(c, x);
+        let m = L::each(&motion_asked(c, &q, data[3]), moved_with_derivatives);
+        let p = [m[0], m[1], m[2]];
+        let found = L::each(&asked(c, &p, data), answer);
+        let (weight, tau) = (data[2], data[3]);
+        let zero = weight.like(0.0);
+        let mut by_kept = [[zero; 12]; 2];
+        let mut by_point = [[zero; 3]; 2];
+        for row in 0..2 {
+            let j: [L; 3] = std::array::from_fn(|k| found[2 + 3 * row + k] * weight);
+            // j E: by the point before the motion.
+            let before: [L; 3] =
+                std::array::from_fn(|k| affine([m[3 + k], m[6 + k], m[9 + k]], &j, zero));
+            let pose = by_increment(&q, &before);
+            for k in 0..6 {
+                by_kept[row][k] = pose[k];
+            }
+            for k in 0..3 {
+                by_kept[row][6 + k] = affine([m[12 + k], m[15 + k], m[18 + k]], &j, zero);
+                by_kept[row][9 + k] = j[k] * tau;
+            }
+            by_point[row] = by_world(c, &before);
+        }
+        Linearized {
+            residual: [found[0] * weight, found[1] * weight],
+            by_kept,
+            by_shared: [by_lens(&found, 0, weight), by_lens(&found, 1, weight)],
+            by_point,
+        }
+    }
+}

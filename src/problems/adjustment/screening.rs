@@ -1,0 +1,465 @@
+//! Looks through a survey before it is adjusted: what cannot be is refused, what cannot take part is
+//! set aside by name, and nothing is lost.
+
+use super::survey::{Axes, Mark, Observation, Position, Role, ScaleBar, Survey};
+use crate::camera::Lens;
+use serde::Serialize;
+use std::collections::HashSet;
+
+/// What is wrong with a survey as a whole, by name.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("{0}")]
+pub struct SurveyError(pub String);
+
+/// Something that takes no part in the adjustment, and why.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Aside {
+    /// What it is: "image", "tie point", "observation", "mark", "ground point", "scale bar" or
+    /// "camera position".
+    pub kind: &'static str,
+    /// The image it is about, if any.
+    pub image: Option<String>,
+    /// The tie point's number or the ground point's name, if any.
+    pub point: Option<String>,
+    /// Why.
+    pub reason: String,
+}
+
+impl std::fmt::Display for Aside {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.kind)?;
+        if let Some(point) = &self.point {
+            write!(f, " {point}")?;
+        }
+        if let Some(image) = &self.image {
+            write!(f, " {}{image}", if self.kind == "image" { "" } else { "in " })?;
+        }
+        write!(f, ": {}", self.reason)
+    }
+}
+
+/// The part of a survey that can be adjusted, and where it comes from.
+#[derive(Debug, Clone)]
+pub struct Screened {
+    /// That part.
+    pub survey: Survey,
+    /// What takes no part.
+    pub aside: Vec<Aside>,
+    /// For each of its images its index in the whole.
+    pub images: Vec<usize>,
+    /// For each of its tie points its index in the whole.
+    pub points: Vec<usize>,
+    /// For each of its ground points its index in the whole.
+    pub ground: Vec<usize>,
+    /// For each of its tie observations its index in the whole.
+    pub observations: Vec<usize>,
+    /// For each of its marks its index in the whole.
+    pub marks: Vec<usize>,
+    /// For each of its camera positions its index in the whole.
+    pub positions: Vec<usize>,
+    /// For each of its scale bars its index in the whole.
+    pub scale_bars: Vec<usize>,
+}
+
+/// Equations that an image needs: three points.
+const LEAST_OBSERVATIONS: usize = 3;
+
+/// Looks through a survey.
+///
+/// # Errors
+/// Numbers that are not finite, indices that are not there, standard deviations that are not
+/// positive, names and marks that are there twice, nothing left to adjust.
+pub fn screen(whole: &Survey) -> Result<Screened, SurveyError> {
+    check(whole)?;
+    let mut aside = Vec::new();
+    let mut tie = vec![true; whole.observations.len()];
+    let mut mark = vec![true; whole.marks.len()];
+    keep_feasible(whole, &mut tie, &mut mark, &mut aside);
+    let mut image = vec![true; whole.images.len()];
+    let mut point = vec![true; whole.points.len()];
+    let mut ground = vec![true; whole.ground.len()];
+    // Taking one thing away may leave too little for another.
+    loop {
+        let before = aside.len();
+        drop_points(whole, &tie, &mut point, &mut aside);
+        tie.iter_mut().zip(&whole.observations).for_each(|(keep, o)| {
+            *keep &= point[o.point as usize] && image[o.image as usize];
+        });
+        drop_ground(whole, &mark, &mut ground, &mut aside);
+        mark.iter_mut().zip(&whole.marks).for_each(|(keep, m)| {
+            *keep &= ground[m.ground as usize] && image[m.image as usize];
+        });
+        drop_images(whole, (&tie, &mark), &mut image, &mut aside);
+        if aside.len() == before {
+            break;
+        }
+    }
+    if !image.contains(&true) {
+        let reasons: Vec<String> = aside.iter().take(3).map(ToString::to_string).collect();
+        return Err(SurveyError(format!(
+            "no image is left to adjust; the first reasons: {}",
+            reasons.join("; ")
+        )));
+    }
+    Ok(compact(whole, [&image, &point, &ground], (&tie, &mark), aside))
+}
+
+fn check(survey: &Survey) -> Result<(), SurveyError> {
+    let fail = |message: String| Err(SurveyError(message));
+    let finite = |values: &[f64]| values.iter().all(|v| v.is_finite());
+    if survey.images.is_empty() {
+        return fail("there are no images".into());
+    }
+    if !(survey.tie_sigma_px > 0.0 && survey.tie_sigma_px.is_finite()) {
+        return fail(format!(
+            "the standard deviation of tie points is {} px, expected a positive number",
+            survey.tie_sigma_px
+        ));
+    }
+    if !finite(&survey.lever_arm_m) {
+        return fail("the lever arm is not finite".into());
+    }
+    let mut names = HashSet::new();
+    for image in &survey.images {
+        if image.camera >= survey.cameras.len() {
+            return fail(format!("image {}: there is no camera {}", image.name, image.camera));
+        }
+        if !names.insert(&image.name) {
+            return fail(format!("two images are called {}", image.name));
+        }
+        let q = image.pose.rotation;
+        let norm: f64 = q.iter().map(|v| v * v).sum();
+        if !(finite(&q) && finite(&image.pose.translation) && finite(&image.motion)) {
+            return fail(format!("image {}: its pose is not finite", image.name));
+        }
+        if (norm - 1.0).abs() > 1e-6 {
+            return fail(format!(
+                "image {}: its rotation has length {}, a unit quaternion was expected",
+                image.name,
+                norm.sqrt()
+            ));
+        }
+    }
+    for point in &survey.points {
+        if !finite(&point.position_m) {
+            return fail(format!("tie point {}: its position is not finite", point.id));
+        }
+    }
+    for o in &survey.observations {
+        if o.image as usize >= survey.images.len() || o.point as usize >= survey.points.len() {
+            return fail(format!(
+                "an observation names image {}, point {}; there are {} and {}",
+                o.image,
+                o.point,
+                survey.images.len(),
+                survey.points.len()
+            ));
+        }
+        if !finite(&o.image_px) {
+            return fail(format!(
+                "tie point {} in image {}: its position is not finite",
+                survey.points[o.point as usize].id, survey.images[o.image as usize].name
+            ));
+        }
+    }
+    check_ground(survey)
+}
+
+fn check_ground(survey: &Survey) -> Result<(), SurveyError> {
+    let fail = |message: String| Err(SurveyError(message));
+    let positive = |values: &[f64]| values.iter().all(|v| v.is_finite() && *v > 0.0);
+    let mut names = HashSet::new();
+    for point in &survey.ground {
+        let name = &point.name;
+        if !names.insert(name) {
+            return fail(format!("two ground points are called {name}"));
+        }
+        if point.position_m.iter().any(|v| !v.is_finite()) {
+            return fail(format!("ground point {name}: its coordinates are not finite"));
+        }
+        if !positive(&point.sigma_m) {
+            return fail(format!(
+                "ground point {name}: its standard deviations are {:?} m, expected positive numbers",
+                point.sigma_m
+            ));
+        }
+    }
+    let mut seen = HashSet::new();
+    for mark in &survey.marks {
+        let (image, ground) = (mark.image as usize, mark.ground as usize);
+        if image >= survey.images.len() || ground >= survey.ground.len() {
+            return fail(format!(
+                "a mark names image {image}, ground point {ground}, which are not there"
+            ));
+        }
+        let (image, ground) = (&survey.images[image].name, &survey.ground[ground].name);
+        if mark.image_px.iter().any(|v| !v.is_finite()) {
+            return fail(format!("the mark of {ground} in image {image} is not finite"));
+        }
+        if !positive(&[mark.sigma_px]) {
+            return fail(format!(
+                "the mark of {ground} in image {image} has the standard deviation {} px, expected a positive number",
+                mark.sigma_px
+            ));
+        }
+        if !seen.insert((mark.image, mark.ground)) {
+            return fail(format!(
+                "ground point {ground} is marked twice in image {image}; keep one of the marks"
+            ));
+        }
+    }
+    let mut seen = HashSet::new();
+    for position in &survey.positions {
+        let Some(image) = survey.images.get(position.image as usize) else {
+            return fail(format!(
+                "a camera position names image {}, which is not there",
+                position.image
+            ));
+        };
+        if position.position_m.iter().any(|v| !v.is_finite()) || !positive(&position.sigma_m) {
+            return fail(format!(
+                "the camera position of image {} must be finite, its standard deviations positive",
+                image.name
+            ));
+        }
+        if !seen.insert(position.image) {
+            return fail(format!("image {} has two camera positions", image.name));
+        }
+    }
+    for bar in &survey.scale_bars {
+        let there = bar.ends.iter().all(|&end| (end as usize) < survey.ground.len());
+        if !there || bar.ends[0] == bar.ends[1] || !positive(&[bar.length_m, bar.sigma_m]) {
+            return fail(
+                "a scale bar needs two ground points, a positive length and standard deviation"
+                    .into(),
+            );
+        }
+    }
+    if let Some(shutter) = survey.rolling_shutter {
+        let rate = shutter.sigma_rate_rad_s;
+        if !positive(&[shutter.readout_s, shutter.sigma_velocity_m_s])
+            || !(rate.is_finite() && rate >= 0.0)
+        {
+            return fail("a rolling shutter needs a positive readout time and standard deviation of the velocity, and one of 0 or more for the rate of turn".into());
+        }
+    }
+    Ok(())
+}
+
+/// Sets aside measurements that their camera cannot make at the starting values, and second ones
+/// of a point in one image.
+fn keep_feasible(survey: &Survey, tie: &mut [bool], mark: &mut [bool], aside: &mut Vec<Aside>) {
+    let why = |image: usize, point_m: [f64; 3]| -> Option<String> {
+        let image = &survey.images[image];
+        let local = image.pose.to_camera(point_m);
+        let lens = &survey.cameras[image.camera].interior;
+        if lens.project(local).is_some() {
+            None
+        } else if local[2] >= 0.0 {
+            Some("the point is behind the camera".into())
+        } else {
+            Some("the point is outside the range in which the lens model is one to one".into())
+        }
+    };
+    let mut seen = HashSet::new();
+    for (keep, o) in tie.iter_mut().zip(&survey.observations) {
+        let point = &survey.points[o.point as usize];
+        let reason = if seen.insert((o.image, o.point)) {
+            why(o.image as usize, point.position_m)
+        } else {
+            Some("the point is measured twice in this image".into())
+        };
+        if let Some(reason) = reason {
+            *keep = false;
+            aside.push(Aside {
+                kind: "observation",
+                image: Some(survey.images[o.image as usize].name.clone()),
+                point: Some(point.id.to_string()),
+                reason,
+            });
+        }
+    }
+    for (keep, m) in mark.iter_mut().zip(&survey.marks) {
+        let ground = &survey.ground[m.ground as usize];
+        if let Some(reason) = why(m.image as usize, ground.position_m) {
+            *keep = false;
+            aside.push(Aside {
+                kind: "mark",
+                image: Some(survey.images[m.image as usize].name.clone()),
+                point: Some(ground.name.clone()),
+                reason,
+            });
+        }
+    }
+}
+
+fn drop_points(survey: &Survey, tie: &[bool], point: &mut [bool], aside: &mut Vec<Aside>) {
+    let mut rays = vec![0usize; survey.points.len()];
+    for (_, o) in tie.iter().zip(&survey.observations).filter(|(keep, _)| **keep) {
+        rays[o.point as usize] += 1;
+    }
+    for (k, keep) in point.iter_mut().enumerate() {
+        if *keep && rays[k] < 2 {
+            *keep = false;
+            aside.push(Aside {
+                kind: "tie point",
+                image: None,
+                point: Some(survey.points[k].id.to_string()),
+                reason: format!("{} image(s) see it, two are needed", rays[k]),
+            });
+        }
+    }
+}
+
+fn drop_ground(survey: &Survey, mark: &[bool], ground: &mut [bool], aside: &mut Vec<Aside>) {
+    let mut rays = vec![0usize; survey.ground.len()];
+    for (_, m) in mark.iter().zip(&survey.marks).filter(|(keep, _)| **keep) {
+        rays[m.ground as usize] += 1;
+    }
+    for (k, keep) in ground.iter_mut().enumerate() {
+        let point = &survey.ground[k];
+        let needed = match (point.role, point.axes) {
+            (Role::Control, Axes::Xyz | Axes::Xy | Axes::Z) => 1,
+            (Role::Check | Role::Tie, _) => 2,
+        };
+        if *keep && rays[k] < needed {
+            *keep = false;
+            aside.push(Aside {
+                kind: "ground point",
+                image: None,
+                point: Some(point.name.clone()),
+                reason: format!("it is marked in {} image(s), {needed} needed", rays[k]),
+            });
+        }
+    }
+}
+
+fn drop_images(
+    survey: &Survey,
+    (tie, mark): (&[bool], &[bool]),
+    image: &mut [bool],
+    aside: &mut Vec<Aside>,
+) {
+    let mut seen = vec![0usize; survey.images.len()];
+    for (_, o) in tie.iter().zip(&survey.observations).filter(|(keep, _)| **keep) {
+        seen[o.image as usize] += 1;
+    }
+    for (_, m) in mark.iter().zip(&survey.marks).filter(|(keep, _)| **keep) {
+        seen[m.image as usize] += usize::from(survey.ground[m.ground as usize].role != Role::Check);
+    }
+    for (k, keep) in image.iter_mut().enumerate() {
+        if *keep && seen[k] < LEAST_OBSERVATIONS {
+            *keep = false;
+            aside.push(Aside {
+                kind: "image",
+                image: Some(survey.images[k].name.clone()),
+                point: None,
+                reason: format!(
+                    "it has {} usable observation(s), its pose needs {LEAST_OBSERVATIONS}",
+                    seen[k]
+                ),
+            });
+        }
+    }
+}
+
+/// New indices of what is kept, and the old ones.
+fn renumber(keep: &[bool]) -> (Vec<u32>, Vec<usize>) {
+    let old: Vec<usize> = (0..keep.len()).filter(|&k| keep[k]).collect();
+    let mut new = vec![u32::MAX; keep.len()];
+    for (k, &place) in old.iter().enumerate() {
+        new[place] = k as u32;
+    }
+    (new, old)
+}
+
+fn compact(
+    whole: &Survey,
+    [image, point, ground]: [&[bool]; 3],
+    (tie, mark): (&[bool], &[bool]),
+    mut aside: Vec<Aside>,
+) -> Screened {
+    let ((new_image, images), (new_point, points), (new_ground, grounds)) =
+        (renumber(image), renumber(point), renumber(ground));
+    let mut survey = Survey {
+        images: images.iter().map(|&k| whole.images[k].clone()).collect(),
+        points: points.iter().map(|&k| whole.points[k]).collect(),
+        ground: grounds.iter().map(|&k| whole.ground[k].clone()).collect(),
+        observations: Vec::new(),
+        marks: Vec::new(),
+        positions: Vec::new(),
+        scale_bars: Vec::new(),
+        ..whole.clone()
+    };
+    let (mut observations, mut marks) = (Vec::new(), Vec::new());
+    let (mut positions, mut scale_bars) = (Vec::new(), Vec::new());
+    for (k, o) in whole.observations.iter().enumerate().filter(|(k, _)| tie[*k]) {
+        let (image, point) = (new_image[o.image as usize], new_point[o.point as usize]);
+        if image != u32::MAX && point != u32::MAX {
+            observations.push(k);
+            survey.observations.push(Observation { image, point, ..*o });
+        }
+    }
+    for (k, m) in whole.marks.iter().enumerate().filter(|(k, _)| mark[*k]) {
+        let (image, ground) = (new_image[m.image as usize], new_ground[m.ground as usize]);
+        if image != u32::MAX && ground != u32::MAX {
+            marks.push(k);
+            survey.marks.push(Mark { image, ground, ..*m });
+        }
+    }
+    for (k, position) in whole.positions.iter().enumerate() {
+        let image = new_image[position.image as usize];
+        if image != u32::MAX {
+            positions.push(k);
+            survey.positions.push(Position { image, ..*position });
+        } else {
+            aside.push(Aside {
+                kind: "camera position",
+                image: Some(whole.images[position.image as usize].name.clone()),
+                point: None,
+                reason: "its image takes no part".into(),
+            });
+        }
+    }
+    for (k, bar) in whole.scale_bars.iter().enumerate() {
+        let ends = bar.ends.map(|end| new_ground[end as usize]);
+        let used = |end: u32| end != u32::MAX && survey.ground[end as usize].role != Role::Check;
+        if ends.iter().all(|&end| used(end)) {
+            scale_bars.push(k);
+            survey.scale_bars.push(ScaleBar { ends, ..*bar });
+        } else {
+            let names = bar.ends.map(|end| whole.ground[end as usize].name.clone());
+            aside.push(Aside {
+                kind: "scale bar",
+                image: None,
+                point: Some(names.join(" - ")),
+                reason: "one of its ends takes no part".into(),
+            });
+        }
+    }
+    Screened {
+        survey,
+        aside,
+        images,
+        points,
+        ground: grounds,
+        observations,
+        marks,
+        positions,
+        scale_bars,
+    }
+}
+
+impl Screened {
+    /// Takes what was adjusted into the survey that this came from.
+    pub fn update(&self, adjusted: &Survey, whole: &mut Survey) {
+        whole.cameras.clone_from(&adjusted.cameras);
+        for (image, &k) in adjusted.images.iter().zip(&self.images) {
+            whole.images[k].pose = image.pose;
+            whole.images[k].motion = image.motion;
+        }
+        for (point, &k) in adjusted.points.iter().zip(&self.points) {
+            whole.points[k].position_m = point.position_m;
+        }
+    }
+}

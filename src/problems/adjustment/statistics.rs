@@ -1,0 +1,581 @@
+//! What an adjustment is worth: variance factor, redundancy numbers, standardised residuals, tests,
+//! standard deviations and correlations.
+//!
+//! With whitened residuals `v` and Jacobian `J`, `C = (J^T J)^-1` is the covariance of the parameters for
+//! a variance factor of 1 and `R = I - J C J^T` that of the residuals. The diagonal of `R` holds the
+//! redundancy numbers, whose sum is the redundancy `r = n - u`; `sigma_0^2 = v^T v / r`. An observation
+//! with block `R_i` and residual `v_i` is tested by `T = v_i^T R_i^-1 v_i`: against chi-square with as many
+//! degrees of freedom as `R_i` has (Baarda; for one, `w = sqrt(T)`), or, divided by `sigma_0^2`, against
+//! Pope's tau distribution.
+
+use super::{
+    inverse::SelectedInverse,
+    posed::{Group, Posed, Settings, measurement},
+    rank,
+    reprojection::{DATA, LENS, Moving, Still},
+    survey::Survey,
+};
+use crate::{
+    camera::Lens,
+    engine::SolveError,
+    geometry::{cross, rotation},
+    nlls::{BlockId, Linear, PairFactor, covariance::Covariance},
+};
+use nalgebra::{DMatrix, DVector, Matrix3, SymmetricEigen};
+use rayon::prelude::*;
+use serde::Serialize;
+use statrs::distribution::{ChiSquared, ContinuousCDF, FisherSnedecor};
+
+/// Which test.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Testing {
+    /// The standard deviations given are right: Baarda's test.
+    Baarda,
+    /// They are right but for a common factor: Pope's test.
+    #[default]
+    Pope,
+}
+
+/// What an observation is; indices into the survey.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Subject {
+    /// A measurement of a tie point.
+    TieObservation(usize),
+    /// A mark of a ground point.
+    Mark(usize),
+    /// The coordinates of a ground point.
+    Control(usize),
+    /// A camera position.
+    Position(usize),
+    /// A scale bar.
+    ScaleBar(usize),
+}
+
+/// An observation at the solution; its first `rows` entries count.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Tested {
+    /// Its kind.
+    pub group: Group,
+    /// Which one it is.
+    pub subject: Subject,
+    /// How many numbers it is.
+    pub rows: usize,
+    /// Residuals (adjusted minus measured) in standard deviations.
+    pub residual: [f64; 3],
+    /// Redundancy numbers, 0 (nothing checks it) to 1.
+    pub redundancy: [f64; 3],
+    /// Residuals over their own standard deviations for a variance factor of 1; 0 where nothing
+    /// checks them.
+    pub standardised: [f64; 3],
+    /// `T`.
+    pub statistic: f64,
+    /// Degrees of freedom of `T`; 0 where nothing checks it.
+    pub freedom: usize,
+}
+
+/// A kind of observations at the solution.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct GroupStatistics {
+    /// The kind.
+    pub group: Group,
+    /// Numbers observed.
+    pub observations: usize,
+    /// Sum of their redundancy numbers.
+    pub redundancy: f64,
+    /// Sum of the squares of their residuals, in standard deviations.
+    pub squares: f64,
+}
+
+impl GroupStatistics {
+    /// The estimate of the group's own variance factor; `None` where nothing checks it.
+    pub fn variance_factor(&self) -> Option<f64> {
+        (self.redundancy > 0.1).then(|| self.squares / self.redundancy)
+    }
+}
+
+/// How well an image's exterior orientation is known, for a variance factor of 1.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct ImageAccuracy {
+    /// Covariance of the projection centre, square metres, mapping frame.
+    pub centre_m2: [[f64; 3]; 3],
+    /// Standard deviations of omega, phi, kappa, radians.
+    pub angles_rad: [f64; 3],
+}
+
+/// How well a point is known, for a variance factor of 1.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct PointAccuracy {
+    /// Covariance, square metres, mapping frame.
+    pub covariance_m2: [[f64; 3]; 3],
+}
+
+impl PointAccuracy {
+    /// Semi-axes of the error ellipsoid (standard deviations, largest first) and their directions.
+    pub fn ellipsoid(&self) -> ([f64; 3], [[f64; 3]; 3]) {
+        ellipsoid(&self.covariance_m2)
+    }
+}
+
+impl ImageAccuracy {
+    /// Semi-axes of the error ellipsoid of the centre and their directions.
+    pub fn ellipsoid(&self) -> ([f64; 3], [[f64; 3]; 3]) {
+        ellipsoid(&self.centre_m2)
+    }
+}
+
+fn ellipsoid(covariance: &[[f64; 3]; 3]) -> ([f64; 3], [[f64; 3]; 3]) {
+    let eigen = SymmetricEigen::new(Matrix3::from_fn(|i, j| covariance[i][j]));
+    let mut order = [0, 1, 2];
+    order.sort_by(|&a, &b| eigen.eigenvalues[b].total_cmp(&eigen.eigenvalues[a]));
+    (
+        order.map(|k| eigen.eigenvalues[k].max(0.0).sqrt()),
+        order.map(|k| std::array::from_fn(|i| eigen.eigenvectors[(i, k)])),
+    )
+}
+
+/// How well a camera's interior orientation is known, for a variance factor of 1.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct InteriorAccuracy {
+    /// Index of the camera.
+    pub camera: usize,
+    /// The free parameters.
+    pub names: Vec<&'static str>,
+    /// Their values.
+    pub values: Vec<f64>,
+    /// Their standard deviations.
+    pub standard_deviations: Vec<f64>,
+    /// Their correlations, row by row.
+    pub correlation: Vec<Vec<f64>>,
+}
+
+/// An observation that the test rejects.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Finding {
+    /// Its place in [`Statistics::tested`].
+    pub place: usize,
+    /// What it is.
+    pub subject: Subject,
+    /// The test value over its critical value: above 1.
+    pub excess: f64,
+}
+
+/// What an adjustment is worth.
+#[derive(Debug, Clone)]
+pub struct Statistics {
+    /// Numbers observed, `n`.
+    pub observations: usize,
+    /// Free parameters, `u`.
+    pub parameters: usize,
+    /// `n - u`.
+    pub redundancy: usize,
+    /// The a-posteriori standard deviation of unit weight; 1 where nothing is redundant.
+    pub sigma0: f64,
+    /// Kind by kind.
+    pub groups: Vec<GroupStatistics>,
+    /// Every observation.
+    pub tested: Vec<Tested>,
+    /// Every image, in the order of the survey.
+    pub images: Vec<ImageAccuracy>,
+    /// Every tie point.
+    pub points: Vec<PointAccuracy>,
+    /// Every ground point that takes part.
+    pub ground: Vec<Option<PointAccuracy>>,
+    /// Every camera with a free parameter.
+    pub interiors: Vec<InteriorAccuracy>,
+    pub(super) inverse: std::sync::Arc<SelectedInverse>,
+}
+
+impl Statistics {
+    /// Judges the solution `x` of `posed`, posed from `survey` with `settings`.
+    ///
+    /// # Errors
+    /// [`SolveError::RankDeficient`] says which parameters the observations cannot tell apart.
+    pub fn new(
+        survey: &Survey,
+        posed: &Posed,
+        settings: &Settings,
+        x: &[f64],
+    ) -> Result<Statistics, SolveError> {
+        let mut covariance = Covariance::new(&posed.problem, x, Linear::Schur)
+            .map_err(|error| rank::explain(survey, posed, x, error))?;
+        let inverse = SelectedInverse::new(survey, posed, &mut covariance);
+        let (mut tested, points) = if posed.moving {
+            ties::<Moving, 12, { 19 + LENS }>(survey, posed, settings, x, &inverse)
+        } else {
+            ties::<Still, 6, { 13 + LENS }>(survey, posed, settings, x, &inverse)
+        };
+        let mut groups: Vec<GroupStatistics> = Vec::new();
+        if !tested.is_empty() {
+            groups.push(sum(Group::TiePoints, &tested));
+        }
+        for (group, name, about) in &posed.batches {
+            let found = others(posed, x, &inverse, name)?;
+            let mut total =
+                GroupStatistics { group: *group, observations: 0, redundancy: 0.0, squares: 0.0 };
+            for ((residual, redundancy), &k) in found.into_iter().zip(about) {
+                total.observations += residual.len();
+                total.redundancy += redundancy.trace();
+                total.squares += residual.norm_squared();
+                let subject = match group {
+                    Group::Marks => Subject::Mark(k),
+                    Group::Control => Subject::Control(k),
+                    Group::Positions => Subject::Position(k),
+                    Group::ScaleBars => Subject::ScaleBar(k),
+                    Group::TiePoints | Group::Interior | Group::Motion => continue,
+                };
+                tested.push(test(*group, subject, &residual, &redundancy));
+            }
+            match groups.iter_mut().find(|known| known.group == *group) {
+                Some(known) => {
+                    known.observations += total.observations;
+                    known.redundancy += total.redundancy;
+                    known.squares += total.squares;
+                }
+                None => groups.push(total),
+            }
+        }
+        groups.sort_by_key(|group| group.group);
+        let observations = posed.problem.residual_count();
+        let parameters = posed.problem.parameter_count();
+        let redundancy = observations.saturating_sub(parameters);
+        let squares: f64 = groups.iter().map(|group| group.squares).sum();
+        let sigma0 = if redundancy > 0 { (squares / redundancy as f64).sqrt() } else { 1.0 };
+        Ok(Statistics {
+            observations,
+            parameters,
+            redundancy,
+            sigma0,
+            groups,
+            tested,
+            images: posed.images.iter().map(|&block| image(posed, x, &inverse, block)).collect(),
+            points,
+            ground: posed
+                .ground
+                .iter()
+                .map(|block| {
+                    block.map(|block| PointAccuracy {
+                        covariance_m2: array3(&inverse.among(&[(block, 3)])),
+                    })
+                })
+                .collect(),
+            interiors: (0..survey.cameras.len())
+                .filter_map(|camera| interior(survey, posed, &inverse, camera))
+                .collect(),
+            inverse: std::sync::Arc::new(inverse),
+        })
+    }
+
+    /// What the test value of an observation with `freedom` degrees of freedom may be, at
+    /// `significance`.
+    pub fn critical(&self, testing: Testing, freedom: usize, significance: f64) -> f64 {
+        let q = freedom as f64;
+        let r = self.redundancy as f64;
+        match testing {
+            Testing::Baarda => {
+                ChiSquared::new(q).map_or(f64::INFINITY, |chi| chi.inverse_cdf(1.0 - significance))
+            }
+            Testing::Pope => {
+                // T / sigma0^2 holds its own residual: r q F / (r - q + q F).
+                FisherSnedecor::new(q, r - q).map_or(f64::INFINITY, |f| {
+                    let f = f.inverse_cdf(1.0 - significance);
+                    self.sigma0 * self.sigma0 * r * q * f / (r - q + q * f)
+                })
+            }
+        }
+    }
+
+    /// The observations that the test rejects at `significance` each, the worst first.
+    pub fn findings(&self, testing: Testing, significance: f64) -> Vec<Finding> {
+        let critical: [f64; 4] = std::array::from_fn(|freedom| {
+            if freedom == 0 { f64::INFINITY } else { self.critical(testing, freedom, significance) }
+        });
+        let mut found: Vec<Finding> = self
+            .tested
+            .iter()
+            .enumerate()
+            .map(|(place, tested)| Finding {
+                place,
+                subject: tested.subject,
+                excess: tested.statistic / critical[tested.freedom],
+            })
+            .filter(|finding| finding.excess > 1.0)
+            .collect();
+        found.sort_by(|a, b| b.excess.total_cmp(&a.excess).then(a.place.cmp(&b.place)));
+        found
+    }
+
+    /// The two-sided interval in which `sigma0^2` lies with this confidence where the standard
+    /// deviations given are right: the global test.
+    pub fn variance_interval(&self, confidence: f64) -> Option<[f64; 2]> {
+        let r = self.redundancy as f64;
+        let chi = ChiSquared::new(r).ok()?;
+        let tail = 0.5 * (1.0 - confidence);
+        Some([chi.inverse_cdf(tail) / r, chi.inverse_cdf(1.0 - tail) / r])
+    }
+}
+
+fn sum(group: Group, tested: &[Tested]) -> GroupStatistics {
+    let mut total = GroupStatistics { group, observations: 0, redundancy: 0.0, squares: 0.0 };
+    for tested in tested {
+        total.observations += tested.rows;
+        for k in 0..tested.rows {
+            total.redundancy += tested.redundancy[k];
+            total.squares += tested.residual[k].powi(2);
+        }
+    }
+    total
+}
+
+/// Directions of a residual that are checked by less than this are not checked.
+const LEAST_REDUNDANCY: f64 = 1e-6;
+
+fn test(group: Group, subject: Subject, v: &DVector<f64>, r: &DMatrix<f64>) -> Tested {
+    let rows = v.len().min(3);
+    let mut tested = Tested {
+        group,
+        subject,
+        rows,
+        residual: [0.0; 3],
+        redundancy: [0.0; 3],
+        standardised: [0.0; 3],
+        statistic: 0.0,
+        freedom: 0,
+    };
+    for k in 0..rows {
+        tested.residual[k] = v[k];
+        tested.redundancy[k] = r[(k, k)].clamp(0.0, 1.0);
+        if r[(k, k)] > LEAST_REDUNDANCY {
+            tested.standardised[k] = v[k] / r[(k, k)].sqrt();
+        }
+    }
+    let eigen = SymmetricEigen::new(r.clone());
+    for (k, &value) in eigen.eigenvalues.iter().enumerate() {
+        if value > LEAST_REDUNDANCY {
+            tested.statistic += eigen.eigenvectors.column(k).dot(v).powi(2) / value;
+            tested.freedom += 1;
+        }
+    }
+    tested
+}
+
+/// What intersecting rays need: Jacobians by cameras and lenses side by side, by the point, and
+/// which columns are whose.
+pub(super) struct Rays {
+    pub(super) residual: DVector<f64>,
+    by_kept: DMatrix<f64>,
+    pub(super) by_point: DMatrix<f64>,
+    columns: Vec<(BlockId, usize)>,
+}
+
+/// Linearises measurements of one point.
+pub(super) fn rays<F: PairFactor<2, K, LENS, 3, Q, DATA>, const K: usize, const Q: usize>(
+    posed: &Posed,
+    x: &[f64],
+    point: [f64; 3],
+    measurements: &[(usize, usize, [f64; DATA])],
+) -> Rays {
+    let mut columns: Vec<(BlockId, usize)> = measurements
+        .iter()
+        .flat_map(|&(image, camera, _)| [(posed.images[image], K), (posed.lenses[camera], LENS)])
+        .collect();
+    columns.sort_unstable();
+    columns.dedup();
+    let starts: Vec<usize> = columns
+        .iter()
+        .scan(0, |at, (_, dim)| {
+            *at += dim;
+            Some(*at - dim)
+        })
+        .collect();
+    let start = |block: BlockId| {
+        columns.binary_search_by_key(&block, |(block, _)| *block).map_or(0, |k| starts[k])
+    };
+    let rows = 2 * measurements.len();
+    let width = columns.iter().map(|(_, dim)| dim).sum();
+    let mut rays = Rays {
+        residual: DVector::zeros(rows),
+        by_kept: DMatrix::zeros(rows, width),
+        by_point: DMatrix::zeros(rows, 3),
+        columns: Vec::new(),
+    };
+    for (k, &(image, camera, data)) in measurements.iter().enumerate() {
+        let (kept, lens) = (posed.images[image], posed.lenses[camera]);
+        let c = F::prepare(posed.problem.values(x, kept), posed.problem.values(x, lens));
+        let found = F::linearize(&c, &point, &data);
+        for row in 0..2 {
+            rays.residual[2 * k + row] = found.residual[row];
+            for j in 0..K {
+                rays.by_kept[(2 * k + row, start(kept) + j)] += found.by_kept[row][j];
+            }
+            for j in 0..LENS {
+                rays.by_kept[(2 * k + row, start(lens) + j)] += found.by_shared[row][j];
+            }
+            for j in 0..3 {
+                rays.by_point[(2 * k + row, j)] = found.by_point[row][j];
+            }
+        }
+    }
+    rays.columns = columns;
+    rays
+}
+
+impl Rays {
+    /// The covariance of the point, and of what is left of the residuals, given that of the
+    /// cameras. `None` where the rays do not determine the point.
+    pub(super) fn covariances(
+        &self,
+        inverse: &SelectedInverse,
+    ) -> Option<(DMatrix<f64>, DMatrix<f64>)> {
+        let b = &self.by_point;
+        let v = b.transpose() * b;
+        let factor = v.cholesky()?;
+        let among = inverse.among(&self.columns);
+        let coupling = b.transpose() * &self.by_kept;
+        let own = factor.inverse();
+        let through = &own * &coupling;
+        let point = &own + &through * &among * through.transpose();
+        let rest = &self.by_kept - b * &through;
+        let hat = b * &own * b.transpose() + &rest * &among * rest.transpose();
+        Some((point, hat))
+    }
+}
+
+fn array3(m: &DMatrix<f64>) -> [[f64; 3]; 3] {
+    std::array::from_fn(|i| std::array::from_fn(|j| m[(i, j)]))
+}
+
+fn ties<F: PairFactor<2, K, LENS, 3, Q, DATA>, const K: usize, const Q: usize>(
+    survey: &Survey,
+    posed: &Posed,
+    settings: &Settings,
+    x: &[f64],
+    inverse: &SelectedInverse,
+) -> (Vec<Tested>, Vec<PointAccuracy>) {
+    let mut tracks: Vec<Vec<usize>> = vec![Vec::new(); survey.points.len()];
+    for (k, o) in survey.observations.iter().enumerate() {
+        tracks[o.point as usize].push(k);
+    }
+    let sigma_px = survey.tie_sigma_px * settings.factor(Group::TiePoints);
+    let found: Vec<(Vec<Tested>, PointAccuracy)> = tracks
+        .par_iter()
+        .enumerate()
+        .map(|(point, track)| {
+            let measurements: Vec<_> = track
+                .iter()
+                .map(|&k| {
+                    let o = &survey.observations[k];
+                    let image = o.image as usize;
+                    let data = measurement(survey, image, o.image_px, sigma_px);
+                    (image, survey.images[image].camera, data)
+                })
+                .collect();
+            let at = posed.problem.values(x, posed.points[point]);
+            let rays = rays::<F, K, Q>(posed, x, [at[0], at[1], at[2]], &measurements);
+            let unknown = || {
+                let n = 2 * track.len();
+                (DMatrix::from_element(3, 3, f64::NAN), DMatrix::identity(n, n))
+            };
+            let (covariance, hat) = rays.covariances(inverse).unwrap_or_else(unknown);
+            let tested = track.iter().enumerate().map(|(i, &k)| {
+                let r = DMatrix::identity(2, 2) - hat.view((2 * i, 2 * i), (2, 2));
+                let v = rays.residual.rows(2 * i, 2).into_owned();
+                test(Group::TiePoints, Subject::TieObservation(k), &v, &r)
+            });
+            (tested.collect(), PointAccuracy { covariance_m2: array3(&covariance) })
+        })
+        .collect();
+    let (tested, points): (Vec<Vec<Tested>>, Vec<PointAccuracy>) = found.into_iter().unzip();
+    (tested.into_iter().flatten().collect(), points)
+}
+
+/// Residuals and redundancy matrices of the factors of a batch that touches no tie point.
+fn others(
+    posed: &Posed,
+    x: &[f64],
+    inverse: &SelectedInverse,
+    name: &str,
+) -> Result<Vec<(DVector<f64>, DMatrix<f64>)>, SolveError> {
+    let found = posed.problem.linearized(x, name)?;
+    Ok(found
+        .into_iter()
+        .map(|(blocks, residual, jacobian)| {
+            let rows = residual.len();
+            let columns: Vec<(BlockId, usize)> =
+                blocks.iter().map(|&block| (block, posed.problem.space(block).tangent())).collect();
+            let width = jacobian.len() / rows;
+            let j = DMatrix::from_row_slice(rows, width, &jacobian);
+            let among = inverse.among(&columns);
+            let r = DMatrix::identity(rows, rows) - &j * among * j.transpose();
+            (DVector::from_vec(residual), r)
+        })
+        .collect())
+}
+
+fn image(posed: &Posed, x: &[f64], inverse: &SelectedInverse, block: BlockId) -> ImageAccuracy {
+    let dim = posed.problem.space(block).tangent();
+    let c = inverse.among(&[(block, dim)]);
+    let values = posed.problem.values(x, block);
+    let r = rotation::matrix([values[0], values[1], values[2], values[3]]);
+    let world = |k: usize| [r[0][k], r[1][k], r[2][k]];
+    // The centre moves by -R^T s.
+    let centre_m2 = std::array::from_fn(|i| {
+        std::array::from_fn(|j| {
+            let (a, b) = (world(i), world(j));
+            let terms = (0..9).map(|k| a[k / 3] * c[(3 + k / 3, 3 + k % 3)] * b[k % 3]);
+            terms.sum()
+        })
+    });
+    // Row k of R^T changes by w x row.
+    let m = [world(0), world(1), world(2)];
+    let mut by_turn = [[0.0; 3]; 3];
+    for axis in 0..3 {
+        let mut w = [0.0; 3];
+        w[axis] = 1.0;
+        let d = m.map(|row| cross(w, row));
+        by_turn[0][axis] =
+            (m[1][2] * d[2][2] - m[2][2] * d[1][2]) / (m[1][2].powi(2) + m[2][2].powi(2));
+        by_turn[1][axis] = d[0][2] / (1.0 - m[0][2].powi(2)).sqrt();
+        by_turn[2][axis] =
+            (m[0][1] * d[0][0] - m[0][0] * d[0][1]) / (m[0][1].powi(2) + m[0][0].powi(2));
+    }
+    let angles_rad = by_turn.map(|by| {
+        let terms = (0..9).map(|k| by[k / 3] * c[(k / 3, k % 3)] * by[k % 3]);
+        terms.sum::<f64>().max(0.0).sqrt()
+    });
+    ImageAccuracy { centre_m2, angles_rad }
+}
+
+fn interior(
+    survey: &Survey,
+    posed: &Posed,
+    inverse: &SelectedInverse,
+    camera: usize,
+) -> Option<InteriorAccuracy> {
+    let c = inverse.among(&[(posed.lenses[camera], LENS)]);
+    let described = &survey.cameras[camera];
+    let free: Vec<usize> = (0..described.free.len()).filter(|&k| described.free[k]).collect();
+    if free.is_empty() {
+        return None;
+    }
+    let sigma: Vec<f64> = free.iter().map(|&k| c[(k, k)].max(0.0).sqrt()).collect();
+    let correlation = free
+        .iter()
+        .enumerate()
+        .map(|(i, &a)| {
+            let entry = |(j, &b): (usize, &usize)| {
+                if i == j { 1.0 } else { c[(a, b)] / (sigma[i] * sigma[j]) }
+            };
+            free.iter().enumerate().map(entry).collect()
+        })
+        .collect();
+    let values = described.interior.values();
+    Some(InteriorAccuracy {
+        camera,
+        names: free.iter().map(|&k| described.interior.parameters()[k].name).collect(),
+        values: free.iter().map(|&k| values[k]).collect(),
+        standard_deviations: sigma,
+        correlation,
+    })
+}
