@@ -23,3 +23,4 @@ mod program;
 mod run;
 mod segment;
 mod synth;
+mod synth_flight;

@@ -24,7 +24,10 @@ impl Table {
     }
 }
 
-fn table(twin: &Twin, fill: impl Fn(&Twin, &mut dyn std::io::Write) -> std::io::Result<()>) -> Table {
+fn table(
+    twin: &Twin,
+    fill: impl Fn(&Twin, &mut dyn std::io::Write) -> std::io::Result<()>,
+) -> Table {
     let mut bytes = Vec::new();
     fill(twin, &mut bytes).unwrap();
     let text = String::from_utf8(bytes).unwrap();
@@ -41,11 +44,19 @@ fn every_table_has_its_columns_and_rows() {
     type Fill = fn(&Twin, &mut dyn std::io::Write) -> std::io::Result<()>;
     let leaves = twin.field().leaves().count();
     let cases: [(Fill, &str, usize); 10] = [
-        (files::gcps, "label,easting_m,northing_m,height_m,Accuracy_Horizontal,Accuracy_Vertical,role", 9),
+        (
+            files::gcps,
+            "label,easting_m,northing_m,height_m,Accuracy_Horizontal,Accuracy_Vertical,role",
+            9,
+        ),
         (files::true_gcps, "label,easting_m,northing_m,height_m,role", 9),
         (files::marks, "image,label,u_px,v_px", twin.marks.len()),
         (files::true_marks, "image,label,u_px,v_px", twin.marks.len()),
-        (files::geolocation, "image_name,lat,lon,gps_height", twin.shots.len()),
+        (
+            files::geolocation,
+            "image_name,lat,lon,gps_height,easting_m,northing_m,height_m,Accuracy_Horizontal,Accuracy_Vertical",
+            twin.shots.len(),
+        ),
         (
             files::plants,
             "plant,u_px,v_px,row,site,second,plot,easting_m,northing_m,height_m,x_m,y_m,\
@@ -60,7 +71,11 @@ fn every_table_has_its_columns_and_rows() {
         ),
         (files::leaf_axes, "leaf,node,easting_m,northing_m,height_m,half_width_m", 9 * leaves),
         (files::rows, "row,node,easting_m,northing_m,height_m,u_px,v_px", 8 * 21),
-        (files::weeds, "weed,kind,leaves,easting_m,northing_m,height_m,u_px,v_px", twin.weeds().len()),
+        (
+            files::weeds,
+            "weed,kind,leaves,easting_m,northing_m,height_m,u_px,v_px",
+            twin.weeds().len(),
+        ),
     ];
     for (fill, header, rows) in cases {
         let table = table(&twin, fill);
@@ -87,12 +102,17 @@ fn tables_agree_with_each_other() {
     assert_eq!(per_plot.iter().map(|c| c[0]).collect::<Vec<_>>(), plots.numbers("plants"));
     assert_eq!(per_plot.iter().map(|c| c[1]).collect::<Vec<_>>(), plots.numbers("leaves"));
     let area: f64 = leaves.numbers("area_m2").iter().sum();
-    approx::assert_relative_eq!(area, plots.numbers("leaf_area_m2").iter().sum::<f64>(), epsilon = 1e-4);
+    approx::assert_relative_eq!(
+        area,
+        plots.numbers("leaf_area_m2").iter().sum::<f64>(),
+        epsilon = 1e-4
+    );
     assert!(leaves.numbers("visible_fraction").iter().all(|part| (0.0..=1.0).contains(part)));
 
     // Axes end to end are as long as their leaves, up to what the ground lifts.
     let axes = table(&twin, files::leaf_axes);
-    let (e, n, h) = (axes.numbers("easting_m"), axes.numbers("northing_m"), axes.numbers("height_m"));
+    let (e, n, h) =
+        (axes.numbers("easting_m"), axes.numbers("northing_m"), axes.numbers("height_m"));
     let lengths = leaves.numbers("length_m");
     let agree = (0..lengths.len()).filter(|leaf| {
         let arc: f64 = (9 * leaf..9 * leaf + 8)
@@ -105,18 +125,32 @@ fn tables_agree_with_each_other() {
     // Survey and clicks scatter about the truth as asked.
     let (survey, truth) = (table(&twin, files::gcps), table(&twin, files::true_gcps));
     for column in ["easting_m", "northing_m", "height_m"] {
-        let errors = survey.numbers(column).into_iter().zip(truth.numbers(column)).map(|(a, b)| a - b);
+        let errors =
+            survey.numbers(column).into_iter().zip(truth.numbers(column)).map(|(a, b)| a - b);
         let errors: Vec<f64> = errors.collect();
-        assert!(errors.iter().any(|e| e.abs() > 0.001) && errors.iter().all(|e| e.abs() < 0.08), "{errors:?}");
+        assert!(
+            errors.iter().any(|e| e.abs() > 0.001) && errors.iter().all(|e| e.abs() < 0.08),
+            "{errors:?}"
+        );
     }
     let (clicks, truth) = (table(&twin, files::marks), table(&twin, files::true_marks));
     let errors: Vec<f64> = ["u_px", "v_px"]
         .iter()
-        .flat_map(|c| clicks.numbers(c).into_iter().zip(truth.numbers(c)).map(|(a, b)| a - b).collect::<Vec<_>>())
+        .flat_map(|c| {
+            clicks
+                .numbers(c)
+                .into_iter()
+                .zip(truth.numbers(c))
+                .map(|(a, b)| a - b)
+                .collect::<Vec<_>>()
+        })
         .collect();
     let (_, deviation_px) = crate::moments(&errors);
     let count = errors.len() as f64;
-    assert!((deviation_px / 0.4 - 1.0).abs() < 4.0 / (2.0 * count).sqrt(), "{deviation_px} px of {count}");
+    assert!(
+        (deviation_px / 0.4 - 1.0).abs() < 4.0 / (2.0 * count).sqrt(),
+        "{deviation_px} px of {count}"
+    );
 }
 
 #[test]

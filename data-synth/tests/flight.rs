@@ -27,7 +27,8 @@ fn still() -> FlightConfig {
 }
 
 fn field() -> Field {
-    let config = FieldConfig { rows: 30, row_length_m: 30.0, heading_deg: 20.0, ..FieldConfig::default() };
+    let config =
+        FieldConfig { rows: 30, row_length_m: 30.0, heading_deg: 20.0, ..FieldConfig::default() };
     Field::plant(&config).unwrap()
 }
 
@@ -50,7 +51,8 @@ fn minus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
 
 #[test]
 fn strips_go_to_and_fro_with_the_overlaps_asked_for() {
-    let config = FlightConfig { forward_overlap: 0.7, side_overlap: 0.5, direction_deg: 15.0, ..still() };
+    let config =
+        FlightConfig { forward_overlap: 0.7, side_overlap: 0.5, direction_deg: 15.0, ..still() };
     let shots = shots(&config);
     let [half_across, half_along] = camera().half_footprint();
     let heading_rad = 35.0f64.to_radians();
@@ -60,7 +62,8 @@ fn strips_go_to_and_fro_with_the_overlaps_asked_for() {
     assert!(strips >= 3);
     for pair in shots.windows(2) {
         let step = minus(pair[1].centre_m, pair[0].centre_m);
-        let (s, t) = (step[0] * along[0] + step[1] * along[1], step[0] * across[0] + step[1] * across[1]);
+        let (s, t) =
+            (step[0] * along[0] + step[1] * along[1], step[0] * across[0] + step[1] * across[1]);
         if pair[0].strip == pair[1].strip {
             let sign = if pair[0].strip % 2 == 0 { 1.0 } else { -1.0 };
             approx::assert_abs_diff_eq!(s * sign, 2.0 * half_along * 15.0 * 0.3, epsilon = 1e-9);
@@ -92,7 +95,9 @@ fn the_papers_flight_has_its_ground_sampling_distance() {
     let twin = TwinConfig::preset(FlightPreset::Paper);
     let gsd_m = twin.flight.height_m / twin.camera.c_px;
     approx::assert_abs_diff_eq!(gsd_m, 0.015, epsilon = 1e-12);
-    let field = Field::plant(&FieldConfig { stage: data_synth::field::GrowthStage::Early, ..twin.field }).unwrap();
+    let field =
+        Field::plant(&FieldConfig { stage: data_synth::field::GrowthStage::Early, ..twin.field })
+            .unwrap();
     let photos = fly(&twin.flight, &field, &Camera::new(&twin.camera).unwrap()).unwrap().len();
     assert!((40..=600).contains(&photos), "{photos}");
     assert_eq!((twin.targets.control, twin.targets.check), (18, 10));
@@ -103,7 +108,7 @@ fn looking_out_of_a_pixel_and_projecting_what_is_there_gives_the_pixel() {
     let mut config = TwinConfig::preset(FlightPreset::Small);
     config.flight.readout_seconds = 0.04;
     config.flight.turn_rate_deg_s = 8.0;
-    config.camera = CameraConfig::wide(1000, 750, 440.0);
+    config.camera = CameraConfig::wide(1000, 750, 520.0);
     let twin = config.build().unwrap();
     let mut most = 0.0f64;
     for shot in &twin.shots {
@@ -151,7 +156,10 @@ fn the_gimbal_alone_tilts_and_the_heading_alone_turns() {
         assert!(shots.iter().zip(&level).all(|(a, b)| a.centre_m == b.centre_m));
         for (axis, expected_deg) in expected_deg.into_iter().enumerate() {
             let deviation_deg = moments(&part(shots, axis)).1.to_degrees();
-            assert!((deviation_deg - expected_deg).abs() <= 0.1 * expected_deg + 0.05, "{axis}: {deviation_deg}");
+            assert!(
+                (deviation_deg - expected_deg).abs() <= 0.1 * expected_deg + 0.05,
+                "{axis}: {deviation_deg}"
+            );
         }
     }
 }
@@ -166,7 +174,10 @@ fn places_and_heights_alone_scatter_as_asked() {
     };
     for axis in [0, 1] {
         let (mean_m, deviation_m) = moments(&away(&moved, axis));
-        assert!(mean_m.abs() < 0.1 && (deviation_m / 0.5 - 1.0).abs() < 0.12, "{mean_m} {deviation_m}");
+        assert!(
+            mean_m.abs() < 0.1 && (deviation_m / 0.5 - 1.0).abs() < 0.12,
+            "{mean_m} {deviation_m}"
+        );
         assert!(away(&drifting, axis).iter().all(|&m| m == 0.0));
     }
     assert!(away(&moved, 2).iter().all(|&m| m == 0.0));
@@ -212,7 +223,8 @@ fn the_receiver_errs_as_asked_and_sits_on_its_lever_arm() {
         shots.iter().map(|shot| minus(shot.gnss_m, shot.centre_m)).collect()
     };
     for (axis, expected_m) in [1.5, 1.5, 3.0].into_iter().enumerate() {
-        let (mean_m, deviation_m) = moments(&errors(0.0).iter().map(|e| e[axis]).collect::<Vec<_>>());
+        let (mean_m, deviation_m) =
+            moments(&errors(0.0).iter().map(|e| e[axis]).collect::<Vec<_>>());
         assert!(mean_m.abs() < 0.2 * expected_m, "{mean_m}");
         assert!((deviation_m / expected_m - 1.0).abs() < 0.12, "{deviation_m}");
     }
@@ -224,7 +236,8 @@ fn the_receiver_errs_as_asked_and_sits_on_its_lever_arm() {
 
 #[test]
 fn a_rolling_shutter_alone_moves_rows_by_what_the_camera_flies_meanwhile() {
-    let (global, rolling) = (shots(&still()), shots(&FlightConfig { readout_seconds: 0.05, ..still() }));
+    let (global, rolling) =
+        (shots(&still()), shots(&FlightConfig { readout_seconds: 0.05, ..still() }));
     let camera = camera();
     for (a, b) in global.iter().zip(&rolling) {
         assert_eq!((a.centre_m, a.rotation, a.gnss_m), (b.centre_m, b.rotation, b.gnss_m));
@@ -268,7 +281,10 @@ fn every_bad_parameter_is_named() {
         ("plots.length_m", |c| c.field.plots.length_m = 0.01),
         ("terrain.slope_percent", |c| c.field.terrain.slope_percent = 90.0),
         ("tie_points.mean_track", |c| c.tie_points.mean_track = 1.0),
-        ("flight.height_m", |c| (c.flight.height_m, c.flight.position_m, c.field.terrain.slope_percent) = (1.0, 0.0, 30.0)),
+        ("flight.height_m", |c| {
+            (c.flight.height_m, c.flight.position_m, c.flight.height_drift_m, c.targets.above_m) =
+                (1.0, 0.0, 0.0, 0.0)
+        }),
     ];
     for (name, change) in bad {
         let mut config = TwinConfig::preset(FlightPreset::Small);

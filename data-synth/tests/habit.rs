@@ -9,7 +9,8 @@ use data_synth::{
 };
 
 fn field(change: impl Fn(&mut FieldConfig)) -> Field {
-    let mut config = FieldConfig { rows: 40, row_length_m: 16.0, gsd_m: 0.05, ..FieldConfig::default() };
+    let mut config =
+        FieldConfig { rows: 40, row_length_m: 16.0, gsd_m: 0.05, ..FieldConfig::default() };
     change(&mut config);
     Field::plant(&config).unwrap()
 }
@@ -24,7 +25,12 @@ fn tillers_panicles_and_dying_leaves_come_as_often_as_asked() {
     let plain = field(|_| ());
     assert!(plain.plants.iter().all(|plant| plant.stalks.len() == 1));
     let grown = field(|c| {
-        c.habit = Habit { tiller_fraction: 0.3, panicle_fraction: 0.4, senescent_fraction: 0.25, ..c.habit.clone() }
+        c.habit = Habit {
+            tiller_fraction: 0.3,
+            panicle_fraction: 0.4,
+            senescent_fraction: 0.25,
+            ..c.habit.clone()
+        }
     });
     assert_eq!(stands(&plain), stands(&grown));
     let tillered = grown.plants.iter().filter(|plant| plant.stalks.len() > 1).count();
@@ -43,10 +49,28 @@ fn tillers_panicles_and_dying_leaves_come_as_often_as_asked() {
             assert!(leaves.iter().skip(third).all(|leaf| !leaf.senescent));
         }
         // The main stalk's leaves are the same as without a habit.
-        let before = &plain.plants.iter().find(|p| (p.x_m, p.y_m) == (plant.x_m, plant.y_m)).unwrap().leaves;
+        let before =
+            &plain.plants.iter().find(|p| (p.x_m, p.y_m) == (plant.x_m, plant.y_m)).unwrap().leaves;
         assert!(before.iter().zip(&plant.leaves).all(|(a, b)| a.axis_m == b.axis_m));
     }
     assert!(proportion_agrees(dying, low, 0.25, 4.0), "{dying} of {low}");
+}
+
+#[test]
+fn dying_leaves_leave_the_mask_and_the_picture_says_so_too() {
+    let mut scenario = data_synth::scenario::Scenario::default();
+    let green = scenario.build().unwrap().mask();
+    scenario.field.habit.senescent_fraction = 1.0;
+    let (mask, picture) = scenario.build().unwrap().mask_and_picture();
+    assert!(mask.iter().zip(green.iter()).all(|(after, before)| after <= before));
+    let count = |mask: &image::GrayImage| mask.iter().filter(|&&pixel| pixel == 255).count() as f64;
+    // The lowest third of the leaves, two of five to seven, partly below others.
+    let part = count(&mask) / count(&green);
+    assert!((0.6..0.9).contains(&part), "{part}");
+    for (pixel, colour) in mask.pixels().zip(picture.pixels()) {
+        let [r, g, b] = colour.0;
+        assert_eq!(pixel.0 == [255], g > r && g > b, "{colour:?}");
+    }
 }
 
 #[test]
@@ -57,7 +81,8 @@ fn leaf_planes_follow_the_preferred_direction() {
             c.habit.azimuth_preference = preference;
         });
         // Doubled angles against the direction across the rows, 120 degrees.
-        let cosines = field.leaves().map(|leaf| (2.0 * (leaf.azimuth_rad - 120f64.to_radians())).cos());
+        let cosines =
+            field.leaves().map(|leaf| (2.0 * (leaf.azimuth_rad - 120f64.to_radians())).cos());
         cosines.sum::<f64>() / field.leaves().count() as f64
     };
     // Scatter of 20 degrees between plants and 25 within leaves exp(-2 (0.35^2 + 0.44^2)) = 0.53.
@@ -112,7 +137,9 @@ fn plants_stand_on_the_ground_and_leaves_above_it() {
             furrow_m: 0.1,
         };
     });
-    let flat = Field::plant(&FieldConfig { terrain: TerrainConfig::default(), ..field.config.clone() }).unwrap();
+    let flat =
+        Field::plant(&FieldConfig { terrain: TerrainConfig::default(), ..field.config.clone() })
+            .unwrap();
     assert_eq!(stands(&field), stands(&flat), "terrain moves no plant");
     for plant in &field.plants {
         assert_eq!(plant.z_m, field.terrain.height_m(plant.x_m, plant.y_m));
@@ -137,7 +164,10 @@ fn weeds_are_grasses_as_often_as_asked() {
     for (a, b) in weeds(0.0).iter().zip(&mixed) {
         assert_eq!((a.x_m, a.y_m), (b.x_m, b.y_m));
         if b.grass {
-            assert!(b.leaves.iter().all(|leaf| leaf.length_m > 4.0 * leaf.width_m), "leaf-like axes");
+            assert!(
+                b.leaves.iter().all(|leaf| leaf.length_m > 4.0 * leaf.width_m),
+                "leaf-like axes"
+            );
         }
     }
 }

@@ -94,7 +94,11 @@ fn light_at(image: &RgbImage, [u, v]: [f64; 2]) -> f64 {
 
 #[test]
 fn targets_appear_where_their_marks_truly_are() {
-    let twin = config().build().unwrap();
+    // Nothing lies on the plates and no leaf shades them.
+    let mut config = config();
+    config.clutter = ClutterConfig { residue_per_m2: 0.0, stones_per_m2: 0.0 };
+    config.targets.clearing_m = 0.7;
+    let twin = config.build().unwrap();
     let photos = photos(&twin);
     let mut checked = 0;
     for mark in &twin.marks {
@@ -104,9 +108,9 @@ fn targets_appear_where_their_marks_truly_are() {
         // How much the picture looks like the four squares when their middle is moved by (a, b) on the plate.
         let likeness = |a: f64, b: f64| -> f64 {
             let mut sum = 0.0;
-            for i in -7..=7 {
-                for j in -7..=7 {
-                    let (s, t) = (f64::from(i) * 0.022, f64::from(j) * 0.022);
+            for i in -15i32..=15 {
+                for j in -15i32..=15 {
+                    let (s, t) = (f64::from(i) * 0.0065, f64::from(j) * 0.0065);
                     let place = [
                         target.place_m[0] + (s + a) * cos - (t + b) * sin,
                         target.place_m[1] + (s + a) * sin + (t + b) * cos,
@@ -146,7 +150,9 @@ fn leaves_appear_where_their_axes_project() {
         for (number, plant) in twin.field().plants.iter().enumerate() {
             for leaf in &plant.leaves {
                 let place = twin.field().leaf_axis_m(plant.z_m, leaf)[4];
-                let pixel = shot.project(&twin.camera, place).filter(|&pixel| twin.camera.inside(pixel, 2.0));
+                let pixel = shot
+                    .project(&twin.camera, place)
+                    .filter(|&pixel| twin.camera.inside(pixel, 2.0));
                 let Some([u, v]) = pixel else { continue };
                 let (u, v) = (u.round() as u32, v.round() as u32);
                 let [r, g, b] = photo.plants.get_pixel(u, v).0.map(u32::from);
@@ -168,7 +174,9 @@ fn masks_plants_and_greenness_agree() {
     let twin = TwinConfig { corruption: Corruption::default(), ..config() }.build().unwrap();
     let photo = &photos(&twin)[0];
     let (mut leaf, mut soil) = (Vec::new(), Vec::new());
-    for ((mask, plant), colour) in photo.mask.pixels().zip(photo.plants.pixels()).zip(photo.image.pixels()) {
+    for ((mask, plant), colour) in
+        photo.mask.pixels().zip(photo.plants.pixels()).zip(photo.image.pixels())
+    {
         let [r, g, b] = colour.0.map(f64::from);
         if mask.0 == [255] {
             assert_ne!(plant.0, [0, 0, 0], "green that is no plant's in a field without weeds");
@@ -201,7 +209,10 @@ fn exposure_and_white_balance_alone_scale_photos_as_asked() {
             let pairs: Vec<_> = pairs.filter(|(a, _)| (0.05..0.6).contains(*a)).collect();
             let (sum_a, sum_b) = pairs.iter().fold((0.0, 0.0), |(a, b), (x, y)| (a + **x, b + **y));
             let ratio = sum_b / sum_a;
-            assert!(pairs.iter().all(|(a, b)| (**b / **a / ratio - 1.0).abs() < 0.09), "the same everywhere");
+            assert!(
+                pairs.iter().all(|(a, b)| (**b / **a / ratio - 1.0).abs() < 0.09),
+                "the same everywhere"
+            );
             ratio
         })
     };
@@ -237,8 +248,12 @@ fn noise_alone_has_its_deviation() {
     let base = linear(&first(plain()).image);
     let deviation = |image: ImageConfig, range: std::ops::Range<f64>| {
         let noisy = linear(&first(image).image);
-        let differences: Vec<f64> =
-            base.iter().zip(&noisy).filter(|(a, _)| range.contains(*a)).map(|(a, b)| b - a).collect();
+        let differences: Vec<f64> = base
+            .iter()
+            .zip(&noisy)
+            .filter(|(a, _)| range.contains(*a))
+            .map(|(a, b)| b - a)
+            .collect();
         assert!(differences.len() > 10_000, "{}", differences.len());
         moments(&differences).1
     };
@@ -289,7 +304,7 @@ fn defocus_alone_blurs_both_ways_and_motion_along_the_flight_only() {
     let smeared = moving.build().unwrap();
     let [sharp_u, sharp_v] = roughness(&sharp.studio().photo(&sharp.shots[0], 0).image);
     let [u, v] = roughness(&smeared.studio().photo(&smeared.shots[0], 0).image);
-    assert!(v < 0.3 * sharp_v, "{v} of {sharp_v}");
+    assert!(v < 0.4 * sharp_v, "{v} of {sharp_v}");
     assert!(u > 1.5 * v * sharp_u / sharp_v, "{u} of {sharp_u}");
 }
 
@@ -304,14 +319,15 @@ fn contrast_clutter_and_weeds_do_what_they_say() {
         let twin = config.build().unwrap();
         twin.studio().photo(&twin.shots[0], 0)
     };
-    let spread = |photo: &Photo| moments(&linear(&photo.image)).1;
+    let spread = |photo: &Photo| {
+        moments(&linear(&photo.image).into_iter().skip(1).step_by(3).collect::<Vec<_>>()).1
+    };
     let soil = bare(&|_| ());
     assert!(soil.mask.iter().all(|&pixel| pixel == 0));
     assert!(spread(&bare(&|c| c.image.soil_contrast = 0.3)) < 0.8 * spread(&soil));
-    for change in [
-        (|c| c.clutter.residue_per_m2 = 20.0) as fn(&mut TwinConfig),
-        |c| c.clutter.stones_per_m2 = 20.0,
-    ] {
+    for change in [(|c| c.clutter.residue_per_m2 = 20.0) as fn(&mut TwinConfig), |c| {
+        c.clutter.stones_per_m2 = 20.0
+    }] {
         let littered = bare(&change);
         let pixels = soil.image.pixels().zip(littered.image.pixels());
         let changed = pixels.filter(|(a, b)| a != b).count() as f64 / f64::from(480 * 360);
@@ -342,7 +358,8 @@ fn the_sun_throws_shadows_away_from_itself() {
         for plant in &twin.field().plants {
             let [x, y] = [plant.x_m + 0.25 * cos, plant.y_m + 0.25 * sin];
             let place = [x, y, twin.field().terrain.height_m(x, y)];
-            let pixel = twin.shots[0].project(&twin.camera, place).filter(|&p| twin.camera.inside(p, 1.0));
+            let pixel =
+                twin.shots[0].project(&twin.camera, place).filter(|&p| twin.camera.inside(p, 1.0));
             let Some([u, v]) = pixel else { continue };
             let (u, v) = (u.round() as u32, v.round() as u32);
             if photo.mask.get_pixel(u, v).0 == [0] {
@@ -368,7 +385,8 @@ fn photos_are_the_same_for_any_number_of_threads() {
         config.corruption.weeds_per_m2 = 2.0;
         let twin = config.build().unwrap();
         let jpegs = photos(&twin).into_iter().zip(&twin.shots).map(|(photo, shot)| {
-            let bytes = exif::jpeg(&photo.image, 90, shot, &twin.config.camera, &twin.site).unwrap();
+            let bytes =
+                exif::jpeg(&photo.image, 90, shot, &twin.config.camera, &twin.site).unwrap();
             (bytes, photo.mask, photo.plants)
         });
         (jpegs.collect::<Vec<_>>(), twin.marks.clone(), twin.shots.clone())
@@ -402,10 +420,13 @@ fn exif_says_where_and_when() {
     let low = exif::jpeg(&image, 30, shot, &twin.config.camera, &twin.site).unwrap();
     let bytes = exif::jpeg(&image, 95, shot, &twin.config.camera, &twin.site).unwrap();
     assert!(low.len() < bytes.len());
-    let read = ::exif::Reader::new().read_from_container(&mut std::io::Cursor::new(&bytes)).unwrap();
+    let read =
+        ::exif::Reader::new().read_from_container(&mut std::io::Cursor::new(&bytes)).unwrap();
     let get = |tag| read.get_field(tag, ::exif::In::PRIMARY).unwrap();
     let degrees = |tag| match &get(tag).value {
-        ::exif::Value::Rational(parts) => parts[0].to_f64() + parts[1].to_f64() / 60.0 + parts[2].to_f64() / 3600.0,
+        ::exif::Value::Rational(parts) => {
+            parts[0].to_f64() + parts[1].to_f64() / 60.0 + parts[2].to_f64() / 3600.0
+        }
         other => panic!("{other:?}"),
     };
     let [latitude, longitude, height] = twin.site.geographic(shot.gnss_m).unwrap();
@@ -416,7 +437,9 @@ fn exif_says_where_and_when() {
     assert_eq!(get(Tag::GPSLongitudeRef).display_value().to_string(), "W");
     assert_eq!(get(Tag::GPSLatitudeRef).display_value().to_string(), "N");
     match &get(Tag::GPSAltitude).value {
-        ::exif::Value::Rational(parts) => approx::assert_abs_diff_eq!(parts[0].to_f64(), height, epsilon = 1e-3),
+        ::exif::Value::Rational(parts) => {
+            approx::assert_abs_diff_eq!(parts[0].to_f64(), height, epsilon = 1e-3)
+        }
         other => panic!("{other:?}"),
     }
     for (tag, expected) in [(Tag::Make, "Synthetic"), (Tag::Model, "Compact camera")] {

@@ -8,7 +8,12 @@ use data_synth::{
 
 fn twin(change: impl Fn(&mut TiePointConfig)) -> (Twin, Vec<TiePoint>) {
     let mut config = TwinConfig::preset(FlightPreset::Small);
-    config.tie_points = TiePointConfig { per_photo: 150, sigma_px: 0.0, outlier_fraction: 0.0, ..config.tie_points };
+    config.tie_points = TiePointConfig {
+        per_photo: 150,
+        sigma_px: 0.0,
+        outlier_fraction: 0.0,
+        ..config.tie_points
+    };
     change(&mut config.tie_points);
     let twin = config.build().unwrap();
     let points = twin.tie_points();
@@ -22,7 +27,8 @@ fn without_errors_measurements_are_projections() {
     for point in &points {
         assert!(point.seen.len() >= 2);
         assert!(point.seen.windows(2).all(|pair| pair[0].shot < pair[1].shot));
-        let above_m = point.place_m[2] - twin.field().terrain.height_m(point.place_m[0], point.place_m[1]);
+        let above_m =
+            point.place_m[2] - twin.field().terrain.height_m(point.place_m[0], point.place_m[1]);
         assert!((-1e-5..0.2).contains(&above_m), "{above_m}");
         for sighting in &point.seen {
             let pixel = twin.shots[sighting.shot].project(&twin.camera, point.place_m).unwrap();
@@ -41,7 +47,11 @@ fn noise_outliers_and_tracks_are_those_asked_for_and_leave_the_truth_alone() {
     let mut errors = Vec::new();
     for (a, b) in clean.iter().zip(&noisy) {
         assert_eq!(a.place_m, b.place_m);
-        errors.extend(b.seen.iter().flat_map(|s| [s.measured_px[0] - s.true_px[0], s.measured_px[1] - s.true_px[1]]));
+        errors.extend(
+            b.seen
+                .iter()
+                .flat_map(|s| [s.measured_px[0] - s.true_px[0], s.measured_px[1] - s.true_px[1]]),
+        );
     }
     let (mean_px, deviation_px) = moments(&errors);
     let count = errors.len() as f64;
