@@ -123,8 +123,8 @@ fn targets_appear_where_their_marks_truly_are() {
             sum
         };
         let mut best = (f64::NEG_INFINITY, 0.0, 0.0);
-        for a in -10..=10 {
-            for b in -10..=10 {
+        for a in -5..=5 {
+            for b in -5..=5 {
                 let (a, b) = (f64::from(a) * 0.0025, f64::from(b) * 0.0025);
                 let score = likeness(a, b);
                 if score > best.0 {
