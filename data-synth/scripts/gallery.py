@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
-"""The picture of the README: a field from above, one photo, its mask, its truth.
+"""A gallery of a flight: the field from above, one photo, its mask, its truth. The README's has photo and mask.
 
     rowgram synth flight --preset small --photo-truth -o field
-    python gallery.py field IMG_0006 docs/twin.jpg
+    python gallery.py field IMG_0006 docs/twin.jpg --panels photo,mask
 
 Needs pillow and numpy. The truth panel colours every pixel by the plant that it shows and marks the stalk bases.
 """
@@ -49,12 +49,18 @@ def main():
     parser.add_argument("folder", type=pathlib.Path)
     parser.add_argument("photo")
     parser.add_argument("output", type=pathlib.Path)
+    parser.add_argument("--panels", default="above,photo,mask,truth")
     args = parser.parse_args()
-    above = Image.open(args.folder / "truth/picture.png").convert("RGB")
     image = Image.open(args.folder / "images" / f"{args.photo}.JPG").convert("RGB")
-    mask = Image.open(args.folder / "truth/photos" / f"{args.photo}_mask.png").convert("RGB")
-    panels = [fitted(above), fitted(image), fitted(mask), fitted(truth(args.folder, args.photo, image))]
-    sheet = Image.new("RGB", (2 * PANEL[0] + GAP, 2 * PANEL[1] + GAP), "white")
+    make = {
+        "above": lambda: Image.open(args.folder / "truth/picture.png").convert("RGB"),
+        "photo": lambda: image,
+        "mask": lambda: Image.open(args.folder / "truth/photos" / f"{args.photo}_mask.png").convert("RGB"),
+        "truth": lambda: truth(args.folder, args.photo, image),
+    }
+    panels = [fitted(make[name]()) for name in args.panels.split(",")]
+    rows = (len(panels) + 1) // 2
+    sheet = Image.new("RGB", (2 * PANEL[0] + GAP, rows * (PANEL[1] + GAP) - GAP), "white")
     for place, panel in enumerate(panels):
         sheet.paste(panel, ((place % 2) * (PANEL[0] + GAP), (place // 2) * (PANEL[1] + GAP)))
     sheet.save(args.output, quality=80, optimize=True)
