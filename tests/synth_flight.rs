@@ -237,34 +237,6 @@ fn the_truth_files_close_the_loop() {
 }
 
 #[test]
-fn tie_points_without_photos_are_adjusted_to_the_control() {
-    let folder = tempfile::tempdir().unwrap();
-    let out = folder.path().join("field");
-    let config = tiny(folder.path());
-    succeed(&["synth", "flight", "--config", text(&config), "--no-photos", "-o", text(&out)]);
-    let result = folder.path().join("adjusted");
-    let output = succeed(&[
-        "adjust",
-        text(&out.join("model")),
-        "--camera",
-        text(&out.join("truth/camera.toml")),
-        "--control",
-        text(&out.join("gcps.csv")),
-        "--marks",
-        text(&out.join("marks.csv")),
-        "--positions",
-        text(&out.join("geolocation.csv")),
-        "--loss",
-        "huber",
-        "-o",
-        text(&result),
-        "--json",
-    ]);
-    let report = String::from_utf8_lossy(&output.stdout).into_owned();
-    assert!(report.contains("check"), "{report}");
-}
-
-#[test]
 fn bad_configurations_are_refused_by_name() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("bad.toml");

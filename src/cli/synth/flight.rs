@@ -28,7 +28,7 @@ use std::{
 /// plants.csv, leaves.csv, leaf_axes.csv, rows.csv, plots.csv, weeds.csv, gcps.csv, marks.csv, dem.asc, and the
 /// field from straight above (mask.png, picture.png, with world files). Tie points without photos go to
 /// tie_points.csv, truth/tie_points.csv and, with start values as from the receiver, to model/ in COLMAP's text
-/// form, for rowgram adjust model --camera truth/camera.toml --control gcps.csv --marks marks.csv.
+/// form (the lens without distortion: truth/camera.toml has it).
 ///
 /// Positions are in a UTM zone on WGS84, heights above the ellipsoid; image positions have the centre of
 /// the top-left pixel at 0,0. The same parameters give the same bytes for any number of threads.
