@@ -26,4 +26,5 @@ mod program;
 mod run;
 mod segment;
 mod synth;
+mod synth_flight;
 mod target;

@@ -8,12 +8,13 @@
 use crate::{
     check::{ConfigError, within},
     field::Field,
-    leaf::{Leaf, Shape},
+    leaf::{self, Leaf, Shape},
     picture,
     streams::{Draw, Stage, stream},
 };
 use image::{GrayImage, RgbImage};
 use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
@@ -22,20 +23,25 @@ use std::f64::consts::{PI, TAU};
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Corruption {
-    /// Broad-leaved weeds per square metre of the picture.
+    /// Weeds per square metre of the picture.
     pub weeds_per_m2: f64,
+    /// Share of the weeds that are grasses, whose leaves have axes as the crop's do; the others are
+    /// broad-leaved rosettes.
+    pub grass_share: f64,
     /// Probability that a pixel that shows no leaf is taken for one.
     pub false_fraction: f64,
     /// Probability that a leaf pixel is not taken for one.
     pub missed_fraction: f64,
 }
 
-/// A weed: a small rosette.
+/// A weed: a small rosette or a tuft of grass.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Weed {
-    /// Middle of the rosette, X in metres.
+    /// Whether it is a grass.
+    pub grass: bool,
+    /// Its middle, X in metres.
     pub x_m: f64,
-    /// Middle of the rosette, Y in metres.
+    /// Its middle, Y in metres.
     pub y_m: f64,
     /// Its leaves.
     pub leaves: Vec<Leaf>,
@@ -48,6 +54,7 @@ impl Corruption {
     /// The first parameter that cannot be used: its name, its value and what was expected.
     pub fn check(&self) -> Result<(), ConfigError> {
         within("weeds_per_m2", self.weeds_per_m2, 0.0..=1000.0)?;
+        within("grass_share", self.grass_share, 0.0..=1.0)?;
         within("false_fraction", self.false_fraction, 0.0..=1.0)?;
         within("missed_fraction", self.missed_fraction, 0.0..=1.0)
     }
@@ -58,7 +65,7 @@ impl Corruption {
         let area_m2 =
             f64::from(frame.width_px) * f64::from(frame.height_px) * frame.gsd_m * frame.gsd_m;
         let count = (self.weeds_per_m2 * area_m2).round() as u64;
-        (0..count).into_par_iter().map(|weed| grow_weed(field, weed)).collect()
+        (0..count).into_par_iter().map(|weed| grow_weed(field, weed, self.grass_share)).collect()
     }
 
     /// Makes the false and missed pixels in a mask (255 leaf, 0 not) and, where given, in the
@@ -99,13 +106,17 @@ impl Corruption {
     }
 }
 
-fn grow_weed(field: &Field, weed: u64) -> Weed {
+fn grow_weed(field: &Field, weed: u64, grass_share: f64) -> Weed {
     let mut rng = stream(field.config.seed, Stage::Weed, weed);
     let frame = &field.frame;
     let [x_m, y_m] = frame.ground(
         rng.between(-0.5, f64::from(frame.width_px) - 0.5),
         rng.between(-0.5, f64::from(frame.height_px) - 0.5),
     );
+    let mut kind = stream(field.config.seed, Stage::Grass, weed);
+    if kind.unit() < grass_share {
+        return Weed { grass: true, x_m, y_m, leaves: tuft([x_m, y_m], &mut kind) };
+    }
     let count = rng.random_range(2..=6);
     let first_rad = rng.between(0.0, TAU);
     let size_m = rng.between(0.022, 0.064);
@@ -128,7 +139,28 @@ fn grow_weed(field: &Field, weed: u64) -> Weed {
             shape.leaf([x_m, y_m, 0.02], hue_deg, brightness.clamp(0.7, 1.3), round_profile)
         })
         .collect();
-    Weed { x_m, y_m, leaves }
+    Weed { grass: false, x_m, y_m, leaves }
+}
+
+/// The leaves of a tuft of grass: narrow, of the crop's outline, in all directions.
+fn tuft([x_m, y_m]: [f64; 2], rng: &mut ChaCha8Rng) -> Vec<Leaf> {
+    let count = rng.random_range(3..=9);
+    let hue_deg = 86.0 + 6.0 * rng.normal();
+    (0..count)
+        .map(|_| {
+            let shape = Shape {
+                length_m: rng.between(0.05, 0.20),
+                width_m: rng.between(0.004, 0.010),
+                azimuth_rad: rng.between(0.0, TAU),
+                elevation_rad: rng.between(0.3, 1.1),
+                turn_rad: rng.between(0.5, 1.5),
+                swing_rad: 0.3 * rng.normal(),
+            };
+            let hue_deg = (hue_deg + 3.0 * rng.normal()).clamp(70.0, 110.0);
+            let brightness = (1.0 + 0.1 * rng.normal()).clamp(0.7, 1.3);
+            shape.leaf([x_m, y_m, 0.01], hue_deg, brightness, leaf::width_profile)
+        })
+        .collect()
 }
 
 /// Half width along a round leaf.

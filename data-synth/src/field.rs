@@ -18,8 +18,10 @@
 
 use crate::{
     check::{self, ConfigError, within},
+    habit::{Habit, PlotConfig, Stalk},
     leaf::{self, Leaf},
     streams::{Draw, Stage, pair, stream},
+    terrain::{Terrain, TerrainConfig},
 };
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -114,6 +116,12 @@ pub struct FieldConfig {
     pub gsd_m: f64,
     /// Bare ground shown around the rows, metres.
     pub margin_m: f64,
+    /// How the rows are grouped into plots.
+    pub plots: PlotConfig,
+    /// The shape of the ground.
+    pub terrain: TerrainConfig,
+    /// Preferred directions, tillers, panicles, dying leaves, colours.
+    pub habit: Habit,
 }
 
 impl Default for FieldConfig {
@@ -136,6 +144,9 @@ impl Default for FieldConfig {
             tilt_m: 0.0,
             gsd_m: 0.015,
             margin_m: 0.8,
+            plots: PlotConfig::default(),
+            terrain: TerrainConfig::default(),
+            habit: Habit::default(),
         }
     }
 }
@@ -160,6 +171,9 @@ impl FieldConfig {
         within("tilt_m", self.tilt_m, 0.0..=1.0)?;
         within("gsd_m", self.gsd_m, 0.0005..=1.0)?;
         within("margin_m", self.margin_m, 0.0..=100.0)?;
+        self.plots.check()?;
+        self.terrain.check()?;
+        self.habit.check()?;
         let sites = self.rows as f64 * (self.row_length_m / self.spacing_m + 1.0);
         if sites > MOST_PLANTS {
             let expected = format!(
@@ -264,17 +278,24 @@ pub struct Plant {
     pub site: usize,
     /// Whether this is the second plant of its site.
     pub second: bool,
+    /// Plot, from 0, numbered along the rows first.
+    pub plot: usize,
     /// Stalk base, X in metres.
     pub x_m: f64,
     /// Stalk base, Y in metres.
     pub y_m: f64,
+    /// Stalk base, Z in metres: the height of the ground there.
+    pub z_m: f64,
     /// Stalk base, column in pixels.
     pub u_px: f64,
     /// Stalk base, row of the picture in pixels.
     pub v_px: f64,
     /// From the stalk base to the topmost collar, (X, Y) in metres.
     pub tilt_m: [f64; 2],
-    /// Leaves, lowest first.
+    /// The main stalk, then the tillers.
+    pub stalks: Vec<Stalk>,
+    /// Leaves, lowest first; those of the main stalk before those of the tillers. Heights are above the
+    /// ground at the stalk's base; [`Field::leaf_axis_m`] places them in the mapping frame.
     pub leaves: Vec<Leaf>,
 }
 
@@ -285,6 +306,8 @@ pub struct Field {
     pub config: FieldConfig,
     /// The raster over it.
     pub frame: Frame,
+    /// The ground.
+    pub terrain: Terrain,
     /// Plants by row, site, and first before second.
     pub plants: Vec<Plant>,
 }
@@ -296,18 +319,29 @@ impl Field {
     /// As [`FieldConfig::check`].
     pub fn plant(config: &FieldConfig) -> Result<Field, ConfigError> {
         config.check()?;
+        let terrain = Terrain::new(config);
         let mut plants: Vec<Plant> =
             (0..config.rows).into_par_iter().flat_map_iter(|row| plant_row(config, row)).collect();
         let frame = Frame::around(config, plants.iter().map(|plant| [plant.x_m, plant.y_m]));
         plants.par_iter_mut().for_each(|plant| {
             [plant.u_px, plant.v_px] = frame.pixel(plant.x_m, plant.y_m);
+            plant.z_m = terrain.height_m(plant.x_m, plant.y_m);
         });
-        Ok(Field { config: config.clone(), frame, plants })
+        Ok(Field { config: config.clone(), frame, terrain, plants })
     }
 
     /// Every leaf of every plant, in their order.
     pub fn leaves(&self) -> impl Iterator<Item = &Leaf> {
         self.plants.iter().flat_map(|plant| &plant.leaves)
+    }
+
+    /// The axis of a leaf in the mapping frame (X, Y, Z), metres: raised to the ground at its plant, and
+    /// kept above the ground along its way.
+    pub fn leaf_axis_m(&self, base_z_m: f64, leaf: &Leaf) -> [[f64; 3]; leaf::NODES] {
+        leaf.axis_m.map(|[x_m, y_m, z_m]| {
+            let ground_m = self.terrain.height_m(x_m, y_m) + leaf::GROUND_M;
+            [x_m, y_m, (base_z_m + z_m).max(ground_m)]
+        })
     }
 }
 
@@ -341,14 +375,34 @@ fn plant_site(
     let first = [along_m, across_m];
     let second = [along_m + apart_m * apart_rad.cos(), across_m + apart_m * apart_rad.sin()];
     let count = if missing { 0 } else { 1 + usize::from(double) };
-    [first, second].into_iter().take(count).enumerate().map(move |(index, [along, across])| {
-        let base_m = config.ground(along, across);
-        let mut rng = stream(config.seed, Stage::Plant, (item << 1) | index as u64);
-        let lean_m = config.tilt_m * std::f64::consts::FRAC_1_SQRT_2;
-        let tilt_m = [lean_m * rng.normal(), lean_m * rng.normal()];
-        let leaves = leaf::grow(config.stage, config.phyllotaxy, base_m, tilt_m, &mut rng);
-        let [x_m, y_m] = base_m;
-        let second = index == 1;
-        Plant { row, site, second, x_m, y_m, u_px: 0.0, v_px: 0.0, tilt_m, leaves }
-    })
+    [first, second].into_iter().take(count).enumerate().filter_map(
+        move |(index, [along, across])| {
+            let from_start_m = along + 0.5 * config.row_length_m;
+            let plot = config.plots.plot(config.rows, config.row_length_m, row, from_start_m)?;
+            let base_m = config.ground(along, across);
+            let mut rng = stream(config.seed, Stage::Plant, (item << 1) | index as u64);
+            let lean_m = config.tilt_m * std::f64::consts::FRAC_1_SQRT_2;
+            let tilt_m = [lean_m * rng.normal(), lean_m * rng.normal()];
+            let mut habit_rng = stream(config.seed, Stage::Habit, (item << 1) | index as u64);
+            let (stalks, leaves) = leaf::plant(config, base_m, tilt_m, &mut rng, &mut habit_rng);
+            let [x_m, y_m] = base_m;
+            let second = index == 1;
+            // The raster and the ground give the rest once all plants are known.
+            let (z_m, u_px, v_px) = (0.0, 0.0, 0.0);
+            Some(Plant {
+                row,
+                site,
+                second,
+                plot,
+                x_m,
+                y_m,
+                z_m,
+                u_px,
+                v_px,
+                tilt_m,
+                stalks,
+                leaves,
+            })
+        },
+    )
 }

@@ -14,7 +14,8 @@
 //! counter-clockwise from east.
 
 use crate::{
-    field::{GrowthStage, Phyllotaxy},
+    field::{FieldConfig, GrowthStage, Phyllotaxy},
+    habit::Stalk,
     streams::Draw,
 };
 use rand::RngExt;
@@ -28,7 +29,7 @@ const PROFILE_START: f64 = 0.10;
 const PROFILE_WIDEST: f64 = 0.45;
 const PROFILE_TIP_POWER: f64 = 0.75;
 /// Height of a leaf that lies on the ground, metres.
-const GROUND_M: f64 = 0.003;
+pub(crate) const GROUND_M: f64 = 0.003;
 
 /// One leaf: the ribbon around a polyline.
 #[derive(Debug, Clone, PartialEq)]
@@ -47,6 +48,18 @@ pub struct Leaf {
     pub hue_deg: f64,
     /// Brightness of the blade relative to the others of the field, about 1.
     pub brightness: f64,
+    /// The stalk that carries it: 0 the main stalk, then the tillers.
+    pub stalk: u32,
+    /// Whether it is dying, and so neither green nor part of a mask.
+    pub senescent: bool,
+}
+
+impl Leaf {
+    /// Area of the blade, square metres: the ribbon between the nodes.
+    pub fn area_m2(&self) -> f64 {
+        let step_m = self.length_m / (NODES - 1) as f64;
+        self.half_width_m.windows(2).map(|pair| step_m * (pair[0] + pair[1])).sum()
+    }
 }
 
 /// How the leaves of a growth stage are: counts and sizes of sorghum.
@@ -60,6 +73,8 @@ pub struct LeafTraits {
     pub width_m: (f64, f64),
     /// Height of the topmost collar, metres.
     pub stem_m: f64,
+    /// Radius of the stalk, metres.
+    pub stalk_radius_m: f64,
 }
 
 impl GrowthStage {
@@ -71,18 +86,21 @@ impl GrowthStage {
                 length_m: (0.08, 0.18),
                 width_m: (0.015, 0.025),
                 stem_m: 0.06,
+                stalk_radius_m: 0.003,
             },
             GrowthStage::Mid => LeafTraits {
                 count: (5, 7),
                 length_m: (0.18, 0.38),
                 width_m: (0.025, 0.04),
                 stem_m: 0.18,
+                stalk_radius_m: 0.007,
             },
             GrowthStage::Late => LeafTraits {
                 count: (7, 9),
                 length_m: (0.30, 0.60),
                 width_m: (0.03, 0.05),
                 stem_m: 0.45,
+                stalk_radius_m: 0.010,
             },
         }
     }
@@ -95,50 +113,136 @@ pub fn width_profile(q: f64) -> f64 {
         * ((1.0 - q).max(0.0) / (1.0 - PROFILE_WIDEST)).powf(PROFILE_TIP_POWER)
 }
 
-/// The leaves of one plant, lowest first. `tilt_m` is how far the topmost collar lies from the
-/// stalk's base; the collars are spread evenly along the straight stalk between them.
-pub(crate) fn grow(
-    stage: GrowthStage,
-    phyllotaxy: Phyllotaxy,
+/// The stalks and leaves of one plant. `rng` makes the main stalk and its leaves; `habit_rng` everything that a
+/// [`Habit`](crate::habit::Habit) adds to them.
+pub(crate) fn plant(
+    config: &FieldConfig,
     base_m: [f64; 2],
     tilt_m: [f64; 2],
     rng: &mut ChaCha8Rng,
-) -> Vec<Leaf> {
-    let traits = stage.leaf_traits();
-    let count = rng.random_range(traits.count.0..=traits.count.1);
-    let plane_rad = rng.between(0.0, TAU);
-    let plant_hue_deg = 88.0 + 4.0 * rng.normal();
-    let vigour = (1.0 + 0.05 * rng.normal()).clamp(0.8, 1.2);
-    (0..count)
-        .map(|index| {
-            let rank = f64::from(index + 1) / f64::from(count);
-            let size = rng.unit();
-            let length_m = traits.length_m.0 + (traits.length_m.1 - traits.length_m.0) * size;
-            let stout = 0.6 * size + 0.4 * rng.unit();
-            let width_m = traits.width_m.0 + (traits.width_m.1 - traits.width_m.0) * stout;
-            let scatter = rng.normal();
-            let anywhere = rng.between(0.0, TAU);
-            let azimuth_rad = match phyllotaxy {
-                Phyllotaxy::Distichous => plane_rad + PI * f64::from(index) + 0.44 * scatter,
-                Phyllotaxy::Random => anywhere,
-            };
-            // Young leaves at the top stand up, old ones below spread and hang.
-            let elevation_rad = (0.28 + 0.60 * rank + 0.12 * rng.normal()).clamp(0.1, 1.3);
-            let turn_rad = rng.between(0.6, 1.4);
-            let swing_rad = 0.45 * rng.normal();
-            let hue_deg =
-                (plant_hue_deg + 5.0 * (rank - 0.5) + 3.0 * rng.normal()).clamp(74.0, 106.0);
-            let brightness = vigour * (1.0 + 0.08 * rng.normal()).clamp(0.75, 1.25);
-            let collar_m = [
-                base_m[0] + rank * tilt_m[0],
-                base_m[1] + rank * tilt_m[1],
-                0.01 + rank * traits.stem_m,
-            ];
-            let shape =
-                Shape { length_m, width_m, azimuth_rad, elevation_rad, turn_rad, swing_rad };
-            shape.leaf(collar_m, hue_deg, brightness, width_profile)
-        })
-        .collect()
+    habit_rng: &mut ChaCha8Rng,
+) -> (Vec<Stalk>, Vec<Leaf>) {
+    let (habit, traits) = (&config.habit, config.stage.leaf_traits());
+    let follows = habit_rng.unit() < habit.azimuth_preference;
+    let scatter_rad = 0.35 * habit_rng.normal();
+    let preferred = config.heading_rad() + habit.preferred_azimuth_deg.to_radians() + scatter_rad;
+    let tillers = usize::from(habit_rng.unit() < habit.tiller_fraction)
+        * if habit_rng.unit() < 0.5 { 1 } else { 2 };
+    let mut growth = Growth {
+        stage: config.stage,
+        phyllotaxy: config.phyllotaxy,
+        base_m,
+        tilt_m,
+        stem_m: traits.stem_m,
+        size: 1.0,
+        plane_rad: follows.then_some(preferred),
+        hue_spread: habit.hue_spread,
+        stalk: 0,
+    };
+    let mut leaves = growth.leaves(rng);
+    let mut stalks = vec![growth.stalk_above(1.0, traits.stalk_radius_m)];
+    let first_rad = habit_rng.between(0.0, TAU);
+    for tiller in 0..tillers {
+        let azimuth_rad = first_rad + PI * tiller as f64 + 0.4 * habit_rng.normal();
+        let size = habit_rng.between(0.5, 0.8);
+        let lean_m = traits.stem_m * size * habit_rng.between(0.3, 0.6);
+        growth.tilt_m = [lean_m * azimuth_rad.cos(), lean_m * azimuth_rad.sin()];
+        growth.stem_m = size * traits.stem_m;
+        growth.size = size;
+        growth.plane_rad = None;
+        growth.stalk = tiller as u32 + 1;
+        leaves.extend(growth.leaves(habit_rng));
+        stalks.push(growth.stalk_above(size, 0.8 * traits.stalk_radius_m));
+    }
+    for stalk in &mut stalks {
+        let carries = habit_rng.unit() < habit.panicle_fraction;
+        let length_m = habit_rng.between(0.12, 0.25);
+        stalk.panicle_m = if carries { length_m } else { 0.0 };
+    }
+    for stalk in 0..stalks.len() as u32 {
+        let count = leaves.iter().filter(|leaf| leaf.stalk == stalk).count();
+        for leaf in leaves.iter_mut().filter(|leaf| leaf.stalk == stalk).take(count.div_ceil(3)) {
+            leaf.senescent = habit_rng.unit() < habit.senescent_fraction;
+            let hue_deg = habit_rng.between(34.0, 56.0);
+            if leaf.senescent {
+                leaf.hue_deg = hue_deg;
+            }
+        }
+    }
+    (stalks, leaves)
+}
+
+/// What one stalk and its leaves grow from.
+struct Growth {
+    stage: GrowthStage,
+    phyllotaxy: Phyllotaxy,
+    base_m: [f64; 2],
+    /// How far the topmost collar lies from the stalk's base; the collars are spread evenly along the
+    /// straight stalk between them.
+    tilt_m: [f64; 2],
+    stem_m: f64,
+    /// Leaf sizes relative to the stage's.
+    size: f64,
+    /// Azimuth of the leaf plane, where it is not any.
+    plane_rad: Option<f64>,
+    hue_spread: f64,
+    stalk: u32,
+}
+
+impl Growth {
+    fn stalk_above(&self, size: f64, radius_m: f64) -> Stalk {
+        let top_m = [self.tilt_m[0], self.tilt_m[1], 0.01 + self.stem_m];
+        Stalk { top_m, radius_m: size * radius_m, panicle_m: 0.0 }
+    }
+
+    /// The leaves of the stalk, lowest first.
+    fn leaves(&self, rng: &mut ChaCha8Rng) -> Vec<Leaf> {
+        let traits = self.stage.leaf_traits();
+        let (base_m, tilt_m) = (self.base_m, self.tilt_m);
+        let count = rng.random_range(traits.count.0..=traits.count.1);
+        let any_rad = rng.between(0.0, TAU);
+        let plane_rad = self.plane_rad.unwrap_or(any_rad);
+        let plant_hue_deg = 88.0 + 4.0 * self.hue_spread * rng.normal();
+        let vigour = (1.0 + 0.05 * rng.normal()).clamp(0.8, 1.2);
+        (0..count)
+            .map(|index| {
+                let rank = f64::from(index + 1) / f64::from(count);
+                let size = rng.unit();
+                let length_m = traits.length_m.0 + (traits.length_m.1 - traits.length_m.0) * size;
+                let stout = 0.6 * size + 0.4 * rng.unit();
+                let width_m = traits.width_m.0 + (traits.width_m.1 - traits.width_m.0) * stout;
+                let scatter = rng.normal();
+                let anywhere = rng.between(0.0, TAU);
+                let azimuth_rad = match self.phyllotaxy {
+                    Phyllotaxy::Distichous => plane_rad + PI * f64::from(index) + 0.44 * scatter,
+                    Phyllotaxy::Random => anywhere,
+                };
+                // Young leaves at the top stand up, old ones below spread and hang.
+                let elevation_rad = (0.28 + 0.60 * rank + 0.12 * rng.normal()).clamp(0.1, 1.3);
+                let turn_rad = rng.between(0.6, 1.4);
+                let swing_rad = 0.45 * rng.normal();
+                let hue_deg =
+                    (plant_hue_deg + 5.0 * (rank - 0.5) + 3.0 * self.hue_spread * rng.normal())
+                        .clamp(74.0, 106.0);
+                let brightness = vigour * (1.0 + 0.08 * rng.normal()).clamp(0.75, 1.25);
+                let collar_m = [
+                    base_m[0] + rank * tilt_m[0],
+                    base_m[1] + rank * tilt_m[1],
+                    0.01 + rank * self.stem_m,
+                ];
+                let shape = Shape {
+                    length_m: self.size * length_m,
+                    width_m: self.size * width_m,
+                    azimuth_rad,
+                    elevation_rad,
+                    turn_rad,
+                    swing_rad,
+                };
+                let leaf = shape.leaf(collar_m, hue_deg, brightness, width_profile);
+                Leaf { stalk: self.stalk, ..leaf }
+            })
+            .collect()
+    }
 }
 
 /// The parameters of one ribbon.
@@ -190,6 +294,8 @@ impl Shape {
             azimuth_rad: self.azimuth_rad.rem_euclid(TAU),
             hue_deg,
             brightness,
+            stalk: 0,
+            senescent: false,
         }
     }
 }
@@ -198,6 +304,18 @@ impl Shape {
 mod tests {
     use super::*;
     use crate::streams::{Stage, stream};
+
+    fn grow(
+        stage: GrowthStage,
+        phyllotaxy: Phyllotaxy,
+        base_m: [f64; 2],
+        tilt_m: [f64; 2],
+        rng: &mut ChaCha8Rng,
+    ) -> Vec<Leaf> {
+        let config = FieldConfig { stage, phyllotaxy, ..FieldConfig::default() };
+        let mut habit_rng = stream(1, Stage::Habit, 0);
+        plant(&config, base_m, tilt_m, rng, &mut habit_rng).1
+    }
 
     #[test]
     fn the_width_profile_peaks_at_one_and_has_the_area_of_grass_leaves() {

@@ -37,7 +37,7 @@ impl Soil {
     }
 
     /// Smooth noise in [-1, 1) with features about one unit wide.
-    fn noise(&self, x: f32, y: f32) -> f32 {
+    pub(crate) fn noise(&self, x: f32, y: f32) -> f32 {
         let (i, s) = split(x);
         let (j, t) = split(y);
         let smooth = |t: f32| t * t * (3.0 - 2.0 * t);

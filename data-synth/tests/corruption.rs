@@ -21,7 +21,12 @@ fn area_m2(scene: &Scene) -> f64 {
 #[test]
 fn truth_does_not_change() {
     let clean = scene(Corruption::default());
-    let dirty = scene(Corruption { weeds_per_m2: 20.0, false_fraction: 0.1, missed_fraction: 0.2 });
+    let dirty = scene(Corruption {
+        weeds_per_m2: 20.0,
+        grass_share: 0.5,
+        false_fraction: 0.1,
+        missed_fraction: 0.2,
+    });
     assert_eq!(clean.field, dirty.field);
     assert_eq!(clean.mask(), render::mask(&clean.field, &[]), "nothing by default");
     assert_ne!(clean.mask(), dirty.mask());
@@ -95,6 +100,7 @@ fn every_bad_parameter_is_named() {
     for value in [-0.1, 1e9, f64::NAN] {
         for (name, corruption) in [
             ("weeds_per_m2", Corruption { weeds_per_m2: value, ..Corruption::default() }),
+            ("grass_share", Corruption { grass_share: value, ..Corruption::default() }),
             ("false_fraction", Corruption { false_fraction: value, ..Corruption::default() }),
             ("missed_fraction", Corruption { missed_fraction: value, ..Corruption::default() }),
         ] {

@@ -40,7 +40,7 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Verb {
     Run(run::Args),
-    Adjust(adjust::Args),
+    Adjust(Box<adjust::Args>),
     Convert(survey::convert::Args),
     Calibrate(calibrate::Calibrate),
     Undistort(undistort::Args),

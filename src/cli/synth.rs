@@ -1,5 +1,7 @@
 //! `rowgram synth`: synthetic fields and blocks with their truth.
 
+mod flight;
+
 use crate::{
     error::Error,
     io::{FileError, output},
@@ -33,6 +35,7 @@ enum What {
     Mask(Box<MaskArgs>),
     /// Measurements of a nadir aerial block as a BAL text file, start values included.
     Bundle(BundleArgs),
+    Flight(flight::Args),
 }
 
 /// Runs `rowgram synth`.
@@ -43,6 +46,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     match &args.what {
         What::Mask(args) => mask(args),
         What::Bundle(args) => bundle(args),
+        What::Flight(args) => flight::run(args),
     }
 }
 
@@ -151,7 +155,7 @@ impl MaskArgs {
             }
         }
         let mut scenario = match (&self.config, self.preset) {
-            (Some(path), _) => read_scenario(path)?,
+            (Some(path), _) => read_config(path)?,
             (None, Some(preset)) => Scenario::preset(preset),
             (None, None) => Scenario::default(),
         };
@@ -182,7 +186,8 @@ impl MaskArgs {
     }
 }
 
-fn read_scenario(path: &Path) -> Result<Scenario, FileError> {
+/// Reads a configuration; what is left out has its default.
+fn read_config<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, FileError> {
     let text = std::fs::read_to_string(path).map_err(|source| FileError::read(path, source))?;
     toml::from_str(&text).map_err(|error| {
         let before = error.span().and_then(|span| text.get(..span.start));

@@ -149,7 +149,8 @@ fn a_block_with_control_is_adjusted_and_reported() {
 fn bad_control_is_refused_by_file_line_and_name() {
     let folder = tempfile::tempdir().unwrap();
     save(folder.path(), &survey());
-    let cases: [(&str, &dyn Fn(&str) -> String, &[&str]); 11] = [
+    type Case<'a> = (&'a str, &'a dyn Fn(&str) -> String, &'a [&'a str]);
+    let cases: [Case; 11] = [
         (
             "gcps.csv",
             &|t| t.replace("easting_m", "offset"),
