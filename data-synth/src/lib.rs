@@ -42,6 +42,7 @@ pub mod exif;
 pub mod field;
 pub mod files;
 pub mod flight;
+mod flight_config;
 pub mod habit;
 pub mod leaf;
 pub mod photo;
