@@ -42,5 +42,6 @@ pub mod phenotype;
 pub mod problems;
 pub mod raster;
 pub mod score;
+pub mod sfm;
 
 pub use error::{Error, Kind};
