@@ -18,3 +18,12 @@
 
 mod polynomial;
 pub mod relative;
+
+pub mod block;
+pub mod growth;
+pub mod resection;
+pub mod start;
+pub mod tracks;
+pub mod triangulate;
+
+pub use block::{Block, Features, Pair};

@@ -264,8 +264,7 @@ mod tests {
         // On the epipolar line, but at a height that no field has: only the x-parallax tells.
         let turns = rectification(&pose).unwrap();
         let [a, b] = rectified(&turns, &all[5]).unwrap();
-        let shifted = turns[1].transpose()
-            * Vector3::new(b[0] + 0.5 * (a[0] - b[0]), b[1], -1.0);
+        let shifted = turns[1].transpose() * Vector3::new(b[0] + 0.5 * (a[0] - b[0]), b[1], -1.0);
         all[5].second = [shifted.x / -shifted.z, shifted.y / -shifted.z];
         // Off the epipolar line.
         all[9].second[1] += 0.1;

@@ -3,9 +3,9 @@
 use super::{
     Correspondence, RelativePose,
     coplanarity::{self, Band},
-    five_point, pose_of_essential, sampson_squared,
+    five_point, pose_of_essential,
     sample::{Samples, Sampling, sample},
-    two_point,
+    sampson_squared, two_point,
 };
 use nalgebra::Matrix3;
 use rand::SeedableRng;
@@ -227,7 +227,11 @@ fn finish(
 }
 
 /// The baseline with the sign that puts most points in front of both cameras.
-fn in_front(pose: RelativePose, correspondences: &[Correspondence], inliers: &[u32]) -> RelativePose {
+fn in_front(
+    pose: RelativePose,
+    correspondences: &[Correspondence],
+    inliers: &[u32],
+) -> RelativePose {
     let other = RelativePose { translation: -pose.translation, ..pose };
     let front = |pose: &RelativePose| {
         inliers.iter().filter(|&&k| pose.in_front(&correspondences[k as usize])).count()

@@ -171,8 +171,8 @@ fn constraints(e: &[[Polynomial; 3]; 3]) -> [Polynomial; 10] {
 /// Gauss-Jordan elimination of the first ten monomials.
 fn eliminate(mut rows: [Polynomial; 10]) -> Option<[Polynomial; 10]> {
     for column in 0..10 {
-        let pivot =
-            (column..10).max_by(|&a, &b| rows[a][column].abs().total_cmp(&rows[b][column].abs()))?;
+        let pivot = (column..10)
+            .max_by(|&a, &b| rows[a][column].abs().total_cmp(&rows[b][column].abs()))?;
         if rows[pivot][column].abs() < 1e-13 {
             return None;
         }
@@ -203,9 +203,14 @@ fn hidden(rows: &[Polynomial; 10]) -> ([[[f64; 5]; 3]; 3], [f64; 11]) {
         ]
     });
     let mut determinant = [0.0; 11];
-    for (i, j, k, sign) in
-        [(0, 1, 2, 1.0), (1, 2, 0, 1.0), (2, 0, 1, 1.0), (0, 2, 1, -1.0), (1, 0, 2, -1.0), (2, 1, 0, -1.0)]
-    {
+    for (i, j, k, sign) in [
+        (0, 1, 2, 1.0),
+        (1, 2, 0, 1.0),
+        (2, 0, 1, 1.0),
+        (0, 2, 1, -1.0),
+        (1, 0, 2, -1.0),
+        (2, 1, 0, -1.0),
+    ] {
         for (p, u) in matrix[0][i].iter().enumerate() {
             for (q, v) in matrix[1][j].iter().enumerate() {
                 for (r, w) in matrix[2][k].iter().enumerate() {

@@ -95,10 +95,8 @@ pub fn sampson_squared(e: &Matrix3<f64>, c: &Correspondence) -> f64 {
         e[(1, 0)] * x1 + e[(1, 1)] * y1 - e[(1, 2)],
         e[(2, 0)] * x1 + e[(2, 1)] * y1 - e[(2, 2)],
     );
-    let (m0, m1) = (
-        e[(0, 0)] * x2 + e[(1, 0)] * y2 - e[(2, 0)],
-        e[(0, 1)] * x2 + e[(1, 1)] * y2 - e[(2, 1)],
-    );
+    let (m0, m1) =
+        (e[(0, 0)] * x2 + e[(1, 0)] * y2 - e[(2, 0)], e[(0, 1)] * x2 + e[(1, 1)] * y2 - e[(2, 1)]);
     let value = l0 * x2 + l1 * y2 - l2;
     value * value / (l0 * l0 + l1 * l1 + m0 * m0 + m1 * m1).max(1e-300)
 }
@@ -128,10 +126,8 @@ pub fn pose_of_essential(
     for rotation in [u * w * vt, u * w.transpose() * vt] {
         for translation in [t, -t] {
             let pose = RelativePose { rotation, translation };
-            let front = inliers
-                .iter()
-                .filter(|&&k| pose.in_front(&correspondences[k as usize]))
-                .count();
+            let front =
+                inliers.iter().filter(|&&k| pose.in_front(&correspondences[k as usize])).count();
             if front > 0 && best.as_ref().is_none_or(|(most, _)| front > *most) {
                 best = Some((front, pose));
             }
