@@ -30,6 +30,7 @@
 pub mod camera;
 pub mod cli;
 pub mod convex;
+pub mod crs;
 pub mod descent;
 pub mod drive;
 pub mod engine;
