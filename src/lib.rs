@@ -35,6 +35,7 @@ pub mod descent;
 pub mod drive;
 pub mod engine;
 pub mod error;
+pub mod features;
 pub mod geometry;
 pub mod io;
 pub mod lanes;

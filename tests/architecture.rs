@@ -93,7 +93,8 @@ fn assert_none(offences: impl IntoIterator<Item = String>, rule: &str) {
 }
 
 /// The modules that compute and do nothing else.
-const CORE: &[&str] = &["geometry", "camera", "engine", "nlls", "descent", "convex", "problems"];
+const CORE: &[&str] =
+    &["geometry", "camera", "engine", "nlls", "descent", "convex", "problems", "features"];
 
 #[test]
 fn the_numerical_core_opens_no_files_prints_nothing_reads_no_clock() {
@@ -125,6 +126,7 @@ fn the_numerical_core_opens_no_files_prints_nothing_reads_no_clock() {
 fn arrows_point_down() {
     /// Who must not know of whom.
     const RULES: &[(&[&str], &[&str])] = &[
+        (&["features"], &["io", "cli", "drive", "sfm", "raster", "phenotype", "score", "nlls"]),
         (CORE, &["io", "cli", "drive", "sfm", "raster", "phenotype", "score"]),
         (&["geometry"], &["camera", "engine", "nlls", "descent", "convex", "problems"]),
         (&["camera"], &["engine", "nlls", "descent", "convex", "problems"]),
@@ -183,7 +185,7 @@ fn each_dependency_has_its_place() {
         (&["clarabel"], &["convex"]),
         (&["faer"], &["nlls/cholesky"]),
         (&["indicatif"], &["drive", "cli"]),
-        (&["pulp"], &["raster/pixels", "lanes", "nlls/fused"]),
+        (&["pulp"], &["features", "raster/pixels", "lanes", "nlls/fused"]),
         (&["zune_jpeg"], &["io/images"]),
         (&["clap"], &["cli"]),
         (&["tempfile"], &["io/output"]),
