@@ -20,10 +20,12 @@ mod polynomial;
 pub mod relative;
 
 pub mod block;
+pub mod georeference;
 pub mod growth;
 pub mod resection;
 pub mod start;
 pub mod tracks;
 pub mod triangulate;
+pub mod verify;
 
 pub use block::{Block, Features, Pair};
