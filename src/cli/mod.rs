@@ -4,6 +4,7 @@
 //! 3 incomplete or a quality gate failed.
 
 mod adjust;
+mod align;
 mod evaluate;
 mod figures;
 mod locate;
@@ -37,6 +38,7 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Verb {
     Run(run::Args),
+    Align(Box<align::Args>),
     Adjust(adjust::Args),
     Convert(survey::convert::Args),
     Synth(synth::Args),
@@ -72,6 +74,7 @@ fn run(cli: Cli) -> Result<(), Error> {
         .map_err(|e| Error::Argument(format!("--threads {}: {e}", cli.threads)))?;
     match cli.verb {
         Verb::Run(args) => run::run(&args),
+        Verb::Align(args) => align::run(&args),
         Verb::Adjust(args) => adjust::run(&args),
         Verb::Convert(args) => survey::convert::run(&args),
         Verb::Synth(args) => synth::run(&args),

@@ -2,7 +2,7 @@
 
 use super::Finding;
 use crate::{
-    camera::{Camera, Interior, Model, image_centre_px},
+    camera::{Camera, Interior, Model},
     crs::{Crs, LocalPlane},
     error::Error,
     io::{
@@ -70,6 +70,8 @@ pub(super) struct Project {
     pub(super) known: Known,
     /// Which photos told the accuracy of their position.
     pub(super) told: Vec<bool>,
+    /// Horizontal positions for the choice of neighbours, metres; NaN where there is none.
+    pub(super) plan_m: Vec<[f64; 2]>,
     /// Photos that are left out, and why.
     pub(super) left_out: Vec<(String, String)>,
 }
@@ -99,7 +101,10 @@ fn list(root: &Path) -> Result<Vec<PathBuf>, Error> {
         let path = entry.map_err(|e| FileError::read(&folder, e))?.path();
         let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
         let hidden = path.file_name().and_then(|n| n.to_str()).is_none_or(|n| n.starts_with('.'));
-        if path.is_file() && !hidden && EXTENSIONS.contains(&extension.to_ascii_lowercase().as_str()) {
+        if path.is_file()
+            && !hidden
+            && EXTENSIONS.contains(&extension.to_ascii_lowercase().as_str())
+        {
             found.push(path);
         }
     }
@@ -125,9 +130,13 @@ fn size_of(bytes: &[u8]) -> Option<[u32; 2]> {
 ///
 /// # Errors
 /// A folder without photos, control that cannot be read, a reference system that is none.
-pub(super) fn inspect(sources: &Sources<'_>, findings: &mut Vec<Finding>) -> Result<Project, Error> {
+pub(super) fn inspect(
+    sources: &Sources<'_>,
+    findings: &mut Vec<Finding>,
+) -> Result<Project, Error> {
     let paths = list(sources.root)?;
-    let read: Vec<Result<Photo, (String, String)>> = paths.par_iter().map(|path| open(path)).collect();
+    let read: Vec<Result<Photo, (String, String)>> =
+        paths.par_iter().map(|path| open(path)).collect();
     let mut photos: Vec<Photo> = Vec::new();
     let mut left_out = Vec::new();
     let mut seen: HashMap<u64, String> = HashMap::new();
@@ -149,7 +158,8 @@ pub(super) fn inspect(sources: &Sources<'_>, findings: &mut Vec<Finding>) -> Res
     let cameras = cameras(&mut photos, sources, findings)?;
     let tags = geotags(&photos, sources, findings)?;
     let (frame, known, told) = ground(&photos, &tags, sources, findings)?;
-    Ok(Project { photos, cameras, frame, known, told, left_out })
+    let plan_m = plan_m(&tags);
+    Ok(Project { photos, cameras, frame, known, told, plan_m, left_out })
 }
 
 fn open(path: &Path) -> Result<Photo, (String, String)> {
@@ -276,7 +286,6 @@ pub(super) fn camera_at(
         .map(|place| model.default_value(place, size_px).unwrap_or(0.0))
         .collect();
     values[0] = principal_distance_px;
-    debug_assert!(image_centre_px(size_px)[0] >= 0.0);
     let interior = Interior::new(model, size_px, &values)
         .map_err(|e| Error::Argument(format!("camera {name}: {e}")))?;
     Ok(Camera::new(name, interior))
@@ -290,7 +299,8 @@ fn geotags(
 ) -> Result<Vec<Option<Geotag>>, Error> {
     let mut tags: Vec<Option<Geotag>> = photos.iter().map(|photo| photo.metadata.geotag).collect();
     let beside = sources.root.join("geolocation.csv");
-    let path = sources.geolocation.map(Path::to_owned).or_else(|| beside.is_file().then_some(beside));
+    let path =
+        sources.geolocation.map(Path::to_owned).or_else(|| beside.is_file().then_some(beside));
     if let Some(path) = path {
         let rows = gcp_list::geolocation(&path)?;
         let stand_ins = stand_ins(photos);
@@ -439,13 +449,13 @@ fn ground(
         point.role = Role::Check;
     }
     // Control that lies where the photos were taken in the UTM zone of those is in that zone.
-    if let (None, Some((_, tag)), false, false) = (&crs, tagged.first(), known.ground.is_empty(), geographic)
+    if let (None, Some((_, tag)), false, false) =
+        (&crs, tagged.first(), known.ground.is_empty(), geographic)
         && let Ok(zone) = Crs::utm_of(tag.latitude_deg, tag.longitude_deg)
         && let Ok([east, north]) = zone.from_wgs84(tag.latitude_deg, tag.longitude_deg)
     {
-        let near = |p: &GroundPoint| {
-            (p.position_m[0] - east).hypot(p.position_m[1] - north) < REACH_M
-        };
+        let near =
+            |p: &GroundPoint| (p.position_m[0] - east).hypot(p.position_m[1] - north) < REACH_M;
         if known.ground.iter().filter(|p| near(p)).count() * 2 > known.ground.len() {
             findings.push(Finding::new(
                 "reference system",
@@ -461,7 +471,8 @@ fn ground(
         (Some(crs), _) => Frame::Map(crs),
         (None, Some(_)) if known.ground.is_empty() || geographic => {
             let n = tagged.len() as f64;
-            let mean = |of: &dyn Fn(&Geotag) -> f64| tagged.iter().map(|(_, t)| of(t)).sum::<f64>() / n;
+            let mean =
+                |of: &dyn Fn(&Geotag) -> f64| tagged.iter().map(|(_, t)| of(t)).sum::<f64>() / n;
             Frame::Local(LocalPlane::at([
                 mean(&|t| t.latitude_deg),
                 mean(&|t| t.longitude_deg),
@@ -520,8 +531,7 @@ fn place(
 }
 
 /// Positions in a plane for choosing neighbours, metres; NaN where there is none.
-pub(super) fn plan_m(photos: &[Photo], tags: &[Option<Geotag>]) -> Vec<[f64; 2]> {
-    debug_assert_eq!(photos.len(), tags.len());
+fn plan_m(tags: &[Option<Geotag>]) -> Vec<[f64; 2]> {
     let Some(first) = tags.iter().flatten().next() else {
         return vec![[f64::NAN; 2]; tags.len()];
     };
