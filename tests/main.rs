@@ -22,4 +22,5 @@ mod nlls;
 mod program;
 mod run;
 mod segment;
+mod sfm;
 mod synth;

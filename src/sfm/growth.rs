@@ -18,9 +18,21 @@ use crate::{
 use nalgebra::Matrix3;
 use rayon::prelude::*;
 
+/// Where blocks start.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Start {
+    /// At three images that fit.
+    #[default]
+    Triplet,
+    /// With all images at once ([`super::global`]); what that leaves out joins one by one.
+    Global,
+}
+
 /// How blocks grow.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Growing {
+    /// Where the first block starts.
+    pub start: Start,
     /// Distance up to which an image position belongs to a point, pixels.
     pub tolerance_px: f64,
     /// The least angle at which the rays of a point meet, radians.
@@ -42,6 +54,7 @@ pub struct Growing {
 impl Default for Growing {
     fn default() -> Growing {
         Growing {
+            start: Start::Triplet,
             tolerance_px: 4.0,
             least_angle_rad: 0.026,
             least_points: 15,
@@ -91,7 +104,9 @@ pub fn reconstruct<'a>(
             allowed: &allowed,
             tell: &mut tell,
         };
-        let Some(block) = grown.run()? else { break };
+        let global = growing.start == Start::Global && blocks.is_empty();
+        let block = if global { grown.run_global(pairs)? } else { grown.run()? };
+        let Some(block) = block else { break };
         for (image, pose) in block.poses.iter().enumerate() {
             allowed[image] &= pose.is_none();
         }
@@ -148,6 +163,25 @@ impl<'a> Grower<'a, '_> {
             return Ok(enough.then_some(self.block));
         }
         Ok(None)
+    }
+
+    fn run_global(mut self, pairs: &[Pair]) -> Result<Option<Block<'a>>, SolveError> {
+        let images = super::global::start(&mut self.block, pairs)?;
+        if images < self.growing.least_images {
+            return Ok(None);
+        }
+        // Averaged poses are good to a degree or so: what fits is found from loose to tight.
+        let tracks = self.block.all_tracks();
+        for looser in [12.0, 6.0, 3.0, 1.5] {
+            let tolerance_px = looser * self.growing.tolerance_px;
+            let demands = Demands { tolerance_px, ..self.demands() };
+            self.block.retriangulate(&tracks, &demands);
+            self.block.adjust(None, &self.refining(15))?;
+        }
+        self.everything(false)?;
+        self.grow()?;
+        let enough = self.block.registered() >= self.growing.least_images;
+        Ok(enough.then_some(self.block))
     }
 
     /// The pair of the three with the widest angle, then the third by what it sees.

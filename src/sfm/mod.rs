@@ -19,8 +19,10 @@
 mod polynomial;
 pub mod relative;
 
+pub mod averaging;
 pub mod block;
 pub mod georeference;
+pub mod global;
 pub mod growth;
 pub mod resection;
 pub mod start;

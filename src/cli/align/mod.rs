@@ -2,6 +2,8 @@
 
 mod cache;
 mod extract;
+mod figures;
+mod pair_figures;
 mod project;
 mod results;
 mod stages;
@@ -11,7 +13,11 @@ use crate::{
     error::Error,
     features,
     io::{FileError, control::Defaults},
-    sfm::{growth::Growing, relative::Solver, verify::Verifying},
+    sfm::{
+        growth::{Growing, Start},
+        relative::Solver,
+        verify::Verifying,
+    },
 };
 use clap::{Args as ClapArgs, ValueEnum};
 use serde::Serialize;
@@ -73,6 +79,9 @@ pub(super) struct Args {
     /// Minimal solver of relative orientation.
     #[arg(long, value_enum, default_value_t = SolverName::Auto)]
     solver: SolverName,
+    /// Where exterior orientation starts.
+    #[arg(long, value_enum, default_value_t = StartName::Triplet)]
+    start: StartName,
     /// The most features of a photo.
     #[arg(long, value_name = "N", default_value_t = 6000)]
     max_features: usize,
@@ -146,6 +155,14 @@ struct Finding {
     what: String,
 }
 
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum StartName {
+    /// Three photos that fit; the others join one by one.
+    Triplet,
+    /// All photos at once: averaged rotations, positions by convex programming.
+    Global,
+}
+
 impl Finding {
     fn new(subject: &str, what: &str) -> Finding {
         Finding { subject: subject.to_owned(), what: what.to_owned() }
@@ -180,6 +197,10 @@ impl Args {
             (None, LensName::Smac) => &["c_px", "K1", "K2"],
         };
         Growing {
+            start: match self.start {
+                StartName::Triplet => Start::Triplet,
+                StartName::Global => Start::Global,
+            },
             tolerance_px: self.tolerance,
             free: names.iter().map(|&name| name.to_owned()).collect(),
             seed: self.seed,
@@ -373,6 +394,11 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     if last == Stage::Report {
         let begin = Instant::now();
         results::write(&output, &report, &mut outcome, &project, args.force)?;
+        let names: Vec<&str> = project.photos.iter().map(|photo| photo.name.as_str()).collect();
+        let pictures = output.join("report");
+        figures::write(&pictures, &outcome.adjusted.survey, &pairs, &names, args.force)?;
+        let of = (project.photos.as_slice(), geometric.as_slice());
+        pair_figures::write(&pictures, of, &cameras, &pairs, args.force)?;
         clock.seconds.push(("report", begin.elapsed().as_secs_f64()));
     }
     results::present(&report, &outcome, &clock.seconds, args.json)
