@@ -2,6 +2,8 @@
 
 mod bad_input;
 mod calibration;
+mod files;
+mod program;
 mod snooping;
 mod statistics;
 mod toy;

@@ -78,6 +78,31 @@ fn a_wrong_control_point_is_named_not_averaged_in() {
 }
 
 #[test]
+fn control_is_kept_where_its_standard_deviations_are_too_small() {
+    let plan = Plan { control: 12, checks: 2, ..Plan::default() };
+    let rough = Noise { control: 5.0, ..NOISE };
+    let mut survey = measured(&truth(&plan), 43, rough);
+    let of_control = |removed: &[rowgram::problems::adjustment::Removed]| -> Vec<String> {
+        let control = removed.iter().filter(|removed| removed.group == Group::Control);
+        control.map(|removed| removed.name.clone()).collect()
+    };
+    // Taken at their word, good points would go one by one.
+    let baarda = Snooping { test: Testing::Baarda, ..Snooping::default() };
+    let taken = snoop(&mut survey.clone(), &Settings::default(), &baarda).unwrap();
+    assert!(of_control(&taken.removed).len() > 2, "{:?}", taken.removed);
+    let pope = Snooping::default();
+    let kept = snoop(&mut survey.clone(), &Settings::default(), &pope).unwrap();
+    assert_eq!(of_control(&kept.removed), [""; 0]);
+    // And still the one that is wrong is named.
+    let wrong = survey.ground.iter().position(|point| point.role == Role::Control).unwrap() + 3;
+    assert_eq!(survey.ground[wrong].role, Role::Control);
+    survey.ground[wrong].position_m[1] += 3.0;
+    let name = format!("control point {}", survey.ground[wrong].name);
+    let found = snoop(&mut survey, &Settings::default(), &pope).unwrap();
+    assert_eq!(of_control(&found.removed), [name]);
+}
+
+#[test]
 fn each_control_point_is_predicted_by_the_others() {
     let truth = truth(&Plan { tie_points: 80, ..Plan::default() });
     let mut survey = measured(&truth, 51, NOISE);

@@ -113,7 +113,7 @@ pub(in crate::cli) enum Datum {
 pub(in crate::cli) enum Snoop {
     /// Not at all.
     Off,
-    /// By Pope's tau: standard deviations are right but for a common factor.
+    /// By Pope's tau: standard deviations are right but for a common factor of each kind.
     Pope,
     /// By Baarda's w: standard deviations are right.
     Baarda,

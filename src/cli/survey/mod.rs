@@ -252,7 +252,7 @@ fn work(
             alignment.rmse_m
         );
         for (name, left) in &alignment.misfits {
-            tracing::warn!("{name} does not fit the block: {left:.3} m off after the alignment");
+            tracing::info!("{name} is {left:.3} m off after the alignment, before any adjustment");
         }
     }
     // A shutter is read in seconds of a block in metres.

@@ -17,6 +17,10 @@ use std::{fmt::Write, path::Path};
 const CONFIDENCE: f64 = 0.95;
 /// Probability of a false alarm of each single test that is reported.
 const SIGNIFICANCE: f64 = 0.001;
+/// Variance factors below this, or above its inverse, are pointed out.
+const LEAST_FACTOR: f64 = 0.25;
+/// Interior parameters whose neutral value is not 0.
+const NEVER_ZERO: [&str; 5] = ["c_px", "f_px", "aspect", "cx_px", "cy_px"];
 /// Interior parameters that are correlated by more than this are nearly the same.
 const NEARLY_THE_SAME: f64 = 0.95;
 
@@ -225,16 +229,25 @@ fn fill(out: &mut String, report: &Report) -> std::fmt::Result {
             group.statistics.redundancy
         )?;
     }
+    let off = |group: &Group| {
+        group.variance_factor.is_some_and(|v| !(LEAST_FACTOR..=1.0 / LEAST_FACTOR).contains(&v))
+    };
+    if report.groups.iter().any(off) {
+        writeln!(
+            out,
+            "  hint: an own sigma0 far from 1 says that the standard deviations of its kind are not the given ones, or that the lens model lacks something; --variance-components estimates them"
+        )?;
+    }
     for interior in &report.interiors {
         writeln!(out, "camera {}", interior.camera + 1)?;
         for k in 0..interior.names.len() {
             let (value, sigma) = (interior.values[k], interior.standard_deviations[k]);
-            writeln!(
-                out,
-                "  {:8} {value:>16.9e} +- {sigma:.2e}  ({:.1} sigma from 0)",
-                interior.names[k],
-                (value / sigma).abs()
-            )?;
+            write!(out, "  {:8} {value:>16.9e} +- {sigma:.2e}", interior.names[k])?;
+            // Whether it is needed at all: only where 0 would mean that it is not.
+            if !NEVER_ZERO.contains(&interior.names[k]) {
+                write!(out, "  ({:.1} sigma from 0)", (value / sigma).abs())?;
+            }
+            writeln!(out)?;
         }
     }
     report.nearly_the_same.iter().try_for_each(|line| writeln!(out, "  {line}"))?;

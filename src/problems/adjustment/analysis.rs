@@ -242,7 +242,7 @@ fn suspects(adjusted: &Adjusted, snooping: &Snooping) -> Vec<(usize, f64)> {
         .map(|(&group, count)| {
             let of = |freedom: usize| {
                 let significance = snooping.significance / count;
-                statistics.critical(snooping.test, freedom.max(1), significance)
+                statistics.critical(snooping.test, group, freedom.max(1), significance)
             };
             (group, std::array::from_fn(of))
         })

@@ -2,8 +2,9 @@
 
 use super::{
     posed::{Posed, measurement},
+    rays::{Rays, rays},
     reprojection::{DATA, LENS, Moving, Still},
-    statistics::{Rays, Statistics, rays},
+    statistics::Statistics,
     survey::{Mark, Role, Survey},
 };
 use crate::{camera::Lens, geometry::rotation};

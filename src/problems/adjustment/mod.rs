@@ -19,6 +19,7 @@
 //! 15; W. Baarda, *A testing procedure for use in geodetic networks*, 1968; A. J. Pope, *The statistics
 //! of residuals and the detection of outliers*, 1976.
 
+mod accuracy;
 mod align;
 mod analysis;
 mod check_points;
@@ -26,11 +27,14 @@ mod factors;
 mod inverse;
 mod posed;
 mod rank;
+mod rays;
 mod reprojection;
 mod screening;
+mod soundness;
 mod statistics;
 mod survey;
 
+pub use accuracy::{ImageAccuracy, InteriorAccuracy, PointAccuracy};
 pub use align::{Alignment, align};
 pub use analysis::{
     AdjustError, Adjusted, LeftOut, Removed, Snooped, Snooping, VarianceComponents, adjust,
@@ -39,10 +43,7 @@ pub use analysis::{
 pub use check_points::{AxisError, CheckPoint, check_points, rmse};
 pub use posed::{Group, Posed, Settings};
 pub use screening::{Aside, Screened, SurveyError, screen};
-pub use statistics::{
-    Finding, GroupStatistics, ImageAccuracy, InteriorAccuracy, PointAccuracy, Statistics, Subject,
-    Tested, Testing,
-};
+pub use statistics::{Finding, GroupStatistics, Statistics, Subject, Tested, Testing};
 pub use survey::{
     Axes, GroundPoint, Image, Mark, Observation, Pose, Position, Role, RollingShutter, ScaleBar,
     Survey, TiePoint,

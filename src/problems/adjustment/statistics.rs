@@ -5,26 +5,32 @@
 //! a variance factor of 1 and `R = I - J C J^T` that of the residuals. The diagonal of `R` holds the
 //! redundancy numbers, whose sum is the redundancy `r = n - u`; `sigma_0^2 = v^T v / r`. An observation
 //! with block `R_i` and residual `v_i` is tested by `T = v_i^T R_i^-1 v_i`: against chi-square with as many
-//! degrees of freedom as `R_i` has (Baarda; for one, `w = sqrt(T)`), or, divided by `sigma_0^2`, against
-//! Pope's tau distribution.
+//! degrees of freedom as `R_i` has (Baarda; for one, `w = sqrt(T)`), or, divided by a variance factor,
+//! against Pope's tau distribution.
+//!
+//! Pope's variance factor is that of the observation's kind, or `sigma_0^2` where that is larger. Tens of
+//! thousands of tie points would else decide what a dozen control points may differ by, and where an
+//! imperfect lens model leaves more in the control than its standard deviations say, all of it would be
+//! rejected point by point instead of the one that is wrong.
 
 use super::{
+    accuracy::{ImageAccuracy, InteriorAccuracy, PointAccuracy, array3, image, interior},
     inverse::SelectedInverse,
     posed::{Group, Posed, Settings, measurement},
     rank,
+    rays::rays,
     reprojection::{DATA, LENS, Moving, Still},
     survey::Survey,
 };
 use crate::{
-    camera::Lens,
     engine::SolveError,
-    geometry::{cross, rotation},
     nlls::{BlockId, Linear, PairFactor, covariance::Covariance},
 };
-use nalgebra::{DMatrix, DVector, Matrix3, SymmetricEigen};
+use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use rayon::prelude::*;
 use serde::Serialize;
 use statrs::distribution::{ChiSquared, ContinuousCDF, FisherSnedecor};
+use std::collections::BTreeMap;
 
 /// Which test.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, serde::Deserialize)]
@@ -32,7 +38,7 @@ use statrs::distribution::{ChiSquared, ContinuousCDF, FisherSnedecor};
 pub enum Testing {
     /// The standard deviations given are right: Baarda's test.
     Baarda,
-    /// They are right but for a common factor: Pope's test.
+    /// They are right but for a common factor of each kind: Pope's test.
     #[default]
     Pope,
 }
@@ -93,61 +99,6 @@ impl GroupStatistics {
     pub fn variance_factor(&self) -> Option<f64> {
         (self.redundancy > 0.1).then(|| self.squares / self.redundancy)
     }
-}
-
-/// How well an image's exterior orientation is known, for a variance factor of 1.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct ImageAccuracy {
-    /// Covariance of the projection centre, square metres, mapping frame.
-    pub centre_m2: [[f64; 3]; 3],
-    /// Standard deviations of omega, phi, kappa, radians.
-    pub angles_rad: [f64; 3],
-}
-
-/// How well a point is known, for a variance factor of 1.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct PointAccuracy {
-    /// Covariance, square metres, mapping frame.
-    pub covariance_m2: [[f64; 3]; 3],
-}
-
-impl PointAccuracy {
-    /// Semi-axes of the error ellipsoid (standard deviations, largest first) and their directions.
-    pub fn ellipsoid(&self) -> ([f64; 3], [[f64; 3]; 3]) {
-        ellipsoid(&self.covariance_m2)
-    }
-}
-
-impl ImageAccuracy {
-    /// Semi-axes of the error ellipsoid of the centre and their directions.
-    pub fn ellipsoid(&self) -> ([f64; 3], [[f64; 3]; 3]) {
-        ellipsoid(&self.centre_m2)
-    }
-}
-
-fn ellipsoid(covariance: &[[f64; 3]; 3]) -> ([f64; 3], [[f64; 3]; 3]) {
-    let eigen = SymmetricEigen::new(Matrix3::from_fn(|i, j| covariance[i][j]));
-    let mut order = [0, 1, 2];
-    order.sort_by(|&a, &b| eigen.eigenvalues[b].total_cmp(&eigen.eigenvalues[a]));
-    (
-        order.map(|k| eigen.eigenvalues[k].max(0.0).sqrt()),
-        order.map(|k| std::array::from_fn(|i| eigen.eigenvectors[(i, k)])),
-    )
-}
-
-/// How well a camera's interior orientation is known, for a variance factor of 1.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct InteriorAccuracy {
-    /// Index of the camera.
-    pub camera: usize,
-    /// The free parameters.
-    pub names: Vec<&'static str>,
-    /// Their values.
-    pub values: Vec<f64>,
-    /// Their standard deviations.
-    pub standard_deviations: Vec<f64>,
-    /// Their correlations, row by row.
-    pub correlation: Vec<Vec<f64>>,
 }
 
 /// An observation that the test rejects.
@@ -267,20 +218,45 @@ impl Statistics {
         })
     }
 
-    /// What the test value of an observation with `freedom` degrees of freedom may be, at
+    /// The variance factor that Pope's test takes for a kind, and its redundancy: the largest of that
+    /// of all observations, of the kind, and of everything on the ground for marks, control points
+    /// and scale bars, because an error of a point shows in all of these.
+    fn scale(&self, group: Group) -> (f64, f64) {
+        const GROUND: [Group; 3] = [Group::Marks, Group::Control, Group::ScaleBars];
+        let mut most = (self.sigma0 * self.sigma0, self.redundancy as f64);
+        let ground: &[Group] = if GROUND.contains(&group) { &GROUND } else { &[] };
+        for together in [&[group], ground] {
+            let members = self.groups.iter().filter(|member| together.contains(&member.group));
+            let (squares, redundancy) = members.fold((0.0, 0.0), |sum, member| {
+                (sum.0 + member.squares, sum.1 + member.redundancy)
+            });
+            if redundancy >= LEAST_FOR_A_FACTOR && squares / redundancy > most.0 {
+                most = (squares / redundancy, redundancy);
+            }
+        }
+        most
+    }
+
+    /// What the test value of an observation of a kind with `freedom` degrees of freedom may be, at
     /// `significance`.
-    pub fn critical(&self, testing: Testing, freedom: usize, significance: f64) -> f64 {
+    pub fn critical(
+        &self,
+        testing: Testing,
+        group: Group,
+        freedom: usize,
+        significance: f64,
+    ) -> f64 {
         let q = freedom as f64;
-        let r = self.redundancy as f64;
         match testing {
             Testing::Baarda => {
                 ChiSquared::new(q).map_or(f64::INFINITY, |chi| chi.inverse_cdf(1.0 - significance))
             }
             Testing::Pope => {
-                // T / sigma0^2 holds its own residual: r q F / (r - q + q F).
+                let (variance, r) = self.scale(group);
+                // T over the variance factor holds its own residual: r q F / (r - q + q F).
                 FisherSnedecor::new(q, r - q).map_or(f64::INFINITY, |f| {
                     let f = f.inverse_cdf(1.0 - significance);
-                    self.sigma0 * self.sigma0 * r * q * f / (r - q + q * f)
+                    variance * r * q * f / (r - q + q * f)
                 })
             }
         }
@@ -288,17 +264,18 @@ impl Statistics {
 
     /// The observations that the test rejects at `significance` each, the worst first.
     pub fn findings(&self, testing: Testing, significance: f64) -> Vec<Finding> {
-        let critical: [f64; 4] = std::array::from_fn(|freedom| {
-            if freedom == 0 { f64::INFINITY } else { self.critical(testing, freedom, significance) }
-        });
+        let mut criticals: BTreeMap<(Group, usize), f64> = BTreeMap::new();
         let mut found: Vec<Finding> = self
             .tested
             .iter()
             .enumerate()
-            .map(|(place, tested)| Finding {
-                place,
-                subject: tested.subject,
-                excess: tested.statistic / critical[tested.freedom],
+            .filter(|(_, tested)| tested.freedom > 0)
+            .map(|(place, tested)| {
+                let (group, freedom) = (tested.group, tested.freedom);
+                let critical = criticals
+                    .entry((group, freedom))
+                    .or_insert_with(|| self.critical(testing, group, freedom, significance));
+                Finding { place, subject: tested.subject, excess: tested.statistic / *critical }
             })
             .filter(|finding| finding.excess > 1.0)
             .collect();
@@ -327,6 +304,9 @@ fn sum(group: Group, tested: &[Tested]) -> GroupStatistics {
     }
     total
 }
+
+/// A kind with less redundancy than this has no variance factor of its own.
+const LEAST_FOR_A_FACTOR: f64 = 8.0;
 
 /// Directions of a residual that are checked by less than this are not checked.
 const LEAST_REDUNDANCY: f64 = 1e-6;
@@ -358,92 +338,6 @@ fn test(group: Group, subject: Subject, v: &DVector<f64>, r: &DMatrix<f64>) -> T
         }
     }
     tested
-}
-
-/// What intersecting rays need: Jacobians by cameras and lenses side by side, by the point, and
-/// which columns are whose.
-pub(super) struct Rays {
-    pub(super) residual: DVector<f64>,
-    by_kept: DMatrix<f64>,
-    pub(super) by_point: DMatrix<f64>,
-    columns: Vec<(BlockId, usize)>,
-}
-
-/// Linearises measurements of one point.
-pub(super) fn rays<F: PairFactor<2, K, LENS, 3, Q, DATA>, const K: usize, const Q: usize>(
-    posed: &Posed,
-    x: &[f64],
-    point: [f64; 3],
-    measurements: &[(usize, usize, [f64; DATA])],
-) -> Rays {
-    let mut columns: Vec<(BlockId, usize)> = measurements
-        .iter()
-        .flat_map(|&(image, camera, _)| [(posed.images[image], K), (posed.lenses[camera], LENS)])
-        .collect();
-    columns.sort_unstable();
-    columns.dedup();
-    let starts: Vec<usize> = columns
-        .iter()
-        .scan(0, |at, (_, dim)| {
-            *at += dim;
-            Some(*at - dim)
-        })
-        .collect();
-    let start = |block: BlockId| {
-        columns.binary_search_by_key(&block, |(block, _)| *block).map_or(0, |k| starts[k])
-    };
-    let rows = 2 * measurements.len();
-    let width = columns.iter().map(|(_, dim)| dim).sum();
-    let mut rays = Rays {
-        residual: DVector::zeros(rows),
-        by_kept: DMatrix::zeros(rows, width),
-        by_point: DMatrix::zeros(rows, 3),
-        columns: Vec::new(),
-    };
-    for (k, &(image, camera, data)) in measurements.iter().enumerate() {
-        let (kept, lens) = (posed.images[image], posed.lenses[camera]);
-        let c = F::prepare(posed.problem.values(x, kept), posed.problem.values(x, lens));
-        let found = F::linearize(&c, &point, &data);
-        for row in 0..2 {
-            rays.residual[2 * k + row] = found.residual[row];
-            for j in 0..K {
-                rays.by_kept[(2 * k + row, start(kept) + j)] += found.by_kept[row][j];
-            }
-            for j in 0..LENS {
-                rays.by_kept[(2 * k + row, start(lens) + j)] += found.by_shared[row][j];
-            }
-            for j in 0..3 {
-                rays.by_point[(2 * k + row, j)] = found.by_point[row][j];
-            }
-        }
-    }
-    rays.columns = columns;
-    rays
-}
-
-impl Rays {
-    /// The covariance of the point, and of what is left of the residuals, given that of the
-    /// cameras. `None` where the rays do not determine the point.
-    pub(super) fn covariances(
-        &self,
-        inverse: &SelectedInverse,
-    ) -> Option<(DMatrix<f64>, DMatrix<f64>)> {
-        let b = &self.by_point;
-        let v = b.transpose() * b;
-        let factor = v.cholesky()?;
-        let among = inverse.among(&self.columns);
-        let coupling = b.transpose() * &self.by_kept;
-        let own = factor.inverse();
-        let through = &own * &coupling;
-        let point = &own + &through * &among * through.transpose();
-        let rest = &self.by_kept - b * &through;
-        let hat = b * &own * b.transpose() + &rest * &among * rest.transpose();
-        Some((point, hat))
-    }
-}
-
-fn array3(m: &DMatrix<f64>) -> [[f64; 3]; 3] {
-    std::array::from_fn(|i| std::array::from_fn(|j| m[(i, j)]))
 }
 
 fn ties<F: PairFactor<2, K, LENS, 3, Q, DATA>, const K: usize, const Q: usize>(
@@ -511,71 +405,4 @@ fn others(
             (DVector::from_vec(residual), r)
         })
         .collect())
-}
-
-fn image(posed: &Posed, x: &[f64], inverse: &SelectedInverse, block: BlockId) -> ImageAccuracy {
-    let dim = posed.problem.space(block).tangent();
-    let c = inverse.among(&[(block, dim)]);
-    let values = posed.problem.values(x, block);
-    let r = rotation::matrix([values[0], values[1], values[2], values[3]]);
-    let world = |k: usize| [r[0][k], r[1][k], r[2][k]];
-    // The centre moves by -R^T s.
-    let centre_m2 = std::array::from_fn(|i| {
-        std::array::from_fn(|j| {
-            let (a, b) = (world(i), world(j));
-            let terms = (0..9).map(|k| a[k / 3] * c[(3 + k / 3, 3 + k % 3)] * b[k % 3]);
-            terms.sum()
-        })
-    });
-    // Row k of R^T changes by w x row.
-    let m = [world(0), world(1), world(2)];
-    let mut by_turn = [[0.0; 3]; 3];
-    for axis in 0..3 {
-        let mut w = [0.0; 3];
-        w[axis] = 1.0;
-        let d = m.map(|row| cross(w, row));
-        by_turn[0][axis] =
-            (m[1][2] * d[2][2] - m[2][2] * d[1][2]) / (m[1][2].powi(2) + m[2][2].powi(2));
-        by_turn[1][axis] = d[0][2] / (1.0 - m[0][2].powi(2)).sqrt();
-        by_turn[2][axis] =
-            (m[0][1] * d[0][0] - m[0][0] * d[0][1]) / (m[0][1].powi(2) + m[0][0].powi(2));
-    }
-    let angles_rad = by_turn.map(|by| {
-        let terms = (0..9).map(|k| by[k / 3] * c[(k / 3, k % 3)] * by[k % 3]);
-        terms.sum::<f64>().max(0.0).sqrt()
-    });
-    ImageAccuracy { centre_m2, angles_rad }
-}
-
-fn interior(
-    survey: &Survey,
-    posed: &Posed,
-    inverse: &SelectedInverse,
-    camera: usize,
-) -> Option<InteriorAccuracy> {
-    let c = inverse.among(&[(posed.lenses[camera], LENS)]);
-    let described = &survey.cameras[camera];
-    let free: Vec<usize> = (0..described.free.len()).filter(|&k| described.free[k]).collect();
-    if free.is_empty() {
-        return None;
-    }
-    let sigma: Vec<f64> = free.iter().map(|&k| c[(k, k)].max(0.0).sqrt()).collect();
-    let correlation = free
-        .iter()
-        .enumerate()
-        .map(|(i, &a)| {
-            let entry = |(j, &b): (usize, &usize)| {
-                if i == j { 1.0 } else { c[(a, b)] / (sigma[i] * sigma[j]) }
-            };
-            free.iter().enumerate().map(entry).collect()
-        })
-        .collect();
-    let values = described.interior.values();
-    Some(InteriorAccuracy {
-        camera,
-        names: free.iter().map(|&k| described.interior.parameters()[k].name).collect(),
-        values: free.iter().map(|&k| values[k]).collect(),
-        standard_deviations: sigma,
-        correlation,
-    })
 }
