@@ -24,3 +24,4 @@ mod run;
 mod segment;
 mod sfm;
 mod synth;
+mod synth_flight;

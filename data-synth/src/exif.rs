@@ -6,7 +6,7 @@ use image::{ExtendedColorType, ImageEncoder, RgbImage, codecs::jpeg::JpegEncoder
 use std::io;
 
 /// The bytes of a photo: JPEG of a quality from 1 to 100 with EXIF (maker, model, moment, exposure time, focal
-/// length, and the receiver's position: WGS84, height above the ellipsoid).
+/// length, its equivalent in pixels as that of a frame 36 mm wide, and the receiver's position: WGS84, height above the ellipsoid).
 ///
 /// # Errors
 /// Where the position has no latitude and longitude, or the picture is too large for a JPEG.
@@ -50,6 +50,8 @@ fn metadata(shot: &Shot, camera: &CameraConfig, site: &Site) -> io::Result<Vec<u
     let half = |positive: &str, negative: &str, value: f64| {
         text(if value < 0.0 { negative } else { positive })
     };
+    // Of a frame 36 mm wide: what says how long the focal length is in pixels.
+    let full_frame_mm = (36.0 * camera.c_px / f64::from(camera.width_px)).round();
     let below = u8::from(height_m < 0.0);
     let fields: Vec<Field> = [
         (Tag::Make, text(&camera.make)),
@@ -62,6 +64,7 @@ fn metadata(shot: &Shot, camera: &CameraConfig, site: &Site) -> io::Result<Vec<u
         (Tag::DateTimeOriginal, text(&moment)),
         (Tag::SubSecTimeOriginal, text(&format!("{thousandths:03}"))),
         (Tag::FocalLength, Value::Rational(vec![ratio(camera.focal_mm, 1000)])),
+        (Tag::FocalLengthIn35mmFilm, Value::Short(vec![full_frame_mm as u16])),
         (Tag::PixelXDimension, Value::Long(vec![camera.width_px])),
         (Tag::PixelYDimension, Value::Long(vec![camera.height_px])),
         (Tag::GPSVersionID, Value::Byte(vec![2, 3, 0, 0])),

@@ -75,16 +75,27 @@ pub fn true_marks(twin: &Twin, out: &mut dyn Write) -> Result {
     Ok(())
 }
 
-/// `geolocation.csv`: what the receiver says, as in the photos' EXIF, with all digits.
+/// `geolocation.csv`: what the receiver says, as in the photos' EXIF, with all digits, and in the mapping frame.
 ///
 /// # Errors
 /// What the writer says; a position without latitude and longitude.
 pub fn geolocation(twin: &Twin, out: &mut dyn Write) -> Result {
-    writeln!(out, "image_name,lat,lon,gps_height")?;
+    writeln!(
+        out,
+        "image_name,lat,lon,gps_height,easting_m,northing_m,height_m,Accuracy_Horizontal,Accuracy_Vertical"
+    )?;
+    let config = &twin.config.flight.gnss;
+    // No receiver claims to be exact.
+    let claimed_m = [config.horizontal_m, config.vertical_m].map(|sigma_m| sigma_m.max(0.01));
     for shot in &twin.shots {
         let [latitude, longitude, height] =
             twin.site.geographic(shot.gnss_m).map_err(io::Error::other)?;
-        writeln!(out, "{},{latitude:.9},{longitude:.9},{height:.3}", shot.name)?;
+        let [e, n, h] = twin.site.grid_m(shot.gnss_m);
+        writeln!(
+            out,
+            "{},{latitude:.9},{longitude:.9},{height:.3},{e:.4},{n:.4},{h:.4},{},{}",
+            shot.name, claimed_m[0], claimed_m[1]
+        )?;
     }
     Ok(())
 }

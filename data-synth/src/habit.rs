@@ -115,7 +115,7 @@ impl PlotConfig {
         from_start_m: f64,
     ) -> Option<usize> {
         let [_, along] = self.count(rows, row_length_m);
-        let side = if self.rows == 0 { 0 } else { row / self.rows };
+        let side = row.checked_div(self.rows).unwrap_or(0);
         let step = if self.length_m == 0.0 {
             0
         } else {

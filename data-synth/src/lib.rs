@@ -4,6 +4,9 @@
 //! What exists ([`field`], [`leaf`]) is kept apart from what corrupts it ([`corrupt`]) and from how
 //! it looks from above ([`render`], [`picture`]); [`scenario`] joins the three under one seed.
 //! [`block`] makes the measurements of a nadir aerial block straight from geometry.
+//! [`twin`] sets the field on [`terrain`] at a [`site`] on Earth, flies over it with a true [`camera`]
+//! ([`flight`]), sets out [`targets`], takes photos ([`photo`]) or measures tie points without them
+//! ([`tie_points`]), and [`files`] writes it all down.
 //!
 //! # Frames, pixels, units
 //! SI units; metres in the mapping frame (X east, Y north, Z up above flat ground, origin at the
@@ -46,6 +49,7 @@ pub mod picture;
 pub mod render;
 pub mod scenario;
 pub mod site;
+pub mod start_model;
 pub mod targets;
 pub mod terrain;
 pub mod tie_points;

@@ -8,7 +8,8 @@
 //! Of the leaves that cover a pixel the highest is seen. Its brightness follows the slope of the
 //! blade to the sun, `n . s`, the height in the canopy, and a fold along the midrib, which itself is
 //! paler; hue and brightness differ from plant to plant and leaf to leaf. Leaves throw shadows on
-//! the ground.
+//! the ground. Dying leaves are no part of the mask: they have colours of dry straw, and lie below
+//! the green ones.
 
 use crate::{
     corrupt::Weed,
@@ -58,8 +59,19 @@ pub fn picture(field: &Field, weeds: &[Weed]) -> RgbImage {
             let soil = soil.colour(u as i32, v as i32, along_m as f32, across_m as f32);
             colour.copy_from_slice(&soil_pixel(soil.map(|channel| light * channel)));
         }
+        // Dying leaves are the lowest of their plants: green ones are drawn over them.
+        for leaf in bands.leaves(band, &ribbons).filter(|leaf| leaf.senescent) {
+            let slopes = slopes(leaf);
+            sweep(&project(frame, leaf, [0.0; 2]), width, &rows, |hit| {
+                let light = 0.45 + 0.55 * slopes[hit.segment].along.clamp(0.0, 1.0);
+                let red = (200.0 * leaf.brightness * light) as f32;
+                let index = (hit.v - rows.start) * width + hit.u;
+                let colour = soil_pixel([red, 0.85 * red, 0.5 * red]);
+                colours[3 * index..3 * index + 3].copy_from_slice(&colour);
+            });
+        }
         let mut height_m = vec![f32::NEG_INFINITY; count * width];
-        for leaf in bands.leaves(band, &ribbons) {
+        for leaf in bands.leaves(band, &ribbons).filter(|leaf| !leaf.senescent) {
             let nodes = project(frame, leaf, [0.0; 2]);
             let slopes = slopes(leaf);
             sweep(&nodes, width, &rows, |hit| {

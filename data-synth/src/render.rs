@@ -25,7 +25,7 @@ pub const REACH_PX: f64 = 0.5;
 /// Pixel rows drawn by one thread at a time.
 pub(crate) const BAND_ROWS: usize = 128;
 
-/// The mask of all leaves and weeds: 255 where a pixel shows leaf, 0 elsewhere.
+/// The mask of all leaves that are not dying, and of all weeds: 255 where a pixel shows leaf, 0 elsewhere.
 pub fn mask(field: &Field, weeds: &[Weed]) -> GrayImage {
     let frame = &field.frame;
     let ribbons = ribbons(field, weeds);
@@ -34,7 +34,7 @@ pub fn mask(field: &Field, weeds: &[Weed]) -> GrayImage {
     let mut image = GrayImage::new(frame.width_px, frame.height_px);
     image.par_chunks_mut(width * BAND_ROWS).enumerate().for_each(|(band, pixels)| {
         let rows = band_rows(band, pixels.len() / width);
-        for leaf in bands.leaves(band, &ribbons) {
+        for leaf in bands.leaves(band, &ribbons).filter(|leaf| !leaf.senescent) {
             sweep(&project(frame, leaf, [0.0; 2]), width, &rows, |hit| {
                 pixels[(hit.v - rows.start) * width + hit.u] = 255;
             });

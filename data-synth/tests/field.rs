@@ -191,8 +191,8 @@ fn every_bad_parameter_is_named() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// Whatever the configuration: every stalk lies in the picture, on the mask where stalks stand
-    /// upright, and the two positions of each plant agree.
+    /// Whatever the configuration: every stalk lies in the picture, on the mask to within a pixel where
+    /// stalks stand upright, and the two positions of each plant agree.
     #[test]
     fn stalks_are_where_their_pixels_are(
         seed in 0u64..1 << 40,
@@ -220,7 +220,11 @@ proptest! {
             prop_assert!(plant.u_px >= -1e-6 && plant.v_px >= -1e-6);
             let (u, v) = (plant.u_px.round() as u32, plant.v_px.round() as u32);
             prop_assert!(u < mask.width() && v < mask.height());
-            prop_assert_eq!(mask.get_pixel(u, v).0, [255]);
+            // A leaf that begins in the corner of a large pixel may show in the next pixel only.
+            let near = |centre: u32, size: u32| centre.saturating_sub(1)..(centre + 2).min(size);
+            let mut around = near(u, mask.width())
+                .flat_map(|u| near(v, mask.height()).map(move |v| (u, v)));
+            prop_assert!(around.any(|(u, v)| mask.get_pixel(u, v).0 == [255]));
         }
     }
 }

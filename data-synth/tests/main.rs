@@ -5,7 +5,12 @@
 mod block;
 mod corruption;
 mod field;
+mod files;
+mod flight;
+mod habit;
+mod photo;
 mod threads;
+mod tie_points;
 
 /// Mean and standard deviation.
 fn moments(values: &[f64]) -> (f64, f64) {

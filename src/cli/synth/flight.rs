@@ -10,6 +10,7 @@ use data_synth::{
     field::GrowthStage,
     files,
     photo::Photo,
+    start_model,
     twin::{FlightPreset, Twin, TwinConfig},
 };
 use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
@@ -26,7 +27,8 @@ use std::{
 /// (every parameter, for --config). And under truth/ what no crew knows: camera.toml, exterior_orientation.csv,
 /// plants.csv, leaves.csv, leaf_axes.csv, rows.csv, plots.csv, weeds.csv, gcps.csv, marks.csv, dem.asc, and the
 /// field from straight above (mask.png, picture.png, with world files). Tie points without photos go to
-/// tie_points.csv and truth/tie_points.csv.
+/// tie_points.csv, truth/tie_points.csv and, with start values as from the receiver, to model/ in COLMAP's text
+/// form (the lens without distortion: truth/camera.toml has it).
 ///
 /// Positions are in a UTM zone on WGS84, heights above the ellipsoid; image positions have the centre of
 /// the top-left pixel at 0,0. The same parameters give the same bytes for any number of threads.
@@ -141,7 +143,13 @@ const TABLES: [(&str, Table); 15] = [
     ("truth/dem.asc", files::dem),
     ("truth/dem.prj", |twin, out| out.write_all(files::projection(twin).as_bytes())),
 ];
-const TIE_TABLES: [&str; 2] = ["tie_points.csv", "truth/tie_points.csv"];
+const TIE_TABLES: [&str; 5] = [
+    "tie_points.csv",
+    "truth/tie_points.csv",
+    "model/cameras.txt",
+    "model/images.txt",
+    "model/points3D.txt",
+];
 const FROM_ABOVE: [&str; 4] =
     ["truth/mask.png", "truth/picture.png", "truth/mask.pgw", "truth/picture.pgw"];
 
@@ -150,6 +158,7 @@ impl Folder<'_> {
     fn prepare(&self, args: &Args, twin: &Twin) -> Result<(), Error> {
         let mut folders = vec!["truth"];
         folders.extend((!args.no_photos).then_some("images"));
+        folders.extend((twin.config.tie_points.per_photo > 0).then_some("model"));
         folders.extend(args.photo_truth.then_some("truth/photos"));
         for folder in folders {
             let path = self.root.join(folder);
@@ -205,6 +214,9 @@ fn tables(folder: &Folder<'_>, twin: &Twin) -> Result<(), FileError> {
         let points = twin.tie_points();
         folder.text(TIE_TABLES[0], |out| files::tie_points(twin, &points, out))?;
         folder.text(TIE_TABLES[1], |out| files::true_tie_points(twin, &points, out))?;
+        folder.text(TIE_TABLES[2], |out| start_model::cameras(twin, out))?;
+        folder.text(TIE_TABLES[3], |out| start_model::images(twin, &points, out))?;
+        folder.text(TIE_TABLES[4], |out| start_model::points(twin, &points, out))?;
     }
     Ok(())
 }

@@ -1,0 +1,256 @@
+//! `rowgram synth flight` as a person or a script calls it, and the twin's camera against the estimators'.
+
+use data_synth::{
+    camera::{Camera, CameraConfig},
+    twin::{FlightPreset, TwinConfig},
+};
+use rowgram::camera::{Camera as Description, Lens};
+use std::{
+    collections::BTreeMap,
+    fs,
+    path::{Path, PathBuf},
+    process::{Command, Output},
+};
+
+fn rowgram(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_rowgram"))
+        .args(arguments)
+        .env("NO_COLOR", "1")
+        .output()
+        .unwrap()
+}
+
+fn succeed(arguments: &[&str]) -> Output {
+    let output = rowgram(arguments);
+    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+    output
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+/// A configuration of few tiny photos, written into `folder`.
+fn tiny(folder: &Path) -> PathBuf {
+    let mut config = TwinConfig::preset(FlightPreset::Small);
+    config.field.rows = 6;
+    config.field.row_length_m = 6.0;
+    config.field.plots = Default::default();
+    config.camera = CameraConfig::wide(240, 180, 150.0);
+    config.flight.height_m = 8.0;
+    config.flight.margin_m = -1.0;
+    config.flight.strips = 2;
+    config.flight.photos_per_strip = 3;
+    config.tie_points.per_photo = 60;
+    let path = folder.join("tiny.toml");
+    fs::write(&path, toml::to_string(&config).unwrap()).unwrap();
+    path
+}
+
+/// Every file below a folder with its bytes.
+fn contents(folder: &Path) -> BTreeMap<String, Vec<u8>> {
+    let mut found = BTreeMap::new();
+    let mut folders = vec![folder.to_owned()];
+    while let Some(next) = folders.pop() {
+        for entry in fs::read_dir(next).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                folders.push(path);
+            } else {
+                let name = path.strip_prefix(folder).unwrap().to_str().unwrap().to_owned();
+                found.insert(name, fs::read(path).unwrap());
+            }
+        }
+    }
+    found
+}
+
+const ALWAYS: [&str; 20] = [
+    "field.toml",
+    "gcps.csv",
+    "geolocation.csv",
+    "marks.csv",
+    "truth/camera.toml",
+    "truth/dem.asc",
+    "truth/dem.prj",
+    "truth/exterior_orientation.csv",
+    "truth/gcps.csv",
+    "truth/leaf_axes.csv",
+    "truth/leaves.csv",
+    "truth/marks.csv",
+    "truth/mask.pgw",
+    "truth/mask.png",
+    "truth/picture.pgw",
+    "truth/picture.png",
+    "truth/plants.csv",
+    "truth/plots.csv",
+    "truth/rows.csv",
+    "truth/weeds.csv",
+];
+
+#[test]
+fn a_project_folder_is_complete_and_the_same_for_any_number_of_threads() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = tiny(folder.path());
+    let (first, second) = (folder.path().join("first"), folder.path().join("second"));
+    let output = succeed(&[
+        "synth",
+        "flight",
+        "--config",
+        text(&config),
+        "--photo-truth",
+        "-o",
+        text(&first),
+    ]);
+    assert!(output.stdout.is_empty());
+    let found = contents(&first);
+    let mut expected: Vec<String> = ALWAYS.map(str::to_owned).to_vec();
+    expected.extend(["tie_points.csv", "truth/tie_points.csv"].map(str::to_owned));
+    expected.extend(["cameras", "images", "points3D"].map(|name| format!("model/{name}.txt")));
+    for photo in 1..=6 {
+        expected.push(format!("images/IMG_{photo:04}.JPG"));
+        for end in ["_mask.png", "_plants.png", ".csv"] {
+            expected.push(format!("truth/photos/IMG_{photo:04}{end}"));
+        }
+    }
+    expected.sort();
+    assert_eq!(found.keys().cloned().collect::<Vec<_>>(), expected);
+    let photo = image::load_from_memory(&found["images/IMG_0001.JPG"]).unwrap();
+    assert_eq!((photo.width(), photo.height()), (240, 180));
+    assert_eq!(photo.color(), image::ColorType::Rgb8);
+
+    // From the resolved configuration, with another number of threads.
+    let resolved = first.join("field.toml");
+    succeed(&[
+        "synth",
+        "flight",
+        "--config",
+        text(&resolved),
+        "--photo-truth",
+        "--threads",
+        "1",
+        "-o",
+        text(&second),
+    ]);
+    assert!(found == contents(&second));
+
+    let taken = rowgram(&["synth", "flight", "--config", text(&resolved), "-o", text(&first)]);
+    assert_eq!(taken.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&taken.stderr).contains("--force"));
+    let bare = folder.path().join("bare");
+    succeed(&[
+        "synth",
+        "flight",
+        "--config",
+        text(&resolved),
+        "--tie-points",
+        "0",
+        "--no-photos",
+        "-o",
+        text(&bare),
+    ]);
+    assert_eq!(contents(&bare).keys().map(String::as_str).collect::<Vec<_>>(), ALWAYS);
+}
+
+#[test]
+fn the_truth_is_judged_perfect() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("field");
+    let config = tiny(folder.path());
+    succeed(&["synth", "flight", "--config", text(&config), "--no-photos", "-o", text(&out)]);
+    let truth = out.join("truth/plants.csv");
+    let output = succeed(&["evaluate", text(&truth), text(&truth), "--radius", "3", "--json"]);
+    let score: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert!(score.to_string().contains("\"f1\":1.0"), "{score}");
+    // And a segmentation of the picture from above finds the mask.
+    let mask = folder.path().join("mask.png");
+    succeed(&["segment", text(&out.join("truth/picture.png")), "-o", text(&mask)]);
+    let (found, truth) = (
+        image::open(&mask).unwrap().into_luma8(),
+        image::open(out.join("truth/mask.png")).unwrap().into_luma8(),
+    );
+    let differ = found.iter().zip(truth.iter()).filter(|(a, b)| a != b).count();
+    assert!(differ * 200 < truth.len(), "{differ} of {}", truth.len());
+}
+
+#[test]
+fn the_twins_camera_is_the_estimators_camera() {
+    for config in [
+        CameraConfig::wide(1000, 750, 520.0),
+        CameraConfig { k0: 0.01, r0_px: 300.0, ..CameraConfig::compact(1000, 750, 800.0) },
+    ] {
+        let twin = TwinConfig { camera: config.clone(), ..TwinConfig::preset(FlightPreset::Small) };
+        let mut toml = Vec::new();
+        data_synth::files::camera(&twin.build().unwrap(), &mut toml).unwrap();
+        let theirs = Description::from_toml(&String::from_utf8(toml).unwrap()).unwrap().interior;
+        let ours = Camera::new(&config).unwrap();
+        for step in 0..400 {
+            let (u, v) = (f64::from(step % 20) * 52.5, f64::from(step / 20) * 39.4);
+            let ray = ours.direction(u, v);
+            let pixel = theirs.project(ray.map(|part| 7.0 * part)).unwrap();
+            assert!(f64::hypot(pixel[0] - u, pixel[1] - v) < 1e-8, "{pixel:?} for {u}, {v}");
+            let back = ours.project(theirs.unproject([u, v]).unwrap()).unwrap();
+            assert!(f64::hypot(back[0] - u, back[1] - v) < 1e-8, "{back:?} for {u}, {v}");
+        }
+    }
+}
+
+/// Truth files alone, read as an estimator would: the true places through the true orientations and the true camera
+/// are the true pixels.
+#[test]
+fn the_truth_files_close_the_loop() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("field");
+    let config = tiny(folder.path());
+    succeed(&["synth", "flight", "--config", text(&config), "--no-photos", "-o", text(&out)]);
+    let table = |name: &str| -> Vec<BTreeMap<String, String>> {
+        let mut reader = csv::Reader::from_path(out.join("truth").join(name)).unwrap();
+        reader.deserialize().map(|row| row.unwrap()).collect()
+    };
+    let number =
+        |row: &BTreeMap<String, String>, column: &str| -> f64 { row[column].parse().unwrap() };
+    let place = |row: &BTreeMap<String, String>| {
+        ["easting_m", "northing_m", "height_m"].map(|c| number(row, c))
+    };
+    let lens = rowgram::io::camera::read(&out.join("truth/camera.toml")).unwrap().interior;
+    let (points, shots) = (table("gcps.csv"), table("exterior_orientation.csv"));
+    let marks = table("marks.csv");
+    assert!(marks.len() > 5, "{}", marks.len());
+    for mark in marks {
+        let point = place(points.iter().find(|row| row["label"] == mark["label"]).unwrap());
+        let shot = shots.iter().find(|row| row["image"] == mark["image"]).unwrap();
+        let centre = place(shot);
+        let [o, p, k] = ["omega_deg", "phi_deg", "kappa_deg"].map(|c| number(shot, c).to_radians());
+        let about = |axis: nalgebra::Vector3<f64>, angle: f64| {
+            nalgebra::Rotation3::from_axis_angle(&nalgebra::Unit::new_normalize(axis), angle)
+        };
+        let rotation = about(nalgebra::Vector3::x(), o)
+            * about(nalgebra::Vector3::y(), p)
+            * about(nalgebra::Vector3::z(), k);
+        let away = nalgebra::Vector3::from_fn(|i, _| point[i] - centre[i]);
+        let seen = rotation.inverse() * away;
+        let [u, v] = lens.project([seen.x, seen.y, seen.z]).unwrap();
+        // Files have hundredths of millimetres: a thousandth of a pixel at 8 m.
+        let off_px = f64::hypot(u - number(&mark, "u_px"), v - number(&mark, "v_px"));
+        assert!(off_px < 1e-3, "{off_px} px");
+    }
+}
+
+#[test]
+fn bad_configurations_are_refused_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("bad.toml");
+    for (wrong, words) in [
+        ("[flight]\nheight_m = -3.0\n", ["flight.height_m", "expected"]),
+        ("[flight]\nheigth_m = 3.0\n", ["heigth_m", "bad.toml"]),
+        ("[site]\nepsg = 4326\n", ["site.epsg", "UTM"]),
+    ] {
+        fs::write(&path, wrong).unwrap();
+        let out = folder.path().join("out");
+        let output = rowgram(&["synth", "flight", "--config", text(&path), "-o", text(&out)]);
+        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{message}");
+        assert!(words.iter().all(|word| message.contains(word)), "{message}");
+        assert!(!out.exists());
+    }
+}
