@@ -14,7 +14,7 @@
 use super::{FileError, checkpoint::Fingerprint, output};
 use crate::features::{DESCRIPTOR_LENGTH, Descriptors, Features, KeyPoint, Options};
 use serde::{Deserialize, Serialize};
-use std::{io::Write, path::Path};
+use std::path::Path;
 
 const FORMAT: &str = "rowgram-features";
 const VERSION: u32 = 1;
