@@ -17,6 +17,7 @@ mod data;
 mod drive;
 mod engine;
 mod evaluate;
+mod features;
 mod locate;
 mod nlls;
 mod program;

@@ -6,6 +6,7 @@
 mod adjust;
 mod align;
 mod evaluate;
+mod features;
 mod figures;
 mod locate;
 mod run;
@@ -44,6 +45,8 @@ enum Verb {
     Synth(synth::Args),
     Locate(locate::Locate),
     Segment(segment::Args),
+    Features(features::Args),
+    Match(features::MatchArgs),
     Evaluate(evaluate::Args),
 }
 
@@ -80,6 +83,8 @@ fn run(cli: Cli) -> Result<(), Error> {
         Verb::Synth(args) => synth::run(&args),
         Verb::Locate(verb) => verb.run(),
         Verb::Segment(args) => segment::run(&args),
+        Verb::Features(args) => features::run(&args),
+        Verb::Match(args) => features::run_match(&args),
         Verb::Evaluate(args) => evaluate::run(&args),
     }
 }

@@ -1,22 +1,20 @@
-//! Separable Gaussian filters, `G(x) ~ exp(-x^2 / (2 sigma^2))`, over layers of a scale space.
+//! Separable Gaussian filters, `G(x) ~ exp(-x^2 / (2 sigma^2))`, over the frame of a tile.
 //!
-//! The picture goes on beyond its border as its mirror image about the outermost pixel centres
-//! (`dcb|abcd|cba`). A layer is cut into bands of rows for the threads and these into tiles that stay
-//! in the cache between the pass along the rows and the one across them. Four output rows are
-//! computed together, so that an input row is loaded once for all four.
+//! A frame is a tile of a picture with a margin around it; every filter leaves less of the margin
+//! valid, and nothing has to be known about the picture's borders here. The pass along the rows and
+//! the one across them go over panels of columns that stay in the cache. Four output rows are computed
+//! together, so that an input row is loaded once for all four.
 
-use super::pyramid::{LANE_MULTIPLE, Layer};
-use pulp::{Simd, WithSimd};
-use rayon::prelude::*;
+use pulp::Simd;
 
-/// Rows of one task.
-const BAND: usize = 256;
-/// Columns of one tile.
-const TILE: usize = 256;
+/// Columns of a panel.
+const PANEL: usize = 128;
 /// Largest reach of a filter, in pixels.
-const MAX_RADIUS: usize = 16;
+pub(super) const MAX_RADIUS: usize = 16;
 /// Output rows computed together.
 const ROWS: usize = 4;
+/// Columns of the widest register; a filter may write this many columns less one too far.
+pub(super) const MAX_LANES: usize = 16;
 
 /// One half of a symmetric filter: the weight of the centre and of the pixels `1..=radius` away.
 #[derive(Debug, Clone)]
@@ -38,119 +36,72 @@ impl Kernel {
     }
 }
 
-/// Where a filter gets its input rows from.
-pub(super) trait Rows: Sync {
-    /// Width and height, in pixels.
-    fn size(&self) -> (usize, usize);
-
-    /// Pixels `from..from + out.len()` of row `row`; columns may lie outside, by mirroring.
-    fn read(&self, row: usize, from: isize, out: &mut [f32]);
+/// What is to be filtered: a rectangle of a frame.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Window {
+    /// Distance of the rows in memory.
+    pub(super) stride: usize,
+    /// First column and row.
+    pub(super) from: (usize, usize),
+    /// Columns and rows.
+    pub(super) size: (usize, usize),
 }
 
-/// The pixel that stands at `index` when a line of `length` pixels is continued by mirroring.
-pub(super) fn mirror(index: isize, length: usize) -> usize {
-    let last = length as isize - 1;
-    if last <= 0 {
-        return 0;
-    }
-    let folded = index.rem_euclid(2 * last);
-    folded.min(2 * last - folded) as usize
-}
-
-impl Rows for Layer {
-    fn size(&self) -> (usize, usize) {
-        (self.width, self.height)
-    }
-
-    fn read(&self, row: usize, from: isize, out: &mut [f32]) {
-        let line = &self.data[row * self.stride..][..self.width];
-        copy_mirrored(line, from, out);
-    }
-}
-
-/// Copies `line` continued by mirroring.
-pub(super) fn copy_mirrored(line: &[f32], from: isize, out: &mut [f32]) {
-    let width = line.len() as isize;
-    let first = (-from).clamp(0, out.len() as isize);
-    let last = (width - from).clamp(first, out.len() as isize);
-    let (left, rest) = out.split_at_mut(first as usize);
-    let (inside, right) = rest.split_at_mut((last - first) as usize);
-    if !inside.is_empty() {
-        inside.copy_from_slice(&line[(from + first) as usize..][..inside.len()]);
-    }
-    for (k, value) in left.iter_mut().enumerate() {
-        *value = line[mirror(from + k as isize, line.len())];
-    }
-    for (k, value) in right.iter_mut().enumerate() {
-        *value = line[mirror(from + last + k as isize, line.len())];
-    }
-}
-
-/// Filters `input` into `output`, which has its size.
-pub(super) fn blur(input: &impl Rows, kernel: &Kernel, output: &mut Layer) {
-    let stride = output.stride;
-    output.data.par_chunks_mut(BAND * stride).enumerate().for_each(|(band, rows)| {
-        let band = Band { input, kernel, first_row: band * BAND, stride, rows };
-        pulp::Arch::new().dispatch(band);
-    });
-}
-
-/// A band of output rows.
-struct Band<'a, I: Rows> {
-    input: &'a I,
-    kernel: &'a Kernel,
-    first_row: usize,
-    stride: usize,
-    rows: &'a mut [f32],
-}
-
-impl<I: Rows> WithSimd for Band<'_, I> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        // The radii of the scale space's own filters are compiled with their loops unrolled.
-        match self.kernel.radius {
-            5 => band::<S, I, 5>(simd, self),
-            6 => band::<S, I, 6>(simd, self),
-            8 => band::<S, I, 8>(simd, self),
-            10 => band::<S, I, 10>(simd, self),
-            13 => band::<S, I, 13>(simd, self),
-            // Weights beyond the kernel's radius are zero.
-            _ => band::<S, I, MAX_RADIUS>(simd, self),
-        }
+/// Filters the window of `input` into that of `output`; the kernel's radius must be free around it,
+/// and [`MAX_LANES`] columns to its right. `lines` is working memory.
+#[inline(always)]
+pub(super) fn blur<S: Simd>(
+    simd: S,
+    kernel: &Kernel,
+    window: Window,
+    input: &[f32],
+    output: &mut [f32],
+    lines: &mut Vec<f32>,
+) {
+    // The radii of the scale space's own filters are compiled with their loops unrolled; weights
+    // beyond the kernel's radius are zero.
+    match kernel.radius {
+        5 => panels::<S, 5>(simd, kernel, window, input, output, lines),
+        6 => panels::<S, 6>(simd, kernel, window, input, output, lines),
+        8 => panels::<S, 8>(simd, kernel, window, input, output, lines),
+        10 => panels::<S, 10>(simd, kernel, window, input, output, lines),
+        13 => panels::<S, 13>(simd, kernel, window, input, output, lines),
+        _ => panels::<S, MAX_RADIUS>(simd, kernel, window, input, output, lines),
     }
 }
 
 #[inline(always)]
-fn band<S: Simd, I: Rows, const R: usize>(simd: S, band: Band<'_, I>) {
-    let Band { input, kernel, first_row, stride, rows } = band;
-    let (_, height) = input.size();
-    let count = rows.len() / stride;
-    let mut buffer = vec![0.0f32; (count + 2 * R) * TILE];
-    let mut segment = [0.0f32; TILE + 2 * MAX_RADIUS];
-    let mut from = 0;
-    while from < stride {
-        let width = TILE.min(stride - from);
-        for line in 0..count + 2 * R {
-            let row = mirror((first_row + line) as isize - R as isize, height);
-            let segment = &mut segment[..width + 2 * R];
-            input.read(row, from as isize - R as isize, segment);
-            along_row::<S, R>(simd, segment, kernel, &mut buffer[line * TILE..][..width]);
+fn panels<S: Simd, const R: usize>(
+    simd: S,
+    kernel: &Kernel,
+    window: Window,
+    input: &[f32],
+    output: &mut [f32],
+    lines: &mut Vec<f32>,
+) {
+    let Window { stride, from: (column, row), size: (width, height) } = window;
+    lines.resize((height + 2 * R) * PANEL, 0.0);
+    let mut done = 0;
+    while done < width {
+        let panel = PANEL.min((width - done).next_multiple_of(S::F32_LANES));
+        for line in 0..height + 2 * R {
+            let at = (row + line - R) * stride + column + done - R;
+            let out = &mut lines[line * PANEL..][..panel];
+            along_row::<S, R>(simd, &input[at..at + panel + 2 * R], kernel, out);
         }
-        let mut row = 0;
-        while row < count {
-            let lines = &buffer[row * TILE..];
-            let out = &mut rows[row * stride..];
-            if count - row >= ROWS {
-                across_rows::<S, R, ROWS>(simd, lines, kernel, out, stride, from, width);
-                row += ROWS;
+        let mut line = 0;
+        while line < height {
+            let out = &mut output[(row + line) * stride + column + done..];
+            let lines = &lines[line * PANEL..];
+            if height - line >= ROWS {
+                across_rows::<S, R, ROWS>(simd, lines, kernel, out, stride, panel);
+                line += ROWS;
             } else {
-                across_rows::<S, R, 1>(simd, lines, kernel, out, stride, from, width);
-                row += 1;
+                across_rows::<S, R, 1>(simd, lines, kernel, out, stride, panel);
+                line += 1;
             }
         }
-        from += width;
+        done += panel;
     }
 }
 
@@ -174,7 +125,7 @@ fn load<S: Simd>(values: &[f32], at: usize) -> S::f32s {
     S::as_simd_f32s(&values[at..at + S::F32_LANES]).0[0]
 }
 
-/// `N` output rows from `N + 2 R` lines of a tile.
+/// `N` output rows from `N + 2 R` lines of a panel.
 #[inline(always)]
 fn across_rows<S: Simd, const R: usize, const N: usize>(
     simd: S,
@@ -182,14 +133,13 @@ fn across_rows<S: Simd, const R: usize, const N: usize>(
     kernel: &Kernel,
     out: &mut [f32],
     stride: usize,
-    from: usize,
     width: usize,
 ) {
     let mut at = 0;
     while at < width {
         let mut sums = [simd.splat_f32s(0.0); N];
         for line in 0..N + 2 * R {
-            let value = load::<S>(&lines[line * TILE..][..TILE], at);
+            let value = load::<S>(&lines[line * PANEL..][..PANEL], at);
             for (row, sum) in sums.iter_mut().enumerate() {
                 // Output `row` has its centre at line `row + R`.
                 let distance = (row + R).abs_diff(line);
@@ -200,68 +150,59 @@ fn across_rows<S: Simd, const R: usize, const N: usize>(
             }
         }
         for (row, sum) in sums.iter().enumerate() {
-            let place = &mut out[row * stride + from + at..][..S::F32_LANES];
+            let place = &mut out[row * stride + at..][..S::F32_LANES];
             S::as_mut_simd_f32s(place).0[0] = *sum;
         }
         at += S::F32_LANES;
     }
 }
 
-// Every tile is a whole number of registers.
-const _: () = assert!(TILE.is_multiple_of(LANE_MULTIPLE));
+// Every panel is a whole number of registers.
+const _: () = assert!(PANEL.is_multiple_of(MAX_LANES));
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn direct(input: &Layer, kernel: &Kernel, u: usize, v: usize) -> f64 {
-        let weight = |k: isize| f64::from(kernel.weights[k.unsigned_abs()]);
-        let reach = kernel.radius as isize;
-        let mut sum = 0.0;
-        for j in -reach..=reach {
-            for i in -reach..=reach {
-                let row = mirror(v as isize + j, input.height);
-                let column = mirror(u as isize + i, input.width);
-                sum += weight(i) * weight(j) * f64::from(input.at(column, row));
-            }
+    struct Filter<'a> {
+        kernel: &'a Kernel,
+        window: Window,
+        input: &'a [f32],
+        output: &'a mut [f32],
+    }
+
+    impl pulp::WithSimd for Filter<'_> {
+        type Output = ();
+        fn with_simd<S: Simd>(self, simd: S) {
+            blur(simd, self.kernel, self.window, self.input, self.output, &mut Vec::new());
         }
-        sum
     }
 
     #[test]
-    fn a_blurred_layer_is_the_double_sum_of_its_mirrored_continuation() {
-        for (width, height, sigma) in [
-            (300, 270, 1.2262735),
-            (37, 21, 3.0900155),
-            (5, 3, 1.5),
-            (1, 1, 2.0),
-            (40, 1, 1.9465878),
-        ] {
-            let mut input = Layer::new(width, height);
-            for v in 0..height {
-                for u in 0..width {
-                    let value = (u * u * 7 + v * 131 + u * v * 3) % 256;
-                    input.data[v * input.stride + u] = value as f32;
-                }
-            }
+    fn a_filtered_window_is_the_double_sum() {
+        let (stride, rows) = (240, 90);
+        let input: Vec<f32> =
+            (0..stride * rows).map(|k| ((k * k * 7 + k * 131) % 256) as f32).collect();
+        for (sigma, size) in [(1.2262735, (150, 31)), (3.0900155, (129, 2)), (1.0, (1, 57))] {
             let kernel = Kernel::gaussian(sigma);
-            let mut output = Layer::new(width, height);
-            blur(&input, &kernel, &mut output);
-            for v in (0..height).step_by(7).chain([height - 1]) {
-                for u in (0..width).step_by(13).chain([width - 1]) {
-                    let expected = direct(&input, &kernel, u, v);
-                    let got = f64::from(output.at(u, v));
-                    // Sums of 27 products of single precision, twice, on values up to 256.
-                    assert!((got - expected).abs() < 1e-3, "{width}x{height} {u} {v}");
+            let window = Window { stride, from: (17, 16), size };
+            let mut output = vec![0.0; input.len()];
+            let job = Filter { kernel: &kernel, window, input: &input, output: &mut output };
+            pulp::Arch::new().dispatch(job);
+            let reach = kernel.radius as isize;
+            for (u, v) in [(0, 0), (size.0 - 1, size.1 - 1), (size.0 / 2, size.1 / 2)] {
+                let centre = (16 + v) * stride + 17 + u;
+                let mut expected = 0.0;
+                for j in -reach..=reach {
+                    for i in -reach..=reach {
+                        let weight = |k: isize| f64::from(kernel.weights[k.unsigned_abs()]);
+                        let at = centre as isize + j * stride as isize + i;
+                        expected += weight(i) * weight(j) * f64::from(input[at as usize]);
+                    }
                 }
+                // Sums of up to 27 products of single precision, twice, on values up to 256.
+                assert!((f64::from(output[centre]) - expected).abs() < 1e-3);
             }
         }
-    }
-
-    #[test]
-    fn mirroring_turns_about_the_outermost_pixels() {
-        let line: Vec<usize> = (-4..8).map(|x| mirror(x, 4)).collect();
-        assert_eq!(line, [2, 3, 2, 1, 0, 1, 2, 3, 2, 1, 0, 1]);
-        assert_eq!((mirror(-3, 1), mirror(9, 1)), (0, 0));
     }
 }

@@ -108,11 +108,11 @@ fn histogram(job: &Describe<'_>) -> [f32; DESCRIPTOR_LENGTH] {
             continue;
         }
         let count = (last as usize + 1 - first).min(ROW);
-        let at = row * layer.stride + first;
+        let at = row * layer.width + first;
         let data = &layer.data;
         let (left, right) = (&data[at - 1..][..count], &data[at + 1..][..count]);
-        let above = &data[at - layer.stride..][..count];
-        let below = &data[at + layer.stride..][..count];
+        let above = &data[at - layer.width..][..count];
+        let below = &data[at + layer.width..][..count];
         let across = weights[row.abs_diff(job.row)];
         let turned = job.angle_deg * (1.0 / 360.0);
         let centre = first as f32 - job.column as f32;
@@ -121,7 +121,8 @@ fn histogram(job: &Describe<'_>) -> [f32; DESCRIPTOR_LENGTH] {
             along[k] = weights[(first + k).abs_diff(job.column)];
         }
         for k in 0..count {
-            let (dx, dy) = (right[k] - left[k], above[k] - below[k]);
+            let dx = f32::from(right[k]) - f32::from(left[k]);
+            let dy = f32::from(above[k]) - f32::from(below[k]);
             let j = centre + k as f32;
             let cell_row = j * sine + starts[0];
             let cell_column = j * cosine + starts[1];

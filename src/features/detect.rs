@@ -9,19 +9,16 @@
 
 use super::{
     Options,
-    pyramid::{BASE_SIGMA_PX, BORDER, Layer, Octave, SCALES},
+    pyramid::{BASE_SIGMA_PX, BORDER, Frames, LAYERS, SCALES, TILE, Tile},
 };
-use pulp::{Simd, WithSimd};
-use rayon::prelude::*;
 
-/// Rows of one task.
-const BAND: usize = 64;
-/// Columns worked on together; three rows of all differences stay in the cache.
-const TILE: usize = 512;
 /// Differences in an octave.
 const DIFFERENCES: usize = SCALES + 2;
 /// How often a neighbour is tried.
 const MAX_MOVES: usize = 5;
+/// How far from the candidate the key point may be, in pixels along rows and columns; beyond it the
+/// expansion says nothing about the candidate.
+pub(super) const REACH: usize = 4;
 
 /// A refined extremum, in the pixels of its octave.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -51,93 +48,86 @@ impl Extremum {
     }
 }
 
-/// All extrema of an octave, from top to bottom in bands.
-pub(super) fn extrema(layers: &Octave, octave: u8, options: &Options) -> Vec<Extremum> {
-    let height = layers[0].height;
-    let rows = height.saturating_sub(2 * BORDER);
-    let bands: Vec<Vec<Extremum>> = (0..rows.div_ceil(BAND))
-        .into_par_iter()
-        .map(|band| {
-            let first = BORDER + band * BAND;
-            let last = (first + BAND).min(height - BORDER);
-            pulp::Arch::new().dispatch(Scan { layers, octave, options, rows: (first, last) })
-        })
-        .collect();
-    bands.concat()
-}
-
-/// Looks through rows `rows.0..rows.1`.
-struct Scan<'a> {
-    layers: &'a Octave,
-    octave: u8,
-    options: &'a Options,
-    rows: (usize, usize),
-}
+/// Columns of a tile.
+const WIDTH: usize = TILE.0;
 
 /// What one row of a tile has in one difference; column 0 is one to the left of the tile.
 #[derive(Clone)]
 struct Line {
-    value: [f32; TILE + 2],
+    value: [f32; WIDTH + 2],
     /// Largest and smallest of the pixel and its left and right neighbours.
-    high: [f32; TILE],
-    low: [f32; TILE],
+    high: [f32; WIDTH],
+    low: [f32; WIDTH],
 }
 
-impl WithSimd for Scan<'_> {
-    type Output = Vec<Extremum>;
+/// Working memory of the search.
+pub(super) struct Lines {
+    /// Three rows of each difference, row `v` at `v % 3`.
+    ring: Vec<[Line; 3]>,
+    /// Largest and smallest of 3 x 3 pixels in each difference.
+    extremes: Vec<[[f32; WIDTH]; 2]>,
+}
 
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) -> Vec<Extremum> {
-        let Scan { layers, octave, options, rows: (first, last) } = self;
-        let width = layers[0].width;
-        let empty = Line { value: [0.0; TILE + 2], high: [0.0; TILE], low: [0.0; TILE] };
-        // Rows are kept in turn: row `v` at `v % 3`.
-        let mut ring = vec![empty; 3 * DIFFERENCES];
-        let mut extremes = vec![[[0.0f32; TILE]; 2]; DIFFERENCES];
-        let mut found = Vec::new();
-        let mut flags = [0u8; TILE];
-        let threshold = (0.5 * options.contrast_threshold / SCALES as f32 * 255.0).floor();
-        let mut from = BORDER;
-        while from < width - BORDER {
-            let count = TILE.min(width - BORDER - from);
-            for row in first - 1..=last {
-                for d in 0..DIFFERENCES {
-                    let line = &mut ring[d * 3 + row % 3];
-                    let at = row * layers[d].stride + from - 1;
-                    subtract(
-                        &layers[d + 1].data[at..at + count + 2],
-                        &layers[d].data[at..at + count + 2],
-                        line,
-                    );
-                }
-                if row <= first {
+impl Lines {
+    pub(super) fn new() -> Lines {
+        let empty = Line { value: [0.0; WIDTH + 2], high: [0.0; WIDTH], low: [0.0; WIDTH] };
+        Lines {
+            ring: vec![[empty.clone(), empty.clone(), empty]; DIFFERENCES],
+            extremes: vec![[[0.0; WIDTH]; 2]; DIFFERENCES],
+        }
+    }
+}
+
+/// Appends the extrema of a tile.
+#[inline(always)]
+pub(super) fn scan(
+    tile: &Tile,
+    frames: &mut Frames,
+    octave: u8,
+    options: &Options,
+    found: &mut Vec<Extremum>,
+) {
+    let Frames { layers, scan: Lines { ring, extremes }, .. } = frames;
+    let threshold = (0.5 * options.contrast_threshold / SCALES as f32 * 255.0).floor();
+    // One column after another of the tile may be a candidate, as far as it is not at the border.
+    let (left, top) = tile.from;
+    let first = BORDER.saturating_sub(left);
+    let last = tile.size.0.min((tile.whole.0 - BORDER).saturating_sub(left));
+    let first_row = top.max(BORDER);
+    let last_row = (top + tile.size.1).min(tile.whole.1 - BORDER);
+    let mut flags = [0u8; WIDTH];
+    for row in first_row.saturating_sub(1)..=last_row {
+        if first_row >= last_row || first >= last {
+            break;
+        }
+        for d in 0..DIFFERENCES {
+            let at = tile.place(left, row) - 1;
+            let line = &mut ring[d][row % 3];
+            subtract(&layers[d + 1][at..], &layers[d][at..], line);
+        }
+        if row <= first_row {
+            continue;
+        }
+        for d in 0..DIFFERENCES {
+            let [high, low] = &mut extremes[d];
+            extreme_of_three(&ring[d], high, low);
+        }
+        let row = row - 1;
+        for layer in 1..=SCALES {
+            flag(&ring[layer][row % 3], &extremes[layer - 1..layer + 2], threshold, &mut flags);
+            for (word, eight) in flags.as_chunks::<8>().0.iter().enumerate() {
+                if *eight == [0; 8] {
                     continue;
                 }
-                for d in 0..DIFFERENCES {
-                    let lines = &ring[d * 3..d * 3 + 3];
-                    let [high, low] = &mut extremes[d];
-                    extreme_of_three(lines, high, low);
-                }
-                let row = row - 1;
-                for layer in 1..=SCALES {
-                    let line = &ring[layer * 3 + row % 3];
-                    flag(line, &extremes[layer - 1..layer + 2], threshold, &mut flags);
-                    for (word, eight) in flags[..count.next_multiple_of(8)].chunks(8).enumerate() {
-                        if eight == [0; 8] {
-                            continue;
-                        }
-                        for k in 0..8.min(count - 8 * word) {
-                            if eight[k] != 0 {
-                                let column = from + 8 * word + k;
-                                found.extend(refine(layers, octave, layer, column, row, options));
-                            }
-                        }
+                for k in 0..8 {
+                    let column = 8 * word + k;
+                    if eight[k] != 0 && (first..last).contains(&column) {
+                        let start = [left + column, row, layer];
+                        found.extend(refine(tile, layers, octave, start, options));
                     }
                 }
             }
-            from += count;
         }
-        found
     }
 }
 
@@ -147,7 +137,7 @@ fn subtract(upper: &[f32], lower: &[f32], line: &mut Line) {
     for ((value, &upper), &lower) in line.value.iter_mut().zip(upper).zip(lower) {
         *value = upper - lower;
     }
-    for k in 0..TILE {
+    for k in 0..WIDTH {
         let (left, middle, right) = (line.value[k], line.value[k + 1], line.value[k + 2]);
         line.high[k] = larger(larger(left, middle), right);
         line.low[k] = smaller(smaller(left, middle), right);
@@ -155,9 +145,9 @@ fn subtract(upper: &[f32], lower: &[f32], line: &mut Line) {
 }
 
 #[inline(always)]
-fn extreme_of_three(lines: &[Line], high: &mut [f32; TILE], low: &mut [f32; TILE]) {
-    let [a, b, c] = lines else { return };
-    for k in 0..TILE {
+fn extreme_of_three(lines: &[Line; 3], high: &mut [f32; WIDTH], low: &mut [f32; WIDTH]) {
+    let [a, b, c] = lines;
+    for k in 0..WIDTH {
         high[k] = larger(larger(a.high[k], b.high[k]), c.high[k]);
         low[k] = smaller(smaller(a.low[k], b.low[k]), c.low[k]);
     }
@@ -165,9 +155,9 @@ fn extreme_of_three(lines: &[Line], high: &mut [f32; TILE], low: &mut [f32; TILE
 
 /// Sets the flags of the candidates among one row's pixels.
 #[inline(always)]
-fn flag(line: &Line, extremes: &[[[f32; TILE]; 2]], threshold: f32, flags: &mut [u8; TILE]) {
+fn flag(line: &Line, extremes: &[[[f32; WIDTH]; 2]], threshold: f32, flags: &mut [u8; WIDTH]) {
     let [[high_0, low_0], [high_1, low_1], [high_2, low_2]] = extremes else { return };
-    for k in 0..TILE {
+    for k in 0..WIDTH {
         let value = line.value[k + 1];
         let high = larger(larger(high_0[k], high_1[k]), high_2[k]);
         let low = smaller(smaller(low_0[k], low_1[k]), low_2[k]);
@@ -188,31 +178,31 @@ fn smaller(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }
 }
 
-/// The 27 differences around a pixel, as `[scale][row][column]`.
-fn neighbourhood(layers: &[Layer], layer: usize, column: usize, row: usize) -> [[[f32; 3]; 3]; 3] {
+/// The 27 differences around a place of a frame, as `[scale][row][column]`.
+fn neighbourhood(layers: &[Vec<f32>; LAYERS], layer: usize, place: usize) -> [[[f32; 3]; 3]; 3] {
     std::array::from_fn(|scale| {
         let (lower, upper) = (&layers[layer + scale - 1], &layers[layer + scale]);
         std::array::from_fn(|v| {
-            let at = (row + v - 1) * lower.stride + column - 1;
-            std::array::from_fn(|u| upper.data[at + u] - lower.data[at + u])
+            let at = place + v * Tile::STRIDE - Tile::STRIDE - 1;
+            std::array::from_fn(|u| upper[at + u] - lower[at + u])
         })
     })
 }
 
-/// Moves a candidate to the stationary point of its quadratic expansion, and judges it.
+/// Moves a candidate (column, row, layer) to the stationary point of its quadratic expansion, and
+/// judges it.
 fn refine(
-    layers: &Octave,
+    tile: &Tile,
+    layers: &[Vec<f32>; LAYERS],
     octave: u8,
-    mut layer: usize,
-    mut column: usize,
-    mut row: usize,
+    start: [usize; 3],
     options: &Options,
 ) -> Option<Extremum> {
     // Grey values are 0 to 255, contrast is measured where they are 0 to 1.
     const SCALE: f32 = 1.0 / 255.0;
-    let (width, height) = (layers[0].width, layers[0].height);
+    let [mut column, mut row, mut layer] = start;
     for _ in 0..MAX_MOVES {
-        let d = neighbourhood(layers, layer, column, row);
+        let d = neighbourhood(layers, layer, tile.place(column, row));
         let centre = d[1][1][1];
         let gradient = [
             (d[1][1][2] - d[1][1][0]) * 0.5 * SCALE,
@@ -249,9 +239,14 @@ fn refine(
             let to = (from as i64).saturating_add(by.round_ties_even() as i64);
             (low as i64..high as i64).contains(&to).then_some(to as usize)
         };
+        let near = |start: usize, whole: usize| {
+            (BORDER.max(start.saturating_sub(REACH)), (whole - BORDER).min(start + REACH + 1))
+        };
+        let (left, right) = near(start[0], tile.whole.0);
+        let (top, bottom) = near(start[1], tile.whole.1);
+        column = moved(column, offset[0], left, right)?;
+        row = moved(row, offset[1], top, bottom)?;
         layer = moved(layer, offset[2], 1, SCALES + 1)?;
-        column = moved(column, offset[0], BORDER, width - BORDER)?;
-        row = moved(row, offset[1], BORDER, height - BORDER)?;
     }
     None
 }

@@ -15,6 +15,7 @@ mod gradient;
 pub mod matching;
 mod orient;
 pub mod pairs;
+mod photo;
 mod pyramid;
 
 use image::{GrayImage, RgbImage};
@@ -172,21 +173,19 @@ pub fn grey(photo: &RgbImage) -> GrayImage {
 /// They are ordered from fine to coarse octaves, within these by layer, row and column. A point with
 /// several directions gives several features. A photo too small or too flat gives none.
 ///
-/// Memory: about 24 bytes for each pixel of the photo enlarged, 1.1 GB for 12 megapixels.
+/// Memory: about 10 bytes for each pixel of the photo enlarged, 0.5 GB for 12 megapixels.
 pub fn detect(photo: &GrayImage, options: &Options) -> Features {
     let (width_px, height_px) = photo.dimensions();
-    let mut pyramid = pyramid::Pyramid::new(photo, options.upscale);
     let factor = options.upscale.factor() as f32;
+    let pyramid = pyramid::Pyramid::new(options);
     let mut found = Vec::new();
-    let mut octaves: Vec<[pyramid::Layer; pyramid::SCALES]> = Vec::new();
-    while let Some(layers) = pyramid.next_octave() {
-        let octave = octaves.len() as u8;
-        let mut extrema = detect::extrema(&layers, octave, options);
-        extrema.sort_unstable_by_key(|e| (e.layer, e.row, e.column));
-        extrema.dedup_by_key(|e| (e.layer, e.row, e.column));
+    let mut octaves: Vec<pyramid::Octave> = Vec::new();
+    let enlarged = photo::Photo { grey: photo, upscale: options.upscale };
+    let mut made = pyramid.octave(&enlarged, 0);
+    while let Some(pyramid::Made { layers, extrema, next }) = made {
+        octaves.push(layers);
         found.extend(extrema);
-        let [_, first, second, third, _, _] = layers;
-        octaves.push([first, second, third]);
+        made = pyramid.octave(&next, octaves.len() as u8);
     }
     let to_photo = |octave: u8| f32::from(octave).exp2() / factor;
     let mut order: Vec<usize> = Vec::new();

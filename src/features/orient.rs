@@ -52,13 +52,14 @@ impl WithSimd for Directions<'_> {
         }
         for row in first_row..=last_row {
             let across = weights[row.abs_diff(self.row)];
-            let at = row * layer.stride + first;
+            let at = row * layer.width + first;
             let data = &layer.data;
             let (left, right) = (&data[at - 1..][..count], &data[at + 1..][..count]);
-            let above = &data[at - layer.stride..][..count];
-            let below = &data[at + layer.stride..][..count];
+            let above = &data[at - layer.width..][..count];
+            let below = &data[at + layer.width..][..count];
             for k in 0..count {
-                let (dx, dy) = (right[k] - left[k], above[k] - below[k]);
+                let dx = f32::from(right[k]) - f32::from(left[k]);
+                let dy = f32::from(above[k]) - f32::from(below[k]);
                 let turn = gradient::turn(dy, dx);
                 let bin = gradient::round(turn * BINS as f32);
                 bins[k] = if bin >= BINS as i32 { bin - BINS as i32 } else { bin };
@@ -105,8 +106,8 @@ mod tests {
         let (sine, cosine) = angle_deg.to_radians().sin_cos();
         for v in 0..64 {
             for u in 0..64 {
-                layer.data[v * layer.stride + u] =
-                    (100.0 + 2.0 * (cosine * u as f64 - sine * v as f64)) as f32;
+                layer.data[v * layer.width + u] =
+                    (256.0 * (100.0 + 0.5 * (cosine * u as f64 - sine * v as f64))) as u16;
             }
         }
         layer

@@ -7,6 +7,7 @@ pub mod checkpoint;
 pub mod cloud;
 pub mod colmap;
 pub mod control;
+pub mod features;
 pub mod gcp_list;
 pub mod images;
 pub mod model;

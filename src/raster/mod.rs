@@ -7,13 +7,15 @@
 //! - [`hsv`]: colour to hue, saturation, value, in OpenCV's 8-bit convention;
 //! - [`mask`]: four thresholds on those, giving the leaf mask;
 //! - [`components`]: small components and holes of a mask;
-//! - [`overlay`]: masks and points drawn over photos.
+//! - [`overlay`]: masks and points drawn over photos;
+//! - [`sketch`]: key points and correspondences drawn.
 
 pub mod components;
 pub mod hsv;
 pub mod mask;
 pub mod overlay;
 mod pixels;
+pub mod sketch;
 
 use image::RgbImage;
 
