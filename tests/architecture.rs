@@ -136,6 +136,8 @@ fn arrows_point_down() {
         (&["convex"], &["nlls", "descent", "problems"]),
         (&["drive"], &["nlls", "descent", "convex", "problems", "sfm", "raster", "phenotype"]),
         (&["io"], &["drive", "sfm", "phenotype", "cli"]),
+        (&["sfm"], &["io", "cli", "drive", "raster", "phenotype", "score"]),
+        (&["crs"], &["io", "cli", "drive", "sfm", "problems", "nlls", "raster", "phenotype"]),
         (&["drive", "raster", "phenotype", "sfm", "score", "error"], &["cli"]),
     ];
     let sources = sources("src");
@@ -183,6 +185,9 @@ fn each_dependency_has_its_place() {
     const PLACES: &[(&[&str], &[&str])] = &[
         (&["argmin"], &["drive/executor"]),
         (&["clarabel"], &["convex"]),
+        (&["proj4rs", "crs_definitions"], &["crs"]),
+        (&["las"], &["io/cloud"]),
+        (&["exif"], &["io/photo"]),
         (&["faer"], &["nlls/cholesky"]),
         (&["indicatif"], &["drive", "cli"]),
         (&["pulp"], &["features", "raster/pixels", "lanes", "nlls/fused"]),
