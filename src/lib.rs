@@ -30,10 +30,12 @@
 pub mod camera;
 pub mod cli;
 pub mod convex;
+pub mod crs;
 pub mod descent;
 pub mod drive;
 pub mod engine;
 pub mod error;
+pub mod features;
 pub mod geometry;
 pub mod io;
 pub mod lanes;
@@ -43,5 +45,6 @@ pub mod problems;
 pub mod raster;
 pub mod score;
 pub mod target;
+pub mod sfm;
 
 pub use error::{Error, Kind};

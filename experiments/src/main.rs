@@ -6,6 +6,7 @@
 mod locate;
 mod methods;
 mod plots;
+mod relative;
 mod table;
 mod whole_field;
 
@@ -51,6 +52,14 @@ enum Experiment {
         #[command(flatten)]
         folders: Folders,
     },
+    /// Relative orientation by two points and by five: wrong matches, tilt, change of height.
+    RelativeOrientation {
+        #[command(flatten)]
+        folders: Folders,
+        /// Pairs of each setting.
+        #[arg(long, default_value_t = 40)]
+        trials: usize,
+    },
     /// Speed and accuracy on one mask of a whole field.
     WholeField {
         #[command(flatten)]
@@ -65,6 +74,7 @@ fn main() -> ExitCode {
         Experiment::Locate { folders } => {
             locate::run(&folders, 10).and_then(|()| plots::run(&folders))
         }
+        Experiment::RelativeOrientation { folders, trials } => relative::run_all(&folders, trials),
         Experiment::WholeField { folders } => whole_field::run(&folders),
     };
     match done {

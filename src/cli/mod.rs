@@ -6,7 +6,9 @@
 mod adjust;
 mod calibrate;
 mod camera;
+mod align;
 mod evaluate;
+mod features;
 mod figures;
 mod locate;
 mod run;
@@ -41,6 +43,8 @@ struct Cli {
 enum Verb {
     Run(run::Args),
     Adjust(Box<adjust::Args>),
+    Align(Box<align::Args>),
+    Adjust(adjust::Args),
     Convert(survey::convert::Args),
     Calibrate(calibrate::Calibrate),
     Undistort(undistort::Args),
@@ -48,6 +52,8 @@ enum Verb {
     Synth(synth::Args),
     Locate(locate::Locate),
     Segment(segment::Args),
+    Features(features::Args),
+    Match(features::MatchArgs),
     Evaluate(evaluate::Args),
 }
 
@@ -78,6 +84,7 @@ fn run(cli: Cli) -> Result<(), Error> {
         .map_err(|e| Error::Argument(format!("--threads {}: {e}", cli.threads)))?;
     match cli.verb {
         Verb::Run(args) => run::run(&args),
+        Verb::Align(args) => align::run(&args),
         Verb::Adjust(args) => adjust::run(&args),
         Verb::Convert(args) => survey::convert::run(&args),
         Verb::Calibrate(verb) => verb.run(),
@@ -86,6 +93,8 @@ fn run(cli: Cli) -> Result<(), Error> {
         Verb::Synth(args) => synth::run(&args),
         Verb::Locate(verb) => verb.run(),
         Verb::Segment(args) => segment::run(&args),
+        Verb::Features(args) => features::run(&args),
+        Verb::Match(args) => features::run_match(&args),
         Verb::Evaluate(args) => evaluate::run(&args),
     }
 }

@@ -4,13 +4,18 @@ pub mod bal;
 pub mod bundler;
 pub mod camera;
 pub mod checkpoint;
+pub mod cloud;
 pub mod colmap;
 pub mod control;
 pub mod corners;
+pub mod features;
+pub mod gcp_list;
 pub mod images;
 pub mod model;
 pub mod opensfm;
+pub mod orientation;
 pub mod output;
+pub mod photo;
 pub mod points;
 mod table;
 

@@ -9,6 +9,7 @@
 //! - [`components`]: small components and holes of a mask;
 //! - [`overlay`]: masks and points drawn over photos;
 //! - [`undistort`]: photos as a camera without distortion would have taken them.
+//! - [`sketch`]: key points and correspondences drawn.
 
 pub mod components;
 pub mod hsv;
@@ -16,6 +17,7 @@ pub mod mask;
 pub mod overlay;
 mod pixels;
 pub mod undistort;
+pub mod sketch;
 
 use image::RgbImage;
 
