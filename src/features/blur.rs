@@ -16,10 +16,11 @@ const ROWS: usize = 4;
 /// Columns of the widest register; a filter may write this many columns less one too far.
 pub(super) const MAX_LANES: usize = 16;
 
-/// One half of a symmetric filter: the weight of the centre and of the pixels `1..=radius` away.
+/// A symmetric filter.
 #[derive(Debug, Clone)]
 pub(super) struct Kernel {
     pub(super) radius: usize,
+    /// Weights of the centre and of the pixels 1, 2, ... away; zero beyond the radius.
     weights: [f32; MAX_RADIUS + 1],
 }
 
@@ -135,18 +136,32 @@ fn across_rows<S: Simd, const R: usize, const N: usize>(
     stride: usize,
     width: usize,
 ) {
+    // The weights from one end of the filter to the other.
+    let mut taps = [simd.splat_f32s(0.0); 2 * MAX_RADIUS + 1];
+    for (k, tap) in taps.iter_mut().enumerate().take(2 * R + 1) {
+        *tap = simd.splat_f32s(kernel.weights[k.abs_diff(R)]);
+    }
     let mut at = 0;
     while at < width {
         let mut sums = [simd.splat_f32s(0.0); N];
-        for line in 0..N + 2 * R {
+        // Line `k` has tap `k - row` of output `row`: first come lines that the last rows do not have,
+        // then those that all have, then those that the first rows do not have.
+        for line in 0..N - 1 {
             let value = load::<S>(&lines[line * PANEL..][..PANEL], at);
-            for (row, sum) in sums.iter_mut().enumerate() {
-                // Output `row` has its centre at line `row + R`.
-                let distance = (row + R).abs_diff(line);
-                if distance <= R {
-                    let weight = simd.splat_f32s(kernel.weights[distance]);
-                    *sum = simd.mul_add_e_f32s(weight, value, *sum);
-                }
+            for row in 0..=line {
+                sums[row] = simd.mul_add_e_f32s(taps[line - row], value, sums[row]);
+            }
+        }
+        for line in N - 1..2 * R + 1 {
+            let value = load::<S>(&lines[line * PANEL..][..PANEL], at);
+            for row in 0..N {
+                sums[row] = simd.mul_add_e_f32s(taps[line - row], value, sums[row]);
+            }
+        }
+        for line in 2 * R + 1..2 * R + N {
+            let value = load::<S>(&lines[line * PANEL..][..PANEL], at);
+            for row in line - 2 * R..N {
+                sums[row] = simd.mul_add_e_f32s(taps[line - row], value, sums[row]);
             }
         }
         for (row, sum) in sums.iter().enumerate() {

@@ -36,12 +36,15 @@ const PHOTO_SIGMA_PX: f64 = 0.5;
 pub(super) const BORDER: usize = 5;
 /// Columns and rows of a tile, even.
 pub(super) const TILE: (usize, usize) = (512, 256);
+/// Side of the blocks that extrema are ordered by.
+const BLOCK: u32 = 128;
 /// Pixels kept around a tile; the filters take up to 48 of them and the search 5.
 const MARGIN: usize = 56;
 /// Distance of a frame's rows.
 const STRIDE: usize = TILE.0 + 2 * MARGIN + MAX_LANES;
 
-/// A layer that describes features: 256 times the grey values.
+/// A layer that describes features: 256 times the grey values, row by row, and after the last pixel
+/// some that may be read without looking.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Layer {
     pub(super) width: usize,
@@ -51,7 +54,7 @@ pub(super) struct Layer {
 
 impl Layer {
     pub(super) fn new(width: usize, height: usize) -> Layer {
-        Layer { width, height, data: vec![0; width * height] }
+        Layer { width, height, data: vec![0; width * height + 2 * MAX_LANES] }
     }
 }
 
@@ -166,14 +169,14 @@ impl<'a> Pyramid<'a> {
         let mut layers: Octave = std::array::from_fn(|_| Layer::new(width, height));
         let mut next = Grid { width: width / 2, height: height / 2, data: Vec::new() };
         next.data = vec![0.0; next.width * next.height];
-        let [first, second, third] = &mut layers;
+        let [first, second, third] =
+            layers.each_mut().map(|layer| &mut layer.data[..width * height]);
         let rows = TILE.1;
         let mut halves = next.data.chunks_mut(rows / 2 * (width / 2));
         let strips: Vec<Strip<'_>> = first
-            .data
             .chunks_mut(rows * width)
-            .zip(second.data.chunks_mut(rows * width))
-            .zip(third.data.chunks_mut(rows * width))
+            .zip(second.chunks_mut(rows * width))
+            .zip(third.chunks_mut(rows * width))
             .enumerate()
             .map(|(index, ((first, second), third))| Strip {
                 first_row: index * rows,
@@ -202,8 +205,10 @@ impl<'a> Pyramid<'a> {
             })
             .collect();
         let mut extrema = found.concat();
+        // Those that are near each other in memory are described one after the other.
+        extrema
+            .sort_unstable_by_key(|e| (e.row / BLOCK, e.column / BLOCK, e.layer, e.row, e.column));
         // Neighbouring candidates may end in the same pixel.
-        extrema.sort_unstable_by_key(|e| (e.layer, e.row, e.column));
         extrema.dedup_by_key(|e| (e.layer, e.row, e.column));
         Some(Made { layers, extrema, next })
     }
