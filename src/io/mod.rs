@@ -2,6 +2,7 @@
 
 pub mod bal;
 pub mod checkpoint;
+pub mod geotiff;
 pub mod images;
 pub mod output;
 pub mod points;

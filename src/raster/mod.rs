@@ -7,13 +7,17 @@
 //! - [`hsv`]: colour to hue, saturation, value, in OpenCV's 8-bit convention;
 //! - [`mask`]: four thresholds on those, giving the leaf mask;
 //! - [`components`]: small components and holes of a mask;
-//! - [`overlay`]: masks and points drawn over photos.
+//! - [`overlay`]: masks and points drawn over photos;
+//! - [`georeference`]: where a raster lies on the map;
+//! - [`window`]: rasters by bands of rows.
 
 pub mod components;
+pub mod georeference;
 pub mod hsv;
 pub mod mask;
 pub mod overlay;
 mod pixels;
+pub mod window;
 
 use image::RgbImage;
 
