@@ -34,6 +34,7 @@
 pub mod block;
 pub mod corrupt;
 pub mod field;
+pub mod labels;
 pub mod leaf;
 pub mod picture;
 pub mod render;

@@ -103,6 +103,11 @@ impl Bands {
         Bands { lists }
     }
 
+    /// The numbers of the ribbons that touch a band.
+    pub(crate) fn numbers(&self, band: usize) -> &[u32] {
+        &self.lists[band]
+    }
+
     pub(crate) fn leaves<'a>(
         &'a self,
         band: usize,

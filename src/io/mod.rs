@@ -4,8 +4,11 @@ pub mod bal;
 pub mod checkpoint;
 pub mod geotiff;
 pub mod images;
+pub mod labels;
 pub mod output;
 pub mod points;
+pub mod polygons;
+pub mod rasters;
 
 use crate::error::Kind;
 use std::path::{Path, PathBuf};

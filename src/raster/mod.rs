@@ -12,11 +12,14 @@
 //! - [`window`]: rasters by bands of rows.
 
 pub mod components;
+pub mod density;
 pub mod georeference;
 pub mod hsv;
 pub mod mask;
 pub mod overlay;
 mod pixels;
+pub mod polygon;
+pub mod white_balance;
 pub mod window;
 
 use image::RgbImage;
