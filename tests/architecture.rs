@@ -189,6 +189,7 @@ fn each_dependency_has_its_place() {
         (&["las"], &["io/cloud"]),
         (&["exif"], &["io/photo"]),
         (&["faer"], &["nlls/cholesky"]),
+        (&["geotiff_reader", "geotiff_writer", "tiff_reader", "ndarray"], &["io/geotiff"]),
         (&["indicatif"], &["drive", "cli"]),
         (&["pulp"], &["features", "raster/pixels", "lanes", "nlls/fused"]),
         (&["zune_jpeg"], &["io/images"]),

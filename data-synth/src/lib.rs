@@ -44,6 +44,7 @@ pub mod files;
 pub mod flight;
 mod flight_config;
 pub mod habit;
+pub mod labels;
 pub mod leaf;
 pub mod photo;
 pub mod picture;

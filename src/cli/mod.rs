@@ -7,9 +7,12 @@ mod adjust;
 mod calibrate;
 mod camera;
 mod align;
+mod count;
+mod density;
 mod evaluate;
 mod features;
 mod figures;
+mod leaves;
 mod locate;
 mod run;
 mod segment;
@@ -54,6 +57,9 @@ enum Verb {
     Segment(segment::Args),
     Features(features::Args),
     Match(features::MatchArgs),
+    Leaves(leaves::Args),
+    Count(count::Args),
+    Density(density::Args),
     Evaluate(evaluate::Args),
 }
 
@@ -95,6 +101,9 @@ fn run(cli: Cli) -> Result<(), Error> {
         Verb::Segment(args) => segment::run(&args),
         Verb::Features(args) => features::run(&args),
         Verb::Match(args) => features::run_match(&args),
+        Verb::Leaves(args) => leaves::run(&args),
+        Verb::Count(args) => count::run(&args),
+        Verb::Density(args) => density::run(&args),
         Verb::Evaluate(args) => evaluate::run(&args),
     }
 }

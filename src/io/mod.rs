@@ -14,10 +14,14 @@ pub mod images;
 pub mod model;
 pub mod opensfm;
 pub mod orientation;
+pub mod geotiff;
+pub mod labels;
 pub mod output;
 pub mod photo;
 pub mod points;
 mod table;
+pub mod polygons;
+pub mod rasters;
 
 use crate::error::Kind;
 use std::path::{Path, PathBuf};

@@ -10,14 +10,21 @@
 //! - [`overlay`]: masks and points drawn over photos;
 //! - [`undistort`]: photos as a camera without distortion would have taken them.
 //! - [`sketch`]: key points and correspondences drawn.
+//! - [`georeference`]: where a raster lies on the map;
+//! - [`window`]: rasters by bands of rows.
 
 pub mod components;
+pub mod density;
+pub mod georeference;
 pub mod hsv;
 pub mod mask;
 pub mod overlay;
 mod pixels;
 pub mod undistort;
 pub mod sketch;
+pub mod polygon;
+pub mod white_balance;
+pub mod window;
 
 use image::RgbImage;
 
