@@ -74,6 +74,14 @@ pub enum LocateError {
         /// That over the median.
         prominence: f64,
     },
+    /// More plants were asked for than fit into the rows.
+    #[error("{plants} plants were asked for, and the rows have places for {most}")]
+    RowsTooShort {
+        /// Plants asked for.
+        plants: usize,
+        /// Most plants there are places for.
+        most: usize,
+    },
     /// The problem could not be posed or solved.
     #[error(transparent)]
     Solve(#[from] SolveError),

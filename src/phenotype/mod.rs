@@ -1,4 +1,9 @@
 //! Plant traits from a mask.
 
+pub mod canopy;
+pub mod chain;
+pub mod evidence;
 pub mod locate;
+pub mod renewal;
+pub mod ridges;
 pub mod rows;
