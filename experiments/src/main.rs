@@ -3,6 +3,7 @@
 //! Every experiment reads a data folder and writes `NAME.csv` (one line per run) and `NAME.md` (the
 //! table of means) into an output folder.
 
+mod canopy;
 mod locate;
 mod methods;
 mod plots;
@@ -51,6 +52,20 @@ enum Experiment {
         #[command(flatten)]
         folders: Folders,
     },
+    /// The locator for closed canopies: synthetic masks, number of plants given and not.
+    Canopy {
+        #[command(flatten)]
+        folders: Folders,
+        /// Masks per scenario, at most.
+        #[arg(long, default_value_t = 10)]
+        masks: usize,
+        /// Only this scenario; can be given several times.
+        #[arg(long, value_name = "NAME")]
+        only: Vec<String>,
+        /// An option of the locator, as `NAME=VALUE`; can be given several times.
+        #[arg(long, value_name = "NAME=VALUE")]
+        set: Vec<String>,
+    },
     /// Speed and accuracy on one mask of a whole field.
     WholeField {
         #[command(flatten)]
@@ -65,6 +80,9 @@ fn main() -> ExitCode {
         Experiment::Locate { folders } => {
             locate::run(&folders, 10).and_then(|()| plots::run(&folders))
         }
+        Experiment::Canopy { folders, masks, only, set } => {
+            options(&set).and_then(|options| canopy::run(&folders, masks, &only, &options))
+        }
         Experiment::WholeField { folders } => whole_field::run(&folders),
     };
     match done {
@@ -74,6 +92,12 @@ fn main() -> ExitCode {
             ExitCode::from(error.kind().exit_code())
         }
     }
+}
+
+/// Options of the locator from lines of TOML.
+fn options(set: &[String]) -> Result<rowgram::phenotype::canopy::Options, rowgram::Error> {
+    toml::from_str(&set.join("\n"))
+        .map_err(|error| rowgram::Error::Argument(format!("--set: {error}")))
 }
 
 #[expect(clippy::print_stderr, reason = "the program's last word goes to stderr")]

@@ -2,11 +2,11 @@
 //!
 //! 1. Votes for stalks ([`evidence`]), rows as they run ([`ridges`]), and the votes along every row
 //!    ([`chain::Profile`]): at each place along the row the best votes across it, under a normal
-//!    weight of [`ACROSS`] about the row.
+//!    weight about the row.
 //! 2. The spacing of the plants ([`renewal`]): from several starts, on some of the rows, alternating
 //!    between the best plants and the gaps between them; the start with the highest score stays.
 //! 3. The best plants of every row ([`chain::Chain::best`]). The worth `beta` of one plant more is found
-//!    by bisection where their number is given, and is [`BETA`] otherwise.
+//!    by bisection where their number is given, and is set by [`Options`] otherwise.
 //! 4. Probabilities of all places ([`chain::Chain::posterior`]) give each plant its confidence and its
 //!    standard deviations, the field its count with an interval, and every gap the probability that
 //!    plants are missing in it.
@@ -24,81 +24,65 @@ use super::{
     renewal::Spacing,
     ridges::{self, Ridge},
     rows::{Detection, Row, Rows},
+    stand::{Canopy, Missing, Stalk},
 };
 use crate::{problems::plants::lines::Axes, raster::Mask};
 use rayon::prelude::*;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
-/// Standard deviation of plants across their row.
-const ACROSS: f64 = 2.0;
-/// Share of the best offset across the row that is believed.
-const BELIEVED: f64 = 0.6;
-/// Worth of the votes: the square root of their ratio to what is usual.
-const VOTES: f64 = 10.0;
 /// Half the width of the band whose leaf mass a row has to cover.
 const BAND: i32 = 8;
 /// Places looked at beyond the ends of a row.
 const BEYOND: f64 = 6.0;
 /// Rows on which the spacing is estimated.
 const SAMPLE: usize = 12;
-/// Scores per unit of log probability, from synthetic fields.
-const HEAT: f64 = 0.3;
-/// What one plant more is worth where nobody says how many there are, from synthetic fields.
-const BETA: f64 = 0.0;
 /// The 97.5 % point of the standard normal distribution.
 const NORMAL_95: f64 = 1.959_963_984_540_054;
 
-/// One plant.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Stalk {
-    /// Position in the image.
-    pub position_px: [f64; 2],
-    /// Number of its row, counted across the rows.
-    pub row: usize,
-    /// Place along the rows.
-    pub along_px: f64,
-    /// Probability that a plant stands within a quarter of the spacing.
-    pub confidence: f64,
-    /// Standard deviation along the row.
-    pub sigma_along_px: f64,
-    /// Standard deviation across the row.
-    pub sigma_across_px: f64,
+/// How plants are found. Lengths in pixels of the reduced grid (about a third of a leaf's width).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
+pub struct Options {
+    /// Votes along leaf axes; else the leaf mass around a place is the evidence.
+    pub leaf_axes: bool,
+    /// Rows are followed where they bend.
+    pub curved_rows: bool,
+    /// Standard deviation of plants across their row, to begin with.
+    pub across: f64,
+    /// That is re-estimated from the plants found.
+    pub estimate_across: bool,
+    /// Share of the best offset across the row that is believed.
+    pub believed: f64,
+    /// Worth of the votes: of the square root of their ratio to what is usual.
+    pub votes: f64,
+    /// Weight of the leaf mass that no plant covers, in terms per plant.
+    pub cover: f64,
+    /// Scores per unit of log probability.
+    pub heat: f64,
+    /// What one plant more is worth where nobody says how many there are.
+    pub beta: f64,
+    /// Plants stand at their mean place under all the probable ones, else at the best one.
+    pub mean_place: bool,
+    /// The relative jitter of the spacing is estimated; else it is the prior's.
+    pub estimate_spacing: bool,
 }
 
-/// A place between two plants of a row where some seem to be missing.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Missing {
-    /// Its row.
-    pub row: usize,
-    /// The middle of the gap, in the image.
-    pub position_px: [f64; 2],
-    /// Length of the gap.
-    pub length_px: f64,
-    /// The most probable number of missing plants, at least 1.
-    pub plants: usize,
-    /// Probability that any is missing.
-    pub probability: f64,
-}
-
-/// What was found.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Canopy {
-    /// The plants, by row and along the row.
-    pub plants: Vec<Stalk>,
-    /// The rows, straight as detected.
-    pub rows: Rows,
-    /// The spacing of the plants within their rows; its length in pixels of the mask.
-    pub spacing: Spacing,
-    /// Standard error of the spacing.
-    pub spacing_sigma_px: f64,
-    /// 95 % interval of the number of plants that the leaves alone suggest.
-    pub count_interval: [f64; 2],
-    /// Expected number of plants in each row.
-    pub row_counts: Vec<f64>,
-    /// Standard deviation of the number of plants in each row.
-    pub row_count_sigmas: Vec<f64>,
-    /// Gaps in which plants seem to be missing, by row and along the row.
-    pub missing: Vec<Missing>,
+impl Default for Options {
+    fn default() -> Options {
+        Options {
+            leaf_axes: true,
+            curved_rows: true,
+            across: 2.0,
+            estimate_across: false,
+            believed: 0.6,
+            votes: 10.0,
+            cover: 1.0,
+            heat: 0.3,
+            beta: 0.0,
+            mean_place: false,
+            estimate_spacing: true,
+        }
+    }
 }
 
 /// Everything that the chains are made of.
@@ -113,6 +97,7 @@ struct Scene {
     mean: f64,
     mass: f64,
     length: f64,
+    options: Options,
 }
 
 /// Finds plants in a mask whose rows are known; `count` of them, or as many as there seem to be.
@@ -123,6 +108,7 @@ pub fn locate(
     mask: &Mask,
     detection: &Detection,
     count: Option<usize>,
+    options: &Options,
 ) -> Result<Canopy, LocateError> {
     if mask.data.iter().all(|&pixel| pixel == 0) {
         return Err(LocateError::EmptyMask);
@@ -136,15 +122,18 @@ pub fn locate(
             return Err(LocateError::NoRows { contrast, prominence });
         }
     };
-    let scene = Scene::new(mask, rows);
+    let mut scene = Scene::new(mask, rows, options);
     let spacing = scene.spacing(count);
+    if options.estimate_across {
+        scene.widen(&spacing, count);
+    }
     let chains = scene.chains(&spacing, 0..scene.profiles.len());
     let beta = match count {
-        Some(count) => scene.worth_of(&chains, count)?,
-        None => BETA,
+        Some(count) => worth_of(&chains, count)?,
+        None => options.beta,
     };
     let mut places = best(&chains, beta);
-    let posteriors = posteriors(&chains, beta);
+    let posteriors = posteriors(&chains, beta, options.heat);
     if let Some(count) = count {
         keep_likeliest(&mut places, &posteriors, count);
     }
@@ -156,8 +145,8 @@ fn best(chains: &[Chain<'_>], beta: f64) -> Vec<Vec<usize>> {
     chains.par_iter().map(|chain| chain.best(beta).0).collect()
 }
 
-fn posteriors(chains: &[Chain<'_>], beta: f64) -> Vec<Posterior> {
-    chains.par_iter().map(|chain| chain.posterior(beta, HEAT)).collect()
+fn posteriors(chains: &[Chain<'_>], beta: f64, heat: f64) -> Vec<Posterior> {
+    chains.par_iter().map(|chain| chain.posterior(beta, heat)).collect()
 }
 
 fn total(places: &[Vec<usize>]) -> usize {
@@ -175,7 +164,7 @@ fn keep_likeliest(places: &mut [Vec<usize>], posteriors: &[Posterior], count: us
     let mut ranked: Vec<(f64, usize, usize)> = Vec::new();
     for (row, places) in places.iter().enumerate() {
         ranked.extend(
-            places.iter().map(|&at| (around(&posteriors[row].marginals, at, 2).0, row, at)),
+            places.iter().map(|&at| (around(&posteriors[row].marginals, at, 2)[0], row, at)),
         );
     }
     ranked.sort_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
@@ -184,20 +173,27 @@ fn keep_likeliest(places: &mut [Vec<usize>], posteriors: &[Posterior], count: us
     }
 }
 
-/// Probability within some steps of a place, and the mean square distance from it, in steps.
-fn around(marginals: &[f64], at: usize, steps: usize) -> (f64, f64) {
+/// What is probable within some steps of a place: a plant at all, its mean offset, its variance.
+fn around(marginals: &[f64], at: usize, steps: usize) -> [f64; 3] {
     let (from, to) = (at.saturating_sub(steps), (at + steps + 1).min(marginals.len()));
-    let (mut sum, mut square) = (0.0, 0.0);
+    let (mut sum, mut first, mut second) = (0.0, 0.0, 0.0);
     for (k, marginal) in (from..to).zip(&marginals[from..to]) {
+        let away = k as f64 - at as f64;
         sum += marginal;
-        square += marginal * (k as f64 - at as f64).powi(2);
+        first += marginal * away;
+        second += marginal * away * away;
     }
-    (sum, square / sum.max(f64::MIN_POSITIVE))
+    let mean = first / sum.max(f64::MIN_POSITIVE);
+    [sum, mean, (second / sum.max(f64::MIN_POSITIVE) - mean * mean).max(0.0)]
 }
 
 impl Scene {
-    fn new(mask: &Mask, rows: &Rows) -> Scene {
-        let evidence = Evidence::new(mask, rows.axes.heading_rad);
+    fn new(mask: &Mask, rows: &Rows, options: &Options) -> Scene {
+        let evidence = if options.leaf_axes {
+            Evidence::new(mask, rows.axes.heading_rad)
+        } else {
+            Evidence::of_mass(mask)
+        };
         let factor = evidence.factor as f64;
         let axes = Axes { origin_px: evidence.reduced(rows.axes.origin_px), ..rows.axes };
         let shrink = |row: &Row| Row {
@@ -208,35 +204,90 @@ impl Scene {
         };
         let reduced: Vec<Row> = rows.rows.iter().map(shrink).collect();
         let spacing = rows.spacing_px.map(|spacing| spacing / factor);
-        let ridges = ridges::trace(&evidence, &axes, &reduced, spacing);
+        let ridges = if options.curved_rows {
+            ridges::trace(&evidence, &axes, &reduced, spacing)
+        } else {
+            reduced.iter().map(Ridge::straight).collect()
+        };
+        let length = reduced.iter().map(Row::length_px).sum();
+        let mut scene = Scene {
+            evidence,
+            axes,
+            rows: reduced,
+            ridges,
+            profiles: Vec::new(),
+            offsets: Vec::new(),
+            mean: 0.0,
+            mass: 0.0,
+            length,
+            options: *options,
+        };
+        scene.read();
+        scene
+    }
+
+    /// Reads what every row shows.
+    fn read(&mut self) {
+        let Scene { evidence, axes, ridges, options, .. } = self;
         let read: Vec<(Profile, Vec<f64>)> =
-            ridges.par_iter().map(|ridge| read(&evidence, &axes, ridge)).collect();
-        let (profiles, offsets): (Vec<_>, Vec<_>) = read.into_iter().unzip();
+            ridges.par_iter().map(|ridge| read(evidence, axes, ridge, options.across)).collect();
+        (self.profiles, self.offsets) = read.into_iter().unzip();
+        let profiles = &self.profiles;
         let votes: f64 = profiles.iter().flat_map(|profile| &profile.votes).sum();
         let places: usize = profiles.iter().map(|profile| profile.votes.len()).sum();
-        let mass = profiles.iter().filter_map(|profile| profile.mass.last()).map(|m| m[0]).sum();
-        let length = reduced.iter().map(Row::length_px).sum();
-        let mean = votes / places.max(1) as f64;
-        Scene { evidence, axes, rows: reduced, ridges, profiles, offsets, mean, mass, length }
+        self.mass = profiles.iter().filter_map(|profile| profile.mass.last()).map(|m| m[0]).sum();
+        self.mean = votes / places.max(1) as f64;
+    }
+
+    /// Estimates how far plants stand across their rows, and reads the rows again.
+    fn widen(&mut self, spacing: &Spacing, count: Option<usize>) {
+        for _ in 0..2 {
+            let sample = self.sample();
+            let chains = self.chains(spacing, sample.iter().copied());
+            let beta = match count.map(|count| self.share(count, &sample)) {
+                Some(wanted) => bisect(&chains, wanted).unwrap_or(0.0),
+                None => self.options.beta,
+            };
+            let (mut sum, mut number) = (0.0, 0.0);
+            for (&row, places) in sample.iter().zip(best(&chains, beta)) {
+                sum += places.iter().map(|&at| self.offsets[row][at].powi(2)).sum::<f64>();
+                number += places.len() as f64;
+            }
+            // The weight narrows what it sees: a precision is that of the offsets less its own.
+            let seen = (sum + 20.0) / (number + 20.0);
+            let across = (1.0 / (1.0 / seen - 0.5 / self.options.across.powi(2)).max(0.02)).sqrt();
+            self.options.across = across.clamp(1.0, 5.0);
+            self.read();
+        }
+    }
+
+    /// Some of the rows, evenly.
+    fn sample(&self) -> Vec<usize> {
+        let rows = self.rows.len();
+        (0..rows).step_by(rows.div_ceil(SAMPLE).max(1)).collect()
+    }
+
+    /// How many of `count` plants belong to some of the rows.
+    fn share(&self, count: usize, rows: &[usize]) -> usize {
+        let length: f64 = rows.iter().map(|&row| self.rows[row].length_px()).sum();
+        (count as f64 * length / self.length).round() as usize
     }
 
     fn chains(&self, spacing: &Spacing, rows: impl IntoIterator<Item = usize>) -> Vec<Chain<'_>> {
         let mass = self.mass * spacing.spacing / self.length.max(f64::MIN_POSITIVE);
-        let weights = Weights { votes: VOTES, mean: self.mean, mass };
+        let Options { votes, cover, .. } = self.options;
+        let weights = Weights { votes, cover, mean: self.mean, mass };
         rows.into_iter().map(|row| Chain::new(&self.profiles[row], spacing, &weights)).collect()
     }
 
     /// The spacing, from several starts on some of the rows.
     fn spacing(&self, count: Option<usize>) -> Spacing {
-        let rows = self.rows.len();
-        let every = rows.div_ceil(SAMPLE);
-        let sample: Vec<usize> = (0..rows).step_by(every).collect();
-        let length: f64 = sample.iter().map(|&row| self.rows[row].length_px()).sum();
+        let sample = self.sample();
         let starts: Vec<f64> = match count {
             Some(count) => [0.8, 1.0].map(|share| share * self.length / count as f64).to_vec(),
             None => (0..9).map(|k| 4.5 * 1.28_f64.powi(k)).collect(),
         };
-        let wanted = count.map(|count| (count as f64 * length / self.length).round() as usize);
+        let wanted = count.map(|count| self.share(count, &sample));
         let tried: Vec<(f64, Spacing)> = starts
             .par_iter()
             .map(|&start| {
@@ -244,12 +295,20 @@ impl Scene {
                 let mut score = f64::NEG_INFINITY;
                 for _ in 0..4 {
                     let chains = self.chains(&spacing, sample.iter().copied());
-                    let beta = wanted.map_or(BETA, |wanted| bisect(&chains, wanted).unwrap_or(0.0));
+                    let beta = match wanted {
+                        Some(wanted) => bisect(&chains, wanted).unwrap_or(0.0),
+                        None => self.options.beta,
+                    };
                     let found: Vec<_> = chains.iter().map(|chain| chain.best(beta)).collect();
                     let places: Vec<Vec<usize>> = found.iter().map(|f| f.0.clone()).collect();
                     let own = wanted.map_or(0.0, |_| beta * total(&places) as f64);
                     score = found.iter().map(|f| f.1).sum::<f64>() - own;
-                    spacing = spacing.refit(&gaps(&places));
+                    let refit = spacing.refit(&gaps(&places));
+                    spacing = if self.options.estimate_spacing {
+                        refit
+                    } else {
+                        Spacing { spacing: refit.spacing, ..Spacing::new(start) }
+                    };
                 }
                 (score, spacing)
             })
@@ -258,15 +317,8 @@ impl Scene {
         tried.into_iter().fold(first, |best, next| if next.0 > best.0 { next } else { best }).1
     }
 
-    fn worth_of(&self, chains: &[Chain<'_>], count: usize) -> Result<f64, LocateError> {
-        bisect(chains, count).ok_or_else(|| {
-            let most = total(&best(chains, MOST_WORTH));
-            LocateError::RowsTooShort { plants: count, most }
-        })
-    }
-
-    fn image(&self, row: usize, at: usize, offset: f64) -> [f64; 2] {
-        let along = self.profiles[row].start + at as f64 * STEP;
+    fn image(&self, row: usize, at: f64, offset: f64) -> [f64; 2] {
+        let along = self.profiles[row].start + at * STEP;
         let across = self.ridges[row].offset(along) + offset;
         self.evidence.full(self.axes.image([along, across]))
     }
@@ -281,20 +333,22 @@ impl Scene {
         beta: f64,
     ) -> Canopy {
         let factor = self.evidence.factor as f64;
+        let Options { believed, across, heat, .. } = self.options;
         let radius = ((0.25 * spacing.spacing / STEP) as usize).max(1);
         let (mut plants, mut missing) = (Vec::new(), Vec::new());
         for (row, places) in places.iter().enumerate() {
             for &at in places {
-                let (confidence, square) = around(&posteriors[row].marginals, at, radius);
-                let offset = BELIEVED * self.offsets[row][at];
+                let [confidence, mean, variance] = around(&posteriors[row].marginals, at, radius);
+                let place = at as f64 + if self.options.mean_place { mean } else { 0.0 };
+                let offset = believed * self.offsets[row][at];
                 plants.push(Stalk {
-                    position_px: self.image(row, at, offset),
+                    position_px: self.image(row, place, offset),
                     row,
-                    along_px: (self.profiles[row].start + at as f64 * STEP) * factor,
+                    along_px: (self.profiles[row].start + place * STEP) * factor,
                     confidence: confidence.min(1.0),
                     // A place stands for a step around it.
-                    sigma_along_px: (square + 1.0 / 12.0).sqrt() * STEP * factor,
-                    sigma_across_px: (1.0 - BELIEVED).sqrt() * ACROSS * factor,
+                    sigma_along_px: (variance + 1.0 / 12.0).sqrt() * STEP * factor,
+                    sigma_across_px: (1.0 - believed).sqrt() * across * factor,
                 });
             }
             for pair in places.windows(2) {
@@ -304,7 +358,7 @@ impl Scene {
                     (1..shares.len()).fold(1, |a, b| if shares[b] > shares[a] { b } else { a });
                 let probability = 1.0 - shares[0];
                 if probability > 0.05 {
-                    let middle = pair[0].midpoint(pair[1]);
+                    let middle = 0.5 * (pair[0] + pair[1]) as f64;
                     let position_px = self.image(row, middle, 0.0);
                     let length_px = length * factor;
                     missing.push(Missing {
@@ -318,10 +372,10 @@ impl Scene {
             }
         }
         // The variance of a count is its derivative by the (heated) worth of a plant.
-        let apart = 0.1 / HEAT;
+        let apart = 0.1 / heat;
         let (less, more) = rayon::join(
-            || posteriors_counts(chains, beta - apart),
-            || posteriors_counts(chains, beta + apart),
+            || posterior_counts(chains, beta - apart, heat),
+            || posterior_counts(chains, beta + apart, heat),
         );
         let variances: Vec<f64> =
             less.iter().zip(&more).map(|(a, b)| ((b - a) / 0.2).max(0.0)).collect();
@@ -341,8 +395,16 @@ impl Scene {
     }
 }
 
-fn posteriors_counts(chains: &[Chain<'_>], beta: f64) -> Vec<f64> {
-    chains.par_iter().map(|chain| chain.posterior(beta, HEAT).count).collect()
+fn posterior_counts(chains: &[Chain<'_>], beta: f64, heat: f64) -> Vec<f64> {
+    chains.par_iter().map(|chain| chain.posterior(beta, heat).count).collect()
+}
+
+/// What a plant has to be worth for there to be `count` of them.
+fn worth_of(chains: &[Chain<'_>], count: usize) -> Result<f64, LocateError> {
+    bisect(chains, count).ok_or_else(|| {
+        let most = total(&best(chains, MOST_WORTH));
+        LocateError::RowsTooShort { plants: count, most }
+    })
 }
 
 /// The most that a plant can be worth.
@@ -375,7 +437,7 @@ fn bisect(chains: &[Chain<'_>], count: usize) -> Option<f64> {
 }
 
 /// Reads the votes along a row.
-fn read(evidence: &Evidence, axes: &Axes, ridge: &Ridge) -> (Profile, Vec<f64>) {
+fn read(evidence: &Evidence, axes: &Axes, ridge: &Ridge, scatter: f64) -> (Profile, Vec<f64>) {
     let start = ridge.start - BEYOND;
     let count = ((ridge.end + BEYOND - start) / STEP) as usize + 1;
     let (mut votes, mut offsets) = (Vec::with_capacity(count), Vec::with_capacity(count));
@@ -387,7 +449,7 @@ fn read(evidence: &Evidence, axes: &Axes, ridge: &Ridge) -> (Profile, Vec<f64>) 
         let mut best = (f64::NEG_INFINITY, 0.0);
         for half in -12..=12 {
             let offset = f64::from(half) * 0.5;
-            let weight = (-0.5 * (offset / ACROSS).powi(2)).exp();
+            let weight = (-0.5 * (offset / scatter).powi(2)).exp();
             let score = weight * evidence.at(axes.image([along, middle + offset]));
             if score > best.0 {
                 best = (score, offset);

@@ -26,8 +26,6 @@ const AROUND: f64 = 30.0;
 const WHOLE: f64 = 0.6;
 /// Range over which two plants claim the same votes.
 const OVERLAP: f64 = 2.0;
-/// Weight of the uncovered mass: terms per plant.
-const COVER: f64 = 1.0;
 /// A plant covers this share of the spacing to each side, and distances are truncated one spacing on.
 const COVERED: f64 = 0.6;
 /// This share of the spacing at the ends of a row needs no plant.
@@ -49,6 +47,8 @@ pub struct Profile {
 pub struct Weights {
     /// `T`: the worth of votes.
     pub votes: f64,
+    /// The worth of uncovered mass, in terms per plant.
+    pub cover: f64,
     /// Mean votes of the field.
     pub mean: f64,
     /// Leaf mass of a plant.
@@ -104,7 +104,7 @@ impl<'p> Chain<'p> {
         let overlap = (0..(5.0 * OVERLAP / STEP) as usize)
             .map(|g| (-0.5 * (g as f64 * STEP / OVERLAP).powi(2)).exp())
             .collect();
-        let uncovered = COVER / weights.mass.max(f64::MIN_POSITIVE) / (0.25 * s);
+        let uncovered = weights.cover / weights.mass.max(f64::MIN_POSITIVE) / (0.25 * s);
         Chain {
             profile,
             worth,
@@ -257,7 +257,7 @@ mod tests {
         Profile { start: 0.0, votes, mass }
     }
 
-    const WEIGHTS: Weights = Weights { votes: 6.0, mean: 0.5, mass: 14.0 };
+    const WEIGHTS: Weights = Weights { votes: 6.0, cover: 1.0, mean: 0.5, mass: 14.0 };
 
     /// The score by its definition.
     fn score(chain: &Chain<'_>, places: &[usize], beta: f64) -> f64 {

@@ -27,6 +27,8 @@ const GRADIENT_PX: f64 = 0.7;
 const TENSOR_PX: f64 = 1.3;
 /// Scale by which votes are blurred, in reduced pixels.
 const VOTE_PX: f64 = 0.8;
+/// Scale over which leaf mass is gathered where no votes are wanted, in reduced pixels.
+const MASS_PX: f64 = 2.0;
 /// How far a vote walks, in reduced pixels.
 const REACH_PX: usize = 20;
 /// Where votes saturate.
@@ -70,6 +72,14 @@ impl Evidence {
                 Stripe { width, height: to - from }.vote(part, heading_rad, first - from, out);
             });
         }
+        Evidence { width, height, votes, leaf, factor }
+    }
+
+    /// The leaf mass around each place instead of votes.
+    pub fn of_mass(mask: &Mask) -> Evidence {
+        let factor = (stroke_px(mask) / STROKE_PX).round().max(1.0) as usize;
+        let (width, height, leaf) = reduce(mask, factor);
+        let votes = Stripe { width, height }.blur(leaf.clone(), MASS_PX);
         Evidence { width, height, votes, leaf, factor }
     }
 

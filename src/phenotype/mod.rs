@@ -7,3 +7,4 @@ pub mod locate;
 pub mod renewal;
 pub mod ridges;
 pub mod rows;
+pub mod stand;
