@@ -60,7 +60,7 @@ pub struct Evidence {
 impl Evidence {
     /// Votes of a mask whose rows have this heading (from `u` towards `v`).
     pub fn new(mask: &Mask, heading_rad: f64) -> Evidence {
-        let factor = (stroke_px(mask) / STROKE_PX).round().max(1.0) as usize;
+        let factor = (stroke_px(mask) / STROKE_PX).floor().max(1.0) as usize;
         let (width, height, leaf) = reduce(mask, factor);
         let mut votes = vec![0.0; width * height];
         if width > 0 {
@@ -77,7 +77,7 @@ impl Evidence {
 
     /// The leaf mass around each place instead of votes.
     pub fn of_mass(mask: &Mask) -> Evidence {
-        let factor = (stroke_px(mask) / STROKE_PX).round().max(1.0) as usize;
+        let factor = (stroke_px(mask) / STROKE_PX).floor().max(1.0) as usize;
         let (width, height, leaf) = reduce(mask, factor);
         let votes = Stripe { width, height }.blur(leaf.clone(), MASS_PX);
         Evidence { width, height, votes, leaf, factor }
