@@ -9,6 +9,7 @@ mod figures;
 mod locate;
 mod run;
 mod segment;
+mod stand;
 mod synth;
 
 use crate::{error::Error, io::FileError};

@@ -3,8 +3,9 @@
 //! 1. Votes for stalks ([`evidence`]), rows as they run ([`ridges`]), and the votes along every row
 //!    ([`chain::Profile`]): at each place along the row the best votes across it, under a normal
 //!    weight about the row.
-//! 2. The spacing of the plants ([`renewal`]): from several starts, on some of the rows, alternating
-//!    between the best plants and the gaps between them; the start with the highest score stays.
+//! 2. The spacing of the plants ([`renewal`]), on some of the rows: where the number of plants is not
+//!    given, the one with the largest marginal likelihood ([`chain::Chain::log_sum`]); then alternating
+//!    between the best plants and the gaps between them.
 //! 3. The best plants of every row ([`chain::Chain::best`]). The worth `beta` of one plant more is found
 //!    by bisection where their number is given, and is set by [`Options`] otherwise.
 //! 4. Probabilities of all places ([`chain::Chain::posterior`]) give each plant its confidence and its
@@ -24,7 +25,7 @@ use super::{
     renewal::Spacing,
     ridges::{self, Ridge},
     rows::{Detection, Row, Rows},
-    stand::{Canopy, Missing, Stalk},
+    stand::{Canopy, Missing, NORMAL_95, Stalk},
 };
 use crate::{problems::plants::lines::Axes, raster::Mask};
 use rayon::prelude::*;
@@ -34,10 +35,18 @@ use serde::{Deserialize, Serialize};
 const BAND: i32 = 8;
 /// Places looked at beyond the ends of a row.
 const BEYOND: f64 = 6.0;
-/// Rows on which the spacing is estimated.
-const SAMPLE: usize = 12;
-/// The 97.5 % point of the standard normal distribution.
-const NORMAL_95: f64 = 1.959_963_984_540_054;
+/// Length of the rows on which the spacing is estimated, about.
+const SAMPLE: f64 = 6000.0;
+/// Rounds in which the spacing is estimated.
+const ROUNDS: usize = 4;
+/// The spacings that are tried where nobody says how many plants there are, from the finest on.
+const SPACINGS: i32 = 33;
+/// The finest of them.
+const FINEST: f64 = 4.5;
+/// Ratio of one to the next.
+const FINER: f64 = 1.075;
+/// What one plant more is worth while they are compared.
+const WORTH: f64 = 1.0;
 
 /// How plants are found. Lengths in pixels of the reduced grid (about a third of a leaf's width).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -59,7 +68,8 @@ pub struct Options {
     pub cover: f64,
     /// Scores per unit of log probability.
     pub heat: f64,
-    /// What one plant more is worth where nobody says how many there are.
+    /// What one plant more is worth where nobody says how many there are, with gaps measured in
+    /// spacings.
     pub beta: f64,
     /// Plants stand at their mean place under all the probable ones, else at the best one.
     pub mean_place: bool,
@@ -78,7 +88,7 @@ impl Default for Options {
             votes: 10.0,
             cover: 1.0,
             heat: 0.3,
-            beta: 0.0,
+            beta: -1.1,
             mean_place: false,
             estimate_spacing: true,
         }
@@ -116,6 +126,10 @@ pub fn locate(
     if count == Some(0) {
         return Err(LocateError::NoPlants);
     }
+    let pixels = mask.data.iter().filter(|&&pixel| pixel != 0).count();
+    if let Some(plants) = count.filter(|&count| count > pixels) {
+        return Err(LocateError::TooManyPlants { plants, pixels });
+    }
     let rows = match detection {
         Detection::Found(rows) => rows,
         &Detection::NoRows { contrast, prominence } => {
@@ -130,7 +144,7 @@ pub fn locate(
     let chains = scene.chains(&spacing, 0..scene.profiles.len());
     let beta = match count {
         Some(count) => worth_of(&chains, count)?,
-        None => options.beta,
+        None => scene.worth(&spacing),
     };
     let mut places = best(&chains, beta);
     let posteriors = posteriors(&chains, beta, options.heat);
@@ -246,7 +260,7 @@ impl Scene {
             let chains = self.chains(spacing, sample.iter().copied());
             let beta = match count.map(|count| self.share(count, &sample)) {
                 Some(wanted) => bisect(&chains, wanted).unwrap_or(0.0),
-                None => self.options.beta,
+                None => self.worth(spacing),
             };
             let (mut sum, mut number) = (0.0, 0.0);
             for (&row, places) in sample.iter().zip(best(&chains, beta)) {
@@ -263,8 +277,8 @@ impl Scene {
 
     /// Some of the rows, evenly.
     fn sample(&self) -> Vec<usize> {
-        let rows = self.rows.len();
-        (0..rows).step_by(rows.div_ceil(SAMPLE).max(1)).collect()
+        let rows = (SAMPLE * self.rows.len() as f64 / self.length).ceil().max(1.0) as usize;
+        (0..self.rows.len()).step_by(self.rows.len().div_ceil(rows).max(1)).collect()
     }
 
     /// How many of `count` plants belong to some of the rows.
@@ -283,25 +297,25 @@ impl Scene {
     /// The spacing, from several starts on some of the rows.
     fn spacing(&self, count: Option<usize>) -> Spacing {
         let sample = self.sample();
-        let starts: Vec<f64> = match count {
-            Some(count) => [0.8, 1.0].map(|share| share * self.length / count as f64).to_vec(),
-            None => (0..9).map(|k| 4.5 * 1.28_f64.powi(k)).collect(),
-        };
         let wanted = count.map(|count| self.share(count, &sample));
+        let starts = match count {
+            Some(count) => [0.8, 1.0].map(|share| share * self.length / count as f64).to_vec(),
+            None => vec![self.likeliest_spacing(&sample)],
+        };
         let tried: Vec<(f64, Spacing)> = starts
             .par_iter()
             .map(|&start| {
                 let mut spacing = Spacing::new(start);
                 let mut score = f64::NEG_INFINITY;
-                for _ in 0..4 {
+                for _ in 0..ROUNDS {
                     let chains = self.chains(&spacing, sample.iter().copied());
                     let beta = match wanted {
                         Some(wanted) => bisect(&chains, wanted).unwrap_or(0.0),
-                        None => self.options.beta,
+                        None => self.worth(&spacing),
                     };
                     let found: Vec<_> = chains.iter().map(|chain| chain.best(beta)).collect();
                     let places: Vec<Vec<usize>> = found.iter().map(|f| f.0.clone()).collect();
-                    let own = wanted.map_or(0.0, |_| beta * total(&places) as f64);
+                    let own = beta * total(&places) as f64;
                     score = found.iter().map(|f| f.1).sum::<f64>() - own;
                     let refit = spacing.refit(&gaps(&places));
                     spacing = if self.options.estimate_spacing {
@@ -315,6 +329,26 @@ impl Scene {
             .collect();
         let first = (f64::NEG_INFINITY, Spacing::new(13.0));
         tried.into_iter().fold(first, |best, next| if next.0 > best.0 { next } else { best }).1
+    }
+
+    /// The spacing under which the rows are likeliest, all sets of plants taken together.
+    fn likeliest_spacing(&self, sample: &[usize]) -> f64 {
+        let tried: Vec<(f64, f64)> = (0..SPACINGS)
+            .into_par_iter()
+            .map(|k| {
+                let spacing = FINEST * FINER.powi(k);
+                let chains = self.chains(&Spacing::new(spacing), sample.iter().copied());
+                let sum: f64 = chains.iter().map(|chain| chain.log_sum(WORTH, 1.0)).sum();
+                (sum, spacing)
+            })
+            .collect();
+        let first = (f64::NEG_INFINITY, FINEST);
+        tried.into_iter().fold(first, |best, next| if next.0 > best.0 { next } else { best }).1
+    }
+
+    /// What one plant more is worth where nobody says how many there are.
+    fn worth(&self, spacing: &Spacing) -> f64 {
+        self.options.beta + spacing.spacing.ln()
     }
 
     fn image(&self, row: usize, at: f64, offset: f64) -> [f64; 2] {

@@ -199,28 +199,40 @@ impl<'p> Chain<'p> {
         (places, if count == 0 { 0.0 } else { top })
     }
 
-    /// Probabilities proportional to `exp(heat * score)`.
-    pub fn posterior(&self, beta: f64, heat: f64) -> Posterior {
+    /// The logarithm of the sum of `exp(heat * score)` over all sets of plants.
+    pub fn log_sum(&self, beta: f64, heat: f64) -> f64 {
+        self.ahead(beta, heat).1
+    }
+
+    /// That sum over all sets that end with a plant at each place, and over all sets.
+    fn ahead(&self, beta: f64, heat: f64) -> (Vec<f64>, f64) {
         let count = self.worth.len();
-        let own = |at: usize| heat * (self.worth[at] + beta);
-        let (mut ahead, mut behind) = (vec![0.0; count], vec![0.0; count]);
-        let mut terms = Vec::new();
+        let (mut ahead, mut terms) = (vec![0.0; count], Vec::new());
         for at in 0..count {
             terms.clear();
             terms.push(heat * self.end(at, true));
             terms.extend(self.before(at).map(|a| ahead[a] + heat * self.link(a, at)));
-            ahead[at] = own(at) + log_sum(&terms);
+            ahead[at] = heat * (self.worth[at] + beta) + log_sum_exp(&terms);
         }
+        terms.clear();
+        terms.extend((0..count).map(|at| ahead[at] + heat * self.end(at, false)));
+        let log_sum = log_sum_exp(&terms);
+        (ahead, log_sum)
+    }
+
+    /// Probabilities proportional to `exp(heat * score)`.
+    pub fn posterior(&self, beta: f64, heat: f64) -> Posterior {
+        let count = self.worth.len();
+        let own = |at: usize| heat * (self.worth[at] + beta);
+        let (ahead, log_sum) = self.ahead(beta, heat);
+        let (mut behind, mut terms) = (vec![0.0; count], Vec::new());
         for at in (0..count).rev() {
             terms.clear();
             terms.push(heat * self.end(at, false));
             let beyond = (at + 2).min(count)..(at + self.gaps.len()).min(count);
             terms.extend(beyond.map(|b| behind[b] + own(b) + heat * self.link(at, b)));
-            behind[at] = log_sum(&terms);
+            behind[at] = log_sum_exp(&terms);
         }
-        terms.clear();
-        terms.extend((0..count).map(|at| ahead[at] + heat * self.end(at, false)));
-        let log_sum = log_sum(&terms);
         let marginals: Vec<f64> =
             (0..count).map(|at| (ahead[at] + behind[at] - log_sum).exp()).collect();
         Posterior { count: marginals.iter().sum(), marginals, log_sum }
@@ -228,12 +240,15 @@ impl<'p> Chain<'p> {
 }
 
 /// `ln sum exp`, without overflow; minus infinity of nothing.
-fn log_sum(terms: &[f64]) -> f64 {
+fn log_sum_exp(terms: &[f64]) -> f64 {
+    /// Terms smaller than this share of the largest add nothing.
+    const LEAST: f64 = -36.0;
     let highest = terms.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     if highest == f64::NEG_INFINITY {
         return highest;
     }
-    highest + terms.iter().map(|term| (term - highest).exp()).sum::<f64>().ln()
+    let shares = terms.iter().map(|term| term - highest).filter(|&share| share > LEAST);
+    highest + shares.map(f64::exp).sum::<f64>().ln()
 }
 
 #[cfg(test)]

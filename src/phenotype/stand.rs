@@ -5,6 +5,9 @@
 use super::{renewal::Spacing, rows::Rows};
 use serde::Serialize;
 
+/// The 97.5 % point of the standard normal distribution.
+pub const NORMAL_95: f64 = 1.959_963_984_540_054;
+
 /// One plant.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Stalk {
@@ -70,5 +73,28 @@ impl Canopy {
             .collect();
         gaps.sort_by(f64::total_cmp);
         gaps.get(gaps.len() / 2).copied().unwrap_or(self.spacing.spacing)
+    }
+
+    /// Distance between rows and its standard error, where there is more than one.
+    pub fn row_spacing_px(&self) -> Option<(f64, f64)> {
+        let spacing = self.rows.spacing_px?;
+        let errors: Vec<f64> = self
+            .rows
+            .rows
+            .windows(2)
+            .map(|pair| {
+                let gap = pair[1].across_px - pair[0].across_px;
+                gap - spacing * (gap / spacing).round()
+            })
+            .collect();
+        let count = errors.len() as f64;
+        let variance = errors.iter().map(|e| e * e).sum::<f64>() / (count - 1.0).max(1.0);
+        Some((spacing, (variance / count).sqrt()))
+    }
+
+    /// The ground that the rows stand on: their lengths times the distance between them.
+    pub fn area_px2(&self) -> Option<f64> {
+        let length: f64 = self.rows.rows.iter().map(|row| row.length_px()).sum();
+        self.rows.spacing_px.map(|spacing| spacing * length)
     }
 }
