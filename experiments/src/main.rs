@@ -4,6 +4,8 @@
 //! table of means) into an output folder.
 
 mod canopy;
+mod canopy_field;
+mod canopy_plots;
 mod locate;
 mod methods;
 mod plots;
@@ -66,6 +68,23 @@ enum Experiment {
         #[arg(long, value_name = "NAME=VALUE")]
         set: Vec<String>,
     },
+    /// The locator for closed canopies on real plots, number of plants not given; thresholds chosen on
+    /// `train`, reported on `val`.
+    CanopyPlots {
+        #[command(flatten)]
+        folders: Folders,
+        /// An option of the locator, as `NAME=VALUE`; can be given several times.
+        #[arg(long, value_name = "NAME=VALUE")]
+        set: Vec<String>,
+        /// Leave `val` out.
+        #[arg(long)]
+        train_only: bool,
+    },
+    /// The locator for closed canopies on a quarter, half, the whole and twice of a field.
+    CanopyField {
+        #[command(flatten)]
+        folders: Folders,
+    },
     /// Speed and accuracy on one mask of a whole field.
     WholeField {
         #[command(flatten)]
@@ -83,6 +102,10 @@ fn main() -> ExitCode {
         Experiment::Canopy { folders, masks, only, set } => {
             options(&set).and_then(|options| canopy::run(&folders, masks, &only, &options))
         }
+        Experiment::CanopyPlots { folders, set, train_only } => {
+            options(&set).and_then(|options| canopy_plots::run(&folders, &options, train_only))
+        }
+        Experiment::CanopyField { folders } => canopy_field::run(&folders),
         Experiment::WholeField { folders } => whole_field::run(&folders),
     };
     match done {

@@ -45,8 +45,6 @@ const SPACINGS: i32 = 33;
 const FINEST: f64 = 4.5;
 /// Ratio of one to the next.
 const FINER: f64 = 1.075;
-/// What one plant more is worth while they are compared.
-const WORTH: f64 = 1.0;
 
 /// How plants are found. Lengths in pixels of the reduced grid (about a third of a leaf's width).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -68,9 +66,10 @@ pub struct Options {
     pub cover: f64,
     /// Scores per unit of log probability.
     pub heat: f64,
-    /// What one plant more is worth where nobody says how many there are, with gaps measured in
-    /// spacings.
+    /// What one plant more is worth where nobody says how many there are.
     pub beta: f64,
+    /// What one plant more is worth while spacings are compared.
+    pub beta_compared: f64,
     /// Plants stand at their mean place under all the probable ones, else at the best one.
     pub mean_place: bool,
     /// The relative jitter of the spacing is estimated; else it is the prior's.
@@ -82,14 +81,15 @@ impl Default for Options {
         Options {
             leaf_axes: true,
             curved_rows: true,
-            across: 2.0,
+            across: 3.0,
             estimate_across: false,
-            believed: 0.6,
-            votes: 10.0,
+            believed: 0.7,
+            votes: 12.0,
             cover: 1.0,
-            heat: 0.3,
-            beta: -1.1,
-            mean_place: false,
+            heat: 0.5,
+            beta: 1.1,
+            beta_compared: 0.7,
+            mean_place: true,
             estimate_spacing: true,
         }
     }
@@ -144,7 +144,7 @@ pub fn locate(
     let chains = scene.chains(&spacing, 0..scene.profiles.len());
     let beta = match count {
         Some(count) => worth_of(&chains, count)?,
-        None => scene.worth(&spacing),
+        None => options.beta,
     };
     let mut places = best(&chains, beta);
     let posteriors = posteriors(&chains, beta, options.heat);
@@ -260,7 +260,7 @@ impl Scene {
             let chains = self.chains(spacing, sample.iter().copied());
             let beta = match count.map(|count| self.share(count, &sample)) {
                 Some(wanted) => bisect(&chains, wanted).unwrap_or(0.0),
-                None => self.worth(spacing),
+                None => self.options.beta,
             };
             let (mut sum, mut number) = (0.0, 0.0);
             for (&row, places) in sample.iter().zip(best(&chains, beta)) {
@@ -311,7 +311,7 @@ impl Scene {
                     let chains = self.chains(&spacing, sample.iter().copied());
                     let beta = match wanted {
                         Some(wanted) => bisect(&chains, wanted).unwrap_or(0.0),
-                        None => self.worth(&spacing),
+                        None => self.options.beta,
                     };
                     let found: Vec<_> = chains.iter().map(|chain| chain.best(beta)).collect();
                     let places: Vec<Vec<usize>> = found.iter().map(|f| f.0.clone()).collect();
@@ -338,17 +338,13 @@ impl Scene {
             .map(|k| {
                 let spacing = FINEST * FINER.powi(k);
                 let chains = self.chains(&Spacing::new(spacing), sample.iter().copied());
-                let sum: f64 = chains.iter().map(|chain| chain.log_sum(WORTH, 1.0)).sum();
+                let sum: f64 =
+                    chains.iter().map(|chain| chain.log_sum(self.options.beta_compared, 1.0)).sum();
                 (sum, spacing)
             })
             .collect();
         let first = (f64::NEG_INFINITY, FINEST);
         tried.into_iter().fold(first, |best, next| if next.0 > best.0 { next } else { best }).1
-    }
-
-    /// What one plant more is worth where nobody says how many there are.
-    fn worth(&self, spacing: &Spacing) -> f64 {
-        self.options.beta + spacing.spacing.ln()
     }
 
     fn image(&self, row: usize, at: f64, offset: f64) -> [f64; 2] {
