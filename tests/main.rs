@@ -11,6 +11,7 @@
 
 mod adjust;
 mod architecture;
+mod canopy;
 mod data;
 mod drive;
 mod engine;
