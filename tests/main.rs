@@ -16,6 +16,7 @@ mod boards;
 mod calibrate;
 mod calibration;
 mod camera;
+mod canopy;
 mod data;
 mod drive;
 mod engine;

@@ -3,6 +3,9 @@
 //! Every experiment reads a data folder and writes `NAME.csv` (one line per run) and `NAME.md` (the
 //! table of means) into an output folder.
 
+mod canopy;
+mod canopy_field;
+mod canopy_plots;
 mod locate;
 mod methods;
 mod plots;
@@ -59,6 +62,30 @@ enum Experiment {
         /// Pairs of each setting.
         #[arg(long, default_value_t = 40)]
         trials: usize,
+    /// The locator for closed canopies: synthetic masks, number of plants given and not.
+    Canopy {
+        /// Masks per scenario, at most.
+        #[arg(long, default_value_t = 10)]
+        masks: usize,
+        /// Only this scenario; can be given several times.
+        #[arg(long, value_name = "NAME")]
+        only: Vec<String>,
+        /// An option of the locator, as `NAME=VALUE`; can be given several times.
+        #[arg(long, value_name = "NAME=VALUE")]
+        set: Vec<String>,
+    },
+    /// The locator for closed canopies on real plots, number of plants not given; thresholds chosen on
+    /// `train`, reported on `val`.
+    CanopyPlots {
+        /// An option of the locator, as `NAME=VALUE`; can be given several times.
+        #[arg(long, value_name = "NAME=VALUE")]
+        set: Vec<String>,
+        /// Leave `val` out.
+        #[arg(long)]
+        train_only: bool,
+    },
+    /// The locator for closed canopies on a quarter, half, the whole and twice of a field.
+    CanopyField {
     },
     /// Speed and accuracy on one mask of a whole field.
     WholeField {
@@ -75,6 +102,13 @@ fn main() -> ExitCode {
             locate::run(&folders, 10).and_then(|()| plots::run(&folders))
         }
         Experiment::RelativeOrientation { folders, trials } => relative::run_all(&folders, trials),
+        Experiment::Canopy { folders, masks, only, set } => {
+            options(&set).and_then(|options| canopy::run(&folders, masks, &only, &options))
+        }
+        Experiment::CanopyPlots { folders, set, train_only } => {
+            options(&set).and_then(|options| canopy_plots::run(&folders, &options, train_only))
+        }
+        Experiment::CanopyField { folders } => canopy_field::run(&folders),
         Experiment::WholeField { folders } => whole_field::run(&folders),
     };
     match done {
@@ -84,6 +118,12 @@ fn main() -> ExitCode {
             ExitCode::from(error.kind().exit_code())
         }
     }
+}
+
+/// Options of the locator from lines of TOML.
+fn options(set: &[String]) -> Result<rowgram::phenotype::canopy::Options, rowgram::Error> {
+    toml::from_str(&set.join("\n"))
+        .map_err(|error| rowgram::Error::Argument(format!("--set: {error}")))
 }
 
 #[expect(clippy::print_stderr, reason = "the program's last word goes to stderr")]

@@ -17,6 +17,7 @@ mod locate;
 mod run;
 mod segment;
 mod survey;
+mod stand;
 mod synth;
 mod undistort;
 

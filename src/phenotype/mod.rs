@@ -2,5 +2,11 @@
 
 pub mod leaf_count;
 pub mod leaves;
+pub mod canopy;
+pub mod chain;
+pub mod evidence;
 pub mod locate;
+pub mod renewal;
+pub mod ridges;
 pub mod rows;
+pub mod stand;
