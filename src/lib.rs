@@ -46,7 +46,7 @@ pub mod phenotype;
 pub mod problems;
 pub mod raster;
 pub mod score;
-pub mod target;
 pub mod sfm;
+pub mod target;
 
 pub use error::{Error, Kind};

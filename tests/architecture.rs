@@ -93,8 +93,9 @@ fn assert_none(offences: impl IntoIterator<Item = String>, rule: &str) {
 }
 
 /// The modules that compute and do nothing else.
-const CORE: &[&str] =
-    &["geometry", "camera", "engine", "nlls", "descent", "convex", "problems", "target", "features"];
+const CORE: &[&str] = &[
+    "geometry", "camera", "engine", "nlls", "descent", "convex", "problems", "target", "features",
+];
 
 #[test]
 fn the_numerical_core_opens_no_files_prints_nothing_reads_no_clock() {

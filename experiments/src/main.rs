@@ -62,8 +62,11 @@ enum Experiment {
         /// Pairs of each setting.
         #[arg(long, default_value_t = 40)]
         trials: usize,
+    },
     /// The locator for closed canopies: synthetic masks, number of plants given and not.
     Canopy {
+        #[command(flatten)]
+        folders: Folders,
         /// Masks per scenario, at most.
         #[arg(long, default_value_t = 10)]
         masks: usize,
@@ -77,6 +80,8 @@ enum Experiment {
     /// The locator for closed canopies on real plots, number of plants not given; thresholds chosen on
     /// `train`, reported on `val`.
     CanopyPlots {
+        #[command(flatten)]
+        folders: Folders,
         /// An option of the locator, as `NAME=VALUE`; can be given several times.
         #[arg(long, value_name = "NAME=VALUE")]
         set: Vec<String>,
@@ -86,6 +91,8 @@ enum Experiment {
     },
     /// The locator for closed canopies on a quarter, half, the whole and twice of a field.
     CanopyField {
+        #[command(flatten)]
+        folders: Folders,
     },
     /// Speed and accuracy on one mask of a whole field.
     WholeField {

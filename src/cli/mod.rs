@@ -4,9 +4,9 @@
 //! 3 incomplete or a quality gate failed.
 
 mod adjust;
+mod align;
 mod calibrate;
 mod camera;
-mod align;
 mod count;
 mod density;
 mod evaluate;
@@ -16,8 +16,8 @@ mod leaves;
 mod locate;
 mod run;
 mod segment;
-mod survey;
 mod stand;
+mod survey;
 mod synth;
 mod undistort;
 
@@ -48,7 +48,6 @@ enum Verb {
     Run(run::Args),
     Adjust(Box<adjust::Args>),
     Align(Box<align::Args>),
-    Adjust(adjust::Args),
     Convert(survey::convert::Args),
     Calibrate(calibrate::Calibrate),
     Undistort(undistort::Args),

@@ -1,10 +1,10 @@
 //! Plant traits from a mask.
 
-pub mod leaf_count;
-pub mod leaves;
 pub mod canopy;
 pub mod chain;
 pub mod evidence;
+pub mod leaf_count;
+pub mod leaves;
 pub mod locate;
 pub mod renewal;
 pub mod ridges;

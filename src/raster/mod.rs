@@ -20,9 +20,9 @@ pub mod hsv;
 pub mod mask;
 pub mod overlay;
 mod pixels;
-pub mod undistort;
-pub mod sketch;
 pub mod polygon;
+pub mod sketch;
+pub mod undistort;
 pub mod white_balance;
 pub mod window;
 

@@ -191,7 +191,7 @@ pub(super) fn write(
     let block = &adjusted.survey;
     let sigma0 = adjusted.statistics.sigma0;
     for (k, camera) in block.cameras.iter().enumerate() {
-        camera::write(&root.join(format!("camera-{}.toml", k + 1)), camera, force)?;
+        camera::write(&root.join(format!("camera-{}.toml", k + 1)), force, camera)?;
     }
     let accuracies = &adjusted.statistics.images;
     let table = root.join("exterior_orientation.csv");
