@@ -132,6 +132,6 @@ mod tests {
     fn flat_ground_has_no_direction() {
         let layer = Layer::new(40, 40);
         let job = Directions { layer: &layer, column: 8, row: 8, sigma_px: 1.8 };
-        assert_eq!(pulp::Arch::new().dispatch(job), []);
+        assert!(pulp::Arch::new().dispatch(job).is_empty());
     }
 }
