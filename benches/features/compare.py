@@ -182,17 +182,19 @@ def main():
             for path, one in zip(paths, sets):
                 one.tofile(path)
             seconds = probe("match", *paths, options.repeats, threads=options.threads)["seconds"]
-            own = statistics.median(s[0] for s in seconds)
+            own = [statistics.median(column) for column in zip(*seconds)]
             first, second = (one.astype(np.float32) for one in sets)
             for name, matcher in [
                 ("brute force", cv2.BFMatcher(cv2.NORM_L2)),
                 ("FLANN", cv2.FlannBasedMatcher({"algorithm": 1, "trees": 4}, {"checks": 64})),
             ]:
-                begin = time.perf_counter()
+                wall, processor = time.perf_counter(), processor_seconds()
                 matcher.knnMatch(first, second, k=2)
                 matcher.knnMatch(second, first, k=2)
-                other = time.perf_counter() - begin
-                report("matching", f"{len(first)} x {len(second)}", f"wall s, {name}", own, other)
+                other = [time.perf_counter() - wall, processor_seconds() - processor]
+                for index, measure in enumerate(["wall s", "processor s"]):
+                    subject = f"{len(first)} x {len(second)}"
+                    report("matching", subject, f"{measure}, {name}", own[index], other[index])
 
     if options.csv:
         with options.csv.open("w", newline="") as file:
