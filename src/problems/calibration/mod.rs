@@ -242,7 +242,7 @@ pub const MAX_ITERATIONS: u64 = 200;
 
 /// Settings of the engine that suit a calibration.
 pub fn options() -> Options {
-    Options { linear: Linear::Schur, cost_tolerance: 1e-10, ..Options::default() }
+    Options { linear: Linear::Schur, cost_tolerance: 1e-8, ..Options::default() }
 }
 
 /// Adjusts from a known start.
