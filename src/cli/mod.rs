@@ -7,6 +7,7 @@ mod adjust;
 mod evaluate;
 mod figures;
 mod locate;
+mod method;
 mod run;
 mod segment;
 mod stand;
