@@ -66,10 +66,10 @@ pub(super) struct Locate {
     #[arg(long, value_parser = word::<Form>, value_name = "WORD")]
     form: Option<Form>,
     /// Let the data count as this many independent pixels per plant; 0 is the paper, all of them.
-    #[arg(long, value_name = "V")]
+    #[arg(long, value_name = "V", allow_negative_numbers = true)]
     tempering: Option<f64>,
     /// Truncate distances at this many pixels; 0 is the paper, never.
-    #[arg(long, value_name = "PX")]
+    #[arg(long, value_name = "PX", allow_negative_numbers = true)]
     truncate: Option<f64>,
     /// Where to start: kmeans++, rows (regular spacing), random, votes (the plants of the full
     /// method). By default rows, or kmeans++ with `--prior none`.

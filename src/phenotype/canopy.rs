@@ -73,7 +73,7 @@ impl Default for Options {
             cover: 1.0,
             heat: 0.5,
             beta: 1.1,
-            beta_compared: 0.7,
+            beta_compared: 0.5,
             mean_place: true,
             estimate_spacing: true,
         }
