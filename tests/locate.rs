@@ -203,3 +203,87 @@ fn a_field_of_rows_is_located_better_than_by_chance() {
     let score = rowgram::score::Score::new(&found, &truth, &[10.0 / 1.5]).unwrap();
     assert!(score.radii[0].f1.unwrap() > 0.5, "{score:?}");
 }
+
+#[test]
+fn the_default_counts_and_tells_how_sure_it_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let field = path("field");
+    let grown = rowgram(&[
+        "synth",
+        "mask",
+        "--stage",
+        "early",
+        "--rows",
+        "3",
+        "--row-length",
+        "4",
+        "--gsd",
+        "0.015",
+        "-o",
+        &field,
+    ]);
+    assert!(grown.status.success(), "{}", String::from_utf8_lossy(&grown.stderr));
+    let (_, truth) = read(&folder.path().join("field/plants.csv"));
+    let mask = format!("{field}/mask.png");
+    let (gaps, counts, overlay) = (path("gaps.csv"), path("counts.csv"), path("overlay.png"));
+    let out = path("plants.csv");
+    let run = rowgram(&[
+        "locate",
+        &mask,
+        "--gsd",
+        "0.015",
+        "--json",
+        "--gaps",
+        &gaps,
+        "--counts",
+        &counts,
+        "--overlay",
+        &overlay,
+        "-o",
+        &out,
+    ]);
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    let json: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+    let found = json["plants"].as_f64().unwrap();
+    assert!((found / truth.len() as f64 - 1.0).abs() < 0.1, "{found} {}", truth.len());
+    let interval = |name: &str| [0, 1].map(|end| json[name][end].as_f64().unwrap());
+    let [low, high] = interval("plants_interval");
+    assert!(low <= found && found <= high, "{json}");
+    let [low, high] = interval("row_spacing_interval_m");
+    assert!(low < 0.765 && high > 0.755, "{json}");
+    let [low, high] = interval("spacing_interval_m");
+    assert!(low < 0.21 && high > 0.19, "{json}");
+    assert!(json["plants_per_hectare"].as_f64().unwrap() > 40_000.0, "{json}");
+    let (header, plants) = read(Path::new(&out));
+    let names =
+        ["u_px", "v_px", "row", "x_m", "y_m", "confidence", "sigma_along_px", "sigma_across_px"];
+    assert_eq!(header, names);
+    assert_eq!(plants.len() as f64, found);
+    assert!(plants.iter().all(|plant| (0.0..=1.0).contains(&plant[5]) && plant[6] > 0.0));
+    let (header, counts) = read(Path::new(&counts));
+    assert_eq!(header, ["row", "plants", "expected", "low", "high", "length_px", "length_m"]);
+    assert_eq!(counts.iter().map(|row| row[1]).sum::<f64>(), found);
+    assert!(read(Path::new(&gaps)).0.contains(&"probability".to_owned()));
+    assert!(image::open(overlay).unwrap().width() > 100);
+
+    // The named methods run on the same mask, also without being told the number.
+    for method in ["refined", "tempered", "paper", "kmeans", "rows"] {
+        let run = rowgram(&["locate", &mask, "--method", method, "--force", "-o", &out]);
+        assert!(run.status.success(), "{method}: {}", String::from_utf8_lossy(&run.stderr));
+        assert_eq!(read(Path::new(&out)).1.len() as f64, found, "{method}");
+    }
+    for (words, reason) in [
+        (["--method", "full", "--prior", "rows"], "--prior"),
+        (["--method", "paper", "--gaps", gaps.as_str()], "only the method full"),
+        (["--set", "votes=many", "--plants", "3"], "--set"),
+        (["--set", "wishes=3", "--plants", "3"], "wishes"),
+        (["--plants", "some", "--seed", "1"], "auto"),
+        (["--tempering", "-1", "--plants", "3"], "--tempering"),
+    ] {
+        let run = rowgram(&[&["locate", &mask, "--force", "-o", &out], &words[..]].concat());
+        let message = String::from_utf8_lossy(&run.stderr);
+        assert_eq!(run.status.code(), Some(2), "{words:?}: {message}");
+        assert!(message.contains(reason), "{words:?}: {message}");
+    }
+}

@@ -1,6 +1,7 @@
 //! `rowgram locate`: plants in a photo or a leaf mask.
 
 use super::{
+    method::{Count, Method, count, word},
     segment::same_file,
     stand::{self, StandSummary},
 };
@@ -23,51 +24,8 @@ use crate::{
 };
 use clap::Args;
 use image::{Rgb, RgbImage};
-use serde::{
-    Deserialize, Serialize,
-    de::{IntoDeserializer, value},
-};
+use serde::Serialize;
 use std::path::PathBuf;
-
-/// A named way to locate.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-enum Method {
-    /// Votes along leaf axes, dynamic programming along curved rows.
-    Full,
-    /// `Full`, then the tempered descent from its plants.
-    Refined,
-    /// The tempered descent from regular spacing: row prior, truncated distances.
-    Tempered,
-    /// The paper: row prior of the other plants, mean distance as scale, from k-means++.
-    Paper,
-    /// k-means from k-means++.
-    Kmeans,
-    /// Detected rows and regular spacing; nothing is fitted.
-    Rows,
-}
-
-/// How many plants there are.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Count {
-    /// As many as there seem to be.
-    Auto,
-    /// This many.
-    Given(usize),
-}
-
-fn count(text: &str) -> Result<Count, String> {
-    if text == "auto" {
-        return Ok(Count::Auto);
-    }
-    let number = text.parse().map(Count::Given);
-    number.map_err(|_| format!("`auto` or a number of plants was expected, got: {text}"))
-}
-
-/// Independent votes of a plant's pixels where the descent is tempered: about one per leaf.
-const VOTES_PER_PLANT: f64 = 6.0;
-/// Where its distances are truncated, given the ground sampling distance.
-const TRUNCATED_M: f64 = 0.3;
 
 /// Locate plants in a photo or a leaf mask, and count them.
 ///
@@ -90,7 +48,7 @@ pub(super) struct Locate {
     #[arg(long, value_parser = word::<Method>, value_name = "NAME")]
     method: Option<Method>,
     /// An option of the methods full and refined, as in `--set leaf-axes=false`: leaf-axes,
-    /// curved-rows, across, estimate-across, believed, votes, cover, heat, beta, mean-place,
+    /// curved-rows, across, believed, votes, cover, heat, beta, beta-compared, mean-place,
     /// estimate-spacing.
     #[arg(long, value_name = "NAME=VALUE")]
     set: Vec<String>,
@@ -108,10 +66,10 @@ pub(super) struct Locate {
     #[arg(long, value_parser = word::<Form>, value_name = "WORD")]
     form: Option<Form>,
     /// Let the data count as this many independent pixels per plant; 0 is the paper, all of them.
-    #[arg(long, value_name = "V")]
+    #[arg(long, value_name = "V", allow_negative_numbers = true)]
     tempering: Option<f64>,
     /// Truncate distances at this many pixels; 0 is the paper, never.
-    #[arg(long, value_name = "PX")]
+    #[arg(long, value_name = "PX", allow_negative_numbers = true)]
     truncate: Option<f64>,
     /// Where to start: kmeans++, rows (regular spacing), random, votes (the plants of the full
     /// method). By default rows, or kmeans++ with `--prior none`.
@@ -193,12 +151,6 @@ struct DescentSummary {
     final_cost: f64,
     sweeps: u64,
     stop: &'static str,
-}
-
-/// A word as serde spells it, so that it is the same here as in TOML.
-fn word<T: for<'de> Deserialize<'de>>(text: &str) -> Result<T, String> {
-    let text: value::StrDeserializer<'_, value::Error> = text.into_deserializer();
-    T::deserialize(text).map_err(|error| error.to_string())
 }
 
 impl Locate {
@@ -371,9 +323,7 @@ impl Locate {
 
     fn init(&self, method: Option<Method>) -> Init {
         let of_method = match method {
-            Some(Method::Full | Method::Refined) => Init::Votes,
-            Some(Method::Tempered | Method::Rows) => Init::Rows,
-            Some(Method::Paper | Method::Kmeans) => Init::KmeansPlusPlus,
+            Some(method) => method.init(),
             None if self.prior == Some(Prior::None) => Init::KmeansPlusPlus,
             None => Init::Rows,
         };
@@ -384,20 +334,8 @@ impl Locate {
     fn options(&self, method: Option<Method>, init: Init, plants: usize) -> Options {
         // One centimetre across the rows, as far as it is known how much that is.
         let floor_px = self.gsd.map_or(Model::default().floor_px, |gsd| 0.01 / gsd);
-        let joint = Model { floor_px, ..Model::default() };
-        let base = match method {
-            Some(Method::Full | Method::Refined | Method::Tempered) => Model {
-                tempering: Some(VOTES_PER_PLANT),
-                truncate_px: self.gsd.map(|gsd| TRUNCATED_M / gsd),
-                ..joint
-            },
-            Some(Method::Paper) => Model { form: Form::Conditional, ..joint },
-            Some(Method::Kmeans) => {
-                Model { prior: Prior::None, update: PlantUpdate::Mean, ..joint }
-            }
-            Some(Method::Rows) => Model { prior: Prior::None, ..joint },
-            None => joint,
-        };
+        let base = method.map_or(Model::default(), |method| method.model(self.gsd));
+        let base = Model { floor_px, ..base };
         let model = Model {
             prior: self.prior.unwrap_or(base.prior),
             update: self.update.unwrap_or(base.update),

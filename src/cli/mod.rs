@@ -14,6 +14,7 @@ mod features;
 mod figures;
 mod leaves;
 mod locate;
+mod method;
 mod run;
 mod segment;
 mod stand;

@@ -9,4 +9,5 @@ pub mod locate;
 pub mod renewal;
 pub mod ridges;
 pub mod rows;
+mod scene;
 pub mod stand;

@@ -1,0 +1,262 @@
+//! What the rows of a mask show, and the plants that are best for it: the working parts of
+//! [`super::canopy`].
+//!
+//! All lengths in pixels of the reduced grid of [`Evidence`].
+
+use super::{
+    canopy::Options,
+    chain::{Chain, Profile, STEP, Weights},
+    evidence::Evidence,
+    locate::LocateError,
+    renewal::Spacing,
+    ridges::{self, Ridge},
+    rows::{Row, Rows},
+};
+use crate::{problems::plants::lines::Axes, raster::Mask};
+use rayon::prelude::*;
+
+/// Half the width of the band whose leaf mass a row has to cover.
+const BAND: i32 = 8;
+/// Places looked at beyond the ends of a row.
+const BEYOND: f64 = 6.0;
+/// Length of the rows on which the spacing is estimated, about.
+const SAMPLE: f64 = 6000.0;
+/// Rounds in which the spacing is estimated.
+const ROUNDS: usize = 4;
+/// The spacings that are tried where nobody says how many plants there are, from the finest on.
+const SPACINGS: i32 = 33;
+/// The finest of them.
+const FINEST: f64 = 4.5;
+/// Ratio of one to the next.
+const FINER: f64 = 1.075;
+
+/// Everything that the chains are made of.
+pub(super) struct Scene {
+    pub(super) evidence: Evidence,
+    axes: Axes,
+    rows: Vec<Row>,
+    ridges: Vec<Ridge>,
+    pub(super) profiles: Vec<Profile>,
+    /// Offset across its ridge of the best votes at every place of every row.
+    pub(super) offsets: Vec<Vec<f64>>,
+    mean: f64,
+    mass: f64,
+    length: f64,
+    pub(super) options: Options,
+}
+
+impl Scene {
+    pub(super) fn new(mask: &Mask, rows: &Rows, options: &Options) -> Scene {
+        let evidence = if options.leaf_axes {
+            Evidence::new(mask, rows.axes.heading_rad)
+        } else {
+            Evidence::of_mass(mask)
+        };
+        let factor = evidence.factor as f64;
+        let axes = Axes { origin_px: evidence.reduced(rows.axes.origin_px), ..rows.axes };
+        let shrink = |row: &Row| Row {
+            across_px: row.across_px / factor,
+            start_px: row.start_px / factor,
+            end_px: row.end_px / factor,
+            pixels: row.pixels,
+        };
+        let reduced: Vec<Row> = rows.rows.iter().map(shrink).collect();
+        let spacing = rows.spacing_px.map(|spacing| spacing / factor);
+        let ridges = if options.curved_rows {
+            ridges::trace(&evidence, &axes, &reduced, spacing)
+        } else {
+            reduced.iter().map(Ridge::straight).collect()
+        };
+        let length = reduced.iter().map(Row::length_px).sum();
+        let mut scene = Scene {
+            evidence,
+            axes,
+            rows: reduced,
+            ridges,
+            profiles: Vec::new(),
+            offsets: Vec::new(),
+            mean: 0.0,
+            mass: 0.0,
+            length,
+            options: *options,
+        };
+        scene.read();
+        scene
+    }
+
+    /// Reads what every row shows.
+    pub(super) fn read(&mut self) {
+        let Scene { evidence, axes, ridges, options, .. } = self;
+        let read: Vec<(Profile, Vec<f64>)> =
+            ridges.par_iter().map(|ridge| read(evidence, axes, ridge, options.across)).collect();
+        (self.profiles, self.offsets) = read.into_iter().unzip();
+        let profiles = &self.profiles;
+        let votes: f64 = profiles.iter().flat_map(|profile| &profile.votes).sum();
+        let places: usize = profiles.iter().map(|profile| profile.votes.len()).sum();
+        self.mass = profiles.iter().filter_map(|profile| profile.mass.last()).map(|m| m[0]).sum();
+        self.mean = votes / places.max(1) as f64;
+    }
+
+    /// Some of the rows, evenly.
+    pub(super) fn sample(&self) -> Vec<usize> {
+        let rows = (SAMPLE * self.rows.len() as f64 / self.length).ceil().max(1.0) as usize;
+        (0..self.rows.len()).step_by(self.rows.len().div_ceil(rows).max(1)).collect()
+    }
+
+    /// How many of `count` plants belong to some of the rows.
+    pub(super) fn share(&self, count: usize, rows: &[usize]) -> usize {
+        let length: f64 = rows.iter().map(|&row| self.rows[row].length_px()).sum();
+        (count as f64 * length / self.length).round() as usize
+    }
+
+    pub(super) fn chains(
+        &self,
+        spacing: &Spacing,
+        rows: impl IntoIterator<Item = usize>,
+    ) -> Vec<Chain<'_>> {
+        let mass = self.mass * spacing.spacing / self.length.max(f64::MIN_POSITIVE);
+        let Options { votes, cover, .. } = self.options;
+        let weights = Weights { votes, cover, mean: self.mean, mass };
+        rows.into_iter().map(|row| Chain::new(&self.profiles[row], spacing, &weights)).collect()
+    }
+
+    /// The spacing, from several starts on some of the rows.
+    pub(super) fn spacing(&self, count: Option<usize>) -> Spacing {
+        let sample = self.sample();
+        let wanted = count.map(|count| self.share(count, &sample));
+        let starts = match count {
+            Some(count) => [0.8, 1.0].map(|share| share * self.length / count as f64).to_vec(),
+            None => vec![self.likeliest_spacing(&sample)],
+        };
+        let tried: Vec<(f64, Spacing)> = starts
+            .par_iter()
+            .map(|&start| {
+                let mut spacing = Spacing::new(start);
+                let mut score = f64::NEG_INFINITY;
+                for _ in 0..ROUNDS {
+                    let chains = self.chains(&spacing, sample.iter().copied());
+                    let beta = match wanted {
+                        Some(wanted) => bisect(&chains, wanted).unwrap_or(0.0),
+                        None => self.options.beta,
+                    };
+                    let found: Vec<_> = chains.iter().map(|chain| chain.best(beta)).collect();
+                    let places: Vec<Vec<usize>> = found.iter().map(|f| f.0.clone()).collect();
+                    let own = beta * total(&places) as f64;
+                    score = found.iter().map(|f| f.1).sum::<f64>() - own;
+                    let refit = spacing.refit(&gaps(&places));
+                    spacing = if self.options.estimate_spacing {
+                        refit
+                    } else {
+                        Spacing { spacing: refit.spacing, ..Spacing::new(start) }
+                    };
+                }
+                (score, spacing)
+            })
+            .collect();
+        let first = (f64::NEG_INFINITY, Spacing::new(13.0));
+        tried.into_iter().fold(first, |best, next| if next.0 > best.0 { next } else { best }).1
+    }
+
+    /// The spacing under which the rows are likeliest, all sets of plants taken together.
+    pub(super) fn likeliest_spacing(&self, sample: &[usize]) -> f64 {
+        let tried: Vec<(f64, f64)> = (0..SPACINGS)
+            .into_par_iter()
+            .map(|k| {
+                let spacing = FINEST * FINER.powi(k);
+                let chains = self.chains(&Spacing::new(spacing), sample.iter().copied());
+                let sum: f64 =
+                    chains.iter().map(|chain| chain.log_sum(self.options.beta_compared, 1.0)).sum();
+                (sum, spacing)
+            })
+            .collect();
+        let first = (f64::NEG_INFINITY, FINEST);
+        tried.into_iter().fold(first, |best, next| if next.0 > best.0 { next } else { best }).1
+    }
+
+    pub(super) fn image(&self, row: usize, at: f64, offset: f64) -> [f64; 2] {
+        let along = self.profiles[row].start + at * STEP;
+        let across = self.ridges[row].offset(along) + offset;
+        self.evidence.full(self.axes.image([along, across]))
+    }
+}
+
+pub(super) fn best(chains: &[Chain<'_>], beta: f64) -> Vec<Vec<usize>> {
+    chains.par_iter().map(|chain| chain.best(beta).0).collect()
+}
+
+pub(super) fn total(places: &[Vec<usize>]) -> usize {
+    places.iter().map(Vec::len).sum()
+}
+
+/// Gaps between the plants of the same row.
+pub(super) fn gaps(places: &[Vec<usize>]) -> Vec<f64> {
+    let pairs = places.iter().flat_map(|row| row.windows(2));
+    pairs.map(|pair| (pair[1] - pair[0]) as f64 * STEP).collect()
+}
+
+/// What a plant has to be worth for there to be `count` of them.
+pub(super) fn worth_of(chains: &[Chain<'_>], count: usize) -> Result<f64, LocateError> {
+    bisect(chains, count).ok_or_else(|| {
+        let most = total(&best(chains, MOST_WORTH));
+        LocateError::RowsTooShort { plants: count, most }
+    })
+}
+
+/// The most that a plant can be worth.
+const MOST_WORTH: f64 = 40.0;
+
+/// The least worth of a plant at which the chains have `count` of them, nearly.
+fn bisect(chains: &[Chain<'_>], count: usize) -> Option<f64> {
+    let number = |beta: f64| total(&best(chains, beta));
+    let (mut low, mut high) = (-MOST_WORTH, MOST_WORTH);
+    // Usually it is near nothing.
+    for near in [-6.0, 6.0] {
+        match number(near) {
+            n if n == count => return Some(near),
+            n if n > count => high = high.min(near),
+            _ => low = low.max(near),
+        }
+    }
+    if high == MOST_WORTH && number(high) < count {
+        return None;
+    }
+    for _ in 0..14 {
+        let middle = 0.5 * (low + high);
+        match number(middle) {
+            n if n == count => return Some(middle),
+            n if n > count => high = middle,
+            _ => low = middle,
+        }
+    }
+    Some(high)
+}
+
+/// Reads the votes along a row.
+fn read(evidence: &Evidence, axes: &Axes, ridge: &Ridge, scatter: f64) -> (Profile, Vec<f64>) {
+    let start = ridge.start - BEYOND;
+    let count = ((ridge.end + BEYOND - start) / STEP) as usize + 1;
+    let (mut votes, mut offsets) = (Vec::with_capacity(count), Vec::with_capacity(count));
+    let mut mass = vec![[0.0; 2]];
+    let (mut sum, mut moment) = (0.0, 0.0);
+    for k in 0..count {
+        let along = start + k as f64 * STEP;
+        let middle = ridge.offset(along);
+        let mut best = (f64::NEG_INFINITY, 0.0);
+        for half in -12..=12 {
+            let offset = f64::from(half) * 0.5;
+            let weight = (-0.5 * (offset / scatter).powi(2)).exp();
+            let score = weight * evidence.at(axes.image([along, middle + offset]));
+            if score > best.0 {
+                best = (score, offset);
+            }
+        }
+        votes.push(best.0);
+        offsets.push(best.1);
+        let leaf = |across: i32| evidence.leaf_at(axes.image([along, middle + f64::from(across)]));
+        let here = STEP * (-BAND..=BAND).map(leaf).sum::<f64>();
+        sum += here;
+        moment += here * k as f64;
+        mass.push([sum, moment]);
+    }
+    (Profile { start, votes, mass }, offsets)
+}
