@@ -281,7 +281,7 @@ fn seneca() -> TwinConfig {
             ..FlightConfig::default()
         },
         targets: TargetConfig { control: 6, check: 4, size_m: 0.8, ..TargetConfig::default() },
-        image: ImageConfig { soil_contrast: 0.6, ..ImageConfig::default() },
+        image: ImageConfig { soil_contrast: 1.1, ..ImageConfig::default() },
         ..TwinConfig::default()
     }
 }
