@@ -79,9 +79,9 @@ pub(super) fn find(
             continue;
         };
         // Both edges to a fraction of a pixel; what B moves counts as far as it is along the walk.
-        let from = edge.offset(length);
+        let from = edge.offset(length, edges.sigma_px);
         let facing = -(other.normal[0] * edge.normal[0] + other.normal[1] * edge.normal[1]);
-        let to = other.offset(length) * facing;
+        let to = other.offset(length, edges.sigma_px) * facing;
         let width = (length - from - to).max(0.3);
         let theta = (0.5 * (edge.angle() + other.angle())).rem_euclid(PI);
         slices.all.push(Slice {
