@@ -179,12 +179,13 @@ fn nested_imports(source: &Source, module: &str) -> Vec<String> {
 fn each_dependency_has_its_place() {
     /// What may be mentioned only where.
     const PLACES: &[(&[&str], &[&str])] = &[
-        (&["argmin"], &["drive/executor"]),
+        (&["argmin"], &["drive/executor", "drive/simplex"]),
         (&["clarabel"], &["convex"]),
         (&["faer"], &["nlls/cholesky"]),
         (&["geotiff_reader", "geotiff_writer", "tiff_reader", "ndarray"], &["io/geotiff"]),
         (&["indicatif"], &["drive", "cli"]),
         (&["pulp"], &["raster/pixels", "lanes", "nlls/fused"]),
+        (&["mwmatching"], &["phenotype/leaves/bridge"]),
         (&["zune_jpeg"], &["io/images"]),
         (&["clap"], &["cli"]),
         (&["tempfile"], &["io/output"]),

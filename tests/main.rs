@@ -15,6 +15,7 @@ mod data;
 mod drive;
 mod engine;
 mod evaluate;
+mod leaves;
 mod locate;
 mod nlls;
 mod program;

@@ -3,10 +3,13 @@
 //! Every experiment reads a data folder and writes `NAME.csv` (one line per run) and `NAME.md` (the
 //! table of means) into an output folder.
 
+mod leaves;
 mod locate;
 mod methods;
 mod plots;
+mod segment_speed;
 mod table;
+mod watershed;
 mod whole_field;
 
 use clap::{Args, Parser, Subcommand};
@@ -51,6 +54,25 @@ enum Experiment {
         #[command(flatten)]
         folders: Folders,
     },
+    /// Leaf segmentation: synthetic fields of which every leaf is known, and real rosettes.
+    Leaves {
+        #[command(flatten)]
+        folders: Folders,
+        /// Masks per scenario.
+        #[arg(long, default_value_t = 3)]
+        masks: u64,
+    },
+    /// The time of the leaf mask of raw RGB pixels; see scripts/segment_speed.py.
+    SegmentSpeed {
+        /// Three bytes for each pixel.
+        raw: PathBuf,
+        /// Columns.
+        width: u32,
+        /// Rows.
+        height: u32,
+        /// Where the mask goes, one byte for each pixel.
+        mask: PathBuf,
+    },
     /// Speed and accuracy on one mask of a whole field.
     WholeField {
         #[command(flatten)]
@@ -64,6 +86,10 @@ fn main() -> ExitCode {
         Experiment::LocatePlots { folders } => plots::run(&folders),
         Experiment::Locate { folders } => {
             locate::run(&folders, 10).and_then(|()| plots::run(&folders))
+        }
+        Experiment::Leaves { folders, masks } => leaves::run(&folders, masks),
+        Experiment::SegmentSpeed { raw, width, height, mask } => {
+            segment_speed::run(&raw, width, height, &mask)
         }
         Experiment::WholeField { folders } => whole_field::run(&folders),
     };

@@ -13,6 +13,7 @@ mod locate;
 mod run;
 mod segment;
 mod synth;
+mod thresholds;
 
 use crate::{error::Error, io::FileError};
 use clap::{Parser, Subcommand};
@@ -43,6 +44,7 @@ enum Verb {
     Synth(synth::Args),
     Locate(locate::Locate),
     Segment(segment::Args),
+    Thresholds(thresholds::Args),
     Leaves(leaves::Args),
     Count(count::Args),
     Density(density::Args),
@@ -80,6 +82,7 @@ fn run(cli: Cli) -> Result<(), Error> {
         Verb::Synth(args) => synth::run(&args),
         Verb::Locate(verb) => verb.run(),
         Verb::Segment(args) => segment::run(&args),
+        Verb::Thresholds(args) => thresholds::run(&args),
         Verb::Leaves(args) => leaves::run(&args),
         Verb::Count(args) => count::run(&args),
         Verb::Density(args) => density::run(&args),

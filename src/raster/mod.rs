@@ -19,6 +19,7 @@ pub mod mask;
 pub mod overlay;
 mod pixels;
 pub mod polygon;
+pub mod tuning;
 pub mod white_balance;
 pub mod window;
 
