@@ -83,6 +83,20 @@ impl Colours {
         Ok(Colours(colours))
     }
 
+    /// The colours of several sets of photos together.
+    pub fn joined<'a>(parts: impl IntoIterator<Item = &'a Colours>) -> Colours {
+        let mut all: Vec<_> = parts.into_iter().flat_map(|part| part.0.iter().copied()).collect();
+        all.sort_unstable();
+        all.dedup_by(|next, kept| {
+            let same = next.0 == kept.0;
+            if same {
+                (0..2).for_each(|k| kept.1[k] += next.1[k]);
+            }
+            same
+        });
+        Colours(all)
+    }
+
     /// Judges thresholds.
     pub fn judge(&self, thresholds: &Thresholds) -> Confusion {
         let mut confusion = Confusion::default();
@@ -307,6 +321,15 @@ mod tests {
                 prop_assert_eq!(confusion, colours.judge(&candidate));
             }
         }
+    }
+
+    #[test]
+    fn joined_colours_judge_as_the_sum() {
+        let (a, b) = ([(60, 160, 50, true), (9, 9, 9, false)], [(60, 160, 50, false)]);
+        let joined = Colours::joined([&colours(&a), &colours(&b)]);
+        let confusion = joined.judge(&Thresholds::default());
+        assert_eq!((confusion.true_positive, confusion.false_positive), (1, 1));
+        assert_eq!((confusion.true_negative, joined.0.len()), (1, 2));
     }
 
     #[test]

@@ -119,7 +119,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
                 .map_err(|error| FileError::malformed(path, None, error.to_string()).into())
         })
         .collect::<Result<_, Error>>()?;
-    let all = Colours::of(photos.iter().zip(&masks))?;
+    let all = Colours::joined(&of_one);
     let (origin, tau) = match (annotated, args.judge) {
         (true, true) => ("given", args.tau),
         (true, false) => ("tuned", all.tune(args.tau)),
@@ -128,8 +128,8 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     let mut judged = Vec::new();
     for (k, colours) in of_one.iter().enumerate().filter(|_| annotated) {
         let used = if args.leave_one_out {
-            let others = photos.iter().zip(&masks).enumerate().filter(|(other, _)| *other != k);
-            Colours::of(others.map(|(_, pair)| pair))?.tune(args.tau)
+            let others = of_one.iter().enumerate().filter(|(other, _)| *other != k);
+            Colours::joined(others.map(|(_, colours)| colours)).tune(args.tau)
         } else {
             tau
         };
