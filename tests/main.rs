@@ -22,6 +22,7 @@ mod drive;
 mod engine;
 mod evaluate;
 mod features;
+mod leaves;
 mod locate;
 mod nlls;
 mod program;

@@ -10,7 +10,10 @@ mod locate;
 mod methods;
 mod plots;
 mod relative;
+mod leaves;
+mod segment_speed;
 mod table;
+mod watershed;
 mod whole_field;
 
 use clap::{Args, Parser, Subcommand};
@@ -93,6 +96,21 @@ enum Experiment {
     CanopyField {
         #[command(flatten)]
         folders: Folders,
+    /// Leaf segmentation: synthetic fields of which every leaf is known, and real rosettes.
+    Leaves {
+        /// Masks per scenario.
+        #[arg(long, default_value_t = 3)]
+        masks: u64,
+    /// The time of the leaf mask of raw RGB pixels; see scripts/segment_speed.py.
+    SegmentSpeed {
+        /// Three bytes for each pixel.
+        raw: PathBuf,
+        /// Columns.
+        width: u32,
+        /// Rows.
+        height: u32,
+        /// Where the mask goes, one byte for each pixel.
+        mask: PathBuf,
     },
     /// Speed and accuracy on one mask of a whole field.
     WholeField {
@@ -116,6 +134,9 @@ fn main() -> ExitCode {
             options(&set).and_then(|options| canopy_plots::run(&folders, &options, train_only))
         }
         Experiment::CanopyField { folders } => canopy_field::run(&folders),
+        Experiment::Leaves { folders, masks } => leaves::run(&folders, masks),
+        Experiment::SegmentSpeed { raw, width, height, mask } => {
+            segment_speed::run(&raw, width, height, &mask)
         Experiment::WholeField { folders } => whole_field::run(&folders),
     };
     match done {

@@ -21,6 +21,7 @@ mod stand;
 mod survey;
 mod synth;
 mod undistort;
+mod thresholds;
 
 use crate::{error::Error, io::FileError};
 use clap::{Parser, Subcommand};
@@ -58,6 +59,7 @@ enum Verb {
     Segment(segment::Args),
     Features(features::Args),
     Match(features::MatchArgs),
+    Thresholds(thresholds::Args),
     Leaves(leaves::Args),
     Count(count::Args),
     Density(density::Args),
@@ -102,6 +104,7 @@ fn run(cli: Cli) -> Result<(), Error> {
         Verb::Segment(args) => segment::run(&args),
         Verb::Features(args) => features::run(&args),
         Verb::Match(args) => features::run_match(&args),
+        Verb::Thresholds(args) => thresholds::run(&args),
         Verb::Leaves(args) => leaves::run(&args),
         Verb::Count(args) => count::run(&args),
         Verb::Density(args) => density::run(&args),

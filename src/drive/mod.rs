@@ -46,6 +46,7 @@
 mod checkpoint;
 mod executor;
 mod observe;
+pub mod simplex;
 mod state;
 mod trace;
 

@@ -139,7 +139,7 @@ fn two_values(reader: &Reader) -> Result<Mask, FileError> {
     }
     let plant = match values[..] {
         [first, second] => u8::from(second > first),
-        [only] if only == 0.0 => 1,
+        [0.0] => 1,
         _ => 0,
     };
     data.iter_mut().for_each(|pixel| *pixel = u8::from(*pixel == plant));

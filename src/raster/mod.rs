@@ -23,6 +23,7 @@ mod pixels;
 pub mod polygon;
 pub mod sketch;
 pub mod undistort;
+pub mod tuning;
 pub mod white_balance;
 pub mod window;
 

@@ -38,7 +38,7 @@ pub struct Reader {
 }
 
 enum File {
-    Placed(GeoTiffFile),
+    Placed(Box<GeoTiffFile>),
     Plain(TiffFile),
 }
 
@@ -57,7 +57,7 @@ impl Reader {
         };
         let malformed = |message: String| FileError::malformed(path, None, message);
         let file = match GeoTiffFile::open_with_options(path, options()) {
-            Ok(file) => File::Placed(file),
+            Ok(file) => File::Placed(Box::new(file)),
             Err(GeoError::NotGeoTiff) => File::Plain(
                 TiffFile::open_with_options(path, options())
                     .map_err(|e| malformed(format!("damaged or unsupported TIFF: {e}")))?,

@@ -28,6 +28,9 @@ pub(super) struct End {
     pub(super) outward: [f64; 2],
     /// Width near the end, pixels.
     pub(super) width: f64,
+    /// How much narrower the end is than the widest place within the next six widths, in halvings; 0 where it is
+    /// as wide or wider.
+    pub(super) narrows: f64,
 }
 
 impl Axis {
@@ -109,20 +112,63 @@ impl Axis {
         let count = self.points.len();
         let order = |i: usize| if last { count - 1 - i } else { i };
         let at = self.points[order(0)];
-        // The direction is taken over two widths: nearer it is noise, farther it is another bend.
-        let (mut inner, mut width, mut taken) = (at, 0.0, 0);
+        // The direction is that from three widths to one before the end: nearer to it the leaf that crosses bends
+        // the outline, farther away is another bend. A short segment gives what it has.
+        let usual = self.mean_width();
+        let (mut near, mut inner) = (at, at);
+        let (mut width, mut taken) = (0.0, 0);
         for i in 0..count {
-            inner = self.points[order(i)];
-            width += self.widths[order(i)];
-            taken += 1;
-            if i > 0 && distance(at, inner) >= (2.0 * width / f64::from(taken)).max(4.0) {
+            let point = self.points[order(i)];
+            let d = distance(at, point);
+            if i == 0 || d <= usual {
+                near = point;
+                width += self.widths[order(i)];
+                taken += 1;
+            }
+            inner = point;
+            if i > 0 && d >= (3.0 * usual).max(5.0) {
                 break;
             }
         }
-        let d = distance(at, inner);
+        if distance(near, inner) < usual {
+            near = at;
+        }
+        let d = distance(near, inner);
         let outward =
-            if d > 0.0 { [(at[0] - inner[0]) / d, (at[1] - inner[1]) / d] } else { [1.0, 0.0] };
-        End { at, outward, width: width / f64::from(taken.max(1)) }
+            if d > 0.0 { [(near[0] - inner[0]) / d, (near[1] - inner[1]) / d] } else { [1.0, 0.0] };
+        let reach = distance(at, near);
+        let at = [near[0] + reach * outward[0], near[1] + reach * outward[1]];
+        let width = width / f64::from(taken.max(1));
+        let within = |&i: &usize| distance(at, self.points[order(i)]) < 6.0 * width;
+        let widest =
+            (0..count).take_while(within).map(|i| self.widths[order(i)]).fold(width, f64::max);
+        End { at, outward, width, narrows: (widest / width).log2() }
+    }
+
+    /// Moves both ends out as far as the leaf's pixels reach: those ahead of an end, not farther aside than the leaf is
+    /// wide and not farther ahead than three widths.
+    pub(super) fn reach_to(&mut self, pixels: impl Iterator<Item = [f64; 2]> + Clone) {
+        if self.points.len() < 2 {
+            return;
+        }
+        for last in [false, true] {
+            let end = self.end(last);
+            let ahead = |p: [f64; 2]| {
+                let d = [p[0] - end.at[0], p[1] - end.at[1]];
+                let s = d[0] * end.outward[0] + d[1] * end.outward[1];
+                let t = d[1] * end.outward[0] - d[0] * end.outward[1];
+                let near = t.abs() <= end.width.max(1.0) && s <= 3.0 * end.width.max(1.0);
+                if near { s } else { 0.0 }
+            };
+            // Half a pixel: from its centre to its border.
+            let reach = pixels.clone().map(ahead).fold(0.0, f64::max);
+            if reach > 0.5 {
+                let index = if last { self.points.len() - 1 } else { 0 };
+                for k in 0..2 {
+                    self.points[index][k] += (reach + 0.5) * end.outward[k];
+                }
+            }
+        }
     }
 
     /// Adds another axis behind the last point.

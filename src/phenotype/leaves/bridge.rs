@@ -10,14 +10,17 @@
 //! are small, the gap is not longer than a limit, and what lies in it is plant. Every end is in one
 //! bridge at most. [`Bridging::Greedy`] takes the shortest gap first, as a search from each end would;
 //! ties go to the pair found first. [`Bridging::Global`] weighs all gaps of a part at once: it takes the
-//! matching of the largest sum of `3 - cost`,
+//! matching of the largest sum of `1 - cost`,
 //!
 //! ```text
-//! cost = |g| / limit  +  (a^2 - a b + b^2) / T_c^2  +  (log2 w_e/w_f)^2 / 2,
+//! cost = |g| / limit  +  (a^2 - a b + b^2) / T_c^2  +  (log2 w_e/w_f)^2 / 2  +  2 min(t_e, t_f)  +  (1 - c) |g| / (2 (|g| + w)),
 //! ```
 //!
-//! where the middle term is the bending energy of the cubic curve that continues both directions
-//! (Hermite, slopes `-a` and `b` against the chord) and the last one that of a width that changes.
+//! where the second term is the bending energy of the cubic curve that continues both directions
+//! (Hermite, slopes `-a` and `b` against the chord) and the third that of a width that changes. `t = log2
+//! (w_inner/w)` is how much a segment narrows towards its end: a leaf that passes under another one does not narrow
+//! on both sides of it, but two leaves of a plant do where their bases meet. `c` is the share of the gap that shows
+//! another segment: the leaf that crosses.
 //!
 //! Reference: J. Edmonds, "Paths, trees, and flowers", 1965; Z. Galil, ACM Computing Surveys 18, 1986 (matching).
 
@@ -25,14 +28,14 @@ use super::{
     Bridging,
     axis::{End, distance},
     part::Local,
-    segments::Segment,
+    segments::{NONE, Segment},
     slices::turn,
 };
 
 /// Share of a gap that must be plant.
 const COVERED: f64 = 0.7;
 /// Cost from which two ends are better left alone.
-const MOST: f64 = 3.0;
+const MOST: f64 = 1.0;
 
 /// What may be bridged.
 pub(super) struct Rules {
@@ -50,15 +53,22 @@ struct Gap {
     cost: f64,
 }
 
+/// The segment of each local pixel, by its number.
+pub(super) struct Owners<'a> {
+    pub(super) number: &'a [u32],
+    pub(super) of: &'a [u32],
+}
+
 /// Leaves as chains of segments: `(segment, reversed)`, in the order along the leaf.
 pub(super) fn chains(
     local: &Local,
+    owners: &Owners<'_>,
     segments: &[Segment],
     rules: &Rules,
 ) -> Vec<Vec<(usize, bool)>> {
     let mut partner = vec![None; 2 * segments.len()];
     if rules.bridging != Bridging::None {
-        let gaps = gaps(local, segments, rules);
+        let gaps = gaps(local, owners, segments, rules);
         for gap in choose(gaps, rules.bridging, 2 * segments.len()) {
             partner[gap.ends[0]] = Some(gap.ends[1]);
             partner[gap.ends[1]] = Some(gap.ends[0]);
@@ -97,7 +107,7 @@ pub(super) fn chains(
 }
 
 /// All gaps that the rules allow, by their ends.
-fn gaps(local: &Local, segments: &[Segment], rules: &Rules) -> Vec<Gap> {
+fn gaps(local: &Local, owners: &Owners<'_>, segments: &[Segment], rules: &Rules) -> Vec<Gap> {
     let ends: Vec<End> =
         segments.iter().flat_map(|s| [s.axis.end(false), s.axis.end(true)]).collect();
     // Sorted by column, so that only ends within the limit are looked at.
@@ -111,7 +121,7 @@ fn gaps(local: &Local, segments: &[Segment], rules: &Rules) -> Vec<Gap> {
             }
             let pair = [one.min(other), one.max(other)];
             if pair[0] / 2 != pair[1] / 2
-                && let Some(gap) = gap(local, pair, &ends[pair[0]], &ends[pair[1]], rules)
+                && let Some(gap) = gap(local, owners, pair, &ends[pair[0]], &ends[pair[1]], rules)
             {
                 found.push(gap);
             }
@@ -121,7 +131,14 @@ fn gaps(local: &Local, segments: &[Segment], rules: &Rules) -> Vec<Gap> {
     found
 }
 
-fn gap(local: &Local, ends: [usize; 2], e: &End, f: &End, rules: &Rules) -> Option<Gap> {
+fn gap(
+    local: &Local,
+    owners: &Owners<'_>,
+    ends: [usize; 2],
+    e: &End,
+    f: &End,
+    rules: &Rules,
+) -> Option<Gap> {
     let length = distance(e.at, f.at);
     if length > rules.limit_px {
         return None;
@@ -141,16 +158,26 @@ fn gap(local: &Local, ends: [usize; 2], e: &End, f: &End, rules: &Rules) -> Opti
         return None;
     }
     let samples = (2.0 * length).ceil() as usize + 1;
-    let covered = (0..samples).filter(|&i| {
+    let (mut covered, mut crossed) = (0, 0);
+    for i in 0..samples {
         let t = (i as f64 + 0.5) / samples as f64;
-        local.inside(std::array::from_fn(|k| e.at[k] + t * (f.at[k] - e.at[k])))
-    });
-    if (covered.count() as f64) < COVERED * samples as f64 {
+        let at: [f64; 2] = std::array::from_fn(|k| e.at[k] + t * (f.at[k] - e.at[k]));
+        if let Some(pixel) = local.pixel(at) {
+            let owner = owners.of[owners.number[pixel as usize] as usize];
+            covered += 1;
+            let other = owner != NONE && !ends.iter().any(|&end| end / 2 == owner as usize);
+            crossed += usize::from(other);
+        }
+    }
+    if f64::from(covered) < COVERED * samples as f64 {
         return None;
     }
     let bend = if rules.curvature { (a * a - a * b + b * b) / (t_c * t_c) } else { 0.0 };
     let wider = (e.width / f.width).log2();
-    let cost = length / rules.limit_px + bend + 0.5 * wider * wider;
+    let narrows = 2.0 * e.narrows.min(f.narrows).max(0.0);
+    let uncrossed = 1.0 - crossed as f64 / samples as f64;
+    let open = 0.5 * uncrossed * length / (length + 0.5 * (e.width + f.width));
+    let cost = length / rules.limit_px + bend + 0.5 * wider * wider + narrows + open;
     Some(Gap { ends, length, cost })
 }
 

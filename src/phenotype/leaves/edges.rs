@@ -15,9 +15,7 @@
 use super::part::Local;
 use std::f64::consts::FRAC_1_SQRT_2;
 
-/// Smoothing of the mask, pixels.
-pub(super) const SIGMA_PX: f64 = 1.2;
-const REACH: usize = 4;
+const REACH: usize = 5;
 const TAPS: usize = 2 * REACH;
 
 /// A side of a plant pixel.
@@ -46,6 +44,12 @@ pub(super) struct Edge {
     pub(super) level: f64,
 }
 
+/// The smoothing for leaves of a usual width, pixels: enough to take the steps of the pixels out of a wide leaf's edges,
+/// and not so much that the two edges of a narrow one flow together.
+pub(super) fn sigma_px(usual_px: f64) -> f64 {
+    (0.35 + 0.15 * usual_px).clamp(0.8, 1.5)
+}
+
 impl Edge {
     /// Angle `G` of the gradient, radians.
     pub(super) fn angle(&self) -> f64 {
@@ -54,8 +58,8 @@ impl Edge {
 
     /// How far the edge of a leaf of width `width_px` lies from the middle of the side, pixels along the
     /// normal (positive: farther inside); at most one pixel.
-    pub(super) fn offset(&self, width_px: f64) -> f64 {
-        let straight = 0.5 - below(-width_px.max(0.5) / SIGMA_PX);
+    pub(super) fn offset(&self, width_px: f64, sigma_px: f64) -> f64 {
+        let straight = 0.5 - below(-width_px.max(0.5) / sigma_px);
         ((straight - self.level) / self.slope.max(0.05)).clamp(-1.0, 1.0)
     }
 }
@@ -84,7 +88,7 @@ struct Kernel {
 
 impl Kernel {
     /// For a side between two pixels side by side; index `row * TAPS + column`.
-    fn new() -> Kernel {
+    fn new(sigma_px: f64) -> Kernel {
         let mut kernel = Kernel {
             level: [0.0; TAPS * (TAPS - 1)],
             across: [0.0; TAPS * (TAPS - 1)],
@@ -95,11 +99,11 @@ impl Kernel {
             for column in 0..TAPS {
                 let x = column as f64 - REACH as f64 + 0.5;
                 let y = row as f64 - (REACH - 1) as f64;
-                let weight = (-(x * x + y * y) / (2.0 * SIGMA_PX * SIGMA_PX)).exp();
+                let weight = (-(x * x + y * y) / (2.0 * sigma_px * sigma_px)).exp();
                 let index = row * TAPS + column;
                 kernel.level[index] = weight;
-                kernel.across[index] = weight * x / (SIGMA_PX * SIGMA_PX);
-                kernel.along[index] = weight * y / (SIGMA_PX * SIGMA_PX);
+                kernel.across[index] = weight * x / (sigma_px * sigma_px);
+                kernel.along[index] = weight * y / (sigma_px * sigma_px);
                 sum += weight;
             }
         }
@@ -112,17 +116,18 @@ impl Kernel {
 
 /// All edge elements of a part, and for each pixel where its elements begin.
 pub(super) struct Edges {
+    pub(super) sigma_px: f64,
     pub(super) all: Vec<Edge>,
     /// For the plant pixel number `n`: its elements are `first[n]..first[n + 1]`.
     first: Vec<u32>,
 }
 
 impl Edges {
-    pub(super) fn of(local: &Local) -> Edges {
-        let kernel = Kernel::new();
+    pub(super) fn of(local: &Local, sigma_px: f64) -> Edges {
+        let kernel = Kernel::new(sigma_px);
         let width = local.width;
         let mut edges =
-            Edges { all: Vec::new(), first: Vec::with_capacity(local.pixels.len() + 1) };
+            Edges { sigma_px, all: Vec::new(), first: Vec::with_capacity(local.pixels.len() + 1) };
         for &pixel in &local.pixels {
             edges.first.push(edges.all.len() as u32);
             let index = pixel as usize;

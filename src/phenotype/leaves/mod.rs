@@ -67,7 +67,7 @@ pub struct Options {
     pub split: bool,
     /// The longest gap, in usual leaf widths.
     pub longest_gap: f64,
-    /// The widest slice, in usual leaf widths.
+    /// The widest slice, in usual leaf widths, four pixels added.
     pub widest_slice: f64,
     /// The usual width of a leaf, pixels; found from the mask where it is not given.
     pub leaf_width_px: Option<f64>,
@@ -84,8 +84,8 @@ impl Default for Options {
             bridging: Bridging::Global,
             curvature: true,
             split: true,
-            longest_gap: 4.0,
-            widest_slice: 2.5,
+            longest_gap: 6.0,
+            widest_slice: 1.2,
             leaf_width_px: None,
             min_pixels: 1,
         }
@@ -125,10 +125,12 @@ impl Leaf {
         self.width_px.iter().copied().fold(0.0, f64::max)
     }
 
-    /// Direction from the first to the last point of the axis, radians in [0, pi), from the picture's
-    /// `u` axis towards its `v` axis.
+    /// Direction of the axis, radians in [0, pi), from the picture's `u` axis towards its `v` axis. The outermost sixths
+    /// do not count: they follow the corners of the ends.
     pub fn angle_rad(&self) -> f64 {
-        match (self.axis_px.first(), self.axis_px.last()) {
+        let count = self.axis_px.len();
+        let skip = count / 6;
+        match (self.axis_px.get(skip), self.axis_px.get(count.wrapping_sub(1 + skip))) {
             (Some(a), Some(b)) if a != b => (b[1] - a[1]).atan2(b[0] - a[0]).rem_euclid(PI),
             _ => 0.0,
         }
@@ -151,6 +153,8 @@ pub struct Leaves {
 
 /// The longest walk across a leaf before its usual width is known, pixels.
 const LONGEST_PX: f64 = 128.0;
+/// Smoothing before it is known.
+const FIRST_SIGMA_PX: f64 = 1.0;
 /// Classes of the histogram of slice widths per pixel.
 const CLASSES_PER_PX: f64 = 16.0;
 
@@ -178,7 +182,7 @@ fn usual_width(parts: &[Part], t_a: f64) -> f64 {
         .par_iter()
         .map(|part| {
             let local = Local::of(part);
-            let found = slices(&local, &numbers(&local), t_a, LONGEST_PX);
+            let found = slices(&local, &numbers(&local), t_a, LONGEST_PX, FIRST_SIGMA_PX);
             let mut histogram = vec![0u64; classes];
             for slice in &found.all {
                 histogram[((slice.width * CLASSES_PER_PX) as usize).min(classes - 1)] += 1;
@@ -210,17 +214,30 @@ fn numbers(local: &Local) -> Vec<u32> {
     number
 }
 
-fn slices(local: &Local, number: &[u32], t_a: f64, longest_px: f64) -> slices::Slices {
-    let edges = edges::Edges::of(local);
+fn slices(
+    local: &Local,
+    number: &[u32],
+    t_a: f64,
+    longest_px: f64,
+    sigma_px: f64,
+) -> slices::Slices {
+    let edges = edges::Edges::of(local, sigma_px);
     slices::find(local, &edges, number, t_a, longest_px)
+}
+
+/// Direction and width of the leaf at each pixel of a part.
+fn measure(local: &Local, number: &[u32], options: &Options, usual_px: f64) -> Across {
+    // The rounding of both edges to pixels does not shrink with the leaf.
+    let widest_px = options.widest_slice * usual_px + 4.0;
+    let sigma_px = edges::sigma_px(usual_px);
+    let found = slices(local, number, options.t_a, widest_px + 3.0, sigma_px);
+    Across::of(local.pixels.len(), &found, widest_px)
 }
 
 fn of_part(part: &Part, options: &Options, usual_px: f64) -> Vec<Leaf> {
     let local = Local::of(part);
     let number = numbers(&local);
-    let widest_px = (options.widest_slice * usual_px).max(3.0);
-    let found = slices(&local, &number, options.t_a, 1.5 * widest_px + 2.0);
-    let across = Across::of(local.pixels.len(), &found, widest_px);
+    let across = measure(&local, &number, options, usual_px);
     let mut segments = segments::merge(&local, &across, &number, options.t_b);
     if options.split {
         segments = split::split(&local, &across, &number, segments, usual_px);
@@ -236,18 +253,26 @@ fn of_part(part: &Part, options: &Options, usual_px: f64) -> Vec<Leaf> {
         bridging: options.bridging,
         curvature: options.curvature,
     };
-    let chains = bridge::chains(&local, &segments, &rules);
     let mut owner = vec![NONE; local.pixels.len()];
+    for (segment, at) in segments.iter().zip(0..) {
+        for &pixel in &segment.pixels {
+            owner[number[pixel as usize] as usize] = at;
+        }
+    }
+    let owners = bridge::Owners { number: &number, of: &owner };
+    let chains = bridge::chains(&local, &owners, &segments, &rules);
+    let mut leaf_of = vec![NONE; segments.len()];
     let mut leaves = Vec::with_capacity(chains.len());
     for (leaf, chain) in chains.iter().enumerate() {
         let mut axis = Axis::default();
         for &(segment, reversed) in chain {
             axis.append(&segments[segment].axis, reversed);
-            for &pixel in &segments[segment].pixels {
-                owner[number[pixel as usize] as usize] = leaf as u32;
-            }
+            leaf_of[segment] = leaf as u32;
         }
         leaves.push(axis);
+    }
+    for owner in owner.iter_mut().filter(|owner| **owner != NONE) {
+        *owner = leaf_of[*owner as usize];
     }
     spread(&local, &number, &mut owner);
     finish(&local, &owner, leaves)
@@ -268,7 +293,16 @@ fn spread(local: &Local, number: &[u32], owner: &mut [u32]) {
     }
 }
 
-fn finish(local: &Local, owner: &[u32], axes: Vec<Axis>) -> Vec<Leaf> {
+fn finish(local: &Local, owner: &[u32], mut axes: Vec<Axis>) -> Vec<Leaf> {
+    let mut owned = vec![Vec::new(); axes.len()];
+    for (&pixel, &leaf) in local.pixels.iter().zip(owner) {
+        if leaf != NONE {
+            owned[leaf as usize].push(pixel);
+        }
+    }
+    for (axis, pixels) in axes.iter_mut().zip(&owned) {
+        axis.reach_to(pixels.iter().map(|&pixel| local.at(pixel)));
+    }
     let [left, top] = local.origin;
     let moved = |axis: &Axis| -> Vec<[f64; 2]> {
         axis.points.iter().map(|p| [p[0] + left as f64, p[1] + top as f64]).collect()
@@ -283,17 +317,15 @@ fn finish(local: &Local, owner: &[u32], axes: Vec<Axis>) -> Vec<Leaf> {
             area_px: 0,
         })
         .collect();
-    for (&pixel, &leaf) in local.pixels.iter().zip(owner) {
-        if leaf == NONE {
-            continue;
-        }
-        let leaf = &mut leaves[leaf as usize];
-        leaf.area_px += 1;
-        let u = (i64::from(pixel) % local.width as i64 + left) as usize;
-        let v = (i64::from(pixel) / local.width as i64 + top) as usize;
-        match leaf.runs.last_mut() {
-            Some(run) if run.v == v && run.end == u => run.end += 1,
-            _ => leaf.runs.push(Run { v, start: u, end: u + 1 }),
+    for (leaf, pixels) in leaves.iter_mut().zip(&owned) {
+        leaf.area_px = pixels.len();
+        for &pixel in pixels {
+            let u = (i64::from(pixel) % local.width as i64 + left) as usize;
+            let v = (i64::from(pixel) / local.width as i64 + top) as usize;
+            match leaf.runs.last_mut() {
+                Some(run) if run.v == v && run.end == u => run.end += 1,
+                _ => leaf.runs.push(Run { v, start: u, end: u + 1 }),
+            }
         }
     }
     debug_assert!(local.height > 2 * PAD || leaves.is_empty());

@@ -6,7 +6,7 @@
 use crate::raster::components::Part;
 
 /// Background around the part, so that no neighbourhood ends at a border.
-pub(super) const PAD: usize = 5;
+pub(super) const PAD: usize = 6;
 
 /// A part's pixels in a padded picture; an index counts its pixels row by row.
 pub(super) struct Local {
@@ -43,11 +43,12 @@ impl Local {
         [(pixel % width) as f64, (pixel / width) as f64]
     }
 
-    /// Whether a position lies in a pixel of the part.
-    pub(super) fn inside(&self, [u, v]: [f64; 2]) -> bool {
+    /// The pixel of the part in which a position lies.
+    pub(super) fn pixel(&self, [u, v]: [f64; 2]) -> Option<u32> {
         let (u, v) = (u.round(), v.round());
         let within = u >= 0.0 && v >= 0.0 && u < self.width as f64 && v < self.height as f64;
-        within && self.mask[v as usize * self.width + u as usize] != 0
+        let pixel = v.max(0.0) as usize * self.width + u.max(0.0) as usize;
+        (within && self.mask[pixel] != 0).then_some(pixel as u32)
     }
 
     /// The eight neighbours of a pixel that is not in the padding.

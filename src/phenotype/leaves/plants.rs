@@ -1,6 +1,6 @@
 //! Leaves and plants: which plant a leaf belongs to, and leaf directions for finding plants.
 
-use super::{Across, Leaves, Local, Options, numbers, slices, usual_width};
+use super::{Leaves, Local, Options, measure, numbers, usual_width};
 use crate::raster::{Mask, components};
 use rayon::prelude::*;
 
@@ -51,13 +51,11 @@ pub fn assign(leaves: &Leaves, plants_px: &[[f64; 2]]) -> Vec<Option<usize>> {
 pub fn directions(mask: &Mask, options: &Options) -> Vec<f32> {
     let parts = components::parts(mask);
     let usual_px = options.leaf_width_px.unwrap_or_else(|| usual_width(&parts, options.t_a));
-    let widest_px = (options.widest_slice * usual_px).max(3.0);
     let of_parts: Vec<Vec<f32>> = parts
         .par_iter()
         .map(|part| {
             let local = Local::of(part);
-            let found = slices(&local, &numbers(&local), options.t_a, 1.5 * widest_px + 2.0);
-            Across::of(local.pixels.len(), &found, widest_px).theta
+            measure(&local, &numbers(&local), options, usual_px).theta
         })
         .collect();
     let mut directions = vec![f32::NAN; mask.data.len()];

@@ -79,9 +79,9 @@ pub(super) fn find(
             continue;
         };
         // Both edges to a fraction of a pixel; what B moves counts as far as it is along the walk.
-        let from = edge.offset(length);
+        let from = edge.offset(length, edges.sigma_px);
         let facing = -(other.normal[0] * edge.normal[0] + other.normal[1] * edge.normal[1]);
-        let to = other.offset(length) * facing;
+        let to = other.offset(length, edges.sigma_px) * facing;
         let width = (length - from - to).max(0.3);
         let theta = (0.5 * (edge.angle() + other.angle())).rem_euclid(PI);
         slices.all.push(Slice {
@@ -147,7 +147,7 @@ mod tests {
 
     #[test]
     fn angles_wrap() {
-        assert!(turn(0.01, TAU - 0.01) < 0.021 && turn(0.0, PI) > 3.14);
+        assert!(turn(0.01, TAU - 0.01) < 0.021 && turn(0.0, PI) > 3.1);
         // 179 and 1 degrees differ by 2.
         assert!((tilt(179f64.to_radians(), 1f64.to_radians()).to_degrees() - 2.0).abs() < 1e-9);
         assert!(tilt(0.3, 0.3 + 5.0 * PI) < 1e-9);

@@ -3,8 +3,8 @@
 //! A grass leaf has one widest place: its width rises from the collar and falls to the tip. So a
 //! segment is cut
 //!
-//! - *across*, where its width has a deep minimum between two maxima: two leaves that follow each other, such
-//!   as the opposite leaves of a plant, base to base;
+//! - *across*, where its width has a deep minimum between two maxima, or where it has a kink: two leaves that follow
+//!   each other, such as the opposite leaves of a plant, base to base;
 //! - *lengthwise*, where it is about twice as wide as a single leaf over a longer stretch: two leaves side
 //!   by side, which share the stretch along its axis.
 
@@ -12,10 +12,13 @@ use super::{
     axis::{Axis, distance},
     part::Local,
     segments::{Across, Segment},
+    slices::turn,
 };
 
 /// A minimum is deep below this share of the smaller of the maxima on its two sides.
 const DEEP: f64 = 0.62;
+/// A bend by more than this within three widths is a kink, radians.
+const KINK: f64 = 0.6;
 /// Width of two leaves side by side, in widths of a single one.
 const DOUBLE: f64 = 1.7;
 
@@ -36,7 +39,31 @@ pub(super) fn split(
     pieces
 }
 
-/// The pieces of a segment between the deep minima of its width.
+/// The places where an axis has a kink: of neighbouring ones the sharpest.
+fn kinks(axis: &Axis) -> Vec<usize> {
+    let points = &axis.points;
+    let reach = (1.5 * axis.mean_width()).max(3.0);
+    let sharpness: Vec<f64> = (0..points.len())
+        .map(|i| {
+            let ahead = (i..points.len()).find(|&j| distance(points[i], points[j]) >= reach);
+            let behind = (0..=i).rev().find(|&j| distance(points[i], points[j]) >= reach);
+            let (Some(a), Some(b)) = (behind, ahead) else { return 0.0 };
+            let angle = |p: [f64; 2], q: [f64; 2]| (q[1] - p[1]).atan2(q[0] - p[0]);
+            turn(angle(points[a], points[i]), angle(points[i], points[b]))
+        })
+        .collect();
+    (1..points.len().saturating_sub(1))
+        .filter(|&i| {
+            let near = |j: &usize| distance(points[i], points[*j]) < reach;
+            let before = (0..i).rev().take_while(near).all(|j| sharpness[j] < sharpness[i]);
+            let after =
+                (i + 1..points.len()).take_while(near).all(|j| sharpness[j] <= sharpness[i]);
+            sharpness[i] > KINK && before && after
+        })
+        .collect()
+}
+
+/// The pieces of a segment between the deep minima of its width, and its kinks.
 fn at_minima(local: &Local, across: &Across, number: &[u32], segment: Segment) -> Vec<Segment> {
     let widths = &segment.axis.widths;
     let mut cuts = Vec::new();
@@ -48,6 +75,9 @@ fn at_minima(local: &Local, across: &Across, number: &[u32], segment: Segment) -
             break;
         }
     }
+    cuts.extend(kinks(&segment.axis));
+    cuts.sort_unstable();
+    cuts.dedup();
     if cuts.is_empty() {
         return vec![segment];
     }
