@@ -183,6 +183,7 @@ fn each_dependency_has_its_place() {
         (&["argmin"], &["drive/executor"]),
         (&["clarabel"], &["convex"]),
         (&["faer"], &["nlls/cholesky"]),
+        (&["geotiff_reader", "geotiff_writer", "tiff_reader", "ndarray"], &["io/geotiff"]),
         (&["indicatif"], &["drive", "cli"]),
         (&["pulp"], &["raster/pixels", "lanes", "nlls/fused"]),
         (&["zune_jpeg"], &["io/images"]),

@@ -43,6 +43,7 @@ pub mod field;
 pub mod files;
 pub mod flight;
 pub mod habit;
+pub mod labels;
 pub mod leaf;
 pub mod photo;
 pub mod picture;

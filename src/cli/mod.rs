@@ -6,8 +6,11 @@
 mod adjust;
 mod calibrate;
 mod camera;
+mod count;
+mod density;
 mod evaluate;
 mod figures;
+mod leaves;
 mod locate;
 mod run;
 mod segment;
@@ -48,6 +51,9 @@ enum Verb {
     Synth(synth::Args),
     Locate(locate::Locate),
     Segment(segment::Args),
+    Leaves(leaves::Args),
+    Count(count::Args),
+    Density(density::Args),
     Evaluate(evaluate::Args),
 }
 
@@ -86,6 +92,9 @@ fn run(cli: Cli) -> Result<(), Error> {
         Verb::Synth(args) => synth::run(&args),
         Verb::Locate(verb) => verb.run(),
         Verb::Segment(args) => segment::run(&args),
+        Verb::Leaves(args) => leaves::run(&args),
+        Verb::Count(args) => count::run(&args),
+        Verb::Density(args) => density::run(&args),
         Verb::Evaluate(args) => evaluate::run(&args),
     }
 }

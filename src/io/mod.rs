@@ -7,11 +7,15 @@ pub mod checkpoint;
 pub mod colmap;
 pub mod control;
 pub mod corners;
+pub mod geotiff;
 pub mod images;
+pub mod labels;
 pub mod model;
 pub mod opensfm;
 pub mod output;
 pub mod points;
+pub mod polygons;
+pub mod rasters;
 mod table;
 
 use crate::error::Kind;

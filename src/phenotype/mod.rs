@@ -1,4 +1,6 @@
 //! Plant traits from a mask.
 
+pub mod leaf_count;
+pub mod leaves;
 pub mod locate;
 pub mod rows;
