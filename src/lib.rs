@@ -37,6 +37,7 @@ pub mod error;
 pub mod geometry;
 pub mod io;
 pub mod lanes;
+pub mod mapping;
 pub mod nlls;
 pub mod phenotype;
 pub mod problems;
