@@ -1,7 +1,8 @@
 //! One error for the whole library, joined from the modules' own.
 
 use crate::{
-    engine::SolveError, io, mapping::MapError, phenotype::locate::LocateError, problems::adjustment::AdjustError,
+    engine::SolveError, io, mapping::MapError, phenotype::locate::LocateError,
+    problems::adjustment::AdjustError,
 };
 
 /// What kind of failure an [`Error`] is; decides the exit code of the program.

@@ -364,7 +364,11 @@ mod tests {
             if z.is_finite() {
                 known += 1;
                 // Heights are stored in 32 bits: 8e-6 m at 100 m.
-                approx::assert_abs_diff_eq!(f64::from(z), 100.0 + 0.1 * x - 0.05 * y, epsilon = 2e-5);
+                approx::assert_abs_diff_eq!(
+                    f64::from(z),
+                    100.0 + 0.1 * x - 0.05 * y,
+                    epsilon = 2e-5
+                );
                 assert!(sigmas[k] <= 0.02 + 1e-6 && sigmas[k] > 0.004, "{}", sigmas[k]);
             }
             assert!(x < 20.1 || z.is_nan(), "{x} {y}");
@@ -383,7 +387,10 @@ mod tests {
         }
         points.push(points[7]);
         let cloud = Cloud::new(&points, &Options::default()).unwrap();
-        assert_eq!((cloud.account.outliers.as_slice(), cloud.account.doubles), (&[100, 101, 300][..], 1));
+        assert_eq!(
+            (cloud.account.outliers.as_slice(), cloud.account.doubles),
+            (&[100, 101, 300][..], 1)
+        );
     }
 
     #[test]

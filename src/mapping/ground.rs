@@ -68,9 +68,8 @@ pub fn ground(cloud: &Cloud, options: &Options, place: &Georeference) -> Result<
             Datum { cell, value: z[rank], weight: z.len() as f64 }
         })
         .collect();
-    let solution =
-        lower_envelope([width, height], &data, options.quantile, options.smoothness)
-            .map_err(|error| MapError(format!("the ground: {error}")))?;
+    let solution = lower_envelope([width, height], &data, options.quantile, options.smoothness)
+        .map_err(|error| MapError(format!("the ground: {error}")))?;
     let heights = solution.into_iter().map(|z| z as f32).collect();
     Surface::new(coarse, [width, height], heights, Heights::Bilinear)
 }

@@ -63,6 +63,39 @@ impl Blend {
         Blend { window, sums: vec![[0.0; 4]; window.pixels()] }
     }
 
+    /// The photos that have a weight in a window, by index.
+    pub fn photos(selector: &Selector<'_>, sources: &Sources, feather_m: f64) -> Vec<usize> {
+        let window = sources.window;
+        let among = selector.within(window);
+        let count = selector.views().len();
+        let rows = sources.source.par_chunks(window.width).enumerate();
+        let used = rows
+            .map_init(Vec::new, |candidates, (j, source)| {
+                let mut used = vec![false; count];
+                for (i, &source) in source.iter().enumerate().filter(|(_, source)| **source > 0) {
+                    let own = source as usize - 1;
+                    used[own] = true;
+                    let Some(point) = selector.point_m(window.u + i, window.v + j) else {
+                        continue;
+                    };
+                    selector.candidates(point, &among, candidates);
+                    for candidate in candidates.iter() {
+                        used[candidate.view] |=
+                            selector.to_seam_m(point, own, candidate.view) < feather_m;
+                    }
+                }
+                used
+            })
+            .reduce(
+                || vec![false; count],
+                |mut all, used| {
+                    all.iter_mut().zip(used).for_each(|(a, b)| *a |= b);
+                    all
+                },
+            );
+        (0..count).filter(|&k| used[k]).collect()
+    }
+
     /// Adds the photos that are in memory; each is to be added once.
     pub fn add(
         &mut self,
@@ -88,11 +121,12 @@ impl Blend {
                         continue;
                     };
                     selector.candidates(point, &among, candidates);
+                    // Sums in the order of the photos, however many are in memory at a time.
+                    candidates.sort_unstable_by_key(|candidate| candidate.view);
                     for candidate in candidates.iter() {
                         let k = candidate.view;
                         let Some(photo) = photos[k] else { continue };
-                        let away =
-                            if k == own { 0.0 } else { selector.to_seam_m(point, own, k) };
+                        let away = if k == own { 0.0 } else { selector.to_seam_m(point, own, k) };
                         let size = selector.views()[k].interior.size_px();
                         let border = (0..2)
                             .map(|a| {

@@ -91,13 +91,11 @@ impl<'a> Selector<'a> {
         let range_m = surface.range_m();
         let reach = views.par_iter().map(|view| view.reach_m(range_m)).collect();
         // Cells to positions in the surface's own grid, in one step.
-        let at = |cell: [f64; 2]| {
-            surface.georeference.pixel(grid.map(cell)).unwrap_or([f64::NAN; 2])
-        };
+        let at =
+            |cell: [f64; 2]| surface.georeference.pixel(grid.map(cell)).unwrap_or([f64::NAN; 2]);
         let (origin, right, below) = (at([0.0, 0.0]), at([1e4, 0.0]), at([0.0, 1e4]));
-        let to_surface = [0, 1].map(|k| {
-            [origin[k], (right[k] - origin[k]) * 1e-4, (below[k] - origin[k]) * 1e-4]
-        });
+        let to_surface = [0, 1]
+            .map(|k| [origin[k], (right[k] - origin[k]) * 1e-4, (below[k] - origin[k]) * 1e-4]);
         Selector { views, reach, surface, grid, rules, to_surface }
     }
 
@@ -124,13 +122,15 @@ impl<'a> Selector<'a> {
     /// The photos that may reach some cells, by their reach on the map.
     pub fn within(&self, window: Window) -> Vec<u32> {
         let (u, v) = (window.u as f64, window.v as f64);
-        let (right, below) =
-            (u + window.width as f64 - 1.0, v + window.height as f64 - 1.0);
+        let (right, below) = (u + window.width as f64 - 1.0, v + window.height as f64 - 1.0);
         let corners =
             [[u, v], [right, v], [u, below], [right, below]].map(|corner| self.grid.map(corner));
         let range = [0, 1].map(|k| {
             let of = corners.map(|c| c[k]);
-            [of.iter().copied().fold(f64::INFINITY, f64::min), of.iter().copied().fold(f64::NEG_INFINITY, f64::max)]
+            [
+                of.iter().copied().fold(f64::INFINITY, f64::min),
+                of.iter().copied().fold(f64::NEG_INFINITY, f64::max),
+            ]
         });
         let meets = |bounds: &super::view::Bounds| {
             (0..2).all(|k| bounds[k][0] <= range[k][1] && bounds[k][1] >= range[k][0])
@@ -174,8 +174,7 @@ impl<'a> Selector<'a> {
         if self.rules.border_px > 0.0 {
             let size = view.interior.size_px().map(f64::from);
             let border = self.rules.border_px - 0.5;
-            let inside =
-                (0..2).all(|k| at[k] >= border && at[k] <= size[k] - 1.0 - border);
+            let inside = (0..2).all(|k| at[k] >= border && at[k] <= size[k] - 1.0 - border);
             if !inside {
                 return None;
             }

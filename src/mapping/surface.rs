@@ -62,9 +62,8 @@ impl Surface {
             return Err(MapError("its cells have no area on the map".into()));
         }
         let known = heights_m.iter().filter(|z| z.is_finite()).map(|&z| f64::from(z));
-        let range_m = known.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], z| {
-            [low.min(z), high.max(z)]
-        });
+        let range_m = known
+            .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], z| [low.min(z), high.max(z)]);
         if range_m[0] > range_m[1] {
             return Err(MapError("none of its cells has a height".into()));
         }

@@ -137,7 +137,10 @@ impl View {
         let mut bounds = [[f64::INFINITY, f64::NEG_INFINITY]; 2];
         let [width, height] = self.size_px;
         let inner = (0..9).map(|k| {
-            [(k % 3) as f64 * 0.25 * width + 0.25 * width, (k / 3) as f64 * 0.25 * height + 0.25 * height]
+            [
+                (k % 3) as f64 * 0.25 * width + 0.25 * width,
+                (k / 3) as f64 * 0.25 * height + 0.25 * height,
+            ]
         });
         for at in self.outline().into_iter().chain(inner) {
             let Some(point) = self.ground(at, surface) else { continue };
