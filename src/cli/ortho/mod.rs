@@ -77,6 +77,9 @@ pub(super) struct Args {
         allow_negative_numbers = true
     )]
     bounds: Vec<f64>,
+    /// The map has the grid of this GeoTIFF.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["gsd", "bounds"])]
+    like: Option<PathBuf>,
     /// Which photo a cell is taken from.
     #[arg(long, value_enum, default_value_t = ChoiceName::Closest)]
     choice: ChoiceName,
@@ -378,6 +381,15 @@ impl Setting<'_> {
     /// The grid of the map: its pixels' borders lie on multiples of their size.
     fn grid(&self) -> Result<(Georeference, [usize; 2]), Error> {
         let args = self.args;
+        if let Some(path) = &args.like {
+            let reader = geotiff::Reader::open(path)?;
+            let place = reader.georeference().filter(|place| place.crs.kind != CrsKind::Geographic);
+            let place = place.ok_or_else(|| {
+                FileError::malformed(path, None, "it does not lie on a map in metres")
+            })?;
+            let grid = Georeference { crs: self.surface.georeference.crs, ..place };
+            return Ok((grid, [reader.width(), reader.height()]));
+        }
         let gsd = match args.gsd {
             Some(gsd) => gsd,
             None => {
