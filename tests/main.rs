@@ -22,6 +22,7 @@ mod engine;
 mod evaluate;
 mod locate;
 mod nlls;
+mod ortho;
 mod program;
 mod run;
 mod segment;
