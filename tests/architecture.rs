@@ -184,7 +184,10 @@ fn each_dependency_has_its_place() {
         (&["argmin"], &["drive/executor"]),
         (&["clarabel"], &["convex"]),
         (&["faer"], &["nlls/cholesky"]),
-        (&["geotiff_reader", "tiff_core", "tiff_reader", "tiff_writer", "ndarray"], &["io/geotiff"]),
+        (
+            &["geotiff_reader", "tiff_core", "tiff_reader", "tiff_writer", "ndarray"],
+            &["io/geotiff"],
+        ),
         (&["indicatif"], &["drive", "cli"]),
         (&["spade"], &["mapping/dem"]),
         (&["pulp"], &["raster/pixels", "lanes", "nlls/fused"]),

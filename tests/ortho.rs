@@ -89,7 +89,8 @@ impl World {
     }
 }
 
-const GIVEN: &str = "ortho --poses poses.csv --camera camera.yaml --photos images --dem dem.tif --gsd 0.2 -q";
+const GIVEN: &str =
+    "ortho --poses poses.csv --camera camera.yaml --photos images --dem dem.tif --gsd 0.2 -q";
 
 struct Mosaic {
     place: Georeference,
@@ -146,12 +147,10 @@ fn every_cell_comes_from_the_closest_camera_that_shows_it() {
                 let [u, v] = world.pixel(k, x, y);
                 u >= -0.5 && v >= -0.5 && u < 119.5 && v < 89.5
             };
-            let squared = |k: usize| {
-                (x - World::camera_x(k)).powi(2) + y * y + (HEIGHT_M - z).powi(2)
-            };
-            let best = (0..3)
-                .filter(|&k| shown(k))
-                .min_by(|&a, &b| squared(a).total_cmp(&squared(b)));
+            let squared =
+                |k: usize| (x - World::camera_x(k)).powi(2) + y * y + (HEIGHT_M - z).powi(2);
+            let best =
+                (0..3).filter(|&k| shown(k)).min_by(|&a, &b| squared(a).total_cmp(&squared(b)));
             // Rounding decides on the very border of a photo or of two.
             let near_border = (0..3).any(|k| {
                 let [u, v] = world.pixel(k, x, y);
@@ -190,7 +189,8 @@ fn every_cell_comes_from_the_closest_camera_that_shows_it() {
         }
         // 44 m x 18 m in cells of 0.2 m, less on the slope.
         assert!(seen > 15_000, "{seen}");
-        for picture in ["mosaic.png", "sources.png", "coverage.png", "coverage.csv", "sources.csv"] {
+        for picture in ["mosaic.png", "sources.png", "coverage.png", "coverage.csv", "sources.csv"]
+        {
             assert!(folder.join("pictures").join(picture).is_file(), "{picture}");
         }
     }
@@ -204,7 +204,8 @@ fn results_do_not_depend_on_threads_or_room() {
         run(folder.path(), &format!("{GIVEN} {options} -o a.tif --force"));
         run(folder.path(), &format!("{GIVEN} {options} -o b.tif --force --threads 1 --memory 0"));
         for name in [".tif", "_provenance.tif"] {
-            let read = |which: &str| fs::read(folder.path().join(format!("{which}{name}"))).unwrap();
+            let read =
+                |which: &str| fs::read(folder.path().join(format!("{which}{name}"))).unwrap();
             assert!(read("a") == read("b"), "{options} {name}");
         }
     }
@@ -325,7 +326,8 @@ fn points_become_a_surface_with_its_ground_and_uncertainty() {
     let mut csv = "point,x_m,y_m,z_m,sigma_x_m,sigma_y_m,sigma_z_m\n".to_owned();
     // A slope with plants of 0.6 m on a third of the points and one wild point.
     for k in 0..3000 {
-        let (x, y) = (30.0 * (k as f64 * 0.754_877_666).fract(), 30.0 * (k as f64 * 0.569_840_291).fract());
+        let (x, y) =
+            (30.0 * (k as f64 * 0.754_877_666).fract(), 30.0 * (k as f64 * 0.569_840_291).fract());
         let plant = if k % 3 == 0 { 0.6 } else { 0.0 };
         let wild = if k == 1500 { 40.0 } else { 0.0 };
         let z = 100.0 + 0.05 * x + plant + wild;

@@ -70,7 +70,7 @@ impl Blend {
         let count = selector.views().len();
         let rows = sources.source.par_chunks(window.width).enumerate();
         let used = rows
-            .map_init(Vec::new, |candidates, (j, source)| {
+            .map(|(j, source)| {
                 let mut used = vec![false; count];
                 for (i, &source) in source.iter().enumerate().filter(|(_, source)| **source > 0) {
                     let own = source as usize - 1;
@@ -78,10 +78,8 @@ impl Blend {
                     let Some(point) = selector.point_m(window.u + i, window.v + j) else {
                         continue;
                     };
-                    selector.candidates(point, &among, candidates);
-                    for candidate in candidates.iter() {
-                        used[candidate.view] |=
-                            selector.to_seam_m(point, own, candidate.view) < feather_m;
+                    for k in among.iter().map(|&k| k as usize).filter(|&k| k != own) {
+                        used[k] = used[k] || selector.to_seam_m(point, own, k) < feather_m;
                     }
                 }
                 used
@@ -109,48 +107,37 @@ impl Blend {
         let among = selector.within(window);
         let width = window.width;
         let rows = sources.source.par_chunks(width);
-        self.sums.par_chunks_mut(width).zip(rows).enumerate().for_each_init(
-            Vec::new,
-            |candidates, (j, (sums, source))| {
-                for (i, sum) in sums.iter_mut().enumerate() {
-                    if source[i] == 0 {
-                        continue;
-                    }
-                    let own = source[i] as usize - 1;
-                    let Some(point) = selector.point_m(window.u + i, window.v + j) else {
-                        continue;
-                    };
-                    selector.candidates(point, &among, candidates);
-                    // Sums in the order of the photos, however many are in memory at a time.
-                    candidates.sort_unstable_by_key(|candidate| candidate.view);
-                    for candidate in candidates.iter() {
-                        let k = candidate.view;
-                        let Some(photo) = photos[k] else { continue };
-                        let away = if k == own { 0.0 } else { selector.to_seam_m(point, own, k) };
-                        let size = selector.views()[k].interior.size_px();
-                        let border = (0..2)
-                            .map(|a| {
-                                let at = candidate.image_px[a];
-                                (at + 0.5).min(f64::from(size[a]) - 0.5 - at)
-                            })
-                            .fold(EDGE_PX, f64::min);
-                        // Never 0 for a photo that may be the only one.
-                        let edge = (border / EDGE_PX).max(1e-3);
-                        let weight = (1.0 - away / feather_m).max(0.0) * edge * edge;
-                        if weight > 0.0 {
-                            let at = candidate.image_px.map(|value| value as f32);
-                            let colour = photo.at(at, interpolation);
-                            let gain = gains.map_or([1.0; 3], |gains| gains[k]);
-                            let weight = weight as f32;
-                            for c in 0..3 {
-                                sum[c] += weight * gain[c] * colour[c];
-                            }
-                            sum[3] += weight;
-                        }
-                    }
+        self.sums.par_chunks_mut(width).zip(rows).enumerate().for_each(|(j, (sums, source))| {
+            for (i, sum) in sums.iter_mut().enumerate() {
+                if source[i] == 0 {
+                    continue;
                 }
-            },
-        );
+                let own = source[i] as usize - 1;
+                let Some(point) = selector.point_m(window.u + i, window.v + j) else { continue };
+                // Sums in the order of the photos, however many are in memory at a time.
+                for k in among.iter().map(|&k| k as usize) {
+                    let Some(photo) = photos[k] else { continue };
+                    let away = if k == own { 0.0 } else { selector.to_seam_m(point, own, k) };
+                    if away >= feather_m {
+                        continue;
+                    }
+                    let Some(at) = selector.shown_by(k, point) else { continue };
+                    let size = selector.views()[k].interior.size_px();
+                    let border = (0..2)
+                        .map(|a| (at[a] + 0.5).min(f64::from(size[a]) - 0.5 - at[a]))
+                        .fold(EDGE_PX, f64::min);
+                    // Never 0 for a photo that may be the only one.
+                    let edge = (border / EDGE_PX).max(1e-3);
+                    let weight = ((1.0 - away / feather_m) * edge * edge) as f32;
+                    let colour = photo.at(at.map(|value| value as f32), interpolation);
+                    let gain = gains.map_or([1.0; 3], |gains| gains[k]);
+                    for c in 0..3 {
+                        sum[c] += weight * gain[c] * colour[c];
+                    }
+                    sum[3] += weight;
+                }
+            }
+        });
     }
 
     /// The colours; transparent where no photo was added.

@@ -185,6 +185,27 @@ impl<'a> Selector<'a> {
         }
     }
 
+    /// The pixel of a point in a photo that shows it as the rules ask.
+    #[inline]
+    pub fn shown_by(&self, view: usize, point_m: [f64; 3]) -> Option<[f64; 2]> {
+        let view = &self.views[view];
+        self.cost(view, point_m)?;
+        self.shown(view, point_m)
+    }
+
+    /// Distance in plan from a cell to the nearest seam of its photo with another that shows it too, metres;
+    /// infinite where no other does.
+    pub fn nearest_seam_m(&self, point_m: [f64; 3], own: usize, among: &[u32]) -> f64 {
+        let mut nearest = f64::INFINITY;
+        for &k in among.iter().filter(|&&k| k as usize != own) {
+            let away = self.to_seam_m(point_m, own, k as usize);
+            if away < nearest && self.shown_by(k as usize, point_m).is_some() {
+                nearest = away;
+            }
+        }
+        nearest
+    }
+
     /// All photos that show a point, the best first.
     pub fn candidates(&self, point_m: [f64; 3], among: &[u32], out: &mut Vec<Candidate>) {
         out.clear();

@@ -170,7 +170,8 @@ impl Surface {
             let s = start + (end - start) * k as f64 / steps as f64;
             match above(s) {
                 Some(gap) if gap <= 0.0 => {
-                    let (mut high, mut low) = (last.unwrap_or(s), s);
+                    // From outside, or from a hole, below the surface: it was not met from above.
+                    let (mut high, mut low) = (last?, s);
                     for _ in 0..60 {
                         let middle = 0.5 * (high + low);
                         match above(middle) {

@@ -132,23 +132,24 @@ impl View {
         })
     }
 
-    /// The bounds of what the photo shows of a surface; `None` where it shows nothing of it.
+    /// Bounds of what the photo shows of a surface, close ones where its whole outline is on the surface;
+    /// `None` where it shows nothing of it.
     pub fn footprint_m(&self, surface: &Surface) -> Option<Bounds> {
         let mut bounds = [[f64::INFINITY, f64::NEG_INFINITY]; 2];
-        let [width, height] = self.size_px;
-        let inner = (0..9).map(|k| {
-            [
-                (k % 3) as f64 * 0.25 * width + 0.25 * width,
-                (k / 3) as f64 * 0.25 * height + 0.25 * height,
-            ]
-        });
-        for at in self.outline().into_iter().chain(inner) {
-            let Some(point) = self.ground(at, surface) else { continue };
+        for at in self.outline() {
+            let Some(point) = self.ground(at, surface) else {
+                // It ends beyond the surface: what both reach.
+                let (reach, known) = (self.reach_m(surface.range_m()), surface.bounds_m());
+                let both: Bounds = std::array::from_fn(|k| {
+                    [reach[k][0].max(known[k][0]), reach[k][1].min(known[k][1])]
+                });
+                return both.iter().all(|[low, high]| low <= high).then_some(both);
+            };
             for (k, [least, most]) in bounds.iter_mut().enumerate() {
                 (*least, *most) = (least.min(point[k]), most.max(point[k]));
             }
         }
-        (bounds[0][0] <= bounds[0][1]).then_some(bounds)
+        Some(bounds)
     }
 
     fn outline(&self) -> Vec<[f64; 2]> {

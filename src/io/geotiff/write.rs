@@ -214,7 +214,12 @@ impl<T: Sample> Writer<T> {
     }
 
     /// Puts a halved tile into its quarter of the tile above; that tile where it is complete.
-    fn merge(&mut self, level: usize, [column, row]: [usize; 2], half: &[T]) -> Option<(usize, Vec<T>)> {
+    fn merge(
+        &mut self,
+        level: usize,
+        [column, row]: [usize; 2],
+        half: &[T],
+    ) -> Option<(usize, Vec<T>)> {
         let bands = self.layout.bands();
         let below = [self.levels[level - 1].across(), self.levels[level - 1].down()];
         let parent = [column / 2, row / 2];
@@ -250,8 +255,11 @@ impl<T: Sample> Writer<T> {
         let empty = vec![self.fill; TILE * TILE * self.layout.bands()];
         let bytes = compress(&empty, &self.layout).map_err(|message| self.failed(message))?;
         for level in 0..self.levels.len() {
-            let waiting: Vec<usize> =
-                self.pending.range((level, 0)..(level + 1, 0)).map(|((_, index), _)| *index).collect();
+            let waiting: Vec<usize> = self
+                .pending
+                .range((level, 0)..(level + 1, 0))
+                .map(|((_, index), _)| *index)
+                .collect();
             let tiles = waiting
                 .into_iter()
                 .filter_map(|index| Some((index, self.pending.remove(&(level, index))?.samples)))
@@ -320,7 +328,9 @@ fn halve<T: Sample>(tile: &[T], valid: [usize; 2], layout: &Layout, fill: T) -> 
                             let pixel = pixel(i, j);
                             let empty = match layout.colour {
                                 Colour::Rgba => pixel[3].into() == 0.0,
-                                _ => nodata.is_some_and(|nodata| pixel.iter().all(|&x| x == nodata)),
+                                _ => {
+                                    nodata.is_some_and(|nodata| pixel.iter().all(|&x| x == nodata))
+                                }
                             };
                             if !empty {
                                 sums.iter_mut().zip(pixel).for_each(|(sum, &x)| *sum += x.into());
@@ -329,7 +339,9 @@ fn halve<T: Sample>(tile: &[T], valid: [usize; 2], layout: &Layout, fill: T) -> 
                         }
                     }
                     if count > 0.0 {
-                        out.iter_mut().zip(sums).for_each(|(out, sum)| *out = T::from_f64(sum / count));
+                        out.iter_mut()
+                            .zip(sums)
+                            .for_each(|(out, sum)| *out = T::from_f64(sum / count));
                         if layout.colour == Colour::Rgba {
                             out[3] = pixel_alpha(out[3]);
                         }
