@@ -129,6 +129,7 @@ fn arrows_point_down() {
     const RULES: &[(&[&str], &[&str])] = &[
         (&["features"], &["io", "cli", "drive", "sfm", "raster", "phenotype", "score", "nlls"]),
         (CORE, &["io", "cli", "drive", "sfm", "raster", "phenotype", "score"]),
+        (CORE, &["io", "cli", "drive", "sfm", "raster", "mapping", "phenotype", "score"]),
         (&["geometry"], &["camera", "engine", "nlls", "descent", "convex", "problems"]),
         (&["camera"], &["engine", "nlls", "descent", "convex", "problems"]),
         (&["engine"], &["nlls", "descent", "convex", "problems"]),
@@ -140,6 +141,8 @@ fn arrows_point_down() {
         (&["sfm"], &["io", "cli", "drive", "raster", "phenotype", "score"]),
         (&["crs"], &["io", "cli", "drive", "sfm", "problems", "nlls", "raster", "phenotype"]),
         (&["drive", "raster", "phenotype", "sfm", "score", "error"], &["cli"]),
+        (&["raster", "mapping", "phenotype", "sfm", "score"], &["io"]),
+        (&["drive", "raster", "mapping", "phenotype", "sfm", "score", "error"], &["cli"]),
     ];
     let sources = sources("src");
     let mut found = Vec::new();
@@ -190,9 +193,13 @@ fn each_dependency_has_its_place() {
         (&["las"], &["io/cloud"]),
         (&["exif"], &["io/photo"]),
         (&["faer"], &["nlls/cholesky"]),
-        (&["geotiff_reader", "geotiff_writer", "tiff_reader", "ndarray"], &["io/geotiff"]),
+        (
+            &["geotiff_reader", "tiff_core", "tiff_reader", "tiff_writer", "ndarray"],
+            &["io/geotiff"],
+        ),
         (&["indicatif"], &["drive", "cli"]),
         (&["pulp"], &["features", "raster/pixels", "lanes", "nlls/fused"]),
+        (&["spade"], &["mapping/dem"]),
         (&["pulp"], &["raster/pixels", "lanes", "nlls/fused"]),
         (&["mwmatching"], &["phenotype/leaves/bridge"]),
         (&["zune_jpeg"], &["io/images"]),

@@ -25,6 +25,7 @@ mod features;
 mod leaves;
 mod locate;
 mod nlls;
+mod ortho;
 mod program;
 mod run;
 mod segment;

@@ -104,6 +104,7 @@ impl Bands {
     }
 
     /// The numbers of the ribbons that touch a band, ascending.
+    /// The numbers of the ribbons that touch a band.
     pub(crate) fn numbers(&self, band: usize) -> &[u32] {
         &self.lists[band]
     }

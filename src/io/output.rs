@@ -79,6 +79,14 @@ pub fn write_seekable<E: From<FileError>>(
     Ok(())
 }
 
+/// A file without a name beside `path`, gone when it is closed or the program ends.
+///
+/// # Errors
+/// Where none can be made in that folder.
+pub fn scratch(path: &Path) -> Result<File, FileError> {
+    tempfile::tempfile_in(folder_of(path)).map_err(|source| FileError::write(path, source))
+}
+
 /// Temporary files are private by default; an output should be as readable as any other file.
 #[cfg(unix)]
 fn share(file: &tempfile::NamedTempFile) -> std::io::Result<()> {

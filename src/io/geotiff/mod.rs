@@ -9,8 +9,9 @@
 //! is added and taken away in this folder and nowhere else.
 //!
 //! Reference: OGC GeoTIFF standard 19-008r4; OGC Cloud Optimized GeoTIFF 21-026; the coding itself is that of the
-//! crates `geotiff-reader` and `geotiff-writer`.
+//! crates `geotiff-reader` and `tiff-writer`.
 
+mod directory;
 mod read;
 mod write;
 
@@ -22,24 +23,41 @@ pub const TILE: usize = 512;
 
 mod private {
     /// What the reader and the writer must know of a sample.
-    pub trait Stored: geotiff_writer::NumericSample + tiff_reader::TiffSample {}
+    pub trait Stored: tiff_writer::TiffWriteSample + tiff_reader::TiffSample {}
 }
 
 /// A kind of sample: `u8`, `u16`, `u32` or `f32`.
-pub trait Sample: private::Stored + Copy + Default + Send + Sync + 'static {
+pub trait Sample:
+    private::Stored + Copy + Default + PartialEq + Into<f64> + Send + Sync + 'static
+{
     /// Its name for a person.
     const NAME: &'static str;
+    /// Whether it has fractions.
+    const IS_FLOAT: bool;
+
+    /// The nearest one.
+    fn from_f64(value: f64) -> Self;
 }
 
 macro_rules! samples {
-    ($($type:ty = $name:literal),+) => {
+    ($($type:ty = $name:literal, $is_float:literal, $round:expr;)+) => {
         $(impl private::Stored for $type {}
         impl Sample for $type {
             const NAME: &'static str = $name;
+            const IS_FLOAT: bool = $is_float;
+
+            fn from_f64(value: f64) -> Self {
+                $round(value) as $type
+            }
         })+
     };
 }
-samples!(u8 = "8-bit", u16 = "16-bit", u32 = "32-bit", f32 = "32-bit floating point");
+samples!(
+    u8 = "8-bit", false, f64::round;
+    u16 = "16-bit", false, f64::round;
+    u32 = "32-bit", false, f64::round;
+    f32 = "32-bit floating point", true, f64::from;
+);
 
 /// Whether a file begins like a TIFF or BigTIFF.
 pub fn is_tiff(first_bytes: &[u8]) -> bool {

@@ -1,29 +1,30 @@
 //! Writing a raster tile by tile, as a cloud optimised GeoTIFF.
+//!
+//! Tiles are compressed as they come, several at a time, into a temporary file; overviews are made on the way, each
+//! pixel from the 2 x 2 below it, and a tile of one leaves as soon as the tiles below are there. When the
+//! raster is complete, directories, overviews (the smallest first) and tiles are put in the order of a cloud
+//! optimised file. Memory holds the tiles that are put and those of overviews that wait for others.
 
-use super::{Sample, TILE};
+use super::{
+    Sample, TILE,
+    directory::{Directory, Level, emit},
+};
 use crate::{
     io::{FileError, output},
-    raster::{
-        georeference::{CrsKind, Georeference},
-        window::Window,
-    },
+    raster::{georeference::Georeference, window::Window},
 };
-use geotiff_writer::{
-    CogBuilder, CogTileWriter, Compression, ExtraSample, GeoKeyValue, GeoTiffBuilder, GeoTransform,
-    ModelType, PhotometricInterpretation, Predictor, Resampling, TiffVariant,
-};
-use ndarray::ArrayView3;
+use rayon::prelude::*;
 use std::{
+    collections::BTreeMap,
     fs::File,
-    io::{BufWriter, Write as _},
+    io::{BufWriter, Read, Seek, SeekFrom, Write as _},
     path::{Path, PathBuf},
 };
+use tiff_core::{ByteOrder, Compression, Predictor};
+use tiff_writer::compress::{BlockEncodingOptions, compress_block};
 
-/// `ProjectedCSTypeGeoKey`, `ProjLinearUnitsGeoKey`; user-defined, and the metre.
-const PROJECTED_CRS: u16 = 3072;
-const LINEAR_UNITS: u16 = 3076;
-const USER_DEFINED: u16 = 32767;
-const METRE: u16 = 9001;
+/// Effort of the compression, 1 to 9. Photos leave little to find for more of it.
+const EFFORT: u32 = 1;
 
 /// What the samples of a pixel are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -32,6 +33,8 @@ pub enum Colour {
     Classes,
     /// A measured quantity; overviews are means.
     Values,
+    /// So many numbers of different meaning; overviews take one of several pixels.
+    Records(usize),
     /// Red, green, blue.
     Rgb,
     /// Red, green, blue, and 0 where there are no data.
@@ -59,6 +62,7 @@ impl Layout {
     pub fn bands(&self) -> usize {
         match self.colour {
             Colour::Classes | Colour::Values => 1,
+            Colour::Records(bands) => bands,
             Colour::Rgb => 3,
             Colour::Rgba => 4,
         }
@@ -66,15 +70,24 @@ impl Layout {
 }
 
 /// A raster that is being written.
-pub struct Writer<'f, T: Sample> {
+pub struct Writer<T: Sample> {
     path: PathBuf,
     layout: Layout,
-    tiles: CogTileWriter<T, BufWriter<&'f mut File>>,
+    spool: BufWriter<File>,
+    spooled: u64,
+    levels: Vec<Level>,
+    pending: BTreeMap<(usize, usize), Pending<T>>,
+    fill: T,
+}
+
+/// A tile of an overview that waits for tiles below it.
+struct Pending<T> {
+    samples: Vec<T>,
+    missing: usize,
 }
 
 /// Writes a raster atomically: `fill` puts its tiles, in any order; tiles that it does not put hold nodata,
-/// or 0 where there is none. The system's folder for temporary files must have room for all of it,
-/// uncompressed.
+/// or 0 where there is none. Beside the file there must be room for it twice.
 ///
 /// # Errors
 /// As [`output::write`]; where the layout cannot be written as a GeoTIFF; and whatever `fill` fails with.
@@ -82,23 +95,44 @@ pub fn write<T: Sample, E: From<FileError>>(
     path: &Path,
     force: bool,
     layout: &Layout,
-    fill: impl FnOnce(&mut Writer<'_, T>) -> Result<(), E>,
+    fill: impl FnOnce(&mut Writer<T>) -> Result<(), E>,
 ) -> Result<(), E> {
-    let failed = |error: geotiff_writer::Error| {
-        FileError::write(path, std::io::Error::other(error.to_string()))
+    output::check(path, force)?;
+    let fits = |pixels: usize| pixels > 0 && u32::try_from(pixels).is_ok();
+    if !fits(layout.width) || !fits(layout.height) {
+        let (width, height) = (layout.width, layout.height);
+        let message = format!("a raster of {width} x {height} pixels cannot be a GeoTIFF");
+        let invalid = std::io::Error::new(std::io::ErrorKind::InvalidInput, message);
+        return Err(FileError::write(path, invalid).into());
+    }
+    let spool = BufWriter::with_capacity(1 << 20, output::scratch(path)?);
+    let mut writer = Writer {
+        path: path.to_owned(),
+        layout: *layout,
+        spool,
+        spooled: 0,
+        levels: Level::all(layout),
+        pending: BTreeMap::new(),
+        fill: T::from_f64(layout.nodata.unwrap_or(0.0)),
     };
-    let builder = builder::<T>(path, layout)?;
+    fill(&mut writer)?;
+    let mut spool = writer.complete()?;
     output::write_seekable(path, force, |file| {
-        let tiles = builder.tile_writer(BufWriter::new(file)).map_err(failed)?;
-        let mut writer = Writer { path: path.to_owned(), layout: *layout, tiles };
-        fill(&mut writer)?;
-        let mut file = writer.tiles.finish().map_err(failed)?;
-        file.flush().map_err(|error| FileError::write(path, error))?;
+        let directory = Directory::new::<T>(layout);
+        let failed = |error| FileError::write(path, error);
+        let mut out = BufWriter::with_capacity(1 << 20, file);
+        emit(&mut out, &directory, &writer.levels, &mut |offset, length, out| {
+            spool.seek(SeekFrom::Start(offset))?;
+            let copied = std::io::copy(&mut (&mut spool).take(length), out)?;
+            (copied == length).then_some(()).ok_or_else(|| std::io::ErrorKind::UnexpectedEof.into())
+        })
+        .and_then(|()| out.flush())
+        .map_err(failed)?;
         Ok(())
     })
 }
 
-impl<T: Sample> Writer<'_, T> {
+impl<T: Sample> Writer<T> {
     /// What is being written.
     pub fn layout(&self) -> &Layout {
         &self.layout
@@ -125,18 +159,121 @@ impl<T: Sample> Writer<'_, T> {
                 samples.len()
             )));
         }
-        let all = ArrayView3::from_shape((window.height, window.width, bands), samples)
-            .map_err(|error| self.failed(error.to_string()))?;
-        for v in (window.v..below).step_by(TILE) {
-            for u in (window.u..right).step_by(TILE) {
-                let rows = v - window.v..(v - window.v + TILE).min(window.height);
-                let columns = u - window.u..(u - window.u + TILE).min(window.width);
-                let tile = all.slice(ndarray::s![rows, columns, ..]);
-                let put = self.tiles.write_tile_3d(u, v, &tile);
-                put.map_err(|error| self.failed(error.to_string()))?;
+        let across = self.levels[0].across();
+        let places: Vec<(usize, usize)> = (window.v..below)
+            .step_by(TILE)
+            .flat_map(|v| (window.u..right).step_by(TILE).map(move |u| (u, v)))
+            .collect();
+        let index = |&(u, v): &(usize, usize)| v / TILE * across + u / TILE;
+        if places.iter().any(|place| self.levels[0].blocks[index(place)].is_some()) {
+            return Err(self.failed(format!("{window:?} was written twice")));
+        }
+        let fill = self.fill;
+        let tiles = places
+            .par_iter()
+            .map(|place| {
+                let &(u, v) = place;
+                let mut tile = vec![fill; TILE * TILE * bands];
+                let length = TILE.min(right - u) * bands;
+                for row in v..(v + TILE).min(below) {
+                    let from = ((row - window.v) * window.width + u - window.u) * bands;
+                    let to = (row - v) * TILE * bands;
+                    tile[to..to + length].copy_from_slice(&samples[from..from + length]);
+                }
+                (index(place), tile)
+            })
+            .collect();
+        self.add(0, tiles)
+    }
+
+    /// Compresses tiles of a level and hands them to the level above.
+    fn add(&mut self, level: usize, tiles: Vec<(usize, Vec<T>)>) -> Result<(), FileError> {
+        let layout = self.layout;
+        let size = self.levels[level].size;
+        let across = self.levels[level].across();
+        let above = level + 1 < self.levels.len();
+        type Done<T> = (Result<Vec<u8>, String>, Option<Vec<T>>);
+        let done: Vec<Done<T>> = tiles
+            .par_iter()
+            .map(|(index, tile)| {
+                let at = [index % across * TILE, index / across * TILE];
+                let valid = [0, 1].map(|k| TILE.min(size[k] - at[k]));
+                (compress(tile, &layout), above.then(|| halve(tile, valid, &layout, self.fill)))
+            })
+            .collect();
+        let mut complete = Vec::new();
+        for ((index, _), (bytes, half)) in tiles.iter().zip(done) {
+            let bytes = bytes.map_err(|message| self.failed(message))?;
+            self.spool(level, *index, &bytes)?;
+            if let Some(half) = half {
+                let (column, row) = (index % across, index / across);
+                complete.extend(self.merge(level + 1, [column, row], &half));
             }
         }
+        if complete.is_empty() { Ok(()) } else { self.add(level + 1, complete) }
+    }
+
+    /// Puts a halved tile into its quarter of the tile above; that tile where it is complete.
+    fn merge(
+        &mut self,
+        level: usize,
+        [column, row]: [usize; 2],
+        half: &[T],
+    ) -> Option<(usize, Vec<T>)> {
+        let bands = self.layout.bands();
+        let below = [self.levels[level - 1].across(), self.levels[level - 1].down()];
+        let parent = [column / 2, row / 2];
+        let index = parent[1] * self.levels[level].across() + parent[0];
+        let children = (0..2).map(|k| (below[k] - 2 * parent[k]).min(2)).product();
+        let fill = self.fill;
+        let pending = self.pending.entry((level, index)).or_insert_with(|| Pending {
+            samples: vec![fill; TILE * TILE * bands],
+            missing: children,
+        });
+        let length = TILE / 2 * bands;
+        let corner = (row % 2 * TILE + column % 2) * length;
+        for (k, line) in half.chunks_exact(length).enumerate() {
+            let to = corner + k * TILE * bands;
+            pending.samples[to..to + length].copy_from_slice(line);
+        }
+        pending.missing -= 1;
+        if pending.missing > 0 {
+            return None;
+        }
+        self.pending.remove(&(level, index)).map(|pending| (index, pending.samples))
+    }
+
+    fn spool(&mut self, level: usize, index: usize, bytes: &[u8]) -> Result<(), FileError> {
+        self.spool.write_all(bytes).map_err(|error| FileError::write(&self.path, error))?;
+        self.levels[level].blocks[index] = Some((self.spooled, bytes.len() as u64));
+        self.spooled += bytes.len() as u64;
         Ok(())
+    }
+
+    /// Fills what was not put, and gives the spooled tiles.
+    fn complete(&mut self) -> Result<File, FileError> {
+        let empty = vec![self.fill; TILE * TILE * self.layout.bands()];
+        let bytes = compress(&empty, &self.layout).map_err(|message| self.failed(message))?;
+        for level in 0..self.levels.len() {
+            let waiting: Vec<usize> = self
+                .pending
+                .range((level, 0)..(level + 1, 0))
+                .map(|((_, index), _)| *index)
+                .collect();
+            let tiles = waiting
+                .into_iter()
+                .filter_map(|index| Some((index, self.pending.remove(&(level, index))?.samples)))
+                .collect();
+            self.add(level, tiles)?;
+            for index in 0..self.levels[level].blocks.len() {
+                if self.levels[level].blocks[index].is_none() {
+                    self.spool(level, index, &bytes)?;
+                }
+            }
+        }
+        let failed = |error| FileError::write(&self.path, error);
+        self.spool.flush().map_err(failed)?;
+        self.spool.get_ref().try_clone().map_err(failed)
     }
 
     fn failed(&self, message: String) -> FileError {
@@ -144,71 +281,79 @@ impl<T: Sample> Writer<'_, T> {
     }
 }
 
-fn builder<T: Sample>(path: &Path, layout: &Layout) -> Result<CogBuilder, FileError> {
-    let side = |pixels: usize| {
-        u32::try_from(pixels).ok().filter(|&pixels| pixels > 0).ok_or_else(|| {
-            let (width, height) = (layout.width, layout.height);
-            let message = format!("a raster of {width} x {height} pixels cannot be a GeoTIFF");
-            FileError::write(path, std::io::Error::new(std::io::ErrorKind::InvalidInput, message))
-        })
+fn compress<T: Sample>(tile: &[T], layout: &Layout) -> Result<Vec<u8>, String> {
+    let options = BlockEncodingOptions {
+        byte_order: ByteOrder::LittleEndian,
+        compression: Compression::Deflate,
+        predictor: predictor::<T>(layout),
+        samples_per_pixel: layout.bands() as u16,
+        row_width_pixels: TILE,
+        jpeg_options: None,
+        jpeg_sampling: None,
+        deflate_level: Some(EFFORT),
     };
-    let (width, height) = (side(layout.width)?, side(layout.height)?);
-    let float = T::SAMPLE_FORMAT == 3;
-    let (photometric, predictor) = match layout.colour {
-        Colour::Classes => (PhotometricInterpretation::MinIsBlack, Predictor::None),
-        Colour::Values if float => {
-            (PhotometricInterpretation::MinIsBlack, Predictor::FloatingPoint)
-        }
-        Colour::Values => (PhotometricInterpretation::MinIsBlack, Predictor::Horizontal),
-        Colour::Rgb | Colour::Rgba => (PhotometricInterpretation::Rgb, Predictor::Horizontal),
-    };
-    let mut builder = GeoTiffBuilder::new(width, height)
-        .bands(layout.bands() as u32)
-        .photometric(photometric)
-        .predictor(predictor)
-        .compression(Compression::Deflate)
-        .predictor(predictor)
-        .tile_size(TILE as u32, TILE as u32)
-        .tiff_variant(TiffVariant::Auto);
-    if layout.colour == Colour::Rgba {
-        builder = builder.extra_samples(vec![ExtraSample::UnassociatedAlpha]);
-    }
-    if let Some(nodata) = layout.nodata {
-        builder = builder.nodata(&nodata.to_string());
-    }
-    if let Some(place) = &layout.georeference {
-        builder = placed(builder, place);
-    }
-    let largest = layout.width.max(layout.height);
-    let levels = (1..31).map(|power| 1u32 << power);
-    let levels = levels.take_while(|&level| largest > TILE * (level as usize) / 2).collect();
-    let resampling = match layout.colour {
-        Colour::Classes => Resampling::NearestNeighbor,
-        Colour::Values | Colour::Rgb | Colour::Rgba => Resampling::Average,
-    };
-    Ok(CogBuilder::new(builder).overview_levels(levels).resampling(resampling))
+    compress_block(tile, options, 0).map_err(|error| error.to_string())
 }
 
-fn placed(builder: GeoTiffBuilder, place: &Georeference) -> GeoTiffBuilder {
-    let corner = place.map([-0.5, -0.5]);
-    let builder = builder.transform(GeoTransform {
-        origin_x: corner[0],
-        pixel_width: place.per_column[0],
-        skew_x: place.per_row[0],
-        origin_y: corner[1],
-        skew_y: place.per_column[1],
-        pixel_height: place.per_row[1],
-    });
-    let code = place.crs.epsg.and_then(|epsg| u16::try_from(epsg).ok());
-    match (place.crs.kind, code) {
-        (CrsKind::Projected, Some(code)) => builder.projected_epsg(code),
-        (CrsKind::Geographic, Some(code)) => builder.geographic_epsg(code),
-        (CrsKind::Projected, None) => builder
-            .model_type(ModelType::Projected)
-            .geokey(PROJECTED_CRS, GeoKeyValue::Short(USER_DEFINED))
-            .geokey(LINEAR_UNITS, GeoKeyValue::Short(METRE)),
-        (CrsKind::Geographic, None) => builder.model_type(ModelType::Geographic),
-        (CrsKind::Unknown, Some(code)) => builder.epsg(code),
-        (CrsKind::Unknown, None) => builder,
+/// What is stored instead of the samples, so that they compress.
+pub(super) fn predictor<T: Sample>(layout: &Layout) -> Predictor {
+    match layout.colour {
+        Colour::Classes => Predictor::None,
+        _ if T::IS_FLOAT => Predictor::FloatingPoint,
+        _ => Predictor::Horizontal,
     }
+}
+
+/// A quarter of a tile: each pixel from 2 x 2, of which `valid` columns and rows belong to the raster.
+fn halve<T: Sample>(tile: &[T], valid: [usize; 2], layout: &Layout, fill: T) -> Vec<T> {
+    const HALF: usize = TILE / 2;
+    let bands = layout.bands();
+    let mut out = vec![fill; HALF * HALF * bands];
+    let nodata = layout.nodata.map(T::from_f64);
+    for v in 0..valid[1].div_ceil(2) {
+        for u in 0..valid[0].div_ceil(2) {
+            let (columns, rows) = ((valid[0] - 2 * u).min(2), (valid[1] - 2 * v).min(2));
+            let pixel = |i: usize, j: usize| {
+                let at = ((2 * v + j) * TILE + 2 * u + i) * bands;
+                &tile[at..at + bands]
+            };
+            let to = (v * HALF + u) * bands;
+            let out = &mut out[to..to + bands];
+            match layout.colour {
+                Colour::Classes | Colour::Records(_) => out.copy_from_slice(pixel(0, 0)),
+                Colour::Values | Colour::Rgb | Colour::Rgba => {
+                    let (mut sums, mut count) = ([0.0f64; 4], 0.0);
+                    for j in 0..rows {
+                        for i in 0..columns {
+                            let pixel = pixel(i, j);
+                            let empty = match layout.colour {
+                                Colour::Rgba => pixel[3].into() == 0.0,
+                                _ => {
+                                    nodata.is_some_and(|nodata| pixel.iter().all(|&x| x == nodata))
+                                }
+                            };
+                            if !empty {
+                                sums.iter_mut().zip(pixel).for_each(|(sum, &x)| *sum += x.into());
+                                count += 1.0;
+                            }
+                        }
+                    }
+                    if count > 0.0 {
+                        out.iter_mut()
+                            .zip(sums)
+                            .for_each(|(out, sum)| *out = T::from_f64(sum / count));
+                        if layout.colour == Colour::Rgba {
+                            out[3] = pixel_alpha(out[3]);
+                        }
+                    }
+                }
+            }
+        }
+    }
+    out
+}
+
+/// What is partly there is there.
+fn pixel_alpha<T: Sample>(alpha: T) -> T {
+    if alpha.into() > 0.0 { alpha } else { T::from_f64(1.0) }
 }
