@@ -11,8 +11,10 @@
 
 mod adjust;
 mod adjustment;
+mod align;
 mod architecture;
 mod camera;
+mod crs;
 mod data;
 mod drive;
 mod engine;
