@@ -329,6 +329,33 @@ pub fn adjust(
     Ok(())
 }
 
+/// How far each control point that is marked twice or more is from where its marks put it, metres:
+/// its place among the ground points, and the distance along the coordinates that are known.
+pub fn control_left_m(block: &Block<'_>, known: &Known) -> Vec<(usize, f64)> {
+    use super::triangulate::{View, triangulate};
+    let demands = Demands { tolerance_px: 50.0, least_angle_rad: 0.01 };
+    let mut found = Vec::new();
+    for (ground, point) in known.ground.iter().enumerate() {
+        if point.role != Role::Control {
+            continue;
+        }
+        let marks = known.marks.iter().filter(|mark| mark.ground as usize == ground);
+        let views: Vec<View<'_>> = marks
+            .filter_map(|mark| {
+                let pose = block.poses[mark.image as usize].as_ref()?;
+                let lens = block.lens(mark.image as usize);
+                Some(View { pose, lens, image_px: mark.image_px })
+            })
+            .collect();
+        if let Some((at, _)) = triangulate(&views, &demands) {
+            let squares =
+                point.axes.indices().iter().map(|&k| (at[k] - point.position_m[k]).powi(2));
+            found.push((ground, squares.sum::<f64>().sqrt()));
+        }
+    }
+    found
+}
+
 /// Marks that the block contradicts, by the distances from where the others of their point put them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WrongMark {
