@@ -216,12 +216,10 @@ fn cameras(
             _ => k,
         };
         let metadata = &photos[like].metadata;
-        let label = format!(
-            "{} {} {:.3} mm",
-            metadata.make,
-            metadata.model,
-            metadata.focal_mm.unwrap_or(0.0)
-        );
+        let label = match metadata.focal_mm.or(metadata.focal_35mm) {
+            Some(focal) => format!("{} {} {focal:.3} mm", metadata.make, metadata.model),
+            None => format!("{} {} unknown camera", metadata.make, metadata.model),
+        };
         let label = label.trim().to_owned();
         let key = (label.clone(), size_px);
         let place = groups.iter().position(|group| *group == key);

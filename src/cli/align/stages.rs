@@ -385,7 +385,9 @@ pub(super) fn finish<'a>(
         })
         .map(|point| point.name.clone())
         .collect();
-    let settings = Settings { tie_loss: Loss::SoftL1(2.0), ..Settings::default() };
+    // Without a map the first photo and the distance to the farthest one are the frame.
+    let minimal_datum = !joined.georeferenced;
+    let settings = Settings { tie_loss: Loss::SoftL1(2.0), minimal_datum, ..Settings::default() };
     let snooping = Snooping { rounds: 8, ..Snooping::default() };
     let snooped = snoop(&mut survey, &settings, &snooping)?;
     for removed in &snooped.removed {
@@ -402,7 +404,7 @@ pub(super) fn finish<'a>(
     Ok(Final {
         survey,
         adjusted: snooped.adjusted,
-        settings: Settings::default(),
+        settings: Settings { minimal_datum, ..Settings::default() },
         alignment: joined.alignments.into_iter().flatten().next(),
         removed: snooped.removed,
         complete: snooped.complete,
