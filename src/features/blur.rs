@@ -5,21 +5,22 @@
 //! the one across them go over panels of columns that stay in the cache. Four output rows are computed
 //! together, so that an input row is loaded once for all four.
 
-use pulp::Simd;
+use pulp::{Simd, WithSimd};
 
 /// Columns of a panel.
 const PANEL: usize = 128;
 /// Largest reach of a filter, in pixels.
-pub(super) const MAX_RADIUS: usize = 16;
-/// Output rows computed together.
+pub(super) const MAX_RADIUS: usize = 13;
+/// Output rows computed together; a filter may write this many rows less one too far.
 const ROWS: usize = 4;
 /// Columns of the widest register; a filter may write this many columns less one too far.
 pub(super) const MAX_LANES: usize = 16;
 
-/// One half of a symmetric filter: the weight of the centre and of the pixels `1..=radius` away.
+/// A symmetric filter.
 #[derive(Debug, Clone)]
 pub(super) struct Kernel {
     pub(super) radius: usize,
+    /// Weights of the centre and of the pixels 1, 2, ... away; zero beyond the radius.
     weights: [f32; MAX_RADIUS + 1],
 }
 
@@ -47,39 +48,41 @@ pub(super) struct Window {
     pub(super) size: (usize, usize),
 }
 
-/// Filters the window of `input` into that of `output`; the kernel's radius must be free around it,
-/// and [`MAX_LANES`] columns to its right. `lines` is working memory.
-#[inline(always)]
-pub(super) fn blur<S: Simd>(
-    simd: S,
-    kernel: &Kernel,
-    window: Window,
-    input: &[f32],
-    output: &mut [f32],
-    lines: &mut Vec<f32>,
-) {
-    // The radii of the scale space's own filters are compiled with their loops unrolled; weights
-    // beyond the kernel's radius are zero.
-    match kernel.radius {
-        5 => panels::<S, 5>(simd, kernel, window, input, output, lines),
-        6 => panels::<S, 6>(simd, kernel, window, input, output, lines),
-        8 => panels::<S, 8>(simd, kernel, window, input, output, lines),
-        10 => panels::<S, 10>(simd, kernel, window, input, output, lines),
-        13 => panels::<S, 13>(simd, kernel, window, input, output, lines),
-        _ => panels::<S, MAX_RADIUS>(simd, kernel, window, input, output, lines),
+/// Filters the window of `input` into that of `output`.
+///
+/// The kernel's radius must be free around the window, and [`MAX_LANES`] columns and [`ROWS`] rows
+/// more to its right and below.
+pub(super) struct Blur<'a> {
+    pub(super) kernel: &'a Kernel,
+    pub(super) window: Window,
+    pub(super) input: &'a [f32],
+    pub(super) output: &'a mut [f32],
+    /// Working memory.
+    pub(super) lines: &'a mut Vec<f32>,
+}
+
+impl WithSimd for Blur<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        // The radii of the scale space's own filters are compiled with their loops unrolled; weights
+        // beyond the kernel's radius are zero.
+        match self.kernel.radius {
+            5 => panels::<S, 5>(simd, self),
+            6 => panels::<S, 6>(simd, self),
+            8 => panels::<S, 8>(simd, self),
+            10 => panels::<S, 10>(simd, self),
+            _ => panels::<S, MAX_RADIUS>(simd, self),
+        }
     }
 }
 
 #[inline(always)]
-fn panels<S: Simd, const R: usize>(
-    simd: S,
-    kernel: &Kernel,
-    window: Window,
-    input: &[f32],
-    output: &mut [f32],
-    lines: &mut Vec<f32>,
-) {
+fn panels<S: Simd, const R: usize>(simd: S, job: Blur<'_>) {
+    let Blur { kernel, window, input, output, lines } = job;
     let Window { stride, from: (column, row), size: (width, height) } = window;
+    let height = height.next_multiple_of(ROWS);
     lines.resize((height + 2 * R) * PANEL, 0.0);
     let mut done = 0;
     while done < width {
@@ -89,17 +92,9 @@ fn panels<S: Simd, const R: usize>(
             let out = &mut lines[line * PANEL..][..panel];
             along_row::<S, R>(simd, &input[at..at + panel + 2 * R], kernel, out);
         }
-        let mut line = 0;
-        while line < height {
+        for line in (0..height).step_by(ROWS) {
             let out = &mut output[(row + line) * stride + column + done..];
-            let lines = &lines[line * PANEL..];
-            if height - line >= ROWS {
-                across_rows::<S, R, ROWS>(simd, lines, kernel, out, stride, panel);
-                line += ROWS;
-            } else {
-                across_rows::<S, R, 1>(simd, lines, kernel, out, stride, panel);
-                line += 1;
-            }
+            across_rows::<S, R>(simd, &lines[line * PANEL..], kernel, out, stride, panel);
         }
         done += panel;
     }
@@ -125,9 +120,9 @@ fn load<S: Simd>(values: &[f32], at: usize) -> S::f32s {
     S::as_simd_f32s(&values[at..at + S::F32_LANES]).0[0]
 }
 
-/// `N` output rows from `N + 2 R` lines of a panel.
+/// [`ROWS`] output rows from `ROWS + 2 R` lines of a panel.
 #[inline(always)]
-fn across_rows<S: Simd, const R: usize, const N: usize>(
+fn across_rows<S: Simd, const R: usize>(
     simd: S,
     lines: &[f32],
     kernel: &Kernel,
@@ -135,18 +130,32 @@ fn across_rows<S: Simd, const R: usize, const N: usize>(
     stride: usize,
     width: usize,
 ) {
+    // The weights from one end of the filter to the other.
+    let mut taps = [simd.splat_f32s(0.0); 2 * MAX_RADIUS + 1];
+    for (k, tap) in taps.iter_mut().enumerate().take(2 * R + 1) {
+        *tap = simd.splat_f32s(kernel.weights[k.abs_diff(R)]);
+    }
     let mut at = 0;
     while at < width {
-        let mut sums = [simd.splat_f32s(0.0); N];
-        for line in 0..N + 2 * R {
+        let mut sums = [simd.splat_f32s(0.0); ROWS];
+        // Line `k` has tap `k - row` of output `row`: first come lines that the last rows do not have,
+        // then those that all have, then those that the first rows do not have.
+        for line in 0..ROWS - 1 {
             let value = load::<S>(&lines[line * PANEL..][..PANEL], at);
-            for (row, sum) in sums.iter_mut().enumerate() {
-                // Output `row` has its centre at line `row + R`.
-                let distance = (row + R).abs_diff(line);
-                if distance <= R {
-                    let weight = simd.splat_f32s(kernel.weights[distance]);
-                    *sum = simd.mul_add_e_f32s(weight, value, *sum);
-                }
+            for row in 0..=line {
+                sums[row] = simd.mul_add_e_f32s(taps[line - row], value, sums[row]);
+            }
+        }
+        for line in ROWS - 1..2 * R + 1 {
+            let value = load::<S>(&lines[line * PANEL..][..PANEL], at);
+            for row in 0..ROWS {
+                sums[row] = simd.mul_add_e_f32s(taps[line - row], value, sums[row]);
+            }
+        }
+        for line in 2 * R + 1..2 * R + ROWS {
+            let value = load::<S>(&lines[line * PANEL..][..PANEL], at);
+            for row in line - 2 * R..ROWS {
+                sums[row] = simd.mul_add_e_f32s(taps[line - row], value, sums[row]);
             }
         }
         for (row, sum) in sums.iter().enumerate() {
@@ -164,20 +173,6 @@ const _: () = assert!(PANEL.is_multiple_of(MAX_LANES));
 mod tests {
     use super::*;
 
-    struct Filter<'a> {
-        kernel: &'a Kernel,
-        window: Window,
-        input: &'a [f32],
-        output: &'a mut [f32],
-    }
-
-    impl pulp::WithSimd for Filter<'_> {
-        type Output = ();
-        fn with_simd<S: Simd>(self, simd: S) {
-            blur(simd, self.kernel, self.window, self.input, self.output, &mut Vec::new());
-        }
-    }
-
     #[test]
     fn a_filtered_window_is_the_double_sum() {
         let (stride, rows) = (240, 90);
@@ -187,9 +182,11 @@ mod tests {
             let kernel = Kernel::gaussian(sigma);
             let window = Window { stride, from: (17, 16), size };
             let mut output = vec![0.0; input.len()];
-            let job = Filter { kernel: &kernel, window, input: &input, output: &mut output };
-            pulp::Arch::new().dispatch(job);
+            let lines = &mut Vec::new();
+            let (kernel, output) = (&kernel, &mut output);
+            pulp::Arch::new().dispatch(Blur { kernel, window, input: &input, output, lines });
             let reach = kernel.radius as isize;
+            assert!(reach <= MAX_RADIUS as isize);
             for (u, v) in [(0, 0), (size.0 - 1, size.1 - 1), (size.0 / 2, size.1 / 2)] {
                 let centre = (16 + v) * stride + 17 + u;
                 let mut expected = 0.0;

@@ -68,21 +68,21 @@ mod tests {
             .collect();
         let kept = spread(&points, (1000.0, 1000.0), 1600);
         assert_eq!(kept.len(), 1600);
-        let corner = kept.iter().filter(|&&k| points[k].0 < 250.0 && points[k].1 < 250.0).count();
+        let in_corner = |&k: &usize| points[k].0 < 250.0 && points[k].1 < 250.0;
+        let corner = kept.iter().filter(|k| in_corner(k)).count();
         assert!((80..200).contains(&corner), "{corner} of 1600 in a sixteenth of the picture");
-        let mean = |indices: &mut dyn Iterator<Item = usize>| {
-            let strengths: Vec<f32> = indices.map(|k| points[k].2).collect();
-            strengths.iter().sum::<f32>() / strengths.len() as f32
-        };
-        assert!(mean(&mut kept.iter().copied()) > 1.3 * mean(&mut (0..points.len())));
+        // Elsewhere four of five stay; of evenly spread strengths up to 1 their mean is 0.6.
+        let elsewhere: Vec<f32> =
+            kept.iter().filter(|k| !in_corner(k)).map(|&k| points[k].2).collect();
+        assert!(elsewhere.iter().sum::<f32>() > 0.55 * elsewhere.len() as f32);
     }
 
     #[test]
     fn fewer_than_asked_for_all_stay() {
         let points = [(1.0, 1.0, 0.5), (1.0, 1.0, 0.5), (9.0, 3.0, 0.1)];
-        assert_eq!(spread(&points, (10.0, 10.0), 3), [0, 2, 1]);
-        assert_eq!(spread(&points, (10.0, 10.0), 0), []);
-        assert_eq!(spread(&[], (0.0, 0.0), 7), []);
+        assert_eq!(spread(&points, (10.0, 10.0), 3), [0, 1, 2]);
+        assert!(spread(&points, (10.0, 10.0), 0).is_empty());
+        assert!(spread(&[], (0.0, 0.0), 7).is_empty());
         assert_eq!(spread(&points, (10.0, 10.0), 1), [0], "equal ones in their order");
     }
 }

@@ -9,7 +9,7 @@
 //!
 //! rounded to bytes, larger numbers becoming 255.
 
-use super::{DESCRIPTOR_LENGTH, Norm, gradient, pyramid::Layer};
+use super::{DESCRIPTOR_LENGTH, Norm, blur::MAX_LANES, gradient, pyramid::Layer};
 use pulp::{Simd, WithSimd};
 
 /// Cells on a side.
@@ -74,9 +74,11 @@ fn histogram(job: &Describe<'_>) -> [f32; DESCRIPTOR_LENGTH] {
     let (sine, cosine) = job.angle_deg.to_radians().sin_cos();
     let (sine, cosine) = (sine / cell, cosine / cell);
     // exp(-d^2 / (2 s^2)) with s two cells is a product over rows and columns.
-    let mut weights = [0.0f32; ROW / 2];
-    for (k, weight) in weights.iter_mut().enumerate().take(radius + 1) {
-        *weight = (-((k * k) as f32) / (cell * cell * (CELLS * CELLS) as f32 * 0.5)).exp();
+    // Column `j` from the key point has its weight at `j + radius`.
+    let mut weights = [0.0f32; ROW];
+    for (k, weight) in weights.iter_mut().enumerate().take(2 * radius + 1) {
+        let away = k as f32 - radius as f32;
+        *weight = (-(away * away) / (cell * cell * (CELLS * CELLS) as f32 * 0.5)).exp();
     }
     let first_row = job.row.saturating_sub(radius).max(1);
     let last_row = (job.row + radius).min(layer.height - 2);
@@ -108,19 +110,19 @@ fn histogram(job: &Describe<'_>) -> [f32; DESCRIPTOR_LENGTH] {
             continue;
         }
         let count = (last as usize + 1 - first).min(ROW);
+        // Whole registers; what is beyond the row's last sample gets no weight.
+        let padded = count.next_multiple_of(MAX_LANES);
         let at = row * layer.width + first;
         let data = &layer.data;
-        let (left, right) = (&data[at - 1..][..count], &data[at + 1..][..count]);
-        let above = &data[at - layer.width..][..count];
-        let below = &data[at + layer.width..][..count];
-        let across = weights[row.abs_diff(job.row)];
+        let (left, right) = (&data[at - 1..][..padded], &data[at + 1..][..padded]);
+        let above = &data[at - layer.width..][..padded];
+        let below = &data[at + layer.width..][..padded];
+        let across = weights[row + radius - job.row];
         let turned = job.angle_deg * (1.0 / 360.0);
         let centre = first as f32 - job.column as f32;
         let mut along = [0.0f32; ROW];
-        for k in 0..count {
-            along[k] = weights[(first + k).abs_diff(job.column)];
-        }
-        for k in 0..count {
+        along[..count].copy_from_slice(&weights[first + radius - job.column..][..count]);
+        for k in 0..padded {
             let dx = f32::from(right[k]) - f32::from(left[k]);
             let dy = f32::from(above[k]) - f32::from(below[k]);
             let j = centre + k as f32;

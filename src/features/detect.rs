@@ -11,6 +11,7 @@ use super::{
     Options,
     pyramid::{BASE_SIGMA_PX, BORDER, Frames, LAYERS, SCALES, TILE, Tile},
 };
+use pulp::{Simd, WithSimd};
 
 /// Differences in an octave.
 const DIFFERENCES: usize = SCALES + 2;
@@ -79,14 +80,26 @@ impl Lines {
 }
 
 /// Appends the extrema of a tile.
+pub(super) struct Scan<'a> {
+    pub(super) tile: &'a Tile,
+    pub(super) frames: &'a mut Frames,
+    pub(super) octave: u8,
+    pub(super) options: &'a Options,
+    pub(super) found: &'a mut Vec<Extremum>,
+}
+
+impl WithSimd for Scan<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        scan(self);
+    }
+}
+
 #[inline(always)]
-pub(super) fn scan(
-    tile: &Tile,
-    frames: &mut Frames,
-    octave: u8,
-    options: &Options,
-    found: &mut Vec<Extremum>,
-) {
+fn scan(job: Scan<'_>) {
+    let Scan { tile, frames, octave, options, found } = job;
     let Frames { layers, scan: Lines { ring, extremes }, .. } = frames;
     let threshold = (0.5 * options.contrast_threshold / SCALES as f32 * 255.0).floor();
     // One column after another of the tile may be a candidate, as far as it is not at the border.

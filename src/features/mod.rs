@@ -170,7 +170,7 @@ pub fn grey(photo: &RgbImage) -> GrayImage {
 
 /// Finds and describes the features of a grey photo.
 ///
-/// They are ordered from fine to coarse octaves, within these by layer, row and column. A point with
+/// They are ordered from fine to coarse octaves, within these by blocks of 128 pixels. A point with
 /// several directions gives several features. A photo too small or too flat gives none.
 ///
 /// Memory: about 10 bytes for each pixel of the photo enlarged, 0.5 GB for 12 megapixels.

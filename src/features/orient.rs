@@ -5,7 +5,7 @@
 //! (1 4 6 4 1)/16, and every peak of at least 0.8 times the highest gives a direction, refined by the
 //! parabola through the peak and its neighbours. Lowe 2004, section 5.
 
-use super::{gradient, pyramid::Layer};
+use super::{blur::MAX_LANES, gradient, pyramid::Layer};
 use pulp::{Simd, WithSimd};
 
 const BINS: usize = 36;
@@ -34,9 +34,11 @@ impl WithSimd for Directions<'_> {
         let sigma = SIGMA_FACTOR * self.sigma_px;
         // At most 19 pixels: the blur is at most 1.6 * 2^(3.5 / 3) pixels.
         let radius = (3.0 * sigma).round_ties_even().clamp(0.0, (ROW / 2 - 1) as f32) as usize;
-        let mut weights = [0.0f32; ROW / 2];
-        for (k, weight) in weights.iter_mut().enumerate().take(radius + 1) {
-            *weight = (-((k * k) as f32) / (2.0 * sigma * sigma)).exp();
+        // Column `j` from the extremum has its weight at `j + radius`.
+        let mut weights = [0.0f32; ROW];
+        for (k, weight) in weights.iter_mut().enumerate().take(2 * radius + 1) {
+            let away = k as f32 - radius as f32;
+            *weight = (-(away * away) / (2.0 * sigma * sigma)).exp();
         }
         let mut histogram = [0.0f32; BINS];
         let layer = self.layer;
@@ -47,17 +49,17 @@ impl WithSimd for Directions<'_> {
         let count = last + 1 - first;
         let (mut bins, mut values) = ([0i32; ROW], [0.0f32; ROW]);
         let mut along = [0.0f32; ROW];
-        for k in 0..count {
-            along[k] = weights[(first + k).abs_diff(self.column)];
-        }
+        along[..count].copy_from_slice(&weights[first + radius - self.column..][..count]);
+        // Whole registers; what is beyond the row's last sample gets no weight.
+        let padded = count.next_multiple_of(MAX_LANES);
         for row in first_row..=last_row {
-            let across = weights[row.abs_diff(self.row)];
+            let across = weights[row + radius - self.row];
             let at = row * layer.width + first;
             let data = &layer.data;
-            let (left, right) = (&data[at - 1..][..count], &data[at + 1..][..count]);
-            let above = &data[at - layer.width..][..count];
-            let below = &data[at + layer.width..][..count];
-            for k in 0..count {
+            let (left, right) = (&data[at - 1..][..padded], &data[at + 1..][..padded]);
+            let above = &data[at - layer.width..][..padded];
+            let below = &data[at + layer.width..][..padded];
+            for k in 0..padded {
                 let dx = f32::from(right[k]) - f32::from(left[k]);
                 let dy = f32::from(above[k]) - f32::from(below[k]);
                 let turn = gradient::turn(dy, dx);
@@ -130,6 +132,6 @@ mod tests {
     fn flat_ground_has_no_direction() {
         let layer = Layer::new(40, 40);
         let job = Directions { layer: &layer, column: 8, row: 8, sigma_px: 1.8 };
-        assert_eq!(pulp::Arch::new().dispatch(job), []);
+        assert!(pulp::Arch::new().dispatch(job).is_empty());
     }
 }

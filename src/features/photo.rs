@@ -86,6 +86,7 @@ impl Rows for Photo<'_> {
         (self.grey.width() as usize * factor, self.grey.height() as usize * factor)
     }
 
+    #[inline(always)]
     fn read(&self, row: isize, from: isize, out: &mut [f32]) {
         let (width, height) = self.size();
         let factor = self.upscale.factor() as usize;
@@ -104,16 +105,18 @@ impl Rows for Photo<'_> {
             for ((value, &a), &b) in line.iter_mut().zip(&above[first..]).zip(&below[first..]) {
                 *value = f32::from(a) * (1.0 - weight) + f32::from(b) * weight;
             }
+            // Pairs of pixels from an even one on, of which the first may not be asked for.
+            let mut pairs = [[0.0f32; 2]; LONGEST / 2 + 1];
+            let pairs = &mut pairs[..line.len() - 2];
             let (even, odd) =
                 if self.upscale == Upscale::HalfPixel { (0.75, 0.25) } else { (1.0, 0.5) };
-            for (k, value) in out.iter_mut().enumerate() {
-                let at = (from % 2 + k) / 2 + 1;
-                *value = if (from + k).is_multiple_of(2) {
-                    line[at - 1] * (1.0 - even) + line[at] * even
-                } else {
-                    line[at] * (1.0 - odd) + line[at + 1] * odd
-                };
+            for (k, pair) in pairs.iter_mut().enumerate() {
+                *pair = [
+                    line[k] * (1.0 - even) + line[k + 1] * even,
+                    line[k + 1] * (1.0 - odd) + line[k + 2] * odd,
+                ];
             }
+            out.copy_from_slice(&pairs.as_flattened()[from % 2..][..out.len()]);
             return;
         }
         for (k, value) in out.iter_mut().enumerate() {

@@ -16,7 +16,7 @@
 
 use super::{
     Options,
-    blur::{Kernel, MAX_LANES, Window, blur},
+    blur::{Blur, Kernel, MAX_LANES, Window},
     detect::{self, Extremum},
     photo::{Grid, LONGEST, Rows},
 };
@@ -36,12 +36,15 @@ const PHOTO_SIGMA_PX: f64 = 0.5;
 pub(super) const BORDER: usize = 5;
 /// Columns and rows of a tile, even.
 pub(super) const TILE: (usize, usize) = (512, 256);
+/// Side of the blocks that extrema are ordered by.
+const BLOCK: u32 = 128;
 /// Pixels kept around a tile; the filters take up to 48 of them and the search 5.
 const MARGIN: usize = 56;
 /// Distance of a frame's rows.
 const STRIDE: usize = TILE.0 + 2 * MARGIN + MAX_LANES;
 
-/// A layer that describes features: 256 times the grey values.
+/// A layer that describes features: 256 times the grey values, row by row, and after the last pixel
+/// some that may be read without looking.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Layer {
     pub(super) width: usize,
@@ -51,7 +54,7 @@ pub(super) struct Layer {
 
 impl Layer {
     pub(super) fn new(width: usize, height: usize) -> Layer {
-        Layer { width, height, data: vec![0; width * height] }
+        Layer { width, height, data: vec![0; width * height + 2 * MAX_LANES] }
     }
 }
 
@@ -166,14 +169,14 @@ impl<'a> Pyramid<'a> {
         let mut layers: Octave = std::array::from_fn(|_| Layer::new(width, height));
         let mut next = Grid { width: width / 2, height: height / 2, data: Vec::new() };
         next.data = vec![0.0; next.width * next.height];
-        let [first, second, third] = &mut layers;
+        let [first, second, third] =
+            layers.each_mut().map(|layer| &mut layer.data[..width * height]);
         let rows = TILE.1;
         let mut halves = next.data.chunks_mut(rows / 2 * (width / 2));
         let strips: Vec<Strip<'_>> = first
-            .data
             .chunks_mut(rows * width)
-            .zip(second.data.chunks_mut(rows * width))
-            .zip(third.data.chunks_mut(rows * width))
+            .zip(second.chunks_mut(rows * width))
+            .zip(third.chunks_mut(rows * width))
             .enumerate()
             .map(|(index, ((first, second), third))| Strip {
                 first_row: index * rows,
@@ -187,14 +190,7 @@ impl<'a> Pyramid<'a> {
             .map(|strip| {
                 let pooled = self.pool.lock().ok().and_then(|mut pool| pool.pop());
                 let mut frames = pooled.unwrap_or_else(Frames::new);
-                let found = pulp::Arch::new().dispatch(Work {
-                    filters: &self.filters,
-                    options: self.options,
-                    source,
-                    octave,
-                    strip,
-                    frames: &mut frames,
-                });
+                let found = work(self, source, octave, strip, &mut frames);
                 if let Ok(mut pool) = self.pool.lock() {
                     pool.push(frames);
                 }
@@ -202,55 +198,42 @@ impl<'a> Pyramid<'a> {
             })
             .collect();
         let mut extrema = found.concat();
+        // Those that are near each other in memory are described one after the other.
+        extrema
+            .sort_unstable_by_key(|e| (e.row / BLOCK, e.column / BLOCK, e.layer, e.row, e.column));
         // Neighbouring candidates may end in the same pixel.
-        extrema.sort_unstable_by_key(|e| (e.layer, e.row, e.column));
         extrema.dedup_by_key(|e| (e.layer, e.row, e.column));
         Some(Made { layers, extrema, next })
     }
 }
 
-/// One row of tiles.
-struct Work<'a, R: Rows> {
-    filters: &'a Filters,
-    options: &'a Options,
-    source: &'a R,
+/// Finds the extrema of a row of tiles, and keeps its layers.
+fn work(
+    pyramid: &Pyramid<'_>,
+    source: &impl Rows,
     octave: u8,
-    strip: Strip<'a>,
-    frames: &'a mut Frames,
-}
-
-impl<R: Rows> WithSimd for Work<'_, R> {
-    type Output = Vec<Extremum>;
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) -> Vec<Extremum> {
-        let Work { filters, options, source, octave, mut strip, frames } = self;
-        let whole = source.size();
-        let mut found = Vec::new();
-        let rows = TILE.1.min(whole.1 - strip.first_row);
-        let mut column = 0;
-        while column < whole.0 {
-            let size = (TILE.0.min(whole.0 - column), rows);
-            let tile = Tile { from: (column, strip.first_row), size, whole };
-            fill(simd, filters, source, octave, &tile, frames);
-            detect::scan(&tile, frames, octave, options, &mut found);
-            keep(&tile, frames, &mut strip);
-            column += size.0;
-        }
-        found
+    mut strip: Strip<'_>,
+    frames: &mut Frames,
+) -> Vec<Extremum> {
+    let whole = source.size();
+    let mut found = Vec::new();
+    let rows = TILE.1.min(whole.1 - strip.first_row);
+    let simd = pulp::Arch::new();
+    let mut column = 0;
+    while column < whole.0 {
+        let size = (TILE.0.min(whole.0 - column), rows);
+        let tile = Tile { from: (column, strip.first_row), size, whole };
+        fill(&pyramid.filters, source, octave, &tile, frames);
+        let options = pyramid.options;
+        simd.dispatch(detect::Scan { tile: &tile, frames, octave, options, found: &mut found });
+        simd.dispatch(Keep { tile: &tile, frames, strip: &mut strip });
+        column += size.0;
     }
+    found
 }
 
 /// Makes the layers of a tile.
-#[inline(always)]
-fn fill<S: Simd, R: Rows>(
-    simd: S,
-    filters: &Filters,
-    source: &R,
-    octave: u8,
-    tile: &Tile,
-    frames: &mut Frames,
-) {
+fn fill(filters: &Filters, source: &impl Rows, octave: u8, tile: &Tile, frames: &mut Frames) {
     let Frames { layers, lines, .. } = frames;
     let window = |margin: usize| Window {
         stride: STRIDE,
@@ -261,46 +244,78 @@ fn fill<S: Simd, R: Rows>(
     let start = if octave == 0 { LAYERS - 1 } else { 0 };
     let margin = filters.margins[0] + if octave == 0 { filters.kernels[0].radius } else { 0 };
     let (width, height) = window(margin).size;
-    for line in 0..height {
-        let row = (tile.from.1 + line) as isize - margin as isize;
-        let at = (MARGIN - margin + line) * STRIDE + MARGIN - margin;
-        let from = tile.from.0 as isize - margin as isize;
-        source.read(row, from, &mut layers[start][at..at + width]);
-    }
+    let first = (MARGIN - margin) * STRIDE + MARGIN - margin;
+    let from = [tile.from.0, tile.from.1].map(|x| x as isize - margin as isize);
+    let out = &mut layers[start][first..];
+    let simd = pulp::Arch::new();
+    simd.dispatch(Read { source, from, size: (width, height), out });
     let [zero, .., last] = layers;
     if octave == 0 {
-        blur(simd, &filters.kernels[0], window(filters.margins[0]), last, zero, lines);
+        let (kernel, window) = (&filters.kernels[0], window(filters.margins[0]));
+        simd.dispatch(Blur { kernel, window, input: last, output: zero, lines });
     }
     for layer in 1..LAYERS {
         let (before, after) = layers.split_at_mut(layer);
-        let window = window(filters.margins[layer]);
-        blur(simd, &filters.kernels[layer], window, &before[layer - 1], &mut after[0], lines);
+        let (kernel, window) = (&filters.kernels[layer], window(filters.margins[layer]));
+        let (input, output) = (&before[layer - 1], &mut after[0]);
+        simd.dispatch(Blur { kernel, window, input, output, lines });
+    }
+}
+
+/// Reads the rectangle `size` from `from` on into a frame.
+struct Read<'a, R: Rows> {
+    source: &'a R,
+    from: [isize; 2],
+    size: (usize, usize),
+    out: &'a mut [f32],
+}
+
+impl<R: Rows> WithSimd for Read<'_, R> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        for line in 0..self.size.1 {
+            let out = &mut self.out[line * STRIDE..][..self.size.0];
+            self.source.read(self.from[1] + line as isize, self.from[0], out);
+        }
     }
 }
 
 /// Puts what is needed later into the octave.
-#[inline(always)]
-fn keep(tile: &Tile, frames: &Frames, strip: &mut Strip<'_>) {
-    let (width, rows) = tile.size;
-    for (layer, out) in frames.layers[1..=SCALES].iter().zip(&mut strip.layers) {
-        for row in 0..rows {
-            let at = tile.place(tile.from.0, tile.from.1 + row);
-            let out = &mut out[row * tile.whole.0 + tile.from.0..][..width];
-            for (out, &value) in out.iter_mut().zip(&layer[at..at + width]) {
-                // Adding 1.5 * 2^23 leaves the rounded number in the lowest bits.
-                *out = (value * 256.0 + 12_582_912.0).to_bits() as u16;
+struct Keep<'a, 's> {
+    tile: &'a Tile,
+    frames: &'a Frames,
+    strip: &'a mut Strip<'s>,
+}
+
+impl WithSimd for Keep<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Keep { tile, frames, strip } = self;
+        let (width, rows) = tile.size;
+        for (layer, out) in frames.layers[1..=SCALES].iter().zip(&mut strip.layers) {
+            for row in 0..rows {
+                let at = tile.place(tile.from.0, tile.from.1 + row);
+                let out = &mut out[row * tile.whole.0 + tile.from.0..][..width];
+                for (out, &value) in out.iter_mut().zip(&layer[at..at + width]) {
+                    // Adding 1.5 * 2^23 leaves the rounded number in the lowest bits.
+                    *out = (value * 256.0 + 12_582_912.0).to_bits() as u16;
+                }
             }
         }
-    }
-    let half = tile.whole.0 / 2;
-    if half == 0 {
-        return;
-    }
-    for (row, out) in strip.next.chunks_exact_mut(half).enumerate() {
-        let at = tile.place(tile.from.0, tile.from.1 + 2 * row);
-        let out = &mut out[tile.from.0 / 2..half.min((tile.from.0 + width) / 2)];
-        for (out, pair) in out.iter_mut().zip(frames.layers[SCALES][at..].chunks_exact(2)) {
-            *out = pair[0];
+        let half = tile.whole.0 / 2;
+        if half == 0 {
+            return;
+        }
+        for (row, out) in strip.next.chunks_exact_mut(half).enumerate() {
+            let at = tile.place(tile.from.0, tile.from.1 + 2 * row);
+            let out = &mut out[tile.from.0 / 2..half.min((tile.from.0 + width) / 2)];
+            for (out, pair) in out.iter_mut().zip(frames.layers[SCALES][at..].chunks_exact(2)) {
+                *out = pair[0];
+            }
         }
     }
 }
