@@ -40,7 +40,7 @@ struct Cli {
 enum Verb {
     Run(run::Args),
     Align(Box<align::Args>),
-    Adjust(adjust::Args),
+    Adjust(Box<adjust::Args>),
     Convert(survey::convert::Args),
     Synth(synth::Args),
     Locate(locate::Locate),

@@ -101,18 +101,18 @@ fn align_strip(survey: &mut Survey) -> Option<Alignment> {
         let back = rotation::inverse(image.pose.rotation);
         up += Vector3::from(rotation::rotate(back, [0.0, 0.0, 1.0]));
     }
-    let along = |of: &dyn Fn(&(Vector3<f64>, Vector3<f64>)) -> Vector3<f64>, mean: Vector3<f64>| {
+    let along = |side: usize, mean: Vector3<f64>| {
         let mut moments = Matrix3::zeros();
         for pair in &pairs {
-            let d = of(pair) - mean;
+            let d = if side == 0 { pair.0 } else { pair.1 } - mean;
             moments += d * d.transpose();
         }
         let eigen = moments.symmetric_eigen();
         let k = eigen.eigenvalues.imax();
         (eigen.eigenvectors.column(k).into_owned(), eigen.eigenvalues[k])
     };
-    let (mut x, spread_from) = along(&|p| p.0, from);
-    let (mut y, spread_to) = along(&|p| p.1, to);
+    let (mut x, spread_from) = along(0, from);
+    let (mut y, spread_to) = along(1, to);
     let agreement: f64 = pairs.iter().map(|p| x.dot(&(p.0 - from)) * y.dot(&(p.1 - to))).sum();
     if agreement < 0.0 {
         x = -x;

@@ -129,7 +129,7 @@ pub fn truth(plan: &Plan) -> Survey {
         let k = survey.ground.len();
         // Around the block and in it, in turn.
         let share = k as f64 / total as f64 * std::f64::consts::TAU;
-        let radius = if k % 2 == 0 { 0.48 } else { 0.25 };
+        let radius = if k.is_multiple_of(2) { 0.48 } else { 0.25 };
         let at = [
             CORNER_M[0] + extent[0] * (0.5 + radius * share.cos()),
             CORNER_M[1] + extent[1] * (0.5 + radius * share.sin()),

@@ -36,7 +36,7 @@ pub(super) struct Photo {
 /// Where the coordinates of a project live.
 pub(super) enum Frame {
     /// A reference system that somebody named, or that the control can only be in.
-    Map(Crs),
+    Map(Box<Crs>),
     /// That of the control, which nobody named.
     Unnamed,
     /// A plane at a place on the ellipsoid.
@@ -469,7 +469,7 @@ fn ground(
         }
     }
     let frame = match (crs, tagged.first()) {
-        (Some(crs), _) => Frame::Map(crs),
+        (Some(crs), _) => Frame::Map(Box::new(crs)),
         (None, Some(_)) if known.ground.is_empty() || geographic => {
             let n = tagged.len() as f64;
             let mean =

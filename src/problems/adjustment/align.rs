@@ -149,10 +149,8 @@ fn fit(pairs: &[([f64; 3], [f64; 3])]) -> Option<Similarity> {
         return None;
     }
     let count = pairs.len() as f64;
-    let mean = |of: &dyn Fn(&([f64; 3], [f64; 3])) -> [f64; 3]| -> Vector3<f64> {
-        pairs.iter().map(|pair| Vector3::from(of(pair))).sum::<Vector3<f64>>() / count
-    };
-    let (from, to) = (mean(&|pair| pair.0), mean(&|pair| pair.1));
+    let from = pairs.iter().map(|pair| Vector3::from(pair.0)).sum::<Vector3<f64>>() / count;
+    let to = pairs.iter().map(|pair| Vector3::from(pair.1)).sum::<Vector3<f64>>() / count;
     let mut cross = Matrix3::zeros();
     let mut spread = 0.0;
     for (x, y) in pairs {
