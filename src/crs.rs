@@ -30,6 +30,24 @@ impl std::fmt::Debug for Crs {
     }
 }
 
+/// Datum shifts that definitions lack: dx, dy, dz in metres, rx, ry, rz in seconds, scale in parts per
+/// million, of the EPSG transformations that are meant for a whole country.
+const SHIFTS: [(&[u32], &str); 5] = [
+    (&[27700], "446.448,-125.157,542.06,0.15,0.247,0.842,-20.489"),
+    (&[28991, 28992], "565.4171,50.3319,465.5524,-0.398957,0.343988,-1.87740,4.0725"),
+    (&[21781, 2056], "674.374,15.056,405.346,0,0,0,0"),
+    (&[31466, 31467, 31468, 31469], "598.1,73.7,418.2,0.202,0.045,-2.455,6.7"),
+    (
+        &[31254, 31255, 31256, 31257, 31258, 31259, 31287],
+        "577.326,90.129,463.919,5.137,1.474,5.297,2.4232",
+    ),
+];
+
+fn knows_datum(definition: &str) -> bool {
+    let same_as_wgs84 = ["+ellps=GRS80", "+ellps=WGS84"].iter().any(|e| definition.contains(e));
+    same_as_wgs84 || ["+datum=", "+towgs84="].iter().any(|key| definition.contains(key))
+}
+
 const WGS84: &str = "+proj=longlat +datum=WGS84 +no_defs";
 
 impl Crs {
@@ -42,7 +60,19 @@ impl Crs {
             || CrsError(format!("EPSG:{code} is not a known coordinate reference system"));
         let short = u16::try_from(code).map_err(|_| unknown())?;
         let found = crs_definitions::from_code(short).ok_or_else(unknown)?;
-        Crs::new(&format!("EPSG:{code}"), found.proj4)
+        let mut definition = found.proj4.to_owned();
+        if !knows_datum(&definition)
+            && let Some((_, shift)) = SHIFTS.iter().find(|(codes, _)| codes.contains(&code))
+        {
+            definition = definition.replace(" +units=", &format!(" +towgs84={shift} +units="));
+        }
+        Crs::new(&format!("EPSG:{code}"), &definition)
+    }
+
+    /// Whether its definition says how its datum lies to WGS84; where it does not, places come out up to
+    /// some hundred metres off, all by nearly the same.
+    pub fn knows_datum(&self) -> bool {
+        knows_datum(&self.definition)
     }
 
     /// The system that words name: `EPSG:32611`, `32611`, a PROJ string, or `WGS84 UTM 11N` as in the

@@ -11,12 +11,14 @@
 
 mod adjust;
 mod adjustment;
+mod align;
 mod architecture;
 mod boards;
 mod calibrate;
 mod calibration;
 mod camera;
 mod canopy;
+mod crs;
 mod data;
 mod drive;
 mod engine;

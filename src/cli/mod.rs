@@ -52,6 +52,7 @@ enum Verb {
     Run(run::Args),
     Adjust(Box<adjust::Args>),
     Align(Box<align::Args>),
+    Adjust(Box<adjust::Args>),
     Convert(survey::convert::Args),
     Calibrate(calibrate::Calibrate),
     Undistort(undistort::Args),

@@ -120,6 +120,14 @@ impl<'a> Block<'a> {
         seen.filter(|(track, _)| self.points[*track as usize].is_some()).count()
     }
 
+    /// How many images with a pose see the point of a track.
+    fn rays(&self, track: usize) -> usize {
+        let seen = |place: &usize| {
+            self.used[*place] && self.poses[self.tracks.member(*place).image as usize].is_some()
+        };
+        self.tracks.places(track).filter(seen).count()
+    }
+
     fn views(&self, track: usize, only_used: bool) -> (Vec<usize>, Vec<View<'_>>) {
         let mut places = Vec::new();
         let mut views = Vec::new();
@@ -217,6 +225,7 @@ impl<'a> Block<'a> {
             .tracks_of(&asked)
             .into_iter()
             .filter(|&track| self.points[track as usize].is_some())
+            .filter(|&track| self.rays(track as usize) >= 2)
             .collect();
         let mut order = asked.clone();
         let mut place = vec![u32::MAX; self.poses.len()];

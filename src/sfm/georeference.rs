@@ -101,18 +101,18 @@ fn align_strip(survey: &mut Survey) -> Option<Alignment> {
         let back = rotation::inverse(image.pose.rotation);
         up += Vector3::from(rotation::rotate(back, [0.0, 0.0, 1.0]));
     }
-    let along = |of: &dyn Fn(&(Vector3<f64>, Vector3<f64>)) -> Vector3<f64>, mean: Vector3<f64>| {
+    let along = |side: usize, mean: Vector3<f64>| {
         let mut moments = Matrix3::zeros();
         for pair in &pairs {
-            let d = of(pair) - mean;
+            let d = if side == 0 { pair.0 } else { pair.1 } - mean;
             moments += d * d.transpose();
         }
         let eigen = moments.symmetric_eigen();
         let k = eigen.eigenvalues.imax();
         (eigen.eigenvectors.column(k).into_owned(), eigen.eigenvalues[k])
     };
-    let (mut x, spread_from) = along(&|p| p.0, from);
-    let (mut y, spread_to) = along(&|p| p.1, to);
+    let (mut x, spread_from) = along(0, from);
+    let (mut y, spread_to) = along(1, to);
     let agreement: f64 = pairs.iter().map(|p| x.dot(&(p.0 - from)) * y.dot(&(p.1 - to))).sum();
     if agreement < 0.0 {
         x = -x;
@@ -327,6 +327,33 @@ pub fn adjust(
     let all = block.all_tracks();
     block.retriangulate(&all, demands);
     Ok(())
+}
+
+/// How far each control point that is marked twice or more is from where its marks put it, metres:
+/// its place among the ground points, and the distance along the coordinates that are known.
+pub fn control_left_m(block: &Block<'_>, known: &Known) -> Vec<(usize, f64)> {
+    use super::triangulate::{View, triangulate};
+    let demands = Demands { tolerance_px: 50.0, least_angle_rad: 0.01 };
+    let mut found = Vec::new();
+    for (ground, point) in known.ground.iter().enumerate() {
+        if point.role != Role::Control {
+            continue;
+        }
+        let marks = known.marks.iter().filter(|mark| mark.ground as usize == ground);
+        let views: Vec<View<'_>> = marks
+            .filter_map(|mark| {
+                let pose = block.poses[mark.image as usize].as_ref()?;
+                let lens = block.lens(mark.image as usize);
+                Some(View { pose, lens, image_px: mark.image_px })
+            })
+            .collect();
+        if let Some((at, _)) = triangulate(&views, &demands) {
+            let squares =
+                point.axes.indices().iter().map(|&k| (at[k] - point.position_m[k]).powi(2));
+            found.push((ground, squares.sum::<f64>().sqrt()));
+        }
+    }
+    found
 }
 
 /// Marks that the block contradicts, by the distances from where the others of their point put them.

@@ -320,19 +320,24 @@ impl Judge<'_> {
     /// points it sees and agrees with.
     fn resection(&self, image: usize, looser: f64) -> Option<(Pose, usize, usize)> {
         let sights = self.block.sights(image);
-        if sights.len() < self.growing.least_points {
+        // Half as many are enough where a pair vouches for what they say.
+        let least = self.growing.least_points.div_ceil(2);
+        if sights.len() < least {
             return None;
         }
         let seed = self.growing.seed ^ ((image as u64 + 1) << 20);
         let tolerance_px = looser * self.growing.tolerance_px;
         let found = resect(&sights, self.block.lens(image), tolerance_px, seed)?;
         let inliers = found.inliers.len();
-        if inliers < self.growing.least_points || 4 * inliers < sights.len() {
+        if inliers < least || 4 * inliers < sights.len() {
             return None;
         }
         // The pairs have a say: more of them must agree with the pose than not, unless the points
         // are nearly unanimous.
         let (agree, all) = self.agreement(image, &found.model);
+        if inliers < self.growing.least_points && (agree == 0 || 2 * agree < all) {
+            return None;
+        }
         let unanimous =
             10 * inliers >= 6 * sights.len() && inliers >= 3 * self.growing.least_points;
         if all > 0 && 2 * agree < all && !unanimous {

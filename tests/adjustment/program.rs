@@ -145,12 +145,16 @@ fn a_block_with_control_is_adjusted_and_reported() {
     assert!(message.contains("whole block is free in 7 direction(s)"), "{message}");
 }
 
+/// What is done to a file.
+type Damage<'a> = &'a dyn Fn(&str) -> String;
+
 #[test]
 fn bad_control_is_refused_by_file_line_and_name() {
     let folder = tempfile::tempdir().unwrap();
     save(folder.path(), &survey());
     type Case<'a> = (&'a str, &'a dyn Fn(&str) -> String, &'a [&'a str]);
     let cases: [Case; 11] = [
+    let cases: [(&str, Damage<'_>, &[&str]); 11] = [
         (
             "gcps.csv",
             &|t| t.replace("easting_m", "offset"),

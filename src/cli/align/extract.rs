@@ -203,6 +203,8 @@ pub(super) struct Choice {
     pub(super) following: usize,
     /// Pairs of each photo that are matched in full.
     pub(super) partners: usize,
+    /// Photos that follow in time, and half of the nearest ones, that are matched in any case.
+    pub(super) certain: usize,
     /// Features of a first, coarse look.
     pub(super) coarse_features: usize,
     /// The fewest coarse matches.
@@ -211,28 +213,40 @@ pub(super) struct Choice {
 
 impl Default for Choice {
     fn default() -> Choice {
-        Choice { nearest: 40, following: 3, partners: 16, coarse_features: 768, coarse_matches: 4 }
+        Choice {
+            nearest: 40,
+            following: 3,
+            partners: 16,
+            certain: 2,
+            coarse_features: 768,
+            coarse_matches: 4,
+        }
     }
 }
 
 /// Up to so many photos without positions everything is compared with everything, coarsely.
 const MOST_EXHAUSTIVE: usize = 1000;
 
-/// Pairs worth a look: neighbours by position, those that follow each other, and all where there is
-/// neither.
-fn candidates(project: &Project, choice: &Choice) -> Vec<pairs::Pair> {
+/// Photos that follow each other in time, up to `reach` apart.
+fn following(project: &Project, reach: usize) -> Vec<pairs::Pair> {
     let n = project.photos.len();
-    let placed = project.plan_m.iter().filter(|p| p[0].is_finite()).count();
     let mut order: Vec<usize> = (0..n).collect();
     order.sort_by(|&a, &b| {
         let (a, b) = (&project.photos[a], &project.photos[b]);
         a.metadata.moment.cmp(&b.metadata.moment).then(a.name.cmp(&b.name))
     });
-    let following: Vec<pairs::Pair> = pairs::in_sequence(n, choice.following)
+    pairs::in_sequence(n, reach)
         .into_iter()
         .map(|[a, b]| [order[a].min(order[b]), order[a].max(order[b])])
-        .collect();
-    let mut lists = vec![following];
+        .collect()
+}
+
+/// Pairs worth a look: neighbours by position, those that follow each other, and all where there is
+/// neither.
+fn candidates(project: &Project, choice: &Choice) -> Vec<pairs::Pair> {
+    let n = project.photos.len();
+    let placed = project.plan_m.iter().filter(|p| p[0].is_finite()).count();
+    let mut lists = vec![following(project, choice.following)];
     if placed * 2 >= n {
         lists.push(pairs::nearest(&project.plan_m, choice.nearest, f64::INFINITY));
         // A photo without a position may belong anywhere.
@@ -269,7 +283,14 @@ pub(super) fn matches(
         let found = found.into_iter().map(|(images, matches)| Matched { images, matches });
         return Ok((found.collect(), mark));
     }
-    let chosen = shortlist(extracted, &candidates, choice, options);
+    // The nearest few and those that follow each other are matched whatever the coarse look says:
+    // on a plain crop it sees little.
+    let close = [
+        following(project, choice.certain),
+        pairs::nearest(&project.plan_m, 2 * choice.certain, f64::INFINITY),
+    ];
+    let chosen =
+        pairs::join(&[shortlist(extracted, &candidates, choice, options), pairs::join(&close)]);
     let prepared: Vec<Prepared<'_>> =
         extracted.features.par_iter().map(|f| Prepared::new(&f.descriptors)).collect();
     let progress = bar(chosen.len(), "matching");

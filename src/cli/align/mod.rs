@@ -328,7 +328,12 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     if last == Stage::Inspect {
         return Ok(());
     }
-    let options = features::Options { max_features: args.max_features, ..Default::default() };
+    // Half of the usual contrast: the budget keeps the best, and a plain crop has no others.
+    let options = features::Options {
+        max_features: args.max_features,
+        contrast_threshold: 0.02,
+        ..Default::default()
+    };
     let extracted = clock.time("features", || {
         extract::features(&project, &options, (&cache, fresh(Stage::Features)), &mut findings)
     })?;

@@ -99,7 +99,7 @@ impl Report {
         found: Final,
         project: &Project,
         pairs: &[Pair],
-        findings: Vec<Finding>,
+        mut findings: Vec<Finding>,
     ) -> (Report, survey::Outcome) {
         let adjusted = &found.adjusted;
         let block = &adjusted.survey;
@@ -129,11 +129,28 @@ impl Report {
             .map(|photo| photo.name.clone())
             .filter(|name| !registered.contains(&name.as_str()))
             .collect();
+        for name in &unregistered {
+            let place = project.photos.iter().position(|photo| photo.name == *name);
+            let place = place.map_or(u32::MAX, |k| k as u32);
+            let own = pairs.iter().filter(|pair| pair.images.contains(&place)).count();
+            let apart = found.fragments.iter().find(|(images, _)| images.contains(name));
+            let what = match (apart, own) {
+                (Some((images, false)), _) => format!(
+                    "it is in a piece of {} photos that nothing ties to the block",
+                    images.len()
+                ),
+                (_, 0) => "not oriented: it matches no other photo".to_owned(),
+                (_, own) => format!(
+                    "not oriented: it matches {own} other photo(s), too little or in contradiction"
+                ),
+            };
+            findings.push(Finding::new(name, &what));
+        }
         unregistered.extend(project.left_out.iter().map(|(name, _)| name.clone()));
         unregistered.sort();
         let apart = found.fragments.iter().filter(|(_, joined)| !joined).count();
         let report = Report {
-            project: String::new(),
+            project: project.name.clone(),
             images: project.photos.len() + project.left_out.len(),
             registered: registered.len(),
             fragments: apart + usize::from(!registered.is_empty()),

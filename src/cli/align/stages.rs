@@ -16,7 +16,7 @@ use crate::{
     sfm::{
         self, Pair,
         block::Block,
-        georeference::{Known, adjust, axes_exchanged, join, review_marks, weigh_positions},
+        georeference::{self, Known, adjust, axes_exchanged, join, review_marks, weigh_positions},
         growth::{Event, Growing, reconstruct},
         relative::{RelativePose, Solver},
         tracks::Tracks,
@@ -256,8 +256,39 @@ pub(super) struct Final {
     pub(super) checks: Vec<String>,
 }
 
-/// Points beyond this distance from the block, in heights of flight, are no control of it.
-const GROSS: f64 = 5.0;
+/// Control that is this many times as far off as half of it is wrong.
+const GROSS: f64 = 8.0;
+
+/// What control is off by at most after a similarity, but for the worst of it, metres.
+fn loosest_control_m(alignment: &Alignment) -> f64 {
+    let mut left: Vec<f64> = alignment.misfits.iter().map(|(_, left)| *left).collect();
+    left.extend(std::iter::repeat_n(alignment.rmse_m, alignment.used.len()));
+    left.sort_by(f64::total_cmp);
+    left.get(left.len() * 3 / 4).copied().unwrap_or(0.0)
+}
+
+/// Control that is believed to no better than `sigma_m`.
+fn eased(known: &Known, sigma_m: f64) -> Known {
+    let mut known = known.clone();
+    for point in &mut known.ground {
+        point.sigma_m = point.sigma_m.map(|sigma| sigma.max(sigma_m));
+    }
+    known
+}
+
+/// The control point that the block contradicts most, and by how many metres.
+fn worst_control(block: &Block<'_>, known: &Known, sigma_m: f64) -> Option<(usize, f64)> {
+    let left = georeference::control_left_m(block, known);
+    if left.len() < 4 {
+        return None;
+    }
+    let mut sorted: Vec<f64> = left.iter().map(|(_, left)| *left).collect();
+    sorted.sort_by(f64::total_cmp);
+    let half = sorted[sorted.len() / 2];
+    let (place, most) = left.into_iter().max_by(|a, b| a.1.total_cmp(&b.1))?;
+    let given = known.ground[place].sigma_m.iter().copied().fold(0.0, f64::max);
+    (most > GROSS * half && most > GROSS * given && most > sigma_m).then_some((place, most))
+}
 
 /// Brings the blocks into the map, makes them one, adjusts it and judges it.
 pub(super) fn finish<'a>(
@@ -284,9 +315,6 @@ pub(super) fn finish<'a>(
     let mut block = joined.block;
     for (k, alignment) in joined.alignments.iter().enumerate() {
         fragments[k].1 = alignment.is_some() || !joined.georeferenced && k == 0;
-        if let Some(alignment) = alignment {
-            demote(alignment, &block, &mut known, findings);
-        }
     }
     if let Some([x, y, z]) = joined.position_shift_m.filter(|_| !known.positions.is_empty()) {
         tracing::info!(
@@ -301,6 +329,13 @@ pub(super) fn finish<'a>(
     }
     prepare_cameras(&mut block, joined.georeferenced, args)?;
     let mut sigma_px = 1.0;
+    let loosest = joined
+        .alignments
+        .iter()
+        .flatten()
+        .filter(|alignment| alignment.by == "control points")
+        .map(loosest_control_m)
+        .fold(0.0, f64::max);
     for round in 0..4 {
         if joined.georeferenced && !known.positions.is_empty() {
             let fit = weigh_positions(&block, &mut known, &project.told);
@@ -315,7 +350,22 @@ pub(super) fn finish<'a>(
         }
         let factor: f64 = if round == 0 { 2.0 } else { 1.0 };
         let tolerance = demands(factor.min((6.0 * sigma_px / args.tolerance).max(0.4)));
-        adjust(&mut block, &known, sigma_px, &tolerance, 30)?;
+        // A free block is bent: control first draws it gently into shape, and what then still does
+        // not fit is wrong, before the rest is taken at its word.
+        let gentle = [1.0, 0.1, 0.01, 0.0][round] * loosest;
+        adjust(&mut block, &eased(&known, gentle), sigma_px, &tolerance, 30)?;
+        if round < 3 {
+            while let Some((place, left)) = worst_control(&block, &known, gentle) {
+                known.ground[place].role = Role::Check;
+                findings.push(Finding::new(
+                    &format!("control point {}", known.ground[place].name),
+                    &format!(
+                        "its coordinates are {left:.2} m from where the block puts it: not used as control"
+                    ),
+                ));
+                adjust(&mut block, &eased(&known, gentle), sigma_px, &tolerance, 30)?;
+            }
+        }
         sigma_px = typical_px(&block).max(0.05);
         tracing::debug!(
             "adjusted: {:.3} px, {} points",
@@ -335,7 +385,9 @@ pub(super) fn finish<'a>(
         })
         .map(|point| point.name.clone())
         .collect();
-    let settings = Settings { tie_loss: Loss::SoftL1(2.0), ..Settings::default() };
+    // Without a map the first photo and the distance to the farthest one are the frame.
+    let minimal_datum = !joined.georeferenced;
+    let settings = Settings { tie_loss: Loss::SoftL1(2.0), minimal_datum, ..Settings::default() };
     let snooping = Snooping { rounds: 8, ..Snooping::default() };
     let snooped = snoop(&mut survey, &settings, &snooping)?;
     for removed in &snooped.removed {
@@ -352,7 +404,7 @@ pub(super) fn finish<'a>(
     Ok(Final {
         survey,
         adjusted: snooped.adjusted,
-        settings: Settings::default(),
+        settings: Settings { minimal_datum, ..Settings::default() },
         alignment: joined.alignments.into_iter().flatten().next(),
         removed: snooped.removed,
         complete: snooped.complete,
@@ -419,46 +471,6 @@ fn review(
             "X and Y are exchanged: as given they would turn the block upside down; taken the other way round",
         ));
     }
-}
-
-/// Control that is grossly off does not take part in what follows.
-fn demote(
-    alignment: &Alignment,
-    block: &Block<'_>,
-    known: &mut Known,
-    findings: &mut Vec<Finding>,
-) {
-    if alignment.by != "control points" {
-        return;
-    }
-    let height = typical_height_m(block);
-    for (name, left) in &alignment.misfits {
-        if *left < GROSS * alignment.rmse_m.max(0.002 * height) {
-            continue;
-        }
-        if let Some(point) = known.ground.iter_mut().find(|point| point.name == *name) {
-            point.role = Role::Check;
-            findings.push(Finding::new(
-                &format!("control point {name}"),
-                &format!("its coordinates are {left:.2} m from where the others put it: not used as control"),
-            ));
-        }
-    }
-}
-
-/// The median distance of points from the cameras that see them, metres.
-fn typical_height_m(block: &Block<'_>) -> f64 {
-    let mut depths = Vec::new();
-    for track in (0..block.tracks.count()).step_by(7) {
-        let Some(point) = block.points[track] else { continue };
-        for member in block.tracks.of(track) {
-            if let Some(pose) = &block.poses[member.image as usize] {
-                depths.push(-pose.to_camera(point)[2]);
-            }
-        }
-    }
-    depths.sort_by(f64::total_cmp);
-    depths.get(depths.len() / 2).copied().unwrap_or(1.0)
 }
 
 /// The robust standard deviation of an image coordinate, pixels.

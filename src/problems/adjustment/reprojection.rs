@@ -319,6 +319,7 @@ impl PairFactor<2, 12, LENS, 3, MOVING, DATA> for Moving {
                 std::array::from_fn(|k| affine([m[3 + k], m[6 + k], m[9 + k]], &j, zero));
             let pose = by_increment(&q, &before);
             by_kept[row][..6].copy_from_slice(&pose[..6]);
+            by_kept[row][..6].copy_from_slice(&pose);
             for k in 0..3 {
                 by_kept[row][6 + k] = affine([m[12 + k], m[15 + k], m[18 + k]], &j, zero);
                 by_kept[row][9 + k] = j[k] * tau;

@@ -144,6 +144,9 @@ fn check_ground(survey: &Survey) -> Result<(), SurveyError> {
             || !rate.is_finite()
             || rate < 0.0
         {
+        let timing = positive(&[shutter.readout_s, shutter.sigma_velocity_m_s]);
+        let turning = rate.is_finite() && rate >= 0.0;
+        if !timing || !turning {
             return fail("a rolling shutter needs a positive readout time and standard deviation of the velocity, and one of 0 or more for the rate of turn".into());
         }
     }

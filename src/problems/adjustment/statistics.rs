@@ -388,12 +388,17 @@ fn ties<F: PairFactor<2, K, LENS, 3, Q, DATA>, const K: usize, const Q: usize>(
 type ResidualAndRedundancy = (DVector<f64>, DMatrix<f64>);
 
 /// Of the factors of a batch that touches no tie point.
+/// Residuals of a factor and their redundancy matrix.
+type Judged = (DVector<f64>, DMatrix<f64>);
+
+/// Residuals and redundancy matrices of the factors of a batch that touches no tie point.
 fn others(
     posed: &Posed,
     x: &[f64],
     inverse: &SelectedInverse,
     name: &str,
 ) -> Result<Vec<ResidualAndRedundancy>, SolveError> {
+) -> Result<Vec<Judged>, SolveError> {
     let found = posed.problem.linearized(x, name)?;
     Ok(found
         .into_iter()
