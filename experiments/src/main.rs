@@ -6,11 +6,11 @@
 mod canopy;
 mod canopy_field;
 mod canopy_plots;
+mod leaves;
 mod locate;
 mod methods;
 mod plots;
 mod relative;
-mod leaves;
 mod segment_speed;
 mod table;
 mod watershed;
@@ -96,11 +96,15 @@ enum Experiment {
     CanopyField {
         #[command(flatten)]
         folders: Folders,
+    },
     /// Leaf segmentation: synthetic fields of which every leaf is known, and real rosettes.
     Leaves {
+        #[command(flatten)]
+        folders: Folders,
         /// Masks per scenario.
         #[arg(long, default_value_t = 3)]
         masks: u64,
+    },
     /// The time of the leaf mask of raw RGB pixels; see scripts/segment_speed.py.
     SegmentSpeed {
         /// Three bytes for each pixel.
@@ -137,6 +141,7 @@ fn main() -> ExitCode {
         Experiment::Leaves { folders, masks } => leaves::run(&folders, masks),
         Experiment::SegmentSpeed { raw, width, height, mask } => {
             segment_speed::run(&raw, width, height, &mask)
+        }
         Experiment::WholeField { folders } => whole_field::run(&folders),
     };
     match done {

@@ -22,8 +22,8 @@ mod segment;
 mod stand;
 mod survey;
 mod synth;
-mod undistort;
 mod thresholds;
+mod undistort;
 
 use crate::{error::Error, io::FileError};
 use clap::{Parser, Subcommand};
@@ -50,7 +50,6 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Verb {
     Run(run::Args),
-    Adjust(Box<adjust::Args>),
     Align(Box<align::Args>),
     Adjust(Box<adjust::Args>),
     Convert(survey::convert::Args),

@@ -22,8 +22,8 @@ pub mod overlay;
 mod pixels;
 pub mod polygon;
 pub mod sketch;
-pub mod undistort;
 pub mod tuning;
+pub mod undistort;
 pub mod white_balance;
 pub mod window;
 

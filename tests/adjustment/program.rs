@@ -152,8 +152,6 @@ type Damage<'a> = &'a dyn Fn(&str) -> String;
 fn bad_control_is_refused_by_file_line_and_name() {
     let folder = tempfile::tempdir().unwrap();
     save(folder.path(), &survey());
-    type Case<'a> = (&'a str, &'a dyn Fn(&str) -> String, &'a [&'a str]);
-    let cases: [Case; 11] = [
     let cases: [(&str, Damage<'_>, &[&str]); 11] = [
         (
             "gcps.csv",

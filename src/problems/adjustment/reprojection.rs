@@ -318,7 +318,6 @@ impl PairFactor<2, 12, LENS, 3, MOVING, DATA> for Moving {
             let before: [L; 3] =
                 std::array::from_fn(|k| affine([m[3 + k], m[6 + k], m[9 + k]], &j, zero));
             let pose = by_increment(&q, &before);
-            by_kept[row][..6].copy_from_slice(&pose[..6]);
             by_kept[row][..6].copy_from_slice(&pose);
             for k in 0..3 {
                 by_kept[row][6 + k] = affine([m[12 + k], m[15 + k], m[18 + k]], &j, zero);

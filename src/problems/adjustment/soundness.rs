@@ -140,10 +140,6 @@ fn check_ground(survey: &Survey) -> Result<(), SurveyError> {
     }
     if let Some(shutter) = survey.rolling_shutter {
         let rate = shutter.sigma_rate_rad_s;
-        if !positive(&[shutter.readout_s, shutter.sigma_velocity_m_s])
-            || !rate.is_finite()
-            || rate < 0.0
-        {
         let timing = positive(&[shutter.readout_s, shutter.sigma_velocity_m_s]);
         let turning = rate.is_finite() && rate >= 0.0;
         if !timing || !turning {

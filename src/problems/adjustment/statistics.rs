@@ -384,10 +384,6 @@ fn ties<F: PairFactor<2, K, LENS, 3, Q, DATA>, const K: usize, const Q: usize>(
     (tested.into_iter().flatten().collect(), points)
 }
 
-/// The residual of a factor and its redundancy matrix.
-type ResidualAndRedundancy = (DVector<f64>, DMatrix<f64>);
-
-/// Of the factors of a batch that touches no tie point.
 /// Residuals of a factor and their redundancy matrix.
 type Judged = (DVector<f64>, DMatrix<f64>);
 
@@ -397,7 +393,6 @@ fn others(
     x: &[f64],
     inverse: &SelectedInverse,
     name: &str,
-) -> Result<Vec<ResidualAndRedundancy>, SolveError> {
 ) -> Result<Vec<Judged>, SolveError> {
     let found = posed.problem.linearized(x, name)?;
     Ok(found
