@@ -473,9 +473,11 @@ fn review(
     }
 }
 
-/// The robust standard deviation of an image coordinate, pixels.
+/// The robust standard deviation of an image coordinate, pixels. Most points are seen twice or three
+/// times, and residuals are shorter than errors by the root of the redundancy's share.
 fn typical_px(block: &Block<'_>) -> f64 {
     let mut errors = Vec::new();
+    let unknowns = 3 * block.points.iter().flatten().count() + 6 * block.registered();
     for track in 0..block.tracks.count() {
         let Some(point) = block.points[track] else { continue };
         for place in block.tracks.places(track) {
@@ -489,7 +491,9 @@ fn typical_px(block: &Block<'_>) -> f64 {
         }
     }
     errors.sort_by(f64::total_cmp);
-    errors.get(errors.len() / 2).map_or(1.0, |median| median / 1.1774)
+    let share = 1.0 - unknowns as f64 / (2 * errors.len().max(1)) as f64;
+    let median = errors.get(errors.len() / 2).copied().unwrap_or(1.1774);
+    median / 1.1774 / share.max(0.1).sqrt()
 }
 
 /// Fewer images than this do not tell a whole lens.
