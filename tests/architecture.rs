@@ -187,7 +187,7 @@ fn each_dependency_has_its_place() {
         (&["clarabel"], &["convex"]),
         (&["proj4rs", "crs_definitions"], &["crs"]),
         (&["las"], &["io/cloud"]),
-        (&["exif"], &["io/photo"]),
+        (&["exif"], &["io/photo", "cli/synth"]),
         (&["faer"], &["nlls/cholesky"]),
         (&["indicatif"], &["drive", "cli"]),
         (&["pulp"], &["features", "raster/pixels", "lanes", "nlls/fused"]),
