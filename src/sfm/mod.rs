@@ -21,6 +21,7 @@ pub mod relative;
 
 pub mod averaging;
 pub mod block;
+pub mod control;
 pub mod georeference;
 pub mod global;
 pub mod growth;

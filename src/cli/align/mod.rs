@@ -3,6 +3,8 @@
 mod cache;
 mod extract;
 mod figures;
+mod finish;
+mod ground;
 mod pair_figures;
 mod project;
 mod results;
@@ -393,7 +395,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     if last == Stage::Orient {
         return Ok(());
     }
-    let found = clock.time("adjust", || stages::finish(blocks, &project, args, &mut findings))?;
+    let found = clock.time("adjust", || finish::finish(blocks, &project, args, &mut findings))?;
     tell(&findings);
     let (report, mut outcome) = results::Report::new(found, &project, &pairs, findings);
     if last == Stage::Report {

@@ -1,6 +1,6 @@
 //! A project folder: which photos, what their files say, what is known on the ground.
 
-use super::Finding;
+use super::{Finding, ground};
 use crate::{
     camera::{Camera, Interior, Model},
     crs::{Crs, LocalPlane},
@@ -12,7 +12,7 @@ use crate::{
         gcp_list,
         photo::{self, Geotag, Metadata},
     },
-    problems::adjustment::{GroundPoint, Image, Mark, Pose, Position, Role},
+    problems::adjustment::{Image, Pose},
     sfm::georeference::Known,
 };
 use rayon::prelude::*;
@@ -159,8 +159,8 @@ pub(super) fn inspect(
     }
     let cameras = cameras(&mut photos, sources, findings)?;
     let tags = geotags(&photos, sources, findings)?;
-    let (frame, known, told) = ground(&photos, &tags, sources, findings)?;
-    let plan_m = plan_m(&tags);
+    let (frame, known, told) = ground::read(&photos, &tags, sources, findings)?;
+    let plan_m = ground::plan_m(&tags);
     let name = sources.root.display().to_string();
     Ok(Project { name, photos, cameras, frame, known, told, plan_m, left_out })
 }
@@ -333,7 +333,7 @@ fn geotags(
 }
 
 /// Images that carry no more than their names, to match other names against.
-fn stand_ins(photos: &[Photo]) -> Vec<Image> {
+pub(super) fn stand_ins(photos: &[Photo]) -> Vec<Image> {
     let pose = Pose { rotation: crate::geometry::rotation::IDENTITY, translation: [0.0; 3] };
     let image = |photo: &Photo| Image {
         name: photo.name.clone(),
@@ -343,215 +343,4 @@ fn stand_ins(photos: &[Photo]) -> Vec<Image> {
         motion: [0.0; 6],
     };
     photos.iter().map(image).collect()
-}
-
-struct Ground {
-    crs: Option<String>,
-    geographic: bool,
-    points: Vec<GroundPoint>,
-    marks: Vec<Mark>,
-}
-
-fn control(
-    photos: &[Photo],
-    sources: &Sources<'_>,
-    findings: &mut Vec<Finding>,
-) -> Result<Option<Ground>, Error> {
-    let root = sources.root;
-    let beside = |name: &str| Some(root.join(name)).filter(|path| path.is_file());
-    let path = sources
-        .control
-        .map(Path::to_owned)
-        .or_else(|| beside("gcps.csv"))
-        .or_else(|| beside("gcp_list.txt"))
-        .or_else(|| beside("ground_control_points.json"));
-    let Some(path) = path else { return Ok(None) };
-    let images = stand_ins(photos);
-    let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
-    if extension.eq_ignore_ascii_case("csv") {
-        let points = control::ground_points(&path, &sources.defaults)?;
-        let marks = sources.marks.map(Path::to_owned).or_else(|| beside("marks.csv"));
-        let Some(marks) = marks else {
-            findings.push(Finding::new(
-                &path.display().to_string(),
-                "there is no marks.csv that says where the points are in the photos: not used",
-            ));
-            return Ok(None);
-        };
-        let (marks, aside) = control::marks(&marks, &images, &points, &sources.defaults)?;
-        findings.extend(aside.iter().map(|a| Finding::new("marks", &a.to_string())));
-        return Ok(Some(Ground { crs: None, geographic: false, points, marks }));
-    }
-    let names = control::Names::new(&images);
-    let read = if extension.eq_ignore_ascii_case("json") {
-        let size = |name: &str| names.find(name).map(|k| photos[k as usize].size_px);
-        gcp_list::read_opensfm(&path, &sources.defaults, size)?
-    } else {
-        gcp_list::read(&path, &sources.defaults)?
-    };
-    let mut marks = Vec::new();
-    let mut unmatched = std::collections::BTreeSet::new();
-    for mark in &read.marks {
-        match names.find(&mark.image) {
-            Some(image) => marks.push(Mark {
-                image,
-                ground: mark.ground as u32,
-                image_px: mark.image_px,
-                sigma_px: sources.defaults.mark_px,
-            }),
-            None => {
-                unmatched.insert(mark.image.clone());
-            }
-        }
-    }
-    if !unmatched.is_empty() {
-        let names: Vec<String> = unmatched.into_iter().collect();
-        findings.push(Finding::new(
-            &path.display().to_string(),
-            &format!("marks in images that are not here: {}", names.join(", ")),
-        ));
-    }
-    Ok(Some(Ground { crs: read.crs, geographic: read.geographic, points: read.ground, marks }))
-}
-
-/// A flight is no wider than this; control farther from its photos is in another system.
-const REACH_M: f64 = 20_000.0;
-
-fn ground(
-    photos: &[Photo],
-    tags: &[Option<Geotag>],
-    sources: &Sources<'_>,
-    findings: &mut Vec<Finding>,
-) -> Result<(Frame, Known, Vec<bool>), Error> {
-    let control = control(photos, sources, findings)?;
-    let mut known = Known::default();
-    let tagged: Vec<(usize, Geotag)> =
-        tags.iter().enumerate().filter_map(|(k, tag)| tag.map(|tag| (k, tag))).collect();
-    let bad = |e: crate::crs::CrsError| Error::Argument(format!("--crs: {e}"));
-    let mut crs = match sources.crs {
-        Some(words) => Some(Crs::from_words(words).map_err(bad)?),
-        None => match control.as_ref().and_then(|c| c.crs.as_deref().filter(|_| !c.geographic)) {
-            Some(words) => Some(Crs::from_words(words).map_err(|e| {
-                Error::Argument(format!("the control points' reference system: {e}"))
-            })?),
-            None => None,
-        },
-    };
-    let geographic = control.as_ref().is_some_and(|c| c.geographic);
-    if let Some(control) = control {
-        known.ground = control.points;
-        known.marks = control.marks;
-    }
-    for name in sources.check {
-        let point = known.ground.iter_mut().find(|point| point.name == *name);
-        let point = point.ok_or_else(|| {
-            Error::Argument(format!("--check {name}: there is no such ground point"))
-        })?;
-        point.role = Role::Check;
-    }
-    // Control that lies where the photos were taken in the UTM zone of those is in that zone.
-    if let (None, Some((_, tag)), false, false) =
-        (&crs, tagged.first(), known.ground.is_empty(), geographic)
-        && let Ok(zone) = Crs::utm_of(tag.latitude_deg, tag.longitude_deg)
-        && let Ok([east, north]) = zone.from_wgs84(tag.latitude_deg, tag.longitude_deg)
-    {
-        let near =
-            |p: &GroundPoint| (p.position_m[0] - east).hypot(p.position_m[1] - north) < REACH_M;
-        if known.ground.iter().filter(|p| near(p)).count() * 2 > known.ground.len() {
-            findings.push(Finding::new(
-                "reference system",
-                &format!(
-                    "nobody named it; the control points lie among the photos in {}, so that it is (give --crs to say otherwise)",
-                    zone.name()
-                ),
-            ));
-            crs = Some(zone);
-        }
-    }
-    let frame = match (crs, tagged.first()) {
-        (Some(crs), _) => Frame::Map(Box::new(crs)),
-        (None, Some(_)) if known.ground.is_empty() || geographic => {
-            let n = tagged.len() as f64;
-            let mean =
-                |of: &dyn Fn(&Geotag) -> f64| tagged.iter().map(|(_, t)| of(t)).sum::<f64>() / n;
-            Frame::Local(LocalPlane::at([
-                mean(&|t| t.latitude_deg),
-                mean(&|t| t.longitude_deg),
-                0.0,
-            ]))
-        }
-        (None, _) if !known.ground.is_empty() && !geographic => {
-            if !tagged.is_empty() {
-                findings.push(Finding::new(
-                    "reference system",
-                    "nobody named that of the control points: camera positions only say which photos are neighbours; give --crs EPSG:<code> to use them",
-                ));
-            }
-            Frame::Unnamed
-        }
-        (None, Some(_)) | (None, None) => Frame::Free,
-    };
-    if geographic {
-        for point in &mut known.ground {
-            let [lat, lon, height] = point.position_m;
-            point.position_m = place(&frame, lat, lon, height).map_err(bad)?;
-        }
-    }
-    if let Frame::Map(crs) = &frame
-        && !crs.knows_datum()
-    {
-        findings.push(Finding::new(
-            crs.name(),
-            "its definition does not say how its datum lies to WGS84: positions of receivers come out up to some hundred metres off, all alike; control sets that right",
-        ));
-    }
-    let mut told = vec![false; photos.len()];
-    if sources.use_positions && !matches!(frame, Frame::Unnamed | Frame::Free) {
-        for (k, tag) in tagged {
-            let Some(height) = tag.height_m else { continue };
-            let position_m =
-                place(&frame, tag.latitude_deg, tag.longitude_deg, height).map_err(bad)?;
-            let default = sources.defaults.position_m;
-            told[k] = tag.sigma_m.is_some();
-            known.positions.push(Position {
-                image: k as u32,
-                position_m,
-                sigma_m: tag.sigma_m.unwrap_or([default, default, default]),
-            });
-        }
-    }
-    Ok((frame, known, told))
-}
-
-fn place(
-    frame: &Frame,
-    latitude_deg: f64,
-    longitude_deg: f64,
-    height_m: f64,
-) -> Result<[f64; 3], crate::crs::CrsError> {
-    match frame {
-        Frame::Map(crs) => {
-            let [east, north] = crs.from_wgs84(latitude_deg, longitude_deg)?;
-            Ok([east, north, height_m])
-        }
-        Frame::Local(plane) => Ok(plane.from_wgs84([latitude_deg, longitude_deg, height_m])),
-        Frame::Unnamed | Frame::Free => Ok([f64::NAN; 3]),
-    }
-}
-
-/// Positions in a plane for choosing neighbours, metres; NaN where there is none.
-fn plan_m(tags: &[Option<Geotag>]) -> Vec<[f64; 2]> {
-    let Some(first) = tags.iter().flatten().next() else {
-        return vec![[f64::NAN; 2]; tags.len()];
-    };
-    let plane = LocalPlane::at([first.latitude_deg, first.longitude_deg, 0.0]);
-    tags.iter()
-        .map(|tag| match tag {
-            Some(tag) => {
-                let [east, north, _] = plane.from_wgs84([tag.latitude_deg, tag.longitude_deg, 0.0]);
-                [east, north]
-            }
-            None => [f64::NAN; 2],
-        })
-        .collect()
 }

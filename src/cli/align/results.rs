@@ -2,8 +2,9 @@
 
 use super::{
     Finding,
+    finish::Final,
     project::Project,
-    stages::{Final, frame_name, gsd_m},
+    stages::{frame_name, gsd_m},
 };
 use crate::{
     camera::{Camera, Lens, Model as LensModel},

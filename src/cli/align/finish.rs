@@ -1,0 +1,301 @@
+//! The last stage that computes: blocks into the map, made one, adjusted and judged.
+
+use super::{
+    Args, Finding,
+    project::{Photo, Project},
+};
+use crate::{
+    camera::Lens,
+    error::Error,
+    nlls::Loss,
+    problems::adjustment::{Alignment, Removed, Role, Settings, Snooping, Survey, snoop},
+    sfm::{
+        block::Block,
+        georeference::{self, Known, adjust, axes_exchanged, join, review_marks, weigh_positions},
+        growth::Growing,
+        triangulate::Demands,
+    },
+};
+
+/// The block as it came out.
+pub(super) struct Final {
+    /// Everything, adjusted.
+    pub(super) survey: Survey,
+    pub(super) adjusted: crate::problems::adjustment::Adjusted,
+    pub(super) settings: Settings,
+    pub(super) alignment: Option<Alignment>,
+    pub(super) removed: Vec<Removed>,
+    pub(super) complete: bool,
+    pub(super) georeferenced: bool,
+    /// The pieces that the growth left: names of their images, and whether they are in the block.
+    pub(super) fragments: Vec<(Vec<String>, bool)>,
+    /// Check points as the project has them, not those that were made ones.
+    pub(super) checks: Vec<String>,
+}
+
+/// Control that is this many times as far off as half of it is wrong.
+const GROSS: f64 = 8.0;
+
+/// What control is off by at most after a similarity, but for the worst of it, metres.
+fn loosest_control_m(alignment: &Alignment) -> f64 {
+    let mut left: Vec<f64> = alignment.misfits.iter().map(|(_, left)| *left).collect();
+    left.extend(std::iter::repeat_n(alignment.rmse_m, alignment.used.len()));
+    left.sort_by(f64::total_cmp);
+    left.get(left.len() * 3 / 4).copied().unwrap_or(0.0)
+}
+
+/// Control that is believed to no better than `sigma_m`.
+fn eased(known: &Known, sigma_m: f64) -> Known {
+    let mut known = known.clone();
+    for point in &mut known.ground {
+        point.sigma_m = point.sigma_m.map(|sigma| sigma.max(sigma_m));
+    }
+    known
+}
+
+/// The control point that the block contradicts most, and by how many metres.
+fn worst_control(block: &Block<'_>, known: &Known, sigma_m: f64) -> Option<(usize, f64)> {
+    let left = georeference::control_left_m(block, known);
+    if left.len() < 4 {
+        return None;
+    }
+    let mut sorted: Vec<f64> = left.iter().map(|(_, left)| *left).collect();
+    sorted.sort_by(f64::total_cmp);
+    let half = sorted[sorted.len() / 2];
+    let (place, most) = left.into_iter().max_by(|a, b| a.1.total_cmp(&b.1))?;
+    let given = known.ground[place].sigma_m.iter().copied().fold(0.0, f64::max);
+    (most > GROSS * half && most > GROSS * given && most > sigma_m).then_some((place, most))
+}
+
+/// Brings the blocks into the map, makes them one, adjusts it and judges it.
+pub(super) fn finish<'a>(
+    mut blocks: Vec<Block<'a>>,
+    project: &Project,
+    args: &Args,
+    findings: &mut Vec<Finding>,
+) -> Result<Final, Error> {
+    let mut known = project.known.clone();
+    let demands = |factor: f64| Demands {
+        tolerance_px: factor * args.tolerance,
+        least_angle_rad: Growing::default().least_angle_rad,
+    };
+    let mut fragments: Vec<(Vec<String>, bool)> =
+        blocks.iter().map(|block| (names(block, &project.photos), false)).collect();
+    if let Some(largest) = blocks.first() {
+        review(largest, &mut known, project, args, findings);
+    }
+    let Some(joined) = join(std::mem::take(&mut blocks), &mut known, &demands(3.0)) else {
+        return Err(Error::Incomplete(
+            "no three photos could be oriented together: look at the matches (rowgram match), or give the camera (--camera)".into(),
+        ));
+    };
+    let mut block = joined.block;
+    for (k, alignment) in joined.alignments.iter().enumerate() {
+        fragments[k].1 = alignment.is_some() || !joined.georeferenced && k == 0;
+    }
+    if let Some([x, y, z]) = joined.position_shift_m.filter(|_| !known.positions.is_empty()) {
+        tracing::info!(
+            "camera positions are {x:+.2} {y:+.2} {z:+.2} m from where the control puts them on the whole; that was taken off"
+        );
+        if z.abs() > 10.0 {
+            findings.push(Finding::new(
+                "camera positions",
+                &format!("their heights are {z:+.1} m from those of the control: another vertical datum; the difference was taken off"),
+            ));
+        }
+    }
+    prepare_cameras(&mut block, joined.georeferenced, args)?;
+    let mut sigma_px = 1.0;
+    let loosest = joined
+        .alignments
+        .iter()
+        .flatten()
+        .filter(|alignment| alignment.by == "control points")
+        .map(loosest_control_m)
+        .fold(0.0, f64::max);
+    for round in 0..4 {
+        if joined.georeferenced && !known.positions.is_empty() {
+            let fit = weigh_positions(&block, &mut known, &project.told);
+            for (image, distance) in fit.iter().flat_map(|fit| &fit.outliers) {
+                findings.push(Finding::new(
+                    &project.photos[*image as usize].name,
+                    &format!(
+                        "its position is {distance:.1} m from where the block puts it: not used"
+                    ),
+                ));
+            }
+        }
+        let factor: f64 = if round == 0 { 2.0 } else { 1.0 };
+        let tolerance = demands(factor.min((6.0 * sigma_px / args.tolerance).max(0.4)));
+        // A free block is bent: control first draws it gently into shape, and what then still does
+        // not fit is wrong, before the rest is taken at its word.
+        let gentle = [1.0, 0.1, 0.01, 0.0][round] * loosest;
+        adjust(&mut block, &eased(&known, gentle), sigma_px, &tolerance, 30)?;
+        if round < 3 {
+            while let Some((place, left)) = worst_control(&block, &known, gentle) {
+                known.ground[place].role = Role::Check;
+                findings.push(Finding::new(
+                    &format!("control point {}", known.ground[place].name),
+                    &format!(
+                        "its coordinates are {left:.2} m from where the block puts it: not used as control"
+                    ),
+                ));
+                adjust(&mut block, &eased(&known, gentle), sigma_px, &tolerance, 30)?;
+            }
+        }
+        sigma_px = typical_px(&block).max(0.05);
+        tracing::debug!(
+            "adjusted: {:.3} px, {} points",
+            sigma_px,
+            block.points.iter().flatten().count()
+        );
+    }
+    let (mut survey, _, order) = block.survey(None);
+    known.attach(&mut survey, &order);
+    survey.tie_sigma_px = sigma_px;
+    let checks = survey
+        .ground
+        .iter()
+        .filter(|point| point.role == Role::Check)
+        .filter(|point| {
+            project.known.ground.iter().any(|p| p.name == point.name && p.role == Role::Check)
+        })
+        .map(|point| point.name.clone())
+        .collect();
+    // Without a map the first photo and the distance to the farthest one are the frame.
+    let minimal_datum = !joined.georeferenced;
+    let settings = Settings { tie_loss: Loss::SoftL1(2.0), minimal_datum, ..Settings::default() };
+    let snooping = Snooping { rounds: 8, ..Snooping::default() };
+    let snooped = snoop(&mut survey, &settings, &snooping)?;
+    for removed in &snooped.removed {
+        if removed.group != crate::problems::adjustment::Group::TiePoints {
+            findings.push(Finding::new(
+                &removed.name,
+                &format!(
+                    "not consistent with the block ({:.1} times the critical value, {:.3} {:.3} {:.3} off): taken out",
+                    removed.excess, removed.residual[0], removed.residual[1], removed.residual[2]
+                ),
+            ));
+        }
+    }
+    Ok(Final {
+        survey,
+        adjusted: snooped.adjusted,
+        settings: Settings { minimal_datum, ..Settings::default() },
+        alignment: joined.alignments.into_iter().flatten().next(),
+        removed: snooped.removed,
+        complete: snooped.complete,
+        georeferenced: joined.georeferenced,
+        fragments,
+        checks,
+    })
+}
+
+fn names(block: &Block<'_>, photos: &[Photo]) -> Vec<String> {
+    let of = block.poses.iter().zip(photos).filter(|(pose, _)| pose.is_some());
+    of.map(|(_, photo)| photo.name.clone()).collect()
+}
+
+/// Marks and coordinates that cannot be as they are.
+fn review(
+    block: &Block<'_>,
+    known: &mut Known,
+    project: &Project,
+    args: &Args,
+    findings: &mut Vec<Finding>,
+) {
+    if known.marks.is_empty() {
+        return;
+    }
+    let mut scales = vec![0.25, 0.5, 2.0, 4.0];
+    for photo in &project.photos {
+        if let Some([width, _]) = photo.metadata.written_size_px {
+            let scale = f64::from(photo.size_px[0]) / f64::from(width);
+            if (scale - 1.0).abs() > 0.01 && !scales.iter().any(|s| (s - scale).abs() < 0.01) {
+                scales.push(scale);
+            }
+        }
+    }
+    // A free block is bent, but not within the few photos of one point.
+    let demands = Demands { tolerance_px: 3.0 * args.tolerance, least_angle_rad: 0.01 };
+    let review = review_marks(block, known, &scales, &demands);
+    if review.scale != 1.0 {
+        findings.push(Finding::new(
+            "marks",
+            &format!(
+                "they fit the photos only when multiplied by {}: they were made in resized images, and were converted",
+                review.scale
+            ),
+        ));
+    }
+    for wrong in &review.wrong {
+        let (point, image) =
+            (&known.ground[wrong.ground as usize].name, &project.photos[wrong.image as usize].name);
+        let what = if wrong.error_px.is_finite() {
+            format!(
+                "the mark is {:.0} px from where the others of the point put it: taken out",
+                wrong.error_px
+            )
+        } else {
+            "no two marks of the point agree".to_owned()
+        };
+        findings.push(Finding::new(&format!("mark of {point} in {image}"), &what));
+    }
+    if axes_exchanged(block, known) {
+        known.ground.iter_mut().for_each(|point| point.position_m.swap(0, 1));
+        findings.push(Finding::new(
+            "control points",
+            "X and Y are exchanged: as given they would turn the block upside down; taken the other way round",
+        ));
+    }
+}
+
+/// The robust standard deviation of an image coordinate, pixels. Most points are seen twice or three
+/// times, and residuals are shorter than errors by the root of the redundancy's share.
+fn typical_px(block: &Block<'_>) -> f64 {
+    let mut errors = Vec::new();
+    let unknowns = 3 * block.points.iter().flatten().count() + 6 * block.registered();
+    for track in 0..block.tracks.count() {
+        let Some(point) = block.points[track] else { continue };
+        for place in block.tracks.places(track) {
+            let image = block.tracks.member(place).image as usize;
+            if let (true, Some(pose)) = (block.used[place], &block.poses[image])
+                && let Some([u, v]) = block.lens(image).project(pose.to_camera(point))
+            {
+                let at = block.position_px(place);
+                errors.push((u - at[0]).hypot(v - at[1]));
+            }
+        }
+    }
+    errors.sort_by(f64::total_cmp);
+    let share = 1.0 - unknowns as f64 / (2 * errors.len().max(1)) as f64;
+    let median = errors.get(errors.len() / 2).copied().unwrap_or(1.1774);
+    median / 1.1774 / share.max(0.1).sqrt()
+}
+
+/// Fewer images than this do not tell a whole lens.
+const WHOLE_LENS_FROM: usize = 6;
+
+/// What of the lenses the last adjustment frees, and what is known of them beforehand.
+fn prepare_cameras(block: &mut Block<'_>, georeferenced: bool, args: &Args) -> Result<(), Error> {
+    let images = block.registered();
+    for camera in &mut block.cameras {
+        let names = args.last_free(camera, images >= WHOLE_LENS_FROM);
+        camera.set_free(&names).map_err(|e| Error::Argument(format!("--free: {e}")))?;
+        if args.camera.is_some() {
+            continue;
+        }
+        let larger = f64::from(camera.interior.size_px()[0].max(camera.interior.size_px()[1]));
+        let parameters = camera.interior.parameters();
+        for (k, parameter) in parameters.iter().enumerate() {
+            camera.standard_deviations[k] = match parameter.name {
+                "f_px" | "c_px" if !georeferenced => {
+                    Some(0.1 * camera.interior.principal_distance_px())
+                }
+                "cx_px" | "cy_px" | "xp_px" | "yp_px" => Some(0.02 * larger),
+                _ => None,
+            };
+        }
+    }
+    Ok(())
+}
