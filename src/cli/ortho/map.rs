@@ -36,8 +36,7 @@ impl Setting<'_> {
                 all.sort_by(f64::total_cmp);
                 let median = all.get(all.len() / 2).ok_or_else(|| self.nothing())?;
                 // Three digits are enough to name it.
-                let unit = 10f64.powf(median.log10().floor() - 2.0);
-                (median / unit).round() * unit
+                format!("{median:.2e}").parse().unwrap_or(*median)
             }
         };
         let [x, y] = match args.bounds[..] {
