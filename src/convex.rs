@@ -10,6 +10,7 @@
 //! the dual objective bounds the optimum from below.
 
 pub mod positions;
+pub mod envelope;
 
 use crate::engine::SolveError;
 use clarabel::{

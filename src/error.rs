@@ -1,7 +1,8 @@
 //! One error for the whole library, joined from the modules' own.
 
 use crate::{
-    engine::SolveError, io, phenotype::locate::LocateError, problems::adjustment::AdjustError,
+    engine::SolveError, io, mapping::MapError, phenotype::locate::LocateError,
+    problems::adjustment::AdjustError,
 };
 
 /// What kind of failure an [`Error`] is; decides the exit code of the program.
@@ -42,6 +43,9 @@ pub enum Error {
     /// A block with control could not be adjusted.
     #[error(transparent)]
     Adjust(#[from] AdjustError),
+    /// A map could not be made.
+    #[error(transparent)]
+    Map(#[from] MapError),
     /// An option or argument has an unusable value: what it is, and what was expected.
     #[error("{0}")]
     Argument(String),
@@ -63,7 +67,7 @@ impl Error {
             )
             | Error::Locate(_) => Kind::BadInput,
             Error::Adjust(AdjustError::Solve(_)) => Kind::Failure,
-            Error::Argument(_) => Kind::BadInput,
+            Error::Argument(_) | Error::Map(_) => Kind::BadInput,
             Error::Incomplete(_) => Kind::Incomplete,
         }
     }

@@ -41,6 +41,7 @@ pub mod features;
 pub mod geometry;
 pub mod io;
 pub mod lanes;
+pub mod mapping;
 pub mod nlls;
 pub mod phenotype;
 pub mod problems;

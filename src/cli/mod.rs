@@ -8,12 +8,14 @@ mod align;
 mod calibrate;
 mod camera;
 mod count;
+mod dem;
 mod density;
 mod evaluate;
 mod features;
 mod figures;
 mod leaves;
 mod locate;
+mod ortho;
 mod run;
 mod segment;
 mod stand;
@@ -52,6 +54,9 @@ enum Verb {
     Calibrate(calibrate::Calibrate),
     Undistort(undistort::Args),
     Camera(camera::CameraVerbs),
+    Dem(Box<dem::Args>),
+    Ortho(Box<ortho::Args>),
+    Query(ortho::query::Query),
     Synth(synth::Args),
     Locate(locate::Locate),
     Segment(segment::Args),
@@ -96,6 +101,9 @@ fn run(cli: Cli) -> Result<(), Error> {
         Verb::Calibrate(verb) => verb.run(),
         Verb::Undistort(args) => undistort::run(&args),
         Verb::Camera(verb) => verb.run(),
+        Verb::Dem(args) => dem::run(&args),
+        Verb::Ortho(args) => ortho::run(&args),
+        Verb::Query(verb) => verb.run(),
         Verb::Synth(args) => synth::run(&args),
         Verb::Locate(verb) => verb.run(),
         Verb::Segment(args) => segment::run(&args),

@@ -37,6 +37,17 @@ pub fn read(path: &Path, tracks: &Path) -> Result<Model, FileError> {
     Ok(model)
 }
 
+/// Reads cameras and poses only; points and their measurements need not be there.
+///
+/// # Errors
+/// As [`read`].
+pub fn read_poses(path: &Path) -> Result<Model, FileError> {
+    let text = std::fs::read_to_string(path).map_err(|e| FileError::read(path, e))?;
+    let file: Value = serde_json::from_str(&text)
+        .map_err(|e| FileError::malformed(path, e.line(), e.to_string()))?;
+    parse(&file).map_err(|message| FileError::malformed(path, None, message))
+}
+
 fn parse(file: &Value) -> Result<Model, String> {
     let all = file.as_array().ok_or("expected a list of reconstructions")?;
     let size = |r: &&Value| r["shots"].as_object().map_or(0, Map::len);
@@ -69,7 +80,8 @@ fn parse(file: &Value) -> Result<Model, String> {
             motion: [0.0; 6],
         });
     }
-    for (name, point) in object("points")? {
+    let none = Map::new();
+    for (name, point) in reconstruction["points"].as_object().unwrap_or(&none) {
         let wrong = |message: String| format!("point {name:?}: {message}");
         let id = name.parse().map_err(|_| wrong("expected a number as its name".into()))?;
         let position_m = vector(point, "coordinates").map_err(wrong)?;

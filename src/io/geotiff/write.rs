@@ -32,6 +32,8 @@ pub enum Colour {
     Classes,
     /// A measured quantity; overviews are means.
     Values,
+    /// So many numbers of different meaning; overviews take one of several pixels.
+    Records(usize),
     /// Red, green, blue.
     Rgb,
     /// Red, green, blue, and 0 where there are no data.
@@ -59,6 +61,7 @@ impl Layout {
     pub fn bands(&self) -> usize {
         match self.colour {
             Colour::Classes | Colour::Values => 1,
+            Colour::Records(bands) => bands,
             Colour::Rgb => 3,
             Colour::Rgba => 4,
         }
@@ -156,10 +159,12 @@ fn builder<T: Sample>(path: &Path, layout: &Layout) -> Result<CogBuilder, FileEr
     let float = T::SAMPLE_FORMAT == 3;
     let (photometric, predictor) = match layout.colour {
         Colour::Classes => (PhotometricInterpretation::MinIsBlack, Predictor::None),
-        Colour::Values if float => {
+        Colour::Values | Colour::Records(_) if float => {
             (PhotometricInterpretation::MinIsBlack, Predictor::FloatingPoint)
         }
-        Colour::Values => (PhotometricInterpretation::MinIsBlack, Predictor::Horizontal),
+        Colour::Values | Colour::Records(_) => {
+            (PhotometricInterpretation::MinIsBlack, Predictor::Horizontal)
+        }
         Colour::Rgb | Colour::Rgba => (PhotometricInterpretation::Rgb, Predictor::Horizontal),
     };
     let mut builder = GeoTiffBuilder::new(width, height)
@@ -173,6 +178,11 @@ fn builder<T: Sample>(path: &Path, layout: &Layout) -> Result<CogBuilder, FileEr
     if layout.colour == Colour::Rgba {
         builder = builder.extra_samples(vec![ExtraSample::UnassociatedAlpha]);
     }
+    if let Colour::Records(bands) = layout.colour
+        && bands > 1
+    {
+        builder = builder.extra_samples(vec![ExtraSample::Unspecified; bands - 1]);
+    }
     if let Some(nodata) = layout.nodata {
         builder = builder.nodata(&nodata.to_string());
     }
@@ -183,7 +193,7 @@ fn builder<T: Sample>(path: &Path, layout: &Layout) -> Result<CogBuilder, FileEr
     let levels = (1..31).map(|power| 1u32 << power);
     let levels = levels.take_while(|&level| largest > TILE * (level as usize) / 2).collect();
     let resampling = match layout.colour {
-        Colour::Classes => Resampling::NearestNeighbor,
+        Colour::Classes | Colour::Records(_) => Resampling::NearestNeighbor,
         Colour::Values | Colour::Rgb | Colour::Rgba => Resampling::Average,
     };
     Ok(CogBuilder::new(builder).overview_levels(levels).resampling(resampling))
