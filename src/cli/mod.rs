@@ -16,11 +16,13 @@ mod figures;
 mod leaves;
 mod locate;
 mod ortho;
+mod report;
 mod run;
 mod segment;
 mod stand;
 mod survey;
 mod synth;
+mod table;
 mod undistort;
 
 use crate::{error::Error, io::FileError};
@@ -47,7 +49,9 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Verb {
-    Run(run::Args),
+    Run(Box<run::Args>),
+    Init(run::Init),
+    Report(report::Args),
     Adjust(Box<adjust::Args>),
     Align(Box<align::Args>),
     Convert(survey::convert::Args),
@@ -93,8 +97,15 @@ fn run(cli: Cli) -> Result<(), Error> {
         .num_threads(cli.threads.into())
         .build_global()
         .map_err(|e| Error::Argument(format!("--threads {}: {e}", cli.threads)))?;
-    match cli.verb {
+    dispatch(cli.verb)
+}
+
+/// Does what a verb says.
+fn dispatch(verb: Verb) -> Result<(), Error> {
+    match verb {
         Verb::Run(args) => run::run(&args),
+        Verb::Init(args) => args.run(),
+        Verb::Report(args) => report::run(&args),
         Verb::Align(args) => align::run(&args),
         Verb::Adjust(args) => adjust::run(&args),
         Verb::Convert(args) => survey::convert::run(&args),
@@ -140,9 +151,37 @@ fn start_logging(verbose: u8, quiet: bool) {
         .init();
 }
 
+/// A command line as the program itself takes it.
+fn parse(words: Vec<std::ffi::OsString>) -> Result<Cli, Error> {
+    Cli::try_parse_from(words).map_err(|error| Error::Argument(error.to_string()))
+}
+
+thread_local! {
+    /// What is printed, while one verb does another's work and reads what it says.
+    static CAPTURED: std::cell::RefCell<Option<String>> = const { std::cell::RefCell::new(None) };
+}
+
+/// Does some work and gives back what it printed, which does not go to stdout.
+fn captured<T>(work: impl FnOnce() -> T) -> (String, T) {
+    let before = CAPTURED.replace(Some(String::new()));
+    let result = work();
+    (CAPTURED.replace(before).unwrap_or_default(), result)
+}
+
 /// Writes text for a person to stdout.
 fn print(text: &str) -> Result<(), Error> {
     use std::io::Write;
+    let kept = CAPTURED.with_borrow_mut(|captured| match captured {
+        Some(captured) => {
+            captured.push_str(text.trim_end());
+            captured.push('\n');
+            true
+        }
+        None => false,
+    });
+    if kept {
+        return Ok(());
+    }
     let mut out = std::io::stdout().lock();
     match writeln!(out, "{}", text.trim_end()).and_then(|()| out.flush()) {
         // A reader that has seen enough is no failure.
