@@ -24,6 +24,7 @@ mod evaluate;
 mod features;
 mod locate;
 mod nlls;
+mod parsers;
 mod program;
 mod run;
 mod segment;

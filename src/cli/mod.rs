@@ -10,6 +10,7 @@ mod camera;
 mod count;
 mod dem;
 mod density;
+mod doctor;
 mod evaluate;
 mod features;
 mod figures;
@@ -19,11 +20,13 @@ mod ortho;
 mod report;
 mod run;
 mod segment;
+mod shell;
 mod stand;
 mod survey;
 mod synth;
 mod table;
 mod undistort;
+mod verify;
 
 use crate::{error::Error, io::FileError};
 use clap::{Parser, Subcommand};
@@ -51,7 +54,9 @@ struct Cli {
 enum Verb {
     Run(Box<run::Args>),
     Init(run::Init),
+    Doctor(doctor::Args),
     Report(report::Args),
+    Verify(verify::Args),
     Adjust(Box<adjust::Args>),
     Align(Box<align::Args>),
     Convert(survey::convert::Args),
@@ -70,6 +75,8 @@ enum Verb {
     Count(count::Args),
     Density(density::Args),
     Evaluate(evaluate::Args),
+    Completions(shell::Completions),
+    Man(shell::Man),
 }
 
 /// Parses the command line, runs the verb, reports what went wrong.
@@ -105,7 +112,9 @@ fn dispatch(verb: Verb) -> Result<(), Error> {
     match verb {
         Verb::Run(args) => run::run(&args),
         Verb::Init(args) => args.run(),
+        Verb::Doctor(args) => doctor::run(&args),
         Verb::Report(args) => report::run(&args),
+        Verb::Verify(args) => verify::run(&args),
         Verb::Align(args) => align::run(&args),
         Verb::Adjust(args) => adjust::run(&args),
         Verb::Convert(args) => survey::convert::run(&args),
@@ -124,6 +133,8 @@ fn dispatch(verb: Verb) -> Result<(), Error> {
         Verb::Count(args) => count::run(&args),
         Verb::Density(args) => density::run(&args),
         Verb::Evaluate(args) => evaluate::run(&args),
+        Verb::Completions(args) => args.run(),
+        Verb::Man(args) => args.run(),
     }
 }
 

@@ -159,7 +159,15 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     // Before anything is locked or written, so that a mistake leaves nothing behind.
     Config::read(&root, |name| std::env::var(name).ok(), &args.set)?;
     let _lock = if args.dry_run { None } else { Some(Lock::take(&results)?) };
-    let runner = Runner { args, root: &root, results: &results, begin: Instant::now() };
+    let begin = Instant::now();
+    let runner = Runner {
+        root: &root,
+        results: &results,
+        skip: &args.skip,
+        from: args.from.as_deref(),
+        until: args.until.as_deref(),
+        dry_run: args.dry_run,
+    };
     let mut ended = Vec::new();
     if synthetic {
         runner.own("grow", &mut ended, &[], &grow::command(args.seed), |_| {
@@ -178,7 +186,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
         return Ok(());
     }
     let resolved = toml::to_string(&config).map_err(|e| Error::Argument(e.to_string()))?;
-    output::write(&results.join("resolved.toml"), true, |out| out.write_all(resolved.as_bytes()))?;
+    output::write(&results.join(RESOLVED), true, |out| out.write_all(resolved.as_bytes()))?;
     let skipped: Vec<(String, String)> = ended
         .iter()
         .filter_map(|(name, ended)| match ended {
@@ -205,7 +213,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
             "{}\nreport  {}\n        {:.1} s",
             written.headline,
             written.path.display(),
-            runner.begin.elapsed().as_secs_f64()
+            begin.elapsed().as_secs_f64()
         ))?;
     }
     let failed = ended.into_iter().find_map(|(name, ended)| match ended {
@@ -220,21 +228,60 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
 
 /// A run under way.
 struct Runner<'a> {
-    args: &'a Args,
     root: &'a Path,
     results: &'a Path,
-    begin: Instant,
+    skip: &'a [String],
+    from: Option<&'a str>,
+    until: Option<&'a str>,
+    dry_run: bool,
 }
+
+/// Whether the settings of a project can be understood.
+///
+/// # Errors
+/// What is wrong with them.
+pub(super) fn settings(root: &Path) -> Result<(), Error> {
+    Config::read(root, |name| std::env::var(name).ok(), &[]).map(drop)
+}
+
+/// Does the stages of an earlier run again, with its settings, into another folder.
+///
+/// # Errors
+/// A run without its settings, and the first stage that failed.
+pub(super) fn again(root: &Path, results: &Path, folder: &Path) -> Result<(), Error> {
+    let path = results.join(RESOLVED);
+    let text = std::fs::read_to_string(&path).map_err(|e| FileError::read(&path, e))?;
+    let config: Config =
+        toml::from_str(&text).map_err(|e| FileError::malformed(&path, None, e.message()))?;
+    let records = Records::of(root, results);
+    let skip: Vec<String> = STAGES
+        .iter()
+        .filter(|stage| records.read(stage).is_none())
+        .map(|stage| (*stage).to_owned())
+        .collect();
+    let runner =
+        Runner { root, results: folder, skip: &skip, from: None, until: None, dry_run: false };
+    let mut ended = Vec::new();
+    runner.stages(&config, &mut ended)?;
+    let failed = ended.into_iter().find_map(|(_, ended)| match ended {
+        Ended::Failed(error) => Some(error),
+        _ => None,
+    });
+    failed.map_or(Ok(()), Err)
+}
+
+/// The settings of a run, as they came out.
+const RESOLVED: &str = "resolved.toml";
 
 type Endings = Vec<(String, Ended)>;
 
 impl Runner<'_> {
     fn stages(&self, config: &Config, ended: &mut Endings) -> Result<(), Error> {
         let place = Place { root: self.root, results: self.results, config };
-        let until = self.args.until.as_deref().and_then(index).unwrap_or(STAGES.len());
+        let until = self.until.and_then(index).unwrap_or(STAGES.len());
         let skip = |name: &str| {
             let by = |list: &[String]| list.iter().any(|other| other == name);
-            by(&self.args.skip) || by(&config.stages.skip)
+            by(self.skip) || by(&config.stages.skip)
         };
         // A block that could not be made leaves nothing to be mapped; old results do not stand in for it.
         let mut broken: Option<&str> = None;
@@ -350,9 +397,9 @@ impl Runner<'_> {
         }
         let key = record::of_text(&text);
         let number = index(name).unwrap_or(0);
-        let again = self.args.from.as_deref().and_then(index).is_some_and(|from| number >= from);
+        let again = self.from.and_then(index).is_some_and(|from| number >= from);
         let kept = if again { None } else { records.kept(name, &key)? };
-        if self.args.dry_run {
+        if self.dry_run {
             let state = if kept.is_some() { "kept" } else { "to be done" };
             print(&format!("{name:<10} {state:<11} {command}"))?;
             return Ok(Ended::Done);
