@@ -139,10 +139,9 @@ fn damaged_files_are_no_reason_to_fall() {
         ("points", in_field("truth/plants.csv")),
         ("poses", in_field("truth/exterior_orientation.csv")),
     ];
-    if binary.code == 0 {
-        for name in ["cameras.bin", "images.bin", "points3D.bin"] {
-            cases.push(("colmap", root.join("binary").join(name)));
-        }
+    assert_eq!(binary.code, 0, "{}", binary.stderr);
+    for name in ["cameras.bin", "images.bin", "points3D.bin"] {
+        cases.push(("colmap", root.join("binary").join(name)));
     }
     let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/geotiff");
     for entry in fs::read_dir(golden).unwrap() {
