@@ -1,7 +1,8 @@
 //! The commands that work on specs.
 
 use crate::{
-    compare, data::Frame,
+    compare,
+    data::Frame,
     fail::Fail,
     keys, merge,
     plan::{Plan, Planned},
@@ -164,9 +165,8 @@ impl Command {
                 }
                 None => {
                     let plan = Plan::of(&file, small)?;
-                    let out = out.unwrap_or_else(|| {
-                        Path::new("experiments/out").join(&plan.spec.name)
-                    });
+                    let out =
+                        out.unwrap_or_else(|| Path::new("experiments/out").join(&plan.spec.name));
                     run(plan, &out, jobs, resume, force)
                 }
             },
@@ -316,7 +316,11 @@ fn findings(specs: &Path, reference: &Path, output: &Path, check: bool) -> Resul
         let fail = |e: String| Fail::Failed(format!("{}: {e}", spec.name));
         let filled = finding.fill(&runs).map_err(fail)?;
         refuted.extend(
-            finding.refuted(&runs).map_err(fail)?.into_iter().map(|c| format!("{}: {c}", spec.name)),
+            finding
+                .refuted(&runs)
+                .map_err(fail)?
+                .into_iter()
+                .map(|c| format!("{}: {c}", spec.name)),
         );
         text += &format!(
             "\n## {}\n\n{filled}\n\n`specs/{}.toml`: {} cells, {} seed{}.\n",

@@ -110,7 +110,8 @@ fn nearest<'a>(found: &str, known: impl Iterator<Item = &'a str>) -> Option<&'a 
 /// The message of a parser, with the nearest word where it refuses one and lists those it knows.
 pub(crate) fn with_nearest(message: &str) -> String {
     let quoted: Vec<&str> = message.split('`').skip(1).step_by(2).collect();
-    let refuses = ["unknown field `", "unknown variant `"].iter().any(|part| message.contains(part));
+    let refuses =
+        ["unknown field `", "unknown variant `"].iter().any(|part| message.contains(part));
     match (refuses, quoted.split_first()) {
         (true, Some((found, known))) if !known.is_empty() => {
             match nearest(found, known.iter().copied()) {
@@ -145,7 +146,8 @@ mod tests {
 
     #[test]
     fn a_wrong_key_is_answered_with_the_nearest() {
-        let mut at = table("[field]\nspacing_m = 1.0\nrow_length_m = 5.0\n[locator]\nprior = 'none'");
+        let mut at =
+            table("[field]\nspacing_m = 1.0\nrow_length_m = 5.0\n[locator]\nprior = 'none'");
         for (wrong, right) in [
             ("field.spacing", "field.spacing_m"),
             ("spacing_m", "field.spacing_m"),

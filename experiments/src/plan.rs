@@ -75,11 +75,8 @@ impl Plan {
     pub(crate) fn save(self, folder: &Path, force: bool) -> Result<Planned, Fail> {
         let text = self.text()?;
         let path = folder.join(FILE);
-        let planned = Planned {
-            hash: sha256(text.as_bytes()),
-            plan: self,
-            folder: folder.to_path_buf(),
-        };
+        let planned =
+            Planned { hash: sha256(text.as_bytes()), plan: self, folder: folder.to_path_buf() };
         let there = std::fs::read(&path).ok();
         if there.as_deref() == Some(text.as_bytes()) {
             return Ok(planned);

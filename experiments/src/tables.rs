@@ -69,7 +69,8 @@ impl TableSpec {
 
     /// Writes `NAME.md`, `NAME.tex` and `NAME.csv`.
     pub(crate) fn write(&self, runs: &Frame, folder: &Path) -> Result<(), Fail> {
-        let cells = self.cells(runs).map_err(|e| Fail::Failed(format!("table {}: {e}", self.name)))?;
+        let cells =
+            self.cells(runs).map_err(|e| Fail::Failed(format!("table {}: {e}", self.name)))?;
         for (end, text) in [("md", self.markdown(&cells)), ("tex", self.latex(&cells))] {
             let path = folder.join(format!("{}.{end}", self.name));
             output::write(&path, true, |out| out.write_all(text.as_bytes()))?;
@@ -139,8 +140,11 @@ impl TableSpec {
         let heads: Vec<String> = cells.columns.iter().map(|column| escaped(column)).collect();
         text += &format!("{} & {} \\\\\n\\hline\n", escaped(&self.rows), heads.join(" & "));
         for (r, row) in cells.rows.iter().enumerate() {
-            let shown: Vec<String> =
-                cells.row(r).iter().map(|&cell| format!("${}$", self.shown(cell, " \\pm "))).collect();
+            let shown: Vec<String> = cells
+                .row(r)
+                .iter()
+                .map(|&cell| format!("${}$", self.shown(cell, " \\pm ")))
+                .collect();
             text += &format!("{} & {} \\\\\n", escaped(row), shown.join(" & "));
         }
         text += "\\hline\n\\end{tabular}\n";
@@ -197,7 +201,11 @@ mod tests {
         let text = |cells: &[&str]| cells.iter().map(|&c| c.to_owned()).collect::<Vec<_>>();
         let frame = Frame {
             header: text(&["method", "seed", "f1_5cm"]),
-            rows: vec![text(&["a_b", "1", "0.5"]), text(&["a_b", "2", "0.7"]), text(&["c", "1", ""])],
+            rows: vec![
+                text(&["a_b", "1", "0.5"]),
+                text(&["a_b", "2", "0.7"]),
+                text(&["c", "1", ""]),
+            ],
         };
         let spec: TableSpec = toml::from_str(
             "name = 't'\n rows = 'method'\n values = ['f1_5cm']\n caption = '100 % sure.'",

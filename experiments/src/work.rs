@@ -32,7 +32,8 @@ impl FromStr for Shard {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Shard, String> {
-        let parts = text.split_once('/').and_then(|(i, n)| Some((i.parse().ok()?, n.parse().ok()?)));
+        let parts =
+            text.split_once('/').and_then(|(i, n)| Some((i.parse().ok()?, n.parse().ok()?)));
         match parts {
             Some((index, count)) if (1..=count).contains(&index) => Ok(Shard { index, count }),
             _ => Err(format!("{text:?}: expected I/N with I from 1 to N, such as 2/8")),
@@ -139,8 +140,7 @@ pub(crate) fn find(planned: &Planned) -> Result<Found, Fail> {
 
 /// Writes a record: temporary file, flushed to the disk, renamed.
 fn write_record(folder: &Path, name: &str, record: &Record) -> Result<(), Fail> {
-    let body =
-        serde_json::to_string(record).map_err(|e| Fail::Failed(format!("{name}: {e}")))?;
+    let body = serde_json::to_string(record).map_err(|e| Fail::Failed(format!("{name}: {e}")))?;
     let path = folder.join(name);
     let fail = |error: std::io::Error| Fail::io(&path, &error);
     let mut file = tempfile::Builder::new().suffix(".part").tempfile_in(folder).map_err(fail)?;

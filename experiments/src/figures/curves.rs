@@ -120,8 +120,7 @@ pub(super) fn convergence(figure: &Figure, frame: &Frame) -> Result<Drawn, Strin
         }
         all.push(drawn);
     }
-    let svg =
-        draw(figure, &parts, &all, &[], Joined::Line, &figure.x_text(), &figure.y_text())?;
+    let svg = draw(figure, &parts, &all, &[], Joined::Line, &figure.x_text(), &figure.y_text())?;
     Ok(Drawn { svg, numbers })
 }
 
@@ -133,7 +132,8 @@ pub(super) fn convergence(figure: &Figure, frame: &Frame) -> Result<Drawn, Strin
 pub(super) fn profile(figure: &Figure, frame: &Frame) -> Result<Drawn, String> {
     let solvers = frame.labels(&figure.series)?;
     let parts = panels(figure, frame)?;
-    let mut numbers = vec![vec!["panel".to_owned(), "series".to_owned(), "tau".to_owned(), "share".to_owned()]];
+    let mut numbers =
+        vec![vec!["panel".to_owned(), "series".to_owned(), "tau".to_owned(), "share".to_owned()]];
     let mut all = Vec::new();
     let mut farthest: f64 = 2.0;
     let mut curves = Vec::new();
@@ -155,7 +155,8 @@ pub(super) fn profile(figure: &Figure, frame: &Frame) -> Result<Drawn, String> {
         let ratios: Vec<Vec<f64>> = measured
             .iter()
             .map(|values| {
-                let best = values.iter().copied().fold(f64::INFINITY, f64::min).max(f64::MIN_POSITIVE);
+                let best =
+                    values.iter().copied().fold(f64::INFINITY, f64::min).max(f64::MIN_POSITIVE);
                 values.iter().map(|value| value / best).collect()
             })
             .collect();
@@ -222,64 +223,80 @@ fn draw(
     let (_, columns) = scale::layout(parts.len());
     let legend_rows = if names.len() > 1 { names.len().div_ceil(2) as u32 } else { 0 };
     let legend = if parts.len() == 1 { 26 * legend_rows + 6 } else { 0 };
-    scale::canvas(parts.len() + usize::from(parts.len() > 1 && names.len() > 1), height + legend, |panel, area| {
-        if panel == parts.len() {
-            return legend_of(area, &names, 1);
-        }
-        let (upper, lower) = area.split_vertically(height);
-        if legend > 0 {
-            legend_of(&lower, &names, 2)?;
-        }
-        let area = if parts.len() == 1 { &upper } else { area };
-        let mut builder = ChartBuilder::on(area);
-        builder.margin(10).margin_right(24).y_label_area_size(if columns > 2 { 70 } else { 84 });
-        let rotated = labels.iter().map(String::len).sum::<usize>() > 40;
-        builder.x_label_area_size(if rotated { 150 } else { 58 });
-        if !parts[panel].0.is_empty() {
-            builder.caption(&parts[panel].0, font(TITLE));
-        }
-        let mut chart = builder.build_cartesian_2d(x_low..x_high, y_low..y_high)?;
-        let name_of = |x: &f64| -> String {
+    scale::canvas(
+        parts.len() + usize::from(parts.len() > 1 && names.len() > 1),
+        height + legend,
+        |panel, area| {
+            if panel == parts.len() {
+                return legend_of(area, &names, 1);
+            }
+            let (upper, lower) = area.split_vertically(height);
+            if legend > 0 {
+                legend_of(&lower, &names, 2)?;
+            }
+            let area = if parts.len() == 1 { &upper } else { area };
+            let mut builder = ChartBuilder::on(area);
+            builder.margin(10).margin_right(24).y_label_area_size(if columns > 2 {
+                70
+            } else {
+                84
+            });
+            let rotated = labels.iter().map(String::len).sum::<usize>() > 40;
+            builder.x_label_area_size(if rotated { 150 } else { 58 });
+            if !parts[panel].0.is_empty() {
+                builder.caption(&parts[panel].0, font(TITLE));
+            }
+            let mut chart = builder.build_cartesian_2d(x_low..x_high, y_low..y_high)?;
+            let name_of = |x: &f64| -> String {
+                if labels.is_empty() {
+                    return tick(*x, figure.x_log);
+                }
+                let near = (x - x.round()).abs() < 0.01;
+                let label = labels.get(x.round().max(0.0) as usize).filter(|_| near && *x >= -0.01);
+                label.cloned().unwrap_or_default()
+            };
+            let y_name = |y: &f64| tick(*y, figure.y_log);
+            let mut mesh = chart.configure_mesh();
+            mesh.light_line_style(TRANSPARENT)
+                .bold_line_style(BLACK.mix(0.12))
+                .axis_desc_style(font(LABEL))
+                .label_style(font(LABEL - 2))
+                .x_desc(x_text)
+                .y_desc(y_text)
+                .x_label_formatter(&name_of)
+                .y_label_formatter(&y_name)
+                .y_labels(6);
             if labels.is_empty() {
-                return tick(*x, figure.x_log);
+                mesh.x_labels(6);
+            } else {
+                mesh.x_labels(2 * labels.len() + 1);
+                if rotated {
+                    mesh.x_label_style(font(LABEL - 4).transform(FontTransform::Rotate90));
+                }
             }
-            let near = (x - x.round()).abs() < 0.01;
-            let label = labels.get(x.round().max(0.0) as usize).filter(|_| near && *x >= -0.01);
-            label.cloned().unwrap_or_default()
-        };
-        let y_name = |y: &f64| tick(*y, figure.y_log);
-        let mut mesh = chart.configure_mesh();
-        mesh.light_line_style(TRANSPARENT)
-            .bold_line_style(BLACK.mix(0.12))
-            .axis_desc_style(font(LABEL))
-            .label_style(font(LABEL - 2))
-            .x_desc(x_text)
-            .y_desc(y_text)
-            .x_label_formatter(&name_of)
-            .y_label_formatter(&y_name)
-            .y_labels(6);
-        if labels.is_empty() {
-            mesh.x_labels(6);
-        } else {
-            mesh.x_labels(2 * labels.len() + 1);
-            if rotated {
-                mesh.x_label_style(font(LABEL - 4).transform(FontTransform::Rotate90));
+            mesh.draw()?;
+            for mark in marks.clone() {
+                let line = [(mark, y_low), (mark, y_high)];
+                chart.draw_series(DashedLineSeries::new(
+                    line,
+                    6,
+                    5,
+                    BLACK.mix(0.6).stroke_width(2),
+                ))?;
             }
-        }
-        mesh.draw()?;
-        for mark in marks.clone() {
-            let line = [(mark, y_low), (mark, y_high)];
-            chart.draw_series(DashedLineSeries::new(line, 6, 5, BLACK.mix(0.6).stroke_width(2)))?;
-        }
-        for (s, (_, lines)) in all[panel].iter().enumerate() {
-            series(&mut chart, s, lines, joined)?;
-        }
-        Ok(())
-    })
+            for (s, (_, lines)) in all[panel].iter().enumerate() {
+                series(&mut chart, s, lines, joined)?;
+            }
+            Ok(())
+        },
+    )
 }
 
-type Chart<'a, 'b> =
-    ChartContext<'a, SVGBackend<'b>, Cartesian2d<plotters::coord::types::RangedCoordf64, plotters::coord::types::RangedCoordf64>>;
+type Chart<'a, 'b> = ChartContext<
+    'a,
+    SVGBackend<'b>,
+    Cartesian2d<plotters::coord::types::RangedCoordf64, plotters::coord::types::RangedCoordf64>,
+>;
 
 fn series<'b>(chart: &mut Chart<'_, 'b>, s: usize, lines: &[Vec<Point>], joined: Joined) -> Done {
     for points in lines {

@@ -22,8 +22,11 @@ pub(super) fn write(folder: &Path, name: &str, svg: &str) -> Result<(), Fail> {
     let mut fonts = usvg::fontdb::Database::new();
     fonts.load_font_data(FONT.to_vec());
     fonts.set_sans_serif_family("DejaVu Sans");
-    let options =
-        usvg::Options { fontdb: Arc::new(fonts), font_family: "DejaVu Sans".to_owned(), ..Default::default() };
+    let options = usvg::Options {
+        fontdb: Arc::new(fonts),
+        font_family: "DejaVu Sans".to_owned(),
+        ..Default::default()
+    };
     let tree = usvg::Tree::from_str(svg, &options).map_err(|e| fail("SVG", &e))?;
     save("svg", svg.as_bytes())?;
     let pdf = svg2pdf::to_pdf(

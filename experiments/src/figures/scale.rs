@@ -74,9 +74,8 @@ pub(super) fn viridis(share: f64) -> RGBColor {
     let place = share.clamp(0.0, 1.0) * (VIRIDIS.len() - 1) as f64;
     let low = (place.floor() as usize).min(VIRIDIS.len() - 2);
     let part = place - low as f64;
-    let mix = |k: usize| {
-        (VIRIDIS[low][k] + (VIRIDIS[low + 1][k] - VIRIDIS[low][k]) * part).round() as u8
-    };
+    let mix =
+        |k: usize| (VIRIDIS[low][k] + (VIRIDIS[low + 1][k] - VIRIDIS[low][k]) * part).round() as u8;
     RGBColor(mix(0), mix(1), mix(2))
 }
 
@@ -107,7 +106,13 @@ pub(super) fn tick(place: f64, logarithmic: bool) -> String {
     } else if !(1e-3..1e5).contains(&size) {
         format!("{value:.0e}")
     } else {
-        let digits = if size < 0.1 { 3 } else if size < 10.0 { 2 } else { 0 };
+        let digits = if size < 0.1 {
+            3
+        } else if size < 10.0 {
+            2
+        } else {
+            0
+        };
         let text = format!("{value:.digits$}");
         if text.contains('.') {
             text.trim_end_matches('0').trim_end_matches('.').to_owned()

@@ -129,7 +129,8 @@ fn outline(sorted: &[f64], middle: f64, half: f64) -> Vec<(f64, f64)> {
     let side = |sign: f64| {
         levels.iter().zip(&densities).map(move |(&y, &d)| (middle + sign * half * d / most, y))
     };
-    let mut closed: Vec<(f64, f64)> = side(1.0).chain(side(-1.0).collect::<Vec<_>>().into_iter().rev()).collect();
+    let mut closed: Vec<(f64, f64)> =
+        side(1.0).chain(side(-1.0).collect::<Vec<_>>().into_iter().rev()).collect();
     closed.push(closed[0]);
     closed
 }

@@ -113,7 +113,8 @@ pub(crate) struct Adjust;
 impl Stage for Adjust {
     type Parameters = Parameters;
     const NAME: &'static str = "adjust";
-    const ABOUT: &'static str = "a flight's block adjusted with ground control, judged by check points";
+    const ABOUT: &'static str =
+        "a flight's block adjusted with ground control, judged by check points";
     const METRICS: &'static [Metric] = &[
         metric("check_x_m", "root mean square error of the check points, X"),
         metric("check_y_m", "the same, Y"),
@@ -208,7 +209,11 @@ fn traces(survey: &Survey, checks: &[CheckPoint], twin: &Twin) -> [Trace; 3] {
     let mut cameras = Trace::new("cameras", &["x_m", "y_m", "z_m"]);
     cameras.rows = survey.images.iter().map(|image| image.pose.centre_m().to_vec()).collect();
     let mut cloud = Trace::new("cloud", &["x_m", "y_m", "what"]);
-    cloud.rows = survey.points.iter().map(|point| vec![point.position_m[0], point.position_m[1], 0.0]).collect();
+    cloud.rows = survey
+        .points
+        .iter()
+        .map(|point| vec![point.position_m[0], point.position_m[1], 0.0])
+        .collect();
     cloud.rows.extend(cameras.rows.iter().map(|at| vec![at[0], at[1], 1.0]));
     cloud.rows.extend(twin.targets.iter().map(|t| vec![t.place_m[0], t.place_m[1], 2.0]));
     [errors, cameras, cloud]
@@ -263,7 +268,12 @@ fn normal(rng: &mut ChaCha8Rng) -> f64 {
 /// The rotation of a matrix by rows, through the largest component of its quaternion.
 fn quaternion(m: &[[f64; 3]; 3]) -> rotation::Quaternion {
     let trace = m[0][0] + m[1][1] + m[2][2];
-    let four = [1.0 + trace, 1.0 - trace + 2.0 * m[0][0], 1.0 - trace + 2.0 * m[1][1], 1.0 - trace + 2.0 * m[2][2]];
+    let four = [
+        1.0 + trace,
+        1.0 - trace + 2.0 * m[0][0],
+        1.0 - trace + 2.0 * m[1][1],
+        1.0 - trace + 2.0 * m[2][2],
+    ];
     let largest = (1..4).fold(0, |best, i| if four[i] > four[best] { i } else { best });
     let skew = [m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1]];
     let sums = [m[2][1] + m[1][2], m[0][2] + m[2][0], m[1][0] + m[0][1]];
@@ -278,7 +288,8 @@ fn quaternion(m: &[[f64; 3]; 3]) -> rotation::Quaternion {
 
 fn image(number: usize, shot: &Shot, e: &Estimate, rng: &mut ChaCha8Rng) -> Image {
     // Rows of camera_from_world are the columns of the true rotation.
-    let turned: [[f64; 3]; 3] = std::array::from_fn(|i| std::array::from_fn(|j| shot.rotation[j][i]));
+    let turned: [[f64; 3]; 3] =
+        std::array::from_fn(|i| std::array::from_fn(|j| shot.rotation[j][i]));
     let small = [0; 3].map(|_| e.start_rotation_deg.to_radians() * normal(rng));
     let rotation =
         rotation::normalize(rotation::multiply(rotation::exp(small), quaternion(&turned)));
@@ -316,8 +327,7 @@ fn survey(twin: &Twin, e: &Estimate, seed: u64) -> Result<Survey, String> {
     if e.gnss {
         let gnss = &config.flight.gnss;
         let floor = |sigma: f64| sigma.max(1e-3);
-        let sigma_m =
-            [floor(gnss.horizontal_m), floor(gnss.horizontal_m), floor(gnss.vertical_m)];
+        let sigma_m = [floor(gnss.horizontal_m), floor(gnss.horizontal_m), floor(gnss.vertical_m)];
         survey.positions = twin
             .shots
             .iter()

@@ -285,7 +285,10 @@ fn race(p: &Parameters, counted: &Counted, start: Vec<f64>) -> Result<(), String
             }
             let solver = NelderMead::new(simplex).with_sd_tolerance(1e-14).map_err(told)?;
             let run = Executor::new(problem, solver);
-            run.configure(|s| s.max_iters(most)).run().map(|done| drop(done.state.get_iter())).map_err(told)
+            run.configure(|s| s.max_iters(most))
+                .run()
+                .map(|done| drop(done.state.get_iter()))
+                .map_err(told)
         }
     }
 }

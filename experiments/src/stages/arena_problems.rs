@@ -20,14 +20,44 @@ pub(super) struct Classic {
 /// All problems.
 pub(super) static CLASSICS: [Classic; 9] = [
     Classic { name: "rosenbrock", start: &[-1.2, 1.0], rows: 2, best: 0.0, evaluate: rosenbrock },
-    Classic { name: "powell-badly-scaled", start: &[0.0, 1.0], rows: 2, best: 0.0, evaluate: powell_badly_scaled },
+    Classic {
+        name: "powell-badly-scaled",
+        start: &[0.0, 1.0],
+        rows: 2,
+        best: 0.0,
+        evaluate: powell_badly_scaled,
+    },
     Classic { name: "beale", start: &[1.0, 1.0], rows: 3, best: 0.0, evaluate: beale },
-    Classic { name: "helical-valley", start: &[-1.0, 0.0, 0.0], rows: 3, best: 0.0, evaluate: helical_valley },
-    Classic { name: "bard", start: &[1.0, 1.0, 1.0], rows: 15, best: 0.5 * 8.214_877_306_578_963e-3, evaluate: bard },
+    Classic {
+        name: "helical-valley",
+        start: &[-1.0, 0.0, 0.0],
+        rows: 3,
+        best: 0.0,
+        evaluate: helical_valley,
+    },
+    Classic {
+        name: "bard",
+        start: &[1.0, 1.0, 1.0],
+        rows: 15,
+        best: 0.5 * 8.214_877_306_578_963e-3,
+        evaluate: bard,
+    },
     Classic { name: "box", start: &[0.0, 10.0, 20.0], rows: 10, best: 0.0, evaluate: box_three },
-    Classic { name: "powell-singular", start: &[3.0, -1.0, 0.0, 1.0], rows: 4, best: 0.0, evaluate: powell_singular },
+    Classic {
+        name: "powell-singular",
+        start: &[3.0, -1.0, 0.0, 1.0],
+        rows: 4,
+        best: 0.0,
+        evaluate: powell_singular,
+    },
     Classic { name: "wood", start: &[-3.0, -1.0, -3.0, -1.0], rows: 6, best: 0.0, evaluate: wood },
-    Classic { name: "kowalik-osborne", start: &[0.25, 0.39, 0.415, 0.39], rows: 11, best: 0.5 * 3.075_056_038_492_371e-4, evaluate: kowalik },
+    Classic {
+        name: "kowalik-osborne",
+        start: &[0.25, 0.39, 0.415, 0.39],
+        rows: 11,
+        best: 0.5 * 3.075_056_038_492_371e-4,
+        evaluate: kowalik,
+    },
 ];
 
 fn put(jacobian: Option<&mut [f64]>, rows: &[&[f64]]) {
@@ -79,11 +109,14 @@ fn helical_valley(x: &[f64], r: &mut [f64], j: Option<&mut [f64]>) {
     r[1] = 10.0 * (radius - 1.0);
     r[2] = x[2];
     let by = 100.0 / (tau * square);
-    put(j, &[
-        &[by * x[1], -by * x[0], 10.0],
-        &[10.0 * x[0] / radius, 10.0 * x[1] / radius, 0.0],
-        &[0.0, 0.0, 1.0],
-    ]);
+    put(
+        j,
+        &[
+            &[by * x[1], -by * x[0], 10.0],
+            &[10.0 * x[0] / radius, 10.0 * x[1] / radius, 0.0],
+            &[0.0, 0.0, 1.0],
+        ],
+    );
 }
 
 /// Number 8.
@@ -124,12 +157,15 @@ fn powell_singular(x: &[f64], r: &mut [f64], j: Option<&mut [f64]>) {
     r[1] = five * (x[2] - x[3]);
     r[2] = a * a;
     r[3] = ten * b * b;
-    put(j, &[
-        &[1.0, 10.0, 0.0, 0.0],
-        &[0.0, 0.0, five, -five],
-        &[0.0, 2.0 * a, -4.0 * a, 0.0],
-        &[2.0 * ten * b, 0.0, 0.0, -2.0 * ten * b],
-    ]);
+    put(
+        j,
+        &[
+            &[1.0, 10.0, 0.0, 0.0],
+            &[0.0, 0.0, five, -five],
+            &[0.0, 2.0 * a, -4.0 * a, 0.0],
+            &[2.0 * ten * b, 0.0, 0.0, -2.0 * ten * b],
+        ],
+    );
 }
 
 /// Number 14.
@@ -141,23 +177,24 @@ fn wood(x: &[f64], r: &mut [f64], j: Option<&mut [f64]>) {
     r[3] = 1.0 - x[2];
     r[4] = t * (x[1] + x[3] - 2.0);
     r[5] = (x[1] - x[3]) / t;
-    put(j, &[
-        &[-20.0 * x[0], 10.0, 0.0, 0.0],
-        &[-1.0, 0.0, 0.0, 0.0],
-        &[0.0, 0.0, -2.0 * n * x[2], n],
-        &[0.0, 0.0, -1.0, 0.0],
-        &[0.0, t, 0.0, t],
-        &[0.0, 1.0 / t, 0.0, -1.0 / t],
-    ]);
+    put(
+        j,
+        &[
+            &[-20.0 * x[0], 10.0, 0.0, 0.0],
+            &[-1.0, 0.0, 0.0, 0.0],
+            &[0.0, 0.0, -2.0 * n * x[2], n],
+            &[0.0, 0.0, -1.0, 0.0],
+            &[0.0, t, 0.0, t],
+            &[0.0, 1.0 / t, 0.0, -1.0 / t],
+        ],
+    );
 }
 
 /// Number 15.
 fn kowalik(x: &[f64], r: &mut [f64], mut j: Option<&mut [f64]>) {
-    const Y: [f64; 11] = [
-        0.1957, 0.1947, 0.1735, 0.1600, 0.0844, 0.0627, 0.0456, 0.0342, 0.0323, 0.0235, 0.0246,
-    ];
-    const U: [f64; 11] =
-        [4.0, 2.0, 1.0, 0.5, 0.25, 0.167, 0.125, 0.1, 0.0833, 0.0714, 0.0625];
+    const Y: [f64; 11] =
+        [0.1957, 0.1947, 0.1735, 0.1600, 0.0844, 0.0627, 0.0456, 0.0342, 0.0323, 0.0235, 0.0246];
+    const U: [f64; 11] = [4.0, 2.0, 1.0, 0.5, 0.25, 0.167, 0.125, 0.1, 0.0833, 0.0714, 0.0625];
     for i in 0..11 {
         let u = U[i];
         let (above, below) = (u * u + u * x[1], u * u + u * x[2] + x[3]);

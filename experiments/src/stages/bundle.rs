@@ -47,7 +47,10 @@ impl Stage for BundleBlock {
     const NAME: &'static str = "bundle";
     const ABOUT: &'static str = "bundle adjustment of a synthetic aerial block";
     const METRICS: &'static [Metric] = &[
-        metric("error_px", "root mean square distance of adjusted from true, error-free image points"),
+        metric(
+            "error_px",
+            "root mean square distance of adjusted from true, error-free image points",
+        ),
         metric("rms_px", "root mean square residual of the good measurements"),
         metric("cost_ratio", "final cost over that reached from the truth"),
         metric("solved", "1 where that is below 1.001"),
@@ -82,9 +85,8 @@ impl Stage for BundleBlock {
                 })
                 .collect(),
         };
-        let pose = |network: &Network| {
-            Bundle::new(network, p.interior, loss).map_err(|e| e.to_string())
-        };
+        let pose =
+            |network: &Network| Bundle::new(network, p.interior, loss).map_err(|e| e.to_string());
         let truth = pose(&network(&block.cameras_true, &block.points_true))?;
         let mut x = truth.problem.start();
         let (best, _) = descend(&truth.problem, &mut x, &Options::default(), 200, |_, _| ())?;

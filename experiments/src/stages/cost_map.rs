@@ -155,5 +155,9 @@ fn minima(costs: &[f64], side: usize) -> usize {
         let around = [v - 1, v, v + 1].into_iter().flat_map(|y| [(u - 1, y), (u, y), (u + 1, y)]);
         around.filter(|&at| at != (u, v)).all(|(x, y)| costs[y * side + x] > here)
     };
-    inner.clone().flat_map(|v| inner.clone().map(move |u| (u, v))).filter(|&(u, v)| lowest(u, v)).count()
+    inner
+        .clone()
+        .flat_map(|v| inner.clone().map(move |u| (u, v)))
+        .filter(|&(u, v)| lowest(u, v))
+        .count()
 }

@@ -101,8 +101,7 @@ fn source(p: &Parameters) -> Result<Interior, String> {
     c.check().map_err(|e| e.to_string())?;
     let s = p.strength;
     let [k1, k2, k3] = [c.k1, c.k2, c.k3].map(|value| s * value);
-    let values =
-        [c.c_px, c.xp_px, c.yp_px, s * c.k0, k1, k2, k3, s * c.p1, s * c.p2, c.r0_px];
+    let values = [c.c_px, c.xp_px, c.yp_px, s * c.k0, k1, k2, k3, s * c.p1, s * c.p2, c.r0_px];
     Interior::new(Model::Smac, [c.width_px, c.height_px], &values).map_err(|e| e.to_string())
 }
 

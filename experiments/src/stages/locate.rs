@@ -121,8 +121,7 @@ impl Stage for Locate {
         let descent = descent::Options { seed, ..p.descent };
         let options = Options { plants, model, init, seed, descent, max_sweeps: p.max_sweeps };
         let detection = rows::detect(&index);
-        let mut setup =
-            Setup::with_rows(index, &options, detection).map_err(|e| e.to_string())?;
+        let mut setup = Setup::with_rows(index, &options, detection).map_err(|e| e.to_string())?;
         if p.start == Start::Truth {
             let found = setup.detection.rows().map_or(&[][..], |rows| &rows.rows);
             let across: Vec<f64> = found.iter().map(|row| row.across_px).collect();
@@ -143,8 +142,8 @@ impl Stage for Locate {
         .map_err(|e| e.to_string())?;
         let located = setup.finish();
         let found: Vec<[f64; 2]> = located.plants.iter().map(|plant| plant.position_px).collect();
-        let score = Score::new(&found, &truth, &[0.05 / gsd_m, 0.10 / gsd_m])
-            .map_err(|e| e.to_string())?;
+        let score =
+            Score::new(&found, &truth, &[0.05 / gsd_m, 0.10 / gsd_m]).map_err(|e| e.to_string())?;
         let mut measured = Measured::default();
         measured.put_some("f1_5cm", score.radii[0].f1);
         measured.put_some("f1_10cm", score.radii[1].f1);
