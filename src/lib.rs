@@ -14,6 +14,8 @@
 //! - Leaf or soil: `Y = 1` iff `t1 <= H <= t2` and (`t3 <= S` or `t4 <= V`), in [`raster::mask`].
 //! - Plants: `min (1/sigma) sum_n min_p |Z_n - X_p| + sum_p 1/2 |X_p - mu_p|^2_{R^-1}`, in
 //!   [`problems::plants`], by the sweeps of [`descent`].
+//! - Plants where leaves of neighbours overlap: votes along leaf axes and the likeliest chain of
+//!   plants along every row, in [`phenotype::canopy`], the default of `rowgram locate`.
 //! - One plant with its pixels held is a second-order cone programme, certified by [`convex`].
 //! - Found against true plants, one to one: [`score`].
 //!
@@ -30,10 +32,12 @@
 pub mod camera;
 pub mod cli;
 pub mod convex;
+pub mod crs;
 pub mod descent;
 pub mod drive;
 pub mod engine;
 pub mod error;
+pub mod features;
 pub mod geometry;
 pub mod io;
 pub mod lanes;
@@ -42,6 +46,7 @@ pub mod phenotype;
 pub mod problems;
 pub mod raster;
 pub mod score;
+pub mod sfm;
 pub mod target;
 
 pub use error::{Error, Kind};

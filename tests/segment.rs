@@ -111,7 +111,7 @@ fn bad_input_is_explained() {
     assert_snapshot!(error("photo.png -o photo.png --force"), @"error: photo.png is the photo, expected another output");
     assert_snapshot!(error("photo.png -o link.png --force"), @"error: link.png is the photo, expected another output");
     assert_snapshot!(error("photo.png -o new.png --overlay ./new.png"), @"error: ./new.png is given for two outputs");
-    assert_snapshot!(error("photo.png -o new.jpg"), @"error: new.jpg: expected a name that ends in .png");
+    assert_snapshot!(error("photo.png -o new.jpg"), @"error: new.jpg: expected a name that ends in .png or .tif");
     assert_eq!(std::fs::read(path("photo.png")).unwrap(), photo);
     assert_eq!(std::fs::read(path("taken.png")).unwrap(), b"mine");
     let run = rowgram(folder.path(), "segment photo.png -o taken.png --force");

@@ -103,7 +103,7 @@ impl Bands {
         Bands { lists }
     }
 
-    /// The numbers of the leaves that touch a band, ascending.
+    /// The numbers of the ribbons that touch a band, ascending.
     pub(crate) fn numbers(&self, band: usize) -> &[u32] {
         &self.lists[band]
     }

@@ -17,13 +17,15 @@ use rowgram::{
 use std::path::{Path, PathBuf};
 
 /// Ground sampling distance of the masks.
-const GSD_M: f64 = 0.015;
+pub(crate) const GSD_M: f64 = 0.015;
 
-/// Runs the experiment.
-pub(crate) fn run(folders: &Folders, masks: usize) -> Result<(), Error> {
-    make(&folders.out)?;
+/// A scenario and one of its masks.
+pub(crate) type Job = (String, PathBuf);
+
+/// All masks, by scenario.
+pub(crate) fn jobs(folders: &Folders, masks: usize) -> Result<Vec<Job>, FileError> {
     let root = folders.data.join("field_masks");
-    let mut jobs: Vec<(String, PathBuf)> = Vec::new();
+    let mut jobs: Vec<Job> = Vec::new();
     for scenario in list(&root)?.into_iter().filter(|path| path.is_dir()) {
         let name = scenario.file_name().map(|n| n.to_string_lossy().into_owned());
         let name = name.unwrap_or_default();
@@ -33,6 +35,13 @@ pub(crate) fn run(folders: &Folders, masks: usize) -> Result<(), Error> {
             jobs.extend(found.map(|path| (name.clone(), path)));
         }
     }
+    Ok(jobs)
+}
+
+/// Runs the experiment.
+pub(crate) fn run(folders: &Folders, masks: usize) -> Result<(), Error> {
+    make(&folders.out)?;
+    let jobs = jobs(folders, masks)?;
     let radii_px = [0.05 / GSD_M, 0.10 / GSD_M];
     let runs: Vec<Vec<Run>> = jobs
         .par_iter()

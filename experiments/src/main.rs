@@ -7,6 +7,9 @@
 //! The commands that read a data folder (`locate-masks` and the like) write `NAME.csv` (one line per run)
 //! and `NAME.md` (the table of means).
 
+mod canopy;
+mod canopy_field;
+mod canopy_plots;
 mod command;
 mod compare;
 mod data;
@@ -20,6 +23,7 @@ mod methods;
 mod parquet_file;
 mod plan;
 mod plots;
+mod relative;
 mod spec;
 mod stage;
 mod stages;
@@ -74,6 +78,45 @@ enum Experiment {
         #[command(flatten)]
         folders: Folders,
     },
+    /// Relative orientation by two points and by five: wrong matches, tilt, change of height.
+    RelativeOrientation {
+        #[command(flatten)]
+        folders: Folders,
+        /// Pairs of each setting.
+        #[arg(long, default_value_t = 40)]
+        trials: usize,
+    },
+    /// The locator for closed canopies: synthetic masks, number of plants given and not.
+    Canopy {
+        #[command(flatten)]
+        folders: Folders,
+        /// Masks per scenario, at most.
+        #[arg(long, default_value_t = 10)]
+        masks: usize,
+        /// Only this scenario; can be given several times.
+        #[arg(long, value_name = "NAME")]
+        only: Vec<String>,
+        /// An option of the locator, as `NAME=VALUE`; can be given several times.
+        #[arg(long, value_name = "NAME=VALUE")]
+        set: Vec<String>,
+    },
+    /// The locator for closed canopies on real plots, number of plants not given; thresholds chosen on
+    /// `train`, reported on `val`.
+    CanopyPlots {
+        #[command(flatten)]
+        folders: Folders,
+        /// An option of the locator, as `NAME=VALUE`; can be given several times.
+        #[arg(long, value_name = "NAME=VALUE")]
+        set: Vec<String>,
+        /// Leave `val` out.
+        #[arg(long)]
+        train_only: bool,
+    },
+    /// The locator for closed canopies on a quarter, half, the whole and twice of a field.
+    CanopyField {
+        #[command(flatten)]
+        folders: Folders,
+    },
     /// Speed and accuracy on one mask of a whole field.
     WholeField {
         #[command(flatten)]
@@ -97,6 +140,14 @@ fn main() -> ExitCode {
         Experiment::Locate { folders } => {
             locate::run(&folders, 10).and_then(|()| plots::run(&folders))
         }
+        Experiment::RelativeOrientation { folders, trials } => relative::run_all(&folders, trials),
+        Experiment::Canopy { folders, masks, only, set } => {
+            options(&set).and_then(|options| canopy::run(&folders, masks, &only, &options))
+        }
+        Experiment::CanopyPlots { folders, set, train_only } => {
+            options(&set).and_then(|options| canopy_plots::run(&folders, &options, train_only))
+        }
+        Experiment::CanopyField { folders } => canopy_field::run(&folders),
         Experiment::WholeField { folders } => whole_field::run(&folders),
     };
     match done {
@@ -106,6 +157,12 @@ fn main() -> ExitCode {
             ExitCode::from(error.kind().exit_code())
         }
     }
+}
+
+/// Options of the locator from lines of TOML.
+fn options(set: &[String]) -> Result<rowgram::phenotype::canopy::Options, rowgram::Error> {
+    toml::from_str(&set.join("\n"))
+        .map_err(|error| rowgram::Error::Argument(format!("--set: {error}")))
 }
 
 #[expect(clippy::print_stderr, reason = "the program's last word goes to stderr")]

@@ -31,7 +31,7 @@ const FLOOR_PX: f64 = 3.0;
 const JUDGES: [&str; 2] = ["k-means", "rows, inter-row joint"];
 
 /// The candidates of every setting: four thresholds, least pixels of a component.
-const CANDIDATES: [&[i64]; 5] = [
+pub(crate) const CANDIDATES: [&[i64]; 5] = [
     &[20, 25, 30, 35, 40, 45, 50],
     &[60, 65, 70, 79, 90],
     &[0, 15, 30, 50, 70],
@@ -39,11 +39,11 @@ const CANDIDATES: [&[i64]; 5] = [
     &[0, 10, 25, 50, 200],
 ];
 
-struct Plot {
-    name: String,
-    photo: image::RgbImage,
-    truth: Vec<[f64; 2]>,
-    radii_px: [f64; 2],
+pub(crate) struct Plot {
+    pub(crate) name: String,
+    pub(crate) photo: image::RgbImage,
+    pub(crate) truth: Vec<[f64; 2]>,
+    pub(crate) radii_px: [f64; 2],
 }
 
 /// Runs the experiment.
@@ -120,7 +120,7 @@ fn mean_f1(runs: &[Run]) -> f64 {
     runs.iter().map(|run| run.f1[0]).sum::<f64>() / runs.len().max(1) as f64
 }
 
-fn read(root: &Path, list: &str) -> Result<Vec<Plot>, Error> {
+pub(crate) fn read(root: &Path, list: &str) -> Result<Vec<Plot>, Error> {
     let path = root.join(list);
     let names = std::fs::read_to_string(&path).map_err(|error| FileError::read(&path, error))?;
     names

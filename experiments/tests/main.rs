@@ -202,7 +202,14 @@ fn the_findings_are_what_the_results_say() {
     let path = |name: &str| home().join(name).to_str().unwrap().to_owned();
     let [specs, reference, file] = ["specs", "reference", "FINDINGS.md"].map(path);
     place.good(&[
-        "findings", "--check", "--specs", &specs, "--reference", &reference, "--output", &file,
+        "findings",
+        "--check",
+        "--specs",
+        &specs,
+        "--reference",
+        &reference,
+        "--output",
+        &file,
     ]);
 }
 
@@ -210,7 +217,9 @@ fn the_findings_are_what_the_results_say() {
 fn a_small_run_gives_the_committed_numbers() {
     let place = Place::new(SPEC);
     // Instruction sets may sum in another order, and a descent then ends in other last digits.
-    for (name, within) in [("locate-sigma", "0.02"), ("solver-arena", "0.05"), ("lens-models", "0.001")] {
+    for (name, within) in
+        [("locate-sigma", "0.02"), ("solver-arena", "0.05"), ("lens-models", "0.001")]
+    {
         let spec = home().join(format!("specs/{name}.toml"));
         let reference = home().join(format!("reference/{name}/runs.csv"));
         place.good(&["run", spec.to_str().unwrap(), "--small", "--out", name]);

@@ -1,6 +1,9 @@
 //! `rowgram locate`: plants in a photo or a leaf mask.
 
-use super::segment::same_file;
+use super::{
+    segment::same_file,
+    stand::{self, StandSummary},
+};
 use crate::{
     descent::{self, Descent, Order},
     drive::{Drive, Limits},
@@ -9,7 +12,12 @@ use crate::{
         images::{self, Picture},
         output, points,
     },
-    phenotype::locate::{Init, LocateError, Located, Options, Setup},
+    phenotype::{
+        canopy,
+        locate::{Init, LocateError, Located, Options, Setup},
+        rows,
+        stand::Canopy,
+    },
     problems::plants::{Form, Model, PlantUpdate, Prior, SigmaRule, index::PixelIndex},
     raster::{Mask, components, mask::Thresholds, overlay},
 };
@@ -21,37 +29,100 @@ use serde::{
 };
 use std::path::PathBuf;
 
-/// Locate plants in a photo or a leaf mask, given how many there are.
+/// A named way to locate.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum Method {
+    /// Votes along leaf axes, dynamic programming along curved rows.
+    Full,
+    /// `Full`, then the tempered descent from its plants.
+    Refined,
+    /// The tempered descent from regular spacing: row prior, truncated distances.
+    Tempered,
+    /// The paper: row prior of the other plants, mean distance as scale, from k-means++.
+    Paper,
+    /// k-means from k-means++.
+    Kmeans,
+    /// Detected rows and regular spacing; nothing is fitted.
+    Rows,
+}
+
+/// How many plants there are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Count {
+    /// As many as there seem to be.
+    Auto,
+    /// This many.
+    Given(usize),
+}
+
+fn count(text: &str) -> Result<Count, String> {
+    if text == "auto" {
+        return Ok(Count::Auto);
+    }
+    let number = text.parse().map(Count::Given);
+    number.map_err(|_| format!("`auto` or a number of plants was expected, got: {text}"))
+}
+
+/// Independent votes of a plant's pixels where the descent is tempered: about one per leaf.
+const VOTES_PER_PLANT: f64 = 6.0;
+/// Where its distances are truncated, given the ground sampling distance.
+const TRUNCATED_M: f64 = 0.3;
+
+/// Locate plants in a photo or a leaf mask, and count them.
+///
+/// The default method finds stalks where the axes of leaves meet, follows the rows where they bend
+/// and chooses the best plants along each row under a model of their spacing. It tells how sure it is
+/// of each plant, of their number, and where plants are missing. The other methods, and all of the
+/// options from --prior to --max-sweeps, are the paper's descent and its variants; without
+/// --method, any of these options chooses it.
 #[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  rowgram locate field.png --gsd 0.015 --json -o plants.csv --gaps gaps.csv
+  rowgram locate field.png --plants 304 --method paper -o paper.csv")]
 pub(super) struct Locate {
     /// A photo, or a mask as `rowgram segment` writes it (PNG, JPEG, TIFF).
     image: PathBuf,
-    /// How many plants there are.
-    #[arg(long, value_name = "N")]
-    plants: usize,
+    /// How many plants there are, or auto: as many as there seem to be.
+    #[arg(long, default_value = "auto", value_parser = count, value_name = "N|auto")]
+    plants: Count,
+    /// A named way to locate: full (the default), refined, tempered, paper, kmeans, rows.
+    #[arg(long, value_parser = word::<Method>, value_name = "NAME")]
+    method: Option<Method>,
+    /// An option of the methods full and refined, as in `--set leaf-axes=false`: leaf-axes,
+    /// curved-rows, across, estimate-across, believed, votes, cover, heat, beta, mean-place,
+    /// estimate-spacing.
+    #[arg(long, value_name = "NAME=VALUE")]
+    set: Vec<String>,
     /// What holds a plant: none, rows (near its row), grid (near its row and column).
-    #[arg(long, default_value = "rows", value_parser = word::<Prior>, value_name = "WORD")]
-    prior: Prior,
+    #[arg(long, value_parser = word::<Prior>, value_name = "WORD")]
+    prior: Option<Prior>,
     /// How a plant moves: mean (squared distances), median (the stated cost, exactly).
-    #[arg(long, default_value = "median", value_parser = word::<PlantUpdate>, value_name = "WORD")]
-    update: PlantUpdate,
+    #[arg(long, value_parser = word::<PlantUpdate>, value_name = "WORD")]
+    update: Option<PlantUpdate>,
     /// Scale of the distances: paper (mean distance), planar (half of it), fixed:PX.
-    #[arg(long, default_value = "paper", value_name = "RULE")]
-    sigma: SigmaRule,
+    #[arg(long, value_name = "RULE")]
+    sigma: Option<SigmaRule>,
     /// How the rows hold a plant: joint (latent lines, one objective), conditional (the other
     /// plants of its row).
-    #[arg(long, default_value = "joint", value_parser = word::<Form>, value_name = "WORD")]
-    form: Form,
-    /// Where to start: kmeans++, rows (regular spacing), random. By default rows, or kmeans++ with
-    /// `--prior none`.
+    #[arg(long, value_parser = word::<Form>, value_name = "WORD")]
+    form: Option<Form>,
+    /// Let the data count as this many independent pixels per plant; 0 is the paper, all of them.
+    #[arg(long, value_name = "V")]
+    tempering: Option<f64>,
+    /// Truncate distances at this many pixels; 0 is the paper, never.
+    #[arg(long, value_name = "PX")]
+    truncate: Option<f64>,
+    /// Where to start: kmeans++, rows (regular spacing), random, votes (the plants of the full
+    /// method). By default rows, or kmeans++ with `--prior none`.
     #[arg(long, value_parser = word::<Init>, value_name = "WORD")]
     init: Option<Init>,
     /// Leave the plants where they start.
     #[arg(long)]
     no_fit: bool,
     /// Order of the updates: cyclic, shuffled.
-    #[arg(long, default_value = "cyclic", value_parser = word::<Order>, value_name = "WORD")]
-    order: Order,
+    #[arg(long, value_parser = word::<Order>, value_name = "WORD")]
+    order: Option<Order>,
     /// Thresholds of the leaf mask: hue from, hue to, least saturation, least value.
     #[arg(
         long,
@@ -70,8 +141,8 @@ pub(super) struct Locate {
     #[arg(long, default_value_t = 0, value_name = "N")]
     seed: u64,
     /// Most sweeps to make.
-    #[arg(long, default_value_t = 500, value_name = "N")]
-    max_sweeps: u64,
+    #[arg(long, value_name = "N")]
+    max_sweeps: Option<u64>,
     /// Write one line per sweep to this CSV file.
     #[arg(long, value_name = "FILE")]
     trace: Option<PathBuf>,
@@ -81,9 +152,16 @@ pub(super) struct Locate {
     /// Replace outputs that exist.
     #[arg(long)]
     force: bool,
-    /// Where to write the plants: u_px, v_px, row.
+    /// Where to write the plants: u_px, v_px, row, and with the full method confidence and standard
+    /// deviations along and across the row.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
+    /// Write where plants are missing (full method): place, row, length, plants, probability.
+    #[arg(long, value_name = "FILE")]
+    gaps: Option<PathBuf>,
+    /// Write the stand count of every row (full method), with its interval.
+    #[arg(long, value_name = "FILE")]
+    counts: Option<PathBuf>,
     /// Draw the plants over the image, as a PNG.
     #[arg(long, value_name = "FILE")]
     overlay: Option<PathBuf>,
@@ -98,6 +176,16 @@ pub(super) struct Summary {
     heading_deg: Option<f64>,
     row_spacing_px: Option<f64>,
     pub(super) row_spacing_m: Option<f64>,
+    #[serde(flatten)]
+    descent: Option<DescentSummary>,
+    #[serde(flatten)]
+    stand: Option<StandSummary>,
+    seconds: f64,
+}
+
+/// What only the descent knows.
+#[derive(Debug, Serialize)]
+struct DescentSummary {
     sigma_px: f64,
     mean_distance_px: f64,
     plants_without_pixels: usize,
@@ -105,7 +193,6 @@ pub(super) struct Summary {
     final_cost: f64,
     sweeps: u64,
     stop: &'static str,
-    seconds: f64,
 }
 
 /// A word as serde spells it, so that it is the same here as in TOML.
@@ -124,15 +211,70 @@ impl Locate {
     /// Reads, locates, writes the files; prints nothing.
     pub(super) fn work(&self) -> Result<Summary, Error> {
         self.check_outputs()?;
-        let options = self.options()?;
+        let method = self.method()?;
         let (mut mask, photo) = match images::read(&self.image)? {
             Picture::Mask(mask) => (mask, None),
             Picture::Photo(photo) => (self.tau.mask(&photo), Some(photo)),
         };
         components::remove_small(&mut mask, self.min_pixels);
+        let clock = std::time::Instant::now();
         let index = PixelIndex::from_mask(mask.width, &mask.data);
         let pixels = index.len();
-        let Setup { problem, field, detection } = Setup::new(index, &options)?;
+        let detection = rows::detect(&index);
+        let init = self.init(method);
+        let canopy = if method == Some(Method::Full)
+            || init == Init::Votes
+            || (self.plants == Count::Auto && pixels > 0)
+        {
+            let count = match self.plants {
+                Count::Auto => None,
+                Count::Given(count) => Some(count),
+            };
+            Some(canopy::locate(&mask, &detection, count, &self.canopy()?)?)
+        } else {
+            None
+        };
+        let found = detection.rows();
+        let row_spacing_px = found.and_then(|rows| rows.spacing_px);
+        let mut summary = Summary {
+            plants: 0,
+            pixels,
+            rows: found.map_or(0, |rows| rows.rows.len()),
+            heading_deg: found.map(|rows| rows.axes.heading_rad.to_degrees()),
+            row_spacing_px,
+            row_spacing_m: row_spacing_px.zip(self.gsd).map(|(px, gsd)| px * gsd),
+            descent: None,
+            stand: None,
+            seconds: 0.0,
+        };
+        match canopy {
+            Some(canopy) if method == Some(Method::Full) => {
+                summary.plants = canopy.plants.len();
+                summary.stand = Some(StandSummary::new(&canopy, self.gsd));
+                summary.seconds = clock.elapsed().as_secs_f64();
+                self.write_stand(&canopy, photo, &mask)?;
+            }
+            canopy => {
+                let start: Option<Vec<[f64; 2]>> =
+                    canopy.map(|canopy| canopy.plants.iter().map(|p| p.position_px).collect());
+                let plants = match (self.plants, &start) {
+                    (Count::Given(count), _) => count,
+                    (Count::Auto, start) => start.as_ref().map_or(1, Vec::len),
+                };
+                let options = self.options(method, init, plants);
+                let start = start.filter(|_| init == Init::Votes);
+                let setup = Setup::from(index, &options, detection, start)?;
+                let (located, descent) = self.descend(setup, &options)?;
+                (summary.plants, summary.descent) = (located.plants.len(), Some(descent));
+                summary.seconds = clock.elapsed().as_secs_f64();
+                self.write(&located, photo, &mask)?;
+            }
+        }
+        Ok(summary)
+    }
+
+    fn descend(&self, setup: Setup, options: &Options) -> Result<(Located, DescentSummary), Error> {
+        let Setup { problem, field, detection } = setup;
         let mut drive = Drive::new(&problem, Descent::new(options.descent), field)
             .limits(Limits::iterations(options.max_sweeps))
             .force(self.force);
@@ -141,16 +283,7 @@ impl Locate {
         }
         let outcome = drive.run()?.checked()?;
         let located = Setup { problem, field: outcome.x, detection }.finish();
-        self.write(&located, photo, &mask)?;
-        let rows = located.detection.rows();
-        let row_spacing_px = rows.and_then(|rows| rows.spacing_px);
-        Ok(Summary {
-            plants: located.plants.len(),
-            pixels,
-            rows: rows.map_or(0, |rows| rows.rows.len()),
-            heading_deg: rows.map(|rows| rows.axes.heading_rad.to_degrees()),
-            row_spacing_px,
-            row_spacing_m: row_spacing_px.zip(self.gsd).map(|(px, gsd)| px * gsd),
+        let summary = DescentSummary {
             sigma_px: located.sigma_px,
             mean_distance_px: located.mean_distance_px,
             plants_without_pixels: located.idle,
@@ -158,14 +291,73 @@ impl Locate {
             final_cost: outcome.final_cost,
             sweeps: outcome.iterations,
             stop: outcome.stop.word(),
-            seconds: outcome.seconds,
-        })
+        };
+        Ok((located, summary))
+    }
+
+    /// The method asked for; none is the descent as its options say.
+    fn method(&self) -> Result<Option<Method>, Error> {
+        let of_descent = [
+            ("--prior", self.prior.is_some()),
+            ("--update", self.update.is_some()),
+            ("--sigma", self.sigma.is_some()),
+            ("--form", self.form.is_some()),
+            ("--tempering", self.tempering.is_some()),
+            ("--truncate", self.truncate.is_some()),
+            ("--init", self.init.is_some()),
+            ("--no-fit", self.no_fit),
+            ("--order", self.order.is_some()),
+            ("--max-sweeps", self.max_sweeps.is_some()),
+            ("--trace", self.trace.is_some()),
+        ];
+        let descent = of_descent.iter().find(|(_, given)| *given);
+        let method = match (self.method, descent) {
+            (None, None) => Some(Method::Full),
+            (method, _) => method,
+        };
+        let refuse = |option: &str, why: &str| Err(Error::Argument(format!("{option}: {why}")));
+        if let (Some(Method::Full), Some((option, _))) = (method, descent) {
+            return refuse(option, "an option of the descent, which the method full does not use");
+        }
+        let full = method == Some(Method::Full);
+        for (option, given) in [("--gaps", &self.gaps), ("--counts", &self.counts)] {
+            if given.is_some() && !full {
+                return refuse(option, "only the method full knows that");
+            }
+        }
+        if let Some(gsd) = self.gsd.filter(|gsd| !(gsd.is_finite() && *gsd > 0.0)) {
+            return refuse(
+                "--gsd",
+                &format!("a positive number of metres per pixel was expected, got: {gsd}"),
+            );
+        }
+        for (option, given) in [("--tempering", self.tempering), ("--truncate", self.truncate)] {
+            if given.is_some_and(|x| !(x.is_finite() && x >= 0.0)) {
+                return refuse(option, "a number that is not negative was expected");
+            }
+        }
+        if self.plants == Count::Given(0) {
+            return Err(LocateError::NoPlants.into());
+        }
+        Ok(method)
+    }
+
+    /// Options of the full method.
+    fn canopy(&self) -> Result<canopy::Options, Error> {
+        toml::from_str(&self.set.join("\n"))
+            .map_err(|error| Error::Argument(format!("--set: {}", error.message())))
     }
 
     /// Refuses what would fail, or destroy an input, after the work is done.
     fn check_outputs(&self) -> Result<(), Error> {
         let mut taken = vec![&self.image];
-        let outputs = [Some(&self.output), self.overlay.as_ref(), self.trace.as_ref()];
+        let outputs = [
+            Some(&self.output),
+            self.overlay.as_ref(),
+            self.trace.as_ref(),
+            self.gaps.as_ref(),
+            self.counts.as_ref(),
+        ];
         for path in outputs.into_iter().flatten() {
             if taken.iter().any(|other| same_file(path, other)) {
                 let path = path.display();
@@ -177,40 +369,78 @@ impl Locate {
         Ok(())
     }
 
-    fn options(&self) -> Result<Options, Error> {
-        if let Some(gsd) = self.gsd.filter(|gsd| !(gsd.is_finite() && *gsd > 0.0)) {
-            return Err(Error::Argument(format!(
-                "--gsd has to be a positive number of metres per pixel, got: {gsd}"
-            )));
-        }
-        if self.plants == 0 {
-            return Err(LocateError::NoPlants.into());
-        }
+    fn init(&self, method: Option<Method>) -> Init {
+        let of_method = match method {
+            Some(Method::Full | Method::Refined) => Init::Votes,
+            Some(Method::Tempered | Method::Rows) => Init::Rows,
+            Some(Method::Paper | Method::Kmeans) => Init::KmeansPlusPlus,
+            None if self.prior == Some(Prior::None) => Init::KmeansPlusPlus,
+            None => Init::Rows,
+        };
+        self.init.unwrap_or(of_method)
+    }
+
+    /// The descent: what the method says, where no option says otherwise.
+    fn options(&self, method: Option<Method>, init: Init, plants: usize) -> Options {
         // One centimetre across the rows, as far as it is known how much that is.
         let floor_px = self.gsd.map_or(Model::default().floor_px, |gsd| 0.01 / gsd);
-        let init = self.init.unwrap_or(match self.prior {
-            Prior::None => Init::KmeansPlusPlus,
-            Prior::Rows | Prior::Grid => Init::Rows,
-        });
-        Ok(Options {
-            plants: self.plants,
-            model: Model {
-                prior: self.prior,
-                update: self.update,
-                sigma: self.sigma,
-                form: self.form,
-                floor_px,
-                ..Model::default()
+        let joint = Model { floor_px, ..Model::default() };
+        let base = match method {
+            Some(Method::Full | Method::Refined | Method::Tempered) => Model {
+                tempering: Some(VOTES_PER_PLANT),
+                truncate_px: self.gsd.map(|gsd| TRUNCATED_M / gsd),
+                ..joint
             },
+            Some(Method::Paper) => Model { form: Form::Conditional, ..joint },
+            Some(Method::Kmeans) => {
+                Model { prior: Prior::None, update: PlantUpdate::Mean, ..joint }
+            }
+            Some(Method::Rows) => Model { prior: Prior::None, ..joint },
+            None => joint,
+        };
+        let model = Model {
+            prior: self.prior.unwrap_or(base.prior),
+            update: self.update.unwrap_or(base.update),
+            sigma: self.sigma.unwrap_or(base.sigma),
+            form: self.form.unwrap_or(base.form),
+            tempering: self.tempering.or(base.tempering).filter(|&votes| votes > 0.0),
+            truncate_px: self.truncate.or(base.truncate_px).filter(|&px| px > 0.0),
+            ..base
+        };
+        let fit = !self.no_fit && method != Some(Method::Rows);
+        Options {
+            plants,
+            model,
             init,
             seed: self.seed,
             descent: descent::Options {
-                order: self.order,
+                order: self.order.unwrap_or_default(),
                 seed: self.seed,
                 ..descent::Options::default()
             },
-            max_sweeps: if self.no_fit { 0 } else { self.max_sweeps },
-        })
+            max_sweeps: if fit { self.max_sweeps.unwrap_or(500) } else { 0 },
+        }
+    }
+
+    fn write_stand(
+        &self,
+        canopy: &Canopy,
+        photo: Option<RgbImage>,
+        mask: &Mask,
+    ) -> Result<(), Error> {
+        stand::write_plants(&self.output, self.force, canopy, self.gsd)?;
+        if let Some(path) = &self.gaps {
+            stand::write_gaps(path, self.force, canopy, self.gsd)?;
+        }
+        if let Some(path) = &self.counts {
+            stand::write_counts(path, self.force, canopy, self.gsd)?;
+        }
+        if let Some(path) = &self.overlay {
+            let mut picture = photo.unwrap_or_else(|| mask.to_rgb());
+            stand::draw(&mut picture, canopy);
+            images::write_photo(path, self.force, &picture)?;
+        }
+        Ok(())
     }
 
     fn write(&self, located: &Located, photo: Option<RgbImage>, mask: &Mask) -> Result<(), Error> {
@@ -237,17 +467,17 @@ impl Locate {
     }
 
     fn report(&self, summary: &Summary) -> Result<(), Error> {
-        tracing::info!(
-            "{} plants in {} rows from {} leaf pixels; {} sweeps, {}; mean distance {:.2} px",
-            summary.plants,
-            summary.rows,
-            summary.pixels,
-            summary.sweeps,
-            summary.stop,
-            summary.mean_distance_px,
-        );
-        if summary.plants_without_pixels > 0 {
-            tracing::warn!("{} plants have no leaf pixel", summary.plants_without_pixels);
+        let Summary { plants, rows, pixels, .. } = summary;
+        tracing::info!("{plants} plants in {rows} rows from {pixels} leaf pixels");
+        if let Some(descent) = &summary.descent {
+            let DescentSummary { sweeps, stop, mean_distance_px, .. } = descent;
+            tracing::info!("{sweeps} sweeps, {stop}; mean distance {mean_distance_px:.2} px");
+            if descent.plants_without_pixels > 0 {
+                tracing::warn!("{} plants have no leaf pixel", descent.plants_without_pixels);
+            }
+        }
+        if let Some(stand) = &summary.stand {
+            tracing::info!("{stand}");
         }
         if self.json {
             super::print_json(summary)?;

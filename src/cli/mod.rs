@@ -4,13 +4,19 @@
 //! 3 incomplete or a quality gate failed.
 
 mod adjust;
+mod align;
 mod calibrate;
 mod camera;
+mod count;
+mod density;
 mod evaluate;
+mod features;
 mod figures;
+mod leaves;
 mod locate;
 mod run;
 mod segment;
+mod stand;
 mod survey;
 mod synth;
 mod undistort;
@@ -41,6 +47,7 @@ struct Cli {
 enum Verb {
     Run(run::Args),
     Adjust(Box<adjust::Args>),
+    Align(Box<align::Args>),
     Convert(survey::convert::Args),
     Calibrate(calibrate::Calibrate),
     Undistort(undistort::Args),
@@ -48,6 +55,11 @@ enum Verb {
     Synth(synth::Args),
     Locate(locate::Locate),
     Segment(segment::Args),
+    Features(features::Args),
+    Match(features::MatchArgs),
+    Leaves(leaves::Args),
+    Count(count::Args),
+    Density(density::Args),
     Evaluate(evaluate::Args),
 }
 
@@ -78,6 +90,7 @@ fn run(cli: Cli) -> Result<(), Error> {
         .map_err(|e| Error::Argument(format!("--threads {}: {e}", cli.threads)))?;
     match cli.verb {
         Verb::Run(args) => run::run(&args),
+        Verb::Align(args) => align::run(&args),
         Verb::Adjust(args) => adjust::run(&args),
         Verb::Convert(args) => survey::convert::run(&args),
         Verb::Calibrate(verb) => verb.run(),
@@ -86,6 +99,11 @@ fn run(cli: Cli) -> Result<(), Error> {
         Verb::Synth(args) => synth::run(&args),
         Verb::Locate(verb) => verb.run(),
         Verb::Segment(args) => segment::run(&args),
+        Verb::Features(args) => features::run(&args),
+        Verb::Match(args) => features::run_match(&args),
+        Verb::Leaves(args) => leaves::run(&args),
+        Verb::Count(args) => count::run(&args),
+        Verb::Density(args) => density::run(&args),
         Verb::Evaluate(args) => evaluate::run(&args),
     }
 }

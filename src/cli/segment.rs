@@ -1,21 +1,33 @@
-//! `rowgram segment`: the leaf mask of a photo.
+//! `rowgram segment`: the leaf mask of a photo or orthomosaic.
 
 use super::print_json;
 use crate::{
     error::Error,
-    io::{FileError, images, output},
-    raster::{components, mask::Thresholds, overlay},
+    io::{
+        FileError, images, output,
+        rasters::{self, Source},
+    },
+    raster::{
+        components,
+        mask::Thresholds,
+        overlay,
+        white_balance::{Channels, Gains, WhiteBalance},
+        window,
+    },
 };
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
 /// Find the plant pixels of a photo by their colour
 ///
-/// Writes a PNG of the photo's size, 255 where plants are and 0 elsewhere. A pixel is plant where
+/// Writes a PNG or GeoTIFF of the photo's size, 255 where plants are and 0 elsewhere. A pixel is plant where
 /// its hue is from TAU1 to TAU2 and its saturation is at least TAU3 or its value at least TAU4, in
 /// OpenCV's 8-bit HSV (hue 0 to 180, the others 0 to 255).
 ///
+/// A (Geo)TIFF in colours is read by bands of rows: only the mask is held in memory, a byte per pixel.
+///
 /// Example: rowgram segment plot.jpg --tau 30,79,30,163 -o mask.png --overlay seen.png
+/// Example: rowgram segment ortho.tif -o mask.tif
 #[derive(Debug, clap::Args)]
 #[command(verbatim_doc_comment)]
 pub(super) struct Args {
@@ -29,12 +41,16 @@ pub(super) struct Args {
         allow_hyphen_values = true
     )]
     tau: String,
-    /// Where to write the mask.
-    #[arg(short, long, value_name = "PNG")]
+    /// Where to write the mask (.png, or .tif for a GeoTIFF).
+    #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// Also write the photo with the mask drawn over it.
     #[arg(long, value_name = "PNG")]
     overlay: Option<PathBuf>,
+    /// Scale the channels first so that the photo's mean is grey ("grey-world"), or its brightest
+    /// colours white ("white-patch").
+    #[arg(long, value_name = "HOW")]
+    white_balance: Option<WhiteBalance>,
     /// Remove connected plant pixels that are fewer than this.
     #[arg(long, value_name = "N", default_value_t = 0)]
     min_pixels: usize,
@@ -76,16 +92,21 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
         .parse()
         .map_err(|error: Error| Error::Argument(format!("--tau {}: {error}", args.tau)))?;
     check_outputs(args)?;
-    let mut photo = images::read_photo(&args.image)?;
-    let mut mask = thresholds.mask(&photo);
+    let source = open(&args.image)?;
+    let gains = args.white_balance.map(|how| gains(&source, how)).transpose()?;
+    let mut mask = source.mask(|photo| match gains {
+        None => thresholds.mask(photo),
+        Some(gains) => thresholds.mask(&gains.applied(photo)),
+    })?;
     let removed = components::remove_small(&mut mask, args.min_pixels);
     let filled = components::fill_holes(&mut mask, args.fill_holes);
     let plant_pixels = mask.count();
     if plant_pixels == 0 {
         tracing::warn!("{}: no pixel is plant; the mask is empty", args.image.display());
     }
-    images::write_mask(&args.output, args.force, &mask)?;
+    rasters::write_mask(&args.output, args.force, &mask, source.georeference())?;
     if let Some(path) = &args.overlay {
+        let mut photo = source.rgb(0..mask.height)?;
         overlay::draw_mask(&mut photo, &mask, overlay::MASK_COLOUR)?;
         images::write_photo(path, args.force, &photo)?;
     }
@@ -116,15 +137,48 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     Ok(())
 }
 
+/// Opens what is to be segmented: anything but a mask.
+fn open(path: &Path) -> Result<Source, FileError> {
+    let source = Source::open(path)?;
+    // A grey TIFF may be a photo or a mask; which of them takes a look at all of it.
+    let mask = match &source {
+        Source::Picture(_) => !source.is_photo(),
+        Source::File(_) if source.is_photo() => false,
+        Source::File(_) => {
+            return images::read_photo(path)
+                .map(|photo| Source::Picture(images::Picture::Photo(photo)));
+        }
+    };
+    if mask {
+        let message = "it holds a mask (two values), expected a photo";
+        return Err(FileError::malformed(path, None, message));
+    }
+    Ok(source)
+}
+
+/// The gains of the channels, from all of the photo.
+fn gains(source: &Source, how: WhiteBalance) -> Result<Gains, FileError> {
+    let (_, height) = source.size();
+    let mut histogram = Channels::default();
+    for band in window::bands(height, rasters::BAND_ROWS, 0) {
+        histogram.add(&source.rgb(band.rows)?);
+    }
+    Ok(histogram.gains(how))
+}
+
 /// Refuses what would fail, or destroy an input, after the work is done.
 fn check_outputs(args: &Args) -> Result<(), Error> {
     let outputs: Vec<&Path> =
         [Some(&args.output), args.overlay.as_ref()].into_iter().flatten().map(|p| &**p).collect();
     for (index, path) in outputs.iter().enumerate() {
         let is_png = path.extension().is_some_and(|end| end.eq_ignore_ascii_case("png"));
-        if !is_png {
+        let is_tiff = index == 0 && rasters::is_tiff_name(path);
+        if !is_png && !is_tiff {
             let path = path.display();
-            return Err(Error::Argument(format!("{path}: expected a name that ends in .png")));
+            let expected = if index == 0 { ".png or .tif" } else { ".png" };
+            return Err(Error::Argument(format!(
+                "{path}: expected a name that ends in {expected}"
+            )));
         }
         if same_file(path, &args.image) {
             let path = path.display();

@@ -159,7 +159,7 @@ pub fn ground_points(path: &Path, defaults: &Defaults) -> Result<Vec<GroundPoint
 }
 
 /// Finds images by what other files call them.
-struct Names<'a> {
+pub(crate) struct Names<'a> {
     whole: HashMap<&'a str, usize>,
     /// By stem in lower case; none where several have it.
     stems: HashMap<String, Option<usize>>,
@@ -171,7 +171,7 @@ fn stem(name: &str) -> String {
 }
 
 impl<'a> Names<'a> {
-    fn new(images: &'a [Image]) -> Names<'a> {
+    pub(crate) fn new(images: &'a [Image]) -> Names<'a> {
         let mut names = Names { whole: HashMap::new(), stems: HashMap::new() };
         for (k, image) in images.iter().enumerate() {
             names.whole.insert(&image.name, k);
@@ -180,7 +180,7 @@ impl<'a> Names<'a> {
         names
     }
 
-    fn find(&self, name: &str) -> Option<u32> {
+    pub(crate) fn find(&self, name: &str) -> Option<u32> {
         let whole = self.whole.get(name).copied();
         whole.or_else(|| self.stems.get(&stem(name)).copied().flatten()).map(|k| k as u32)
     }

@@ -5,6 +5,7 @@
 
 use super::FileError;
 use std::{
+    fs::File,
     io::{BufWriter, Write},
     path::Path,
 };
@@ -39,17 +40,32 @@ pub fn write(
     force: bool,
     fill: impl FnOnce(&mut dyn Write) -> std::io::Result<()>,
 ) -> Result<(), FileError> {
+    write_seekable(path, force, |file| {
+        let mut writer = BufWriter::new(file);
+        fill(&mut writer)
+            .and_then(|()| writer.flush())
+            .map_err(|source| FileError::write(path, source))
+    })
+}
+
+/// As [`write`], for content that is not written from its beginning to its end.
+///
+/// # Errors
+/// As [`write`], and whatever `fill` fails with.
+pub fn write_seekable<E: From<FileError>>(
+    path: &Path,
+    force: bool,
+    fill: impl FnOnce(&mut File) -> Result<(), E>,
+) -> Result<(), E> {
     if path.exists() && !force {
-        return Err(FileError::Exists { path: path.to_owned() });
+        return Err(FileError::Exists { path: path.to_owned() }.into());
     }
     let failed = |source| FileError::write(path, source);
-    let temporary = tempfile::Builder::new()
+    let mut temporary = tempfile::Builder::new()
         .prefix(".rowgram-")
         .tempfile_in(folder_of(path))
         .map_err(failed)?;
-    let mut writer = BufWriter::new(temporary);
-    fill(&mut writer).map_err(failed)?;
-    let temporary = writer.into_inner().map_err(|e| failed(e.into_error()))?;
+    fill(temporary.as_file_mut())?;
     temporary.as_file().sync_all().map_err(failed)?;
     share(&temporary).map_err(failed)?;
     if force {

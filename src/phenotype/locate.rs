@@ -27,6 +27,8 @@ pub enum Init {
     Rows,
     /// Leaf pixels, all equally likely.
     Random,
+    /// Where [`canopy`](super::canopy) finds the plants.
+    Votes,
 }
 
 /// How to locate.
@@ -73,6 +75,14 @@ pub enum LocateError {
         contrast: f64,
         /// That over the median.
         prominence: f64,
+    },
+    /// More plants were asked for than fit into the rows.
+    #[error("{plants} plants were asked for, and the rows have places for {most}")]
+    RowsTooShort {
+        /// Plants asked for.
+        plants: usize,
+        /// Most plants there are places for.
+        most: usize,
     },
     /// The problem could not be posed or solved.
     #[error(transparent)]
@@ -133,6 +143,20 @@ impl Setup {
         options: &Options,
         detection: Detection,
     ) -> Result<Setup, LocateError> {
+        Setup::from(index, options, detection, None)
+    }
+
+    /// Poses the problem with rows that are known already, and starts it at given positions (those
+    /// of [`Init::Votes`]) in place of a start of its own.
+    ///
+    /// # Errors
+    /// As [`Setup::new`], and with [`Init::Votes`] but no positions.
+    pub fn from(
+        index: PixelIndex,
+        options: &Options,
+        detection: Detection,
+        positions: Option<Vec<[f64; 2]>>,
+    ) -> Result<Setup, LocateError> {
         let (plants, pixels) = (options.plants, index.len());
         if pixels == 0 {
             return Err(LocateError::EmptyMask);
@@ -155,6 +179,11 @@ impl Setup {
         let axes = rows.map_or(Axes { origin_px: [0.0; 2], heading_rad: 0.0 }, |rows| rows.axes);
         let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
         let positions = match (options.init, rows) {
+            _ if positions.is_some() => positions.unwrap_or_default(),
+            (Init::Votes, _) => {
+                let message = "a start from votes needs their positions".to_owned();
+                return Err(SolveError::Misuse(message).into());
+            }
             (Init::Rows, Some(rows)) => regular_rows(&rows.rows, &rows.axes, plants),
             (Init::Random, _) => start::random(&index, plants, &mut rng),
             _ => start::kmeans_plus_plus(&index, plants, &mut rng),

@@ -1,4 +1,12 @@
 //! Plant traits from a mask.
 
+pub mod canopy;
+pub mod chain;
+pub mod evidence;
+pub mod leaf_count;
+pub mod leaves;
 pub mod locate;
+pub mod renewal;
+pub mod ridges;
 pub mod rows;
+pub mod stand;

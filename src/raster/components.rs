@@ -9,7 +9,7 @@
 //!
 //! Reference: L. He et al., "The connected-component labeling problem", Pattern Recognition 70, 2017.
 
-use super::Mask;
+use super::{Mask, window::Window};
 
 /// What a cleaning step changed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -39,15 +39,64 @@ pub fn count(mask: &Mask) -> usize {
     (0..runs.runs.len()).filter(|&run| runs.root(run) == run).count()
 }
 
+/// Pixels side by side: columns `start..end` of row `v`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Run {
+    /// The row.
+    pub v: usize,
+    /// The first column.
+    pub start: usize,
+    /// The column behind the last one.
+    pub end: usize,
+}
+
+/// A component of plant pixels.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Part {
+    /// Its pixels, row by row.
+    pub runs: Vec<Run>,
+    /// Their number.
+    pub pixels: usize,
+    /// The smallest window that holds them.
+    pub window: Window,
+}
+
+/// The components of plant pixels, by their first pixels.
+pub fn parts(mask: &Mask) -> Vec<Part> {
+    let mut all = Runs::of(mask, true);
+    let mut place = vec![usize::MAX; all.runs.len()];
+    let mut parts: Vec<Part> = Vec::new();
+    for index in 0..all.runs.len() {
+        let root = all.root(index);
+        let Stretch { start, end } = all.runs[index];
+        let (v, u) = (start / mask.width, start % mask.width);
+        let run = Run { v, start: u, end: u + end - start };
+        if place[root] == usize::MAX {
+            place[root] = parts.len();
+            let window = Window { u, v, width: end - start, height: 1 };
+            parts.push(Part { runs: Vec::new(), pixels: 0, window });
+        }
+        let part = &mut parts[place[root]];
+        let right = (part.window.u + part.window.width).max(run.end);
+        part.window.u = part.window.u.min(run.start);
+        part.window.width = right - part.window.u;
+        // Rows come from the top.
+        part.window.height = v - part.window.v + 1;
+        part.pixels += end - start;
+        part.runs.push(run);
+    }
+    parts
+}
+
 /// Pixels `start..end` of the mask, all in one row.
-struct Run {
+struct Stretch {
     start: usize,
     end: usize,
 }
 
 /// All runs of one kind of pixel, and which of them are connected.
 struct Runs {
-    runs: Vec<Run>,
+    runs: Vec<Stretch>,
     parent: Vec<usize>,
 }
 
@@ -80,7 +129,7 @@ impl Runs {
             let length = row[start..].iter().position(|pixel| !wanted(pixel));
             u = length.map_or(row.len(), |length| start + length);
             self.parent.push(self.runs.len());
-            self.runs.push(Run { start: offset + start, end: offset + u });
+            self.runs.push(Stretch { start: offset + start, end: offset + u });
         }
     }
 
@@ -96,7 +145,7 @@ impl Runs {
         while a < above.end && b < below.end {
             // Both in the coordinates of the lower row.
             let (a_start, a_end) = (self.runs[a].start + width, self.runs[a].end + width);
-            let Run { start, end } = self.runs[b];
+            let Stretch { start, end } = self.runs[b];
             if a_start < end + reach && start < a_end + reach {
                 let (one, other) = (self.root(a), self.root(b));
                 self.parent[one.max(other)] = one.min(other);
@@ -122,7 +171,7 @@ impl Runs {
         let mut components = vec![Component::default(); self.runs.len()];
         for run in 0..self.runs.len() {
             let root = self.root(run);
-            let Run { start, end } = self.runs[run];
+            let Stretch { start, end } = self.runs[run];
             let at_border = start < mask.width
                 || end + mask.width > mask.data.len()
                 || start % mask.width == 0
@@ -134,7 +183,7 @@ impl Runs {
         for run in 0..self.runs.len() {
             let root = self.root(run);
             if chosen(&components[root]) {
-                let Run { start, end } = self.runs[run];
+                let Stretch { start, end } = self.runs[run];
                 mask.data[start..end].fill(value);
                 changed.pixels += end - start;
                 changed.components += usize::from(run == root);

@@ -9,13 +9,22 @@
 //! - [`components`]: small components and holes of a mask;
 //! - [`overlay`]: masks and points drawn over photos;
 //! - [`undistort`]: photos as a camera without distortion would have taken them.
+//! - [`sketch`]: key points and correspondences drawn.
+//! - [`georeference`]: where a raster lies on the map;
+//! - [`window`]: rasters by bands of rows.
 
 pub mod components;
+pub mod density;
+pub mod georeference;
 pub mod hsv;
 pub mod mask;
 pub mod overlay;
 mod pixels;
+pub mod polygon;
+pub mod sketch;
 pub mod undistort;
+pub mod white_balance;
+pub mod window;
 
 use image::RgbImage;
 

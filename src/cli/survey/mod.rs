@@ -20,16 +20,16 @@ use description::{Datum, Description, Format};
 use std::path::{Path, PathBuf};
 
 /// Everything that came of an adjustment.
-struct Outcome {
-    model: Model,
-    adjusted: Adjusted,
-    settings: Settings,
-    alignment: Option<Alignment>,
-    removed: Vec<Removed>,
+pub(super) struct Outcome {
+    pub(super) model: Model,
+    pub(super) adjusted: Adjusted,
+    pub(super) settings: Settings,
+    pub(super) alignment: Option<Alignment>,
+    pub(super) removed: Vec<Removed>,
     /// Rows of files that no image or point of the block belongs to.
-    unmatched: Vec<Aside>,
-    left_out: Vec<LeftOut>,
-    complete: bool,
+    pub(super) unmatched: Vec<Aside>,
+    pub(super) left_out: Vec<LeftOut>,
+    pub(super) complete: bool,
 }
 
 /// Whether a path is a block for this file: a COLMAP folder, a description, or a reconstruction of
@@ -295,6 +295,19 @@ fn work(
     let left_out =
         if description.leave_one_out { leave_one_out(survey, &settings)? } else { Vec::new() };
     Ok(Outcome { model, adjusted, settings, alignment, removed, unmatched, left_out, complete })
+}
+
+/// Writes the report folder of an adjustment.
+///
+/// # Errors
+/// Where it cannot be made or one of its files cannot be written.
+pub(super) fn write_report(folder: &Path, outcome: &Outcome, force: bool) -> Result<(), Error> {
+    report::write(folder, outcome, force)
+}
+
+/// What a person reads of an adjustment.
+pub(super) fn summary(outcome: &Outcome) -> String {
+    report::summary(outcome)
 }
 
 /// Paths of a report.

@@ -380,6 +380,17 @@ impl Posed {
         self.problem.add(name, Loss::Trivial, Factors(factors))
     }
 
+    /// Keeps the pose of an image as it is.
+    ///
+    /// # Errors
+    /// [`SolveError::Misuse`] for an image that is not there.
+    pub fn hold_image(&mut self, image: usize) -> Result<(), SolveError> {
+        let block = self.images.get(image).copied();
+        let block =
+            block.ok_or_else(|| SolveError::Misuse(format!("there is no image {image}")))?;
+        self.problem.fix_entries(block, &[0, 1, 2, 3, 4, 5])
+    }
+
     /// The engine for it.
     pub fn engine(settings: &Settings) -> LeastSquares {
         LeastSquares::new(settings.engine())

@@ -205,8 +205,8 @@ fn view_statistics(view: &View, residuals: &[[f64; 2]], pose: &[f64; 7]) -> View
 }
 
 /// A direction of the interior orientation is undetermined below this curvature, every parameter
-/// scaled to unit curvature of its own: some roundings of one.
-const RANK_TOLERANCE: f64 = 1e-14;
+/// scaled to unit curvature of its own: what eliminating the poses leaves of an exact zero, with a wide margin.
+const RANK_TOLERANCE: f64 = 1e-12;
 /// A parameter takes part in such a direction with at least this share of its length.
 const PART: f64 = 0.15;
 

@@ -83,6 +83,8 @@ pub struct Assignment {
     buckets: Buckets,
     sums: Vec<Sums>,
     stale: Vec<bool>,
+    /// Squared distance at which the distances in the sums are truncated.
+    truncate2: Option<f64>,
     walk: Walk,
     changed: Vec<u32>,
     nodes: Vec<u32>,
@@ -244,6 +246,13 @@ impl Assignment {
         }
     }
 
+    /// The same with the distances in [`Assignment::sums`] truncated.
+    pub fn truncated(mut self, at_px: Option<f64>) -> Assignment {
+        self.truncate2 = at_px.map(|px| px * px);
+        self.stale.fill(true);
+        self
+    }
+
     /// `sum d_n` and `sum d_n^2` over all pixels, in `f64` from the exact positions, added in a
     /// fixed order.
     pub fn sums(&self, index: &PixelIndex, plants: &[[f64; 2]]) -> Sums {
@@ -262,7 +271,7 @@ impl Assignment {
             let plant = plants[self.pairs[pixel].near as usize];
             let [u, v] = index.position(pixel);
             let (du, dv) = (u - plant[0], v - plant[1]);
-            let square = du * du + dv * dv;
+            let square = (du * du + dv * dv).min(self.truncate2.unwrap_or(f64::INFINITY));
             sums.distance += square.sqrt();
             sums.square += square;
         }

@@ -19,6 +19,11 @@
 //! of the conditional form. Only pixels near the plant are read ([`assignment`]). After each sweep
 //! memberships, lines, variances and `sigma` are refitted, each by its exact minimiser.
 //!
+//! Two remedies for closed canopies, off by default because the paper has neither: *tempering*
+//! multiplies the data terms (those with `sigma`) by `T = min(1, v P / N)`, because the pixels of one
+//! leaf are not independent; *truncation* replaces `d_n` by `min(d_n, t)`. Both keep the objective and
+//! its decrease: a pixel beyond `t` holds its plant with no force, and its cost cannot rise.
+//!
 //! In the paper's conditional form the prior of a plant is taken from the other plants and there is
 //! no joint objective; the cost is then only a number for the trace.
 //!
@@ -107,8 +112,13 @@ impl Plants {
             return misuse(format!("{plants} plants cannot explain {} leaf pixels", index.len()));
         }
         let fixed = if let SigmaRule::Fixed(px) = model.sigma { px } else { 1.0 };
-        if [model.floor_px, model.settle_px, fixed].iter().any(|x| !(x.is_finite() && *x > 0.0)) {
-            return misuse("floor, settling distance and sigma have to be positive".to_owned());
+        let (votes, truncate) = (model.tempering.unwrap_or(1.0), model.truncate_px.unwrap_or(1.0));
+        let positive = [model.floor_px, model.settle_px, fixed, votes, truncate];
+        if positive.iter().any(|x| !(x.is_finite() && *x > 0.0)) {
+            return misuse(
+                "floor, settling distance, sigma, tempering and truncation have to be positive"
+                    .to_owned(),
+            );
         }
         if !(1.0..2.0).contains(&model.relaxation) {
             return misuse("the relaxation has to be at least 1 and less than 2".to_owned());
@@ -191,10 +201,21 @@ impl Plants {
 
     /// What one unit of distance (or half a squared one) costs.
     fn weight(&self, x: &Field) -> f64 {
-        match self.model.update {
-            PlantUpdate::Median => 1.0 / x.sigma_px,
-            PlantUpdate::Mean => 1.0 / (x.sigma_px * x.sigma_px),
-        }
+        self.temperature()
+            * match self.model.update {
+                PlantUpdate::Median => 1.0 / x.sigma_px,
+                PlantUpdate::Mean => 1.0 / (x.sigma_px * x.sigma_px),
+            }
+    }
+
+    /// `T`: how much of a pixel counts.
+    fn temperature(&self) -> f64 {
+        let share = |votes: f64| votes * self.plants as f64 / self.index.len() as f64;
+        self.model.tempering.map_or(1.0, |votes| share(votes).min(1.0))
+    }
+
+    fn assign(&self, positions_px: &[[f64; 2]]) -> Assignment {
+        Assignment::new(&self.index, positions_px).truncated(self.model.truncate_px)
     }
 
     fn joint(&self) -> bool {
@@ -329,10 +350,14 @@ impl Plants {
         let Work { assignment, u, v } = &mut x.work;
         u.clear();
         v.clear();
+        let farthest = self.model.truncate_px.unwrap_or(f64::INFINITY);
         assignment.won_by(index, plant as u32, at, |pixel| {
             let position = index.position(pixel);
-            u.push(position[0] - at[0]);
-            v.push(position[1] - at[1]);
+            let (du, dv) = (position[0] - at[0], position[1] - at[1]);
+            if du * du + dv * dv <= farthest * farthest {
+                u.push(du);
+                v.push(dv);
+            }
         });
     }
 }
@@ -358,7 +383,7 @@ impl BlockCost for Plants {
         if !belongs {
             return Err(SolveError::Misuse("the field does not belong to this problem".to_owned()));
         }
-        x.work.assignment = Assignment::new(&self.index, &x.positions_px);
+        x.work.assignment = self.assign(&x.positions_px);
         Ok(())
     }
 
@@ -372,7 +397,7 @@ impl BlockCost for Plants {
             };
         let prior = [&x.rows, &x.columns]
             .map(|family| family.cost(&x.positions_px, &self.axes, self.joint()));
-        dimension * count * x.sigma_px.ln() + data + prior[0] + prior[1]
+        self.temperature() * dimension * count * x.sigma_px.ln() + data + prior[0] + prior[1]
     }
 
     fn monotone(&self) -> bool {

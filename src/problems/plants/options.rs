@@ -114,6 +114,11 @@ pub struct Model {
     pub sigma: SigmaRule,
     /// How the rows hold the plants.
     pub form: Form,
+    /// Pixels of one leaf are not independent: with `v` here the data count as `v` pixels per plant,
+    /// `T = min(1, v P / N)` times their full weight. None is the paper, `T = 1`.
+    pub tempering: Option<f64>,
+    /// Distances are truncated at this many pixels, so that weeds between the rows hold nothing.
+    pub truncate_px: Option<f64>,
     /// Floor of the standard deviation about a row or column, in pixels (1 cm where the ground
     /// sampling distance is known).
     pub floor_px: f64,
@@ -130,6 +135,8 @@ impl Default for Model {
             update: PlantUpdate::default(),
             sigma: SigmaRule::default(),
             form: Form::default(),
+            tempering: None,
+            truncate_px: None,
             floor_px: 1.0,
             settle_px: 5e-2,
             relaxation: 1.7,

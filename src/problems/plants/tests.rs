@@ -61,6 +61,12 @@ fn models() -> Vec<Model> {
             }
         }
     }
+    for (tempering, truncate_px) in [(Some(6.0), None), (None, Some(9.0)), (Some(6.0), Some(9.0))] {
+        for update in [PlantUpdate::Mean, PlantUpdate::Median] {
+            let settle_px = 5e-3;
+            models.push(Model { update, tempering, truncate_px, settle_px, ..Model::default() });
+        }
+    }
     models
 }
 
@@ -117,7 +123,7 @@ impl BlockCost for BruteForce {
         let distance = |n: usize| {
             let [u, v] = self.0.index.position(n);
             let all = x.positions_px.iter().map(|p| (p[0] - u).hypot(p[1] - v));
-            all.fold(f64::INFINITY, f64::min)
+            all.fold(self.0.model.truncate_px.unwrap_or(f64::INFINITY), f64::min)
         };
         (0..self.0.index.len()).map(distance).sum()
     }
@@ -129,7 +135,9 @@ impl BlockCost for BruteForce {
         let before = assignment::brute_force(index, &x.positions_px);
         let mine = (0..index.len()).filter(|&n| before[n].near as usize == plant);
         let offset = |n: usize| (index.position(n)[0] - at[0], index.position(n)[1] - at[1]);
-        (x.work.u, x.work.v) = mine.map(offset).unzip();
+        let farthest = self.0.model.truncate_px.unwrap_or(f64::INFINITY);
+        let near = |(du, dv): &(f64, f64)| du * du + dv * dv <= farthest * farthest;
+        (x.work.u, x.work.v) = mine.map(offset).filter(near).unzip();
         let offset = self.0.solve(x, plant);
         let movement = offset[0].hypot(offset[1]);
         if movement > RELAXED_PX {
@@ -143,7 +151,7 @@ impl BlockCost for BruteForce {
         movement
     }
     fn end_sweep(&self, x: &mut Field, touched: &mut Touched) {
-        x.work.assignment = Assignment::new(&self.0.index, &x.positions_px);
+        x.work.assignment = self.0.assign(&x.positions_px);
         self.0.end_sweep(x, touched);
     }
 }
@@ -268,6 +276,8 @@ fn degenerate_fields_are_solved_or_refused_but_never_panic() {
     assert!(matches!(new(3, Model::default()), Err(SolveError::Misuse(_))));
     assert!(Plants::new(PixelIndex::new(&[]), 1, Model::default(), AXES).is_err());
     assert!(new(1, Model { relaxation: 2.0, ..Model::default() }).is_err());
+    assert!(new(1, Model { tempering: Some(0.0), ..Model::default() }).is_err());
+    assert!(new(1, Model { truncate_px: Some(-1.0), ..Model::default() }).is_err());
     assert!(new(1, Model { floor_px: f64::NAN, ..Model::default() }).is_err());
     let problem = new(1, Model::default()).unwrap();
     assert!(problem.field(vec![[f64::NAN, 0.0]], &ROWS, &[]).is_err());

@@ -1,0 +1,405 @@
+//! `rowgram align`: from a folder of photos to an oriented, georeferenced block.
+
+mod cache;
+mod extract;
+mod figures;
+mod pair_figures;
+mod project;
+mod results;
+mod stages;
+
+use crate::{
+    camera::{Camera, Model},
+    error::Error,
+    features,
+    io::{FileError, control::Defaults},
+    sfm::{
+        growth::{Growing, Start},
+        relative::Solver,
+        verify::Verifying,
+    },
+};
+use clap::{Args as ClapArgs, ValueEnum};
+use serde::Serialize;
+use std::{path::PathBuf, time::Instant};
+
+/// Orient the photos of a flight: camera poses, a sparse cloud, self-calibration, check points.
+///
+/// PROJECT is a folder with photos (JPEG, PNG, TIFF), in images/ or directly. What lies beside them is
+/// used: gcps.csv and marks.csv (ground points and where they are in the photos), or an OpenDroneMap
+/// gcp_list.txt (names that begin with CHK- are check points), or OpenSfM's ground_control_points.json;
+/// geolocation.csv (camera positions, WGS84). Positions, focal lengths and dates come from EXIF and XMP.
+///
+/// Coordinates leave in the system in which the control came (--crs names it); without control they
+/// are in the system of --crs, or in a local plane at the photos.
+///
+/// Stages: inspect, features, match, verify (orientation of pairs), orient (exterior orientation image by
+/// image), adjust (into the map, bundle adjustment with self-calibration), report. What a stage found is
+/// kept in OUTPUT/cache and used again until something that it came from changes.
+///
+/// Exit code 3 where photos could not be oriented together at all.
+#[derive(Debug, ClapArgs)]
+#[command(after_help = "Examples:
+  rowgram align field --json
+  rowgram align field --crs EPSG:27700 --check T3,T7 -o aligned
+  rowgram align field --solver two-point --lens smac --until verify")]
+pub(super) struct Args {
+    /// Folder with the photos and what is known of them.
+    project: PathBuf,
+    /// Folder for the results [default: PROJECT/rowgram].
+    #[arg(short, long, value_name = "DIR")]
+    output: Option<PathBuf>,
+    /// Coordinate reference system of control and results: EPSG:<code> or a PROJ string.
+    #[arg(long, value_name = "CRS")]
+    crs: Option<String>,
+    /// Ground points: CSV, gcp_list.txt or ground_control_points.json.
+    #[arg(long, value_name = "FILE")]
+    control: Option<PathBuf>,
+    /// Marks of the ground points of a CSV file.
+    #[arg(long, value_name = "FILE")]
+    marks: Option<PathBuf>,
+    /// Camera positions: image, latitude, longitude, height.
+    #[arg(long, value_name = "FILE")]
+    geolocation: Option<PathBuf>,
+    /// Ground points that take no part and are compared afterwards.
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    check: Vec<String>,
+    /// Use camera positions for neighbourhoods only.
+    #[arg(long)]
+    no_positions: bool,
+    /// A calibrated camera (camera.toml); what it does not name as free is held.
+    #[arg(long, value_name = "FILE")]
+    camera: Option<PathBuf>,
+    /// Lens model of cameras that are not given.
+    #[arg(long, value_enum, default_value_t = LensName::Brown)]
+    lens: LensName,
+    /// Lens parameters of the last adjustment [default: all but the aspect and rational terms].
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    free: Option<Vec<String>>,
+    /// Minimal solver of relative orientation.
+    #[arg(long, value_enum, default_value_t = SolverName::Auto)]
+    solver: SolverName,
+    /// Where exterior orientation starts.
+    #[arg(long, value_enum, default_value_t = StartName::Triplet)]
+    start: StartName,
+    /// The most features of a photo.
+    #[arg(long, value_name = "N", default_value_t = 6000)]
+    max_features: usize,
+    /// Distance up to which an image position belongs to a point, pixels.
+    #[arg(long, value_name = "PX", default_value_t = 4.0)]
+    tolerance: f64,
+    /// Standard deviation of control points without one, metres.
+    #[arg(long, value_name = "M", default_value_t = 0.02)]
+    control_sigma: f64,
+    /// Standard deviation of a mark without one, pixels.
+    #[arg(long, value_name = "PX", default_value_t = 0.5)]
+    mark_sigma: f64,
+    /// Seed of all random sampling.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
+    /// Do this stage and those after it again, whatever is kept.
+    #[arg(long, value_enum, value_name = "STAGE")]
+    from: Option<Stage>,
+    /// Stop after this stage.
+    #[arg(long, value_enum, value_name = "STAGE")]
+    until: Option<Stage>,
+    /// Print one line of JSON instead of a summary.
+    #[arg(long)]
+    json: bool,
+    /// Replace results that exist.
+    #[arg(long)]
+    force: bool,
+}
+
+/// The stages in their order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, ValueEnum)]
+enum Stage {
+    /// Files and what they say.
+    Inspect,
+    /// Features of every photo.
+    Features,
+    /// Matches of the pairs worth trying.
+    Match,
+    /// Orientation of pairs.
+    Verify,
+    /// Exterior orientation.
+    Orient,
+    /// The map, adjustment, self-calibration.
+    Adjust,
+    /// Files and pictures.
+    Report,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum LensName {
+    /// Ideal to measured, radial and decentring, as in OpenCV and COLMAP.
+    Brown,
+    /// Measured to ideal, as in the paper.
+    Smac,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum SolverName {
+    /// Whichever explains more of a pair.
+    Auto,
+    /// Nadir photos from nearly the same height.
+    TwoPoint,
+    /// Any photos.
+    FivePoint,
+}
+
+/// Something that is not as it should be, and what was done about it.
+#[derive(Debug, Clone, Serialize)]
+struct Finding {
+    subject: String,
+    what: String,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum StartName {
+    /// Three photos that fit; the others join one by one.
+    Triplet,
+    /// All photos at once: averaged rotations, positions by convex programming.
+    Global,
+}
+
+impl Finding {
+    fn new(subject: &str, what: &str) -> Finding {
+        Finding { subject: subject.to_owned(), what: what.to_owned() }
+    }
+}
+
+impl Args {
+    fn model(&self) -> Model {
+        match self.lens {
+            LensName::Brown => Model::Brown,
+            LensName::Smac => Model::Smac,
+        }
+    }
+
+    fn verifying(&self) -> Verifying {
+        Verifying {
+            solver: match self.solver {
+                SolverName::Auto => Solver::Auto,
+                SolverName::TwoPoint => Solver::TwoPoint,
+                SolverName::FivePoint => Solver::FivePoint,
+            },
+            tolerance_px: self.tolerance,
+            seed: self.seed,
+            ..Verifying::default()
+        }
+    }
+
+    fn growing(&self) -> Growing {
+        let names: &[&str] = match (&self.camera, self.lens) {
+            (Some(_), _) => &[],
+            (None, LensName::Brown) => &["f_px", "k1", "k2"],
+            (None, LensName::Smac) => &["c_px", "K1", "K2"],
+        };
+        Growing {
+            start: match self.start {
+                StartName::Triplet => Start::Triplet,
+                StartName::Global => Start::Global,
+            },
+            tolerance_px: self.tolerance,
+            free: names.iter().map(|&name| name.to_owned()).collect(),
+            seed: self.seed,
+            ..Growing::default()
+        }
+    }
+
+    /// What the last adjustment frees of a camera.
+    fn last_free(&self, camera: &Camera, whole: bool) -> Vec<String> {
+        if let Some(names) = &self.free {
+            return names.clone();
+        }
+        let parameters = camera.interior.model().parameters();
+        if self.camera.is_some() {
+            let free = camera.free.iter().zip(parameters).filter(|(free, _)| **free);
+            return free.map(|(_, parameter)| parameter.name.to_owned()).collect();
+        }
+        let wanted: &[&str] = match (whole, camera.interior.model()) {
+            (true, Model::Smac) => &["c_px", "xp_px", "yp_px", "K1", "K2", "K3", "P1", "P2"],
+            (false, Model::Smac) => &["c_px", "K1", "K2"],
+            (true, _) => &["f_px", "cx_px", "cy_px", "k1", "k2", "k3", "p1", "p2"],
+            (false, _) => &["f_px", "k1", "k2"],
+        };
+        let known = wanted.iter().filter(|name| camera.interior.model().place(name).is_some());
+        known.map(|&name| name.to_owned()).collect()
+    }
+
+    fn check(&self) -> Result<(), Error> {
+        for (name, value) in [
+            ("--tolerance", self.tolerance),
+            ("--control-sigma", self.control_sigma),
+            ("--mark-sigma", self.mark_sigma),
+        ] {
+            if !(value.is_finite() && value > 0.0) {
+                return Err(Error::Argument(format!("{name} {value}: expected a positive number")));
+            }
+        }
+        if self.max_features < 100 {
+            return Err(Error::Argument(format!(
+                "--max-features {}: expected at least 100",
+                self.max_features
+            )));
+        }
+        if let (Some(from), Some(until)) = (self.from, self.until)
+            && from > until
+        {
+            return Err(Error::Argument("--from: it comes after the stage of --until".into()));
+        }
+        Ok(())
+    }
+}
+
+/// Seconds of each stage.
+#[derive(Default)]
+struct Clock {
+    seconds: Vec<(&'static str, f64)>,
+}
+
+impl Clock {
+    fn time<T>(&mut self, stage: &'static str, work: impl FnOnce() -> T) -> T {
+        let begin = Instant::now();
+        let done = work();
+        let seconds = begin.elapsed().as_secs_f64();
+        tracing::info!("{stage}: {seconds:.2} s");
+        self.seconds.push((stage, seconds));
+        done
+    }
+}
+
+/// Runs the verb.
+///
+/// # Errors
+/// Bad input, outputs that exist, photos that cannot be oriented together.
+pub(super) fn run(args: &Args) -> Result<(), Error> {
+    args.check()?;
+    let output = args.output.clone().unwrap_or_else(|| args.project.join("rowgram"));
+    let last = args.until.unwrap_or(Stage::Report);
+    if last == Stage::Report {
+        results::check(&output, args.force)?;
+    }
+    if !args.project.is_dir() {
+        let message = "expected a folder with photos";
+        return Err(FileError::malformed(&args.project, None, message).into());
+    }
+    let fresh = |stage: Stage| args.from.is_some_and(|from| from <= stage);
+    let cache = cache::Cache::new(&output.join("cache"))?;
+    let mut clock = Clock::default();
+    let mut findings = Vec::new();
+    let sources = project::Sources {
+        root: &args.project,
+        crs: args.crs.as_deref(),
+        control: args.control.as_deref(),
+        marks: args.marks.as_deref(),
+        geolocation: args.geolocation.as_deref(),
+        camera: args.camera.as_deref(),
+        check: &args.check,
+        use_positions: !args.no_positions,
+        model: args.model(),
+        defaults: Defaults {
+            mark_px: args.mark_sigma,
+            control_m: args.control_sigma,
+            ..Defaults::default()
+        },
+    };
+    let mut project = clock.time("inspect", || project::inspect(&sources, &mut findings))?;
+    for (name, reason) in &project.left_out {
+        findings.push(Finding::new(name, &format!("left out: {reason}")));
+    }
+    let mut told = 0;
+    let mut tell = |findings: &[Finding]| {
+        for finding in &findings[told..] {
+            tracing::warn!("{}: {}", finding.subject, finding.what);
+        }
+        told = findings.len();
+    };
+    tell(&findings);
+    tracing::info!(
+        "{} photos, {} with a position, {} ground points, {} marks; frame: {}",
+        project.photos.len(),
+        project.plan_m.iter().filter(|p| p[0].is_finite()).count(),
+        project.known.ground.len(),
+        project.known.marks.len(),
+        project.frame.name()
+    );
+    if last == Stage::Inspect {
+        return Ok(());
+    }
+    let options = features::Options { max_features: args.max_features, ..Default::default() };
+    let extracted = clock.time("features", || {
+        extract::features(&project, &options, (&cache, fresh(Stage::Features)), &mut findings)
+    })?;
+    tell(&findings);
+    if last == Stage::Features {
+        return Ok(());
+    }
+    let (matched, matched_mark) = clock.time("match", || {
+        extract::matches(
+            &project,
+            &extracted,
+            &extract::Choice::default(),
+            &features::matching::MatchOptions::default(),
+            (&cache, fresh(Stage::Match)),
+        )
+    })?;
+    let all: usize = matched.iter().map(|m| m.matches.len()).sum();
+    tracing::info!("{} pairs, {all} matches", matched.len());
+    if last == Stage::Match {
+        return Ok(());
+    }
+    let geometric = extracted.geometric(&project);
+    let (pairs, pairs_mark) = clock.time("verify", || {
+        stages::find_principal_distances(&mut project, &geometric, &matched, args, &mut findings)?;
+        let cameras: Vec<Camera> =
+            project.cameras.iter().map(|(camera, _)| camera.clone()).collect();
+        let marked = (matched.as_slice(), matched_mark);
+        stages::verify(&geometric, &cameras, marked, args, (&cache, fresh(Stage::Verify)))
+    })?;
+    tell(&findings);
+    let two = pairs.iter().filter(|pair| pair.solver == Solver::TwoPoint).count();
+    tracing::info!(
+        "{} oriented pairs ({two} by two points, {} by five), {} matches",
+        pairs.len(),
+        pairs.len() - two,
+        pairs.iter().map(|pair| pair.matches.len()).sum::<usize>()
+    );
+    if last == Stage::Verify {
+        return Ok(());
+    }
+    let cameras: Vec<Camera> = project.cameras.iter().map(|(camera, _)| camera.clone()).collect();
+    let tracks = stages::tracks(&geometric, &pairs);
+    tracing::info!("{} tracks, {} contradictory matches", tracks.count(), tracks.refused());
+    let blocks = clock.time("orient", || {
+        let marked = (pairs.as_slice(), pairs_mark);
+        stages::orient(
+            &geometric,
+            &tracks,
+            &cameras,
+            marked,
+            &args.growing(),
+            (&cache, fresh(Stage::Orient)),
+        )
+    })?;
+    let sizes: Vec<String> = blocks.iter().map(|block| block.registered().to_string()).collect();
+    tracing::info!("blocks of {} images", sizes.join(", "));
+    if last == Stage::Orient {
+        return Ok(());
+    }
+    let found = clock.time("adjust", || stages::finish(blocks, &project, args, &mut findings))?;
+    tell(&findings);
+    let (report, mut outcome) = results::Report::new(found, &project, &pairs, findings);
+    if last == Stage::Report {
+        let begin = Instant::now();
+        results::write(&output, &report, &mut outcome, &project, args.force)?;
+        let names: Vec<&str> = project.photos.iter().map(|photo| photo.name.as_str()).collect();
+        let pictures = output.join("report");
+        figures::write(&pictures, &outcome.adjusted.survey, &pairs, &names, args.force)?;
+        let of = (project.photos.as_slice(), geometric.as_slice());
+        pair_figures::write(&pictures, of, &cameras, &pairs, args.force)?;
+        clock.seconds.push(("report", begin.elapsed().as_secs_f64()));
+    }
+    results::present(&report, &outcome, &clock.seconds, args.json)
+}

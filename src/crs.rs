@@ -1,0 +1,195 @@
+//! Coordinate reference systems: from the latitude and longitude of a receiver to the plane of a map.
+//!
+//! A system is named by its EPSG code or a PROJ string; its parameters come from `crs-definitions`, the
+//! projections from `proj4rs`. A datum shift is the one of the definition, three or seven parameters:
+//! for EPSG:27700 (British national grid) that is good to about 5 m absolute, and within a flight
+//! what is off is the same for all photos.
+//!
+//! **Heights pass through unchanged**: a receiver's are above the ellipsoid or, in most consumer
+//! cameras, above some geoid; a grid's above its own vertical datum. What is between the two is found
+//! from the block where there is control, and named.
+
+use proj4rs::{proj::Proj, transform::transform};
+
+/// Why a reference system cannot be used.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("{0}")]
+pub struct CrsError(pub String);
+
+/// A projected coordinate reference system in metres.
+pub struct Crs {
+    name: String,
+    definition: String,
+    grid: Proj,
+    geographic: Proj,
+}
+
+impl std::fmt::Debug for Crs {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Crs({}, {})", self.name, self.definition)
+    }
+}
+
+const WGS84: &str = "+proj=longlat +datum=WGS84 +no_defs";
+
+impl Crs {
+    /// The system of an EPSG code.
+    ///
+    /// # Errors
+    /// A code that is unknown, geographic, not in metres, or of a projection that is not there.
+    pub fn from_epsg(code: u32) -> Result<Crs, CrsError> {
+        let unknown =
+            || CrsError(format!("EPSG:{code} is not a known coordinate reference system"));
+        let short = u16::try_from(code).map_err(|_| unknown())?;
+        let found = crs_definitions::from_code(short).ok_or_else(unknown)?;
+        Crs::new(&format!("EPSG:{code}"), found.proj4)
+    }
+
+    /// The system that words name: `EPSG:32611`, `32611`, a PROJ string, or `WGS84 UTM 11N` as in the
+    /// headers of control point lists.
+    ///
+    /// # Errors
+    /// As [`Crs::from_epsg`], and words that are none of these.
+    pub fn from_words(words: &str) -> Result<Crs, CrsError> {
+        let words = words.trim();
+        let code = words.strip_prefix("EPSG:").or_else(|| words.strip_prefix("epsg:"));
+        if let Ok(code) = code.unwrap_or(words).trim().parse::<u32>() {
+            return Crs::from_epsg(code);
+        }
+        if words.starts_with("+proj") {
+            return Crs::new(words, words);
+        }
+        let upper = words.to_ascii_uppercase();
+        if let Some(zone) = upper.strip_prefix("WGS84 UTM") {
+            let zone = zone.trim();
+            let (number, south) = match (zone.strip_suffix('N'), zone.strip_suffix('S')) {
+                (Some(number), _) => (number, false),
+                (_, Some(number)) => (number, true),
+                _ => (zone, false),
+            };
+            if let Ok(number @ 1..=60) = number.trim().parse::<u32>() {
+                return Crs::from_epsg(if south { 32700 } else { 32600 } + number);
+            }
+        }
+        Err(CrsError(format!(
+            "{words:?} names no coordinate reference system; expected EPSG:<code>, a PROJ string or WGS84 UTM <zone>N"
+        )))
+    }
+
+    fn new(name: &str, definition: &str) -> Result<Crs, CrsError> {
+        let refuse = |what: String| CrsError(format!("{name} cannot be used: {what}"));
+        if definition.contains("+proj=longlat") {
+            return Err(refuse(
+                "it is geographic (degrees); a projected one in metres is needed".into(),
+            ));
+        }
+        let in_metres = !definition.contains("+units=") || definition.contains("+units=m");
+        if !in_metres || definition.contains("+to_meter=") && !definition.contains("+to_meter=1 ") {
+            return Err(refuse("its unit is not the metre".into()));
+        }
+        let of = |text: &str| Proj::from_proj_string(text).map_err(|e| refuse(e.to_string()));
+        Ok(Crs {
+            name: name.to_owned(),
+            definition: definition.to_owned(),
+            grid: of(definition)?,
+            geographic: of(WGS84)?,
+        })
+    }
+
+    /// The UTM zone on WGS84 of a place.
+    ///
+    /// # Errors
+    /// Where there is none.
+    pub fn utm_of(latitude_deg: f64, longitude_deg: f64) -> Result<Crs, CrsError> {
+        let zone = ((longitude_deg + 180.0) / 6.0).floor().clamp(0.0, 59.0) as u32 + 1;
+        Crs::from_epsg(if latitude_deg < 0.0 { 32700 } else { 32600 } + zone)
+    }
+
+    /// Its name as it was given, `EPSG:27700`.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Its PROJ string.
+    pub fn definition(&self) -> &str {
+        &self.definition
+    }
+
+    /// Easting and northing, metres, of a place on WGS84, degrees.
+    ///
+    /// # Errors
+    /// A place that the projection does not reach.
+    pub fn from_wgs84(&self, latitude_deg: f64, longitude_deg: f64) -> Result<[f64; 2], CrsError> {
+        let mut place = (longitude_deg.to_radians(), latitude_deg.to_radians(), 0.0);
+        transform(&self.geographic, &self.grid, &mut place)
+            .map_err(|e| self.out_of_reach(latitude_deg, longitude_deg, &e.to_string()))?;
+        if !(place.0.is_finite() && place.1.is_finite()) {
+            return Err(self.out_of_reach(latitude_deg, longitude_deg, "not finite"));
+        }
+        Ok([place.0, place.1])
+    }
+
+    fn out_of_reach(&self, latitude_deg: f64, longitude_deg: f64, why: &str) -> CrsError {
+        CrsError(format!(
+            "latitude {latitude_deg}, longitude {longitude_deg} is not a place in {}: {why}",
+            self.name
+        ))
+    }
+
+    /// Latitude and longitude on WGS84, degrees, of a place, metres.
+    ///
+    /// # Errors
+    /// A place that the projection cannot invert.
+    pub fn to_wgs84(&self, easting_m: f64, northing_m: f64) -> Result<[f64; 2], CrsError> {
+        let mut place = (easting_m, northing_m, 0.0);
+        transform(&self.grid, &self.geographic, &mut place).map_err(|e| {
+            CrsError(format!("{easting_m}, {northing_m} is not a place in {}: {e}", self.name))
+        })?;
+        Ok([place.1.to_degrees(), place.0.to_degrees()])
+    }
+}
+
+/// A plane that touches the ellipsoid WGS84 at a place: east, north, up in metres from there.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LocalPlane {
+    origin: [f64; 3],
+    origin_ecef_m: [f64; 3],
+}
+
+const SEMI_MAJOR_M: f64 = 6_378_137.0;
+const FLATTENING: f64 = 1.0 / 298.257_223_563;
+
+/// Earth-centred coordinates, metres, of `[latitude, longitude, height]` on WGS84, degrees and metres.
+pub fn ecef_m([latitude_deg, longitude_deg, height_m]: [f64; 3]) -> [f64; 3] {
+    let (sin_lat, cos_lat) = latitude_deg.to_radians().sin_cos();
+    let (sin_lon, cos_lon) = longitude_deg.to_radians().sin_cos();
+    let e2 = FLATTENING * (2.0 - FLATTENING);
+    let n = SEMI_MAJOR_M / (1.0 - e2 * sin_lat * sin_lat).sqrt();
+    let across = (n + height_m) * cos_lat;
+    [across * cos_lon, across * sin_lon, (n * (1.0 - e2) + height_m) * sin_lat]
+}
+
+impl LocalPlane {
+    /// The plane at `[latitude, longitude, height]`, degrees and metres.
+    pub fn at(origin: [f64; 3]) -> LocalPlane {
+        LocalPlane { origin, origin_ecef_m: ecef_m(origin) }
+    }
+
+    /// Where it touches: latitude, longitude, height.
+    pub fn origin(&self) -> [f64; 3] {
+        self.origin
+    }
+
+    /// East, north, up, metres, of `[latitude, longitude, height]`.
+    pub fn from_wgs84(&self, place: [f64; 3]) -> [f64; 3] {
+        let at = ecef_m(place);
+        let d: [f64; 3] = std::array::from_fn(|k| at[k] - self.origin_ecef_m[k]);
+        let (sin_lat, cos_lat) = self.origin[0].to_radians().sin_cos();
+        let (sin_lon, cos_lon) = self.origin[1].to_radians().sin_cos();
+        [
+            -sin_lon * d[0] + cos_lon * d[1],
+            -sin_lat * cos_lon * d[0] - sin_lat * sin_lon * d[1] + cos_lat * d[2],
+            cos_lat * cos_lon * d[0] + cos_lat * sin_lon * d[1] + sin_lat * d[2],
+        ]
+    }
+}

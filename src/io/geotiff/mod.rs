@@ -1,0 +1,50 @@
+//! GeoTIFF files, by window: orthomosaics, masks, heights, labels.
+//!
+//! A raster of any size is read through [`Reader`], a window at a time, and written through
+//! [`Writer`], tile by tile, so neither needs the whole of it in memory. Classic TIFF and BigTIFF, tiles
+//! and strips, 8 to 32 bits, deflate, LZW, PackBits, JPEG, ZSTD and LERC are read; what is written is a
+//! cloud optimised GeoTIFF: tiles of [`TILE`] pixels, deflate, overviews, all directories before the data.
+//!
+//! GeoTIFF counts pixels from their corners, everything else here from their centres; the half pixel
+//! is added and taken away in this folder and nowhere else.
+//!
+//! Reference: OGC GeoTIFF standard 19-008r4; OGC Cloud Optimized GeoTIFF 21-026; the coding itself is that of the
+//! crates `geotiff-reader` and `geotiff-writer`.
+
+mod read;
+mod write;
+
+pub use read::Reader;
+pub use write::{Colour, Layout, Writer, write};
+
+/// Side of the tiles that are written, pixels.
+pub const TILE: usize = 512;
+
+mod private {
+    /// What the reader and the writer must know of a sample.
+    pub trait Stored: geotiff_writer::NumericSample + tiff_reader::TiffSample {}
+}
+
+/// A kind of sample: `u8`, `u16`, `u32` or `f32`.
+pub trait Sample: private::Stored + Copy + Default + Send + Sync + 'static {
+    /// Its name for a person.
+    const NAME: &'static str;
+}
+
+macro_rules! samples {
+    ($($type:ty = $name:literal),+) => {
+        $(impl private::Stored for $type {}
+        impl Sample for $type {
+            const NAME: &'static str = $name;
+        })+
+    };
+}
+samples!(u8 = "8-bit", u16 = "16-bit", u32 = "32-bit", f32 = "32-bit floating point");
+
+/// Whether a file begins like a TIFF or BigTIFF.
+pub fn is_tiff(first_bytes: &[u8]) -> bool {
+    matches!(first_bytes.get(..4), Some(b"II*\0" | b"MM\0*" | b"II+\0" | b"MM\0+"))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,47 @@
+//! Exterior orientations as a table: image, projection centre, omega, phi, kappa.
+
+use super::{FileError, output};
+use crate::problems::adjustment::{Image, ImageAccuracy};
+use std::path::Path;
+
+/// Writes `image,x_m,y_m,z_m,omega_deg,phi_deg,kappa_deg` and, where the accuracies are known, standard
+/// deviations of all six; `R^T = Rx(omega) Ry(phi) Rz(kappa)` takes the camera frame (y up, looking along -z)
+/// to the map.
+///
+/// # Errors
+/// As [`output::write`].
+pub fn write(
+    path: &Path,
+    images: &[Image],
+    accuracies: &[ImageAccuracy],
+    sigma0: f64,
+    force: bool,
+) -> Result<(), FileError> {
+    output::write(path, force, |out| {
+        let known = accuracies.len() == images.len();
+        write!(out, "image,x_m,y_m,z_m,omega_deg,phi_deg,kappa_deg")?;
+        if known {
+            write!(
+                out,
+                ",sigma_x_m,sigma_y_m,sigma_z_m,sigma_omega_deg,sigma_phi_deg,sigma_kappa_deg"
+            )?;
+        }
+        writeln!(out)?;
+        for (k, image) in images.iter().enumerate() {
+            let [x, y, z] = image.pose.centre_m();
+            let [omega, phi, kappa] = image.pose.omega_phi_kappa_rad().map(f64::to_degrees);
+            write!(out, "{},{x:.4},{y:.4},{z:.4},{omega:.7},{phi:.7},{kappa:.7}", image.name)?;
+            if known {
+                let accuracy = &accuracies[k];
+                for axis in 0..3 {
+                    write!(out, ",{:.4}", sigma0 * accuracy.centre_m2[axis][axis].max(0.0).sqrt())?;
+                }
+                for angle in accuracy.angles_rad {
+                    write!(out, ",{:.7}", sigma0 * angle.to_degrees())?;
+                }
+            }
+            writeln!(out)?;
+        }
+        Ok(())
+    })
+}

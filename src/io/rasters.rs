@@ -1,0 +1,196 @@
+//! Photos and masks of any size, with their place on the map where they have one.
+//!
+//! TIFF files are read by bands of rows, so that a photo larger than the memory can be looked at; other
+//! pictures are read whole.
+
+use super::{
+    FileError,
+    geotiff::{self, Colour, Layout, Reader},
+    images::{self, Picture},
+};
+use crate::{
+    error::Error,
+    raster::{
+        Mask,
+        georeference::Georeference,
+        mask::Thresholds,
+        window::{self, Window},
+    },
+};
+use image::RgbImage;
+use std::{io::Read, ops::Range, path::Path};
+
+/// Rows that are read at a time; tiles are read once where it is a multiple of theirs.
+pub const BAND_ROWS: usize = 512;
+
+/// A photo or a mask that can be looked at.
+pub enum Source {
+    /// A TIFF file.
+    File(Box<Reader>),
+    /// A picture in memory.
+    Picture(Picture),
+}
+
+impl Source {
+    /// Opens a PNG, JPEG, TIFF or GeoTIFF.
+    ///
+    /// # Errors
+    /// Where the file cannot be read or is no such picture.
+    pub fn open(path: &Path) -> Result<Source, FileError> {
+        let mut first = [0; 4];
+        let mut file = std::fs::File::open(path).map_err(|e| FileError::read(path, e))?;
+        let tiff = file.read_exact(&mut first).is_ok() && geotiff::is_tiff(&first);
+        if tiff {
+            return Ok(Source::File(Box::new(Reader::open(path)?)));
+        }
+        Ok(Source::Picture(images::read(path)?))
+    }
+
+    /// Columns and rows.
+    pub fn size(&self) -> (usize, usize) {
+        match self {
+            Source::File(reader) => (reader.width(), reader.height()),
+            Source::Picture(Picture::Photo(photo)) => {
+                (photo.width() as usize, photo.height() as usize)
+            }
+            Source::Picture(Picture::Mask(mask)) => (mask.width, mask.height),
+        }
+    }
+
+    /// Where it lies on the map, if it says so.
+    pub fn georeference(&self) -> Option<Georeference> {
+        match self {
+            Source::File(reader) => reader.georeference(),
+            Source::Picture(_) => None,
+        }
+    }
+
+    /// Whether it has colours; what has none is a mask.
+    pub fn is_photo(&self) -> bool {
+        match self {
+            Source::File(reader) => reader.is_colour(),
+            Source::Picture(picture) => matches!(picture, Picture::Photo(_)),
+        }
+    }
+
+    /// Rows of a photo, or of a mask in black and white.
+    ///
+    /// # Errors
+    /// Where the file is damaged.
+    pub fn rgb(&self, rows: Range<usize>) -> Result<RgbImage, FileError> {
+        match self {
+            Source::File(reader) => reader.read_rgb(Window::rows(reader.width(), rows)),
+            Source::Picture(picture) => {
+                let crop = |photo: &RgbImage| {
+                    let (width, height) = (photo.width(), rows.len() as u32);
+                    image::imageops::crop_imm(photo, 0, rows.start as u32, width, height).to_image()
+                };
+                Ok(match picture {
+                    Picture::Photo(photo) => crop(photo),
+                    Picture::Mask(mask) => crop(&mask.to_rgb()),
+                })
+            }
+        }
+    }
+
+    /// The mask: that of a photo by the thresholds, or the picture itself, which then has two values,
+    /// of which the larger is plant (one value alone is plant unless it is 0).
+    ///
+    /// # Errors
+    /// Where the file is damaged, or has neither colours nor just two values.
+    pub fn mask(&self, mut of_photo: impl FnMut(&RgbImage) -> Mask) -> Result<Mask, Error> {
+        let reader = match self {
+            Source::Picture(Picture::Mask(mask)) => return Ok(mask.clone()),
+            Source::Picture(Picture::Photo(photo)) => return Ok(of_photo(photo)),
+            Source::File(reader) => reader,
+        };
+        let (width, height) = self.size();
+        if !self.is_photo() {
+            return two_values(reader).map_err(Error::from);
+        }
+        let mut data = Vec::with_capacity(width * height);
+        for band in window::bands(height, BAND_ROWS, 0) {
+            data.extend_from_slice(&of_photo(&self.rgb(band.rows)?).data);
+        }
+        Ok(Mask { width, height, data })
+    }
+}
+
+/// The mask in a file of single values.
+fn two_values(reader: &Reader) -> Result<Mask, FileError> {
+    let (width, height) = (reader.width(), reader.height());
+    let mut values: Vec<f32> = Vec::new();
+    let mut data = Vec::with_capacity(width * height);
+    for band in window::bands(height, BAND_ROWS, 0) {
+        for value in reader.read_f32(Window::rows(width, band.rows))? {
+            // What has no data is no plant.
+            let value = if value.is_nan() { 0.0 } else { value };
+            let place = values.iter().position(|&other| other == value).unwrap_or_else(|| {
+                values.push(value);
+                values.len() - 1
+            });
+            if place > 1 {
+                let message = "it holds single values and more than two of them, expected a mask (two \
+                               values) or a photo in colours";
+                return Err(FileError::malformed(reader.path(), None, message));
+            }
+            data.push(place as u8);
+        }
+    }
+    let plant = match values[..] {
+        [first, second] => u8::from(second > first),
+        [only] if only == 0.0 => 1,
+        _ => 0,
+    };
+    data.iter_mut().for_each(|pixel| *pixel = u8::from(*pixel == plant));
+    Ok(Mask { width, height, data })
+}
+
+/// Writes a mask by the name's ending: a GeoTIFF for `.tif` or `.tiff`, else a PNG; plants 255, the rest 0.
+///
+/// # Errors
+/// As [`super::output::write`], and where the mask has no pixel.
+pub fn write_mask(
+    path: &Path,
+    force: bool,
+    mask: &Mask,
+    georeference: Option<Georeference>,
+) -> Result<(), FileError> {
+    if !is_tiff_name(path) {
+        return images::write_mask(path, force, mask);
+    }
+    let layout = Layout {
+        width: mask.width,
+        height: mask.height,
+        colour: Colour::Classes,
+        georeference,
+        nodata: None,
+    };
+    geotiff::write::<u8, FileError>(path, force, &layout, |writer| {
+        for band in window::bands(mask.height, geotiff::TILE, 0) {
+            let rows = band.rows.start * mask.width..band.rows.end * mask.width;
+            let grey: Vec<u8> =
+                mask.data[rows].iter().map(|&pixel| if pixel == 0 { 0 } else { 255 }).collect();
+            writer.put(Window::rows(mask.width, band.rows), &grey)?;
+        }
+        Ok(())
+    })
+}
+
+/// Whether a name ends like that of a TIFF file.
+pub fn is_tiff_name(path: &Path) -> bool {
+    path.extension().is_some_and(|end| ["tif", "tiff"].iter().any(|t| end.eq_ignore_ascii_case(t)))
+}
+
+/// The mask of a photo or mask, and its place on the map; see [`Source::mask`].
+///
+/// # Errors
+/// As [`Source::open`] and [`Source::mask`].
+pub fn read_mask(
+    path: &Path,
+    thresholds: &Thresholds,
+) -> Result<(Mask, Option<Georeference>), Error> {
+    let source = Source::open(path)?;
+    let mask = source.mask(|photo| thresholds.mask(photo))?;
+    Ok((mask, source.georeference()))
+}

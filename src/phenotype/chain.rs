@@ -1,0 +1,345 @@
+//! The plants of one row, by dynamic programming over their places along it.
+//!
+//! With the votes `u(x)` for a stalk at `x`, plants at `x_1 < x_2 < ...` score
+//!
+//! `sum_i [u(x_i) + beta] + sum_i ln p(x_{i+1} - x_i) - sum_i o(x_i, x_{i+1}) - uncovered - ends`:
+//!
+//! - `u(x) = T (sqrt(E(x) / E_0(x)) - 1)`, `E` the votes on the row and `E_0` their mean around `x`
+//!   blended with the whole field's: a canopy's density says little of where its stalks are;
+//! - `p` is the density of gaps ([`Spacing`]), `beta` what a plant more is worth;
+//! - `o` takes back the votes that two plants close together both claim;
+//! - *uncovered* is the paper's likelihood with truncated distances, for leaf mass farther than a
+//!   plant's own reach from the nearest plant of the row;
+//! - *ends* charges places of the row before its first and after its last plant as missing plants.
+//!
+//! All of it is a sum over neighbours, so the best set of plants is found exactly ([`Chain::best`]), and
+//! so are the probability of a plant at every place and the distribution of their number
+//! ([`Chain::posterior`]). Lengths in pixels of the reduced grid.
+
+use super::renewal::Spacing;
+
+/// Distance between the places looked at.
+pub const STEP: f64 = 0.5;
+/// Half the width of the surroundings that votes are compared with.
+const AROUND: f64 = 30.0;
+/// Weight of the whole field in that comparison.
+const WHOLE: f64 = 0.6;
+/// Range over which two plants claim the same votes.
+const OVERLAP: f64 = 2.0;
+/// A plant covers this share of the spacing to each side, and distances are truncated one spacing on.
+const COVERED: f64 = 0.6;
+/// This share of the spacing at the ends of a row needs no plant.
+const FREE: f64 = 0.7;
+
+/// What a row shows, place by place along it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Profile {
+    /// The first place, along the row.
+    pub start: f64,
+    /// Votes on the row.
+    pub votes: Vec<f64>,
+    /// Leaf mass up to each place, and its first moment in steps; one longer than `votes`.
+    pub mass: Vec<[f64; 2]>,
+}
+
+/// How the parts of the score weigh.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Weights {
+    /// `T`: the worth of votes.
+    pub votes: f64,
+    /// The worth of uncovered mass, in terms per plant.
+    pub cover: f64,
+    /// Mean votes of the field.
+    pub mean: f64,
+    /// Leaf mass of a plant.
+    pub mass: f64,
+}
+
+/// The score of one row, ready to be maximised.
+#[derive(Debug, Clone)]
+pub struct Chain<'p> {
+    profile: &'p Profile,
+    worth: Vec<f64>,
+    gaps: Vec<f64>,
+    overlap: Vec<f64>,
+    /// Worth of votes, of uncovered mass, of a missing place at an end per step.
+    weights: [f64; 3],
+    covered: usize,
+    truncated: usize,
+    free: usize,
+}
+
+/// What is probable in a row.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Posterior {
+    /// Probability of a plant at each place.
+    pub marginals: Vec<f64>,
+    /// Expected number of plants.
+    pub count: f64,
+    /// Logarithm of the sum of all exponentiated scores.
+    pub log_sum: f64,
+}
+
+impl<'p> Chain<'p> {
+    /// The score of a row whose plants have this spacing.
+    pub fn new(profile: &'p Profile, spacing: &Spacing, weights: &Weights) -> Chain<'p> {
+        let count = profile.votes.len();
+        let mut sums = vec![0.0; count + 1];
+        for (k, votes) in profile.votes.iter().enumerate() {
+            sums[k + 1] = sums[k] + votes;
+        }
+        let around = (AROUND / STEP) as usize;
+        let worth = (0..count)
+            .map(|k| {
+                let (from, to) = (k.saturating_sub(around), (k + around + 1).min(count));
+                let near = (sums[to] - sums[from]) / (to - from) as f64;
+                let usual = (1.0 - WHOLE) * near + WHOLE * weights.mean;
+                let ratio = profile.votes[k].max(0.0) / usual.max(f64::MIN_POSITIVE);
+                weights.votes * (ratio.sqrt() - 1.0)
+            })
+            .collect();
+        let s = spacing.spacing;
+        let steps = (spacing.farthest() / STEP) as usize + 1;
+        let gaps = (0..steps).map(|g| spacing.density(g as f64 * STEP).ln()).collect();
+        let overlap = (0..(5.0 * OVERLAP / STEP) as usize)
+            .map(|g| (-0.5 * (g as f64 * STEP / OVERLAP).powi(2)).exp())
+            .collect();
+        let uncovered = weights.cover / weights.mass.max(f64::MIN_POSITIVE) / (0.25 * s);
+        Chain {
+            profile,
+            worth,
+            gaps,
+            overlap,
+            weights: [weights.votes, uncovered, -spacing.missing.ln() * STEP / s],
+            covered: (COVERED * s / STEP) as usize,
+            truncated: ((s / STEP) as usize).max(1),
+            free: (FREE * s / STEP) as usize,
+        }
+    }
+
+    /// Mass between two places times its truncated distance from the first (`ahead`) or the second.
+    fn spread(&self, from: usize, to: usize, ahead: bool) -> f64 {
+        if from >= to {
+            return 0.0;
+        }
+        let mass = &self.profile.mass;
+        let between = |a: usize, b: usize| [mass[b][0] - mass[a][0], mass[b][1] - mass[a][1]];
+        let far = self.truncated as f64;
+        let steps = if ahead {
+            let turn = to.min(from + self.truncated);
+            let near = between(from, turn);
+            near[1] - from as f64 * near[0] + far * between(turn, to)[0]
+        } else {
+            let turn = from.max(to.saturating_sub(self.truncated));
+            let near = between(turn, to);
+            to as f64 * near[0] - near[1] + far * between(from, turn)[0]
+        };
+        steps * STEP
+    }
+
+    /// The score of two neighbours, without their own worth.
+    fn link(&self, a: usize, b: usize) -> f64 {
+        let gap = b - a;
+        let mut score = self.gaps[gap];
+        if let Some(share) = self.overlap.get(gap) {
+            let claimed = self.worth[a].min(self.worth[b]) + self.weights[0];
+            score -= share * claimed.max(0.0);
+        }
+        if gap > 2 * self.covered {
+            let middle = a.midpoint(b);
+            let open = self.spread(a + self.covered, middle, true)
+                + self.spread(middle, b - self.covered, false);
+            score -= self.weights[1] * open;
+        }
+        score
+    }
+
+    /// The score of a first plant here, or of a last one.
+    fn end(&self, at: usize, first: bool) -> f64 {
+        let count = self.worth.len();
+        let (places, open) = if first {
+            (at, self.spread(0, at.saturating_sub(self.covered), false))
+        } else {
+            (count - 1 - at, self.spread((at + self.covered).min(count), count, true))
+        };
+        -self.weights[2] * places.saturating_sub(self.free) as f64 - self.weights[1] * open
+    }
+
+    /// The places from which a plant at `at` can be the next one. Two plants are at least two
+    /// steps apart.
+    fn before(&self, at: usize) -> std::ops::Range<usize> {
+        (at + 1).saturating_sub(self.gaps.len())..(at + 1).saturating_sub(2)
+    }
+
+    /// The plants that score best, as places, and their score.
+    pub fn best(&self, beta: f64) -> (Vec<usize>, f64) {
+        let count = self.worth.len();
+        let (mut scores, mut from) = (vec![0.0; count], vec![usize::MAX; count]);
+        let (mut last, mut top) = (usize::MAX, f64::NEG_INFINITY);
+        for at in 0..count {
+            let mut score = self.end(at, true);
+            for a in self.before(at) {
+                let linked = scores[a] + self.link(a, at);
+                if linked > score {
+                    (score, from[at]) = (linked, a);
+                }
+            }
+            scores[at] = score + self.worth[at] + beta;
+            let whole = scores[at] + self.end(at, false);
+            if whole > top {
+                (last, top) = (at, whole);
+            }
+        }
+        let mut places = Vec::new();
+        while last != usize::MAX {
+            places.push(last);
+            last = from[last];
+        }
+        places.reverse();
+        (places, if count == 0 { 0.0 } else { top })
+    }
+
+    /// The logarithm of the sum of `exp(heat * score)` over all sets of plants.
+    pub fn log_sum(&self, beta: f64, heat: f64) -> f64 {
+        self.ahead(beta, heat).1
+    }
+
+    /// That sum over all sets that end with a plant at each place, and over all sets.
+    fn ahead(&self, beta: f64, heat: f64) -> (Vec<f64>, f64) {
+        let count = self.worth.len();
+        let (mut ahead, mut terms) = (vec![0.0; count], Vec::new());
+        for at in 0..count {
+            terms.clear();
+            terms.push(heat * self.end(at, true));
+            terms.extend(self.before(at).map(|a| ahead[a] + heat * self.link(a, at)));
+            ahead[at] = heat * (self.worth[at] + beta) + log_sum_exp(&terms);
+        }
+        terms.clear();
+        terms.extend((0..count).map(|at| ahead[at] + heat * self.end(at, false)));
+        let log_sum = log_sum_exp(&terms);
+        (ahead, log_sum)
+    }
+
+    /// Probabilities proportional to `exp(heat * score)`.
+    pub fn posterior(&self, beta: f64, heat: f64) -> Posterior {
+        let count = self.worth.len();
+        let own = |at: usize| heat * (self.worth[at] + beta);
+        let (ahead, log_sum) = self.ahead(beta, heat);
+        let (mut behind, mut terms) = (vec![0.0; count], Vec::new());
+        for at in (0..count).rev() {
+            terms.clear();
+            terms.push(heat * self.end(at, false));
+            let beyond = (at + 2).min(count)..(at + self.gaps.len()).min(count);
+            terms.extend(beyond.map(|b| behind[b] + own(b) + heat * self.link(at, b)));
+            behind[at] = log_sum_exp(&terms);
+        }
+        let marginals: Vec<f64> =
+            (0..count).map(|at| (ahead[at] + behind[at] - log_sum).exp()).collect();
+        Posterior { count: marginals.iter().sum(), marginals, log_sum }
+    }
+}
+
+/// `ln sum exp`, without overflow; minus infinity of nothing.
+fn log_sum_exp(terms: &[f64]) -> f64 {
+    /// Terms smaller than this share of the largest add nothing.
+    const LEAST: f64 = -36.0;
+    let highest = terms.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    if highest == f64::NEG_INFINITY {
+        return highest;
+    }
+    let shares = terms.iter().map(|term| term - highest).filter(|&share| share > LEAST);
+    highest + shares.map(f64::exp).sum::<f64>().ln()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn profile(peaks: &[f64], length: f64) -> Profile {
+        let count = (length / STEP) as usize;
+        let votes: Vec<f64> = (0..count)
+            .map(|k| {
+                let x = k as f64 * STEP;
+                0.3 + peaks.iter().map(|p| (-0.5 * (x - p).powi(2)).exp()).sum::<f64>()
+            })
+            .collect();
+        let mut mass = vec![[0.0; 2]];
+        for k in 0..count {
+            let [sum, moment] = mass[k];
+            let here = 0.5 + 0.1 * (k % 5) as f64;
+            mass.push([sum + here, moment + here * k as f64]);
+        }
+        Profile { start: 0.0, votes, mass }
+    }
+
+    const WEIGHTS: Weights = Weights { votes: 6.0, cover: 1.0, mean: 0.5, mass: 14.0 };
+
+    /// The score by its definition.
+    fn score(chain: &Chain<'_>, places: &[usize], beta: f64) -> f64 {
+        let own: f64 = places.iter().map(|&at| chain.worth[at] + beta).sum();
+        let links: f64 = places.windows(2).map(|pair| chain.link(pair[0], pair[1])).sum();
+        own + links + chain.end(places[0], true) + chain.end(places[places.len() - 1], false)
+    }
+
+    #[test]
+    fn the_best_chain_and_all_probabilities_agree_with_brute_force() {
+        let profile = profile(&[2.0, 5.0, 5.5], 8.0);
+        let spacing = Spacing { spacing: 3.0, jitter: 0.2, missing: 0.1, doubles: 0.05 };
+        let chain = Chain::new(&profile, &spacing, &WEIGHTS);
+        let (beta, heat, count) = (0.3, 0.7, profile.votes.len());
+        let mut best = (vec![], f64::NEG_INFINITY);
+        let (mut sum, mut marginals, mut number) = (0.0, vec![0.0; count], 0.0);
+        for set in 1_u32..1 << count {
+            let places: Vec<usize> = (0..count).filter(|k| set >> k & 1 == 1).collect();
+            let allowed =
+                |pair: &[usize]| pair[1] - pair[0] >= 2 && pair[1] - pair[0] < chain.gaps.len();
+            if !places.windows(2).all(allowed) {
+                continue;
+            }
+            let score = score(&chain, &places, beta);
+            let weight = (heat * score).exp();
+            sum += weight;
+            number += weight * places.len() as f64;
+            places.iter().for_each(|&at| marginals[at] += weight);
+            if score > best.1 {
+                best = (places, score);
+            }
+        }
+        let (places, top) = chain.best(beta);
+        assert_eq!(places, best.0);
+        approx::assert_relative_eq!(top, best.1, epsilon = 1e-9);
+        let posterior = chain.posterior(beta, heat);
+        approx::assert_relative_eq!(posterior.log_sum, sum.ln(), epsilon = 1e-9);
+        approx::assert_relative_eq!(posterior.count, number / sum, epsilon = 1e-9);
+        for (fast, slow) in posterior.marginals.iter().zip(&marginals) {
+            approx::assert_relative_eq!(*fast, slow / sum, epsilon = 1e-9);
+        }
+    }
+
+    #[test]
+    fn uncovered_mass_is_that_of_the_truncated_distances() {
+        let profile = profile(&[], 40.0);
+        let spacing = Spacing::new(6.0);
+        let chain = Chain::new(&profile, &spacing, &WEIGHTS);
+        let here = |k: usize| profile.mass[k + 1][0] - profile.mass[k][0];
+        for (from, to) in [(0, 7), (3, 60), (20, 79)] {
+            let sum = |distance: &dyn Fn(usize) -> usize| -> f64 {
+                (from..to).map(|k| here(k) * distance(k).min(chain.truncated) as f64).sum()
+            };
+            let ahead = sum(&|k| k - from) * STEP;
+            let back = sum(&|k| to - k) * STEP;
+            approx::assert_relative_eq!(chain.spread(from, to, true), ahead, epsilon = 1e-9);
+            approx::assert_relative_eq!(chain.spread(from, to, false), back, epsilon = 1e-9);
+        }
+    }
+
+    #[test]
+    fn peaks_are_found_where_one_plant_is_missing_and_one_has_a_double() {
+        let truth = [6.0, 19.0, 32.0, 58.0, 71.0, 84.0, 87.5, 97.0];
+        let profile = profile(&truth, 104.0);
+        let (places, _) = Chain::new(&profile, &Spacing::new(13.0), &WEIGHTS).best(0.0);
+        let found: Vec<f64> = places.iter().map(|&k| k as f64 * STEP).collect();
+        assert_eq!(found.len(), truth.len(), "{found:?}");
+        assert!(found.iter().zip(truth).all(|(a, b)| (a - b).abs() <= 1.0), "{found:?}");
+    }
+}

@@ -1,0 +1,358 @@
+//! Where stalks may be: leaf pixels vote along the axes of their leaves.
+//!
+//! The axis of the leaf at a pixel is the direction in which the mask changes least, from the
+//! structure tensor `S = G_i * (grad m grad m^T)`, `m` the mask smoothed by a Gaussian of scale
+//! [`GRADIENT_PX`] and `G_i` one of scale [`TENSOR_PX`]. With `xx`, `xy`, `yy` its entries, the axis at
+//! angle `theta` and its coherence are
+//!
+//! `(cos 2 theta, sin 2 theta) = -(xx - yy, 2 xy) / n`, `n = |(xx - yy, 2 xy)|`, `c = n / (xx + yy)`.
+//!
+//! Every pixel votes with weight `c` for all places both ways along its axis, as far as the straight
+//! walk stays on the mask (one missing pixel is stepped over) and at most [`REACH_PX`]. Many leaves
+//! cross where a stalk is. Votes are kept apart by the angle between leaf and row, because leaves
+//! along the row cross it everywhere and say least, and each part saturates so that no single broad
+//! leaf outweighs several narrow ones:
+//!
+//! `E = sum_b w_b v_b / (1 + v_b / `[`SATURATION`]`)`.
+//!
+//! A mask of broad leaves is first reduced by the whole factor that makes its strokes about
+//! [`STROKE_PX`] wide. Positions in pixels of the given mask, centre of the top-left pixel at (0, 0).
+
+use crate::raster::Mask;
+use rayon::prelude::*;
+
+/// Scale of the gradient, in reduced pixels.
+const GRADIENT_PX: f64 = 0.7;
+/// Scale over which the tensor is averaged, in reduced pixels.
+const TENSOR_PX: f64 = 1.3;
+/// Scale by which votes are blurred, in reduced pixels.
+const VOTE_PX: f64 = 0.8;
+/// Scale over which leaf mass is gathered where no votes are wanted, in reduced pixels.
+const MASS_PX: f64 = 2.0;
+/// How far a vote walks, in reduced pixels.
+const REACH_PX: usize = 20;
+/// Where votes saturate.
+const SATURATION: f32 = 60.0;
+/// Weight of leaves within 30, 60 and 90 degrees of the row.
+const WEIGHTS: [f32; 3] = [0.3, 0.7, 1.0];
+/// Width of a stroke that votes work best with.
+const STROKE_PX: f64 = 3.0;
+/// Rows of one stripe: stripes are fixed, so sums do not depend on the threads.
+const STRIPE: usize = 128;
+/// Rows beyond a stripe that its votes and filters can reach.
+const HALO: usize = REACH_PX + 12;
+
+/// The votes for a stalk at every pixel of the reduced mask.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Evidence {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Votes, row by row.
+    pub votes: Vec<f32>,
+    /// Share of each reduced pixel that is leaf.
+    pub leaf: Vec<f32>,
+    /// Pixels of the mask per pixel of this grid, along each axis.
+    pub factor: usize,
+}
+
+impl Evidence {
+    /// Votes of a mask whose rows have this heading (from `u` towards `v`).
+    pub fn new(mask: &Mask, heading_rad: f64) -> Evidence {
+        let factor = (stroke_px(mask) / STROKE_PX).floor().max(1.0) as usize;
+        let (width, height, leaf) = reduce(mask, factor);
+        let mut votes = vec![0.0; width * height];
+        if width > 0 {
+            votes.par_chunks_mut(STRIPE * width).enumerate().for_each(|(stripe, out)| {
+                let first = stripe * STRIPE;
+                let from = first.saturating_sub(HALO);
+                let to = (first + STRIPE + HALO).min(height);
+                let part = &leaf[from * width..to * width];
+                Stripe { width, height: to - from }.vote(part, heading_rad, first - from, out);
+            });
+        }
+        Evidence { width, height, votes, leaf, factor }
+    }
+
+    /// The leaf mass around each place instead of votes.
+    pub fn of_mass(mask: &Mask) -> Evidence {
+        let factor = (stroke_px(mask) / STROKE_PX).floor().max(1.0) as usize;
+        let (width, height, leaf) = reduce(mask, factor);
+        let votes = Stripe { width, height }.blur(leaf.clone(), MASS_PX);
+        Evidence { width, height, votes, leaf, factor }
+    }
+
+    /// A position of the mask in this grid.
+    pub fn reduced(&self, at_px: [f64; 2]) -> [f64; 2] {
+        at_px.map(|x| (x + 0.5) / self.factor as f64 - 0.5)
+    }
+
+    /// A position of this grid in the mask.
+    pub fn full(&self, at: [f64; 2]) -> [f64; 2] {
+        at.map(|x| (x + 0.5) * self.factor as f64 - 0.5)
+    }
+
+    /// Votes between pixel centres, bilinear; 0 outside.
+    pub fn at(&self, [x, y]: [f64; 2]) -> f64 {
+        let (left, top) = (x.floor(), y.floor());
+        let inside = left >= 0.0
+            && top >= 0.0
+            && left + 1.0 < self.width as f64
+            && top + 1.0 < self.height as f64;
+        if !inside {
+            return 0.0;
+        }
+        let corner = top as usize * self.width + left as usize;
+        let (a, b) = ((x - left) as f32, (y - top) as f32);
+        let (upper, lower) = (&self.votes[corner..], &self.votes[corner + self.width..]);
+        let above = upper[0] + a * (upper[1] - upper[0]);
+        let below = lower[0] + a * (lower[1] - lower[0]);
+        f64::from(above + b * (below - above))
+    }
+
+    /// Share of leaf in the pixel around a place; 0 outside.
+    pub fn leaf_at(&self, at: [f64; 2]) -> f64 {
+        let [x, y] = at.map(f64::round);
+        let inside = x >= 0.0 && y >= 0.0 && x < self.width as f64 && y < self.height as f64;
+        if inside { f64::from(self.leaf[y as usize * self.width + x as usize]) } else { 0.0 }
+    }
+}
+
+/// Mean width of the strokes: twice the area over the perimeter. The edges of pixels are longer
+/// than the outline they follow, by `4 / pi` on average.
+fn stroke_px(mask: &Mask) -> f64 {
+    let (mut area, mut edges) = (0_u64, 0_u64);
+    for v in 0..mask.height {
+        let (row, below) = (mask.row(v), mask.row(v + 1));
+        for (u, &pixel) in row.iter().enumerate() {
+            area += u64::from(pixel != 0);
+            edges += u64::from((pixel != 0) != row.get(u + 1).is_some_and(|&p| p != 0));
+            edges += u64::from((pixel != 0) != below.get(u).is_some_and(|&p| p != 0));
+        }
+    }
+    2.0 * area as f64 / (std::f64::consts::FRAC_PI_4 * edges as f64).max(1.0)
+}
+
+/// Shares of leaf in blocks of `factor` by `factor` pixels.
+fn reduce(mask: &Mask, factor: usize) -> (usize, usize, Vec<f32>) {
+    let (width, height) = (mask.width.div_ceil(factor), mask.height.div_ceil(factor));
+    let mut leaf = vec![0.0_f32; width * height];
+    let share = 1.0 / (factor * factor) as f32;
+    for v in 0..mask.height {
+        let out = &mut leaf[v / factor * width..][..width];
+        for (u, &pixel) in mask.row(v).iter().enumerate() {
+            if pixel != 0 {
+                out[u / factor] += share;
+            }
+        }
+    }
+    (width, height, leaf)
+}
+
+/// One stripe of the picture and its surroundings.
+#[derive(Clone, Copy)]
+struct Stripe {
+    width: usize,
+    height: usize,
+}
+
+impl Stripe {
+    /// Votes into the rows of `out`, the first of which is row `skip` of the stripe.
+    fn vote(self, leaf: &[f32], heading_rad: f64, skip: usize, out: &mut [f32]) {
+        let Stripe { width, height } = self;
+        let tensor = self.tensor(leaf);
+        let (turn_sin, turn_cos) = (2.0 * heading_rad).sin_cos();
+        let (turn_cos, turn_sin) = (turn_cos as f32, turn_sin as f32);
+        let mut parts = [(); 3].map(|()| vec![0.0_f32; width * height]);
+        for y in 0..height {
+            for x in 0..width {
+                let at = y * width + x;
+                if leaf[at] < 0.5 {
+                    continue;
+                }
+                let [xx, xy, yy] = tensor.each_ref().map(|t| t[at]);
+                let (difference, product) = (yy - xx, -2.0 * xy);
+                let length = difference.hypot(product);
+                let coherence = length / (xx + yy + 1e-4);
+                if coherence < 0.05 {
+                    continue;
+                }
+                let (cos2, sin2) = (difference / length, product / length);
+                let from_row = cos2 * turn_cos + sin2 * turn_sin;
+                let part = usize::from(from_row < 0.5) + usize::from(from_row < -0.5);
+                let cos = ((1.0 + cos2) / 2.0).max(0.0).sqrt();
+                let sin = ((1.0 - cos2) / 2.0).max(0.0).sqrt().copysign(sin2);
+                self.walk(leaf, &mut parts[part], [x, y], [cos, sin], coherence);
+            }
+        }
+        out.fill(0.0);
+        for (part, weight) in parts.into_iter().zip(WEIGHTS) {
+            let part = self.blur(part, VOTE_PX);
+            for (sum, &votes) in out.iter_mut().zip(&part[skip * width..]) {
+                *sum += weight * votes / (1.0 + votes / SATURATION);
+            }
+        }
+    }
+
+    /// One pixel votes both ways along its axis.
+    fn walk(
+        self,
+        leaf: &[f32],
+        votes: &mut [f32],
+        [x, y]: [usize; 2],
+        [cos, sin]: [f32; 2],
+        weight: f32,
+    ) {
+        let (width, height) = (self.width as f32, self.height as f32);
+        // One cell per step along the longer axis; longer steps weigh more.
+        let longer = cos.abs().max(sin.abs());
+        let (dx, dy) = (cos / longer, sin / longer);
+        let steps = (REACH_PX as f32 * longer) as usize;
+        let weight = weight / longer;
+        for (dx, dy) in [(dx, dy), (-dx, -dy)] {
+            // Half a pixel more, so that truncation rounds.
+            let (mut px, mut py) = (x as f32 + 0.5, y as f32 + 0.5);
+            let mut missing = 0;
+            for _ in 0..steps {
+                px += dx;
+                py += dy;
+                if !(px >= 0.0 && py >= 0.0 && px < width && py < height) {
+                    break;
+                }
+                let at = py as usize * self.width + px as usize;
+                if leaf[at] < 0.5 {
+                    missing += 1;
+                    if missing > 1 {
+                        break;
+                    }
+                } else {
+                    missing = 0;
+                }
+                votes[at] += weight;
+            }
+        }
+    }
+
+    /// The entries `xx`, `xy`, `yy` of the structure tensor (gradients by Scharr's filter).
+    fn tensor(self, leaf: &[f32]) -> [Vec<f32>; 3] {
+        let Stripe { width, height } = self;
+        let smooth = self.blur(leaf.to_vec(), GRADIENT_PX);
+        let mut entries = [(); 3].map(|()| vec![0.0_f32; width * height]);
+        for y in 1..height.saturating_sub(1) {
+            for x in 1..width.saturating_sub(1) {
+                let at = y * width + x;
+                let value = |dx: usize, dy: usize| smooth[at + dx - 1 + dy * width - width];
+                let du = 3.0 * (value(2, 0) - value(0, 0) + value(2, 2) - value(0, 2))
+                    + 10.0 * (value(2, 1) - value(0, 1));
+                let dv = 3.0 * (value(0, 2) - value(0, 0) + value(2, 2) - value(2, 0))
+                    + 10.0 * (value(1, 2) - value(1, 0));
+                let (du, dv) = (du / 32.0, dv / 32.0);
+                entries[0][at] = du * du;
+                entries[1][at] = du * dv;
+                entries[2][at] = dv * dv;
+            }
+        }
+        entries.map(|entry| self.blur(entry, TENSOR_PX))
+    }
+
+    /// A Gaussian filter; beyond the edges is nothing.
+    fn blur(self, picture: Vec<f32>, scale_px: f64) -> Vec<f32> {
+        let Stripe { width, height } = self;
+        let radius = (3.0 * scale_px).ceil() as usize;
+        let raw: Vec<f64> = (0..=2 * radius)
+            .map(|k| (-0.5 * ((k as f64 - radius as f64) / scale_px).powi(2)).exp())
+            .collect();
+        let sum: f64 = raw.iter().sum();
+        let kernel: Vec<f32> = raw.iter().map(|k| (k / sum) as f32).collect();
+        let mut across = vec![0.0_f32; width * height];
+        let mut padded = vec![0.0_f32; width + 2 * radius];
+        for (row, out) in picture.chunks(width).zip(across.chunks_mut(width)) {
+            padded[radius..radius + width].copy_from_slice(row);
+            for (k, &weight) in kernel.iter().enumerate() {
+                for (sum, value) in out.iter_mut().zip(&padded[k..]) {
+                    *sum += weight * value;
+                }
+            }
+        }
+        let mut both = picture;
+        both.fill(0.0);
+        for y in 0..height {
+            let out = &mut both[y * width..][..width];
+            for (k, &weight) in kernel.iter().enumerate() {
+                if let Some(from) = (y + k).checked_sub(radius).filter(|&from| from < height) {
+                    for (sum, value) in out.iter_mut().zip(&across[from * width..][..width]) {
+                        *sum += weight * value;
+                    }
+                }
+            }
+        }
+        both
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Four bars, two pixels wide, through a point.
+    fn star(centre: [f64; 2], turn_rad: f64, side: usize, scale: f64) -> Mask {
+        Mask::from_fn(side, side, |u, v| {
+            let (x, y) = (u as f64 - centre[0], v as f64 - centre[1]);
+            (0..4).any(|k| {
+                let (s, c) = (turn_rad + f64::from(k) * std::f64::consts::FRAC_PI_4).sin_cos();
+                (c * y - s * x).abs() < 1.2 * scale && (c * x + s * y).abs() < 14.0 * scale
+            })
+        })
+    }
+
+    #[test]
+    fn leaves_that_cross_vote_for_the_crossing() {
+        for (turn, scale, side) in [(0.1, 1.0, 60), (0.35, 1.0, 60), (0.2, 4.0, 240)] {
+            let centre = [29.3 * scale, 31.0 * scale];
+            let evidence = Evidence::new(&star(centre, turn, side, scale), 0.0);
+            let best = (0..evidence.votes.len())
+                .max_by(|&a, &b| evidence.votes[a].total_cmp(&evidence.votes[b]))
+                .unwrap();
+            let (x, y) = (best % evidence.width, best / evidence.width);
+            let found = evidence.full([x as f64, y as f64]);
+            let error = (found[0] - centre[0]).hypot(found[1] - centre[1]);
+            assert!(error < 2.0 * scale, "{turn} {scale}: {error}");
+            assert_eq!(evidence.factor > 1, scale > 1.0);
+        }
+    }
+
+    #[test]
+    fn mirrored_masks_give_mirrored_votes_and_stripes_do_not_show() {
+        // Long enough for three stripes.
+        let mask = Mask::from_fn(40, 300, |u, v| (u + v / 2) % 9 < 2 || (v + 400 - u) % 31 < 3);
+        let mirrored = Mask::from_fn(40, 300, |u, v| mask.get(u, 299 - v));
+        let (a, b) = (Evidence::new(&mask, 0.3), Evidence::new(&mirrored, -0.3));
+        // Away from the edges, where one walk can leave the mask just before the other.
+        for v in 0..300 {
+            for u in 0..40 {
+                let (one, two) = (a.votes[v * 40 + u], b.votes[(299 - v) * 40 + u]);
+                assert!((one - two).abs() <= 0.35 * one.max(two).max(1.0), "{u} {v}: {one} {two}");
+            }
+        }
+        let mean = |e: &Evidence| e.votes.iter().sum::<f32>();
+        assert!((mean(&a) / mean(&b) - 1.0).abs() < 0.01);
+    }
+
+    #[test]
+    fn degenerate_masks_have_no_votes() {
+        for mask in [Mask::empty(0, 0), Mask::empty(1, 1), Mask::empty(9, 200)] {
+            assert!(Evidence::new(&mask, 0.0).votes.iter().all(|&votes| votes == 0.0));
+        }
+        let dot = Mask::from_fn(1, 1, |_, _| true);
+        assert_eq!(Evidence::new(&dot, 0.0).votes.len(), 1);
+    }
+
+    #[test]
+    fn positions_turn_there_and_back() {
+        let evidence = Evidence { width: 1, height: 1, votes: vec![], leaf: vec![], factor: 3 };
+        let at = [7.25, -3.0];
+        assert_eq!(evidence.full(evidence.reduced(at)), at);
+        assert_eq!(evidence.full([0.0, 0.0]), [1.0, 1.0]);
+    }
+}

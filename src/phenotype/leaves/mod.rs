@@ -1,0 +1,304 @@
+//! Each single leaf of a mask, by slices across it (stroke width transform).
+//!
+//! 1. [`edges`]: where the mask ends, with the gradient angle `G` there, to fractions of a pixel.
+//! 2. [`slices`]: stretches from an edge A along its gradient to the opposite edge B, accepted where
+//!    `|G_A - G_B + pi| < T_a`; the leaf's direction there is `theta = (G_A + G_B)/2 mod pi`.
+//! 3. [`segments`]: adjacent slices whose directions differ by less than `T_b`.
+//! 4. [`split`]: segments whose width says that they are two leaves.
+//! 5. [`bridge`]: segments that face each other across a gap and differ by less than `T_c` are one leaf.
+//! 6. Every pixel that is left belongs to the leaf that it is nearest to within the plant.
+//!
+//! Steps 1 to 3 and 5 with [`Bridging::Greedy`] are the paper's; [`Options::paper`] does just these.
+//! All is done for each connected part of the mask on its own ([`part`]); the only number they
+//! share is the usual width of a leaf, a median over all slices.
+//!
+//! Lengths in pixels here; a ground sampling distance makes them metres where the raster has one.
+//!
+//! Reference: Ribera et al., KDD 2016 workshop; Epshtein, Ofek, Wexler, CVPR 2010.
+
+mod axis;
+mod bridge;
+mod edges;
+mod part;
+mod plants;
+mod segments;
+mod slices;
+mod split;
+
+use crate::raster::{
+    Mask,
+    components::{self, Part, Run},
+};
+pub use plants::{assign, directions};
+
+use axis::Axis;
+use part::{Local, PAD};
+use rayon::prelude::*;
+use segments::{Across, NONE, Segment};
+use serde::{Deserialize, Serialize};
+use std::{collections::VecDeque, f64::consts::PI};
+
+/// How segments are joined across gaps.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Bridging {
+    /// Not at all.
+    None,
+    /// The shortest gap first, each on its own.
+    Greedy,
+    /// All gaps at once, by the best matching.
+    Global,
+}
+
+/// What decides which pixels are one leaf.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Options {
+    /// `T_a`: how far the gradients of the two edges of a slice may be from opposite, radians.
+    pub t_a: f64,
+    /// `T_b`: how far the directions of adjacent slices of one segment may differ, radians.
+    pub t_b: f64,
+    /// `T_c`: how far the directions at the two ends of a gap may differ, radians.
+    pub t_c: f64,
+    /// How gaps are bridged.
+    pub bridging: Bridging,
+    /// Whether a bridge that bends costs more; of [`Bridging::Global`] only.
+    pub curvature: bool,
+    /// Whether segments are split by their width.
+    pub split: bool,
+    /// The longest gap, in usual leaf widths.
+    pub longest_gap: f64,
+    /// The widest slice, in usual leaf widths.
+    pub widest_slice: f64,
+    /// The usual width of a leaf, pixels; found from the mask where it is not given.
+    pub leaf_width_px: Option<f64>,
+    /// Leaves with fewer pixels are left out.
+    pub min_pixels: usize,
+}
+
+impl Default for Options {
+    fn default() -> Options {
+        Options {
+            t_a: PI / 5.0,
+            t_b: PI / 8.0,
+            t_c: PI / 6.0,
+            bridging: Bridging::Global,
+            curvature: true,
+            split: true,
+            longest_gap: 4.0,
+            widest_slice: 2.5,
+            leaf_width_px: None,
+            min_pixels: 1,
+        }
+    }
+}
+
+impl Options {
+    /// The paper's method and nothing more.
+    pub fn paper() -> Options {
+        Options { bridging: Bridging::Greedy, curvature: false, split: false, ..Options::default() }
+    }
+}
+
+/// One leaf.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Leaf {
+    /// Its pixels, by rows.
+    pub runs: Vec<Run>,
+    /// Its axis from end to end, `[u, v]` in pixels.
+    pub axis_px: Vec<[f64; 2]>,
+    /// The full width at each point of the axis, pixels.
+    pub width_px: Vec<f64>,
+    /// Length of the axis, pixels.
+    pub length_px: f64,
+    /// Number of pixels.
+    pub area_px: usize,
+}
+
+impl Leaf {
+    /// Mean width along the axis, pixels.
+    pub fn mean_width_px(&self) -> f64 {
+        self.width_px.iter().sum::<f64>() / self.width_px.len().max(1) as f64
+    }
+
+    /// Largest width, pixels.
+    pub fn max_width_px(&self) -> f64 {
+        self.width_px.iter().copied().fold(0.0, f64::max)
+    }
+
+    /// Direction from the first to the last point of the axis, radians in [0, pi), from the picture's
+    /// `u` axis towards its `v` axis.
+    pub fn angle_rad(&self) -> f64 {
+        match (self.axis_px.first(), self.axis_px.last()) {
+            (Some(a), Some(b)) if a != b => (b[1] - a[1]).atan2(b[0] - a[0]).rem_euclid(PI),
+            _ => 0.0,
+        }
+    }
+
+    /// The middle of the axis.
+    pub fn middle_px(&self) -> [f64; 2] {
+        self.axis_px.get(self.axis_px.len() / 2).copied().unwrap_or_default()
+    }
+}
+
+/// The leaves of a mask.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Leaves {
+    /// By the first pixels of their parts; leaf `n` has the label `n + 1`.
+    pub leaves: Vec<Leaf>,
+    /// The usual width of a leaf, pixels; 0 where there is none.
+    pub usual_width_px: f64,
+}
+
+/// The longest walk across a leaf before its usual width is known, pixels.
+const LONGEST_PX: f64 = 128.0;
+/// Classes of the histogram of slice widths per pixel.
+const CLASSES_PER_PX: f64 = 16.0;
+
+/// Finds the leaves of a mask.
+///
+/// The result does not depend on the number of threads.
+pub fn find(mask: &Mask, options: &Options) -> Leaves {
+    let parts = components::parts(mask);
+    let usual_width_px = options.leaf_width_px.unwrap_or_else(|| usual_width(&parts, options.t_a));
+    let leaves = parts
+        .par_iter()
+        .map(|part| of_part(part, options, usual_width_px))
+        .collect::<Vec<_>>()
+        .into_iter()
+        .flatten()
+        .filter(|leaf| leaf.area_px >= options.min_pixels)
+        .collect();
+    Leaves { leaves, usual_width_px }
+}
+
+/// The median of the widths of all slices, pixels.
+fn usual_width(parts: &[Part], t_a: f64) -> f64 {
+    let classes = (LONGEST_PX * CLASSES_PER_PX) as usize + 1;
+    let histogram = parts
+        .par_iter()
+        .map(|part| {
+            let local = Local::of(part);
+            let found = slices(&local, &numbers(&local), t_a, LONGEST_PX);
+            let mut histogram = vec![0u64; classes];
+            for slice in &found.all {
+                histogram[((slice.width * CLASSES_PER_PX) as usize).min(classes - 1)] += 1;
+            }
+            histogram
+        })
+        .reduce(
+            || vec![0; classes],
+            |mut a, b| {
+                a.iter_mut().zip(b).for_each(|(a, b)| *a += b);
+                a
+            },
+        );
+    let half = histogram.iter().sum::<u64>().div_ceil(2);
+    let mut below = 0;
+    let median = histogram.iter().position(|&count| {
+        below += count;
+        count > 0 && below >= half
+    });
+    median.map_or(0.0, |class| (class as f64 + 0.5) / CLASSES_PER_PX)
+}
+
+/// The place of each local pixel among the part's pixels.
+fn numbers(local: &Local) -> Vec<u32> {
+    let mut number = vec![NONE; local.mask.len()];
+    for (n, &pixel) in local.pixels.iter().enumerate() {
+        number[pixel as usize] = n as u32;
+    }
+    number
+}
+
+fn slices(local: &Local, number: &[u32], t_a: f64, longest_px: f64) -> slices::Slices {
+    let edges = edges::Edges::of(local);
+    slices::find(local, &edges, number, t_a, longest_px)
+}
+
+fn of_part(part: &Part, options: &Options, usual_px: f64) -> Vec<Leaf> {
+    let local = Local::of(part);
+    let number = numbers(&local);
+    let widest_px = (options.widest_slice * usual_px).max(3.0);
+    let found = slices(&local, &number, options.t_a, 1.5 * widest_px + 2.0);
+    let across = Across::of(local.pixels.len(), &found, widest_px);
+    let mut segments = segments::merge(&local, &across, &number, options.t_b);
+    if options.split {
+        segments = split::split(&local, &across, &number, segments, usual_px);
+    }
+    if segments.is_empty() {
+        // Too small for a slice: still a leaf.
+        let axis = Axis::of(&local, &across, &number, &local.pixels);
+        segments.push(Segment { pixels: local.pixels.clone(), axis });
+    }
+    let rules = bridge::Rules {
+        t_c: options.t_c,
+        limit_px: (options.longest_gap * usual_px).max(2.0),
+        bridging: options.bridging,
+        curvature: options.curvature,
+    };
+    let chains = bridge::chains(&local, &segments, &rules);
+    let mut owner = vec![NONE; local.pixels.len()];
+    let mut leaves = Vec::with_capacity(chains.len());
+    for (leaf, chain) in chains.iter().enumerate() {
+        let mut axis = Axis::default();
+        for &(segment, reversed) in chain {
+            axis.append(&segments[segment].axis, reversed);
+            for &pixel in &segments[segment].pixels {
+                owner[number[pixel as usize] as usize] = leaf as u32;
+            }
+        }
+        leaves.push(axis);
+    }
+    spread(&local, &number, &mut owner);
+    finish(&local, &owner, leaves)
+}
+
+/// Gives every pixel without an owner to the nearest one, step by step.
+fn spread(local: &Local, number: &[u32], owner: &mut [u32]) {
+    let mut queue: VecDeque<u32> =
+        (0..owner.len() as u32).filter(|&n| owner[n as usize] != NONE).collect();
+    while let Some(n) = queue.pop_front() {
+        for neighbour in local.neighbours(local.pixels[n as usize]) {
+            let m = number[neighbour as usize];
+            if m != NONE && owner[m as usize] == NONE {
+                owner[m as usize] = owner[n as usize];
+                queue.push_back(m);
+            }
+        }
+    }
+}
+
+fn finish(local: &Local, owner: &[u32], axes: Vec<Axis>) -> Vec<Leaf> {
+    let [left, top] = local.origin;
+    let moved = |axis: &Axis| -> Vec<[f64; 2]> {
+        axis.points.iter().map(|p| [p[0] + left as f64, p[1] + top as f64]).collect()
+    };
+    let mut leaves: Vec<Leaf> = axes
+        .iter()
+        .map(|axis| Leaf {
+            runs: Vec::new(),
+            axis_px: moved(axis),
+            width_px: axis.widths.clone(),
+            length_px: axis.length(),
+            area_px: 0,
+        })
+        .collect();
+    for (&pixel, &leaf) in local.pixels.iter().zip(owner) {
+        if leaf == NONE {
+            continue;
+        }
+        let leaf = &mut leaves[leaf as usize];
+        leaf.area_px += 1;
+        let u = (i64::from(pixel) % local.width as i64 + left) as usize;
+        let v = (i64::from(pixel) / local.width as i64 + top) as usize;
+        match leaf.runs.last_mut() {
+            Some(run) if run.v == v && run.end == u => run.end += 1,
+            _ => leaf.runs.push(Run { v, start: u, end: u + 1 }),
+        }
+    }
+    debug_assert!(local.height > 2 * PAD || leaves.is_empty());
+    leaves
+}
+
+#[cfg(test)]
+mod tests;

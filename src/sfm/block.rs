@@ -1,0 +1,315 @@
+//! A block under way: which images have a pose, which tracks a point, which of their positions
+//! belong to it; and the adjustment of all of it or a part.
+
+use super::{
+    relative::{self, RelativePose},
+    resection::Sight,
+    tracks::Tracks,
+    triangulate::{Demands, View, error_px, triangulate, widest_angle_rad},
+};
+use crate::{
+    camera::{Camera, Interior, Lens},
+    engine::SolveError,
+    nlls::{Loss, Options as Engine, solve},
+    problems::adjustment::{Image, Observation, Pose, Posed, Settings, Survey, TiePoint},
+};
+use rayon::prelude::*;
+
+/// What is found in one image.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Features {
+    /// The image's name.
+    pub name: String,
+    /// Index of its camera.
+    pub camera: usize,
+    /// Where its features are, pixels.
+    pub positions_px: Vec<[f64; 2]>,
+    /// Their colours, red, green, blue.
+    pub colours: Vec<[u8; 3]>,
+}
+
+/// Two images that see the same.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Pair {
+    /// Indices of the images.
+    pub images: [u32; 2],
+    /// Which features match, `[in the first, in the second]`.
+    pub matches: Vec<[u32; 2]>,
+    /// How the second camera stands to the first.
+    pub pose: RelativePose,
+    /// Which solver found it.
+    pub solver: relative::Solver,
+    /// Mean angle at which the rays of the matches meet, radians.
+    pub angle_rad: f64,
+}
+
+/// A block under way. A world unit is whatever the start made it.
+#[derive(Debug, Clone)]
+pub struct Block<'a> {
+    /// What was found in the images.
+    pub features: &'a [Features],
+    /// What belongs together.
+    pub tracks: &'a Tracks,
+    /// The cameras as far as they are known.
+    pub cameras: Vec<Camera>,
+    /// The pose of each image.
+    pub poses: Vec<Option<Pose>>,
+    /// The point of each track.
+    pub points: Vec<Option<[f64; 3]>>,
+    /// For each member of a track whether it belongs to its point.
+    pub used: Vec<bool>,
+}
+
+/// How a block is adjusted while it grows.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Refining {
+    /// Robust loss, in pixels.
+    pub loss: Loss,
+    /// The most iterations.
+    pub iterations: u64,
+    /// Relative decrease that is no longer worth an iteration.
+    pub cost_tolerance: f64,
+}
+
+impl<'a> Block<'a> {
+    /// A block of which nothing is known yet.
+    pub fn new(features: &'a [Features], tracks: &'a Tracks, cameras: &[Camera]) -> Block<'a> {
+        Block {
+            features,
+            tracks,
+            cameras: cameras.to_vec(),
+            poses: vec![None; features.len()],
+            points: vec![None; tracks.count()],
+            used: vec![false; tracks.member_count()],
+        }
+    }
+
+    /// The lens of an image.
+    pub fn lens(&self, image: usize) -> &Interior {
+        &self.cameras[self.features[image].camera].interior
+    }
+
+    /// How many images have a pose.
+    pub fn registered(&self) -> usize {
+        self.poses.iter().flatten().count()
+    }
+
+    /// Where a member of a track is in its image, pixels.
+    pub fn position_px(&self, place: usize) -> [f64; 2] {
+        let member = self.tracks.member(place);
+        self.features[member.image as usize].positions_px[member.feature as usize]
+    }
+
+    /// What an image sees of the points that are known.
+    pub fn sights(&self, image: usize) -> Vec<Sight> {
+        let lens = self.lens(image);
+        self.tracks
+            .in_image(image)
+            .iter()
+            .filter_map(|&(track, place)| {
+                let point = self.points[track as usize]?;
+                let image_px = self.position_px(place as usize);
+                Some(Sight { point, image_px, ray: lens.unproject(image_px)? })
+            })
+            .collect()
+    }
+
+    /// How many known points an image sees.
+    pub fn sight_count(&self, image: usize) -> usize {
+        let seen = self.tracks.in_image(image).iter();
+        seen.filter(|(track, _)| self.points[*track as usize].is_some()).count()
+    }
+
+    fn views(&self, track: usize, only_used: bool) -> (Vec<usize>, Vec<View<'_>>) {
+        let mut places = Vec::new();
+        let mut views = Vec::new();
+        for place in self.tracks.places(track) {
+            let image = self.tracks.member(place).image as usize;
+            if let (Some(pose), true) = (&self.poses[image], !only_used || self.used[place]) {
+                places.push(place);
+                let image_px = self.position_px(place);
+                views.push(View { pose, lens: self.lens(image), image_px });
+            }
+        }
+        (places, views)
+    }
+
+    /// Goes through tracks: rays that have come too far from their point leave it, others that fit
+    /// join it, and tracks without a point get one where their rays meet. Returns how many points
+    /// there are among them afterwards.
+    pub fn retriangulate(&mut self, tracks: &[u32], demands: &Demands) -> usize {
+        let found: Vec<(Option<[f64; 3]>, Vec<usize>)> =
+            tracks.par_iter().map(|&track| self.meet(track as usize, demands)).collect();
+        let mut count = 0;
+        for (&track, (point, places)) in tracks.iter().zip(found) {
+            let track = track as usize;
+            self.used[self.tracks.places(track)].fill(false);
+            places.iter().for_each(|&place| self.used[place] = true);
+            count += usize::from(point.is_some());
+            self.points[track] = point;
+        }
+        count
+    }
+
+    /// All tracks, for [`Block::retriangulate`].
+    pub fn all_tracks(&self) -> Vec<u32> {
+        (0..self.tracks.count() as u32).collect()
+    }
+
+    /// The tracks that some images see.
+    pub fn tracks_of(&self, images: &[usize]) -> Vec<u32> {
+        let mut tracks: Vec<u32> = images
+            .iter()
+            .flat_map(|&image| self.tracks.in_image(image).iter().map(|(track, _)| *track))
+            .collect();
+        tracks.sort_unstable();
+        tracks.dedup();
+        tracks
+    }
+
+    fn meet(&self, track: usize, demands: &Demands) -> (Option<[f64; 3]>, Vec<usize>) {
+        let (places, views) = self.views(track, false);
+        if let Some(point) = self.points[track] {
+            let keep: Vec<usize> = (0..views.len())
+                .filter(|&k| error_px(&views[k], point).is_some_and(|e| e <= demands.tolerance_px))
+                .collect();
+            let centres: Vec<[f64; 3]> = keep.iter().map(|&k| views[k].pose.centre_m()).collect();
+            let wide = widest_angle_rad(&centres, point) >= 0.7 * demands.least_angle_rad;
+            if keep.len() >= 2 && 2 * keep.len() >= views.len() && wide {
+                return (Some(point), keep.into_iter().map(|k| places[k]).collect());
+            }
+        }
+        match triangulate(&views, demands) {
+            Some((point, fits)) => {
+                let of = places.iter().zip(fits).filter(|(_, fits)| *fits);
+                (Some(point), of.map(|(place, _)| *place).collect())
+            }
+            None => (None, Vec::new()),
+        }
+    }
+
+    /// Root mean square distance between measured and projected positions, pixels, and how many.
+    pub fn rms_px(&self) -> (f64, usize) {
+        let (mut sum, mut count) = (0.0, 0);
+        for track in 0..self.tracks.count() {
+            let Some(point) = self.points[track] else { continue };
+            for view in self.views(track, true).1 {
+                if let Some(error) = error_px(&view, point) {
+                    sum += error * error;
+                    count += 1;
+                }
+            }
+        }
+        ((sum / f64::from(count.max(1) as u32)).sqrt(), count)
+    }
+
+    /// The block, or the part that some images see, as a survey, with the track of each of its
+    /// points and the index of each of its images. Images that take part only because they see the
+    /// same points come after those that were asked for.
+    pub fn survey(&self, images: Option<&[usize]>) -> (Survey, Vec<u32>, Vec<usize>) {
+        let asked: Vec<usize> = match images {
+            Some(images) => images.to_vec(),
+            None => (0..self.poses.len()).collect(),
+        };
+        let asked: Vec<usize> =
+            asked.into_iter().filter(|&image| self.poses[image].is_some()).collect();
+        let tracks: Vec<u32> = self
+            .tracks_of(&asked)
+            .into_iter()
+            .filter(|&track| self.points[track as usize].is_some())
+            .collect();
+        let mut order = asked.clone();
+        let mut place = vec![u32::MAX; self.poses.len()];
+        asked.iter().enumerate().for_each(|(k, &image)| place[image] = k as u32);
+        let mut survey =
+            Survey { cameras: self.cameras.clone(), tie_sigma_px: 1.0, ..Survey::default() };
+        for &track in &tracks {
+            let Some(position_m) = self.points[track as usize] else { continue };
+            let point = survey.points.len() as u32;
+            let mut colour = [[0u32; 3]; 1];
+            let mut count = 0;
+            for at in self.tracks.places(track as usize) {
+                let member = self.tracks.member(at);
+                let image = member.image as usize;
+                if !self.used[at] || self.poses[image].is_none() {
+                    continue;
+                }
+                if place[image] == u32::MAX {
+                    place[image] = order.len() as u32;
+                    order.push(image);
+                }
+                if let Some(seen) = self.features[image].colours.get(member.feature as usize) {
+                    (0..3).for_each(|k| colour[0][k] += u32::from(seen[k]));
+                    count += 1;
+                }
+                let image_px = self.position_px(at);
+                survey.observations.push(Observation { image: place[image], point, image_px });
+            }
+            let colour = colour[0].map(|sum| (sum / count.max(1)) as u8);
+            survey.points.push(TiePoint { id: u64::from(track) + 1, position_m, colour });
+        }
+        for &image in &order {
+            if let Some(pose) = self.poses[image] {
+                survey.images.push(Image {
+                    name: self.features[image].name.clone(),
+                    id: image as u32 + 1,
+                    camera: self.features[image].camera,
+                    pose,
+                    motion: [0.0; 6],
+                });
+            }
+        }
+        (survey, tracks, order)
+    }
+
+    /// Adjusts the block, or some images and all points that they see while the other images that see
+    /// them stand still.
+    ///
+    /// # Errors
+    /// Where the block cannot be evaluated.
+    pub fn adjust(
+        &mut self,
+        images: Option<&[usize]>,
+        refining: &Refining,
+    ) -> Result<(), SolveError> {
+        let (mut survey, tracks, order) = self.survey(images);
+        if survey.images.len() < 2 || survey.points.is_empty() {
+            return Ok(());
+        }
+        let free = images.map_or(survey.images.len(), |asked| {
+            asked.iter().filter(|&&image| self.poses[image].is_some()).count()
+        });
+        if images.is_some() {
+            for camera in &mut survey.cameras {
+                camera.free.fill(false);
+            }
+        }
+        let settings = Settings { tie_loss: refining.loss, ..Settings::default() };
+        let mut posed = Posed::new(&survey, &settings)?;
+        (free..survey.images.len()).try_for_each(|image| posed.hold_image(image))?;
+        let engine = Engine { cost_tolerance: refining.cost_tolerance, ..Engine::default() };
+        let mut x = posed.problem.start();
+        solve(&posed.problem, &mut x, &engine, refining.iterations)?;
+        posed.update(&x, &mut survey);
+        for (image, &index) in survey.images.iter().zip(&order) {
+            self.poses[index] = Some(image.pose);
+        }
+        for (point, &track) in survey.points.iter().zip(&tracks) {
+            self.points[track as usize] = Some(point.position_m);
+        }
+        if images.is_none() {
+            for (camera, adjusted) in self.cameras.iter_mut().zip(&survey.cameras) {
+                camera.interior = adjusted.interior;
+            }
+        }
+        Ok(())
+    }
+
+    /// Takes an image out again.
+    pub fn forget(&mut self, image: usize) {
+        self.poses[image] = None;
+        for &(_, place) in self.tracks.in_image(image) {
+            self.used[place as usize] = false;
+        }
+    }
+}

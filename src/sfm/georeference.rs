@@ -1,0 +1,461 @@
+//! Blocks with a frame of their own come into the frame of the map: by control points or camera
+//! positions, each by its own similarity; then fragments are one block, tied by the tracks they share.
+
+use super::block::Block;
+use super::triangulate::Demands;
+use crate::{
+    engine::SolveError,
+    geometry::rotation,
+    nlls::{Loss, Options as Engine, solve},
+    problems::adjustment::{
+        Alignment, GroundPoint, Mark, Pose, Posed, Position, Role, Settings, Survey, align,
+    },
+};
+use nalgebra::{Matrix3, Rotation3, Vector3};
+use serde::Serialize;
+
+/// What is known on the ground and in the air; images by their index in the block.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Known {
+    /// Ground points.
+    pub ground: Vec<GroundPoint>,
+    /// Their marks.
+    pub marks: Vec<Mark>,
+    /// Camera positions.
+    pub positions: Vec<Position>,
+}
+
+/// What came of bringing blocks into one frame.
+#[derive(Debug)]
+pub struct Joined<'a> {
+    /// All images that have a place in the common frame.
+    pub block: Block<'a>,
+    /// How each of the blocks was brought into it; `None` for one that could not be, and for all
+    /// where nothing is known on the ground or in the air: then the first is the frame.
+    pub alignments: Vec<Option<Alignment>>,
+    /// Whether the frame is that of the map.
+    pub georeferenced: bool,
+    /// The shift of all camera positions against the control that was taken off them, metres.
+    pub position_shift_m: Option<[f64; 3]>,
+}
+
+impl Known {
+    /// What of it is about the images that a survey has, with its images' indices in the block.
+    pub fn attach(&self, survey: &mut Survey, order: &[usize]) {
+        let place = |image: u32| order.iter().position(|&k| k == image as usize).map(|k| k as u32);
+        survey.ground.clone_from(&self.ground);
+        survey.marks = self
+            .marks
+            .iter()
+            .filter_map(|mark| Some(Mark { image: place(mark.image)?, ..*mark }))
+            .collect();
+        survey.positions = self
+            .positions
+            .iter()
+            .filter_map(|position| Some(Position { image: place(position.image)?, ..*position }))
+            .collect();
+    }
+
+    /// Whether there are control points with all coordinates.
+    pub fn has_control(&self) -> bool {
+        self.ground.iter().any(|point| point.role == Role::Control)
+    }
+}
+
+/// Below this share of the spread along the flight the spread across it does not tell where down is.
+const NEARLY_A_LINE: f64 = 0.1;
+
+/// Ratio of the second to the first principal spread of some positions.
+fn spread_across(positions: &[[f64; 3]]) -> f64 {
+    let n = positions.len().max(1) as f64;
+    let mean = positions.iter().map(|p| Vector3::from(*p)).sum::<Vector3<f64>>() / n;
+    let mut moments = Matrix3::zeros();
+    for p in positions {
+        let d = Vector3::from(*p) - mean;
+        moments += d * d.transpose();
+    }
+    let mut values: Vec<f64> = moments.symmetric_eigenvalues().iter().copied().collect();
+    values.sort_by(f64::total_cmp);
+    (values[1].max(0.0) / values[2].max(1e-300)).sqrt()
+}
+
+/// One strip: its positions give scale, place and heading, and the mean optical axis is down.
+fn align_strip(survey: &mut Survey) -> Option<Alignment> {
+    let pairs: Vec<(Vector3<f64>, Vector3<f64>)> = survey
+        .positions
+        .iter()
+        .map(|p| {
+            let centre = survey.images[p.image as usize].pose.centre_m();
+            (centre.into(), p.position_m.into())
+        })
+        .collect();
+    if pairs.len() < 2 {
+        return None;
+    }
+    let n = pairs.len() as f64;
+    let from = pairs.iter().map(|p| p.0).sum::<Vector3<f64>>() / n;
+    let to = pairs.iter().map(|p| p.1).sum::<Vector3<f64>>() / n;
+    // Upwards: against the mean of the optical axes.
+    let mut up = Vector3::zeros();
+    for image in &survey.images {
+        let back = rotation::inverse(image.pose.rotation);
+        up += Vector3::from(rotation::rotate(back, [0.0, 0.0, 1.0]));
+    }
+    let along = |of: &dyn Fn(&(Vector3<f64>, Vector3<f64>)) -> Vector3<f64>, mean: Vector3<f64>| {
+        let mut moments = Matrix3::zeros();
+        for pair in &pairs {
+            let d = of(pair) - mean;
+            moments += d * d.transpose();
+        }
+        let eigen = moments.symmetric_eigen();
+        let k = eigen.eigenvalues.imax();
+        (eigen.eigenvectors.column(k).into_owned(), eigen.eigenvalues[k])
+    };
+    let (mut x, spread_from) = along(&|p| p.0, from);
+    let (mut y, spread_to) = along(&|p| p.1, to);
+    let agreement: f64 = pairs.iter().map(|p| x.dot(&(p.0 - from)) * y.dot(&(p.1 - to))).sum();
+    if agreement < 0.0 {
+        x = -x;
+    }
+    // The heading is what counts: the line of flight may climb.
+    let z_to = Vector3::z() - y * y.z;
+    let z_from = up - x * x.dot(&up);
+    if z_to.norm() < 0.2 || z_from.norm() < 0.2 * up.norm() || spread_from <= 0.0 {
+        return None;
+    }
+    let frame = |first: Vector3<f64>, third: Vector3<f64>| {
+        let third = third.normalize();
+        Matrix3::from_columns(&[first, third.cross(&first), third])
+    };
+    y = y.normalize();
+    let turn = frame(y, z_to) * frame(x, z_from).transpose();
+    let scale = (spread_to / spread_from).sqrt();
+    let shift = to - scale * (turn * from);
+    apply(survey, scale, &turn, &shift);
+    let residuals: Vec<f64> =
+        pairs.iter().map(|p| (scale * (turn * p.0) + shift - p.1).norm()).collect();
+    let rmse_m = (residuals.iter().map(|r| r * r).sum::<f64>() / n).sqrt();
+    let used =
+        survey.positions.iter().map(|p| survey.images[p.image as usize].name.clone()).collect();
+    Some(Alignment {
+        by: "camera positions along a strip",
+        scale,
+        used,
+        misfits: Vec::new(),
+        rmse_m,
+    })
+}
+
+fn apply(survey: &mut Survey, scale: f64, turn: &Matrix3<f64>, shift: &Vector3<f64>) {
+    let q = super::resection::quaternion(&Rotation3::from_matrix_unchecked(*turn).into_inner());
+    for image in &mut survey.images {
+        let centre = scale * (turn * Vector3::from(image.pose.centre_m())) + shift;
+        let turned = rotation::multiply(image.pose.rotation, rotation::inverse(q));
+        image.pose = Pose::from_centre(rotation::normalize(turned), centre.into());
+    }
+    for point in &mut survey.points {
+        point.position_m = (scale * (turn * Vector3::from(point.position_m)) + shift).into();
+    }
+}
+
+/// Brings a survey into the frame of what is known of it.
+fn into_the_map(survey: &mut Survey) -> Option<Alignment> {
+    let mut trial = survey.clone();
+    let first = align(&mut trial);
+    let by_positions = first.as_ref().is_none_or(|alignment| alignment.by == "camera positions");
+    let measured: Vec<[f64; 3]> = survey.positions.iter().map(|p| p.position_m).collect();
+    if by_positions && measured.len() >= 2 && spread_across(&measured) < NEARLY_A_LINE {
+        return align_strip(survey);
+    }
+    let alignment = first?;
+    *survey = trial;
+    Some(alignment)
+}
+
+/// Brings blocks into the frame of the map and makes them one; those that nothing places stay out.
+///
+/// `None` where there is no block at all.
+pub fn join<'a>(
+    mut blocks: Vec<Block<'a>>,
+    known: &mut Known,
+    demands: &Demands,
+) -> Option<Joined<'a>> {
+    let mut alignments = Vec::new();
+    for block in &mut blocks {
+        let (mut survey, _, order) = block.survey(None);
+        known.attach(&mut survey, &order);
+        let alignment = into_the_map(&mut survey);
+        if alignment.is_some() {
+            for (image, &index) in survey.images.iter().zip(&order) {
+                block.poses[index] = Some(image.pose);
+            }
+        }
+        alignments.push(alignment);
+    }
+    let georeferenced = alignments.iter().any(Option::is_some);
+    let mut whole: Option<Block<'a>> = None;
+    for (block, alignment) in blocks.into_iter().zip(&alignments) {
+        let placed = alignment.is_some() || !georeferenced && whole.is_none();
+        if !placed {
+            continue;
+        }
+        match &mut whole {
+            None => whole = Some(block),
+            Some(whole) => {
+                for (pose, other) in whole.poses.iter_mut().zip(block.poses) {
+                    *pose = pose.or(other);
+                }
+            }
+        }
+    }
+    let mut block = whole?;
+    block.points.fill(None);
+    block.used.fill(false);
+    let tracks = block.all_tracks();
+    block.retriangulate(&tracks, demands);
+    let control = alignments.iter().flatten().any(|alignment| alignment.by == "control points");
+    let position_shift_m =
+        if control { take_off_shift(&block, &mut known.positions) } else { None };
+    Some(Joined { block, alignments, georeferenced, position_shift_m })
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(0.0)
+}
+
+/// A receiver's positions have a common error (and heights of another datum than the control's),
+/// which control tells.
+fn take_off_shift(block: &Block<'_>, positions: &mut [Position]) -> Option<[f64; 3]> {
+    let left: Vec<[f64; 3]> = positions
+        .iter()
+        .filter_map(|p| {
+            let centre = block.poses[p.image as usize]?.centre_m();
+            Some(std::array::from_fn(|k| p.position_m[k] - centre[k]))
+        })
+        .collect();
+    if left.len() < 3 {
+        return None;
+    }
+    let shift: [f64; 3] = std::array::from_fn(|k| median(left.iter().map(|d| d[k]).collect()));
+    for position in positions.iter_mut() {
+        (0..3).for_each(|k| position.position_m[k] -= shift[k]);
+    }
+    Some(shift)
+}
+
+/// Camera positions against the block.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct PositionFit {
+    /// Standard deviations that the block suggests, horizontal and vertical, metres.
+    pub sigma_m: [f64; 2],
+    /// Images whose positions are far out, with the distance, metres.
+    pub outliers: Vec<(u32, f64)>,
+}
+
+/// How camera positions whose accuracy nobody has told fit the block: robust standard deviations, and
+/// positions that are beyond five of them, which are taken out.
+pub fn weigh_positions(block: &Block<'_>, known: &mut Known, told: &[bool]) -> Option<PositionFit> {
+    let left = |position: &Position| -> Option<[f64; 3]> {
+        let centre = block.poses[position.image as usize]?.centre_m();
+        Some(std::array::from_fn(|k| position.position_m[k] - centre[k]))
+    };
+    let all: Vec<[f64; 3]> = known.positions.iter().filter_map(left).collect();
+    if all.len() < 4 {
+        return None;
+    }
+    let scale = |axes: &[usize]| {
+        let values = all.iter().flat_map(|d| axes.iter().map(|&k| d[k].abs())).collect();
+        (1.4826 * median(values)).max(0.01)
+    };
+    let sigma_m = [scale(&[0, 1]), scale(&[2])];
+    let mut outliers = Vec::new();
+    for position in &mut known.positions {
+        if told.get(position.image as usize).copied().unwrap_or(false) {
+            continue;
+        }
+        position.sigma_m = [sigma_m[0], sigma_m[0], sigma_m[1]];
+        if let Some(d) = left(position) {
+            let far = (0..3).any(|k| d[k].abs() > 5.0 * position.sigma_m[k]);
+            if far {
+                let distance = (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt();
+                outliers.push((position.image, distance));
+            }
+        }
+    }
+    known.positions.retain(|p| !outliers.iter().any(|(image, _)| *image == p.image));
+    Some(PositionFit { sigma_m, outliers })
+}
+
+/// Adjusts a block with what is known, without judging it, and renews its points.
+///
+/// # Errors
+/// Where the block cannot be evaluated.
+pub fn adjust(
+    block: &mut Block<'_>,
+    known: &Known,
+    tie_sigma_px: f64,
+    demands: &Demands,
+    iterations: u64,
+) -> Result<(), SolveError> {
+    let (mut survey, tracks, order) = block.survey(None);
+    known.attach(&mut survey, &order);
+    survey.tie_sigma_px = tie_sigma_px;
+    // Marks in images that do not show the point would end the adjustment before it begins.
+    let feasible = |mark: &Mark| {
+        use crate::camera::Lens;
+        let image = &survey.images[mark.image as usize];
+        let point = survey.ground[mark.ground as usize].position_m;
+        survey.cameras[image.camera].interior.project(image.pose.to_camera(point)).is_some()
+    };
+    survey.marks = survey.marks.iter().copied().filter(feasible).collect();
+    let settings = Settings { tie_loss: Loss::SoftL1(2.0), ..Settings::default() };
+    let posed = Posed::new(&survey, &settings)?;
+    let mut x = posed.problem.start();
+    let engine = Engine { cost_tolerance: 1e-6, ..Engine::default() };
+    solve(&posed.problem, &mut x, &engine, iterations)?;
+    posed.update(&x, &mut survey);
+    for (image, &index) in survey.images.iter().zip(&order) {
+        block.poses[index] = Some(image.pose);
+    }
+    for (point, &track) in survey.points.iter().zip(&tracks) {
+        block.points[track as usize] = Some(point.position_m);
+    }
+    for (camera, adjusted) in block.cameras.iter_mut().zip(&survey.cameras) {
+        camera.interior = adjusted.interior;
+    }
+    let all = block.all_tracks();
+    block.retriangulate(&all, demands);
+    Ok(())
+}
+
+/// Marks that the block contradicts, by the distances from where the others of their point put them.
+#[derive(Debug, Clone, PartialEq)]
+pub struct WrongMark {
+    /// Index of the image.
+    pub image: u32,
+    /// Index of the ground point.
+    pub ground: u32,
+    /// Distance, pixels; infinite where no two marks of the point agree.
+    pub error_px: f64,
+}
+
+/// How many marks of a block fit and which do not, `scale` times what they are.
+fn marks_that_fit(
+    block: &Block<'_>,
+    known: &Known,
+    scale: f64,
+    demands: &Demands,
+) -> (usize, Vec<WrongMark>) {
+    use super::triangulate::{View, error_px, triangulate};
+    let (mut fitting, mut wrong) = (0, Vec::new());
+    for ground in 0..known.ground.len() {
+        let mut marks = Vec::new();
+        let mut views = Vec::new();
+        for mark in known.marks.iter().filter(|mark| mark.ground as usize == ground) {
+            if let Some(Some(pose)) = block.poses.get(mark.image as usize) {
+                let image_px = mark.image_px.map(|v| (v + 0.5) * scale - 0.5);
+                views.push(View { pose, lens: block.lens(mark.image as usize), image_px });
+                marks.push(*mark);
+            }
+        }
+        if views.len() < 2 {
+            continue;
+        }
+        match triangulate(&views, demands) {
+            Some((point, fits)) => {
+                for (k, fits) in fits.into_iter().enumerate() {
+                    if fits {
+                        fitting += 1;
+                    } else {
+                        let error_px = error_px(&views[k], point).unwrap_or(f64::INFINITY);
+                        wrong.push(WrongMark {
+                            image: marks[k].image,
+                            ground: ground as u32,
+                            error_px,
+                        });
+                    }
+                }
+            }
+            None => wrong.extend(marks.iter().map(|mark| WrongMark {
+                image: mark.image,
+                ground: ground as u32,
+                error_px: f64::INFINITY,
+            })),
+        }
+    }
+    (fitting, wrong)
+}
+
+/// What is wrong with the marks of a block.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MarkReview {
+    /// The factor that the marks were multiplied with: 1 unless they are those of resized images.
+    pub scale: f64,
+    /// How many fit.
+    pub fitting: usize,
+    /// Those that do not; they were taken out, unless nothing of their point agrees.
+    pub wrong: Vec<WrongMark>,
+}
+
+/// Looks through the marks by the block's own geometry, which needs no coordinates: marks of images
+/// of another size are brought to that of the photos, wrong ones are taken out.
+pub fn review_marks(
+    block: &Block<'_>,
+    known: &mut Known,
+    scales: &[f64],
+    demands: &Demands,
+) -> MarkReview {
+    let (mut fitting, mut wrong) = marks_that_fit(block, known, 1.0, demands);
+    let mut scale = 1.0;
+    for &other in scales {
+        let (more, rest) = marks_that_fit(block, known, other, demands);
+        // Some marks fit by chance: another size must explain clearly more.
+        if more > 2 * fitting && more >= 4 {
+            (fitting, wrong, scale) = (more, rest, other);
+        }
+    }
+    if scale != 1.0 {
+        for mark in &mut known.marks {
+            mark.image_px = mark.image_px.map(|v| (v + 0.5) * scale - 0.5);
+        }
+    }
+    let out: std::collections::BTreeSet<(u32, u32)> = wrong
+        .iter()
+        .filter(|mark| mark.error_px.is_finite())
+        .map(|mark| (mark.image, mark.ground))
+        .collect();
+    known.marks.retain(|mark| !out.contains(&(mark.image, mark.ground)));
+    MarkReview { scale, fitting, wrong }
+}
+
+/// Whether control has X and Y exchanged: as given it turns the block upside down or does not fit,
+/// exchanged it fits and the cameras look down.
+pub fn axes_exchanged(block: &Block<'_>, known: &Known) -> bool {
+    let quality = |exchange: bool| -> Option<(f64, f64)> {
+        let (mut survey, _, order) = block.survey(None);
+        let mut known = known.clone();
+        known.positions.clear();
+        if exchange {
+            known.ground.iter_mut().for_each(|point| point.position_m.swap(0, 1));
+        }
+        known.attach(&mut survey, &order);
+        let alignment = align(&mut survey)?;
+        let up: f64 = survey
+            .images
+            .iter()
+            .map(|image| {
+                rotation::rotate(rotation::inverse(image.pose.rotation), [0.0, 0.0, 1.0])[2]
+            })
+            .sum();
+        let share = alignment.used.len() as f64
+            / (alignment.used.len() + alignment.misfits.len()).max(1) as f64;
+        Some((alignment.rmse_m / share, up / survey.images.len() as f64))
+    };
+    match (quality(false), quality(true)) {
+        (Some((rmse, up)), Some((other_rmse, other_up))) => {
+            other_up > 0.5 && (up < -0.5 && other_rmse < 3.0 * rmse || other_rmse < 0.1 * rmse)
+        }
+        _ => false,
+    }
+}

@@ -1,0 +1,240 @@
+//! One pair: a minimal solver in sampling, then refinement and removal of outliers.
+
+use super::{
+    Correspondence, RelativePose,
+    coplanarity::{self, Band},
+    five_point, pose_of_essential,
+    sample::{Samples, Sampling, sample},
+    sampson_squared, two_point,
+};
+use nalgebra::Matrix3;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+
+/// Which minimal solver.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Solver {
+    /// Nadir photos from nearly the same height: two correspondences.
+    TwoPoint,
+    /// Any two photos: five.
+    FivePoint,
+    /// Whichever explains more of a pair.
+    #[default]
+    Auto,
+}
+
+/// How a pair is oriented.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Options {
+    /// Which minimal solver.
+    pub solver: Solver,
+    /// Distance from co-planarity up to which a correspondence is an inlier, in the plane `z = -1`.
+    pub tolerance: f64,
+    /// How much more a two-point hypothesis may be off, because photos are tilted a little.
+    pub two_point_coarse: f64,
+    /// Robust standard deviations of the x-parallax of a two-point pair.
+    pub band_sigmas: f64,
+    /// The share of the x-parallax that relief may take at least.
+    pub relief_share: f64,
+    /// Probability of a sample without outliers.
+    pub confidence: f64,
+    /// The most samples of each solver.
+    pub most_samples: usize,
+    /// A pair with fewer inliers is none.
+    pub least_inliers: usize,
+}
+
+impl Default for Options {
+    fn default() -> Options {
+        Options {
+            solver: Solver::Auto,
+            tolerance: 2e-3,
+            two_point_coarse: 12.0,
+            band_sigmas: 6.0,
+            relief_share: 0.25,
+            confidence: 0.9999,
+            most_samples: 3000,
+            least_inliers: 15,
+        }
+    }
+}
+
+/// An oriented pair.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Estimated {
+    /// The orientation.
+    pub pose: RelativePose,
+    /// Places of the correspondences that fit, ascending.
+    pub inliers: Vec<u32>,
+    /// Which solver found it; never [`Solver::Auto`].
+    pub solver: Solver,
+    /// Samples drawn by all solvers that were tried.
+    pub samples: usize,
+    /// Mean of `1 - d^2 / t^2` over the inliers times their number.
+    pub score: f64,
+}
+
+struct TwoPoint<'a>(&'a [Correspondence]);
+struct FivePoint<'a>(&'a [Correspondence]);
+
+impl Samples for TwoPoint<'_> {
+    type Model = (RelativePose, Matrix3<f64>);
+    const SIZE: usize = 2;
+
+    fn count(&self) -> usize {
+        self.0.len()
+    }
+
+    fn solve(&self, sample: &[usize], out: &mut Vec<Self::Model>) {
+        let mut poses = Vec::with_capacity(2);
+        two_point::solve(&self.0[sample[0]], &self.0[sample[1]], &mut poses);
+        out.extend(poses.into_iter().map(|pose| (pose, pose.essential())));
+    }
+
+    fn squared_distance(&self, model: &Self::Model, datum: usize) -> f64 {
+        sampson_squared(&model.1, &self.0[datum])
+    }
+
+    fn refine(&self, model: &Self::Model, squared_tolerance: f64) -> Option<Self::Model> {
+        let pose = coplanarity::refine(&model.0, self.0, squared_tolerance, 3)?;
+        Some((pose, pose.essential()))
+    }
+}
+
+impl Samples for FivePoint<'_> {
+    type Model = (Option<RelativePose>, Matrix3<f64>);
+    const SIZE: usize = 5;
+
+    fn count(&self) -> usize {
+        self.0.len()
+    }
+
+    fn solve(&self, sample: &[usize], out: &mut Vec<Self::Model>) {
+        let mut matrices = Vec::with_capacity(10);
+        five_point::solve(std::array::from_fn(|k| &self.0[sample[k]]), &mut matrices);
+        out.extend(matrices.into_iter().map(|e| (None, e)));
+    }
+
+    fn squared_distance(&self, model: &Self::Model, datum: usize) -> f64 {
+        sampson_squared(&model.1, &self.0[datum])
+    }
+
+    fn refine(&self, model: &Self::Model, squared_tolerance: f64) -> Option<Self::Model> {
+        let start = match model.0 {
+            Some(pose) => pose,
+            None => {
+                let near: Vec<u32> = (0..self.0.len() as u32)
+                    .filter(|&k| {
+                        sampson_squared(&model.1, &self.0[k as usize]) <= squared_tolerance
+                    })
+                    .collect();
+                pose_of_essential(&model.1, self.0, &near)?
+            }
+        };
+        let pose = coplanarity::refine(&start, self.0, squared_tolerance, 3)?;
+        Some((Some(pose), pose.essential()))
+    }
+}
+
+/// Orients a pair; `None` where fewer than the wanted number of correspondences agree on anything.
+pub fn estimate(
+    correspondences: &[Correspondence],
+    options: &Options,
+    seed: u64,
+) -> Option<Estimated> {
+    let two = || two(correspondences, options, &mut ChaCha8Rng::seed_from_u64(seed));
+    let five = || five(correspondences, options, &mut ChaCha8Rng::seed_from_u64(seed ^ 5));
+    let found = match options.solver {
+        Solver::TwoPoint => two(),
+        Solver::FivePoint => five(),
+        Solver::Auto => match two() {
+            // Nearly all of what matched: nothing is left to explain better.
+            Some(found) if found.score > 0.75 * correspondences.len() as f64 => Some(found),
+            first => match (first, five()) {
+                (Some(a), Some(mut b)) => {
+                    b.samples += a.samples;
+                    // What needs less to explain as much is the better explanation.
+                    Some(if b.score > 1.1 * a.score { b } else { a })
+                }
+                (a, b) => a.or(b),
+            },
+        },
+    };
+    found.filter(|found| found.inliers.len() >= options.least_inliers)
+}
+
+fn two(
+    correspondences: &[Correspondence],
+    options: &Options,
+    rng: &mut ChaCha8Rng,
+) -> Option<Estimated> {
+    let sampling = Sampling {
+        tolerance: options.tolerance,
+        coarse: options.two_point_coarse,
+        confidence: options.confidence,
+        least: 20,
+        most: options.most_samples,
+    };
+    let found = sample(&TwoPoint(correspondences), &sampling, rng)?;
+    let pose = in_front(found.model.0, correspondences, &found.inliers);
+    let band = Band {
+        tolerance: options.tolerance,
+        sigmas: options.band_sigmas,
+        least_share: options.relief_share,
+    };
+    finish(pose, correspondences, &band, Solver::TwoPoint, found.samples)
+}
+
+fn five(
+    correspondences: &[Correspondence],
+    options: &Options,
+    rng: &mut ChaCha8Rng,
+) -> Option<Estimated> {
+    let sampling = Sampling {
+        tolerance: options.tolerance,
+        coarse: 1.0,
+        confidence: options.confidence,
+        least: 20,
+        most: options.most_samples,
+    };
+    let found = sample(&FivePoint(correspondences), &sampling, rng)?;
+    let pose = match found.model.0 {
+        Some(pose) => in_front(pose, correspondences, &found.inliers),
+        None => pose_of_essential(&found.model.1, correspondences, &found.inliers)?,
+    };
+    let band =
+        Band { tolerance: options.tolerance, sigmas: f64::INFINITY, least_share: f64::INFINITY };
+    finish(pose, correspondences, &band, Solver::FivePoint, found.samples)
+}
+
+fn finish(
+    pose: RelativePose,
+    correspondences: &[Correspondence],
+    band: &Band,
+    solver: Solver,
+    samples: usize,
+) -> Option<Estimated> {
+    let (pose, inliers) = coplanarity::settle(&pose, correspondences, band, 10)?;
+    let e = pose.essential();
+    let squared = band.tolerance * band.tolerance;
+    let score = inliers
+        .iter()
+        .map(|&k| 1.0 - sampson_squared(&e, &correspondences[k as usize]) / squared)
+        .sum();
+    Some(Estimated { pose, inliers, solver, samples, score })
+}
+
+/// The baseline with the sign that puts most points in front of both cameras.
+fn in_front(
+    pose: RelativePose,
+    correspondences: &[Correspondence],
+    inliers: &[u32],
+) -> RelativePose {
+    let other = RelativePose { translation: -pose.translation, ..pose };
+    let front = |pose: &RelativePose| {
+        inliers.iter().filter(|&&k| pose.in_front(&correspondences[k as usize])).count()
+    };
+    if front(&other) > front(&pose) { other } else { pose }
+}

@@ -1,0 +1,194 @@
+//! Tracks: which image positions show the same point.
+//!
+//! Matches of pairs join to tracks, those of the strongest pairs first; a match that would put two
+//! positions of one image into a track is refused, because one point has one image in a photo.
+
+/// A place in an image: which image, which of its features.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Member {
+    /// Index of the image.
+    pub image: u32,
+    /// Index of the feature in it.
+    pub feature: u32,
+}
+
+/// All tracks of a block.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Tracks {
+    /// Where each track begins in `members`; one more than there are tracks.
+    starts: Vec<u32>,
+    members: Vec<Member>,
+    /// Per image: `(track, place in members)`, ascending.
+    of_images: Vec<Vec<(u32, u32)>>,
+    /// Matches that were refused.
+    refused: usize,
+}
+
+struct Forest {
+    parent: Vec<u32>,
+    /// Images of the tree at each root, ascending.
+    images: Vec<Vec<u32>>,
+}
+
+impl Forest {
+    fn root(&mut self, mut node: u32) -> u32 {
+        while self.parent[node as usize] != node {
+            let above = self.parent[self.parent[node as usize] as usize];
+            self.parent[node as usize] = above;
+            node = above;
+        }
+        node
+    }
+
+    /// Joins two trees unless they share an image; whether they are one now.
+    fn join(&mut self, a: u32, b: u32) -> bool {
+        let (a, b) = (self.root(a), self.root(b));
+        if a == b {
+            return true;
+        }
+        let (root, other) = if self.images[a as usize].len() >= self.images[b as usize].len() {
+            (a, b)
+        } else {
+            (b, a)
+        };
+        let (x, y) = (&self.images[root as usize], &self.images[other as usize]);
+        let mut both = Vec::with_capacity(x.len() + y.len());
+        let (mut i, mut j) = (0, 0);
+        while i < x.len() || j < y.len() {
+            if j == y.len() || i < x.len() && x[i] < y[j] {
+                both.push(x[i]);
+                i += 1;
+            } else if i == x.len() || y[j] < x[i] {
+                both.push(y[j]);
+                j += 1;
+            } else {
+                return false;
+            }
+        }
+        self.images[root as usize] = both;
+        self.images[other as usize] = Vec::new();
+        self.parent[other as usize] = root;
+        true
+    }
+}
+
+impl Tracks {
+    /// Joins the matches of pairs, `([first image, second image], [[feature, feature], ..])`, given in
+    /// the order in which they are to be trusted; `features` is how many each image has.
+    pub fn join<'a>(
+        features: &[usize],
+        pairs: impl Iterator<Item = ([u32; 2], &'a [[u32; 2]])>,
+    ) -> Tracks {
+        let mut offsets = vec![0u32];
+        for count in features {
+            offsets.push(offsets[offsets.len() - 1] + *count as u32);
+        }
+        let total = offsets[features.len()];
+        let mut forest =
+            Forest { parent: (0..total).collect(), images: vec![Vec::new(); total as usize] };
+        for (image, window) in offsets.windows(2).enumerate() {
+            for node in window[0]..window[1] {
+                forest.images[node as usize] = vec![image as u32];
+            }
+        }
+        let mut refused = 0;
+        for (images, matches) in pairs {
+            let [first, second] = images.map(|image| offsets[image as usize]);
+            for [a, b] in matches {
+                refused += usize::from(!forest.join(first + a, second + b));
+            }
+        }
+        let mut tracks = Tracks {
+            starts: vec![0],
+            members: Vec::new(),
+            of_images: vec![Vec::new(); features.len()],
+            refused,
+        };
+        // Tracks come in the order of their first member.
+        let mut gathered: Vec<Vec<Member>> = Vec::new();
+        let mut place = vec![u32::MAX; total as usize];
+        for (image, window) in offsets.windows(2).enumerate() {
+            for node in window[0]..window[1] {
+                let root = forest.root(node);
+                if forest.images[root as usize].len() < 2 {
+                    continue;
+                }
+                if place[root as usize] == u32::MAX {
+                    place[root as usize] = gathered.len() as u32;
+                    gathered.push(Vec::new());
+                }
+                let member = Member { image: image as u32, feature: node - window[0] };
+                gathered[place[root as usize] as usize].push(member);
+            }
+        }
+        for (track, members) in gathered.into_iter().enumerate() {
+            for member in members {
+                let at = tracks.members.len() as u32;
+                tracks.of_images[member.image as usize].push((track as u32, at));
+                tracks.members.push(member);
+            }
+            tracks.starts.push(tracks.members.len() as u32);
+        }
+        tracks
+    }
+
+    /// How many tracks there are.
+    pub fn count(&self) -> usize {
+        self.starts.len().saturating_sub(1)
+    }
+
+    /// How many members all tracks have.
+    pub fn member_count(&self) -> usize {
+        self.members.len()
+    }
+
+    /// How many matches contradicted others.
+    pub fn refused(&self) -> usize {
+        self.refused
+    }
+
+    /// Places of a track's members.
+    pub fn places(&self, track: usize) -> std::ops::Range<usize> {
+        self.starts[track] as usize..self.starts[track + 1] as usize
+    }
+
+    /// The member at a place.
+    pub fn member(&self, place: usize) -> Member {
+        self.members[place]
+    }
+
+    /// The members of a track, ascending by image.
+    pub fn of(&self, track: usize) -> &[Member] {
+        &self.members[self.places(track)]
+    }
+
+    /// `(track, place of the member)` of everything in an image.
+    pub fn in_image(&self, image: usize) -> &[(u32, u32)] {
+        &self.of_images[image]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn matches_join_and_contradictions_are_refused() {
+        let features = [3, 3, 3];
+        let pairs: Vec<([u32; 2], Vec<[u32; 2]>)> = vec![
+            ([0, 1], vec![[0, 0], [1, 1]]),
+            ([1, 2], vec![[0, 2], [1, 0]]),
+            // 0-0, 1-0, 2-2 are one track already: 2-1 would be a second position in image 2.
+            ([0, 2], vec![[0, 1], [1, 0]]),
+        ];
+        let tracks = Tracks::join(&features, pairs.iter().map(|(i, m)| (*i, m.as_slice())));
+        assert_eq!(tracks.count(), 2);
+        assert_eq!(tracks.refused(), 1);
+        let of = |k: usize| -> Vec<(u32, u32)> {
+            tracks.of(k).iter().map(|m| (m.image, m.feature)).collect()
+        };
+        assert_eq!(of(0), [(0, 0), (1, 0), (2, 2)]);
+        assert_eq!(of(1), [(0, 1), (1, 1), (2, 0)]);
+        assert_eq!(tracks.in_image(2), [(0, 2), (1, 5)]);
+    }
+}

@@ -1,0 +1,162 @@
+//! From matches to oriented pairs, and the principal distance where nobody knows it.
+
+use super::{
+    block::{Features, Pair},
+    relative::{Correspondence, Options as Relative, Ray, Solver, estimate, vector},
+};
+use crate::camera::{Camera, Interior, Lens, Model};
+use rayon::prelude::*;
+
+/// Matches of two images, as they come from comparing descriptors.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Matched {
+    /// Indices of the images, ascending.
+    pub images: [u32; 2],
+    /// Which features match, `[in the first, in the second]`.
+    pub matches: Vec<[u32; 2]>,
+}
+
+/// How pairs are oriented.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Verifying {
+    /// Which minimal solver.
+    pub solver: Solver,
+    /// Distance from co-planarity up to which a match is right, pixels.
+    pub tolerance_px: f64,
+    /// A pair with fewer right matches is none.
+    pub least_inliers: usize,
+    /// A pair with a smaller share of right matches is none.
+    pub least_share: f64,
+    /// Seed of all sampling.
+    pub seed: u64,
+}
+
+impl Default for Verifying {
+    fn default() -> Verifying {
+        Verifying {
+            solver: Solver::Auto,
+            tolerance_px: 4.0,
+            least_inliers: 15,
+            least_share: 0.1,
+            seed: 1,
+        }
+    }
+}
+
+/// Rays of all features of an image, free of distortion; none where the lens has none.
+pub fn rays(features: &Features, lens: &Interior) -> Vec<Option<Ray>> {
+    features
+        .positions_px
+        .iter()
+        .map(|&position| {
+            let [x, y, z] = lens.unproject(position)?;
+            (z < -1e-3).then(|| [x / -z, y / -z])
+        })
+        .collect()
+}
+
+/// Orients one pair; `None` where too few matches agree.
+fn orient(
+    matched: &Matched,
+    [first, second]: [&[Option<Ray>]; 2],
+    principal_distance_px: f64,
+    verifying: &Verifying,
+) -> Option<Pair> {
+    let mut places = Vec::with_capacity(matched.matches.len());
+    let mut correspondences = Vec::with_capacity(matched.matches.len());
+    for (k, [a, b]) in matched.matches.iter().enumerate() {
+        if let (Some(first), Some(second)) = (first[*a as usize], second[*b as usize]) {
+            places.push(k);
+            correspondences.push(Correspondence { first, second });
+        }
+    }
+    let options = Relative {
+        solver: verifying.solver,
+        tolerance: verifying.tolerance_px / principal_distance_px,
+        least_inliers: verifying.least_inliers,
+        ..Relative::default()
+    };
+    let [a, b] = matched.images;
+    let seed =
+        verifying.seed ^ (u64::from(a) << 32 | u64::from(b)).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    let found = estimate(&correspondences, &options, seed)?;
+    let share = found.inliers.len() as f64 / correspondences.len() as f64;
+    if share < verifying.least_share {
+        return None;
+    }
+    let mut angles: Vec<f64> = found
+        .inliers
+        .iter()
+        .map(|&k| {
+            let c = &correspondences[k as usize];
+            (found.pose.rotation * vector(c.first)).angle(&vector(c.second))
+        })
+        .collect();
+    angles.sort_by(f64::total_cmp);
+    Some(Pair {
+        images: matched.images,
+        matches: found.inliers.iter().map(|&k| matched.matches[places[k as usize]]).collect(),
+        pose: found.pose,
+        solver: found.solver,
+        angle_rad: angles[angles.len() / 2],
+    })
+}
+
+/// Orients all pairs, in the order in which they come; those of which too few matches agree are
+/// left out. `tell` is called for each.
+pub fn orient_pairs(
+    features: &[Features],
+    cameras: &[Camera],
+    matched: &[Matched],
+    verifying: &Verifying,
+    tell: &(dyn Fn() + Sync),
+) -> Vec<Pair> {
+    let rays: Vec<Vec<Option<Ray>>> = features
+        .par_iter()
+        .map(|features| rays(features, &cameras[features.camera].interior))
+        .collect();
+    let oriented: Vec<Option<Pair>> = matched
+        .par_iter()
+        .map(|matched| {
+            let [a, b] = matched.images.map(|k| k as usize);
+            // The finer of both photos decides what a pixel is.
+            let c = cameras[features[a].camera]
+                .interior
+                .principal_distance_px()
+                .max(cameras[features[b].camera].interior.principal_distance_px());
+            let pair = orient(matched, [&rays[a], &rays[b]], c, verifying);
+            tell();
+            pair
+        })
+        .collect();
+    oriented.into_iter().flatten().collect()
+}
+
+/// How much of the matches of some pairs agrees with each of some principal distances (without
+/// distortion), pixels: the mean share of right matches.
+pub fn shares_by_principal_distance(
+    features: &[Features],
+    matched: &[Matched],
+    size_px: [u32; 2],
+    candidates_px: &[f64],
+    verifying: &Verifying,
+) -> Vec<f64> {
+    let centre = crate::camera::image_centre_px(size_px);
+    candidates_px
+        .par_iter()
+        .map(|&c| {
+            let mut values = [0.0; 12];
+            (values[0], values[1], values[2], values[3]) = (c, 1.0, centre[0], centre[1]);
+            let Ok(lens) = Interior::new(Model::Brown, size_px, &values) else { return 0.0 };
+            let mut sum = 0.0;
+            for pair in matched {
+                let of = pair.images.map(|k| rays(&features[k as usize], &lens));
+                let five = Verifying { solver: Solver::FivePoint, ..*verifying };
+                if let Some(found) = orient(pair, [&of[0], &of[1]], c, &five) {
+                    sum += found.matches.len() as f64 / pair.matches.len() as f64;
+                }
+            }
+            sum / matched.len().max(1) as f64
+        })
+        .collect()
+}

@@ -1,0 +1,188 @@
+//! From matches to a block in the map.
+
+use super::toy::{Flight, Flown, lens};
+use rowgram::{
+    camera::Camera,
+    problems::adjustment::{Role, Settings, adjust as judge},
+    sfm::{
+        block::Block,
+        georeference::{Known, adjust, axes_exchanged, join, review_marks, weigh_positions},
+        growth::{Growing, reconstruct},
+        tracks::Tracks,
+        triangulate::Demands,
+        verify::{Verifying, orient_pairs},
+    },
+};
+
+const DEMANDS: Demands = Demands { tolerance_px: 3.0, least_angle_rad: 0.02 };
+
+/// A camera that is four per cent off, and knows nothing of distortion.
+fn guess() -> Vec<Camera> {
+    let mut camera = lens(1040.0, 0.0);
+    camera.standard_deviations[0] = Some(50.0);
+    vec![camera]
+}
+
+fn tracks(flown: &Flown) -> (Tracks, Vec<rowgram::sfm::Pair>) {
+    let verifying = Verifying { tolerance_px: 4.0, ..Verifying::default() };
+    let mut pairs = orient_pairs(&flown.features, &guess(), &flown.matched, &verifying, &|| ());
+    let counts: Vec<usize> = flown.features.iter().map(|f| f.positions_px.len()).collect();
+    let mut order: Vec<usize> = (0..pairs.len()).collect();
+    order.sort_by_key(|&k| (std::cmp::Reverse(pairs[k].matches.len()), pairs[k].images));
+    let tracks = Tracks::join(
+        &counts,
+        order.iter().map(|&k| (pairs[k].images, pairs[k].matches.as_slice())),
+    );
+    pairs.sort_by_key(|pair| pair.images);
+    (tracks, pairs)
+}
+
+fn known(flown: &Flown) -> Known {
+    Known {
+        ground: flown.ground.clone(),
+        marks: flown.marks.clone(),
+        positions: flown.positions.clone(),
+    }
+}
+
+fn grow<'a>(flown: &'a Flown, tracks: &'a Tracks, pairs: &[rowgram::sfm::Pair]) -> Vec<Block<'a>> {
+    let growing = Growing::default();
+    reconstruct(&flown.features, tracks, pairs, &guess(), &growing, |_| ()).unwrap()
+}
+
+fn prepare(block: &mut Block<'_>) {
+    for camera in &mut block.cameras {
+        camera.set_free(&["f_px", "cx_px", "cy_px", "k1", "k2"]).unwrap();
+        camera.standard_deviations[0] = None;
+    }
+}
+
+#[test]
+fn a_block_grows_whole_and_control_brings_it_into_the_map() {
+    let flown = Flight::default().fly();
+    let (tracks, pairs) = tracks(&flown);
+    let blocks = grow(&flown, &tracks, &pairs);
+    assert_eq!(blocks.len(), 1);
+    assert_eq!(blocks[0].registered(), flown.poses.len());
+    let mut known = known(&flown);
+    known.positions.clear();
+    let mut block = join(blocks, &mut known, &DEMANDS).unwrap().block;
+    prepare(&mut block);
+    for _ in 0..3 {
+        adjust(&mut block, &known, 0.4, &DEMANDS, 30).unwrap();
+    }
+    let (mut survey, _, order) = block.survey(None);
+    known.attach(&mut survey, &order);
+    survey.tie_sigma_px = 0.3;
+    let adjusted = judge(&mut survey, &Settings::default()).unwrap();
+    assert_eq!(adjusted.check_points.len(), 4);
+    // 5 cm per pixel; marks of a fifth of a pixel, three or more of each point.
+    for check in &adjusted.check_points {
+        assert!(check.error_m[0].abs() < 0.04 && check.error_m[1].abs() < 0.04, "{check:?}");
+        assert!(check.error_m[2].abs() < 0.10, "{check:?}");
+    }
+    let c = adjusted.survey.cameras[0].interior.principal_distance_px();
+    assert!((c - 1000.0).abs() < 2.0, "{c}");
+}
+
+#[test]
+fn positions_alone_bring_it_there_too() {
+    let flown = Flight::default().fly();
+    let (tracks, pairs) = tracks(&flown);
+    let blocks = grow(&flown, &tracks, &pairs);
+    let mut known = known(&flown);
+    known.ground.clear();
+    known.marks.clear();
+    // One position is far out.
+    known.positions[4].position_m[0] += 60.0;
+    let joined = join(blocks, &mut known, &DEMANDS).unwrap();
+    assert!(joined.georeferenced);
+    let mut block = joined.block;
+    prepare(&mut block);
+    let mut out = Vec::new();
+    for _ in 0..3 {
+        let fit = weigh_positions(&block, &mut known, &[]).unwrap();
+        out.extend(fit.outliers.iter().map(|(image, _)| *image));
+        assert!(fit.sigma_m[0] < 1.5 && fit.sigma_m[1] < 1.5, "{fit:?}");
+        adjust(&mut block, &known, 0.4, &DEMANDS, 30).unwrap();
+    }
+    assert_eq!(out, [4]);
+    for (pose, truth) in block.poses.iter().zip(&flown.poses) {
+        let (a, b) = (pose.unwrap().centre_m(), truth.centre_m());
+        let off = (0..3).map(|k| (a[k] - b[k]).powi(2)).sum::<f64>().sqrt();
+        assert!(off < 0.9, "{off}");
+    }
+}
+
+#[test]
+fn pieces_that_share_nothing_are_joined_by_positions() {
+    let mut flown = Flight { strips: 2, per_strip: 6, ..Flight::default() }.fly();
+    // Nothing matches between the first three and the last three of each strip.
+    let part = |k: u32| (k % 6 < 3) ^ (k / 6 == 1);
+    flown.matched.retain(|m| part(m.images[0]) == part(m.images[1]));
+    let (tracks, pairs) = tracks(&flown);
+    let blocks = grow(&flown, &tracks, &pairs);
+    assert_eq!(blocks.len(), 2);
+    let mut known = known(&flown);
+    known.ground.clear();
+    known.marks.clear();
+    let joined = join(blocks, &mut known, &DEMANDS).unwrap();
+    assert_eq!(joined.block.registered(), 12);
+    assert!(joined.alignments.iter().all(Option::is_some));
+}
+
+#[test]
+fn marks_and_coordinates_that_cannot_be_are_found() {
+    let flown = Flight::default().fly();
+    let (tracks, pairs) = tracks(&flown);
+    let blocks = grow(&flown, &tracks, &pairs);
+    let demands = Demands { tolerance_px: 8.0, least_angle_rad: 0.01 };
+    let scales = [0.25, 0.5, 2.0, 4.0];
+
+    let mut good = known(&flown);
+    let review = review_marks(&blocks[0], &mut good, &scales, &demands);
+    assert!(review.scale == 1.0 && review.wrong.is_empty(), "{review:?}");
+    assert!(!axes_exchanged(&blocks[0], &good));
+
+    let mut moved = known(&flown);
+    moved.marks[7].image_px[0] += 90.0;
+    let (image, ground) = (moved.marks[7].image, moved.marks[7].ground);
+    let review = review_marks(&blocks[0], &mut moved, &scales, &demands);
+    assert_eq!(review.wrong.len(), 1);
+    assert_eq!((review.wrong[0].image, review.wrong[0].ground), (image, ground));
+    assert_eq!(moved.marks.len() + 1, flown.marks.len());
+
+    let mut resized = known(&flown);
+    for mark in &mut resized.marks {
+        mark.image_px = mark.image_px.map(|v| (v + 0.5) * 0.5 - 0.5);
+    }
+    let review = review_marks(&blocks[0], &mut resized, &scales, &demands);
+    assert_eq!(review.scale, 2.0);
+    assert!((resized.marks[3].image_px[0] - flown.marks[3].image_px[0]).abs() < 1e-9);
+
+    let mut exchanged = known(&flown);
+    exchanged.ground.iter_mut().for_each(|point| point.position_m.swap(0, 1));
+    assert!(axes_exchanged(&blocks[0], &exchanged));
+
+    let mut wrong = known(&flown);
+    let place = wrong.ground.iter().position(|p| p.role == Role::Control).unwrap();
+    wrong.ground[place].position_m[0] += 5.0;
+    let name = wrong.ground[place].name.clone();
+    let joined = join(blocks, &mut wrong, &DEMANDS).unwrap();
+    let alignment = joined.alignments[0].as_ref().unwrap();
+    assert!(alignment.misfits.iter().any(|(n, left)| *n == name && *left > 4.0), "{alignment:?}");
+}
+
+#[test]
+fn the_number_of_threads_changes_nothing() {
+    let flown = Flight { strips: 2, per_strip: 3, ..Flight::default() }.fly();
+    let run = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            let (tracks, pairs) = tracks(&flown);
+            let blocks = grow(&flown, &tracks, &pairs);
+            (blocks[0].poses.clone(), blocks[0].points.clone())
+        })
+    };
+    assert_eq!(run(1), run(4));
+}

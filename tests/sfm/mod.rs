@@ -1,0 +1,5 @@
+//! Orientation of blocks, on flights made from geometry.
+
+mod blocks;
+mod pairs;
+mod toy;
