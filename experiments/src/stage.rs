@@ -133,6 +133,8 @@ pub(crate) const STAGES: &[Entry] = &[
     entry::<stages::bundle::BundleBlock>(),
     entry::<stages::arena::Arena>(),
     entry::<stages::lens::LensFit>(),
+    entry::<stages::leaves::LeafSlices>(),
+    entry::<stages::two_view::TwoView>(),
 ];
 
 /// The stage of this name.

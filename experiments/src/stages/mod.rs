@@ -5,6 +5,8 @@ pub(crate) mod arena;
 mod arena_problems;
 pub(crate) mod bundle;
 pub(crate) mod cost_map;
+pub(crate) mod leaves;
 pub(crate) mod lens;
 pub(crate) mod locate;
 pub(crate) mod segment;
+pub(crate) mod two_view;
