@@ -150,7 +150,7 @@ fn traces(found: &Leaves) -> Vec<Trace> {
     for (number, leaf) in found.leaves.iter().enumerate() {
         for run in &leaf.runs {
             for u in run.start..run.end {
-                pixels.rows.push(vec![f64::from(u), f64::from(run.v), (number % 7) as f64]);
+                pixels.rows.push(vec![u as f64, run.v as f64, (number % 7) as f64]);
             }
         }
         for (k, at) in leaf.axis_px.iter().enumerate() {

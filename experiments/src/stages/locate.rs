@@ -5,10 +5,12 @@ use data_synth::scenario::Scenario;
 use rowgram::{
     descent,
     phenotype::{
+        canopy,
         locate::{Init, Options, Setup},
         rows,
     },
     problems::plants::{Model, PlantUpdate, Prior, index::PixelIndex},
+    raster::Mask,
     score::Score,
 };
 use serde::{Deserialize, Serialize};
@@ -28,13 +30,33 @@ enum Start {
     Truth,
 }
 
+/// Which locator.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum Method {
+    /// Coordinate descent on the paper's likelihood with a prior.
+    Descent,
+    /// Votes along leaf axes and dynamic programming along the rows.
+    Canopy,
+    /// The same without being told the number of plants.
+    CanopyAuto,
+}
+
 /// What can be varied.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(crate) struct Parameters {
     /// The field and what corrupts it.
     scenario: Scenario,
-    /// The locator's model.
+    /// Which locator.
+    method: Method,
+    /// The model of the descent.
     model: Model,
+    /// Pixels per plant that count as independent; 0 is the paper, all of them.
+    tempering: f64,
+    /// Distances are truncated here, metres; 0 is the paper, not at all.
+    truncate_m: f64,
+    /// The locator by votes.
+    canopy: canopy::Options,
     /// Floor of the scatter about a row, metres.
     floor_m: f64,
     /// Where the descent starts.
@@ -54,7 +76,11 @@ impl Default for Parameters {
     fn default() -> Parameters {
         Parameters {
             scenario: Scenario::default(),
+            method: Method::Descent,
             model: Model::default(),
+            tempering: 0.0,
+            truncate_m: 0.0,
+            canopy: canopy::Options::default(),
             floor_m: 0.01,
             start: Start::Rows,
             count_factor: 1.0,
@@ -80,6 +106,7 @@ impl Stage for Locate {
         metric("recall_5cm", "share of the true plants found within 5 cm"),
         metric("median_error_m", "median distance of the pairs within 10 cm"),
         metric("plants", "true plants"),
+        metric("count_error", "found minus true plants, share of the true ones"),
         metric("pixels_per_plant", "leaf pixels for each true plant"),
         metric("sweeps", "sweeps made"),
         metric("cost_per_pixel", "final cost over the number of leaf pixels"),
@@ -93,6 +120,9 @@ impl Stage for Locate {
         p.scenario.check().map_err(|e| e.to_string())?;
         if !(p.floor_m > 0.0 && p.count_factor > 0.0 && p.count_factor <= 10.0) {
             return Err("floor_m has to be positive, count_factor between 0 and 10".to_owned());
+        }
+        if !(p.tempering >= 0.0 && p.truncate_m >= 0.0) {
+            return Err("tempering and truncate_m have to be 0 or more".to_owned());
         }
         if p.start == Start::Truth && p.count_factor != 1.0 {
             return Err("start = truth goes with count_factor = 1".to_owned());
@@ -111,16 +141,41 @@ impl Stage for Locate {
         let truth: Vec<[f64; 2]> = scene.field.plants.iter().map(|p| [p.u_px, p.v_px]).collect();
         let mask = scene.mask();
         let index = PixelIndex::from_mask(mask.width() as usize, mask.as_raw());
-        let model = Model { floor_px: p.floor_m / gsd_m, ..p.model };
+        let pixels = index.len() as f64;
+        let detection = rows::detect(&index);
+        let plants = ((truth.len() as f64 * p.count_factor).round() as usize).max(1);
+        let mut measured = Measured::default();
+        measured.put("plants", truth.len() as f64);
+        measured.put("pixels_per_plant", pixels / truth.len().max(1) as f64);
+        if p.method != Method::Descent {
+            let mask = Mask {
+                width: mask.width() as usize,
+                height: mask.height() as usize,
+                data: mask.into_raw(),
+            };
+            let count = (p.method == Method::Canopy).then_some(plants);
+            let found = canopy::locate(&mask, &detection, count, &p.canopy);
+            let found = found.map_err(|e| e.to_string())?;
+            let places: Vec<[f64; 2]> = found.plants.iter().map(|s| s.position_px).collect();
+            judge(&mut measured, &places, &truth, gsd_m)?;
+            if p.positions {
+                measured.traces.push(positions(&places, &truth));
+            }
+            return Ok(measured);
+        }
+        let model = Model {
+            floor_px: p.floor_m / gsd_m,
+            tempering: (p.tempering > 0.0).then_some(p.tempering),
+            truncate_px: (p.truncate_m > 0.0).then_some(p.truncate_m / gsd_m),
+            ..p.model
+        };
         let init = match p.start {
             Start::KmeansPlusPlus => Init::KmeansPlusPlus,
             Start::Rows => Init::Rows,
             Start::Random | Start::Truth => Init::Random,
         };
-        let plants = ((truth.len() as f64 * p.count_factor).round() as usize).max(1);
         let descent = descent::Options { seed, ..p.descent };
         let options = Options { plants, model, init, seed, descent, max_sweeps: p.max_sweeps };
-        let detection = rows::detect(&index);
         let mut setup = Setup::with_rows(index, &options, detection).map_err(|e| e.to_string())?;
         if p.start == Start::Truth {
             let found = setup.detection.rows().map_or(&[][..], |rows| &rows.rows);
@@ -128,7 +183,6 @@ impl Stage for Locate {
             setup.field =
                 setup.problem.field(truth.clone(), &across, &[]).map_err(|e| e.to_string())?;
         }
-        let pixels = setup.problem.index().len() as f64;
         let mut trace = Trace::new("sweeps", &["sweep", "cost_per_pixel", "moved_px"]);
         let outcome = descent::run(
             &setup.problem,
@@ -142,31 +196,43 @@ impl Stage for Locate {
         .map_err(|e| e.to_string())?;
         let located = setup.finish();
         let found: Vec<[f64; 2]> = located.plants.iter().map(|plant| plant.position_px).collect();
-        let score =
-            Score::new(&found, &truth, &[0.05 / gsd_m, 0.10 / gsd_m]).map_err(|e| e.to_string())?;
-        let mut measured = Measured::default();
-        measured.put_some("f1_5cm", score.radii[0].f1);
-        measured.put_some("f1_10cm", score.radii[1].f1);
-        measured.put_some("precision_5cm", score.radii[0].precision);
-        measured.put_some("recall_5cm", score.radii[0].recall);
-        measured.put_some("median_error_m", score.median_error_px.map(|px| px * gsd_m));
-        measured.put("plants", truth.len() as f64);
-        measured.put("pixels_per_plant", pixels / truth.len().max(1) as f64);
+        judge(&mut measured, &found, &truth, gsd_m)?;
         measured.put("sweeps", outcome.sweeps as f64);
         measured.put("cost_per_pixel", outcome.final_cost / pixels);
         measured.put("sigma_m", located.sigma_px * gsd_m);
-        measured.put_some("moved_m", nearest(&truth, &found).map(|px| px * gsd_m));
         if p.trace {
             measured.traces.push(trace);
         }
         if p.positions {
-            let mut positions = Trace::new("positions", &["u_px", "v_px", "true"]);
-            let rows = found.iter().map(|at| (at, 0.0)).chain(truth.iter().map(|at| (at, 1.0)));
-            positions.rows.extend(rows.map(|(at, what)| vec![at[0], at[1], what]));
-            measured.traces.push(positions);
+            measured.traces.push(positions(&found, &truth));
         }
         Ok(measured)
     }
+}
+
+fn judge(
+    measured: &mut Measured,
+    found: &[[f64; 2]],
+    truth: &[[f64; 2]],
+    gsd_m: f64,
+) -> Result<(), String> {
+    let radii_px = [0.05 / gsd_m, 0.10 / gsd_m];
+    let score = Score::new(found, truth, &radii_px).map_err(|e| e.to_string())?;
+    measured.put_some("f1_5cm", score.radii[0].f1);
+    measured.put_some("f1_10cm", score.radii[1].f1);
+    measured.put_some("precision_5cm", score.radii[0].precision);
+    measured.put_some("recall_5cm", score.radii[0].recall);
+    measured.put_some("median_error_m", score.median_error_px.map(|px| px * gsd_m));
+    measured.put("count_error", score.count_error as f64 / truth.len().max(1) as f64);
+    measured.put_some("moved_m", nearest(truth, found).map(|px| px * gsd_m));
+    Ok(())
+}
+
+fn positions(found: &[[f64; 2]], truth: &[[f64; 2]]) -> Trace {
+    let mut trace = Trace::new("positions", &["u_px", "v_px", "true"]);
+    let all = found.iter().map(|at| (at, 0.0)).chain(truth.iter().map(|at| (at, 1.0)));
+    trace.rows.extend(all.map(|(at, what)| vec![at[0], at[1], what]));
+    trace
 }
 
 /// Median over the true plants of the distance to the nearest found one.
