@@ -1,7 +1,7 @@
 //! Findings: sentences whose numbers come from the tables, and claims that the tables must bear out.
 //!
 //! In a sentence, `{mean f1_5cm @ method=k-means, stage=mid}` is a number from the runs that have these
-//! labels. `mean`, `median`, `min`, `max`, `ci` (mean with half its 95 % interval), `sum` take a metric;
+//! labels (a label may have commas). `mean`, `median`, `min`, `max`, `ci` (mean with half its 95 % interval), `sum` take a metric;
 //! `best AXIS by METRIC` and `worst AXIS by METRIC` give the label with the highest or lowest mean. A
 //! claim puts two numbers in relation: `mean f1_5cm @ method=k-means < 0.9`, either side with a
 //! factor in front (`2 * mean ...`).
@@ -138,11 +138,17 @@ fn query(text: &str) -> Result<Query<'_>, String> {
         }
     };
     let mut found = Conditions::new();
-    for condition in conditions.split(", ").filter(|condition| !condition.is_empty()) {
-        let (name, label) = condition
-            .split_once('=')
-            .ok_or_else(|| format!("{condition:?}: expected AXIS=LABEL"))?;
-        found.insert(name.trim().to_owned(), label.trim().to_owned());
+    let mut last = String::new();
+    for part in conditions.split(", ").filter(|part| !part.is_empty()) {
+        match (part.split_once('='), found.get_mut(&last)) {
+            (Some((name, label)), _) => {
+                last = name.trim().to_owned();
+                found.insert(last.clone(), label.trim().to_owned());
+            }
+            // A label with a comma in it.
+            (None, Some(label)) => *label += &format!(", {}", part.trim()),
+            (None, None) => return Err(format!("{part:?}: expected AXIS=LABEL")),
+        }
     }
     Ok(Query { how, axis, metric, conditions: found })
 }
@@ -216,6 +222,7 @@ mod tests {
                 text(&["a", "2", "0.7"]),
                 text(&["b", "1", "0.9"]),
                 text(&["b", "2", "0.8"]),
+                text(&["c, d", "1", "0.1"]),
             ],
         }
     }
@@ -223,7 +230,7 @@ mod tests {
     #[test]
     fn sentences_are_filled_and_claims_are_checked() {
         let finding = Finding {
-            text: "{best method by f1} reaches {mean f1 @ method=b}, a only {ci f1 @ method=a}."
+            text: "{best method by f1} reaches {mean f1 @ method=b}, a only {ci f1 @ method=a}, the last {mean f1 @ method=c, d, seed=1}."
                 .to_owned(),
             claims: vec![
                 "mean f1 @ method=a < mean f1 @ method=b".to_owned(),
@@ -232,7 +239,10 @@ mod tests {
             ],
         };
         finding.check(&["method", "seed"], &["f1"]).unwrap();
-        assert_eq!(finding.fill(&runs()).unwrap(), "b reaches 0.850, a only 0.600 ± 1.27.");
+        assert_eq!(
+            finding.fill(&runs()).unwrap(),
+            "b reaches 0.850, a only 0.600 ± 1.27, the last 0.100."
+        );
         let refuted = finding.refuted(&runs()).unwrap();
         assert_eq!(refuted, ["min f1 @ method=a > 0.6: 0.5000 against 0.6000"]);
     }
