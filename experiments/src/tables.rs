@@ -82,7 +82,7 @@ impl TableSpec {
                 let (count, mean, half) = summary
                     .map(|s| (s.count.to_string(), s.mean.to_string(), s.half.to_string()))
                     .unwrap_or_default();
-                writer.write_record([row, column, &count, &mean, &half])?;
+                writer.write_record([row, column, count.as_str(), mean.as_str(), half.as_str()])?;
             }
             writer.flush()
         })?;

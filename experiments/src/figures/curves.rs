@@ -2,7 +2,7 @@
 
 use super::{
     Drawn, Figure, panels,
-    scale::{self, Area, Done, LABEL, TITLE, colour, extent, font, light, marker, placed, tick},
+    scale::{self, Area, Done, LABEL, TITLE, colour, extent, font, light, placed, tick},
 };
 use crate::data::{Frame, Summary};
 use plotters::prelude::*;
@@ -323,9 +323,21 @@ fn series<'b>(chart: &mut Chart<'_, 'b>, s: usize, lines: &[Vec<Point>], joined:
         }
         if matches!(joined, Joined::Band | Joined::Whisker) {
             for at in line() {
-                chart.plotting_area().draw(&marker(s, at))?;
+                marker(chart, s, at)?;
             }
         }
+    }
+    Ok(())
+}
+
+/// The marker of a series, its form as telling as its colour.
+fn marker<'b>(chart: &mut Chart<'_, 'b>, s: usize, at: (f64, f64)) -> Done {
+    let (area, style) = (chart.plotting_area(), colour(s).filled());
+    match s % 4 {
+        0 => area.draw(&Circle::new(at, 5, style))?,
+        1 => area.draw(&TriangleMarker::new(at, 7, style))?,
+        2 => area.draw(&(EmptyElement::at(at) + Rectangle::new([(-4, -4), (4, 4)], style)))?,
+        _ => area.draw(&Cross::new(at, 5, colour(s).stroke_width(2)))?,
     }
     Ok(())
 }

@@ -69,5 +69,8 @@ mod tests {
         assert!(ink("with.png") > 200, "{}", ink("with.png"));
         let pdf = std::fs::read(folder.path().join("with.pdf")).unwrap();
         assert!(pdf.starts_with(b"%PDF-"));
+        assert!(
+            pdf.windows(6).any(|part| part == b"/Font " || part == b"/Font/" || part == b"/Font\n")
+        );
     }
 }

@@ -2,7 +2,6 @@
 
 use plotters::{
     coord::Shift,
-    element::DynElement,
     prelude::*,
     style::{FontFamily, RGBAColor},
 };
@@ -35,20 +34,6 @@ pub(super) fn colour(series: usize) -> RGBColor {
 /// The font of a label.
 pub(super) fn font(size: u32) -> TextStyle<'static> {
     (FontFamily::SansSerif, size).into_font().color(&BLACK)
-}
-
-/// The marker of a series.
-pub(super) fn marker<'a>(
-    series: usize,
-    at: (f64, f64),
-) -> DynElement<'a, SVGBackend<'a>, (f64, f64)> {
-    let style = colour(series).filled();
-    match series % 4 {
-        0 => Circle::new(at, 5, style).into_dyn(),
-        1 => TriangleMarker::new(at, 7, style).into_dyn(),
-        2 => (EmptyElement::at(at) + Rectangle::new([(-4, -4), (4, 4)], style)).into_dyn(),
-        _ => Cross::new(at, 5, colour(series).stroke_width(2)).into_dyn(),
-    }
 }
 
 /// A light version of a colour.
@@ -141,7 +126,7 @@ pub(super) fn canvas(
     let (rows, columns) = layout(panels);
     let width = if columns == 1 { 720 } else { 480 * columns as u32 };
     let mut svg = String::new();
-    let run = |svg: &mut String| -> Done {
+    let mut run = |svg: &mut String| -> Done {
         let area = SVGBackend::with_string(svg, (width, height * rows as u32)).into_drawing_area();
         area.fill(&WHITE)?;
         for (panel, part) in area.split_evenly((rows, columns)).iter().enumerate().take(panels) {

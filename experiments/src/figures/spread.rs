@@ -23,7 +23,8 @@ struct Group {
 pub(super) fn draw(figure: &Figure, frame: &Frame, violin: bool) -> Result<Drawn, String> {
     let (labels, names) = (frame.labels(&figure.x)?, frame.labels(&figure.series)?);
     let parts = panels(figure, frame)?;
-    let columns = ["panel", "series", &figure.x, "count", "min", "q1", "median", "q3", "max"];
+    let columns =
+        ["panel", "series", figure.x.as_str(), "count", "min", "q1", "median", "q3", "max"];
     let mut numbers = vec![columns.map(str::to_owned).to_vec()];
     let mut all: Vec<Vec<Group>> = Vec::new();
     let half = HALF / names.len() as f64;

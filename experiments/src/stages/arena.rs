@@ -10,7 +10,7 @@ use crate::{
     stage::{Measured, Metric, Stage, Trace, metric},
 };
 use argmin::{
-    core::{CostFunction, Executor, Gradient, State},
+    core::{CostFunction, Executor, Gradient},
     solver::{
         conjugategradient::{NonlinearConjugateGradient, beta::PolakRibiere},
         gradientdescent::SteepestDescent,
@@ -285,10 +285,7 @@ fn race(p: &Parameters, counted: &Counted, start: Vec<f64>) -> Result<(), String
             }
             let solver = NelderMead::new(simplex).with_sd_tolerance(1e-14).map_err(told)?;
             let run = Executor::new(problem, solver);
-            run.configure(|s| s.max_iters(most))
-                .run()
-                .map(|done| drop(done.state.get_iter()))
-                .map_err(told)
+            run.configure(|s| s.max_iters(most)).run().map(drop).map_err(told)
         }
     }
 }
