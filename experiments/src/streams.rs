@@ -14,14 +14,6 @@ pub(crate) enum Stream {
     Start = 1,
     /// The draws of a random sweep.
     Sweep = 2,
-    /// Rays and pixels that a lens is judged by.
-    Lens = 3,
-    /// Which of several control points takes part.
-    Control = 4,
-    /// Correspondences between two views.
-    Matches = 5,
-    /// The draws of a sampling estimator.
-    Sample = 6,
 }
 
 /// The stream of a stage under a seed.
