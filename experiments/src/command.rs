@@ -307,12 +307,16 @@ fn findings(specs: &Path, reference: &Path, output: &Path, check: bool) -> Resul
          small\nsettings (`--small`), few seeds on small fields: they show directions. Each spec states the large \
          setting.\n",
     );
-    let mut refuted = Vec::new();
+    let (mut refuted, mut pending) = (Vec::new(), Vec::new());
     for path in spec_files(specs)? {
         let (spec, cells) = Spec::read(&path, true)?;
         let Some(finding) = &spec.finding else { continue };
-        let result = reference.join(&spec.name);
-        let runs = Frame::read(&result.join("runs.csv"))?;
+        let result = reference.join(&spec.name).join("runs.csv");
+        if !result.exists() {
+            pending.push(spec.name);
+            continue;
+        }
+        let runs = Frame::read(&result)?;
         let fail = |e: String| Fail::Failed(format!("{}: {e}", spec.name));
         let filled = finding.fill(&runs).map_err(fail)?;
         refuted.extend(
@@ -329,6 +333,12 @@ fn findings(specs: &Path, reference: &Path, output: &Path, check: bool) -> Resul
             cells.len(),
             spec.seeds.count,
             if spec.seeds.count == 1 { "" } else { "s" }
+        );
+    }
+    if !pending.is_empty() {
+        text += &format!(
+            "\n## Without a committed result\n\nThese specs state a finding and have no result here: {}.\n",
+            pending.join(", ")
         );
     }
     if !refuted.is_empty() {
