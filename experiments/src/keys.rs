@@ -65,6 +65,16 @@ pub(crate) fn set(table: &mut Table, path: &str, value: &Value) -> Result<(), St
     Err(format!("{path} leads nowhere"))
 }
 
+/// Puts the values of one table over those of another.
+pub(crate) fn merge(into: &mut Table, from: &Table) {
+    for (key, value) in from {
+        match (into.get_mut(key), value) {
+            (Some(Value::Table(inner)), Value::Table(other)) => merge(inner, other),
+            _ => drop(into.insert(key.clone(), value.clone())),
+        }
+    }
+}
+
 /// Takes a path out, so that it can no longer be set.
 pub(crate) fn remove(table: &mut Table, path: &str) {
     match path.split_once('.') {

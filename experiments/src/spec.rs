@@ -190,7 +190,7 @@ impl Spec {
         if let (Some(random), Some(count)) = (&mut self.random, small.random) {
             random.count = count;
         }
-        merge(&mut self.base, &small.base);
+        keys::merge(&mut self.base, &small.base);
         Ok(())
     }
 
@@ -394,15 +394,6 @@ fn product(
         }
     }
     Ok(found)
-}
-
-fn merge(into: &mut Table, from: &Table) {
-    for (key, value) in from {
-        match (into.get_mut(key), value) {
-            (Some(Value::Table(inner)), Value::Table(other)) => merge(inner, other),
-            _ => drop(into.insert(key.clone(), value.clone())),
-        }
-    }
 }
 
 fn named(path: &Path, error: &impl std::fmt::Display) -> String {

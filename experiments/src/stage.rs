@@ -120,8 +120,11 @@ fn defaults<S: Stage>() -> Result<Table, String> {
     Ok(table)
 }
 
+/// What the seed decides is not in `table` and comes from the defaults.
 fn parse<S: Stage>(table: &Table) -> Result<S::Parameters, String> {
-    table.clone().try_into().map_err(|e: toml::de::Error| keys::with_nearest(e.message()))
+    let mut full = Table::try_from(S::Parameters::default()).map_err(|e| e.to_string())?;
+    keys::merge(&mut full, table);
+    full.try_into().map_err(|e: toml::de::Error| keys::with_nearest(e.message()))
 }
 
 /// Every stage there is.
