@@ -1,20 +1,41 @@
-//! Experiments with rowgram: tidy tables and figures from runs on data and on synthetic fields.
+//! Experiments with rowgram: questions answered with numbers and figures that go straight into a paper.
 //!
-//! Every experiment reads a data folder and writes `NAME.csv` (one line per run) and `NAME.md` (the
-//! table of means) into an output folder.
+//! An experiment is a spec (`specs/NAME.toml`): a stage under test, what is varied, seeds, metrics,
+//! figures, tables and a finding. `run` turns it into tidy tables, `draw` those into figures; `plan`,
+//! `run --shard`, `submit` and `merge` do the same on many machines, with the same bytes in the end.
+//!
+//! The commands that read a data folder (`locate-masks` and the like) write `NAME.csv` (one line per run)
+//! and `NAME.md` (the table of means).
 
 mod canopy;
 mod canopy_field;
 mod canopy_plots;
 mod leaves;
+mod command;
+mod compare;
+mod data;
+mod fail;
+mod figures;
+mod findings;
+mod keys;
 mod locate;
+mod merge;
 mod methods;
+mod parquet_file;
+mod plan;
 mod plots;
 mod relative;
 mod segment_speed;
 mod table;
 mod watershed;
+mod spec;
+mod stage;
+mod stages;
+mod streams;
+mod submit;
+mod tables;
 mod whole_field;
+mod work;
 
 use clap::{Args, Parser, Subcommand};
 use std::{path::PathBuf, process::ExitCode};
@@ -40,6 +61,8 @@ struct Folders {
 
 #[derive(Debug, Subcommand)]
 enum Experiment {
+    #[command(flatten)]
+    Spec(command::Command),
     /// Plant location, every variant: synthetic masks (true number of plants).
     LocateMasks {
         #[command(flatten)]
@@ -125,6 +148,15 @@ enum Experiment {
 
 fn main() -> ExitCode {
     let done = match Cli::parse().experiment {
+        Experiment::Spec(command) => {
+            return match command.run() {
+                Ok(()) => ExitCode::SUCCESS,
+                Err(fail) => {
+                    complain(&fail);
+                    ExitCode::from(fail.exit_code())
+                }
+            };
+        }
         Experiment::LocateMasks { folders, masks } => locate::run(&folders, masks),
         Experiment::LocatePlots { folders } => plots::run(&folders),
         Experiment::Locate { folders } => {
@@ -160,6 +192,6 @@ fn options(set: &[String]) -> Result<rowgram::phenotype::canopy::Options, rowgra
 }
 
 #[expect(clippy::print_stderr, reason = "the program's last word goes to stderr")]
-fn complain(error: &rowgram::Error) {
+fn complain(error: &dyn std::fmt::Display) {
     eprintln!("error: {error}");
 }
