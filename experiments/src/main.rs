@@ -10,6 +10,8 @@
 mod canopy;
 mod canopy_field;
 mod canopy_plots;
+mod leaf_area;
+mod leaf_area_figure;
 mod leaves;
 mod command;
 mod compare;
@@ -18,6 +20,7 @@ mod fail;
 mod figures;
 mod findings;
 mod keys;
+mod leaves_twin;
 mod locate;
 mod merge;
 mod methods;
@@ -128,6 +131,21 @@ enum Experiment {
         #[arg(long, default_value_t = 3)]
         masks: u64,
     },
+    /// Leaf segmentation in rendered photos of which every leaf is known.
+    LeavesTwin {
+        /// Where the tables go; made if it is not there.
+        #[arg(long, value_name = "DIR")]
+        out: PathBuf,
+        /// Photos of each growth stage and ground sampling distance.
+        #[arg(long, default_value_t = 2)]
+        photos: usize,
+    },
+    /// Leaf count against leaf area: photos as taken, without distortion, and from straight above.
+    LeafArea {
+        /// Where the table and the figure go; made if it is not there.
+        #[arg(long, value_name = "DIR")]
+        out: PathBuf,
+    },
     /// The time of the leaf mask of raw RGB pixels; see scripts/segment_speed.py.
     SegmentSpeed {
         /// Three bytes for each pixel.
@@ -171,6 +189,8 @@ fn main() -> ExitCode {
         }
         Experiment::CanopyField { folders } => canopy_field::run(&folders),
         Experiment::Leaves { folders, masks } => leaves::run(&folders, masks),
+        Experiment::LeavesTwin { out, photos } => leaves_twin::run(&out, photos),
+        Experiment::LeafArea { out } => leaf_area::run(&out),
         Experiment::SegmentSpeed { raw, width, height, mask } => {
             segment_speed::run(&raw, width, height, &mask)
         }
