@@ -25,8 +25,8 @@ mod shell;
 mod stand;
 mod survey;
 mod synth;
-mod thresholds;
 mod table;
+mod thresholds;
 mod undistort;
 mod verify;
 
@@ -54,13 +54,11 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Verb {
-    Run(run::Args),
     Run(Box<run::Args>),
     Init(run::Init),
     Doctor(doctor::Args),
     Report(report::Args),
     Verify(verify::Args),
-    Adjust(Box<adjust::Args>),
     Align(Box<align::Args>),
     Adjust(Box<adjust::Args>),
     Convert(survey::convert::Args),
