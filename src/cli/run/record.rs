@@ -65,7 +65,7 @@ pub(super) fn of_text(text: &str) -> String {
 ///
 /// # Errors
 /// A file that cannot be read.
-pub(super) fn contents(root: &Path, files: &[PathBuf]) -> Result<Vec<Content>, Error> {
+pub(in crate::cli) fn contents(root: &Path, files: &[PathBuf]) -> Result<Vec<Content>, Error> {
     files
         .par_iter()
         .map(|path| {
