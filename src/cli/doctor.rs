@@ -139,7 +139,7 @@ fn of_photos(photos: &[PathBuf], add: &mut impl FnMut(State, &'static str, Strin
         let principal = head.principal_distance_px([*width, *height]);
         without_focal += usize::from(principal.is_none());
         match &head.geotag {
-            Some(tag) => places.push(tag.clone()),
+            Some(tag) => places.push(*tag),
             None => without_place += 1,
         }
         if let (Some((distance, _)), Some(above)) = (principal, head.height_above_take_off_m) {

@@ -270,7 +270,7 @@ pub(super) fn leaves(facts: &Facts) -> Result<Section, Error> {
         }
         div .pair {
             (figure(&pictures::jpeg(&pictures::green(&overview.picture), 1100)?, "The leaf mask.", ""))
-            (shown(facts, "density", "density.png", "Local density: leaf pixels around each pixel, from blue (none) to red (many).")?)
+            (shown(facts, "density", "density.png", "Local density: leaf pixels around each pixel, from dark blue (none) to yellow (many).")?)
         }
         @if facts.done("count") {
             h3 { "Leaves by area" }

@@ -420,7 +420,9 @@ impl Runner<'_> {
         }
         std::fs::create_dir_all(&folder).map_err(|e| FileError::write(&folder, e))?;
         let says = work(&folder)?;
-        let written = record::files(&folder, &["cache", "rowgram"])?;
+        let mut written = record::files(&folder, &["cache", "rowgram"])?;
+        // Settings are the person's: they decide other stages through their commands.
+        written.retain(|path| !path.ends_with(config::NAME));
         records.write(&Record {
             stage: name.to_owned(),
             key,
