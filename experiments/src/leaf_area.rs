@@ -102,9 +102,8 @@ fn stand(stage: usize, spacing_m: f64) -> Result<Vec<Square>, Error> {
     });
     let lens = lens(&twin)?;
     let ideal = undistort::ideal_camera(&lens.interior, Crop::All, 1.0).map_err(unusable)?;
-    let (flat, _) =
-        undistort::undistort(&taken, &lens.interior, &ideal, Interpolation::Bilinear)
-            .map_err(unusable)?;
+    let (flat, _) = undistort::undistort(&taken, &lens.interior, &ideal, Interpolation::Bilinear)
+        .map_err(unusable)?;
     let field = twin.field();
     let above = labels::labels(field, &[]);
     let mut grids = [(); 3].map(|()| Grid::new(field, [shot.centre_m[0], shot.centre_m[1]]));

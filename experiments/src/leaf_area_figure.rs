@@ -4,8 +4,7 @@ use crate::leaf_area::{KINDS, STAGES, Square};
 use plotters::prelude::*;
 
 /// Colours that are told apart by everybody (Okabe and Ito).
-const COLOURS: [RGBColor; 3] =
-    [RGBColor(213, 94, 0), RGBColor(0, 114, 178), RGBColor(0, 158, 115)];
+const COLOURS: [RGBColor; 3] = [RGBColor(213, 94, 0), RGBColor(0, 114, 178), RGBColor(0, 158, 115)];
 
 /// The figure as SVG.
 pub(crate) fn draw(squares: &[Square]) -> Result<String, Box<dyn std::error::Error>> {
@@ -37,7 +36,8 @@ pub(crate) fn draw(squares: &[Square]) -> Result<String, Box<dyn std::error::Err
             let line = [(0.0, 0.0), (end, end * leaves / f64::max(pixels, 1.0))];
             chart
                 .draw_series(
-                    of_kind().map(|s| Circle::new((s.pixels, s.leaves), 2, colour.mix(0.5).filled())),
+                    of_kind()
+                        .map(|s| Circle::new((s.pixels, s.leaves), 2, colour.mix(0.5).filled())),
                 )?
                 .label(KINDS[kind])
                 .legend(move |at| Circle::new(at, 4, colour.filled()));

@@ -227,14 +227,7 @@ impl Stripe {
     }
 
     /// Votes into the rows of `out`, the first of which is row `skip` of the stripe.
-    fn vote(
-        self,
-        leaf: &[f32],
-        axes: &[[f32; 2]],
-        heading_rad: f64,
-        skip: usize,
-        out: &mut [f32],
-    ) {
+    fn vote(self, leaf: &[f32], axes: &[[f32; 2]], heading_rad: f64, skip: usize, out: &mut [f32]) {
         let Stripe { width, height } = self;
         let (turn_sin, turn_cos) = (2.0 * heading_rad).sin_cos();
         let (turn_cos, turn_sin) = (turn_cos as f32, turn_sin as f32);
@@ -401,7 +394,8 @@ mod tests {
         // Long enough for three stripes.
         let mask = Mask::from_fn(40, 300, |u, v| (u + v / 2) % 9 < 2 || (v + 400 - u) % 31 < 3);
         let mirrored = Mask::from_fn(40, 300, |u, v| mask.get(u, 299 - v));
-        let (a, b) = (Evidence::new(&mask, 0.3, Axes::Tensor), Evidence::new(&mirrored, -0.3, Axes::Tensor));
+        let (a, b) =
+            (Evidence::new(&mask, 0.3, Axes::Tensor), Evidence::new(&mirrored, -0.3, Axes::Tensor));
         // Away from the edges, where one walk can leave the mask just before the other.
         for v in 0..300 {
             for u in 0..40 {

@@ -158,12 +158,15 @@ impl<'a> Studio<'a> {
             .zip(plants.par_chunks_mut(3 * width * TILE))
             .zip(leaves.par_chunks_mut(width * TILE))
             .enumerate()
-            .for_each_init(Samples::<4>::new, |samples, (row, (((light, mask), plants), leaves))| {
-                for column in 0..width.div_ceil(TILE) {
-                    let out = Out { light, mask, plants, leaves, width };
-                    view.tile(samples, column, row, out);
-                }
-            });
+            .for_each_init(
+                Samples::<4>::new,
+                |samples, (row, (((light, mask), plants), leaves))| {
+                    for column in 0..width.div_ceil(TILE) {
+                        let out = Out { light, mask, plants, leaves, width };
+                        view.tile(samples, column, row, out);
+                    }
+                },
+            );
         if self.image.motion_blur {
             frame.smear(&self.motion(shot));
         }
