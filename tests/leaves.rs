@@ -247,6 +247,15 @@ fn thresholds_are_proposed_tuned_and_drawn() {
     for name in ["histogram.svg", "histogram.csv", "sweep.svg", "sweep.csv"] {
         assert!(folder.path().join(name).exists(), "{name}");
     }
+    // A mask with softened edges is split at half of its white.
+    image::GrayImage::from_fn(170, 110, |u, v| {
+        image::Luma([if leaf(u, v) { 255 - (u % 2) as u8 * 60 } else { (v % 3) as u8 * 40 }])
+    })
+    .save(folder.path().join("soft.png"))
+    .unwrap();
+    let run = rowgram(folder.path(), "thresholds photo.png --masks soft.png --json");
+    let summary: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
+    assert_eq!(summary["judged"][0]["iou"].as_f64(), Some(1.0));
     let run = rowgram(folder.path(), "thresholds photo.png photo.png --masks mask.png");
     assert!(run.code == 2 && run.stderr.contains("expected one for each"), "{}", run.stderr);
 }

@@ -49,7 +49,7 @@ pub(crate) fn run(out: &Path, photos: usize) -> Result<(), Error> {
                         .zip(&mask.data)
                         .map(|(&leaf, &plant)| if plant != 0 { leaf } else { 0 })
                         .collect();
-                    let scenario = format!("{stage}, {gsd_cm} cm/px, {name}");
+                    let scenario = format!("{stage} {gsd_cm} cm/px {name}");
                     for (method, how) in methods() {
                         let (labels, leaves) = segment(&mask, &how);
                         let mut run = judge(&scenario, method, &labels, &truth);

@@ -8,7 +8,7 @@ use crate::{
     io::{
         FileError,
         images::{self, Picture},
-        output,
+        output, photo,
     },
     raster::{
         Mask,
@@ -16,7 +16,7 @@ use crate::{
         tuning::{self, Colours, Confusion, Index},
     },
 };
-use image::RgbImage;
+use image::{DynamicImage, Rgb, RgbImage, metadata::Orientation};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -27,7 +27,9 @@ use std::path::{Path, PathBuf};
 /// the largest IoU; with --judge those given by --tau are judged only. With --leave-one-out each photo is judged
 /// with thresholds tuned on all the others.
 ///
-/// A mask has two values, of which the brighter is plant; in a picture of several classes everything but 0 is.
+/// A mask has two values, of which the brighter is plant. A grey picture with softened edges is split at half of its
+/// white; in a picture of several classes everything but 0 is plant. Masks are laid over photos pixel by pixel as
+/// stored; --as-shown first turns the photos as their metadata says, for masks drawn over what a viewer shows.
 ///
 /// Example: rowgram thresholds a.jpg b.jpg --masks a.png,b.png --leave-one-out --sweep roc.svg
 #[derive(Debug, clap::Args)]
@@ -39,6 +41,9 @@ pub(super) struct Args {
     /// Their annotated masks, in the same order.
     #[arg(long, value_name = "FILE[,FILE...]", value_delimiter = ',')]
     masks: Vec<PathBuf>,
+    /// Turn photos as their metadata says before masks are laid over them.
+    #[arg(long, requires = "masks")]
+    as_shown: bool,
     /// What a proposal splits: excess-green or hue.
     #[arg(long, value_name = "INDEX", default_value = "excess-green", value_parser = index)]
     index: Index,
@@ -103,7 +108,7 @@ struct Summary {
 pub(super) fn run(args: &Args) -> Result<(), Error> {
     check(args)?;
     let photos: Vec<RgbImage> =
-        args.photos.iter().map(|path| images::read_photo(path)).collect::<Result<_, _>>()?;
+        args.photos.iter().map(|path| read(path, args)).collect::<Result<_, _>>()?;
     let annotated = !args.masks.is_empty();
     let masks: Vec<Mask> = if annotated {
         args.masks.iter().map(|path| annotation(path)).collect::<Result<_, _>>()?
@@ -169,12 +174,40 @@ fn line(photo: &Path, tau: &Thresholds, confusion: &Confusion) -> Judged {
     }
 }
 
-/// A mask, or a picture of classes in which everything but black is plant.
+/// A photo, turned where that is asked for.
+fn read(path: &Path, args: &Args) -> Result<RgbImage, FileError> {
+    let picture = images::read_photo(path)?;
+    let turn = photo::read(path)?.orientation;
+    let turn = u8::try_from(turn).ok().and_then(Orientation::from_exif);
+    match turn.filter(|turn| *turn != Orientation::NoTransforms) {
+        Some(turn) if args.as_shown => {
+            let mut picture = DynamicImage::from(picture);
+            picture.apply_orientation(turn);
+            Ok(picture.into_rgb8())
+        }
+        Some(_) if !args.masks.is_empty() => {
+            tracing::warn!(
+                "{}: stored turned; if its mask was drawn over the photo as viewers show it, give --as-shown",
+                path.display()
+            );
+            Ok(picture)
+        }
+        _ => Ok(picture),
+    }
+}
+
+/// A mask, one with softened edges, or a picture of classes in which everything but black is plant.
 fn annotation(path: &Path) -> Result<Mask, FileError> {
     Ok(match images::read(path)? {
         Picture::Mask(mask) => mask,
         Picture::Photo(classes) => {
-            let data = classes.pixels().map(|p| u8::from(p.0 != [0; 3])).collect();
+            let grey = classes.pixels().all(|Rgb([r, g, b])| r == g && g == b);
+            let white = classes.pixels().any(|p| p.0[0] == 255);
+            let least = if grey && white { 128 } else { 1 };
+            let data = classes
+                .pixels()
+                .map(|p| u8::from(p.0.iter().any(|&value| value >= least)))
+                .collect();
             Mask { width: classes.width() as usize, height: classes.height() as usize, data }
         }
     })
