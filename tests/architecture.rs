@@ -193,7 +193,6 @@ fn each_dependency_has_its_place() {
         (&["las"], &["io/cloud"]),
         // The second is the generator's module of the same name.
         (&["exif"], &["io/photo", "cli/synth/flight"]),
-        (&["exif"], &["io/photo", "cli/synth"]),
         (&["faer"], &["nlls/cholesky"]),
         (
             &["geotiff_reader", "tiff_core", "tiff_reader", "tiff_writer", "ndarray"],

@@ -28,6 +28,7 @@ mod leaves;
 mod locate;
 mod nlls;
 mod ortho;
+mod parsers;
 mod program;
 mod run;
 mod segment;

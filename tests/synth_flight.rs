@@ -109,7 +109,7 @@ fn a_project_folder_is_complete_and_the_same_for_any_number_of_threads() {
     expected.extend(["cameras", "images", "points3D"].map(|name| format!("model/{name}.txt")));
     for photo in 1..=6 {
         expected.push(format!("images/IMG_{photo:04}.JPG"));
-        for end in ["_mask.png", "_plants.png", ".csv"] {
+        for end in ["_leaves.png", "_mask.png", "_plants.png", ".csv"] {
             expected.push(format!("truth/photos/IMG_{photo:04}{end}"));
         }
     }

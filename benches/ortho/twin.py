@@ -3,7 +3,7 @@
     rowgram synth flight --preset small --photo-truth -o field
     venv/bin/python benches/ortho/twin.py --field field --rowgram target/release/rowgram --work /tmp/twin [--aligned]
 
-With the true poses, lens and ground, or with --aligned with those of `rowgram align field` and `rowgram dem field`.
+With the true poses, lens and ground, or with --aligned with those of `rowgram align field` and `rowgram dem field -o <work>/dem.tif`.
 
 Targets: the saddle point of each target's pattern in the mosaic (cv2.cornerSubPix) against the target's true place.
 Stalks: at the true place of each stalk's base the provenance raster names a photo and a pixel; the generator knows at
@@ -52,7 +52,7 @@ def main():
     if args.gsd:
         options += ["--gsd", str(args.gsd)]
     if args.aligned:
-        command = [args.rowgram, "ortho", args.field, *options]
+        command = [args.rowgram, "ortho", args.field, "--dem", f"{args.work}/dem.tif", *options]
     else:
         dem = f"{args.work}/dem.tif"
         with rasterio.open(f"{truth}/dem.asc") as file:

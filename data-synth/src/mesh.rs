@@ -34,6 +34,8 @@ pub(crate) struct Thing {
     pub(crate) colour: [f32; 3],
     /// Plant number from 1; 0 where it belongs to none.
     pub(crate) plant: u32,
+    /// Leaf number from 1, as in [`crate::labels`]; 0 where it is no leaf.
+    pub(crate) leaf: u32,
     /// Whether it counts as leaf in a mask: green blades of plants and weeds.
     pub(crate) green: bool,
 }
@@ -94,7 +96,7 @@ pub(crate) fn reflectance(hue_deg: f64, saturation: f64, value: f64) -> [f32; 3]
 
 impl Mesh {
     fn thing(&mut self, kind: Kind, colour: [f32; 3], plant: u32, green: bool) -> u32 {
-        self.things.push(Thing { kind, colour, plant, green });
+        self.things.push(Thing { kind, colour, plant, leaf: 0, green });
         self.things.len() as u32 - 1
     }
 
@@ -143,10 +145,12 @@ impl Mesh {
         }
     }
 
-    fn leaf(&mut self, axis_m: &[[f64; 3]; NODES], leaf: &Leaf, kind: Kind, plant: u32) {
+    fn leaf(&mut self, axis_m: &[[f64; 3]; NODES], leaf: &Leaf, kind: Kind, owner: [u32; 2]) {
+        let [plant, number] = owner;
         let (saturation, value) = if leaf.senescent { (0.45, 0.62) } else { (0.60, 0.56) };
         let colour = reflectance(leaf.hue_deg, saturation, value * leaf.brightness);
         let thing = self.thing(kind, colour, plant, !leaf.senescent);
+        self.things[thing as usize].leaf = number;
         self.ribbon(axis_m, &leaf.half_width_m, thing);
     }
 
@@ -191,6 +195,8 @@ pub(crate) struct World<'a> {
     size: [usize; 2],
     /// Plants and weeds of each square metre; a number from the number of plants on is a weed.
     cells: Vec<Vec<u32>>,
+    /// Number of the first leaf of each plant and weed, from 1.
+    first_leaf: Vec<u32>,
 }
 
 /// How far leaves reach from their stalk's base, metres.
@@ -223,7 +229,16 @@ impl<'a> World<'a> {
             let [i, j] = [0, 1].map(|axis| (place[axis].floor() as i64 - low[axis]) as usize);
             cells[j * size[0] + i].push(number as u32);
         }
-        World { field, weeds, clutter, targets, low, size, cells }
+        let counts = field.plants.iter().map(|plant| plant.leaves.len());
+        let first_leaf = counts
+            .chain(weeds.iter().map(|weed| weed.leaves.len()))
+            .scan(1, |next, count| {
+                let first = *next;
+                *next += count as u32;
+                Some(first)
+            })
+            .collect();
+        World { field, weeds, clutter, targets, low, size, cells, first_leaf }
     }
 
     /// Everything that stands within `low_m..high_m` (X, Y) or reaches into it, on those square metres (given
@@ -270,13 +285,15 @@ impl<'a> World<'a> {
         let inside = i >= 0 && j >= 0 && (i as usize) < self.size[0] && (j as usize) < self.size[1];
         if inside {
             for &number in &self.cells[j as usize * self.size[0] + i as usize] {
+                let first = self.first_leaf[number as usize];
                 match self.field.plants.get(number as usize) {
-                    Some(plant) => self.plant(mesh, plant, number + 1),
+                    Some(plant) => self.plant(mesh, plant, [number + 1, first]),
                     None => {
                         let weed = &self.weeds[number as usize - self.field.plants.len()];
                         let ground_m = self.field.terrain.height_m(weed.x_m, weed.y_m);
-                        for leaf in &weed.leaves {
-                            mesh.leaf(&self.field.leaf_axis_m(ground_m, leaf), leaf, Kind::Weed, 0);
+                        for (leaf, label) in weed.leaves.iter().zip(first..) {
+                            let axis_m = self.field.leaf_axis_m(ground_m, leaf);
+                            mesh.leaf(&axis_m, leaf, Kind::Weed, [0, label]);
                         }
                     }
                 }
@@ -325,12 +342,13 @@ impl<'a> World<'a> {
         }
     }
 
-    fn plant(&self, mesh: &mut Mesh, plant: &Plant, number: u32) {
+    fn plant(&self, mesh: &mut Mesh, plant: &Plant, [number, first]: [u32; 2]) {
         for stalk in &plant.stalks {
             mesh.stalk(plant, stalk, number);
         }
-        for leaf in &plant.leaves {
-            mesh.leaf(&self.field.leaf_axis_m(plant.z_m, leaf), leaf, Kind::Leaf, number);
+        for (leaf, label) in plant.leaves.iter().zip(first..) {
+            let axis_m = self.field.leaf_axis_m(plant.z_m, leaf);
+            mesh.leaf(&axis_m, leaf, Kind::Leaf, [number, label]);
         }
     }
 }

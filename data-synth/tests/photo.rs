@@ -185,6 +185,19 @@ fn masks_plants_and_greenness_agree() {
             soil.push(2.0 * g - r - b);
         }
     }
+    // Where a pixel shows a leaf, it mostly shows that leaf's plant.
+    let owner_of: Vec<u32> = (1..)
+        .zip(&twin.field().plants)
+        .flat_map(|(number, plant)| vec![number; plant.leaves.len()])
+        .collect();
+    let (mut same, mut blades) = (0, 0);
+    for (&label, plant) in photo.leaves.iter().zip(photo.plants.pixels()).filter(|(l, _)| **l > 0) {
+        let [r, g, b] = plant.0;
+        blades += 1;
+        same += usize::from(owner_of[label as usize - 1] == u32::from_le_bytes([r, g, b, 0]));
+    }
+    assert!(blades * 10 > leaf.len() * 8, "{blades} of {}", leaf.len());
+    assert!(same * 100 > blades * 97, "{same} of {blades}");
     let ((leaf_mean, leaf_spread), (soil_mean, soil_spread)) = (moments(&leaf), moments(&soil));
     assert!(leaf_mean - soil_mean > leaf_spread + soil_spread, "{leaf_mean} {soil_mean}");
 }

@@ -19,13 +19,13 @@ use rowgram::{
 };
 use std::{collections::BTreeMap, fmt::Write as _, path::Path};
 
-enum Method {
+pub(crate) enum Method {
     Components,
     Watershed,
     Slices(Options),
 }
 
-fn methods() -> Vec<(&'static str, Method)> {
+pub(crate) fn methods() -> Vec<(&'static str, Method)> {
     let (paper, all) = (Options::paper(), Options::default());
     vec![
         ("connected components", Method::Components),
@@ -43,14 +43,14 @@ fn methods() -> Vec<(&'static str, Method)> {
 }
 
 /// What one method did on one mask.
-struct Run {
+pub(crate) struct Run {
     scenario: String,
     method: &'static str,
     sbd: f64,
     found: f64,
     truth: f64,
-    length: Option<f64>,
-    width: Option<f64>,
+    pub(crate) length: Option<f64>,
+    pub(crate) width: Option<f64>,
 }
 
 /// Runs everything and writes `leaves.csv` and `leaves.md`.
@@ -69,7 +69,7 @@ pub(crate) fn run(folders: &Folders, masks: u64) -> Result<(), Error> {
         }
     }
     rosettes(&folders.data.join("leaf_cvppp_a1"), &mut runs)?;
-    write(&folders.out, &runs)
+    write(&folders.out, "leaves", &runs)
 }
 
 fn synthetic(name: &str, scenario: &Scenario, runs: &mut Vec<Run>) -> Result<(), Error> {
@@ -134,7 +134,7 @@ fn rosettes(folder: &Path, runs: &mut Vec<Run>) -> Result<(), Error> {
     Ok(())
 }
 
-fn segment(mask: &Mask, how: &Method) -> (Vec<u32>, Option<Leaves>) {
+pub(crate) fn segment(mask: &Mask, how: &Method) -> (Vec<u32>, Option<Leaves>) {
     let mut labels = vec![0; mask.data.len()];
     let mut paint = |runs: &[components::Run], label: u32| {
         for run in runs {
@@ -181,13 +181,13 @@ fn overlaps(found: &[u32], truth: &[u32]) -> (Sizes, Sizes, BTreeMap<(u32, u32),
 }
 
 /// Found leaves and the true leaves (from 0) with which they have a Dice above 0.7.
-fn pairs(found: &[u32], truth: &[u32]) -> Vec<(usize, usize)> {
+pub(crate) fn pairs(found: &[u32], truth: &[u32]) -> Vec<(usize, usize)> {
     let (a, b, both) = overlaps(found, truth);
     let good = both.into_iter().filter(|((f, t), n)| 2.0 * n / (a[f] + b[t]) > 0.7);
     good.map(|((f, t), _)| (f as usize - 1, t as usize - 1)).collect()
 }
 
-fn judge(scenario: &str, method: &'static str, found: &[u32], truth: &[u32]) -> Run {
+pub(crate) fn judge(scenario: &str, method: &'static str, found: &[u32], truth: &[u32]) -> Run {
     let (a, b, both) = overlaps(found, truth);
     let (mut best_a, mut best_b) = (Sizes::new(), Sizes::new());
     for ((f, t), n) in both {
@@ -214,7 +214,8 @@ fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
     (count > 0.0).then(|| sum / count)
 }
 
-fn write(folder: &Path, runs: &[Run]) -> Result<(), Error> {
+/// Writes `NAME.csv` and `NAME.md`.
+pub(crate) fn write(folder: &Path, name: &str, runs: &[Run]) -> Result<(), Error> {
     let number = |x: Option<f64>| x.map(|x| format!("{x:.4}")).unwrap_or_default();
     let mut csv = "scenario,method,sbd,found,truth,length_error,width_error\n".to_owned();
     for run in runs {
@@ -249,7 +250,7 @@ fn write(folder: &Path, runs: &[Run]) -> Result<(), Error> {
         }
         text.push('\n');
     }
-    output::write(&folder.join("leaves.csv"), true, |out| out.write_all(csv.as_bytes()))?;
-    output::write(&folder.join("leaves.md"), true, |out| out.write_all(text.as_bytes()))?;
+    output::write(&folder.join(format!("{name}.csv")), true, |out| out.write_all(csv.as_bytes()))?;
+    output::write(&folder.join(format!("{name}.md")), true, |out| out.write_all(text.as_bytes()))?;
     Ok(())
 }

@@ -1,20 +1,44 @@
-//! Experiments with rowgram: tidy tables and figures from runs on data and on synthetic fields.
+//! Experiments with rowgram: questions answered with numbers and figures that go straight into a paper.
 //!
-//! Every experiment reads a data folder and writes `NAME.csv` (one line per run) and `NAME.md` (the
-//! table of means) into an output folder.
+//! An experiment is a spec (`specs/NAME.toml`): a stage under test, what is varied, seeds, metrics,
+//! figures, tables and a finding. `run` turns it into tidy tables, `draw` those into figures; `plan`,
+//! `run --shard`, `submit` and `merge` do the same on many machines, with the same bytes in the end.
+//!
+//! The commands that read a data folder (`locate-masks` and the like) write `NAME.csv` (one line per run)
+//! and `NAME.md` (the table of means).
 
 mod canopy;
 mod canopy_field;
 mod canopy_plots;
+mod command;
+mod compare;
+mod data;
+mod fail;
+mod figures;
+mod findings;
+mod keys;
+mod leaf_area;
+mod leaf_area_figure;
 mod leaves;
+mod leaves_twin;
 mod locate;
+mod merge;
 mod methods;
+mod parquet_file;
+mod plan;
 mod plots;
 mod relative;
 mod segment_speed;
+mod spec;
+mod stage;
+mod stages;
+mod streams;
+mod submit;
 mod table;
+mod tables;
 mod watershed;
 mod whole_field;
+mod work;
 
 use clap::{Args, Parser, Subcommand};
 use std::{path::PathBuf, process::ExitCode};
@@ -40,6 +64,8 @@ struct Folders {
 
 #[derive(Debug, Subcommand)]
 enum Experiment {
+    #[command(flatten)]
+    Spec(command::Command),
     /// Plant location, every variant: synthetic masks (true number of plants).
     LocateMasks {
         #[command(flatten)]
@@ -105,6 +131,21 @@ enum Experiment {
         #[arg(long, default_value_t = 3)]
         masks: u64,
     },
+    /// Leaf segmentation in rendered photos of which every leaf is known.
+    LeavesTwin {
+        /// Where the tables go; made if it is not there.
+        #[arg(long, value_name = "DIR")]
+        out: PathBuf,
+        /// Photos of each growth stage and ground sampling distance.
+        #[arg(long, default_value_t = 2)]
+        photos: usize,
+    },
+    /// Leaf count against leaf area: photos as taken, without distortion, and from straight above.
+    LeafArea {
+        /// Where the table and the figure go; made if it is not there.
+        #[arg(long, value_name = "DIR")]
+        out: PathBuf,
+    },
     /// The time of the leaf mask of raw RGB pixels; see scripts/segment_speed.py.
     SegmentSpeed {
         /// Three bytes for each pixel.
@@ -125,6 +166,15 @@ enum Experiment {
 
 fn main() -> ExitCode {
     let done = match Cli::parse().experiment {
+        Experiment::Spec(command) => {
+            return match command.run() {
+                Ok(()) => ExitCode::SUCCESS,
+                Err(fail) => {
+                    complain(&fail);
+                    ExitCode::from(fail.exit_code())
+                }
+            };
+        }
         Experiment::LocateMasks { folders, masks } => locate::run(&folders, masks),
         Experiment::LocatePlots { folders } => plots::run(&folders),
         Experiment::Locate { folders } => {
@@ -139,6 +189,8 @@ fn main() -> ExitCode {
         }
         Experiment::CanopyField { folders } => canopy_field::run(&folders),
         Experiment::Leaves { folders, masks } => leaves::run(&folders, masks),
+        Experiment::LeavesTwin { out, photos } => leaves_twin::run(&out, photos),
+        Experiment::LeafArea { out } => leaf_area::run(&out),
         Experiment::SegmentSpeed { raw, width, height, mask } => {
             segment_speed::run(&raw, width, height, &mask)
         }
@@ -160,6 +212,6 @@ fn options(set: &[String]) -> Result<rowgram::phenotype::canopy::Options, rowgra
 }
 
 #[expect(clippy::print_stderr, reason = "the program's last word goes to stderr")]
-fn complain(error: &rowgram::Error) {
+fn complain(error: &dyn std::fmt::Display) {
     eprintln!("error: {error}");
 }

@@ -30,13 +30,13 @@ const SPACING_M: [f64; 2] = [0.76, 0.2];
 
 /// One setting.
 #[derive(Debug, Clone, Copy)]
-struct Setting {
-    what: &'static str,
-    value: f64,
-    wrong_share: f64,
-    tilt_deg: f64,
-    height_share: f64,
-    repetitive: bool,
+pub(crate) struct Setting {
+    pub(crate) what: &'static str,
+    pub(crate) value: f64,
+    pub(crate) wrong_share: f64,
+    pub(crate) tilt_deg: f64,
+    pub(crate) height_share: f64,
+    pub(crate) repetitive: bool,
 }
 
 fn settings() -> Vec<Setting> {
@@ -122,7 +122,7 @@ fn pair(setting: &Setting, seed: u64) -> (Vec<Correspondence>, Rotation3<f64>, V
 }
 
 /// Whether a solver gets a pair right, its inliers, its samples.
-fn run(setting: &Setting, solver: Solver, seed: u64) -> (bool, usize, usize) {
+pub(crate) fn run(setting: &Setting, solver: Solver, seed: u64) -> (bool, usize, usize) {
     let (correspondences, turn, base) = pair(setting, seed);
     let options = Options { solver, tolerance: 2.0 / C_PX, least_inliers: 8, ..Options::default() };
     match estimate(&correspondences, &options, seed) {

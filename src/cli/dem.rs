@@ -209,8 +209,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
 }
 
 fn two_digits(value: f64) -> f64 {
-    let unit = 10f64.powf(value.log10().floor() - 1.0);
-    (value / unit).round() * unit
+    format!("{value:.1e}").parse().unwrap_or(value)
 }
 
 fn beside(path: &Path, what: &str) -> PathBuf {

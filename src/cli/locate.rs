@@ -47,7 +47,8 @@ pub(super) struct Locate {
     /// A named way to locate: full (the default), refined, tempered, paper, kmeans, rows.
     #[arg(long, value_parser = word::<Method>, value_name = "NAME")]
     method: Option<Method>,
-    /// An option of the methods full and refined, as in `--set leaf-axes=false`: leaf-axes,
+    /// An option of the methods full and refined, as in `--set leaf-axes=false`: leaf-axes, axes
+    /// (tensor, or slices across the leaves),
     /// curved-rows, across, believed, votes, cover, heat, beta, beta-compared, mean-place,
     /// estimate-spacing.
     #[arg(long, value_name = "NAME=VALUE")]

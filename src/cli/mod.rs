@@ -10,6 +10,7 @@ mod camera;
 mod count;
 mod dem;
 mod density;
+mod doctor;
 mod evaluate;
 mod features;
 mod figures;
@@ -17,13 +18,17 @@ mod leaves;
 mod locate;
 mod method;
 mod ortho;
+mod report;
 mod run;
 mod segment;
+mod shell;
 mod stand;
 mod survey;
 mod synth;
+mod table;
 mod thresholds;
 mod undistort;
+mod verify;
 
 use crate::{error::Error, io::FileError};
 use clap::{Parser, Subcommand};
@@ -49,7 +54,11 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Verb {
-    Run(run::Args),
+    Run(Box<run::Args>),
+    Init(run::Init),
+    Doctor(doctor::Args),
+    Report(report::Args),
+    Verify(verify::Args),
     Align(Box<align::Args>),
     Adjust(Box<adjust::Args>),
     Convert(survey::convert::Args),
@@ -69,6 +78,8 @@ enum Verb {
     Count(count::Args),
     Density(density::Args),
     Evaluate(evaluate::Args),
+    Completions(shell::Completions),
+    Man(shell::Man),
 }
 
 /// Parses the command line, runs the verb, reports what went wrong.
@@ -96,8 +107,17 @@ fn run(cli: Cli) -> Result<(), Error> {
         .num_threads(cli.threads.into())
         .build_global()
         .map_err(|e| Error::Argument(format!("--threads {}: {e}", cli.threads)))?;
-    match cli.verb {
+    dispatch(cli.verb)
+}
+
+/// Does what a verb says.
+fn dispatch(verb: Verb) -> Result<(), Error> {
+    match verb {
         Verb::Run(args) => run::run(&args),
+        Verb::Init(args) => args.run(),
+        Verb::Doctor(args) => doctor::run(&args),
+        Verb::Report(args) => report::run(&args),
+        Verb::Verify(args) => verify::run(&args),
         Verb::Align(args) => align::run(&args),
         Verb::Adjust(args) => adjust::run(&args),
         Verb::Convert(args) => survey::convert::run(&args),
@@ -117,6 +137,8 @@ fn run(cli: Cli) -> Result<(), Error> {
         Verb::Count(args) => count::run(&args),
         Verb::Density(args) => density::run(&args),
         Verb::Evaluate(args) => evaluate::run(&args),
+        Verb::Completions(args) => args.run(),
+        Verb::Man(args) => args.run(),
     }
 }
 
@@ -144,9 +166,37 @@ fn start_logging(verbose: u8, quiet: bool) {
         .init();
 }
 
+/// A command line as the program itself takes it.
+fn parse(words: Vec<std::ffi::OsString>) -> Result<Cli, Error> {
+    Cli::try_parse_from(words).map_err(|error| Error::Argument(error.to_string()))
+}
+
+thread_local! {
+    /// What is printed, while one verb does another's work and reads what it says.
+    static CAPTURED: std::cell::RefCell<Option<String>> = const { std::cell::RefCell::new(None) };
+}
+
+/// Does some work and gives back what it printed, which does not go to stdout.
+fn captured<T>(work: impl FnOnce() -> T) -> (String, T) {
+    let before = CAPTURED.replace(Some(String::new()));
+    let result = work();
+    (CAPTURED.replace(before).unwrap_or_default(), result)
+}
+
 /// Writes text for a person to stdout.
 fn print(text: &str) -> Result<(), Error> {
     use std::io::Write;
+    let kept = CAPTURED.with_borrow_mut(|captured| match captured {
+        Some(captured) => {
+            captured.push_str(text.trim_end());
+            captured.push('\n');
+            true
+        }
+        None => false,
+    });
+    if kept {
+        return Ok(());
+    }
     let mut out = std::io::stdout().lock();
     match writeln!(out, "{}", text.trim_end()).and_then(|()| out.flush()) {
         // A reader that has seen enough is no failure.

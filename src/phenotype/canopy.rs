@@ -24,6 +24,7 @@
 
 use super::{
     chain::{Chain, Posterior, STEP},
+    evidence::Axes,
     locate::LocateError,
     renewal::Spacing,
     rows::{Detection, Rows},
@@ -40,6 +41,8 @@ use serde::{Deserialize, Serialize};
 pub struct Options {
     /// Votes along leaf axes; else the leaf mass around a place is the evidence.
     pub leaf_axes: bool,
+    /// What says where leaf axes are.
+    pub axes: Axes,
     /// Rows are followed where they bend.
     pub curved_rows: bool,
     /// Standard deviation of plants across their row, to begin with.
@@ -66,6 +69,7 @@ impl Default for Options {
     fn default() -> Options {
         Options {
             leaf_axes: true,
+            axes: Axes::Tensor,
             curved_rows: true,
             across: 3.0,
             believed: 0.7,

@@ -15,11 +15,17 @@
 //!
 //! `E = sum_b w_b v_b / (1 + v_b / `[`SATURATION`]`)`.
 //!
+//! Instead of the structure tensor, slices across the leaves can say where the axes are ([`Axes::Slices`]): the direction
+//! of a reduced pixel is then the mean of `(cos 2 theta, sin 2 theta)` over its leaf pixels, its coherence the
+//! length of that mean, and a pixel without a slice does not vote.
+//!
 //! A mask of broad leaves is first reduced by the whole factor that makes its strokes about
 //! [`STROKE_PX`] wide. Positions in pixels of the given mask, centre of the top-left pixel at (0, 0).
 
+use super::leaves;
 use crate::raster::Mask;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 /// Scale of the gradient, in reduced pixels.
 const GRADIENT_PX: f64 = 0.7;
@@ -42,6 +48,17 @@ const STRIPE: usize = 128;
 /// Rows beyond a stripe that its votes and filters can reach.
 const HALO: usize = REACH_PX + 12;
 
+/// What says where the axes of leaves are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Axes {
+    /// The structure tensor around a pixel.
+    #[default]
+    Tensor,
+    /// Slices across the leaf at a pixel.
+    Slices,
+}
+
 /// The votes for a stalk at every pixel of the reduced mask.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Evidence {
@@ -59,9 +76,13 @@ pub struct Evidence {
 
 impl Evidence {
     /// Votes of a mask whose rows have this heading (from `u` towards `v`).
-    pub fn new(mask: &Mask, heading_rad: f64) -> Evidence {
+    pub fn new(mask: &Mask, heading_rad: f64, axes: Axes) -> Evidence {
         let factor = (stroke_px(mask) / STROKE_PX).floor().max(1.0) as usize;
         let (width, height, leaf) = reduce(mask, factor);
+        let across = match axes {
+            Axes::Tensor => None,
+            Axes::Slices => Some(doubled(mask, factor)),
+        };
         let mut votes = vec![0.0; width * height];
         if width > 0 {
             votes.par_chunks_mut(STRIPE * width).enumerate().for_each(|(stripe, out)| {
@@ -69,7 +90,16 @@ impl Evidence {
                 let from = first.saturating_sub(HALO);
                 let to = (first + STRIPE + HALO).min(height);
                 let part = &leaf[from * width..to * width];
-                Stripe { width, height: to - from }.vote(part, heading_rad, first - from, out);
+                let stripe = Stripe { width, height: to - from };
+                let of_tensor;
+                let axes = match &across {
+                    Some(doubled) => &doubled[from * width..to * width],
+                    None => {
+                        of_tensor = stripe.tensor_axes(part);
+                        &of_tensor[..]
+                    }
+                };
+                stripe.vote(part, axes, heading_rad, first - from, out);
             });
         }
         Evidence { width, height, votes, leaf, factor }
@@ -150,6 +180,32 @@ fn reduce(mask: &Mask, factor: usize) -> (usize, usize, Vec<f32>) {
     (width, height, leaf)
 }
 
+/// The mean of `(cos 2 theta, sin 2 theta)` over the leaf pixels of each block, from slices.
+fn doubled(mask: &Mask, factor: usize) -> Vec<[f32; 2]> {
+    let directions = leaves::directions(mask, &leaves::Options::default());
+    let (width, height) = (mask.width.div_ceil(factor), mask.height.div_ceil(factor));
+    let mut sums = vec![[0.0_f32; 2]; width * height];
+    let mut counts = vec![0.0_f32; width * height];
+    for v in 0..mask.height {
+        let row = v / factor * width;
+        for (u, &theta) in directions[v * mask.width..][..mask.width].iter().enumerate() {
+            if mask.data[v * mask.width + u] == 0 {
+                continue;
+            }
+            counts[row + u / factor] += 1.0;
+            if theta.is_finite() {
+                let (sin, cos) = (2.0 * theta).sin_cos();
+                let sum = &mut sums[row + u / factor];
+                *sum = [sum[0] + cos, sum[1] + sin];
+            }
+        }
+    }
+    for (sum, count) in sums.iter_mut().zip(counts) {
+        *sum = sum.map(|part| part / count.max(1.0));
+    }
+    sums
+}
+
 /// One stripe of the picture and its surroundings.
 #[derive(Clone, Copy)]
 struct Stripe {
@@ -158,10 +214,21 @@ struct Stripe {
 }
 
 impl Stripe {
+    /// The axis at each leaf pixel as `c (cos 2 theta, sin 2 theta)`, from the structure tensor.
+    fn tensor_axes(self, leaf: &[f32]) -> Vec<[f32; 2]> {
+        let [xx, xy, yy] = self.tensor(leaf);
+        let entries = xx.iter().zip(&xy).zip(&yy);
+        entries
+            .map(|((xx, xy), yy)| {
+                let sum = xx + yy + 1e-4;
+                [(yy - xx) / sum, -2.0 * xy / sum]
+            })
+            .collect()
+    }
+
     /// Votes into the rows of `out`, the first of which is row `skip` of the stripe.
-    fn vote(self, leaf: &[f32], heading_rad: f64, skip: usize, out: &mut [f32]) {
+    fn vote(self, leaf: &[f32], axes: &[[f32; 2]], heading_rad: f64, skip: usize, out: &mut [f32]) {
         let Stripe { width, height } = self;
-        let tensor = self.tensor(leaf);
         let (turn_sin, turn_cos) = (2.0 * heading_rad).sin_cos();
         let (turn_cos, turn_sin) = (turn_cos as f32, turn_sin as f32);
         let mut parts = [(); 3].map(|()| vec![0.0_f32; width * height]);
@@ -171,14 +238,12 @@ impl Stripe {
                 if leaf[at] < 0.5 {
                     continue;
                 }
-                let [xx, xy, yy] = tensor.each_ref().map(|t| t[at]);
-                let (difference, product) = (yy - xx, -2.0 * xy);
-                let length = difference.hypot(product);
-                let coherence = length / (xx + yy + 1e-4);
+                let [cos2, sin2] = axes[at];
+                let coherence = cos2.hypot(sin2);
                 if coherence < 0.05 {
                     continue;
                 }
-                let (cos2, sin2) = (difference / length, product / length);
+                let (cos2, sin2) = (cos2 / coherence, sin2 / coherence);
                 let from_row = cos2 * turn_cos + sin2 * turn_sin;
                 let part = usize::from(from_row < 0.5) + usize::from(from_row < -0.5);
                 let cos = ((1.0 + cos2) / 2.0).max(0.0).sqrt();
@@ -308,9 +373,11 @@ mod tests {
 
     #[test]
     fn leaves_that_cross_vote_for_the_crossing() {
-        for (turn, scale, side) in [(0.1, 1.0, 60), (0.35, 1.0, 60), (0.2, 4.0, 240)] {
+        let cases = [(0.1, 1.0, 60), (0.35, 1.0, 60), (0.2, 4.0, 240)];
+        let both = cases.map(|case| (case, Axes::Tensor)).into_iter();
+        for ((turn, scale, side), axes) in both.chain(cases.map(|case| (case, Axes::Slices))) {
             let centre = [29.3 * scale, 31.0 * scale];
-            let evidence = Evidence::new(&star(centre, turn, side, scale), 0.0);
+            let evidence = Evidence::new(&star(centre, turn, side, scale), 0.0, axes);
             let best = (0..evidence.votes.len())
                 .max_by(|&a, &b| evidence.votes[a].total_cmp(&evidence.votes[b]))
                 .unwrap();
@@ -327,7 +394,8 @@ mod tests {
         // Long enough for three stripes.
         let mask = Mask::from_fn(40, 300, |u, v| (u + v / 2) % 9 < 2 || (v + 400 - u) % 31 < 3);
         let mirrored = Mask::from_fn(40, 300, |u, v| mask.get(u, 299 - v));
-        let (a, b) = (Evidence::new(&mask, 0.3), Evidence::new(&mirrored, -0.3));
+        let (a, b) =
+            (Evidence::new(&mask, 0.3, Axes::Tensor), Evidence::new(&mirrored, -0.3, Axes::Tensor));
         // Away from the edges, where one walk can leave the mask just before the other.
         for v in 0..300 {
             for u in 0..40 {
@@ -342,10 +410,13 @@ mod tests {
     #[test]
     fn degenerate_masks_have_no_votes() {
         for mask in [Mask::empty(0, 0), Mask::empty(1, 1), Mask::empty(9, 200)] {
-            assert!(Evidence::new(&mask, 0.0).votes.iter().all(|&votes| votes == 0.0));
+            for axes in [Axes::Tensor, Axes::Slices] {
+                let votes = Evidence::new(&mask, 0.0, axes).votes;
+                assert!(votes.iter().all(|&votes| votes == 0.0));
+            }
         }
         let dot = Mask::from_fn(1, 1, |_, _| true);
-        assert_eq!(Evidence::new(&dot, 0.0).votes.len(), 1);
+        assert_eq!(Evidence::new(&dot, 0.0, Axes::Slices).votes.len(), 1);
     }
 
     #[test]

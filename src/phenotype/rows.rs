@@ -119,9 +119,19 @@ pub fn detect(index: &PixelIndex) -> Detection {
     }
     let mut found: Option<Rows> = None;
     for degree in peaks(&scores) {
-        let heading_rad = finder.refine((degree as f64).to_radians(), window).rem_euclid(PI);
-        let axes = Axes { origin_px, heading_rad };
-        let (rows, spacing_px) = lines(index, &axes);
+        let lines_near = |heading_rad: f64| {
+            let heading_rad = finder.refine(heading_rad, window).rem_euclid(PI);
+            let axes = Axes { origin_px, heading_rad };
+            let (rows, spacing_px) = lines(index, &axes);
+            (axes, rows, spacing_px)
+        };
+        let (mut axes, mut rows, mut spacing_px) = lines_near((degree as f64).to_radians());
+        if spacing_px.is_some_and(|spacing| are_plants(&rows, spacing)) {
+            let across = lines_near(axes.heading_rad + PI / 2.0);
+            if !across.1.is_empty() {
+                (axes, rows, spacing_px) = across;
+            }
+        }
         let repeats = spacing_px.is_some();
         if !rows.is_empty() && (found.is_none() || repeats) {
             found = Some(Rows { axes, rows, spacing_px, contrast: scores[degree] });
@@ -131,6 +141,14 @@ pub fn detect(index: &PixelIndex) -> Detection {
         }
     }
     found.map_or(none(contrast, prominence), Detection::Found)
+}
+
+/// Whether what repeats itself are the plants of one row, seen end on: a row is longer than the
+/// distance to the next.
+fn are_plants(rows: &[Row], spacing_px: f64) -> bool {
+    let mut lengths: Vec<f64> = rows.iter().map(Row::length_px).collect();
+    lengths.sort_by(f64::total_cmp);
+    lengths.get(lengths.len() / 2).is_some_and(|&length| length < 1.2 * spacing_px)
 }
 
 /// The headings, in whole degrees, at which the score peaks, the highest first: a field's edges can

@@ -48,7 +48,7 @@ pub(super) struct Scene {
 impl Scene {
     pub(super) fn new(mask: &Mask, rows: &Rows, options: &Options) -> Scene {
         let evidence = if options.leaf_axes {
-            Evidence::new(mask, rows.axes.heading_rad)
+            Evidence::new(mask, rows.axes.heading_rad, options.axes)
         } else {
             Evidence::of_mass(mask)
         };

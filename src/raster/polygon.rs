@@ -51,6 +51,21 @@ impl Polygon {
         }
         runs
     }
+
+    /// Whether a position lies inside, by the same rule.
+    pub fn holds(&self, [u, v]: [f64; 2]) -> bool {
+        let mut inside = false;
+        for ring in &self.rings {
+            for i in 0..ring.len() {
+                let (a, b) = (ring[i], ring[(i + 1) % ring.len()]);
+                if (a[1] <= v) != (b[1] <= v) {
+                    let (a, b) = if a[1] < b[1] { (a, b) } else { (b, a) };
+                    inside ^= u >= a[0] + (v - a[1]) / (b[1] - a[1]) * (b[0] - a[0]);
+                }
+            }
+        }
+        inside
+    }
 }
 
 #[cfg(test)]
@@ -89,5 +104,24 @@ mod tests {
         assert_eq!(count(&Polygon { rings: vec![large] }), 2000);
         assert_eq!(count(&Polygon::default()), 0);
         assert_eq!(count(&Polygon { rings: vec![vec![[f64::NAN; 2], [1.0, 2.0]]] }), 0);
+    }
+
+    #[test]
+    fn positions_are_inside_as_pixels_are() {
+        let polygon = Polygon {
+            rings: vec![
+                vec![[1.0, 1.0], [9.0, 2.0], [7.0, 8.0], [2.0, 6.0]],
+                vec![[4.0, 3.0], [6.0, 3.0], [5.0, 5.0]],
+            ],
+        };
+        let mut inside = vec![[false; 10]; 10];
+        for (v, run) in polygon.runs(10, 10) {
+            run.for_each(|u| inside[v][u] = true);
+        }
+        for (v, row) in inside.iter().enumerate() {
+            for (u, &is) in row.iter().enumerate() {
+                assert_eq!(polygon.holds([u as f64, v as f64]), is, "{u}, {v}");
+            }
+        }
     }
 }

@@ -112,6 +112,9 @@ pub struct Photo {
     /// The plant that covers most of a pixel, where plants cover half of it: its number from 1 as
     /// red + 256 green + 65536 blue; 0 elsewhere.
     pub plants: RgbImage,
+    /// The leaf that covers most of a pixel, where leaves cover half of it, row by row: numbers as in
+    /// [`crate::labels`], withered leaves too; 0 elsewhere.
+    pub leaves: Vec<u32>,
 }
 
 /// Everything that photos of one field need.
@@ -147,24 +150,29 @@ impl<'a> Studio<'a> {
         let mut frame = Frame { width, height, light: vec![0.0; 3 * width * height] };
         let mut mask = GrayImage::new(width as u32, height as u32);
         let mut plants = RgbImage::new(width as u32, height as u32);
+        let mut leaves = vec![0; width * height];
         frame
             .light
             .par_chunks_mut(3 * width * TILE)
             .zip(mask.par_chunks_mut(width * TILE))
             .zip(plants.par_chunks_mut(3 * width * TILE))
+            .zip(leaves.par_chunks_mut(width * TILE))
             .enumerate()
-            .for_each_init(Samples::<4>::new, |samples, (row, ((light, mask), plants))| {
-                for column in 0..width.div_ceil(TILE) {
-                    let out = Out { light, mask, plants, width };
-                    view.tile(samples, column, row, out);
-                }
-            });
+            .for_each_init(
+                Samples::<4>::new,
+                |samples, (row, (((light, mask), plants), leaves))| {
+                    for column in 0..width.div_ceil(TILE) {
+                        let out = Out { light, mask, plants, leaves, width };
+                        view.tile(samples, column, row, out);
+                    }
+                },
+            );
         if self.image.motion_blur {
             frame.smear(&self.motion(shot));
         }
         frame.blur(self.image.defocus_px);
         let image = frame.develop(self.image, self.world.field.config.seed, photo);
-        Photo { image, mask, plants }
+        Photo { image, mask, plants, leaves }
     }
 
     /// How far the ground in the middle of every block moves during the exposure, pixels.
@@ -199,6 +207,7 @@ struct Out<'o> {
     light: &'o mut [f32],
     mask: &'o mut [u8],
     plants: &'o mut [u8],
+    leaves: &'o mut [u32],
     width: usize,
 }
 
@@ -300,7 +309,7 @@ impl<'a> View<'a> {
                 let nearest = &samples.nearest[(line * TILE + step) * 4..][..4];
                 let mut light = [0.0f32; 3];
                 let (mut bare, mut green) = (0u8, 0u8);
-                let mut owners = [0u32; 4];
+                let (mut owners, mut blades) = ([0u32; 4], [0u32; 4]);
                 for sample in 0..4 {
                     let triangle = nearest[sample];
                     if triangle == NONE {
@@ -314,6 +323,7 @@ impl<'a> View<'a> {
                     }
                     green += u8::from(thing.green);
                     owners[sample] = thing.plant;
+                    blades[sample] = thing.leaf;
                 }
                 if bare > 0 {
                     let colour = self.ground(origin, ray, gsd_m, &mut last);
@@ -326,6 +336,7 @@ impl<'a> View<'a> {
                 out.mask[pixel] = if green >= 2 { 255 } else { 0 };
                 let [r, g, b, _] = owner(owners).to_le_bytes();
                 out.plants[3 * pixel..3 * pixel + 3].copy_from_slice(&[r, g, b]);
+                out.leaves[pixel] = owner(blades);
             }
         }
     }
@@ -357,8 +368,8 @@ impl Tangent {
     }
 }
 
-/// The plant that holds most of the four samples, the smallest number where several do; 0 where plants
-/// hold less than half.
+/// The plant or leaf that holds most of the four samples, the smallest number where several do; 0 where
+/// they hold less than half.
 fn owner(owners: [u32; 4]) -> u32 {
     let count = |plant: u32| owners.iter().filter(|&&other| other == plant).count();
     let plants = owners.iter().copied().filter(|&plant| plant != 0);

@@ -62,7 +62,8 @@ pub(super) struct Args {
     #[arg(long)]
     no_photos: bool,
     /// Also write for each photo, under truth/photos/: its leaf mask, the plant that each pixel shows (number + 1 as
-    /// red + 256 green + 65536 blue, 0 none), and its stalk bases.
+    /// red + 256 green + 65536 blue, 0 none), the leaf likewise (its place in truth/leaves.csv + 1, weeds behind the
+    /// plants), and its stalk bases.
     #[arg(long, conflicts_with = "no_photos")]
     photo_truth: bool,
 }
@@ -232,7 +233,7 @@ fn from_above(folder: &Folder<'_>, twin: &Twin) -> Result<(), FileError> {
     Ok(())
 }
 
-const PHOTO_TRUTH: [&str; 3] = ["_mask.png", "_plants.png", ".csv"];
+const PHOTO_TRUTH: [&str; 4] = ["_mask.png", "_plants.png", ".csv", "_leaves.png"];
 
 fn photo_truth_name(twin: &Twin, shot: usize, end: &str) -> String {
     let name = &twin.shots[shot].name;
@@ -285,6 +286,9 @@ fn save(
         folder.png(&name(0), photo.mask.as_raw(), size, ExtendedColorType::L8)?;
         folder.png(&name(1), photo.plants.as_raw(), size, ExtendedColorType::Rgb8)?;
         folder.text(&name(2), |out| files::photo_plants(twin, twin.field(), shot, out))?;
+        let coded: Vec<u8> =
+            photo.leaves.iter().flat_map(|label| label.to_le_bytes().into_iter().take(3)).collect();
+        folder.png(&name(3), &coded, size, ExtendedColorType::Rgb8)?;
     }
     Ok(())
 }

@@ -1,0 +1,182 @@
+#!/usr/bin/env bash
+# The same sweep by this machine alone and by a Slurm cluster of two nodes on loopback, one of which is
+# killed in the middle: the results have to be the same bytes.
+#
+#   experiments/slurm/loopback.sh PROGRAM SPEC
+#
+# PROGRAM is the built `experiments`. Needs Debian's packages slurm-wlm and munge, and root (to start the
+# daemons under a configuration of their own; nothing outside a temporary folder is touched).
+# Exit code 77 with the reason where it cannot run here.
+set -euo pipefail
+
+program=$(realpath "${1:?the experiments program}")
+spec=$(realpath "${2:?a spec}")
+shards=4
+
+skip() {
+    printf 'slurm: skipped: %s\n' "$*"
+    exit 77
+}
+
+for tool in munged slurmctld slurmd sbatch scontrol squeue; do
+    PATH=$PATH:/usr/sbin command -v "$tool" >/dev/null ||
+        skip "$tool is not installed (Debian: apt-get install slurm-wlm munge)"
+done
+[[ $(id -u) == 0 ]] || skip 'the daemons need root'
+PATH=$PATH:/usr/sbin
+
+work=$(mktemp -d /tmp/rowgram-slurm-XXXXXX)
+daemons=()
+clean() {
+    local pid
+    for pid in "${daemons[@]}"; do kill -9 "$pid" 2>/dev/null || true; done
+    if [[ -n ${KEEP:-} ]]; then printf 'slurm: kept %s\n' "$work"; else rm -rf "$work"; fi
+}
+trap clean EXIT
+
+fail() {
+    printf 'slurm: %s\n' "$*" >&2
+    tail -n 20 "$work"/*.log "$work"/run/slurm-*.log >&2 2>/dev/null || true
+    exit 1
+}
+
+# Waits until a command succeeds.
+await() {
+    local seconds=$1 what=$2
+    shift 2
+    for ((k = 0; k < 5 * seconds; k++)); do
+        if "$@" >/dev/null 2>&1; then return; fi
+        sleep 0.2
+    done
+    fail "$what did not happen within $seconds s"
+}
+
+# A free port each, so that several of these and a real cluster can live side by side.
+port() {
+    python3 -c 'import socket; s = socket.socket(); s.bind(("127.0.0.1", 0)); print(s.getsockname()[1])'
+}
+
+# Munge of our own: key, socket and log in the folder.
+chmod 0755 "$work"
+mkdir -m 0755 "$work/munge" "$work/state" "$work/spool-n1" "$work/spool-n2"
+dd if=/dev/urandom of="$work/munge/key" bs=1024 count=1 status=none
+chmod 0400 "$work/munge/key"
+munged --force --foreground --key-file="$work/munge/key" --socket="$work/munge/socket" \
+    --pid-file="$work/munge/pid" --log-file="$work/munge/log" --seed-file="$work/munge/seed" \
+    >"$work/munged.log" 2>&1 &
+daemons+=($!)
+await 20 'the start of munge' test -S "$work/munge/socket"
+
+host=$(hostname -s)
+cat >"$work/slurm.conf" <<CONF
+ClusterName=rowgram
+SlurmctldHost=$host(127.0.0.1)
+SlurmctldPort=$(port)
+AuthType=auth/munge
+AuthInfo=socket=$work/munge/socket
+CredType=cred/munge
+SlurmUser=root
+SlurmdUser=root
+StateSaveLocation=$work/state
+SlurmdSpoolDir=$work/spool-%n
+SlurmctldPidFile=$work/slurmctld.pid
+SlurmdPidFile=$work/slurmd-%n.pid
+SlurmctldLogFile=$work/slurmctld.log
+SlurmdLogFile=$work/slurmd-%n.log
+ProctrackType=proctrack/linuxproc
+TaskPlugin=task/none
+SwitchType=switch/none
+MpiDefault=none
+ReturnToService=2
+SlurmctldTimeout=10
+SlurmdTimeout=10
+MessageTimeout=5
+InactiveLimit=0
+KillWait=2
+SchedulerType=sched/backfill
+SchedulerParameters=sched_interval=2,batch_sched_delay=0,requeue_delay=0
+SelectType=select/cons_tres
+SelectTypeParameters=CR_CPU
+SlurmdParameters=config_overrides
+JobRequeue=1
+JobAcctGatherType=jobacct_gather/none
+AccountingStorageType=accounting_storage/none
+NodeName=n1 NodeHostname=$host NodeAddr=127.0.0.1 Port=$(port) CPUs=1 State=UNKNOWN
+NodeName=n2 NodeHostname=$host NodeAddr=127.0.0.1 Port=$(port) CPUs=1 State=UNKNOWN
+PartitionName=main Nodes=n1,n2 Default=YES MaxTime=INFINITE State=UP
+CONF
+# Nothing here needs control groups. Slurm 23.02 and later can do without; before, the first version's plugin
+# does nothing until it is asked to.
+version=$(slurmctld -V | sed 's/[^0-9.]*//')
+if [[ $(printf '%s\n23.02\n' "$version" | sort -V | head -n 1) == 23.02 ]]; then
+    echo 'CgroupPlugin=disabled' >"$work/cgroup.conf"
+else
+    echo 'CgroupPlugin=cgroup/v1' >"$work/cgroup.conf"
+fi
+export SLURM_CONF=$work/slurm.conf
+
+slurmctld -D -c >"$work/ctld.out.log" 2>&1 &
+daemons+=($!)
+declare -A node
+for name in n1 n2; do
+    slurmd -D -N "$name" >"$work/$name.out.log" 2>&1 &
+    node[$name]=$!
+    daemons+=($!)
+done
+idle() { [[ $(sinfo --noheader --format=%T --nodes="$1") == idle ]]; }
+await 25 'node n1 idle' idle n1
+await 60 'node n2 idle' idle n2
+printf 'slurm: %s, two nodes\n' "$(slurmctld -V)"
+
+# The same plan twice: here, and on the cluster.
+"$program" run "$spec" --small --out "$work/local" --jobs 2 >/dev/null
+"$program" plan "$spec" --small --out "$work/run" >/dev/null
+"$program" submit "$work/run" --engine slurm --shards "$shards" >"$work/submitted"
+printf 'slurm: %s\n' "$(cat "$work/submitted")"
+array=$(sed -n 's/^array \([0-9]*\).*/\1/p' "$work/submitted")
+
+# Node n1 dies as soon as it has finished a task, with another under way: daemon, step and work.
+started() { compgen -G "$work/run/tasks/task-*.json"; }
+await 120 'the first finished task' started
+victims() { squeue --noheader --array --states=R --nodelist=n1 --format=%K; }
+dying=$(victims | tr '\n' ' ')
+[[ -n ${dying// /} ]] || fail 'no shard runs on node n1'
+kill -9 "${node[n1]}"
+# The work on that node is known by its environment; its step daemon is the parent. The daemon first, so
+# that it cannot report its child's death as a failure of the job.
+work_of_n1() {
+    local process
+    for process in /proc/[0-9]*; do
+        if tr '\0' '\n' <"$process/environ" 2>/dev/null | grep -q "^SLURM_CONF=$work/slurm.conf$" &&
+            tr '\0' '\n' <"$process/environ" 2>/dev/null | grep -q '^SLURMD_NODENAME=n1$' &&
+            [[ $(cat "$process/comm" 2>/dev/null) != slurmstepd ]]; then
+            printf '%s\n' "${process#/proc/}"
+        fi
+    done
+}
+killed=0
+for child in $(work_of_n1); do
+    step=$(awk '/^PPid:/ { print $2 }' "/proc/$child/status" 2>/dev/null || true)
+    if [[ -n $step && $(cat "/proc/$step/comm" 2>/dev/null) == slurmstepd ]]; then
+        kill -9 "$step" 2>/dev/null || true
+    fi
+    kill -9 "$child" 2>/dev/null && killed=$((killed + 1))
+done
+[[ $killed -gt 0 ]] || fail 'the work of node n1 was over before it could be killed'
+done_before=$("$program" status "$work/run")
+printf 'slurm: node n1 killed with shard %s under way; %s\n' "$dying" "$done_before"
+lost() { sinfo --noheader --format=%T --nodes=n1 | grep -q down; }
+await 90 'node n1 found down' lost
+
+finished() { [[ -z $(squeue --noheader) ]]; }
+await 300 'the end of all jobs' finished
+grep -q -i 'requeue' "$work/slurmctld.log" || fail 'no job was requeued'
+printf 'slurm: %s\n' "$(grep -i -m1 'requeue' "$work/slurmctld.log")"
+
+[[ -f $work/run/runs.csv ]] || fail 'the merge left no runs.csv'
+for file in runs.csv runs.parquet; do
+    cmp "$work/local/$file" "$work/run/$file" || fail "$file differs"
+done
+if [[ -d $work/local/traces ]]; then diff -r "$work/local/traces" "$work/run/traces" || fail 'traces differ'; fi
+printf 'slurm: identical to the local run after a killed node: %s\n' \
+    "$(sha256sum <"$work/run/runs.csv" | cut -c1-16)"

@@ -1,0 +1,368 @@
+//! The commands that work on specs.
+
+use crate::{
+    compare,
+    data::Frame,
+    fail::Fail,
+    keys, merge,
+    plan::{Plan, Planned},
+    spec::Spec,
+    stage::{self, STAGES},
+    submit::{self, Engine},
+    work::{self, Shard},
+};
+use clap::Subcommand;
+use rowgram::io::output;
+use std::path::{Path, PathBuf};
+
+/// Specs that redraw the paper begin with this.
+const PAPER: &str = "paper-";
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum Command {
+    /// Run an experiment: every cell and seed, then tables, figures and the finding.
+    ///
+    /// Writes runs.csv and runs.parquet (one row for each cell and seed; the same spec gives the same bytes), timing.csv,
+    /// traces/, manifest.json and figures/. An interrupted run goes on with --resume. A cell that fails is a row with its
+    /// reason. With --shard, FILE is a folder made by `plan`, and only records of finished tasks are written.
+    Run {
+        /// The spec (TOML), or with --shard the folder of a plan.
+        file: PathBuf,
+        /// Where the results go [default: experiments/out/NAME].
+        #[arg(long, value_name = "DIR")]
+        out: Option<PathBuf>,
+        /// Tasks at a time [default: as many as there are processors].
+        #[arg(long, value_name = "N", default_value_t = 0)]
+        jobs: usize,
+        /// Go on with a run that was interrupted.
+        #[arg(long)]
+        resume: bool,
+        /// Replace the results of another plan.
+        #[arg(long, conflicts_with = "resume")]
+        force: bool,
+        /// The spec's small setting.
+        #[arg(long)]
+        small: bool,
+        /// Do only one shard of a planned folder, such as 2/8.
+        #[arg(long, value_name = "I/N")]
+        shard: Option<Shard>,
+    },
+    /// Check a spec completely and say what it would do.
+    Check {
+        /// The spec (TOML).
+        spec: PathBuf,
+        /// The spec's small setting.
+        #[arg(long)]
+        small: bool,
+    },
+    /// List the stages, or everything that can be set and measured in one.
+    List {
+        /// A stage.
+        stage: Option<String>,
+    },
+    /// Write the immutable list of tasks of a spec.
+    Plan {
+        /// The spec (TOML).
+        spec: PathBuf,
+        /// The folder of the plan.
+        #[arg(long, value_name = "DIR")]
+        out: PathBuf,
+        /// The spec's small setting.
+        #[arg(long)]
+        small: bool,
+        /// Replace another plan.
+        #[arg(long)]
+        force: bool,
+    },
+    /// Have the shards of a plan worked on, and merged when all are done.
+    Submit {
+        /// The folder of the plan.
+        folder: PathBuf,
+        /// Who works.
+        #[arg(long, value_enum, default_value = "local")]
+        engine: Engine,
+        /// How many shards.
+        #[arg(long, value_name = "N", default_value_t = 4)]
+        shards: usize,
+        /// An option for sbatch, such as --sbatch=--partition=short; may be given several times.
+        #[arg(long, value_name = "OPTION", allow_hyphen_values = true)]
+        sbatch: Vec<String>,
+    },
+    /// Merge the records of finished tasks into tables; lists what is missing, duplicate or damaged and exits with 3.
+    Merge {
+        /// The folder of the plan.
+        folder: PathBuf,
+    },
+    /// Say how far a plan has come.
+    Status {
+        /// The folder of the plan.
+        folder: PathBuf,
+        /// Also by shard.
+        #[arg(long, value_name = "N", default_value_t = 1)]
+        shards: usize,
+    },
+    /// Draw the figures and tables of a spec from the tables of a result.
+    Draw {
+        /// The spec (TOML).
+        spec: PathBuf,
+        /// The folder with runs.csv.
+        result: PathBuf,
+    },
+    /// Say which cells of two results differ beyond their intervals (paired tests, effect sizes).
+    Compare {
+        /// A result folder or its runs.csv.
+        a: PathBuf,
+        /// Another.
+        b: PathBuf,
+        /// The level of the tests.
+        #[arg(long, value_name = "P", default_value_t = 0.05)]
+        level: f64,
+        /// Exit with 3 where any pair of numbers differs by more than this share, or runs are in one result only.
+        #[arg(long, value_name = "SHARE")]
+        within: Option<f64>,
+    },
+    /// Redraw the paper: run every spec whose name begins with `paper-`.
+    Paper {
+        /// The folder with the specs.
+        #[arg(long, value_name = "DIR", default_value = "experiments/specs")]
+        specs: PathBuf,
+        /// Where the results go.
+        #[arg(long, value_name = "DIR", default_value = "experiments/out")]
+        out: PathBuf,
+        /// The small settings.
+        #[arg(long)]
+        small: bool,
+        /// Every spec, not only the paper's.
+        #[arg(long)]
+        all: bool,
+    },
+    /// Write FINDINGS.md from the committed results, or check that it is what they say.
+    Findings {
+        /// The folder with the specs.
+        #[arg(long, value_name = "DIR", default_value = "experiments/specs")]
+        specs: PathBuf,
+        /// The folder with a result for each spec.
+        #[arg(long, value_name = "DIR", default_value = "experiments/reference")]
+        reference: PathBuf,
+        /// The file.
+        #[arg(long, value_name = "FILE", default_value = "experiments/FINDINGS.md")]
+        output: PathBuf,
+        /// Write nothing; exit with 3 where the file is not what the results say.
+        #[arg(long)]
+        check: bool,
+    },
+}
+
+impl Command {
+    pub(crate) fn run(self) -> Result<(), Fail> {
+        match self {
+            Command::Run { file, out, jobs, resume, force, small, shard } => match shard {
+                Some(shard) => {
+                    let planned = Planned::load(&file)?;
+                    let done = work::run(&planned, shard, jobs)?;
+                    say(&format!("shard {}/{}: {done} tasks done", shard.index, shard.count));
+                    Ok(())
+                }
+                None => {
+                    let plan = Plan::of(&file, small)?;
+                    let out =
+                        out.unwrap_or_else(|| Path::new("experiments/out").join(&plan.spec.name));
+                    run(plan, &out, jobs, resume, force)
+                }
+            },
+            Command::Check { spec, small } => {
+                let plan = Plan::of(&spec, small)?;
+                let (cells, seeds) = (plan.cells.len(), plan.spec.seeds.count);
+                let Plan { spec, .. } = plan;
+                say(&format!(
+                    "{}: {cells} cells x {seeds} seeds of stage {}, {} figures, {} tables",
+                    spec.name,
+                    spec.stage,
+                    spec.figures.len(),
+                    spec.tables.len()
+                ));
+                Ok(())
+            }
+            Command::List { stage } => list(stage.as_deref()),
+            Command::Plan { spec, out, small, force } => {
+                let planned = Plan::of(&spec, small)?.save(&out, force)?;
+                say(&format!("{} tasks, plan {}", planned.count(), planned.hash));
+                Ok(())
+            }
+            Command::Submit { folder, engine, shards, sbatch } => {
+                let planned = Planned::load(&folder)?;
+                say(&submit::submit(&planned, engine, shards, &sbatch)?);
+                Ok(())
+            }
+            Command::Merge { folder } => merge::merge(&Planned::load(&folder)?),
+            Command::Status { folder, shards } => {
+                say(merge::status(&Planned::load(&folder)?, shards)?.trim_end());
+                Ok(())
+            }
+            Command::Draw { spec, result } => draw(&Spec::read(&spec, false)?.0, &result),
+            Command::Compare { a, b, level, within } => compare_two(&a, &b, level, within),
+            Command::Paper { specs, out, small, all } => {
+                for path in spec_files(&specs)? {
+                    let plan = Plan::of(&path, small)?;
+                    if all || plan.spec.name.starts_with(PAPER) {
+                        let out = out.join(&plan.spec.name);
+                        say(&format!("{}: {}", plan.spec.name, plan.spec.title));
+                        run(plan, &out, 0, true, false)?;
+                    }
+                }
+                Ok(())
+            }
+            Command::Findings { specs, reference, output, check } => {
+                findings(&specs, &reference, &output, check)
+            }
+        }
+    }
+}
+
+fn run(plan: Plan, out: &Path, jobs: usize, resume: bool, force: bool) -> Result<(), Fail> {
+    if Planned::exists(out) && !resume && !force {
+        return Err(Fail::Input(format!(
+            "{}: there is a run already; go on with --resume, replace another one with --force",
+            out.display()
+        )));
+    }
+    let planned = plan.save(out, force)?;
+    if force {
+        // Records of another plan would be taken for damaged ones.
+        let folder = planned.tasks_folder();
+        if folder.exists() {
+            std::fs::remove_dir_all(&folder).map_err(|e| Fail::io(&folder, &e))?;
+        }
+    }
+    work::run(&planned, Shard::WHOLE, jobs)?;
+    merge::merge(&planned)?;
+    draw(&planned.plan.spec, out)?;
+    say(merge::status(&planned, 1)?.trim_end());
+    Ok(())
+}
+
+/// Figures, tables and the finding, into `figures/` of the result.
+fn draw(spec: &Spec, result: &Path) -> Result<(), Fail> {
+    let folder = result.join("figures");
+    std::fs::create_dir_all(&folder).map_err(|e| Fail::io(&folder, &e))?;
+    let runs = Frame::read(&result.join("runs.csv"))?;
+    spec.figures.iter().try_for_each(|figure| figure.draw(result, &folder))?;
+    spec.tables.iter().try_for_each(|table| table.write(&runs, &folder))?;
+    if let Some(finding) = &spec.finding {
+        say(&finding.fill(&runs).map_err(|e| Fail::Failed(format!("finding: {e}")))?);
+        for claim in finding.refuted(&runs).map_err(|e| Fail::Failed(format!("finding: {e}")))? {
+            say(&format!("these numbers do not bear out: {claim}"));
+        }
+    }
+    Ok(())
+}
+
+fn list(name: Option<&str>) -> Result<(), Fail> {
+    let Some(name) = name else {
+        STAGES.iter().for_each(|stage| say(&format!("{:<10} {}", stage.name, stage.about)));
+        return Ok(());
+    };
+    let stage = stage::find(name).map_err(Fail::Input)?;
+    say(&format!("{}: {}\n\nkeys and their defaults", stage.name, stage.about));
+    let defaults = (stage.defaults)().map_err(Fail::Failed)?;
+    for (path, value) in keys::flatten(&defaults) {
+        say(&format!("  {path} = {value}"));
+    }
+    say("\nmetrics");
+    stage.metrics.iter().for_each(|m| say(&format!("  {:<20} {}", m.name, m.about)));
+    Ok(())
+}
+
+fn compare_two(a: &Path, b: &Path, level: f64, within: Option<f64>) -> Result<(), Fail> {
+    let (found, lonely) = compare::compare(a, b)?;
+    say(compare::report(&found, &lonely, level).trim_end());
+    let Some(within) = within else { return Ok(()) };
+    let far: Vec<String> = found
+        .iter()
+        .filter(|c| c.largest > within)
+        .map(|c| format!("{}, {}: pairs differ by up to {:.3e}", c.cell, c.metric, c.largest))
+        .collect();
+    if far.is_empty() && lonely.is_empty() {
+        return Ok(());
+    }
+    Err(Fail::Incomplete(format!(
+        "the results are not the same to within {within}:\n{}",
+        far.into_iter().chain(lonely).collect::<Vec<_>>().join("\n")
+    )))
+}
+
+/// The specs of a folder, sorted.
+fn spec_files(folder: &Path) -> Result<Vec<PathBuf>, Fail> {
+    let entries = std::fs::read_dir(folder).map_err(|e| Fail::io(folder, &e))?;
+    let mut paths: Vec<PathBuf> = entries.filter_map(Result::ok).map(|e| e.path()).collect();
+    paths.retain(|path| path.extension().is_some_and(|extension| extension == "toml"));
+    paths.sort();
+    Ok(paths)
+}
+
+fn findings(specs: &Path, reference: &Path, output: &Path, check: bool) -> Result<(), Fail> {
+    let mut text = String::from(
+        "# Findings\n\nWritten from the committed results in `reference/` by `experiments findings`; every number \
+         comes from\nthe tables, and what the sentences claim is checked against them. The results are those of the \
+         small\nsettings (`--small`), few seeds on small fields: they show directions. Each spec states the large \
+         setting.\n",
+    );
+    let (mut refuted, mut pending) = (Vec::new(), Vec::new());
+    for path in spec_files(specs)? {
+        let (spec, cells) = Spec::read(&path, true)?;
+        let Some(finding) = &spec.finding else { continue };
+        let result = reference.join(&spec.name).join("runs.csv");
+        if !result.exists() {
+            pending.push(spec.name);
+            continue;
+        }
+        let runs = Frame::read(&result)?;
+        let fail = |e: String| Fail::Failed(format!("{}: {e}", spec.name));
+        let filled = finding.fill(&runs).map_err(fail)?;
+        refuted.extend(
+            finding
+                .refuted(&runs)
+                .map_err(fail)?
+                .into_iter()
+                .map(|c| format!("{}: {c}", spec.name)),
+        );
+        text += &format!(
+            "\n## {}\n\n{filled}\n\n`specs/{}.toml`: {} cells, {} seed{}.\n",
+            spec.title,
+            spec.name,
+            cells.len(),
+            spec.seeds.count,
+            if spec.seeds.count == 1 { "" } else { "s" }
+        );
+    }
+    if !pending.is_empty() {
+        text += &format!(
+            "\n## Without a committed result\n\nThese specs state a finding and have no result here: {}.\n",
+            pending.join(", ")
+        );
+    }
+    if !refuted.is_empty() {
+        return Err(Fail::Incomplete(format!(
+            "the results do not bear out:\n{}",
+            refuted.join("\n")
+        )));
+    }
+    if check {
+        let there = std::fs::read_to_string(output).map_err(|e| Fail::io(output, &e))?;
+        return if there == text {
+            Ok(())
+        } else {
+            Err(Fail::Incomplete(format!(
+                "{} is not what the results say; `experiments findings` writes it",
+                output.display()
+            )))
+        };
+    }
+    output::write(output, true, |out| out.write_all(text.as_bytes()))?;
+    Ok(())
+}
+
+#[expect(clippy::print_stdout, reason = "what was asked for goes to stdout")]
+fn say(text: &str) {
+    println!("{text}");
+}

@@ -1,0 +1,43 @@
+//! Why a command ends badly, and with which exit code.
+
+use rowgram::io::FileError;
+
+/// What went wrong.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum Fail {
+    /// What was asked for cannot be done as it was asked.
+    #[error("{0}")]
+    Input(String),
+    /// It was begun and did not work.
+    #[error("{0}")]
+    Failed(String),
+    /// Something is missing or does not hold.
+    #[error("{0}")]
+    Incomplete(String),
+    /// Reported by the library.
+    #[error(transparent)]
+    Library(#[from] rowgram::Error),
+}
+
+impl Fail {
+    /// 1 failure, 2 bad input, 3 incomplete or a check that failed.
+    pub(crate) fn exit_code(&self) -> u8 {
+        match self {
+            Fail::Failed(_) => 1,
+            Fail::Input(_) => 2,
+            Fail::Incomplete(_) => 3,
+            Fail::Library(error) => error.kind().exit_code(),
+        }
+    }
+
+    /// A file that cannot be read or written.
+    pub(crate) fn io(path: &std::path::Path, error: &std::io::Error) -> Fail {
+        Fail::Failed(format!("{}: {error}", path.display()))
+    }
+}
+
+impl From<FileError> for Fail {
+    fn from(error: FileError) -> Fail {
+        Fail::Library(error.into())
+    }
+}

@@ -1,0 +1,225 @@
+//! Figures, drawn from tables only: SVG, PDF and PNG, with the numbers that are in them as CSV and a
+//! caption stub in LaTeX.
+//!
+//! Colours are those of Okabe and Ito, which everybody tells apart, and every series has a marker of its
+//! own; letters are large enough for one column of two-column print.
+
+mod curves;
+mod export;
+mod maps;
+mod scale;
+mod spread;
+
+use crate::{
+    data::{Conditions, Frame},
+    fail::Fail,
+    keys,
+    tables::escaped,
+};
+use rowgram::io::output;
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+
+/// What a figure looks like.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub(crate) enum Look {
+    /// Means over a number, with 95 % confidence bands.
+    Curve,
+    /// Means over labels, with 95 % intervals.
+    Bars,
+    /// Quartiles, whiskers to the extremes.
+    Box,
+    /// Densities of the values.
+    Violin,
+    /// A number over two coordinates, as colours.
+    Surface,
+    /// Series over iterations, one thin line for each run.
+    Convergence,
+    /// Share of problems solved within a factor of the best (Dolan and More 2002).
+    Profile,
+    /// Points in the plane, coloured by series.
+    Points,
+    /// Arrows in the plane.
+    Field,
+}
+
+/// A figure as a spec asks for it.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Figure {
+    /// Names the files.
+    pub(crate) name: String,
+    /// What it looks like.
+    pub(crate) look: Look,
+    /// The table: `runs`, `timing`, or the name of a trace.
+    #[serde(default = "runs")]
+    pub(crate) from: String,
+    /// The column along the first axis; for a profile, the axis that names the problems.
+    #[serde(default)]
+    pub(crate) x: String,
+    /// The column along the second axis.
+    pub(crate) y: String,
+    /// The column that tells the series apart.
+    #[serde(default)]
+    pub(crate) series: String,
+    /// The column of the small multiples.
+    #[serde(default)]
+    pub(crate) panel: String,
+    /// For surfaces, the column shown as colour.
+    #[serde(default)]
+    pub(crate) value: String,
+    /// For fields, the columns of the arrows.
+    #[serde(default)]
+    pub(crate) arrow: Vec<String>,
+    /// How much longer than life arrows are.
+    #[serde(default = "unity")]
+    pub(crate) magnify: f64,
+    /// Points drawn over a surface: a trace with the same coordinate columns.
+    #[serde(default)]
+    pub(crate) over: String,
+    /// Exponent of the colour scale of a surface; 1 is linear.
+    #[serde(default = "unity")]
+    pub(crate) gamma: f64,
+    #[serde(default)]
+    pub(crate) x_log: bool,
+    #[serde(default)]
+    pub(crate) y_log: bool,
+    /// The second axis points down, as in images.
+    #[serde(default)]
+    pub(crate) y_down: bool,
+    /// Places along the first axis that are marked, such as published values.
+    #[serde(default)]
+    pub(crate) marks: Vec<f64>,
+    #[serde(default)]
+    pub(crate) x_label: String,
+    #[serde(default)]
+    pub(crate) y_label: String,
+    /// Which rows.
+    #[serde(default, rename = "where")]
+    pub(crate) conditions: Conditions,
+    /// What it shows.
+    #[serde(default)]
+    pub(crate) caption: String,
+}
+
+fn runs() -> String {
+    "runs".to_owned()
+}
+
+fn unity() -> f64 {
+    1.0
+}
+
+impl Figure {
+    /// Refuses axes and metrics that there are not. The columns of traces are known once they are
+    /// there; everything else is checked before any work.
+    pub(crate) fn check(&self, axes: &[&str], metrics: &[&str]) -> Result<(), String> {
+        let place = |e: String| format!("figure {}: {e}", self.name);
+        let given = |name: &&str| !name.is_empty();
+        let table = ["runs", "timing"].contains(&self.from.as_str());
+        // The series of a trace may be a column of its own.
+        let series = if table { self.series.as_str() } else { "" };
+        let groups = [series, self.panel.as_str()];
+        let conditions = self.conditions.keys().map(String::as_str);
+        for axis in groups.into_iter().filter(given).chain(conditions) {
+            if !axes.contains(&axis) {
+                return Err(place(keys::unknown("axis", axis, axes.iter().copied())));
+            }
+        }
+        if self.from == "runs" {
+            let both = || axes.iter().chain(metrics).copied();
+            let columns = [self.x.as_str(), self.y.as_str(), self.value.as_str()];
+            for column in columns.into_iter().filter(given) {
+                if !both().any(|known| known == column) {
+                    return Err(place(keys::unknown("column", column, both())));
+                }
+            }
+        }
+        if self.look == Look::Field && self.arrow.len() != 2 {
+            return Err(place("a field needs the two columns of its arrows".to_owned()));
+        }
+        if self.look == Look::Surface && self.value.is_empty() {
+            return Err(place("a surface needs a column of values".to_owned()));
+        }
+        if !(self.gamma > 0.0 && self.magnify > 0.0) {
+            return Err(place("gamma and magnify have to be positive".to_owned()));
+        }
+        Ok(())
+    }
+
+    /// Draws the figure from the tables of a result folder into another folder.
+    pub(crate) fn draw(&self, result: &Path, out: &Path) -> Result<(), Fail> {
+        let fail = |e: String| Fail::Failed(format!("figure {}: {e}", self.name));
+        let table = |name: &str| match name {
+            "runs" | "timing" => Frame::read(&result.join(format!("{name}.csv"))),
+            trace => Frame::read(&result.join(format!("traces/{trace}.csv"))),
+        };
+        let frame = table(&self.from)?.at(&self.conditions).map_err(fail)?;
+        let over = if self.over.is_empty() { None } else { Some(table(&self.over)?) };
+        let drawn = match self.look {
+            Look::Curve => curves::means(self, &frame, false),
+            Look::Convergence => curves::convergence(self, &frame),
+            Look::Profile => curves::profile(self, &frame),
+            Look::Bars => curves::means(self, &frame, true),
+            Look::Box => spread::draw(self, &frame, false),
+            Look::Violin => spread::draw(self, &frame, true),
+            Look::Surface => maps::surface(self, &frame, over.as_ref()),
+            Look::Points => maps::points(self, &frame),
+            Look::Field => maps::field(self, &frame),
+        };
+        let Drawn { svg, numbers } = drawn.map_err(fail)?;
+        export::write(out, &self.name, &svg)?;
+        output::write(&out.join(format!("{}.csv", self.name)), true, |file| {
+            let mut writer = csv::Writer::from_writer(file);
+            numbers.iter().try_for_each(|row| writer.write_record(row))?;
+            writer.flush()
+        })?;
+        let caption = format!(
+            "\\begin{{figure}}\n\\centering\n\\includegraphics[width=\\columnwidth]{{{name}.pdf}}\n\
+             \\caption{{{}}}\n\\label{{fig:{name}}}\n\\end{{figure}}\n",
+            escaped(&self.caption),
+            name = self.name
+        );
+        output::write(&out.join(format!("{}.tex", self.name)), true, |file| {
+            file.write_all(caption.as_bytes())
+        })?;
+        Ok(())
+    }
+
+    fn x_text(&self) -> String {
+        if self.x_label.is_empty() { plain(&self.x) } else { self.x_label.clone() }
+    }
+
+    fn y_text(&self) -> String {
+        if self.y_label.is_empty() { plain(&self.y) } else { self.y_label.clone() }
+    }
+}
+
+/// A column as a person reads it: without the path before it.
+fn plain(column: &str) -> String {
+    column.rsplit('.').next().unwrap_or(column).replace('_', " ")
+}
+
+/// A picture and the numbers in it.
+struct Drawn {
+    svg: String,
+    numbers: Vec<Vec<String>>,
+}
+
+/// The labels of the panels with their rows.
+fn panels(figure: &Figure, frame: &Frame) -> Result<Vec<(String, Frame)>, String> {
+    frame
+        .labels(&figure.panel)?
+        .into_iter()
+        .map(|label| {
+            let rows = frame.with(&figure.panel, &label)?;
+            let title = if label.is_empty() {
+                String::new()
+            } else {
+                format!("{} {label}", plain(&figure.panel))
+            };
+            Ok((title, rows))
+        })
+        .collect()
+}

@@ -1,0 +1,140 @@
+//! Colours, markers, extents and the canvas that all looks share.
+
+use plotters::{
+    coord::Shift,
+    prelude::*,
+    style::{FontFamily, RGBAColor},
+};
+
+/// The drawing area of a figure.
+pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+/// What plotters answers.
+pub(super) type Done = Result<(), Box<dyn std::error::Error>>;
+
+/// Okabe and Ito, "Color Universal Design", 2008; yellow is left out, for it is lost on white.
+const COLOURS: [RGBColor; 7] = [
+    RGBColor(0, 114, 178),
+    RGBColor(213, 94, 0),
+    RGBColor(0, 158, 115),
+    RGBColor(204, 121, 167),
+    RGBColor(86, 180, 233),
+    RGBColor(230, 159, 0),
+    RGBColor(0, 0, 0),
+];
+
+/// Sizes of letters, for a picture 720 wide in a column 240 points wide.
+pub(super) const LABEL: u32 = 21;
+pub(super) const TITLE: u32 = 22;
+
+/// The colour of a series.
+pub(super) fn colour(series: usize) -> RGBColor {
+    COLOURS[series % COLOURS.len()]
+}
+
+/// The font of a label.
+pub(super) fn font(size: u32) -> TextStyle<'static> {
+    (FontFamily::SansSerif, size).into_font().color(&BLACK)
+}
+
+/// A light version of a colour.
+pub(super) fn light(series: usize) -> RGBAColor {
+    colour(series).mix(0.2)
+}
+
+/// Viridis, at nine places between which it is close to straight.
+const VIRIDIS: [[f64; 3]; 9] = [
+    [68.0, 1.0, 84.0],
+    [71.0, 44.0, 122.0],
+    [59.0, 81.0, 139.0],
+    [44.0, 113.0, 142.0],
+    [33.0, 144.0, 141.0],
+    [39.0, 173.0, 129.0],
+    [92.0, 200.0, 99.0],
+    [170.0, 220.0, 50.0],
+    [253.0, 231.0, 37.0],
+];
+
+/// The colour of a share from 0 to 1.
+pub(super) fn viridis(share: f64) -> RGBColor {
+    let place = share.clamp(0.0, 1.0) * (VIRIDIS.len() - 1) as f64;
+    let low = (place.floor() as usize).min(VIRIDIS.len() - 2);
+    let part = place - low as f64;
+    let mix =
+        |k: usize| (VIRIDIS[low][k] + (VIRIDIS[low + 1][k] - VIRIDIS[low][k]) * part).round() as u8;
+    RGBColor(mix(0), mix(1), mix(2))
+}
+
+/// The extent of numbers, a little wider; never empty. On a logarithmic axis, of the logarithms.
+pub(super) fn extent(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
+    let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+    for value in values.filter(|value| value.is_finite()) {
+        (low, high) = (low.min(value), high.max(value));
+    }
+    if low > high {
+        return None;
+    }
+    let margin = if high > low { 0.05 * (high - low) } else { 0.5 * low.abs().max(0.02) };
+    Some((low - margin, high + margin))
+}
+
+/// Axes are linear in what is drawn; a logarithmic one is drawn in powers of ten.
+pub(super) fn placed(value: f64, logarithmic: bool) -> f64 {
+    if logarithmic { value.log10() } else { value }
+}
+
+/// How a number stands at its tick.
+pub(super) fn tick(place: f64, logarithmic: bool) -> String {
+    let value = if logarithmic { 10f64.powf(place) } else { place };
+    let size = value.abs();
+    if value == 0.0 {
+        "0".to_owned()
+    } else if !(1e-3..1e5).contains(&size) {
+        format!("{value:.0e}")
+    } else {
+        let digits = if size < 0.1 {
+            3
+        } else if size < 10.0 {
+            2
+        } else {
+            0
+        };
+        let text = format!("{value:.digits$}");
+        if text.contains('.') {
+            text.trim_end_matches('0').trim_end_matches('.').to_owned()
+        } else {
+            text
+        }
+    }
+}
+
+/// Rows and columns of small multiples.
+pub(super) fn layout(panels: usize) -> (usize, usize) {
+    let columns = match panels {
+        0 | 1 => 1,
+        2 | 4 => 2,
+        _ => 3,
+    };
+    (panels.div_ceil(columns).max(1), columns)
+}
+
+/// Draws panels on one canvas, `height` high each.
+pub(super) fn canvas(
+    panels: usize,
+    height: u32,
+    mut draw: impl FnMut(usize, &Area<'_>) -> Done,
+) -> Result<String, String> {
+    let (rows, columns) = layout(panels);
+    let width = if columns == 1 { 720 } else { 480 * columns as u32 };
+    let mut svg = String::new();
+    let mut run = |svg: &mut String| -> Done {
+        let area = SVGBackend::with_string(svg, (width, height * rows as u32)).into_drawing_area();
+        area.fill(&WHITE)?;
+        for (panel, part) in area.split_evenly((rows, columns)).iter().enumerate().take(panels) {
+            draw(panel, part)?;
+        }
+        area.present()?;
+        Ok(())
+    };
+    run(&mut svg).map_err(|e| e.to_string())?;
+    Ok(svg)
+}

@@ -1,0 +1,291 @@
+//! The same small problems for every solver: the engine's own and argmin's.
+//!
+//! Work is counted in evaluations of the residual; a Jacobian counts as many as it has columns, which is
+//! what differences would cost. A solver has solved a problem at the first evaluation whose cost is
+//! within a tolerance of the best known: what it does afterwards is not counted.
+
+use super::arena_problems::{CLASSICS, Classic};
+use crate::{
+    keys,
+    stage::{Measured, Metric, Stage, Trace, metric},
+};
+use argmin::{
+    core::{CostFunction, Executor, Gradient},
+    solver::{
+        conjugategradient::{NonlinearConjugateGradient, beta::PolakRibiere},
+        gradientdescent::SteepestDescent,
+        linesearch::MoreThuenteLineSearch,
+        neldermead::NelderMead,
+        quasinewton::LBFGS,
+    },
+};
+use rowgram::nlls::{
+    BlockId, Factor, Factors, Infeasible, Jacobian, Linear, Loss, Method, Options, Problem, Space,
+    solve,
+};
+use serde::{Deserialize, Serialize};
+use std::sync::{Arc, Mutex};
+
+/// Who solves.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum Solver {
+    LevenbergMarquardt,
+    Dogleg,
+    /// Levenberg-Marquardt with next to no damping to begin with.
+    GaussNewton,
+    Lbfgs,
+    NonlinearCg,
+    SteepestDescent,
+    NelderMead,
+}
+
+/// What can be varied.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(crate) struct Parameters {
+    /// The problem's name.
+    problem: String,
+    solver: Solver,
+    /// The usual start is multiplied with this.
+    start_factor: f64,
+    /// Solved where the cost is above the best known by less than this share of it.
+    relative_tolerance: f64,
+    /// Or by less than this.
+    absolute_tolerance: f64,
+    max_iterations: u64,
+    /// Whether the lowest cost so far is kept, by evaluations.
+    trace: bool,
+}
+
+impl Default for Parameters {
+    fn default() -> Parameters {
+        Parameters {
+            problem: CLASSICS[0].name.to_owned(),
+            solver: Solver::LevenbergMarquardt,
+            start_factor: 1.0,
+            relative_tolerance: 1e-6,
+            absolute_tolerance: 1e-10,
+            max_iterations: 5000,
+            trace: false,
+        }
+    }
+}
+
+/// The stage.
+pub(crate) struct Arena;
+
+impl Stage for Arena {
+    type Parameters = Parameters;
+    const NAME: &'static str = "arena";
+    const ABOUT: &'static str = "small classical problems, the engine's solvers against argmin's";
+    const METRICS: &'static [Metric] = &[
+        metric("evaluations", "evaluations until solved; none where it was not solved"),
+        metric("solved", "1 where it was solved"),
+        metric("cost", "lowest cost seen"),
+        metric("excess", "that above the best known"),
+        metric("all_evaluations", "evaluations until the solver stopped"),
+    ];
+
+    fn check(p: &Parameters) -> Result<(), String> {
+        classic(&p.problem)?;
+        if !(p.start_factor.is_finite() && p.absolute_tolerance > 0.0) {
+            return Err("start_factor has to be finite, absolute_tolerance positive".to_owned());
+        }
+        Ok(())
+    }
+
+    fn run(p: &Parameters, _seed: u64) -> Result<Measured, String> {
+        let classic = classic(&p.problem)?;
+        let target = classic.best + (p.relative_tolerance * classic.best).max(p.absolute_tolerance);
+        let counted = Counted { classic, target, count: Arc::new(Mutex::new(Count::default())) };
+        // A start at 0 stays there whatever the factor; 1 is what More et al. take then.
+        let zero = p.start_factor != 1.0 && classic.start.iter().all(|&value| value == 0.0);
+        let start: Vec<f64> = classic
+            .start
+            .iter()
+            .map(|value| if zero { p.start_factor } else { p.start_factor * value })
+            .collect();
+        let ended = race(p, &counted, start);
+        let count = counted.count.lock().map_err(|_| "a solver failed".to_owned())?.clone();
+        // Solvers that give up with an error have come as far as they have.
+        if let (Err(error), true) = (ended, count.evaluations == 0.0) {
+            return Err(error);
+        }
+        let mut measured = Measured::default();
+        measured.put_some("evaluations", count.solved_at);
+        measured.put("solved", f64::from(count.solved_at.is_some()));
+        measured.put("cost", count.lowest);
+        measured.put("excess", count.lowest - classic.best);
+        measured.put("all_evaluations", count.evaluations);
+        if p.trace {
+            let mut trace = Trace::new("descent", &["evaluations", "excess"]);
+            trace.rows = count.log;
+            measured.traces.push(trace);
+        }
+        Ok(measured)
+    }
+}
+
+fn classic(name: &str) -> Result<&'static Classic, String> {
+    CLASSICS
+        .iter()
+        .find(|classic| classic.name == name)
+        .ok_or_else(|| keys::unknown("problem", name, CLASSICS.iter().map(|c| c.name)))
+}
+
+/// What was evaluated so far.
+#[derive(Debug, Clone)]
+struct Count {
+    evaluations: f64,
+    lowest: f64,
+    solved_at: Option<f64>,
+    log: Vec<Vec<f64>>,
+}
+
+impl Default for Count {
+    fn default() -> Count {
+        Count { evaluations: 0.0, lowest: f64::INFINITY, solved_at: None, log: Vec::new() }
+    }
+}
+
+/// A problem that counts.
+#[derive(Clone)]
+struct Counted {
+    classic: &'static Classic,
+    target: f64,
+    count: Arc<Mutex<Count>>,
+}
+
+impl Counted {
+    fn evaluate(&self, x: &[f64], r: &mut [f64], jacobian: Option<&mut [f64]>) {
+        let price = 1.0 + if jacobian.is_some() { x.len() as f64 } else { 0.0 };
+        (self.classic.evaluate)(x, r, jacobian);
+        let cost = 0.5 * r.iter().map(|value| value * value).sum::<f64>();
+        let Ok(mut count) = self.count.lock() else { return };
+        count.evaluations += price;
+        if cost < count.lowest {
+            count.lowest = cost;
+            let entry = vec![count.evaluations, (cost - self.classic.best).max(1e-18)];
+            count.log.push(entry);
+            if cost <= self.target && count.solved_at.is_none() {
+                count.solved_at = Some(count.evaluations);
+            }
+        }
+    }
+}
+
+impl CostFunction for Counted {
+    type Param = Vec<f64>;
+    type Output = f64;
+
+    fn cost(&self, x: &Vec<f64>) -> Result<f64, argmin::core::Error> {
+        let mut r = vec![0.0; self.classic.rows];
+        self.evaluate(x, &mut r, None);
+        Ok(0.5 * r.iter().map(|value| value * value).sum::<f64>())
+    }
+}
+
+impl Gradient for Counted {
+    type Param = Vec<f64>;
+    type Gradient = Vec<f64>;
+
+    fn gradient(&self, x: &Vec<f64>) -> Result<Vec<f64>, argmin::core::Error> {
+        let (rows, n) = (self.classic.rows, x.len());
+        let (mut r, mut j) = (vec![0.0; rows], vec![0.0; rows * n]);
+        self.evaluate(x, &mut r, Some(&mut j));
+        Ok((0..n).map(|k| (0..rows).map(|i| j[i * n + k] * r[i]).sum()).collect())
+    }
+}
+
+/// The whole problem as one factor of one block.
+struct Whole {
+    blocks: [BlockId; 1],
+    counted: Counted,
+}
+
+impl Factor for Whole {
+    fn rows(&self) -> usize {
+        self.counted.classic.rows
+    }
+
+    fn blocks(&self) -> &[BlockId] {
+        &self.blocks
+    }
+
+    fn linearize(
+        &self,
+        x: &[&[f64]],
+        residual: &mut [f64],
+        jacobian: Option<&mut Jacobian<'_>>,
+    ) -> Result<(), Infeasible> {
+        let n = x[0].len();
+        match jacobian {
+            None => self.counted.evaluate(x[0], residual, None),
+            Some(jacobian) => {
+                let mut entries = vec![0.0; residual.len() * n];
+                self.counted.evaluate(x[0], residual, Some(&mut entries));
+                for (row, entries) in entries.chunks(n).enumerate() {
+                    jacobian.row(row).copy_from_slice(entries);
+                }
+            }
+        }
+        if residual.iter().all(|value| value.is_finite()) { Ok(()) } else { Err(Infeasible) }
+    }
+}
+
+fn race(p: &Parameters, counted: &Counted, start: Vec<f64>) -> Result<(), String> {
+    let own = |method, initial_damping| {
+        let mut problem = Problem::new();
+        let space = Space::Euclidean(start.len());
+        let block = problem.block("x", space, &start).map_err(|e| e.to_string())?;
+        let factor = Whole { blocks: [block], counted: counted.clone() };
+        problem.add("r", Loss::Trivial, Factors(vec![factor])).map_err(|e| e.to_string())?;
+        let options = Options {
+            method,
+            linear: Linear::Dense,
+            initial_damping,
+            cost_tolerance: 1e-14,
+            gradient_tolerance: 1e-15,
+            step_tolerance: 1e-15,
+            ..Options::default()
+        };
+        let mut x = problem.start();
+        solve(&problem, &mut x, &options, p.max_iterations).map(drop).map_err(|e| e.to_string())
+    };
+    let problem = counted.clone();
+    let told = |e: argmin::core::Error| e.to_string();
+    let line = MoreThuenteLineSearch::new;
+    let most = p.max_iterations;
+    match p.solver {
+        Solver::LevenbergMarquardt => own(Method::LevenbergMarquardt, 1e-3),
+        Solver::GaussNewton => own(Method::LevenbergMarquardt, 1e-12),
+        Solver::Dogleg => own(Method::Dogleg, 1e-3),
+        Solver::Lbfgs => {
+            let solver = LBFGS::new(line(), 7);
+            let run = Executor::new(problem, solver);
+            run.configure(|s| s.param(start).max_iters(most)).run().map(drop).map_err(told)
+        }
+        Solver::NonlinearCg => {
+            let solver = NonlinearConjugateGradient::new(line(), PolakRibiere::new())
+                .restart_iters(20)
+                .restart_orthogonality(0.1);
+            let run = Executor::new(problem, solver);
+            run.configure(|s| s.param(start).max_iters(most)).run().map(drop).map_err(told)
+        }
+        Solver::SteepestDescent => {
+            let run = Executor::new(problem, SteepestDescent::new(line()));
+            run.configure(|s| s.param(start).max_iters(most)).run().map(drop).map_err(told)
+        }
+        Solver::NelderMead => {
+            let mut simplex = vec![start.clone()];
+            for k in 0..start.len() {
+                let mut vertex = start.clone();
+                vertex[k] += 0.1 * vertex[k].abs().max(1.0);
+                simplex.push(vertex);
+            }
+            let solver = NelderMead::new(simplex).with_sd_tolerance(1e-14).map_err(told)?;
+            let run = Executor::new(problem, solver);
+            run.configure(|s| s.max_iters(most)).run().map(drop).map_err(told)
+        }
+    }
+}

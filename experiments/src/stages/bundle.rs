@@ -1,0 +1,186 @@
+//! Bundle adjustment of a synthetic aerial block: start error, losses, gross errors, solvers.
+
+use crate::stage::{Measured, Metric, Stage, Trace, metric};
+use data_synth::block::{Block, BlockConfig, ForwardCamera};
+use rowgram::{
+    engine::{Engine, Stop},
+    nlls::{LeastSquares, Loss, Options, Problem},
+    problems::bundle::{Bundle, Camera, InteriorSharing, Network, Observation},
+};
+use serde::{Deserialize, Serialize};
+
+/// What can be varied.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(crate) struct Parameters {
+    block: BlockConfig,
+    /// All start errors are multiplied with this.
+    start_scale: f64,
+    /// `trivial`, `huber:1.0`, `cauchy:1.0`, ...
+    loss: String,
+    interior: InteriorSharing,
+    options: Options,
+    max_iterations: u64,
+    /// Whether the cost of every iteration is kept.
+    trace: bool,
+}
+
+impl Default for Parameters {
+    fn default() -> Parameters {
+        let block = BlockConfig { images: 12, points: 400, ..BlockConfig::default() };
+        Parameters {
+            block,
+            start_scale: 1.0,
+            loss: Loss::Trivial.to_string(),
+            interior: InteriorSharing::PerImage,
+            options: Options::default(),
+            max_iterations: 100,
+            trace: false,
+        }
+    }
+}
+
+/// The stage.
+pub(crate) struct BundleBlock;
+
+impl Stage for BundleBlock {
+    type Parameters = Parameters;
+    const NAME: &'static str = "bundle";
+    const ABOUT: &'static str = "bundle adjustment of a synthetic aerial block";
+    const METRICS: &'static [Metric] = &[
+        metric(
+            "error_px",
+            "root mean square distance of adjusted from true, error-free image points",
+        ),
+        metric("rms_px", "root mean square residual of the good measurements"),
+        metric("cost_ratio", "final cost over that reached from the truth"),
+        metric("solved", "1 where that is below 1.001"),
+        metric("iterations", "trials made"),
+        metric("iterations_to_solve", "trials until the cost was below 1.001 of it"),
+        metric("cost", "final cost"),
+    ];
+    const SEEDED: &'static [&'static str] = &["block.seed"];
+
+    fn check(p: &Parameters) -> Result<(), String> {
+        config(p, 1).check().map_err(|e| e.to_string())?;
+        p.loss.parse::<Loss>()?;
+        if !(p.start_scale >= 0.0 && p.start_scale.is_finite()) {
+            return Err("start_scale has to be 0 or more".to_owned());
+        }
+        Ok(())
+    }
+
+    fn run(p: &Parameters, seed: u64) -> Result<Measured, String> {
+        let block = Block::fly(&config(p, seed)).map_err(|e| e.to_string())?;
+        let loss: Loss = p.loss.parse()?;
+        let network = |cameras: &[[f64; 9]], points: &[[f64; 3]]| Network {
+            cameras: cameras.iter().map(camera).collect(),
+            points: points.to_vec(),
+            observations: block
+                .observations
+                .iter()
+                .map(|o| Observation {
+                    camera: o.camera as u32,
+                    point: o.point as u32,
+                    image_px: o.measured_px,
+                })
+                .collect(),
+        };
+        let pose =
+            |network: &Network| Bundle::new(network, p.interior, loss).map_err(|e| e.to_string());
+        let truth = pose(&network(&block.cameras_true, &block.points_true))?;
+        let mut x = truth.problem.start();
+        let (best, _) = descend(&truth.problem, &mut x, &Options::default(), 200, |_, _| ())?;
+        let mut adjusted = network(&block.cameras_start, &block.points_start);
+        let bundle = pose(&adjusted)?;
+        let mut x = bundle.problem.start();
+        let mut trace = Trace::new("iterations", &["iteration", "cost_excess"]);
+        let mut solved_at = None;
+        let (cost, iterations) =
+            descend(&bundle.problem, &mut x, &p.options, p.max_iterations, |iteration, cost| {
+                let excess = (cost - best) / best;
+                trace.rows.push(vec![iteration as f64, excess]);
+                if excess < 1e-3 && solved_at.is_none() {
+                    solved_at = Some(iteration as f64);
+                }
+            })?;
+        bundle.update(&x, &mut adjusted);
+        let (error_px, rms_px) = errors(&block, &adjusted);
+        let mut measured = Measured::default();
+        measured.put("error_px", error_px);
+        measured.put("rms_px", rms_px);
+        measured.put("cost_ratio", cost / best);
+        measured.put("solved", f64::from(cost / best < 1.001));
+        measured.put("iterations", iterations as f64);
+        measured.put_some("iterations_to_solve", solved_at);
+        measured.put("cost", cost);
+        if p.trace {
+            measured.traces.push(trace);
+        }
+        Ok(measured)
+    }
+}
+
+fn config(p: &Parameters, seed: u64) -> BlockConfig {
+    let mut block = BlockConfig { seed, ..p.block.clone() };
+    block.start.rotation_deg *= p.start_scale;
+    block.start.centre_m *= p.start_scale;
+    block.start.point_m *= p.start_scale;
+    block
+}
+
+fn camera(values: &[f64; 9]) -> Camera {
+    let [a, b, c, x, y, z, f, k1, k2] = *values;
+    Camera { rotation_rad: [a, b, c], translation: [x, y, z], interior: [f, k1, k2] }
+}
+
+/// Runs an engine and shows every cost; the last cost and the number of trials.
+fn descend(
+    problem: &Problem,
+    x: &mut Vec<f64>,
+    options: &Options,
+    max_iterations: u64,
+    mut observe: impl FnMut(u64, f64),
+) -> Result<(f64, u64), String> {
+    let mut engine = LeastSquares::new(options.clone());
+    let mut cost = engine.start(problem, x).map_err(|e| e.to_string())?;
+    observe(0, cost);
+    for iteration in 1..=max_iterations {
+        let step = engine.step(problem, x).map_err(|e| e.to_string())?;
+        cost = step.cost;
+        observe(iteration, cost);
+        if step.stop.is_some_and(|stop| stop != Stop::MaxIterations) {
+            return Ok((cost, iteration));
+        }
+    }
+    Ok((cost, max_iterations))
+}
+
+/// Root mean squares of what the good measurements leave: against the truth, and against themselves.
+/// Image points do not depend on the frame, which is free.
+fn errors(block: &Block, adjusted: &Network) -> (f64, f64) {
+    let found: Vec<ForwardCamera> = adjusted
+        .cameras
+        .iter()
+        .map(|c| {
+            let ([a, b, d], [x, y, z], [f, k1, k2]) = (c.rotation_rad, c.translation, c.interior);
+            ForwardCamera::new(&[a, b, d, x, y, z, f, k1, k2])
+        })
+        .collect();
+    let truth: Vec<ForwardCamera> = block.cameras_true.iter().map(ForwardCamera::new).collect();
+    let (mut squares, mut count) = ([0.0; 2], 0.0);
+    for o in block.observations.iter().filter(|o| !o.outlier) {
+        let ours = found[o.camera].project(adjusted.points[o.point]);
+        let exact = truth[o.camera].project(block.points_true[o.point]);
+        let (Some(ours), Some(exact)) = (ours, exact) else {
+            // Behind the camera: as wrong as the picture is wide.
+            squares = squares.map(|s| s + block.cameras_true[0][6].powi(2));
+            count += 1.0;
+            continue;
+        };
+        for (sum, against) in squares.iter_mut().zip([exact, o.measured_px]) {
+            *sum += (ours[0] - against[0]).powi(2) + (ours[1] - against[1]).powi(2);
+        }
+        count += 1.0;
+    }
+    ((squares[0] / count).sqrt(), (squares[1] / count).sqrt())
+}

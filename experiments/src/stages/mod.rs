@@ -1,0 +1,12 @@
+//! The stages: what can be put under test. Each is a file of its own that knows nothing of sweeps.
+
+pub(crate) mod adjust;
+pub(crate) mod arena;
+mod arena_problems;
+pub(crate) mod bundle;
+pub(crate) mod cost_map;
+pub(crate) mod leaves;
+pub(crate) mod lens;
+pub(crate) mod locate;
+pub(crate) mod segment;
+pub(crate) mod two_view;
