@@ -101,7 +101,10 @@ pub fn align(survey: &mut Survey) -> Option<Alignment> {
     }
     alignment.rmse_m = (alignment.rmse_m / alignment.used.len() as f64).sqrt();
     if by == "control points" {
-        let rest = beside_their_rays(survey, alignment.rmse_m);
+        // A similarity takes seven of the numbers that its points give.
+        let numbers = 3.0 * alignment.used.len() as f64;
+        let sigma_m = alignment.rmse_m * (numbers / (numbers - 7.0)).sqrt();
+        let rest = beside_their_rays(survey, sigma_m);
         alignment.misfits.extend(rest);
     }
     Some(alignment)
@@ -112,7 +115,7 @@ pub fn align(survey: &mut Survey) -> Option<Alignment> {
 const BESIDE: f64 = 8.0;
 
 /// Control points with one mark whose ray does not come near them, with the distances, metres.
-fn beside_their_rays(survey: &Survey, rmse_m: f64) -> Vec<(String, f64)> {
+fn beside_their_rays(survey: &Survey, sigma_m: f64) -> Vec<(String, f64)> {
     let mut found = Vec::new();
     for (k, point) in survey.ground.iter().enumerate() {
         let mut marks = survey.marks.iter().filter(|mark| mark.ground as usize == k);
@@ -127,7 +130,7 @@ fn beside_their_rays(survey: &Survey, rmse_m: f64) -> Vec<(String, f64)> {
         let at = Vector3::from(image.pose.to_camera(point.position_m));
         let left = at.cross(&Vector3::from(ray)).norm() / Vector3::from(ray).norm();
         let given = point.sigma_m.iter().copied().fold(0.0, f64::max);
-        if left > BESIDE * rmse_m.max(given) {
+        if left > BESIDE * sigma_m.max(given) {
             found.push((point.name.clone(), left));
         }
     }
