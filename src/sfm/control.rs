@@ -6,12 +6,15 @@ use super::{
     triangulate::{Demands, View, error_px, triangulate},
 };
 use crate::{
+    camera::Lens,
     geometry::rotation,
-    problems::adjustment::{Role, align},
+    problems::adjustment::{Axes, Role, align},
 };
+use nalgebra::Vector3;
 
-/// How far each control point that is marked twice or more is from where its marks put it, metres:
-/// its place among the ground points, and the distance along the coordinates that are known.
+/// How far each control point is from where its marks put it, metres: its place among the ground
+/// points, and the distance along the coordinates that are known; of a point that one image shows, and
+/// whose coordinates are all known, the distance from that ray.
 pub fn control_left_m(block: &Block<'_>, known: &Known) -> Vec<(usize, f64)> {
     let demands = Demands { tolerance_px: 50.0, least_angle_rad: 0.01 };
     let mut found = Vec::new();
@@ -27,7 +30,13 @@ pub fn control_left_m(block: &Block<'_>, known: &Known) -> Vec<(usize, f64)> {
                 Some(View { pose, lens, image_px: mark.image_px })
             })
             .collect();
-        if let Some((at, _)) = triangulate(&views, &demands) {
+        if let ([view], Axes::Xyz) = (views.as_slice(), point.axes) {
+            if let Some(ray) = view.lens.unproject(view.image_px) {
+                let at = Vector3::from(view.pose.to_camera(point.position_m));
+                let ray = Vector3::from(ray);
+                found.push((ground, at.cross(&ray).norm() / ray.norm()));
+            }
+        } else if let Some((at, _)) = triangulate(&views, &demands) {
             let squares =
                 point.axes.indices().iter().map(|&k| (at[k] - point.position_m[k]).powi(2));
             found.push((ground, squares.sum::<f64>().sqrt()));

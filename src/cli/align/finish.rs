@@ -84,6 +84,7 @@ pub(super) fn finish<'a>(
     if let Some(largest) = blocks.first() {
         review(largest, &mut known, project, args, findings);
     }
+    name_scarcely_marked(&blocks, &known, findings);
     let Some(joined) = join(std::mem::take(&mut blocks), &mut known, &demands(3.0)) else {
         return Err(Error::Incomplete(
             "no three photos could be oriented together: look at the matches (rowgram match), or give the camera (--camera)".into(),
@@ -194,6 +195,22 @@ pub(super) fn finish<'a>(
 fn names(block: &Block<'_>, photos: &[Photo]) -> Vec<String> {
     let of = block.poses.iter().zip(photos).filter(|(pose, _)| pose.is_some());
     of.map(|(_, photo)| photo.name.clone()).collect()
+}
+
+/// Control that does little or nothing for want of marks.
+fn name_scarcely_marked(blocks: &[Block<'_>], known: &Known, findings: &mut Vec<Finding>) {
+    for (ground, point) in known.ground.iter().enumerate() {
+        let oriented = |image: u32| {
+            blocks.iter().any(|block| block.poses.get(image as usize).is_some_and(Option::is_some))
+        };
+        let marks = known.marks.iter().filter(|mark| mark.ground as usize == ground);
+        let what = match marks.filter(|mark| oriented(mark.image)).count() {
+            0 => "no oriented photo has a mark of it: it takes no part",
+            1 => "one oriented photo only has a mark of it: two at least fix its place",
+            _ => continue,
+        };
+        findings.push(Finding::new(&format!("ground point {}", point.name), what));
+    }
 }
 
 /// Marks and coordinates that cannot be as they are.

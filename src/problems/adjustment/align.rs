@@ -13,7 +13,7 @@ use super::{
     check_points::nearest_to_rays,
     survey::{Axes, Mark, Pose, Role, Survey},
 };
-use crate::geometry::rotation;
+use crate::{camera::Lens, geometry::rotation};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use serde::Serialize;
 
@@ -26,7 +26,8 @@ pub struct Alignment {
     pub scale: f64,
     /// Names of what was used.
     pub used: Vec<String>,
-    /// Names of what does not fit, with the distances left, metres.
+    /// Names of what does not fit, with the distances left, metres; of control points that are
+    /// marked in one image only, which say nothing about the similarity, those from their rays.
     pub misfits: Vec<(String, f64)>,
     /// Root mean square distance of what was used, metres.
     pub rmse_m: f64,
@@ -99,7 +100,41 @@ pub fn align(survey: &mut Survey) -> Option<Alignment> {
         }
     }
     alignment.rmse_m = (alignment.rmse_m / alignment.used.len() as f64).sqrt();
+    if by == "control points" {
+        // A similarity takes seven of the numbers that its points give.
+        let numbers = 3.0 * alignment.used.len() as f64;
+        let sigma_m = alignment.rmse_m * (numbers / (numbers - 7.0)).sqrt();
+        let rest = beside_their_rays(survey, sigma_m);
+        alignment.misfits.extend(rest);
+    }
     Some(alignment)
+}
+
+/// A single ray beside its point by this many times what the other points are off is wrong: the
+/// block is bent most at its rim, where points are marked in one image only.
+const BESIDE: f64 = 8.0;
+
+/// Control points with one mark whose ray does not come near them, with the distances, metres.
+fn beside_their_rays(survey: &Survey, sigma_m: f64) -> Vec<(String, f64)> {
+    let mut found = Vec::new();
+    for (k, point) in survey.ground.iter().enumerate() {
+        let mut marks = survey.marks.iter().filter(|mark| mark.ground as usize == k);
+        let (Some(mark), None) = (marks.next(), marks.next()) else { continue };
+        if point.role != Role::Control || point.axes != Axes::Xyz {
+            continue;
+        }
+        let image = &survey.images[mark.image as usize];
+        let Some(ray) = survey.cameras[image.camera].interior.unproject(mark.image_px) else {
+            continue;
+        };
+        let at = Vector3::from(image.pose.to_camera(point.position_m));
+        let left = at.cross(&Vector3::from(ray)).norm() / Vector3::from(ray).norm();
+        let given = point.sigma_m.iter().copied().fold(0.0, f64::max);
+        if left > BESIDE * sigma_m.max(given) {
+            found.push((point.name.clone(), left));
+        }
+    }
+    found
 }
 
 /// The most threes that are tried.

@@ -198,7 +198,8 @@ pub struct Snooped {
 
 /// Adjusts `whole`, takes out the most suspect observation, and so on until none is suspect. A
 /// control point that is taken out becomes a check point. Of tie points as many go in one round as
-/// are the worst of their point.
+/// are the worst of their point; the block keeps its shape then, so that its robust adjustment
+/// ([`adjust`]) is not repeated as it is after everything else.
 ///
 /// # Errors
 /// As [`adjust`].
@@ -210,8 +211,10 @@ pub fn snoop(
     let mut removed = Vec::new();
     let mut aside: Vec<Aside> = Vec::new();
     let mut round = 0;
+    let plain = Settings { tie_loss: Loss::Trivial, ..settings.clone() };
+    let mut only_ties = false;
     loop {
-        let mut adjusted = adjust(whole, settings)?;
+        let mut adjusted = adjust(whole, if only_ties { &plain } else { settings })?;
         let worst = suspects(&adjusted, snooping);
         if worst.is_empty() || round == snooping.rounds {
             // What earlier rounds set aside is no longer in the survey.
@@ -222,6 +225,9 @@ pub fn snoop(
         round += 1;
         let lost = adjusted.screened.aside.iter();
         aside.extend(lost.filter(|a| a.reason == FAR_OUT).cloned());
+        only_ties = worst
+            .iter()
+            .all(|(place, _)| adjusted.statistics.tested[*place].group == Group::TiePoints);
         for (place, excess) in &worst {
             removed.push(describe(&adjusted, *place, *excess, settings));
         }
