@@ -1,5 +1,7 @@
 //! The program as people call it: shards, interruptions and damage end in the same bytes or in exit code 3.
 
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on fails")]
+
 use std::{
     path::{Path, PathBuf},
     process::{Command, Output},

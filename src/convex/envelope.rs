@@ -33,7 +33,7 @@ pub fn lower_envelope(
     quantile: f64,
     lambda: f64,
 ) -> Result<Vec<f64>, SolveError> {
-    if data.is_empty() || !(quantile > 0.0 && quantile < 1.0) || !(lambda > 0.0) {
+    if data.is_empty() || !(quantile > 0.0 && quantile < 1.0) || lambda.is_nan() || lambda <= 0.0 {
         return Err(SolveError::Misuse(format!(
             "an envelope needs data, a quantile in (0, 1) and a positive smoothness, got {} data, {quantile}, {lambda}",
             data.len()

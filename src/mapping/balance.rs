@@ -16,10 +16,13 @@ use std::collections::BTreeMap;
 const SIGMA: f64 = 0.04;
 const TAU: f64 = 0.2;
 
+/// Of the first photo's colours, of the second's, and how many cells.
+type Sums = ([f64; 3], [f64; 3], f64);
+
 /// Sums of colours over cells that two photos both show.
 #[derive(Debug, Clone, Default)]
 pub struct Overlaps {
-    pairs: BTreeMap<(usize, usize), ([f64; 3], [f64; 3], f64)>,
+    pairs: BTreeMap<(usize, usize), Sums>,
 }
 
 impl Overlaps {

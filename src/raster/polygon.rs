@@ -114,7 +114,7 @@ mod tests {
                 vec![[4.0, 3.0], [6.0, 3.0], [5.0, 5.0]],
             ],
         };
-        let mut inside = vec![[false; 10]; 10];
+        let mut inside = [[false; 10]; 10];
         for (v, run) in polygon.runs(10, 10) {
             run.for_each(|u| inside[v][u] = true);
         }

@@ -101,11 +101,14 @@ pub(super) fn write(
     Ok(())
 }
 
+/// Photos with their files, and the file of the surface.
+pub(super) type Behind = (Vec<View>, Vec<PathBuf>, Option<PathBuf>);
+
 /// The photos behind a mosaic and the file of its surface.
 ///
 /// # Errors
 /// Where the file is not there or not of this form.
-pub(super) fn read(output: &Path) -> Result<(Vec<View>, Vec<PathBuf>, Option<PathBuf>), Error> {
+pub(super) fn read(output: &Path) -> Result<Behind, Error> {
     let path = path(output);
     let text = std::fs::read_to_string(&path).map_err(|e| FileError::read(&path, e))?;
     let record: Record = serde_json::from_str(&text)
