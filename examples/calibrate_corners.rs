@@ -9,9 +9,7 @@ use rowgram::{
     camera::Model,
     engine::SolveError,
     nlls::Loss,
-    problems::calibration::{
-        BoardShape, Mark, Request, View, calibrate, statistics::statistics,
-    },
+    problems::calibration::{BoardShape, Mark, Request, View, calibrate, statistics::statistics},
 };
 
 /// What a camera without distortion, of principal distance 900 px, sees of a board from somewhere.
@@ -23,8 +21,7 @@ fn photo(tilt_rad: f64, turn_rad: f64) -> View {
         let centred = [board_m[0] - 0.105, board_m[1] - 0.075];
         let turned = [c * centred[0] - s * centred[1], s * centred[0] + c * centred[1]];
         let depth = 0.5 + sin * turned[1];
-        let image_px =
-            [639.5 + 900.0 * turned[0] / depth, 479.5 + 900.0 * cos * turned[1] / depth];
+        let image_px = [639.5 + 900.0 * turned[0] / depth, 479.5 + 900.0 * cos * turned[1] / depth];
         Mark { corner, board_m, image_px }
     };
     View { marks: (0..48).map(mark).collect() }

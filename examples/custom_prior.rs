@@ -7,9 +7,7 @@
 
 use rowgram::{
     engine::SolveError,
-    nlls::{
-        BlockId, Factor, Factors, Infeasible, Jacobian, Loss, Options, Problem, Space, solve,
-    },
+    nlls::{BlockId, Factor, Factors, Infeasible, Jacobian, Loss, Options, Problem, Space, solve},
 };
 
 /// A linear residual `(sum_k w_k x_k - value) / sigma` of a few heights.

@@ -9,8 +9,8 @@
 //! plant locator's own solver, which makes it an oracle in tests and a certificate for users:
 //! the dual objective bounds the optimum from below.
 
-pub mod positions;
 pub mod envelope;
+pub mod positions;
 
 use crate::engine::SolveError;
 use clarabel::{

@@ -38,7 +38,8 @@ fn damaged(bytes: &[u8], rng: &mut ChaCha8Rng) -> Vec<u8> {
                 bytes.splice(at..at, copy);
             }
             _ => {
-                let words: [&[u8]; 6] = [b"99999999999", b"-1", b"NaN", b"1e308", b"\xff\xff\xff\xff", b","];
+                let words: [&[u8]; 6] =
+                    [b"99999999999", b"-1", b"NaN", b"1e308", b"\xff\xff\xff\xff", b","];
                 let word = words[rng.random_range(0..words.len())];
                 let end = (at + word.len()).min(bytes.len());
                 bytes.splice(at..end, word.iter().copied());
@@ -110,7 +111,8 @@ fn torture(kind: &str, file: &Path, folder: &Path) {
 fn damaged_files_are_no_reason_to_fall() {
     let folder = tempfile::tempdir().unwrap();
     let root = folder.path();
-    let grown = rowgram(root, "synth flight --preset small --no-photos --tie-points 10 -o field -q");
+    let grown =
+        rowgram(root, "synth flight --preset small --no-photos --tie-points 10 -o field -q");
     assert_eq!(grown.code, 0, "{}", grown.stderr);
     let bundled = rowgram(root, "synth bundle --images 4 --points 20 -o block.txt -q");
     assert_eq!(bundled.code, 0, "{}", bundled.stderr);
@@ -149,7 +151,8 @@ fn damaged_files_are_no_reason_to_fall() {
         cases.push(("geotiff", path.clone()));
         cases.push(("exif", path));
     }
-    let picture = image::RgbImage::from_fn(16, 12, |u, v| image::Rgb([u as u8 * 9, v as u8 * 9, 7]));
+    let picture =
+        image::RgbImage::from_fn(16, 12, |u, v| image::Rgb([u as u8 * 9, v as u8 * 9, 7]));
     for name in ["picture.png", "picture.jpg"] {
         picture.save(root.join(name)).unwrap();
         cases.push(("picture", root.join(name)));

@@ -118,11 +118,7 @@ fn an_orthomosaic_alone_is_a_project() {
     let source = rowgram::io::rasters::Source::open(&project.join("field.tif")).unwrap();
     let (width, height) = source.size();
     // Plots have been rounded to six digits.
-    approx::assert_relative_eq!(
-        area,
-        (width * height) as f64 * GSD_M * GSD_M,
-        max_relative = 1e-5
-    );
+    approx::assert_relative_eq!(area, (width * height) as f64 * GSD_M * GSD_M, max_relative = 1e-5);
     let page = fs::read_to_string(project.join("rowgram/report.html")).unwrap();
     for text in ["Plants", "West", "SHA-256", "prefers-color-scheme", "data:image/jpeg;base64"] {
         assert!(page.contains(text), "{text}");
@@ -135,7 +131,10 @@ fn an_orthomosaic_alone_is_a_project() {
     // Nothing has changed, so nothing is done; a setting changes what depends on it and no more.
     let (code, _, err) = run("");
     assert_eq!(code, 0, "{err}");
-    assert!(err.contains("segment: nothing has changed") && err.contains("leaves: nothing"), "{err}");
+    assert!(
+        err.contains("segment: nothing has changed") && err.contains("leaves: nothing"),
+        "{err}"
+    );
     assert!(results(&project) == first);
     let (_, _, err) = run("--set density.window_px=21");
     assert!(err.contains("density: rowgram density") && err.contains("locate: nothing"), "{err}");

@@ -18,8 +18,11 @@ use std::{
 /// Reads the heads of the photos and all tables, and says what is missing, what contradicts itself and what that
 /// will mean. Nothing is written. Exit code 3 where something is bad.
 #[derive(Debug, clap::Args)]
-#[command(verbatim_doc_comment, after_help = "Example:
-  rowgram doctor field")]
+#[command(
+    verbatim_doc_comment,
+    after_help = "Example:
+  rowgram doctor field"
+)]
 pub(super) struct Args {
     /// Folder of the project.
     project: PathBuf,
@@ -57,7 +60,9 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     let mut found = Vec::new();
     let mut add = |state, subject, what: String| found.push(Finding { state, subject, what });
     match super::run::settings(root) {
-        Ok(()) => add(State::Good, "settings", "rowgram.toml and the environment are understood".into()),
+        Ok(()) => {
+            add(State::Good, "settings", "rowgram.toml and the environment are understood".into())
+        }
         Err(error) => add(State::Bad, "settings", error.to_string()),
     }
     let photos = photos(root)?;
@@ -129,7 +134,8 @@ fn of_photos(photos: &[PathBuf], add: &mut impl FnMut(State, &'static str, Strin
             unread.push(name);
             continue;
         };
-        *cameras.entry(format!("{} {} {width} x {height}", head.make, head.model)).or_default() += 1;
+        *cameras.entry(format!("{} {} {width} x {height}", head.make, head.model)).or_default() +=
+            1;
         let principal = head.principal_distance_px([*width, *height]);
         without_focal += usize::from(principal.is_none());
         match &head.geotag {
@@ -144,20 +150,28 @@ fn of_photos(photos: &[PathBuf], add: &mut impl FnMut(State, &'static str, Strin
     if unread.is_empty() {
         add(State::Good, "photos", format!("{all}, all can be opened"));
     } else {
-        add(State::Bad, "photos", format!("{} of {all} cannot be opened: {}", unread.len(), unread.join(", ")));
+        add(
+            State::Bad,
+            "photos",
+            format!("{} of {all} cannot be opened: {}", unread.len(), unread.join(", ")),
+        );
     }
     if all < 3 {
         add(State::Bad, "photos", format!("{all} are too few for a block, expected 3 or more"));
     }
-    let list: Vec<String> = cameras.iter().map(|(name, n)| format!("{n} by {}", name.trim())).collect();
+    let list: Vec<String> =
+        cameras.iter().map(|(name, n)| format!("{n} by {}", name.trim())).collect();
     let state = if cameras.len() > 1 { State::Note } else { State::Good };
     add(state, "camera", list.join("; "));
     if without_focal > 0 {
-        let what = format!("{without_focal} photos say no focal length; it is found from the photos, or from camera.toml");
+        let what = format!(
+            "{without_focal} photos say no focal length; it is found from the photos, or from camera.toml"
+        );
         add(State::Note, "camera", what);
     }
     if without_place > 0 {
-        let what = format!("{without_place} photos have no position: all pairs of them have to be tried");
+        let what =
+            format!("{without_place} photos have no position: all pairs of them have to be tried");
         add(State::Note, "positions", what);
     } else {
         add(State::Good, "positions", format!("all {all} photos have one"));
@@ -182,9 +196,7 @@ fn spacing(
         .collect();
     let nearest = |k: usize| {
         let others = at.iter().enumerate().filter(|(j, _)| *j != k);
-        others
-            .map(|(_, p)| (p[0] - at[k][0]).hypot(p[1] - at[k][1]))
-            .fold(f64::INFINITY, f64::min)
+        others.map(|(_, p)| (p[0] - at[k][0]).hypot(p[1] - at[k][1])).fold(f64::INFINITY, f64::min)
     };
     let mut distances: Vec<f64> = (0..at.len()).map(nearest).collect();
     distances.sort_by(f64::total_cmp);
@@ -215,7 +227,11 @@ fn inspected(root: &Path, add: &mut impl FnMut(State, &'static str, String)) {
         },
     );
     match result {
-        Ok(()) => add(State::Good, "tables", "photos, control, marks and positions fit together (remarks above)".into()),
+        Ok(()) => add(
+            State::Good,
+            "tables",
+            "photos, control, marks and positions fit together (remarks above)".into(),
+        ),
         Err(error) => add(State::Bad, "tables", error.to_string()),
     }
 }

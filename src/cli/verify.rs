@@ -4,10 +4,7 @@ use super::{
     print, print_json,
     run::{self, STAGES, record},
 };
-use crate::{
-    error::Error,
-    io::FileError,
-};
+use crate::{error::Error, io::FileError};
 use record::{Content, Records};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -18,9 +15,12 @@ use std::path::{Path, PathBuf};
 /// of the run, and its files are compared with the recorded ones. With --files nothing is done again: only the
 /// recorded files are compared with what is there. Exit code 3 where something differs.
 #[derive(Debug, clap::Args)]
-#[command(verbatim_doc_comment, after_help = "Examples:
+#[command(
+    verbatim_doc_comment,
+    after_help = "Examples:
   rowgram verify field
-  rowgram verify field --files")]
+  rowgram verify field --files"
+)]
 pub(super) struct Args {
     /// Folder of the project.
     project: PathBuf,
@@ -60,7 +60,9 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
                 let state = state_of(&root.join(&content.path), content)?;
                 if let Some(state) = state {
                     let path = content.path.display();
-                    outcome.differences.push(format!("{path}, which {} {what}, {state}", record.stage));
+                    outcome
+                        .differences
+                        .push(format!("{path}, which {} {what}, {state}", record.stage));
                 }
             }
         }

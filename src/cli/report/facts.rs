@@ -132,7 +132,9 @@ impl Facts {
         let mut text = String::new();
         let align = self.says("align");
         // Writing to a string cannot fail.
-        if let (Some(registered), Some(images)) = (number(align, "/registered"), number(align, "/images")) {
+        if let (Some(registered), Some(images)) =
+            (number(align, "/registered"), number(align, "/images"))
+        {
             let _ = write!(text, "block   {registered} of {images} photos oriented");
             if let Some(rms) = number(align, "/reprojection_rms_px") {
                 let _ = write!(text, ", reprojection rms {rms:.2} px");
@@ -160,7 +162,8 @@ impl Facts {
         }
         let locate = self.says("locate");
         if let Some(plants) = number(locate, "/plants") {
-            let _ = write!(text, "plants  {plants} in {} rows", number(locate, "/rows").unwrap_or(0.0));
+            let _ =
+                write!(text, "plants  {plants} in {} rows", number(locate, "/rows").unwrap_or(0.0));
             if let Some(spacing) = number(locate, "/spacing_m") {
                 let _ = write!(text, ", {:.1} cm apart", 100.0 * spacing);
             }

@@ -102,10 +102,8 @@ pub(super) fn lights(facts: &Facts, limits: &Limits) -> Vec<Light> {
         let gsd = number(align, "/gsd_m");
         match (errors.iter().copied().reduce(f64::max), gsd) {
             (Some(worst), Some(gsd)) => {
-                let colour = Colour::rising(
-                    worst / gsd,
-                    [limits.check_yellow_gsd, limits.check_red_gsd],
-                );
+                let colour =
+                    Colour::rising(worst / gsd, [limits.check_yellow_gsd, limits.check_red_gsd]);
                 let why = format!(
                     "largest rmse {:.1} cm, {:.1} ground sampling distances",
                     100.0 * worst,
@@ -113,7 +111,11 @@ pub(super) fn lights(facts: &Facts, limits: &Limits) -> Vec<Light> {
                 );
                 add("Check points", colour, why);
             }
-            _ => add("Check points", Colour::Grey, "none: nothing independent tells the error".into()),
+            _ => add(
+                "Check points",
+                Colour::Grey,
+                "none: nothing independent tells the error".into(),
+            ),
         }
     }
     if let Some(sigma0) = number(&facts.adjustment, "/sigma0") {

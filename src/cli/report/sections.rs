@@ -380,7 +380,8 @@ pub(super) fn plots(facts: &Facts) -> Result<Section, Error> {
         .take(MOST_ROWS)
         .map(|plot| {
             let mut row = vec![word(plot, "plot").to_owned()];
-            let cell = |(name, _, n): &&(&str, &str, usize)| digits(number(plot, &format!("/{name}")), *n);
+            let cell =
+                |(name, _, n): &&(&str, &str, usize)| digits(number(plot, &format!("/{name}")), *n);
             row.extend(known.iter().map(cell));
             row
         })
@@ -411,7 +412,9 @@ pub(super) fn truth(facts: &Facts) -> Result<Section, Error> {
         .zip(array(&says["score"]["radii"]))
         .map(|(radius, score)| {
             let mut row = vec![format!("{:.0} cm", 100.0 * radius.as_f64().unwrap_or(f64::NAN))];
-            row.extend(["precision", "recall", "f1"].map(|k| digits(number(score, &format!("/{k}")), 3)));
+            row.extend(
+                ["precision", "recall", "f1"].map(|k| digits(number(score, &format!("/{k}")), 3)),
+            );
             row
         })
         .collect();
@@ -467,9 +470,11 @@ pub(super) fn provenance(facts: &Facts) -> Result<Section, Error> {
         .records
         .iter()
         .flat_map(|record| &record.inputs)
-        .filter(|input| !facts.records.iter().any(|r| {
-            r.stage != "grow" && r.outputs.iter().any(|output| output.path == input.path)
-        }))
+        .filter(|input| {
+            !facts.records.iter().any(|r| {
+                r.stage != "grow" && r.outputs.iter().any(|output| output.path == input.path)
+            })
+        })
         .collect();
     inputs.sort_by(|a, b| a.path.cmp(&b.path));
     inputs.dedup_by(|a, b| a.path == b.path);

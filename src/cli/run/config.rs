@@ -318,8 +318,9 @@ mod tests {
         }
         std::fs::remove_file(folder.path().join(NAME)).unwrap();
         for setting in ["seed=1", "align.sede=1", "align.seed", "align.seed=two"] {
-            let error =
-                Config::read(folder.path(), nothing, &[setting.to_owned()]).unwrap_err().to_string();
+            let error = Config::read(folder.path(), nothing, &[setting.to_owned()])
+                .unwrap_err()
+                .to_string();
             assert!(error.contains("--set align.se") || error.contains("--set seed"), "{error}");
         }
         let environment = |name: &str| (name == "ROWGRAM_ALIGN_SEED").then(|| "two".to_owned());

@@ -57,7 +57,8 @@ struct Plant {
 }
 
 fn truth(path: &Path) -> Result<Vec<Plant>, Error> {
-    let malformed = |line: Option<usize>, message: String| FileError::malformed(path, line, message);
+    let malformed =
+        |line: Option<usize>, message: String| FileError::malformed(path, line, message);
     let mut reader = csv::Reader::from_path(path).map_err(|e| malformed(None, e.to_string()))?;
     let header = reader.headers().map_err(|e| malformed(None, e.to_string()))?.clone();
     let place = |name: &str| header.iter().position(|field| field.trim() == name);
@@ -71,9 +72,9 @@ fn truth(path: &Path) -> Result<Vec<Plant>, Error> {
         let record = record.map_err(|e| malformed(Some(row + 2), e.to_string()))?;
         let number = |k: usize| {
             let value = record.get(k).and_then(|text| text.trim().parse::<f64>().ok());
-            value.filter(|value| value.is_finite()).ok_or_else(|| {
-                malformed(Some(row + 2), format!("column {} is no number", k + 1))
-            })
+            value
+                .filter(|value| value.is_finite())
+                .ok_or_else(|| malformed(Some(row + 2), format!("column {} is no number", k + 1)))
         };
         let leaves = leaves.map(&number).transpose()?;
         found.push(Plant { at_m: [number(pair.0)?, number(pair.1)?], leaves });
@@ -116,9 +117,9 @@ fn place_of(path: &Path) -> Result<(Georeference, (usize, usize)), Error> {
 /// A file that cannot be read or written.
 pub(super) fn work(inputs: &Inputs, folder: &Path) -> Result<Value, Error> {
     let (place, size) = place_of(&inputs.ortho)?;
-    let gsd_m = place.gsd_m().ok_or_else(|| {
-        FileError::malformed(&inputs.ortho, None, "its map is not in metres")
-    })?;
+    let gsd_m = place
+        .gsd_m()
+        .ok_or_else(|| FileError::malformed(&inputs.ortho, None, "its map is not in metres"))?;
     let shown = Shown { reader: Reader::open(&inputs.ortho).ok(), size };
     let all = truth(&inputs.truth)?;
     let mut plants = Vec::new();

@@ -60,7 +60,9 @@ struct Plot {
 /// Where a file cannot be written.
 pub(super) fn grow(root: &Path, seed: u64) -> Result<Value, Error> {
     let mut words: Vec<std::ffi::OsString> =
-        ["rowgram", "synth", "flight", "--preset", "small", "--force", "--seed"].map(Into::into).into();
+        ["rowgram", "synth", "flight", "--preset", "small", "--force", "--seed"]
+            .map(Into::into)
+            .into();
     words.extend([seed.to_string().into(), "-o".into(), root.into()]);
     dispatch(parse(words)?.verb)?;
     let path = root.join("truth").join("plots.csv");
@@ -85,7 +87,8 @@ fn epsg(path: &Path) -> Result<u32, Error> {
     let text = std::fs::read_to_string(path).map_err(|e| FileError::read(path, e))?;
     let table: toml::Table =
         text.parse().map_err(|e: toml::de::Error| FileError::malformed(path, None, e.message()))?;
-    let code = table.get("site").and_then(|site| site.get("epsg")).and_then(toml::Value::as_integer);
+    let code =
+        table.get("site").and_then(|site| site.get("epsg")).and_then(toml::Value::as_integer);
     code.and_then(|code| u32::try_from(code).ok())
         .ok_or_else(|| FileError::malformed(path, None, "expected site.epsg").into())
 }

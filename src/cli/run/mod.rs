@@ -40,12 +40,15 @@ use step::{Command, Place, Plan};
 ///
 /// Exit code 3 where a stage could not be completed; the report says what there is.
 #[derive(Debug, clap::Args)]
-#[command(verbatim_doc_comment, after_help = "Examples:
+#[command(
+    verbatim_doc_comment,
+    after_help = "Examples:
   rowgram run
   rowgram run --seed 2 -o second-field
   rowgram init field && rowgram run field
   rowgram run field --set ortho.gsd_m=0.01 --from ortho
-  rowgram run field --dry-run")]
+  rowgram run field --dry-run"
+)]
 pub(super) struct Args {
     /// Folder of the project; a synthetic one in --output where it is not given.
     project: Option<PathBuf>,

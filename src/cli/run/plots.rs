@@ -114,9 +114,9 @@ pub(super) fn work(inputs: &Inputs, folder: &Path) -> Result<Value, Error> {
     };
     let measured = Measured {
         plants: plants.as_ref().and_then(|table| table.pairs("u_px", "v_px")),
-        gaps: gaps.as_ref().and_then(|table| {
-            table.pairs("u_px", "v_px").zip(table.numbers("plants"))
-        }),
+        gaps: gaps
+            .as_ref()
+            .and_then(|table| table.pairs("u_px", "v_px").zip(table.numbers("plants"))),
         leaves: leaves.as_ref(),
         counts: counts.as_ref(),
         gsd_m,
@@ -151,10 +151,8 @@ impl Measured<'_> {
     fn traits(&self, name: &str, polygon: &Polygon, pixels: usize, covered: usize) -> Vec<Trait> {
         let inside = |at: &[f64; 2]| polygon.holds(*at);
         let area_m2 = self.gsd_m.map(|gsd| pixels as f64 * gsd * gsd);
-        let plants = self
-            .plants
-            .as_ref()
-            .map(|plants| plants.iter().filter(|at| inside(at)).count() as f64);
+        let plants =
+            self.plants.as_ref().map(|plants| plants.iter().filter(|at| inside(at)).count() as f64);
         let missing = self.gaps.as_ref().map(|(places, counts)| {
             places.iter().zip(counts).filter(|(at, _)| inside(at)).map(|(_, count)| count).sum()
         });
@@ -239,10 +237,10 @@ fn grid(plants: &Table, rows_per_plot: usize, alley_px: f64) -> Vec<(String, Pol
     for (group, rows) in of_row.chunks(rows_per_plot).enumerate() {
         let mut at: Vec<f64> = rows.iter().flatten().map(along).collect();
         at.sort_by(f64::total_cmp);
-        let (low, high) = rows.iter().map(|row| across(&middle(row))).fold(
-            (f64::INFINITY, f64::NEG_INFINITY),
-            |(low, high), s| (low.min(s), high.max(s)),
-        );
+        let (low, high) = rows
+            .iter()
+            .map(|row| across(&middle(row)))
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), s| (low.min(s), high.max(s)));
         let mut begin = 0;
         let mut range = 0;
         for k in 1..=at.len() {
@@ -292,7 +290,8 @@ fn write(
     place: Option<Georeference>,
     folder: &Path,
 ) -> Result<(), Error> {
-    let text = |value: Option<f64>| value.map(|value| rounded(value).to_string()).unwrap_or_default();
+    let text =
+        |value: Option<f64>| value.map(|value| rounded(value).to_string()).unwrap_or_default();
     let names: Vec<&str> = plots
         .first()
         .map(|plot| plot.traits.iter().map(|(name, ..)| *name).collect())

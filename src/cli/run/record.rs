@@ -196,12 +196,8 @@ impl Lock {
         std::fs::create_dir_all(results).map_err(|e| FileError::write(results, e))?;
         let path = results.join(".lock");
         let failed = |e| FileError::write(&path, e);
-        let file = File::options()
-            .create(true)
-            .truncate(false)
-            .write(true)
-            .open(&path)
-            .map_err(failed)?;
+        let file =
+            File::options().create(true).truncate(false).write(true).open(&path).map_err(failed)?;
         match file.try_lock() {
             Ok(()) => Ok(Lock { _file: file }),
             Err(std::fs::TryLockError::WouldBlock) => Err(Error::Argument(format!(

@@ -12,8 +12,18 @@ use std::{
 
 /// The stages in their order.
 pub(in crate::cli) const STAGES: [&str; 12] = [
-    "grow", "calibrate", "align", "dem", "ortho", "segment", "density", "count", "locate", "leaves",
-    "plots", "evaluate",
+    "grow",
+    "calibrate",
+    "align",
+    "dem",
+    "ortho",
+    "segment",
+    "density",
+    "count",
+    "locate",
+    "leaves",
+    "plots",
+    "evaluate",
 ];
 
 /// A word of a command.
@@ -300,8 +310,13 @@ impl Place<'_> {
         if let Some(camera) = self.named(project.camera.as_ref(), "camera.toml").or(calibrated) {
             command = command.from("--camera", &camera);
         }
-        let usual =
-            ["gcps.csv", "marks.csv", "gcp_list.txt", "ground_control_points.json", "geolocation.csv"];
+        let usual = [
+            "gcps.csv",
+            "marks.csv",
+            "gcp_list.txt",
+            "ground_control_points.json",
+            "geolocation.csv",
+        ];
         command = command
             .reads(usual.map(|name| self.root.join(name)).into_iter().filter(|p| p.is_file()))
             .word("--json")
