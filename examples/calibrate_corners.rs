@@ -6,7 +6,7 @@
 #![allow(clippy::print_stdout, reason = "an example prints")]
 
 use rowgram::{
-    camera::Model,
+    camera::{Lens, Model},
     engine::SolveError,
     nlls::Loss,
     problems::calibration::{BoardShape, Mark, Request, View, calibrate, statistics::statistics},
