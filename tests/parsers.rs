@@ -114,7 +114,7 @@ fn damaged_files_are_no_reason_to_fall() {
     let grown =
         rowgram(root, "synth flight --preset small --no-photos --tie-points 10 -o field -q");
     assert_eq!(grown.code, 0, "{}", grown.stderr);
-    let bundled = rowgram(root, "synth bundle --images 4 --points 20 -o block.txt -q");
+    let bundled = rowgram(root, "synth bundle --images 4 --points 40 -o block.txt -q");
     assert_eq!(bundled.code, 0, "{}", bundled.stderr);
     let binary = rowgram(root, "convert field/model --to colmap-binary -o binary -q");
     fs::write(

@@ -5,6 +5,7 @@ mod lights;
 mod maps;
 mod page;
 mod pictures;
+mod proof;
 mod sections;
 
 use crate::{

@@ -3,7 +3,7 @@
 use super::{
     facts::{Facts, number},
     lights::{Colour, Light},
-    sections,
+    proof, sections,
 };
 use crate::error::Error;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
@@ -26,8 +26,8 @@ pub(super) fn page(facts: &Facts, lights: &[Light]) -> Result<String, Error> {
         sections::leaves(facts)?,
         sections::plants(facts)?,
         sections::plots(facts)?,
-        sections::truth(facts)?,
-        sections::provenance(facts)?,
+        proof::truth(facts)?,
+        proof::provenance(facts)?,
     ]
     .into_iter()
     .flatten()

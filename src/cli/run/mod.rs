@@ -3,6 +3,7 @@
 //! Every stage is a verb, called with the words that a person would type; each is said on stderr and kept in the
 //! report. What a stage wrote is used again while nothing that it came from has changed ([`record`]).
 
+mod command;
 mod config;
 mod evaluate;
 mod grow;
@@ -15,6 +16,7 @@ use crate::{
     error::Error,
     io::{FileError, output},
 };
+use command::Command;
 use config::Config;
 use record::{Lock, Record, Records};
 use serde_json::Value;
@@ -23,7 +25,7 @@ use std::{
     time::Instant,
 };
 pub(super) use step::STAGES;
-use step::{Command, Place, Plan};
+use step::{Place, Plan};
 
 /// From photos to traits and a report, in one go
 ///

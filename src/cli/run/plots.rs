@@ -48,7 +48,6 @@ impl Inputs {
                 return Err(Missing::Fault(Error::Argument(message.into())));
             }
         };
-        let folder = place.root.file_name().map(|name| name.to_string_lossy().into_owned());
         Ok(Inputs {
             mask,
             polygons: place.named(place.config.project.plots.as_ref(), "plots.geojson"),
@@ -57,7 +56,8 @@ impl Inputs {
             leaves: file("leaves", "leaves.csv"),
             counts: file("count", "counts.csv"),
             grid,
-            name: place.config.project.name.clone().or(folder).unwrap_or_else(|| "field".into()),
+            // Not the folder's name: a project that moves keeps its bytes.
+            name: place.config.project.name.clone().unwrap_or_else(|| "field".into()),
         })
     }
 
