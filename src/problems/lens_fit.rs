@@ -237,7 +237,7 @@ mod tests {
         let source = brown(&[1500.0, 1.0, 640.0, 480.0, -0.12, 0.03, 2e-4, -3e-4, 0.0]);
         let names = ["c_px", "xp_px", "yp_px", "K1", "K2", "K3", "P1", "P2"];
         let there = fit(&source, Model::Smac, &names).unwrap();
-        assert!(there.rms_px < 2e-3 && there.largest_px < 0.02, "{there:?}");
+        assert!(there.rms_px < 5e-3 && there.largest_px < 0.05, "{there:?}");
         // Fewer terms leave more.
         let poor = fit(&source, Model::Smac, &["c_px", "xp_px", "yp_px", "K1"]).unwrap();
         assert!(poor.rms_px > 10.0 * there.rms_px, "{poor:?}");

@@ -110,7 +110,9 @@ mod tests {
         }
         let gsd_m = (0.013f64 * 0.014 + 0.002 * 0.002).sqrt();
         approx::assert_relative_eq!(place.gsd_m().unwrap(), gsd_m, epsilon = 1e-12);
-        assert_eq!(place.from_pixel(3, 4).map([1.0, 1.0]), place.map([4.0, 5.0]));
+        for (a, b) in place.from_pixel(3, 4).map([1.0, 1.0]).iter().zip(place.map([4.0, 5.0])) {
+            approx::assert_abs_diff_eq!(*a, b, epsilon = 1e-8);
+        }
     }
 
     #[test]
