@@ -166,7 +166,7 @@ fn a_cell_that_fails_is_a_row_with_its_reason() {
     place.good(&["run", "toy.toml", "--out", "o"]);
     let runs = std::fs::read_to_string(place.path("o/runs.csv")).unwrap();
     let lines: Vec<&str> = runs.lines().collect();
-    assert!(lines[2].starts_with("1,1.0,1,failed,the mask has no leaf pixel"), "{runs}");
+    assert!(lines[2].starts_with("1,1.0,1,failed,\"the mask has no leaf pixel"), "{runs}");
     assert!(lines[1].starts_with("0,0.0,1,ok,,"), "{runs}");
 }
 

@@ -48,10 +48,10 @@ pub fn write(
     })
 }
 
-/// As [`write`], for content that is not written from its beginning to its end.
+/// As [`write()`], for content that is not written from its beginning to its end.
 ///
 /// # Errors
-/// As [`write`], and whatever `fill` fails with.
+/// As [`write()`], and whatever `fill` fails with.
 pub fn write_seekable<E: From<FileError>>(
     path: &Path,
     force: bool,

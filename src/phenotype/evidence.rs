@@ -2,25 +2,25 @@
 //!
 //! The axis of the leaf at a pixel is the direction in which the mask changes least, from the
 //! structure tensor `S = G_i * (grad m grad m^T)`, `m` the mask smoothed by a Gaussian of scale
-//! [`GRADIENT_PX`] and `G_i` one of scale [`TENSOR_PX`]. With `xx`, `xy`, `yy` its entries, the axis at
+//! `GRADIENT_PX` and `G_i` one of scale `TENSOR_PX`. With `xx`, `xy`, `yy` its entries, the axis at
 //! angle `theta` and its coherence are
 //!
 //! `(cos 2 theta, sin 2 theta) = -(xx - yy, 2 xy) / n`, `n = |(xx - yy, 2 xy)|`, `c = n / (xx + yy)`.
 //!
 //! Every pixel votes with weight `c` for all places both ways along its axis, as far as the straight
-//! walk stays on the mask (one missing pixel is stepped over) and at most [`REACH_PX`]. Many leaves
+//! walk stays on the mask (one missing pixel is stepped over) and at most `REACH_PX`. Many leaves
 //! cross where a stalk is. Votes are kept apart by the angle between leaf and row, because leaves
 //! along the row cross it everywhere and say least, and each part saturates so that no single broad
 //! leaf outweighs several narrow ones:
 //!
-//! `E = sum_b w_b v_b / (1 + v_b / `[`SATURATION`]`)`.
+//! `E = sum_b w_b v_b / (1 + v_b / ``SATURATION``)`.
 //!
 //! Instead of the structure tensor, slices across the leaves can say where the axes are ([`Axes::Slices`]): the direction
 //! of a reduced pixel is then the mean of `(cos 2 theta, sin 2 theta)` over its leaf pixels, its coherence the
 //! length of that mean, and a pixel without a slice does not vote.
 //!
 //! A mask of broad leaves is first reduced by the whole factor that makes its strokes about
-//! [`STROKE_PX`] wide. Positions in pixels of the given mask, centre of the top-left pixel at (0, 0).
+//! `STROKE_PX` wide. Positions in pixels of the given mask, centre of the top-left pixel at (0, 0).
 
 use super::leaves;
 use crate::raster::Mask;

@@ -1,13 +1,13 @@
 //! Chessboards in photos: every inner corner to a fraction of a pixel.
 //!
-//! 1. *Candidates* ([`shape`]): where the blurred picture is a saddle (`Ixy^2 > Ixx Iyy`, a local
+//! 1. *Candidates* (`shape`): where the blurred picture is a saddle (`Ixy^2 > Ixx Iyy`, a local
 //!    maximum) and a ring around it is dark, bright, dark, bright with two straight borders.
-//! 2. *Grid* ([`grid`]): corners that lie along each other's edges, with the sides of the edge
+//! 2. *Grid* (`grid`): corners that lie along each other's edges, with the sides of the edge
 //!    swapping, are neighbours; neighbours make rows and columns, and whatever is missing is looked for
 //!    where the rows and columns around it predict it. No lens model is assumed, so a fisheye will do.
-//! 3. *Order* ([`order`]): the same corner is the first in every photo, as far as the board's
+//! 3. *Order* (`order`): the same corner is the first in every photo, as far as the board's
 //!    symmetry allows, and the order is OpenCV's.
-//! 4. *Refinement* ([`refine`]) in the full-size picture.
+//! 4. *Refinement* (`refine`) in the full-size picture.
 //!
 //! The first two run on levels of a pyramid, beginning where the picture has about a megapixel;
 //! coarser levels help with blurred photos, finer ones with small boards.

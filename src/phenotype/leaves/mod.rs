@@ -1,15 +1,15 @@
 //! Each single leaf of a mask, by slices across it (stroke width transform).
 //!
-//! 1. [`edges`]: where the mask ends, with the gradient angle `G` there, to fractions of a pixel.
-//! 2. [`slices`]: stretches from an edge A along its gradient to the opposite edge B, accepted where
+//! 1. `edges`: where the mask ends, with the gradient angle `G` there, to fractions of a pixel.
+//! 2. `slices`: stretches from an edge A along its gradient to the opposite edge B, accepted where
 //!    `|G_A - G_B + pi| < T_a`; the leaf's direction there is `theta = (G_A + G_B)/2 mod pi`.
-//! 3. [`segments`]: adjacent slices whose directions differ by less than `T_b`.
-//! 4. [`split`]: segments whose width says that they are two leaves.
-//! 5. [`bridge`]: segments that face each other across a gap and differ by less than `T_c` are one leaf.
+//! 3. `segments`: adjacent slices whose directions differ by less than `T_b`.
+//! 4. `split`: segments whose width says that they are two leaves.
+//! 5. `bridge`: segments that face each other across a gap and differ by less than `T_c` are one leaf.
 //! 6. Every pixel that is left belongs to the leaf that it is nearest to within the plant.
 //!
 //! Steps 1 to 3 and 5 with [`Bridging::Greedy`] are the paper's; [`Options::paper`] does just these.
-//! All is done for each connected part of the mask on its own ([`part`]); the only number they
+//! All is done for each connected part of the mask on its own (`part`); the only number they
 //! share is the usual width of a leaf, a median over all slices.
 //!
 //! Lengths in pixels here; a ground sampling distance makes them metres where the raster has one.
