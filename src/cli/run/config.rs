@@ -181,14 +181,15 @@ impl Config {
     ) -> Result<Config, Error> {
         let path = root.join(NAME);
         let mut table = match std::fs::read_to_string(&path) {
-            Ok(text) => text.parse::<Table>().map_err(|e| located(&path, &text, &e))?,
+            Ok(text) => {
+                let table = text.parse::<Table>().map_err(|e| located(&path, &text, &e))?;
+                // What the file says alone first, so that its own mistakes are told as its own.
+                toml::from_str::<Config>(&text).map_err(|e| located(&path, &text, &e))?;
+                table
+            }
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => Table::new(),
             Err(e) => return Err(FileError::read(&path, e).into()),
         };
-        // What the file says alone first, so that its own mistakes are told as its own.
-        if let Ok(text) = std::fs::read_to_string(&path) {
-            toml::from_str::<Config>(&text).map_err(|e| located(&path, &text, &e))?;
-        }
         for (section, key) in keys() {
             let name = format!("ROWGRAM_{section}_{key}").to_uppercase();
             if let Some(text) = environment(&name) {
