@@ -61,9 +61,9 @@ fail() {
 await() {
     local seconds=$1 what=$2
     shift 2
-    for ((k = 0; k < 5 * seconds; k++)); do
+    for ((k = 0; k < 10 * seconds; k++)); do
         if "$@" >/dev/null 2>&1; then return; fi
-        sleep 0.2
+        sleep 0.1
     done
     fail "$what did not happen within $seconds s"
 }
@@ -159,30 +159,29 @@ array=$(sed -n 's/^array \([0-9]*\).*/\1/p' "$work/submitted")
 
 # Node n1 dies when the shard that runs there has finished a task and has another under way: daemon, step
 # and work.
-shard_of_n1() { squeue --noheader --array --states=R --nodelist=n1 --format=%K | head -n 1; }
-started() {
-    dying=$(shard_of_n1)
-    [[ -n $dying ]] && compgen -G "$work/run/tasks/task-*.$dying-of-$shards.json"
+dying=
+shard_of_n1() {
+    dying=$(squeue --noheader --array --states=R --nodelist=n1 --format=%K | head -n 1)
+    [[ -n $dying ]]
 }
-await 120 'the first finished task on node n1' started
+await 120 'a shard on node n1' shard_of_n1
+record_of_n1() { compgen -G "$work/run/tasks/task-*.$dying-of-$shards.json"; }
+await 120 'the first finished task on node n1' record_of_n1
+# The work on that node is known by its environment; its step daemon is the parent. It stands still before
+# anything is killed, so that it cannot be over first.
+mapfile -t victims < <(
+    cd /proc && grep -lz '^SLURMD_NODENAME=n1$' [0-9]*/environ 2>/dev/null |
+        xargs --no-run-if-empty grep -lz "^SLURM_CONF=$work/slurm.conf$" 2>/dev/null | cut -d/ -f1
+)
+for child in "${victims[@]}"; do
+    [[ $(cat "/proc/$child/comm" 2>/dev/null) == slurmstepd ]] || kill -STOP "$child" 2>/dev/null || true
+done
 disown "${node[n1]}"
 kill -9 "${node[n1]}"
-# The work on that node is known by its environment; its step daemon is the parent. The daemon first, so
-# that it cannot report its child's death as a failure of the job.
-work_of_n1() {
-    local process environment
-    for process in /proc/[0-9]*; do
-        # Processes come and go while this looks at them.
-        { environment=$(tr '\0' '\n' <"$process/environ"); } 2>/dev/null || continue
-        if grep -q "^SLURM_CONF=$work/slurm.conf$" <<<"$environment" &&
-            grep -q '^SLURMD_NODENAME=n1$' <<<"$environment" &&
-            [[ $(cat "$process/comm" 2>/dev/null) != slurmstepd ]]; then
-            printf '%s\n' "${process#/proc/}"
-        fi
-    done
-}
+# The daemon first, so that it cannot report its child's death as a failure of the job.
 killed=0
-for child in $(work_of_n1); do
+for child in "${victims[@]}"; do
+    [[ $(cat "/proc/$child/comm" 2>/dev/null) != slurmstepd ]] || continue
     step=$(awk '/^PPid:/ { print $2 }' "/proc/$child/status" 2>/dev/null || true)
     if [[ -n $step && $(cat "/proc/$step/comm" 2>/dev/null) == slurmstepd ]]; then
         kill -9 "$step" 2>/dev/null || true

@@ -28,8 +28,8 @@ pub(super) struct ConjugateGradients {
     preconditioned: Vec<f64>,
     direction: Vec<f64>,
     product: Vec<f64>,
-    /// Products made since the beginning.
-    products: u64,
+    /// Products with the matrix so far.
+    pub(super) products: u64,
 }
 
 impl ConjugateGradients {
@@ -63,11 +63,6 @@ impl ConjugateGradients {
             at += dim * dim;
         }
         Ok(())
-    }
-
-    /// Products made since the beginning.
-    pub(super) fn products(&self) -> u64 {
-        self.products
     }
 
     /// Replaces `b` by an approximate solution of `matrix d = b`.
@@ -196,7 +191,7 @@ mod tests {
         let mut exact = ConjugateGradients::new(&matrix, 1e-12);
         exact.prepare(&matrix).unwrap();
         exact.solve(&matrix, &mut b.clone());
-        assert!(exact.products() as usize <= n);
+        assert!(exact.products as usize <= n);
     }
 
     #[test]

@@ -47,11 +47,11 @@ impl Reduced {
         }
     }
 
-    /// Products with the matrix that iterations made so far.
-    pub(super) fn products(&self) -> u64 {
+    /// Products with the matrix that iterations made since this was last asked.
+    pub(super) fn take_products(&mut self) -> u64 {
         match self {
             Reduced::Direct(_) => 0,
-            Reduced::Iterative(iteration) => iteration.products(),
+            Reduced::Iterative(iteration) => std::mem::take(&mut iteration.products),
         }
     }
 }
