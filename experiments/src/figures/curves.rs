@@ -216,8 +216,9 @@ fn draw(
         (x_low, x_high) = (-0.5, labels.len() as f64 - 0.5);
     }
     let (y_low, y_high) = extent(points().flat_map(|p| [p.low, p.high, p.y])).unwrap_or((0.0, 1.0));
-    let names: Vec<&str> =
-        all.first().map_or(Vec::new(), |panel| panel.iter().map(|(n, _)| n.as_str()).collect());
+    let names: Vec<String> =
+        all.first().map_or(Vec::new(), |panel| panel.iter().map(|(n, _)| n.clone()).collect());
+    let names = figure.legend(&names);
     // Many series need room below: their names go under the plot, three to a line.
     let height = 400 + if labels.len() > 4 { 60 } else { 0 };
     let (_, columns) = scale::layout(parts.len());
@@ -292,7 +293,7 @@ fn draw(
     )
 }
 
-type Chart<'a, 'b> = ChartContext<
+pub(super) type Chart<'a, 'b> = ChartContext<
     'a,
     SVGBackend<'b>,
     Cartesian2d<plotters::coord::types::RangedCoordf64, plotters::coord::types::RangedCoordf64>,
@@ -331,7 +332,7 @@ fn series<'b>(chart: &mut Chart<'_, 'b>, s: usize, lines: &[Vec<Point>], joined:
 }
 
 /// The marker of a series, its form as telling as its colour.
-fn marker<'b>(chart: &mut Chart<'_, 'b>, s: usize, at: (f64, f64)) -> Done {
+pub(super) fn marker<'b>(chart: &mut Chart<'_, 'b>, s: usize, at: (f64, f64)) -> Done {
     let (area, style) = (chart.plotting_area(), colour(s).filled());
     match s % 4 {
         0 => area.draw(&Circle::new(at, 5, style))?,

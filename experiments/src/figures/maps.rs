@@ -2,7 +2,7 @@
 
 use super::{
     Drawn, Figure,
-    curves::legend_of,
+    curves::{legend_of, marker},
     panels, plain,
     scale::{self, LABEL, TITLE, colour, extent, font, short, tick, viridis},
 };
@@ -37,8 +37,11 @@ fn bounds(points: &[Vec<f64>], panels: usize) -> Result<([f64; 4], u32), String>
     let (y0, y1) = extent(points.iter().map(|p| p[1])).ok_or("there is nothing to draw")?;
     let (_, across) = scale::layout(panels);
     let wide = if across == 1 { 720.0 } else { 480.0 } - 120.0;
-    let height = (wide * (y1 - y0) / (x1 - x0)).clamp(160.0, 900.0);
-    Ok(([x0, x1, y0, y1], height as u32 + 110))
+    let height = (wide * (y1 - y0) / (x1 - x0)).clamp(90.0, 900.0);
+    // What is very high or very flat gets room beside it instead of another scale.
+    let wider = 0.5 * ((y1 - y0) * wide / height - (x1 - x0)).max(0.0);
+    let higher = 0.5 * ((x1 - x0) * height / wide - (y1 - y0)).max(0.0);
+    Ok(([x0 - wider, x1 + wider, y0 - higher, y1 + higher], height as u32 + 110))
 }
 
 /// A chart of equal scales with its mesh, in which `inside` draws.
@@ -148,7 +151,11 @@ pub(super) fn surface(
         map!(figure, &upper, &parts[panel].0, bounds, chart, {
             chart.draw_series(all[panel].iter().map(|p| {
                 let ((left, right), (low, high)) = (border(0, p[0]), border(1, p[1]));
-                let corners = [(left, low), (right, high)];
+                // A little over the border: no seams between neighbours.
+                let over = |from: f64, to: f64, k: usize| {
+                    (to + 0.04 * (to - from)).min(ends[1][k])
+                };
+                let corners = [(left, low), (over(left, right, 0), over(low, high, 1))];
                 Rectangle::new(corners, viridis(share(p[2])).filled())
             }))?;
             chart.draw_series(marks().map(|at| Cross::new(at, 9, WHITE.stroke_width(6))))?;
@@ -163,6 +170,9 @@ pub(super) fn surface(
     })?;
     Ok(Drawn { svg, numbers })
 }
+
+/// Fewer points than this have the marker of their series.
+const FEW: usize = 300;
 
 /// Points, coloured by series.
 pub(super) fn points(figure: &Figure, frame: &Frame) -> Result<Drawn, String> {
@@ -186,15 +196,25 @@ pub(super) fn points(figure: &Figure, frame: &Frame) -> Result<Drawn, String> {
     }
     let flat: Vec<Vec<f64>> = all.iter().flatten().flatten().cloned().collect();
     let (bounds, height) = bounds(&flat, parts.len())?;
-    let size = if flat.len() > 3000 { 1 } else { 3 };
-    let legend: Vec<&str> = names.iter().map(String::as_str).collect();
-    let extra = usize::from(names.len() > 1);
-    let svg = scale::canvas(parts.len() + extra, height, |panel, area| {
+    let size = if flat.len() > 3000 { 1 } else { 2 };
+    let legend = figure.legend(&names);
+    let (several, single) = (names.len() > 1, parts.len() == 1);
+    let below = if several && single { 26 * names.len().div_ceil(2) as u32 + 6 } else { 0 };
+    let panels = parts.len() + usize::from(several && !single);
+    let svg = scale::canvas(panels, height + below, |panel, area| {
         let Some(series) = all.get(panel) else { return legend_of(area, &legend, 1) };
-        map!(figure, area, &parts[panel].0, bounds, chart, {
+        let (upper, lower) = area.split_vertically(height);
+        if below > 0 {
+            legend_of(&lower, &legend, 2)?;
+        }
+        map!(figure, &upper, &parts[panel].0, bounds, chart, {
             for (s, places) in series.iter().enumerate() {
-                let dot = |p: &Vec<f64>| Circle::new((p[0], p[1]), size, colour(s).filled());
-                chart.draw_series(places.iter().map(dot))?;
+                if s > 0 && places.len() < FEW {
+                    places.iter().try_for_each(|p| marker(&mut chart, s, (p[0], p[1])))?;
+                } else {
+                    let dot = |p: &Vec<f64>| Circle::new((p[0], p[1]), size, colour(s).filled());
+                    chart.draw_series(places.iter().map(dot))?;
+                }
             }
         })
     })?;
@@ -218,16 +238,23 @@ pub(super) fn field(figure: &Figure, frame: &Frame) -> Result<Drawn, String> {
         }
         all.push(places);
     }
-    let flat: Vec<Vec<f64>> = all.iter().flatten().cloned().collect();
+    let tip = |p: &[f64]| vec![p[0] + figure.magnify * p[2], p[1] + figure.magnify * p[3]];
+    let flat: Vec<Vec<f64>> =
+        all.iter().flatten().flat_map(|p: &Vec<f64>| [p[..2].to_vec(), tip(p)]).collect();
     let (bounds, height) = bounds(&flat, parts.len())?;
+    let magnified = figure.magnify != 1.0;
     let key = format!("arrows {} times their length", figure.magnify);
-    let svg = scale::canvas(parts.len(), height + 34, |panel, area| {
+    let foot = if magnified { 34 } else { 0 };
+    let svg = scale::canvas(parts.len(), height + foot, |panel, area| {
         let (upper, lower) = area.split_vertically(height);
-        lower.draw(&Text::new(key.clone(), (90, 6), font(LABEL - 4)))?;
+        if magnified {
+            lower.draw(&Text::new(key.clone(), (90, 6), font(LABEL - 4)))?;
+        }
         map!(figure, &upper, &parts[panel].0, bounds, chart, {
             chart.draw_series(all[panel].iter().map(|p| {
-                let tip = (p[0] + figure.magnify * p[2], p[1] + figure.magnify * p[3]);
-                PathElement::new(vec![(p[0], p[1]), tip], colour(0).stroke_width(2))
+                let tip = tip(p);
+                let line = vec![(p[0], p[1]), (tip[0], tip[1])];
+                PathElement::new(line, colour(0).stroke_width(2))
             }))?;
             let foot = |p: &Vec<f64>| Circle::new((p[0], p[1]), 2, colour(1).filled());
             chart.draw_series(all[panel].iter().map(foot))?;

@@ -19,7 +19,7 @@ use crate::{
 };
 use rowgram::io::output;
 use serde::{Deserialize, Serialize};
-use std::path::Path;
+use std::{collections::BTreeMap, path::Path};
 
 /// What a figure looks like.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -43,7 +43,7 @@ pub(crate) enum Look {
     Points,
     /// Arrows in the plane.
     Field,
-    /// A picture: a value, or one or three channels, for each pixel.
+    /// A picture: a value, one or three channels, or the number of a colour for each pixel.
     Image,
 }
 
@@ -66,6 +66,9 @@ pub(crate) struct Figure {
     /// The column that tells the series apart.
     #[serde(default)]
     pub(crate) series: String,
+    /// What the key calls the labels of the series, where that is not the label itself.
+    #[serde(default)]
+    pub(crate) names: BTreeMap<String, String>,
     /// The column of the small multiples.
     #[serde(default)]
     pub(crate) panel: String,
@@ -154,8 +157,12 @@ impl Figure {
         if self.look == Look::Surface && self.value.is_empty() {
             return Err(place("a surface needs a column of values".to_owned()));
         }
-        if self.look == Look::Image && self.value.is_empty() && ![1, 3].contains(&self.channels.len()) {
-            return Err(place("an image needs a column of values, or one or three channels".to_owned()));
+        let channels = [1, 3].contains(&self.channels.len());
+        let coloured = channels || !self.value.is_empty() || !self.series.is_empty();
+        if self.look == Look::Image && !coloured {
+            return Err(place(
+                "an image needs a column of values, one or three channels, or a series".to_owned(),
+            ));
         }
         if !(self.gamma > 0.0 && self.magnify > 0.0) {
             return Err(place("gamma and magnify have to be positive".to_owned()));
@@ -207,6 +214,11 @@ impl Figure {
             file.write_all(caption.as_bytes())
         })?;
         Ok(())
+    }
+
+    /// The names of series as the key has them.
+    fn legend<'a>(&'a self, labels: &'a [String]) -> Vec<&'a str> {
+        labels.iter().map(|label| self.names.get(label).unwrap_or(label).as_str()).collect()
     }
 
     fn x_text(&self) -> String {

@@ -56,7 +56,7 @@ pub(super) fn draw(figure: &Figure, frame: &Frame, violin: bool) -> Result<Drawn
     let values = all.iter().flatten().flat_map(|group| group.values.iter().copied());
     let (low, high) = extent(values).ok_or("there is nothing to draw")?;
     let several = names.len() > 1;
-    let legend: Vec<&str> = names.iter().map(String::as_str).collect();
+    let legend = figure.legend(&names);
     let rotated = labels.iter().map(String::len).sum::<usize>() > 40;
     let svg = scale::canvas(parts.len() + usize::from(several), 440, |panel, area| {
         let Some(groups) = all.get(panel) else { return legend_of(area, &legend, 1) };

@@ -225,16 +225,22 @@ fn traces(survey: &Survey, checks: &[CheckPoint], twin: &Twin) -> [Trace; 3] {
             vec![x, y, dx, dy, dz]
         })
         .collect();
-    let mut cameras = Trace::new("cameras", &["x_m", "y_m", "z_m"]);
-    cameras.rows = survey.images.iter().map(|image| image.pose.centre_m().to_vec()).collect();
-    let mut cloud = Trace::new("cloud", &["x_m", "y_m", "what"]);
-    cloud.rows = survey
-        .points
+    // Where a photo's upper edge points, seen from above.
+    let mut cameras = Trace::new("cameras", &["x_m", "y_m", "z_m", "up_x", "up_y"]);
+    cameras.rows = survey
+        .images
         .iter()
-        .map(|point| vec![point.position_m[0], point.position_m[1], 0.0])
+        .map(|image| {
+            let ([x, y, z], axes) = (image.pose.centre_m(), rotation::matrix(image.pose.rotation));
+            vec![x, y, z, axes[1][0], axes[1][1]]
+        })
         .collect();
-    cloud.rows.extend(cameras.rows.iter().map(|at| vec![at[0], at[1], 1.0]));
-    cloud.rows.extend(twin.targets.iter().map(|t| vec![t.place_m[0], t.place_m[1], 2.0]));
+    let mut cloud = Trace::new("cloud", &["x_m", "y_m", "z_m", "what"]);
+    let place = |[x, y, z]: [f64; 3], what: f64| vec![x, y, z, what];
+    cloud.rows = survey.points.iter().map(|point| place(point.position_m, 0.0)).collect();
+    let centres = survey.images.iter().map(|image| place(image.pose.centre_m(), 1.0));
+    cloud.rows.extend(centres);
+    cloud.rows.extend(twin.targets.iter().map(|target| place(target.place_m, 2.0)));
     [errors, cameras, cloud]
 }
 
