@@ -33,9 +33,8 @@ fn encode(rows: &[Vec<String>]) -> Result<Vec<u8>, ParquetError> {
         .iter()
         .enumerate()
         .map(|(c, name)| {
-            let all = |good: fn(&str) -> bool| {
-                rows.iter().all(|row| row[c].is_empty() || good(&row[c]))
-            };
+            let all =
+                |good: fn(&str) -> bool| rows.iter().all(|row| row[c].is_empty() || good(&row[c]));
             match name.as_str() {
                 "reason" | "status" => Kind::Text,
                 "cell" | "seed" if all(|cell| cell.parse::<i64>().is_ok()) => Kind::Integers,
@@ -106,10 +105,9 @@ mod tests {
             ["", "y", "2"],
             ["-2", "", "3"],
         ]
-        
-            .iter()
-            .map(|row| row.iter().map(|&cell| cell.to_owned()).collect())
-            .collect();
+        .iter()
+        .map(|row| row.iter().map(|&cell| cell.to_owned()).collect())
+        .collect();
         let bytes = encode(&rows).unwrap();
         assert_eq!(bytes, encode(&rows).unwrap());
         let folder = tempfile::tempdir().unwrap();

@@ -2,7 +2,7 @@
 
 use super::{
     Drawn, Figure,
-    curves::{legend_of, marker},
+    curves::marker,
     panels, plain,
     scale::{self, LABEL, TITLE, colour, extent, font, short, tick, viridis},
 };
@@ -120,9 +120,8 @@ pub(super) fn surface(
         let linear = if high > low { (value - low) / (high - low) } else { 0.5 };
         linear.powf(figure.gamma)
     };
-    let ends: Vec<Vec<f64>> = [0, 1]
-        .map(|end| [0, 1].map(|k| axes[k].1[end * (axes[k].1.len() - 1)]).to_vec())
-        .to_vec();
+    let ends: Vec<Vec<f64>> =
+        [0, 1].map(|end| [0, 1].map(|k| axes[k].1[end * (axes[k].1.len() - 1)]).to_vec()).to_vec();
     let (bounds, height) = bounds(&ends, parts.len())?;
     let dots = match over {
         Some(frame) => {
@@ -145,16 +144,14 @@ pub(super) fn surface(
         short(high),
         if figure.gamma == 1.0 { String::new() } else { format!(", exponent {}", figure.gamma) }
     );
-    let svg = scale::canvas(parts.len(), height + 34, |panel, area| {
+    let svg = scale::canvas(parts.len(), height + 34, &[], |panel, area| {
         let (upper, lower) = area.split_vertically(height);
         lower.draw(&Text::new(key.clone(), (90, 6), font(LABEL - 4)))?;
         map!(figure, &upper, &parts[panel].0, bounds, chart, {
             chart.draw_series(all[panel].iter().map(|p| {
                 let ((left, right), (low, high)) = (border(0, p[0]), border(1, p[1]));
                 // A little over the border: no seams between neighbours.
-                let over = |from: f64, to: f64, k: usize| {
-                    (to + 0.04 * (to - from)).min(ends[1][k])
-                };
+                let over = |from: f64, to: f64, k: usize| (to + 0.04 * (to - from)).min(ends[1][k]);
                 let corners = [(left, low), (over(left, right, 0), over(low, high, 1))];
                 Rectangle::new(corners, viridis(share(p[2])).filled())
             }))?;
@@ -198,17 +195,9 @@ pub(super) fn points(figure: &Figure, frame: &Frame) -> Result<Drawn, String> {
     let (bounds, height) = bounds(&flat, parts.len())?;
     let size = if flat.len() > 3000 { 1 } else { 2 };
     let legend = figure.legend(&names);
-    let (several, single) = (names.len() > 1, parts.len() == 1);
-    let below = if several && single { 26 * names.len().div_ceil(2) as u32 + 6 } else { 0 };
-    let panels = parts.len() + usize::from(several && !single);
-    let svg = scale::canvas(panels, height + below, |panel, area| {
-        let Some(series) = all.get(panel) else { return legend_of(area, &legend, 1) };
-        let (upper, lower) = area.split_vertically(height);
-        if below > 0 {
-            legend_of(&lower, &legend, 2)?;
-        }
-        map!(figure, &upper, &parts[panel].0, bounds, chart, {
-            for (s, places) in series.iter().enumerate() {
+    let svg = scale::canvas(parts.len(), height, &legend, |panel, area| {
+        map!(figure, area, &parts[panel].0, bounds, chart, {
+            for (s, places) in all[panel].iter().enumerate() {
                 if s > 0 && places.len() < FEW {
                     places.iter().try_for_each(|p| marker(&mut chart, s, (p[0], p[1])))?;
                 } else {
@@ -245,7 +234,7 @@ pub(super) fn field(figure: &Figure, frame: &Frame) -> Result<Drawn, String> {
     let magnified = figure.magnify != 1.0;
     let key = format!("arrows {} times their length", figure.magnify);
     let foot = if magnified { 34 } else { 0 };
-    let svg = scale::canvas(parts.len(), height + foot, |panel, area| {
+    let svg = scale::canvas(parts.len(), height + foot, &[], |panel, area| {
         let (upper, lower) = area.split_vertically(height);
         if magnified {
             lower.draw(&Text::new(key.clone(), (90, 6), font(LABEL - 4)))?;

@@ -175,7 +175,18 @@ impl Figure {
         let fail = |e: String| Fail::Failed(format!("figure {}: {e}", self.name));
         let table = |name: &str| match name {
             "runs" | "timing" => Frame::read(&result.join(format!("{name}.csv"))),
-            trace => Frame::read(&result.join(format!("traces/{trace}.csv"))),
+            trace => {
+                let path = result.join(format!("traces/{trace}.csv"));
+                if !path.exists() {
+                    let message = format!(
+                        "figure {}: no run left the series `{trace}`; runs.csv has the reasons of those that \
+                         failed, otherwise the base lacks `trace = true`",
+                        self.name
+                    );
+                    return Err(Fail::Failed(message));
+                }
+                Frame::read(&path)
+            }
         };
         let frame = table(&self.from)?.at(&self.conditions).map_err(fail)?;
         let over = if self.over.is_empty() { None } else { Some(table(&self.over)?) };

@@ -80,8 +80,9 @@ pub(super) fn draw(figure: &Figure, frame: &Frame) -> Result<Drawn, String> {
         .into_iter()
         .map(|(title, pixels)| grid(title, &pixels, &colour))
         .collect::<Result<_, _>>()?;
-    let key = (!figure.value.is_empty())
-        .then(|| format!("{}: {} (dark) to {} (bright)", plain(&figure.value), short(low), short(high)));
+    let key = (!figure.value.is_empty()).then(|| {
+        format!("{}: {} (dark) to {} (bright)", plain(&figure.value), short(low), short(high))
+    });
     let svg = frames(figure, &grids, key.as_deref())?;
     Ok(Drawn { svg, numbers })
 }
@@ -137,7 +138,7 @@ fn frames(figure: &Figure, grids: &[Grid], key: Option<&str>) -> Result<String, 
     let panel_height = height + BOTTOM + TOP + titled;
     let mut placed: Vec<Placed> = Vec::new();
     let foot = if key.is_some() { 34 } else { 0 };
-    let svg = scale::canvas(grids.len(), panel_height as u32 + foot, |panel, area| {
+    let svg = scale::canvas(grids.len(), panel_height as u32 + foot, &[], |panel, area| {
         let grid = &grids[panel];
         let (upper, lower) = area.split_vertically(panel_height as u32);
         if let Some(key) = key {

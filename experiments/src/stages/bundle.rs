@@ -160,9 +160,9 @@ impl Stage for BundleBlock {
                     measured.seconds.insert(TO_SOLVE.to_owned(), seconds);
                 }
                 let rows = noted.log.iter().enumerate();
-                trace.rows.extend(rows.map(|(k, [passes, cost])| {
-                    vec![k as f64, *passes, (cost - best) / best]
-                }));
+                trace.rows.extend(
+                    rows.map(|(k, [passes, cost])| vec![k as f64, *passes, (cost - best) / best]),
+                );
                 bundle.update(&noted.best, &mut adjusted);
                 noted.lowest
             }
@@ -213,8 +213,7 @@ fn adjust(
             solved_at = Some((trial as f64, passes, clock.elapsed().as_secs_f64()));
         }
     };
-    let (cost, trials) =
-        descend(&bundle.problem, &mut x, &p.options, p.max_iterations, observe)?;
+    let (cost, trials) = descend(&bundle.problem, &mut x, &p.options, p.max_iterations, observe)?;
     bundle.update(&x, adjusted);
     measured.put("iterations", trials as f64);
     measured.put("products", products);

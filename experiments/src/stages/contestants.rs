@@ -148,8 +148,9 @@ where
         Contestant::Steihaug => {
             let inner: Steihaug<Vec<f64>, f64> =
                 Steihaug::new().with_max_iters(2 * start.len() as u64);
-            let solver =
-                TrustRegion::<_, f64>::new(inner).with_max_radius(1e6).map_err(|e| e.to_string())?;
+            let solver = TrustRegion::<_, f64>::new(inner)
+                .with_max_radius(1e6)
+                .map_err(|e| e.to_string())?;
             Executor::new(problem, solver)
                 .configure(|state| state.param(start).max_iters(max_iterations))
                 .run()

@@ -54,7 +54,6 @@ struct Linearized {
 pub(super) struct FlatBlock {
     bundle: Arc<Bundle>,
     cameras: usize,
-    points: usize,
     start: Arc<Vec<f64>>,
     scale: Arc<Vec<f64>>,
     target: f64,
@@ -84,7 +83,6 @@ impl FlatBlock {
         let mut block = FlatBlock {
             bundle: Arc::new(bundle),
             cameras,
-            points,
             start: Arc::new(start),
             scale: Arc::new(vec![1.0; n]),
             target,
@@ -257,8 +255,9 @@ mod tests {
 
     #[test]
     fn the_gradient_is_the_difference_of_the_costs() {
-        let points: Vec<[f64; 3]> =
-            (0..8).map(|k| [f64::from(k % 3) - 1.0, f64::from(k / 3) - 1.0, 0.1 * f64::from(k)]).collect();
+        let points: Vec<[f64; 3]> = (0..8)
+            .map(|k| [f64::from(k % 3) - 1.0, f64::from(k / 3) - 1.0, 0.1 * f64::from(k)])
+            .collect();
         let camera = |a: f64| Camera {
             rotation_rad: [0.2 * a, -0.1, 0.3],
             translation: [a, 0.2, -6.0],

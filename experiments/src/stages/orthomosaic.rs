@@ -108,7 +108,10 @@ impl Stage for Orthomosaic {
         metric("f1", "F1 of leaf pixels"),
         metric("area_ratio", "found over true leaf area"),
         metric("density_error", "root mean square error of the local density, share of a window"),
-        metric("scale_spread", "standard deviation of the ground area of a pixel, share of its mean"),
+        metric(
+            "scale_spread",
+            "standard deviation of the ground area of a pixel, share of its mean",
+        ),
         metric("f1_above", "F1 of a mosaic's leaf pixels against the view from straight above"),
         metric("covered", "share of the picture that shows something"),
         metric("photos", "photos of the flight"),
@@ -286,9 +289,9 @@ impl Flown {
             .map(|point| Point { position_m: point.position_m, sigma_z_m: f64::NAN })
             .collect();
         let cloud = Cloud::new(&points, &Options::default()).map_err(|e| e.to_string())?;
-        let [low, high] = cloud.bounds_m();
-        let size = [0, 1].map(|k| ((high[k] - low[k]) / cell_m) as usize + 1);
-        let place = Georeference::north_up([low[0], high[1]], cell_m, Crs::LOCAL);
+        let bounds = cloud.bounds_m();
+        let size = bounds.map(|[low, high]| ((high - low) / cell_m) as usize + 1);
+        let place = Georeference::north_up([bounds[0][0], bounds[1][1]], cell_m, Crs::LOCAL);
         cloud.surface(place, size).map(|(surface, _)| surface).map_err(|e| e.to_string())
     }
 }
@@ -366,7 +369,8 @@ fn spread(view: &View, flown: &Flown) -> Result<f64, String> {
             let share = |k: u32, size: f64| (f64::from(k) + 0.5) / f64::from(PLACES) * (size - 2.0);
             let at = [share(i, width), share(j, height)];
             let corner = |du: f64, dv: f64| view.ground([at[0] + du, at[1] + dv], &surface);
-            if let (Some(a), Some(b), Some(c)) = (corner(0.0, 0.0), corner(1.0, 0.0), corner(0.0, 1.0))
+            if let (Some(a), Some(b), Some(c)) =
+                (corner(0.0, 0.0), corner(1.0, 0.0), corner(0.0, 1.0))
             {
                 let (right, down) = ([b[0] - a[0], b[1] - a[1]], [c[0] - a[0], c[1] - a[1]]);
                 areas.push((right[0] * down[1] - right[1] * down[0]).abs());
