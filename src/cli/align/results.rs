@@ -293,8 +293,12 @@ pub(super) fn present(
 
 fn summary(report: &Report, outcome: &survey::Outcome, seconds: &[(&'static str, f64)]) -> String {
     let mut text = format!(
-        "{} of {} images oriented in {} piece(s); frame: {}\n",
-        report.registered, report.images, report.fragments, report.crs
+        "{} of {} images oriented in {} {}; frame: {}\n",
+        report.registered,
+        report.images,
+        report.fragments,
+        if report.fragments == 1 { "piece" } else { "pieces" },
+        report.crs
     );
     let _ = writeln!(
         text,
