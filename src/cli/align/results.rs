@@ -208,7 +208,7 @@ pub(super) fn write(
     let adjusted = &outcome.adjusted;
     let block = &adjusted.survey;
     let sigma0 = adjusted.statistics.sigma0;
-    for (k, camera) in block.cameras.iter().enumerate() {
+    for (k, camera) in survey::report::described(adjusted).iter().enumerate() {
         camera::write(&root.join(format!("camera-{}.toml", k + 1)), force, camera)?;
     }
     let accuracies = &adjusted.statistics.images;
