@@ -4,18 +4,23 @@ use super::{
     Drawn, Figure,
     curves::legend_of,
     panels, plain,
-    scale::{self, LABEL, TITLE, colour, extent, font, tick, viridis},
+    scale::{self, LABEL, TITLE, colour, extent, font, short, tick, viridis},
 };
 use crate::data::Frame;
 use plotters::prelude::*;
 
-/// Smallest distance between neighbouring different numbers.
-fn spacing(values: &[f64]) -> f64 {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    sorted.dedup();
-    let gap = sorted.windows(2).map(|w| w[1] - w[0]).fold(f64::INFINITY, f64::min);
-    if gap.is_finite() { gap } else { 1.0 }
+/// The different numbers, ascending, and the borders half-way between neighbours; those at the ends are as
+/// far out as their neighbours are in.
+fn cells(values: impl Iterator<Item = f64>) -> (Vec<f64>, Vec<f64>) {
+    let mut places: Vec<f64> = values.collect();
+    places.sort_by(f64::total_cmp);
+    places.dedup();
+    let last = places.len() - 1;
+    let half = |k: usize| if last == 0 { 0.5 } else { 0.5 * (places[k + 1] - places[k]) };
+    let mut borders = vec![places[0] - half(0)];
+    borders.extend((0..last).map(|k| places[k] + half(k)));
+    borders.push(places[last] + half(last.saturating_sub(1)));
+    (places, borders)
 }
 
 fn columns(frame: &Frame, names: &[&str]) -> Result<Vec<Vec<f64>>, String> {
@@ -97,14 +102,25 @@ pub(super) fn surface(
         all.push(joined);
     }
     let flat: Vec<Vec<f64>> = all.iter().flatten().cloned().collect();
-    let step = [0, 1].map(|k| spacing(&flat.iter().map(|p| p[k]).collect::<Vec<_>>()));
+    if flat.is_empty() {
+        return Err("there is nothing to draw".to_owned());
+    }
+    let axes = [0, 1].map(|k| cells(flat.iter().map(|p| p[k])));
+    let border = |k: usize, value: f64| {
+        let (places, borders) = &axes[k];
+        let at = places.partition_point(|&place| place < value).min(places.len() - 1);
+        (borders[at], borders[at + 1])
+    };
     let low = flat.iter().map(|p| p[2]).fold(f64::INFINITY, f64::min);
     let high = flat.iter().map(|p| p[2]).fold(f64::NEG_INFINITY, f64::max);
     let share = |value: f64| {
         let linear = if high > low { (value - low) / (high - low) } else { 0.5 };
         linear.powf(figure.gamma)
     };
-    let (bounds, height) = bounds(&flat, parts.len())?;
+    let ends: Vec<Vec<f64>> = [0, 1]
+        .map(|end| [0, 1].map(|k| axes[k].1[end * (axes[k].1.len() - 1)]).to_vec())
+        .to_vec();
+    let (bounds, height) = bounds(&ends, parts.len())?;
     let dots = match over {
         Some(frame) => {
             let meets = |row: &&Vec<String>| {
@@ -118,6 +134,7 @@ pub(super) fn surface(
         }
         None => Vec::new(),
     };
+    let marks = || figure.marks.iter().copied().zip(figure.y_marks.iter().copied());
     let key = format!(
         "{}: {} (dark) to {} (bright){}",
         plain(&figure.value),
@@ -130,10 +147,12 @@ pub(super) fn surface(
         lower.draw(&Text::new(key.clone(), (90, 6), font(LABEL - 4)))?;
         map!(figure, &upper, &parts[panel].0, bounds, chart, {
             chart.draw_series(all[panel].iter().map(|p| {
-                let (dx, dy) = (0.5 * step[0], 0.5 * step[1]);
-                let corners = [(p[0] - dx, p[1] - dy), (p[0] + dx, p[1] + dy)];
+                let ((left, right), (low, high)) = (border(0, p[0]), border(1, p[1]));
+                let corners = [(left, low), (right, high)];
                 Rectangle::new(corners, viridis(share(p[2])).filled())
             }))?;
+            chart.draw_series(marks().map(|at| Cross::new(at, 9, WHITE.stroke_width(6))))?;
+            chart.draw_series(marks().map(|at| Cross::new(at, 8, colour(1).stroke_width(3))))?;
             chart.draw_series(
                 dots.iter().map(|p| Circle::new((p[0], p[1]), 6, WHITE.stroke_width(3))),
             )?;
@@ -143,14 +162,6 @@ pub(super) fn surface(
         })
     })?;
     Ok(Drawn { svg, numbers })
-}
-
-fn short(value: f64) -> String {
-    if value != 0.0 && !(1e-3..1e5).contains(&value.abs()) {
-        format!("{value:.2e}")
-    } else {
-        format!("{value:.3}")
-    }
 }
 
 /// Points, coloured by series.

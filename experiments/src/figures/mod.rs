@@ -7,6 +7,7 @@
 mod curves;
 mod export;
 mod maps;
+mod picture;
 mod scale;
 mod spread;
 
@@ -42,6 +43,8 @@ pub(crate) enum Look {
     Points,
     /// Arrows in the plane.
     Field,
+    /// A picture: a value, or one or three channels, for each pixel.
+    Image,
 }
 
 /// A figure as a spec asks for it.
@@ -72,6 +75,9 @@ pub(crate) struct Figure {
     /// For fields, the columns of the arrows.
     #[serde(default)]
     pub(crate) arrow: Vec<String>,
+    /// For images without a value, the columns of the channels, 0 to 255: one for grey, three for colours.
+    #[serde(default)]
+    pub(crate) channels: Vec<String>,
     /// How much longer than life arrows are.
     #[serde(default = "unity")]
     pub(crate) magnify: f64,
@@ -91,6 +97,9 @@ pub(crate) struct Figure {
     /// Places along the first axis that are marked, such as published values.
     #[serde(default)]
     pub(crate) marks: Vec<f64>,
+    /// On surfaces, the same along the second axis: a mark is a place.
+    #[serde(default)]
+    pub(crate) y_marks: Vec<f64>,
     #[serde(default)]
     pub(crate) x_label: String,
     #[serde(default)]
@@ -139,8 +148,14 @@ impl Figure {
         if self.look == Look::Field && self.arrow.len() != 2 {
             return Err(place("a field needs the two columns of its arrows".to_owned()));
         }
+        if self.look == Look::Surface && self.marks.len() != self.y_marks.len() {
+            return Err(place("a mark on a surface needs both coordinates".to_owned()));
+        }
         if self.look == Look::Surface && self.value.is_empty() {
             return Err(place("a surface needs a column of values".to_owned()));
+        }
+        if self.look == Look::Image && self.value.is_empty() && ![1, 3].contains(&self.channels.len()) {
+            return Err(place("an image needs a column of values, or one or three channels".to_owned()));
         }
         if !(self.gamma > 0.0 && self.magnify > 0.0) {
             return Err(place("gamma and magnify have to be positive".to_owned()));
@@ -167,6 +182,7 @@ impl Figure {
             Look::Surface => maps::surface(self, &frame, over.as_ref()),
             Look::Points => maps::points(self, &frame),
             Look::Field => maps::field(self, &frame),
+            Look::Image => picture::draw(self, &frame),
         };
         let Drawn { svg, numbers } = drawn.map_err(fail)?;
         export::write(out, &self.name, &svg)?;
@@ -175,9 +191,15 @@ impl Figure {
             numbers.iter().try_for_each(|row| writer.write_record(row))?;
             writer.flush()
         })?;
+        // What is drawn for one column keeps its letters there; small multiples go across both.
+        let (place, width) = if scale::is_one_column(&svg) {
+            ("figure", "\\columnwidth")
+        } else {
+            ("figure*", "\\textwidth")
+        };
         let caption = format!(
-            "\\begin{{figure}}\n\\centering\n\\includegraphics[width=\\columnwidth]{{{name}.pdf}}\n\
-             \\caption{{{}}}\n\\label{{fig:{name}}}\n\\end{{figure}}\n",
+            "\\begin{{{place}}}\n\\centering\n\\includegraphics[width={width}]{{{name}.pdf}}\n\
+             \\caption{{{}}}\n\\label{{fig:{name}}}\n\\end{{{place}}}\n",
             escaped(&self.caption),
             name = self.name
         );

@@ -107,6 +107,15 @@ pub(super) fn tick(place: f64, logarithmic: bool) -> String {
     }
 }
 
+/// A number in the key of a figure.
+pub(super) fn short(value: f64) -> String {
+    if value != 0.0 && !(1e-3..1e5).contains(&value.abs()) {
+        format!("{value:.2e}")
+    } else {
+        format!("{value:.3}")
+    }
+}
+
 /// Rows and columns of small multiples.
 pub(super) fn layout(panels: usize) -> (usize, usize) {
     let columns = match panels {
@@ -117,6 +126,14 @@ pub(super) fn layout(panels: usize) -> (usize, usize) {
     (panels.div_ceil(columns).max(1), columns)
 }
 
+/// Width of a picture for one column.
+const COLUMN: u32 = 720;
+
+/// Whether a picture was drawn for one column.
+pub(super) fn is_one_column(svg: &str) -> bool {
+    svg.starts_with(&format!("<svg width=\"{COLUMN}\""))
+}
+
 /// Draws panels on one canvas, `height` high each.
 pub(super) fn canvas(
     panels: usize,
@@ -124,7 +141,7 @@ pub(super) fn canvas(
     mut draw: impl FnMut(usize, &Area<'_>) -> Done,
 ) -> Result<String, String> {
     let (rows, columns) = layout(panels);
-    let width = if columns == 1 { 720 } else { 480 * columns as u32 };
+    let width = if columns == 1 { COLUMN } else { 480 * columns as u32 };
     let mut svg = String::new();
     let mut run = |svg: &mut String| -> Done {
         let area = SVGBackend::with_string(svg, (width, height * rows as u32)).into_drawing_area();
