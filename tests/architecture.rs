@@ -199,6 +199,7 @@ fn each_dependency_has_its_place() {
             &["io/geotiff"],
         ),
         (&["indicatif"], &["drive", "cli"]),
+        (&["shapefile"], &["io/polygons"]),
         (&["pulp"], &["features", "raster/pixels", "lanes", "nlls/fused"]),
         (&["spade"], &["mapping/dem"]),
         (&["mwmatching"], &["phenotype/leaves/bridge"]),

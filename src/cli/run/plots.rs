@@ -50,7 +50,7 @@ impl Inputs {
         };
         Ok(Inputs {
             mask,
-            polygons: place.named(place.config.project.plots.as_ref(), "plots.geojson"),
+            polygons: place.polygons(place.config.project.plots.as_ref(), "plots"),
             plants: file("locate", "plants.csv"),
             gaps: file("locate", "gaps.csv"),
             leaves: file("leaves", "leaves.csv"),
@@ -62,8 +62,10 @@ impl Inputs {
     }
 
     pub(super) fn files(&self) -> Vec<PathBuf> {
-        let optional = [&self.polygons, &self.plants, &self.gaps, &self.leaves, &self.counts];
-        std::iter::once(&self.mask).chain(optional.into_iter().flatten()).cloned().collect()
+        let optional = [&self.plants, &self.gaps, &self.leaves, &self.counts];
+        let tables = optional.into_iter().flatten().cloned();
+        let polygons = self.polygons.iter().flat_map(|path| polygons::files(path));
+        std::iter::once(self.mask.clone()).chain(polygons).chain(tables).collect()
     }
 
     pub(super) fn key(&self) -> String {
@@ -121,6 +123,7 @@ pub(super) fn work(inputs: &Inputs, folder: &Path) -> Result<Value, Error> {
         counts: counts.as_ref(),
         gsd_m,
     };
+    let mut outside = Vec::new();
     let plots: Vec<Plot> = areas
         .into_iter()
         .map(|(name, polygon)| {
@@ -130,10 +133,21 @@ pub(super) fn work(inputs: &Inputs, folder: &Path) -> Result<Value, Error> {
                 .iter()
                 .map(|(v, run)| mask.row(*v)[run.clone()].iter().filter(|&&p| p != 0).count())
                 .sum();
+            if pixels == 0 {
+                outside.push(name.clone());
+            }
             let traits = measured.traits(&name, &polygon, pixels, covered);
             Plot { name, polygon, traits }
         })
         .collect();
+    if let (Some(path), false) = (&inputs.polygons, outside.is_empty()) {
+        if outside.len() == plots.len() {
+            let message = "none of its plots lies on the mosaic: is it of another field, or in \
+                           another reference system than it says?";
+            return Err(FileError::malformed(path, None, message).into());
+        }
+        tracing::warn!("plots outside of the mosaic: {}", outside.join(", "));
+    }
     write(inputs, &plots, place, folder)?;
     let rows: Vec<Value> = plots.iter().map(properties).map(Value::Object).collect();
     Ok(json!({"from": from, "plots": rows}))
