@@ -122,7 +122,12 @@ pub(super) fn surface(
     };
     let ends: Vec<Vec<f64>> =
         [0, 1].map(|end| [0, 1].map(|k| axes[k].1[end * (axes[k].1.len() - 1)]).to_vec()).to_vec();
-    let (bounds, height) = bounds(&ends, parts.len())?;
+    // Parameters have scales of their own, places in the plane have one.
+    let (bounds, height) = if figure.from == "runs" {
+        ([ends[0][0], ends[1][0], ends[0][1], ends[1][1]], 470)
+    } else {
+        bounds(&ends, parts.len())?
+    };
     let dots = match over {
         Some(frame) => {
             let meets = |row: &&Vec<String>| {

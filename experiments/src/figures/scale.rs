@@ -136,7 +136,7 @@ const COLUMN: u32 = 720;
 
 /// Room for the name of a series: its line, and each letter. The height of a line of names.
 const NAME: usize = 66;
-const LETTER: usize = 10;
+const LETTER: usize = 8;
 pub(super) const LINE: u32 = 26;
 
 /// Whether a picture was drawn for one column.
