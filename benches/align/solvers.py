@@ -4,7 +4,8 @@
     /tmp/venv/bin/python benches/align/solvers.py PROJECT [--csv pairs.csv] [-- further words for rowgram align]
 
 The flight is oriented as a whole first; its adjusted poses are what the pairs are held against: the angle
-of the rotation between both, and the angle between both baselines. Pairs of photos that stand closer together than
+of the rotation between both, and the angle between both baselines. The pairs are oriented twice: with the camera
+as the files tell it, and with the one that the whole flight calibrated. Pairs of photos that stand closer together than
 a tenth of the usual base have no direction to speak of and are left out. Matches are the same for all.
 """
 
@@ -70,12 +71,14 @@ def main():
         bases = [numpy.linalg.norm(centres[a] - centres[b]) for a, b in itertools.combinations(centres, 2)]
         usual = statistics.median(bases)
         tried = run(args.rowgram, args.project, work, [*args.more, "--until", "match"])
-        for solver in SOLVERS:
-            told = run(args.rowgram, args.project, work, [*args.more, "--until", "verify", "--solver", solver])
+        calibrated = ["--camera", str(work / "camera-1.toml")]
+        for solver, lens in itertools.product(SOLVERS, ["from the files", "calibrated"]):
+            words = [*args.more, *(calibrated if lens == "calibrated" else [])]
+            told = run(args.rowgram, args.project, work, [*words, "--until", "verify", "--solver", solver])
             with (work / "report" / "pairs.csv").open() as file:
                 for pair in csv.DictReader(file):
                     a, b = pair["first"], pair["second"]
-                    row = {"solver": solver, "first": a, "second": b, "matches": int(pair["matches"])}
+                    row = {"solver": solver, "camera": lens, "first": a, "second": b, "matches": int(pair["matches"])}
                     row |= {"by": pair["solver"], "tilt_deg": float(pair["tilt_deg"])}
                     if a in truth and b in truth:
                         (ra, ta), (rb, tb) = truth[a], truth[b]
@@ -88,17 +91,17 @@ def main():
                             row["baseline_deg"] = degrees(along @ base / numpy.linalg.norm(base))
                     rows.append(row)
             seconds = told["seconds"]["verify"]
-            own = [row for row in rows if row["solver"] == solver and "rotation_deg" in row]
+            own = [r for r in rows if (r["solver"], r["camera"]) == (solver, lens) and "rotation_deg" in r]
             right = [row for row in own if row["rotation_deg"] < 2.0 and row["baseline_deg"] < 10.0]
             print(
-                f"{solver}: {told['pairs']} of {tried['pairs']} pairs, {told['matches']} of {tried['matches']} matches, "
+                f"{solver}, camera {lens}: {told['pairs']} of {tried['pairs']} pairs, {told['matches']} of {tried['matches']} matches, "
                 f"{len(right)} of {len(own)} pairs within 2 and 10 degrees of the adjusted block, "
                 f"median {statistics.median(r['rotation_deg'] for r in own):.3f} and "
                 f"{statistics.median(r['baseline_deg'] for r in own):.3f} degrees, {seconds:.2f} s"
             )
     print(f"adjusted block: {whole['registered']} of {whole['images']} images, {whole['reprojection_rms_px']:.3f} px")
     if args.csv:
-        names = ["solver", "first", "second", "matches", "by", "tilt_deg", "rotation_deg", "baseline_deg"]
+        names = ["solver", "camera", "first", "second", "matches", "by", "tilt_deg", "rotation_deg", "baseline_deg"]
         with args.csv.open("w", newline="") as file:
             writer = csv.DictWriter(file, names)
             writer.writeheader()

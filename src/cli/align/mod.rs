@@ -5,6 +5,7 @@ mod extract;
 mod figures;
 mod finish;
 mod ground;
+mod lenses;
 mod pair_figures;
 mod project;
 mod results;
@@ -363,10 +364,11 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     }
     let geometric = extracted.geometric(&project);
     let (pairs, pairs_mark) = clock.time("verify", || {
-        stages::find_principal_distances(&mut project, &geometric, &matched, args, &mut findings)?;
+        let marked = (matched.as_slice(), matched_mark);
+        let kept = (&cache, fresh(Stage::Verify));
+        lenses::begin(&mut project, &geometric, marked, args, kept, &mut findings)?;
         let cameras: Vec<Camera> =
             project.cameras.iter().map(|(camera, _)| camera.clone()).collect();
-        let marked = (matched.as_slice(), matched_mark);
         stages::verify(&geometric, &cameras, marked, args, (&cache, fresh(Stage::Verify)))
     })?;
     tell(&findings);
