@@ -200,6 +200,7 @@ fn each_dependency_has_its_place() {
         ),
         (&["indicatif"], &["drive", "cli"]),
         (&["shapefile"], &["io/polygons"]),
+        (&["rusqlite"], &["io/gpkg", "io/polygons"]),
         (&["pulp"], &["features", "raster/pixels", "lanes", "nlls/fused"]),
         (&["spade"], &["mapping/dem"]),
         (&["mwmatching"], &["phenotype/leaves/bridge"]),

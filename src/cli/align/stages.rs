@@ -1,11 +1,6 @@
 //! The stages that compute: orientation of pairs, tracks, growth of blocks.
 
-use super::{
-    Args,
-    cache::Cache,
-    extract::bar,
-    project::Frame,
-};
+use super::{Args, cache::Cache, extract::bar, project::Frame};
 use crate::{
     camera::{Camera, Lens},
     error::Error,
