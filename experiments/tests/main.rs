@@ -223,6 +223,7 @@ fn a_small_run_gives_the_committed_numbers() {
         ("cost-neighbours", "0.001"),
         ("solver-arena", "0.05"),
         ("lens-models", "0.001"),
+        ("segment-hue", "0.001"),
         ("paper-leaf", "0.001"),
     ] {
         let spec = home().join(format!("specs/{name}.toml"));
