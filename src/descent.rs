@@ -48,7 +48,7 @@ impl Touched {
         self.flags.iter().filter(|&&flag| flag).count()
     }
 
-    fn take(&mut self, block: usize) -> bool {
+    pub(crate) fn take(&mut self, block: usize) -> bool {
         self.flags.get_mut(block).is_some_and(std::mem::take)
     }
 

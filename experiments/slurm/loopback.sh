@@ -47,7 +47,7 @@ clean() {
         disown "$pid" 2>/dev/null || true
         kill -9 "$pid" 2>/dev/null || true
     done
-    if [[ -n ${KEEP:-} ]]; then printf 'slurm: kept %s\n' "$work"; else rm -rf "$work"; fi
+    if [[ -n ${KEEP:-} ]]; then printf 'slurm: kept %s\n' "$work"; else rm -rf "$work" 2>/dev/null || true; fi
 }
 trap clean EXIT
 
@@ -155,7 +155,6 @@ printf 'slurm: %s, two nodes\n' "$(slurmctld -V)"
 "$program" plan "$spec" --small --out "$work/run" >/dev/null
 "$program" submit "$work/run" --engine slurm --shards "$shards" >"$work/submitted"
 printf 'slurm: %s\n' "$(cat "$work/submitted")"
-array=$(sed -n 's/^array \([0-9]*\).*/\1/p' "$work/submitted")
 
 # Node n1 dies when the shard that runs there has finished a task and has another under way: daemon, step
 # and work.

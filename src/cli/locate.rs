@@ -1,30 +1,29 @@
 //! `rowgram locate`: plants in a photo or a leaf mask.
 
 use super::{
-    method::{Count, Method, count, word},
+    method::{Count, DescentSummary, Method, Summary, count, word},
     segment::same_file,
     stand::{self, StandSummary},
 };
 use crate::{
-    descent::{self, Descent, Order},
+    descent::{self, Descent, Order, Outcome},
     drive::{Drive, Limits},
     error::Error,
     io::{
         images::{self, Picture},
-        output, points,
+        output,
     },
     phenotype::{
-        canopy,
-        locate::{Init, LocateError, Located, Options, Setup},
-        rows,
+        canopy, crops,
+        locate::{Effort, Init, LocateError, Located, Options, Setup, locate_best},
+        rows::{self, Detection},
         stand::Canopy,
     },
     problems::plants::{Form, Model, PlantUpdate, Prior, SigmaRule, index::PixelIndex},
-    raster::{Mask, components, mask::Thresholds, overlay},
+    raster::{Mask, components, mask::Thresholds},
 };
 use clap::Args;
-use image::{Rgb, RgbImage};
-use serde::Serialize;
+use image::RgbImage;
 use std::path::PathBuf;
 
 /// Locate plants in a photo or a leaf mask, and count them.
@@ -49,7 +48,7 @@ pub(super) struct Locate {
     method: Option<Method>,
     /// An option of the methods full and refined, as in `--set leaf-axes=false`: leaf-axes, axes
     /// (tensor, or slices across the leaves),
-    /// curved-rows, across, believed, votes, cover, heat, beta, beta-compared, mean-place,
+    /// curved-rows, across, believed, votes, cover, heat, tally, beta, beta-compared, mean-place,
     /// estimate-spacing.
     #[arg(long, value_name = "NAME=VALUE")]
     set: Vec<String>,
@@ -102,6 +101,18 @@ pub(super) struct Locate {
     /// Most sweeps to make.
     #[arg(long, value_name = "N")]
     max_sweeps: Option<u64>,
+    /// Descend from this many starts, with seeds one after the other, and keep the plants with the
+    /// smallest objective.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=10_000))]
+    starts: Option<u64>,
+    /// After every descent, take away the plant that is least missed and put it where leaves are
+    /// farthest from theirs, and keep that if the objective becomes smaller; at most this often.
+    #[arg(long, value_name = "N")]
+    swaps: Option<usize>,
+    /// Solve the convex problem of every plant again with an interior-point method, and tell how far the
+    /// descent is from its bound.
+    #[arg(long)]
+    certify: bool,
     /// Write one line per sweep to this CSV file.
     #[arg(long, value_name = "FILE")]
     trace: Option<PathBuf>,
@@ -115,6 +126,11 @@ pub(super) struct Locate {
     /// deviations along and across the row.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
+    /// Cut the mask into windows of this many pixels and locate in each on its own, as the paper does
+    /// (full method; number of plants not given). Not needed; for comparison, and for masks that are too
+    /// large.
+    #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(64..))]
+    crop: Option<u32>,
     /// Write where plants are missing (full method): place, row, length, plants, probability.
     #[arg(long, value_name = "FILE")]
     gaps: Option<PathBuf>,
@@ -124,34 +140,6 @@ pub(super) struct Locate {
     /// Draw the plants over the image, as a PNG.
     #[arg(long, value_name = "FILE")]
     overlay: Option<PathBuf>,
-}
-
-/// What is printed as JSON.
-#[derive(Debug, Serialize)]
-pub(super) struct Summary {
-    plants: usize,
-    pub(super) pixels: usize,
-    pub(super) rows: usize,
-    heading_deg: Option<f64>,
-    row_spacing_px: Option<f64>,
-    pub(super) row_spacing_m: Option<f64>,
-    #[serde(flatten)]
-    descent: Option<DescentSummary>,
-    #[serde(flatten)]
-    stand: Option<StandSummary>,
-    seconds: f64,
-}
-
-/// What only the descent knows.
-#[derive(Debug, Serialize)]
-struct DescentSummary {
-    sigma_px: f64,
-    mean_distance_px: f64,
-    plants_without_pixels: usize,
-    initial_cost: f64,
-    final_cost: f64,
-    sweeps: u64,
-    stop: &'static str,
 }
 
 impl Locate {
@@ -174,6 +162,9 @@ impl Locate {
         let index = PixelIndex::from_mask(mask.width, &mask.data);
         let pixels = index.len();
         let detection = rows::detect(&index);
+        if let Some(crop_px) = self.crop {
+            return self.crops(&mask, photo, &detection, crop_px as usize, clock);
+        }
         let init = self.init(method);
         let canopy = if method == Some(Method::Full)
             || init == Init::Votes
@@ -187,19 +178,7 @@ impl Locate {
         } else {
             None
         };
-        let found = detection.rows();
-        let row_spacing_px = found.and_then(|rows| rows.spacing_px);
-        let mut summary = Summary {
-            plants: 0,
-            pixels,
-            rows: found.map_or(0, |rows| rows.rows.len()),
-            heading_deg: found.map(|rows| rows.axes.heading_rad.to_degrees()),
-            row_spacing_px,
-            row_spacing_m: row_spacing_px.zip(self.gsd).map(|(px, gsd)| px * gsd),
-            descent: None,
-            stand: None,
-            seconds: 0.0,
-        };
+        let mut summary = Summary::new(pixels, detection.rows(), self.gsd);
         match canopy {
             Some(canopy) if method == Some(Method::Full) => {
                 summary.plants = canopy.plants.len();
@@ -220,13 +199,70 @@ impl Locate {
                 let (located, descent) = self.descend(setup, &options)?;
                 (summary.plants, summary.descent) = (located.plants.len(), Some(descent));
                 summary.seconds = clock.elapsed().as_secs_f64();
-                self.write(&located, photo, &mask)?;
+                stand::write_located(&self.output, self.force, &located, self.gsd)?;
+                if let Some(path) = &self.overlay {
+                    let mut picture = photo.unwrap_or_else(|| mask.to_rgb());
+                    stand::draw_located(&mut picture, &located);
+                    images::write_photo(path, self.force, &picture)?;
+                }
             }
         }
         Ok(summary)
     }
 
+    /// The full method, crop by crop.
+    fn crops(
+        &self,
+        mask: &Mask,
+        photo: Option<RgbImage>,
+        detection: &Detection,
+        crop_px: usize,
+        clock: std::time::Instant,
+    ) -> Result<Summary, Error> {
+        let rows = detection.rows();
+        // Two rows on every side, several plants.
+        let halo_px = 2.0 * rows.and_then(|rows| rows.spacing_px).unwrap_or(crop_px as f64 / 8.0);
+        let options = self.canopy()?;
+        let plants = crops::locate(mask, detection, &options, crop_px, halo_px as usize)?;
+        let pixels = mask.data.iter().filter(|&&pixel| pixel != 0).count();
+        let mut summary = Summary::new(pixels, rows, self.gsd);
+        (summary.plants, summary.seconds) = (plants.len(), clock.elapsed().as_secs_f64());
+        stand::write_plants(&self.output, self.force, &plants, self.gsd)?;
+        if let Some(path) = &self.overlay {
+            let mut picture = photo.unwrap_or_else(|| mask.to_rgb());
+            stand::draw_plants(&mut picture, plants.iter().map(|plant| plant.position_px), 3);
+            images::write_photo(path, self.force, &picture)?;
+        }
+        Ok(summary)
+    }
+
     fn descend(&self, setup: Setup, options: &Options) -> Result<(Located, DescentSummary), Error> {
+        let effort = Effort { starts: self.starts.unwrap_or(1), swaps: self.swaps.unwrap_or(0) };
+        let (setup, outcome) = if effort == Effort::default() {
+            self.drive(setup, options)?
+        } else {
+            let Setup { problem, field, detection } = setup;
+            let index = problem.index();
+            let start = (options.init == Init::Votes).then_some(&field.positions_px[..]);
+            locate_best(index, options, &detection, start, effort)?
+        };
+        let Setup { problem, mut field, detection } = setup;
+        let certificate = if self.certify { Some(problem.prove(&mut field)?) } else { None };
+        let located = Setup { problem, field, detection }.finish();
+        let summary = DescentSummary {
+            sigma_px: located.sigma_px,
+            mean_distance_px: located.mean_distance_px,
+            plants_without_pixels: located.idle,
+            initial_cost: outcome.initial_cost,
+            final_cost: outcome.final_cost,
+            sweeps: outcome.sweeps,
+            stop: outcome.stop.word(),
+            certificate,
+        };
+        Ok((located, summary))
+    }
+
+    fn drive(&self, setup: Setup, options: &Options) -> Result<(Setup, Outcome), Error> {
         let Setup { problem, field, detection } = setup;
         let mut drive = Drive::new(&problem, Descent::new(options.descent), field)
             .limits(Limits::iterations(options.max_sweeps))
@@ -235,17 +271,13 @@ impl Locate {
             drive = drive.trace(trace);
         }
         let outcome = drive.run()?.checked()?;
-        let located = Setup { problem, field: outcome.x, detection }.finish();
-        let summary = DescentSummary {
-            sigma_px: located.sigma_px,
-            mean_distance_px: located.mean_distance_px,
-            plants_without_pixels: located.idle,
+        let done = Outcome {
             initial_cost: outcome.initial_cost,
             final_cost: outcome.final_cost,
             sweeps: outcome.iterations,
-            stop: outcome.stop.word(),
+            stop: outcome.stop,
         };
-        Ok((located, summary))
+        Ok((Setup { problem, field: outcome.x, detection }, done))
     }
 
     /// The method asked for; none is the descent as its options say.
@@ -261,6 +293,9 @@ impl Locate {
             ("--no-fit", self.no_fit),
             ("--order", self.order.is_some()),
             ("--max-sweeps", self.max_sweeps.is_some()),
+            ("--starts", self.starts.is_some()),
+            ("--swaps", self.swaps.is_some()),
+            ("--certify", self.certify),
             ("--trace", self.trace.is_some()),
         ];
         let descent = of_descent.iter().find(|(_, given)| *given);
@@ -288,6 +323,17 @@ impl Locate {
             if given.is_some_and(|x| !(x.is_finite() && x >= 0.0)) {
                 return refuse(option, "a number that is not negative was expected");
             }
+        }
+        if self.crop.is_some() {
+            if !full || self.plants != Count::Auto {
+                return refuse("--crop", "goes with the method full and without --plants");
+            }
+            if self.gaps.is_some() || self.counts.is_some() {
+                return refuse("--crop", "finds plants only: no --gaps, no --counts");
+            }
+        }
+        if self.trace.is_some() && (self.starts.is_some() || self.swaps.is_some()) {
+            return refuse("--trace", "follows one descent, without --starts and --swaps");
         }
         if self.plants == Count::Given(0) {
             return Err(LocateError::NoPlants.into());
@@ -367,7 +413,7 @@ impl Locate {
         photo: Option<RgbImage>,
         mask: &Mask,
     ) -> Result<(), Error> {
-        stand::write_plants(&self.output, self.force, canopy, self.gsd)?;
+        stand::write_plants(&self.output, self.force, &canopy.plants, self.gsd)?;
         if let Some(path) = &self.gaps {
             stand::write_gaps(path, self.force, canopy, self.gsd)?;
         }
@@ -382,35 +428,15 @@ impl Locate {
         Ok(())
     }
 
-    fn write(&self, located: &Located, photo: Option<RgbImage>, mask: &Mask) -> Result<(), Error> {
-        let positions: Vec<[f64; 2]> = located.plants.iter().map(|p| p.position_px).collect();
-        let rows: Vec<f64> =
-            located.plants.iter().map(|p| p.row.map_or(f64::NAN, |row| row as f64)).collect();
-        let metres = |axis: usize| {
-            let gsd = self.gsd.unwrap_or(f64::NAN);
-            positions.iter().map(|at| at[axis] * gsd).collect::<Vec<f64>>()
-        };
-        let (x_m, y_m) = (metres(0), metres(1));
-        let mut columns: Vec<(&str, &[f64])> = vec![("row", &rows)];
-        if self.gsd.is_some() {
-            columns.extend([("x_m", &x_m[..]), ("y_m", &y_m[..])]);
-        }
-        points::write(&self.output, self.force, &positions, &columns)?;
-        if let Some(path) = &self.overlay {
-            let mut picture = photo.unwrap_or_else(|| mask.to_rgb());
-            let radius_px = (located.mean_distance_px / 3.0).clamp(2.0, 12.0) as u32;
-            overlay::draw_points(&mut picture, &positions, Rgb([255, 40, 40]), radius_px);
-            images::write_photo(path, self.force, &picture)?;
-        }
-        Ok(())
-    }
-
     fn report(&self, summary: &Summary) -> Result<(), Error> {
         let Summary { plants, rows, pixels, .. } = summary;
         tracing::info!("{plants} plants in {rows} rows from {pixels} leaf pixels");
         if let Some(descent) = &summary.descent {
             let DescentSummary { sweeps, stop, mean_distance_px, .. } = descent;
             tracing::info!("{sweeps} sweeps, {stop}; mean distance {mean_distance_px:.2} px");
+            if let Some(proof) = &descent.certificate {
+                tracing::info!("{proof}");
+            }
             if descent.plants_without_pixels > 0 {
                 tracing::warn!("{} plants have no leaf pixel", descent.plants_without_pixels);
             }

@@ -1,8 +1,9 @@
-//! The words of `rowgram locate`: its methods by name and the number of plants.
+//! The words of `rowgram locate`: its methods by name, the number of plants, the summary.
 
+use super::stand::StandSummary;
 use crate::{
-    phenotype::locate::Init,
-    problems::plants::{Form, Model, PlantUpdate, Prior},
+    phenotype::{locate::Init, rows::Rows},
+    problems::plants::{Form, Model, PlantUpdate, Prior, Proof},
 };
 use serde::{
     Deserialize, Serialize,
@@ -75,6 +76,54 @@ impl Method {
             Method::Rows => Model { prior: Prior::None, ..Model::default() },
         }
     }
+}
+
+/// What is printed as JSON.
+#[derive(Debug, Serialize)]
+pub(super) struct Summary {
+    pub(super) plants: usize,
+    pub(super) pixels: usize,
+    pub(super) rows: usize,
+    pub(super) heading_deg: Option<f64>,
+    pub(super) row_spacing_px: Option<f64>,
+    pub(super) row_spacing_m: Option<f64>,
+    #[serde(flatten)]
+    pub(super) descent: Option<DescentSummary>,
+    #[serde(flatten)]
+    pub(super) stand: Option<StandSummary>,
+    pub(super) seconds: f64,
+}
+
+impl Summary {
+    /// What is known before any plant is.
+    pub(super) fn new(pixels: usize, found: Option<&Rows>, gsd_m: Option<f64>) -> Summary {
+        let row_spacing_px = found.and_then(|rows| rows.spacing_px);
+        Summary {
+            plants: 0,
+            pixels,
+            rows: found.map_or(0, |rows| rows.rows.len()),
+            heading_deg: found.map(|rows| rows.axes.heading_rad.to_degrees()),
+            row_spacing_px,
+            row_spacing_m: row_spacing_px.zip(gsd_m).map(|(px, gsd)| px * gsd),
+            descent: None,
+            stand: None,
+            seconds: 0.0,
+        }
+    }
+}
+
+/// What only the descent knows.
+#[derive(Debug, Serialize)]
+pub(super) struct DescentSummary {
+    pub(super) sigma_px: f64,
+    pub(super) mean_distance_px: f64,
+    pub(super) plants_without_pixels: usize,
+    pub(super) initial_cost: f64,
+    pub(super) final_cost: f64,
+    pub(super) sweeps: u64,
+    pub(super) stop: &'static str,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) certificate: Option<Proof>,
 }
 
 /// A word as serde spells it, so that it is the same here as in TOML.

@@ -4,7 +4,10 @@
 use crate::{
     error::Error,
     io::{FileError, output, points},
-    phenotype::stand::{Canopy, NORMAL_95, Stalk},
+    phenotype::{
+        locate::{Located, Plant},
+        stand::{Canopy, NORMAL_95, Stalk},
+    },
     raster::overlay,
 };
 use image::{Rgb, RgbImage};
@@ -113,10 +116,9 @@ fn write(
 pub(super) fn write_plants(
     path: &Path,
     force: bool,
-    canopy: &Canopy,
+    plants: &[Stalk],
     gsd_m: Option<f64>,
 ) -> Result<(), Error> {
-    let plants = &canopy.plants;
     let positions: Vec<[f64; 2]> = plants.iter().map(|plant| plant.position_px).collect();
     let columns = vec![
         ("row", plants.iter().map(|plant| plant.row as f64).collect()),
@@ -124,6 +126,19 @@ pub(super) fn write_plants(
         ("sigma_along_px", plants.iter().map(|plant| plant.sigma_along_px).collect()),
         ("sigma_across_px", plants.iter().map(|plant| plant.sigma_across_px).collect()),
     ];
+    write(path, force, &positions, columns, gsd_m)
+}
+
+/// The plants of a descent: place and row.
+pub(super) fn write_located(
+    path: &Path,
+    force: bool,
+    located: &Located,
+    gsd_m: Option<f64>,
+) -> Result<(), Error> {
+    let positions: Vec<[f64; 2]> = located.plants.iter().map(|p| p.position_px).collect();
+    let row = |plant: &Plant| plant.row.map_or(f64::NAN, |row| row as f64);
+    let columns = vec![("row", located.plants.iter().map(row).collect())];
     write(path, force, &positions, columns, gsd_m)
 }
 
@@ -176,6 +191,22 @@ pub(super) fn write_counts(
         csv.flush()
     })
     .map_err(|error: FileError| error.into())
+}
+
+/// Plants in red.
+pub(super) fn draw_plants(
+    picture: &mut RgbImage,
+    positions_px: impl Iterator<Item = [f64; 2]>,
+    radius_px: u32,
+) {
+    let positions: Vec<[f64; 2]> = positions_px.collect();
+    overlay::draw_points(picture, &positions, Rgb([255, 40, 40]), radius_px);
+}
+
+/// The plants of a descent.
+pub(super) fn draw_located(picture: &mut RgbImage, located: &Located) {
+    let radius_px = (located.mean_distance_px / 3.0).clamp(2.0, 12.0) as u32;
+    draw_plants(picture, located.plants.iter().map(|plant| plant.position_px), radius_px);
 }
 
 /// Plants in red, the doubtful ones in orange; yellow where plants are missing.

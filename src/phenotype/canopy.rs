@@ -7,7 +7,8 @@
 //!    given, the one with the largest marginal likelihood ([`chain::Chain::log_sum`]); then alternating
 //!    between the best plants and the gaps between them.
 //! 3. The best plants of every row ([`chain::Chain::best`]). The worth `beta` of one plant more is found
-//!    by bisection where their number is given, and is set by [`Options`] otherwise.
+//!    by bisection: for their number where it is given, otherwise for the number that is expected of a
+//!    score fitted to count ([`tally`]).
 //! 4. Probabilities of all places ([`chain::Chain::posterior`]) give each plant its confidence and its
 //!    standard deviations, the field its count with an interval, and every gap the probability that
 //!    plants are missing in it.
@@ -21,6 +22,7 @@
 //! [`chain::Chain::posterior`]: Chain::posterior
 //! [`ridges`]: super::ridges
 //! [`renewal`]: super::renewal
+//! [`tally`]: super::tally
 
 use super::{
     chain::{Chain, Posterior, STEP},
@@ -28,7 +30,7 @@ use super::{
     locate::LocateError,
     renewal::Spacing,
     rows::{Detection, Rows},
-    scene::{Scene, best, gaps, total, worth_of},
+    scene::{Expected, Scene, best, bisect, gaps, total, worth_of},
     stand::{Canopy, Missing, NORMAL_95, Stalk},
 };
 use crate::raster::Mask;
@@ -55,6 +57,9 @@ pub struct Options {
     pub cover: f64,
     /// Scores per unit of log probability.
     pub heat: f64,
+    /// Where nobody says how many plants there are, as many as [`tally`](super::tally) expects; else
+    /// as many as are best at `beta`.
+    pub tally: bool,
     /// What one plant more is worth where nobody says how many there are.
     pub beta: f64,
     /// What one plant more is worth while spacings are compared.
@@ -76,6 +81,7 @@ impl Default for Options {
             votes: 12.0,
             cover: 1.0,
             heat: 0.5,
+            tally: true,
             beta: 1.1,
             beta_compared: 0.5,
             mean_place: true,
@@ -113,17 +119,25 @@ pub fn locate(
     let scene = Scene::new(mask, rows, options);
     let spacing = scene.spacing(count);
     let chains = scene.chains(&spacing, 0..scene.profiles.len());
-    let beta = match count {
-        Some(count) => worth_of(&chains, count)?,
-        None => options.beta,
+    let expected = options.tally.then(|| scene.tally(spacing.spacing));
+    let beta = match (count, &expected) {
+        (Some(count), _) => worth_of(&chains, count)?,
+        (None, Some(expected)) => {
+            let wanted = expected.count.round() as usize;
+            let counted = scene.chains(&spacing, expected.rows.iter().copied());
+            bisect(&counted, wanted.max(1)).unwrap_or(options.beta)
+        }
+        (None, None) => options.beta,
     };
     let mut places = best(&chains, beta);
     let posteriors = posteriors(&chains, beta, options.heat);
-    if let Some(count) = count {
+    let whole = expected.as_ref().filter(|expected| expected.share > 0.999);
+    let wanted = count.or(whole.map(|expected| (expected.count.round() as usize).max(1)));
+    if let Some(count) = wanted {
         keep_likeliest(&mut places, &posteriors, count);
     }
     let spacing = spacing.refit(&gaps(&places));
-    Ok(scene.present(rows, &places, &chains, &posteriors, &spacing, beta))
+    Ok(scene.present(rows, &places, &chains, &posteriors, &spacing, (beta, expected)))
 }
 
 fn posteriors(chains: &[Chain<'_>], beta: f64, heat: f64) -> Vec<Posterior> {
@@ -158,6 +172,10 @@ fn around(marginals: &[f64], at: usize, steps: usize) -> [f64; 3] {
     [sum, mean, (second / sum.max(f64::MIN_POSITIVE) - mean * mean).max(0.0)]
 }
 
+/// Standard deviation of the relative error of expected counts beyond their own variance, on
+/// synthetic fields that took no part in fitting the weights.
+const COUNT_SIGMA: f64 = 0.03;
+
 impl Scene {
     fn present(
         &self,
@@ -166,7 +184,7 @@ impl Scene {
         chains: &[Chain<'_>],
         posteriors: &[Posterior],
         spacing: &Spacing,
-        beta: f64,
+        (beta, expected): (f64, Option<Expected>),
     ) -> Canopy {
         let factor = self.evidence.factor as f64;
         let Options { believed, across, heat, .. } = self.options;
@@ -216,14 +234,22 @@ impl Scene {
         let variances: Vec<f64> =
             less.iter().zip(&more).map(|(a, b)| ((b - a) / 0.2).max(0.0)).collect();
         let found = total(places) as f64;
-        let half = NORMAL_95 * variances.iter().sum::<f64>().sqrt();
+        let (middle, variance) = match expected {
+            Some(Expected { count, variance, share, .. }) => {
+                // What a part says of the whole, and what the weights may be off for this field.
+                let systematic = (COUNT_SIGMA * count).powi(2);
+                (count / share, (variance + systematic) / (share * share))
+            }
+            None => (found, variances.iter().sum()),
+        };
+        let half = NORMAL_95 * variance.sqrt();
         let singles = found.max(2.0) - 1.0;
         Canopy {
             plants,
             rows: rows.clone(),
             spacing: Spacing { spacing: spacing.spacing * factor, ..*spacing },
             spacing_sigma_px: spacing.jitter * spacing.spacing * factor / singles.sqrt(),
-            count_interval: [(found - half).max(0.0), found + half],
+            count_interval: [(middle - half).max(0.0), middle + half],
             row_counts: posteriors.iter().map(|posterior| posterior.count).collect(),
             row_count_sigmas: variances.into_iter().map(f64::sqrt).collect(),
             missing,

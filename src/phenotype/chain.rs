@@ -42,6 +42,28 @@ pub struct Profile {
     pub mass: Vec<[f64; 2]>,
 }
 
+impl Profile {
+    /// Mass between two places times its distance, at most `truncated` steps, from the first (`ahead`) or the second.
+    pub(super) fn spread(&self, truncated: usize, from: usize, to: usize, ahead: bool) -> f64 {
+        if from >= to {
+            return 0.0;
+        }
+        let mass = &self.mass;
+        let between = |a: usize, b: usize| [mass[b][0] - mass[a][0], mass[b][1] - mass[a][1]];
+        let far = truncated as f64;
+        let steps = if ahead {
+            let turn = to.min(from + truncated);
+            let near = between(from, turn);
+            near[1] - from as f64 * near[0] + far * between(turn, to)[0]
+        } else {
+            let turn = from.max(to.saturating_sub(truncated));
+            let near = between(turn, to);
+            to as f64 * near[0] - near[1] + far * between(from, turn)[0]
+        };
+        steps * STEP
+    }
+}
+
 /// How the parts of the score weigh.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Weights {
@@ -117,26 +139,6 @@ impl<'p> Chain<'p> {
         }
     }
 
-    /// Mass between two places times its truncated distance from the first (`ahead`) or the second.
-    fn spread(&self, from: usize, to: usize, ahead: bool) -> f64 {
-        if from >= to {
-            return 0.0;
-        }
-        let mass = &self.profile.mass;
-        let between = |a: usize, b: usize| [mass[b][0] - mass[a][0], mass[b][1] - mass[a][1]];
-        let far = self.truncated as f64;
-        let steps = if ahead {
-            let turn = to.min(from + self.truncated);
-            let near = between(from, turn);
-            near[1] - from as f64 * near[0] + far * between(turn, to)[0]
-        } else {
-            let turn = from.max(to.saturating_sub(self.truncated));
-            let near = between(turn, to);
-            to as f64 * near[0] - near[1] + far * between(from, turn)[0]
-        };
-        steps * STEP
-    }
-
     /// The score of two neighbours, without their own worth.
     fn link(&self, a: usize, b: usize) -> f64 {
         let gap = b - a;
@@ -147,8 +149,8 @@ impl<'p> Chain<'p> {
         }
         if gap > 2 * self.covered {
             let middle = a.midpoint(b);
-            let open = self.spread(a + self.covered, middle, true)
-                + self.spread(middle, b - self.covered, false);
+            let open = self.profile.spread(self.truncated, a + self.covered, middle, true)
+                + self.profile.spread(self.truncated, middle, b - self.covered, false);
             score -= self.weights[1] * open;
         }
         score
@@ -158,9 +160,12 @@ impl<'p> Chain<'p> {
     fn end(&self, at: usize, first: bool) -> f64 {
         let count = self.worth.len();
         let (places, open) = if first {
-            (at, self.spread(0, at.saturating_sub(self.covered), false))
+            (at, self.profile.spread(self.truncated, 0, at.saturating_sub(self.covered), false))
         } else {
-            (count - 1 - at, self.spread((at + self.covered).min(count), count, true))
+            (
+                count - 1 - at,
+                self.profile.spread(self.truncated, (at + self.covered).min(count), count, true),
+            )
         };
         -self.weights[2] * places.saturating_sub(self.free) as f64 - self.weights[1] * open
     }
@@ -240,7 +245,7 @@ impl<'p> Chain<'p> {
 }
 
 /// `ln sum exp`, without overflow; minus infinity of nothing.
-fn log_sum_exp(terms: &[f64]) -> f64 {
+pub(super) fn log_sum_exp(terms: &[f64]) -> f64 {
     /// Terms smaller than this share of the largest add nothing.
     const LEAST: f64 = -36.0;
     let highest = terms.iter().copied().fold(f64::NEG_INFINITY, f64::max);
@@ -328,8 +333,16 @@ mod tests {
             };
             let ahead = sum(&|k| k - from) * STEP;
             let back = sum(&|k| to - k) * STEP;
-            approx::assert_relative_eq!(chain.spread(from, to, true), ahead, epsilon = 1e-9);
-            approx::assert_relative_eq!(chain.spread(from, to, false), back, epsilon = 1e-9);
+            approx::assert_relative_eq!(
+                profile.spread(chain.truncated, from, to, true),
+                ahead,
+                epsilon = 1e-9
+            );
+            approx::assert_relative_eq!(
+                profile.spread(chain.truncated, from, to, false),
+                back,
+                epsilon = 1e-9
+            );
         }
     }
 

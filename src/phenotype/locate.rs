@@ -8,7 +8,7 @@
 
 use super::rows::{Detection, Row, Rows, detect};
 use crate::{
-    descent::{self, Outcome},
+    descent::{self, BlockCost as _, Outcome},
     engine::{SolveError, Step},
     problems::plants::{Field, Model, Plants, Prior, index::PixelIndex, lines::Axes, start},
 };
@@ -244,6 +244,62 @@ pub fn locate(
         observe,
     )?;
     Ok((setup.finish(), outcome))
+}
+
+/// What goes beyond one descent from one start.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Effort {
+    /// Starts, with seeds one after the other; the result with the smallest objective is kept.
+    pub starts: u64,
+    /// Swaps of plants after every descent, at most ([`crate::problems::plants::moves`]).
+    pub swaps: usize,
+}
+
+impl Default for Effort {
+    fn default() -> Effort {
+        Effort { starts: 1, swaps: 0 }
+    }
+}
+
+/// Locates plants from several starts, with swaps after every descent; keeps the best by the (tempered)
+/// objective. The outcome is that of the start that was kept: its sweeps are those of all its descents.
+///
+/// # Errors
+/// As [`Setup::new`]; [`SolveError::Misuse`] for no start at all, and for several starts or swaps of a
+/// model without a joint objective.
+pub fn locate_best(
+    index: &PixelIndex,
+    options: &Options,
+    detection: &Detection,
+    positions: Option<&[[f64; 2]]>,
+    effort: Effort,
+) -> Result<(Setup, Outcome), LocateError> {
+    let mut best: Option<(Setup, Outcome)> = None;
+    for start in 0..effort.starts {
+        let options = Options { seed: options.seed.wrapping_add(start), ..*options };
+        let positions = positions.map(<[[f64; 2]]>::to_vec);
+        let mut setup = Setup::from(index.clone(), &options, detection.clone(), positions)?;
+        if effort.starts > 1 && !setup.problem.monotone() {
+            let message = "several starts need a joint objective to choose by; the conditional form has \
+                           none";
+            return Err(SolveError::Misuse(message.to_owned()).into());
+        }
+        let descend = |setup: &mut Setup| {
+            let Setup { problem, field, .. } = setup;
+            descent::run(problem, field, options.descent, options.max_sweeps, |_, _| ())
+        };
+        let mut outcome = descend(&mut setup)?;
+        if effort.swaps > 0 && setup.problem.swap(&mut setup.field, effort.swaps)? > 0 {
+            let again = descend(&mut setup)?;
+            let sweeps = outcome.sweeps + again.sweeps;
+            outcome = Outcome { sweeps, initial_cost: outcome.initial_cost, ..again };
+        }
+        if best.as_ref().is_none_or(|(_, least)| outcome.final_cost < least.final_cost) {
+            best = Some((setup, outcome));
+        }
+    }
+    best.ok_or_else(|| SolveError::Misuse("at least one start is needed".to_owned()).into())
 }
 
 /// Offsets of evenly spaced columns: as many as a row of the longest extent would have plants.

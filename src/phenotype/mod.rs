@@ -2,6 +2,7 @@
 
 pub mod canopy;
 pub mod chain;
+pub mod crops;
 pub mod evidence;
 pub mod leaf_count;
 pub mod leaves;
@@ -11,3 +12,4 @@ pub mod ridges;
 pub mod rows;
 mod scene;
 pub mod stand;
+pub mod tally;

@@ -11,6 +11,7 @@ use super::{
     renewal::Spacing,
     ridges::{self, Ridge},
     rows::{Row, Rows},
+    tally::{Overall, tally},
 };
 use crate::{problems::plants::lines::Axes, raster::Mask};
 use rayon::prelude::*;
@@ -21,6 +22,8 @@ const BAND: i32 = 8;
 const BEYOND: f64 = 6.0;
 /// Length of the rows on which the spacing is estimated, about.
 const SAMPLE: f64 = 6000.0;
+/// Length of the rows on which plants are counted where it is not given how many there are, about.
+const COUNTED: f64 = 24_000.0;
 /// Rounds in which the spacing is estimated.
 const ROUNDS: usize = 4;
 /// The spacings that are tried where nobody says how many plants there are, from the finest on.
@@ -29,6 +32,18 @@ const SPACINGS: i32 = 33;
 const FINEST: f64 = 4.5;
 /// Ratio of one to the next.
 const FINER: f64 = 1.075;
+
+/// How many plants some of the rows are expected to have.
+pub(super) struct Expected {
+    /// These rows.
+    pub(super) rows: Vec<usize>,
+    /// Their plants.
+    pub(super) count: f64,
+    /// The variance of that.
+    pub(super) variance: f64,
+    /// Their share of the length of all rows.
+    pub(super) share: f64,
+}
 
 /// Everything that the chains are made of.
 pub(super) struct Scene {
@@ -98,8 +113,8 @@ impl Scene {
     }
 
     /// Some of the rows, evenly.
-    pub(super) fn sample(&self) -> Vec<usize> {
-        let rows = (SAMPLE * self.rows.len() as f64 / self.length).ceil().max(1.0) as usize;
+    pub(super) fn sample(&self, length: f64) -> Vec<usize> {
+        let rows = (length * self.rows.len() as f64 / self.length).ceil().max(1.0) as usize;
         (0..self.rows.len()).step_by(self.rows.len().div_ceil(rows).max(1)).collect()
     }
 
@@ -122,7 +137,7 @@ impl Scene {
 
     /// The spacing, from several starts on some of the rows.
     pub(super) fn spacing(&self, count: Option<usize>) -> Spacing {
-        let sample = self.sample();
+        let sample = self.sample(SAMPLE);
         let wanted = count.map(|count| self.share(count, &sample));
         let starts = match count {
             Some(count) => [0.8, 1.0].map(|share| share * self.length / count as f64).to_vec(),
@@ -155,6 +170,34 @@ impl Scene {
             .collect();
         let first = (f64::NEG_INFINITY, Spacing::new(13.0));
         tried.into_iter().fold(first, |best, next| if next.0 > best.0 { next } else { best }).1
+    }
+
+    /// How many plants the rows are expected to have, from some of them: the number on those, their
+    /// variance, and the share of all rows' length that they are.
+    pub(super) fn tally(&self, spacing: f64) -> Expected {
+        let rows = self.sample(COUNTED);
+        let profiles: Vec<&Profile> = rows.iter().map(|&row| &self.profiles[row]).collect();
+        let places: usize = self.profiles.iter().map(|profile| profile.votes.len()).sum();
+        let heights = || {
+            let votes = self.profiles.iter().flat_map(|profile| &profile.votes);
+            votes.map(|votes| (votes.max(0.0) / self.mean.max(f64::MIN_POSITIVE)).sqrt())
+        };
+        let middle = heights().sum::<f64>() / places.max(1) as f64;
+        let variance = heights().map(|h| (h - middle).powi(2)).sum::<f64>() / places.max(1) as f64;
+        let overall = Overall {
+            mean: self.mean,
+            mass: self.mass / places.max(1) as f64,
+            contrast: variance.sqrt(),
+            cover: self.mass / (self.length * f64::from(2 * BAND + 1)).max(f64::MIN_POSITIVE),
+        };
+        let tally = tally(&profiles, &overall, spacing);
+        let length: f64 = rows.iter().map(|&row| self.rows[row].length_px()).sum();
+        Expected {
+            count: tally.counts.iter().sum(),
+            variance: tally.variances.iter().sum(),
+            share: length / self.length.max(f64::MIN_POSITIVE),
+            rows,
+        }
     }
 
     /// The spacing under which the rows are likeliest, all sets of plants taken together.
@@ -206,7 +249,7 @@ pub(super) fn worth_of(chains: &[Chain<'_>], count: usize) -> Result<f64, Locate
 const MOST_WORTH: f64 = 40.0;
 
 /// The least worth of a plant at which the chains have `count` of them, nearly.
-fn bisect(chains: &[Chain<'_>], count: usize) -> Option<f64> {
+pub(super) fn bisect(chains: &[Chain<'_>], count: usize) -> Option<f64> {
     let number = |beta: f64| total(&best(chains, beta));
     let (mut low, mut high) = (-MOST_WORTH, MOST_WORTH);
     // Usually it is near nothing.

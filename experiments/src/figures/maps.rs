@@ -156,7 +156,7 @@ pub(super) fn surface(
             chart.draw_series(all[panel].iter().map(|p| {
                 let ((left, right), (low, high)) = (border(0, p[0]), border(1, p[1]));
                 // A little over the border: no seams between neighbours.
-                let over = |from: f64, to: f64, k: usize| (to + 0.04 * (to - from)).min(ends[1][k]);
+                let over = |from: f64, to: f64, k: usize| (to + 0.1 * (to - from)).min(ends[1][k]);
                 let corners = [(left, low), (over(left, right, 0), over(low, high, 1))];
                 Rectangle::new(corners, viridis(share(p[2])).filled())
             }))?;

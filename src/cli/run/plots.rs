@@ -7,7 +7,12 @@ use super::step::Place;
 use crate::{
     cli::table::Table,
     error::Error,
-    io::{FileError, output, polygons, rasters::Source},
+    io::{
+        FileError,
+        gpkg::{self, Column, ColumnKind, Feature, Geometry, GeometryKind, Layer},
+        output, polygons,
+        rasters::Source,
+    },
     raster::{georeference::Georeference, polygon::Polygon},
 };
 use serde_json::{Map, Value, json};
@@ -329,22 +334,13 @@ fn write(
         }
         csv.flush()
     })?;
+    let rings: Vec<Rings> = plots.iter().map(|plot| on_map(&plot.polygon, place)).collect();
+    package(plots, &rings, place, folder)?;
     let crs = place.and_then(|place| place.crs.epsg);
     let features: Vec<Value> = plots
         .iter()
-        .map(|plot| {
-            let rings: Vec<Vec<[f64; 2]>> = plot
-                .polygon
-                .rings
-                .iter()
-                .map(|ring| {
-                    let closed = ring.iter().chain(ring.first());
-                    closed
-                        .map(|&at| place.map_or(at, |place| place.map(at)))
-                        .map(|at| at.map(|x| (x * 1e4).round() / 1e4))
-                        .collect()
-                })
-                .collect();
+        .zip(&rings)
+        .map(|(plot, rings)| {
             json!({
                 "type": "Feature",
                 "properties": properties(plot),
@@ -364,6 +360,48 @@ fn write(
         writeln!(out)
     })
     .map_err(|error: FileError| error.into())
+}
+
+/// Closed rings of map positions, to a tenth of a millimetre.
+type Rings = Vec<Vec<[f64; 2]>>;
+
+fn on_map(polygon: &Polygon, place: Option<Georeference>) -> Rings {
+    let ring = |ring: &Vec<[f64; 2]>| {
+        let closed = ring.iter().chain(ring.first());
+        let map = closed.map(|&at| place.map_or(at, |place| place.map(at)));
+        map.map(|at| at.map(|x| (x * 1e4).round() / 1e4)).collect()
+    };
+    polygon.rings.iter().map(ring).collect()
+}
+
+/// The same as a layer of a GeoPackage; the unit of a trait is in its name.
+fn package(
+    plots: &[Plot],
+    rings: &[Rings],
+    place: Option<Georeference>,
+    folder: &Path,
+) -> Result<(), Error> {
+    let traits = plots.first().map(|plot| &plot.traits[..]).unwrap_or_default();
+    let columns = std::iter::once(Column::new("plot", ColumnKind::Text))
+        .chain(traits.iter().map(|(name, ..)| Column::new(name, ColumnKind::Real)));
+    let feature = |(plot, rings): (&Plot, &Rings)| {
+        let number =
+            |value: Option<f64>| value.map_or(gpkg::Value::Null, |x| gpkg::Value::Real(rounded(x)));
+        let values = plot.traits.iter().map(|(.., value)| number(*value));
+        Feature {
+            geometry: Some(Geometry::Polygon(rings.clone())),
+            values: std::iter::once(gpkg::Value::Text(plot.name.clone())).chain(values).collect(),
+        }
+    };
+    let layer = Layer {
+        name: "plots".to_owned(),
+        description: "Traits of plots".to_owned(),
+        kind: GeometryKind::Polygon,
+        crs: place.map(|place| place.crs),
+        columns: columns.collect(),
+        features: plots.iter().zip(rings).map(feature).collect(),
+    };
+    Ok(gpkg::write(&folder.join("traits.gpkg"), true, &[layer])?)
 }
 
 /// Observations with the names of BrAPI 2.1, and what MIAPPE asks of a study as far as it is known here.

@@ -7,6 +7,7 @@
 //! `plot` or `id`, else its number.
 
 mod geojson;
+mod package;
 mod shapes;
 
 use super::FileError;
@@ -59,7 +60,7 @@ struct Feature {
 }
 
 /// The endings of files that [`read`] understands, the usual one first.
-pub const ENDINGS: [&str; 2] = ["geojson", "shp"];
+pub const ENDINGS: [&str; 3] = ["geojson", "gpkg", "shp"];
 
 /// The file of polygons named `stem` in a folder, where there is one.
 pub fn find(folder: &Path, stem: &str) -> Option<PathBuf> {
@@ -77,7 +78,7 @@ pub fn files(path: &Path) -> Vec<PathBuf> {
     files
 }
 
-/// Reads the polygons of a file: `.shp`, else GeoJSON.
+/// Reads the polygons of a file: `.gpkg`, `.shp`, else GeoJSON.
 ///
 /// # Errors
 /// Where the file cannot be read or is damaged, has a reference system that is not known, or a ring of fewer than three
@@ -86,6 +87,7 @@ pub fn read(path: &Path, georeference: Option<&Georeference>) -> Result<Vec<Name
     let ending = path.extension().map(|e| e.to_string_lossy().to_lowercase());
     let (features, stated) = match ending.as_deref() {
         Some("shp") => shapes::read(path)?,
+        Some("gpkg") => package::read(path)?,
         _ => geojson::read(path)?,
     };
     let malformed = |message| FileError::malformed(path, None, message);

@@ -34,12 +34,15 @@ mod buckets;
 pub mod index;
 mod inner;
 pub mod lines;
+pub mod moves;
 mod options;
+mod proof;
 pub mod start;
 
 pub use crate::convex::Quadratic;
 pub use inner::{mean as inner_mean, median as inner_median};
 pub use options::{Form, Model, PlantUpdate, Prior, SigmaRule};
+pub use proof::Proof;
 
 use crate::{
     descent::{BlockCost, Touched},
@@ -324,24 +327,6 @@ impl Plants {
     /// Nearest and second nearest plant of every pixel, in the order of [`PixelIndex`].
     pub fn pairs<'x>(&self, x: &'x Field) -> &'x [assignment::Pair] {
         x.work.assignment.pairs()
-    }
-
-    /// Certifies the place of one plant for the pixels it has: the convex optimum, as an offset
-    /// from where the plant is.
-    ///
-    /// # Errors
-    /// As [`crate::convex::plant`]; also for the mean update, which needs no certificate.
-    pub fn certify(
-        &self,
-        x: &mut Field,
-        plant: usize,
-    ) -> Result<crate::convex::Certificate, SolveError> {
-        if self.model.update == PlantUpdate::Mean || plant >= self.plants {
-            return Err(SolveError::Misuse("only a plant placed by medians is certified".into()));
-        }
-        self.gather(x, plant);
-        let prior = self.prior_of(x, plant);
-        crate::convex::plant(&x.work.u, &x.work.v, self.weight(x), &prior)
     }
 
     /// Puts the offsets of the plant's pixels into the working memory.

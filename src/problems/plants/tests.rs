@@ -286,3 +286,97 @@ fn degenerate_fields_are_solved_or_refused_but_never_panic() {
     // Far away from everything is not degenerate.
     assert!(problem.field(vec![[1e8, -1e8]], &ROWS, &[]).is_ok());
 }
+
+#[test]
+fn a_swap_takes_a_plant_from_where_two_are_one_and_never_costs() {
+    for (update, prior, truncate_px) in [
+        (PlantUpdate::Median, Prior::None, None),
+        (PlantUpdate::Mean, Prior::None, None),
+        (PlantUpdate::Median, Prior::Rows, Some(12.0)),
+    ] {
+        // Ten discs in a row; two plants on the first, none on the last.
+        let centres: Vec<[f64; 2]> = (0..10).map(|k| [20.0 + 30.0 * f64::from(k), 50.0]).collect();
+        let mut pixels = Vec::new();
+        for centre in &centres {
+            for u in -6_i32..=6 {
+                for v in -6_i32..=6 {
+                    if u * u + v * v <= 36 {
+                        pixels.push([centre[0] as u32, centre[1] as u32].map(|x| x as i32));
+                        let last = pixels.len() - 1;
+                        pixels[last] = [pixels[last][0] + u, pixels[last][1] + v];
+                    }
+                }
+            }
+        }
+        let mut pixels: Vec<[u32; 2]> = pixels.iter().map(|p| p.map(|x| x as u32)).collect();
+        pixels.sort_unstable();
+        let axes = Axes { origin_px: [155.0, 50.0], heading_rad: 0.0 };
+        let sigma = SigmaRule::Fixed(2.0);
+        let model = Model { update, prior, truncate_px, sigma, ..Model::default() };
+        let problem = Plants::new(PixelIndex::new(&pixels), 10, model, axes).unwrap();
+        let mut start = centres.clone();
+        start[9] = [22.0, 53.0];
+        let mut x = problem.field(start, &[0.0], &[]).unwrap();
+        run(&problem, &mut x, exact(), 100, |_, _| ()).unwrap();
+        let stuck = problem.cost(&x);
+        assert!(x.positions_px.iter().all(|at| at[0] < 280.0), "{:?}", x.positions_px);
+        assert_eq!(problem.swap(&mut x, 5).unwrap(), 1);
+        run(&problem, &mut x, exact(), 100, |_, _| ()).unwrap();
+        assert!(problem.cost(&x) < stuck - 1.0);
+        for centre in &centres {
+            let near = |at: &[f64; 2]| (at[0] - centre[0]).hypot(at[1] - centre[1]) < 0.5;
+            assert!(x.positions_px.iter().any(near), "{centre:?}: {:?}", x.positions_px);
+        }
+        // What the swap left behind is what a fresh look at the positions gives.
+        let mut fresh = x.clone();
+        problem.prepare(&mut fresh).unwrap();
+        assert_eq!(problem.cost(&fresh), problem.cost(&x));
+    }
+    let conditional = Model { form: Form::Conditional, ..Model::default() };
+    let (problem, mut x) = problem(conditional, 3);
+    assert!(problem.swap(&mut x, 1).is_err());
+}
+
+#[test]
+fn the_worth_of_plants_is_what_brute_force_says() {
+    for truncate_px in [None, Some(9.0)] {
+        for update in [PlantUpdate::Mean, PlantUpdate::Median] {
+            let model = Model { update, truncate_px, prior: Prior::None, ..Model::default() };
+            let (problem, x) = problem(model, 5);
+            let worth = problem.worth(&x);
+            let farthest = truncate_px.unwrap_or(f64::INFINITY);
+            let total = |without: Option<usize>| -> f64 {
+                (0..problem.index.len())
+                    .map(|n| {
+                        let [u, v] = problem.index.position(n);
+                        let others = (0..24).filter(|&p| Some(p) != without);
+                        let distance =
+                            |p: usize| (x.positions_px[p][0] - u).hypot(x.positions_px[p][1] - v);
+                        let d = others.map(distance).fold(f64::INFINITY, f64::min).min(farthest);
+                        if update == PlantUpdate::Mean { 0.5 * d * d } else { d }
+                    })
+                    .sum()
+            };
+            let whole = total(None);
+            assert!((worth.cost.iter().sum::<f64>() / whole - 1.0).abs() < 1e-5);
+            for plant in 0..24 {
+                let loss = total(Some(plant)) - whole;
+                assert!((worth.loss[plant] - loss).abs() < 1e-4 * whole, "{plant}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_settled_field_is_certified_and_a_shifted_one_is_not() {
+    let model = Model { relaxation: 1.0, ..Model::default() };
+    let (problem, mut x) = problem(model, 4);
+    run(&problem, &mut x, Options { movement_tolerance: 1e-6, ..exact() }, 500, |_, _| ()).unwrap();
+    let proof = problem.prove(&mut x).unwrap();
+    assert!(proof.plants > 20 && proof.worst_gap < 0.01, "{proof}");
+    let worst = proof.worst_gap;
+    x.positions_px[3][0] += 4.0;
+    problem.prepare(&mut x).unwrap();
+    let proof = problem.prove(&mut x).unwrap();
+    assert!(proof.worst_gap > worst && proof.worst_offset_px > 1.0, "{proof}");
+}

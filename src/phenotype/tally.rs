@@ -1,0 +1,519 @@
+//! How many plants a row holds, by a conditional random field over their places.
+//!
+//! The best plants of a row ([`super::chain`]) are good places and a poor count: where evidence is weak,
+//! a plant's probability is spread over many places and the best set leaves it out. The count is
+//! therefore the expected one. Sets of plants `x_1 < x_2 < ...` on a row have probabilities
+//! proportional to
+//!
+//! `exp( sum_i a^T f(x_i) + sum_i b^T g(x_i, x_{i+1}) + ends )`,
+//!
+//! `f` what the votes show at a place (height, local contrast, peakedness, leaf mass, and how these depend
+//! on the field's own contrast, cover and spacing), `g` what they show between neighbours (log density of
+//! the gap, votes that both claim, how deep the votes fall between them, leaf mass that neither covers).
+//! The weights maximise the likelihood of the true plants of synthetic fields given what their masks show.
+//! At that maximum the expected features are the true ones, the number of plants
+//! among them, which no other score of places promises.
+//!
+//! The spacing enters `g` and is re-estimated from the expected gaps, a few times, under weak priors.
+//! Lengths in pixels of the reduced grid; weights were fitted by `experiments/scripts/fit_tally.rs`.
+//!
+//! Reference: J. Lafferty, A. McCallum and F. Pereira, "Conditional random fields: probabilistic models
+//! for segmenting and labeling sequence data", ICML 2001.
+
+use super::chain::{Profile, STEP, log_sum_exp};
+use rayon::prelude::*;
+use std::f64::consts::TAU;
+
+/// Features of a place and of two neighbours.
+const PLACE: usize = 18;
+const PAIR: usize = 9;
+/// Weights of the features.
+struct Weights {
+    places: [f64; PLACE],
+    pairs: [f64; PAIR],
+}
+
+/// Fitted to fields whose spacing is known exactly: these estimate the spacing.
+const OF_SPACING: Weights = Weights {
+    places: [
+        -0.1097, 8.2390, 0.6768, -2.1732, 1.5392, -0.1133, 3.1579, 1.3045, -0.2148, -1.2747,
+        -0.5513, -1.4478, -0.3209, -0.4666, -0.3340, -0.0260, 0.0000, 0.0000,
+    ],
+    pairs: [1.2398, -6.4271, 1.4826, 0.2674, -0.7197, -0.5609, -0.8091, -2.6067, 0.2721],
+};
+/// Fitted to the same fields with the spacings that [`OF_SPACING`] finds: these count.
+const OF_COUNT: Weights = Weights {
+    places: [
+        -0.0864, 8.3475, 1.4953, -4.0057, 2.3601, -0.5451, 4.1084, 0.9438, -0.3174, -1.2815,
+        -1.4912, -1.6235, -0.2616, -0.4101, -0.8053, 0.0753, -0.0230, 0.5201,
+    ],
+    pairs: [1.0362, -3.9928, 1.1881, 0.1729, -1.4432, -1.3093, -1.5027, -4.8466, -0.1615],
+};
+/// Half the width of the surroundings that votes are compared with, in steps.
+const AROUND: usize = 60;
+/// Weight of the whole field in that comparison.
+const WHOLE: f64 = 0.6;
+/// Missing plants in a row that are thought possible.
+const MOST: usize = 6;
+/// Rounds in which the spacing is re-estimated.
+const ROUNDS: usize = 3;
+/// Width of the band across a row whose leaf mass was gathered.
+const BAND: f64 = 17.0;
+
+/// What is expected of the gaps before any is seen, and how many gaps that weighs.
+const JITTER: (f64, f64) = (0.15, 40.0);
+const MISSING: (f64, f64) = (0.05, 100.0);
+const DOUBLES: (f64, f64) = (0.03, 2000.0);
+
+/// What the whole field shows.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Overall {
+    /// Mean votes of a place.
+    pub mean: f64,
+    /// Mean leaf mass of a place.
+    pub mass: f64,
+    /// Standard deviation of the square root of the votes over their mean.
+    pub contrast: f64,
+    /// Share of leaf in the bands along the rows.
+    pub cover: f64,
+}
+
+/// What is expected of some rows.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Tally {
+    /// Expected number of plants of each row.
+    pub counts: Vec<f64>,
+    /// Variance of each.
+    pub variances: Vec<f64>,
+}
+
+/// Spacing, relative jitter, share of places without a plant, share of gaps between two in one place.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Gaps {
+    spacing: f64,
+    jitter: f64,
+    missing: f64,
+    doubles: f64,
+}
+
+fn normal(x: f64, mean: f64, variance: f64) -> f64 {
+    (-0.5 * (x - mean).powi(2) / variance).exp() / (TAU * variance).sqrt()
+}
+
+impl Gaps {
+    /// The density of a gap with `k - 1` plants missing.
+    fn skipping(&self, gap: f64, k: usize) -> f64 {
+        let (steps, sd) = (k as f64, self.jitter * self.spacing);
+        let weight = (1.0 - self.doubles) * (1.0 - self.missing) * self.missing.powi(k as i32 - 1);
+        weight * normal(gap, steps * self.spacing, steps * sd * sd)
+    }
+
+    /// The density of a gap between two plants in one place.
+    fn double(&self, gap: f64) -> f64 {
+        let near = (0.24 * self.spacing).max(1.5);
+        self.doubles * normal(gap, near, (0.07 * self.spacing).powi(2).max(0.3))
+    }
+
+    fn density(&self, gap: f64) -> f64 {
+        let singles: f64 = (1..=MOST).map(|k| self.skipping(gap, k)).sum();
+        // Anything can happen, rarely.
+        singles + self.double(gap) + 1e-5 / self.spacing
+    }
+
+    /// Re-estimates everything from how many gaps of each length (in steps) are expected.
+    fn refit(&self, expected: &[f64]) -> Gaps {
+        let (mut length, mut places, mut kinds) = (0.0, 0.0, 0.0);
+        let (mut doubles, mut all) = (0.0, 0.0);
+        let mut shares = Vec::new();
+        for (steps, &number) in expected.iter().enumerate().filter(|(_, number)| **number > 1e-9) {
+            let gap = steps as f64 * STEP;
+            let density = self.density(gap);
+            all += number;
+            doubles += number * self.double(gap) / density;
+            for k in 1..=MOST {
+                let share = number * self.skipping(gap, k) / density;
+                length += share * gap;
+                places += share * k as f64;
+                kinds += share;
+                shares.push((gap, k as f64, share));
+            }
+        }
+        if places < 4.0 {
+            return *self;
+        }
+        let spacing = length / places;
+        let scatter: f64 =
+            shares.iter().map(|(gap, k, share)| share * (gap / spacing - k).powi(2) / k).sum();
+        let pooled = |sum: f64, count: f64, (mean, weight): (f64, f64)| {
+            (sum + mean * weight) / (count + weight)
+        };
+        let jitter2 = pooled(scatter, kinds, (JITTER.0 * JITTER.0, JITTER.1));
+        Gaps {
+            spacing,
+            jitter: jitter2.sqrt().clamp(0.04, 0.4),
+            missing: pooled(places - kinds, places, MISSING).clamp(0.003, 0.6),
+            doubles: pooled(doubles, all, DOUBLES).clamp(0.002, 0.2),
+        }
+    }
+}
+
+/// The scores of one row: of every place, of it as the first and as the last plant, and of pairs.
+struct Lattice {
+    own: Vec<f64>,
+    first: Vec<f64>,
+    last: Vec<f64>,
+    /// Of a plant at a place and the one before it, by the gap between them in steps.
+    pairs: Vec<Vec<f64>>,
+}
+
+/// Logarithms of the sums over everything before and after each place, and over everything.
+struct Sums {
+    ahead: Vec<f64>,
+    behind: Vec<f64>,
+    all: f64,
+}
+
+impl Lattice {
+    fn new(profile: &Profile, overall: &Overall, gaps: &Gaps, weights: &Weights) -> Lattice {
+        let count = profile.votes.len();
+        let heights = heights(profile, overall.mean);
+        let own = places(profile, &heights, overall, gaps)
+            .iter()
+            .map(|features| features.iter().zip(&weights.places).map(|(f, w)| f * w).sum())
+            .collect();
+        let pairs = Pairs::new(profile, &heights, overall, gaps, weights);
+        let (first, last) =
+            (0..count).map(|at| (pairs.end(at, true), pairs.end(at, false))).unzip();
+        let pairs = (0..count).map(|at| pairs.before(at)).collect();
+        Lattice { own, first, last, pairs }
+    }
+
+    fn sums(&self, beta: f64) -> Sums {
+        let count = self.own.len();
+        let (mut ahead, mut behind, mut terms) = (vec![0.0; count], vec![0.0; count], Vec::new());
+        for at in 0..count {
+            terms.clear();
+            terms.push(self.first[at]);
+            let links = self.pairs[at].iter().enumerate().skip(2);
+            terms.extend(links.map(|(gap, score)| ahead[at - gap] + score));
+            ahead[at] = log_sum_exp(&terms) + self.own[at] + beta;
+        }
+        let longest = self.pairs.iter().map(Vec::len).max().unwrap_or(0);
+        for at in (0..count).rev() {
+            terms.clear();
+            terms.push(self.last[at]);
+            for gap in 2..longest.min(count - at) {
+                let next = at + gap;
+                if let Some(score) = self.pairs[next].get(gap) {
+                    terms.push(behind[next] + self.own[next] + beta + score);
+                }
+            }
+            behind[at] = log_sum_exp(&terms);
+        }
+        terms.clear();
+        terms.extend((0..count).map(|at| ahead[at] + self.last[at]));
+        Sums { all: log_sum_exp(&terms), ahead, behind }
+    }
+
+    /// The expected number of plants if each were worth `beta` more.
+    fn count(&self, beta: f64) -> f64 {
+        let Sums { ahead, behind, all } = self.sums(beta);
+        ahead.iter().zip(&behind).map(|(a, b)| (a + b - all).exp()).sum()
+    }
+
+    /// The expected number of gaps of each length, in steps.
+    fn gaps(&self) -> Vec<f64> {
+        let Sums { ahead, behind, all } = self.sums(0.0);
+        let longest = self.pairs.iter().map(Vec::len).max().unwrap_or(0);
+        let mut expected = vec![0.0; longest];
+        for (at, links) in self.pairs.iter().enumerate() {
+            let after = self.own[at] + behind[at] - all;
+            for (gap, score) in links.iter().enumerate().skip(2) {
+                expected[gap] += (ahead[at - gap] + score + after).exp();
+            }
+        }
+        expected
+    }
+}
+
+/// Square roots of the votes over what is usual around each place.
+fn heights(profile: &Profile, mean: f64) -> Vec<f64> {
+    let votes = &profile.votes;
+    let sums = sums(votes.iter().copied());
+    (0..votes.len())
+        .map(|at| {
+            let near = mean_around(&sums, at, AROUND);
+            let usual = (1.0 - WHOLE) * near + WHOLE * mean;
+            (votes[at].max(0.0) / usual.max(f64::MIN_POSITIVE)).sqrt()
+        })
+        .collect()
+}
+
+/// Running sums, one longer than the values.
+fn sums(values: impl Iterator<Item = f64>) -> Vec<f64> {
+    let mut sums = vec![0.0];
+    for value in values {
+        sums.push(sums.last().copied().unwrap_or(0.0) + value);
+    }
+    sums
+}
+
+fn mean_around(sums: &[f64], at: usize, reach: usize) -> f64 {
+    let (from, to) = (at.saturating_sub(reach), (at + reach + 1).min(sums.len() - 1));
+    (sums[to] - sums[from]) / (to - from) as f64
+}
+
+/// The features of every place.
+fn places(profile: &Profile, heights: &[f64], overall: &Overall, gaps: &Gaps) -> Vec<[f64; PLACE]> {
+    let sums = sums(heights.iter().copied());
+    let steps = |share: f64| (share * gaps.spacing / STEP) as usize;
+    let (wide, narrow) = (steps(0.5), steps(0.3).max(1));
+    let last = heights.len() as i64 - 1;
+    let size = (gaps.spacing / 13.0).ln();
+    let (contrast, cover) = (overall.contrast - 0.4, overall.cover - 0.5);
+    (0..heights.len())
+        .map(|at| {
+            let near = |away: i64| heights[(at as i64 + away).clamp(0, last) as usize];
+            let mean = |every: i64, reach: i64| {
+                let sum: f64 = (-reach..=reach).map(|k| near(k * every)).sum();
+                sum / (2 * reach + 1) as f64 - 1.0
+            };
+            let height = heights[at] - 1.0;
+            let local = heights[at] - mean_around(&sums, at, wide);
+            let (from, to) = (at.saturating_sub(narrow), (at + narrow + 1).min(heights.len()));
+            let mass = (profile.mass[to][0] - profile.mass[from][0]) / (to - from) as f64;
+            [
+                1.0,
+                height,
+                height * height,
+                local,
+                heights[at] - 0.5 * (near(-4) + near(4)),
+                heights[at] - 0.5 * (near(-8) + near(8)),
+                mean(1, 2),
+                mean(2, 3),
+                (mass / overall.mass.max(f64::MIN_POSITIVE)).max(0.0).sqrt() - 1.0,
+                size,
+                contrast,
+                size * height,
+                contrast * height,
+                cover,
+                cover * height,
+                contrast * local,
+                10.0 * (gaps.missing - 0.07),
+                10.0 * (gaps.jitter - 0.15),
+            ]
+        })
+        .collect()
+}
+
+/// What the features of neighbours are made of.
+struct Pairs<'p> {
+    profile: &'p Profile,
+    heights: &'p [f64],
+    weights: &'p [f64; PAIR],
+    /// By the gap in steps: log density, share of doubles, votes claimed near and far.
+    of_gap: Vec<[f64; 4]>,
+    /// Worth of uncovered mass, and of a missing place at an end per step.
+    uncovered: f64,
+    absent: f64,
+    covered: usize,
+    truncated: usize,
+    free: usize,
+}
+
+impl<'p> Pairs<'p> {
+    fn new(
+        profile: &'p Profile,
+        heights: &'p [f64],
+        overall: &Overall,
+        gaps: &Gaps,
+        weights: &'p Weights,
+    ) -> Pairs<'p> {
+        let s = gaps.spacing;
+        let steps = ((MOST as f64 - 0.5) * s / STEP) as usize + 1;
+        let of_gap = (0..steps)
+            .map(|steps| {
+                let gap = steps as f64 * STEP;
+                let density = gaps.density(gap);
+                let claimed = |range: f64| (-0.5 * (gap / range).powi(2)).exp();
+                [density.ln(), gaps.double(gap) / density, claimed(2.0), claimed(0.35 * s)]
+            })
+            .collect();
+        // Leaf mass of a plant.
+        let mass = (overall.cover * BAND * s).max(f64::MIN_POSITIVE);
+        Pairs {
+            profile,
+            heights,
+            weights: &weights.pairs,
+            of_gap,
+            uncovered: 1.0 / mass / (0.25 * s),
+            absent: -gaps.missing.ln() * STEP / s,
+            covered: (0.6 * s / STEP) as usize,
+            truncated: ((s / STEP) as usize).max(1),
+            free: (0.7 * s / STEP) as usize,
+        }
+    }
+
+    /// The score of a plant at `at` and the one before it, by the gap between them.
+    fn before(&self, at: usize) -> Vec<f64> {
+        let mut scores = vec![0.0; self.of_gap.len().min(at + 1)];
+        let mut valley = f64::INFINITY;
+        for gap in 1..scores.len() {
+            let from = at - gap;
+            if gap >= 2 {
+                let features = self.features(from, at, valley);
+                scores[gap] = features.iter().zip(self.weights).map(|(f, w)| f * w).sum();
+            }
+            valley = valley.min(self.heights[from]);
+        }
+        scores
+    }
+
+    fn features(&self, from: usize, to: usize, valley: f64) -> [f64; PAIR] {
+        let gap = to - from;
+        let [density, double, near, far] = self.of_gap[gap];
+        let lower = self.heights[from].min(self.heights[to]);
+        let (depth, close) = (valley - lower, gap < self.covered);
+        let open = if gap > 2 * self.covered {
+            let middle = from.midpoint(to);
+            self.profile.spread(self.truncated, from + self.covered, middle, true)
+                + self.profile.spread(self.truncated, middle, to - self.covered, false)
+        } else {
+            0.0
+        };
+        let middling = !close && gap < 2 * self.covered + self.covered / 2;
+        [
+            density,
+            near * lower,
+            far * lower,
+            self.uncovered * open,
+            if close { depth } else { 0.0 },
+            if middling { depth } else { 0.0 },
+            double,
+            double * (lower - 1.0),
+            if close { 1.0 - gap as f64 / self.covered as f64 } else { 0.0 },
+        ]
+    }
+
+    /// The score of a first plant here, or of a last one.
+    fn end(&self, at: usize, first: bool) -> f64 {
+        let count = self.heights.len();
+        let (places, open) = if first {
+            let to = at.saturating_sub(self.covered);
+            (at, self.profile.spread(self.truncated, 0, to, false))
+        } else {
+            let from = (at + self.covered).min(count);
+            (count - 1 - at, self.profile.spread(self.truncated, from, count, true))
+        };
+        self.weights[3] * self.uncovered * open
+            - self.absent * places.saturating_sub(self.free) as f64
+    }
+}
+
+/// The expected number of plants of rows that are about `spacing` apart in them.
+pub fn tally(profiles: &[&Profile], overall: &Overall, spacing: f64) -> Tally {
+    let mut gaps =
+        Gaps { spacing, jitter: JITTER.0 + 0.01, missing: MISSING.0, doubles: DOUBLES.0 };
+    for _ in 0..ROUNDS {
+        let parts: Vec<Vec<f64>> = profiles
+            .par_iter()
+            .map(|profile| Lattice::new(profile, overall, &gaps, &OF_SPACING).gaps())
+            .collect();
+        let mut expected = vec![0.0; parts.iter().map(Vec::len).max().unwrap_or(0)];
+        for part in parts {
+            expected.iter_mut().zip(part).for_each(|(sum, number)| *sum += number);
+        }
+        gaps = gaps.refit(&expected);
+    }
+    /// The variance of a count is its derivative by the worth of a plant.
+    const APART: f64 = 0.05;
+    let (counts, variances) = profiles
+        .par_iter()
+        .map(|profile| {
+            let lattice = Lattice::new(profile, overall, &gaps, &OF_COUNT);
+            let [less, more] = [-APART, APART].map(|beta| lattice.count(beta));
+            (lattice.count(0.0), ((more - less) / (2.0 * APART)).max(0.0))
+        })
+        .unzip();
+    Tally { counts, variances }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn profile(count: usize) -> Profile {
+        let votes: Vec<f64> = (0..count)
+            .map(|k| {
+                let x = k as f64 * STEP;
+                0.1 + [2.0, 5.0, 6.5].iter().map(|p| (-0.5 * (x - p).powi(2)).exp()).sum::<f64>()
+            })
+            .collect();
+        let mut mass = vec![[0.0; 2]];
+        for k in 0..count {
+            let [sum, moment] = mass[k];
+            let here = 0.5 + 0.1 * (k % 5) as f64;
+            mass.push([sum + here, moment + here * k as f64]);
+        }
+        Profile { start: 0.0, votes, mass }
+    }
+
+    const OVERALL: Overall = Overall { mean: 0.5, mass: 0.7, contrast: 0.5, cover: 0.3 };
+    const GAPS: Gaps = Gaps { spacing: 3.0, jitter: 0.2, missing: 0.1, doubles: 0.05 };
+
+    #[test]
+    fn expected_counts_and_gaps_agree_with_brute_force() {
+        let profile = profile(15);
+        let lattice = Lattice::new(&profile, &OVERALL, &GAPS, &OF_COUNT);
+        let heights = heights(&profile, OVERALL.mean);
+        let pairs = Pairs::new(&profile, &heights, &OVERALL, &GAPS, &OF_COUNT);
+        for beta in [0.0, 0.7] {
+            let (mut all, mut number, mut gaps) = (0.0, 0.0, [0.0; 15]);
+            for set in 1_u32..1 << 15 {
+                let places: Vec<usize> = (0..15).filter(|k| set >> k & 1 == 1).collect();
+                if !places.windows(2).all(|w| w[1] - w[0] >= 2 && w[1] - w[0] < pairs.of_gap.len())
+                {
+                    continue;
+                }
+                let own: f64 = places.iter().map(|&at| lattice.own[at] + beta).sum();
+                let links: f64 = places
+                    .windows(2)
+                    .map(|w| {
+                        let valley = heights[w[0] + 1..w[1]].iter().copied();
+                        let valley = valley.fold(f64::INFINITY, f64::min);
+                        let features = pairs.features(w[0], w[1], valley);
+                        features.iter().zip(OF_COUNT.pairs).map(|(f, w)| f * w).sum::<f64>()
+                    })
+                    .sum();
+                let ends = pairs.end(places[0], true) + pairs.end(places[places.len() - 1], false);
+                let weight = (own + links + ends).exp();
+                all += weight;
+                number += weight * places.len() as f64;
+                places.windows(2).for_each(|w| gaps[w[1] - w[0]] += weight);
+            }
+            approx::assert_relative_eq!(lattice.count(beta), number / all, epsilon = 1e-9);
+            if beta == 0.0 {
+                for (fast, slow) in lattice.gaps().iter().zip(gaps) {
+                    approx::assert_relative_eq!(*fast, slow / all, epsilon = 1e-9);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn gaps_are_re_estimated_from_expected_ones() {
+        // Ten singles for each skipped place.
+        let mut expected = vec![0.0; 200];
+        for (steps, number) in [(36, 250.0), (40, 500.0), (44, 250.0), (80, 100.0)] {
+            expected[steps] = number;
+        }
+        let mut gaps = Gaps { spacing: 18.5, jitter: 0.16, missing: 0.05, doubles: 0.03 };
+        for _ in 0..5 {
+            gaps = gaps.refit(&expected);
+        }
+        assert!((gaps.spacing - 20.0).abs() < 0.1, "{gaps:?}");
+        assert!((gaps.missing - 0.08).abs() < 0.02, "{gaps:?}");
+        assert!((gaps.jitter - 0.07).abs() < 0.02, "{gaps:?}");
+        assert_eq!(GAPS.refit(&[0.0; 9]), GAPS);
+    }
+}
