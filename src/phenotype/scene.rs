@@ -183,8 +183,7 @@ impl Scene {
             votes.map(|votes| (votes.max(0.0) / self.mean.max(f64::MIN_POSITIVE)).sqrt())
         };
         let middle = heights().sum::<f64>() / places.max(1) as f64;
-        let variance =
-            heights().map(|h| (h - middle).powi(2)).sum::<f64>() / places.max(1) as f64;
+        let variance = heights().map(|h| (h - middle).powi(2)).sum::<f64>() / places.max(1) as f64;
         let overall = Overall {
             mean: self.mean,
             mass: self.mass / places.max(1) as f64,

@@ -340,7 +340,8 @@ fn orthomosaic(flown: &Flown, surface_m: f64) -> Result<Seen, String> {
     let selector = Selector::new(&views, &surface, grid, Rules::default());
     let sources = selector.sources(Window::whole(width, height));
     let mosaic = |which: fn(&(RgbImage, RgbImage)) -> &RgbImage, interpolation| {
-        let photos: Vec<Photo> = flown.photos.iter().map(|both| Photo::new(which(both))).collect();
+        let photos: Vec<Photo> =
+            flown.photos.iter().map(|both| Photo::new(which(both), None)).collect();
         let present: Vec<Option<&Photo>> = photos.iter().map(Some).collect();
         let mut rgba = vec![[0; 4]; width * height];
         paint(&sources, &present, None, interpolation, &mut rgba);

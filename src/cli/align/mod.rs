@@ -347,7 +347,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     if last == Stage::Features {
         return so_far.present(findings, &clock.seconds, args.json);
     }
-    let (matched, matched_mark) = clock.time("match", || {
+    let (mut matched, matched_mark) = clock.time("match", || {
         extract::matches(
             &project,
             &extracted,
@@ -356,6 +356,8 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
             (&cache, fresh(Stage::Match)),
         )
     })?;
+    extract::take_out_doubles(&project, &extracted, &mut matched, &mut findings);
+    tell(&findings);
     let all: usize = matched.iter().map(|m| m.matches.len()).sum();
     tracing::info!("{} pairs, {all} matches", matched.len());
     (so_far.pairs, so_far.matches) = (Some(matched.len()), Some(all));

@@ -131,6 +131,10 @@ impl Report {
             .filter(|name| !registered.contains(&name.as_str()))
             .collect();
         for name in &unregistered {
+            // Why it could not be is known already.
+            if findings.iter().any(|finding| finding.subject == *name) {
+                continue;
+            }
             let place = project.photos.iter().position(|photo| photo.name == *name);
             let place = place.map_or(u32::MAX, |k| k as u32);
             let own = pairs.iter().filter(|pair| pair.images.contains(&place)).count();

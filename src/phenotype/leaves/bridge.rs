@@ -10,7 +10,7 @@
 //! are small, the gap is not longer than a limit, and what lies in it is plant. Every end is in one
 //! bridge at most. [`Bridging::Greedy`] takes the shortest gap first, as a search from each end would;
 //! ties go to the pair found first. [`Bridging::Global`] weighs all gaps of a part at once: it takes the
-//! matching of the largest sum of `1 - cost`,
+//! matching of the largest sum of `0.3 - cost`,
 //!
 //! ```text
 //! cost = |g| / limit  +  (a^2 - a b + b^2) / T_c^2  +  (log2 w_e/w_f)^2 / 2  +  2 min(t_e, t_f)  +  (1 - c) |g| / (2 (|g| + w)),
@@ -34,8 +34,10 @@ use super::{
 
 /// Share of a gap that must be plant.
 const COVERED: f64 = 0.7;
-/// Cost from which two ends are better left alone.
-const MOST: f64 = 1.0;
+/// Cost from which two ends are better left alone. Of the pairs of ends that the rules allow one in seven is one leaf, and only
+/// of the cheapest most are: on rendered flights a larger limit joins opposite leaves of a plant (see
+/// `experiments/reference/leaves.md`).
+const MOST: f64 = 0.3;
 
 /// What may be bridged.
 pub(super) struct Rules {
@@ -280,7 +282,7 @@ mod tests {
             for a in 0..7usize {
                 for b in a + 1..7 {
                     if rng.random_range(0..2) == 0 {
-                        let cost = rng.random_range(0.0..3.0);
+                        let cost = rng.random_range(0.0..3.0 * MOST);
                         gaps.push(Gap { ends: [a, b], length: cost, cost });
                     }
                 }

@@ -19,8 +19,9 @@ use super::{
 const DEEP: f64 = 0.62;
 /// A bend by more than this within three widths is a kink, radians.
 const KINK: f64 = 0.6;
-/// Width of two leaves side by side, in widths of a single one.
-const DOUBLE: f64 = 1.7;
+/// From this width on, in usual widths, there are two leaves side by side: the usual width is a median along leaves and
+/// over them, and two leaves overlap a little.
+const DOUBLE: f64 = 1.5;
 
 /// Cuts segments; `single_px` is the usual width of a leaf.
 pub(super) fn split(

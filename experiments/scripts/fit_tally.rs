@@ -1,0 +1,491 @@
+//! Fits the weights of `rowgram::phenotype::tally` to masks of which every plant is known.
+//!
+//!     cp experiments/scripts/fit_tally.rs examples/ && cargo run --release --example fit_tally -- \
+//!         /work/shared/data/field_masks 1003 1005
+//!
+//! The weights that are in use were printed by an earlier form of this program with masks 1004 and 1005 for the first
+//! set and 1003 to 1005 for the second; they need not come out to the last digit.
+//!
+//! Takes the masks of every scenario with numbers from the first to the last, and prints both sets of weights as
+//! `src/phenotype/tally.rs` has them: first those fitted under the spacing, jitter, share of missing
+//! plants and of doubles that the true plants have, then those fitted under the ones that the first set
+//! finds from a spacing 3 % off. Penalised maximum likelihood by L-BFGS; the gradient is observed minus expected features.
+//!
+//! The features are written here once more, so that a change of either side shows as a change of the
+//! weights.
+
+use rayon::prelude::*;
+use rowgram::{
+    io::{images, points},
+    phenotype::{
+        evidence::{Axes as Leaves, Evidence},
+        ridges, rows,
+    },
+    problems::plants::index::PixelIndex,
+};
+use std::{error::Error, f64::consts::TAU, path::Path};
+
+const STEP: f64 = 0.5;
+const PLACE: usize = 18;
+const PAIR: usize = 9;
+const ALL: usize = PLACE + PAIR;
+const MOST: usize = 6;
+const BAND: i32 = 8;
+/// Priors of jitter, missing and doubles: mean, and how many gaps it weighs.
+const WEAK: [(f64, f64); 3] = [(0.15, 20.0), (0.07, 20.0), (0.03, 30.0)];
+const USED: [(f64, f64); 3] = [(0.15, 40.0), (0.05, 100.0), (0.03, 2000.0)];
+
+#[derive(Clone, Copy)]
+struct Gaps {
+    s: f64,
+    j: f64,
+    m: f64,
+    d: f64,
+}
+
+fn normal(x: f64, mean: f64, variance: f64) -> f64 {
+    (-0.5 * (x - mean).powi(2) / variance).exp() / (TAU * variance).sqrt()
+}
+
+impl Gaps {
+    fn skipping(&self, gap: f64, k: usize) -> f64 {
+        let (steps, sd) = (k as f64, self.j * self.s);
+        (1.0 - self.d) * (1.0 - self.m) * self.m.powi(k as i32 - 1)
+            * normal(gap, steps * self.s, steps * sd * sd)
+    }
+    fn double(&self, gap: f64) -> f64 {
+        self.d * normal(gap, (0.24 * self.s).max(1.5), (0.07 * self.s).powi(2).max(0.3))
+    }
+    fn density(&self, gap: f64) -> f64 {
+        (1..=MOST).map(|k| self.skipping(gap, k)).sum::<f64>() + self.double(gap) + 1e-5 / self.s
+    }
+    fn refit(&self, gaps: &[(f64, f64)], prior: &[(f64, f64); 3]) -> Gaps {
+        let (mut length, mut places, mut kinds, mut doubles, mut all) = (0.0, 0.0, 0.0, 0.0, 0.0);
+        let mut shares = Vec::new();
+        for &(gap, number) in gaps {
+            let density = self.density(gap);
+            all += number;
+            doubles += number * self.double(gap) / density;
+            for k in 1..=MOST {
+                let share = number * self.skipping(gap, k) / density;
+                length += share * gap;
+                places += share * k as f64;
+                kinds += share;
+                shares.push((gap, k as f64, share));
+            }
+        }
+        let s = length / places;
+        let scatter: f64 = shares.iter().map(|(g, k, w)| w * (g / s - k).powi(2) / k).sum();
+        let pooled = |sum: f64, n: f64, (mean, weight): (f64, f64)| (sum + mean * weight) / (n + weight);
+        Gaps {
+            s,
+            j: pooled(scatter, kinds, (prior[0].0.powi(2), prior[0].1)).sqrt().clamp(0.04, 0.4),
+            m: pooled(places - kinds, places, prior[1]).clamp(0.003, 0.6),
+            d: pooled(doubles, all, prior[2]).clamp(0.002, 0.2),
+        }
+    }
+}
+
+/// One row: votes and running leaf mass by place, and the places of the true plants.
+struct Row {
+    votes: Vec<f64>,
+    mass: Vec<[f64; 2]>,
+    truth: Vec<usize>,
+}
+
+struct Field {
+    rows: Vec<Row>,
+    /// Mean votes, leaf mass of a place, contrast, cover.
+    overall: [f64; 4],
+    truth: Gaps,
+}
+
+/// What the locator reads of a mask (as `phenotype::scene` does), with the true plants on it.
+fn read(path: &Path) -> Result<Field, Box<dyn Error + Send + Sync>> {
+    let mask = images::read_mask(path)?;
+    let plants = points::read(&path.with_extension("csv"))?;
+    let detection = rows::detect(&PixelIndex::from_mask(mask.width, &mask.data));
+    let found = detection.rows().ok_or("no rows")?;
+    let evidence = Evidence::new(&mask, found.axes.heading_rad, Leaves::Tensor);
+    let factor = evidence.factor as f64;
+    let mut axes = found.axes;
+    axes.origin_px = evidence.reduced(axes.origin_px);
+    let reduced: Vec<rows::Row> = found
+        .rows
+        .iter()
+        .map(|row| rows::Row {
+            across_px: row.across_px / factor,
+            start_px: row.start_px / factor,
+            end_px: row.end_px / factor,
+            pixels: row.pixels,
+        })
+        .collect();
+    let apart = found.spacing_px.map(|px| px / factor);
+    let curves = ridges::trace(&evidence, &axes, &reduced, apart);
+    let mut rows: Vec<(f64, Row)> = curves
+        .iter()
+        .map(|ridge| {
+            let start = ridge.start - 6.0;
+            let count = ((ridge.end + 6.0 - start) / STEP) as usize + 1;
+            let mut row = Row { votes: vec![], mass: vec![[0.0; 2]], truth: vec![] };
+            for k in 0..count {
+                let along = start + k as f64 * STEP;
+                let middle = ridge.offset(along);
+                let votes = (-12..=12).map(|half| {
+                    let offset = f64::from(half) * 0.5;
+                    let weight = (-0.5 * (offset / 3.0_f64).powi(2)).exp();
+                    weight * evidence.at(axes.image([along, middle + offset]))
+                });
+                row.votes.push(votes.fold(f64::NEG_INFINITY, f64::max));
+                let leaf = |v: i32| evidence.leaf_at(axes.image([along, middle + f64::from(v)]));
+                let here = STEP * (-BAND..=BAND).map(leaf).sum::<f64>();
+                let [sum, moment] = row.mass[k];
+                row.mass.push([sum + here, moment + here * k as f64]);
+            }
+            (start, row)
+        })
+        .collect();
+    for plant in &plants {
+        let [along, across] = axes.aligned(evidence.reduced(*plant));
+        let nearest = (0..rows.len())
+            .map(|k| ((across - curves[k].offset(along)).abs(), k))
+            .min_by(|a, b| a.0.total_cmp(&b.0));
+        if let Some((_, k)) = nearest.filter(|n| n.0 < 0.45 * apart.unwrap_or(40.0)) {
+            let place = ((along - rows[k].0) / STEP).round();
+            if place >= 0.0 && place < rows[k].1.votes.len() as f64 {
+                rows[k].1.truth.push(place as usize);
+            }
+        }
+    }
+    let mut gaps = Vec::new();
+    for (_, row) in &mut rows {
+        row.truth.sort_unstable();
+        for k in 1..row.truth.len() {
+            row.truth[k] = row.truth[k].max(row.truth[k - 1] + 2);
+        }
+        let count = row.votes.len();
+        row.truth.retain(|&place| place < count);
+        gaps.extend(row.truth.windows(2).map(|w| ((w[1] - w[0]) as f64 * STEP, 1.0)));
+    }
+    let mut lengths: Vec<f64> = gaps.iter().map(|gap| gap.0).collect();
+    lengths.sort_by(f64::total_cmp);
+    let mut truth = Gaps { s: lengths[lengths.len() / 2], j: 0.16, m: 0.05, d: 0.03 };
+    for _ in 0..10 {
+        truth = truth.refit(&gaps, &WEAK);
+    }
+    let rows: Vec<Row> = rows.into_iter().map(|(_, row)| row).collect();
+    let votes = || rows.iter().flat_map(|row| &row.votes);
+    let places = votes().count() as f64;
+    let mean = votes().sum::<f64>() / places;
+    let middle = votes().map(|v| (v / mean).sqrt()).sum::<f64>() / places;
+    let contrast = votes().map(|v| ((v / mean).sqrt() - middle).powi(2)).sum::<f64>() / places;
+    let mass: f64 = rows.iter().filter_map(|row| row.mass.last()).map(|m| m[0]).sum();
+    let length: f64 = reduced.iter().map(rows::Row::length_px).sum();
+    let cover = mass / (length * f64::from(2 * BAND + 1));
+    Ok(Field { rows, overall: [mean, mass / places, contrast.sqrt(), cover], truth })
+}
+
+/// Everything the score of a row is a linear function of.
+struct Features<'f> {
+    row: &'f Row,
+    heights: Vec<f64>,
+    places: Vec<[f64; PLACE]>,
+    of_gap: Vec<[f64; 4]>,
+    uncovered: f64,
+    absent: f64,
+    covered: usize,
+    truncated: usize,
+    free: usize,
+}
+
+impl<'f> Features<'f> {
+    fn new(field: &Field, row: &'f Row, gaps: &Gaps) -> Features<'f> {
+        let [mean, mass, contrast, cover] = field.overall;
+        let (count, s) = (row.votes.len(), gaps.s);
+        let running = |values: &[f64]| {
+            let mut sums = vec![0.0];
+            values.iter().for_each(|v| sums.push(sums[sums.len() - 1] + v));
+            sums
+        };
+        let around = |sums: &[f64], at: usize, reach: usize| {
+            let (from, to) = (at.saturating_sub(reach), (at + reach + 1).min(count));
+            (sums[to] - sums[from]) / (to - from) as f64
+        };
+        let sums = running(&row.votes);
+        let heights: Vec<f64> = (0..count)
+            .map(|k| (row.votes[k].max(0.0) / (0.4 * around(&sums, k, 60) + 0.6 * mean)).sqrt())
+            .collect();
+        let sums = running(&heights);
+        let (wide, narrow) = ((0.5 * s / STEP) as usize, ((0.3 * s / STEP) as usize).max(1));
+        let size = (s / 13.0).ln();
+        let (contrast, cover_) = (contrast - 0.4, cover - 0.5);
+        let places = (0..count)
+            .map(|k| {
+                let near = |d: i64| heights[(k as i64 + d).clamp(0, count as i64 - 1) as usize];
+                let mean = |every: i64, reach: i64| {
+                    let sum: f64 = (-reach..=reach).map(|n| near(n * every)).sum();
+                    sum / (2 * reach + 1) as f64 - 1.0
+                };
+                let (x, local) = (heights[k] - 1.0, heights[k] - around(&sums, k, wide));
+                let (from, to) = (k.saturating_sub(narrow), (k + narrow + 1).min(count));
+                let here = (row.mass[to][0] - row.mass[from][0]) / (to - from) as f64 / mass;
+                [
+                    1.0, x, x * x, local,
+                    heights[k] - 0.5 * (near(-4) + near(4)),
+                    heights[k] - 0.5 * (near(-8) + near(8)),
+                    mean(1, 2), mean(2, 3),
+                    here.max(0.0).sqrt() - 1.0,
+                    size, contrast, size * x, contrast * x, cover_, cover_ * x, contrast * local,
+                    10.0 * (gaps.m - 0.07), 10.0 * (gaps.j - 0.15),
+                ]
+            })
+            .collect();
+        let of_gap = (0..((MOST as f64 - 0.5) * s / STEP) as usize + 1)
+            .map(|k| {
+                let gap = k as f64 * STEP;
+                let density = gaps.density(gap);
+                let claimed = |range: f64| (-0.5 * (gap / range).powi(2)).exp();
+                [density.ln(), gaps.double(gap) / density, claimed(2.0), claimed(0.35 * s)]
+            })
+            .collect();
+        Features {
+            row, heights, places, of_gap,
+            uncovered: 1.0 / (cover * f64::from(2 * BAND + 1) * s) / (0.25 * s),
+            absent: -gaps.m.ln() * STEP / s,
+            covered: (0.6 * s / STEP) as usize,
+            truncated: ((s / STEP) as usize).max(1),
+            free: (0.7 * s / STEP) as usize,
+        }
+    }
+
+    /// Leaf mass between two places times its truncated distance from one of them.
+    fn spread(&self, from: usize, to: usize, ahead: bool) -> f64 {
+        let mass = |k: usize| self.row.mass[k + 1][0] - self.row.mass[k][0];
+        let far = |k: usize| if ahead { k - from } else { to - k };
+        (from..to).map(|k| mass(k) * far(k).min(self.truncated) as f64).sum::<f64>() * STEP
+    }
+
+    fn pair(&self, a: usize, b: usize, valley: f64) -> [f64; PAIR] {
+        let gap = b - a;
+        let [density, double, near, far] = self.of_gap[gap];
+        let lower = self.heights[a].min(self.heights[b]);
+        let (depth, close) = (valley - lower, gap < self.covered);
+        let open = if gap > 2 * self.covered {
+            let middle = (a + b) / 2;
+            self.spread(a + self.covered, middle, true) + self.spread(middle, b - self.covered, false)
+        } else {
+            0.0
+        };
+        let middling = !close && gap < 2 * self.covered + self.covered / 2;
+        [
+            density, near * lower, far * lower, self.uncovered * open,
+            if close { depth } else { 0.0 },
+            if middling { depth } else { 0.0 },
+            double, double * (lower - 1.0),
+            if close { 1.0 - gap as f64 / self.covered as f64 } else { 0.0 },
+        ]
+    }
+
+    /// What an end costs whatever the weights, and its uncovered mass.
+    fn end(&self, at: usize, first: bool) -> [f64; 2] {
+        let count = self.heights.len();
+        let (places, open) = if first {
+            (at, self.spread(0, at.saturating_sub(self.covered), false))
+        } else {
+            (count - 1 - at, self.spread((at + self.covered).min(count), count, true))
+        };
+        [-self.absent * places.saturating_sub(self.free) as f64, self.uncovered * open]
+    }
+}
+
+fn log_sum_exp(terms: &[f64]) -> f64 {
+    let top = terms.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    top + terms.iter().map(|t| (t - top).exp()).sum::<f64>().ln()
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+/// Log likelihood of the true plants of a row, its gradient, and the expected gaps.
+fn likelihood(f: &Features<'_>, w: &[f64]) -> (f64, [f64; ALL], Vec<f64>) {
+    let (count, most, open) = (f.heights.len(), f.of_gap.len(), PLACE + 3);
+    let own: Vec<f64> = f.places.iter().map(|p| dot(p, &w[..PLACE])).collect();
+    let ends: Vec<[[f64; 2]; 2]> =
+        (0..count).map(|k| [f.end(k, true), f.end(k, false)]).collect();
+    let worth = |end: [f64; 2]| end[0] + w[open] * end[1];
+    let pairs: Vec<Vec<[f64; PAIR]>> = (0..count)
+        .map(|b| {
+            let mut valley = f64::INFINITY;
+            (0..most.min(b + 1))
+                .map(|gap| {
+                    let features = if gap < 2 { [0.0; PAIR] } else { f.pair(b - gap, b, valley) };
+                    if gap > 0 {
+                        valley = valley.min(f.heights[b - gap]);
+                    }
+                    features
+                })
+                .collect()
+        })
+        .collect();
+    let score = |b: usize, gap: usize| dot(&pairs[b][gap], &w[PLACE..]);
+    let (mut ahead, mut behind, mut terms) = (vec![0.0; count], vec![0.0; count], vec![]);
+    for b in 0..count {
+        terms.clear();
+        terms.push(worth(ends[b][0]));
+        terms.extend((2..pairs[b].len()).map(|gap| ahead[b - gap] + score(b, gap)));
+        ahead[b] = log_sum_exp(&terms) + own[b];
+    }
+    for a in (0..count).rev() {
+        terms.clear();
+        terms.push(worth(ends[a][1]));
+        let next = (2..most.min(count - a)).map(|gap| behind[a + gap] + own[a + gap] + score(a + gap, gap));
+        terms.extend(next);
+        behind[a] = log_sum_exp(&terms);
+    }
+    terms.clear();
+    terms.extend((0..count).map(|k| ahead[k] + worth(ends[k][1])));
+    let all = log_sum_exp(&terms);
+    let (mut value, mut gradient, mut expected) = (-all, [0.0; ALL], vec![0.0; most]);
+    let mut add = |from: usize, features: &[f64], by: f64| {
+        features.iter().enumerate().for_each(|(k, f)| gradient[from + k] += by * f);
+    };
+    for b in 0..count {
+        add(0, &f.places[b], -(ahead[b] + behind[b] - all).exp());
+        let first = (worth(ends[b][0]) + own[b] + behind[b] - all).exp();
+        let last = (ahead[b] + worth(ends[b][1]) - all).exp();
+        add(open, &[first * ends[b][0][1] + last * ends[b][1][1]], -1.0);
+        for gap in 2..pairs[b].len() {
+            let probability = (ahead[b - gap] + score(b, gap) + own[b] + behind[b] - all).exp();
+            expected[gap] += probability;
+            add(PLACE, &pairs[b][gap], -probability);
+        }
+    }
+    let truth = &f.row.truth;
+    for &k in truth {
+        value += own[k];
+        add(0, &f.places[k], 1.0);
+    }
+    for pair in truth.windows(2) {
+        value += score(pair[1], pair[1] - pair[0]);
+        add(PLACE, &pairs[pair[1]][pair[1] - pair[0]], 1.0);
+    }
+    for end in [ends[truth[0]][0], ends[truth[truth.len() - 1]][1]] {
+        value += worth(end);
+        add(open, &[end[1]], 1.0);
+    }
+    (value, gradient, expected)
+}
+
+/// Penalised maximum likelihood by L-BFGS, per plant.
+fn fit(fields: &[Field], gaps: &[Gaps], start: &[f64], penalty: f64, rounds: usize) -> Vec<f64> {
+    let rows: Vec<Features<'_>> = fields
+        .iter()
+        .zip(gaps)
+        .flat_map(|(field, gaps)| field.rows.iter().map(move |row| Features::new(field, row, gaps)))
+        .filter(|f| f.row.truth.len() > 1)
+        .filter(|f| f.row.truth.windows(2).all(|w| w[1] - w[0] < f.of_gap.len()))
+        .collect();
+    let plants: f64 = rows.iter().map(|f| f.row.truth.len() as f64).sum();
+    let cost = |w: &[f64]| {
+        let parts: Vec<_> = rows.par_iter().map(|f| likelihood(f, w)).collect();
+        let mut gradient: Vec<f64> =
+            w.iter().zip(start).map(|(w, s)| penalty * (w - s)).collect();
+        let mut value: f64 =
+            w.iter().zip(start).map(|(w, s)| 0.5 * penalty * (w - s).powi(2)).sum();
+        for (v, g, _) in parts {
+            value -= v / plants;
+            gradient.iter_mut().zip(g).for_each(|(sum, g)| *sum -= g / plants);
+        }
+        (value, gradient)
+    };
+    let mut w = start.to_vec();
+    let (mut value, mut gradient) = cost(&w);
+    let mut memory: Vec<(Vec<f64>, Vec<f64>)> = Vec::new();
+    for round in 0..rounds {
+        let mut step: Vec<f64> = gradient.iter().map(|g| -g).collect();
+        let mut shares = Vec::new();
+        for (s, y) in memory.iter().rev() {
+            let share = dot(s, &step) / dot(s, y);
+            step.iter_mut().zip(y).for_each(|(d, y)| *d -= share * y);
+            shares.push(share);
+        }
+        let scale = memory.last().map_or_else(
+            || 0.3 / dot(&gradient, &gradient).sqrt().max(0.3),
+            |(s, y)| dot(s, y) / dot(y, y),
+        );
+        step.iter_mut().for_each(|d| *d *= scale);
+        for ((s, y), share) in memory.iter().zip(shares.into_iter().rev()) {
+            let other = dot(y, &step) / dot(s, y);
+            step.iter_mut().zip(s).for_each(|(d, s)| *d += (share - other) * s);
+        }
+        let slope = dot(&gradient, &step);
+        let Some((next, (lower, new))) = (0..8).find_map(|k| {
+            let length = 0.4_f64.powi(k);
+            let next: Vec<f64> = w.iter().zip(&step).map(|(w, d)| w + length * d).collect();
+            let there = cost(&next);
+            (there.0 <= value + 1e-4 * length * slope).then_some((next, there))
+        }) else {
+            break;
+        };
+        let s: Vec<f64> = next.iter().zip(&w).map(|(a, b)| a - b).collect();
+        let y: Vec<f64> = new.iter().zip(&gradient).map(|(a, b)| a - b).collect();
+        if dot(&s, &y) > 1e-12 {
+            memory.push((s, y));
+            memory.drain(..memory.len().saturating_sub(12));
+        }
+        let gain = value - lower;
+        (w, value, gradient) = (next, lower, new);
+        eprintln!("round {round}: {value:.5} per plant");
+        if gain < 1e-7 {
+            break;
+        }
+    }
+    w
+}
+
+fn main() -> Result<(), Box<dyn Error + Send + Sync>> {
+    let words: Vec<String> = std::env::args().collect();
+    let [_, root, first, last] = words.as_slice() else { return Err("FOLDER FIRST LAST".into()) };
+    let (first, last): (u32, u32) = (first.parse()?, last.parse()?);
+    let mut paths = Vec::new();
+    for scenario in std::fs::read_dir(root)? {
+        let scenario = scenario?.path();
+        let masks = (first..=last).map(|number| scenario.join(format!("{number}.png")));
+        if !scenario.ends_with("whole_field") {
+            paths.extend(masks.filter(|path| path.exists()));
+        }
+    }
+    paths.sort();
+    let fields: Vec<Field> = paths.par_iter().map(|path| read(path)).collect::<Result<_, _>>()?;
+    // The weights of the chain that finds the best places, about.
+    let mut start = vec![0.0; ALL];
+    (start[0], start[1]) = (1.1, 6.0);
+    (start[PLACE], start[PLACE + 1], start[PLACE + 3]) = (1.0, -12.0, -1.0);
+    let truth: Vec<Gaps> = fields.iter().map(|field| field.truth).collect();
+    let of_spacing = fit(&fields, &truth, &start, 5e-4, 30);
+    let found: Vec<Gaps> = fields
+        .par_iter()
+        .enumerate()
+        .map(|(k, field)| {
+            let s = field.truth.s * if k % 2 == 0 { 1.03 } else { 0.97 };
+            let mut gaps = Gaps { s, j: 0.16, m: 0.05, d: 0.03 };
+            for _ in 0..3 {
+                let mut expected: Vec<(f64, f64)> = Vec::new();
+                for row in field.rows.iter().filter(|row| row.truth.len() > 1) {
+                    let (_, _, numbers) =
+                        likelihood(&Features::new(field, row, &gaps), &of_spacing);
+                    let lengths = (0..numbers.len()).map(|k| k as f64 * STEP);
+                    expected.extend(lengths.zip(numbers));
+                }
+                gaps = gaps.refit(&expected, &USED);
+            }
+            gaps
+        })
+        .collect();
+    let of_count = fit(&fields, &found, &of_spacing, 3e-4, 22);
+    for (name, w) in [("OF_SPACING", of_spacing), ("OF_COUNT", of_count)] {
+        println!("{name}\n places {:.4?}\n pairs {:.4?}", &w[..PLACE], &w[PLACE..]);
+    }
+    Ok(())
+}
