@@ -174,7 +174,8 @@ impl pulp::WithSimd for Colours<'_> {
             colour[3] = 255.0;
             let mut bytes = [0u8; 4];
             for c in 0..4 {
-                bytes[c] = (colour[c] + 0.5) as u8;
+                // Beside 2^23 a number has no fractions, and its last byte is the rounded colour.
+                bytes[c] = (colour[c].clamp(0.0, 255.0) + 8_388_608.0).to_bits() as u8;
             }
             out[i] = if data { bytes } else { [0; 4] };
         }
