@@ -162,7 +162,10 @@ impl<'p> Chain<'p> {
         let (places, open) = if first {
             (at, self.profile.spread(self.truncated, 0, at.saturating_sub(self.covered), false))
         } else {
-            (count - 1 - at, self.profile.spread(self.truncated, (at + self.covered).min(count), count, true))
+            (
+                count - 1 - at,
+                self.profile.spread(self.truncated, (at + self.covered).min(count), count, true),
+            )
         };
         -self.weights[2] * places.saturating_sub(self.free) as f64 - self.weights[1] * open
     }
@@ -330,8 +333,16 @@ mod tests {
             };
             let ahead = sum(&|k| k - from) * STEP;
             let back = sum(&|k| to - k) * STEP;
-            approx::assert_relative_eq!(profile.spread(chain.truncated, from, to, true), ahead, epsilon = 1e-9);
-            approx::assert_relative_eq!(profile.spread(chain.truncated, from, to, false), back, epsilon = 1e-9);
+            approx::assert_relative_eq!(
+                profile.spread(chain.truncated, from, to, true),
+                ahead,
+                epsilon = 1e-9
+            );
+            approx::assert_relative_eq!(
+                profile.spread(chain.truncated, from, to, false),
+                back,
+                epsilon = 1e-9
+            );
         }
     }
 

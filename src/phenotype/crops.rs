@@ -14,11 +14,7 @@ use super::{
     rows::{Detection, Row, Rows},
     stand::Stalk,
 };
-use crate::{
-    engine::SolveError,
-    problems::plants::lines::Axes,
-    raster::Mask,
-};
+use crate::{engine::SolveError, problems::plants::lines::Axes, raster::Mask};
 use rayon::prelude::*;
 
 /// A window of a mask: first column, first row, columns, rows.
@@ -54,8 +50,7 @@ pub fn locate(
         .into_par_iter()
         .map(|k| {
             let (left, top) = (k % columns * crop_px, k / columns * crop_px);
-            let core =
-                [left, top, crop_px.min(mask.width - left), crop_px.min(mask.height - top)];
+            let core = [left, top, crop_px.min(mask.width - left), crop_px.min(mask.height - top)];
             crop(mask, rows, options, core, halo_px)
         })
         .collect::<Result<_, LocateError>>()?;

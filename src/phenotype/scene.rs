@@ -23,7 +23,7 @@ const BEYOND: f64 = 6.0;
 /// Length of the rows on which the spacing is estimated, about.
 const SAMPLE: f64 = 6000.0;
 /// Length of the rows on which plants are counted where it is not given how many there are, about.
-const COUNTED: f64 = 24_000.0;
+const COUNTED: f64 = 6000.0;
 /// Rounds in which the spacing is estimated.
 const ROUNDS: usize = 4;
 /// The spacings that are tried where nobody says how many plants there are, from the finest on.
@@ -183,8 +183,7 @@ impl Scene {
             votes.map(|votes| (votes.max(0.0) / self.mean.max(f64::MIN_POSITIVE)).sqrt())
         };
         let middle = heights().sum::<f64>() / places.max(1) as f64;
-        let variance =
-            heights().map(|h| (h - middle).powi(2)).sum::<f64>() / places.max(1) as f64;
+        let variance = heights().map(|h| (h - middle).powi(2)).sum::<f64>() / places.max(1) as f64;
         let overall = Overall {
             mean: self.mean,
             mass: self.mass / places.max(1) as f64,

@@ -35,12 +35,18 @@ struct Weights {
 
 /// Fitted to fields whose spacing is known exactly: these estimate the spacing.
 const OF_SPACING: Weights = Weights {
-    places: [-0.1097, 8.2390, 0.6768, -2.1732, 1.5392, -0.1133, 3.1579, 1.3045, -0.2148, -1.2747, -0.5513, -1.4478, -0.3209, -0.4666, -0.3340, -0.0260, 0.0000, 0.0000],
+    places: [
+        -0.1097, 8.2390, 0.6768, -2.1732, 1.5392, -0.1133, 3.1579, 1.3045, -0.2148, -1.2747,
+        -0.5513, -1.4478, -0.3209, -0.4666, -0.3340, -0.0260, 0.0000, 0.0000,
+    ],
     pairs: [1.2398, -6.4271, 1.4826, 0.2674, -0.7197, -0.5609, -0.8091, -2.6067, 0.2721],
 };
 /// Fitted to the same fields with the spacings that [`OF_SPACING`] finds: these count.
 const OF_COUNT: Weights = Weights {
-    places: [-0.0864, 8.3475, 1.4953, -4.0057, 2.3601, -0.5451, 4.1084, 0.9438, -0.3174, -1.2815, -1.4912, -1.6235, -0.2616, -0.4101, -0.8053, 0.0753, -0.0230, 0.5201],
+    places: [
+        -0.0864, 8.3475, 1.4953, -4.0057, 2.3601, -0.5451, 4.1084, 0.9438, -0.3174, -1.2815,
+        -1.4912, -1.6235, -0.2616, -0.4101, -0.8053, 0.0753, -0.0230, 0.5201,
+    ],
     pairs: [1.0362, -3.9928, 1.1881, 0.1729, -1.4432, -1.3093, -1.5027, -4.8466, -0.1615],
 };
 /// Half the width of the surroundings that votes are compared with, in steps.
@@ -176,7 +182,8 @@ impl Lattice {
             .map(|features| features.iter().zip(&weights.places).map(|(f, w)| f * w).sum())
             .collect();
         let pairs = Pairs::new(profile, &heights, overall, gaps, weights);
-        let (first, last) = (0..count).map(|at| (pairs.end(at, true), pairs.end(at, false))).unzip();
+        let (first, last) =
+            (0..count).map(|at| (pairs.end(at, true), pairs.end(at, false))).unzip();
         let pairs = (0..count).map(|at| pairs.before(at)).collect();
         Lattice { own, first, last, pairs }
     }
@@ -257,12 +264,7 @@ fn mean_around(sums: &[f64], at: usize, reach: usize) -> f64 {
 }
 
 /// The features of every place.
-fn places(
-    profile: &Profile,
-    heights: &[f64],
-    overall: &Overall,
-    gaps: &Gaps,
-) -> Vec<[f64; PLACE]> {
+fn places(profile: &Profile, heights: &[f64], overall: &Overall, gaps: &Gaps) -> Vec<[f64; PLACE]> {
     let sums = sums(heights.iter().copied());
     let steps = |share: f64| (share * gaps.spacing / STEP) as usize;
     let (wide, narrow) = (steps(0.5), steps(0.3).max(1));
@@ -469,7 +471,8 @@ mod tests {
             let (mut all, mut number, mut gaps) = (0.0, 0.0, [0.0; 15]);
             for set in 1_u32..1 << 15 {
                 let places: Vec<usize> = (0..15).filter(|k| set >> k & 1 == 1).collect();
-                if !places.windows(2).all(|w| w[1] - w[0] >= 2 && w[1] - w[0] < pairs.of_gap.len()) {
+                if !places.windows(2).all(|w| w[1] - w[0] >= 2 && w[1] - w[0] < pairs.of_gap.len())
+                {
                     continue;
                 }
                 let own: f64 = places.iter().map(|&at| lattice.own[at] + beta).sum();

@@ -43,8 +43,11 @@ impl Plants {
                 PlantUpdate::Mean => 0.5 * d2,
             }
         };
-        let mut worth =
-            Worth { cost: vec![0.0; count], loss: vec![0.0; count], moments: vec![[0.0; 6]; count] };
+        let mut worth = Worth {
+            cost: vec![0.0; count],
+            loss: vec![0.0; count],
+            moments: vec![[0.0; 6]; count],
+        };
         for (pixel, pair) in self.pairs(x).iter().enumerate() {
             let plant = pair.near as usize;
             worth.cost[plant] += price(pair.near2);
@@ -87,7 +90,9 @@ impl Plants {
         let worth = self.worth(x);
         let order = |values: &[f64], sign: f64| {
             let mut order: Vec<usize> = (0..values.len()).collect();
-            order.sort_by(|&a, &b| (sign * values[a]).total_cmp(&(sign * values[b])).then(a.cmp(&b)));
+            order.sort_by(|&a, &b| {
+                (sign * values[a]).total_cmp(&(sign * values[b])).then(a.cmp(&b))
+            });
             order
         };
         let (idle, crowded) = (order(&worth.loss, 1.0), order(&worth.cost, -1.0));

@@ -33,11 +33,7 @@ impl Plants {
     ///
     /// # Errors
     /// As [`convex::plant`]; also for the mean update, which needs no certificate.
-    pub fn certify(
-        &self,
-        x: &mut Field,
-        plant: usize,
-    ) -> Result<convex::Certificate, SolveError> {
+    pub fn certify(&self, x: &mut Field, plant: usize) -> Result<convex::Certificate, SolveError> {
         if self.model.update == PlantUpdate::Mean || plant >= self.plants {
             return Err(SolveError::Misuse("only a plant placed by medians is certified".into()));
         }
