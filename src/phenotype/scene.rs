@@ -23,7 +23,7 @@ const BEYOND: f64 = 6.0;
 /// Length of the rows on which the spacing is estimated, about.
 const SAMPLE: f64 = 6000.0;
 /// Length of the rows on which plants are counted where it is not given how many there are, about.
-const COUNTED: f64 = 6000.0;
+const COUNTED: f64 = 24_000.0;
 /// Rounds in which the spacing is estimated.
 const ROUNDS: usize = 4;
 /// The spacings that are tried where nobody says how many plants there are, from the finest on.
