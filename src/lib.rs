@@ -51,3 +51,8 @@ pub mod sfm;
 pub mod target;
 
 pub use error::{Error, Kind};
+
+/// The programs in `docs/extending.md`, compiled and run as documentation tests.
+#[cfg(doctest)]
+#[doc = include_str!("../docs/extending.md")]
+struct Extending;

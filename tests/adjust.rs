@@ -97,7 +97,7 @@ fn every_solver_and_thread_count_gives_the_same_cost() {
     };
     let schur = cost(&[]);
     assert_eq!(schur.to_bits(), cost(&["--threads", "1"]).to_bits());
-    for solver in ["sparse", "dense"] {
+    for solver in ["sparse", "dense", "iterative-schur"] {
         assert!((cost(&["--solver", solver]) / schur - 1.0).abs() < 1e-8);
     }
 }

@@ -160,10 +160,42 @@ fn masks_without_and_with_nothing_but_plants_work_and_what_is_no_mask_is_told() 
         "{}",
         run.stderr
     );
-    let run = rowgram(folder.path(), "leaves empty.png -o leaves.gpkg");
-    assert!(run.code == 2 && run.stderr.contains(".csv or .geojson"), "{}", run.stderr);
+    let run = rowgram(folder.path(), "leaves empty.png -o leaves.shp");
+    assert!(run.code == 2 && run.stderr.contains(".gpkg, .geojson or .csv"), "{}", run.stderr);
     let run = rowgram(folder.path(), "leaves empty.png -o leaves.csv --ta pi/x");
     assert!(run.code == 2 && run.stderr.contains("such as pi/5"), "{}", run.stderr);
+}
+
+#[test]
+fn a_geopackage_holds_leaves_and_plants_on_the_map() {
+    let folder = tempfile::tempdir().unwrap();
+    ortho(&folder.path().join("ortho.tif"));
+    std::fs::write(folder.path().join("plants.csv"), "u_px,v_px\n30,50\n120,50\n").unwrap();
+    for output in ["leaves.gpkg", "leaves.csv"] {
+        let run =
+            rowgram(folder.path(), &format!("leaves ortho.tif -o {output} --plants plants.csv"));
+        assert_eq!(run.code, 0, "{}", run.stderr);
+    }
+    let table = rows(&folder.path().join("leaves.csv"));
+    let file = rusqlite::Connection::open(folder.path().join("leaves.gpkg")).unwrap();
+    let text = |sql: &str| file.query_row(sql, [], |row| row.get::<_, String>(0)).unwrap();
+    let number = |sql: &str| file.query_row(sql, [], |row| row.get::<_, f64>(0)).unwrap();
+    assert_eq!(number("SELECT count(*) * 1.0 FROM leaves") as usize, table.len() - 1);
+    assert_eq!(number("SELECT sum(leaves) * 1.0 FROM plants") as usize, table.len() - 1);
+    assert_eq!(
+        text("SELECT geometry_type_name FROM gpkg_geometry_columns WHERE table_name = 'leaves'"),
+        "LINESTRING"
+    );
+    let column = |name: &str| table[0].iter().position(|column| column == name).unwrap();
+    for name in ["length_m", "x", "area_px"] {
+        let expected: f64 = table[1][column(name)].parse().unwrap();
+        let found = number(&format!("SELECT {name} * 1.0 FROM leaves WHERE fid = 1"));
+        assert!((found - expected).abs() < 1e-9, "{name}: {found} {expected}");
+    }
+    let [low, x, high] = ["min_x", "(SELECT x FROM leaves WHERE fid = 1)", "max_x"].map(|what| {
+        number(&format!("SELECT {what} FROM gpkg_contents WHERE table_name = 'leaves'"))
+    });
+    assert!(low <= x && x <= high, "{low} {x} {high}");
 }
 
 #[test]

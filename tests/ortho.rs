@@ -285,7 +285,7 @@ fn what_is_wrong_with_the_input_is_said() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
     LEVEL.build(at);
-    let degrees = Crs { epsg: Some(4326), kind: CrsKind::Geographic };
+    let degrees = Crs::geographic(4326);
     LEVEL.dem(&at.join("degrees.tif"), [0.0, 0.0], [5, 5], degrees);
     LEVEL.dem(&at.join("far.tif"), [9000.0, 0.0], [5, 5], Crs::projected(32616));
     LEVEL.dem(&at.join("zone.tif"), [-20.0, 15.0], [61, 31], Crs::projected(32617));
@@ -310,13 +310,88 @@ fn what_is_wrong_with_the_input_is_said() {
     fs::write(at.join("short.csv"), "filename,x,y,z,omega,phi\np0.png,1,2,3,4,5\n").unwrap();
     refused(&GIVEN.replace("poses.csv", "short.csv"), "kappa");
     // A surface that ends within the photos: what it does not cover has no colour.
-    run(at, &format!("{given} --dem half.tif -o half_ortho.tif"));
+    let cut = rowgram(at, &format!("{given} --dem half.tif -o half_ortho.tif").replace(" -q", ""));
+    assert_eq!(cut.code, 0, "{}", cut.stderr);
+    assert!(cut.stderr.contains("2 of 3 photos reach beyond the surface"), "{}", cut.stderr);
     let half = Mosaic::read(&at.join("half_ortho.tif"));
     assert!(half.cells().all(|([x, _], rgba, _)| rgba[3] == 0 || x <= 4.0 + 1e-9));
     let again = rowgram(at, &format!("{given} --dem half.tif -o half_ortho.tif"));
     assert!(again.code == 2 && again.stderr.contains("--force"), "{}", again.stderr);
     image::RgbImage::new(60, 90).save(at.join("images/p1.png")).unwrap();
     refused(GIVEN, "60 x 90 pixels, its camera 120 x 90");
+}
+
+#[test]
+fn pixels_without_data_come_from_the_next_photo_or_from_none() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    LEVEL.build(at);
+    let path = at.join("images/p1.png");
+    let mut photo = image::open(&path).unwrap().into_rgba8();
+    // The left half of the middle photo is transparent, whatever its colours say.
+    for (u, _, pixel) in photo.enumerate_pixels_mut() {
+        if u < 60 {
+            *pixel = image::Rgba([255, 0, 0, 0]);
+        }
+    }
+    photo.save(&path).unwrap();
+    for options in ["", "--interpolation bicubic"] {
+        run(at, &format!("{GIVEN} {options} -o ortho.tif --force"));
+        let mosaic = Mosaic::read(&at.join("ortho.tif"));
+        let (mut of_next, mut of_none) = (0, 0);
+        for ([x, y], rgba, record) in mosaic.cells() {
+            if rgba[3] == 0 {
+                assert_eq!(record[0], -1.0, "{x} {y}: a source without a colour");
+                of_none += usize::from(y.abs() < 8.0 && (6.0..9.0).contains(&x));
+                continue;
+            }
+            if record[0] == 1.0 {
+                assert!(record[1] >= 60.0, "{x} {y}: {record:?}");
+            }
+            // Closest is the second photo, but there it has no data.
+            of_next += usize::from((5.2..9.0).contains(&x) && record[0] == 0.0);
+            for (c, expected) in colour(x, y).into_iter().enumerate() {
+                assert!((f64::from(rgba[c]) - expected).abs() < 9.0, "{x} {y}: {rgba:?}");
+            }
+        }
+        assert!(of_next > 500 && of_none == 0, "{of_next} {of_none}");
+    }
+}
+
+#[test]
+fn heights_keep_the_code_of_their_datum() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    LEVEL.build(at);
+    let of = |name: &str| Reader::open(&at.join(name)).unwrap().georeference().unwrap().crs;
+    run(at, &format!("{GIVEN} --vertical-epsg 5773 -o given.tif"));
+    assert_eq!((of("given.tif").epsg, of("given.tif").vertical_epsg), (Some(32616), Some(5773)));
+    let known = Crs { vertical_epsg: Some(5703), ..Crs::projected(32616) };
+    LEVEL.dem(&at.join("dem.tif"), [-20.0, 15.0], [61, 31], known);
+    run(at, &format!("{GIVEN} -o from_dem.tif"));
+    assert_eq!(of("from_dem.tif"), known);
+    let other = rowgram(at, &format!("{GIVEN} --vertical-epsg 5773 -o other.tif"));
+    assert!(other.code == 2 && other.stderr.contains("EPSG:5703"), "{}", other.stderr);
+}
+
+#[cfg(unix)]
+#[test]
+fn a_full_disk_leaves_nothing_behind() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    LEVEL.build(at);
+    let before = fs::read_dir(at).unwrap().count();
+    // Files end at 16 KiB and writing beyond is an error, as on a disk without room.
+    let script = format!(
+        "trap '' XFSZ; ulimit -f 32; exec {} {GIVEN} -o ortho.tif",
+        env!("CARGO_BIN_EXE_rowgram")
+    );
+    let done =
+        std::process::Command::new("sh").args(["-c", &script]).current_dir(at).output().unwrap();
+    let stderr = String::from_utf8_lossy(&done.stderr);
+    assert_eq!(done.status.code(), Some(1), "{stderr}");
+    assert!(stderr.contains("cannot write") && stderr.contains("ortho"), "{stderr}");
+    assert_eq!(fs::read_dir(at).unwrap().count(), before, "something half-written is left");
 }
 
 #[test]

@@ -72,6 +72,7 @@ def colmap(images, threads, matching, model):
                     count += 1
         return {
             "registered": best.num_reg_images(),
+            "unregistered": sorted(i.name for i in best.images.values() if not i.has_pose),
             "pieces": len(maps),
             "tie_points": best.num_points3D(),
             "observations": count,
@@ -97,6 +98,7 @@ def rowgram(program, project, threads, more):
         found = json.loads(done.stdout.decode().strip().splitlines()[-1])
         return {
             "registered": found["registered"],
+            "unregistered": found["unregistered"],
             "pieces": found["fragments"],
             "tie_points": found["tie_points"],
             "observations": found["observations"],

@@ -6,7 +6,7 @@
 //! [`block`] makes the measurements of a nadir aerial block straight from geometry.
 //! [`twin`] sets the field on [`terrain`] at a [`site`] on Earth, flies over it with a true [`camera`]
 //! ([`flight`]), sets out [`targets`], takes photos ([`photo`]) or measures tie points without them
-//! ([`tie_points`]), and [`files`] writes it all down.
+//! ([`tie_points`]), and [`files`] writes it all down. [`board`] photographs a chessboard with the same camera.
 //!
 //! # Frames, pixels, units
 //! SI units; metres in the mapping frame (X east, Y north, Z up above flat ground, origin at the
@@ -35,6 +35,7 @@
 //! ```
 
 pub mod block;
+pub mod board;
 pub mod camera;
 pub mod clutter;
 pub mod corrupt;

@@ -33,6 +33,8 @@ pub(crate) enum Stage {
     TiePoint = 54,
     TieNoise = 55,
     TieOutlier = 56,
+    BoardPose = 57,
+    BoardNoise = 58,
     BlockPose = 32,
     BlockLens = 33,
     BlockRelief = 34,

@@ -5,7 +5,8 @@
 #   experiments/slurm/loopback.sh PROGRAM SPEC
 #
 # PROGRAM is the built `experiments`. Needs Debian's packages slurm-wlm and munge, and root (to start the
-# daemons under a configuration of their own; nothing outside a temporary folder is touched).
+# daemons under a configuration of their own; nothing outside a temporary folder is touched). With
+# INSTALL=1 packages that are missing are installed with apt-get, which is the only lasting change.
 # Exit code 77 with the reason where it cannot run here.
 set -euo pipefail
 
@@ -18,19 +19,35 @@ skip() {
     exit 77
 }
 
-for tool in munged slurmctld slurmd sbatch scontrol squeue; do
-    PATH=$PATH:/usr/sbin command -v "$tool" >/dev/null ||
-        skip "$tool is not installed (Debian: apt-get install slurm-wlm munge)"
-done
 [[ $(id -u) == 0 ]] || skip 'the daemons need root'
 PATH=$PATH:/usr/sbin
+absent() {
+    local tool
+    for tool in munged slurmctld slurmd sbatch scontrol squeue sinfo; do
+        command -v "$tool" >/dev/null || printf '%s ' "$tool"
+    done
+}
+if [[ -n $(absent) && -n ${INSTALL:-} ]] && command -v apt-get >/dev/null; then
+    printf 'slurm: apt-get install slurm-wlm munge\n'
+    export DEBIAN_FRONTEND=noninteractive
+    log=$(mktemp)
+    {
+        apt-get update -qq &&
+            timeout 300 apt-get install -y -qq --no-install-recommends slurm-wlm munge
+    } >"$log" 2>&1 || skip "apt-get failed: $(grep -m1 '^E:' "$log" || tail -n 1 "$log")"
+    rm -f "$log"
+fi
+[[ -z $(absent) ]] || skip "not installed: $(absent)(Debian: apt-get install slurm-wlm munge, or INSTALL=1)"
 
 work=$(mktemp -d /tmp/rowgram-slurm-XXXXXX)
 daemons=()
 clean() {
     local pid
-    for pid in "${daemons[@]}"; do kill -9 "$pid" 2>/dev/null || true; done
-    if [[ -n ${KEEP:-} ]]; then printf 'slurm: kept %s\n' "$work"; else rm -rf "$work"; fi
+    for pid in "${daemons[@]}"; do
+        disown "$pid" 2>/dev/null || true
+        kill -9 "$pid" 2>/dev/null || true
+    done
+    if [[ -n ${KEEP:-} ]]; then printf 'slurm: kept %s\n' "$work"; else rm -rf "$work" 2>/dev/null || true; fi
 }
 trap clean EXIT
 
@@ -44,16 +61,21 @@ fail() {
 await() {
     local seconds=$1 what=$2
     shift 2
-    for ((k = 0; k < 5 * seconds; k++)); do
+    for ((k = 0; k < 10 * seconds; k++)); do
         if "$@" >/dev/null 2>&1; then return; fi
-        sleep 0.2
+        sleep 0.1
     done
     fail "$what did not happen within $seconds s"
 }
 
 # A free port each, so that several of these and a real cluster can live side by side.
 port() {
-    python3 -c 'import socket; s = socket.socket(); s.bind(("127.0.0.1", 0)); print(s.getsockname()[1])'
+    local try
+    while :; do
+        try=$((20000 + RANDOM % 12000))
+        if ! (exec 3<>"/dev/tcp/127.0.0.1/$try") 2>/dev/null; then break; fi
+    done
+    printf '%d\n' "$try"
 }
 
 # Munge of our own: key, socket and log in the folder.
@@ -73,7 +95,7 @@ ClusterName=rowgram
 SlurmctldHost=$host(127.0.0.1)
 SlurmctldPort=$(port)
 AuthType=auth/munge
-AuthInfo=socket=$work/munge/socket
+AuthInfo=socket=$work/munge/socket,cred_expire=5
 CredType=cred/munge
 SlurmUser=root
 SlurmdUser=root
@@ -133,29 +155,32 @@ printf 'slurm: %s, two nodes\n' "$(slurmctld -V)"
 "$program" plan "$spec" --small --out "$work/run" >/dev/null
 "$program" submit "$work/run" --engine slurm --shards "$shards" >"$work/submitted"
 printf 'slurm: %s\n' "$(cat "$work/submitted")"
-array=$(sed -n 's/^array \([0-9]*\).*/\1/p' "$work/submitted")
 
-# Node n1 dies as soon as it has finished a task, with another under way: daemon, step and work.
-started() { compgen -G "$work/run/tasks/task-*.json"; }
-await 120 'the first finished task' started
-victims() { squeue --noheader --array --states=R --nodelist=n1 --format=%K; }
-dying=$(victims | tr '\n' ' ')
-[[ -n ${dying// /} ]] || fail 'no shard runs on node n1'
-kill -9 "${node[n1]}"
-# The work on that node is known by its environment; its step daemon is the parent. The daemon first, so
-# that it cannot report its child's death as a failure of the job.
-work_of_n1() {
-    local process
-    for process in /proc/[0-9]*; do
-        if tr '\0' '\n' <"$process/environ" 2>/dev/null | grep -q "^SLURM_CONF=$work/slurm.conf$" &&
-            tr '\0' '\n' <"$process/environ" 2>/dev/null | grep -q '^SLURMD_NODENAME=n1$' &&
-            [[ $(cat "$process/comm" 2>/dev/null) != slurmstepd ]]; then
-            printf '%s\n' "${process#/proc/}"
-        fi
-    done
+# Node n1 dies when the shard that runs there has finished a task and has another under way: daemon, step
+# and work.
+dying=
+shard_of_n1() {
+    dying=$(squeue --noheader --array --states=R --nodelist=n1 --format=%K | head -n 1)
+    [[ -n $dying ]]
 }
+await 120 'a shard on node n1' shard_of_n1
+record_of_n1() { compgen -G "$work/run/tasks/task-*.$dying-of-$shards.json"; }
+await 120 'the first finished task on node n1' record_of_n1
+# The work on that node is known by its environment; its step daemon is the parent. It stands still before
+# anything is killed, so that it cannot be over first.
+mapfile -t victims < <(
+    cd /proc && grep -lz '^SLURMD_NODENAME=n1$' [0-9]*/environ 2>/dev/null |
+        xargs --no-run-if-empty grep -lz "^SLURM_CONF=$work/slurm.conf$" 2>/dev/null | cut -d/ -f1
+)
+for child in "${victims[@]}"; do
+    [[ $(cat "/proc/$child/comm" 2>/dev/null) == slurmstepd ]] || kill -STOP "$child" 2>/dev/null || true
+done
+disown "${node[n1]}"
+kill -9 "${node[n1]}"
+# The daemon first, so that it cannot report its child's death as a failure of the job.
 killed=0
-for child in $(work_of_n1); do
+for child in "${victims[@]}"; do
+    [[ $(cat "/proc/$child/comm" 2>/dev/null) != slurmstepd ]] || continue
     step=$(awk '/^PPid:/ { print $2 }' "/proc/$child/status" 2>/dev/null || true)
     if [[ -n $step && $(cat "/proc/$step/comm" 2>/dev/null) == slurmstepd ]]; then
         kill -9 "$step" 2>/dev/null || true

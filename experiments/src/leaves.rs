@@ -38,6 +38,8 @@ pub(crate) fn methods() -> Vec<(&'static str, Method)> {
             Method::Slices(Options { bridging: Bridging::Global, curvature: true, ..paper }),
         ),
         ("global bridging, curvature, split", Method::Slices(all)),
+        ("more bridges (cost up to 1)", Method::Slices(Options { most_cost: 1.0, ..all })),
+        ("split from 1.7 widths", Method::Slices(Options { double_width: 1.7, ..all })),
         ("split, no bridging", Method::Slices(Options { bridging: Bridging::None, ..all })),
     ]
 }
@@ -223,8 +225,12 @@ pub(crate) fn write(folder: &Path, name: &str, runs: &[Run]) -> Result<(), Error
         let Run { scenario, method, sbd, found, truth, .. } = run;
         let _ = writeln!(csv, "{scenario},\"{method}\",{sbd:.4},{found},{truth},{length},{width}");
     }
-    let mut scenarios: Vec<&str> = runs.iter().map(|run| run.scenario.as_str()).collect();
-    scenarios.dedup();
+    let mut scenarios: Vec<&str> = Vec::new();
+    for run in runs {
+        if !scenarios.contains(&run.scenario.as_str()) {
+            scenarios.push(&run.scenario);
+        }
+    }
     let mut text =
         "# Leaves\n\nSBD / DiC / |DiC| (shares of the true number) / length / width error.\n\n"
             .to_owned();

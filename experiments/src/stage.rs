@@ -132,6 +132,7 @@ pub(crate) const STAGES: &[Entry] = &[
     entry::<stages::locate::Locate>(),
     entry::<stages::cost_map::CostMap>(),
     entry::<stages::segment::Segment>(),
+    entry::<stages::orthomosaic::Orthomosaic>(),
     entry::<stages::adjust::Adjust>(),
     entry::<stages::bundle::BundleBlock>(),
     entry::<stages::arena::Arena>(),

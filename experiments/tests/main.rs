@@ -219,12 +219,23 @@ fn the_findings_are_what_the_results_say() {
 fn a_small_run_gives_the_committed_numbers() {
     let place = Place::new(SPEC);
     // Instruction sets may sum in another order, and a descent then ends in other last digits.
-    for (name, within) in
-        [("cost-neighbours", "0.001"), ("solver-arena", "0.05"), ("lens-models", "0.001")]
-    {
+    for (name, within) in [
+        ("cost-neighbours", "0.001"),
+        ("solver-arena", "0.05"),
+        ("lens-models", "0.001"),
+        ("segment-hue", "0.001"),
+        ("paper-leaf", "0.001"),
+    ] {
         let spec = home().join(format!("specs/{name}.toml"));
         let reference = home().join(format!("reference/{name}/runs.csv"));
         place.good(&["run", spec.to_str().unwrap(), "--small", "--out", name]);
         place.good(&["compare", reference.to_str().unwrap(), name, "--within", within]);
     }
+    // A picture is inside its figure, not beside it.
+    let figure = place.path("paper-leaf/figures/leaf-crossing");
+    let svg = std::fs::read_to_string(figure.with_extension("svg")).unwrap();
+    assert!(svg.contains("href=\"data:image/png;base64,"));
+    let png = image::open(figure.with_extension("png")).unwrap().to_rgb8();
+    let orange = png.pixels().filter(|pixel| pixel.0 == [213, 94, 0]).count();
+    assert!(orange > 1000, "{orange}");
 }

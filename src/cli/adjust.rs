@@ -98,6 +98,8 @@ pub(super) struct Args {
 enum Solver {
     /// Points eliminated first.
     Schur,
+    /// Points eliminated first, then conjugate gradients instead of Cholesky.
+    IterativeSchur,
     /// Sparse Cholesky of everything.
     Sparse,
     /// Dense Cholesky of everything; for small blocks.
@@ -310,6 +312,7 @@ impl Args {
             },
             linear: match self.solver {
                 Solver::Schur => Linear::Schur,
+                Solver::IterativeSchur => Linear::IterativeSchur,
                 Solver::Sparse => Linear::Sparse,
                 Solver::Dense => Linear::Dense,
             },

@@ -91,6 +91,7 @@ struct Report<'a> {
     height_px: usize,
     cell_m: f64,
     epsg: Option<u32>,
+    vertical_epsg: Option<u32>,
     #[serde(flatten)]
     account: &'a Account,
     outlier_count: usize,
@@ -184,6 +185,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
         height_px: size[1],
         cell_m,
         epsg: place.crs.epsg,
+        vertical_epsg: place.crs.vertical_epsg,
         account,
         outlier_count: account.outliers.len(),
         cells_with_height: surface.heights_m.iter().filter(|z| z.is_finite()).count(),

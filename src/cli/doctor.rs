@@ -79,8 +79,8 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
         let what = "no ground points: place and height are those of the camera positions, metres off, and nothing tells the error";
         add(State::Note, "control", what.into());
     }
-    if !root.join("plots.geojson").is_file() {
-        let what = "no plots.geojson: traits are of the whole field unless [plots] says how rows make plots";
+    if crate::io::polygons::find(root, "plots").is_none() {
+        let what = "no plots.geojson, .gpkg or .shp: traits are of the whole field unless [plots] says how rows make plots";
         add(State::Note, "plots", what.into());
     }
     if args.json {

@@ -37,6 +37,13 @@ use std::process::ExitCode;
 /// From overlapping drone photos of a crop field to plant traits.
 #[derive(Debug, Parser)]
 #[command(name = "rowgram", version, arg_required_else_help = true, propagate_version = true)]
+#[command(after_help = "Examples:
+  rowgram run                    a synthetic field, from photos to traits, against its truth
+  rowgram init field             settings for a folder of photos
+  rowgram run field              everything, into field/rowgram
+  rowgram locate field.png --gsd 0.01 -o plants.csv
+
+Exit codes: 0 done, 1 failure, 2 bad input, 3 incomplete or a quality gate failed")]
 struct Cli {
     #[command(subcommand)]
     verb: Verb,

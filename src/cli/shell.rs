@@ -58,3 +58,83 @@ impl Man {
         print(&String::from_utf8_lossy(&page))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::{Command, Parser};
+
+    /// Every verb at the end of a chain of verbs, with its name in full.
+    fn leaves(command: &Command, name: &str, out: &mut Vec<(String, String)>) {
+        if command.has_subcommands() {
+            for verb in command.get_subcommands().filter(|verb| verb.get_name() != "help") {
+                leaves(verb, &format!("{name} {}", verb.get_name()), out);
+            }
+            // A verb that also works by itself explains itself too.
+            if command.get_arguments().next().is_none() || name == "rowgram" {
+                return;
+            }
+        }
+        out.push((name.to_owned(), command.clone().render_long_help().to_string()));
+    }
+
+    /// The command lines of a text: those that begin with the program, or run it with cargo.
+    fn commands(text: &str) -> Vec<String> {
+        let text = text.replace("\\\n", " ");
+        let program = |line: &str| {
+            let line = line.trim_start();
+            let line = line.strip_prefix("Example: ").unwrap_or(line);
+            let line = line.strip_prefix("cargo run --release -- ").map_or_else(
+                || line.strip_prefix("rowgram ").map(str::to_owned),
+                |rest| Some(rest.to_owned()),
+            )?;
+            let end = line.find([';', '|', '>', '#']).unwrap_or(line.len());
+            Some(line[..end].trim().to_owned())
+        };
+        text.lines().flat_map(|line| line.split("&&")).filter_map(program).collect()
+    }
+
+    fn check(place: &str, line: &str) {
+        let words = ["rowgram"].into_iter().chain(line.split_whitespace());
+        if let Err(error) = Cli::try_parse_from(words.map(|word| word.trim_matches(['"', '\'']))) {
+            assert!(!error.use_stderr(), "{place}: rowgram {line}\n{error}");
+        }
+    }
+
+    #[test]
+    fn every_verb_shows_examples_that_are_commands() {
+        let mut verbs = Vec::new();
+        leaves(&Cli::command(), "rowgram", &mut verbs);
+        assert!(verbs.len() > 20, "{}", verbs.len());
+        let mut without = Vec::new();
+        for (name, help) in verbs {
+            // Before the examples there is prose, whose lines may begin with the program's name.
+            let lines = commands(help.find("Example").map_or("", |at| &help[at..]));
+            let own = |line: &String| format!("rowgram {line}").starts_with(&name);
+            if !lines.iter().any(own) {
+                without.push(name.clone());
+            }
+            for line in &lines {
+                check(&name, line);
+            }
+        }
+        assert!(without.is_empty(), "--help shows no example: {without:?}");
+    }
+
+    #[test]
+    fn every_command_in_the_documents_is_one() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+        let mut files = vec![root.join("README.md"), root.join("CONTRIBUTING.md")];
+        files.extend(std::fs::read_dir(root.join("docs")).unwrap().map(|e| e.unwrap().path()));
+        let mut seen = 0;
+        for file in files.iter().filter(|file| file.extension().is_some_and(|e| e == "md")) {
+            let text = std::fs::read_to_string(file).unwrap();
+            let fenced = text.split("```").skip(1).step_by(2).collect::<Vec<_>>().join("\n");
+            for line in commands(&fenced) {
+                check(&file.display().to_string(), &line);
+                seen += 1;
+            }
+        }
+        assert!(seen > 10, "{seen}");
+    }
+}

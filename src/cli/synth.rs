@@ -57,6 +57,9 @@ impl From<ConfigError> for Error {
 }
 
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  rowgram synth mask --preset mid20 --seed 3 -o field
+  rowgram synth mask --stage late --rows 4 --row-length 6 --gsd 0.01 -o field")]
 struct MaskArgs {
     /// Folder to write into, made if missing.
     #[arg(short, long, value_name = "DIR")]
@@ -241,6 +244,8 @@ fn write_plants(field: &Field, writer: &mut dyn Write) -> std::io::Result<()> {
 }
 
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Example:
+  rowgram synth bundle --images 200 --points 40000 -o block.txt --truth truth.txt")]
 struct BundleArgs {
     /// BAL file to write, with the start values.
     #[arg(short, long, value_name = "FILE")]

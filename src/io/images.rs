@@ -75,6 +75,22 @@ pub fn read_colour(path: &Path) -> Result<RgbImage, FileError> {
     Ok(decode(path)?.into_rgb())
 }
 
+/// As [`read_colour`], and which pixels (row by row) are transparent (alpha 0); `None` where none is.
+///
+/// # Errors
+/// As [`read`].
+pub fn read_colour_and_gaps(path: &Path) -> Result<(RgbImage, Option<Vec<bool>>), FileError> {
+    let stored = decode(path)?;
+    let gaps: Option<Vec<bool>> = match &stored.image {
+        DynamicImage::ImageRgba8(image) => Some(image.pixels().map(|p| p.0[3] == 0).collect()),
+        DynamicImage::ImageLumaA8(image) => Some(image.pixels().map(|p| p.0[1] == 0).collect()),
+        DynamicImage::ImageRgba16(image) => Some(image.pixels().map(|p| p.0[3] == 0).collect()),
+        DynamicImage::ImageLumaA16(image) => Some(image.pixels().map(|p| p.0[1] == 0).collect()),
+        _ => None,
+    };
+    Ok((stored.into_rgb(), gaps.filter(|gaps| gaps.contains(&true))))
+}
+
 /// Reads a mask; here a colour picture that is all black or all white is one too.
 ///
 /// # Errors

@@ -12,6 +12,7 @@ pub mod corners;
 pub mod features;
 pub mod gcp_list;
 pub mod geotiff;
+pub mod gpkg;
 pub mod images;
 pub mod labels;
 pub mod model;

@@ -66,6 +66,16 @@ pub fn write_seekable<E: From<FileError>>(
         .tempfile_in(folder_of(path))
         .map_err(failed)?;
     fill(temporary.as_file_mut())?;
+    Ok(take_place(temporary, path, force)?)
+}
+
+/// Gives a complete file its name.
+fn take_place(
+    temporary: tempfile::NamedTempFile,
+    path: &Path,
+    force: bool,
+) -> Result<(), FileError> {
+    let failed = |source| FileError::write(path, source);
     temporary.as_file().sync_all().map_err(failed)?;
     share(&temporary).map_err(failed)?;
     if force {
@@ -77,6 +87,28 @@ pub fn write_seekable<E: From<FileError>>(
         })?;
     }
     Ok(())
+}
+
+/// As [`write()`], for content that a library writes to a path of its own opening: `fill` gets the path of an empty file,
+/// and may leave no other beside it.
+///
+/// # Errors
+/// As [`write()`], and whatever `fill` fails with.
+pub fn write_by_path(
+    path: &Path,
+    force: bool,
+    fill: impl FnOnce(&Path) -> Result<(), FileError>,
+) -> Result<(), FileError> {
+    if path.exists() && !force {
+        return Err(FileError::Exists { path: path.to_owned() });
+    }
+    let failed = |source| FileError::write(path, source);
+    let temporary = tempfile::Builder::new()
+        .prefix(".rowgram-")
+        .tempfile_in(folder_of(path))
+        .map_err(failed)?;
+    fill(temporary.path())?;
+    take_place(temporary, path, force)
 }
 
 /// A file without a name beside `path`, gone when it is closed or the program ends.

@@ -15,6 +15,7 @@
 //! - [`dem`] and [`ground`]: surfaces from scattered points, and the ground below plants.
 
 pub mod balance;
+mod cells;
 pub mod dem;
 pub mod ground;
 pub mod paint;

@@ -35,16 +35,19 @@ pub fn paint(
     let width = sources.window.width;
     let rows = sources.source.par_chunks(width).zip(sources.pixel.par_chunks(width));
     rgba.par_chunks_mut(width).zip(rows).for_each(|(out, (source, pixel))| {
-        for ((out, &source), &at) in out.iter_mut().zip(source).zip(pixel) {
-            if source == 0 {
-                continue;
+        // Cells side by side from one photo are painted together.
+        let mut start = 0;
+        while start < source.len() {
+            let mut end = start + 1;
+            while end < source.len() && source[end] == source[start] {
+                end += 1;
             }
-            let k = source as usize - 1;
+            let run = start..end;
+            start = end;
+            let Some(k) = (source[run.start] as usize).checked_sub(1) else { continue };
             if let Some(photo) = photos[k] {
-                let colour = photo.at(at, interpolation);
-                let gain = gains.map_or([1.0; 3], |gains| gains[k]);
-                let byte = |c: usize| (colour[c] * gain[c] + 0.5).clamp(0.0, 255.0) as u8;
-                *out = [byte(0), byte(1), byte(2), 255];
+                let gain = gains.map(|gains| gains[k]);
+                photo.colours(&pixel[run.clone()], interpolation, gain, &mut out[run]);
             }
         }
     });
@@ -128,8 +131,11 @@ impl Blend {
                         .fold(EDGE_PX, f64::min);
                     // Never 0 for a photo that may be the only one.
                     let edge = (border / EDGE_PX).max(1e-3);
-                    let weight = ((1.0 - away / feather_m) * edge * edge) as f32;
                     let colour = photo.at(at.map(|value| value as f32), interpolation);
+                    if !Photo::has_data(colour) {
+                        continue;
+                    }
+                    let weight = ((1.0 - away / feather_m) * edge * edge) as f32;
                     let gain = gains.map_or([1.0; 3], |gains| gains[k]);
                     for c in 0..3 {
                         sum[c] += weight * gain[c] * colour[c];

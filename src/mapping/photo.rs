@@ -1,6 +1,7 @@
 //! A photo in memory, read between its pixels.
 //!
-//! Four bytes for a pixel: one load each, and four lanes in the sums. A position is taken up to half a pixel
+//! Four bytes for a pixel: one load each, and four lanes in the sums. The fourth is 255, or 0 where the photo has no data;
+//! a position has a colour where all pixels that take part in it have data. A position is taken up to half a pixel
 //! outside the centres of the border pixels, which are repeated. References: R. G. Keys, *Cubic convolution
 //! interpolation for digital image processing*, 1981; C. E. Duchon, *Lanczos filtering in one and two
 //! dimensions*, 1979.
@@ -8,7 +9,7 @@
 use crate::raster::undistort::Interpolation;
 use image::RgbImage;
 
-/// A photo with four bytes for a pixel, the last one without a meaning.
+/// A photo with four bytes for a pixel.
 #[derive(Debug, Clone)]
 pub struct Photo {
     width: usize,
@@ -17,14 +18,22 @@ pub struct Photo {
 }
 
 impl Photo {
-    /// Takes over a photo.
-    pub fn new(photo: &RgbImage) -> Photo {
-        let pixels = photo.as_raw().as_chunks::<3>().0.iter().map(|&[r, g, b]| [r, g, b, 0]);
-        Photo {
-            width: photo.width() as usize,
-            height: photo.height() as usize,
-            pixels: pixels.collect(),
+    /// Takes over a photo, and which of its pixels (row by row) have no data.
+    pub fn new(photo: &RgbImage, gaps: Option<&[bool]>) -> Photo {
+        let pixels = photo.as_raw().as_chunks::<3>().0.iter().map(|&[r, g, b]| [r, g, b, 255]);
+        let mut pixels: Vec<[u8; 4]> = pixels.collect();
+        for (pixel, &gap) in pixels.iter_mut().zip(gaps.unwrap_or_default()) {
+            if gap {
+                *pixel = [0; 4];
+            }
         }
+        Photo { width: photo.width() as usize, height: photo.height() as usize, pixels }
+    }
+
+    /// Whether a colour of [`Photo::at`] is one: all pixels that took part have data.
+    #[inline(always)]
+    pub fn has_data(colour: [f32; 4]) -> bool {
+        (colour[3] - 255.0).abs() < 0.5
     }
 
     /// Columns and rows.
@@ -38,11 +47,11 @@ impl Photo {
     }
 
     /// The colour at a position, red, green, blue from 0 to 255 (a little beyond where a kernel overshoots);
-    /// the fourth number has no meaning.
-    #[inline]
+    /// the fourth number is for [`Photo::has_data`].
+    #[inline(always)]
     pub fn at(&self, at_px: [f32; 2], interpolation: Interpolation) -> [f32; 4] {
         match interpolation {
-            Interpolation::Bilinear => self.sum::<2>(at_px, |t| [1.0 - t, t]),
+            Interpolation::Bilinear => self.bilinear(at_px),
             Interpolation::Bicubic => self.sum::<4>(at_px, |t| {
                 [
                     ((-0.5 * t + 1.0) * t - 0.5) * t,
@@ -53,6 +62,46 @@ impl Photo {
             }),
             Interpolation::Lanczos => self.sum::<6>(at_px, lanczos),
         }
+    }
+
+    /// The colours at positions, in bytes, opaque, each channel times a gain; all 0 where there are no data.
+    pub fn colours(
+        &self,
+        at_px: &[[f32; 2]],
+        interpolation: Interpolation,
+        gain: Option<[f32; 3]>,
+        out: &mut [[u8; 4]],
+    ) {
+        let photo = self;
+        pulp::Arch::new().dispatch(Colours { photo, at_px, interpolation, gain, out });
+    }
+
+    /// As [`Photo::sum`] of two, in loops that need no inlining to be fast.
+    #[inline(always)]
+    fn bilinear(&self, [u, v]: [f32; 2]) -> [f32; 4] {
+        let (column, row) = (u.floor(), v.floor());
+        let (s, t) = (u - column, v - row);
+        let (i, j) = (column as isize, row as isize);
+        let (width, height) = (self.width as isize, self.height as isize);
+        let (a, b, c, d);
+        if i >= 0 && j >= 0 && i + 1 < width && j + 1 < height {
+            let at = j as usize * self.width + i as usize;
+            let (top, bottom) = (&self.pixels[at..at + 2], &self.pixels[at + self.width..][..2]);
+            (a, b, c, d) = (top[0], top[1], bottom[0], bottom[1]);
+        } else {
+            let (left, right) = (i.clamp(0, width - 1), (i + 1).clamp(0, width - 1));
+            let (top, bottom) = (j.clamp(0, height - 1), (j + 1).clamp(0, height - 1));
+            let (above, below) = (top as usize * self.width, bottom as usize * self.width);
+            (a, b) = (self.pixels[above + left as usize], self.pixels[above + right as usize]);
+            (c, d) = (self.pixels[below + left as usize], self.pixels[below + right as usize]);
+        }
+        let mut colour = [0.0f32; 4];
+        for k in 0..4 {
+            let top = (1.0 - s) * f32::from(a[k]) + s * f32::from(b[k]);
+            let bottom = (1.0 - s) * f32::from(c[k]) + s * f32::from(d[k]);
+            colour[k] = (1.0 - t) * top + t * bottom;
+        }
+        colour
     }
 
     #[inline(always)]
@@ -93,6 +142,46 @@ impl Photo {
     }
 }
 
+/// Colours at many positions, with the machine's SIMD.
+struct Colours<'a> {
+    photo: &'a Photo,
+    at_px: &'a [[f32; 2]],
+    interpolation: Interpolation,
+    gain: Option<[f32; 3]>,
+    out: &'a mut [[u8; 4]],
+}
+
+impl pulp::WithSimd for Colours<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) {
+        let Colours { photo, at_px, interpolation, gain, out } = self;
+        let n = out.len().min(at_px.len());
+        let (at_px, out) = (&at_px[..n], &mut out[..n]);
+        let factors = gain.unwrap_or([1.0; 3]);
+        for i in 0..n {
+            let mut colour = match interpolation {
+                Interpolation::Bilinear => photo.bilinear(at_px[i]),
+                other => photo.at(at_px[i], other),
+            };
+            let data = (colour[3] - 255.0).abs() < 0.5;
+            if gain.is_some() {
+                for c in 0..3 {
+                    colour[c] *= factors[c];
+                }
+            }
+            colour[3] = 255.0;
+            let mut bytes = [0u8; 4];
+            for c in 0..4 {
+                // Beside 2^23 a number has no fractions, and its last byte is the rounded colour.
+                bytes[c] = (colour[c].clamp(0.0, 255.0) + 8_388_608.0).to_bits() as u8;
+            }
+            out[i] = if data { bytes } else { [0; 4] };
+        }
+    }
+}
+
 /// Weights of Lanczos' kernel with three lobes; they add up to 1.
 fn lanczos(t: f32) -> [f32; 6] {
     let mut weights = [0.0; 6];
@@ -113,7 +202,7 @@ mod tests {
     fn straight_ramps_are_kept_and_borders_repeated() {
         let ramp =
             RgbImage::from_fn(30, 20, |u, v| Rgb([(5 * u + 3 * v) as u8, (2 * u) as u8, 40]));
-        let photo = Photo::new(&ramp);
+        let photo = Photo::new(&ramp, None);
         for kind in [Interpolation::Bilinear, Interpolation::Bicubic] {
             let [r, g, b, _] = photo.at([8.25, 9.5], kind);
             for (found, expected) in [(r, 69.75), (g, 16.5), (b, 40.0)] {

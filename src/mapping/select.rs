@@ -13,13 +13,13 @@
 //! more than the block's size cannot win in it. Ties go to the photo that comes first. Nothing depends on
 //! how a map is divided into windows.
 
-use super::{Surface, View};
+use super::{
+    Surface, View,
+    cells::{CELLS, Cells, Frame, Pixels, SIDE},
+};
 use crate::raster::{georeference::Georeference, window::Window};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-
-/// Side of the blocks, cells.
-const BLOCK: usize = 16;
 
 /// Which of the photos that show a cell is taken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -49,7 +49,7 @@ pub struct Rules {
 }
 
 /// The photos of a window's cells, row by row.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Sources {
     /// The window.
     pub window: Window,
@@ -229,58 +229,65 @@ impl<'a> Selector<'a> {
 
     /// The photo of each cell of a window.
     pub fn sources(&self, window: Window) -> Sources {
-        let among = self.within(window);
-        let width = window.width;
-        let mut source = vec![0; window.pixels()];
-        let mut pixel = vec![[f32::NAN; 2]; window.pixels()];
-        source
-            .par_chunks_mut(width * BLOCK)
-            .zip(pixel.par_chunks_mut(width * BLOCK))
-            .enumerate()
-            .for_each_init(Vec::new, |order, (strip, (source, pixel))| {
-                let rows = source.len() / width.max(1);
-                for left in (0..width).step_by(BLOCK) {
-                    let block = Window {
-                        u: window.u + left,
-                        v: window.v + strip * BLOCK,
-                        width: BLOCK.min(width - left),
-                        height: rows,
-                    };
-                    self.block(block, &among, order, |i, j, k, at| {
-                        source[j * width + left + i] = k + 1;
-                        pixel[j * width + left + i] = at.map(|value| value as f32);
-                    });
-                }
-            });
-        Sources { window, source, pixel }
+        let mut sources = Sources { window, source: Vec::new(), pixel: Vec::new() };
+        self.sources_into(window, &mut sources);
+        sources
     }
 
-    /// Chooses for the cells of one block; `found(column, row, photo, pixel)`.
-    fn block(
-        &self,
-        block: Window,
-        among: &[u32],
-        order: &mut Vec<(f64, u32)>,
-        mut found: impl FnMut(usize, usize, u32, [f64; 2]),
-    ) {
-        let mut points = [[f64::NAN; 3]; BLOCK * BLOCK];
-        let mut bounds = [[f64::INFINITY, f64::NEG_INFINITY]; 3];
-        for j in 0..block.height {
-            for i in 0..block.width {
-                if let Some(point) = self.point_m(block.u + i, block.v + j) {
-                    points[j * BLOCK + i] = point;
-                    for (k, [low, high]) in bounds.iter_mut().enumerate() {
-                        (*low, *high) = (low.min(point[k]), high.max(point[k]));
+    /// As [`Selector::sources`], into memory that is there.
+    pub fn sources_into(&self, window: Window, out: &mut Sources) {
+        let among = self.within(window);
+        let width = window.width;
+        out.window = window;
+        out.source.clear();
+        out.source.resize(window.pixels(), 0);
+        out.pixel.resize(window.pixels(), [f32::NAN; 2]);
+        // Blocks lie on a grid of their own, so that nothing depends on the window.
+        let head = ((SIDE - window.v % SIDE) % SIDE).min(window.height) * width;
+        let (first_source, source) = out.source.split_at_mut(head);
+        let (first_pixel, pixel) = out.pixel.split_at_mut(head);
+        let below = window.v + head / width.max(1);
+        let strip =
+            |scratch: &mut Scratch, top: usize, source: &mut [u32], pixel: &mut [[f32; 2]]| {
+                let rows = top % SIDE..top % SIDE + source.len() / width.max(1);
+                let mut left = window.u - window.u % SIDE;
+                while left < window.u + width {
+                    let columns = window.u.max(left)..(window.u + width).min(left + SIDE);
+                    self.block([left, top - top % SIDE], &among, scratch);
+                    for (j, row) in rows.clone().enumerate() {
+                        let from = row * SIDE + columns.start - left;
+                        let to = j * width + columns.start - window.u;
+                        let n = columns.len();
+                        source[to..to + n].copy_from_slice(&scratch.source[from..from + n]);
+                        pixel[to..to + n].copy_from_slice(&scratch.pixel[from..from + n]);
                     }
+                    left += SIDE;
                 }
-            }
+            };
+        if head > 0 {
+            strip(&mut Scratch::new(), window.v, first_source, first_pixel);
         }
-        if bounds[0][0] > bounds[0][1] {
+        source
+            .par_chunks_mut((width * SIDE).max(1))
+            .zip(pixel.par_chunks_mut((width * SIDE).max(1)))
+            .enumerate()
+            .for_each_init(Scratch::new, |scratch, (n, (source, pixel))| {
+                strip(scratch, below + n * SIDE, source, pixel);
+            });
+    }
+
+    /// Chooses for the cells of one block.
+    fn block(&self, first: [usize; 2], among: &[u32], scratch: &mut Scratch) {
+        let Scratch { cells, order, source, pixel, shown, best, costs } = scratch;
+        source.fill(0);
+        cells.fill(first, &self.grid, self.surface, &self.to_surface);
+        if cells.known == 0 {
+            pixel.fill([f32::NAN; 2]);
             return;
         }
-        let middle = bounds.map(|[low, high]| 0.5 * (low + high));
-        let radius: f64 =
-            bounds.iter().map(|[low, high]| (0.5 * (high - low)).powi(2)).sum::<f64>().sqrt();
+        let middle = cells.bounds_m.map(|[low, high]| 0.5 * (low + high));
+        let half = cells.bounds_m.map(|[low, high]| 0.5 * (high - low));
+        let radius = half.iter().map(|h| h * h).sum::<f64>().sqrt();
         let by_distance = self.rules.choice == Choice::Closest;
         order.clear();
         order.extend(among.iter().map(|&k| {
@@ -289,35 +296,148 @@ impl<'a> Selector<'a> {
             (squared.sqrt(), k)
         }));
         order.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        for j in 0..block.height {
-            for i in 0..block.width {
-                let point = points[j * BLOCK + i];
-                if point[2].is_nan() {
+        // The only photo so far, and whether costs were needed.
+        let mut owner: Option<usize> = None;
+        let mut compared = false;
+        let mut painted = 0;
+        // A rule that asks each cell, and whether `pixel` has been written.
+        let simple = self.rules.max_angle_rad.is_none() && self.rules.visibility_m.is_none();
+        let mut projected = false;
+        for &(distance, k) in order.iter() {
+            let view = &self.views[k as usize];
+            if by_distance && painted == cells.known {
+                // The largest distance from a cell to its photo, and no less than that.
+                let hopeless = match owner {
+                    Some(own) => {
+                        order.iter().find(|o| o.1 as usize == own).map_or(0.0, |o| o.0) + radius
+                    }
+                    None => {
+                        best.iter().copied().filter(|c| c.is_finite()).fold(0.0, f64::max).sqrt()
+                    }
+                };
+                if distance > hopeless + radius * (1.0 + 1e-9) + 1e-9 {
+                    break;
+                }
+                if let Some(own) = owner
+                    && farther_everywhere(
+                        &middle,
+                        &half,
+                        self.views[own].centre_m(),
+                        view.centre_m(),
+                    )
+                {
                     continue;
                 }
-                let mut best: Option<(f64, u32, [f64; 2])> = None;
-                // The least distance from the block's middle of a photo that can no longer win.
-                let mut hopeless = f64::INFINITY;
-                for &(distance, k) in order.iter() {
-                    if distance > hopeless {
-                        break;
+            }
+            if painted == 0 && simple {
+                painted = cells.project(view, &self.frame(view), pixel);
+                projected = true;
+                if painted > 0 {
+                    for at in 0..CELLS {
+                        source[at] = if pixel[at][0].is_nan() { 0 } else { k + 1 };
                     }
-                    let view = &self.views[k as usize];
-                    let Some(cost) = self.cost(view, point) else { continue };
-                    let better = best.is_none_or(|(least, first, _)| {
-                        cost < least || (cost == least && k < first)
-                    });
-                    if better && let Some(at) = self.shown(view, point) {
-                        best = Some((cost, k, at));
-                        if by_distance {
-                            hopeless = cost.sqrt() + radius * (1.0 + 1e-9) + 1e-9;
-                        }
+                    owner = Some(k as usize);
+                }
+                continue;
+            }
+            if cells.project(view, &self.frame(view), shown) == 0 {
+                continue;
+            }
+            if !projected {
+                pixel.fill([f32::NAN; 2]);
+                projected = true;
+            }
+            if !compared {
+                best.fill(f64::INFINITY);
+                if let Some(own) = owner {
+                    self.costs(cells, own, costs);
+                    for ((best, cost), source) in
+                        best.iter_mut().zip(costs.iter()).zip(source.iter())
+                    {
+                        *best = if *source > 0 { *cost } else { f64::INFINITY };
                     }
                 }
-                if let Some((_, k, at)) = best {
-                    found(i, j, k, at);
+                compared = true;
+            }
+            self.costs(cells, k as usize, costs);
+            for at in 0..CELLS {
+                let (cost, least) = (costs[at], best[at]);
+                let better =
+                    cost < least || (cost == least && cost.is_finite() && k + 1 < source[at]);
+                if !better || shown[at][0].is_nan() {
+                    continue;
                 }
+                if let Some(tolerance_m) = self.rules.visibility_m {
+                    let point = cells.point_m(at % SIDE, at / SIDE);
+                    if !self.surface.sees(point, view.centre_m(), tolerance_m) {
+                        continue;
+                    }
+                }
+                painted += usize::from(source[at] == 0);
+                owner = None;
+                source[at] = k + 1;
+                pixel[at] = shown[at];
+                best[at] = cost;
+            }
+        }
+        if !projected {
+            pixel.fill([f32::NAN; 2]);
+        }
+    }
+
+    /// What a photo costs for each cell; infinite where the angle forbids it, or there is no height.
+    fn costs(&self, cells: &Cells, k: usize, out: &mut [f64; CELLS]) {
+        let view = &self.views[k];
+        for j in 0..SIDE {
+            for i in 0..SIDE {
+                let point = cells.point_m(i, j);
+                out[j * SIDE + i] =
+                    self.cost(view, point).filter(|c| c.is_finite()).unwrap_or(f64::INFINITY);
             }
         }
     }
+
+    /// The part of a photo that is used.
+    fn frame(&self, view: &View) -> Frame {
+        let size = view.interior.size_px().map(f64::from);
+        let border = self.rules.border_px - 0.5;
+        Frame {
+            least: [border.max(-0.5); 2],
+            most: size.map(|n| if border > -0.5 { n - 1.0 - border } else { n }),
+            below: size.map(|n| n - 0.5),
+        }
+    }
+}
+
+/// Working memory of a block.
+struct Scratch {
+    cells: Cells,
+    order: Vec<(f64, u32)>,
+    source: Box<[u32; CELLS]>,
+    pixel: Box<Pixels>,
+    shown: Box<Pixels>,
+    best: Box<[f64; CELLS]>,
+    costs: Box<[f64; CELLS]>,
+}
+
+impl Scratch {
+    fn new() -> Scratch {
+        Scratch {
+            cells: Cells::new(),
+            order: Vec::new(),
+            source: Box::new([0; CELLS]),
+            pixel: Box::new([[f32::NAN; 2]; CELLS]),
+            shown: Box::new([[f32::NAN; 2]; CELLS]),
+            best: Box::new([f64::INFINITY; CELLS]),
+            costs: Box::new([f64::INFINITY; CELLS]),
+        }
+    }
+}
+
+/// Whether all points of a box are farther from `other` than from `own`: the difference of the squared
+/// distances is linear, so it is least at a corner.
+fn farther_everywhere(middle: &[f64; 3], half: &[f64; 3], own: [f64; 3], other: [f64; 3]) -> bool {
+    let squared = |c: [f64; 3]| (0..3).map(|k| (c[k] - middle[k]).powi(2)).sum::<f64>();
+    let spread: f64 = (0..3).map(|k| 2.0 * (other[k] - own[k]).abs() * half[k]).sum();
+    squared(other) - squared(own) > spread
 }

@@ -18,6 +18,9 @@ pub enum Heights {
     Bicubic,
 }
 
+/// Rounding may put a position on the border a hair outside, in cells.
+const HAIR: f64 = 1e-6;
+
 /// A height for each cell of a grid.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Surface {
@@ -98,11 +101,48 @@ impl Surface {
         self.at_pixel(self.georeference.pixel(position_m)?)
     }
 
+    /// Bilinear heights along a row of its own grid, at the columns `first + step k`, NaN where there is none;
+    /// `line` is working memory.
+    pub(super) fn row(&self, v: f64, first: f64, step: f64, line: &mut Vec<f64>, out: &mut [f64]) {
+        let (right, below) = ((self.width - 1) as f64, (self.height - 1) as f64);
+        let last = first + step * (out.len() as f64 - 1.0);
+        let (least, most) = (first.min(last), first.max(last));
+        if !(v >= -HAIR && v <= below + HAIR && most >= -HAIR && least <= right + HAIR) {
+            out.fill(f64::NAN);
+            return;
+        }
+        let v = v.clamp(0.0, below);
+        let j = v as usize;
+        let t = v - j as f64;
+        // The columns that are needed, between the two rows.
+        let from = least.clamp(0.0, right) as usize;
+        let to = (most.clamp(0.0, right) as usize + 2).min(self.width);
+        let of = |j: usize| &self.heights_m[j * self.width + from..j * self.width + to];
+        line.clear();
+        if t > 0.0 {
+            line.extend(of(j).iter().zip(of((j + 1).min(self.height - 1))).map(|(&a, &b)| {
+                let (a, b) = (f64::from(a), f64::from(b));
+                a + t * (b - a)
+            }));
+        } else {
+            line.extend(of(j).iter().map(|&z| f64::from(z)));
+        }
+        // Beside the last column, where its weight is 0.
+        line.push(f64::NAN);
+        let between = Between {
+            line,
+            first: first - from as f64,
+            step,
+            right: [-(from as f64), right - from as f64],
+        };
+        for (n, out) in out.chunks_mut(LANES).enumerate() {
+            pulp::Arch::new().dispatch(InChunk { between: &between, start: n * LANES, out });
+        }
+    }
+
     /// The height at a position of its own grid, the centre of the first cell being (0, 0).
     #[inline]
     pub fn at_pixel(&self, [u, v]: [f64; 2]) -> Option<f64> {
-        // Rounding may put a position on the border a hair outside.
-        const HAIR: f64 = 1e-6;
         let (right, below) = ((self.width - 1) as f64, (self.height - 1) as f64);
         if !(u >= -HAIR && v >= -HAIR && u <= right + HAIR && v <= below + HAIR) {
             return None;
@@ -206,6 +246,56 @@ impl Surface {
     }
 }
 
+/// Positions that are computed together.
+const LANES: usize = 32;
+
+/// What heights along a row are read from.
+struct Between<'a> {
+    line: &'a [f64],
+    first: f64,
+    step: f64,
+    /// Positions of the surface's first and last column.
+    right: [f64; 2],
+}
+
+struct InChunk<'a> {
+    between: &'a Between<'a>,
+    start: usize,
+    out: &'a mut [f64],
+}
+
+impl pulp::WithSimd for InChunk<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) {
+        let Between { line, first, step, right: [left, right] } = *self.between;
+        let (mut share, mut outside) = ([0.0f64; LANES], [0.0f64; LANES]);
+        let mut column = [0i32; LANES];
+        for k in 0..LANES {
+            let at = first + step * (self.start + k) as f64;
+            let inside = (at >= left - HAIR) & (at <= right + HAIR);
+            outside[k] = if inside { 0.0 } else { f64::NAN };
+            let at = at.max(left).min(right).max(0.0);
+            column[k] = at as i32;
+            share[k] = at - f64::from(column[k]);
+        }
+        let (mut here, mut next) = ([0.0f64; LANES], [0.0f64; LANES]);
+        let last = line.len() - 2;
+        for k in 0..LANES {
+            let at = (column[k] as usize).min(last);
+            (here[k], next[k]) = (line[at], line[at + 1]);
+        }
+        for k in 0..LANES {
+            // A neighbour whose weight is 0 need not be known.
+            let between = here[k] + share[k] * (next[k] - here[k]);
+            here[k] = outside[k] + if share[k] == 0.0 { here[k] } else { between };
+        }
+        let n = self.out.len();
+        self.out.copy_from_slice(&here[..n]);
+    }
+}
+
 /// Keys' cubic weights (`a = -1/2`) of the four cells around a position.
 fn keys(t: f64) -> [f64; 4] {
     [
@@ -269,7 +359,7 @@ mod tests {
 
     #[test]
     fn degrees_and_emptiness_are_refused() {
-        let crs = Crs { epsg: Some(4326), kind: CrsKind::Geographic };
+        let crs = Crs::geographic(4326);
         let place = Georeference::north_up([9.0, 48.0], 1e-5, crs);
         let error = Surface::new(place, [1, 1], vec![1.0], Heights::Bilinear).unwrap_err();
         assert!(error.to_string().contains("degrees"), "{error}");

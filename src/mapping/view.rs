@@ -59,17 +59,34 @@ impl View {
         self.rotation.map(|row| row[0] * d[0] + row[1] * d[1] + row[2] * d[2])
     }
 
+    /// World to camera frame: the rows of the rotation.
+    pub(super) fn rotation(&self) -> &[[f64; 3]; 3] {
+        &self.rotation
+    }
+
+    /// Whether it has a rolling shutter.
+    pub(super) fn rolls(&self) -> bool {
+        self.motion.is_some()
+    }
+
     /// The pixel that shows a point; `None` where the photo does not.
     #[inline]
     pub fn pixel(&self, point_m: [f64; 3]) -> Option<[f64; 2]> {
-        let in_camera = self.to_camera(point_m);
+        let at = self.image_px(self.to_camera(point_m))?;
+        self.inside(at).then_some(at)
+    }
+
+    /// Where in the image plane a point of the camera frame (of the middle of the exposure) is, inside the
+    /// photo or not; `None` where the lens has no answer.
+    #[inline]
+    pub(super) fn image_px(&self, in_camera: [f64; 3]) -> Option<[f64; 2]> {
         let mut at = self.interior.project(in_camera)?;
         if let Some(motion) = &self.motion {
             for _ in 0..4 {
                 at = self.interior.project(moved(in_camera, motion, self.share(at[1])))?;
             }
         }
-        self.inside(at).then_some(at)
+        Some(at)
     }
 
     /// Where in the readout a row is: -1/2 for the first, +1/2 for the last.
@@ -132,9 +149,9 @@ impl View {
         })
     }
 
-    /// Bounds of what the photo shows of a surface, close ones where its whole outline is on the surface;
-    /// `None` where it shows nothing of it.
-    pub fn footprint_m(&self, surface: &Surface) -> Option<Bounds> {
+    /// Bounds of what the photo shows of a surface, and whether its whole outline is on the surface, where they are
+    /// close; `None` where it shows nothing of it.
+    pub fn footprint_m(&self, surface: &Surface) -> Option<(Bounds, bool)> {
         let mut bounds = [[f64::INFINITY, f64::NEG_INFINITY]; 2];
         for at in self.outline() {
             let Some(point) = self.ground(at, surface) else {
@@ -143,13 +160,13 @@ impl View {
                 let both: Bounds = std::array::from_fn(|k| {
                     [reach[k][0].max(known[k][0]), reach[k][1].min(known[k][1])]
                 });
-                return both.iter().all(|[low, high]| low <= high).then_some(both);
+                return both.iter().all(|[low, high]| low <= high).then_some((both, false));
             };
             for (k, [least, most]) in bounds.iter_mut().enumerate() {
                 (*least, *most) = (least.min(point[k]), most.max(point[k]));
             }
         }
-        Some(bounds)
+        Some((bounds, true))
     }
 
     fn outline(&self) -> Vec<[f64; 2]> {

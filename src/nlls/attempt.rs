@@ -36,7 +36,7 @@ impl Normal {
                 self.kept_vector[start + k] = -(g + self.kept_vector[start + k]);
             }
         }
-        self.cholesky.solve(&mut self.kept_vector, 1);
+        self.solver.solve(&self.matrix, &mut self.kept_vector, 1);
         for (place, &block) in self.structure.kept.iter().enumerate() {
             let block = &problem.blocks[block];
             let n = block.space.tangent();

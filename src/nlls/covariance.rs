@@ -37,7 +37,7 @@ impl<'a> Covariance<'a> {
     /// # Errors
     /// [`SolveError::RankDeficient`] names the blocks that the observations leave undetermined.
     pub fn new(problem: &'a Problem, x: &[f64], linear: Linear) -> Result<Self, SolveError> {
-        let mut normal = Normal::new(problem, linear, false)?;
+        let mut normal = Normal::new(problem, linear.exact(), 0.0, false)?;
         normal
             .linearize(problem, x)
             .map_err(|(batch, factor)| problem.infeasible(&problem.batches[batch], factor))?;
@@ -129,7 +129,7 @@ impl<'a> Covariance<'a> {
         } else {
             return rhs;
         }
-        self.normal.cholesky.solve(&mut rhs, n);
+        self.normal.solver.solve(&self.normal.matrix, &mut rhs, n);
         rhs
     }
 
@@ -216,7 +216,7 @@ fn undetermined_directions(problem: &Problem, normal: &mut Normal) -> Vec<Vec<f6
     // Makes the factorisation exist; small against what counts as undetermined.
     let mut shift = RANK_TOLERANCE * 0.01;
     shifted.add_to_diagonal(&vec![shift; n]);
-    while normal.cholesky.factorize(&shifted).is_err() && shift < 1.0 {
+    while normal.solver.factorize(&shifted).is_err() && shift < 1.0 {
         shifted.add_to_diagonal(&vec![9.0 * shift; n]);
         shift *= 10.0;
     }
@@ -227,7 +227,7 @@ fn undetermined_directions(problem: &Problem, normal: &mut Normal) -> Vec<Vec<f6
     });
     for _ in 0..4 {
         basis = basis.qr().q();
-        normal.cholesky.solve(basis.as_mut_slice(), count);
+        normal.solver.solve(&shifted, basis.as_mut_slice(), count);
     }
     let basis = basis.qr().q();
     let mut image = DMatrix::zeros(n, count);
@@ -258,7 +258,7 @@ pub fn undetermined(
     x: &[f64],
     linear: Linear,
 ) -> Result<Vec<Direction>, SolveError> {
-    let mut normal = Normal::new(problem, linear, false)?;
+    let mut normal = Normal::new(problem, linear.exact(), 0.0, false)?;
     normal
         .linearize(problem, x)
         .map_err(|(batch, factor)| problem.infeasible(&problem.batches[batch], factor))?;

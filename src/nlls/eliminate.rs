@@ -185,7 +185,7 @@ pub(super) fn inner(a: &[f64], b: &[f64]) -> f64 {
 }
 
 /// Cholesky factor of a small row-major matrix, in its lower triangle.
-fn factor_in_place(a: &mut [f64], n: usize) -> Result<(), NotPositiveDefinite> {
+pub(super) fn factor_in_place(a: &mut [f64], n: usize) -> Result<(), NotPositiveDefinite> {
     for j in 0..n {
         let pivot = a[j * n + j] - a[j * n..j * n + j].iter().map(|v| v * v).sum::<f64>();
         // A NaN fails this test too.

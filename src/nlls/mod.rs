@@ -15,6 +15,7 @@
 mod attempt;
 pub mod check;
 mod cholesky;
+mod conjugate;
 pub mod covariance;
 mod eliminate;
 mod factor;
@@ -24,6 +25,7 @@ mod loss;
 mod normal;
 mod pairs;
 mod problem;
+mod reduced;
 mod space;
 mod stages;
 mod structure;
@@ -58,6 +60,17 @@ pub enum Linear {
     /// system, sparse or dense by its fill.
     #[default]
     Schur,
+    /// Blocks marked with [`Problem::eliminate`] first; then conjugate gradients on the reduced system,
+    /// preconditioned by its diagonal blocks, to [`Options::linear_tolerance`]. For networks so large and
+    /// so dense that the factor of the reduced system is the trouble.
+    IterativeSchur,
+}
+
+impl Linear {
+    /// The same elimination with a factorisation: what covariances need.
+    fn exact(self) -> Linear {
+        if self == Linear::IterativeSchur { Linear::Schur } else { self }
+    }
 }
 
 /// Runs [`LeastSquares`] on `problem` from `x` until it stops by itself or after

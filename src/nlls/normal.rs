@@ -14,11 +14,12 @@
 
 use super::{
     Linear,
-    cholesky::{BlockMatrix, Cholesky, NotPositiveDefinite},
+    cholesky::{BlockMatrix, NotPositiveDefinite},
     eliminate::{Partial, damping, eliminate},
     factor::{InfeasibleFactor, Linearization, batch_cost, linearize_batch},
     fused::{self, FusedWork, Settings, Sums},
     problem::Problem,
+    reduced::Reduced,
     structure::{NONE, Structure},
 };
 use crate::engine::SolveError;
@@ -31,7 +32,7 @@ pub(super) struct Normal {
     pub(super) linearizations: Vec<Linearization>,
     pub(super) partials: Vec<Partial>,
     pub(super) matrix: BlockMatrix,
-    pub(super) cholesky: Cholesky,
+    pub(super) solver: Reduced,
     pub(super) spare: Linearization,
     /// Share of the losses' curvature in the next linearisation.
     pub(super) curvature_share: f64,
@@ -49,10 +50,15 @@ pub(super) struct Normal {
 
 impl Normal {
     /// Analyses the problem. With `fuse`, a batch that can be eliminated without being stored is;
-    /// then only [`Normal::attempt`] makes steps.
-    pub(super) fn new(problem: &Problem, linear: Linear, fuse: bool) -> Result<Normal, SolveError> {
+    /// then only [`Normal::attempt`] makes steps. `linear_tolerance` is for [`Linear::IterativeSchur`].
+    pub(super) fn new(
+        problem: &Problem,
+        linear: Linear,
+        linear_tolerance: f64,
+        fuse: bool,
+    ) -> Result<Normal, SolveError> {
         let (mut structure, matrix) = Structure::new(problem, linear)?;
-        let cholesky = Cholesky::analyze(&matrix, linear == Linear::Dense);
+        let solver = Reduced::analyze(&matrix, linear, linear_tolerance);
         let fused = if fuse { fused::find(problem, &structure, &matrix) } else { None };
         let mut tangent = problem.tangent_len();
         let mut partials = Vec::new();
@@ -70,7 +76,7 @@ impl Normal {
             partials,
             kept_vector: vec![0.0; matrix.dimension()],
             matrix,
-            cholesky,
+            solver,
             structure,
             spare: Linearization::default(),
             curvature_share: 0.0,
@@ -210,7 +216,7 @@ impl Normal {
         lambda: f64,
     ) -> Result<(), NotPositiveDefinite> {
         self.eliminate(problem, x, lambda)?;
-        self.cholesky.factorize(&self.matrix)
+        self.solver.factorize(&self.matrix)
     }
 
     fn add_partials(&mut self, problem: &Problem) {

@@ -1,6 +1,6 @@
 //! The parts of one Levenberg-Marquardt step, one by one: for benchmarks and for looking inside.
 
-use super::{Linear, normal::Normal, problem::Problem};
+use super::{Linear, normal::Normal, problem::Problem, trust_region::LINEAR_TOLERANCE};
 use crate::engine::SolveError;
 
 /// A problem whose steps are made part by part. The parts are called in the order in which they
@@ -20,7 +20,7 @@ impl<'a> Stages<'a> {
     /// # Errors
     /// Where the problem cannot be solved as posed.
     pub fn new(problem: &'a Problem, linear: Linear, fuse: bool) -> Result<Self, SolveError> {
-        let normal = Normal::new(problem, linear, fuse)?;
+        let normal = Normal::new(problem, linear, LINEAR_TOLERANCE, fuse)?;
         let step = vec![0.0; normal.gradient.len()];
         Ok(Stages { problem, normal, x: problem.start(), step })
     }
@@ -54,10 +54,10 @@ impl<'a> Stages<'a> {
         self.normal.eliminate(self.problem, &self.x, lambda).is_ok()
     }
 
-    /// Cholesky of the reduced system; says whether it is positive definite.
+    /// Cholesky of the reduced system, or of its diagonal blocks; says whether it is positive definite.
     pub fn factorize(&mut self) -> bool {
         let normal = &mut self.normal;
-        normal.cholesky.factorize(&normal.matrix).is_ok()
+        normal.solver.factorize(&normal.matrix).is_ok()
     }
 
     /// The step of the kept blocks, and of all blocks where Jacobians are stored.

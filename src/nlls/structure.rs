@@ -78,7 +78,7 @@ impl Structure {
         problem: &Problem,
         linear: Linear,
     ) -> Result<(Structure, BlockMatrix), SolveError> {
-        let eliminating = linear == Linear::Schur;
+        let eliminating = matches!(linear, Linear::Schur | Linear::IterativeSchur);
         let blocks = &problem.blocks;
         let (mut place, mut point) = (vec![NONE; blocks.len()], vec![NONE; blocks.len()]);
         let (mut kept, mut eliminated) = (Vec::new(), Vec::new());

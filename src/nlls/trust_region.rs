@@ -29,6 +29,9 @@ pub struct Options {
     pub method: Method,
     /// How the linear systems are solved.
     pub linear: Linear,
+    /// Conjugate gradients stop where the residual, in the norm of the preconditioner, is below this
+    /// share of the first.
+    pub linear_tolerance: f64,
     /// How a robust loss enters the Hessian.
     pub curvature: Curvature,
     /// Stop where an accepted step decreases the cost by less than this share of it.
@@ -49,6 +52,7 @@ impl Default for Options {
         Options {
             method: Method::LevenbergMarquardt,
             linear: Linear::Schur,
+            linear_tolerance: LINEAR_TOLERANCE,
             curvature: Curvature::Adaptive,
             cost_tolerance: 1e-9,
             gradient_tolerance: 1e-10,
@@ -62,6 +66,7 @@ impl Default for Options {
 impl Options {
     fn check(&self) -> Result<(), SolveError> {
         for (name, value) in [
+            ("linear-tolerance", self.linear_tolerance),
             ("cost-tolerance", self.cost_tolerance),
             ("gradient-tolerance", self.gradient_tolerance),
             ("step-tolerance", self.step_tolerance),
@@ -126,6 +131,8 @@ const MIN_LAMBDA: f64 = 1e-15;
 /// The damping falls to no less than this share after the best of steps: a third, the usual bound,
 /// costs bundle blocks one to three more iterations.
 const MOST_RELIEF: f64 = 0.1;
+/// A step that is right to a percent gains nearly what the exact one does.
+pub(super) const LINEAR_TOLERANCE: f64 = 1e-2;
 /// Damping of Dogleg's Gauss-Newton step, raised where the system is singular.
 const GAUSS_NEWTON_LAMBDA: f64 = 1e-10;
 
@@ -153,6 +160,7 @@ impl LeastSquares {
         let mut normal = Normal::new(
             problem,
             self.options.linear,
+            self.options.linear_tolerance,
             self.options.method == Method::LevenbergMarquardt,
         )?;
         let cost = normal
@@ -219,6 +227,7 @@ impl Engine<Problem> for LeastSquares {
                 ("predicted_decrease", 0.0),
                 ("ratio", 0.0),
                 ("curvature_share", self.memory.curvature_share),
+                ("linear_products", work.normal.solver.take_products() as f64),
             ],
         };
         if cosine <= self.options.gradient_tolerance {

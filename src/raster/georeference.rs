@@ -29,16 +29,23 @@ pub struct Crs {
     pub epsg: Option<u32>,
     /// The kind of its coordinates.
     pub kind: CrsKind,
+    /// The code in the EPSG registry of what heights are measured from, where that is known.
+    pub vertical_epsg: Option<u32>,
 }
 
 impl Crs {
     /// A projected one of the registry.
     pub fn projected(epsg: u32) -> Crs {
-        Crs { epsg: Some(epsg), kind: CrsKind::Projected }
+        Crs { epsg: Some(epsg), kind: CrsKind::Projected, vertical_epsg: None }
+    }
+
+    /// Longitude and latitude of the registry.
+    pub fn geographic(epsg: u32) -> Crs {
+        Crs { epsg: Some(epsg), kind: CrsKind::Geographic, vertical_epsg: None }
     }
 
     /// Metres in a frame of one's own.
-    pub const LOCAL: Crs = Crs { epsg: None, kind: CrsKind::Projected };
+    pub const LOCAL: Crs = Crs { epsg: None, kind: CrsKind::Projected, vertical_epsg: None };
 }
 
 /// Where a raster lies on the map.
@@ -117,7 +124,7 @@ mod tests {
 
     #[test]
     fn degrees_are_no_ground_sampling_distance() {
-        let crs = Crs { epsg: Some(4326), kind: CrsKind::Geographic };
+        let crs = Crs::geographic(4326);
         assert_eq!(Georeference::north_up([9.0, 48.0], 1e-7, crs).gsd_m(), None);
         let flat = Georeference {
             per_row: [1.0, 0.0],

@@ -7,7 +7,7 @@
 use std::ops::Range;
 
 /// A rectangle of pixels: columns `u..u + width`, rows `v..v + height`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Window {
     /// First column.
     pub u: usize,

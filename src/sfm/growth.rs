@@ -265,7 +265,8 @@ impl<'a> Grower<'a, '_> {
 
     /// Adjusts everything, and again where that has changed what belongs to what.
     fn everything(&mut self, last: bool) -> Result<(), SolveError> {
-        if self.block.registered() >= self.growing.free_from {
+        // Where nothing is named the cameras keep what they say themselves.
+        if !self.growing.free.is_empty() && self.block.registered() >= self.growing.free_from {
             for camera in &mut self.block.cameras {
                 // A model without one of these parameters goes without it.
                 let names: Vec<&String> = self

@@ -183,7 +183,7 @@ fn between(x: &[Vector3<f64>; 3], y: &[Vector3<f64>; 3]) -> Option<Pose> {
 }
 
 /// The quaternion of a rotation matrix.
-pub(super) fn quaternion(m: &Matrix3<f64>) -> rotation::Quaternion {
+pub fn quaternion(m: &Matrix3<f64>) -> rotation::Quaternion {
     let q = UnitQuaternion::from_matrix(m);
     rotation::normalize([q.w, q.i, q.j, q.k])
 }

@@ -2,7 +2,8 @@
 
 use super::toy::{NOISE, Noise, Plan, measured, truth, with_positions};
 use rowgram::problems::adjustment::{
-    Group, Role, Settings, Snooping, Testing, adjust, leave_one_out, snoop, variance_components,
+    Group, Role, Settings, Snooping, Testing, adjust, doubtful, leave_one_out, snoop,
+    variance_components,
 };
 
 #[test]
@@ -59,11 +60,23 @@ fn a_wrong_control_point_is_named_not_averaged_in() {
     bad.ground[wrong].position_m[2] -= 0.8;
     let name = format!("control point {}", bad.ground[wrong].name);
     let averaged = adjust(&mut bad.clone(), &Settings::default()).unwrap();
+    let mut worse = bad.clone();
     let snooped = snoop(&mut bad, &Settings::default(), &Snooping::default()).unwrap();
     assert_eq!(snooped.removed.len(), 1, "{:?}", snooped.removed);
     assert_eq!(snooped.removed[0].name, name);
     let residual = snooped.removed[0].residual;
     assert!(residual[0] < -0.05 && residual[2] > 0.05, "{residual:?}");
+    // How far off it is was told before it went.
+    let error = snooped.removed[0].error;
+    assert!((error[0] - 0.6).abs() < 0.1 && (error[2] + 0.8).abs() < 0.15, "{error:?}");
+    // What is off by no more than a metre and more may be kept, and is named.
+    let lenient = Snooping { least_error_m: 2.0, ..Snooping::default() };
+    let settings = Settings::default();
+    let kept = snoop(&mut worse.clone(), &settings, &lenient).unwrap();
+    assert!(kept.complete && kept.removed.is_empty(), "{:?}", kept.removed);
+    assert_eq!(doubtful(&kept.adjusted, &settings, &lenient)[0].name, name);
+    let stricter = Snooping { least_error_m: 0.5, ..Snooping::default() };
+    assert_eq!(snoop(&mut worse, &settings, &stricter).unwrap().removed[0].name, name);
     // It is a check point now, and its error is what was planted.
     let check = snooped.adjusted.check_points.iter().find(|check| check.ground == wrong).unwrap();
     assert!(

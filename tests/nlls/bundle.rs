@@ -129,6 +129,27 @@ fn exact_observations_recover_the_truth() {
 }
 
 #[test]
+fn conjugate_gradients_come_to_the_same_optimum() {
+    let mut start = network(4, 6, 200, 0.5);
+    perturb(&mut start, 5, 1.0);
+    for sharing in [InteriorSharing::PerImage, InteriorSharing::Shared] {
+        for method in [Method::LevenbergMarquardt, Method::Dogleg] {
+            let with = |linear, linear_tolerance| {
+                let options = Options { method, linear, linear_tolerance, ..Options::default() };
+                adjust(&start, sharing, &options).0
+            };
+            let exact = with(Linear::Schur, 0.01);
+            let iterated = with(Linear::IterativeSchur, 0.01);
+            let ratio = iterated.final_cost / exact.final_cost;
+            assert!((ratio - 1.0).abs() < 1e-6, "{sharing:?} {method:?}: {iterated} {exact}");
+            // To the last digit, every step is the exact one.
+            let tight = with(Linear::IterativeSchur, 1e-13);
+            assert_eq!(tight.iterations, exact.iterations, "{sharing:?} {method:?}");
+        }
+    }
+}
+
+#[test]
 fn dense_sparse_and_schur_take_the_same_steps() {
     let mut start = network(4, 3, 150, 0.5);
     perturb(&mut start, 5, 1.0);

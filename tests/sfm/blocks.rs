@@ -194,3 +194,34 @@ fn the_number_of_threads_changes_nothing() {
     };
     assert_eq!(run(1), run(4));
 }
+
+/// From matches to the adjusted block of a flight like that of the paper (489 photos).
+/// `cargo test --release --test it -- --ignored --nocapture five_hundred`
+#[test]
+#[ignore = "takes a minute; a measurement of speed"]
+fn five_hundred_images_are_oriented_in_less_than_a_minute() {
+    let flight = Flight { strips: 21, per_strip: 24, points: 70_000, ..Flight::default() };
+    let flown = flight.fly();
+    let begin = std::time::Instant::now();
+    let (tracks, pairs) = tracks(&flown);
+    eprintln!("{} pairs of {}: {:?}", pairs.len(), flown.matched.len(), begin.elapsed());
+    let blocks = grow(&flown, &tracks, &pairs);
+    eprintln!("{} of {} images: {:?}", blocks[0].registered(), 504, begin.elapsed());
+    assert_eq!(blocks.len(), 1);
+    assert_eq!(blocks[0].registered(), 504);
+    let mut known = known(&flown);
+    known.positions.clear();
+    let mut block = join(blocks, &mut known, &DEMANDS).unwrap().block;
+    prepare(&mut block);
+    for _ in 0..3 {
+        adjust(&mut block, &known, 0.4, &DEMANDS, 30).unwrap();
+    }
+    let (mut survey, _, order) = block.survey(None);
+    known.attach(&mut survey, &order);
+    let adjusted = judge(&mut survey, &Settings::default()).unwrap();
+    let seconds = begin.elapsed().as_secs_f64();
+    let worst = adjusted.check_points.iter().flat_map(|check| check.error_m);
+    let worst = worst.map(f64::abs).fold(0.0, f64::max);
+    eprintln!("{} points, {seconds:.1} s, check points within {worst:.3} m", survey.points.len());
+    assert!(worst < 0.2 && seconds < 60.0);
+}

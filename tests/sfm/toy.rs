@@ -130,6 +130,11 @@ impl Flight {
         let mut matched = Vec::new();
         for a in 0..poses.len() {
             for b in a + 1..poses.len() {
+                // Photos that far apart show nothing in common.
+                let (p, q): ([f64; 3], [f64; 3]) = (poses[a].centre_m(), poses[b].centre_m());
+                if (p[0] - q[0]).hypot(p[1] - q[1]) > 3.0 * HEIGHT_M {
+                    continue;
+                }
                 let common = (0..points.len()).filter_map(|p| Some([shows[a][p]?, shows[b][p]?]));
                 let mut matches: Vec<[u32; 2]> = common.collect();
                 if matches.len() < 20 {

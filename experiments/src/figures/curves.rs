@@ -216,83 +216,60 @@ fn draw(
         (x_low, x_high) = (-0.5, labels.len() as f64 - 0.5);
     }
     let (y_low, y_high) = extent(points().flat_map(|p| [p.low, p.high, p.y])).unwrap_or((0.0, 1.0));
-    let names: Vec<&str> =
-        all.first().map_or(Vec::new(), |panel| panel.iter().map(|(n, _)| n.as_str()).collect());
-    // Many series need room below: their names go under the plot, three to a line.
+    let names: Vec<String> =
+        all.first().map_or(Vec::new(), |panel| panel.iter().map(|(n, _)| n.clone()).collect());
+    let names = figure.legend(&names);
     let height = 400 + if labels.len() > 4 { 60 } else { 0 };
     let (_, columns) = scale::layout(parts.len());
-    let legend_rows = if names.len() > 1 { names.len().div_ceil(2) as u32 } else { 0 };
-    let legend = if parts.len() == 1 { 26 * legend_rows + 6 } else { 0 };
-    scale::canvas(
-        parts.len() + usize::from(parts.len() > 1 && names.len() > 1),
-        height + legend,
-        |panel, area| {
-            if panel == parts.len() {
-                return legend_of(area, &names, 1);
-            }
-            let (upper, lower) = area.split_vertically(height);
-            if legend > 0 {
-                legend_of(&lower, &names, 2)?;
-            }
-            let area = if parts.len() == 1 { &upper } else { area };
-            let mut builder = ChartBuilder::on(area);
-            builder.margin(10).margin_right(24).y_label_area_size(if columns > 2 {
-                70
-            } else {
-                84
-            });
-            let rotated = labels.iter().map(String::len).sum::<usize>() > 40;
-            builder.x_label_area_size(if rotated { 150 } else { 58 });
-            if !parts[panel].0.is_empty() {
-                builder.caption(&parts[panel].0, font(TITLE));
-            }
-            let mut chart = builder.build_cartesian_2d(x_low..x_high, y_low..y_high)?;
-            let name_of = |x: &f64| -> String {
-                if labels.is_empty() {
-                    return tick(*x, figure.x_log);
-                }
-                let near = (x - x.round()).abs() < 0.01;
-                let label = labels.get(x.round().max(0.0) as usize).filter(|_| near && *x >= -0.01);
-                label.cloned().unwrap_or_default()
-            };
-            let y_name = |y: &f64| tick(*y, figure.y_log);
-            let mut mesh = chart.configure_mesh();
-            mesh.light_line_style(TRANSPARENT)
-                .bold_line_style(BLACK.mix(0.12))
-                .axis_desc_style(font(LABEL))
-                .label_style(font(LABEL - 2))
-                .x_desc(x_text)
-                .y_desc(y_text)
-                .x_label_formatter(&name_of)
-                .y_label_formatter(&y_name)
-                .y_labels(6);
+    scale::canvas(parts.len(), height, &names, |panel, area| {
+        let mut builder = ChartBuilder::on(area);
+        builder.margin(10).margin_right(24).y_label_area_size(if columns > 2 { 70 } else { 84 });
+        let rotated = labels.iter().map(String::len).sum::<usize>() > 40;
+        builder.x_label_area_size(if rotated { 150 } else { 58 });
+        if !parts[panel].0.is_empty() {
+            builder.caption(&parts[panel].0, font(TITLE));
+        }
+        let mut chart = builder.build_cartesian_2d(x_low..x_high, y_low..y_high)?;
+        let name_of = |x: &f64| -> String {
             if labels.is_empty() {
-                mesh.x_labels(6);
-            } else {
-                mesh.x_labels(2 * labels.len() + 1);
-                if rotated {
-                    mesh.x_label_style(font(LABEL - 4).transform(FontTransform::Rotate90));
-                }
+                return tick(*x, figure.x_log);
             }
-            mesh.draw()?;
-            for mark in marks.clone() {
-                let line = [(mark, y_low), (mark, y_high)];
-                chart.draw_series(DashedLineSeries::new(
-                    line,
-                    6,
-                    5,
-                    BLACK.mix(0.6).stroke_width(2),
-                ))?;
+            let near = (x - x.round()).abs() < 0.01;
+            let label = labels.get(x.round().max(0.0) as usize).filter(|_| near && *x >= -0.01);
+            label.cloned().unwrap_or_default()
+        };
+        let y_name = |y: &f64| tick(*y, figure.y_log);
+        let mut mesh = chart.configure_mesh();
+        mesh.light_line_style(TRANSPARENT)
+            .bold_line_style(BLACK.mix(0.12))
+            .axis_desc_style(font(LABEL))
+            .label_style(font(LABEL - 2))
+            .x_desc(x_text)
+            .y_desc(y_text)
+            .x_label_formatter(&name_of)
+            .y_label_formatter(&y_name)
+            .y_labels(6);
+        if labels.is_empty() {
+            mesh.x_labels(6);
+        } else {
+            mesh.x_labels(2 * labels.len() + 1);
+            if rotated {
+                mesh.x_label_style(font(LABEL - 4).transform(FontTransform::Rotate90));
             }
-            for (s, (_, lines)) in all[panel].iter().enumerate() {
-                series(&mut chart, s, lines, joined)?;
-            }
-            Ok(())
-        },
-    )
+        }
+        mesh.draw()?;
+        for mark in marks.clone() {
+            let line = [(mark, y_low), (mark, y_high)];
+            chart.draw_series(DashedLineSeries::new(line, 6, 5, BLACK.mix(0.6).stroke_width(2)))?;
+        }
+        for (s, (_, lines)) in all[panel].iter().enumerate() {
+            series(&mut chart, s, lines, joined)?;
+        }
+        Ok(())
+    })
 }
 
-type Chart<'a, 'b> = ChartContext<
+pub(super) type Chart<'a, 'b> = ChartContext<
     'a,
     SVGBackend<'b>,
     Cartesian2d<plotters::coord::types::RangedCoordf64, plotters::coord::types::RangedCoordf64>,
@@ -308,6 +285,14 @@ fn series<'b>(chart: &mut Chart<'_, 'b>, s: usize, lines: &[Vec<Point>], joined:
                 let band: Vec<(f64, f64)> = upper.chain(lower).collect();
                 chart.draw_series(std::iter::once(Polygon::new(band, light(s))))?;
                 chart.draw_series(LineSeries::new(line(), colour(s).stroke_width(3)))?;
+            }
+            Joined::Line | Joined::Step if scale::is_dashed(s) => {
+                chart.draw_series(DashedLineSeries::new(
+                    line(),
+                    9,
+                    6,
+                    colour(s).stroke_width(2),
+                ))?;
             }
             Joined::Line => {
                 chart.draw_series(LineSeries::new(line(), colour(s).mix(0.7).stroke_width(2)))?;
@@ -331,7 +316,7 @@ fn series<'b>(chart: &mut Chart<'_, 'b>, s: usize, lines: &[Vec<Point>], joined:
 }
 
 /// The marker of a series, its form as telling as its colour.
-fn marker<'b>(chart: &mut Chart<'_, 'b>, s: usize, at: (f64, f64)) -> Done {
+pub(super) fn marker<'b>(chart: &mut Chart<'_, 'b>, s: usize, at: (f64, f64)) -> Done {
     let (area, style) = (chart.plotting_area(), colour(s).filled());
     match s % 4 {
         0 => area.draw(&Circle::new(at, 5, style))?,
@@ -347,9 +332,13 @@ pub(super) fn legend_of(area: &Area<'_>, names: &[&str], columns: usize) -> Done
     let (width, _) = area.dim_in_pixel();
     let wide = (width as usize / columns) as i32;
     for (s, name) in names.iter().enumerate() {
-        let at = (14 + (s % columns) as i32 * wide, 16 + (s / columns) as i32 * 26);
-        let line = [(at.0, at.1), (at.0 + 34, at.1)];
-        area.draw(&PathElement::new(line, colour(s).stroke_width(3)))?;
+        let at = (14 + (s % columns) as i32 * wide, 16 + (s / columns) as i32 * scale::LINE as i32);
+        let ends: &[(i32, i32)] =
+            if scale::is_dashed(s) { &[(0, 9), (25, 34)] } else { &[(0, 34)] };
+        for (from, to) in ends {
+            let line = [(at.0 + from, at.1), (at.0 + to, at.1)];
+            area.draw(&PathElement::new(line, colour(s).stroke_width(3)))?;
+        }
         let middle = (at.0 + 17, at.1);
         match s % 4 {
             0 => area.draw(&Circle::new(middle, 5, colour(s).filled()))?,

@@ -2,20 +2,25 @@
 
 use super::{
     Drawn, Figure,
-    curves::legend_of,
+    curves::marker,
     panels, plain,
-    scale::{self, LABEL, TITLE, colour, extent, font, tick, viridis},
+    scale::{self, LABEL, TITLE, colour, extent, font, short, tick, viridis},
 };
 use crate::data::Frame;
 use plotters::prelude::*;
 
-/// Smallest distance between neighbouring different numbers.
-fn spacing(values: &[f64]) -> f64 {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    sorted.dedup();
-    let gap = sorted.windows(2).map(|w| w[1] - w[0]).fold(f64::INFINITY, f64::min);
-    if gap.is_finite() { gap } else { 1.0 }
+/// The different numbers, ascending, and the borders half-way between neighbours; those at the ends are as
+/// far out as their neighbours are in.
+fn cells(values: impl Iterator<Item = f64>) -> (Vec<f64>, Vec<f64>) {
+    let mut places: Vec<f64> = values.collect();
+    places.sort_by(f64::total_cmp);
+    places.dedup();
+    let last = places.len() - 1;
+    let half = |k: usize| if last == 0 { 0.5 } else { 0.5 * (places[k + 1] - places[k]) };
+    let mut borders = vec![places[0] - half(0)];
+    borders.extend((0..last).map(|k| places[k] + half(k)));
+    borders.push(places[last] + half(last.saturating_sub(1)));
+    (places, borders)
 }
 
 fn columns(frame: &Frame, names: &[&str]) -> Result<Vec<Vec<f64>>, String> {
@@ -32,8 +37,11 @@ fn bounds(points: &[Vec<f64>], panels: usize) -> Result<([f64; 4], u32), String>
     let (y0, y1) = extent(points.iter().map(|p| p[1])).ok_or("there is nothing to draw")?;
     let (_, across) = scale::layout(panels);
     let wide = if across == 1 { 720.0 } else { 480.0 } - 120.0;
-    let height = (wide * (y1 - y0) / (x1 - x0)).clamp(160.0, 900.0);
-    Ok(([x0, x1, y0, y1], height as u32 + 110))
+    let height = (wide * (y1 - y0) / (x1 - x0)).clamp(90.0, 900.0);
+    // What is very high or very flat gets room beside it instead of another scale.
+    let wider = 0.5 * ((y1 - y0) * wide / height - (x1 - x0)).max(0.0);
+    let higher = 0.5 * ((x1 - x0) * height / wide - (y1 - y0)).max(0.0);
+    Ok(([x0 - wider, x1 + wider, y0 - higher, y1 + higher], height as u32 + 110))
 }
 
 /// A chart of equal scales with its mesh, in which `inside` draws.
@@ -97,14 +105,29 @@ pub(super) fn surface(
         all.push(joined);
     }
     let flat: Vec<Vec<f64>> = all.iter().flatten().cloned().collect();
-    let step = [0, 1].map(|k| spacing(&flat.iter().map(|p| p[k]).collect::<Vec<_>>()));
+    if flat.is_empty() {
+        return Err("there is nothing to draw".to_owned());
+    }
+    let axes = [0, 1].map(|k| cells(flat.iter().map(|p| p[k])));
+    let border = |k: usize, value: f64| {
+        let (places, borders) = &axes[k];
+        let at = places.partition_point(|&place| place < value).min(places.len() - 1);
+        (borders[at], borders[at + 1])
+    };
     let low = flat.iter().map(|p| p[2]).fold(f64::INFINITY, f64::min);
     let high = flat.iter().map(|p| p[2]).fold(f64::NEG_INFINITY, f64::max);
     let share = |value: f64| {
         let linear = if high > low { (value - low) / (high - low) } else { 0.5 };
         linear.powf(figure.gamma)
     };
-    let (bounds, height) = bounds(&flat, parts.len())?;
+    let ends: Vec<Vec<f64>> =
+        [0, 1].map(|end| [0, 1].map(|k| axes[k].1[end * (axes[k].1.len() - 1)]).to_vec()).to_vec();
+    // Parameters have scales of their own, places in the plane have one.
+    let (bounds, height) = if figure.from == "runs" {
+        ([ends[0][0], ends[1][0], ends[0][1], ends[1][1]], 470)
+    } else {
+        bounds(&ends, parts.len())?
+    };
     let dots = match over {
         Some(frame) => {
             let meets = |row: &&Vec<String>| {
@@ -118,6 +141,7 @@ pub(super) fn surface(
         }
         None => Vec::new(),
     };
+    let marks = || figure.marks.iter().copied().zip(figure.y_marks.iter().copied());
     let key = format!(
         "{}: {} (dark) to {} (bright){}",
         plain(&figure.value),
@@ -125,15 +149,19 @@ pub(super) fn surface(
         short(high),
         if figure.gamma == 1.0 { String::new() } else { format!(", exponent {}", figure.gamma) }
     );
-    let svg = scale::canvas(parts.len(), height + 34, |panel, area| {
+    let svg = scale::canvas(parts.len(), height + 34, &[], |panel, area| {
         let (upper, lower) = area.split_vertically(height);
         lower.draw(&Text::new(key.clone(), (90, 6), font(LABEL - 4)))?;
         map!(figure, &upper, &parts[panel].0, bounds, chart, {
             chart.draw_series(all[panel].iter().map(|p| {
-                let (dx, dy) = (0.5 * step[0], 0.5 * step[1]);
-                let corners = [(p[0] - dx, p[1] - dy), (p[0] + dx, p[1] + dy)];
+                let ((left, right), (low, high)) = (border(0, p[0]), border(1, p[1]));
+                // A little over the border: no seams between neighbours.
+                let over = |from: f64, to: f64, k: usize| (to + 0.1 * (to - from)).min(ends[1][k]);
+                let corners = [(left, low), (over(left, right, 0), over(low, high, 1))];
                 Rectangle::new(corners, viridis(share(p[2])).filled())
             }))?;
+            chart.draw_series(marks().map(|at| Cross::new(at, 9, WHITE.stroke_width(6))))?;
+            chart.draw_series(marks().map(|at| Cross::new(at, 8, colour(1).stroke_width(3))))?;
             chart.draw_series(
                 dots.iter().map(|p| Circle::new((p[0], p[1]), 6, WHITE.stroke_width(3))),
             )?;
@@ -145,13 +173,8 @@ pub(super) fn surface(
     Ok(Drawn { svg, numbers })
 }
 
-fn short(value: f64) -> String {
-    if value != 0.0 && !(1e-3..1e5).contains(&value.abs()) {
-        format!("{value:.2e}")
-    } else {
-        format!("{value:.3}")
-    }
-}
+/// Fewer points than this have the marker of their series.
+const FEW: usize = 300;
 
 /// Points, coloured by series.
 pub(super) fn points(figure: &Figure, frame: &Frame) -> Result<Drawn, String> {
@@ -175,15 +198,17 @@ pub(super) fn points(figure: &Figure, frame: &Frame) -> Result<Drawn, String> {
     }
     let flat: Vec<Vec<f64>> = all.iter().flatten().flatten().cloned().collect();
     let (bounds, height) = bounds(&flat, parts.len())?;
-    let size = if flat.len() > 3000 { 1 } else { 3 };
-    let legend: Vec<&str> = names.iter().map(String::as_str).collect();
-    let extra = usize::from(names.len() > 1);
-    let svg = scale::canvas(parts.len() + extra, height, |panel, area| {
-        let Some(series) = all.get(panel) else { return legend_of(area, &legend, 1) };
+    let size = if flat.len() > 3000 { 1 } else { 2 };
+    let legend = figure.legend(&names);
+    let svg = scale::canvas(parts.len(), height, &legend, |panel, area| {
         map!(figure, area, &parts[panel].0, bounds, chart, {
-            for (s, places) in series.iter().enumerate() {
-                let dot = |p: &Vec<f64>| Circle::new((p[0], p[1]), size, colour(s).filled());
-                chart.draw_series(places.iter().map(dot))?;
+            for (s, places) in all[panel].iter().enumerate() {
+                if s > 0 && places.len() < FEW {
+                    places.iter().try_for_each(|p| marker(&mut chart, s, (p[0], p[1])))?;
+                } else {
+                    let dot = |p: &Vec<f64>| Circle::new((p[0], p[1]), size, colour(s).filled());
+                    chart.draw_series(places.iter().map(dot))?;
+                }
             }
         })
     })?;
@@ -207,16 +232,23 @@ pub(super) fn field(figure: &Figure, frame: &Frame) -> Result<Drawn, String> {
         }
         all.push(places);
     }
-    let flat: Vec<Vec<f64>> = all.iter().flatten().cloned().collect();
+    let tip = |p: &[f64]| vec![p[0] + figure.magnify * p[2], p[1] + figure.magnify * p[3]];
+    let flat: Vec<Vec<f64>> =
+        all.iter().flatten().flat_map(|p: &Vec<f64>| [p[..2].to_vec(), tip(p)]).collect();
     let (bounds, height) = bounds(&flat, parts.len())?;
+    let magnified = figure.magnify != 1.0;
     let key = format!("arrows {} times their length", figure.magnify);
-    let svg = scale::canvas(parts.len(), height + 34, |panel, area| {
+    let foot = if magnified { 34 } else { 0 };
+    let svg = scale::canvas(parts.len(), height + foot, &[], |panel, area| {
         let (upper, lower) = area.split_vertically(height);
-        lower.draw(&Text::new(key.clone(), (90, 6), font(LABEL - 4)))?;
+        if magnified {
+            lower.draw(&Text::new(key.clone(), (90, 6), font(LABEL - 4)))?;
+        }
         map!(figure, &upper, &parts[panel].0, bounds, chart, {
             chart.draw_series(all[panel].iter().map(|p| {
-                let tip = (p[0] + figure.magnify * p[2], p[1] + figure.magnify * p[3]);
-                PathElement::new(vec![(p[0], p[1]), tip], colour(0).stroke_width(2))
+                let tip = tip(p);
+                let line = vec![(p[0], p[1]), (tip[0], tip[1])];
+                PathElement::new(line, colour(0).stroke_width(2))
             }))?;
             let foot = |p: &Vec<f64>| Circle::new((p[0], p[1]), 2, colour(1).filled());
             chart.draw_series(all[panel].iter().map(foot))?;

@@ -7,6 +7,7 @@
 mod curves;
 mod export;
 mod maps;
+mod picture;
 mod scale;
 mod spread;
 
@@ -18,7 +19,7 @@ use crate::{
 };
 use rowgram::io::output;
 use serde::{Deserialize, Serialize};
-use std::path::Path;
+use std::{collections::BTreeMap, path::Path};
 
 /// What a figure looks like.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -42,6 +43,8 @@ pub(crate) enum Look {
     Points,
     /// Arrows in the plane.
     Field,
+    /// A picture: a value, one or three channels, or the number of a colour for each pixel.
+    Image,
 }
 
 /// A figure as a spec asks for it.
@@ -63,6 +66,9 @@ pub(crate) struct Figure {
     /// The column that tells the series apart.
     #[serde(default)]
     pub(crate) series: String,
+    /// What the key calls the labels of the series, where that is not the label itself.
+    #[serde(default)]
+    pub(crate) names: BTreeMap<String, String>,
     /// The column of the small multiples.
     #[serde(default)]
     pub(crate) panel: String,
@@ -72,6 +78,9 @@ pub(crate) struct Figure {
     /// For fields, the columns of the arrows.
     #[serde(default)]
     pub(crate) arrow: Vec<String>,
+    /// For images without a value, the columns of the channels, 0 to 255: one for grey, three for colours.
+    #[serde(default)]
+    pub(crate) channels: Vec<String>,
     /// How much longer than life arrows are.
     #[serde(default = "unity")]
     pub(crate) magnify: f64,
@@ -91,6 +100,9 @@ pub(crate) struct Figure {
     /// Places along the first axis that are marked, such as published values.
     #[serde(default)]
     pub(crate) marks: Vec<f64>,
+    /// On surfaces, the same along the second axis: a mark is a place.
+    #[serde(default)]
+    pub(crate) y_marks: Vec<f64>,
     #[serde(default)]
     pub(crate) x_label: String,
     #[serde(default)]
@@ -139,8 +151,18 @@ impl Figure {
         if self.look == Look::Field && self.arrow.len() != 2 {
             return Err(place("a field needs the two columns of its arrows".to_owned()));
         }
+        if self.look == Look::Surface && self.marks.len() != self.y_marks.len() {
+            return Err(place("a mark on a surface needs both coordinates".to_owned()));
+        }
         if self.look == Look::Surface && self.value.is_empty() {
             return Err(place("a surface needs a column of values".to_owned()));
+        }
+        let channels = [1, 3].contains(&self.channels.len());
+        let coloured = channels || !self.value.is_empty() || !self.series.is_empty();
+        if self.look == Look::Image && !coloured {
+            return Err(place(
+                "an image needs a column of values, one or three channels, or a series".to_owned(),
+            ));
         }
         if !(self.gamma > 0.0 && self.magnify > 0.0) {
             return Err(place("gamma and magnify have to be positive".to_owned()));
@@ -153,7 +175,18 @@ impl Figure {
         let fail = |e: String| Fail::Failed(format!("figure {}: {e}", self.name));
         let table = |name: &str| match name {
             "runs" | "timing" => Frame::read(&result.join(format!("{name}.csv"))),
-            trace => Frame::read(&result.join(format!("traces/{trace}.csv"))),
+            trace => {
+                let path = result.join(format!("traces/{trace}.csv"));
+                if !path.exists() {
+                    let message = format!(
+                        "figure {}: no run left the series `{trace}`; runs.csv has the reasons of those that \
+                         failed, otherwise the base lacks `trace = true`",
+                        self.name
+                    );
+                    return Err(Fail::Failed(message));
+                }
+                Frame::read(&path)
+            }
         };
         let frame = table(&self.from)?.at(&self.conditions).map_err(fail)?;
         let over = if self.over.is_empty() { None } else { Some(table(&self.over)?) };
@@ -167,6 +200,7 @@ impl Figure {
             Look::Surface => maps::surface(self, &frame, over.as_ref()),
             Look::Points => maps::points(self, &frame),
             Look::Field => maps::field(self, &frame),
+            Look::Image => picture::draw(self, &frame),
         };
         let Drawn { svg, numbers } = drawn.map_err(fail)?;
         export::write(out, &self.name, &svg)?;
@@ -175,9 +209,15 @@ impl Figure {
             numbers.iter().try_for_each(|row| writer.write_record(row))?;
             writer.flush()
         })?;
+        // What is drawn for one column keeps its letters there; small multiples go across both.
+        let (place, width) = if scale::is_one_column(&svg) {
+            ("figure", "\\columnwidth")
+        } else {
+            ("figure*", "\\textwidth")
+        };
         let caption = format!(
-            "\\begin{{figure}}\n\\centering\n\\includegraphics[width=\\columnwidth]{{{name}.pdf}}\n\
-             \\caption{{{}}}\n\\label{{fig:{name}}}\n\\end{{figure}}\n",
+            "\\begin{{{place}}}\n\\centering\n\\includegraphics[width={width}]{{{name}.pdf}}\n\
+             \\caption{{{}}}\n\\label{{fig:{name}}}\n\\end{{{place}}}\n",
             escaped(&self.caption),
             name = self.name
         );
@@ -185,6 +225,11 @@ impl Figure {
             file.write_all(caption.as_bytes())
         })?;
         Ok(())
+    }
+
+    /// The names of series as the key has them.
+    fn legend<'a>(&'a self, labels: &'a [String]) -> Vec<&'a str> {
+        labels.iter().map(|label| self.names.get(label).unwrap_or(label).as_str()).collect()
     }
 
     fn x_text(&self) -> String {

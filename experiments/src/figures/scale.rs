@@ -26,6 +26,11 @@ const COLOURS: [RGBColor; 7] = [
 pub(super) const LABEL: u32 = 21;
 pub(super) const TITLE: u32 = 22;
 
+/// Whether the lines of a series are dashed: the colours are used up before it.
+pub(super) fn is_dashed(series: usize) -> bool {
+    series >= COLOURS.len()
+}
+
 /// The colour of a series.
 pub(super) fn colour(series: usize) -> RGBColor {
     COLOURS[series % COLOURS.len()]
@@ -107,6 +112,15 @@ pub(super) fn tick(place: f64, logarithmic: bool) -> String {
     }
 }
 
+/// A number in the key of a figure.
+pub(super) fn short(value: f64) -> String {
+    if value != 0.0 && !(1e-3..1e5).contains(&value.abs()) {
+        format!("{value:.2e}")
+    } else {
+        format!("{value:.3}")
+    }
+}
+
 /// Rows and columns of small multiples.
 pub(super) fn layout(panels: usize) -> (usize, usize) {
     let columns = match panels {
@@ -117,20 +131,41 @@ pub(super) fn layout(panels: usize) -> (usize, usize) {
     (panels.div_ceil(columns).max(1), columns)
 }
 
-/// Draws panels on one canvas, `height` high each.
+/// Width of a picture for one column.
+const COLUMN: u32 = 720;
+
+/// Room for the name of a series: its line, and each letter. The height of a line of names.
+const NAME: usize = 66;
+const LETTER: usize = 8;
+pub(super) const LINE: u32 = 26;
+
+/// Whether a picture was drawn for one column.
+pub(super) fn is_one_column(svg: &str) -> bool {
+    svg.starts_with(&format!("<svg width=\"{COLUMN}\""))
+}
+
+/// Draws panels on one canvas, `height` high each, and below them the names of the series where there are several.
 pub(super) fn canvas(
     panels: usize,
     height: u32,
+    names: &[&str],
     mut draw: impl FnMut(usize, &Area<'_>) -> Done,
 ) -> Result<String, String> {
     let (rows, columns) = layout(panels);
-    let width = if columns == 1 { 720 } else { 480 * columns as u32 };
-    let mut svg = String::new();
+    let width = if columns == 1 { COLUMN } else { 480 * columns as u32 };
+    let longest = names.iter().map(|name| name.chars().count()).max().unwrap_or(0);
+    let beside = (width as usize / (NAME + LETTER * longest)).max(1);
+    let foot = if names.len() > 1 { LINE * names.len().div_ceil(beside) as u32 + 6 } else { 0 };
+    let (body, mut svg) = (height * rows as u32, String::new());
     let mut run = |svg: &mut String| -> Done {
-        let area = SVGBackend::with_string(svg, (width, height * rows as u32)).into_drawing_area();
+        let area = SVGBackend::with_string(svg, (width, body + foot)).into_drawing_area();
         area.fill(&WHITE)?;
-        for (panel, part) in area.split_evenly((rows, columns)).iter().enumerate().take(panels) {
+        let (upper, lower) = area.split_vertically(body);
+        for (panel, part) in upper.split_evenly((rows, columns)).iter().enumerate().take(panels) {
             draw(panel, part)?;
+        }
+        if foot > 0 {
+            super::curves::legend_of(&lower, names, beside)?;
         }
         area.present()?;
         Ok(())

@@ -1,9 +1,7 @@
 //! Boxes and violins: how values spread over seeds.
 
 use super::{
-    Drawn, Figure,
-    curves::legend_of,
-    panels,
+    Drawn, Figure, panels,
     scale::{self, LABEL, TITLE, colour, extent, font, light, placed, tick},
 };
 use crate::data::{Frame, quantile};
@@ -55,11 +53,10 @@ pub(super) fn draw(figure: &Figure, frame: &Frame, violin: bool) -> Result<Drawn
     }
     let values = all.iter().flatten().flat_map(|group| group.values.iter().copied());
     let (low, high) = extent(values).ok_or("there is nothing to draw")?;
-    let several = names.len() > 1;
-    let legend: Vec<&str> = names.iter().map(String::as_str).collect();
+    let legend = figure.legend(&names);
     let rotated = labels.iter().map(String::len).sum::<usize>() > 40;
-    let svg = scale::canvas(parts.len() + usize::from(several), 440, |panel, area| {
-        let Some(groups) = all.get(panel) else { return legend_of(area, &legend, 1) };
+    let svg = scale::canvas(parts.len(), 440, &legend, |panel, area| {
+        let groups = &all[panel];
         let mut builder = ChartBuilder::on(area);
         builder.margin(10).margin_right(24).y_label_area_size(84);
         builder.x_label_area_size(if rotated { 150 } else { 58 });

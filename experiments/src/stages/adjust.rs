@@ -46,7 +46,7 @@ enum Layout {
 /// What the estimator is told.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Estimate {
+pub(super) struct Estimate {
     /// The lens model; models other than SMAC start at a fit to the true lens.
     lens: Model,
     /// Whether the interior orientation is adjusted.
@@ -81,14 +81,9 @@ pub(crate) struct Parameters {
     trace: bool,
 }
 
-impl Default for Parameters {
-    fn default() -> Parameters {
-        let mut twin = TwinConfig::preset(FlightPreset::Paper);
-        (twin.field.rows, twin.field.row_length_m) = (40, 30.0);
-        (twin.targets.control, twin.targets.check) = (18, 10);
-        twin.tie_points.per_photo = 60;
-        twin.tie_points.outlier_fraction = 0.0;
-        let estimate = Estimate {
+impl Default for Estimate {
+    fn default() -> Estimate {
+        Estimate {
             lens: Model::Smac,
             free_lens: false,
             nominal_lens: false,
@@ -102,8 +97,18 @@ impl Default for Parameters {
             start_centre_m: 0.2,
             start_point_m: 0.2,
             max_iterations: 100,
-        };
-        Parameters { twin, estimate, trace: false }
+        }
+    }
+}
+
+impl Default for Parameters {
+    fn default() -> Parameters {
+        let mut twin = TwinConfig::preset(FlightPreset::Paper);
+        (twin.field.rows, twin.field.row_length_m) = (40, 30.0);
+        (twin.targets.control, twin.targets.check) = (18, 10);
+        twin.tie_points.per_photo = 60;
+        twin.tie_points.outlier_fraction = 0.0;
+        Parameters { twin, estimate: Estimate::default(), trace: false }
     }
 }
 
@@ -131,22 +136,7 @@ impl Stage for Adjust {
     const SEEDED: &'static [&'static str] = &["twin.field.seed"];
 
     fn check(p: &Parameters) -> Result<(), String> {
-        p.twin.check().map_err(|e| e.to_string())?;
-        p.estimate.tie_loss.parse::<Loss>()?;
-        let e = &p.estimate;
-        if p.twin.tie_points.per_photo == 0 {
-            return Err("twin.tie_points.per_photo = 0: expected at least 1".to_owned());
-        }
-        if (e.corrected_domain || e.nominal_lens) && e.lens != Model::Smac {
-            return Err("corrected_domain and nominal_lens go with the SMAC lens".to_owned());
-        }
-        if e.nominal_lens && !e.free_lens {
-            return Err("a lens without distortion has to be free".to_owned());
-        }
-        if e.control == 0 && !e.gnss {
-            return Err("estimate.control = 0 needs the receiver's positions".to_owned());
-        }
-        Ok(())
+        check(&p.twin, &p.estimate)
     }
 
     fn run(p: &Parameters, seed: u64) -> Result<Measured, String> {
@@ -154,13 +144,7 @@ impl Stage for Adjust {
         config.field.seed = seed;
         let twin = config.build().map_err(|e| e.to_string())?;
         let mut survey = survey(&twin, &p.estimate, seed)?;
-        let settings = Settings {
-            tie_loss: p.estimate.tie_loss.parse()?,
-            corrected_domain: p.estimate.corrected_domain,
-            max_iterations: p.estimate.max_iterations,
-            ..Settings::default()
-        };
-        let adjusted = adjust(&mut survey, &settings).map_err(|e| e.to_string())?;
+        let adjusted = adjust(&mut survey, &settings(&p.estimate)?).map_err(|e| e.to_string())?;
         let checks = &adjusted.check_points;
         let mut measured = Measured::default();
         let mut squares = 0.0;
@@ -188,6 +172,41 @@ impl Stage for Adjust {
     }
 }
 
+/// Refuses what cannot be used, before any work.
+pub(super) fn check(twin: &TwinConfig, e: &Estimate) -> Result<(), String> {
+    twin.check().map_err(|e| e.to_string())?;
+    e.tie_loss.parse::<Loss>()?;
+    if twin.tie_points.per_photo == 0 {
+        return Err("twin.tie_points.per_photo = 0: expected at least 1".to_owned());
+    }
+    if (e.corrected_domain || e.nominal_lens) && e.lens != Model::Smac {
+        return Err("corrected_domain and nominal_lens go with the SMAC lens".to_owned());
+    }
+    if e.nominal_lens && !e.free_lens {
+        return Err("a lens without distortion has to be free".to_owned());
+    }
+    if e.control == 0 && !e.gnss {
+        return Err("estimate.control = 0 needs the receiver's positions".to_owned());
+    }
+    Ok(())
+}
+
+fn settings(e: &Estimate) -> Result<Settings, String> {
+    Ok(Settings {
+        tie_loss: e.tie_loss.parse()?,
+        corrected_domain: e.corrected_domain,
+        max_iterations: e.max_iterations,
+        ..Settings::default()
+    })
+}
+
+/// The adjusted block of a flight.
+pub(super) fn adjusted(twin: &Twin, e: &Estimate, seed: u64) -> Result<Survey, String> {
+    let mut survey = survey(twin, e, seed)?;
+    adjust(&mut survey, &settings(e)?).map_err(|e| e.to_string())?;
+    Ok(survey)
+}
+
 fn centre_error_m(survey: &Survey, twin: &Twin) -> f64 {
     let mut squares = 0.0;
     for (image, shot) in survey.images.iter().zip(&twin.shots) {
@@ -206,16 +225,22 @@ fn traces(survey: &Survey, checks: &[CheckPoint], twin: &Twin) -> [Trace; 3] {
             vec![x, y, dx, dy, dz]
         })
         .collect();
-    let mut cameras = Trace::new("cameras", &["x_m", "y_m", "z_m"]);
-    cameras.rows = survey.images.iter().map(|image| image.pose.centre_m().to_vec()).collect();
-    let mut cloud = Trace::new("cloud", &["x_m", "y_m", "what"]);
-    cloud.rows = survey
-        .points
+    // Where a photo's upper edge points, seen from above.
+    let mut cameras = Trace::new("cameras", &["x_m", "y_m", "z_m", "up_x", "up_y"]);
+    cameras.rows = survey
+        .images
         .iter()
-        .map(|point| vec![point.position_m[0], point.position_m[1], 0.0])
+        .map(|image| {
+            let ([x, y, z], axes) = (image.pose.centre_m(), rotation::matrix(image.pose.rotation));
+            vec![x, y, z, axes[1][0], axes[1][1]]
+        })
         .collect();
-    cloud.rows.extend(cameras.rows.iter().map(|at| vec![at[0], at[1], 1.0]));
-    cloud.rows.extend(twin.targets.iter().map(|t| vec![t.place_m[0], t.place_m[1], 2.0]));
+    let mut cloud = Trace::new("cloud", &["x_m", "y_m", "z_m", "what"]);
+    let place = |[x, y, z]: [f64; 3], what: f64| vec![x, y, z, what];
+    cloud.rows = survey.points.iter().map(|point| place(point.position_m, 0.0)).collect();
+    let centres = survey.images.iter().map(|image| place(image.pose.centre_m(), 1.0));
+    cloud.rows.extend(centres);
+    cloud.rows.extend(twin.targets.iter().map(|target| place(target.place_m, 2.0)));
     [errors, cameras, cloud]
 }
 

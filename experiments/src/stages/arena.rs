@@ -4,21 +4,16 @@
 //! what differences would cost. A solver has solved a problem at the first evaluation whose cost is
 //! within a tolerance of the best known: what it does afterwards is not counted.
 
-use super::arena_problems::{CLASSICS, Classic};
+use super::{
+    arena_problems::{CLASSICS, Classic},
+    contestants::{self, Contestant, Dense, GaussNewtonHessian, Rows},
+};
 use crate::{
     keys,
     stage::{Measured, Metric, Stage, Trace, metric},
 };
-use argmin::{
-    core::{CostFunction, Executor, Gradient},
-    solver::{
-        conjugategradient::{NonlinearConjugateGradient, beta::PolakRibiere},
-        gradientdescent::SteepestDescent,
-        linesearch::MoreThuenteLineSearch,
-        neldermead::NelderMead,
-        quasinewton::LBFGS,
-    },
-};
+use argmin::core::{CostFunction, Error, Gradient, Hessian, Jacobian as Derivative, Operator};
+use nalgebra::DMatrix;
 use rowgram::nlls::{
     BlockId, Factor, Factors, Infeasible, Jacobian, Linear, Loss, Method, Options, Problem, Space,
     solve,
@@ -34,9 +29,13 @@ enum Solver {
     Dogleg,
     /// Levenberg-Marquardt with next to no damping to begin with.
     GaussNewton,
+    /// argmin's Gauss-Newton method, without any damping.
+    ArgminGaussNewton,
     Lbfgs,
     NonlinearCg,
     SteepestDescent,
+    /// Trust region on the Gauss-Newton model.
+    Steihaug,
     NelderMead,
 }
 
@@ -97,7 +96,8 @@ impl Stage for Arena {
     fn run(p: &Parameters, _seed: u64) -> Result<Measured, String> {
         let classic = classic(&p.problem)?;
         let target = classic.best + (p.relative_tolerance * classic.best).max(p.absolute_tolerance);
-        let counted = Counted { classic, target, count: Arc::new(Mutex::new(Count::default())) };
+        let count = Arc::new(Mutex::new(Count::default()));
+        let counted = Counted { classic, target, count, last: Arc::default() };
         // A start at 0 stays there whatever the factor; 1 is what More et al. take then.
         let zero = p.start_factor != 1.0 && classic.start.iter().all(|&value| value == 0.0);
         let start: Vec<f64> = classic
@@ -154,7 +154,11 @@ struct Counted {
     classic: &'static Classic,
     target: f64,
     count: Arc<Mutex<Count>>,
+    /// Where the last Jacobian was asked for, residuals and Jacobian.
+    last: Arc<Mutex<Option<Linearized>>>,
 }
+
+type Linearized = (Vec<f64>, Vec<f64>, Vec<f64>);
 
 impl Counted {
     fn evaluate(&self, x: &[f64], r: &mut [f64], jacobian: Option<&mut [f64]>) {
@@ -174,11 +178,29 @@ impl Counted {
     }
 }
 
+impl Counted {
+    /// Residuals and Jacobian; asking twice at the same place costs once.
+    fn linearized(&self, x: &[f64]) -> Result<(Vec<f64>, Vec<f64>), Error> {
+        let poisoned = |_| Error::msg("another thread failed");
+        if let Some((at, r, j)) = &*self.last.lock().map_err(poisoned)?
+            && at == x
+        {
+            return Ok((r.clone(), j.clone()));
+        }
+        let rows = self.classic.rows;
+        let (mut r, mut j) = (vec![0.0; rows], vec![0.0; rows * x.len()]);
+        self.evaluate(x, &mut r, Some(&mut j));
+        let poisoned = |_| Error::msg("another thread failed");
+        *self.last.lock().map_err(poisoned)? = Some((x.to_vec(), r.clone(), j.clone()));
+        Ok((r, j))
+    }
+}
+
 impl CostFunction for Counted {
     type Param = Vec<f64>;
     type Output = f64;
 
-    fn cost(&self, x: &Vec<f64>) -> Result<f64, argmin::core::Error> {
+    fn cost(&self, x: &Vec<f64>) -> Result<f64, Error> {
         let mut r = vec![0.0; self.classic.rows];
         self.evaluate(x, &mut r, None);
         Ok(0.5 * r.iter().map(|value| value * value).sum::<f64>())
@@ -189,11 +211,45 @@ impl Gradient for Counted {
     type Param = Vec<f64>;
     type Gradient = Vec<f64>;
 
-    fn gradient(&self, x: &Vec<f64>) -> Result<Vec<f64>, argmin::core::Error> {
+    fn gradient(&self, x: &Vec<f64>) -> Result<Vec<f64>, Error> {
         let (rows, n) = (self.classic.rows, x.len());
-        let (mut r, mut j) = (vec![0.0; rows], vec![0.0; rows * n]);
-        self.evaluate(x, &mut r, Some(&mut j));
+        let (r, j) = self.linearized(x)?;
         Ok((0..n).map(|k| (0..rows).map(|i| j[i * n + k] * r[i]).sum()).collect())
+    }
+}
+
+impl Hessian for Counted {
+    type Param = Vec<f64>;
+    type Hessian = GaussNewtonHessian;
+
+    fn hessian(&self, x: &Vec<f64>) -> Result<GaussNewtonHessian, Error> {
+        let mut rows = Rows::default();
+        for row in self.linearized(x)?.1.chunks(x.len()) {
+            row.iter().enumerate().for_each(|(column, &value)| rows.put(column, value));
+            rows.end();
+        }
+        Ok(rows.into())
+    }
+}
+
+impl Operator for Counted {
+    type Param = Vec<f64>;
+    type Output = Vec<f64>;
+
+    fn apply(&self, x: &Vec<f64>) -> Result<Vec<f64>, Error> {
+        let mut r = vec![0.0; self.classic.rows];
+        self.evaluate(x, &mut r, None);
+        Ok(r)
+    }
+}
+
+impl Derivative for Counted {
+    type Param = Vec<f64>;
+    type Jacobian = Dense;
+
+    fn jacobian(&self, x: &Vec<f64>) -> Result<Dense, Error> {
+        let entries = self.linearized(x)?.1;
+        Ok(Dense(DMatrix::from_row_slice(self.classic.rows, x.len(), &entries)))
     }
 }
 
@@ -253,39 +309,18 @@ fn race(p: &Parameters, counted: &Counted, start: Vec<f64>) -> Result<(), String
         solve(&problem, &mut x, &options, p.max_iterations).map(drop).map_err(|e| e.to_string())
     };
     let problem = counted.clone();
-    let told = |e: argmin::core::Error| e.to_string();
-    let line = MoreThuenteLineSearch::new;
     let most = p.max_iterations;
     match p.solver {
         Solver::LevenbergMarquardt => own(Method::LevenbergMarquardt, 1e-3),
         Solver::GaussNewton => own(Method::LevenbergMarquardt, 1e-12),
         Solver::Dogleg => own(Method::Dogleg, 1e-3),
-        Solver::Lbfgs => {
-            let solver = LBFGS::new(line(), 7);
-            let run = Executor::new(problem, solver);
-            run.configure(|s| s.param(start).max_iters(most)).run().map(drop).map_err(told)
-        }
-        Solver::NonlinearCg => {
-            let solver = NonlinearConjugateGradient::new(line(), PolakRibiere::new())
-                .restart_iters(20)
-                .restart_orthogonality(0.1);
-            let run = Executor::new(problem, solver);
-            run.configure(|s| s.param(start).max_iters(most)).run().map(drop).map_err(told)
-        }
+        Solver::ArgminGaussNewton => contestants::gauss_newton(problem, start, most),
+        Solver::NelderMead => contestants::nelder_mead(problem, &start, most),
+        Solver::Lbfgs => contestants::race(Contestant::Lbfgs, problem, start, most),
+        Solver::NonlinearCg => contestants::race(Contestant::NonlinearCg, problem, start, most),
         Solver::SteepestDescent => {
-            let run = Executor::new(problem, SteepestDescent::new(line()));
-            run.configure(|s| s.param(start).max_iters(most)).run().map(drop).map_err(told)
+            contestants::race(Contestant::SteepestDescent, problem, start, most)
         }
-        Solver::NelderMead => {
-            let mut simplex = vec![start.clone()];
-            for k in 0..start.len() {
-                let mut vertex = start.clone();
-                vertex[k] += 0.1 * vertex[k].abs().max(1.0);
-                simplex.push(vertex);
-            }
-            let solver = NelderMead::new(simplex).with_sd_tolerance(1e-14).map_err(told)?;
-            let run = Executor::new(problem, solver);
-            run.configure(|s| s.max_iters(most)).run().map(drop).map_err(told)
-        }
+        Solver::Steihaug => contestants::race(Contestant::Steihaug, problem, start, most),
     }
 }

@@ -1,5 +1,12 @@
 //! Bundle adjustment of a synthetic aerial block: start error, losses, gross errors, solvers.
+//!
+//! Work is counted in passes over all measurements, with derivatives or without. A trial of the engine
+//! makes two: one to linearise and eliminate, one to move the points and see what the cost is there.
 
+use super::{
+    contestants::{self, Contestant},
+    flat_block::FlatBlock,
+};
 use crate::stage::{Measured, Metric, Stage, Trace, metric};
 use data_synth::block::{Block, BlockConfig, ForwardCamera};
 use rowgram::{
@@ -8,6 +15,32 @@ use rowgram::{
     problems::bundle::{Bundle, Camera, InteriorSharing, Network, Observation},
 };
 use serde::{Deserialize, Serialize};
+use std::time::Instant;
+
+/// Who adjusts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum Solver {
+    /// The engine with its options.
+    Engine,
+    /// Solvers of argmin on all parameters as one vector, scaled by the curvatures at the start.
+    Lbfgs,
+    NonlinearCg,
+    SteepestDescent,
+    Steihaug,
+}
+
+impl Solver {
+    fn contestant(self) -> Option<Contestant> {
+        match self {
+            Solver::Engine => None,
+            Solver::Lbfgs => Some(Contestant::Lbfgs),
+            Solver::NonlinearCg => Some(Contestant::NonlinearCg),
+            Solver::SteepestDescent => Some(Contestant::SteepestDescent),
+            Solver::Steihaug => Some(Contestant::Steihaug),
+        }
+    }
+}
 
 /// What can be varied.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -18,6 +51,7 @@ pub(crate) struct Parameters {
     /// `trivial`, `huber:1.0`, `cauchy:1.0`, ...
     loss: String,
     interior: InteriorSharing,
+    solver: Solver,
     options: Options,
     max_iterations: u64,
     /// Whether the cost of every iteration is kept.
@@ -32,12 +66,18 @@ impl Default for Parameters {
             start_scale: 1.0,
             loss: Loss::Trivial.to_string(),
             interior: InteriorSharing::PerImage,
+            solver: Solver::Engine,
             options: Options::default(),
             max_iterations: 100,
             trace: false,
         }
     }
 }
+
+/// Solved at this multiple of the cost reached from the truth.
+const SOLVED: f64 = 1.001;
+/// The seconds until then, generating the block and finding that cost not among them.
+const TO_SOLVE: &str = "to_solve";
 
 /// The stage.
 pub(crate) struct BundleBlock;
@@ -54,8 +94,10 @@ impl Stage for BundleBlock {
         metric("rms_px", "root mean square residual of the good measurements"),
         metric("cost_ratio", "final cost over that reached from the truth"),
         metric("solved", "1 where that is below 1.001"),
-        metric("iterations", "trials made"),
-        metric("iterations_to_solve", "trials until the cost was below 1.001 of it"),
+        metric("iterations", "trials made by the engine"),
+        metric("iterations_to_solve", "trials of the engine until the cost was below 1.001 of it"),
+        metric("passes", "passes over all measurements until then, whoever solves"),
+        metric("products", "products with the reduced system that an iterative engine made"),
         metric("cost", "final cost"),
     ];
     const SEEDED: &'static [&'static str] = &["block.seed"];
@@ -65,6 +107,10 @@ impl Stage for BundleBlock {
         p.loss.parse::<Loss>()?;
         if !(p.start_scale >= 0.0 && p.start_scale.is_finite()) {
             return Err("start_scale has to be 0 or more".to_owned());
+        }
+        let plain = p.loss == Loss::Trivial.to_string() && p.interior == InteriorSharing::PerImage;
+        if p.solver != Solver::Engine && !plain {
+            return Err("argmin's solvers take no loss and a lens for each image".to_owned());
         }
         Ok(())
     }
@@ -89,29 +135,43 @@ impl Stage for BundleBlock {
             |network: &Network| Bundle::new(network, p.interior, loss).map_err(|e| e.to_string());
         let truth = pose(&network(&block.cameras_true, &block.points_true))?;
         let mut x = truth.problem.start();
-        let (best, _) = descend(&truth.problem, &mut x, &Options::default(), 200, |_, _| ())?;
+        let (best, _) = descend(&truth.problem, &mut x, &Options::default(), 200, |_, _, _| ())?;
         let mut adjusted = network(&block.cameras_start, &block.points_start);
         let bundle = pose(&adjusted)?;
-        let mut x = bundle.problem.start();
-        let mut trace = Trace::new("iterations", &["iteration", "cost_excess"]);
-        let mut solved_at = None;
-        let (cost, iterations) =
-            descend(&bundle.problem, &mut x, &p.options, p.max_iterations, |iteration, cost| {
-                let excess = (cost - best) / best;
-                trace.rows.push(vec![iteration as f64, excess]);
-                if excess < 1e-3 && solved_at.is_none() {
-                    solved_at = Some(iteration as f64);
-                }
-            })?;
-        bundle.update(&x, &mut adjusted);
-        let (error_px, rms_px) = errors(&block, &adjusted);
         let mut measured = Measured::default();
+        let mut trace = Trace::new("iterations", &["iteration", "passes", "cost_excess"]);
+        let cost = match p.solver.contestant() {
+            None => adjust(p, &bundle, best, &mut adjusted, &mut measured, &mut trace)?,
+            Some(who) => {
+                let flat = FlatBlock::new(
+                    pose(&adjusted)?,
+                    adjusted.cameras.len(),
+                    adjusted.points.len(),
+                    SOLVED * best,
+                )?;
+                let ended = contestants::race(who, flat.clone(), flat.origin(), p.max_iterations);
+                let noted = flat.noted.lock().map_err(|_| "a solver failed".to_owned())?;
+                // Solvers that give up with an error have come as far as they have.
+                if let (Err(error), true) = (ended, noted.passes == 0.0) {
+                    return Err(error);
+                }
+                measured.put_some("passes", noted.solved.map(|(passes, _)| passes));
+                if let Some((_, seconds)) = noted.solved {
+                    measured.seconds.insert(TO_SOLVE.to_owned(), seconds);
+                }
+                let rows = noted.log.iter().enumerate();
+                trace.rows.extend(
+                    rows.map(|(k, [passes, cost])| vec![k as f64, *passes, (cost - best) / best]),
+                );
+                bundle.update(&noted.best, &mut adjusted);
+                noted.lowest
+            }
+        };
+        let (error_px, rms_px) = errors(&block, &adjusted);
         measured.put("error_px", error_px);
         measured.put("rms_px", rms_px);
         measured.put("cost_ratio", cost / best);
-        measured.put("solved", f64::from(cost / best < 1.001));
-        measured.put("iterations", iterations as f64);
-        measured.put_some("iterations_to_solve", solved_at);
+        measured.put("solved", f64::from(cost <= SOLVED * best));
         measured.put("cost", cost);
         if p.trace {
             measured.traces.push(trace);
@@ -133,21 +193,55 @@ fn camera(values: &[f64; 9]) -> Camera {
     Camera { rotation_rad: [a, b, c], translation: [x, y, z], interior: [f, k1, k2] }
 }
 
-/// Runs an engine and shows every cost; the last cost and the number of trials.
+/// Adjusts with the engine; the final cost.
+fn adjust(
+    p: &Parameters,
+    bundle: &Bundle,
+    best: f64,
+    adjusted: &mut Network,
+    measured: &mut Measured,
+    trace: &mut Trace,
+) -> Result<f64, String> {
+    let mut x = bundle.problem.start();
+    let clock = Instant::now();
+    let (mut solved_at, mut products) = (None, 0.0);
+    let observe = |trial: u64, cost: f64, more: f64| {
+        let (passes, excess) = (1.0 + 2.0 * trial as f64, (cost - best) / best);
+        products += more;
+        trace.rows.push(vec![trial as f64, passes, excess]);
+        if cost <= SOLVED * best && solved_at.is_none() {
+            solved_at = Some((trial as f64, passes, clock.elapsed().as_secs_f64()));
+        }
+    };
+    let (cost, trials) = descend(&bundle.problem, &mut x, &p.options, p.max_iterations, observe)?;
+    bundle.update(&x, adjusted);
+    measured.put("iterations", trials as f64);
+    measured.put("products", products);
+    measured.put_some("iterations_to_solve", solved_at.map(|(trials, _, _)| trials));
+    measured.put_some("passes", solved_at.map(|(_, passes, _)| passes));
+    if let Some((_, _, seconds)) = solved_at {
+        measured.seconds.insert(TO_SOLVE.to_owned(), seconds);
+    }
+    Ok(cost)
+}
+
+/// Runs the engine and shows every trial, its cost and its products with the reduced system; the last cost and the
+/// number of trials.
 fn descend(
     problem: &Problem,
     x: &mut Vec<f64>,
     options: &Options,
     max_iterations: u64,
-    mut observe: impl FnMut(u64, f64),
+    mut observe: impl FnMut(u64, f64, f64),
 ) -> Result<(f64, u64), String> {
     let mut engine = LeastSquares::new(options.clone());
     let mut cost = engine.start(problem, x).map_err(|e| e.to_string())?;
-    observe(0, cost);
+    observe(0, cost, 0.0);
     for iteration in 1..=max_iterations {
         let step = engine.step(problem, x).map_err(|e| e.to_string())?;
         cost = step.cost;
-        observe(iteration, cost);
+        let products = step.notes.iter().find(|(name, _)| *name == "linear_products");
+        observe(iteration, cost, products.map_or(0.0, |(_, count)| *count));
         if step.stop.is_some_and(|stop| stop != Stop::MaxIterations) {
             return Ok((cost, iteration));
         }

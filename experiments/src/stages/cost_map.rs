@@ -139,8 +139,9 @@ impl Stage for CostMap {
                 .collect();
             let mut dots = Trace::new("truth", &["u_px", "v_px"]);
             dots.rows.push(truth.to_vec());
-            let mut shown = Trace::new("mask", &["u_px", "v_px"]);
-            shown.rows = pixels.iter().map(|(at, _)| at.to_vec()).collect();
+            // Leaf pixels in a dark grey; what is not listed stays white.
+            let mut shown = Trace::new("mask", &["u_px", "v_px", "grey"]);
+            shown.rows = pixels.iter().map(|(at, _)| vec![at[0], at[1], 60.0]).collect();
             measured.traces.extend([map, dots, shown]);
         }
         Ok(measured)

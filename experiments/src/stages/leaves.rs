@@ -137,22 +137,19 @@ impl Stage for LeafSlices {
         measured.put("leaves", truth.len() as f64);
         measured.put("found", ours.len() as f64);
         if p.trace {
+            let segments = find(&mask, &Options { bridging: Bridging::None, ..options });
             measured.traces = traces(&found);
+            measured.traces.push(pixels("segment_pixels", &segments));
+            measured.traces.push(gradients(&mask));
         }
         Ok(measured)
     }
 }
 
-/// Pixels by leaf (numbers repeat after seven: colours) and the axes with the slices' half widths.
+/// Pixels by leaf, and the slices.
 fn traces(found: &Leaves) -> Vec<Trace> {
-    let mut pixels = Trace::new("leaf_pixels", &["u_px", "v_px", "colour"]);
     let mut slices = Trace::new("slices", &["u_px", "v_px", "du_px", "dv_px"]);
-    for (number, leaf) in found.leaves.iter().enumerate() {
-        for run in &leaf.runs {
-            for u in run.start..run.end {
-                pixels.rows.push(vec![u as f64, run.v as f64, (number % 7) as f64]);
-            }
-        }
+    for leaf in &found.leaves {
         for (k, at) in leaf.axis_px.iter().enumerate() {
             let low = leaf.axis_px[k.saturating_sub(1)];
             let high = leaf.axis_px[(k + 1).min(leaf.axis_px.len() - 1)];
@@ -166,5 +163,45 @@ fn traces(found: &Leaves) -> Vec<Trace> {
             }
         }
     }
-    vec![pixels, slices]
+    vec![pixels("leaf_pixels", found), slices]
+}
+
+/// Pixels by leaf; numbers repeat after seven.
+fn pixels(name: &str, found: &Leaves) -> Trace {
+    let mut pixels = Trace::new(name, &["u_px", "v_px", "colour"]);
+    for (number, leaf) in found.leaves.iter().enumerate() {
+        for run in &leaf.runs {
+            for u in run.start..run.end {
+                pixels.rows.push(vec![u as f64, run.v as f64, (number % 7) as f64]);
+            }
+        }
+    }
+    pixels
+}
+
+/// Directions of the gradient at the edge pixels of a mask, of unit length: differences of the means over
+/// 3 x 3 pixels.
+fn gradients(mask: &Mask) -> Trace {
+    let mut trace = Trace::new("gradients", &["u_px", "v_px", "du", "dv"]);
+    let leaf = |u: i64, v: i64| {
+        let inside = (0..mask.width as i64).contains(&u) && (0..mask.height as i64).contains(&v);
+        inside && mask.data[v as usize * mask.width + u as usize] != 0
+    };
+    let mean = |u: i64, v: i64| {
+        let around = (-1..=1).flat_map(|j| (-1..=1).map(move |i| (i, j)));
+        around.filter(|&(i, j)| leaf(u + i, v + j)).count() as f64 / 9.0
+    };
+    for v in 0..mask.height as i64 {
+        for u in 0..mask.width as i64 {
+            let beside = [(1, 0), (-1, 0), (0, 1), (0, -1)];
+            if leaf(u, v) && beside.iter().any(|&(i, j)| !leaf(u + i, v + j)) {
+                let (du, dv) = (mean(u + 1, v) - mean(u - 1, v), mean(u, v + 1) - mean(u, v - 1));
+                let length = du.hypot(dv);
+                if length > 0.0 {
+                    trace.rows.push(vec![u as f64, v as f64, du / length, dv / length]);
+                }
+            }
+        }
+    }
+    trace
 }

@@ -312,6 +312,50 @@ pub(super) fn matches(
     Ok((found, mark))
 }
 
+/// A photo and its double match in at least this share of their features.
+const DOUBLE_SHARE: f64 = 0.2;
+/// And stand this close to each other in the middle, pixels.
+const DOUBLE_PX: f32 = 0.5;
+
+/// Takes pictures that show the same as another, pixel by pixel, out of the matches: saved twice, they
+/// have no base and tell nothing. Of two the one that has a position stays, or else the first.
+pub(super) fn take_out_doubles(
+    project: &Project,
+    extracted: &Extracted,
+    matched: &mut Vec<Matched>,
+    findings: &mut Vec<Finding>,
+) {
+    let mut out = vec![false; project.photos.len()];
+    for pair in matched.iter() {
+        let [a, b] = pair.images.map(|k| k as usize);
+        let [first, second] = [a, b].map(|k| &extracted.features[k].key_points);
+        let fewer = first.len().min(second.len());
+        if out[a] || out[b] || (pair.matches.len() as f64) < DOUBLE_SHARE * fewer as f64 {
+            continue;
+        }
+        let mut apart: Vec<f32> = pair
+            .matches
+            .iter()
+            .map(|[i, j]| {
+                let (p, q) = (&first[*i as usize], &second[*j as usize]);
+                (p.u_px - q.u_px).hypot(p.v_px - q.v_px)
+            })
+            .collect();
+        apart.sort_by(f32::total_cmp);
+        if apart.get(apart.len() / 2).is_none_or(|&middle| middle > DOUBLE_PX) {
+            continue;
+        }
+        let placed = |k: usize| project.plan_m[k][0].is_finite();
+        let (stays, goes) = if placed(b) && !placed(a) { (b, a) } else { (a, b) };
+        out[goes] = true;
+        findings.push(Finding::new(
+            &project.photos[goes].name,
+            &format!("it is the same picture as {}: left out", project.photos[stays].name),
+        ));
+    }
+    matched.retain(|pair| pair.images.iter().all(|&k| !out[k as usize]));
+}
+
 /// A coarse look at the candidates: features of the largest scales, and of each photo the pairs with
 /// most matches.
 fn shortlist(

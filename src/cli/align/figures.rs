@@ -6,7 +6,7 @@ use crate::{
     error::Error,
     io::{FileError, images, output},
     problems::adjustment::Survey,
-    sfm::{Pair, relative::Solver},
+    sfm::{Pair, relative::Solver, resection::quaternion},
 };
 use image::{Rgb, RgbImage};
 use plotters::prelude::*;
@@ -44,6 +44,7 @@ pub(super) fn write(
     }
     let view = View::of(survey);
     overlap(folder, survey, &view, force)?;
+    pairs_table(folder, pairs, names, force)?;
     graph(folder, survey, pairs, names, &view, force)?;
     images::write_photo(&folder.join("cloud-above.png"), force, &cloud(survey, [0, 1]))?;
     images::write_photo(&folder.join("cloud-aside.png"), force, &cloud(survey, [0, 2]))?;
@@ -141,6 +142,33 @@ fn overlap(folder: &Path, survey: &Survey, view: &View, force: bool) -> Result<(
     })
 }
 
+/// The pairs with their orientations: the rotation as a quaternion `w, x, y, z` and the baseline of
+/// length 1 that take the camera frame of the first to that of the second (`y` up, looking along `-z`).
+pub(super) fn pairs_table(
+    folder: &Path,
+    pairs: &[Pair],
+    names: &[&str],
+    force: bool,
+) -> Result<(), Error> {
+    std::fs::create_dir_all(folder).map_err(|e| FileError::write(folder, e))?;
+    output::write(&folder.join("pairs.csv"), force, |out| {
+        writeln!(out, "first,second,matches,solver,angle_deg,tilt_deg,qw,qx,qy,qz,tx,ty,tz")?;
+        for pair in pairs {
+            let [a, b] = pair.images.map(|k| names[k as usize]);
+            let solver = if pair.solver == Solver::TwoPoint { "two-point" } else { "five-point" };
+            let (angle, tilt) = (pair.angle_rad.to_degrees(), pair.pose.tilt_rad().to_degrees());
+            write!(out, "{a},{b},{},{solver},{angle:.3},{tilt:.3}", pair.matches.len())?;
+            let [w, x, y, z] = quaternion(&pair.pose.rotation);
+            let t = pair.pose.translation;
+            let numbers = [w, x, y, z, t.x, t.y, t.z];
+            numbers.iter().try_for_each(|number| write!(out, ",{number:.9}"))?;
+            writeln!(out)?;
+        }
+        Ok(())
+    })?;
+    Ok(())
+}
+
 /// Which photos match, and by which solver they were oriented.
 fn graph(
     folder: &Path,
@@ -150,16 +178,6 @@ fn graph(
     view: &View,
     force: bool,
 ) -> Result<(), Error> {
-    output::write(&folder.join("pairs.csv"), force, |out| {
-        writeln!(out, "first,second,matches,solver,angle_deg,tilt_deg")?;
-        for pair in pairs {
-            let [a, b] = pair.images.map(|k| names[k as usize]);
-            let solver = if pair.solver == Solver::TwoPoint { "two-point" } else { "five-point" };
-            let (angle, tilt) = (pair.angle_rad.to_degrees(), pair.pose.tilt_rad().to_degrees());
-            writeln!(out, "{a},{b},{},{solver},{angle:.3},{tilt:.3}", pair.matches.len())?;
-        }
-        Ok(())
-    })?;
     let places: HashMap<&str, (f64, f64)> = survey
         .images
         .iter()

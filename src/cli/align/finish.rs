@@ -3,12 +3,15 @@
 use super::{
     Args, Finding,
     project::{Photo, Project},
+    stages::gsd_m,
 };
 use crate::{
     camera::Lens,
     error::Error,
     nlls::Loss,
-    problems::adjustment::{Alignment, Removed, Role, Settings, Snooping, Survey, snoop},
+    problems::adjustment::{
+        Alignment, Group, Removed, Role, Settings, Snooping, Survey, doubtful, snoop,
+    },
     sfm::{
         block::Block,
         georeference::{self, Known, adjust, axes_exchanged, join, review_marks, weigh_positions},
@@ -32,6 +35,10 @@ pub(super) struct Final {
     /// Check points as the project has them, not those that were made ones.
     pub(super) checks: Vec<String>,
 }
+
+/// Pixels, on the ground or in a photo, that control, marks and camera positions may be off by without
+/// being taken out: what flights with a cheap lens leave at their borders.
+const LEAST_ERROR_PX: f64 = 6.0;
 
 /// Control that is this many times as far off as half of it is wrong.
 const GROSS: f64 = 8.0;
@@ -166,18 +173,34 @@ pub(super) fn finish<'a>(
     // Without a map the first photo and the distance to the farthest one are the frame.
     let minimal_datum = !joined.georeferenced;
     let settings = Settings { tie_loss: Loss::SoftL1(2.0), minimal_datum, ..Settings::default() };
-    let snooping = Snooping { rounds: 8, ..Snooping::default() };
+    let snooping = Snooping {
+        rounds: 8,
+        least_error_m: LEAST_ERROR_PX * gsd_m(&survey),
+        least_error_px: LEAST_ERROR_PX,
+        ..Snooping::default()
+    };
     let snooped = snoop(&mut survey, &settings, &snooping)?;
     for removed in &snooped.removed {
-        if removed.group != crate::problems::adjustment::Group::TiePoints {
+        if removed.group != Group::TiePoints {
             findings.push(Finding::new(
                 &removed.name,
                 &format!(
-                    "not consistent with the block ({:.1} times the critical value, {:.3} {:.3} {:.3} off): taken out",
-                    removed.excess, removed.residual[0], removed.residual[1], removed.residual[2]
+                    "the rest of the block puts it {} away: taken out ({:.1} times the critical value)",
+                    far(removed),
+                    removed.excess
                 ),
             ));
         }
+    }
+    for doubt in doubtful(&snooped.adjusted, &settings, &snooping) {
+        findings.push(Finding::new(
+            &doubt.name,
+            &format!(
+                "the rest of the block puts it {} away, more than its accuracy says ({:.1} times the critical value); kept",
+                far(&doubt),
+                doubt.excess
+            ),
+        ));
     }
     Ok(Final {
         survey,
@@ -190,6 +213,16 @@ pub(super) fn finish<'a>(
         fragments,
         checks,
     })
+}
+
+/// How far off something is, in its unit.
+fn far(removed: &Removed) -> String {
+    let distance = removed.error.iter().map(|e| e * e).sum::<f64>().sqrt();
+    if removed.group == Group::Marks {
+        format!("{distance:.1} px")
+    } else {
+        format!("{distance:.3} m")
+    }
 }
 
 fn names(block: &Block<'_>, photos: &[Photo]) -> Vec<String> {

@@ -5,6 +5,7 @@ mod extract;
 mod figures;
 mod finish;
 mod ground;
+mod lenses;
 mod pair_figures;
 mod project;
 mod results;
@@ -16,6 +17,7 @@ use crate::{
     features,
     io::{FileError, control::Defaults},
     sfm::{
+        block::Block,
         growth::{Growing, Start},
         relative::Solver,
         verify::Verifying,
@@ -327,8 +329,9 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
         project.known.marks.len(),
         project.frame.name()
     );
+    let mut so_far = results::SoFar::new(&project, last);
     if last == Stage::Inspect {
-        return Ok(());
+        return so_far.present(findings, &clock.seconds, args.json);
     }
     // Half of the usual contrast: the budget keeps the best, and a plain crop has no others.
     let options = features::Options {
@@ -340,10 +343,11 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
         extract::features(&project, &options, (&cache, fresh(Stage::Features)), &mut findings)
     })?;
     tell(&findings);
+    so_far.features = Some(extracted.features.iter().map(|f| f.key_points.len()).sum());
     if last == Stage::Features {
-        return Ok(());
+        return so_far.present(findings, &clock.seconds, args.json);
     }
-    let (matched, matched_mark) = clock.time("match", || {
+    let (mut matched, matched_mark) = clock.time("match", || {
         extract::matches(
             &project,
             &extracted,
@@ -352,29 +356,36 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
             (&cache, fresh(Stage::Match)),
         )
     })?;
+    extract::take_out_doubles(&project, &extracted, &mut matched, &mut findings);
+    tell(&findings);
     let all: usize = matched.iter().map(|m| m.matches.len()).sum();
     tracing::info!("{} pairs, {all} matches", matched.len());
+    (so_far.pairs, so_far.matches) = (Some(matched.len()), Some(all));
     if last == Stage::Match {
-        return Ok(());
+        return so_far.present(findings, &clock.seconds, args.json);
     }
     let geometric = extracted.geometric(&project);
     let (pairs, pairs_mark) = clock.time("verify", || {
-        stages::find_principal_distances(&mut project, &geometric, &matched, args, &mut findings)?;
+        let marked = (matched.as_slice(), matched_mark);
+        let kept = (&cache, fresh(Stage::Verify));
+        lenses::begin(&mut project, &geometric, marked, args, kept, &mut findings)?;
         let cameras: Vec<Camera> =
             project.cameras.iter().map(|(camera, _)| camera.clone()).collect();
-        let marked = (matched.as_slice(), matched_mark);
         stages::verify(&geometric, &cameras, marked, args, (&cache, fresh(Stage::Verify)))
     })?;
     tell(&findings);
     let two = pairs.iter().filter(|pair| pair.solver == Solver::TwoPoint).count();
+    let right: usize = pairs.iter().map(|pair| pair.matches.len()).sum();
     tracing::info!(
-        "{} oriented pairs ({two} by two points, {} by five), {} matches",
+        "{} oriented pairs ({two} by two points, {} by five), {right} matches",
         pairs.len(),
         pairs.len() - two,
-        pairs.iter().map(|pair| pair.matches.len()).sum::<usize>()
     );
+    let names: Vec<&str> = project.photos.iter().map(|photo| photo.name.as_str()).collect();
+    (so_far.pairs, so_far.matches) = (Some(pairs.len()), Some(right));
     if last == Stage::Verify {
-        return Ok(());
+        figures::pairs_table(&output.join("report"), &pairs, &names, true)?;
+        return so_far.present(findings, &clock.seconds, args.json);
     }
     let cameras: Vec<Camera> = project.cameras.iter().map(|(camera, _)| camera.clone()).collect();
     let tracks = stages::tracks(&geometric, &pairs);
@@ -392,8 +403,10 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     })?;
     let sizes: Vec<String> = blocks.iter().map(|block| block.registered().to_string()).collect();
     tracing::info!("blocks of {} images", sizes.join(", "));
+    so_far.registered = blocks.first().map(Block::registered);
+    so_far.fragments = Some(blocks.len());
     if last == Stage::Orient {
-        return Ok(());
+        return so_far.present(findings, &clock.seconds, args.json);
     }
     let found = clock.time("adjust", || finish::finish(blocks, &project, args, &mut findings))?;
     tell(&findings);
@@ -401,7 +414,6 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     if last == Stage::Report {
         let begin = Instant::now();
         results::write(&output, &report, &mut outcome, &project, args.force)?;
-        let names: Vec<&str> = project.photos.iter().map(|photo| photo.name.as_str()).collect();
         let pictures = output.join("report");
         figures::write(&pictures, &outcome.adjusted.survey, &pairs, &names, args.force)?;
         let of = (project.photos.as_slice(), geometric.as_slice());

@@ -131,6 +131,10 @@ impl Report {
             .filter(|name| !registered.contains(&name.as_str()))
             .collect();
         for name in &unregistered {
+            // Why it could not be is known already.
+            if findings.iter().any(|finding| finding.subject == *name) {
+                continue;
+            }
             let place = project.photos.iter().position(|photo| photo.name == *name);
             let place = place.map_or(u32::MAX, |k| k as u32);
             let own = pairs.iter().filter(|pair| pair.images.contains(&place)).count();
@@ -189,6 +193,82 @@ impl Report {
     }
 }
 
+/// What is known where a run ends before its last stage.
+#[derive(Serialize)]
+pub(super) struct SoFar {
+    project: String,
+    /// The last stage that was run.
+    until: String,
+    images: usize,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) features: Option<usize>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) pairs: Option<usize>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) matches: Option<usize>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) registered: Option<usize>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) fragments: Option<usize>,
+}
+
+impl SoFar {
+    pub(super) fn new(project: &Project, until: super::Stage) -> SoFar {
+        SoFar {
+            project: project.name.clone(),
+            until: format!("{until:?}").to_lowercase(),
+            images: project.photos.len() + project.left_out.len(),
+            features: None,
+            pairs: None,
+            matches: None,
+            registered: None,
+            fragments: None,
+        }
+    }
+
+    /// Says it: in a few words, or as one line of JSON.
+    ///
+    /// # Errors
+    /// Where stdout is closed.
+    pub(super) fn present(
+        &self,
+        findings: Vec<Finding>,
+        seconds: &[(&'static str, f64)],
+        json: bool,
+    ) -> Result<(), Error> {
+        #[derive(Serialize)]
+        struct Line<'a> {
+            #[serde(flatten)]
+            so_far: &'a SoFar,
+            findings: Vec<Finding>,
+            seconds: BTreeMap<&'static str, f64>,
+            peak_memory_mb: Option<f64>,
+        }
+        if json {
+            return super::super::print_json(&Line {
+                so_far: self,
+                findings,
+                seconds: seconds.iter().copied().collect(),
+                peak_memory_mb: super::super::peak_memory_mb(),
+            });
+        }
+        let mut text = format!("until {}: {} images", self.until, self.images);
+        for (count, what) in [
+            (self.features, "features"),
+            (self.pairs, "pairs"),
+            (self.matches, "matches"),
+            (self.registered, "images in the largest block"),
+            (self.fragments, "blocks"),
+        ] {
+            if let Some(count) = count {
+                let _ = write!(text, ", {count} {what}");
+            }
+        }
+        text.push('\n');
+        super::super::print(&text)
+    }
+}
+
 fn folder(path: PathBuf) -> Result<PathBuf, Error> {
     std::fs::create_dir_all(&path).map_err(|e| FileError::write(&path, e))?;
     Ok(path)
@@ -208,7 +288,7 @@ pub(super) fn write(
     let adjusted = &outcome.adjusted;
     let block = &adjusted.survey;
     let sigma0 = adjusted.statistics.sigma0;
-    for (k, camera) in block.cameras.iter().enumerate() {
+    for (k, camera) in survey::report::described(adjusted).iter().enumerate() {
         camera::write(&root.join(format!("camera-{}.toml", k + 1)), force, camera)?;
     }
     let accuracies = &adjusted.statistics.images;
@@ -293,8 +373,12 @@ pub(super) fn present(
 
 fn summary(report: &Report, outcome: &survey::Outcome, seconds: &[(&'static str, f64)]) -> String {
     let mut text = format!(
-        "{} of {} images oriented in {} piece(s); frame: {}\n",
-        report.registered, report.images, report.fragments, report.crs
+        "{} of {} images oriented in {} {}; frame: {}\n",
+        report.registered,
+        report.images,
+        report.fragments,
+        if report.fragments == 1 { "piece" } else { "pieces" },
+        report.crs
     );
     let _ = writeln!(
         text,

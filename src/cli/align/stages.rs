@@ -1,11 +1,6 @@
 //! The stages that compute: orientation of pairs, tracks, growth of blocks.
 
-use super::{
-    Args, Finding,
-    cache::Cache,
-    extract::bar,
-    project::{Frame, Project, camera_at},
-};
+use super::{Args, cache::Cache, extract::bar, project::Frame};
 use crate::{
     camera::{Camera, Lens},
     error::Error,
@@ -16,7 +11,7 @@ use crate::{
         growth::{Event, Growing, reconstruct},
         relative::{RelativePose, Solver},
         tracks::Tracks,
-        verify::{Matched, orient_pairs, shares_by_principal_distance},
+        verify::{Matched, orient_pairs},
     },
 };
 use nalgebra::{Matrix3, Vector3};
@@ -56,56 +51,6 @@ impl StoredPair {
             angle_rad: self.angle_rad,
         }
     }
-}
-
-/// Looks for the principal distance of cameras whose files do not tell it.
-pub(super) fn find_principal_distances(
-    project: &mut Project,
-    features: &[sfm::Features],
-    matched: &[Matched],
-    args: &Args,
-    findings: &mut Vec<Finding>,
-) -> Result<(), Error> {
-    for camera in 0..project.cameras.len() {
-        if project.cameras[camera].1.is_some() {
-            continue;
-        }
-        let mut own: Vec<&Matched> = matched
-            .iter()
-            .filter(|m| m.images.iter().all(|&k| features[k as usize].camera == camera))
-            .collect();
-        own.sort_by(|a, b| b.matches.len().cmp(&a.matches.len()).then(a.images.cmp(&b.images)));
-        own.truncate(12);
-        let own: Vec<Matched> = own.into_iter().cloned().collect();
-        let size_px = project.cameras[camera].0.interior.size_px();
-        let larger = f64::from(size_px[0].max(size_px[1]));
-        let candidates: Vec<f64> = (0..12).map(|k| larger * 0.5 * 1.18f64.powi(k)).collect();
-        let shares =
-            shares_by_principal_distance(features, &own, size_px, &candidates, &args.verifying());
-        let best = (0..shares.len()).max_by(|&a, &b| shares[a].total_cmp(&shares[b])).unwrap_or(0);
-        let mut sorted = shares.clone();
-        sorted.sort_by(f64::total_cmp);
-        // Photos of a plane from above say little: then the usual is as good.
-        let telling = shares[best] - sorted[sorted.len() / 2] > 0.02;
-        let (entry, source) = &mut project.cameras[camera];
-        let c = if telling { candidates[best] } else { entry.interior.principal_distance_px() };
-        let mut found = camera_at(&entry.name, entry.interior.model(), size_px, c)?;
-        found.standard_deviations[0] = Some(0.3 * c);
-        findings.push(Finding::new(
-            &found.name,
-            &format!(
-                "principal distance {c:.0} px to begin with, {}",
-                if telling {
-                    "which explains most of the matches"
-                } else {
-                    "for want of anything better"
-                }
-            ),
-        ));
-        *entry = found;
-        *source = None;
-    }
-    Ok(())
 }
 
 /// Orients the pairs.

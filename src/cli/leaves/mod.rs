@@ -22,19 +22,20 @@ use std::path::{Path, PathBuf};
 /// each other across a gap into leaves. One leaf is one label. Takes a mask (two values), or a photo or
 /// orthomosaic, which is segmented by --tau first. TIFF and GeoTIFF, PNG, JPEG.
 ///
-/// The output's ending says what it is: .csv, a table; .geojson, axes with the same columns. Traits are in
+/// The output's ending says what it is: .csv, a table; .gpkg (GeoPackage, for QGIS) or .geojson, axes with the same
+/// columns; a GeoPackage also has the layer "plants" where --plants are given. Traits are in
 /// metres too where the raster has a ground sampling distance (or --gsd gives it), else in pixels only.
 /// GeoJSON coordinates are in the raster's own CRS, which the file names; without one they are pixels.
 ///
 /// Angles are written as pi/5, 36deg or in radians.
 ///
-/// Example: rowgram leaves ortho.tif -o leaves.csv --labels labels.tif --overlay seen.png
+/// Example: rowgram leaves ortho.tif -o leaves.gpkg --labels labels.tif --overlay seen.png
 #[derive(Debug, clap::Args)]
 #[command(verbatim_doc_comment)]
 pub(super) struct Args {
     /// Mask, photo or orthomosaic.
     image: PathBuf,
-    /// Where to write the leaves (.csv or .geojson).
+    /// Where to write the leaves (.gpkg, .geojson or .csv).
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// Write one label per leaf, 0 elsewhere, as a GeoTIFF.
@@ -213,7 +214,9 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
         gsd_m,
         georeference,
     };
-    if ends(&args.output, "geojson") {
+    if ends(&args.output, "gpkg") {
+        rows.write_gpkg(&args.output, args.force, plants.as_deref())?;
+    } else if ends(&args.output, "geojson") {
         rows.write_geojson(&args.output, args.force)?;
     } else {
         rows.write_csv(&args.output, args.force)?;
@@ -276,9 +279,9 @@ fn check(args: &Args) -> Result<(), Error> {
             "--gsd is {gsd}, expected metres per pixel from 0.00001 to 100"
         )));
     }
-    if !ends(&args.output, "csv") && !ends(&args.output, "geojson") {
+    if !["gpkg", "geojson", "csv"].iter().any(|ending| ends(&args.output, ending)) {
         return Err(Error::Argument(format!(
-            "{}: expected a name that ends in .csv or .geojson",
+            "{}: expected a name that ends in .gpkg, .geojson or .csv",
             args.output.display()
         )));
     }

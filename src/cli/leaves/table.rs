@@ -1,4 +1,4 @@
-//! Leaves as a table (CSV) and on the map (GeoJSON).
+//! Leaves as a table (CSV) and on the map (GeoPackage, GeoJSON).
 //!
 //! Columns: `leaf` (its label, from 1), `u_px, v_px` (middle of the axis), `length_px, mean_width_px,
 //! max_width_px, area_px`, `angle_deg` (of the axis, 0 to 180, from the picture's `u` axis towards `v`), `hue_deg`
@@ -8,7 +8,9 @@
 use crate::{
     error::Error,
     io::{
-        FileError, output,
+        FileError,
+        gpkg::{self, Column, ColumnKind, Feature, Geometry, GeometryKind, Layer},
+        output,
         rasters::{BAND_ROWS, Source},
     },
     phenotype::leaves::Leaf,
@@ -29,7 +31,22 @@ pub(super) struct Rows<'a> {
 impl Rows<'_> {
     /// Names and values of one leaf, in the order of the columns.
     fn row(&self, index: usize) -> Vec<(&'static str, Option<f64>)> {
-        let leaf = &self.leaves[index];
+        self.values(&self.leaves[index], index)
+    }
+
+    /// The names, which do not need a leaf.
+    fn names(&self) -> Vec<&'static str> {
+        let none = Leaf {
+            runs: Vec::new(),
+            axis_px: Vec::new(),
+            width_px: Vec::new(),
+            length_px: 0.0,
+            area_px: 0,
+        };
+        self.values(&none, usize::MAX).into_iter().map(|(name, _)| name).collect()
+    }
+
+    fn values(&self, leaf: &Leaf, index: usize) -> Vec<(&'static str, Option<f64>)> {
         let [u, v] = leaf.middle_px();
         let rounded = |value: f64, digits: i32| {
             let scale = 10f64.powi(digits);
@@ -45,8 +62,14 @@ impl Rows<'_> {
             ("max_width_px", rounded(max, 2)),
             ("area_px", Some(leaf.area_px as f64)),
             ("angle_deg", rounded(leaf.angle_rad().to_degrees(), 1)),
-            ("hue_deg", self.hues.and_then(|hues| hues[index]).and_then(|hue| rounded(hue, 1))),
-            ("plant", self.owners.and_then(|owners| owners[index]).map(|plant| plant as f64 + 1.0)),
+            (
+                "hue_deg",
+                self.hues.and_then(|hues| *hues.get(index)?).and_then(|hue| rounded(hue, 1)),
+            ),
+            (
+                "plant",
+                self.owners.and_then(|owners| *owners.get(index)?).map(|plant| plant as f64 + 1.0),
+            ),
         ];
         if let Some(gsd) = self.gsd_m {
             row.extend([
@@ -66,23 +89,7 @@ impl Rows<'_> {
     pub(super) fn write_csv(&self, path: &Path, force: bool) -> Result<(), FileError> {
         output::write(path, force, |writer| {
             let mut csv = csv::Writer::from_writer(writer);
-            let names: Vec<&str> = if self.leaves.is_empty() {
-                vec![
-                    "leaf",
-                    "u_px",
-                    "v_px",
-                    "length_px",
-                    "mean_width_px",
-                    "max_width_px",
-                    "area_px",
-                    "angle_deg",
-                    "hue_deg",
-                    "plant",
-                ]
-            } else {
-                self.row(0).iter().map(|(name, _)| *name).collect()
-            };
-            csv.write_record(names)?;
+            csv.write_record(self.names())?;
             for index in 0..self.leaves.len() {
                 let cells = self
                     .row(index)
@@ -112,23 +119,79 @@ impl Rows<'_> {
         })
     }
 
-    fn feature(&self, index: usize) -> Value {
-        let leaf = &self.leaves[index];
+    /// Layer "leaves", and "plants" with their number of leaves where plants are given (in pixels).
+    pub(super) fn write_gpkg(
+        &self,
+        path: &Path,
+        force: bool,
+        plants: Option<&[[f64; 2]]>,
+    ) -> Result<(), FileError> {
+        let kind = |name: &str| match whole(name) {
+            true => ColumnKind::Integer,
+            false => ColumnKind::Real,
+        };
+        let columns = self.names().into_iter().map(|name| Column::new(name, kind(name)));
+        let features = (0..self.leaves.len()).map(|index| Feature {
+            geometry: Some(Geometry::LineString(self.axis(index))),
+            values: self
+                .row(index)
+                .into_iter()
+                .map(|(name, value)| match value {
+                    None => gpkg::Value::Null,
+                    Some(value) if whole(name) => gpkg::Value::Integer(value as i64),
+                    Some(value) => gpkg::Value::Real(value),
+                })
+                .collect(),
+        });
+        let crs = self.georeference.map(|place| place.crs);
+        let mut layers = vec![Layer {
+            name: "leaves".into(),
+            description: "Axes of single leaves".into(),
+            kind: GeometryKind::LineString,
+            crs,
+            columns: columns.collect(),
+            features: features.collect(),
+        }];
+        if let (Some(plants), Some(owners)) = (plants, self.owners) {
+            let place = |at: [f64; 2]| self.georeference.map_or(at, |place| place.map(at));
+            let counts = counts(plants.len(), owners);
+            let features = plants.iter().zip(counts).zip(1..).map(|((&at, count), number)| {
+                let values = vec![gpkg::Value::Integer(number), gpkg::Value::Integer(count as i64)];
+                Feature { geometry: Some(Geometry::Point(place(at))), values }
+            });
+            layers.push(Layer {
+                name: "plants".into(),
+                description: "Plants with their number of leaves".into(),
+                kind: GeometryKind::Point,
+                crs,
+                columns: ["plant", "leaves"].map(|n| Column::new(n, ColumnKind::Integer)).into(),
+                features: features.collect(),
+            });
+        }
+        gpkg::write(path, force, &layers)
+    }
+
+    /// The axis of a leaf on the map, or in pixels; two points at least, as a line has.
+    fn axis(&self, index: usize) -> Vec<[f64; 2]> {
         let rounded = |value: f64| (value * 1e4).round() / 1e4;
-        let mut points: Vec<[f64; 2]> = leaf
-            .axis_px
-            .iter()
-            .map(|&point| self.georeference.map_or(point, |place| place.map(point)).map(rounded))
-            .collect();
-        // A line has two points at least.
+        let place = |point| self.georeference.map_or(point, |place| place.map(point)).map(rounded);
+        let mut points: Vec<[f64; 2]> =
+            self.leaves[index].axis_px.iter().map(|&point| place(point)).collect();
         if points.len() == 1 {
             points.push(points[0]);
         }
+        points
+    }
+
+    fn feature(&self, index: usize) -> Value {
+        let leaf = &self.leaves[index];
+        let rounded = |value: f64| (value * 1e4).round() / 1e4;
+        let points = self.axis(index);
         let mut properties: Map<String, Value> = self
             .row(index)
             .into_iter()
             .map(|(name, value)| {
-                let whole = matches!(name, "leaf" | "plant" | "area_px");
+                let whole = whole(name);
                 let number = value.map_or(Value::Null, |value| {
                     if whole { json!(value as u64) } else { json!(value) }
                 });
@@ -143,6 +206,20 @@ impl Rows<'_> {
             "properties": properties,
         })
     }
+}
+
+/// Whether a column holds whole numbers.
+fn whole(name: &str) -> bool {
+    matches!(name, "leaf" | "plant" | "area_px")
+}
+
+/// Leaves of each plant.
+fn counts(plants: usize, owners: &[Option<usize>]) -> Vec<usize> {
+    let mut counts = vec![0usize; plants];
+    for &plant in owners.iter().flatten() {
+        counts[plant] += 1;
+    }
+    counts
 }
 
 /// The mean hue of each leaf, degrees; the mean of directions on the circle, so that red is no green.
@@ -187,10 +264,7 @@ pub(super) fn write_plants(
     plants: &[[f64; 2]],
     owners: &[Option<usize>],
 ) -> Result<(), FileError> {
-    let mut counts = vec![0usize; plants.len()];
-    for &plant in owners.iter().flatten() {
-        counts[plant] += 1;
-    }
+    let counts = counts(plants.len(), owners);
     output::write(path, force, |writer| {
         writeln!(writer, "plant,u_px,v_px,leaves")?;
         for (index, (plant, count)) in plants.iter().zip(counts).enumerate() {

@@ -43,10 +43,11 @@ impl Setting<'_> {
             [left, bottom, right, top] => [[left, right], [bottom, top]],
             _ => {
                 let mut bounds = [[f64::INFINITY, f64::NEG_INFINITY]; 2];
-                let mut beyond = 0;
+                let (mut beyond, mut partly) = (0, 0);
                 for view in self.views {
                     match view.footprint_m(self.surface) {
-                        Some(footprint) => {
+                        Some((footprint, whole)) => {
+                            partly += usize::from(!whole);
                             for (all, own) in bounds.iter_mut().zip(footprint) {
                                 *all = [all[0].min(own[0]), all[1].max(own[1])];
                             }
@@ -56,6 +57,12 @@ impl Setting<'_> {
                 }
                 if beyond > 0 && beyond < self.views.len() {
                     tracing::warn!("{beyond} photos show nothing of the surface");
+                }
+                if partly > 0 {
+                    tracing::warn!(
+                        "{partly} of {} photos reach beyond the surface; what it does not cover has no colour",
+                        self.views.len()
+                    );
                 }
                 bounds
             }
@@ -118,6 +125,7 @@ impl Setting<'_> {
             height_px: size[1],
             gsd_m: grid.per_column[0],
             epsg: grid.crs.epsg,
+            vertical_epsg: grid.crs.vertical_epsg,
             photos: rendered.cells_of.iter().filter(|&&cells| cells > 0).count(),
             coloured_pixels: rendered.coloured,
             seconds,
@@ -172,8 +180,11 @@ impl Setting<'_> {
             for (k, photo) in photos.iter().enumerate() {
                 let Some(photo) = photo else { continue };
                 for &(cell, at) in &wanted[k] {
-                    let [r, g, b, _] = photo.at(at, Interpolation::Bilinear);
-                    colours[cell].push((k, [r, g, b]));
+                    let colour = photo.at(at, Interpolation::Bilinear);
+                    if Photo::has_data(colour) {
+                        let [r, g, b, _] = colour;
+                        colours[cell].push((k, [r, g, b]));
+                    }
                 }
             }
         })?;

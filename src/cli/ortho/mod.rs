@@ -31,6 +31,7 @@ struct Map {
     height_px: usize,
     gsd_m: f64,
     epsg: Option<u32>,
+    vertical_epsg: Option<u32>,
     photos: usize,
     coloured_pixels: usize,
     seconds: f64,

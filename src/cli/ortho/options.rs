@@ -190,7 +190,22 @@ impl Args {
                 )
                 .into());
             }
-            (None, Some(_)) => surface.georeference.crs = crs.unwrap_or(known),
+            (None, Some(_)) => {
+                surface.georeference.crs =
+                    Crs { vertical_epsg: known.vertical_epsg, ..crs.unwrap_or(known) };
+            }
+            _ => {}
+        }
+        match (known.vertical_epsg, crs.and_then(|crs| crs.vertical_epsg)) {
+            (Some(a), Some(b)) if a != b => {
+                return Err(FileError::malformed(
+                    &path,
+                    None,
+                    format!("its heights are in EPSG:{a}, those of the photos in EPSG:{b}"),
+                )
+                .into());
+            }
+            (None, vertical) => surface.georeference.crs.vertical_epsg = vertical,
             _ => {}
         }
         if surface.georeference.crs.kind == CrsKind::Unknown {

@@ -6,7 +6,7 @@ use crate::{
     error::Error,
     io::{FileError, bundler, camera, cloud_points, colmap, opensfm, orthority, poses},
     mapping::{View, dem::Point},
-    raster::georeference::{Crs, CrsKind},
+    raster::georeference::Crs,
 };
 use std::{
     collections::BTreeMap,
@@ -46,6 +46,9 @@ pub(in crate::cli) struct Input {
     /// EPSG code of the mapping frame, where the input does not say it.
     #[arg(long, value_name = "CODE")]
     epsg: Option<u32>,
+    /// EPSG code of what heights are measured from (5773: EGM96, 5703: NAVD88), where it is known.
+    #[arg(long, value_name = "CODE")]
+    vertical_epsg: Option<u32>,
     /// Points for the surface: CSV with x_m, y_m, z_m and perhaps sigma_z_m.
     #[arg(long, value_name = "FILE")]
     points: Option<PathBuf>,
@@ -125,7 +128,11 @@ impl Input {
                     "--epsg {code}: the block is in EPSG:{known}"
                 )));
             }
-            block.crs = Some(Crs { epsg: Some(code), kind: CrsKind::Projected });
+            let vertical_epsg = block.crs.and_then(|crs| crs.vertical_epsg);
+            block.crs = Some(Crs { vertical_epsg, ..Crs::projected(code) });
+        }
+        if let Some(code) = self.vertical_epsg {
+            block.crs = Some(Crs { vertical_epsg: Some(code), ..block.crs.unwrap_or(Crs::LOCAL) });
         }
         Ok(block)
     }
@@ -191,8 +198,12 @@ impl Input {
         let points = if table.is_file() { cloud_points::read(&table)? } else { Vec::new() };
         let crs = std::fs::read_to_string(folder.join("crs.txt")).ok().and_then(|text| {
             let first = text.lines().next()?.trim().to_owned();
-            let code = first.strip_prefix("EPSG:")?.split_whitespace().next()?.parse().ok()?;
-            Some(Crs { epsg: Some(code), kind: CrsKind::Projected })
+            // EPSG:32616, or EPSG:32616+5773 with what heights are measured from.
+            let codes = first.strip_prefix("EPSG:")?.split_whitespace().next()?;
+            let (code, vertical) =
+                codes.split_once('+').map_or((codes, None), |(a, b)| (a, Some(b)));
+            let vertical_epsg = vertical.and_then(|text| text.parse().ok());
+            Some(Crs { vertical_epsg, ..Crs::projected(code.parse().ok()?) })
         });
         Ok(Block { views, points, crs })
     }

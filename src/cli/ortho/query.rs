@@ -21,6 +21,8 @@ pub(in crate::cli) struct Query {
 #[derive(Debug, clap::Subcommand)]
 enum What {
     /// The photo and its pixel behind a place on the map
+    #[command(after_help = "Example:
+  rowgram query ortho 500670.2 4480143.1 --map field/rowgram/ortho/ortho.tif --json")]
     Ortho {
         /// East coordinate, metres.
         #[arg(allow_negative_numbers = true)]
@@ -32,6 +34,8 @@ enum What {
         of: Of,
     },
     /// The place on the map, and the mosaic's pixel, of a photo's pixel
+    #[command(after_help = "Example:
+  rowgram query photo IMG_0031.JPG 2011.5 1490 --map field/rowgram/ortho/ortho.tif")]
     Photo {
         /// The photo's name.
         image: String,

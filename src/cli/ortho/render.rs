@@ -23,8 +23,10 @@ use std::{
     sync::{Arc, mpsc},
 };
 
-/// Side of the windows, pixels.
-const SIDE: usize = 4 * TILE;
+/// Side of the windows, pixels: what they need stays in the cache.
+const SIDE: usize = 2 * TILE;
+/// Windows of a square, one after the other, so that photos are still there.
+const SQUARE: usize = 2;
 /// Samples of a pixel of the provenance raster.
 pub(super) const PROVENANCE_BANDS: usize = 5;
 /// What stands for no source there.
@@ -154,11 +156,11 @@ fn read(path: &Path, size_px: [u32; 2]) -> Result<Photo, Error> {
     let tiff = std::fs::File::open(path)
         .and_then(|mut file| std::io::Read::read_exact(&mut file, &mut first))
         .is_ok_and(|()| geotiff::is_tiff(&first));
-    let photo = if tiff {
+    let (photo, gaps) = if tiff {
         let reader = geotiff::Reader::open(path)?;
-        reader.read_rgb(Window::whole(reader.width(), reader.height()))?
+        reader.read_rgb_and_gaps(Window::whole(reader.width(), reader.height()))?
     } else {
-        images::read_colour(path)?
+        images::read_colour_and_gaps(path)?
     };
     if [photo.width(), photo.height()] != size_px {
         return Err(FileError::malformed(
@@ -174,7 +176,7 @@ fn read(path: &Path, size_px: [u32; 2]) -> Result<Photo, Error> {
         )
         .into());
     }
-    Ok(Photo::new(&photo))
+    Ok(Photo::new(&photo, gaps.as_deref()))
 }
 
 /// A finished window.
@@ -236,23 +238,17 @@ fn windows(
     provenance: bool,
     mut take: impl FnMut(Piece) -> Result<(), Error>,
 ) -> Result<(), Error> {
-    let [width, height] = job.size;
-    let columns = width.div_ceil(SIDE);
-    let count = columns * height.div_ceil(SIDE);
+    let order = order(job.size);
+    let count = order.len();
     let style = ProgressStyle::with_template("{msg:10} {wide_bar} {pos}/{len} {eta} left")
         .unwrap_or_else(|_| ProgressStyle::default_bar());
     let progress = ProgressBar::new(count as u64).with_style(style).with_message("windows");
     std::thread::scope(|scope| {
         let (send, receive) = mpsc::sync_channel::<Piece>(1);
         let worker = scope.spawn(move || -> Result<(), Error> {
-            for n in 0..count {
-                // Forth in one row of windows and back in the next, so that photos are still there.
-                let (row, place) = (n / columns, n % columns);
-                let column = if row % 2 == 0 { place } else { columns - 1 - place };
-                let (u, v) = (column * SIDE, row * SIDE);
-                let window =
-                    Window { u, v, width: SIDE.min(width - u), height: SIDE.min(height - v) };
-                let piece = piece(job, photos, rendered, window, provenance)?;
+            let mut sources = Sources::default();
+            for window in order {
+                let piece = piece(job, photos, rendered, (window, &mut sources), provenance)?;
                 if send.send(piece).is_err() {
                     break;
                 }
@@ -276,50 +272,154 @@ fn windows(
     })
 }
 
+/// All windows: squares of them, forth in one row of squares and back in the next.
+fn order([width, height]: [usize; 2]) -> Vec<Window> {
+    const FAR: usize = SQUARE * SIDE;
+    let columns = width.div_ceil(FAR);
+    let mut windows = Vec::new();
+    for n in 0..columns * height.div_ceil(FAR) {
+        let (row, place) = (n / columns, n % columns);
+        let column = if row.is_multiple_of(2) { place } else { columns - 1 - place };
+        let (left, top) = (column * FAR, row * FAR);
+        for v in (top..height.min(top + FAR)).step_by(SIDE) {
+            for u in (left..width.min(left + FAR)).step_by(SIDE) {
+                let (width, height) = (SIDE.min(width - u), SIDE.min(height - v));
+                windows.push(Window { u, v, width, height });
+            }
+        }
+    }
+    windows
+}
+
 fn piece(
     job: &Job<'_>,
     photos: &mut Photos<'_>,
     rendered: &mut Rendered,
-    window: Window,
+    (window, sources): (Window, &mut Sources),
     provenance: bool,
 ) -> Result<Piece, Error> {
     let selector = job.selector;
-    let sources = selector.sources(window);
-    let mut cells = vec![0usize; job.paths.len()];
-    for &source in sources.source.iter().filter(|&&source| source > 0) {
-        cells[source as usize - 1] += 1;
-    }
+    selector.sources_into(window, sources);
+    let mut cells = cells_of(sources, job.paths.len());
     let mut rgba = vec![[0u8; 4]; window.pixels()];
     match job.feather_m {
         None => {
-            let needed: Vec<usize> = (0..cells.len()).filter(|&k| cells[k] > 0).collect();
-            photos.each_group(&needed, selector, |photos| {
-                paint(&sources, photos, job.gains, job.interpolation, &mut rgba);
+            photos.each_group(&used(&cells), selector, |photos| {
+                paint(sources, photos, job.gains, job.interpolation, &mut rgba);
             })?;
+            if has_gaps(sources, &rgba) {
+                fill_gaps(job, photos, sources, &mut rgba)?;
+                cells = cells_of(sources, job.paths.len());
+            }
         }
         Some(feather_m) => {
-            let needed = Blend::photos(selector, &sources, feather_m);
+            let needed = Blend::photos(selector, sources, feather_m);
             let mut blend = Blend::new(window);
             photos.each_group(&needed, selector, |photos| {
                 let how = (job.interpolation, feather_m);
-                blend.add(selector, &sources, photos, job.gains, how);
+                blend.add(selector, sources, photos, job.gains, how);
             })?;
             blend.finish(&mut rgba);
+            let empty: Vec<usize> = gaps(sources, &rgba).collect();
+            for cell in empty {
+                sources.source[cell] = 0;
+                sources.pixel[cell] = [f32::NAN; 2];
+            }
+            cells = cells_of(sources, job.paths.len());
         }
     }
+    let sources = &*sources;
     rendered.coloured += cells.iter().sum::<usize>();
     rendered.cells_of.iter_mut().zip(&cells).for_each(|(all, own)| *all += own);
     let step = rendered.step;
-    for v in window.row_range().filter(|v| v.is_multiple_of(step)) {
-        for u in window.columns().filter(|u| u.is_multiple_of(step)) {
+    let first = [window.u, window.v].map(|n| n.next_multiple_of(step));
+    for v in (first[1]..window.v + window.height).step_by(step) {
+        for u in (first[0]..window.u + window.width).step_by(step) {
             let from = (v - window.v) * window.width + u - window.u;
             let to = v / step * rendered.preview_size[0] + u / step;
             rendered.preview[to] = rgba[from];
             rendered.preview_source[to] = sources.source[from];
         }
     }
-    let provenance = if provenance { records(selector, &sources) } else { Vec::new() };
+    let provenance = if provenance { records(selector, sources) } else { Vec::new() };
     Ok(Piece { window, rgba: rgba.into_flattened(), provenance })
+}
+
+/// Cells of each photo.
+fn cells_of(sources: &Sources, count: usize) -> Vec<usize> {
+    // The first one counts the cells without a photo; neighbours mostly have the same one.
+    let mut cells = vec![0; count + 1];
+    let source = &sources.source;
+    let mut start = 0;
+    while start < source.len() {
+        let mut end = start + 1;
+        while end < source.len() && source[end] == source[start] {
+            end += 1;
+        }
+        cells[source[start] as usize] += end - start;
+        start = end;
+    }
+    cells.split_off(1)
+}
+
+fn used(cells: &[usize]) -> Vec<usize> {
+    (0..cells.len()).filter(|&k| cells[k] > 0).collect()
+}
+
+/// Whether there is a cell whose photo has no data there.
+fn has_gaps(sources: &Sources, rgba: &[[u8; 4]]) -> bool {
+    let n = sources.source.len().min(rgba.len());
+    let (source, rgba) = (&sources.source[..n], &rgba[..n]);
+    let mut count = 0;
+    for i in 0..n {
+        count += usize::from((source[i] > 0) & (rgba[i][3] == 0));
+    }
+    count > 0
+}
+
+/// The cells whose photo has no data there.
+fn gaps<'a>(sources: &'a Sources, rgba: &'a [[u8; 4]]) -> impl Iterator<Item = usize> + 'a {
+    let both = sources.source.iter().zip(rgba).enumerate();
+    both.filter(|(_, (source, colour))| **source > 0 && colour[3] == 0).map(|(cell, _)| cell)
+}
+
+/// Where a photo has no data the next best one is taken, and so on; where none has any there is no source.
+fn fill_gaps(
+    job: &Job<'_>,
+    photos: &mut Photos<'_>,
+    sources: &mut Sources,
+    rgba: &mut [[u8; 4]],
+) -> Result<(), Error> {
+    let selector = job.selector;
+    let window = sources.window;
+    let among = selector.within(window);
+    let mut candidates = Vec::new();
+    let mut open: Vec<usize> = gaps(sources, rgba).collect();
+    for rank in 1.. {
+        let mut next = Sources { source: vec![0; window.pixels()], ..sources.clone() };
+        for &cell in &open {
+            let (u, v) = (window.u + cell % window.width, window.v + cell / window.width);
+            candidates.clear();
+            if let Some(point) = selector.point_m(u, v) {
+                selector.candidates(point, &among, &mut candidates);
+            }
+            let candidate = candidates.get(rank);
+            next.source[cell] = candidate.map_or(0, |candidate| candidate.view as u32 + 1);
+            let pixel = candidate.map(|candidate| candidate.image_px.map(|value| value as f32));
+            next.pixel[cell] = pixel.unwrap_or([f32::NAN; 2]);
+            sources.source[cell] = next.source[cell];
+            sources.pixel[cell] = next.pixel[cell];
+        }
+        let cells = cells_of(&next, job.paths.len());
+        photos.each_group(&used(&cells), selector, |photos| {
+            paint(&next, photos, job.gains, job.interpolation, rgba);
+        })?;
+        open = gaps(sources, rgba).collect();
+        if open.is_empty() {
+            break;
+        }
+    }
+    Ok(())
 }
 
 /// Source, its pixel, view angle in degrees and distance to the seam in metres of every cell.

@@ -126,6 +126,7 @@ pub(super) fn lights(facts: &Facts, limits: &Limits) -> Vec<Light> {
     if let Some(same) = facts.adjustment.get("nearly_the_same").and_then(Value::as_array) {
         let (colour, why) = match same.len() {
             0 => (Colour::Green, "every parameter is told from the others".to_owned()),
+            1 => (Colour::Yellow, "1 pair of parameters is nearly the same here".to_owned()),
             n => (Colour::Yellow, format!("{n} pairs of parameters are nearly the same here")),
         };
         add("Self-calibration", colour, why);

@@ -149,7 +149,7 @@ pub(super) fn plants(facts: &Facts) -> Result<Option<(Markup, Option<Markup>)>, 
     let Some(at) = table.pairs("u_px", "v_px") else { return Ok(None) };
     let overview = pictures::overview(&ortho, 1400)?;
     let (width, height) = overview.size;
-    let href = pictures::jpeg(&overview.picture, 1400)?;
+    let href = pictures::jpeg(&pictures::on_paper(overview.picture), 1400)?;
     let confidence = table.numbers("confidence").unwrap_or_else(|| vec![1.0; at.len()]);
     let colour = |k: usize| if confidence[k] >= 0.5 { "#ff3b30" } else { "#ff9f0a" };
     let radius = 0.0022 * width.max(height) as f64;

@@ -50,7 +50,18 @@ pub(super) struct Overview {
     pub(super) size: (usize, usize),
 }
 
-/// Reads a raster by bands and keeps every so many pixels of it, so that no side is longer than `side_px`.
+/// What is drawn where a map shows nothing: it reads as paper in both colour schemes, black as a dark field.
+const NOTHING: Rgb<u8> = Rgb([238, 239, 235]);
+
+/// `picture` with paper where it is entirely black, as mosaics are outside of what photos cover.
+pub(super) fn on_paper(mut picture: RgbImage) -> RgbImage {
+    for pixel in picture.pixels_mut().filter(|pixel| pixel.0 == [0; 3]) {
+        *pixel = NOTHING;
+    }
+    picture
+}
+
+/// Reads a raster by bands and means blocks of its pixels, so that no side is longer than `side_px`.
 ///
 /// # Errors
 /// Where it cannot be read.

@@ -40,11 +40,15 @@ pub(super) fn block(facts: &Facts) -> Result<Section, Error> {
     }
     let align = facts.says("align");
     let whole = |path: &str| digits(number(align, path), 0);
+    let pieces = match number(align, "/fragments") {
+        Some(1.0) => "one piece".to_owned(),
+        fragments => format!("{} pieces", digits(fragments, 0)),
+    };
     let findings = array(&align["findings"]);
     let unregistered = array(&align["unregistered"]);
     let content = html! {
         p {
-            (whole("/registered")) " of " (whole("/images")) " photos in " (whole("/fragments")) " piece(s); "
+            (whole("/registered")) " of " (whole("/images")) " photos in " (pieces) "; "
             (whole("/tie_points")) " tie points with " (whole("/observations")) " measurements; "
             (whole("/pairs")) " oriented pairs; reprojection rms " (digits(number(align, "/reprojection_rms_px"), 3)) " px; "
             (word(align, "crs")) "."
@@ -225,7 +229,7 @@ pub(super) fn map(facts: &Facts) -> Result<Section, Error> {
     let caption = format!("The orthomosaic, {width} x {height} pixels{gsd}.");
     let dem = facts.says("dem");
     let content = html! {
-        (figure(&pictures::jpeg(&overview.picture, 1400)?, &caption, ""))
+        (figure(&pictures::jpeg(&pictures::on_paper(overview.picture), 1400)?, &caption, ""))
         div .pair {
             (shown(facts, "ortho", "figures/sources.png", "Which photo each place comes from, and the seams between them.")?)
             (shown(facts, "ortho", "figures/coverage.png", "How many photos show each place, from none to many.")?)

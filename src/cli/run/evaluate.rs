@@ -33,7 +33,7 @@ impl Inputs {
             truth: place.root.join(place.config.project.truth.as_ref()?),
             plants: Some(plants).filter(|path| path.is_file())?,
             ortho: place.ortho()?,
-            plots: place.named(place.config.project.plots.as_ref(), "plots.geojson"),
+            plots: place.polygons(place.config.project.plots.as_ref(), "plots"),
             counts: Some(counts).filter(|path| path.is_file()),
             radii_m: place.config.evaluate.radii_m.clone(),
         })
@@ -41,7 +41,8 @@ impl Inputs {
 
     pub(super) fn files(&self) -> Vec<PathBuf> {
         let mut files = vec![self.truth.clone(), self.plants.clone(), self.ortho.clone()];
-        files.extend(self.plots.iter().chain(&self.counts).cloned());
+        files.extend(self.plots.iter().flat_map(|plots| polygons::files(plots)));
+        files.extend(self.counts.clone());
         files
     }
 

@@ -6,11 +6,15 @@ use crate::{
     error::Error,
     io::{FileError, output},
 };
+use data_synth::board::BOARD;
 use serde_json::{Value, json};
 use std::{collections::BTreeMap, path::Path};
 
 /// Says that a folder is such a project, and from which seed.
 const MARKER: &str = "synthetic-field.txt";
+
+/// Photos of a chessboard from which the camera is calibrated.
+const BOARDS: usize = 16;
 
 /// Refuses a folder that holds something else, and one of another seed.
 ///
@@ -44,7 +48,7 @@ fn marker_text(seed: u64) -> String {
 
 /// The command that makes the project.
 pub(super) fn command(seed: u64) -> String {
-    format!("rowgram synth flight --preset small --seed {seed} -o .")
+    format!("rowgram synth flight --preset small --boards {BOARDS} --seed {seed} -o .")
 }
 
 /// A plot of the truth.
@@ -60,10 +64,11 @@ struct Plot {
 /// Where a file cannot be written.
 pub(super) fn grow(root: &Path, seed: u64) -> Result<Value, Error> {
     let mut words: Vec<std::ffi::OsString> =
-        ["rowgram", "synth", "flight", "--preset", "small", "--force", "--seed"]
+        ["rowgram", "synth", "flight", "--preset", "small", "--force", "--boards"]
             .map(Into::into)
             .into();
-    words.extend([seed.to_string().into(), "-o".into(), root.into()]);
+    words.extend([BOARDS.to_string().into(), "--seed".into(), seed.to_string().into()]);
+    words.extend(["-o".into(), root.into()]);
     dispatch(parse(words)?.verb)?;
     let path = root.join("truth").join("plots.csv");
     let plots = plots(&path)?;
@@ -75,6 +80,8 @@ pub(super) fn grow(root: &Path, seed: u64) -> Result<Value, Error> {
     let settings = config::TEMPLATE
         .replace("# name = \"My field\"", &format!("name = \"Synthetic field {seed}\""))
         .replace("# crs = \"EPSG:32616\"", &format!("crs = \"EPSG:{epsg}\""))
+        .replace("# board = \"8x6\"", &format!("board = \"{}x{}\"", BOARD.columns, BOARD.rows))
+        .replace("# square_m = 0.025", &format!("square_m = {}", BOARD.side_m))
         .replace("# truth = \"truth/plants.csv\"", "truth = \"truth/plants.csv\"");
     let path = root.join(config::NAME);
     if !path.exists() {

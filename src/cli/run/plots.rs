@@ -7,7 +7,12 @@ use super::step::Place;
 use crate::{
     cli::table::Table,
     error::Error,
-    io::{FileError, output, polygons, rasters::Source},
+    io::{
+        FileError,
+        gpkg::{self, Column, ColumnKind, Feature, Geometry, GeometryKind, Layer},
+        output, polygons,
+        rasters::Source,
+    },
     raster::{georeference::Georeference, polygon::Polygon},
 };
 use serde_json::{Map, Value, json};
@@ -50,7 +55,7 @@ impl Inputs {
         };
         Ok(Inputs {
             mask,
-            polygons: place.named(place.config.project.plots.as_ref(), "plots.geojson"),
+            polygons: place.polygons(place.config.project.plots.as_ref(), "plots"),
             plants: file("locate", "plants.csv"),
             gaps: file("locate", "gaps.csv"),
             leaves: file("leaves", "leaves.csv"),
@@ -62,8 +67,10 @@ impl Inputs {
     }
 
     pub(super) fn files(&self) -> Vec<PathBuf> {
-        let optional = [&self.polygons, &self.plants, &self.gaps, &self.leaves, &self.counts];
-        std::iter::once(&self.mask).chain(optional.into_iter().flatten()).cloned().collect()
+        let optional = [&self.plants, &self.gaps, &self.leaves, &self.counts];
+        let tables = optional.into_iter().flatten().cloned();
+        let polygons = self.polygons.iter().flat_map(|path| polygons::files(path));
+        std::iter::once(self.mask.clone()).chain(polygons).chain(tables).collect()
     }
 
     pub(super) fn key(&self) -> String {
@@ -121,6 +128,7 @@ pub(super) fn work(inputs: &Inputs, folder: &Path) -> Result<Value, Error> {
         counts: counts.as_ref(),
         gsd_m,
     };
+    let mut outside = Vec::new();
     let plots: Vec<Plot> = areas
         .into_iter()
         .map(|(name, polygon)| {
@@ -130,10 +138,21 @@ pub(super) fn work(inputs: &Inputs, folder: &Path) -> Result<Value, Error> {
                 .iter()
                 .map(|(v, run)| mask.row(*v)[run.clone()].iter().filter(|&&p| p != 0).count())
                 .sum();
+            if pixels == 0 {
+                outside.push(name.clone());
+            }
             let traits = measured.traits(&name, &polygon, pixels, covered);
             Plot { name, polygon, traits }
         })
         .collect();
+    if let (Some(path), false) = (&inputs.polygons, outside.is_empty()) {
+        if outside.len() == plots.len() {
+            let message = "none of its plots lies on the mosaic: is it of another field, or in \
+                           another reference system than it says?";
+            return Err(FileError::malformed(path, None, message).into());
+        }
+        tracing::warn!("plots outside of the mosaic: {}", outside.join(", "));
+    }
     write(inputs, &plots, place, folder)?;
     let rows: Vec<Value> = plots.iter().map(properties).map(Value::Object).collect();
     Ok(json!({"from": from, "plots": rows}))
@@ -315,22 +334,13 @@ fn write(
         }
         csv.flush()
     })?;
+    let rings: Vec<Rings> = plots.iter().map(|plot| on_map(&plot.polygon, place)).collect();
+    package(plots, &rings, place, folder)?;
     let crs = place.and_then(|place| place.crs.epsg);
     let features: Vec<Value> = plots
         .iter()
-        .map(|plot| {
-            let rings: Vec<Vec<[f64; 2]>> = plot
-                .polygon
-                .rings
-                .iter()
-                .map(|ring| {
-                    let closed = ring.iter().chain(ring.first());
-                    closed
-                        .map(|&at| place.map_or(at, |place| place.map(at)))
-                        .map(|at| at.map(|x| (x * 1e4).round() / 1e4))
-                        .collect()
-                })
-                .collect();
+        .zip(&rings)
+        .map(|(plot, rings)| {
             json!({
                 "type": "Feature",
                 "properties": properties(plot),
@@ -350,6 +360,48 @@ fn write(
         writeln!(out)
     })
     .map_err(|error: FileError| error.into())
+}
+
+/// Closed rings of map positions, to a tenth of a millimetre.
+type Rings = Vec<Vec<[f64; 2]>>;
+
+fn on_map(polygon: &Polygon, place: Option<Georeference>) -> Rings {
+    let ring = |ring: &Vec<[f64; 2]>| {
+        let closed = ring.iter().chain(ring.first());
+        let map = closed.map(|&at| place.map_or(at, |place| place.map(at)));
+        map.map(|at| at.map(|x| (x * 1e4).round() / 1e4)).collect()
+    };
+    polygon.rings.iter().map(ring).collect()
+}
+
+/// The same as a layer of a GeoPackage; the unit of a trait is in its name.
+fn package(
+    plots: &[Plot],
+    rings: &[Rings],
+    place: Option<Georeference>,
+    folder: &Path,
+) -> Result<(), Error> {
+    let traits = plots.first().map(|plot| &plot.traits[..]).unwrap_or_default();
+    let columns = std::iter::once(Column::new("plot", ColumnKind::Text))
+        .chain(traits.iter().map(|(name, ..)| Column::new(name, ColumnKind::Real)));
+    let feature = |(plot, rings): (&Plot, &Rings)| {
+        let number =
+            |value: Option<f64>| value.map_or(gpkg::Value::Null, |x| gpkg::Value::Real(rounded(x)));
+        let values = plot.traits.iter().map(|(.., value)| number(*value));
+        Feature {
+            geometry: Some(Geometry::Polygon(rings.clone())),
+            values: std::iter::once(gpkg::Value::Text(plot.name.clone())).chain(values).collect(),
+        }
+    };
+    let layer = Layer {
+        name: "plots".to_owned(),
+        description: "Traits of plots".to_owned(),
+        kind: GeometryKind::Polygon,
+        crs: place.map(|place| place.crs),
+        columns: columns.collect(),
+        features: plots.iter().zip(rings).map(feature).collect(),
+    };
+    Ok(gpkg::write(&folder.join("traits.gpkg"), true, &[layer])?)
 }
 
 /// Observations with the names of BrAPI 2.1, and what MIAPPE asks of a study as far as it is known here.

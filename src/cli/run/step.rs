@@ -3,7 +3,7 @@
 use super::{command::Command, config::Config};
 use crate::{
     error::Error,
-    io::{FileError, rasters::Source},
+    io::{FileError, polygons, rasters::Source},
 };
 use std::path::{Path, PathBuf};
 
@@ -106,6 +106,14 @@ impl Place<'_> {
         match named {
             Some(path) => Some(self.root.join(path)),
             None => Some(self.root.join(usual)).filter(|path| path.is_file()),
+        }
+    }
+
+    /// A file of polygons that is named, or lies at its usual place in one of the usual formats.
+    pub(super) fn polygons(&self, named: Option<&PathBuf>, stem: &str) -> Option<PathBuf> {
+        match named {
+            Some(path) => Some(self.root.join(path)),
+            None => polygons::find(self.root, stem),
         }
     }
 
@@ -317,19 +325,21 @@ impl Place<'_> {
     fn count(&self) -> Result<Plan, Error> {
         let Some(mask) = self.mask() else { return nothing("there is no mask") };
         let project = &self.config.project;
-        let regions = self.named(project.regions.as_ref(), "regions.geojson");
+        let regions = self.polygons(project.regions.as_ref(), "regions");
         let command = Command::new(&["count"]).path(&mask).reads([mask]);
         let mut command = match (self.config.count.rho_px, regions) {
             (Some(rho), _) => command.option("--rho", rho),
-            (None, Some(regions)) => command.from("--calibrate", &regions),
+            (None, Some(regions)) => {
+                command.from("--calibrate", &regions).reads(polygons::files(&regions))
+            }
             (None, None) => {
                 return nothing(
                     "no leaves were counted by hand: give regions.geojson or [count] rho_px",
                 );
             }
         };
-        if let Some(plots) = self.named(project.plots.as_ref(), "plots.geojson") {
-            command = command.from("--plots", &plots);
+        if let Some(plots) = self.polygons(project.plots.as_ref(), "plots") {
+            command = command.from("--plots", &plots).reads(polygons::files(&plots));
         }
         Ok(Plan::Do(command.to("-o", &self.at("count", "counts.csv")).word("--json")))
     }

@@ -6,7 +6,10 @@ use crate::{
     io::FileError,
     problems::adjustment::{InteriorAccuracy, Role, Subject},
 };
-use plotters::prelude::*;
+use plotters::{
+    prelude::*,
+    style::text_anchor::{HPos, Pos, VPos},
+};
 use std::path::Path;
 
 const BLUE: RGBColor = RGBColor(0, 114, 178);
@@ -155,8 +158,15 @@ fn control(svg: &mut String, outcome: &Outcome) -> Drawn {
             colour.stroke_width(2),
         )))?;
         let label = format!("{} {:+.3}", point.name, difference[2]);
-        let at = (from.0 + 0.012 * extent, from.1 - 0.012 * extent);
-        chart.draw_series(std::iter::once(Text::new(label, at, ("sans-serif", 12).into_font())))?;
+        // Names at the right border grow to the left.
+        let (side, aside) = if from.0 > mid[0] + 0.3 * extent {
+            (HPos::Right, -0.012)
+        } else {
+            (HPos::Left, 0.012)
+        };
+        let style = TextStyle::from(("sans-serif", 12).into_font()).pos(Pos::new(side, VPos::Top));
+        let at = (from.0 + aside * extent, from.1 - 0.012 * extent);
+        chart.draw_series(std::iter::once(Text::new(label, at, style)))?;
     }
     area.present()?;
     drop(chart);

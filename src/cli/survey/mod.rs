@@ -4,7 +4,7 @@
 pub(super) mod convert;
 mod description;
 mod figures;
-mod report;
+pub(super) mod report;
 mod tables;
 
 use crate::{

@@ -3,11 +3,12 @@
 
 use super::{Outcome, figures, in_folder, tables, write_text};
 use crate::{
+    camera::{Camera, Correlation},
     error::Error,
     io::{FileError, camera, output},
     problems::adjustment::{
-        Alignment, Aside, AxisError, GroupStatistics, InteriorAccuracy, LeftOut, Removed, Testing,
-        rmse,
+        Adjusted, Alignment, Aside, AxisError, GroupStatistics, InteriorAccuracy, LeftOut, Removed,
+        Testing, rmse,
     },
 };
 use serde::Serialize;
@@ -315,22 +316,30 @@ pub(super) fn write(folder: &Path, outcome: &Outcome, force: bool) -> Result<(),
     write_text(&in_folder(folder, "summary.txt"), &summary(outcome), force)?;
     tables::write(folder, outcome, force)?;
     figures::write(folder, outcome, force)?;
-    let sigma0 = outcome.adjusted.statistics.sigma0;
+    let described = described(&outcome.adjusted);
     for interior in &outcome.adjusted.statistics.interiors {
-        let mut described = outcome.adjusted.survey.cameras[interior.camera].clone();
+        let name = format!("camera-{}.toml", interior.camera + 1);
+        camera::write(&in_folder(folder, &name), force, &described[interior.camera])?;
+    }
+    Ok(())
+}
+
+/// The cameras as adjusted, with the standard deviations and correlations that came out of it.
+pub(in crate::cli) fn described(adjusted: &Adjusted) -> Vec<Camera> {
+    let mut cameras = adjusted.survey.cameras.clone();
+    for interior in &adjusted.statistics.interiors {
+        let camera = &mut cameras[interior.camera];
         for (name, sigma) in interior.names.iter().zip(&interior.standard_deviations) {
-            if let Some(place) = described.interior.model().place(name) {
-                described.standard_deviations[place] = Some(sigma * sigma0);
+            if let Some(place) = camera.interior.model().place(name) {
+                camera.standard_deviations[place] = Some(sigma * adjusted.statistics.sigma0);
             }
         }
-        described.correlation = Some(crate::camera::Correlation {
+        camera.correlation = Some(Correlation {
             names: interior.names.iter().map(|name| (*name).to_owned()).collect(),
             matrix: symmetric(&interior.correlation),
         });
-        let name = format!("camera-{}.toml", interior.camera + 1);
-        camera::write(&in_folder(folder, &name), force, &described)?;
     }
-    Ok(())
+    cameras
 }
 
 /// What rounding has left asymmetric.

@@ -6,6 +6,7 @@ use crate::{
     io::{FileError, output},
 };
 use data_synth::{
+    board::{self, BOARD},
     exif,
     field::GrowthStage,
     files,
@@ -13,7 +14,10 @@ use data_synth::{
     start_model,
     twin::{FlightPreset, Twin, TwinConfig},
 };
-use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
+use image::{
+    ExtendedColorType, ImageEncoder,
+    codecs::{jpeg::JpegEncoder, png::PngEncoder},
+};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::{
     io::Write,
@@ -66,6 +70,10 @@ pub(super) struct Args {
     /// plants), and its stalk bases.
     #[arg(long, conflicts_with = "no_photos")]
     photo_truth: bool,
+    /// Also write this many photos of a chessboard by the same camera, under calibration/: 9 x 6 inner corners,
+    /// squares of 4 cm.
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u16).range(0..=999))]
+    boards: u16,
 }
 
 /// Runs the verb.
@@ -81,6 +89,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     folder.text("field.toml", |out| out.write_all(resolved.as_bytes()))?;
     tables(&folder, &twin)?;
     from_above(&folder, &twin)?;
+    boards(&folder, &twin, args.boards.into())?;
     if !args.no_photos {
         photos(&folder, &twin, args.photo_truth)?;
     }
@@ -161,6 +170,7 @@ impl Folder<'_> {
         folders.extend((!args.no_photos).then_some("images"));
         folders.extend((twin.config.tie_points.per_photo > 0).then_some("model"));
         folders.extend(args.photo_truth.then_some("truth/photos"));
+        folders.extend((args.boards > 0).then_some("calibration"));
         for folder in folders {
             let path = self.root.join(folder);
             std::fs::create_dir_all(&path).map_err(|source| FileError::write(&path, source))?;
@@ -178,6 +188,7 @@ impl Folder<'_> {
             let of = |shot: usize| PHOTO_TRUTH.map(|end| photo_truth_name(twin, shot, end));
             names.extend((0..twin.shots.len()).flat_map(of));
         }
+        names.extend((0..args.boards.into()).map(board_name));
         for name in names {
             output::check(&self.root.join(name), self.force)?;
         }
@@ -239,6 +250,23 @@ fn photo_truth_name(twin: &Twin, shot: usize, end: &str) -> String {
     let name = &twin.shots[shot].name;
     let stem = name.split_once('.').map_or(name.as_str(), |(stem, _)| stem);
     format!("truth/photos/{stem}{end}")
+}
+
+fn board_name(number: usize) -> String {
+    format!("calibration/BOARD_{:03}.JPG", number + 1)
+}
+
+fn boards(folder: &Folder<'_>, twin: &Twin, count: usize) -> Result<(), Error> {
+    let seed = twin.config.field.seed;
+    for (k, pose) in board::poses(BOARD, &twin.camera, count, seed)?.iter().enumerate() {
+        let photo = board::photo(BOARD, &twin.camera, pose, seed, k);
+        folder.text(&board_name(k), |out| {
+            JpegEncoder::new_with_quality(out, 95)
+                .encode_image(&photo)
+                .map_err(std::io::Error::other)
+        })?;
+    }
+    Ok(())
 }
 
 /// Renders photo after photo; while one is rendered, the one before is encoded and written.

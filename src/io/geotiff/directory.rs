@@ -176,8 +176,13 @@ fn place(place: &Georeference) -> Vec<(u16, Value)> {
         (CrsKind::Geographic, None) => keys.push((1024, 2)),
         (CrsKind::Unknown, None) => {}
     }
+    if let Some(code) = place.crs.vertical_epsg.and_then(|epsg| u16::try_from(epsg).ok()) {
+        keys.extend([(4096, code), (4099, METRE)]);
+    }
     keys.sort_unstable();
-    let mut directory = vec![1, 1, 0, keys.len() as u16];
+    // Revision 1.1 where heights have a datum: GDAL takes those of 1.0 for a habit without meaning.
+    let minor = u16::from(place.crs.vertical_epsg.is_some());
+    let mut directory = vec![1, 1, minor, keys.len() as u16];
     directory.extend(keys.into_iter().flat_map(|(key, value)| [key, 0, 1, value]));
     tags.push((34735, Value::Short(directory)));
     tags

@@ -37,10 +37,20 @@ pub trait Sample:
 
     /// The nearest one.
     fn from_f64(value: f64) -> Self;
+
+    /// The samples as bytes, where that is what they are.
+    fn as_bytes(_samples: &[Self]) -> Option<&[u8]> {
+        None
+    }
+
+    /// The samples as bytes to write into, where that is what they are.
+    fn as_bytes_mut(_samples: &mut [Self]) -> Option<&mut [u8]> {
+        None
+    }
 }
 
 macro_rules! samples {
-    ($($type:ty = $name:literal, $is_float:literal, $round:expr;)+) => {
+    ($($type:ty = $name:literal, $is_float:literal, $round:expr $(, $bytes:item $bytes_mut:item)?;)+) => {
         $(impl private::Stored for $type {}
         impl Sample for $type {
             const NAME: &'static str = $name;
@@ -49,11 +59,15 @@ macro_rules! samples {
             fn from_f64(value: f64) -> Self {
                 $round(value) as $type
             }
+
+            $($bytes $bytes_mut)?
         })+
     };
 }
 samples!(
-    u8 = "8-bit", false, f64::round;
+    u8 = "8-bit", false, f64::round,
+        fn as_bytes(samples: &[u8]) -> Option<&[u8]> { Some(samples) }
+        fn as_bytes_mut(samples: &mut [u8]) -> Option<&mut [u8]> { Some(samples) };
     u16 = "16-bit", false, f64::round;
     u32 = "32-bit", false, f64::round;
     f32 = "32-bit floating point", true, f64::from;

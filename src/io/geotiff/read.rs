@@ -23,6 +23,9 @@ const RGB: u16 = 2;
 /// `ProjLinearUnitsGeoKey` and its code for the metre.
 const LINEAR_UNITS: u16 = 3076;
 const METRE: u16 = 9001;
+/// `VerticalGeoKey`, and the first code that is not of the registry.
+const VERTICAL: u16 = 4096;
+const USER_DEFINED: u16 = 32767;
 
 /// An open raster.
 ///
@@ -177,24 +180,38 @@ impl Reader {
     /// # Errors
     /// As [`Reader::read`], and where the samples are not of 8 or 16 bits.
     pub fn read_rgb(&self, window: Window) -> Result<RgbImage, FileError> {
+        Ok(self.read_rgb_and_gaps(window)?.0)
+    }
+
+    /// As [`Reader::read_rgb`], and which pixels (row by row) have no data; `None` where all have.
+    ///
+    /// # Errors
+    /// As [`Reader::read_rgb`].
+    pub fn read_rgb_and_gaps(
+        &self,
+        window: Window,
+    ) -> Result<(RgbImage, Option<Vec<bool>>), FileError> {
         let Window { width, height, .. } = window;
+        let mut gaps = Vec::with_capacity(window.pixels());
         let stored = matches!(self.photometric, BLACK_IS_ZERO | RGB);
         let mut rgb = Vec::with_capacity(3 * window.pixels());
         if u8::matches_layout(&self.layout) {
             let samples = self.pixels::<u8>(window, stored)?;
-            self.add_rgb(&samples, window, 255, |x| x, &mut rgb);
+            self.add_rgb(&samples, window, 255, |x| x, (&mut rgb, &mut gaps));
         } else if u16::matches_layout(&self.layout) {
             let samples = self.pixels::<u16>(window, stored)?;
             let byte = |x: u16| ((u32::from(x) * 255 + 32_767) / 65_535) as u8;
-            self.add_rgb(&samples, window, 65_535, byte, &mut rgb);
+            self.add_rgb(&samples, window, 65_535, byte, (&mut rgb, &mut gaps));
         } else {
             return Err(self.malformed(format!(
                 "its samples are {}, expected colours of 8 or 16 bits",
                 self.sample_name()
             )));
         }
-        RgbImage::from_raw(width as u32, height as u32, rgb)
-            .ok_or_else(|| self.malformed("damaged: it has fewer pixels than it says".to_owned()))
+        let rgb = RgbImage::from_raw(width as u32, height as u32, rgb).ok_or_else(|| {
+            self.malformed("damaged: it has fewer pixels than it says".to_owned())
+        })?;
+        Ok((rgb, gaps.contains(&true).then_some(gaps)))
     }
 
     fn pixels<T: Sample>(&self, window: Window, stored: bool) -> Result<Vec<T>, FileError> {
@@ -213,7 +230,7 @@ impl Reader {
         window: Window,
         largest: u32,
         byte: impl Fn(T) -> u8,
-        rgb: &mut Vec<u8>,
+        (rgb, gaps): (&mut Vec<u8>, &mut Vec<bool>),
     ) {
         let bands = samples.len() / window.pixels().max(1);
         // Without a note to the contrary a second or fourth band is alpha.
@@ -223,6 +240,7 @@ impl Reader {
         for pixel in samples.chunks_exact(bands.max(1)) {
             let empty = alpha.is_some_and(|band| pixel[band].into() == 0.0)
                 || nodata.is_some_and(|value| pixel[..colours].iter().all(|&x| x.into() == value));
+            gaps.push(empty);
             match (empty, colours) {
                 (true, _) => rgb.extend([0; 3]),
                 (false, 3) => rgb.extend([byte(pixel[0]), byte(pixel[1]), byte(pixel[2])]),
@@ -272,11 +290,13 @@ fn georeference(file: &GeoTiffFile) -> Option<Georeference> {
         2 => CrsKind::Geographic,
         _ => CrsKind::Unknown,
     };
+    let code = file.geokeys().get_short(VERTICAL);
+    let vertical_epsg = code.filter(|code| (1..USER_DEFINED).contains(code)).map(u32::from);
     let (x, y) = transform.pixel_to_geo(0.5, 0.5);
     Some(Georeference {
         origin: [x, y],
         per_column: [transform.pixel_width, transform.skew_y],
         per_row: [transform.skew_x, transform.pixel_height],
-        crs: Crs { epsg: file.epsg(), kind },
+        crs: Crs { epsg: file.epsg(), kind, vertical_epsg },
     })
 }

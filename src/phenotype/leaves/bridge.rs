@@ -10,10 +10,10 @@
 //! are small, the gap is not longer than a limit, and what lies in it is plant. Every end is in one
 //! bridge at most. [`Bridging::Greedy`] takes the shortest gap first, as a search from each end would;
 //! ties go to the pair found first. [`Bridging::Global`] weighs all gaps of a part at once: it takes the
-//! matching of the largest sum of `1 - cost`,
+//! matching of the largest sum of `most - cost`,
 //!
 //! ```text
-//! cost = |g| / limit  +  (a^2 - a b + b^2) / T_c^2  +  (log2 w_e/w_f)^2 / 2  +  2 min(t_e, t_f)  +  (1 - c) |g| / (2 (|g| + w)),
+//! cost = |g| / limit  +  (a^2 - a b + b^2) / T_c^2  +  (log2 w_e/w_f)^2 / 2  +  8 min(t_e, t_f)  +  (1 - c) |g| / (2 (|g| + w)),
 //! ```
 //!
 //! where the second term is the bending energy of the cubic curve that continues both directions
@@ -34,15 +34,14 @@ use super::{
 
 /// Share of a gap that must be plant.
 const COVERED: f64 = 0.7;
-/// Cost from which two ends are better left alone.
-const MOST: f64 = 1.0;
-
 /// What may be bridged.
 pub(super) struct Rules {
     pub(super) t_c: f64,
     pub(super) limit_px: f64,
     pub(super) bridging: Bridging,
     pub(super) curvature: bool,
+    /// Cost from which two ends are better left alone.
+    pub(super) most: f64,
 }
 
 /// A bridge between the ends `2 segment + last` of two segments.
@@ -69,7 +68,7 @@ pub(super) fn chains(
     let mut partner = vec![None; 2 * segments.len()];
     if rules.bridging != Bridging::None {
         let gaps = gaps(local, owners, segments, rules);
-        for gap in choose(gaps, rules.bridging, 2 * segments.len()) {
+        for gap in choose(gaps, rules, 2 * segments.len()) {
             partner[gap.ends[0]] = Some(gap.ends[1]);
             partner[gap.ends[1]] = Some(gap.ends[0]);
         }
@@ -174,7 +173,7 @@ fn gap(
     }
     let bend = if rules.curvature { (a * a - a * b + b * b) / (t_c * t_c) } else { 0.0 };
     let wider = (e.width / f.width).log2();
-    let narrows = 2.0 * e.narrows.min(f.narrows).max(0.0);
+    let narrows = 8.0 * e.narrows.min(f.narrows).max(0.0);
     let uncrossed = 1.0 - crossed as f64 / samples as f64;
     let open = 0.5 * uncrossed * length / (length + 0.5 * (e.width + f.width));
     let cost = length / rules.limit_px + bend + 0.5 * wider * wider + narrows + open;
@@ -187,8 +186,8 @@ fn signed(angle: f64) -> f64 {
 }
 
 /// The gaps that are bridged.
-fn choose(mut gaps: Vec<Gap>, bridging: Bridging, ends: usize) -> Vec<Gap> {
-    if bridging == Bridging::Greedy {
+fn choose(mut gaps: Vec<Gap>, rules: &Rules, ends: usize) -> Vec<Gap> {
+    if rules.bridging == Bridging::Greedy {
         gaps.sort_by(|a, b| a.length.total_cmp(&b.length).then(a.ends.cmp(&b.ends)));
         let mut taken = vec![false; ends];
         gaps.retain(|gap| {
@@ -200,8 +199,8 @@ fn choose(mut gaps: Vec<Gap>, bridging: Bridging, ends: usize) -> Vec<Gap> {
         });
         return gaps;
     }
-    gaps.retain(|gap| gap.cost < MOST);
-    groups(&gaps, ends).into_iter().flat_map(|group| heaviest(&group)).collect()
+    gaps.retain(|gap| gap.cost < rules.most);
+    groups(&gaps, ends).into_iter().flat_map(|group| heaviest(&group, rules.most)).collect()
 }
 
 /// Gaps that share no end do not compete: one group for each connected set of them.
@@ -226,7 +225,7 @@ fn groups(gaps: &[Gap], ends: usize) -> Vec<Vec<Gap>> {
 }
 
 /// The matching of the largest weight.
-fn heaviest(group: &[Gap]) -> Vec<Gap> {
+fn heaviest(group: &[Gap], most: f64) -> Vec<Gap> {
     if group.len() == 1 {
         return group.to_vec();
     }
@@ -238,7 +237,7 @@ fn heaviest(group: &[Gap]) -> Vec<Gap> {
     let edges: Vec<(usize, usize, i32)> = group
         .iter()
         .map(|gap| {
-            let weight = ((MOST - gap.cost) * 1e6).round() as i32;
+            let weight = ((most - gap.cost) * 1e6).round() as i32;
             (place(gap.ends[0]), place(gap.ends[1]), weight)
         })
         .collect();
@@ -253,6 +252,12 @@ mod tests {
     use super::*;
     use rand::RngExt;
     use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
+
+    const MOST: f64 = 0.8;
+
+    fn rules(bridging: Bridging) -> Rules {
+        Rules { t_c: 0.5, limit_px: 9.0, bridging, curvature: true, most: MOST }
+    }
 
     fn weight(gaps: &[Gap]) -> f64 {
         gaps.iter().map(|gap| MOST - gap.cost).sum()
@@ -280,15 +285,15 @@ mod tests {
             for a in 0..7usize {
                 for b in a + 1..7 {
                     if rng.random_range(0..2) == 0 {
-                        let cost = rng.random_range(0.0..3.0);
+                        let cost = rng.random_range(0.0..3.0 * MOST);
                         gaps.push(Gap { ends: [a, b], length: cost, cost });
                     }
                 }
             }
             let best = exhaustive(&gaps, &mut Vec::new());
-            let global = weight(&choose(gaps.clone(), Bridging::Global, 7));
+            let global = weight(&choose(gaps.clone(), &rules(Bridging::Global), 7));
             assert!((best - global).abs() < 1e-4, "{best} {global}");
-            let greedy = weight(&choose(gaps, Bridging::Greedy, 7));
+            let greedy = weight(&choose(gaps, &rules(Bridging::Greedy), 7));
             assert!(greedy <= best + 1e-9);
             greedy_lost += usize::from(greedy < best - 1e-3);
         }

@@ -65,6 +65,12 @@ pub struct Options {
     pub curvature: bool,
     /// Whether segments are split by their width.
     pub split: bool,
+    /// Cost from which two ends are not bridged; of [`Bridging::Global`] only. Of the pairs of ends that the other rules
+    /// allow one in seven is one leaf, and more bridges join opposite leaves of a plant; a crossing at a right angle
+    /// costs some 0.7.
+    pub most_cost: f64,
+    /// The width from which on two leaves lie side by side, in usual leaf widths.
+    pub double_width: f64,
     /// The longest gap, in usual leaf widths.
     pub longest_gap: f64,
     /// The widest slice, in usual leaf widths, four pixels added.
@@ -84,6 +90,8 @@ impl Default for Options {
             bridging: Bridging::Global,
             curvature: true,
             split: true,
+            most_cost: 0.8,
+            double_width: 1.5,
             longest_gap: 6.0,
             widest_slice: 1.2,
             leaf_width_px: None,
@@ -240,7 +248,8 @@ fn of_part(part: &Part, options: &Options, usual_px: f64) -> Vec<Leaf> {
     let across = measure(&local, &number, options, usual_px);
     let mut segments = segments::merge(&local, &across, &number, options.t_b);
     if options.split {
-        segments = split::split(&local, &across, &number, segments, usual_px);
+        let widths_px = [usual_px, options.double_width * usual_px];
+        segments = split::split(&local, &across, &number, segments, widths_px);
     }
     if segments.is_empty() {
         // Too small for a slice: still a leaf.
@@ -252,6 +261,7 @@ fn of_part(part: &Part, options: &Options, usual_px: f64) -> Vec<Leaf> {
         limit_px: (options.longest_gap * usual_px).max(2.0),
         bridging: options.bridging,
         curvature: options.curvature,
+        most: options.most_cost,
     };
     let mut owner = vec![NONE; local.pixels.len()];
     for (segment, at) in segments.iter().zip(0..) {

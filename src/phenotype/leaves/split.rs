@@ -19,21 +19,19 @@ use super::{
 const DEEP: f64 = 0.62;
 /// A bend by more than this within three widths is a kink, radians.
 const KINK: f64 = 0.6;
-/// Width of two leaves side by side, in widths of a single one.
-const DOUBLE: f64 = 1.7;
 
-/// Cuts segments; `single_px` is the usual width of a leaf.
+/// Cuts segments; `widths_px`: the usual width of a leaf, and that from which on there are two side by side.
 pub(super) fn split(
     local: &Local,
     across: &Across,
     number: &[u32],
     segments: Vec<Segment>,
-    single_px: f64,
+    widths_px: [f64; 2],
 ) -> Vec<Segment> {
     let mut pieces = Vec::with_capacity(segments.len());
     for segment in segments {
         for piece in at_minima(local, across, number, segment) {
-            lengthwise(local, across, number, piece, single_px, &mut pieces);
+            lengthwise(local, across, number, piece, widths_px, &mut pieces);
         }
     }
     pieces
@@ -116,11 +114,11 @@ fn lengthwise(
     across: &Across,
     number: &[u32],
     segment: Segment,
-    single_px: f64,
+    [single_px, double_px]: [f64; 2],
     pieces: &mut Vec<Segment>,
 ) {
     let axis = &segment.axis;
-    let wide: Vec<bool> = axis.widths.iter().map(|&width| width > DOUBLE * single_px).collect();
+    let wide: Vec<bool> = axis.widths.iter().map(|&width| width > double_px).collect();
     let steps = axis.points.windows(2).zip(wide.windows(2));
     let length: f64 = steps
         .filter(|(_, wide)| wide[0] && wide[1])

@@ -2,7 +2,7 @@
 
 use super::{
     posed::{Posed, measurement},
-    rays::{Rays, rays},
+    rays::{Rays, prepared, rays},
     reprojection::{DATA, LENS, Moving, Still},
     statistics::Statistics,
     survey::{Mark, Role, Survey},
@@ -113,9 +113,11 @@ fn intersect(
     let mut at: [f64; 3] = std::array::from_fn(|k| start[k] - posed.origin_m[k]);
     let linearize = |at: [f64; 3]| -> Rays {
         if posed.moving {
-            rays::<Moving, 12, { 19 + LENS }>(posed, x, at, &measurements)
+            let of = |image, camera| prepared::<Moving, 12, { 19 + LENS }>(posed, x, image, camera);
+            rays::<Moving, 12, { 19 + LENS }>(posed, of, at, &measurements)
         } else {
-            rays::<Still, 6, { 13 + LENS }>(posed, x, at, &measurements)
+            let of = |image, camera| prepared::<Still, 6, { 13 + LENS }>(posed, x, image, camera);
+            rays::<Still, 6, { 13 + LENS }>(posed, of, at, &measurements)
         }
     };
     // The intersection is close to linear: a few steps are plenty.

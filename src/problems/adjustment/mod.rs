@@ -30,6 +30,7 @@ mod rank;
 mod rays;
 mod reprojection;
 mod screening;
+mod snooping;
 mod soundness;
 mod statistics;
 mod survey;
@@ -37,12 +38,12 @@ mod survey;
 pub use accuracy::{ImageAccuracy, InteriorAccuracy, PointAccuracy};
 pub use align::{Alignment, align};
 pub use analysis::{
-    AdjustError, Adjusted, LeftOut, Removed, Snooped, Snooping, VarianceComponents, adjust,
-    leave_one_out, snoop, variance_components,
+    AdjustError, Adjusted, LeftOut, VarianceComponents, adjust, leave_one_out, variance_components,
 };
 pub use check_points::{AxisError, CheckPoint, check_points, rmse};
 pub use posed::{Group, Posed, Settings};
 pub use screening::{Aside, Screened, SurveyError, screen};
+pub use snooping::{Removed, Snooped, Snooping, doubtful, snoop};
 pub use statistics::{Finding, GroupStatistics, Statistics, Subject, Tested, Testing};
 pub use survey::{
     Axes, GroundPoint, Image, Mark, Observation, Pose, Position, Role, RollingShutter, ScaleBar,

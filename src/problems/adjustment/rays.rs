@@ -19,10 +19,23 @@ pub(super) struct Rays {
     columns: Vec<(BlockId, usize)>,
 }
 
-/// Linearises measurements of one point.
-pub(super) fn rays<F: PairFactor<2, K, LENS, 3, Q, DATA>, const K: usize, const Q: usize>(
+/// What is prepared of an image and its camera at `x`, for [`rays`].
+pub(super) fn prepared<F: PairFactor<2, K, LENS, 3, Q, DATA>, const K: usize, const Q: usize>(
     posed: &Posed,
     x: &[f64],
+    image: usize,
+    camera: usize,
+) -> [f64; Q] {
+    let (kept, lens) = (posed.images[image], posed.lenses[camera]);
+    F::prepare(posed.problem.values(x, kept), posed.problem.values(x, lens))
+}
+
+/// Linearises measurements of one point: image, camera, data. `prepared` gives what is prepared of an
+/// image and its camera; for many points it is worth keeping, because a lens is looked through for
+/// the range in which it is one to one.
+pub(super) fn rays<F: PairFactor<2, K, LENS, 3, Q, DATA>, const K: usize, const Q: usize>(
+    posed: &Posed,
+    prepared: impl Fn(usize, usize) -> [f64; Q],
     point: [f64; 3],
     measurements: &[(usize, usize, [f64; DATA])],
 ) -> Rays {
@@ -52,8 +65,7 @@ pub(super) fn rays<F: PairFactor<2, K, LENS, 3, Q, DATA>, const K: usize, const 
     };
     for (k, &(image, camera, data)) in measurements.iter().enumerate() {
         let (kept, lens) = (posed.images[image], posed.lenses[camera]);
-        let c = F::prepare(posed.problem.values(x, kept), posed.problem.values(x, lens));
-        let found = F::linearize(&c, &point, &data);
+        let found = F::linearize(&prepared(image, camera), &point, &data);
         for row in 0..2 {
             rays.residual[2 * k + row] = found.residual[row];
             for j in 0..K {

@@ -5,7 +5,10 @@ use super::{
     soundness::check,
     survey::{Axes, Mark, Observation, Position, Role, ScaleBar, Survey},
 };
-use crate::camera::Lens;
+use crate::{
+    camera::Lens,
+    geometry::{cross, dot},
+};
 use serde::Serialize;
 use std::collections::HashSet;
 
@@ -154,21 +157,46 @@ fn keep_feasible(survey: &Survey, tie: &mut [bool], mark: &mut [bool], aside: &m
     }
 }
 
+/// Rays of a point that are within this of each other everywhere do not say how far away it is, radians:
+/// those of a photo and of its double, for one.
+const LEAST_ANGLE_RAD: f64 = 1e-4;
+
 fn drop_points(survey: &Survey, tie: &[bool], point: &mut [bool], aside: &mut Vec<Aside>) {
+    let centres: Vec<[f64; 3]> = survey.images.iter().map(|image| image.pose.centre_m()).collect();
     let mut rays = vec![0usize; survey.points.len()];
+    let mut first = vec![[0.0; 3]; survey.points.len()];
+    let mut widest = vec![0.0f64; survey.points.len()];
     for (_, o) in tie.iter().zip(&survey.observations).filter(|(keep, _)| **keep) {
-        rays[o.point as usize] += 1;
+        let (k, centre) = (o.point as usize, centres[o.image as usize]);
+        let at = survey.points[k].position_m;
+        let ray: [f64; 3] = std::array::from_fn(|axis| at[axis] - centre[axis]);
+        let length = dot(ray, ray).sqrt();
+        let ray = ray.map(|v| v / length);
+        if rays[k] == 0 {
+            first[k] = ray;
+        }
+        let across = cross(ray, first[k]);
+        widest[k] = widest[k].max(dot(across, across).sqrt());
+        rays[k] += 1;
     }
     for (k, keep) in point.iter_mut().enumerate() {
-        if *keep && rays[k] < 2 {
-            *keep = false;
-            aside.push(Aside {
-                kind: "tie point",
-                image: None,
-                point: Some(survey.points[k].id.to_string()),
-                reason: format!("{} image(s) see it, two are needed", rays[k]),
-            });
+        if !*keep {
+            continue;
         }
+        let reason = if rays[k] < 2 {
+            format!("{} image(s) see it, two are needed", rays[k])
+        } else if widest[k] < LEAST_ANGLE_RAD {
+            "the images that see it see it along one line".into()
+        } else {
+            continue;
+        };
+        *keep = false;
+        aside.push(Aside {
+            kind: "tie point",
+            image: None,
+            point: Some(survey.points[k].id.to_string()),
+            reason,
+        });
     }
 }
 

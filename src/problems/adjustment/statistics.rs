@@ -18,7 +18,7 @@ use super::{
     inverse::SelectedInverse,
     posed::{Group, Posed, Settings, measurement},
     rank,
-    rays::rays,
+    rays::{prepared, rays},
     reprojection::{DATA, LENS, Moving, Still},
     survey::Survey,
 };
@@ -77,6 +77,9 @@ pub struct Tested {
     pub standardised: [f64; 3],
     /// `T`.
     pub statistic: f64,
+    /// The error of the observation that would explain its residual, `-R_i^-1 v_i`, in standard deviations:
+    /// how far what was measured is from what all the others say. 0 where nothing checks it.
+    pub error: [f64; 3],
     /// Degrees of freedom of `T`; 0 where nothing checks it.
     pub freedom: usize,
 }
@@ -321,6 +324,7 @@ fn test(group: Group, subject: Subject, v: &DVector<f64>, r: &DMatrix<f64>) -> T
         redundancy: [0.0; 3],
         standardised: [0.0; 3],
         statistic: 0.0,
+        error: [0.0; 3],
         freedom: 0,
     };
     for k in 0..rows {
@@ -333,7 +337,10 @@ fn test(group: Group, subject: Subject, v: &DVector<f64>, r: &DMatrix<f64>) -> T
     let eigen = SymmetricEigen::new(r.clone());
     for (k, &value) in eigen.eigenvalues.iter().enumerate() {
         if value > LEAST_REDUNDANCY {
-            tested.statistic += eigen.eigenvectors.column(k).dot(v).powi(2) / value;
+            let direction = eigen.eigenvectors.column(k);
+            let along = direction.dot(v);
+            tested.statistic += along * along / value;
+            (0..rows).for_each(|i| tested.error[i] -= direction[i] * along / value);
             tested.freedom += 1;
         }
     }
@@ -352,6 +359,12 @@ fn ties<F: PairFactor<2, K, LENS, 3, Q, DATA>, const K: usize, const Q: usize>(
         tracks[o.point as usize].push(k);
     }
     let sigma_px = survey.tie_sigma_px * settings.factor(Group::TiePoints);
+    let images: Vec<[f64; Q]> = survey
+        .images
+        .iter()
+        .enumerate()
+        .map(|(image, of)| prepared::<F, K, Q>(posed, x, image, of.camera))
+        .collect();
     let found: Vec<(Vec<Tested>, PointAccuracy)> = tracks
         .par_iter()
         .enumerate()
@@ -366,7 +379,8 @@ fn ties<F: PairFactor<2, K, LENS, 3, Q, DATA>, const K: usize, const Q: usize>(
                 })
                 .collect();
             let at = posed.problem.values(x, posed.points[point]);
-            let rays = rays::<F, K, Q>(posed, x, [at[0], at[1], at[2]], &measurements);
+            let of = |image: usize, _| images[image];
+            let rays = rays::<F, K, Q>(posed, of, [at[0], at[1], at[2]], &measurements);
             let unknown = || {
                 let n = 2 * track.len();
                 (DMatrix::from_element(3, 3, f64::NAN), DMatrix::identity(n, n))

@@ -34,6 +34,9 @@ pub struct Options {
     pub tolerance: f64,
     /// How much more a two-point hypothesis may be off, because photos are tilted a little.
     pub two_point_coarse: f64,
+    /// The share of the x-parallax by which a correspondence may differ from the others while two
+    /// points are sampled: relief, slopes and the tilt that is not yet known.
+    pub parallax_share: f64,
     /// Robust standard deviations of the x-parallax of a two-point pair.
     pub band_sigmas: f64,
     /// The share of the x-parallax that relief may take at least.
@@ -52,6 +55,7 @@ impl Default for Options {
             solver: Solver::Auto,
             tolerance: 2e-3,
             two_point_coarse: 12.0,
+            parallax_share: 0.15,
             band_sigmas: 6.0,
             relief_share: 0.25,
             confidence: 0.9999,
@@ -76,30 +80,80 @@ pub struct Estimated {
     pub score: f64,
 }
 
-struct TwoPoint<'a>(&'a [Correspondence]);
+/// What two points say, and what the flight's nearly constant height says of all the others: in the
+/// normalised geometry of the pair they have nearly the same x-parallax. Matches that are rows and
+/// plants off agree with many an epipolar geometry, but not in their parallaxes.
+struct TwoPoint<'a> {
+    correspondences: &'a [Correspondence],
+    /// Distances beyond this are not looked at any closer.
+    squared_reach: f64,
+    /// The share of the x-parallax that a correspondence may be off.
+    parallax_share: f64,
+}
+
 struct FivePoint<'a>(&'a [Correspondence]);
 
+/// A two-point hypothesis.
+#[derive(Clone)]
+struct Level {
+    pose: RelativePose,
+    essential: Matrix3<f64>,
+    /// The turns into the normalised geometry and the x-parallax there.
+    parallax: Option<([Matrix3<f64>; 2], f64)>,
+}
+
+impl TwoPoint<'_> {
+    fn parallax(&self, turns: &[Matrix3<f64>; 2], datum: usize) -> Option<f64> {
+        let [a, b] = coplanarity::rectified(turns, &self.correspondences[datum])?;
+        Some(a[0] - b[0])
+    }
+
+    /// A pose with the middle of the parallaxes of some data.
+    fn level(&self, pose: RelativePose, data: impl Iterator<Item = usize>) -> Level {
+        let parallax = coplanarity::rectification(&pose).and_then(|turns| {
+            let mut all: Vec<f64> = data.filter_map(|k| self.parallax(&turns, k)).collect();
+            all.sort_by(f64::total_cmp);
+            let middle = 0.5 * (all.get(all.len() / 2)? + all.get((all.len() - 1) / 2)?);
+            Some((turns, middle))
+        });
+        Level { pose, essential: pose.essential(), parallax }
+    }
+}
+
 impl Samples for TwoPoint<'_> {
-    type Model = (RelativePose, Matrix3<f64>);
+    type Model = Level;
     const SIZE: usize = 2;
 
     fn count(&self) -> usize {
-        self.0.len()
+        self.correspondences.len()
     }
 
     fn solve(&self, sample: &[usize], out: &mut Vec<Self::Model>) {
         let mut poses = Vec::with_capacity(2);
-        two_point::solve(&self.0[sample[0]], &self.0[sample[1]], &mut poses);
-        out.extend(poses.into_iter().map(|pose| (pose, pose.essential())));
+        let [a, b] = [sample[0], sample[1]].map(|k| &self.correspondences[k]);
+        two_point::solve(a, b, &mut poses);
+        out.extend(poses.into_iter().map(|pose| self.level(pose, sample.iter().copied())));
     }
 
     fn squared_distance(&self, model: &Self::Model, datum: usize) -> f64 {
-        sampson_squared(&model.1, &self.0[datum])
+        let squared = sampson_squared(&model.essential, &self.correspondences[datum]);
+        if squared > self.squared_reach {
+            return squared;
+        }
+        let Some((turns, middle)) = &model.parallax else { return squared };
+        let fits = self
+            .parallax(turns, datum)
+            .is_some_and(|p| (p - middle).abs() <= self.parallax_share * middle.abs());
+        if fits { squared } else { f64::INFINITY }
     }
 
     fn refine(&self, model: &Self::Model, squared_tolerance: f64) -> Option<Self::Model> {
-        let pose = coplanarity::refine(&model.0, self.0, squared_tolerance, 3)?;
-        Some((pose, pose.essential()))
+        let near: Vec<usize> = (0..self.count())
+            .filter(|&k| self.squared_distance(model, k) <= squared_tolerance)
+            .collect();
+        let inside: Vec<Correspondence> = near.iter().map(|&k| self.correspondences[k]).collect();
+        let pose = coplanarity::refine(&model.pose, &inside, 4.0 * squared_tolerance, 3)?;
+        Some(self.level(pose, near.into_iter()))
     }
 }
 
@@ -177,8 +231,13 @@ fn two(
         least: 20,
         most: options.most_samples,
     };
-    let found = sample(&TwoPoint(correspondences), &sampling, rng)?;
-    let pose = in_front(found.model.0, correspondences, &found.inliers);
+    let data = TwoPoint {
+        correspondences,
+        squared_reach: (options.tolerance * options.two_point_coarse.max(1.0)).powi(2),
+        parallax_share: options.parallax_share,
+    };
+    let found = sample(&data, &sampling, rng)?;
+    let pose = in_front(found.model.pose, correspondences, &found.inliers);
     let band = Band {
         tolerance: options.tolerance,
         sigmas: options.band_sigmas,

@@ -1,6 +1,8 @@
 //! Random sampling with local optimisation: a model from few data, judged by all.
 //!
-//! Score: `sum_k max(0, 1 - d_k^2 / t^2)` (MSAC). Sampling ends when a sample without an outlier has been
+//! Score: `sum_k max(0, 1 - d_k^2 / t^2)` (MSAC). A hypothesis that fits only roughly, because what it
+//! assumes is only roughly so, is found by a loose tolerance, one among many wrong data by a tight
+//! one; so the best by any of several tolerances is refined. Sampling ends when a sample without an outlier has been
 //! drawn with the wanted confidence, given the share of inliers found so far. Every draw comes from
 //! the generator that is passed in. References: M. Fischler and R. Bolles, CACM 24(6), 1981; O. Chum,
 //! J. Matas and J. Kittler, *Locally optimized RANSAC*, DAGM 2003.
@@ -62,6 +64,20 @@ fn score<S: Samples>(data: &S, model: &S::Model, squared_tolerance: f64) -> f64 
         .sum()
 }
 
+/// Tolerances by which hypotheses are judged before they are refined.
+const SCALES: usize = 3;
+
+fn scores<S: Samples>(data: &S, model: &S::Model, squared: &[f64; SCALES]) -> [f64; SCALES] {
+    let mut sums = [0.0; SCALES];
+    for k in 0..data.count() {
+        let distance = data.squared_distance(model, k);
+        for (sum, squared) in sums.iter_mut().zip(squared) {
+            *sum += (1.0 - distance / squared).max(0.0);
+        }
+    }
+    sums
+}
+
 fn count<S: Samples>(data: &S, model: &S::Model, squared_tolerance: f64) -> usize {
     (0..data.count()).filter(|&k| data.squared_distance(model, k) <= squared_tolerance).count()
 }
@@ -96,9 +112,10 @@ pub fn sample<S: Samples>(
         return None;
     }
     let fine = sampling.tolerance * sampling.tolerance;
-    let coarse = fine * sampling.coarse.max(1.0).powi(2);
+    let factors = [sampling.coarse, sampling.coarse.sqrt(), 1.0];
+    let scales: [f64; SCALES] = factors.map(|factor| fine * factor.max(1.0).powi(2));
     let mut best: Option<(f64, S::Model)> = None;
-    let mut best_coarse = f64::NEG_INFINITY;
+    let mut best_at = [0.0; SCALES];
     let mut needed = sampling.most;
     let mut samples = 0;
     let mut drawn = vec![0usize; S::SIZE];
@@ -109,11 +126,11 @@ pub fn sample<S: Samples>(
         models.clear();
         data.solve(&drawn, &mut models);
         for model in &models {
-            let found = score(data, model, coarse);
-            if found <= best_coarse {
+            let found = scores(data, model, &scales);
+            if (0..SCALES).all(|k| found[k] <= best_at[k]) {
                 continue;
             }
-            best_coarse = found;
+            best_at = std::array::from_fn(|k| found[k].max(best_at[k]));
             let polished = polish(data, model, sampling);
             let found = score(data, &polished, fine);
             if best.as_ref().is_none_or(|(most, _)| found > *most) {

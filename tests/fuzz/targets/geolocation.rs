@@ -1,0 +1,6 @@
+//! `geolocation.csv`: any bytes.
+#![no_main]
+
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
+    rowgram_fuzz::read(bytes, "geolocation.csv", |path| rowgram::io::gcp_list::geolocation(path).map(drop));
+});
