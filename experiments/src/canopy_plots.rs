@@ -75,8 +75,8 @@ pub(crate) fn run(folders: &Folders, options: &Options, train_only: bool) -> Res
     let rivals: Vec<Method> =
         METHODS.iter().copied().filter(|method| RIVALS.contains(&method.name)).collect();
     let (mut runs, mut chosen) = (Vec::new(), String::new());
-    for Photos { name, lists, every } in &sets {
-        let search: Vec<&Plot> = lists[0].1.iter().step_by(*every).collect();
+    for &Photos { name, ref lists, every } in &sets {
+        let search: Vec<&Plot> = lists[0].1.iter().step_by(every).collect();
         let mine = choose(|settings| {
             let runs = locate(name, "search", &search, settings, options, false)?;
             Ok(mean(&runs, |run| run.f1_quarter))
@@ -90,7 +90,7 @@ pub(crate) fn run(folders: &Folders, options: &Options, train_only: bool) -> Res
             chosen,
             "{name}: thresholds and smallest component {mine:?}; for the three others {theirs:?}.\n"
         );
-        for (list, plots) in lists.iter().take(if train_only { 1 } else { 2 }) {
+        for &(list, ref plots) in lists.iter().take(if train_only { 1 } else { 2 }) {
             let plots: Vec<&Plot> = plots.iter().collect();
             runs.extend(locate(name, list, &plots, mine, options, true)?);
             runs.extend(compare(name, list, &plots, theirs, &rivals)?);

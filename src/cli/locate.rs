@@ -47,8 +47,7 @@ pub(super) struct Locate {
     #[arg(long, value_parser = word::<Method>, value_name = "NAME")]
     method: Option<Method>,
     /// An option of the methods full and refined, as in `--set leaf-axes=false`: leaf-axes, axes
-    /// (tensor, or slices across the leaves),
-    /// curved-rows, across, believed, votes, cover, heat, tally, beta, beta-compared, mean-place,
+    /// (tensor, or slices across the leaves), curved-rows, across, believed, votes, cover, heat, tally, beta, beta-compared, mean-place,
     /// estimate-spacing.
     #[arg(long, value_name = "NAME=VALUE")]
     set: Vec<String>,
@@ -127,8 +126,7 @@ pub(super) struct Locate {
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// Cut the mask into windows of this many pixels and locate in each on its own, as the paper does
-    /// (full method; number of plants not given). Not needed; for comparison, and for masks that are too
-    /// large.
+    /// (full method; number of plants not given). For comparison.
     #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(64..))]
     crop: Option<u32>,
     /// Write where plants are missing (full method): place, row, length, plants, probability.

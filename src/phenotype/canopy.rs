@@ -172,9 +172,9 @@ fn around(marginals: &[f64], at: usize, steps: usize) -> [f64; 3] {
     [sum, mean, (second / sum.max(f64::MIN_POSITIVE) - mean * mean).max(0.0)]
 }
 
-/// Standard deviation of the relative error of expected counts beyond their own variance, on
-/// synthetic fields that took no part in fitting the weights.
-const COUNT_SIGMA: f64 = 0.03;
+/// Standard deviation of the relative error of expected counts, on synthetic fields that took no part in
+/// fitting the weights.
+const COUNT_SIGMA: f64 = 0.06;
 
 impl Scene {
     fn present(

@@ -55,11 +55,10 @@ impl Plants {
             worth.loss[plant] += price(without) - price(pair.near2);
             let (at, [u, v]) = (x.positions_px[plant], self.index.position(pixel));
             let (du, dv) = (u - at[0], v - at[1]);
-            if du * du + dv * dv <= farthest * farthest {
-                let sums = &mut worth.moments[plant];
-                for (sum, part) in sums.iter_mut().zip([1.0, du, dv, du * du, du * dv, dv * dv]) {
-                    *sum += part;
-                }
+            // Also of pixels beyond the truncation: those are what a plant is missing for.
+            let sums = &mut worth.moments[plant];
+            for (sum, part) in sums.iter_mut().zip([1.0, du, dv, du * du, du * dv, dv * dv]) {
+                *sum += part;
             }
         }
         worth

@@ -319,8 +319,9 @@ fn a_swap_takes_a_plant_from_where_two_are_one_and_never_costs() {
         let mut x = problem.field(start, &[0.0], &[]).unwrap();
         run(&problem, &mut x, exact(), 100, |_, _| ()).unwrap();
         let stuck = problem.cost(&x);
-        assert!(x.positions_px.iter().all(|at| at[0] < 280.0), "{:?}", x.positions_px);
-        assert_eq!(problem.swap(&mut x, 5).unwrap(), 1);
+        let first = x.positions_px.iter().filter(|at| at[0] < 35.0).count();
+        assert_eq!(first, 2, "{:?}", x.positions_px);
+        assert!(problem.swap(&mut x, 5).unwrap() >= 1);
         run(&problem, &mut x, exact(), 100, |_, _| ()).unwrap();
         assert!(problem.cost(&x) < stuck - 1.0);
         for centre in &centres {
