@@ -74,14 +74,14 @@ impl ConjugateGradients {
         let mut square = inner(&self.residual, &self.preconditioned);
         let enough = self.tolerance * self.tolerance * square;
         for _ in 0..MOST_PRODUCTS {
-            if !(square > enough) {
+            if square <= enough || square.is_nan() {
                 return;
             }
             multiply(matrix, &self.direction, &mut self.product);
             self.products += 1;
             let curvature = inner(&self.direction, &self.product);
             // Rounding has eaten the definiteness: what there is so far is a descent direction.
-            if !(curvature > 0.0) {
+            if curvature <= 0.0 || curvature.is_nan() {
                 return;
             }
             let length = square / curvature;

@@ -27,6 +27,8 @@ pub struct Verifying {
     pub least_inliers: usize,
     /// A pair with a smaller share of right matches is none.
     pub least_share: f64,
+    /// The most samples of each solver for a pair.
+    pub most_samples: usize,
     /// Seed of all sampling.
     pub seed: u64,
 }
@@ -38,6 +40,7 @@ impl Default for Verifying {
             tolerance_px: 4.0,
             least_inliers: 15,
             least_share: 0.1,
+            most_samples: 3000,
             seed: 1,
         }
     }
@@ -74,6 +77,7 @@ fn orient(
         solver: verifying.solver,
         tolerance: verifying.tolerance_px / principal_distance_px,
         least_inliers: verifying.least_inliers,
+        most_samples: verifying.most_samples,
         ..Relative::default()
     };
     let [a, b] = matched.images;
@@ -140,7 +144,7 @@ pub fn shares_by_lens(
     lenses: &[Interior],
     verifying: &Verifying,
 ) -> Vec<f64> {
-    let five = Verifying { solver: Solver::FivePoint, ..*verifying };
+    let five = Verifying { solver: Solver::FivePoint, most_samples: ENOUGH_SAMPLES, ..*verifying };
     let few: Vec<Matched> = matched
         .iter()
         .map(|pair| {
@@ -164,4 +168,6 @@ pub fn shares_by_lens(
 }
 
 /// Matches of a pair by which lenses are compared.
-const ENOUGH_MATCHES: usize = 400;
+const ENOUGH_MATCHES: usize = 250;
+/// Samples of each; a lens under which that many find nothing is the wrong one.
+const ENOUGH_SAMPLES: usize = 300;

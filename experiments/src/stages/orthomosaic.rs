@@ -276,7 +276,7 @@ impl Flown {
 
     fn view(&self, image: usize) -> View {
         let image = &self.survey.images[image];
-        let interior = self.survey.cameras[image.camera as usize].interior;
+        let interior = self.survey.cameras[image.camera].interior;
         View::new(&image.name, interior, image.pose, None)
     }
 

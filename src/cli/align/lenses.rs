@@ -21,7 +21,7 @@ use crate::{
 use serde::{Deserialize, Serialize};
 
 /// Pairs by which lenses are judged.
-const PAIRS: usize = 12;
+const PAIRS: usize = 10;
 /// Distance from co-planarity that tells one lens from another, pixels.
 const TOLERANCE_PX: f64 = 1.5;
 /// What is tried for `a`.
