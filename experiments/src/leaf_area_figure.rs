@@ -25,6 +25,9 @@ pub(crate) fn draw(squares: &[Square]) -> Result<String, Box<dyn std::error::Err
             .configure_mesh()
             .x_desc("leaf pixels of a square")
             .y_desc("leaves")
+            .x_labels(5)
+            .x_label_formatter(&|value| format!("{value:.0}"))
+            .y_label_formatter(&|value| format!("{value:.0}"))
             .light_line_style(WHITE)
             .draw()?;
         for (kind, colour) in COLOURS.into_iter().enumerate() {
