@@ -4,7 +4,7 @@ use crate::program::rowgram;
 use rowgram::{
     io::geotiff::{Colour, Layout, Reader, write},
     raster::{
-        georeference::{Crs, CrsKind, Georeference},
+        georeference::{Crs, Georeference},
         window::Window,
     },
 };
