@@ -367,8 +367,9 @@ mod tests {
             [(brown, None), (brown, rolling), (straight, None), (straight, rolling)]
         {
             let view = view(Model::Brown, &values, motion);
-            let (mut largest, mut polynomial, mut blocks) = (0.0f64, 0, 0);
+            let mut largest = 0.0f64;
             for gsd in [0.004, 0.02, 0.1] {
+                let (mut polynomial, mut blocks) = (0, 0);
                 let grid = Georeference::north_up([-12.0, 11.0], gsd, Crs::LOCAL);
                 let at = |cell| surface.georeference.pixel(grid.map(cell)).unwrap();
                 let (origin, right, below) = (at([0.0, 0.0]), at([1.0, 0.0]), at([0.0, 1.0]));
@@ -406,13 +407,11 @@ mod tests {
                     }
                     assert_eq!(shown, exactly);
                 }
+                // Coarse blocks see too much of the lens; as fine as a map's cells are it must be fast.
+                assert!(gsd > 0.01 || polynomial == blocks, "{polynomial} of {blocks} at {gsd} m");
             }
             // What the module promises, and single precision at 4000 px.
             assert!(largest < 0.01, "{largest} px");
-            assert!(
-                3 * polynomial > blocks,
-                "{polynomial} of {blocks}: the fast way was hardly taken"
-            );
         }
     }
 }

