@@ -15,7 +15,7 @@
 //! among them, which no other score of places promises.
 //!
 //! The spacing enters `g` and is re-estimated from the expected gaps, a few times, under weak priors.
-//! Lengths in pixels of the reduced grid; weights were fitted by `experiments/scripts/fit_tally.rs`.
+//! Lengths in pixels of the reduced grid; weights were fitted by `experiments/examples/fit_tally.rs`.
 //!
 //! Reference: J. Lafferty, A. McCallum and F. Pereira, "Conditional random fields: probabilistic models
 //! for segmenting and labeling sequence data", ICML 2001.

@@ -200,7 +200,7 @@ mod tests {
 
     #[test]
     fn both_models_bend_a_ray_alike() {
-        for a in [-0.1, 0.1, 0.26, 0.52] {
+        for a in [-0.1f64, 0.1, 0.26, 0.52] {
             // SMAC has the very form; two terms of its inverse come near enough to begin with, and are worth
             // less the more a lens bends.
             let near = if a.abs() < 0.3 { 0.04 } else { 0.2 };

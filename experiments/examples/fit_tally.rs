@@ -1,7 +1,6 @@
 //! Fits the weights of `rowgram::phenotype::tally` to masks of which every plant is known.
 //!
-//!     cp experiments/scripts/fit_tally.rs examples/ && cargo run --release --example fit_tally -- \
-//!         /work/shared/data/field_masks 1003 1005
+//!     cargo run --release -p experiments --example fit_tally -- DATA/field_masks 1003 1005
 //!
 //! The weights that are in use were printed by an earlier form of this program with masks 1004 and 1005 for the first
 //! set and 1003 to 1005 for the second; they need not come out to the last digit.
@@ -13,6 +12,7 @@
 //!
 //! The features are written here once more, so that a change of either side shows as a change of the
 //! weights.
+#![allow(clippy::print_stdout, clippy::print_stderr, reason = "a program that prints")]
 
 use rayon::prelude::*;
 use rowgram::{
@@ -50,7 +50,9 @@ fn normal(x: f64, mean: f64, variance: f64) -> f64 {
 impl Gaps {
     fn skipping(&self, gap: f64, k: usize) -> f64 {
         let (steps, sd) = (k as f64, self.j * self.s);
-        (1.0 - self.d) * (1.0 - self.m) * self.m.powi(k as i32 - 1)
+        (1.0 - self.d)
+            * (1.0 - self.m)
+            * self.m.powi(k as i32 - 1)
             * normal(gap, steps * self.s, steps * sd * sd)
     }
     fn double(&self, gap: f64) -> f64 {
@@ -76,7 +78,8 @@ impl Gaps {
         }
         let s = length / places;
         let scatter: f64 = shares.iter().map(|(g, k, w)| w * (g / s - k).powi(2) / k).sum();
-        let pooled = |sum: f64, n: f64, (mean, weight): (f64, f64)| (sum + mean * weight) / (n + weight);
+        let pooled =
+            |sum: f64, n: f64, (mean, weight): (f64, f64)| (sum + mean * weight) / (n + weight);
         Gaps {
             s,
             j: pooled(scatter, kinds, (prior[0].0.powi(2), prior[0].1)).sqrt().clamp(0.04, 0.4),
@@ -230,13 +233,24 @@ impl<'f> Features<'f> {
                 let (from, to) = (k.saturating_sub(narrow), (k + narrow + 1).min(count));
                 let here = (row.mass[to][0] - row.mass[from][0]) / (to - from) as f64 / mass;
                 [
-                    1.0, x, x * x, local,
+                    1.0,
+                    x,
+                    x * x,
+                    local,
                     heights[k] - 0.5 * (near(-4) + near(4)),
                     heights[k] - 0.5 * (near(-8) + near(8)),
-                    mean(1, 2), mean(2, 3),
+                    mean(1, 2),
+                    mean(2, 3),
                     here.max(0.0).sqrt() - 1.0,
-                    size, contrast, size * x, contrast * x, cover_, cover_ * x, contrast * local,
-                    10.0 * (gaps.m - 0.07), 10.0 * (gaps.j - 0.15),
+                    size,
+                    contrast,
+                    size * x,
+                    contrast * x,
+                    cover_,
+                    cover_ * x,
+                    contrast * local,
+                    10.0 * (gaps.m - 0.07),
+                    10.0 * (gaps.j - 0.15),
                 ]
             })
             .collect();
@@ -249,7 +263,10 @@ impl<'f> Features<'f> {
             })
             .collect();
         Features {
-            row, heights, places, of_gap,
+            row,
+            heights,
+            places,
+            of_gap,
             uncovered: 1.0 / (cover * f64::from(2 * BAND + 1) * s) / (0.25 * s),
             absent: -gaps.m.ln() * STEP / s,
             covered: (0.6 * s / STEP) as usize,
@@ -272,16 +289,21 @@ impl<'f> Features<'f> {
         let (depth, close) = (valley - lower, gap < self.covered);
         let open = if gap > 2 * self.covered {
             let middle = (a + b) / 2;
-            self.spread(a + self.covered, middle, true) + self.spread(middle, b - self.covered, false)
+            self.spread(a + self.covered, middle, true)
+                + self.spread(middle, b - self.covered, false)
         } else {
             0.0
         };
         let middling = !close && gap < 2 * self.covered + self.covered / 2;
         [
-            density, near * lower, far * lower, self.uncovered * open,
+            density,
+            near * lower,
+            far * lower,
+            self.uncovered * open,
             if close { depth } else { 0.0 },
             if middling { depth } else { 0.0 },
-            double, double * (lower - 1.0),
+            double,
+            double * (lower - 1.0),
             if close { 1.0 - gap as f64 / self.covered as f64 } else { 0.0 },
         ]
     }
@@ -311,8 +333,7 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 fn likelihood(f: &Features<'_>, w: &[f64]) -> (f64, [f64; ALL], Vec<f64>) {
     let (count, most, open) = (f.heights.len(), f.of_gap.len(), PLACE + 3);
     let own: Vec<f64> = f.places.iter().map(|p| dot(p, &w[..PLACE])).collect();
-    let ends: Vec<[[f64; 2]; 2]> =
-        (0..count).map(|k| [f.end(k, true), f.end(k, false)]).collect();
+    let ends: Vec<[[f64; 2]; 2]> = (0..count).map(|k| [f.end(k, true), f.end(k, false)]).collect();
     let worth = |end: [f64; 2]| end[0] + w[open] * end[1];
     let pairs: Vec<Vec<[f64; PAIR]>> = (0..count)
         .map(|b| {
@@ -339,7 +360,8 @@ fn likelihood(f: &Features<'_>, w: &[f64]) -> (f64, [f64; ALL], Vec<f64>) {
     for a in (0..count).rev() {
         terms.clear();
         terms.push(worth(ends[a][1]));
-        let next = (2..most.min(count - a)).map(|gap| behind[a + gap] + own[a + gap] + score(a + gap, gap));
+        let next = (2..most.min(count - a))
+            .map(|gap| behind[a + gap] + own[a + gap] + score(a + gap, gap));
         terms.extend(next);
         behind[a] = log_sum_exp(&terms);
     }
@@ -389,8 +411,7 @@ fn fit(fields: &[Field], gaps: &[Gaps], start: &[f64], penalty: f64, rounds: usi
     let plants: f64 = rows.iter().map(|f| f.row.truth.len() as f64).sum();
     let cost = |w: &[f64]| {
         let parts: Vec<_> = rows.par_iter().map(|f| likelihood(f, w)).collect();
-        let mut gradient: Vec<f64> =
-            w.iter().zip(start).map(|(w, s)| penalty * (w - s)).collect();
+        let mut gradient: Vec<f64> = w.iter().zip(start).map(|(w, s)| penalty * (w - s)).collect();
         let mut value: f64 =
             w.iter().zip(start).map(|(w, s)| 0.5 * penalty * (w - s).powi(2)).sum();
         for (v, g, _) in parts {
