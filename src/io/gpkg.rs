@@ -1,6 +1,6 @@
 //! GeoPackage: layers of geometries with attributes, in any coordinate reference system.
 //!
-//! A GeoPackage is an SQLite file with agreed tables; QGIS and GDAL open it as it is. [`write`] makes one from
+//! A GeoPackage is an SQLite file with agreed tables; QGIS and GDAL open it as it is. [`write()`] makes one from
 //! whole [`Layer`]s, atomically. The same layers give the same bytes: `last_change`, which the standard
 //! asks for, is a fixed date.
 //!
