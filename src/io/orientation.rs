@@ -1,23 +1,25 @@
 //! Exterior orientations as a table: image, projection centre, omega, phi, kappa.
 
 use super::{FileError, output};
-use crate::problems::adjustment::{Image, ImageAccuracy};
+use crate::geometry::rotation;
+use crate::problems::adjustment::{Image, ImageAccuracy, Survey};
 use std::path::Path;
 
 /// Writes `image,x_m,y_m,z_m,omega_deg,phi_deg,kappa_deg` and, where the accuracies are known, standard
-/// deviations of all six; `R^T = Rx(omega) Ry(phi) Rz(kappa)` takes the camera frame (y up, looking along -z)
+/// deviations of all six, and with a rolling shutter the velocity of each image and the readout time; `R^T = Rx(omega) Ry(phi) Rz(kappa)` takes the camera frame (y up, looking along -z)
 /// to the map.
 ///
 /// # Errors
 /// As [`output::write`].
 pub fn write(
     path: &Path,
-    images: &[Image],
+    survey: &Survey,
     accuracies: &[ImageAccuracy],
     sigma0: f64,
     force: bool,
 ) -> Result<(), FileError> {
     output::write(path, force, |out| {
+        let images: &[Image] = &survey.images;
         let known = accuracies.len() == images.len();
         write!(out, "image,x_m,y_m,z_m,omega_deg,phi_deg,kappa_deg")?;
         if known {
@@ -25,6 +27,10 @@ pub fn write(
                 out,
                 ",sigma_x_m,sigma_y_m,sigma_z_m,sigma_omega_deg,sigma_phi_deg,sigma_kappa_deg"
             )?;
+        }
+        if survey.rolling_shutter.is_some() {
+            write!(out, ",velocity_east_m_s,velocity_north_m_s,velocity_up_m_s")?;
+            write!(out, ",turn_x_rad_s,turn_y_rad_s,turn_z_rad_s,readout_s")?;
         }
         writeln!(out)?;
         for (k, image) in images.iter().enumerate() {
@@ -39,6 +45,17 @@ pub fn write(
                 for angle in accuracy.angles_rad {
                     write!(out, ",{:.7}", sigma0 * angle.to_degrees())?;
                 }
+            }
+            if let (Some(shutter), Some([east, north, up])) =
+                (survey.rolling_shutter, survey.velocity_m_s(k))
+            {
+                write!(out, ",{east:.5},{north:.5},{up:.5}")?;
+                let turn = [image.motion[0], image.motion[1], image.motion[2]];
+                let world = rotation::rotate(rotation::inverse(image.pose.rotation), turn);
+                for rate in world {
+                    write!(out, ",{:.7}", -rate / shutter.readout_s)?;
+                }
+                write!(out, ",{}", shutter.readout_s)?;
             }
             writeln!(out)?;
         }

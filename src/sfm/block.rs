@@ -10,8 +10,11 @@ use super::{
 use crate::{
     camera::{Camera, Interior, Lens},
     engine::SolveError,
+    geometry::rotation,
     nlls::{Loss, Options as Engine, solve},
-    problems::adjustment::{Image, Observation, Pose, Posed, Settings, Survey, TiePoint},
+    problems::adjustment::{
+        Image, Observation, Pose, Posed, RollingShutter, Settings, Survey, TiePoint,
+    },
 };
 use rayon::prelude::*;
 
@@ -58,6 +61,10 @@ pub struct Block<'a> {
     pub points: Vec<Option<[f64; 3]>>,
     /// For each member of a track whether it belongs to its point.
     pub used: Vec<bool>,
+    /// How each image moves while it is read, as in [`Image::motion`]; nothing but with a shutter.
+    pub motions: Vec<[f64; 6]>,
+    /// The shutter, where it rolls.
+    pub shutter: Option<RollingShutter>,
 }
 
 /// How a block is adjusted while it grows.
@@ -81,12 +88,31 @@ impl<'a> Block<'a> {
             poses: vec![None; features.len()],
             points: vec![None; tracks.count()],
             used: vec![false; tracks.member_count()],
+            motions: vec![[0.0; 6]; features.len()],
+            shutter: None,
         }
     }
 
     /// The lens of an image.
     pub fn lens(&self, image: usize) -> &Interior {
         &self.cameras[self.features[image].camera].interior
+    }
+
+    /// The pose of an image while it read a row.
+    pub fn pose_at(&self, image: usize, v_px: f64) -> Option<Pose> {
+        let pose = (*self.poses.get(image)?)?;
+        if self.shutter.is_none() {
+            return Some(pose);
+        }
+        let height = f64::from(self.lens(image).size_px()[1]);
+        let share = (v_px - 0.5 * (height - 1.0)) / height;
+        let motion = self.motions[image].map(|v| v * share);
+        let turn = rotation::exp([motion[0], motion[1], motion[2]]);
+        let turned = rotation::rotate(turn, pose.translation);
+        Some(Pose {
+            rotation: rotation::normalize(rotation::multiply(turn, pose.rotation)),
+            translation: std::array::from_fn(|k| turned[k] + motion[3 + k]),
+        })
     }
 
     /// How many images have a pose.
@@ -133,9 +159,10 @@ impl<'a> Block<'a> {
         let mut views = Vec::new();
         for place in self.tracks.places(track) {
             let image = self.tracks.member(place).image as usize;
-            if let (Some(pose), true) = (&self.poses[image], !only_used || self.used[place]) {
+            let image_px = self.position_px(place);
+            let wanted = !only_used || self.used[place];
+            if let (Some(pose), true) = (self.pose_at(image, image_px[1]), wanted) {
                 places.push(place);
-                let image_px = self.position_px(place);
                 views.push(View { pose, lens: self.lens(image), image_px });
             }
         }
@@ -230,8 +257,12 @@ impl<'a> Block<'a> {
         let mut order = asked.clone();
         let mut place = vec![u32::MAX; self.poses.len()];
         asked.iter().enumerate().for_each(|(k, &image)| place[image] = k as u32);
-        let mut survey =
-            Survey { cameras: self.cameras.clone(), tie_sigma_px: 1.0, ..Survey::default() };
+        let mut survey = Survey {
+            cameras: self.cameras.clone(),
+            tie_sigma_px: 1.0,
+            rolling_shutter: self.shutter,
+            ..Survey::default()
+        };
         for &track in &tracks {
             let Some(position_m) = self.points[track as usize] else { continue };
             let point = survey.points.len() as u32;
@@ -264,7 +295,7 @@ impl<'a> Block<'a> {
                     id: image as u32 + 1,
                     camera: self.features[image].camera,
                     pose,
-                    motion: [0.0; 6],
+                    motion: self.motions[image],
                 });
             }
         }
@@ -302,6 +333,7 @@ impl<'a> Block<'a> {
         posed.update(&x, &mut survey);
         for (image, &index) in survey.images.iter().zip(&order) {
             self.poses[index] = Some(image.pose);
+            self.motions[index] = image.motion;
         }
         for (point, &track) in survey.points.iter().zip(&tracks) {
             self.points[track as usize] = Some(point.position_m);

@@ -25,7 +25,7 @@ pub fn control_left_m(block: &Block<'_>, known: &Known) -> Vec<(usize, f64)> {
         let marks = known.marks.iter().filter(|mark| mark.ground as usize == ground);
         let views: Vec<View<'_>> = marks
             .filter_map(|mark| {
-                let pose = block.poses[mark.image as usize].as_ref()?;
+                let pose = block.pose_at(mark.image as usize, mark.image_px[1])?;
                 let lens = block.lens(mark.image as usize);
                 Some(View { pose, lens, image_px: mark.image_px })
             })
@@ -68,8 +68,8 @@ fn marks_that_fit(
         let mut marks = Vec::new();
         let mut views = Vec::new();
         for mark in known.marks.iter().filter(|mark| mark.ground as usize == ground) {
-            if let Some(Some(pose)) = block.poses.get(mark.image as usize) {
-                let image_px = mark.image_px.map(|v| (v + 0.5) * scale - 0.5);
+            let image_px = mark.image_px.map(|v| (v + 0.5) * scale - 0.5);
+            if let Some(pose) = block.pose_at(mark.image as usize, image_px[1]) {
                 views.push(View { pose, lens: block.lens(mark.image as usize), image_px });
                 marks.push(*mark);
             }

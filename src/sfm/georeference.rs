@@ -4,6 +4,7 @@
 pub use super::control::{MarkReview, WrongMark, axes_exchanged, control_left_m, review_marks};
 
 use super::block::Block;
+use super::shutter::keep_feasible_marks;
 use super::triangulate::Demands;
 use crate::{
     engine::SolveError,
@@ -303,14 +304,7 @@ pub fn adjust(
     let (mut survey, tracks, order) = block.survey(None);
     known.attach(&mut survey, &order);
     survey.tie_sigma_px = tie_sigma_px;
-    // Marks in images that do not show the point would end the adjustment before it begins.
-    let feasible = |mark: &Mark| {
-        use crate::camera::Lens;
-        let image = &survey.images[mark.image as usize];
-        let point = survey.ground[mark.ground as usize].position_m;
-        survey.cameras[image.camera].interior.project(image.pose.to_camera(point)).is_some()
-    };
-    survey.marks = survey.marks.iter().copied().filter(feasible).collect();
+    keep_feasible_marks(&mut survey);
     let settings = Settings { tie_loss: Loss::SoftL1(2.0), ..Settings::default() };
     let posed = Posed::new(&survey, &settings)?;
     let mut x = posed.problem.start();
@@ -319,6 +313,7 @@ pub fn adjust(
     posed.update(&x, &mut survey);
     for (image, &index) in survey.images.iter().zip(&order) {
         block.poses[index] = Some(image.pose);
+        block.motions[index] = image.motion;
     }
     for (point, &track) in survey.points.iter().zip(&tracks) {
         block.points[track as usize] = Some(point.position_m);

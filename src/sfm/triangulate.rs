@@ -14,7 +14,7 @@ use nalgebra::{Matrix3, Vector3};
 #[derive(Debug, Clone, Copy)]
 pub struct View<'a> {
     /// The camera's pose.
-    pub pose: &'a Pose,
+    pub pose: Pose,
     /// Its lens.
     pub lens: &'a Interior,
     /// Pixels.
@@ -155,7 +155,7 @@ mod tests {
         let point = [8.0, 2.0, 1.0];
         let mut views: Vec<View<'_>> = poses
             .iter()
-            .map(|pose| View {
+            .map(|&pose| View {
                 pose,
                 lens: &lens,
                 image_px: lens.project(pose.to_camera(point)).unwrap(),

@@ -59,7 +59,7 @@ pub fn rays(features: &Features, lens: &Interior) -> Vec<Option<Ray>> {
 }
 
 /// Orients one pair; `None` where too few matches agree.
-fn orient(
+pub(super) fn orient_matched(
     matched: &Matched,
     [first, second]: [&[Option<Ray>]; 2],
     principal_distance_px: f64,
@@ -128,7 +128,7 @@ pub fn orient_pairs(
                 .interior
                 .principal_distance_px()
                 .max(cameras[features[b].camera].interior.principal_distance_px());
-            let pair = orient(matched, [&rays[a], &rays[b]], c, verifying);
+            let pair = orient_matched(matched, [&rays[a], &rays[b]], c, verifying);
             tell();
             pair
         })
@@ -159,7 +159,7 @@ pub fn shares_by_lens(
             let share = |pair: &Matched| {
                 let of = pair.images.map(|k| rays(&features[k as usize], lens));
                 let c = lens.principal_distance_px();
-                orient(pair, [&of[0], &of[1]], c, &five)
+                orient_matched(pair, [&of[0], &of[1]], c, &five)
                     .map_or(0.0, |found| found.matches.len() as f64 / pair.matches.len() as f64)
             };
             few.iter().map(share).sum::<f64>() / few.len().max(1) as f64

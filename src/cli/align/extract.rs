@@ -229,13 +229,8 @@ const MOST_EXHAUSTIVE: usize = 1000;
 
 /// Photos that follow each other in time, up to `reach` apart.
 fn following(project: &Project, reach: usize) -> Vec<pairs::Pair> {
-    let n = project.photos.len();
-    let mut order: Vec<usize> = (0..n).collect();
-    order.sort_by(|&a, &b| {
-        let (a, b) = (&project.photos[a], &project.photos[b]);
-        a.metadata.moment.cmp(&b.metadata.moment).then(a.name.cmp(&b.name))
-    });
-    pairs::in_sequence(n, reach)
+    let order = project.flight();
+    pairs::in_sequence(order.len(), reach)
         .into_iter()
         .map(|[a, b]| [order[a].min(order[b]), order[a].max(order[b])])
         .collect()

@@ -1,7 +1,7 @@
 //! The last stage that computes: blocks into the map, made one, adjusted and judged.
 
 use super::{
-    Args, Finding,
+    Args, Finding, Shutter,
     project::{Photo, Project},
     stages::gsd_m,
 };
@@ -14,8 +14,11 @@ use crate::{
     },
     sfm::{
         block::Block,
-        georeference::{self, Known, adjust, axes_exchanged, join, review_marks, weigh_positions},
+        georeference::{
+            self, Known, MarkReview, adjust, axes_exchanged, join, review_marks, weigh_positions,
+        },
         growth::Growing,
+        shutter,
         triangulate::Demands,
     },
 };
@@ -134,7 +137,7 @@ pub(super) fn finish<'a>(
             }
         }
         let factor: f64 = if round == 0 { 2.0 } else { 1.0 };
-        let tolerance = demands(factor.min((6.0 * sigma_px / args.tolerance).max(0.4)));
+        let tolerance = demands(factor.min((6.0 * sigma_px / args.tolerance).max(0.1)));
         // A free block is bent: control first draws it gently into shape, and what then still does
         // not fit is wrong, before the rest is taken at its word.
         let gentle = [1.0, 0.1, 0.01, 0.0][round] * loosest;
@@ -157,6 +160,9 @@ pub(super) fn finish<'a>(
             sigma_px,
             block.points.iter().flatten().count()
         );
+    }
+    if joined.georeferenced {
+        roll(&mut block, &mut known, project, args, &mut sigma_px, findings)?;
     }
     let (mut survey, _, order) = block.survey(None);
     known.attach(&mut survey, &order);
@@ -215,6 +221,60 @@ pub(super) fn finish<'a>(
     })
 }
 
+/// A readout time where nobody has told it, seconds: it only turns ways into velocities.
+const USUAL_READOUT_S: f64 = 0.03;
+
+/// A rolling shutter, where there is one: looked for, believed where it explains much, and then everything is
+/// judged again.
+fn roll(
+    block: &mut Block<'_>,
+    known: &mut Known,
+    project: &Project,
+    args: &Args,
+    sigma_px: &mut f64,
+    findings: &mut Vec<Finding>,
+) -> Result<(), Error> {
+    let (readout_s, certain) = match args.rolling_shutter {
+        Shutter::Off => return Ok(()),
+        Shutter::Auto => (USUAL_READOUT_S, false),
+        Shutter::Seconds(seconds) => (seconds, true),
+    };
+    let found = shutter::find(block, known, &project.flight(), *sigma_px, readout_s, certain)?;
+    let Some(drift) = found else {
+        if certain {
+            findings.push(Finding::new(
+                "rolling shutter",
+                "too few photos on straight strips to tell how they moved: not modelled",
+            ));
+        }
+        return Ok(());
+    };
+    shutter::adopt(block, &drift, readout_s);
+    findings.push(Finding::new(
+        "rolling shutter",
+        &format!(
+            "while a photo is read its camera flies {:.2} m, {:.1} px on the ground (single photos +- {:.2} m): part of the adjustment{}",
+            drift.way_m,
+            drift.way_px,
+            drift.spread_m,
+            if certain { "" } else { " (--rolling-shutter off leaves it out)" }
+        ),
+    ));
+    // Marks that were off by what the shutter does are right after all.
+    let mark = |finding: &Finding| finding.subject.starts_with(MARK);
+    findings.retain(|finding| !mark(finding));
+    known.marks.clone_from(&project.known.marks);
+    let review = review_marks(block, known, &mark_scales(project), &mark_demands(args));
+    name_wrong_marks(&review, known, project, findings);
+    for factor in [2.0, 1.0, 1.0] {
+        let tolerance_px = (6.0 * factor * *sigma_px).max(0.1 * args.tolerance);
+        let demands = Demands { tolerance_px, least_angle_rad: Growing::default().least_angle_rad };
+        adjust(block, known, *sigma_px, &demands, 30)?;
+        *sigma_px = typical_px(block).max(0.05);
+    }
+    Ok(())
+}
+
 /// How far off something is, in its unit.
 fn far(removed: &Removed) -> String {
     let distance = removed.error.iter().map(|e| e * e).sum::<f64>().sqrt();
@@ -257,18 +317,7 @@ fn review(
     if known.marks.is_empty() {
         return;
     }
-    let mut scales = vec![0.25, 0.5, 2.0, 4.0];
-    for photo in &project.photos {
-        if let Some([width, _]) = photo.metadata.written_size_px {
-            let scale = f64::from(photo.size_px[0]) / f64::from(width);
-            if (scale - 1.0).abs() > 0.01 && !scales.iter().any(|s| (s - scale).abs() < 0.01) {
-                scales.push(scale);
-            }
-        }
-    }
-    // A free block is bent, but not within the few photos of one point.
-    let demands = Demands { tolerance_px: 3.0 * args.tolerance, least_angle_rad: 0.01 };
-    let review = review_marks(block, known, &scales, &demands);
+    let review = review_marks(block, known, &mark_scales(project), &mark_demands(args));
     if review.scale != 1.0 {
         findings.push(Finding::new(
             "marks",
@@ -278,6 +327,44 @@ fn review(
             ),
         ));
     }
+    name_wrong_marks(&review, known, project, findings);
+    if axes_exchanged(block, known) {
+        known.ground.iter_mut().for_each(|point| point.position_m.swap(0, 1));
+        findings.push(Finding::new(
+            "control points",
+            "X and Y are exchanged: as given they would turn the block upside down; taken the other way round",
+        ));
+    }
+}
+
+/// Sizes that marks may have been made in, relative to the photos.
+fn mark_scales(project: &Project) -> Vec<f64> {
+    let mut scales = vec![0.25, 0.5, 2.0, 4.0];
+    for photo in &project.photos {
+        if let Some([width, _]) = photo.metadata.written_size_px {
+            let scale = f64::from(photo.size_px[0]) / f64::from(width);
+            if (scale - 1.0).abs() > 0.01 && !scales.iter().any(|s| (s - scale).abs() < 0.01) {
+                scales.push(scale);
+            }
+        }
+    }
+    scales
+}
+
+/// What marks of one point must be like: a free block is bent, but not within the few photos of one.
+fn mark_demands(args: &Args) -> Demands {
+    Demands { tolerance_px: 3.0 * args.tolerance, least_angle_rad: 0.01 }
+}
+
+/// How findings about marks begin.
+const MARK: &str = "mark of ";
+
+fn name_wrong_marks(
+    review: &MarkReview,
+    known: &Known,
+    project: &Project,
+    findings: &mut Vec<Finding>,
+) {
     for wrong in &review.wrong {
         let (point, image) =
             (&known.ground[wrong.ground as usize].name, &project.photos[wrong.image as usize].name);
@@ -289,14 +376,7 @@ fn review(
         } else {
             "no two marks of the point agree".to_owned()
         };
-        findings.push(Finding::new(&format!("mark of {point} in {image}"), &what));
-    }
-    if axes_exchanged(block, known) {
-        known.ground.iter_mut().for_each(|point| point.position_m.swap(0, 1));
-        findings.push(Finding::new(
-            "control points",
-            "X and Y are exchanged: as given they would turn the block upside down; taken the other way round",
-        ));
+        findings.push(Finding::new(&format!("{MARK}{point} in {image}"), &what));
     }
 }
 
@@ -309,7 +389,8 @@ fn typical_px(block: &Block<'_>) -> f64 {
         let Some(point) = block.points[track] else { continue };
         for place in block.tracks.places(track) {
             let image = block.tracks.member(place).image as usize;
-            if let (true, Some(pose)) = (block.used[place], &block.poses[image])
+            let pose = block.pose_at(image, block.position_px(place)[1]);
+            if let (true, Some(pose)) = (block.used[place], pose)
                 && let Some([u, v]) = block.lens(image).project(pose.to_camera(point))
             {
                 let at = block.position_px(place);

@@ -98,6 +98,10 @@ pub(super) struct Args {
     /// Standard deviation of a mark without one, pixels.
     #[arg(long, value_name = "PX", default_value_t = 0.5)]
     mark_sigma: f64,
+    /// Whether rows are read one after the other while the camera flies: auto looks for it, off does not, and
+    /// a readout time in seconds takes it as certain.
+    #[arg(long, value_name = "auto|off|S", default_value = "auto")]
+    rolling_shutter: Shutter,
     /// Seed of all random sampling.
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
@@ -157,6 +161,32 @@ enum SolverName {
 struct Finding {
     subject: String,
     what: String,
+}
+
+/// What is known of the shutter.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Shutter {
+    /// Looked for.
+    Auto,
+    /// All rows at once.
+    Off,
+    /// From the first to the last row.
+    Seconds(f64),
+}
+
+impl std::str::FromStr for Shutter {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Shutter, String> {
+        match text {
+            "auto" => Ok(Shutter::Auto),
+            "off" => Ok(Shutter::Off),
+            _ => match text.parse::<f64>() {
+                Ok(seconds) if seconds > 0.0 && seconds <= 1.0 => Ok(Shutter::Seconds(seconds)),
+                _ => Err("expected auto, off or a readout time above 0 and up to 1 s".into()),
+            },
+        }
+    }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -371,7 +401,9 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
         lenses::begin(&mut project, &geometric, marked, args, kept, &mut findings)?;
         let cameras: Vec<Camera> =
             project.cameras.iter().map(|(camera, _)| camera.clone()).collect();
-        stages::verify(&geometric, &cameras, marked, args, (&cache, fresh(Stage::Verify)))
+        let looks: Vec<&features::Descriptors> =
+            extracted.features.iter().map(|f| &f.descriptors).collect();
+        stages::verify(&geometric, &cameras, &looks, marked, args, (&cache, fresh(Stage::Verify)))
     })?;
     tell(&findings);
     let two = pairs.iter().filter(|pair| pair.solver == Solver::TwoPoint).count();

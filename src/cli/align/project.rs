@@ -78,6 +78,18 @@ pub(super) struct Project {
     pub(super) left_out: Vec<(String, String)>,
 }
 
+impl Project {
+    /// The photos in the order in which they were taken, as far as they tell: by moment, then by name.
+    pub(super) fn flight(&self) -> Vec<usize> {
+        let mut order: Vec<usize> = (0..self.photos.len()).collect();
+        order.sort_by(|&a, &b| {
+            let (a, b) = (&self.photos[a], &self.photos[b]);
+            a.metadata.moment.cmp(&b.metadata.moment).then(a.name.cmp(&b.name))
+        });
+        order
+    }
+}
+
 /// Where things are, and what the command line says about them.
 pub(super) struct Sources<'a> {
     pub(super) root: &'a Path,

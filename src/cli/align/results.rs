@@ -293,7 +293,7 @@ pub(super) fn write(
     }
     let accuracies = &adjusted.statistics.images;
     let table = root.join("exterior_orientation.csv");
-    orientation::write(&table, &block.images, accuracies, sigma0, force)?;
+    orientation::write(&table, block, accuracies, sigma0, force)?;
     let points: Vec<CloudPoint> = block
         .points
         .iter()

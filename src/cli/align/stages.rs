@@ -4,11 +4,13 @@ use super::{Args, cache::Cache, extract::bar, project::Frame};
 use crate::{
     camera::{Camera, Lens},
     error::Error,
+    features::Descriptors,
     problems::adjustment::{Pose, Survey, TiePoint},
     sfm::{
         self, Pair,
         block::Block,
         growth::{Event, Growing, reconstruct},
+        guided::{Guiding, strengthen},
         relative::{RelativePose, Solver},
         tracks::Tracks,
         verify::{Matched, orient_pairs},
@@ -57,12 +59,13 @@ impl StoredPair {
 pub(super) fn verify(
     features: &[sfm::Features],
     cameras: &[Camera],
+    descriptors: &[&Descriptors],
     (matched, matched_mark): (&[Matched], u64),
     args: &Args,
     (cache, fresh): (&Cache, bool),
 ) -> Result<(Vec<Pair>, u64), Error> {
-    let verifying = args.verifying();
-    let mut mark = Cache::mark().count(matched_mark).text(&format!("{verifying:?}"));
+    let (verifying, guiding) = (args.verifying(), Guiding::default());
+    let mut mark = Cache::mark().count(matched_mark).text(&format!("{verifying:?} {guiding:?}"));
     for camera in cameras {
         mark = mark.text(camera.interior.model().word()).numbers(camera.interior.values());
     }
@@ -73,6 +76,13 @@ pub(super) fn verify(
     let progress = bar(matched.len(), "orienting");
     let pairs = orient_pairs(features, cameras, matched, &verifying, &|| progress.inc(1));
     progress.finish_and_clear();
+    let before: usize = pairs.iter().map(|pair| pair.matches.len()).sum();
+    let progress = bar(pairs.len(), "looking again");
+    let ways = (&verifying, &guiding);
+    let pairs = strengthen(features, descriptors, cameras, &pairs, ways, &|| progress.inc(1));
+    progress.finish_and_clear();
+    let after: usize = pairs.iter().map(|pair| pair.matches.len()).sum();
+    tracing::info!("{before} matches, {after} after weak pairs were looked at again");
     cache.save("pairs.cbor", mark, &pairs.iter().map(StoredPair::of).collect::<Vec<_>>())?;
     Ok((pairs, mark))
 }

@@ -175,7 +175,17 @@ impl Input {
         }
         let model = folder.join("colmap");
         let views = if self.camera.is_empty() && colmap::find(&model).is_some() {
-            self.model(&model)?.views
+            // That format knows nothing of how a camera moved.
+            let mut views = self.model(&model)?.views;
+            let exterior = poses::read(&table)?;
+            let motions: BTreeMap<&str, Option<[f64; 6]>> =
+                exterior.iter().map(|e| (e.name.as_str(), e.motion)).collect();
+            for view in &mut views {
+                if let Some(&motion) = motions.get(view.name.as_str()) {
+                    *view = View::new(&view.name, view.interior, view.pose, motion);
+                }
+            }
+            views
         } else {
             let exterior = poses::read(&table)?;
             if !self.camera.is_empty() {

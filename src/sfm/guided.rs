@@ -1,0 +1,363 @@
+//! Matches that looks alone cannot tell: in a crop every leaf looks like the next, and few features pass a
+//! test of the nearest against the second nearest of a whole photo. Where a few matches have told how two
+//! photos stand to each other and how far the ground is, each feature is looked for again along the short
+//! piece of its epipolar line on which the ground lies, and only what is near it competes.
+//!
+//! ```text
+//! 1/depth = a + b x + c y            the ground plane, in a camera: from matches that are right
+//! u2(d) = pi(R d r1 + t),  d = depth (1 - s) .. depth (1 + s)      s: how far points stand off the plane
+//! ```
+//!
+//! A match must lie within a tolerance of that piece; the competition is what lies within a wider one.
+
+use super::{
+    block::{Features, Pair},
+    relative::{Correspondence, Ray, RelativePose, vector},
+    verify::{Matched, Verifying, orient_matched, rays},
+};
+use crate::{
+    camera::Camera,
+    features::{DESCRIPTOR_LENGTH, Descriptors},
+};
+use nalgebra::{Matrix3, Vector3};
+use rayon::prelude::*;
+
+/// How matches are looked for again.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Guiding {
+    /// Pairs with more matches than this need no help.
+    pub enough: usize,
+    /// Distance from its piece of line up to which a feature may match, pixels, in each round.
+    pub tolerances_px: [f64; 2],
+    /// Distance up to which features compete, pixels.
+    pub context_px: f64,
+    /// Largest distance of descriptors relative to that of the next competitor.
+    pub ratio: f64,
+    /// Largest distance of two descriptors, their length taken as 1.
+    pub max_distance: f64,
+    /// The least and the greatest half length of a piece, as a share of the depth.
+    pub slack: [f64; 2],
+}
+
+impl Default for Guiding {
+    fn default() -> Guiding {
+        Guiding {
+            enough: 400,
+            tolerances_px: [12.0, 6.0],
+            context_px: 40.0,
+            ratio: 0.8,
+            max_distance: 0.8,
+            slack: [0.03, 0.25],
+        }
+    }
+}
+
+/// Features of one feature's surroundings that are the same again, pixels: one place with two orientations.
+const SAME_PX: f64 = 2.0;
+/// Parts that are no longer than this are one bucket, in tolerances.
+const BUCKET: f64 = 2.0;
+
+/// The inverse depth over an image, and how far points are off it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Ground {
+    /// `1/depth = a + b x + c y`, in units of the baseline.
+    pub plane: [f64; 3],
+    /// Half of the range of depths, as a share of the depth.
+    pub slack: f64,
+}
+
+impl Ground {
+    /// The ground under the first image of a pair by its matches; `None` where they do not tell.
+    pub fn of(pose: &RelativePose, matches: &[Correspondence], slack: [f64; 2]) -> Option<Ground> {
+        let points: Vec<[f64; 3]> = matches
+            .iter()
+            .filter_map(|c| {
+                let [depth, other] = pose.depths(c)?;
+                (depth > 0.0 && other > 0.0).then(|| [c.first[0], c.first[1], 1.0 / depth])
+            })
+            .collect();
+        if points.len() < 6 {
+            return None;
+        }
+        let mut weights = vec![1.0; points.len()];
+        let mut plane = [0.0; 3];
+        let mut spread = 0.0;
+        for _ in 0..6 {
+            plane = fit(&points, &weights)?;
+            let off: Vec<f64> = points
+                .iter()
+                .map(|[x, y, inverse]| inverse / at(&plane, [*x, *y]).max(1e-12) - 1.0)
+                .collect();
+            let mut sizes: Vec<f64> = off.iter().map(|v| v.abs()).collect();
+            sizes.sort_by(f64::total_cmp);
+            spread = 1.4826 * sizes[sizes.len() / 2];
+            let scale = 2.0 * spread.max(1e-6);
+            for (weight, off) in weights.iter_mut().zip(&off) {
+                *weight = 1.0 / (1.0 + (off / scale).powi(2)).powi(2);
+            }
+        }
+        Some(Ground { plane, slack: (4.0 * spread).clamp(slack[0], slack[1]) })
+    }
+
+    fn inverse_depth(&self, ray: Ray) -> f64 {
+        at(&self.plane, ray)
+    }
+}
+
+fn at(plane: &[f64; 3], ray: Ray) -> f64 {
+    plane[0] + plane[1] * ray[0] + plane[2] * ray[1]
+}
+
+fn fit(points: &[[f64; 3]], weights: &[f64]) -> Option<[f64; 3]> {
+    let mut normal = Matrix3::zeros();
+    let mut right = Vector3::zeros();
+    for ([x, y, inverse], weight) in points.iter().zip(weights) {
+        let row = Vector3::new(1.0, *x, *y);
+        normal += *weight * row * row.transpose();
+        right += *weight * *inverse * row;
+    }
+    // A narrow band of points tells no slope across it: hold that at nothing.
+    let ridge = 1e-6 * normal.trace();
+    normal[(1, 1)] += ridge;
+    normal[(2, 2)] += ridge;
+    Some((normal.cholesky()?.solve(&right)).into())
+}
+
+/// What a photo is known by: where its features look, and how they look.
+#[derive(Debug, Clone, Copy)]
+pub struct Seen<'a> {
+    /// Rays free of distortion.
+    pub rays: &'a [Option<Ray>],
+    /// One for each of them.
+    pub descriptors: &'a Descriptors,
+}
+
+/// Rays by buckets of the plane `z = -1`.
+struct Buckets {
+    from: Ray,
+    side: f64,
+    columns: usize,
+    rows: usize,
+    starts: Vec<u32>,
+    members: Vec<u32>,
+}
+
+impl Buckets {
+    fn new(rays: &[Option<Ray>], side: f64) -> Buckets {
+        let mut from = [f64::INFINITY; 2];
+        let mut to = [f64::NEG_INFINITY; 2];
+        for ray in rays.iter().flatten() {
+            for k in 0..2 {
+                from[k] = from[k].min(ray[k]);
+                to[k] = to[k].max(ray[k]);
+            }
+        }
+        if rays.iter().flatten().next().is_none() {
+            (from, to) = ([0.0; 2], [0.0; 2]);
+        }
+        // A lens that looks nearly sideways would ask for very many.
+        let side = side.max((to[0] - from[0]).max(to[1] - from[1]) / 2000.0);
+        let count = |k: usize| ((to[k] - from[k]) / side) as usize + 1;
+        let (columns, rows) = (count(0), count(1));
+        let mut buckets = Buckets {
+            from,
+            side,
+            columns,
+            rows,
+            starts: vec![0; columns * rows + 1],
+            members: Vec::new(),
+        };
+        let places: Vec<Option<usize>> = rays
+            .iter()
+            .map(|ray| ray.map(|ray| buckets.column(ray[0]) + columns * buckets.row(ray[1])))
+            .collect();
+        places.iter().flatten().for_each(|&place| buckets.starts[place + 1] += 1);
+        for k in 0..columns * rows {
+            buckets.starts[k + 1] += buckets.starts[k];
+        }
+        let mut next = buckets.starts.clone();
+        buckets.members = vec![0; places.iter().flatten().count()];
+        for (index, place) in places.iter().enumerate() {
+            if let Some(place) = *place {
+                buckets.members[next[place] as usize] = index as u32;
+                next[place] += 1;
+            }
+        }
+        buckets
+    }
+
+    fn column(&self, x: f64) -> usize {
+        (((x - self.from[0]) / self.side).max(0.0) as usize).min(self.columns - 1)
+    }
+
+    fn row(&self, y: f64) -> usize {
+        (((y - self.from[1]) / self.side).max(0.0) as usize).min(self.rows - 1)
+    }
+
+    /// Calls `visit` for all members that may be within `reach` of a piece of line.
+    fn near(&self, [a, b]: [Ray; 2], reach: f64, mut visit: impl FnMut(u32)) {
+        let low = |k: usize| a[k].min(b[k]) - reach;
+        let high = |k: usize| a[k].max(b[k]) + reach;
+        let beyond = |k: usize, count: usize| {
+            high(k) < self.from[k] || low(k) > self.from[k] + self.side * count as f64
+        };
+        if beyond(0, self.columns) || beyond(1, self.rows) {
+            return;
+        }
+        for row in self.row(low(1))..=self.row(high(1)) {
+            let place = |x: f64| self.column(x) + self.columns * row;
+            let (first, last) = (place(low(0)), place(high(0)));
+            let range = self.starts[first] as usize..self.starts[last + 1] as usize;
+            self.members[range].iter().for_each(|&member| visit(member));
+        }
+    }
+}
+
+/// Distance from a piece of line.
+fn distance([a, b]: [Ray; 2], p: Ray) -> f64 {
+    let d = [b[0] - a[0], b[1] - a[1]];
+    let square = d[0] * d[0] + d[1] * d[1];
+    let along = if square > 0.0 {
+        (((p[0] - a[0]) * d[0] + (p[1] - a[1]) * d[1]) / square).clamp(0.0, 1.0)
+    } else {
+        0.0
+    };
+    (p[0] - a[0] - along * d[0]).hypot(p[1] - a[1] - along * d[1])
+}
+
+fn distance_squared(a: &[u8; DESCRIPTOR_LENGTH], b: &[u8; DESCRIPTOR_LENGTH]) -> u32 {
+    a.iter().zip(b).map(|(&a, &b)| u32::from(a.abs_diff(b)) * u32::from(a.abs_diff(b))).sum()
+}
+
+/// The features of two photos that match where the ground has them; no feature is in two matches.
+pub fn rematch(
+    [first, second]: [Seen<'_>; 2],
+    pose: &RelativePose,
+    ground: &Ground,
+    principal_distance_px: f64,
+    tolerance_px: f64,
+    guiding: &Guiding,
+) -> Vec<[u32; 2]> {
+    let tolerance = tolerance_px / principal_distance_px;
+    let context = (guiding.context_px / principal_distance_px).max(tolerance);
+    let same = SAME_PX / principal_distance_px;
+    let buckets = Buckets::new(second.rays, BUCKET * context);
+    let most = (512.0 * guiding.max_distance).powi(2);
+    let theirs = second.descriptors.as_bytes().as_chunks::<DESCRIPTOR_LENGTH>().0;
+    // For each of the second photo's features: who of the first looks most like it.
+    let mut liked = vec![(u32::MAX, u32::MAX); second.rays.len()];
+    let mut chosen: Vec<[u32; 2]> = Vec::new();
+    let mut seen: Vec<(u32, u32, bool)> = Vec::new();
+    for (index, (ray, descriptor)) in first.rays.iter().zip(first.descriptors.iter()).enumerate() {
+        let Some(ray) = *ray else { continue };
+        let inverse = ground.inverse_depth(ray);
+        if inverse <= 1e-9 {
+            continue;
+        }
+        let piece = [1.0 - ground.slack, 1.0 + ground.slack].map(|part| {
+            let p = pose.rotation * vector(ray) * (part / inverse) + pose.translation;
+            (p.z < -1e-6).then(|| [p.x / -p.z, p.y / -p.z])
+        });
+        let [Some(from), Some(to)] = piece else { continue };
+        let piece = [from, to];
+        seen.clear();
+        buckets.near(piece, context, |other| {
+            let Some(at) = second.rays[other as usize] else { return };
+            let off = distance(piece, at);
+            if off <= context {
+                let apart = distance_squared(descriptor, &theirs[other as usize]);
+                seen.push((apart, other, off <= tolerance));
+            }
+        });
+        for &(apart, other, inside) in &seen {
+            if inside {
+                let best = &mut liked[other as usize];
+                *best = (*best).min((apart, index as u32));
+            }
+        }
+        let Some(&(apart, best, _)) = seen.iter().filter(|(_, _, inside)| *inside).min() else {
+            continue;
+        };
+        let Some(at) = second.rays[best as usize] else { continue };
+        let next = seen
+            .iter()
+            .filter(|(_, other, _)| {
+                let away = |p: Ray| (p[0] - at[0]).hypot(p[1] - at[1]);
+                second.rays[*other as usize].is_some_and(|p| away(p) > same)
+            })
+            .map(|(apart, _, _)| *apart)
+            .min()
+            // Alone, it must be like its partner as such.
+            .unwrap_or(most as u32);
+        let square = f64::from(apart);
+        if square <= most && square < guiding.ratio * guiding.ratio * f64::from(next) {
+            chosen.push([index as u32, best]);
+        }
+    }
+    chosen.retain(|[index, other]| liked[*other as usize].1 == *index);
+    chosen
+}
+
+/// Looks again at the pairs that have few matches; each becomes what it was or better. `tell` is called for
+/// each pair.
+pub fn strengthen(
+    features: &[Features],
+    descriptors: &[&Descriptors],
+    cameras: &[Camera],
+    pairs: &[Pair],
+    (verifying, guiding): (&Verifying, &Guiding),
+    tell: &(dyn Fn() + Sync),
+) -> Vec<Pair> {
+    let all: Vec<Vec<Option<Ray>>> = features
+        .par_iter()
+        .map(|features| rays(features, &cameras[features.camera].interior))
+        .collect();
+    pairs
+        .par_iter()
+        .map(|pair| {
+            let mut best = pair.clone();
+            for tolerance_px in guiding.tolerances_px {
+                if best.matches.len() >= guiding.enough {
+                    break;
+                }
+                let of = best.images.map(|k| k as usize);
+                let c = of
+                    .map(|k| cameras[features[k].camera].interior.principal_distance_px())
+                    .into_iter()
+                    .fold(0.0, f64::max);
+                let right: Vec<Correspondence> = best
+                    .matches
+                    .iter()
+                    .filter_map(|[a, b]| {
+                        let first = all[of[0]][*a as usize]?;
+                        Some(Correspondence { first, second: all[of[1]][*b as usize]? })
+                    })
+                    .collect();
+                let Some(ground) = Ground::of(&best.pose, &right, guiding.slack) else { break };
+                let seen = of.map(|k| Seen { rays: &all[k], descriptors: descriptors[k] });
+                let mut matches = rematch(seen, &best.pose, &ground, c, tolerance_px, guiding);
+                join(&mut matches, &best.matches);
+                let matched = Matched { images: best.images, matches };
+                let again = orient_matched(&matched, of.map(|k| all[k].as_slice()), c, verifying);
+                match again {
+                    Some(again) if again.matches.len() > best.matches.len() => best = again,
+                    _ => break,
+                }
+            }
+            tell();
+            best
+        })
+        .collect()
+}
+
+/// Adds the matches of `known` whose features are free.
+fn join(matches: &mut Vec<[u32; 2]>, known: &[[u32; 2]]) {
+    let mut taken: [std::collections::BTreeSet<u32>; 2] = Default::default();
+    for found in matches.iter() {
+        (0..2).for_each(|k| {
+            taken[k].insert(found[k]);
+        });
+    }
+    matches.extend(known.iter().filter(|m| (0..2).all(|k| !taken[k].contains(&m[k]))));
+    matches.sort_unstable();
+}
