@@ -42,7 +42,7 @@ pub struct Guiding {
 impl Default for Guiding {
     fn default() -> Guiding {
         Guiding {
-            enough: 400,
+            enough: 150,
             tolerances_px: [12.0, 6.0],
             context_px: 40.0,
             ratio: 0.8,
@@ -360,4 +360,98 @@ fn join(matches: &mut Vec<[u32; 2]>, known: &[[u32; 2]]) {
     }
     matches.extend(known.iter().filter(|m| (0..2).all(|k| !taken[k].contains(&m[k]))));
     matches.sort_unstable();
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::features::matching::{MatchOptions, match_descriptors};
+    use rand::{Rng, RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    /// Two cameras above a slope on which every leaf looks like some twenty others: rays, looks, and which
+    /// of the second photo's features is which of the first's.
+    type Pictures = ([Vec<Option<Ray>>; 2], [Descriptors; 2], RelativePose);
+
+    const C_PX: f64 = 1000.0;
+
+    fn crop(count: usize) -> Pictures {
+        let mut rng = ChaCha8Rng::seed_from_u64(5);
+        let kinds: Vec<Vec<u8>> = (0..25)
+            .map(|_| {
+                let mut bytes = vec![0; DESCRIPTOR_LENGTH];
+                rng.fill_bytes(&mut bytes);
+                bytes.iter().map(|byte| byte / 4).collect()
+            })
+            .collect();
+        let turn = nalgebra::Rotation3::from_euler_angles(0.04, -0.03, 0.1).into_inner();
+        let pose = RelativePose {
+            rotation: turn,
+            translation: Vector3::new(-0.98, 0.17, 0.1).normalize(),
+        };
+        let mut rays: [Vec<Option<Ray>>; 2] = Default::default();
+        let mut looks: [Vec<u8>; 2] = Default::default();
+        for index in 0..count {
+            let first = [rng.random_range(-0.8..0.8), rng.random_range(-0.6..0.6)];
+            let depth = (1.0 + 0.02 * rng.random_range(-1.0..1.0)) / (0.4 + 0.03 * first[0]);
+            let p = pose.rotation * vector(first) * depth + pose.translation;
+            let noise = || 0.3 / C_PX;
+            rays[0].push(Some(first));
+            rays[1].push(Some([p.x / -p.z + noise(), p.y / -p.z - noise()]));
+            for looks in &mut looks {
+                let kind = &kinds[index % kinds.len()];
+                looks.extend(kind.iter().map(|byte| byte + rng.random_range(0..16u8)));
+            }
+        }
+        let looks = looks.map(|bytes| Descriptors::from_bytes(bytes).unwrap());
+        (rays, looks, pose)
+    }
+
+    #[test]
+    fn leaves_that_look_alike_are_told_apart_by_where_the_ground_is() {
+        let count = 800;
+        let (rays, looks, pose) = crop(count);
+        let by_looks = match_descriptors(&looks[0], &looks[1], &MatchOptions::default());
+        let right = by_looks.iter().filter(|m| m.first == m.second).count();
+        assert!(right < count / 20, "{right}: by their looks alone they can be told apart");
+        let few: Vec<Correspondence> = (0..30)
+            .map(|k| Correspondence {
+                first: rays[0][17 * k].unwrap(),
+                second: rays[1][17 * k].unwrap(),
+            })
+            .collect();
+        let guiding = Guiding::default();
+        let ground = Ground::of(&pose, &few, guiding.slack).unwrap();
+        assert!((ground.plane[0] - 0.4).abs() < 0.01, "{ground:?}");
+        assert!(ground.slack <= 0.1, "{ground:?}");
+        let seen = [0, 1].map(|k| Seen { rays: &rays[k], descriptors: &looks[k] });
+        let found = rematch(seen, &pose, &ground, C_PX, 6.0, &guiding);
+        let right = found.iter().filter(|[a, b]| a == b).count();
+        assert!(right > count / 2, "{right} of {count}");
+        assert!(20 * right > 19 * found.len(), "{right} of {} are right", found.len());
+        for side in 0..2 {
+            let mut own: Vec<u32> = found.iter().map(|m| m[side]).collect();
+            own.sort_unstable();
+            own.dedup();
+            assert_eq!(own.len(), found.len(), "no feature is in two matches");
+        }
+    }
+
+    #[test]
+    fn nothing_to_see_gives_nothing() {
+        let (rays, looks, pose) = crop(40);
+        assert_eq!(Ground::of(&pose, &[], [0.03, 0.25]), None);
+        let ground = Ground { plane: [0.4, 0.0, 0.0], slack: 0.1 };
+        let none = Descriptors::default();
+        let (empty, blind) = (Vec::new(), vec![None; 40]);
+        let guiding = Guiding::default();
+        for other in [
+            Seen { rays: &empty, descriptors: &none },
+            Seen { rays: &blind, descriptors: &looks[1] },
+        ] {
+            let own = Seen { rays: &rays[0], descriptors: &looks[0] };
+            assert_eq!(rematch([own, other], &pose, &ground, C_PX, 6.0, &guiding), [[0u32; 2]; 0]);
+            assert_eq!(rematch([other, own], &pose, &ground, C_PX, 6.0, &guiding), [[0u32; 2]; 0]);
+        }
+    }
 }

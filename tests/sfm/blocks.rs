@@ -8,6 +8,7 @@ use rowgram::{
         block::Block,
         georeference::{Known, adjust, axes_exchanged, join, review_marks, weigh_positions},
         growth::{Growing, reconstruct},
+        shutter,
         tracks::Tracks,
         triangulate::Demands,
         verify::{Verifying, orient_pairs},
@@ -83,6 +84,54 @@ fn a_block_grows_whole_and_control_brings_it_into_the_map() {
     }
     let c = adjusted.survey.cameras[0].interior.principal_distance_px();
     assert!((c - 1000.0).abs() < 2.0, "{c}");
+}
+
+/// The root mean square error of the check points along each axis, metres.
+fn check_rmse_m(block: &Block<'_>, known: &Known) -> [f64; 3] {
+    let (mut survey, _, order) = block.survey(None);
+    known.attach(&mut survey, &order);
+    survey.tie_sigma_px = 0.3;
+    let adjusted = judge(&mut survey, &Settings::default()).unwrap();
+    assert_eq!(adjusted.check_points.len(), 4);
+    std::array::from_fn(|k| {
+        let squares: f64 = adjusted.check_points.iter().map(|c| c.error_m[k].powi(2)).sum();
+        (squares / 4.0).sqrt()
+    })
+}
+
+#[test]
+fn a_rolling_shutter_is_found_where_there_is_one_and_only_there() {
+    for way_m in [0.0, 0.5] {
+        let flown = Flight { way_m, ..Flight::default() }.fly();
+        let (tracks, pairs) = tracks(&flown);
+        let blocks = grow(&flown, &tracks, &pairs);
+        let mut known = known(&flown);
+        known.positions.clear();
+        let mut block = join(blocks, &mut known, &DEMANDS).unwrap().block;
+        assert_eq!(block.registered(), flown.poses.len());
+        prepare(&mut block);
+        for _ in 0..3 {
+            adjust(&mut block, &known, 0.4, &DEMANDS, 30).unwrap();
+        }
+        let flight: Vec<usize> = (0..flown.poses.len()).collect();
+        let found = shutter::find(&block, &known, &flight, 0.4, 0.03, false).unwrap();
+        if way_m == 0.0 {
+            assert_eq!(found, None);
+            continue;
+        }
+        // Half a metre from 50 m is 10 pixels.
+        let drift = found.unwrap();
+        assert!((drift.way_m - way_m).abs() < 0.05, "{}", drift.way_m);
+        assert!((drift.way_px - 10.0).abs() < 1.5, "{}", drift.way_px);
+        let without = check_rmse_m(&block, &known);
+        shutter::adopt(&mut block, &drift, 0.03);
+        for _ in 0..2 {
+            adjust(&mut block, &known, 0.4, &DEMANDS, 30).unwrap();
+        }
+        let with = check_rmse_m(&block, &known);
+        let plan = |rmse: [f64; 3]| rmse[0].hypot(rmse[1]);
+        assert!(plan(with) < 0.05 && plan(with) < 0.5 * plan(without), "{with:?} {without:?}");
+    }
 }
 
 #[test]

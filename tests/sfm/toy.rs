@@ -20,6 +20,8 @@ pub struct Flight {
     pub tilt_deg: f64,
     pub noise_px: f64,
     pub wrong_share: f64,
+    /// How far the camera flies while a photo is read, metres.
+    pub way_m: f64,
     pub seed: u64,
 }
 
@@ -32,6 +34,7 @@ impl Default for Flight {
             tilt_deg: 3.0,
             noise_px: 0.3,
             wrong_share: 0.3,
+            way_m: 0.0,
             seed: 1,
         }
     }
@@ -65,8 +68,15 @@ pub fn lens(principal_distance_px: f64, k1: f64) -> Camera {
     Camera::new("toy", Interior::new(Model::Brown, SIZE_PX, &values).unwrap())
 }
 
-fn seen(camera: &Camera, pose: &Pose, point: [f64; 3]) -> Option<[f64; 2]> {
-    let at = camera.interior.project(pose.to_camera(point))?;
+fn seen(camera: &Camera, pose: &Pose, way_m: [f64; 3], point: [f64; 3]) -> Option<[f64; 2]> {
+    let shift = rotation::rotate(pose.rotation, way_m.map(|v| -v));
+    let middle = pose.to_camera(point);
+    let mut at = camera.interior.project(middle)?;
+    // The row decides when, and when decides the row.
+    for _ in 0..4 {
+        let share = (at[1] - 449.5) / 900.0;
+        at = camera.interior.project(std::array::from_fn(|k| middle[k] + share * shift[k]))?;
+    }
     let inside = |v: f64, size: u32| (0.0..f64::from(size) - 1.0).contains(&v);
     (inside(at[0], SIZE_PX[0]) && inside(at[1], SIZE_PX[1])).then_some(at)
 }
@@ -78,7 +88,7 @@ impl Flight {
         let truth = lens(C_PX, -0.05);
         // 75 % forward, 60 % sideways.
         let (along, across) = (0.25 * 0.9 * HEIGHT_M, 0.4 * 1.2 * HEIGHT_M);
-        let mut poses = Vec::new();
+        let (mut poses, mut ways) = (Vec::new(), Vec::new());
         for strip in 0..self.strips {
             for k in 0..self.per_strip {
                 let back = strip % 2 == 1;
@@ -96,6 +106,7 @@ impl Flight {
                     HEIGHT_M + 0.8 * number(),
                 ];
                 poses.push(Pose::from_centre(turn, centre));
+                ways.push([0.0, if back { -self.way_m } else { self.way_m }, 0.0]);
             }
         }
         let (wide, long) =
@@ -113,7 +124,7 @@ impl Flight {
             let mut list: Vec<(usize, [f64; 2])> = points
                 .iter()
                 .enumerate()
-                .filter_map(|(p, &point)| Some((p, seen(&truth, pose, point)?)))
+                .filter_map(|(p, &point)| Some((p, seen(&truth, pose, ways[k], point)?)))
                 .collect();
             list.shuffle(&mut rng);
             let mut place = vec![None; points.len()];
@@ -158,14 +169,20 @@ impl Flight {
             marks: Vec::new(),
             poses,
         };
-        flown.survey(&truth, [wide, long], &mut rng);
+        flown.survey(&truth, &ways, [wide, long], &mut rng);
         flown
     }
 }
 
 impl Flown {
     /// Targets on a grid, every third one a check point; receiver positions good to half a metre.
-    fn survey(&mut self, truth: &Camera, [wide, long]: [f64; 2], rng: &mut ChaCha8Rng) {
+    fn survey(
+        &mut self,
+        truth: &Camera,
+        ways_m: &[[f64; 3]],
+        [wide, long]: [f64; 2],
+        rng: &mut ChaCha8Rng,
+    ) {
         let normal = Normal::new(0.0, 1.0).unwrap();
         for k in 0..12 {
             let (i, j) = (k % 3, k / 3);
@@ -174,7 +191,7 @@ impl Flown {
             let position_m = [x, y, ground_m(x, y)];
             let ground = self.ground.len() as u32;
             for (image, pose) in self.poses.iter().enumerate() {
-                if let Some(at) = seen(truth, pose, position_m) {
+                if let Some(at) = seen(truth, pose, ways_m[image], position_m) {
                     let image_px = at.map(|v| v + 0.2 * normal.sample(rng));
                     self.marks.push(Mark { image: image as u32, ground, image_px, sigma_px: 0.3 });
                 }

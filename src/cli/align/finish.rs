@@ -1,8 +1,9 @@
 //! The last stage that computes: blocks into the map, made one, adjusted and judged.
 
 use super::{
-    Args, Finding, Shutter,
+    Args, Finding,
     project::{Photo, Project},
+    roll,
     stages::gsd_m,
 };
 use crate::{
@@ -18,7 +19,6 @@ use crate::{
             self, Known, MarkReview, adjust, axes_exchanged, join, review_marks, weigh_positions,
         },
         growth::Growing,
-        shutter,
         triangulate::Demands,
     },
 };
@@ -162,7 +162,7 @@ pub(super) fn finish<'a>(
         );
     }
     if joined.georeferenced {
-        roll(&mut block, &mut known, project, args, &mut sigma_px, findings)?;
+        roll::roll(&mut block, &mut known, project, args, &mut sigma_px, findings)?;
     }
     let (mut survey, _, order) = block.survey(None);
     known.attach(&mut survey, &order);
@@ -219,60 +219,6 @@ pub(super) fn finish<'a>(
         fragments,
         checks,
     })
-}
-
-/// A readout time where nobody has told it, seconds: it only turns ways into velocities.
-const USUAL_READOUT_S: f64 = 0.03;
-
-/// A rolling shutter, where there is one: looked for, believed where it explains much, and then everything is
-/// judged again.
-fn roll(
-    block: &mut Block<'_>,
-    known: &mut Known,
-    project: &Project,
-    args: &Args,
-    sigma_px: &mut f64,
-    findings: &mut Vec<Finding>,
-) -> Result<(), Error> {
-    let (readout_s, certain) = match args.rolling_shutter {
-        Shutter::Off => return Ok(()),
-        Shutter::Auto => (USUAL_READOUT_S, false),
-        Shutter::Seconds(seconds) => (seconds, true),
-    };
-    let found = shutter::find(block, known, &project.flight(), *sigma_px, readout_s, certain)?;
-    let Some(drift) = found else {
-        if certain {
-            findings.push(Finding::new(
-                "rolling shutter",
-                "too few photos on straight strips to tell how they moved: not modelled",
-            ));
-        }
-        return Ok(());
-    };
-    shutter::adopt(block, &drift, readout_s);
-    findings.push(Finding::new(
-        "rolling shutter",
-        &format!(
-            "while a photo is read its camera flies {:.2} m, {:.1} px on the ground (single photos +- {:.2} m): part of the adjustment{}",
-            drift.way_m,
-            drift.way_px,
-            drift.spread_m,
-            if certain { "" } else { " (--rolling-shutter off leaves it out)" }
-        ),
-    ));
-    // Marks that were off by what the shutter does are right after all.
-    let mark = |finding: &Finding| finding.subject.starts_with(MARK);
-    findings.retain(|finding| !mark(finding));
-    known.marks.clone_from(&project.known.marks);
-    let review = review_marks(block, known, &mark_scales(project), &mark_demands(args));
-    name_wrong_marks(&review, known, project, findings);
-    for factor in [2.0, 1.0, 1.0] {
-        let tolerance_px = (6.0 * factor * *sigma_px).max(0.1 * args.tolerance);
-        let demands = Demands { tolerance_px, least_angle_rad: Growing::default().least_angle_rad };
-        adjust(block, known, *sigma_px, &demands, 30)?;
-        *sigma_px = typical_px(block).max(0.05);
-    }
-    Ok(())
 }
 
 /// How far off something is, in its unit.
@@ -338,7 +284,7 @@ fn review(
 }
 
 /// Sizes that marks may have been made in, relative to the photos.
-fn mark_scales(project: &Project) -> Vec<f64> {
+pub(super) fn mark_scales(project: &Project) -> Vec<f64> {
     let mut scales = vec![0.25, 0.5, 2.0, 4.0];
     for photo in &project.photos {
         if let Some([width, _]) = photo.metadata.written_size_px {
@@ -352,14 +298,14 @@ fn mark_scales(project: &Project) -> Vec<f64> {
 }
 
 /// What marks of one point must be like: a free block is bent, but not within the few photos of one.
-fn mark_demands(args: &Args) -> Demands {
+pub(super) fn mark_demands(args: &Args) -> Demands {
     Demands { tolerance_px: 3.0 * args.tolerance, least_angle_rad: 0.01 }
 }
 
 /// How findings about marks begin.
-const MARK: &str = "mark of ";
+pub(super) const MARK: &str = "mark of ";
 
-fn name_wrong_marks(
+pub(super) fn name_wrong_marks(
     review: &MarkReview,
     known: &Known,
     project: &Project,
@@ -382,7 +328,7 @@ fn name_wrong_marks(
 
 /// The robust standard deviation of an image coordinate, pixels. Most points are seen twice or three
 /// times, and residuals are shorter than errors by the root of the redundancy's share.
-fn typical_px(block: &Block<'_>) -> f64 {
+pub(super) fn typical_px(block: &Block<'_>) -> f64 {
     let mut errors = Vec::new();
     let unknowns = 3 * block.points.iter().flatten().count() + 6 * block.registered();
     for track in 0..block.tracks.count() {

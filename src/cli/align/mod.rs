@@ -9,6 +9,7 @@ mod lenses;
 mod pair_figures;
 mod project;
 mod results;
+mod roll;
 mod stages;
 
 use crate::{
@@ -101,7 +102,7 @@ pub(super) struct Args {
     /// Whether rows are read one after the other while the camera flies: auto looks for it, off does not, and
     /// a readout time in seconds takes it as certain.
     #[arg(long, value_name = "auto|off|S", default_value = "auto")]
-    rolling_shutter: Shutter,
+    rolling_shutter: roll::Shutter,
     /// Seed of all random sampling.
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
@@ -161,32 +162,6 @@ enum SolverName {
 struct Finding {
     subject: String,
     what: String,
-}
-
-/// What is known of the shutter.
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Shutter {
-    /// Looked for.
-    Auto,
-    /// All rows at once.
-    Off,
-    /// From the first to the last row.
-    Seconds(f64),
-}
-
-impl std::str::FromStr for Shutter {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Shutter, String> {
-        match text {
-            "auto" => Ok(Shutter::Auto),
-            "off" => Ok(Shutter::Off),
-            _ => match text.parse::<f64>() {
-                Ok(seconds) if seconds > 0.0 && seconds <= 1.0 => Ok(Shutter::Seconds(seconds)),
-                _ => Err("expected auto, off or a readout time above 0 and up to 1 s".into()),
-            },
-        }
-    }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
