@@ -18,7 +18,7 @@ use rayon::prelude::*;
 use rowgram::{
     io::{images, points},
     phenotype::{
-        evidence::{Axes as Leaves, Evidence},
+        evidence::{Axes as Leaves, Evidence, factor},
         ridges, rows,
     },
     problems::plants::index::PixelIndex,
@@ -109,7 +109,7 @@ fn read(path: &Path) -> Result<Field, Box<dyn Error + Send + Sync>> {
     let plants = points::read(&path.with_extension("csv"))?;
     let detection = rows::detect(&PixelIndex::from_mask(mask.width, &mask.data));
     let found = detection.rows().ok_or("no rows")?;
-    let evidence = Evidence::new(&mask, found.axes.heading_rad, Leaves::Tensor);
+    let evidence = Evidence::new(&mask, found.axes.heading_rad, Leaves::Tensor, factor(&mask));
     let factor = evidence.factor as f64;
     let mut axes = found.axes;
     axes.origin_px = evidence.reduced(axes.origin_px);

@@ -20,7 +20,7 @@
 //! length of that mean, and a pixel without a slice does not vote.
 //!
 //! A mask of broad leaves is first reduced by the whole factor that makes its strokes about
-//! `STROKE_PX` wide. Positions in pixels of the given mask, centre of the top-left pixel at (0, 0).
+//! `STROKE_PX` wide ([`factor`]), or by more where plants stand far apart. Positions in pixels of the given mask, centre of the top-left pixel at (0, 0).
 
 use super::leaves;
 use crate::raster::Mask;
@@ -74,10 +74,14 @@ pub struct Evidence {
     pub factor: usize,
 }
 
+/// The whole factor by which the grid of a mask of broad leaves is reduced.
+pub fn factor(mask: &Mask) -> usize {
+    (stroke_px(mask) / STROKE_PX).floor().max(1.0) as usize
+}
+
 impl Evidence {
-    /// Votes of a mask whose rows have this heading (from `u` towards `v`).
-    pub fn new(mask: &Mask, heading_rad: f64, axes: Axes) -> Evidence {
-        let factor = (stroke_px(mask) / STROKE_PX).floor().max(1.0) as usize;
+    /// Votes of a mask whose rows have this heading (from `u` towards `v`), on a grid reduced by `factor`.
+    pub fn new(mask: &Mask, heading_rad: f64, axes: Axes, factor: usize) -> Evidence {
         let (width, height, leaf) = reduce(mask, factor);
         let across = match axes {
             Axes::Tensor => None,
@@ -105,9 +109,8 @@ impl Evidence {
         Evidence { width, height, votes, leaf, factor }
     }
 
-    /// The leaf mass around each place instead of votes.
-    pub fn of_mass(mask: &Mask) -> Evidence {
-        let factor = (stroke_px(mask) / STROKE_PX).floor().max(1.0) as usize;
+    /// The leaf mass around each place instead of votes, on a grid reduced by `factor`.
+    pub fn of_mass(mask: &Mask, factor: usize) -> Evidence {
         let (width, height, leaf) = reduce(mask, factor);
         let votes = Stripe { width, height }.blur(leaf.clone(), MASS_PX);
         Evidence { width, height, votes, leaf, factor }
@@ -371,13 +374,17 @@ mod tests {
         })
     }
 
+    fn seen(mask: &Mask, heading_rad: f64, axes: Axes) -> Evidence {
+        Evidence::new(mask, heading_rad, axes, factor(mask))
+    }
+
     #[test]
     fn leaves_that_cross_vote_for_the_crossing() {
         let cases = [(0.1, 1.0, 60), (0.35, 1.0, 60), (0.2, 4.0, 240)];
         let both = cases.map(|case| (case, Axes::Tensor)).into_iter();
         for ((turn, scale, side), axes) in both.chain(cases.map(|case| (case, Axes::Slices))) {
             let centre = [29.3 * scale, 31.0 * scale];
-            let evidence = Evidence::new(&star(centre, turn, side, scale), 0.0, axes);
+            let evidence = seen(&star(centre, turn, side, scale), 0.0, axes);
             let best = (0..evidence.votes.len())
                 .max_by(|&a, &b| evidence.votes[a].total_cmp(&evidence.votes[b]))
                 .unwrap();
@@ -394,8 +401,7 @@ mod tests {
         // Long enough for three stripes.
         let mask = Mask::from_fn(40, 300, |u, v| (u + v / 2) % 9 < 2 || (v + 400 - u) % 31 < 3);
         let mirrored = Mask::from_fn(40, 300, |u, v| mask.get(u, 299 - v));
-        let (a, b) =
-            (Evidence::new(&mask, 0.3, Axes::Tensor), Evidence::new(&mirrored, -0.3, Axes::Tensor));
+        let (a, b) = (seen(&mask, 0.3, Axes::Tensor), seen(&mirrored, -0.3, Axes::Tensor));
         // Away from the edges, where one walk can leave the mask just before the other.
         for v in 0..300 {
             for u in 0..40 {
@@ -411,12 +417,12 @@ mod tests {
     fn degenerate_masks_have_no_votes() {
         for mask in [Mask::empty(0, 0), Mask::empty(1, 1), Mask::empty(9, 200)] {
             for axes in [Axes::Tensor, Axes::Slices] {
-                let votes = Evidence::new(&mask, 0.0, axes).votes;
+                let votes = seen(&mask, 0.0, axes).votes;
                 assert!(votes.iter().all(|&votes| votes == 0.0));
             }
         }
         let dot = Mask::from_fn(1, 1, |_, _| true);
-        assert_eq!(Evidence::new(&dot, 0.0, Axes::Slices).votes.len(), 1);
+        assert_eq!(seen(&dot, 0.0, Axes::Slices).votes.len(), 1);
     }
 
     #[test]

@@ -4,6 +4,7 @@ pub mod canopy;
 pub mod chain;
 pub mod crops;
 pub mod evidence;
+pub mod islands;
 pub mod leaf_count;
 pub mod leaves;
 pub mod locate;

@@ -6,7 +6,8 @@
 use super::{
     canopy::Options,
     chain::{Chain, Profile, STEP, Weights},
-    evidence::Evidence,
+    evidence::{self, Evidence},
+    islands,
     locate::LocateError,
     renewal::Spacing,
     ridges::{self, Ridge},
@@ -16,6 +17,8 @@ use super::{
 use crate::{problems::plants::lines::Axes, raster::Mask};
 use rayon::prelude::*;
 
+/// Distance of neighbouring plants in the grid, where it is the plants that decide what the grid is.
+const APART: f64 = 13.0;
 /// Half the width of the band whose leaf mass a row has to cover.
 const BAND: i32 = 8;
 /// Places looked at beyond the ends of a row.
@@ -62,10 +65,13 @@ pub(super) struct Scene {
 
 impl Scene {
     pub(super) fn new(mask: &Mask, rows: &Rows, options: &Options) -> Scene {
+        // Plants that stand apart are as far from each other, in pixels of the grid, as in a closed canopy.
+        let apart = islands::spacing_px(mask, rows).map_or(1.0, |spacing| spacing / APART);
+        let factor = evidence::factor(mask).max(apart.round() as usize);
         let evidence = if options.leaf_axes {
-            Evidence::new(mask, rows.axes.heading_rad, options.axes)
+            Evidence::new(mask, rows.axes.heading_rad, options.axes, factor)
         } else {
-            Evidence::of_mass(mask)
+            Evidence::of_mass(mask, factor)
         };
         let factor = evidence.factor as f64;
         let axes = Axes { origin_px: evidence.reduced(rows.axes.origin_px), ..rows.axes };
@@ -201,19 +207,28 @@ impl Scene {
     }
 
     /// The spacing under which the rows are likeliest, all sets of plants taken together.
+    ///
+    /// Where leaves of a plant can pass for plants there are two such spacings, and a worth of every plant,
+    /// which makes up for what evidence lacks in a closed canopy, favours the finer one by how many more plants
+    /// it has: between peaks it does not count.
     pub(super) fn likeliest_spacing(&self, sample: &[usize]) -> f64 {
+        let worth = self.options.beta_compared;
+        let length: f64 = sample.iter().map(|&row| self.rows[row].length_px()).sum();
         let tried: Vec<(f64, f64)> = (0..SPACINGS)
             .into_par_iter()
             .map(|k| {
                 let spacing = FINEST * FINER.powi(k);
                 let chains = self.chains(&Spacing::new(spacing), sample.iter().copied());
-                let sum: f64 =
-                    chains.iter().map(|chain| chain.log_sum(self.options.beta_compared, 1.0)).sum();
-                (sum, spacing)
+                (chains.iter().map(|chain| chain.log_sum(worth, 1.0)).sum(), spacing)
             })
             .collect();
-        let first = (f64::NEG_INFINITY, FINEST);
-        tried.into_iter().fold(first, |best, next| if next.0 > best.0 { next } else { best }).1
+        let peak = |k: &usize| {
+            let over = |other: Option<&(f64, f64)>| other.is_none_or(|o| o.0 <= tried[*k].0);
+            over(k.checked_sub(1).and_then(|k| tried.get(k))) && over(tried.get(k + 1))
+        };
+        let bare = |k: usize| tried[k].0 - worth * length / tried[k].1;
+        let best = (0..tried.len()).filter(peak).max_by(|&a, &b| bare(a).total_cmp(&bare(b)));
+        best.map_or(FINEST, |k| tried[k].1)
     }
 
     pub(super) fn image(&self, row: usize, at: f64, offset: f64) -> [f64; 2] {
