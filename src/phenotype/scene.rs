@@ -17,6 +17,8 @@ use super::{
 use crate::{problems::plants::lines::Axes, raster::Mask};
 use rayon::prelude::*;
 
+/// A spacing this many times finer than another may be that of the leaves of a plant.
+const LEAVES: f64 = 2.2;
 /// Distance of neighbouring plants in the grid, where it is the plants that decide what the grid is.
 const APART: f64 = 13.0;
 /// Half the width of the band whose leaf mass a row has to cover.
@@ -210,7 +212,7 @@ impl Scene {
     ///
     /// Where leaves of a plant can pass for plants there are two such spacings, and a worth of every plant,
     /// which makes up for what evidence lacks in a closed canopy, favours the finer one by how many more plants
-    /// it has: between peaks it does not count.
+    /// it has: against a peak that is [`LEAVES`] times as coarse it does not count.
     pub(super) fn likeliest_spacing(&self, sample: &[usize]) -> f64 {
         let worth = self.options.beta_compared;
         let length: f64 = sample.iter().map(|&row| self.rows[row].length_px()).sum();
@@ -227,8 +229,11 @@ impl Scene {
             over(k.checked_sub(1).and_then(|k| tried.get(k))) && over(tried.get(k + 1))
         };
         let bare = |k: usize| tried[k].0 - worth * length / tried[k].1;
-        let best = (0..tried.len()).filter(peak).max_by(|&a, &b| bare(a).total_cmp(&bare(b)));
-        best.map_or(FINEST, |k| tried[k].1)
+        let likeliest = (0..tried.len()).max_by(|&a, &b| tried[a].0.total_cmp(&tried[b].0));
+        let Some(likeliest) = likeliest else { return FINEST };
+        let coarser = |k: &usize| tried[*k].1 > LEAVES * tried[likeliest].1;
+        let rivals = (0..tried.len()).filter(peak).filter(coarser);
+        tried[rivals.fold(likeliest, |best, k| if bare(k) > bare(best) { k } else { best })].1
     }
 
     pub(super) fn image(&self, row: usize, at: f64, offset: f64) -> [f64; 2] {
