@@ -1,9 +1,8 @@
 //! How far apart plants are that stand apart: in young crops each is an island of leaf in bare soil.
 //!
-//! Along every row the leaf mass of a band is gathered, and what has soil on both sides is an island; leaves of
-//! one plant that do not touch are bridged where the soil between them is short against the distance between
-//! islands. Where too little of the rows is bare, or islands are long against their distance, plants have grown
-//! together and islands tell nothing.
+//! Along every row the leaf mass of a band is gathered, and what has soil on both sides is an island. Plants that
+//! touch make one island of two, so that the middle distance is somewhat too long. Where too little of the rows is
+//! bare, or islands are long against their distance, plants have grown together and islands tell nothing.
 
 use super::rows::Rows;
 use crate::raster::Mask;
@@ -14,8 +13,6 @@ const LEAST_BARE: f64 = 0.35;
 const LONGEST: f64 = 0.65;
 /// The fewest islands.
 const LEAST: usize = 12;
-/// Soil shorter than this share of the distance between islands is bridged.
-const BRIDGED: f64 = 0.2;
 /// An island with less than this share of the middle one's mass is a weed or a speck.
 const SPECK: f64 = 0.1;
 /// Half the width of a row's band where there is only one row, as a share of its length.
@@ -46,16 +43,9 @@ pub fn spacing_px(mask: &Mask, rows: &Rows) -> Option<f64> {
     if covered > (1.0 - LEAST_BARE) * length {
         return None;
     }
-    let mut spacing = 0.0;
-    let mut islands = Vec::new();
-    for _ in 0..4 {
-        islands = all.iter().map(|runs| bridged(runs, BRIDGED * spacing)).collect();
-        drop_specks(&mut islands);
-        let apart = islands
-            .iter()
-            .flat_map(|row: &Vec<Island>| row.windows(2).map(|w| w[1].middle() - w[0].middle()));
-        spacing = median(apart.collect())?;
-    }
+    let mut islands = all;
+    drop_specks(&mut islands);
+    let spacing = middle_distance(&islands)?;
     let longest = median(islands.iter().flatten().map(|island| island.to - island.from).collect())?;
     let count: usize = islands.iter().map(Vec::len).sum();
     (count >= LEAST && longest <= LONGEST * spacing).then_some(spacing)
@@ -110,20 +100,9 @@ fn runs(profile: &[f64]) -> Vec<Island> {
     found
 }
 
-/// Runs joined over soil no longer than `soil`.
-fn bridged(runs: &[Island], soil: f64) -> Vec<Island> {
-    let mut found: Vec<Island> = Vec::new();
-    for run in runs {
-        match found.last_mut() {
-            Some(last) if run.from - last.to <= soil => {
-                last.to = run.to;
-                last.mass += run.mass;
-                last.moment += run.moment;
-            }
-            _ => found.push(*run),
-        }
-    }
-    found
+fn middle_distance(islands: &[Vec<Island>]) -> Option<f64> {
+    let pairs = islands.iter().flat_map(|row| row.windows(2));
+    median(pairs.map(|pair| pair[1].middle() - pair[0].middle()).collect())
 }
 
 fn drop_specks(islands: &mut [Vec<Island>]) {

@@ -18,7 +18,9 @@ use crate::{problems::plants::lines::Axes, raster::Mask};
 use rayon::prelude::*;
 
 /// A spacing this many times finer than another may be that of the leaves of a plant.
-const LEAVES: f64 = 2.2;
+const LEAVES: f64 = 1.9;
+/// Where plants stand apart, their spacing as shares of the distance of islands, some of which are two plants.
+const ISLANDS: [f64; 2] = [0.7, 1.3];
 /// Distance of neighbouring plants in the grid, where it is the plants that decide what the grid is.
 const APART: f64 = 13.0;
 /// Half the width of the band whose leaf mass a row has to cover.
@@ -62,14 +64,17 @@ pub(super) struct Scene {
     mean: f64,
     mass: f64,
     length: f64,
+    /// Distance of the islands of leaf, where plants stand apart.
+    apart: Option<f64>,
     pub(super) options: Options,
 }
 
 impl Scene {
     pub(super) fn new(mask: &Mask, rows: &Rows, options: &Options) -> Scene {
         // Plants that stand apart are as far from each other, in pixels of the grid, as in a closed canopy.
-        let apart = islands::spacing_px(mask, rows).map_or(1.0, |spacing| spacing / APART);
-        let factor = evidence::factor(mask).max(apart.round() as usize);
+        let apart = islands::spacing_px(mask, rows);
+        let coarse = apart.map_or(1.0, |spacing| spacing / APART);
+        let factor = evidence::factor(mask).max(coarse.round() as usize);
         let evidence = if options.leaf_axes {
             Evidence::new(mask, rows.axes.heading_rad, options.axes, factor)
         } else {
@@ -101,6 +106,7 @@ impl Scene {
             mean: 0.0,
             mass: 0.0,
             length,
+            apart: apart.map(|spacing| spacing / factor),
             options: *options,
         };
         scene.read();
@@ -216,7 +222,7 @@ impl Scene {
     pub(super) fn likeliest_spacing(&self, sample: &[usize]) -> f64 {
         let worth = self.options.beta_compared;
         let length: f64 = sample.iter().map(|&row| self.rows[row].length_px()).sum();
-        let tried: Vec<(f64, f64)> = (0..SPACINGS)
+        let mut tried: Vec<(f64, f64)> = (0..SPACINGS)
             .into_par_iter()
             .map(|k| {
                 let spacing = FINEST * FINER.powi(k);
@@ -224,6 +230,10 @@ impl Scene {
                 (chains.iter().map(|chain| chain.log_sum(worth, 1.0)).sum(), spacing)
             })
             .collect();
+        if let Some(apart) = self.apart {
+            let within = ISLANDS[0] * apart..=ISLANDS[1] * apart;
+            tried.retain(|(_, spacing)| within.contains(spacing));
+        }
         let peak = |k: &usize| {
             let over = |other: Option<&(f64, f64)>| other.is_none_or(|o| o.0 <= tried[*k].0);
             over(k.checked_sub(1).and_then(|k| tried.get(k))) && over(tried.get(k + 1))
