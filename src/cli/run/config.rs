@@ -72,6 +72,7 @@ section! {
         max_features: usize = 6000,
         tolerance_px: f64 = 4.0,
         use_positions: bool = true,
+        rolling_shutter: String = "auto".into(),
         check: Vec<String> = Vec::new(),
         seed: u64 = 1,
     }

@@ -200,6 +200,7 @@ impl Place<'_> {
             .option("--solver", &config.solver)
             .option("--max-features", config.max_features)
             .option("--tolerance", config.tolerance_px)
+            .option("--rolling-shutter", &config.rolling_shutter)
             .option("--seed", config.seed)
             .maybe("--crs", project.crs.as_ref())
             .flag("--no-positions", !config.use_positions)
