@@ -67,10 +67,11 @@ fn profiles(mask: &Mask, rows: &Rows) -> Vec<Vec<f64>> {
             let Some(row) = nearest else { continue };
             let band = rows.spacing_px.map_or(LONE * rows.rows[row].length_px(), |s| 0.4 * s);
             let place = along - rows.rows[row].start_px;
-            if near(row) <= band && place >= 0.0 {
-                if let Some(mass) = profiles[row].get_mut(place as usize) {
-                    *mass += 1.0;
-                }
+            if near(row) <= band
+                && place >= 0.0
+                && let Some(mass) = profiles[row].get_mut(place as usize)
+            {
+                *mass += 1.0;
             }
         }
     }
