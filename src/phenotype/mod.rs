@@ -9,6 +9,7 @@ pub mod leaf_count;
 pub mod leaves;
 pub mod locate;
 pub mod renewal;
+mod repeats;
 pub mod ridges;
 pub mod rows;
 mod scene;
