@@ -62,3 +62,37 @@ pub fn write(
         Ok(())
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        io::poses,
+        problems::adjustment::{Pose, RollingShutter},
+    };
+
+    #[test]
+    fn the_motion_of_an_image_comes_back_from_the_table() {
+        let motion = [0.002, -0.001, 0.003, 0.12, -0.2, 0.03];
+        let pose = Pose::from_centre(rotation::exp([0.1, -0.2, 1.5]), [10.0, 20.0, 30.0]);
+        let image = Image { name: "a.jpg".into(), id: 1, camera: 0, pose, motion };
+        let shutter =
+            RollingShutter { readout_s: 0.03, sigma_velocity_m_s: 1.0, sigma_rate_rad_s: 0.0 };
+        for rolling_shutter in [Some(shutter), None] {
+            let survey =
+                Survey { images: vec![image.clone()], rolling_shutter, ..Survey::default() };
+            let folder = tempfile::tempdir().unwrap();
+            let path = folder.path().join("exterior_orientation.csv");
+            write(&path, &survey, &[], 1.0, false).unwrap();
+            let found = poses::read(&path).unwrap()[0].motion;
+            match (rolling_shutter, found) {
+                // Rates have seven decimals, velocities five; 0.03 s of them are left.
+                (Some(_), Some(found)) => {
+                    (0..6).for_each(|k| assert!((found[k] - motion[k]).abs() < 1e-6, "{found:?}"));
+                }
+                (None, None) => {}
+                other => panic!("{other:?}"),
+            }
+        }
+    }
+}

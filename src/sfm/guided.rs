@@ -13,7 +13,7 @@
 use super::{
     block::{Features, Pair},
     relative::{Correspondence, Ray, RelativePose, vector},
-    verify::{Matched, Verifying, orient_matched, rays},
+    verify::{Matched, Verifying, all_rays, finer_px, orient_matched},
 };
 use crate::{
     camera::Camera,
@@ -54,7 +54,7 @@ impl Default for Guiding {
 
 /// Features of one feature's surroundings that are the same again, pixels: one place with two orientations.
 const SAME_PX: f64 = 2.0;
-/// Parts that are no longer than this are one bucket, in tolerances.
+/// Side of a bucket, in distances up to which features compete.
 const BUCKET: f64 = 2.0;
 
 /// The inverse depth over an image, and how far points are off it.
@@ -308,10 +308,7 @@ pub fn strengthen(
     (verifying, guiding): (&Verifying, &Guiding),
     tell: &(dyn Fn() + Sync),
 ) -> Vec<Pair> {
-    let all: Vec<Vec<Option<Ray>>> = features
-        .par_iter()
-        .map(|features| rays(features, &cameras[features.camera].interior))
-        .collect();
+    let all = all_rays(features, cameras);
     pairs
         .par_iter()
         .map(|pair| {
@@ -321,10 +318,7 @@ pub fn strengthen(
                     break;
                 }
                 let of = best.images.map(|k| k as usize);
-                let c = of
-                    .map(|k| cameras[features[k].camera].interior.principal_distance_px())
-                    .into_iter()
-                    .fold(0.0, f64::max);
+                let c = finer_px(of.map(|k| &cameras[features[k].camera]));
                 let right: Vec<Correspondence> = best
                     .matches
                     .iter()
@@ -395,9 +389,9 @@ mod tests {
             let first = [rng.random_range(-0.8..0.8), rng.random_range(-0.6..0.6)];
             let depth = (1.0 + 0.02 * rng.random_range(-1.0..1.0)) / (0.4 + 0.03 * first[0]);
             let p = pose.rotation * vector(first) * depth + pose.translation;
-            let noise = || 0.3 / C_PX;
+            let mut noise = || rng.random_range(-0.5..0.5) / C_PX;
             rays[0].push(Some(first));
-            rays[1].push(Some([p.x / -p.z + noise(), p.y / -p.z - noise()]));
+            rays[1].push(Some([p.x / -p.z + noise(), p.y / -p.z + noise()]));
             for looks in &mut looks {
                 let kind = &kinds[index % kinds.len()];
                 looks.extend(kind.iter().map(|byte| byte + rng.random_range(0..16u8)));

@@ -76,7 +76,7 @@ pub fn directions(centres_m: &[[f64; 3]]) -> Vec<Option<[f64; 3]>> {
         .collect()
 }
 
-/// The drift of a georeferenced block; `order` holds its images in the order in which they were taken.
+/// The drift of a georeferenced block; `flight` holds its images in the order in which they were taken.
 /// `None` where nothing speaks for one (unless somebody is `certain` that there is), or too few images for it
 /// to be told.
 ///

@@ -58,6 +58,18 @@ pub fn rays(features: &Features, lens: &Interior) -> Vec<Option<Ray>> {
         .collect()
 }
 
+/// Rays of all features of all images.
+pub(super) fn all_rays(features: &[Features], cameras: &[Camera]) -> Vec<Vec<Option<Ray>>> {
+    let of = |one: &Features| rays(one, &cameras[one.camera].interior);
+    features.par_iter().map(of).collect()
+}
+
+/// The principal distance of the finer of two photos, which decides what a pixel is.
+pub(super) fn finer_px(cameras: [&Camera; 2]) -> f64 {
+    let [a, b] = cameras.map(|camera| camera.interior.principal_distance_px());
+    a.max(b)
+}
+
 /// Orients one pair; `None` where too few matches agree.
 pub(super) fn orient_matched(
     matched: &Matched,
@@ -115,19 +127,12 @@ pub fn orient_pairs(
     verifying: &Verifying,
     tell: &(dyn Fn() + Sync),
 ) -> Vec<Pair> {
-    let rays: Vec<Vec<Option<Ray>>> = features
-        .par_iter()
-        .map(|features| rays(features, &cameras[features.camera].interior))
-        .collect();
+    let rays = all_rays(features, cameras);
     let oriented: Vec<Option<Pair>> = matched
         .par_iter()
         .map(|matched| {
             let [a, b] = matched.images.map(|k| k as usize);
-            // The finer of both photos decides what a pixel is.
-            let c = cameras[features[a].camera]
-                .interior
-                .principal_distance_px()
-                .max(cameras[features[b].camera].interior.principal_distance_px());
+            let c = finer_px([a, b].map(|k| &cameras[features[k].camera]));
             let pair = orient_matched(matched, [&rays[a], &rays[b]], c, verifying);
             tell();
             pair
