@@ -117,7 +117,7 @@ pub(crate) enum Command {
         /// The level of the tests.
         #[arg(long, value_name = "P", default_value_t = 0.05)]
         level: f64,
-        /// Exit with 3 where any pair of numbers differs by more than this share, or runs are in one result only.
+        /// Exit with 3 where any pair of numbers differs by more than this share (and 1e-11), or runs are in one result only.
         #[arg(long, value_name = "SHARE")]
         within: Option<f64>,
     },

@@ -32,7 +32,7 @@ pub(crate) struct Comparison {
     pub(crate) effect: f64,
     /// Probability of such a difference without a cause, corrected for the number of tests.
     pub(crate) probability: f64,
-    /// Largest relative difference of a pair.
+    /// Largest relative difference of a pair, rounding aside.
     pub(crate) largest: f64,
 }
 
@@ -91,6 +91,9 @@ pub(crate) fn compare(a: &Path, b: &Path) -> Result<(Vec<Comparison>, Vec<String
     Ok((found, lonely))
 }
 
+/// Nothing is measured to this, in whatever unit: smaller differences are the arithmetic's.
+const ROUNDING: f64 = 1e-11;
+
 fn judge(cell: String, metric: String, pairs: &[[f64; 2]]) -> Comparison {
     let count = pairs.len() as f64;
     let mean = |k: usize| pairs.iter().map(|pair| pair[k]).sum::<f64>() / count;
@@ -99,7 +102,8 @@ fn judge(cell: String, metric: String, pairs: &[[f64; 2]]) -> Comparison {
     let squares: f64 = differences.iter().map(|d| (d - shift).powi(2)).sum();
     let spread = (squares / (count - 1.0)).sqrt();
     let relative = |[a, b]: &[f64; 2]| {
-        if a == b { 0.0 } else { (b - a).abs() / a.abs().max(b.abs()) }
+        let apart = (b - a).abs();
+        if apart <= ROUNDING { 0.0 } else { apart / a.abs().max(b.abs()) }
     };
     let largest = pairs.iter().map(relative).fold(0.0, f64::max);
     let student = StudentsT::new(0.0, 1.0, (count - 1.0).max(1.0)).ok();

@@ -221,6 +221,27 @@ impl Interior {
         }
     }
 
+    /// As [`Lens::project`] of a point whose image is near `near_px`, which finds it faster where a model is
+    /// inverted by iteration.
+    pub fn project_near(&self, point: [f64; 3], near_px: [f64; 2]) -> Option<[f64; 2]> {
+        match &self.lens {
+            BuiltIn::Smac(lens) => lens.project_near(point, Some(near_px)),
+            _ => self.project(point),
+        }
+    }
+
+    /// As [`Lens::project_with_derivatives`] of a point whose image is near `near_px`.
+    pub fn project_with_derivatives_near(
+        &self,
+        point: [f64; 3],
+        near_px: [f64; 2],
+    ) -> Option<Projection> {
+        match &self.lens {
+            BuiltIn::Smac(lens) => lens.project_with_derivatives_near(point, Some(near_px)),
+            _ => self.project_with_derivatives(point),
+        }
+    }
+
     #[inline]
     fn as_lens(&self) -> &dyn Lens {
         match &self.lens {

@@ -104,18 +104,16 @@ pub(super) fn newton_2d(
     scale: f64,
     map: impl Fn([f64; 2]) -> ([f64; 2], [[f64; 2]; 2]),
 ) -> Option<[f64; 2]> {
-    let small = scale * 1e-15 + 1e-300;
-    let mut last = f64::INFINITY;
+    // Newton's method squares the error: after a step this short it is below rounding, even where the
+    // map has nearly folded over.
+    let small = scale * 1e-10 + 1e-300;
     for _ in 0..30 {
         let (value, jacobian) = map(p);
         let step = times(&inverse_2x2(jacobian)?, [target[0] - value[0], target[1] - value[1]]);
         p = [p[0] + step[0], p[1] + step[1]];
-        let length = step[0].abs().max(step[1].abs());
-        // At the end the steps are roundings, which do not shrink any more.
-        if length <= small || (length <= scale * 1e-12 && length >= 0.5 * last) {
+        if step[0].abs().max(step[1].abs()) <= small {
             return Some(p);
         }
-        last = length;
     }
     None
 }

@@ -111,8 +111,13 @@ pub(super) fn invert_monotonic(
             low = r;
         }
         let newton = r - excess / slope;
-        let next = if newton > low && newton < high { newton } else { 0.5 * (low + high) };
-        if (next - r).abs() <= 4.0 * f64::EPSILON * r || next <= low || next >= high {
+        // Newton's method squares the error: after a step this short it is below rounding.
+        let (next, small) = if newton > low && newton < high {
+            (newton, 1e-10)
+        } else {
+            (0.5 * (low + high), 4.0 * f64::EPSILON)
+        };
+        if (next - r).abs() <= small * r || next <= low || next >= high {
             return Some(next);
         }
         r = next;

@@ -134,8 +134,12 @@ impl Smac {
     }
 
     /// The reduced position of a point in the camera frame and its undistorted direction
-    /// `(-U/W, -V/W)`.
-    fn reduced(&self, [x, y, z]: [f64; 3]) -> Option<([f64; 2], [f64; 2])> {
+    /// `(-U/W, -V/W)`, found fast where the image is near `near_px`.
+    fn reduced(
+        &self,
+        [x, y, z]: [f64; 3],
+        near_px: Option<[f64; 2]>,
+    ) -> Option<([f64; 2], [f64; 2])> {
         if z.is_nan() || z >= 0.0 {
             return None;
         }
@@ -144,6 +148,14 @@ impl Smac {
         let far = (target[0] * target[0] + target[1] * target[1]).sqrt();
         if !far.is_finite() {
             return None;
+        }
+        let is_inside = |[x, y]: [f64; 2]| x * x + y * y <= self.valid_radius_px.powi(2);
+        if let Some(near) = near_px {
+            // Within the radius the map is one to one: what is found from anywhere is the image.
+            let found = newton_2d(target, self.centred(near), far.max(1.0), |p| self.ideal(p));
+            if let Some(found) = found.filter(|found| is_inside(*found)) {
+                return Some((found, direction));
+            }
         }
         let radial = self.radial();
         let radius = polynomial::invert_monotonic(far, self.valid_radius_px, |r| {
@@ -156,9 +168,59 @@ impl Smac {
             return Some((start, direction));
         }
         let found = newton_2d(target, start, far.max(1.0), |p| self.ideal(p))?;
-        let inside = found[0] * found[0] + found[1] * found[1]
-            <= self.valid_radius_px * self.valid_radius_px;
-        inside.then_some((found, direction))
+        is_inside(found).then_some((found, direction))
+    }
+
+    /// The reduced position of a pixel, `y` up.
+    fn centred(&self, [u, v]: [f64; 2]) -> [f64; 2] {
+        [u - self.centre_px[0] - self.values[XP], self.centre_px[1] - v - self.values[YP]]
+    }
+
+    /// As [`Lens::project`], faster where the image is near `near_px`.
+    pub fn project_near(&self, point: [f64; 3], near_px: Option<[f64; 2]>) -> Option<[f64; 2]> {
+        let ([x, y], _) = self.reduced(point, near_px)?;
+        Some([self.centre_px[0] + (self.values[XP] + x), self.centre_px[1] - (self.values[YP] + y)])
+    }
+
+    /// As [`Lens::project_with_derivatives`], faster where the image is near `near_px`.
+    pub fn project_with_derivatives_near(
+        &self,
+        point: [f64; 3],
+        near_px: Option<[f64; 2]>,
+    ) -> Option<Projection> {
+        let (at, direction) = self.reduced(point, near_px)?;
+        let (_, jacobian) = self.ideal(at);
+        let inverse = inverse_2x2(jacobian)?;
+        let scaled = -self.values[C] / point[2];
+        let by_coefficients = self.ideal_by_coefficients(at);
+        let columns = [
+            times(&inverse, [scaled, 0.0]),
+            times(&inverse, [0.0, scaled]),
+            times(&inverse, direction.map(|v| scaled * v)),
+        ];
+        let by_distance = times(&inverse, direction);
+        let mut by_parameters = [[0.0; MAX_PARAMETERS]; 2];
+        for row in 0..2 {
+            by_parameters[row][C] = by_distance[row];
+            by_parameters[row][XP + row] = 1.0;
+        }
+        for k in 0..6 {
+            let change = times(&inverse, [by_coefficients[0][k], by_coefficients[1][k]]);
+            by_parameters[0][K0 + k] = -change[0];
+            by_parameters[1][K0 + k] = -change[1];
+        }
+        let mut found = Projection {
+            image_px: [self.values[XP] + at[0], self.values[YP] + at[1]],
+            by_point: [
+                [columns[0][0], columns[1][0], columns[2][0]],
+                [columns[0][1], columns[1][1], columns[2][1]],
+            ],
+            by_parameters,
+        };
+        turn_down(&mut found);
+        found.image_px[0] += self.centre_px[0];
+        found.image_px[1] += self.centre_px[1];
+        Some(found)
     }
 
     /// The residual that many photogrammetric programs use, in the domain of the corrected
@@ -177,10 +239,7 @@ impl Smac {
         }
         let direction = [x * inverse, y * inverse];
         let c = self.values[C];
-        let at = [
-            measured_px[0] - self.centre_px[0] - self.values[XP],
-            self.centre_px[1] - measured_px[1] - self.values[YP],
-        ];
+        let at = self.centred(measured_px);
         let (corrected, jacobian) = self.ideal(at);
         let by_coefficients = self.ideal_by_coefficients(at);
         let mut by_parameters = [[0.0; MAX_PARAMETERS]; 2];
@@ -220,51 +279,15 @@ impl Lens for Smac {
     }
 
     fn project(&self, point: [f64; 3]) -> Option<[f64; 2]> {
-        let ([x, y], _) = self.reduced(point)?;
-        Some([self.centre_px[0] + (self.values[XP] + x), self.centre_px[1] - (self.values[YP] + y)])
+        self.project_near(point, None)
     }
 
     fn project_with_derivatives(&self, point: [f64; 3]) -> Option<Projection> {
-        let (at, direction) = self.reduced(point)?;
-        let (_, jacobian) = self.ideal(at);
-        let inverse = inverse_2x2(jacobian)?;
-        let scaled = -self.values[C] / point[2];
-        let by_coefficients = self.ideal_by_coefficients(at);
-        let columns = [
-            times(&inverse, [scaled, 0.0]),
-            times(&inverse, [0.0, scaled]),
-            times(&inverse, direction.map(|v| scaled * v)),
-        ];
-        let by_distance = times(&inverse, direction);
-        let mut by_parameters = [[0.0; MAX_PARAMETERS]; 2];
-        for row in 0..2 {
-            by_parameters[row][C] = by_distance[row];
-            by_parameters[row][XP + row] = 1.0;
-        }
-        for k in 0..6 {
-            let change = times(&inverse, [by_coefficients[0][k], by_coefficients[1][k]]);
-            by_parameters[0][K0 + k] = -change[0];
-            by_parameters[1][K0 + k] = -change[1];
-        }
-        let mut found = Projection {
-            image_px: [self.values[XP] + at[0], self.values[YP] + at[1]],
-            by_point: [
-                [columns[0][0], columns[1][0], columns[2][0]],
-                [columns[0][1], columns[1][1], columns[2][1]],
-            ],
-            by_parameters,
-        };
-        turn_down(&mut found);
-        found.image_px[0] += self.centre_px[0];
-        found.image_px[1] += self.centre_px[1];
-        Some(found)
+        self.project_with_derivatives_near(point, None)
     }
 
     fn unproject(&self, image_px: [f64; 2]) -> Option<[f64; 3]> {
-        let at = [
-            image_px[0] - self.centre_px[0] - self.values[XP],
-            self.centre_px[1] - image_px[1] - self.values[YP],
-        ];
+        let at = self.centred(image_px);
         let inside = at[0] * at[0] + at[1] * at[1] <= self.valid_radius_px * self.valid_radius_px;
         let (ideal, jacobian) = self.ideal(at);
         (inside && self.values[C] > 0.0 && inverse_2x2(jacobian).is_some())

@@ -9,6 +9,7 @@
 //! works on one front at a time and its threads meet at a barrier after every product.
 
 mod fronts;
+mod inverse;
 mod tree;
 
 use faer::{
@@ -175,6 +176,11 @@ impl Cholesky {
         self.fronts.factorize(matrix)
     }
 
+    /// The blocks of the inverse where `matrix`, which was factorised, has any.
+    pub(super) fn selected_inverse(&self, matrix: &BlockMatrix) -> BlockMatrix {
+        self.fronts.selected_inverse(matrix)
+    }
+
     /// Solves for `columns` right-hand sides stored one after the other.
     pub(super) fn solve(&mut self, rhs: &mut [f64], columns: usize) {
         debug_assert_eq!(rhs.len(), self.dimension * columns);
@@ -243,6 +249,47 @@ mod tests {
                 cholesky.solve(&mut solution, 2);
                 for (a, b) in solution.iter().zip(&x) {
                     assert!((a - b).abs() < 1e-12, "{a} {b}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_selected_inverse_is_that_of_solving_column_by_column() {
+        // A band, and a far corner that fills in.
+        let mut columns: Vec<Vec<u32>> = (0..150)
+            .map(|c| (c..150.min(c + 5)).chain(if c % 9 == 0 { 147..150 } else { 0..0 }).collect())
+            .collect();
+        columns.iter_mut().for_each(|column| {
+            column.sort_unstable();
+            column.dedup();
+        });
+        let dims: Vec<usize> = (0..150).map(|k| 1 + k * 7 % 4).collect();
+        let mut matrix = BlockMatrix::new(&dims, &columns);
+        for (k, v) in matrix.values.iter_mut().enumerate() {
+            *v = 0.1 * ((k * 7919 % 101) as f64 / 101.0 - 0.5);
+        }
+        let n = matrix.dimension();
+        matrix.add_to_diagonal(&vec![3.0; n]);
+        for dense in [true, false] {
+            let mut cholesky = Cholesky::analyze(&matrix, dense);
+            cholesky.factorize(&matrix).unwrap();
+            assert_eq!(cholesky.fronts.fronts().len() > 1, !dense);
+            let mut all = vec![0.0; n * n];
+            (0..n).for_each(|k| all[k * n + k] = 1.0);
+            cholesky.solve(&mut all, n);
+            let inverse = cholesky.selected_inverse(&matrix);
+            for column in 0..matrix.block_count() {
+                for slot in matrix.column_ptr[column]..matrix.column_ptr[column + 1] {
+                    let row = matrix.rows[slot] as usize;
+                    let values = &inverse.values[matrix.value_ptr[slot]..];
+                    for j in 0..matrix.dim(column) {
+                        for i in 0..matrix.dim(row) {
+                            let at = (matrix.starts[column] + j) * n + matrix.starts[row] + i;
+                            let found = values[j * matrix.dim(row) + i];
+                            assert!((found - all[at]).abs() < 1e-14, "{found} {}", all[at]);
+                        }
+                    }
                 }
             }
         }

@@ -8,7 +8,7 @@
 
 use super::{
     Linear,
-    cholesky::NotPositiveDefinite,
+    cholesky::{BlockMatrix, NotPositiveDefinite},
     eliminate::{backward_solve, forward_solve},
     normal::Normal,
     problem::{BlockId, Problem},
@@ -52,7 +52,8 @@ impl<'a> Covariance<'a> {
             return Err(describe(problem, &normal, &directions));
         }
         // Looking for them put a shift into the factor.
-        normal.reduce(problem, x, 0.0).map_err(|_| {
+        let Normal { solver, matrix, .. } = &mut normal;
+        solver.factorize(matrix).map_err(|_| {
             SolveError::RankDeficient("the normal equations are not positive definite".into())
         })?;
         Ok(Covariance { problem, normal })
@@ -76,6 +77,18 @@ impl<'a> Covariance<'a> {
         firsts.iter().map(|&first| self.cross_of(first, second, &solution)).collect()
     }
 
+    /// The covariances of all pairs of kept blocks that a factor or an eliminated block couples, at the
+    /// cost of a few factorisations.
+    pub fn coupled(&self) -> Coupled<'_> {
+        let Normal { solver, matrix, .. } = &self.normal;
+        Coupled { of: self, inverse: solver.selected_inverse(matrix) }
+    }
+
+    /// Whether an entry of a block's tangent must not move.
+    fn is_frozen(&self, block: BlockId, k: usize) -> bool {
+        self.problem.blocks[block.index()].frozen >> k & 1 == 1
+    }
+
     fn cross_of(&self, first: BlockId, second: BlockId, solution: &[f64]) -> Vec<f64> {
         let (rows, columns) =
             (self.problem.space(first).tangent(), self.problem.space(second).tangent());
@@ -86,11 +99,9 @@ impl<'a> Covariance<'a> {
                 out[row * columns + column] = values[row];
             }
         }
-        let frozen =
-            |block: BlockId, k: usize| self.problem.blocks[block.index()].frozen >> k & 1 == 1;
         for row in 0..rows {
             for column in 0..columns {
-                if frozen(first, row) || frozen(second, column) {
+                if self.is_frozen(first, row) || self.is_frozen(second, column) {
                     out[row * columns + column] = 0.0;
                 }
             }
@@ -163,6 +174,41 @@ impl<'a> Covariance<'a> {
         }
         solve_small(self.normal.point_factor(e as usize), n, &mut values);
         values
+    }
+}
+
+/// Covariances of coupled blocks, from [`Covariance::coupled`].
+#[derive(Debug)]
+pub struct Coupled<'a> {
+    of: &'a Covariance<'a>,
+    inverse: Option<BlockMatrix>,
+}
+
+impl Coupled<'_> {
+    /// As [`Covariance::cross`]; `None` of blocks that nothing couples, and of eliminated ones.
+    pub fn cross(&self, first: BlockId, second: BlockId) -> Option<Vec<f64>> {
+        let (of, structure) = (self.of, &self.of.normal.structure);
+        let [rows, columns] = [first, second].map(|block| of.problem.space(block).tangent());
+        if [first, second].iter().any(|block| of.problem.blocks[block.index()].is_fixed()) {
+            return Some(vec![0.0; rows * columns]);
+        }
+        let inverse = self.inverse.as_ref()?;
+        let [a, b] = [first, second].map(|block| structure.place[block.index()]);
+        if [a, b].contains(&NONE) {
+            return None;
+        }
+        let (row, column) = (a.max(b) as usize, a.min(b) as usize);
+        let values = &inverse.values[inverse.value_ptr[inverse.slot(row, column)?]..];
+        let height = inverse.dim(row);
+        Some(
+            (0..rows * columns)
+                .map(|k| match (k / columns, k % columns) {
+                    (i, j) if of.is_frozen(first, i) || of.is_frozen(second, j) => 0.0,
+                    (i, j) if a >= b => values[j * height + i],
+                    (i, j) => values[i * height + j],
+                })
+                .collect(),
+        )
     }
 }
 

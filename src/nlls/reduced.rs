@@ -47,6 +47,15 @@ impl Reduced {
         }
     }
 
+    /// The blocks of the inverse where `matrix`, the one that was factorised, has any; `None` of an
+    /// iteration, which factorises nothing.
+    pub(super) fn selected_inverse(&self, matrix: &BlockMatrix) -> Option<BlockMatrix> {
+        match self {
+            Reduced::Direct(cholesky) => Some(cholesky.selected_inverse(matrix)),
+            Reduced::Iterative(_) => None,
+        }
+    }
+
     /// Products with the matrix that iterations made since this was last asked.
     pub(super) fn take_products(&mut self) -> u64 {
         match self {

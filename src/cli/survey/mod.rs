@@ -74,7 +74,11 @@ pub(super) fn run(
         )
     })?;
     check_outputs(&description, output, force)?;
-    let mut outcome = work(&description, format, loss)?;
+    let block = assemble(&description, format)?;
+    if let Some(path) = output {
+        check_lenses(path, &block.0)?;
+    }
+    let mut outcome = work(block, &description, loss)?;
     outcome.unmatched.iter().take(5).for_each(|aside| tracing::warn!("set aside: {aside}"));
     if let Some(folder) = &description.report {
         report::write(folder, &outcome, force)?;
@@ -115,6 +119,20 @@ fn check_outputs(
         return Err(FileError::Exists { path: path.to_owned() }.into());
     }
     Ok(())
+}
+
+/// Refuses an output that cannot hold what will be found, before any work is done.
+fn check_lenses(path: &Path, model: &Model) -> Result<(), Error> {
+    let mut cameras = model.survey.cameras.iter();
+    match cameras.find(|camera| camera.interior.model() == crate::camera::Model::Smac) {
+        None => Ok(()),
+        Some(camera) => Err(Error::Argument(format!(
+            "{}: camera {:?} is a smac one, which COLMAP's, Bundler's and OpenSfM's files cannot hold; \
+             leave --output away and take the results from the folder of --report",
+            path.display(),
+            camera.name
+        ))),
+    }
 }
 
 fn read_model(
@@ -238,11 +256,10 @@ fn assemble(description: &Description, format: Format) -> Result<(Model, Vec<Asi
 }
 
 fn work(
+    (mut model, unmatched): (Model, Vec<Aside>),
     description: &Description,
-    format: Format,
     loss: crate::nlls::Loss,
 ) -> Result<Outcome, Error> {
-    let (mut model, unmatched) = assemble(description, format)?;
     let alignment = if description.align { align(&mut model.survey) } else { None };
     if let Some(alignment) = &alignment {
         tracing::info!(

@@ -26,7 +26,7 @@ use rayon::prelude::*;
 /// Columns factorised at a time.
 const PANEL: usize = 96;
 /// Columns of an update, or rows below a panel, that one thread works on at a time.
-const PIECE: usize = 96;
+pub(super) const PIECE: usize = 96;
 /// Fronts of fewer rows are not worth cutting.
 const CUT_FROM: usize = 256;
 
@@ -75,6 +75,18 @@ impl Fronts {
             .map(|(memory, task)| memory.factorize(matrix, tree, task, &[]))
             .collect::<Result<(), NotPositiveDefinite>>()?;
         tree.tasks.last().map_or(Ok(()), |task| above.factorize(matrix, tree, task, subtrees))
+    }
+
+    pub(super) fn fronts(&self) -> &[Front] {
+        &self.tree.fronts
+    }
+
+    /// The factor's columns of front `k`.
+    pub(super) fn columns(&self, k: usize) -> MatRef<'_, f64> {
+        let front = &self.tree.fronts[k];
+        let (rows, width) = (front.order, front.width);
+        let factor = &self.memory[self.tree.task_of[k]].factor[front.factor_at..];
+        MatRef::from_column_major_slice(&factor[..rows * width], rows, width)
     }
 
     /// Solves for `columns` right-hand sides of `dimension` stored one after the other.

@@ -52,6 +52,20 @@ pub struct Adjusted {
 /// Where the survey is wrong ([`SurveyError`]), cannot be evaluated, or does not determine its parameters
 /// ([`SolveError::RankDeficient`], in words).
 pub fn adjust(whole: &mut Survey, settings: &Settings) -> Result<Adjusted, AdjustError> {
+    adjust_after(whole, settings, None)
+}
+
+/// A step that gains less than this share of the cost changes no residual by what tests could see.
+const ROUGH_TOLERANCE: f64 = 1e-7;
+
+/// [`adjust`], `whole` having lost nothing but tie observations since it was adjusted as `last`: just
+/// well enough to test what is left, with the covariances of the cameras from then. These are too small now,
+/// and so are the test values: nothing is suspect that would not be with the right ones.
+pub(super) fn adjust_after(
+    whole: &mut Survey,
+    settings: &Settings,
+    last: Option<&Adjusted>,
+) -> Result<Adjusted, AdjustError> {
     let mut screened = screen(whole)?;
     let mut initial_cost = None;
     if settings.tie_loss != Loss::Trivial {
@@ -68,11 +82,24 @@ pub fn adjust(whole: &mut Survey, settings: &Settings) -> Result<Adjusted, Adjus
     let plain = Settings { tie_loss: Loss::Trivial, ..settings.clone() };
     let posed = Posed::new(&screened.survey, &plain)?;
     let mut x = posed.problem.start();
-    let mut summary = solve(&posed.problem, &mut x, &plain.engine(), plain.max_iterations)?;
+    let mut engine = plain.engine();
+    if last.is_some() {
+        engine.cost_tolerance = ROUGH_TOLERANCE;
+    }
+    let mut summary = solve(&posed.problem, &mut x, &engine, plain.max_iterations)?;
     summary.initial_cost = initial_cost.unwrap_or(summary.initial_cost);
     let mut survey = screened.survey.clone();
     posed.update(&x, &mut survey);
-    let statistics = Statistics::new(&survey, &posed, &plain, &x)?;
+    let same = |last: &&Adjusted| {
+        last.screened.images == screened.images && last.screened.ground == screened.ground
+    };
+    let statistics = match last.filter(same) {
+        Some(last) => {
+            let inverse = last.statistics.inverse.clone();
+            Statistics::with_inverse(&survey, &posed, &plain, &x, inverse)?
+        }
+        None => Statistics::new(&survey, &posed, &plain, &x)?,
+    };
     let check_points = check_points(&survey, &posed, &x, &statistics);
     let ground_m = (0..survey.ground.len()).map(|k| posed.ground_m(&x, k)).collect();
     screened.update(&survey, whole);

@@ -1,11 +1,11 @@
 //! The blocks of the inverse normal matrix that the statistics need, and no others.
 //!
 //! An observation of a tie point needs the covariances among the images that see the point and
-//! their lenses: the pattern of the reduced system. They are solved for block column by block
-//! column, and only that pattern is kept.
+//! their lenses: the pattern of the reduced system, in which the inverse is had for a few
+//! factorisations. What else is asked for is solved for.
 
 use super::{posed::Posed, survey::Survey};
-use crate::nlls::{BlockId, covariance::Covariance};
+use crate::nlls::{BlockId, MAX_TANGENT, covariance::Covariance};
 use std::collections::{BTreeSet, HashMap};
 
 /// Blocks of the inverse, by the places of a pair in the problem.
@@ -62,12 +62,54 @@ impl SelectedInverse {
             .collect();
         order.sort_by_key(|(block, _)| *block);
         let mut blocks = HashMap::new();
-        for (block, others) in order {
+        let mut apart: Vec<(BlockId, Vec<BlockId>)> = Vec::new();
+        let coupled = covariance.coupled();
+        for (block, mut others) in order {
+            others.retain(|&other| match coupled.cross(other, block) {
+                Some(values) => {
+                    blocks.insert((place(other), place(block)), values);
+                    false
+                }
+                None => true,
+            });
+            if !others.is_empty() {
+                apart.push((block, others));
+            }
+        }
+        // Images that share a check point and no other.
+        for (block, others) in apart {
             for (other, values) in others.iter().zip(covariance.cross_many(&others, block)) {
                 blocks.insert((place(*other), place(block)), values);
             }
         }
         SelectedInverse { blocks }
+    }
+
+    /// Adds `A C B^T` to `sum`, `C` the covariance of two blocks (0 where it was not asked for) and `A`,
+    /// `B` two rows each over their tangents.
+    pub(super) fn carry(
+        &self,
+        (a, by_a): (BlockId, &[f64]),
+        (b, by_b): (BlockId, &[f64]),
+        sum: &mut [[f64; 2]; 2],
+    ) {
+        // Stored once per pair, the later block first.
+        let Some(values) = self.blocks.get(&(place(a.max(b)), place(a.min(b)))) else { return };
+        let (late, early, turned) = if a >= b { (by_a, by_b, false) } else { (by_b, by_a, true) };
+        let (rows, columns) = (late.len() / 2, early.len() / 2);
+        for (i, late) in late.chunks_exact(rows).enumerate() {
+            let mut through = [0.0; MAX_TANGENT];
+            for (weight, values) in late.iter().zip(values.chunks_exact(columns)) {
+                for (sum, v) in through.iter_mut().zip(values) {
+                    *sum += weight * v;
+                }
+            }
+            for (j, early) in early.chunks_exact(columns).enumerate() {
+                let product: f64 = through.iter().zip(early).map(|(v, w)| v * w).sum();
+                let (row, column) = if turned { (j, i) } else { (i, j) };
+                sum[row][column] += product;
+            }
+        }
     }
 
     /// The covariance of several blocks side by side, row-major, for blocks and their tangents.

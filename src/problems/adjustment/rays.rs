@@ -10,13 +10,12 @@ use super::{
 use crate::nlls::{BlockId, PairFactor};
 use nalgebra::{DMatrix, DVector};
 
-/// What intersecting rays need: Jacobians by cameras and lenses side by side, by the point, and
-/// which columns are whose.
+/// What intersecting rays need: residuals, and Jacobians by the point and, ray by ray, by the image and
+/// by its lens, each two rows.
 pub(super) struct Rays {
     pub(super) residual: DVector<f64>,
-    by_kept: DMatrix<f64>,
     pub(super) by_point: DMatrix<f64>,
-    columns: Vec<(BlockId, usize)>,
+    by_kept: Vec<[(BlockId, Vec<f64>); 2]>,
 }
 
 /// What is prepared of an image and its camera at `x`, for [`rays`].
@@ -39,47 +38,25 @@ pub(super) fn rays<F: PairFactor<2, K, LENS, 3, Q, DATA>, const K: usize, const 
     point: [f64; 3],
     measurements: &[(usize, usize, [f64; DATA])],
 ) -> Rays {
-    let mut columns: Vec<(BlockId, usize)> = measurements
-        .iter()
-        .flat_map(|&(image, camera, _)| [(posed.images[image], K), (posed.lenses[camera], LENS)])
-        .collect();
-    columns.sort_unstable();
-    columns.dedup();
-    let starts: Vec<usize> = columns
-        .iter()
-        .scan(0, |at, (_, dim)| {
-            *at += dim;
-            Some(*at - dim)
-        })
-        .collect();
-    let start = |block: BlockId| {
-        columns.binary_search_by_key(&block, |(block, _)| *block).map_or(0, |k| starts[k])
-    };
     let rows = 2 * measurements.len();
-    let width = columns.iter().map(|(_, dim)| dim).sum();
     let mut rays = Rays {
         residual: DVector::zeros(rows),
-        by_kept: DMatrix::zeros(rows, width),
         by_point: DMatrix::zeros(rows, 3),
-        columns: Vec::new(),
+        by_kept: Vec::with_capacity(measurements.len()),
     };
     for (k, &(image, camera, data)) in measurements.iter().enumerate() {
-        let (kept, lens) = (posed.images[image], posed.lenses[camera]);
         let found = F::linearize(&prepared(image, camera), &point, &data);
         for row in 0..2 {
             rays.residual[2 * k + row] = found.residual[row];
-            for j in 0..K {
-                rays.by_kept[(2 * k + row, start(kept) + j)] += found.by_kept[row][j];
-            }
-            for j in 0..LENS {
-                rays.by_kept[(2 * k + row, start(lens) + j)] += found.by_shared[row][j];
-            }
             for j in 0..3 {
                 rays.by_point[(2 * k + row, j)] = found.by_point[row][j];
             }
         }
+        rays.by_kept.push([
+            (posed.images[image], found.by_kept.concat()),
+            (posed.lenses[camera], found.by_shared.concat()),
+        ]);
     }
-    rays.columns = columns;
     rays
 }
 
@@ -91,15 +68,36 @@ impl Rays {
         inverse: &SelectedInverse,
     ) -> Option<(DMatrix<f64>, DMatrix<f64>)> {
         let b = &self.by_point;
-        let v = b.transpose() * b;
-        let factor = v.cholesky()?;
-        let among = inverse.among(&self.columns);
-        let coupling = b.transpose() * &self.by_kept;
-        let own = factor.inverse();
-        let through = &own * &coupling;
-        let point = &own + &through * &among * through.transpose();
-        let rest = &self.by_kept - b * &through;
-        let hat = b * &own * b.transpose() + &rest * &among * rest.transpose();
+        let own = (b.transpose() * b).cholesky()?.inverse();
+        let by_residual = &own * b.transpose();
+        let carried = self.carried(inverse);
+        let point = &own + &by_residual * &carried * by_residual.transpose();
+        let within = b * &by_residual;
+        let rest = DMatrix::identity(b.nrows(), b.nrows()) - &within;
+        let hat = within + &rest * carried * rest.transpose();
         Some((point, hat))
+    }
+
+    /// `A C A^T`.
+    fn carried(&self, inverse: &SelectedInverse) -> DMatrix<f64> {
+        let count = self.by_kept.len();
+        let mut out = DMatrix::zeros(2 * count, 2 * count);
+        for (k, first) in self.by_kept.iter().enumerate() {
+            for (l, second) in self.by_kept[..=k].iter().enumerate() {
+                let mut sum = [[0.0; 2]; 2];
+                for (a, by_a) in first {
+                    for (b, by_b) in second {
+                        inverse.carry((*a, by_a), (*b, by_b), &mut sum);
+                    }
+                }
+                for i in 0..2 {
+                    for j in 0..2 {
+                        out[(2 * k + i, 2 * l + j)] = sum[i][j];
+                        out[(2 * l + j, 2 * k + i)] = sum[i][j];
+                    }
+                }
+            }
+        }
+        out
     }
 }

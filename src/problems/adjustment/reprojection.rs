@@ -128,7 +128,7 @@ fn residual(asked: &[f64; ASKED]) -> [f64; 2] {
         let found = lens_of(asked).corrected_residual(point, [asked[3], asked[4]]);
         return found.map_or([f64::NAN; 2], |found| found.image_px);
     }
-    let found = lens_of(asked).project(point);
+    let found = lens_of(asked).project_near(point, [asked[3], asked[4]]);
     found.map_or([f64::NAN; 2], |u| [u[0] - asked[3], u[1] - asked[4]])
 }
 
@@ -140,7 +140,7 @@ fn answer(asked: &[f64; ASKED]) -> [f64; ANSWERED] {
     let found = if asked[ASKED - 1] == CORRECTED {
         lens.corrected_residual(point, measured)
     } else {
-        lens.project_with_derivatives(point).map(|mut found| {
+        lens.project_with_derivatives_near(point, measured).map(|mut found| {
             found.image_px[0] -= measured[0];
             found.image_px[1] -= measured[1];
             found

@@ -1,7 +1,7 @@
 //! Data snooping: what the tests reject is taken out, the worst first, and the rest adjusted again.
 
 use super::{
-    analysis::{AdjustError, Adjusted, FAR_OUT, adjust},
+    analysis::{AdjustError, Adjusted, FAR_OUT, adjust_after},
     posed::{Group, Settings},
     screening::Aside,
     statistics::{Subject, Testing},
@@ -69,11 +69,11 @@ pub struct Snooped {
 
 /// Adjusts `whole`, takes out the most suspect observation, and so on until none is suspect. A
 /// control point that is taken out becomes a check point. Of tie points as many go in one round as
-/// are the worst of their point; the block keeps its shape then, so that its robust adjustment
-/// ([`adjust`]) is not repeated as it is after everything else.
+/// are the worst of their point; the block keeps its shape then, so that neither its robust adjustment
+/// nor the covariances of its cameras are repeated before nothing is suspect any more.
 ///
 /// # Errors
-/// As [`adjust`].
+/// As [`adjust`](super::adjust).
 pub fn snoop(
     whole: &mut Survey,
     settings: &Settings,
@@ -84,10 +84,16 @@ pub fn snoop(
     let mut round = 0;
     let plain = Settings { tie_loss: Loss::Trivial, ..settings.clone() };
     let mut only_ties = false;
+    let mut last: Option<Adjusted> = None;
     loop {
-        let mut adjusted = adjust(whole, if only_ties { &plain } else { settings })?;
+        let with = if only_ties { &plain } else { settings };
+        let mut adjusted = adjust_after(whole, with, last.as_ref())?;
         let worst = going(&adjusted, settings, snooping);
-        if worst.is_empty() || round == snooping.rounds {
+        let at_end = worst.is_empty() || round == snooping.rounds;
+        if at_end && last.take().is_some() {
+            continue;
+        }
+        if at_end {
             // What earlier rounds set aside is no longer in the survey.
             aside.append(&mut adjusted.screened.aside);
             adjusted.screened.aside = aside;
@@ -103,6 +109,7 @@ pub fn snoop(
             removed.push(describe(&adjusted, *place, *excess, settings));
         }
         take_out(whole, &adjusted, &worst);
+        last = only_ties.then(|| last.take().unwrap_or(adjusted));
     }
 }
 

@@ -30,7 +30,7 @@ use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use rayon::prelude::*;
 use serde::Serialize;
 use statrs::distribution::{ChiSquared, ContinuousCDF, FisherSnedecor};
-use std::collections::BTreeMap;
+use std::{collections::BTreeMap, sync::Arc};
 
 /// Which test.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, serde::Deserialize)]
@@ -138,7 +138,7 @@ pub struct Statistics {
     pub ground: Vec<Option<PointAccuracy>>,
     /// Every camera with a free parameter.
     pub interiors: Vec<InteriorAccuracy>,
-    pub(super) inverse: std::sync::Arc<SelectedInverse>,
+    pub(super) inverse: Arc<SelectedInverse>,
 }
 
 impl Statistics {
@@ -154,7 +154,19 @@ impl Statistics {
     ) -> Result<Statistics, SolveError> {
         let mut covariance = Covariance::new(&posed.problem, x, Linear::Schur)
             .map_err(|error| rank::explain(survey, posed, x, error))?;
-        let inverse = SelectedInverse::new(survey, posed, &mut covariance);
+        let inverse = Arc::new(SelectedInverse::new(survey, posed, &mut covariance));
+        Statistics::with_inverse(survey, posed, settings, x, inverse)
+    }
+
+    /// The same with the covariances of another solution of the same images, lenses and ground
+    /// points.
+    pub(super) fn with_inverse(
+        survey: &Survey,
+        posed: &Posed,
+        settings: &Settings,
+        x: &[f64],
+        inverse: Arc<SelectedInverse>,
+    ) -> Result<Statistics, SolveError> {
         let (mut tested, points) = if posed.moving {
             ties::<Moving, 12, { 19 + LENS }>(survey, posed, settings, x, &inverse)
         } else {
@@ -217,7 +229,7 @@ impl Statistics {
             interiors: (0..survey.cameras.len())
                 .filter_map(|camera| interior(survey, posed, &inverse, camera))
                 .collect(),
-            inverse: std::sync::Arc::new(inverse),
+            inverse,
         })
     }
 
