@@ -198,8 +198,10 @@ impl Scene {
         };
         let middle = heights().sum::<f64>() / places.max(1) as f64;
         let variance = heights().map(|h| (h - middle).powi(2)).sum::<f64>() / places.max(1) as f64;
+        let leaf: f64 = self.evidence.leaf.iter().map(|&share| f64::from(share)).sum();
         let overall = Overall {
             mean: self.mean,
+            outside: (1.0 - self.mass / leaf.max(f64::MIN_POSITIVE)).max(0.0),
             mass: self.mass / places.max(1) as f64,
             contrast: variance.sqrt(),
             cover: self.mass / (self.length * f64::from(2 * BAND + 1)).max(f64::MIN_POSITIVE),

@@ -25,7 +25,7 @@ use rayon::prelude::*;
 use std::f64::consts::TAU;
 
 /// Features of a place and of two neighbours.
-const PLACE: usize = 18;
+const PLACE: usize = 23;
 const PAIR: usize = 9;
 /// Weights of the features.
 struct Weights {
@@ -36,18 +36,20 @@ struct Weights {
 /// Fitted to fields whose spacing is known exactly: these estimate the spacing.
 const OF_SPACING: Weights = Weights {
     places: [
-        -0.1097, 8.2390, 0.6768, -2.1732, 1.5392, -0.1133, 3.1579, 1.3045, -0.2148, -1.2747,
-        -0.5513, -1.4478, -0.3209, -0.4666, -0.3340, -0.0260, 0.0000, 0.0000,
+        -0.1121, 7.8432, 0.5455, -2.3369, 1.8585, -0.0911, 3.4462, 0.7708, 0.5267, -0.9963,
+        -0.7414, -0.6567, -0.1221, 0.2998, -0.4174, 0.2067, 0.0057, 0.0225, -0.1577, -0.2705,
+        -0.0759, -1.1699, -0.4567,
     ],
-    pairs: [1.2398, -6.4271, 1.4826, 0.2674, -0.7197, -0.5609, -0.8091, -2.6067, 0.2721],
+    pairs: [1.2130, -5.6545, 1.1543, 0.1665, -0.8144, -0.6911, -0.5109, -2.8652, 0.2834],
 };
 /// Fitted to the same fields with the spacings that [`OF_SPACING`] finds: these count.
 const OF_COUNT: Weights = Weights {
     places: [
-        -0.0864, 8.3475, 1.4953, -4.0057, 2.3601, -0.5451, 4.1084, 0.9438, -0.3174, -1.2815,
-        -1.4912, -1.6235, -0.2616, -0.4101, -0.8053, 0.0753, -0.0230, 0.5201,
+        0.7082, 6.8475, 0.7110, -6.3021, 3.4382, -0.1705, 8.0968, -0.8605, 0.5358, 0.3636, -3.0299,
+        1.9522, 0.7815, 2.5106, -1.8491, 1.1460, -0.0337, 0.8018, -0.0308, -2.0972, -0.2159,
+        -3.1992, -1.1715,
     ],
-    pairs: [1.0362, -3.9928, 1.1881, 0.1729, -1.4432, -1.3093, -1.5027, -4.8466, -0.1615],
+    pairs: [0.9807, -1.9087, 0.7337, 0.2724, -2.7329, -0.9227, 0.0204, -5.5045, -3.6272],
 };
 /// Half the width of the surroundings that votes are compared with, in steps.
 const AROUND: usize = 60;
@@ -56,7 +58,7 @@ const WHOLE: f64 = 0.6;
 /// Missing plants in a row that are thought possible.
 const MOST: usize = 6;
 /// Rounds in which the spacing is re-estimated.
-const ROUNDS: usize = 3;
+const ROUNDS: usize = 8;
 /// Width of the band across a row whose leaf mass was gathered.
 const BAND: f64 = 17.0;
 
@@ -76,6 +78,8 @@ pub struct Overall {
     pub contrast: f64,
     /// Share of leaf in the bands along the rows.
     pub cover: f64,
+    /// Share of all leaf that is outside these bands.
+    pub outside: f64,
 }
 
 /// What is expected of some rows.
@@ -271,6 +275,7 @@ fn places(profile: &Profile, heights: &[f64], overall: &Overall, gaps: &Gaps) ->
     let last = heights.len() as i64 - 1;
     let size = (gaps.spacing / 13.0).ln();
     let (contrast, cover) = (overall.contrast - 0.4, overall.cover - 0.5);
+    let outside = overall.outside - 0.3;
     (0..heights.len())
         .map(|at| {
             let near = |away: i64| heights[(at as i64 + away).clamp(0, last) as usize];
@@ -301,6 +306,11 @@ fn places(profile: &Profile, heights: &[f64], overall: &Overall, gaps: &Gaps) ->
                 contrast * local,
                 10.0 * (gaps.missing - 0.07),
                 10.0 * (gaps.jitter - 0.15),
+                10.0 * (gaps.missing - 0.07) * height,
+                10.0 * (gaps.jitter - 0.15) * height,
+                size * size,
+                outside,
+                outside * height,
             ]
         })
         .collect()
@@ -458,7 +468,8 @@ mod tests {
         Profile { start: 0.0, votes, mass }
     }
 
-    const OVERALL: Overall = Overall { mean: 0.5, mass: 0.7, contrast: 0.5, cover: 0.3 };
+    const OVERALL: Overall =
+        Overall { mean: 0.5, mass: 0.7, contrast: 0.5, cover: 0.3, outside: 0.2 };
     const GAPS: Gaps = Gaps { spacing: 3.0, jitter: 0.2, missing: 0.1, doubles: 0.05 };
 
     #[test]
