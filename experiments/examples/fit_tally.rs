@@ -26,7 +26,7 @@ use std::{error::Error, f64::consts::TAU, path::Path};
 const STEP: f64 = 0.5;
 const PLACE: usize = 23;
 /// Rounds in which the spacing is re-estimated.
-const ROUNDS: usize = 8;
+const ROUNDS: usize = 4;
 const PAIR: usize = 9;
 const ALL: usize = PLACE + PAIR;
 const MOST: usize = 6;

@@ -58,9 +58,14 @@ const WHOLE: f64 = 0.6;
 /// Missing plants in a row that are thought possible.
 const MOST: usize = 6;
 /// Rounds in which the spacing is re-estimated.
-const ROUNDS: usize = 8;
+const ROUNDS: usize = 4;
 /// Width of the band across a row whose leaf mass was gathered.
 const BAND: f64 = 17.0;
+
+/// Between which values the fields lay to which the weights were fitted: beyond, these say nothing.
+const CONTRASTS: [f64; 2] = [0.25, 0.55];
+const COVERS: [f64; 2] = [0.22, 0.78];
+const OUTSIDES: [f64; 2] = [0.04, 0.6];
 
 /// What is expected of the gaps before any is seen, and how many gaps that weighs.
 const JITTER: (f64, f64) = (0.15, 40.0);
@@ -274,8 +279,11 @@ fn places(profile: &Profile, heights: &[f64], overall: &Overall, gaps: &Gaps) ->
     let (wide, narrow) = (steps(0.5), steps(0.3).max(1));
     let last = heights.len() as i64 - 1;
     let size = (gaps.spacing / 13.0).ln();
-    let (contrast, cover) = (overall.contrast - 0.4, overall.cover - 0.5);
-    let outside = overall.outside - 0.3;
+    let within =
+        |value: f64, [least, most]: [f64; 2], middle: f64| value.clamp(least, most) - middle;
+    let contrast = within(overall.contrast, CONTRASTS, 0.4);
+    let cover = within(overall.cover, COVERS, 0.5);
+    let outside = within(overall.outside, OUTSIDES, 0.3);
     (0..heights.len())
         .map(|at| {
             let near = |away: i64| heights[(at as i64 + away).clamp(0, last) as usize];
