@@ -20,9 +20,11 @@
 //! Reference: J. Lafferty, A. McCallum and F. Pereira, "Conditional random fields: probabilistic models
 //! for segmenting and labeling sequence data", ICML 2001.
 
+mod gaps;
+
 use super::chain::{Profile, STEP, log_sum_exp};
+use gaps::{Gaps, MOST};
 use rayon::prelude::*;
-use std::f64::consts::TAU;
 
 /// Features of a place and of two neighbours.
 const PLACE: usize = 23;
@@ -55,8 +57,6 @@ const OF_COUNT: Weights = Weights {
 const AROUND: usize = 60;
 /// Weight of the whole field in that comparison.
 const WHOLE: f64 = 0.6;
-/// Missing plants in a row that are thought possible.
-const MOST: usize = 6;
 /// Rounds in which the spacing is re-estimated.
 const ROUNDS: usize = 4;
 /// Width of the band across a row whose leaf mass was gathered.
@@ -66,11 +66,6 @@ const BAND: f64 = 17.0;
 const CONTRASTS: [f64; 2] = [0.25, 0.55];
 const COVERS: [f64; 2] = [0.22, 0.78];
 const OUTSIDES: [f64; 2] = [0.04, 0.6];
-
-/// What is expected of the gaps before any is seen, and how many gaps that weighs.
-const JITTER: (f64, f64) = (0.15, 40.0);
-const MISSING: (f64, f64) = (0.05, 100.0);
-const DOUBLES: (f64, f64) = (0.03, 2000.0);
 
 /// What the whole field shows.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -94,76 +89,6 @@ pub struct Tally {
     pub counts: Vec<f64>,
     /// Variance of each.
     pub variances: Vec<f64>,
-}
-
-/// Spacing, relative jitter, share of places without a plant, share of gaps between two in one place.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Gaps {
-    spacing: f64,
-    jitter: f64,
-    missing: f64,
-    doubles: f64,
-}
-
-fn normal(x: f64, mean: f64, variance: f64) -> f64 {
-    (-0.5 * (x - mean).powi(2) / variance).exp() / (TAU * variance).sqrt()
-}
-
-impl Gaps {
-    /// The density of a gap with `k - 1` plants missing.
-    fn skipping(&self, gap: f64, k: usize) -> f64 {
-        let (steps, sd) = (k as f64, self.jitter * self.spacing);
-        let weight = (1.0 - self.doubles) * (1.0 - self.missing) * self.missing.powi(k as i32 - 1);
-        weight * normal(gap, steps * self.spacing, steps * sd * sd)
-    }
-
-    /// The density of a gap between two plants in one place.
-    fn double(&self, gap: f64) -> f64 {
-        let near = (0.24 * self.spacing).max(1.5);
-        self.doubles * normal(gap, near, (0.07 * self.spacing).powi(2).max(0.3))
-    }
-
-    fn density(&self, gap: f64) -> f64 {
-        let singles: f64 = (1..=MOST).map(|k| self.skipping(gap, k)).sum();
-        // Anything can happen, rarely.
-        singles + self.double(gap) + 1e-5 / self.spacing
-    }
-
-    /// Re-estimates everything from how many gaps of each length (in steps) are expected.
-    fn refit(&self, expected: &[f64]) -> Gaps {
-        let (mut length, mut places, mut kinds) = (0.0, 0.0, 0.0);
-        let (mut doubles, mut all) = (0.0, 0.0);
-        let mut shares = Vec::new();
-        for (steps, &number) in expected.iter().enumerate().filter(|(_, number)| **number > 1e-9) {
-            let gap = steps as f64 * STEP;
-            let density = self.density(gap);
-            all += number;
-            doubles += number * self.double(gap) / density;
-            for k in 1..=MOST {
-                let share = number * self.skipping(gap, k) / density;
-                length += share * gap;
-                places += share * k as f64;
-                kinds += share;
-                shares.push((gap, k as f64, share));
-            }
-        }
-        if places < 4.0 {
-            return *self;
-        }
-        let spacing = length / places;
-        let scatter: f64 =
-            shares.iter().map(|(gap, k, share)| share * (gap / spacing - k).powi(2) / k).sum();
-        let pooled = |sum: f64, count: f64, (mean, weight): (f64, f64)| {
-            (sum + mean * weight) / (count + weight)
-        };
-        let jitter2 = pooled(scatter, kinds, (JITTER.0 * JITTER.0, JITTER.1));
-        Gaps {
-            spacing,
-            jitter: jitter2.sqrt().clamp(0.04, 0.4),
-            missing: pooled(places - kinds, places, MISSING).clamp(0.003, 0.6),
-            doubles: pooled(doubles, all, DOUBLES).clamp(0.002, 0.2),
-        }
-    }
 }
 
 /// The scores of one row: of every place, of it as the first and as the last plant, and of pairs.
@@ -430,8 +355,7 @@ impl<'p> Pairs<'p> {
 
 /// The expected number of plants of rows that are about `spacing` apart in them.
 pub fn tally(profiles: &[&Profile], overall: &Overall, spacing: f64) -> Tally {
-    let mut gaps =
-        Gaps { spacing, jitter: JITTER.0 + 0.01, missing: MISSING.0, doubles: DOUBLES.0 };
+    let mut gaps = Gaps::new(spacing);
     for _ in 0..ROUNDS {
         let parts: Vec<Vec<f64>> = profiles
             .par_iter()
@@ -517,22 +441,5 @@ mod tests {
                 }
             }
         }
-    }
-
-    #[test]
-    fn gaps_are_re_estimated_from_expected_ones() {
-        // Ten singles for each skipped place.
-        let mut expected = vec![0.0; 200];
-        for (steps, number) in [(36, 250.0), (40, 500.0), (44, 250.0), (80, 100.0)] {
-            expected[steps] = number;
-        }
-        let mut gaps = Gaps { spacing: 18.5, jitter: 0.16, missing: 0.05, doubles: 0.03 };
-        for _ in 0..5 {
-            gaps = gaps.refit(&expected);
-        }
-        assert!((gaps.spacing - 20.0).abs() < 0.1, "{gaps:?}");
-        assert!((gaps.missing - 0.08).abs() < 0.02, "{gaps:?}");
-        assert!((gaps.jitter - 0.07).abs() < 0.02, "{gaps:?}");
-        assert_eq!(GAPS.refit(&[0.0; 9]), GAPS);
     }
 }
