@@ -7,6 +7,9 @@
 //! plants and of doubles that the true plants have, then those fitted under the ones that the first set
 //! finds from the spacing at which the locator starts to count. Penalised maximum likelihood by L-BFGS; the gradient is observed minus expected features.
 //!
+//! The weights in use were printed with masks 1000 to 1004 and `ROUNDS` 8; the locator makes 4 rounds and holds what
+//! describes a field within what those masks show (`experiments/reference/canopy.md` says why).
+//!
 //! The features are written here once more, so that a change of either side shows as a change of the
 //! weights.
 #![allow(clippy::print_stdout, clippy::print_stderr, reason = "a program that prints")]

@@ -60,7 +60,8 @@ const ROUGH_TOLERANCE: f64 = 1e-7;
 
 /// [`adjust`], `whole` having lost nothing but tie observations since it was adjusted as `last`: just
 /// well enough to test what is left, with the covariances of the cameras from then. These are too small now,
-/// and so are the test values: nothing is suspect that would not be with the right ones.
+/// and so are the test values (but for Pope's variance factor, which hardly moves): what is suspect would be with
+/// the right ones too, and the last adjustment, which has these, decides.
 pub(super) fn adjust_after(
     whole: &mut Survey,
     settings: &Settings,
