@@ -147,6 +147,16 @@ fn an_orthomosaic_alone_is_a_project() {
     run("-q");
     assert!(results(&project) == first);
 
+    // What another build of the same version wrote is kept, and said to be.
+    let record = project.join("rowgram/stages/locate.json");
+    let text = fs::read_to_string(&record).unwrap();
+    let mut other: Value = serde_json::from_str(&text).unwrap();
+    other["program"] = Value::from("0");
+    fs::write(&record, other.to_string()).unwrap();
+    let (_, _, err) = run("");
+    assert!(err.contains("locate: kept") && err.contains("--from locate"), "{err}");
+    fs::write(&record, text).unwrap();
+
     // Verified, moved, verified again, and a byte that is not as it was is told.
     let moved = folder.path().join("elsewhere");
     fs::rename(&project, &moved).unwrap();

@@ -3,10 +3,12 @@
 //!
 //! With the principal distance `c` and a measured radius `r = |x - x0| / c` the lenses tried are
 //! `r_ideal = r (1 + a r^2)`: a wide lens of an action camera has an `a` of 0.2 to 0.5, and without it three
-//! pairs of photos do not close a loop.
+//! pairs of photos do not close a loop. SMAC has that very form. Brown, from ideal to measured, comes near it with
+//! two terms while `a` is small, and not where the rays at the corners are bent by half: such lenses are SMAC's where
+//! nobody asked for one of the two.
 
 use super::{
-    Args, Finding,
+    Args, Finding, LensName,
     cache::Cache,
     project::{Project, camera_at},
 };
@@ -28,10 +30,14 @@ const TOLERANCE_PX: f64 = 1.5;
 const BENDS: [f64; 10] = [-0.1, -0.05, 0.0, 0.05, 0.1, 0.17, 0.25, 0.33, 0.42, 0.52];
 /// How much more of the matches than a lens without distortion one must explain.
 const CLEARLY: f64 = 1.08;
+/// How much more SMAC must explain than Brown.
+const BETTER_BY_SMAC: f64 = 1.03;
 
 /// What was found for one camera.
 #[derive(Serialize, Deserialize, Clone)]
 struct Begun {
+    /// Whether it is SMAC's now.
+    smac: bool,
     values: Vec<f64>,
     sigma_px: Option<f64>,
     findings: Vec<String>,
@@ -53,7 +59,8 @@ pub(super) fn begin(
         return Ok(());
     }
     let verifying = args.verifying();
-    let mut mark = Cache::mark().count(matched_mark).text(&format!("{verifying:?} {BENDS:?}"));
+    let mut mark =
+        Cache::mark().count(matched_mark).text(&format!("{verifying:?} {BENDS:?} {:?}", args.lens));
     for (camera, _) in &project.cameras {
         mark = mark.text(camera.interior.model().word()).numbers(camera.interior.values());
     }
@@ -64,13 +71,17 @@ pub(super) fn begin(
         None => {
             let all = 0..project.cameras.len();
             let begun: Vec<Begun> = all
-                .map(|camera| one(project, camera, features, matched, &verifying))
+                .map(|camera| one(project, camera, features, matched, (&verifying, args.lens)))
                 .collect::<Result<_, Error>>()?;
             cache.save("lenses.cbor", mark, &begun)?;
             begun
         }
     };
     for ((camera, _), begun) in project.cameras.iter_mut().zip(begun) {
+        if begun.smac && camera.interior.model() != Model::Smac {
+            let c = camera.interior.principal_distance_px();
+            *camera = camera_at(&camera.name, Model::Smac, camera.interior.size_px(), c)?;
+        }
         camera.interior = camera
             .interior
             .with_values(&begun.values)
@@ -87,7 +98,7 @@ fn one(
     camera: usize,
     features: &[sfm::Features],
     matched: &[Matched],
-    verifying: &Verifying,
+    (verifying, wanted): (&Verifying, LensName),
 ) -> Result<Begun, Error> {
     let mut own: Vec<&Matched> = matched
         .iter()
@@ -106,25 +117,58 @@ fn one(
         told.push(format!("principal distance {c:.0} px to begin with, {what}"));
     }
     let straight = found.interior;
-    let lenses: Vec<Interior> = BENDS.iter().filter_map(|&a| bent(&straight, a)).collect();
     let fine = Verifying { tolerance_px: TOLERANCE_PX, ..*verifying };
-    let shares = shares_by_lens(features, &own, &lenses, &fine);
-    let plain = lenses.iter().position(|lens| lens.values() == straight.values());
-    let least = plain.map_or(0.0, |place| shares[place]) * CLEARLY;
-    let best = (0..shares.len()).max_by(|&a, &b| shares[a].total_cmp(&shares[b]));
-    if let Some(best) = best.filter(|&best| shares[best] > least) {
-        found.interior = lenses[best];
+    let (least, bends) = explaining(&straight, features, &own, &fine);
+    let mut smac = straight.model() == Model::Smac;
+    let mut begin = bends;
+    if wanted == LensName::Auto {
+        let c = straight.principal_distance_px();
+        let other = camera_at(&entry.name, Model::Smac, entry.interior.size_px(), c)?;
+        let (_, bends) = explaining(&other.interior, features, &own, &fine);
+        let before = begin.as_ref().map_or(least, |(_, share)| *share);
+        if let Some((lens, share)) = bends.filter(|(_, share)| *share > before * BETTER_BY_SMAC) {
+            let deviation = found.standard_deviations[0];
+            (found, smac) = (other, true);
+            found.standard_deviations[0] = deviation;
+            begin = Some((lens, share));
+        }
+    }
+    if let Some((lens, share)) = begin {
+        found.interior = lens;
         told.push(format!(
-            "its lens bends rays; a radial distortion with which {:.0} per cent of the matches agree, {:.0} without, is where it begins",
-            100.0 * shares[best],
-            100.0 * least / CLEARLY
+            "its lens bends rays; a radial distortion with which {:.0} per cent of the matches agree, {:.0} without, is where it begins{}",
+            100.0 * share,
+            100.0 * least,
+            if smac && wanted == LensName::Auto {
+                ", in the form that ends at the ideal image (SMAC; COLMAP and OpenSfM have none such: --lens brown for those)"
+            } else {
+                ""
+            }
         ));
     }
     Ok(Begun {
+        smac,
         values: found.interior.values().to_vec(),
         sigma_px: found.standard_deviations[0],
         findings: told,
     })
+}
+
+/// The share of the matches that agrees with a lens without distortion, and the bent one that explains clearly more,
+/// with its share.
+fn explaining(
+    straight: &Interior,
+    features: &[sfm::Features],
+    own: &[Matched],
+    fine: &Verifying,
+) -> (f64, Option<(Interior, f64)>) {
+    let lenses: Vec<Interior> = BENDS.iter().filter_map(|&a| bent(straight, a)).collect();
+    let shares = shares_by_lens(features, own, &lenses, fine);
+    let plain = lenses.iter().position(|lens| lens.values() == straight.values());
+    let least = plain.map_or(0.0, |place| shares[place]);
+    let best = (0..shares.len()).max_by(|&a, &b| shares[a].total_cmp(&shares[b]));
+    let best = best.filter(|&best| shares[best] > least * CLEARLY);
+    (least, best.map(|best| (lenses[best], shares[best])))
 }
 
 fn principal_distance(

@@ -76,7 +76,7 @@ pub(super) struct Args {
     #[arg(long, value_name = "FILE")]
     camera: Option<PathBuf>,
     /// Lens model of cameras that are not given.
-    #[arg(long, value_enum, default_value_t = LensName::Brown)]
+    #[arg(long, value_enum, default_value_t = LensName::Auto)]
     lens: LensName,
     /// Lens parameters of the last adjustment [default: all but the aspect and rational terms].
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
@@ -141,6 +141,8 @@ enum Stage {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum LensName {
+    /// Brown, or SMAC where that explains clearly more: for lenses that bend rays much.
+    Auto,
     /// Ideal to measured, radial and decentring, as in OpenCV and COLMAP.
     Brown,
     /// Measured to ideal, as in the paper.
@@ -181,7 +183,7 @@ impl Finding {
 impl Args {
     fn model(&self) -> Model {
         match self.lens {
-            LensName::Brown => Model::Brown,
+            LensName::Auto | LensName::Brown => Model::Brown,
             LensName::Smac => Model::Smac,
         }
     }
@@ -200,10 +202,10 @@ impl Args {
     }
 
     fn growing(&self) -> Growing {
-        let names: &[&str] = match (&self.camera, self.lens) {
-            (Some(_), _) => &[],
-            (None, LensName::Brown) => &["f_px", "k1", "k2"],
-            (None, LensName::Smac) => &["c_px", "K1", "K2"],
+        // Of each camera those that its model has.
+        let names: &[&str] = match self.camera {
+            Some(_) => &[],
+            None => &["f_px", "k1", "k2", "c_px", "K1", "K2"],
         };
         Growing {
             start: match self.start {

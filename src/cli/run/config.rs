@@ -67,7 +67,7 @@ section! {
 section! {
     /// From photos to a block.
     Align {
-        lens: String = "brown".into(),
+        lens: String = "auto".into(),
         solver: String = "auto".into(),
         max_features: usize = 6000,
         tolerance_px: f64 = 4.0,

@@ -7,6 +7,7 @@ mod command;
 mod config;
 mod evaluate;
 mod grow;
+mod init;
 pub(super) mod plots;
 pub(super) mod record;
 mod step;
@@ -18,6 +19,7 @@ use crate::{
 };
 use command::Command;
 use config::Config;
+pub(super) use init::Init;
 use record::{Lock, Record, Records};
 use serde_json::Value;
 use std::{
@@ -82,37 +84,6 @@ pub(super) struct Args {
     /// Print the numbers as one line of JSON in place of the summary.
     #[arg(long)]
     json: bool,
-}
-
-/// Write rowgram.toml: every setting of rowgram run with its default and what it means
-#[derive(Debug, clap::Args)]
-#[command(after_help = "Example:
-  rowgram init field")]
-pub(super) struct Init {
-    /// Folder of the project.
-    #[arg(default_value = ".")]
-    project: PathBuf,
-    /// Replace the file that is there.
-    #[arg(long)]
-    force: bool,
-}
-
-impl Init {
-    /// Runs the verb.
-    ///
-    /// # Errors
-    /// A folder that is none, a file that exists.
-    pub(super) fn run(&self) -> Result<(), Error> {
-        if !self.project.is_dir() {
-            return Err(FileError::malformed(&self.project, None, "expected a folder").into());
-        }
-        let path = self.project.join(config::NAME);
-        output::write(&path, self.force, |out| out.write_all(config::TEMPLATE.as_bytes()))?;
-        tracing::info!("{}: look through it, then: rowgram run {}", path.display(), {
-            self.project.display()
-        });
-        Ok(())
-    }
 }
 
 fn stage(text: &str) -> Result<String, String> {
@@ -409,8 +380,15 @@ impl Runner<'_> {
             print(&format!("{name:<10} {state:<11} {command}"))?;
             return Ok(Ended::Done);
         }
-        if kept.is_some() {
-            tracing::info!("{name}: nothing has changed, kept");
+        if let Some(kept) = kept {
+            if kept.program == record::program() {
+                tracing::info!("{name}: nothing has changed, kept");
+            } else {
+                tracing::warn!(
+                    "{name}: kept, as written by another build of version {}; --from {name} does it again",
+                    kept.version
+                );
+            }
             return Ok(Ended::Done);
         }
         tracing::info!("{name}: {command}");
@@ -430,6 +408,7 @@ impl Runner<'_> {
             key,
             command: command.to_owned(),
             version: env!("CARGO_PKG_VERSION").to_owned(),
+            program: record::program().to_owned(),
             inputs,
             outputs: record::contents(self.root, &written)?,
             says,

@@ -15,6 +15,7 @@ use std::{
     fs::File,
     io::Read,
     path::{Path, PathBuf},
+    sync::LazyLock,
 };
 
 /// A file and what is in it.
@@ -39,6 +40,9 @@ pub(in crate::cli) struct Record {
     pub(in crate::cli) command: String,
     /// The program's version.
     pub(in crate::cli) version: String,
+    /// SHA-256 of the program itself; empty where it could not be read.
+    #[serde(default)]
+    pub(in crate::cli) program: String,
     /// What was read.
     pub(in crate::cli) inputs: Vec<Content>,
     /// What was written.
@@ -84,6 +88,19 @@ pub(in crate::cli) fn contents(root: &Path, files: &[PathBuf]) -> Result<Vec<Con
             Ok(Content { path: relative(root, path), bytes, sha256: digits(&hash.finalize()) })
         })
         .collect()
+}
+
+/// The SHA-256 of the program that runs; empty where the system does not let it be read.
+///
+/// It decides nothing, since builds of one version by several people are meant to agree; it tells apart what an
+/// earlier build of a program under development wrote.
+pub(super) fn program() -> &'static str {
+    static PROGRAM: LazyLock<String> = LazyLock::new(|| {
+        let contents =
+            std::env::current_exe().ok().and_then(|path| contents(Path::new(""), &[path]).ok());
+        contents.and_then(|mut found| found.pop()).map_or_else(String::new, |found| found.sha256)
+    });
+    &PROGRAM
 }
 
 /// A path as seen from the project; one outside stays as it is.
