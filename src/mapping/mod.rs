@@ -9,7 +9,7 @@
 //!
 //! - [`surface`]: heights on a grid; what a ray meets, what hides what;
 //! - [`view`]: a posed photo, which cells it can reach;
-//! - [`select`]: the photo of every cell, its pixel there, the way to the seam;
+//! - [`select`]: the photo of every cell, its pixel there, the way to the seam (`seams`);
 //! - [`photo`] and [`paint`]: colours between pixels, one photo at a time, feathered or not;
 //! - [`balance`]: gains that make overlapping photos agree;
 //! - [`dem`] and [`ground`]: surfaces from scattered points, and the ground below plants.
@@ -20,6 +20,7 @@ pub mod dem;
 pub mod ground;
 pub mod paint;
 pub mod photo;
+mod seams;
 pub mod select;
 pub mod surface;
 pub mod view;

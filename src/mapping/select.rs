@@ -72,12 +72,12 @@ pub struct Candidate {
 
 /// What is needed to choose photos for the cells of a map.
 pub struct Selector<'a> {
-    views: &'a [View],
-    reach: Vec<super::view::Bounds>,
-    surface: &'a Surface,
-    grid: Georeference,
-    rules: Rules,
-    to_surface: [[f64; 3]; 2],
+    pub(super) views: &'a [View],
+    pub(super) reach: Vec<super::view::Bounds>,
+    pub(super) surface: &'a Surface,
+    pub(super) grid: Georeference,
+    pub(super) rules: Rules,
+    pub(super) to_surface: [[f64; 3]; 2],
 }
 
 impl<'a> Selector<'a> {
@@ -140,7 +140,7 @@ impl<'a> Selector<'a> {
 
     /// What a photo costs as the source of a point; `None` where the angle forbids it.
     #[inline]
-    fn cost(&self, view: &View, point_m: [f64; 3]) -> Option<f64> {
+    pub(super) fn cost(&self, view: &View, point_m: [f64; 3]) -> Option<f64> {
         let c = view.centre_m();
         let d: [f64; 3] = std::array::from_fn(|k| c[k] - point_m[k]);
         let plan = d[0] * d[0] + d[1] * d[1];
@@ -191,19 +191,6 @@ impl<'a> Selector<'a> {
         let view = &self.views[view];
         self.cost(view, point_m)?;
         self.shown(view, point_m)
-    }
-
-    /// Distance in plan from a cell to the nearest seam of its photo with another that shows it too, metres;
-    /// infinite where no other does.
-    pub fn nearest_seam_m(&self, point_m: [f64; 3], own: usize, among: &[u32]) -> f64 {
-        let mut nearest = f64::INFINITY;
-        for &k in among.iter().filter(|&&k| k as usize != own) {
-            let away = self.to_seam_m(point_m, own, k as usize);
-            if away < nearest && self.shown_by(k as usize, point_m).is_some() {
-                nearest = away;
-            }
-        }
-        nearest
     }
 
     /// All photos that show a point, the best first.
@@ -398,7 +385,7 @@ impl<'a> Selector<'a> {
     }
 
     /// The part of a photo that is used.
-    fn frame(&self, view: &View) -> Frame {
+    pub(super) fn frame(&self, view: &View) -> Frame {
         let size = view.interior.size_px().map(f64::from);
         let border = self.rules.border_px - 0.5;
         Frame {

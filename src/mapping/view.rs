@@ -83,7 +83,8 @@ impl View {
         let mut at = self.interior.project(in_camera)?;
         if let Some(motion) = &self.motion {
             for _ in 0..4 {
-                at = self.interior.project(moved(in_camera, motion, self.share(at[1])))?;
+                let moved = moved(in_camera, motion, self.share(at[1]));
+                at = self.interior.project_near(moved, at)?;
             }
         }
         Some(at)

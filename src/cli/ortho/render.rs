@@ -425,14 +425,14 @@ fn fill_gaps(
 /// Source, its pixel, view angle in degrees and distance to the seam in metres of every cell.
 fn records(selector: &Selector<'_>, sources: &Sources) -> Vec<f32> {
     let window = sources.window;
-    let among = selector.within(window);
+    let seams = selector.seams_m(sources);
     let mut out = vec![NO_SOURCE; window.pixels() * PROVENANCE_BANDS];
     out.par_chunks_mut(window.width * PROVENANCE_BANDS).enumerate().for_each(|(j, row)| {
         for (i, cell) in row.chunks_exact_mut(PROVENANCE_BANDS).enumerate() {
             let at = j * window.width + i;
             let Some(own) = (sources.source[at] as usize).checked_sub(1) else { continue };
             let Some(point) = selector.point_m(window.u + i, window.v + j) else { continue };
-            let seam = selector.nearest_seam_m(point, own, &among);
+            let seam = seams[at];
             let centre = selector.views()[own].centre_m();
             let plan = (centre[0] - point[0]).hypot(centre[1] - point[1]);
             let angle = plan.atan2(centre[2] - point[2]).to_degrees();
@@ -441,7 +441,7 @@ fn records(selector: &Selector<'_>, sources: &Sources) -> Vec<f32> {
             cell[2] = sources.pixel[at][1];
             cell[3] = angle as f32;
             // Where no other photo shows the cell there is no seam.
-            cell[4] = if seam.is_finite() { seam as f32 } else { NO_SOURCE };
+            cell[4] = if seam.is_finite() { seam } else { NO_SOURCE };
         }
     });
     out
