@@ -137,6 +137,11 @@ impl Cells {
         self.bounds_m = [range(0), range(1), z];
     }
 
+    /// Puts all cells so many metres higher.
+    pub(super) fn raise(&mut self, by_m: f64) {
+        self.z_m.iter_mut().chain(&mut self.bounds_m[2]).for_each(|z| *z += by_m);
+    }
+
     /// The point on the ground of a cell of the block.
     #[inline(always)]
     pub(super) fn point_m(&self, i: usize, j: usize) -> [f64; 3] {

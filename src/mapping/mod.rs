@@ -11,6 +11,7 @@
 //! - [`view`]: a posed photo, which cells it can reach;
 //! - [`select`]: the photo of every cell, its pixel there, the way to the seam (`seams`);
 //! - [`photo`] and [`paint`]: colours between pixels, one photo at a time, feathered or not;
+//! - [`leaf_height`]: how high above the surface the leaves are that a map is to show;
 //! - [`balance`]: gains that make overlapping photos agree;
 //! - [`dem`] and [`ground`]: surfaces from scattered points, and the ground below plants.
 
@@ -18,6 +19,7 @@ pub mod balance;
 mod cells;
 pub mod dem;
 pub mod ground;
+pub mod leaf_height;
 pub mod paint;
 pub mod photo;
 mod seams;

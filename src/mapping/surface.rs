@@ -78,6 +78,13 @@ impl Surface {
         self.range_m
     }
 
+    /// The surface so many metres higher.
+    pub fn raised(mut self, by_m: f64) -> Surface {
+        self.heights_m.iter_mut().for_each(|z| *z += by_m as f32);
+        self.range_m = self.range_m.map(|z| z + by_m);
+        self
+    }
+
     /// Side of a cell, metres.
     pub fn cell_m(&self) -> f64 {
         let g = &self.georeference;

@@ -31,12 +31,9 @@ impl Setting<'_> {
         let gsd = match args.gsd {
             Some(gsd) => gsd,
             None => {
-                let mut all: Vec<f64> =
-                    self.views.iter().filter_map(|view| view.gsd_m(self.surface)).collect();
-                all.sort_by(f64::total_cmp);
-                let median = all.get(all.len() / 2).ok_or_else(|| self.nothing())?;
+                let median = self.median_gsd_m()?;
                 // Three digits are enough to name it.
-                format!("{median:.2e}").parse().unwrap_or(*median)
+                format!("{median:.2e}").parse().unwrap_or(median)
             }
         };
         let [x, y] = match args.bounds[..] {
@@ -85,6 +82,17 @@ impl Setting<'_> {
         Ok((grid, [columns.max(1.0) as usize, rows.max(1.0) as usize]))
     }
 
+    /// Median ground sampling distance of the photos, metres per pixel.
+    ///
+    /// # Errors
+    /// Where none shows any of the surface.
+    pub(super) fn median_gsd_m(&self) -> Result<f64, Error> {
+        let mut all: Vec<f64> =
+            self.views.iter().filter_map(|view| view.gsd_m(self.surface)).collect();
+        all.sort_by(f64::total_cmp);
+        Ok(*all.get(all.len() / 2).ok_or_else(|| self.nothing())?)
+    }
+
     /// Makes the map and everything beside it.
     ///
     /// # Errors
@@ -124,6 +132,7 @@ impl Setting<'_> {
             width_px: size[0],
             height_px: size[1],
             gsd_m: grid.per_column[0],
+            above_m: self.above_m,
             epsg: grid.crs.epsg,
             vertical_epsg: grid.crs.vertical_epsg,
             photos: rendered.cells_of.iter().filter(|&&cells| cells > 0).count(),

@@ -1,5 +1,6 @@
 //! `rowgram ortho`: a mosaic of orthorectified photos, or each photo's own orthophoto.
 
+mod above;
 pub(super) mod figures;
 mod map;
 mod options;
@@ -30,6 +31,8 @@ struct Map {
     width_px: usize,
     height_px: usize,
     gsd_m: f64,
+    /// How far above the surface it was drawn.
+    above_m: f64,
     epsg: Option<u32>,
     vertical_epsg: Option<u32>,
     photos: usize,
@@ -74,7 +77,11 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     }
     let surface = args.surface(crs)?;
     let paths = args.input.photos(&views)?;
-    let setting = Setting { args, views: &views, paths: &paths, surface: &surface };
+    let on_surface =
+        Setting { args, views: &views, paths: &paths, surface: &surface, above_m: 0.0 };
+    let above_m = on_surface.above_m()?;
+    let surface = surface.raised(above_m);
+    let setting = Setting { args, views: &views, paths: &paths, surface: &surface, above_m };
     let mut maps = Vec::new();
     if args.frames {
         let folder = args.input.output(args.output.as_deref(), "frames")?;
@@ -131,6 +138,8 @@ struct Setting<'a> {
     views: &'a [View],
     paths: &'a [PathBuf],
     surface: &'a Surface,
+    /// How far it was raised.
+    above_m: f64,
 }
 
 impl Setting<'_> {

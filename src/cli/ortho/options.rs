@@ -16,7 +16,10 @@ use crate::{
     },
 };
 use clap::ValueEnum;
-use std::path::{Path, PathBuf};
+use std::{
+    path::{Path, PathBuf},
+    str::FromStr,
+};
 
 /// Make an orthophoto mosaic, or orthophotos of single photos
 ///
@@ -87,6 +90,10 @@ pub(in crate::cli) struct Args {
     /// How photos are read between their pixels.
     #[arg(long, value_enum, default_value_t = InterpolationName::Bilinear)]
     pub(super) interpolation: InterpolationName,
+    /// Draw the map so far above the surface: metres, or auto for the height of the leaves, at which photos agree
+    /// best about what is green. Leaves are then in their places, and the ground beside them is not.
+    #[arg(long, value_name = "auto|M", default_value = "0", allow_hyphen_values = true)]
+    pub(super) above: Above,
     /// How the surface is read between its cells.
     #[arg(long, value_enum, default_value_t = HeightsName::Bilinear)]
     pub(super) dem_interpolation: HeightsName,
@@ -105,6 +112,26 @@ pub(in crate::cli) struct Args {
     /// Replace outputs that exist.
     #[arg(long)]
     pub(super) force: bool,
+}
+
+/// How far above the surface a map is drawn.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Above {
+    /// As high as the leaves.
+    Leaves,
+    /// So many metres.
+    Metres(f64),
+}
+
+impl FromStr for Above {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Above, String> {
+        if text == "auto" {
+            return Ok(Above::Leaves);
+        }
+        let metres = text.parse().ok().filter(|m: &f64| m.abs() <= 1000.0);
+        metres.map(Above::Metres).ok_or_else(|| "expected metres, or auto".to_owned())
+    }
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]

@@ -147,11 +147,11 @@ impl Of {
 
     /// Photos with their files, and the surface.
     fn known(&self) -> Result<(Vec<View>, Vec<PathBuf>, crate::mapping::Surface), Error> {
-        let (views, paths, dem) = record::read(&self.map)?;
+        let (views, paths, dem, above_m) = record::read(&self.map)?;
         let dem = self.dem.clone().or(dem).ok_or_else(|| {
             Error::Argument(format!("{}: give --dem, its surface", self.map.display()))
         })?;
-        Ok((views, paths, read_surface(&dem, Heights::Bilinear)?))
+        Ok((views, paths, read_surface(&dem, Heights::Bilinear)?.raised(above_m)))
     }
 
     /// The record of the pixel at a place; `None` where it has no source.

@@ -36,6 +36,9 @@ struct Record {
     height_px: usize,
     gsd_m: f64,
     dem: Option<PathBuf>,
+    /// How far above it the map was drawn.
+    #[serde(default)]
+    above_m: f64,
     rules: crate::mapping::select::Rules,
     /// Each as a `camera.toml`.
     cameras: Vec<String>,
@@ -90,6 +93,7 @@ pub(super) fn write(
         height_px: size[1],
         gsd_m: grid.per_column[0],
         dem: dem.map(|path| absolute(&path)),
+        above_m: setting.above_m,
         rules: setting.args.rules(),
         cameras,
         photos,
@@ -101,8 +105,8 @@ pub(super) fn write(
     Ok(())
 }
 
-/// Photos with their files, and the file of the surface.
-pub(super) type Behind = (Vec<View>, Vec<PathBuf>, Option<PathBuf>);
+/// Photos with their files, the file of the surface, and how far above it the map was drawn, metres.
+pub(super) type Behind = (Vec<View>, Vec<PathBuf>, Option<PathBuf>, f64);
 
 /// The photos behind a mosaic and the file of its surface.
 ///
@@ -127,5 +131,6 @@ pub(super) fn read(output: &Path) -> Result<Behind, Error> {
         let pose = Pose { rotation: photo.rotation, translation: photo.translation_m };
         views.push(View::new(&photo.name, camera.interior, pose, photo.motion));
     }
-    Ok((views, record.photos.into_iter().map(|photo| photo.path).collect(), record.dem))
+    let paths = record.photos.into_iter().map(|photo| photo.path).collect();
+    Ok((views, paths, record.dem, record.above_m))
 }

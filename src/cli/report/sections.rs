@@ -226,7 +226,14 @@ pub(super) fn map(facts: &Facts) -> Result<Section, Error> {
     let overview = pictures::overview(&ortho, 1400)?;
     let (width, height) = overview.size;
     let gsd = facts.gsd_m().map(|gsd| format!(" of {:.2} cm", 100.0 * gsd)).unwrap_or_default();
-    let caption = format!("The orthomosaic, {width} x {height} pixels{gsd}.");
+    let above = number(facts.says("ortho"), "/maps/0/above_m").filter(|above| *above != 0.0);
+    let above = above.map_or_else(String::new, |above| {
+        format!(
+            " It is drawn {above:.2} m above the surface, where photos agree about the leaves: plants are in their places, the ground \
+             beside them is up to a few centimetres off."
+        )
+    });
+    let caption = format!("The orthomosaic, {width} x {height} pixels{gsd}.{above}");
     let dem = facts.says("dem");
     let content = html! {
         (figure(&pictures::jpeg(&pictures::on_paper(overview.picture), 1400)?, &caption, ""))

@@ -84,6 +84,7 @@ section! {
 section! {
     /// The orthomosaic.
     Ortho {
+        above: OrAuto<f64> = OrAuto::default(),
         gsd_m: Option<f64> = None,
         balance: bool = false,
         feather_m: Option<f64> = None,
@@ -107,7 +108,7 @@ section! {
 }
 section! {
     /// Plants.
-    Locate { plants: Plants = Plants::default(), method: String = "full".into(), }
+    Locate { plants: OrAuto<usize> = OrAuto::default(), method: String = "full".into(), }
 }
 section! {
     /// Single leaves.
@@ -145,27 +146,27 @@ section! {
     }
 }
 
-/// A number of plants, or `"auto"`.
+/// A number, or `"auto"`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
-pub(super) enum Plants {
-    /// This many.
-    Given(usize),
+pub(super) enum OrAuto<T> {
+    /// This.
+    Given(T),
     /// `auto`.
     Word(String),
 }
 
-impl Default for Plants {
-    fn default() -> Plants {
-        Plants::Word("auto".into())
+impl<T> Default for OrAuto<T> {
+    fn default() -> OrAuto<T> {
+        OrAuto::Word("auto".into())
     }
 }
 
-impl std::fmt::Display for Plants {
+impl<T: std::fmt::Display> std::fmt::Display for OrAuto<T> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
-            Plants::Given(count) => write!(f, "{count}"),
-            Plants::Word(word) => write!(f, "{word}"),
+            OrAuto::Given(value) => write!(f, "{value}"),
+            OrAuto::Word(word) => write!(f, "{word}"),
         }
     }
 }

@@ -283,6 +283,7 @@ impl Place<'_> {
             .to("--aligned", &self.results.join("align"))
             .from("--dem", &dem)
             .to("-o", &self.at("ortho", "ortho.tif"))
+            .option("--above", &config.above)
             .maybe("--gsd", config.gsd_m)
             .maybe("--feather", config.feather_m)
             .flag("--balance", config.balance)
