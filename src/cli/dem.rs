@@ -55,7 +55,7 @@ pub(super) struct Args {
     /// Points further off their neighbours' plane than so many times the usual distance are left out.
     #[arg(long, value_name = "TIMES", default_value_t = 5.0)]
     outlier: f64,
-    /// The longest side of a triangle that is filled, metres [default: 10 median distances].
+    /// The longest side of a triangle that is filled, metres [default: 30 median distances].
     #[arg(long, value_name = "M")]
     gap: Option<f64>,
     /// Also the ground under plants.

@@ -50,7 +50,7 @@ impl Default for Options {
 }
 
 /// Longest side of a triangle that is filled, in median sides.
-pub const GAP: f64 = 10.0;
+pub const GAP: f64 = 30.0;
 /// Outliers are looked for at most so often: behind one there may be another.
 const ROUNDS: usize = 4;
 

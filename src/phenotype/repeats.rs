@@ -5,6 +5,9 @@
 /// this share of the variance between the parts (a single row leaves 0.6 to 0.75), they are two rows.
 const TWO_ROWS: f64 = 0.9;
 
+/// How far the autocorrelation of rows rises from its valleys to its peaks, of the variance.
+const LEAST_RISE: f64 = 0.1;
+
 /// The distance between two rows, if a profile is nothing but two rows.
 pub(super) fn two_rows(profile: &[f64]) -> Option<f64> {
     let all: f64 = profile.iter().sum();
@@ -47,11 +50,18 @@ pub(super) fn period(profile: &[f64]) -> Option<f64> {
         .collect();
     let variance = correlation.first().copied().filter(|&v| v > 0.0)?;
     let correlation = blur(&correlation, 1.5);
-    let peak =
-        |k: usize| correlation[k] > correlation[k - 1] && correlation[k] >= correlation[k + 1];
-    let valley = (1..correlation.len()).find(|&k| correlation[k] < 0.0)?;
-    let peaks: Vec<usize> =
-        (valley.max(1)..correlation.len().saturating_sub(1)).filter(|&k| peak(k)).collect();
+    // What changes slowly over the field keeps the valleys between peaks from falling below zero; a peak is what rises
+    // above a valley before it.
+    let mut lowest = f64::INFINITY;
+    let mut peaks: Vec<usize> = Vec::new();
+    // Smoothing takes something from the first lags.
+    for k in 4..correlation.len().saturating_sub(1) {
+        lowest = lowest.min(correlation[k - 1]);
+        let is_peak = correlation[k] > correlation[k - 1] && correlation[k] >= correlation[k + 1];
+        if is_peak && correlation[k] - lowest >= LEAST_RISE * variance {
+            peaks.push(k);
+        }
+    }
     let best = peaks.iter().map(|&k| correlation[k]).fold(0.0, f64::max);
     if best < 0.15 * variance {
         return None;

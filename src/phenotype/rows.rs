@@ -31,6 +31,10 @@ const FIRST_WINDOW_PX: f64 = 512.0;
 const LEAST_CONTRAST: f64 = 0.03;
 /// ... and where it exceeds that of the median direction this many times.
 const LEAST_PROMINENCE: f64 = 2.0;
+/// ... or this many times and several rows repeat themselves ...
+const LEAST_WITH_REPEATS: f64 = 1.3;
+/// ... that is so many.
+const REPEATS: usize = 4;
 
 /// One row.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -115,7 +119,13 @@ pub fn detect(index: &PixelIndex) -> Detection {
     sorted.sort_by(f64::total_cmp);
     let contrast = sorted[179];
     let prominence = contrast / sorted[90].max(1e-9);
-    if contrast.is_nan() || contrast < LEAST_CONTRAST || prominence < LEAST_PROMINENCE {
+    if contrast.is_nan() || contrast < LEAST_CONTRAST {
+        return none(contrast, prominence);
+    }
+    // What surrounds a field, and holes in its map, tell much of the mask in every direction; then several rows must repeat
+    // themselves.
+    let stands_out = prominence >= LEAST_PROMINENCE;
+    if prominence < LEAST_WITH_REPEATS {
         return none(contrast, prominence);
     }
     let mut found: Option<Rows> = None;
@@ -133,8 +143,8 @@ pub fn detect(index: &PixelIndex) -> Detection {
                 (axes, rows, spacing_px) = across;
             }
         }
-        let repeats = spacing_px.is_some();
-        if !rows.is_empty() && (found.is_none() || repeats) {
+        let repeats = spacing_px.is_some() && (stands_out || rows.len() >= REPEATS);
+        if !rows.is_empty() && (repeats || stands_out && found.is_none()) {
             found = Some(Rows { axes, rows, spacing_px, contrast: scores[degree] });
         }
         if repeats {
@@ -405,6 +415,38 @@ mod tests {
         pixels.sort_unstable();
         pixels.dedup();
         PixelIndex::new(&pixels)
+    }
+
+    /// Rows whose leaves have nearly closed, on a round field amid nothing.
+    #[test]
+    fn what_surrounds_a_field_does_not_hide_its_rows() {
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        let axes = Axes { origin_px: [600.0, 600.0], heading_rad: 0.4 };
+        let mut pixels = Vec::new();
+        for v in 0..1200u32 {
+            for u in 0..1200u32 {
+                let [along, across] = axes.aligned([f64::from(u), f64::from(v)]);
+                let phase = (across / 52.0 * 2.0 * PI).cos();
+                let inside = along.hypot(across) < 450.0 && (along - 60.0).hypot(across) > 110.0;
+                if inside && rng.random::<f64>() < 0.5 + 0.28 * phase {
+                    pixels.push([u, v]);
+                }
+            }
+        }
+        let detection = detect(&PixelIndex::new(&pixels));
+        let rows = detection.rows().unwrap_or_else(|| panic!("{detection:?}"));
+        assert!((rows.axes.heading_rad - 0.4).abs() < 0.01, "{:?}", rows.axes);
+        assert!((rows.spacing_px.unwrap() - 52.0).abs() < 1.0, "{:?}", rows.spacing_px);
+        // Without rows there are none, whatever surrounds it.
+        let even: Vec<[u32; 2]> = (0..1200u32)
+            .flat_map(|v| (0..1200u32).map(move |u| [u, v]))
+            .filter(|&[u, v]| {
+                let [along, across] = axes.aligned([f64::from(u), f64::from(v)]);
+                along.hypot(across) < 450.0 && (along - 60.0).hypot(across) > 110.0
+            })
+            .filter(|_| rng.random::<f64>() < 0.5)
+            .collect();
+        assert!(matches!(detect(&PixelIndex::new(&even)), Detection::NoRows { .. }));
     }
 
     #[test]
