@@ -1,11 +1,11 @@
 //! `rowgram count`: leaves from the area that they cover.
 
-use super::{leaves::check_paths, print, print_json};
+use super::{leaves::check_paths, print, print_json, tau::TauArgs};
 use crate::{
     error::Error,
     io::{FileError, output, polygons, rasters::Source},
     phenotype::leaf_count::{Calibration, Count, Region},
-    raster::{Mask, georeference::CrsKind, mask::Thresholds, polygon::Polygon},
+    raster::{Mask, georeference::CrsKind, polygon::Polygon},
 };
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -44,14 +44,8 @@ pub(super) struct Args {
     /// Decides the draws of the interval.
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
-    /// Thresholds for a photo.
-    #[arg(
-        long,
-        value_name = "TAU1,TAU2,TAU3,TAU4",
-        default_value = "30,79,30,163",
-        allow_hyphen_values = true
-    )]
-    tau: Thresholds,
+    #[command(flatten)]
+    tau: TauArgs,
     /// Print the counts as one line of JSON.
     #[arg(long)]
     json: bool,
@@ -88,7 +82,8 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     let given = args.rho.map(Calibration::given).transpose();
     let given = given.map_err(|message| Error::Argument(format!("--rho: {message}")))?;
     let source = Source::open(&args.image)?;
-    let mask = source.mask(|photo| args.tau.mask(photo))?;
+    let tau = args.tau.of(&source)?;
+    let mask = source.mask(|photo| tau.mask(photo))?;
     let place = source.georeference();
     let orthorectified = place.is_some_and(|place| place.crs.kind != CrsKind::Unknown);
     if !orthorectified {

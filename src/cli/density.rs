@@ -1,6 +1,6 @@
 //! `rowgram density`: how many plant pixels lie around each pixel.
 
-use super::{leaves::check_paths, print_json};
+use super::{leaves::check_paths, print_json, tau::TauArgs};
 use crate::{
     error::Error,
     io::{
@@ -11,7 +11,6 @@ use crate::{
     },
     raster::{
         Mask, density,
-        mask::Thresholds,
         window::{self, Window},
     },
 };
@@ -40,14 +39,8 @@ pub(super) struct Args {
     /// Side of the window, an odd number of pixels.
     #[arg(long, value_name = "PX", default_value_t = 41)]
     window: usize,
-    /// Thresholds for a photo.
-    #[arg(
-        long,
-        value_name = "TAU1,TAU2,TAU3,TAU4",
-        default_value = "30,79,30,163",
-        allow_hyphen_values = true
-    )]
-    tau: Thresholds,
+    #[command(flatten)]
+    tau: TauArgs,
     /// Print a summary as one line of JSON.
     #[arg(long)]
     json: bool,
@@ -93,7 +86,8 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     let outputs: Vec<&Path> = outputs.into_iter().flatten().map(PathBuf::as_path).collect();
     check_paths(&outputs, &[&args.image], args.force)?;
     let source = Source::open(&args.image)?;
-    let mask = source.mask(|photo| args.tau.mask(photo))?;
+    let tau = args.tau.of(&source)?;
+    let mask = source.mask(|photo| tau.mask(photo))?;
     let layout = Layout {
         width: mask.width,
         height: mask.height,

@@ -4,6 +4,7 @@ use super::{
     method::{Count, DescentSummary, Method, Summary, count, word},
     segment::same_file,
     stand::{self, StandSummary},
+    tau::TauArgs,
 };
 use crate::{
     descent::{self, Descent, Order, Outcome},
@@ -20,7 +21,7 @@ use crate::{
         stand::Canopy,
     },
     problems::plants::{Form, Model, PlantUpdate, Prior, SigmaRule, index::PixelIndex},
-    raster::{Mask, components, mask::Thresholds},
+    raster::{Mask, components},
 };
 use clap::Args;
 use image::RgbImage;
@@ -80,14 +81,8 @@ pub(super) struct Locate {
     /// Order of the updates: cyclic, shuffled.
     #[arg(long, value_parser = word::<Order>, value_name = "WORD")]
     order: Option<Order>,
-    /// Thresholds of the leaf mask: hue from, hue to, least saturation, least value.
-    #[arg(
-        long,
-        default_value = "30,79,30,163",
-        value_name = "TAU1,TAU2,TAU3,TAU4",
-        allow_hyphen_values = true
-    )]
-    tau: Thresholds,
+    #[command(flatten)]
+    tau: TauArgs,
     /// Leave out components of fewer pixels.
     #[arg(long, default_value_t = 0, value_name = "N")]
     min_pixels: usize,
@@ -153,7 +148,7 @@ impl Locate {
         let method = self.method()?;
         let (mut mask, photo) = match images::read(&self.image)? {
             Picture::Mask(mask) => (mask, None),
-            Picture::Photo(photo) => (self.tau.mask(&photo), Some(photo)),
+            Picture::Photo(photo) => (self.tau.of_photo(&photo).mask(&photo), Some(photo)),
         };
         components::remove_small(&mut mask, self.min_pixels);
         let clock = std::time::Instant::now();

@@ -26,6 +26,7 @@ mod stand;
 mod survey;
 mod synth;
 mod table;
+mod tau;
 mod thresholds;
 mod undistort;
 mod verify;

@@ -1,6 +1,6 @@
 //! `rowgram segment`: the leaf mask of a photo or orthomosaic.
 
-use super::print_json;
+use super::{print_json, tau::TauArgs};
 use crate::{
     error::Error,
     io::{
@@ -33,14 +33,8 @@ use std::path::{Path, PathBuf};
 pub(super) struct Args {
     /// The photo (PNG, JPEG or TIFF).
     image: PathBuf,
-    /// The thresholds, as four whole numbers.
-    #[arg(
-        long,
-        value_name = "TAU1,TAU2,TAU3,TAU4",
-        default_value = "30,79,30,163",
-        allow_hyphen_values = true
-    )]
-    tau: String,
+    #[command(flatten)]
+    tau: TauArgs,
     /// Where to write the mask (.png, or .tif for a GeoTIFF).
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
@@ -87,13 +81,14 @@ struct Summary<'a> {
 /// # Errors
 /// Where an argument, the photo or an output path cannot be used, or writing fails.
 pub(super) fn run(args: &Args) -> Result<(), Error> {
-    let thresholds: Thresholds = args
-        .tau
-        .parse()
-        .map_err(|error: Error| Error::Argument(format!("--tau {}: {error}", args.tau)))?;
     check_outputs(args)?;
     let source = open(&args.image)?;
     let gains = args.white_balance.map(|how| gains(&source, how)).transpose()?;
+    let thresholds = args.tau.with(&source, |photo| {
+        if let Some(gains) = gains {
+            *photo = gains.applied(photo);
+        }
+    })?;
     let mut mask = source.mask(|photo| match gains {
         None => thresholds.mask(photo),
         Some(gains) => thresholds.mask(&gains.applied(photo)),

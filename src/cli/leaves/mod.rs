@@ -3,7 +3,7 @@
 mod paint;
 mod table;
 
-use super::{print_json, segment::same_file};
+use super::{print_json, segment::same_file, tau::TauArgs};
 use crate::{
     error::Error,
     io::{
@@ -11,7 +11,6 @@ use crate::{
         rasters::{self, Source},
     },
     phenotype::leaves::{self, Bridging, Leaf, Leaves, Options},
-    raster::mask::Thresholds,
 };
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -53,14 +52,8 @@ pub(super) struct Args {
     /// Ground sampling distance, metres per pixel, where the raster does not tell.
     #[arg(long, value_name = "M")]
     gsd: Option<f64>,
-    /// Thresholds for a photo.
-    #[arg(
-        long,
-        value_name = "TAU1,TAU2,TAU3,TAU4",
-        default_value = "30,79,30,163",
-        allow_hyphen_values = true
-    )]
-    tau: Thresholds,
+    #[command(flatten)]
+    tau: TauArgs,
     #[command(flatten)]
     how: How,
     /// Print a summary as one line of JSON.
@@ -191,7 +184,8 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     let options = args.how.options()?;
     check(args)?;
     let source = Source::open(&args.image)?;
-    let mask = source.mask(|photo| args.tau.mask(photo))?;
+    let tau = args.tau.of(&source)?;
+    let mask = source.mask(|photo| tau.mask(photo))?;
     let georeference = source.georeference();
     let gsd_m = args.gsd.or_else(|| georeference.and_then(|place| place.gsd_m()));
     if gsd_m.is_none() {

@@ -93,7 +93,7 @@ section! {
 section! {
     /// Leaf pixels.
     Segment {
-        tau: [u16; 4] = [30, 79, 30, 163],
+        tau: OrAuto<[u16; 4]> = OrAuto::default(),
         min_pixels: usize = 0,
         fill_holes: usize = 0,
     }

@@ -1,6 +1,9 @@
 //! The verbs as stages: which command does a stage, from what, and whether it can be done at all.
 
-use super::{command::Command, config::Config};
+use super::{
+    command::Command,
+    config::{Config, OrAuto},
+};
 use crate::{
     error::Error,
     io::{FileError, polygons, rasters::Source},
@@ -295,7 +298,10 @@ impl Place<'_> {
     }
 
     fn tau(&self) -> String {
-        self.config.segment.tau.map(|value| value.to_string()).join(",")
+        match &self.config.segment.tau {
+            OrAuto::Given(tau) => tau.map(|value| value.to_string()).join(","),
+            OrAuto::Word(word) => word.clone(),
+        }
     }
 
     fn segment(&self) -> Result<Plan, Error> {
