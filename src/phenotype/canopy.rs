@@ -187,14 +187,15 @@ impl Scene {
         (beta, expected): (f64, Option<Expected>),
     ) -> Canopy {
         let factor = self.evidence.factor as f64;
-        let Options { believed, across, heat, .. } = self.options;
+        let Options { believed, heat, .. } = self.options;
+        let across = self.scatter(places, spacing.spacing);
         let radius = ((0.25 * spacing.spacing / STEP) as usize).max(1);
         let (mut plants, mut missing) = (Vec::new(), Vec::new());
         for (row, places) in places.iter().enumerate() {
             for &at in places {
                 let [confidence, mean, variance] = around(&posteriors[row].marginals, at, radius);
                 let place = at as f64 + if self.options.mean_place { mean } else { 0.0 };
-                let offset = believed * self.offsets[row][at];
+                let offset = believed * self.offset(row, at as f64, across);
                 plants.push(Stalk {
                     position_px: self.image(row, place, offset),
                     row,

@@ -52,6 +52,14 @@ pub(super) struct Expected {
     pub(super) share: f64,
 }
 
+/// Votes hardly held to the row: standard deviation of the weight across it.
+const WIDE: f64 = 6.0;
+/// Offset (RMS) of such votes for plants in line: at least, and how much more per unit of spacing below a third number,
+/// where neighbours take part in them. Of synthetic fields.
+const IN_LINE: [f64; 3] = [1.2, 0.2, 13.0];
+/// Scatter of plants across their rows for one of an offset beyond that.
+const SCATTER_OF_EXCESS: f64 = 5.0;
+
 /// Everything that the chains are made of.
 pub(super) struct Scene {
     pub(super) evidence: Evidence,
@@ -59,8 +67,6 @@ pub(super) struct Scene {
     rows: Vec<Row>,
     ridges: Vec<Ridge>,
     pub(super) profiles: Vec<Profile>,
-    /// Offset across its ridge of the best votes at every place of every row.
-    pub(super) offsets: Vec<Vec<f64>>,
     mean: f64,
     mass: f64,
     length: f64,
@@ -102,7 +108,6 @@ impl Scene {
             rows: reduced,
             ridges,
             profiles: Vec::new(),
-            offsets: Vec::new(),
             mean: 0.0,
             mass: 0.0,
             length,
@@ -116,9 +121,8 @@ impl Scene {
     /// Reads what every row shows.
     pub(super) fn read(&mut self) {
         let Scene { evidence, axes, ridges, options, .. } = self;
-        let read: Vec<(Profile, Vec<f64>)> =
+        self.profiles =
             ridges.par_iter().map(|ridge| read(evidence, axes, ridge, options.across)).collect();
-        (self.profiles, self.offsets) = read.into_iter().unzip();
         let profiles = &self.profiles;
         let votes: f64 = profiles.iter().flat_map(|profile| &profile.votes).sum();
         let places: usize = profiles.iter().map(|profile| profile.votes.len()).sum();
@@ -248,6 +252,29 @@ impl Scene {
         tried[rivals.fold(likeliest, |best, k| if bare(k) > bare(best) { k } else { best })].1
     }
 
+    /// The offset across its row of the best votes at a place, under a normal weight about the row.
+    pub(super) fn offset(&self, row: usize, at: f64, scatter: f64) -> f64 {
+        let along = self.profiles[row].start + at * STEP;
+        let middle = self.ridges[row].offset(along);
+        best_across(&self.evidence, &self.axes, [along, middle], scatter).1
+    }
+
+    /// How far plants scatter across their rows, once their places along them are known: more than is usual where the
+    /// best votes, hardly held to the row, are further off it than those of plants in line are at that spacing.
+    pub(super) fn scatter(&self, places: &[Vec<usize>], spacing: f64) -> f64 {
+        let usual = self.options.across;
+        let (mut sum, mut count) = (0.0, 0.0);
+        for (row, places) in places.iter().enumerate() {
+            for &at in places {
+                sum += self.offset(row, at as f64, WIDE).powi(2);
+                count += 1.0;
+            }
+        }
+        let in_line = IN_LINE[0] + IN_LINE[1] * (IN_LINE[2] - spacing).max(0.0);
+        let excess = (sum / f64::max(count, 1.0)).sqrt() - in_line;
+        (usual + SCATTER_OF_EXCESS * excess.max(0.0)).min(usual.max(WIDE))
+    }
+
     pub(super) fn image(&self, row: usize, at: f64, offset: f64) -> [f64; 2] {
         let along = self.profiles[row].start + at * STEP;
         let across = self.ridges[row].offset(along) + offset;
@@ -307,31 +334,40 @@ pub(super) fn bisect(chains: &[Chain<'_>], count: usize) -> Option<f64> {
 }
 
 /// Reads the votes along a row.
-fn read(evidence: &Evidence, axes: &Axes, ridge: &Ridge, scatter: f64) -> (Profile, Vec<f64>) {
+/// The best votes across a row, and their offset from its middle.
+fn best_across(
+    evidence: &Evidence,
+    axes: &Axes,
+    [along, middle]: [f64; 2],
+    scatter: f64,
+) -> (f64, f64) {
+    let mut best = (f64::NEG_INFINITY, 0.0);
+    for half in -12..=12 {
+        let offset = f64::from(half) * 0.5;
+        let weight = (-0.5 * (offset / scatter).powi(2)).exp();
+        let score = weight * evidence.at(axes.image([along, middle + offset]));
+        if score > best.0 {
+            best = (score, offset);
+        }
+    }
+    best
+}
+
+fn read(evidence: &Evidence, axes: &Axes, ridge: &Ridge, scatter: f64) -> Profile {
     let start = ridge.start - BEYOND;
     let count = ((ridge.end + BEYOND - start) / STEP) as usize + 1;
-    let (mut votes, mut offsets) = (Vec::with_capacity(count), Vec::with_capacity(count));
+    let mut votes = Vec::with_capacity(count);
     let mut mass = vec![[0.0; 2]];
     let (mut sum, mut moment) = (0.0, 0.0);
     for k in 0..count {
         let along = start + k as f64 * STEP;
         let middle = ridge.offset(along);
-        let mut best = (f64::NEG_INFINITY, 0.0);
-        for half in -12..=12 {
-            let offset = f64::from(half) * 0.5;
-            let weight = (-0.5 * (offset / scatter).powi(2)).exp();
-            let score = weight * evidence.at(axes.image([along, middle + offset]));
-            if score > best.0 {
-                best = (score, offset);
-            }
-        }
-        votes.push(best.0);
-        offsets.push(best.1);
+        votes.push(best_across(evidence, axes, [along, middle], scatter).0);
         let leaf = |across: i32| evidence.leaf_at(axes.image([along, middle + f64::from(across)]));
         let here = STEP * (-BAND..=BAND).map(leaf).sum::<f64>();
         sum += here;
         moment += here * k as f64;
         mass.push([sum, moment]);
     }
-    (Profile { start, votes, mass }, offsets)
+    Profile { start, votes, mass }
 }
