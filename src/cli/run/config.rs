@@ -148,17 +148,25 @@ section! {
 
 /// A number, or `"auto"`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(untagged)]
+#[serde(untagged, expecting = "expected numbers, or \"auto\"")]
 pub(super) enum OrAuto<T> {
     /// This.
     Given(T),
     /// `auto`.
-    Word(String),
+    Word(Word),
+}
+
+/// The word that leaves a number to the program.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum Word {
+    /// `auto`.
+    Auto,
 }
 
 impl<T> Default for OrAuto<T> {
     fn default() -> OrAuto<T> {
-        OrAuto::Word("auto".into())
+        OrAuto::Word(Word::Auto)
     }
 }
 
@@ -166,7 +174,7 @@ impl<T: std::fmt::Display> std::fmt::Display for OrAuto<T> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             OrAuto::Given(value) => write!(f, "{value}"),
-            OrAuto::Word(word) => write!(f, "{word}"),
+            OrAuto::Word(Word::Auto) => f.write_str("auto"),
         }
     }
 }
@@ -291,7 +299,7 @@ mod tests {
     #[test]
     fn file_then_environment_then_options() {
         let folder = tempfile::tempdir().unwrap();
-        let file = "[align]\nseed = 2\nlens = \"smac\"\n[ortho]\ngsd_m = 0.5\n";
+        let file = "[align]\nseed = 2\nlens = \"smac\"\n[ortho]\ngsd_m = 0.5\nabove = 0\n";
         std::fs::write(folder.path().join(NAME), file).unwrap();
         let environment = |name: &str| match name {
             "ROWGRAM_ALIGN_SEED" => Some("3".to_owned()),
@@ -302,6 +310,7 @@ mod tests {
         let config = Config::read(folder.path(), environment, &settings).unwrap();
         assert_eq!((config.align.seed, config.align.lens.as_str()), (4, "smac"));
         assert_eq!(config.ortho.gsd_m, Some(0.25));
+        assert_eq!(config.ortho.above, OrAuto::Given(0.0));
         assert_eq!(config.project.crs.as_deref(), Some("EPSG:32616"));
         let text = toml::to_string(&config).unwrap();
         assert_eq!(toml::from_str::<Config>(&text).unwrap(), config);
@@ -314,6 +323,7 @@ mod tests {
             ("[align]\nsede = 2\n", "line 2"),
             ("[align]\nseed = \"two\"\n", "line 2"),
             ("[align\n", "line 1"),
+            ("[ortho]\nabove = \"top\"\n", "\"auto\""),
         ] {
             std::fs::write(folder.path().join(NAME), file).unwrap();
             let error = Config::read(folder.path(), nothing, &[]).unwrap_err().to_string();

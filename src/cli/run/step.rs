@@ -300,7 +300,7 @@ impl Place<'_> {
     fn tau(&self) -> String {
         match &self.config.segment.tau {
             OrAuto::Given(tau) => tau.map(|value| value.to_string()).join(","),
-            OrAuto::Word(word) => word.clone(),
+            OrAuto::Word(_) => "auto".to_owned(),
         }
     }
 
