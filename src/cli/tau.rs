@@ -126,6 +126,7 @@ fn propose(pixels: Vec<u8>) -> Thresholds {
             tracing::warn!("the photo proposes no thresholds: {why}; {usual} are used");
             usual
         }
+        // Three bytes a pixel fill the picture exactly.
         None => usual,
     }
 }
