@@ -283,4 +283,9 @@ fn the_main_job_needs_nothing() {
     let refused = rowgram(folder.path(), "run -q --seed 2");
     assert_eq!(refused.code, 2);
     assert!(refused.stderr.contains("rowgram-run"), "{}", refused.stderr);
+
+    // Done once more at another place: the same bytes.
+    fs::rename(&project, folder.path().join("moved")).unwrap();
+    let same = rowgram(folder.path(), "verify moved -q");
+    assert_eq!(same.code, 0, "{} {}", same.stdout, same.stderr);
 }

@@ -31,7 +31,10 @@ impl FromStr for Tau {
     fn from_str(text: &str) -> Result<Tau, Error> {
         match text {
             "auto" => Ok(Tau::Auto),
-            _ => text.parse().map(Tau::Given),
+            _ => match text.parse() {
+                Ok(thresholds) => Ok(Tau::Given(thresholds)),
+                Err(error) => Err(Error::Argument(format!("{error}, or auto"))),
+            },
         }
     }
 }

@@ -68,7 +68,9 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
         }
     }
     if !args.files && outcome.differences.is_empty() {
-        let folder = tempfile::tempdir().map_err(|e| FileError::write(root, e))?;
+        // Beside the results, so that a path from them to a photo is the same path.
+        let folder = tempfile::Builder::new().prefix(".rowgram-").tempdir_in(root);
+        let folder = folder.map_err(|e| FileError::write(root, e))?;
         run::again(root, &results, folder.path())?;
         for record in done.iter().filter(|record| record.stage != "grow") {
             for content in &record.outputs {

@@ -429,5 +429,5 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
         pair_figures::write(&pictures, of, &cameras, &pairs, args.force)?;
         clock.seconds.push(("report", begin.elapsed().as_secs_f64()));
     }
-    results::present(&report, &outcome, &clock.seconds, args.json)
+    results::present(&report, &outcome, &project.name, &clock.seconds, args.json)
 }

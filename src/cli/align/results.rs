@@ -44,7 +44,6 @@ struct Fragment {
 /// All of it.
 #[derive(Serialize)]
 pub(super) struct Report {
-    project: String,
     images: usize,
     registered: usize,
     /// Pieces: 1 where all that is registered is one block.
@@ -155,7 +154,6 @@ impl Report {
         unregistered.sort();
         let apart = found.fragments.iter().filter(|(_, joined)| !joined).count();
         let report = Report {
-            project: project.name.clone(),
             images: project.photos.len() + project.left_out.len(),
             registered: registered.len(),
             fragments: apart + usize::from(!registered.is_empty()),
@@ -343,11 +341,13 @@ fn frame_text(project: &Project, report: &Report) -> String {
 pub(super) fn present(
     report: &Report,
     outcome: &survey::Outcome,
+    project: &str,
     seconds: &[(&'static str, f64)],
     json: bool,
 ) -> Result<(), Error> {
     #[derive(Serialize)]
     struct Line<'a> {
+        project: &'a str,
         #[serde(flatten)]
         report: &'a Report,
         seconds: BTreeMap<&'static str, f64>,
@@ -355,6 +355,7 @@ pub(super) fn present(
     }
     if json {
         super::super::print_json(&Line {
+            project,
             report,
             seconds: seconds.iter().copied().collect(),
             peak_memory_mb: super::super::peak_memory_mb(),

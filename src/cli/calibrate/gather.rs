@@ -126,13 +126,14 @@ fn look(args: &Args) -> Result<(Vec<Photo>, [u32; 2]), Error> {
     if !tracing::enabled!(tracing::Level::INFO) {
         progress.set_draw_target(indicatif::ProgressDrawTarget::hidden());
     }
+    let folder = folder_of_all(&args.images);
     let found: Vec<Result<(Photo, [u32; 2]), FileError>> = args
         .images
         .par_iter()
         .map(|path| {
             let image = images::read_grey(path)?;
             let size_px = [image.width(), image.height()];
-            let photo = one(path, detect(&image, args.board, &options), args);
+            let photo = one(path, &folder, detect(&image, args.board, &options), args);
             progress.inc(1);
             Ok((photo, size_px))
         })
@@ -150,8 +151,21 @@ fn look(args: &Args) -> Result<(Vec<Photo>, [u32; 2]), Error> {
     Ok((found.into_iter().map(|(photo, _)| photo).collect(), size_px))
 }
 
-fn one(path: &Path, found: Result<crate::target::Detection, NotFound>, args: &Args) -> Photo {
-    let name = path.display().to_string();
+/// The folder that all photos are in, at some depth.
+fn folder_of_all(paths: &[PathBuf]) -> PathBuf {
+    let Some((first, others)) = paths.split_first() else { return PathBuf::new() };
+    let above = |folder: &&Path| others.iter().all(|path| path.starts_with(folder));
+    first.ancestors().skip(1).find(above).map_or_else(PathBuf::new, Path::to_owned)
+}
+
+fn one(
+    path: &Path,
+    folder: &Path,
+    found: Result<crate::target::Detection, NotFound>,
+    args: &Args,
+) -> Photo {
+    // Where the photos are is not a matter of the calibration: moved, they give the same tables.
+    let name = path.strip_prefix(folder).unwrap_or(path).display().to_string();
     let mut photo = Photo {
         name,
         path: Some(path.to_owned()),

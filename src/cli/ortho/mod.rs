@@ -79,35 +79,30 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     let paths = args.input.photos(&views)?;
     let on_surface =
         Setting { args, views: &views, paths: &paths, surface: &surface, above_m: 0.0 };
+    let outputs = on_surface.outputs()?;
+    for output in &outputs {
+        on_surface.check_outputs(output)?;
+    }
     let above_m = on_surface.above_m()?;
     let surface = surface.raised(above_m);
     let setting = Setting { args, views: &views, paths: &paths, surface: &surface, above_m };
     let mut maps = Vec::new();
     if args.frames {
-        let folder = args.input.output(args.output.as_deref(), "frames")?;
-        std::fs::create_dir_all(&folder).map_err(|e| FileError::write(&folder, e))?;
-        let named = |k: usize| {
-            let stem = paths[k].file_stem().unwrap_or_default().to_string_lossy();
-            folder.join(format!("{stem}_ortho.tif"))
-        };
-        for k in 0..views.len() {
-            setting.check_outputs(&named(k))?;
-        }
-        for k in 0..views.len() {
+        for (k, output) in outputs.iter().enumerate() {
             if views[k].footprint_m(&surface).is_none() {
                 tracing::warn!("{} shows nothing of the surface and is left out", views[k].name);
                 continue;
             }
             let one = Setting { views: &views[k..=k], paths: &paths[k..=k], ..setting };
-            maps.push(one.map(&named(k))?);
+            maps.push(one.map(output)?);
         }
         if maps.is_empty() {
             return Err(setting.nothing().into());
         }
     } else {
-        let output = args.input.output(args.output.as_deref(), "ortho.tif")?;
-        setting.check_outputs(&output)?;
-        maps.push(setting.map(&output)?);
+        for output in &outputs {
+            maps.push(setting.map(output)?);
+        }
     }
     let report = Report {
         maps,
@@ -143,6 +138,21 @@ struct Setting<'a> {
 }
 
 impl Setting<'_> {
+    /// The files of the maps: of each photo, or the one of all.
+    fn outputs(&self) -> Result<Vec<PathBuf>, Error> {
+        let args = self.args;
+        if !args.frames {
+            return Ok(vec![args.input.output(args.output.as_deref(), "ortho.tif")?]);
+        }
+        let folder = args.input.output(args.output.as_deref(), "frames")?;
+        std::fs::create_dir_all(&folder).map_err(|e| FileError::write(&folder, e))?;
+        let named = |path: &PathBuf| {
+            let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+            folder.join(format!("{stem}_ortho.tif"))
+        };
+        Ok(self.paths.iter().map(named).collect())
+    }
+
     fn check_outputs(&self, output: &Path) -> Result<(), Error> {
         output::check(output, self.args.force)?;
         output::check(&record::path(output), self.args.force)?;

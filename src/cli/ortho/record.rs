@@ -10,12 +10,13 @@ use crate::{
     raster::georeference::Georeference,
 };
 use serde::{Deserialize, Serialize};
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 /// A photo.
 #[derive(Serialize, Deserialize)]
 struct Photo {
     name: String,
+    /// From the folder of the record where both are of one project.
     path: PathBuf,
     /// Index of the camera.
     camera: usize,
@@ -35,6 +36,7 @@ struct Record {
     width_px: usize,
     height_px: usize,
     gsd_m: f64,
+    /// As the photos.
     dem: Option<PathBuf>,
     /// How far above it the map was drawn.
     #[serde(default)]
@@ -55,6 +57,37 @@ fn absolute(path: &Path) -> PathBuf {
     std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
 }
 
+/// Steps up from a record within which everything is of its project, and moves with it: `PROJECT/rowgram/ortho`.
+const UP: usize = 2;
+
+/// A path as the record holds it: from the record's folder within its project, else absolute.
+fn stored(folder: &Path, path: &Path) -> PathBuf {
+    let (folder, path) = (absolute(folder), absolute(path));
+    let within = folder
+        .ancestors()
+        .take(UP + 1)
+        .enumerate()
+        .find_map(|(up, above)| path.strip_prefix(above).ok().map(|inside| (up, inside)));
+    match within {
+        Some((up, inside)) => std::iter::repeat_n(Path::new(".."), up).chain([inside]).collect(),
+        None => path,
+    }
+}
+
+/// The other way; steps up are taken by name, for a folder may be a link to another place.
+fn found(folder: &Path, path: &Path) -> PathBuf {
+    let mut at = absolute(folder);
+    for part in path.components() {
+        match part {
+            Component::ParentDir => {
+                at.pop();
+            }
+            part => at.push(part),
+        }
+    }
+    at
+}
+
 /// Writes it.
 ///
 /// # Errors
@@ -66,6 +99,8 @@ pub(super) fn write(
     size: [usize; 2],
     gains: Option<&[Gain]>,
 ) -> Result<(), Error> {
+    let record = path(output);
+    let folder = output::folder_of(&record);
     let mut cameras: Vec<String> = Vec::new();
     let mut photos = Vec::new();
     for (k, view) in setting.views.iter().enumerate() {
@@ -76,7 +111,7 @@ pub(super) fn write(
         });
         photos.push(Photo {
             name: view.name.clone(),
-            path: absolute(&setting.paths[k]),
+            path: stored(folder, &setting.paths[k]),
             camera: index,
             rotation: view.pose.rotation,
             translation_m: view.pose.translation,
@@ -86,20 +121,20 @@ pub(super) fn write(
     }
     let dem = setting.args.dem.clone();
     let dem = dem.or_else(|| setting.args.input.results().map(|folder| folder.join("dem.tif")));
-    let record = Record {
+    let held = Record {
         version: 1,
         epsg: grid.crs.epsg,
         width_px: size[0],
         height_px: size[1],
         gsd_m: grid.per_column[0],
-        dem: dem.map(|path| absolute(&path)),
+        dem: dem.map(|path| stored(folder, &path)),
         above_m: setting.above_m,
         rules: setting.args.rules(),
         cameras,
         photos,
     };
-    output::write(&path(output), setting.args.force, |out| {
-        serde_json::to_writer_pretty(&mut *out, &record)?;
+    output::write(&record, setting.args.force, |out| {
+        serde_json::to_writer_pretty(&mut *out, &held)?;
         writeln!(out)
     })?;
     Ok(())
@@ -131,6 +166,29 @@ pub(super) fn read(output: &Path) -> Result<Behind, Error> {
         let pose = Pose { rotation: photo.rotation, translation: photo.translation_m };
         views.push(View::new(&photo.name, camera.interior, pose, photo.motion));
     }
-    let paths = record.photos.into_iter().map(|photo| photo.path).collect();
-    Ok((views, paths, record.dem, record.above_m))
+    let folder = output::folder_of(&path);
+    let paths = record.photos.iter().map(|photo| found(folder, &photo.path)).collect();
+    let dem = record.dem.map(|dem| found(folder, &dem));
+    Ok((views, paths, dem, record.above_m))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn paths_of_one_project_move_with_it_and_others_stay_where_they_are() {
+        let folder = Path::new("/field/rowgram/ortho");
+        for (path, expected) in [
+            ("/field/rowgram/dem/dem.tif", "../dem/dem.tif"),
+            ("/field/rowgram/ortho/dem.tif", "dem.tif"),
+            ("/field/images/a b.jpg", "../../images/a b.jpg"),
+            ("/fields/images/a.jpg", "/fields/images/a.jpg"),
+            ("/photos/a.jpg", "/photos/a.jpg"),
+        ] {
+            let held = stored(folder, Path::new(path));
+            assert_eq!(held, Path::new(expected));
+            assert_eq!(found(folder, &held), Path::new(path));
+        }
+    }
 }
