@@ -42,12 +42,15 @@ impl Table {
             .trim(csv::Trim::All)
             .from_reader(text.as_bytes());
         let mut table = Table { path: path.to_owned(), header: Vec::new(), rows: Vec::new() };
+        let (mut counted, mut newlines) = (0, 0);
         for record in reader.records() {
             let record = record.map_err(|e| FileError::malformed(path, None, e.to_string()))?;
-            let at = record.position().map_or(0, |position| position.byte() as usize);
+            let at = record.position().map_or(counted, |position| position.byte() as usize);
             let skipped = text[at..].chars().take_while(|c| c.is_whitespace());
             let blank = skipped.filter(|&c| c == '\n').count();
-            let line = text[..at].matches('\n').count() + blank + 1;
+            newlines += text[counted..at].matches('\n').count();
+            counted = at;
+            let line = newlines + blank + 1;
             let fields: Vec<String> = record.iter().map(str::to_owned).collect();
             if fields.iter().all(String::is_empty) {
                 continue;
