@@ -164,6 +164,34 @@ fn positions_alone_bring_it_there_too() {
 }
 
 #[test]
+fn positions_that_drift_weigh_less_where_there_is_control() {
+    let flown = Flight::default().fly();
+    let (tracks, pairs) = tracks(&flown);
+    let mut known = known(&flown);
+    let count = known.positions.len() as f64;
+    for (k, position) in known.positions.iter_mut().enumerate() {
+        position.position_m[0] += 2.0 * (4.0 * k as f64 / count).sin();
+        position.sigma_m = [1.0; 3];
+    }
+    let told = vec![Some([1.0; 3]); known.positions.len()];
+    let mut block = join(grow(&flown, &tracks, &pairs), &mut known, &DEMANDS).unwrap().block;
+    prepare(&mut block);
+    adjust(&mut block, &known, 0.4, &DEMANDS, 30).unwrap();
+    let fit = weigh_positions(&block, &mut known, &told).unwrap();
+    assert!(fit.together[0] > 2.0, "{fit:?}");
+    for position in &known.positions {
+        assert_eq!(position.sigma_m[0], fit.together[0].sqrt());
+        assert_eq!(position.sigma_m[2], fit.together[1].sqrt());
+    }
+    // Asked once more, the same: what was told is what it starts from. Without control nothing is made larger.
+    let again = weigh_positions(&block, &mut known, &told).unwrap();
+    assert_eq!(again, fit);
+    known.ground.clear();
+    weigh_positions(&block, &mut known, &told).unwrap();
+    assert!(known.positions.iter().all(|position| position.sigma_m == [1.0; 3]));
+}
+
+#[test]
 fn pieces_that_share_nothing_are_joined_by_positions() {
     let mut flown = Flight { strips: 2, per_strip: 6, ..Flight::default() }.fly();
     // Nothing matches between the first three and the last three of each strip.

@@ -16,7 +16,8 @@ use crate::{
     sfm::{
         block::Block,
         georeference::{
-            self, Known, MarkReview, adjust, axes_exchanged, join, review_marks, weigh_positions,
+            self, Known, MarkReview, PositionFit, adjust, axes_exchanged, join, review_marks,
+            weigh_positions,
         },
         growth::Growing,
         triangulate::Demands,
@@ -116,6 +117,11 @@ pub(super) fn finish<'a>(
         }
     }
     prepare_cameras(&mut block, joined.georeferenced, args)?;
+    let mut told = vec![None; project.told.len()];
+    for position in &project.known.positions {
+        let image = position.image as usize;
+        told[image] = project.told[image].then_some(position.sigma_m);
+    }
     let mut sigma_px = 1.0;
     let loosest = joined
         .alignments
@@ -126,7 +132,12 @@ pub(super) fn finish<'a>(
         .fold(0.0, f64::max);
     for round in 0..4 {
         if joined.georeferenced && !known.positions.is_empty() {
-            let fit = weigh_positions(&block, &mut known, &project.told);
+            let fit = weigh_positions(&block, &mut known, &told);
+            if let Some(PositionFit { together: [across, up], .. }) = &fit {
+                tracing::debug!(
+                    "errors of camera positions are alike over {across:.1} photos, heights {up:.1}"
+                );
+            }
             for (image, distance) in fit.iter().flat_map(|fit| &fit.outliers) {
                 findings.push(Finding::new(
                     &project.photos[*image as usize].name,
