@@ -19,18 +19,20 @@ use rowgram::{
     io::{images, points},
     phenotype::{
         canopy,
+        crown::{Crown, Usual},
         evidence::{Axes as Leaves, Evidence, factor},
         ridges, rows,
+        stand::Stalk,
     },
     problems::plants::index::PixelIndex,
 };
 use std::{error::Error, f64::consts::TAU, path::Path};
 
 const STEP: f64 = 0.5;
-const PLACE: usize = 23;
+const PLACE: usize = 27;
 /// Rounds in which the spacing is re-estimated.
 const ROUNDS: usize = 4;
-const PAIR: usize = 9;
+const PAIR: usize = 11;
 const ALL: usize = PLACE + PAIR;
 const MOST: usize = 6;
 const BAND: i32 = 8;
@@ -95,6 +97,8 @@ impl Gaps {
 /// One row: votes and running leaf mass by place, and the places of the true plants.
 struct Row {
     votes: Vec<f64>,
+    /// More leaf than around plants, in their standard deviations.
+    crown: Vec<f64>,
     mass: Vec<[f64; 2]>,
     truth: Vec<usize>,
 }
@@ -113,10 +117,14 @@ fn read(path: &Path) -> Result<Field, Box<dyn Error + Send + Sync>> {
     let mask = images::read_mask(path)?;
     let plants = points::read(&path.with_extension("csv"))?;
     let detection = rows::detect(&PixelIndex::from_mask(mask.width, &mask.data));
-    let uncounted = canopy::Options { tally: false, ..canopy::Options::default() };
-    let start = canopy::locate(&mask, &detection, None, &uncounted)?.spacing.spacing;
+    let uncounted = canopy::Options { tally: false, crowns: false, ..canopy::Options::default() };
+    let uncounted = canopy::locate(&mask, &detection, None, &uncounted)?;
+    let start = uncounted.spacing.spacing;
     let found = detection.rows().ok_or("no rows")?;
     let evidence = Evidence::new(&mask, found.axes.heading_rad, Leaves::Tensor, factor(&mask));
+    let crown = Crown::new(&evidence);
+    let around = |plant: &Stalk| crown.at(evidence.reduced(plant.position_px));
+    let usual = Usual::new(&uncounted.plants.iter().map(around).collect::<Vec<_>>());
     let factor = evidence.factor as f64;
     let mut axes = found.axes;
     axes.origin_px = evidence.reduced(axes.origin_px);
@@ -137,16 +145,21 @@ fn read(path: &Path) -> Result<Field, Box<dyn Error + Send + Sync>> {
         .map(|ridge| {
             let start = ridge.start - 6.0;
             let count = ((ridge.end + 6.0 - start) / STEP) as usize + 1;
-            let mut row = Row { votes: vec![], mass: vec![[0.0; 2]], truth: vec![] };
+            let mut row = Row { votes: vec![], crown: vec![], mass: vec![[0.0; 2]], truth: vec![] };
             for k in 0..count {
                 let along = start + k as f64 * STEP;
                 let middle = ridge.offset(along);
-                let votes = (-12..=12).map(|half| {
+                let mut best = (f64::NEG_INFINITY, 0.0);
+                for half in -12..=12 {
                     let offset = f64::from(half) * 0.5;
                     let weight = (-0.5 * (offset / 3.0_f64).powi(2)).exp();
-                    weight * evidence.at(axes.image([along, middle + offset]))
-                });
-                row.votes.push(votes.fold(f64::NEG_INFINITY, f64::max));
+                    let votes = weight * evidence.at(axes.image([along, middle + offset]));
+                    if votes > best.0 {
+                        best = (votes, offset);
+                    }
+                }
+                row.votes.push(best.0);
+                row.crown.push(usual.score(&crown.at(axes.image([along, middle + best.1]))));
                 let leaf = |v: i32| evidence.leaf_at(axes.image([along, middle + f64::from(v)]));
                 let here = STEP * (-BAND..=BAND).map(leaf).sum::<f64>();
                 let [sum, moment] = row.mass[k];
@@ -231,6 +244,8 @@ impl<'f> Features<'f> {
         let (wide, narrow) = ((0.5 * s / STEP) as usize, ((0.3 * s / STEP) as usize).max(1));
         let size = (s / 13.0).ln();
         let (contrast, cover_) = (contrast - 0.4, cover - 0.5);
+        let less = |k: usize| row.crown[k].clamp(-4.0, 0.0);
+        let more = |k: usize| row.crown[k].clamp(0.0, 3.0);
         let places = (0..count)
             .map(|k| {
                 let near = |d: i64| heights[(k as i64 + d).clamp(0, count as i64 - 1) as usize];
@@ -265,6 +280,10 @@ impl<'f> Features<'f> {
                     size * size,
                     outside - 0.3,
                     (outside - 0.3) * x,
+                    less(k),
+                    more(k),
+                    size * less(k),
+                    size * more(k),
                 ]
             })
             .collect();
@@ -329,6 +348,7 @@ impl<'f> Features<'f> {
             0.0
         };
         let middling = !close && gap < 2 * self.covered + self.covered / 2;
+        let more = self.row.crown[a].clamp(0.0, 3.0).min(self.row.crown[b].clamp(0.0, 3.0));
         [
             density,
             near * lower,
@@ -339,6 +359,8 @@ impl<'f> Features<'f> {
             double,
             double * (lower - 1.0),
             if close { 1.0 - gap as f64 / self.covered as f64 } else { 0.0 },
+            near * more,
+            double * more,
         ]
     }
 

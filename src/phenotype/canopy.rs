@@ -68,6 +68,8 @@ pub struct Options {
     pub mean_place: bool,
     /// The relative jitter of the spacing is estimated; else it is the prior's.
     pub estimate_spacing: bool,
+    /// The leaves around a place say whether one plant stands there, or two, or none.
+    pub crowns: bool,
 }
 
 impl Default for Options {
@@ -86,6 +88,7 @@ impl Default for Options {
             beta_compared: 0.5,
             mean_place: true,
             estimate_spacing: true,
+            crowns: true,
         }
     }
 }
@@ -116,8 +119,15 @@ pub fn locate(
             return Err(LocateError::NoRows { contrast, prominence });
         }
     };
-    let scene = Scene::new(mask, rows, options);
+    let mut scene = Scene::new(mask, rows, options);
     let spacing = scene.spacing(count);
+    if options.crowns && options.leaf_axes {
+        // What is usual of plants, from those that are found without it.
+        let chains = scene.chains(&spacing, 0..scene.profiles.len());
+        let plants = best(&chains, options.beta);
+        drop(chains);
+        scene.crowns(&plants);
+    }
     let chains = scene.chains(&spacing, 0..scene.profiles.len());
     let expected = options.tally.then(|| scene.tally(spacing.spacing));
     let beta = match (count, &expected) {
@@ -148,9 +158,8 @@ fn posteriors(chains: &[Chain<'_>], beta: f64, heat: f64) -> Vec<Posterior> {
 fn keep_likeliest(places: &mut [Vec<usize>], posteriors: &[Posterior], count: usize) {
     let mut ranked: Vec<(f64, usize, usize)> = Vec::new();
     for (row, places) in places.iter().enumerate() {
-        ranked.extend(
-            places.iter().map(|&at| (around(&posteriors[row].marginals, at, 2)[0], row, at)),
-        );
+        let marginals = &posteriors[row].marginals;
+        ranked.extend(places.iter().map(|&at| (together(marginals, places, at, 2)[0], row, at)));
     }
     ranked.sort_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
     for &(_, row, at) in &ranked[..ranked.len().saturating_sub(count)] {
@@ -172,6 +181,14 @@ fn around(marginals: &[f64], at: usize, steps: usize) -> [f64; 3] {
     [sum, mean, (second / sum.max(f64::MIN_POSITIVE) - mean * mean).max(0.0)]
 }
 
+/// As [`around`] the middle of all the plants found within some steps of this one, and of each the same share.
+fn together(marginals: &[f64], places: &[usize], at: usize, steps: usize) -> [f64; 3] {
+    let near = places.iter().filter(|other| other.abs_diff(at) <= steps);
+    let (sum, count) = near.fold((0, 0), |(sum, count), other| (sum + other, count + 1));
+    let [plants, mean, variance] = around(marginals, sum / count.max(1), steps);
+    [plants / count.max(1) as f64, mean, variance]
+}
+
 /// Standard deviation of the relative error of expected counts, on synthetic fields that took no part in
 /// fitting the weights.
 const COUNT_SIGMA: f64 = 0.06;
@@ -189,15 +206,16 @@ impl Scene {
         let factor = self.evidence.factor as f64;
         let Options { believed, heat, .. } = self.options;
         let across = self.scatter(places, spacing.spacing);
+        let offsets = self.offsets(places, across);
         let radius = ((0.25 * spacing.spacing / STEP) as usize).max(1);
         let (mut plants, mut missing) = (Vec::new(), Vec::new());
         for (row, places) in places.iter().enumerate() {
-            for &at in places {
-                let [confidence, mean, variance] = around(&posteriors[row].marginals, at, radius);
+            for (&at, &offset) in places.iter().zip(&offsets[row]) {
+                let marginals = &posteriors[row].marginals;
+                let [confidence, mean, variance] = together(marginals, places, at, radius);
                 let place = at as f64 + if self.options.mean_place { mean } else { 0.0 };
-                let offset = believed * self.offset(row, at as f64, across);
                 plants.push(Stalk {
-                    position_px: self.image(row, place, offset),
+                    position_px: self.image(row, place, believed * offset),
                     row,
                     along_px: (self.profiles[row].start + place * STEP) * factor,
                     confidence: confidence.min(1.0),

@@ -10,13 +10,16 @@
 //! - `o` takes back the votes that two plants close together both claim;
 //! - *uncovered* is the paper's likelihood with truncated distances, for leaf mass farther than a
 //!   plant's own reach from the nearest plant of the row;
+//! - what the leaves around a place show ([`super::crown`]) is taken off the worth of a plant that has far fewer of them than
+//!   others; where there are many, two plants stand in one place if the second is worth it, `ln d` (the share of
+//!   doubles) and `beta` included;
 //! - *ends* charges places of the row before its first and after its last plant as missing plants.
 //!
 //! All of it is a sum over neighbours, so the best set of plants is found exactly ([`Chain::best`]), and
 //! so are the probability of a plant at every place and the distribution of their number
 //! ([`Chain::posterior`]). Lengths in pixels of the reduced grid.
 
-use super::renewal::Spacing;
+use super::{crown::Judgement, renewal::Spacing};
 
 /// Distance between the places looked at.
 pub const STEP: f64 = 0.5;
@@ -28,6 +31,8 @@ const WHOLE: f64 = 0.6;
 const OVERLAP: f64 = 2.0;
 /// A plant covers this share of the spacing to each side, and distances are truncated one spacing on.
 const COVERED: f64 = 0.6;
+/// Two plants in one place are this share of the spacing from each other.
+const APART: f64 = 0.2;
 /// This share of the spacing at the ends of a row needs no plant.
 const FREE: f64 = 0.7;
 
@@ -36,10 +41,14 @@ const FREE: f64 = 0.7;
 pub struct Profile {
     /// The first place, along the row.
     pub start: f64,
-    /// Votes on the row.
+    /// The best votes across the row.
     pub votes: Vec<f64>,
+    /// How far off the middle of the row they are.
+    pub offsets: Vec<f64>,
     /// Leaf mass up to each place, and its first moment in steps; one longer than `votes`.
     pub mass: Vec<[f64; 2]>,
+    /// What leaves around each place say of one plant there and of a second one; empty where that is not known.
+    pub crowns: Vec<Judgement>,
 }
 
 impl Profile {
@@ -82,6 +91,10 @@ pub struct Weights {
 pub struct Chain<'p> {
     profile: &'p Profile,
     worth: Vec<f64>,
+    /// What a second plant in the same place adds; empty where that is not known.
+    second: Vec<f64>,
+    /// Steps from one to the other.
+    apart: usize,
     gaps: Vec<f64>,
     overlap: Vec<f64>,
     /// Worth of votes, of uncovered mass, of a missing place at an end per step.
@@ -94,7 +107,7 @@ pub struct Chain<'p> {
 /// What is probable in a row.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Posterior {
-    /// Probability of a plant at each place.
+    /// Expected number of plants at each place.
     pub marginals: Vec<f64>,
     /// Expected number of plants.
     pub count: f64,
@@ -117,9 +130,12 @@ impl<'p> Chain<'p> {
                 let near = (sums[to] - sums[from]) / (to - from) as f64;
                 let usual = (1.0 - WHOLE) * near + WHOLE * weights.mean;
                 let ratio = profile.votes[k].max(0.0) / usual.max(f64::MIN_POSITIVE);
-                weights.votes * (ratio.sqrt() - 1.0)
+                let thin = profile.crowns.get(k).map_or(0.0, |crown| crown.thin);
+                weights.votes * (ratio.sqrt() - 1.0) - thin
             })
             .collect();
+        let rare = spacing.doubles.ln();
+        let second = profile.crowns.iter().map(|crown| crown.second + rare).collect();
         let s = spacing.spacing;
         let steps = (spacing.farthest() / STEP) as usize + 1;
         let gaps = (0..steps).map(|g| spacing.density(g as f64 * STEP).ln()).collect();
@@ -130,6 +146,8 @@ impl<'p> Chain<'p> {
         Chain {
             profile,
             worth,
+            second,
+            apart: ((APART * s / STEP).round() as usize).max(2),
             gaps,
             overlap,
             weights: [weights.votes, uncovered, -spacing.missing.ln() * STEP / s],
@@ -170,6 +188,25 @@ impl<'p> Chain<'p> {
         -self.weights[2] * places.saturating_sub(self.free) as f64 - self.weights[1] * open
     }
 
+    /// The score that a second plant in one place adds.
+    fn second(&self, at: usize, beta: f64) -> f64 {
+        self.second.get(at).map_or(f64::NEG_INFINITY, |second| second + beta)
+    }
+
+    /// The probability that there are two plants where there is one.
+    fn two(&self, at: usize, beta: f64, heat: f64) -> f64 {
+        1.0 / (1.0 + (-heat * self.second(at, beta)).exp())
+    }
+
+    /// The heated scores of the places themselves, one plant or two.
+    fn own(&self, beta: f64, heat: f64) -> Vec<f64> {
+        let two = |at: usize| {
+            if self.second.is_empty() { 0.0 } else { (heat * self.second(at, beta)).exp().ln_1p() }
+        };
+        let worth = self.worth.iter().enumerate();
+        worth.map(|(at, worth)| heat * (worth + beta) + two(at)).collect()
+    }
+
     /// The places from which a plant at `at` can be the next one. Two plants are at least two
     /// steps apart.
     fn before(&self, at: usize) -> std::ops::Range<usize> {
@@ -189,7 +226,7 @@ impl<'p> Chain<'p> {
                     (score, from[at]) = (linked, a);
                 }
             }
-            scores[at] = score + self.worth[at] + beta;
+            scores[at] = score + self.worth[at] + beta + self.second(at, beta).max(0.0);
             let whole = scores[at] + self.end(at, false);
             if whole > top {
                 (last, top) = (at, whole);
@@ -197,27 +234,36 @@ impl<'p> Chain<'p> {
         }
         let mut places = Vec::new();
         while last != usize::MAX {
-            places.push(last);
+            if self.second(last, beta) > 0.0 {
+                let first = last.saturating_sub(self.apart / 2);
+                places.push((first + self.apart).min(count - 1));
+                places.push(first);
+            } else {
+                places.push(last);
+            }
             last = from[last];
         }
         places.reverse();
+        for k in 1..places.len() {
+            places[k] = places[k].max(places[k - 1] + 1);
+        }
         (places, if count == 0 { 0.0 } else { top })
     }
 
     /// The logarithm of the sum of `exp(heat * score)` over all sets of plants.
     pub fn log_sum(&self, beta: f64, heat: f64) -> f64 {
-        self.ahead(beta, heat).1
+        self.ahead(&self.own(beta, heat), heat).1
     }
 
     /// That sum over all sets that end with a plant at each place, and over all sets.
-    fn ahead(&self, beta: f64, heat: f64) -> (Vec<f64>, f64) {
+    fn ahead(&self, own: &[f64], heat: f64) -> (Vec<f64>, f64) {
         let count = self.worth.len();
         let (mut ahead, mut terms) = (vec![0.0; count], Vec::new());
         for at in 0..count {
             terms.clear();
             terms.push(heat * self.end(at, true));
             terms.extend(self.before(at).map(|a| ahead[a] + heat * self.link(a, at)));
-            ahead[at] = heat * (self.worth[at] + beta) + log_sum_exp(&terms);
+            ahead[at] = own[at] + log_sum_exp(&terms);
         }
         terms.clear();
         terms.extend((0..count).map(|at| ahead[at] + heat * self.end(at, false)));
@@ -228,18 +274,20 @@ impl<'p> Chain<'p> {
     /// Probabilities proportional to `exp(heat * score)`.
     pub fn posterior(&self, beta: f64, heat: f64) -> Posterior {
         let count = self.worth.len();
-        let own = |at: usize| heat * (self.worth[at] + beta);
-        let (ahead, log_sum) = self.ahead(beta, heat);
+        let own = self.own(beta, heat);
+        let (ahead, log_sum) = self.ahead(&own, heat);
         let (mut behind, mut terms) = (vec![0.0; count], Vec::new());
         for at in (0..count).rev() {
             terms.clear();
             terms.push(heat * self.end(at, false));
             let beyond = (at + 2).min(count)..(at + self.gaps.len()).min(count);
-            terms.extend(beyond.map(|b| behind[b] + own(b) + heat * self.link(at, b)));
+            terms.extend(beyond.map(|b| behind[b] + own[b] + heat * self.link(at, b)));
             behind[at] = log_sum_exp(&terms);
         }
-        let marginals: Vec<f64> =
-            (0..count).map(|at| (ahead[at] + behind[at] - log_sum).exp()).collect();
+        // Of plants: a place with two counts twice.
+        let marginals: Vec<f64> = (0..count)
+            .map(|at| (1.0 + self.two(at, beta, heat)) * (ahead[at] + behind[at] - log_sum).exp())
+            .collect();
         Posterior { count: marginals.iter().sum(), marginals, log_sum }
     }
 }
@@ -274,7 +322,7 @@ mod tests {
             let here = 0.5 + 0.1 * (k % 5) as f64;
             mass.push([sum + here, moment + here * k as f64]);
         }
-        Profile { start: 0.0, votes, mass }
+        Profile { start: 0.0, offsets: vec![0.0; votes.len()], votes, mass, crowns: vec![] }
     }
 
     const WEIGHTS: Weights = Weights { votes: 6.0, cover: 1.0, mean: 0.5, mass: 14.0 };
@@ -286,38 +334,68 @@ mod tests {
         own + links + chain.end(places[0], true) + chain.end(places[places.len() - 1], false)
     }
 
+    /// Two plants may stand in one place, and there are fewer leaves than usual at the end.
+    fn crowned(mut profile: Profile) -> Profile {
+        let judge = |k: usize| Judgement {
+            thin: if k > 12 { 0.8 } else { 0.0 },
+            second: if (3..6).contains(&k) { 3.5 } else { -2.0 },
+            score: 0.0,
+        };
+        profile.crowns = (0..profile.votes.len()).map(judge).collect();
+        profile
+    }
+
     #[test]
     fn the_best_chain_and_all_probabilities_agree_with_brute_force() {
-        let profile = profile(&[2.0, 5.0, 5.5], 8.0);
-        let spacing = Spacing { spacing: 3.0, jitter: 0.2, missing: 0.1, doubles: 0.05 };
-        let chain = Chain::new(&profile, &spacing, &WEIGHTS);
-        let (beta, heat, count) = (0.3, 0.7, profile.votes.len());
-        let mut best = (vec![], f64::NEG_INFINITY);
-        let (mut sum, mut marginals, mut number) = (0.0, vec![0.0; count], 0.0);
-        for set in 1_u32..1 << count {
-            let places: Vec<usize> = (0..count).filter(|k| set >> k & 1 == 1).collect();
-            let allowed =
-                |pair: &[usize]| pair[1] - pair[0] >= 2 && pair[1] - pair[0] < chain.gaps.len();
-            if !places.windows(2).all(allowed) {
-                continue;
+        let bare = profile(&[2.0, 5.0, 5.5], 8.0);
+        for profile in [bare.clone(), crowned(bare)] {
+            let spacing = Spacing { spacing: 3.0, jitter: 0.2, missing: 0.1, doubles: 0.05 };
+            let chain = Chain::new(&profile, &spacing, &WEIGHTS);
+            let (beta, heat, count) = (0.3, 0.7, profile.votes.len());
+            let mut best = (vec![], f64::NEG_INFINITY);
+            let (mut sum, mut marginals, mut number) = (0.0, vec![0.0; count], 0.0);
+            for set in 1_u32..1 << count {
+                let places: Vec<usize> = (0..count).filter(|k| set >> k & 1 == 1).collect();
+                let allowed =
+                    |pair: &[usize]| pair[1] - pair[0] >= 2 && pair[1] - pair[0] < chain.gaps.len();
+                if !places.windows(2).all(allowed) {
+                    continue;
+                }
+                let score = score(&chain, &places, beta);
+                let seconds: Vec<f64> = places.iter().map(|&at| chain.second(at, beta)).collect();
+                let most = score + seconds.iter().map(|second| second.max(0.0)).sum::<f64>();
+                // Every way of one or two plants at each place.
+                let ways: f64 = seconds.iter().map(|second| 1.0 + (heat * second).exp()).product();
+                let weight = (heat * score).exp() * ways;
+                sum += weight;
+                for (&at, second) in places.iter().zip(&seconds) {
+                    let two = (heat * second).exp() / (1.0 + (heat * second).exp());
+                    marginals[at] += weight * (1.0 + two);
+                    number += weight * (1.0 + two);
+                }
+                if most > best.1 {
+                    best = (places, most);
+                }
             }
-            let score = score(&chain, &places, beta);
-            let weight = (heat * score).exp();
-            sum += weight;
-            number += weight * places.len() as f64;
-            places.iter().for_each(|&at| marginals[at] += weight);
-            if score > best.1 {
-                best = (places, score);
+            let (found, top) = chain.best(beta);
+            let mut expected = Vec::new();
+            for &at in &best.0 {
+                if chain.second(at, beta) > 0.0 {
+                    expected.push(at - chain.apart / 2);
+                    expected.push(at - chain.apart / 2 + chain.apart);
+                } else {
+                    expected.push(at);
+                }
             }
-        }
-        let (places, top) = chain.best(beta);
-        assert_eq!(places, best.0);
-        approx::assert_relative_eq!(top, best.1, epsilon = 1e-9);
-        let posterior = chain.posterior(beta, heat);
-        approx::assert_relative_eq!(posterior.log_sum, sum.ln(), epsilon = 1e-9);
-        approx::assert_relative_eq!(posterior.count, number / sum, epsilon = 1e-9);
-        for (fast, slow) in posterior.marginals.iter().zip(&marginals) {
-            approx::assert_relative_eq!(*fast, slow / sum, epsilon = 1e-9);
+            assert_eq!(found, expected);
+            assert_eq!(profile.crowns.is_empty(), found.len() == best.0.len(), "{found:?}");
+            approx::assert_relative_eq!(top, best.1, epsilon = 1e-9);
+            let posterior = chain.posterior(beta, heat);
+            approx::assert_relative_eq!(posterior.log_sum, sum.ln(), epsilon = 1e-9);
+            approx::assert_relative_eq!(posterior.count, number / sum, epsilon = 1e-9);
+            for (fast, slow) in posterior.marginals.iter().zip(&marginals) {
+                approx::assert_relative_eq!(*fast, slow / sum, epsilon = 1e-9);
+            }
         }
     }
 

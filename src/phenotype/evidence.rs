@@ -70,6 +70,8 @@ pub struct Evidence {
     pub votes: Vec<f32>,
     /// Share of each reduced pixel that is leaf.
     pub leaf: Vec<f32>,
+    /// The axis of each, `c (cos 2 theta, sin 2 theta)` in 127ths; empty where nothing votes.
+    pub axes: Vec<[i8; 2]>,
     /// Pixels of the mask per pixel of this grid, along each axis.
     pub factor: usize,
 }
@@ -88,8 +90,11 @@ impl Evidence {
             Axes::Slices => Some(doubled(mask, factor)),
         };
         let mut votes = vec![0.0; width * height];
+        let mut held = vec![[0; 2]; width * height];
         if width > 0 {
-            votes.par_chunks_mut(STRIPE * width).enumerate().for_each(|(stripe, out)| {
+            let outs =
+                votes.par_chunks_mut(STRIPE * width).zip(held.par_chunks_mut(STRIPE * width));
+            outs.enumerate().for_each(|(stripe, (out, held))| {
                 let first = stripe * STRIPE;
                 let from = first.saturating_sub(HALO);
                 let to = (first + STRIPE + HALO).min(height);
@@ -103,17 +108,20 @@ impl Evidence {
                         &of_tensor[..]
                     }
                 };
+                for (held, axis) in held.iter_mut().zip(&axes[(first - from) * width..]) {
+                    *held = axis.map(|a| (127.0 * a).round() as i8);
+                }
                 stripe.vote(part, axes, heading_rad, first - from, out);
             });
         }
-        Evidence { width, height, votes, leaf, factor }
+        Evidence { width, height, votes, leaf, axes: held, factor }
     }
 
     /// The leaf mass around each place instead of votes, on a grid reduced by `factor`.
     pub fn of_mass(mask: &Mask, factor: usize) -> Evidence {
         let (width, height, leaf) = reduce(mask, factor);
         let votes = Stripe { width, height }.blur(leaf.clone(), MASS_PX);
-        Evidence { width, height, votes, leaf, factor }
+        Evidence { width, height, votes, leaf, axes: Vec::new(), factor }
     }
 
     /// A position of the mask in this grid.
@@ -427,7 +435,8 @@ mod tests {
 
     #[test]
     fn positions_turn_there_and_back() {
-        let evidence = Evidence { width: 1, height: 1, votes: vec![], leaf: vec![], factor: 3 };
+        let evidence =
+            Evidence { width: 1, height: 1, votes: vec![], leaf: vec![], axes: vec![], factor: 3 };
         let at = [7.25, -3.0];
         let back = evidence.full(evidence.reduced(at));
         approx::assert_relative_eq!(back[0], at[0], epsilon = 1e-12);

@@ -3,6 +3,7 @@
 pub mod canopy;
 pub mod chain;
 pub mod crops;
+pub mod crown;
 pub mod evidence;
 pub mod islands;
 pub mod leaf_count;

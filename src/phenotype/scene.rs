@@ -6,6 +6,7 @@
 use super::{
     canopy::Options,
     chain::{Chain, Profile, STEP, Weights},
+    crown::{Crown, Judgement, Usual},
     evidence::{self, Evidence},
     islands,
     locate::LocateError,
@@ -121,8 +122,9 @@ impl Scene {
     /// Reads what every row shows.
     pub(super) fn read(&mut self) {
         let Scene { evidence, axes, ridges, options, .. } = self;
+        let across = Across::new(axes, options.across);
         self.profiles =
-            ridges.par_iter().map(|ridge| read(evidence, axes, ridge, options.across)).collect();
+            ridges.par_iter().map(|ridge| read(evidence, axes, ridge, &across)).collect();
         let profiles = &self.profiles;
         let votes: f64 = profiles.iter().flat_map(|profile| &profile.votes).sum();
         let places: usize = profiles.iter().map(|profile| profile.votes.len()).sum();
@@ -252,11 +254,48 @@ impl Scene {
         tried[rivals.fold(likeliest, |best, k| if bare(k) > bare(best) { k } else { best })].1
     }
 
-    /// The offset across its row of the best votes at a place, under a normal weight about the row.
-    pub(super) fn offset(&self, row: usize, at: f64, scatter: f64) -> f64 {
+    /// Looks at the leaves around all places, which are compared with those of these plants. Leaves around a place change
+    /// slowly along a row: every other place is looked at, and stands for the one before it too.
+    pub(super) fn crowns(&mut self, places: &[Vec<usize>]) {
+        let crown = Crown::new(&self.evidence);
+        let look = |row: usize, at: usize| {
+            let profile = &self.profiles[row];
+            let along = profile.start + at as f64 * STEP;
+            let across = self.ridges[row].offset(along) + profile.offsets[at];
+            crown.at(self.axes.image([along, across]))
+        };
+        let all: Vec<Vec<_>> = (0..self.profiles.len())
+            .into_par_iter()
+            .map(|row| {
+                let last = self.profiles[row].votes.len() - 1;
+                (0..=last / 2).map(|k| look(row, (2 * k + 1).min(last))).collect()
+            })
+            .collect();
+        let plants: Vec<_> = places
+            .iter()
+            .zip(&all)
+            .flat_map(|(places, row)| places.iter().map(|&at| row[at / 2]))
+            .collect();
+        let usual = Usual::new(&plants);
+        for (profile, row) in self.profiles.iter_mut().zip(&all) {
+            let judged: Vec<Judgement> = row.iter().map(|place| usual.judge(place)).collect();
+            profile.crowns = (0..profile.votes.len()).map(|at| judged[at / 2]).collect();
+        }
+    }
+
+    /// The offset across its row of the best votes at a place.
+    fn offset(&self, row: usize, at: f64, across: &Across) -> f64 {
         let along = self.profiles[row].start + at * STEP;
-        let middle = self.ridges[row].offset(along);
-        best_across(&self.evidence, &self.axes, [along, middle], scatter).1
+        across.best(&self.evidence, along, self.ridges[row].offset(along)).1
+    }
+
+    /// The offsets of the plants of every row, under a normal weight of this scatter.
+    pub(super) fn offsets(&self, places: &[Vec<usize>], scatter: f64) -> Vec<Vec<f64>> {
+        let across = Across::new(&self.axes, scatter);
+        let of_row = |(row, places): (usize, &Vec<usize>)| {
+            places.iter().map(|&at| self.offset(row, at as f64, &across)).collect()
+        };
+        places.iter().enumerate().map(of_row).collect()
     }
 
     /// How far plants scatter across their rows, once their places along them are known: more than is usual where the
@@ -264,11 +303,9 @@ impl Scene {
     pub(super) fn scatter(&self, places: &[Vec<usize>], spacing: f64) -> f64 {
         let usual = self.options.across;
         let (mut sum, mut count) = (0.0, 0.0);
-        for (row, places) in places.iter().enumerate() {
-            for &at in places {
-                sum += self.offset(row, at as f64, WIDE).powi(2);
-                count += 1.0;
-            }
+        for offset in self.offsets(places, WIDE).iter().flatten() {
+            sum += offset * offset;
+            count += 1.0;
         }
         let in_line = IN_LINE[0] + IN_LINE[1] * (IN_LINE[2] - spacing).max(0.0);
         let excess = (sum / f64::max(count, 1.0)).sqrt() - in_line;
@@ -333,41 +370,59 @@ pub(super) fn bisect(chains: &[Chain<'_>], count: usize) -> Option<f64> {
     Some(high)
 }
 
-/// Reads the votes along a row.
-/// The best votes across a row, and their offset from its middle.
-fn best_across(
-    evidence: &Evidence,
-    axes: &Axes,
-    [along, middle]: [f64; 2],
-    scatter: f64,
-) -> (f64, f64) {
-    let mut best = (f64::NEG_INFINITY, 0.0);
-    for half in -12..=12 {
-        let offset = f64::from(half) * 0.5;
-        let weight = (-0.5 * (offset / scatter).powi(2)).exp();
-        let score = weight * evidence.at(axes.image([along, middle + offset]));
-        if score > best.0 {
-            best = (score, offset);
-        }
-    }
-    best
+/// Looks for the best votes across rows, under a normal weight about them.
+struct Across {
+    /// Sine and cosine of the rows' heading, and where they begin.
+    heading: (f64, f64),
+    origin_px: [f64; 2],
+    /// Offsets with their weights.
+    weights: [(f64, f64); 25],
 }
 
-fn read(evidence: &Evidence, axes: &Axes, ridge: &Ridge, scatter: f64) -> Profile {
+impl Across {
+    fn new(axes: &Axes, scatter: f64) -> Across {
+        let weights = std::array::from_fn(|k| {
+            let offset = (k as f64 - 12.0) * 0.5;
+            (offset, (-0.5 * (offset / scatter).powi(2)).exp())
+        });
+        Across { heading: axes.heading_rad.sin_cos(), origin_px: axes.origin_px, weights }
+    }
+
+    /// The best votes at a place along a row, and their offset from its middle.
+    fn best(&self, evidence: &Evidence, along: f64, middle: f64) -> (f64, f64) {
+        let ((s, c), [x, y]) = (self.heading, self.origin_px);
+        let mut best = (f64::NEG_INFINITY, 0.0);
+        for (offset, weight) in self.weights {
+            let across = middle + offset;
+            let at = [x + c * along - s * across, y + s * along + c * across];
+            let score = weight * evidence.at(at);
+            if score > best.0 {
+                best = (score, offset);
+            }
+        }
+        best
+    }
+}
+
+/// Reads the votes along a row.
+fn read(evidence: &Evidence, axes: &Axes, ridge: &Ridge, across: &Across) -> Profile {
     let start = ridge.start - BEYOND;
     let count = ((ridge.end + BEYOND - start) / STEP) as usize + 1;
     let mut votes = Vec::with_capacity(count);
+    let mut offsets = Vec::with_capacity(count);
     let mut mass = vec![[0.0; 2]];
     let (mut sum, mut moment) = (0.0, 0.0);
     for k in 0..count {
         let along = start + k as f64 * STEP;
         let middle = ridge.offset(along);
-        votes.push(best_across(evidence, axes, [along, middle], scatter).0);
+        let (best, offset) = across.best(evidence, along, middle);
+        votes.push(best);
+        offsets.push(offset);
         let leaf = |across: i32| evidence.leaf_at(axes.image([along, middle + f64::from(across)]));
         let here = STEP * (-BAND..=BAND).map(leaf).sum::<f64>();
         sum += here;
         moment += here * k as f64;
         mass.push([sum, moment]);
     }
-    Profile { start, votes, mass }
+    Profile { start, votes, offsets, mass, crowns: Vec::new() }
 }

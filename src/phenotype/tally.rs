@@ -27,8 +27,8 @@ use gaps::{Gaps, MOST};
 use rayon::prelude::*;
 
 /// Features of a place and of two neighbours.
-const PLACE: usize = 23;
-const PAIR: usize = 9;
+const PLACE: usize = 27;
+const PAIR: usize = 11;
 /// Weights of the features.
 struct Weights {
     places: [f64; PLACE],
@@ -38,20 +38,25 @@ struct Weights {
 /// Fitted to fields whose spacing is known exactly: these estimate the spacing.
 const OF_SPACING: Weights = Weights {
     places: [
-        -0.1121, 7.8432, 0.5455, -2.3369, 1.8585, -0.0911, 3.4462, 0.7708, 0.5267, -0.9963,
-        -0.7414, -0.6567, -0.1221, 0.2998, -0.4174, 0.2067, 0.0057, 0.0225, -0.1577, -0.2705,
-        -0.0759, -1.1699, -0.4567,
+        0.3139, 7.1403, 0.4479, -1.3912, 1.7317, 0.4322, 2.8407, 0.1436, -1.6485, -1.0477, -0.4849,
+        0.0050, 0.0201, 0.2635, -0.4093, 0.1609, 0.0901, 0.1519, 0.1816, -0.0688, 0.1057, -0.7973,
+        -0.2622, 0.6610, 0.0596, -0.3144, -0.6479,
     ],
-    pairs: [1.2130, -5.6545, 1.1543, 0.1665, -0.8144, -0.6911, -0.5109, -2.8652, 0.2834],
+    pairs: [
+        1.1749, -7.7783, 0.8010, 0.1760, -0.4838, -0.6636, -0.6691, -2.9021, 0.2716, 3.0120, 1.1154,
+    ],
 };
 /// Fitted to the same fields with the spacings that [`OF_SPACING`] finds: these count.
 const OF_COUNT: Weights = Weights {
     places: [
-        0.7082, 6.8475, 0.7110, -6.3021, 3.4382, -0.1705, 8.0968, -0.8605, 0.5358, 0.3636, -3.0299,
-        1.9522, 0.7815, 2.5106, -1.8491, 1.1460, -0.0337, 0.8018, -0.0308, -2.0972, -0.2159,
-        -3.1992, -1.1715,
+        0.8268, 5.8393, 0.5607, -5.0621, 3.1885, 0.5944, 7.5578, -1.4987, -2.1064, 0.0439, -1.8703,
+        2.4775, 0.8410, 1.6150, -1.6674, 0.6621, 0.1287, 0.8197, 0.7548, -1.9731, 0.2797, -2.6734,
+        -0.7400, 0.6347, -0.1333, -0.3123, -0.2417,
     ],
-    pairs: [0.9807, -1.9087, 0.7337, 0.2724, -2.7329, -0.9227, 0.0204, -5.5045, -3.6272],
+    pairs: [
+        0.9664, -3.5953, 0.8387, 0.2414, -1.8701, -0.8587, -0.8732, -6.0671, -2.4642, 0.9745,
+        1.8289,
+    ],
 };
 /// Half the width of the surroundings that votes are compared with, in steps.
 const AROUND: usize = 60;
@@ -66,6 +71,7 @@ const BAND: f64 = 17.0;
 const CONTRASTS: [f64; 2] = [0.25, 0.55];
 const COVERS: [f64; 2] = [0.22, 0.78];
 const OUTSIDES: [f64; 2] = [0.04, 0.6];
+const CROWNS: [f64; 2] = [-4.0, 3.0];
 
 /// What the whole field shows.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -197,6 +203,12 @@ fn mean_around(sums: &[f64], at: usize, reach: usize) -> f64 {
     (sums[to] - sums[from]) / (to - from) as f64
 }
 
+/// How many standard deviations of plants there is less leaf around a place than around plants, and more.
+fn crown(profile: &Profile, at: usize) -> [f64; 2] {
+    let score = profile.crowns.get(at).map_or(0.0, |crown| crown.score);
+    [score.clamp(CROWNS[0], 0.0), score.clamp(0.0, CROWNS[1])]
+}
+
 /// The features of every place.
 fn places(profile: &Profile, heights: &[f64], overall: &Overall, gaps: &Gaps) -> Vec<[f64; PLACE]> {
     let sums = sums(heights.iter().copied());
@@ -220,6 +232,7 @@ fn places(profile: &Profile, heights: &[f64], overall: &Overall, gaps: &Gaps) ->
             let local = heights[at] - mean_around(&sums, at, wide);
             let (from, to) = (at.saturating_sub(narrow), (at + narrow + 1).min(heights.len()));
             let mass = (profile.mass[to][0] - profile.mass[from][0]) / (to - from) as f64;
+            let [less, more] = crown(profile, at);
             [
                 1.0,
                 height,
@@ -244,6 +257,10 @@ fn places(profile: &Profile, heights: &[f64], overall: &Overall, gaps: &Gaps) ->
                 size * size,
                 outside,
                 outside * height,
+                less,
+                more,
+                size * less,
+                size * more,
             ]
         })
         .collect()
@@ -325,6 +342,7 @@ impl<'p> Pairs<'p> {
             0.0
         };
         let middling = !close && gap < 2 * self.covered + self.covered / 2;
+        let more = crown(self.profile, from)[1].min(crown(self.profile, to)[1]);
         [
             density,
             near * lower,
@@ -335,6 +353,8 @@ impl<'p> Pairs<'p> {
             double,
             double * (lower - 1.0),
             if close { 1.0 - gap as f64 / self.covered as f64 } else { 0.0 },
+            near * more,
+            double * more,
         ]
     }
 
@@ -397,7 +417,7 @@ mod tests {
             let here = 0.5 + 0.1 * (k % 5) as f64;
             mass.push([sum + here, moment + here * k as f64]);
         }
-        Profile { start: 0.0, votes, mass }
+        Profile { start: 0.0, offsets: vec![0.0; votes.len()], votes, mass, crowns: vec![] }
     }
 
     const OVERALL: Overall =
