@@ -33,7 +33,11 @@ impl FromStr for Tau {
             "auto" => Ok(Tau::Auto),
             _ => match text.parse() {
                 Ok(thresholds) => Ok(Tau::Given(thresholds)),
-                Err(error) => Err(Error::Argument(format!("{error}, or auto"))),
+                // Something else than numbers was meant to be a word.
+                Err(error) if !text.contains(',') => {
+                    Err(Error::Argument(format!("{error}, or auto")))
+                }
+                Err(error) => Err(error),
             },
         }
     }
