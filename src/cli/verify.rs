@@ -11,8 +11,8 @@ use std::path::{Path, PathBuf};
 
 /// Do a run again from its inputs and compare all files byte by byte
 ///
-/// Inputs must be as they were; every stage is done again in a folder that is removed afterwards, with the settings
-/// of the run, and its files are compared with the recorded ones. With --files nothing is done again: only the
+/// Inputs must be as they were; every stage is done again in a folder of the project that is removed afterwards, with the
+/// settings of the run, and its files are compared with the recorded ones. With --files nothing is done again: only the
 /// recorded files are compared with what is there. Exit code 3 where something differs.
 #[derive(Debug, clap::Args)]
 #[command(
