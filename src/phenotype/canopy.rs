@@ -6,10 +6,12 @@
 //! 2. The spacing of the plants ([`renewal`]), on some of the rows: where the number of plants is not
 //!    given, the one with the largest marginal likelihood ([`chain::Chain::log_sum`]); then alternating
 //!    between the best plants and the gaps between them.
-//! 3. The best plants of every row ([`chain::Chain::best`]). The worth `beta` of one plant more is found
+//! 3. How many leaves there are around every place ([`crown`]), held against the best plants so far: what the chains and
+//!    the expected counts below know of two plants in one place, and of none.
+//! 4. The best plants of every row ([`chain::Chain::best`]). The worth `beta` of one plant more is found
 //!    by bisection: for their number where it is given, otherwise for the number that is expected of a
 //!    score fitted to count ([`tally`]).
-//! 4. Probabilities of all places ([`chain::Chain::posterior`]) give each plant its confidence and its
+//! 5. Probabilities of all places ([`chain::Chain::posterior`]) give each plant its confidence and its
 //!    standard deviations, the field its count with an interval, and every gap the probability that
 //!    plants are missing in it.
 //!
@@ -20,6 +22,7 @@
 //! [`chain::Chain::log_sum`]: Chain::log_sum
 //! [`chain::Chain::best`]: Chain::best
 //! [`chain::Chain::posterior`]: Chain::posterior
+//! [`crown`]: super::crown
 //! [`ridges`]: super::ridges
 //! [`renewal`]: super::renewal
 //! [`tally`]: super::tally

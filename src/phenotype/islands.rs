@@ -112,7 +112,8 @@ fn drop_specks(islands: &mut [Vec<Island>]) {
     islands.iter_mut().for_each(|row| row.retain(|island| island.mass >= SPECK * middle));
 }
 
-fn median(mut values: Vec<f64>) -> Option<f64> {
+/// The middle one, the upper of two; `None` of nothing.
+pub(super) fn median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied()
 }
