@@ -19,6 +19,7 @@ mod findings;
 mod keys;
 mod leaf_area;
 mod leaf_area_figure;
+mod leaf_tips;
 mod leaves;
 mod leaves_twin;
 mod locate;
@@ -140,6 +141,11 @@ enum Experiment {
         #[arg(long, default_value_t = 2)]
         photos: usize,
     },
+    /// Leaf segmentation in side views of maize and sorghum, against leaf tips that people marked.
+    LeafTips {
+        #[command(flatten)]
+        folders: Folders,
+    },
     /// Leaf count against leaf area: photos as taken, without distortion, and from straight above.
     LeafArea {
         /// Where the table and the figure go; made if it is not there.
@@ -190,6 +196,7 @@ fn main() -> ExitCode {
         Experiment::CanopyField { folders } => canopy_field::run(&folders),
         Experiment::Leaves { folders, masks } => leaves::run(&folders, masks),
         Experiment::LeavesTwin { out, photos } => leaves_twin::run(&out, photos),
+        Experiment::LeafTips { folders } => leaf_tips::run(&folders),
         Experiment::LeafArea { out } => leaf_area::run(&out),
         Experiment::SegmentSpeed { raw, width, height, mask } => {
             segment_speed::run(&raw, width, height, &mask)

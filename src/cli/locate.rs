@@ -49,7 +49,7 @@ pub(super) struct Locate {
     method: Option<Method>,
     /// An option of the methods full and refined, as in `--set leaf-axes=false`: leaf-axes, axes
     /// (tensor, or slices across the leaves), curved-rows, across, believed, votes, cover, heat, tally, beta, beta-compared, mean-place,
-    /// estimate-spacing, crowns.
+    /// estimate-spacing, crowns, tilt, apart.
     #[arg(long, value_name = "NAME=VALUE")]
     set: Vec<String>,
     /// What holds a plant: none, rows (near its row), grid (near its row and column).

@@ -13,7 +13,7 @@
 //!    score fitted to count ([`tally`]).
 //! 5. Probabilities of all places ([`chain::Chain::posterior`]) give each plant its confidence and its
 //!    standard deviations, the field its count with an interval, and every gap the probability that
-//!    plants are missing in it.
+//!    plants are missing in it. Where plants stand apart ([`islands`]), they move to the middle of their leaves; where stalks are tilted, their bases are not below their leaves ([`tilt`]).
 //!
 //! Positions and lengths in pixels of the mask where the name ends in `_px`, else of the reduced grid.
 //!
@@ -26,15 +26,18 @@
 //! [`ridges`]: super::ridges
 //! [`renewal`]: super::renewal
 //! [`tally`]: super::tally
+//! [`tilt`]: super::tilt
 
 use super::{
     chain::{Chain, Posterior, STEP},
     evidence::Axes,
+    islands,
     locate::LocateError,
     renewal::Spacing,
     rows::{Detection, Rows},
     scene::{Expected, Scene, best, bisect, gaps, total, worth_of},
     stand::{Canopy, Missing, NORMAL_95, Stalk},
+    tilt,
 };
 use crate::raster::Mask;
 use rayon::prelude::*;
@@ -73,6 +76,10 @@ pub struct Options {
     pub estimate_spacing: bool,
     /// The leaves around a place say whether one plant stands there, or two, or none.
     pub crowns: bool,
+    /// Standard deviation, in each direction, of the base of a stalk about the middle of its leaves ([`tilt`](super::tilt)).
+    pub tilt: f64,
+    /// Plants that stand apart, each an island of leaf, are found by their leaf mass and stand in the middle of it.
+    pub apart: bool,
 }
 
 impl Default for Options {
@@ -92,6 +99,8 @@ impl Default for Options {
             mean_place: true,
             estimate_spacing: true,
             crowns: true,
+            tilt: 1.5,
+            apart: true,
         }
     }
 }
@@ -124,7 +133,7 @@ pub fn locate(
     };
     let mut scene = Scene::new(mask, rows, options);
     let spacing = scene.spacing(count);
-    if options.crowns && options.leaf_axes {
+    if options.crowns && scene.has_axes() {
         // What is usual of plants, from those that are found without it.
         let chains = scene.chains(&spacing, 0..scene.profiles.len());
         let plants = best(&chains, options.beta);
@@ -150,7 +159,11 @@ pub fn locate(
         keep_likeliest(&mut places, &posteriors, count);
     }
     let spacing = spacing.refit(&gaps(&places));
-    Ok(scene.present(rows, &places, &chains, &posteriors, &spacing, (beta, expected)))
+    let mut canopy = scene.present(rows, &places, &chains, &posteriors, &spacing, (beta, expected));
+    if let Some(apart) = scene.whole() {
+        islands::settle(mask, &mut canopy.plants, rows.axes.heading_rad, SETTLED * apart);
+    }
+    Ok(canopy)
 }
 
 fn posteriors(chains: &[Chain<'_>], beta: f64, heat: f64) -> Vec<Posterior> {
@@ -192,6 +205,8 @@ fn together(marginals: &[f64], places: &[usize], at: usize, steps: usize) -> [f6
     [plants / count.max(1) as f64, mean, variance]
 }
 
+/// A plant that stands apart has its leaves within this share of the spacing.
+const SETTLED: f64 = 0.5;
 /// Standard deviation of the relative error of expected counts, on synthetic fields that took no part in
 /// fitting the weights.
 const COUNT_SIGMA: f64 = 0.06;
@@ -207,23 +222,36 @@ impl Scene {
         (beta, expected): (f64, Option<Expected>),
     ) -> Canopy {
         let factor = self.evidence.factor as f64;
-        let Options { believed, heat, .. } = self.options;
+        let heat = self.options.heat;
+        let tilt = if self.whole().is_some() { 0.0 } else { self.options.tilt };
         let across = self.scatter(places, spacing.spacing);
+        let believed = self.options.believed * tilt::believed(tilt, across / self.options.across);
         let offsets = self.offsets(places, across);
         let radius = ((0.25 * spacing.spacing / STEP) as usize).max(1);
         let (mut plants, mut missing) = (Vec::new(), Vec::new());
         for (row, places) in places.iter().enumerate() {
-            for (&at, &offset) in places.iter().zip(&offsets[row]) {
-                let marginals = &posteriors[row].marginals;
-                let [confidence, mean, variance] = together(marginals, places, at, radius);
-                let place = at as f64 + if self.options.mean_place { mean } else { 0.0 };
+            let marginals = &posteriors[row].marginals;
+            let found: Vec<[f64; 3]> =
+                places.iter().map(|&at| together(marginals, places, at, radius)).collect();
+            let whorls: Vec<f64> = places
+                .iter()
+                .zip(&found)
+                .map(|(&at, [_, mean, _])| {
+                    STEP * (at as f64 + if self.options.mean_place { *mean } else { 0.0 })
+                })
+                .collect();
+            let bases = tilt::bases(&whorls, spacing, tilt);
+            for (k, ([confidence, _, variance], [base, tilted])) in
+                found.into_iter().zip(bases).enumerate()
+            {
                 plants.push(Stalk {
-                    position_px: self.image(row, place, believed * offset),
+                    position_px: self.image(row, base / STEP, believed * offsets[row][k]),
                     row,
-                    along_px: (self.profiles[row].start + place * STEP) * factor,
+                    along_px: (self.profiles[row].start + base) * factor,
                     confidence: confidence.min(1.0),
                     // A place stands for a step around it.
-                    sigma_along_px: (variance + 1.0 / 12.0).sqrt() * STEP * factor,
+                    sigma_along_px: ((variance + 1.0 / 12.0) * STEP * STEP + tilted).sqrt()
+                        * factor,
                     sigma_across_px: (1.0 - believed).sqrt() * across * factor,
                 });
             }

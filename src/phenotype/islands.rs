@@ -4,8 +4,9 @@
 //! touch make one island of two, so that the middle distance is somewhat too long. Where too little of the rows is
 //! bare, or islands are long against their distance, plants have grown together and islands tell nothing.
 
-use super::rows::Rows;
+use super::{rows::Rows, stand::Stalk};
 use crate::raster::Mask;
+use std::collections::HashMap;
 
 /// Share of the rows that must be bare.
 const LEAST_BARE: f64 = 0.35;
@@ -110,6 +111,64 @@ fn drop_specks(islands: &mut [Vec<Island>]) {
     let masses = islands.iter().flatten().map(|island| island.mass).collect();
     let Some(middle) = median(masses) else { return };
     islands.iter_mut().for_each(|row| row.retain(|island| island.mass >= SPECK * middle));
+}
+
+/// Moves plants that stand apart to the middle of the leaf pixels which are theirs: nearer than to any other plant, and within
+/// `reach_px`. A plant without any stays. (One step of k-means, truncated.)
+pub fn settle(mask: &Mask, plants: &mut [Stalk], heading_rad: f64, reach_px: f64) {
+    let places: Vec<[f64; 2]> = plants.iter().map(|plant| plant.position_px).collect();
+    let near = Buckets::new(&places, reach_px);
+    // Sums of whole numbers: the order of the pixels changes nothing.
+    let mut sums = vec![[0_u64; 3]; plants.len()];
+    for (u, v) in mask.plant_pixels() {
+        let Some(plant) = near.nearest(&places, [u as f64, v as f64]) else { continue };
+        let [count, along, down] = &mut sums[plant];
+        (*count, *along, *down) = (*count + 1, *along + u as u64, *down + v as u64);
+    }
+    let (sin, cos) = heading_rad.sin_cos();
+    for (plant, [count, u, v]) in plants.iter_mut().zip(sums) {
+        if count > 0 {
+            let middle = [u as f64 / count as f64, v as f64 / count as f64];
+            let moved = [0, 1].map(|k| middle[k] - plant.position_px[k]);
+            plant.position_px = middle;
+            plant.along_px += cos * moved[0] + sin * moved[1];
+        }
+    }
+}
+
+/// Places in square cells of the side within which they are looked for.
+struct Buckets {
+    side: f64,
+    cells: HashMap<[i64; 2], Vec<usize>>,
+}
+
+impl Buckets {
+    fn new(places: &[[f64; 2]], side: f64) -> Buckets {
+        let mut buckets = Buckets { side, cells: HashMap::new() };
+        for (k, &place) in places.iter().enumerate() {
+            buckets.cells.entry(buckets.cell(place)).or_default().push(k);
+        }
+        buckets
+    }
+
+    fn cell(&self, place: [f64; 2]) -> [i64; 2] {
+        place.map(|x| (x / self.side).floor() as i64)
+    }
+
+    /// The nearest place within a side of this one, the first of several.
+    fn nearest(&self, places: &[[f64; 2]], at: [f64; 2]) -> Option<usize> {
+        let [x, y] = self.cell(at);
+        let mut best = (self.side * self.side, None);
+        for cell in (y - 1..=y + 1).flat_map(|y| (x - 1..=x + 1).map(move |x| [x, y])) {
+            for &k in self.cells.get(&cell).into_iter().flatten() {
+                let distance2 = (places[k][0] - at[0]).powi(2) + (places[k][1] - at[1]).powi(2);
+                if distance2 < best.0 || (distance2 == best.0 && best.1.is_some_and(|b| k < b)) {
+                    best = (distance2, Some(k));
+                }
+            }
+        }
+        best.1
+    }
 }
 
 /// The middle one, the upper of two; `None` of nothing.

@@ -16,3 +16,4 @@ pub mod rows;
 mod scene;
 pub mod stand;
 pub mod tally;
+pub mod tilt;

@@ -82,7 +82,8 @@ impl Scene {
         let apart = islands::spacing_px(mask, rows);
         let coarse = apart.map_or(1.0, |spacing| spacing / APART);
         let factor = evidence::factor(mask).max(coarse.round() as usize);
-        let evidence = if options.leaf_axes {
+        let whole = options.apart && apart.is_some();
+        let evidence = if options.leaf_axes && !whole {
             Evidence::new(mask, rows.axes.heading_rad, options.axes, factor)
         } else {
             Evidence::of_mass(mask, factor)
@@ -117,6 +118,16 @@ impl Scene {
         };
         scene.read();
         scene
+    }
+
+    /// Whether evidence is votes along the axes of leaves.
+    pub(super) fn has_axes(&self) -> bool {
+        !self.evidence.axes.is_empty()
+    }
+
+    /// Distance of the islands of leaf, pixels of the mask, where each is a plant as a whole.
+    pub(super) fn whole(&self) -> Option<f64> {
+        self.apart.filter(|_| self.options.apart).map(|apart| apart * self.evidence.factor as f64)
     }
 
     /// Reads what every row shows.
