@@ -206,7 +206,7 @@ fn together(marginals: &[f64], places: &[usize], at: usize, steps: usize) -> [f6
 }
 
 /// A plant that stands apart has its leaves within this share of the spacing.
-const SETTLED: f64 = 0.5;
+const SETTLED: f64 = 0.4;
 /// Standard deviation of the relative error of expected counts, on synthetic fields that took no part in
 /// fitting the weights.
 const COUNT_SIGMA: f64 = 0.06;

@@ -34,7 +34,7 @@ const TENSOR_PX: f64 = 1.3;
 /// Scale by which votes are blurred, in reduced pixels.
 const VOTE_PX: f64 = 0.8;
 /// Scale over which leaf mass is gathered where no votes are wanted, in reduced pixels.
-const MASS_PX: f64 = 2.0;
+const MASS_PX: f64 = 1.7;
 /// How far a vote walks, in reduced pixels.
 const REACH_PX: usize = 20;
 /// Where votes saturate.

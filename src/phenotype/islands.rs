@@ -9,7 +9,7 @@ use crate::raster::Mask;
 use std::collections::HashMap;
 
 /// Share of the rows that must be bare.
-const LEAST_BARE: f64 = 0.35;
+const LEAST_BARE: f64 = 0.22;
 /// The longest that the middle island may be, in distances between islands.
 const LONGEST: f64 = 0.65;
 /// The fewest islands.
@@ -38,14 +38,13 @@ impl Island {
 /// not stand apart.
 pub fn spacing_px(mask: &Mask, rows: &Rows) -> Option<f64> {
     let profiles = profiles(mask, rows);
-    let all: Vec<Vec<Island>> = profiles.iter().map(|profile| runs(profile)).collect();
+    let mut islands: Vec<Vec<Island>> = profiles.iter().map(|profile| runs(profile)).collect();
     let length: f64 = profiles.iter().map(|profile| profile.len() as f64).sum();
-    let covered: f64 = all.iter().flatten().map(|island| island.to - island.from).sum();
+    drop_specks(&mut islands);
+    let covered: f64 = islands.iter().flatten().map(|island| island.to - island.from).sum();
     if covered > (1.0 - LEAST_BARE) * length {
         return None;
     }
-    let mut islands = all;
-    drop_specks(&mut islands);
     let spacing = middle_distance(&islands)?;
     let longest = median(islands.iter().flatten().map(|island| island.to - island.from).collect())?;
     let count: usize = islands.iter().map(Vec::len).sum();

@@ -24,6 +24,8 @@ const LEAVES: f64 = 1.9;
 const ISLANDS: [f64; 2] = [0.7, 1.3];
 /// Distance of neighbouring plants in the grid, where it is the plants that decide what the grid is.
 const APART: f64 = 13.0;
+/// What the mass of a plant that stands apart is worth, of what votes are.
+const WHOLE: f64 = 0.75;
 /// Half the width of the band whose leaf mass a row has to cover.
 const BAND: i32 = 8;
 /// Places looked at beyond the ends of a row.
@@ -162,6 +164,7 @@ impl Scene {
     ) -> Vec<Chain<'_>> {
         let mass = self.mass * spacing.spacing / self.length.max(f64::MIN_POSITIVE);
         let Options { votes, cover, .. } = self.options;
+        let votes = if self.whole().is_some() { WHOLE * votes } else { votes };
         let weights = Weights { votes, cover, mean: self.mean, mass };
         rows.into_iter().map(|row| Chain::new(&self.profiles[row], spacing, &weights)).collect()
     }
