@@ -43,6 +43,30 @@ proptest! {
     }
 
     #[test]
+    fn a_place_to_begin_at_changes_no_image(
+        u in 0.0..1280.0f64,
+        v in 0.0..960.0f64,
+        // As near as a measured position is, far off, and outside the picture.
+        off in prop_oneof![-2.0..2.0f64, -200.0..200.0f64, -3000.0..3000.0f64],
+        distance in 0.1..1e4f64,
+    ) {
+        for lens in lenses() {
+            let point = lens.unproject([u, v]).unwrap().map(|c| c * distance);
+            let (plain, near_px) = (lens.project(point).unwrap(), [u + off, v - off]);
+            let near = lens.project_near(point, near_px).unwrap();
+            let with = lens.project_with_derivatives_near(point, near_px).unwrap();
+            let full = lens.project_with_derivatives(point).unwrap();
+            for k in 0..2 {
+                prop_assert!((near[k] - plain[k]).abs() < 1e-9, "{:?} {near:?}", lens.model());
+                prop_assert!((with.image_px[k] - plain[k]).abs() < 1e-9);
+                for (a, b) in with.by_point[k].iter().zip(&full.by_point[k]) {
+                    prop_assert!((a - b).abs() <= 1e-9 * (1.0 + b.abs()), "{:?}", lens.model());
+                }
+            }
+        }
+    }
+
+    #[test]
     fn derivatives_match_differences(
         u in 20.0..1260.0f64,
         v in 20.0..940.0f64,

@@ -62,8 +62,13 @@ struct Photos {
     every: usize,
 }
 
-/// Runs the experiment.
-pub(crate) fn run(folders: &Folders, options: &Options, train_only: bool) -> Result<(), Error> {
+/// Runs the experiment: all of it, or only the training lists, or without those that are told the number.
+pub(crate) fn run(
+    folders: &Folders,
+    options: &Options,
+    train_only: bool,
+    alone: bool,
+) -> Result<(), Error> {
     make(&folders.out)?;
     let plots = folders.data.join("maize_plots");
     let (train, val) = (read(&plots, "train.txt")?, read(&plots, "val.txt")?);
@@ -81,19 +86,24 @@ pub(crate) fn run(folders: &Folders, options: &Options, train_only: bool) -> Res
             let runs = locate(name, "search", &search, settings, options, false)?;
             Ok(mean(&runs, |run| run.f1_quarter))
         })?;
-        let theirs = choose(|settings| {
-            let runs = compare(name, "search", &search, settings, &rivals)?;
-            Ok(mean(&runs, |run| run.f1_quarter))
-        })?;
         // Writing to a string does not fail.
-        let _ = writeln!(
-            chosen,
-            "{name}: thresholds and smallest component {mine:?}; for the three others {theirs:?}.\n"
-        );
+        let _ = writeln!(chosen, "{name}: thresholds and smallest component {mine:?}.\n");
+        let theirs = if alone {
+            None
+        } else {
+            let theirs = choose(|settings| {
+                let runs = compare(name, "search", &search, settings, &rivals)?;
+                Ok(mean(&runs, |run| run.f1_quarter))
+            })?;
+            let _ = writeln!(chosen, "For the three others {theirs:?}.\n");
+            Some(theirs)
+        };
         for &(list, ref plots) in lists.iter().take(if train_only { 1 } else { 2 }) {
             let plots: Vec<&Plot> = plots.iter().collect();
             runs.extend(locate(name, list, &plots, mine, options, true)?);
-            runs.extend(compare(name, list, &plots, theirs, &rivals)?);
+            if let Some(theirs) = theirs {
+                runs.extend(compare(name, list, &plots, theirs, &rivals)?);
+            }
         }
     }
     let path = folders.out.join("canopy_plots.csv");

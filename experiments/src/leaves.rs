@@ -21,7 +21,8 @@ use std::{collections::BTreeMap, fmt::Write as _, path::Path};
 
 pub(crate) enum Method {
     Components,
-    Watershed,
+    /// With markers at least so many usual widths apart.
+    Watershed(f64),
     Slices(Options),
 }
 
@@ -29,7 +30,9 @@ pub(crate) fn methods() -> Vec<(&'static str, Method)> {
     let (paper, all) = (Options::paper(), Options::default());
     vec![
         ("connected components", Method::Components),
-        ("watershed", Method::Watershed),
+        ("watershed, markers 1 width apart", Method::Watershed(1.0)),
+        ("watershed, markers 2 widths apart", Method::Watershed(2.0)),
+        ("watershed, markers 3 widths apart", Method::Watershed(3.0)),
         ("paper", Method::Slices(paper)),
         ("paper, no bridging", Method::Slices(Options { bridging: Bridging::None, ..paper })),
         ("global bridging", Method::Slices(Options { bridging: Bridging::Global, ..paper })),
@@ -149,11 +152,9 @@ pub(crate) fn segment(mask: &Mask, how: &Method) -> (Vec<u32>, Option<Leaves>) {
             parts.iter().zip(1..).for_each(|(part, label)| paint(&part.runs, label));
             (labels, None)
         }
-        Method::Watershed => {
-            // The best that the baseline can have: markers as far apart as the usual leaf is long, which is
-            // some six of its widths.
+        Method::Watershed(widths) => {
             let usual = leaves::find(mask, &Options::paper()).usual_width_px;
-            (watershed::labels(mask, (3.0 * usual).round() as usize), None)
+            (watershed::labels(mask, (widths * usual).round().max(1.0) as usize), None)
         }
         Method::Slices(options) => {
             let found = leaves::find(mask, options);

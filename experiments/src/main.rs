@@ -118,6 +118,9 @@ enum Experiment {
         /// Leave `val` out.
         #[arg(long)]
         train_only: bool,
+        /// Leave out those that are told the number of plants, which take most of the time.
+        #[arg(long)]
+        alone: bool,
     },
     /// The locator for closed canopies on a quarter, half, the whole and twice of a field.
     CanopyField {
@@ -190,9 +193,8 @@ fn main() -> ExitCode {
         Experiment::Canopy { folders, masks, only, set } => {
             options(&set).and_then(|options| canopy::run(&folders, masks, &only, &options))
         }
-        Experiment::CanopyPlots { folders, set, train_only } => {
-            options(&set).and_then(|options| canopy_plots::run(&folders, &options, train_only))
-        }
+        Experiment::CanopyPlots { folders, set, train_only, alone } => options(&set)
+            .and_then(|options| canopy_plots::run(&folders, &options, train_only, alone)),
         Experiment::CanopyField { folders } => canopy_field::run(&folders),
         Experiment::Leaves { folders, masks } => leaves::run(&folders, masks),
         Experiment::LeavesTwin { out, photos } => leaves_twin::run(&out, photos),

@@ -214,6 +214,50 @@ mod tests {
         (mask, detection.rows().unwrap().clone())
     }
 
+    fn stalk(position_px: [f64; 2]) -> Stalk {
+        let along_px = position_px[0] + 7.0;
+        let (sigma_along_px, sigma_across_px) = (1.0, 1.0);
+        Stalk { position_px, row: 0, along_px, confidence: 1.0, sigma_along_px, sigma_across_px }
+    }
+
+    #[test]
+    fn settling_is_one_truncated_step_of_k_means() {
+        let (mask, _) = crop(45.0, 12.0);
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        let mut plants: Vec<Stalk> = (0..80)
+            .map(|_| stalk([1200.0 * rng.random::<f64>(), 400.0 * rng.random::<f64>()]))
+            .collect();
+        let (before, reach) = (plants.clone(), 30.0);
+        settle(&mask, &mut plants, 0.0, reach);
+        let distance = |plant: &Stalk, u: usize, v: usize| {
+            (plant.position_px[0] - u as f64).hypot(plant.position_px[1] - v as f64)
+        };
+        for (k, (old, new)) in before.iter().zip(&plants).enumerate() {
+            let own: Vec<(usize, usize)> = mask
+                .plant_pixels()
+                .filter(|&(u, v)| {
+                    let mine = distance(old, u, v);
+                    mine < reach
+                        && before.iter().enumerate().all(|(other, plant)| {
+                            let theirs = distance(plant, u, v);
+                            mine < theirs || (mine == theirs && k <= other)
+                        })
+                })
+                .collect();
+            let mean = |part: &dyn Fn(&(usize, usize)) -> usize| {
+                own.iter().map(part).sum::<usize>() as f64 / own.len() as f64
+            };
+            let expected = if own.is_empty() {
+                old.position_px
+            } else {
+                [mean(&|pixel| pixel.0), mean(&|pixel| pixel.1)]
+            };
+            assert_eq!(new.position_px, expected);
+            approx::assert_relative_eq!(new.along_px, expected[0] + 7.0, epsilon = 1e-9);
+        }
+        assert_ne!(before, plants);
+    }
+
     #[test]
     fn plants_that_stand_apart_tell_their_spacing_and_others_do_not() {
         for spacing in [24.0, 45.0, 70.0] {
