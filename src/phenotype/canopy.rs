@@ -163,6 +163,7 @@ pub fn locate(
     if let Some(apart) = scene.whole() {
         islands::settle(mask, &mut canopy.plants, rows.axes.heading_rad, SETTLED * apart);
     }
+    canopy.refit_rows();
     Ok(canopy)
 }
 
