@@ -76,7 +76,7 @@ pub struct Options {
     pub estimate_spacing: bool,
     /// The leaves around a place say whether one plant stands there, or two, or none.
     pub crowns: bool,
-    /// Standard deviation, in each direction, of the base of a stalk about the middle of its leaves ([`tilt`](super::tilt)).
+    /// Standard deviation, in each direction, of the base of a stalk about the middle of its leaves ([`tilt`]).
     pub tilt: f64,
     /// Plants that stand apart, each an island of leaf, are found by their leaf mass and stand in the middle of it.
     pub apart: bool,
