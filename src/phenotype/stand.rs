@@ -177,8 +177,11 @@ mod tests {
         for (found, expected) in across.iter().zip([0.0, 50.0, 150.0, 203.0]) {
             approx::assert_relative_eq!(*found, expected, epsilon = 1e-9);
         }
-        // The last row counts for its one plant.
-        let spacing = canopy.rows.spacing_px.unwrap();
-        assert!((spacing - 50.0).abs() < 0.1 && spacing != 50.0, "{spacing}");
+        // Places 0, 1, 3, 4 at 0, 50, 150, 203, with ten plants each and one: 83240 / 1660 by the normal equations.
+        approx::assert_relative_eq!(
+            canopy.rows.spacing_px.unwrap(),
+            83240.0 / 1660.0,
+            epsilon = 1e-9
+        );
     }
 }
