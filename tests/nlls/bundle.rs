@@ -170,9 +170,16 @@ fn dense_sparse_and_schur_take_the_same_steps() {
                         .collect()
                 })
                 .collect();
+            let mut before = f64::INFINITY;
             for (dense, others) in traces[0].iter().zip(traces[1].iter().zip(&traces[2])) {
+                // At the optimum rounding decides whether a step is taken at all.
+                let falls = before - dense.0 > 1e-13 * dense.0;
+                before = dense.0;
                 for other in [others.0, others.1] {
                     assert!((dense.0 - other.0).abs() <= 1e-9 * dense.0, "{traces:?}");
+                    if !falls {
+                        continue;
+                    }
                     assert!((dense.1 - other.1).abs() <= 1e-5 * dense.1.max(1e-6), "{traces:?}");
                 }
             }
