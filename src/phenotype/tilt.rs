@@ -10,7 +10,7 @@
 
 use super::renewal::Spacing;
 
-/// `c`, the part of a tilt that the chain has not undone yet. The best of 0.3 to 1.2 on synthetic masks with a tilt of 5 cm.
+/// `c`, the part of a tilt that the chain has not undone yet: on synthetic masks with a tilt of 5 cm better than 0.65 and 0.85.
 const LEFT: f64 = 0.45;
 /// Gaps over more places than this say nothing, nor do those further off than this many standard deviations.
 const MOST: (f64, f64) = (3.0, 2.5);
