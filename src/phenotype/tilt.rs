@@ -6,7 +6,8 @@
 //!
 //! `min sum_i (b_i - w_i)^2 / (c t)^2 + sum_i (b_{i+1} - b_i - k_i s)^2 / (k_i (j s)^2)`,
 //!
-//! a tridiagonal system for each row. `c` is below one because the chain that found `w` has seen the spacing too. Lengths in pixels of the reduced grid.
+//! a tridiagonal system for each row. `c` is below one because the chain that found `w` has seen the spacing too. Lengths in pixels of the
+//! reduced grid.
 
 use super::renewal::Spacing;
 
