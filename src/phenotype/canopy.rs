@@ -13,7 +13,8 @@
 //!    score fitted to count ([`tally`]).
 //! 5. Probabilities of all places ([`chain::Chain::posterior`]) give each plant its confidence and its
 //!    standard deviations, the field its count with an interval, and every gap the probability that
-//!    plants are missing in it. Where plants stand apart ([`islands`]), they move to the middle of their leaves; where stalks are tilted, their bases are not below their leaves ([`tilt`]).
+//!    plants are missing in it. Where plants stand apart ([`islands`]), they move to the middle of their leaves;
+//!    elsewhere stalks may be tilted, and their bases not below their leaves ([`tilt`]).
 //!
 //! Positions and lengths in pixels of the mask where the name ends in `_px`, else of the reduced grid.
 //!
@@ -206,7 +207,7 @@ fn together(marginals: &[f64], places: &[usize], at: usize, steps: usize) -> [f6
     [plants / count.max(1) as f64, mean, variance]
 }
 
-/// A plant that stands apart has its leaves within this share of the spacing.
+/// A plant that stands apart has its leaves within this share of the spacing (`experiments/reference/plots.md`).
 const SETTLED: f64 = 0.4;
 /// Standard deviation of the relative error of expected counts, on synthetic fields that took no part in
 /// fitting the weights.

@@ -24,7 +24,7 @@ const LEAVES: f64 = 1.9;
 const ISLANDS: [f64; 2] = [0.7, 1.3];
 /// Distance of neighbouring plants in the grid, where it is the plants that decide what the grid is.
 const APART: f64 = 13.0;
-/// What the mass of a plant that stands apart is worth, of what votes are.
+/// What the mass of a plant that stands apart is worth, of what votes are (`experiments/reference/plots.md`).
 const WHOLE: f64 = 0.75;
 /// Half the width of the band whose leaf mass a row has to cover.
 const BAND: i32 = 8;

@@ -8,7 +8,7 @@ use serde::Serialize;
 /// The 97.5 % point of the standard normal distribution.
 pub const NORMAL_95: f64 = 1.959_963_984_540_054;
 
-/// Plants that say where their row is.
+/// The fewest plants that say where their row is.
 const LEAST: f64 = 5.0;
 
 /// One plant.
@@ -97,7 +97,7 @@ impl Canopy {
 
     /// Puts the rows through the middle of their plants, [`LEAST`] or more, and fits the distance between rows to that.
     ///
-    /// Leaf mass, by which rows are detected, leans to the side of the larger leaves; plants do not.
+    /// Rows are detected by leaf mass, whose middle is less exact than that of the plants (`experiments/reference/canopy.md`).
     pub(super) fn refit_rows(&mut self) {
         let axes = self.rows.axes;
         let mut sums = vec![[0.0; 2]; self.rows.rows.len()];
