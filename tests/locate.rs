@@ -303,6 +303,8 @@ fn the_default_counts_and_tells_how_sure_it_is() {
         (["--method", "paper", "--gaps", gaps.as_str()], "only the method full"),
         (["--set", "votes=many", "--plants", "3"], "--set"),
         (["--set", "wishes=3", "--plants", "3"], "wishes"),
+        (["--set", "tilt=nan", "--plants", "3"], "tilt=NaN"),
+        (["--set", "across=0", "--plants", "3"], "across=0"),
         (["--plants", "some", "--seed", "1"], "auto"),
         (["--tempering", "-1", "--plants", "3"], "--tempering"),
     ] {

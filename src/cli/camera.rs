@@ -99,10 +99,14 @@ enum ModelName {
     Fisheye,
 }
 
-const BROWN: &[&str] = &["f_px", "aspect", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3"];
-const RATIONAL: &[&str] =
+/// Brown's lens with three radial terms.
+pub(super) const BROWN: &[&str] =
+    &["f_px", "aspect", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3"];
+/// The same with three more in a denominator.
+pub(super) const RATIONAL: &[&str] =
     &["f_px", "aspect", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"];
-const FISHEYE: &[&str] = &["f_px", "aspect", "cx_px", "cy_px", "k1", "k2", "k3", "k4"];
+/// The equidistant lens.
+pub(super) const FISHEYE: &[&str] = &["f_px", "aspect", "cx_px", "cy_px", "k1", "k2", "k3", "k4"];
 const SMAC: &[&str] = &["c_px", "xp_px", "yp_px", "K1", "K2", "K3", "P1", "P2"];
 
 #[derive(Serialize)]

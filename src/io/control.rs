@@ -5,7 +5,7 @@
 //!
 //! | file | columns |
 //! |---|---|
-//! | ground points | `label`, `easting_m`, `northing_m`, `height_m`; optional `sigma_x_m`, `sigma_y_m` or `Accuracy_Horizontal`, `sigma_z_m` or `Accuracy_Vertical`, `role` (control, check, tie), `axes` (xyz, xy, z) |
+//! | ground points | `label`, `easting_m`, `northing_m`, `height_m`; optional `sigma_x_m`, `sigma_y_m` or `Accuracy_Horizontal`, `sigma_z_m` or `Accuracy_Vertical`, `role` (control, check, tie; without one a label that begins with `CHK-` is a check point), `axes` (xyz, xy, z) |
 //! | marks | `image`, `label`, `u_px`, `v_px`; optional `sigma_px` |
 //! | camera positions | `image`, `easting_m`, `northing_m`, `height_m`; optional standard deviations as above |
 //! | scale bars | `from`, `to`, `length_m`; optional `sigma_m` |
@@ -127,6 +127,7 @@ pub fn ground_points(path: &Path, defaults: &Defaults) -> Result<Vec<GroundPoint
         }
         let word = |column: Option<Column>| column.map_or("", |c| table.text(row, c));
         let role = match word(role).to_ascii_lowercase().as_str() {
+            "" if name.starts_with("CHK-") => Role::Check,
             "" | "control" | "gcp" => Role::Control,
             "check" => Role::Check,
             "tie" => Role::Tie,

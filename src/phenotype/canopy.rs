@@ -106,16 +106,45 @@ impl Default for Options {
     }
 }
 
+impl Options {
+    /// Refuses numbers that mean nothing.
+    ///
+    /// # Errors
+    /// [`LocateError::Option`]: which, what it is, and what was expected.
+    pub fn check(&self) -> Result<(), LocateError> {
+        let positive = 1e-6..=1e6;
+        let weight = 0.0..=1e6;
+        for (name, value, range) in [
+            ("across", self.across, positive.clone()),
+            ("believed", self.believed, 0.0..=1.0),
+            ("votes", self.votes, weight.clone()),
+            ("cover", self.cover, weight.clone()),
+            ("heat", self.heat, positive),
+            ("beta", self.beta, -1e6..=1e6),
+            ("beta-compared", self.beta_compared, -1e6..=1e6),
+            ("tilt", self.tilt, weight),
+        ] {
+            if !range.contains(&value) {
+                let (least, most) = (*range.start(), *range.end());
+                return Err(LocateError::Option { name, value, least, most });
+            }
+        }
+        Ok(())
+    }
+}
+
 /// Finds plants in a mask whose rows are known; `count` of them, or as many as there seem to be.
 ///
 /// # Errors
-/// [`LocateError`]: an empty mask, no rows, no plants asked for, or more than fit into the rows.
+/// [`LocateError`]: an empty mask, no rows, no plants asked for, or more than fit into the rows; an option that
+/// means nothing.
 pub fn locate(
     mask: &Mask,
     detection: &Detection,
     count: Option<usize>,
     options: &Options,
 ) -> Result<Canopy, LocateError> {
+    options.check()?;
     if mask.data.iter().all(|&pixel| pixel == 0) {
         return Err(LocateError::EmptyMask);
     }

@@ -84,6 +84,18 @@ pub enum LocateError {
         /// Most plants there are places for.
         most: usize,
     },
+    /// An option of the full method that means nothing.
+    #[error("--set {name}={value}: a number from {least} to {most} was expected")]
+    Option {
+        /// Its name.
+        name: &'static str,
+        /// What it is.
+        value: f64,
+        /// The least it may be.
+        least: f64,
+        /// The most.
+        most: f64,
+    },
     /// The problem could not be posed or solved.
     #[error(transparent)]
     Solve(#[from] SolveError),

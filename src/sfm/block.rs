@@ -93,6 +93,19 @@ impl<'a> Block<'a> {
         }
     }
 
+    /// The block over other tracks of the same features; none of them has a point yet.
+    pub fn over<'b>(&self, tracks: &'b Tracks) -> Block<'b>
+    where
+        'a: 'b,
+    {
+        Block {
+            poses: self.poses.clone(),
+            motions: self.motions.clone(),
+            shutter: self.shutter,
+            ..Block::new(self.features, tracks, &self.cameras)
+        }
+    }
+
     /// The lens of an image.
     pub fn lens(&self, image: usize) -> &Interior {
         &self.cameras[self.features[image].camera].interior

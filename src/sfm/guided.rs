@@ -53,9 +53,9 @@ impl Default for Guiding {
 }
 
 /// Features of one feature's surroundings that are the same again, pixels: one place with two orientations.
-const SAME_PX: f64 = 2.0;
+pub(super) const SAME_PX: f64 = 2.0;
 /// Side of a bucket, in distances up to which features compete.
-const BUCKET: f64 = 2.0;
+pub(super) const BUCKET: f64 = 2.0;
 
 /// The inverse depth over an image, and how far points are off it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -132,8 +132,8 @@ pub struct Seen<'a> {
     pub descriptors: &'a Descriptors,
 }
 
-/// Rays by buckets of the plane `z = -1`.
-struct Buckets {
+/// Places in a plane by buckets.
+pub(super) struct Buckets {
     from: Ray,
     side: f64,
     columns: usize,
@@ -143,7 +143,7 @@ struct Buckets {
 }
 
 impl Buckets {
-    fn new(rays: &[Option<Ray>], side: f64) -> Buckets {
+    pub(super) fn new(rays: &[Option<Ray>], side: f64) -> Buckets {
         let mut from = [f64::INFINITY; 2];
         let mut to = [f64::NEG_INFINITY; 2];
         for ray in rays.iter().flatten() {
@@ -214,7 +214,7 @@ impl Buckets {
 }
 
 /// Distance from a piece of line.
-fn distance([a, b]: [Ray; 2], p: Ray) -> f64 {
+pub(super) fn distance([a, b]: [Ray; 2], p: Ray) -> f64 {
     let d = [b[0] - a[0], b[1] - a[1]];
     let square = d[0] * d[0] + d[1] * d[1];
     let along = if square > 0.0 {
@@ -240,33 +240,58 @@ pub fn rematch(
 ) -> Vec<[u32; 2]> {
     let tolerance = tolerance_px / principal_distance_px;
     let context = (guiding.context_px / principal_distance_px).max(tolerance);
-    let same = SAME_PX / principal_distance_px;
     let buckets = Buckets::new(second.rays, BUCKET * context);
+    let piece = |index: usize| {
+        let ray = first.rays[index]?;
+        let inverse = ground.inverse_depth(ray);
+        if inverse <= 1e-9 {
+            return None;
+        }
+        let [from, to] = [1.0 - ground.slack, 1.0 + ground.slack].map(|part| {
+            let p = pose.rotation * vector(ray) * (part / inverse) + pose.translation;
+            (p.z < -1e-6).then(|| [p.x / -p.z, p.y / -p.z])
+        });
+        Some([from?, to?])
+    };
+    let reach = Reach { tolerance, context, same: SAME_PX / principal_distance_px };
+    compete(first.descriptors, second, &buckets, &piece, &reach, guiding)
+}
+
+/// Distances in the second photo, in the unit of its places.
+pub(super) struct Reach {
+    /// From its piece of line up to which a feature may match.
+    pub(super) tolerance: f64,
+    /// Up to which features compete.
+    pub(super) context: f64,
+    /// Up to which two are the same place.
+    pub(super) same: f64,
+}
+
+/// Every feature of a first photo against those of a second one near the `piece` of line that is its own; no
+/// feature is in two matches.
+pub(super) fn compete(
+    first: &Descriptors,
+    second: Seen<'_>,
+    buckets: &Buckets,
+    piece: &dyn Fn(usize) -> Option<[Ray; 2]>,
+    reach: &Reach,
+    guiding: &Guiding,
+) -> Vec<[u32; 2]> {
     let most = (512.0 * guiding.max_distance).powi(2);
     let theirs = second.descriptors.as_bytes().as_chunks::<DESCRIPTOR_LENGTH>().0;
     // For each of the second photo's features: who of the first looks most like it.
     let mut liked = vec![(u32::MAX, u32::MAX); second.rays.len()];
     let mut chosen: Vec<[u32; 2]> = Vec::new();
     let mut seen: Vec<(u32, u32, bool)> = Vec::new();
-    for (index, (ray, descriptor)) in first.rays.iter().zip(first.descriptors.iter()).enumerate() {
-        let Some(ray) = *ray else { continue };
-        let inverse = ground.inverse_depth(ray);
-        if inverse <= 1e-9 {
-            continue;
-        }
-        let piece = [1.0 - ground.slack, 1.0 + ground.slack].map(|part| {
-            let p = pose.rotation * vector(ray) * (part / inverse) + pose.translation;
-            (p.z < -1e-6).then(|| [p.x / -p.z, p.y / -p.z])
-        });
-        let [Some(from), Some(to)] = piece else { continue };
-        let piece = [from, to];
+    for (index, descriptor) in first.iter().enumerate() {
+        let Some(piece) = piece(index) else { continue };
         seen.clear();
-        buckets.near(piece, context, |other| {
+        buckets.near(piece, reach.context, |other| {
             let Some(at) = second.rays[other as usize] else { return };
             let off = distance(piece, at);
-            if off <= context {
+            if off <= reach.context {
                 let apart = distance_squared(descriptor, &theirs[other as usize]);
-                seen.push((apart, other, off <= tolerance));
+                seen.push((apart, other, off <= reach.tolerance));
             }
         });
         for &(apart, other, inside) in &seen {
@@ -283,7 +308,7 @@ pub fn rematch(
             .iter()
             .filter(|(_, other, _)| {
                 let away = |p: Ray| (p[0] - at[0]).hypot(p[1] - at[1]);
-                second.rays[*other as usize].is_some_and(|p| away(p) > same)
+                second.rays[*other as usize].is_some_and(|p| away(p) > reach.same)
             })
             .map(|(apart, _, _)| *apart)
             .min()
@@ -345,7 +370,7 @@ pub fn strengthen(
 }
 
 /// Adds the matches of `known` whose features are free.
-fn join(matches: &mut Vec<[u32; 2]>, known: &[[u32; 2]]) {
+pub(super) fn join(matches: &mut Vec<[u32; 2]>, known: &[[u32; 2]]) {
     let mut taken: [std::collections::BTreeSet<u32>; 2] = Default::default();
     for found in matches.iter() {
         (0..2).for_each(|k| {

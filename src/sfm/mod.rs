@@ -19,6 +19,7 @@
 mod polynomial;
 pub mod relative;
 
+pub mod again;
 pub mod averaging;
 pub mod block;
 pub mod control;

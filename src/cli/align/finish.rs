@@ -2,6 +2,7 @@
 
 use super::{
     Args, Finding,
+    again::{self, Photos},
     project::{Photo, Project},
     roll,
     stages::gsd_m,
@@ -82,6 +83,7 @@ fn worst_control(block: &Block<'_>, known: &Known, sigma_m: f64) -> Option<(usiz
 pub(super) fn finish<'a>(
     mut blocks: Vec<Block<'a>>,
     project: &Project,
+    photos: &Photos<'_>,
     args: &Args,
     findings: &mut Vec<Finding>,
 ) -> Result<Final, Error> {
@@ -174,6 +176,12 @@ pub(super) fn finish<'a>(
     }
     if joined.georeferenced {
         roll::roll(&mut block, &mut known, project, args, &mut sigma_px, findings)?;
+    }
+    let tracks;
+    if args.look_again.wanted(&known) {
+        tracks = again::tracks(&block, photos);
+        block = block.over(&tracks);
+        again::settle(&mut block, &known, args.tolerance, &mut sigma_px)?;
     }
     let (mut survey, _, order) = block.survey(None);
     known.attach(&mut survey, &order);

@@ -1,9 +1,11 @@
 //! `rowgram align`: from a folder of photos to an oriented, georeferenced block.
 
+mod again;
 mod cache;
 mod extract;
 mod figures;
 mod finish;
+mod foreign;
 mod ground;
 mod lenses;
 mod pair_figures;
@@ -103,6 +105,10 @@ pub(super) struct Args {
     /// a readout time in seconds takes it as certain.
     #[arg(long, value_name = "auto|off|S", default_value = "auto")]
     rolling_shutter: roll::Shutter,
+    /// Whether the adjusted block is used to find more matches, and is adjusted by these: auto does so where there
+    /// is control, on in any case.
+    #[arg(long, value_enum, default_value_t = again::LookAgain::Auto)]
+    look_again: again::LookAgain,
     /// Seed of all random sampling.
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
@@ -417,12 +423,17 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     if last == Stage::Orient {
         return so_far.present(findings, &clock.seconds, args.json);
     }
-    let found = clock.time("adjust", || finish::finish(blocks, &project, args, &mut findings))?;
+    let looks: Vec<&features::Descriptors> =
+        extracted.features.iter().map(|f| &f.descriptors).collect();
+    let photos = again::Photos { descriptors: &looks, matched: &matched };
+    let found =
+        clock.time("adjust", || finish::finish(blocks, &project, &photos, args, &mut findings))?;
+    let foreign = foreign::Foreign::of(&found.adjusted.survey, &mut findings);
     tell(&findings);
     let (report, mut outcome) = results::Report::new(found, &project, &pairs, findings);
     if last == Stage::Report {
         let begin = Instant::now();
-        results::write(&output, &report, &mut outcome, &project, args.force)?;
+        results::write(&output, (&report, &mut outcome), &foreign, &project, args.force)?;
         let pictures = output.join("report");
         figures::write(&pictures, &outcome.adjusted.survey, &pairs, &names, args.force)?;
         let of = (project.photos.as_slice(), geometric.as_slice());

@@ -3,26 +3,20 @@
 use super::{
     Finding,
     finish::Final,
+    foreign::Foreign,
     project::Project,
     stages::{frame_name, gsd_m},
 };
 use crate::{
-    camera::{Camera, Lens, Model as LensModel},
+    camera::{Camera, Lens},
     cli::survey,
     error::Error,
-    io::{
-        FileError, camera, cloud, cloud::CloudPoint, colmap, model::Model, opensfm, orientation,
-        output,
-    },
+    io::{FileError, camera, cloud, cloud::CloudPoint, model::Model, orientation, output},
     problems::adjustment::{Group, Role},
     sfm::Pair,
 };
 use serde::Serialize;
-use std::{
-    collections::BTreeMap,
-    fmt::Write as _,
-    path::{Path, PathBuf},
-};
+use std::{collections::BTreeMap, fmt::Write as _, path::Path};
 
 /// Errors of control or check points.
 #[derive(Serialize)]
@@ -267,19 +261,14 @@ impl SoFar {
     }
 }
 
-fn folder(path: PathBuf) -> Result<PathBuf, Error> {
-    std::fs::create_dir_all(&path).map_err(|e| FileError::write(&path, e))?;
-    Ok(path)
-}
-
 /// Writes all results.
 ///
 /// # Errors
 /// Where one cannot be written.
 pub(super) fn write(
     root: &Path,
-    report: &Report,
-    outcome: &mut survey::Outcome,
+    (report, outcome): (&Report, &mut survey::Outcome),
+    foreign: &Foreign,
     project: &Project,
     force: bool,
 ) -> Result<(), Error> {
@@ -299,15 +288,7 @@ pub(super) fn write(
         .collect();
     cloud::write_ply(&root.join("cloud.ply"), &points, force)?;
     cloud::write_laz(&root.join("cloud.laz"), &points, force)?;
-    let model = Model { survey: block.clone(), ..Model::default() };
-    // Lenses of the paper's model have no place in these formats; camera-*.toml holds them.
-    let foreign = block.cameras.iter().all(|camera| camera.interior.model() != LensModel::Smac);
-    if foreign {
-        let at = folder(root.join("colmap"))?;
-        colmap::write(&at, &model, colmap::Form::Text, force)?;
-        let at = folder(root.join("opensfm"))?;
-        opensfm::write(&at.join("reconstruction.json"), &at.join("tracks.csv"), &model, force)?;
-    }
+    foreign.write(root, force)?;
     let frame = frame_text(project, report);
     output::write(&root.join("crs.txt"), force, |out| out.write_all(frame.as_bytes()))?;
     survey::write_report(&root.join("report"), outcome, force)?;

@@ -1,0 +1,95 @@
+//! The last look at the photos: matches by the adjusted block, and the block by these.
+
+use super::{extract::bar, finish::typical_px};
+use crate::{
+    error::Error,
+    features::Descriptors,
+    problems::adjustment::Role,
+    sfm::{
+        again::{Again, look_again},
+        block::Block,
+        georeference::{Known, adjust},
+        growth::Growing,
+        tracks::Tracks,
+        triangulate::Demands,
+        verify::Matched,
+    },
+};
+use clap::ValueEnum;
+
+/// Whether photos are looked at again.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(super) enum LookAgain {
+    /// Where there is control, which says that coordinates matter.
+    Auto,
+    /// In any case.
+    On,
+    /// Never: the block is that of the first matches.
+    Off,
+}
+
+impl LookAgain {
+    /// Whether a block with this control is looked at again.
+    pub(super) fn wanted(self, known: &Known) -> bool {
+        match self {
+            LookAgain::Auto => known.ground.iter().any(|point| point.role == Role::Control),
+            LookAgain::On => true,
+            LookAgain::Off => false,
+        }
+    }
+}
+
+/// The most iterations between two looks at what fits.
+const ITERATIONS: u64 = 12;
+
+/// What is looked at.
+pub(super) struct Photos<'a> {
+    pub(super) descriptors: &'a [&'a Descriptors],
+    /// Matches by looks alone.
+    pub(super) matched: &'a [Matched],
+}
+
+/// The tracks of all that the block now tells.
+pub(super) fn tracks(block: &Block<'_>, photos: &Photos<'_>) -> Tracks {
+    let progress = bar(0, "looking again");
+    let tell = |total: usize| {
+        progress.set_length(total as u64);
+        progress.inc(1);
+    };
+    let mut matched =
+        look_again(block, photos.descriptors, photos.matched, &Again::default(), &tell);
+    progress.finish_and_clear();
+    let found: usize = matched.iter().map(|pair| pair.matches.len()).sum();
+    tracing::info!("{} pairs overlap, {found} matches where the block has them", matched.len());
+    matched.sort_by(|a, b| b.matches.len().cmp(&a.matches.len()).then(a.images.cmp(&b.images)));
+    let counts: Vec<usize> = block.features.iter().map(|f| f.positions_px.len()).collect();
+    Tracks::join(&counts, matched.iter().map(|pair| (pair.images, pair.matches.as_slice())))
+}
+
+/// The block by these tracks, adjusted.
+///
+/// Some matches are wrong, and lie anywhere within the tolerance: cut off close to the block, they hold it where it was.
+/// So the band is a wide one until the block has come to rest.
+///
+/// # Errors
+/// Where it cannot be evaluated.
+pub(super) fn settle(
+    block: &mut Block<'_>,
+    known: &Known,
+    tolerance_px: f64,
+    sigma_px: &mut f64,
+) -> Result<(), Error> {
+    let demands = |tolerance_px: f64| Demands {
+        tolerance_px,
+        least_angle_rad: Growing::default().least_angle_rad,
+    };
+    let all = block.all_tracks();
+    block.retriangulate(&all, &demands(tolerance_px));
+    for last in [false, false, true] {
+        let narrow_px = (6.0 * *sigma_px).clamp(0.1 * tolerance_px, tolerance_px);
+        let band_px = if last { narrow_px } else { tolerance_px };
+        adjust(block, known, *sigma_px, &demands(band_px), ITERATIONS)?;
+        *sigma_px = typical_px(block).max(0.05);
+    }
+    Ok(())
+}

@@ -1,0 +1,122 @@
+//! The block for other programs: COLMAP's files and OpenSfM's.
+//!
+//! Neither has the paper's lens, so it is written as the nearest one they have, and what that leaves is said in pixels.
+//! Neither has a shutter that rolls: positions are those in the middle of the exposure.
+
+use super::{Finding, stages::gsd_m};
+use crate::{
+    camera::Model as LensModel,
+    cli::camera::{BROWN, FISHEYE, RATIONAL},
+    error::Error,
+    io::{FileError, colmap, model::Model, opensfm},
+    problems::{adjustment::Survey, lens_fit::fit},
+};
+use std::path::Path;
+
+/// What each program is given.
+pub(super) struct Foreign {
+    colmap: Option<Model>,
+    opensfm: Option<Model>,
+}
+
+impl Foreign {
+    /// The block as each program can hold it. What is lost on the way is a finding.
+    pub(super) fn of(block: &Survey, findings: &mut Vec<Finding>) -> Foreign {
+        let mut held = |program: &str, brown: &'static [&'static str]| {
+            let lenses = [(LensModel::Brown, brown), (LensModel::Fisheye, FISHEYE)];
+            let (survey, notes) = lenses_held(block, &lenses, program);
+            findings.extend(notes);
+            survey.map(|survey| Model { survey, ..Model::default() })
+        };
+        // The one with six radial terms, the other with three.
+        let foreign = Foreign { colmap: held("COLMAP", RATIONAL), opensfm: held("OpenSfM", BROWN) };
+        let written = foreign.colmap.is_some() || foreign.opensfm.is_some();
+        if let Some(shift_px) = rolled_px(block).filter(|_| written) {
+            findings.push(Finding::new(
+                "rolling shutter",
+                &format!(
+                    "neither COLMAP's files nor OpenSfM's can hold it: their poses are those in the middle of the \
+                     exposure, and measurements in the first and the last row are up to {shift_px:.1} px off"
+                ),
+            ));
+        }
+        foreign
+    }
+
+    /// Writes both.
+    ///
+    /// # Errors
+    /// Where a file cannot be written.
+    pub(super) fn write(&self, root: &Path, force: bool) -> Result<(), Error> {
+        if let Some(model) = &self.colmap {
+            let at = folder(root, "colmap")?;
+            colmap::write(&at, model, colmap::Form::Text, force)?;
+        }
+        if let Some(model) = &self.opensfm {
+            let at = folder(root, "opensfm")?;
+            opensfm::write(&at.join("reconstruction.json"), &at.join("tracks.csv"), model, force)?;
+        }
+        Ok(())
+    }
+}
+
+fn folder(root: &Path, name: &str) -> Result<std::path::PathBuf, FileError> {
+    let path = root.join(name);
+    std::fs::create_dir_all(&path).map_err(|e| FileError::write(&path, e))?;
+    Ok(path)
+}
+
+/// The block with the nearest of the lenses that a program has in place of the paper's; `None` where one is near none.
+fn lenses_held(
+    block: &Survey,
+    lenses: &[(LensModel, &[&str])],
+    program: &str,
+) -> (Option<Survey>, Vec<Finding>) {
+    let mut survey = block.clone();
+    let mut notes = Vec::new();
+    for camera in &mut survey.cameras {
+        if camera.interior.model() != LensModel::Smac {
+            continue;
+        }
+        let nearest = lenses
+            .iter()
+            .filter_map(|(model, free)| fit(&camera.interior, *model, free).ok())
+            // A lens without a place for the corners is none.
+            .filter(|fit| fit.left_out == 0)
+            .min_by(|a, b| a.rms_px.total_cmp(&b.rms_px));
+        let Some(fit) = nearest else {
+            let what = format!("{program} has no lens that is near it: its files are not written");
+            notes.push(Finding::new(&camera.name, &what));
+            return (None, notes);
+        };
+        notes.push(Finding::new(
+            &camera.name,
+            &format!(
+                "{program} has no smac lens: in its files is the nearest {} one, {:.3} px off (root mean square), \
+                 {:.2} at most; camera-*.toml have the lens itself",
+                fit.interior.model().word(),
+                fit.rms_px,
+                fit.largest_px
+            ),
+        ));
+        camera.interior = fit.interior;
+    }
+    (Some(survey), notes)
+}
+
+/// How far measurements in the first and the last row are from where a shutter that does not roll would have
+/// them, in the image where it is most, pixels; `None` where no image moves.
+fn rolled_px(block: &Survey) -> Option<f64> {
+    let gsd_m = gsd_m(block);
+    let most = block
+        .images
+        .iter()
+        .map(|image| {
+            let length = |v: &[f64]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
+            let interior = &block.cameras[image.camera].interior;
+            let turned_px = length(&image.motion[..3]) * interior.principal_distance_px();
+            0.5 * (turned_px + length(&image.motion[3..]) / gsd_m)
+        })
+        .fold(0.0, f64::max);
+    (most > 0.05 && most.is_finite()).then_some(most)
+}
