@@ -2,25 +2,17 @@
 
 use super::{
     Args, Finding,
-    again::{self, Photos},
+    again::Photos,
+    judge::{Way, demands, judge},
     project::{Photo, Project},
-    roll,
-    stages::gsd_m,
 };
 use crate::{
     camera::Lens,
     error::Error,
-    nlls::Loss,
-    problems::adjustment::{
-        Alignment, Group, Removed, Role, Settings, Snooping, Survey, doubtful, snoop,
-    },
+    problems::adjustment::{Alignment, Group, Removed, Role, Settings, Survey},
     sfm::{
         block::Block,
-        georeference::{
-            self, Known, MarkReview, PositionFit, adjust, axes_exchanged, join, review_marks,
-            weigh_positions,
-        },
-        growth::Growing,
+        georeference::{Known, MarkReview, axes_exchanged, join, review_marks},
         triangulate::Demands,
     },
 };
@@ -41,42 +33,12 @@ pub(super) struct Final {
     pub(super) checks: Vec<String>,
 }
 
-/// Pixels, on the ground or in a photo, that control, marks and camera positions may be off by without
-/// being taken out: what flights with a cheap lens leave at their borders.
-const LEAST_ERROR_PX: f64 = 6.0;
-
-/// Control that is this many times as far off as half of it is wrong.
-const GROSS: f64 = 8.0;
-
 /// What control is off by at most after a similarity, but for the worst of it, metres.
 fn loosest_control_m(alignment: &Alignment) -> f64 {
     let mut left: Vec<f64> = alignment.misfits.iter().map(|(_, left)| *left).collect();
     left.extend(std::iter::repeat_n(alignment.rmse_m, alignment.used.len()));
     left.sort_by(f64::total_cmp);
     left.get(left.len() * 3 / 4).copied().unwrap_or(0.0)
-}
-
-/// Control that is believed to no better than `sigma_m`.
-fn eased(known: &Known, sigma_m: f64) -> Known {
-    let mut known = known.clone();
-    for point in &mut known.ground {
-        point.sigma_m = point.sigma_m.map(|sigma| sigma.max(sigma_m));
-    }
-    known
-}
-
-/// The control point that the block contradicts most, and by how many metres.
-fn worst_control(block: &Block<'_>, known: &Known, sigma_m: f64) -> Option<(usize, f64)> {
-    let left = georeference::control_left_m(block, known);
-    if left.len() < 4 {
-        return None;
-    }
-    let mut sorted: Vec<f64> = left.iter().map(|(_, left)| *left).collect();
-    sorted.sort_by(f64::total_cmp);
-    let half = sorted[sorted.len() / 2];
-    let (place, most) = left.into_iter().max_by(|a, b| a.1.total_cmp(&b.1))?;
-    let given = known.ground[place].sigma_m.iter().copied().fold(0.0, f64::max);
-    (most > GROSS * half && most > GROSS * given && most > sigma_m).then_some((place, most))
 }
 
 /// Brings the blocks into the map, makes them one, adjusts it and judges it.
@@ -88,17 +50,13 @@ pub(super) fn finish<'a>(
     findings: &mut Vec<Finding>,
 ) -> Result<Final, Error> {
     let mut known = project.known.clone();
-    let demands = |factor: f64| Demands {
-        tolerance_px: factor * args.tolerance,
-        least_angle_rad: Growing::default().least_angle_rad,
-    };
     let mut fragments: Vec<(Vec<String>, bool)> =
         blocks.iter().map(|block| (names(block, &project.photos), false)).collect();
     if let Some(largest) = blocks.first() {
         review(largest, &mut known, project, args, findings);
     }
     name_scarcely_marked(&blocks, &known, findings);
-    let Some(joined) = join(std::mem::take(&mut blocks), &mut known, &demands(3.0)) else {
+    let Some(joined) = join(std::mem::take(&mut blocks), &mut known, &demands(args, 3.0)) else {
         return Err(Error::Incomplete(
             "no three photos could be oriented together: look at the matches (rowgram match), or give the camera (--camera)".into(),
         ));
@@ -124,130 +82,43 @@ pub(super) fn finish<'a>(
         let image = position.image as usize;
         told[image] = project.told[image].then_some(position.sigma_m);
     }
-    let mut sigma_px = 1.0;
-    let loosest = joined
+    let loosest_m = joined
         .alignments
         .iter()
         .flatten()
         .filter(|alignment| alignment.by == "control points")
         .map(loosest_control_m)
         .fold(0.0, f64::max);
-    for round in 0..4 {
-        if joined.georeferenced && !known.positions.is_empty() {
-            let fit = weigh_positions(&block, &mut known, &told);
-            if let Some(PositionFit { together: [across, up], .. }) = &fit {
-                tracing::debug!(
-                    "errors of camera positions are alike over {across:.1} photos, heights {up:.1}"
-                );
-            }
-            for (image, distance) in fit.iter().flat_map(|fit| &fit.outliers) {
-                findings.push(Finding::new(
-                    &project.photos[*image as usize].name,
-                    &format!(
-                        "its position is {distance:.1} m from where the block puts it: not used"
-                    ),
-                ));
-            }
-        }
-        let factor: f64 = if round == 0 { 2.0 } else { 1.0 };
-        let tolerance = demands(factor.min((6.0 * sigma_px / args.tolerance).max(0.1)));
-        // A free block is bent: control first draws it gently into shape, and what then still does
-        // not fit is wrong, before the rest is taken at its word.
-        let gentle = [1.0, 0.1, 0.01, 0.0][round] * loosest;
-        adjust(&mut block, &eased(&known, gentle), sigma_px, &tolerance, 30)?;
-        if round < 3 {
-            while let Some((place, left)) = worst_control(&block, &known, gentle) {
-                known.ground[place].role = Role::Check;
-                findings.push(Finding::new(
-                    &format!("control point {}", known.ground[place].name),
-                    &format!(
-                        "its coordinates are {left:.2} m from where the block puts it: not used as control"
-                    ),
-                ));
-                adjust(&mut block, &eased(&known, gentle), sigma_px, &tolerance, 30)?;
+    let way = Way { georeferenced: joined.georeferenced, told, loosest_m };
+    let said = findings.len();
+    let mut judged = judge(block.clone(), known.clone(), &way, (project, photos), args, findings)?;
+    let wrong: Vec<Removed> =
+        judged.removed.iter().filter(|r| r.group == Group::Control).cloned().collect();
+    if !wrong.is_empty() {
+        // All that was found with it in leaned on it, a shutter that seems to roll above all.
+        let named = |subject: &str| wrong.iter().any(|removed| removed.name == subject);
+        let kept: Vec<Finding> =
+            findings.split_off(said).into_iter().filter(|f| named(&f.subject)).collect();
+        findings.extend(kept);
+        for point in &mut known.ground {
+            if named(&format!("control point {}", point.name)) {
+                point.role = Role::Check;
             }
         }
-        sigma_px = typical_px(&block).max(0.05);
-        tracing::debug!(
-            "adjusted: {:.3} px, {} points",
-            sigma_px,
-            block.points.iter().flatten().count()
-        );
-    }
-    if joined.georeferenced {
-        roll::roll(&mut block, &mut known, project, args, &mut sigma_px, findings)?;
-    }
-    let tracks;
-    if args.look_again.wanted(&known) {
-        tracks = again::tracks(&block, photos);
-        block = block.over(&tracks);
-        again::settle(&mut block, &known, args.tolerance, &mut sigma_px)?;
-    }
-    let (mut survey, _, order) = block.survey(None);
-    known.attach(&mut survey, &order);
-    survey.tie_sigma_px = sigma_px;
-    let checks = survey
-        .ground
-        .iter()
-        .filter(|point| point.role == Role::Check)
-        .filter(|point| {
-            project.known.ground.iter().any(|p| p.name == point.name && p.role == Role::Check)
-        })
-        .map(|point| point.name.clone())
-        .collect();
-    // Without a map the first photo and the distance to the farthest one are the frame.
-    let minimal_datum = !joined.georeferenced;
-    let settings = Settings { tie_loss: Loss::SoftL1(2.0), minimal_datum, ..Settings::default() };
-    let snooping = Snooping {
-        rounds: 8,
-        least_error_m: LEAST_ERROR_PX * gsd_m(&survey),
-        least_error_px: LEAST_ERROR_PX,
-        ..Snooping::default()
-    };
-    let snooped = snoop(&mut survey, &settings, &snooping)?;
-    for removed in &snooped.removed {
-        if removed.group != Group::TiePoints {
-            findings.push(Finding::new(
-                &removed.name,
-                &format!(
-                    "the rest of the block puts it {} away: taken out ({:.1} times the critical value)",
-                    far(removed),
-                    removed.excess
-                ),
-            ));
-        }
-    }
-    for doubt in doubtful(&snooped.adjusted, &settings, &snooping) {
-        findings.push(Finding::new(
-            &doubt.name,
-            &format!(
-                "the rest of the block puts it {} away, more than its accuracy says ({:.1} times the critical value); kept",
-                far(&doubt),
-                doubt.excess
-            ),
-        ));
+        judged = judge(block, known, &way, (project, photos), args, findings)?;
+        judged.removed.splice(0..0, wrong);
     }
     Ok(Final {
-        survey,
-        adjusted: snooped.adjusted,
-        settings: Settings { minimal_datum, ..Settings::default() },
+        survey: judged.survey,
+        adjusted: judged.adjusted,
+        settings: Settings { minimal_datum: !joined.georeferenced, ..Settings::default() },
         alignment: joined.alignments.into_iter().flatten().next(),
-        removed: snooped.removed,
-        complete: snooped.complete,
+        removed: judged.removed,
+        complete: judged.complete,
         georeferenced: joined.georeferenced,
         fragments,
-        checks,
+        checks: judged.checks,
     })
-}
-
-/// How far off something is, in its unit.
-fn far(removed: &Removed) -> String {
-    let distance = removed.error.iter().map(|e| e * e).sum::<f64>().sqrt();
-    if removed.group == Group::Marks {
-        format!("{distance:.1} px")
-    } else {
-        format!("{distance:.3} m")
-    }
 }
 
 fn names(block: &Block<'_>, photos: &[Photo]) -> Vec<String> {

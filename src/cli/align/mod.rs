@@ -7,6 +7,7 @@ mod figures;
 mod finish;
 mod foreign;
 mod ground;
+mod judge;
 mod lenses;
 mod pair_figures;
 mod project;
