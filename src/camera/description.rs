@@ -42,6 +42,8 @@ pub struct Camera {
     pub free: Vec<bool>,
     /// Standard deviation of each parameter, where it is known, in its unit.
     pub standard_deviations: Vec<Option<f64>>,
+    /// The values that these are about, in the order of the model's; those of `interior` where it is `None`.
+    pub expected: Option<Vec<f64>>,
     /// Correlations between parameters that have a standard deviation.
     pub correlation: Option<Correlation>,
 }
@@ -83,6 +85,7 @@ impl Camera {
             interior,
             free: vec![false; count],
             standard_deviations: vec![None; count],
+            expected: None,
             correlation: None,
         }
     }

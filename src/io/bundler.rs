@@ -144,6 +144,7 @@ fn parse(text: &str, names: Option<&[String]>, size_px: [u32; 2]) -> Result<Mode
             camera,
             pose: Pose { rotation, translation: t },
             motion: [0.0; 6],
+            expected_motion: [0.0; 6],
         });
     }
     for point in 0..points {

@@ -78,6 +78,7 @@ fn parse(file: &Value) -> Result<Model, String> {
             camera,
             pose: from_computer_vision(rotation, translation),
             motion: [0.0; 6],
+            expected_motion: [0.0; 6],
         });
     }
     let none = Map::new();

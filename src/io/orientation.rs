@@ -75,7 +75,8 @@ mod tests {
     fn the_motion_of_an_image_comes_back_from_the_table() {
         let motion = [0.002, -0.001, 0.003, 0.12, -0.2, 0.03];
         let pose = Pose::from_centre(rotation::exp([0.1, -0.2, 1.5]), [10.0, 20.0, 30.0]);
-        let image = Image { name: "a.jpg".into(), id: 1, camera: 0, pose, motion };
+        let image =
+            Image { name: "a.jpg".into(), id: 1, camera: 0, pose, motion, expected_motion: motion };
         let shutter =
             RollingShutter { readout_s: 0.03, sigma_velocity_m_s: 1.0, sigma_rate_rad_s: 0.0 };
         for rolling_shutter in [Some(shutter), None] {

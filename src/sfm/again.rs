@@ -45,14 +45,14 @@ const SAMPLE: usize = 60;
 
 /// The surface as one photo sees it.
 struct Surface {
-    /// Inverse depths, from and to, of the cells; nothing where the photo has no points.
-    cells: Vec<Option<[f64; 2]>>,
+    /// Inverse depths, from and to, of the cells.
+    cells: Vec<[f64; 2]>,
     size_px: [f64; 2],
     /// Some of its points, in the world.
     sample: Vec<[f64; 3]>,
 }
 
-/// From the fiftieth to the last but fiftieth of a hundred and a little further.
+/// From the second to the last but second of a hundred values, and a little further on either side.
 fn range(inverse: &mut [f64]) -> [f64; 2] {
     inverse.sort_by(f64::total_cmp);
     let cut = inverse.len() / 50;
@@ -87,7 +87,7 @@ impl Surface {
                     .flat_map(|j| near(i).map(move |i| i + CELLS * j))
                     .flat_map(|at| of_cells[at].iter().copied())
                     .collect();
-                Some(if around.len() < FEW { whole } else { range(&mut around) })
+                if around.len() < FEW { whole } else { range(&mut around) }
             })
             .collect();
         let step = points.len().div_ceil(SAMPLE);
@@ -171,7 +171,7 @@ pub fn look_again(
             let piece = |index: usize| {
                 let surface = surfaces[a].as_ref()?;
                 let at = block.features[a].positions_px[index];
-                let [low, high] = surface.cells[cell(surface.size_px, at)]?;
+                let [low, high] = surface.cells[cell(surface.size_px, at)];
                 let pose = block.pose_at(a, at[1])?;
                 let d = block.lens(a).unproject(at)?;
                 if d[2] > -1e-3 {

@@ -63,6 +63,8 @@ pub struct Block<'a> {
     pub used: Vec<bool>,
     /// How each image moves while it is read, as in [`Image::motion`]; nothing but with a shutter.
     pub motions: Vec<[f64; 6]>,
+    /// What is expected of that, as in [`Image::expected_motion`].
+    pub expected_motions: Vec<[f64; 6]>,
     /// The shutter, where it rolls.
     pub shutter: Option<RollingShutter>,
 }
@@ -79,16 +81,22 @@ pub struct Refining {
 }
 
 impl<'a> Block<'a> {
-    /// A block of which nothing is known yet.
+    /// A block of which nothing is known yet but its cameras; what is known of these stays about the values that
+    /// they come with, however often the block is adjusted.
     pub fn new(features: &'a [Features], tracks: &'a Tracks, cameras: &[Camera]) -> Block<'a> {
+        let mut cameras = cameras.to_vec();
+        for camera in &mut cameras {
+            camera.expected.get_or_insert_with(|| camera.interior.values().to_vec());
+        }
         Block {
             features,
             tracks,
-            cameras: cameras.to_vec(),
+            cameras,
             poses: vec![None; features.len()],
             points: vec![None; tracks.count()],
             used: vec![false; tracks.member_count()],
             motions: vec![[0.0; 6]; features.len()],
+            expected_motions: vec![[0.0; 6]; features.len()],
             shutter: None,
         }
     }
@@ -101,6 +109,7 @@ impl<'a> Block<'a> {
         Block {
             poses: self.poses.clone(),
             motions: self.motions.clone(),
+            expected_motions: self.expected_motions.clone(),
             shutter: self.shutter,
             ..Block::new(self.features, tracks, &self.cameras)
         }
@@ -309,6 +318,7 @@ impl<'a> Block<'a> {
                     camera: self.features[image].camera,
                     pose,
                     motion: self.motions[image],
+                    expected_motion: self.expected_motions[image],
                 });
             }
         }

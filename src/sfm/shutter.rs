@@ -7,11 +7,12 @@
 //! ```
 //!
 //! `d` is the direction in which an image flew, by the images before and after it, `l` the way of one readout:
-//! one number for all images that fly equally fast. Every image has its own shift about that.
+//! one number for all images that fly equally fast. Every image has its own shift about that, in this and in every
+//! later adjustment; one whose direction is not known has it about what was found before.
 
 use super::{block::Block, georeference::Known};
 use crate::{
-    camera::Lens,
+    camera::{Camera, Lens},
     engine::SolveError,
     geometry::rotation,
     nlls::{Loss, Options as Engine, solve},
@@ -28,18 +29,26 @@ pub struct Drift {
     pub way_px: f64,
     /// Standard deviation of single images about it, metres.
     pub spread_m: f64,
-    /// By how much it lowers the cost, in units of the variance factor.
-    pub gain: f64,
-    /// Images whose direction is known.
-    pub images: usize,
-    /// The shift of every image while it is read, in its camera frame; metres.
-    pub shifts_m: Vec<[f64; 3]>,
+    /// The shutter, and how closely images are expected to keep to that way.
+    pub shutter: RollingShutter,
+    /// How every image moves, as in [`Block::motions`].
+    pub motions: Vec<[f64; 6]>,
+    /// What was expected of these.
+    pub expected_motions: Vec<[f64; 6]>,
 }
 
 /// Standard deviation of shifts of which nothing is known yet, as a share of the distance of the ground.
 const ANY: f64 = 0.02;
 /// Standard deviation of single images about the common way, as a share of it.
+///
+/// Then it is what was found with that, but no less than that of [`CALM`] flight.
 const GUSTS: f64 = 0.1;
+/// The least of it: what an autopilot holds its speed to.
+const CALM: f64 = 0.03;
+/// And as a share of the distance of the ground, where nothing moves.
+const LEAST: f64 = 1e-4;
+/// Steps of the common way are led on to their limit where less than this share is left of each by the next.
+const MOST_LEFT: f64 = 0.98;
 /// The fewest images whose direction must be known.
 const LEAST_IMAGES: usize = 6;
 /// The gain that each of the new numbers must be worth.
@@ -90,74 +99,148 @@ pub fn find(
     readout_s: f64,
     certain: bool,
 ) -> Result<Option<Drift>, SolveError> {
-    let (mut survey, _, order) = block.survey(None);
-    known.attach(&mut survey, &order);
-    survey.tie_sigma_px = tie_sigma_px;
-    keep_feasible_marks(&mut survey);
-    let place = |image: usize| order.iter().position(|&k| k == image);
-    let flown: Vec<usize> = flight.iter().filter_map(|&image| place(image)).collect();
-    let centres: Vec<[f64; 3]> = flown.iter().map(|&k| survey.images[k].pose.centre_m()).collect();
-    let mut along: Vec<Option<[f64; 3]>> = vec![None; survey.images.len()];
-    flown.iter().zip(directions(&centres)).for_each(|(&k, direction)| along[k] = direction);
-    let images = along.iter().flatten().count();
-    let (Some(distance_m), true) = (distance_m(&survey), images >= LEAST_IMAGES) else {
-        return Ok(None);
-    };
-    let still = settle(&mut survey.clone())?;
-    let mut moving = survey;
-    let shutter = |sigma_m: f64| RollingShutter {
-        readout_s,
-        sigma_velocity_m_s: sigma_m / readout_s,
-        sigma_rate_rad_s: 0.0,
-    };
-    moving.rolling_shutter = Some(shutter(ANY * distance_m));
-    let mut cost = settle(&mut moving)?;
-    let (mut way_m, mut spread_m) = common(&moving, &along);
-    for _ in 0..3 {
-        for (image, direction) in moving.images.iter_mut().zip(&along) {
-            let flown = direction.unwrap_or_default().map(|v| -v * way_m);
-            let shift = rotation::rotate(image.pose.rotation, flown);
-            image.motion[3..].copy_from_slice(&shift);
-        }
-        let sigma_m = (GUSTS * way_m.abs()).max(1e-4 * distance_m);
-        moving.rolling_shutter = Some(shutter(sigma_m));
-        cost = settle(&mut moving)?;
-        (way_m, spread_m) = common(&moving, &along);
-    }
-    let freedom = moving.observations.len() as f64 * 2.0
-        - 3.0 * moving.points.len() as f64
-        - 9.0 * moving.images.len() as f64;
+    let Some(mut strips) = Strips::of(block, known, flight, tie_sigma_px) else { return Ok(None) };
+    let still = settle(&mut strips.survey.clone())?;
+    strips.survey.rolling_shutter = Some(shutter(ANY * strips.distance_m, readout_s));
+    settle(&mut strips.survey)?;
+    let (drift, cost) = strips.ways(readout_s)?;
+    let survey = &strips.survey;
+    let freedom = survey.observations.len() as f64 * 2.0
+        - 3.0 * survey.points.len() as f64
+        - 9.0 * survey.images.len() as f64;
     let variance = (2.0 * cost / freedom.max(1.0)).max(1e-12);
     let gain = 2.0 * (still - cost) / variance;
-    let principal_distance_px =
-        moving.cameras.iter().map(|c| c.interior.principal_distance_px()).fold(0.0, f64::max);
-    let way_px = way_m * principal_distance_px / distance_m;
-    let deviation = spread_m / (images as f64).sqrt();
+    let Drift { way_m, way_px, spread_m, .. } = drift;
+    let deviation_m = spread_m / (strips.directed() as f64).sqrt();
     let sure = certain
-        || gain > WORTH * 3.0 * moving.images.len() as f64
-            && way_m > SURE * deviation
+        || gain > WORTH * 3.0 * survey.images.len() as f64
+            && way_m > SURE * deviation_m
             && way_px > LEAST_PX;
     tracing::debug!(
         "rolling shutter: {way_m:.3} m ({way_px:.1} px) +- {spread_m:.3} in a readout, gain {gain:.0}{}",
         if sure { "" } else { ", not enough" }
     );
-    let mut shifts_m = vec![[0.0; 3]; block.poses.len()];
-    for (image, &index) in moving.images.iter().zip(&order) {
-        shifts_m[index] = [image.motion[3], image.motion[4], image.motion[5]];
-    }
-    Ok(sure.then_some(Drift { way_m, way_px, spread_m, gain, images, shifts_m }))
+    Ok(sure.then_some(drift))
+}
+
+/// The drift once more, of a block that has one and is better known than when that was found.
+///
+/// # Errors
+/// Where the block cannot be evaluated.
+pub fn renew(
+    block: &Block<'_>,
+    known: &Known,
+    flight: &[usize],
+    tie_sigma_px: f64,
+) -> Result<Option<Drift>, SolveError> {
+    let Some(RollingShutter { readout_s, .. }) = block.shutter else { return Ok(None) };
+    let Some(mut strips) = Strips::of(block, known, flight, tie_sigma_px) else { return Ok(None) };
+    let (drift, _) = strips.ways(readout_s)?;
+    Ok(Some(drift))
 }
 
 /// Puts a drift into a block, so that all that is done with it knows of it.
-pub fn adopt(block: &mut Block<'_>, drift: &Drift, readout_s: f64) {
-    for (motion, shift) in block.motions.iter_mut().zip(&drift.shifts_m) {
-        *motion = [0.0, 0.0, 0.0, shift[0], shift[1], shift[2]];
+pub fn adopt(block: &mut Block<'_>, drift: &Drift) {
+    block.motions.clone_from(&drift.motions);
+    block.expected_motions.clone_from(&drift.expected_motions);
+    block.shutter = Some(drift.shutter);
+}
+
+fn shutter(sigma_m: f64, readout_s: f64) -> RollingShutter {
+    let sigma_velocity_m_s = sigma_m / readout_s;
+    RollingShutter { readout_s, sigma_velocity_m_s, sigma_rate_rad_s: 0.0 }
+}
+
+/// A block and how its images flew.
+struct Strips {
+    survey: Survey,
+    /// Which images of the block its images are, of how many.
+    order: Vec<usize>,
+    images: usize,
+    /// Unit vectors along which they flew.
+    along: Vec<Option<[f64; 3]>>,
+    distance_m: f64,
+}
+
+impl Strips {
+    /// `None` where the directions of too few images are known.
+    fn of(block: &Block<'_>, known: &Known, flight: &[usize], tie_sigma_px: f64) -> Option<Strips> {
+        let (mut survey, _, order) = block.survey(None);
+        known.attach(&mut survey, &order);
+        survey.tie_sigma_px = tie_sigma_px;
+        keep_feasible_marks(&mut survey);
+        let place = |image: usize| order.iter().position(|&k| k == image);
+        let flown: Vec<usize> = flight.iter().filter_map(|&image| place(image)).collect();
+        let centres: Vec<[f64; 3]> =
+            flown.iter().map(|&k| survey.images[k].pose.centre_m()).collect();
+        let mut along: Vec<Option<[f64; 3]>> = vec![None; survey.images.len()];
+        flown.iter().zip(directions(&centres)).for_each(|(&k, direction)| along[k] = direction);
+        let distance_m = distance_m(&survey)?;
+        let strips = Strips { survey, order, images: block.poses.len(), along, distance_m };
+        (strips.directed() >= LEAST_IMAGES).then_some(strips)
     }
-    block.shutter = Some(RollingShutter {
-        readout_s,
-        sigma_velocity_m_s: (GUSTS * drift.way_m.abs()).max(drift.spread_m) / readout_s,
-        sigma_rate_rad_s: 0.0,
-    });
+
+    /// How many images have a direction.
+    fn directed(&self) -> usize {
+        self.along.iter().flatten().count()
+    }
+
+    /// Estimates the common way and the spread about it, and all else with them; and the cost.
+    fn ways(&mut self, readout_s: f64) -> Result<(Drift, f64), SolveError> {
+        let (start_m, _) = common(&self.survey, &self.along);
+        let (first_m, ..) = self.about(start_m, GUSTS * start_m, readout_s)?;
+        let (second_m, spread_m, _) = self.about(first_m, GUSTS * first_m, readout_s)?;
+        let way_m = limit([start_m, first_m, second_m]);
+        let sigma_m = spread_m.max(CALM * way_m.abs());
+        let (way_m, spread_m, cost) = self.about(way_m, sigma_m, readout_s)?;
+        let c_px = |c: &Camera| c.interior.principal_distance_px();
+        let c_px = self.survey.cameras.iter().map(c_px).fold(0.0, f64::max);
+        let mut motions = vec![[0.0; 6]; self.images];
+        let mut expected_motions = motions.clone();
+        for (image, &index) in self.survey.images.iter().zip(&self.order) {
+            motions[index] = image.motion;
+            expected_motions[index] = image.expected_motion;
+        }
+        let drift = Drift {
+            way_m,
+            way_px: way_m * c_px / self.distance_m,
+            spread_m,
+            shutter: shutter(sigma_m.max(LEAST * self.distance_m), readout_s),
+            motions,
+            expected_motions,
+        };
+        Ok((drift, cost))
+    }
+
+    /// Adjusts the block about a common way; the one that is found, the spread about it, and the cost.
+    fn about(
+        &mut self,
+        way_m: f64,
+        sigma_m: f64,
+        readout_s: f64,
+    ) -> Result<(f64, f64, f64), SolveError> {
+        for (image, direction) in self.survey.images.iter_mut().zip(&self.along) {
+            image.expected_motion = direction.map_or(image.motion, |direction| {
+                let flown = direction.map(|v| -v * way_m);
+                let [x, y, z] = rotation::rotate(image.pose.rotation, flown);
+                [0.0, 0.0, 0.0, x, y, z]
+            });
+            image.motion = image.expected_motion;
+        }
+        let sigma_m = sigma_m.abs().max(LEAST * self.distance_m);
+        self.survey.rolling_shutter = Some(shutter(sigma_m, readout_s));
+        let cost = settle(&mut self.survey)?;
+        let (found_m, spread_m) = common(&self.survey, &self.along);
+        Ok((found_m, spread_m, cost))
+    }
+}
+
+/// Where steps lead of which each is the same share of the one before it. What images are found to fly on the whole
+/// is drawn to what was expected, and so comes nearer to what the measurements want by such steps.
+fn limit([start, first, second]: [f64; 3]) -> f64 {
+    let (step, next) = (first - start, second - first);
+    let share = next / step;
+    if (0.0..MOST_LEFT).contains(&share) { second + next * share / (1.0 - share) } else { second }
 }
 
 /// Mean and standard deviation of the ways that images flew along their directions, metres.
@@ -216,6 +299,18 @@ fn settle(survey: &mut Survey) -> Result<f64, SolveError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn steps_that_shrink_are_led_to_their_limit_and_others_are_not() {
+        let steps = |share: f64| [1.0, 2.0, 2.0 + share];
+        assert!((limit(steps(0.5)) - 3.0).abs() < 1e-12);
+        assert!((limit(steps(0.9)) - 11.0).abs() < 1e-9);
+        for share in [-0.5, 0.99, 1.5, f64::NAN] {
+            let steps = steps(share);
+            assert!(limit(steps).to_bits() == steps[2].to_bits(), "{share}");
+        }
+        assert_eq!(limit([2.0, 2.0, 2.0]), 2.0);
+    }
 
     #[test]
     fn strips_have_directions_and_turns_have_none() {

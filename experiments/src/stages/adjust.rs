@@ -325,6 +325,7 @@ fn image(number: usize, shot: &Shot, e: &Estimate, rng: &mut ChaCha8Rng) -> Imag
         camera: 0,
         pose: Pose::from_centre(rotation, centre),
         motion: [0.0; 6],
+        expected_motion: [0.0; 6],
     }
 }
 

@@ -1,6 +1,6 @@
 //! The last look at the photos: matches by the adjusted block, and the block by these.
 
-use super::{extract::bar, finish::typical_px};
+use super::{extract::bar, finish::typical_px, judge::demands, stages};
 use crate::{
     error::Error,
     features::Descriptors,
@@ -9,9 +9,8 @@ use crate::{
         again::{Again, look_again},
         block::Block,
         georeference::{Known, adjust},
-        growth::Growing,
+        shutter::{self, Drift},
         tracks::Tracks,
-        triangulate::Demands,
         verify::Matched,
     },
 };
@@ -56,17 +55,15 @@ pub(super) fn tracks(block: &Block<'_>, photos: &Photos<'_>) -> Tracks {
         progress.set_length(total as u64);
         progress.inc(1);
     };
-    let mut matched =
-        look_again(block, photos.descriptors, photos.matched, &Again::default(), &tell);
+    let matched = look_again(block, photos.descriptors, photos.matched, &Again::default(), &tell);
     progress.finish_and_clear();
     let found: usize = matched.iter().map(|pair| pair.matches.len()).sum();
     tracing::info!("{} pairs overlap, {found} matches where the block has them", matched.len());
-    matched.sort_by(|a, b| b.matches.len().cmp(&a.matches.len()).then(a.images.cmp(&b.images)));
-    let counts: Vec<usize> = block.features.iter().map(|f| f.positions_px.len()).collect();
-    Tracks::join(&counts, matched.iter().map(|pair| (pair.images, pair.matches.as_slice())))
+    let pairs = matched.iter().map(|pair| (pair.images, pair.matches.as_slice()));
+    stages::tracks(block.features, pairs)
 }
 
-/// The block by these tracks, adjusted.
+/// The block by these tracks, adjusted; and its drift, where its shutter rolls.
 ///
 /// Some matches are wrong, and lie anywhere within the tolerance: cut off close to the block, they hold it where it was.
 /// So the band is a wide one until the block has come to rest.
@@ -76,20 +73,23 @@ pub(super) fn tracks(block: &Block<'_>, photos: &Photos<'_>) -> Tracks {
 pub(super) fn settle(
     block: &mut Block<'_>,
     known: &Known,
+    flight: &[usize],
     tolerance_px: f64,
     sigma_px: &mut f64,
-) -> Result<(), Error> {
-    let demands = |tolerance_px: f64| Demands {
-        tolerance_px,
-        least_angle_rad: Growing::default().least_angle_rad,
+) -> Result<Option<Drift>, Error> {
+    let mut settle = |block: &mut Block<'_>, band_px: f64| -> Result<f64, Error> {
+        adjust(block, known, *sigma_px, &demands(band_px), ITERATIONS)?;
+        *sigma_px = typical_px(block).max(0.05);
+        Ok(*sigma_px)
     };
     let all = block.all_tracks();
     block.retriangulate(&all, &demands(tolerance_px));
-    for last in [false, false, true] {
-        let narrow_px = (6.0 * *sigma_px).clamp(0.1 * tolerance_px, tolerance_px);
-        let band_px = if last { narrow_px } else { tolerance_px };
-        adjust(block, known, *sigma_px, &demands(band_px), ITERATIONS)?;
-        *sigma_px = typical_px(block).max(0.05);
+    let sigma = settle(block, tolerance_px)?;
+    let drift = shutter::renew(block, known, flight, sigma)?;
+    if let Some(drift) = &drift {
+        shutter::adopt(block, drift);
     }
-    Ok(())
+    let sigma = settle(block, tolerance_px)?;
+    settle(block, (6.0 * sigma).clamp(0.1 * tolerance_px, tolerance_px))?;
+    Ok(drift)
 }

@@ -56,7 +56,9 @@ pub(super) fn finish<'a>(
         review(largest, &mut known, project, args, findings);
     }
     name_scarcely_marked(&blocks, &known, findings);
-    let Some(joined) = join(std::mem::take(&mut blocks), &mut known, &demands(args, 3.0)) else {
+    let Some(joined) =
+        join(std::mem::take(&mut blocks), &mut known, &demands(3.0 * args.tolerance))
+    else {
         return Err(Error::Incomplete(
             "no three photos could be oriented together: look at the matches (rowgram match), or give the camera (--camera)".into(),
         ));
@@ -90,16 +92,15 @@ pub(super) fn finish<'a>(
         .map(loosest_control_m)
         .fold(0.0, f64::max);
     let way = Way { georeferenced: joined.georeferenced, told, loosest_m };
-    let said = findings.len();
+    let said = findings.clone();
     let mut judged = judge(block.clone(), known.clone(), &way, (project, photos), args, findings)?;
     let wrong: Vec<Removed> =
         judged.removed.iter().filter(|r| r.group == Group::Control).cloned().collect();
     if !wrong.is_empty() {
         // All that was found with it in leaned on it, a shutter that seems to roll above all.
         let named = |subject: &str| wrong.iter().any(|removed| removed.name == subject);
-        let kept: Vec<Finding> =
-            findings.split_off(said).into_iter().filter(|f| named(&f.subject)).collect();
-        findings.extend(kept);
+        let found = std::mem::replace(findings, said);
+        findings.extend(found.into_iter().filter(|finding| named(&finding.subject)));
         for point in &mut known.ground {
             if named(&format!("control point {}", point.name)) {
                 point.role = Role::Check;

@@ -100,6 +100,7 @@ fn lenses_held(
             ),
         ));
         camera.interior = fit.interior;
+        camera.expected = None;
     }
     (Some(survey), notes)
 }

@@ -72,12 +72,9 @@ fn worst_control(block: &Block<'_>, known: &Known, sigma_m: f64) -> Option<(usiz
     (most > GROSS * half && most > GROSS * given && most > sigma_m).then_some((place, most))
 }
 
-/// What rays must be like, at so many times the usual tolerance.
-pub(super) fn demands(args: &Args, factor: f64) -> Demands {
-    Demands {
-        tolerance_px: factor * args.tolerance,
-        least_angle_rad: Growing::default().least_angle_rad,
-    }
+/// What rays must be like.
+pub(super) fn demands(tolerance_px: f64) -> Demands {
+    Demands { tolerance_px, least_angle_rad: Growing::default().least_angle_rad }
 }
 
 /// Adjusts a block with what is known and judges it.
@@ -95,7 +92,7 @@ pub(super) fn judge(
     // Outlives the block that may be over it.
     let tracks;
     let mut block = block;
-    let mut sigma_px = 1.0;
+    let mut sigma_px: f64 = 1.0;
     for round in 0..4 {
         if way.georeferenced && !known.positions.is_empty() {
             let fit = weigh_positions(&block, &mut known, &way.told);
@@ -113,8 +110,8 @@ pub(super) fn judge(
                 ));
             }
         }
-        let factor: f64 = if round == 0 { 2.0 } else { 1.0 };
-        let tolerance = demands(args, factor.min((6.0 * sigma_px / args.tolerance).max(0.1)));
+        let widest_px = if round == 0 { 2.0 * args.tolerance } else { args.tolerance };
+        let tolerance = demands((6.0 * sigma_px).max(0.1 * args.tolerance).min(widest_px));
         // A free block is bent: control first draws it gently into shape, and what then still does
         // not fit is wrong, before the rest is taken at its word.
         let gentle = [1.0, 0.1, 0.01, 0.0][round] * way.loosest_m;
@@ -144,7 +141,11 @@ pub(super) fn judge(
     if args.look_again.wanted(&known) {
         tracks = again::tracks(&block, photos);
         block = block.over(&tracks);
-        again::settle(&mut block, &known, args.tolerance, &mut sigma_px)?;
+        let flight = project.flight();
+        let drift = again::settle(&mut block, &known, &flight, args.tolerance, &mut sigma_px)?;
+        if let Some(drift) = drift {
+            roll::renewed(&drift, args, findings);
+        }
     }
     let (mut survey, _, order) = block.survey(None);
     known.attach(&mut survey, &order);

@@ -404,7 +404,8 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
         return so_far.present(findings, &clock.seconds, args.json);
     }
     let cameras: Vec<Camera> = project.cameras.iter().map(|(camera, _)| camera.clone()).collect();
-    let tracks = stages::tracks(&geometric, &pairs);
+    let matches = pairs.iter().map(|pair| (pair.images, pair.matches.as_slice()));
+    let tracks = stages::tracks(&geometric, matches);
     tracing::info!("{} tracks, {} contradictory matches", tracks.count(), tracks.refused());
     let blocks = clock.time("orient", || {
         let marked = (pairs.as_slice(), pairs_mark);

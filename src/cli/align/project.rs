@@ -353,6 +353,7 @@ pub(super) fn stand_ins(photos: &[Photo]) -> Vec<Image> {
         camera: photo.camera,
         pose,
         motion: [0.0; 6],
+        expected_motion: [0.0; 6],
     };
     photos.iter().map(image).collect()
 }

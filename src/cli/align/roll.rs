@@ -3,6 +3,7 @@
 use super::{
     Args, Finding,
     finish::{MARK, mark_demands, mark_scales, name_wrong_marks, typical_px},
+    judge::demands,
     project::Project,
 };
 use crate::{
@@ -10,9 +11,7 @@ use crate::{
     sfm::{
         block::Block,
         georeference::{Known, adjust, review_marks},
-        growth::Growing,
-        shutter,
-        triangulate::Demands,
+        shutter::{self, Drift},
     },
 };
 
@@ -45,6 +44,30 @@ impl std::str::FromStr for Shutter {
 /// A readout time where nobody has told it, seconds: it only turns ways into velocities.
 const USUAL_READOUT_S: f64 = 0.03;
 
+/// What findings are about.
+const SUBJECT: &str = "rolling shutter";
+
+fn finding(drift: &Drift, args: &Args) -> Finding {
+    let certain = matches!(args.rolling_shutter, Shutter::Seconds(_));
+    Finding::new(
+        SUBJECT,
+        &format!(
+            "while a photo is read its camera flies {:.2} m, {:.1} px on the ground (single photos +- {:.3} m): part of the adjustment{}",
+            drift.way_m,
+            drift.way_px,
+            drift.spread_m,
+            if certain { "" } else { " (--rolling-shutter off leaves it out)" }
+        ),
+    )
+}
+
+/// Says of a drift that was found what it is now.
+pub(super) fn renewed(drift: &Drift, args: &Args, findings: &mut [Finding]) {
+    if let Some(said) = findings.iter_mut().rfind(|finding| finding.subject == SUBJECT) {
+        *said = finding(drift, args);
+    }
+}
+
 /// A rolling shutter, where there is one: looked for, believed where it explains much, and then everything is
 /// judged again.
 pub(super) fn roll(
@@ -64,23 +87,14 @@ pub(super) fn roll(
     let Some(drift) = found else {
         if certain {
             findings.push(Finding::new(
-                "rolling shutter",
+                SUBJECT,
                 "too few photos on straight strips to tell how they moved: not modelled",
             ));
         }
         return Ok(());
     };
-    shutter::adopt(block, &drift, readout_s);
-    findings.push(Finding::new(
-        "rolling shutter",
-        &format!(
-            "while a photo is read its camera flies {:.2} m, {:.1} px on the ground (single photos +- {:.2} m): part of the adjustment{}",
-            drift.way_m,
-            drift.way_px,
-            drift.spread_m,
-            if certain { "" } else { " (--rolling-shutter off leaves it out)" }
-        ),
-    ));
+    shutter::adopt(block, &drift);
+    findings.push(finding(&drift, args));
     // Marks that were off by what the shutter does are right after all.
     let mark = |finding: &Finding| finding.subject.starts_with(MARK);
     findings.retain(|finding| !mark(finding));
@@ -89,8 +103,7 @@ pub(super) fn roll(
     name_wrong_marks(&review, known, project, findings);
     for factor in [2.0, 1.0, 1.0] {
         let tolerance_px = (6.0 * factor * *sigma_px).max(0.1 * args.tolerance);
-        let demands = Demands { tolerance_px, least_angle_rad: Growing::default().least_angle_rad };
-        adjust(block, known, *sigma_px, &demands, 30)?;
+        adjust(block, known, *sigma_px, &demands(tolerance_px), 30)?;
         *sigma_px = typical_px(block).max(0.05);
     }
     Ok(())

@@ -88,11 +88,14 @@ pub(super) fn verify(
 }
 
 /// Joins what matches, the strongest pairs first.
-pub(super) fn tracks(features: &[sfm::Features], pairs: &[Pair]) -> Tracks {
-    let mut order: Vec<&Pair> = pairs.iter().collect();
-    order.sort_by(|a, b| b.matches.len().cmp(&a.matches.len()).then(a.images.cmp(&b.images)));
+pub(super) fn tracks<'a>(
+    features: &[sfm::Features],
+    pairs: impl Iterator<Item = ([u32; 2], &'a [[u32; 2]])>,
+) -> Tracks {
+    let mut order: Vec<([u32; 2], &[[u32; 2]])> = pairs.collect();
+    order.sort_by(|(a, of_a), (b, of_b)| of_b.len().cmp(&of_a.len()).then(a.cmp(b)));
     let counts: Vec<usize> = features.iter().map(|f| f.positions_px.len()).collect();
-    Tracks::join(&counts, order.into_iter().map(|pair| (pair.images, pair.matches.as_slice())))
+    Tracks::join(&counts, order.into_iter())
 }
 
 #[derive(Serialize, Deserialize)]

@@ -257,6 +257,7 @@ fn join(
             camera,
             pose: from_computer_vision(rotation::normalize(row.rotation), row.translation),
             motion: [0.0; 6],
+            expected_motion: [0.0; 6],
         });
         model.features.push(row.features);
     }

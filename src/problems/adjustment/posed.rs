@@ -6,7 +6,7 @@ use super::{
     survey::{Axes, Role, Survey},
 };
 use crate::{
-    camera::Model,
+    camera::{Lens, Model},
     engine::SolveError,
     nlls::{BlockId, Factor, Factors, LeastSquares, Loss, Options, Pair, Pairs, Problem, Space},
 };
@@ -208,10 +208,15 @@ impl Posed {
                     camera.name
                 ))
             })?;
+            let now = camera.interior.values();
+            let expected = camera.expected.as_deref().unwrap_or(now);
             let known = Known {
                 block: [block],
                 places: free.iter().map(|&k| (places[k], places[k])).collect(),
-                expected: free.iter().map(|&k| values[places[k]]).collect(),
+                expected: free
+                    .iter()
+                    .map(|&k| values[places[k]] + (expected[places[k]] - now[places[k]]))
+                    .collect(),
                 whitening,
             };
             let name = format!("interior orientation {index}");
@@ -337,7 +342,7 @@ impl Posed {
             known.push(Known {
                 block: [block],
                 places: entries.iter().map(|&k| (7 + k, 6 + k)).collect(),
-                expected: entries.iter().map(|&k| image.motion[k]).collect(),
+                expected: entries.iter().map(|&k| image.expected_motion[k]).collect(),
                 whitening,
             });
         }

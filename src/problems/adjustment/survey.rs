@@ -55,6 +55,8 @@ pub struct Image {
     /// With a rolling shutter: how the camera frame turns (rotation vector, radians) and shifts
     /// (metres) while the frame is read out, in the camera frame.
     pub motion: [f64; 6],
+    /// What is expected of that before anything is measured.
+    pub expected_motion: [f64; 6],
 }
 
 /// One tie point.
@@ -170,10 +172,10 @@ pub struct ScaleBar {
 pub struct RollingShutter {
     /// Time from the first to the last row, seconds.
     pub readout_s: f64,
-    /// Standard deviation of each component of the velocity about `velocity_m_s`, metres per second.
+    /// Standard deviation of each component of the velocity about the expected one, metres per second.
     pub sigma_velocity_m_s: f64,
-    /// Standard deviation of each component of the rate of turn about 0, radians per second; 0 holds
-    /// it at 0.
+    /// Standard deviation of each component of the rate of turn about the expected one, radians per
+    /// second; 0 holds it where it is.
     pub sigma_rate_rad_s: f64,
 }
 
