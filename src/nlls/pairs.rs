@@ -56,6 +56,9 @@ pub trait PairFactor<
     ) -> Linearized<L, R, K, S, P>;
 }
 
+/// Kept blocks that are held prepared while observations are gone through one by one.
+const RECENT: usize = 32;
+
 /// One observation: its blocks and its data.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pair<const D: usize> {
@@ -143,22 +146,27 @@ impl<
         width: usize,
     ) -> Result<(), InfeasibleFactor> {
         let first = range.start;
-        let mut prepared = [0.0; Q];
-        let mut prepared_for = None;
+        // Observations come point by point, so the same few kept blocks come again and again.
+        let mut recent: [Option<([BlockId; 2], [f64; Q])>; RECENT] = [None; RECENT];
         for (k, pair) in self.pairs[range].iter().enumerate() {
-            let kept = pair.blocks[0];
-            if prepared_for != Some(pair.blocks) {
-                let shared = if S == 0 { &[][..] } else { x.block(pair.blocks[1]) };
-                prepared = F::prepare(x.block(kept), shared);
-                prepared_for = Some(pair.blocks);
-            }
+            let of = [pair.blocks[0], pair.blocks[1]];
+            let of = if S == 0 { [of[0]; 2] } else { of };
+            let place = &mut recent[of[0].index() % RECENT];
+            let prepared = match place {
+                Some((known, prepared)) if *known == of => prepared,
+                place => {
+                    let shared = if S == 0 { &[][..] } else { x.block(of[1]) };
+                    &mut place.insert((of, F::prepare(x.block(of[0]), shared))).1
+                }
+            };
+            let prepared = &*prepared;
             let values = x.block(pair.blocks[Self::arity() - 1]);
             let point: [f64; P] = std::array::from_fn(|i| values[i]);
             let out = &mut residual[k * R..(k + 1) * R];
             match jacobian.as_deref_mut() {
-                None => out.copy_from_slice(&F::residual(&prepared, &point, &pair.data)),
+                None => out.copy_from_slice(&F::residual(prepared, &point, &pair.data)),
                 Some(all) => {
-                    let found = F::linearize(&prepared, &point, &pair.data);
+                    let found = F::linearize(prepared, &point, &pair.data);
                     out.copy_from_slice(&found.residual);
                     for row in 0..R {
                         let to = &mut all[(k * R + row) * width..(k * R + row + 1) * width];

@@ -150,19 +150,27 @@ pub fn shares_by_lens(
     verifying: &Verifying,
 ) -> Vec<f64> {
     let five = Verifying { solver: Solver::FivePoint, most_samples: ENOUGH_SAMPLES, ..*verifying };
-    let few: Vec<Matched> = matched
+    // Only what is matched is sent through every lens.
+    let few: Vec<(Matched, [Features; 2])> = matched
         .iter()
         .map(|pair| {
             let step = pair.matches.len().div_ceil(ENOUGH_MATCHES).max(1);
-            let matches = pair.matches.iter().step_by(step).copied().collect();
-            Matched { images: pair.images, matches }
+            let of_side = |side: usize| {
+                let positions = &features[pair.images[side] as usize].positions_px;
+                let kept = pair.matches.iter().step_by(step);
+                let positions_px = kept.map(|m| positions[m[side] as usize]).collect();
+                Features { positions_px, ..Features::default() }
+            };
+            let features = [of_side(0), of_side(1)];
+            let matches = (0..features[0].positions_px.len() as u32).map(|k| [k, k]).collect();
+            (Matched { images: pair.images, matches }, features)
         })
         .collect();
     lenses
         .par_iter()
         .map(|lens| {
-            let share = |pair: &Matched| {
-                let of = pair.images.map(|k| rays(&features[k as usize], lens));
+            let share = |(pair, features): &(Matched, [Features; 2])| {
+                let of = [0, 1].map(|side| rays(&features[side], lens));
                 let c = lens.principal_distance_px();
                 orient_matched(pair, [&of[0], &of[1]], c, &five)
                     .map_or(0.0, |found| found.matches.len() as f64 / pair.matches.len() as f64)
