@@ -1,8 +1,9 @@
 //! Correspondences: nearest neighbours in both directions that pass the ratio test.
 //!
 //! Of descriptor `a` the nearest is `b` with the smallest `|a|^2 + |b|^2 - 2 a.b`. All products of two sets
-//! are computed, in blocks that stay in the cache and registers; the numbers are whole and below 2^24,
-//! so single precision holds them exactly and the result is that of integers on any machine. A match is
+//! are computed, in blocks that stay in the cache and registers, with whole numbers where the machine multiplies
+//! those in pairs; all are below 2^24, so single precision holds them exactly too and the result is the same on any
+//! machine. A match is
 //! kept where each is the other's nearest and each is nearer than `ratio` times the second nearest.
 
 use super::{DESCRIPTOR_LENGTH, Descriptors};
@@ -127,7 +128,16 @@ pub fn nearest_prepared(first: &Descriptors, second: &Prepared<'_>) -> Vec<Neare
     let found: Vec<Vec<Nearest>> = first
         .as_bytes()
         .par_chunks(TASK * DESCRIPTOR_LENGTH)
-        .map(|bytes| pulp::Arch::new().dispatch(Compare { bytes, second }))
+        .map(|bytes| match &second.panels {
+            Panels::Floats(panels) => {
+                pulp::Arch::new().dispatch(Compare { bytes, panels, squares: &second.squares })
+            }
+            #[cfg(target_arch = "x86_64")]
+            Panels::Words(simd, panels) => {
+                let (simd, squares) = (*simd, second.squares.as_slice());
+                simd.vectorize(words::Compare { simd, bytes, panels, squares })
+            }
+        })
         .collect();
     found.concat()
 }
@@ -136,16 +146,35 @@ pub fn nearest_prepared(first: &Descriptors, second: &Prepared<'_>) -> Vec<Neare
 #[derive(Debug, Clone)]
 pub struct Prepared<'a> {
     descriptors: &'a Descriptors,
-    /// Panels of some descriptors each, in which the numbers of one dimension are contiguous.
-    panels: Vec<f32>,
+    panels: Panels,
     /// Squared lengths, panel by panel; what fills the last panel up is farther than anything.
     squares: Vec<f32>,
 }
 
+/// Panels of some descriptors each, in which the numbers of some dimensions are contiguous.
+#[derive(Debug, Clone)]
+enum Panels {
+    /// One dimension after the other.
+    Floats(Vec<f32>),
+    /// Pairs of dimensions, for multiplications that add two products.
+    #[cfg(target_arch = "x86_64")]
+    Words(pulp::x86::V3, Vec<i16>),
+}
+
 impl<'a> Prepared<'a> {
-    /// Lays out a set; costs four bytes for each of its bytes.
+    /// Lays out a set; costs at most four bytes for each of its bytes.
     pub fn new(descriptors: &'a Descriptors) -> Prepared<'a> {
-        pulp::Arch::new().dispatch(Prepare { descriptors })
+        #[cfg(target_arch = "x86_64")]
+        if let Some(simd) = pulp::x86::V3::try_new() {
+            let (panels, squares) = lay_out::<pulp::x86::V3, words::Words>(descriptors);
+            return Prepared { descriptors, panels: Panels::Words(simd, panels), squares };
+        }
+        Prepared::in_floats(descriptors, pulp::Arch::new())
+    }
+
+    fn in_floats(descriptors: &'a Descriptors, arch: pulp::Arch) -> Prepared<'a> {
+        let (panels, squares) = arch.dispatch(Prepare { descriptors });
+        Prepared { descriptors, panels: Panels::Floats(panels), squares }
     }
 
     /// The set.
@@ -154,36 +183,73 @@ impl<'a> Prepared<'a> {
     }
 }
 
+/// How a group of rows is multiplied with a panel.
+trait Kernel<S: Simd> {
+    /// What is multiplied.
+    type Number: Copy + Default + From<u8>;
+    /// Dimensions whose numbers are contiguous.
+    const DEEP: usize;
+
+    /// The products of [`ROWS`] descriptors with the [`COLUMNS`] registers of a panel.
+    fn products(
+        simd: S,
+        rows: &[Self::Number],
+        panel: &[Self::Number],
+    ) -> [[S::f32s; COLUMNS]; ROWS];
+}
+
+/// Where the number of one dimension of a descriptor is, in a group of `width` of them.
+#[inline(always)]
+fn place(width: usize, deep: usize, descriptor: usize, dimension: usize) -> usize {
+    (dimension / deep * width + descriptor) * deep + dimension % deep
+}
+
+/// The panels of a set and the squared lengths.
+#[inline(always)]
+fn lay_out<S: Simd, K: Kernel<S>>(descriptors: &Descriptors) -> (Vec<K::Number>, Vec<f32>) {
+    let width = COLUMNS * S::F32_LANES;
+    let count = descriptors.len().div_ceil(width);
+    let mut panels = vec![K::Number::default(); count * width * DESCRIPTOR_LENGTH];
+    let mut squares = vec![ABSENT; count * width];
+    for (index, descriptor) in descriptors.iter().enumerate() {
+        let panel = &mut panels[index / width * width * DESCRIPTOR_LENGTH..];
+        let mut square = 0;
+        for (dimension, &byte) in descriptor.iter().enumerate() {
+            panel[place(width, K::DEEP, index % width, dimension)] = byte.into();
+            square += u32::from(byte) * u32::from(byte);
+        }
+        squares[index] = square as f32;
+    }
+    (panels, squares)
+}
+
 struct Prepare<'a> {
     descriptors: &'a Descriptors,
 }
 
-impl<'a> WithSimd for Prepare<'a> {
-    type Output = Prepared<'a>;
+impl WithSimd for Prepare<'_> {
+    type Output = (Vec<f32>, Vec<f32>);
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) -> Prepared<'a> {
-        let width = COLUMNS * S::F32_LANES;
-        let count = self.descriptors.len().div_ceil(width);
-        let mut panels = vec![0.0f32; count * width * DESCRIPTOR_LENGTH];
-        let mut squares = vec![ABSENT; count * width];
-        for (index, descriptor) in self.descriptors.iter().enumerate() {
-            let panel = &mut panels[index / width * width * DESCRIPTOR_LENGTH..];
-            let mut square = 0;
-            for (dimension, &byte) in descriptor.iter().enumerate() {
-                panel[dimension * width + index % width] = f32::from(byte);
-                square += u32::from(byte) * u32::from(byte);
-            }
-            squares[index] = square as f32;
-        }
-        Prepared { descriptors: self.descriptors, panels, squares }
+    fn with_simd<S: Simd>(self, _: S) -> Self::Output {
+        lay_out::<S, Floats>(self.descriptors)
     }
 }
 
 /// Compares one task's descriptors with all of a set.
 struct Compare<'a> {
     bytes: &'a [u8],
-    second: &'a Prepared<'a>,
+    panels: &'a [f32],
+    squares: &'a [f32],
+}
+
+impl WithSimd for Compare<'_> {
+    type Output = Vec<Nearest>;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> Vec<Nearest> {
+        compare::<S, Floats>(simd, self.bytes, self.panels, self.squares)
+    }
 }
 
 /// The best of the columns that a lane has seen; closeness is `2 a.b - |b|^2`.
@@ -194,65 +260,140 @@ struct Best<S: Simd> {
     register: S::f32s,
 }
 
-impl WithSimd for Compare<'_> {
-    type Output = Vec<Nearest>;
+/// The two nearest of each of one task's descriptors.
+#[inline(always)]
+fn compare<S: Simd, K: Kernel<S>>(
+    simd: S,
+    bytes: &[u8],
+    panels: &[K::Number],
+    squares: &[f32],
+) -> Vec<Nearest> {
+    let (descriptors, _) = bytes.as_chunks::<DESCRIPTOR_LENGTH>();
+    let groups = descriptors.len().div_ceil(ROWS);
+    // By groups of rows, laid out as the panels are; rows that are not there are zero.
+    let mut rows = vec![K::Number::default(); groups * ROWS * DESCRIPTOR_LENGTH];
+    for (index, descriptor) in descriptors.iter().enumerate() {
+        let group = &mut rows[index / ROWS * ROWS * DESCRIPTOR_LENGTH..];
+        for (dimension, &byte) in descriptor.iter().enumerate() {
+            group[place(ROWS, K::DEEP, index % ROWS, dimension)] = byte.into();
+        }
+    }
+    let lowest = simd.splat_f32s(f32::MIN);
+    let start = Best::<S> { closeness: lowest, runner_up: lowest, register: simd.splat_f32s(0.0) };
+    let mut best = vec![[start; ROWS]; groups];
+    let width = COLUMNS * S::F32_LANES;
+    let panels = panels.chunks_exact(width * DESCRIPTOR_LENGTH);
+    let squares = squares.chunks_exact(width);
+    for (panel, (numbers, squares)) in panels.zip(squares).enumerate() {
+        for (rows, best) in rows.chunks_exact(ROWS * DESCRIPTOR_LENGTH).zip(&mut best) {
+            let products = K::products(simd, rows, numbers);
+            keep_best(simd, &products, squares, panel, best);
+        }
+    }
+    let mut found = Vec::with_capacity(descriptors.len());
+    for (index, descriptor) in descriptors.iter().enumerate() {
+        let square: u32 = descriptor.iter().map(|&b| u32::from(b) * u32::from(b)).sum();
+        found.push(reduce(&best[index / ROWS][index % ROWS], square));
+    }
+    found
+}
+
+/// One dimension at a time, in any instruction set.
+struct Floats;
+
+impl<S: Simd> Kernel<S> for Floats {
+    type Number = f32;
+    const DEEP: usize = 1;
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) -> Vec<Nearest> {
-        let (descriptors, _) = self.bytes.as_chunks::<DESCRIPTOR_LENGTH>();
-        let groups = descriptors.len().div_ceil(ROWS);
-        // By groups of rows, in which the numbers of one dimension are contiguous; rows that are not
-        // there are zero.
-        let mut rows = vec![[[0.0f32; ROWS]; DESCRIPTOR_LENGTH]; groups];
-        for (index, descriptor) in descriptors.iter().enumerate() {
-            for (dimension, &byte) in descriptor.iter().enumerate() {
-                rows[index / ROWS][dimension][index % ROWS] = f32::from(byte);
+    fn products(simd: S, rows: &[f32], panel: &[f32]) -> [[S::f32s; COLUMNS]; ROWS] {
+        let (rows, _) = rows.as_chunks::<ROWS>();
+        let (panel, _) = S::as_simd_f32s(panel);
+        let (panel, _) = panel.as_chunks::<COLUMNS>();
+        let mut products = [[simd.splat_f32s(0.0); COLUMNS]; ROWS];
+        for (numbers, columns) in rows.iter().zip(panel) {
+            for row in 0..ROWS {
+                let number = simd.splat_f32s(numbers[row]);
+                for column in 0..COLUMNS {
+                    products[row][column] =
+                        simd.mul_add_e_f32s(number, columns[column], products[row][column]);
+                }
             }
         }
-        let lowest = simd.splat_f32s(f32::MIN);
-        let start =
-            Best::<S> { closeness: lowest, runner_up: lowest, register: simd.splat_f32s(0.0) };
-        let mut best = vec![[start; ROWS]; groups];
-        let width = COLUMNS * S::F32_LANES;
-        let panels = self.second.panels.chunks_exact(width * DESCRIPTOR_LENGTH);
-        let squares = self.second.squares.chunks_exact(width);
-        for (panel, (numbers, squares)) in panels.zip(squares).enumerate() {
-            for (rows, best) in rows.iter().zip(&mut best) {
-                compare_panel(simd, rows, numbers, squares, panel, best);
-            }
-        }
-        let mut found = Vec::with_capacity(descriptors.len());
-        for (index, descriptor) in descriptors.iter().enumerate() {
-            let square: u32 = descriptor.iter().map(|&b| u32::from(b) * u32::from(b)).sum();
-            found.push(reduce(&best[index / ROWS][index % ROWS], square));
-        }
-        found
+        products
     }
 }
 
-/// Compares a group of rows with one panel.
+/// Two dimensions at a time, with the multiplication of x86 that adds pairs of products.
+#[cfg(target_arch = "x86_64")]
+mod words {
+    use super::{COLUMNS, Kernel, Nearest, ROWS, compare};
+    use pulp::{NullaryFnOnce, Simd, cast, f32x8, x86::V3};
+    use std::arch::x86_64::__m256i;
+
+    pub(super) struct Words;
+
+    impl Kernel<V3> for Words {
+        type Number = i16;
+        const DEEP: usize = 2;
+
+        #[inline(always)]
+        fn products(simd: V3, rows: &[i16], panel: &[i16]) -> [[f32x8; COLUMNS]; ROWS] {
+            let (avx, avx2) = (simd.avx, simd.avx2);
+            let (rows, _) = rows.as_chunks::<2>();
+            let (rows, _) = rows.as_chunks::<ROWS>();
+            let (panel, _) = panel.as_chunks::<16>();
+            let (panel, _) = panel.as_chunks::<COLUMNS>();
+            let mut products = [[avx._mm256_setzero_si256(); COLUMNS]; ROWS];
+            for (numbers, columns) in rows.iter().zip(panel) {
+                let columns: [__m256i; COLUMNS] = [cast(columns[0]), cast(columns[1])];
+                for row in 0..ROWS {
+                    let number = avx._mm256_set1_epi32(cast(numbers[row]));
+                    for column in 0..COLUMNS {
+                        let both = avx2._mm256_madd_epi16(number, columns[column]);
+                        products[row][column] = avx2._mm256_add_epi32(products[row][column], both);
+                    }
+                }
+            }
+            let mut sums = [[simd.splat_f32s(0.0); COLUMNS]; ROWS];
+            for row in 0..ROWS {
+                for column in 0..COLUMNS {
+                    // Below 2^24.
+                    sums[row][column] = cast(avx._mm256_cvtepi32_ps(products[row][column]));
+                }
+            }
+            sums
+        }
+    }
+
+    /// Compares one task's descriptors with all of a set.
+    pub(super) struct Compare<'a> {
+        pub(super) simd: V3,
+        pub(super) bytes: &'a [u8],
+        pub(super) panels: &'a [i16],
+        pub(super) squares: &'a [f32],
+    }
+
+    impl NullaryFnOnce for Compare<'_> {
+        type Output = Vec<Nearest>;
+
+        #[inline(always)]
+        fn call(self) -> Vec<Nearest> {
+            compare::<V3, Words>(self.simd, self.bytes, self.panels, self.squares)
+        }
+    }
+}
+
+/// Keeps the best of what a group of rows and one panel come to.
 #[inline(always)]
-fn compare_panel<S: Simd>(
+fn keep_best<S: Simd>(
     simd: S,
-    rows: &[[f32; ROWS]; DESCRIPTOR_LENGTH],
-    numbers: &[f32],
+    products: &[[S::f32s; COLUMNS]; ROWS],
     squares: &[f32],
     panel: usize,
     best: &mut [Best<S>; ROWS],
 ) {
-    let (numbers, _) = S::as_simd_f32s(numbers);
-    let (numbers, _) = numbers.as_chunks::<COLUMNS>();
     let (squares, _) = S::as_simd_f32s(squares);
-    let mut products = [[simd.splat_f32s(0.0); COLUMNS]; ROWS];
-    for (row_numbers, columns) in rows.iter().zip(numbers) {
-        for row in 0..ROWS {
-            let number = simd.splat_f32s(row_numbers[row]);
-            for column in 0..COLUMNS {
-                products[row][column] =
-                    simd.mul_add_e_f32s(number, columns[column], products[row][column]);
-            }
-        }
-    }
     for row in 0..ROWS {
         let state = &mut best[row];
         for column in 0..COLUMNS {
@@ -356,9 +497,14 @@ mod tests {
     fn every_instruction_set_gives_the_same() {
         let mut source = ChaCha8Rng::seed_from_u64(2);
         let (first, second) = (random(&mut source, 40), random(&mut source, 90));
-        let scalar = pulp::Arch::Scalar.dispatch(Prepare { descriptors: &second });
-        let job = Compare { bytes: first.as_bytes(), second: &scalar };
-        assert_eq!(pulp::Arch::Scalar.dispatch(job), nearest(&first, &second));
+        let own = nearest(&first, &second);
+        assert_eq!(own, by_definition(&first, &second));
+        for arch in [pulp::Arch::Scalar, pulp::Arch::new()] {
+            let prepared = Prepared::in_floats(&second, arch);
+            let Panels::Floats(panels) = &prepared.panels else { panic!("asked for floats") };
+            let job = Compare { bytes: first.as_bytes(), panels, squares: &prepared.squares };
+            assert_eq!(arch.dispatch(job), own);
+        }
     }
 
     /// A second set that holds noisy copies of some of the first in another order.
