@@ -325,3 +325,44 @@ pub fn scale_bars(path: &Path, ground: &[GroundPoint]) -> Result<Vec<ScaleBar>, 
     }
     Ok(bars)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_point_is_what_its_role_says_and_else_what_its_name_does() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("gcps.csv");
+        let rows = [
+            ("A", "", Role::Control),
+            ("CHK-B", "", Role::Check),
+            ("CHK-C", "control", Role::Control),
+            ("D", "check", Role::Check),
+            ("E", "Tie", Role::Tie),
+        ];
+        let mut text = "label,easting_m,northing_m,height_m,role\n".to_owned();
+        for (k, (name, role, _)) in rows.iter().enumerate() {
+            text += &format!("{name},{},4480143.2,182.1,{role}\n", 500_670 + 20 * k);
+        }
+        std::fs::write(&path, &text).unwrap();
+        let points = ground_points(&path, &Defaults::default()).unwrap();
+        let found: Vec<Role> = points.iter().map(|point| point.role).collect();
+        assert_eq!(found, rows.map(|(.., role)| role));
+        // Without the column names alone tell.
+        let text = text.replace(",role", "").replace(",Tie", ",").replace(",check", ",");
+        let bare: String = text
+            .replace(",control", ",")
+            .lines()
+            .map(|line| format!("{}\n", line.trim_end_matches(',')))
+            .collect();
+        std::fs::write(&path, bare).unwrap();
+        let points = ground_points(&path, &Defaults::default()).unwrap();
+        let checks: Vec<&str> =
+            points.iter().filter(|p| p.role == Role::Check).map(|p| p.name.as_str()).collect();
+        assert_eq!(checks, ["CHK-B", "CHK-C"]);
+        std::fs::write(&path, "label,easting_m,northing_m,height_m,role\nA,1,2,3,chek\n").unwrap();
+        let error = ground_points(&path, &Defaults::default()).unwrap_err().to_string();
+        assert!(error.contains("gcps.csv") && error.contains("chek"), "{error}");
+    }
+}
