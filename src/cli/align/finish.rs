@@ -258,7 +258,12 @@ fn prepare_cameras(block: &mut Block<'_>, georeferenced: bool, args: &Args) -> R
         for (k, parameter) in parameters.iter().enumerate() {
             camera.standard_deviations[k] = match parameter.name {
                 "f_px" | "c_px" if !georeferenced => {
-                    Some(0.1 * camera.interior.principal_distance_px())
+                    // By now it is better known than what the files told, or nobody did.
+                    let c = camera.interior.principal_distance_px();
+                    if let Some(expected) = &mut camera.expected {
+                        expected[k] = c;
+                    }
+                    Some(0.1 * c)
                 }
                 "cx_px" | "cy_px" | "xp_px" | "yp_px" => Some(0.02 * larger),
                 _ => None,
