@@ -17,7 +17,7 @@ use super::{
 };
 use crate::{
     camera::Camera,
-    features::{DESCRIPTOR_LENGTH, Descriptors},
+    features::{DESCRIPTOR_LENGTH, Descriptors, matching::distance_squared},
 };
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
@@ -223,10 +223,6 @@ pub(super) fn distance([a, b]: [Ray; 2], p: Ray) -> f64 {
         0.0
     };
     (p[0] - a[0] - along * d[0]).hypot(p[1] - a[1] - along * d[1])
-}
-
-fn distance_squared(a: &[u8; DESCRIPTOR_LENGTH], b: &[u8; DESCRIPTOR_LENGTH]) -> u32 {
-    a.iter().zip(b).map(|(&a, &b)| u32::from(a.abs_diff(b)) * u32::from(a.abs_diff(b))).sum()
 }
 
 /// The features of two photos that match where the ground has them; no feature is in two matches.
