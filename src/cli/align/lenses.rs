@@ -26,10 +26,17 @@ use serde::{Deserialize, Serialize};
 const PAIRS: usize = 10;
 /// Distance from co-planarity that tells one lens from another, pixels.
 const TOLERANCE_PX: f64 = 1.5;
+/// Distance from co-planarity that tells one principal distance from another, pixels: with a wrong one a pair is still
+/// co-planar to some pixels, with the others of its orientation for it.
+const FINE_PX: f64 = 1.0;
 /// What is tried for `a`.
 const BENDS: [f64; 10] = [-0.1, -0.05, 0.0, 0.05, 0.1, 0.17, 0.25, 0.33, 0.42, 0.52];
 /// How much more of the matches than a lens without distortion one must explain.
 const CLEARLY: f64 = 1.08;
+/// By how much of the matches the best principal distance must be ahead of the middle one.
+const AHEAD: f64 = 0.02;
+/// Principal distances that fall behind the best by less than this share of its lead are as good.
+const AS_GOOD: f64 = 0.2;
 /// How much more SMAC must explain than Brown.
 const BETTER_BY_SMAC: f64 = 1.03;
 
@@ -183,16 +190,32 @@ fn principal_distance(
     let lens =
         |c: &f64| camera_at(&entry.name, Model::Brown, size_px, *c).map(|camera| camera.interior);
     let lenses: Vec<Interior> = candidates.iter().map(lens).collect::<Result<_, _>>()?;
-    let shares = shares_by_lens(features, own, &lenses, verifying);
-    let best = (0..shares.len()).max_by(|&a, &b| shares[a].total_cmp(&shares[b])).unwrap_or(0);
-    let mut sorted = shares.clone();
-    sorted.sort_by(f64::total_cmp);
+    let fine = Verifying { tolerance_px: FINE_PX, ..*verifying };
+    let shares = shares_by_lens(features, own, &lenses, &fine);
     // Photos of a plane from above say little: then the usual is as good.
-    Ok(if shares[best] - sorted[sorted.len() / 2] > 0.02 {
-        (candidates[best], "which explains most of the matches")
-    } else {
-        (entry.interior.principal_distance_px(), "for want of anything better")
+    Ok(match peak(&candidates, &shares) {
+        Some(c) => (c, "which explains most of the matches"),
+        None => (entry.interior.principal_distance_px(), "for want of anything better"),
     })
+}
+
+/// The middle, in ratios, of the principal distances that explain the largest shares; `None` where it makes no
+/// difference.
+fn peak(candidates: &[f64], shares: &[f64]) -> Option<f64> {
+    let mut sorted = shares.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let most = *sorted.last()?;
+    let lead = most - sorted[sorted.len() / 2];
+    if lead <= AHEAD {
+        return None;
+    }
+    let good: Vec<f64> = candidates
+        .iter()
+        .zip(shares)
+        .filter(|(_, share)| **share >= most - AS_GOOD * lead)
+        .map(|(c, _)| c.ln())
+        .collect();
+    Some((good.iter().sum::<f64>() / good.len() as f64).exp())
 }
 
 /// A lens that bends rays by `a`; `None` where its model has no such form.
@@ -264,5 +287,15 @@ mod tests {
             }
         }
         assert_eq!(forward(0.0, 1.0), [0.0, 0.0]);
+    }
+
+    #[test]
+    fn a_principal_distance_must_stand_out() {
+        let candidates = [1000.0, 1200.0, 1440.0, 1728.0, 2074.0];
+        let flat = peak(&candidates, &[0.97, 0.98, 0.975, 0.97, 0.96]);
+        assert_eq!(flat, None);
+        let between = peak(&candidates, &[0.80, 0.95, 0.95, 0.85, 0.80]).unwrap();
+        assert!((between - 1000.0 * 1.2f64.powf(1.5)).abs() < 1e-6, "{between}");
+        assert_eq!(peak(&[], &[]), None);
     }
 }
