@@ -157,18 +157,27 @@ impl<S: Simd> Lane for Register<S> {
         f: impl Fn(&[f64; I]) -> [f64; O],
     ) -> [Self; O] {
         let mut columns = [[0.0; MAX_WIDTH]; I];
-        for (column, input) in columns.iter_mut().zip(inputs) {
-            input.store(column);
+        for k in 0..I {
+            inputs[k].store(&mut columns[k]);
         }
         let mut results = [[0.0; MAX_WIDTH]; O];
+        // Loops throughout: a closure would be compiled without the instruction set.
         for lane in 0..Self::WIDTH {
-            let found = f(&std::array::from_fn(|k| columns[k][lane]));
-            for (result, value) in results.iter_mut().zip(found) {
-                result[lane] = value;
+            let mut asked = [0.0; I];
+            for k in 0..I {
+                asked[k] = columns[k][lane];
+            }
+            let found = f(&asked);
+            for k in 0..O {
+                results[k][lane] = found[k];
             }
         }
         let simd = inputs[0].simd;
-        std::array::from_fn(|k| Register::load(simd, &results[k]))
+        let mut out = [inputs[0]; O];
+        for k in 0..O {
+            out[k] = Register::load(simd, &results[k]);
+        }
+        out
     }
 }
 

@@ -92,8 +92,8 @@ pub fn match_prepared(
     options: &MatchOptions,
 ) -> Vec<Match> {
     let forward = nearest_prepared(first.descriptors, second);
-    let [(all, _), (others, _)] = [first, second]
-        .map(|set| set.descriptors.as_bytes().as_chunks::<DESCRIPTOR_LENGTH>());
+    let [(all, _), (others, _)] =
+        [first, second].map(|set| set.descriptors.as_bytes().as_chunks::<DESCRIPTOR_LENGTH>());
     let limit = (512.0 * f64::from(options.max_distance)).powi(2);
     let pairs = forward.iter().zip(all).enumerate();
     let mut matches: Vec<Match> = pairs

@@ -167,12 +167,7 @@ fn multiply(
 
 /// Keeps the best of what a group of rows and one panel come to.
 #[inline(always)]
-fn keep_best(
-    simd: V3,
-    sums: &[[__m256i; COLUMNS]; ROWS],
-    panel: usize,
-    best: &mut [Best; ROWS],
-) {
+fn keep_best(simd: V3, sums: &[[__m256i; COLUMNS]; ROWS], panel: usize, best: &mut [Best; ROWS]) {
     let (avx, avx2) = (simd.avx, simd.avx2);
     for row in 0..ROWS {
         let state = &mut best[row];

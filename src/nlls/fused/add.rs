@@ -28,47 +28,63 @@ impl<const K: usize, const S: usize, const D: usize> Layout<K, S, D> {
     }
 
     fn add_shared_blocks<const P: usize>(&self, share: &ShareWork<P>, sums: &mut Sums<'_>) {
-        let lenses = self.shared.len();
+        let (lenses, width) = (self.shared.len(), self.lens_width());
+        if width == 0 {
+            return;
+        }
+        let columns = self.lens_columns.as_slice();
+        let all: [usize; K] = std::array::from_fn(|k| k);
         for (l, &place) in self.shared.iter().enumerate().filter(|(_, place)| **place != NONE) {
             let place = place as usize;
             let (tangent, start) = (self.tangents[place], sums.matrix.starts[place]);
-            for i in 0..S {
-                sums.gradient[tangent + i] += share.lens_gradient[l * S + i];
-                sums.diagonal[tangent + i] += share.lens_diagonal[l * S + i];
-                sums.correction[start + i] += share.lens_correction[l * S + i];
+            for (k, &i) in columns.iter().enumerate() {
+                sums.gradient[tangent + i] += share.lens_gradient[l * width + k];
+                sums.diagonal[tangent + i] += share.lens_diagonal[l * width + k];
+                sums.correction[start + i] += share.lens_correction[l * width + k];
             }
+            let lens = Side { place, dimensions: S, entries: columns };
             for (k, &camera) in share.members.iter().enumerate() {
-                let camera_place = self.cameras[camera as usize].place as usize;
-                let from = &share.camera_lens[(k * lenses + l) * K * S..][..K * S];
-                add_rectangle(sums, camera_place, place, (K, S), from);
+                let place = self.cameras[camera as usize].place as usize;
+                let camera = Side { place, dimensions: K, entries: &all };
+                let from = &share.camera_lens[(k * lenses + l) * K * width..][..K * width];
+                add_rectangle(sums, camera, lens, from);
             }
             for (m, &other) in self.shared[..=l].iter().enumerate() {
                 if other != NONE {
-                    let from = &share.lens_lens[(l * lenses + m) * S * S..][..S * S];
-                    add_rectangle(sums, place, other as usize, (S, S), from);
+                    let from = &share.lens_lens[(l * lenses + m) * width * width..];
+                    let other = Side { place: other as usize, ..lens };
+                    add_rectangle(sums, lens, other, &from[..width * width]);
                 }
             }
         }
     }
 }
 
-/// Adds a row-major block of kept blocks `row x column`, in whichever triangle it is stored.
-fn add_rectangle(
-    sums: &mut Sums<'_>,
-    row: usize,
-    column: usize,
-    (rows, columns): (usize, usize),
-    from: &[f64],
-) {
-    let Some(slot) = sums.matrix.slot(row.max(column), row.min(column)) else {
+/// The rows or the columns of a rectangle.
+#[derive(Clone, Copy)]
+struct Side<'a> {
+    /// Its block's place among the kept ones.
+    place: usize,
+    /// How many the block has.
+    dimensions: usize,
+    /// Which of them.
+    entries: &'a [usize],
+}
+
+/// Adds a row-major block of kept blocks, its rows padded, in whichever triangle it is stored.
+fn add_rectangle(sums: &mut Sums<'_>, row: Side<'_>, column: Side<'_>, from: &[f64]) {
+    let turned = row.place < column.place;
+    let Some(slot) = sums.matrix.slot(row.place.max(column.place), row.place.min(column.place))
+    else {
         debug_assert!(inner(from, from) == 0.0, "the pattern holds every pair that is seen");
         return;
     };
     let at = sums.matrix.value_ptr[slot];
-    for i in 0..rows {
-        for j in 0..columns {
-            let to = if row >= column { j * rows + i } else { i * columns + j };
-            sums.matrix.values[at + to] += from[i * columns + j];
+    let width = padded(column.entries.len());
+    for (from, &i) in from.chunks_exact(width).zip(row.entries) {
+        for (from, &j) in from.iter().zip(column.entries) {
+            let to = if turned { i * column.dimensions + j } else { j * row.dimensions + i };
+            sums.matrix.values[at + to] += from;
         }
     }
 }

@@ -67,9 +67,11 @@ pub(super) struct PointAt {
 #[derive(Debug)]
 pub(super) struct Layout<const K: usize, const S: usize, const D: usize> {
     pub(super) cameras: Vec<Camera>,
-    /// Where a camera's columns are frozen 0, others 1; empty where nothing is frozen.
+    /// Where a camera's columns are frozen 0, others 1; empty where none is.
     pub(super) camera_mask: Vec<[f64; K]>,
-    /// The same of the shared blocks.
+    /// The columns of shared blocks that are free in any of them, ascending: the others take no part.
+    pub(super) lens_columns: Vec<usize>,
+    /// As `camera_mask`, for each of `lens_columns` in each shared block.
     pub(super) lens_mask: Vec<[f64; S]>,
     /// The places of the shared blocks among the kept ones, or [`NONE`].
     pub(super) shared: Vec<u32>,
@@ -80,6 +82,14 @@ pub(super) struct Layout<const K: usize, const S: usize, const D: usize> {
     pub(super) data: Vec<[f64; D]>,
     /// Where each kept block's tangent begins.
     pub(super) tangents: Vec<usize>,
+}
+
+impl<const K: usize, const S: usize, const D: usize> Layout<K, S, D> {
+    /// Numbers per row of a Jacobian by a shared block: whole registers, none where nothing is free.
+    #[inline(always)]
+    pub(super) fn lens_width(&self) -> usize {
+        padded(self.lens_columns.len())
+    }
 }
 
 /// One share of the points and its sums.
@@ -98,9 +108,9 @@ pub(super) struct ShareWork<const P: usize> {
     pub(super) gradient: Vec<f64>,
     pub(super) correction: Vec<f64>,
     pub(super) diagonal: Vec<f64>,
-    /// Per local camera and shared block, `K x S`.
+    /// Per local camera and shared block, `K` rows of [`Layout::lens_width`].
     pub(super) camera_lens: Vec<f64>,
-    /// `S x S` per pair of shared blocks.
+    /// Likewise per pair of shared blocks.
     pub(super) lens_lens: Vec<f64>,
     pub(super) lens_gradient: Vec<f64>,
     pub(super) lens_correction: Vec<f64>,
@@ -116,14 +126,16 @@ pub(super) struct Buffers {
     pub(super) by_point: Vec<f64>,
     /// `R` rows of `padded(K)`.
     pub(super) by_kept: Vec<f64>,
-    /// `R` rows of `S`; [`padded`] to a record.
+    /// `R` rows of [`Layout::lens_width`].
     pub(super) by_shared: Vec<f64>,
     /// `Q_i`, of one point.
     pub(super) whitened: Vec<f64>,
     /// `Q_i u` of one point, or `J d` of a chunk.
     pub(super) along: Vec<f64>,
-    /// `T` of each shared block.
+    /// `T` of each shared block, `P` rows of [`Layout::lens_width`].
     pub(super) lens_sums: Vec<f64>,
+    /// `Js_i - Q_i T`, `R` rows.
+    pub(super) lens_left: Vec<f64>,
 }
 
 impl<const P: usize> ShareWork<P> {
@@ -180,7 +192,7 @@ impl<const P: usize> ShareWork<P> {
                 slots[block as usize] = slot as u32;
             }
         }
-        let lenses = layout.shared.len();
+        let (lenses, width) = (layout.shared.len(), layout.lens_width());
         let longest = share
             .eliminated
             .clone()
@@ -193,13 +205,13 @@ impl<const P: usize> ShareWork<P> {
             gradient: vec![0.0; n * padded(K)],
             correction: vec![0.0; n * padded(K)],
             diagonal: vec![0.0; n * padded(K)],
-            camera_lens: vec![0.0; n * lenses * K * S],
-            lens_lens: vec![0.0; lenses * lenses * S * S],
-            lens_gradient: vec![0.0; lenses * S],
-            lens_correction: vec![0.0; lenses * S],
-            lens_diagonal: vec![0.0; lenses * S],
+            camera_lens: vec![0.0; n * lenses * K * width],
+            lens_lens: vec![0.0; lenses * lenses * width * width],
+            lens_gradient: vec![0.0; lenses * width],
+            lens_correction: vec![0.0; lenses * width],
+            lens_diagonal: vec![0.0; lenses * width],
             moved: vec![[0.0; P]; share.eliminated.len()],
-            buffers: Buffers::new::<K, S, P>(longest.max(CHUNK), rows, lenses),
+            buffers: Buffers::new::<K, P>(longest.max(CHUNK), rows, (lenses, width)),
             local,
             members,
             table,
@@ -232,22 +244,23 @@ impl<const P: usize> ShareWork<P> {
 
 impl Buffers {
     /// Room for `count` observations of `rows` rows, and for the lanes behind the last.
-    fn new<const K: usize, const S: usize, const P: usize>(
+    fn new<const K: usize, const P: usize>(
         count: usize,
         rows: usize,
-        lenses: usize,
+        (lenses, width): (usize, usize),
     ) -> Buffers {
         let records = count + MAX_WIDTH;
-        let shared = records * padded(rows * S);
         let points = records * point_record(rows, P);
+        let lens_left = vec![0.0; rows * width];
         let rows = records * rows;
         Buffers {
             by_point: vec![0.0; points],
             by_kept: vec![0.0; rows * padded(K)],
-            by_shared: vec![0.0; shared],
+            by_shared: vec![0.0; rows * width],
             whitened: vec![0.0; rows * P],
             along: vec![0.0; rows],
-            lens_sums: vec![0.0; lenses * P * S],
+            lens_sums: vec![0.0; lenses * P * width],
+            lens_left,
         }
     }
 }

@@ -63,17 +63,22 @@ pub(super) fn linearize_chunk<
         for row in 0..R {
             let to = &mut buffers.by_kept[(first * R + row) * padded(K)..];
             scatter(simd, &found.by_kept[row], to, R * padded(K));
-            if S > 0 {
-                let to = &mut buffers.by_shared[first * padded(R * S) + row * S..];
-                scatter(simd, &found.by_shared[row], to, padded(R * S));
+            if S > 0 && !layout.lens_columns.is_empty() {
+                let mut free = [found.residual[0]; S];
+                for (to, &k) in free.iter_mut().zip(&layout.lens_columns) {
+                    *to = found.by_shared[row][k];
+                }
+                let to = &mut buffers.by_shared[(first * R + row) * layout.lens_width()..];
+                let count = layout.lens_columns.len();
+                scatter(simd, &free[..count], to, R * layout.lens_width());
             }
         }
         if settings.loss != Loss::Trivial {
             for o in first..first + count {
-                weigh::<R, K, S, P>(settings, buffers, o);
+                weigh::<V, R, K, P>(simd, settings, buffers, layout.lens_width(), o);
             }
         }
-        if !layout.camera_mask.is_empty() {
+        if !layout.camera_mask.is_empty() || !layout.lens_mask.is_empty() {
             for o in first..first + count {
                 freeze::<R, K, S, D>(layout, buffers, origin, o);
             }
@@ -101,16 +106,44 @@ fn fold<const R: usize>(
     }
 }
 
+/// The same for `R` rows of whole registers.
+#[inline(always)]
+fn fold_rows<V: Simd, const R: usize>(
+    simd: V,
+    values: &mut [f64],
+    &(weight, shift, residual): &(f64, f64, [f64; R]),
+) {
+    let registers = V::as_mut_simd_f64s(values).0;
+    let width = registers.len() / R;
+    let weight = simd.splat_f64s(weight);
+    for k in 0..width {
+        let mut along = simd.splat_f64s(0.0);
+        for row in 0..R {
+            let r = simd.splat_f64s(residual[row]);
+            along = simd.mul_add_e_f64s(r, registers[row * width + k], along);
+        }
+        for row in 0..R {
+            let r = simd.splat_f64s(-shift * residual[row]);
+            let left = simd.mul_add_e_f64s(r, along, registers[row * width + k]);
+            registers[row * width + k] = simd.mul_f64s(weight, left);
+        }
+    }
+}
+
 /// Folds the loss into one linearised observation.
-fn weigh<const R: usize, const K: usize, const S: usize, const P: usize>(
+#[inline(always)]
+fn weigh<V: Simd, const R: usize, const K: usize, const P: usize>(
+    simd: V,
     settings: &Settings,
     buffers: &mut Buffers,
+    lens_width: usize,
     o: usize,
 ) {
-    let record = &mut buffers.by_point[o * point_record(R, P)..];
+    let record = &mut buffers.by_point[o * point_record(R, P)..(o + 1) * point_record(R, P)];
     let weights = weigh_point::<R, P>(settings, record);
-    fold(&mut buffers.by_kept[o * R * padded(K)..], padded(K), K, &weights);
-    fold(&mut buffers.by_shared[o * padded(R * S)..], S, S, &weights);
+    let (kept, shared) = (R * padded(K), R * lens_width);
+    fold_rows(simd, &mut buffers.by_kept[o * kept..(o + 1) * kept], &weights);
+    fold_rows(simd, &mut buffers.by_shared[o * shared..(o + 1) * shared], &weights);
 }
 
 /// Folds the loss into the residual and the Jacobian by the point; returns `(weight, shift, r)`.
@@ -142,17 +175,15 @@ fn freeze<const R: usize, const K: usize, const S: usize, const D: usize>(
     o: usize,
 ) {
     let camera = layout.observed_by[origin + o] as usize;
-    for row in 0..R {
-        let at = (o * R + row) * padded(K);
-        for (v, mask) in buffers.by_kept[at..at + K].iter_mut().zip(&layout.camera_mask[camera]) {
-            *v *= mask;
+    if let Some(mask) = layout.camera_mask.get(camera) {
+        for row in buffers.by_kept[o * R * padded(K)..].chunks_exact_mut(padded(K)).take(R) {
+            row.iter_mut().zip(mask).for_each(|(v, mask)| *v *= mask);
         }
-        if S > 0 {
-            let at = o * padded(R * S) + row * S;
-            let mask = &layout.lens_mask[layout.cameras[camera].lens as usize];
-            for (v, mask) in buffers.by_shared[at..at + S].iter_mut().zip(mask) {
-                *v *= mask;
-            }
+    }
+    if let Some(mask) = layout.lens_mask.get(layout.cameras[camera].lens as usize) {
+        let width = layout.lens_width();
+        for row in buffers.by_shared[o * R * width..].chunks_exact_mut(width).take(R) {
+            row.iter_mut().zip(mask).for_each(|(v, mask)| *v *= mask);
         }
     }
 }

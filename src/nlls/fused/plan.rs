@@ -79,17 +79,28 @@ impl<
             ordinal[camera.block as usize] = k as u32;
         }
         let (observed_by, data) = collect(pairs, structure, &points, &ordinal);
-        let frozen = problem.blocks.iter().any(|block| block.frozen != 0);
-        let mask = |block: usize, k: usize| {
-            f64::from(u8::from(problem.blocks[block].frozen >> k & 1 == 0))
-        };
+        let free = |block: usize, k: usize| problem.blocks[block].frozen >> k & 1 == 0;
+        let mask = |block: usize, k: usize| f64::from(u8::from(free(block, k)));
+        let held = cameras.iter().any(|c| (0..K).any(|k| !free(c.block as usize, k)));
+        let at_all = |block: usize| structure.place[block] != NONE;
+        let lens_columns: Vec<usize> = (0..S)
+            .filter(|&k| shared_blocks.iter().any(|&block| at_all(block) && free(block, k)))
+            .collect();
+        let differ = lens_columns.iter().any(|&k| shared_blocks.iter().any(|&b| !free(b, k)));
         let layout = Layout {
-            camera_mask: (0..if frozen { cameras.len() } else { 0 })
+            camera_mask: (0..if held { cameras.len() } else { 0 })
                 .map(|c| std::array::from_fn(|k| mask(cameras[c].block as usize, k)))
                 .collect(),
-            lens_mask: (0..if frozen { shared_blocks.len() } else { 0 })
-                .map(|l| std::array::from_fn(|k| mask(shared_blocks[l], k)))
+            lens_mask: (0..if differ { shared_blocks.len() } else { 0 })
+                .map(|l| {
+                    let mut masks = [0.0; S];
+                    for (to, &k) in masks.iter_mut().zip(&lens_columns) {
+                        *to = mask(shared_blocks[l], k);
+                    }
+                    masks
+                })
                 .collect(),
+            lens_columns,
             shared: shared_blocks.iter().map(|&block| structure.place[block]).collect(),
             points,
             tangents: structure.kept.iter().map(|&k| problem.blocks[k].tangent).collect(),

@@ -71,7 +71,7 @@ pub(super) fn eliminate_point<
         }
     }
     if S > 0 {
-        add_shared::<R, K, S, P, D>(layout, share, buffers, (first, end), origin, &u);
+        add_shared::<V, R, K, S, P, D>(simd, layout, share, buffers, (first, end), origin, &u);
     }
     let stride = R * padded(K);
     for i in 0..end - first {

@@ -159,11 +159,16 @@ fn answer(asked: &[f64; ASKED]) -> [f64; ANSWERED] {
 
 #[inline(always)]
 fn asked<L: Lane>(c: &[L], p: &[L; 3], data: &[L; DATA]) -> [L; ASKED] {
-    std::array::from_fn(|k| match k {
-        0..3 => p[k],
-        3..5 => data[k - 3],
-        _ => c[k + 7],
-    })
+    // Loops here and below: a closure would be compiled without the instruction set.
+    let mut asked = [p[0]; ASKED];
+    asked[1] = p[1];
+    asked[2] = p[2];
+    asked[3] = data[0];
+    asked[4] = data[1];
+    for k in 5..ASKED {
+        asked[k] = c[k + 7];
+    }
+    asked
 }
 
 /// A row of the Jacobian by the pose increment `(w, s)`: `dP = w x P + s`.
@@ -193,10 +198,11 @@ fn by_world<L: Lane>(c: &[L], j: &[L; 3]) -> [L; 3] {
 /// pose's middle, by the point in the world.
 #[inline(always)]
 fn by_lens<L: Lane>(found: &[L; ANSWERED], row: usize, weight: L) -> [L; LENS] {
-    let zero = weight.like(0.0);
-    std::array::from_fn(|k| {
-        if k < MAX_PARAMETERS { found[8 + MAX_PARAMETERS * row + k] * weight } else { zero }
-    })
+    let mut by_lens = [weight.like(0.0); LENS];
+    for k in 0..MAX_PARAMETERS {
+        by_lens[k] = found[8 + MAX_PARAMETERS * row + k] * weight;
+    }
+    by_lens
 }
 
 impl PairFactor<2, 6, LENS, 3, STILL, DATA> for Still {
@@ -278,11 +284,12 @@ fn moved_with_derivatives(m: &[f64; 10]) -> [f64; 21] {
 
 #[inline(always)]
 fn motion_asked<L: Lane>(c: &[L; MOVING], q: &[L; 3], tau: L) -> [L; 10] {
-    std::array::from_fn(|k| match k {
-        0..3 => q[k],
-        3 => tau,
-        _ => c[STILL + k - 4],
-    })
+    let mut asked = [tau; 10];
+    asked[..3].copy_from_slice(q);
+    for k in 0..6 {
+        asked[4 + k] = c[STILL + k];
+    }
+    asked
 }
 
 impl PairFactor<2, 12, LENS, 3, MOVING, DATA> for Moving {
@@ -313,10 +320,15 @@ impl PairFactor<2, 12, LENS, 3, MOVING, DATA> for Moving {
         let mut by_kept = [[zero; 12]; 2];
         let mut by_point = [[zero; 3]; 2];
         for row in 0..2 {
-            let j: [L; 3] = std::array::from_fn(|k| found[2 + 3 * row + k] * weight);
+            let mut j = [zero; 3];
+            for k in 0..3 {
+                j[k] = found[2 + 3 * row + k] * weight;
+            }
             // j E: by the point before the motion.
-            let before: [L; 3] =
-                std::array::from_fn(|k| affine([m[3 + k], m[6 + k], m[9 + k]], &j, zero));
+            let mut before = [zero; 3];
+            for k in 0..3 {
+                before[k] = affine([m[3 + k], m[6 + k], m[9 + k]], &j, zero);
+            }
             let pose = by_increment(&q, &before);
             by_kept[row][..6].copy_from_slice(&pose);
             for k in 0..3 {
