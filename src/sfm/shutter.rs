@@ -48,7 +48,7 @@ const CALM: f64 = 0.03;
 /// And as a share of the distance of the ground, where nothing moves.
 const LEAST: f64 = 1e-4;
 /// Steps of the common way are led on to their limit where less than this share is left of each by the next.
-const MOST_LEFT: f64 = 0.98;
+const MOST_LEFT: f64 = 0.9;
 /// The fewest images whose direction must be known.
 const LEAST_IMAGES: usize = 6;
 /// The gain that each of the new numbers must be worth.

@@ -10,12 +10,18 @@ fn block() -> Survey {
 #[test]
 fn what_is_wrong_is_named() {
     type Damage = fn(&mut Survey);
-    let cases: [(Damage, &str); 12] = [
+    let cases: [(Damage, &str); 15] = [
         (|s| s.observations[7].image_px[0] = f64::NAN, "tie point 10"),
         (
             |s| s.images[2].pose.translation[1] = f64::NAN,
-            "image IMG_0003.JPG: its pose is not finite",
+            "image IMG_0003.JPG: its pose or its motion is not finite",
         ),
+        (|s| s.images[0].expected_motion[4] = f64::NAN, "IMG_0001.JPG: its pose or its motion"),
+        (
+            |s| s.cameras[0].expected = Some(vec![1.0]),
+            "expected has 1 entries, expected one for each",
+        ),
+        (|s| s.cameras[0].free.truncate(2), "free has 2 entries, expected one for each"),
         (|s| s.images[2].pose.rotation = [2.0, 0.0, 0.0, 0.0], "unit quaternion"),
         (|s| s.ground[1].position_m[0] = f64::INFINITY, "ground point G01"),
         (|s| s.ground[1].sigma_m[2] = 0.0, "expected positive numbers"),

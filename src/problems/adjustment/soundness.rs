@@ -1,6 +1,7 @@
 //! What no survey may have: numbers that are none, names that are there twice, indices of nothing.
 
 use super::{screening::SurveyError, survey::Survey};
+use crate::camera::Lens;
 use std::collections::HashSet;
 
 /// Refuses what cannot be.
@@ -22,6 +23,23 @@ pub(super) fn check(survey: &Survey) -> Result<(), SurveyError> {
     if !finite(&survey.lever_arm_m) {
         return fail("the lever arm is not finite".into());
     }
+    for camera in &survey.cameras {
+        let there = camera.interior.values().len();
+        let given = [
+            ("free", camera.free.len()),
+            ("standard_deviations", camera.standard_deviations.len()),
+            ("expected", camera.expected.as_ref().map_or(there, Vec::len)),
+        ];
+        if let Some((what, count)) = given.into_iter().find(|(_, count)| *count != there) {
+            return fail(format!(
+                "camera {}: {what} has {count} entries, expected one for each of its {there} parameters",
+                camera.name
+            ));
+        }
+        if camera.expected.as_ref().is_some_and(|expected| !finite(expected)) {
+            return fail(format!("camera {}: what is expected of it is not finite", camera.name));
+        }
+    }
     let mut names = HashSet::new();
     for image in &survey.images {
         if image.camera >= survey.cameras.len() {
@@ -32,8 +50,9 @@ pub(super) fn check(survey: &Survey) -> Result<(), SurveyError> {
         }
         let q = image.pose.rotation;
         let norm: f64 = q.iter().map(|v| v * v).sum();
-        if !(finite(&q) && finite(&image.pose.translation) && finite(&image.motion)) {
-            return fail(format!("image {}: its pose is not finite", image.name));
+        let motions = [image.motion, image.expected_motion];
+        if !(finite(&q) && finite(&image.pose.translation) && finite(motions.as_flattened())) {
+            return fail(format!("image {}: its pose or its motion is not finite", image.name));
         }
         if (norm - 1.0).abs() > 1e-6 {
             return fail(format!(
