@@ -33,7 +33,8 @@ pub struct Demands {
 /// Distance between measured and projected position, pixels; `None` where there is no projection.
 pub fn error_px(view: &View<'_>, point: [f64; 3]) -> Option<f64> {
     let [u, v] = view.lens.project(view.pose.to_camera(point))?;
-    Some((u - view.image_px[0]).hypot(v - view.image_px[1]))
+    let off = [u - view.image_px[0], v - view.image_px[1]];
+    Some((off[0] * off[0] + off[1] * off[1]).sqrt())
 }
 
 struct Ray {

@@ -10,8 +10,8 @@ use crate::{
 use serde::{Serialize, de::DeserializeOwned};
 use std::path::{Path, PathBuf};
 
-/// Raised whenever what is stored changes its form.
-const VERSION: u64 = 1;
+/// Raised whenever what is stored changes its form, or is made in another way.
+const VERSION: u64 = 2;
 
 /// A folder of results of stages.
 pub(super) struct Cache {

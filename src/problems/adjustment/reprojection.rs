@@ -159,15 +159,11 @@ fn answer(asked: &[f64; ASKED]) -> [f64; ANSWERED] {
 
 #[inline(always)]
 fn asked<L: Lane>(c: &[L], p: &[L; 3], data: &[L; DATA]) -> [L; ASKED] {
-    // Loops here and below: a closure would be compiled without the instruction set.
+    // No closures here and below: they would be compiled without the instruction set.
     let mut asked = [p[0]; ASKED];
-    asked[1] = p[1];
-    asked[2] = p[2];
-    asked[3] = data[0];
-    asked[4] = data[1];
-    for k in 5..ASKED {
-        asked[k] = c[k + 7];
-    }
+    asked[..3].copy_from_slice(p);
+    asked[3..5].copy_from_slice(&data[..2]);
+    asked[5..].copy_from_slice(&c[12..ASKED + 7]);
     asked
 }
 
@@ -286,9 +282,7 @@ fn moved_with_derivatives(m: &[f64; 10]) -> [f64; 21] {
 fn motion_asked<L: Lane>(c: &[L; MOVING], q: &[L; 3], tau: L) -> [L; 10] {
     let mut asked = [tau; 10];
     asked[..3].copy_from_slice(q);
-    for k in 0..6 {
-        asked[4 + k] = c[STILL + k];
-    }
+    asked[4..].copy_from_slice(&c[STILL..STILL + 6]);
     asked
 }
 
