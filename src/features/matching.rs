@@ -3,8 +3,8 @@
 //! Of descriptor `a` the nearest is `b` with the smallest `|a|^2 + |b|^2 - 2 a.b`, where the numbers of both are
 //! halved and rounded down, and `|b|^2` is rounded up to an even number: seven bits hold all that tells two features
 //! apart, and with them a product of two descriptors of the usual length fits into sixteen bits. All products
-//! of two sets are computed, in blocks that stay in the cache and registers, by [`bytes`] where the machine and the
-//! set allow it and by [`floats`] elsewhere; both are exact, so the result is the same on any machine. A match is
+//! of two sets are computed, in blocks that stay in the cache and registers, by `bytes` where the machine and the
+//! set allow it and by `floats` elsewhere; both are exact, so the result is the same on any machine. A match is
 //! kept where each is the other's nearest and each is nearer than `ratio` times the second nearest.
 
 #[cfg(target_arch = "x86_64")]
