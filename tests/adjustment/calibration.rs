@@ -3,7 +3,8 @@
 use super::toy::{self, NOISE, Noise, Plan, free, measured, truth, with_positions};
 use rowgram::{
     camera::Lens,
-    problems::adjustment::{Role, Settings, Survey, adjust, align, rmse},
+    nlls::{Linear, Loss, Options, solve},
+    problems::adjustment::{Posed, Role, Settings, Survey, adjust, align, rmse},
 };
 
 fn refused(survey: &Survey, settings: &Settings) -> String {
@@ -77,6 +78,45 @@ fn two_cameras_have_interior_orientations_of_their_own() {
         let error = camera.interior.principal_distance_px() - 900.0;
         assert!(error.abs() < 4.0 * interior.standard_deviations[0], "{error} {interior:?}");
         assert!(interior.standard_deviations[0] < 2.0);
+    }
+}
+
+/// Points are eliminated as they are linearised, and lenses share a layout in which only what one of them frees
+/// has a place; the sparse system is put together from whole Jacobians.
+#[test]
+fn lenses_that_free_different_parameters_are_adjusted_as_by_the_whole_system() {
+    for (velocity_m_s, tie_loss) in [(None, Loss::Trivial), (Some(8.0), Loss::SoftL1(1.0))] {
+        let plan = Plan { tie_points: 80, velocity_m_s, ..Plan::default() };
+        let mut truth = with_positions(truth(&plan));
+        for _ in 0..2 {
+            truth.cameras.push(truth.cameras[0].clone());
+        }
+        truth.images.iter_mut().enumerate().for_each(|(k, image)| image.camera = k % 3);
+        let mut survey = measured(&truth, 74, NOISE);
+        // One holds all of its parameters.
+        for (camera, names) in survey.cameras.iter_mut().zip([&["c_px", "K1"][..], &["yp_px"], &[]])
+        {
+            camera.set_free(names).unwrap();
+        }
+        let settings = Settings { tie_loss, ..Settings::default() };
+        let adjusted = [Linear::Schur, Linear::Sparse].map(|linear| {
+            let mut survey = survey.clone();
+            let posed = Posed::new(&survey, &settings).unwrap();
+            let mut x = posed.problem.start();
+            let options = Options { linear, ..settings.engine() };
+            solve(&posed.problem, &mut x, &options, 100).unwrap();
+            posed.update(&x, &mut survey);
+            survey
+        });
+        for k in 0..3 {
+            let [schur, sparse] = adjusted.each_ref().map(|s| s.cameras[k].interior.values());
+            let before = survey.cameras[k].interior.values();
+            for (p, free) in survey.cameras[k].free.iter().enumerate() {
+                let near = 1e-6 * (schur[p] - before[p]).abs();
+                assert!((schur[p] - sparse[p]).abs() <= near, "{k} {p}: {schur:?} {sparse:?}");
+                assert_eq!(schur[p] != before[p], *free, "camera {k}, parameter {p}");
+            }
+        }
     }
 }
 
