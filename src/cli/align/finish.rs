@@ -258,7 +258,7 @@ fn prepare_cameras(block: &mut Block<'_>, georeferenced: bool, args: &Args) -> R
         for (k, parameter) in parameters.iter().enumerate() {
             camera.standard_deviations[k] = match parameter.name {
                 "f_px" | "c_px" if !georeferenced => {
-                    // By now it is better known than what the files told, or nobody did.
+                    // A block without a map has found it better than the files told it, where they did.
                     let c = camera.interior.principal_distance_px();
                     if let Some(expected) = &mut camera.expected {
                         expected[k] = c;

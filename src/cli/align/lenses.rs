@@ -26,8 +26,8 @@ use serde::{Deserialize, Serialize};
 const PAIRS: usize = 10;
 /// Distance from co-planarity that tells one lens from another, pixels.
 const TOLERANCE_PX: f64 = 1.5;
-/// Distance from co-planarity that tells one principal distance from another, pixels: with a wrong one a pair is still
-/// co-planar to some pixels, with the others of its orientation for it.
+/// Distance from co-planarity that tells one principal distance from another, pixels: a pair makes up for a wrong one
+/// by its rotation and base, but for some pixels.
 const FINE_PX: f64 = 1.0;
 /// What is tried for `a`.
 const BENDS: [f64; 10] = [-0.1, -0.05, 0.0, 0.05, 0.1, 0.17, 0.25, 0.33, 0.42, 0.52];

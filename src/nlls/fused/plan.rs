@@ -82,9 +82,9 @@ impl<
         let free = |block: usize, k: usize| problem.blocks[block].frozen >> k & 1 == 0;
         let mask = |block: usize, k: usize| f64::from(u8::from(free(block, k)));
         let held = cameras.iter().any(|c| (0..K).any(|k| !free(c.block as usize, k)));
-        let at_all = |block: usize| structure.place[block] != NONE;
+        let moves = |block: usize| structure.place[block] != NONE;
         let lens_columns: Vec<usize> = (0..S)
-            .filter(|&k| shared_blocks.iter().any(|&block| at_all(block) && free(block, k)))
+            .filter(|&k| shared_blocks.iter().any(|&block| moves(block) && free(block, k)))
             .collect();
         let differ = lens_columns.iter().any(|&k| shared_blocks.iter().any(|&b| !free(b, k)));
         let layout = Layout {
