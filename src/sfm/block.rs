@@ -169,7 +169,7 @@ impl<'a> Block<'a> {
     }
 
     /// How many images with a pose see the point of a track.
-    fn rays(&self, track: usize) -> usize {
+    pub(super) fn rays(&self, track: usize) -> usize {
         let seen = |place: &usize| {
             self.used[*place] && self.poses[self.tracks.member(*place).image as usize].is_some()
         };

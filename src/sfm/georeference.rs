@@ -3,9 +3,7 @@
 
 pub use super::control::{MarkReview, WrongMark, axes_exchanged, control_left_m, review_marks};
 
-use super::block::Block;
-use super::shutter::keep_feasible_marks;
-use super::triangulate::Demands;
+use super::{block::Block, shutter::keep_feasible_marks, solitary, triangulate::Demands};
 use crate::{
     engine::SolveError,
     geometry::rotation,
@@ -214,8 +212,7 @@ pub fn join<'a>(
     let mut block = whole?;
     block.points.fill(None);
     block.used.fill(false);
-    let tracks = block.all_tracks();
-    block.retriangulate(&tracks, demands);
+    renew_points(&mut block, demands);
     let control = alignments.iter().flatten().any(|alignment| alignment.by == "control points");
     let position_shift_m =
         if control { take_off_shift(&block, &mut known.positions) } else { None };
@@ -368,9 +365,16 @@ pub fn adjust(
     for (camera, adjusted) in block.cameras.iter_mut().zip(&survey.cameras) {
         camera.interior = adjusted.interior;
     }
-    let all = block.all_tracks();
-    block.retriangulate(&all, demands);
+    renew_points(block, demands);
     Ok(())
+}
+
+/// Goes through all tracks as [`Block::retriangulate`] does, and leaves out the points that stand alone.
+pub fn renew_points(block: &mut Block<'_>, demands: &Demands) {
+    let all = block.all_tracks();
+    let points = block.retriangulate(&all, demands);
+    let alone = solitary::leave_out(block);
+    tracing::debug!("{alone} of {points} points stand alone: left out");
 }
 
 #[cfg(test)]

@@ -195,7 +195,7 @@ impl Buckets {
     }
 
     /// Calls `visit` for all members that may be within `reach` of a piece of line.
-    fn near(&self, [a, b]: [Ray; 2], reach: f64, mut visit: impl FnMut(u32)) {
+    pub(super) fn near(&self, [a, b]: [Ray; 2], reach: f64, mut visit: impl FnMut(u32)) {
         let low = |k: usize| a[k].min(b[k]) - reach;
         let high = |k: usize| a[k].max(b[k]) + reach;
         let beyond = |k: usize, count: usize| {

@@ -29,6 +29,7 @@ pub mod growth;
 pub mod guided;
 pub mod resection;
 pub mod shutter;
+pub mod solitary;
 pub mod start;
 pub mod tracks;
 pub mod triangulate;

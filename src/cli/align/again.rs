@@ -8,7 +8,7 @@ use crate::{
     sfm::{
         again::{Again, look_again},
         block::Block,
-        georeference::{Known, adjust},
+        georeference::{Known, adjust, renew_points},
         shutter::{self, Drift},
         tracks::Tracks,
         verify::Matched,
@@ -82,8 +82,7 @@ pub(super) fn settle(
         *sigma_px = typical_px(block).max(0.05);
         Ok(*sigma_px)
     };
-    let all = block.all_tracks();
-    block.retriangulate(&all, &demands(tolerance_px));
+    renew_points(block, &demands(tolerance_px));
     let sigma = settle(block, tolerance_px)?;
     let drift = shutter::renew(block, known, flight, sigma)?;
     if let Some(drift) = &drift {
