@@ -12,6 +12,7 @@ mod budget;
 mod describe;
 mod detect;
 mod gradient;
+pub mod least_squares;
 pub mod matching;
 mod orient;
 pub mod pairs;

@@ -104,7 +104,7 @@ fn cell(size_px: [f64; 2], at_px: [f64; 2]) -> usize {
 }
 
 /// Where an image has a point, in pixels, by the row that it is in while it is read.
-fn seen_at(block: &Block<'_>, image: usize, point: [f64; 3]) -> Option<[f64; 2]> {
+pub(super) fn seen_at(block: &Block<'_>, image: usize, point: [f64; 3]) -> Option<[f64; 2]> {
     let lens = block.lens(image);
     let mut at = lens.project(block.poses[image]?.to_camera(point))?;
     if block.shutter.is_some() {

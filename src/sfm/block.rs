@@ -101,17 +101,14 @@ impl<'a> Block<'a> {
         }
     }
 
-    /// The block over other tracks of the same features; none of them has a point yet.
-    pub fn over<'b>(&self, tracks: &'b Tracks) -> Block<'b>
-    where
-        'a: 'b,
-    {
+    /// The block over other tracks; none of them has a point yet.
+    pub fn over<'b>(&self, features: &'b [Features], tracks: &'b Tracks) -> Block<'b> {
         Block {
             poses: self.poses.clone(),
             motions: self.motions.clone(),
             expected_motions: self.expected_motions.clone(),
             shutter: self.shutter,
-            ..Block::new(self.features, tracks, &self.cameras)
+            ..Block::new(features, tracks, &self.cameras)
         }
     }
 

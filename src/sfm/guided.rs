@@ -76,6 +76,11 @@ impl Ground {
                 (depth > 0.0 && other > 0.0).then(|| [c.first[0], c.first[1], 1.0 / depth])
             })
             .collect();
+        Ground::through(&points, slack)
+    }
+
+    /// The ground through points: rays free of distortion and inverse depths; `None` where they do not tell.
+    pub(super) fn through(points: &[[f64; 3]], slack: [f64; 2]) -> Option<Ground> {
         if points.len() < 6 {
             return None;
         }
@@ -83,7 +88,7 @@ impl Ground {
         let mut plane = [0.0; 3];
         let mut spread = 0.0;
         for _ in 0..6 {
-            plane = fit(&points, &weights)?;
+            plane = fit(points, &weights)?;
             let off: Vec<f64> = points
                 .iter()
                 .map(|[x, y, inverse]| inverse / at(&plane, [*x, *y]).max(1e-12) - 1.0)

@@ -27,6 +27,7 @@ pub mod georeference;
 pub mod global;
 pub mod growth;
 pub mod guided;
+pub mod remeasure;
 pub mod resection;
 pub mod shutter;
 pub mod solitary;

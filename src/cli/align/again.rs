@@ -1,14 +1,17 @@
 //! The last look at the photos: matches by the adjusted block, and the block by these.
 
-use super::{extract::bar, finish::typical_px, judge::demands, stages};
+use super::{extract::bar, finish::typical_px, judge::demands, project::Photo, stages};
 use crate::{
     error::Error,
-    features::Descriptors,
+    features::{Descriptors, grey},
+    io::images,
     problems::adjustment::Role,
     sfm::{
+        Features,
         again::{Again, look_again},
         block::Block,
         georeference::{Known, adjust, renew_points},
+        remeasure::{Remeasuring, remeasure},
         shutter::{self, Drift},
         tracks::Tracks,
         verify::Matched,
@@ -18,22 +21,22 @@ use clap::ValueEnum;
 
 /// Whether photos are looked at again.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(super) enum LookAgain {
+pub(super) enum When {
     /// Where there is control, which says that coordinates matter.
     Auto,
     /// In any case.
     On,
-    /// Never: the block is that of the first matches.
+    /// Never.
     Off,
 }
 
-impl LookAgain {
-    /// Whether a block with this control is looked at again.
+impl When {
+    /// Whether a block with this control is.
     pub(super) fn wanted(self, known: &Known) -> bool {
         match self {
-            LookAgain::Auto => known.ground.iter().any(|point| point.role == Role::Control),
-            LookAgain::On => true,
-            LookAgain::Off => false,
+            When::Auto => known.ground.iter().any(|point| point.role == Role::Control),
+            When::On => true,
+            When::Off => false,
         }
     }
 }
@@ -61,6 +64,25 @@ pub(super) fn tracks(block: &Block<'_>, photos: &Photos<'_>) -> Tracks {
     tracing::info!("{} pairs overlap, {found} matches where the block has them", matched.len());
     let pairs = matched.iter().map(|pair| (pair.images, pair.matches.as_slice()));
     stages::tracks(block.features, pairs)
+}
+
+/// Its points, measured again in the photos: features and tracks.
+///
+/// # Errors
+/// A photo that cannot be read any more.
+pub(super) fn remeasured(
+    block: &Block<'_>,
+    photos: &[Photo],
+) -> Result<(Vec<Features>, Tracks), Error> {
+    let progress = bar(2 * photos.len(), "measuring");
+    let read = |image: usize| images::read_photo(&photos[image].path).map(|p| grey(&p));
+    let found = remeasure(block, &read, &Remeasuring::default(), &|| progress.inc(1))?;
+    progress.finish_and_clear();
+    let count: usize = found.matches.iter().map(|pair| pair.matches.len()).sum();
+    tracing::info!("{count} of {} image positions measured again", found.asked);
+    let pairs = found.matches.iter().map(|pair| (pair.images, pair.matches.as_slice()));
+    let tracks = stages::tracks(&found.features, pairs);
+    Ok((found.features, tracks))
 }
 
 /// The block by these tracks, adjusted; and its drift, where its shutter rolls.

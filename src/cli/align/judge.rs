@@ -89,8 +89,8 @@ pub(super) fn judge(
     args: &Args,
     findings: &mut Vec<Finding>,
 ) -> Result<Judged, Error> {
-    // Outlives the block that may be over it.
-    let tracks;
+    // Outlive the block that may be over them.
+    let (tracks, measured);
     let mut block = block;
     let mut sigma_px: f64 = 1.0;
     for round in 0..4 {
@@ -138,14 +138,22 @@ pub(super) fn judge(
     if way.georeferenced {
         roll::roll(&mut block, &mut known, project, args, &mut sigma_px, findings)?;
     }
-    if args.look_again.wanted(&known) {
-        tracks = again::tracks(&block, photos);
-        block = block.over(&tracks);
-        let flight = project.flight();
-        let drift = again::settle(&mut block, &known, &flight, args.tolerance, &mut sigma_px)?;
-        if let Some(drift) = drift {
+    let flight = project.flight();
+    let mut settled = |block: &mut Block<'_>, sigma_px: &mut f64| -> Result<(), Error> {
+        if let Some(drift) = again::settle(block, &known, &flight, args.tolerance, sigma_px)? {
             roll::renewed(&drift, args, findings);
         }
+        Ok(())
+    };
+    if args.look_again.wanted(&known) {
+        tracks = again::tracks(&block, photos);
+        block = block.over(block.features, &tracks);
+        settled(&mut block, &mut sigma_px)?;
+    }
+    if args.remeasure.wanted(&known) {
+        measured = again::remeasured(&block, &project.photos)?;
+        block = block.over(&measured.0, &measured.1);
+        settled(&mut block, &mut sigma_px)?;
     }
     let (mut survey, _, order) = block.survey(None);
     known.attach(&mut survey, &order);

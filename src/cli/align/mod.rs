@@ -2,6 +2,7 @@
 
 mod again;
 mod cache;
+mod clock;
 mod extract;
 mod figures;
 mod finish;
@@ -108,8 +109,12 @@ pub(super) struct Args {
     rolling_shutter: roll::Shutter,
     /// Whether the adjusted block is used to find more matches, and is adjusted by these: auto does so where there
     /// is control, on in any case.
-    #[arg(long, value_enum, default_value_t = again::LookAgain::Auto)]
-    look_again: again::LookAgain,
+    #[arg(long, value_enum, default_value_t = again::When::Auto)]
+    look_again: again::When,
+    /// Whether tie points are then measured again by least-squares matching, which is several times as exact as
+    /// features: auto does so where there is control, on in any case.
+    #[arg(long, value_enum, default_value_t = again::When::Auto)]
+    remeasure: again::When,
     /// Seed of all random sampling.
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
@@ -271,23 +276,6 @@ impl Args {
     }
 }
 
-/// Seconds of each stage.
-#[derive(Default)]
-struct Clock {
-    seconds: Vec<(&'static str, f64)>,
-}
-
-impl Clock {
-    fn time<T>(&mut self, stage: &'static str, work: impl FnOnce() -> T) -> T {
-        let begin = Instant::now();
-        let done = work();
-        let seconds = begin.elapsed().as_secs_f64();
-        tracing::info!("{stage}: {seconds:.2} s");
-        self.seconds.push((stage, seconds));
-        done
-    }
-}
-
 /// Runs the verb.
 ///
 /// # Errors
@@ -305,7 +293,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     }
     let fresh = |stage: Stage| args.from.is_some_and(|from| from <= stage);
     let cache = cache::Cache::new(&output.join("cache"))?;
-    let mut clock = Clock::default();
+    let mut clock = clock::Clock::default();
     let mut findings = Vec::new();
     let sources = project::Sources {
         root: &args.project,
