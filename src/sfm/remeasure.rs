@@ -243,3 +243,165 @@ fn gather(
     let matches = of_pairs.into_iter().map(|(images, matches)| Matched { images, matches });
     Remeasured { features, matches: matches.collect(), asked }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        camera::{Camera, Interior, Model},
+        problems::adjustment::{Pose, RollingShutter},
+        sfm::tracks::Tracks,
+    };
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    const IMAGES: usize = 3;
+    const SHUTTER: RollingShutter =
+        RollingShutter { readout_s: 0.03, sigma_velocity_m_s: 1.0, sigma_rate_rad_s: 0.0 };
+
+    /// How bright the ground is: waves of 15 cm and more, where a pixel is 3 cm.
+    fn ground(x: f64, y: f64) -> f64 {
+        let wave = |k: f64| {
+            let (length, turn) = (0.15 + 0.04 * k, 2.4 * k);
+            let along = x * turn.cos() + y * turn.sin();
+            (std::f64::consts::TAU * along / length + 1.3 * k * k).sin()
+        };
+        118.0 + 16.0 * (0..7).map(|k| wave(f64::from(k))).sum::<f64>()
+    }
+
+    /// The height of the ground, which slopes.
+    fn height(x: f64) -> f64 {
+        0.08 * x
+    }
+
+    /// Where a pixel meets the ground.
+    fn place(block: &Block<'_>, image: usize, at_px: [f64; 2]) -> [f64; 3] {
+        let pose = block.pose_at(image, at_px[1]).unwrap();
+        let d = block.lens(image).unproject(at_px).unwrap();
+        let d = rotation::rotate(rotation::inverse(pose.rotation), d);
+        let c = pose.centre_m();
+        // c_z + s d_z = 0.08 (c_x + s d_x)
+        let s = (height(c[0]) - c[2]) / (d[2] - 0.08 * d[0]);
+        [0, 1, 2].map(|k| c[k] + s * d[k])
+    }
+
+    /// Photos of a slope while the camera moves, without points.
+    fn photos<'a>(features: &'a [Features], tracks: &'a Tracks, cameras: &[Camera]) -> Block<'a> {
+        let mut block = Block::new(features, tracks, cameras);
+        for image in 0..IMAGES {
+            let rotation = rotation::exp([0.03, -0.02 * image as f64, 0.2 * image as f64]);
+            let turned = rotation::rotate(rotation, [2.5 * image as f64, 0.4, 15.0]);
+            block.poses[image] = Some(Pose { rotation, translation: turned.map(|v| -v) });
+            block.motions[image] = [0.0, 0.0, 0.0, 0.2, 0.03, 0.0];
+        }
+        block.shutter = Some(SHUTTER);
+        block
+    }
+
+    #[test]
+    fn points_are_where_the_ground_has_them_and_wrong_ones_go() {
+        let values = [500.0, 1.0, 199.5, 149.5, -0.05, 0.01, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+        let cameras =
+            [Camera::new("drone", Interior::new(Model::Brown, [400, 300], &values).unwrap())];
+        let mut rng = ChaCha8Rng::seed_from_u64(11);
+        let (mut features, empty) = (vec![Features::default(); IMAGES], Tracks::default());
+        let nothing = features.clone();
+        let bare = photos(&nothing, &empty, &cameras);
+        let mut points = Vec::new();
+        let mut matches = vec![([0, 1], Vec::new()), ([1, 2], Vec::new())];
+        for k in 0..200 {
+            let (x, y) = (rng.random_range(-3.0..8.0), rng.random_range(-4.0..4.0));
+            let point = [x, y, height(x)];
+            let mut members = [None; IMAGES];
+            for image in 0..IMAGES {
+                let [u, v] = seen_at(&bare, image, point).unwrap();
+                if u < 12.0 || v < 12.0 || u > 387.0 || v > 287.0 {
+                    continue;
+                }
+                let mut noise = || rng.random_range(-0.4..0.4);
+                // Every twentieth is somewhere else in the second photo.
+                let wrong = if k % 20 == 0 && image == 1 { 9.0 } else { 0.0 };
+                members[image] = Some(features[image].positions_px.len() as u32);
+                features[image].positions_px.push([u + noise() + wrong, v + noise()]);
+            }
+            for (images, matches) in &mut matches {
+                if let [Some(a), Some(b)] = images.map(|image: u32| members[image as usize]) {
+                    matches.push([a, b]);
+                }
+            }
+            points.push((members, point, k % 20 == 0));
+        }
+        let counts: Vec<usize> = features.iter().map(|of| of.positions_px.len()).collect();
+        let tracks = Tracks::join(&counts, matches.iter().map(|(i, m)| (*i, m.as_slice())));
+        let mut block = photos(&features, &tracks, &cameras);
+        let mut wrong = Vec::new();
+        for track in 0..tracks.count() {
+            let member = tracks.of(track)[0];
+            let of = |(members, ..): &&([Option<u32>; IMAGES], [f64; 3], bool)| {
+                members[member.image as usize] == Some(member.feature)
+            };
+            let (_, point, is_wrong) = points.iter().find(of).unwrap();
+            block.points[track] = Some(*point);
+            block.used[tracks.places(track)].fill(true);
+            if *is_wrong {
+                wrong.push(track);
+            }
+        }
+        assert!(tracks.count() > 120 && wrong.len() > 4);
+        let pictures: Vec<GrayImage> = (0..IMAGES)
+            .map(|image| {
+                GrayImage::from_fn(400, 300, |u, v| {
+                    let [x, y, _] = place(&bare, image, [f64::from(u), f64::from(v)]);
+                    // Every photo in its own light.
+                    let light = (1.0 - 0.1 * image as f64) * ground(x, y) + 9.0 * image as f64;
+                    image::Luma([light.round().clamp(0.0, 255.0) as u8])
+                })
+            })
+            .collect();
+        let read = |image: usize| Ok::<_, String>(pictures[image].clone());
+        let found = remeasure(&block, &read, &Remeasuring::default(), &|| ()).unwrap();
+        let (mut before, mut after) = (Vec::new(), Vec::new());
+        for Matched { images: [a, b], matches } in &found.matches {
+            for &[i, j] in matches {
+                let ends = [(*a as usize, i as usize), (*b as usize, j as usize)];
+                let [first, second] = ends.map(|(k, i)| found.features[k].positions_px[i]);
+                // One of them is at a whole pixel: that is the place.
+                let ahead = first == first.map(f64::round);
+                let (from, at, to, seen) = if ahead {
+                    (*a as usize, first, *b as usize, second)
+                } else {
+                    (*b as usize, second, *a as usize, first)
+                };
+                assert_eq!(at, at.map(f64::round));
+                let truth = seen_at(&bare, to, place(&bare, from, at)).unwrap();
+                after.push((seen[0] - truth[0]).powi(2) + (seen[1] - truth[1]).powi(2));
+                let [was_first, was_second] = ends.map(|(k, i)| features[k].positions_px[i]);
+                let (was_at, was_seen) =
+                    if ahead { (was_first, was_second) } else { (was_second, was_first) };
+                let truth = seen_at(&bare, to, place(&bare, from, was_at)).unwrap();
+                before.push((was_seen[0] - truth[0]).powi(2) + (was_seen[1] - truth[1]).powi(2));
+            }
+        }
+        let rms = |squares: &[f64]| (squares.iter().sum::<f64>() / squares.len() as f64).sqrt();
+        assert!(
+            10 * after.len() > 9 * (found.asked - wrong.len()),
+            "{} {}",
+            after.len(),
+            found.asked
+        );
+        assert!(rms(&before) > 0.4 && rms(&after) < 0.03, "{} {}", rms(&before), rms(&after));
+        // Where the second photo was wrong, nothing of it is left.
+        let second = |track: &usize| tracks.of(*track).iter().find(|m| m.image == 1).copied();
+        for member in wrong.iter().filter_map(second) {
+            for pair in found.matches.iter().filter(|pair| pair.images.contains(&1)) {
+                let side = usize::from(pair.images[1] == 1);
+                let kept = pair.matches.iter().any(|m| m[side] == member.feature);
+                let first = found.features[1].positions_px[member.feature as usize];
+                assert!(!kept || first == first.map(f64::round), "{pair:?}");
+            }
+        }
+        let broken =
+            |image: usize| if image == 2 { Err("gone") } else { Ok(pictures[image].clone()) };
+        assert_eq!(remeasure(&block, &broken, &Remeasuring::default(), &|| ()), Err("gone"));
+    }
+}
