@@ -2,8 +2,11 @@
 //! change of brightness under which their grey values differ least.
 //!
 //! ```text
-//! g_1(p) - mean_1 = k (g_2(a + A p) - mean_2)      p: pixels of a square window, weighted by a Gaussian
+//! g_1(p) - mean_1 = k (g_2(a + A p + q(p)) - mean_2)      p: pixels of a square window, weighted by a Gaussian
 //! ```
+//!
+//! `q(p)`, of second degree, is given: perspective and a lens that bends rays curve the map, which over a window of
+//! fifteen pixels is not much, but all of it to one side.
 //!
 //! Gauss-Newton from a start that is good to a pixel or so; the second picture is a cubic B-spline, whose values and
 //! slopes are exact between pixels. The first is taken where its pixels are, so that nothing is interpolated there.
@@ -186,12 +189,17 @@ pub struct Placed {
     pub at_px: [f64; 2],
     /// Columns: how far one pixel to the right and one down reach.
     pub shape: [[f64; 2]; 2],
+    /// What it is curved by, of `x^2`, `x y`, `y^2`; this is not looked for.
+    pub curvature: [[f64; 2]; 3],
 }
 
 impl Placed {
     fn pixel(&self, [x, y]: [f64; 2]) -> [f64; 2] {
-        let [a, b] = self.shape;
-        [self.at_px[0] + a[0] * x + b[0] * y, self.at_px[1] + a[1] * x + b[1] * y]
+        let ([a, b], [c, d, e]) = (self.shape, self.curvature);
+        [0, 1].map(|k| {
+            let curved = c[k] * x * x + d[k] * x * y + e[k] * y * y;
+            self.at_px[k] + a[k] * x + b[k] * y + curved
+        })
     }
 }
 
@@ -299,6 +307,9 @@ impl Template {
 mod tests {
     use super::*;
 
+    const UNTURNED: [[f64; 2]; 2] = [[1.0, 0.0], [0.0, 1.0]];
+    const FLAT: [[f64; 2]; 3] = [[0.0; 2]; 3];
+
     /// A picture that is known everywhere: waves of all directions, not shorter than five pixels.
     fn scene([x, y]: [f64; 2]) -> f64 {
         let waves = [[0.31, 0.17], [-0.22, 0.41], [0.05, -0.35], [0.61, 0.52], [-0.7, 0.33]];
@@ -360,10 +371,8 @@ mod tests {
                 let determinant = 1.06 * 0.93 + 0.05 * 0.08;
                 let truth =
                     [(0.93 * x - 0.08 * y) / determinant, (0.05 * x + 1.06 * y) / determinant];
-                let start = Placed {
-                    at_px: [truth[0] + 0.7, truth[1] - 0.6],
-                    shape: [[1.0, 0.0], [0.0, 1.0]],
-                };
+                let at_px = [truth[0] + 0.7, truth[1] - 0.6];
+                let start = Placed { at_px, shape: UNTURNED, curvature: FLAT };
                 let found = template.find(&window, &second, start).unwrap();
                 let off = [0, 1].map(|k| (found.placed.at_px[k] - truth[k]).abs());
                 worst = worst.max(off[0].max(off[1]));
@@ -375,11 +384,38 @@ mod tests {
     }
 
     #[test]
+    fn a_map_that_is_curved_does_not_draw_the_window_aside() {
+        // What the second picture has at a + p + q(p) the first has at p; q is found from its inverse, to third order.
+        let bend = [[0.004, -0.002], [0.003, 0.001], [-0.002, 0.005]];
+        let curve = |[x, y]: [f64; 2]| {
+            [0, 1].map(|k| bend[0][k] * x * x + bend[1][k] * x * y + bend[2][k] * y * y)
+        };
+        let first = picture(scene);
+        let window = Window::of(&first, [60, 45]).unwrap();
+        let second = Smooth::new(&picture(|[u, v]| {
+            let target = [u - 60.0, v - 45.0];
+            let mut p = target;
+            for _ in 0..30 {
+                let q = curve(p);
+                p = [target[0] - q[0], target[1] - q[1]];
+            }
+            let near = p[0].abs() < 15.0 && p[1].abs() < 15.0;
+            if near { scene([60.0 + p[0], 45.0 + p[1]]) } else { 128.0 }
+        }));
+        let off = |curvature: [[f64; 2]; 3]| {
+            let start = Placed { at_px: [60.3, 44.8], shape: UNTURNED, curvature };
+            let found = Template::default().find(&window, &second, start).unwrap().placed.at_px;
+            (found[0] - 60.0).hypot(found[1] - 45.0)
+        };
+        assert!(off(bend) < 0.01 && off(FLAT) > 0.03, "{} {}", off(bend), off(FLAT));
+    }
+
+    #[test]
     fn what_shows_nothing_or_leaves_the_picture_is_not_found() {
         let flat = GrayImage::from_pixel(60, 60, image::Luma([90]));
         let grey = picture(scene);
         let template = Template::default();
-        let start = |at_px: [f64; 2]| Placed { at_px, shape: [[1.0, 0.0], [0.0, 1.0]] };
+        let start = |at_px: [f64; 2]| Placed { at_px, shape: UNTURNED, curvature: FLAT };
         let window = Window::of(&grey, [30, 30]).unwrap();
         assert_eq!(template.find(&window, &Smooth::new(&flat), start([30.0, 30.0])), None);
         assert_eq!(template.find(&window, &Smooth::new(&grey), start([6.0, 30.0])), None);

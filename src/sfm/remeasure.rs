@@ -205,13 +205,20 @@ fn start(
         let off: [f64; 3] = std::array::from_fn(|k| from_centre[k] - pose.translation[k]);
         seen_at(block, image, rotation::rotate(rotation::inverse(pose.rotation), off))
     };
-    let slope = |from: [f64; 2], to: [f64; 2]| [0, 1].map(|k| (to[k] - from[k]) / (2.0 * REACH_PX));
-    let shape = [
-        slope(seen(-REACH_PX, 0.0)?, seen(REACH_PX, 0.0)?),
-        slope(seen(0.0, -REACH_PX)?, seen(0.0, REACH_PX)?),
+    const E: f64 = REACH_PX;
+    let middle = seen(0.0, 0.0)?;
+    let [left, right, up, down] = [seen(-E, 0.0)?, seen(E, 0.0)?, seen(0.0, -E)?, seen(0.0, E)?];
+    let [along, across] = [[seen(-E, -E)?, seen(E, E)?], [seen(-E, E)?, seen(E, -E)?]];
+    let of = |value: &dyn Fn(usize) -> f64| [value(0), value(1)];
+    let shape = [of(&|k| (right[k] - left[k]) / (2.0 * E)), of(&|k| (down[k] - up[k]) / (2.0 * E))];
+    let curvature = [
+        of(&|k| (left[k] + right[k] - 2.0 * middle[k]) / (2.0 * E * E)),
+        of(&|k| (along[0][k] + along[1][k] - across[0][k] - across[1][k]) / (4.0 * E * E)),
+        of(&|k| (up[k] + down[k] - 2.0 * middle[k]) / (2.0 * E * E)),
     ];
     let by = carried(first, &shape);
-    Some(Placed { at_px: [key_point[0] + by[0], key_point[1] + by[1]], shape })
+    let at_px = [key_point[0] + by[0], key_point[1] + by[1]];
+    Some(Placed { at_px, shape, curvature })
 }
 
 /// How far the window's middle is from the key point of the first photo, as another photo has it.
