@@ -12,7 +12,7 @@
 use super::{Features, again::seen_at, block::Block, guided::Ground, verify::Matched};
 use crate::{
     camera::Lens,
-    features::least_squares::{Placed, Smooth, Template, Window},
+    features::least_squares::{Match, Placed, Smooth, Template, Window},
     geometry::rotation,
 };
 use image::GrayImage;
@@ -34,6 +34,14 @@ impl Default for Remeasuring {
     }
 }
 
+impl Remeasuring {
+    fn met(&self, found: &Match, start: &Placed) -> bool {
+        let off = [0, 1].map(|k| found.placed.at_px[k] - start.at_px[k]);
+        let far = (off[0] * off[0] + off[1] * off[1]).sqrt();
+        found.correlation >= self.correlation && far <= self.farthest_px
+    }
+}
+
 /// Where the photos have their points.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Remeasured {
@@ -47,6 +55,8 @@ pub struct Remeasured {
 
 /// Half of the way over which the shape of a window is taken, pixels.
 const REACH_PX: f64 = 6.0;
+/// A photo in which fewer are found again, one that is blurred maybe, keeps its key points: better than to lose it.
+const FEW: usize = 20;
 /// How far points may be off the plane of a photo, as [`Ground`] has it; nothing depends on it here.
 const SLACK: [f64; 2] = [0.0, 1.0];
 
@@ -96,18 +106,24 @@ pub fn remeasure<E: Send>(
             return Ok(Vec::new());
         }
         let picture = Smooth::new(&read(image)?);
-        let found = other(image).filter_map(|(first, track, place)| {
+        let (mut found, mut missed) = (Vec::new(), Vec::new());
+        for (first, track, place) in other(image) {
             let key_point = block.position_px(place);
-            let point = block.points[track]?;
-            let start = start(block, first, planes[first.image], point, image, key_point)?;
-            let found = template.find(&first.window, &picture, start)?;
-            let at_px = found.placed.at_px;
-            let off = [0, 1].map(|k| at_px[k] - start.at_px[k]);
-            let far = (off[0] * off[0] + off[1] * off[1]).sqrt();
-            (found.correlation >= demands.correlation && far <= demands.farthest_px)
-                .then_some(Found { track, place, at_px })
-        });
-        Ok(found.collect())
+            let Some(start) = block.points[track].and_then(|point| {
+                start(block, first, planes[first.image], point, image, key_point)
+            }) else {
+                continue;
+            };
+            let matched = template.find(&first.window, &picture, start);
+            match matched.filter(|matched| demands.met(matched, &start)) {
+                Some(matched) => found.push(Found { track, place, at_px: matched.placed.at_px }),
+                None => missed.push(Found { track, place, at_px: start.at_px }),
+            }
+        }
+        if found.len() < FEW {
+            found.append(&mut missed);
+        }
+        Ok(found)
     };
     let images = 0..block.poses.len();
     let found: Vec<Vec<Found>> =
