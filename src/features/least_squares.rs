@@ -86,7 +86,7 @@ impl Smooth {
         Smooth { width, height, coefficients }
     }
 
-    /// Value and slopes at `[u, v]`, `None` within two pixels of the edge.
+    /// Value and slopes at `[u, v]`; `None` within a pixel of the left and the upper edge, or two of the others.
     #[inline]
     pub fn at(&self, at_px: [f64; 2]) -> Option<[f32; 3]> {
         let floor = at_px.map(f64::floor);
@@ -212,7 +212,7 @@ pub struct Match {
     pub correlation: f64,
 }
 
-/// Weights, offsets and grey values of a window, as all steps need them.
+/// Weights and offsets of a window's pixels, which all windows share.
 pub struct Template {
     weights: Vec<f64>,
     offsets: Vec<[f64; 2]>,

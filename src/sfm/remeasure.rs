@@ -47,9 +47,9 @@ impl Remeasuring {
 pub struct Remeasured {
     /// As those of the block, at other places.
     pub features: Vec<Features>,
-    /// What was found again, by images.
+    /// What was found again, by images; of a photo in which hardly anything was, its key points, which are as inexact as before.
     pub matches: Vec<Matched>,
-    /// How many image positions were looked for, besides those of the first photos.
+    /// How many image positions were looked for, besides those of the first photos; what is not in `matches` was lost.
     pub asked: usize,
 }
 

@@ -157,7 +157,7 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
-    /// Points that three photos see from 15 m, each by those that are named; in the order of the tracks.
+    /// Points that three photos see from 15 m, each by those that are named.
     fn block<'a>(
         points: &[([f64; 3], &[u32])],
         features: &'a mut Vec<Features>,
