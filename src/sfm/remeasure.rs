@@ -49,14 +49,18 @@ pub struct Remeasured {
     pub features: Vec<Features>,
     /// What was found again, by images; of a photo in which hardly anything was, its key points, which are as inexact as before.
     pub matches: Vec<Matched>,
-    /// How many image positions were looked for, besides those of the first photos; what is not in `matches` was lost.
+    /// How many image positions were looked for, besides those of the first photos.
     pub asked: usize,
+    /// How many of them were measured; others are lost, but for those of photos that kept theirs.
+    pub found: usize,
+    /// Photos that kept their key points because fewer than [`FEW`] were found, and how many they have.
+    pub kept: Vec<(u32, usize)>,
 }
 
 /// Half of the way over which the shape of a window is taken, pixels.
 const REACH_PX: f64 = 6.0;
 /// A photo in which fewer are found again, one that is blurred maybe, keeps its key points: better than to lose it.
-const FEW: usize = 20;
+pub const FEW: usize = 20;
 /// How far points may be off the plane of a photo, as [`Ground`] has it; nothing depends on it here.
 const SLACK: [f64; 2] = [0.0, 1.0];
 
@@ -76,6 +80,13 @@ struct Found {
     track: usize,
     place: usize,
     at_px: [f64; 2],
+}
+
+/// What came of a photo: positions that were found, and key points that it keeps.
+#[derive(Default)]
+struct InPhoto {
+    found: Vec<Found>,
+    kept: Vec<Found>,
 }
 
 /// Measures the points of a block again in the photos that `read` yields, each of which is asked for twice; `tell` is
@@ -100,10 +111,10 @@ pub fn remeasure<E: Send>(
             block.used[place as usize].then_some((first, track as usize, place as usize))
         })
     };
-    let find = |image: usize| -> Result<Vec<Found>, E> {
+    let find = |image: usize| -> Result<InPhoto, E> {
         tell();
         if other(image).next().is_none() {
-            return Ok(Vec::new());
+            return Ok(InPhoto::default());
         }
         let picture = Smooth::new(&read(image)?);
         let (mut found, mut missed) = (Vec::new(), Vec::new());
@@ -120,14 +131,11 @@ pub fn remeasure<E: Send>(
                 None => missed.push(Found { track, place, at_px: start.at_px }),
             }
         }
-        if found.len() < FEW {
-            found.append(&mut missed);
-        }
-        Ok(found)
+        let few = found.len() < FEW && !missed.is_empty();
+        Ok(InPhoto { found, kept: if few { missed } else { Vec::new() } })
     };
     let images = 0..block.poses.len();
-    let found: Vec<Vec<Found>> =
-        images.clone().into_par_iter().map(find).collect::<Result<_, E>>()?;
+    let found: Vec<InPhoto> = images.clone().into_par_iter().map(find).collect::<Result<_, E>>()?;
     let asked = images.map(|image| other(image).count()).sum();
     Ok(gather(block, firsts, &found, asked))
 }
@@ -247,12 +255,13 @@ fn carried(first: &First, shape: &[[f64; 2]; 2]) -> [f64; 2] {
 fn gather(
     block: &Block<'_>,
     firsts: &[Option<First>],
-    found: &[Vec<Found>],
+    of_photos: &[InPhoto],
     asked: usize,
 ) -> Remeasured {
     let mut features = block.features.to_vec();
     let mut of_pairs: BTreeMap<[u32; 2], Vec<[u32; 2]>> = BTreeMap::new();
-    for &Found { track, place, at_px } in found.iter().flatten() {
+    let positions = of_photos.iter().flat_map(|photo| photo.found.iter().chain(&photo.kept));
+    for &Found { track, place, at_px } in positions {
         let Some(first) = &firsts[track] else { continue };
         let (one, other) = (block.tracks.member(first.place), block.tracks.member(place));
         features[one.image as usize].positions_px[one.feature as usize] = first.at_px;
@@ -264,7 +273,18 @@ fn gather(
         of_pairs.entry(images).or_default().push(pair);
     }
     let matches = of_pairs.into_iter().map(|(images, matches)| Matched { images, matches });
-    Remeasured { features, matches: matches.collect(), asked }
+    let kept = of_photos
+        .iter()
+        .enumerate()
+        .filter(|(_, photo)| !photo.kept.is_empty())
+        .map(|(image, photo)| (image as u32, photo.kept.len()));
+    Remeasured {
+        features,
+        matches: matches.collect(),
+        asked,
+        found: of_photos.iter().map(|photo| photo.found.len()).sum(),
+        kept: kept.collect(),
+    }
 }
 
 #[cfg(test)]
@@ -423,6 +443,21 @@ mod tests {
                 assert!(!kept || first == first.map(f64::round), "{pair:?}");
             }
         }
+        assert_eq!(found.kept, []);
+        // A photo that shows nothing keeps its key points, and is named.
+        let blank = |image: usize| {
+            let grey = if image == 2 {
+                GrayImage::from_pixel(400, 300, image::Luma([90]))
+            } else {
+                pictures[image].clone()
+            };
+            Ok::<_, String>(grey)
+        };
+        let without = remeasure(&block, &blank, &Remeasuring::default(), &|| ()).unwrap();
+        let [(2, kept)] = without.kept[..] else { panic!("{:?}", without.kept) };
+        assert!(kept > 10 && without.found < found.found);
+        let of_blank = without.matches.iter().filter(|pair| pair.images[1] == 2);
+        assert!(of_blank.map(|pair| pair.matches.len()).sum::<usize>() >= kept);
         let broken =
             |image: usize| if image == 2 { Err("gone") } else { Ok(pictures[image].clone()) };
         assert_eq!(remeasure(&block, &broken, &Remeasuring::default(), &|| ()), Err("gone"));

@@ -2,6 +2,7 @@
 
 mod bad_input;
 mod calibration;
+mod clustered;
 mod files;
 mod program;
 mod snooping;

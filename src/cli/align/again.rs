@@ -1,6 +1,6 @@
 //! The last look at the photos: matches by the adjusted block, and the block by these.
 
-use super::{extract::bar, finish::typical_px, judge::demands, project::Photo, stages};
+use super::{Finding, extract::bar, finish::typical_px, judge::demands, project::Photo, stages};
 use crate::{
     error::Error,
     features::{Descriptors, grey},
@@ -11,7 +11,7 @@ use crate::{
         again::{Again, look_again},
         block::Block,
         georeference::{Known, adjust, renew_points},
-        remeasure::{Remeasuring, remeasure},
+        remeasure::{FEW, Remeasuring, remeasure},
         shutter::{self, Drift},
         tracks::Tracks,
         verify::Matched,
@@ -73,13 +73,19 @@ pub(super) fn tracks(block: &Block<'_>, photos: &Photos<'_>) -> Tracks {
 pub(super) fn remeasured(
     block: &Block<'_>,
     photos: &[Photo],
+    findings: &mut Vec<Finding>,
 ) -> Result<(Vec<Features>, Tracks), Error> {
     let progress = bar(2 * photos.len(), "measuring");
     let read = |image: usize| images::read_photo(&photos[image].path).map(|p| grey(&p));
     let found = remeasure(block, &read, &Remeasuring::default(), &|| progress.inc(1))?;
     progress.finish_and_clear();
-    let count: usize = found.matches.iter().map(|pair| pair.matches.len()).sum();
-    tracing::info!("{count} of {} image positions measured again", found.asked);
+    tracing::info!("{} of {} image positions measured again", found.found, found.asked);
+    findings.extend(found.kept.iter().map(|(image, count)| {
+        let what = format!(
+            "fewer than {FEW} of its points were found again by least-squares matching; {count} stay where their key points are, which is less exact"
+        );
+        Finding::new(&photos[*image as usize].name, &what)
+    }));
     let pairs = found.matches.iter().map(|pair| (pair.images, pair.matches.as_slice()));
     let tracks = stages::tracks(&found.features, pairs);
     Ok((found.features, tracks))

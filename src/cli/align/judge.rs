@@ -139,7 +139,10 @@ pub(super) fn judge(
         roll::roll(&mut block, &mut known, project, args, &mut sigma_px, findings)?;
     }
     let flight = project.flight();
-    let mut settled = |block: &mut Block<'_>, sigma_px: &mut f64| -> Result<(), Error> {
+    let settled = |block: &mut Block<'_>,
+                   sigma_px: &mut f64,
+                   findings: &mut Vec<Finding>|
+     -> Result<(), Error> {
         if let Some(drift) = again::settle(block, &known, &flight, args.tolerance, sigma_px)? {
             roll::renewed(&drift, args, findings);
         }
@@ -148,12 +151,12 @@ pub(super) fn judge(
     if args.look_again.wanted(&known) {
         tracks = again::tracks(&block, photos);
         block = block.over(block.features, &tracks);
-        settled(&mut block, &mut sigma_px)?;
+        settled(&mut block, &mut sigma_px, findings)?;
     }
     if args.remeasure.wanted(&known) {
-        measured = again::remeasured(&block, &project.photos)?;
+        measured = again::remeasured(&block, &project.photos, findings)?;
         block = block.over(&measured.0, &measured.1);
-        settled(&mut block, &mut sigma_px)?;
+        settled(&mut block, &mut sigma_px, findings)?;
     }
     let (mut survey, _, order) = block.survey(None);
     known.attach(&mut survey, &order);

@@ -90,7 +90,8 @@ impl Report {
         let sigma0 = statistics.sigma0;
         let mut interiors = statistics.interiors.clone();
         for interior in &mut interiors {
-            interior.standard_deviations.iter_mut().for_each(|sigma| *sigma *= sigma0);
+            let all = interior.standard_deviations.iter_mut().chain(&mut interior.independent);
+            all.for_each(|sigma| *sigma *= sigma0);
         }
         let ground = ground(outcome);
         let check_rmse = std::array::from_fn(|axis| {
@@ -249,6 +250,14 @@ fn fill(out: &mut String, report: &Report) -> std::fmt::Result {
                 write!(out, "  ({:.1} sigma from 0)", (value / sigma).abs())?;
             }
             writeln!(out)?;
+        }
+        let widened = interior.standard_deviations.iter().zip(&interior.independent);
+        let most = widened.map(|(sigma, independent)| sigma / independent).fold(1.0, f64::max);
+        if most > 1.05 {
+            writeln!(
+                out,
+                "  (up to {most:.2} times what independent measurements would have: neighbouring ones err alike, or not all equally)"
+            )?;
         }
     }
     report.nearly_the_same.iter().try_for_each(|line| writeln!(out, "  {line}"))?;

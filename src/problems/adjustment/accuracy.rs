@@ -58,8 +58,11 @@ pub struct InteriorAccuracy {
     pub names: Vec<&'static str>,
     /// Their values.
     pub values: Vec<f64>,
-    /// Their standard deviations.
+    /// Their standard deviations: where errors of neighbouring measurements are found to be alike, those
+    /// that this makes; never less than `independent`.
     pub standard_deviations: Vec<f64>,
+    /// Their standard deviations if every measurement were an observation of its own.
+    pub independent: Vec<f64>,
     /// Their correlations, row by row.
     pub correlation: Vec<Vec<f64>>,
 }
@@ -135,7 +138,8 @@ pub(super) fn interior(
         camera,
         names: free.iter().map(|&k| described.interior.parameters()[k].name).collect(),
         values: free.iter().map(|&k| values[k]).collect(),
-        standard_deviations: sigma,
+        standard_deviations: sigma.clone(),
+        independent: sigma,
         correlation,
     })
 }

@@ -112,6 +112,21 @@ impl SelectedInverse {
         }
     }
 
+    /// The covariance of one block with another, for blocks and their tangents; 0 where it was not asked for.
+    pub(super) fn between(
+        &self,
+        (a, rows): (BlockId, usize),
+        (b, columns): (BlockId, usize),
+    ) -> nalgebra::DMatrix<f64> {
+        match self.blocks.get(&(place(a.max(b)), place(a.min(b)))) {
+            Some(values) => nalgebra::DMatrix::from_fn(rows, columns, |i, j| {
+                // Stored once per pair, the later block first.
+                if a >= b { values[i * columns + j] } else { values[j * rows + i] }
+            }),
+            None => nalgebra::DMatrix::zeros(rows, columns),
+        }
+    }
+
     /// The covariance of several blocks side by side, row-major, for blocks and their tangents.
     pub(super) fn among(&self, blocks: &[(BlockId, usize)]) -> nalgebra::DMatrix<f64> {
         let n: usize = blocks.iter().map(|(_, dim)| dim).sum();
@@ -120,16 +135,8 @@ impl SelectedInverse {
         for &(a, rows) in blocks {
             let mut column = 0;
             for &(b, columns) in blocks {
-                // Stored once per pair, the later block first; 0 where it was not asked for.
-                let stored = self.blocks.get(&(place(a.max(b)), place(a.min(b))));
-                if let Some(values) = stored {
-                    for i in 0..rows {
-                        for j in 0..columns {
-                            out[(row + i, column + j)] =
-                                if a >= b { values[i * columns + j] } else { values[j * rows + i] };
-                        }
-                    }
-                }
+                out.view_mut((row, column), (rows, columns))
+                    .copy_from(&self.between((a, rows), (b, columns)));
                 column += columns;
             }
             row += rows;

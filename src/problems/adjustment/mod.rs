@@ -23,6 +23,7 @@ mod accuracy;
 mod align;
 mod analysis;
 mod check_points;
+mod clustered;
 mod factors;
 mod inverse;
 mod posed;

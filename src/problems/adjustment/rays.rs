@@ -15,7 +15,7 @@ use nalgebra::{DMatrix, DVector};
 pub(super) struct Rays {
     pub(super) residual: DVector<f64>,
     pub(super) by_point: DMatrix<f64>,
-    by_kept: Vec<[(BlockId, Vec<f64>); 2]>,
+    pub(super) by_kept: Vec<[(BlockId, Vec<f64>); 2]>,
 }
 
 /// What is prepared of an image and its camera at `x`, for [`rays`].

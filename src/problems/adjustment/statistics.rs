@@ -15,6 +15,7 @@
 
 use super::{
     accuracy::{ImageAccuracy, InteriorAccuracy, PointAccuracy, array3, image, interior},
+    clustered,
     inverse::SelectedInverse,
     posed::{Group, Posed, Settings, measurement},
     rank,
@@ -155,7 +156,10 @@ impl Statistics {
         let mut covariance = Covariance::new(&posed.problem, x, Linear::Schur)
             .map_err(|error| rank::explain(survey, posed, x, error))?;
         let inverse = Arc::new(SelectedInverse::new(survey, posed, &mut covariance));
-        Statistics::with_inverse(survey, posed, settings, x, inverse)
+        let mut found = Statistics::with_inverse(survey, posed, settings, x, inverse)?;
+        let at = (survey, posed, settings, x);
+        clustered::widen(at, &found.inverse, found.sigma0, &mut found.interiors);
+        Ok(found)
     }
 
     /// The same with the covariances of another solution of the same images, lenses and ground
