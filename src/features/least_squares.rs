@@ -89,41 +89,49 @@ impl Smooth {
     /// Value and slopes at `[u, v]`; `None` within a pixel of the left and the upper edge, or two of the others.
     #[inline]
     pub fn at(&self, at_px: [f64; 2]) -> Option<[f32; 3]> {
-        let floor = at_px.map(f64::floor);
+        let [u, v] = at_px;
         // Also false of what is no number.
-        let inside = |k: usize, size: usize| floor[k] >= 1.0 && floor[k] + 3.0 <= size as f64;
-        if !inside(0, self.width) || !inside(1, self.height) {
+        let inside = |at: f64, size: usize| at >= 1.0 && at < size as f64 - 2.0;
+        if !inside(u, self.width) || !inside(v, self.height) {
             return None;
         }
-        let (x, dx) = weights((at_px[0] - floor[0]) as f32);
-        let (y, dy) = weights((at_px[1] - floor[1]) as f32);
-        let from = (floor[1] as usize - 1) * self.width + floor[0] as usize - 1;
-        let mut out = [0.0; 3];
+        let (column, row) = (u as usize, v as usize);
+        let (x, dx) = weights((u - column as f64) as f32);
+        let (y, dy) = weights((v - row as f64) as f32);
+        let from = (row - 1) * self.width + column - 1;
+        // Columns first, four at once.
+        let (mut down, mut slope) = ([0.0f32; 4], [0.0f32; 4]);
         for row in 0..4 {
             let c = &self.coefficients[from + row * self.width..][..4];
-            let value = c[0] * x[0] + c[1] * x[1] + c[2] * x[2] + c[3] * x[3];
-            let slope = c[0] * dx[0] + c[1] * dx[1] + c[2] * dx[2] + c[3] * dx[3];
-            out[0] += y[row] * value;
-            out[1] += y[row] * slope;
-            out[2] += dy[row] * value;
+            for k in 0..4 {
+                down[k] += y[row] * c[k];
+                slope[k] += dy[row] * c[k];
+            }
         }
-        Some(out)
+        Some([across(&down, &x), across(&down, &dx), across(&slope, &x)])
     }
 }
 
+#[inline(always)]
+fn across(values: &[f32; 4], weights: &[f32; 4]) -> f32 {
+    (values[0] * weights[0] + values[1] * weights[1])
+        + (values[2] * weights[2] + values[3] * weights[3])
+}
+
 /// The four values and slopes of the B-spline that reach a place between two nodes.
-#[inline]
+#[inline(always)]
 fn weights(t: f32) -> ([f32; 4], [f32; 4]) {
-    let s = 1.0 - t;
-    (
-        [
-            s * s * s / 6.0,
-            (3.0 * t * t * t - 6.0 * t * t + 4.0) / 6.0,
-            (3.0 * s * s * s - 6.0 * s * s + 4.0) / 6.0,
-            t * t * t / 6.0,
-        ],
-        [-0.5 * s * s, 0.5 * (3.0 * t * t - 4.0 * t), -0.5 * (3.0 * s * s - 4.0 * s), 0.5 * t * t],
-    )
+    // Of 1, t, t^2, t^3.
+    const ONE: [f32; 4] = [1.0 / 6.0, 4.0 / 6.0, 1.0 / 6.0, 0.0];
+    const FIRST: [f32; 4] = [-0.5, 0.0, 0.5, 0.0];
+    const SECOND: [f32; 4] = [0.5, -1.0, 0.5, 0.0];
+    const THIRD: [f32; 4] = [-1.0 / 6.0, 0.5, -0.5, 1.0 / 6.0];
+    let (mut values, mut slopes) = (ONE, FIRST);
+    for k in 0..4 {
+        values[k] += t * (FIRST[k] + t * (SECOND[k] + t * THIRD[k]));
+        slopes[k] += t * (2.0 * SECOND[k] + 3.0 * t * THIRD[k]);
+    }
+    (values, slopes)
 }
 
 /// What the recursion has gathered before the first value, of one that mirrors itself there.
@@ -194,12 +202,14 @@ pub struct Placed {
 }
 
 impl Placed {
+    #[inline(always)]
     fn pixel(&self, [x, y]: [f64; 2]) -> [f64; 2] {
-        let ([a, b], [c, d, e]) = (self.shape, self.curvature);
-        [0, 1].map(|k| {
-            let curved = c[k] * x * x + d[k] * x * y + e[k] * y * y;
-            self.at_px[k] + a[k] * x + b[k] * y + curved
-        })
+        let ([a, b], [c, d, e]) = (&self.shape, &self.curvature);
+        let (xx, xy, yy) = (x * x, x * y, y * y);
+        [
+            self.at_px[0] + a[0] * x + b[0] * y + (c[0] * xx + d[0] * xy + e[0] * yy),
+            self.at_px[1] + a[1] * x + b[1] * y + (c[1] * xx + d[1] * xy + e[1] * yy),
+        ]
     }
 }
 
@@ -233,27 +243,32 @@ impl Default for Template {
 impl Template {
     /// Finds a window in a picture near a start. `None` where it leaves the picture, shows nothing, or comes to no rest.
     pub fn find(&self, window: &Window, picture: &Smooth, start: Placed) -> Option<Match> {
-        let mean =
-            |values: &[f64]| -> f64 { self.weights.iter().zip(values).map(|(w, v)| w * v).sum() };
-        let mut first: Vec<f64> = window.grey.iter().map(|&v| f64::from(v)).collect();
-        let middle = mean(&first);
-        first.iter_mut().for_each(|v| *v -= middle);
-        let power: f64 = self.weights.iter().zip(&first).map(|(w, v)| w * v * v).sum();
-        let mut second = vec![[0.0; 3]; first.len()];
+        let mut first = [0.0f32; SIDE * SIDE];
+        first.iter_mut().zip(&window.grey).for_each(|(out, &v)| *out = f32::from(v));
+        let mut middle = 0.0;
+        for (weight, v) in self.weights.iter().zip(&first) {
+            middle += weight * f64::from(*v);
+        }
+        let mut power = 0.0;
+        for (weight, v) in self.weights.iter().zip(&mut first) {
+            *v -= middle as f32;
+            power += weight * f64::from(*v * *v);
+        }
+        let mut second = [[0.0f32; 3]; SIDE * SIDE];
         let mut placed = start;
         for _ in 0..STEPS {
-            let mut mean = 0.0;
+            let mut middle = 0.0;
             for ((at, weight), out) in self.offsets.iter().zip(&self.weights).zip(&mut second) {
-                *out = picture.at(placed.pixel(*at))?.map(f64::from);
-                mean += weight * out[0];
+                *out = picture.at(placed.pixel(*at))?;
+                middle += weight * f64::from(out[0]);
             }
-            second.iter_mut().for_each(|v| v[0] -= mean);
             let (mut both, mut own) = (0.0, 0.0);
-            for ((weight, first), second) in self.weights.iter().zip(&first).zip(&second) {
-                both += weight * first * second[0];
-                own += weight * second[0] * second[0];
+            for ((weight, first), second) in self.weights.iter().zip(&first).zip(&mut second) {
+                second[0] -= middle as f32;
+                both += weight * f64::from(first * second[0]);
+                own += weight * f64::from(second[0] * second[0]);
             }
-            let contrast = both / own;
+            let contrast = (both / own) as f32;
             if !(contrast.is_finite() && contrast > 0.0) {
                 return None;
             }
@@ -275,29 +290,41 @@ impl Template {
     /// One step of Gauss-Newton: position `u, v`, shape `u_x, u_y, v_x, v_y`, contrast, brightness.
     fn step(
         &self,
-        first: &[f64],
-        second: &[[f64; 3]],
-        contrast: f64,
+        first: &[f32],
+        second: &[[f32; 3]],
+        contrast: f32,
     ) -> Option<SVector<f64, UNKNOWNS>> {
-        let mut normal = [[0.0; UNKNOWNS]; UNKNOWNS];
-        let mut right = [0.0; UNKNOWNS];
-        for (((weight, [x, y]), first), [value, by_u, by_v]) in
-            self.weights.iter().zip(&self.offsets).zip(first).zip(second)
-        {
-            let (u, v) = (contrast * by_u, contrast * by_v);
-            let row = [u, v, u * x, u * y, v * x, v * y, *value, 1.0];
-            let left = first - contrast * value;
+        // Line by line of the window in single precision, whose sums are short; all of them in double.
+        let mut normal = [[0.0f64; UNKNOWNS]; UNKNOWNS];
+        let mut right = [0.0f64; UNKNOWNS];
+        for line in 0..SIDE {
+            let mut of_line = [[0.0f32; UNKNOWNS]; UNKNOWNS];
+            let mut right_of_line = [0.0f32; UNKNOWNS];
+            for k in line * SIDE..(line + 1) * SIDE {
+                let weight = self.weights[k] as f32;
+                let (x, y) = (self.offsets[k][0] as f32, self.offsets[k][1] as f32);
+                let [value, by_u, by_v] = second[k];
+                let (u, v) = (contrast * by_u, contrast * by_v);
+                let row = [u, v, u * x, u * y, v * x, v * y, value, 1.0];
+                let left = weight * (first[k] - contrast * value);
+                for i in 0..UNKNOWNS {
+                    let weighted = weight * row[i];
+                    right_of_line[i] += left * row[i];
+                    for j in 0..UNKNOWNS {
+                        of_line[i][j] += weighted * row[j];
+                    }
+                }
+            }
             for i in 0..UNKNOWNS {
-                let weighted = weight * row[i];
-                right[i] += weighted * left;
-                for j in 0..=i {
-                    normal[i][j] += weighted * row[j];
+                right[i] += f64::from(right_of_line[i]);
+                for j in 0..UNKNOWNS {
+                    normal[i][j] += f64::from(of_line[i][j]);
                 }
             }
         }
         let stiff = STIFFNESS * (2..6).map(|k| normal[k][k]).sum::<f64>() / 4.0;
         (2..6).for_each(|k| normal[k][k] += stiff);
-        let normal = SMatrix::<f64, UNKNOWNS, UNKNOWNS>::from_fn(|i, j| normal[i.max(j)][i.min(j)]);
+        let normal = SMatrix::<f64, UNKNOWNS, UNKNOWNS>::from_fn(|i, j| normal[i][j]);
         let step = normal.cholesky()?.solve(&SVector::from(right));
         step.iter().all(|v| v.is_finite()).then_some(step)
     }

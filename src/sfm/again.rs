@@ -105,14 +105,35 @@ fn cell(size_px: [f64; 2], at_px: [f64; 2]) -> usize {
 
 /// Where an image has a point, in pixels, by the row that it is in while it is read.
 pub(super) fn seen_at(block: &Block<'_>, image: usize, point: [f64; 3]) -> Option<[f64; 2]> {
-    let lens = block.lens(image);
-    let mut at = lens.project(block.poses[image]?.to_camera(point))?;
+    let at = block.lens(image).project(block.poses[image]?.to_camera(point))?;
+    read_at(block, image, point, at)
+}
+
+/// The same, found faster where that is near `near_px`.
+pub(super) fn seen_near(
+    block: &Block<'_>,
+    image: usize,
+    point: [f64; 3],
+    near_px: [f64; 2],
+) -> Option<[f64; 2]> {
+    let at = block.lens(image).project_near(block.poses[image]?.to_camera(point), near_px)?;
+    read_at(block, image, point, at)
+}
+
+/// Where a point is in the row that is read when it is there; `at_px` in the middle one.
+fn read_at(
+    block: &Block<'_>,
+    image: usize,
+    point: [f64; 3],
+    mut at_px: [f64; 2],
+) -> Option<[f64; 2]> {
     if block.shutter.is_some() {
         for _ in 0..2 {
-            at = lens.project(block.pose_at(image, at[1])?.to_camera(point))?;
+            let seen = block.pose_at(image, at_px[1])?.to_camera(point);
+            at_px = block.lens(image).project_near(seen, at_px)?;
         }
     }
-    Some(at)
+    Some(at_px)
 }
 
 /// Pairs of images that show the same.

@@ -9,7 +9,7 @@
 //! The first photo of a point is the one that has it nearest to its middle. It has it at a whole pixel: which place
 //! on the ground a point stands for is free to choose, and there nothing is interpolated.
 
-use super::{Features, again::seen_at, block::Block, guided::Ground, verify::Matched};
+use super::{Features, again::seen_near, block::Block, guided::Ground, verify::Matched};
 use crate::{
     camera::Lens,
     features::least_squares::{Match, Placed, Smooth, Template, Window},
@@ -227,7 +227,8 @@ fn start(
         let pose = block.pose_at(first.image, at[1])?;
         let from_centre = [x / inverse, y / inverse, -1.0 / inverse];
         let off: [f64; 3] = std::array::from_fn(|k| from_centre[k] - pose.translation[k]);
-        seen_at(block, image, rotation::rotate(rotation::inverse(pose.rotation), off))
+        let point = rotation::rotate(rotation::inverse(pose.rotation), off);
+        seen_near(block, image, point, key_point)
     };
     const E: f64 = REACH_PX;
     let middle = seen(0.0, 0.0)?;
@@ -293,7 +294,7 @@ mod tests {
     use crate::{
         camera::{Camera, Interior, Model},
         problems::adjustment::{Pose, RollingShutter},
-        sfm::tracks::Tracks,
+        sfm::{again::seen_at, tracks::Tracks},
     };
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
