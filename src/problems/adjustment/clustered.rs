@@ -3,7 +3,7 @@
 //! `C = (J^T J)^-1` takes every measurement for an observation of its own. What is matched on the same patch of a
 //! field is not: the same leaves, shadows and slopes draw all of it aside together. Summed over a patch before they
 //! are squared, the residuals say by how much a parameter would move if that patch were another (a sandwich estimator
-//! with clusters; R. D. Cameron and D. L. Miller, *A practitioner's guide to cluster-robust inference*, 2015):
+//! with clusters; A. C. Cameron and D. L. Miller, *A practitioner's guide to cluster-robust inference*, 2015):
 //!
 //! ```text
 //! C' = sum_g s_g s_g^T + sigma_0^2 (C - sum_t W_t W_t^T),   s_g = sum_(t in g) W_t v_t,   W_t = C_lens A_t^T (I - B_t N_t^-1 B_t^T)
