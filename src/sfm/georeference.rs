@@ -345,6 +345,7 @@ pub fn adjust(
     demands: &Demands,
     iterations: u64,
 ) -> Result<(), SolveError> {
+    forget_lost(block, known);
     let (mut survey, tracks, order) = block.survey(None);
     known.attach(&mut survey, &order);
     survey.tie_sigma_px = tie_sigma_px;
@@ -367,6 +368,23 @@ pub fn adjust(
     }
     renew_points(block, demands);
     Ok(())
+}
+
+/// The fewest places in an image that tell its pose.
+const LEAST_SEEN: usize = 3;
+
+/// Images that have lost their points leave the block: nothing says any more where they are.
+fn forget_lost(block: &mut Block<'_>, known: &Known) {
+    for image in 0..block.poses.len() {
+        let seen = block.tracks.in_image(image).iter().filter(|(track, place)| {
+            block.used[*place as usize] && block.points[*track as usize].is_some()
+        });
+        let marks = known.marks.iter().filter(|mark| mark.image as usize == image);
+        if block.poses[image].is_some() && seen.count() + marks.count() < LEAST_SEEN {
+            tracing::debug!("image {} has lost its points, and leaves the block", image + 1);
+            block.forget(image);
+        }
+    }
 }
 
 /// Goes through all tracks as [`Block::retriangulate`] does, and leaves out the points that stand alone.

@@ -11,6 +11,7 @@ use super::{
     start::{Closing, Graph, Triplet},
     tracks::Tracks,
     triangulate::Demands,
+    vouched,
 };
 use crate::{
     camera::Camera, engine::SolveError, geometry::rotation, nlls::Loss, problems::adjustment::Pose,
@@ -222,6 +223,7 @@ impl<'a> Grower<'a, '_> {
     fn grow(&mut self) -> Result<(), SolveError> {
         let mut adjusted = 0;
         let mut failed = vec![0usize; self.block.poses.len()];
+        let mut refused = vec![false; self.block.poses.len()];
         loop {
             let registered = self.block.registered();
             let judge = self.judge();
@@ -231,7 +233,12 @@ impl<'a> Grower<'a, '_> {
                 .filter(|(worth, _)| *worth >= 0.5 * self.growing.least_points as f64)
                 .collect();
             candidates.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
-            let Some(&(best, _)) = candidates.first() else { break };
+            let Some(&(best, _)) = candidates.first() else {
+                if self.vouched(&mut refused)? {
+                    continue;
+                }
+                break;
+            };
             let most = (registered / 3).max(1);
             candidates.retain(|(worth, _)| *worth >= 0.6 * best);
             candidates.truncate(most);
@@ -261,6 +268,49 @@ impl<'a> Grower<'a, '_> {
             }
         }
         self.everything(true)
+    }
+
+    /// Takes in an image that one pair vouches for, where what both see then fits; whether there was one.
+    fn vouched(&mut self, refused: &mut [bool]) -> Result<bool, SolveError> {
+        for image in 0..self.block.poses.len() {
+            if !self.allowed[image] || refused[image] || self.block.poses[image].is_some() {
+                continue;
+            }
+            refused[image] = true;
+            let Some(pose) = vouched::pose(&self.block, self.graph, self.growing, image) else {
+                continue;
+            };
+            let sights = self.block.sight_count(image);
+            self.block.poses[image] = Some(pose);
+            let tracks = self.block.tracks_of(&[image]);
+            // The pair was found before the lens was.
+            for looser in [8.0, 2.0, 1.0] {
+                let tolerance_px = looser * self.growing.tolerance_px;
+                let demands = Demands { tolerance_px, ..self.demands() };
+                self.block.retriangulate(&tracks, &demands);
+                self.block.adjust(Some(&[image]), &self.refining(12))?;
+            }
+            self.block.retriangulate(&tracks, &self.demands());
+            let kept = |least: usize| {
+                let used = |(track, place): &&(u32, u32)| {
+                    self.block.used[*place as usize] && self.block.rays(*track as usize) >= least
+                };
+                self.block.tracks.in_image(image).iter().filter(used).count()
+            };
+            let (inliers, shared) = (kept(2), kept(3));
+            let adjusted = self.block.poses[image].unwrap_or(pose);
+            let (agree, all) = self.judge().agreement(image, &adjusted);
+            if inliers >= 4 * self.growing.least_points
+                && shared >= vouched::FEWEST.max(sights.div_ceil(2))
+                && 2 * agree >= all
+            {
+                (self.tell)(&Event::Joined(image, tracks.len(), inliers));
+                return Ok(true);
+            }
+            self.block.forget(image);
+            self.block.retriangulate(&tracks, &self.demands());
+        }
+        Ok(false)
     }
 
     /// Adjusts everything, and again where that has changed what belongs to what.

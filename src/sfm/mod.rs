@@ -18,6 +18,7 @@
 
 mod polynomial;
 pub mod relative;
+mod vouched;
 
 pub mod again;
 pub mod averaging;

@@ -11,9 +11,10 @@ use rowgram::{
         shutter,
         tracks::Tracks,
         triangulate::Demands,
-        verify::{Verifying, orient_pairs},
+        verify::{Matched, Verifying, orient_pairs},
     },
 };
+use std::collections::HashSet;
 
 const DEMANDS: Demands = Demands { tolerance_px: 3.0, least_angle_rad: 0.02 };
 
@@ -87,6 +88,47 @@ fn a_block_grows_whole_and_control_brings_it_into_the_map() {
 }
 
 /// The root mean square error of the check points along each axis, metres.
+/// The first image sees what one neighbour does, of which others see but `shared` points.
+fn at_the_edge(shared: usize) -> Flown {
+    let mut flown = Flight { points: 6000, ..Flight::default() }.fly();
+    let of_first = flown.matched.iter().filter(|pair| pair.images[0] == 0);
+    let neighbour = of_first.max_by_key(|pair| pair.matches.len()).unwrap().images[1];
+    let others = |pair: &&Matched| !pair.images.contains(&0) && pair.images.contains(&neighbour);
+    let elsewhere: HashSet<u32> = flown
+        .matched
+        .iter()
+        .filter(others)
+        .flat_map(|pair| {
+            let side = usize::from(pair.images[1] == neighbour);
+            pair.matches.iter().map(move |m| m[side])
+        })
+        .collect();
+    flown.matched.retain(|pair| pair.images[0] != 0 || pair.images[1] == neighbour);
+    let mut left = shared;
+    for pair in flown.matched.iter_mut().filter(|pair| pair.images[0] == 0) {
+        pair.matches.retain(|m| {
+            let known = elsewhere.contains(&m[1]);
+            let kept = !known || left > 0;
+            left -= usize::from(known && kept);
+            kept
+        });
+    }
+    flown
+}
+
+#[test]
+fn an_image_joins_by_one_pair_and_a_few_points() {
+    for (shared, joins) in [(6, true), (2, false)] {
+        let flown = at_the_edge(shared);
+        let (tracks, pairs) = tracks(&flown);
+        let own = pairs.iter().filter(|pair| pair.images.contains(&0));
+        assert_eq!(own.count(), 1);
+        let blocks = grow(&flown, &tracks, &pairs);
+        assert_eq!(blocks[0].poses[0].is_some(), joins, "{shared}");
+        assert_eq!(blocks[0].registered(), flown.poses.len() - usize::from(!joins));
+    }
+}
+
 fn check_rmse_m(block: &Block<'_>, known: &Known) -> [f64; 3] {
     let (mut survey, _, order) = block.survey(None);
     known.attach(&mut survey, &order);
