@@ -87,7 +87,6 @@ fn a_block_grows_whole_and_control_brings_it_into_the_map() {
     assert!((c - 1000.0).abs() < 2.0, "{c}");
 }
 
-/// The root mean square error of the check points along each axis, metres.
 /// The first image sees what one neighbour does, of which others see but `shared` points.
 fn at_the_edge(shared: usize) -> Flown {
     let mut flown = Flight { points: 6000, ..Flight::default() }.fly();
@@ -129,6 +128,7 @@ fn an_image_joins_by_one_pair_and_a_few_points() {
     }
 }
 
+/// The root mean square error of the check points along each axis, metres.
 fn check_rmse_m(block: &Block<'_>, known: &Known) -> [f64; 3] {
     let (mut survey, _, order) = block.survey(None);
     known.attach(&mut survey, &order);
