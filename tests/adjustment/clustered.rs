@@ -36,9 +36,7 @@ fn errors(truth: &Survey, spoil: impl Fn(&mut Survey, u64)) -> [[f64; 3]; 2] {
         }
     }
     let mean = 1.0 / RUNS as f64;
-    let r = sums.map(|[a, b, c]| [(a * mean).sqrt(), (b * mean).sqrt(), c * mean]);
-    eprintln!("{r:?}");
-    r
+    sums.map(|[a, b, c]| [(a * mean).sqrt(), (b * mean).sqrt(), c * mean])
 }
 
 fn block() -> Survey {
