@@ -46,6 +46,7 @@ pub mod nlls;
 pub mod phenotype;
 pub mod problems;
 pub mod raster;
+pub mod scene;
 pub mod score;
 pub mod sfm;
 pub mod target;

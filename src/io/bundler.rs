@@ -17,7 +17,7 @@ use super::{FileError, model::Model, output};
 use crate::{
     camera::{Camera, Interior, Lens, Model as LensModel},
     geometry::rotation,
-    problems::adjustment::{Image, Observation, Pose, Survey, TiePoint},
+    scene::{Image, Observation, Pose, Reconstruction, TiePoint},
 };
 use std::path::Path;
 
@@ -112,8 +112,10 @@ fn parse(text: &str, names: Option<&[String]>, size_px: [u32; 2]) -> Result<Mode
             format!("there are {cameras} cameras, the list names {} images", names.len()),
         ));
     }
-    let mut model =
-        Model { survey: Survey { tie_sigma_px: 1.0, ..Survey::default() }, ..Model::default() };
+    let mut model = Model {
+        survey: Reconstruction { tie_sigma_px: 1.0, ..Reconstruction::default() },
+        ..Model::default()
+    };
     let mut places: Vec<Option<u32>> = Vec::with_capacity(cameras);
     let mut lenses: Vec<[f64; 3]> = Vec::new();
     for k in 0..cameras {

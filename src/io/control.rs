@@ -17,9 +17,8 @@ use super::{
     FileError,
     table::{Column, Row, Table},
 };
-use crate::problems::adjustment::{
-    Aside, Axes, GroundPoint, Image, Mark, Position, Role, ScaleBar,
-};
+use crate::problems::adjustment::Aside;
+use crate::scene::{Axes, CameraPosition, GroundObservation, GroundPoint, Image, Role, ScaleBar};
 use std::{
     collections::{HashMap, HashSet},
     path::Path,
@@ -206,7 +205,7 @@ pub fn marks(
     images: &[Image],
     ground: &[GroundPoint],
     defaults: &Defaults,
-) -> Result<(Vec<Mark>, Vec<Aside>), FileError> {
+) -> Result<(Vec<GroundObservation>, Vec<Aside>), FileError> {
     let table = Table::read(path)?;
     let image = table.required("image", IMAGE)?;
     let label = table.required("name of the point", LABEL)?;
@@ -226,7 +225,7 @@ pub fn marks(
             return Err(table.fault(row, message));
         };
         let name = table.text(row, image);
-        let mark = Mark {
+        let mark = GroundObservation {
             image: 0,
             ground,
             image_px: [table.number(row, u)?, table.number(row, v)?],
@@ -240,7 +239,7 @@ pub fn marks(
             let message = format!("{label} is marked twice in {name}, first in line {line}");
             return Err(table.fault(row, message));
         }
-        found.push(Mark { image, ..mark });
+        found.push(GroundObservation { image, ..mark });
     }
     if found.is_empty() {
         return Err(table.whole_fault(nothing_matches(&aside, images)));
@@ -265,7 +264,7 @@ pub fn positions(
     path: &Path,
     images: &[Image],
     defaults: &Defaults,
-) -> Result<(Vec<Position>, Vec<Aside>), FileError> {
+) -> Result<(Vec<CameraPosition>, Vec<Aside>), FileError> {
     let table = Table::read(path)?;
     let image = table.required("image", IMAGE)?;
     let coordinates = Coordinates::of(&table)?;
@@ -280,7 +279,7 @@ pub fn positions(
         match names.find(name) {
             None => aside.push(no_such_image("camera position", name, None)),
             Some(image) if seen.insert(image) => {
-                found.push(Position { image, position_m, sigma_m });
+                found.push(CameraPosition { image, position_m, sigma_m });
             }
             Some(_) => return Err(table.fault(row, format!("{name} is there twice"))),
         }

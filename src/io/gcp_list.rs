@@ -6,7 +6,7 @@
 //! point. Without names, marks with the same coordinates are one point.
 
 use super::{FileError, control::Defaults, photo::Geotag, table::Table};
-use crate::problems::adjustment::{Axes, GroundPoint, Role};
+use crate::scene::{Axes, GroundPoint, Role};
 use std::path::Path;
 
 /// A mark that is not yet joined to an image.

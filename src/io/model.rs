@@ -3,14 +3,14 @@
 use crate::{
     camera::{Interior, Lens, Model as LensModel},
     geometry::rotation,
-    problems::adjustment::{Pose, Survey},
+    scene::{Pose, Reconstruction},
 };
 
 /// A reconstruction as read from files.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Model {
     /// The block.
-    pub survey: Survey,
+    pub survey: Reconstruction,
     /// The number of each camera in the files.
     pub camera_ids: Vec<u32>,
     /// The features of each image in the files' order, with the number of the point that they belong

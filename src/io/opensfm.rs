@@ -17,7 +17,7 @@ use super::{
 use crate::{
     camera::{Camera, Interior, Lens, Model as LensModel},
     geometry::rotation,
-    problems::adjustment::{Image, Observation, Survey, TiePoint},
+    scene::{Image, Observation, Reconstruction, TiePoint},
 };
 use serde_json::{Map, Value, json};
 use std::{collections::HashMap, path::Path};
@@ -56,8 +56,10 @@ fn parse(file: &Value) -> Result<Model, String> {
     let object = |key: &str| {
         reconstruction[key].as_object().ok_or_else(|| format!("expected an object {key:?}"))
     };
-    let mut model =
-        Model { survey: Survey { tie_sigma_px: 1.0, ..Survey::default() }, ..Model::default() };
+    let mut model = Model {
+        survey: Reconstruction { tie_sigma_px: 1.0, ..Reconstruction::default() },
+        ..Model::default()
+    };
     let mut cameras: HashMap<&str, usize> = HashMap::new();
     for (name, camera) in object("cameras")? {
         let interior = lens(camera).map_err(|message| format!("camera {name:?}: {message}"))?;

@@ -2,7 +2,8 @@
 
 use super::{FileError, output};
 use crate::geometry::rotation;
-use crate::problems::adjustment::{Image, ImageAccuracy, Survey};
+use crate::problems::adjustment::ImageAccuracy;
+use crate::scene::{Image, Reconstruction};
 use std::path::Path;
 
 /// Writes `image,x_m,y_m,z_m,omega_deg,phi_deg,kappa_deg` and, where the accuracies are known, standard
@@ -13,7 +14,7 @@ use std::path::Path;
 /// As [`output::write`].
 pub fn write(
     path: &Path,
-    survey: &Survey,
+    survey: &Reconstruction,
     accuracies: &[ImageAccuracy],
     sigma0: f64,
     force: bool,
@@ -68,7 +69,7 @@ mod tests {
     use super::*;
     use crate::{
         io::poses,
-        problems::adjustment::{Pose, RollingShutter},
+        scene::{Pose, RollingShutter},
     };
 
     #[test]
@@ -80,8 +81,11 @@ mod tests {
         let shutter =
             RollingShutter { readout_s: 0.03, sigma_velocity_m_s: 1.0, sigma_rate_rad_s: 0.0 };
         for rolling_shutter in [Some(shutter), None] {
-            let survey =
-                Survey { images: vec![image.clone()], rolling_shutter, ..Survey::default() };
+            let survey = Reconstruction {
+                images: vec![image.clone()],
+                rolling_shutter,
+                ..Reconstruction::default()
+            };
             let folder = tempfile::tempdir().unwrap();
             let path = folder.path().join("exterior_orientation.csv");
             write(&path, &survey, &[], 1.0, false).unwrap();

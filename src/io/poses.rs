@@ -8,7 +8,7 @@
 //! its rows, as `rowgram synth flight` writes them, are used where they are.
 
 use super::FileError;
-use crate::{geometry::rotation, problems::adjustment::Pose};
+use crate::{geometry::rotation, scene::Pose};
 use serde_json::Value;
 use std::path::Path;
 

@@ -336,8 +336,8 @@ mod tests {
     use crate::{
         camera::{Interior, Model},
         geometry::rotation,
-        problems::adjustment::Pose,
         raster::georeference::Crs,
+        scene::Pose,
     };
 
     /// A strong lens 15 m above relief of a metre.

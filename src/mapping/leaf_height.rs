@@ -272,8 +272,8 @@ mod tests {
     use crate::{
         camera::{Interior, Model},
         mapping::{Surface, View, select::Rules, surface::Heights},
-        problems::adjustment::Pose,
         raster::georeference::{Crs, Georeference},
+        scene::Pose,
     };
     use image::{Rgb, RgbImage};
 

@@ -167,11 +167,11 @@ mod tests {
             select::{Choice, Rules},
             surface::Heights,
         },
-        problems::adjustment::Pose,
         raster::{
             georeference::{Crs, Georeference},
             window::Window,
         },
+        scene::Pose,
     };
 
     /// Eight photos in two strips over waves, from nearly one height.

@@ -7,7 +7,7 @@ use super::Surface;
 use crate::{
     camera::{Interior, Lens},
     geometry::rotation,
-    problems::adjustment::Pose,
+    scene::Pose,
 };
 
 /// Points along each side of a photo by which its outline is followed.

@@ -231,7 +231,7 @@ mod tests {
     use crate::{
         camera::{Camera, Interior, Model},
         features::DESCRIPTOR_LENGTH,
-        problems::adjustment::{Pose, RollingShutter},
+        scene::{Pose, RollingShutter},
         sfm::{Features, tracks::Tracks},
     };
     use rand::{RngExt, SeedableRng};

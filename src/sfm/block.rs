@@ -12,9 +12,8 @@ use crate::{
     engine::SolveError,
     geometry::rotation,
     nlls::{Loss, Options as Engine, solve},
-    problems::adjustment::{
-        Image, Observation, Pose, Posed, RollingShutter, Settings, Survey, TiePoint,
-    },
+    problems::adjustment::{Posed, Settings},
+    scene::{Image, Observation, Pose, Reconstruction, RollingShutter, TiePoint},
 };
 use rayon::prelude::*;
 
@@ -260,7 +259,7 @@ impl<'a> Block<'a> {
     /// The block, or the part that some images see, as a survey, with the track of each of its
     /// points and the index of each of its images. Images that take part only because they see the
     /// same points come after those that were asked for.
-    pub fn survey(&self, images: Option<&[usize]>) -> (Survey, Vec<u32>, Vec<usize>) {
+    pub fn survey(&self, images: Option<&[usize]>) -> (Reconstruction, Vec<u32>, Vec<usize>) {
         let asked: Vec<usize> = match images {
             Some(images) => images.to_vec(),
             None => (0..self.poses.len()).collect(),
@@ -276,11 +275,11 @@ impl<'a> Block<'a> {
         let mut order = asked.clone();
         let mut place = vec![u32::MAX; self.poses.len()];
         asked.iter().enumerate().for_each(|(k, &image)| place[image] = k as u32);
-        let mut survey = Survey {
+        let mut survey = Reconstruction {
             cameras: self.cameras.clone(),
             tie_sigma_px: 1.0,
             rolling_shutter: self.shutter,
-            ..Survey::default()
+            ..Reconstruction::default()
         };
         for &track in &tracks {
             let Some(position_m) = self.points[track as usize] else { continue };

@@ -8,7 +8,8 @@ use super::{
 use crate::{
     camera::Lens,
     geometry::rotation,
-    problems::adjustment::{Axes, Role, align},
+    problems::adjustment::align,
+    scene::{Axes, Role},
 };
 use nalgebra::Vector3;
 

@@ -8,9 +8,8 @@ use crate::{
     engine::SolveError,
     geometry::rotation,
     nlls::{Loss, Options as Engine, solve},
-    problems::adjustment::{
-        Alignment, GroundPoint, Mark, Pose, Posed, Position, Role, Settings, Survey, align,
-    },
+    problems::adjustment::{Alignment, Posed, Settings, align},
+    scene::{CameraPosition, GroundObservation, GroundPoint, Pose, Reconstruction, Role},
 };
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use serde::Serialize;
@@ -21,9 +20,9 @@ pub struct Known {
     /// Ground points.
     pub ground: Vec<GroundPoint>,
     /// Their marks.
-    pub marks: Vec<Mark>,
+    pub marks: Vec<GroundObservation>,
     /// Camera positions.
-    pub positions: Vec<Position>,
+    pub positions: Vec<CameraPosition>,
 }
 
 /// What came of bringing blocks into one frame.
@@ -42,18 +41,20 @@ pub struct Joined<'a> {
 
 impl Known {
     /// What of it is about the images that a survey has, with its images' indices in the block.
-    pub fn attach(&self, survey: &mut Survey, order: &[usize]) {
+    pub fn attach(&self, survey: &mut Reconstruction, order: &[usize]) {
         let place = |image: u32| order.iter().position(|&k| k == image as usize).map(|k| k as u32);
         survey.ground.clone_from(&self.ground);
         survey.marks = self
             .marks
             .iter()
-            .filter_map(|mark| Some(Mark { image: place(mark.image)?, ..*mark }))
+            .filter_map(|mark| Some(GroundObservation { image: place(mark.image)?, ..*mark }))
             .collect();
         survey.positions = self
             .positions
             .iter()
-            .filter_map(|position| Some(Position { image: place(position.image)?, ..*position }))
+            .filter_map(|position| {
+                Some(CameraPosition { image: place(position.image)?, ..*position })
+            })
             .collect();
     }
 
@@ -81,7 +82,7 @@ fn spread_across(positions: &[[f64; 3]]) -> f64 {
 }
 
 /// One strip: its positions give scale, place and heading, and the mean optical axis is down.
-fn align_strip(survey: &mut Survey) -> Option<Alignment> {
+fn align_strip(survey: &mut Reconstruction) -> Option<Alignment> {
     let pairs: Vec<(Vector3<f64>, Vector3<f64>)> = survey
         .positions
         .iter()
@@ -147,7 +148,7 @@ fn align_strip(survey: &mut Survey) -> Option<Alignment> {
     })
 }
 
-fn apply(survey: &mut Survey, scale: f64, turn: &Matrix3<f64>, shift: &Vector3<f64>) {
+fn apply(survey: &mut Reconstruction, scale: f64, turn: &Matrix3<f64>, shift: &Vector3<f64>) {
     let q = super::resection::quaternion(&Rotation3::from_matrix_unchecked(*turn).into_inner());
     for image in &mut survey.images {
         let centre = scale * (turn * Vector3::from(image.pose.centre_m())) + shift;
@@ -160,7 +161,7 @@ fn apply(survey: &mut Survey, scale: f64, turn: &Matrix3<f64>, shift: &Vector3<f
 }
 
 /// Brings a survey into the frame of what is known of it.
-fn into_the_map(survey: &mut Survey) -> Option<Alignment> {
+fn into_the_map(survey: &mut Reconstruction) -> Option<Alignment> {
     let mut trial = survey.clone();
     let first = align(&mut trial);
     let by_positions = first.as_ref().is_none_or(|alignment| alignment.by == "camera positions");
@@ -226,7 +227,7 @@ fn median(mut values: Vec<f64>) -> f64 {
 
 /// A receiver's positions have a common error (and heights of another datum than the control's),
 /// which control tells.
-fn take_off_shift(block: &Block<'_>, positions: &mut [Position]) -> Option<[f64; 3]> {
+fn take_off_shift(block: &Block<'_>, positions: &mut [CameraPosition]) -> Option<[f64; 3]> {
     let left: Vec<[f64; 3]> = positions
         .iter()
         .filter_map(|p| {
@@ -286,7 +287,7 @@ pub fn weigh_positions(
     known: &mut Known,
     told: &[Option<[f64; 3]>],
 ) -> Option<PositionFit> {
-    let left = |position: &Position| -> Option<[f64; 3]> {
+    let left = |position: &CameraPosition| -> Option<[f64; 3]> {
         let centre = block.poses[position.image as usize]?.centre_m();
         Some(std::array::from_fn(|k| position.position_m[k] - centre[k]))
     };

@@ -8,7 +8,7 @@ use crate::{
     convex::positions::{Baseline, positions},
     engine::SolveError,
     geometry::rotation,
-    problems::adjustment::Pose,
+    scene::Pose,
 };
 
 /// Pairs whose rotation is farther than this from the averaged ones say nothing about positions,

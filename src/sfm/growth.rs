@@ -13,9 +13,7 @@ use super::{
     triangulate::Demands,
     vouched,
 };
-use crate::{
-    camera::Camera, engine::SolveError, geometry::rotation, nlls::Loss, problems::adjustment::Pose,
-};
+use crate::{camera::Camera, engine::SolveError, geometry::rotation, nlls::Loss, scene::Pose};
 use nalgebra::Matrix3;
 use rayon::prelude::*;
 

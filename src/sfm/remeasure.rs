@@ -293,7 +293,7 @@ mod tests {
     use super::*;
     use crate::{
         camera::{Camera, Interior, Model},
-        problems::adjustment::{Pose, RollingShutter},
+        scene::{Pose, RollingShutter},
         sfm::{again::seen_at, tracks::Tracks},
     };
     use rand::{RngExt, SeedableRng};

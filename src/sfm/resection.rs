@@ -13,7 +13,7 @@ use super::{
 use crate::{
     camera::{Interior, Lens},
     geometry::{dot, rotation},
-    problems::adjustment::Pose,
+    scene::Pose,
 };
 use nalgebra::{Matrix3, SMatrix, SVector, UnitQuaternion, Vector3};
 use rand::SeedableRng;

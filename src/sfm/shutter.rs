@@ -16,7 +16,8 @@ use crate::{
     engine::SolveError,
     geometry::rotation,
     nlls::{Loss, Options as Engine, solve},
-    problems::adjustment::{Mark, Posed, RollingShutter, Settings, Survey},
+    problems::adjustment::{Posed, Settings},
+    scene::{GroundObservation, Reconstruction, RollingShutter},
 };
 use nalgebra::Vector3;
 
@@ -153,7 +154,7 @@ fn shutter(sigma_m: f64, readout_s: f64) -> RollingShutter {
 
 /// A block and how its images flew.
 struct Strips {
-    survey: Survey,
+    survey: Reconstruction,
     /// Which images of the block its images are, of how many.
     order: Vec<usize>,
     images: usize,
@@ -244,7 +245,7 @@ fn limit([start, first, second]: [f64; 3]) -> f64 {
 }
 
 /// Mean and standard deviation of the ways that images flew along their directions, metres.
-fn common(survey: &Survey, along: &[Option<[f64; 3]>]) -> (f64, f64) {
+fn common(survey: &Reconstruction, along: &[Option<[f64; 3]>]) -> (f64, f64) {
     let ways: Vec<f64> = survey
         .images
         .iter()
@@ -262,7 +263,7 @@ fn common(survey: &Survey, along: &[Option<[f64; 3]>]) -> (f64, f64) {
 }
 
 /// Median distance of points from the cameras that see them, metres.
-fn distance_m(survey: &Survey) -> Option<f64> {
+fn distance_m(survey: &Reconstruction) -> Option<f64> {
     let mut all: Vec<f64> = survey
         .observations
         .iter()
@@ -277,8 +278,8 @@ fn distance_m(survey: &Survey) -> Option<f64> {
 }
 
 /// Marks in images that do not show the point would end an adjustment before it begins.
-pub(super) fn keep_feasible_marks(survey: &mut Survey) {
-    let feasible = |mark: &Mark| {
+pub(super) fn keep_feasible_marks(survey: &mut Reconstruction) {
+    let feasible = |mark: &GroundObservation| {
         let image = &survey.images[mark.image as usize];
         let point = survey.ground[mark.ground as usize].position_m;
         survey.cameras[image.camera].interior.project(image.pose.to_camera(point)).is_some()
@@ -286,7 +287,7 @@ pub(super) fn keep_feasible_marks(survey: &mut Survey) {
     survey.marks = survey.marks.iter().copied().filter(feasible).collect();
 }
 
-fn settle(survey: &mut Survey) -> Result<f64, SolveError> {
+fn settle(survey: &mut Reconstruction) -> Result<f64, SolveError> {
     let settings = Settings { tie_loss: Loss::SoftL1(2.0), ..Settings::default() };
     let posed = Posed::new(survey, &settings)?;
     let mut x = posed.problem.start();

@@ -151,7 +151,7 @@ mod tests {
     use crate::{
         camera::{Camera, Interior, Lens, Model},
         geometry::rotation,
-        problems::adjustment::Pose,
+        scene::Pose,
         sfm::{Features, tracks::Tracks},
     };
     use rand::{RngExt, SeedableRng};

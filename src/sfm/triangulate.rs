@@ -6,7 +6,7 @@
 use crate::{
     camera::{Interior, Lens},
     geometry::{dot, rotation},
-    problems::adjustment::Pose,
+    scene::Pose,
 };
 use nalgebra::{Matrix3, Vector3};
 

@@ -4,7 +4,7 @@
 use super::{block::Block, growth::Growing, resection::quaternion, start::Graph};
 use crate::{
     geometry::{cross, dot, rotation},
-    problems::adjustment::Pose,
+    scene::Pose,
 };
 
 /// The fewest points that tell a distance.

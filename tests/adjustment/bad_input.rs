@@ -1,15 +1,16 @@
 //! What is wrong with a survey is named; what cannot take part is set aside, nothing is lost.
 
 use super::toy::{NOISE, Plan, measured, truth};
-use rowgram::problems::adjustment::{Role, Settings, Survey, adjust, screen};
+use rowgram::problems::adjustment::{Settings, adjust, screen};
+use rowgram::scene::{Reconstruction, Role};
 
-fn block() -> Survey {
+fn block() -> Reconstruction {
     measured(&truth(&Plan { tie_points: 60, ..Plan::default() }), 2, NOISE)
 }
 
 #[test]
 fn what_is_wrong_is_named() {
-    type Damage = fn(&mut Survey);
+    type Damage = fn(&mut Reconstruction);
     let cases: [(Damage, &str); 15] = [
         (|s| s.observations[7].image_px[0] = f64::NAN, "tie point 10"),
         (
@@ -87,7 +88,7 @@ fn a_block_of_nothing_says_why() {
     // The convention of another program: everything is behind its camera.
     for image in &mut survey.images {
         let turn = rowgram::geometry::rotation::exp([std::f64::consts::PI, 0.0, 0.0]);
-        image.pose = rowgram::problems::adjustment::Pose::from_centre(
+        image.pose = rowgram::scene::Pose::from_centre(
             rowgram::geometry::rotation::multiply(turn, image.pose.rotation),
             image.pose.centre_m(),
         );

@@ -4,10 +4,11 @@ use super::toy::{self, NOISE, Noise, Plan, free, measured, truth, with_positions
 use rowgram::{
     camera::Lens,
     nlls::{Linear, Loss, Options, solve},
-    problems::adjustment::{Posed, Role, Settings, Survey, adjust, align, rmse},
+    problems::adjustment::{Posed, Settings, adjust, align, rmse},
+    scene::{Reconstruction, Role},
 };
 
-fn refused(survey: &Survey, settings: &Settings) -> String {
+fn refused(survey: &Reconstruction, settings: &Settings) -> String {
     adjust(&mut survey.clone(), settings).map(|_| ()).unwrap_err().to_string()
 }
 
@@ -121,7 +122,7 @@ fn lenses_that_free_different_parameters_are_adjusted_as_by_the_whole_system() {
 }
 
 /// Height errors of the check points after a block was bowed by a wrong lens, or was not.
-fn heights_m(survey: &Survey, settings: &Settings) -> f64 {
+fn heights_m(survey: &Reconstruction, settings: &Settings) -> f64 {
     let mut survey = survey.clone();
     let adjusted = adjust(&mut survey, settings).unwrap();
     let errors: Vec<f64> = adjusted.check_points.iter().map(|check| check.error_m[2]).collect();

@@ -6,7 +6,8 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rowgram::{
     camera::Lens,
-    problems::adjustment::{Settings, Survey, adjust},
+    problems::adjustment::{Settings, adjust},
+    scene::Reconstruction,
 };
 use std::collections::HashMap;
 
@@ -17,7 +18,7 @@ const SIDE_M: f64 = 3.0;
 
 /// Root mean square errors of the two parameters in their standard deviations: those of independent measurements,
 /// and those given; and what these are of those on average.
-fn errors(truth: &Survey, spoil: impl Fn(&mut Survey, u64)) -> [[f64; 3]; 2] {
+fn errors(truth: &Reconstruction, spoil: impl Fn(&mut Reconstruction, u64)) -> [[f64; 3]; 2] {
     let values = truth.cameras[0].interior.values();
     let mut sums = [[0.0; 3]; 2];
     for run in 0..RUNS {
@@ -39,7 +40,7 @@ fn errors(truth: &Survey, spoil: impl Fn(&mut Survey, u64)) -> [[f64; 3]; 2] {
     sums.map(|[a, b, c]| [(a * mean).sqrt(), (b * mean).sqrt(), c * mean])
 }
 
-fn block() -> Survey {
+fn block() -> Reconstruction {
     with_positions(truth(&Plan { tie_points: 3000, ..Plan::default() }))
 }
 
@@ -54,7 +55,7 @@ fn independent_measurements_keep_their_standard_deviations() {
 #[test]
 fn where_patches_err_together_standard_deviations_say_so() {
     let truth = block();
-    let spoil = |survey: &mut Survey, run: u64| {
+    let spoil = |survey: &mut Reconstruction, run: u64| {
         let mut rng = ChaCha8Rng::seed_from_u64(9000 + run);
         let mut shifts: HashMap<(u32, [i64; 2]), [f64; 2]> = HashMap::new();
         for o in &mut survey.observations {

@@ -6,7 +6,7 @@ use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use rowgram::{
     camera::{Interior, Lens, Model as LensModel},
     io::{bundler, colmap, model::Model, opensfm},
-    problems::adjustment::Survey,
+    scene::Reconstruction,
 };
 use serde_json::Value;
 use std::{collections::HashMap, path::Path};
@@ -28,7 +28,7 @@ fn exact(interior: Interior) -> Model {
 }
 
 /// Both blocks are the same but for names of cameras and numbers of images and points.
-fn assert_same(a: &Survey, b: &Survey) {
+fn assert_same(a: &Reconstruction, b: &Reconstruction) {
     let place: HashMap<&str, usize> =
         b.images.iter().enumerate().map(|(k, image)| (image.name.as_str(), k)).collect();
     assert_eq!(a.images.len(), b.images.len());
@@ -44,7 +44,7 @@ fn assert_same(a: &Survey, b: &Survey) {
             assert!((p[0] - q[0]).hypot(p[1] - q[1]) < 1e-9, "{p:?} {q:?}");
         }
     }
-    let key = |s: &Survey| {
+    let key = |s: &Reconstruction| {
         let mut all: Vec<(String, [i64; 3], [f64; 2])> = s
             .observations
             .iter()

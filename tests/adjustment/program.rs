@@ -4,7 +4,7 @@ use super::toy::{self, NOISE, Plan, measured, truth, with_positions};
 use rowgram::{
     camera::{Interior, Model as LensModel},
     io::{colmap, model::Model},
-    problems::adjustment::{Role, Survey},
+    scene::{Reconstruction, Role},
 };
 use serde_json::Value;
 use std::{
@@ -28,7 +28,7 @@ fn text(bytes: &[u8]) -> String {
 
 /// A measured block: a COLMAP model in `sparse`, its control, marks and camera positions in CSV
 /// files.
-fn survey() -> Survey {
+fn survey() -> Reconstruction {
     let interior = Interior::new(
         LensModel::Brown,
         toy::SIZE_PX,
@@ -38,7 +38,7 @@ fn survey() -> Survey {
     measured(&with_positions(truth(&Plan { interior, ..Plan::default() })), 17, NOISE)
 }
 
-fn save(folder: &Path, survey: &Survey) {
+fn save(folder: &Path, survey: &Reconstruction) {
     let mut control = String::from(
         "label,easting_m,northing_m,height_m,Accuracy_Horizontal,Accuracy_Vertical,role\n",
     );
@@ -270,7 +270,7 @@ fn reconstructions_are_converted() {
         assert!(message.starts_with("1 cameras, 12 images"), "{message}");
     }
     let back = colmap::read(&folder.path().join("binary")).unwrap().survey;
-    let centre = |s: &Survey, name: &str| {
+    let centre = |s: &Reconstruction, name: &str| {
         s.images.iter().find(|image| image.name == name).unwrap().pose.centre_m()
     };
     for image in &survey.images {

@@ -2,9 +2,9 @@
 
 use super::toy::{NOISE, Noise, Plan, measured, truth, with_positions};
 use rowgram::problems::adjustment::{
-    Group, Role, Settings, Snooping, Testing, adjust, doubtful, leave_one_out, snoop,
-    variance_components,
+    Group, Settings, Snooping, Testing, adjust, doubtful, leave_one_out, snoop, variance_components,
 };
+use rowgram::scene::Role;
 
 #[test]
 fn a_planted_blunder_is_found_and_nothing_else() {

@@ -5,16 +5,14 @@ use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use rowgram::{
     camera::{Interior, Lens, Model},
     nlls::{BlockId, solve},
-    problems::adjustment::{
-        Axes, Group, Posed, Role, ScaleBar, Settings, Subject, Survey, Testing, adjust, rmse,
-        screen,
-    },
+    problems::adjustment::{Group, Posed, Settings, Subject, Testing, adjust, rmse, screen},
+    scene::{Axes, Reconstruction, Role, ScaleBar},
 };
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 use std::collections::HashMap;
 
 /// A block with every kind of observation.
-fn everything(interior: Interior, velocity_m_s: Option<f64>) -> Survey {
+fn everything(interior: Interior, velocity_m_s: Option<f64>) -> Reconstruction {
     let plan = Plan { tie_points: 60, interior, velocity_m_s, ..Plan::default() };
     let mut survey = with_positions(truth(&plan));
     survey.lever_arm_m = [0.1, -0.2, 0.05];

@@ -6,9 +6,9 @@ use rand_chacha::ChaCha8Rng;
 use rowgram::{
     camera::{Camera, Interior, Lens, Model},
     geometry::rotation,
-    problems::adjustment::{
-        Axes, GroundPoint, Image, Mark, Observation, Pose, Position, Role, RollingShutter, Survey,
-        TiePoint,
+    scene::{
+        Axes, CameraPosition, GroundObservation, GroundPoint, Image, Observation, Pose,
+        Reconstruction, Role, RollingShutter, TiePoint,
     },
 };
 
@@ -57,12 +57,12 @@ impl Default for Plan {
 pub const READOUT_S: f64 = 0.03;
 
 /// The block as it is: every measurement exact.
-pub fn truth(plan: &Plan) -> Survey {
+pub fn truth(plan: &Plan) -> Reconstruction {
     let mut rng = ChaCha8Rng::seed_from_u64(plan.seed);
-    let mut survey = Survey {
+    let mut survey = Reconstruction {
         cameras: vec![Camera::new("toy", plan.interior)],
         tie_sigma_px: TIE_PX,
-        ..Survey::default()
+        ..Reconstruction::default()
     };
     if plan.velocity_m_s.is_some() {
         survey.rolling_shutter = Some(RollingShutter {
@@ -138,7 +138,7 @@ pub fn truth(plan: &Plan) -> Survey {
         ];
         let ground = k as u32;
         for (image, image_px) in images_of(&survey, at) {
-            survey.marks.push(Mark { image, ground, image_px, sigma_px: MARK_PX });
+            survey.marks.push(GroundObservation { image, ground, image_px, sigma_px: MARK_PX });
         }
         survey.ground.push(GroundPoint {
             name: format!("G{k:02}"),
@@ -152,7 +152,7 @@ pub fn truth(plan: &Plan) -> Survey {
 }
 
 /// Where the images see a point, by fixed-point iteration where the shutter rolls.
-fn images_of(survey: &Survey, at: [f64; 3]) -> Vec<(u32, [f64; 2])> {
+fn images_of(survey: &Reconstruction, at: [f64; 3]) -> Vec<(u32, [f64; 2])> {
     let mut found = Vec::new();
     for (k, image) in survey.images.iter().enumerate() {
         let lens = &survey.cameras[image.camera].interior;
@@ -181,9 +181,9 @@ fn images_of(survey: &Survey, at: [f64; 3]) -> Vec<(u32, [f64; 2])> {
 }
 
 /// Adds camera positions, exact.
-pub fn with_positions(mut survey: Survey) -> Survey {
+pub fn with_positions(mut survey: Reconstruction) -> Reconstruction {
     survey.positions = (0..survey.images.len())
-        .map(|k| Position {
+        .map(|k| CameraPosition {
             image: k as u32,
             position_m: survey.images[k].pose.centre_m(),
             sigma_m: POSITION_M,
@@ -204,7 +204,7 @@ pub struct Noise {
 pub const NOISE: Noise = Noise { tie: 1.0, mark: 1.0, control: 1.0, position: 1.0 };
 
 /// The block as it is measured, started away from the truth.
-pub fn measured(truth: &Survey, seed: u64, noise: Noise) -> Survey {
+pub fn measured(truth: &Reconstruction, seed: u64, noise: Noise) -> Reconstruction {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut survey = truth.clone();
     for o in &mut survey.observations {
@@ -237,6 +237,6 @@ pub fn measured(truth: &Survey, seed: u64, noise: Noise) -> Survey {
 }
 
 /// Frees parameters of the only camera.
-pub fn free(survey: &mut Survey, names: &[&str]) {
+pub fn free(survey: &mut Reconstruction, names: &[&str]) {
     survey.cameras[0].set_free(names).unwrap();
 }

@@ -3,7 +3,8 @@
 use super::toy::{Flight, Flown, lens};
 use rowgram::{
     camera::Camera,
-    problems::adjustment::{Role, Settings, adjust as judge},
+    problems::adjustment::{Settings, adjust as judge},
+    scene::Role,
     sfm::{
         block::Block,
         georeference::{Known, adjust, axes_exchanged, join, review_marks, weigh_positions},

@@ -7,7 +7,7 @@ use rand_distr::{Distribution, Normal};
 use rowgram::{
     camera::{Camera, Interior, Lens, Model},
     geometry::rotation,
-    problems::adjustment::{Axes, GroundPoint, Mark, Pose, Position, Role},
+    scene::{Axes, CameraPosition, GroundObservation, GroundPoint, Pose, Role},
     sfm::{Features, verify::Matched},
 };
 
@@ -47,8 +47,8 @@ pub struct Flown {
     pub features: Vec<Features>,
     pub matched: Vec<Matched>,
     pub ground: Vec<GroundPoint>,
-    pub marks: Vec<Mark>,
-    pub positions: Vec<Position>,
+    pub marks: Vec<GroundObservation>,
+    pub positions: Vec<CameraPosition>,
 }
 
 pub const SIZE_PX: [u32; 2] = [1200, 900];
@@ -193,7 +193,12 @@ impl Flown {
             for (image, pose) in self.poses.iter().enumerate() {
                 if let Some(at) = seen(truth, pose, ways_m[image], position_m) {
                     let image_px = at.map(|v| v + 0.2 * normal.sample(rng));
-                    self.marks.push(Mark { image: image as u32, ground, image_px, sigma_px: 0.3 });
+                    self.marks.push(GroundObservation {
+                        image: image as u32,
+                        ground,
+                        image_px,
+                        sigma_px: 0.3,
+                    });
                 }
             }
             self.ground.push(GroundPoint {
@@ -206,7 +211,11 @@ impl Flown {
         }
         for (image, pose) in self.poses.iter().enumerate() {
             let position_m = pose.centre_m().map(|v| v + 0.5 * normal.sample(rng));
-            self.positions.push(Position { image: image as u32, position_m, sigma_m: [5.0; 3] });
+            self.positions.push(CameraPosition {
+                image: image as u32,
+                position_m,
+                sigma_m: [5.0; 3],
+            });
         }
     }
 }

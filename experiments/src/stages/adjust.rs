@@ -18,11 +18,12 @@ use rowgram::{
     geometry::rotation,
     nlls::Loss,
     problems::{
-        adjustment::{
-            Axes, CheckPoint, GroundPoint, Image, Mark, Observation, Pose, Position, Role,
-            RollingShutter, Settings, Survey, TiePoint, adjust, rmse,
-        },
+        adjustment::{CheckPoint, Settings, adjust, rmse},
         lens_fit,
+    },
+    scene::{
+        Axes, CameraPosition, GroundObservation, GroundPoint, Image, Observation, Pose,
+        Reconstruction, Role, RollingShutter, TiePoint,
     },
 };
 use serde::{Deserialize, Serialize};
@@ -201,13 +202,13 @@ fn settings(e: &Estimate) -> Result<Settings, String> {
 }
 
 /// The adjusted block of a flight.
-pub(super) fn adjusted(twin: &Twin, e: &Estimate, seed: u64) -> Result<Survey, String> {
+pub(super) fn adjusted(twin: &Twin, e: &Estimate, seed: u64) -> Result<Reconstruction, String> {
     let mut survey = survey(twin, e, seed)?;
     adjust(&mut survey, &settings(e)?).map_err(|e| e.to_string())?;
     Ok(survey)
 }
 
-fn centre_error_m(survey: &Survey, twin: &Twin) -> f64 {
+fn centre_error_m(survey: &Reconstruction, twin: &Twin) -> f64 {
     let mut squares = 0.0;
     for (image, shot) in survey.images.iter().zip(&twin.shots) {
         let centre = image.pose.centre_m();
@@ -216,7 +217,7 @@ fn centre_error_m(survey: &Survey, twin: &Twin) -> f64 {
     (squares / (3 * survey.images.len()) as f64).sqrt()
 }
 
-fn traces(survey: &Survey, checks: &[CheckPoint], twin: &Twin) -> [Trace; 3] {
+fn traces(survey: &Reconstruction, checks: &[CheckPoint], twin: &Twin) -> [Trace; 3] {
     let mut errors = Trace::new("check_points", &["x_m", "y_m", "dx_m", "dy_m", "dz_m"]);
     errors.rows = checks
         .iter()
@@ -329,14 +330,14 @@ fn image(number: usize, shot: &Shot, e: &Estimate, rng: &mut ChaCha8Rng) -> Imag
     }
 }
 
-fn survey(twin: &Twin, e: &Estimate, seed: u64) -> Result<Survey, String> {
+fn survey(twin: &Twin, e: &Estimate, seed: u64) -> Result<Reconstruction, String> {
     let config = &twin.config;
     let mut rng = stream(seed, Stream::Start);
-    let mut survey = Survey {
+    let mut survey = Reconstruction {
         cameras: vec![camera(twin, e)?],
         tie_sigma_px: config.tie_points.sigma_px.max(0.01),
         lever_arm_m: config.flight.gnss.lever_arm_m,
-        ..Survey::default()
+        ..Reconstruction::default()
     };
     survey.images =
         twin.shots.iter().enumerate().map(|(k, shot)| image(k, shot, e, &mut rng)).collect();
@@ -358,7 +359,7 @@ fn survey(twin: &Twin, e: &Estimate, seed: u64) -> Result<Survey, String> {
             .shots
             .iter()
             .enumerate()
-            .map(|(k, shot)| Position { image: k as u32, position_m: shot.gnss_m, sigma_m })
+            .map(|(k, shot)| CameraPosition { image: k as u32, position_m: shot.gnss_m, sigma_m })
             .collect();
     }
     if config.flight.readout_seconds > 0.0 && e.model_shutter {
@@ -372,7 +373,7 @@ fn survey(twin: &Twin, e: &Estimate, seed: u64) -> Result<Survey, String> {
 }
 
 /// Adds the control points that take part, all check points, and their marks.
-fn ground(survey: &mut Survey, twin: &Twin, e: &Estimate) {
+fn ground(survey: &mut Reconstruction, twin: &Twin, e: &Estimate) {
     let config = &twin.config.targets;
     let chosen = choose(&twin.targets, e.control, e.layout);
     let floor = |sigma: f64| sigma.max(1e-4);
@@ -392,7 +393,7 @@ fn ground(survey: &mut Survey, twin: &Twin, e: &Estimate) {
             axes: Axes::Xyz,
         });
         let mine = twin.marks.iter().filter(|mark| mark.target == number);
-        survey.marks.extend(mine.map(|mark| Mark {
+        survey.marks.extend(mine.map(|mark| GroundObservation {
             image: mark.shot as u32,
             ground,
             image_px: mark.marked_px,

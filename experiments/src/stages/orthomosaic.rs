@@ -23,7 +23,6 @@ use rowgram::{
         select::{Rules, Selector},
         view::View,
     },
-    problems::adjustment::Survey,
     raster::{
         Mask, density,
         georeference::{Crs, Georeference},
@@ -31,6 +30,7 @@ use rowgram::{
         undistort::{self, Crop, Interpolation},
         window::Window,
     },
+    scene::Reconstruction,
 };
 use serde::{Deserialize, Serialize};
 use std::sync::{Arc, Mutex};
@@ -218,7 +218,7 @@ struct Flown {
     above: Mask,
     /// Photos and their true masks.
     photos: Vec<(RgbImage, RgbImage)>,
-    survey: Survey,
+    survey: Reconstruction,
 }
 
 /// The last flight: a sweep over pictures and thresholds needs the same one again and again.

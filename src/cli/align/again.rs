@@ -5,7 +5,7 @@ use crate::{
     error::Error,
     features::{Descriptors, grey},
     io::images,
-    problems::adjustment::Role,
+    scene::Role,
     sfm::{
         Features,
         again::{Again, look_again},

@@ -5,7 +5,7 @@ use crate::{
     camera::Lens,
     error::Error,
     io::{FileError, images, output},
-    problems::adjustment::Survey,
+    scene::Reconstruction,
     sfm::{Pair, relative::Solver, resection::quaternion},
 };
 use image::{Rgb, RgbImage};
@@ -34,7 +34,7 @@ fn save(path: &Path, force: bool, draw: impl FnOnce(&mut String) -> Drawn) -> Re
 /// Where one cannot be written.
 pub(super) fn write(
     folder: &Path,
-    survey: &Survey,
+    survey: &Reconstruction,
     pairs: &[Pair],
     names: &[&str],
     force: bool,
@@ -66,7 +66,7 @@ fn shares(mut values: Vec<f64>, low: f64, high: f64) -> [f64; 2] {
 }
 
 impl View {
-    fn of(survey: &Survey) -> View {
+    fn of(survey: &Reconstruction) -> View {
         let of = |axis: usize| {
             let points = survey.points.iter().map(|p| p.position_m[axis]).collect();
             let [mut low, mut high] = shares(points, 0.005, 0.995);
@@ -89,7 +89,7 @@ impl View {
 }
 
 /// How many photos see each place of a level ground, and where the cameras are.
-fn overlap(folder: &Path, survey: &Survey, view: &View, force: bool) -> Result<(), Error> {
+fn overlap(folder: &Path, survey: &Reconstruction, view: &View, force: bool) -> Result<(), Error> {
     let step = (view.x[1] - view.x[0]).max(view.y[1] - view.y[0]) / CELLS as f64;
     let count = |range: [f64; 2]| ((range[1] - range[0]) / step).ceil() as usize;
     let (columns, rows) = (count(view.x), count(view.y));
@@ -101,7 +101,7 @@ fn overlap(folder: &Path, survey: &Survey, view: &View, force: bool) -> Result<(
                 view.y[0] + (row as f64 + 0.5) * step,
                 view.height,
             ];
-            let sees = |image: &&crate::problems::adjustment::Image| {
+            let sees = |image: &&crate::scene::Image| {
                 let interior = &survey.cameras[image.camera].interior;
                 let size = interior.size_px().map(f64::from);
                 interior
@@ -172,7 +172,7 @@ pub(super) fn pairs_table(
 /// Which photos match, and by which solver they were oriented.
 fn graph(
     folder: &Path,
-    survey: &Survey,
+    survey: &Reconstruction,
     pairs: &[Pair],
     names: &[&str],
     view: &View,
@@ -215,7 +215,7 @@ fn graph(
 }
 
 /// The points in their colours along two axes, cameras in red.
-fn cloud(survey: &Survey, axes: [usize; 2]) -> RgbImage {
+fn cloud(survey: &Reconstruction, axes: [usize; 2]) -> RgbImage {
     let range = |axis: usize| {
         let mut values: Vec<f64> = survey.points.iter().map(|p| p.position_m[axis]).collect();
         let [low, high] = shares(std::mem::take(&mut values), 0.005, 0.995);

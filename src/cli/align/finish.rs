@@ -9,7 +9,8 @@ use super::{
 use crate::{
     camera::Lens,
     error::Error,
-    problems::adjustment::{Alignment, Group, Removed, Role, Settings, Survey},
+    problems::adjustment::{Alignment, Group, Removed, Settings},
+    scene::{Reconstruction, Role},
     sfm::{
         block::Block,
         georeference::{Known, MarkReview, axes_exchanged, join, review_marks},
@@ -20,7 +21,7 @@ use crate::{
 /// The block as it came out.
 pub(super) struct Final {
     /// Everything, adjusted.
-    pub(super) survey: Survey,
+    pub(super) survey: Reconstruction,
     pub(super) adjusted: crate::problems::adjustment::Adjusted,
     pub(super) settings: Settings,
     pub(super) alignment: Option<Alignment>,

@@ -9,7 +9,8 @@ use crate::{
     cli::camera::{BROWN, FISHEYE, RATIONAL},
     error::Error,
     io::{FileError, colmap, model::Model, opensfm},
-    problems::{adjustment::Survey, lens_fit::fit},
+    problems::lens_fit::fit,
+    scene::Reconstruction,
 };
 use std::path::Path;
 
@@ -21,7 +22,7 @@ pub(super) struct Foreign {
 
 impl Foreign {
     /// The block as each program can hold it. What is lost on the way is a finding.
-    pub(super) fn of(block: &Survey, findings: &mut Vec<Finding>) -> Foreign {
+    pub(super) fn of(block: &Reconstruction, findings: &mut Vec<Finding>) -> Foreign {
         let mut held = |program: &str, brown: &'static [&'static str]| {
             let lenses = [(LensModel::Brown, brown), (LensModel::Fisheye, FISHEYE)];
             let (survey, notes) = lenses_held(block, &lenses, program);
@@ -68,10 +69,10 @@ fn folder(root: &Path, name: &str) -> Result<std::path::PathBuf, FileError> {
 
 /// The block with the nearest of the lenses that a program has in place of the paper's; `None` where one is near none.
 fn lenses_held(
-    block: &Survey,
+    block: &Reconstruction,
     lenses: &[(LensModel, &[&str])],
     program: &str,
-) -> (Option<Survey>, Vec<Finding>) {
+) -> (Option<Reconstruction>, Vec<Finding>) {
     let mut survey = block.clone();
     let mut notes = Vec::new();
     for camera in &mut survey.cameras {
@@ -107,7 +108,7 @@ fn lenses_held(
 
 /// How far measurements in the first and the last row are from where a shutter that does not roll would have
 /// them, in the image where it is most, pixels; `None` where no image moves.
-fn rolled_px(block: &Survey) -> Option<f64> {
+fn rolled_px(block: &Reconstruction) -> Option<f64> {
     let gsd_m = gsd_m(block);
     let most = block
         .images

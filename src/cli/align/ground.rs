@@ -8,7 +8,7 @@ use crate::{
     crs::{Crs, LocalPlane},
     error::Error,
     io::{control, gcp_list, photo::Geotag},
-    problems::adjustment::{GroundPoint, Mark, Position, Role},
+    scene::{CameraPosition, GroundObservation, GroundPoint, Role},
     sfm::georeference::Known,
 };
 use std::path::Path;
@@ -18,7 +18,7 @@ struct Ground {
     crs: Option<String>,
     geographic: bool,
     points: Vec<GroundPoint>,
-    marks: Vec<Mark>,
+    marks: Vec<GroundObservation>,
 }
 
 fn control(
@@ -62,7 +62,7 @@ fn control(
     let mut unmatched = std::collections::BTreeSet::new();
     for mark in &read.marks {
         match names.find(&mark.image) {
-            Some(image) => marks.push(Mark {
+            Some(image) => marks.push(GroundObservation {
                 image,
                 ground: mark.ground as u32,
                 image_px: mark.image_px,
@@ -183,7 +183,7 @@ pub(super) fn read(
                 place(&frame, tag.latitude_deg, tag.longitude_deg, height).map_err(bad)?;
             let default = sources.defaults.position_m;
             told[k] = tag.sigma_m.is_some();
-            known.positions.push(Position {
+            known.positions.push(CameraPosition {
                 image: k as u32,
                 position_m,
                 sigma_m: tag.sigma_m.unwrap_or([default, default, default]),

@@ -12,9 +12,8 @@ use super::{
 use crate::{
     error::Error,
     nlls::Loss,
-    problems::adjustment::{
-        Adjusted, Group, Removed, Role, Settings, Snooping, Survey, doubtful, snoop,
-    },
+    problems::adjustment::{Adjusted, Group, Removed, Settings, Snooping, doubtful, snoop},
+    scene::{Reconstruction, Role},
     sfm::{
         block::Block,
         georeference::{self, Known, PositionFit, adjust, weigh_positions},
@@ -34,7 +33,7 @@ pub(super) struct Way {
 
 /// The block as it was judged.
 pub(super) struct Judged {
-    pub(super) survey: Survey,
+    pub(super) survey: Reconstruction,
     pub(super) adjusted: Adjusted,
     pub(super) removed: Vec<Removed>,
     pub(super) complete: bool,

@@ -12,7 +12,7 @@ use crate::{
         gcp_list,
         photo::{self, Geotag, Metadata},
     },
-    problems::adjustment::{Image, Pose},
+    scene::{Image, Pose},
     sfm::georeference::Known,
 };
 use rayon::prelude::*;

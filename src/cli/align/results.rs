@@ -12,7 +12,8 @@ use crate::{
     cli::survey,
     error::Error,
     io::{FileError, camera, cloud, cloud::CloudPoint, model::Model, orientation, output},
-    problems::adjustment::{Group, Role},
+    problems::adjustment::Group,
+    scene::Role,
     sfm::Pair,
 };
 use serde::Serialize;

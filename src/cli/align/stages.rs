@@ -5,7 +5,7 @@ use crate::{
     camera::{Camera, Lens},
     error::Error,
     features::Descriptors,
-    problems::adjustment::{Pose, Survey, TiePoint},
+    scene::{Pose, Reconstruction, TiePoint},
     sfm::{
         self, Pair,
         block::Block,
@@ -199,7 +199,7 @@ pub(super) fn frame_name(frame: &Frame, georeferenced: bool) -> String {
 }
 
 /// The middle of the distances over the principal distance: metres on the ground per pixel.
-pub(super) fn gsd_m(survey: &Survey) -> f64 {
+pub(super) fn gsd_m(survey: &Reconstruction) -> f64 {
     let points: &[TiePoint] = &survey.points;
     let mut all: Vec<f64> = survey
         .observations

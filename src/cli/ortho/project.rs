@@ -114,8 +114,7 @@ impl Input {
             for view in &mut block.views {
                 let centre = view.centre_m();
                 let moved = std::array::from_fn(|k| centre[k] + by[k]);
-                let pose =
-                    crate::problems::adjustment::Pose::from_centre(view.pose.rotation, moved);
+                let pose = crate::scene::Pose::from_centre(view.pose.rotation, moved);
                 *view = View::new(&view.name, view.interior, pose, view.motion);
             }
             for point in &mut block.points {

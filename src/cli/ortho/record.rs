@@ -6,8 +6,8 @@ use crate::{
     error::Error,
     io::{FileError, output},
     mapping::{View, paint::Gain},
-    problems::adjustment::Pose,
     raster::georeference::Georeference,
+    scene::Pose,
 };
 use serde::{Deserialize, Serialize};
 use std::path::{Component, Path, PathBuf};

@@ -3,7 +3,8 @@
 use crate::{
     error::Error,
     io::{FileError, control::Defaults},
-    problems::adjustment::{RollingShutter, Testing},
+    problems::adjustment::Testing,
+    scene::RollingShutter,
 };
 use clap::{Args, ValueEnum};
 use serde::Deserialize;

@@ -4,7 +4,8 @@ use super::{Outcome, in_folder, write_text};
 use crate::{
     error::Error,
     io::FileError,
-    problems::adjustment::{InteriorAccuracy, Role, Subject},
+    problems::adjustment::{InteriorAccuracy, Subject},
+    scene::Role,
 };
 use plotters::{
     prelude::*,

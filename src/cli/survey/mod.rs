@@ -11,9 +11,10 @@ use crate::{
     error::Error,
     io::{FileError, bundler, camera, colmap, control, model::Model, opensfm, output},
     problems::adjustment::{
-        Adjusted, Alignment, Aside, LeftOut, Removed, Role, Settings, Snooping, adjust, align,
+        Adjusted, Alignment, Aside, LeftOut, Removed, Settings, Snooping, adjust, align,
         leave_one_out, snoop, variance_components,
     },
+    scene::Role,
 };
 pub(super) use description::Options;
 use description::{Datum, Description, Format};

@@ -39,8 +39,8 @@ struct Group {
 #[derive(Serialize)]
 struct Ground {
     name: String,
-    role: crate::problems::adjustment::Role,
-    axes: crate::problems::adjustment::Axes,
+    role: crate::scene::Role,
+    axes: crate::scene::Axes,
     given_m: [f64; 3],
     adjusted_m: [f64; 3],
     difference_m: [f64; 3],
@@ -97,7 +97,7 @@ impl Report {
         let check_rmse = std::array::from_fn(|axis| {
             let errors: Vec<f64> = ground
                 .iter()
-                .filter(|point| point.role == crate::problems::adjustment::Role::Check)
+                .filter(|point| point.role == crate::scene::Role::Check)
                 .filter(|point| point.axes.indices().contains(&axis))
                 .map(|point| point.difference_m[axis])
                 .collect();

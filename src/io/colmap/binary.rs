@@ -1,7 +1,7 @@
 //! COLMAP's binary form, little-endian.
 
 use super::{CameraRow, Fault, Feature, HALF_PX, ImageRow, KINDS, PointRow, Rows};
-use crate::problems::adjustment::Survey;
+use crate::scene::Reconstruction;
 
 /// Bytes yet to be read.
 struct Bytes<'a> {
@@ -134,7 +134,7 @@ pub(super) fn points(bytes: &[u8]) -> Result<Vec<PointRow>, Fault> {
 
 pub(super) fn write(
     (cameras, images): &Rows,
-    survey: &Survey,
+    survey: &Reconstruction,
     tracks: &[Vec<(u32, u32)>],
 ) -> (Vec<u8>, Vec<u8>, Vec<u8>) {
     let mut to_cameras = (cameras.len() as u64).to_le_bytes().to_vec();

@@ -17,7 +17,7 @@ use super::{
 use crate::{
     camera::{Camera, Interior, Lens, Model as LensModel},
     geometry::rotation,
-    problems::adjustment::{Image, Observation, Survey, TiePoint},
+    scene::{Image, Observation, Reconstruction, TiePoint},
 };
 use std::{collections::HashMap, path::Path};
 
@@ -217,7 +217,7 @@ fn join(
     points: Vec<PointRow>,
 ) -> Result<Model, String> {
     let mut model = Model {
-        survey: Survey { cameras, tie_sigma_px: 1.0, ..Survey::default() },
+        survey: Reconstruction { cameras, tie_sigma_px: 1.0, ..Reconstruction::default() },
         camera_ids,
         features: Vec::new(),
     };

@@ -1,7 +1,7 @@
 //! COLMAP's text form.
 
 use super::{CameraRow, Fault, Feature, HALF_PX, ImageRow, KINDS, PointRow, Rows};
-use crate::problems::adjustment::Survey;
+use crate::scene::Reconstruction;
 use std::io::Write;
 
 /// Lines that say something, with their one-based numbers.
@@ -145,7 +145,7 @@ pub(super) fn points(bytes: &[u8]) -> Result<Vec<PointRow>, Fault> {
 
 pub(super) fn write(
     (cameras, images): &Rows,
-    survey: &Survey,
+    survey: &Reconstruction,
     tracks: &[Vec<(u32, u32)>],
 ) -> (Vec<u8>, Vec<u8>, Vec<u8>) {
     let mut out = (Vec::new(), Vec::new(), Vec::new());
@@ -157,7 +157,7 @@ pub(super) fn write(
 fn fill(
     cameras: &[CameraRow],
     images: &[ImageRow],
-    survey: &Survey,
+    survey: &Reconstruction,
     tracks: &[Vec<(u32, u32)>],
     (to_cameras, to_images, to_points): &mut (Vec<u8>, Vec<u8>, Vec<u8>),
 ) -> std::io::Result<()> {

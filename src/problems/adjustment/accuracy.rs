@@ -1,6 +1,7 @@
 //! How well cameras and points are known, from blocks of the inverse.
 
-use super::{inverse::SelectedInverse, posed::Posed, reprojection::LENS, survey::Survey};
+use super::{inverse::SelectedInverse, posed::Posed, reprojection::LENS};
+use crate::scene::Reconstruction;
 use crate::{
     camera::Lens,
     geometry::{cross, rotation},
@@ -111,7 +112,7 @@ pub(super) fn image(
 }
 
 pub(super) fn interior(
-    survey: &Survey,
+    survey: &Reconstruction,
     posed: &Posed,
     inverse: &SelectedInverse,
     camera: usize,

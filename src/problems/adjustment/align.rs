@@ -9,10 +9,8 @@
 //! transformation parameters*, PAMI 13(4), 1991), first from threes: the three whose similarity leaves
 //! the least median residual says who is in.
 
-use super::{
-    check_points::nearest_to_rays,
-    survey::{Axes, Mark, Pose, Role, Survey},
-};
+use super::check_points::nearest_to_rays;
+use crate::scene::{Axes, GroundObservation, Pose, Reconstruction, Role};
 use crate::{camera::Lens, geometry::rotation};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use serde::Serialize;
@@ -49,10 +47,10 @@ type Pairing = (String, [f64; 3], [f64; 3]);
 
 /// Brings `survey` into the frame of its control points, or of its camera positions where there
 /// are fewer than three of those; `None`, and nothing changed, where there are too few of both.
-pub fn align(survey: &mut Survey) -> Option<Alignment> {
+pub fn align(survey: &mut Reconstruction) -> Option<Alignment> {
     let mut pairs: Vec<Pairing> = Vec::new();
     for (k, point) in survey.ground.iter().enumerate() {
-        let marks: Vec<Mark> =
+        let marks: Vec<GroundObservation> =
             survey.marks.iter().filter(|mark| mark.ground as usize == k).copied().collect();
         if point.role == Role::Control && point.axes == Axes::Xyz && marks.len() >= 2 {
             let found = nearest_to_rays(survey, &marks);
@@ -115,7 +113,7 @@ pub fn align(survey: &mut Survey) -> Option<Alignment> {
 const BESIDE: f64 = 8.0;
 
 /// Control points with one mark whose ray does not come near them, with the distances, metres.
-fn beside_their_rays(survey: &Survey, sigma_m: f64) -> Vec<(String, f64)> {
+fn beside_their_rays(survey: &Reconstruction, sigma_m: f64) -> Vec<(String, f64)> {
     let mut found = Vec::new();
     for (k, point) in survey.ground.iter().enumerate() {
         let mut marks = survey.marks.iter().filter(|mark| mark.ground as usize == k);

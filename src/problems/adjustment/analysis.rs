@@ -6,8 +6,8 @@ use super::{
     posed::{Group, Posed, Settings},
     screening::{Aside, Screened, SurveyError, screen},
     statistics::{Statistics, Subject},
-    survey::{Role, Survey},
 };
+use crate::scene::{Reconstruction, Role};
 use crate::{
     engine::{SolveError, Stop},
     nlls::{Loss, Summary, solve},
@@ -31,7 +31,7 @@ pub struct Adjusted {
     /// What took part, where from, and what did not.
     pub screened: Screened,
     /// The survey that took part, adjusted.
-    pub survey: Survey,
+    pub survey: Reconstruction,
     /// How the engine fared.
     pub summary: Summary,
     /// What it is worth.
@@ -51,7 +51,7 @@ pub struct Adjusted {
 /// # Errors
 /// Where the survey is wrong ([`SurveyError`]), cannot be evaluated, or does not determine its parameters
 /// ([`SolveError::RankDeficient`], in words).
-pub fn adjust(whole: &mut Survey, settings: &Settings) -> Result<Adjusted, AdjustError> {
+pub fn adjust(whole: &mut Reconstruction, settings: &Settings) -> Result<Adjusted, AdjustError> {
     adjust_after(whole, settings, None)
 }
 
@@ -63,7 +63,7 @@ const ROUGH_TOLERANCE: f64 = 1e-7;
 /// and so are the test values (but for Pope's variance factor, which hardly moves): what is suspect would be with
 /// the right ones too, and the last adjustment, which has these, decides.
 pub(super) fn adjust_after(
-    whole: &mut Survey,
+    whole: &mut Reconstruction,
     settings: &Settings,
     last: Option<&Adjusted>,
 ) -> Result<Adjusted, AdjustError> {
@@ -156,7 +156,7 @@ pub(super) const FAR_OUT: &str = "its residual is far out in the robust adjustme
 
 /// Takes observations out of `whole`; names them among what is set aside.
 fn set_aside(
-    whole: &mut Survey,
+    whole: &mut Reconstruction,
     screened: &Screened,
     far: &[bool],
 ) -> Result<Screened, SurveyError> {
@@ -197,7 +197,10 @@ pub struct LeftOut {
 ///
 /// # Errors
 /// Where the survey is wrong; a rest without a solution leaves its point without an error.
-pub fn leave_one_out(whole: &Survey, settings: &Settings) -> Result<Vec<LeftOut>, AdjustError> {
+pub fn leave_one_out(
+    whole: &Reconstruction,
+    settings: &Settings,
+) -> Result<Vec<LeftOut>, AdjustError> {
     let control: Vec<usize> =
         (0..whole.ground.len()).filter(|&k| whole.ground[k].role == Role::Control).collect();
     let mut found = Vec::new();
@@ -255,7 +258,7 @@ const LEAST_GROUP_REDUNDANCY: f64 = 3.0;
 /// # Errors
 /// As [`adjust`].
 pub fn variance_components(
-    whole: &mut Survey,
+    whole: &mut Reconstruction,
     settings: &Settings,
     rounds: usize,
 ) -> Result<VarianceComponents, AdjustError> {

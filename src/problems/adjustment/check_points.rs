@@ -5,8 +5,8 @@ use super::{
     rays::{Rays, prepared, rays},
     reprojection::{DATA, LENS, Moving, Still},
     statistics::Statistics,
-    survey::{Mark, Role, Survey},
 };
+use crate::scene::{GroundObservation, Reconstruction, Role};
 use crate::{camera::Lens, geometry::rotation};
 use nalgebra::{Matrix3, Vector3};
 use serde::Serialize;
@@ -59,7 +59,10 @@ pub fn rmse(errors_m: &[f64], confidence: f64) -> Option<AxisError> {
 
 /// Where the rays of some marks come nearest to each other, by the poses of `survey`; `None` where they
 /// are parallel or a mark has no ray.
-pub(super) fn nearest_to_rays(survey: &Survey, marks: &[Mark]) -> Option<[f64; 3]> {
+pub(super) fn nearest_to_rays(
+    survey: &Reconstruction,
+    marks: &[GroundObservation],
+) -> Option<[f64; 3]> {
     let mut normal = Matrix3::zeros();
     let mut right = Vector3::zeros();
     for mark in marks {
@@ -78,7 +81,7 @@ pub(super) fn nearest_to_rays(survey: &Survey, marks: &[Mark]) -> Option<[f64; 3
 
 /// Intersects all check points of `survey`, adjusted as `posed` at `x`.
 pub fn check_points(
-    survey: &Survey,
+    survey: &Reconstruction,
     posed: &Posed,
     x: &[f64],
     statistics: &Statistics,
@@ -90,13 +93,13 @@ pub fn check_points(
 }
 
 fn intersect(
-    survey: &Survey,
+    survey: &Reconstruction,
     posed: &Posed,
     x: &[f64],
     statistics: &Statistics,
     ground: usize,
 ) -> Option<CheckPoint> {
-    let marks: Vec<Mark> =
+    let marks: Vec<GroundObservation> =
         survey.marks.iter().filter(|mark| mark.ground as usize == ground).copied().collect();
     if marks.len() < 2 {
         return None;

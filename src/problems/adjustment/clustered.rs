@@ -19,9 +19,9 @@ use super::{
     posed::{Group, Posed, Settings, measurement},
     rays::{Rays, prepared, rays},
     reprojection::{DATA, LENS, Moving, Still},
-    survey::Survey,
 };
 use crate::nlls::PairFactor;
+use crate::scene::Reconstruction;
 use nalgebra::{DMatrix, SMatrix, SVector};
 use rayon::prelude::*;
 use std::{array, collections::BTreeMap};
@@ -43,7 +43,7 @@ struct Part {
 }
 
 /// A survey and its adjustment.
-type At<'a> = (&'a Survey, &'a Posed, &'a Settings, &'a [f64]);
+type At<'a> = (&'a Reconstruction, &'a Posed, &'a Settings, &'a [f64]);
 
 /// Makes standard deviations of lenses as large as patches say.
 pub(super) fn widen(
@@ -79,7 +79,7 @@ pub(super) fn widen(
 
 /// The tie points of a survey, each with its measurements.
 struct Tracks<'a> {
-    survey: &'a Survey,
+    survey: &'a Reconstruction,
     posed: &'a Posed,
     x: &'a [f64],
     inverse: &'a SelectedInverse,
@@ -205,7 +205,7 @@ fn influence<'c>(
 }
 
 /// How far points are from the images that see them, in the middle, metres.
-fn typical_distance_m(survey: &Survey) -> f64 {
+fn typical_distance_m(survey: &Reconstruction) -> f64 {
     let centres: Vec<[f64; 3]> = survey.images.iter().map(|image| image.pose.centre_m()).collect();
     let mut distances: Vec<f64> = survey
         .observations

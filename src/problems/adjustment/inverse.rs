@@ -4,8 +4,9 @@
 //! their lenses: the pattern of the reduced system, in which the inverse is had for a few
 //! factorisations. What else is asked for is solved for.
 
-use super::{posed::Posed, survey::Survey};
+use super::posed::Posed;
 use crate::nlls::{BlockId, MAX_TANGENT, covariance::Covariance};
+use crate::scene::Reconstruction;
 use std::collections::{BTreeSet, HashMap};
 
 /// Blocks of the inverse, by the places of a pair in the problem.
@@ -20,7 +21,11 @@ fn place(block: BlockId) -> u32 {
 
 impl SelectedInverse {
     /// Solves for the blocks that the observations of `survey` couple, check points included.
-    pub(super) fn new(survey: &Survey, posed: &Posed, covariance: &mut Covariance<'_>) -> Self {
+    pub(super) fn new(
+        survey: &Reconstruction,
+        posed: &Posed,
+        covariance: &mut Covariance<'_>,
+    ) -> Self {
         let mut partners: HashMap<BlockId, BTreeSet<BlockId>> = HashMap::new();
         let mut couple = |blocks: &[BlockId]| {
             for (k, &a) in blocks.iter().enumerate() {

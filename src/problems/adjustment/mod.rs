@@ -11,7 +11,7 @@
 //!         + (p - p_0)^T C_p^-1 (p - p_0) + ... ]             interior orientation, motion
 //! ```
 //!
-//! Residuals are in measured pixels. Check points take no part. A [`Survey`] is looked through
+//! Residuals are in measured pixels. Check points take no part. A [`Reconstruction`] is looked through
 //! ([`screen`]), posed ([`Posed`]), solved by [`crate::nlls`], and judged ([`Statistics`]);
 //! [`adjust()`] does all of it, [`snoop`] again and again until no observation is suspect.
 //!
@@ -34,7 +34,6 @@ mod screening;
 mod snooping;
 mod soundness;
 mod statistics;
-mod survey;
 
 pub use accuracy::{ImageAccuracy, InteriorAccuracy, PointAccuracy};
 pub use align::{Alignment, align};
@@ -46,7 +45,3 @@ pub use posed::{Group, Posed, Settings};
 pub use screening::{Aside, Screened, SurveyError, screen};
 pub use snooping::{Removed, Snooped, Snooping, doubtful, snoop};
 pub use statistics::{Finding, GroupStatistics, Statistics, Subject, Tested, Testing};
-pub use survey::{
-    Axes, GroundPoint, Image, Mark, Observation, Pose, Position, Role, RollingShutter, ScaleBar,
-    Survey, TiePoint,
-};

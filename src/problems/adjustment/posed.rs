@@ -3,8 +3,8 @@
 use super::{
     factors::{Antenna, Coordinates, Distance, Known, MarkFactor},
     reprojection::{DATA, LENS, Moving, Still, lens_block, lens_values},
-    survey::{Axes, Role, Survey},
 };
+use crate::scene::{Axes, Reconstruction, Role};
 use crate::{
     camera::{Lens, Model},
     engine::SolveError,
@@ -115,7 +115,7 @@ pub struct Posed {
 
 /// The data of an image measurement.
 pub(super) fn measurement(
-    survey: &Survey,
+    survey: &Reconstruction,
     image: usize,
     image_px: [f64; 2],
     sigma_px: f64,
@@ -135,7 +135,7 @@ impl Posed {
     ///
     /// # Errors
     /// [`SolveError::Misuse`] where the survey cannot be posed.
-    pub fn new(survey: &Survey, settings: &Settings) -> Result<Posed, SolveError> {
+    pub fn new(survey: &Reconstruction, settings: &Settings) -> Result<Posed, SolveError> {
         let origin_m = survey.origin_m();
         let mut local = survey.clone();
         local.shift(origin_m);
@@ -160,7 +160,11 @@ impl Posed {
         Ok(posed)
     }
 
-    fn add_images(&mut self, survey: &Survey, settings: &Settings) -> Result<(), SolveError> {
+    fn add_images(
+        &mut self,
+        survey: &Reconstruction,
+        settings: &Settings,
+    ) -> Result<(), SolveError> {
         let space = if self.moving { Space::PoseAnd(6) } else { Space::Pose };
         for image in &survey.images {
             let mut values = image.pose.rotation.to_vec();
@@ -182,7 +186,11 @@ impl Posed {
         self.add(Group::Positions, "camera positions", antennas, about)
     }
 
-    fn add_lenses(&mut self, survey: &Survey, settings: &Settings) -> Result<(), SolveError> {
+    fn add_lenses(
+        &mut self,
+        survey: &Reconstruction,
+        settings: &Settings,
+    ) -> Result<(), SolveError> {
         for (index, camera) in survey.cameras.iter().enumerate() {
             let corrected = settings.corrected_domain && camera.interior.model() == Model::Smac;
             let values = lens_block(&camera.interior, corrected);
@@ -225,7 +233,11 @@ impl Posed {
         Ok(())
     }
 
-    fn add_ground(&mut self, survey: &Survey, settings: &Settings) -> Result<(), SolveError> {
+    fn add_ground(
+        &mut self,
+        survey: &Reconstruction,
+        settings: &Settings,
+    ) -> Result<(), SolveError> {
         for point in &survey.ground {
             self.ground.push(match point.role {
                 Role::Check => None,
@@ -289,7 +301,11 @@ impl Posed {
         self.add(Group::ScaleBars, "scale bars", bars, about)
     }
 
-    fn add_tie_points(&mut self, survey: &Survey, settings: &Settings) -> Result<(), SolveError> {
+    fn add_tie_points(
+        &mut self,
+        survey: &Reconstruction,
+        settings: &Settings,
+    ) -> Result<(), SolveError> {
         for point in &survey.points {
             let block = self.problem.block("tie point", Space::Euclidean(3), &point.position_m)?;
             self.problem.eliminate(block);
@@ -322,7 +338,11 @@ impl Posed {
         }
     }
 
-    fn add_motion(&mut self, survey: &Survey, settings: &Settings) -> Result<(), SolveError> {
+    fn add_motion(
+        &mut self,
+        survey: &Reconstruction,
+        settings: &Settings,
+    ) -> Result<(), SolveError> {
         let Some(shutter) = survey.rolling_shutter else { return Ok(()) };
         let mut known = Vec::new();
         for (image, &block) in survey.images.iter().zip(&self.images) {
@@ -352,7 +372,7 @@ impl Posed {
 
     /// Holds the first image and, of the one farthest from it, the coordinate of its centre that
     /// points most away: position, orientation and scale of the block.
-    fn hold_datum(&mut self, survey: &Survey) -> Result<(), SolveError> {
+    fn hold_datum(&mut self, survey: &Reconstruction) -> Result<(), SolveError> {
         let Some(first) = survey.images.first() else { return Ok(()) };
         let from = first.pose.centre_m();
         let distance = |k: usize| -> f64 {
@@ -402,14 +422,14 @@ impl Posed {
     }
 
     /// Takes the values `x` into `survey`, the one this came from. What was measured stays.
-    pub fn update(&self, x: &[f64], survey: &mut Survey) {
+    pub fn update(&self, x: &[f64], survey: &mut Reconstruction) {
         for (camera, &block) in survey.cameras.iter_mut().zip(&self.lenses) {
             let values = lens_values(&camera.interior, self.problem.values(x, block));
             if let Ok(interior) = camera.interior.with_values(&values) {
                 camera.interior = interior;
             }
         }
-        let ground = |survey: &Survey| -> Vec<[f64; 3]> {
+        let ground = |survey: &Reconstruction| -> Vec<[f64; 3]> {
             survey.ground.iter().map(|point| point.position_m).collect()
         };
         let (kept, positions) = (ground(survey), survey.positions.clone());

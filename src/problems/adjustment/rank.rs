@@ -1,6 +1,7 @@
 //! A rank deficiency in words: which parameters the observations cannot tell apart.
 
-use super::{posed::Posed, survey::Survey};
+use super::posed::Posed;
+use crate::scene::Reconstruction;
 use crate::{
     camera::Lens,
     engine::SolveError,
@@ -19,7 +20,7 @@ const LENS_ALONE: f64 = 0.05;
 /// Says why the normal equations of `posed` at `x` have no inverse; `otherwise` where nothing more
 /// is found.
 pub(super) fn explain(
-    survey: &Survey,
+    survey: &Reconstruction,
     posed: &Posed,
     x: &[f64],
     otherwise: SolveError,
@@ -78,7 +79,7 @@ pub(super) fn explain(
 }
 
 /// The parameters of lenses that carry a direction; none where it is not one of lenses.
-fn lens_names(survey: &Survey, posed: &Posed, direction: &Direction) -> Vec<String> {
+fn lens_names(survey: &Reconstruction, posed: &Posed, direction: &Direction) -> Vec<String> {
     let mut found: Vec<(f64, String)> = Vec::new();
     let mut total = 0.0;
     for (block, entries) in direction {

@@ -1,9 +1,9 @@
 //! Looks through a survey before it is adjusted: what cannot be is refused, what cannot take part is
 //! set aside by name, and nothing is lost.
 
-use super::{
-    soundness::check,
-    survey::{Axes, Mark, Observation, Position, Role, ScaleBar, Survey},
+use super::soundness::check;
+use crate::scene::{
+    Axes, CameraPosition, GroundObservation, Observation, Reconstruction, Role, ScaleBar,
 };
 use crate::{
     camera::Lens,
@@ -48,7 +48,7 @@ impl std::fmt::Display for Aside {
 #[derive(Debug, Clone)]
 pub struct Screened {
     /// That part.
-    pub survey: Survey,
+    pub survey: Reconstruction,
     /// What takes no part.
     pub aside: Vec<Aside>,
     /// For each of its images its index in the whole.
@@ -75,7 +75,7 @@ const LEAST_OBSERVATIONS: usize = 3;
 /// # Errors
 /// Numbers that are not finite, indices that are not there, standard deviations that are not
 /// positive, names and marks that are there twice, nothing left to adjust.
-pub fn screen(whole: &Survey) -> Result<Screened, SurveyError> {
+pub fn screen(whole: &Reconstruction) -> Result<Screened, SurveyError> {
     check(whole)?;
     let mut aside = Vec::new();
     let mut tie = vec![true; whole.observations.len()];
@@ -112,7 +112,12 @@ pub fn screen(whole: &Survey) -> Result<Screened, SurveyError> {
 
 /// Sets aside measurements that their camera cannot make at the starting values, and second ones
 /// of a point in one image.
-fn keep_feasible(survey: &Survey, tie: &mut [bool], mark: &mut [bool], aside: &mut Vec<Aside>) {
+fn keep_feasible(
+    survey: &Reconstruction,
+    tie: &mut [bool],
+    mark: &mut [bool],
+    aside: &mut Vec<Aside>,
+) {
     let why = |image: usize, point_m: [f64; 3]| -> Option<String> {
         let image = &survey.images[image];
         let local = image.pose.to_camera(point_m);
@@ -161,7 +166,7 @@ fn keep_feasible(survey: &Survey, tie: &mut [bool], mark: &mut [bool], aside: &m
 /// those of a photo and of its double, for one.
 const LEAST_ANGLE_RAD: f64 = 1e-4;
 
-fn drop_points(survey: &Survey, tie: &[bool], point: &mut [bool], aside: &mut Vec<Aside>) {
+fn drop_points(survey: &Reconstruction, tie: &[bool], point: &mut [bool], aside: &mut Vec<Aside>) {
     let centres: Vec<[f64; 3]> = survey.images.iter().map(|image| image.pose.centre_m()).collect();
     let mut rays = vec![0usize; survey.points.len()];
     let mut first = vec![[0.0; 3]; survey.points.len()];
@@ -200,7 +205,12 @@ fn drop_points(survey: &Survey, tie: &[bool], point: &mut [bool], aside: &mut Ve
     }
 }
 
-fn drop_ground(survey: &Survey, mark: &[bool], ground: &mut [bool], aside: &mut Vec<Aside>) {
+fn drop_ground(
+    survey: &Reconstruction,
+    mark: &[bool],
+    ground: &mut [bool],
+    aside: &mut Vec<Aside>,
+) {
     let mut rays = vec![0usize; survey.ground.len()];
     for (_, m) in mark.iter().zip(&survey.marks).filter(|(keep, _)| **keep) {
         rays[m.ground as usize] += 1;
@@ -224,7 +234,7 @@ fn drop_ground(survey: &Survey, mark: &[bool], ground: &mut [bool], aside: &mut 
 }
 
 fn drop_images(
-    survey: &Survey,
+    survey: &Reconstruction,
     (tie, mark): (&[bool], &[bool]),
     image: &mut [bool],
     aside: &mut Vec<Aside>,
@@ -263,14 +273,14 @@ fn renumber(keep: &[bool]) -> (Vec<u32>, Vec<usize>) {
 }
 
 fn compact(
-    whole: &Survey,
+    whole: &Reconstruction,
     [image, point, ground]: [&[bool]; 3],
     (tie, mark): (&[bool], &[bool]),
     mut aside: Vec<Aside>,
 ) -> Screened {
     let ((new_image, images), (new_point, points), (new_ground, grounds)) =
         (renumber(image), renumber(point), renumber(ground));
-    let mut survey = Survey {
+    let mut survey = Reconstruction {
         images: images.iter().map(|&k| whole.images[k].clone()).collect(),
         points: points.iter().map(|&k| whole.points[k]).collect(),
         ground: grounds.iter().map(|&k| whole.ground[k].clone()).collect(),
@@ -293,14 +303,14 @@ fn compact(
         let (image, ground) = (new_image[m.image as usize], new_ground[m.ground as usize]);
         if image != u32::MAX && ground != u32::MAX {
             marks.push(k);
-            survey.marks.push(Mark { image, ground, ..*m });
+            survey.marks.push(GroundObservation { image, ground, ..*m });
         }
     }
     for (k, position) in whole.positions.iter().enumerate() {
         let image = new_image[position.image as usize];
         if image != u32::MAX {
             positions.push(k);
-            survey.positions.push(Position { image, ..*position });
+            survey.positions.push(CameraPosition { image, ..*position });
         } else {
             aside.push(Aside {
                 kind: "camera position",
@@ -341,7 +351,7 @@ fn compact(
 
 impl Screened {
     /// Takes what was adjusted into the survey that this came from.
-    pub fn update(&self, adjusted: &Survey, whole: &mut Survey) {
+    pub fn update(&self, adjusted: &Reconstruction, whole: &mut Reconstruction) {
         whole.cameras.clone_from(&adjusted.cameras);
         for (image, &k) in adjusted.images.iter().zip(&self.images) {
             whole.images[k].pose = image.pose;

@@ -5,9 +5,9 @@ use super::{
     posed::{Group, Settings},
     screening::Aside,
     statistics::{Subject, Testing},
-    survey::{Role, Survey},
 };
 use crate::nlls::Loss;
+use crate::scene::{Reconstruction, Role};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -75,7 +75,7 @@ pub struct Snooped {
 /// # Errors
 /// As [`adjust`](super::adjust).
 pub fn snoop(
-    whole: &mut Survey,
+    whole: &mut Reconstruction,
     settings: &Settings,
     snooping: &Snooping,
 ) -> Result<Snooped, AdjustError> {
@@ -209,7 +209,7 @@ fn describe(adjusted: &Adjusted, place: usize, excess: f64, settings: &Settings)
     }
 }
 
-fn take_out(whole: &mut Survey, adjusted: &Adjusted, worst: &[(usize, f64)]) {
+fn take_out(whole: &mut Reconstruction, adjusted: &Adjusted, worst: &[(usize, f64)]) {
     let screened = &adjusted.screened;
     let mut ties = vec![true; whole.observations.len()];
     let mut marks = vec![true; whole.marks.len()];

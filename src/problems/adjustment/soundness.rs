@@ -1,14 +1,15 @@
 //! What no survey may have: numbers that are none, names that are there twice, indices of nothing.
 
-use super::{screening::SurveyError, survey::Survey};
+use super::screening::SurveyError;
 use crate::camera::Lens;
+use crate::scene::Reconstruction;
 use std::collections::HashSet;
 
 /// Refuses what cannot be.
 ///
 /// # Errors
 /// Names what is wrong.
-pub(super) fn check(survey: &Survey) -> Result<(), SurveyError> {
+pub(super) fn check(survey: &Reconstruction) -> Result<(), SurveyError> {
     let fail = |message: String| Err(SurveyError(message));
     let finite = |values: &[f64]| values.iter().all(|v| v.is_finite());
     if survey.images.is_empty() {
@@ -87,7 +88,7 @@ pub(super) fn check(survey: &Survey) -> Result<(), SurveyError> {
     check_ground(survey)
 }
 
-fn check_ground(survey: &Survey) -> Result<(), SurveyError> {
+fn check_ground(survey: &Reconstruction) -> Result<(), SurveyError> {
     let fail = |message: String| Err(SurveyError(message));
     let positive = |values: &[f64]| values.iter().all(|v| v.is_finite() && *v > 0.0);
     let mut names = HashSet::new();

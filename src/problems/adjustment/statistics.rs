@@ -21,8 +21,8 @@ use super::{
     rank,
     rays::{prepared, rays},
     reprojection::{DATA, LENS, Moving, Still},
-    survey::Survey,
 };
+use crate::scene::Reconstruction;
 use crate::{
     engine::SolveError,
     nlls::{BlockId, Linear, PairFactor, covariance::Covariance},
@@ -148,7 +148,7 @@ impl Statistics {
     /// # Errors
     /// [`SolveError::RankDeficient`] says which parameters the observations cannot tell apart.
     pub fn new(
-        survey: &Survey,
+        survey: &Reconstruction,
         posed: &Posed,
         settings: &Settings,
         x: &[f64],
@@ -165,7 +165,7 @@ impl Statistics {
     /// The same with the covariances of another solution of the same images, lenses and ground
     /// points.
     pub(super) fn with_inverse(
-        survey: &Survey,
+        survey: &Reconstruction,
         posed: &Posed,
         settings: &Settings,
         x: &[f64],
@@ -364,7 +364,7 @@ fn test(group: Group, subject: Subject, v: &DVector<f64>, r: &DMatrix<f64>) -> T
 }
 
 fn ties<F: PairFactor<2, K, LENS, 3, Q, DATA>, const K: usize, const Q: usize>(
-    survey: &Survey,
+    survey: &Reconstruction,
     posed: &Posed,
     settings: &Settings,
     x: &[f64],

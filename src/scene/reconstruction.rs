@@ -1,45 +1,12 @@
 //! What a photogrammetric block is: cameras, images, tie points, ground points and their marks,
 //! measured camera positions and distances.
 
+use super::Pose;
 use crate::{
     camera::Camera,
     geometry::{dot, rotation},
 };
 use serde::{Deserialize, Serialize};
-
-/// `camera_from_world`: `P = R(q) X + t`, the camera frame being that of [`crate::camera::lens`].
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Pose {
-    /// The rotation as a unit quaternion.
-    pub rotation: rotation::Quaternion,
-    /// The translation, metres.
-    pub translation: [f64; 3],
-}
-
-impl Pose {
-    /// The pose of a camera with this rotation and projection centre.
-    pub fn from_centre(rotation: rotation::Quaternion, centre_m: [f64; 3]) -> Pose {
-        Pose { rotation, translation: rotation::rotate(rotation, centre_m).map(|v| -v) }
-    }
-
-    /// The projection centre in the world, metres.
-    pub fn centre_m(&self) -> [f64; 3] {
-        rotation::rotate(rotation::inverse(self.rotation), self.translation).map(|v| -v)
-    }
-
-    /// A point of the world in the camera frame.
-    pub fn to_camera(&self, point_m: [f64; 3]) -> [f64; 3] {
-        let turned = rotation::rotate(self.rotation, point_m);
-        std::array::from_fn(|k| turned[k] + self.translation[k])
-    }
-
-    /// The angles of `R^T = Rx(omega) Ry(phi) Rz(kappa)`, the photogrammetric rotation matrix from the
-    /// camera frame to the world, radians.
-    pub fn omega_phi_kappa_rad(&self) -> [f64; 3] {
-        let m = rotation::matrix(rotation::inverse(self.rotation));
-        [(-m[1][2]).atan2(m[2][2]), m[0][2].clamp(-1.0, 1.0).asin(), (-m[0][1]).atan2(m[0][0])]
-    }
-}
 
 /// One image.
 #[derive(Debug, Clone, PartialEq)]
@@ -133,7 +100,7 @@ pub struct GroundPoint {
 
 /// A ground point measured in an image.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Mark {
+pub struct GroundObservation {
     /// Index of the image.
     pub image: u32,
     /// Index of the ground point.
@@ -146,7 +113,7 @@ pub struct Mark {
 
 /// A measured position of the antenna of an image's camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Position {
+pub struct CameraPosition {
     /// Index of the image.
     pub image: u32,
     /// Metres.
@@ -182,7 +149,7 @@ pub struct RollingShutter {
 /// A block of images and everything measured in and about it. Lengths in metres in the mapping
 /// frame, image positions in pixels with the centre of the top-left pixel at (0, 0).
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Survey {
+pub struct Reconstruction {
     /// The cameras; a free parameter that has a standard deviation has its value as a prior.
     pub cameras: Vec<Camera>,
     /// The images.
@@ -196,9 +163,9 @@ pub struct Survey {
     /// The ground points.
     pub ground: Vec<GroundPoint>,
     /// Their measurements.
-    pub marks: Vec<Mark>,
+    pub marks: Vec<GroundObservation>,
     /// Measured camera positions.
-    pub positions: Vec<Position>,
+    pub positions: Vec<CameraPosition>,
     /// The antenna in the camera frame, metres.
     pub lever_arm_m: [f64; 3],
     /// Measured distances.
@@ -207,7 +174,7 @@ pub struct Survey {
     pub rolling_shutter: Option<RollingShutter>,
 }
 
-impl Survey {
+impl Reconstruction {
     /// Where in the readout a row is: -1/2 for the first, +1/2 for the last.
     pub fn readout_share(&self, image: usize, v_px: f64) -> f64 {
         let height = f64::from(self.cameras[self.images[image].camera].interior.size_px()[1]);
@@ -225,7 +192,7 @@ impl Survey {
 
     /// The middle of what holds the block in the world, on whole metres: numbers near it keep their
     /// digits.
-    pub(super) fn origin_m(&self) -> [f64; 3] {
+    pub(crate) fn origin_m(&self) -> [f64; 3] {
         let control: Vec<[f64; 3]> = self
             .ground
             .iter()
@@ -242,7 +209,7 @@ impl Survey {
     }
 
     /// Moves the whole block by `-origin_m`.
-    pub(super) fn shift(&mut self, origin_m: [f64; 3]) {
+    pub(crate) fn shift(&mut self, origin_m: [f64; 3]) {
         for image in &mut self.images {
             let turned = rotation::matrix(image.pose.rotation).map(|row| dot(row, origin_m));
             for k in 0..3 {

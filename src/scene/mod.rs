@@ -1,0 +1,13 @@
+//! What stages hand to each other: cameras, images, tie points, ground points and what was measured of them.
+//!
+//! Lengths are metres in the mapping frame (X east, Y north, Z up), image positions pixels with the centre of the
+//! top-left pixel at (0, 0).
+
+mod pose;
+mod reconstruction;
+
+pub use pose::Pose;
+pub use reconstruction::{
+    Axes, CameraPosition, GroundObservation, GroundPoint, Image, Observation, Reconstruction, Role,
+    RollingShutter, ScaleBar, TiePoint,
+};
