@@ -49,6 +49,9 @@ pub enum Error {
     /// An option or argument has an unusable value: what it is, and what was expected.
     #[error("{0}")]
     Argument(String),
+    /// A stage has no input in this project: why. A run leaves such stages out.
+    #[error("{0}")]
+    NothingToDo(String),
     /// The work could not be completed.
     #[error("{0}")]
     Incomplete(String),
@@ -67,7 +70,7 @@ impl Error {
             )
             | Error::Locate(_) => Kind::BadInput,
             Error::Adjust(AdjustError::Solve(_)) => Kind::Failure,
-            Error::Argument(_) | Error::Map(_) => Kind::BadInput,
+            Error::Argument(_) | Error::NothingToDo(_) | Error::Map(_) => Kind::BadInput,
             Error::Incomplete(_) => Kind::Incomplete,
         }
     }

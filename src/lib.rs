@@ -42,8 +42,11 @@ pub mod geometry;
 pub mod io;
 pub mod lanes;
 pub mod mapping;
+pub mod monitor;
 pub mod nlls;
+pub mod options;
 pub mod phenotype;
+pub mod pipeline;
 pub mod problems;
 pub mod raster;
 pub mod scene;
@@ -52,6 +55,9 @@ pub mod sfm;
 pub mod target;
 
 pub use error::{Error, Kind};
+
+/// Digest of the sources that this library was built from; results of another build are told by it.
+pub const BUILD: &str = env!("ROWGRAM_BUILD");
 
 /// The programs in `docs/extending.md`, compiled and run as documentation tests.
 #[cfg(doctest)]

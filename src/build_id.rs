@@ -1,0 +1,40 @@
+//! Run by Cargo before the library is compiled: a digest of its sources, so that results which another build of the
+//! program kept are told from its own.
+
+use std::{
+    env, fs,
+    hash::{DefaultHasher, Hash, Hasher},
+    io,
+    path::{Path, PathBuf},
+};
+
+fn main() -> io::Result<()> {
+    println!("cargo::rerun-if-changed=src");
+    println!("cargo::rerun-if-changed=Cargo.toml");
+    let mut files = vec![PathBuf::from("Cargo.toml")];
+    collect(Path::new("src"), &mut files)?;
+    files.sort();
+    // Hashes of `DefaultHasher::new` are the same for one compiler, which is all that a build is compared with.
+    let mut hasher = DefaultHasher::new();
+    for file in &files {
+        file.hash(&mut hasher);
+        fs::read(file)?.hash(&mut hasher);
+    }
+    for name in ["PROFILE", "TARGET"] {
+        env::var(name).unwrap_or_default().hash(&mut hasher);
+    }
+    println!("cargo::rustc-env=ROWGRAM_BUILD={:016x}", hasher.finish());
+    Ok(())
+}
+
+fn collect(folder: &Path, files: &mut Vec<PathBuf>) -> io::Result<()> {
+    for entry in fs::read_dir(folder)? {
+        let path = entry?.path();
+        if path.is_dir() {
+            collect(&path, files)?;
+        } else {
+            files.push(path);
+        }
+    }
+    Ok(())
+}

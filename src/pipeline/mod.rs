@@ -1,0 +1,36 @@
+//! From photos to traits: the stages over a project on disk.
+//!
+//! Every stage is one function, `stage(&Project, &Options, &mut dyn Monitor) -> Result<Outcome, Error>`. It reads what
+//! earlier stages wrote, writes its own folder below `Project::results`, and gives typed results. A record of what was
+//! read and written decides whether a stage has to be done again ([`stage`]).
+
+pub mod align;
+pub mod calibrate;
+mod config;
+pub mod dem;
+pub mod evaluate;
+pub mod leaf_count;
+pub mod leaf_density;
+pub mod leaves;
+pub mod locate;
+pub mod ortho;
+pub mod plots;
+mod project;
+pub mod record;
+pub mod segment;
+pub mod stage;
+
+pub use config::{Config, NAME as SETTINGS, ProjectOptions, ReportOptions, StagesOptions};
+pub use project::{PHOTO_ENDINGS, Project, photos_in};
+pub use stage::{Stage, State, Task};
+
+/// The folder within a stage's own that keeps what an interrupted attempt has found; no part of the results.
+pub const CACHE: &str = "cache";
+
+/// The most memory that this process has used, in megabytes, where the system tells.
+pub fn peak_memory_mb() -> Option<f64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    let kilobytes: f64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some(kilobytes / 1024.0)
+}
