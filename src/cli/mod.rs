@@ -26,7 +26,6 @@ mod shell;
 mod stand;
 mod survey;
 mod synth;
-mod table;
 mod tau;
 mod terminal;
 mod thresholds;

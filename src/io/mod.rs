@@ -9,6 +9,7 @@ pub mod cloud_points;
 pub mod colmap;
 pub mod control;
 pub mod corners;
+pub mod csv_table;
 pub mod features;
 pub mod gcp_list;
 pub mod geotiff;

@@ -2,14 +2,12 @@
 
 use super::{Sources, lights::Light};
 use crate::{
-    cli::{
-        run::{
-            STAGES,
-            record::{Record, Records},
-        },
-        table::Table,
+    cli::run::{
+        STAGES,
+        record::{Record, Records},
     },
     error::Error,
+    io::csv_table::CsvTable,
 };
 use serde_json::{Value, json};
 use std::{
@@ -84,8 +82,8 @@ impl Facts {
     ///
     /// # Errors
     /// A table that is there and cannot be read.
-    pub(super) fn table(&self, stage: &str, name: &str) -> Result<Option<Table>, Error> {
-        self.file(stage, name).map(|path| Table::read(&path)).transpose()
+    pub(super) fn table(&self, stage: &str, name: &str) -> Result<Option<CsvTable>, Error> {
+        Ok(self.file(stage, name).map(|path| CsvTable::read(&path)).transpose()?)
     }
 
     /// The orthomosaic that traits come from: what segment read.

@@ -326,7 +326,7 @@ pub(super) fn plants(facts: &Facts) -> Result<Section, Error> {
     let pictures = maps::plants(facts)?;
     let rows = facts.table("locate", "rows.csv")?;
     let gaps = facts.table("locate", "gaps.csv")?;
-    let shorten = |table: &crate::cli::table::Table| {
+    let shorten = |table: &crate::io::csv_table::CsvTable| {
         let (header, rows) = table.all();
         let header: Vec<String> = header.iter().map(|name| name.replace('_', " ")).collect();
         let names: Vec<&str> = header.iter().map(String::as_str).collect();

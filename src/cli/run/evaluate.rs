@@ -2,9 +2,10 @@
 
 use super::step::Place;
 use crate::{
-    cli::table::Table,
     error::Error,
-    io::{FileError, geotiff::Reader, output, points, polygons, rasters::Source},
+    io::{
+        FileError, csv_table::CsvTable, geotiff::Reader, output, points, polygons, rasters::Source,
+    },
     raster::{georeference::Georeference, window::Window},
     score::Score,
 };
@@ -184,7 +185,7 @@ pub(super) fn work(inputs: &Inputs, folder: &Path) -> Result<Value, Error> {
 
 /// Leaves by plot as `rowgram count` wrote them.
 fn leaf_counts(path: &Path) -> Result<BTreeMap<String, f64>, Error> {
-    let table = Table::read(path)?;
+    let table = CsvTable::read(path)?;
     let columns = table.texts("plot").zip(table.numbers("leaves"));
     let (plots, leaves) = columns
         .ok_or_else(|| FileError::malformed(path, 1, "expected the columns plot and leaves"))?;

@@ -5,10 +5,10 @@
 
 use super::step::Place;
 use crate::{
-    cli::table::Table,
     error::Error,
     io::{
         FileError,
+        csv_table::CsvTable,
         gpkg::{self, Column, ColumnKind, Feature, Geometry, GeometryKind, Layer},
         output, polygons,
         rasters::Source,
@@ -97,7 +97,7 @@ pub(super) fn work(inputs: &Inputs, folder: &Path) -> Result<Value, Error> {
     let place = source.georeference();
     let (width, height) = source.size();
     let mask = source.mask(|photo| crate::raster::mask::Thresholds::default().mask(photo))?;
-    let table = |path: &Option<PathBuf>| path.as_deref().map(Table::read).transpose();
+    let table = |path: &Option<PathBuf>| path.as_deref().map(CsvTable::read).transpose();
     let (plants, gaps) = (table(&inputs.plants)?, table(&inputs.gaps)?);
     let (leaves, counts) = (table(&inputs.leaves)?, table(&inputs.counts)?);
     let gsd_m = place.and_then(|place| place.gsd_m());
@@ -161,8 +161,8 @@ pub(super) fn work(inputs: &Inputs, folder: &Path) -> Result<Value, Error> {
 struct Measured<'a> {
     plants: Option<Vec<[f64; 2]>>,
     gaps: Option<(Vec<[f64; 2]>, Vec<f64>)>,
-    leaves: Option<&'a Table>,
-    counts: Option<&'a Table>,
+    leaves: Option<&'a CsvTable>,
+    counts: Option<&'a CsvTable>,
     gsd_m: Option<f64>,
 }
 
@@ -220,7 +220,7 @@ impl Measured<'_> {
 }
 
 /// Plots as the rows give them: groups of neighbouring rows, cut where all of them have a gap.
-fn grid(plants: &Table, rows_per_plot: usize, alley_px: f64) -> Vec<(String, Polygon)> {
+fn grid(plants: &CsvTable, rows_per_plot: usize, alley_px: f64) -> Vec<(String, Polygon)> {
     let (Some(places), Some(rows)) = (plants.pairs("u_px", "v_px"), plants.numbers("row")) else {
         return Vec::new();
     };
