@@ -2,22 +2,14 @@
 
 mod flight;
 
-use crate::{
-    error::Error,
-    io::{FileError, output},
-};
+use crate::{error::Error, pipeline::synth};
 use clap::Subcommand;
 use data_synth::{
-    ConfigError,
-    block::{Block, BlockConfig, write_bal},
-    field::{Field, GrowthStage, Phyllotaxy},
+    block::BlockConfig,
+    field::{GrowthStage, Phyllotaxy},
     scenario::{Preset, Scenario},
 };
-use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
-use std::{
-    io::Write,
-    path::{Path, PathBuf},
-};
+use std::path::PathBuf;
 
 /// Make synthetic data with known truth.
 #[derive(Debug, clap::Args)]
@@ -47,12 +39,6 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
         What::Mask(args) => mask(args),
         What::Bundle(args) => bundle(args),
         What::Flight(args) => flight::run(args),
-    }
-}
-
-impl From<ConfigError> for Error {
-    fn from(error: ConfigError) -> Error {
-        Error::Argument(error.to_string())
     }
 }
 
@@ -158,7 +144,7 @@ impl MaskArgs {
             }
         }
         let mut scenario = match (&self.config, self.preset) {
-            (Some(path), _) => read_config(path)?,
+            (Some(path), _) => synth::read_config(path)?,
             (None, Some(preset)) => Scenario::preset(preset),
             (None, None) => Scenario::default(),
         };
@@ -189,57 +175,16 @@ impl MaskArgs {
     }
 }
 
-/// Reads a configuration; what is left out has its default.
-fn read_config<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, FileError> {
-    let text = std::fs::read_to_string(path).map_err(|source| FileError::read(path, source))?;
-    toml::from_str(&text).map_err(|error| {
-        let before = error.span().and_then(|span| text.get(..span.start));
-        let line = before.map(|before| before.matches('\n').count() + 1);
-        FileError::malformed(path, line, error.message())
-    })
-}
-
 fn mask(args: &MaskArgs) -> Result<(), Error> {
-    let scenario = args.scenario()?;
-    let config = toml::to_string(&scenario).map_err(|e| Error::Argument(e.to_string()))?;
-    let folder = &args.output;
-    std::fs::create_dir_all(folder).map_err(|source| FileError::write(folder, source))?;
-    let path = |name| folder.join(name);
-    for name in ["mask.png", "picture.png", "plants.csv", "field.toml"] {
-        output::check(&path(name), args.force)?;
-    }
-    let scene = scenario.build()?;
-    let (mask, picture) = scene.mask_and_picture();
-    let (width, height) = mask.dimensions();
-    let leaf_pixels = mask.iter().filter(|&&pixel| pixel != 0).count();
-    let png = |name, pixels: &[u8], colour| {
-        output::write(&path(name), args.force, |writer| {
-            PngEncoder::new(writer)
-                .write_image(pixels, width, height, colour)
-                .map_err(std::io::Error::other)
-        })
-    };
-    png("mask.png", mask.as_raw(), ExtendedColorType::L8)?;
-    png("picture.png", picture.as_raw(), ExtendedColorType::Rgb8)?;
-    output::write(&path("plants.csv"), args.force, |writer| write_plants(&scene.field, writer))?;
-    output::write(&path("field.toml"), args.force, |writer| writer.write_all(config.as_bytes()))?;
+    let found = synth::write_field(&args.scenario()?, &args.output, args.force)?;
     tracing::info!(
-        "{}: {} plants, {width} x {height} pixels, {leaf_pixels} of them leaf",
-        folder.display(),
-        scene.field.plants.len(),
+        "{}: {} plants, {} x {} pixels, {} of them leaf",
+        args.output.display(),
+        found.plants,
+        found.size_px[0],
+        found.size_px[1],
+        found.leaf_pixels,
     );
-    Ok(())
-}
-
-fn write_plants(field: &Field, writer: &mut dyn Write) -> std::io::Result<()> {
-    writeln!(writer, "u_px,v_px,row,x_m,y_m")?;
-    for plant in &field.plants {
-        writeln!(
-            writer,
-            "{:.4},{:.4},{},{:.5},{:.5}",
-            plant.u_px, plant.v_px, plant.row, plant.x_m, plant.y_m
-        )?;
-    }
     Ok(())
 }
 
@@ -286,29 +231,13 @@ fn bundle(args: &BundleArgs) -> Result<(), Error> {
         outlier_fraction: args.outliers,
         ..BlockConfig::default()
     };
-    config.check()?;
-    output::check(&args.output, args.force)?;
-    if let Some(truth) = &args.truth {
-        output::check(truth, args.force)?;
-        if *truth == args.output {
-            return Err(Error::Argument("--truth: expected another file than --output".into()));
-        }
-    }
-    let block = Block::fly(&config)?;
-    output::write(&args.output, args.force, |writer| {
-        write_bal(&block.cameras_start, &block.points_start, &block.observations, writer)
-    })?;
-    if let Some(truth) = &args.truth {
-        output::write(truth, args.force, |writer| {
-            write_bal(&block.cameras_true, &block.points_true, &block.observations, writer)
-        })?;
-    }
+    let found = synth::write_block(&config, &args.output, args.truth.as_deref(), args.force)?;
     tracing::info!(
         "{}: {} images, {} points, {} observations",
         args.output.display(),
-        block.cameras_true.len(),
-        block.points_true.len(),
-        block.observations.len(),
+        found.images,
+        found.points,
+        found.observations,
     );
     Ok(())
 }

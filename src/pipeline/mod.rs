@@ -19,6 +19,7 @@ mod project;
 pub mod record;
 pub mod segment;
 pub mod stage;
+pub mod synth;
 
 pub use config::{Config, NAME as SETTINGS, ProjectOptions, ReportOptions, StagesOptions};
 pub use project::{PHOTO_ENDINGS, Project, photos_in};
