@@ -17,8 +17,10 @@ use super::{
     FileError,
     table::{Column, Row, Table},
 };
-use crate::problems::adjustment::Aside;
-use crate::scene::{Axes, CameraPosition, GroundObservation, GroundPoint, Image, Role, ScaleBar};
+use crate::scene::{
+    Axes, CameraPosition, Excluded, ExcludedKind, GroundObservation, GroundPoint, Image, Role,
+    ScaleBar,
+};
 use std::{
     collections::{HashMap, HashSet},
     path::Path,
@@ -186,8 +188,8 @@ impl<'a> Names<'a> {
     }
 }
 
-fn no_such_image(kind: &'static str, image: &str, point: Option<&str>) -> Aside {
-    Aside {
+fn no_such_image(kind: ExcludedKind, image: &str, point: Option<&str>) -> Excluded {
+    Excluded {
         kind,
         image: Some(image.to_owned()),
         point: point.map(str::to_owned),
@@ -205,7 +207,7 @@ pub fn marks(
     images: &[Image],
     ground: &[GroundPoint],
     defaults: &Defaults,
-) -> Result<(Vec<GroundObservation>, Vec<Aside>), FileError> {
+) -> Result<(Vec<GroundObservation>, Vec<Excluded>), FileError> {
     let table = Table::read(path)?;
     let image = table.required("image", IMAGE)?;
     let label = table.required("name of the point", LABEL)?;
@@ -232,7 +234,7 @@ pub fn marks(
             sigma_px: table.positive_or(row, sigma, defaults.mark_px)?,
         };
         let Some(image) = names.find(name) else {
-            aside.push(no_such_image("mark", name, Some(label)));
+            aside.push(no_such_image(ExcludedKind::Mark, name, Some(label)));
             continue;
         };
         if let Some(line) = lines.insert((image, ground), row.line) {
@@ -247,7 +249,7 @@ pub fn marks(
     Ok((found, aside))
 }
 
-fn nothing_matches(aside: &[Aside], images: &[Image]) -> String {
+fn nothing_matches(aside: &[Excluded], images: &[Image]) -> String {
     let theirs = aside.first().and_then(|a| a.image.as_deref()).unwrap_or("none");
     let ours = images.first().map_or("none", |image| image.name.as_str());
     format!(
@@ -264,7 +266,7 @@ pub fn positions(
     path: &Path,
     images: &[Image],
     defaults: &Defaults,
-) -> Result<(Vec<CameraPosition>, Vec<Aside>), FileError> {
+) -> Result<(Vec<CameraPosition>, Vec<Excluded>), FileError> {
     let table = Table::read(path)?;
     let image = table.required("image", IMAGE)?;
     let coordinates = Coordinates::of(&table)?;
@@ -277,7 +279,7 @@ pub fn positions(
         let position_m = coordinates.position(&table, row)?;
         let sigma_m = coordinates.sigma(&table, row, defaults.position_m)?;
         match names.find(name) {
-            None => aside.push(no_such_image("camera position", name, None)),
+            None => aside.push(no_such_image(ExcludedKind::CameraPosition, name, None)),
             Some(image) if seen.insert(image) => {
                 found.push(CameraPosition { image, position_m, sigma_m });
             }

@@ -26,6 +26,7 @@ pub mod points;
 pub mod polygons;
 pub mod poses;
 pub mod rasters;
+pub mod reconstruction;
 mod table;
 
 use crate::error::Kind;

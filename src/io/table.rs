@@ -112,6 +112,19 @@ impl Table {
         }
     }
 
+    /// A whole number from 0 within the range of its type.
+    pub(super) fn whole<T: std::str::FromStr>(
+        &self,
+        row: &Row,
+        column: Column,
+    ) -> Result<T, FileError> {
+        let field = self.text(row, column);
+        field.parse::<T>().map_err(|_| {
+            let title = &self.header[column.0];
+            self.fault(row, format!("{title} is {field:?}, expected a whole number from 0"))
+        })
+    }
+
     /// A positive number, or `otherwise` where there is no such column or the field is empty.
     pub(super) fn positive_or(
         &self,

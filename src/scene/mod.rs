@@ -3,11 +3,17 @@
 //! Lengths are metres in the mapping frame (X east, Y north, Z up), image positions pixels with the centre of the
 //! top-left pixel at (0, 0).
 
+mod accuracy;
+mod excluded;
 mod pose;
 mod reconstruction;
+mod reference;
 
+pub use accuracy::{Accuracy, CameraSigma, PoseSigma};
+pub use excluded::{Excluded, ExcludedKind};
 pub use pose::Pose;
 pub use reconstruction::{
     Axes, CameraPosition, GroundObservation, GroundPoint, Image, Observation, Reconstruction, Role,
     RollingShutter, ScaleBar, TiePoint,
 };
+pub use reference::{HorizontalFrame, LengthUnit, ReferenceFrame, VerticalFrame};

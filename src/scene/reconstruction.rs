@@ -1,7 +1,7 @@
 //! What a photogrammetric block is: cameras, images, tie points, ground points and their marks,
 //! measured camera positions and distances.
 
-use super::Pose;
+use super::{Accuracy, Excluded, Pose, ReferenceFrame};
 use crate::{
     camera::Camera,
     geometry::{dot, rotation},
@@ -84,7 +84,8 @@ impl Axes {
 }
 
 /// A point on the ground with known coordinates.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct GroundPoint {
     /// Its name.
     pub name: String,
@@ -150,6 +151,8 @@ pub struct RollingShutter {
 /// frame, image positions in pixels with the centre of the top-left pixel at (0, 0).
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Reconstruction {
+    /// The frame in which all coordinates are.
+    pub reference: ReferenceFrame,
     /// The cameras; a free parameter that has a standard deviation has its value as a prior.
     pub cameras: Vec<Camera>,
     /// The images.
@@ -172,6 +175,10 @@ pub struct Reconstruction {
     pub scale_bars: Vec<ScaleBar>,
     /// Whether the shutter rolls.
     pub rolling_shutter: Option<RollingShutter>,
+    /// How well all of it is known, where an adjustment has found it.
+    pub accuracy: Option<Accuracy>,
+    /// What took no part, and why.
+    pub excluded: Vec<Excluded>,
 }
 
 impl Reconstruction {

@@ -12,7 +12,7 @@ use crate::{
         gcp_list,
         photo::{self, Geotag, Metadata},
     },
-    scene::{Image, Pose},
+    scene::{HorizontalFrame, Image, LengthUnit, Pose, ReferenceFrame, VerticalFrame},
     sfm::georeference::Known,
 };
 use rayon::prelude::*;
@@ -46,6 +46,27 @@ pub(super) enum Frame {
 }
 
 impl Frame {
+    /// As the reconstruction's file has it.
+    pub(super) fn reference(&self, georeferenced: bool, has_control: bool) -> ReferenceFrame {
+        if !georeferenced {
+            return ReferenceFrame::default();
+        }
+        ReferenceFrame {
+            horizontal: match self {
+                Frame::Map(crs) => HorizontalFrame::from(&**crs),
+                Frame::Unnamed => HorizontalFrame::Unnamed,
+                Frame::Local(plane) => HorizontalFrame::from(plane),
+                Frame::Free => HorizontalFrame::Free,
+            },
+            vertical: if has_control {
+                VerticalFrame::ControlPoints
+            } else {
+                VerticalFrame::CameraPositions
+            },
+            unit: LengthUnit::Metre,
+        }
+    }
+
     /// What files and people call it.
     pub(super) fn name(&self) -> String {
         match self {

@@ -11,9 +11,12 @@ use crate::{
     camera::{Camera, Lens},
     cli::survey,
     error::Error,
-    io::{FileError, camera, cloud, cloud::CloudPoint, model::Model, orientation, output},
-    problems::adjustment::Group,
-    scene::Role,
+    io::{
+        FileError, camera, cloud, cloud::CloudPoint, model::Model, orientation, output,
+        reconstruction,
+    },
+    problems::adjustment::{Group, Removed},
+    scene::{Excluded, ExcludedKind, Reconstruction, Role},
     sfm::Pair,
 };
 use serde::Serialize;
@@ -289,6 +292,21 @@ pub(super) fn write(
         .collect();
     cloud::write_ply(&root.join("cloud.ply"), &points, force)?;
     cloud::write_laz(&root.join("cloud.laz"), &points, force)?;
+    let excluded = adjusted.screened.aside.iter().cloned();
+    let removed = outcome.removed.iter().map(Removed::excluded);
+    let left_out = project.left_out.iter().map(|(name, reason)| Excluded {
+        kind: ExcludedKind::Image,
+        image: Some(name.clone()),
+        point: None,
+        reason: reason.clone(),
+    });
+    let scene = Reconstruction {
+        reference: project.frame.reference(report.georeferenced, project.known.has_control()),
+        accuracy: Some(adjusted.accuracy()),
+        excluded: excluded.chain(removed).chain(left_out).collect(),
+        ..block.clone()
+    };
+    reconstruction::write(root, &scene, force)?;
     foreign.write(root, force)?;
     let frame = frame_text(project, report);
     output::write(&root.join("crs.txt"), force, |out| out.write_all(frame.as_bytes()))?;

@@ -11,10 +11,10 @@ use crate::{
     error::Error,
     io::{FileError, bundler, camera, colmap, control, model::Model, opensfm, output},
     problems::adjustment::{
-        Adjusted, Alignment, Aside, LeftOut, Removed, Settings, Snooping, adjust, align,
-        leave_one_out, snoop, variance_components,
+        Adjusted, Alignment, LeftOut, Removed, Settings, Snooping, adjust, align, leave_one_out,
+        snoop, variance_components,
     },
-    scene::Role,
+    scene::{Excluded, Role},
 };
 pub(super) use description::Options;
 use description::{Datum, Description, Format};
@@ -28,7 +28,7 @@ pub(super) struct Outcome {
     pub(super) alignment: Option<Alignment>,
     pub(super) removed: Vec<Removed>,
     /// Rows of files that no image or point of the block belongs to.
-    pub(super) unmatched: Vec<Aside>,
+    pub(super) unmatched: Vec<Excluded>,
     pub(super) left_out: Vec<LeftOut>,
     pub(super) complete: bool,
 }
@@ -186,7 +186,7 @@ fn write_model(path: &Path, format: Format, model: &mut Model, force: bool) -> R
 }
 
 /// Reads the block and its control.
-fn assemble(description: &Description, format: Format) -> Result<(Model, Vec<Aside>), Error> {
+fn assemble(description: &Description, format: Format) -> Result<(Model, Vec<Excluded>), Error> {
     let mut model = read_model(
         &description.model,
         format,
@@ -257,7 +257,7 @@ fn assemble(description: &Description, format: Format) -> Result<(Model, Vec<Asi
 }
 
 fn work(
-    (mut model, unmatched): (Model, Vec<Aside>),
+    (mut model, unmatched): (Model, Vec<Excluded>),
     description: &Description,
     loss: crate::nlls::Loss,
 ) -> Result<Outcome, Error> {

@@ -7,7 +7,7 @@ use crate::{
     error::Error,
     io::{FileError, camera, output},
     problems::adjustment::{
-        Adjusted, Alignment, Aside, AxisError, GroupStatistics, InteriorAccuracy, LeftOut, Removed,
+        Adjusted, Alignment, AxisError, GroupStatistics, InteriorAccuracy, LeftOut, Removed,
         Testing, rmse,
     },
 };
@@ -79,7 +79,7 @@ pub(super) struct Report {
     removed: Vec<Removed>,
     suspects: Vec<Suspect>,
     left_out: Vec<LeftOut>,
-    set_aside: Vec<Aside>,
+    set_aside: Vec<crate::scene::Excluded>,
     mean_velocity_m_s: Option<f64>,
 }
 

@@ -148,7 +148,12 @@ pub(super) fn write(folder: &Path, outcome: &Outcome, force: bool) -> Result<(),
 
     let aside = outcome.unmatched.iter().chain(&adjusted.screened.aside).map(|aside| {
         let word = |word: &Option<String>| word.clone().unwrap_or_default();
-        vec![aside.kind.to_owned(), word(&aside.image), word(&aside.point), aside.reason.clone()]
+        vec![
+            aside.kind.word().to_owned(),
+            word(&aside.image),
+            word(&aside.point),
+            aside.reason.clone(),
+        ]
     });
     let removed = outcome.removed.iter().map(|removed| {
         let reason = format!("taken out at {:.2} times the critical value", removed.excess);

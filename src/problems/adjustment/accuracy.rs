@@ -1,7 +1,7 @@
 //! How well cameras and points are known, from blocks of the inverse.
 
 use super::{inverse::SelectedInverse, posed::Posed, reprojection::LENS};
-use crate::scene::Reconstruction;
+use crate::scene::{Accuracy, CameraSigma, PoseSigma, Reconstruction};
 use crate::{
     camera::Lens,
     geometry::{cross, rotation},
@@ -143,4 +143,36 @@ pub(super) fn interior(
         independent: sigma,
         correlation,
     })
+}
+
+impl super::Adjusted {
+    /// How well everything that was adjusted is known, in the order of [`super::Adjusted::survey`].
+    pub fn accuracy(&self) -> Accuracy {
+        let statistics = &self.statistics;
+        let sigma0 = statistics.sigma0;
+        let images = statistics.images.iter().map(|image| PoseSigma {
+            centre_m: [0, 1, 2].map(|k| sigma0 * image.centre_m2[k][k].max(0.0).sqrt()),
+            angles_rad: image.angles_rad.map(|angle| sigma0 * angle),
+        });
+        let mut cameras = vec![CameraSigma::default(); self.survey.cameras.len()];
+        for interior in &statistics.interiors {
+            cameras[interior.camera] = CameraSigma {
+                names: interior.names.iter().map(|name| (*name).to_owned()).collect(),
+                sigmas: interior.standard_deviations.iter().map(|sigma| sigma * sigma0).collect(),
+                correlation: symmetric(&interior.correlation),
+            };
+        }
+        Accuracy { sigma0, images: images.collect(), cameras }
+    }
+}
+
+/// Without what rounding has left asymmetric.
+fn symmetric(matrix: &[Vec<f64>]) -> Vec<Vec<f64>> {
+    let mut out = matrix.to_vec();
+    for i in 0..out.len() {
+        for j in 0..i {
+            out[j][i] = out[i][j];
+        }
+    }
+    out
 }

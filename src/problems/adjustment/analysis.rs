@@ -4,10 +4,10 @@
 use super::{
     check_points::{CheckPoint, check_points},
     posed::{Group, Posed, Settings},
-    screening::{Aside, Screened, SurveyError, screen},
+    screening::{Screened, SurveyError, screen},
     statistics::{Statistics, Subject},
 };
-use crate::scene::{Reconstruction, Role};
+use crate::scene::{Excluded, ExcludedKind, Reconstruction, Role};
 use crate::{
     engine::{SolveError, Stop},
     nlls::{Loss, Summary, solve},
@@ -166,8 +166,8 @@ fn set_aside(
         if far {
             drop[k] = true;
             let o = &whole.observations[k];
-            named.push(Aside {
-                kind: "observation",
+            named.push(Excluded {
+                kind: ExcludedKind::Observation,
                 image: Some(whole.images[o.image as usize].name.clone()),
                 point: Some(whole.points[o.point as usize].id.to_string()),
                 reason: FAR_OUT.into(),

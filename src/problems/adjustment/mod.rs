@@ -42,6 +42,6 @@ pub use analysis::{
 };
 pub use check_points::{AxisError, CheckPoint, check_points, rmse};
 pub use posed::{Group, Posed, Settings};
-pub use screening::{Aside, Screened, SurveyError, screen};
+pub use screening::{Screened, SurveyError, screen};
 pub use snooping::{Removed, Snooped, Snooping, doubtful, snoop};
 pub use statistics::{Finding, GroupStatistics, Statistics, Subject, Tested, Testing};

@@ -3,13 +3,13 @@
 
 use super::soundness::check;
 use crate::scene::{
-    Axes, CameraPosition, GroundObservation, Observation, Reconstruction, Role, ScaleBar,
+    Axes, CameraPosition, Excluded, ExcludedKind, GroundObservation, Observation, Reconstruction,
+    Role, ScaleBar,
 };
 use crate::{
     camera::Lens,
     geometry::{cross, dot},
 };
-use serde::Serialize;
 use std::collections::HashSet;
 
 /// What is wrong with a survey as a whole, by name.
@@ -17,40 +17,13 @@ use std::collections::HashSet;
 #[error("{0}")]
 pub struct SurveyError(pub String);
 
-/// Something that takes no part in the adjustment, and why.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Aside {
-    /// What it is: "image", "tie point", "observation", "mark", "ground point", "scale bar" or
-    /// "camera position".
-    pub kind: &'static str,
-    /// The image it is about, if any.
-    pub image: Option<String>,
-    /// The tie point's number or the ground point's name, if any.
-    pub point: Option<String>,
-    /// Why.
-    pub reason: String,
-}
-
-impl std::fmt::Display for Aside {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(self.kind)?;
-        if let Some(point) = &self.point {
-            write!(f, " {point}")?;
-        }
-        if let Some(image) = &self.image {
-            write!(f, " {}{image}", if self.kind == "image" { "" } else { "in " })?;
-        }
-        write!(f, ": {}", self.reason)
-    }
-}
-
 /// The part of a survey that can be adjusted, and where it comes from.
 #[derive(Debug, Clone)]
 pub struct Screened {
     /// That part.
     pub survey: Reconstruction,
     /// What takes no part.
-    pub aside: Vec<Aside>,
+    pub aside: Vec<Excluded>,
     /// For each of its images its index in the whole.
     pub images: Vec<usize>,
     /// For each of its tie points its index in the whole.
@@ -116,7 +89,7 @@ fn keep_feasible(
     survey: &Reconstruction,
     tie: &mut [bool],
     mark: &mut [bool],
-    aside: &mut Vec<Aside>,
+    aside: &mut Vec<Excluded>,
 ) {
     let why = |image: usize, point_m: [f64; 3]| -> Option<String> {
         let image = &survey.images[image];
@@ -140,8 +113,8 @@ fn keep_feasible(
         };
         if let Some(reason) = reason {
             *keep = false;
-            aside.push(Aside {
-                kind: "observation",
+            aside.push(Excluded {
+                kind: ExcludedKind::Observation,
                 image: Some(survey.images[o.image as usize].name.clone()),
                 point: Some(point.id.to_string()),
                 reason,
@@ -152,8 +125,8 @@ fn keep_feasible(
         let ground = &survey.ground[m.ground as usize];
         if let Some(reason) = why(m.image as usize, ground.position_m) {
             *keep = false;
-            aside.push(Aside {
-                kind: "mark",
+            aside.push(Excluded {
+                kind: ExcludedKind::Mark,
                 image: Some(survey.images[m.image as usize].name.clone()),
                 point: Some(ground.name.clone()),
                 reason,
@@ -166,7 +139,12 @@ fn keep_feasible(
 /// those of a photo and of its double, for one.
 const LEAST_ANGLE_RAD: f64 = 1e-4;
 
-fn drop_points(survey: &Reconstruction, tie: &[bool], point: &mut [bool], aside: &mut Vec<Aside>) {
+fn drop_points(
+    survey: &Reconstruction,
+    tie: &[bool],
+    point: &mut [bool],
+    aside: &mut Vec<Excluded>,
+) {
     let centres: Vec<[f64; 3]> = survey.images.iter().map(|image| image.pose.centre_m()).collect();
     let mut rays = vec![0usize; survey.points.len()];
     let mut first = vec![[0.0; 3]; survey.points.len()];
@@ -196,8 +174,8 @@ fn drop_points(survey: &Reconstruction, tie: &[bool], point: &mut [bool], aside:
             continue;
         };
         *keep = false;
-        aside.push(Aside {
-            kind: "tie point",
+        aside.push(Excluded {
+            kind: ExcludedKind::TiePoint,
             image: None,
             point: Some(survey.points[k].id.to_string()),
             reason,
@@ -209,7 +187,7 @@ fn drop_ground(
     survey: &Reconstruction,
     mark: &[bool],
     ground: &mut [bool],
-    aside: &mut Vec<Aside>,
+    aside: &mut Vec<Excluded>,
 ) {
     let mut rays = vec![0usize; survey.ground.len()];
     for (_, m) in mark.iter().zip(&survey.marks).filter(|(keep, _)| **keep) {
@@ -223,8 +201,8 @@ fn drop_ground(
         };
         if *keep && rays[k] < needed {
             *keep = false;
-            aside.push(Aside {
-                kind: "ground point",
+            aside.push(Excluded {
+                kind: ExcludedKind::GroundPoint,
                 image: None,
                 point: Some(point.name.clone()),
                 reason: format!("it is marked in {} image(s), {needed} needed", rays[k]),
@@ -237,7 +215,7 @@ fn drop_images(
     survey: &Reconstruction,
     (tie, mark): (&[bool], &[bool]),
     image: &mut [bool],
-    aside: &mut Vec<Aside>,
+    aside: &mut Vec<Excluded>,
 ) {
     let mut seen = vec![0usize; survey.images.len()];
     for (_, o) in tie.iter().zip(&survey.observations).filter(|(keep, _)| **keep) {
@@ -249,8 +227,8 @@ fn drop_images(
     for (k, keep) in image.iter_mut().enumerate() {
         if *keep && seen[k] < LEAST_OBSERVATIONS {
             *keep = false;
-            aside.push(Aside {
-                kind: "image",
+            aside.push(Excluded {
+                kind: ExcludedKind::Image,
                 image: Some(survey.images[k].name.clone()),
                 point: None,
                 reason: format!(
@@ -276,7 +254,7 @@ fn compact(
     whole: &Reconstruction,
     [image, point, ground]: [&[bool]; 3],
     (tie, mark): (&[bool], &[bool]),
-    mut aside: Vec<Aside>,
+    mut aside: Vec<Excluded>,
 ) -> Screened {
     let ((new_image, images), (new_point, points), (new_ground, grounds)) =
         (renumber(image), renumber(point), renumber(ground));
@@ -288,6 +266,7 @@ fn compact(
         marks: Vec::new(),
         positions: Vec::new(),
         scale_bars: Vec::new(),
+        accuracy: None,
         ..whole.clone()
     };
     let (mut observations, mut marks) = (Vec::new(), Vec::new());
@@ -312,8 +291,8 @@ fn compact(
             positions.push(k);
             survey.positions.push(CameraPosition { image, ..*position });
         } else {
-            aside.push(Aside {
-                kind: "camera position",
+            aside.push(Excluded {
+                kind: ExcludedKind::CameraPosition,
                 image: Some(whole.images[position.image as usize].name.clone()),
                 point: None,
                 reason: "its image takes no part".into(),
@@ -328,8 +307,8 @@ fn compact(
             survey.scale_bars.push(ScaleBar { ends, ..*bar });
         } else {
             let names = bar.ends.map(|end| whole.ground[end as usize].name.clone());
-            aside.push(Aside {
-                kind: "scale bar",
+            aside.push(Excluded {
+                kind: ExcludedKind::ScaleBar,
                 image: None,
                 point: Some(names.join(" - ")),
                 reason: "one of its ends takes no part".into(),

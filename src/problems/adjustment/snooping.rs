@@ -3,11 +3,10 @@
 use super::{
     analysis::{AdjustError, Adjusted, FAR_OUT, adjust_after},
     posed::{Group, Settings},
-    screening::Aside,
     statistics::{Subject, Testing},
 };
 use crate::nlls::Loss;
-use crate::scene::{Reconstruction, Role};
+use crate::scene::{Excluded, ExcludedKind, Reconstruction, Role};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -56,6 +55,25 @@ pub struct Removed {
     pub error: [f64; 3],
 }
 
+impl Removed {
+    /// As something that took no part.
+    pub fn excluded(&self) -> Excluded {
+        let kind = match self.group {
+            Group::TiePoints => ExcludedKind::Observation,
+            Group::Marks => ExcludedKind::Mark,
+            Group::Control => ExcludedKind::GroundPoint,
+            Group::Positions => ExcludedKind::CameraPosition,
+            _ => ExcludedKind::ScaleBar,
+        };
+        Excluded {
+            kind,
+            image: None,
+            point: Some(self.name.clone()),
+            reason: format!("its test value is {:.2} times the critical value", self.excess),
+        }
+    }
+}
+
 /// A survey after data snooping.
 #[derive(Debug, Clone)]
 pub struct Snooped {
@@ -80,7 +98,7 @@ pub fn snoop(
     snooping: &Snooping,
 ) -> Result<Snooped, AdjustError> {
     let mut removed = Vec::new();
-    let mut aside: Vec<Aside> = Vec::new();
+    let mut aside: Vec<Excluded> = Vec::new();
     let mut round = 0;
     let plain = Settings { tie_loss: Loss::Trivial, ..settings.clone() };
     let mut only_ties = false;
