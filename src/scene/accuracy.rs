@@ -45,6 +45,8 @@ pub struct Accuracy {
     pub images: Vec<PoseSigma>,
     /// Every camera, in the order of the reconstruction; without entries where it was held.
     pub cameras: Vec<CameraSigma>,
+    /// Standard deviations of every tie point along X, Y, Z, metres, in the order of the reconstruction.
+    pub points_m: Vec<[f64; 3]>,
 }
 
 impl Reconstruction {

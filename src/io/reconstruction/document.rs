@@ -195,10 +195,12 @@ impl Document {
         };
         let accuracy = scene.accuracy.as_ref();
         if let Some(known) = accuracy
-            && (known.images.len(), known.cameras.len())
-                != (scene.images.len(), scene.cameras.len())
+            && (known.images.len(), known.cameras.len(), known.points_m.len())
+                != (scene.images.len(), scene.cameras.len(), scene.points.len())
         {
-            return Err("accuracy: expected an entry for every image and every camera".to_owned());
+            return Err(
+                "accuracy: expected an entry for every image, camera and tie point".to_owned()
+            );
         }
         let of_image = |k: usize| accuracy.map(|accuracy| accuracy.images[k]);
         let of_camera = |k: usize| accuracy.map(|accuracy| &accuracy.cameras[k]);
@@ -290,6 +292,7 @@ impl Document {
                     .iter()
                     .map(|camera| camera.accuracy.clone().unwrap_or_default())
                     .collect(),
+                points_m: Vec::new(),
             }),
         };
         let marks = self.marks.iter().map(|mark| {

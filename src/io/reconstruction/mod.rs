@@ -3,7 +3,7 @@
 //! | file | content |
 //! |---|---|
 //! | `reconstruction.json` | reference frame, cameras, images, ground points, their image measurements, camera positions, scale bars, accuracies, what was excluded |
-//! | `tie_points.csv` | `point,x_m,y_m,z_m,red,green,blue` |
+//! | `tie_points.csv` | `point,x_m,y_m,z_m,red,green,blue` and, after an adjustment, `sigma_x_m,sigma_y_m,sigma_z_m` |
 //! | `tie_observations.csv` | `image,point,u_px,v_px` |
 //!
 //! Numbers have as many digits as it takes to read back the very same ones. Image positions are pixels with the centre of

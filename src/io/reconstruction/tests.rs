@@ -101,6 +101,7 @@ fn scene() -> Reconstruction {
                 },
                 CameraSigma::default(),
             ],
+            points_m: (0..20).map(|k| [awkward(k).abs(), 0.1 / 3.0, 1e-9]).collect(),
         }),
         excluded: vec![Excluded {
             kind: ExcludedKind::TiePoint,

@@ -18,6 +18,10 @@ pub(super) fn check(scene: &Reconstruction) -> Result<(), String> {
             return Err(format!("tie point {}: its position is not finite", point.id));
         }
     }
+    let known = scene.accuracy.iter().flat_map(|accuracy| accuracy.points_m.as_flattened());
+    if known.into_iter().any(|v| !v.is_finite()) {
+        return Err("a standard deviation of a tie point is not finite".to_owned());
+    }
     let mut names = HashSet::new();
     if let Some(image) = scene.images.iter().find(|image| !names.insert(&image.name)) {
         return Err(format!("two images are called {:?}", image.name));
@@ -40,12 +44,19 @@ pub(super) fn write_points(
     scene: &Reconstruction,
     force: bool,
 ) -> Result<(), FileError> {
+    let sigmas = scene.accuracy.as_ref().map(|accuracy| accuracy.points_m.as_slice());
     output::write(path, force, |out| {
-        writeln!(out, "point,x_m,y_m,z_m,red,green,blue")?;
-        scene.points.iter().try_for_each(|TiePoint { id, position_m: [x, y, z], colour }| {
+        write!(out, "point,x_m,y_m,z_m,red,green,blue")?;
+        writeln!(out, "{}", if sigmas.is_some() { ",sigma_x_m,sigma_y_m,sigma_z_m" } else { "" })?;
+        for (k, TiePoint { id, position_m: [x, y, z], colour }) in scene.points.iter().enumerate() {
             let [red, green, blue] = colour;
-            writeln!(out, "{id},{x},{y},{z},{red},{green},{blue}")
-        })
+            write!(out, "{id},{x},{y},{z},{red},{green},{blue}")?;
+            if let Some([x, y, z]) = sigmas.map(|sigmas| sigmas[k]) {
+                write!(out, ",{x},{y},{z}")?;
+            }
+            writeln!(out)?;
+        }
+        Ok(())
     })
 }
 
@@ -102,7 +113,22 @@ pub(super) fn read_points(
         table.required("green", &["green"])?,
         table.required("blue", &["blue"])?,
     ];
+    let sigmas = match scene.accuracy {
+        None => None,
+        Some(_) => Some([
+            table.required("standard deviation along X", &["sigma_x_m"])?,
+            table.required("standard deviation along Y", &["sigma_y_m"])?,
+            table.required("standard deviation along Z", &["sigma_z_m"])?,
+        ]),
+    };
     for row in table.rows() {
+        if let (Some(columns), Some(accuracy)) = (sigmas, &mut scene.accuracy) {
+            let mut sigma_m = [0.0; 3];
+            for (value, column) in sigma_m.iter_mut().zip(columns) {
+                *value = table.number(row, column)?;
+            }
+            accuracy.points_m.push(sigma_m);
+        }
         let mut position_m = [0.0; 3];
         for (value, column) in position_m.iter_mut().zip(axes) {
             *value = table.number(row, column)?;

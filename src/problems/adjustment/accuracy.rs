@@ -162,7 +162,11 @@ impl super::Adjusted {
                 correlation: symmetric(&interior.correlation),
             };
         }
-        Accuracy { sigma0, images: images.collect(), cameras }
+        let points = statistics
+            .points
+            .iter()
+            .map(|point| [0, 1, 2].map(|k| sigma0 * point.covariance_m2[k][k].max(0.0).sqrt()));
+        Accuracy { sigma0, images: images.collect(), cameras, points_m: points.collect() }
     }
 }
 
