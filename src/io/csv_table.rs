@@ -22,7 +22,8 @@ impl CsvTable {
         };
         let mut reader = csv::Reader::from_path(path).map_err(malformed)?;
         let words = |record: &csv::StringRecord| record.iter().map(str::to_owned).collect();
-        let header = words(reader.headers().map_err(malformed)?);
+        let header = reader.headers().map_err(malformed)?;
+        let header = header.iter().map(|name| name.trim().to_owned()).collect();
         let rows = reader
             .records()
             .map(|record| record.map(|record| words(&record)))

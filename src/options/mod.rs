@@ -50,14 +50,23 @@ pub trait Options: Default + Clone + PartialEq + Serialize + DeserializeOwned {
         toml::Value::Table(table).try_into().map_err(|e: toml::de::Error| e.message().to_owned())
     }
 
-    /// Whether every value is within its limits.
+    /// Whether every value is within its limits, and all of them go together.
     ///
     /// # Errors
     /// The first option that is not, and what was expected.
     fn validate(&self) -> Result<(), String> {
         let table = toml::Table::try_from(self).map_err(|error| error.to_string())?;
         let section = Self::section();
-        table.iter().try_for_each(|(name, value)| section.check_entry(name, value))
+        table.iter().try_for_each(|(name, value)| section.check_entry(name, value))?;
+        self.check_together()
+    }
+
+    /// Whether values go together that are within their limits one by one.
+    ///
+    /// # Errors
+    /// Which do not, and what was expected.
+    fn check_together(&self) -> Result<(), String> {
+        Ok(())
     }
 
     /// The options that differ from their defaults, as `(name, value)`.
@@ -68,7 +77,8 @@ pub trait Options: Default + Clone + PartialEq + Serialize + DeserializeOwned {
     }
 }
 
-/// Defines a set of [`Options`](crate::options::Options).
+/// Defines a set of [`Options`](crate::options::Options). Where values have to go together (both or neither, the first
+/// not above the second), `in "dem", together checked` names a function `fn(&DemOptions) -> Result<(), String>`.
 ///
 /// ```
 /// rowgram::options! {
@@ -91,7 +101,7 @@ pub trait Options: Default + Clone + PartialEq + Serialize + DeserializeOwned {
 macro_rules! options {
     (
         $(#[doc = $about:expr])*
-        $vis:vis struct $name:ident in $section:literal {
+        $vis:vis struct $name:ident in $section:literal $(, together $together:path)? {
             $(
                 $(#[doc = $doc:expr])*
                 $fvis:vis $key:ident: $kind:ty = $default:expr
@@ -132,6 +142,12 @@ macro_rules! options {
                     },
                 )*]
             }
+
+            $(
+                fn check_together(&self) -> Result<(), String> {
+                    $together(self)
+                }
+            )?
         }
     };
     (@limits) => { $crate::options::Limits::NONE };

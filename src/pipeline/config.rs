@@ -58,6 +58,33 @@ crate::options! {
     }
 }
 
+impl ProjectOptions {
+    /// Whether the files that are named are there.
+    fn check_files(&self, root: &Path) -> Result<(), Error> {
+        let named = [
+            ("ortho", &self.ortho),
+            ("control", &self.control),
+            ("marks", &self.marks),
+            ("positions", &self.positions),
+            ("camera", &self.camera),
+            ("plots", &self.plots),
+            ("regions", &self.regions),
+            ("truth", &self.truth),
+        ];
+        let missing = named.into_iter().find_map(|(key, path)| {
+            path.as_ref().filter(|path| !root.join(path).is_file()).map(|path| (key, path))
+        });
+        match missing {
+            None => Ok(()),
+            Some((key, path)) => Err(Error::Argument(format!(
+                "[project] {key} = {:?}: there is no such file in {}",
+                path.display().to_string(),
+                root.display()
+            ))),
+        }
+    }
+}
+
 crate::options! {
     /// Which stages are done.
     pub struct StagesOptions in "stages" {
@@ -68,12 +95,20 @@ crate::options! {
 
 crate::options! {
     /// Quality checks in the report.
-    pub struct ReportOptions in "report" {
+    pub struct ReportOptions in "report", together yellow_before_red {
         /// A check-point error from which the check is yellow.
         pub check_yellow_gsd: f64 = 2.0, limits POSITIVE;
         /// A check-point error from which the check is red.
         pub check_red_gsd: f64 = 4.0, limits POSITIVE;
     }
+}
+
+fn yellow_before_red(options: &ReportOptions) -> Result<(), String> {
+    let (yellow, red) = (options.check_yellow_gsd, options.check_red_gsd);
+    if yellow <= red {
+        return Ok(());
+    }
+    Err(format!("check_yellow_gsd = {yellow}: expected at most check_red_gsd, which is {red}"))
 }
 
 macro_rules! config {
@@ -92,6 +127,19 @@ macro_rules! config {
             /// The definitions of all sections in their order.
             pub fn sections() -> Vec<Section> {
                 vec![$(<$kind>::section()),*]
+            }
+
+            /// Whether all values are within their limits and go together.
+            ///
+            /// # Errors
+            /// The first section and value that does not, and what was expected.
+            pub fn validate(&self) -> Result<(), Error> {
+                $(
+                    self.$name.validate().map_err(|why| {
+                        Error::Argument(format!("[{}] {why}", <$kind as Options>::SECTION))
+                    })?;
+                )*
+                Ok(())
             }
         }
     };
@@ -161,7 +209,12 @@ impl Config {
             set(&mut table, &sections, (section.trim(), key.trim()), text)
                 .map_err(|why| Error::Argument(format!("--set {setting}: {why}")))?;
         }
-        Value::Table(table).try_into().map_err(|e: toml::de::Error| Error::Argument(e.to_string()))
+        let config: Config = Value::Table(table)
+            .try_into()
+            .map_err(|e: toml::de::Error| Error::Argument(e.to_string()))?;
+        config.validate()?;
+        config.project.check_files(root)?;
+        Ok(config)
     }
 
     /// The settings as a file, every key that is set.
@@ -368,6 +421,17 @@ mod tests {
         }
         let error = read("", &[("ROWGRAM_ALIGN_SEEED", "2")], &[]).unwrap_err();
         assert!(error.contains("did you mean ROWGRAM_ALIGN_SEED?"), "{error}");
+        for (file, expected) in [
+            ("[plots]\nrows_per_plot = 4\n", "[plots] alley_m is not set"),
+            ("[report]\ncheck_yellow_gsd = 9\n", "[report] check_yellow_gsd = 9: expected at most"),
+            (
+                "[project]\ntruth = \"a.csv\"\n",
+                "[project] truth = \"a.csv\": there is no such file",
+            ),
+        ] {
+            let error = read(file, &[], &[]).unwrap_err();
+            assert!(error.contains(expected), "{error}");
+        }
         let error = read("", &[("ROWGRAM_ALIGN_SEED", "two")], &[]).unwrap_err();
         assert!(error.contains("environment variable ROWGRAM_ALIGN_SEED: seed"), "{error}");
     }

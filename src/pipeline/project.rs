@@ -120,6 +120,22 @@ impl Project {
         Some(self.file(stage, name)).filter(|path| path.is_file())
     }
 
+    /// A file that a stage left when it was done last.
+    pub fn finished(&self, stage: Stage, name: &str) -> Option<PathBuf> {
+        let path = self.existing(stage, name)?;
+        self.records().read(stage).map(|_| path)
+    }
+
+    /// The polygons of its plots.
+    pub fn plots(&self) -> Option<PathBuf> {
+        self.polygons(self.config.project.plots.as_ref(), "plots")
+    }
+
+    /// The regions in which leaves were counted by hand.
+    pub fn regions(&self) -> Option<PathBuf> {
+        self.polygons(self.config.project.regions.as_ref(), "regions")
+    }
+
     /// What its stages did.
     pub fn records(&self) -> Records {
         Records::of(&self.root, &self.results)

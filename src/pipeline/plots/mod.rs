@@ -1,0 +1,266 @@
+//! Traits of every plot: from polygons, from a grid that the rows give, or of the whole field.
+//!
+//! Written as a wide table (`traits.csv`), a tidy one (`traits_long.csv`: plot, trait, value, unit), polygons with
+//! the traits (`traits.geojson`, `traits.gpkg`), and observations after BrAPI's names (`traits.brapi.json`).
+
+mod write;
+
+use super::{Project, Stage, Task, stage};
+use crate::{
+    error::Error,
+    io::{FileError, csv_table::CsvTable, polygons, rasters},
+    monitor::{Diagnostic, Monitor},
+    options::Choice,
+    phenotype::plots::{
+        FieldMeasurements, LeavesByArea, MeasuredLeaf, PlotTraits, plots_from_rows,
+    },
+    raster::{georeference::Georeference, mask::Thresholds, polygon::Polygon},
+};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+crate::options! {
+    /// Traits of plots. Without polygons and without both options below the whole field is one plot.
+    pub struct PlotsOptions in "plots", together both_or_neither {
+        /// Number of rows of plants in a plot, where there are no polygons.
+        pub rows_per_plot: Option<usize> = None, limits at_least(1.0), example "4";
+        /// Least length of an alley between plots, where there are no polygons.
+        pub alley_m: Option<f64> = None, limits POSITIVE, example "1.0";
+    }
+}
+
+fn both_or_neither(options: &PlotsOptions) -> Result<(), String> {
+    match (options.rows_per_plot, options.alley_m) {
+        (Some(_), None) => Err("alley_m is not set: expected it beside rows_per_plot".to_owned()),
+        (None, Some(_)) => Err("rows_per_plot is not set: expected it beside alley_m".to_owned()),
+        _ => Ok(()),
+    }
+}
+
+/// Where plots come from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum PlotSource {
+    /// Polygons that somebody drew.
+    Polygons,
+    /// Groups of rows, cut at alleys.
+    Rows,
+    /// There is one plot: the whole field.
+    WholeField,
+}
+
+crate::choices!(PlotSource: Polygons, Rows, WholeField);
+
+/// Traits of the plots of a project.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PlotsOutcome {
+    /// Where the plots come from.
+    pub source: PlotSource,
+    /// The plots in the order of their source.
+    pub plots: Vec<PlotTraits>,
+    /// Plots that lie outside of the orthomosaic.
+    pub outside: Vec<String>,
+}
+
+/// A plot, its polygon in pixels, its traits.
+struct Plot {
+    polygon: Polygon,
+    traits: PlotTraits,
+}
+
+/// Measures the traits of the plots from what earlier stages found, and writes them.
+///
+/// # Errors
+/// As [`stage::perform`]; plots none of which lies on the orthomosaic; an alley in metres where the orthomosaic has no
+/// scale.
+pub fn plots(
+    project: &Project,
+    options: &PlotsOptions,
+    monitor: &mut dyn Monitor,
+) -> Result<PlotsOutcome, Error> {
+    stage::perform::<Plots>(project, options, monitor)
+}
+
+/// The stage.
+pub(super) struct Plots;
+
+/// The tables of earlier stages that are there.
+struct Tables {
+    plants: Option<PathBuf>,
+    gaps: Option<PathBuf>,
+    leaves: Option<PathBuf>,
+    counts: Option<PathBuf>,
+}
+
+impl Tables {
+    fn of(project: &Project) -> Tables {
+        Tables {
+            plants: project.finished(Stage::Locate, "plants.csv"),
+            gaps: project.finished(Stage::Locate, "gaps.csv"),
+            leaves: project.finished(Stage::Leaves, "leaves.csv"),
+            counts: project.finished(Stage::LeafCount, "counts.csv"),
+        }
+    }
+}
+
+impl Task for Plots {
+    type Options = PlotsOptions;
+    type Outcome = PlotsOutcome;
+    const STAGE: Stage = Stage::Plots;
+
+    fn inputs(project: &Project, _: &PlotsOptions) -> Result<Vec<PathBuf>, Error> {
+        let mut files = vec![project.mask()?];
+        if let Some(path) = project.plots() {
+            files.extend(polygons::files(&path));
+        }
+        let tables = Tables::of(project);
+        let optional = [tables.plants, tables.gaps, tables.leaves, tables.counts];
+        files.extend(optional.into_iter().flatten());
+        Ok(files)
+    }
+
+    fn context(project: &Project) -> String {
+        study(project)
+    }
+
+    fn work(
+        project: &Project,
+        options: &PlotsOptions,
+        folder: &Path,
+        monitor: &mut dyn Monitor,
+    ) -> Result<PlotsOutcome, Error> {
+        let (mask, place) = rasters::read_mask(&project.mask()?, &Thresholds::default())?;
+        let tables = Tables::of(project);
+        let field = measurements(&tables, place.and_then(|place| place.gsd_m()))?;
+        let (source, areas) = areas(project, options, &tables, place, monitor)?;
+        let areas = areas.unwrap_or_else(|| {
+            let [u, v] = [mask.width as f64 - 0.5, mask.height as f64 - 0.5];
+            let ring = vec![[-0.5, -0.5], [u, -0.5], [u, v], [-0.5, v]];
+            vec![("field".to_owned(), Polygon { rings: vec![ring] })]
+        });
+        let mut outside = Vec::new();
+        let plots: Vec<Plot> = areas
+            .into_iter()
+            .map(|(name, polygon)| {
+                let (traits, pixels) = field.traits(&name, &polygon, &mask);
+                if pixels == 0 {
+                    outside.push(name);
+                }
+                Plot { polygon, traits }
+            })
+            .collect();
+        if let (Some(path), false) = (project.plots(), outside.is_empty()) {
+            if outside.len() == plots.len() {
+                let message = "none of its plots lies on the orthomosaic: is it of another field, or in another \
+                               reference system than it says?";
+                return Err(FileError::malformed(&path, None, message).into());
+            }
+            let message = format!(
+                "{} of {} plots lie outside of the orthomosaic and have no traits: {}",
+                outside.len(),
+                plots.len(),
+                outside.join(", ")
+            );
+            let subject = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            monitor.diagnostic(&Diagnostic::warning("plots-outside", subject, message));
+        }
+        write::traits(&plots, place, &study(project), folder)?;
+        let plots = plots.into_iter().map(|plot| plot.traits).collect();
+        Ok(PlotsOutcome { source, plots, outside })
+    }
+}
+
+/// The name of the study. Not the folder's: a project that moves keeps its bytes.
+fn study(project: &Project) -> String {
+    project.config().project.name.clone().unwrap_or_else(|| "field".to_owned())
+}
+
+/// Polygons with names, pixels.
+type Areas = Vec<(String, Polygon)>;
+
+/// The plots in pixels; `None` where the whole field is one.
+fn areas(
+    project: &Project,
+    options: &PlotsOptions,
+    tables: &Tables,
+    place: Option<Georeference>,
+    monitor: &mut dyn Monitor,
+) -> Result<(PlotSource, Option<Areas>), Error> {
+    if let Some(path) = project.plots() {
+        let named = polygons::read(&path, place.as_ref())?;
+        let areas = named.into_iter().map(|plot| (plot.name, plot.polygon)).collect();
+        return Ok((PlotSource::Polygons, Some(areas)));
+    }
+    let (Some(rows), Some(alley_m)) = (options.rows_per_plot, options.alley_m) else {
+        return Ok((PlotSource::WholeField, None));
+    };
+    let plants = tables.plants.as_deref().map(CsvTable::read).transpose()?;
+    let of_rows = plants.and_then(|table| table.pairs("u_px", "v_px").zip(table.numbers("row")));
+    let Some((plants, row_of)) = of_rows else {
+        let message = "there are no plants with rows, so the whole field is one plot";
+        monitor.diagnostic(
+            &Diagnostic::warning("plots-without-rows", "plots", message)
+                .with_remedy("locate plants with the row model, or draw the plots as polygons"),
+        );
+        return Ok((PlotSource::WholeField, None));
+    };
+    let gsd_m = place.and_then(|place| place.gsd_m()).ok_or_else(|| {
+        Error::Argument("[plots] alley_m: the orthomosaic has no scale in metres".into())
+    })?;
+    Ok((PlotSource::Rows, Some(plots_from_rows(&plants, &row_of, rows, alley_m / gsd_m))))
+}
+
+fn measurements(tables: &Tables, gsd_m: Option<f64>) -> Result<FieldMeasurements, Error> {
+    let read = |path: &Option<PathBuf>| path.as_deref().map(CsvTable::read).transpose();
+    let gaps = read(&tables.gaps)?.and_then(|table| {
+        let places = table.pairs("u_px", "v_px")?;
+        Some(places.into_iter().zip(table.numbers("plants")?).collect())
+    });
+    let by_area = read(&tables.counts)?.and_then(|table| {
+        let columns = [table.numbers("leaves")?, table.numbers("low")?, table.numbers("high")?];
+        let plots = table.texts("plot")?.into_iter().enumerate();
+        let row = |(k, plot): (usize, &str)| LeavesByArea {
+            plot: plot.to_owned(),
+            leaves: [0, 1, 2].map(|column| columns[column][k]),
+        };
+        Some(plots.map(row).collect())
+    });
+    Ok(FieldMeasurements {
+        gsd_m,
+        plants: read(&tables.plants)?.and_then(|table| table.pairs("u_px", "v_px")),
+        gaps,
+        leaves: read(&tables.leaves)?.as_ref().and_then(single_leaves),
+        by_area,
+    })
+}
+
+fn single_leaves(table: &CsvTable) -> Option<Vec<MeasuredLeaf>> {
+    let places = table.pairs("u_px", "v_px")?;
+    let unknown = || vec![f64::NAN; places.len()];
+    let [lengths, widths, hues] = ["length_m", "mean_width_m", "hue_deg"]
+        .map(|name| table.numbers(name).unwrap_or_else(unknown));
+    let leaf = |k: usize| MeasuredLeaf {
+        at_px: places[k],
+        length_m: lengths[k],
+        width_m: widths[k],
+        hue_deg: hues[k],
+    };
+    Some((0..places.len()).map(leaf).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::options::Options;
+
+    #[test]
+    fn rows_and_alley_belong_together() {
+        let with = |text: &str| PlotsOptions::default().with(&text.parse().unwrap()).unwrap();
+        assert!(with("rows_per_plot = 4\nalley_m = 1.0").validate().is_ok());
+        assert!(with("").validate().is_ok());
+        let error = with("rows_per_plot = 4").validate().unwrap_err();
+        assert!(error.contains("alley_m is not set"), "{error}");
+        let error = with("alley_m = 1").validate().unwrap_err();
+        assert!(error.contains("rows_per_plot is not set"), "{error}");
+    }
+}

@@ -1,0 +1,146 @@
+//! Traits as files: CSV wide and tidy, GeoJSON, GeoPackage, observations with the names of BrAPI.
+
+use super::Plot;
+use crate::{
+    error::Error,
+    io::{
+        FileError,
+        gpkg::{self, Column, ColumnKind, Feature, Geometry, GeometryKind, Layer},
+        output,
+    },
+    phenotype::plots::TRAITS,
+    raster::{georeference::Georeference, polygon::Polygon},
+};
+use serde_json::{Value, json};
+use std::path::Path;
+
+/// Writes all of them into a folder; `study` is the name of the field.
+///
+/// # Errors
+/// Where a file cannot be written.
+pub(super) fn traits(
+    plots: &[Plot],
+    place: Option<Georeference>,
+    study: &str,
+    folder: &Path,
+) -> Result<(), Error> {
+    let text = |value: Option<f64>| value.map(|value| value.to_string()).unwrap_or_default();
+    output::write(&folder.join("traits.csv"), true, |out| {
+        let mut csv = csv::Writer::from_writer(out);
+        csv.write_record(std::iter::once("plot").chain(TRAITS.iter().map(|of| of.name)))?;
+        for Plot { traits, .. } in plots {
+            let values = TRAITS.iter().map(|of| text((of.value)(traits)));
+            csv.write_record(std::iter::once(traits.plot.clone()).chain(values))?;
+        }
+        csv.flush()
+    })?;
+    output::write(&folder.join("traits_long.csv"), true, |out| {
+        let mut csv = csv::Writer::from_writer(out);
+        csv.write_record(["plot", "trait", "value", "unit"])?;
+        for Plot { traits, .. } in plots {
+            for of in TRAITS {
+                if let Some(value) = (of.value)(traits) {
+                    csv.write_record([&traits.plot, of.name, &value.to_string(), of.unit])?;
+                }
+            }
+        }
+        csv.flush()
+    })?;
+    let rings: Vec<Rings> = plots.iter().map(|plot| on_map(&plot.polygon, place)).collect();
+    package(plots, &rings, place, folder)?;
+    let features: Vec<Value> = plots
+        .iter()
+        .zip(&rings)
+        .map(|(plot, rings)| {
+            json!({
+                "type": "Feature",
+                "properties": plot.traits,
+                "geometry": {"type": "Polygon", "coordinates": rings},
+            })
+        })
+        .collect();
+    let mut collection = json!({"type": "FeatureCollection", "features": features});
+    if let Some(code) = place.and_then(|place| place.crs.epsg) {
+        let name = format!("urn:ogc:def:crs:EPSG::{code}");
+        collection["crs"] = json!({"type": "name", "properties": {"name": name}});
+    }
+    output::write(&folder.join("traits.geojson"), true, |out| writeln!(out, "{collection}"))?;
+    let observations = brapi(study, plots);
+    output::write(&folder.join("traits.brapi.json"), true, |out| {
+        serde_json::to_writer_pretty(&mut *out, &observations)?;
+        writeln!(out)
+    })
+    .map_err(|error: FileError| error.into())
+}
+
+/// Closed rings of map positions, to a tenth of a millimetre.
+type Rings = Vec<Vec<[f64; 2]>>;
+
+fn on_map(polygon: &Polygon, place: Option<Georeference>) -> Rings {
+    let ring = |ring: &Vec<[f64; 2]>| {
+        let closed = ring.iter().chain(ring.first());
+        let map = closed.map(|&at| place.map_or(at, |place| place.map(at)));
+        map.map(|at| at.map(|x| (x * 1e4).round() / 1e4)).collect()
+    };
+    polygon.rings.iter().map(ring).collect()
+}
+
+/// The same as a layer of a GeoPackage; the unit of a trait is in its name.
+fn package(
+    plots: &[Plot],
+    rings: &[Rings],
+    place: Option<Georeference>,
+    folder: &Path,
+) -> Result<(), Error> {
+    let columns = std::iter::once(Column::new("plot", ColumnKind::Text))
+        .chain(TRAITS.iter().map(|of| Column::new(of.name, ColumnKind::Real)));
+    let feature = |(plot, rings): (&Plot, &Rings)| {
+        let number = |value: Option<f64>| value.map_or(gpkg::Value::Null, gpkg::Value::Real);
+        let values = TRAITS.iter().map(|of| number((of.value)(&plot.traits)));
+        let name = gpkg::Value::Text(plot.traits.plot.clone());
+        Feature {
+            geometry: Some(Geometry::Polygon(rings.clone())),
+            values: std::iter::once(name).chain(values).collect(),
+        }
+    };
+    let layer = Layer {
+        name: "plots".to_owned(),
+        description: "Traits of plots".to_owned(),
+        kind: GeometryKind::Polygon,
+        crs: place.map(|place| place.crs),
+        columns: columns.collect(),
+        features: plots.iter().zip(rings).map(feature).collect(),
+    };
+    Ok(gpkg::write(&folder.join("traits.gpkg"), true, &[layer])?)
+}
+
+/// Observations with the names of BrAPI 2.1, and what MIAPPE asks of a study as far as it is known here.
+fn brapi(study: &str, plots: &[Plot]) -> Value {
+    let mut data = Vec::new();
+    for Plot { traits, .. } in plots {
+        for of in TRAITS {
+            let Some(value) = (of.value)(traits) else { continue };
+            data.push(json!({
+                "observationUnitDbId": traits.plot,
+                "observationUnitName": traits.plot,
+                "observationLevel": "plot",
+                "observationVariableName": of.name,
+                "observationVariableDescription": of.meaning,
+                "scale": of.unit,
+                "value": value.to_string(),
+            }));
+        }
+    }
+    json!({
+        "metadata": {
+            "pagination": {"currentPage": 0, "pageSize": data.len(), "totalCount": data.len(), "totalPages": 1},
+        },
+        "study": {
+            "studyName": study,
+            "studyType": "UAV phenotyping",
+            "method": format!("rowgram {}", env!("CARGO_PKG_VERSION")),
+            "observationUnitLevel": "plot",
+        },
+        "result": {"data": data},
+    })
+}
