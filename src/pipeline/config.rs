@@ -339,10 +339,17 @@ fn of_variable(name: &str, sections: &[Section]) -> Result<(String, String), Err
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::options::Kind;
 
     fn read(file: &str, variables: &[(&str, &str)], settings: &[&str]) -> Result<Config, String> {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join(NAME), file).unwrap();
+        // The files that the examples name.
+        std::fs::create_dir(folder.path().join("truth")).unwrap();
+        for field in ProjectOptions::fields().iter().filter(|field| field.kind == Kind::Path) {
+            let path = field.example.unwrap().trim_matches('"');
+            std::fs::write(folder.path().join(path), "").unwrap();
+        }
         let variables = variables.iter().map(|(a, b)| ((*a).to_owned(), (*b).to_owned()));
         let settings: Vec<String> = settings.iter().map(|text| (*text).to_owned()).collect();
         Config::read(folder.path(), variables, &settings).map_err(|error| error.to_string())
