@@ -10,7 +10,7 @@ use data_synth::block::{Block, BlockConfig};
 use rowgram::{
     engine::Engine,
     io::bal,
-    nlls::{LeastSquares, Linear, Loss, Method, Options, Stages, solve},
+    nlls::{LeastSquares, LinearSolver, Loss, Method, Options, StepProfiler, solve},
     problems::bundle::{Bundle, InteriorSharing, Network},
 };
 
@@ -45,9 +45,9 @@ fn stages(criterion: &mut Criterion) {
         let bundle = Bundle::new(&network, InteriorSharing::PerImage, Loss::Trivial).unwrap();
         for (path, fuse) in [("fused", true), ("stored", false)] {
             group.bench_function(format!("{path}: analyse"), |b| {
-                b.iter(|| Stages::new(&bundle.problem, Linear::Schur, fuse).unwrap());
+                b.iter(|| StepProfiler::new(&bundle.problem, LinearSolver::Schur, fuse).unwrap());
             });
-            let mut stages = Stages::new(&bundle.problem, Linear::Schur, fuse).unwrap();
+            let mut stages = StepProfiler::new(&bundle.problem, LinearSolver::Schur, fuse).unwrap();
             group.bench_function(format!("{path}: cost"), |b| b.iter(|| stages.cost().unwrap()));
             if !fuse {
                 group.bench_function(format!("{path}: linearise"), |b| {

@@ -8,8 +8,8 @@
 use rowgram::{
     engine::SolveError,
     nlls::{
-        BlockId, Factor, Factors, Infeasible, Jacobian, Linear, Loss, Options, Problem, Space,
-        covariance::Covariance, solve,
+        BlockId, Euclidean, Factor, Factors, Infeasible, Jacobian, LinearSolver, Loss, Options,
+        Problem, covariance::Covariance, solve,
     },
 };
 
@@ -48,7 +48,7 @@ impl Factor for Decay {
 
 fn main() -> Result<(), SolveError> {
     let mut problem = Problem::new();
-    let curve = problem.block("curve", Space::Euclidean(2), &[1.0, 1.0])?;
+    let curve = problem.block("curve", Euclidean(2), &[1.0, 1.0])?;
     let measured = [5.02, 3.85, 3.07, 2.41, 1.84, 1.45, 1.18, 0.89];
     let factors: Vec<Decay> = measured
         .iter()
@@ -58,7 +58,7 @@ fn main() -> Result<(), SolveError> {
     problem.add("decay", Loss::Trivial, Factors(factors))?;
     let mut x = problem.start();
     let summary = solve(&problem, &mut x, &Options::default(), 50)?;
-    let covariance = Covariance::new(&problem, &x, Linear::Dense)?.block(curve);
+    let covariance = Covariance::new(&problem, &x, LinearSolver::Dense)?.block(curve);
     let values = problem.values(&x, curve);
     println!("stopped because {}", summary.stop.explain());
     println!("a = {:.3} +- {:.3}", values[0], covariance[0].sqrt());

@@ -7,7 +7,9 @@
 
 use rowgram::{
     engine::SolveError,
-    nlls::{BlockId, Factor, Factors, Infeasible, Jacobian, Loss, Options, Problem, Space, solve},
+    nlls::{
+        BlockId, Euclidean, Factor, Factors, Infeasible, Jacobian, Loss, Options, Problem, solve,
+    },
 };
 
 /// A linear residual `(sum_k w_k x_k - value) / sigma` of a few heights.
@@ -46,9 +48,8 @@ impl Factor for Weighted {
 
 fn main() -> Result<(), SolveError> {
     let mut problem = Problem::new();
-    let heights: Vec<BlockId> = (0..11)
-        .map(|_| problem.block("height", Space::Euclidean(1), &[0.0]))
-        .collect::<Result<_, _>>()?;
+    let heights: Vec<BlockId> =
+        (0..11).map(|_| problem.block("height", Euclidean(1), &[0.0])).collect::<Result<_, _>>()?;
     // The last measurement is wrong by metres: a robust loss keeps it from bending the line.
     let measured = [(0, 1.0), (3, 1.6), (6, 2.2), (10, 3.0), (8, 9.0)];
     let data = measured.map(|(k, value)| Weighted {

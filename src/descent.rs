@@ -5,30 +5,30 @@
 //! share (an assignment, a scale, latent lines). One [`Engine::step`] is one sweep.
 //!
 //! - The order of sweep `k` is a pure function of `(seed, k)`, so nothing of it has to be kept.
-//! - A block is visited only while *touched*: at the start, and whenever an update or the end of a
-//!   sweep says that its optimum may have moved ([`Touched::mark`]).
-//! - It ends when no block is touched, or none moved by more than the tolerance and the end of the
-//!   sweep touched no other, or, where one joint objective exists, when a sweep decreases it by less
+//! - A block is visited only while *active*: at the start, and whenever an update or the end of a
+//!   sweep says that its optimum may have moved ([`ActiveSet::mark`]).
+//! - It ends when no block is active, or none moved by more than the tolerance and the end of the
+//!   sweep active no other, or, where one joint objective exists, when a sweep decreases it by less
 //!   than the relative tolerance. A problem without a joint objective (the paper's conditionals) is
 //!   judged by movement alone.
 //!
 //! Reference: S. J. Wright, "Coordinate descent algorithms", Mathematical Programming 151 (2015).
 
-use crate::engine::{Engine, SolveError, Step, Stop};
+use crate::engine::{Engine, SolveError, Step, Termination};
 use rand::{SeedableRng, seq::SliceRandom};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 /// The set of blocks whose optimum may have moved.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Touched {
+pub struct ActiveSet {
     flags: Vec<bool>,
 }
 
-impl Touched {
-    /// A set over `len` blocks, all of them touched or none.
-    pub fn new(len: usize, all: bool) -> Touched {
-        Touched { flags: vec![all; len] }
+impl ActiveSet {
+    /// A set over `len` blocks, all of them active or none.
+    pub fn new(len: usize, all: bool) -> ActiveSet {
+        ActiveSet { flags: vec![all; len] }
     }
 
     /// Notes that `block` has to be visited (again). A block that is not there is ignored.
@@ -84,13 +84,13 @@ pub trait BlockCost {
 
     /// Moves one block to its optimum, marks the blocks whose optimum this may have moved, and
     /// returns how far the block went.
-    fn update(&self, x: &mut Self::Iterate, block: usize, touched: &mut Touched) -> f64;
+    fn update(&self, x: &mut Self::Iterate, block: usize, active: &mut ActiveSet) -> f64;
 
     /// Refits what the blocks share, and marks the blocks whose optimum this moved.
-    fn end_sweep(&self, x: &mut Self::Iterate, touched: &mut Touched);
+    fn end_sweep(&self, x: &mut Self::Iterate, active: &mut ActiveSet);
 
     /// Named numbers for the trace, always the same names in the same order.
-    fn notes(&self, _x: &Self::Iterate) -> Vec<(&'static str, f64)> {
+    fn metrics(&self, _x: &Self::Iterate) -> Vec<(&'static str, f64)> {
         Vec::new()
     }
 }
@@ -128,11 +128,11 @@ impl Default for Options {
 
 /// What decides all future sweeps besides the iterate.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Memory {
+pub struct DescentState {
     /// Sweeps made so far.
     pub sweep: u64,
     /// Blocks to visit, ascending.
-    pub touched: Vec<u32>,
+    pub active: Vec<u32>,
     /// Cost after the last sweep.
     pub cost: f64,
 }
@@ -142,7 +142,7 @@ pub struct Memory {
 pub struct Descent {
     options: Options,
     sweep: u64,
-    touched: Touched,
+    active: ActiveSet,
     cost: f64,
     order: Vec<u32>,
 }
@@ -154,7 +154,7 @@ impl Descent {
     }
 
     /// Fills `order` with the order of the coming sweep.
-    fn arrange(&mut self, len: usize) {
+    fn order_blocks(&mut self, len: usize) {
         self.order.clear();
         self.order.extend((0u32..).take(len));
         if self.options.order == Order::Shuffled {
@@ -179,69 +179,69 @@ impl Descent {
 
 impl<P: BlockCost> Engine<P> for Descent {
     type Iterate = P::Iterate;
-    type Memory = Memory;
+    type State = DescentState;
     const NAME: &'static str = "coordinate-descent";
 
     fn start(&mut self, problem: &P, x: &mut P::Iterate) -> Result<f64, SolveError> {
         self.cost = Descent::check(problem, x)?;
         self.sweep = 0;
-        self.touched = Touched::new(problem.len(), true);
+        self.active = ActiveSet::new(problem.len(), true);
         Ok(self.cost)
     }
 
     fn step(&mut self, problem: &P, x: &mut P::Iterate) -> Result<Step, SolveError> {
-        self.arrange(problem.len());
-        let (mut movement, mut visited) = (0.0_f64, 0_u32);
+        self.order_blocks(problem.len());
+        let (mut step_norm, mut visited) = (0.0_f64, 0_u32);
         for index in 0..self.order.len() {
             let block = self.order[index] as usize;
-            if self.touched.take(block) {
+            if self.active.take(block) {
                 visited += 1;
-                movement = movement.max(problem.update(x, block, &mut self.touched));
+                step_norm = step_norm.max(problem.update(x, block, &mut self.active));
             }
         }
-        let waiting = self.touched.count();
-        problem.end_sweep(x, &mut self.touched);
-        let waiting_after = self.touched.count();
+        let waiting = self.active.count();
+        problem.end_sweep(x, &mut self.active);
+        let waiting_after = self.active.count();
         self.sweep += 1;
         let before = self.cost;
         self.cost = problem.cost(x);
-        if !(self.cost.is_finite() && movement.is_finite()) {
+        if !(self.cost.is_finite() && step_norm.is_finite()) {
             return Err(SolveError::NotFinite(format!("sweep {}", self.sweep)));
         }
         let still = waiting_after == 0
-            || (movement <= self.options.movement_tolerance && waiting_after == waiting);
+            || (step_norm <= self.options.movement_tolerance && waiting_after == waiting);
         let flat = problem.monotone()
             && self.options.cost_tolerance > 0.0
             && before - self.cost <= self.options.cost_tolerance * before.abs();
         let stop = match (still, flat) {
-            (true, _) => Some(Stop::MovementConverged),
-            (false, true) => Some(Stop::CostConverged),
+            (true, _) => Some(Termination::StepConverged),
+            (false, true) => Some(Termination::CostConverged),
             (false, false) => None,
         };
-        let mut notes = vec![("visited", f64::from(visited))];
-        notes.extend(problem.notes(x));
-        Ok(Step { cost: self.cost, movement, accepted: movement > 0.0, stop, notes })
+        let mut metrics = vec![("visited", f64::from(visited))];
+        metrics.extend(problem.metrics(x));
+        Ok(Step { cost: self.cost, step_norm, accepted: step_norm > 0.0, stop, metrics })
     }
 
-    fn memory(&self) -> Memory {
-        Memory { sweep: self.sweep, touched: self.touched.blocks(), cost: self.cost }
+    fn state(&self) -> DescentState {
+        DescentState { sweep: self.sweep, active: self.active.blocks(), cost: self.cost }
     }
 
     fn resume(
         &mut self,
         problem: &P,
         x: &mut P::Iterate,
-        memory: Memory,
+        memory: DescentState,
     ) -> Result<f64, SolveError> {
         Descent::check(problem, x)?;
-        if memory.touched.iter().any(|&block| block as usize >= problem.len()) {
+        if memory.active.iter().any(|&block| block as usize >= problem.len()) {
             return Err(SolveError::Misuse(
                 "the checkpoint names blocks that are not there".into(),
             ));
         }
-        self.touched = Touched::new(problem.len(), false);
-        for block in memory.touched {
-            self.touched.mark(block as usize);
+        self.active = ActiveSet::new(problem.len(), false);
+        for block in memory.active {
+            self.active.mark(block as usize);
         }
         self.sweep = memory.sweep;
         self.cost = memory.cost;
@@ -259,7 +259,7 @@ pub struct Outcome {
     /// Sweeps made.
     pub sweeps: u64,
     /// Why it ended.
-    pub stop: Stop,
+    pub stop: Termination,
 }
 
 /// Starts an engine and steps it until it wants to stop or `max_sweeps` are made; `observe` sees
@@ -276,8 +276,12 @@ pub fn run<P: BlockCost>(
 ) -> Result<Outcome, SolveError> {
     let mut engine = Descent::new(options);
     let initial_cost = engine.start(problem, x)?;
-    let mut outcome =
-        Outcome { initial_cost, final_cost: initial_cost, sweeps: 0, stop: Stop::MaxIterations };
+    let mut outcome = Outcome {
+        initial_cost,
+        final_cost: initial_cost,
+        sweeps: 0,
+        stop: Termination::MaxIterations,
+    };
     while outcome.sweeps < max_sweeps {
         let step = engine.step(problem, x)?;
         outcome.sweeps += 1;
@@ -315,20 +319,20 @@ mod tests {
         fn monotone(&self) -> bool {
             true
         }
-        fn update(&self, x: &mut Vec<f64>, block: usize, touched: &mut Touched) -> f64 {
+        fn update(&self, x: &mut Vec<f64>, block: usize, active: &mut ActiveSet) -> f64 {
             let mut neighbours = vec![];
             neighbours.extend(block.checked_sub(1));
             neighbours.extend((block + 1 < x.len()).then_some(block + 1));
             let sum: f64 = neighbours.iter().map(|&q| x[q]).sum();
             let new = (self.targets[block] + sum) / (1 + neighbours.len()) as f64;
-            let movement = (new - x[block]).abs();
+            let step_norm = (new - x[block]).abs();
             x[block] = new;
-            if movement > 1e-12 {
-                neighbours.iter().for_each(|&q| touched.mark(q));
+            if step_norm > 1e-12 {
+                neighbours.iter().for_each(|&q| active.mark(q));
             }
-            movement
+            step_norm
         }
-        fn end_sweep(&self, _: &mut Vec<f64>, _: &mut Touched) {}
+        fn end_sweep(&self, _: &mut Vec<f64>, _: &mut ActiveSet) {}
     }
 
     fn chain() -> Chain {
@@ -349,7 +353,7 @@ mod tests {
                 last = step.cost;
             })
             .unwrap();
-            assert_eq!(outcome.stop, Stop::MovementConverged);
+            assert_eq!(outcome.stop, Termination::StepConverged);
             for p in 0..20 {
                 let mut gradient = x[p] - problem.targets[p];
                 if p > 0 {
@@ -372,35 +376,35 @@ mod tests {
             let mut saved = String::new();
             for sweep in 0..9 {
                 if sweep == 4 {
-                    let memory = Engine::<Chain>::memory(&engine);
+                    let memory = Engine::<Chain>::state(&engine);
                     saved = serde_json::to_string(&(&whole, memory)).unwrap();
                 }
                 engine.step(&problem, &mut whole).unwrap();
             }
-            let (mut x, memory): (Vec<f64>, Memory) = serde_json::from_str(&saved).unwrap();
+            let (mut x, memory): (Vec<f64>, DescentState) = serde_json::from_str(&saved).unwrap();
             let mut second = Descent::new(options(order));
             second.resume(&problem, &mut x, memory).unwrap();
             for _ in 4..9 {
                 second.step(&problem, &mut x).unwrap();
             }
             assert_eq!(x, whole);
-            assert_eq!(Engine::<Chain>::memory(&second), Engine::<Chain>::memory(&engine));
+            assert_eq!(Engine::<Chain>::state(&second), Engine::<Chain>::state(&engine));
         }
     }
 
     #[test]
     fn shuffled_orders_are_permutations_that_differ_by_sweep_and_seed() {
         let mut engine = Descent::new(options(Order::Shuffled));
-        engine.arrange(50);
+        engine.order_blocks(50);
         let first = engine.order.clone();
         engine.sweep = 1;
-        engine.arrange(50);
+        engine.order_blocks(50);
         assert_ne!(first, engine.order);
         let mut sorted = engine.order.clone();
         sorted.sort_unstable();
         assert_eq!(sorted, (0..50).collect::<Vec<u32>>());
         engine.sweep = 0;
-        engine.arrange(50);
+        engine.order_blocks(50);
         assert_eq!(first, engine.order);
     }
 
@@ -408,8 +412,8 @@ mod tests {
     fn an_empty_problem_converges_and_a_foreign_checkpoint_is_refused() {
         let problem = Chain { targets: vec![] };
         let outcome = run(&problem, &mut vec![], Options::default(), 10, |_, _| ()).unwrap();
-        assert_eq!((outcome.sweeps, outcome.stop), (1, Stop::MovementConverged));
-        let memory = Memory { sweep: 3, touched: vec![20], cost: 0.0 };
+        assert_eq!((outcome.sweeps, outcome.stop), (1, Termination::StepConverged));
+        let memory = DescentState { sweep: 3, active: vec![20], cost: 0.0 };
         let refused = Descent::default().resume(&chain(), &mut vec![0.0; 20], memory);
         assert!(matches!(refused, Err(SolveError::Misuse(_))));
     }

@@ -6,7 +6,7 @@
 //! ([`crate::descent`]).
 //!
 //! Invariants, each a test:
-//! - `resume(x, memory())` after `k` steps, followed by `n` steps, gives the same bytes as `k + n`
+//! - `resume(x, state())` after `k` steps, followed by `n` steps, gives the same bytes as `k + n`
 //!   steps without a break.
 //! - A step never makes the cost of an engine that calls itself monotone larger.
 
@@ -15,13 +15,13 @@ use serde::{Deserialize, Serialize, de::DeserializeOwned};
 /// Why an optimisation ended. Every variant is an outcome, none an error.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Stop {
+pub enum Termination {
     /// The relative decrease of the cost fell below its tolerance.
     CostConverged,
     /// The largest entry of the gradient fell below its tolerance.
     GradientConverged,
     /// The largest movement of any block fell below its tolerance.
-    MovementConverged,
+    StepConverged,
     /// The cost reached the target that was asked for.
     TargetCost,
     /// The limit of iterations was reached.
@@ -34,43 +34,43 @@ pub enum Stop {
     Interrupted,
 }
 
-impl Stop {
+impl Termination {
     /// Whether the iterate is a (numerical) optimum, not merely the last one reached.
     pub fn converged(self) -> bool {
         matches!(
             self,
-            Stop::CostConverged
-                | Stop::GradientConverged
-                | Stop::MovementConverged
-                | Stop::TargetCost
+            Termination::CostConverged
+                | Termination::GradientConverged
+                | Termination::StepConverged
+                | Termination::TargetCost
         )
     }
 
     /// One clause for a person, e.g. "the cost changed by less than its tolerance".
     pub fn explain(self) -> &'static str {
         match self {
-            Stop::CostConverged => "the cost changed by less than its tolerance",
-            Stop::GradientConverged => "the gradient fell below its tolerance",
-            Stop::MovementConverged => "nothing moved by more than the tolerance",
-            Stop::TargetCost => "the target cost was reached",
-            Stop::MaxIterations => "the limit of iterations was reached",
-            Stop::MaxTime => "the time limit was reached",
-            Stop::Stalled => "no step decreased the cost any further",
-            Stop::Interrupted => "it was interrupted",
+            Termination::CostConverged => "the cost changed by less than its tolerance",
+            Termination::GradientConverged => "the gradient fell below its tolerance",
+            Termination::StepConverged => "nothing moved by more than the tolerance",
+            Termination::TargetCost => "the target cost was reached",
+            Termination::MaxIterations => "the limit of iterations was reached",
+            Termination::MaxTime => "the time limit was reached",
+            Termination::Stalled => "no step decreased the cost any further",
+            Termination::Interrupted => "it was interrupted",
         }
     }
 
     /// The word used in TOML, CSV and JSON.
     pub fn word(self) -> &'static str {
         match self {
-            Stop::CostConverged => "cost-converged",
-            Stop::GradientConverged => "gradient-converged",
-            Stop::MovementConverged => "movement-converged",
-            Stop::TargetCost => "target-cost",
-            Stop::MaxIterations => "max-iterations",
-            Stop::MaxTime => "max-time",
-            Stop::Stalled => "stalled",
-            Stop::Interrupted => "interrupted",
+            Termination::CostConverged => "cost-converged",
+            Termination::GradientConverged => "gradient-converged",
+            Termination::StepConverged => "step-converged",
+            Termination::TargetCost => "target-cost",
+            Termination::MaxIterations => "max-iterations",
+            Termination::MaxTime => "max-time",
+            Termination::Stalled => "stalled",
+            Termination::Interrupted => "interrupted",
         }
     }
 }
@@ -81,17 +81,17 @@ pub struct Step {
     /// Cost of the iterate after the step.
     pub cost: f64,
     /// Largest movement of any block, in the block's own unit.
-    pub movement: f64,
+    pub step_norm: f64,
     /// Whether the iterate changed.
     pub accepted: bool,
     /// Why to stop here, if the engine itself wants to.
-    pub stop: Option<Stop>,
+    pub stop: Option<Termination>,
     /// Named numbers for the trace (damping, gradient, active blocks, ...), the same names in the
     /// same order at every step of one engine.
-    pub notes: Vec<(&'static str, f64)>,
+    pub metrics: Vec<(&'static str, f64)>,
 }
 
-/// Why an engine cannot go on at all (a numerical end is a [`Stop`], not one of these).
+/// Why an engine cannot go on at all (a numerical end is a [`Termination`], not one of these).
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum SolveError {
     /// The starting values cannot be evaluated.
@@ -113,7 +113,7 @@ pub trait Engine<P: ?Sized> {
     /// What is moved.
     type Iterate: Clone + Send + Serialize + DeserializeOwned;
     /// What besides the iterate decides all future steps (damping, active set, sweep number).
-    type Memory: Clone + Send + Serialize + DeserializeOwned;
+    type State: Clone + Send + Serialize + DeserializeOwned;
     /// Name of the method, for traces and checkpoints.
     const NAME: &'static str;
 
@@ -130,7 +130,7 @@ pub trait Engine<P: ?Sized> {
     fn step(&mut self, problem: &P, x: &mut Self::Iterate) -> Result<Step, SolveError>;
 
     /// What a checkpoint must hold besides the iterate.
-    fn memory(&self) -> Self::Memory;
+    fn state(&self) -> Self::State;
 
     /// Like [`Engine::start`], but goes on from a checkpoint.
     ///
@@ -140,14 +140,14 @@ pub trait Engine<P: ?Sized> {
         &mut self,
         problem: &P,
         x: &mut Self::Iterate,
-        memory: Self::Memory,
+        state: Self::State,
     ) -> Result<f64, SolveError>;
 }
 
 /// Lends an engine: whoever drives it gives it back with its working memory.
 impl<P: ?Sized, E: Engine<P>> Engine<P> for &mut E {
     type Iterate = E::Iterate;
-    type Memory = E::Memory;
+    type State = E::State;
     const NAME: &'static str = E::NAME;
 
     fn start(&mut self, problem: &P, x: &mut Self::Iterate) -> Result<f64, SolveError> {
@@ -158,16 +158,16 @@ impl<P: ?Sized, E: Engine<P>> Engine<P> for &mut E {
         (**self).step(problem, x)
     }
 
-    fn memory(&self) -> Self::Memory {
-        (**self).memory()
+    fn state(&self) -> Self::State {
+        (**self).state()
     }
 
     fn resume(
         &mut self,
         problem: &P,
         x: &mut Self::Iterate,
-        memory: Self::Memory,
+        state: Self::State,
     ) -> Result<f64, SolveError> {
-        (**self).resume(problem, x, memory)
+        (**self).resume(problem, x, state)
     }
 }

@@ -4,7 +4,7 @@ use crate::engine::{Accelerated, Bowl, Wanderer, trace_without_seconds};
 use rowgram::{
     Error, Kind,
     drive::{Drive, Event, Fingerprint, Limits, Observe},
-    engine::{Engine, SolveError, Step, Stop},
+    engine::{Engine, SolveError, Step, Termination},
     io::FileError,
 };
 use std::{
@@ -33,17 +33,17 @@ fn driving_changes_nothing_but_who_calls() {
     }
     let outcome = Drive::new(&bowl(), Accelerated::default(), start()).run().unwrap();
     assert_eq!(outcome.x, x);
-    assert_eq!((outcome.stop, outcome.iterations), (Stop::MovementConverged, steps + 1));
+    assert_eq!((outcome.stop, outcome.iterations), (Termination::StepConverged, steps + 1));
     assert_eq!(outcome.final_cost.to_bits(), bowl().cost(&x).to_bits());
     assert_eq!(outcome.initial_cost, bowl().cost(&start()));
-    assert!(outcome.brief().ends_with(Stop::MovementConverged.explain()), "{}", outcome.brief());
+    assert!(outcome.brief().ends_with(Termination::StepConverged.explain()), "{}", outcome.brief());
 }
 
 #[test]
 fn a_lent_engine_comes_back() {
     let mut engine = Accelerated::default();
     Drive::new(&bowl(), &mut engine, start()).limits(Limits::iterations(5)).run().unwrap();
-    let memory = serde_json::to_value(Engine::<Bowl>::memory(&engine)).unwrap();
+    let memory = serde_json::to_value(Engine::<Bowl>::state(&engine)).unwrap();
     assert_eq!(memory["count"], 5);
 }
 
@@ -54,7 +54,7 @@ fn the_limit_of_iterations_is_exact() {
             .limits(Limits::iterations(limit))
             .run()
             .unwrap();
-        assert_eq!((outcome.iterations, outcome.stop), (limit, Stop::MaxIterations));
+        assert_eq!((outcome.iterations, outcome.stop), (limit, Termination::MaxIterations));
     }
 }
 
@@ -63,22 +63,26 @@ fn the_target_ends_the_run_at_the_iterate_that_reached_it() {
     let target = 0.5;
     let limits = Limits { target_cost: Some(target), ..Limits::default() };
     let outcome = Drive::new(&bowl(), Wanderer::new(1), start()).limits(limits).run().unwrap();
-    assert_eq!(outcome.stop, Stop::TargetCost);
+    assert_eq!(outcome.stop, Termination::TargetCost);
     assert!(bowl().cost(&outcome.x) <= target && outcome.log.len() > 2);
     assert!(outcome.log[outcome.log.len() - 2].best_cost > target, "not one step too many");
     let again = Drive::new(&bowl(), Wanderer::new(1), outcome.x).limits(limits).run().unwrap();
-    assert_eq!((again.iterations, again.stop), (0, Stop::TargetCost), "reached before any step");
+    assert_eq!(
+        (again.iterations, again.stop),
+        (0, Termination::TargetCost),
+        "reached before any step"
+    );
 }
 
 #[test]
 fn the_limit_of_time_holds() {
     let limits = Limits { max_time: Some(Duration::from_millis(50)), ..Limits::default() };
     let outcome = Drive::new(&bowl(), Wanderer::new(1), start()).limits(limits).run().unwrap();
-    assert_eq!(outcome.stop, Stop::MaxTime);
+    assert_eq!(outcome.stop, Termination::MaxTime);
     assert!(outcome.seconds >= 0.05 && outcome.iterations > 0);
     let limits = Limits { max_time: Some(Duration::ZERO), ..Limits::default() };
     let outcome = Drive::new(&bowl(), Wanderer::new(1), start()).limits(limits).run().unwrap();
-    assert_eq!((outcome.stop, outcome.iterations), (Stop::MaxTime, 0));
+    assert_eq!((outcome.stop, outcome.iterations), (Termination::MaxTime, 0));
 }
 
 #[test]
@@ -89,7 +93,7 @@ fn a_raised_flag_interrupts_before_the_next_step() {
         .on_step(|event| flag.store(event.iteration == 12, Ordering::Relaxed))
         .run()
         .unwrap();
-    assert_eq!((outcome.stop, outcome.iterations), (Stop::Interrupted, 12));
+    assert_eq!((outcome.stop, outcome.iterations), (Termination::Interrupted, 12));
 }
 
 #[test]
@@ -104,7 +108,7 @@ fn observers_see_start_every_step_and_end() {
             assert_eq!(event.step.unwrap().cost, event.cost);
             self.note(format!("step {} of {} numbers", event.iteration, event.x.len()));
         }
-        fn end(&mut self, _: &Event<'_, Vec<f64>>, stop: Stop) {
+        fn end(&mut self, _: &Event<'_, Vec<f64>>, stop: Termination) {
             self.note(format!("end {}", stop.word()));
         }
     }
@@ -167,7 +171,7 @@ impl Clone for Counted {
 
 impl Engine<str> for Breaking {
     type Iterate = Counted;
-    type Memory = u64;
+    type State = u64;
     const NAME: &'static str = "breaking";
     fn start(&mut self, _: &str, x: &mut Counted) -> Result<f64, SolveError> {
         Ok(-(x.0 as f64))
@@ -179,9 +183,9 @@ impl Engine<str> for Breaking {
         self.steps += 1;
         x.0 += 1;
         let cost = -(x.0 as f64);
-        Ok(Step { cost, movement: 1.0, accepted: true, stop: None, notes: Vec::new() })
+        Ok(Step { cost, step_norm: 1.0, accepted: true, stop: None, metrics: Vec::new() })
     }
-    fn memory(&self) -> u64 {
+    fn state(&self) -> u64 {
         self.steps
     }
     fn resume(&mut self, problem: &str, x: &mut Counted, steps: u64) -> Result<f64, SolveError> {
@@ -265,7 +269,7 @@ fn the_time_before_a_resumption_counts() {
     let drive = || Drive::new(&bowl, Wanderer::new(3), start()).limits(limits);
     let first = drive().checkpoint(&saved, 0).run().unwrap();
     let again = drive().resume_from(&saved).run().unwrap();
-    assert_eq!((again.iterations, again.stop), (first.iterations, Stop::MaxTime));
+    assert_eq!((again.iterations, again.stop), (first.iterations, Termination::MaxTime));
     assert!(again.seconds >= first.seconds);
 }
 

@@ -7,7 +7,7 @@ use rand::RngExt;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use rowgram::{
     drive::{Drive, Limits},
-    engine::{Engine, SolveError, Step, Stop},
+    engine::{Engine, SolveError, Step, Termination},
 };
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
@@ -15,20 +15,20 @@ use serde::{Deserialize, Serialize, de::DeserializeOwned};
 #[derive(Debug, PartialEq)]
 struct Footprint {
     cost: u64,
-    movement: u64,
+    step_norm: u64,
     accepted: bool,
-    stop: Option<Stop>,
-    notes: Vec<(&'static str, u64)>,
+    stop: Option<Termination>,
+    metrics: Vec<(&'static str, u64)>,
     iterate: String,
 }
 
 fn footprint<X: Serialize>(step: &Step, x: &X) -> Footprint {
     Footprint {
         cost: step.cost.to_bits(),
-        movement: step.movement.to_bits(),
+        step_norm: step.step_norm.to_bits(),
         accepted: step.accepted,
         stop: step.stop,
-        notes: step.notes.iter().map(|(name, value)| (*name, value.to_bits())).collect(),
+        metrics: step.metrics.iter().map(|(name, value)| (*name, value.to_bits())).collect(),
         iterate: serde_json::to_string(x).unwrap(),
     }
 }
@@ -52,12 +52,12 @@ pub(crate) fn check_resume<P: ?Sized, E: Engine<P>>(
     let mut engine = make_engine();
     let mut x = start.clone();
     engine.start(problem, &mut x).unwrap();
-    let mut moments = vec![(x.clone(), engine.memory(), None)];
+    let mut moments = vec![(x.clone(), engine.state(), None)];
     let mut whole = Vec::new();
     for _ in 0..steps {
         let step = engine.step(problem, &mut x).unwrap();
         whole.push(footprint(&step, &x));
-        moments.push((x.clone(), engine.memory(), Some(step.cost)));
+        moments.push((x.clone(), engine.state(), Some(step.cost)));
         if step.stop.is_some() {
             break;
         }
@@ -162,7 +162,7 @@ pub(crate) struct Momentum {
 
 impl Engine<Bowl> for Accelerated {
     type Iterate = Vec<f64>;
-    type Memory = Momentum;
+    type State = Momentum;
     const NAME: &'static str = "accelerated";
 
     fn start(&mut self, problem: &Bowl, x: &mut Vec<f64>) -> Result<f64, SolveError> {
@@ -192,12 +192,12 @@ impl Engine<Bowl> for Accelerated {
             before.clone_from(x);
             *count = 0;
         }
-        let stop = (*last_movement < 1e-9).then_some(Stop::MovementConverged);
-        let notes = vec![("momentum", momentum)];
-        Ok(Step { cost: self.cost, movement: *last_movement, accepted, stop, notes })
+        let stop = (*last_movement < 1e-9).then_some(Termination::StepConverged);
+        let metrics = vec![("momentum", momentum)];
+        Ok(Step { cost: self.cost, step_norm: *last_movement, accepted, stop, metrics })
     }
 
-    fn memory(&self) -> Momentum {
+    fn state(&self) -> Momentum {
         self.memory.clone()
     }
 
@@ -227,7 +227,7 @@ impl Wanderer {
 
 impl Engine<Bowl> for Wanderer {
     type Iterate = Vec<f64>;
-    type Memory = ChaCha8Rng;
+    type State = ChaCha8Rng;
     const NAME: &'static str = "wanderer";
 
     fn start(&mut self, problem: &Bowl, x: &mut Vec<f64>) -> Result<f64, SolveError> {
@@ -245,11 +245,11 @@ impl Engine<Bowl> for Wanderer {
             x[place] -= by;
         }
         let cost = problem.cost(x);
-        let movement = if accepted { by.abs() } else { 0.0 };
-        Ok(Step { cost, movement, accepted, stop: None, notes: vec![("place", place as f64)] })
+        let step_norm = if accepted { by.abs() } else { 0.0 };
+        Ok(Step { cost, step_norm, accepted, stop: None, metrics: vec![("place", place as f64)] })
     }
 
-    fn memory(&self) -> ChaCha8Rng {
+    fn state(&self) -> ChaCha8Rng {
         self.generator.clone()
     }
 
@@ -281,7 +281,7 @@ fn an_engine_that_forgets_is_found_out() {
     struct Forgetful(Accelerated);
     impl Engine<Bowl> for Forgetful {
         type Iterate = Vec<f64>;
-        type Memory = ();
+        type State = ();
         const NAME: &'static str = "forgetful";
         fn start(&mut self, problem: &Bowl, x: &mut Vec<f64>) -> Result<f64, SolveError> {
             self.0.start(problem, x)
@@ -289,7 +289,7 @@ fn an_engine_that_forgets_is_found_out() {
         fn step(&mut self, problem: &Bowl, x: &mut Vec<f64>) -> Result<Step, SolveError> {
             self.0.step(problem, x)
         }
-        fn memory(&self) {}
+        fn state(&self) {}
         fn resume(&mut self, problem: &Bowl, x: &mut Vec<f64>, _: ()) -> Result<f64, SolveError> {
             self.0.start(problem, x)
         }

@@ -67,7 +67,7 @@ pub(crate) fn run(folders: &Folders) -> Result<(), Error> {
         let (mut updates, mut sweeps, mut cost) = (0.0, 0, initial);
         for _ in 0..options.max_sweeps {
             let step = engine.step(&setup.problem, &mut setup.field)?;
-            updates += step.notes.first().map_or(0.0, |note| note.1);
+            updates += step.metrics.first().map_or(0.0, |note| note.1);
             (sweeps, cost) = (sweeps + 1, step.cost);
             if step.stop.is_some() {
                 break;

@@ -4,10 +4,10 @@
 use super::survey;
 use crate::{
     drive::{Drive, Fingerprint, Limits, LogEntry, Outcome, Progress},
-    engine::Stop,
+    engine::Termination,
     error::Error,
     io::{FileError, bal, output},
-    nlls::{LeastSquares, Linear, Loss, Method, Options, Summary},
+    nlls::{LeastSquares, LinearSolver, Loss, Method, Options, Summary},
     problems::bundle::{Bundle, InteriorSharing, Network},
 };
 use clap::{Args as ClapArgs, ValueEnum};
@@ -141,7 +141,7 @@ pub(super) struct Report {
     load_seconds: f64,
     solve_seconds: f64,
     peak_memory_mb: Option<f64>,
-    pub(super) stop: Stop,
+    pub(super) stop: Termination,
     converged: bool,
     log: Vec<LogEntry>,
     #[serde(skip)]
@@ -184,7 +184,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
             report.solve_seconds
         ))?;
     }
-    if report.stop == Stop::MaxIterations && args.max_iterations.is_none() {
+    if report.stop == Termination::MaxIterations && args.max_iterations.is_none() {
         return Err(Error::Incomplete(format!(
             "not converged after {DEFAULT_MAX_ITERATIONS} iterations; give --max-iterations to allow more"
         )));
@@ -311,10 +311,10 @@ impl Args {
                 Step::Dogleg => Method::Dogleg,
             },
             linear: match self.solver {
-                Solver::Schur => Linear::Schur,
-                Solver::IterativeSchur => Linear::IterativeSchur,
-                Solver::Sparse => Linear::Sparse,
-                Solver::Dense => Linear::Dense,
+                Solver::Schur => LinearSolver::Schur,
+                Solver::IterativeSchur => LinearSolver::IterativeSchur,
+                Solver::Sparse => LinearSolver::Sparse,
+                Solver::Dense => LinearSolver::Dense,
             },
             cost_tolerance: self.cost_tolerance,
             ..Options::default()

@@ -5,7 +5,7 @@
 
 use super::{LogEntry, state::RunState, trace::Rows};
 use crate::{
-    engine::{Engine, Stop},
+    engine::{Engine, Termination},
     io::{
         FileError,
         checkpoint::{self, Header},
@@ -27,7 +27,7 @@ pub(super) struct Saved<X> {
     pub(super) best_cost: f64,
     pub(super) best_iteration: u64,
     pub(super) seconds: f64,
-    pub(super) stop: Option<Stop>,
+    pub(super) stop: Option<Termination>,
     pub(super) log: Vec<LogEntry>,
     pub(super) rows: Option<Rows>,
     pub(super) iterate: X,
@@ -43,7 +43,7 @@ struct Saving<'s, X> {
     best_cost: f64,
     best_iteration: u64,
     seconds: f64,
-    stop: Option<Stop>,
+    stop: Option<Termination>,
     log: &'s [LogEntry],
     rows: Option<&'s Rows>,
     iterate: &'s X,
@@ -116,7 +116,7 @@ impl Saver {
             best: run.best.as_ref(),
         };
         let mut body = Vec::new();
-        ciborium::into_writer(&(content, engine.memory()), &mut body)
+        ciborium::into_writer(&(content, engine.state()), &mut body)
             .map_err(|error| FileError::write(&self.path, std::io::Error::other(error)))?;
         let header = Header {
             engine: E::NAME.to_owned(),

@@ -7,7 +7,7 @@
 
 use super::{checkpoint::Saver, state::RunState};
 use crate::{
-    engine::{Engine, Stop},
+    engine::{Engine, Termination},
     error::Error,
 };
 use argmin::core::{
@@ -30,7 +30,7 @@ pub(super) fn execute<'a, P: ?Sized, E: Engine<P>>(
     engine: E,
     run: RunState<'a, E::Iterate>,
     saver: Option<Saver>,
-) -> Result<(RunState<'a, E::Iterate>, Stop), Error> {
+) -> Result<(RunState<'a, E::Iterate>, Termination), Error> {
     let watched = run.aside.try_borrow().is_ok_and(|aside| !aside.observers.is_empty());
     let driver = Driver { engine, problem: PhantomData::<fn(&P)> };
     let mut executor = Executor::new(problem, driver)
@@ -58,7 +58,7 @@ struct Owned<'a, X>(Box<Inside<'a, X>>);
 struct Inside<'a, X> {
     run: RunState<'a, X>,
     status: TerminationStatus,
-    /// argmin asks for a table of evaluations; engines tell theirs in their notes.
+    /// argmin asks for a table of evaluations; engines tell theirs in their metrics.
     counts: HashMap<String, u64>,
 }
 
@@ -72,28 +72,28 @@ impl<'a, X> Owned<'a, X> {
     }
 
     /// Why the run is over, in our words.
-    fn stopped(&self) -> Stop {
+    fn stopped(&self) -> Termination {
         match self.get_termination_reason() {
-            Some(TerminationReason::MaxItersReached) => Stop::MaxIterations,
-            Some(TerminationReason::TargetCostReached) => Stop::TargetCost,
-            Some(TerminationReason::Timeout) => Stop::MaxTime,
-            Some(TerminationReason::Interrupt) => Stop::Interrupted,
-            _ => self.0.run.stop.unwrap_or(Stop::Stalled),
+            Some(TerminationReason::MaxItersReached) => Termination::MaxIterations,
+            Some(TerminationReason::TargetCostReached) => Termination::TargetCost,
+            Some(TerminationReason::Timeout) => Termination::MaxTime,
+            Some(TerminationReason::Interrupt) => Termination::Interrupted,
+            _ => self.0.run.stop.unwrap_or(Termination::Stalled),
         }
     }
 }
 
 /// The same in argmin's words.
-fn reason(stop: Stop) -> TerminationReason {
+fn reason(stop: Termination) -> TerminationReason {
     match stop {
-        Stop::MaxIterations => TerminationReason::MaxItersReached,
-        Stop::TargetCost => TerminationReason::TargetCostReached,
-        Stop::MaxTime => TerminationReason::Timeout,
-        Stop::Interrupted => TerminationReason::Interrupt,
-        Stop::CostConverged | Stop::GradientConverged | Stop::MovementConverged => {
-            TerminationReason::SolverConverged
-        }
-        Stop::Stalled => TerminationReason::SolverExit(stop.explain().to_owned()),
+        Termination::MaxIterations => TerminationReason::MaxItersReached,
+        Termination::TargetCost => TerminationReason::TargetCostReached,
+        Termination::MaxTime => TerminationReason::Timeout,
+        Termination::Interrupted => TerminationReason::Interrupt,
+        Termination::CostConverged
+        | Termination::GradientConverged
+        | Termination::StepConverged => TerminationReason::SolverConverged,
+        Termination::Stalled => TerminationReason::SolverExit(stop.explain().to_owned()),
     }
 }
 

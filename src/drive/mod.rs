@@ -13,32 +13,32 @@
 //!
 //! ```
 //! use rowgram::drive::{Drive, Limits};
-//! use rowgram::engine::{Engine, SolveError, Step, Stop};
+//! use rowgram::engine::{Engine, SolveError, Step, Termination};
 //!
 //! /// Halves the way to the problem's number until it hardly moves.
 //! struct Halving;
 //! impl Engine<f64> for Halving {
 //!     type Iterate = f64;
-//!     type Memory = ();
+//!     type State = ();
 //!     const NAME: &'static str = "halving";
 //!     fn start(&mut self, goal: &f64, x: &mut f64) -> Result<f64, SolveError> {
 //!         Ok((goal - *x).powi(2))
 //!     }
 //!     fn step(&mut self, goal: &f64, x: &mut f64) -> Result<Step, SolveError> {
-//!         let movement = (goal - *x) / 2.0;
-//!         *x += movement;
-//!         let stop = (movement.abs() < 1e-6).then_some(Stop::MovementConverged);
+//!         let step_norm = (goal - *x) / 2.0;
+//!         *x += step_norm;
+//!         let stop = (step_norm.abs() < 1e-6).then_some(Termination::StepConverged);
 //!         let cost = (goal - *x).powi(2);
-//!         Ok(Step { cost, movement: movement.abs(), accepted: true, stop, notes: vec![] })
+//!         Ok(Step { cost, step_norm: step_norm.abs(), accepted: true, stop, metrics: vec![] })
 //!     }
-//!     fn memory(&self) {}
+//!     fn state(&self) {}
 //!     fn resume(&mut self, goal: &f64, x: &mut f64, _: ()) -> Result<f64, SolveError> {
 //!         self.start(goal, x)
 //!     }
 //! }
 //!
 //! let outcome = Drive::new(&3.0, Halving, 1.0).limits(Limits::iterations(100)).run()?;
-//! assert_eq!((outcome.stop, outcome.iterations), (Stop::MovementConverged, 21));
+//! assert_eq!((outcome.stop, outcome.iterations), (Termination::StepConverged, 21));
 //! assert!((outcome.x - 3.0).abs() < 1e-6);
 //! # Ok::<(), rowgram::Error>(())
 //! ```
@@ -54,7 +54,7 @@ pub use crate::io::checkpoint::Fingerprint;
 pub use observe::{Event, Observe, Progress};
 
 use crate::{
-    engine::{Engine, SolveError, Stop},
+    engine::{Engine, SolveError, Termination},
     error::Error,
     io::{FileError, output},
 };
@@ -131,8 +131,8 @@ pub struct Outcome<X> {
     pub best_iteration: u64,
     /// Iterations made, those before a resumption among them.
     pub iterations: u64,
-    /// Why it ended; [`Stop::Stalled`] where [`Outcome::error`] says more.
-    pub stop: Stop,
+    /// Why it ended; [`Termination::Stalled`] where [`Outcome::error`] says more.
+    pub stop: Termination,
     /// Seconds from the engine's preparation to the last step, over all resumptions.
     pub seconds: f64,
     /// The start, every moment at which the best cost became smaller, and the end.
@@ -240,8 +240,8 @@ impl<'a, P: ?Sized, E: Engine<P>> Drive<'a, P, E> {
         self.observe(observe::EachStep(call))
     }
 
-    /// Writes one row per iteration to a CSV file: `iteration, cost, best_cost, movement, accepted,
-    /// seconds`, then the engine's notes.
+    /// Writes one row per iteration to a CSV file: `iteration, cost, best_cost, step_norm, accepted,
+    /// seconds`, then the engine's metrics.
     ///
     /// The file appears whole when the run is over, however it ends. Until then the rows are in
     /// memory and in every checkpoint, so that a run that was killed and resumed traces all of it.
@@ -299,7 +299,7 @@ impl<'a, P: ?Sized, E: Engine<P>> Drive<'a, P, E> {
 
         if let Some(path) = &self.resume_from {
             let (mut saved, memory) =
-                checkpoint::load::<E::Iterate, E::Memory>(path, E::NAME, self.fingerprint)?;
+                checkpoint::load::<E::Iterate, E::State>(path, E::NAME, self.fingerprint)?;
             let cost = self.engine.resume(self.problem, &mut saved.iterate, memory)?;
             refuse_other_cost(path, saved.cost, cost)?;
             run.resume_at(saved);

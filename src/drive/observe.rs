@@ -4,7 +4,7 @@
 //! [`Drive::interrupt`](super::Drive::interrupt).
 
 use super::Limits;
-use crate::engine::{Step, Stop};
+use crate::engine::{Step, Termination};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::{
     io::{IsTerminal, Write},
@@ -62,7 +62,7 @@ pub trait Observe<X> {
     /// A step was made.
     fn step(&mut self, _event: &Event<'_, X>) {}
     /// The run is over.
-    fn end(&mut self, _event: &Event<'_, X>, _stop: Stop) {}
+    fn end(&mut self, _event: &Event<'_, X>, _stop: Termination) {}
 }
 
 /// A closure that is called after every step.
@@ -159,7 +159,7 @@ impl<X> Observe<X> for Progress {
         }
     }
 
-    fn end(&mut self, _event: &Event<'_, X>, _stop: Stop) {
+    fn end(&mut self, _event: &Event<'_, X>, _stop: Termination) {
         if let Form::Bar(bar) = &self.form {
             bar.finish_and_clear();
         }

@@ -10,7 +10,7 @@ use super::{
     trace::Rows,
 };
 use crate::{
-    engine::{Engine, SolveError, Step, Stop},
+    engine::{Engine, SolveError, Step, Termination},
     io::FileError,
 };
 use std::{
@@ -36,7 +36,7 @@ pub(super) struct RunState<'a, X> {
     pub(super) resumed_at: u64,
     pub(super) last: Option<Step>,
     /// Why the engine wants no further step.
-    pub(super) stop: Option<Stop>,
+    pub(super) stop: Option<Termination>,
     /// Why the engine cannot make one.
     pub(super) error: Option<SolveError>,
     pub(super) log: Vec<LogEntry>,
@@ -160,7 +160,7 @@ impl<X> RunState<'_, X> {
             engine = self.engine,
             iteration = self.iterations,
             cost = step.cost,
-            movement = step.movement,
+            step_norm = step.step_norm,
             accepted = step.accepted,
             "step"
         );
@@ -173,20 +173,20 @@ impl<X> RunState<'_, X> {
     }
 
     /// Why no further step is to be made, if so: the engine's word first, then the limits.
-    pub(super) fn over(&self) -> Option<Stop> {
+    pub(super) fn over(&self) -> Option<Termination> {
         let limits = &self.limits;
         if self.error.is_some() {
-            Some(Stop::Stalled)
+            Some(Termination::Stalled)
         } else if self.stop.is_some() {
             self.stop
         } else if limits.target_cost.is_some_and(|target| self.cost <= target) {
-            Some(Stop::TargetCost)
+            Some(Termination::TargetCost)
         } else if self.iterations >= limits.max_iterations {
-            Some(Stop::MaxIterations)
+            Some(Termination::MaxIterations)
         } else if limits.max_time.is_some_and(|limit| self.seconds >= limit.as_secs_f64()) {
-            Some(Stop::MaxTime)
+            Some(Termination::MaxTime)
         } else if self.interrupt.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
-            Some(Stop::Interrupted)
+            Some(Termination::Interrupted)
         } else {
             None
         }

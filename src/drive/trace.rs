@@ -1,6 +1,6 @@
 //! The trace: one row per iteration, in memory while the run lasts, a CSV file when it is over.
 //!
-//! Columns: `iteration, cost, best_cost, movement, accepted, seconds`, then the engine's notes by
+//! Columns: `iteration, cost, best_cost, step_norm, accepted, seconds`, then the engine's notes by
 //! name. Row 0 is the start, whose other cells are empty. Numbers are written so that reading them
 //! gives the same bits. The rows travel with every checkpoint: the trace of a resumed run begins at
 //! row 0 and differs from that of an uninterrupted one in nothing but its seconds.
@@ -19,7 +19,7 @@ const COLUMNS: [&str; 6] = ["iteration", "cost", "best_cost", "movement", "accep
 pub(super) struct Rows {
     names: Vec<String>,
     rows: Vec<Row>,
-    notes: Vec<f64>,
+    metrics: Vec<f64>,
 }
 
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
@@ -42,15 +42,15 @@ impl Rows {
     /// Adds what one step did. The first step decides which notes are columns.
     pub(super) fn push(&mut self, iteration: u64, step: &Step, best_cost: f64, seconds: f64) {
         if self.rows.last().is_none_or(|row| row.step.is_none()) {
-            self.names = step.notes.iter().map(|(name, _)| (*name).to_owned()).collect();
+            self.names = step.metrics.iter().map(|(name, _)| (*name).to_owned()).collect();
         }
         debug_assert!(
-            self.names.iter().map(String::as_str).eq(step.notes.iter().map(|(name, _)| *name)),
+            self.names.iter().map(String::as_str).eq(step.metrics.iter().map(|(name, _)| *name)),
             "an engine has the same notes in the same order at every step"
         );
-        let values = step.notes.iter().map(|(_, value)| *value);
-        self.notes.extend(values.chain(std::iter::repeat(f64::NAN)).take(self.names.len()));
-        let (cost, step) = (step.cost, Some((step.movement, step.accepted)));
+        let values = step.metrics.iter().map(|(_, value)| *value);
+        self.metrics.extend(values.chain(std::iter::repeat(f64::NAN)).take(self.names.len()));
+        let (cost, step) = (step.cost, Some((step.step_norm, step.accepted)));
         self.rows.push(Row { iteration, cost, best_cost, seconds, step });
     }
 
@@ -62,16 +62,16 @@ impl Rows {
     fn write_csv(&self, file: &mut dyn Write) -> std::io::Result<()> {
         let mut csv = csv::Writer::from_writer(file);
         csv.write_record(COLUMNS.into_iter().chain(self.names.iter().map(String::as_str)))?;
-        let mut notes = self.notes.iter();
+        let mut metrics = self.metrics.iter();
         for row in &self.rows {
             csv.write_field(row.iteration.to_string())?;
             csv.write_field(number(row.cost))?;
             csv.write_field(number(row.best_cost))?;
-            csv.write_field(row.step.map_or(String::new(), |(movement, _)| number(movement)))?;
+            csv.write_field(row.step.map_or(String::new(), |(step_norm, _)| number(step_norm)))?;
             csv.write_field(row.step.map_or("", |(_, accepted)| if accepted { "1" } else { "0" }))?;
             csv.write_field(format!("{:.6}", row.seconds))?;
             for _ in &self.names {
-                let note = if row.step.is_some() { notes.next() } else { None };
+                let note = if row.step.is_some() { metrics.next() } else { None };
                 csv.write_field(note.map_or(String::new(), |value| number(*value)))?;
             }
             csv.write_record(None::<&[u8]>)?;
@@ -94,10 +94,10 @@ mod tests {
         let mut rows = Rows::start(0, 2.0, 2.0, 0.0);
         let step = |cost: f64, accepted: bool| Step {
             cost,
-            movement: 1e-300,
+            step_norm: 1e-300,
             accepted,
             stop: None,
-            notes: vec![("damping", cost / 3.0), ("active", f64::NAN)],
+            metrics: vec![("damping", cost / 3.0), ("active", f64::NAN)],
         };
         rows.push(1, &step(1.0, true), 1.0, 0.5);
         rows.push(2, &step(1.5, false), 1.0, 0.75);
@@ -105,7 +105,7 @@ mod tests {
         rows.write_csv(&mut text).unwrap();
         assert_eq!(
             String::from_utf8(text).unwrap(),
-            "iteration,cost,best_cost,movement,accepted,seconds,damping,active\n\
+            "iteration,cost,best_cost,step_norm,accepted,seconds,damping,active\n\
              0,2.0,2.0,,,0.000000,,\n\
              1,1.0,1.0,1e-300,1,0.500000,0.3333333333333333,NaN\n\
              2,1.5,1.0,1e-300,0,0.750000,0.5,NaN\n"

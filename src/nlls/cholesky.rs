@@ -143,7 +143,7 @@ impl BlockMatrix {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) struct NotPositiveDefinite(pub(super) Option<usize>);
 
-/// A Cholesky factorisation that remembers its analysis and memory.
+/// A Cholesky factorisation that remembers its analysis and state.
 #[derive(Debug)]
 pub(super) struct Cholesky {
     dimension: usize,

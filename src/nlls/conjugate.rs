@@ -11,7 +11,7 @@
 
 use super::{
     cholesky::{BlockMatrix, NotPositiveDefinite},
-    eliminate::{backward_solve, factor_in_place, forward_solve, inner},
+    elimination::{backward_solve, factor_in_place, forward_solve, inner},
 };
 
 /// Most products with the matrix for one solution.

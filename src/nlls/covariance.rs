@@ -7,9 +7,9 @@
 //! determine are named, never hidden behind a small number on the diagonal.
 
 use super::{
-    Linear,
+    LinearSolver,
     cholesky::{BlockMatrix, NotPositiveDefinite},
-    eliminate::{backward_solve, forward_solve},
+    elimination::{backward_solve, forward_solve},
     normal::Normal,
     problem::{BlockId, Problem},
     structure::NONE,
@@ -36,8 +36,8 @@ impl<'a> Covariance<'a> {
     ///
     /// # Errors
     /// [`SolveError::RankDeficient`] names the blocks that the observations leave undetermined.
-    pub fn new(problem: &'a Problem, x: &[f64], linear: Linear) -> Result<Self, SolveError> {
-        let mut normal = Normal::new(problem, linear.exact(), 0.0, false)?;
+    pub fn new(problem: &'a Problem, x: &[f64], linear: LinearSolver) -> Result<Self, SolveError> {
+        let mut normal = Normal::new(problem, linear.direct(), 0.0, false)?;
         normal
             .linearize(problem, x)
             .map_err(|(batch, factor)| problem.infeasible(&problem.batches[batch], factor))?;
@@ -47,7 +47,7 @@ impl<'a> Covariance<'a> {
         if let Some(block) = weak_point(problem, &normal) {
             return Err(undetermined_point(problem, block));
         }
-        let directions = undetermined_directions(problem, &mut normal);
+        let directions = null_space_directions(problem, &mut normal);
         if !directions.is_empty() {
             return Err(describe(problem, &normal, &directions));
         }
@@ -79,9 +79,9 @@ impl<'a> Covariance<'a> {
 
     /// The covariances of all pairs of kept blocks that a factor or an eliminated block couples, at the
     /// cost of a few factorisations.
-    pub fn coupled(&self) -> Coupled<'_> {
+    pub fn selected_inverse(&self) -> SelectedCovariance<'_> {
         let Normal { solver, matrix, .. } = &self.normal;
-        Coupled { of: self, inverse: solver.selected_inverse(matrix) }
+        SelectedCovariance { of: self, inverse: solver.selected_inverse(matrix) }
     }
 
     /// Whether an entry of a block's tangent must not move.
@@ -90,8 +90,7 @@ impl<'a> Covariance<'a> {
     }
 
     fn cross_of(&self, first: BlockId, second: BlockId, solution: &[f64]) -> Vec<f64> {
-        let (rows, columns) =
-            (self.problem.space(first).tangent(), self.problem.space(second).tangent());
+        let (rows, columns) = (self.problem.dimension(first), self.problem.dimension(second));
         let mut out = vec![0.0; rows * columns];
         for column in 0..columns {
             let values = self.rows_of(first, second, column, solution);
@@ -112,11 +111,11 @@ impl<'a> Covariance<'a> {
     /// The kept part of the columns of `C` that belong to `block`, column after column.
     fn columns(&mut self, block: BlockId) -> Vec<f64> {
         let index = block.index();
-        let n = self.problem.space(block).tangent();
+        let n = self.problem.dimension(block);
         let dimension = self.normal.matrix.dimension();
         let mut rhs = vec![0.0; dimension * n];
-        let place = self.normal.structure.place[index];
-        let e = self.normal.structure.point[index];
+        let place = self.normal.structure.kept_index[index];
+        let e = self.normal.structure.eliminated_index[index];
         if place != NONE {
             let start = self.normal.matrix.starts[place as usize];
             for k in 0..n {
@@ -147,11 +146,11 @@ impl<'a> Covariance<'a> {
     /// Rows `block` of column `column` of `of`, given the kept part of its columns.
     fn rows_of(&self, block: BlockId, of: BlockId, column: usize, solution: &[f64]) -> Vec<f64> {
         let index = block.index();
-        let n = self.problem.space(block).tangent();
+        let n = self.problem.dimension(block);
         let dimension = self.normal.matrix.dimension();
         let kept = &solution[column * dimension..(column + 1) * dimension];
-        let place = self.normal.structure.place[index];
-        let e = self.normal.structure.point[index];
+        let place = self.normal.structure.kept_index[index];
+        let e = self.normal.structure.eliminated_index[index];
         if place != NONE {
             let start = self.normal.matrix.starts[place as usize];
             return kept[start..start + n].to_vec();
@@ -177,23 +176,23 @@ impl<'a> Covariance<'a> {
     }
 }
 
-/// Covariances of coupled blocks, from [`Covariance::coupled`].
+/// Covariances of coupled blocks, from [`Covariance::selected_inverse`].
 #[derive(Debug)]
-pub struct Coupled<'a> {
+pub struct SelectedCovariance<'a> {
     of: &'a Covariance<'a>,
     inverse: Option<BlockMatrix>,
 }
 
-impl Coupled<'_> {
+impl SelectedCovariance<'_> {
     /// As [`Covariance::cross`]; `None` of blocks that nothing couples, and of eliminated ones.
     pub fn cross(&self, first: BlockId, second: BlockId) -> Option<Vec<f64>> {
         let (of, structure) = (self.of, &self.of.normal.structure);
-        let [rows, columns] = [first, second].map(|block| of.problem.space(block).tangent());
+        let [rows, columns] = [first, second].map(|block| of.problem.dimension(block));
         if [first, second].iter().any(|block| of.problem.blocks[block.index()].is_fixed()) {
             return Some(vec![0.0; rows * columns]);
         }
         let inverse = self.inverse.as_ref()?;
-        let [a, b] = [first, second].map(|block| structure.place[block.index()]);
+        let [a, b] = [first, second].map(|block| structure.kept_index[block.index()]);
         if [a, b].contains(&NONE) {
             return None;
         }
@@ -221,7 +220,7 @@ fn solve_small(factor: &[f64], n: usize, b: &mut [f64]) {
 fn weak_point(problem: &Problem, normal: &Normal) -> Option<usize> {
     (0..normal.structure.eliminated.len()).find_map(|e| {
         let block = normal.structure.eliminated[e];
-        let n = problem.blocks[block].space.tangent();
+        let n = problem.blocks[block].dimension;
         let factor = normal.point_factor(e);
         let weak = (0..n).any(|k| {
             let diagonal: f64 = factor[k * n..=k * n + k].iter().map(|v| v * v).sum();
@@ -240,7 +239,7 @@ fn undetermined_point(problem: &Problem, block: usize) -> SolveError {
 
 /// Directions of the kept parameters, scaled to unit curvature each, that have next to none
 /// together: inverse subspace iteration with Rayleigh-Ritz.
-fn undetermined_directions(problem: &Problem, normal: &mut Normal) -> Vec<Vec<f64>> {
+fn null_space_directions(problem: &Problem, normal: &mut Normal) -> Vec<Vec<f64>> {
     let n = normal.matrix.dimension();
     if n == 0 {
         return Vec::new();
@@ -251,7 +250,7 @@ fn undetermined_directions(problem: &Problem, normal: &mut Normal) -> Vec<Vec<f6
         .iter()
         .flat_map(|&block| {
             let block = &problem.blocks[block];
-            block.tangent..block.tangent + block.space.tangent()
+            block.tangent..block.tangent + block.dimension
         })
         .map(|k| normal.diagonal[k])
         .map(|d| if d > 0.0 { 1.0 / d.sqrt() } else { 1.0 })
@@ -299,19 +298,19 @@ pub type Direction = Vec<(BlockId, Vec<f64>)>;
 ///
 /// # Errors
 /// Where a factor cannot be evaluated, or an eliminated block is undetermined by itself.
-pub fn undetermined(
+pub fn null_space(
     problem: &Problem,
     x: &[f64],
-    linear: Linear,
+    linear: LinearSolver,
 ) -> Result<Vec<Direction>, SolveError> {
-    let mut normal = Normal::new(problem, linear.exact(), 0.0, false)?;
+    let mut normal = Normal::new(problem, linear.direct(), 0.0, false)?;
     normal
         .linearize(problem, x)
         .map_err(|(batch, factor)| problem.infeasible(&problem.batches[batch], factor))?;
     if let Err(NotPositiveDefinite(Some(block))) = normal.reduce(problem, x, 0.0) {
         return Err(undetermined_point(problem, block));
     }
-    let directions = undetermined_directions(problem, &mut normal);
+    let directions = null_space_directions(problem, &mut normal);
     Ok(directions
         .iter()
         .map(|direction| {
@@ -326,16 +325,16 @@ pub fn undetermined(
 }
 
 fn describe(problem: &Problem, normal: &Normal, directions: &[Vec<f64>]) -> SolveError {
-    let mut shares: Vec<(f64, usize)> = (0..normal.structure.kept.len())
+    let mut chunks: Vec<(f64, usize)> = (0..normal.structure.kept.len())
         .map(|place| {
             let range = normal.matrix.starts[place]..normal.matrix.starts[place + 1];
-            let share: f64 = directions.iter().flat_map(|d| &d[range.clone()]).map(|v| v * v).sum();
-            (share, place)
+            let chunk: f64 = directions.iter().flat_map(|d| &d[range.clone()]).map(|v| v * v).sum();
+            (chunk, place)
         })
         .collect();
-    shares.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
-    let total: f64 = shares.iter().map(|(share, _)| share).sum();
-    let involved: Vec<_> = shares.iter().filter(|(share, _)| *share > 1e-3 * total).collect();
+    chunks.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+    let total: f64 = chunks.iter().map(|(chunk, _)| chunk).sum();
+    let involved: Vec<_> = chunks.iter().filter(|(chunk, _)| *chunk > 1e-3 * total).collect();
     let names: Vec<String> = involved
         .iter()
         .take(6)

@@ -2,11 +2,12 @@
 //!
 //! A factor is one residual `r(x_1, ..., x_k)` of a few parameter blocks, whitened (divided by its
 //! standard deviation), with its Jacobian `[dr/dx_1 ... dr/dx_k]` with respect to the *tangent* of
-//! each block ([`super::Space`]).
+//! each block ([`Manifold`]).
 
 use super::{
-    fused::{Fusable, FusedWork},
+    loss::BatchLoss,
     problem::BlockId,
+    schur::{FusedElimination, FusionRequest},
 };
 use rayon::prelude::*;
 use std::ops::Range;
@@ -70,12 +71,12 @@ pub trait Factor: Send + Sync {
 
 /// The current values of all blocks, as factors see them.
 #[derive(Debug, Clone, Copy)]
-pub struct Point<'a> {
+pub struct Values<'a> {
     pub(super) values: &'a [f64],
     pub(super) offsets: &'a [usize],
 }
 
-impl<'a> Point<'a> {
+impl<'a> Values<'a> {
     /// The values of one block.
     #[inline]
     pub fn block(&self, id: BlockId) -> &'a [f64] {
@@ -115,14 +116,14 @@ pub trait Batch: Send + Sync {
     fn linearize(
         &self,
         range: Range<usize>,
-        x: Point<'_>,
+        x: Values<'_>,
         residual: &mut [f64],
         jacobian: Option<&mut [f64]>,
         width: usize,
     ) -> Result<(), InfeasibleFactor>;
 
-    /// The batch's fused form, where it has one ([`super::PairFactor`]).
-    fn fuse(&self, _request: Fusable<'_>) -> Option<FusedWork> {
+    /// The batch's fused form, where it has one ([`super::ProjectionFactor`]).
+    fn fuse(&self, _request: FusionRequest<'_>) -> Option<FusedElimination> {
         None
     }
 }
@@ -150,7 +151,7 @@ impl<F: Factor> Batch for Factors<F> {
     fn linearize(
         &self,
         range: Range<usize>,
-        x: Point<'_>,
+        x: Values<'_>,
         residual: &mut [f64],
         mut jacobian: Option<&mut [f64]>,
         width: usize,
@@ -180,7 +181,7 @@ impl<F: Factor> Batch for Factors<F> {
 }
 
 /// Factors handled by one task; fixed, so that partial sums never depend on the threads.
-const CHUNK: usize = 512;
+const FACTORS_PER_TASK: usize = 512;
 
 /// Residuals and Jacobians of one batch at one point, weighted by its loss.
 #[derive(Debug, Default, Clone)]
@@ -210,17 +211,17 @@ pub enum Curvature {
 /// Evaluates `1/2 sum rho(|r|^2)` over a batch.
 pub(super) fn batch_cost(
     batch: &dyn Batch,
-    loss: super::Loss,
-    x: Point<'_>,
+    loss: &BatchLoss,
+    x: Values<'_>,
     residual: &mut Vec<f64>,
 ) -> Result<f64, InfeasibleFactor> {
     let rows = batch.rows();
     residual.resize(batch.len() * rows, 0.0);
     let partial: Result<Vec<f64>, _> = residual
-        .par_chunks_mut(CHUNK * rows)
+        .par_chunks_mut(FACTORS_PER_TASK * rows)
         .enumerate()
         .map(|(chunk, residual)| {
-            let first = chunk * CHUNK;
+            let first = chunk * FACTORS_PER_TASK;
             let range = first..first + residual.len() / rows;
             batch.linearize(range, x, residual, None, 1)?;
             Ok(chunk_cost(residual, rows, loss))
@@ -229,16 +230,16 @@ pub(super) fn batch_cost(
     Ok(0.5 * partial?.iter().sum::<f64>())
 }
 
-fn chunk_cost(residual: &[f64], rows: usize, loss: super::Loss) -> f64 {
+fn chunk_cost(residual: &[f64], rows: usize, loss: &BatchLoss) -> f64 {
     residual.chunks_exact(rows).map(|r| loss.evaluate(r.iter().map(|v| v * v).sum()).value).sum()
 }
 
 /// Linearises a batch and folds the loss into residuals and Jacobians; returns its cost.
 pub(super) fn linearize_batch(
     batch: &dyn Batch,
-    loss: super::Loss,
+    loss: &BatchLoss,
     curvature_share: f64,
-    x: Point<'_>,
+    x: Values<'_>,
     width: usize,
     out: &mut Linearization,
 ) -> Result<f64, InfeasibleFactor> {
@@ -248,16 +249,16 @@ pub(super) fn linearize_batch(
     out.jacobian.resize(batch.len() * stride, 0.0);
     let partial: Result<Vec<f64>, _> = out
         .residual
-        .par_chunks_mut(CHUNK * rows)
-        .zip(out.jacobian.par_chunks_mut(CHUNK * stride))
+        .par_chunks_mut(FACTORS_PER_TASK * rows)
+        .zip(out.jacobian.par_chunks_mut(FACTORS_PER_TASK * stride))
         .enumerate()
         .map(|(chunk, (residual, jacobian))| {
-            let first = chunk * CHUNK;
+            let first = chunk * FACTORS_PER_TASK;
             let range = first..first + residual.len() / rows;
             jacobian.fill(0.0);
             batch.linearize(range, x, residual, Some(jacobian), width)?;
             let cost = chunk_cost(residual, rows, loss);
-            if loss != super::Loss::Trivial {
+            if !loss.is_trivial() {
                 for (r, j) in residual.chunks_exact_mut(rows).zip(jacobian.chunks_exact_mut(stride))
                 {
                     apply_loss(loss, curvature_share, r, j, width);
@@ -273,7 +274,7 @@ pub(super) fn linearize_batch(
 /// Gauss-Newton Hessian `rho' J^T (I + c 2 rho''/rho' r r^T) J` with the share `c` of the loss's
 /// curvature, as far as that is positive (Triggs et al., section 4.3).
 fn apply_loss(
-    loss: super::Loss,
+    loss: &BatchLoss,
     curvature_share: f64,
     r: &mut [f64],
     jacobian: &mut [f64],
@@ -307,7 +308,7 @@ pub(super) struct Weights {
 
 /// The weights at `s = |r|^2`.
 #[inline]
-pub(super) fn robust_weights(loss: super::Loss, curvature_share: f64, s: f64) -> Weights {
+pub(super) fn robust_weights(loss: &BatchLoss, curvature_share: f64, s: f64) -> Weights {
     let rho = loss.evaluate(s);
     let weight = rho.first.sqrt();
     if curvature_share == 0.0 || rho.second == 0.0 || s == 0.0 || rho.first == 0.0 {

@@ -27,7 +27,7 @@ impl Problem {
                     .batch
                     .linearize(
                         factor..factor + 1,
-                        self.point(x),
+                        self.all_values(x),
                         &mut residual,
                         Some(&mut jacobian),
                         width,

@@ -4,7 +4,7 @@
 //! min_x  1/2 sum_i rho_i( |r_i(x)|^2 )
 //! ```
 //!
-//! over parameter blocks that live in [`Space`]s, with residuals given by [`Factor`]s in named
+//! over parameter blocks that live in [`Manifold`]s, with residuals given by [`Factor`]s in named
 //! [`Batch`]es, each with a [`Loss`]. [`LeastSquares`] is the engine (Levenberg-Marquardt or
 //! Dogleg); [`solve`] runs it to the end, [`crate::drive`] with observers, limits and checkpoints.
 //! [`covariance`] gives standard deviations, [`check`] tests Jacobians.
@@ -12,46 +12,47 @@
 //! Results are bit-identical for any number of threads: work is cut into ranges that depend on the
 //! problem only, and their sums are added in order.
 
-mod attempt;
+mod block_table;
 pub mod check;
 mod cholesky;
 mod conjugate;
 pub mod covariance;
-mod eliminate;
+mod elimination;
 mod factor;
-mod fused;
 mod linearized;
 mod loss;
+pub mod manifold;
 mod normal;
-mod pairs;
 mod problem;
-mod reduced;
-mod space;
-mod stages;
+mod projection;
+mod schur;
+mod schur_solver;
+mod step_profiler;
 mod structure;
 mod summary;
+mod trial_step;
 mod trust_region;
 
 pub use factor::{
-    Batch, Curvature, Factor, Factors, Infeasible, InfeasibleFactor, Jacobian, Point,
+    Batch, Curvature, Factor, Factors, Infeasible, InfeasibleFactor, Jacobian, Values,
 };
-pub use fused::{Fusable, FusedWork};
 pub use linearized::LinearizedFactor;
-pub use loss::{Loss, Rho};
-pub use pairs::{Linearized, Pair, PairFactor, Pairs};
+pub use loss::{Loss, LossFunction, Rho};
+pub use manifold::{Euclidean, Manifold};
 pub use problem::{BlockId, Problem};
-pub use space::{MAX_TANGENT, Space, direction_basis};
-pub use stages::Stages;
+pub use projection::{LinearizedProjection, Measurement, ProjectionBatch, ProjectionFactor};
+pub use schur::{FusedElimination, FusionRequest};
+pub use step_profiler::StepProfiler;
 pub use summary::{BatchSummary, Summary};
-pub use trust_region::{LeastSquares, Memory, Method, Options};
+pub use trust_region::{LeastSquares, Method, Options, SolverState};
 
-use crate::engine::{Engine, SolveError, Stop};
+use crate::engine::{Engine, SolveError, Termination};
 use serde::{Deserialize, Serialize};
 
 /// How the linear system of a step is solved.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Linear {
+pub enum LinearSolver {
     /// Dense Cholesky of the whole system: for small problems.
     Dense,
     /// Sparse Cholesky of the whole system.
@@ -66,10 +67,10 @@ pub enum Linear {
     IterativeSchur,
 }
 
-impl Linear {
+impl LinearSolver {
     /// The same elimination with a factorisation: what covariances need.
-    fn exact(self) -> Linear {
-        if self == Linear::IterativeSchur { Linear::Schur } else { self }
+    fn direct(self) -> LinearSolver {
+        if self == LinearSolver::IterativeSchur { LinearSolver::Schur } else { self }
     }
 }
 
@@ -86,7 +87,7 @@ pub fn solve(
 ) -> Result<Summary, SolveError> {
     let mut engine = LeastSquares::new(options.clone());
     let initial_cost = engine.start(problem, x)?;
-    let (mut stop, mut iterations, mut final_cost) = (Stop::MaxIterations, 0, initial_cost);
+    let (mut stop, mut iterations, mut final_cost) = (Termination::MaxIterations, 0, initial_cost);
     while iterations < max_iterations {
         let step = engine.step(problem, x)?;
         iterations += 1;

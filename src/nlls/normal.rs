@@ -13,26 +13,26 @@
 //! move have zero columns in `J` and 1 on the diagonal.
 
 use super::{
-    Linear,
+    LinearSolver,
     cholesky::{BlockMatrix, NotPositiveDefinite},
-    eliminate::{Partial, damping, eliminate},
+    elimination::{PartialSums, damping, eliminate},
     factor::{InfeasibleFactor, Linearization, batch_cost, linearize_batch},
-    fused::{self, FusedWork, Settings, Sums},
     problem::Problem,
-    reduced::Reduced,
+    schur::{self, FusedElimination, NormalEquationsMut, Settings},
+    schur_solver::SchurSolver,
     structure::{NONE, Structure},
 };
 use crate::engine::SolveError;
 use rayon::prelude::*;
 
-/// The normal equations of one problem, with all their memory.
+/// The normal equations of one problem, with all their state.
 #[derive(Debug)]
 pub(super) struct Normal {
     pub(super) structure: Structure,
     pub(super) linearizations: Vec<Linearization>,
-    pub(super) partials: Vec<Partial>,
+    pub(super) partials: Vec<PartialSums>,
     pub(super) matrix: BlockMatrix,
-    pub(super) solver: Reduced,
+    pub(super) solver: SchurSolver,
     pub(super) spare: Linearization,
     /// Share of the losses' curvature in the next linearisation.
     pub(super) curvature_share: f64,
@@ -43,33 +43,33 @@ pub(super) struct Normal {
     /// `-(g_k - W V^-1 g_e)`, then `d_k`.
     pub(super) kept_vector: Vec<f64>,
     /// The batch that is eliminated without being stored, if there is one that can be.
-    pub(super) fused: Option<(usize, FusedWork)>,
+    pub(super) fused: Option<(usize, FusedElimination)>,
     /// The largest `|g_k| / sqrt(D_k)` of the points that the fused batch eliminates.
     pub(super) fused_slope: f64,
 }
 
 impl Normal {
     /// Analyses the problem. With `fuse`, a batch that can be eliminated without being stored is;
-    /// then only [`Normal::attempt`] makes steps. `linear_tolerance` is for [`Linear::IterativeSchur`].
+    /// then only [`Normal::attempt`] makes steps. `linear_tolerance` is for [`LinearSolver::IterativeSchur`].
     pub(super) fn new(
         problem: &Problem,
-        linear: Linear,
+        linear: LinearSolver,
         linear_tolerance: f64,
         fuse: bool,
     ) -> Result<Normal, SolveError> {
         let (mut structure, matrix) = Structure::new(problem, linear)?;
-        let solver = Reduced::analyze(&matrix, linear, linear_tolerance);
-        let fused = if fuse { fused::find(problem, &structure, &matrix) } else { None };
+        let solver = SchurSolver::analyze(&matrix, linear, linear_tolerance);
+        let fused = if fuse { schur::find(problem, &structure, &matrix) } else { None };
         let mut tangent = problem.tangent_len();
         let mut partials = Vec::new();
         if fused.is_some() {
             // Vectors over tangents reach as far as the last kept block.
             let ends = structure.kept.iter().map(|&k| &problem.blocks[k]);
-            tangent = ends.map(|block| block.tangent + block.space.tangent()).max().unwrap_or(0);
+            tangent = ends.map(|block| block.tangent + block.dimension).max().unwrap_or(0);
             structure.forget_factors();
         } else {
             structure.complete(problem, &matrix);
-            partials.extend(structure.shares.iter().map(Partial::new));
+            partials.extend(structure.chunks.iter().map(PartialSums::new));
         }
         Ok(Normal {
             linearizations: vec![Linearization::default(); problem.batches.len()],
@@ -98,15 +98,15 @@ impl Normal {
             if let Some((batch, work)) = &mut self.fused
                 && *batch == k
             {
-                let cost = work.0.cost(problem, x, named.loss);
+                let cost = work.0.cost(problem, x, &named.loss);
                 if cost.is_finite() {
                     total += cost;
                     continue;
                 }
                 // Below, the scalar form says which factor it is.
             }
-            let point = problem.point(x);
-            total += batch_cost(named.batch.as_ref(), named.loss, point, &mut self.spare.residual)
+            let point = problem.all_values(x);
+            total += batch_cost(named.batch.as_ref(), &named.loss, point, &mut self.spare.residual)
                 .map_err(|infeasible| (k, infeasible))?;
         }
         Ok(total)
@@ -123,10 +123,10 @@ impl Normal {
             if self.fused.as_ref().is_some_and(|(batch, _)| *batch == k) {
                 continue;
             }
-            let point = problem.point(x);
+            let point = problem.all_values(x);
             let batch = named.batch.as_ref();
             total +=
-                linearize_batch(batch, named.loss, self.curvature_share, point, named.width, out)
+                linearize_batch(batch, &named.loss, self.curvature_share, point, named.width, out)
                     .map_err(|infeasible| (k, infeasible))?;
         }
         self.freeze(problem);
@@ -172,11 +172,11 @@ impl Normal {
         self.diagonal.fill(0.0);
         if let Some((batch, work)) = &mut self.fused {
             let settings = Settings {
-                loss: problem.batches[*batch].loss,
+                loss: &problem.batches[*batch].loss,
                 curvature_share: self.curvature_share,
                 lambda,
             };
-            let sums = Sums {
+            let sums = NormalEquationsMut {
                 matrix: &mut self.matrix,
                 gradient: &mut self.gradient,
                 diagonal: &mut self.diagonal,
@@ -187,18 +187,18 @@ impl Normal {
             let (structure, linearizations) = (&self.structure, &self.linearizations);
             self.partials
                 .par_iter_mut()
-                .zip(&structure.shares)
-                .map(|(partial, share)| {
-                    eliminate(problem, structure, share, linearizations, lambda, partial)
+                .zip(&structure.chunks)
+                .map(|(partial, chunk)| {
+                    eliminate(problem, structure, chunk, linearizations, lambda, partial)
                 })
                 .collect::<Result<(), NotPositiveDefinite>>()?;
             self.add_partials(problem);
         }
-        self.add_plain(problem);
+        self.add_camera_only_factors(problem);
         let mut shift = Vec::with_capacity(self.kept_vector.len());
         for &block in &self.structure.kept {
             let block = &problem.blocks[block];
-            for k in 0..block.space.tangent() {
+            for k in 0..block.dimension {
                 let frozen = block.frozen >> k & 1 == 1;
                 let diagonal = damping(self.diagonal[block.tangent + k]);
                 shift.push(if frozen { 1.0 } else { lambda * diagonal });
@@ -220,26 +220,26 @@ impl Normal {
     }
 
     fn add_partials(&mut self, problem: &Problem) {
-        for (partial, share) in self.partials.iter().zip(&self.structure.shares) {
-            for &(local, global, len) in &share.copies {
+        for (partial, chunk) in self.partials.iter().zip(&self.structure.chunks) {
+            for &(local, global, len) in &chunk.copies {
                 let to = &mut self.matrix.values[global..global + len];
                 for (to, from) in to.iter_mut().zip(&partial.values[local..local + len]) {
                     *to += from;
                 }
             }
-            for (k, &kept) in share.kept.iter().enumerate() {
+            for (k, &kept) in chunk.kept.iter().enumerate() {
                 let block = problem.blocks[self.structure.kept[kept as usize]].tangent;
                 let start = self.matrix.starts[kept as usize];
-                for (offset, local) in (share.starts[k]..share.starts[k + 1]).enumerate() {
+                for (offset, local) in (chunk.starts[k]..chunk.starts[k + 1]).enumerate() {
                     self.gradient[block + offset] += partial.gradient[local];
                     self.diagonal[block + offset] += partial.diagonal[local];
                     self.kept_vector[start + offset] += partial.correction[local];
                 }
             }
             let mut at = 0;
-            for e in share.eliminated.clone() {
+            for e in chunk.eliminated.clone() {
                 let block = &problem.blocks[self.structure.eliminated[e]];
-                let n = block.space.tangent();
+                let n = block.dimension;
                 let to = block.tangent..block.tangent + n;
                 self.gradient[to.clone()].copy_from_slice(&partial.gradient_e[at..at + n]);
                 self.diagonal[to].copy_from_slice(&partial.diagonal_e[at..at + n]);
@@ -248,9 +248,9 @@ impl Normal {
         }
     }
 
-    /// Adds the factors that touch no eliminated block.
-    fn add_plain(&mut self, problem: &Problem) {
-        for &(b, f) in &self.structure.plain {
+    /// Adds the factors that depend on no eliminated block.
+    fn add_camera_only_factors(&mut self, problem: &Problem) {
+        for &(b, f) in &self.structure.camera_only_factors {
             let named = &problem.batches[b as usize];
             let (rows, width) = (named.batch.rows(), named.width);
             let linearization = &self.linearizations[b as usize];
@@ -260,7 +260,7 @@ impl Normal {
             let blocks = named.batch.blocks(f);
             let mut column = 0;
             for (k, block) in blocks.iter().enumerate() {
-                let place = self.structure.place[block.index()];
+                let place = self.structure.kept_index[block.index()];
                 if place != NONE {
                     let dim = named.dims[k];
                     let at = problem.blocks[block.index()].tangent;
@@ -273,7 +273,7 @@ impl Normal {
                     }
                     let mut other_column = 0;
                     for (other, other_dim) in blocks[..=k].iter().zip(&named.dims) {
-                        let other_place = self.structure.place[other.index()];
+                        let other_place = self.structure.kept_index[other.index()];
                         if other_place != NONE {
                             add_product(
                                 &mut self.matrix,
@@ -293,16 +293,16 @@ impl Normal {
 
     /// The Cholesky factor of `V` of eliminated block `e`, row-major.
     pub(super) fn point_factor(&self, e: usize) -> &[f64] {
-        let shares = &self.structure.shares;
-        let share = shares.partition_point(|share| share.eliminated.end <= e);
-        let (squares, first) = (&self.structure.squares, shares[share].eliminated.start);
-        &self.partials[share].factor[squares[e] - squares[first]..squares[e + 1] - squares[first]]
+        let chunks = &self.structure.chunks;
+        let chunk = chunks.partition_point(|chunk| chunk.eliminated.end <= e);
+        let (squares, first) = (&self.structure.squares, chunks[chunk].eliminated.start);
+        &self.partials[chunk].factor[squares[e] - squares[first]..squares[e + 1] - squares[first]]
     }
 
-    /// `W^T` of eliminated block `e`: per touched kept block its place and `E^T F`, row-major.
+    /// `W^T` of eliminated block `e`: per adjacent kept block its place and `E^T F`, row-major.
     pub(super) fn coupling(&self, problem: &Problem, e: usize) -> Vec<(usize, Vec<f64>)> {
         let own = self.structure.eliminated[e];
-        let n = problem.blocks[own].space.tangent();
+        let n = problem.blocks[own].dimension;
         let mut found: Vec<(usize, Vec<f64>)> = Vec::new();
         for &(b, f) in self.structure.factors(e) {
             let (named, f) = (&problem.batches[b as usize], f as usize);
@@ -313,7 +313,7 @@ impl Normal {
             let own_column =
                 blocks.iter().position(|block| block.index() == own).map_or(0, |k| columns[k]);
             for (k, block) in blocks.iter().enumerate() {
-                let place = self.structure.place[block.index()];
+                let place = self.structure.kept_index[block.index()];
                 if place == NONE {
                     continue;
                 }

@@ -1,11 +1,12 @@
 //! A nonlinear least-squares problem: `min 1/2 sum_i rho_i(|r_i(x)|^2)` over blocks of parameters.
 
 use super::{
-    factor::{Batch, InfeasibleFactor, MAX_ARITY, Point, batch_cost},
-    loss::Loss,
-    space::{MAX_TANGENT, Space},
+    factor::{Batch, InfeasibleFactor, MAX_ARITY, Values, batch_cost},
+    loss::{BatchLoss, Loss, LossFunction},
+    manifold::{self, MAX_TANGENT, Manifold},
 };
 use crate::engine::SolveError;
+use std::any::Any;
 
 /// Names a parameter block of one [`Problem`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -22,7 +23,10 @@ impl BlockId {
 /// What the engine knows of one block.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Block {
-    pub(super) space: Space,
+    /// Index of its manifold in [`Problem::manifolds`].
+    manifold: u32,
+    /// Tangent dimension.
+    pub(super) dimension: usize,
     /// Where its tangent begins in vectors over all blocks.
     pub(super) tangent: usize,
     /// Bit `k` set: entry `k` of the tangent does not move.
@@ -33,7 +37,7 @@ pub(super) struct Block {
 
 impl Block {
     pub(super) fn is_fixed(&self) -> bool {
-        self.frozen == all_entries(self.space.tangent())
+        self.frozen == all_entries(self.dimension)
     }
 }
 
@@ -43,7 +47,7 @@ fn all_entries(n: usize) -> u64 {
 
 pub(super) struct NamedBatch {
     pub(super) name: String,
-    pub(super) loss: Loss,
+    pub(super) loss: BatchLoss,
     pub(super) batch: Box<dyn Batch>,
     /// Sum of the tangent dimensions of the blocks of each factor.
     pub(super) width: usize,
@@ -62,6 +66,8 @@ pub struct Problem {
     pub(super) offsets: Vec<usize>,
     pub(super) batches: Vec<NamedBatch>,
     initial: Vec<f64>,
+    /// Every manifold that a block lives on, once.
+    manifolds: Vec<Box<dyn Manifold>>,
     groups: Vec<(String, usize)>,
 }
 
@@ -80,15 +86,15 @@ impl Problem {
         Problem { offsets: vec![0], ..Problem::default() }
     }
 
-    /// Adds a block of `space` with its starting values. Blocks of one `kind` that are made one
+    /// Adds a block on `manifold` with its starting values. Blocks of one `kind` that are made one
     /// after the other are counted from 0 in messages: "camera 17".
     ///
     /// # Errors
-    /// [`SolveError::Misuse`] where the values do not belong to the space.
-    pub fn block(
+    /// [`SolveError::Misuse`] where the values do not lie on the manifold.
+    pub fn block<M: Manifold + PartialEq>(
         &mut self,
         kind: &str,
-        space: Space,
+        manifold: M,
         values: &[f64],
     ) -> Result<BlockId, SolveError> {
         let index = self.blocks.len();
@@ -97,21 +103,38 @@ impl Problem {
         }
         let group = self.groups.len() - 1;
         let name = || format!("{kind} {}", index - self.groups[group].1);
-        let dimension = space.tangent();
+        let dimension = manifold.tangent();
         if !(1..=MAX_TANGENT).contains(&dimension) {
             return Err(SolveError::Misuse(format!(
-                "{}: a block must have 1 to {MAX_TANGENT} degrees of freedom, {space:?} has {dimension}",
+                "{}: a block must have 1 to {MAX_TANGENT} degrees of freedom, {manifold:?} has {dimension}",
                 name()
             )));
         }
-        if let Some(defect) = space.defect(values) {
+        if let Some(defect) = manifold::defect(&manifold, values) {
             return Err(SolveError::Misuse(format!("{}: {defect}", name())));
         }
         let too_many = || SolveError::Misuse("more blocks than can be counted".into());
         let id = u32::try_from(index).map_err(|_| too_many())?;
         let group = u32::try_from(group).map_err(|_| too_many())?;
-        let tangent = self.blocks.last().map_or(0, |last| last.tangent + last.space.tangent());
-        self.blocks.push(Block { space, tangent, frozen: 0, eliminate: false, group });
+        let same = |known: &Box<dyn Manifold>| {
+            let known: &dyn Any = known.as_ref();
+            known.downcast_ref::<M>() == Some(&manifold)
+        };
+        let known = self.manifolds.iter().position(same);
+        let manifold = known.unwrap_or_else(|| {
+            self.manifolds.push(Box::new(manifold));
+            self.manifolds.len() - 1
+        });
+        let manifold = u32::try_from(manifold).map_err(|_| too_many())?;
+        let tangent = self.tangent_len();
+        self.blocks.push(Block {
+            manifold,
+            dimension,
+            tangent,
+            frozen: 0,
+            eliminate: false,
+            group,
+        });
         self.initial.extend_from_slice(values);
         self.offsets.push(self.initial.len());
         Ok(BlockId(id))
@@ -120,7 +143,7 @@ impl Problem {
     /// Keeps a block at its starting values.
     pub fn fix(&mut self, block: BlockId) {
         let block = &mut self.blocks[block.index()];
-        block.frozen = all_entries(block.space.tangent());
+        block.frozen = all_entries(block.dimension);
     }
 
     /// Keeps some entries of a block's tangent from moving.
@@ -128,7 +151,7 @@ impl Problem {
     /// # Errors
     /// [`SolveError::Misuse`] for an entry that the block does not have.
     pub fn fix_entries(&mut self, block: BlockId, entries: &[usize]) -> Result<(), SolveError> {
-        let dimension = self.blocks[block.index()].space.tangent();
+        let dimension = self.blocks[block.index()].dimension;
         if let Some(entry) = entries.iter().find(|&&entry| entry >= dimension) {
             return Err(SolveError::Misuse(format!(
                 "{} has no entry {entry}, only {dimension}",
@@ -159,7 +182,7 @@ impl Problem {
     pub fn add(
         &mut self,
         name: &str,
-        loss: Loss,
+        loss: impl LossFunction,
         batch: impl Batch + 'static,
     ) -> Result<(), SolveError> {
         let misuse =
@@ -199,7 +222,7 @@ impl Problem {
                     ));
                 }
             }
-            let these = blocks.iter().map(|block| self.blocks[block.index()].space.tangent());
+            let these = blocks.iter().map(|block| self.blocks[block.index()].dimension);
             if factor == 0 {
                 dims.extend(these);
             } else if !these.eq(dims.iter().copied()) {
@@ -211,7 +234,7 @@ impl Problem {
         let width = dims.iter().sum();
         self.batches.push(NamedBatch {
             name: name.to_owned(),
-            loss,
+            loss: BatchLoss::new(loss),
             batch: Box::new(batch),
             width,
             dims,
@@ -236,7 +259,7 @@ impl Problem {
 
     /// Degrees of freedom that may move.
     pub fn parameter_count(&self) -> usize {
-        self.blocks.iter().map(|b| b.space.tangent() - b.frozen.count_ones() as usize).sum()
+        self.blocks.iter().map(|b| b.dimension - b.frozen.count_ones() as usize).sum()
     }
 
     /// The values of one block inside `x`.
@@ -244,9 +267,18 @@ impl Problem {
         &x[self.offsets[block.index()]..self.offsets[block.index() + 1]]
     }
 
-    /// The space of one block.
-    pub fn space(&self, block: BlockId) -> Space {
-        self.blocks[block.index()].space
+    /// The manifold of one block.
+    pub fn manifold(&self, block: BlockId) -> &dyn Manifold {
+        self.manifold_of(&self.blocks[block.index()])
+    }
+
+    fn manifold_of(&self, block: &Block) -> &dyn Manifold {
+        self.manifolds[block.manifold as usize].as_ref()
+    }
+
+    /// Degrees of freedom of one block, those that are fixed included.
+    pub fn dimension(&self, block: BlockId) -> usize {
+        self.blocks[block.index()].dimension
     }
 
     /// What a person would call a block: its kind and its number.
@@ -255,8 +287,8 @@ impl Problem {
         format!("{kind} {}", block.index() - first)
     }
 
-    pub(super) fn point<'a>(&'a self, x: &'a [f64]) -> Point<'a> {
-        Point { values: x, offsets: &self.offsets }
+    pub(super) fn all_values<'a>(&'a self, x: &'a [f64]) -> Values<'a> {
+        Values { values: x, offsets: &self.offsets }
     }
 
     pub(super) fn id(index: usize) -> BlockId {
@@ -265,7 +297,7 @@ impl Problem {
 
     /// Length of tangent vectors over all blocks, fixed ones included.
     pub(super) fn tangent_len(&self) -> usize {
-        self.blocks.last().map_or(0, |last| last.tangent + last.space.tangent())
+        self.blocks.last().map_or(0, |last| last.tangent + last.dimension)
     }
 
     /// Writes `x (+) d` for all blocks to `out`.
@@ -275,8 +307,8 @@ impl Problem {
             if block.is_fixed() {
                 out[range.clone()].copy_from_slice(&x[range]);
             } else {
-                let d = &d[block.tangent..block.tangent + block.space.tangent()];
-                block.space.plus(&x[range.clone()], d, &mut out[range]);
+                let d = &d[block.tangent..block.tangent + block.dimension];
+                self.manifold_of(block).plus(&x[range.clone()], d, &mut out[range]);
             }
         }
     }
@@ -289,8 +321,8 @@ impl Problem {
             if block.is_fixed() {
                 out[range.clone()].copy_from_slice(&x[range]);
             } else if !block.eliminate {
-                let d = &d[block.tangent..block.tangent + block.space.tangent()];
-                block.space.plus(&x[range.clone()], d, &mut out[range]);
+                let d = &d[block.tangent..block.tangent + block.dimension];
+                self.manifold_of(block).plus(&x[range.clone()], d, &mut out[range]);
             }
         }
     }
@@ -304,7 +336,7 @@ impl Problem {
         self.batches
             .iter()
             .map(|b| {
-                batch_cost(b.batch.as_ref(), b.loss, self.point(x), &mut residual)
+                batch_cost(b.batch.as_ref(), &b.loss, self.all_values(x), &mut residual)
                     .map_err(|infeasible| self.infeasible(b, infeasible))
             })
             .collect()
@@ -322,8 +354,13 @@ impl Problem {
             .find(|b| b.name == name)
             .ok_or_else(|| SolveError::Misuse(format!("there is no batch {name:?}")))?;
         let mut residual = Vec::new();
-        batch_cost(batch.batch.as_ref(), Loss::Trivial, self.point(x), &mut residual)
-            .map_err(|infeasible| self.infeasible(batch, infeasible))?;
+        batch_cost(
+            batch.batch.as_ref(),
+            &BatchLoss::new(Loss::Trivial),
+            self.all_values(x),
+            &mut residual,
+        )
+        .map_err(|infeasible| self.infeasible(batch, infeasible))?;
         Ok(residual)
     }
 

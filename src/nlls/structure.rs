@@ -1,47 +1,56 @@
-//! The symbolic part of the normal equations: who touches whom, found once per problem.
+//! The symbolic part of the normal equations: which blocks share a factor, found once per problem.
 //!
 //! Free blocks are *eliminated* (points, solved for block by block) or *kept* (cameras, solved for
 //! together in the reduced system). Eliminated blocks are cut into a fixed number of ranges, each
-//! with its own small accumulator over just the kept blocks that it touches; accumulators are
+//! with its own small accumulator over just the kept blocks adjacent to it; accumulators are
 //! added in the order of the ranges, so that the sums do not depend on the number of threads.
 
-use super::{Linear, cholesky::BlockMatrix, problem::Problem};
+use super::{
+    LinearSolver,
+    block_table::{BlockTable, pairs_of_groups},
+    cholesky::BlockMatrix,
+    problem::Problem,
+};
 use crate::engine::SolveError;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Not a kept block, not a slot.
+/// No kept block, no slot, no block of a table.
 pub(super) const NONE: u32 = u32::MAX;
 
 /// One factor: its batch and its place in it.
 pub(super) type FactorRef = (u32, u32);
 
-/// A run of eliminated blocks and the part of the reduced system that they add to.
+/// A run of eliminated blocks and the part of the reduced system that they contribute to.
 #[derive(Debug, Clone)]
-pub(super) struct Share {
-    /// Places in [`Structure::eliminated`].
+pub(super) struct Chunk {
+    /// Indices into [`Structure::eliminated`].
     pub(super) eliminated: Range<usize>,
-    /// The kept blocks that it touches, ascending.
+    /// The kept blocks adjacent to its eliminated ones, ascending.
     pub(super) kept: Vec<u32>,
     /// Where each kept block begins in local vectors; one more entry than blocks.
     pub(super) starts: Vec<usize>,
-    /// `kept x kept`: where local block `(row, column)`, `row >= column`, begins, or [`NONE`].
-    table: Vec<u32>,
+    /// Where each local block begins; none once only the fused path goes on.
+    table: Option<BlockTable>,
     /// Length of the local values.
     pub(super) len: usize,
     /// `(local, global, length)` of each block's values.
     pub(super) copies: Vec<(usize, usize, usize)>,
 }
 
-impl Share {
-    /// Whether local block `(row, column)`, `row >= column`, is touched.
-    pub(super) fn has(&self, row: usize, column: usize) -> bool {
-        self.table[row * self.kept.len() + column] != NONE
+impl Chunk {
+    /// Visits the pairs of local blocks `(row, column)`, `row >= column`, that an eliminated block
+    /// joins, row by row.
+    pub(super) fn for_each_pair(&self, mut visit: impl FnMut(usize, usize)) {
+        if let Some(table) = &self.table {
+            table.for_each(|row, column, _| visit(row, column));
+        }
     }
 
+    /// Where local block `(row, column)`, `row >= column`, begins in the chunk's values.
     #[inline]
     pub(super) fn at(&self, row: usize, column: usize) -> usize {
-        self.table[row * self.kept.len() + column] as usize
+        self.table.as_ref().map_or(0, |table| table.get(row, column) as usize)
     }
 }
 
@@ -50,83 +59,84 @@ impl Share {
 pub(super) struct Structure {
     /// The block behind each kept one.
     pub(super) kept: Vec<usize>,
-    /// The place of each block among the kept ones, or [`NONE`].
-    pub(super) place: Vec<u32>,
+    /// The index of each block among the kept ones, or [`NONE`].
+    pub(super) kept_index: Vec<u32>,
     /// The blocks to eliminate, in the order in which they are.
     pub(super) eliminated: Vec<usize>,
-    /// The place of each block among the eliminated ones, or [`NONE`].
-    pub(super) point: Vec<u32>,
+    /// The index of each block among the eliminated ones, or [`NONE`].
+    pub(super) eliminated_index: Vec<u32>,
     /// Sum of the squared tangent dimensions of the eliminated blocks before each.
     pub(super) squares: Vec<usize>,
     factor_ptr: Vec<usize>,
     factors: Vec<FactorRef>,
-    touch_ptr: Vec<usize>,
-    /// Kept blocks touched by each eliminated one, ascending, as places in their share's list.
-    touch: Vec<u32>,
+    adjacent_ptr: Vec<usize>,
+    /// The kept blocks adjacent to each eliminated one, ascending, as indices into their chunk's list.
+    adjacent: Vec<u32>,
     /// Factors without an eliminated block.
-    pub(super) plain: Vec<FactorRef>,
-    pub(super) shares: Vec<Share>,
+    pub(super) camera_only_factors: Vec<FactorRef>,
+    pub(super) chunks: Vec<Chunk>,
 }
 
-/// Factors per share; the number of shares is bounded because each has an accumulator.
-const SHARE_FACTORS: usize = 8192;
-const MAX_SHARES: usize = 8;
+/// Factors per chunk; the number of chunks is bounded because each has an accumulator.
+const FACTORS_PER_CHUNK: usize = 8192;
+const MAX_CHUNKS: usize = 8;
 
 impl Structure {
     /// Finds the structure of `problem` and its empty reduced matrix.
     pub(super) fn new(
         problem: &Problem,
-        linear: Linear,
+        linear: LinearSolver,
     ) -> Result<(Structure, BlockMatrix), SolveError> {
-        let eliminating = matches!(linear, Linear::Schur | Linear::IterativeSchur);
+        let eliminating = matches!(linear, LinearSolver::Schur | LinearSolver::IterativeSchur);
         let blocks = &problem.blocks;
-        let (mut place, mut point) = (vec![NONE; blocks.len()], vec![NONE; blocks.len()]);
+        let mut kept_index = vec![NONE; blocks.len()];
+        let mut eliminated_index = vec![NONE; blocks.len()];
         let (mut kept, mut eliminated) = (Vec::new(), Vec::new());
         for (k, block) in blocks.iter().enumerate().filter(|(_, block)| !block.is_fixed()) {
             if eliminating && block.eliminate {
-                // Its place among the eliminated ones, until they are sorted.
-                point[k] = eliminated.len() as u32;
+                // Its index among the eliminated ones, until they are sorted.
+                eliminated_index[k] = eliminated.len() as u32;
                 eliminated.push(k as u32);
             } else {
-                place[k] = kept.len() as u32;
+                kept_index[k] = kept.len() as u32;
                 kept.push(k);
             }
         }
         if kept.is_empty() && eliminated.is_empty() {
             return Err(SolveError::Misuse("every block is fixed: nothing to solve for".into()));
         }
-        let Census { owner, plain, mut neighbourhood } =
-            Census::take(problem, &place, &point, &eliminated)?;
+        let Incidence { owner, camera_only_factors, mut neighbourhood } =
+            Incidence::new(problem, &kept_index, &eliminated_index, &eliminated)?;
         neighbourhood.par_sort_unstable();
         let eliminated: Vec<usize> =
             neighbourhood.iter().map(|&(_, first)| eliminated[first as usize] as usize).collect();
         let mut sorted = vec![0u32; eliminated.len()];
         for (e, &(_, first)) in neighbourhood.iter().enumerate() {
             sorted[first as usize] = e as u32;
-            point[eliminated[e]] = e as u32;
+            eliminated_index[eliminated[e]] = e as u32;
         }
         let mut structure = Structure {
             kept,
-            place,
+            kept_index,
             squares: Vec::new(),
             eliminated,
-            point,
+            eliminated_index,
             factor_ptr: Vec::new(),
             factors: Vec::new(),
-            touch_ptr: Vec::new(),
-            touch: Vec::new(),
-            plain,
-            shares: Vec::new(),
+            adjacent_ptr: Vec::new(),
+            adjacent: Vec::new(),
+            camera_only_factors,
+            chunks: Vec::new(),
         };
         structure.list_factors(problem, &owner, &sorted);
-        let dims: Vec<usize> = structure.kept.iter().map(|&k| blocks[k].space.tangent()).collect();
-        structure.shares = structure
-            .cuts()
+        let dims: Vec<usize> = structure.kept.iter().map(|&k| blocks[k].dimension).collect();
+        structure.chunks = structure
+            .partition()
             .into_par_iter()
             .with_max_len(1)
-            .map(|range| Share::new(&structure, problem, range, dims.len()))
+            .map(|range| Chunk::new(&structure, problem, range, dims.len()))
             .collect();
-        structure.refuse_idle_blocks(problem)?;
+        structure.refuse_unconstrained_blocks(problem)?;
         let matrix = structure.reduced_pattern(problem, &dims);
         Ok((structure, matrix))
     }
@@ -134,25 +144,25 @@ impl Structure {
     /// Fills in what only the stored path reads.
     pub(super) fn complete(&mut self, problem: &Problem, matrix: &BlockMatrix) {
         let squares = self.eliminated.iter().scan(0, |sum, &k| {
-            *sum += problem.blocks[k].space.tangent().pow(2);
+            *sum += problem.blocks[k].dimension.pow(2);
             Some(*sum)
         });
         self.squares = std::iter::once(0).chain(squares).collect();
         let mut local = vec![NONE; self.kept.len()];
-        let (mut touch_ptr, mut touch, mut one) = (vec![0], Vec::new(), Vec::new());
-        for share in &self.shares {
-            for (k, &place) in share.kept.iter().enumerate() {
+        let (mut adjacent_ptr, mut adjacent, mut one) = (vec![0], Vec::new(), Vec::new());
+        for chunk in &self.chunks {
+            for (k, &place) in chunk.kept.iter().enumerate() {
                 local[place as usize] = k as u32;
             }
-            for e in share.eliminated.clone() {
-                self.touched(problem, e, &mut one);
-                touch.extend(one.iter().map(|&place| local[place as usize]));
-                touch_ptr.push(touch.len());
+            for e in chunk.eliminated.clone() {
+                self.find_adjacent(problem, e, &mut one);
+                adjacent.extend(one.iter().map(|&place| local[place as usize]));
+                adjacent_ptr.push(adjacent.len());
             }
         }
-        (self.touch_ptr, self.touch) = (touch_ptr, touch);
-        for share in &mut self.shares {
-            share.connect(matrix);
+        (self.adjacent_ptr, self.adjacent) = (adjacent_ptr, adjacent);
+        for chunk in &mut self.chunks {
+            chunk.connect(matrix);
         }
     }
 
@@ -160,8 +170,8 @@ impl Structure {
     pub(super) fn forget_factors(&mut self) {
         self.factor_ptr = Vec::new();
         self.factors = Vec::new();
-        for share in &mut self.shares {
-            share.table = Vec::new();
+        for chunk in &mut self.chunks {
+            chunk.table = None;
         }
     }
 
@@ -174,13 +184,13 @@ impl Structure {
         }
     }
 
-    /// The kept blocks touched by eliminated block `e`, as places in its share's list.
+    /// The kept blocks adjacent to eliminated block `e`, as indices into its chunk's list.
     #[inline]
-    pub(super) fn touch(&self, e: usize) -> &[u32] {
-        &self.touch[self.touch_ptr[e]..self.touch_ptr[e + 1]]
+    pub(super) fn adjacent(&self, e: usize) -> &[u32] {
+        &self.adjacent[self.adjacent_ptr[e]..self.adjacent_ptr[e + 1]]
     }
 
-    /// Lists the factors of each eliminated block; `owner` as in [`Census`], `sorted` the places
+    /// Lists the factors of each eliminated block; `owner` as in [`Incidence`], `sorted` the indices
     /// that its numbers stand for.
     fn list_factors(&mut self, problem: &Problem, owner: &[u32], sorted: &[u32]) {
         let mut ends = vec![0usize; self.eliminated.len() + 1];
@@ -205,12 +215,12 @@ impl Structure {
         (self.factor_ptr, self.factors) = (ends, factors);
     }
 
-    /// The kept blocks that eliminated block `e` shares a factor with, ascending.
-    fn touched(&self, problem: &Problem, e: usize, out: &mut Vec<u32>) {
+    /// The kept blocks that share a factor with eliminated block `e`, ascending.
+    fn find_adjacent(&self, problem: &Problem, e: usize, out: &mut Vec<u32>) {
         out.clear();
         for &(b, f) in self.factors(e) {
             for block in problem.batches[b as usize].batch.blocks(f as usize) {
-                let place = self.place[block.index()];
+                let place = self.kept_index[block.index()];
                 if place != NONE {
                     out.push(place);
                 }
@@ -222,23 +232,23 @@ impl Structure {
         }
     }
 
-    fn refuse_idle_blocks(&self, problem: &Problem) -> Result<(), SolveError> {
+    fn refuse_unconstrained_blocks(&self, problem: &Problem) -> Result<(), SolveError> {
         let mut busy = vec![false; self.kept.len()];
-        for share in &self.shares {
-            share.kept.iter().for_each(|&k| busy[k as usize] = true);
+        for chunk in &self.chunks {
+            chunk.kept.iter().for_each(|&k| busy[k as usize] = true);
         }
-        for &(b, f) in &self.plain {
+        for &(b, f) in &self.camera_only_factors {
             for block in problem.batches[b as usize].batch.blocks(f as usize) {
-                if self.place[block.index()] != NONE {
-                    busy[self.place[block.index()] as usize] = true;
+                if self.kept_index[block.index()] != NONE {
+                    busy[self.kept_index[block.index()] as usize] = true;
                 }
             }
         }
-        let idle_kept = busy.iter().position(|busy| !busy).map(|k| self.kept[k]);
-        let idle_point = (0..self.eliminated.len())
+        let unconstrained_kept = busy.iter().position(|busy| !busy).map(|k| self.kept[k]);
+        let unconstrained_point = (0..self.eliminated.len())
             .find(|&e| self.factors(e).is_empty())
             .map(|e| self.eliminated[e]);
-        match idle_kept.or(idle_point) {
+        match unconstrained_kept.or(unconstrained_point) {
             None => Ok(()),
             Some(block) => Err(SolveError::Misuse(format!(
                 "{} is free but no factor depends on it; fix it or leave it out",
@@ -248,41 +258,38 @@ impl Structure {
     }
 
     /// Ranges of eliminated blocks with about the same number of factors.
-    fn cuts(&self) -> Vec<Range<usize>> {
+    fn partition(&self) -> Vec<Range<usize>> {
         let total = self.factors.len();
-        let count = total.div_ceil(SHARE_FACTORS).clamp(1, MAX_SHARES);
-        let (mut first, mut cuts) = (0, Vec::new());
-        for share in 0..count {
-            let goal = total * (share + 1) / count;
+        let count = total.div_ceil(FACTORS_PER_CHUNK).clamp(1, MAX_CHUNKS);
+        let (mut first, mut partition) = (0, Vec::new());
+        for chunk in 0..count {
+            let goal = total * (chunk + 1) / count;
             let mut end = self.factor_ptr.partition_point(|&at| at <= goal) - 1;
-            if share + 1 == count {
+            if chunk + 1 == count {
                 end = self.eliminated.len();
             }
             if end > first {
-                cuts.push(first..end);
+                partition.push(first..end);
                 first = end;
             }
         }
-        cuts
+        partition
     }
 
     fn reduced_pattern(&self, problem: &Problem, dims: &[usize]) -> BlockMatrix {
         let mut columns: Vec<Vec<u32>> = (0..dims.len()).map(|k| vec![k as u32]).collect();
-        for share in &self.shares {
-            let n = share.kept.len();
-            for row in 0..n {
-                for column in 0..row {
-                    if share.table[row * n + column] != NONE {
-                        columns[share.kept[column] as usize].push(share.kept[row]);
-                    }
+        for chunk in &self.chunks {
+            chunk.for_each_pair(|row, column| {
+                if row != column {
+                    columns[chunk.kept[column] as usize].push(chunk.kept[row]);
                 }
-            }
+            });
         }
-        for &(b, f) in &self.plain {
+        for &(b, f) in &self.camera_only_factors {
             let blocks = problem.batches[b as usize].batch.blocks(f as usize);
             for (k, first) in blocks.iter().enumerate() {
                 for second in &blocks[..k] {
-                    let pair = [self.place[first.index()], self.place[second.index()]];
+                    let pair = [self.kept_index[first.index()], self.kept_index[second.index()]];
                     if !pair.contains(&NONE) {
                         columns[pair[0].min(pair[1]) as usize].push(pair[0].max(pair[1]));
                     }
@@ -297,35 +304,35 @@ impl Structure {
     }
 }
 
-/// What one walk over all factors finds.
-struct Census {
-    /// Per factor, batch after batch, its eliminated block by its place before sorting, or [`NONE`].
+/// Which eliminated block each factor depends on.
+struct Incidence {
+    /// Per factor, batch after batch, its eliminated block by its index before sorting, or [`NONE`].
     owner: Vec<u32>,
     /// Factors of kept blocks alone.
-    plain: Vec<FactorRef>,
-    /// Per eliminated block the first and the last kept one that it touches, and its place before
-    /// sorting. Blocks that touch the same kept ones go next to each other, so that a share's sums
-    /// stay in the cache and differ from the other shares'.
+    camera_only_factors: Vec<FactorRef>,
+    /// Per eliminated block the first and the last kept one adjacent to it, and its index before
+    /// sorting. Blocks with the same adjacent kept ones follow each other, so that a chunk's sums
+    /// stay in the cache and differ from the other chunks'.
     neighbourhood: Vec<(u64, u32)>,
 }
 
-impl Census {
-    fn take(
+impl Incidence {
+    fn new(
         problem: &Problem,
-        place: &[u32],
-        point: &[u32],
+        kept_index: &[u32],
+        eliminated_index: &[u32],
         eliminated: &[u32],
-    ) -> Result<Census, SolveError> {
+    ) -> Result<Incidence, SolveError> {
         let total = problem.batches.iter().map(|named| named.batch.len()).sum();
         let mut owner = Vec::with_capacity(total);
-        let mut plain = Vec::new();
+        let mut camera_only_factors = Vec::new();
         let mut ends = vec![(NONE, 0u32); eliminated.len()];
         for (b, named) in problem.batches.iter().enumerate() {
             for f in 0..named.batch.len() {
                 let blocks = named.batch.blocks(f);
                 let (mut found, mut low, mut high) = (NONE, NONE, 0);
                 for block in blocks {
-                    let e = point[block.index()];
+                    let e = eliminated_index[block.index()];
                     if e != NONE {
                         if found != NONE {
                             let first = Problem::id(eliminated[found as usize] as usize);
@@ -337,9 +344,9 @@ impl Census {
                             )));
                         }
                         found = e;
-                    } else if place[block.index()] != NONE {
-                        low = low.min(place[block.index()]);
-                        high = high.max(place[block.index()]);
+                    } else if kept_index[block.index()] != NONE {
+                        low = low.min(kept_index[block.index()]);
+                        high = high.max(kept_index[block.index()]);
                     }
                 }
                 owner.push(found);
@@ -347,7 +354,7 @@ impl Census {
                     let end = &mut ends[found as usize];
                     *end = (end.0.min(low), end.1.max(high));
                 } else if low != NONE {
-                    plain.push((b as u32, f as u32));
+                    camera_only_factors.push((b as u32, f as u32));
                 }
             }
         }
@@ -356,74 +363,54 @@ impl Census {
             .enumerate()
             .map(|(e, (low, high))| (u64::from(low) << 32 | u64::from(high), e as u32))
             .collect();
-        Ok(Census { owner, plain, neighbourhood })
+        Ok(Incidence { owner, camera_only_factors, neighbourhood })
     }
 }
 
-impl Share {
+impl Chunk {
     fn new(
         structure: &Structure,
         problem: &Problem,
         eliminated: Range<usize>,
         kept: usize,
-    ) -> Share {
-        let (mut first, mut places, mut one) = (vec![0], Vec::new(), Vec::new());
+    ) -> Chunk {
+        let (mut first, mut members, mut one) = (vec![0], Vec::new(), Vec::new());
         let mut local = vec![NONE; kept];
         for e in eliminated.clone() {
-            structure.touched(problem, e, &mut one);
-            one.iter().for_each(|&place| local[place as usize] = 0);
-            places.extend_from_slice(&one);
-            first.push(places.len());
+            structure.find_adjacent(problem, e, &mut one);
+            one.iter().for_each(|&index| local[index as usize] = 0);
+            members.extend_from_slice(&one);
+            first.push(members.len());
         }
-        let kept: Vec<u32> = (0..kept as u32).filter(|&place| local[place as usize] == 0).collect();
-        for (k, &place) in kept.iter().enumerate() {
-            local[place as usize] = k as u32;
+        let kept: Vec<u32> = (0..kept as u32).filter(|&index| local[index as usize] == 0).collect();
+        for (k, &index) in kept.iter().enumerate() {
+            local[index as usize] = k as u32;
         }
-        places.iter_mut().for_each(|place| *place = local[*place as usize]);
-        let n = kept.len();
-        let mut table = vec![NONE; n * n];
-        for ends in first.windows(2) {
-            let touched = &places[ends[0]..ends[1]];
-            for (k, &row) in touched.iter().enumerate() {
-                let line = &mut table[row as usize * n..(row as usize + 1) * n];
-                for &column in &touched[..=k] {
-                    line[column as usize] = 0;
-                }
-            }
-        }
-        let dim = |place: u32| problem.blocks[structure.kept[place as usize]].space.tangent();
+        members.iter_mut().for_each(|index| *index = local[*index as usize]);
+        let dim = |index: u32| problem.blocks[structure.kept[index as usize]].dimension;
         let mut starts = vec![0];
-        for &place in &kept {
-            starts.push(starts[starts.len() - 1] + dim(place));
+        for &index in &kept {
+            starts.push(starts[starts.len() - 1] + dim(index));
         }
+        let rows = pairs_of_groups(kept.len(), &first, &members);
         let mut len = 0;
-        for row in 0..n {
-            for column in 0..=row {
-                let entry = &mut table[row * n + column];
-                if *entry != NONE {
-                    *entry = len as u32;
-                    len += dim(kept[row]) * dim(kept[column]);
-                }
-            }
-        }
-        Share { eliminated, kept, starts, table, len, copies: Vec::new() }
+        let table = BlockTable::new(rows.into_iter(), |row, column| {
+            let at = len;
+            len += dim(kept[row]) * dim(kept[column]);
+            at as u32
+        });
+        Chunk { eliminated, kept, starts, table: Some(table), len, copies: Vec::new() }
     }
 
-    /// Finds the places of its blocks in `matrix`.
+    /// Finds where its blocks are in `matrix`.
     fn connect(&mut self, matrix: &BlockMatrix) {
-        let n = self.kept.len();
-        for row in 0..n {
-            for column in 0..=row {
-                let local = self.table[row * n + column];
-                let (r, c) = (self.kept[row] as usize, self.kept[column] as usize);
-                if local != NONE
-                    && let Some(slot) = matrix.slot(r, c)
-                {
-                    let global = matrix.value_ptr[slot];
-                    let length = matrix.value_ptr[slot + 1] - global;
-                    self.copies.push((local as usize, global, length));
-                }
+        let Some(table) = &self.table else { return };
+        let (kept, copies) = (&self.kept, &mut self.copies);
+        table.for_each(|row, column, local| {
+            if let Some(slot) = matrix.slot(kept[row] as usize, kept[column] as usize) {
+                let global = matrix.value_ptr[slot];
+                copies.push((local as usize, global, matrix.value_ptr[slot + 1] - global));
             }
-        }
+        });
     }
 }

@@ -1,7 +1,7 @@
 //! What came of an adjustment, for a person ([`std::fmt::Display`]) and for a machine (serde).
 
 use super::problem::Problem;
-use crate::engine::{SolveError, Stop};
+use crate::engine::{SolveError, Termination};
 use serde::Serialize;
 
 /// One batch at the solution.
@@ -27,7 +27,7 @@ pub struct Summary {
     /// Trials made, refused ones included.
     pub iterations: u64,
     /// Why it stopped.
-    pub stop: Stop,
+    pub stop: Termination,
     /// Sum of the lengths of all residuals.
     pub residuals: usize,
     /// Degrees of freedom that could move.
@@ -47,7 +47,7 @@ impl Summary {
         initial_cost: f64,
         final_cost: f64,
         iterations: u64,
-        stop: Stop,
+        stop: Termination,
     ) -> Result<Summary, SolveError> {
         let costs = problem.costs(x)?;
         let batches = problem

@@ -6,8 +6,8 @@
 //! Dogleg (Powell; Madsen, Nielsen and Tingleff 2004, section 3.3) goes from the minimum along the
 //! gradient towards the Gauss-Newton step, as far as a radius in the norm `|D^1/2 d|` allows.
 
-use super::{Curvature, Linear, attempt::Attempt, normal::Normal, problem::Problem};
-use crate::engine::{Engine, SolveError, Step, Stop};
+use super::{Curvature, LinearSolver, normal::Normal, problem::Problem, trial_step::TrialStep};
+use crate::engine::{Engine, SolveError, Step, Termination};
 use serde::{Deserialize, Serialize};
 
 /// Which trial step.
@@ -28,7 +28,7 @@ pub struct Options {
     /// Which trial step.
     pub method: Method,
     /// How the linear systems are solved.
-    pub linear: Linear,
+    pub linear: LinearSolver,
     /// Conjugate gradients stop where the residual, in the norm of the preconditioner, is below this
     /// share of the first.
     pub linear_tolerance: f64,
@@ -44,21 +44,21 @@ pub struct Options {
     /// `lambda` of the first Levenberg-Marquardt step.
     pub initial_damping: f64,
     /// A step is taken where the actual decrease is at least this share of the predicted one.
-    pub acceptance: f64,
+    pub min_relative_decrease: f64,
 }
 
 impl Default for Options {
     fn default() -> Options {
         Options {
             method: Method::LevenbergMarquardt,
-            linear: Linear::Schur,
+            linear: LinearSolver::Schur,
             linear_tolerance: LINEAR_TOLERANCE,
             curvature: Curvature::Adaptive,
             cost_tolerance: 1e-9,
             gradient_tolerance: 1e-10,
             step_tolerance: 1e-12,
             initial_damping: 3e-5,
-            acceptance: 1e-3,
+            min_relative_decrease: 1e-3,
         }
     }
 }
@@ -70,7 +70,7 @@ impl Options {
             ("cost-tolerance", self.cost_tolerance),
             ("gradient-tolerance", self.gradient_tolerance),
             ("step-tolerance", self.step_tolerance),
-            ("acceptance", self.acceptance),
+            ("min_relative_decrease", self.min_relative_decrease),
         ] {
             if !(0.0..1.0).contains(&value) {
                 return Err(SolveError::Misuse(format!("{name} is {value}, expected 0 to 1")));
@@ -88,7 +88,7 @@ impl Options {
 
 /// What besides the iterate decides the next steps.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Memory {
+pub struct SolverState {
     lambda: f64,
     nu: f64,
     /// Dogleg's radius; none before the first step, which is then as long as Gauss-Newton's.
@@ -102,12 +102,12 @@ pub struct Memory {
 #[derive(Debug)]
 pub struct LeastSquares {
     options: Options,
-    memory: Memory,
-    work: Option<Work>,
+    state: SolverState,
+    work: Option<Workspace>,
 }
 
 #[derive(Debug)]
-struct Work {
+struct Workspace {
     normal: Normal,
     cost: f64,
     trial: Vec<f64>,
@@ -130,7 +130,7 @@ const MAX_LAMBDA: f64 = 1e30;
 const MIN_LAMBDA: f64 = 1e-15;
 /// The damping falls to no less than this share after the best of steps: a third, the usual bound,
 /// costs bundle blocks one to three more iterations.
-const MOST_RELIEF: f64 = 0.1;
+const MIN_DAMPING_FACTOR: f64 = 0.1;
 /// A step that is right to a percent gains nearly what the exact one does.
 pub(super) const LINEAR_TOLERANCE: f64 = 1e-2;
 /// Damping of Dogleg's Gauss-Newton step, raised where the system is singular.
@@ -139,8 +139,8 @@ const GAUSS_NEWTON_LAMBDA: f64 = 1e-10;
 impl LeastSquares {
     /// An engine with these settings.
     pub fn new(options: Options) -> LeastSquares {
-        let memory = Memory::new(&options);
-        LeastSquares { options, memory, work: None }
+        let state = SolverState::new(&options);
+        LeastSquares { options, state, work: None }
     }
 
     /// The settings.
@@ -169,9 +169,9 @@ impl LeastSquares {
         if !cost.is_finite() {
             return Err(SolveError::NotFinite("the cost of the starting values".into()));
         }
-        self.memory.values = x.len();
+        self.state.values = x.len();
         let tangent = normal.gradient.len();
-        self.work = Some(Work {
+        self.work = Some(Workspace {
             normal,
             cost,
             trial: x.to_vec(),
@@ -186,11 +186,11 @@ impl LeastSquares {
 
 impl Engine<Problem> for LeastSquares {
     type Iterate = Vec<f64>;
-    type Memory = Memory;
+    type State = SolverState;
     const NAME: &'static str = "least-squares";
 
     fn start(&mut self, problem: &Problem, x: &mut Vec<f64>) -> Result<f64, SolveError> {
-        self.memory = Memory::new(&self.options);
+        self.state = SolverState::new(&self.options);
         self.prepare(problem, x)
     }
 
@@ -199,7 +199,7 @@ impl Engine<Problem> for LeastSquares {
             return Err(SolveError::Misuse("the engine was not started".into()));
         };
         if !work.linearized {
-            work.normal.curvature_share = self.memory.curvature_share;
+            work.normal.curvature_share = self.state.curvature_share;
             work.normal
                 .linearize(problem, x)
                 .map_err(|(batch, factor)| problem.infeasible(&problem.batches[batch], factor))?;
@@ -208,93 +208,93 @@ impl Engine<Problem> for LeastSquares {
         }
         let trial = match self.options.method {
             Method::LevenbergMarquardt => {
-                let Work { normal, step, trial, .. } = work;
-                normal.attempt(problem, x, self.memory.lambda, step, trial)
+                let Workspace { normal, step, trial, .. } = work;
+                normal.attempt(problem, x, self.state.lambda, step, trial)
             }
-            Method::Dogleg => dogleg_step(problem, x, work, &mut self.memory),
+            Method::Dogleg => dogleg_step(problem, x, work, &mut self.state),
         };
         let residual_norm = (2.0 * work.cost).sqrt();
         let slope = work.normal.largest_slope();
         let cosine = if residual_norm > 0.0 { slope / residual_norm } else { 0.0 };
         let mut step = Step {
             cost: work.cost,
-            movement: 0.0,
+            step_norm: 0.0,
             accepted: false,
             stop: None,
-            notes: vec![
-                ("damping", self.memory.lambda),
+            metrics: vec![
+                ("damping", self.state.lambda),
                 ("gradient_cosine", cosine),
                 ("predicted_decrease", 0.0),
                 ("ratio", 0.0),
-                ("curvature_share", self.memory.curvature_share),
+                ("curvature_share", self.state.curvature_share),
                 ("linear_products", work.normal.solver.take_products() as f64),
             ],
         };
         if cosine <= self.options.gradient_tolerance {
-            step.stop = Some(Stop::GradientConverged);
+            step.stop = Some(Termination::GradientConverged);
             return Ok(step);
         }
         let Some(trial) = trial else {
             // Not positive definite: more damping is the remedy.
-            step.stop = self.memory.retreat(&self.options, 0.0);
+            step.stop = self.state.reject_step(&self.options, 0.0);
             return Ok(step);
         };
         let decrease = work.cost - trial.cost;
         let ratio = decrease / trial.predicted;
-        step.notes[2].1 = trial.predicted;
-        step.notes[3].1 = ratio.max(f64::MIN);
-        if trial.predicted > 0.0 && ratio >= self.options.acceptance && decrease > 0.0 {
+        step.metrics[2].1 = trial.predicted;
+        step.metrics[3].1 = ratio.max(f64::MIN);
+        if trial.predicted > 0.0 && ratio >= self.options.min_relative_decrease && decrease > 0.0 {
             std::mem::swap(x, &mut work.trial);
             step.accepted = true;
-            step.movement = trial.movement;
+            step.step_norm = trial.step_norm;
             step.cost = trial.cost;
             if decrease <= self.options.cost_tolerance * work.cost {
-                step.stop = Some(Stop::CostConverged);
+                step.stop = Some(Termination::CostConverged);
             } else if trial.length <= self.options.step_tolerance * residual_norm {
-                step.stop = Some(Stop::MovementConverged);
+                step.stop = Some(Termination::StepConverged);
             }
             work.cost = trial.cost;
             work.linearized = false;
-            self.memory.advance(&self.options, ratio, trial.length);
-            self.memory.adapt_curvature(&self.options, ratio);
+            self.state.accept_step(&self.options, ratio, trial.length);
+            self.state.adapt_curvature(&self.options, ratio);
         } else if trial.predicted <= 8.0 * f64::EPSILON * work.cost {
             // What is left to gain is below the rounding of the cost itself.
-            step.stop = Some(Stop::CostConverged);
+            step.stop = Some(Termination::CostConverged);
         } else {
-            step.stop = self.memory.retreat(&self.options, trial.length);
-            if self.memory.adapt_curvature(&self.options, ratio) {
+            step.stop = self.state.reject_step(&self.options, trial.length);
+            if self.state.adapt_curvature(&self.options, ratio) {
                 work.linearized = false;
             }
         }
         Ok(step)
     }
 
-    fn memory(&self) -> Memory {
-        self.memory.clone()
+    fn state(&self) -> SolverState {
+        self.state.clone()
     }
 
     fn resume(
         &mut self,
         problem: &Problem,
         x: &mut Vec<f64>,
-        memory: Memory,
+        state: SolverState,
     ) -> Result<f64, SolveError> {
-        if memory.values != x.len() {
+        if state.values != x.len() {
             return Err(SolveError::Misuse(format!(
                 "the checkpoint holds {} values, the problem has {}",
-                memory.values,
+                state.values,
                 x.len()
             )));
         }
-        self.memory = memory;
+        self.state = state;
         self.prepare(problem, x)
     }
 }
 
-impl Memory {
-    fn new(options: &Options) -> Memory {
+impl SolverState {
+    fn new(options: &Options) -> SolverState {
         let curvature_share = if options.curvature == Curvature::Full { 1.0 } else { 0.0 };
-        Memory {
+        SolverState {
             lambda: options.initial_damping,
             nu: 2.0,
             radius: None,
@@ -319,10 +319,10 @@ impl Memory {
     }
 
     /// After a step that was taken.
-    fn advance(&mut self, options: &Options, ratio: f64, length: f64) {
+    fn accept_step(&mut self, options: &Options, ratio: f64, length: f64) {
         match options.method {
             Method::LevenbergMarquardt => {
-                let factor = (1.0 - (2.0 * ratio - 1.0).powi(3)).max(MOST_RELIEF);
+                let factor = (1.0 - (2.0 * ratio - 1.0).powi(3)).max(MIN_DAMPING_FACTOR);
                 self.lambda = (self.lambda * factor).max(MIN_LAMBDA);
             }
             Method::Dogleg => {
@@ -341,17 +341,17 @@ impl Memory {
     }
 
     /// After a trial that was refused (or impossible: `length` 0).
-    fn retreat(&mut self, options: &Options, length: f64) -> Option<Stop> {
+    fn reject_step(&mut self, options: &Options, length: f64) -> Option<Termination> {
         match options.method {
             Method::Dogleg if length > 0.0 => {
                 let radius = 0.25 * length.min(self.radius.unwrap_or(length));
                 self.radius = Some(radius);
-                (radius < f64::MIN_POSITIVE.sqrt()).then_some(Stop::Stalled)
+                (radius < f64::MIN_POSITIVE.sqrt()).then_some(Termination::Stalled)
             }
             _ => {
                 self.lambda *= self.nu;
                 self.nu *= 2.0;
-                (self.lambda > MAX_LAMBDA).then_some(Stop::Stalled)
+                (self.lambda > MAX_LAMBDA).then_some(Termination::Stalled)
             }
         }
     }
@@ -364,21 +364,21 @@ fn scaled_length(step: &[f64], diagonal: &[f64]) -> f64 {
 fn dogleg_step(
     problem: &Problem,
     x: &[f64],
-    work: &mut Work,
-    memory: &mut Memory,
-) -> Option<Attempt> {
+    work: &mut Workspace,
+    state: &mut SolverState,
+) -> Option<TrialStep> {
     if !work.solved {
-        if memory.radius.is_none() {
-            memory.lambda = GAUSS_NEWTON_LAMBDA;
+        if state.radius.is_none() {
+            state.lambda = GAUSS_NEWTON_LAMBDA;
         }
-        work.normal.reduce(problem, x, memory.lambda).ok()?;
+        work.normal.reduce(problem, x, state.lambda).ok()?;
         work.gauss_newton.resize(work.step.len(), 0.0);
         work.normal.solve(problem, &mut work.gauss_newton);
         work.solved = true;
     }
     let normal = &work.normal;
     let newton_length = scaled_length(&work.gauss_newton, &normal.diagonal);
-    let radius = memory.radius.unwrap_or(newton_length);
+    let radius = state.radius.unwrap_or(newton_length);
     if newton_length <= radius {
         work.step.copy_from_slice(&work.gauss_newton);
     } else {
@@ -418,7 +418,7 @@ fn dogleg_step(
         Ok(cost) if cost.is_finite() => cost,
         _ => f64::INFINITY,
     };
-    let movement = work.step.iter().fold(0.0, |most: f64, v| v.abs().max(most));
-    let attempt = Attempt { predicted, length, movement, cost };
+    let step_norm = work.step.iter().fold(0.0, |most: f64, v| v.abs().max(most));
+    let attempt = TrialStep { predicted, length, step_norm, cost };
     (predicted.is_finite() && length.is_finite()).then_some(attempt)
 }

@@ -13,7 +13,10 @@ use crate::{
     engine::SolveError,
     geometry::rotation,
     lanes::Lane,
-    nlls::{BlockId, Linearized, Loss, Pair, PairFactor, Pairs, Problem, Space},
+    nlls::{
+        BlockId, Euclidean, LinearizedProjection, Loss, Measurement, Problem, ProjectionBatch,
+        ProjectionFactor, manifold,
+    },
 };
 use serde::{Deserialize, Serialize};
 
@@ -160,15 +163,15 @@ fn linearize<L: Lane>(
     c: &Prepared<L>,
     x: &[L; 3],
     measured_px: &[L; 2],
-) -> Linearized<L, 2, 6, 3, 3> {
+) -> LinearizedProjection<L, 2, 6, 3, 3> {
     let p = to_camera(c, x);
     let found = bal::project_with_derivatives(p, [c[12], c[13], c[14]]);
     let (u, j) = (found.image_px, &found.by_point);
-    Linearized {
+    LinearizedProjection {
         residual: [u[0] - measured_px[0], u[1] - measured_px[1]],
-        by_kept: [by_increment(&p, &j[0]), by_increment(&p, &j[1])],
-        by_shared: found.by_interior,
-        by_point: [by_world(c, &j[0]), by_world(c, &j[1])],
+        jacobian_camera: [by_increment(&p, &j[0]), by_increment(&p, &j[1])],
+        jacobian_shared: found.by_interior,
+        jacobian_point: [by_world(c, &j[0]), by_world(c, &j[1])],
     }
 }
 
@@ -178,7 +181,7 @@ fn beside<L: Lane>(p: &[L; 6], l: &[L; 3]) -> [L; 9] {
     [p[0], p[1], p[2], p[3], p[4], p[5], l[0], l[1], l[2]]
 }
 
-impl PairFactor<2, 9, 0, 3, 15, 2> for Reprojection {
+impl ProjectionFactor<2, 9, 0, 3, 15, 2> for Reprojection {
     fn prepare(kept: &[f64], _: &[f64]) -> Prepared<f64> {
         prepare(&kept[..7], &kept[7..])
     }
@@ -193,19 +196,19 @@ impl PairFactor<2, 9, 0, 3, 15, 2> for Reprojection {
         camera: &Prepared<L>,
         point: &[L; 3],
         measured_px: &[L; 2],
-    ) -> Linearized<L, 2, 9, 0, 3> {
+    ) -> LinearizedProjection<L, 2, 9, 0, 3> {
         let found = linearize(camera, point, measured_px);
-        let (pose, lens) = (&found.by_kept, &found.by_shared);
-        Linearized {
+        let (pose, lens) = (&found.jacobian_camera, &found.jacobian_shared);
+        LinearizedProjection {
             residual: found.residual,
-            by_kept: [beside(&pose[0], &lens[0]), beside(&pose[1], &lens[1])],
-            by_shared: [[]; 2],
-            by_point: found.by_point,
+            jacobian_camera: [beside(&pose[0], &lens[0]), beside(&pose[1], &lens[1])],
+            jacobian_shared: [[]; 2],
+            jacobian_point: found.jacobian_point,
         }
     }
 }
 
-impl PairFactor<2, 6, 3, 3, 15, 2> for SharedReprojection {
+impl ProjectionFactor<2, 6, 3, 3, 15, 2> for SharedReprojection {
     fn prepare(kept: &[f64], shared: &[f64]) -> Prepared<f64> {
         prepare(kept, shared)
     }
@@ -220,7 +223,7 @@ impl PairFactor<2, 6, 3, 3, 15, 2> for SharedReprojection {
         camera: &Prepared<L>,
         point: &[L; 3],
         measured_px: &[L; 2],
-    ) -> Linearized<L, 2, 6, 3, 3> {
+    ) -> LinearizedProjection<L, 2, 6, 3, 3> {
         linearize(camera, point, measured_px)
     }
 }
@@ -283,14 +286,15 @@ impl Bundle {
         for camera in &network.cameras {
             let mut values = rotation::exp(camera.rotation_rad).to_vec();
             values.extend(camera.translation);
-            let space = match sharing {
-                InteriorSharing::Shared => Space::Pose,
+            let parameters = match sharing {
+                InteriorSharing::Shared => 0,
                 InteriorSharing::PerImage => {
                     values.extend(camera.interior);
-                    Space::PoseAnd(3)
+                    3
                 }
             };
-            cameras.push(problem.block("camera", space, &values)?);
+            let manifold = manifold::PoseWithParameters(parameters);
+            cameras.push(problem.block("camera", manifold, &values)?);
         }
         let lens = match sharing {
             InteriorSharing::PerImage => None,
@@ -299,14 +303,14 @@ impl Bundle {
                 let mean: [f64; 3] = std::array::from_fn(|k| {
                     network.cameras.iter().map(|camera| camera.interior[k]).sum::<f64>() / count
                 });
-                Some(problem.block("lens", Space::Euclidean(3), &mean)?)
+                Some(problem.block("lens", Euclidean(3), &mean)?)
             }
         };
         let points = network
             .points
             .iter()
             .map(|point| {
-                let block = problem.block("point", Space::Euclidean(3), point)?;
+                let block = problem.block("point", Euclidean(3), point)?;
                 problem.eliminate(block);
                 Ok(block)
             })
@@ -317,17 +321,19 @@ impl Bundle {
             None => {
                 let pairs = observations.map(|o| {
                     let (camera, point) = ends(o);
-                    Pair::new(camera, point, o.image_px)
+                    Measurement::new(camera, point, o.image_px)
                 });
-                let pairs = Pairs::<Reprojection, 2, 9, 0, 3, 15, 2>::new(pairs.collect());
+                let pairs =
+                    ProjectionBatch::<Reprojection, 2, 9, 0, 3, 15, 2>::new(pairs.collect());
                 problem.add(TIE_POINTS, loss, pairs)?;
             }
             Some(lens) => {
                 let pairs = observations.map(|o| {
                     let (camera, point) = ends(o);
-                    Pair::with_shared(camera, lens, point, o.image_px)
+                    Measurement::with_shared(camera, lens, point, o.image_px)
                 });
-                let pairs = Pairs::<SharedReprojection, 2, 6, 3, 3, 15, 2>::new(pairs.collect());
+                let pairs =
+                    ProjectionBatch::<SharedReprojection, 2, 6, 3, 3, 15, 2>::new(pairs.collect());
                 problem.add(TIE_POINTS, loss, pairs)?;
             }
         }

@@ -9,7 +9,9 @@
 
 use crate::{
     camera::{CameraError, Interior, Lens, Model},
-    nlls::{self, BlockId, Factor, Factors, Infeasible, Jacobian, Loss, Options, Problem, Space},
+    nlls::{
+        self, BlockId, Euclidean, Factor, Factors, Infeasible, Jacobian, Loss, Options, Problem,
+    },
 };
 use nalgebra::{Matrix3, Vector3};
 use serde::Serialize;
@@ -230,7 +232,7 @@ fn adjust(
 ) -> Result<Vec<f64>, CameraError> {
     let failed = |error: crate::engine::SolveError| CameraError(error.to_string());
     let mut problem = Problem::new();
-    let lens = problem.block("lens", Space::Euclidean(start.len()), start).map_err(failed)?;
+    let lens = problem.block("lens", Euclidean(start.len()), start).map_err(failed)?;
     let held: Vec<usize> = model
         .parameters()
         .iter()
@@ -249,7 +251,7 @@ fn adjust(
     problem.add("pixels", Loss::Trivial, Factors(factors.collect())).map_err(failed)?;
     let mut x = problem.start();
     let options =
-        Options { linear: nlls::Linear::Dense, cost_tolerance: 1e-12, ..Options::default() };
+        Options { linear: nlls::LinearSolver::Dense, cost_tolerance: 1e-12, ..Options::default() };
     nlls::solve(&problem, &mut x, &options, 200).map_err(failed)?;
     Ok(x)
 }

@@ -3,7 +3,7 @@
 use super::toy::{self, NOISE, Noise, Plan, free, measured, truth, with_positions};
 use rowgram::{
     camera::Lens,
-    nlls::{Linear, Loss, Options, solve},
+    nlls::{LinearSolver, Loss, Options, solve},
     problems::adjustment::{Posed, Settings, adjust, align, rmse},
     scene::{Reconstruction, Role},
 };
@@ -100,7 +100,7 @@ fn lenses_that_free_different_parameters_are_adjusted_as_by_the_whole_system() {
             camera.set_free(names).unwrap();
         }
         let settings = Settings { tie_loss, ..Settings::default() };
-        let adjusted = [Linear::Schur, Linear::Sparse].map(|linear| {
+        let adjusted = [LinearSolver::Schur, LinearSolver::Sparse].map(|linear| {
             let mut survey = survey.clone();
             let posed = Posed::new(&survey, &settings).unwrap();
             let mut x = posed.problem.start();

@@ -74,7 +74,7 @@ fn check(posed: &Posed, x: &[f64], name: &str) {
     let width = jacobian.len() / residual.len();
     let mut column = 0;
     for &block in blocks {
-        let space = posed.problem.space(block);
+        let space = posed.problem.manifold(block);
         let values = posed.problem.values(x, block);
         let at = (values.as_ptr() as usize - x.as_ptr() as usize) / 8;
         for entry in 0..space.tangent() {
@@ -179,8 +179,8 @@ fn redundancy_numbers_are_those_of_the_dense_hat_matrix() {
             for (blocks, residual, jacobian) in factors {
                 for &block in &blocks {
                     columns.entry(block).or_insert_with(|| {
-                        width += posed.problem.space(block).tangent();
-                        width - posed.problem.space(block).tangent()
+                        width += posed.problem.dimension(block);
+                        width - posed.problem.dimension(block)
                     });
                 }
                 for row in jacobian.chunks(jacobian.len() / residual.len()) {
@@ -193,7 +193,7 @@ fn redundancy_numbers_are_those_of_the_dense_hat_matrix() {
         for (k, (blocks, row)) in rows.iter().enumerate() {
             let mut at = 0;
             for &block in blocks {
-                let n = posed.problem.space(block).tangent();
+                let n = posed.problem.dimension(block);
                 for i in 0..n {
                     j[(k, columns[&block] + i)] = row[at + i];
                 }
@@ -202,13 +202,13 @@ fn redundancy_numbers_are_those_of_the_dense_hat_matrix() {
         }
         // Lens entries that are held, and rates of turn: their columns do not count.
         let lens =
-            columns.iter().find(|(block, _)| posed.problem.space(**block).tangent() == 13).unwrap();
+            columns.iter().find(|(block, _)| posed.problem.dimension(**block) == 13).unwrap();
         let held: Vec<usize> =
             (0..13).filter(|k| ![0, 1, 4].contains(k)).map(|k| lens.1 + k).collect();
         held.iter().for_each(|&k| j.column_mut(k).fill(0.0));
         if velocity.is_some() {
             for (block, start) in &columns {
-                if posed.problem.space(*block).tangent() == 12 {
+                if posed.problem.dimension(*block) == 12 {
                     (6..9).for_each(|k| j.column_mut(start + k).fill(0.0));
                 }
             }

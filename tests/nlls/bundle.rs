@@ -6,7 +6,7 @@ use proptest::prelude::*;
 use rowgram::{
     engine::Engine,
     io::bal,
-    nlls::{LeastSquares, Linear, Loss, Method, Options, Summary, check::check_batch, solve},
+    nlls::{LeastSquares, LinearSolver, Loss, Method, Options, Summary, check::check_batch, solve},
     problems::bundle::{Bundle, Camera, InteriorSharing, Network, Observation, TIE_POINTS},
 };
 
@@ -53,7 +53,7 @@ fn the_fused_path_takes_the_steps_of_the_stored_one() {
     for sharing in [InteriorSharing::PerImage, InteriorSharing::Shared] {
         for loss in [Loss::Trivial, Loss::Cauchy(2.0)] {
             for held in [false, true] {
-                let traces: Vec<Vec<f64>> = [Linear::Schur, Linear::Sparse]
+                let traces: Vec<Vec<f64>> = [LinearSolver::Schur, LinearSolver::Sparse]
                     .iter()
                     .map(|&linear| {
                         let mut bundle = Bundle::new(&start, sharing, loss).unwrap();
@@ -74,7 +74,7 @@ fn the_fused_path_takes_the_steps_of_the_stored_one() {
                         let mut trace = Vec::new();
                         for _ in 0..5 {
                             let step = engine.step(&bundle.problem, &mut x).unwrap();
-                            trace.extend([step.cost, step.movement, step.notes[2].1]);
+                            trace.extend([step.cost, step.step_norm, step.metrics[2].1]);
                         }
                         trace
                     })
@@ -138,12 +138,12 @@ fn conjugate_gradients_come_to_the_same_optimum() {
                 let options = Options { method, linear, linear_tolerance, ..Options::default() };
                 adjust(&start, sharing, &options).0
             };
-            let exact = with(Linear::Schur, 0.01);
-            let iterated = with(Linear::IterativeSchur, 0.01);
+            let exact = with(LinearSolver::Schur, 0.01);
+            let iterated = with(LinearSolver::IterativeSchur, 0.01);
             let ratio = iterated.final_cost / exact.final_cost;
             assert!((ratio - 1.0).abs() < 1e-6, "{sharing:?} {method:?}: {iterated} {exact}");
             // To the last digit, every step is the exact one.
-            let tight = with(Linear::IterativeSchur, 1e-13);
+            let tight = with(LinearSolver::IterativeSchur, 1e-13);
             assert_eq!(tight.iterations, exact.iterations, "{sharing:?} {method:?}");
         }
     }
@@ -155,21 +155,23 @@ fn dense_sparse_and_schur_take_the_same_steps() {
     perturb(&mut start, 5, 1.0);
     for sharing in [InteriorSharing::PerImage, InteriorSharing::Shared] {
         for loss in [Loss::Trivial, Loss::Huber(1.0)] {
-            let traces: Vec<Vec<(f64, f64)>> = [Linear::Dense, Linear::Sparse, Linear::Schur]
-                .iter()
-                .map(|&linear| {
-                    let bundle = Bundle::new(&start, sharing, loss).unwrap();
-                    let mut x = bundle.problem.start();
-                    let mut engine = LeastSquares::new(Options { linear, ..Options::default() });
-                    engine.start(&bundle.problem, &mut x).unwrap();
-                    (0..6)
-                        .map(|_| {
-                            let step = engine.step(&bundle.problem, &mut x).unwrap();
-                            (step.cost, step.movement)
-                        })
-                        .collect()
-                })
-                .collect();
+            let traces: Vec<Vec<(f64, f64)>> =
+                [LinearSolver::Dense, LinearSolver::Sparse, LinearSolver::Schur]
+                    .iter()
+                    .map(|&linear| {
+                        let bundle = Bundle::new(&start, sharing, loss).unwrap();
+                        let mut x = bundle.problem.start();
+                        let mut engine =
+                            LeastSquares::new(Options { linear, ..Options::default() });
+                        engine.start(&bundle.problem, &mut x).unwrap();
+                        (0..6)
+                            .map(|_| {
+                                let step = engine.step(&bundle.problem, &mut x).unwrap();
+                                (step.cost, step.step_norm)
+                            })
+                            .collect()
+                    })
+                    .collect();
             let mut before = f64::INFINITY;
             for (dense, others) in traces[0].iter().zip(traces[1].iter().zip(&traces[2])) {
                 // At the optimum rounding decides whether a step is taken at all.

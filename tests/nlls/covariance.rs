@@ -5,7 +5,8 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rowgram::{
     nlls::{
-        BlockId, Factors, Linear, Loss, Options, Problem, Space, covariance::Covariance, solve,
+        BlockId, Euclidean, Factors, LinearSolver, Loss, Options, Problem, covariance::Covariance,
+        solve,
     },
     problems::bundle::{Bundle, InteriorSharing, Network},
 };
@@ -46,9 +47,9 @@ fn normalised_errors_of_many_adjustments_follow_chi_square() {
         let start = bundle.problem.start();
         let mut x = start.clone();
         solve(&bundle.problem, &mut x, &Options::default(), 30).unwrap();
-        let mut covariance = Covariance::new(&bundle.problem, &x, Linear::Schur).unwrap();
+        let mut covariance = Covariance::new(&bundle.problem, &x, LinearSolver::Schur).unwrap();
         for (block, free, sum) in [(camera, 6, &mut camera_sum), (point, 3, &mut point_sum)] {
-            let space = bundle.problem.space(block);
+            let space = bundle.problem.manifold(block);
             let mut error = vec![0.0; space.tangent()];
             space.minus(
                 bundle.problem.values(&start, block),
@@ -84,7 +85,7 @@ fn every_linear_solver_gives_the_same_blocks_and_cross_blocks() {
         (bundle.point(4), bundle.point(9)),
         (bundle.camera(0), bundle.point(9)),
     ];
-    let all: Vec<Vec<Vec<f64>>> = [Linear::Dense, Linear::Sparse, Linear::Schur]
+    let all: Vec<Vec<Vec<f64>>> = [LinearSolver::Dense, LinearSolver::Sparse, LinearSolver::Schur]
         .iter()
         .map(|&linear| {
             let mut covariance = Covariance::new(&bundle.problem, &x, linear).unwrap();
@@ -114,12 +115,12 @@ fn every_linear_solver_gives_the_same_blocks_and_cross_blocks() {
 #[test]
 fn a_curve_has_the_textbook_covariance() {
     let mut problem = Problem::new();
-    let block = problem.block("curve", Space::Euclidean(2), &[5.0, 1.3]).unwrap();
+    let block = problem.block("curve", Euclidean(2), &[5.0, 1.3]).unwrap();
     let times: Vec<f64> = (0..30).map(|k| 0.1 * f64::from(k)).collect();
     let factors = times.iter().map(|&t| Decay { block: [block], t, y: 0.0 }).collect();
     problem.add("samples", Loss::Trivial, Factors(factors)).unwrap();
     let x = problem.start();
-    let found = Covariance::new(&problem, &x, Linear::Dense).unwrap().block(block);
+    let found = Covariance::new(&problem, &x, LinearSolver::Dense).unwrap().block(block);
     let (mut aa, mut ab, mut bb) = (0.0, 0.0, 0.0);
     for t in times {
         let (a, b) = ((-1.3 * t).exp(), -t * 5.0 * (-1.3 * t).exp());
@@ -140,13 +141,13 @@ fn a_free_gauge_is_named_with_its_seven_directions() {
         bundle.problem.fix_entries(camera, &[6, 7, 8]).unwrap();
     }
     let x = bundle.problem.start();
-    let error = Covariance::new(&bundle.problem, &x, Linear::Schur).unwrap_err().to_string();
+    let error = Covariance::new(&bundle.problem, &x, LinearSolver::Schur).unwrap_err().to_string();
     assert!(
         error.contains("leave 7 direction(s) undetermined") && error.contains("camera"),
         "{error}"
     );
     hold(&mut bundle);
-    Covariance::new(&bundle.problem, &x, Linear::Schur).unwrap();
+    Covariance::new(&bundle.problem, &x, LinearSolver::Schur).unwrap();
 }
 
 #[test]
@@ -156,7 +157,7 @@ fn a_point_seen_once_is_named() {
     network.observations.retain(|o| o.point != 5 || std::mem::take(&mut first));
     let bundle = held(&network);
     let x = bundle.problem.start();
-    let error = Covariance::new(&bundle.problem, &x, Linear::Schur).unwrap_err().to_string();
+    let error = Covariance::new(&bundle.problem, &x, LinearSolver::Schur).unwrap_err().to_string();
     assert!(error.contains("point 5 is not determined"), "{error}");
 }
 
@@ -185,18 +186,18 @@ fn parameters_that_only_appear_together_are_named() {
         }
     }
     let mut problem = Problem::new();
-    let a = problem.block("K0", Space::Euclidean(1), &[0.0]).unwrap();
-    let b = problem.block("principal distance", Space::Euclidean(1), &[0.0]).unwrap();
-    let c = problem.block("other", Space::Euclidean(1), &[0.0]).unwrap();
+    let a = problem.block("K0", Euclidean(1), &[0.0]).unwrap();
+    let b = problem.block("principal distance", Euclidean(1), &[0.0]).unwrap();
+    let c = problem.block("other", Euclidean(1), &[0.0]).unwrap();
     problem.add("sums", Loss::Trivial, Factors(vec![Sum([a, b]), Sum([a, b])])).unwrap();
     let prior = |block| Prior { block: [block], value: vec![1.0], sigma: 0.1 };
     problem.add("prior", Loss::Trivial, Factors(vec![prior(c)])).unwrap();
     let x = problem.start();
-    let error = Covariance::new(&problem, &x, Linear::Sparse).unwrap_err().to_string();
+    let error = Covariance::new(&problem, &x, LinearSolver::Sparse).unwrap_err().to_string();
     assert!(error.contains("K0 0") && error.contains("principal distance 0"), "{error}");
     assert!(!error.contains("other"), "{error}");
     problem.add("a", Loss::Trivial, Factors(vec![prior(a)])).unwrap();
-    let mut covariance = Covariance::new(&problem, &x, Linear::Sparse).unwrap();
+    let mut covariance = Covariance::new(&problem, &x, LinearSolver::Sparse).unwrap();
     let variance = covariance.block(b)[0];
     assert!((variance - (0.01 + 0.5)).abs() < 1e-12, "{variance}");
 }

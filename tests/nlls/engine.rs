@@ -8,18 +8,18 @@ use rowgram::{
     engine::{Engine, SolveError},
     geometry::rotation,
     nlls::{
-        BlockId, Factors, LeastSquares, Linear, Loss, Method, Options, Problem, Space,
-        check::check_jacobian, solve,
+        BlockId, Euclidean, Factors, LeastSquares, LinearSolver, Loss, Method, Options, Problem,
+        check::check_jacobian, manifold, solve,
     },
 };
 
-const LINEAR: [Linear; 3] = [Linear::Dense, Linear::Sparse, Linear::Schur];
+const LINEAR: [LinearSolver; 3] = [LinearSolver::Dense, LinearSolver::Sparse, LinearSolver::Schur];
 const METHODS: [Method; 2] = [Method::LevenbergMarquardt, Method::Dogleg];
 
 fn decay(noise: f64, loss: Loss) -> (Problem, BlockId) {
     let mut rng = ChaCha8Rng::seed_from_u64(3);
     let mut problem = Problem::new();
-    let block = problem.block("curve", Space::Euclidean(2), &[1.0, 0.1]).unwrap();
+    let block = problem.block("curve", Euclidean(2), &[1.0, 0.1]).unwrap();
     let factors = (0..40)
         .map(|k| {
             let t = 0.1 * k as f64;
@@ -69,7 +69,7 @@ fn a_similarity_is_recovered_from_exact_point_pairs() {
     for method in METHODS {
         let mut problem = Problem::new();
         let start = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0];
-        let block = problem.block("similarity", Space::Similarity, &start).unwrap();
+        let block = problem.block("similarity", manifold::Similarity, &start).unwrap();
         let pairs = (0..10)
             .map(|_| {
                 let from: [f64; 3] = [0, 1, 2].map(|_| normal(&mut rng));
@@ -88,7 +88,7 @@ fn a_similarity_is_recovered_from_exact_point_pairs() {
 }
 
 /// Directions seen from turned frames, the first of which is held.
-fn directions(linear: Linear) -> (Problem, Vec<f64>, Vec<f64>) {
+fn directions(linear: LinearSolver) -> (Problem, Vec<f64>, Vec<f64>) {
     let mut rng = ChaCha8Rng::seed_from_u64(11);
     let mut problem = Problem::new();
     let turns: Vec<_> = (0..4)
@@ -106,7 +106,7 @@ fn directions(linear: Linear) -> (Problem, Vec<f64>, Vec<f64>) {
         .enumerate()
         .map(|(k, q)| {
             let start = if k == 0 { *q } else { rotation::IDENTITY };
-            problem.block("frame", Space::Rotation, &start).unwrap()
+            problem.block("frame", manifold::Rotation, &start).unwrap()
         })
         .collect();
     problem.fix(frames[0]);
@@ -118,7 +118,7 @@ fn directions(linear: Linear) -> (Problem, Vec<f64>, Vec<f64>) {
             let mut off = [d[0] + 0.1, d[1] - 0.1, d[2]];
             let norm = off.iter().map(|c| c * c).sum::<f64>().sqrt();
             off.iter_mut().for_each(|c| *c /= norm);
-            let block = problem.block("direction", Space::Direction, &off).unwrap();
+            let block = problem.block("direction", manifold::UnitVector, &off).unwrap();
             problem.eliminate(block);
             block
         })
@@ -155,7 +155,7 @@ fn fixed_blocks_and_entries_keep_their_bits() {
     assert_eq!(x[1].to_bits(), 0.1f64.to_bits());
     assert_ne!(x[0], 1.0);
     assert_eq!(summary.parameters, 1);
-    let (problem, x, truth) = directions(Linear::Schur);
+    let (problem, x, truth) = directions(LinearSolver::Schur);
     assert_eq!(x[..4], truth[..4]);
     assert_eq!(problem.parameter_count(), 3 * 3 + 9 * 2);
 }
@@ -202,10 +202,10 @@ fn a_start_that_cannot_be_evaluated_is_an_error() {
 #[test]
 fn misuse_is_named() {
     let mut problem = Problem::new();
-    assert!(problem.block("b", Space::Euclidean(0), &[]).is_err());
-    assert!(problem.block("b", Space::Euclidean(65), &[0.0; 65]).is_err());
-    let a = problem.block("a", Space::Euclidean(1), &[0.0]).unwrap();
-    let b = problem.block("b", Space::Euclidean(2), &[0.0; 2]).unwrap();
+    assert!(problem.block("b", Euclidean(0), &[]).is_err());
+    assert!(problem.block("b", Euclidean(65), &[0.0; 65]).is_err());
+    let a = problem.block("a", Euclidean(1), &[0.0]).unwrap();
+    let b = problem.block("b", Euclidean(2), &[0.0; 2]).unwrap();
     let prior = |block, value: &[f64]| Prior { block: [block], value: value.to_vec(), sigma: 1.0 };
     let none: Vec<Prior> = Vec::new();
     assert!(problem.add("none", Loss::Trivial, Factors(none)).is_err());
@@ -228,8 +228,8 @@ fn misuse_is_named() {
 #[test]
 fn two_eliminated_blocks_in_one_factor_are_refused() {
     let mut problem = Problem::new();
-    let frame = problem.block("frame", Space::Rotation, &rotation::IDENTITY).unwrap();
-    let direction = problem.block("direction", Space::Direction, &[0.0, 0.0, 1.0]).unwrap();
+    let frame = problem.block("frame", manifold::Rotation, &rotation::IDENTITY).unwrap();
+    let direction = problem.block("direction", manifold::UnitVector, &[0.0, 0.0, 1.0]).unwrap();
     let sighting = SeenDirection { blocks: [frame, direction], measured: [0.0, 0.0, 1.0] };
     problem.add("sightings", Loss::Trivial, Factors(vec![sighting])).unwrap();
     problem.eliminate(frame);
@@ -246,8 +246,8 @@ proptest! {
         w in prop::array::uniform3(-1.5..1.5f64),
     ) {
         let mut problem = Problem::new();
-        let a = problem.block("a", Space::Euclidean(1), &[0.0]).unwrap();
-        let b = problem.block("b", Space::Euclidean(1), &[0.0]).unwrap();
+        let a = problem.block("a", Euclidean(1), &[0.0]).unwrap();
+        let b = problem.block("b", Euclidean(1), &[0.0]).unwrap();
         let q = rotation::exp(w);
         let direction = {
             let norm = (v[0] * v[0] + v[1] * v[1] + 1.0).sqrt();
@@ -257,9 +257,9 @@ proptest! {
         let sighting = SeenDirection { blocks: [a, b], measured: [0.3, 0.2, 0.1] };
         let pair = PointPair { block: [a], from: [v[0], v[1], v[2]], to: [1.0, 2.0, 3.0] };
         let checks = [
-            check_jacobian(&sighting, &[Space::Rotation, Space::Direction], &[&q, &direction]),
-            check_jacobian(&pair, &[Space::Similarity], &[&similarity]),
-            check_jacobian(&Decay { block: [a], t: 0.7, y: 1.0 }, &[Space::Euclidean(2)], &[&v[..2]]),
+            check_jacobian(&sighting, &[&manifold::Rotation, &manifold::UnitVector], &[&q, &direction]),
+            check_jacobian(&pair, &[&manifold::Similarity], &[&similarity]),
+            check_jacobian(&Decay { block: [a], t: 0.7, y: 1.0 }, &[&Euclidean(2)], &[&v[..2]]),
         ];
         for check in checks {
             let check = check.unwrap();

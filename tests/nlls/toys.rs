@@ -4,7 +4,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rowgram::{
     geometry::{cross, rotation},
-    nlls::{BlockId, Factor, Infeasible, Jacobian, direction_basis},
+    nlls::{BlockId, Factor, Infeasible, Jacobian, manifold::direction_basis},
     problems::bundle::{Camera, Network, Observation},
 };
 

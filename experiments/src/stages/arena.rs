@@ -15,8 +15,8 @@ use crate::{
 use argmin::core::{CostFunction, Error, Gradient, Hessian, Jacobian as Derivative, Operator};
 use nalgebra::DMatrix;
 use rowgram::nlls::{
-    BlockId, Factor, Factors, Infeasible, Jacobian, Linear, Loss, Method, Options, Problem, Space,
-    solve,
+    BlockId, Euclidean, Factor, Factors, Infeasible, Jacobian, LinearSolver, Loss, Method, Options,
+    Problem, solve,
 };
 use serde::{Deserialize, Serialize};
 use std::sync::{Arc, Mutex};
@@ -292,13 +292,13 @@ impl Factor for Whole {
 fn race(p: &Parameters, counted: &Counted, start: Vec<f64>) -> Result<(), String> {
     let own = |method, initial_damping| {
         let mut problem = Problem::new();
-        let space = Space::Euclidean(start.len());
+        let space = Euclidean(start.len());
         let block = problem.block("x", space, &start).map_err(|e| e.to_string())?;
         let factor = Whole { blocks: [block], counted: counted.clone() };
         problem.add("r", Loss::Trivial, Factors(vec![factor])).map_err(|e| e.to_string())?;
         let options = Options {
             method,
-            linear: Linear::Dense,
+            linear: LinearSolver::Dense,
             initial_damping,
             cost_tolerance: 1e-14,
             gradient_tolerance: 1e-15,

@@ -10,7 +10,7 @@ use super::{
 use crate::stage::{Measured, Metric, Stage, Trace, metric};
 use data_synth::block::{Block, BlockConfig, ForwardCamera};
 use rowgram::{
-    engine::{Engine, Stop},
+    engine::{Engine, Termination},
     nlls::{LeastSquares, Loss, Options, Problem},
     problems::bundle::{Bundle, Camera, InteriorSharing, Network, Observation},
 };
@@ -240,9 +240,9 @@ fn descend(
     for iteration in 1..=max_iterations {
         let step = engine.step(problem, x).map_err(|e| e.to_string())?;
         cost = step.cost;
-        let products = step.notes.iter().find(|(name, _)| *name == "linear_products");
+        let products = step.metrics.iter().find(|(name, _)| *name == "linear_products");
         observe(iteration, cost, products.map_or(0.0, |(_, count)| *count));
-        if step.stop.is_some_and(|stop| stop != Stop::MaxIterations) {
+        if step.stop.is_some_and(|stop| stop != Termination::MaxIterations) {
             return Ok((cost, iteration));
         }
     }

@@ -190,7 +190,7 @@ impl Stage for Locate {
             options.descent,
             options.max_sweeps,
             |sweep, step| {
-                trace.rows.push(vec![sweep as f64, step.cost / pixels, step.movement]);
+                trace.rows.push(vec![sweep as f64, step.cost / pixels, step.step_norm]);
             },
         )
         .map_err(|e| e.to_string())?;

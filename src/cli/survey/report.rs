@@ -62,7 +62,7 @@ pub(super) struct Report {
     iterations: u64,
     initial_cost: f64,
     final_cost: f64,
-    stop: crate::engine::Stop,
+    stop: crate::engine::Termination,
     observations: usize,
     parameters: usize,
     redundancy: usize,

@@ -34,14 +34,14 @@ const CUT_FROM: usize = 256;
 #[derive(Debug)]
 pub(super) struct Fronts {
     tree: Tree,
-    memory: Vec<Memory>,
+    memory: Vec<FrontMemory>,
     /// Right-hand sides of one front.
     local: Vec<f64>,
 }
 
 /// What one task works in.
 #[derive(Debug)]
-struct Memory {
+struct FrontMemory {
     /// The fronts' columns, one front after the other, each column-major.
     factor: Vec<f64>,
     /// Updates that wait for their parents: lower triangles by columns.
@@ -61,7 +61,7 @@ impl std::fmt::Debug for Scratch {
 
 impl Fronts {
     pub(super) fn new(tree: Tree) -> Fronts {
-        let memory = tree.tasks.iter().map(Memory::new).collect();
+        let memory = tree.tasks.iter().map(FrontMemory::new).collect();
         Fronts { tree, memory, local: Vec::new() }
     }
 
@@ -117,7 +117,7 @@ impl Fronts {
 /// The columns of front `k` and room for its right-hand sides.
 fn front_system<'a>(
     tree: &Tree,
-    memory: &'a [Memory],
+    memory: &'a [FrontMemory],
     k: usize,
     local: &'a mut Vec<f64>,
     columns: usize,
@@ -164,11 +164,11 @@ impl Front {
     }
 }
 
-impl Memory {
-    fn new(task: &Task) -> Memory {
+impl FrontMemory {
+    fn new(task: &Task) -> FrontMemory {
         let scratch =
             llt::factor::cholesky_in_place_scratch::<f64>(PANEL, Par::Seq, Spec::default());
-        Memory {
+        FrontMemory {
             factor: vec![0.0; task.factor_len],
             stack: vec![0.0; task.stack_len],
             update: vec![0.0; task.update_len],
@@ -182,7 +182,7 @@ impl Memory {
         matrix: &BlockMatrix,
         tree: &Tree,
         task: &Task,
-        others: &[Memory],
+        others: &[FrontMemory],
     ) -> Result<(), NotPositiveDefinite> {
         for &k in &task.fronts {
             let front = &tree.fronts[k];

@@ -78,7 +78,7 @@ pub(super) fn image(
     inverse: &SelectedInverse,
     block: BlockId,
 ) -> ImageAccuracy {
-    let dim = posed.problem.space(block).tangent();
+    let dim = posed.problem.dimension(block);
     let c = inverse.among(&[(block, dim)]);
     let values = posed.problem.values(x, block);
     let r = rotation::matrix([values[0], values[1], values[2], values[3]]);

@@ -9,7 +9,7 @@ use super::{
 };
 use crate::scene::{Excluded, ExcludedKind, Reconstruction, Role};
 use crate::{
-    engine::{SolveError, Stop},
+    engine::{SolveError, Termination},
     nlls::{Loss, Summary, solve},
 };
 use serde::Serialize;
@@ -110,7 +110,7 @@ pub(super) fn adjust_after(
 impl Adjusted {
     /// Whether the engine came to an optimum.
     pub fn converged(&self) -> bool {
-        self.summary.stop.converged() || self.summary.stop == Stop::Stalled
+        self.summary.stop.converged() || self.summary.stop == Termination::Stalled
     }
 
     /// What a person calls an observation.

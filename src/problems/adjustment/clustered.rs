@@ -20,7 +20,7 @@ use super::{
     rays::{Rays, prepared, rays},
     reprojection::{DATA, LENS, Moving, Still},
 };
-use crate::nlls::PairFactor;
+use crate::nlls::ProjectionFactor;
 use crate::scene::Reconstruction;
 use nalgebra::{DMatrix, SMatrix, SVector};
 use rayon::prelude::*;
@@ -90,7 +90,7 @@ struct Tracks<'a> {
 
 impl Tracks<'_> {
     /// The diagonal of `C'` of the lens of `camera` over `sigma0^2`; `None` where there are too few patches.
-    fn covariance<F: PairFactor<2, K, LENS, 3, Q, DATA>, const K: usize, const Q: usize>(
+    fn covariance<F: ProjectionFactor<2, K, LENS, 3, Q, DATA>, const K: usize, const Q: usize>(
         &self,
         camera: usize,
         sigma0: f64,
@@ -175,9 +175,9 @@ fn influence<'c>(
     rays: &Rays,
     by: impl Fn(usize) -> [&'c DMatrix<f64>; 2],
 ) -> Option<(Shift, OfLens)> {
-    let count = rays.by_kept.len();
+    let count = rays.jacobian_camera.len();
     let mut gain: Vec<[Shift; 2]> = vec![[Shift::zeros(); 2]; count];
-    for (ray, (gain, kept)) in gain.iter_mut().zip(&rays.by_kept).enumerate() {
+    for (ray, (gain, kept)) in gain.iter_mut().zip(&rays.jacobian_camera).enumerate() {
         for (covariance, (_, jacobian)) in by(ray).into_iter().zip(kept) {
             for (gain, row) in gain.iter_mut().zip(jacobian.chunks_exact(covariance.ncols())) {
                 for (column, weight) in covariance.column_iter().zip(row) {

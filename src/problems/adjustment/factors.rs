@@ -5,7 +5,7 @@
 use super::reprojection::{DATA, LENS, Moving, Still};
 use crate::{
     geometry::{cross, dot, rotation},
-    nlls::{BlockId, Factor, Infeasible, Jacobian, PairFactor},
+    nlls::{BlockId, Factor, Infeasible, Jacobian, ProjectionFactor},
 };
 
 /// A ground point measured in an image: blocks image, lens, ground point.
@@ -35,12 +35,12 @@ impl Factor for MarkFactor {
             let c = Still::prepare(x[0], x[1]);
             let found = Still::linearize(&c, &point, &self.data);
             residual.copy_from_slice(&found.residual);
-            fill(jacobian, &found.by_kept, &found.by_shared, &found.by_point);
+            fill(jacobian, &found.jacobian_camera, &found.jacobian_shared, &found.jacobian_point);
         } else {
             let c = Moving::prepare(x[0], x[1]);
             let found = Moving::linearize(&c, &point, &self.data);
             residual.copy_from_slice(&found.residual);
-            fill(jacobian, &found.by_kept, &found.by_shared, &found.by_point);
+            fill(jacobian, &found.jacobian_camera, &found.jacobian_shared, &found.jacobian_point);
         }
         if residual.iter().all(|v| v.is_finite()) { Ok(()) } else { Err(Infeasible) }
     }
@@ -48,14 +48,14 @@ impl Factor for MarkFactor {
 
 fn fill<const K: usize>(
     jacobian: Option<&mut Jacobian<'_>>,
-    by_kept: &[[f64; K]; 2],
+    jacobian_camera: &[[f64; K]; 2],
     by_lens: &[[f64; LENS]; 2],
     by_point: &[[f64; 3]; 2],
 ) {
     let Some(jacobian) = jacobian else { return };
     for row in 0..2 {
         let to = jacobian.row(row);
-        to[..K].copy_from_slice(&by_kept[row]);
+        to[..K].copy_from_slice(&jacobian_camera[row]);
         to[K..K + LENS].copy_from_slice(&by_lens[row]);
         to[K + LENS..].copy_from_slice(&by_point[row]);
     }

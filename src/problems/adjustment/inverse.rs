@@ -5,7 +5,7 @@
 //! factorisations. What else is asked for is solved for.
 
 use super::posed::Posed;
-use crate::nlls::{BlockId, MAX_TANGENT, covariance::Covariance};
+use crate::nlls::{BlockId, covariance::Covariance, manifold::MAX_TANGENT};
 use crate::scene::Reconstruction;
 use std::collections::{BTreeSet, HashMap};
 
@@ -68,9 +68,9 @@ impl SelectedInverse {
         order.sort_by_key(|(block, _)| *block);
         let mut blocks = HashMap::new();
         let mut apart: Vec<(BlockId, Vec<BlockId>)> = Vec::new();
-        let coupled = covariance.coupled();
+        let selected = covariance.selected_inverse();
         for (block, mut others) in order {
-            others.retain(|&other| match coupled.cross(other, block) {
+            others.retain(|&other| match selected.cross(other, block) {
                 Some(values) => {
                     blocks.insert((place(other), place(block)), values);
                     false

@@ -8,7 +8,10 @@ use crate::scene::{Axes, Reconstruction, Role};
 use crate::{
     camera::{Lens, Model},
     engine::SolveError,
-    nlls::{BlockId, Factor, Factors, LeastSquares, Loss, Options, Pair, Pairs, Problem, Space},
+    nlls::{
+        BlockId, Euclidean, Factor, Factors, LeastSquares, Loss, Measurement, Options, Problem,
+        ProjectionBatch, manifold,
+    },
 };
 use serde::{Deserialize, Serialize};
 
@@ -165,7 +168,8 @@ impl Posed {
         survey: &Reconstruction,
         settings: &Settings,
     ) -> Result<(), SolveError> {
-        let space = if self.moving { Space::PoseAnd(6) } else { Space::Pose };
+        // A pose at rest has no motion behind it.
+        let space = manifold::PoseWithParameters(if self.moving { 6 } else { 0 });
         for image in &survey.images {
             let mut values = image.pose.rotation.to_vec();
             values.extend(image.pose.translation);
@@ -194,7 +198,7 @@ impl Posed {
         for (index, camera) in survey.cameras.iter().enumerate() {
             let corrected = settings.corrected_domain && camera.interior.model() == Model::Smac;
             let values = lens_block(&camera.interior, corrected);
-            let block = self.problem.block("camera", Space::Euclidean(LENS), &values)?;
+            let block = self.problem.block("camera", Euclidean(LENS), &values)?;
             self.lenses.push(block);
             let held: Vec<usize> =
                 (0..LENS).filter(|&k| !camera.free.get(k).copied().unwrap_or(false)).collect();
@@ -241,11 +245,9 @@ impl Posed {
         for point in &survey.ground {
             self.ground.push(match point.role {
                 Role::Check => None,
-                Role::Control | Role::Tie => Some(self.problem.block(
-                    "ground point",
-                    Space::Euclidean(3),
-                    &point.position_m,
-                )?),
+                Role::Control | Role::Tie => {
+                    Some(self.problem.block("ground point", Euclidean(3), &point.position_m)?)
+                }
             });
         }
         let mut marks = Vec::new();
@@ -307,7 +309,7 @@ impl Posed {
         settings: &Settings,
     ) -> Result<(), SolveError> {
         for point in &survey.points {
-            let block = self.problem.block("tie point", Space::Euclidean(3), &point.position_m)?;
+            let block = self.problem.block("tie point", Euclidean(3), &point.position_m)?;
             self.problem.eliminate(block);
             self.points.push(block);
         }
@@ -315,12 +317,12 @@ impl Posed {
             return Ok(());
         }
         let sigma_px = survey.tie_sigma_px * settings.factor(Group::TiePoints);
-        let pairs: Vec<Pair<DATA>> = survey
+        let pairs: Vec<Measurement<DATA>> = survey
             .observations
             .iter()
             .map(|o| {
                 let image = o.image as usize;
-                Pair::with_shared(
+                Measurement::with_shared(
                     self.images[image],
                     self.lenses[survey.images[image].camera],
                     self.points[o.point as usize],
@@ -330,10 +332,10 @@ impl Posed {
             .collect();
         let name = Group::TiePoints.name();
         if self.moving {
-            let batch = Pairs::<Moving, 2, 12, LENS, 3, { 19 + LENS }, DATA>::new(pairs);
+            let batch = ProjectionBatch::<Moving, 2, 12, LENS, 3, { 19 + LENS }, DATA>::new(pairs);
             self.problem.add(name, settings.tie_loss, batch)
         } else {
-            let batch = Pairs::<Still, 2, 6, LENS, 3, { 13 + LENS }, DATA>::new(pairs);
+            let batch = ProjectionBatch::<Still, 2, 6, LENS, 3, { 13 + LENS }, DATA>::new(pairs);
             self.problem.add(name, settings.tie_loss, batch)
         }
     }

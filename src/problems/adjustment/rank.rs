@@ -6,8 +6,8 @@ use crate::{
     camera::Lens,
     engine::SolveError,
     nlls::{
-        Linear,
-        covariance::{Direction, undetermined},
+        LinearSolver,
+        covariance::{Direction, null_space},
     },
 };
 use std::collections::BTreeSet;
@@ -25,7 +25,7 @@ pub(super) fn explain(
     x: &[f64],
     otherwise: SolveError,
 ) -> SolveError {
-    let Ok(directions) = undetermined(&posed.problem, x, Linear::Schur) else {
+    let Ok(directions) = null_space(&posed.problem, x, LinearSolver::Schur) else {
         return otherwise;
     };
     if directions.is_empty() {

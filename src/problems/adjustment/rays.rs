@@ -7,7 +7,7 @@ use super::{
     posed::Posed,
     reprojection::{DATA, LENS},
 };
-use crate::nlls::{BlockId, PairFactor};
+use crate::nlls::{BlockId, ProjectionFactor};
 use nalgebra::{DMatrix, DVector};
 
 /// What intersecting rays need: residuals, and Jacobians by the point and, ray by ray, by the image and
@@ -15,11 +15,15 @@ use nalgebra::{DMatrix, DVector};
 pub(super) struct Rays {
     pub(super) residual: DVector<f64>,
     pub(super) by_point: DMatrix<f64>,
-    pub(super) by_kept: Vec<[(BlockId, Vec<f64>); 2]>,
+    pub(super) jacobian_camera: Vec<[(BlockId, Vec<f64>); 2]>,
 }
 
 /// What is prepared of an image and its camera at `x`, for [`rays`].
-pub(super) fn prepared<F: PairFactor<2, K, LENS, 3, Q, DATA>, const K: usize, const Q: usize>(
+pub(super) fn prepared<
+    F: ProjectionFactor<2, K, LENS, 3, Q, DATA>,
+    const K: usize,
+    const Q: usize,
+>(
     posed: &Posed,
     x: &[f64],
     image: usize,
@@ -32,7 +36,7 @@ pub(super) fn prepared<F: PairFactor<2, K, LENS, 3, Q, DATA>, const K: usize, co
 /// Linearises measurements of one point: image, camera, data. `prepared` gives what is prepared of an
 /// image and its camera; for many points it is worth keeping, because a lens is looked through for
 /// the range in which it is one to one.
-pub(super) fn rays<F: PairFactor<2, K, LENS, 3, Q, DATA>, const K: usize, const Q: usize>(
+pub(super) fn rays<F: ProjectionFactor<2, K, LENS, 3, Q, DATA>, const K: usize, const Q: usize>(
     posed: &Posed,
     prepared: impl Fn(usize, usize) -> [f64; Q],
     point: [f64; 3],
@@ -42,19 +46,19 @@ pub(super) fn rays<F: PairFactor<2, K, LENS, 3, Q, DATA>, const K: usize, const 
     let mut rays = Rays {
         residual: DVector::zeros(rows),
         by_point: DMatrix::zeros(rows, 3),
-        by_kept: Vec::with_capacity(measurements.len()),
+        jacobian_camera: Vec::with_capacity(measurements.len()),
     };
     for (k, &(image, camera, data)) in measurements.iter().enumerate() {
         let found = F::linearize(&prepared(image, camera), &point, &data);
         for row in 0..2 {
             rays.residual[2 * k + row] = found.residual[row];
             for j in 0..3 {
-                rays.by_point[(2 * k + row, j)] = found.by_point[row][j];
+                rays.by_point[(2 * k + row, j)] = found.jacobian_point[row][j];
             }
         }
-        rays.by_kept.push([
-            (posed.images[image], found.by_kept.concat()),
-            (posed.lenses[camera], found.by_shared.concat()),
+        rays.jacobian_camera.push([
+            (posed.images[image], found.jacobian_camera.concat()),
+            (posed.lenses[camera], found.jacobian_shared.concat()),
         ]);
     }
     rays
@@ -80,10 +84,10 @@ impl Rays {
 
     /// `A C A^T`.
     fn carried(&self, inverse: &SelectedInverse) -> DMatrix<f64> {
-        let count = self.by_kept.len();
+        let count = self.jacobian_camera.len();
         let mut out = DMatrix::zeros(2 * count, 2 * count);
-        for (k, first) in self.by_kept.iter().enumerate() {
-            for (l, second) in self.by_kept[..=k].iter().enumerate() {
+        for (k, first) in self.jacobian_camera.iter().enumerate() {
+            for (l, second) in self.jacobian_camera[..=k].iter().enumerate() {
                 let mut sum = [[0.0; 2]; 2];
                 for (a, by_a) in first {
                     for (b, by_b) in second {

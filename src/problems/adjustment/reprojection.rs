@@ -13,7 +13,7 @@ use crate::{
     camera::{Interior, Lens, MAX_PARAMETERS, Model},
     geometry::{cross, rotation},
     lanes::Lane,
-    nlls::{Linearized, PairFactor},
+    nlls::{LinearizedProjection, ProjectionFactor},
 };
 
 /// Length of a lens block.
@@ -201,7 +201,7 @@ fn by_lens<L: Lane>(found: &[L; ANSWERED], row: usize, weight: L) -> [L; LENS] {
     by_lens
 }
 
-impl PairFactor<2, 6, LENS, 3, STILL, DATA> for Still {
+impl ProjectionFactor<2, 6, LENS, 3, STILL, DATA> for Still {
     fn prepare(kept: &[f64], shared: &[f64]) -> [f64; STILL] {
         prepare(kept, shared)
     }
@@ -218,7 +218,7 @@ impl PairFactor<2, 6, LENS, 3, STILL, DATA> for Still {
         c: &[L; STILL],
         x: &[L; 3],
         data: &[L; DATA],
-    ) -> Linearized<L, 2, 6, LENS, 3> {
+    ) -> LinearizedProjection<L, 2, 6, LENS, 3> {
         let p = to_camera(c, x);
         let found = L::each(&asked(c, &p, data), answer);
         let weight = data[2];
@@ -226,11 +226,11 @@ impl PairFactor<2, 6, LENS, 3, STILL, DATA> for Still {
             [found[2] * weight, found[3] * weight, found[4] * weight],
             [found[5] * weight, found[6] * weight, found[7] * weight],
         ];
-        Linearized {
+        LinearizedProjection {
             residual: [found[0] * weight, found[1] * weight],
-            by_kept: [by_increment(&p, &j[0]), by_increment(&p, &j[1])],
-            by_shared: [by_lens(&found, 0, weight), by_lens(&found, 1, weight)],
-            by_point: [by_world(c, &j[0]), by_world(c, &j[1])],
+            jacobian_camera: [by_increment(&p, &j[0]), by_increment(&p, &j[1])],
+            jacobian_shared: [by_lens(&found, 0, weight), by_lens(&found, 1, weight)],
+            jacobian_point: [by_world(c, &j[0]), by_world(c, &j[1])],
         }
     }
 }
@@ -286,7 +286,7 @@ fn motion_asked<L: Lane>(c: &[L; MOVING], q: &[L; 3], tau: L) -> [L; 10] {
     asked
 }
 
-impl PairFactor<2, 12, LENS, 3, MOVING, DATA> for Moving {
+impl ProjectionFactor<2, 12, LENS, 3, MOVING, DATA> for Moving {
     fn prepare(kept: &[f64], shared: &[f64]) -> [f64; MOVING] {
         prepare(kept, shared)
     }
@@ -304,15 +304,15 @@ impl PairFactor<2, 12, LENS, 3, MOVING, DATA> for Moving {
         c: &[L; MOVING],
         x: &[L; 3],
         data: &[L; DATA],
-    ) -> Linearized<L, 2, 12, LENS, 3> {
+    ) -> LinearizedProjection<L, 2, 12, LENS, 3> {
         let q = to_camera(c, x);
         let m = L::each(&motion_asked(c, &q, data[3]), moved_with_derivatives);
         let p = [m[0], m[1], m[2]];
         let found = L::each(&asked(c, &p, data), answer);
         let (weight, tau) = (data[2], data[3]);
         let zero = weight.like(0.0);
-        let mut by_kept = [[zero; 12]; 2];
-        let mut by_point = [[zero; 3]; 2];
+        let mut jacobian_camera = [[zero; 12]; 2];
+        let mut jacobian_point = [[zero; 3]; 2];
         for row in 0..2 {
             let mut j = [zero; 3];
             for k in 0..3 {
@@ -324,18 +324,18 @@ impl PairFactor<2, 12, LENS, 3, MOVING, DATA> for Moving {
                 before[k] = affine([m[3 + k], m[6 + k], m[9 + k]], &j, zero);
             }
             let pose = by_increment(&q, &before);
-            by_kept[row][..6].copy_from_slice(&pose);
+            jacobian_camera[row][..6].copy_from_slice(&pose);
             for k in 0..3 {
-                by_kept[row][6 + k] = affine([m[12 + k], m[15 + k], m[18 + k]], &j, zero);
-                by_kept[row][9 + k] = j[k] * tau;
+                jacobian_camera[row][6 + k] = affine([m[12 + k], m[15 + k], m[18 + k]], &j, zero);
+                jacobian_camera[row][9 + k] = j[k] * tau;
             }
-            by_point[row] = by_world(c, &before);
+            jacobian_point[row] = by_world(c, &before);
         }
-        Linearized {
+        LinearizedProjection {
             residual: [found[0] * weight, found[1] * weight],
-            by_kept,
-            by_shared: [by_lens(&found, 0, weight), by_lens(&found, 1, weight)],
-            by_point,
+            jacobian_camera,
+            jacobian_shared: [by_lens(&found, 0, weight), by_lens(&found, 1, weight)],
+            jacobian_point,
         }
     }
 }

@@ -25,7 +25,7 @@ use super::{
 use crate::scene::Reconstruction;
 use crate::{
     engine::SolveError,
-    nlls::{BlockId, Linear, PairFactor, covariance::Covariance},
+    nlls::{BlockId, LinearSolver, ProjectionFactor, covariance::Covariance},
 };
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use rayon::prelude::*;
@@ -153,7 +153,7 @@ impl Statistics {
         settings: &Settings,
         x: &[f64],
     ) -> Result<Statistics, SolveError> {
-        let mut covariance = Covariance::new(&posed.problem, x, Linear::Schur)
+        let mut covariance = Covariance::new(&posed.problem, x, LinearSolver::Schur)
             .map_err(|error| rank::explain(survey, posed, x, error))?;
         let inverse = Arc::new(SelectedInverse::new(survey, posed, &mut covariance));
         let mut found = Statistics::with_inverse(survey, posed, settings, x, inverse)?;
@@ -363,7 +363,7 @@ fn test(group: Group, subject: Subject, v: &DVector<f64>, r: &DMatrix<f64>) -> T
     tested
 }
 
-fn ties<F: PairFactor<2, K, LENS, 3, Q, DATA>, const K: usize, const Q: usize>(
+fn ties<F: ProjectionFactor<2, K, LENS, 3, Q, DATA>, const K: usize, const Q: usize>(
     survey: &Reconstruction,
     posed: &Posed,
     settings: &Settings,
@@ -430,7 +430,7 @@ fn others(
         .map(|(blocks, residual, jacobian)| {
             let rows = residual.len();
             let columns: Vec<(BlockId, usize)> =
-                blocks.iter().map(|&block| (block, posed.problem.space(block).tangent())).collect();
+                blocks.iter().map(|&block| (block, posed.problem.dimension(block))).collect();
             let width = jacobian.len() / rows;
             let j = DMatrix::from_row_slice(rows, width, &jacobian);
             let among = inverse.among(&columns);

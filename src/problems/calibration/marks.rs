@@ -5,7 +5,7 @@ use super::Mark;
 use crate::{
     camera::{Interior, Lens, MAX_PARAMETERS, Model},
     geometry::{cross, dot, rotation},
-    nlls::{Batch, BlockId, InfeasibleFactor, Point},
+    nlls::{Batch, BlockId, InfeasibleFactor, Values},
 };
 use std::ops::Range;
 
@@ -150,7 +150,7 @@ impl<const N: usize> Batch for Marks<N> {
     fn linearize(
         &self,
         range: Range<usize>,
-        x: Point<'_>,
+        x: Values<'_>,
         residual: &mut [f64],
         mut jacobian: Option<&mut [f64]>,
         width: usize,

@@ -24,8 +24,8 @@ pub mod statistics;
 
 use crate::{
     camera::{CameraError, Interior, Model},
-    engine::{SolveError, Stop},
-    nlls::{self, BlockId, Linear, Loss, Options, Problem, Space},
+    engine::{SolveError, Termination},
+    nlls::{self, BlockId, Euclidean, LinearSolver, Loss, Options, Problem, manifold},
 };
 use marks::{Lenses, Marks};
 use photos::Photos;
@@ -123,10 +123,10 @@ impl Calibration {
         if lenses.free_count() == 0 {
             return Err(SolveError::Misuse("no parameter of the lens is free".into()));
         }
-        let lens = problem.block("lens", Space::Euclidean(lenses.free_count()), &lenses.block())?;
+        let lens = problem.block("lens", Euclidean(lenses.free_count()), &lenses.block())?;
         let mut poses = Vec::with_capacity(views.len());
         for pose in &state.poses {
-            let block = problem.block("photo", Space::Pose, pose)?;
+            let block = problem.block("photo", manifold::Pose, pose)?;
             problem.eliminate(block);
             poses.push(block);
         }
@@ -150,7 +150,7 @@ impl Calibration {
             }
             BoardShape::Free => {
                 for (block, &height) in heights.iter_mut().zip(&state.heights_m) {
-                    *block = Some(problem.block("corner", Space::Euclidean(1), &[height])?);
+                    *block = Some(problem.block("corner", Euclidean(1), &[height])?);
                 }
                 for corner in plane_corners(views) {
                     if let Some(block) = heights.get(corner).copied().flatten() {
@@ -234,7 +234,7 @@ pub struct Solution {
     /// Iterations of the final adjustment.
     pub iterations: u64,
     /// Why it ended.
-    pub stop: Stop,
+    pub stop: Termination,
 }
 
 /// Most iterations of an adjustment.
@@ -242,7 +242,7 @@ pub const MAX_ITERATIONS: u64 = 200;
 
 /// Settings of the engine that suit a calibration.
 pub fn options() -> Options {
-    Options { linear: Linear::Schur, cost_tolerance: 1e-8, ..Options::default() }
+    Options { linear: LinearSolver::Schur, cost_tolerance: 1e-8, ..Options::default() }
 }
 
 /// Adjusts from a known start.

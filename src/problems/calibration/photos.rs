@@ -11,7 +11,7 @@
 //! sums of squares only: a robust loss weighs each corner by itself.
 
 use super::marks::{Lenses, Placed};
-use crate::nlls::{Batch, BlockId, InfeasibleFactor, Point};
+use crate::nlls::{Batch, BlockId, InfeasibleFactor, Values};
 use std::ops::Range;
 
 /// All photos of a flat board.
@@ -40,7 +40,7 @@ impl Photos {
     }
 
     /// The squares of a photo, summed.
-    fn squares(&self, factor: usize, x: Point<'_>, placed: &Placed) -> Option<f64> {
+    fn squares(&self, factor: usize, x: Values<'_>, placed: &Placed) -> Option<f64> {
         let (_, marks) = &self.photos[factor];
         let placed = placed.with_pose(x.block(self.photos[factor].0[1]));
         self.marks[marks.clone()].iter().try_fold(0.0, |sum, mark| {
@@ -53,7 +53,7 @@ impl Photos {
     fn condense<const N: usize>(
         &self,
         factor: usize,
-        x: Point<'_>,
+        x: Values<'_>,
         placed: &Placed,
         residual: &mut [f64],
         jacobian: &mut [f64],
@@ -147,7 +147,7 @@ impl Batch for Photos {
     fn linearize(
         &self,
         range: Range<usize>,
-        x: Point<'_>,
+        x: Values<'_>,
         residual: &mut [f64],
         mut jacobian: Option<&mut [f64]>,
         width: usize,

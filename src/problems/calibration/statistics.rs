@@ -12,7 +12,7 @@ use crate::{
     camera::{Interior, Lens},
     engine::SolveError,
     geometry::{cross, dot, rotation},
-    nlls::{Linear, covariance::Covariance},
+    nlls::{LinearSolver, covariance::Covariance},
 };
 use nalgebra::{DMatrix, Dyn, Matrix6, SMatrix, SymmetricEigen};
 use serde::Serialize;
@@ -163,7 +163,7 @@ pub fn statistics(
         .collect();
     let mut heights_m = Vec::new();
     if request.shape == BoardShape::Free {
-        let mut covariance = Covariance::new(problem, &solution.x, Linear::Schur)?;
+        let mut covariance = Covariance::new(problem, &solution.x, LinearSolver::Schur)?;
         let blocks = &solution.calibration.heights;
         for (block, &height) in blocks.iter().zip(&solution.state.heights_m) {
             if let Some(block) = *block {
@@ -230,7 +230,7 @@ fn lens_covariance(
     }
     if request.shape == BoardShape::Free {
         let problem = &solution.calibration.problem;
-        let mut covariance = Covariance::new(problem, &solution.x, Linear::Schur)?;
+        let mut covariance = Covariance::new(problem, &solution.x, LinearSolver::Schur)?;
         let block = covariance.block(solution.calibration.lens);
         return Ok(DMatrix::from_row_slice(free.len(), free.len(), &block));
     }

@@ -158,7 +158,7 @@ impl Assignment {
         index.within_reach(&self.second_reach, &[old, new], &mut self.walk);
         self.changed.clear();
         for &leaf in &self.walk.found {
-            let (mut touched, mut farthest2) = (false, 0.0_f32);
+            let (mut active, mut farthest2) = (false, 0.0_f32);
             self.losers.clear();
             let pixels = index.pixels_of(leaf as usize);
             let (us, vs) = (&index.u_px()[pixels.clone()], &index.v_px()[pixels.clone()]);
@@ -201,9 +201,9 @@ impl Assignment {
                 } else {
                     continue;
                 }
-                touched = true;
+                active = true;
             }
-            if touched {
+            if active {
                 self.changed.push(leaf);
             }
             if !self.losers.is_empty() {

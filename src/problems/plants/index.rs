@@ -295,14 +295,14 @@ mod tests {
                     assert!(walk.found.contains(&((n / LEAF) as u32)));
                 }
             }
-            let touched = [round as u32, round as u32 + 40];
-            for leaf in touched {
+            let active = [round as u32, round as u32 + 40];
+            for leaf in active {
                 for n in index.pixels_of(leaf as usize) {
                     values[n] = if round % 2 == 0 { 0.0 } else { 500.0 };
                 }
                 reach.set(leaf as usize, largest(&values[index.pixels_of(leaf as usize)]));
             }
-            index.repair(&mut reach, &touched, &mut scratch);
+            index.repair(&mut reach, &active, &mut scratch);
             assert_eq!(reach, Reach::new(&index, &values));
         }
     }

@@ -45,7 +45,7 @@ pub use options::{Form, Model, PlantUpdate, Prior, SigmaRule};
 pub use proof::Proof;
 
 use crate::{
-    descent::{BlockCost, Touched},
+    descent::{ActiveSet, BlockCost},
     engine::SolveError,
 };
 use assignment::Assignment;
@@ -294,7 +294,7 @@ impl Plants {
     /// Marks the plants whose optimum the refits have moved noticeably, although they kept their
     /// pixels. With `r` the gradient left over, it moves by about `H^-1 r` at most, for the pixels
     /// only stiffen the prior's `H`.
-    fn mark_unsettled(&self, x: &Field, touched: &mut Touched) {
+    fn mark_unsettled(&self, x: &Field, active: &mut ActiveSet) {
         if self.model.prior == Prior::None {
             return;
         }
@@ -305,7 +305,7 @@ impl Plants {
             let pull = [0, 1].map(|k| weight * balance[k] - gradient[k]);
             let shift = Quadratic { pull, ..prior }.minimiser();
             if shift[0].hypot(shift[1]) > self.model.settle_px {
-                touched.mark(plant);
+                active.mark(plant);
             }
         }
     }
@@ -389,33 +389,33 @@ impl BlockCost for Plants {
         self.joint() || self.model.prior == Prior::None
     }
 
-    fn update(&self, x: &mut Field, plant: usize, touched: &mut Touched) -> f64 {
+    fn update(&self, x: &mut Field, plant: usize, active: &mut ActiveSet) -> f64 {
         self.gather(x, plant);
         let old = x.positions_px[plant];
         let offset = self.solve(x, plant);
-        let movement = offset[0].hypot(offset[1]);
-        if movement > RELAXED_PX {
-            touched.mark(plant);
+        let step_norm = offset[0].hypot(offset[1]);
+        if step_norm > RELAXED_PX {
+            active.mark(plant);
         }
         if x.positions_px[plant] == old {
             return 0.0;
         }
         let Field { positions_px, work, .. } = x;
         work.assignment.follow(&self.index, positions_px, plant as u32, old, |p| {
-            touched.mark(p as usize);
+            active.mark(p as usize);
         });
-        movement
+        step_norm
     }
 
-    fn end_sweep(&self, x: &mut Field, touched: &mut Touched) {
+    fn end_sweep(&self, x: &mut Field, active: &mut ActiveSet) {
         self.refit_members(x);
         self.refit_lines(x);
         self.refit_variances(x);
         self.refit_sigma(x);
-        self.mark_unsettled(x, touched);
+        self.mark_unsettled(x, active);
     }
 
-    fn notes(&self, x: &Field) -> Vec<(&'static str, f64)> {
+    fn metrics(&self, x: &Field) -> Vec<(&'static str, f64)> {
         let across: Vec<f64> = x.rows.lines.iter().map(|line| line.variance_px2).collect();
         let mean = across.iter().sum::<f64>() / across.len().max(1) as f64;
         vec![("sigma_px", x.sigma_px), ("across_px", mean.sqrt())]

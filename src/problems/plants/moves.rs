@@ -11,7 +11,7 @@
 
 use super::{Field, PlantUpdate, Plants, assignment::NONE};
 use crate::{
-    descent::{BlockCost, Touched},
+    descent::{ActiveSet, BlockCost},
     engine::SolveError,
 };
 
@@ -123,27 +123,27 @@ impl Plants {
         let angle = 0.5 * (2.0 * uv).atan2(uu - vv);
         let (sin, cos) = angle.sin_cos();
         let spread = (cos * cos * uu + 2.0 * sin * cos * uv + sin * sin * vv).max(0.0).sqrt();
-        let mut touched = Touched::new(self.plants, false);
+        let mut active = ActiveSet::new(self.plants, false);
         let middle = x.positions_px[split];
         for (which, side) in [(plant, 0.8 * spread), (split, -0.8 * spread)] {
             let old = x.positions_px[which];
             x.positions_px[which] = [middle[0] + u + side * cos, middle[1] + v + side * sin];
-            touched.mark(which);
+            active.mark(which);
             let Field { positions_px, work, .. } = x;
             work.assignment.follow(&self.index, positions_px, which as u32, old, |p| {
-                touched.mark(p as usize);
+                active.mark(p as usize);
             });
         }
         self.refit_members(x);
-        let mut visits = VISITS * touched.count();
-        while touched.count() > 0 && visits > 0 {
+        let mut visits = VISITS * active.count();
+        while active.count() > 0 && visits > 0 {
             for block in 0..self.plants {
-                if touched.take(block) && visits > 0 {
+                if active.take(block) && visits > 0 {
                     visits -= 1;
-                    self.update(x, block, &mut touched);
+                    self.update(x, block, &mut active);
                 }
             }
         }
-        self.end_sweep(x, &mut touched);
+        self.end_sweep(x, &mut active);
     }
 }

@@ -3,7 +3,7 @@
 use super::*;
 use crate::{
     descent::{Descent, Options, Order, run},
-    engine::{Engine, Stop},
+    engine::{Engine, Termination},
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -83,7 +83,7 @@ fn problem(model: Model, seed: u64) -> (Plants, Field) {
 fn every_step_of_the_joint_form_decreases_its_objective() {
     for model in models().into_iter().filter(|model| model.form == Form::Joint) {
         let (problem, mut x) = problem(model, 1);
-        let mut touched = Touched::new(24, true);
+        let mut active = ActiveSet::new(24, true);
         let mut cost = problem.cost(&x);
         let mut check = |x: &Field, what: &str| {
             let next = problem.cost(x);
@@ -93,7 +93,7 @@ fn every_step_of_the_joint_form_decreases_its_objective() {
         };
         for _ in 0..8 {
             for plant in 0..24 {
-                problem.update(&mut x, plant, &mut touched);
+                problem.update(&mut x, plant, &mut active);
                 check(&x, "plant");
             }
             problem.refit_members(&mut x);
@@ -130,7 +130,7 @@ impl BlockCost for BruteForce {
     fn monotone(&self) -> bool {
         self.0.monotone()
     }
-    fn update(&self, x: &mut Field, plant: usize, touched: &mut Touched) -> f64 {
+    fn update(&self, x: &mut Field, plant: usize, active: &mut ActiveSet) -> f64 {
         let (index, at) = (&self.0.index, x.positions_px[plant]);
         let before = assignment::brute_force(index, &x.positions_px);
         let mine = (0..index.len()).filter(|&n| before[n].near as usize == plant);
@@ -139,20 +139,20 @@ impl BlockCost for BruteForce {
         let near = |(du, dv): &(f64, f64)| du * du + dv * dv <= farthest * farthest;
         (x.work.u, x.work.v) = mine.map(offset).filter(near).unzip();
         let offset = self.0.solve(x, plant);
-        let movement = offset[0].hypot(offset[1]);
-        if movement > RELAXED_PX {
-            touched.mark(plant);
+        let step_norm = offset[0].hypot(offset[1]);
+        if step_norm > RELAXED_PX {
+            active.mark(plant);
         }
         let after = assignment::brute_force(index, &x.positions_px);
         for (old, new) in before.iter().zip(&after).filter(|(old, new)| old.near != new.near) {
-            touched.mark(old.near as usize);
-            touched.mark(new.near as usize);
+            active.mark(old.near as usize);
+            active.mark(new.near as usize);
         }
-        movement
+        step_norm
     }
-    fn end_sweep(&self, x: &mut Field, touched: &mut Touched) {
+    fn end_sweep(&self, x: &mut Field, active: &mut ActiveSet) {
         x.work.assignment = self.0.assign(&x.positions_px);
-        self.0.end_sweep(x, touched);
+        self.0.end_sweep(x, active);
     }
 }
 
@@ -178,7 +178,7 @@ fn converged_plants_are_certified_by_the_cone_programme() {
     for model in models().into_iter().filter(|model| model.update == PlantUpdate::Median) {
         let (problem, mut x) = problem(model, 3);
         let outcome = run(&problem, &mut x, exact(), 200, |_, _| ()).unwrap();
-        assert_eq!(outcome.stop, Stop::MovementConverged, "{model:?}");
+        assert_eq!(outcome.stop, Termination::StepConverged, "{model:?}");
         for plant in 0..24 {
             problem.gather(&mut x, plant);
             if x.work.u.is_empty() {
@@ -208,8 +208,7 @@ fn a_resumed_descent_equals_an_unbroken_one_bit_for_bit() {
         let mut saved = String::new();
         for sweep in 0..6 {
             if sweep == 2 {
-                saved =
-                    serde_json::to_string(&(&whole, Engine::<Plants>::memory(&engine))).unwrap();
+                saved = serde_json::to_string(&(&whole, Engine::<Plants>::state(&engine))).unwrap();
             }
             engine.step(&problem, &mut whole).unwrap();
         }

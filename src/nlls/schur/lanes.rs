@@ -1,28 +1,32 @@
-//! Observations gathered into registers, chunk by chunk, and their cost.
+//! Observations gathered into registers, tile by tile, and their cost.
 //!
-//! A chunk is a run of whole points whose observations stay in the nearest cache; it is worked on
+//! A tile is a run of whole points whose observations stay in the nearest cache; it is worked on
 //! a register's width of observations at a time, whatever points they belong to.
 
-use super::layout::{CHUNK, Layout, ShareWork, padded};
+use super::layout::{ChunkSums, Layout, TILE, padded};
 use crate::{
     lanes::{MAX_WIDTH, Register, gather},
-    nlls::{loss::Loss, pairs::PairFactor},
+    nlls::{loss::BatchLoss, projection::ProjectionFactor},
 };
 use pulp::{Arch, Simd, WithSimd};
 use std::{marker::PhantomData, ops::Range};
 
 /// The inputs of a few observations, one place per lane: `Q` numbers of their cameras, the points,
 /// the data.
-pub(super) struct Stage<const P: usize, const D: usize> {
+pub(super) struct LaneBuffer<const P: usize, const D: usize> {
     camera: [u32; MAX_WIDTH],
     point: [[f64; MAX_WIDTH]; P],
     data: [[f64; MAX_WIDTH]; D],
 }
 
-impl<const P: usize, const D: usize> Stage<P, D> {
+impl<const P: usize, const D: usize> LaneBuffer<P, D> {
     #[inline(always)]
     pub(super) fn new() -> Self {
-        Stage { camera: [0; MAX_WIDTH], point: [[0.0; MAX_WIDTH]; P], data: [[0.0; MAX_WIDTH]; D] }
+        LaneBuffer {
+            camera: [0; MAX_WIDTH],
+            point: [[0.0; MAX_WIDTH]; P],
+            data: [[0.0; MAX_WIDTH]; D],
+        }
     }
 
     #[inline(always)]
@@ -47,7 +51,7 @@ impl<const P: usize, const D: usize> Stage<P, D> {
     pub(super) fn cameras<V: Simd, const N: usize>(
         &self,
         simd: V,
-        records: &Records,
+        records: &CameraCache,
     ) -> [[f64; MAX_WIDTH]; N] {
         let mut out = [[0.0; MAX_WIDTH]; N];
         self.gather(simd, records, &mut out);
@@ -56,7 +60,12 @@ impl<const P: usize, const D: usize> Stage<P, D> {
 
     /// The same into memory.
     #[inline(always)]
-    pub(super) fn gather<V: Simd>(&self, simd: V, records: &Records, out: &mut [[f64; MAX_WIDTH]]) {
+    pub(super) fn gather<V: Simd>(
+        &self,
+        simd: V,
+        records: &CameraCache,
+        out: &mut [[f64; MAX_WIDTH]],
+    ) {
         gather(simd, &records.values, records.stride, &self.camera, out);
     }
 }
@@ -76,16 +85,16 @@ pub(super) fn load_all<V: Simd, const N: usize>(
 
 /// Numbers per camera, one record after the other, each of whole registers.
 #[derive(Debug, Default)]
-pub(super) struct Records {
+pub(super) struct CameraCache {
     pub(super) values: Vec<f64>,
     pub(super) stride: usize,
 }
 
-impl Records {
+impl CameraCache {
     /// Zeros for `count` records of `len` numbers.
-    pub(super) fn new(count: usize, len: usize) -> Records {
+    pub(super) fn new(count: usize, len: usize) -> CameraCache {
         let stride = padded(len);
-        Records { values: vec![0.0; count * stride], stride }
+        CameraCache { values: vec![0.0; count * stride], stride }
     }
 
     pub(super) fn each(&mut self) -> impl Iterator<Item = &mut [f64]> {
@@ -93,31 +102,31 @@ impl Records {
     }
 }
 
-/// Walks over the observations of a chunk, a register's width at a time.
-pub(super) struct Groups {
+/// Walks over the observations of a tile, a register's width at a time.
+pub(super) struct LaneGroups {
     point: usize,
     last_point: usize,
     observation: usize,
     origin: usize,
 }
 
-impl Groups {
+impl LaneGroups {
     #[inline(always)]
     pub(super) fn new<const K: usize, const S: usize, const D: usize>(
         layout: &Layout<K, S, D>,
-        chunk: &Range<usize>,
+        tile: &Range<usize>,
     ) -> Self {
-        let origin = layout.points[chunk.start].first as usize;
-        Groups { point: chunk.start, last_point: chunk.end, observation: origin, origin }
+        let origin = layout.points[tile.start].first as usize;
+        LaneGroups { point: tile.start, last_point: tile.end, observation: origin, origin }
     }
 
-    /// Puts the next `width` observations, or what is left of them, into `stage`, with the points'
-    /// coordinates from `value`; returns the place of the first, counted from the chunk's first,
+    /// Puts the next `width` observations, or what is left of them, into `buffer`, with the points'
+    /// coordinates from `value`; returns the place of the first, counted from the tile's first,
     /// and their number.
     #[inline(always)]
     pub(super) fn fill<const K: usize, const S: usize, const P: usize, const D: usize>(
         &mut self,
-        stage: &mut Stage<P, D>,
+        buffer: &mut LaneBuffer<P, D>,
         layout: &Layout<K, S, D>,
         width: usize,
         value: impl Fn(usize) -> [f64; P],
@@ -129,7 +138,7 @@ impl Groups {
             let point = value(self.point);
             while count < width && self.observation < end {
                 let camera = layout.observed_by[self.observation];
-                stage.set(count, camera, &point, &layout.data[self.observation]);
+                buffer.set(count, camera, &point, &layout.data[self.observation]);
                 self.observation += 1;
                 count += 1;
             }
@@ -141,9 +150,9 @@ impl Groups {
     }
 }
 
-/// The points of `range` in chunks of whole points with at most [`CHUNK`] observations, or one
+/// The points of `range` in tiles of whole points with at most [`TILE`] observations, or one
 /// point with more.
-pub(super) fn chunks<const K: usize, const S: usize, const D: usize>(
+pub(super) fn tiles<const K: usize, const S: usize, const D: usize>(
     layout: &Layout<K, S, D>,
     range: Range<usize>,
 ) -> impl Iterator<Item = Range<usize>> + '_ {
@@ -154,12 +163,12 @@ pub(super) fn chunks<const K: usize, const S: usize, const D: usize>(
         }
         let first = layout.points[next].first as usize;
         let mut end = next + 1;
-        while end < range.end && layout.points[end + 1].first as usize - first <= CHUNK {
+        while end < range.end && layout.points[end + 1].first as usize - first <= TILE {
             end += 1;
         }
-        let chunk = next..end;
+        let tile = next..end;
         next = end;
-        Some(chunk)
+        Some(tile)
     })
 }
 
@@ -170,11 +179,11 @@ pub(super) fn coordinates<const P: usize>(x: &[f64], at: u32) -> [f64; P] {
     std::array::from_fn(|k| x[at + k])
 }
 
-/// The cost of the observations of `chunk`.
+/// The cost of the observations of `tile`.
 #[inline(always)]
-pub(super) fn chunk_cost<
+pub(super) fn tile_cost<
     V: Simd,
-    F: PairFactor<R, K, S, P, Q, D>,
+    F: ProjectionFactor<R, K, S, P, Q, D>,
     const R: usize,
     const K: usize,
     const S: usize,
@@ -184,17 +193,17 @@ pub(super) fn chunk_cost<
 >(
     simd: V,
     layout: &Layout<K, S, D>,
-    chunk: Range<usize>,
-    prepared: &Records,
+    tile: Range<usize>,
+    prepared: &CameraCache,
     value: impl Fn(usize) -> [f64; P],
-    loss: Loss,
+    loss: &BatchLoss,
 ) -> f64 {
     let mut total = 0.0;
-    let (mut stage, mut groups) = (Stage::<P, D>::new(), Groups::new(layout, &chunk));
+    let (mut buffer, mut groups) = (LaneBuffer::<P, D>::new(), LaneGroups::new(layout, &tile));
     let width = Register::<V>::WIDTH;
-    while let Some((_, count)) = groups.fill(&mut stage, layout, width, &value) {
-        let (point, data) = stage.load(simd);
-        let prepared = load_all(simd, &stage.cameras::<V, Q>(simd, prepared));
+    while let Some((_, count)) = groups.fill(&mut buffer, layout, width, &value) {
+        let (point, data) = buffer.load(simd);
+        let prepared = load_all(simd, &buffer.cameras::<V, Q>(simd, prepared));
         let residual = F::residual(&prepared, &point, &data);
         let mut square = residual[0] * residual[0];
         for r in &residual[1..] {
@@ -203,10 +212,7 @@ pub(super) fn chunk_cost<
         let mut squares = [0.0; MAX_WIDTH];
         square.store(&mut squares);
         for square in &squares[..count] {
-            total += match loss {
-                Loss::Trivial => *square,
-                _ => loss.evaluate(*square).value,
-            };
+            total += if loss.is_trivial() { *square } else { loss.evaluate(*square).value };
         }
     }
     0.5 * total
@@ -223,15 +229,15 @@ struct Cost<
     const D: usize,
 > {
     layout: &'a Layout<K, S, D>,
-    share: &'a ShareWork<P>,
-    prepared: &'a Records,
+    chunk: &'a ChunkSums<P>,
+    prepared: &'a CameraCache,
     x: &'a [f64],
-    loss: Loss,
+    loss: &'a BatchLoss,
     factor: PhantomData<F>,
 }
 
 impl<
-    F: PairFactor<R, K, S, P, Q, D>,
+    F: ProjectionFactor<R, K, S, P, Q, D>,
     const R: usize,
     const K: usize,
     const S: usize,
@@ -244,20 +250,19 @@ impl<
 
     #[inline(always)]
     fn with_simd<V: Simd>(self, simd: V) -> f64 {
-        let Cost { layout, share, prepared, x, loss, .. } = self;
+        let Cost { layout, chunk, prepared, x, loss, .. } = self;
         let value = |e: usize| coordinates::<P>(x, layout.points[e].at);
         let mut total = 0.0;
-        for chunk in chunks(layout, share.range.clone()) {
-            total +=
-                chunk_cost::<V, F, R, K, S, P, Q, D>(simd, layout, chunk, prepared, value, loss);
+        for tile in tiles(layout, chunk.range.clone()) {
+            total += tile_cost::<V, F, R, K, S, P, Q, D>(simd, layout, tile, prepared, value, loss);
         }
         total
     }
 }
 
-/// The cost of one share at `x`; not finite where an observation is infeasible.
-pub(super) fn share_cost<
-    F: PairFactor<R, K, S, P, Q, D>,
+/// The cost of one chunk at `x`; not finite where an observation is infeasible.
+pub(super) fn chunk_cost<
+    F: ProjectionFactor<R, K, S, P, Q, D>,
     const R: usize,
     const K: usize,
     const S: usize,
@@ -266,11 +271,11 @@ pub(super) fn share_cost<
     const D: usize,
 >(
     layout: &Layout<K, S, D>,
-    share: &ShareWork<P>,
-    prepared: &Records,
+    chunk: &ChunkSums<P>,
+    prepared: &CameraCache,
     x: &[f64],
-    loss: Loss,
+    loss: &BatchLoss,
 ) -> f64 {
     let factor = PhantomData::<F>;
-    Arch::new().dispatch(Cost::<F, R, K, S, P, Q, D> { layout, share, prepared, x, loss, factor })
+    Arch::new().dispatch(Cost::<F, R, K, S, P, Q, D> { layout, chunk, prepared, x, loss, factor })
 }

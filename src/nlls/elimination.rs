@@ -1,4 +1,4 @@
-//! Elimination of one share of the blocks: the hot loop of the stored path.
+//! Elimination of one chunk of the blocks: the hot loop of the stored path.
 //!
 //! Per eliminated block with `V = L L^T`: `Y = W L^-T`, `u = L^-1 g_e`, and the reduced system receives
 //! `-Y Y^T` and `-Y u` ([`super::normal`]).
@@ -7,15 +7,15 @@ use super::{
     cholesky::NotPositiveDefinite,
     factor::{Linearization, MAX_ARITY},
     problem::Problem,
-    structure::{NONE, Share, Structure},
+    structure::{Chunk, NONE, Structure},
 };
 
-/// What one share of the eliminated blocks adds up, and what back-substitution needs of it.
+/// What one chunk of the eliminated blocks adds up, and what back-substitution needs of it.
 #[derive(Debug, Default, Clone)]
-pub(super) struct Partial {
-    /// Blocks of the reduced matrix, as laid out in [`Share`].
+pub(super) struct PartialSums {
+    /// Blocks of the reduced matrix, as laid out in [`Chunk`].
     pub(super) values: Vec<f64>,
-    /// `F^T r`, `-W V^-1 g_e` and the diagonal of `F^T F`, over the kept blocks of the share.
+    /// `F^T r`, `-W V^-1 g_e` and the diagonal of `F^T F`, over the kept blocks of the chunk.
     pub(super) gradient: Vec<f64>,
     pub(super) correction: Vec<f64>,
     pub(super) diagonal: Vec<f64>,
@@ -32,27 +32,27 @@ pub(super) fn damping(diagonal: f64) -> f64 {
     if diagonal > 0.0 { diagonal } else { 1.0 }
 }
 
-impl Partial {
-    pub(super) fn new(share: &Share) -> Partial {
-        let kept = share.starts.last().copied().unwrap_or(0);
-        Partial {
-            values: vec![0.0; share.len],
+impl PartialSums {
+    pub(super) fn new(chunk: &Chunk) -> PartialSums {
+        let kept = chunk.starts.last().copied().unwrap_or(0);
+        PartialSums {
+            values: vec![0.0; chunk.len],
             gradient: vec![0.0; kept],
             correction: vec![0.0; kept],
             diagonal: vec![0.0; kept],
-            ..Partial::default()
+            ..PartialSums::default()
         }
     }
 }
 
-/// Eliminates the blocks of one share.
+/// Eliminates the blocks of one chunk.
 pub(super) fn eliminate(
     problem: &Problem,
     structure: &Structure,
-    share: &Share,
+    chunk: &Chunk,
     linearizations: &[Linearization],
     lambda: f64,
-    partial: &mut Partial,
+    partial: &mut PartialSums,
 ) -> Result<(), NotPositiveDefinite> {
     for sums in
         [&mut partial.values, &mut partial.gradient, &mut partial.correction, &mut partial.diagonal]
@@ -62,14 +62,14 @@ pub(super) fn eliminate(
     for list in [&mut partial.factor, &mut partial.gradient_e, &mut partial.diagonal_e] {
         list.clear();
     }
-    for e in share.eliminated.clone() {
+    for e in chunk.eliminated.clone() {
         let own = structure.eliminated[e];
         let block = &problem.blocks[own];
-        let n = block.space.tangent();
-        let touch = structure.touch(e);
-        let size_of = |k: u32| share.starts[k as usize + 1] - share.starts[k as usize];
-        let height: usize = touch.iter().map(|&k| size_of(k)).sum();
-        // V, g_e, then W with the rows of the touched kept blocks one after the other.
+        let n = block.dimension;
+        let adjacent = structure.adjacent(e);
+        let size_of = |k: u32| chunk.starts[k as usize + 1] - chunk.starts[k as usize];
+        let height: usize = adjacent.iter().map(|&k| size_of(k)).sum();
+        // V, g_e, then W with the rows of the adjacent kept blocks one after the other.
         partial.scratch.clear();
         partial.scratch.resize(n * n + n + height * n, 0.0);
         let (v, rest) = partial.scratch.split_at_mut(n * n);
@@ -101,13 +101,13 @@ pub(super) fn eliminate(
             let mut seen: [(usize, usize, usize); MAX_ARITY] = Default::default();
             let mut count = 0;
             for (block, &dim) in blocks.iter().zip(&named.dims) {
-                let place = structure.place[block.index()];
+                let place = structure.kept_index[block.index()];
                 if place != NONE {
-                    let local = share.kept.partition_point(|&other| other < place);
-                    let position = touch.partition_point(|&other| (other as usize) < local);
+                    let local = chunk.kept.partition_point(|&other| other < place);
+                    let position = adjacent.partition_point(|&other| (other as usize) < local);
                     let at: usize =
-                        touch[..position].iter().map(|&k| size_of(k)).sum::<usize>() * n;
-                    let start = share.starts[local];
+                        adjacent[..position].iter().map(|&k| size_of(k)).sum::<usize>() * n;
+                    let start = chunk.starts[local];
                     for (row, r) in jacobian.chunks_exact(width).zip(residual) {
                         let own = &row[own_column..own_column + n];
                         for i in 0..dim {
@@ -127,7 +127,7 @@ pub(super) fn eliminate(
             for &(row, row_column, row_dim) in &seen[..count] {
                 for &(other, other_column, other_dim) in &seen[..count] {
                     if other <= row {
-                        let at = share.at(row, other);
+                        let at = chunk.at(row, other);
                         let to = &mut partial.values[at..at + row_dim * other_dim];
                         for line in jacobian.chunks_exact(width) {
                             for j in 0..other_dim {
@@ -154,17 +154,17 @@ pub(super) fn eliminate(
             forward_solve(v, n, row);
         }
         let mut row_at = 0;
-        for (position, &row) in touch.iter().enumerate() {
+        for (position, &row) in adjacent.iter().enumerate() {
             let row_dim = size_of(row);
             let y_row = &w[row_at..row_at + row_dim * n];
             for (i, y) in y_row.chunks_exact(n).enumerate() {
-                partial.correction[share.starts[row as usize] + i] -= inner(y, g);
+                partial.correction[chunk.starts[row as usize] + i] -= inner(y, g);
             }
             let mut column_at = 0;
-            for &column in &touch[..=position] {
+            for &column in &adjacent[..=position] {
                 let column_dim = size_of(column);
                 let y_column = &w[column_at..column_at + column_dim * n];
-                let at = share.at(row as usize, column as usize);
+                let at = chunk.at(row as usize, column as usize);
                 let to = &mut partial.values[at..at + row_dim * column_dim];
                 for (to, y_j) in to.chunks_exact_mut(row_dim).zip(y_column.chunks_exact(n)) {
                     for (to, y_i) in to.iter_mut().zip(y_row.chunks_exact(n)) {

@@ -1,10 +1,10 @@
 //! What points add to blocks that many cameras share: the arrow of the reduced system.
 
-use super::layout::{Buffers, Layout, ShareWork, padded, point_record};
+use super::layout::{Buffers, ChunkSums, Layout, padded, point_record};
 use crate::nlls::structure::NONE;
 use pulp::Simd;
 
-/// Adds a point with observations `first..end` of the chunk that begins with `origin`, and
+/// Adds a point with observations `first..end` of the tile that begins with `origin`, and
 /// `u = L^-1 g`.
 #[inline(always)]
 pub(super) fn add_shared<
@@ -17,7 +17,7 @@ pub(super) fn add_shared<
 >(
     simd: V,
     layout: &Layout<K, S, D>,
-    share: &mut ShareWork<P>,
+    chunk: &mut ChunkSums<P>,
     buffers: &mut Buffers,
     (first, end): (usize, usize),
     origin: usize,
@@ -33,17 +33,17 @@ pub(super) fn add_shared<
     for i in 0..end - first {
         let camera = layout.observed_by[origin + first + i] as usize;
         let lens = layout.cameras[camera].lens as usize;
-        let js = &buffers.by_shared[(first + i) * R * width..(first + i + 1) * R * width];
+        let js = &buffers.jacobian_shared[(first + i) * R * width..(first + i + 1) * R * width];
         let own = lens * width..(lens + 1) * width;
-        let gradient = V::as_mut_simd_f64s(&mut share.lens_gradient[own.clone()]).0;
-        let diagonal = V::as_mut_simd_f64s(&mut share.lens_diagonal[own]).0;
+        let gradient = V::as_mut_simd_f64s(&mut chunk.lens_gradient[own.clone()]).0;
+        let diagonal = V::as_mut_simd_f64s(&mut chunk.lens_diagonal[own]).0;
         let own = lens * P * width..(lens + 1) * P * width;
         let sums = V::as_mut_simd_f64s(&mut buffers.lens_sums[own]).0;
         let registers = gradient.len();
         for row in 0..R {
             let line = V::as_simd_f64s(&js[row * width..(row + 1) * width]).0;
             let q = &buffers.whitened[(i * R + row) * P..(i * R + row + 1) * P];
-            let r = buffers.by_point[(first + i) * point_record(R, P) + row * (P + 1) + P];
+            let r = buffers.jacobian_point[(first + i) * point_record(R, P) + row * (P + 1) + P];
             let r = simd.splat_f64s(r);
             for k in 0..registers {
                 gradient[k] = simd.mul_add_e_f64s(line[k], r, gradient[k]);
@@ -58,12 +58,12 @@ pub(super) fn add_shared<
             }
         }
         let at = (lens * lenses + lens) * width * width;
-        let block = &mut share.lens_lens[at..at + width * width];
+        let block = &mut chunk.lens_lens[at..at + width * width];
         add_products::<V, R>(simd, block, (js, width), js, (columns, 1.0));
     }
     for l in 0..lenses {
         let own = &buffers.lens_sums[l * P * width..(l + 1) * P * width];
-        let to = &mut share.lens_correction[l * width..(l + 1) * width];
+        let to = &mut chunk.lens_correction[l * width..(l + 1) * width];
         let to = V::as_mut_simd_f64s(to).0;
         for p in 0..P {
             let u = simd.splat_f64s(-u[p]);
@@ -75,20 +75,20 @@ pub(super) fn add_shared<
         for m in 0..=l {
             let other = &buffers.lens_sums[m * P * width..(m + 1) * P * width];
             let at = (l * lenses + m) * width * width;
-            let block = &mut share.lens_lens[at..at + width * width];
+            let block = &mut chunk.lens_lens[at..at + width * width];
             add_products::<V, P>(simd, block, (own, width), other, (columns, -1.0));
         }
     }
     for i in 0..end - first {
         let camera = layout.observed_by[origin + first + i] as usize;
-        let local = share.local[camera];
+        let local = chunk.local[camera];
         if local == NONE {
             break;
         }
         let own = layout.cameras[camera].lens as usize;
-        let js = &buffers.by_shared[(first + i) * R * width..(first + i + 1) * R * width];
+        let js = &buffers.jacobian_shared[(first + i) * R * width..(first + i + 1) * R * width];
         let stride = R * padded(K);
-        let jacobian = &buffers.by_kept[(first + i) * stride..(first + i + 1) * stride];
+        let jacobian = &buffers.jacobian_camera[(first + i) * stride..(first + i + 1) * stride];
         for l in 0..lenses {
             let sums = &buffers.lens_sums[l * P * width..(l + 1) * P * width];
             let sums = V::as_simd_f64s(sums).0;
@@ -109,7 +109,7 @@ pub(super) fn add_shared<
                 }
             }
             let at = (local as usize * lenses + l) * K * width;
-            let block = &mut share.camera_lens[at..at + K * width];
+            let block = &mut chunk.camera_lens[at..at + K * width];
             add_products::<V, R>(simd, block, (jacobian, padded(K)), &buffers.lens_left, (K, 1.0));
         }
     }

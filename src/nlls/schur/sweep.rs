@@ -1,14 +1,14 @@
-//! The two sweeps over the points of one share: elimination, and substitution with the trial cost.
+//! The two sweeps over the points of one chunk: elimination, and substitution with the trial cost.
 
 use super::{
-    Moved, Settings,
-    groups::{Records, chunk_cost, chunks, coordinates},
-    layout::{Layout, ShareWork, point_record},
-    linearize::{apply_chunk, linearize_chunk},
+    BackSubstitution, Settings,
+    lanes::{CameraCache, coordinates, tile_cost, tiles},
+    layout::{ChunkSums, Layout, point_record},
+    linearize::{apply_tile, linearize_tile},
     point::eliminate_point,
-    small::Small,
+    point_system::PointSystem,
 };
-use crate::nlls::{cholesky::NotPositiveDefinite, pairs::PairFactor};
+use crate::nlls::{cholesky::NotPositiveDefinite, projection::ProjectionFactor};
 use pulp::{Arch, Simd, WithSimd};
 use std::marker::PhantomData;
 
@@ -23,16 +23,16 @@ struct Eliminate<
     const D: usize,
 > {
     layout: &'a Layout<K, S, D>,
-    share: &'a mut ShareWork<P>,
-    prepared: &'a Records,
+    chunk: &'a mut ChunkSums<P>,
+    prepared: &'a CameraCache,
     x: &'a [f64],
-    settings: Settings,
+    settings: Settings<'a>,
     factor: PhantomData<F>,
 }
 
-/// Eliminates the points of one share; returns the largest `|g_k| / sqrt(D_k)` of them.
-pub(super) fn eliminate_share<
-    F: PairFactor<R, K, S, P, Q, D>,
+/// Eliminates the points of one chunk; returns the largest `|g_k| / sqrt(D_k)` of them.
+pub(super) fn eliminate_chunk<
+    F: ProjectionFactor<R, K, S, P, Q, D>,
     const R: usize,
     const K: usize,
     const S: usize,
@@ -41,15 +41,15 @@ pub(super) fn eliminate_share<
     const D: usize,
 >(
     layout: &Layout<K, S, D>,
-    share: &mut ShareWork<P>,
-    prepared: &Records,
+    chunk: &mut ChunkSums<P>,
+    prepared: &CameraCache,
     x: &[f64],
-    settings: Settings,
+    settings: Settings<'_>,
 ) -> Result<f64, NotPositiveDefinite> {
     let factor = PhantomData::<F>;
     Arch::new().dispatch(Eliminate::<F, R, K, S, P, Q, D> {
         layout,
-        share,
+        chunk,
         prepared,
         x,
         settings,
@@ -58,7 +58,7 @@ pub(super) fn eliminate_share<
 }
 
 impl<
-    F: PairFactor<R, K, S, P, Q, D>,
+    F: ProjectionFactor<R, K, S, P, Q, D>,
     const R: usize,
     const K: usize,
     const S: usize,
@@ -71,26 +71,26 @@ impl<
 
     #[inline(always)]
     fn with_simd<V: Simd>(self, simd: V) -> Self::Output {
-        let Eliminate { layout, share, prepared, x, settings, .. } = self;
-        share.clear();
-        let mut buffers = std::mem::take(&mut share.buffers);
+        let Eliminate { layout, chunk, prepared, x, settings, .. } = self;
+        chunk.clear();
+        let mut buffers = std::mem::take(&mut chunk.buffers);
         let (mut largest, mut failed) = (0.0, None);
-        'sweep: for chunk in chunks(layout, share.range.clone()) {
-            linearize_chunk::<V, F, R, K, S, P, Q, D>(
+        'sweep: for tile in tiles(layout, chunk.range.clone()) {
+            linearize_tile::<V, F, R, K, S, P, Q, D>(
                 simd,
                 layout,
-                chunk.clone(),
+                tile.clone(),
                 prepared,
                 x,
                 &settings,
                 &mut buffers,
             );
-            let origin = layout.points[chunk.start].first as usize;
-            for e in chunk {
+            let origin = layout.points[tile.start].first as usize;
+            for e in tile {
                 match eliminate_point::<V, R, K, S, P, D>(
                     simd,
                     layout,
-                    share,
+                    chunk,
                     &mut buffers,
                     (e, origin),
                     settings.lambda,
@@ -103,7 +103,7 @@ impl<
                 }
             }
         }
-        share.buffers = buffers;
+        chunk.buffers = buffers;
         failed.map_or(Ok(largest), Err)
     }
 }
@@ -119,18 +119,18 @@ struct Substitute<
     const D: usize,
 > {
     layout: &'a Layout<K, S, D>,
-    share: &'a mut ShareWork<P>,
+    chunk: &'a mut ChunkSums<P>,
     /// At the current and at the trial values.
-    prepared: (&'a Records, &'a Records),
+    prepared: (&'a CameraCache, &'a CameraCache),
     x: &'a [f64],
-    settings: Settings,
+    settings: Settings<'a>,
     factor: PhantomData<F>,
 }
 
-/// Moves the points of one share into [`ShareWork::moved`] and evaluates the trial cost;
+/// Moves the points of one chunk into [`ChunkSums::moved`] and evaluates the trial cost;
 /// `prepared` are the cameras at the current and at the trial values.
-pub(super) fn substitute_share<
-    F: PairFactor<R, K, S, P, Q, D>,
+pub(super) fn back_substitute_chunk<
+    F: ProjectionFactor<R, K, S, P, Q, D>,
     const R: usize,
     const K: usize,
     const S: usize,
@@ -139,15 +139,15 @@ pub(super) fn substitute_share<
     const D: usize,
 >(
     layout: &Layout<K, S, D>,
-    share: &mut ShareWork<P>,
-    prepared: (&Records, &Records),
+    chunk: &mut ChunkSums<P>,
+    prepared: (&CameraCache, &CameraCache),
     x: &[f64],
-    settings: Settings,
-) -> Moved {
+    settings: Settings<'_>,
+) -> BackSubstitution {
     let factor = PhantomData::<F>;
     Arch::new().dispatch(Substitute::<F, R, K, S, P, Q, D> {
         layout,
-        share,
+        chunk,
         prepared,
         x,
         settings,
@@ -156,7 +156,7 @@ pub(super) fn substitute_share<
 }
 
 impl<
-    F: PairFactor<R, K, S, P, Q, D>,
+    F: ProjectionFactor<R, K, S, P, Q, D>,
     const R: usize,
     const K: usize,
     const S: usize,
@@ -165,33 +165,33 @@ impl<
     const D: usize,
 > WithSimd for Substitute<'_, F, R, K, S, P, Q, D>
 {
-    type Output = Moved;
+    type Output = BackSubstitution;
 
     #[inline(always)]
-    fn with_simd<V: Simd>(self, simd: V) -> Moved {
-        let Substitute { layout, share, prepared: (prepared, trial), x, settings, .. } = self;
-        let range = share.range.clone();
-        let (buffers, moved) = (&mut share.buffers, &mut share.moved);
-        let mut total = Moved::default();
-        for chunk in chunks(layout, range.clone()) {
-            apply_chunk::<V, F, R, K, S, P, Q, D>(
+    fn with_simd<V: Simd>(self, simd: V) -> BackSubstitution {
+        let Substitute { layout, chunk, prepared: (prepared, trial), x, settings, .. } = self;
+        let range = chunk.range.clone();
+        let (buffers, moved) = (&mut chunk.buffers, &mut chunk.moved);
+        let mut total = BackSubstitution::default();
+        for tile in tiles(layout, range.clone()) {
+            apply_tile::<V, F, R, K, S, P, Q, D>(
                 simd,
                 layout,
-                chunk.clone(),
+                tile.clone(),
                 prepared,
                 x,
                 &settings,
                 buffers,
             );
-            let origin = layout.points[chunk.start].first as usize;
-            for e in chunk.clone() {
+            let origin = layout.points[tile.start].first as usize;
+            for e in tile.clone() {
                 let point = layout.points[e];
                 let (first, end) =
                     (point.first as usize - origin, layout.points[e + 1].first as usize - origin);
                 let records =
-                    &buffers.by_point[first * point_record(R, P)..end * point_record(R, P)];
-                let mut small = Small::<P>::new::<R>(records);
-                let mut h = small.g;
+                    &buffers.jacobian_point[first * point_record(R, P)..end * point_record(R, P)];
+                let mut system = PointSystem::<P>::new::<R>(records);
+                let mut h = system.g;
                 let along = &buffers.along[first * R..end * R];
                 for (record, along) in
                     records.chunks_exact(point_record(R, P)).zip(along.chunks_exact(R))
@@ -203,28 +203,28 @@ impl<
                     }
                 }
                 // Elimination has factorised the same matrix already.
-                let definite = small.factorize(settings.lambda, point.frozen);
+                let definite = system.factorize(settings.lambda, point.frozen);
                 debug_assert!(definite);
                 for (k, h) in h.iter_mut().enumerate() {
                     if point.frozen >> k & 1 == 1 {
                         *h = 0.0;
                     }
                 }
-                let step = small.backward(small.forward(h));
+                let step = system.backward(system.forward(h));
                 let at = coordinates::<P>(x, point.at);
                 for k in 0..P {
                     let d = -step[k];
-                    total.predicted += 0.5 * d * (small.damped[k] * d - small.g[k]);
-                    total.squared_length += d * d * small.diagonal[k];
-                    total.movement = total.movement.max(d.abs());
+                    total.predicted += 0.5 * d * (system.damped[k] * d - system.g[k]);
+                    total.squared_length += d * d * system.diagonal[k];
+                    total.step_norm = total.step_norm.max(d.abs());
                     moved[e - range.start][k] = at[k] + d;
                 }
             }
             let value = |e: usize| moved[e - range.start];
-            let cost = chunk_cost::<V, F, R, K, S, P, Q, D>(
+            let cost = tile_cost::<V, F, R, K, S, P, Q, D>(
                 simd,
                 layout,
-                chunk,
+                tile,
                 trial,
                 value,
                 settings.loss,

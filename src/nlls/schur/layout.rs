@@ -1,10 +1,11 @@
-//! What the fused path keeps in memory: observations by point, and the sums of each share.
+//! What the fused path keeps in memory: observations by point, and the sums of each chunk.
 
 use crate::{
     lanes::MAX_WIDTH,
     nlls::{
+        block_table::BlockTable,
         cholesky::BlockMatrix,
-        structure::{NONE, Share},
+        structure::{Chunk, NONE},
     },
 };
 use std::ops::Range;
@@ -19,7 +20,7 @@ pub(super) const fn point_record(rows: usize, p: usize) -> usize {
     padded(rows * (p + 1))
 }
 
-/// Length of one block of the reduced system in a share: rows of whole registers, then the
+/// Length of one block of the reduced system in a chunk: rows of whole registers, then the
 /// columns that are left over, each padded.
 pub(super) const fn block_len(k: usize) -> usize {
     k * (k / 8 * 8) + (k % 8) * padded(k)
@@ -27,7 +28,7 @@ pub(super) const fn block_len(k: usize) -> usize {
 
 /// Observations that are linearised before their points are eliminated: their Jacobians fit into
 /// half of a first-level cache.
-pub(super) const CHUNK: usize = 48;
+pub(super) const TILE: usize = 48;
 /// The most tangent dimensions of a kept block that the fused path takes.
 pub(super) const MAX_KEPT: usize = 32;
 /// The most numbers of a [`point_record`].
@@ -63,7 +64,7 @@ pub(super) struct PointAt {
     pub(super) frozen: u32,
 }
 
-/// What all shares read.
+/// What all chunks read.
 #[derive(Debug)]
 pub(super) struct Layout<const K: usize, const S: usize, const D: usize> {
     pub(super) cameras: Vec<Camera>,
@@ -92,16 +93,16 @@ impl<const K: usize, const S: usize, const D: usize> Layout<K, S, D> {
     }
 }
 
-/// One share of the points and its sums.
+/// One chunk of the points and its sums.
 #[derive(Debug)]
-pub(super) struct ShareWork<const P: usize> {
+pub(super) struct ChunkSums<const P: usize> {
     pub(super) range: Range<usize>,
     /// Local place of each camera, or [`NONE`].
     pub(super) local: Vec<u32>,
     /// Cameras by local place.
     pub(super) members: Vec<u32>,
-    /// `members x members`: which block belongs to a pair of cameras, or [`NONE`].
-    table: Vec<u32>,
+    /// Which block belongs to a pair of cameras.
+    table: BlockTable,
     /// The slot of the reduced matrix behind each block.
     pub(super) slots: Vec<u32>,
     pub(super) values: Vec<f64>,
@@ -119,18 +120,18 @@ pub(super) struct ShareWork<const P: usize> {
     pub(super) buffers: Buffers,
 }
 
-/// Room for the observations of one chunk, one record per observation.
+/// Room for the observations of one tile, one record per observation.
 #[derive(Debug, Default)]
 pub(super) struct Buffers {
     /// Per row the Jacobian by the point, then the residual; [`point_record`] numbers.
-    pub(super) by_point: Vec<f64>,
+    pub(super) jacobian_point: Vec<f64>,
     /// `R` rows of `padded(K)`.
-    pub(super) by_kept: Vec<f64>,
+    pub(super) jacobian_camera: Vec<f64>,
     /// `R` rows of [`Layout::lens_width`].
-    pub(super) by_shared: Vec<f64>,
+    pub(super) jacobian_shared: Vec<f64>,
     /// `Q_i`, of one point.
     pub(super) whitened: Vec<f64>,
-    /// `Q_i u` of one point, or `J d` of a chunk.
+    /// `Q_i u` of one point, or `J d` of a tile.
     pub(super) along: Vec<f64>,
     /// `T` of each shared block, `P` rows of [`Layout::lens_width`].
     pub(super) lens_sums: Vec<f64>,
@@ -138,69 +139,63 @@ pub(super) struct Buffers {
     pub(super) lens_left: Vec<f64>,
 }
 
-impl<const P: usize> ShareWork<P> {
-    /// The accumulators of `share` for observations of `rows` rows; `None` where the reduced
+impl<const P: usize> ChunkSums<P> {
+    /// The accumulators of `chunk` for observations of `rows` rows; `None` where the reduced
     /// matrix lacks a block.
     pub(super) fn new<const K: usize, const S: usize, const D: usize>(
-        share: &Share,
+        chunk: &Chunk,
         layout: &Layout<K, S, D>,
         matrix: &BlockMatrix,
         rows: usize,
     ) -> Option<Self> {
-        // Cameras are in the order of their places, and so are the kept blocks of the share.
+        // Cameras are in the order of their places, and so are the kept blocks of the chunk.
         let mut members: Vec<u32> = Vec::new();
-        let mut in_share: Vec<usize> = Vec::new();
+        let mut in_chunk: Vec<usize> = Vec::new();
         let mut local = vec![NONE; layout.cameras.len()];
         let mut next = 0;
         for (k, camera) in layout.cameras.iter().enumerate() {
-            while next < share.kept.len() && share.kept[next] < camera.place {
+            while next < chunk.kept.len() && chunk.kept[next] < camera.place {
                 next += 1;
             }
-            if share.kept.get(next) == Some(&camera.place) {
+            if chunk.kept.get(next) == Some(&camera.place) {
                 local[k] = members.len() as u32;
                 members.push(k as u32);
-                in_share.push(next);
+                in_chunk.push(next);
             }
         }
         let n = members.len();
-        let (mut table, mut count) = (vec![NONE; n * n], 0);
-        for row in 0..n {
-            for column in 0..=row {
-                if share.has(in_share[row], in_share[column]) {
-                    table[row * n + column] = count;
-                    count += 1;
-                }
-            }
+        let mut member_of = vec![NONE; chunk.kept.len()];
+        for (member, &k) in in_chunk.iter().enumerate() {
+            member_of[k] = member as u32;
         }
-        let mut slots = vec![NONE; count as usize];
-        for column in 0..n {
-            let place = |k: usize| layout.cameras[members[k] as usize].place;
-            let own = place(column) as usize;
-            let mut slot = matrix.column_ptr[own];
-            for row in column..n {
-                let block = table[row * n + column];
-                if block == NONE {
-                    continue;
-                }
-                let rows = &matrix.rows[..matrix.column_ptr[own + 1]];
-                while rows.get(slot).is_some_and(|&other| other < place(row)) {
-                    slot += 1;
-                }
-                if rows.get(slot) != Some(&place(row)) {
-                    return None;
-                }
-                slots[block as usize] = slot as u32;
+        let mut pairs: Vec<Vec<u32>> = vec![Vec::new(); n];
+        chunk.for_each_pair(|row, column| {
+            let (row, column) = (member_of[row], member_of[column]);
+            if row != NONE && column != NONE {
+                pairs[row as usize].push(column);
             }
-        }
+        });
+        let mut count = 0;
+        let table = BlockTable::new(pairs.into_iter(), |_, _| {
+            count += 1;
+            count - 1
+        });
+        let place = |k: usize| layout.cameras[members[k] as usize].place as usize;
+        let mut slots = Vec::with_capacity(table.len());
+        table.for_each(|row, column, _| slots.push(matrix.slot(place(row), place(column))));
+        let slots = slots
+            .into_iter()
+            .map(|slot| slot.map(|slot| slot as u32))
+            .collect::<Option<Vec<_>>>()?;
         let (lenses, width) = (layout.shared.len(), layout.lens_width());
-        let longest = share
+        let longest = chunk
             .eliminated
             .clone()
             .map(|e| (layout.points[e + 1].first - layout.points[e].first) as usize)
             .max()
             .unwrap_or(0);
-        Some(ShareWork {
-            range: share.eliminated.clone(),
+        Some(ChunkSums {
+            range: chunk.eliminated.clone(),
             values: vec![0.0; slots.len() * block_len(K)],
             gradient: vec![0.0; n * padded(K)],
             correction: vec![0.0; n * padded(K)],
@@ -210,8 +205,8 @@ impl<const P: usize> ShareWork<P> {
             lens_gradient: vec![0.0; lenses * width],
             lens_correction: vec![0.0; lenses * width],
             lens_diagonal: vec![0.0; lenses * width],
-            moved: vec![[0.0; P]; share.eliminated.len()],
-            buffers: Buffers::new::<K, P>(longest.max(CHUNK), rows, (lenses, width)),
+            moved: vec![[0.0; P]; chunk.eliminated.len()],
+            buffers: Buffers::new::<K, P>(longest.max(TILE), rows, (lenses, width)),
             local,
             members,
             table,
@@ -222,7 +217,7 @@ impl<const P: usize> ShareWork<P> {
     /// Which block belongs to two local cameras, `row >= column`.
     #[inline(always)]
     pub(super) fn block(&self, row: usize, column: usize) -> usize {
-        self.table[row * self.members.len() + column] as usize
+        self.table.get(row, column) as usize
     }
 
     pub(super) fn clear(&mut self) {
@@ -254,9 +249,9 @@ impl Buffers {
         let lens_left = vec![0.0; rows * width];
         let rows = records * rows;
         Buffers {
-            by_point: vec![0.0; points],
-            by_kept: vec![0.0; rows * padded(K)],
-            by_shared: vec![0.0; rows * width],
+            jacobian_point: vec![0.0; points],
+            jacobian_camera: vec![0.0; rows * padded(K)],
+            jacobian_shared: vec![0.0; rows * width],
             whitened: vec![0.0; rows * P],
             along: vec![0.0; rows],
             lens_sums: vec![0.0; lenses * P * width],

@@ -1,24 +1,24 @@
 //! Damped steps: solve the reduced system, substitute back, try where that leads.
 
 use super::{
-    eliminate::{backward_solve, forward_solve, inner},
+    elimination::{backward_solve, forward_solve, inner},
     factor::batch_cost,
-    fused::{Moved, Settings},
     normal::Normal,
     problem::Problem,
+    schur::{BackSubstitution, Settings},
     structure::NONE,
 };
 use rayon::prelude::*;
 
 /// A damped step that was tried.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Attempt {
+pub(super) struct TrialStep {
     /// The decrease that the model promises.
     pub(super) predicted: f64,
     /// `|D^1/2 d|`.
     pub(super) length: f64,
     /// The largest entry of the step.
-    pub(super) movement: f64,
+    pub(super) step_norm: f64,
     /// The cost at the trial values; infinite where a factor is infeasible there.
     pub(super) cost: f64,
 }
@@ -31,7 +31,7 @@ impl Normal {
         for (place, &block) in self.structure.kept.iter().enumerate() {
             let block = &problem.blocks[block];
             let start = self.matrix.starts[place];
-            for k in 0..block.space.tangent() {
+            for k in 0..block.dimension {
                 let g = self.gradient[block.tangent + k];
                 self.kept_vector[start + k] = -(g + self.kept_vector[start + k]);
             }
@@ -39,7 +39,7 @@ impl Normal {
         self.solver.solve(&self.matrix, &mut self.kept_vector, 1);
         for (place, &block) in self.structure.kept.iter().enumerate() {
             let block = &problem.blocks[block];
-            let n = block.space.tangent();
+            let n = block.dimension;
             let start = self.matrix.starts[place];
             d[block.tangent..block.tangent + n]
                 .copy_from_slice(&self.kept_vector[start..start + n]);
@@ -59,7 +59,7 @@ impl Normal {
         lambda: f64,
         step: &mut [f64],
         trial: &mut [f64],
-    ) -> Option<Attempt> {
+    ) -> Option<TrialStep> {
         self.reduce(problem, x, lambda).ok()?;
         self.solve(problem, step);
         let (mut predicted, mut square) = (0.0, 0.0);
@@ -68,11 +68,11 @@ impl Normal {
             predicted += 0.5 * d * (lambda * w * d - g);
             square += d * d * w;
         }
-        let movement = step.iter().fold(0.0, |most: f64, v| v.abs().max(most));
-        let mut moved = Moved::default();
+        let step_norm = step.iter().fold(0.0, |most: f64, v| v.abs().max(most));
+        let mut moved = BackSubstitution::default();
         if let Some((batch, work)) = &mut self.fused {
             let settings = Settings {
-                loss: problem.batches[*batch].loss,
+                loss: &problem.batches[*batch].loss,
                 curvature_share: self.curvature_share,
                 lambda,
             };
@@ -83,10 +83,10 @@ impl Normal {
             problem.plus(x, step, trial);
             moved.cost = self.stored_cost(problem, trial);
         }
-        let attempt = Attempt {
+        let attempt = TrialStep {
             predicted: predicted + moved.predicted,
             length: (square + moved.squared_length).sqrt(),
-            movement: movement.max(moved.movement),
+            step_norm: step_norm.max(moved.step_norm),
             cost: if moved.cost.is_finite() { moved.cost } else { f64::INFINITY },
         };
         (attempt.predicted.is_finite() && attempt.length.is_finite()).then_some(attempt)
@@ -97,8 +97,8 @@ impl Normal {
         let fused = self.fused.as_ref().map(|(batch, _)| *batch);
         let mut total = 0.0;
         for (k, named) in problem.batches.iter().enumerate().filter(|(k, _)| Some(*k) != fused) {
-            let (point, spare) = (problem.point(x), &mut self.spare.residual);
-            match batch_cost(problem.batches[k].batch.as_ref(), named.loss, point, spare) {
+            let (point, spare) = (problem.all_values(x), &mut self.spare.residual);
+            match batch_cost(problem.batches[k].batch.as_ref(), &named.loss, point, spare) {
                 Ok(cost) => total += cost,
                 Err(_) => return f64::INFINITY,
             }
@@ -121,13 +121,13 @@ impl Normal {
         let steps: Vec<Vec<f64>> = self
             .partials
             .par_iter()
-            .zip(&self.structure.shares)
-            .map(|(partial, share)| {
+            .zip(&self.structure.chunks)
+            .map(|(partial, chunk)| {
                 let mut steps = partial.gradient_e.clone();
                 let (mut at, mut factor_at) = (0, 0);
-                for e in share.eliminated.clone() {
+                for e in chunk.eliminated.clone() {
                     let block = self.structure.eliminated[e];
-                    let n = problem.blocks[block].space.tangent();
+                    let n = problem.blocks[block].dimension;
                     let step = &mut steps[at..at + n];
                     for &(b, f) in self.structure.factors(e) {
                         self.add_coupling(problem, (b as usize, f as usize), block, kept, step);
@@ -142,11 +142,11 @@ impl Normal {
                 steps
             })
             .collect();
-        for (steps, share) in steps.iter().zip(&self.structure.shares) {
+        for (steps, chunk) in steps.iter().zip(&self.structure.chunks) {
             let mut at = 0;
-            for e in share.eliminated.clone() {
+            for e in chunk.eliminated.clone() {
                 let block = &problem.blocks[self.structure.eliminated[e]];
-                let n = block.space.tangent();
+                let n = block.dimension;
                 d[block.tangent..block.tangent + n].copy_from_slice(&steps[at..at + n]);
                 at += n;
             }
@@ -170,7 +170,7 @@ impl Normal {
             for (block, &dim) in named.batch.blocks(f).iter().zip(&named.dims) {
                 if block.index() == eliminated {
                     own = column;
-                } else if self.structure.place[block.index()] != NONE {
+                } else if self.structure.kept_index[block.index()] != NONE {
                     let at = problem.blocks[block.index()].tangent;
                     product += inner(&row[column..column + dim], &d[at..at + dim]);
                 }

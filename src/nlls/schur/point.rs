@@ -1,14 +1,14 @@
 //! Elimination of one point from the Jacobians of its observations.
 
 use super::{
-    layout::{Buffers, Layout, MAX_KEPT, ShareWork, block_len, padded, point_record},
-    shared::add_shared,
-    small::Small,
+    layout::{Buffers, ChunkSums, Layout, MAX_KEPT, block_len, padded, point_record},
+    point_system::PointSystem,
+    shared_block::add_shared,
 };
 use crate::nlls::{cholesky::NotPositiveDefinite, structure::NONE};
 use pulp::Simd;
 
-/// Eliminates point `e`, whose chunk begins with observation `origin`; returns its largest
+/// Eliminates point `e`, whose tile begins with observation `origin`; returns its largest
 /// `|g_k| / sqrt(D_k)`.
 #[inline(always)]
 pub(super) fn eliminate_point<
@@ -21,7 +21,7 @@ pub(super) fn eliminate_point<
 >(
     simd: V,
     layout: &Layout<K, S, D>,
-    share: &mut ShareWork<P>,
+    chunk: &mut ChunkSums<P>,
     buffers: &mut Buffers,
     (e, origin): (usize, usize),
     lambda: f64,
@@ -31,7 +31,8 @@ pub(super) fn eliminate_point<
     let end = layout.points[e + 1].first as usize - origin;
     let length = point_record(R, P);
     if point.frozen != 0 {
-        for record in buffers.by_point[first * length..end * length].chunks_exact_mut(length) {
+        for record in buffers.jacobian_point[first * length..end * length].chunks_exact_mut(length)
+        {
             for row in 0..R {
                 for k in 0..P {
                     record[row * (P + 1) + k] *= f64::from(u8::from(point.frozen >> k & 1 == 0));
@@ -39,22 +40,22 @@ pub(super) fn eliminate_point<
             }
         }
     }
-    let by_point = &buffers.by_point[first * length..end * length];
-    let mut small = Small::<P>::new::<R>(by_point);
+    let jacobian_point = &buffers.jacobian_point[first * length..end * length];
+    let mut system = PointSystem::<P>::new::<R>(jacobian_point);
     let mut slope = 0.0;
     for k in 0..P {
-        if small.diagonal[k] > 0.0 {
-            slope = f64::max(slope, small.g[k].abs() / small.diagonal[k].sqrt());
+        if system.diagonal[k] > 0.0 {
+            slope = f64::max(slope, system.g[k].abs() / system.diagonal[k].sqrt());
         }
     }
-    if !small.factorize(lambda, point.frozen) {
+    if !system.factorize(lambda, point.frozen) {
         return Err(NotPositiveDefinite(Some(point.block as usize)));
     }
-    let u = small.forward(small.g);
+    let u = system.forward(system.g);
     // Q_i row by row, and what the point takes from each residual, Q_i u.
     let whitened = &mut buffers.whitened[..(end - first) * R * P];
     let along = &mut buffers.along[..(end - first) * R];
-    for ((record, q), along) in by_point
+    for ((record, q), along) in jacobian_point
         .chunks_exact(length)
         .zip(whitened.chunks_exact_mut(R * P))
         .zip(along.chunks_exact_mut(R))
@@ -62,7 +63,7 @@ pub(super) fn eliminate_point<
         for row in 0..R {
             let mut y = [0.0; P];
             y.copy_from_slice(&record[row * (P + 1)..row * (P + 1) + P]);
-            let y = small.forward(y);
+            let y = system.forward(y);
             q[row * P..(row + 1) * P].copy_from_slice(&y);
             along[row] = 0.0;
             for k in 0..P {
@@ -71,28 +72,28 @@ pub(super) fn eliminate_point<
         }
     }
     if S > 0 {
-        add_shared::<V, R, K, S, P, D>(simd, layout, share, buffers, (first, end), origin, &u);
+        add_shared::<V, R, K, S, P, D>(simd, layout, chunk, buffers, (first, end), origin, &u);
     }
     let stride = R * padded(K);
     for i in 0..end - first {
-        let local = share.local[layout.observed_by[origin + first + i] as usize];
+        let local = chunk.local[layout.observed_by[origin + first + i] as usize];
         if local == NONE {
             // Cameras are sorted by place: the fixed ones come last.
             break;
         }
         let local = local as usize;
-        let jacobian = &buffers.by_kept[(first + i) * stride..(first + i + 1) * stride];
-        let record = &buffers.by_point[(first + i) * length..(first + i + 1) * length];
+        let jacobian = &buffers.jacobian_camera[(first + i) * stride..(first + i + 1) * stride];
+        let record = &buffers.jacobian_point[(first + i) * length..(first + i + 1) * length];
         let along = &buffers.along[i * R..(i + 1) * R];
-        add_vectors::<V, R, K, P>(simd, jacobian, record, along, share, local);
+        add_vectors::<V, R, K, P>(simd, jacobian, record, along, chunk, local);
         let q_i = &buffers.whitened[i * R * P..(i + 1) * R * P];
         for j in 0..=i {
-            let other = share.local[layout.observed_by[origin + first + j] as usize] as usize;
+            let other = chunk.local[layout.observed_by[origin + first + j] as usize] as usize;
             let q_j = &buffers.whitened[j * R * P..(j + 1) * R * P];
             let middle = middle::<R, P>(q_i, q_j, i == j);
-            let at = share.block(local, other) * block_len(K);
-            let block = &mut share.values[at..at + block_len(K)];
-            let column = &buffers.by_kept[(first + j) * stride..(first + j + 1) * stride];
+            let at = chunk.block(local, other) * block_len(K);
+            let block = &mut chunk.values[at..at + block_len(K)];
+            let column = &buffers.jacobian_camera[(first + j) * stride..(first + j + 1) * stride];
             add_product::<V, R, K>(simd, block, jacobian, &middle, column);
             if i != j && local == other {
                 // One camera has measured the point twice: its diagonal block gets both halves.
@@ -127,13 +128,13 @@ fn add_vectors<V: Simd, const R: usize, const K: usize, const P: usize>(
     jacobian: &[f64],
     record: &[f64],
     along: &[f64],
-    share: &mut ShareWork<P>,
+    chunk: &mut ChunkSums<P>,
     local: usize,
 ) {
     let range = local * padded(K)..(local + 1) * padded(K);
-    let gradient = V::as_mut_simd_f64s(&mut share.gradient[range.clone()]).0;
-    let correction = V::as_mut_simd_f64s(&mut share.correction[range.clone()]).0;
-    let diagonal = V::as_mut_simd_f64s(&mut share.diagonal[range]).0;
+    let gradient = V::as_mut_simd_f64s(&mut chunk.gradient[range.clone()]).0;
+    let correction = V::as_mut_simd_f64s(&mut chunk.correction[range.clone()]).0;
+    let diagonal = V::as_mut_simd_f64s(&mut chunk.diagonal[range]).0;
     for row in 0..R {
         let line = V::as_simd_f64s(&jacobian[row * padded(K)..(row + 1) * padded(K)]).0;
         let r = simd.splat_f64s(record[row * (P + 1) + P]);

@@ -6,24 +6,24 @@
 //! are in the cache and stores nothing per observation ([`super::fused`]).
 
 use super::{
-    factor::{Batch, InfeasibleFactor, Point},
-    fused::{Fusable, FusedWork},
+    factor::{Batch, InfeasibleFactor, Values},
     problem::BlockId,
+    schur::{FusedElimination, FusionRequest},
 };
 use crate::lanes::Lane;
 use std::{marker::PhantomData, ops::Range};
 
 /// Residual and Jacobians of one factor, or of one per lane.
 #[derive(Debug, Clone, Copy)]
-pub struct Linearized<L, const R: usize, const K: usize, const S: usize, const P: usize> {
+pub struct LinearizedProjection<L, const R: usize, const K: usize, const S: usize, const P: usize> {
     /// The residual.
     pub residual: [L; R],
     /// By the tangent of the kept block.
-    pub by_kept: [[L; K]; R],
+    pub jacobian_camera: [[L; K]; R],
     /// By the tangent of the shared block.
-    pub by_shared: [[L; S]; R],
+    pub jacobian_shared: [[L; S]; R],
     /// By the eliminated block.
-    pub by_point: [[L; P]; R],
+    pub jacobian_point: [[L; P]; R],
 }
 
 /// A factor of a kept block (a camera), perhaps a block shared by many of those (a lens), and an
@@ -32,7 +32,7 @@ pub struct Linearized<L, const R: usize, const K: usize, const S: usize, const P
 /// `R` rows, `K`, `S` and `P` tangent dimensions (`S = 0`: nothing is shared), `Q` numbers prepared
 /// per kept block and linearisation, `D` numbers of data per observation. A value that is not
 /// finite says that the factor is infeasible there.
-pub trait PairFactor<
+pub trait ProjectionFactor<
     const R: usize,
     const K: usize,
     const S: usize,
@@ -53,7 +53,7 @@ pub trait PairFactor<
         prepared: &[L; Q],
         point: &[L; P],
         data: &[L; D],
-    ) -> Linearized<L, R, K, S, P>;
+    ) -> LinearizedProjection<L, R, K, S, P>;
 }
 
 /// Kept blocks that are held prepared while observations are gone through one by one.
@@ -61,28 +61,33 @@ const RECENT: usize = 32;
 
 /// One observation: its blocks and its data.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Pair<const D: usize> {
+pub struct Measurement<const D: usize> {
     /// Kept, shared (left out where nothing is shared), eliminated.
     blocks: [BlockId; 3],
     /// The data.
     pub data: [f64; D],
 }
 
-impl<const D: usize> Pair<D> {
+impl<const D: usize> Measurement<D> {
     /// An observation of `point` by `kept`.
-    pub fn new(kept: BlockId, point: BlockId, data: [f64; D]) -> Pair<D> {
-        Pair { blocks: [kept, point, point], data }
+    pub fn new(kept: BlockId, point: BlockId, data: [f64; D]) -> Measurement<D> {
+        Measurement { blocks: [kept, point, point], data }
     }
 
     /// An observation of `point` by `kept`, which shares `shared` with others.
-    pub fn with_shared(kept: BlockId, shared: BlockId, point: BlockId, data: [f64; D]) -> Pair<D> {
-        Pair { blocks: [kept, shared, point], data }
+    pub fn with_shared(
+        kept: BlockId,
+        shared: BlockId,
+        point: BlockId,
+        data: [f64; D],
+    ) -> Measurement<D> {
+        Measurement { blocks: [kept, shared, point], data }
     }
 }
 
 /// A batch of such factors.
 #[derive(Debug, Clone)]
-pub struct Pairs<
+pub struct ProjectionBatch<
     F,
     const R: usize,
     const K: usize,
@@ -91,23 +96,23 @@ pub struct Pairs<
     const Q: usize,
     const D: usize,
 > {
-    pub(super) pairs: Vec<Pair<D>>,
+    pub(super) pairs: Vec<Measurement<D>>,
     factor: PhantomData<F>,
 }
 
 impl<
-    F: PairFactor<R, K, S, P, Q, D>,
+    F: ProjectionFactor<R, K, S, P, Q, D>,
     const R: usize,
     const K: usize,
     const S: usize,
     const P: usize,
     const Q: usize,
     const D: usize,
-> Pairs<F, R, K, S, P, Q, D>
+> ProjectionBatch<F, R, K, S, P, Q, D>
 {
     /// A batch over these observations.
-    pub fn new(pairs: Vec<Pair<D>>) -> Self {
-        Pairs { pairs, factor: PhantomData }
+    pub fn new(pairs: Vec<Measurement<D>>) -> Self {
+        ProjectionBatch { pairs, factor: PhantomData }
     }
 
     fn arity() -> usize {
@@ -116,14 +121,14 @@ impl<
 }
 
 impl<
-    F: PairFactor<R, K, S, P, Q, D>,
+    F: ProjectionFactor<R, K, S, P, Q, D>,
     const R: usize,
     const K: usize,
     const S: usize,
     const P: usize,
     const Q: usize,
     const D: usize,
-> Batch for Pairs<F, R, K, S, P, Q, D>
+> Batch for ProjectionBatch<F, R, K, S, P, Q, D>
 {
     fn len(&self) -> usize {
         self.pairs.len()
@@ -140,7 +145,7 @@ impl<
     fn linearize(
         &self,
         range: Range<usize>,
-        x: Point<'_>,
+        x: Values<'_>,
         residual: &mut [f64],
         mut jacobian: Option<&mut [f64]>,
         width: usize,
@@ -170,9 +175,9 @@ impl<
                     out.copy_from_slice(&found.residual);
                     for row in 0..R {
                         let to = &mut all[(k * R + row) * width..(k * R + row + 1) * width];
-                        to[..K].copy_from_slice(&found.by_kept[row]);
-                        to[K..K + S].copy_from_slice(&found.by_shared[row]);
-                        to[K + S..].copy_from_slice(&found.by_point[row]);
+                        to[..K].copy_from_slice(&found.jacobian_camera[row]);
+                        to[K..K + S].copy_from_slice(&found.jacobian_shared[row]);
+                        to[K + S..].copy_from_slice(&found.jacobian_point[row]);
                     }
                 }
             }
@@ -183,12 +188,12 @@ impl<
         Ok(())
     }
 
-    fn fuse(&self, request: Fusable<'_>) -> Option<FusedWork> {
-        FusedWork::new::<F, R, K, S, P, Q, D>(&self.pairs, request)
+    fn fuse(&self, request: FusionRequest<'_>) -> Option<FusedElimination> {
+        FusedElimination::new::<F, R, K, S, P, Q, D>(&self.pairs, request)
     }
 }
 
-impl<const D: usize> Pair<D> {
+impl<const D: usize> Measurement<D> {
     #[inline(always)]
     pub(super) fn kept(&self) -> BlockId {
         self.blocks[0]

@@ -1,22 +1,22 @@
-//! The plan of the fused path: observations sorted by point, cameras counted, shares laid out.
+//! The plan of the fused path: observations sorted by point, cameras counted, chunks laid out.
 
 use super::{
-    Fusable,
-    groups::Records,
+    FusionRequest,
+    lanes::CameraCache,
     layout::{
-        Camera, Layout, MAX_CAMERA_RECORD, MAX_KEPT, MAX_RECORD, MAX_SHARED, PointAt, ShareWork,
+        Camera, ChunkSums, Layout, MAX_CAMERA_RECORD, MAX_KEPT, MAX_RECORD, MAX_SHARED, PointAt,
     },
 };
 use crate::nlls::{
-    pairs::{Pair, PairFactor},
     problem::Problem,
+    projection::{Measurement, ProjectionFactor},
     structure::{NONE, Structure},
 };
 use rayon::prelude::*;
 use std::marker::PhantomData;
 
 /// A batch of pairs, ready to be reduced.
-pub(super) struct Plan<
+pub(super) struct FusedPlan<
     F,
     const R: usize,
     const K: usize,
@@ -26,12 +26,12 @@ pub(super) struct Plan<
     const D: usize,
 > {
     pub(super) layout: Layout<K, S, D>,
-    pub(super) shares: Vec<ShareWork<P>>,
+    pub(super) chunks: Vec<ChunkSums<P>>,
     /// What the factor prepares of each camera, `Q` numbers; then the steps of the camera and of its
     /// shared block.
-    pub(super) prepared: Records,
+    pub(super) prepared: CameraCache,
     /// What it prepares at the trial values.
-    pub(super) trial_prepared: Records,
+    pub(super) trial_prepared: CameraCache,
     factor: PhantomData<F>,
 }
 
@@ -43,33 +43,33 @@ impl<
     const P: usize,
     const Q: usize,
     const D: usize,
-> std::fmt::Debug for Plan<F, R, K, S, P, Q, D>
+> std::fmt::Debug for FusedPlan<F, R, K, S, P, Q, D>
 {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "Plan({} observations)", self.layout.data.len())
+        write!(f, "FusedPlan({} observations)", self.layout.data.len())
     }
 }
 
 impl<
-    F: PairFactor<R, K, S, P, Q, D>,
+    F: ProjectionFactor<R, K, S, P, Q, D>,
     const R: usize,
     const K: usize,
     const S: usize,
     const P: usize,
     const Q: usize,
     const D: usize,
-> Plan<F, R, K, S, P, Q, D>
+> FusedPlan<F, R, K, S, P, Q, D>
 {
     /// The plan, or `None` where the batch does not have the shape for it.
-    pub(super) fn new(pairs: &[Pair<D>], request: Fusable<'_>) -> Option<Self> {
-        let Fusable { problem, structure, matrix, batch } = request;
+    pub(super) fn new(pairs: &[Measurement<D>], request: FusionRequest<'_>) -> Option<Self> {
+        let FusionRequest { problem, structure, matrix, batch } = request;
         if K > MAX_KEPT || R * (P + 1) > MAX_RECORD || Q + K + S > MAX_CAMERA_RECORD {
             return None;
         }
         if u32::try_from(pairs.len().max(*problem.offsets.last()?)).is_err() {
             return None;
         }
-        if structure.plain.iter().any(|&(other, _)| other as usize == batch) {
+        if structure.camera_only_factors.iter().any(|&(other, _)| other as usize == batch) {
             return None;
         }
         let points = find_points(problem, structure, batch)?;
@@ -82,7 +82,7 @@ impl<
         let free = |block: usize, k: usize| problem.blocks[block].frozen >> k & 1 == 0;
         let mask = |block: usize, k: usize| f64::from(u8::from(free(block, k)));
         let held = cameras.iter().any(|c| (0..K).any(|k| !free(c.block as usize, k)));
-        let moves = |block: usize| structure.place[block] != NONE;
+        let moves = |block: usize| structure.kept_index[block] != NONE;
         let lens_columns: Vec<usize> = (0..S)
             .filter(|&k| shared_blocks.iter().any(|&block| moves(block) && free(block, k)))
             .collect();
@@ -101,23 +101,23 @@ impl<
                 })
                 .collect(),
             lens_columns,
-            shared: shared_blocks.iter().map(|&block| structure.place[block]).collect(),
+            shared: shared_blocks.iter().map(|&block| structure.kept_index[block]).collect(),
             points,
             tangents: structure.kept.iter().map(|&k| problem.blocks[k].tangent).collect(),
             observed_by,
             data,
             cameras,
         };
-        let shares = structure
-            .shares
+        let chunks = structure
+            .chunks
             .par_iter()
-            .map(|share| ShareWork::new(share, &layout, matrix, R))
+            .map(|chunk| ChunkSums::new(chunk, &layout, matrix, R))
             .collect::<Option<Vec<_>>>()?;
         let count = layout.cameras.len();
-        Some(Plan {
-            shares,
-            prepared: Records::new(count, Q + K + S),
-            trial_prepared: Records::new(count, Q),
+        Some(FusedPlan {
+            chunks,
+            prepared: CameraCache::new(count, Q + K + S),
+            trial_prepared: CameraCache::new(count, Q),
             factor: PhantomData,
             layout,
         })
@@ -150,7 +150,7 @@ impl<
 }
 
 fn prepare_cameras<
-    F: PairFactor<R, K, S, P, Q, D>,
+    F: ProjectionFactor<R, K, S, P, Q, D>,
     const R: usize,
     const K: usize,
     const S: usize,
@@ -161,9 +161,9 @@ fn prepare_cameras<
     layout: &Layout<K, S, D>,
     problem: &Problem,
     x: &[f64],
-    out: &mut Records,
+    out: &mut CameraCache,
 ) {
-    let point = problem.point(x);
+    let point = problem.all_values(x);
     for (camera, out) in layout.cameras.iter().zip(out.each()) {
         let kept = point.block(Problem::id(camera.block as usize));
         let shared =
@@ -196,7 +196,7 @@ fn find_points(problem: &Problem, structure: &Structure, batch: usize) -> Option
 
 /// Camera and data of each observation, those of one point in the order of their cameras.
 fn collect<const D: usize>(
-    pairs: &[Pair<D>],
+    pairs: &[Measurement<D>],
     structure: &Structure,
     points: &[PointAt],
     ordinal: &[u32],
@@ -204,13 +204,13 @@ fn collect<const D: usize>(
     let total = points.last().map_or(0, |end| end.first as usize);
     let (mut observed_by, mut data) = (vec![0; total], vec![[0.0; D]; total]);
     let (mut cameras_left, mut data_left) = (&mut observed_by[..], &mut data[..]);
-    let mut parts = Vec::with_capacity(structure.shares.len());
-    for share in &structure.shares {
-        let ends = (points[share.eliminated.start].first, points[share.eliminated.end].first);
+    let mut parts = Vec::with_capacity(structure.chunks.len());
+    for chunk in &structure.chunks {
+        let ends = (points[chunk.eliminated.start].first, points[chunk.eliminated.end].first);
         let count = (ends.1 - ends.0) as usize;
         let cameras = cameras_left.split_off_mut(..count).unwrap_or_default();
         let data = data_left.split_off_mut(..count).unwrap_or_default();
-        parts.push((share.eliminated.clone(), cameras, data));
+        parts.push((chunk.eliminated.clone(), cameras, data));
     }
     parts.into_par_iter().with_max_len(1).for_each(|(range, cameras, data)| {
         let (mut one, mut at) = (Vec::new(), 0);
@@ -233,10 +233,10 @@ fn collect<const D: usize>(
 /// The kept blocks of the batch and the shared ones; `None` where one kept block goes with several
 /// shared ones, or there are too many of those.
 fn find_cameras<const D: usize, const S: usize>(
-    pairs: &[Pair<D>],
+    pairs: &[Measurement<D>],
     structure: &Structure,
 ) -> Option<(Vec<Camera>, Vec<usize>)> {
-    let mut ordinal = vec![NONE; structure.place.len()];
+    let mut ordinal = vec![NONE; structure.kept_index.len()];
     let mut cameras: Vec<Camera> = Vec::new();
     let mut shared: Vec<usize> = Vec::new();
     for pair in pairs {
@@ -256,7 +256,7 @@ fn find_cameras<const D: usize, const S: usize>(
             cameras.push(Camera {
                 block: block as u32,
                 shared: lens_block as u32,
-                place: structure.place[block],
+                place: structure.kept_index[block],
                 lens: lens as u32,
             });
         } else if S > 0 && cameras[ordinal[block] as usize].shared as usize != lens_block {

@@ -1,28 +1,28 @@
 //! The parts of one Levenberg-Marquardt step, one by one: for benchmarks and for looking inside.
 
-use super::{Linear, normal::Normal, problem::Problem, trust_region::LINEAR_TOLERANCE};
+use super::{LinearSolver, normal::Normal, problem::Problem, trust_region::LINEAR_TOLERANCE};
 use crate::engine::SolveError;
 
 /// A problem whose steps are made part by part. The parts are called in the order in which they
 /// are written here; calling them in another order gives numbers without meaning.
 #[derive(Debug)]
-pub struct Stages<'a> {
+pub struct StepProfiler<'a> {
     problem: &'a Problem,
     normal: Normal,
     x: Vec<f64>,
     step: Vec<f64>,
 }
 
-impl<'a> Stages<'a> {
+impl<'a> StepProfiler<'a> {
     /// Analyses the problem at its starting values. Without `fuse`, Jacobians are stored even
     /// where they need not be.
     ///
     /// # Errors
     /// Where the problem cannot be solved as posed.
-    pub fn new(problem: &'a Problem, linear: Linear, fuse: bool) -> Result<Self, SolveError> {
+    pub fn new(problem: &'a Problem, linear: LinearSolver, fuse: bool) -> Result<Self, SolveError> {
         let normal = Normal::new(problem, linear, LINEAR_TOLERANCE, fuse)?;
         let step = vec![0.0; normal.gradient.len()];
-        Ok(Stages { problem, normal, x: problem.start(), step })
+        Ok(StepProfiler { problem, normal, x: problem.start(), step })
     }
 
     /// The cost at the starting values.

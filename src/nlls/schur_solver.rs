@@ -1,27 +1,31 @@
 //! How the reduced system is solved: by a factorisation or by iteration.
 
 use super::{
-    Linear,
+    LinearSolver,
     cholesky::{BlockMatrix, Cholesky, NotPositiveDefinite},
     conjugate::ConjugateGradients,
 };
 
 /// A solver of one pattern.
 #[derive(Debug)]
-pub(super) enum Reduced {
+pub(super) enum SchurSolver {
     Direct(Cholesky),
     Iterative(ConjugateGradients),
 }
 
-impl Reduced {
+impl SchurSolver {
     /// Analyses the pattern of `matrix`; `tolerance` is that of an iteration.
-    pub(super) fn analyze(matrix: &BlockMatrix, linear: Linear, tolerance: f64) -> Reduced {
+    pub(super) fn analyze(
+        matrix: &BlockMatrix,
+        linear: LinearSolver,
+        tolerance: f64,
+    ) -> SchurSolver {
         match linear {
-            Linear::IterativeSchur => {
-                Reduced::Iterative(ConjugateGradients::new(matrix, tolerance))
+            LinearSolver::IterativeSchur => {
+                SchurSolver::Iterative(ConjugateGradients::new(matrix, tolerance))
             }
-            Linear::Dense | Linear::Sparse | Linear::Schur => {
-                Reduced::Direct(Cholesky::analyze(matrix, linear == Linear::Dense))
+            LinearSolver::Dense | LinearSolver::Sparse | LinearSolver::Schur => {
+                SchurSolver::Direct(Cholesky::analyze(matrix, linear == LinearSolver::Dense))
             }
         }
     }
@@ -29,8 +33,8 @@ impl Reduced {
     /// Makes ready for the values of `matrix`, whose pattern is the one that was analysed.
     pub(super) fn factorize(&mut self, matrix: &BlockMatrix) -> Result<(), NotPositiveDefinite> {
         match self {
-            Reduced::Direct(cholesky) => cholesky.factorize(matrix),
-            Reduced::Iterative(iteration) => iteration.prepare(matrix),
+            SchurSolver::Direct(cholesky) => cholesky.factorize(matrix),
+            SchurSolver::Iterative(iteration) => iteration.prepare(matrix),
         }
     }
 
@@ -38,8 +42,8 @@ impl Reduced {
     /// factorised.
     pub(super) fn solve(&mut self, matrix: &BlockMatrix, rhs: &mut [f64], columns: usize) {
         match self {
-            Reduced::Direct(cholesky) => cholesky.solve(rhs, columns),
-            Reduced::Iterative(iteration) => {
+            SchurSolver::Direct(cholesky) => cholesky.solve(rhs, columns),
+            SchurSolver::Iterative(iteration) => {
                 for column in rhs.chunks_mut(matrix.dimension().max(1)) {
                     iteration.solve(matrix, column);
                 }
@@ -51,16 +55,16 @@ impl Reduced {
     /// iteration, which factorises nothing.
     pub(super) fn selected_inverse(&self, matrix: &BlockMatrix) -> Option<BlockMatrix> {
         match self {
-            Reduced::Direct(cholesky) => Some(cholesky.selected_inverse(matrix)),
-            Reduced::Iterative(_) => None,
+            SchurSolver::Direct(cholesky) => Some(cholesky.selected_inverse(matrix)),
+            SchurSolver::Iterative(_) => None,
         }
     }
 
     /// Products with the matrix that iterations made since this was last asked.
     pub(super) fn take_products(&mut self) -> u64 {
         match self {
-            Reduced::Direct(_) => 0,
-            Reduced::Iterative(iteration) => std::mem::take(&mut iteration.products),
+            SchurSolver::Direct(_) => 0,
+            SchurSolver::Iterative(iteration) => std::mem::take(&mut iteration.products),
         }
     }
 }

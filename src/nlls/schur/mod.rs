@@ -12,31 +12,31 @@
 //! Back-substitution linearises once more instead of reading Jacobians from memory, moves the point
 //! and evaluates the trial cost while it is at hand. Nothing per observation is ever stored.
 
-mod add;
-mod groups;
+mod accumulate;
+mod lanes;
 mod layout;
 mod linearize;
 mod plan;
 mod point;
-mod shared;
-mod small;
+mod point_system;
+mod shared_block;
 mod sweep;
 
 use super::{
-    Loss,
     cholesky::{BlockMatrix, NotPositiveDefinite},
-    pairs::{Pair, PairFactor},
+    loss::BatchLoss,
     problem::Problem,
+    projection::{Measurement, ProjectionFactor},
     structure::Structure,
 };
-use groups::share_cost;
-use plan::Plan;
+use lanes::chunk_cost;
+use plan::FusedPlan;
 use rayon::prelude::*;
-use sweep::{eliminate_share, substitute_share};
+use sweep::{back_substitute_chunk, eliminate_chunk};
 
 /// What a batch needs to know to offer its fused form.
 #[derive(Debug)]
-pub struct Fusable<'a> {
+pub struct FusionRequest<'a> {
     problem: &'a Problem,
     structure: &'a Structure,
     matrix: &'a BlockMatrix,
@@ -45,23 +45,23 @@ pub struct Fusable<'a> {
 
 /// A batch's fused form.
 #[derive(Debug)]
-pub struct FusedWork(pub(super) Box<dyn Work>);
+pub struct FusedElimination(pub(super) Box<dyn Eliminator>);
 
-/// The one batch that touches eliminated blocks, in its fused form, if it has one.
+/// The one batch whose factors depend on eliminated blocks, in its fused form, if it has one.
 pub(super) fn find(
     problem: &Problem,
     structure: &Structure,
     matrix: &BlockMatrix,
-) -> Option<(usize, FusedWork)> {
+) -> Option<(usize, FusedElimination)> {
     let (first, _) = structure.factors(0).first()?;
     let batch = *first as usize;
-    let request = Fusable { problem, structure, matrix, batch };
+    let request = FusionRequest { problem, structure, matrix, batch };
     problem.batches[batch].batch.fuse(request).map(|work| (batch, work))
 }
 
-impl FusedWork {
+impl FusedElimination {
     pub(super) fn new<
-        F: PairFactor<R, K, S, P, Q, D>,
+        F: ProjectionFactor<R, K, S, P, Q, D>,
         const R: usize,
         const K: usize,
         const S: usize,
@@ -69,24 +69,24 @@ impl FusedWork {
         const Q: usize,
         const D: usize,
     >(
-        pairs: &[Pair<D>],
-        request: Fusable<'_>,
-    ) -> Option<FusedWork> {
-        let plan = Plan::<F, R, K, S, P, Q, D>::new(pairs, request)?;
-        Some(FusedWork(Box::new(plan)))
+        pairs: &[Measurement<D>],
+        request: FusionRequest<'_>,
+    ) -> Option<FusedElimination> {
+        let plan = FusedPlan::<F, R, K, S, P, Q, D>::new(pairs, request)?;
+        Some(FusedElimination(Box::new(plan)))
     }
 }
 
 /// What decides one linearisation.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Settings {
-    pub(super) loss: Loss,
+pub(super) struct Settings<'a> {
+    pub(super) loss: &'a BatchLoss,
     pub(super) curvature_share: f64,
     pub(super) lambda: f64,
 }
 
 /// Where the sums of a reduction go; kept blocks only.
-pub(super) struct Sums<'a> {
+pub(super) struct NormalEquationsMut<'a> {
     pub(super) matrix: &'a mut BlockMatrix,
     /// `J^T r` and the diagonal of `J^T J` over tangents.
     pub(super) gradient: &'a mut [f64],
@@ -97,7 +97,7 @@ pub(super) struct Sums<'a> {
 
 /// What came of moving the points.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub(super) struct Moved {
+pub(super) struct BackSubstitution {
     /// Cost at the trial values; infinite where one of them is infeasible.
     pub(super) cost: f64,
     /// The points' part of the predicted decrease.
@@ -105,21 +105,21 @@ pub(super) struct Moved {
     /// The points' part of `|D^1/2 d|^2`.
     pub(super) squared_length: f64,
     /// The largest entry of any point's step.
-    pub(super) movement: f64,
+    pub(super) step_norm: f64,
 }
 
 /// What the engine asks of a fused batch.
-pub(super) trait Work: Send + Sync + std::fmt::Debug {
+pub(super) trait Eliminator: Send + Sync + std::fmt::Debug {
     /// The cost at `x`; infinite where a factor is infeasible.
-    fn cost(&mut self, problem: &Problem, x: &[f64], loss: Loss) -> f64;
+    fn cost(&mut self, problem: &Problem, x: &[f64], loss: &BatchLoss) -> f64;
 
     /// Adds the batch to the reduced system; returns the largest `|g_k| / sqrt(D_k)` of the points.
     fn reduce(
         &mut self,
         problem: &Problem,
         x: &[f64],
-        settings: Settings,
-        sums: Sums<'_>,
+        settings: Settings<'_>,
+        sums: NormalEquationsMut<'_>,
     ) -> Result<f64, NotPositiveDefinite>;
 
     /// Writes the moved points into `trial`, which holds the moved kept blocks already; `step` is
@@ -128,29 +128,29 @@ pub(super) trait Work: Send + Sync + std::fmt::Debug {
         &mut self,
         problem: &Problem,
         x: &[f64],
-        settings: Settings,
+        settings: Settings<'_>,
         step: &[f64],
         trial: &mut [f64],
-    ) -> Moved;
+    ) -> BackSubstitution;
 }
 
 impl<
-    F: PairFactor<R, K, S, P, Q, D>,
+    F: ProjectionFactor<R, K, S, P, Q, D>,
     const R: usize,
     const K: usize,
     const S: usize,
     const P: usize,
     const Q: usize,
     const D: usize,
-> Work for Plan<F, R, K, S, P, Q, D>
+> Eliminator for FusedPlan<F, R, K, S, P, Q, D>
 {
-    fn cost(&mut self, problem: &Problem, x: &[f64], loss: Loss) -> f64 {
+    fn cost(&mut self, problem: &Problem, x: &[f64], loss: &BatchLoss) -> f64 {
         self.prepare(problem, x);
         let (layout, prepared) = (&self.layout, &self.prepared);
         let costs: Vec<f64> = self
-            .shares
+            .chunks
             .par_iter()
-            .map(|share| share_cost::<F, R, K, S, P, Q, D>(layout, share, prepared, x, loss))
+            .map(|chunk| chunk_cost::<F, R, K, S, P, Q, D>(layout, chunk, prepared, x, loss))
             .collect();
         finite_or_infinite(costs.iter().sum::<f64>())
     }
@@ -159,20 +159,20 @@ impl<
         &mut self,
         problem: &Problem,
         x: &[f64],
-        settings: Settings,
-        mut sums: Sums<'_>,
+        settings: Settings<'_>,
+        mut sums: NormalEquationsMut<'_>,
     ) -> Result<f64, NotPositiveDefinite> {
         self.prepare(problem, x);
         let (layout, prepared) = (&self.layout, &self.prepared);
         let largest = self
-            .shares
+            .chunks
             .par_iter_mut()
-            .map(|share| {
-                eliminate_share::<F, R, K, S, P, Q, D>(layout, share, prepared, x, settings)
+            .map(|chunk| {
+                eliminate_chunk::<F, R, K, S, P, Q, D>(layout, chunk, prepared, x, settings)
             })
             .collect::<Result<Vec<f64>, NotPositiveDefinite>>()?;
-        for share in &self.shares {
-            layout.add_share(share, &mut sums);
+        for chunk in &self.chunks {
+            layout.add_chunk(chunk, &mut sums);
         }
         Ok(largest.into_iter().fold(0.0, f64::max))
     }
@@ -181,33 +181,33 @@ impl<
         &mut self,
         problem: &Problem,
         x: &[f64],
-        settings: Settings,
+        settings: Settings<'_>,
         step: &[f64],
         trial: &mut [f64],
-    ) -> Moved {
+    ) -> BackSubstitution {
         self.prepare_steps(problem, step);
         self.prepare_trial(problem, trial);
         let layout = &self.layout;
         let prepared = (&self.prepared, &self.trial_prepared);
-        let moved: Vec<Moved> = self
-            .shares
+        let moved: Vec<BackSubstitution> = self
+            .chunks
             .par_iter_mut()
-            .map(|share| {
-                substitute_share::<F, R, K, S, P, Q, D>(layout, share, prepared, x, settings)
+            .map(|chunk| {
+                back_substitute_chunk::<F, R, K, S, P, Q, D>(layout, chunk, prepared, x, settings)
             })
             .collect();
-        for share in &self.shares {
-            for (e, values) in share.range.clone().zip(&share.moved) {
+        for chunk in &self.chunks {
+            for (e, values) in chunk.range.clone().zip(&chunk.moved) {
                 let at = layout.points[e].at as usize;
                 trial[at..at + P].copy_from_slice(values);
             }
         }
-        let mut total = Moved::default();
+        let mut total = BackSubstitution::default();
         for moved in moved {
             total.cost += moved.cost;
             total.predicted += moved.predicted;
             total.squared_length += moved.squared_length;
-            total.movement = total.movement.max(moved.movement);
+            total.step_norm = total.step_norm.max(moved.step_norm);
         }
         total.cost = finite_or_infinite(total.cost);
         total

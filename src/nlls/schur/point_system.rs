@@ -1,10 +1,10 @@
-//! The small system of one point.
+//! The normal equations of one point.
 
 use super::layout::point_record;
-use crate::nlls::eliminate::damping;
+use crate::nlls::elimination::damping;
 
 /// `V`, its damping and `g` of one point.
-pub(super) struct Small<const P: usize> {
+pub(super) struct PointSystem<const P: usize> {
     /// The lower triangle of `V`, then its Cholesky factor with the pivots inverted.
     v: [[f64; P]; P],
     pub(super) g: [f64; P],
@@ -14,7 +14,7 @@ pub(super) struct Small<const P: usize> {
     pub(super) diagonal: [f64; P],
 }
 
-impl<const P: usize> Small<P> {
+impl<const P: usize> PointSystem<P> {
     /// Sums over the records of a point's observations, `R` rows each.
     #[inline(always)]
     pub(super) fn new<const R: usize>(records: &[f64]) -> Self {
@@ -34,7 +34,7 @@ impl<const P: usize> Small<P> {
         for k in 0..P {
             diagonal[k] = v[k][k];
         }
-        Small { v, g, damped: [0.0; P], diagonal }
+        PointSystem { v, g, damped: [0.0; P], diagonal }
     }
 
     /// Damps and factorises, holding the entries with a bit in `frozen`; `false` where the matrix

@@ -1,33 +1,41 @@
-//! The sums of a share into the reduced system.
+//! The sums of a chunk into the reduced system.
 
 use super::{
-    Sums,
-    layout::{Layout, ShareWork, block_len, padded},
+    NormalEquationsMut,
+    layout::{ChunkSums, Layout, block_len, padded},
 };
-use crate::nlls::{eliminate::inner, structure::NONE};
+use crate::nlls::{elimination::inner, structure::NONE};
 
 impl<const K: usize, const S: usize, const D: usize> Layout<K, S, D> {
-    /// Adds the sums of one share to the reduced system.
-    pub(super) fn add_share<const P: usize>(&self, share: &ShareWork<P>, sums: &mut Sums<'_>) {
-        for (ordinal, &slot) in share.slots.iter().enumerate() {
+    /// Adds the sums of one chunk to the reduced system.
+    pub(super) fn add_chunk<const P: usize>(
+        &self,
+        chunk: &ChunkSums<P>,
+        sums: &mut NormalEquationsMut<'_>,
+    ) {
+        for (ordinal, &slot) in chunk.slots.iter().enumerate() {
             let at = sums.matrix.value_ptr[slot as usize];
             let to = &mut sums.matrix.values[at..at + K * K];
-            add_block::<K>(&share.values[ordinal * block_len(K)..], to);
+            add_block::<K>(&chunk.values[ordinal * block_len(K)..], to);
         }
-        for (k, &camera) in share.members.iter().enumerate() {
+        for (k, &camera) in chunk.members.iter().enumerate() {
             let place = self.cameras[camera as usize].place as usize;
             let (tangent, start) = (self.tangents[place], sums.matrix.starts[place]);
             for i in 0..K {
                 let from = k * padded(K) + i;
-                sums.gradient[tangent + i] += share.gradient[from];
-                sums.diagonal[tangent + i] += share.diagonal[from];
-                sums.correction[start + i] += share.correction[from];
+                sums.gradient[tangent + i] += chunk.gradient[from];
+                sums.diagonal[tangent + i] += chunk.diagonal[from];
+                sums.correction[start + i] += chunk.correction[from];
             }
         }
-        self.add_shared_blocks(share, sums);
+        self.add_shared_blocks(chunk, sums);
     }
 
-    fn add_shared_blocks<const P: usize>(&self, share: &ShareWork<P>, sums: &mut Sums<'_>) {
+    fn add_shared_blocks<const P: usize>(
+        &self,
+        chunk: &ChunkSums<P>,
+        sums: &mut NormalEquationsMut<'_>,
+    ) {
         let (lenses, width) = (self.shared.len(), self.lens_width());
         if width == 0 {
             return;
@@ -38,20 +46,20 @@ impl<const K: usize, const S: usize, const D: usize> Layout<K, S, D> {
             let place = place as usize;
             let (tangent, start) = (self.tangents[place], sums.matrix.starts[place]);
             for (k, &i) in columns.iter().enumerate() {
-                sums.gradient[tangent + i] += share.lens_gradient[l * width + k];
-                sums.diagonal[tangent + i] += share.lens_diagonal[l * width + k];
-                sums.correction[start + i] += share.lens_correction[l * width + k];
+                sums.gradient[tangent + i] += chunk.lens_gradient[l * width + k];
+                sums.diagonal[tangent + i] += chunk.lens_diagonal[l * width + k];
+                sums.correction[start + i] += chunk.lens_correction[l * width + k];
             }
             let lens = Side { place, dimensions: S, entries: columns };
-            for (k, &camera) in share.members.iter().enumerate() {
+            for (k, &camera) in chunk.members.iter().enumerate() {
                 let place = self.cameras[camera as usize].place as usize;
                 let camera = Side { place, dimensions: K, entries: &all };
-                let from = &share.camera_lens[(k * lenses + l) * K * width..][..K * width];
+                let from = &chunk.camera_lens[(k * lenses + l) * K * width..][..K * width];
                 add_rectangle(sums, camera, lens, from);
             }
             for (m, &other) in self.shared[..=l].iter().enumerate() {
                 if other != NONE {
-                    let from = &share.lens_lens[(l * lenses + m) * width * width..];
+                    let from = &chunk.lens_lens[(l * lenses + m) * width * width..];
                     let other = Side { place: other as usize, ..lens };
                     add_rectangle(sums, lens, other, &from[..width * width]);
                 }
@@ -72,7 +80,7 @@ struct Side<'a> {
 }
 
 /// Adds a row-major block of kept blocks, its rows padded, in whichever triangle it is stored.
-fn add_rectangle(sums: &mut Sums<'_>, row: Side<'_>, column: Side<'_>, from: &[f64]) {
+fn add_rectangle(sums: &mut NormalEquationsMut<'_>, row: Side<'_>, column: Side<'_>, from: &[f64]) {
     let turned = row.place < column.place;
     let Some(slot) = sums.matrix.slot(row.place.max(column.place), row.place.min(column.place))
     else {
@@ -89,7 +97,7 @@ fn add_rectangle(sums: &mut Sums<'_>, row: Side<'_>, column: Side<'_>, from: &[f
     }
 }
 
-/// Adds a block in the shares' layout to a column-major one.
+/// Adds a block in the chunks' layout to a column-major one.
 fn add_block<const K: usize>(from: &[f64], to: &mut [f64]) {
     let whole = K / 8 * 8;
     for i in 0..K {

@@ -1,13 +1,13 @@
-//! Linearisation of one chunk, laid out one observation after the other, loss included.
+//! Linearisation of one tile, laid out one observation after the other, loss included.
 
 use super::{
     Settings,
-    groups::{Groups, Records, Stage, coordinates, load_all},
+    lanes::{CameraCache, LaneBuffer, LaneGroups, coordinates, load_all},
     layout::{Buffers, Layout, MAX_CAMERA_RECORD, MAX_RECORD, padded, point_record},
 };
 use crate::{
     lanes::{Lane, MAX_WIDTH, Register, scatter},
-    nlls::{factor::robust_weights, loss::Loss, pairs::PairFactor},
+    nlls::{factor::robust_weights, projection::ProjectionFactor},
 };
 use pulp::Simd;
 use std::ops::Range;
@@ -16,25 +16,25 @@ use std::ops::Range;
 #[inline(always)]
 fn scatter_points<V: Simd, const R: usize, const P: usize>(
     simd: V,
-    by_point: &[[Register<V>; P]; R],
+    jacobian_point: &[[Register<V>; P]; R],
     residual: &[Register<V>; R],
     to: &mut [f64],
 ) {
     let mut record = [residual[0]; MAX_RECORD];
     for row in 0..R {
         for k in 0..P {
-            record[row * (P + 1) + k] = by_point[row][k];
+            record[row * (P + 1) + k] = jacobian_point[row][k];
         }
         record[row * (P + 1) + P] = residual[row];
     }
     scatter(simd, &record[..R * (P + 1)], to, point_record(R, P));
 }
 
-/// Linearises the observations of `chunk` into the buffers.
+/// Linearises the observations of `tile` into the buffers.
 #[inline(always)]
-pub(super) fn linearize_chunk<
+pub(super) fn linearize_tile<
     V: Simd,
-    F: PairFactor<R, K, S, P, Q, D>,
+    F: ProjectionFactor<R, K, S, P, Q, D>,
     const R: usize,
     const K: usize,
     const S: usize,
@@ -44,36 +44,36 @@ pub(super) fn linearize_chunk<
 >(
     simd: V,
     layout: &Layout<K, S, D>,
-    chunk: Range<usize>,
-    prepared: &Records,
+    tile: Range<usize>,
+    prepared: &CameraCache,
     x: &[f64],
-    settings: &Settings,
+    settings: &Settings<'_>,
     buffers: &mut Buffers,
 ) {
-    let origin = layout.points[chunk.start].first as usize;
+    let origin = layout.points[tile.start].first as usize;
     let value = |e: usize| coordinates::<P>(x, layout.points[e].at);
-    let (mut stage, mut groups) = (Stage::<P, D>::new(), Groups::new(layout, &chunk));
+    let (mut buffer, mut groups) = (LaneBuffer::<P, D>::new(), LaneGroups::new(layout, &tile));
     let width = Register::<V>::WIDTH;
-    while let Some((first, count)) = groups.fill(&mut stage, layout, width, value) {
-        let (point, data) = stage.load(simd);
-        let prepared = load_all(simd, &stage.cameras::<V, Q>(simd, prepared));
+    while let Some((first, count)) = groups.fill(&mut buffer, layout, width, value) {
+        let (point, data) = buffer.load(simd);
+        let prepared = load_all(simd, &buffer.cameras::<V, Q>(simd, prepared));
         let found = F::linearize(&prepared, &point, &data);
-        let to = &mut buffers.by_point[first * point_record(R, P)..];
-        scatter_points(simd, &found.by_point, &found.residual, to);
+        let to = &mut buffers.jacobian_point[first * point_record(R, P)..];
+        scatter_points(simd, &found.jacobian_point, &found.residual, to);
         for row in 0..R {
-            let to = &mut buffers.by_kept[(first * R + row) * padded(K)..];
-            scatter(simd, &found.by_kept[row], to, R * padded(K));
+            let to = &mut buffers.jacobian_camera[(first * R + row) * padded(K)..];
+            scatter(simd, &found.jacobian_camera[row], to, R * padded(K));
             if S > 0 && !layout.lens_columns.is_empty() {
                 let mut free = [found.residual[0]; S];
                 for (to, &k) in free.iter_mut().zip(&layout.lens_columns) {
-                    *to = found.by_shared[row][k];
+                    *to = found.jacobian_shared[row][k];
                 }
-                let to = &mut buffers.by_shared[(first * R + row) * layout.lens_width()..];
+                let to = &mut buffers.jacobian_shared[(first * R + row) * layout.lens_width()..];
                 let count = layout.lens_columns.len();
                 scatter(simd, &free[..count], to, R * layout.lens_width());
             }
         }
-        if settings.loss != Loss::Trivial {
+        if !settings.loss.is_trivial() {
             for o in first..first + count {
                 weigh::<V, R, K, P>(simd, settings, buffers, layout.lens_width(), o);
             }
@@ -134,22 +134,22 @@ fn fold_rows<V: Simd, const R: usize>(
 #[inline(always)]
 fn weigh<V: Simd, const R: usize, const K: usize, const P: usize>(
     simd: V,
-    settings: &Settings,
+    settings: &Settings<'_>,
     buffers: &mut Buffers,
     lens_width: usize,
     o: usize,
 ) {
-    let record = &mut buffers.by_point[o * point_record(R, P)..(o + 1) * point_record(R, P)];
+    let record = &mut buffers.jacobian_point[o * point_record(R, P)..(o + 1) * point_record(R, P)];
     let weights = weigh_point::<R, P>(settings, record);
     let (kept, shared) = (R * padded(K), R * lens_width);
-    fold_rows(simd, &mut buffers.by_kept[o * kept..(o + 1) * kept], &weights);
-    fold_rows(simd, &mut buffers.by_shared[o * shared..(o + 1) * shared], &weights);
+    fold_rows(simd, &mut buffers.jacobian_camera[o * kept..(o + 1) * kept], &weights);
+    fold_rows(simd, &mut buffers.jacobian_shared[o * shared..(o + 1) * shared], &weights);
 }
 
 /// Folds the loss into the residual and the Jacobian by the point; returns `(weight, shift, r)`.
 #[inline(always)]
 fn weigh_point<const R: usize, const P: usize>(
-    settings: &Settings,
+    settings: &Settings<'_>,
     record: &mut [f64],
 ) -> (f64, f64, [f64; R]) {
     let mut residual = [0.0; R];
@@ -176,23 +176,24 @@ fn freeze<const R: usize, const K: usize, const S: usize, const D: usize>(
 ) {
     let camera = layout.observed_by[origin + o] as usize;
     if let Some(mask) = layout.camera_mask.get(camera) {
-        for row in buffers.by_kept[o * R * padded(K)..].chunks_exact_mut(padded(K)).take(R) {
+        for row in buffers.jacobian_camera[o * R * padded(K)..].chunks_exact_mut(padded(K)).take(R)
+        {
             row.iter_mut().zip(mask).for_each(|(v, mask)| *v *= mask);
         }
     }
     if let Some(mask) = layout.lens_mask.get(layout.cameras[camera].lens as usize) {
         let width = layout.lens_width();
-        for row in buffers.by_shared[o * R * width..].chunks_exact_mut(width).take(R) {
+        for row in buffers.jacobian_shared[o * R * width..].chunks_exact_mut(width).take(R) {
             row.iter_mut().zip(mask).for_each(|(v, mask)| *v *= mask);
         }
     }
 }
 
-/// For each observation of `chunk` its residual, Jacobian by the point, and `Jc d_c + Js d_s`.
+/// For each observation of `tile` its residual, Jacobian by the point, and `Jc d_c + Js d_s`.
 #[inline(always)]
-pub(super) fn apply_chunk<
+pub(super) fn apply_tile<
     V: Simd,
-    F: PairFactor<R, K, S, P, Q, D>,
+    F: ProjectionFactor<R, K, S, P, Q, D>,
     const R: usize,
     const K: usize,
     const S: usize,
@@ -202,42 +203,42 @@ pub(super) fn apply_chunk<
 >(
     simd: V,
     layout: &Layout<K, S, D>,
-    chunk: Range<usize>,
-    prepared: &Records,
+    tile: Range<usize>,
+    prepared: &CameraCache,
     x: &[f64],
-    settings: &Settings,
+    settings: &Settings<'_>,
     buffers: &mut Buffers,
 ) {
     let value = |e: usize| coordinates::<P>(x, layout.points[e].at);
-    let (mut stage, mut groups) = (Stage::<P, D>::new(), Groups::new(layout, &chunk));
+    let (mut buffer, mut groups) = (LaneBuffer::<P, D>::new(), LaneGroups::new(layout, &tile));
     let width = Register::<V>::WIDTH;
-    while let Some((first, count)) = groups.fill(&mut stage, layout, width, value) {
-        let (point, data) = stage.load(simd);
+    while let Some((first, count)) = groups.fill(&mut buffer, layout, width, value) {
+        let (point, data) = buffer.load(simd);
         let mut records = [[0.0; MAX_WIDTH]; MAX_CAMERA_RECORD];
-        stage.gather(simd, prepared, &mut records[..Q + K + S]);
+        buffer.gather(simd, prepared, &mut records[..Q + K + S]);
         let mut camera = [Register::load(simd, &records[0]); Q];
         for k in 0..Q {
             camera[k] = Register::load(simd, &records[k]);
         }
         let found = F::linearize(&camera, &point, &data);
-        let to = &mut buffers.by_point[first * point_record(R, P)..];
-        scatter_points(simd, &found.by_point, &found.residual, to);
+        let to = &mut buffers.jacobian_point[first * point_record(R, P)..];
+        scatter_points(simd, &found.jacobian_point, &found.residual, to);
         let mut along = found.residual;
         for row in 0..R {
-            along[row] = found.by_kept[row][0] * Register::load(simd, &records[Q]);
+            along[row] = found.jacobian_camera[row][0] * Register::load(simd, &records[Q]);
             for k in 1..K {
                 let d = Register::load(simd, &records[Q + k]);
-                along[row] = found.by_kept[row][k].mul_add(d, along[row]);
+                along[row] = found.jacobian_camera[row][k].mul_add(d, along[row]);
             }
             for k in 0..S {
                 let d = Register::load(simd, &records[Q + K + k]);
-                along[row] = found.by_shared[row][k].mul_add(d, along[row]);
+                along[row] = found.jacobian_shared[row][k].mul_add(d, along[row]);
             }
         }
         scatter(simd, &along, &mut buffers.along[first * R..], R);
-        if settings.loss != Loss::Trivial {
+        if !settings.loss.is_trivial() {
             for o in first..first + count {
-                let record = &mut buffers.by_point[o * point_record(R, P)..];
+                let record = &mut buffers.jacobian_point[o * point_record(R, P)..];
                 let weights = weigh_point::<R, P>(settings, record);
                 fold(&mut buffers.along[o * R..], 1, 1, &weights);
             }
