@@ -66,7 +66,7 @@ impl Error {
             // A block that its observations do not determine is as much an input's fault as a number
             // that is none.
             Error::Adjust(
-                AdjustError::Survey(_) | AdjustError::Solve(SolveError::RankDeficient(_)),
+                AdjustError::Invalid(_) | AdjustError::Solve(SolveError::RankDeficient(_)),
             )
             | Error::Locate(_) => Kind::BadInput,
             Error::Adjust(AdjustError::Solve(_)) => Kind::Failure,

@@ -12,7 +12,7 @@ use crate::{
     engine::SolveError,
     geometry::rotation,
     nlls::{Loss, Options as Engine, solve},
-    problems::adjustment::{Posed, Settings},
+    problems::adjustment::{AdjustmentProblem, Settings},
     scene::{Image, Observation, Pose, Reconstruction, RollingShutter, TiePoint},
 };
 use rayon::prelude::*;
@@ -344,7 +344,7 @@ impl<'a> Block<'a> {
             }
         }
         let settings = Settings { tie_loss: refining.loss, ..Settings::default() };
-        let mut posed = Posed::new(&survey, &settings)?;
+        let mut posed = AdjustmentProblem::new(&survey, &settings)?;
         (free..survey.images.len()).try_for_each(|image| posed.hold_image(image))?;
         let engine = Engine { cost_tolerance: refining.cost_tolerance, ..Engine::default() };
         let mut x = posed.problem.start();

@@ -8,7 +8,7 @@ use crate::{
     engine::SolveError,
     geometry::rotation,
     nlls::{Loss, Options as Engine, solve},
-    problems::adjustment::{Alignment, Posed, Settings, align},
+    problems::adjustment::{AdjustmentProblem, Alignment, Settings, align},
     scene::{CameraPosition, GroundObservation, GroundPoint, Pose, Reconstruction, Role},
 };
 use nalgebra::{Matrix3, Rotation3, Vector3};
@@ -352,7 +352,7 @@ pub fn adjust(
     survey.tie_sigma_px = tie_sigma_px;
     keep_feasible_marks(&mut survey);
     let settings = Settings { tie_loss: Loss::SoftL1(2.0), ..Settings::default() };
-    let posed = Posed::new(&survey, &settings)?;
+    let posed = AdjustmentProblem::new(&survey, &settings)?;
     let mut x = posed.problem.start();
     let engine = Engine { cost_tolerance: 1e-6, ..Engine::default() };
     solve(&posed.problem, &mut x, &engine, iterations)?;

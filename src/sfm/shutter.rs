@@ -16,7 +16,7 @@ use crate::{
     engine::SolveError,
     geometry::rotation,
     nlls::{Loss, Options as Engine, solve},
-    problems::adjustment::{Posed, Settings},
+    problems::adjustment::{AdjustmentProblem, Settings},
     scene::{GroundObservation, Reconstruction, RollingShutter},
 };
 use nalgebra::Vector3;
@@ -289,7 +289,7 @@ pub(super) fn keep_feasible_marks(survey: &mut Reconstruction) {
 
 fn settle(survey: &mut Reconstruction) -> Result<f64, SolveError> {
     let settings = Settings { tie_loss: Loss::SoftL1(2.0), ..Settings::default() };
-    let posed = Posed::new(survey, &settings)?;
+    let posed = AdjustmentProblem::new(survey, &settings)?;
     let mut x = posed.problem.start();
     let engine = Engine { cost_tolerance: 1e-6, ..Engine::default() };
     let summary = solve(&posed.problem, &mut x, &engine, 30)?;

@@ -1,7 +1,7 @@
 //! What is wrong with a survey is named; what cannot take part is set aside, nothing is lost.
 
 use super::toy::{NOISE, Plan, measured, truth};
-use rowgram::problems::adjustment::{Settings, adjust, screen};
+use rowgram::problems::adjustment::{Settings, adjust, validate};
 use rowgram::scene::{Reconstruction, Role};
 
 fn block() -> Reconstruction {
@@ -37,7 +37,7 @@ fn what_is_wrong_is_named() {
     for (damage, part) in cases {
         let mut survey = block();
         damage(&mut survey);
-        let message = screen(&survey).unwrap_err().to_string();
+        let message = validate(&survey).unwrap_err().to_string();
         assert!(message.contains(part), "{part}: {message}");
     }
 }
@@ -60,7 +60,7 @@ fn what_cannot_take_part_is_set_aside_by_name() {
     survey.marks.retain(|m| m.ground as usize != lonely || std::mem::take(&mut first));
     let before = survey.clone();
     let adjusted = adjust(&mut survey, &Settings::default()).unwrap();
-    let told: Vec<String> = adjusted.screened.aside.iter().map(ToString::to_string).collect();
+    let told: Vec<String> = adjusted.validated.excluded.iter().map(ToString::to_string).collect();
     let all = told.join("\n");
     for part in [
         "image IMG_0001.JPG: it has",
@@ -93,7 +93,7 @@ fn a_block_of_nothing_says_why() {
             image.pose.centre_m(),
         );
     }
-    let message = screen(&survey).unwrap_err().to_string();
+    let message = validate(&survey).unwrap_err().to_string();
     assert!(
         message.contains("no image is left") && message.contains("behind the camera"),
         "{message}"

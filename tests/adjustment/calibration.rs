@@ -4,7 +4,7 @@ use super::toy::{self, NOISE, Noise, Plan, free, measured, truth, with_positions
 use rowgram::{
     camera::Lens,
     nlls::{LinearSolver, Loss, Options, solve},
-    problems::adjustment::{Posed, Settings, adjust, align, rmse},
+    problems::adjustment::{AdjustmentProblem, Settings, adjust, align, rmse},
     scene::{Reconstruction, Role},
 };
 
@@ -102,7 +102,7 @@ fn lenses_that_free_different_parameters_are_adjusted_as_by_the_whole_system() {
         let settings = Settings { tie_loss, ..Settings::default() };
         let adjusted = [LinearSolver::Schur, LinearSolver::Sparse].map(|linear| {
             let mut survey = survey.clone();
-            let posed = Posed::new(&survey, &settings).unwrap();
+            let posed = AdjustmentProblem::new(&survey, &settings).unwrap();
             let mut x = posed.problem.start();
             let options = Options { linear, ..settings.engine() };
             solve(&posed.problem, &mut x, &options, 100).unwrap();

@@ -2,7 +2,8 @@
 
 use super::toy::{NOISE, Noise, Plan, measured, truth, with_positions};
 use rowgram::problems::adjustment::{
-    Group, Settings, Snooping, Testing, adjust, doubtful, leave_one_out, snoop, variance_components,
+    DataSnoopingOptions, Group, OutlierTest, Settings, adjust, leave_one_out, retained_suspects,
+    snoop, variance_components,
 };
 use rowgram::scene::Role;
 
@@ -10,7 +11,7 @@ use rowgram::scene::Role;
 fn a_planted_blunder_is_found_and_nothing_else() {
     let truth = with_positions(truth(&Plan::default()));
     for (kind, test) in
-        [("tie", Testing::Pope), ("mark", Testing::Baarda), ("position", Testing::Pope)]
+        [("tie", OutlierTest::Pope), ("mark", OutlierTest::Baarda), ("position", OutlierTest::Pope)]
     {
         let mut survey = measured(&truth, 31, NOISE);
         let expected = match kind {
@@ -38,9 +39,9 @@ fn a_planted_blunder_is_found_and_nothing_else() {
             }
         };
         let found = adjust(&mut survey.clone(), &Settings::default()).unwrap();
-        let findings = found.statistics.findings(test, 0.001);
+        let findings = found.statistics.rejected(test, 0.001);
         assert_eq!(found.name(findings[0].subject), expected);
-        let snooping = Snooping { test, ..Snooping::default() };
+        let snooping = DataSnoopingOptions { test, ..DataSnoopingOptions::default() };
         let snooped = snoop(&mut survey, &Settings::default(), &snooping).unwrap();
         let names: Vec<&str> =
             snooped.removed.iter().map(|removed| removed.name.as_str()).collect();
@@ -61,7 +62,7 @@ fn a_wrong_control_point_is_named_not_averaged_in() {
     let name = format!("control point {}", bad.ground[wrong].name);
     let averaged = adjust(&mut bad.clone(), &Settings::default()).unwrap();
     let mut worse = bad.clone();
-    let snooped = snoop(&mut bad, &Settings::default(), &Snooping::default()).unwrap();
+    let snooped = snoop(&mut bad, &Settings::default(), &DataSnoopingOptions::default()).unwrap();
     assert_eq!(snooped.removed.len(), 1, "{:?}", snooped.removed);
     assert_eq!(snooped.removed[0].name, name);
     let residual = snooped.removed[0].residual;
@@ -70,12 +71,12 @@ fn a_wrong_control_point_is_named_not_averaged_in() {
     let error = snooped.removed[0].error;
     assert!((error[0] - 0.6).abs() < 0.1 && (error[2] + 0.8).abs() < 0.15, "{error:?}");
     // What is off by no more than a metre and more may be kept, and is named.
-    let lenient = Snooping { least_error_m: 2.0, ..Snooping::default() };
+    let lenient = DataSnoopingOptions { least_error_m: 2.0, ..DataSnoopingOptions::default() };
     let settings = Settings::default();
     let kept = snoop(&mut worse.clone(), &settings, &lenient).unwrap();
     assert!(kept.complete && kept.removed.is_empty(), "{:?}", kept.removed);
-    assert_eq!(doubtful(&kept.adjusted, &settings, &lenient)[0].name, name);
-    let stricter = Snooping { least_error_m: 0.5, ..Snooping::default() };
+    assert_eq!(retained_suspects(&kept.adjusted, &settings, &lenient)[0].name, name);
+    let stricter = DataSnoopingOptions { least_error_m: 0.5, ..DataSnoopingOptions::default() };
     assert_eq!(snoop(&mut worse, &settings, &stricter).unwrap().removed[0].name, name);
     // It is a check point now, and its error is what was planted.
     let check = snooped.adjusted.check_points.iter().find(|check| check.ground == wrong).unwrap();
@@ -100,10 +101,11 @@ fn control_is_kept_where_its_standard_deviations_are_too_small() {
         control.map(|removed| removed.name.clone()).collect()
     };
     // Taken at their word, good points would go one by one.
-    let baarda = Snooping { test: Testing::Baarda, ..Snooping::default() };
+    let baarda =
+        DataSnoopingOptions { test: OutlierTest::Baarda, ..DataSnoopingOptions::default() };
     let taken = snoop(&mut survey.clone(), &Settings::default(), &baarda).unwrap();
     assert!(of_control(&taken.removed).len() > 2, "{:?}", taken.removed);
-    let pope = Snooping::default();
+    let pope = DataSnoopingOptions::default();
     let kept = snoop(&mut survey.clone(), &Settings::default(), &pope).unwrap();
     assert_eq!(of_control(&kept.removed), [""; 0]);
     // And still the one that is wrong is named.
@@ -126,7 +128,7 @@ fn each_control_point_is_predicted_by_the_others() {
     let found = leave_one_out(&survey, &Settings::default()).unwrap();
     assert_eq!(found.len(), 8);
     let worst = found.iter().max_by(|a, b| {
-        let z = |l: &rowgram::problems::adjustment::LeftOut| l.error_m.unwrap()[2].abs();
+        let z = |l: &rowgram::problems::adjustment::LeaveOneOut| l.error_m.unwrap()[2].abs();
         z(a).total_cmp(&z(b))
     });
     let worst = worst.unwrap();

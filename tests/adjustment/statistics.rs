@@ -5,7 +5,9 @@ use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use rowgram::{
     camera::{Interior, Lens, Model},
     nlls::{BlockId, solve},
-    problems::adjustment::{Group, Posed, Settings, Subject, Testing, adjust, rmse, screen},
+    problems::adjustment::{
+        AdjustmentProblem, Group, ObservationRef, OutlierTest, Settings, adjust, rmse, validate,
+    },
     scene::{Axes, Reconstruction, Role, ScaleBar},
 };
 use statrs::distribution::{ChiSquared, ContinuousCDF};
@@ -54,7 +56,7 @@ fn all_jacobians_match_differences() {
             }
             survey.cameras[0].standard_deviations[0] = Some(3.0);
             let settings = Settings { corrected_domain, ..Settings::default() };
-            let posed = Posed::new(&survey, &settings).unwrap();
+            let posed = AdjustmentProblem::new(&survey, &settings).unwrap();
             let x = posed.problem.start();
             for name in NAMES {
                 check(&posed, &x, name);
@@ -65,7 +67,7 @@ fn all_jacobians_match_differences() {
 
 /// Compares the Jacobian of the first factor of a batch with differences, every step being one that
 /// changes the residual by a fraction of a standard deviation.
-fn check(posed: &Posed, x: &[f64], name: &str) {
+fn check(posed: &AdjustmentProblem, x: &[f64], name: &str) {
     let Ok(factors) = posed.problem.linearized(x, name) else {
         assert!(name == "interior orientation 0" || name == "motion", "{name}");
         return;
@@ -156,7 +158,7 @@ fn redundancy_numbers_are_those_of_the_dense_hat_matrix() {
         let settings = Settings::default();
         let adjusted = adjust(&mut survey, &settings).unwrap();
         let statistics = &adjusted.statistics;
-        let posed = Posed::new(&adjusted.survey, &settings).unwrap();
+        let posed = AdjustmentProblem::new(&adjusted.reconstruction, &settings).unwrap();
         // Ground points start at their given coordinates.
         let mut x = posed.problem.start();
         solve(&posed.problem, &mut x, &settings.engine(), 20).unwrap();
@@ -233,7 +235,7 @@ fn redundancy_numbers_are_those_of_the_dense_hat_matrix() {
         let ties = statistics.tested.iter().filter(|t| t.group == Group::TiePoints);
         let mut in_order: Vec<_> = ties.collect();
         in_order.sort_by_key(|t| match t.subject {
-            Subject::TieObservation(k) => k,
+            ObservationRef::TieObservation(k) => k,
             _ => 0,
         });
         let others = statistics.tested.iter().filter(|t| t.group != Group::TiePoints);
@@ -276,7 +278,7 @@ fn normalised_errors_of_many_blocks_follow_chi_square() {
         let point = difference(survey.points[9].position_m, truth.points[9].position_m);
         sums[2] += normalised(point, &statistics.points[9].covariance_m2);
         let check = &adjusted.check_points[1];
-        let k = adjusted.screened.ground[check.ground];
+        let k = adjusted.validated.ground[check.ground];
         let error = difference(check.position_m, truth.ground[k].position_m);
         sums[3] += normalised(error, &check.covariance_m2);
         let interior = &statistics.interiors[0];
@@ -311,11 +313,11 @@ fn the_global_test_and_the_groups_fit_noise_as_given() {
         assert!((bounds[0]..bounds[1]).contains(&factor), "{group:?} {bounds:?}");
     }
     // Baarda's critical value for one number at 0.1 %: 3.29 standard deviations.
-    let critical = statistics.critical(Testing::Baarda, Group::TiePoints, 1, 0.001).sqrt();
+    let critical = statistics.critical(OutlierTest::Baarda, Group::TiePoints, 1, 0.001).sqrt();
     assert!((critical - 3.2905).abs() < 1e-4);
     // With much redundancy Pope's is the same.
     let ties = statistics.groups[0].variance_factor().unwrap().sqrt().max(statistics.sigma0);
-    let pope = statistics.critical(Testing::Pope, Group::TiePoints, 1, 0.001).sqrt() / ties;
+    let pope = statistics.critical(OutlierTest::Pope, Group::TiePoints, 1, 0.001).sqrt() / ties;
     assert!((pope / critical - 1.0).abs() < 0.01, "{pope}");
     // Control is better known than tie points, ellipsoids have their axes in order.
     let (axes, _) = statistics.points[0].ellipsoid();
@@ -357,7 +359,7 @@ fn check_points_take_no_part() {
 #[test]
 fn screening_changes_nothing_that_is_sound() {
     let survey = measured(&everything(toy::smac(), None), 8, NOISE);
-    let screened = screen(&survey).unwrap();
-    assert!(screened.aside.is_empty(), "{:?}", screened.aside);
-    assert_eq!(screened.survey, survey);
+    let validated = validate(&survey).unwrap();
+    assert!(validated.excluded.is_empty(), "{:?}", validated.excluded);
+    assert_eq!(validated.reconstruction, survey);
 }

@@ -84,7 +84,7 @@ fn a_block_grows_whole_and_control_brings_it_into_the_map() {
         assert!(check.error_m[0].abs() < 0.04 && check.error_m[1].abs() < 0.04, "{check:?}");
         assert!(check.error_m[2].abs() < 0.10, "{check:?}");
     }
-    let c = adjusted.survey.cameras[0].interior.principal_distance_px();
+    let c = adjusted.reconstruction.cameras[0].interior.principal_distance_px();
     assert!((c - 1000.0).abs() < 2.0, "{c}");
 }
 

@@ -160,7 +160,7 @@ impl Stage for Adjust {
             measured.put("check_xyz_m", squares.sqrt());
         }
         measured.put("check_points", checks.len() as f64);
-        measured.put("images", adjusted.survey.images.len() as f64);
+        measured.put("images", adjusted.reconstruction.images.len() as f64);
         measured.put("observations", adjusted.statistics.observations as f64);
         measured.put("sigma0", adjusted.statistics.sigma0);
         measured.put("iterations", adjusted.summary.iterations as f64);

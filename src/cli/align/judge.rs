@@ -12,7 +12,9 @@ use super::{
 use crate::{
     error::Error,
     nlls::Loss,
-    problems::adjustment::{Adjusted, Group, Removed, Settings, Snooping, doubtful, snoop},
+    problems::adjustment::{
+        Adjusted, DataSnoopingOptions, Group, Removed, Settings, retained_suspects, snoop,
+    },
     scene::{Reconstruction, Role},
     sfm::{
         block::Block,
@@ -172,11 +174,11 @@ pub(super) fn judge(
     // Without a map the first photo and the distance to the farthest one are the frame.
     let minimal_datum = !way.georeferenced;
     let settings = Settings { tie_loss: Loss::SoftL1(2.0), minimal_datum, ..Settings::default() };
-    let snooping = Snooping {
+    let snooping = DataSnoopingOptions {
         rounds: 8,
         least_error_m: LEAST_ERROR_PX * gsd_m(&survey),
         least_error_px: LEAST_ERROR_PX,
-        ..Snooping::default()
+        ..DataSnoopingOptions::default()
     };
     let snooped = snoop(&mut survey, &settings, &snooping)?;
     for removed in &snooped.removed {
@@ -191,7 +193,7 @@ pub(super) fn judge(
             ));
         }
     }
-    for doubt in doubtful(&snooped.adjusted, &settings, &snooping) {
+    for doubt in retained_suspects(&snooped.adjusted, &settings, &snooping) {
         findings.push(Finding::new(
             &doubt.name,
             &format!(

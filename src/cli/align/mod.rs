@@ -418,14 +418,14 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     let photos = again::Photos { descriptors: &looks, matched: &matched };
     let found =
         clock.time("adjust", || finish::finish(blocks, &project, &photos, args, &mut findings))?;
-    let foreign = foreign::Foreign::of(&found.adjusted.survey, &mut findings);
+    let foreign = foreign::Foreign::of(&found.adjusted.reconstruction, &mut findings);
     tell(&findings);
     let (report, mut outcome) = results::Report::new(found, &project, &pairs, findings);
     if last == Stage::Report {
         let begin = Instant::now();
         results::write(&output, (&report, &mut outcome), &foreign, &project, args.force)?;
         let pictures = output.join("report");
-        figures::write(&pictures, &outcome.adjusted.survey, &pairs, &names, args.force)?;
+        figures::write(&pictures, &outcome.adjusted.reconstruction, &pairs, &names, args.force)?;
         let of = (project.photos.as_slice(), geometric.as_slice());
         pair_figures::write(&pictures, of, &cameras, &pairs, args.force)?;
         clock.seconds.push(("report", begin.elapsed().as_secs_f64()));

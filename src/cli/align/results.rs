@@ -100,7 +100,7 @@ impl Report {
         mut findings: Vec<Finding>,
     ) -> (Report, survey::Outcome) {
         let adjusted = &found.adjusted;
-        let block = &adjusted.survey;
+        let block = &adjusted.reconstruction;
         let mut control = Vec::new();
         for (k, point) in block.ground.iter().enumerate() {
             if let (Role::Control, Some(at)) = (point.role, adjusted.ground_m[k]) {
@@ -277,7 +277,7 @@ pub(super) fn write(
     force: bool,
 ) -> Result<(), Error> {
     let adjusted = &outcome.adjusted;
-    let block = &adjusted.survey;
+    let block = &adjusted.reconstruction;
     let sigma0 = adjusted.statistics.sigma0;
     for (k, camera) in survey::report::described(adjusted).iter().enumerate() {
         camera::write(&root.join(format!("camera-{}.toml", k + 1)), force, camera)?;
@@ -292,7 +292,7 @@ pub(super) fn write(
         .collect();
     cloud::write_ply(&root.join("cloud.ply"), &points, force)?;
     cloud::write_laz(&root.join("cloud.laz"), &points, force)?;
-    let excluded = adjusted.screened.aside.iter().cloned();
+    let excluded = adjusted.validated.excluded.iter().cloned();
     let removed = outcome.removed.iter().map(Removed::excluded);
     let left_out = project.left_out.iter().map(|(name, reason)| Excluded {
         kind: ExcludedKind::Image,

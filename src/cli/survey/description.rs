@@ -3,7 +3,7 @@
 use crate::{
     error::Error,
     io::{FileError, control::Defaults},
-    problems::adjustment::Testing,
+    problems::adjustment::OutlierTest,
     scene::RollingShutter,
 };
 use clap::{Args, ValueEnum};
@@ -152,7 +152,7 @@ pub(super) struct Description {
     pub(super) rolling_shutter: Option<RollingShutter>,
     pub(super) datum: Datum,
     pub(super) align: bool,
-    pub(super) snooping: Option<Testing>,
+    pub(super) snooping: Option<OutlierTest>,
     pub(super) leave_one_out: bool,
     pub(super) variance_components: bool,
     pub(super) corrected_domain: bool,
@@ -323,8 +323,8 @@ impl Description {
             align: !all.no_align,
             snooping: match all.snoop.unwrap_or(Snoop::Pope) {
                 Snoop::Off => None,
-                Snoop::Pope => Some(Testing::Pope),
-                Snoop::Baarda => Some(Testing::Baarda),
+                Snoop::Pope => Some(OutlierTest::Pope),
+                Snoop::Baarda => Some(OutlierTest::Baarda),
             },
             leave_one_out: all.leave_one_out,
             variance_components: all.variance_components,

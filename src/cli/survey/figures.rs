@@ -4,7 +4,7 @@ use super::{Outcome, in_folder, write_text};
 use crate::{
     error::Error,
     io::FileError,
-    problems::adjustment::{InteriorAccuracy, Subject},
+    problems::adjustment::{InteriorAccuracy, ObservationRef},
     scene::Role,
 };
 use plotters::{
@@ -21,7 +21,7 @@ const CELLS: usize = 24;
 type Drawn = Result<(), Box<dyn std::error::Error>>;
 
 pub(super) fn write(folder: &Path, outcome: &Outcome, force: bool) -> Result<(), Error> {
-    for camera in 0..outcome.adjusted.survey.cameras.len().min(8) {
+    for camera in 0..outcome.adjusted.reconstruction.cameras.len().min(8) {
         let name = format!("residuals-{}.svg", camera + 1);
         save(&in_folder(folder, &name), force, |svg| residuals(svg, outcome, camera))?;
     }
@@ -29,7 +29,7 @@ pub(super) fn write(folder: &Path, outcome: &Outcome, force: bool) -> Result<(),
         let name = format!("correlation-{}.svg", interior.camera + 1);
         save(&in_folder(folder, &name), force, |svg| correlation(svg, interior))?;
     }
-    if !outcome.adjusted.survey.ground.is_empty() {
+    if !outcome.adjusted.reconstruction.ground.is_empty() {
         save(&in_folder(folder, "control.svg"), force, |svg| control(svg, outcome))?;
     }
     Ok(())
@@ -43,13 +43,13 @@ fn save(path: &Path, force: bool, draw: impl FnOnce(&mut String) -> Drawn) -> Re
 
 /// Residuals of one camera's images, the mean of each cell of the image as an arrow.
 fn residuals(svg: &mut String, outcome: &Outcome, camera: usize) -> Drawn {
-    let survey = &outcome.adjusted.survey;
+    let survey = &outcome.adjusted.reconstruction;
     let size = survey.cameras[camera].interior.size_px().map(f64::from);
     let cell = size[0] / CELLS as f64;
     let rows = (size[1] / cell).ceil().max(1.0) as usize;
     let mut sums = vec![[0.0f64; 3]; CELLS * rows];
     for tested in &outcome.adjusted.statistics.tested {
-        let Subject::TieObservation(k) = tested.subject else { continue };
+        let ObservationRef::TieObservation(k) = tested.subject else { continue };
         let o = &survey.observations[k];
         if survey.images[o.image as usize].camera != camera {
             continue;
@@ -121,7 +121,7 @@ fn correlation(svg: &mut String, interior: &InteriorAccuracy) -> Drawn {
 fn control(svg: &mut String, outcome: &Outcome) -> Drawn {
     let adjusted = &outcome.adjusted;
     let mut rows = Vec::new();
-    for (k, point) in adjusted.survey.ground.iter().enumerate() {
+    for (k, point) in adjusted.reconstruction.ground.iter().enumerate() {
         let check = adjusted.check_points.iter().find(|check| check.ground == k);
         let at = check.map(|check| check.position_m).or(adjusted.ground_m[k]);
         let Some(at) = at else { continue };

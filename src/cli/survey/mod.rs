@@ -11,8 +11,8 @@ use crate::{
     error::Error,
     io::{FileError, bundler, camera, colmap, control, model::Model, opensfm, output},
     problems::adjustment::{
-        Adjusted, Alignment, LeftOut, Removed, Settings, Snooping, adjust, align, leave_one_out,
-        snoop, variance_components,
+        Adjusted, Alignment, DataSnoopingOptions, LeaveOneOut, Removed, Settings, adjust, align,
+        leave_one_out, snoop, variance_components,
     },
     scene::{Excluded, Role},
 };
@@ -29,7 +29,7 @@ pub(super) struct Outcome {
     pub(super) removed: Vec<Removed>,
     /// Rows of files that no image or point of the block belongs to.
     pub(super) unmatched: Vec<Excluded>,
-    pub(super) left_out: Vec<LeftOut>,
+    pub(super) left_out: Vec<LeaveOneOut>,
     pub(super) complete: bool,
 }
 
@@ -284,7 +284,7 @@ fn work(
     let survey = &mut model.survey;
     let (mut adjusted, removed, complete) = match description.snooping {
         Some(test) => {
-            let snooping = Snooping { test, ..Snooping::default() };
+            let snooping = DataSnoopingOptions { test, ..DataSnoopingOptions::default() };
             let snooped = snoop(survey, &settings, &snooping)?;
             for removed in &snooped.removed {
                 if removed.group != crate::problems::adjustment::Group::TiePoints {
@@ -305,9 +305,9 @@ fn work(
         if !found.converged {
             tracing::warn!("the variance components did not settle in {} rounds", found.rounds);
         }
-        let aside = std::mem::take(&mut adjusted.screened.aside);
+        let aside = std::mem::take(&mut adjusted.validated.excluded);
         adjusted = found.adjusted;
-        adjusted.screened.aside = aside;
+        adjusted.validated.excluded = aside;
         settings = found.settings;
     }
     let left_out =

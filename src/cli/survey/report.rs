@@ -7,8 +7,8 @@ use crate::{
     error::Error,
     io::{FileError, camera, output},
     problems::adjustment::{
-        Adjusted, Alignment, AxisError, GroupStatistics, InteriorAccuracy, LeftOut, Removed,
-        Testing, rmse,
+        Adjusted, Alignment, AxisError, GroupStatistics, InteriorAccuracy, LeaveOneOut,
+        OutlierTest, Removed, rmse,
     },
 };
 use serde::Serialize;
@@ -78,7 +78,7 @@ pub(super) struct Report {
     alignment: Option<Alignment>,
     removed: Vec<Removed>,
     suspects: Vec<Suspect>,
-    left_out: Vec<LeftOut>,
+    left_out: Vec<LeaveOneOut>,
     set_aside: Vec<crate::scene::Excluded>,
     mean_velocity_m_s: Option<f64>,
 }
@@ -86,7 +86,7 @@ pub(super) struct Report {
 impl Report {
     pub(super) fn new(outcome: &Outcome) -> Report {
         let (adjusted, statistics) = (&outcome.adjusted, &outcome.adjusted.statistics);
-        let survey = &adjusted.survey;
+        let survey = &adjusted.reconstruction;
         let sigma0 = statistics.sigma0;
         let mut interiors = statistics.interiors.clone();
         for interior in &mut interiors {
@@ -103,7 +103,7 @@ impl Report {
                 .collect();
             rmse(&errors, CONFIDENCE)
         });
-        let findings = statistics.findings(Testing::Pope, SIGNIFICANCE);
+        let findings = statistics.rejected(OutlierTest::Pope, SIGNIFICANCE);
         let speeds: Vec<f64> = (0..survey.images.len())
             .filter_map(|k| survey.velocity_m_s(k))
             .map(|v| (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]).sqrt())
@@ -144,7 +144,12 @@ impl Report {
                 })
                 .collect(),
             left_out: outcome.left_out.clone(),
-            set_aside: outcome.unmatched.iter().chain(&adjusted.screened.aside).cloned().collect(),
+            set_aside: outcome
+                .unmatched
+                .iter()
+                .chain(&adjusted.validated.excluded)
+                .cloned()
+                .collect(),
             mean_velocity_m_s: (!speeds.is_empty())
                 .then(|| speeds.iter().sum::<f64>() / speeds.len() as f64),
         }
@@ -154,7 +159,7 @@ impl Report {
 /// Control and check points with what the adjustment makes of them.
 fn ground(outcome: &Outcome) -> Vec<Ground> {
     let adjusted = &outcome.adjusted;
-    let (survey, sigma0) = (&adjusted.survey, adjusted.statistics.sigma0);
+    let (survey, sigma0) = (&adjusted.reconstruction, adjusted.statistics.sigma0);
     let mut rows = Vec::new();
     for (k, point) in survey.ground.iter().enumerate() {
         let check = adjusted.check_points.iter().find(|check| check.ground == k);
@@ -335,7 +340,7 @@ pub(super) fn write(folder: &Path, outcome: &Outcome, force: bool) -> Result<(),
 
 /// The cameras as adjusted, with the standard deviations and correlations that came out of it.
 pub(in crate::cli) fn described(adjusted: &Adjusted) -> Vec<Camera> {
-    let mut cameras = adjusted.survey.cameras.clone();
+    let mut cameras = adjusted.reconstruction.cameras.clone();
     for interior in &adjusted.statistics.interiors {
         let camera = &mut cameras[interior.camera];
         for (name, sigma) in interior.names.iter().zip(&interior.standard_deviations) {

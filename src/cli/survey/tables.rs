@@ -4,13 +4,13 @@ use super::{Outcome, in_folder};
 use crate::{
     error::Error,
     io::{FileError, output},
-    problems::adjustment::{Subject, Tested},
+    problems::adjustment::{ObservationRef, TestedObservation},
 };
 use std::path::Path;
 
 pub(super) fn write(folder: &Path, outcome: &Outcome, force: bool) -> Result<(), Error> {
     let adjusted = &outcome.adjusted;
-    let (survey, statistics) = (&adjusted.survey, &adjusted.statistics);
+    let (survey, statistics) = (&adjusted.reconstruction, &adjusted.statistics);
     let sigma0 = statistics.sigma0;
     let table = |name: &str, header: &[&str], rows: Vec<Vec<String>>| {
         save(&in_folder(folder, name), header, rows, force)
@@ -30,20 +30,22 @@ pub(super) fn write(folder: &Path, outcome: &Outcome, force: bool) -> Result<(),
         "w_v",
         "test",
     ];
-    let measured = |subject: Subject| match subject {
-        Subject::TieObservation(k) => {
+    let measured = |subject: ObservationRef| match subject {
+        ObservationRef::TieObservation(k) => {
             let o = &survey.observations[k];
             let sigma = survey.tie_sigma_px;
             Some((o.image, survey.points[o.point as usize].id.to_string(), o.image_px, sigma))
         }
-        Subject::Mark(k) => {
+        ObservationRef::Mark(k) => {
             let mark = &survey.marks[k];
             let name = survey.ground[mark.ground as usize].name.clone();
             Some((mark.image, name, mark.image_px, mark.sigma_px))
         }
-        Subject::Control(_) | Subject::Position(_) | Subject::ScaleBar(_) => None,
+        ObservationRef::Control(_) | ObservationRef::Position(_) | ObservationRef::ScaleBar(_) => {
+            None
+        }
     };
-    let row = |tested: &Tested| {
+    let row = |tested: &TestedObservation| {
         let (image, point, at, sigma) = measured(tested.subject)?;
         let sigma = sigma * outcome.settings.sigma_factors[tested.group as usize];
         let mut row = vec![survey.images[image as usize].name.clone(), point];
@@ -55,9 +57,10 @@ pub(super) fn write(folder: &Path, outcome: &Outcome, force: bool) -> Result<(),
         row.push(number(tested.statistic));
         Some(row)
     };
-    let marks = |tested: &&Tested| matches!(tested.subject, Subject::Mark(_));
+    let marks = |tested: &&TestedObservation| matches!(tested.subject, ObservationRef::Mark(_));
     table("marks.csv", &header, statistics.tested.iter().filter(marks).filter_map(row).collect())?;
-    let ties = |tested: &&Tested| matches!(tested.subject, Subject::TieObservation(_));
+    let ties =
+        |tested: &&TestedObservation| matches!(tested.subject, ObservationRef::TieObservation(_));
     table(
         "tie_points.csv",
         &header,
@@ -146,7 +149,7 @@ pub(super) fn write(folder: &Path, outcome: &Outcome, force: bool) -> Result<(),
         table(&format!("interior-{}.csv", interior.camera + 1), &header, rows.collect())?;
     }
 
-    let aside = outcome.unmatched.iter().chain(&adjusted.screened.aside).map(|aside| {
+    let aside = outcome.unmatched.iter().chain(&adjusted.validated.excluded).map(|aside| {
         let word = |word: &Option<String>| word.clone().unwrap_or_default();
         vec![
             aside.kind.word().to_owned(),

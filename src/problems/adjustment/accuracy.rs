@@ -1,6 +1,6 @@
 //! How well cameras and points are known, from blocks of the inverse.
 
-use super::{inverse::SelectedInverse, posed::Posed, reprojection::LENS};
+use super::{inverse::SelectedInverse, problem::AdjustmentProblem, reprojection::LENS};
 use crate::scene::{Accuracy, CameraSigma, PoseSigma, Reconstruction};
 use crate::{
     camera::Lens,
@@ -73,14 +73,14 @@ pub(super) fn array3(m: &DMatrix<f64>) -> [[f64; 3]; 3] {
 }
 
 pub(super) fn image(
-    posed: &Posed,
+    adjustment: &AdjustmentProblem,
     x: &[f64],
     inverse: &SelectedInverse,
     block: BlockId,
 ) -> ImageAccuracy {
-    let dim = posed.problem.dimension(block);
+    let dim = adjustment.problem.dimension(block);
     let c = inverse.among(&[(block, dim)]);
-    let values = posed.problem.values(x, block);
+    let values = adjustment.problem.values(x, block);
     let r = rotation::matrix([values[0], values[1], values[2], values[3]]);
     let world = |k: usize| [r[0][k], r[1][k], r[2][k]];
     // The centre moves by -R^T s.
@@ -112,13 +112,13 @@ pub(super) fn image(
 }
 
 pub(super) fn interior(
-    survey: &Reconstruction,
-    posed: &Posed,
+    reconstruction: &Reconstruction,
+    adjustment: &AdjustmentProblem,
     inverse: &SelectedInverse,
     camera: usize,
 ) -> Option<InteriorAccuracy> {
-    let c = inverse.among(&[(posed.lenses[camera], LENS)]);
-    let described = &survey.cameras[camera];
+    let c = inverse.among(&[(adjustment.lenses[camera], LENS)]);
+    let described = &reconstruction.cameras[camera];
     let free: Vec<usize> = (0..described.free.len()).filter(|&k| described.free[k]).collect();
     if free.is_empty() {
         return None;
@@ -146,7 +146,7 @@ pub(super) fn interior(
 }
 
 impl super::Adjusted {
-    /// How well everything that was adjusted is known, in the order of [`super::Adjusted::survey`].
+    /// How well everything that was adjusted is known, in the order of [`super::Adjusted::reconstruction`].
     pub fn accuracy(&self) -> Accuracy {
         let statistics = &self.statistics;
         let sigma0 = statistics.sigma0;
@@ -154,7 +154,7 @@ impl super::Adjusted {
             centre_m: [0, 1, 2].map(|k| sigma0 * image.centre_m2[k][k].max(0.0).sqrt()),
             angles_rad: image.angles_rad.map(|angle| sigma0 * angle),
         });
-        let mut cameras = vec![CameraSigma::default(); self.survey.cameras.len()];
+        let mut cameras = vec![CameraSigma::default(); self.reconstruction.cameras.len()];
         for interior in &statistics.interiors {
             cameras[interior.camera] = CameraSigma {
                 names: interior.names.iter().map(|name| (*name).to_owned()).collect(),

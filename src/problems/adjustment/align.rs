@@ -45,15 +45,15 @@ impl Similarity {
 
 type Pairing = (String, [f64; 3], [f64; 3]);
 
-/// Brings `survey` into the frame of its control points, or of its camera positions where there
+/// Brings `reconstruction` into the frame of its control points, or of its camera positions where there
 /// are fewer than three of those; `None`, and nothing changed, where there are too few of both.
-pub fn align(survey: &mut Reconstruction) -> Option<Alignment> {
+pub fn align(reconstruction: &mut Reconstruction) -> Option<Alignment> {
     let mut pairs: Vec<Pairing> = Vec::new();
-    for (k, point) in survey.ground.iter().enumerate() {
+    for (k, point) in reconstruction.ground.iter().enumerate() {
         let marks: Vec<GroundObservation> =
-            survey.marks.iter().filter(|mark| mark.ground as usize == k).copied().collect();
+            reconstruction.marks.iter().filter(|mark| mark.ground as usize == k).copied().collect();
         if point.role == Role::Control && point.axes == Axes::Xyz && marks.len() >= 2 {
-            let found = nearest_to_rays(survey, &marks);
+            let found = nearest_to_rays(reconstruction, &marks);
             pairs.extend(found.map(|at| (point.name.clone(), at, point.position_m)));
         }
     }
@@ -61,8 +61,8 @@ pub fn align(survey: &mut Reconstruction) -> Option<Alignment> {
     let mut best = fit_robustly(&pairs);
     if best.is_none() {
         by = "camera positions";
-        let positions = survey.positions.iter().map(|position| {
-            let image = &survey.images[position.image as usize];
+        let positions = reconstruction.positions.iter().map(|position| {
+            let image = &reconstruction.images[position.image as usize];
             (image.name.clone(), image.pose.centre_m(), position.position_m)
         });
         pairs = positions.collect();
@@ -73,12 +73,12 @@ pub fn align(survey: &mut Reconstruction) -> Option<Alignment> {
         similarity.rotation,
     ));
     let turn = rotation::normalize([turn.w, turn.i, turn.j, turn.k]);
-    for image in &mut survey.images {
+    for image in &mut reconstruction.images {
         let centre = similarity.apply(image.pose.centre_m()).into();
         let turned = rotation::multiply(image.pose.rotation, rotation::inverse(turn));
         image.pose = Pose::from_centre(rotation::normalize(turned), centre);
     }
-    for point in &mut survey.points {
+    for point in &mut reconstruction.points {
         point.position_m = similarity.apply(point.position_m).into();
     }
     let mut alignment = Alignment {
@@ -102,7 +102,7 @@ pub fn align(survey: &mut Reconstruction) -> Option<Alignment> {
         // A similarity takes seven of the numbers that its points give.
         let numbers = 3.0 * alignment.used.len() as f64;
         let sigma_m = alignment.rmse_m * (numbers / (numbers - 7.0)).sqrt();
-        let rest = beside_their_rays(survey, sigma_m);
+        let rest = beside_their_rays(reconstruction, sigma_m);
         alignment.misfits.extend(rest);
     }
     Some(alignment)
@@ -113,16 +113,17 @@ pub fn align(survey: &mut Reconstruction) -> Option<Alignment> {
 const BESIDE: f64 = 8.0;
 
 /// Control points with one mark whose ray does not come near them, with the distances, metres.
-fn beside_their_rays(survey: &Reconstruction, sigma_m: f64) -> Vec<(String, f64)> {
+fn beside_their_rays(reconstruction: &Reconstruction, sigma_m: f64) -> Vec<(String, f64)> {
     let mut found = Vec::new();
-    for (k, point) in survey.ground.iter().enumerate() {
-        let mut marks = survey.marks.iter().filter(|mark| mark.ground as usize == k);
+    for (k, point) in reconstruction.ground.iter().enumerate() {
+        let mut marks = reconstruction.marks.iter().filter(|mark| mark.ground as usize == k);
         let (Some(mark), None) = (marks.next(), marks.next()) else { continue };
         if point.role != Role::Control || point.axes != Axes::Xyz {
             continue;
         }
-        let image = &survey.images[mark.image as usize];
-        let Some(ray) = survey.cameras[image.camera].interior.unproject(mark.image_px) else {
+        let image = &reconstruction.images[mark.image as usize];
+        let Some(ray) = reconstruction.cameras[image.camera].interior.unproject(mark.image_px)
+        else {
             continue;
         };
         let at = Vector3::from(image.pose.to_camera(point.position_m));

@@ -1,11 +1,11 @@
-//! Adjusting a survey, and adjusting it again: without one control point at a time, with other
+//! Adjusting a reconstruction, and adjusting it again: without one control point at a time, with other
 //! weights. What is suspect is taken out by [`super::snooping`].
 
 use super::{
     check_points::{CheckPoint, check_points},
-    posed::{Group, Posed, Settings},
-    screening::{Screened, SurveyError, screen},
-    statistics::{Statistics, Subject},
+    problem::{AdjustmentProblem, Group, Settings},
+    statistics::{ObservationRef, Statistics},
+    validation::{InvalidReconstruction, Validated, validate},
 };
 use crate::scene::{Excluded, ExcludedKind, Reconstruction, Role};
 use crate::{
@@ -14,42 +14,42 @@ use crate::{
 };
 use serde::Serialize;
 
-/// Why a survey could not be adjusted.
+/// Why a reconstruction could not be adjusted.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum AdjustError {
-    /// The survey itself is wrong.
+    /// The reconstruction itself is wrong.
     #[error(transparent)]
-    Survey(#[from] SurveyError),
+    Invalid(#[from] InvalidReconstruction),
     /// It has no solution, or none was reached.
     #[error(transparent)]
     Solve(#[from] SolveError),
 }
 
-/// An adjusted survey.
+/// An adjusted reconstruction.
 #[derive(Debug, Clone)]
 pub struct Adjusted {
     /// What took part, where from, and what did not.
-    pub screened: Screened,
-    /// The survey that took part, adjusted.
-    pub survey: Reconstruction,
-    /// How the engine fared.
+    pub validated: Validated,
+    /// The part that was adjusted.
+    pub reconstruction: Reconstruction,
+    /// The outcome of the solver.
     pub summary: Summary,
-    /// What it is worth.
+    /// Standard deviations, tests and variance factors.
     pub statistics: Statistics,
-    /// The check points, by their index in `survey`.
+    /// The check points, by their index in `reconstruction`.
     pub check_points: Vec<CheckPoint>,
-    /// Where the adjustment puts each ground point of `survey` that took part, metres.
+    /// Where the adjustment puts each ground point of `reconstruction` that took part, metres.
     pub ground_m: Vec<Option<[f64; 3]>>,
 }
 
-/// Looks through `whole`, adjusts it and judges the result; `whole` gets the adjusted values.
+/// Validates `whole`, adjusts it and evaluates the result; `whole` gets the adjusted values.
 ///
 /// With a robust loss for tie points, that adjustment only finds where to start from: those with
-/// residuals beyond four standard deviations of their own spread are set aside, and what is left is
+/// residuals beyond four standard deviations of their own spread are excluded, and the rest is
 /// adjusted by least squares.
 ///
 /// # Errors
-/// Where the survey is wrong ([`SurveyError`]), cannot be evaluated, or does not determine its parameters
+/// Where the reconstruction is wrong ([`InvalidReconstruction`]), cannot be evaluated, or does not determine its parameters
 /// ([`SolveError::RankDeficient`], in words).
 pub fn adjust(whole: &mut Reconstruction, settings: &Settings) -> Result<Adjusted, AdjustError> {
     adjust_after(whole, settings, None)
@@ -67,44 +67,45 @@ pub(super) fn adjust_after(
     settings: &Settings,
     last: Option<&Adjusted>,
 ) -> Result<Adjusted, AdjustError> {
-    let mut screened = screen(whole)?;
+    let mut validated = validate(whole)?;
     let mut initial_cost = None;
     if settings.tie_loss != Loss::Trivial {
-        let posed = Posed::new(&screened.survey, settings)?;
-        let mut x = posed.problem.start();
-        let summary = solve(&posed.problem, &mut x, &settings.engine(), settings.max_iterations)?;
+        let adjustment = AdjustmentProblem::new(&validated.reconstruction, settings)?;
+        let mut x = adjustment.problem.start();
+        let summary =
+            solve(&adjustment.problem, &mut x, &settings.engine(), settings.max_iterations)?;
         initial_cost = Some(summary.initial_cost);
-        let mut survey = screened.survey.clone();
-        posed.update(&x, &mut survey);
-        screened.update(&survey, whole);
-        let far = far_observations(&posed, &x)?;
-        screened = set_aside(whole, &screened, &far)?;
+        let mut reconstruction = validated.reconstruction.clone();
+        adjustment.update(&x, &mut reconstruction);
+        validated.update(&reconstruction, whole);
+        let far = far_observations(&adjustment, &x)?;
+        validated = set_aside(whole, &validated, &far)?;
     }
     let plain = Settings { tie_loss: Loss::Trivial, ..settings.clone() };
-    let posed = Posed::new(&screened.survey, &plain)?;
-    let mut x = posed.problem.start();
+    let adjustment = AdjustmentProblem::new(&validated.reconstruction, &plain)?;
+    let mut x = adjustment.problem.start();
     let mut engine = plain.engine();
     if last.is_some() {
         engine.cost_tolerance = ROUGH_TOLERANCE;
     }
-    let mut summary = solve(&posed.problem, &mut x, &engine, plain.max_iterations)?;
+    let mut summary = solve(&adjustment.problem, &mut x, &engine, plain.max_iterations)?;
     summary.initial_cost = initial_cost.unwrap_or(summary.initial_cost);
-    let mut survey = screened.survey.clone();
-    posed.update(&x, &mut survey);
+    let mut reconstruction = validated.reconstruction.clone();
+    adjustment.update(&x, &mut reconstruction);
     let same = |last: &&Adjusted| {
-        last.screened.images == screened.images && last.screened.ground == screened.ground
+        last.validated.images == validated.images && last.validated.ground == validated.ground
     };
     let statistics = match last.filter(same) {
         Some(last) => {
             let inverse = last.statistics.inverse.clone();
-            Statistics::with_inverse(&survey, &posed, &plain, &x, inverse)?
+            Statistics::with_inverse(&reconstruction, &adjustment, &plain, &x, inverse)?
         }
-        None => Statistics::new(&survey, &posed, &plain, &x)?,
+        None => Statistics::new(&reconstruction, &adjustment, &plain, &x)?,
     };
-    let check_points = check_points(&survey, &posed, &x, &statistics);
-    let ground_m = (0..survey.ground.len()).map(|k| posed.ground_m(&x, k)).collect();
-    screened.update(&survey, whole);
-    Ok(Adjusted { screened, survey, summary, statistics, check_points, ground_m })
+    let check_points = check_points(&reconstruction, &adjustment, &x, &statistics);
+    let ground_m = (0..reconstruction.ground.len()).map(|k| adjustment.ground_m(&x, k)).collect();
+    validated.update(&reconstruction, whole);
+    Ok(Adjusted { validated, reconstruction, summary, statistics, check_points, ground_m })
 }
 
 impl Adjusted {
@@ -114,26 +115,32 @@ impl Adjusted {
     }
 
     /// What a person calls an observation.
-    pub fn name(&self, subject: Subject) -> String {
-        let survey = &self.survey;
-        let image = |k: u32| &survey.images[k as usize].name;
+    pub fn name(&self, subject: ObservationRef) -> String {
+        let reconstruction = &self.reconstruction;
+        let image = |k: u32| &reconstruction.images[k as usize].name;
         match subject {
-            Subject::TieObservation(k) => {
-                let o = &survey.observations[k];
-                format!("tie point {} in {}", survey.points[o.point as usize].id, image(o.image))
+            ObservationRef::TieObservation(k) => {
+                let o = &reconstruction.observations[k];
+                format!(
+                    "tie point {} in {}",
+                    reconstruction.points[o.point as usize].id,
+                    image(o.image)
+                )
             }
-            Subject::Mark(k) => {
-                let mark = &survey.marks[k];
-                let ground = &survey.ground[mark.ground as usize].name;
+            ObservationRef::Mark(k) => {
+                let mark = &reconstruction.marks[k];
+                let ground = &reconstruction.ground[mark.ground as usize].name;
                 format!("mark of {ground} in {}", image(mark.image))
             }
-            Subject::Control(k) => format!("control point {}", survey.ground[k].name),
-            Subject::Position(k) => {
-                format!("camera position of {}", image(survey.positions[k].image))
+            ObservationRef::Control(k) => {
+                format!("control point {}", reconstruction.ground[k].name)
             }
-            Subject::ScaleBar(k) => {
-                let ends = survey.scale_bars[k].ends;
-                let [a, b] = ends.map(|end| survey.ground[end as usize].name.clone());
+            ObservationRef::Position(k) => {
+                format!("camera position of {}", image(reconstruction.positions[k].image))
+            }
+            ObservationRef::ScaleBar(k) => {
+                let ends = reconstruction.scale_bars[k].ends;
+                let [a, b] = ends.map(|end| reconstruction.ground[end as usize].name.clone());
                 format!("scale bar {a} - {b}")
             }
         }
@@ -141,8 +148,8 @@ impl Adjusted {
 }
 
 /// Tie observations whose residuals are beyond four standard deviations of the bulk's.
-fn far_observations(posed: &Posed, x: &[f64]) -> Result<Vec<bool>, SolveError> {
-    let residuals = posed.problem.residuals(x, Group::TiePoints.name())?;
+fn far_observations(adjustment: &AdjustmentProblem, x: &[f64]) -> Result<Vec<bool>, SolveError> {
+    let residuals = adjustment.problem.residuals(x, Group::TiePoints.name())?;
     let lengths: Vec<f64> = residuals.chunks_exact(2).map(|r| r[0].hypot(r[1])).collect();
     let mut sorted = lengths.clone();
     sorted.sort_by(f64::total_cmp);
@@ -154,15 +161,15 @@ fn far_observations(posed: &Posed, x: &[f64]) -> Result<Vec<bool>, SolveError> {
 
 pub(super) const FAR_OUT: &str = "its residual is far out in the robust adjustment";
 
-/// Takes observations out of `whole`; names them among what is set aside.
+/// Removes observations from `whole` and lists them among what is excluded.
 fn set_aside(
     whole: &mut Reconstruction,
-    screened: &Screened,
+    validated: &Validated,
     far: &[bool],
-) -> Result<Screened, SurveyError> {
+) -> Result<Validated, InvalidReconstruction> {
     let mut drop = vec![false; whole.observations.len()];
     let mut named = Vec::new();
-    for (&far, &k) in far.iter().zip(&screened.observations) {
+    for (&far, &k) in far.iter().zip(&validated.observations) {
         if far {
             drop[k] = true;
             let o = &whole.observations[k];
@@ -176,14 +183,14 @@ fn set_aside(
     }
     let mut drop = drop.into_iter();
     whole.observations.retain(|_| !drop.next().unwrap_or(false));
-    let mut again = screen(whole)?;
-    again.aside.splice(0..0, named);
+    let mut again = validate(whole)?;
+    again.excluded.splice(0..0, named);
     Ok(again)
 }
 
 /// A control point as the rest of the block sees it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct LeftOut {
+pub struct LeaveOneOut {
     /// Its name.
     pub name: String,
     /// Where the block without it puts it minus its coordinates, metres; `None` where that block
@@ -196,11 +203,11 @@ pub struct LeftOut {
 /// Makes each control point in turn a check point and adjusts the rest.
 ///
 /// # Errors
-/// Where the survey is wrong; a rest without a solution leaves its point without an error.
+/// Where the reconstruction is wrong; a rest without a solution leaves its point without an error.
 pub fn leave_one_out(
     whole: &Reconstruction,
     settings: &Settings,
-) -> Result<Vec<LeftOut>, AdjustError> {
+) -> Result<Vec<LeaveOneOut>, AdjustError> {
     let control: Vec<usize> =
         (0..whole.ground.len()).filter(|&k| whole.ground[k].role == Role::Control).collect();
     let mut found = Vec::new();
@@ -214,15 +221,15 @@ pub fn leave_one_out(
                 let point = adjusted
                     .check_points
                     .iter()
-                    .find(|check| adjusted.screened.ground[check.ground] == k);
+                    .find(|check| adjusted.validated.ground[check.ground] == k);
                 point.map(|check| (check.error_m, check.covariance_m2, sigma0))
             }
             Err(AdjustError::Solve(_)) => None,
-            Err(error @ AdjustError::Survey(_)) => return Err(error),
+            Err(error @ AdjustError::Invalid(_)) => return Err(error),
         };
         let axes = whole.ground[k].axes.indices();
         let own = whole.ground[k].sigma_m;
-        found.push(LeftOut {
+        found.push(LeaveOneOut {
             name,
             error_m: check.map(|(error, _, _)| {
                 std::array::from_fn(|a| if axes.contains(&a) { error[a] } else { f64::NAN })

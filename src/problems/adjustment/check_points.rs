@@ -1,9 +1,9 @@
 //! Check points: intersected from their marks with the adjusted cameras, and compared.
 
 use super::{
-    posed::{Posed, measurement},
+    problem::{AdjustmentProblem, measurement},
     rays::{Rays, prepared, rays},
-    reprojection::{DATA, LENS, Moving, Still},
+    reprojection::{DATA, GlobalShutterFactor, LENS, RollingShutterFactor},
     statistics::Statistics,
 };
 use crate::scene::{GroundObservation, Reconstruction, Role};
@@ -57,17 +57,17 @@ pub fn rmse(errors_m: &[f64], confidence: f64) -> Option<AxisError> {
     })
 }
 
-/// Where the rays of some marks come nearest to each other, by the poses of `survey`; `None` where they
+/// Where the rays of some marks come nearest to each other, by the poses of `reconstruction`; `None` where they
 /// are parallel or a mark has no ray.
 pub(super) fn nearest_to_rays(
-    survey: &Reconstruction,
+    reconstruction: &Reconstruction,
     marks: &[GroundObservation],
 ) -> Option<[f64; 3]> {
     let mut normal = Matrix3::zeros();
     let mut right = Vector3::zeros();
     for mark in marks {
-        let image = &survey.images[mark.image as usize];
-        let ray = survey.cameras[image.camera].interior.unproject(mark.image_px)?;
+        let image = &reconstruction.images[mark.image as usize];
+        let ray = reconstruction.cameras[image.camera].interior.unproject(mark.image_px)?;
         let ray = Vector3::from(rotation::rotate(rotation::inverse(image.pose.rotation), ray));
         let across = Matrix3::identity() - ray * ray.transpose();
         normal += across;
@@ -79,28 +79,33 @@ pub(super) fn nearest_to_rays(
     normal.try_inverse().map(|inverse| (inverse * right).into())
 }
 
-/// Intersects all check points of `survey`, adjusted as `posed` at `x`.
+/// Intersects all check points of `reconstruction` with the values `x` of `adjustment`.
 pub fn check_points(
-    survey: &Reconstruction,
-    posed: &Posed,
+    reconstruction: &Reconstruction,
+    adjustment: &AdjustmentProblem,
     x: &[f64],
     statistics: &Statistics,
 ) -> Vec<CheckPoint> {
-    let mut adjusted = survey.clone();
-    posed.update(x, &mut adjusted);
-    let checks = (0..survey.ground.len()).filter(|&k| survey.ground[k].role == Role::Check);
-    checks.filter_map(|ground| intersect(&adjusted, posed, x, statistics, ground)).collect()
+    let mut adjusted = reconstruction.clone();
+    adjustment.update(x, &mut adjusted);
+    let checks =
+        (0..reconstruction.ground.len()).filter(|&k| reconstruction.ground[k].role == Role::Check);
+    checks.filter_map(|ground| intersect(&adjusted, adjustment, x, statistics, ground)).collect()
 }
 
 fn intersect(
-    survey: &Reconstruction,
-    posed: &Posed,
+    reconstruction: &Reconstruction,
+    adjustment: &AdjustmentProblem,
     x: &[f64],
     statistics: &Statistics,
     ground: usize,
 ) -> Option<CheckPoint> {
-    let marks: Vec<GroundObservation> =
-        survey.marks.iter().filter(|mark| mark.ground as usize == ground).copied().collect();
+    let marks: Vec<GroundObservation> = reconstruction
+        .marks
+        .iter()
+        .filter(|mark| mark.ground as usize == ground)
+        .copied()
+        .collect();
     if marks.len() < 2 {
         return None;
     }
@@ -108,19 +113,23 @@ fn intersect(
         .iter()
         .map(|mark| {
             let image = mark.image as usize;
-            let data = measurement(survey, image, mark.image_px, mark.sigma_px);
-            (image, survey.images[image].camera, data)
+            let data = measurement(reconstruction, image, mark.image_px, mark.sigma_px);
+            (image, reconstruction.images[image].camera, data)
         })
         .collect();
-    let start = nearest_to_rays(survey, &marks)?;
-    let mut at: [f64; 3] = std::array::from_fn(|k| start[k] - posed.origin_m[k]);
+    let start = nearest_to_rays(reconstruction, &marks)?;
+    let mut at: [f64; 3] = std::array::from_fn(|k| start[k] - adjustment.origin_m[k]);
     let linearize = |at: [f64; 3]| -> Rays {
-        if posed.moving {
-            let of = |image, camera| prepared::<Moving, 12, { 19 + LENS }>(posed, x, image, camera);
-            rays::<Moving, 12, { 19 + LENS }>(posed, of, at, &measurements)
+        if adjustment.moving {
+            let of = |image, camera| {
+                prepared::<RollingShutterFactor, 12, { 19 + LENS }>(adjustment, x, image, camera)
+            };
+            rays::<RollingShutterFactor, 12, { 19 + LENS }>(adjustment, of, at, &measurements)
         } else {
-            let of = |image, camera| prepared::<Still, 6, { 13 + LENS }>(posed, x, image, camera);
-            rays::<Still, 6, { 13 + LENS }>(posed, of, at, &measurements)
+            let of = |image, camera| {
+                prepared::<GlobalShutterFactor, 6, { 13 + LENS }>(adjustment, x, image, camera)
+            };
+            rays::<GlobalShutterFactor, 6, { 13 + LENS }>(adjustment, of, at, &measurements)
         }
     };
     // The intersection is close to linear: a few steps are plenty.
@@ -137,8 +146,8 @@ fn intersect(
         return None;
     }
     let (covariance, _) = linearize(at).covariances(&statistics.inverse)?;
-    let position_m: [f64; 3] = std::array::from_fn(|k| at[k] + posed.origin_m[k]);
-    let given = survey.ground[ground].position_m;
+    let position_m: [f64; 3] = std::array::from_fn(|k| at[k] + adjustment.origin_m[k]);
+    let given = reconstruction.ground[ground].position_m;
     Some(CheckPoint {
         ground,
         rays: marks.len(),

@@ -2,7 +2,7 @@
 //! what is known of lenses and motions beforehand. All residuals are divided by their standard
 //! deviations.
 
-use super::reprojection::{DATA, LENS, Moving, Still};
+use super::reprojection::{DATA, GlobalShutterFactor, LENS, RollingShutterFactor};
 use crate::{
     geometry::{cross, dot, rotation},
     nlls::{BlockId, Factor, Infeasible, Jacobian, ProjectionFactor},
@@ -10,12 +10,12 @@ use crate::{
 
 /// A ground point measured in an image: blocks image, lens, ground point.
 #[derive(Debug, Clone)]
-pub(super) struct MarkFactor {
+pub(super) struct GroundPointFactor {
     pub(super) blocks: [BlockId; 3],
     pub(super) data: [f64; DATA],
 }
 
-impl Factor for MarkFactor {
+impl Factor for GroundPointFactor {
     fn rows(&self) -> usize {
         2
     }
@@ -32,13 +32,13 @@ impl Factor for MarkFactor {
     ) -> Result<(), Infeasible> {
         let point = [x[2][0], x[2][1], x[2][2]];
         if x[0].len() == 7 {
-            let c = Still::prepare(x[0], x[1]);
-            let found = Still::linearize(&c, &point, &self.data);
+            let c = GlobalShutterFactor::prepare(x[0], x[1]);
+            let found = GlobalShutterFactor::linearize(&c, &point, &self.data);
             residual.copy_from_slice(&found.residual);
             fill(jacobian, &found.jacobian_camera, &found.jacobian_shared, &found.jacobian_point);
         } else {
-            let c = Moving::prepare(x[0], x[1]);
-            let found = Moving::linearize(&c, &point, &self.data);
+            let c = RollingShutterFactor::prepare(x[0], x[1]);
+            let found = RollingShutterFactor::linearize(&c, &point, &self.data);
             residual.copy_from_slice(&found.residual);
             fill(jacobian, &found.jacobian_camera, &found.jacobian_shared, &found.jacobian_point);
         }
@@ -63,14 +63,14 @@ fn fill<const K: usize>(
 
 /// Known coordinates of a ground point, along some axes.
 #[derive(Debug, Clone)]
-pub(super) struct Coordinates {
+pub(super) struct ControlPointFactor {
     pub(super) block: [BlockId; 1],
     pub(super) axes: &'static [usize],
     pub(super) position_m: [f64; 3],
     pub(super) sigma_m: [f64; 3],
 }
 
-impl Factor for Coordinates {
+impl Factor for ControlPointFactor {
     fn rows(&self) -> usize {
         self.axes.len()
     }
@@ -97,14 +97,14 @@ impl Factor for Coordinates {
 
 /// The measured position of the antenna, `R^T (l - t)` with the lever arm `l`.
 #[derive(Debug, Clone)]
-pub(super) struct Antenna {
+pub(super) struct CameraPositionFactor {
     pub(super) block: [BlockId; 1],
     pub(super) lever_arm_m: [f64; 3],
     pub(super) position_m: [f64; 3],
     pub(super) sigma_m: [f64; 3],
 }
 
-impl Factor for Antenna {
+impl Factor for CameraPositionFactor {
     fn rows(&self) -> usize {
         3
     }
@@ -141,13 +141,13 @@ impl Factor for Antenna {
 
 /// A measured distance between two ground points.
 #[derive(Debug, Clone)]
-pub(super) struct Distance {
+pub(super) struct ScaleBarFactor {
     pub(super) blocks: [BlockId; 2],
     pub(super) length_m: f64,
     pub(super) sigma_m: f64,
 }
 
-impl Factor for Distance {
+impl Factor for ScaleBarFactor {
     fn rows(&self) -> usize {
         1
     }
@@ -182,7 +182,7 @@ impl Factor for Distance {
 /// What is known of some entries of a block's tangent beforehand: `W (x - x_0)` with `W^T W` the
 /// inverse of their covariance. `first` is where the entries are counted from in the values.
 #[derive(Debug, Clone)]
-pub(super) struct Known {
+pub(super) struct GaussianPrior {
     pub(super) block: [BlockId; 1],
     /// Places in the values, and in the tangent.
     pub(super) places: Vec<(usize, usize)>,
@@ -191,7 +191,7 @@ pub(super) struct Known {
     pub(super) whitening: Vec<f64>,
 }
 
-impl Factor for Known {
+impl Factor for GaussianPrior {
     fn rows(&self) -> usize {
         self.expected.len()
     }

@@ -4,12 +4,12 @@
 //! their lenses: the pattern of the reduced system, in which the inverse is had for a few
 //! factorisations. What else is asked for is solved for.
 
-use super::posed::Posed;
+use super::problem::AdjustmentProblem;
 use crate::nlls::{BlockId, covariance::Covariance, manifold::MAX_TANGENT};
 use crate::scene::Reconstruction;
 use std::collections::{BTreeSet, HashMap};
 
-/// Blocks of the inverse, by the places of a pair in the problem.
+/// Blocks of the inverse, by the indices of a pair in the problem.
 #[derive(Debug)]
 pub(super) struct SelectedInverse {
     blocks: HashMap<(u32, u32), Vec<f64>>,
@@ -20,10 +20,10 @@ fn place(block: BlockId) -> u32 {
 }
 
 impl SelectedInverse {
-    /// Solves for the blocks that the observations of `survey` couple, check points included.
+    /// Solves for the blocks that the observations of `reconstruction` couple, check points included.
     pub(super) fn new(
-        survey: &Reconstruction,
-        posed: &Posed,
+        reconstruction: &Reconstruction,
+        adjustment: &AdjustmentProblem,
         covariance: &mut Covariance<'_>,
     ) -> Self {
         let mut partners: HashMap<BlockId, BTreeSet<BlockId>> = HashMap::new();
@@ -35,30 +35,30 @@ impl SelectedInverse {
                 }
             }
         };
-        let lens = |image: usize| posed.lenses[survey.images[image].camera];
-        let mut tracks: Vec<Vec<BlockId>> = vec![Vec::new(); survey.points.len()];
-        for o in &survey.observations {
+        let lens = |image: usize| adjustment.lenses[reconstruction.images[image].camera];
+        let mut tracks: Vec<Vec<BlockId>> = vec![Vec::new(); reconstruction.points.len()];
+        for o in &reconstruction.observations {
             let image = o.image as usize;
-            tracks[o.point as usize].extend([posed.images[image], lens(image)]);
+            tracks[o.point as usize].extend([adjustment.images[image], lens(image)]);
         }
-        let mut seen: Vec<Vec<BlockId>> = vec![Vec::new(); survey.ground.len()];
-        for mark in &survey.marks {
+        let mut seen: Vec<Vec<BlockId>> = vec![Vec::new(); reconstruction.ground.len()];
+        for mark in &reconstruction.marks {
             let image = mark.image as usize;
             let track = &mut seen[mark.ground as usize];
-            track.extend([posed.images[image], lens(image)]);
-            track.extend(posed.ground[mark.ground as usize]);
+            track.extend([adjustment.images[image], lens(image)]);
+            track.extend(adjustment.ground[mark.ground as usize]);
         }
         for track in tracks.iter_mut().chain(&mut seen) {
             track.sort_unstable();
             track.dedup();
             couple(track);
         }
-        for bar in &survey.scale_bars {
+        for bar in &reconstruction.scale_bars {
             let ends: Vec<BlockId> =
-                bar.ends.iter().filter_map(|&end| posed.ground[end as usize]).collect();
+                bar.ends.iter().filter_map(|&end| adjustment.ground[end as usize]).collect();
             couple(&ends);
         }
-        for &block in posed.images.iter().chain(&posed.lenses) {
+        for &block in adjustment.images.iter().chain(&adjustment.lenses) {
             couple(&[block]);
         }
         let mut order: Vec<(BlockId, Vec<BlockId>)> = partners
@@ -92,7 +92,7 @@ impl SelectedInverse {
 
     /// Adds `A C B^T` to `sum`, `C` the covariance of two blocks (0 where it was not asked for) and `A`,
     /// `B` two rows each over their tangents.
-    pub(super) fn carry(
+    pub(super) fn accumulate_covariance(
         &self,
         (a, by_a): (BlockId, &[f64]),
         (b, by_b): (BlockId, &[f64]),

@@ -11,8 +11,8 @@
 //!         + (p - p_0)^T C_p^-1 (p - p_0) + ... ]             interior orientation, motion
 //! ```
 //!
-//! Residuals are in measured pixels. Check points take no part. A [`Reconstruction`] is looked through
-//! ([`screen`]), posed ([`Posed`]), solved by [`crate::nlls`], and judged ([`Statistics`]);
+//! Residuals are in measured pixels. Check points take no part. A [`Reconstruction`] is validated
+//! ([`validate`]), posed as a problem ([`AdjustmentProblem`]), solved by [`crate::nlls`], and evaluated ([`Statistics`]);
 //! [`adjust()`] does all of it, [`snoop`] again and again until no observation is suspect.
 //!
 //! References: W. Foerstner and B. P. Wrobel, *Photogrammetric Computer Vision*, 2016, chapters 4 and
@@ -23,25 +23,29 @@ mod accuracy;
 mod align;
 mod analysis;
 mod check_points;
-mod clustered;
+mod cluster_robust;
+mod consistency;
 mod factors;
 mod inverse;
-mod posed;
+mod problem;
 mod rank;
 mod rays;
 mod reprojection;
-mod screening;
 mod snooping;
-mod soundness;
 mod statistics;
+mod validation;
 
 pub use accuracy::{ImageAccuracy, InteriorAccuracy, PointAccuracy};
 pub use align::{Alignment, align};
 pub use analysis::{
-    AdjustError, Adjusted, LeftOut, VarianceComponents, adjust, leave_one_out, variance_components,
+    AdjustError, Adjusted, LeaveOneOut, VarianceComponents, adjust, leave_one_out,
+    variance_components,
 };
 pub use check_points::{AxisError, CheckPoint, check_points, rmse};
-pub use posed::{Group, Posed, Settings};
-pub use screening::{Screened, SurveyError, screen};
-pub use snooping::{Removed, Snooped, Snooping, doubtful, snoop};
-pub use statistics::{Finding, GroupStatistics, Statistics, Subject, Tested, Testing};
+pub use problem::{AdjustmentProblem, Group, Settings};
+pub use snooping::{DataSnooping, DataSnoopingOptions, Removed, retained_suspects, snoop};
+pub use statistics::{
+    GroupStatistics, ObservationRef, OutlierTest, RejectedObservation, Statistics,
+    TestedObservation,
+};
+pub use validation::{InvalidReconstruction, Validated, validate};

@@ -1,6 +1,6 @@
 //! A rank deficiency in words: which parameters the observations cannot tell apart.
 
-use super::posed::Posed;
+use super::problem::AdjustmentProblem;
 use crate::scene::Reconstruction;
 use crate::{
     camera::Lens,
@@ -17,21 +17,21 @@ const TAKES_PART: f64 = 1e-3;
 /// A direction is one of lenses alone where they have this share of it.
 const LENS_ALONE: f64 = 0.05;
 
-/// Says why the normal equations of `posed` at `x` have no inverse; `otherwise` where nothing more
+/// Says why the normal equations of `adjustment` at `x` have no inverse; `otherwise` where nothing more
 /// is found.
 pub(super) fn explain(
-    survey: &Reconstruction,
-    posed: &Posed,
+    reconstruction: &Reconstruction,
+    adjustment: &AdjustmentProblem,
     x: &[f64],
     otherwise: SolveError,
 ) -> SolveError {
-    let Ok(directions) = null_space(&posed.problem, x, LinearSolver::Schur) else {
+    let Ok(directions) = null_space(&adjustment.problem, x, LinearSolver::Schur) else {
         return otherwise;
     };
     if directions.is_empty() {
         return otherwise;
     }
-    let datum = directions.iter().filter(|direction| is_datum(posed, direction)).count();
+    let datum = directions.iter().filter(|direction| is_datum(adjustment, direction)).count();
     let mut reasons: Vec<String> = Vec::new();
     if datum > 0 {
         reasons.push(format!(
@@ -40,15 +40,15 @@ pub(super) fn explain(
     }
     let mut of_lenses = BTreeSet::new();
     let mut images = BTreeSet::new();
-    for direction in directions.iter().filter(|direction| !is_datum(posed, direction)) {
-        let names = lens_names(survey, posed, direction);
+    for direction in directions.iter().filter(|direction| !is_datum(adjustment, direction)) {
+        let names = lens_names(reconstruction, adjustment, direction);
         if names.is_empty() {
             for (block, entries) in direction {
                 let share: f64 = entries.iter().map(|v| v * v).sum();
-                if let Some(k) = posed.images.iter().position(|image| image == block)
+                if let Some(k) = adjustment.images.iter().position(|image| image == block)
                     && share > 0.05
                 {
-                    images.insert(survey.images[k].name.clone());
+                    images.insert(reconstruction.images[k].name.clone());
                 }
             }
         } else {
@@ -79,19 +79,23 @@ pub(super) fn explain(
 }
 
 /// The parameters of lenses that carry a direction; none where it is not one of lenses.
-fn lens_names(survey: &Reconstruction, posed: &Posed, direction: &Direction) -> Vec<String> {
+fn lens_names(
+    reconstruction: &Reconstruction,
+    adjustment: &AdjustmentProblem,
+    direction: &Direction,
+) -> Vec<String> {
     let mut found: Vec<(f64, String)> = Vec::new();
     let mut total = 0.0;
     for (block, entries) in direction {
-        let Some(k) = posed.lenses.iter().position(|lens| lens == block) else { continue };
-        let camera = &survey.cameras[k];
+        let Some(k) = adjustment.lenses.iter().position(|lens| lens == block) else { continue };
+        let camera = &reconstruction.cameras[k];
         for (parameter, entry) in camera.interior.parameters().iter().zip(entries) {
             total += entry * entry;
             let name = match parameter.name {
                 "c_px" | "f_px" => "the principal distance".to_owned(),
                 name => name.trim_end_matches("_px").to_owned(),
             };
-            let name = if survey.cameras.len() > 1 {
+            let name = if reconstruction.cameras.len() > 1 {
                 format!("{name} of camera {:?}", camera.name)
             } else {
                 name
@@ -112,16 +116,16 @@ fn lens_names(survey: &Reconstruction, posed: &Posed, direction: &Direction) -> 
 
 /// Whether a direction moves images and ground points and leaves lenses alone, all images taking
 /// part.
-fn is_datum(posed: &Posed, direction: &Direction) -> bool {
+fn is_datum(adjustment: &AdjustmentProblem, direction: &Direction) -> bool {
     let mut moving = 0;
     let mut lens = 0.0;
     for (block, entries) in direction {
         let share: f64 = entries.iter().map(|v| v * v).sum();
-        if posed.lenses.contains(block) {
+        if adjustment.lenses.contains(block) {
             lens += share;
-        } else if posed.images.contains(block) && share > 1e-9 {
+        } else if adjustment.images.contains(block) && share > 1e-9 {
             moving += 1;
         }
     }
-    lens < 1e-3 && 2 * moving > posed.images.len()
+    lens < 1e-3 && 2 * moving > adjustment.images.len()
 }

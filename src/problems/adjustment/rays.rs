@@ -4,7 +4,7 @@
 
 use super::{
     inverse::SelectedInverse,
-    posed::Posed,
+    problem::AdjustmentProblem,
     reprojection::{DATA, LENS},
 };
 use crate::nlls::{BlockId, ProjectionFactor};
@@ -24,20 +24,20 @@ pub(super) fn prepared<
     const K: usize,
     const Q: usize,
 >(
-    posed: &Posed,
+    adjustment: &AdjustmentProblem,
     x: &[f64],
     image: usize,
     camera: usize,
 ) -> [f64; Q] {
-    let (kept, lens) = (posed.images[image], posed.lenses[camera]);
-    F::prepare(posed.problem.values(x, kept), posed.problem.values(x, lens))
+    let (kept, lens) = (adjustment.images[image], adjustment.lenses[camera]);
+    F::prepare(adjustment.problem.values(x, kept), adjustment.problem.values(x, lens))
 }
 
 /// Linearises measurements of one point: image, camera, data. `prepared` gives what is prepared of an
 /// image and its camera; for many points it is worth keeping, because a lens is looked through for
 /// the range in which it is one to one.
 pub(super) fn rays<F: ProjectionFactor<2, K, LENS, 3, Q, DATA>, const K: usize, const Q: usize>(
-    posed: &Posed,
+    adjustment: &AdjustmentProblem,
     prepared: impl Fn(usize, usize) -> [f64; Q],
     point: [f64; 3],
     measurements: &[(usize, usize, [f64; DATA])],
@@ -57,8 +57,8 @@ pub(super) fn rays<F: ProjectionFactor<2, K, LENS, 3, Q, DATA>, const K: usize, 
             }
         }
         rays.jacobian_camera.push([
-            (posed.images[image], found.jacobian_camera.concat()),
-            (posed.lenses[camera], found.jacobian_shared.concat()),
+            (adjustment.images[image], found.jacobian_camera.concat()),
+            (adjustment.lenses[camera], found.jacobian_shared.concat()),
         ]);
     }
     rays
@@ -91,7 +91,7 @@ impl Rays {
                 let mut sum = [[0.0; 2]; 2];
                 for (a, by_a) in first {
                     for (b, by_b) in second {
-                        inverse.carry((*a, by_a), (*b, by_b), &mut sum);
+                        inverse.accumulate_covariance((*a, by_a), (*b, by_b), &mut sum);
                     }
                 }
                 for i in 0..2 {

@@ -19,19 +19,19 @@ use crate::{
 /// Length of a lens block.
 pub(super) const LENS: usize = MAX_PARAMETERS + 1;
 /// Numbers prepared per image: rotation by rows, translation, range of the model, lens block.
-const STILL: usize = 13 + LENS;
+const GLOBAL_SHUTTER: usize = 13 + LENS;
 /// The same and the motion.
-const MOVING: usize = STILL + 6;
+const ROLLING_SHUTTER: usize = GLOBAL_SHUTTER + 6;
 /// Numbers per observation: position from the image centre, 1/sigma, share of the readout.
 pub(super) const DATA: usize = 4;
 
 /// An image at rest.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Still;
+pub(super) struct GlobalShutterFactor;
 
 /// An image in motion.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Moving;
+pub(super) struct RollingShutterFactor;
 
 /// The number of SMAC with its residual in the corrected domain.
 const CORRECTED: f64 = 4.0;
@@ -90,9 +90,9 @@ fn prepare<const Q: usize>(kept: &[f64], lens: &[f64]) -> [f64; Q] {
         out[9 + k] = kept[4 + k];
     }
     out[12] = Interior::unchecked(model(lens[LENS - 1]), [0, 0], [0.0; 2], lens).limit();
-    out[13..STILL].copy_from_slice(lens);
+    out[13..GLOBAL_SHUTTER].copy_from_slice(lens);
     if kept.len() > 7 {
-        out[STILL..].copy_from_slice(&kept[7..]);
+        out[GLOBAL_SHUTTER..].copy_from_slice(&kept[7..]);
     }
     out
 }
@@ -201,13 +201,13 @@ fn by_lens<L: Lane>(found: &[L; ANSWERED], row: usize, weight: L) -> [L; LENS] {
     by_lens
 }
 
-impl ProjectionFactor<2, 6, LENS, 3, STILL, DATA> for Still {
-    fn prepare(kept: &[f64], shared: &[f64]) -> [f64; STILL] {
+impl ProjectionFactor<2, 6, LENS, 3, GLOBAL_SHUTTER, DATA> for GlobalShutterFactor {
+    fn prepare(kept: &[f64], shared: &[f64]) -> [f64; GLOBAL_SHUTTER] {
         prepare(kept, shared)
     }
 
     #[inline(always)]
-    fn residual<L: Lane>(c: &[L; STILL], x: &[L; 3], data: &[L; DATA]) -> [L; 2] {
+    fn residual<L: Lane>(c: &[L; GLOBAL_SHUTTER], x: &[L; 3], data: &[L; DATA]) -> [L; 2] {
         let p = to_camera(c, x);
         let r = L::each(&asked(c, &p, data), residual);
         [r[0] * data[2], r[1] * data[2]]
@@ -215,7 +215,7 @@ impl ProjectionFactor<2, 6, LENS, 3, STILL, DATA> for Still {
 
     #[inline(always)]
     fn linearize<L: Lane>(
-        c: &[L; STILL],
+        c: &[L; GLOBAL_SHUTTER],
         x: &[L; 3],
         data: &[L; DATA],
     ) -> LinearizedProjection<L, 2, 6, LENS, 3> {
@@ -279,20 +279,20 @@ fn moved_with_derivatives(m: &[f64; 10]) -> [f64; 21] {
 }
 
 #[inline(always)]
-fn motion_asked<L: Lane>(c: &[L; MOVING], q: &[L; 3], tau: L) -> [L; 10] {
+fn motion_asked<L: Lane>(c: &[L; ROLLING_SHUTTER], q: &[L; 3], tau: L) -> [L; 10] {
     let mut asked = [tau; 10];
     asked[..3].copy_from_slice(q);
-    asked[4..].copy_from_slice(&c[STILL..STILL + 6]);
+    asked[4..].copy_from_slice(&c[GLOBAL_SHUTTER..GLOBAL_SHUTTER + 6]);
     asked
 }
 
-impl ProjectionFactor<2, 12, LENS, 3, MOVING, DATA> for Moving {
-    fn prepare(kept: &[f64], shared: &[f64]) -> [f64; MOVING] {
+impl ProjectionFactor<2, 12, LENS, 3, ROLLING_SHUTTER, DATA> for RollingShutterFactor {
+    fn prepare(kept: &[f64], shared: &[f64]) -> [f64; ROLLING_SHUTTER] {
         prepare(kept, shared)
     }
 
     #[inline(always)]
-    fn residual<L: Lane>(c: &[L; MOVING], x: &[L; 3], data: &[L; DATA]) -> [L; 2] {
+    fn residual<L: Lane>(c: &[L; ROLLING_SHUTTER], x: &[L; 3], data: &[L; DATA]) -> [L; 2] {
         let q = to_camera(c, x);
         let p = L::each(&motion_asked(c, &q, data[3]), moved);
         let r = L::each(&asked(c, &p, data), residual);
@@ -301,7 +301,7 @@ impl ProjectionFactor<2, 12, LENS, 3, MOVING, DATA> for Moving {
 
     #[inline(always)]
     fn linearize<L: Lane>(
-        c: &[L; MOVING],
+        c: &[L; ROLLING_SHUTTER],
         x: &[L; 3],
         data: &[L; DATA],
     ) -> LinearizedProjection<L, 2, 12, LENS, 3> {

@@ -2,8 +2,8 @@
 
 use super::{
     analysis::{AdjustError, Adjusted, FAR_OUT, adjust_after},
-    posed::{Group, Settings},
-    statistics::{Subject, Testing},
+    problem::{Group, Settings},
+    statistics::{ObservationRef, OutlierTest},
 };
 use crate::nlls::Loss;
 use crate::scene::{Excluded, ExcludedKind, Reconstruction, Role};
@@ -13,9 +13,9 @@ use std::collections::BTreeMap;
 /// How suspect observations are looked for.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
-pub struct Snooping {
+pub struct DataSnoopingOptions {
     /// Which test.
-    pub test: Testing,
+    pub test: OutlierTest,
     /// Probability of a false alarm among all observations of a kind in one round.
     pub significance: f64,
     /// The most rounds.
@@ -28,10 +28,10 @@ pub struct Snooping {
     pub least_error_px: f64,
 }
 
-impl Default for Snooping {
-    fn default() -> Snooping {
-        Snooping {
-            test: Testing::Pope,
+impl Default for DataSnoopingOptions {
+    fn default() -> DataSnoopingOptions {
+        DataSnoopingOptions {
+            test: OutlierTest::Pope,
             significance: 0.01,
             rounds: 20,
             least_error_m: 0.0,
@@ -74,9 +74,9 @@ impl Removed {
     }
 }
 
-/// A survey after data snooping.
+/// A reconstruction after data snooping.
 #[derive(Debug, Clone)]
-pub struct Snooped {
+pub struct DataSnooping {
     /// The last adjustment.
     pub adjusted: Adjusted,
     /// What was taken out, in that order.
@@ -95,10 +95,10 @@ pub struct Snooped {
 pub fn snoop(
     whole: &mut Reconstruction,
     settings: &Settings,
-    snooping: &Snooping,
-) -> Result<Snooped, AdjustError> {
+    snooping: &DataSnoopingOptions,
+) -> Result<DataSnooping, AdjustError> {
     let mut removed = Vec::new();
-    let mut aside: Vec<Excluded> = Vec::new();
+    let mut excluded: Vec<Excluded> = Vec::new();
     let mut round = 0;
     let plain = Settings { tie_loss: Loss::Trivial, ..settings.clone() };
     let mut only_ties = false;
@@ -106,20 +106,20 @@ pub fn snoop(
     loop {
         let with = if only_ties { &plain } else { settings };
         let mut adjusted = adjust_after(whole, with, last.as_ref())?;
-        let worst = going(&adjusted, settings, snooping);
+        let worst = select_outliers(&adjusted, settings, snooping);
         let at_end = worst.is_empty() || round == snooping.rounds;
         if at_end && last.take().is_some() {
             continue;
         }
         if at_end {
-            // What earlier rounds set aside is no longer in the survey.
-            aside.append(&mut adjusted.screened.aside);
-            adjusted.screened.aside = aside;
-            return Ok(Snooped { complete: worst.is_empty(), adjusted, removed });
+            // What earlier rounds excluded is no longer in the reconstruction.
+            excluded.append(&mut adjusted.validated.excluded);
+            adjusted.validated.excluded = excluded;
+            return Ok(DataSnooping { complete: worst.is_empty(), adjusted, removed });
         }
         round += 1;
-        let lost = adjusted.screened.aside.iter();
-        aside.extend(lost.filter(|a| a.reason == FAR_OUT).cloned());
+        let lost = adjusted.validated.excluded.iter();
+        excluded.extend(lost.filter(|a| a.reason == FAR_OUT).cloned());
         only_ties = worst
             .iter()
             .all(|(place, _)| adjusted.statistics.tested[*place].group == Group::TiePoints);
@@ -133,12 +133,16 @@ pub fn snoop(
 
 /// What goes this round: the worst of everything on the ground and in the air, or else the worst of each
 /// tie point.
-fn going(adjusted: &Adjusted, settings: &Settings, snooping: &Snooping) -> Vec<(usize, f64)> {
+fn select_outliers(
+    adjusted: &Adjusted,
+    settings: &Settings,
+    snooping: &DataSnoopingOptions,
+) -> Vec<(usize, f64)> {
     let mut worst: Option<(usize, f64)> = None;
     let mut of_points: BTreeMap<u32, (usize, f64)> = BTreeMap::new();
     for (place, excess) in suspects(adjusted, snooping) {
-        if let Subject::TieObservation(k) = adjusted.statistics.tested[place].subject {
-            let point = adjusted.survey.observations[k].point;
+        if let ObservationRef::TieObservation(k) = adjusted.statistics.tested[place].subject {
+            let point = adjusted.reconstruction.observations[k].point;
             let best = of_points.entry(point).or_insert((place, excess));
             if excess > best.1 {
                 *best = (place, excess);
@@ -156,7 +160,7 @@ fn going(adjusted: &Adjusted, settings: &Settings, snooping: &Snooping) -> Vec<(
     }
 }
 
-fn is_large(suspect: &Removed, snooping: &Snooping) -> bool {
+fn is_large(suspect: &Removed, snooping: &DataSnoopingOptions) -> bool {
     let least = match suspect.group {
         Group::Marks => snooping.least_error_px,
         _ => snooping.least_error_m,
@@ -166,7 +170,11 @@ fn is_large(suspect: &Removed, snooping: &Snooping) -> bool {
 
 /// What is in doubt on the ground and in the air after snooping, and was kept because it is not off by
 /// much; the worst first.
-pub fn doubtful(adjusted: &Adjusted, settings: &Settings, snooping: &Snooping) -> Vec<Removed> {
+pub fn retained_suspects(
+    adjusted: &Adjusted,
+    settings: &Settings,
+    snooping: &DataSnoopingOptions,
+) -> Vec<Removed> {
     let mut found: Vec<Removed> = suspects(adjusted, snooping)
         .into_iter()
         .filter(|(place, _)| adjusted.statistics.tested[*place].group != Group::TiePoints)
@@ -177,7 +185,7 @@ pub fn doubtful(adjusted: &Adjusted, settings: &Settings, snooping: &Snooping) -
 }
 
 /// Places in `tested` of what the test rejects, each with its test value over the critical one.
-fn suspects(adjusted: &Adjusted, snooping: &Snooping) -> Vec<(usize, f64)> {
+fn suspects(adjusted: &Adjusted, snooping: &DataSnoopingOptions) -> Vec<(usize, f64)> {
     let statistics = &adjusted.statistics;
     let count = |group: Group| {
         statistics.tested.iter().filter(|tested| tested.group == group).count().max(1) as f64
@@ -202,21 +210,21 @@ fn suspects(adjusted: &Adjusted, snooping: &Snooping) -> Vec<(usize, f64)> {
 
 fn describe(adjusted: &Adjusted, place: usize, excess: f64, settings: &Settings) -> Removed {
     let tested = &adjusted.statistics.tested[place];
-    let survey = &adjusted.survey;
+    let reconstruction = &adjusted.reconstruction;
     let factor = settings.factor(tested.group);
     let sigma = match tested.subject {
-        Subject::TieObservation(_) => [survey.tie_sigma_px; 3],
-        Subject::Mark(k) => [survey.marks[k].sigma_px; 3],
-        Subject::Control(k) => {
-            let point = &survey.ground[k];
+        ObservationRef::TieObservation(_) => [reconstruction.tie_sigma_px; 3],
+        ObservationRef::Mark(k) => [reconstruction.marks[k].sigma_px; 3],
+        ObservationRef::Control(k) => {
+            let point = &reconstruction.ground[k];
             let mut sigma = [0.0; 3];
             for (row, &axis) in point.axes.indices().iter().enumerate() {
                 sigma[row] = point.sigma_m[axis];
             }
             sigma
         }
-        Subject::Position(k) => survey.positions[k].sigma_m,
-        Subject::ScaleBar(k) => [survey.scale_bars[k].sigma_m; 3],
+        ObservationRef::Position(k) => reconstruction.positions[k].sigma_m,
+        ObservationRef::ScaleBar(k) => [reconstruction.scale_bars[k].sigma_m; 3],
     };
     Removed {
         name: adjusted.name(tested.subject),
@@ -228,18 +236,18 @@ fn describe(adjusted: &Adjusted, place: usize, excess: f64, settings: &Settings)
 }
 
 fn take_out(whole: &mut Reconstruction, adjusted: &Adjusted, worst: &[(usize, f64)]) {
-    let screened = &adjusted.screened;
+    let validated = &adjusted.validated;
     let mut ties = vec![true; whole.observations.len()];
     let mut marks = vec![true; whole.marks.len()];
     let mut positions = vec![true; whole.positions.len()];
     let mut bars = vec![true; whole.scale_bars.len()];
     for (place, _) in worst {
         match adjusted.statistics.tested[*place].subject {
-            Subject::TieObservation(k) => ties[screened.observations[k]] = false,
-            Subject::Mark(k) => marks[screened.marks[k]] = false,
-            Subject::Control(k) => whole.ground[screened.ground[k]].role = Role::Check,
-            Subject::Position(k) => positions[screened.positions[k]] = false,
-            Subject::ScaleBar(k) => bars[screened.scale_bars[k]] = false,
+            ObservationRef::TieObservation(k) => ties[validated.observations[k]] = false,
+            ObservationRef::Mark(k) => marks[validated.marks[k]] = false,
+            ObservationRef::Control(k) => whole.ground[validated.ground[k]].role = Role::Check,
+            ObservationRef::Position(k) => positions[validated.positions[k]] = false,
+            ObservationRef::ScaleBar(k) => bars[validated.scale_bars[k]] = false,
         }
     }
     keep(&mut whole.observations, &ties);

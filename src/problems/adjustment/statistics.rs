@@ -1,4 +1,4 @@
-//! What an adjustment is worth: variance factor, redundancy numbers, standardised residuals, tests,
+//! Statistics of an adjustment: variance factor, redundancy numbers, standardised residuals, tests,
 //! standard deviations and correlations.
 //!
 //! With whitened residuals `v` and Jacobian `J`, `C = (J^T J)^-1` is the covariance of the parameters for
@@ -15,12 +15,12 @@
 
 use super::{
     accuracy::{ImageAccuracy, InteriorAccuracy, PointAccuracy, array3, image, interior},
-    clustered,
+    cluster_robust,
     inverse::SelectedInverse,
-    posed::{Group, Posed, Settings, measurement},
+    problem::{AdjustmentProblem, Group, Settings, measurement},
     rank,
     rays::{prepared, rays},
-    reprojection::{DATA, LENS, Moving, Still},
+    reprojection::{DATA, GlobalShutterFactor, LENS, RollingShutterFactor},
 };
 use crate::scene::Reconstruction;
 use crate::{
@@ -36,7 +36,7 @@ use std::{collections::BTreeMap, sync::Arc};
 /// Which test.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Testing {
+pub enum OutlierTest {
     /// The standard deviations given are right: Baarda's test.
     Baarda,
     /// They are right but for a common factor of each kind: Pope's test.
@@ -44,10 +44,10 @@ pub enum Testing {
     Pope,
 }
 
-/// What an observation is; indices into the survey.
+/// What an observation is; indices into the reconstruction.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Subject {
+pub enum ObservationRef {
     /// A measurement of a tie point.
     TieObservation(usize),
     /// A mark of a ground point.
@@ -62,11 +62,11 @@ pub enum Subject {
 
 /// An observation at the solution; its first `rows` entries count.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Tested {
+pub struct TestedObservation {
     /// Its kind.
     pub group: Group,
     /// Which one it is.
-    pub subject: Subject,
+    pub subject: ObservationRef,
     /// How many numbers it is.
     pub rows: usize,
     /// Residuals (adjusted minus measured) in standard deviations.
@@ -107,16 +107,16 @@ impl GroupStatistics {
 
 /// An observation that the test rejects.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Finding {
+pub struct RejectedObservation {
     /// Its place in [`Statistics::tested`].
     pub place: usize,
     /// What it is.
-    pub subject: Subject,
+    pub subject: ObservationRef,
     /// The test value over its critical value: above 1.
     pub excess: f64,
 }
 
-/// What an adjustment is worth.
+/// Statistics of an adjustment.
 #[derive(Debug, Clone)]
 pub struct Statistics {
     /// Numbers observed, `n`.
@@ -130,8 +130,8 @@ pub struct Statistics {
     /// Kind by kind.
     pub groups: Vec<GroupStatistics>,
     /// Every observation.
-    pub tested: Vec<Tested>,
-    /// Every image, in the order of the survey.
+    pub tested: Vec<TestedObservation>,
+    /// Every image, in the order of the reconstruction.
     pub images: Vec<ImageAccuracy>,
     /// Every tie point.
     pub points: Vec<PointAccuracy>,
@@ -143,56 +143,68 @@ pub struct Statistics {
 }
 
 impl Statistics {
-    /// Judges the solution `x` of `posed`, posed from `survey` with `settings`.
+    /// Evaluates the solution `x` of `adjustment`, which was made from `reconstruction` with `settings`.
     ///
     /// # Errors
     /// [`SolveError::RankDeficient`] says which parameters the observations cannot tell apart.
     pub fn new(
-        survey: &Reconstruction,
-        posed: &Posed,
+        reconstruction: &Reconstruction,
+        adjustment: &AdjustmentProblem,
         settings: &Settings,
         x: &[f64],
     ) -> Result<Statistics, SolveError> {
-        let mut covariance = Covariance::new(&posed.problem, x, LinearSolver::Schur)
-            .map_err(|error| rank::explain(survey, posed, x, error))?;
-        let inverse = Arc::new(SelectedInverse::new(survey, posed, &mut covariance));
-        let mut found = Statistics::with_inverse(survey, posed, settings, x, inverse)?;
-        let at = (survey, posed, settings, x);
-        clustered::widen(at, &found.inverse, found.sigma0, &mut found.interiors);
+        let mut covariance = Covariance::new(&adjustment.problem, x, LinearSolver::Schur)
+            .map_err(|error| rank::explain(reconstruction, adjustment, x, error))?;
+        let inverse = Arc::new(SelectedInverse::new(reconstruction, adjustment, &mut covariance));
+        let mut found = Statistics::with_inverse(reconstruction, adjustment, settings, x, inverse)?;
+        let at = (reconstruction, adjustment, settings, x);
+        cluster_robust::widen_by_clusters(at, &found.inverse, found.sigma0, &mut found.interiors);
         Ok(found)
     }
 
     /// The same with the covariances of another solution of the same images, lenses and ground
     /// points.
     pub(super) fn with_inverse(
-        survey: &Reconstruction,
-        posed: &Posed,
+        reconstruction: &Reconstruction,
+        adjustment: &AdjustmentProblem,
         settings: &Settings,
         x: &[f64],
         inverse: Arc<SelectedInverse>,
     ) -> Result<Statistics, SolveError> {
-        let (mut tested, points) = if posed.moving {
-            ties::<Moving, 12, { 19 + LENS }>(survey, posed, settings, x, &inverse)
+        let (mut tested, points) = if adjustment.moving {
+            ties::<RollingShutterFactor, 12, { 19 + LENS }>(
+                reconstruction,
+                adjustment,
+                settings,
+                x,
+                &inverse,
+            )
         } else {
-            ties::<Still, 6, { 13 + LENS }>(survey, posed, settings, x, &inverse)
+            ties::<GlobalShutterFactor, 6, { 13 + LENS }>(
+                reconstruction,
+                adjustment,
+                settings,
+                x,
+                &inverse,
+            )
         };
         let mut groups: Vec<GroupStatistics> = Vec::new();
         if !tested.is_empty() {
             groups.push(sum(Group::TiePoints, &tested));
         }
-        for (group, name, about) in &posed.batches {
-            let found = others(posed, x, &inverse, name)?;
+        for (group, name, subjects) in &adjustment.batches {
+            let found = others(adjustment, x, &inverse, name)?;
             let mut total =
                 GroupStatistics { group: *group, observations: 0, redundancy: 0.0, squares: 0.0 };
-            for ((residual, redundancy), &k) in found.into_iter().zip(about) {
+            for ((residual, redundancy), &k) in found.into_iter().zip(subjects) {
                 total.observations += residual.len();
                 total.redundancy += redundancy.trace();
                 total.squares += residual.norm_squared();
                 let subject = match group {
-                    Group::Marks => Subject::Mark(k),
-                    Group::Control => Subject::Control(k),
-                    Group::Positions => Subject::Position(k),
-                    Group::ScaleBars => Subject::ScaleBar(k),
+                    Group::Marks => ObservationRef::Mark(k),
+                    Group::Control => ObservationRef::Control(k),
+                    Group::Positions => ObservationRef::Position(k),
+                    Group::ScaleBars => ObservationRef::ScaleBar(k),
                     Group::TiePoints | Group::Interior | Group::Motion => continue,
                 };
                 tested.push(test(*group, subject, &residual, &redundancy));
@@ -207,8 +219,8 @@ impl Statistics {
             }
         }
         groups.sort_by_key(|group| group.group);
-        let observations = posed.problem.residual_count();
-        let parameters = posed.problem.parameter_count();
+        let observations = adjustment.problem.residual_count();
+        let parameters = adjustment.problem.parameter_count();
         let redundancy = observations.saturating_sub(parameters);
         let squares: f64 = groups.iter().map(|group| group.squares).sum();
         let sigma0 = if redundancy > 0 { (squares / redundancy as f64).sqrt() } else { 1.0 };
@@ -219,9 +231,13 @@ impl Statistics {
             sigma0,
             groups,
             tested,
-            images: posed.images.iter().map(|&block| image(posed, x, &inverse, block)).collect(),
+            images: adjustment
+                .images
+                .iter()
+                .map(|&block| image(adjustment, x, &inverse, block))
+                .collect(),
             points,
-            ground: posed
+            ground: adjustment
                 .ground
                 .iter()
                 .map(|block| {
@@ -230,8 +246,8 @@ impl Statistics {
                     })
                 })
                 .collect(),
-            interiors: (0..survey.cameras.len())
-                .filter_map(|camera| interior(survey, posed, &inverse, camera))
+            interiors: (0..reconstruction.cameras.len())
+                .filter_map(|camera| interior(reconstruction, adjustment, &inverse, camera))
                 .collect(),
             inverse,
         })
@@ -260,17 +276,17 @@ impl Statistics {
     /// `significance`.
     pub fn critical(
         &self,
-        testing: Testing,
+        testing: OutlierTest,
         group: Group,
         freedom: usize,
         significance: f64,
     ) -> f64 {
         let q = freedom as f64;
         match testing {
-            Testing::Baarda => {
+            OutlierTest::Baarda => {
                 ChiSquared::new(q).map_or(f64::INFINITY, |chi| chi.inverse_cdf(1.0 - significance))
             }
-            Testing::Pope => {
+            OutlierTest::Pope => {
                 let (variance, r) = self.scale(group);
                 // T over the variance factor holds its own residual: r q F / (r - q + q F).
                 FisherSnedecor::new(q, r - q).map_or(f64::INFINITY, |f| {
@@ -282,9 +298,9 @@ impl Statistics {
     }
 
     /// The observations that the test rejects at `significance` each, the worst first.
-    pub fn findings(&self, testing: Testing, significance: f64) -> Vec<Finding> {
+    pub fn rejected(&self, testing: OutlierTest, significance: f64) -> Vec<RejectedObservation> {
         let mut criticals: BTreeMap<(Group, usize), f64> = BTreeMap::new();
-        let mut found: Vec<Finding> = self
+        let mut found: Vec<RejectedObservation> = self
             .tested
             .iter()
             .enumerate()
@@ -294,7 +310,11 @@ impl Statistics {
                 let critical = criticals
                     .entry((group, freedom))
                     .or_insert_with(|| self.critical(testing, group, freedom, significance));
-                Finding { place, subject: tested.subject, excess: tested.statistic / *critical }
+                RejectedObservation {
+                    place,
+                    subject: tested.subject,
+                    excess: tested.statistic / *critical,
+                }
             })
             .filter(|finding| finding.excess > 1.0)
             .collect();
@@ -312,7 +332,7 @@ impl Statistics {
     }
 }
 
-fn sum(group: Group, tested: &[Tested]) -> GroupStatistics {
+fn sum(group: Group, tested: &[TestedObservation]) -> GroupStatistics {
     let mut total = GroupStatistics { group, observations: 0, redundancy: 0.0, squares: 0.0 };
     for tested in tested {
         total.observations += tested.rows;
@@ -330,9 +350,14 @@ const LEAST_FOR_A_FACTOR: f64 = 8.0;
 /// Directions of a residual that are checked by less than this are not checked.
 const LEAST_REDUNDANCY: f64 = 1e-6;
 
-fn test(group: Group, subject: Subject, v: &DVector<f64>, r: &DMatrix<f64>) -> Tested {
+fn test(
+    group: Group,
+    subject: ObservationRef,
+    v: &DVector<f64>,
+    r: &DMatrix<f64>,
+) -> TestedObservation {
     let rows = v.len().min(3);
-    let mut tested = Tested {
+    let mut tested = TestedObservation {
         group,
         subject,
         rows,
@@ -364,39 +389,39 @@ fn test(group: Group, subject: Subject, v: &DVector<f64>, r: &DMatrix<f64>) -> T
 }
 
 fn ties<F: ProjectionFactor<2, K, LENS, 3, Q, DATA>, const K: usize, const Q: usize>(
-    survey: &Reconstruction,
-    posed: &Posed,
+    reconstruction: &Reconstruction,
+    adjustment: &AdjustmentProblem,
     settings: &Settings,
     x: &[f64],
     inverse: &SelectedInverse,
-) -> (Vec<Tested>, Vec<PointAccuracy>) {
-    let mut tracks: Vec<Vec<usize>> = vec![Vec::new(); survey.points.len()];
-    for (k, o) in survey.observations.iter().enumerate() {
+) -> (Vec<TestedObservation>, Vec<PointAccuracy>) {
+    let mut tracks: Vec<Vec<usize>> = vec![Vec::new(); reconstruction.points.len()];
+    for (k, o) in reconstruction.observations.iter().enumerate() {
         tracks[o.point as usize].push(k);
     }
-    let sigma_px = survey.tie_sigma_px * settings.factor(Group::TiePoints);
-    let images: Vec<[f64; Q]> = survey
+    let sigma_px = reconstruction.tie_sigma_px * settings.factor(Group::TiePoints);
+    let images: Vec<[f64; Q]> = reconstruction
         .images
         .iter()
         .enumerate()
-        .map(|(image, of)| prepared::<F, K, Q>(posed, x, image, of.camera))
+        .map(|(image, of)| prepared::<F, K, Q>(adjustment, x, image, of.camera))
         .collect();
-    let found: Vec<(Vec<Tested>, PointAccuracy)> = tracks
+    let found: Vec<(Vec<TestedObservation>, PointAccuracy)> = tracks
         .par_iter()
         .enumerate()
         .map(|(point, track)| {
             let measurements: Vec<_> = track
                 .iter()
                 .map(|&k| {
-                    let o = &survey.observations[k];
+                    let o = &reconstruction.observations[k];
                     let image = o.image as usize;
-                    let data = measurement(survey, image, o.image_px, sigma_px);
-                    (image, survey.images[image].camera, data)
+                    let data = measurement(reconstruction, image, o.image_px, sigma_px);
+                    (image, reconstruction.images[image].camera, data)
                 })
                 .collect();
-            let at = posed.problem.values(x, posed.points[point]);
+            let at = adjustment.problem.values(x, adjustment.points[point]);
             let of = |image: usize, _| images[image];
-            let rays = rays::<F, K, Q>(posed, of, [at[0], at[1], at[2]], &measurements);
+            let rays = rays::<F, K, Q>(adjustment, of, [at[0], at[1], at[2]], &measurements);
             let unknown = || {
                 let n = 2 * track.len();
                 (DMatrix::from_element(3, 3, f64::NAN), DMatrix::identity(n, n))
@@ -405,12 +430,13 @@ fn ties<F: ProjectionFactor<2, K, LENS, 3, Q, DATA>, const K: usize, const Q: us
             let tested = track.iter().enumerate().map(|(i, &k)| {
                 let r = DMatrix::identity(2, 2) - hat.view((2 * i, 2 * i), (2, 2));
                 let v = rays.residual.rows(2 * i, 2).into_owned();
-                test(Group::TiePoints, Subject::TieObservation(k), &v, &r)
+                test(Group::TiePoints, ObservationRef::TieObservation(k), &v, &r)
             });
             (tested.collect(), PointAccuracy { covariance_m2: array3(&covariance) })
         })
         .collect();
-    let (tested, points): (Vec<Vec<Tested>>, Vec<PointAccuracy>) = found.into_iter().unzip();
+    let (tested, points): (Vec<Vec<TestedObservation>>, Vec<PointAccuracy>) =
+        found.into_iter().unzip();
     (tested.into_iter().flatten().collect(), points)
 }
 
@@ -419,18 +445,18 @@ type Judged = (DVector<f64>, DMatrix<f64>);
 
 /// Residuals and redundancy matrices of the factors of a batch that touches no tie point.
 fn others(
-    posed: &Posed,
+    adjustment: &AdjustmentProblem,
     x: &[f64],
     inverse: &SelectedInverse,
     name: &str,
 ) -> Result<Vec<Judged>, SolveError> {
-    let found = posed.problem.linearized(x, name)?;
+    let found = adjustment.problem.linearized(x, name)?;
     Ok(found
         .into_iter()
         .map(|(blocks, residual, jacobian)| {
             let rows = residual.len();
             let columns: Vec<(BlockId, usize)> =
-                blocks.iter().map(|&block| (block, posed.problem.dimension(block))).collect();
+                blocks.iter().map(|&block| (block, adjustment.problem.dimension(block))).collect();
             let width = jacobian.len() / rows;
             let j = DMatrix::from_row_slice(rows, width, &jacobian);
             let among = inverse.among(&columns);

@@ -17,8 +17,8 @@
 //! start from homographies; T. Luhmann et al., *Close-range photogrammetry and 3D imaging*, 2014, for the
 //! statistics.
 
-mod marks;
-mod photos;
+mod condensed;
+mod corners;
 pub mod start;
 pub mod statistics;
 
@@ -27,8 +27,8 @@ use crate::{
     engine::{SolveError, Termination},
     nlls::{self, BlockId, Euclidean, LinearSolver, Loss, Options, Problem, manifold},
 };
-use marks::{Lenses, Marks};
-use photos::Photos;
+use condensed::CondensedPhotos;
+use corners::{CornerObservations, LensParameters};
 use serde::{Deserialize, Serialize};
 
 /// A corner of the board, measured in one photo.
@@ -92,7 +92,7 @@ pub struct Calibration {
     pub poses: Vec<BlockId>,
     /// The block of the height of each corner of the board, where heights are unknown.
     pub heights: Vec<Option<BlockId>>,
-    lenses: Lenses,
+    lenses: LensParameters,
 }
 
 /// Where a calibration stands.
@@ -119,7 +119,7 @@ impl Calibration {
         loss: Loss,
     ) -> Result<Calibration, SolveError> {
         let mut problem = Problem::new();
-        let lenses = Lenses::new(&state.interior, &request.free);
+        let lenses = LensParameters::new(&state.interior, &request.free);
         if lenses.free_count() == 0 {
             return Err(SolveError::Misuse("no parameter of the lens is free".into()));
         }
@@ -140,13 +140,17 @@ impl Calibration {
                     marks.extend_from_slice(&view.marks);
                     photos.push(([lens, pose], first..marks.len()));
                 }
-                problem.add(CORNERS, loss, Photos::new(lenses.clone(), photos, marks))?;
+                problem.add(CORNERS, loss, CondensedPhotos::new(lenses.clone(), photos, marks))?;
             }
             BoardShape::Flat => {
                 let marks = views.iter().zip(&poses).flat_map(|(view, &pose)| {
                     view.marks.iter().map(move |mark| ([lens, pose], *mark))
                 });
-                problem.add(CORNERS, loss, Marks::new(lenses.clone(), marks.collect()))?;
+                problem.add(
+                    CORNERS,
+                    loss,
+                    CornerObservations::new(lenses.clone(), marks.collect()),
+                )?;
             }
             BoardShape::Free => {
                 for (block, &height) in heights.iter_mut().zip(&state.heights_m) {
@@ -174,7 +178,7 @@ impl Calibration {
                         problem.fix(*block);
                     }
                 }
-                problem.add(CORNERS, loss, Marks::new(lenses.clone(), all))?;
+                problem.add(CORNERS, loss, CornerObservations::new(lenses.clone(), all))?;
             }
         }
         Ok(Calibration { problem, lens, poses, heights, lenses })

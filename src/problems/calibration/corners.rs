@@ -11,7 +11,7 @@ use std::ops::Range;
 
 /// How a block of free parameters makes a lens.
 #[derive(Debug, Clone)]
-pub(super) struct Lenses {
+pub(super) struct LensParameters {
     model: Model,
     size_px: [u32; 2],
     /// Values of all parameters; the free ones are replaced.
@@ -20,11 +20,11 @@ pub(super) struct Lenses {
     free: Vec<usize>,
 }
 
-impl Lenses {
-    pub(super) fn new(interior: &Interior, free: &[bool]) -> Lenses {
+impl LensParameters {
+    pub(super) fn new(interior: &Interior, free: &[bool]) -> LensParameters {
         let mut values = [0.0; MAX_PARAMETERS];
         values[..interior.values().len()].copy_from_slice(interior.values());
-        Lenses {
+        LensParameters {
             model: interior.model(),
             size_px: interior.size_px(),
             values,
@@ -51,25 +51,25 @@ impl Lenses {
     }
 
     /// The lens of a block, at no pose yet.
-    pub(super) fn placed(&self, block: &[f64]) -> Placed<'_> {
+    pub(super) fn posed_lens(&self, block: &[f64]) -> PosedLens<'_> {
         let centre = self.size_px.map(|n| 0.5 * (f64::from(n) - 1.0));
         let lens = Interior::unchecked(self.model, self.size_px, centre, &self.values(block));
-        Placed { lens, free: &self.free, rotation: [[0.0; 3]; 3], translation: [0.0; 3] }
+        PosedLens { lens, free: &self.free, rotation: [[0.0; 3]; 3], translation: [0.0; 3] }
     }
 }
 
 /// A lens at a pose.
 #[derive(Debug, Clone)]
-pub(super) struct Placed<'a> {
+pub(super) struct PosedLens<'a> {
     lens: Interior,
     free: &'a [usize],
     rotation: [[f64; 3]; 3],
     translation: [f64; 3],
 }
 
-impl Placed<'_> {
+impl PosedLens<'_> {
     pub(super) fn with_pose(&self, pose: &[f64]) -> Self {
-        Placed {
+        PosedLens {
             rotation: rotation::matrix([pose[0], pose[1], pose[2], pose[3]]),
             translation: [pose[4], pose[5], pose[6]],
             ..self.clone()
@@ -121,20 +121,23 @@ impl Placed<'_> {
 /// Corners one by one, of `N` blocks each: lens and pose, then perhaps the height of the corner.
 /// Those of one photo follow each other, so what its pose needs is computed once.
 #[derive(Debug, Clone)]
-pub(super) struct Marks<const N: usize> {
-    lenses: Lenses,
+pub(super) struct CornerObservations<const N: usize> {
+    lenses: LensParameters,
     blocks: Vec<[BlockId; N]>,
     marks: Vec<Mark>,
 }
 
-impl<const N: usize> Marks<N> {
-    pub(super) fn new(lenses: Lenses, marks: Vec<([BlockId; N], Mark)>) -> Marks<N> {
+impl<const N: usize> CornerObservations<N> {
+    pub(super) fn new(
+        lenses: LensParameters,
+        marks: Vec<([BlockId; N], Mark)>,
+    ) -> CornerObservations<N> {
         let (blocks, marks) = marks.into_iter().unzip();
-        Marks { lenses, blocks, marks }
+        CornerObservations { lenses, blocks, marks }
     }
 }
 
-impl<const N: usize> Batch for Marks<N> {
+impl<const N: usize> Batch for CornerObservations<N> {
     fn len(&self) -> usize {
         self.marks.len()
     }
@@ -156,22 +159,22 @@ impl<const N: usize> Batch for Marks<N> {
         width: usize,
     ) -> Result<(), InfeasibleFactor> {
         let Some(first) = self.blocks.get(range.start) else { return Ok(()) };
-        let mut placed = self.lenses.placed(x.block(first[0]));
+        let mut posed_lens = self.lenses.posed_lens(x.block(first[0]));
         let mut pose = None;
         for (k, factor) in range.enumerate() {
             let blocks = &self.blocks[factor];
             let mark = &self.marks[factor];
             if pose != Some(blocks[1]) {
-                placed = placed.with_pose(x.block(blocks[1]));
+                posed_lens = posed_lens.with_pose(x.block(blocks[1]));
                 pose = Some(blocks[1]);
             }
             let height = if N > 2 { x.block(blocks[2])[0] } else { 0.0 };
             let found = match jacobian.as_deref_mut() {
-                None => placed.residual(mark, height),
+                None => posed_lens.residual(mark, height),
                 Some(all) => {
                     let (upper, lower) =
                         all[2 * k * width..2 * (k + 1) * width].split_at_mut(width);
-                    placed.linearize(mark, height, [&mut *upper, &mut *lower]).map(
+                    posed_lens.linearize(mark, height, [&mut *upper, &mut *lower]).map(
                         |(residual, by_height)| {
                             if N > 2 {
                                 upper[width - 1] = by_height[0];

@@ -1,30 +1,30 @@
-//! What no survey may have: numbers that are none, names that are there twice, indices of nothing.
+//! What no reconstruction may have: numbers that are not finite, duplicate names, indices out of range.
 
-use super::screening::SurveyError;
+use super::validation::InvalidReconstruction;
 use crate::camera::Lens;
 use crate::scene::Reconstruction;
 use std::collections::HashSet;
 
-/// Refuses what cannot be.
+/// Refuses inconsistent input.
 ///
 /// # Errors
 /// Names what is wrong.
-pub(super) fn check(survey: &Reconstruction) -> Result<(), SurveyError> {
-    let fail = |message: String| Err(SurveyError(message));
+pub(super) fn check(reconstruction: &Reconstruction) -> Result<(), InvalidReconstruction> {
+    let fail = |message: String| Err(InvalidReconstruction(message));
     let finite = |values: &[f64]| values.iter().all(|v| v.is_finite());
-    if survey.images.is_empty() {
+    if reconstruction.images.is_empty() {
         return fail("there are no images".into());
     }
-    if !(survey.tie_sigma_px > 0.0 && survey.tie_sigma_px.is_finite()) {
+    if !(reconstruction.tie_sigma_px > 0.0 && reconstruction.tie_sigma_px.is_finite()) {
         return fail(format!(
             "the standard deviation of tie points is {} px, expected a positive number",
-            survey.tie_sigma_px
+            reconstruction.tie_sigma_px
         ));
     }
-    if !finite(&survey.lever_arm_m) {
+    if !finite(&reconstruction.lever_arm_m) {
         return fail("the lever arm is not finite".into());
     }
-    for camera in &survey.cameras {
+    for camera in &reconstruction.cameras {
         let there = camera.interior.values().len();
         let given = [
             ("free", camera.free.len()),
@@ -42,8 +42,8 @@ pub(super) fn check(survey: &Reconstruction) -> Result<(), SurveyError> {
         }
     }
     let mut names = HashSet::new();
-    for image in &survey.images {
-        if image.camera >= survey.cameras.len() {
+    for image in &reconstruction.images {
+        if image.camera >= reconstruction.cameras.len() {
             return fail(format!("image {}: there is no camera {}", image.name, image.camera));
         }
         if !names.insert(&image.name) {
@@ -63,36 +63,39 @@ pub(super) fn check(survey: &Reconstruction) -> Result<(), SurveyError> {
             ));
         }
     }
-    for point in &survey.points {
+    for point in &reconstruction.points {
         if !finite(&point.position_m) {
             return fail(format!("tie point {}: its position is not finite", point.id));
         }
     }
-    for o in &survey.observations {
-        if o.image as usize >= survey.images.len() || o.point as usize >= survey.points.len() {
+    for o in &reconstruction.observations {
+        if o.image as usize >= reconstruction.images.len()
+            || o.point as usize >= reconstruction.points.len()
+        {
             return fail(format!(
                 "an observation names image {}, point {}; there are {} and {}",
                 o.image,
                 o.point,
-                survey.images.len(),
-                survey.points.len()
+                reconstruction.images.len(),
+                reconstruction.points.len()
             ));
         }
         if !finite(&o.image_px) {
             return fail(format!(
                 "tie point {} in image {}: its position is not finite",
-                survey.points[o.point as usize].id, survey.images[o.image as usize].name
+                reconstruction.points[o.point as usize].id,
+                reconstruction.images[o.image as usize].name
             ));
         }
     }
-    check_ground(survey)
+    check_ground(reconstruction)
 }
 
-fn check_ground(survey: &Reconstruction) -> Result<(), SurveyError> {
-    let fail = |message: String| Err(SurveyError(message));
+fn check_ground(reconstruction: &Reconstruction) -> Result<(), InvalidReconstruction> {
+    let fail = |message: String| Err(InvalidReconstruction(message));
     let positive = |values: &[f64]| values.iter().all(|v| v.is_finite() && *v > 0.0);
     let mut names = HashSet::new();
-    for point in &survey.ground {
+    for point in &reconstruction.ground {
         let name = &point.name;
         if !names.insert(name) {
             return fail(format!("two ground points are called {name}"));
@@ -108,14 +111,15 @@ fn check_ground(survey: &Reconstruction) -> Result<(), SurveyError> {
         }
     }
     let mut seen = HashSet::new();
-    for mark in &survey.marks {
+    for mark in &reconstruction.marks {
         let (image, ground) = (mark.image as usize, mark.ground as usize);
-        if image >= survey.images.len() || ground >= survey.ground.len() {
+        if image >= reconstruction.images.len() || ground >= reconstruction.ground.len() {
             return fail(format!(
                 "a mark names image {image}, ground point {ground}, which are not there"
             ));
         }
-        let (image, ground) = (&survey.images[image].name, &survey.ground[ground].name);
+        let (image, ground) =
+            (&reconstruction.images[image].name, &reconstruction.ground[ground].name);
         if mark.image_px.iter().any(|v| !v.is_finite()) {
             return fail(format!("the mark of {ground} in image {image} is not finite"));
         }
@@ -132,8 +136,8 @@ fn check_ground(survey: &Reconstruction) -> Result<(), SurveyError> {
         }
     }
     let mut seen = HashSet::new();
-    for position in &survey.positions {
-        let Some(image) = survey.images.get(position.image as usize) else {
+    for position in &reconstruction.positions {
+        let Some(image) = reconstruction.images.get(position.image as usize) else {
             return fail(format!(
                 "a camera position names image {}, which is not there",
                 position.image
@@ -149,8 +153,8 @@ fn check_ground(survey: &Reconstruction) -> Result<(), SurveyError> {
             return fail(format!("image {} has two camera positions", image.name));
         }
     }
-    for bar in &survey.scale_bars {
-        let there = bar.ends.iter().all(|&end| (end as usize) < survey.ground.len());
+    for bar in &reconstruction.scale_bars {
+        let there = bar.ends.iter().all(|&end| (end as usize) < reconstruction.ground.len());
         if !there || bar.ends[0] == bar.ends[1] || !positive(&[bar.length_m, bar.sigma_m]) {
             return fail(
                 "a scale bar needs two ground points, a positive length and standard deviation"
@@ -158,7 +162,7 @@ fn check_ground(survey: &Reconstruction) -> Result<(), SurveyError> {
             );
         }
     }
-    if let Some(shutter) = survey.rolling_shutter {
+    if let Some(shutter) = reconstruction.rolling_shutter {
         let rate = shutter.sigma_rate_rad_s;
         let timing = positive(&[shutter.readout_s, shutter.sigma_velocity_m_s]);
         let turning = rate.is_finite() && rate >= 0.0;

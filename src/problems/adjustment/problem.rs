@@ -1,8 +1,12 @@
-//! A survey as a least-squares problem.
+//! A reconstruction as a least-squares problem.
 
 use super::{
-    factors::{Antenna, Coordinates, Distance, Known, MarkFactor},
-    reprojection::{DATA, LENS, Moving, Still, lens_block, lens_values},
+    factors::{
+        CameraPositionFactor, ControlPointFactor, GaussianPrior, GroundPointFactor, ScaleBarFactor,
+    },
+    reprojection::{
+        DATA, GlobalShutterFactor, LENS, RollingShutterFactor, lens_block, lens_values,
+    },
 };
 use crate::scene::{Axes, Reconstruction, Role};
 use crate::{
@@ -61,7 +65,7 @@ impl Group {
     }
 }
 
-/// How a survey is adjusted.
+/// How a reconstruction is adjusted.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Settings {
@@ -100,10 +104,10 @@ impl Settings {
     }
 }
 
-/// A survey as a problem, and which block is what.
+/// A reconstruction as a least-squares problem, and which block is what.
 #[derive(Debug)]
-pub struct Posed {
-    /// The problem; its blocks start at the survey's values.
+pub struct AdjustmentProblem {
+    /// The problem; its blocks start at the reconstruction's values.
     pub problem: Problem,
     pub(super) origin_m: [f64; 3],
     pub(super) lenses: Vec<BlockId>,
@@ -111,38 +115,41 @@ pub struct Posed {
     /// None for ground points that take no part.
     pub(super) ground: Vec<Option<BlockId>>,
     pub(super) points: Vec<BlockId>,
-    /// Batches besides the tie points: group, name, the index of what each factor is about.
+    /// Batches besides the tie points: group, name, the index of what each factor observes.
     pub(super) batches: Vec<(Group, String, Vec<usize>)>,
     pub(super) moving: bool,
 }
 
 /// The data of an image measurement.
 pub(super) fn measurement(
-    survey: &Reconstruction,
+    reconstruction: &Reconstruction,
     image: usize,
     image_px: [f64; 2],
     sigma_px: f64,
 ) -> [f64; DATA] {
-    let centre = survey.cameras[survey.images[image].camera].interior.centre_px();
+    let centre = reconstruction.cameras[reconstruction.images[image].camera].interior.centre_px();
     [
         image_px[0] - centre[0],
         image_px[1] - centre[1],
         1.0 / sigma_px,
-        survey.readout_share(image, image_px[1]),
+        reconstruction.readout_share(image, image_px[1]),
     ]
 }
 
-impl Posed {
-    /// Poses the adjustment of a survey that has been looked through
-    /// ([`super::screening::screen`]).
+impl AdjustmentProblem {
+    /// Sets up the adjustment of a reconstruction that has been validated
+    /// ([`super::validation::validate`]).
     ///
     /// # Errors
-    /// [`SolveError::Misuse`] where the survey cannot be posed.
-    pub fn new(survey: &Reconstruction, settings: &Settings) -> Result<Posed, SolveError> {
-        let origin_m = survey.origin_m();
-        let mut local = survey.clone();
+    /// [`SolveError::Misuse`] where the problem cannot be set up.
+    pub fn new(
+        reconstruction: &Reconstruction,
+        settings: &Settings,
+    ) -> Result<AdjustmentProblem, SolveError> {
+        let origin_m = reconstruction.origin_m();
+        let mut local = reconstruction.clone();
         local.shift(origin_m);
-        let mut posed = Posed {
+        let mut adjustment = AdjustmentProblem {
             problem: Problem::new(),
             origin_m,
             lenses: Vec::new(),
@@ -150,27 +157,27 @@ impl Posed {
             ground: Vec::new(),
             points: Vec::new(),
             batches: Vec::new(),
-            moving: survey.rolling_shutter.is_some(),
+            moving: reconstruction.rolling_shutter.is_some(),
         };
-        posed.add_images(&local, settings)?;
-        posed.add_lenses(&local, settings)?;
-        posed.add_ground(&local, settings)?;
-        posed.add_tie_points(&local, settings)?;
-        posed.add_motion(&local, settings)?;
+        adjustment.add_images(&local, settings)?;
+        adjustment.add_lenses(&local, settings)?;
+        adjustment.add_ground(&local, settings)?;
+        adjustment.add_tie_points(&local, settings)?;
+        adjustment.add_motion(&local, settings)?;
         if settings.minimal_datum {
-            posed.hold_datum(&local)?;
+            adjustment.hold_datum(&local)?;
         }
-        Ok(posed)
+        Ok(adjustment)
     }
 
     fn add_images(
         &mut self,
-        survey: &Reconstruction,
+        reconstruction: &Reconstruction,
         settings: &Settings,
     ) -> Result<(), SolveError> {
         // A pose at rest has no motion behind it.
         let space = manifold::PoseWithParameters(if self.moving { 6 } else { 0 });
-        for image in &survey.images {
+        for image in &reconstruction.images {
             let mut values = image.pose.rotation.to_vec();
             values.extend(image.pose.translation);
             if self.moving {
@@ -179,23 +186,23 @@ impl Posed {
             self.images.push(self.problem.block("image", space, &values)?);
         }
         let factor = settings.factor(Group::Positions);
-        let antennas = survey.positions.iter().map(|position| Antenna {
+        let antennas = reconstruction.positions.iter().map(|position| CameraPositionFactor {
             block: [self.images[position.image as usize]],
-            lever_arm_m: survey.lever_arm_m,
+            lever_arm_m: reconstruction.lever_arm_m,
             position_m: position.position_m,
             sigma_m: position.sigma_m.map(|sigma| sigma * factor),
         });
         let antennas = antennas.collect();
-        let about = (0..survey.positions.len()).collect();
-        self.add(Group::Positions, "camera positions", antennas, about)
+        let subjects = (0..reconstruction.positions.len()).collect();
+        self.add(Group::Positions, "camera positions", antennas, subjects)
     }
 
     fn add_lenses(
         &mut self,
-        survey: &Reconstruction,
+        reconstruction: &Reconstruction,
         settings: &Settings,
     ) -> Result<(), SolveError> {
-        for (index, camera) in survey.cameras.iter().enumerate() {
+        for (index, camera) in reconstruction.cameras.iter().enumerate() {
             let corrected = settings.corrected_domain && camera.interior.model() == Model::Smac;
             let values = lens_block(&camera.interior, corrected);
             let block = self.problem.block("camera", Euclidean(LENS), &values)?;
@@ -222,7 +229,7 @@ impl Posed {
             })?;
             let now = camera.interior.values();
             let expected = camera.expected.as_deref().unwrap_or(now);
-            let known = Known {
+            let known = GaussianPrior {
                 block: [block],
                 places: free.iter().map(|&k| (places[k], places[k])).collect(),
                 expected: free
@@ -239,10 +246,10 @@ impl Posed {
 
     fn add_ground(
         &mut self,
-        survey: &Reconstruction,
+        reconstruction: &Reconstruction,
         settings: &Settings,
     ) -> Result<(), SolveError> {
-        for point in &survey.ground {
+        for point in &reconstruction.ground {
             self.ground.push(match point.role {
                 Role::Check => None,
                 Role::Control | Role::Tie => {
@@ -251,33 +258,37 @@ impl Posed {
             });
         }
         let mut marks = Vec::new();
-        let mut about = Vec::new();
+        let mut subjects = Vec::new();
         let factor = settings.factor(Group::Marks);
-        for (k, mark) in survey.marks.iter().enumerate() {
+        for (k, mark) in reconstruction.marks.iter().enumerate() {
             if let Some(ground) = self.ground[mark.ground as usize] {
                 let image = mark.image as usize;
-                marks.push(MarkFactor {
-                    blocks: [self.images[image], self.lenses[survey.images[image].camera], ground],
-                    data: measurement(survey, image, mark.image_px, mark.sigma_px * factor),
+                marks.push(GroundPointFactor {
+                    blocks: [
+                        self.images[image],
+                        self.lenses[reconstruction.images[image].camera],
+                        ground,
+                    ],
+                    data: measurement(reconstruction, image, mark.image_px, mark.sigma_px * factor),
                 });
-                about.push(k);
+                subjects.push(k);
             }
         }
-        self.add(Group::Marks, "marks", marks, about)?;
+        self.add(Group::Marks, "marks", marks, subjects)?;
         let factor = settings.factor(Group::Control);
         for (axes, name) in [
             (Axes::Xyz, "control coordinates"),
             (Axes::Xy, "control coordinates in plan"),
             (Axes::Z, "control heights"),
         ] {
-            let mut about = Vec::new();
+            let mut subjects = Vec::new();
             let mut factors = Vec::new();
-            for (k, point) in survey.ground.iter().enumerate() {
+            for (k, point) in reconstruction.ground.iter().enumerate() {
                 if let (Some(block), Role::Control) = (self.ground[k], point.role)
                     && point.axes == axes
                 {
-                    about.push(k);
-                    factors.push(Coordinates {
+                    subjects.push(k);
+                    factors.push(ControlPointFactor {
                         block: [block],
                         axes: axes.indices(),
                         position_m: point.position_m,
@@ -285,69 +296,75 @@ impl Posed {
                     });
                 }
             }
-            self.add(Group::Control, name, factors, about)?;
+            self.add(Group::Control, name, factors, subjects)?;
         }
         let factor = settings.factor(Group::ScaleBars);
         let mut bars = Vec::new();
-        let mut about = Vec::new();
-        for (k, bar) in survey.scale_bars.iter().enumerate() {
+        let mut subjects = Vec::new();
+        for (k, bar) in reconstruction.scale_bars.iter().enumerate() {
             if let [Some(a), Some(b)] = bar.ends.map(|end| self.ground[end as usize]) {
-                bars.push(Distance {
+                bars.push(ScaleBarFactor {
                     blocks: [a, b],
                     length_m: bar.length_m,
                     sigma_m: bar.sigma_m * factor,
                 });
-                about.push(k);
+                subjects.push(k);
             }
         }
-        self.add(Group::ScaleBars, "scale bars", bars, about)
+        self.add(Group::ScaleBars, "scale bars", bars, subjects)
     }
 
     fn add_tie_points(
         &mut self,
-        survey: &Reconstruction,
+        reconstruction: &Reconstruction,
         settings: &Settings,
     ) -> Result<(), SolveError> {
-        for point in &survey.points {
+        for point in &reconstruction.points {
             let block = self.problem.block("tie point", Euclidean(3), &point.position_m)?;
             self.problem.eliminate(block);
             self.points.push(block);
         }
-        if survey.observations.is_empty() {
+        if reconstruction.observations.is_empty() {
             return Ok(());
         }
-        let sigma_px = survey.tie_sigma_px * settings.factor(Group::TiePoints);
-        let pairs: Vec<Measurement<DATA>> = survey
+        let sigma_px = reconstruction.tie_sigma_px * settings.factor(Group::TiePoints);
+        let pairs: Vec<Measurement<DATA>> = reconstruction
             .observations
             .iter()
             .map(|o| {
                 let image = o.image as usize;
                 Measurement::with_shared(
                     self.images[image],
-                    self.lenses[survey.images[image].camera],
+                    self.lenses[reconstruction.images[image].camera],
                     self.points[o.point as usize],
-                    measurement(survey, image, o.image_px, sigma_px),
+                    measurement(reconstruction, image, o.image_px, sigma_px),
                 )
             })
             .collect();
         let name = Group::TiePoints.name();
         if self.moving {
-            let batch = ProjectionBatch::<Moving, 2, 12, LENS, 3, { 19 + LENS }, DATA>::new(pairs);
+            let batch =
+                ProjectionBatch::<RollingShutterFactor, 2, 12, LENS, 3, { 19 + LENS }, DATA>::new(
+                    pairs,
+                );
             self.problem.add(name, settings.tie_loss, batch)
         } else {
-            let batch = ProjectionBatch::<Still, 2, 6, LENS, 3, { 13 + LENS }, DATA>::new(pairs);
+            let batch =
+                ProjectionBatch::<GlobalShutterFactor, 2, 6, LENS, 3, { 13 + LENS }, DATA>::new(
+                    pairs,
+                );
             self.problem.add(name, settings.tie_loss, batch)
         }
     }
 
     fn add_motion(
         &mut self,
-        survey: &Reconstruction,
+        reconstruction: &Reconstruction,
         settings: &Settings,
     ) -> Result<(), SolveError> {
-        let Some(shutter) = survey.rolling_shutter else { return Ok(()) };
+        let Some(shutter) = reconstruction.rolling_shutter else { return Ok(()) };
         let mut known = Vec::new();
-        for (image, &block) in survey.images.iter().zip(&self.images) {
+        for (image, &block) in reconstruction.images.iter().zip(&self.images) {
             let turning = shutter.sigma_rate_rad_s > 0.0;
             if !turning {
                 self.problem.fix_entries(block, &[6, 7, 8])?;
@@ -361,33 +378,33 @@ impl Posed {
                     if entry < 3 { shutter.sigma_rate_rad_s } else { shutter.sigma_velocity_m_s };
                 whitening[row * n + row] = 1.0 / (sigma * shutter.readout_s * factor);
             }
-            known.push(Known {
+            known.push(GaussianPrior {
                 block: [block],
                 places: entries.iter().map(|&k| (7 + k, 6 + k)).collect(),
                 expected: entries.iter().map(|&k| image.expected_motion[k]).collect(),
                 whitening,
             });
         }
-        let about = (0..known.len()).collect();
-        self.add(Group::Motion, "motion", known, about)
+        let subjects = (0..known.len()).collect();
+        self.add(Group::Motion, "motion", known, subjects)
     }
 
     /// Holds the first image and, of the one farthest from it, the coordinate of its centre that
     /// points most away: position, orientation and scale of the block.
-    fn hold_datum(&mut self, survey: &Reconstruction) -> Result<(), SolveError> {
-        let Some(first) = survey.images.first() else { return Ok(()) };
+    fn hold_datum(&mut self, reconstruction: &Reconstruction) -> Result<(), SolveError> {
+        let Some(first) = reconstruction.images.first() else { return Ok(()) };
         let from = first.pose.centre_m();
         let distance = |k: usize| -> f64 {
-            let centre = survey.images[k].pose.centre_m();
+            let centre = reconstruction.images[k].pose.centre_m();
             (0..3).map(|axis| (centre[axis] - from[axis]).powi(2)).sum()
         };
         let Some(farthest) =
-            (1..survey.images.len()).max_by(|&a, &b| distance(a).total_cmp(&distance(b)))
+            (1..reconstruction.images.len()).max_by(|&a, &b| distance(a).total_cmp(&distance(b)))
         else {
             return Ok(());
         };
         // Where the first centre is, seen from the farthest camera.
-        let seen = survey.images[farthest].pose.to_camera(from);
+        let seen = reconstruction.images[farthest].pose.to_camera(from);
         let axis = (0..3).max_by(|&a, &b| seen[a].abs().total_cmp(&seen[b].abs())).unwrap_or(0);
         self.problem.fix_entries(self.images[0], &[0, 1, 2, 3, 4, 5])?;
         self.problem.fix_entries(self.images[farthest], &[3 + axis])
@@ -398,12 +415,12 @@ impl Posed {
         group: Group,
         name: &str,
         factors: Vec<F>,
-        about: Vec<usize>,
+        subjects: Vec<usize>,
     ) -> Result<(), SolveError> {
         if factors.is_empty() {
             return Ok(());
         }
-        self.batches.push((group, name.to_owned(), about));
+        self.batches.push((group, name.to_owned(), subjects));
         self.problem.add(name, Loss::Trivial, Factors(factors))
     }
 
@@ -423,20 +440,20 @@ impl Posed {
         LeastSquares::new(settings.engine())
     }
 
-    /// Takes the values `x` into `survey`, the one this came from. What was measured stays.
-    pub fn update(&self, x: &[f64], survey: &mut Reconstruction) {
-        for (camera, &block) in survey.cameras.iter_mut().zip(&self.lenses) {
+    /// Writes the values `x` into `reconstruction`, the one this came from. What was measured stays.
+    pub fn update(&self, x: &[f64], reconstruction: &mut Reconstruction) {
+        for (camera, &block) in reconstruction.cameras.iter_mut().zip(&self.lenses) {
             let values = lens_values(&camera.interior, self.problem.values(x, block));
             if let Ok(interior) = camera.interior.with_values(&values) {
                 camera.interior = interior;
             }
         }
-        let ground = |survey: &Reconstruction| -> Vec<[f64; 3]> {
-            survey.ground.iter().map(|point| point.position_m).collect()
+        let ground = |reconstruction: &Reconstruction| -> Vec<[f64; 3]> {
+            reconstruction.ground.iter().map(|point| point.position_m).collect()
         };
-        let (kept, positions) = (ground(survey), survey.positions.clone());
-        survey.shift(self.origin_m);
-        for (image, &block) in survey.images.iter_mut().zip(&self.images) {
+        let (kept, positions) = (ground(reconstruction), reconstruction.positions.clone());
+        reconstruction.shift(self.origin_m);
+        for (image, &block) in reconstruction.images.iter_mut().zip(&self.images) {
             let v = self.problem.values(x, block);
             image.pose.rotation = [v[0], v[1], v[2], v[3]];
             image.pose.translation = [v[4], v[5], v[6]];
@@ -444,14 +461,14 @@ impl Posed {
                 image.motion.copy_from_slice(&v[7..]);
             }
         }
-        for (point, &block) in survey.points.iter_mut().zip(&self.points) {
+        for (point, &block) in reconstruction.points.iter_mut().zip(&self.points) {
             point.position_m.copy_from_slice(self.problem.values(x, block));
         }
-        survey.shift(self.origin_m.map(|v| -v));
-        for (point, position_m) in survey.ground.iter_mut().zip(kept) {
+        reconstruction.shift(self.origin_m.map(|v| -v));
+        for (point, position_m) in reconstruction.ground.iter_mut().zip(kept) {
             point.position_m = position_m;
         }
-        survey.positions = positions;
+        reconstruction.positions = positions;
     }
 
     /// Where the adjustment puts a ground point that took part, metres.

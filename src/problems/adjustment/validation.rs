@@ -1,7 +1,7 @@
-//! Looks through a survey before it is adjusted: what cannot be is refused, what cannot take part is
-//! set aside by name, and nothing is lost.
+//! Validation before an adjustment: what is contradictory is refused, what cannot take part is
+//! excluded by name, and nothing is lost.
 
-use super::soundness::check;
+use super::consistency::check;
 use crate::scene::{
     Axes, CameraPosition, Excluded, ExcludedKind, GroundObservation, Observation, Reconstruction,
     Role, ScaleBar,
@@ -12,18 +12,18 @@ use crate::{
 };
 use std::collections::HashSet;
 
-/// What is wrong with a survey as a whole, by name.
+/// What is wrong with a reconstruction as a whole.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{0}")]
-pub struct SurveyError(pub String);
+pub struct InvalidReconstruction(pub String);
 
-/// The part of a survey that can be adjusted, and where it comes from.
+/// The part of a reconstruction that can be adjusted, and where it comes from.
 #[derive(Debug, Clone)]
-pub struct Screened {
+pub struct Validated {
     /// That part.
-    pub survey: Reconstruction,
+    pub reconstruction: Reconstruction,
     /// What takes no part.
-    pub aside: Vec<Excluded>,
+    pub excluded: Vec<Excluded>,
     /// For each of its images its index in the whole.
     pub images: Vec<usize>,
     /// For each of its tie points its index in the whole.
@@ -43,58 +43,58 @@ pub struct Screened {
 /// Equations that an image needs: three points.
 const LEAST_OBSERVATIONS: usize = 3;
 
-/// Looks through a survey.
+/// Validates a reconstruction.
 ///
 /// # Errors
 /// Numbers that are not finite, indices that are not there, standard deviations that are not
 /// positive, names and marks that are there twice, nothing left to adjust.
-pub fn screen(whole: &Reconstruction) -> Result<Screened, SurveyError> {
+pub fn validate(whole: &Reconstruction) -> Result<Validated, InvalidReconstruction> {
     check(whole)?;
-    let mut aside = Vec::new();
+    let mut excluded = Vec::new();
     let mut tie = vec![true; whole.observations.len()];
     let mut mark = vec![true; whole.marks.len()];
-    keep_feasible(whole, &mut tie, &mut mark, &mut aside);
+    keep_feasible(whole, &mut tie, &mut mark, &mut excluded);
     let mut image = vec![true; whole.images.len()];
     let mut point = vec![true; whole.points.len()];
     let mut ground = vec![true; whole.ground.len()];
     // Taking one thing away may leave too little for another.
     loop {
-        let before = aside.len();
-        drop_points(whole, &tie, &mut point, &mut aside);
+        let before = excluded.len();
+        drop_points(whole, &tie, &mut point, &mut excluded);
         tie.iter_mut().zip(&whole.observations).for_each(|(keep, o)| {
             *keep &= point[o.point as usize] && image[o.image as usize];
         });
-        drop_ground(whole, &mark, &mut ground, &mut aside);
+        drop_ground(whole, &mark, &mut ground, &mut excluded);
         mark.iter_mut().zip(&whole.marks).for_each(|(keep, m)| {
             *keep &= ground[m.ground as usize] && image[m.image as usize];
         });
-        drop_images(whole, (&tie, &mark), &mut image, &mut aside);
-        if aside.len() == before {
+        drop_images(whole, (&tie, &mark), &mut image, &mut excluded);
+        if excluded.len() == before {
             break;
         }
     }
     if !image.contains(&true) {
-        let reasons: Vec<String> = aside.iter().take(3).map(ToString::to_string).collect();
-        return Err(SurveyError(format!(
+        let reasons: Vec<String> = excluded.iter().take(3).map(ToString::to_string).collect();
+        return Err(InvalidReconstruction(format!(
             "no image is left to adjust; the first reasons: {}",
             reasons.join("; ")
         )));
     }
-    Ok(compact(whole, [&image, &point, &ground], (&tie, &mark), aside))
+    Ok(compact(whole, [&image, &point, &ground], (&tie, &mark), excluded))
 }
 
-/// Sets aside measurements that their camera cannot make at the starting values, and second ones
+/// Excludes measurements that their camera cannot make at the starting values, and second ones
 /// of a point in one image.
 fn keep_feasible(
-    survey: &Reconstruction,
+    reconstruction: &Reconstruction,
     tie: &mut [bool],
     mark: &mut [bool],
-    aside: &mut Vec<Excluded>,
+    excluded: &mut Vec<Excluded>,
 ) {
     let why = |image: usize, point_m: [f64; 3]| -> Option<String> {
-        let image = &survey.images[image];
+        let image = &reconstruction.images[image];
         let local = image.pose.to_camera(point_m);
-        let lens = &survey.cameras[image.camera].interior;
+        let lens = &reconstruction.cameras[image.camera].interior;
         if lens.project(local).is_some() {
             None
         } else if local[2] >= 0.0 {
@@ -104,8 +104,8 @@ fn keep_feasible(
         }
     };
     let mut seen = HashSet::new();
-    for (keep, o) in tie.iter_mut().zip(&survey.observations) {
-        let point = &survey.points[o.point as usize];
+    for (keep, o) in tie.iter_mut().zip(&reconstruction.observations) {
+        let point = &reconstruction.points[o.point as usize];
         let reason = if seen.insert((o.image, o.point)) {
             why(o.image as usize, point.position_m)
         } else {
@@ -113,21 +113,21 @@ fn keep_feasible(
         };
         if let Some(reason) = reason {
             *keep = false;
-            aside.push(Excluded {
+            excluded.push(Excluded {
                 kind: ExcludedKind::Observation,
-                image: Some(survey.images[o.image as usize].name.clone()),
+                image: Some(reconstruction.images[o.image as usize].name.clone()),
                 point: Some(point.id.to_string()),
                 reason,
             });
         }
     }
-    for (keep, m) in mark.iter_mut().zip(&survey.marks) {
-        let ground = &survey.ground[m.ground as usize];
+    for (keep, m) in mark.iter_mut().zip(&reconstruction.marks) {
+        let ground = &reconstruction.ground[m.ground as usize];
         if let Some(reason) = why(m.image as usize, ground.position_m) {
             *keep = false;
-            aside.push(Excluded {
+            excluded.push(Excluded {
                 kind: ExcludedKind::Mark,
-                image: Some(survey.images[m.image as usize].name.clone()),
+                image: Some(reconstruction.images[m.image as usize].name.clone()),
                 point: Some(ground.name.clone()),
                 reason,
             });
@@ -140,18 +140,19 @@ fn keep_feasible(
 const LEAST_ANGLE_RAD: f64 = 1e-4;
 
 fn drop_points(
-    survey: &Reconstruction,
+    reconstruction: &Reconstruction,
     tie: &[bool],
     point: &mut [bool],
-    aside: &mut Vec<Excluded>,
+    excluded: &mut Vec<Excluded>,
 ) {
-    let centres: Vec<[f64; 3]> = survey.images.iter().map(|image| image.pose.centre_m()).collect();
-    let mut rays = vec![0usize; survey.points.len()];
-    let mut first = vec![[0.0; 3]; survey.points.len()];
-    let mut widest = vec![0.0f64; survey.points.len()];
-    for (_, o) in tie.iter().zip(&survey.observations).filter(|(keep, _)| **keep) {
+    let centres: Vec<[f64; 3]> =
+        reconstruction.images.iter().map(|image| image.pose.centre_m()).collect();
+    let mut rays = vec![0usize; reconstruction.points.len()];
+    let mut first = vec![[0.0; 3]; reconstruction.points.len()];
+    let mut widest = vec![0.0f64; reconstruction.points.len()];
+    for (_, o) in tie.iter().zip(&reconstruction.observations).filter(|(keep, _)| **keep) {
         let (k, centre) = (o.point as usize, centres[o.image as usize]);
-        let at = survey.points[k].position_m;
+        let at = reconstruction.points[k].position_m;
         let ray: [f64; 3] = std::array::from_fn(|axis| at[axis] - centre[axis]);
         let length = dot(ray, ray).sqrt();
         let ray = ray.map(|v| v / length);
@@ -174,34 +175,34 @@ fn drop_points(
             continue;
         };
         *keep = false;
-        aside.push(Excluded {
+        excluded.push(Excluded {
             kind: ExcludedKind::TiePoint,
             image: None,
-            point: Some(survey.points[k].id.to_string()),
+            point: Some(reconstruction.points[k].id.to_string()),
             reason,
         });
     }
 }
 
 fn drop_ground(
-    survey: &Reconstruction,
+    reconstruction: &Reconstruction,
     mark: &[bool],
     ground: &mut [bool],
-    aside: &mut Vec<Excluded>,
+    excluded: &mut Vec<Excluded>,
 ) {
-    let mut rays = vec![0usize; survey.ground.len()];
-    for (_, m) in mark.iter().zip(&survey.marks).filter(|(keep, _)| **keep) {
+    let mut rays = vec![0usize; reconstruction.ground.len()];
+    for (_, m) in mark.iter().zip(&reconstruction.marks).filter(|(keep, _)| **keep) {
         rays[m.ground as usize] += 1;
     }
     for (k, keep) in ground.iter_mut().enumerate() {
-        let point = &survey.ground[k];
+        let point = &reconstruction.ground[k];
         let needed = match (point.role, point.axes) {
             (Role::Control, Axes::Xyz | Axes::Xy | Axes::Z) => 1,
             (Role::Check | Role::Tie, _) => 2,
         };
         if *keep && rays[k] < needed {
             *keep = false;
-            aside.push(Excluded {
+            excluded.push(Excluded {
                 kind: ExcludedKind::GroundPoint,
                 image: None,
                 point: Some(point.name.clone()),
@@ -212,24 +213,25 @@ fn drop_ground(
 }
 
 fn drop_images(
-    survey: &Reconstruction,
+    reconstruction: &Reconstruction,
     (tie, mark): (&[bool], &[bool]),
     image: &mut [bool],
-    aside: &mut Vec<Excluded>,
+    excluded: &mut Vec<Excluded>,
 ) {
-    let mut seen = vec![0usize; survey.images.len()];
-    for (_, o) in tie.iter().zip(&survey.observations).filter(|(keep, _)| **keep) {
+    let mut seen = vec![0usize; reconstruction.images.len()];
+    for (_, o) in tie.iter().zip(&reconstruction.observations).filter(|(keep, _)| **keep) {
         seen[o.image as usize] += 1;
     }
-    for (_, m) in mark.iter().zip(&survey.marks).filter(|(keep, _)| **keep) {
-        seen[m.image as usize] += usize::from(survey.ground[m.ground as usize].role != Role::Check);
+    for (_, m) in mark.iter().zip(&reconstruction.marks).filter(|(keep, _)| **keep) {
+        seen[m.image as usize] +=
+            usize::from(reconstruction.ground[m.ground as usize].role != Role::Check);
     }
     for (k, keep) in image.iter_mut().enumerate() {
         if *keep && seen[k] < LEAST_OBSERVATIONS {
             *keep = false;
-            aside.push(Excluded {
+            excluded.push(Excluded {
                 kind: ExcludedKind::Image,
-                image: Some(survey.images[k].name.clone()),
+                image: Some(reconstruction.images[k].name.clone()),
                 point: None,
                 reason: format!(
                     "it has {} usable observation(s), its pose needs {LEAST_OBSERVATIONS}",
@@ -254,11 +256,11 @@ fn compact(
     whole: &Reconstruction,
     [image, point, ground]: [&[bool]; 3],
     (tie, mark): (&[bool], &[bool]),
-    mut aside: Vec<Excluded>,
-) -> Screened {
+    mut excluded: Vec<Excluded>,
+) -> Validated {
     let ((new_image, images), (new_point, points), (new_ground, grounds)) =
         (renumber(image), renumber(point), renumber(ground));
-    let mut survey = Reconstruction {
+    let mut reconstruction = Reconstruction {
         images: images.iter().map(|&k| whole.images[k].clone()).collect(),
         points: points.iter().map(|&k| whole.points[k]).collect(),
         ground: grounds.iter().map(|&k| whole.ground[k].clone()).collect(),
@@ -275,23 +277,23 @@ fn compact(
         let (image, point) = (new_image[o.image as usize], new_point[o.point as usize]);
         if image != u32::MAX && point != u32::MAX {
             observations.push(k);
-            survey.observations.push(Observation { image, point, ..*o });
+            reconstruction.observations.push(Observation { image, point, ..*o });
         }
     }
     for (k, m) in whole.marks.iter().enumerate().filter(|(k, _)| mark[*k]) {
         let (image, ground) = (new_image[m.image as usize], new_ground[m.ground as usize]);
         if image != u32::MAX && ground != u32::MAX {
             marks.push(k);
-            survey.marks.push(GroundObservation { image, ground, ..*m });
+            reconstruction.marks.push(GroundObservation { image, ground, ..*m });
         }
     }
     for (k, position) in whole.positions.iter().enumerate() {
         let image = new_image[position.image as usize];
         if image != u32::MAX {
             positions.push(k);
-            survey.positions.push(CameraPosition { image, ..*position });
+            reconstruction.positions.push(CameraPosition { image, ..*position });
         } else {
-            aside.push(Excluded {
+            excluded.push(Excluded {
                 kind: ExcludedKind::CameraPosition,
                 image: Some(whole.images[position.image as usize].name.clone()),
                 point: None,
@@ -301,13 +303,14 @@ fn compact(
     }
     for (k, bar) in whole.scale_bars.iter().enumerate() {
         let ends = bar.ends.map(|end| new_ground[end as usize]);
-        let used = |end: u32| end != u32::MAX && survey.ground[end as usize].role != Role::Check;
+        let used =
+            |end: u32| end != u32::MAX && reconstruction.ground[end as usize].role != Role::Check;
         if ends.iter().all(|&end| used(end)) {
             scale_bars.push(k);
-            survey.scale_bars.push(ScaleBar { ends, ..*bar });
+            reconstruction.scale_bars.push(ScaleBar { ends, ..*bar });
         } else {
             let names = bar.ends.map(|end| whole.ground[end as usize].name.clone());
-            aside.push(Excluded {
+            excluded.push(Excluded {
                 kind: ExcludedKind::ScaleBar,
                 image: None,
                 point: Some(names.join(" - ")),
@@ -315,9 +318,9 @@ fn compact(
             });
         }
     }
-    Screened {
-        survey,
-        aside,
+    Validated {
+        reconstruction,
+        excluded,
         images,
         points,
         ground: grounds,
@@ -328,8 +331,8 @@ fn compact(
     }
 }
 
-impl Screened {
-    /// Takes what was adjusted into the survey that this came from.
+impl Validated {
+    /// Writes what was adjusted into the reconstruction that this came from.
     pub fn update(&self, adjusted: &Reconstruction, whole: &mut Reconstruction) {
         whole.cameras.clone_from(&adjusted.cameras);
         for (image, &k) in adjusted.images.iter().zip(&self.images) {

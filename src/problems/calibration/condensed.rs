@@ -10,14 +10,14 @@
 //! 16 rows stand for the 96 of 48 corners, and the engine has a sixth of the work. It holds for plain
 //! sums of squares only: a robust loss weighs each corner by itself.
 
-use super::marks::{Lenses, Placed};
+use super::corners::{LensParameters, PosedLens};
 use crate::nlls::{Batch, BlockId, InfeasibleFactor, Values};
 use std::ops::Range;
 
 /// All photos of a flat board.
 #[derive(Debug, Clone)]
-pub(super) struct Photos {
-    lenses: Lenses,
+pub(super) struct CondensedPhotos {
+    lenses: LensParameters,
     /// Lens and pose of each photo, and which marks are its own.
     photos: Vec<([BlockId; 2], Range<usize>)>,
     marks: Vec<super::Mark>,
@@ -29,22 +29,22 @@ const LARGEST: usize = 20;
 /// Those of the usual lens of nine free parameters.
 const USUAL: usize = 16;
 
-impl Photos {
+impl CondensedPhotos {
     pub(super) fn new(
-        lenses: Lenses,
+        lenses: LensParameters,
         photos: Vec<([BlockId; 2], Range<usize>)>,
         marks: Vec<super::Mark>,
-    ) -> Photos {
+    ) -> CondensedPhotos {
         let rows = lenses.free_count() + 7;
-        Photos { lenses, photos, marks, rows }
+        CondensedPhotos { lenses, photos, marks, rows }
     }
 
     /// The squares of a photo, summed.
-    fn squares(&self, factor: usize, x: Values<'_>, placed: &Placed) -> Option<f64> {
+    fn squares(&self, factor: usize, x: Values<'_>, posed_lens: &PosedLens) -> Option<f64> {
         let (_, marks) = &self.photos[factor];
-        let placed = placed.with_pose(x.block(self.photos[factor].0[1]));
+        let posed_lens = posed_lens.with_pose(x.block(self.photos[factor].0[1]));
         self.marks[marks.clone()].iter().try_fold(0.0, |sum, mark| {
-            let r = placed.residual(mark, 0.0)?;
+            let r = posed_lens.residual(mark, 0.0)?;
             Some(sum + r[0] * r[0] + r[1] * r[1])
         })
     }
@@ -54,19 +54,19 @@ impl Photos {
         &self,
         factor: usize,
         x: Values<'_>,
-        placed: &Placed,
+        posed_lens: &PosedLens,
         residual: &mut [f64],
         jacobian: &mut [f64],
     ) -> Option<()> {
         let (blocks, marks) = &self.photos[factor];
-        let placed = placed.with_pose(x.block(blocks[1]));
+        let posed_lens = posed_lens.with_pose(x.block(blocks[1]));
         let width = self.rows - 1;
         let mut product = Product::<N>([[0.0; N]; N]);
         let mut rows = [[0.0; N]; 2];
         for mark in &self.marks[marks.clone()] {
             let [first, second] = &mut rows;
             let (r, _) =
-                placed.linearize(mark, 0.0, [&mut first[..width], &mut second[..width]])?;
+                posed_lens.linearize(mark, 0.0, [&mut first[..width], &mut second[..width]])?;
             first[width] = r[0];
             second[width] = r[1];
             if !(r[0].is_finite() && r[1].is_finite()) {
@@ -131,7 +131,7 @@ impl<const N: usize> Product<N> {
     }
 }
 
-impl Batch for Photos {
+impl Batch for CondensedPhotos {
     fn len(&self) -> usize {
         self.photos.len()
     }
@@ -153,12 +153,12 @@ impl Batch for Photos {
         width: usize,
     ) -> Result<(), InfeasibleFactor> {
         let Some((first, _)) = self.photos.get(range.start) else { return Ok(()) };
-        let placed = self.lenses.placed(x.block(first[0]));
+        let posed_lens = self.lenses.posed_lens(x.block(first[0]));
         let stride = self.rows * width;
         for (k, factor) in range.enumerate() {
             let out = &mut residual[k * self.rows..(k + 1) * self.rows];
             let done = match jacobian.as_deref_mut() {
-                None => self.squares(factor, x, &placed).map(|squares| {
+                None => self.squares(factor, x, &posed_lens).map(|squares| {
                     // Only the length is asked for.
                     out.fill(0.0);
                     out[0] = squares.sqrt();
@@ -166,9 +166,9 @@ impl Batch for Photos {
                 Some(all) => {
                     let entries = &mut all[k * stride..(k + 1) * stride];
                     if self.rows <= USUAL {
-                        self.condense::<USUAL>(factor, x, &placed, out, entries)
+                        self.condense::<USUAL>(factor, x, &posed_lens, out, entries)
                     } else {
-                        self.condense::<LARGEST>(factor, x, &placed, out, entries)
+                        self.condense::<LARGEST>(factor, x, &posed_lens, out, entries)
                     }
                 }
             };

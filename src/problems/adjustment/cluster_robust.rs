@@ -1,7 +1,7 @@
 //! How well lenses are known where errors of neighbouring measurements are alike.
 //!
 //! `C = (J^T J)^-1` takes every measurement for an observation of its own. What is matched on the same patch of a
-//! field is not: the same leaves, shadows and slopes draw all of it aside together. Summed over a patch before they
+//! field is not: the same leaves, shadows and slopes displace all of it together. Summed over a patch before they
 //! are squared, the residuals say by how much a parameter would move if that patch were another (a sandwich estimator
 //! with clusters; A. C. Cameron and D. L. Miller, *A practitioner's guide to cluster-robust inference*, 2015):
 //!
@@ -16,9 +16,9 @@
 use super::{
     accuracy::InteriorAccuracy,
     inverse::SelectedInverse,
-    posed::{Group, Posed, Settings, measurement},
+    problem::{AdjustmentProblem, Group, Settings, measurement},
     rays::{Rays, prepared, rays},
-    reprojection::{DATA, LENS, Moving, Still},
+    reprojection::{DATA, GlobalShutterFactor, LENS, RollingShutterFactor},
 };
 use crate::nlls::ProjectionFactor;
 use crate::scene::Reconstruction;
@@ -42,34 +42,34 @@ struct Part {
     shift: Shift,
 }
 
-/// A survey and its adjustment.
-type At<'a> = (&'a Reconstruction, &'a Posed, &'a Settings, &'a [f64]);
+/// A reconstruction and its adjustment.
+type At<'a> = (&'a Reconstruction, &'a AdjustmentProblem, &'a Settings, &'a [f64]);
 
 /// Makes standard deviations of lenses as large as patches say.
-pub(super) fn widen(
-    (survey, posed, settings, x): At<'_>,
+pub(super) fn widen_by_clusters(
+    (reconstruction, adjustment, settings, x): At<'_>,
     inverse: &SelectedInverse,
     sigma0: f64,
     interiors: &mut [InteriorAccuracy],
 ) {
-    if interiors.is_empty() || survey.observations.is_empty() {
+    if interiors.is_empty() || reconstruction.observations.is_empty() {
         return;
     }
-    let mut of_points = vec![Vec::new(); survey.points.len()];
-    for (k, o) in survey.observations.iter().enumerate() {
+    let mut of_points = vec![Vec::new(); reconstruction.points.len()];
+    for (k, o) in reconstruction.observations.iter().enumerate() {
         of_points[o.point as usize].push(k);
     }
-    let sigma_px = survey.tie_sigma_px * settings.factor(Group::TiePoints);
-    let side_m = PATCH * typical_distance_m(survey);
-    let tracks = Tracks { survey, posed, x, inverse, of_points, sigma_px, side_m };
+    let sigma_px = reconstruction.tie_sigma_px * settings.factor(Group::TiePoints);
+    let side_m = PATCH * typical_distance_m(reconstruction);
+    let tracks = Tracks { reconstruction, adjustment, x, inverse, of_points, sigma_px, side_m };
     for interior in interiors {
-        let found = if posed.moving {
-            tracks.covariance::<Moving, 12, { 19 + LENS }>(interior.camera, sigma0)
+        let found = if adjustment.moving {
+            tracks.covariance::<RollingShutterFactor, 12, { 19 + LENS }>(interior.camera, sigma0)
         } else {
-            tracks.covariance::<Still, 6, { 13 + LENS }>(interior.camera, sigma0)
+            tracks.covariance::<GlobalShutterFactor, 6, { 13 + LENS }>(interior.camera, sigma0)
         };
         let Some(variances) = found else { continue };
-        let free = &survey.cameras[interior.camera].free;
+        let free = &reconstruction.cameras[interior.camera].free;
         let free = (0..free.len()).filter(|&k| free[k]);
         for (sigma, k) in interior.standard_deviations.iter_mut().zip(free) {
             *sigma = sigma.max(variances[k].max(0.0).sqrt());
@@ -77,10 +77,10 @@ pub(super) fn widen(
     }
 }
 
-/// The tie points of a survey, each with its measurements.
+/// The tie points of a reconstruction, each with its measurements.
 struct Tracks<'a> {
-    survey: &'a Reconstruction,
-    posed: &'a Posed,
+    reconstruction: &'a Reconstruction,
+    adjustment: &'a AdjustmentProblem,
     x: &'a [f64],
     inverse: &'a SelectedInverse,
     of_points: Vec<Vec<usize>>,
@@ -95,22 +95,22 @@ impl Tracks<'_> {
         camera: usize,
         sigma0: f64,
     ) -> Option<[f64; LENS]> {
-        let (survey, posed) = (self.survey, self.posed);
-        let lens = posed.lenses[camera];
+        let (reconstruction, adjustment) = (self.reconstruction, self.adjustment);
+        let lens = adjustment.lenses[camera];
         let with = |block, dim| self.inverse.between((lens, LENS), (block, dim));
         let of_images: Vec<DMatrix<f64>> =
-            posed.images.iter().map(|&image| with(image, K)).collect();
+            adjustment.images.iter().map(|&image| with(image, K)).collect();
         let of_lenses: Vec<DMatrix<f64>> =
-            posed.lenses.iter().map(|&other| with(other, LENS)).collect();
-        let images: Vec<[f64; Q]> = survey
+            adjustment.lenses.iter().map(|&other| with(other, LENS)).collect();
+        let images: Vec<[f64; Q]> = reconstruction
             .images
             .iter()
             .enumerate()
-            .map(|(image, of)| prepared::<F, K, Q>(posed, self.x, image, of.camera))
+            .map(|(image, of)| prepared::<F, K, Q>(adjustment, self.x, image, of.camera))
             .collect();
         let own = |k: &usize| {
-            let image = survey.observations[*k].image as usize;
-            survey.images[image].camera == camera
+            let image = reconstruction.observations[*k].image as usize;
+            reconstruction.images[image].camera == camera
         };
         let chunks: Vec<(Vec<Part>, OfLens)> = self
             .of_points
@@ -127,22 +127,24 @@ impl Tracks<'_> {
                     let measurements: Vec<_> = track
                         .iter()
                         .map(|&k| {
-                            let o = &survey.observations[k];
+                            let o = &reconstruction.observations[k];
                             let image = o.image as usize;
-                            let data = measurement(survey, image, o.image_px, self.sigma_px);
-                            (image, survey.images[image].camera, data)
+                            let data =
+                                measurement(reconstruction, image, o.image_px, self.sigma_px);
+                            (image, reconstruction.images[image].camera, data)
                         })
                         .collect();
-                    let at = posed.problem.values(self.x, posed.points[point]);
+                    let at = adjustment.problem.values(self.x, adjustment.points[point]);
                     let at = [at[0], at[1], at[2]];
-                    let rays = rays::<F, K, Q>(posed, |image, _| images[image], at, &measurements);
+                    let rays =
+                        rays::<F, K, Q>(adjustment, |image, _| images[image], at, &measurements);
                     let by = |ray: usize| {
                         let (image, camera, _) = measurements[ray];
                         [&of_images[image], &of_lenses[camera]]
                     };
                     if let Some((shift, alone)) = influence(&rays, by) {
                         independent += alone;
-                        let [x, y, _] = survey.points[point].position_m;
+                        let [x, y, _] = reconstruction.points[point].position_m;
                         let patch = [x, y].map(|v| (v / self.side_m).floor() as i64);
                         parts.push(Part { patch, shift });
                     }
@@ -205,13 +207,15 @@ fn influence<'c>(
 }
 
 /// How far points are from the images that see them, in the middle, metres.
-fn typical_distance_m(survey: &Reconstruction) -> f64 {
-    let centres: Vec<[f64; 3]> = survey.images.iter().map(|image| image.pose.centre_m()).collect();
-    let mut distances: Vec<f64> = survey
+fn typical_distance_m(reconstruction: &Reconstruction) -> f64 {
+    let centres: Vec<[f64; 3]> =
+        reconstruction.images.iter().map(|image| image.pose.centre_m()).collect();
+    let mut distances: Vec<f64> = reconstruction
         .observations
         .iter()
         .map(|o| {
-            let (a, b) = (centres[o.image as usize], survey.points[o.point as usize].position_m);
+            let (a, b) =
+                (centres[o.image as usize], reconstruction.points[o.point as usize].position_m);
             (0..3).map(|k| (a[k] - b[k]).powi(2)).sum::<f64>().sqrt()
         })
         .collect();
