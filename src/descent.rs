@@ -106,6 +106,8 @@ pub enum Order {
     Shuffled,
 }
 
+crate::choices!(Order: Cyclic, Shuffled);
+
 /// How to descend.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Options {

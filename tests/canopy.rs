@@ -5,7 +5,7 @@ use data_synth::scenario::{Preset, Scenario};
 use rowgram::{
     descent,
     phenotype::{
-        canopy::{self, Options},
+        canopy::{self, RowModelOptions},
         crops,
         locate::{self, Init, LocateError, Setup},
         rows::detect,
@@ -37,7 +37,7 @@ fn index(mask: &Mask) -> PixelIndex {
 }
 
 fn try_find(mask: &Mask, count: Option<usize>) -> Result<Canopy, LocateError> {
-    canopy::locate(mask, &detect(&index(mask)), count, &Options::default())
+    canopy::locate(mask, &detect(&index(mask)), count, &RowModelOptions::default())
 }
 
 fn find(mask: &Mask, count: Option<usize>) -> Canopy {
@@ -114,7 +114,7 @@ fn young_plants_that_stand_apart_are_found_by_their_mass() {
     let truth: Vec<[f64; 2]> = scene.field.plants.iter().map(|p| [p.u_px, p.v_px]).collect();
     let rows = detect(&index(&mask));
     let score = |apart: bool| {
-        let options = Options { apart, ..Options::default() };
+        let options = RowModelOptions { isolated_plants: apart, ..RowModelOptions::default() };
         let canopy = canopy::locate(&mask, &rows, None, &options).unwrap();
         f1(&positions(&canopy), &truth)
     };
@@ -172,7 +172,7 @@ fn a_mirrored_or_turned_mask_has_mirrored_or_turned_plants() {
 fn crops_have_the_same_plants_away_from_the_seams() {
     let (mask, _) = field(Preset::Mid20, 20.0, 8);
     let detection = detect(&index(&mask));
-    let options = Options::default();
+    let options = RowModelOptions::default();
     let whole = positions(&find(&mask, None));
     let (crop_px, halo_px) = (160, 80);
     let crops = crops::locate(&mask, &detection, &options, crop_px, halo_px).unwrap();

@@ -17,7 +17,7 @@ fn folder(files: &[(&str, &str)]) -> tempfile::TempDir {
 #[test]
 fn a_score_is_a_table_or_json() {
     let folder = folder(&[("found.csv", FOUND), ("truth", TRUTH)]);
-    let run = rowgram(folder.path(), "evaluate found.csv truth --radius 2,5");
+    let run = rowgram(folder.path(), "evaluate found.csv truth --radius-px 2,5");
     assert_eq!((run.code, run.stderr.as_str()), (0, ""));
     assert_snapshot!(run.stdout, @r"
     truth 2, found 3 (+1)
@@ -26,7 +26,7 @@ fn a_score_is_a_table_or_json() {
             2     0.3333  0.5000  0.4000
             5     0.6667  1.0000  0.8000
     ");
-    let run = rowgram(folder.path(), "evaluate found.csv truth --radius 5 --json");
+    let run = rowgram(folder.path(), "evaluate found.csv truth --radius-px 5 --json");
     assert_eq!((run.code, run.stderr.as_str()), (0, ""));
     assert_snapshot!(run.stdout, @r#"{"truth":2,"found":3,"count_error":1,"median_error_px":2.25,"rms_error_px":2.850438562747845,"radii":[{"radius_px":5.0,"precision":0.6666666666666666,"recall":1.0,"f1":0.8}]}"#);
 }
@@ -34,10 +34,10 @@ fn a_score_is_a_table_or_json() {
 #[test]
 fn nothing_found_or_nothing_there_is_a_result() {
     let folder = folder(&[("none.csv", "u_px,v_px\n"), ("truth.csv", TRUTH)]);
-    let run = rowgram(folder.path(), "evaluate none.csv truth.csv --radius 5 --json");
+    let run = rowgram(folder.path(), "evaluate none.csv truth.csv --radius-px 5 --json");
     assert_eq!(run.code, 0);
     assert_snapshot!(run.stdout, @r#"{"truth":2,"found":0,"count_error":-2,"median_error_px":null,"rms_error_px":null,"radii":[{"radius_px":5.0,"precision":null,"recall":0.0,"f1":0.0}]}"#);
-    let run = rowgram(folder.path(), "evaluate none.csv none.csv --radius 5");
+    let run = rowgram(folder.path(), "evaluate none.csv none.csv --radius-px 5");
     assert_snapshot!(run.stdout, @r"
     truth 0, found 0 (+0)
     error of the matched at the largest radius: median -, RMS -
@@ -61,16 +61,16 @@ fn bad_input_is_explained() {
         assert_eq!((run.code, run.stdout.as_str()), (2, ""), "{arguments}: {}", run.stderr);
         run.stderr
     };
-    assert_snapshot!(error("found.csv damaged.csv --radius 5"), @r#"error: damaged.csv, line 4: y is "", expected a finite number"#);
-    assert_snapshot!(error("infinite.csv truth.csv --radius 5"), @r#"error: infinite.csv, line 2: y is "inf", expected a finite number"#);
-    assert_snapshot!(error("columns.csv truth.csv --radius 5"), @r#"error: columns.csv, line 1: expected a header with u_px,v_px or x,y, or two numbers, found "east,north""#);
-    assert_snapshot!(error("empty.csv truth.csv --radius 5"), @"error: empty.csv: the file is empty, expected a header with u_px,v_px or x,y, or two columns");
-    assert_snapshot!(error("missing.csv truth.csv --radius 5"), @"error: cannot read missing.csv: No such file or directory (os error 2)");
-    assert_snapshot!(error("found.csv truth.csv --radius 5,-1"), @"error: --radius: radius -1: expected a positive number of pixels");
-    assert_snapshot!(error("found.csv truth.csv --radius nan"), @"error: --radius: radius NaN: expected a positive number of pixels");
-    assert!(error("found.csv truth.csv --radius 5,x").contains("invalid value 'x'"));
+    assert_snapshot!(error("found.csv damaged.csv --radius-px 5"), @r#"error: damaged.csv, line 4: y is "", expected a finite number"#);
+    assert_snapshot!(error("infinite.csv truth.csv --radius-px 5"), @r#"error: infinite.csv, line 2: y is "inf", expected a finite number"#);
+    assert_snapshot!(error("columns.csv truth.csv --radius-px 5"), @r#"error: columns.csv, line 1: expected a header with u_px,v_px or x,y, or two numbers, found "east,north""#);
+    assert_snapshot!(error("empty.csv truth.csv --radius-px 5"), @"error: empty.csv: the file is empty, expected a header with u_px,v_px or x,y, or two columns");
+    assert_snapshot!(error("missing.csv truth.csv --radius-px 5"), @"error: cannot read missing.csv: No such file or directory (os error 2)");
+    assert_snapshot!(error("found.csv truth.csv --radius-px 5,-1"), @"error: --radius-px: radius -1: expected a positive number of pixels");
+    assert_snapshot!(error("found.csv truth.csv --radius-px nan"), @"error: --radius-px: radius NaN: expected a positive number of pixels");
+    assert!(error("found.csv truth.csv --radius-px 5,x").contains("invalid value 'x'"));
     assert!(error("found.csv truth.csv").contains("--radius"));
-    assert!(error(". truth.csv --radius 5").contains("cannot read"));
+    assert!(error(". truth.csv --radius-px 5").contains("cannot read"));
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! `rowgram leaves`, `count`, `density` and `thresholds`, and GeoTIFF in and out, as a user meets them.
+//! `rowgram leaves`, `leaf-count`, `leaf-density` and `thresholds`, and GeoTIFF in and out, as a user meets them.
 
 use crate::{data, program::rowgram};
 use image::{GrayImage, Luma, Rgb, RgbImage};
@@ -56,10 +56,10 @@ fn leaves_of_a_mask_are_measured_in_pixels_and_said_so() {
     mask_png(folder.path());
     let run = rowgram(
         folder.path(),
-        "leaves mask.png -o leaves.csv --labels labels.tif --overlay seen.png",
+        "leaves mask.png -o leaves.csv --labels labels.tif --figures figures",
     );
     assert_eq!(run.code, 0, "{}", run.stderr);
-    assert!(run.stderr.contains("traits are in pixels"), "{}", run.stderr);
+    assert!(run.stderr.contains("lengths are in pixels"), "{}", run.stderr);
     let table = rows(&folder.path().join("leaves.csv"));
     assert_eq!(table.len(), 4, "{table:?}");
     assert!(!table[0].contains(&"length_m".to_owned()));
@@ -83,9 +83,8 @@ fn leaves_of_an_orthomosaic_are_on_the_map_and_belong_to_plants() {
     let folder = tempfile::tempdir().unwrap();
     ortho(&folder.path().join("ortho.tif"));
     std::fs::write(folder.path().join("plants.csv"), "u_px,v_px\n8,8\n8,92\n108,30\n").unwrap();
-    let verb =
-        "leaves ortho.tif -o leaves.geojson --plants plants.csv --per-plant counts.csv --json";
-    let run = rowgram(folder.path(), verb);
+    let command = "leaves ortho.tif --hsv 30,79,30,163 -o leaves.geojson --plants plants.csv --per-plant counts.csv --json";
+    let run = rowgram(folder.path(), command);
     assert_eq!(run.code, 0, "{}", run.stderr);
     let summary: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
     assert_eq!((summary["leaves"].as_u64(), summary["gsd_m"].as_f64()), (Some(3), Some(0.02)));
@@ -114,9 +113,15 @@ fn windows_and_whole_pictures_give_the_same() {
         .save(folder.path().join("photo.png"))
         .unwrap();
     for image in ["ortho.tif", "photo.png"] {
-        let run = rowgram(folder.path(), &format!("segment {image} -o {image}.mask.png"));
+        let run = rowgram(
+            folder.path(),
+            &format!("segment {image} --hsv 30,79,30,163 -o {image}.mask.png"),
+        );
         assert_eq!(run.code, 0, "{}", run.stderr);
-        let run = rowgram(folder.path(), &format!("segment {image} -o {image}.mask.tif"));
+        let run = rowgram(
+            folder.path(),
+            &format!("segment {image} --hsv 30,79,30,163 -o {image}.mask.tif"),
+        );
         assert_eq!(run.code, 0, "{}", run.stderr);
     }
     let whole = images::read_mask(&folder.path().join("photo.png.mask.png")).unwrap();
@@ -161,9 +166,13 @@ fn masks_without_and_with_nothing_but_plants_work_and_what_is_no_mask_is_told() 
         run.stderr
     );
     let run = rowgram(folder.path(), "leaves empty.png -o leaves.shp");
-    assert!(run.code == 2 && run.stderr.contains(".gpkg, .geojson or .csv"), "{}", run.stderr);
-    let run = rowgram(folder.path(), "leaves empty.png -o leaves.csv --ta pi/x");
-    assert!(run.code == 2 && run.stderr.contains("such as pi/5"), "{}", run.stderr);
+    assert!(run.code == 2 && run.stderr.contains(".gpkg or .geojson or .csv"), "{}", run.stderr);
+    let run = rowgram(folder.path(), "leaves empty.png -o leaves.csv --edge-angle-rad 4");
+    assert!(
+        run.code == 2 && run.stderr.contains("expected a number from 0 to 3.14"),
+        "{}",
+        run.stderr
+    );
 }
 
 #[test]
@@ -172,8 +181,10 @@ fn a_geopackage_holds_leaves_and_plants_on_the_map() {
     ortho(&folder.path().join("ortho.tif"));
     std::fs::write(folder.path().join("plants.csv"), "u_px,v_px\n30,50\n120,50\n").unwrap();
     for output in ["leaves.gpkg", "leaves.csv"] {
-        let run =
-            rowgram(folder.path(), &format!("leaves ortho.tif -o {output} --plants plants.csv"));
+        let run = rowgram(
+            folder.path(),
+            &format!("leaves ortho.tif --hsv 30,79,30,163 -o {output} --plants plants.csv"),
+        );
         assert_eq!(run.code, 0, "{}", run.stderr);
     }
     let table = rows(&folder.path().join("leaves.csv"));
@@ -203,11 +214,11 @@ fn the_number_of_threads_changes_no_byte() {
     let folder = tempfile::tempdir().unwrap();
     ortho(&folder.path().join("ortho.tif"));
     let files = [1, 2, 3].map(|n| {
-        let verb =
-            format!("leaves ortho.tif -o {n}.csv --labels {n}.tif --overlay {n}.png --threads {n}");
-        assert_eq!(rowgram(folder.path(), &verb).code, 0);
-        ["csv", "tif", "png"]
-            .map(|end| std::fs::read(folder.path().join(format!("{n}.{end}"))).unwrap())
+        let command =
+            format!("leaves ortho.tif -o {n}.csv --labels {n}.tif --figures {n} --threads {n}");
+        assert_eq!(rowgram(folder.path(), &command).code, 0);
+        [format!("{n}.csv"), format!("{n}.tif"), format!("{n}/leaves.png")]
+            .map(|name| std::fs::read(folder.path().join(name)).unwrap())
     });
     assert!(files[0] == files[1] && files[1] == files[2]);
 }
@@ -221,18 +232,22 @@ fn leaves_are_counted_from_area() {
     std::fs::write(folder.path().join("plots.geojson"), plots).unwrap();
     let run = rowgram(
         folder.path(),
-        "count mask.png --calibrate plots.geojson --plots plots.geojson -o counts.csv --json",
+        "leaf-count mask.png --regions plots.geojson --plots plots.geojson -o counts.csv --json",
     );
     assert_eq!(run.code, 0, "{}", run.stderr);
     assert!(run.stderr.contains("may not be orthorectified"), "{}", run.stderr);
     let summary: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
     // The leaf that stands alone has 5 rows of 40 pixels.
-    assert_eq!(summary["rho"].as_f64(), Some(200.0));
+    assert_eq!(summary["rho_px"].as_f64(), Some(200.0));
     let counts = rows(&folder.path().join("counts.csv"));
     assert_eq!((counts[2][0].as_str(), counts[2][2].as_str()), ("right", "1.000"));
-    let run = rowgram(folder.path(), "count mask.png --rho -3");
-    assert!(run.code == 2 && run.stderr.contains("expected a positive number"), "{}", run.stderr);
-    let run = rowgram(folder.path(), "count mask.png");
+    let run = rowgram(folder.path(), "leaf-count mask.png --rho-px -3 -o c.csv");
+    assert!(
+        run.code == 2 && run.stderr.contains("expected a number greater than 0"),
+        "{}",
+        run.stderr
+    );
+    let run = rowgram(folder.path(), "leaf-count mask.png -o c.csv");
     assert_eq!(run.code, 2);
 }
 
@@ -240,8 +255,10 @@ fn leaves_are_counted_from_area() {
 fn the_density_is_the_number_of_plants_in_the_window() {
     let folder = tempfile::tempdir().unwrap();
     mask_png(folder.path());
-    let run =
-        rowgram(folder.path(), "density mask.png --window 5 -o density.tif --picture density.png");
+    let run = rowgram(
+        folder.path(),
+        "leaf-density mask.png --window-px 5 -o density.tif --figures figures",
+    );
     assert_eq!(run.code, 0, "{}", run.stderr);
     let found: Vec<u32> = Reader::open(&folder.path().join("density.tif"))
         .unwrap()
@@ -254,7 +271,7 @@ fn the_density_is_the_number_of_plants_in_the_window() {
             .count();
         assert_eq!(found[(v * 170 + u) as usize] as usize, count, "{u} {v}");
     }
-    let run = rowgram(folder.path(), "density mask.png --window 4 -o other.tif");
+    let run = rowgram(folder.path(), "leaf-density mask.png --window-px 4 -o other.tif");
     assert!(run.code == 2 && run.stderr.contains("expected an odd number"), "{}", run.stderr);
 }
 
@@ -269,14 +286,19 @@ fn thresholds_are_proposed_tuned_and_drawn() {
     })
     .save(folder.path().join("photo.png"))
     .unwrap();
-    let run = rowgram(folder.path(), "thresholds photo.png --histogram histogram.svg");
+    let run = rowgram(folder.path(), "thresholds photo.png --figures proposed");
     assert!(run.code == 0 && run.stdout.contains("(proposed)"), "{} {}", run.stdout, run.stderr);
     let run =
-        rowgram(folder.path(), "thresholds photo.png --masks mask.png --sweep sweep.svg --json");
+        rowgram(folder.path(), "thresholds photo.png --masks mask.png --figures figures --json");
     assert_eq!(run.code, 0, "{}", run.stderr);
     let summary: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
     assert_eq!(summary["judged"][0]["iou"].as_f64(), Some(1.0));
-    for name in ["histogram.svg", "histogram.csv", "sweep.svg", "sweep.csv"] {
+    for name in [
+        "proposed/histograms.svg",
+        "figures/histograms.csv",
+        "figures/sweeps.svg",
+        "figures/sweeps.csv",
+    ] {
         assert!(folder.path().join(name).exists(), "{name}");
     }
     // A mask with softened edges is split at half of its white.

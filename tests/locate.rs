@@ -59,8 +59,9 @@ fn plants_in_a_mask_are_found_by_every_variant() {
                 [("joint", "paper"), ("conditional", "planar"), ("joint", "fixed:6")]
             {
                 let run = rowgram(&[
-                    "locate", mask, "--plants", "36", "--prior", prior, "--update", update,
-                    "--form", form, "--sigma", sigma, "--init", "rows", "--force", "-o", output,
+                    "locate", mask, "--method", "descent", "--plants", "36", "--prior", prior,
+                    "--update", update, "--form", form, "--sigma", sigma, "--init", "rows",
+                    "--force", "-o", output,
                 ]);
                 assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
                 let (header, plants) = read(&out);
@@ -84,14 +85,16 @@ fn the_summary_trace_overlay_and_metres_are_written() {
         mask.to_str().unwrap(),
         "--plants",
         "36",
-        "--gsd",
+        "--method",
+        "descent",
+        "--gsd-m",
         "0.01",
         "--json",
         "--quiet",
         "--trace",
         &path("trace.csv"),
-        "--overlay",
-        &path("overlay.png"),
+        "--figures",
+        &path("figures"),
         "-o",
         &path("plants.csv"),
     ]);
@@ -105,7 +108,7 @@ fn the_summary_trace_overlay_and_metres_are_written() {
     assert_eq!(header, ["u_px", "v_px", "row", "x_m", "y_m"]);
     assert!(plants.iter().all(|plant| (plant[0] * 0.01 - plant[3]).abs() < 1e-9));
     assert!(std::fs::read_to_string(path("trace.csv")).unwrap().contains("sigma_px"));
-    assert_eq!(image::open(path("overlay.png")).unwrap().width(), 360);
+    assert_eq!(image::open(path("figures/plants.png")).unwrap().width(), 360);
 }
 
 #[test]
@@ -119,6 +122,8 @@ fn the_result_depends_on_the_seed_alone() {
             mask.to_str().unwrap(),
             "--plants",
             "30",
+            "--method",
+            "descent",
             "--prior",
             "none",
             "--seed",
@@ -150,20 +155,20 @@ fn bad_input_is_refused_with_code_2_and_a_reason() {
     let (black, white, text) = (path("black.png"), path("white.png"), path("text.png"));
     let (out, there) = (path("out.csv"), path("there.csv"));
     let cases: &[(&[&str], &str)] = &[
-        (&[mask, "--plants", "0"], "at least 1"),
+        (&[mask, "--plants", "0"], "of at least 1"),
         (&[mask, "--plants", "-3"], "-3"),
         (&[mask, "--plants", "9999999"], "leaf pixels"),
         (&[&black, "--plants", "3"], "no leaf pixel"),
         (&[&white, "--plants", "3"], "no rows"),
         (&[&text, "--plants", "3"], "text.png"),
         (&["/nonexistent.png", "--plants", "3"], "/nonexistent.png"),
-        (&[mask, "--plants", "3", "--gsd", "0"], "gsd"),
-        (&[mask, "--plants", "3", "--gsd", "nan"], "gsd"),
-        (&[mask, "--plants", "3", "--prior", "columns"], "columns"),
+        (&[mask, "--plants", "3", "--gsd-m", "0"], "gsd-m"),
+        (&[mask, "--plants", "3", "--gsd-m", "nan"], "gsd-m"),
+        (&[mask, "--plants", "3", "--prior", "columns"], "one of: none, rows, grid"),
         (&[mask, "--plants", "3", "--sigma", "fixed:-1"], "fixed:PX"),
         (&[mask, "--plants", "3", "--init", "kmeans"], "kmeans++"),
-        (&[mask, "--plants", "3", "--tau", "30,79,30"], "tau"),
-        (&[mask, "--plants", "3", "--tau", "30,790,30,163"], "180"),
+        (&[mask, "--plants", "3", "--hsv", "30,79,30"], "hsv"),
+        (&[mask, "--plants", "3", "--hsv", "30,190,30,163"], "180"),
     ];
     for (arguments, reason) in cases {
         let run = rowgram(&[&["locate"], *arguments, &["-o", &out]].concat());
@@ -174,7 +179,7 @@ fn bad_input_is_refused_with_code_2_and_a_reason() {
     }
     let run = rowgram(&["locate", mask, "--plants", "3", "--force", "-o", mask]);
     assert_eq!(run.status.code(), Some(2));
-    assert!(String::from_utf8_lossy(&run.stderr).contains("twice"));
+    assert!(String::from_utf8_lossy(&run.stderr).contains("is an input"));
     let run = rowgram(&["locate", mask, "--plants", "3", "-o", &there]);
     assert_eq!(run.status.code(), Some(2));
     assert!(String::from_utf8_lossy(&run.stderr).contains("--force"));
@@ -192,7 +197,7 @@ fn a_field_of_rows_is_located_better_than_by_chance() {
         folder.join("1000.png").to_str().unwrap(),
         "--plants",
         &truth.len().to_string(),
-        "--gsd",
+        "--gsd-m",
         "0.015",
         "-o",
         plants.to_str().unwrap(),
@@ -226,20 +231,20 @@ fn the_default_counts_and_tells_how_sure_it_is() {
     assert!(grown.status.success(), "{}", String::from_utf8_lossy(&grown.stderr));
     let (_, truth) = read(&folder.path().join("field/plants.csv"));
     let mask = format!("{field}/mask.png");
-    let (gaps, counts, overlay) = (path("gaps.csv"), path("counts.csv"), path("overlay.png"));
+    let (gaps, rows, figures) = (path("gaps.csv"), path("rows.csv"), path("figures"));
     let out = path("plants.csv");
     let run = rowgram(&[
         "locate",
         &mask,
-        "--gsd",
+        "--gsd-m",
         "0.015",
         "--json",
         "--gaps",
         &gaps,
-        "--counts",
-        &counts,
-        "--overlay",
-        &overlay,
+        "--rows",
+        &rows,
+        "--figures",
+        &figures,
         "-o",
         &out,
     ]);
@@ -261,11 +266,11 @@ fn the_default_counts_and_tells_how_sure_it_is() {
     assert_eq!(header, names);
     assert_eq!(plants.len() as f64, found);
     assert!(plants.iter().all(|plant| (0.0..=1.0).contains(&plant[5]) && plant[6] > 0.0));
-    let (header, counts) = read(Path::new(&counts));
+    let (header, counts) = read(Path::new(&rows));
     assert_eq!(header, ["row", "plants", "expected", "low", "high", "length_px", "length_m"]);
     assert_eq!(counts.iter().map(|row| row[1]).sum::<f64>(), found);
     assert!(read(Path::new(&gaps)).0.contains(&"probability".to_owned()));
-    assert!(image::open(overlay).unwrap().width() > 100);
+    assert!(image::open(path("figures/plants.png")).unwrap().width() > 100);
 
     // The named methods run on the same mask, also without being told the number.
     for method in ["refined", "tempered", "paper", "kmeans", "rows"] {
@@ -285,13 +290,13 @@ fn the_default_counts_and_tells_how_sure_it_is() {
     let proof = of(&["--certify"])["certificate"].clone();
     assert!(proof["worst_gap"].as_f64().unwrap() < 0.05, "{proof}");
     assert!(proof["plants"].as_f64().unwrap() > 0.9 * found, "{proof}");
-    let run = rowgram(&["locate", &mask, "--crop", "128", "--force", "-o", &out]);
+    let run = rowgram(&["locate", &mask, "--tile-px", "128", "--force", "-o", &out]);
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
     assert!((read(Path::new(&out)).1.len() as f64 / found - 1.0).abs() < 0.1);
     for (words, reason) in [
-        (["--certify", "--method", "full"], "--certify"),
-        (["--crop", "128", "--certify"], "--crop"),
-        (["--starts", "0", "--certify"], "--starts"),
+        (["--certify", "--method=row-model"], "certify"),
+        (["--tile-px=128", "--plants=30"], "tile_px"),
+        (["--starts=0", "--certify"], "--starts"),
     ] {
         let run = rowgram(&[&["locate", &mask, "--force", "-o", &out], &words[..]].concat());
         let message = String::from_utf8_lossy(&run.stderr);
@@ -299,12 +304,12 @@ fn the_default_counts_and_tells_how_sure_it_is() {
         assert!(message.contains(reason), "{words:?}: {message}");
     }
     for (words, reason) in [
-        (["--method", "full", "--prior", "rows"], "--prior"),
-        (["--method", "paper", "--gaps", gaps.as_str()], "only the method full"),
-        (["--set", "votes=many", "--plants", "3"], "--set"),
-        (["--set", "wishes=3", "--plants", "3"], "wishes"),
-        (["--set", "tilt=nan", "--plants", "3"], "tilt=NaN"),
-        (["--set", "across=0", "--plants", "3"], "across=0"),
+        (["--method", "row-model", "--prior", "rows"], "prior"),
+        (["--method", "paper", "--gaps", gaps.as_str()], "only the method row-model"),
+        (["--vote-weight", "many", "--plants", "3"], "--vote-weight"),
+        (["--wishes", "3", "--plants", "3"], "wishes"),
+        (["--tilt-sigma", "nan", "--plants", "3"], "--tilt-sigma nan"),
+        (["--across-sigma", "0", "--plants", "3"], "--across-sigma 0"),
         (["--plants", "some", "--seed", "1"], "auto"),
         (["--tempering", "-1", "--plants", "3"], "--tempering"),
     ] {

@@ -29,9 +29,9 @@ fn folder() -> tempfile::TempDir {
 #[test]
 fn a_photo_becomes_a_mask() {
     let folder = folder();
-    let run = rowgram(folder.path(), "segment photo.png --tau 30,79,30,163 -o mask.png");
+    let run = rowgram(folder.path(), "segment photo.png --hsv 30,79,30,163 -o mask.png");
     assert_eq!((run.code, run.stdout.as_str()), (0, ""));
-    assert_snapshot!(run.stderr.trim(), @"INFO mask.png: 32 of 600 pixels are plant (5.33 %), in 2 components");
+    assert_snapshot!(run.stderr.trim(), @"INFO 32 of 600 pixels are leaf (5.33 %), in 2 connected areas");
     let mask = images::read_mask(&folder.path().join("mask.png")).unwrap();
     assert!(mask.get(5, 6) && mask.get(25, 15) && !mask.get(7, 7) && !mask.get(4, 6));
     assert_eq!(mask.count(), 32);
@@ -43,11 +43,12 @@ fn a_photo_becomes_a_mask() {
 #[test]
 fn a_mask_is_cleaned_and_drawn() {
     let folder = folder();
-    let options = "--min-pixels 2 --fill-holes 1 --overlay seen.png --json --quiet";
+    let options =
+        "--hsv 30,79,30,163 --min-pixels 2 --fill-holes 1 --figures figures --json --quiet";
     let run = rowgram(folder.path(), &format!("segment photo.png -o mask.png {options}"));
     assert_eq!((run.code, run.stderr.as_str()), (0, ""));
-    assert_snapshot!(run.stdout, @r#"{"image":"photo.png","output":"mask.png","width_px":30,"height_px":20,"thresholds":{"tau1":30,"tau2":79,"tau3":30,"tau4":163},"plant_pixels":32,"plant_share":0.05333333333333334,"components":1,"removed_components":1,"removed_pixels":1,"filled_holes":1,"filled_pixels":1}"#);
-    let seen = images::read_photo(&folder.path().join("seen.png")).unwrap();
+    assert_snapshot!(run.stdout, @r#"{"image":"photo.png","width_px":30,"height_px":20,"hsv":[30,79,30,163],"leaf_pixels":32,"leaf_share":0.05333333333333334,"components":1,"removed_components":1,"removed_pixels":1,"filled_holes":1,"filled_pixels":1,"diagnostics":[]}"#);
+    let seen = images::read_photo(&folder.path().join("figures/mask.png")).unwrap();
     assert_eq!(seen.get_pixel(0, 0), &SOIL);
     assert_eq!(seen.get_pixel(25, 15), &LEAF, "the speck is not marked");
     assert_ne!(seen.get_pixel(5, 6), &LEAF);
@@ -57,14 +58,15 @@ fn a_mask_is_cleaned_and_drawn() {
 fn the_smallest_pictures_work() {
     let folder = tempfile::tempdir().unwrap();
     RgbImage::from_pixel(1, 1, LEAF).save(folder.path().join("one.png")).unwrap();
-    let run = rowgram(folder.path(), "segment one.png -o mask.png --overlay seen.png");
+    let run =
+        rowgram(folder.path(), "segment one.png --hsv 30,79,30,163 -o mask.png --figures figures");
     assert_eq!(run.code, 0, "{}", run.stderr);
     assert_eq!(images::read_mask(&folder.path().join("mask.png")).unwrap().data, [1]);
     RgbImage::from_pixel(1, 1, SOIL).save(folder.path().join("soil.png")).unwrap();
-    let run = rowgram(folder.path(), "segment soil.png -o empty.png --json");
+    let run = rowgram(folder.path(), "segment soil.png --hsv 30,79,30,163 -o empty.png --json");
     assert_eq!(run.code, 0, "{}", run.stderr);
-    assert_snapshot!(run.stderr.trim(), @"WARN soil.png: no pixel is plant; the mask is empty");
-    assert!(run.stdout.contains("\"plant_pixels\":0,\"plant_share\":0.0"), "{}", run.stdout);
+    assert_snapshot!(run.stderr.trim(), @"WARN soil.png: no pixel is within the thresholds; the leaf mask is empty; choose other thresholds (rowgram thresholds, then --hsv)");
+    assert!(run.stdout.contains("\"leaf_pixels\":0,\"leaf_share\":0.0"), "{}", run.stdout);
     // A PNG header with a width of 0.
     let mut bytes = std::fs::read(folder.path().join("one.png")).unwrap();
     bytes[16..20].fill(0);
@@ -95,10 +97,13 @@ fn bad_input_is_explained() {
         run.stderr
     };
     let first = |arguments: &str| error(arguments).lines().next().unwrap_or_default().to_owned();
-    assert_snapshot!(first("photo.png --tau 30,181,30,163 -o new.png"), @"error: invalid value '30,181,30,163' for '--tau <TAU1,TAU2,TAU3,TAU4|auto>': tau2 is 181, expected a number from 0 to 180");
-    assert_snapshot!(first("photo.png --tau 80,79,30,163 -o new.png"), @"error: invalid value '80,79,30,163' for '--tau <TAU1,TAU2,TAU3,TAU4|auto>': tau1 is 80 and tau2 is 79, expected tau1 <= tau2 (they bound the hue)");
-    assert_snapshot!(first("photo.png --tau -1,79,30,163 -o new.png"), @"error: invalid value '-1,79,30,163' for '--tau <TAU1,TAU2,TAU3,TAU4|auto>': tau1 is -1, expected a number from 0 to 180");
-    assert_snapshot!(first("photo.png --tau 30,79 -o new.png"), @r#"error: invalid value '30,79' for '--tau <TAU1,TAU2,TAU3,TAU4|auto>': thresholds "30,79": expected four whole numbers tau1,tau2,tau3,tau4, such as 30,79,30,163"#);
+    assert_snapshot!(first("photo.png --hsv 30,181,30,163 -o new.png"), @"");
+    assert_snapshot!(first("photo.png --hsv 80,79,30,163 -o new.png"), @"");
+    assert_snapshot!(first("photo.png --hsv -1,79,30,163 -o new.png"), @"");
+    assert_snapshot!(first("photo.png --hsv 30,79 -o new.png"), @"");
+    assert_snapshot!(first("photo.png --hsv green -o new.png"), @"");
+    assert_snapshot!(first("photo.png --min-pixel -1 -o new.png"), @"");
+    assert_snapshot!(first("photo.png"), @"");
     assert!(
         error("cut.png -o new.png").starts_with("error: cut.png: damaged or unsupported PNG: ")
     );
@@ -106,13 +111,12 @@ fn bad_input_is_explained() {
     assert_snapshot!(error("empty.png -o new.png"), @"error: empty.png: the file is empty, expected a PNG, JPEG or TIFF picture");
     assert_snapshot!(error("mask.png -o new.png"), @"error: mask.png: it holds a mask (two values), expected a photo");
     assert_snapshot!(error("none.png -o new.png"), @"error: cannot read none.png: No such file or directory (os error 2)");
-    assert_snapshot!(error(". -o new.png"), @"error: cannot read .: it is a folder");
+    assert_snapshot!(error(". -o results"), @"error: there is no orthomosaic");
     assert_snapshot!(error("photo.png -o taken.png"), @"error: taken.png exists already; give --force to replace it, or another path");
-    assert_snapshot!(error("photo.png -o new.png --overlay taken.png"), @"error: taken.png exists already; give --force to replace it, or another path");
-    assert_snapshot!(error("photo.png -o photo.png --force"), @"error: photo.png is the photo, expected another output");
-    assert_snapshot!(error("photo.png -o link.png --force"), @"error: link.png is the photo, expected another output");
-    assert_snapshot!(error("photo.png -o new.png --overlay ./new.png"), @"error: ./new.png is given for two outputs");
-    assert_snapshot!(error("photo.png -o new.jpg"), @"error: new.jpg: expected a name that ends in .png or .tif");
+    assert_snapshot!(error("photo.png -o taken.png --figures figures"), @"error: taken.png exists already; give --force to replace it, or another path");
+    assert_snapshot!(error("photo.png -o photo.png --force"), @"error: photo.png is an input, expected another output");
+    assert_snapshot!(error("photo.png -o link.png --force"), @"error: link.png is an input, expected another output");
+    assert_snapshot!(error("photo.png -o new.jpg"), @"error: new.jpg: expected a name that ends in .png or .tif or .tiff");
     assert_eq!(std::fs::read(path("photo.png")).unwrap(), photo);
     assert_eq!(std::fs::read(path("taken.png")).unwrap(), b"mine");
     let run = rowgram(folder.path(), "segment photo.png -o taken.png --force");

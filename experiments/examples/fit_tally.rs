@@ -20,7 +20,7 @@ use rowgram::{
     phenotype::{
         canopy,
         crown::{Crown, Usual},
-        evidence::{Axes as Leaves, Evidence, factor},
+        evidence::{AxisSource as Leaves, Evidence, factor},
         ridges, rows,
         stand::Stalk,
     },
@@ -117,7 +117,11 @@ fn read(path: &Path) -> Result<Field, Box<dyn Error + Send + Sync>> {
     let mask = images::read_mask(path)?;
     let plants = points::read(&path.with_extension("csv"))?;
     let detection = rows::detect(&PixelIndex::from_mask(mask.width, &mask.data));
-    let uncounted = canopy::Options { tally: false, crowns: false, ..canopy::Options::default() };
+    let uncounted = canopy::RowModelOptions {
+        stand_count: false,
+        double_plants: false,
+        ..canopy::RowModelOptions::default()
+    };
     let uncounted = canopy::locate(&mask, &detection, None, &uncounted)?;
     let start = uncounted.spacing.spacing;
     let found = detection.rows().ok_or("no rows")?;

@@ -11,7 +11,7 @@ use rowgram::{
     Error,
     io::{images, output, points},
     phenotype::{
-        canopy::{self, Options},
+        canopy::{self, RowModelOptions},
         rows,
     },
     problems::plants::index::PixelIndex,
@@ -50,7 +50,7 @@ pub(crate) fn run(
     folders: &Folders,
     masks: usize,
     only: &[String],
-    options: &Options,
+    options: &RowModelOptions,
 ) -> Result<(), Error> {
     make(&folders.out)?;
     let mut jobs = jobs(folders, masks)?;
@@ -73,7 +73,7 @@ pub(crate) fn run(
     Ok(())
 }
 
-fn both((scenario, path): &Job, options: &Options) -> Result<Vec<Run>, Error> {
+fn both((scenario, path): &Job, options: &RowModelOptions) -> Result<Vec<Run>, Error> {
     let mask = images::read_mask(path)?;
     let truth = points::read(&path.with_extension("csv"))?;
     let image = path.file_stem().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();

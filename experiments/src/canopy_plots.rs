@@ -20,7 +20,7 @@ use rowgram::{
     Error,
     io::{FileError, images, output},
     phenotype::{
-        canopy::{self, Options},
+        canopy::{self, RowModelOptions},
         rows,
         stand::Canopy,
     },
@@ -65,7 +65,7 @@ struct Photos {
 /// Runs the experiment: all of it, or only the training lists, or without those that are told the number.
 pub(crate) fn run(
     folders: &Folders,
-    options: &Options,
+    options: &RowModelOptions,
     train_only: bool,
     alone: bool,
 ) -> Result<(), Error> {
@@ -215,7 +215,7 @@ fn locate(
     list: &'static str,
     plots: &[&Plot],
     settings: [i64; 5],
-    options: &Options,
+    options: &RowModelOptions,
     given: bool,
 ) -> Result<Vec<Run>, Error> {
     let runs: Vec<Vec<Run>> = plots

@@ -14,7 +14,7 @@ use data_synth::{
 use rowgram::{
     Error,
     io::{FileError, images, output},
-    phenotype::leaves::{self, Bridging, Leaves, Options},
+    phenotype::leaves::{self, Bridging, LeafOptions, Leaves},
     raster::{Mask, components},
 };
 use std::{collections::BTreeMap, fmt::Write as _, path::Path};
@@ -23,27 +23,27 @@ pub(crate) enum Method {
     Components,
     /// With markers at least so many usual widths apart.
     Watershed(f64),
-    Slices(Options),
+    Slices(LeafOptions),
 }
 
 pub(crate) fn methods() -> Vec<(&'static str, Method)> {
-    let (paper, all) = (Options::paper(), Options::default());
+    let (paper, all) = (LeafOptions::paper(), LeafOptions::default());
     vec![
         ("connected components", Method::Components),
         ("watershed, markers 1 width apart", Method::Watershed(1.0)),
         ("watershed, markers 2 widths apart", Method::Watershed(2.0)),
         ("watershed, markers 3 widths apart", Method::Watershed(3.0)),
         ("paper", Method::Slices(paper)),
-        ("paper, no bridging", Method::Slices(Options { bridging: Bridging::None, ..paper })),
-        ("global bridging", Method::Slices(Options { bridging: Bridging::Global, ..paper })),
+        ("paper, no bridging", Method::Slices(LeafOptions { bridging: Bridging::None, ..paper })),
+        ("global bridging", Method::Slices(LeafOptions { bridging: Bridging::Global, ..paper })),
         (
             "global bridging, curvature",
-            Method::Slices(Options { bridging: Bridging::Global, curvature: true, ..paper }),
+            Method::Slices(LeafOptions { bridging: Bridging::Global, curvature: true, ..paper }),
         ),
         ("global bridging, curvature, split", Method::Slices(all)),
-        ("more bridges (cost up to 1)", Method::Slices(Options { most_cost: 1.0, ..all })),
-        ("split from 1.7 widths", Method::Slices(Options { double_width: 1.7, ..all })),
-        ("split, no bridging", Method::Slices(Options { bridging: Bridging::None, ..all })),
+        ("more bridges (cost up to 1)", Method::Slices(LeafOptions { bridge_cost: 1.0, ..all })),
+        ("split from 1.7 widths", Method::Slices(LeafOptions { double_width_ratio: 1.7, ..all })),
+        ("split, no bridging", Method::Slices(LeafOptions { bridging: Bridging::None, ..all })),
     ]
 }
 
@@ -153,7 +153,7 @@ pub(crate) fn segment(mask: &Mask, how: &Method) -> (Vec<u32>, Option<Leaves>) {
             (labels, None)
         }
         Method::Watershed(widths) => {
-            let usual = leaves::find(mask, &Options::paper()).usual_width_px;
+            let usual = leaves::find(mask, &LeafOptions::paper()).usual_width_px;
             (watershed::labels(mask, (widths * usual).round().max(1.0) as usize), None)
         }
         Method::Slices(options) => {

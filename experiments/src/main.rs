@@ -215,8 +215,12 @@ fn main() -> ExitCode {
 }
 
 /// Options of the locator from lines of TOML.
-fn options(set: &[String]) -> Result<rowgram::phenotype::canopy::Options, rowgram::Error> {
-    toml::from_str(&set.join("\n"))
+fn options(set: &[String]) -> Result<rowgram::phenotype::canopy::RowModelOptions, rowgram::Error> {
+    use rowgram::options::Options as _;
+    let table = set.join("\n").parse::<toml::Table>().map_err(|error| error.to_string());
+    let options = rowgram::phenotype::canopy::RowModelOptions::default();
+    table
+        .and_then(|table| options.with(&table))
         .map_err(|error| rowgram::Error::Argument(format!("--set: {error}")))
 }
 

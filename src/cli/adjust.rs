@@ -241,7 +241,7 @@ pub(super) fn work(args: &Args) -> Result<Report, Error> {
     }
     if let Some(path) = &args.figure {
         let title = format!("{}, loss {}", args.file.display(), args.loss);
-        super::figures::convergence(path, args.force, &title, &outcome.log)?;
+        crate::pipeline::figures::convergence(path, args.force, &title, &outcome.log)?;
     }
     Ok(Report {
         file: args.file.display().to_string(),

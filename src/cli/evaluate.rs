@@ -1,58 +1,77 @@
-//! `rowgram evaluate`: found plants against the truth.
+//! `rowgram evaluate`: found plants against the truth, of a project or of two files.
 
-use super::{print, print_json};
-use crate::{error::Error, io::points, score::Score};
+use super::{options::Given, print, print_json, stage::Target};
+use crate::{
+    error::Error,
+    pipeline::{
+        Stage,
+        evaluate::{EvaluateOptions, EvaluateOutcome, evaluate},
+        evaluate_positions::evaluate_positions,
+    },
+};
 use std::path::PathBuf;
 
-/// Score plant positions against the true ones
+/// Compare located plants with the true ones
 ///
-/// Pairs found and true plants one to one: as many pairs as possible within the radius, and among
-/// those the shortest in sum. Prints precision, recall and F1 at each radius, and the median and RMS
-/// distance of the pairs at the largest.
+/// Pairs found and true plants one to one: as many pairs as possible within the radius, and among those the shortest in sum.
+/// Prints precision, recall and F1 at each radius, and the median and RMS distance of the pairs at the largest.
 ///
-/// Both CSVs are read by header (u_px,v_px or x,y; other columns are allowed) or, without one, as two
-/// columns; positions in pixels, the centre of the top-left pixel at (0, 0).
+/// Of a project, its plants are compared with [project] truth, in the mapping frame. Two files are CSV, read by header
+/// (u_px,v_px or x,y; other columns are allowed) or, without one, as two columns; positions in pixels, the centre of the
+/// top-left pixel at (0, 0).
 ///
-/// Example: rowgram evaluate plants.csv truth.csv --radius 5,10
+/// Example: rowgram evaluate field
+/// Example: rowgram evaluate plants.csv truth.csv --radius-px 5,10
 #[derive(Debug, clap::Args)]
 #[command(verbatim_doc_comment)]
 pub(super) struct Args {
-    /// The plants that were found (CSV).
-    plants: PathBuf,
-    /// The plants that are there (CSV).
-    truth: PathBuf,
-    /// How far from a true plant a found one may be, in pixels; one number or several.
+    #[command(flatten)]
+    target: Target,
+    /// Of a file of located plants: the plants that are there (CSV).
+    truth: Option<PathBuf>,
+    /// Of two files: how far from a true plant a found one may be; one number or several.
     #[arg(
         long,
+        alias = "radius",
         value_name = "PX[,PX...]",
-        required = true,
         value_delimiter = ',',
         allow_hyphen_values = true
     )]
-    radius: Vec<f64>,
-    /// Print one line of JSON in place of the table.
-    #[arg(long)]
-    json: bool,
+    radius_px: Vec<f64>,
+    #[command(flatten)]
+    options: Given<EvaluateOptions>,
 }
 
-/// Runs the verb.
+fn text(outcome: &EvaluateOutcome) -> String {
+    let score = &outcome.score;
+    let mut text = format!("{} true plants, {} found", score.truth, score.found);
+    for (radius_m, radius) in outcome.radii_m.iter().zip(&score.radii) {
+        if let Some(f1) = radius.f1 {
+            text += &format!("; F1 {f1:.3} within {radius_m} m");
+        }
+    }
+    text
+}
+
+/// Runs the command.
 ///
 /// # Errors
-/// Where a radius or a file cannot be used.
+/// Where a radius or a file cannot be used; as the stage.
 pub(super) fn run(args: &Args) -> Result<(), Error> {
-    let score = score(args)?;
-    if args.json { print_json(&score) } else { print(&score.to_string()) }
-}
-
-/// Reads and scores; prints nothing.
-///
-/// # Errors
-/// As [`run`].
-pub(super) fn score(args: &Args) -> Result<Score, Error> {
-    // An unusable radius is told before the files are read.
-    Score::new(&[], &[], &args.radius)
-        .map_err(|error| Error::Argument(format!("--radius: {error}")))?;
-    let found = points::read(&args.plants)?;
-    let truth = points::read(&args.truth)?;
-    Score::new(&found, &truth, &args.radius)
+    let Args { target, truth, radius_px, options } = args;
+    let Some(truth) = truth else {
+        if !target.is_project() {
+            let found = target.input.display();
+            return Err(Error::Argument(format!("{found}: expected also a file of true plants")));
+        }
+        target.refuse_of_files(&[("--radius-px", !radius_px.is_empty())])?;
+        let stage = (Stage::Evaluate, evaluate as _);
+        return target.perform(stage, options, |config| &config.evaluate, text);
+    };
+    let score =
+        evaluate_positions(&target.input, truth, radius_px).map_err(|error| match error {
+            Error::Argument(why) => Error::Argument(format!("--radius-px: {why}")),
+            other => other,
+        })?;
+    if target.json { print_json(&score) } else { print(&score.to_string()) }
 }

@@ -7,26 +7,23 @@ mod adjust;
 mod align;
 mod calibrate;
 mod camera;
-mod count;
 mod dem;
-mod density;
 mod doctor;
 mod evaluate;
 mod features;
-mod figures;
+mod leaf_count;
+mod leaf_density;
 mod leaves;
 mod locate;
-mod method;
 mod options;
 mod ortho;
 mod report;
 mod run;
 mod segment;
 mod shell;
-mod stand;
+mod stage;
 mod survey;
 mod synth;
-mod tau;
 mod terminal;
 mod thresholds;
 mod undistort;
@@ -43,7 +40,7 @@ use std::process::ExitCode;
   rowgram run                    a synthetic field, from photos to traits, against its truth
   rowgram init field             settings for a folder of photos
   rowgram run field              everything, into field/rowgram
-  rowgram locate field.png --gsd 0.01 -o plants.csv
+  rowgram locate mask.png --gsd-m 0.01 -o plants.csv
 
 Exit codes: 0 done, 1 failure, 2 bad input, 3 incomplete or a quality gate failed")]
 struct Cli {
@@ -78,14 +75,14 @@ enum Verb {
     Ortho(Box<ortho::Args>),
     Query(ortho::query::Query),
     Synth(synth::Args),
-    Locate(locate::Locate),
+    Locate(Box<locate::Args>),
     Segment(segment::Args),
     Features(features::Args),
     Match(features::MatchArgs),
     Thresholds(thresholds::Args),
     Leaves(leaves::Args),
-    Count(count::Args),
-    Density(density::Args),
+    LeafCount(leaf_count::Args),
+    LeafDensity(leaf_density::Args),
     Evaluate(evaluate::Args),
     Completions(shell::Completions),
     Man(shell::Man),
@@ -137,14 +134,14 @@ fn dispatch(verb: Verb) -> Result<(), Error> {
         Verb::Ortho(args) => ortho::run(&args),
         Verb::Query(verb) => verb.run(),
         Verb::Synth(args) => synth::run(&args),
-        Verb::Locate(verb) => verb.run(),
+        Verb::Locate(args) => locate::run(&args),
         Verb::Segment(args) => segment::run(&args),
         Verb::Features(args) => features::run(&args),
         Verb::Match(args) => features::run_match(&args),
         Verb::Thresholds(args) => thresholds::run(&args),
         Verb::Leaves(args) => leaves::run(&args),
-        Verb::Count(args) => count::run(&args),
-        Verb::Density(args) => density::run(&args),
+        Verb::LeafCount(args) => leaf_count::run(&args),
+        Verb::LeafDensity(args) => leaf_density::run(&args),
         Verb::Evaluate(args) => evaluate::run(&args),
         Verb::Completions(args) => args.run(),
         Verb::Man(args) => args.run(),

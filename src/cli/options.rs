@@ -2,7 +2,9 @@
 
 use crate::{
     error::Error,
-    options::{Kind, Options},
+    options::{Auto, Kind, Options},
+    pipeline::segment::SegmentOptions,
+    raster::mask::Thresholds,
 };
 use clap::{Arg, ArgMatches, Command};
 use std::marker::PhantomData;
@@ -106,6 +108,56 @@ impl<T: Options> clap::FromArgMatches for Given<T> {
                 self.table.insert(field.name.to_owned(), field.kind.read(text));
             }
         }
+        Ok(())
+    }
+}
+
+/// The option `hsv` of `segment`, for the commands that make the leaf mask of a photo themselves.
+#[derive(Debug, Clone)]
+pub(super) struct HsvArgument(Given<SegmentOptions>);
+
+/// Its name.
+const HSV: &str = "hsv";
+
+impl HsvArgument {
+    /// Whether it was given.
+    pub(super) fn is_given(&self) -> bool {
+        self.0.has(HSV)
+    }
+
+    /// The thresholds.
+    ///
+    /// # Errors
+    /// Thresholds that cannot be.
+    pub(super) fn value(&self) -> Result<Auto<Thresholds>, Error> {
+        Ok(self.0.over_defaults()?.hsv)
+    }
+}
+
+impl clap::Args for HsvArgument {
+    fn augment_args(command: Command) -> Command {
+        let fields = SegmentOptions::fields();
+        let hsv = fields.iter().filter(|field| field.name == HSV);
+        hsv.fold(command, |command, field| command.arg(argument::<SegmentOptions>(field)))
+    }
+
+    fn augment_args_for_update(command: Command) -> Command {
+        HsvArgument::augment_args(command)
+    }
+}
+
+impl clap::FromArgMatches for HsvArgument {
+    fn from_arg_matches(matches: &ArgMatches) -> Result<HsvArgument, clap::Error> {
+        let mut given = Given { table: toml::Table::new(), of: PhantomData };
+        if let Some(text) = matches.get_one::<String>(HSV) {
+            let hsv = SegmentOptions::fields().into_iter().find(|field| field.name == HSV);
+            given.table.extend(hsv.map(|field| (HSV.to_owned(), field.kind.read(text))));
+        }
+        Ok(HsvArgument(given))
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
+        *self = HsvArgument::from_arg_matches(matches)?;
         Ok(())
     }
 }

@@ -31,6 +31,20 @@ pub fn check(path: &Path, force: bool) -> Result<(), FileError> {
     Ok(())
 }
 
+/// Refuses a name without one of these endings, upper or lower case.
+///
+/// # Errors
+/// [`FileError::Malformed`]: the endings.
+pub fn expect_ending(path: &Path, endings: &[&str]) -> Result<(), FileError> {
+    let ending = path.extension().map(|ending| ending.to_string_lossy().to_lowercase());
+    if ending.is_some_and(|ending| endings.contains(&ending.as_str())) {
+        return Ok(());
+    }
+    let dotted: Vec<String> = endings.iter().map(|ending| format!(".{ending}")).collect();
+    let message = format!("expected a name that ends in {}", dotted.join(" or "));
+    Err(FileError::malformed(path, None, message))
+}
+
 /// Writes a file atomically: `fill` writes the content, then the file takes its name.
 ///
 /// # Errors
@@ -109,6 +123,14 @@ pub fn write_by_path(
         .map_err(failed)?;
     fill(temporary.path())?;
     take_place(temporary, path, force)
+}
+
+/// Makes a folder, and those it lies in, unless it is there.
+///
+/// # Errors
+/// Where it cannot be made.
+pub fn make_folder(path: &Path) -> Result<(), FileError> {
+    std::fs::create_dir_all(path).map_err(|source| FileError::write(path, source))
 }
 
 /// A file without a name beside `path`, gone when it is closed or the program ends.

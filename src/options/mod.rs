@@ -80,6 +80,9 @@ pub trait Options: Default + Clone + PartialEq + Serialize + DeserializeOwned {
 /// Defines a set of [`Options`](crate::options::Options). Where values have to go together (both or neither, the first
 /// not above the second), `in "dem", together checked` names a function `fn(&DemOptions) -> Result<(), String>`.
 ///
+/// `in "dem" with { points: PointOptions, }` adds the options of another set to the same section: one list in the file
+/// and on the command line, a field of its own in the struct.
+///
 /// ```
 /// rowgram::options! {
 ///     /// The surface.
@@ -101,7 +104,10 @@ pub trait Options: Default + Clone + PartialEq + Serialize + DeserializeOwned {
 macro_rules! options {
     (
         $(#[doc = $about:expr])*
-        $vis:vis struct $name:ident in $section:literal $(, together $together:path)? {
+        $vis:vis struct $name:ident in $section:literal
+            $(with { $($(#[doc = $group_doc:expr])* $gvis:vis $group:ident: $group_kind:ty,)* })?
+            $(, together $together:path)?
+        {
             $(
                 $(#[doc = $doc:expr])*
                 $fvis:vis $key:ident: $kind:ty = $default:expr
@@ -117,11 +123,16 @@ macro_rules! options {
                 $(#[doc = $doc])*
                 $fvis $key: $kind,
             )*
+            $($(
+                $(#[doc = $group_doc])*
+                #[serde(flatten)]
+                $gvis $group: $group_kind,
+            )*)?
         }
 
         impl Default for $name {
             fn default() -> $name {
-                $name { $($key: $default,)* }
+                $name { $($key: $default,)* $($($group: <$group_kind>::default(),)*)? }
             }
         }
 
@@ -131,7 +142,7 @@ macro_rules! options {
 
             fn fields() -> Vec<$crate::options::Field> {
                 let defaults = $name::default();
-                vec![$(
+                let own = vec![$(
                     $crate::options::Field {
                         name: stringify!($key),
                         doc: concat!($($doc, "\n"),*),
@@ -140,7 +151,10 @@ macro_rules! options {
                         default: $crate::options::Value::written(&defaults.$key),
                         example: $crate::options!(@example $($example)?),
                     },
-                )*]
+                )*];
+                let groups: Vec<Vec<$crate::options::Field>> =
+                    vec![$($(<$group_kind as $crate::options::Options>::fields(),)*)?];
+                own.into_iter().chain(groups.into_iter().flatten()).collect()
             }
 
             $(
@@ -213,8 +227,21 @@ mod tests {
     choices!(Solver: Auto, TwoPoint);
 
     crate::options! {
+        /// How the surface is cut.
+        struct Cut in "trial" {
+            /// Longest side.
+            side_m: f64 = 2.0, limits POSITIVE;
+            /// Solver of its own.
+            cut_solver: Option<Solver> = None, example "\"auto\"";
+        }
+    }
+
+    crate::options! {
         /// From photos to a block.
-        struct Trial in "trial" {
+        struct Trial in "trial" with {
+            /// The cut.
+            cut: Cut,
+        } {
             /// Seed of all random sampling.
             seed: u64 = 1;
             /// Minimal solver.
@@ -252,6 +279,18 @@ mod tests {
     }
 
     #[test]
+    fn a_group_is_part_of_the_section() {
+        let found = with("side_m = 3\nseed = 5\ncut_solver = \"two-point\"").unwrap();
+        assert_eq!((found.cut.side_m, found.seed), (3.0, 5));
+        assert_eq!(found.cut.cut_solver, Some(Solver::TwoPoint));
+        let names: Vec<String> = found.changed().into_iter().map(|(name, _)| name).collect();
+        assert_eq!(names, ["cut_solver", "seed", "side_m"]);
+        let table = toml::Table::try_from(&found).unwrap();
+        assert_eq!(table["side_m"].as_float(), Some(3.0));
+        assert!(toml::from_str::<Trial>("nonsense = 1").is_err());
+    }
+
+    #[test]
     fn what_cannot_be_is_refused_with_what_was_expected() {
         for (text, expected) in [
             ("sede = 2", "sede: there is no such option; did you mean seed?"),
@@ -267,6 +306,8 @@ mod tests {
             ("window_px = 40", "window_px = 40: expected an odd number of at least 1, in pixels"),
             ("balance = 1", "balance = 1: expected true or false"),
             ("check = 3", "check = 3: expected a list of words"),
+            ("side_m = 0", "side_m = 0: expected a number greater than 0, in metres"),
+            ("side = 1", "side: there is no such option; did you mean side_m?"),
         ] {
             let error = with(text).unwrap_err();
             assert!(error.contains(expected), "{text}: {error}");

@@ -1,6 +1,9 @@
 //! The kinds of values that options have.
 
-use serde::{Deserialize, Serialize, de::DeserializeOwned};
+use serde::{
+    Deserialize, Deserializer, Serialize, Serializer,
+    de::{DeserializeOwned, Error as _},
+};
 use std::{fmt, path::PathBuf};
 
 /// A kind of value.
@@ -163,9 +166,7 @@ where
 const AUTO: &str = "auto";
 
 /// A value, or `"auto"`: the program finds one.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(from = "Written<T>", into = "Written<T>")]
-#[serde(bound(serialize = "T: Serialize + Clone", deserialize = "T: DeserializeOwned"))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Auto<T> {
     /// The program finds a value.
     #[default]
@@ -205,34 +206,24 @@ impl<T: Value + Clone> Value for Auto<T> {
     }
 }
 
-#[derive(Serialize, Deserialize)]
-#[serde(untagged)]
-enum Written<T> {
-    Given(T),
-    Word(Word),
-}
-
-#[derive(Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-enum Word {
-    Auto,
-}
-
-impl<T> From<Written<T>> for Auto<T> {
-    fn from(written: Written<T>) -> Auto<T> {
-        match written {
-            Written::Given(value) => Auto::Given(value),
-            Written::Word(Word::Auto) => Auto::Auto,
+impl<T: Serialize> Serialize for Auto<T> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self {
+            Auto::Auto => serializer.serialize_str(AUTO),
+            Auto::Given(value) => value.serialize(serializer),
         }
     }
 }
 
-impl<T> From<Auto<T>> for Written<T> {
-    fn from(value: Auto<T>) -> Written<T> {
-        match value {
-            Auto::Auto => Written::Word(Word::Auto),
-            Auto::Given(value) => Written::Given(value),
+impl<'de, T: DeserializeOwned> Deserialize<'de> for Auto<T> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Auto<T>, D::Error> {
+        let value = toml::Value::deserialize(deserializer)?;
+        if value.as_str() == Some(AUTO) {
+            return Ok(Auto::Auto);
         }
+        // What is wrong with a value is what its own type says of it.
+        let given = value.try_into().map_err(|e: toml::de::Error| D::Error::custom(e.message()))?;
+        Ok(Auto::Given(given))
     }
 }
 

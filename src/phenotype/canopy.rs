@@ -31,7 +31,7 @@
 
 use super::{
     chain::{Chain, Posterior, STEP},
-    evidence::Axes,
+    evidence::AxisSource,
     islands,
     locate::LocateError,
     renewal::Spacing,
@@ -40,98 +40,49 @@ use super::{
     stand::{Canopy, Missing, NORMAL_95, Stalk},
     tilt,
 };
-use crate::raster::Mask;
+use crate::{options::Options as _, raster::Mask};
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 
-/// How plants are found. Lengths in pixels of the reduced grid (about a third of a leaf's width).
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
-pub struct Options {
-    /// Votes along leaf axes; else the leaf mass around a place is the evidence.
-    pub leaf_axes: bool,
-    /// What says where leaf axes are.
-    pub axes: Axes,
-    /// Rows are followed where they bend.
-    pub curved_rows: bool,
-    /// Standard deviation of plants across their row, to begin with.
-    pub across: f64,
-    /// Share of the best offset across the row that is believed.
-    pub believed: f64,
-    /// Worth of the votes: of the square root of their ratio to what is usual.
-    pub votes: f64,
-    /// Weight of the leaf mass that no plant covers, in terms per plant.
-    pub cover: f64,
-    /// Scores per unit of log probability.
-    pub heat: f64,
-    /// Where nobody says how many plants there are, as many as [`tally`](super::tally) expects; else
-    /// as many as are best at `beta`.
-    pub tally: bool,
-    /// What one plant more is worth where nobody says how many there are.
-    pub beta: f64,
-    /// What one plant more is worth while spacings are compared.
-    pub beta_compared: f64,
-    /// Plants stand at their mean place under all the probable ones, else at the best one.
-    pub mean_place: bool,
-    /// The relative jitter of the spacing is estimated; else it is the prior's.
-    pub estimate_spacing: bool,
-    /// The leaves around a place say whether one plant stands there, or two, or none.
-    pub crowns: bool,
-    /// Standard deviation, in each direction, of the base of a stalk about the middle of its leaves ([`tilt`]).
-    pub tilt: f64,
-    /// Plants that stand apart, each an island of leaf, are found by their leaf mass and stand in the middle of it.
-    pub apart: bool,
-}
-
-impl Default for Options {
-    fn default() -> Options {
-        Options {
-            leaf_axes: true,
-            axes: Axes::Tensor,
-            curved_rows: true,
-            across: 3.0,
-            believed: 0.7,
-            votes: 12.0,
-            cover: 1.0,
-            heat: 0.5,
-            tally: true,
-            beta: 1.1,
-            beta_compared: 0.5,
-            mean_place: true,
-            estimate_spacing: true,
-            crowns: true,
-            tilt: 1.5,
-            apart: true,
-        }
+crate::options! {
+    /// The row model. Lengths without a unit are pixels of the reduced grid, about a third of a leaf's width.
+    pub struct RowModelOptions in "locate" {
+        /// Votes along leaf axes are the evidence; else the leaf mass around a place.
+        pub leaf_axes: bool = true;
+        /// What says where leaf axes are: the structure tensor, or slices across the leaves.
+        pub axis_source: AxisSource = AxisSource::Tensor;
+        /// Rows are followed where they bend.
+        pub curved_rows: bool = true;
+        /// Standard deviation of plants across their row, to begin with.
+        pub across_sigma: f64 = 3.0, limits between(0.000001, 1e6);
+        /// Shrinkage of the offset across the row: the share of the best offset that is applied.
+        pub shrinkage: f64 = 0.7, limits between(0.0, 1.0);
+        /// Weight of the votes: of the square root of their ratio to what is usual.
+        pub vote_weight: f64 = 12.0, limits between(0.0, 1e6);
+        /// Weight of the leaf mass that no plant covers, in terms per plant.
+        pub uncovered_weight: f64 = 1.0, limits between(0.0, 1e6);
+        /// Inverse temperature of the probabilities: scores per unit of log probability.
+        pub inverse_temperature: f64 = 0.5, limits between(0.000001, 1e6);
+        /// Where the number of plants is not given, as many as the stand count expects; else as many as are best at
+        /// plant_log_odds.
+        pub stand_count: bool = true;
+        /// Score of one plant more where the number of plants is not given.
+        pub plant_log_odds: f64 = 1.1, limits between(-1e6, 1e6);
+        /// Score of one plant more while spacings are compared.
+        pub spacing_log_odds: f64 = 0.5, limits between(-1e6, 1e6);
+        /// Plants stand at their mean place under the probabilities; else at the most probable one.
+        pub mean_place: bool = true;
+        /// The relative jitter of the spacing is estimated; else it is that of the prior.
+        pub estimate_jitter: bool = true;
+        /// The leaves around a place say whether one plant stands there, or two, or none.
+        pub double_plants: bool = true;
+        /// Standard deviation, in each direction, of the base of a stalk about the middle of its leaves.
+        pub tilt_sigma: f64 = 1.5, limits between(0.0, 1e6);
+        /// Isolated plants, each a connected leaf area of its own, are found by their leaf mass and stand in its middle.
+        pub isolated_plants: bool = true;
     }
 }
 
-impl Options {
-    /// Refuses numbers that mean nothing.
-    ///
-    /// # Errors
-    /// [`LocateError::Option`]: which, what it is, and what was expected.
-    pub fn check(&self) -> Result<(), LocateError> {
-        let positive = 1e-6..=1e6;
-        let weight = 0.0..=1e6;
-        for (name, value, range) in [
-            ("across", self.across, positive.clone()),
-            ("believed", self.believed, 0.0..=1.0),
-            ("votes", self.votes, weight.clone()),
-            ("cover", self.cover, weight.clone()),
-            ("heat", self.heat, positive),
-            ("beta", self.beta, -1e6..=1e6),
-            ("beta-compared", self.beta_compared, -1e6..=1e6),
-            ("tilt", self.tilt, weight),
-        ] {
-            if !range.contains(&value) {
-                let (least, most) = (*range.start(), *range.end());
-                return Err(LocateError::Option { name, value, least, most });
-            }
-        }
-        Ok(())
-    }
-}
+impl Copy for RowModelOptions {}
 
 /// Finds plants in a mask whose rows are known; `count` of them, or as many as there seem to be.
 ///
@@ -142,9 +93,9 @@ pub fn locate(
     mask: &Mask,
     detection: &Detection,
     count: Option<usize>,
-    options: &Options,
+    options: &RowModelOptions,
 ) -> Result<Canopy, LocateError> {
-    options.check()?;
+    options.validate().map_err(LocateError::Option)?;
     if mask.data.iter().all(|&pixel| pixel == 0) {
         return Err(LocateError::EmptyMask);
     }
@@ -163,26 +114,26 @@ pub fn locate(
     };
     let mut scene = Scene::new(mask, rows, options);
     let spacing = scene.spacing(count);
-    if options.crowns && scene.has_axes() {
+    if options.double_plants && scene.has_axes() {
         // What is usual of plants, from those that are found without it.
         let chains = scene.chains(&spacing, 0..scene.profiles.len());
-        let plants = best(&chains, options.beta);
+        let plants = best(&chains, options.plant_log_odds);
         drop(chains);
         scene.crowns(&plants);
     }
     let chains = scene.chains(&spacing, 0..scene.profiles.len());
-    let expected = options.tally.then(|| scene.tally(spacing.spacing));
+    let expected = options.stand_count.then(|| scene.tally(spacing.spacing));
     let beta = match (count, &expected) {
         (Some(count), _) => worth_of(&chains, count)?,
         (None, Some(expected)) => {
             let wanted = expected.count.round() as usize;
             let counted = scene.chains(&spacing, expected.rows.iter().copied());
-            bisect(&counted, wanted.max(1)).unwrap_or(options.beta)
+            bisect(&counted, wanted.max(1)).unwrap_or(options.plant_log_odds)
         }
-        (None, None) => options.beta,
+        (None, None) => options.plant_log_odds,
     };
     let mut places = best(&chains, beta);
-    let posteriors = posteriors(&chains, beta, options.heat);
+    let posteriors = posteriors(&chains, beta, options.inverse_temperature);
     let whole = expected.as_ref().filter(|expected| expected.share > 0.999);
     let wanted = count.or(whole.map(|expected| (expected.count.round() as usize).max(1)));
     if let Some(count) = wanted {
@@ -253,10 +204,11 @@ impl Scene {
         (beta, expected): (f64, Option<Expected>),
     ) -> Canopy {
         let factor = self.evidence.factor as f64;
-        let heat = self.options.heat;
-        let tilt = if self.whole().is_some() { 0.0 } else { self.options.tilt };
+        let heat = self.options.inverse_temperature;
+        let tilt = if self.whole().is_some() { 0.0 } else { self.options.tilt_sigma };
         let across = self.scatter(places, spacing.spacing);
-        let believed = self.options.believed * tilt::believed(tilt, across / self.options.across);
+        let believed =
+            self.options.shrinkage * tilt::believed(tilt, across / self.options.across_sigma);
         let offsets = self.offsets(places, across);
         let radius = ((0.25 * spacing.spacing / STEP) as usize).max(1);
         let (mut plants, mut missing) = (Vec::new(), Vec::new());

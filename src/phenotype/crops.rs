@@ -9,7 +9,7 @@
 //! Positions in pixels of the whole mask, centre of the top-left pixel at (0, 0).
 
 use super::{
-    canopy::{self, Options},
+    canopy::{self, RowModelOptions},
     locate::LocateError,
     rows::{Detection, Row, Rows},
     stand::Stalk,
@@ -29,7 +29,7 @@ type Window = [usize; 4];
 pub fn locate(
     mask: &Mask,
     detection: &Detection,
-    options: &Options,
+    options: &RowModelOptions,
     crop_px: usize,
     halo_px: usize,
 ) -> Result<Vec<Stalk>, LocateError> {
@@ -62,7 +62,7 @@ pub fn locate(
 fn crop(
     mask: &Mask,
     rows: &Rows,
-    options: &Options,
+    options: &RowModelOptions,
     core: Window,
     halo_px: usize,
 ) -> Result<Vec<Stalk>, LocateError> {

@@ -189,7 +189,7 @@ impl Usual {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{phenotype::evidence::Axes, raster::Mask};
+    use crate::{phenotype::evidence::AxisSource, raster::Mask};
 
     /// Leaves, two pixels wide, from some stalks outwards.
     fn field(stalks: &[([f64; 2], u32)]) -> Evidence {
@@ -203,7 +203,7 @@ mod tests {
                 })
             })
         });
-        Evidence::new(&mask, 0.0, Axes::Tensor, 1)
+        Evidence::new(&mask, 0.0, AxisSource::Tensor, 1)
     }
 
     #[test]

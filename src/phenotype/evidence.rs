@@ -15,7 +15,7 @@
 //!
 //! `E = sum_b w_b v_b / (1 + v_b / ``SATURATION``)`.
 //!
-//! Instead of the structure tensor, slices across the leaves can say where the axes are ([`Axes::Slices`]): the direction
+//! Instead of the structure tensor, slices across the leaves can say where the axes are ([`AxisSource::Slices`]): the direction
 //! of a reduced pixel is then the mean of `(cos 2 theta, sin 2 theta)` over its leaf pixels, its coherence the
 //! length of that mean, and a pixel without a slice does not vote.
 //!
@@ -51,13 +51,15 @@ const HALO: usize = REACH_PX + 12;
 /// What says where the axes of leaves are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Axes {
+pub enum AxisSource {
     /// The structure tensor around a pixel.
     #[default]
     Tensor,
     /// Slices across the leaf at a pixel.
     Slices,
 }
+
+crate::choices!(AxisSource: Tensor, Slices);
 
 /// The votes for a stalk at every pixel of the reduced mask.
 #[derive(Debug, Clone, PartialEq)]
@@ -83,11 +85,11 @@ pub fn factor(mask: &Mask) -> usize {
 
 impl Evidence {
     /// Votes of a mask whose rows have this heading (from `u` towards `v`), on a grid reduced by `factor`.
-    pub fn new(mask: &Mask, heading_rad: f64, axes: Axes, factor: usize) -> Evidence {
+    pub fn new(mask: &Mask, heading_rad: f64, axes: AxisSource, factor: usize) -> Evidence {
         let (width, height, leaf) = reduce(mask, factor);
         let across = match axes {
-            Axes::Tensor => None,
-            Axes::Slices => Some(doubled(mask, factor)),
+            AxisSource::Tensor => None,
+            AxisSource::Slices => Some(doubled(mask, factor)),
         };
         let mut votes = vec![0.0; width * height];
         let mut held = vec![[0; 2]; width * height];
@@ -193,7 +195,7 @@ fn reduce(mask: &Mask, factor: usize) -> (usize, usize, Vec<f32>) {
 
 /// The mean of `(cos 2 theta, sin 2 theta)` over the leaf pixels of each block, from slices.
 fn doubled(mask: &Mask, factor: usize) -> Vec<[f32; 2]> {
-    let directions = leaves::directions(mask, &leaves::Options::default());
+    let directions = leaves::directions(mask, &leaves::LeafOptions::default());
     let (width, height) = (mask.width.div_ceil(factor), mask.height.div_ceil(factor));
     let mut sums = vec![[0.0_f32; 2]; width * height];
     let mut counts = vec![0.0_f32; width * height];
@@ -382,15 +384,16 @@ mod tests {
         })
     }
 
-    fn seen(mask: &Mask, heading_rad: f64, axes: Axes) -> Evidence {
+    fn seen(mask: &Mask, heading_rad: f64, axes: AxisSource) -> Evidence {
         Evidence::new(mask, heading_rad, axes, factor(mask))
     }
 
     #[test]
     fn leaves_that_cross_vote_for_the_crossing() {
         let cases = [(0.1, 1.0, 60), (0.35, 1.0, 60), (0.2, 4.0, 240)];
-        let both = cases.map(|case| (case, Axes::Tensor)).into_iter();
-        for ((turn, scale, side), axes) in both.chain(cases.map(|case| (case, Axes::Slices))) {
+        let both = cases.map(|case| (case, AxisSource::Tensor)).into_iter();
+        for ((turn, scale, side), axes) in both.chain(cases.map(|case| (case, AxisSource::Slices)))
+        {
             let centre = [29.3 * scale, 31.0 * scale];
             let evidence = seen(&star(centre, turn, side, scale), 0.0, axes);
             let best = (0..evidence.votes.len())
@@ -409,7 +412,8 @@ mod tests {
         // Long enough for three stripes.
         let mask = Mask::from_fn(40, 300, |u, v| (u + v / 2) % 9 < 2 || (v + 400 - u) % 31 < 3);
         let mirrored = Mask::from_fn(40, 300, |u, v| mask.get(u, 299 - v));
-        let (a, b) = (seen(&mask, 0.3, Axes::Tensor), seen(&mirrored, -0.3, Axes::Tensor));
+        let (a, b) =
+            (seen(&mask, 0.3, AxisSource::Tensor), seen(&mirrored, -0.3, AxisSource::Tensor));
         // Away from the edges, where one walk can leave the mask just before the other.
         for v in 0..300 {
             for u in 0..40 {
@@ -424,13 +428,13 @@ mod tests {
     #[test]
     fn degenerate_masks_have_no_votes() {
         for mask in [Mask::empty(0, 0), Mask::empty(1, 1), Mask::empty(9, 200)] {
-            for axes in [Axes::Tensor, Axes::Slices] {
+            for axes in [AxisSource::Tensor, AxisSource::Slices] {
                 let votes = seen(&mask, 0.0, axes).votes;
                 assert!(votes.iter().all(|&votes| votes == 0.0));
             }
         }
         let dot = Mask::from_fn(1, 1, |_, _| true);
-        assert_eq!(seen(&dot, 0.0, Axes::Slices).votes.len(), 1);
+        assert_eq!(seen(&dot, 0.0, AxisSource::Slices).votes.len(), 1);
     }
 
     #[test]

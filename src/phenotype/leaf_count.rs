@@ -18,9 +18,10 @@
 //!
 //! Reference: Ribera et al. 2016; B. Efron and R. Tibshirani, "An introduction to the bootstrap", 1993.
 
+use crate::raster::{Mask, polygon::Polygon};
 use rand::RngExt;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// Draws of a bootstrap.
 const DRAWS: usize = 2000;
@@ -37,34 +38,34 @@ pub struct Region {
 }
 
 /// What an interval accounts for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Of {
+pub enum IntervalSource {
     /// The spread of the calibration regions.
     Regions,
     /// The unevenness of the plot; not the error of the calibration.
     Plot,
 }
 
-impl Of {
+impl IntervalSource {
     /// Its word in tables.
     pub fn word(self) -> &'static str {
         match self {
-            Of::Regions => "regions",
-            Of::Plot => "plot",
+            IntervalSource::Regions => "regions",
+            IntervalSource::Plot => "plot",
         }
     }
 }
 
 /// Where the count lies with a probability of 95 percent.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Interval {
     /// Its lower end, leaves.
     pub low: f64,
     /// Its upper end, leaves.
     pub high: f64,
     /// What it accounts for.
-    pub of: Of,
+    pub of: IntervalSource,
 }
 
 /// The pixels of a leaf.
@@ -75,15 +76,30 @@ pub struct Calibration {
     regions: Vec<Region>,
 }
 
-/// A count.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Count {
+/// Leaves of an area.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct LeafCount {
     /// Plant pixels, `alpha`.
     pub pixels: u64,
     /// Leaves, `lambda`.
     pub leaves: f64,
     /// Its interval; `None` where the plot has no plant.
     pub interval: Option<Interval>,
+}
+
+/// Leaf pixels of an area, in squares of `square_px` of the raster that it touches.
+pub fn squares(mask: &Mask, area: &Polygon, square_px: usize) -> Vec<u64> {
+    let across = mask.width.div_ceil(square_px);
+    let mut sums = vec![None; across * mask.height.div_ceil(square_px)];
+    for (v, run) in area.runs(mask.width, mask.height) {
+        for square in run.start / square_px..=(run.end - 1) / square_px {
+            let from = run.start.max(square * square_px);
+            let to = run.end.min((square + 1) * square_px);
+            let pixels = mask.row(v)[from..to].iter().map(|&pixel| u64::from(pixel != 0));
+            *sums[v / square_px * across + square].get_or_insert(0) += pixels.sum::<u64>();
+        }
+    }
+    sums.into_iter().flatten().collect()
 }
 
 impl Calibration {
@@ -119,20 +135,24 @@ impl Calibration {
     }
 
     /// Counts the leaves of a plot from the plant pixels of its squares. `seed` decides the draws.
-    pub fn count(&self, squares: &[u64], seed: u64) -> Count {
+    pub fn count(&self, squares: &[u64], seed: u64) -> LeafCount {
         let pixels: u64 = squares.iter().sum();
         let leaves = pixels as f64 / self.rho;
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let of = if self.regions.len() >= REGIONS { Of::Regions } else { Of::Plot };
+        let of = if self.regions.len() >= REGIONS {
+            IntervalSource::Regions
+        } else {
+            IntervalSource::Plot
+        };
         let mut draws: Vec<f64> = (0..DRAWS)
             .filter_map(|_| match of {
-                Of::Regions => {
+                IntervalSource::Regions => {
                     let n = self.regions.len();
                     let drawn = (0..n).map(|_| &self.regions[rng.random_range(0..n)]);
                     let (alpha, lambda) = total(drawn);
                     (alpha > 0.0).then(|| pixels as f64 * lambda / alpha)
                 }
-                Of::Plot => {
+                IntervalSource::Plot => {
                     let n = squares.len();
                     let drawn = (0..n).map(|_| squares[rng.random_range(0..n)]);
                     Some(drawn.sum::<u64>() as f64 / self.rho)
@@ -144,7 +164,7 @@ impl Calibration {
         let interval = (pixels > 0 && !draws.is_empty())
             .then(|| Some(Interval { low: quantile(0.025)?, high: quantile(0.975)?, of }))
             .flatten();
-        Count { pixels, leaves, interval }
+        LeafCount { pixels, leaves, interval }
     }
 }
 
@@ -165,7 +185,7 @@ mod tests {
         let count = calibration.count(&[310, 310], 1);
         approx::assert_relative_eq!(count.leaves, 58.0, epsilon = 1e-12);
         let interval = count.interval.unwrap();
-        assert_eq!(interval.of, Of::Regions);
+        assert_eq!(interval.of, IntervalSource::Regions);
         // Whatever is drawn, rho lies between the regions' own: 10 and 11.
         assert!(
             interval.low >= 620.0 / 11.0 - 1e-9 && interval.high <= 62.0 + 1e-9,
@@ -199,7 +219,7 @@ mod tests {
     fn few_regions_leave_the_unevenness_of_the_plot() {
         let calibration = Calibration::given(10.0).unwrap();
         let even = calibration.count(&[50; 20], 1).interval.unwrap();
-        assert_eq!((even.low, even.high, even.of), (100.0, 100.0, Of::Plot));
+        assert_eq!((even.low, even.high, even.of), (100.0, 100.0, IntervalSource::Plot));
         let mut squares = [0; 20];
         squares[3] = 1000;
         let uneven = calibration.count(&squares, 1).interval.unwrap();

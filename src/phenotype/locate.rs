@@ -31,6 +31,8 @@ pub enum Init {
     Votes,
 }
 
+crate::choices!(Init: KmeansPlusPlus, Rows, Random, Votes);
+
 /// How to locate.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Options {
@@ -68,7 +70,7 @@ pub enum LocateError {
     /// The start or the prior needs rows, and the mask shows none.
     #[error(
         "no rows stand out in the mask (contrast {contrast:.3}, {prominence:.1} times the median); \
-         use `--prior none --init kmeans++`"
+         use `--method descent --prior none`"
     )]
     NoRows {
         /// Highest correlation ratio of any heading.
@@ -84,18 +86,9 @@ pub enum LocateError {
         /// Most plants there are places for.
         most: usize,
     },
-    /// An option of the full method that means nothing.
-    #[error("--set {name}={value}: a number from {least} to {most} was expected")]
-    Option {
-        /// Its name.
-        name: &'static str,
-        /// What it is.
-        value: f64,
-        /// The least it may be.
-        least: f64,
-        /// The most.
-        most: f64,
-    },
+    /// An option that cannot be: which, what it is, and what was expected.
+    #[error("[locate] {0}")]
+    Option(String),
     /// The problem could not be posed or solved.
     #[error(transparent)]
     Solve(#[from] SolveError),

@@ -9,6 +9,7 @@ pub mod islands;
 pub mod leaf_count;
 pub mod leaves;
 pub mod locate;
+pub mod locator;
 pub mod plots;
 pub mod renewal;
 mod repeats;

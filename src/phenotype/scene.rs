@@ -4,7 +4,7 @@
 //! All lengths in pixels of the reduced grid of [`Evidence`].
 
 use super::{
-    canopy::Options,
+    canopy::RowModelOptions,
     chain::{Chain, Profile, STEP, Weights},
     crown::{Crown, Judgement, Usual},
     evidence::{self, Evidence},
@@ -75,18 +75,18 @@ pub(super) struct Scene {
     length: f64,
     /// Distance of the islands of leaf, where plants stand apart.
     apart: Option<f64>,
-    pub(super) options: Options,
+    pub(super) options: RowModelOptions,
 }
 
 impl Scene {
-    pub(super) fn new(mask: &Mask, rows: &Rows, options: &Options) -> Scene {
+    pub(super) fn new(mask: &Mask, rows: &Rows, options: &RowModelOptions) -> Scene {
         // Plants that stand apart are as far from each other, in pixels of the grid, as in a closed canopy.
         let apart = islands::spacing_px(mask, rows);
         let coarse = apart.map_or(1.0, |spacing| spacing / APART);
         let factor = evidence::factor(mask).max(coarse.round() as usize);
-        let whole = options.apart && apart.is_some();
+        let whole = options.isolated_plants && apart.is_some();
         let evidence = if options.leaf_axes && !whole {
-            Evidence::new(mask, rows.axes.heading_rad, options.axes, factor)
+            Evidence::new(mask, rows.axes.heading_rad, options.axis_source, factor)
         } else {
             Evidence::of_mass(mask, factor)
         };
@@ -129,13 +129,15 @@ impl Scene {
 
     /// Distance of the islands of leaf, pixels of the mask, where each is a plant as a whole.
     pub(super) fn whole(&self) -> Option<f64> {
-        self.apart.filter(|_| self.options.apart).map(|apart| apart * self.evidence.factor as f64)
+        self.apart
+            .filter(|_| self.options.isolated_plants)
+            .map(|apart| apart * self.evidence.factor as f64)
     }
 
     /// Reads what every row shows.
     pub(super) fn read(&mut self) {
         let Scene { evidence, axes, ridges, options, .. } = self;
-        let across = Across::new(axes, options.across);
+        let across = Across::new(axes, options.across_sigma);
         self.profiles =
             ridges.par_iter().map(|ridge| read(evidence, axes, ridge, &across)).collect();
         let profiles = &self.profiles;
@@ -163,7 +165,7 @@ impl Scene {
         rows: impl IntoIterator<Item = usize>,
     ) -> Vec<Chain<'_>> {
         let mass = self.mass * spacing.spacing / self.length.max(f64::MIN_POSITIVE);
-        let Options { votes, cover, .. } = self.options;
+        let RowModelOptions { vote_weight: votes, uncovered_weight: cover, .. } = self.options;
         let votes = if self.whole().is_some() { WHOLE * votes } else { votes };
         let weights = Weights { votes, cover, mean: self.mean, mass };
         rows.into_iter().map(|row| Chain::new(&self.profiles[row], spacing, &weights)).collect()
@@ -186,14 +188,14 @@ impl Scene {
                     let chains = self.chains(&spacing, sample.iter().copied());
                     let beta = match wanted {
                         Some(wanted) => bisect(&chains, wanted).unwrap_or(0.0),
-                        None => self.options.beta,
+                        None => self.options.plant_log_odds,
                     };
                     let found: Vec<_> = chains.iter().map(|chain| chain.best(beta)).collect();
                     let places: Vec<Vec<usize>> = found.iter().map(|f| f.0.clone()).collect();
                     let own = beta * total(&places) as f64;
                     score = found.iter().map(|f| f.1).sum::<f64>() - own;
                     let refit = spacing.refit(&gaps(&places));
-                    spacing = if self.options.estimate_spacing {
+                    spacing = if self.options.estimate_jitter {
                         refit
                     } else {
                         Spacing { spacing: refit.spacing, ..Spacing::new(start) }
@@ -242,7 +244,7 @@ impl Scene {
     /// which makes up for what evidence lacks in a closed canopy, favours the finer one by how many more plants
     /// it has: against a peak that is [`LEAVES`] times as coarse it does not count.
     pub(super) fn likeliest_spacing(&self, sample: &[usize]) -> f64 {
-        let worth = self.options.beta_compared;
+        let worth = self.options.spacing_log_odds;
         let length: f64 = sample.iter().map(|&row| self.rows[row].length_px()).sum();
         let mut tried: Vec<(f64, f64)> = (0..SPACINGS)
             .into_par_iter()
@@ -315,7 +317,7 @@ impl Scene {
     /// How far plants scatter across their rows, once their places along them are known: more than is usual where the
     /// best votes, hardly held to the row, are further off it than those of plants in line are at that spacing.
     pub(super) fn scatter(&self, places: &[Vec<usize>], spacing: f64) -> f64 {
-        let usual = self.options.across;
+        let usual = self.options.across_sigma;
         let (mut sum, mut count) = (0.0, 0.0);
         for offset in self.offsets(places, WIDE).iter().flatten() {
             sum += offset * offset;

@@ -9,6 +9,8 @@ pub mod calibrate;
 mod config;
 pub mod dem;
 pub mod evaluate;
+pub mod evaluate_positions;
+pub mod figures;
 pub mod leaf_count;
 pub mod leaf_density;
 pub mod leaves;
@@ -20,6 +22,7 @@ pub mod record;
 pub mod segment;
 pub mod stage;
 pub mod synth;
+pub mod thresholds;
 
 pub use config::{Config, NAME as SETTINGS, ProjectOptions, ReportOptions, StagesOptions};
 pub use project::{PHOTO_ENDINGS, Project, photos_in};

@@ -19,11 +19,19 @@ use std::ops::Range;
 /// Rows of a band; the work is cut in the same way for any number of threads.
 const BAND_ROWS: usize = 512;
 
+/// Largest side of a window: its pixels must be counted in 32 bits.
+pub const LARGEST_WINDOW_PX: usize = 65_535;
+
 /// Half of a window: `r` of a window of `2 r + 1` pixels.
 ///
 /// # Errors
-/// [`Error::Argument`] where the window is even or zero.
+/// [`Error::Argument`] where the window is even, zero or larger than [`LARGEST_WINDOW_PX`].
 pub fn half_window(window_px: usize) -> Result<usize, Error> {
+    if window_px > LARGEST_WINDOW_PX {
+        return Err(Error::Argument(format!(
+            "the window has {window_px} pixels a side, expected at most {LARGEST_WINDOW_PX}"
+        )));
+    }
     if window_px.is_multiple_of(2) {
         return Err(Error::Argument(format!(
             "the window has {window_px} pixels a side, expected an odd number such as 41"

@@ -4,7 +4,8 @@
 //! Y = 1  where  tau1 <= H <= tau2  and  (tau3 <= S  or  tau4 <= V),
 //! ```
 //!
-//! with `H` in half degrees, 0..=180, and `S`, `V` in 0..=255 ([`super::hsv`]). The defaults 30, 79,
+//! with `H` in half degrees, 0..=180, and `S`, `V` in 0..=255 ([`super::hsv`]). A person writes the four thresholds as one
+//! list, `hsv = [30, 79, 30, 163]` or `--hsv 30,79,30,163`. The defaults 30, 79,
 //! 30, 163 are those published for photos of sorghum on 24 June 2015.
 //!
 //! No HSV picture is made: the thresholds are scaled to the fixed-point numbers of the conversion and
@@ -19,26 +20,49 @@ use super::{
     hsv::Scaled,
     pixels::{self, BLOCK, Channel, PerBlock},
 };
-use crate::error::Error;
+use crate::{error::Error, options};
 use image::RgbImage;
 use serde::{Deserialize, Serialize};
 
-/// The four thresholds of the leaf mask.
+/// The four thresholds of the leaf mask, `tau1` to `tau4` of the paper; `[hue_min, hue_max, saturation_min, value_min]` in
+/// files.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "[i64; 4]", into = "[u8; 4]")]
 pub struct Thresholds {
     /// Least hue, in half degrees (0..=180).
-    pub tau1: u8,
-    /// Largest hue, in half degrees (`tau1`..=180).
-    pub tau2: u8,
-    /// Saturation from which a pixel of the right hue is plant.
-    pub tau3: u8,
-    /// Value from which a pixel of the right hue is plant, however pale.
-    pub tau4: u8,
+    pub hue_min: u8,
+    /// Largest hue, in half degrees (`hue_min`..=180).
+    pub hue_max: u8,
+    /// Saturation from which a pixel of the right hue is leaf.
+    pub saturation_min: u8,
+    /// Value from which a pixel of the right hue is leaf, however pale.
+    pub value_min: u8,
 }
 
 impl Default for Thresholds {
     fn default() -> Thresholds {
-        Thresholds { tau1: 30, tau2: 79, tau3: 30, tau4: 163 }
+        Thresholds { hue_min: 30, hue_max: 79, saturation_min: 30, value_min: 163 }
+    }
+}
+
+impl TryFrom<[i64; 4]> for Thresholds {
+    type Error = Error;
+
+    fn try_from([hue_min, hue_max, saturation, value]: [i64; 4]) -> Result<Thresholds, Error> {
+        Thresholds::new(hue_min, hue_max, saturation, value)
+    }
+}
+
+impl From<Thresholds> for [u8; 4] {
+    fn from(thresholds: Thresholds) -> [u8; 4] {
+        let Thresholds { hue_min, hue_max, saturation_min, value_min } = thresholds;
+        [hue_min, hue_max, saturation_min, value_min]
+    }
+}
+
+impl options::Value for Thresholds {
+    fn kind() -> options::Kind {
+        options::Kind::Several(Box::new(options::Kind::Whole), 4)
     }
 }
 
@@ -46,26 +70,35 @@ impl Thresholds {
     /// Checked thresholds.
     ///
     /// # Errors
-    /// [`Error::Argument`] unless `0 <= tau1 <= tau2 <= 180` and `tau3` and `tau4` are in 0..=255.
-    pub fn new(tau1: i64, tau2: i64, tau3: i64, tau4: i64) -> Result<Thresholds, Error> {
+    /// [`Error::Argument`] unless `0 <= hue_min <= hue_max <= 180`, and saturation and value are in 0..=255.
+    pub fn new(
+        hue_min: i64,
+        hue_max: i64,
+        saturation_min: i64,
+        value_min: i64,
+    ) -> Result<Thresholds, Error> {
         let within = |name: &str, value: i64, largest: u8| {
             u8::try_from(value).ok().filter(|&value| value <= largest).ok_or_else(|| {
-                Error::Argument(format!("{name} is {value}, expected a number from 0 to {largest}"))
+                Error::Argument(format!(
+                    "the {name} is {value}, expected a number from 0 to {largest}"
+                ))
             })
         };
-        let (tau1, tau2) = (within("tau1", tau1, 180)?, within("tau2", tau2, 180)?);
-        if tau1 > tau2 {
+        let hue_min = within("least hue", hue_min, 180)?;
+        let hue_max = within("largest hue", hue_max, 180)?;
+        if hue_min > hue_max {
             return Err(Error::Argument(format!(
-                "tau1 is {tau1} and tau2 is {tau2}, expected tau1 <= tau2 (they bound the hue)"
+                "the least hue {hue_min} is above the largest hue {hue_max}"
             )));
         }
-        let (tau3, tau4) = (within("tau3", tau3, 255)?, within("tau4", tau4, 255)?);
-        Ok(Thresholds { tau1, tau2, tau3, tau4 })
+        let saturation_min = within("least saturation", saturation_min, 255)?;
+        let value_min = within("least value", value_min, 255)?;
+        Ok(Thresholds { hue_min, hue_max, saturation_min, value_min })
     }
 
-    /// Whether a colour with this hue, saturation and value is plant.
+    /// Whether a colour with this hue, saturation and value is leaf.
     pub fn contain(&self, [h, s, v]: [u8; 3]) -> bool {
-        self.tau1 <= h && h <= self.tau2 && (self.tau3 <= s || self.tau4 <= v)
+        self.hue_min <= h && h <= self.hue_max && (self.saturation_min <= s || self.value_min <= v)
     }
 
     /// The mask of a photo.
@@ -95,10 +128,10 @@ impl From<Thresholds> for Fused {
         // A number comes to `t` when rounded if it is at least `t - 1/2` steps.
         let least = |t: u8| f32::from(t) * Scaled::STEP - Scaled::HALF;
         Fused {
-            hue_from: least(thresholds.tau1),
-            hue_below: least(thresholds.tau2) + Scaled::STEP,
-            saturation: least(thresholds.tau3),
-            value: i16::from(thresholds.tau4),
+            hue_from: least(thresholds.hue_min),
+            hue_below: least(thresholds.hue_max) + Scaled::STEP,
+            saturation: least(thresholds.saturation_min),
+            value: i16::from(thresholds.value_min),
         }
     }
 }
@@ -119,21 +152,24 @@ impl PerBlock for Fused {
 
 impl std::fmt::Display for Thresholds {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{},{},{},{}", self.tau1, self.tau2, self.tau3, self.tau4)
+        let [hue_min, hue_max, saturation_min, value_min] = <[u8; 4]>::from(*self);
+        write!(f, "{hue_min},{hue_max},{saturation_min},{value_min}")
     }
 }
 
 impl std::str::FromStr for Thresholds {
     type Err = Error;
 
-    /// Reads `tau1,tau2,tau3,tau4`, e.g. `30,79,30,163`.
+    /// Reads least and largest hue, least saturation and least value, e.g. `30,79,30,163`.
     fn from_str(text: &str) -> Result<Thresholds, Error> {
         let numbers: Option<Vec<i64>> =
             text.split(',').map(|number| number.trim().parse().ok()).collect();
         match numbers.as_deref() {
-            Some(&[tau1, tau2, tau3, tau4]) => Thresholds::new(tau1, tau2, tau3, tau4),
+            Some(&[hue_min, hue_max, saturation, value]) => {
+                Thresholds::new(hue_min, hue_max, saturation, value)
+            }
             _ => Err(Error::Argument(format!(
-                "thresholds {text:?}: expected four whole numbers tau1,tau2,tau3,tau4, such as 30,79,30,163"
+                "thresholds {text:?}: expected four whole numbers (hue from, hue to, least saturation, least value), such as 30,79,30,163"
             ))),
         }
     }
@@ -182,11 +218,11 @@ mod tests {
             ("", "four whole numbers"),
             ("a,79,30,163", "four whole numbers"),
             ("30.5,79,30,163", "four whole numbers"),
-            ("80,79,30,163", "tau1 <= tau2"),
-            ("-1,79,30,163", "tau1 is -1"),
-            ("30,181,30,163", "tau2 is 181"),
-            ("30,79,256,163", "tau3 is 256"),
-            ("30,79,30,99999999999999", "tau4 is 99999999999999"),
+            ("80,79,30,163", "above the largest hue 79"),
+            ("-1,79,30,163", "least hue is -1"),
+            ("30,181,30,163", "largest hue is 181"),
+            ("30,79,256,163", "least saturation is 256"),
+            ("30,79,30,99999999999999", "least value is 99999999999999"),
         ] {
             let error = text.parse::<Thresholds>().unwrap_err();
             assert_eq!(error.kind(), crate::Kind::BadInput);

@@ -16,7 +16,7 @@
 use super::{Mask, hsv, mask::Thresholds};
 use crate::{drive::simplex, error::Error};
 use image::RgbImage;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 
 /// The colours of annotated photos, each with how often it was plant and how often not.
@@ -165,25 +165,37 @@ impl Colours {
     pub fn sweep(&self, held: &Thresholds, index: usize) -> Vec<(u8, Thresholds, Confusion)> {
         // What the other three say is settled once; along the one it is a running sum.
         let range = match index {
-            0 => 0..=held.tau2,
-            1 => held.tau1..=180,
+            0 => 0..=held.hue_max,
+            1 => held.hue_min..=180,
             _ => 0..=255,
         };
         let with = |value: u8| {
             let mut all = values(held);
             all[index] = value;
-            Thresholds { tau1: all[0], tau2: all[1], tau3: all[2], tau4: all[3] }
+            Thresholds {
+                hue_min: all[0],
+                hue_max: all[1],
+                saturation_min: all[2],
+                value_min: all[3],
+            }
         };
         let mut hits = [[0u64; 2]; 257];
         let mut always = [0u64; 2];
         let mut total = [0u64; 2];
         for &([h, s, v], counts) in &self.0 {
             let place = match index {
-                0 if h <= held.tau2 && (held.tau3 <= s || held.tau4 <= v) => Some(usize::from(h)),
-                1 if held.tau1 <= h && (held.tau3 <= s || held.tau4 <= v) => Some(usize::from(h)),
-                2 | 3 if held.tau1 <= h && h <= held.tau2 => {
-                    let (own, other) =
-                        if index == 2 { (s, held.tau4 <= v) } else { (v, held.tau3 <= s) };
+                0 if h <= held.hue_max && (held.saturation_min <= s || held.value_min <= v) => {
+                    Some(usize::from(h))
+                }
+                1 if held.hue_min <= h && (held.saturation_min <= s || held.value_min <= v) => {
+                    Some(usize::from(h))
+                }
+                2 | 3 if held.hue_min <= h && h <= held.hue_max => {
+                    let (own, other) = if index == 2 {
+                        (s, held.value_min <= v)
+                    } else {
+                        (v, held.saturation_min <= s)
+                    };
                     // 256: whatever the threshold.
                     Some(if other { 256 } else { usize::from(own) })
                 }
@@ -218,11 +230,11 @@ impl Colours {
 
 /// Any hue between yellow and cyan.
 fn wide() -> Thresholds {
-    Thresholds { tau1: 22, tau2: 100, tau3: 50, tau4: 255 }
+    Thresholds { hue_min: 22, hue_max: 100, saturation_min: 50, value_min: 255 }
 }
 
 fn values(thresholds: &Thresholds) -> [u8; 4] {
-    [thresholds.tau1, thresholds.tau2, thresholds.tau3, thresholds.tau4]
+    [thresholds.hue_min, thresholds.hue_max, thresholds.saturation_min, thresholds.value_min]
 }
 
 /// The thresholds nearest to four numbers; `None` where the hues are in the wrong order.
@@ -233,14 +245,17 @@ fn thresholds(x: &[f64]) -> Option<Thresholds> {
     Thresholds::new(hue(0)?, hue(1)?, byte(2)?, byte(3)?).ok()
 }
 
-/// What a proposal looks at.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// The colour index that a proposal splits by Otsu's threshold.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Index {
     /// Excess green of the chromatic coordinates.
     ExcessGreen,
     /// The hue's distance from green, for pixels that have one.
     Hue,
 }
+
+crate::choices!(Index: ExcessGreen, Hue);
 
 /// The mask of a photo by Otsu's threshold on an index.
 pub fn split(photo: &RgbImage, index: Index) -> Mask {
@@ -340,10 +355,15 @@ mod tests {
         #[test]
         fn a_sweep_judges_as_the_definition(
             pixels in proptest::collection::vec(any::<(u8, u8, u8, bool)>(), 1..60),
-            tau in (0u8..=90, 90u8..=180, any::<u8>(), any::<u8>()), index in 0usize..4,
+            hsv in (0u8..=90, 90u8..=180, any::<u8>(), any::<u8>()), index in 0usize..4,
         ) {
             let colours = colours(&pixels);
-            let held = Thresholds { tau1: tau.0, tau2: tau.1, tau3: tau.2, tau4: tau.3 };
+            let held = Thresholds {
+                hue_min: hsv.0,
+                hue_max: hsv.1,
+                saturation_min: hsv.2,
+                value_min: hsv.3,
+            };
             for (_, candidate, confusion) in colours.sweep(&held, index) {
                 prop_assert_eq!(confusion, colours.judge(&candidate));
             }

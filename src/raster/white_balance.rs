@@ -15,9 +15,11 @@
 
 use image::RgbImage;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 /// How the gains are found.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum WhiteBalance {
     /// The mean colour becomes grey.
     GreyWorld,
@@ -25,16 +27,7 @@ pub enum WhiteBalance {
     WhitePatch,
 }
 
-impl std::str::FromStr for WhiteBalance {
-    type Err = String;
-    fn from_str(word: &str) -> Result<WhiteBalance, String> {
-        match word {
-            "grey-world" => Ok(WhiteBalance::GreyWorld),
-            "white-patch" => Ok(WhiteBalance::WhitePatch),
-            _ => Err("expected one of: grey-world, white-patch".to_owned()),
-        }
-    }
-}
+crate::choices!(WhiteBalance: GreyWorld, WhitePatch);
 
 /// How often each value occurs in each channel, over pixels that are not cut off.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -6,7 +6,7 @@
 use crate::stage::{Measured, Metric, Stage, Trace, metric};
 use data_synth::{scenario::Scenario, visible::visible_fractions};
 use rowgram::{
-    phenotype::leaves::{Bridging, Leaves, Options, find},
+    phenotype::leaves::{Bridging, LeafOptions, Leaves, find},
     raster::Mask,
     score::matching,
 };
@@ -39,16 +39,16 @@ impl Default for Parameters {
         field.stage = data_synth::field::GrowthStage::Early;
         (field.rows, field.row_length_m, field.gsd_m) = (2, 3.0, 0.004);
         (field.margin_m, field.spacing_m) = (0.3, 0.25);
-        let paper = Options::paper();
+        let paper = LeafOptions::paper();
         Parameters {
             scenario,
-            t_a: paper.t_a,
-            t_b: paper.t_b,
-            t_c: paper.t_c,
+            t_a: paper.edge_angle_rad,
+            t_b: paper.slice_angle_rad,
+            t_c: paper.gap_angle_rad,
             bridging: paper.bridging,
             curvature: paper.curvature,
             split: paper.split,
-            longest_gap: paper.longest_gap,
+            longest_gap: paper.longest_gap_ratio,
             min_pixels: 10,
             trace: false,
         }
@@ -95,16 +95,16 @@ impl Stage for LeafSlices {
             height: picture.height() as usize,
             data: picture.into_raw(),
         };
-        let options = Options {
-            t_a: p.t_a,
-            t_b: p.t_b,
-            t_c: p.t_c,
+        let options = LeafOptions {
+            edge_angle_rad: p.t_a,
+            slice_angle_rad: p.t_b,
+            gap_angle_rad: p.t_c,
             bridging: p.bridging,
             curvature: p.curvature,
             split: p.split,
-            longest_gap: p.longest_gap,
+            longest_gap_ratio: p.longest_gap,
             min_pixels: p.min_pixels,
-            ..Options::default()
+            ..LeafOptions::default()
         };
         let found = find(&mask, &options);
         let field = &scene.field;
@@ -137,7 +137,7 @@ impl Stage for LeafSlices {
         measured.put("leaves", truth.len() as f64);
         measured.put("found", ours.len() as f64);
         if p.trace {
-            let segments = find(&mask, &Options { bridging: Bridging::None, ..options });
+            let segments = find(&mask, &LeafOptions { bridging: Bridging::None, ..options });
             measured.traces = traces(&found);
             measured.traces.push(pixels("segment_pixels", &segments));
             measured.traces.push(gradients(&mask));

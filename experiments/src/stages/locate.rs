@@ -56,7 +56,7 @@ pub(crate) struct Parameters {
     /// Distances are truncated here, metres; 0 is the paper, not at all.
     truncate_m: f64,
     /// The locator by votes.
-    canopy: canopy::Options,
+    canopy: canopy::RowModelOptions,
     /// Floor of the scatter about a row, metres.
     floor_m: f64,
     /// Where the descent starts.
@@ -80,7 +80,7 @@ impl Default for Parameters {
             model: Model::default(),
             tempering: 0.0,
             truncate_m: 0.0,
-            canopy: canopy::Options::default(),
+            canopy: canopy::RowModelOptions::default(),
             floor_m: 0.01,
             start: Start::Rows,
             count_factor: 1.0,

@@ -8,7 +8,7 @@
 //! 5. `bridge`: segments that face each other across a gap and differ by less than `T_c` are one leaf.
 //! 6. Every pixel that is left belongs to the leaf that it is nearest to within the plant.
 //!
-//! Steps 1 to 3 and 5 with [`Bridging::Greedy`] are the paper's; [`Options::paper`] does just these.
+//! Steps 1 to 3 and 5 with [`Bridging::Greedy`] are the paper's; [`LeafOptions::paper`] does just these.
 //! All is done for each connected part of the mask on its own (`part`); the only number they
 //! share is the usual width of a leaf, a median over all slices.
 //!
@@ -50,60 +50,50 @@ pub enum Bridging {
     Global,
 }
 
-/// What decides which pixels are one leaf.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Options {
-    /// `T_a`: how far the gradients of the two edges of a slice may be from opposite, radians.
-    pub t_a: f64,
-    /// `T_b`: how far the directions of adjacent slices of one segment may differ, radians.
-    pub t_b: f64,
-    /// `T_c`: how far the directions at the two ends of a gap may differ, radians.
-    pub t_c: f64,
-    /// How gaps are bridged.
-    pub bridging: Bridging,
-    /// Whether a bridge that bends costs more; of [`Bridging::Global`] only.
-    pub curvature: bool,
-    /// Whether segments are split by their width.
-    pub split: bool,
-    /// Cost from which two ends are not bridged; of [`Bridging::Global`] only. Of the pairs of ends that the other rules
-    /// allow one in seven is one leaf, and more bridges join opposite leaves of a plant; a crossing at a right angle
-    /// costs some 0.7.
-    pub most_cost: f64,
-    /// The width from which on two leaves lie side by side, in usual leaf widths.
-    pub double_width: f64,
-    /// The longest gap, in usual leaf widths.
-    pub longest_gap: f64,
-    /// The widest slice, in usual leaf widths, four pixels added.
-    pub widest_slice: f64,
-    /// The usual width of a leaf, pixels; found from the mask where it is not given.
-    pub leaf_width_px: Option<f64>,
-    /// Leaves with fewer pixels are left out.
-    pub min_pixels: usize,
-}
+crate::choices!(Bridging: None, Greedy, Global);
 
-impl Default for Options {
-    fn default() -> Options {
-        Options {
-            t_a: PI / 5.0,
-            t_b: PI / 8.0,
-            t_c: PI / 6.0,
-            bridging: Bridging::Global,
-            curvature: true,
-            split: true,
-            most_cost: 0.8,
-            double_width: 1.5,
-            longest_gap: 6.0,
-            widest_slice: 1.2,
-            leaf_width_px: None,
-            min_pixels: 1,
-        }
+crate::options! {
+    /// What decides which pixels are one leaf.
+    pub struct LeafOptions in "leaves" {
+        /// How far the gradients at the two edges of a slice may be from opposite (T_a of the paper, 36 degrees).
+        pub edge_angle_rad: f64 = PI / 5.0, limits between(0.0, PI);
+        /// How far the directions of adjacent slices of one segment may differ (T_b of the paper, 22.5 degrees).
+        pub slice_angle_rad: f64 = PI / 8.0, limits between(0.0, PI);
+        /// How far the directions at the two ends of a gap may differ (T_c of the paper, 30 degrees).
+        pub gap_angle_rad: f64 = PI / 6.0, limits between(0.0, PI);
+        /// How segments are joined across gaps: all gaps at once (global), the shortest first (greedy), or not at all (none).
+        pub bridging: Bridging = Bridging::Global;
+        /// Whether a bridge that bends costs more; of global bridging only.
+        pub curvature: bool = true;
+        /// Whether segments are split where their width says that they are two leaves.
+        pub split: bool = true;
+        /// Cost from which two ends are not bridged; of global bridging only. Of the pairs of ends that the other rules allow one
+        /// in seven is one leaf, and more bridges join opposite leaves of a plant; a crossing at a right angle costs some 0.7.
+        pub bridge_cost: f64 = 0.8, limits NON_NEGATIVE;
+        /// The width from which on two leaves lie side by side, in usual leaf widths.
+        pub double_width_ratio: f64 = 1.5, limits POSITIVE;
+        /// The longest gap that is bridged, in usual leaf widths.
+        pub longest_gap_ratio: f64 = 6.0, limits NON_NEGATIVE;
+        /// The widest slice, in usual leaf widths, four pixels added.
+        pub widest_slice_ratio: f64 = 1.2, limits NON_NEGATIVE;
+        /// Usual width of a leaf; found from the mask where not set.
+        pub leaf_width_px: Option<f64> = None, limits between(0.5, 10000.0), example "8.0";
+        /// Leaves of fewer pixels are left out.
+        pub min_pixels: usize = 1;
     }
 }
 
-impl Options {
+impl Copy for LeafOptions {}
+
+impl LeafOptions {
     /// The paper's method and nothing more.
-    pub fn paper() -> Options {
-        Options { bridging: Bridging::Greedy, curvature: false, split: false, ..Options::default() }
+    pub fn paper() -> LeafOptions {
+        LeafOptions {
+            bridging: Bridging::Greedy,
+            curvature: false,
+            split: false,
+            ..LeafOptions::default()
+        }
     }
 }
 
@@ -169,9 +159,10 @@ const CLASSES_PER_PX: f64 = 16.0;
 /// Finds the leaves of a mask.
 ///
 /// The result does not depend on the number of threads.
-pub fn find(mask: &Mask, options: &Options) -> Leaves {
+pub fn find(mask: &Mask, options: &LeafOptions) -> Leaves {
     let parts = components::parts(mask);
-    let usual_width_px = options.leaf_width_px.unwrap_or_else(|| usual_width(&parts, options.t_a));
+    let usual_width_px =
+        options.leaf_width_px.unwrap_or_else(|| usual_width(&parts, options.edge_angle_rad));
     let leaves = parts
         .par_iter()
         .map(|part| of_part(part, options, usual_width_px))
@@ -234,21 +225,21 @@ fn slices(
 }
 
 /// Direction and width of the leaf at each pixel of a part.
-fn measure(local: &Local, number: &[u32], options: &Options, usual_px: f64) -> Across {
+fn measure(local: &Local, number: &[u32], options: &LeafOptions, usual_px: f64) -> Across {
     // The rounding of both edges to pixels does not shrink with the leaf.
-    let widest_px = options.widest_slice * usual_px + 4.0;
+    let widest_px = options.widest_slice_ratio * usual_px + 4.0;
     let sigma_px = edges::sigma_px(usual_px);
-    let found = slices(local, number, options.t_a, widest_px + 3.0, sigma_px);
+    let found = slices(local, number, options.edge_angle_rad, widest_px + 3.0, sigma_px);
     Across::of(local.pixels.len(), &found, widest_px)
 }
 
-fn of_part(part: &Part, options: &Options, usual_px: f64) -> Vec<Leaf> {
+fn of_part(part: &Part, options: &LeafOptions, usual_px: f64) -> Vec<Leaf> {
     let local = Local::of(part);
     let number = numbers(&local);
     let across = measure(&local, &number, options, usual_px);
-    let mut segments = segments::merge(&local, &across, &number, options.t_b);
+    let mut segments = segments::merge(&local, &across, &number, options.slice_angle_rad);
     if options.split {
-        let widths_px = [usual_px, options.double_width * usual_px];
+        let widths_px = [usual_px, options.double_width_ratio * usual_px];
         segments = split::split(&local, &across, &number, segments, widths_px);
     }
     if segments.is_empty() {
@@ -257,11 +248,11 @@ fn of_part(part: &Part, options: &Options, usual_px: f64) -> Vec<Leaf> {
         segments.push(Segment { pixels: local.pixels.clone(), axis });
     }
     let rules = bridge::Rules {
-        t_c: options.t_c,
-        limit_px: (options.longest_gap * usual_px).max(2.0),
+        t_c: options.gap_angle_rad,
+        limit_px: (options.longest_gap_ratio * usual_px).max(2.0),
         bridging: options.bridging,
         curvature: options.curvature,
-        most: options.most_cost,
+        most: options.bridge_cost,
     };
     let mut owner = vec![NONE; local.pixels.len()];
     for (segment, at) in segments.iter().zip(0..) {

@@ -1,6 +1,6 @@
 //! Leaves and plants: which plant a leaf belongs to, and leaf directions for finding plants.
 
-use super::{Leaves, Local, Options, measure, numbers, usual_width};
+use super::{LeafOptions, Leaves, Local, measure, numbers, usual_width};
 use crate::raster::{Mask, components};
 use rayon::prelude::*;
 
@@ -48,9 +48,10 @@ pub fn assign(leaves: &Leaves, plants_px: &[[f64; 2]]) -> Vec<Option<usize>> {
 ///
 /// An alternative to the structure tensor wherever the direction of leaves votes for plants: it looks at both
 /// edges of a leaf and not at its neighbours.
-pub fn directions(mask: &Mask, options: &Options) -> Vec<f32> {
+pub fn directions(mask: &Mask, options: &LeafOptions) -> Vec<f32> {
     let parts = components::parts(mask);
-    let usual_px = options.leaf_width_px.unwrap_or_else(|| usual_width(&parts, options.t_a));
+    let usual_px =
+        options.leaf_width_px.unwrap_or_else(|| usual_width(&parts, options.edge_angle_rad));
     let of_parts: Vec<Vec<f32>> = parts
         .par_iter()
         .map(|part| {

@@ -35,7 +35,7 @@ fn a_ribbon_is_one_leaf_of_its_width_length_and_direction() {
             let mut mask = Mask::empty(90, 90);
             let [a, b] = turned([44.3, 44.8], angle, 60.0);
             ribbon(&mut mask, a, b, width);
-            let found = find(&mask, &Options::default());
+            let found = find(&mask, &LeafOptions::default());
             assert_eq!(found.leaves.len(), 1, "width {width}, angle {angle}");
             let leaf = &found.leaves[0];
             worst_width = worst_width.max((leaf.mean_width_px() - width).abs());
@@ -57,7 +57,7 @@ fn directions_are_those_of_the_ribbon_at_every_pixel() {
         let mut mask = Mask::empty(90, 90);
         let [a, b] = turned([45.0, 45.0], angle, 60.0);
         ribbon(&mut mask, a, b, 4.0);
-        let theta = directions(&mask, &Options::default());
+        let theta = directions(&mask, &LeafOptions::default());
         let inner: Vec<f32> = theta
             .iter()
             .enumerate()
@@ -82,14 +82,14 @@ fn crossing_leaves_are_two_leaves() {
     let mut mask = Mask::empty(100, 100);
     ribbon(&mut mask, [10.0, 20.0], [88.0, 70.0], 5.0);
     ribbon(&mut mask, [20.0, 85.0], [80.0, 10.0], 5.0);
-    for options in [Options::default(), Options::paper()] {
+    for options in [LeafOptions::default(), LeafOptions::paper()] {
         let found = find(&mask, &options);
         let mut lengths: Vec<f64> = found.leaves.iter().map(|leaf| leaf.length_px).collect();
         lengths.sort_by(f64::total_cmp);
         assert_eq!(lengths.len(), 2, "{lengths:?}");
         assert!((lengths[0] - 92.6).abs() < 5.0 && (lengths[1] - 96.0).abs() < 5.0, "{lengths:?}");
     }
-    let apart = find(&mask, &Options { bridging: Bridging::None, ..Options::default() });
+    let apart = find(&mask, &LeafOptions { bridging: Bridging::None, ..LeafOptions::default() });
     assert!(apart.leaves.len() >= 3, "{}", apart.leaves.len());
 }
 
@@ -102,13 +102,16 @@ fn two_leaves_base_to_base_are_split_by_their_width() {
         let half = 1.2 + 3.5 * (PI * q.rem_euclid(1.0)).sin();
         inside && (v as f64 - 15.0).abs() <= half
     });
-    assert_eq!(find(&mask, &Options::default()).leaves.len(), 2);
-    assert_eq!(find(&mask, &Options { split: false, ..Options::default() }).leaves.len(), 1);
+    assert_eq!(find(&mask, &LeafOptions::default()).leaves.len(), 2);
+    assert_eq!(
+        find(&mask, &LeafOptions { split: false, ..LeafOptions::default() }).leaves.len(),
+        1
+    );
 }
 
 #[test]
 fn empty_full_and_single_pixel_masks() {
-    let options = Options::default();
+    let options = LeafOptions::default();
     assert_eq!(find(&Mask::empty(20, 10), &options).leaves.len(), 0);
     assert_eq!(find(&Mask::empty(0, 0), &options).leaves.len(), 0);
     let mut one = Mask::empty(9, 9);
@@ -142,7 +145,7 @@ fn tangle(width: usize, height: usize, seed: u32) -> Mask {
 #[test]
 fn every_plant_pixel_has_one_leaf() {
     let mask = tangle(240, 180, 7);
-    for options in [Options::default(), Options::paper()] {
+    for options in [LeafOptions::default(), LeafOptions::paper()] {
         let mut seen = vec![0u8; mask.data.len()];
         for leaf in find(&mask, &options).leaves {
             let area: usize = leaf.runs.iter().map(|run| run.end - run.start).sum();
@@ -160,7 +163,7 @@ fn every_plant_pixel_has_one_leaf() {
 #[test]
 fn leaves_do_not_depend_on_what_lies_elsewhere() {
     // The width is given: the only number that parts share.
-    let options = Options { leaf_width_px: Some(4.0), ..Options::default() };
+    let options = LeafOptions { leaf_width_px: Some(4.0), ..LeafOptions::default() };
     let (part, other) = (tangle(120, 90, 3), tangle(80, 90, 4));
     let joined = Mask::from_fn(240, 200, |u, v| {
         (u >= 5 && v >= 7 && part.get(u - 5, v - 7))
@@ -186,7 +189,7 @@ fn the_number_of_threads_changes_nothing() {
     let mask = tangle(300, 200, 11);
     let run = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| find(&mask, &Options::default()))
+        pool.install(|| find(&mask, &LeafOptions::default()))
     };
     let one = run(1);
     assert!(one == run(2) && one == run(5));
@@ -201,7 +204,7 @@ fn leaves_go_to_the_plant_they_point_at() {
         ribbon(&mut mask, a, b, 4.0);
         ribbon(&mut mask, [a[0] + 60.0, a[1]], [b[0] + 60.0, b[1]], 4.0);
     }
-    let found = find(&mask, &Options::default());
+    let found = find(&mask, &LeafOptions::default());
     let owners = assign(&found, &[[30.0, 30.0], [90.0, 30.0]]);
     let mut counts = [0, 0];
     for (leaf, owner) in found.leaves.iter().zip(owners) {

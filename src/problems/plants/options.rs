@@ -39,6 +39,10 @@ pub enum Form {
     Joint,
 }
 
+crate::choices!(Prior: None, Rows, Grid);
+crate::choices!(PlantUpdate: Mean, Median);
+crate::choices!(Form: Conditional, Joint);
+
 /// Where the scale `sigma` of the distances comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
@@ -50,6 +54,12 @@ pub enum SigmaRule {
     Planar,
     /// Held at this many pixels.
     Fixed(f64),
+}
+
+impl crate::options::Value for SigmaRule {
+    fn kind() -> crate::options::Kind {
+        crate::options::Kind::Text
+    }
 }
 
 impl SigmaRule {

@@ -2,12 +2,12 @@
 
 use super::{Field, PlantUpdate, Plants, inner};
 use crate::{convex, engine::SolveError};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::fmt;
 
 /// How far the plants are from the optima of their inner problems, by an interior-point method that
 /// shares no code with the descent.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Proof {
     /// Plants that have pixels, all of which were certified.
     pub plants: usize,

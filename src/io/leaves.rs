@@ -1,31 +1,43 @@
-//! Leaves as a table (CSV) and on the map (GeoPackage, GeoJSON).
+//! Single leaves as a table (CSV) and in a mapping frame (GeoPackage, GeoJSON), with the same columns.
 //!
-//! Columns: `leaf` (its label, from 1), `u_px, v_px` (middle of the axis), `length_px, mean_width_px,
-//! max_width_px, area_px`, `angle_deg` (of the axis, 0 to 180, from the picture's `u` axis towards `v`), `hue_deg`
-//! (0 to 360; empty without colours), `plant` (from 1; empty without plants); with a ground sampling distance
-//! `length_m, mean_width_m, max_width_m, area_m2`; with a place on the map `x, y`.
+//! | column | |
+//! |---|---|
+//! | `leaf` | its label, from 1 |
+//! | `u_px`, `v_px` | middle of its axis in the raster |
+//! | `length_px` | length of its axis |
+//! | `mean_width_px`, `max_width_px` | its width across the axis |
+//! | `area_px` | its pixels |
+//! | `angle_deg` | direction of its axis, 0 to 180, from the raster's `u` axis towards its `v` axis |
+//! | `hue_deg` | mean hue, 0 to 360; empty without colours |
+//! | `plant` | number of its plant, from 1; empty without plants |
+//! | `length_m`, `mean_width_m`, `max_width_m`, `area_m2` | the same in metres, where the raster has a ground sampling distance |
+//! | `x`, `y` | middle of its axis in the mapping frame, where the raster is georeferenced |
+//!
+//! A GeoJSON feature also has `width_profile_px`, the width at each point of the axis. The table of plants has the columns
+//! `plant` (from 1), `u_px`, `v_px` and `leaves`, the number of its leaves.
 
-use crate::{
-    error::Error,
-    io::{
-        FileError,
-        gpkg::{self, Column, ColumnKind, Feature, Geometry, GeometryKind, Layer},
-        output,
-        rasters::{BAND_ROWS, Source},
-    },
-    phenotype::leaves::Leaf,
-    raster::{georeference::Georeference, hsv, window},
+use super::{
+    FileError,
+    gpkg::{self, Column, ColumnKind, Feature, Geometry, GeometryKind, Layer},
+    output,
 };
+use crate::{phenotype::leaves::Leaf, raster::georeference::Georeference};
 use serde_json::{Map, Value, json};
-use std::{f64::consts::TAU, path::Path};
+use std::path::Path;
 
 /// What is written of each leaf.
-pub(super) struct Rows<'a> {
-    pub(super) leaves: &'a [Leaf],
-    pub(super) hues: Option<&'a [Option<f64>]>,
-    pub(super) owners: Option<&'a [Option<usize>]>,
-    pub(super) gsd_m: Option<f64>,
-    pub(super) georeference: Option<Georeference>,
+#[derive(Debug, Clone, Copy)]
+pub struct Rows<'a> {
+    /// The leaves.
+    pub leaves: &'a [Leaf],
+    /// Mean hue of each, degrees; `None` without colours.
+    pub hues: Option<&'a [Option<f64>]>,
+    /// Plant of each, from 0; `None` without plants.
+    pub owners: Option<&'a [Option<usize>]>,
+    /// Ground sampling distance, metres per pixel.
+    pub gsd_m: Option<f64>,
+    /// Place of the raster in the mapping frame.
+    pub georeference: Option<Georeference>,
 }
 
 impl Rows<'_> {
@@ -86,7 +98,11 @@ impl Rows<'_> {
         row
     }
 
-    pub(super) fn write_csv(&self, path: &Path, force: bool) -> Result<(), FileError> {
+    /// Writes the table.
+    ///
+    /// # Errors
+    /// As [`output::write`].
+    pub fn write_csv(&self, path: &Path, force: bool) -> Result<(), FileError> {
         output::write(path, force, |writer| {
             let mut csv = csv::Writer::from_writer(writer);
             csv.write_record(self.names())?;
@@ -101,7 +117,11 @@ impl Rows<'_> {
         })
     }
 
-    pub(super) fn write_geojson(&self, path: &Path, force: bool) -> Result<(), FileError> {
+    /// Writes the axes as lines, in the raster's CRS, which the file names; in pixels without one.
+    ///
+    /// # Errors
+    /// As [`output::write`].
+    pub fn write_geojson(&self, path: &Path, force: bool) -> Result<(), FileError> {
         let crs = self.georeference.and_then(|place| place.crs.epsg).map(|epsg| {
             json!({"type": "name", "properties": {"name": format!("urn:ogc:def:crs:EPSG::{epsg}")}})
         });
@@ -119,8 +139,11 @@ impl Rows<'_> {
         })
     }
 
-    /// Layer "leaves", and "plants" with their number of leaves where plants are given (in pixels).
-    pub(super) fn write_gpkg(
+    /// Writes the layer `leaves`, and `plants` with their number of leaves where plants are given (in pixels).
+    ///
+    /// # Errors
+    /// As [`gpkg::write`].
+    pub fn write_gpkg(
         &self,
         path: &Path,
         force: bool,
@@ -171,7 +194,7 @@ impl Rows<'_> {
         gpkg::write(path, force, &layers)
     }
 
-    /// The axis of a leaf on the map, or in pixels; two points at least, as a line has.
+    /// The axis of a leaf in the mapping frame, or in pixels; two points at least, as a line has.
     fn axis(&self, index: usize) -> Vec<[f64; 2]> {
         let rounded = |value: f64| (value * 1e4).round() / 1e4;
         let place = |point| self.georeference.map_or(point, |place| place.map(point)).map(rounded);
@@ -222,43 +245,11 @@ fn counts(plants: usize, owners: &[Option<usize>]) -> Vec<usize> {
     counts
 }
 
-/// The mean hue of each leaf, degrees; the mean of directions on the circle, so that red is no green.
-pub(super) fn hues(source: &Source, leaves: &[Leaf]) -> Result<Vec<Option<f64>>, Error> {
-    let (_, height) = source.size();
-    let bands: Vec<window::Band> = window::bands(height, BAND_ROWS, 0).collect();
-    let mut of_band: Vec<Vec<(usize, usize)>> = vec![Vec::new(); bands.len()];
-    for (leaf, runs) in leaves.iter().map(|leaf| &leaf.runs).enumerate() {
-        for (run, place) in runs.iter().enumerate() {
-            of_band[place.v / BAND_ROWS].push((leaf, run));
-        }
-    }
-    // Sine and cosine of the 180 hues.
-    let directions: Vec<(f64, f64)> =
-        (0..256).map(|hue| (f64::from(hue) * TAU / 180.0).sin_cos()).collect();
-    let mut sums = vec![[0.0; 2]; leaves.len()];
-    for (band, runs) in bands.iter().zip(of_band) {
-        if runs.is_empty() {
-            continue;
-        }
-        let photo = source.rgb(band.rows.clone())?;
-        for (leaf, run) in runs {
-            let run = leaves[leaf].runs[run];
-            for u in run.start..run.end {
-                let rgb = photo.get_pixel(u as u32, (run.v - band.rows.start) as u32).0;
-                let (sin, cos) = directions[usize::from(hsv::from_rgb(rgb)[0])];
-                sums[leaf][0] += sin;
-                sums[leaf][1] += cos;
-            }
-        }
-    }
-    let hue = |sum: &[f64; 2]| {
-        (sum[0].hypot(sum[1]) > 1e-9).then(|| sum[0].atan2(sum[1]).rem_euclid(TAU).to_degrees())
-    };
-    Ok(sums.iter().map(hue).collect())
-}
-
-/// The plants with their number of leaves.
-pub(super) fn write_plants(
+/// Writes the plants (positions in pixels) with their number of leaves.
+///
+/// # Errors
+/// As [`output::write`].
+pub fn write_per_plant(
     path: &Path,
     force: bool,
     plants: &[[f64; 2]],

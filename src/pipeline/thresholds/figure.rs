@@ -1,9 +1,12 @@
-//! Histograms of the colours, and how each threshold trades plants for soil.
+//! Histograms of the colours, and how each threshold trades leaves for soil.
+//!
+//! `histograms.csv` has the columns `channel` (hue, saturation, value), `value` (in 8-bit HSV), and the numbers of `plant` and
+//! `other` pixels; `sweeps.csv` has `threshold`, `value`, `true_positive_rate`, `false_positive_rate` and `iou`.
 
-use super::write;
 use crate::{
     error::Error,
     io::FileError,
+    pipeline::figures::write_drawing,
     raster::{mask::Thresholds, tuning::Colours},
 };
 use plotters::prelude::*;
@@ -12,21 +15,23 @@ use std::{fmt::Write as _, path::Path};
 type Drawn = Result<(), Box<dyn std::error::Error>>;
 
 /// Colours that are told apart by everybody (Okabe and Ito).
-const PLANT: RGBColor = RGBColor(0, 158, 115);
+const LEAF: RGBColor = RGBColor(0, 158, 115);
 const OTHER: RGBColor = RGBColor(213, 94, 0);
 const CURVES: [RGBColor; 4] =
     [RGBColor(0, 114, 178), RGBColor(213, 94, 0), RGBColor(0, 158, 115), RGBColor(204, 121, 167)];
+/// The thresholds in their order.
+const THRESHOLDS: [&str; 4] = ["hue_min", "hue_max", "saturation_min", "value_min"];
 
 fn failed(path: &Path, error: &dyn std::fmt::Display) -> Error {
     FileError::write(path, std::io::Error::other(error.to_string())).into()
 }
 
-/// Hue, saturation and value of plant and other pixels, with the thresholds.
+/// Hue, saturation and value of leaf and other pixels, with the thresholds.
 pub(super) fn histograms(
-    path: &Path,
+    folder: &Path,
     force: bool,
     colours: &Colours,
-    tau: &Thresholds,
+    hsv: &Thresholds,
     annotated: bool,
 ) -> Result<(), Error> {
     let all = colours.histograms();
@@ -37,21 +42,21 @@ pub(super) fn histograms(
         }
     }
     let mut svg = String::new();
-    draw_histograms(&mut svg, &all, tau, annotated).map_err(|error| failed(path, &error))?;
-    Ok(write(path, force, &svg, &csv)?)
+    draw_histograms(&mut svg, &all, hsv, annotated).map_err(|error| failed(folder, &error))?;
+    Ok(write_drawing(folder, "histograms.svg", force, &svg, &csv)?)
 }
 
 fn draw_histograms(
     svg: &mut String,
     all: &[[[u64; 2]; 256]; 3],
-    tau: &Thresholds,
+    hsv: &Thresholds,
     annotated: bool,
 ) -> Drawn {
     let area = SVGBackend::with_string(svg, (760, 620)).into_drawing_area();
     area.fill(&WHITE)?;
-    let marks: [&[u8]; 3] = [&[tau.tau1, tau.tau2], &[tau.tau3], &[tau.tau4]];
+    let marks: [&[u8]; 3] = [&[hsv.hue_min, hsv.hue_max], &[hsv.saturation_min], &[hsv.value_min]];
     let names = ["hue (half degrees)", "saturation", "value"];
-    let plant = if annotated { "plant" } else { "proposed plant" };
+    let leaf = if annotated { "leaf" } else { "proposed leaf" };
     for (k, part) in area.split_evenly((3, 1)).iter().enumerate() {
         let end = if k == 0 { 180 } else { 256 };
         let largest = all[k].iter().flatten().copied().max().unwrap_or(1).max(1) as f64;
@@ -67,7 +72,7 @@ fn draw_histograms(
             .y_label_formatter(&|y| format!("{y:.0e}"))
             .light_line_style(WHITE)
             .draw()?;
-        for (class, colour, name) in [(0, OTHER, "other"), (1, PLANT, plant)] {
+        for (class, colour, name) in [(0, OTHER, "other"), (1, LEAF, leaf)] {
             let line = (0..end as usize).map(|x| (x as f64, (all[k][x][class] as f64).max(0.5)));
             chart
                 .draw_series(LineSeries::new(line, colour.stroke_width(2)))?
@@ -88,26 +93,26 @@ fn draw_histograms(
 
 /// TPR against FPR and IoU for every value of each threshold, the others held.
 pub(super) fn sweeps(
-    path: &Path,
+    folder: &Path,
     force: bool,
     colours: &Colours,
-    tau: &Thresholds,
+    hsv: &Thresholds,
 ) -> Result<(), Error> {
     let mut csv = "threshold,value,true_positive_rate,false_positive_rate,iou\n".to_owned();
     let mut curves: Vec<Vec<[f64; 4]>> = Vec::new();
-    for index in 0..4 {
+    for (index, name) in THRESHOLDS.iter().enumerate() {
         let mut curve = Vec::new();
-        for (value, _, confusion) in colours.sweep(tau, index) {
+        for (value, _, confusion) in colours.sweep(hsv, index) {
             let (tpr, fpr, iou) =
                 (confusion.true_positive_rate(), confusion.false_positive_rate(), confusion.iou());
-            let _ = writeln!(csv, "tau{},{value},{tpr:.6},{fpr:.6},{iou:.6}", index + 1);
+            let _ = writeln!(csv, "{name},{value},{tpr:.6},{fpr:.6},{iou:.6}");
             curve.push([f64::from(value), tpr, fpr, iou]);
         }
         curves.push(curve);
     }
     let mut svg = String::new();
-    draw_sweeps(&mut svg, &curves).map_err(|error| failed(path, &error))?;
-    Ok(write(path, force, &svg, &csv)?)
+    draw_sweeps(&mut svg, &curves).map_err(|error| failed(folder, &error))?;
+    Ok(write_drawing(folder, "sweeps.svg", force, &svg, &csv)?)
 }
 
 fn draw_sweeps(svg: &mut String, curves: &[Vec<[f64; 4]>]) -> Drawn {
@@ -129,7 +134,7 @@ fn draw_sweeps(svg: &mut String, curves: &[Vec<[f64; 4]>]) -> Drawn {
             let line = curve.iter().map(|p| if roc { (p[2], p[1]) } else { (p[0], p[3]) });
             chart
                 .draw_series(LineSeries::new(line, colour.stroke_width(2)))?
-                .label(format!("tau{}", index + 1))
+                .label(THRESHOLDS[index])
                 .legend(move |(x, y)| PathElement::new([(x, y), (x + 16, y)], colour));
         }
         let place = SeriesLabelPosition::LowerRight;

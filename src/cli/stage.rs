@@ -1,0 +1,162 @@
+//! What the commands of stages have in common: they work on a project, or on a single file.
+
+use super::{options::Given, print_json, terminal::Terminal};
+use crate::{
+    error::Error,
+    io::{FileError, output},
+    monitor::{Diagnostic, Monitor, Recorder, Severity},
+    options::Options,
+    pipeline::{Config, Project, Stage},
+};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+
+/// The project or file, and where results go.
+#[derive(Debug, clap::Args)]
+pub(super) struct Target {
+    /// A project (a folder), or a single file.
+    #[arg(value_name = "PROJECT|FILE")]
+    pub(super) input: PathBuf,
+    /// Of a project: the folder of results [default: PROJECT/rowgram]. Of a file: the file to write.
+    #[arg(short, long, value_name = "PATH")]
+    output: Option<PathBuf>,
+    /// Do the stage again although nothing has changed; replace files that exist.
+    #[arg(long)]
+    pub(super) force: bool,
+    /// Print the outcome as one line of JSON.
+    #[arg(long)]
+    pub(super) json: bool,
+}
+
+/// A stage of the library.
+pub(super) type StageFunction<O, R> = fn(&Project, &O, &mut dyn Monitor) -> Result<R, Error>;
+
+/// What `--json` prints.
+#[derive(Serialize)]
+struct Shown<'a, T> {
+    #[serde(flatten)]
+    outcome: &'a T,
+    diagnostics: &'a [Diagnostic],
+}
+
+impl Target {
+    /// Whether it is a project.
+    pub(super) fn is_project(&self) -> bool {
+        self.input.is_dir()
+    }
+
+    /// The file to write for a single file.
+    ///
+    /// # Errors
+    /// Where it is not given.
+    pub(super) fn file(&self) -> Result<&Path, Error> {
+        self.output.as_deref().ok_or_else(|| {
+            let input = self.input.display();
+            Error::Argument(format!("{input} is a single file: give the file to write (--output)"))
+        })
+    }
+
+    /// Refuses options of single files for a project.
+    ///
+    /// # Errors
+    /// The first one that was given.
+    pub(super) fn refuse_of_files(&self, options: &[(&str, bool)]) -> Result<(), Error> {
+        match options.iter().find(|(_, given)| *given) {
+            Some((name, _)) => Err(Error::Argument(format!(
+                "{name} is for single files; a project has its files at their places"
+            ))),
+            None => Ok(()),
+        }
+    }
+
+    /// Does a stage of the project, with the options of its settings and of the command line, and presents the outcome.
+    ///
+    /// # Errors
+    /// Settings that cannot be understood, and as the stage.
+    pub(super) fn perform<O: Options, R: Serialize>(
+        &self,
+        (stage, work): (Stage, StageFunction<O, R>),
+        given: &Given<O>,
+        of: fn(&Config) -> &O,
+        text: impl FnOnce(&R) -> String,
+    ) -> Result<(), Error> {
+        let config = Config::read(&self.input, std::env::vars(), &[])?;
+        let mut project = Project::new(&self.input, config)?;
+        if let Some(results) = &self.output {
+            project = project.with_results(results);
+        }
+        let options = given.over(of(project.config()))?;
+        if self.force {
+            project.records().forget(stage)?;
+        }
+        self.present(|monitor| work(&project, &options, monitor), text)
+    }
+
+    /// Does some work with the terminal as listener and presents what came of it.
+    ///
+    /// # Errors
+    /// As the work; [`Error::Incomplete`] where a diagnostic says that the result should not be used.
+    pub(super) fn present<O: Serialize>(
+        &self,
+        work: impl FnOnce(&mut dyn Monitor) -> Result<O, Error>,
+        text: impl FnOnce(&O) -> String,
+    ) -> Result<(), Error> {
+        let mut terminal = Terminal::new();
+        let mut recorder = Recorder::new(&mut terminal);
+        let outcome = work(&mut recorder)?;
+        let diagnostics = recorder.diagnostics;
+        if self.json {
+            print_json(&Shown { outcome: &outcome, diagnostics: &diagnostics })?;
+        } else {
+            tracing::info!("{}", text(&outcome));
+        }
+        match diagnostics.iter().find(|found| found.severity == Severity::Error) {
+            Some(found) => Err(Error::Incomplete(found.to_string())),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Refuses outputs that are inputs, are given twice, or cannot be written, before any work is done.
+///
+/// # Errors
+/// Which, and why.
+pub(super) fn check_paths(outputs: &[&Path], inputs: &[&Path], force: bool) -> Result<(), Error> {
+    for (index, path) in outputs.iter().enumerate() {
+        let shown = path.display();
+        if inputs.iter().any(|input| same_file(path, input)) {
+            return Err(Error::Argument(format!("{shown} is an input, expected another output")));
+        }
+        if outputs[..index].iter().any(|other| same_file(path, other)) {
+            return Err(Error::Argument(format!("{shown} is given for two outputs")));
+        }
+        output::check(path, force)?;
+    }
+    for input in inputs {
+        if input.is_dir() {
+            let source = std::io::Error::new(std::io::ErrorKind::IsADirectory, "it is a folder");
+            return Err(FileError::read(input, source).into());
+        }
+    }
+    Ok(())
+}
+
+/// Whether two paths lead to the same file, through whatever links; the files need not exist yet.
+pub(super) fn same_file(one: &Path, other: &Path) -> bool {
+    let resolved = |path: &Path| {
+        path.canonicalize().or_else(|error| {
+            let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+            let folder = folder.unwrap_or(Path::new(".")).canonicalize()?;
+            path.file_name().map(|name| folder.join(name)).ok_or(error)
+        })
+    };
+    match (resolved(one), resolved(other)) {
+        (Ok(one), Ok(other)) => one == other,
+        _ => one == other,
+    }
+}
+
+/// The paths that are given, of some that need not be.
+pub(super) fn given<'a>(paths: impl IntoIterator<Item = Option<&'a Path>>) -> Vec<&'a Path> {
+    paths.into_iter().flatten().collect()
+}

@@ -1,0 +1,80 @@
+//! `rowgram thresholds`: thresholds of leaf pixels for photos.
+
+use super::{options::Given, print, print_json, terminal::Terminal};
+use crate::{
+    error::Error,
+    monitor::Recorder,
+    pipeline::thresholds::{Photos, ThresholdsOptions, ThresholdsOutcome, thresholds},
+};
+use serde::Serialize;
+use std::path::PathBuf;
+
+/// Propose, tune or judge the thresholds of leaf pixels
+///
+/// Without masks: a proposal from the photos' colours alone (Otsu's threshold on the excess green or on the hue), for a
+/// person to look at and to give to the other commands as --hsv. With one mask per photo: the thresholds of the largest
+/// intersection over union; with --judge those of --hsv are judged only. With --leave-one-out each photo is judged with
+/// thresholds tuned on all the others.
+///
+/// A mask has two values, of which the brighter is leaf. A grey picture with softened edges is split at half of its white; in
+/// a picture of several classes everything but black is leaf. Masks are laid over photos pixel by pixel as stored;
+/// --as-shown first turns the photos as their metadata says, for masks drawn over what a viewer shows.
+///
+/// Example: rowgram thresholds a.jpg b.jpg --masks a.png,b.png --leave-one-out --figures figures
+#[derive(Debug, clap::Args)]
+#[command(verbatim_doc_comment)]
+pub(super) struct Args {
+    /// Photos.
+    #[arg(required = true)]
+    photos: Vec<PathBuf>,
+    /// Their annotated masks, in the same order.
+    #[arg(long, value_name = "FILE[,FILE...]", value_delimiter = ',')]
+    masks: Vec<PathBuf>,
+    #[command(flatten)]
+    options: Given<ThresholdsOptions>,
+    /// Draw histograms of hue, saturation and value, and with masks ROC and IoU curves (SVG, with a CSV of the same name), into
+    /// this folder.
+    #[arg(long, value_name = "DIR")]
+    figures: Option<PathBuf>,
+    /// Print the outcome as one line of JSON.
+    #[arg(long)]
+    json: bool,
+    /// Replace figures that exist.
+    #[arg(long)]
+    force: bool,
+}
+
+#[derive(Serialize)]
+struct Shown<'a> {
+    #[serde(flatten)]
+    outcome: &'a ThresholdsOutcome,
+    diagnostics: &'a [crate::monitor::Diagnostic],
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// As [`thresholds`].
+pub(super) fn run(args: &Args) -> Result<(), Error> {
+    let options = args.options.over_defaults()?;
+    let mut terminal = Terminal::new();
+    let mut recorder = Recorder::new(&mut terminal);
+    let input = Photos { photos: &args.photos, masks: &args.masks };
+    let figures = args.figures.as_deref().map(|folder| (folder, args.force));
+    let outcome = thresholds(input, &options, figures, &mut recorder)?;
+    if args.json {
+        return print_json(&Shown { outcome: &outcome, diagnostics: &recorder.diagnostics });
+    }
+    let mut text = format!("--hsv {}  ({})\n", outcome.hsv, outcome.origin.word());
+    for judged in &outcome.judged {
+        text += &format!(
+            "{}: IoU {:.4}, TPR {:.4}, FPR {:.4} with {}\n",
+            judged.photo.display(),
+            judged.iou,
+            judged.true_positive_rate,
+            judged.false_positive_rate,
+            judged.hsv
+        );
+    }
+    print(&text)
+}

@@ -1,0 +1,140 @@
+//! What stands in a field, in CSV files: plants, gaps, and the stand count of every row.
+//!
+//! All have `u_px`, `v_px`, positions in pixels of the raster, the centre of the top-left pixel at (0, 0), and, where the
+//! ground sampling distance is known, `x_m`, `y_m`, the same in metres from that pixel.
+//!
+//! Plants:
+//!
+//! | column | |
+//! |---|---|
+//! | `row` | number of the row, from 0, counted across the rows; empty where there are no rows |
+//! | `confidence` | probability that a plant stands within a quarter of the spacing (row model) |
+//! | `sigma_along_px`, `sigma_across_px` | standard deviations along and across the row (row model) |
+//!
+//! Gaps, where plants seem to be missing between two plants of a row: `row`; `length_px`, from plant to plant; `plants`, the
+//! most probable number of missing plants; `probability` that any is missing.
+//!
+//! Rows: `row`; `plants` that were located; `expected` number of plants with the interval of 95 % from `low` to `high`;
+//! `length_px`, and `length_m` where the ground sampling distance is known.
+
+use super::{FileError, output, points};
+use crate::phenotype::{
+    locate::{Located, Plant},
+    stand::{Canopy, NORMAL_95, Stalk},
+};
+use std::path::Path;
+
+/// Columns of numbers by name.
+type Columns = Vec<(&'static str, Vec<f64>)>;
+
+/// Positions in metres, where the size of a pixel is known.
+fn metres(positions_px: &[[f64; 2]], gsd_m: Option<f64>) -> Columns {
+    let axis = |axis: usize, gsd: f64| positions_px.iter().map(|at| at[axis] * gsd).collect();
+    gsd_m.map_or(Vec::new(), |gsd| vec![("x_m", axis(0, gsd)), ("y_m", axis(1, gsd))])
+}
+
+fn write(
+    path: &Path,
+    force: bool,
+    positions_px: &[[f64; 2]],
+    mut columns: Columns,
+    gsd_m: Option<f64>,
+) -> Result<(), FileError> {
+    let after_row = 1.min(columns.len());
+    columns.splice(after_row..after_row, metres(positions_px, gsd_m));
+    let columns: Vec<(&str, &[f64])> =
+        columns.iter().map(|(name, values)| (*name, &values[..])).collect();
+    points::write(path, force, positions_px, &columns)
+}
+
+/// Writes the plants of the row model.
+///
+/// # Errors
+/// As [`points::write`].
+pub fn write_plants(
+    path: &Path,
+    force: bool,
+    plants: &[Stalk],
+    gsd_m: Option<f64>,
+) -> Result<(), FileError> {
+    let positions: Vec<[f64; 2]> = plants.iter().map(|plant| plant.position_px).collect();
+    let columns = vec![
+        ("row", plants.iter().map(|plant| plant.row as f64).collect()),
+        ("confidence", plants.iter().map(|plant| plant.confidence).collect()),
+        ("sigma_along_px", plants.iter().map(|plant| plant.sigma_along_px).collect()),
+        ("sigma_across_px", plants.iter().map(|plant| plant.sigma_across_px).collect()),
+    ];
+    write(path, force, &positions, columns, gsd_m)
+}
+
+/// Writes the plants of a descent: positions and rows.
+///
+/// # Errors
+/// As [`points::write`].
+pub fn write_located(
+    path: &Path,
+    force: bool,
+    located: &Located,
+    gsd_m: Option<f64>,
+) -> Result<(), FileError> {
+    let positions: Vec<[f64; 2]> = located.plants.iter().map(|p| p.position_px).collect();
+    let row = |plant: &Plant| plant.row.map_or(f64::NAN, |row| row as f64);
+    let columns = vec![("row", located.plants.iter().map(row).collect())];
+    write(path, force, &positions, columns, gsd_m)
+}
+
+/// Writes the gaps: the middle of each, its row, length, missing plants and their probability.
+///
+/// # Errors
+/// As [`points::write`].
+pub fn write_gaps(
+    path: &Path,
+    force: bool,
+    stand: &Canopy,
+    gsd_m: Option<f64>,
+) -> Result<(), FileError> {
+    let gaps = &stand.missing;
+    let positions: Vec<[f64; 2]> = gaps.iter().map(|gap| gap.position_px).collect();
+    let columns = vec![
+        ("row", gaps.iter().map(|gap| gap.row as f64).collect()),
+        ("length_px", gaps.iter().map(|gap| gap.length_px).collect()),
+        ("plants", gaps.iter().map(|gap| gap.plants as f64).collect()),
+        ("probability", gaps.iter().map(|gap| gap.probability).collect()),
+    ];
+    write(path, force, &positions, columns, gsd_m)
+}
+
+/// Writes the stand count of every row.
+///
+/// # Errors
+/// As [`output::write`].
+pub fn write_rows(
+    path: &Path,
+    force: bool,
+    stand: &Canopy,
+    gsd_m: Option<f64>,
+) -> Result<(), FileError> {
+    let mut found = vec![0_usize; stand.rows.rows.len()];
+    stand.plants.iter().for_each(|plant| found[plant.row] += 1);
+    output::write(path, force, |writer| {
+        let mut csv = csv::Writer::from_writer(writer);
+        let mut header = vec!["row", "plants", "expected", "low", "high", "length_px"];
+        header.extend(gsd_m.map(|_| "length_m"));
+        csv.write_record(header)?;
+        for (row, line) in stand.rows.rows.iter().enumerate() {
+            let (expected, sigma) = (stand.row_counts[row], stand.row_count_sigmas[row]);
+            let length_px = line.length_px();
+            let numbers = [
+                expected,
+                (expected - NORMAL_95 * sigma).max(0.0),
+                expected + NORMAL_95 * sigma,
+                length_px,
+            ];
+            let mut record = vec![row.to_string(), found[row].to_string()];
+            record.extend(numbers.map(|x| format!("{x:.2}")));
+            record.extend(gsd_m.map(|gsd| format!("{:.3}", length_px * gsd)));
+            csv.write_record(record)?;
+        }
+        csv.flush()
+    })
+}
