@@ -1,4 +1,4 @@
-//! `rowgram calibrate target`, `undistort` and `camera convert`, as a user meets them.
+//! `rowgram calibrate`, `undistort` and `camera convert`, as a user meets them.
 
 use crate::{
     boards::{CLEAN, Look, corners, photo, poses, wide},
@@ -16,7 +16,7 @@ use std::{fmt::Write as _, fs, path::Path};
 
 const SIZE: [u32; 2] = [640, 480];
 const BOARD: Board = Board { columns: 7, rows: 6 };
-const TERMS: &str = "--board 7x6 --square 0.025 --lens brown --free k1,k2";
+const TERMS: &str = "--board 7x6 --square-m 0.025 --lens brown --free k1,k2";
 
 /// Corners of 12 photos as a table, without noise but for a rounding to hundredths of a pixel.
 fn table(folder: &Path, name: &str) -> String {
@@ -75,7 +75,7 @@ fn photos_become_a_camera_and_a_report() {
     let run = rowgram(
         here,
         &format!(
-            "calibrate target {} {TERMS},p1,p2,k3 -o camera.toml --report report --json",
+            "calibrate {} {TERMS},p1,p2,k3 -o camera.toml --figures figures --tables tables --json",
             names.join(" ")
         ),
     );
@@ -87,7 +87,7 @@ fn photos_become_a_camera_and_a_report() {
     );
     assert!(run.stderr.contains("07.png: left out: the same as 02.png"), "{}", run.stderr);
     assert!(run.stderr.contains("08.png: left out: no chessboard"), "{}", run.stderr);
-    assert!(run.stderr.contains("09.png is blurred"), "{}", run.stderr);
+    assert!(run.stderr.contains("09.png: blurred"), "{}", run.stderr);
     assert!(report["rms_px"].as_f64().unwrap() < 0.12, "{}", report["rms_px"]);
     for (name, truth) in ["f_px", "aspect", "cx_px", "cy_px", "k1"].iter().zip(wide(SIZE).values())
     {
@@ -95,28 +95,28 @@ fn photos_become_a_camera_and_a_report() {
         assert!((value - truth).abs() < 4.0 * sigma, "{name}: {value} +- {sigma}, not {truth}");
     }
     for name in [
-        "report.json",
-        "parameters.csv",
-        "correlation.csv",
-        "correlation.svg",
-        "photos.csv",
-        "corners.csv",
-        "residuals.csv",
-        "residuals.svg",
-        "residuals_by_radius.csv",
-        "residuals_by_radius.svg",
-        "distortion.csv",
-        "distortion.svg",
-        "models.csv",
-        "before.png",
-        "after.png",
+        "tables/calibration.json",
+        "tables/parameters.csv",
+        "tables/correlation.csv",
+        "tables/photos.csv",
+        "tables/corners.csv",
+        "tables/residuals.csv",
+        "tables/residuals_by_radius.csv",
+        "tables/distortion.csv",
+        "tables/models.csv",
+        "figures/correlation.svg",
+        "figures/residuals.svg",
+        "figures/residuals_by_radius.svg",
+        "figures/distortion.svg",
+        "figures/before.png",
+        "figures/after.png",
     ] {
-        let size = fs::metadata(here.join("report").join(name)).unwrap().len();
+        let size = fs::metadata(here.join(name)).unwrap().len();
         assert!(size > 100, "{name} has {size} bytes");
     }
     // The corners that were written lead to the same camera, whatever the number of threads.
     let again = format!(
-        "--threads 1 calibrate target --corners report/corners.csv --size 640x480 {TERMS},p1,p2,k3 -o again.toml --json"
+        "--threads 1 calibrate --corners tables/corners.csv --size-px 640,480 {TERMS},p1,p2,k3 -o again.toml --json"
     );
     let second = rowgram(here, &again);
     assert_eq!(second.code, 0, "{}", second.stderr);
@@ -141,7 +141,7 @@ fn a_camera_takes_the_distortion_out_of_photos() {
         rowgram(here, "undistort 00.png 01.png --camera camera.toml --scale 0.6 -o flat --json");
     assert_eq!(run.code, 0, "{}", run.stderr);
     let ideal = camera_file::read(&here.join("flat/camera.toml")).unwrap().interior;
-    let rows = "--board 7x6 --square 0.025 --lens brown";
+    let rows = "--board 7x6 --square-m 0.025 --lens brown";
     // Corners lie where the camera without distortion sees them: rows are straight.
     let image = rowgram::io::images::read_grey(&here.join("flat/00.png")).unwrap();
     let found =
@@ -155,7 +155,7 @@ fn a_camera_takes_the_distortion_out_of_photos() {
     }
     for (arguments, code, part) in [
         ("undistort 00.png --camera camera.toml -o flat", 2, "--force"),
-        ("undistort 00.png --camera camera.toml -o .", 2, "is an input"),
+        ("undistort 00.png --camera camera.toml -o .", 2, "it is an input"),
         ("undistort 00.png --camera none.toml -o b", 2, "none.toml"),
         ("undistort 00.png --camera camera.toml -o b --scale 0", 2, "scale 0"),
         ("undistort flat/00.png 00.png --camera camera.toml -o b", 2, "would both become"),
@@ -165,7 +165,7 @@ fn a_camera_takes_the_distortion_out_of_photos() {
         assert_eq!(run.code, code, "{arguments}: {}", run.stderr);
         assert!(run.stderr.contains(part), "{arguments}: {}", run.stderr);
     }
-    let small = rowgram(here, &format!("calibrate target 00.png 01.png {rows} -o few.toml"));
+    let small = rowgram(here, &format!("calibrate 00.png 01.png {rows} -o few.toml"));
     assert_eq!(small.code, 2);
     assert!(small.stderr.contains("2 of 2 photos can be used"), "{}", small.stderr);
 }
@@ -183,7 +183,7 @@ fn bad_input_is_named() {
     fs::write(here.join("one.csv"), one).unwrap();
     GrayImage::new(320, 240).save(here.join("small.png")).unwrap();
     fs::write(here.join("text.jpg"), "no picture").unwrap();
-    let corners = "--size 640x480 -o camera.toml --corners";
+    let corners = "--size-px 640,480 -o camera.toml --corners";
     for (arguments, part) in [
         (format!("00.png {TERMS} -o camera.toml"), "1 of 1 photos can be used"),
         (
@@ -193,21 +193,24 @@ fn bad_input_is_named() {
         (format!("00.png 01.png text.jpg {TERMS} -o camera.toml"), "text.jpg"),
         (format!("00.png missing.png {TERMS} -o camera.toml"), "missing.png"),
         (
-            "00.png 01.png 02.png 03.png --board 8x6 --square 0.025 -o camera.toml".to_owned(),
-            "show a board of 7x6 inner corners, --board says 8x6",
+            "00.png 01.png 02.png 03.png --board 8x6 --square-m 0.025 -o camera.toml".to_owned(),
+            "show a board of 7x6 inner corners, expected 8x6",
         ),
-        ("00.png --board 8 --square 0.025 -o camera.toml".to_owned(), "such as 8x6"),
-        ("00.png --board 8x6 --square -1 -o camera.toml".to_owned(), "side of a square in metres"),
+        ("00.png --board 8 --square-m 0.025 -o camera.toml".to_owned(), "such as 8x6"),
+        (
+            "00.png --board 8x6 --square-m -1 -o camera.toml".to_owned(),
+            "--square-m -1.0: expected a number greater than 0, in metres",
+        ),
         (format!("00.png {TERMS},q9 -o camera.toml"), "no parameter \"q9\""),
         (format!("{TERMS} {corners} nan.csv"), "u_px is"),
         (format!("{TERMS} {corners} short.csv"), "line 505: expected 5 columns, found 4"),
         (format!("{TERMS} {corners} outside.csv"), "outside the photo of 640 x 480"),
         (format!("{TERMS} {corners} one.csv"), "1 of 1 photos can be used"),
-        (format!("{TERMS} -o camera.toml --corners corners.csv"), "--size WIDTHxHEIGHT"),
+        (format!("{TERMS} -o camera.toml --corners corners.csv"), "or size_px (width, height)"),
         (format!("small.png {TERMS} {corners} corners.csv"), "small.png has 320 x 240 pixels"),
-        (format!("00.png {TERMS} -o 00.png --force"), "is a photo"),
+        (format!("00.png {TERMS} -o 00.png --force"), "is an input"),
     ] {
-        let run = rowgram(here, &format!("calibrate target {arguments}"));
+        let run = rowgram(here, &format!("calibrate {arguments}"));
         assert_eq!(run.code, 2, "{arguments}: {}", run.stderr);
         assert!(run.stderr.contains(part), "{arguments}: {}", run.stderr);
         assert!(!here.join("camera.toml").exists(), "{arguments}");
@@ -242,7 +245,7 @@ fn a_photo_that_contradicts_the_others_is_left_out() {
     let run = rowgram(
         here,
         &format!(
-            "calibrate target {TERMS},p1,p2,k3 --size 640x480 --corners mixed.csv -o camera.toml --json"
+            "calibrate {TERMS},p1,p2,k3 --size-px 640,480 --corners mixed.csv -o camera.toml --json"
         ),
     );
     assert_eq!(run.code, 0, "{}", run.stderr);
@@ -259,7 +262,7 @@ fn what_cannot_be_told_apart_is_said_in_words() {
     table(folder.path(), "corners.csv");
     let run = rowgram(
         folder.path(),
-        "calibrate target --board 7x6 --square 0.025 --free K0,K1,K2 --size 640x480 --corners corners.csv -o camera.toml",
+        "calibrate --board 7x6 --square-m 0.025 --free K0,K1,K2 --size-px 640,480 --corners corners.csv -o camera.toml",
     );
     assert_eq!(run.code, 2);
     assert!(run.stderr.contains("c_px") && run.stderr.contains("K0"), "{}", run.stderr);
@@ -376,13 +379,13 @@ fn a_fit_says_what_it_leaves() {
         }
     }
     assert!(largest < 1.2 * most + 1e-6 && largest > 0.5 * most, "{largest} {most}");
-    let gate = rowgram(here, "camera convert camera.toml --to opencv --max-residual 1e-6");
+    let gate = rowgram(here, "camera convert camera.toml --to opencv --max-residual-px 1e-6");
     assert_eq!(gate.code, 3, "{}", gate.stderr);
     for (arguments, part) in [
         ("camera.toml --to opensfm --model rational", "no place for k4"),
         ("camera.toml --to brown -o brown.toml", "--force"),
         ("none.toml --to opencv", "none.toml"),
-        ("camera.toml --to colmap --max-residual -1", "expected pixels"),
+        ("camera.toml --to colmap --max-residual-px -1", "expected pixels"),
     ] {
         let run = rowgram(here, &format!("camera convert {arguments}"));
         assert_eq!(run.code, 2, "{arguments}: {}", run.stderr);
@@ -401,7 +404,7 @@ fn real_photos_become_a_camera_that_opencv_agrees_with() {
     let run = rowgram(
         folder.path(),
         &format!(
-            "calibrate target {} --board 9x6 --square 0.025 --lens brown -o camera.toml --json",
+            "calibrate {} --board 9x6 --square-m 0.025 --lens brown -o camera.toml --json",
             names.join(" ")
         ),
     );

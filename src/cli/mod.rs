@@ -17,6 +17,7 @@ mod leaves;
 mod locate;
 mod options;
 mod ortho;
+mod project;
 mod report;
 mod run;
 mod segment;
@@ -68,9 +69,9 @@ enum Verb {
     Align(Box<align::Args>),
     Adjust(Box<adjust::Args>),
     Convert(survey::convert::Args),
-    Calibrate(calibrate::Calibrate),
+    Calibrate(Box<calibrate::Args>),
     Undistort(undistort::Args),
-    Camera(camera::CameraVerbs),
+    Camera(camera::CameraArgs),
     Dem(Box<dem::Args>),
     Ortho(Box<ortho::Args>),
     Query(ortho::query::Query),
@@ -127,9 +128,9 @@ fn dispatch(verb: Verb) -> Result<(), Error> {
         Verb::Align(args) => align::run(&args),
         Verb::Adjust(args) => adjust::run(&args),
         Verb::Convert(args) => survey::convert::run(&args),
-        Verb::Calibrate(verb) => verb.run(),
+        Verb::Calibrate(args) => calibrate::run(&args),
         Verb::Undistort(args) => undistort::run(&args),
-        Verb::Camera(verb) => verb.run(),
+        Verb::Camera(args) => args.run(),
         Verb::Dem(args) => dem::run(&args),
         Verb::Ortho(args) => ortho::run(&args),
         Verb::Query(verb) => verb.run(),

@@ -85,6 +85,10 @@ fn plain(value: &toml::Value) -> String {
     }
 }
 
+fn absolute(path: String) -> String {
+    std::path::absolute(&path).map_or(path, |path| path.to_string_lossy().into_owned())
+}
+
 impl<T: Options> clap::Args for Given<T> {
     fn augment_args(command: Command) -> Command {
         T::fields().iter().fold(command, |command, field| command.arg(argument::<T>(field)))
@@ -105,7 +109,12 @@ impl<T: Options> clap::FromArgMatches for Given<T> {
     fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
         for field in T::fields() {
             if let Some(text) = matches.get_one::<String>(field.name) {
-                self.table.insert(field.name.to_owned(), field.kind.read(text));
+                let value = match (&field.kind, field.kind.read(text)) {
+                    // In a project's settings paths are relative to the project, here to where the command is typed.
+                    (Kind::Path, toml::Value::String(path)) => toml::Value::String(absolute(path)),
+                    (_, value) => value,
+                };
+                self.table.insert(field.name.to_owned(), value);
             }
         }
         Ok(())

@@ -1,7 +1,5 @@
 //! `rowgram segment`: the leaf mask of a project, photo or orthomosaic.
 
-pub(super) use super::stage::same_file;
-
 use super::{
     options::Given,
     stage::{Target, check_paths, given},

@@ -3,7 +3,10 @@
 use super::{options::Given, print_json, terminal::Terminal};
 use crate::{
     error::Error,
-    io::{FileError, output},
+    io::{
+        FileError,
+        output::{self, same_file},
+    },
     monitor::{Diagnostic, Monitor, Recorder, Severity},
     options::Options,
     pipeline::{Config, Project, Stage},
@@ -139,21 +142,6 @@ pub(super) fn check_paths(outputs: &[&Path], inputs: &[&Path], force: bool) -> R
         }
     }
     Ok(())
-}
-
-/// Whether two paths lead to the same file, through whatever links; the files need not exist yet.
-pub(super) fn same_file(one: &Path, other: &Path) -> bool {
-    let resolved = |path: &Path| {
-        path.canonicalize().or_else(|error| {
-            let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
-            let folder = folder.unwrap_or(Path::new(".")).canonicalize()?;
-            path.file_name().map(|name| folder.join(name)).ok_or(error)
-        })
-    };
-    match (resolved(one), resolved(other)) {
-        (Ok(one), Ok(other)) => one == other,
-        _ => one == other,
-    }
 }
 
 /// The paths that are given, of some that need not be.

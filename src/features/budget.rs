@@ -16,7 +16,7 @@ fn cells_on_long_side(wanted: usize, width: f32, height: f32) -> f32 {
 /// Indices of the `wanted` best of the points `(x_px, y_px, strength)`, the best first.
 ///
 /// Points of equal rank and strength come in the order given.
-pub(super) fn spread(
+pub(super) fn grid_select(
     points: &[(f32, f32, f32)],
     (width_px, height_px): (f32, f32),
     wanted: usize,
@@ -66,7 +66,7 @@ mod tests {
                 (upto(size), upto(size), upto(strength))
             })
             .collect();
-        let kept = spread(&points, (1000.0, 1000.0), 1600);
+        let kept = grid_select(&points, (1000.0, 1000.0), 1600);
         assert_eq!(kept.len(), 1600);
         let in_corner = |&k: &usize| points[k].0 < 250.0 && points[k].1 < 250.0;
         let corner = kept.iter().filter(|k| in_corner(k)).count();
@@ -80,9 +80,9 @@ mod tests {
     #[test]
     fn fewer_than_asked_for_all_stay() {
         let points = [(1.0, 1.0, 0.5), (1.0, 1.0, 0.5), (9.0, 3.0, 0.1)];
-        assert_eq!(spread(&points, (10.0, 10.0), 3), [0, 1, 2]);
-        assert!(spread(&points, (10.0, 10.0), 0).is_empty());
-        assert!(spread(&[], (0.0, 0.0), 7).is_empty());
-        assert_eq!(spread(&points, (10.0, 10.0), 1), [0], "equal ones in their order");
+        assert_eq!(grid_select(&points, (10.0, 10.0), 3), [0, 1, 2]);
+        assert!(grid_select(&points, (10.0, 10.0), 0).is_empty());
+        assert!(grid_select(&[], (0.0, 0.0), 7).is_empty());
+        assert_eq!(grid_select(&points, (10.0, 10.0), 1), [0], "equal ones in their order");
     }
 }

@@ -63,7 +63,7 @@ pub struct Nearest {
 }
 
 impl Nearest {
-    fn stands_out(&self, ratio: f32) -> bool {
+    fn passes_ratio_test(&self, ratio: f32) -> bool {
         let (nearest, ratio) = (f64::from(self.distance_squared), f64::from(ratio));
         ratio >= 1.0 || nearest < ratio * ratio * f64::from(self.second_distance_squared)
     }
@@ -97,7 +97,7 @@ pub fn match_prepared(
     let limit = (512.0 * f64::from(options.max_distance)).powi(2);
     let pairs = forward.iter().zip(all).enumerate();
     let mut matches: Vec<Match> = pairs
-        .filter(|(_, (nearest, _))| nearest.stands_out(options.ratio))
+        .filter(|(_, (nearest, _))| nearest.passes_ratio_test(options.ratio))
         .map(|(index, (nearest, descriptor))| Match {
             first: index as u32,
             second: nearest.index,
@@ -114,7 +114,7 @@ pub fn match_prepared(
         matches.retain(|m| {
             let at = asked.partition_point(|&index| index < m.second as usize);
             backward.get(at).is_some_and(|nearest| {
-                nearest.index == m.first && nearest.stands_out(options.ratio)
+                nearest.index == m.first && nearest.passes_ratio_test(options.ratio)
             })
         });
     }

@@ -199,7 +199,7 @@ pub fn detect(photo: &GrayImage, options: &Options) -> Features {
             })
             .collect();
         let size = (width_px as f32, height_px as f32);
-        order = budget::spread(&points, size, options.max_features);
+        order = budget::grid_select(&points, size, options.max_features);
         found = order.iter().map(|&index| found[index]).collect();
     }
     let layer_of = |e: &detect::Extremum| &octaves[usize::from(e.octave)][usize::from(e.layer) - 1];

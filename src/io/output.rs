@@ -45,6 +45,37 @@ pub fn expect_ending(path: &Path, endings: &[&str]) -> Result<(), FileError> {
     Err(FileError::malformed(path, None, message))
 }
 
+/// Whether two paths lead to the same file, through whatever links; the files need not exist yet.
+pub fn same_file(one: &Path, other: &Path) -> bool {
+    let resolved = |path: &Path| {
+        path.canonicalize().or_else(|error| {
+            let folder = folder_of(path).canonicalize()?;
+            path.file_name().map(|name| folder.join(name)).ok_or(error)
+        })
+    };
+    match (resolved(one), resolved(other)) {
+        (Ok(one), Ok(other)) => one == other,
+        _ => one == other,
+    }
+}
+
+/// Refuses outputs that are there already, unless `force`, and those that are one of `inputs`: before any work is done.
+///
+/// # Errors
+/// [`FileError::Exists`], and [`FileError::Unusable`] for an output that is an input.
+pub fn check_apart(outputs: &[&Path], inputs: &[&Path], force: bool) -> Result<(), FileError> {
+    for output in outputs {
+        if inputs.iter().any(|input| same_file(input, output)) {
+            let message = "it is an input, expected another output";
+            return Err(FileError::Unusable { path: (*output).to_owned(), message });
+        }
+        if output.exists() && !force {
+            return Err(FileError::Exists { path: (*output).to_owned() });
+        }
+    }
+    Ok(())
+}
+
 /// Writes a file atomically: `fill` writes the content, then the file takes its name.
 ///
 /// # Errors

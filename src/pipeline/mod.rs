@@ -6,10 +6,12 @@
 
 pub mod align;
 pub mod calibrate;
+pub mod camera;
 mod config;
 pub mod dem;
 pub mod evaluate;
 pub mod evaluate_positions;
+pub mod features;
 pub mod figures;
 pub mod leaf_count;
 pub mod leaf_density;
@@ -23,6 +25,7 @@ pub mod segment;
 pub mod stage;
 pub mod synth;
 pub mod thresholds;
+pub mod undistort;
 
 pub use config::{Config, NAME as SETTINGS, ProjectOptions, ReportOptions, StagesOptions};
 pub use project::{PHOTO_ENDINGS, Project, photos_in};

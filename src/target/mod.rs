@@ -29,7 +29,10 @@ use serde::{Deserialize, Serialize};
 use shape::Ring;
 
 /// A chessboard by its inner corners, where four squares meet.
+///
+/// Written as `COLUMNSxROWS`, such as `8x6`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
 pub struct Board {
     /// Inner corners of a row.
     pub columns: usize,
@@ -40,6 +43,20 @@ pub struct Board {
 impl std::fmt::Display for Board {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "{}x{}", self.columns, self.rows)
+    }
+}
+
+impl From<Board> for String {
+    fn from(board: Board) -> String {
+        board.to_string()
+    }
+}
+
+impl TryFrom<String> for Board {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Board, String> {
+        text.parse()
     }
 }
 

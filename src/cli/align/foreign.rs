@@ -6,9 +6,9 @@
 use super::{Finding, stages::gsd_m};
 use crate::{
     camera::Model as LensModel,
-    cli::camera::{BROWN, FISHEYE, RATIONAL},
     error::Error,
     io::{FileError, colmap, model::Model, opensfm},
+    pipeline::camera::{BROWN, FISHEYE, RATIONAL},
     problems::lens_fit::fit,
     scene::Reconstruction,
 };

@@ -242,7 +242,7 @@ mod tests {
         assert_eq!(config.project.name.as_deref(), Some("Synthetic field 7"));
         assert_eq!(config.project.crs.as_deref(), Some("EPSG:32616"));
         assert_eq!(config.project.truth, Some("truth/plants.csv".into()));
-        assert_eq!(config.calibrate.board.as_deref(), Some("9x6"));
+        assert_eq!(config.calibrate.board, Some(crate::target::Board { columns: 9, rows: 6 }));
         assert_eq!(config.calibrate.square_m, Some(0.04));
     }
 

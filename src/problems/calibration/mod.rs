@@ -11,14 +11,18 @@
 //! (and the heights).
 //!
 //! [`start`] finds where to begin without knowing anything of the lens, [`Calibration`] poses the
-//! problem, [`calibrate`] does all of it, [`statistics`] says how well everything is known.
+//! problem, [`calibrate`] does all of it, [`consistent`] leaves out photos that contradict
+//! the others, [`statistics`] says how well everything is known, [`comparison`] compares lens models.
 //!
 //! References: Z. Zhang, *A flexible new technique for camera calibration*, PAMI 22(11), 2000, for the
 //! start from homographies; T. Luhmann et al., *Close-range photogrammetry and 3D imaging*, 2014, for the
 //! statistics.
 
+pub mod comparison;
 mod condensed;
+pub mod consistent;
 mod corners;
+pub mod residuals;
 pub mod start;
 pub mod statistics;
 

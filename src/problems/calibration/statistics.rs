@@ -15,16 +15,17 @@ use crate::{
     nlls::{LinearSolver, covariance::Covariance},
 };
 use nalgebra::{DMatrix, Dyn, Matrix6, SMatrix, SymmetricEigen};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, StudentsT};
+use std::borrow::Cow;
 
 /// One parameter of the interior orientation.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ParameterStatistics {
     /// Its name.
-    pub name: &'static str,
+    pub name: Cow<'static, str>,
     /// Its unit.
-    pub unit: &'static str,
+    pub unit: Cow<'static, str>,
     /// Its value.
     pub value: f64,
     /// Whether it was estimated.
@@ -38,7 +39,7 @@ pub struct ParameterStatistics {
 }
 
 /// One photo.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ViewStatistics {
     /// Corners in it.
     pub corners: usize,
@@ -53,7 +54,7 @@ pub struct ViewStatistics {
 }
 
 /// Everything known about a solution.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Statistics {
     /// Observations `n`: two for each corner of each photo.
     pub observations: usize,
@@ -66,7 +67,7 @@ pub struct Statistics {
     /// The parameters of the model.
     pub parameters: Vec<ParameterStatistics>,
     /// Names of the free ones, in the order of [`Statistics::correlation`].
-    pub free: Vec<&'static str>,
+    pub free: Vec<Cow<'static, str>>,
     /// Correlation matrix of the free parameters, row by row.
     pub correlation: Vec<Vec<f64>>,
     /// Each photo.
@@ -140,8 +141,8 @@ pub fn statistics(
         .map(|k| {
             let t = request.free[k].then(|| values[k] / sigma(k));
             ParameterStatistics {
-                name: described[k].name,
-                unit: described[k].unit,
+                name: described[k].name.into(),
+                unit: described[k].unit.into(),
                 value: values[k],
                 free: request.free[k],
                 standard_deviation: if request.free[k] { sigma(k) } else { 0.0 },
@@ -184,7 +185,7 @@ pub fn statistics(
         sigma0_px: variance.sqrt(),
         rms_px: (2.0 * squares / observations as f64).sqrt(),
         parameters,
-        free: free.iter().map(|&k| described[k].name).collect(),
+        free: free.iter().map(|&k| described[k].name.into()).collect(),
         correlation,
         views,
         heights_m,

@@ -1,13 +1,15 @@
 //! Pictures of a calibration, as SVG.
 
-use super::{
-    Outcome,
-    residuals::{CurveRow, ResidualRow, RingRow},
-};
+use super::{Calibration, tables::residual_rows};
 use crate::{
     error::Error,
     io::{FileError, output},
-    problems::calibration::statistics::Statistics,
+    problems::calibration::{
+        residuals::{
+            CornerResidual, DistortionAt, Ring, distortion_curve, principal_point_px, rings,
+        },
+        statistics::Statistics,
+    },
 };
 use plotters::prelude::*;
 use std::path::Path;
@@ -27,8 +29,23 @@ fn save(path: &Path, force: bool, draw: impl FnOnce(&mut String) -> Drawn) -> Re
     Ok(())
 }
 
+/// Draws all of them into `folder`.
+///
+/// # Errors
+/// A file that exists unless `force`, and writing.
+pub(super) fn write(folder: &Path, force: bool, found: &Calibration) -> Result<(), Error> {
+    let rows: Vec<CornerResidual> =
+        residual_rows(found)?.into_iter().map(|row| row.residual).collect();
+    let curve = distortion_curve(&found.solution.state.interior);
+    let path = |name: &str| folder.join(name);
+    correlation(&path("correlation.svg"), force, &found.statistics)?;
+    residuals(&path("residuals.svg"), force, &rows, found.request.size_px)?;
+    by_radius(&path("residuals_by_radius.svg"), force, &rows, &rings(&rows))?;
+    distortion(&path("distortion.svg"), force, &curve, found)
+}
+
 /// The correlation matrix: blue for negative, vermilion for positive, the number in each cell.
-pub(super) fn correlation(path: &Path, force: bool, found: &Statistics) -> Result<(), Error> {
+fn correlation(path: &Path, force: bool, found: &Statistics) -> Result<(), Error> {
     let count = found.free.len() as i32;
     save(path, force, |svg| {
         const CELL: i32 = 52;
@@ -38,8 +55,8 @@ pub(super) fn correlation(path: &Path, force: bool, found: &Statistics) -> Resul
         area.fill(&WHITE)?;
         let style = ("sans-serif", 13).into_font().color(&BLACK);
         for (i, name) in (0..count).zip(&found.free) {
-            area.draw(&Text::new(*name, (4, EDGE + CELL * i + 18), style.clone()))?;
-            area.draw(&Text::new(*name, (EDGE + CELL * i + 4, EDGE - 22), style.clone()))?;
+            area.draw(&Text::new(name.as_ref(), (4, EDGE + CELL * i + 18), style.clone()))?;
+            area.draw(&Text::new(name.as_ref(), (EDGE + CELL * i + 4, EDGE - 22), style.clone()))?;
         }
         for (i, row) in (0..count).zip(&found.correlation) {
             for (j, &value) in (0..count).zip(row) {
@@ -56,10 +73,10 @@ pub(super) fn correlation(path: &Path, force: bool, found: &Statistics) -> Resul
 }
 
 /// The residual of every corner as an arrow at its place, made longer by a round factor.
-pub(super) fn residuals(
+fn residuals(
     path: &Path,
     force: bool,
-    rows: &[ResidualRow<'_>],
+    rows: &[CornerResidual],
     size_px: [u32; 2],
 ) -> Result<(), Error> {
     let [width, height] = size_px.map(f64::from);
@@ -105,11 +122,11 @@ pub(super) fn residuals(
 }
 
 /// Radial residuals by their distance from the principal point, with the mean of each ring.
-pub(super) fn by_radius(
+fn by_radius(
     path: &Path,
     force: bool,
-    rows: &[ResidualRow<'_>],
-    rings: &[RingRow],
+    rows: &[CornerResidual],
+    rings: &[Ring],
 ) -> Result<(), Error> {
     let far = rows.iter().map(|row| row.radius_px).fold(1.0, f64::max);
     let mut sizes: Vec<f64> = rows.iter().map(|row| row.radial_px.abs()).collect();
@@ -135,7 +152,7 @@ pub(super) fn by_radius(
         chart.draw_series(
             inside.map(|row| Circle::new((row.radius_px, row.radial_px), 1, GREY.filled())),
         )?;
-        let means = |part: fn(&RingRow) -> f64| {
+        let means = |part: fn(&Ring) -> f64| {
             rings.iter().map(move |ring| (ring.radius_px, part(ring).clamp(-high, high)))
         };
         chart
@@ -163,17 +180,17 @@ pub(super) fn by_radius(
 }
 
 /// The distortion curve, and as far as which radius corners tell of it.
-pub(super) fn distortion(
+fn distortion(
     path: &Path,
     force: bool,
-    curve: &[CurveRow],
-    outcome: &Outcome,
+    curve: &[DistortionAt],
+    outcome: &Calibration,
 ) -> Result<(), Error> {
     let points: Vec<(f64, f64)> = curve
         .iter()
         .filter_map(|row| row.distortion_px.map(|distortion| (row.radius_px, distortion)))
         .collect();
-    let centre = super::residuals::principal_point(&outcome.solution.state.interior);
+    let centre = principal_point_px(&outcome.solution.state.interior);
     let seen = outcome
         .views
         .iter()

@@ -1,10 +1,11 @@
 //! A photo of the board before and after its distortion is removed, corners marked in both.
 
-use super::Outcome;
+use super::Calibration;
 use crate::{
     camera::Lens,
     error::Error,
     io::images,
+    monitor::{Diagnostic, Monitor},
     raster::undistort::{Crop, Interpolation, ideal_camera, undistort},
 };
 use image::{Rgb, RgbImage};
@@ -16,10 +17,10 @@ use std::path::Path;
 /// # Errors
 /// Where the photo cannot be read again or a picture cannot be written.
 pub(super) fn write(
-    before: &Path,
-    after: &Path,
+    folder: &Path,
     force: bool,
-    outcome: &Outcome,
+    outcome: &Calibration,
+    monitor: &mut dyn Monitor,
 ) -> Result<(), Error> {
     let extent = |k: usize| {
         let corners = &outcome.photos[k].corners;
@@ -45,7 +46,12 @@ pub(super) fn write(
     let to = match ideal_camera(from, Crop::Same, 1.0) {
         Ok(to) => to,
         Err(error) => {
-            tracing::warn!("no picture without distortion: {error}");
+            let message = format!("there is no picture of it without distortion: {error}");
+            monitor.diagnostic(&Diagnostic::warning(
+                "no-undistorted-picture",
+                &photo.name,
+                message,
+            ));
             return Ok(());
         }
     };
@@ -57,8 +63,8 @@ pub(super) fn write(
             mark(&mut flat, at);
         }
     }
-    images::write_photo(before, force, &picture)?;
-    images::write_photo(after, force, &flat)?;
+    images::write_photo(&folder.join("before.png"), force, &picture)?;
+    images::write_photo(&folder.join("after.png"), force, &flat)?;
     Ok(())
 }
 

@@ -1,20 +1,21 @@
 //! The photos of a calibration and their corners: found or read, and what is wrong with each.
 
-use super::Args;
+use super::CalibrateOptions;
 use crate::{
     error::Error,
     io::{FileError, corners, images},
-    problems::calibration::{Mark, View, start},
-    target::{Board, BoardCorner, NotFound, Options, detect},
+    monitor::{Counter, Diagnostic, Monitor},
+    problems::calibration::{Mark, View, consistent::MIN_VIEWS, start},
+    target::{self, Board, BoardCorner, NotFound, detect},
 };
 use rayon::prelude::*;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
 /// What became of a photo.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "status", rename_all = "kebab-case")]
-pub(super) enum Status {
+pub enum PhotoStatus {
     /// The whole board took part.
     Used,
     /// What can be seen of it took part.
@@ -45,33 +46,37 @@ pub(super) enum Status {
     Misfit {
         /// Its root mean square, pixels.
         rms_px: f64,
-        /// That of the usual photo, pixels.
-        usual_px: f64,
+        /// The median one of all photos, pixels.
+        median_px: f64,
     },
 }
 
-impl Status {
-    pub(super) fn is_used(&self) -> bool {
-        matches!(self, Status::Used | Status::UsedPart)
+impl PhotoStatus {
+    /// Whether it took part.
+    pub fn is_used(&self) -> bool {
+        matches!(self, PhotoStatus::Used | PhotoStatus::UsedPart)
     }
 }
 
-impl std::fmt::Display for Status {
+impl std::fmt::Display for PhotoStatus {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
-            Status::Used => write!(f, "used"),
-            Status::UsedPart => write!(f, "used in part"),
-            Status::Part { seen } => {
+            PhotoStatus::Used => write!(f, "used"),
+            PhotoStatus::UsedPart => write!(f, "used in part"),
+            PhotoStatus::Part { seen } => {
                 write!(f, "left out: only a part of the board can be seen ({seen} inner corners)")
             }
-            Status::NoBoard { reason } => write!(f, "left out: {reason}"),
-            Status::OtherBoard { found } => {
+            PhotoStatus::NoBoard { reason } => write!(f, "left out: {reason}"),
+            PhotoStatus::OtherBoard { found } => {
                 write!(f, "left out: a board of {found} inner corners")
             }
-            Status::NoPlane => write!(f, "left out: the corners are in no order of a board"),
-            Status::Duplicate { of } => write!(f, "left out: the same as {of}"),
-            Status::Misfit { rms_px, usual_px } => {
-                write!(f, "left out: {rms_px:.2} px rms against {usual_px:.2} px")
+            PhotoStatus::NoPlane => write!(f, "left out: the corners are in no order of a board"),
+            PhotoStatus::Duplicate { of } => write!(f, "left out: the same as {of}"),
+            PhotoStatus::Misfit { rms_px, median_px } => {
+                write!(
+                    f,
+                    "left out: it contradicts the others, {rms_px:.2} px rms, median {median_px:.2} px"
+                )
             }
         }
     }
@@ -79,18 +84,19 @@ impl std::fmt::Display for Status {
 
 /// One photo.
 #[derive(Debug, Clone)]
-pub(super) struct Photo {
+pub struct Photo {
     /// Its name in messages and tables.
-    pub(super) name: String,
+    pub name: String,
     /// Its file, where there is one.
-    pub(super) path: Option<PathBuf>,
+    pub path: Option<PathBuf>,
     /// Its corners; empty where none were found.
-    pub(super) corners: Vec<BoardCorner>,
-    pub(super) status: Status,
+    pub corners: Vec<BoardCorner>,
+    /// What became of it.
+    pub status: PhotoStatus,
     /// Width of the board's edges, pixels, where the photo was looked at.
-    pub(super) edge_width_px: Option<f64>,
+    pub edge_width_px: Option<f64>,
     /// Whether its edges are much wider than those of the others.
-    pub(super) blurred: bool,
+    pub blurred: bool,
 }
 
 /// All photos, and their common size.
@@ -99,56 +105,71 @@ pub(super) struct Gathered {
     pub(super) size_px: [u32; 2],
 }
 
-pub(super) fn gather(args: &Args) -> Result<Gathered, Error> {
-    let (mut photos, size_px) = match &args.corners {
-        Some(path) => read(path, args)?,
-        None => look(args)?,
+/// Finds or reads the corners of all photos; those that cannot be used are reported.
+///
+/// # Errors
+/// Photos that cannot be read or differ in size; a table that does not belong to the board.
+pub(super) fn gather(
+    images: &[PathBuf],
+    board: Board,
+    square_m: f64,
+    options: &CalibrateOptions,
+    monitor: &mut dyn Monitor,
+) -> Result<Gathered, Error> {
+    let (mut photos, size_px) = match &options.corners {
+        Some(path) => read(path, images, board, options)?,
+        None => look(images, board, options, monitor)?,
     };
     mark_duplicates(&mut photos);
     for photo in &mut photos {
-        if photo.status.is_used() && !start::resembles_plane(&view(photo, args)) {
-            photo.status = Status::NoPlane;
+        if photo.status.is_used() && !start::resembles_plane(&view(photo, board, square_m)) {
+            photo.status = PhotoStatus::NoPlane;
         }
     }
     for photo in photos.iter().filter(|photo| !photo.status.is_used()) {
-        tracing::warn!("{}: {}", photo.name, photo.status);
+        let found = Diagnostic::warning("photo-left-out", &photo.name, photo.status.to_string());
+        monitor.diagnostic(&found);
     }
     Ok(Gathered { photos, size_px })
 }
 
 /// Looks for the board in every photo.
-fn look(args: &Args) -> Result<(Vec<Photo>, [u32; 2]), Error> {
-    let options = Options { refinement: args.refine.method(), ..Options::default() };
-    let progress = indicatif::ProgressBar::new(args.images.len() as u64).with_style(
-        indicatif::ProgressStyle::with_template("corners {bar:30} {pos}/{len} photos")
-            .unwrap_or_else(|_| indicatif::ProgressStyle::default_bar()),
-    );
-    if !tracing::enabled!(tracing::Level::INFO) {
-        progress.set_draw_target(indicatif::ProgressDrawTarget::hidden());
-    }
-    let folder = folder_of_all(&args.images);
-    let found: Vec<Result<(Photo, [u32; 2]), FileError>> = args
-        .images
+fn look(
+    images: &[PathBuf],
+    board: Board,
+    options: &CalibrateOptions,
+    monitor: &mut dyn Monitor,
+) -> Result<(Vec<Photo>, [u32; 2]), Error> {
+    let search = target::Options { refinement: options.refinement, ..target::Options::default() };
+    let folder = folder_of_all(images);
+    let counter = Counter::new(monitor, "finding corners", images.len(), "photos");
+    let found: Vec<Result<(Photo, [u32; 2], usize), FileError>> = images
         .par_iter()
         .map(|path| {
             let image = images::read_grey(path)?;
             let size_px = [image.width(), image.height()];
-            let photo = one(path, &folder, detect(&image, args.board, &options), args);
-            progress.inc(1);
-            Ok((photo, size_px))
+            let found = detect(&image, board, &search);
+            let others = found.as_ref().map_or(0, |detection| detection.others);
+            let photo = one(path, &folder, found, options.partial_boards);
+            counter.tick();
+            Ok((photo, size_px, others))
         })
         .collect();
-    progress.finish_and_clear();
+    drop(counter);
     let found = found.into_iter().collect::<Result<Vec<_>, FileError>>()?;
-    let size_px = found.first().map_or([0, 0], |(_, size)| *size);
-    let first = found.first().map_or("", |(photo, _)| photo.name.as_str());
-    if let Some((photo, size)) = found.iter().find(|(_, size)| *size != size_px) {
+    for (photo, _, others) in found.iter().filter(|(_, _, others)| *others > 0) {
+        let message = format!("it shows {others} more board(s) of this size; the largest is used");
+        monitor.diagnostic(&Diagnostic::warning("several-boards", &photo.name, message));
+    }
+    let size_px = found.first().map_or([0, 0], |(_, size, _)| *size);
+    let first = found.first().map_or("", |(photo, ..)| photo.name.as_str());
+    if let Some((photo, size, _)) = found.iter().find(|(_, size, _)| *size != size_px) {
         return Err(Error::Argument(format!(
             "{} has {} x {} pixels, {first} {} x {}; one calibration needs photos of one size (no turned or scaled ones)",
             photo.name, size[0], size[1], size_px[0], size_px[1]
         )));
     }
-    Ok((found.into_iter().map(|(photo, _)| photo).collect(), size_px))
+    Ok((found.into_iter().map(|(photo, ..)| photo).collect(), size_px))
 }
 
 /// The folder that all photos are in, at some depth.
@@ -161,8 +182,8 @@ fn folder_of_all(paths: &[PathBuf]) -> PathBuf {
 fn one(
     path: &Path,
     folder: &Path,
-    found: Result<crate::target::Detection, NotFound>,
-    args: &Args,
+    found: Result<target::Detection, NotFound>,
+    use_part: bool,
 ) -> Photo {
     // Where the photos are is not a matter of the calibration: moved, they give the same tables.
     let name = path.strip_prefix(folder).unwrap_or(path).display().to_string();
@@ -170,31 +191,24 @@ fn one(
         name,
         path: Some(path.to_owned()),
         corners: Vec::new(),
-        status: Status::Used,
+        status: PhotoStatus::Used,
         edge_width_px: None,
         blurred: false,
     };
     match found {
         Ok(detection) => {
-            if detection.others > 0 {
-                tracing::warn!(
-                    "{}: {} more board(s) of this size; the largest is used",
-                    photo.name,
-                    detection.others
-                );
-            }
             photo.corners = detection.corners;
             photo.edge_width_px = Some(detection.edge_width_px);
-            photo.status = match (detection.complete, args.partial) {
-                (true, _) => Status::Used,
-                (false, true) => Status::UsedPart,
-                (false, false) => Status::Part { seen: extent(&photo.corners).to_string() },
+            photo.status = match (detection.complete, use_part) {
+                (true, _) => PhotoStatus::Used,
+                (false, true) => PhotoStatus::UsedPart,
+                (false, false) => PhotoStatus::Part { seen: extent(&photo.corners).to_string() },
             };
         }
         Err(NotFound::OtherSize { found, .. }) => {
-            photo.status = Status::OtherBoard { found: found.to_string() };
+            photo.status = PhotoStatus::OtherBoard { found: found.to_string() };
         }
-        Err(reason) => photo.status = Status::NoBoard { reason: reason.to_string() },
+        Err(reason) => photo.status = PhotoStatus::NoBoard { reason: reason.to_string() },
     }
     photo
 }
@@ -207,15 +221,17 @@ fn extent(corners: &[BoardCorner]) -> Board {
 }
 
 /// Reads corners; photos that are given too are taken by their names.
-fn read(path: &Path, args: &Args) -> Result<(Vec<Photo>, [u32; 2]), Error> {
-    let listed = corners::read(path, args.board)?;
+fn read(
+    path: &Path,
+    images: &[PathBuf],
+    board: Board,
+    options: &CalibrateOptions,
+) -> Result<(Vec<Photo>, [u32; 2]), Error> {
+    let listed = corners::read(path, board)?;
     let file_name = |path: &Path| path.file_name().map(|n| n.to_string_lossy().into_owned());
-    let mut size_px = match &args.size {
-        Some(text) => Some(parse_size(text)?),
-        None => None,
-    };
-    let mut origin = "--size".to_owned();
-    for image in &args.images {
+    let mut size_px = options.size_px;
+    let mut origin = "size_px".to_owned();
+    for image in images {
         let picture = images::read_grey(image)?;
         let size = [picture.width(), picture.height()];
         if let Some(other) = size_px.filter(|other| *other != size) {
@@ -233,7 +249,7 @@ fn read(path: &Path, args: &Args) -> Result<(Vec<Photo>, [u32; 2]), Error> {
     }
     let Some(size_px) = size_px else {
         return Err(Error::Argument(
-            "--corners: the size of the photos is not known; give the photos too, or --size WIDTHxHEIGHT".into(),
+            "corners: the size of the photos is not known; give the photos too, or size_px (width, height)".into(),
         ));
     };
     let mut photos = Vec::with_capacity(listed.len());
@@ -258,19 +274,19 @@ fn read(path: &Path, args: &Args) -> Result<(Vec<Photo>, [u32; 2]), Error> {
             )
             .into());
         }
-        let own = args.images.iter().find(|given| {
+        let own = images.iter().find(|given| {
             given.to_string_lossy() == image.image
                 || file_name(given) == file_name(Path::new(&image.image))
         });
         let count = image.corners.len();
-        let complete = count == args.board.columns * args.board.rows;
+        let complete = count == board.columns * board.rows;
         let status = match count {
             // Too few for a pose and a share in the lens.
-            0..6 => {
-                Status::NoBoard { reason: format!("only {count} corners, at least 6 are needed") }
-            }
-            _ if complete => Status::Used,
-            _ => Status::UsedPart,
+            0..6 => PhotoStatus::NoBoard {
+                reason: format!("only {count} corners, at least 6 are needed"),
+            },
+            _ if complete => PhotoStatus::Used,
+            _ => PhotoStatus::UsedPart,
         };
         photos.push(Photo {
             name: image.image,
@@ -284,15 +300,6 @@ fn read(path: &Path, args: &Args) -> Result<(Vec<Photo>, [u32; 2]), Error> {
     Ok((photos, size_px))
 }
 
-fn parse_size(text: &str) -> Result<[u32; 2], Error> {
-    let sides = text
-        .split_once(['x', 'X'])
-        .and_then(|(a, b)| Some([a.trim().parse().ok()?, b.trim().parse().ok()?]));
-    sides.filter(|sides: &[u32; 2]| !sides.contains(&0)).ok_or_else(|| {
-        Error::Argument(format!("--size {text}: expected WIDTHxHEIGHT in pixels, such as 1280x960"))
-    })
-}
-
 /// Photos with the very same corners are one photo given twice.
 fn mark_duplicates(photos: &mut [Photo]) {
     for k in 1..photos.len() {
@@ -301,39 +308,45 @@ fn mark_duplicates(photos: &mut [Photo]) {
         }
         let twin = (0..k).find(|&other| photos[other].corners == photos[k].corners);
         if let Some(other) = twin {
-            photos[k].status = Status::Duplicate { of: photos[other].name.clone() };
+            photos[k].status = PhotoStatus::Duplicate { of: photos[other].name.clone() };
         }
     }
 }
 
 /// A photo as the adjustment takes it.
-pub(super) fn view(photo: &Photo, args: &Args) -> View {
+pub(super) fn view(photo: &Photo, board: Board, square_m: f64) -> View {
     let marks = photo.corners.iter().map(|corner| Mark {
-        corner: corner.row * args.board.columns.max(args.board.rows) + corner.column,
-        board_m: [args.square * corner.column as f64, args.square * corner.row as f64],
+        corner: corner.row * board.columns.max(board.rows) + corner.column,
+        board_m: [square_m * corner.column as f64, square_m * corner.row as f64],
         image_px: corner.image_px,
     });
     View { marks: marks.collect() }
 }
 
-/// Refuses too few photos, in the words that say why.
-pub(super) fn enough(photos: &[Photo], used: &[usize], args: &Args) -> Result<(), Error> {
-    const LEAST: usize = 3;
+/// Reports a number of photos that is enough, but not for a good calibration.
+pub(super) fn report_few(used: usize, monitor: &mut dyn Monitor) {
     const FEW: usize = 8;
-    if used.len() >= LEAST {
-        if used.len() < FEW {
-            tracing::warn!(
-                "only {} photos show the board; {FEW} or more, tilted and all over the picture, make a good calibration",
-                used.len()
-            );
-        }
+    if used < FEW {
+        let message = format!("only {used} photos show the board");
+        monitor.diagnostic(&Diagnostic::warning("few-photos", "calibration", message).with_remedy(
+            format!("take {FEW} or more, with the board tilted and all over the picture"),
+        ));
+    }
+}
+
+/// Refuses too few photos, in the words that say why.
+///
+/// # Errors
+/// As said.
+pub(super) fn refuse_too_few(photos: &[Photo], used: &[usize], board: Board) -> Result<(), Error> {
+    if used.len() >= MIN_VIEWS {
         return Ok(());
     }
     let mut other: Vec<&str> = photos
         .iter()
         .filter_map(|photo| match &photo.status {
-            Status::OtherBoard { found } => Some(found.as_str()),
-            Status::Part { seen } => Some(seen.as_str()),
+            PhotoStatus::OtherBoard { found } => Some(found.as_str()),
+            PhotoStatus::Part { seen } => Some(seen.as_str()),
             _ => None,
         })
         .collect();
@@ -345,9 +358,9 @@ pub(super) fn enough(photos: &[Photo], used: &[usize], args: &Args) -> Result<()
         && 2 * count > photos.len()
     {
         return Err(Error::Argument(format!(
-            "{count} of {} photos show a board of {size} inner corners, --board says {}",
+            "{count} of {} photos show a board of {size} inner corners, expected {}",
             photos.len(),
-            args.board
+            board
         )));
     }
     let reasons: Vec<String> = photos
@@ -359,31 +372,29 @@ pub(super) fn enough(photos: &[Photo], used: &[usize], args: &Args) -> Result<()
     let more = photos.len() - used.len() - reasons.len();
     let more = if more > 0 { format!("\n  and {more} more") } else { String::new() };
     Err(Error::Argument(format!(
-        "{} of {} photos can be used, a calibration needs at least {LEAST} with the board at different tilts{}{more}",
+        "{} of {} photos can be used, a calibration needs at least {MIN_VIEWS} with the board at different tilts{}{more}",
         used.len(),
         photos.len(),
         reasons.concat()
     )))
 }
 
-/// Names photos whose edges are much wider than those of the others.
-pub(super) fn name_blurred(photos: &mut [Photo], used: &[usize]) {
+/// Reports photos whose edges are much wider than those of the others.
+pub(super) fn report_blurred(photos: &mut [Photo], used: &[usize], monitor: &mut dyn Monitor) {
     const RATIO: f64 = 2.0;
-    const LEAST_PX: f64 = 2.5;
+    const MIN_WIDTH_PX: f64 = 2.5;
     let mut widths: Vec<f64> = used.iter().filter_map(|&k| photos[k].edge_width_px).collect();
     if widths.is_empty() {
         return;
     }
     widths.sort_by(f64::total_cmp);
-    let usual = widths[widths.len() / 2];
+    let median = widths[widths.len() / 2];
     for &k in used {
         let Some(width) = photos[k].edge_width_px else { continue };
-        if width > RATIO * usual && width > LEAST_PX {
+        if width > RATIO * median && width > MIN_WIDTH_PX {
             photos[k].blurred = true;
-            tracing::warn!(
-                "{} is blurred: edges are {width:.1} px wide, usually {usual:.1} px",
-                photos[k].name
-            );
+            let message = format!("blurred: edges are {width:.1} px wide, median {median:.1} px");
+            monitor.diagnostic(&Diagnostic::warning("photo-blurred", &photos[k].name, message));
         }
     }
 }

@@ -1,0 +1,74 @@
+//! What commands on a project share: opening it, doing a stage, showing what came of it.
+
+use super::terminal::Terminal;
+use crate::{
+    error::Error,
+    monitor::{Diagnostic, Monitor, Recorder, Severity},
+    pipeline::{Config, Project, Stage},
+};
+use serde::Serialize;
+use std::path::Path;
+
+/// The project in a folder, with the settings of its file and of the environment.
+///
+/// # Errors
+/// A folder that is none, settings that cannot be understood.
+pub(super) fn open(root: &Path, results: Option<&Path>) -> Result<Project, Error> {
+    let config = Config::read(root, std::env::vars(), &[])?;
+    let project = Project::new(root, config)?;
+    Ok(match results {
+        Some(folder) => project.with_results(folder),
+        None => project,
+    })
+}
+
+/// As [`open`]; with `force`, `stage` is done again even where nothing has changed.
+///
+/// # Errors
+/// As [`open`].
+pub(super) fn open_for(
+    stage: Stage,
+    root: &Path,
+    results: Option<&Path>,
+    force: bool,
+) -> Result<Project, Error> {
+    let project = open(root, results)?;
+    if force {
+        project.records().forget(stage)?;
+    }
+    Ok(project)
+}
+
+#[derive(Serialize)]
+struct WithDiagnostics<'a, T> {
+    #[serde(flatten)]
+    outcome: &'a T,
+    diagnostics: &'a [Diagnostic],
+}
+
+/// Does some work with the terminal as its listener, then prints what came of it: as JSON with the diagnostics, or as text.
+///
+/// # Errors
+/// As the work says; [`Error::Incomplete`] where a diagnostic forbids the use of the result.
+pub(super) fn present<T: Serialize>(
+    json: bool,
+    work: impl FnOnce(&mut dyn Monitor) -> Result<T, Error>,
+    text: impl FnOnce(&T) -> String,
+) -> Result<(), Error> {
+    let mut terminal = Terminal::new();
+    let mut recorder = Recorder::new(&mut terminal);
+    let outcome = work(&mut recorder)?;
+    let diagnostics = recorder.diagnostics;
+    drop(terminal);
+    if json {
+        super::print_json(&WithDiagnostics { outcome: &outcome, diagnostics: &diagnostics })?;
+    } else {
+        super::print(&text(&outcome))?;
+    }
+    let severe: Vec<String> = diagnostics
+        .iter()
+        .filter(|found| found.severity == Severity::Error)
+        .map(ToString::to_string)
+        .collect();
+    if severe.is_empty() { Ok(()) } else { Err(Error::Incomplete(severe.join("\n"))) }
+}
