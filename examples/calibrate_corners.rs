@@ -27,7 +27,7 @@ fn photo(tilt_rad: f64, turn_rad: f64) -> View {
     View { marks: (0..48).map(mark).collect() }
 }
 
-fn main() -> Result<(), SolveError> {
+pub(crate) fn main() -> Result<(), SolveError> {
     let views: Vec<View> =
         (0..8).map(|k| photo(if k % 2 == 0 { 0.5 } else { -0.4 }, 0.8 * f64::from(k))).collect();
     let model = Model::Brown;

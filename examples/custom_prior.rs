@@ -46,7 +46,7 @@ impl Factor for Weighted {
     }
 }
 
-fn main() -> Result<(), SolveError> {
+pub(crate) fn main() -> Result<(), SolveError> {
     let mut problem = Problem::new();
     let heights: Vec<BlockId> =
         (0..11).map(|_| problem.block("height", Euclidean(1), &[0.0])).collect::<Result<_, _>>()?;

@@ -31,7 +31,7 @@ fn mask() -> Mask {
     Mask { width, height, data }
 }
 
-fn main() -> Result<(), LocateError> {
+pub(crate) fn main() -> Result<(), LocateError> {
     let mask = mask();
     let index = PixelIndex::from_mask(mask.width, &mask.data);
     let found = rows::detect(&index);

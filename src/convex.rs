@@ -18,59 +18,16 @@ use clarabel::{
     solver::{DefaultSettings, DefaultSolver, IPSolver, SolverStatus, SupportedConeT},
 };
 
-/// `1/2 x^T H x - g^T x`, with `x` an offset in pixels: the prior of one plant.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Quadratic {
-    /// `H` as (uu, uv, vv).
-    pub hessian: [f64; 3],
-    /// `g`.
-    pub pull: [f64; 2],
-}
-
-impl Quadratic {
-    /// Adds `(n^T x - c)^2 / (2 variance)`, but for its constant.
-    pub fn add(&mut self, normal: [f64; 2], offset: f64, variance: f64) {
-        let [a, b] = normal;
-        self.hessian[0] += a * a / variance;
-        self.hessian[1] += a * b / variance;
-        self.hessian[2] += b * b / variance;
-        self.pull[0] += a * offset / variance;
-        self.pull[1] += b * offset / variance;
+/// A sparse matrix of `rows` rows from the entries `(row, value)` of its columns, in any order.
+fn sparse(rows: usize, columns: &mut [Vec<(usize, f64)>]) -> CscMatrix {
+    let (mut starts, mut places, mut values) = (vec![0], Vec::new(), Vec::new());
+    for column in columns.iter_mut() {
+        column.sort_by_key(|entry| entry.0);
+        places.extend(column.iter().map(|entry| entry.0));
+        values.extend(column.iter().map(|entry| entry.1));
+        starts.push(places.len());
     }
-
-    /// `H x - g`, the gradient.
-    pub fn gradient(&self, x: [f64; 2]) -> [f64; 2] {
-        let [uu, uv, vv] = self.hessian;
-        [uu * x[0] + uv * x[1] - self.pull[0], uv * x[0] + vv * x[1] - self.pull[1]]
-    }
-
-    /// The value at `x`.
-    pub fn value(&self, x: [f64; 2]) -> f64 {
-        let [uu, uv, vv] = self.hessian;
-        0.5 * (uu * x[0] * x[0] + vv * x[1] * x[1]) + uv * x[0] * x[1]
-            - self.pull[0] * x[0]
-            - self.pull[1] * x[1]
-    }
-
-    /// The minimiser with the least norm.
-    pub fn minimiser(&self) -> [f64; 2] {
-        let trace = self.hessian[0] + self.hessian[2];
-        if trace <= 0.0 {
-            return [0.0; 2];
-        }
-        solve2(self.hessian, self.pull)
-            // Of rank one: H = t n n^T, so g = t c n and x = c n = g / t.
-            .unwrap_or([self.pull[0] / trace, self.pull[1] / trace])
-    }
-}
-
-/// Solves a symmetric 2 x 2 system, unless it is (numerically) singular.
-pub fn solve2([uu, uv, vv]: [f64; 3], [a, b]: [f64; 2]) -> Option<[f64; 2]> {
-    let determinant = uu * vv - uv * uv;
-    if determinant <= 1e-12 * (uu + vv) * (uu + vv) {
-        return None;
-    }
-    Some([(vv * a - uv * b) / determinant, (uu * b - uv * a) / determinant])
+    CscMatrix::new(rows, columns.len(), starts, places, values)
 }
 
 /// The optimum of one plant's inner problem with bounds on both sides.
@@ -91,16 +48,17 @@ impl Certificate {
     }
 }
 
-/// Solves the inner problem of one plant.
+/// Solves the inner problem of one plant, with `H` as (uu, uv, vv) and `g`.
 ///
 /// # Errors
 /// [`SolveError::Misuse`] without any pixel or with a weight that is not positive;
-/// [`SolveError::NotFinite`] where the interior-point method fails.
+/// [`SolveError::NotSolved`] where the interior-point method fails.
 pub fn plant(
     u_px: &[f64],
     v_px: &[f64],
     weight: f64,
-    prior: &Quadratic,
+    hessian: [f64; 3],
+    pull: [f64; 2],
 ) -> Result<Certificate, SolveError> {
     if u_px.is_empty() || u_px.len() != v_px.len() || weight.is_nan() || weight <= 0.0 {
         return Err(SolveError::Misuse("a certificate needs pixels and a positive weight".into()));
@@ -108,25 +66,17 @@ pub fn plant(
     let count = u_px.len();
     // Variables: x_u, x_v, t_0, ..., t_{N-1}. Rows of cone n: (t_n, z_n - x), as s = b - A x.
     let objective = {
-        let [uu, uv, vv] = prior.hessian;
+        let [uu, uv, vv] = hessian;
         let mut starts = vec![0, 1, 3];
         starts.resize(count + 3, 3);
         CscMatrix::new(count + 2, count + 2, starts, vec![0, 0, 1], vec![uu, uv, vv])
     };
-    let mut linear = vec![-prior.pull[0], -prior.pull[1]];
+    let mut linear = vec![-pull[0], -pull[1]];
     linear.resize(count + 2, weight);
-    let (mut starts, mut rows, mut values) = (vec![0], Vec::new(), Vec::new());
-    for axis in 1..=2 {
-        rows.extend((0..count).map(|n| 3 * n + axis));
-        values.extend(std::iter::repeat_n(1.0, count));
-        starts.push(rows.len());
-    }
-    for n in 0..count {
-        rows.push(3 * n);
-        values.push(-1.0);
-        starts.push(rows.len());
-    }
-    let constraints = CscMatrix::new(3 * count, count + 2, starts, rows, values);
+    let mut columns: Vec<Vec<(usize, f64)>> =
+        (1..=2).map(|axis| (0..count).map(|n| (3 * n + axis, 1.0)).collect()).collect();
+    columns.extend((0..count).map(|n| vec![(3 * n, -1.0)]));
+    let constraints = sparse(3 * count, &mut columns);
     let right: Vec<f64> = u_px.iter().zip(v_px).flat_map(|(&u, &v)| [0.0, u, v]).collect();
     let cones = vec![SupportedConeT::SecondOrderConeT(3); count];
     let settings = DefaultSettings {
@@ -137,7 +87,7 @@ pub fn plant(
         max_threads: 1,
         ..DefaultSettings::default()
     };
-    let failed = |what: String| SolveError::NotFinite(format!("the certificate: {what}"));
+    let failed = |what: String| SolveError::NotSolved(format!("the certificate: {what}"));
     let mut solver =
         DefaultSolver::new(&objective, &linear, &constraints, &right, &cones, settings)
             .map_err(|error| failed(error.to_string()))?;
@@ -164,7 +114,7 @@ pub fn plant(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::problems::plants::inner_median;
+    use crate::problems::plants::{Quadratic, inner_median};
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
@@ -183,7 +133,7 @@ mod tests {
                 prior.add([0.98, -0.2], draw() / 4.0, 6.0);
             }
             let weight = 0.15;
-            let certificate = plant(&u, &v, weight, &prior).unwrap();
+            let certificate = plant(&u, &v, weight, prior.hessian, prior.pull).unwrap();
             let x = inner_median(&u, &v, weight, &prior);
             let [uu, uv, vv] = prior.hessian;
             let value = weight
@@ -208,9 +158,9 @@ mod tests {
 
     #[test]
     fn bad_input_is_refused() {
-        let prior = Quadratic::default();
-        assert!(plant(&[], &[], 1.0, &prior).is_err());
-        assert!(plant(&[0.0], &[0.0], 0.0, &prior).is_err());
-        assert!(plant(&[0.0], &[0.0], f64::NAN, &prior).is_err());
+        let plant = |u: &[f64], v: &[f64], weight| plant(u, v, weight, [0.0; 3], [0.0; 2]);
+        assert!(plant(&[], &[], 1.0).is_err());
+        assert!(plant(&[0.0], &[0.0], 0.0).is_err());
+        assert!(plant(&[0.0], &[0.0], f64::NAN).is_err());
     }
 }

@@ -100,6 +100,9 @@ pub enum SolveError {
     /// A residual, Jacobian or cost is NaN or infinite where it must be finite.
     #[error("not a finite number in {0}")]
     NotFinite(String),
+    /// An interior-point method ended without a solution; says of what, and how it ended.
+    #[error("no solution of {0}")]
+    NotSolved(String),
     /// The problem as posed has no unique solution; says which parameters.
     #[error("{0}")]
     RankDeficient(String),

@@ -12,7 +12,8 @@ use rowgram::{
     engine::SolveError,
     nlls::Loss,
     problems::calibration::{
-        BoardShape, Calibration, MAX_ITERATIONS, Mark, Request, View, adjust, calibrate, start,
+        BoardShape, CORNERS, Calibration, MAX_ITERATIONS, Mark, Request, View, adjust, calibrate,
+        start,
         statistics::{residuals, statistics},
     },
     target::Board,
@@ -164,6 +165,12 @@ fn one_factor_a_photo_is_the_same_problem_as_one_a_corner() {
         .map(|r| 0.5 * (r[0] * r[0] + r[1] * r[1]))
         .sum();
     assert!((squares - cost(&once)).abs() < 1e-9 * squares);
+    // Residuals are the same rows with and without their Jacobian.
+    let problem = &once.calibration.problem;
+    let alone = problem.residuals(&once.x, CORNERS).unwrap();
+    let beside = problem.linearized(&once.x, CORNERS).unwrap().into_iter();
+    let beside: Vec<f64> = beside.flat_map(|(_, residual, _)| residual).collect();
+    assert_eq!(alone, beside);
 }
 
 #[test]

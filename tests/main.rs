@@ -23,6 +23,7 @@ mod data;
 mod drive;
 mod engine;
 mod evaluate;
+mod examples;
 mod features;
 mod leaves;
 mod locate;

@@ -10,6 +10,7 @@
 //! program whose costs are compared on these files.
 
 use super::{
+    interior::{BuiltInLens, first},
     lens::{self, Lens, MAX_PARAMETERS, Parameter, unit},
     polynomial,
 };
@@ -92,7 +93,11 @@ impl Bal {
     }
 
     /// The lens of values whose valid radius is known.
-    pub(super) fn with_limit(values: Interior, centre_px: [f64; 2], valid_radius: f64) -> Bal {
+    pub(super) fn with_valid_radius(
+        values: Interior,
+        centre_px: [f64; 2],
+        valid_radius: f64,
+    ) -> Bal {
         Bal { values, centre_px, valid_radius }
     }
 
@@ -102,12 +107,30 @@ impl Bal {
         self.valid_radius
     }
 
-    pub(super) fn centre_px(&self) -> [f64; 2] {
-        self.centre_px
-    }
-
     fn sees(&self, [x, y, z]: [f64; 3]) -> bool {
         z < 0.0 && x * x + y * y <= self.valid_radius * self.valid_radius * z * z
+    }
+}
+
+impl BuiltInLens for Bal {
+    const NAME: &'static str = "bal";
+    const PARAMETERS: &'static [Parameter] = &PARAMETERS;
+
+    fn from_values(values: &[f64], centre_px: [f64; 2]) -> Bal {
+        Bal::new(first(values), centre_px)
+    }
+
+    #[inline]
+    fn with_valid_radius(values: &[f64], centre_px: [f64; 2], valid_radius: f64) -> Bal {
+        Bal::with_valid_radius(first(values), centre_px, valid_radius)
+    }
+
+    fn valid_radius(&self) -> f64 {
+        self.valid_radius
+    }
+
+    fn centre_px(&self) -> Option<[f64; 2]> {
+        Some(self.centre_px)
     }
 }
 

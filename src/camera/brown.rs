@@ -19,6 +19,7 @@
 //! Reference: G. Bradski, *The OpenCV library*, 2000, `calib3d`.
 
 use super::{
+    interior::{BuiltInLens, first},
     lens::{Lens, MAX_PARAMETERS, Parameter, Projection, inverse_2x2, newton_2d, unit},
     polynomial,
 };
@@ -85,7 +86,7 @@ impl Brown {
     }
 
     /// The lens of values whose valid radius is known.
-    pub(super) fn with_limit(values: [f64; COUNT], valid_radius: f64) -> Brown {
+    pub(super) fn with_valid_radius(values: [f64; COUNT], valid_radius: f64) -> Brown {
         Brown { values, valid_radius }
     }
 
@@ -133,6 +134,25 @@ impl Brown {
 /// `a` and `b` of `q = a(s) / b(s)`.
 fn coefficients(v: &[f64; COUNT]) -> ([f64; 4], [f64; 4]) {
     ([1.0, v[K1], v[K2], v[K3]], [1.0, v[K4], v[K4 + 1], v[K4 + 2]])
+}
+
+impl BuiltInLens for Brown {
+    const NAME: &'static str = "brown";
+    const PARAMETERS: &'static [Parameter] = &PARAMETERS;
+    const ABSOLUTE_PRINCIPAL_POINT: Option<usize> = Some(2);
+
+    fn from_values(values: &[f64], _: [f64; 2]) -> Brown {
+        Brown::new(first(values))
+    }
+
+    #[inline]
+    fn with_valid_radius(values: &[f64], _: [f64; 2], valid_radius: f64) -> Brown {
+        Brown::with_valid_radius(first(values), valid_radius)
+    }
+
+    fn valid_radius(&self) -> f64 {
+        self.valid_radius
+    }
 }
 
 impl Lens for Brown {

@@ -13,6 +13,7 @@
 //! 28(8), 2006.
 
 use super::{
+    interior::{BuiltInLens, first},
     lens::{Lens, MAX_PARAMETERS, Parameter, Projection},
     polynomial,
 };
@@ -68,7 +69,7 @@ impl Fisheye {
     }
 
     /// The lens of values whose valid angle is known.
-    pub(super) fn with_limit(values: [f64; COUNT], valid_angle_rad: f64) -> Fisheye {
+    pub(super) fn with_valid_radius(values: [f64; COUNT], valid_angle_rad: f64) -> Fisheye {
         Fisheye { values, valid_angle_rad }
     }
 
@@ -98,6 +99,25 @@ impl Fisheye {
         let around = if across > 0.0 { [x / across, y / across] } else { [0.0, 0.0] };
         let (radius, slope) = self.curve(angle);
         Some(Ray { around, across, along, angle, radius, slope })
+    }
+}
+
+impl BuiltInLens for Fisheye {
+    const NAME: &'static str = "fisheye";
+    const PARAMETERS: &'static [Parameter] = &PARAMETERS;
+    const ABSOLUTE_PRINCIPAL_POINT: Option<usize> = Some(2);
+
+    fn from_values(values: &[f64], _: [f64; 2]) -> Fisheye {
+        Fisheye::new(first(values))
+    }
+
+    #[inline]
+    fn with_valid_radius(values: &[f64], _: [f64; 2], valid_radius: f64) -> Fisheye {
+        Fisheye::with_valid_radius(first(values), valid_radius)
+    }
+
+    fn valid_radius(&self) -> f64 {
+        self.valid_angle_rad
     }
 }
 

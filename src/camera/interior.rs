@@ -1,55 +1,193 @@
 //! An interior orientation: one of the built-in lens models with its values and its image size.
 
 use super::{
-    bal::{self, Bal},
-    brown::{self, Brown},
-    fisheye::{self, Fisheye},
+    bal::Bal,
+    brown::Brown,
+    fisheye::Fisheye,
     lens::{Lens, MAX_PARAMETERS, Parameter, Projection},
-    smac::{self, Smac},
+    smac::Smac,
 };
 use serde::{Deserialize, Serialize};
 
-/// The built-in lens models.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Model {
-    /// Image-to-ideal correction, [`smac`].
-    Smac,
-    /// Brown's model as OpenCV has it, [`brown`].
-    Brown,
-    /// Equidistant fisheye with a polynomial, [`fisheye`].
-    Fisheye,
-    /// The camera of *Bundle Adjustment in the Large*, [`bal`].
-    Bal,
+/// What a built-in lens model says of itself; [`lens_models`] registers it.
+pub(super) trait BuiltInLens: Lens + Copy {
+    /// Its name in files.
+    const NAME: &'static str;
+    /// Its parameters, in the order of their values.
+    const PARAMETERS: &'static [Parameter];
+    /// Place of `cx_px`, followed by `cy_px`, where the principal point is counted from the corner
+    /// of the image; `None` where it is counted from the image's centre, or there is none.
+    const ABSOLUTE_PRINCIPAL_POINT: Option<usize> = None;
+
+    /// The lens of the first of these values.
+    fn from_values(values: &[f64], centre_px: [f64; 2]) -> Self;
+
+    /// The same where [`Interior::valid_radius`] is known.
+    fn with_valid_radius(values: &[f64], centre_px: [f64; 2], valid_radius: f64) -> Self;
+
+    /// See [`Interior::valid_radius`].
+    fn valid_radius(&self) -> f64;
+
+    /// The centre of the images, where the lens knows it, pixels.
+    fn centre_px(&self) -> Option<[f64; 2]> {
+        None
+    }
+
+    /// See [`Interior::corrected_residual`].
+    fn corrected_residual(&self, _: [f64; 3], _: [f64; 2]) -> Option<Projection> {
+        None
+    }
+
+    /// See [`Interior::project_near`].
+    fn project_near(&self, point: [f64; 3], _near_px: [f64; 2]) -> Option<[f64; 2]> {
+        self.project(point)
+    }
+
+    /// See [`Interior::project_with_derivatives_near`].
+    fn project_with_derivatives_near(
+        &self,
+        point: [f64; 3],
+        _near_px: [f64; 2],
+    ) -> Option<Projection> {
+        self.project_with_derivatives(point)
+    }
+}
+
+/// The register of lens models: all that is chosen by model is written here, once.
+macro_rules! lens_models {
+    ($($(#[doc = $doc:literal])* $model:ident: $lens:ty),+ $(,)?) => {
+        /// The built-in lens models.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+        #[serde(rename_all = "kebab-case")]
+        pub enum Model {
+            $($(#[doc = $doc])* $model),+
+        }
+
+        impl Model {
+            /// All models.
+            pub const ALL: [Model; [$(stringify!($model)),+].len()] = [$(Model::$model),+];
+
+            /// Its parameters, in the order of their values.
+            pub fn parameters(self) -> &'static [Parameter] {
+                match self {
+                    $(Model::$model => <$lens>::PARAMETERS),+
+                }
+            }
+
+            /// The word used in files.
+            pub fn word(self) -> &'static str {
+                match self {
+                    $(Model::$model => <$lens>::NAME),+
+                }
+            }
+
+            /// Place of `cx_px`, followed by `cy_px`, where the principal point is counted from the
+            /// corner of the image.
+            pub(crate) fn absolute_principal_point(self) -> Option<usize> {
+                match self {
+                    $(Model::$model => <$lens>::ABSOLUTE_PRINCIPAL_POINT),+
+                }
+            }
+        }
+
+        /// A built-in lens with its values.
+        #[derive(Debug, Clone, Copy, PartialEq)]
+        enum BuiltIn {
+            $($model($lens)),+
+        }
+
+        impl BuiltIn {
+            #[inline]
+            fn from_values(model: Model, values: &[f64], centre_px: [f64; 2]) -> BuiltIn {
+                match model {
+                    $(Model::$model => BuiltIn::$model(<$lens>::from_values(values, centre_px))),+
+                }
+            }
+
+            #[inline]
+            fn with_valid_radius(
+                model: Model,
+                values: &[f64],
+                centre_px: [f64; 2],
+                radius: f64,
+            ) -> BuiltIn {
+                match model {
+                    $(Model::$model => BuiltIn::$model(
+                        <$lens as BuiltInLens>::with_valid_radius(values, centre_px, radius),
+                    )),+
+                }
+            }
+
+            fn model(&self) -> Model {
+                match self {
+                    $(BuiltIn::$model(_) => Model::$model),+
+                }
+            }
+
+            fn valid_radius(&self) -> f64 {
+                match self {
+                    $(BuiltIn::$model(lens) => BuiltInLens::valid_radius(lens)),+
+                }
+            }
+
+            fn centre_px(&self) -> Option<[f64; 2]> {
+                match self {
+                    $(BuiltIn::$model(lens) => BuiltInLens::centre_px(lens)),+
+                }
+            }
+
+            #[inline]
+            fn corrected_residual(&self, point: [f64; 3], px: [f64; 2]) -> Option<Projection> {
+                match self {
+                    $(BuiltIn::$model(lens) => BuiltInLens::corrected_residual(lens, point, px)),+
+                }
+            }
+
+            #[inline]
+            fn project_near(&self, point: [f64; 3], px: [f64; 2]) -> Option<[f64; 2]> {
+                match self {
+                    $(BuiltIn::$model(lens) => BuiltInLens::project_near(lens, point, px)),+
+                }
+            }
+
+            #[inline]
+            fn project_with_derivatives_near(
+                &self,
+                point: [f64; 3],
+                px: [f64; 2],
+            ) -> Option<Projection> {
+                match self {
+                    $(BuiltIn::$model(lens) => {
+                        BuiltInLens::project_with_derivatives_near(lens, point, px)
+                    }),+
+                }
+            }
+
+            #[inline]
+            fn as_lens(&self) -> &dyn Lens {
+                match self {
+                    $(BuiltIn::$model(lens) => lens),+
+                }
+            }
+        }
+    };
+}
+
+lens_models! {
+    /// Image-to-ideal correction, [`super::smac`].
+    Smac: Smac,
+    /// Brown's model as OpenCV has it, [`super::brown`].
+    Brown: Brown,
+    /// Equidistant fisheye with a polynomial, [`super::fisheye`].
+    Fisheye: Fisheye,
+    /// The camera of *Bundle Adjustment in the Large*, [`super::bal`].
+    Bal: Bal,
 }
 
 impl Model {
-    /// All models.
-    pub const ALL: [Model; 4] = [Model::Smac, Model::Brown, Model::Fisheye, Model::Bal];
-
-    /// Its parameters, in the order of their values.
-    pub fn parameters(self) -> &'static [Parameter] {
-        match self {
-            Model::Smac => &smac::PARAMETERS,
-            Model::Brown => &brown::PARAMETERS,
-            Model::Fisheye => &fisheye::PARAMETERS,
-            Model::Bal => &bal::PARAMETERS,
-        }
-    }
-
     /// The place of a parameter by its name.
     pub fn place(self, name: &str) -> Option<usize> {
         self.parameters().iter().position(|parameter| parameter.name == name)
-    }
-
-    /// The word used in files.
-    pub fn word(self) -> &'static str {
-        match self {
-            Model::Smac => "smac",
-            Model::Brown => "brown",
-            Model::Fisheye => "fisheye",
-            Model::Bal => "bal",
-        }
     }
 
     /// The value a parameter has where nothing is said of it; `None` where something must be.
@@ -69,15 +207,6 @@ impl Model {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{0}")]
 pub struct CameraError(pub String);
-
-/// A built-in lens with its values.
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum BuiltIn {
-    Smac(Smac),
-    Brown(Brown),
-    Fisheye(Fisheye),
-    Bal(Bal),
-}
 
 /// One of the built-in lens models with its values and the size of its images.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -134,51 +263,31 @@ impl Interior {
         centre_px: [f64; 2],
         values: &[f64],
     ) -> Interior {
-        let lens = match model {
-            Model::Smac => BuiltIn::Smac(Smac::new(first(values), centre_px)),
-            Model::Brown => BuiltIn::Brown(Brown::new(first(values))),
-            Model::Fisheye => BuiltIn::Fisheye(Fisheye::new(first(values))),
-            Model::Bal => BuiltIn::Bal(Bal::new(first(values), centre_px)),
-        };
-        Interior { size_px, lens }
+        Interior { size_px, lens: BuiltIn::from_values(model, values, centre_px) }
     }
 
-    /// The lens of values whose range is known (see [`Interior::limit`]).
+    /// The lens of values whose range is known (see [`Interior::valid_radius`]).
     #[inline]
-    pub(crate) fn with_limit(
+    pub(crate) fn with_valid_radius(
         model: Model,
         centre_px: [f64; 2],
         values: &[f64],
-        limit: f64,
+        radius: f64,
     ) -> Interior {
-        let lens = match model {
-            Model::Smac => BuiltIn::Smac(Smac::with_limit(first(values), centre_px, limit)),
-            Model::Brown => BuiltIn::Brown(Brown::with_limit(first(values), limit)),
-            Model::Fisheye => BuiltIn::Fisheye(Fisheye::with_limit(first(values), limit)),
-            Model::Bal => BuiltIn::Bal(Bal::with_limit(first(values), centre_px, limit)),
-        };
+        let lens = BuiltIn::with_valid_radius(model, values, centre_px, radius);
         Interior { size_px: [0, 0], lens }
     }
 
-    /// How far the model is one to one: a radius in pixels (SMAC), a tangent (Brown, BAL) or an
-    /// angle in radians (fisheye); infinite where it is so everywhere.
-    pub fn limit(&self) -> f64 {
-        match &self.lens {
-            BuiltIn::Smac(lens) => lens.valid_radius_px(),
-            BuiltIn::Brown(lens) => lens.valid_radius(),
-            BuiltIn::Fisheye(lens) => lens.valid_angle_rad(),
-            BuiltIn::Bal(lens) => lens.valid_radius(),
-        }
+    /// Up to which distance from the principal point the model is one to one: pixels (SMAC), the
+    /// tangent of the angle from the axis (Brown, BAL), or that angle in radians (fisheye); infinite
+    /// where it is so everywhere.
+    pub fn valid_radius(&self) -> f64 {
+        self.lens.valid_radius()
     }
 
     /// The model.
     pub fn model(&self) -> Model {
-        match &self.lens {
-            BuiltIn::Smac(_) => Model::Smac,
-            BuiltIn::Brown(_) => Model::Brown,
-            BuiltIn::Fisheye(_) => Model::Fisheye,
-            BuiltIn::Bal(_) => Model::Bal,
-        }
+        self.lens.model()
     }
 
     /// `[width, height]` of the images, pixels.
@@ -188,11 +297,7 @@ impl Interior {
 
     /// The centre of the images, pixels.
     pub fn centre_px(&self) -> [f64; 2] {
-        match &self.lens {
-            BuiltIn::Smac(lens) => lens.centre_px(),
-            BuiltIn::Bal(lens) => lens.centre_px(),
-            BuiltIn::Brown(_) | BuiltIn::Fisheye(_) => centre_px(self.size_px),
-        }
+        self.lens.centre_px().unwrap_or_else(|| centre_px(self.size_px))
     }
 
     /// The value of the parameter of this name.
@@ -215,19 +320,13 @@ impl Interior {
 
     /// For a SMAC lens, the residual in the corrected domain ([`Smac::corrected_residual`]).
     pub fn corrected_residual(&self, point: [f64; 3], measured_px: [f64; 2]) -> Option<Projection> {
-        match &self.lens {
-            BuiltIn::Smac(lens) => lens.corrected_residual(point, measured_px),
-            _ => None,
-        }
+        self.lens.corrected_residual(point, measured_px)
     }
 
     /// As [`Lens::project`] of a point whose image is near `near_px`, which finds it faster where a model is
     /// inverted by iteration.
     pub fn project_near(&self, point: [f64; 3], near_px: [f64; 2]) -> Option<[f64; 2]> {
-        match &self.lens {
-            BuiltIn::Smac(lens) => lens.project_near(point, Some(near_px)),
-            _ => self.project(point),
-        }
+        self.lens.project_near(point, near_px)
     }
 
     /// As [`Lens::project_with_derivatives`] of a point whose image is near `near_px`.
@@ -236,24 +335,12 @@ impl Interior {
         point: [f64; 3],
         near_px: [f64; 2],
     ) -> Option<Projection> {
-        match &self.lens {
-            BuiltIn::Smac(lens) => lens.project_with_derivatives_near(point, Some(near_px)),
-            _ => self.project_with_derivatives(point),
-        }
-    }
-
-    #[inline]
-    fn as_lens(&self) -> &dyn Lens {
-        match &self.lens {
-            BuiltIn::Smac(lens) => lens,
-            BuiltIn::Brown(lens) => lens,
-            BuiltIn::Fisheye(lens) => lens,
-            BuiltIn::Bal(lens) => lens,
-        }
+        self.lens.project_with_derivatives_near(point, near_px)
     }
 }
 
-fn first<const N: usize>(values: &[f64]) -> [f64; N] {
+/// The first `N` values.
+pub(super) fn first<const N: usize>(values: &[f64]) -> [f64; N] {
     debug_assert!(values.len() >= N && N <= MAX_PARAMETERS);
     std::array::from_fn(|k| values[k])
 }
@@ -264,18 +351,18 @@ impl Lens for Interior {
     }
 
     fn values(&self) -> &[f64] {
-        self.as_lens().values()
+        self.lens.as_lens().values()
     }
 
     fn project(&self, point: [f64; 3]) -> Option<[f64; 2]> {
-        self.as_lens().project(point)
+        self.lens.as_lens().project(point)
     }
 
     fn project_with_derivatives(&self, point: [f64; 3]) -> Option<Projection> {
-        self.as_lens().project_with_derivatives(point)
+        self.lens.as_lens().project_with_derivatives(point)
     }
 
     fn unproject(&self, image_px: [f64; 2]) -> Option<[f64; 3]> {
-        self.as_lens().unproject(image_px)
+        self.lens.as_lens().unproject(image_px)
     }
 }

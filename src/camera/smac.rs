@@ -19,6 +19,7 @@
 //! Reference: D. C. Brown, *Close-range camera calibration*, Photogrammetric Engineering 37(8), 1971.
 
 use super::{
+    interior::{BuiltInLens, first},
     lens::{Lens, MAX_PARAMETERS, Parameter, Projection, inverse_2x2, newton_2d, times, unit},
     polynomial,
 };
@@ -69,7 +70,7 @@ impl Smac {
     }
 
     /// The lens of values whose valid radius is known.
-    pub(super) fn with_limit(
+    pub(super) fn with_valid_radius(
         values: [f64; COUNT],
         centre_px: [f64; 2],
         valid_radius_px: f64,
@@ -81,10 +82,6 @@ impl Smac {
     /// where it is so everywhere.
     pub fn valid_radius_px(&self) -> f64 {
         self.valid_radius_px
-    }
-
-    pub(super) fn centre_px(&self) -> [f64; 2] {
-        self.centre_px
     }
 
     /// Coefficients of `q` as a polynomial in `r^2`: `R0` only changes the constant one.
@@ -267,6 +264,46 @@ fn turn_down(found: &mut Projection) {
     found.image_px[1] = -found.image_px[1];
     found.by_point[1].iter_mut().for_each(|v| *v = -*v);
     found.by_parameters[1].iter_mut().for_each(|v| *v = -*v);
+}
+
+impl BuiltInLens for Smac {
+    const NAME: &'static str = "smac";
+    const PARAMETERS: &'static [Parameter] = &PARAMETERS;
+
+    fn from_values(values: &[f64], centre_px: [f64; 2]) -> Smac {
+        Smac::new(first(values), centre_px)
+    }
+
+    #[inline]
+    fn with_valid_radius(values: &[f64], centre_px: [f64; 2], valid_radius: f64) -> Smac {
+        Smac::with_valid_radius(first(values), centre_px, valid_radius)
+    }
+
+    fn valid_radius(&self) -> f64 {
+        self.valid_radius_px
+    }
+
+    fn centre_px(&self) -> Option<[f64; 2]> {
+        Some(self.centre_px)
+    }
+
+    fn corrected_residual(&self, point: [f64; 3], measured_px: [f64; 2]) -> Option<Projection> {
+        Smac::corrected_residual(self, point, measured_px)
+    }
+
+    #[inline]
+    fn project_near(&self, point: [f64; 3], near_px: [f64; 2]) -> Option<[f64; 2]> {
+        Smac::project_near(self, point, Some(near_px))
+    }
+
+    #[inline]
+    fn project_with_derivatives_near(
+        &self,
+        point: [f64; 3],
+        near_px: [f64; 2],
+    ) -> Option<Projection> {
+        Smac::project_with_derivatives_near(self, point, Some(near_px))
+    }
 }
 
 impl Lens for Smac {

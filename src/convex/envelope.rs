@@ -5,6 +5,7 @@
 //! s.t. a_c - b_c = d_c - z_c,   a_c, b_c >= 0,   -t_e <= z_i - 2 z_j + z_k <= t_e
 //! ```
 
+use super::sparse;
 use crate::engine::SolveError;
 use clarabel::{
     algebra::CscMatrix,
@@ -25,7 +26,7 @@ pub struct Datum {
 /// The heights of all cells of a `[width, height]` grid.
 ///
 /// # Errors
-/// [`SolveError::Misuse`] without data, or with a quantile outside (0, 1); [`SolveError::NotFinite`] where
+/// [`SolveError::Misuse`] without data, or with a quantile outside (0, 1); [`SolveError::NotSolved`] where
 /// the interior-point method fails.
 pub fn lower_envelope(
     [width, height]: [usize; 2],
@@ -33,6 +34,12 @@ pub fn lower_envelope(
     quantile: f64,
     lambda: f64,
 ) -> Result<Vec<f64>, SolveError> {
+    let finite = |d: &Datum| d.value.is_finite() && d.weight.is_finite();
+    if !data.iter().all(finite) {
+        return Err(SolveError::Misuse(
+            "the heights and weights of an envelope must be finite".into(),
+        ));
+    }
     if data.is_empty() || !(quantile > 0.0 && quantile < 1.0) || lambda.is_nan() || lambda <= 0.0 {
         return Err(SolveError::Misuse(format!(
             "an envelope needs data, a quantile in (0, 1) and a positive smoothness, got {} data, {quantile}, {lambda}",
@@ -83,22 +90,14 @@ pub fn lower_envelope(
             row += 1;
         }
     }
-    let (mut starts, mut rows, mut values) = (vec![0], Vec::new(), Vec::new());
-    for column in &columns {
-        for &(row, value) in column {
-            rows.push(row);
-            values.push(value);
-        }
-        starts.push(rows.len());
-    }
-    let constraints = CscMatrix::new(row, n, starts, rows, values);
+    let constraints = sparse(row, &mut columns);
     let objective = CscMatrix::new(n, n, vec![0; n + 1], Vec::new(), Vec::new());
     let mut linear = vec![0.0; cells];
     linear.resize(cells + edges, lambda);
     linear.extend(data.iter().map(|datum| datum.weight));
     let settings = DefaultSettings { verbose: false, max_threads: 1, ..DefaultSettings::default() };
     let cones = [SupportedConeT::NonnegativeConeT(row)];
-    let failed = |what: String| SolveError::NotFinite(format!("the lower envelope: {what}"));
+    let failed = |what: String| SolveError::NotSolved(format!("the lower envelope: {what}"));
     let mut solver =
         DefaultSolver::new(&objective, &linear, &constraints, &right, &cones, settings)
             .map_err(|error| failed(error.to_string()))?;
@@ -133,5 +132,19 @@ mod tests {
             approx::assert_abs_diff_eq!(*z, slope(cell), epsilon = 1e-4);
         }
         assert!(lower_envelope([2, 2], &[], 0.1, 1.0).is_err());
+    }
+
+    #[test]
+    fn failures_are_called_what_they_are() {
+        let nowhere = Datum { cell: 0, value: f64::NAN, weight: 1.0 };
+        let refused = lower_envelope([2, 2], &[nowhere], 0.1, 1.0);
+        assert!(matches!(refused, Err(SolveError::Misuse(_))), "{refused:?}");
+        let overflows = [1e200, -1e200].map(|value| Datum {
+            cell: usize::from(value > 0.0),
+            value,
+            weight: 1e200,
+        });
+        let failed = lower_envelope([3, 1], &overflows, 0.1, 1e200);
+        assert!(matches!(failed, Err(SolveError::NotSolved(_))), "{failed:?}");
     }
 }

@@ -8,6 +8,7 @@
 //! The bound on the lengths keeps all positions from being one. Reference: O. Oezyesil and A. Singer,
 //! *Robust camera location estimation by convex programming*, CVPR 2015.
 
+use super::sparse;
 use crate::engine::SolveError;
 use clarabel::{
     algebra::CscMatrix,
@@ -29,7 +30,7 @@ pub struct Baseline {
 ///
 /// # Errors
 /// [`SolveError::Misuse`] for ends that are not there or without a baseline,
-/// [`SolveError::NotFinite`] where the interior-point method fails.
+/// [`SolveError::NotSolved`] where the interior-point method fails.
 pub fn positions(count: usize, baselines: &[Baseline]) -> Result<Vec<[f64; 3]>, SolveError> {
     let fits = |b: &Baseline| {
         b.ends.iter().all(|&k| k < count) && b.ends[0] != b.ends[1] && b.weight > 0.0
@@ -60,14 +61,7 @@ pub fn positions(count: usize, baselines: &[Baseline]) -> Result<Vec<[f64; 3]>, 
             entries[of_d + e].push((row, baseline.direction[axis]));
         }
     }
-    let (mut starts, mut rows, mut values) = (vec![0], Vec::new(), Vec::new());
-    for column in &mut entries {
-        column.sort_by_key(|entry| entry.0);
-        rows.extend(column.iter().map(|entry| entry.0));
-        values.extend(column.iter().map(|entry| entry.1));
-        starts.push(rows.len());
-    }
-    let constraints = CscMatrix::new(5 * edges, columns, starts, rows, values);
+    let constraints = sparse(5 * edges, &mut entries);
     let mut right = vec![-1.0; edges];
     right.resize(5 * edges, 0.0);
     let mut cones = vec![SupportedConeT::NonnegativeConeT(edges)];
@@ -76,7 +70,7 @@ pub fn positions(count: usize, baselines: &[Baseline]) -> Result<Vec<[f64; 3]>, 
     let mut linear = vec![0.0; of_t];
     linear.extend(baselines.iter().map(|b| b.weight));
     let settings = DefaultSettings { verbose: false, max_threads: 1, ..DefaultSettings::default() };
-    let failed = |what: String| SolveError::NotFinite(format!("camera positions: {what}"));
+    let failed = |what: String| SolveError::NotSolved(format!("camera positions: {what}"));
     let mut solver =
         DefaultSolver::new(&objective, &linear, &constraints, &right, &cones, settings)
             .map_err(|error| failed(error.to_string()))?;

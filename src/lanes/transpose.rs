@@ -102,8 +102,8 @@ fn widened([a, b, c, d]: [f64; 4]) -> Row {
     [a, b, c, d, 0.0, 0.0, 0.0, 0.0]
 }
 
-/// Writes lane `l` of `values[k]` to `to[l * stride + k]`, for all lanes. Between `values.len()` and
-/// the next whole register, records are overwritten with zeros where the stride has the room.
+/// Writes lane `l` of `values[k]` to `to[l * stride + k]`, for all lanes. What lies behind
+/// the `values.len()` numbers of a record stays as it is.
 #[inline(always)]
 pub(crate) fn scatter<S: Simd>(simd: S, values: &[Register<S>], to: &mut [f64], stride: usize) {
     let width = Register::<S>::WIDTH;

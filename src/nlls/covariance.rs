@@ -41,8 +41,11 @@ impl<'a> Covariance<'a> {
         normal
             .linearize(problem, x)
             .map_err(|(batch, factor)| problem.infeasible(&problem.batches[batch], factor))?;
-        if let Err(NotPositiveDefinite(Some(block))) = normal.reduce(problem, x, 0.0) {
-            return Err(undetermined_point(problem, block));
+        if let Err(NotPositiveDefinite(block)) = normal.reduce(problem, x, 0.0) {
+            normal.require_finite(problem, x)?;
+            if let Some(block) = block {
+                return Err(undetermined_point(problem, block));
+            }
         }
         if let Some(block) = weak_point(problem, &normal) {
             return Err(undetermined_point(problem, block));

@@ -104,12 +104,17 @@ pub trait Batch: Send + Sync {
     /// Length of each residual.
     fn rows(&self) -> usize;
 
+    /// Length of the residual of one factor; [`super::Problem::add`] requires that of all.
+    fn rows_of(&self, _factor: usize) -> usize {
+        self.rows()
+    }
+
     /// The blocks of one factor.
     fn blocks(&self, factor: usize) -> &[BlockId];
 
     /// Linearises the factors of `range`: residuals one after the other, Jacobians (if wanted,
     /// zeroed by the caller) one after the other in the layout of [`Jacobian`] with rows of
-    /// length `width`.
+    /// length `width`. The residuals are the same with and without Jacobians.
     ///
     /// # Errors
     /// The first factor of the range that is infeasible.
@@ -122,9 +127,32 @@ pub trait Batch: Send + Sync {
         width: usize,
     ) -> Result<(), InfeasibleFactor>;
 
-    /// The batch's fused form, where it has one ([`super::ProjectionFactor`]).
-    fn fuse(&self, _request: FusionRequest<'_>) -> Option<FusedElimination> {
+    /// Writes `|r|^2` of the factors of `range`, where that is cheaper to have than the residuals;
+    /// `None` where it is not, as by default.
+    ///
+    /// # Errors
+    /// The first factor of the range that is infeasible.
+    fn squared_norms(
+        &self,
+        _range: Range<usize>,
+        _x: Values<'_>,
+        _squares: &mut [f64],
+    ) -> Option<Result<(), InfeasibleFactor>> {
         None
+    }
+
+    /// Numbers stored by each block of a factor and the sum of their tangent dimensions, where the
+    /// type of the batch says so: [`super::Problem::add`] compares them.
+    fn expected_sizes(&self) -> Option<(Vec<usize>, usize)> {
+        None
+    }
+
+    /// The batch's fused form, where it has one ([`super::ProjectionFactor`]).
+    ///
+    /// # Errors
+    /// Why it has none, for [`super::BatchPath`].
+    fn fuse(&self, _request: FusionRequest<'_>) -> Result<FusedElimination, String> {
+        Err("only a ProjectionBatch can be eliminated while it is linearised".into())
     }
 }
 
@@ -142,6 +170,10 @@ impl<F: Factor> Batch for Factors<F> {
 
     fn rows(&self) -> usize {
         self.0.first().map_or(0, Factor::rows)
+    }
+
+    fn rows_of(&self, factor: usize) -> usize {
+        self.0[factor].rows()
     }
 
     fn blocks(&self, factor: usize) -> &[BlockId] {
@@ -208,7 +240,25 @@ pub enum Curvature {
     Reweighted,
 }
 
-/// Evaluates `1/2 sum rho(|r|^2)` over a batch.
+/// The residuals of a batch, one after the other.
+pub(super) fn batch_residuals(
+    batch: &dyn Batch,
+    x: Values<'_>,
+) -> Result<Vec<f64>, InfeasibleFactor> {
+    let rows = batch.rows();
+    let mut residual = vec![0.0; batch.len() * rows];
+    residual
+        .par_chunks_mut(FACTORS_PER_TASK * rows)
+        .enumerate()
+        .map(|(chunk, residual)| {
+            let first = chunk * FACTORS_PER_TASK;
+            batch.linearize(first..first + residual.len() / rows, x, residual, None, 1)
+        })
+        .collect::<Result<(), InfeasibleFactor>>()?;
+    Ok(residual)
+}
+
+/// Evaluates `1/2 sum rho(|r|^2)` over a batch; `residual` is its working memory.
 pub(super) fn batch_cost(
     batch: &dyn Batch,
     loss: &BatchLoss,
@@ -222,7 +272,12 @@ pub(super) fn batch_cost(
         .enumerate()
         .map(|(chunk, residual)| {
             let first = chunk * FACTORS_PER_TASK;
-            let range = first..first + residual.len() / rows;
+            let count = residual.len() / rows;
+            let range = first..first + count;
+            if let Some(done) = batch.squared_norms(range.clone(), x, &mut residual[..count]) {
+                done?;
+                return Ok(residual[..count].iter().map(|&s| loss.evaluate(s).value).sum());
+            }
             batch.linearize(range, x, residual, None, 1)?;
             Ok(chunk_cost(residual, rows, loss))
         })

@@ -17,6 +17,7 @@ pub mod check;
 mod cholesky;
 mod conjugate;
 pub mod covariance;
+pub mod dual;
 mod elimination;
 mod factor;
 mod linearized;
@@ -25,6 +26,7 @@ pub mod manifold;
 mod normal;
 mod problem;
 mod projection;
+pub mod residual;
 mod schur;
 mod schur_solver;
 mod step_profiler;
@@ -33,6 +35,7 @@ mod summary;
 mod trial_step;
 mod trust_region;
 
+pub use dual::{Dual, Scalar};
 pub use factor::{
     Batch, Curvature, Factor, Factors, Infeasible, InfeasibleFactor, Jacobian, Values,
 };
@@ -41,9 +44,10 @@ pub use loss::{Loss, LossFunction, Rho};
 pub use manifold::{Euclidean, Manifold};
 pub use problem::{BlockId, Problem};
 pub use projection::{LinearizedProjection, Measurement, ProjectionBatch, ProjectionFactor};
+pub use residual::{Residual, Residuals, Vector};
 pub use schur::{FusedElimination, FusionRequest};
 pub use step_profiler::StepProfiler;
-pub use summary::{BatchSummary, Summary};
+pub use summary::{BatchPath, BatchSummary, Summary};
 pub use trust_region::{LeastSquares, Method, Options, SolverState};
 
 use crate::engine::{Engine, SolveError, Termination};
@@ -97,5 +101,6 @@ pub fn solve(
             break;
         }
     }
-    Summary::new(problem, x, initial_cost, final_cost, iterations, stop)
+    let summary = Summary::new(problem, x, initial_cost, final_cost, iterations, stop)?;
+    Ok(summary.with_paths(engine.paths()))
 }

@@ -21,6 +21,7 @@ use super::{
     schur::{self, FusedElimination, NormalEquationsMut, Settings},
     schur_solver::SchurSolver,
     structure::{NONE, Structure},
+    summary::BatchPath,
 };
 use crate::engine::SolveError;
 use rayon::prelude::*;
@@ -44,6 +45,8 @@ pub(super) struct Normal {
     pub(super) kept_vector: Vec<f64>,
     /// The batch that is eliminated without being stored, if there is one that can be.
     pub(super) fused: Option<(usize, FusedElimination)>,
+    /// How each batch is evaluated.
+    pub(super) paths: Vec<BatchPath>,
     /// The largest `|g_k| / sqrt(D_k)` of the points that the fused batch eliminates.
     pub(super) fused_slope: f64,
 }
@@ -59,7 +62,13 @@ impl Normal {
     ) -> Result<Normal, SolveError> {
         let (mut structure, matrix) = Structure::new(problem, linear)?;
         let solver = SchurSolver::analyze(&matrix, linear, linear_tolerance);
-        let fused = if fuse { schur::find(problem, &structure, &matrix) } else { None };
+        let fused = if fuse {
+            schur::find(problem, &structure, &matrix)
+        } else {
+            Err("the method needs all Jacobians at once".into())
+        };
+        let paths = paths(problem, &structure, linear, &fused);
+        let fused = fused.ok();
         let mut tangent = problem.tangent_len();
         let mut partials = Vec::new();
         if fused.is_some() {
@@ -81,6 +90,7 @@ impl Normal {
             spare: Linearization::default(),
             curvature_share: 0.0,
             fused,
+            paths,
             fused_slope: 0.0,
             gradient: vec![0.0; tangent],
             diagonal: vec![0.0; tangent],
@@ -219,6 +229,36 @@ impl Normal {
         self.solver.factorize(&self.matrix)
     }
 
+    /// Refuses residuals and Jacobians at `x` that are not finite.
+    ///
+    /// # Errors
+    /// [`SolveError::NotFinite`] names the first factor that has one.
+    pub(super) fn require_finite(&self, problem: &Problem, x: &[f64]) -> Result<(), SolveError> {
+        for named in &problem.batches {
+            let (rows, width) = (named.batch.rows(), named.width);
+            let (mut residual, mut jacobian) = (vec![0.0; rows], vec![0.0; rows * width]);
+            for f in 0..named.batch.len() {
+                jacobian.fill(0.0);
+                let entries = Some(&mut jacobian[..]);
+                let values = problem.all_values(x);
+                named
+                    .batch
+                    .linearize(f..f + 1, values, &mut residual, entries, width)
+                    .map_err(|infeasible| problem.infeasible(named, infeasible))?;
+                let what = if residual.iter().any(|v| !v.is_finite()) {
+                    "the residual"
+                } else if jacobian.iter().any(|v| !v.is_finite()) {
+                    "the Jacobian"
+                } else {
+                    continue;
+                };
+                let factor = problem.describe_factor(named, f);
+                return Err(SolveError::NotFinite(format!("{what} of {factor}")));
+            }
+        }
+        Ok(())
+    }
+
     fn add_partials(&mut self, problem: &Problem) {
         for (partial, chunk) in self.partials.iter().zip(&self.structure.chunks) {
             for &(local, global, len) in &chunk.copies {
@@ -335,6 +375,36 @@ impl Normal {
         }
         found
     }
+}
+
+/// How each batch will be evaluated, and why.
+fn paths(
+    problem: &Problem,
+    structure: &Structure,
+    linear: LinearSolver,
+    fused: &Result<(usize, FusedElimination), String>,
+) -> Vec<BatchPath> {
+    let mut camera_only = vec![0; problem.batches.len()];
+    structure.camera_only_factors.iter().for_each(|&(b, _)| camera_only[b as usize] += 1);
+    problem
+        .batches
+        .iter()
+        .enumerate()
+        .map(|(k, named)| match (linear, fused) {
+            (_, Ok((batch, _))) if *batch == k => BatchPath::Fused,
+            (LinearSolver::Dense, _) => BatchPath::Dense,
+            (LinearSolver::Sparse, _) => {
+                BatchPath::Stored("the sparse solver eliminates no block".into())
+            }
+            _ if camera_only[k] == named.batch.len() => {
+                BatchPath::Stored("no factor depends on an eliminated block".into())
+            }
+            (_, Err(why)) => BatchPath::Stored(why.clone()),
+            (_, Ok((batch, _))) => {
+                BatchPath::Stored(format!("batch {:?} is fused", problem.batches[*batch].name))
+            }
+        })
+        .collect()
 }
 
 fn columns_of(dims: &[usize]) -> Vec<usize> {

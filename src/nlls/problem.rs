@@ -1,8 +1,8 @@
 //! A nonlinear least-squares problem: `min 1/2 sum_i rho_i(|r_i(x)|^2)` over blocks of parameters.
 
 use super::{
-    factor::{Batch, InfeasibleFactor, MAX_ARITY, Values, batch_cost},
-    loss::{BatchLoss, Loss, LossFunction},
+    factor::{Batch, InfeasibleFactor, MAX_ARITY, Values, batch_cost, batch_residuals},
+    loss::{BatchLoss, LossFunction},
     manifold::{self, MAX_TANGENT, Manifold},
 };
 use crate::engine::SolveError;
@@ -199,9 +199,27 @@ impl Problem {
         if self.batches.iter().any(|other| other.name == name) {
             return misuse("there is another batch of this name".into());
         }
-        let mut dims = Vec::new();
+        let (mut dims, expected) = (Vec::new(), batch.expected_sizes());
         for factor in 0..batch.len() {
+            if batch.rows_of(factor) != batch.rows() {
+                return misuse(format!(
+                    "factor {factor} has {} rows, factor 0 has {}",
+                    batch.rows_of(factor),
+                    batch.rows()
+                ));
+            }
             let blocks = batch.blocks(factor);
+            if let Some((ambient, tangent)) = &expected {
+                let known = |block: &BlockId| block.index() < self.blocks.len();
+                let found = blocks.iter().filter(|b| known(b)).map(|&b| self.manifold(b).ambient());
+                let total: usize =
+                    blocks.iter().filter(|b| known(b)).map(|&b| self.dimension(b)).sum();
+                if !found.eq(ambient.iter().copied()) || total != *tangent {
+                    return misuse(format!(
+                        "factor {factor} expects blocks of {ambient:?} numbers with {tangent} degrees of freedom, its blocks have {total}"
+                    ));
+                }
+            }
             if blocks.is_empty() || blocks.len() > MAX_ARITY {
                 return misuse(format!(
                     "factor {factor} has {} blocks, 1 to {MAX_ARITY} are possible",
@@ -353,25 +371,21 @@ impl Problem {
             .iter()
             .find(|b| b.name == name)
             .ok_or_else(|| SolveError::Misuse(format!("there is no batch {name:?}")))?;
-        let mut residual = Vec::new();
-        batch_cost(
-            batch.batch.as_ref(),
-            &BatchLoss::new(Loss::Trivial),
-            self.all_values(x),
-            &mut residual,
-        )
-        .map_err(|infeasible| self.infeasible(batch, infeasible))?;
-        Ok(residual)
+        batch_residuals(batch.batch.as_ref(), self.all_values(x))
+            .map_err(|infeasible| self.infeasible(batch, infeasible))
     }
 
     pub(super) fn infeasible(&self, batch: &NamedBatch, factor: InfeasibleFactor) -> SolveError {
-        let blocks: Vec<String> =
-            batch.batch.blocks(factor.0).iter().map(|&b| self.describe(b)).collect();
         SolveError::InfeasibleStart(format!(
-            "factor {} of {:?} ({}) is infeasible",
-            factor.0,
-            batch.name,
-            blocks.join(", ")
+            "{} is infeasible",
+            self.describe_factor(batch, factor.0)
         ))
+    }
+
+    /// What a person would call a factor: its number, its batch and its blocks.
+    pub(super) fn describe_factor(&self, batch: &NamedBatch, factor: usize) -> String {
+        let blocks: Vec<String> =
+            batch.batch.blocks(factor).iter().map(|&b| self.describe(b)).collect();
+        format!("factor {factor} of {:?} ({})", batch.name, blocks.join(", "))
     }
 }

@@ -188,7 +188,7 @@ impl<
         Ok(())
     }
 
-    fn fuse(&self, request: FusionRequest<'_>) -> Option<FusedElimination> {
+    fn fuse(&self, request: FusionRequest<'_>) -> Result<FusedElimination, String> {
         FusedElimination::new::<F, R, K, S, P, Q, D>(&self.pairs, request)
     }
 }

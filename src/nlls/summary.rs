@@ -4,6 +4,28 @@ use super::problem::Problem;
 use crate::engine::{SolveError, Termination};
 use serde::Serialize;
 
+/// How the factors of a batch enter the normal equations.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum BatchPath {
+    /// Linearised several at a time and eliminated point by point; no Jacobian is stored.
+    Fused,
+    /// Jacobians are stored; says why the batch is not fused.
+    Stored(String),
+    /// Jacobians are stored and the whole system is dense, as was asked for.
+    Dense,
+}
+
+impl std::fmt::Display for BatchPath {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            BatchPath::Fused => f.write_str("fused"),
+            BatchPath::Stored(why) => write!(f, "stored: {why}"),
+            BatchPath::Dense => f.write_str("dense"),
+        }
+    }
+}
+
 /// One batch at the solution.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct BatchSummary {
@@ -15,6 +37,8 @@ pub struct BatchSummary {
     pub cost: f64,
     /// Root of the mean of `|r|^2` over the factors, without the loss, in the unit of `r`.
     pub rmse: f64,
+    /// How the engine evaluated it and why; `None` where no engine was asked.
+    pub path: Option<BatchPath>,
 }
 
 /// The outcome of an adjustment.
@@ -61,6 +85,7 @@ impl Summary {
                     factors: named.batch.len(),
                     cost,
                     rmse: (squares / named.batch.len() as f64).sqrt(),
+                    path: None,
                 })
             })
             .collect::<Result<_, SolveError>>()?;
@@ -73,6 +98,17 @@ impl Summary {
             parameters: problem.parameter_count(),
             batches,
         })
+    }
+}
+
+impl Summary {
+    /// With the paths of the batches, from [`super::LeastSquares::paths`].
+    #[must_use]
+    pub fn with_paths(mut self, paths: &[BatchPath]) -> Summary {
+        for (batch, path) in self.batches.iter_mut().zip(paths) {
+            batch.path = Some(path.clone());
+        }
+        self
     }
 }
 
@@ -89,11 +125,15 @@ impl std::fmt::Display for Summary {
         writeln!(f, "{} residuals, {} free parameters", self.residuals, self.parameters)?;
         let width = self.batches.iter().map(|b| b.name.len()).max().unwrap_or(0);
         for batch in &self.batches {
-            writeln!(
+            write!(
                 f,
                 "  {:width$}  {:>9} factors  rmse {:.6}  cost {:.6e}",
                 batch.name, batch.factors, batch.rmse, batch.cost
             )?;
+            match &batch.path {
+                Some(path) => writeln!(f, "  ({path})")?,
+                None => writeln!(f)?,
+            }
         }
         Ok(())
     }

@@ -2,11 +2,13 @@
 //!
 //! Levenberg-Marquardt solves `(J^T J + lambda D) d = -J^T r` with `D` the diagonal of `J^T J` and moves
 //! `lambda` by the ratio `rho` of the actual to the predicted decrease (Nielsen, IMM-REP-1999-05):
-//! `lambda max(1/3, 1 - (2 rho - 1)^3)` after a good step, `lambda nu` with doubling `nu` after a bad one.
+//! `lambda max(1/10, 1 - (2 rho - 1)^3)` after a good step, `lambda nu` with doubling `nu` after a bad one.
 //! Dogleg (Powell; Madsen, Nielsen and Tingleff 2004, section 3.3) goes from the minimum along the
 //! gradient towards the Gauss-Newton step, as far as a radius in the norm `|D^1/2 d|` allows.
 
-use super::{Curvature, LinearSolver, normal::Normal, problem::Problem, trial_step::TrialStep};
+use super::{
+    BatchPath, Curvature, LinearSolver, normal::Normal, problem::Problem, trial_step::TrialStep,
+};
 use crate::engine::{Engine, SolveError, Step, Termination};
 use serde::{Deserialize, Serialize};
 
@@ -41,7 +43,7 @@ pub struct Options {
     pub gradient_tolerance: f64,
     /// Stop where `|D^1/2 d|` of a step falls below this share of `|r|`.
     pub step_tolerance: f64,
-    /// `lambda` of the first Levenberg-Marquardt step.
+    /// `lambda` of the first Levenberg-Marquardt step; Dogleg has its own.
     pub initial_damping: f64,
     /// A step is taken where the actual decrease is at least this share of the predicted one.
     pub min_relative_decrease: f64,
@@ -115,6 +117,8 @@ struct Workspace {
     gauss_newton: Vec<f64>,
     /// The linearisation belongs to the current iterate.
     linearized: bool,
+    /// It is known to be finite.
+    known_finite: bool,
     /// `gauss_newton` does.
     solved: bool,
 }
@@ -128,7 +132,7 @@ const CURVATURE_GAIN: f64 = 0.4;
 /// Beyond this damping a step is shorter than rounding.
 const MAX_LAMBDA: f64 = 1e30;
 const MIN_LAMBDA: f64 = 1e-15;
-/// The damping falls to no less than this share after the best of steps: a third, the usual bound,
+/// The damping falls to no less than this share after the best of steps. Nielsen takes a third, which
 /// costs bundle blocks one to three more iterations.
 const MIN_DAMPING_FACTOR: f64 = 0.1;
 /// A step that is right to a percent gains nearly what the exact one does.
@@ -146,6 +150,11 @@ impl LeastSquares {
     /// The settings.
     pub fn options(&self) -> &Options {
         &self.options
+    }
+
+    /// How each batch of the problem is evaluated, in their order; empty before the start.
+    pub fn paths(&self) -> &[BatchPath] {
+        self.work.as_ref().map_or(&[], |work| &work.normal.paths)
     }
 
     fn prepare(&mut self, problem: &Problem, x: &[f64]) -> Result<f64, SolveError> {
@@ -178,6 +187,7 @@ impl LeastSquares {
             step: vec![0.0; tangent],
             gauss_newton: Vec::new(),
             linearized: false,
+            known_finite: false,
             solved: false,
         });
         Ok(cost)
@@ -204,6 +214,7 @@ impl Engine<Problem> for LeastSquares {
                 .linearize(problem, x)
                 .map_err(|(batch, factor)| problem.infeasible(&problem.batches[batch], factor))?;
             work.linearized = true;
+            work.known_finite = false;
             work.solved = false;
         }
         let trial = match self.options.method {
@@ -213,6 +224,11 @@ impl Engine<Problem> for LeastSquares {
             }
             Method::Dogleg => dogleg_step(problem, x, work, &mut self.state),
         };
+        if trial.is_none() && !work.known_finite {
+            // No damping helps against a NaN: it would be raised in vain until the limit.
+            work.normal.require_finite(problem, x)?;
+            work.known_finite = true;
+        }
         let residual_norm = (2.0 * work.cost).sqrt();
         let slope = work.normal.largest_slope();
         let cosine = if residual_norm > 0.0 { slope / residual_norm } else { 0.0 };
@@ -295,7 +311,10 @@ impl SolverState {
     fn new(options: &Options) -> SolverState {
         let curvature_share = if options.curvature == Curvature::Full { 1.0 } else { 0.0 };
         SolverState {
-            lambda: options.initial_damping,
+            lambda: match options.method {
+                Method::LevenbergMarquardt => options.initial_damping,
+                Method::Dogleg => GAUSS_NEWTON_LAMBDA,
+            },
             nu: 2.0,
             radius: None,
             curvature_share,
@@ -368,9 +387,6 @@ fn dogleg_step(
     state: &mut SolverState,
 ) -> Option<TrialStep> {
     if !work.solved {
-        if state.radius.is_none() {
-            state.lambda = GAUSS_NEWTON_LAMBDA;
-        }
         work.normal.reduce(problem, x, state.lambda).ok()?;
         work.gauss_newton.resize(work.step.len(), 0.0);
         work.normal.solve(problem, &mut work.gauss_newton);

@@ -363,3 +363,38 @@ fn screening_changes_nothing_that_is_sound() {
     assert!(validated.excluded.is_empty(), "{:?}", validated.excluded);
     assert_eq!(validated.reconstruction, survey);
 }
+
+#[test]
+fn check_points_follow_the_accuracy_that_their_marks_are_found_to_have() {
+    let survey = measured(&with_positions(truth(&Plan::default())), 91, NOISE);
+    let variances = |factor: f64| -> f64 {
+        let mut settings = Settings::default();
+        // All observations alike: the geometry is the same, its scale is not.
+        settings.sigma_factors = [factor; 7];
+        let adjusted = adjust(&mut survey.clone(), &settings).unwrap();
+        adjusted.check_points.iter().map(|check| check.covariance_m2[2][2]).sum()
+    };
+    let (one, three) = (variances(1.0), variances(3.0));
+    assert!((three / one - 9.0).abs() < 0.05, "{one} {three}");
+}
+
+#[test]
+fn a_stalled_adjustment_has_not_converged() {
+    let survey = measured(&with_positions(truth(&Plan::default())), 92, NOISE);
+    let mut adjusted = adjust(&mut survey.clone(), &Settings::default()).unwrap();
+    assert!(adjusted.converged());
+    adjusted.summary.stop = rowgram::engine::Termination::Stalled;
+    assert!(!adjusted.converged());
+}
+
+#[test]
+fn a_robust_loss_needs_no_tie_points() {
+    let plan = Plan { control: 12, ..Plan::default() };
+    let mut survey = measured(&with_positions(truth(&plan)), 93, NOISE);
+    survey.points.clear();
+    survey.observations.clear();
+    let least_squares = adjust(&mut survey.clone(), &Settings::default()).unwrap();
+    let settings = Settings { tie_loss: rowgram::nlls::Loss::Huber(2.0), ..Settings::default() };
+    let robust = adjust(&mut survey.clone(), &settings).unwrap();
+    assert_eq!(robust.summary.final_cost, least_squares.summary.final_cost);
+}

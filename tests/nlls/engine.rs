@@ -267,3 +267,61 @@ proptest! {
         }
     }
 }
+
+/// `a x + b y - c` with a Jacobian that may be broken.
+struct Line {
+    blocks: [BlockId; 1],
+    rows: usize,
+    broken: bool,
+}
+
+impl rowgram::nlls::Factor for Line {
+    fn rows(&self) -> usize {
+        self.rows
+    }
+
+    fn blocks(&self) -> &[BlockId] {
+        &self.blocks
+    }
+
+    fn linearize(
+        &self,
+        x: &[&[f64]],
+        residual: &mut [f64],
+        jacobian: Option<&mut rowgram::nlls::Jacobian<'_>>,
+    ) -> Result<(), rowgram::nlls::Infeasible> {
+        residual.fill(x[0][0] - 1.0);
+        if let Some(jacobian) = jacobian {
+            (0..self.rows).for_each(|k| {
+                jacobian.row(k)[0] = if self.broken { f64::NAN } else { 1.0 };
+            });
+        }
+        Ok(())
+    }
+}
+
+#[test]
+fn factors_of_different_lengths_are_refused() {
+    let mut problem = Problem::new();
+    let block = problem.block("x", Euclidean(1), &[0.0]).unwrap();
+    let line = |rows| Line { blocks: [block], rows, broken: false };
+    let error = problem.add("lines", Loss::Trivial, Factors(vec![line(1), line(2)])).unwrap_err();
+    assert!(error.to_string().contains("factor 1 has 2 rows, factor 0 has 1"), "{error}");
+}
+
+#[test]
+fn a_jacobian_that_is_not_a_number_is_named() {
+    for method in METHODS {
+        for linear in LINEAR {
+            let mut problem = Problem::new();
+            let block = problem.block("x", Euclidean(1), &[0.0]).unwrap();
+            let line = |broken| Line { blocks: [block], rows: 1, broken };
+            let lines = Factors(vec![line(false), line(true)]);
+            problem.add("lines", Loss::Trivial, lines).unwrap();
+            let options = Options { method, linear, ..Options::default() };
+            let error = solve(&problem, &mut problem.start(), &options, 50).unwrap_err();
+            assert!(matches!(error, SolveError::NotFinite(_)), "{method:?} {linear:?}: {error}");
+            assert!(error.to_string().contains("the Jacobian of factor 1 of \"lines\""), "{error}");
+        }
+    }
+}

@@ -3,4 +3,5 @@
 mod bundle;
 mod covariance;
 mod engine;
+mod residuals;
 pub mod toys;

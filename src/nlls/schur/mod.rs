@@ -47,13 +47,15 @@ pub struct FusionRequest<'a> {
 #[derive(Debug)]
 pub struct FusedElimination(pub(super) Box<dyn Eliminator>);
 
-/// The one batch whose factors depend on eliminated blocks, in its fused form, if it has one.
+/// The batch of the first eliminated block in its fused form, or why it has none.
 pub(super) fn find(
     problem: &Problem,
     structure: &Structure,
     matrix: &BlockMatrix,
-) -> Option<(usize, FusedElimination)> {
-    let (first, _) = structure.factors(0).first()?;
+) -> Result<(usize, FusedElimination), String> {
+    let Some((first, _)) = structure.factors(0).first() else {
+        return Err("no block is marked for elimination".into());
+    };
     let batch = *first as usize;
     let request = FusionRequest { problem, structure, matrix, batch };
     problem.batches[batch].batch.fuse(request).map(|work| (batch, work))
@@ -71,9 +73,9 @@ impl FusedElimination {
     >(
         pairs: &[Measurement<D>],
         request: FusionRequest<'_>,
-    ) -> Option<FusedElimination> {
+    ) -> Result<FusedElimination, String> {
         let plan = FusedPlan::<F, R, K, S, P, Q, D>::new(pairs, request)?;
-        Some(FusedElimination(Box::new(plan)))
+        Ok(FusedElimination(Box::new(plan)))
     }
 }
 

@@ -60,17 +60,23 @@ impl<
     const D: usize,
 > FusedPlan<F, R, K, S, P, Q, D>
 {
-    /// The plan, or `None` where the batch does not have the shape for it.
-    pub(super) fn new(pairs: &[Measurement<D>], request: FusionRequest<'_>) -> Option<Self> {
+    /// The plan, or why the batch does not have the shape for it.
+    pub(super) fn new(
+        pairs: &[Measurement<D>],
+        request: FusionRequest<'_>,
+    ) -> Result<Self, String> {
         let FusionRequest { problem, structure, matrix, batch } = request;
         if K > MAX_KEPT || R * (P + 1) > MAX_RECORD || Q + K + S > MAX_CAMERA_RECORD {
-            return None;
+            return Err(format!(
+                "blocks of {K} and {P} degrees of freedom with {Q} prepared numbers are too large"
+            ));
         }
-        if u32::try_from(pairs.len().max(*problem.offsets.last()?)).is_err() {
-            return None;
+        let values = problem.offsets.last().copied().unwrap_or(0);
+        if u32::try_from(pairs.len().max(values)).is_err() {
+            return Err("there are more than 2^32 values or observations".into());
         }
         if structure.camera_only_factors.iter().any(|&(other, _)| other as usize == batch) {
-            return None;
+            return Err("some of its factors depend on no eliminated block".into());
         }
         let points = find_points(problem, structure, batch)?;
         let (cameras, shared_blocks) = find_cameras::<D, S>(pairs, structure)?;
@@ -112,9 +118,10 @@ impl<
             .chunks
             .par_iter()
             .map(|chunk| ChunkSums::new(chunk, &layout, matrix, R))
-            .collect::<Option<Vec<_>>>()?;
+            .collect::<Option<Vec<_>>>()
+            .ok_or("the reduced system lacks one of its blocks")?;
         let count = layout.cameras.len();
-        Some(FusedPlan {
+        Ok(FusedPlan {
             chunks,
             prepared: CameraCache::new(count, Q + K + S),
             trial_prepared: CameraCache::new(count, Q),
@@ -172,12 +179,20 @@ fn prepare_cameras<
     }
 }
 
-/// The eliminated blocks with the numbers of their observations; `None` where another batch has a
-/// say in one: its sums would be missing.
-fn find_points(problem: &Problem, structure: &Structure, batch: usize) -> Option<Vec<PointAt>> {
+/// The eliminated blocks with the numbers of their observations; an error where one is not a vector or
+/// has a factor of another batch, whose sums would be missing.
+fn find_points(
+    problem: &Problem,
+    structure: &Structure,
+    batch: usize,
+) -> Result<Vec<PointAt>, String> {
     let mut points = Vec::with_capacity(structure.eliminated.len() + 1);
     let mut first = 0;
     for (e, &block) in structure.eliminated.iter().enumerate() {
+        let id = Problem::id(block);
+        if !problem.manifold(id).is_euclidean() {
+            return Err(format!("{} is eliminated and not Euclidean", problem.describe(id)));
+        }
         points.push(PointAt {
             at: problem.offsets[block] as u32,
             first,
@@ -185,13 +200,17 @@ fn find_points(problem: &Problem, structure: &Structure, batch: usize) -> Option
             frozen: problem.blocks[block].frozen as u32,
         });
         let factors = structure.factors(e);
-        if factors.iter().any(|&(b, _)| b as usize != batch) {
-            return None;
+        if let Some(&(other, _)) = factors.iter().find(|&&(b, _)| b as usize != batch) {
+            return Err(format!(
+                "{} is eliminated and has a factor of batch {:?} as well; do not eliminate it",
+                problem.describe(id),
+                problem.batches[other as usize].name
+            ));
         }
         first += factors.len() as u32;
     }
     points.push(PointAt { at: 0, first, block: NONE, frozen: 0 });
-    Some(points)
+    Ok(points)
 }
 
 /// Camera and data of each observation, those of one point in the order of their cameras.
@@ -230,12 +249,12 @@ fn collect<const D: usize>(
     (observed_by, data)
 }
 
-/// The kept blocks of the batch and the shared ones; `None` where one kept block goes with several
+/// The kept blocks of the batch and the shared ones; an error where one kept block goes with several
 /// shared ones, or there are too many of those.
 fn find_cameras<const D: usize, const S: usize>(
     pairs: &[Measurement<D>],
     structure: &Structure,
-) -> Option<(Vec<Camera>, Vec<usize>)> {
+) -> Result<(Vec<Camera>, Vec<usize>), String> {
     let mut ordinal = vec![NONE; structure.kept_index.len()];
     let mut cameras: Vec<Camera> = Vec::new();
     let mut shared: Vec<usize> = Vec::new();
@@ -246,7 +265,9 @@ fn find_cameras<const D: usize, const S: usize>(
             let lens = match shared.iter().position(|&other| other == lens_block) {
                 _ if S == 0 => 0,
                 Some(lens) => lens,
-                None if shared.len() == MAX_SHARED => return None,
+                None if shared.len() == MAX_SHARED => {
+                    return Err(format!("more than {MAX_SHARED} blocks are shared by cameras"));
+                }
                 None => {
                     shared.push(lens_block);
                     shared.len() - 1
@@ -260,10 +281,10 @@ fn find_cameras<const D: usize, const S: usize>(
                 lens: lens as u32,
             });
         } else if S > 0 && cameras[ordinal[block] as usize].shared as usize != lens_block {
-            return None;
+            return Err("one camera has several shared blocks".into());
         }
     }
     // In the order of the reduced system, fixed ones last.
     cameras.sort_by_key(|camera| camera.place);
-    Some((cameras, shared))
+    Ok((cameras, shared))
 }

@@ -9,7 +9,7 @@ use super::{
 };
 use crate::scene::{Excluded, ExcludedKind, Reconstruction, Role};
 use crate::{
-    engine::{SolveError, Termination},
+    engine::SolveError,
     nlls::{Loss, Summary, solve},
 };
 use serde::Serialize;
@@ -69,7 +69,7 @@ pub(super) fn adjust_after(
 ) -> Result<Adjusted, AdjustError> {
     let mut validated = validate(whole)?;
     let mut initial_cost = None;
-    if settings.tie_loss != Loss::Trivial {
+    if settings.tie_loss != Loss::Trivial && !validated.reconstruction.observations.is_empty() {
         let adjustment = AdjustmentProblem::new(&validated.reconstruction, settings)?;
         let mut x = adjustment.problem.start();
         let summary =
@@ -111,7 +111,7 @@ pub(super) fn adjust_after(
 impl Adjusted {
     /// Whether the engine came to an optimum.
     pub fn converged(&self) -> bool {
-        self.summary.stop.converged() || self.summary.stop == Termination::Stalled
+        self.summary.stop.converged()
     }
 
     /// What a person calls an observation.
@@ -228,7 +228,8 @@ pub fn leave_one_out(
             Err(error @ AdjustError::Invalid(_)) => return Err(error),
         };
         let axes = whole.ground[k].axes.indices();
-        let own = whole.ground[k].sigma_m;
+        let factor = settings.factor(Group::Control);
+        let own = whole.ground[k].sigma_m.map(|sigma| sigma * factor);
         found.push(LeaveOneOut {
             name,
             error_m: check.map(|(error, _, _)| {

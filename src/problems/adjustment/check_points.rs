@@ -113,7 +113,8 @@ fn intersect(
         .iter()
         .map(|mark| {
             let image = mark.image as usize;
-            let data = measurement(reconstruction, image, mark.image_px, mark.sigma_px);
+            let sigma_px = mark.sigma_px * adjustment.mark_sigma_factor;
+            let data = measurement(reconstruction, image, mark.image_px, sigma_px);
             (image, reconstruction.images[image].camera, data)
         })
         .collect();

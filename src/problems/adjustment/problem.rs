@@ -118,6 +118,8 @@ pub struct AdjustmentProblem {
     /// Batches besides the tie points: group, name, the index of what each factor observes.
     pub(super) batches: Vec<(Group, String, Vec<usize>)>,
     pub(super) moving: bool,
+    /// Factor on the standard deviations of marks.
+    pub(super) mark_sigma_factor: f64,
 }
 
 /// The data of an image measurement.
@@ -158,6 +160,7 @@ impl AdjustmentProblem {
             points: Vec::new(),
             batches: Vec::new(),
             moving: reconstruction.rolling_shutter.is_some(),
+            mark_sigma_factor: settings.factor(Group::Marks),
         };
         adjustment.add_images(&local, settings)?;
         adjustment.add_lenses(&local, settings)?;

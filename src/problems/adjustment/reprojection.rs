@@ -33,30 +33,15 @@ pub(super) struct GlobalShutterFactor;
 #[derive(Debug, Clone, Copy)]
 pub(super) struct RollingShutterFactor;
 
-/// The number of SMAC with its residual in the corrected domain.
-const CORRECTED: f64 = 4.0;
+/// The number of SMAC with its residual in the corrected domain: behind those of all models.
+const CORRECTED: f64 = Model::ALL.len() as f64;
 
 fn number(model: Model) -> f64 {
-    match model {
-        Model::Smac => 0.0,
-        Model::Brown => 1.0,
-        Model::Fisheye => 2.0,
-        Model::Bal => 3.0,
-    }
+    model as usize as f64
 }
 
 fn model(number: f64) -> Model {
-    match number as u8 {
-        1 => Model::Brown,
-        2 => Model::Fisheye,
-        3 => Model::Bal,
-        _ => Model::Smac,
-    }
-}
-
-/// Places of the principal point among the parameters, where it is absolute.
-fn absolute_centre(model: Model) -> Option<usize> {
-    matches!(model, Model::Brown | Model::Fisheye).then_some(2)
+    Model::ALL.get(number as usize).copied().unwrap_or(Model::Smac)
 }
 
 /// The lens block of an interior orientation.
@@ -64,7 +49,7 @@ pub(super) fn lens_block(interior: &Interior, corrected: bool) -> [f64; LENS] {
     let mut block = [0.0; LENS];
     let values = interior.values();
     block[..values.len()].copy_from_slice(values);
-    if let Some(place) = absolute_centre(interior.model()) {
+    if let Some(place) = interior.model().absolute_principal_point() {
         block[place] -= interior.centre_px()[0];
         block[place + 1] -= interior.centre_px()[1];
     }
@@ -75,7 +60,7 @@ pub(super) fn lens_block(interior: &Interior, corrected: bool) -> [f64; LENS] {
 /// The parameters in a lens block, in the terms of `interior`.
 pub(super) fn lens_values(interior: &Interior, block: &[f64]) -> Vec<f64> {
     let mut values = block[..interior.values().len()].to_vec();
-    if let Some(place) = absolute_centre(interior.model()) {
+    if let Some(place) = interior.model().absolute_principal_point() {
         values[place] += interior.centre_px()[0];
         values[place + 1] += interior.centre_px()[1];
     }
@@ -89,7 +74,7 @@ fn prepare<const Q: usize>(kept: &[f64], lens: &[f64]) -> [f64; Q] {
         out[3 * k..3 * k + 3].copy_from_slice(&r[k]);
         out[9 + k] = kept[4 + k];
     }
-    out[12] = Interior::unchecked(model(lens[LENS - 1]), [0, 0], [0.0; 2], lens).limit();
+    out[12] = Interior::unchecked(model(lens[LENS - 1]), [0, 0], [0.0; 2], lens).valid_radius();
     out[13..GLOBAL_SHUTTER].copy_from_slice(lens);
     if kept.len() > 7 {
         out[GLOBAL_SHUTTER..].copy_from_slice(&kept[7..]);
@@ -118,7 +103,7 @@ const ASKED: usize = 6 + LENS;
 const ANSWERED: usize = 2 + 6 + 2 * MAX_PARAMETERS;
 
 fn lens_of(asked: &[f64; ASKED]) -> Interior {
-    Interior::with_limit(model(asked[ASKED - 1]), [0.0; 2], &asked[6..], asked[5])
+    Interior::with_valid_radius(model(asked[ASKED - 1]), [0.0; 2], &asked[6..], asked[5])
 }
 
 /// Residual in pixels; NaN where there is no image.

@@ -144,6 +144,23 @@ impl Batch for CondensedPhotos {
         &self.photos[factor].0
     }
 
+    fn squared_norms(
+        &self,
+        range: Range<usize>,
+        x: Values<'_>,
+        squares: &mut [f64],
+    ) -> Option<Result<(), InfeasibleFactor>> {
+        let Some((first, _)) = self.photos.get(range.start) else { return Some(Ok(())) };
+        let posed_lens = self.lenses.posed_lens(x.block(first[0]));
+        for (out, factor) in squares.iter_mut().zip(range) {
+            match self.squares(factor, x, &posed_lens) {
+                Some(found) if found.is_finite() => *out = found,
+                _ => return Some(Err(InfeasibleFactor(factor))),
+            }
+        }
+        Some(Ok(()))
+    }
+
     fn linearize(
         &self,
         range: Range<usize>,
@@ -154,23 +171,23 @@ impl Batch for CondensedPhotos {
     ) -> Result<(), InfeasibleFactor> {
         let Some((first, _)) = self.photos.get(range.start) else { return Ok(()) };
         let posed_lens = self.lenses.posed_lens(x.block(first[0]));
-        let stride = self.rows * width;
+        // The residual's rows come from the same factorisation as the Jacobian's.
+        let own = self.rows - 1;
+        debug_assert!(jacobian.is_none() || own == width);
+        let (stride, mut unwanted) = (self.rows * own, Vec::new());
+        if jacobian.is_none() {
+            unwanted.resize(stride, 0.0);
+        }
         for (k, factor) in range.enumerate() {
             let out = &mut residual[k * self.rows..(k + 1) * self.rows];
-            let done = match jacobian.as_deref_mut() {
-                None => self.squares(factor, x, &posed_lens).map(|squares| {
-                    // Only the length is asked for.
-                    out.fill(0.0);
-                    out[0] = squares.sqrt();
-                }),
-                Some(all) => {
-                    let entries = &mut all[k * stride..(k + 1) * stride];
-                    if self.rows <= USUAL {
-                        self.condense::<USUAL>(factor, x, &posed_lens, out, entries)
-                    } else {
-                        self.condense::<LARGEST>(factor, x, &posed_lens, out, entries)
-                    }
-                }
+            let entries = match jacobian.as_deref_mut() {
+                Some(all) => &mut all[k * stride..(k + 1) * stride],
+                None => &mut unwanted[..],
+            };
+            let done = if self.rows <= USUAL {
+                self.condense::<USUAL>(factor, x, &posed_lens, out, entries)
+            } else {
+                self.condense::<LARGEST>(factor, x, &posed_lens, out, entries)
             };
             if done.is_none() || !out[0].is_finite() {
                 return Err(InfeasibleFactor(factor));

@@ -15,7 +15,7 @@
 //! Reference: Y. Vardi and C.-H. Zhang, "The multivariate L1-median and associated data depth",
 //! PNAS 97 (2000), for the vertex case.
 
-use crate::convex::{Quadratic, solve2};
+use super::quadratic::{Quadratic, solve2};
 
 /// The minimiser of `w/2 sum |z_n - x|^2` + prior.
 pub fn mean(u: &[f64], v: &[f64], weight: f64, prior: &Quadratic) -> [f64; 2] {

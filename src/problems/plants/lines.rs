@@ -16,7 +16,7 @@
 //!
 //! Lengths in pixels, angles in radians; the axes' origin is the middle of the mask.
 
-use crate::convex::Quadratic;
+use super::quadratic::Quadratic;
 use serde::{Deserialize, Serialize};
 
 /// Standard deviation of a line's slope against the heading.

@@ -37,12 +37,13 @@ pub mod lines;
 pub mod moves;
 mod options;
 mod proof;
+mod quadratic;
 pub mod start;
 
-pub use crate::convex::Quadratic;
 pub use inner::{mean as inner_mean, median as inner_median};
 pub use options::{Form, Model, PlantUpdate, Prior, SigmaRule};
 pub use proof::Proof;
+pub use quadratic::Quadratic;
 
 use crate::{
     descent::{ActiveSet, BlockCost},

@@ -113,7 +113,7 @@ impl Plants {
         false
     }
 
-    /// Puts `plant` beside `split`, half a spread along the longer axis of its pixels, and lets those
+    /// Puts `plant` beside `split`, 0.8 standard deviations to each side of their middle along the longer axis of its pixels, and lets those
     /// around both places settle.
     fn make(&self, x: &mut Field, plant: usize, split: usize, moments: &[f64; 6]) {
         let [count, u, v, uu, uv, vv] = *moments;

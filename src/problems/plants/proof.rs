@@ -39,7 +39,7 @@ impl Plants {
         }
         self.gather(x, plant);
         let prior = self.prior_of(x, plant);
-        convex::plant(&x.work.u, &x.work.v, self.weight(x), &prior)
+        convex::plant(&x.work.u, &x.work.v, self.weight(x), prior.hessian, prior.pull)
     }
 
     /// Certifies every plant that has pixels ([`Plants::certify`]).
