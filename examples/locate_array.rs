@@ -35,7 +35,7 @@ pub(crate) fn main() -> Result<(), LocateError> {
     let mask = mask();
     let index = PixelIndex::from_mask(mask.width, &mask.data);
     let found = rows::detect(&index);
-    let canopy = canopy::locate(&mask, &found, None, &canopy::RowModelOptions::default())?;
+    let canopy = row_model::locate(&mask, &found, None, &row_model::RowModelOptions::default())?;
     println!("{} plants in {} rows", canopy.plants.len(), canopy.rows.rows.len());
     for plant in canopy.plants.iter().take(5) {
         let [u, v] = plant.position_px;

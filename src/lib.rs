@@ -15,7 +15,7 @@
 //! - Plants: `min (1/sigma) sum_n min_p |Z_n - X_p| + sum_p 1/2 |X_p - mu_p|^2_{R^-1}`, in
 //!   [`problems::plants`], by the sweeps of [`descent`].
 //! - Plants where leaves of neighbours overlap: votes along leaf axes and the likeliest chain of
-//!   plants along every row, in [`phenotype::canopy`], the default of `rowgram locate`.
+//!   plants along every row, in [`phenotype::row_model`], the default of `rowgram locate`.
 //! - One plant with its pixels held is a second-order cone programme, certified by [`convex`].
 //! - Found against true plants, one to one: [`score`].
 //!

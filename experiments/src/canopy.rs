@@ -11,7 +11,7 @@ use rowgram::{
     Error,
     io::{images, output, points},
     phenotype::{
-        canopy::{self, RowModelOptions},
+        row_model::{self, RowModelOptions},
         rows,
     },
     problems::plants::index::PixelIndex,
@@ -82,7 +82,7 @@ fn both((scenario, path): &Job, options: &RowModelOptions) -> Result<Vec<Run>, E
         let clock = std::time::Instant::now();
         let detection = rows::detect(&PixelIndex::from_mask(mask.width, &mask.data));
         let count = (plants == "given").then_some(truth.len());
-        let found = canopy::locate(&mask, &detection, count, options)?;
+        let found = row_model::locate(&mask, &detection, count, options)?;
         let seconds = clock.elapsed().as_secs_f64();
         let positions: Vec<[f64; 2]> = found.plants.iter().map(|p| p.position_px).collect();
         let quarter = found.spacing.spacing / 4.0;

@@ -6,7 +6,7 @@ use rowgram::{
     Error,
     io::{images, output, points},
     phenotype::{
-        canopy::{self, RowModelOptions},
+        row_model::{self, RowModelOptions},
         rows,
     },
     problems::plants::index::PixelIndex,
@@ -43,7 +43,7 @@ pub(crate) fn run(folders: &Folders) -> Result<(), Error> {
         let detection = rows::detect(&index);
         let detected = clock.elapsed().as_secs_f64();
         let clock = Instant::now();
-        let found = canopy::locate(&mask, &detection, None, &RowModelOptions::default())?;
+        let found = row_model::locate(&mask, &detection, None, &RowModelOptions::default())?;
         let located = clock.elapsed().as_secs_f64();
         let at: Vec<[f64; 2]> = found.plants.iter().map(|plant| plant.position_px).collect();
         let score = Score::new(&at, &truth, &[0.05 / 0.015, 0.10 / 0.015])?;

@@ -20,9 +20,9 @@ use rowgram::{
     Error,
     io::{FileError, images, output},
     phenotype::{
-        canopy::{self, RowModelOptions},
+        row_model::{self, RowModelOptions},
         rows,
-        stand::Canopy,
+        stand::Stand,
     },
     problems::plants::index::PixelIndex,
     raster::{components, mask::Thresholds},
@@ -223,11 +223,11 @@ fn locate(
         .map(|plot| {
             let mask = mask_of(plot, settings)?;
             let detection = rows::detect(&PixelIndex::from_mask(mask.width, &mask.data));
-            let auto = canopy::locate(&mask, &detection, None, options).ok();
+            let auto = row_model::locate(&mask, &detection, None, options).ok();
             let mut runs = vec![run_of(set, list, plot, "full", auto.as_ref())?];
             if given {
                 let count = Some(plot.truth.len());
-                let told = canopy::locate(&mask, &detection, count, options).ok();
+                let told = row_model::locate(&mask, &detection, count, options).ok();
                 runs.push(run_of(set, list, plot, "full, number given", told.as_ref())?);
             }
             Ok(runs)
@@ -241,7 +241,7 @@ fn run_of(
     list: &'static str,
     plot: &Plot,
     method: &'static str,
-    found: Option<&Canopy>,
+    found: Option<&Stand>,
 ) -> Result<Run, Error> {
     let mut run = Run {
         set,

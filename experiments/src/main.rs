@@ -33,6 +33,7 @@ mod segment_speed;
 mod spec;
 mod stage;
 mod stages;
+mod stand_count;
 mod streams;
 mod submit;
 mod table;
@@ -166,6 +167,8 @@ enum Experiment {
         /// Where the mask goes, one byte for each pixel.
         mask: PathBuf,
     },
+    /// The weights of the stand count, from masks of which every plant is known.
+    FitStandCount(stand_count::FitStandCount),
     /// Speed and accuracy on one mask of a whole field.
     WholeField {
         #[command(flatten)]
@@ -191,7 +194,7 @@ fn main() -> ExitCode {
         }
         Experiment::RelativeOrientation { folders, trials } => relative::run_all(&folders, trials),
         Experiment::Canopy { folders, masks, only, set } => {
-            options(&set).and_then(|options| canopy::run(&folders, masks, &only, &options))
+            options(&set).and_then(|options| row_model::run(&folders, masks, &only, &options))
         }
         Experiment::CanopyPlots { folders, set, train_only, alone } => options(&set)
             .and_then(|options| canopy_plots::run(&folders, &options, train_only, alone)),
@@ -203,6 +206,7 @@ fn main() -> ExitCode {
         Experiment::SegmentSpeed { raw, width, height, mask } => {
             segment_speed::run(&raw, width, height, &mask)
         }
+        Experiment::FitStandCount(args) => stand_count::run(&args),
         Experiment::WholeField { folders } => whole_field::run(&folders),
     };
     match done {
@@ -215,10 +219,12 @@ fn main() -> ExitCode {
 }
 
 /// Options of the locator from lines of TOML.
-fn options(set: &[String]) -> Result<rowgram::phenotype::canopy::RowModelOptions, rowgram::Error> {
+fn options(
+    set: &[String],
+) -> Result<rowgram::phenotype::row_model::RowModelOptions, rowgram::Error> {
     use rowgram::options::Options as _;
     let table = set.join("\n").parse::<toml::Table>().map_err(|error| error.to_string());
-    let options = rowgram::phenotype::canopy::RowModelOptions::default();
+    let options = rowgram::phenotype::row_model::RowModelOptions::default();
     table
         .and_then(|table| options.with(&table))
         .map_err(|error| rowgram::Error::Argument(format!("--set: {error}")))

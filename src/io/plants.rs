@@ -20,7 +20,7 @@
 use super::{FileError, output, points};
 use crate::phenotype::{
     locate::{Located, Plant},
-    stand::{Canopy, NORMAL_95, Stalk},
+    stand::{NORMAL_95, Stalk, Stand},
 };
 use std::path::Path;
 
@@ -90,7 +90,7 @@ pub fn write_located(
 pub fn write_gaps(
     path: &Path,
     force: bool,
-    stand: &Canopy,
+    stand: &Stand,
     gsd_m: Option<f64>,
 ) -> Result<(), FileError> {
     let gaps = &stand.missing;
@@ -111,7 +111,7 @@ pub fn write_gaps(
 pub fn write_rows(
     path: &Path,
     force: bool,
-    stand: &Canopy,
+    stand: &Stand,
     gsd_m: Option<f64>,
 ) -> Result<(), FileError> {
     let mut found = vec![0_usize; stand.rows.rows.len()];

@@ -27,7 +27,7 @@ pub enum Init {
     Rows,
     /// Leaf pixels, all equally likely.
     Random,
-    /// Where [`canopy`](super::canopy) finds the plants.
+    /// Where the [row model](super::row_model) finds the plants.
     Votes,
 }
 
@@ -126,7 +126,7 @@ pub struct Located {
     /// Mean distance from a leaf pixel to its plant, in pixels.
     pub mean_distance_px: f64,
     /// Plants that no leaf pixel belongs to.
-    pub idle: usize,
+    pub empty_clusters: usize,
 }
 
 impl Setup {
@@ -225,7 +225,7 @@ impl Setup {
             plants: plants.into_iter().map(|(_, _, plant)| plant).collect(),
             sigma_px: field.sigma_px,
             mean_distance_px: problem.mean_distance_px(&field),
-            idle: problem.idle(&field),
+            empty_clusters: problem.empty_clusters(&field),
             detection,
         }
     }
@@ -254,16 +254,16 @@ pub fn locate(
 /// What goes beyond one descent from one start.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Effort {
+pub struct Restarts {
     /// Starts, with seeds one after the other; the result with the smallest objective is kept.
     pub starts: u64,
     /// Swaps of plants after every descent, at most ([`crate::problems::plants::moves`]).
     pub swaps: usize,
 }
 
-impl Default for Effort {
-    fn default() -> Effort {
-        Effort { starts: 1, swaps: 0 }
+impl Default for Restarts {
+    fn default() -> Restarts {
+        Restarts { starts: 1, swaps: 0 }
     }
 }
 
@@ -278,7 +278,7 @@ pub fn locate_best(
     options: &Options,
     detection: &Detection,
     positions: Option<&[[f64; 2]]>,
-    effort: Effort,
+    effort: Restarts,
 ) -> Result<(Setup, Outcome), LocateError> {
     let mut best: Option<(Setup, Outcome)> = None;
     for start in 0..effort.starts {
@@ -378,7 +378,7 @@ mod tests {
             assert!(matches!(error, LocateError::NoRows { .. }), "{error}");
         }
         let (located, outcome) = locate(square, &free(5), |_, _| ()).unwrap();
-        assert_eq!((located.plants.len(), located.idle), (5, 0));
+        assert_eq!((located.plants.len(), located.empty_clusters), (5, 0));
         assert!(located.plants.iter().all(|plant| plant.row.is_none()));
         assert!(outcome.final_cost < outcome.initial_cost);
     }

@@ -4,11 +4,11 @@
 //! descent too. Positions and lengths in pixels of the mask, centre of the top-left pixel at (0, 0).
 
 use super::{
-    canopy::{self, RowModelOptions},
-    crops,
-    locate::{Effort, Init, LocateError, Located, Options, Setup, locate_best},
+    locate::{Init, LocateError, Located, Options, Restarts, Setup, locate_best},
+    row_model::{self, RowModelOptions},
     rows::{self, Detection},
-    stand::{Canopy, Stalk},
+    stand::{Stalk, Stand},
+    tiles,
 };
 use crate::{
     descent::{self, Order, Outcome},
@@ -204,7 +204,7 @@ pub struct Prepared {
 /// Plants, or how they are found.
 pub enum Work {
     /// The plants of the row model.
-    Stand(Box<Canopy>),
+    Stand(Box<Stand>),
     /// The plants of the row model in tiles.
     Tiles(Vec<Stalk>),
     /// A descent that has not begun.
@@ -215,7 +215,7 @@ pub enum Work {
 #[derive(Debug, Clone)]
 pub enum Found {
     /// By the row model.
-    Stand(Box<Canopy>),
+    Stand(Box<Stand>),
     /// By the row model in tiles.
     Tiles(Vec<Stalk>),
     /// By a descent.
@@ -244,7 +244,7 @@ pub struct Descended {
 /// Finds rows, and plants by the row model; poses the descent of the other methods.
 ///
 /// # Errors
-/// As [`LocateOptions::check`] and [`canopy::locate`].
+/// As [`LocateOptions::check`] and [`row_model::locate`].
 pub fn prepare(
     mask: &Mask,
     gsd_m: Option<f64>,
@@ -259,14 +259,14 @@ pub fn prepare(
         let spacing_px = detection.rows().and_then(|rows| rows.spacing_px);
         let halo_px = 2.0 * spacing_px.unwrap_or(tile_px as f64 / 8.0);
         let plants =
-            crops::locate(mask, &detection, &options.row_model, tile_px, halo_px as usize)?;
+            tiles::locate(mask, &detection, &options.row_model, tile_px, halo_px as usize)?;
         return Ok(Prepared { leaf_pixels, detection, work: Work::Tiles(plants) });
     }
     let init = options.init();
     let is_row_model = options.method == LocateMethod::RowModel;
     let counts = options.plants == Auto::Auto && leaf_pixels > 0;
     let stand = if is_row_model || init == Init::Votes || counts {
-        Some(canopy::locate(mask, &detection, options.plants.given(), &options.row_model)?)
+        Some(row_model::locate(mask, &detection, options.plants.given(), &options.row_model)?)
     } else {
         None
     };
@@ -292,9 +292,9 @@ impl Descend {
     /// # Errors
     /// As [`locate_best`].
     pub fn run(self, options: &DescentOptions) -> Result<Descended, LocateError> {
-        let effort = Effort { starts: options.starts, swaps: options.swaps };
+        let effort = Restarts { starts: options.starts, swaps: options.swaps };
         let Descend { mut setup, options: posed } = self;
-        let (setup, outcome) = if effort == Effort::default() {
+        let (setup, outcome) = if effort == Restarts::default() {
             let Setup { problem, field, .. } = &mut setup;
             let outcome = descent::run(problem, field, posed.descent, posed.max_sweeps, |_, _| ())?;
             (setup, outcome)

@@ -1,21 +1,21 @@
 //! Plant traits from a mask.
 
-pub mod canopy;
-pub mod chain;
-pub mod crops;
-pub mod crown;
+pub mod double_plants;
+pub mod dynamic_programming;
 pub mod evidence;
-pub mod islands;
+pub mod isolated_plants;
 pub mod leaf_count;
 pub mod leaves;
 pub mod locate;
 pub mod locator;
+mod periodicity;
+pub mod plant_spacing;
 pub mod plots;
-pub mod renewal;
-mod repeats;
-pub mod ridges;
+pub mod row_curves;
+mod row_evidence;
+pub mod row_model;
 pub mod rows;
-mod scene;
 pub mod stand;
-pub mod tally;
+pub mod stand_count;
+pub mod tiles;
 pub mod tilt;

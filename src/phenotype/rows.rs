@@ -17,7 +17,7 @@
 //! Headings are measured from the image's `u` axis towards its `v` axis; along and across as in
 //! [`Axes`]; everything else in pixels.
 
-use super::repeats::{blur, period, two_rows};
+use super::periodicity::{blur, period, two_rows};
 use crate::problems::plants::{index::PixelIndex, lines::Axes};
 use std::f64::consts::PI;
 

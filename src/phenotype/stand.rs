@@ -2,7 +2,7 @@
 //!
 //! Positions and lengths in pixels of the mask, centre of the top-left pixel at (0, 0).
 
-use super::{renewal::Spacing, rows::Rows};
+use super::{plant_spacing::Spacing, rows::Rows};
 use serde::Serialize;
 
 /// The 97.5 % point of the standard normal distribution.
@@ -30,7 +30,7 @@ pub struct Stalk {
 
 /// A place between two plants of a row where some seem to be missing.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Missing {
+pub struct Gap {
     /// Its row.
     pub row: usize,
     /// The middle of the gap, in the image.
@@ -45,7 +45,7 @@ pub struct Missing {
 
 /// What was found.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Canopy {
+pub struct Stand {
     /// The plants, by row and along the row.
     pub plants: Vec<Stalk>,
     /// The rows, straight as detected, each through the middle of its plants.
@@ -61,10 +61,10 @@ pub struct Canopy {
     /// Standard deviation of the number of plants in each row.
     pub row_count_sigmas: Vec<f64>,
     /// Gaps in which plants seem to be missing, by row and along the row.
-    pub missing: Vec<Missing>,
+    pub missing: Vec<Gap>,
 }
 
-impl Canopy {
+impl Stand {
     /// Median distance between neighbours in a row, plants in one place left out; the fitted
     /// spacing where no two plants are in one row.
     pub fn median_gap_px(&self) -> f64 {
@@ -162,7 +162,7 @@ mod tests {
             let both = [-2.0, 2.0].map(|off| across + off);
             plants.extend((0..10).map(|k| plant(row, 10.0 * k as f64, both[k % 2])));
         }
-        let mut canopy = Canopy {
+        let mut stand = Stand {
             plants,
             rows,
             spacing: Spacing::new(10.0),
@@ -172,14 +172,14 @@ mod tests {
             row_count_sigmas: vec![],
             missing: vec![],
         };
-        canopy.refit_rows();
-        let across: Vec<f64> = canopy.rows.rows.iter().map(|row| row.across_px).collect();
+        stand.refit_rows();
+        let across: Vec<f64> = stand.rows.rows.iter().map(|row| row.across_px).collect();
         for (found, expected) in across.iter().zip([0.0, 50.0, 150.0, 203.0]) {
             approx::assert_relative_eq!(*found, expected, epsilon = 1e-9);
         }
         // Places 0, 1, 3, 4 at 0, 50, 150, 203, with ten plants each and one: 83240 / 1660 by the normal equations.
         approx::assert_relative_eq!(
-            canopy.rows.spacing_px.unwrap(),
+            stand.rows.spacing_px.unwrap(),
             83240.0 / 1660.0,
             epsilon = 1e-9
         );

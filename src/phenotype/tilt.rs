@@ -9,7 +9,7 @@
 //! a tridiagonal system for each row. `c` is below one because the chain that found `w` has seen the spacing too. Lengths in pixels of the
 //! reduced grid.
 
-use super::renewal::Spacing;
+use super::plant_spacing::Spacing;
 
 /// `c`, the part of a tilt that the chain has not undone yet: on synthetic masks with a tilt of 5 cm better than 0.65 and 0.85.
 const LEFT: f64 = 0.45;
@@ -45,9 +45,9 @@ pub fn bases(whorls: &[f64], spacing: &Spacing, tilt: f64) -> Vec<[f64; 2]> {
     solve(&diagonal, &off, &right)
 }
 
-/// How much of an offset across the row is believed, of the share that would be without a tilt, where plants scatter `wider` times as
+/// How much of an offset across the row is shrinkage, of the share that would be without a tilt, where plants scatter `wider` times as
 /// far across their row as plants in line. The fourth power keeps the offsets of plants that really scatter (4 cm: `wider` of about 1.6).
-pub fn believed(tilt: f64, wider: f64) -> f64 {
+pub fn shrinkage(tilt: f64, wider: f64) -> f64 {
     1.0 / (1.0 + (tilt / (IN_LINE * wider.powi(4))).powi(2))
 }
 
@@ -118,6 +118,6 @@ mod tests {
     fn without_a_tilt_leaves_are_over_their_stalk() {
         assert_eq!(bases(&[1.0, 15.0], &SPACING, 0.0), [[1.0, 0.0], [15.0, 0.0]]);
         assert!(bases(&[], &SPACING, 1.0).is_empty());
-        assert_eq!(believed(0.0, 1.0), 1.0);
+        assert_eq!(shrinkage(0.0, 1.0), 1.0);
     }
 }

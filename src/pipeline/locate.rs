@@ -11,7 +11,7 @@ use crate::{
     phenotype::{
         locate::Setup,
         locator::{self, Descend, Descended, Found, Work},
-        stand::{Canopy, NORMAL_95, Stalk},
+        stand::{NORMAL_95, Stalk, Stand},
     },
     problems::plants::Proof,
     raster::{Mask, components, overlay},
@@ -105,7 +105,7 @@ pub struct StandOutcome {
 }
 
 impl StandOutcome {
-    fn new(stand: &Canopy, gsd_m: Option<f64>) -> StandOutcome {
+    fn new(stand: &Stand, gsd_m: Option<f64>) -> StandOutcome {
         let interval =
             |middle: f64, sigma: f64| [middle - NORMAL_95 * sigma, middle + NORMAL_95 * sigma];
         let spacing_px = stand.spacing.spacing;
@@ -286,8 +286,8 @@ pub fn locate_plants(
             outcome.plants = found.located.plants.len();
             outcome.descent = Some(DescentOutcome::new(found));
             table::write_located(files.plants, files.force, &found.located, gsd_m)?;
-            if found.located.idle > 0 {
-                let message = format!("{} plants have no leaf pixel", found.located.idle);
+            if found.located.empty_clusters > 0 {
+                let message = format!("{} plants have no leaf pixel", found.located.empty_clusters);
                 monitor.diagnostic(
                     &Diagnostic::warning("plants-without-pixels", subject, message)
                         .with_remedy("look for fewer plants"),
@@ -309,7 +309,7 @@ impl DescentOutcome {
         DescentOutcome {
             sigma_px: located.sigma_px,
             mean_distance_px: located.mean_distance_px,
-            plants_without_pixels: located.idle,
+            plants_without_pixels: located.empty_clusters,
             initial_cost: outcome.initial_cost,
             final_cost: outcome.final_cost,
             sweeps: outcome.sweeps,

@@ -312,7 +312,7 @@ impl Plants {
     }
 
     /// How many plants have no pixel.
-    pub fn idle(&self, x: &Field) -> usize {
+    pub fn empty_clusters(&self, x: &Field) -> usize {
         let mut idle = vec![true; self.plants];
         for pair in x.work.assignment.pairs() {
             idle[pair.near as usize] = false;

@@ -3,12 +3,12 @@
 //! Three numbers of a place, on the reduced grid of [`Evidence`]: leaf mass within `NEAR`, leaf mass within `WIDE`, and
 //! the leaves that point at it: of each of `SECTORS` directions the square root of the coherent leaf mass between
 //! `RING` whose axis passes the place, so that a leaf counts once, be it long or short. Each is taken as a logarithm
-//! and held against what is usual of the plants of the field ([`Usual`]); their sum is the score of the place.
+//! and held against what is usual of the plants of the field ([`PlantBaseline`]); their sum is the score of the place.
 //!
 //! On synthetic masks such a score tells two plants within 7.5 cm from one with an area under the curve of 0.95 (spacing 20 cm), 0.98
 //! (30 cm), 0.73 (10 and 12 cm), with 3 % doubles (`experiments/reference/canopy.md`).
 
-use super::{evidence::Evidence, islands::median};
+use super::{evidence::Evidence, isolated_plants::median};
 
 /// Radius of the leaf mass near a place.
 const NEAR: f64 = 5.0;
@@ -35,14 +35,14 @@ struct Neighbour {
 }
 
 /// Looks at places.
-pub struct Crown<'e> {
+pub struct LeafSurroundings<'e> {
     evidence: &'e Evidence,
     around: Vec<Neighbour>,
 }
 
-impl<'e> Crown<'e> {
+impl<'e> LeafSurroundings<'e> {
     /// Of this evidence.
-    pub fn new(evidence: &'e Evidence) -> Crown<'e> {
+    pub fn new(evidence: &'e Evidence) -> LeafSurroundings<'e> {
         let reach = RING[1] as i32;
         let mut around = Vec::new();
         for dy in -reach..=reach {
@@ -63,7 +63,7 @@ impl<'e> Crown<'e> {
                 });
             }
         }
-        Crown { evidence, around }
+        LeafSurroundings { evidence, around }
     }
 
     /// The numbers of a place.
@@ -127,7 +127,7 @@ const NEVER: f64 = -1e3;
 
 /// What leaves around a place say.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Judgement {
+pub struct PlantScores {
     /// What a plant there loses because it has too few.
     pub thin: f64,
     /// What a second plant there is worth, their rarity aside.
@@ -144,26 +144,27 @@ fn usual(values: &[f64]) -> [f64; 2] {
 }
 
 /// What is usual of the plants of a field.
-pub struct Usual {
+pub struct PlantBaseline {
     /// Middle and standard deviation of each number.
     of_each: [[f64; 2]; FEATURES],
     /// Of their sum, in standard deviations.
     of_sum: [f64; 2],
     /// How alike the plants are: 0 where sizes differ so much that leaves say nothing, 1 where they do not.
-    alike: f64,
+    size_homogeneity: f64,
 }
 
-impl Usual {
+impl PlantBaseline {
     /// From the numbers of plants.
-    pub fn new(plants: &[[f64; FEATURES]]) -> Usual {
+    pub fn new(plants: &[[f64; FEATURES]]) -> PlantBaseline {
         let of_each: [[f64; 2]; FEATURES] = std::array::from_fn(|k| {
             usual(&plants.iter().map(|plant| plant[k]).collect::<Vec<_>>())
         });
-        let mut found = Usual { of_each, of_sum: [0.0, 1.0], alike: 0.0 };
+        let mut found = PlantBaseline { of_each, of_sum: [0.0, 1.0], size_homogeneity: 0.0 };
         found.of_sum = usual(&plants.iter().map(|plant| found.score(plant)).collect::<Vec<_>>());
         let twice: f64 = of_each.iter().map(|[_, sd]| std::f64::consts::LN_2 / sd).sum();
         let [nothing, all] = ALIKE;
-        found.alike = ((twice / found.of_sum[1] - nothing) / (all - nothing)).clamp(0.0, 1.0);
+        found.size_homogeneity =
+            ((twice / found.of_sum[1] - nothing) / (all - nothing)).clamp(0.0, 1.0);
         found
     }
 
@@ -175,12 +176,12 @@ impl Usual {
     }
 
     /// What the numbers of a place say.
-    pub fn judge(&self, place: &[f64; FEATURES]) -> Judgement {
+    pub fn judge(&self, place: &[f64; FEATURES]) -> PlantScores {
         let score = self.score(place);
         let second = SECOND * score.min(MOST) - RARE;
-        Judgement {
-            thin: self.alike * THIN * (SPARSE - score).clamp(0.0, THINNEST),
-            second: self.alike * second + (1.0 - self.alike) * NEVER,
+        PlantScores {
+            thin: self.size_homogeneity * THIN * (SPARSE - score).clamp(0.0, THINNEST),
+            second: self.size_homogeneity * second + (1.0 - self.size_homogeneity) * NEVER,
             score,
         }
     }
@@ -212,9 +213,9 @@ mod tests {
             .map(|k| ([20.0 + 32.0 * f64::from(k), 30.0], [5, 5, 4, 5, 9, 5, 6, 2, 5][k as usize]))
             .collect();
         let evidence = field(&stalks);
-        let crown = Crown::new(&evidence);
+        let crown = LeafSurroundings::new(&evidence);
         let numbers: Vec<_> = stalks.iter().map(|&(at, _)| crown.at(at)).collect();
-        let usual = Usual::new(&numbers);
+        let usual = PlantBaseline::new(&numbers);
         let score = |k: usize| usual.score(&numbers[k]);
         assert!(score(4) > 1.5 && score(7) < -1.5, "{} {}", score(4), score(7));
         assert!((0..9).all(|k| k == 4 || score(k) < score(4)));
@@ -229,13 +230,13 @@ mod tests {
     fn where_sizes_differ_much_leaves_say_nothing() {
         let sizes = [0.2, 0.5, 1.0, 2.0, 3.0, 0.8, 1.4, 2.6, 0.3];
         let numbers: Vec<[f64; FEATURES]> = sizes.iter().map(|size: &f64| [size.ln(); 3]).collect();
-        let usual = Usual::new(&numbers);
-        assert_eq!(usual.alike, 0.0);
+        let usual = PlantBaseline::new(&numbers);
+        assert_eq!(usual.size_homogeneity, 0.0);
         let judged = usual.judge(&[-5.0; FEATURES]);
         assert_eq!((judged.thin, judged.second), (0.0, NEVER));
         // All the same, or none at all, is no fault.
         for numbers in [vec![], vec![[1.0; FEATURES]; 4]] {
-            assert!(Usual::new(&numbers).score(&[1.0; FEATURES]).is_finite());
+            assert!(PlantBaseline::new(&numbers).score(&[1.0; FEATURES]).is_finite());
         }
     }
 }

@@ -2,24 +2,24 @@
 //!
 //! With the votes `u(x)` for a stalk at `x`, plants at `x_1 < x_2 < ...` score
 //!
-//! `sum_i [u(x_i) + beta] + sum_i ln p(x_{i+1} - x_i) - sum_i o(x_i, x_{i+1}) - uncovered - ends`:
+//! `sum_i [u(x_i) + plant_log_odds] + sum_i ln p(x_{i+1} - x_i) - sum_i o(x_i, x_{i+1}) - uncovered - ends`:
 //!
 //! - `u(x) = T (sqrt(E(x) / E_0(x)) - 1)`, `E` the votes on the row and `E_0` their mean around `x`
 //!   blended with the whole field's: a canopy's density says little of where its stalks are;
-//! - `p` is the density of gaps ([`Spacing`]), `beta` what a plant more is worth;
+//! - `p` is the density of gaps ([`Spacing`]), `plant_log_odds` what a plant more is worth;
 //! - `o` takes back the votes that two plants close together both claim;
 //! - *uncovered* is the paper's likelihood with truncated distances, for leaf mass farther than a
 //!   plant's own reach from the nearest plant of the row;
-//! - what the leaves around a place show ([`super::crown`]) is taken off the worth of a plant that has far fewer of them than
+//! - what the leaves around a place show ([`super::double_plants`]) is taken off the worth of a plant that has far fewer of them than
 //!   others; where there are many, two plants stand in one place if the second is worth it, `ln d` (the share of
-//!   doubles) and `beta` included;
+//!   doubles) and `plant_log_odds` included;
 //! - *ends* charges places of the row before its first and after its last plant as missing plants.
 //!
 //! All of it is a sum over neighbours, so the best set of plants is found exactly ([`Chain::best`]), and
 //! so are the probability of a plant at every place and the distribution of their number
 //! ([`Chain::posterior`]). Lengths in pixels of the reduced grid.
 
-use super::{crown::Judgement, renewal::Spacing};
+use super::{double_plants::PlantScores, plant_spacing::Spacing};
 
 /// Distance between the places looked at.
 pub const STEP: f64 = 0.5;
@@ -48,7 +48,7 @@ pub struct Profile {
     /// Leaf mass up to each place, and its first moment in steps; one longer than `votes`.
     pub mass: Vec<[f64; 2]>,
     /// What leaves around each place say of one plant there and of a second one; empty where that is not known.
-    pub crowns: Vec<Judgement>,
+    pub surroundings: Vec<PlantScores>,
 }
 
 impl Profile {
@@ -130,12 +130,12 @@ impl<'p> Chain<'p> {
                 let near = (sums[to] - sums[from]) / (to - from) as f64;
                 let usual = (1.0 - WHOLE) * near + WHOLE * weights.mean;
                 let ratio = profile.votes[k].max(0.0) / usual.max(f64::MIN_POSITIVE);
-                let thin = profile.crowns.get(k).map_or(0.0, |crown| crown.thin);
+                let thin = profile.surroundings.get(k).map_or(0.0, |crown| crown.thin);
                 weights.votes * (ratio.sqrt() - 1.0) - thin
             })
             .collect();
         let rare = spacing.doubles.ln();
-        let second = profile.crowns.iter().map(|crown| crown.second + rare).collect();
+        let second = profile.surroundings.iter().map(|crown| crown.second + rare).collect();
         let s = spacing.spacing;
         let steps = (spacing.farthest() / STEP) as usize + 1;
         let gaps = (0..steps).map(|g| spacing.density(g as f64 * STEP).ln()).collect();
@@ -189,22 +189,26 @@ impl<'p> Chain<'p> {
     }
 
     /// The score that a second plant in one place adds.
-    fn second(&self, at: usize, beta: f64) -> f64 {
-        self.second.get(at).map_or(f64::NEG_INFINITY, |second| second + beta)
+    fn second(&self, at: usize, plant_log_odds: f64) -> f64 {
+        self.second.get(at).map_or(f64::NEG_INFINITY, |second| second + plant_log_odds)
     }
 
     /// The probability that there are two plants where there is one.
-    fn two(&self, at: usize, beta: f64, heat: f64) -> f64 {
-        1.0 / (1.0 + (-heat * self.second(at, beta)).exp())
+    fn two(&self, at: usize, plant_log_odds: f64, inverse_temperature: f64) -> f64 {
+        1.0 / (1.0 + (-inverse_temperature * self.second(at, plant_log_odds)).exp())
     }
 
     /// The heated scores of the places themselves, one plant or two.
-    fn own(&self, beta: f64, heat: f64) -> Vec<f64> {
+    fn own(&self, plant_log_odds: f64, inverse_temperature: f64) -> Vec<f64> {
         let two = |at: usize| {
-            if self.second.is_empty() { 0.0 } else { (heat * self.second(at, beta)).exp().ln_1p() }
+            if self.second.is_empty() {
+                0.0
+            } else {
+                (inverse_temperature * self.second(at, plant_log_odds)).exp().ln_1p()
+            }
         };
         let worth = self.worth.iter().enumerate();
-        worth.map(|(at, worth)| heat * (worth + beta) + two(at)).collect()
+        worth.map(|(at, worth)| inverse_temperature * (worth + plant_log_odds) + two(at)).collect()
     }
 
     /// The places from which a plant at `at` can be the next one. Two plants are at least two
@@ -214,7 +218,7 @@ impl<'p> Chain<'p> {
     }
 
     /// The plants that score best, as places, and their score.
-    pub fn best(&self, beta: f64) -> (Vec<usize>, f64) {
+    pub fn best(&self, plant_log_odds: f64) -> (Vec<usize>, f64) {
         let count = self.worth.len();
         let (mut scores, mut from) = (vec![0.0; count], vec![usize::MAX; count]);
         let (mut last, mut top) = (usize::MAX, f64::NEG_INFINITY);
@@ -226,7 +230,8 @@ impl<'p> Chain<'p> {
                     (score, from[at]) = (linked, a);
                 }
             }
-            scores[at] = score + self.worth[at] + beta + self.second(at, beta).max(0.0);
+            scores[at] =
+                score + self.worth[at] + plant_log_odds + self.second(at, plant_log_odds).max(0.0);
             let whole = scores[at] + self.end(at, false);
             if whole > top {
                 (last, top) = (at, whole);
@@ -234,7 +239,7 @@ impl<'p> Chain<'p> {
         }
         let mut places = Vec::new();
         while last != usize::MAX {
-            if self.second(last, beta) > 0.0 {
+            if self.second(last, plant_log_odds) > 0.0 {
                 let first = last.saturating_sub(self.apart / 2);
                 places.push((first + self.apart).min(count - 1));
                 places.push(first);
@@ -250,43 +255,49 @@ impl<'p> Chain<'p> {
         (places, if count == 0 { 0.0 } else { top })
     }
 
-    /// The logarithm of the sum of `exp(heat * score)` over all sets of plants.
-    pub fn log_sum(&self, beta: f64, heat: f64) -> f64 {
-        self.ahead(&self.own(beta, heat), heat).1
+    /// The logarithm of the sum of `exp(inverse_temperature * score)` over all sets of plants.
+    pub fn log_sum(&self, plant_log_odds: f64, inverse_temperature: f64) -> f64 {
+        self.ahead(&self.own(plant_log_odds, inverse_temperature), inverse_temperature).1
     }
 
     /// That sum over all sets that end with a plant at each place, and over all sets.
-    fn ahead(&self, own: &[f64], heat: f64) -> (Vec<f64>, f64) {
+    fn ahead(&self, own: &[f64], inverse_temperature: f64) -> (Vec<f64>, f64) {
         let count = self.worth.len();
         let (mut ahead, mut terms) = (vec![0.0; count], Vec::new());
         for at in 0..count {
             terms.clear();
-            terms.push(heat * self.end(at, true));
-            terms.extend(self.before(at).map(|a| ahead[a] + heat * self.link(a, at)));
+            terms.push(inverse_temperature * self.end(at, true));
+            terms
+                .extend(self.before(at).map(|a| ahead[a] + inverse_temperature * self.link(a, at)));
             ahead[at] = own[at] + log_sum_exp(&terms);
         }
         terms.clear();
-        terms.extend((0..count).map(|at| ahead[at] + heat * self.end(at, false)));
+        terms.extend((0..count).map(|at| ahead[at] + inverse_temperature * self.end(at, false)));
         let log_sum = log_sum_exp(&terms);
         (ahead, log_sum)
     }
 
-    /// Probabilities proportional to `exp(heat * score)`.
-    pub fn posterior(&self, beta: f64, heat: f64) -> Posterior {
+    /// Probabilities proportional to `exp(inverse_temperature * score)`.
+    pub fn posterior(&self, plant_log_odds: f64, inverse_temperature: f64) -> Posterior {
         let count = self.worth.len();
-        let own = self.own(beta, heat);
-        let (ahead, log_sum) = self.ahead(&own, heat);
+        let own = self.own(plant_log_odds, inverse_temperature);
+        let (ahead, log_sum) = self.ahead(&own, inverse_temperature);
         let (mut behind, mut terms) = (vec![0.0; count], Vec::new());
         for at in (0..count).rev() {
             terms.clear();
-            terms.push(heat * self.end(at, false));
+            terms.push(inverse_temperature * self.end(at, false));
             let beyond = (at + 2).min(count)..(at + self.gaps.len()).min(count);
-            terms.extend(beyond.map(|b| behind[b] + own[b] + heat * self.link(at, b)));
+            terms.extend(
+                beyond.map(|b| behind[b] + own[b] + inverse_temperature * self.link(at, b)),
+            );
             behind[at] = log_sum_exp(&terms);
         }
         // Of plants: a place with two counts twice.
         let marginals: Vec<f64> = (0..count)
-            .map(|at| (1.0 + self.two(at, beta, heat)) * (ahead[at] + behind[at] - log_sum).exp())
+            .map(|at| {
+                (1.0 + self.two(at, plant_log_odds, inverse_temperature))
+                    * (ahead[at] + behind[at] - log_sum).exp()
+            })
             .collect();
         Posterior { count: marginals.iter().sum(), marginals, log_sum }
     }
@@ -322,26 +333,26 @@ mod tests {
             let here = 0.5 + 0.1 * (k % 5) as f64;
             mass.push([sum + here, moment + here * k as f64]);
         }
-        Profile { start: 0.0, offsets: vec![0.0; votes.len()], votes, mass, crowns: vec![] }
+        Profile { start: 0.0, offsets: vec![0.0; votes.len()], votes, mass, surroundings: vec![] }
     }
 
     const WEIGHTS: Weights = Weights { votes: 6.0, cover: 1.0, mean: 0.5, mass: 14.0 };
 
     /// The score by its definition.
-    fn score(chain: &Chain<'_>, places: &[usize], beta: f64) -> f64 {
-        let own: f64 = places.iter().map(|&at| chain.worth[at] + beta).sum();
+    fn score(chain: &Chain<'_>, places: &[usize], plant_log_odds: f64) -> f64 {
+        let own: f64 = places.iter().map(|&at| chain.worth[at] + plant_log_odds).sum();
         let links: f64 = places.windows(2).map(|pair| chain.link(pair[0], pair[1])).sum();
         own + links + chain.end(places[0], true) + chain.end(places[places.len() - 1], false)
     }
 
     /// Two plants may stand in one place, and there are fewer leaves than usual at the end.
     fn crowned(mut profile: Profile) -> Profile {
-        let judge = |k: usize| Judgement {
+        let judge = |k: usize| PlantScores {
             thin: if k > 12 { 0.8 } else { 0.0 },
             second: if (3..6).contains(&k) { 3.5 } else { -2.0 },
             score: 0.0,
         };
-        profile.crowns = (0..profile.votes.len()).map(judge).collect();
+        profile.surroundings = (0..profile.votes.len()).map(judge).collect();
         profile
     }
 
@@ -351,7 +362,7 @@ mod tests {
         for profile in [bare.clone(), crowned(bare)] {
             let spacing = Spacing { spacing: 3.0, jitter: 0.2, missing: 0.1, doubles: 0.05 };
             let chain = Chain::new(&profile, &spacing, &WEIGHTS);
-            let (beta, heat, count) = (0.3, 0.7, profile.votes.len());
+            let (plant_log_odds, inverse_temperature, count) = (0.3, 0.7, profile.votes.len());
             let mut best = (vec![], f64::NEG_INFINITY);
             let (mut sum, mut marginals, mut number) = (0.0, vec![0.0; count], 0.0);
             for set in 1_u32..1 << count {
@@ -361,15 +372,20 @@ mod tests {
                 if !places.windows(2).all(allowed) {
                     continue;
                 }
-                let score = score(&chain, &places, beta);
-                let seconds: Vec<f64> = places.iter().map(|&at| chain.second(at, beta)).collect();
+                let score = score(&chain, &places, plant_log_odds);
+                let seconds: Vec<f64> =
+                    places.iter().map(|&at| chain.second(at, plant_log_odds)).collect();
                 let most = score + seconds.iter().map(|second| second.max(0.0)).sum::<f64>();
                 // Every way of one or two plants at each place.
-                let ways: f64 = seconds.iter().map(|second| 1.0 + (heat * second).exp()).product();
-                let weight = (heat * score).exp() * ways;
+                let ways: f64 = seconds
+                    .iter()
+                    .map(|second| 1.0 + (inverse_temperature * second).exp())
+                    .product();
+                let weight = (inverse_temperature * score).exp() * ways;
                 sum += weight;
                 for (&at, second) in places.iter().zip(&seconds) {
-                    let two = (heat * second).exp() / (1.0 + (heat * second).exp());
+                    let two = (inverse_temperature * second).exp()
+                        / (1.0 + (inverse_temperature * second).exp());
                     marginals[at] += weight * (1.0 + two);
                     number += weight * (1.0 + two);
                 }
@@ -377,10 +393,10 @@ mod tests {
                     best = (places, most);
                 }
             }
-            let (found, top) = chain.best(beta);
+            let (found, top) = chain.best(plant_log_odds);
             let mut expected = Vec::new();
             for &at in &best.0 {
-                if chain.second(at, beta) > 0.0 {
+                if chain.second(at, plant_log_odds) > 0.0 {
                     expected.push(at - chain.apart / 2);
                     expected.push(at - chain.apart / 2 + chain.apart);
                 } else {
@@ -388,9 +404,9 @@ mod tests {
                 }
             }
             assert_eq!(found, expected);
-            assert_eq!(profile.crowns.is_empty(), found.len() == best.0.len(), "{found:?}");
+            assert_eq!(profile.surroundings.is_empty(), found.len() == best.0.len(), "{found:?}");
             approx::assert_relative_eq!(top, best.1, epsilon = 1e-9);
-            let posterior = chain.posterior(beta, heat);
+            let posterior = chain.posterior(plant_log_odds, inverse_temperature);
             approx::assert_relative_eq!(posterior.log_sum, sum.ln(), epsilon = 1e-9);
             approx::assert_relative_eq!(posterior.count, number / sum, epsilon = 1e-9);
             for (fast, slow) in posterior.marginals.iter().zip(&marginals) {

@@ -1,43 +1,44 @@
 //! Plants in closed canopies, from votes along leaf axes and dynamic programming along curved rows.
 //!
-//! 1. Votes for stalks ([`evidence`]), rows as they run ([`ridges`]), and the votes along every row
-//!    ([`chain::Profile`]): at each place along the row the best votes across it, under a normal
+//! 1. Votes for stalks ([`evidence`]), rows as they run ([`row_curves`]), and the votes along every row
+//!    ([`dynamic_programming::Profile`]): at each place along the row the best votes across it, under a normal
 //!    weight about the row.
-//! 2. The spacing of the plants ([`renewal`]), on some of the rows: where the number of plants is not
-//!    given, the one with the largest marginal likelihood ([`chain::Chain::log_sum`]); then alternating
+//! 2. The spacing of the plants ([`plant_spacing`]), on some of the rows: where the number of plants is not
+//!    given, the one with the largest marginal likelihood ([`dynamic_programming::Chain::log_sum`]); then alternating
 //!    between the best plants and the gaps between them.
-//! 3. How many leaves there are around every place ([`crown`]), held against the best plants so far: what the chains and
+//! 3. How many leaves there are around every place ([`double_plants`]), compared with the best plants so far: what the chains and
 //!    the expected counts below know of two plants in one place, and of none.
-//! 4. The best plants of every row ([`chain::Chain::best`]). The worth `beta` of one plant more is found
+//! 4. The best plants of every row ([`dynamic_programming::Chain::best`]). The score `plant_log_odds` of one plant more is found
 //!    by bisection: for their number where it is given, otherwise for the number that is expected of a
-//!    score fitted to count ([`tally`]).
-//! 5. Probabilities of all places ([`chain::Chain::posterior`]) give each plant its confidence and its
+//!    score fitted to count ([`stand_count`]).
+//! 5. Probabilities of all places ([`dynamic_programming::Chain::posterior`]) give each plant its confidence and its
 //!    standard deviations, the field its count with an interval, and every gap the probability that
-//!    plants are missing in it. Where plants stand apart ([`islands`]), they move to the middle of their leaves;
+//!    plants are missing in it. Isolated plants ([`isolated_plants`]) move to the middle of their leaves;
 //!    elsewhere stalks may be tilted, and their bases not below their leaves ([`tilt`]).
 //!
 //! Positions and lengths in pixels of the mask where the name ends in `_px`, else of the reduced grid.
 //!
 //! [`evidence`]: super::evidence
-//! [`chain::Profile`]: super::chain::Profile
-//! [`chain::Chain::log_sum`]: Chain::log_sum
-//! [`chain::Chain::best`]: Chain::best
-//! [`chain::Chain::posterior`]: Chain::posterior
-//! [`crown`]: super::crown
-//! [`ridges`]: super::ridges
-//! [`renewal`]: super::renewal
-//! [`tally`]: super::tally
+//! [`dynamic_programming::Profile`]: super::dynamic_programming::Profile
+//! [`dynamic_programming::Chain::log_sum`]: Chain::log_sum
+//! [`dynamic_programming::Chain::best`]: Chain::best
+//! [`dynamic_programming::Chain::posterior`]: Chain::posterior
+//! [`double_plants`]: super::double_plants
+//! [`row_curves`]: super::row_curves
+//! [`isolated_plants`]: super::isolated_plants
+//! [`plant_spacing`]: super::plant_spacing
+//! [`stand_count`]: super::stand_count
 //! [`tilt`]: super::tilt
 
 use super::{
-    chain::{Chain, Posterior, STEP},
+    dynamic_programming::{Chain, Posterior, STEP},
     evidence::AxisSource,
-    islands,
+    isolated_plants,
     locate::LocateError,
-    renewal::Spacing,
+    plant_spacing::Spacing,
+    row_evidence::{Expected, RowEvidence, best, bisect, gaps, total, worth_of},
     rows::{Detection, Rows},
-    scene::{Expected, Scene, best, bisect, gaps, total, worth_of},
-    stand::{Canopy, Missing, NORMAL_95, Stalk},
+    stand::{Gap, NORMAL_95, Stalk, Stand},
     tilt,
 };
 use crate::{options::Options as _, raster::Mask};
@@ -94,7 +95,7 @@ pub fn locate(
     detection: &Detection,
     count: Option<usize>,
     options: &RowModelOptions,
-) -> Result<Canopy, LocateError> {
+) -> Result<Stand, LocateError> {
     options.validate().map_err(LocateError::Option)?;
     if mask.data.iter().all(|&pixel| pixel == 0) {
         return Err(LocateError::EmptyMask);
@@ -112,44 +113,55 @@ pub fn locate(
             return Err(LocateError::NoRows { contrast, prominence });
         }
     };
-    let mut scene = Scene::new(mask, rows, options);
-    let spacing = scene.spacing(count);
-    if options.double_plants && scene.has_axes() {
+    let mut evidence = RowEvidence::new(mask, rows, options);
+    let spacing = evidence.spacing(count);
+    if options.double_plants && evidence.has_axes() {
         // What is usual of plants, from those that are found without it.
-        let chains = scene.chains(&spacing, 0..scene.profiles.len());
+        let chains = evidence.chains(&spacing, 0..evidence.profiles.len());
         let plants = best(&chains, options.plant_log_odds);
         drop(chains);
-        scene.crowns(&plants);
+        evidence.compare_surroundings(&plants);
     }
-    let chains = scene.chains(&spacing, 0..scene.profiles.len());
-    let expected = options.stand_count.then(|| scene.tally(spacing.spacing));
-    let beta = match (count, &expected) {
+    let chains = evidence.chains(&spacing, 0..evidence.profiles.len());
+    let expected =
+        if options.stand_count { Some(evidence.stand_count(spacing.spacing)?) } else { None };
+    let plant_log_odds = match (count, &expected) {
         (Some(count), _) => worth_of(&chains, count)?,
         (None, Some(expected)) => {
             let wanted = expected.count.round() as usize;
-            let counted = scene.chains(&spacing, expected.rows.iter().copied());
+            let counted = evidence.chains(&spacing, expected.rows.iter().copied());
             bisect(&counted, wanted.max(1)).unwrap_or(options.plant_log_odds)
         }
         (None, None) => options.plant_log_odds,
     };
-    let mut places = best(&chains, beta);
-    let posteriors = posteriors(&chains, beta, options.inverse_temperature);
+    let mut places = best(&chains, plant_log_odds);
+    let posteriors = posteriors(&chains, plant_log_odds, options.inverse_temperature);
     let whole = expected.as_ref().filter(|expected| expected.share > 0.999);
     let wanted = count.or(whole.map(|expected| (expected.count.round() as usize).max(1)));
     if let Some(count) = wanted {
         keep_likeliest(&mut places, &posteriors, count);
     }
     let spacing = spacing.refit(&gaps(&places));
-    let mut canopy = scene.present(rows, &places, &chains, &posteriors, &spacing, (beta, expected));
-    if let Some(apart) = scene.whole() {
-        islands::settle(mask, &mut canopy.plants, rows.axes.heading_rad, SETTLED * apart);
+    let mut stand =
+        evidence.present(rows, &places, &chains, &posteriors, &spacing, (plant_log_odds, expected));
+    if let Some(apart) = evidence.isolated_spacing_px() {
+        isolated_plants::snap_to_centroid(
+            mask,
+            &mut stand.plants,
+            rows.axes.heading_rad,
+            SETTLED * apart,
+        );
     }
-    canopy.refit_rows();
-    Ok(canopy)
+    stand.refit_rows();
+    Ok(stand)
 }
 
-fn posteriors(chains: &[Chain<'_>], beta: f64, heat: f64) -> Vec<Posterior> {
-    chains.par_iter().map(|chain| chain.posterior(beta, heat)).collect()
+fn posteriors(
+    chains: &[Chain<'_>],
+    plant_log_odds: f64,
+    inverse_temperature: f64,
+) -> Vec<Posterior> {
+    chains.par_iter().map(|chain| chain.posterior(plant_log_odds, inverse_temperature)).collect()
 }
 
 /// Drops the least likely plants beyond `count`.
@@ -187,13 +199,13 @@ fn together(marginals: &[f64], places: &[usize], at: usize, steps: usize) -> [f6
     [plants / count.max(1) as f64, mean, variance]
 }
 
-/// A plant that stands apart has its leaves within this share of the spacing (`experiments/reference/plots.md`).
+/// An isolated plant has its leaves within this share of the spacing (`experiments/reference/plots.md`).
 const SETTLED: f64 = 0.4;
 /// Standard deviation of the relative error of expected counts, on synthetic fields that took no part in
 /// fitting the weights.
 const COUNT_SIGMA: f64 = 0.06;
 
-impl Scene {
+impl RowEvidence {
     fn present(
         &self,
         rows: &Rows,
@@ -201,14 +213,14 @@ impl Scene {
         chains: &[Chain<'_>],
         posteriors: &[Posterior],
         spacing: &Spacing,
-        (beta, expected): (f64, Option<Expected>),
-    ) -> Canopy {
+        (plant_log_odds, expected): (f64, Option<Expected>),
+    ) -> Stand {
         let factor = self.evidence.factor as f64;
-        let heat = self.options.inverse_temperature;
-        let tilt = if self.whole().is_some() { 0.0 } else { self.options.tilt_sigma };
+        let inverse_temperature = self.options.inverse_temperature;
+        let tilt = if self.isolated_spacing_px().is_some() { 0.0 } else { self.options.tilt_sigma };
         let across = self.scatter(places, spacing.spacing);
-        let believed =
-            self.options.shrinkage * tilt::believed(tilt, across / self.options.across_sigma);
+        let shrinkage =
+            self.options.shrinkage * tilt::shrinkage(tilt, across / self.options.across_sigma);
         let offsets = self.offsets(places, across);
         let radius = ((0.25 * spacing.spacing / STEP) as usize).max(1);
         let (mut plants, mut missing) = (Vec::new(), Vec::new());
@@ -228,14 +240,14 @@ impl Scene {
                 found.into_iter().zip(bases).enumerate()
             {
                 plants.push(Stalk {
-                    position_px: self.image(row, base / STEP, believed * offsets[row][k]),
+                    position_px: self.image(row, base / STEP, shrinkage * offsets[row][k]),
                     row,
                     along_px: (self.profiles[row].start + base) * factor,
                     confidence: confidence.min(1.0),
                     // A place stands for a step around it.
                     sigma_along_px: ((variance + 1.0 / 12.0) * STEP * STEP + tilted).sqrt()
                         * factor,
-                    sigma_across_px: (1.0 - believed).sqrt() * across * factor,
+                    sigma_across_px: (1.0 - shrinkage).sqrt() * across * factor,
                 });
             }
             for pair in places.windows(2) {
@@ -248,21 +260,15 @@ impl Scene {
                     let middle = 0.5 * (pair[0] + pair[1]) as f64;
                     let position_px = self.image(row, middle, 0.0);
                     let length_px = length * factor;
-                    missing.push(Missing {
-                        row,
-                        position_px,
-                        length_px,
-                        plants: likely,
-                        probability,
-                    });
+                    missing.push(Gap { row, position_px, length_px, plants: likely, probability });
                 }
             }
         }
         // The variance of a count is its derivative by the (heated) worth of a plant.
-        let apart = 0.1 / heat;
+        let apart = 0.1 / inverse_temperature;
         let (less, more) = rayon::join(
-            || posterior_counts(chains, beta - apart, heat),
-            || posterior_counts(chains, beta + apart, heat),
+            || posterior_counts(chains, plant_log_odds - apart, inverse_temperature),
+            || posterior_counts(chains, plant_log_odds + apart, inverse_temperature),
         );
         let variances: Vec<f64> =
             less.iter().zip(&more).map(|(a, b)| ((b - a) / 0.2).max(0.0)).collect();
@@ -277,7 +283,7 @@ impl Scene {
         };
         let half = NORMAL_95 * variance.sqrt();
         let singles = found.max(2.0) - 1.0;
-        Canopy {
+        Stand {
             plants,
             rows: rows.clone(),
             spacing: Spacing { spacing: spacing.spacing * factor, ..*spacing },
@@ -290,6 +296,13 @@ impl Scene {
     }
 }
 
-fn posterior_counts(chains: &[Chain<'_>], beta: f64, heat: f64) -> Vec<f64> {
-    chains.par_iter().map(|chain| chain.posterior(beta, heat).count).collect()
+fn posterior_counts(
+    chains: &[Chain<'_>],
+    plant_log_odds: f64,
+    inverse_temperature: f64,
+) -> Vec<f64> {
+    chains
+        .par_iter()
+        .map(|chain| chain.posterior(plant_log_odds, inverse_temperature).count)
+        .collect()
 }

@@ -5,7 +5,7 @@
 //! bare, or islands are long against their distance, plants have grown together and islands tell nothing.
 //!
 //! Such plants are found by their leaf mass ([`Evidence::of_mass`](super::evidence::Evidence::of_mass)) instead of votes along leaf axes, and
-//! [`settle`] puts each into the middle of its leaves. What it is worth: `experiments/reference/plots.md`.
+//! [`snap_to_centroid`] puts each into the middle of its leaves. What it is worth: `experiments/reference/plots.md`.
 
 use super::{rows::Rows, stand::Stalk};
 use crate::raster::Mask;
@@ -118,7 +118,7 @@ fn drop_specks(islands: &mut [Vec<Island>]) {
 
 /// Moves plants that stand apart to the middle of the leaf pixels which are theirs: nearer than to any other plant, and within
 /// `reach_px`. A plant without any stays. (One step of k-means, truncated.)
-pub fn settle(mask: &Mask, plants: &mut [Stalk], heading_rad: f64, reach_px: f64) {
+pub fn snap_to_centroid(mask: &Mask, plants: &mut [Stalk], heading_rad: f64, reach_px: f64) {
     let places: Vec<[f64; 2]> = plants.iter().map(|plant| plant.position_px).collect();
     let near = Cells::new(&places, reach_px);
     // Sums of whole numbers: the order of the pixels changes nothing.
@@ -233,7 +233,7 @@ mod tests {
             .map(|_| stalk([1200.0 * rng.random::<f64>(), 400.0 * rng.random::<f64>()]))
             .collect();
         let (before, reach) = (plants.clone(), 30.0);
-        settle(&mask, &mut plants, 0.0, reach);
+        snap_to_centroid(&mask, &mut plants, 0.0, reach);
         let distance = |plant: &Stalk, u: usize, v: usize| {
             (plant.position_px[0] - u as f64).hypot(plant.position_px[1] - v as f64)
         };

@@ -24,7 +24,7 @@ const ROUNDS: i32 = 8;
 
 /// The course of one row.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Ridge {
+pub struct RowCurve {
     /// Where it begins, along the rows.
     pub start: f64,
     /// Where it ends.
@@ -33,11 +33,11 @@ pub struct Ridge {
     pub offsets: Vec<f64>,
 }
 
-impl Ridge {
+impl RowCurve {
     /// A straight row.
-    pub fn straight(row: &Row) -> Ridge {
+    pub fn straight(row: &Row) -> RowCurve {
         let knots = (row.length_px() / KNOT).ceil().max(1.0) as usize + 1;
-        Ridge { start: row.start_px, end: row.end_px, offsets: vec![row.across_px; knots] }
+        RowCurve { start: row.start_px, end: row.end_px, offsets: vec![row.across_px; knots] }
     }
 
     /// Offset across at a place along, held beyond the ends.
@@ -80,11 +80,16 @@ impl Ridge {
 }
 
 /// Finds the course of every row.
-pub fn trace(evidence: &Evidence, axes: &Axes, rows: &[Row], spacing: Option<f64>) -> Vec<Ridge> {
+pub fn trace(
+    evidence: &Evidence,
+    axes: &Axes,
+    rows: &[Row],
+    spacing: Option<f64>,
+) -> Vec<RowCurve> {
     let reach = spacing.map_or(12.0, |spacing| (spacing / 4.0).min(12.0)).max(2.0);
     rows.par_iter()
         .map(|row| {
-            let mut ridge = Ridge::straight(row);
+            let mut ridge = RowCurve::straight(row);
             for round in 0..ROUNDS {
                 let window = (reach / 2.0 * 0.75_f64.powi(round)).max(NARROWEST);
                 ridge.refine(evidence, axes, window, reach);

@@ -1,51 +1,35 @@
-//! Fits the weights of `rowgram::phenotype::tally` to masks of which every plant is known.
-//!
-//!     cargo run --release -p experiments --example fit_tally -- DATA/field_masks 1003 1005
-//!
-//! Takes the masks of every scenario with numbers from the first to the last, and prints both sets of weights as
-//! `src/phenotype/tally.rs` has them: first those fitted under the spacing, jitter, share of missing
-//! plants and of doubles that the true plants have, then those fitted under the ones that the first set
-//! finds from the spacing at which the locator starts to count. Penalised maximum likelihood by L-BFGS; the gradient is observed minus expected features.
-//!
-//! The weights in use were printed with masks 1000 to 1004 and `ROUNDS` 8; the locator makes 4 rounds and holds what
-//! describes a field within what those masks show (`experiments/reference/canopy.md` says why).
-//!
-//! The features are written here once more, so that a change of either side shows as a change of the
-//! weights.
-#![allow(clippy::print_stdout, clippy::print_stderr, reason = "a program that prints")]
+//! What the stand count reads of a mask, written here once more: a test compares it with the library's.
 
-use rayon::prelude::*;
 use rowgram::{
     io::{images, points},
     phenotype::{
-        canopy,
-        crown::{Crown, Usual},
-        evidence::{AxisSource as Leaves, Evidence, factor},
-        ridges, rows,
+        double_plants::{LeafSurroundings, PlantBaseline},
+        evidence::{AxisSource, Evidence, factor},
+        row_curves,
+        row_model::{self, RowModelOptions},
+        rows,
         stand::Stalk,
     },
     problems::plants::index::PixelIndex,
 };
 use std::{error::Error, f64::consts::TAU, path::Path};
 
-const STEP: f64 = 0.5;
-const PLACE: usize = 27;
-/// Rounds in which the spacing is re-estimated.
-const ROUNDS: usize = 4;
-const PAIR: usize = 11;
-const ALL: usize = PLACE + PAIR;
+pub(super) const STEP: f64 = 0.5;
+pub(super) const PLACE: usize = 27;
+pub(super) const PAIR: usize = 11;
+pub(super) const ALL: usize = PLACE + PAIR;
 const MOST: usize = 6;
 const BAND: i32 = 8;
 /// Priors of jitter, missing and doubles: mean, and how many gaps it weighs.
 const WEAK: [(f64, f64); 3] = [(0.15, 20.0), (0.07, 20.0), (0.03, 30.0)];
-const USED: [(f64, f64); 3] = [(0.15, 40.0), (0.05, 100.0), (0.03, 2000.0)];
+pub(super) const USED: [(f64, f64); 3] = [(0.15, 40.0), (0.05, 100.0), (0.03, 2000.0)];
 
 #[derive(Clone, Copy)]
-struct Gaps {
-    s: f64,
-    j: f64,
-    m: f64,
-    d: f64,
+pub(super) struct Gaps {
+    pub(super) s: f64,
+    pub(super) j: f64,
+    pub(super) m: f64,
+    pub(super) d: f64,
 }
 
 fn normal(x: f64, mean: f64, variance: f64) -> f64 {
@@ -66,7 +50,7 @@ impl Gaps {
     fn density(&self, gap: f64) -> f64 {
         (1..=MOST).map(|k| self.skipping(gap, k)).sum::<f64>() + self.double(gap) + 1e-5 / self.s
     }
-    fn refit(&self, gaps: &[(f64, f64)], prior: &[(f64, f64); 3]) -> Gaps {
+    pub(super) fn refit(&self, gaps: &[(f64, f64)], prior: &[(f64, f64); 3]) -> Gaps {
         let (mut length, mut places, mut kinds, mut doubles, mut all) = (0.0, 0.0, 0.0, 0.0, 0.0);
         let mut shares = Vec::new();
         for &(gap, number) in gaps {
@@ -95,40 +79,37 @@ impl Gaps {
 }
 
 /// One row: votes and running leaf mass by place, and the places of the true plants.
-struct Row {
-    votes: Vec<f64>,
+pub(super) struct Row {
+    pub(super) votes: Vec<f64>,
     /// More leaf than around plants, in their standard deviations.
-    crown: Vec<f64>,
-    mass: Vec<[f64; 2]>,
-    truth: Vec<usize>,
+    pub(super) crown: Vec<f64>,
+    pub(super) mass: Vec<[f64; 2]>,
+    pub(super) truth: Vec<usize>,
 }
 
-struct Field {
-    rows: Vec<Row>,
+pub(super) struct Field {
+    pub(super) rows: Vec<Row>,
     /// Mean votes, leaf mass of a place, contrast, cover, share of leaf outside the rows.
-    overall: [f64; 5],
-    truth: Gaps,
+    pub(super) overall: [f64; 5],
+    pub(super) truth: Gaps,
     /// The spacing at which the locator starts to count.
-    start: f64,
+    pub(super) start: f64,
 }
 
-/// What the locator reads of a mask (as `phenotype::scene` does), with the true plants on it.
-fn read(path: &Path) -> Result<Field, Box<dyn Error + Send + Sync>> {
+/// What the locator reads of a mask (as `phenotype::row_evidence` does), with the true plants on it.
+pub(super) fn read(path: &Path) -> Result<Field, Box<dyn Error + Send + Sync>> {
     let mask = images::read_mask(path)?;
     let plants = points::read(&path.with_extension("csv"))?;
     let detection = rows::detect(&PixelIndex::from_mask(mask.width, &mask.data));
-    let uncounted = canopy::RowModelOptions {
-        stand_count: false,
-        double_plants: false,
-        ..canopy::RowModelOptions::default()
-    };
-    let uncounted = canopy::locate(&mask, &detection, None, &uncounted)?;
+    let uncounted =
+        RowModelOptions { stand_count: false, double_plants: false, ..RowModelOptions::default() };
+    let uncounted = row_model::locate(&mask, &detection, None, &uncounted)?;
     let start = uncounted.spacing.spacing;
     let found = detection.rows().ok_or("no rows")?;
-    let evidence = Evidence::new(&mask, found.axes.heading_rad, Leaves::Tensor, factor(&mask));
-    let crown = Crown::new(&evidence);
+    let evidence = Evidence::new(&mask, found.axes.heading_rad, AxisSource::Tensor, factor(&mask));
+    let crown = LeafSurroundings::new(&evidence);
     let around = |plant: &Stalk| crown.at(evidence.reduced(plant.position_px));
-    let usual = Usual::new(&uncounted.plants.iter().map(around).collect::<Vec<_>>());
+    let usual = PlantBaseline::new(&uncounted.plants.iter().map(around).collect::<Vec<_>>());
     let factor = evidence.factor as f64;
     let mut axes = found.axes;
     axes.origin_px = evidence.reduced(axes.origin_px);
@@ -143,7 +124,7 @@ fn read(path: &Path) -> Result<Field, Box<dyn Error + Send + Sync>> {
         })
         .collect();
     let apart = found.spacing_px.map(|px| px / factor);
-    let curves = ridges::trace(&evidence, &axes, &reduced, apart);
+    let curves = row_curves::trace(&evidence, &axes, &reduced, apart);
     let mut rows: Vec<(f64, Row)> = curves
         .iter()
         .map(|ridge| {
@@ -215,20 +196,20 @@ fn read(path: &Path) -> Result<Field, Box<dyn Error + Send + Sync>> {
 }
 
 /// Everything the score of a row is a linear function of.
-struct Features<'f> {
-    row: &'f Row,
-    heights: Vec<f64>,
-    places: Vec<[f64; PLACE]>,
-    of_gap: Vec<[f64; 4]>,
-    uncovered: f64,
-    absent: f64,
-    covered: usize,
-    truncated: usize,
-    free: usize,
+pub(super) struct Features<'f> {
+    pub(super) row: &'f Row,
+    pub(super) heights: Vec<f64>,
+    pub(super) places: Vec<[f64; PLACE]>,
+    pub(super) of_gap: Vec<[f64; 4]>,
+    pub(super) uncovered: f64,
+    pub(super) absent: f64,
+    pub(super) covered: usize,
+    pub(super) truncated: usize,
+    pub(super) free: usize,
 }
 
 impl<'f> Features<'f> {
-    fn new(field: &Field, row: &'f Row, gaps: &Gaps) -> Features<'f> {
+    pub(super) fn new(field: &Field, row: &'f Row, gaps: &Gaps) -> Features<'f> {
         let [mean, mass, contrast, cover, outside] = field.overall;
         let (count, s) = (row.votes.len(), gaps.s);
         let running = |values: &[f64]| {
@@ -313,7 +294,7 @@ impl<'f> Features<'f> {
     }
 
     /// Whether no true gap is longer than those thought possible.
-    fn reach_the_truth(&self) -> bool {
+    pub(super) fn reach_the_truth(&self) -> bool {
         self.row.truth.windows(2).all(|w| w[1] - w[0] < self.of_gap.len())
     }
 
@@ -339,7 +320,7 @@ impl<'f> Features<'f> {
         steps * STEP
     }
 
-    fn pair(&self, a: usize, b: usize, valley: f64) -> [f64; PAIR] {
+    pub(super) fn pair(&self, a: usize, b: usize, valley: f64) -> [f64; PAIR] {
         let gap = b - a;
         let [density, double, near, far] = self.of_gap[gap];
         let lower = self.heights[a].min(self.heights[b]);
@@ -369,7 +350,7 @@ impl<'f> Features<'f> {
     }
 
     /// What an end costs whatever the weights, and its uncovered mass.
-    fn end(&self, at: usize, first: bool) -> [f64; 2] {
+    pub(super) fn end(&self, at: usize, first: bool) -> [f64; 2] {
         let count = self.heights.len();
         let (places, open) = if first {
             (at, self.spread(0, at.saturating_sub(self.covered), false))
@@ -378,196 +359,4 @@ impl<'f> Features<'f> {
         };
         [-self.absent * places.saturating_sub(self.free) as f64, self.uncovered * open]
     }
-}
-
-fn log_sum_exp(terms: &[f64]) -> f64 {
-    let top = terms.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    top + terms.iter().map(|t| (t - top).exp()).sum::<f64>().ln()
-}
-
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
-}
-
-/// Log likelihood of the true plants of a row, its gradient, and the expected gaps.
-fn likelihood(f: &Features<'_>, w: &[f64]) -> (f64, [f64; ALL], Vec<f64>) {
-    let (count, most, open) = (f.heights.len(), f.of_gap.len(), PLACE + 3);
-    let own: Vec<f64> = f.places.iter().map(|p| dot(p, &w[..PLACE])).collect();
-    let ends: Vec<[[f64; 2]; 2]> = (0..count).map(|k| [f.end(k, true), f.end(k, false)]).collect();
-    let worth = |end: [f64; 2]| end[0] + w[open] * end[1];
-    let pairs: Vec<Vec<[f64; PAIR]>> = (0..count)
-        .map(|b| {
-            let mut valley = f64::INFINITY;
-            (0..most.min(b + 1))
-                .map(|gap| {
-                    let features = if gap < 2 { [0.0; PAIR] } else { f.pair(b - gap, b, valley) };
-                    if gap > 0 {
-                        valley = valley.min(f.heights[b - gap]);
-                    }
-                    features
-                })
-                .collect()
-        })
-        .collect();
-    let score = |b: usize, gap: usize| dot(&pairs[b][gap], &w[PLACE..]);
-    let (mut ahead, mut behind, mut terms) = (vec![0.0; count], vec![0.0; count], vec![]);
-    for b in 0..count {
-        terms.clear();
-        terms.push(worth(ends[b][0]));
-        terms.extend((2..pairs[b].len()).map(|gap| ahead[b - gap] + score(b, gap)));
-        ahead[b] = log_sum_exp(&terms) + own[b];
-    }
-    for a in (0..count).rev() {
-        terms.clear();
-        terms.push(worth(ends[a][1]));
-        let next = (2..most.min(count - a))
-            .map(|gap| behind[a + gap] + own[a + gap] + score(a + gap, gap));
-        terms.extend(next);
-        behind[a] = log_sum_exp(&terms);
-    }
-    terms.clear();
-    terms.extend((0..count).map(|k| ahead[k] + worth(ends[k][1])));
-    let all = log_sum_exp(&terms);
-    let (mut value, mut gradient, mut expected) = (-all, [0.0; ALL], vec![0.0; most]);
-    let mut add = |from: usize, features: &[f64], by: f64| {
-        features.iter().enumerate().for_each(|(k, f)| gradient[from + k] += by * f);
-    };
-    for b in 0..count {
-        add(0, &f.places[b], -(ahead[b] + behind[b] - all).exp());
-        let first = (worth(ends[b][0]) + own[b] + behind[b] - all).exp();
-        let last = (ahead[b] + worth(ends[b][1]) - all).exp();
-        add(open, &[first * ends[b][0][1] + last * ends[b][1][1]], -1.0);
-        for gap in 2..pairs[b].len() {
-            let probability = (ahead[b - gap] + score(b, gap) + own[b] + behind[b] - all).exp();
-            expected[gap] += probability;
-            add(PLACE, &pairs[b][gap], -probability);
-        }
-    }
-    let truth = &f.row.truth;
-    for &k in truth {
-        value += own[k];
-        add(0, &f.places[k], 1.0);
-    }
-    for pair in truth.windows(2) {
-        value += score(pair[1], pair[1] - pair[0]);
-        add(PLACE, &pairs[pair[1]][pair[1] - pair[0]], 1.0);
-    }
-    for end in [ends[truth[0]][0], ends[truth[truth.len() - 1]][1]] {
-        value += worth(end);
-        add(open, &[end[1]], 1.0);
-    }
-    (value, gradient, expected)
-}
-
-/// Penalised maximum likelihood by L-BFGS, per plant.
-fn fit(fields: &[Field], gaps: &[Gaps], start: &[f64], penalty: f64, rounds: usize) -> Vec<f64> {
-    let rows: Vec<Features<'_>> = fields
-        .iter()
-        .zip(gaps)
-        .flat_map(|(field, gaps)| field.rows.iter().map(move |row| Features::new(field, row, gaps)))
-        .filter(|f| f.row.truth.len() > 1)
-        .filter(Features::reach_the_truth)
-        .collect();
-    let plants: f64 = rows.iter().map(|f| f.row.truth.len() as f64).sum();
-    let cost = |w: &[f64]| {
-        let parts: Vec<_> = rows.par_iter().map(|f| likelihood(f, w)).collect();
-        let mut gradient: Vec<f64> = w.iter().zip(start).map(|(w, s)| penalty * (w - s)).collect();
-        let mut value: f64 =
-            w.iter().zip(start).map(|(w, s)| 0.5 * penalty * (w - s).powi(2)).sum();
-        for (v, g, _) in parts {
-            value -= v / plants;
-            gradient.iter_mut().zip(g).for_each(|(sum, g)| *sum -= g / plants);
-        }
-        (value, gradient)
-    };
-    let mut w = start.to_vec();
-    let (mut value, mut gradient) = cost(&w);
-    let mut memory: Vec<(Vec<f64>, Vec<f64>)> = Vec::new();
-    for round in 0..rounds {
-        let mut step: Vec<f64> = gradient.iter().map(|g| -g).collect();
-        let mut shares = Vec::new();
-        for (s, y) in memory.iter().rev() {
-            let share = dot(s, &step) / dot(s, y);
-            step.iter_mut().zip(y).for_each(|(d, y)| *d -= share * y);
-            shares.push(share);
-        }
-        let scale = memory.last().map_or_else(
-            || 0.3 / dot(&gradient, &gradient).sqrt().max(0.3),
-            |(s, y)| dot(s, y) / dot(y, y),
-        );
-        step.iter_mut().for_each(|d| *d *= scale);
-        for ((s, y), share) in memory.iter().zip(shares.into_iter().rev()) {
-            let other = dot(y, &step) / dot(s, y);
-            step.iter_mut().zip(s).for_each(|(d, s)| *d += (share - other) * s);
-        }
-        let slope = dot(&gradient, &step);
-        let Some((next, (lower, new))) = (0..8).find_map(|k| {
-            let length = 0.4_f64.powi(k);
-            let next: Vec<f64> = w.iter().zip(&step).map(|(w, d)| w + length * d).collect();
-            let there = cost(&next);
-            (there.0 <= value + 1e-4 * length * slope).then_some((next, there))
-        }) else {
-            break;
-        };
-        let s: Vec<f64> = next.iter().zip(&w).map(|(a, b)| a - b).collect();
-        let y: Vec<f64> = new.iter().zip(&gradient).map(|(a, b)| a - b).collect();
-        if dot(&s, &y) > 1e-12 {
-            memory.push((s, y));
-            memory.drain(..memory.len().saturating_sub(12));
-        }
-        let gain = value - lower;
-        (w, value, gradient) = (next, lower, new);
-        eprintln!("round {round}: {value:.5} per plant");
-        if gain < 1e-7 {
-            break;
-        }
-    }
-    w
-}
-
-fn main() -> Result<(), Box<dyn Error + Send + Sync>> {
-    let words: Vec<String> = std::env::args().collect();
-    let [_, root, first, last] = words.as_slice() else { return Err("FOLDER FIRST LAST".into()) };
-    let (first, last): (u32, u32) = (first.parse()?, last.parse()?);
-    let mut paths = Vec::new();
-    for scenario in std::fs::read_dir(root)? {
-        let scenario = scenario?.path();
-        let masks = (first..=last).map(|number| scenario.join(format!("{number}.png")));
-        if !scenario.ends_with("whole_field") {
-            paths.extend(masks.filter(|path| path.exists()));
-        }
-    }
-    paths.sort();
-    let fields: Vec<Field> = paths.par_iter().map(|path| read(path)).collect::<Result<_, _>>()?;
-    // The weights of the chain that finds the best places, about.
-    let mut start = vec![0.0; ALL];
-    (start[0], start[1]) = (1.1, 6.0);
-    (start[PLACE], start[PLACE + 1], start[PLACE + 3]) = (1.0, -12.0, -1.0);
-    let truth: Vec<Gaps> = fields.iter().map(|field| field.truth).collect();
-    let of_spacing = fit(&fields, &truth, &start, 5e-4, 40);
-    let found: Vec<Gaps> = fields
-        .par_iter()
-        .map(|field| {
-            let mut gaps = Gaps { s: field.start, j: 0.16, m: 0.05, d: 0.03 };
-            for _ in 0..ROUNDS {
-                let mut expected: Vec<(f64, f64)> = Vec::new();
-                for row in field.rows.iter().filter(|row| row.truth.len() > 1) {
-                    let features = Features::new(field, row, &gaps);
-                    if !features.reach_the_truth() {
-                        continue;
-                    }
-                    let (_, _, numbers) = likelihood(&features, &of_spacing);
-                    let lengths = (0..numbers.len()).map(|k| k as f64 * STEP);
-                    expected.extend(lengths.zip(numbers));
-                }
-                gaps = gaps.refit(&expected, &USED);
-            }
-            gaps
-        })
-        .collect();
-    let of_count = fit(&fields, &found, &of_spacing, 1e-4, 80);
-    for (name, w) in [("OF_SPACING", of_spacing), ("OF_COUNT", of_count)] {
-        println!("{name}\n places {:.4?}\n pairs {:.4?}", &w[..PLACE], &w[PLACE..]);
-    }
-    Ok(())
 }

@@ -1,19 +1,19 @@
 //! What the rows of a mask show, and the plants that are best for it: the working parts of
-//! [`super::canopy`].
+//! [`super::row_model`].
 //!
 //! All lengths in pixels of the reduced grid of [`Evidence`].
 
 use super::{
-    canopy::RowModelOptions,
-    chain::{Chain, Profile, STEP, Weights},
-    crown::{Crown, Judgement, Usual},
+    double_plants::{LeafSurroundings, PlantBaseline, PlantScores},
+    dynamic_programming::{Chain, Profile, STEP, Weights},
     evidence::{self, Evidence},
-    islands,
+    isolated_plants,
     locate::LocateError,
-    renewal::Spacing,
-    ridges::{self, Ridge},
+    plant_spacing::Spacing,
+    row_curves::{self, RowCurve},
+    row_model::RowModelOptions,
     rows::{Row, Rows},
-    tally::{Overall, tally},
+    stand_count::{Overall, stand_count},
 };
 use crate::{problems::plants::lines::Axes, raster::Mask};
 use rayon::prelude::*;
@@ -64,27 +64,27 @@ const IN_LINE: [f64; 3] = [1.2, 0.2, 13.0];
 const SCATTER_OF_EXCESS: f64 = 5.0;
 
 /// Everything that the chains are made of.
-pub(super) struct Scene {
+pub(super) struct RowEvidence {
     pub(super) evidence: Evidence,
     axes: Axes,
     rows: Vec<Row>,
-    ridges: Vec<Ridge>,
+    curves: Vec<RowCurve>,
     pub(super) profiles: Vec<Profile>,
     mean: f64,
     mass: f64,
     length: f64,
     /// Distance of the islands of leaf, where plants stand apart.
-    apart: Option<f64>,
+    isolated_spacing: Option<f64>,
     pub(super) options: RowModelOptions,
 }
 
-impl Scene {
-    pub(super) fn new(mask: &Mask, rows: &Rows, options: &RowModelOptions) -> Scene {
+impl RowEvidence {
+    pub(super) fn new(mask: &Mask, rows: &Rows, options: &RowModelOptions) -> RowEvidence {
         // Plants that stand apart are as far from each other, in pixels of the grid, as in a closed canopy.
-        let apart = islands::spacing_px(mask, rows);
-        let coarse = apart.map_or(1.0, |spacing| spacing / APART);
+        let isolated_px = isolated_plants::spacing_px(mask, rows);
+        let coarse = isolated_px.map_or(1.0, |spacing| spacing / APART);
         let factor = evidence::factor(mask).max(coarse.round() as usize);
-        let whole = options.isolated_plants && apart.is_some();
+        let whole = options.isolated_plants && isolated_px.is_some();
         let evidence = if options.leaf_axes && !whole {
             Evidence::new(mask, rows.axes.heading_rad, options.axis_source, factor)
         } else {
@@ -100,22 +100,22 @@ impl Scene {
         };
         let reduced: Vec<Row> = rows.rows.iter().map(shrink).collect();
         let spacing = rows.spacing_px.map(|spacing| spacing / factor);
-        let ridges = if options.curved_rows {
-            ridges::trace(&evidence, &axes, &reduced, spacing)
+        let curves = if options.curved_rows {
+            row_curves::trace(&evidence, &axes, &reduced, spacing)
         } else {
-            reduced.iter().map(Ridge::straight).collect()
+            reduced.iter().map(RowCurve::straight).collect()
         };
         let length = reduced.iter().map(Row::length_px).sum();
-        let mut scene = Scene {
+        let mut scene = RowEvidence {
             evidence,
             axes,
             rows: reduced,
-            ridges,
+            curves,
             profiles: Vec::new(),
             mean: 0.0,
             mass: 0.0,
             length,
-            apart: apart.map(|spacing| spacing / factor),
+            isolated_spacing: isolated_px.map(|spacing| spacing / factor),
             options: *options,
         };
         scene.read();
@@ -128,18 +128,18 @@ impl Scene {
     }
 
     /// Distance of the islands of leaf, pixels of the mask, where each is a plant as a whole.
-    pub(super) fn whole(&self) -> Option<f64> {
-        self.apart
+    pub(super) fn isolated_spacing_px(&self) -> Option<f64> {
+        self.isolated_spacing
             .filter(|_| self.options.isolated_plants)
             .map(|apart| apart * self.evidence.factor as f64)
     }
 
     /// Reads what every row shows.
     pub(super) fn read(&mut self) {
-        let Scene { evidence, axes, ridges, options, .. } = self;
+        let RowEvidence { evidence, axes, curves, options, .. } = self;
         let across = Across::new(axes, options.across_sigma);
         self.profiles =
-            ridges.par_iter().map(|ridge| read(evidence, axes, ridge, &across)).collect();
+            curves.par_iter().map(|curve| read(evidence, axes, curve, &across)).collect();
         let profiles = &self.profiles;
         let votes: f64 = profiles.iter().flat_map(|profile| &profile.votes).sum();
         let places: usize = profiles.iter().map(|profile| profile.votes.len()).sum();
@@ -166,7 +166,7 @@ impl Scene {
     ) -> Vec<Chain<'_>> {
         let mass = self.mass * spacing.spacing / self.length.max(f64::MIN_POSITIVE);
         let RowModelOptions { vote_weight: votes, uncovered_weight: cover, .. } = self.options;
-        let votes = if self.whole().is_some() { WHOLE * votes } else { votes };
+        let votes = if self.isolated_spacing_px().is_some() { WHOLE * votes } else { votes };
         let weights = Weights { votes, cover, mean: self.mean, mass };
         rows.into_iter().map(|row| Chain::new(&self.profiles[row], spacing, &weights)).collect()
     }
@@ -186,13 +186,14 @@ impl Scene {
                 let mut score = f64::NEG_INFINITY;
                 for _ in 0..ROUNDS {
                     let chains = self.chains(&spacing, sample.iter().copied());
-                    let beta = match wanted {
+                    let plant_log_odds = match wanted {
                         Some(wanted) => bisect(&chains, wanted).unwrap_or(0.0),
                         None => self.options.plant_log_odds,
                     };
-                    let found: Vec<_> = chains.iter().map(|chain| chain.best(beta)).collect();
+                    let found: Vec<_> =
+                        chains.iter().map(|chain| chain.best(plant_log_odds)).collect();
                     let places: Vec<Vec<usize>> = found.iter().map(|f| f.0.clone()).collect();
-                    let own = beta * total(&places) as f64;
+                    let own = plant_log_odds * total(&places) as f64;
                     score = found.iter().map(|f| f.1).sum::<f64>() - own;
                     let refit = spacing.refit(&gaps(&places));
                     spacing = if self.options.estimate_jitter {
@@ -210,7 +211,7 @@ impl Scene {
 
     /// How many plants the rows are expected to have, from some of them: the number on those, their
     /// variance, and the share of all rows' length that they are.
-    pub(super) fn tally(&self, spacing: f64) -> Expected {
+    pub(super) fn stand_count(&self, spacing: f64) -> Result<Expected, LocateError> {
         let rows = self.sample(COUNTED);
         let profiles: Vec<&Profile> = rows.iter().map(|&row| &self.profiles[row]).collect();
         let places: usize = self.profiles.iter().map(|profile| profile.votes.len()).sum();
@@ -228,14 +229,14 @@ impl Scene {
             contrast: variance.sqrt(),
             cover: self.mass / (self.length * f64::from(2 * BAND + 1)).max(f64::MIN_POSITIVE),
         };
-        let tally = tally(&profiles, &overall, spacing);
+        let counts = stand_count(&profiles, &overall, spacing)?;
         let length: f64 = rows.iter().map(|&row| self.rows[row].length_px()).sum();
-        Expected {
-            count: tally.counts.iter().sum(),
-            variance: tally.variances.iter().sum(),
+        Ok(Expected {
+            count: counts.counts.iter().sum(),
+            variance: counts.variances.iter().sum(),
             share: length / self.length.max(f64::MIN_POSITIVE),
             rows,
-        }
+        })
     }
 
     /// The spacing under which the rows are likeliest, all sets of plants taken together.
@@ -254,7 +255,7 @@ impl Scene {
                 (chains.iter().map(|chain| chain.log_sum(worth, 1.0)).sum(), spacing)
             })
             .collect();
-        if let Some(apart) = self.apart {
+        if let Some(apart) = self.isolated_spacing {
             let within = ISLANDS[0] * apart..=ISLANDS[1] * apart;
             tried.retain(|(_, spacing)| within.contains(spacing));
         }
@@ -272,12 +273,12 @@ impl Scene {
 
     /// Looks at the leaves around all places, which are compared with those of these plants. Leaves around a place change
     /// slowly along a row: every other place is looked at, and stands for the one before it too.
-    pub(super) fn crowns(&mut self, places: &[Vec<usize>]) {
-        let crown = Crown::new(&self.evidence);
+    pub(super) fn compare_surroundings(&mut self, places: &[Vec<usize>]) {
+        let crown = LeafSurroundings::new(&self.evidence);
         let look = |row: usize, at: usize| {
             let profile = &self.profiles[row];
             let along = profile.start + at as f64 * STEP;
-            let across = self.ridges[row].offset(along) + profile.offsets[at];
+            let across = self.curves[row].offset(along) + profile.offsets[at];
             crown.at(self.axes.image([along, across]))
         };
         let all: Vec<Vec<_>> = (0..self.profiles.len())
@@ -292,17 +293,17 @@ impl Scene {
             .zip(&all)
             .flat_map(|(places, row)| places.iter().map(|&at| row[at / 2]))
             .collect();
-        let usual = Usual::new(&plants);
+        let usual = PlantBaseline::new(&plants);
         for (profile, row) in self.profiles.iter_mut().zip(&all) {
-            let judged: Vec<Judgement> = row.iter().map(|place| usual.judge(place)).collect();
-            profile.crowns = (0..profile.votes.len()).map(|at| judged[at / 2]).collect();
+            let judged: Vec<PlantScores> = row.iter().map(|place| usual.judge(place)).collect();
+            profile.surroundings = (0..profile.votes.len()).map(|at| judged[at / 2]).collect();
         }
     }
 
     /// The offset across its row of the best votes at a place.
     fn offset(&self, row: usize, at: f64, across: &Across) -> f64 {
         let along = self.profiles[row].start + at * STEP;
-        across.best(&self.evidence, along, self.ridges[row].offset(along)).1
+        across.best(&self.evidence, along, self.curves[row].offset(along)).1
     }
 
     /// The offsets of the plants of every row, under a normal weight of this scatter.
@@ -330,13 +331,13 @@ impl Scene {
 
     pub(super) fn image(&self, row: usize, at: f64, offset: f64) -> [f64; 2] {
         let along = self.profiles[row].start + at * STEP;
-        let across = self.ridges[row].offset(along) + offset;
+        let across = self.curves[row].offset(along) + offset;
         self.evidence.full(self.axes.image([along, across]))
     }
 }
 
-pub(super) fn best(chains: &[Chain<'_>], beta: f64) -> Vec<Vec<usize>> {
-    chains.par_iter().map(|chain| chain.best(beta).0).collect()
+pub(super) fn best(chains: &[Chain<'_>], plant_log_odds: f64) -> Vec<Vec<usize>> {
+    chains.par_iter().map(|chain| chain.best(plant_log_odds).0).collect()
 }
 
 pub(super) fn total(places: &[Vec<usize>]) -> usize {
@@ -362,7 +363,7 @@ const MOST_WORTH: f64 = 40.0;
 
 /// The least worth of a plant at which the chains have `count` of them, nearly.
 pub(super) fn bisect(chains: &[Chain<'_>], count: usize) -> Option<f64> {
-    let number = |beta: f64| total(&best(chains, beta));
+    let number = |plant_log_odds: f64| total(&best(chains, plant_log_odds));
     let (mut low, mut high) = (-MOST_WORTH, MOST_WORTH);
     // Usually it is near nothing.
     for near in [-6.0, 6.0] {
@@ -421,16 +422,16 @@ impl Across {
 }
 
 /// Reads the votes along a row.
-fn read(evidence: &Evidence, axes: &Axes, ridge: &Ridge, across: &Across) -> Profile {
-    let start = ridge.start - BEYOND;
-    let count = ((ridge.end + BEYOND - start) / STEP) as usize + 1;
+fn read(evidence: &Evidence, axes: &Axes, curve: &RowCurve, across: &Across) -> Profile {
+    let start = curve.start - BEYOND;
+    let count = ((curve.end + BEYOND - start) / STEP) as usize + 1;
     let mut votes = Vec::with_capacity(count);
     let mut offsets = Vec::with_capacity(count);
     let mut mass = vec![[0.0; 2]];
     let (mut sum, mut moment) = (0.0, 0.0);
     for k in 0..count {
         let along = start + k as f64 * STEP;
-        let middle = ridge.offset(along);
+        let middle = curve.offset(along);
         let (best, offset) = across.best(evidence, along, middle);
         votes.push(best);
         offsets.push(offset);
@@ -440,5 +441,5 @@ fn read(evidence: &Evidence, axes: &Axes, ridge: &Ridge, across: &Across) -> Pro
         moment += here * k as f64;
         mass.push([sum, moment]);
     }
-    Profile { start, votes, offsets, mass, crowns: Vec::new() }
+    Profile { start, votes, offsets, mass, surroundings: Vec::new() }
 }

@@ -9,8 +9,8 @@
 //! Positions in pixels of the whole mask, centre of the top-left pixel at (0, 0).
 
 use super::{
-    canopy::{self, RowModelOptions},
     locate::LocateError,
+    row_model::{self, RowModelOptions},
     rows::{Detection, Row, Rows},
     stand::Stalk,
 };
@@ -24,7 +24,7 @@ type Window = [usize; 4];
 /// `halo_px` on every side. By row, and along the row.
 ///
 /// # Errors
-/// As [`canopy::locate`], for the whole mask; a crop without rows or leaves has no plants.
+/// As [`row_model::locate`], for the whole mask; a crop without rows or leaves has no plants.
 /// [`SolveError::Misuse`] for crops of no size.
 pub fn locate(
     mask: &Mask,
@@ -84,7 +84,7 @@ fn crop(
         return Ok(Vec::new());
     }
     let local = Rows { axes, rows: inside.iter().map(|(_, row)| *row).collect(), ..rows.clone() };
-    let found = canopy::locate(&part, &Detection::Found(local), None, options)?;
+    let found = row_model::locate(&part, &Detection::Found(local), None, options)?;
     let place = |plant: Stalk| {
         let [u, v] = plant.position_px;
         let position_px = [u + shift[0], v + shift[1]];

@@ -5,11 +5,11 @@ use data_synth::scenario::{Preset, Scenario};
 use rowgram::{
     descent,
     phenotype::{
-        canopy::{self, RowModelOptions},
-        crops,
         locate::{self, Init, LocateError, Setup},
+        row_model::{self, RowModelOptions},
         rows::detect,
-        stand::Canopy,
+        stand::Stand,
+        tiles,
     },
     problems::plants::{Form, Model, index::PixelIndex},
     raster::Mask,
@@ -36,15 +36,15 @@ fn index(mask: &Mask) -> PixelIndex {
     PixelIndex::from_mask(mask.width, &mask.data)
 }
 
-fn try_find(mask: &Mask, count: Option<usize>) -> Result<Canopy, LocateError> {
-    canopy::locate(mask, &detect(&index(mask)), count, &RowModelOptions::default())
+fn try_find(mask: &Mask, count: Option<usize>) -> Result<Stand, LocateError> {
+    row_model::locate(mask, &detect(&index(mask)), count, &RowModelOptions::default())
 }
 
-fn find(mask: &Mask, count: Option<usize>) -> Canopy {
+fn find(mask: &Mask, count: Option<usize>) -> Stand {
     try_find(mask, count).unwrap()
 }
 
-fn positions(canopy: &Canopy) -> Vec<[f64; 2]> {
+fn positions(canopy: &Stand) -> Vec<[f64; 2]> {
     canopy.plants.iter().map(|plant| plant.position_px).collect()
 }
 
@@ -115,7 +115,7 @@ fn young_plants_that_stand_apart_are_found_by_their_mass() {
     let rows = detect(&index(&mask));
     let score = |apart: bool| {
         let options = RowModelOptions { isolated_plants: apart, ..RowModelOptions::default() };
-        let canopy = canopy::locate(&mask, &rows, None, &options).unwrap();
+        let canopy = row_model::locate(&mask, &rows, None, &options).unwrap();
         f1(&positions(&canopy), &truth)
     };
     let (apart, votes) = (score(true), score(false));
@@ -175,7 +175,7 @@ fn crops_have_the_same_plants_away_from_the_seams() {
     let options = RowModelOptions::default();
     let whole = positions(&find(&mask, None));
     let (crop_px, halo_px) = (160, 80);
-    let crops = crops::locate(&mask, &detection, &options, crop_px, halo_px).unwrap();
+    let crops = tiles::locate(&mask, &detection, &options, crop_px, halo_px).unwrap();
     let crops: Vec<[f64; 2]> = crops.iter().map(|plant| plant.position_px).collect();
     let away = |at: &&[f64; 2]| {
         at.iter().all(|x| {
@@ -188,11 +188,11 @@ fn crops_have_the_same_plants_away_from_the_seams() {
     assert!(same > 0.9, "{same}");
     assert!((crops.len() as f64 / whole.len() as f64 - 1.0).abs() < 0.05);
     // One crop is the whole mask.
-    let one = crops::locate(&mask, &detection, &options, 10_000, 0).unwrap();
+    let one = tiles::locate(&mask, &detection, &options, 10_000, 0).unwrap();
     let one: Vec<[f64; 2]> = one.iter().map(|plant| plant.position_px).collect();
     let same = Score::new(&one, &whole, &[0.01]).unwrap().radii[0].f1.unwrap();
     assert!(same > 0.99, "{same}");
-    let empty = crops::locate(&Mask::empty(9, 9), &detection, &options, 64, 8);
+    let empty = tiles::locate(&Mask::empty(9, 9), &detection, &options, 64, 8);
     assert_eq!(empty, Err(LocateError::EmptyMask));
 }
 

@@ -1,10 +1,10 @@
-//! How long the gaps between the plants of a row are: [`renewal`](super::super::renewal)'s density with the doubles of
-//! [`tally`](super), re-estimated from expected numbers of gaps instead of gaps.
+//! How long the gaps between the plants of a row are: [`plant_spacing`](super::super::plant_spacing)'s density with the doubles of
+//! the [stand count](super), re-estimated from expected numbers of gaps instead of gaps.
 
 use super::STEP;
 use std::f64::consts::TAU;
 
-/// Missing plants in a row that are thought possible.
+/// Gap plants in a row that are thought possible.
 pub(super) const MOST: usize = 6;
 
 /// What is expected of the gaps before any is seen, and how many gaps that weighs.
@@ -14,11 +14,15 @@ const DOUBLES: (f64, f64) = (0.03, 2000.0);
 
 /// Spacing, relative jitter, share of places without a plant, share of gaps between two in one place.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Gaps {
-    pub(super) spacing: f64,
-    pub(super) jitter: f64,
-    pub(super) missing: f64,
-    pub(super) doubles: f64,
+pub struct Gaps {
+    /// Distance of neighbouring plants, in pixels of the reduced grid.
+    pub spacing: f64,
+    /// Standard deviation of that distance over it.
+    pub jitter: f64,
+    /// Share of places without a plant.
+    pub missing: f64,
+    /// Share of gaps between two plants in one place.
+    pub doubles: f64,
 }
 
 fn normal(x: f64, mean: f64, variance: f64) -> f64 {

@@ -12,7 +12,7 @@
 use serde::Serialize;
 use std::f64::consts::TAU;
 
-/// Missing plants in a row that are thought possible.
+/// Gap plants in a row that are thought possible.
 const MOST: usize = 6;
 /// Relative jitter expected, and how many gaps that expectation weighs.
 const JITTER: (f64, f64) = (0.15, 100.0);

@@ -1,6 +1,6 @@
 //! How many plants a row holds, by a conditional random field over their places.
 //!
-//! The best plants of a row ([`super::chain`]) are good places and a poor count: where evidence is weak,
+//! The best plants of a row ([`super::dynamic_programming`]) are good places and a poor count: where evidence is weak,
 //! a plant's probability is spread over many places and the best set leaves it out. The count is
 //! therefore the expected one. Sets of plants `x_1 < x_2 < ...` on a row have probabilities
 //! proportional to
@@ -15,49 +15,27 @@
 //! among them, which no other score of places promises.
 //!
 //! The spacing enters `g` and is re-estimated from the expected gaps, a few times, under weak priors.
-//! Lengths in pixels of the reduced grid; weights were fitted by `experiments/examples/fit_tally.rs`.
+//! Lengths in pixels of the reduced grid; the weights are those of `weights.csv`, which `experiments
+//! fit-stand-count` makes.
 //!
 //! Reference: J. Lafferty, A. McCallum and F. Pereira, "Conditional random fields: probabilistic models
 //! for segmenting and labeling sequence data", ICML 2001.
 
-mod gaps;
+mod gap_lengths;
+mod weights;
 
-use super::chain::{Profile, STEP, log_sum_exp};
-use gaps::{Gaps, MOST};
+use super::dynamic_programming::{Profile, STEP, log_sum_exp};
+use crate::engine::SolveError;
+pub use gap_lengths::Gaps;
+use gap_lengths::MOST;
 use rayon::prelude::*;
+pub use weights::{PAIR_FEATURES, PLACE_FEATURES};
+use weights::{Weights, fitted};
 
-/// Features of a place and of two neighbours.
-const PLACE: usize = 27;
-const PAIR: usize = 11;
-/// Weights of the features.
-struct Weights {
-    places: [f64; PLACE],
-    pairs: [f64; PAIR],
-}
-
-/// Fitted to fields whose spacing is known exactly: these estimate the spacing.
-const OF_SPACING: Weights = Weights {
-    places: [
-        0.3139, 7.1403, 0.4479, -1.3912, 1.7317, 0.4322, 2.8407, 0.1436, -1.6485, -1.0477, -0.4849,
-        0.0050, 0.0201, 0.2635, -0.4093, 0.1609, 0.0901, 0.1519, 0.1816, -0.0688, 0.1057, -0.7973,
-        -0.2622, 0.6610, 0.0596, -0.3144, -0.6479,
-    ],
-    pairs: [
-        1.1749, -7.7783, 0.8010, 0.1760, -0.4838, -0.6636, -0.6691, -2.9021, 0.2716, 3.0120, 1.1154,
-    ],
-};
-/// Fitted to the same fields with the spacings that [`OF_SPACING`] finds: these count.
-const OF_COUNT: Weights = Weights {
-    places: [
-        0.8268, 5.8393, 0.5607, -5.0621, 3.1885, 0.5944, 7.5578, -1.4987, -2.1064, 0.0439, -1.8703,
-        2.4775, 0.8410, 1.6150, -1.6674, 0.6621, 0.1287, 0.8197, 0.7548, -1.9731, 0.2797, -2.6734,
-        -0.7400, 0.6347, -0.1333, -0.3123, -0.2417,
-    ],
-    pairs: [
-        0.9664, -3.5953, 0.8387, 0.2414, -1.8701, -0.8587, -0.8732, -6.0671, -2.4642, 0.9745,
-        1.8289,
-    ],
-};
+/// Number of features of a place.
+pub const PLACE: usize = 27;
+/// Number of features of two neighbours.
+pub const PAIR: usize = 11;
 /// Half the width of the surroundings that votes are compared with, in steps.
 const AROUND: usize = 60;
 /// Weight of the whole field in that comparison.
@@ -90,7 +68,7 @@ pub struct Overall {
 
 /// What is expected of some rows.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Tally {
+pub struct RowCounts {
     /// Expected number of plants of each row.
     pub counts: Vec<f64>,
     /// Variance of each.
@@ -128,7 +106,7 @@ impl Lattice {
         Lattice { own, first, last, pairs }
     }
 
-    fn sums(&self, beta: f64) -> Sums {
+    fn sums(&self, plant_log_odds: f64) -> Sums {
         let count = self.own.len();
         let (mut ahead, mut behind, mut terms) = (vec![0.0; count], vec![0.0; count], Vec::new());
         for at in 0..count {
@@ -136,7 +114,7 @@ impl Lattice {
             terms.push(self.first[at]);
             let links = self.pairs[at].iter().enumerate().skip(2);
             terms.extend(links.map(|(gap, score)| ahead[at - gap] + score));
-            ahead[at] = log_sum_exp(&terms) + self.own[at] + beta;
+            ahead[at] = log_sum_exp(&terms) + self.own[at] + plant_log_odds;
         }
         let longest = self.pairs.iter().map(Vec::len).max().unwrap_or(0);
         for at in (0..count).rev() {
@@ -145,7 +123,7 @@ impl Lattice {
             for gap in 2..longest.min(count - at) {
                 let next = at + gap;
                 if let Some(score) = self.pairs[next].get(gap) {
-                    terms.push(behind[next] + self.own[next] + beta + score);
+                    terms.push(behind[next] + self.own[next] + plant_log_odds + score);
                 }
             }
             behind[at] = log_sum_exp(&terms);
@@ -155,9 +133,9 @@ impl Lattice {
         Sums { all: log_sum_exp(&terms), ahead, behind }
     }
 
-    /// The expected number of plants if each were worth `beta` more.
-    fn count(&self, beta: f64) -> f64 {
-        let Sums { ahead, behind, all } = self.sums(beta);
+    /// The expected number of plants if each were worth `plant_log_odds` more.
+    fn count(&self, plant_log_odds: f64) -> f64 {
+        let Sums { ahead, behind, all } = self.sums(plant_log_odds);
         ahead.iter().zip(&behind).map(|(a, b)| (a + b - all).exp()).sum()
     }
 
@@ -205,7 +183,7 @@ fn mean_around(sums: &[f64], at: usize, reach: usize) -> f64 {
 
 /// How many standard deviations of plants there is less leaf around a place than around plants, and more.
 fn crown(profile: &Profile, at: usize) -> [f64; 2] {
-    let score = profile.crowns.get(at).map_or(0.0, |crown| crown.score);
+    let score = profile.surroundings.get(at).map_or(0.0, |crown| crown.score);
     [score.clamp(CROWNS[0], 0.0), score.clamp(0.0, CROWNS[1])]
 }
 
@@ -373,13 +351,21 @@ impl<'p> Pairs<'p> {
     }
 }
 
-/// The expected number of plants of rows that are about `spacing` apart in them.
-pub fn tally(profiles: &[&Profile], overall: &Overall, spacing: f64) -> Tally {
+/// The expected number of plants of rows whose plants are about `spacing` apart.
+///
+/// # Errors
+/// [`SolveError::Misuse`] where the file of weights is damaged.
+pub fn stand_count(
+    profiles: &[&Profile],
+    overall: &Overall,
+    spacing: f64,
+) -> Result<RowCounts, SolveError> {
+    let weights = fitted().map_err(SolveError::Misuse)?;
     let mut gaps = Gaps::new(spacing);
     for _ in 0..ROUNDS {
         let parts: Vec<Vec<f64>> = profiles
             .par_iter()
-            .map(|profile| Lattice::new(profile, overall, &gaps, &OF_SPACING).gaps())
+            .map(|profile| Lattice::new(profile, overall, &gaps, &weights.of_spacing).gaps())
             .collect();
         let mut expected = vec![0.0; parts.iter().map(Vec::len).max().unwrap_or(0)];
         for part in parts {
@@ -387,17 +373,43 @@ pub fn tally(profiles: &[&Profile], overall: &Overall, spacing: f64) -> Tally {
         }
         gaps = gaps.refit(&expected);
     }
-    /// The variance of a count is its derivative by the worth of a plant.
-    const APART: f64 = 0.05;
+    /// The variance of a count is its derivative by the log odds of a plant.
+    const STEP_OF_ODDS: f64 = 0.05;
     let (counts, variances) = profiles
         .par_iter()
         .map(|profile| {
-            let lattice = Lattice::new(profile, overall, &gaps, &OF_COUNT);
-            let [less, more] = [-APART, APART].map(|beta| lattice.count(beta));
-            (lattice.count(0.0), ((more - less) / (2.0 * APART)).max(0.0))
+            let lattice = Lattice::new(profile, overall, &gaps, &weights.of_count);
+            let [less, more] = [-STEP_OF_ODDS, STEP_OF_ODDS].map(|odds| lattice.count(odds));
+            (lattice.count(0.0), ((more - less) / (2.0 * STEP_OF_ODDS)).max(0.0))
         })
         .unzip();
-    Tally { counts, variances }
+    Ok(RowCounts { counts, variances })
+}
+
+/// The features of every place of a row, named by [`PLACE_FEATURES`].
+pub fn place_features(profile: &Profile, overall: &Overall, gaps: &Gaps) -> Vec<[f64; PLACE]> {
+    places(profile, &heights(profile, overall.mean), overall, gaps)
+}
+
+/// The features of plants at two places of a row, named by [`PAIR_FEATURES`]; `None` for places that are too far apart or
+/// less than two steps.
+///
+/// # Errors
+/// [`SolveError::Misuse`] where the file of weights is damaged.
+pub fn pair_features(
+    profile: &Profile,
+    overall: &Overall,
+    gaps: &Gaps,
+    [from, to]: [usize; 2],
+) -> Result<Option<[f64; PAIR]>, SolveError> {
+    let weights = fitted().map_err(SolveError::Misuse)?;
+    let heights = heights(profile, overall.mean);
+    let pairs = Pairs::new(profile, &heights, overall, gaps, &weights.of_count);
+    let near = to >= from + 2 && to < heights.len() && to - from < pairs.of_gap.len();
+    Ok(near.then(|| {
+        let valley = heights[from + 1..to].iter().copied().fold(f64::INFINITY, f64::min);
+        pairs.features(from, to, valley)
+    }))
 }
 
 #[cfg(test)]
@@ -417,7 +429,7 @@ mod tests {
             let here = 0.5 + 0.1 * (k % 5) as f64;
             mass.push([sum + here, moment + here * k as f64]);
         }
-        Profile { start: 0.0, offsets: vec![0.0; votes.len()], votes, mass, crowns: vec![] }
+        Profile { start: 0.0, offsets: vec![0.0; votes.len()], votes, mass, surroundings: vec![] }
     }
 
     const OVERALL: Overall =
@@ -427,10 +439,10 @@ mod tests {
     #[test]
     fn expected_counts_and_gaps_agree_with_brute_force() {
         let profile = profile(15);
-        let lattice = Lattice::new(&profile, &OVERALL, &GAPS, &OF_COUNT);
+        let lattice = Lattice::new(&profile, &OVERALL, &GAPS, &fitted().unwrap().of_count);
         let heights = heights(&profile, OVERALL.mean);
-        let pairs = Pairs::new(&profile, &heights, &OVERALL, &GAPS, &OF_COUNT);
-        for beta in [0.0, 0.7] {
+        let pairs = Pairs::new(&profile, &heights, &OVERALL, &GAPS, &fitted().unwrap().of_count);
+        for plant_log_odds in [0.0, 0.7] {
             let (mut all, mut number, mut gaps) = (0.0, 0.0, [0.0; 15]);
             for set in 1_u32..1 << 15 {
                 let places: Vec<usize> = (0..15).filter(|k| set >> k & 1 == 1).collect();
@@ -438,14 +450,18 @@ mod tests {
                 {
                     continue;
                 }
-                let own: f64 = places.iter().map(|&at| lattice.own[at] + beta).sum();
+                let own: f64 = places.iter().map(|&at| lattice.own[at] + plant_log_odds).sum();
                 let links: f64 = places
                     .windows(2)
                     .map(|w| {
                         let valley = heights[w[0] + 1..w[1]].iter().copied();
                         let valley = valley.fold(f64::INFINITY, f64::min);
                         let features = pairs.features(w[0], w[1], valley);
-                        features.iter().zip(OF_COUNT.pairs).map(|(f, w)| f * w).sum::<f64>()
+                        features
+                            .iter()
+                            .zip(fitted().unwrap().of_count.pairs)
+                            .map(|(f, w)| f * w)
+                            .sum::<f64>()
                     })
                     .sum();
                 let ends = pairs.end(places[0], true) + pairs.end(places[places.len() - 1], false);
@@ -454,8 +470,12 @@ mod tests {
                 number += weight * places.len() as f64;
                 places.windows(2).for_each(|w| gaps[w[1] - w[0]] += weight);
             }
-            approx::assert_relative_eq!(lattice.count(beta), number / all, epsilon = 1e-9);
-            if beta == 0.0 {
+            approx::assert_relative_eq!(
+                lattice.count(plant_log_odds),
+                number / all,
+                epsilon = 1e-9
+            );
+            if plant_log_odds == 0.0 {
                 for (fast, slow) in lattice.gaps().iter().zip(gaps) {
                     approx::assert_relative_eq!(*fast, slow / all, epsilon = 1e-9);
                 }
