@@ -1,12 +1,30 @@
 //! `rowgram ortho`, `query` and `dem` on small worlds whose photos are drawn by a formula of their own.
 
 use crate::program::rowgram;
+use data_synth::{
+    camera::{Camera as TwinCamera, CameraConfig},
+    flight::Shot,
+    twin::{FlightPreset, TwinConfig},
+};
 use rowgram::{
-    io::geotiff::{Colour, Layout, Reader, write},
+    camera::Camera,
+    io::{
+        geotiff::{Colour, Layout, Reader, write},
+        poses::from_angles_rad,
+    },
+    mapping::{Surface, surface::HeightInterpolation},
+    monitor::Collector,
+    options::Auto,
+    pipeline::{
+        Project,
+        ortho::{OrthoOptions, ortho},
+        query::query,
+    },
     raster::{
         georeference::{Crs, Georeference},
         window::Window,
     },
+    scene::{HorizontalFrame, Image, LengthUnit, Pose, Reconstruction, ReferenceFrame},
 };
 use std::{fs, path::Path};
 
@@ -89,8 +107,7 @@ impl World {
     }
 }
 
-const GIVEN: &str =
-    "ortho --poses poses.csv --camera camera.yaml --photos images --dem dem.tif --gsd 0.2 -q";
+const GIVEN: &str = "ortho --poses poses.csv --camera camera.yaml --photos images --dem dem.tif --gsd-m 0.2 --canopy-height-m 0 -q";
 
 struct Mosaic {
     place: Georeference,
@@ -200,9 +217,12 @@ fn every_cell_comes_from_the_closest_camera_that_shows_it() {
 fn results_do_not_depend_on_threads_or_room() {
     let folder = tempfile::tempdir().unwrap();
     World { slope: 0.05, exposure: [1.0, 0.9, 1.05] }.build(folder.path());
-    for options in ["", "--feather 2 --balance --visibility --interpolation bicubic"] {
+    for options in ["", "--feather-m 2 --balance --visibility-m 0.05 --interpolation bicubic"] {
         run(folder.path(), &format!("{GIVEN} {options} -o a.tif --force"));
-        run(folder.path(), &format!("{GIVEN} {options} -o b.tif --force --threads 1 --memory 0"));
+        run(
+            folder.path(),
+            &format!("{GIVEN} {options} -o b.tif --force --threads 1 --memory-mb 0"),
+        );
         for name in [".tif", "_provenance.tif"] {
             let read =
                 |which: &str| fs::read(folder.path().join(format!("{which}{name}"))).unwrap();
@@ -218,10 +238,8 @@ fn a_mosaic_knows_the_photo_pixel_behind_each_place_and_back() {
     world.build(folder.path());
     run(folder.path(), &format!("{GIVEN} -o ortho.tif"));
     let (x, y) = (7.31, -3.27);
-    let text = run(
-        folder.path(),
-        &format!("query ortho {} {} --map ortho.tif --json", EAST_M + x, NORTH_M + y),
-    );
+    let text =
+        run(folder.path(), &format!("query ortho.tif --at {},{} --json", EAST_M + x, NORTH_M + y));
     let found: serde_json::Value = serde_json::from_str(&text).unwrap();
     assert_eq!(found["image"], "p1.png");
     let pixel = [found["u_px"].as_f64().unwrap(), found["v_px"].as_f64().unwrap()];
@@ -229,12 +247,13 @@ fn a_mosaic_knows_the_photo_pixel_behind_each_place_and_back() {
     for k in 0..2 {
         approx::assert_abs_diff_eq!(pixel[k], expected[k], epsilon = 1e-5);
     }
-    let arguments = format!("query photo p1.png {} {} --map ortho.tif --json", pixel[0], pixel[1]);
+    let arguments =
+        format!("query ortho.tif --photo p1.png --pixel {},{} --json", pixel[0], pixel[1]);
     let back: serde_json::Value = serde_json::from_str(&run(folder.path(), &arguments)).unwrap();
     approx::assert_abs_diff_eq!(back["x_m"].as_f64().unwrap(), EAST_M + x, epsilon = 1e-5);
     approx::assert_abs_diff_eq!(back["y_m"].as_f64().unwrap(), NORTH_M + y, epsilon = 1e-5);
     assert_eq!(back["is_source"], true);
-    let outside = rowgram(folder.path(), "query ortho 0 0 --map ortho.tif");
+    let outside = rowgram(folder.path(), "query ortho.tif --at 0,0");
     assert_eq!(outside.code, 2, "{}", outside.stderr);
     assert!(outside.stderr.contains("does not show"), "{}", outside.stderr);
 }
@@ -258,7 +277,7 @@ fn feathering_and_balance_take_the_step_out_of_a_seam() {
     };
     run(folder.path(), &format!("{GIVEN} -o plain.tif"));
     run(folder.path(), &format!("{GIVEN} -o balanced.tif --balance"));
-    run(folder.path(), &format!("{GIVEN} -o feathered.tif --feather 4"));
+    run(folder.path(), &format!("{GIVEN} -o feathered.tif --feather-m 4"));
     let (plain, balanced, feathered) =
         (step("plain.tif"), step("balanced.tif"), step("feathered.tif"));
     assert!((plain - 0.2).abs() < 0.02, "{plain}");
@@ -271,9 +290,11 @@ fn feathering_and_balance_take_the_step_out_of_a_seam() {
 fn frames_have_a_map_each() {
     let folder = tempfile::tempdir().unwrap();
     LEVEL.build(folder.path());
-    let text = run(folder.path(), &format!("{GIVEN} --frames -o frames --json"));
+    let text = run(folder.path(), &format!("{GIVEN} --frames -o ortho.tif --json"));
     let report: serde_json::Value = serde_json::from_str(&text).unwrap();
-    assert_eq!(report["maps"].as_array().unwrap().len(), 3);
+    assert_eq!(report["frames"].as_array().unwrap().len(), 3);
+    assert_eq!(report["frames"][2]["file"], "frames/p2_ortho.tif");
+    assert_eq!(report["file"], "ortho.tif");
     let one = Mosaic::read(&folder.path().join("frames/p2_ortho.tif"));
     let coloured = one.cells().filter(|(_, rgba, _)| rgba[3] == 255).count();
     // 120 x 90 pixels of 0.2 m each.
@@ -299,11 +320,11 @@ fn what_is_wrong_with_the_input_is_said() {
     };
     refused(&format!("{given} --dem degrees.tif"), "degrees");
     refused(&format!("{given} --dem far.tif"), "no photo shows any of the surface");
-    refused(&format!("{given} --dem zone.tif --epsg 32616"), "EPSG:32617");
+    refused(&format!("{given} --dem zone.tif --crs EPSG:32616"), "EPSG:32617");
     refused(&format!("{given} --dem images/p0.png"), "p0.png");
-    refused(&given, "there is no surface");
+    refused(&given, "--dem names the surface");
     refused(&format!("{GIVEN} --only p7.png"), "p7.png\" has no pose");
-    refused(&format!("{GIVEN} --max-angle 95"), "less than 90");
+    refused(&format!("{GIVEN} --max-angle-deg 95"), "from 0.1 to 89.9");
     refused(&GIVEN.replace("--photos images", "--photos ."), "there is no photo \"p0.png\"");
     refused("ortho --poses poses.csv --camera camera.yaml --dem dem.tif", "--photos");
     refused("ortho nothing", "rowgram align");
@@ -312,7 +333,12 @@ fn what_is_wrong_with_the_input_is_said() {
     // A surface that ends within the photos: what it does not cover has no colour.
     let cut = rowgram(at, &format!("{given} --dem half.tif -o half_ortho.tif").replace(" -q", ""));
     assert_eq!(cut.code, 0, "{}", cut.stderr);
-    assert!(cut.stderr.contains("2 of 3 photos reach beyond the surface"), "{}", cut.stderr);
+    assert!(
+        cut.stderr
+            .contains("edges of 2 of 3 photos extend beyond the surface and stay transparent"),
+        "{}",
+        cut.stderr
+    );
     let half = Mosaic::read(&at.join("half_ortho.tif"));
     assert!(half.cells().all(|([x, _], rgba, _)| rgba[3] == 0 || x <= 4.0 + 1e-9));
     let again = rowgram(at, &format!("{given} --dem half.tif -o half_ortho.tif"));
@@ -364,13 +390,13 @@ fn heights_keep_the_code_of_their_datum() {
     let at = folder.path();
     LEVEL.build(at);
     let of = |name: &str| Reader::open(&at.join(name)).unwrap().georeference().unwrap().crs;
-    run(at, &format!("{GIVEN} --vertical-epsg 5773 -o given.tif"));
+    run(at, &format!("{GIVEN} --vertical-crs 5773 -o given.tif"));
     assert_eq!((of("given.tif").epsg, of("given.tif").vertical_epsg), (Some(32616), Some(5773)));
     let known = Crs { vertical_epsg: Some(5703), ..Crs::projected(32616) };
     LEVEL.dem(&at.join("dem.tif"), [-20.0, 15.0], [61, 31], known);
     run(at, &format!("{GIVEN} -o from_dem.tif"));
     assert_eq!(of("from_dem.tif"), known);
-    let other = rowgram(at, &format!("{GIVEN} --vertical-epsg 5773 -o other.tif"));
+    let other = rowgram(at, &format!("{GIVEN} --vertical-crs 5773 -o other.tif"));
     assert!(other.code == 2 && other.stderr.contains("EPSG:5703"), "{}", other.stderr);
 }
 
@@ -411,7 +437,7 @@ fn points_become_a_surface_with_its_ground_and_uncertainty() {
     fs::write(at.join("points.csv"), csv).unwrap();
     let text = run(
         at,
-        "dem --points points.csv --epsg 32616 --cell 0.25 --ground --ground-cell 1.5 -o dem.tif --figures pictures --json -q",
+        "dem --points points.csv --crs EPSG:32616 --cell-m 0.25 --ground --ground-cell-m 1.5 -o dem.tif --figures pictures --json -q",
     );
     let report: serde_json::Value = serde_json::from_str(&text).unwrap();
     assert!(report["outliers"].as_array().unwrap().contains(&1500.into()), "{report}");
@@ -436,4 +462,142 @@ fn points_become_a_surface_with_its_ground_and_uncertainty() {
     assert!(at.join("pictures/hillshade.png").is_file() && at.join("pictures/sigma.png").is_file());
     let none = rowgram(at, "dem --points points.csv -o dem.tif");
     assert!(none.code == 2 && none.stderr.contains("--force"), "{}", none.stderr);
+}
+
+/// Photos of two flights with two wide lenses and rolling shutters, as one reconstruction in the files of a project, and
+/// what the twin says of each photo.
+fn two_wide_cameras(root: &Path) -> Vec<(Shot, TwinCamera)> {
+    let config = |degree: f64| {
+        let mut config = TwinConfig::preset(FlightPreset::Small);
+        config.field.rows = 6;
+        config.field.row_length_m = 6.0;
+        config.field.plots = Default::default();
+        config.camera = CameraConfig::wide(600, 450, 260.0);
+        config.camera.k1 *= degree;
+        config.camera.xp_px *= -degree;
+        config.flight.height_m = 8.0;
+        config.flight.margin_m = -1.0;
+        (config.flight.strips, config.flight.photos_per_strip) = (2, 2);
+        (config.flight.speed_m_s, config.flight.readout_seconds) = (2.0, 0.02);
+        config.flight.turn_rate_deg_s = 2.0;
+        config.tie_points.per_photo = 20;
+        config
+    };
+    let mut scene = Reconstruction {
+        reference: ReferenceFrame {
+            horizontal: HorizontalFrame::Unnamed,
+            unit: LengthUnit::Metre,
+            ..ReferenceFrame::default()
+        },
+        tie_sigma_px: 0.5,
+        ..Reconstruction::default()
+    };
+    let mut truth = Vec::new();
+    fs::create_dir(root.join("images")).unwrap();
+    for (number, degree) in [1.0, 0.8].into_iter().enumerate() {
+        let twin = config(degree).build().unwrap();
+        let mut toml = Vec::new();
+        data_synth::files::camera(&twin, &mut toml).unwrap();
+        let mut camera = Camera::from_toml(&String::from_utf8(toml).unwrap()).unwrap();
+        camera.name = format!("wide {number}");
+        scene.cameras.push(camera);
+        for (k, shot) in twin.shots.iter().enumerate() {
+            let name = format!("c{number}_{k}.png");
+            let back = |v: [f64; 3]| -> [f64; 3] {
+                std::array::from_fn(|i| (0..3).map(|j| shot.rotation[j][i] * v[j]).sum())
+            };
+            let [turn, shift] = [shot.turn_rad_s, shot.velocity_m_s]
+                .map(|rate| back(rate).map(|part| -part * shot.readout_s));
+            let [omega, phi, kappa] = shot.angles_rad();
+            scene.images.push(Image {
+                name: name.clone(),
+                id: scene.images.len() as u32 + 1,
+                camera: number,
+                pose: Pose::from_centre(from_angles_rad([omega, phi, kappa]), shot.centre_m),
+                motion: [turn[0], turn[1], turn[2], shift[0], shift[1], shift[2]],
+                expected_motion: [0.0; 6],
+            });
+            image::RgbImage::from_pixel(600, 450, image::Rgb([90, 120, 60]))
+                .save(root.join("images").join(name))
+                .unwrap();
+            truth.push((shot.clone(), twin.camera.clone()));
+        }
+    }
+    let folder = root.join("rowgram/align");
+    fs::create_dir_all(&folder).unwrap();
+    rowgram::io::reconstruction::write(&folder, &scene, false).unwrap();
+    truth
+}
+
+#[test]
+fn wide_lenses_of_two_cameras_are_right_to_a_fiftieth_of_a_pixel() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    let truth = two_wide_cameras(root);
+    let centre = truth[0].0.centre_m.map(f64::floor);
+    let (side, size) = (0.25, [120, 120]);
+    let place = Georeference::north_up([centre[0] - 15.0, centre[1] + 15.0], side, Crs::LOCAL);
+    let wave = |k: usize| {
+        ((k % size[0]) as f32 * 0.2).sin() * 0.3 + ((k / size[0]) as f32 * 0.1).cos() * 0.2
+    };
+    let ground = centre[2] as f32 - 8.0;
+    let z: Vec<f32> = (0..size[0] * size[1]).map(|k| ground + wave(k)).collect();
+    let layout = Layout {
+        width: size[0],
+        height: size[1],
+        colour: Colour::Values,
+        georeference: Some(place),
+        nodata: None,
+    };
+    write::<f32, rowgram::Error>(&root.join("relief.tif"), false, &layout, |writer| {
+        Ok(writer.put(Window::whole(size[0], size[1]), &z)?)
+    })
+    .unwrap();
+    let surface = Surface::new(place, size, z, HeightInterpolation::Bilinear).unwrap();
+    let project = Project::open(root).unwrap();
+    let options = OrthoOptions {
+        canopy_height_m: Auto::Given(0.0),
+        gsd_m: Some(0.03),
+        dem: Some("relief.tif".into()),
+        ..OrthoOptions::default()
+    };
+    let mut found = Collector::default();
+    let outcome = ortho(&project, &options, &mut found).unwrap();
+    let mosaic = root.join("rowgram/ortho").join(&outcome.mosaic.file);
+    let reader = Reader::open(&mosaic.with_file_name("ortho_provenance.tif")).unwrap();
+    let grid = reader.georeference().unwrap();
+    let records = reader.read::<f32>(Window::whole(reader.width(), reader.height())).unwrap();
+    let (mut squared, mut largest, mut of_camera, mut far) = (0.0, 0.0f64, [0, 0], 0);
+    for (k, record) in records.chunks_exact(5).enumerate().filter(|(_, record)| record[0] >= 0.0) {
+        let [x, y] = grid.map([(k % reader.width()) as f64, (k / reader.width()) as f64]);
+        let photo = record[0] as usize;
+        let (shot, camera) = &truth[photo];
+        let point = [x, y, surface.at([x, y]).unwrap()];
+        let Some([u, v]) = shot.project(camera, point) else { panic!("{photo} {x} {y}") };
+        let off = (f64::from(record[1]) - u).hypot(f64::from(record[2]) - v);
+        squared += off * off;
+        largest = largest.max(off);
+        of_camera[usize::from(photo >= truth.len() / 2)] += 1;
+        far += usize::from((u - 300.0).hypot(v - 225.0) > 300.0);
+    }
+    let count = of_camera[0] + of_camera[1];
+    assert!(of_camera.iter().all(|&cells| cells > 20_000), "{of_camera:?}");
+    assert!(far > 1000, "only {far} cells come from the corners of photos");
+    let rms = (squared / f64::from(count)).sqrt();
+    println!("{count} cells: {rms:.5} px rms, at most {largest:.5} px");
+    assert!(rms < 0.005 && largest < 0.02, "{rms} px rms, at most {largest} px");
+    // The same again without doing it, and a project without scale is refused.
+    let mut again = Collector::default();
+    assert_eq!(ortho(&project, &options, &mut again).unwrap(), outcome);
+    assert!(again.diagnostics.iter().any(|found| found.code == "stage-kept"));
+    let origins = query(&project, None).unwrap();
+    let [x, y] = grid.map([0.5 * reader.width() as f64, 0.5 * reader.height() as f64]);
+    let pixel = origins.photo_pixel([x, y]).unwrap();
+    let back = origins.map_position(&pixel.image, [pixel.u_px, pixel.v_px]).unwrap();
+    assert!((back.x_m - x).hypot(back.y_m - y) < 1e-6, "{back:?}");
+    let path = root.join("rowgram/align/reconstruction.json");
+    let text = fs::read_to_string(&path).unwrap();
+    fs::write(&path, text.replace("\"unit\": \"metre\"", "\"unit\": \"arbitrary\"")).unwrap();
+    let error = ortho(&project, &options, &mut again).unwrap_err().to_string();
+    assert!(error.contains("no scale"), "{error}");
 }

@@ -11,6 +11,7 @@ mod dem;
 mod doctor;
 mod evaluate;
 mod features;
+mod import;
 mod leaf_count;
 mod leaf_density;
 mod leaves;
@@ -18,6 +19,7 @@ mod locate;
 mod options;
 mod ortho;
 mod project;
+mod query;
 mod report;
 mod run;
 mod segment;
@@ -74,7 +76,7 @@ enum Verb {
     Camera(camera::CameraArgs),
     Dem(Box<dem::Args>),
     Ortho(Box<ortho::Args>),
-    Query(ortho::query::Query),
+    Query(query::Args),
     Synth(synth::Args),
     Locate(Box<locate::Args>),
     Segment(segment::Args),
@@ -133,7 +135,7 @@ fn dispatch(verb: Verb) -> Result<(), Error> {
         Verb::Camera(args) => args.run(),
         Verb::Dem(args) => dem::run(&args),
         Verb::Ortho(args) => ortho::run(&args),
-        Verb::Query(verb) => verb.run(),
+        Verb::Query(args) => query::run(&args),
         Verb::Synth(args) => synth::run(&args),
         Verb::Locate(args) => locate::run(&args),
         Verb::Segment(args) => segment::run(&args),

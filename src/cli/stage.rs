@@ -83,11 +83,7 @@ impl Target {
         of: fn(&Config) -> &O,
         text: impl FnOnce(&R) -> String,
     ) -> Result<(), Error> {
-        let config = Config::read(&self.input, std::env::vars(), &[])?;
-        let mut project = Project::new(&self.input, config)?;
-        if let Some(results) = &self.output {
-            project = project.with_results(results);
-        }
+        let project = open(&self.input, self.output.as_deref())?;
         let options = given.over(of(project.config()))?;
         if self.force {
             project.records().forget(stage)?;
@@ -104,19 +100,44 @@ impl Target {
         work: impl FnOnce(&mut dyn Monitor) -> Result<O, Error>,
         text: impl FnOnce(&O) -> String,
     ) -> Result<(), Error> {
-        let mut terminal = Terminal::new();
-        let mut recorder = Recorder::new(&mut terminal);
-        let outcome = work(&mut recorder)?;
-        let diagnostics = recorder.diagnostics;
-        if self.json {
-            print_json(&Shown { outcome: &outcome, diagnostics: &diagnostics })?;
-        } else {
-            tracing::info!("{}", text(&outcome));
-        }
-        match diagnostics.iter().find(|found| found.severity == Severity::Error) {
-            Some(found) => Err(Error::Incomplete(found.to_string())),
-            None => Ok(()),
-        }
+        present(self.json, work, text)
+    }
+}
+
+/// The project in a folder, with the settings of its file and of the environment.
+///
+/// # Errors
+/// A folder that is none, settings that cannot be understood.
+pub(super) fn open(root: &Path, results: Option<&Path>) -> Result<Project, Error> {
+    let config = Config::read(root, std::env::vars(), &[])?;
+    let project = Project::new(root, config)?;
+    Ok(match results {
+        Some(folder) => project.with_results(folder),
+        None => project,
+    })
+}
+
+/// Does some work with the terminal as listener and presents what came of it.
+///
+/// # Errors
+/// As the work; [`Error::Incomplete`] where a diagnostic says that the result should not be used.
+pub(super) fn present<O: Serialize>(
+    json: bool,
+    work: impl FnOnce(&mut dyn Monitor) -> Result<O, Error>,
+    text: impl FnOnce(&O) -> String,
+) -> Result<(), Error> {
+    let mut terminal = Terminal::new();
+    let mut recorder = Recorder::new(&mut terminal);
+    let outcome = work(&mut recorder)?;
+    let diagnostics = recorder.diagnostics;
+    if json {
+        print_json(&Shown { outcome: &outcome, diagnostics: &diagnostics })?;
+    } else {
+        tracing::info!("{}", text(&outcome));
+    }
+    match diagnostics.iter().find(|found| found.severity == Severity::Error) {
+        Some(found) => Err(Error::Incomplete(found.to_string())),
+        None => Ok(()),
     }
 }
 

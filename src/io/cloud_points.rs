@@ -1,14 +1,14 @@
 //! Points of a cloud as a table: `x_m, y_m, z_m` and, where known, `sigma_z_m`.
 
 use super::{FileError, table::Table};
-use crate::mapping::dem::Point;
+use crate::mapping::dem::SurfacePoint;
 use std::path::Path;
 
 /// Reads the points.
 ///
 /// # Errors
 /// Names the file, the line and the column.
-pub fn read(path: &Path) -> Result<Vec<Point>, FileError> {
+pub fn read(path: &Path) -> Result<Vec<SurfacePoint>, FileError> {
     let table = Table::read(path)?;
     let axes = [
         table.required("the east coordinate", &["x_m", "x", "easting_m"])?,
@@ -24,7 +24,7 @@ pub fn read(path: &Path) -> Result<Vec<Point>, FileError> {
         }
         let known = sigma.filter(|&column| !table.text(row, column).is_empty());
         let sigma_z_m = known.map_or(Ok(f64::NAN), |column| table.number(row, column))?;
-        points.push(Point { position_m, sigma_z_m });
+        points.push(SurfacePoint { position_m, sigma_z_m });
     }
     Ok(points)
 }

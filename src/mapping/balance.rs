@@ -8,13 +8,19 @@
 //! show; the second sum keeps the gains near 1. Quadratic, so one Cholesky factorisation. Reference: M. Brown
 //! and D. G. Lowe, *Automatic panoramic image stitching using invariant features*, 2007.
 
-use super::{MapError, paint::Gain};
+use super::{
+    MapError, paint::Gain, photo::DecodedPhoto, photo_cache::PhotoCache, select::PhotoSelector,
+};
+use crate::raster::undistort::Interpolation;
 use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeMap;
 
-/// Relative standard deviation of a difference of means, and of a gain.
+/// Relative standard deviation of a difference of means, and of a gain: values of the reference's order, which let exposure
+/// differ and keep a block without much overlap from drifting.
 const SIGMA: f64 = 0.04;
 const TAU: f64 = 0.2;
+/// Cells that are sampled, about: many for each pair of photos, and few against those of a mosaic.
+const SAMPLES: f64 = 40_000.0;
 
 /// Of the first photo's colours, of the second's, and how many cells.
 type Sums = ([f64; 3], [f64; 3], f64);
@@ -36,6 +42,57 @@ impl Overlaps {
             b[c] += f64::from(second[c]);
         }
         *n += 1.0;
+    }
+
+    /// Samples a mosaic of `[width, height]` cells on a coarse grid.
+    ///
+    /// # Errors
+    /// Photos that cannot be read.
+    pub fn sample<E: Send>(
+        selector: &PhotoSelector<'_>,
+        [width, height]: [usize; 2],
+        photos: &mut PhotoCache<'_, E>,
+    ) -> Result<Overlaps, E> {
+        let step = ((width * height) as f64 / SAMPLES).sqrt().ceil().max(1.0) as usize;
+        let count = selector.views().len();
+        let among: Vec<u32> = (0..count as u32).collect();
+        let mut candidates = Vec::new();
+        let mut wanted: Vec<Vec<(usize, [f32; 2])>> = vec![Vec::new(); count];
+        let mut cells = 0;
+        for v in (step / 2..height).step_by(step) {
+            for u in (step / 2..width).step_by(step) {
+                let Some(point) = selector.point_m(u, v) else { continue };
+                selector.candidates(point, &among, &mut candidates);
+                if candidates.len() >= 2 {
+                    for candidate in &candidates {
+                        let at = candidate.image_px.map(|value| value as f32);
+                        wanted[candidate.view].push((cells, at));
+                    }
+                    cells += 1;
+                }
+            }
+        }
+        let mut colours: Vec<Vec<(usize, [f32; 3])>> = vec![Vec::new(); cells];
+        let needed: Vec<usize> = (0..count).filter(|&k| !wanted[k].is_empty()).collect();
+        photos.each_group(&needed, |photos| {
+            for (k, photo) in photos.iter().enumerate() {
+                let Some(photo) = photo else { continue };
+                for &(cell, at) in &wanted[k] {
+                    let colour = photo.at(at, Interpolation::Bilinear);
+                    if DecodedPhoto::has_data(colour) {
+                        let [r, g, b, _] = colour;
+                        colours[cell].push((k, [r, g, b]));
+                    }
+                }
+            }
+        })?;
+        let mut overlaps = Overlaps::default();
+        for seen in &colours {
+            for (i, &first) in seen.iter().enumerate() {
+                seen[i + 1..].iter().for_each(|&second| overlaps.add(first, second));
+            }
+        }
+        Ok(overlaps)
     }
 
     /// Number of pairs.

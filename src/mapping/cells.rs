@@ -10,7 +10,7 @@
 //! furthest off, it is compared with the lens; where they differ by more than [`TOLERANCE_PX`], or
 //! the lens has no answer, every cell goes through the lens itself.
 
-use super::{Surface, View, surface::Heights};
+use super::{Surface, View, surface::HeightInterpolation};
 use crate::raster::georeference::Georeference;
 
 /// Side of a block, cells.
@@ -63,7 +63,7 @@ impl Frame {
 
 /// A block of cells with their heights.
 #[derive(Debug, Clone)]
-pub(super) struct Cells {
+pub(super) struct CellBlock {
     /// Position of the first cell, metres.
     corner_m: [f64; 2],
     per_column: [f64; 2],
@@ -77,9 +77,9 @@ pub(super) struct Cells {
     line: Vec<f64>,
 }
 
-impl Cells {
-    pub(super) fn new() -> Cells {
-        Cells {
+impl CellBlock {
+    pub(super) fn new() -> CellBlock {
+        CellBlock {
             corner_m: [0.0; 2],
             per_column: [0.0; 2],
             per_row: [0.0; 2],
@@ -101,7 +101,7 @@ impl Cells {
         self.corner_m = grid.map(first.map(|n| n as f64));
         (self.per_column, self.per_row) = (grid.per_column, grid.per_row);
         let aligned = to_surface[0][2] == 0.0 && to_surface[1][1] == 0.0;
-        if aligned && surface.between == Heights::Bilinear {
+        if aligned && surface.interpolation == HeightInterpolation::Bilinear {
             for (j, row) in self.z_m.chunks_exact_mut(SIDE).enumerate() {
                 let v = to_surface[1][0] + to_surface[1][2] * (first[1] + j) as f64;
                 let u = to_surface[0][0] + to_surface[0][1] * first[0] as f64;
@@ -220,7 +220,7 @@ impl Cells {
             }
             Some(values.map(through))
         };
-        let (constant, slope) = if view.rolls() {
+        let (constant, slope) = if view.has_rolling_shutter() {
             let (low, high) = (at(-1.0)?, at(1.0)?);
             let mix = |of: fn(f64, f64) -> f64| -> [Quadratic; 2] {
                 std::array::from_fn(|k| {
@@ -263,7 +263,7 @@ struct LocalLens {
 }
 
 struct Projection<'a> {
-    cells: &'a Cells,
+    cells: &'a CellBlock,
     lens: LocalLens,
     frame: &'a Frame,
     out: &'a mut Pixels,
@@ -358,7 +358,7 @@ mod tests {
                 0.5 * (0.3 * i).sin() + 0.5 * (0.17 * j).cos()
             }
         });
-        Surface::new(place, [200, 200], z.collect(), Heights::Bilinear).unwrap()
+        Surface::new(place, [200, 200], z.collect(), HeightInterpolation::Bilinear).unwrap()
     }
 
     #[test]
@@ -380,7 +380,7 @@ mod tests {
                 let (origin, right, below) = (at([0.0, 0.0]), at([1.0, 0.0]), at([0.0, 1.0]));
                 let to_surface =
                     [0, 1].map(|k| [origin[k], right[k] - origin[k], below[k] - origin[k]]);
-                let mut cells = Cells::new();
+                let mut cells = CellBlock::new();
                 let mut found = Box::new([[f32::NAN; 2]; CELLS]);
                 let side = (24.0 / gsd) as usize;
                 for (u, v) in (0..side)

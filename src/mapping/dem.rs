@@ -15,10 +15,10 @@
 //! References: R. Sibson, *A brief description of natural neighbour interpolation*, 1981; the triangulation is
 //! the crate `spade`.
 
-use super::{MapError, Surface, surface::Heights};
-use crate::raster::georeference::Georeference;
+use super::{MapError, Surface, surface::HeightInterpolation};
+use crate::{raster::georeference::Georeference, scene::Reconstruction};
 use rayon::prelude::*;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use spade::{
     DelaunayTriangulation, HasPosition, HierarchyHintGenerator, Point2, PositionInTriangulation,
     Triangulation,
@@ -26,33 +26,49 @@ use spade::{
 
 /// A point of a cloud.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Point {
+pub struct SurfacePoint {
     /// Where it is, metres.
     pub position_m: [f64; 3],
     /// Standard deviation of its height, metres; NaN where not known.
     pub sigma_z_m: f64,
 }
 
+impl SurfacePoint {
+    /// The tie points of a reconstruction, with their standard deviations where an adjustment found them.
+    pub fn of(reconstruction: &Reconstruction) -> Vec<SurfacePoint> {
+        let known = reconstruction.accuracy.as_ref().map(|accuracy| &accuracy.points_m);
+        let sigma_z_m =
+            |k: usize| known.and_then(|known| known.get(k)).map_or(f64::NAN, |sigma| sigma[2]);
+        let points = reconstruction.points.iter().enumerate();
+        points
+            .map(|(k, point)| SurfacePoint {
+                position_m: point.position_m,
+                sigma_z_m: sigma_z_m(k),
+            })
+            .collect()
+    }
+}
+
 /// How a surface is made of points.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Options {
+pub struct CloudOptions {
     /// A point further from the plane of its neighbours than so many times the usual (robust) distance
     /// is left out; infinite: none is.
-    pub outlier: f64,
-    /// The longest side of a triangle that is filled, metres; `None`: [`GAP`] times the median side.
+    pub outlier_ratio: f64,
+    /// The longest side of a triangle that is filled, metres; `None`: [`DEFAULT_GAP_SPACINGS`] times the median side.
     pub largest_gap_m: Option<f64>,
 }
 
-impl Default for Options {
-    fn default() -> Options {
-        Options { outlier: 5.0, largest_gap_m: None }
+impl Default for CloudOptions {
+    fn default() -> CloudOptions {
+        CloudOptions { outlier_ratio: 5.0, largest_gap_m: None }
     }
 }
 
 /// Longest side of a triangle that is filled, in median sides.
-pub const GAP: f64 = 30.0;
+pub const DEFAULT_GAP_SPACINGS: f64 = 30.0;
 /// Outliers are looked for at most so often: behind one there may be another.
-const ROUNDS: usize = 4;
+const MAX_OUTLIER_ROUNDS: usize = 4;
 
 /// A vertex relative to the middle of the cloud.
 #[derive(Debug, Clone, Copy)]
@@ -75,12 +91,12 @@ impl HasPosition for Vertex {
 type Mesh = DelaunayTriangulation<Vertex, (), (), (), HierarchyHintGenerator<f64>>;
 
 /// What became of the points.
-#[derive(Debug, Clone, Serialize)]
-pub struct Account {
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CloudStatistics {
     /// Points given.
     pub points: usize,
     /// Points at the place of another.
-    pub doubles: usize,
+    pub duplicates: usize,
     /// Indices of the points left out.
     pub outliers: Vec<usize>,
     /// Usual distance of a point from the plane of its neighbours, metres.
@@ -92,19 +108,22 @@ pub struct Account {
 }
 
 /// A triangulated cloud without its outliers.
-pub struct Cloud {
+pub struct TriangulatedCloud {
     mesh: Mesh,
     origin_m: [f64; 2],
     /// What became of the points.
-    pub account: Account,
+    pub statistics: CloudStatistics,
 }
 
-impl Cloud {
+impl TriangulatedCloud {
     /// Triangulates points and leaves out what does not fit.
     ///
     /// # Errors
     /// Where there are fewer than three places, all on one line, or a number is not finite.
-    pub fn new(points: &[Point], options: &Options) -> Result<Cloud, MapError> {
+    pub fn new(
+        points: &[SurfacePoint],
+        options: &CloudOptions,
+    ) -> Result<TriangulatedCloud, MapError> {
         if let Some(k) = points.iter().position(|p| p.position_m.iter().any(|x| !x.is_finite())) {
             return Err(MapError(format!("point {k} has a coordinate that is no finite number")));
         }
@@ -126,15 +145,15 @@ impl Cloud {
             p.x.total_cmp(&q.x).then(p.y.total_cmp(&q.y)).then(a.z.total_cmp(&b.z))
         });
         vertices.dedup_by(|a, b| a.position == b.position);
-        let doubles = points.len() - vertices.len();
+        let duplicates = points.len() - vertices.len();
         let mut outliers = Vec::new();
         let mut mesh = triangulate(&vertices)?;
         let mut roughness_m = 0.0;
-        for _ in 0..ROUNDS {
+        for _ in 0..MAX_OUTLIER_ROUNDS {
             let residuals = residuals(&mesh);
-            roughness_m = scale(&residuals);
-            let limit = options.outlier * roughness_m.max(1e-6);
-            let wrong: Vec<usize> = worst_of_their_neighbours(&mesh, &residuals, limit);
+            roughness_m = robust_sigma(&residuals);
+            let limit = options.outlier_ratio * roughness_m.max(1e-6);
+            let wrong: Vec<usize> = local_maxima(&mesh, &residuals, limit);
             if wrong.is_empty() {
                 break;
             }
@@ -151,15 +170,15 @@ impl Cloud {
             mesh.undirected_edges().map(|edge| edge.length_2().sqrt()).collect();
         sides.sort_by(f64::total_cmp);
         let spacing_m = sides[sides.len() / 2];
-        let account = Account {
+        let statistics = CloudStatistics {
             points: points.len(),
-            doubles,
+            duplicates,
             outliers,
             roughness_m,
             spacing_m,
-            largest_gap_m: options.largest_gap_m.unwrap_or(GAP * spacing_m),
+            largest_gap_m: options.largest_gap_m.unwrap_or(DEFAULT_GAP_SPACINGS * spacing_m),
         };
-        Ok(Cloud { mesh, origin_m, account })
+        Ok(TriangulatedCloud { mesh, origin_m, statistics })
     }
 
     /// The points that are left.
@@ -224,11 +243,11 @@ impl Cloud {
         size: [usize; 2],
     ) -> Result<(Surface, Vec<f32>), MapError> {
         let (heights, sigmas) = self.grid(&place, size);
-        Ok((Surface::new(place, size, heights, Heights::Bilinear)?, sigmas))
+        Ok((Surface::new(place, size, heights, HeightInterpolation::Bilinear)?, sigmas))
     }
 
     fn is_filled(&self, at: Point2<f64>) -> bool {
-        let limit = self.account.largest_gap_m.powi(2);
+        let limit = self.statistics.largest_gap_m.powi(2);
         match self.mesh.locate(at) {
             PositionInTriangulation::OnVertex(_) => true,
             PositionInTriangulation::OnEdge(edge) => {
@@ -314,7 +333,7 @@ fn plane(points: &[[f64; 3]]) -> f64 {
 
 /// Robust standard deviation about zero: from the median or from the size that four of five do not exceed,
 /// whichever gives more. Plants on a third of the points are no outliers of a level ground.
-fn scale(residuals: &[f64]) -> f64 {
+fn robust_sigma(residuals: &[f64]) -> f64 {
     let mut sizes: Vec<f64> = residuals.iter().map(|r| r.abs()).collect();
     sizes.sort_by(f64::total_cmp);
     let at = |share: f64| sizes[((sizes.len() - 1) as f64 * share) as usize];
@@ -324,7 +343,7 @@ fn scale(residuals: &[f64]) -> f64 {
 
 /// The vertices beyond the limit that are further off than all their neighbours: beside a wild point others
 /// look wrong too.
-fn worst_of_their_neighbours(mesh: &Mesh, residuals: &[f64], limit: f64) -> Vec<usize> {
+fn local_maxima(mesh: &Mesh, residuals: &[f64], limit: f64) -> Vec<usize> {
     let wrong = |k: &usize| {
         let own = residuals[*k].abs();
         own > limit
@@ -342,13 +361,13 @@ mod tests {
     use crate::raster::georeference::Crs;
 
     /// A slope of scattered points in UTM.
-    fn slope(count: usize) -> Vec<Point> {
+    fn slope(count: usize) -> Vec<SurfacePoint> {
         (0..count)
             .map(|k| {
                 let golden = 0.618_033_988_749_895 * k as f64;
                 let (x, y) = (20.0 * k as f64 / count as f64, 20.0 * golden.fract());
                 let position_m = [500_000.0 + x, 4_475_000.0 + y, 100.0 + 0.1 * x - 0.05 * y];
-                Point { position_m, sigma_z_m: 0.02 }
+                SurfacePoint { position_m, sigma_z_m: 0.02 }
             })
             .collect()
     }
@@ -359,7 +378,7 @@ mod tests {
 
     #[test]
     fn planes_are_kept_and_what_is_outside_is_not_invented() {
-        let cloud = Cloud::new(&slope(400), &Options::default()).unwrap();
+        let cloud = TriangulatedCloud::new(&slope(400), &CloudOptions::default()).unwrap();
         let (heights, sigmas) = cloud.grid(&grid(), [60, 41]);
         let mut known = 0;
         for (k, &z) in heights.iter().enumerate() {
@@ -389,27 +408,27 @@ mod tests {
             point.position_m[2] += 0.01 * ((k * 7919 % 13) as f64 - 6.0) / 6.0;
         }
         points.push(points[7]);
-        let cloud = Cloud::new(&points, &Options::default()).unwrap();
+        let cloud = TriangulatedCloud::new(&points, &CloudOptions::default()).unwrap();
         assert_eq!(
-            (cloud.account.outliers.as_slice(), cloud.account.doubles),
+            (cloud.statistics.outliers.as_slice(), cloud.statistics.duplicates),
             (&[100, 101, 300][..], 1)
         );
     }
 
     #[test]
     fn a_gap_stays_a_gap() {
-        let far = |p: &Point| {
+        let far = |p: &SurfacePoint| {
             let (x, y) = (p.position_m[0] - 500_010.0, p.position_m[1] - 4_475_010.0);
             x.hypot(y) > 6.0
         };
-        let points: Vec<Point> = slope(900).into_iter().filter(far).collect();
-        let options = Options { largest_gap_m: Some(3.0), ..Options::default() };
-        let cloud = Cloud::new(&points, &options).unwrap();
+        let points: Vec<SurfacePoint> = slope(900).into_iter().filter(far).collect();
+        let options = CloudOptions { largest_gap_m: Some(3.0), ..CloudOptions::default() };
+        let cloud = TriangulatedCloud::new(&points, &options).unwrap();
         let (heights, _) = cloud.grid(&grid(), [41, 41]);
         assert!(heights[20 * 41 + 20].is_nan() && heights[20 * 41 + 3].is_finite());
-        let line: Vec<Point> = (0..9)
-            .map(|k| Point { position_m: [f64::from(k), 0.0, 0.0], sigma_z_m: 0.1 })
+        let line: Vec<SurfacePoint> = (0..9)
+            .map(|k| SurfacePoint { position_m: [f64::from(k), 0.0, 0.0], sigma_z_m: 0.1 })
             .collect();
-        assert!(Cloud::new(&line, &options).is_err());
+        assert!(TriangulatedCloud::new(&line, &options).is_err());
     }
 }

@@ -9,7 +9,7 @@
 //! along rows, columns and both diagonals: their sum of sizes wants a ground of few even pieces, and lets it
 //! break where the points say so. A linear programme, solved exactly by [`crate::convex::envelope`].
 
-use super::{MapError, Surface, dem::Cloud, surface::Heights};
+use super::{MapError, Surface, dem::TriangulatedCloud, surface::HeightInterpolation};
 use crate::{
     convex::envelope::{Datum, lower_envelope},
     raster::georeference::Georeference,
@@ -17,7 +17,7 @@ use crate::{
 
 /// How the ground is found.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Options {
+pub struct GroundOptions {
     /// Side of the coarse grid, metres: larger than a plant.
     pub cell_m: f64,
     /// Which share of the points lies below the ground, through noise.
@@ -26,27 +26,31 @@ pub struct Options {
     pub smoothness: f64,
 }
 
-impl Default for Options {
-    fn default() -> Options {
-        Options { cell_m: 1.0, quantile: 0.1, smoothness: 2.0 }
+impl Default for GroundOptions {
+    fn default() -> GroundOptions {
+        GroundOptions { cell_m: 1.0, quantile: 0.1, smoothness: 2.0 }
     }
 }
 
 /// The most cells of the coarse grid.
-const MOST_CELLS: usize = 40_000;
+const MAX_CELLS: usize = 40_000;
 
 /// The ground as a surface on a coarse grid of its own.
 ///
 /// # Errors
 /// Where the grid would have too many cells, or the programme cannot be solved.
-pub fn ground(cloud: &Cloud, options: &Options, place: &Georeference) -> Result<Surface, MapError> {
+pub fn ground_surface(
+    cloud: &TriangulatedCloud,
+    options: &GroundOptions,
+    place: &Georeference,
+) -> Result<Surface, MapError> {
     let [[left, right], [bottom, top]] = cloud.bounds_m();
     let side = options.cell_m;
     let count = |low: f64, high: f64| ((high - low) / side).ceil() as usize + 2;
     let (width, height) = (count(left, right), count(bottom, top));
-    if width * height > MOST_CELLS {
+    if width * height > MAX_CELLS {
         return Err(MapError(format!(
-            "the ground would have {width} x {height} cells of {side} m, at most {MOST_CELLS} are solved; give larger ones"
+            "the ground would have {width} x {height} cells of {side} m, at most {MAX_CELLS} are solved; give larger ones"
         )));
     }
     // The first cell's centre lies half a cell outside, so that every point is between centres.
@@ -71,5 +75,5 @@ pub fn ground(cloud: &Cloud, options: &Options, place: &Georeference) -> Result<
     let solution = lower_envelope([width, height], &data, options.quantile, options.smoothness)
         .map_err(|error| MapError(format!("the ground: {error}")))?;
     let heights = solution.into_iter().map(|z| z as f32).collect();
-    Surface::new(coarse, [width, height], heights, Heights::Bilinear)
+    Surface::new(coarse, [width, height], heights, HeightInterpolation::Bilinear)
 }

@@ -1,4 +1,4 @@
-//! Maps from photos: surfaces, orthophotos, and which photo each of their pixels came from.
+//! Surfaces and orthophotos, and which photo each of their pixels came from.
 //!
 //! ```text
 //! colour(X, Y) = photo_k(u_k(X, Y, Z(X, Y))),   k = argmin |C_k - (X, Y, Z)| among the photos that show it
@@ -7,28 +7,34 @@
 //! `Z` is the surface, `C_k` the projection centre and `u_k` collinearity with the lens of photo `k`. All
 //! positions are in the mapping frame, metres.
 //!
-//! - [`surface`]: heights on a grid; what a ray meets, what hides what;
-//! - [`view`]: a posed photo, which cells it can reach;
-//! - [`select`]: the photo of every cell, its pixel there, the way to the seam (`seams`);
-//! - [`photo`] and [`paint`]: colours between pixels, one photo at a time, feathered or not;
-//! - [`leaf_height`]: how high above the surface the leaves are that a map is to show;
-//! - [`balance`]: gains that make overlapping photos agree;
-//! - [`dem`] and [`ground`]: surfaces from scattered points, and the ground below plants.
+//! - [`surface`]: heights on a grid; where a ray meets it, what it hides;
+//! - [`view`]: a photo with its lens and pose, and which cells it can show;
+//! - [`select`]: the photo of every cell, its pixel there, the distance to the seam (`seams`);
+//! - [`photo`], [`photo_cache`] and [`paint`]: decoded photos, their colours between pixels, feathering;
+//! - [`canopy_height`]: the height of the canopy above the surface;
+//! - [`balance`]: gains that bring the colours of overlapping photos together;
+//! - [`grid`]: the area that photos cover, and the grid of a product;
+//! - [`mosaic`]: the orthomosaic, tile by tile;
+//! - [`elevation`]: elevation models of a cloud ([`dem`]) and of the ground below plants ([`ground`]).
 
 pub mod balance;
+pub mod canopy_height;
 mod cells;
 pub mod dem;
+pub mod elevation;
+pub mod grid;
 pub mod ground;
-pub mod leaf_height;
+pub mod mosaic;
 pub mod paint;
 pub mod photo;
+pub mod photo_cache;
 mod seams;
 pub mod select;
 pub mod surface;
 pub mod view;
 
 pub use surface::Surface;
-pub use view::View;
+pub use view::{View, views};
 
 /// What cannot be mapped: what is wrong and what was expected.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

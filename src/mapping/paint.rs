@@ -11,8 +11,8 @@
 //! one photo is alone. `e_k` fades a photo out towards its own border, where seams end. `g_k` are gains.
 
 use super::{
-    photo::Photo,
-    select::{Selector, Sources},
+    photo::DecodedPhoto,
+    select::{CellSources, PhotoSelector},
 };
 use crate::raster::{undistort::Interpolation, window::Window};
 use rayon::prelude::*;
@@ -26,8 +26,8 @@ const EDGE_PX: f64 = 32.0;
 /// Paints the cells whose photo is among `photos` (by index; `None` for those that are not in memory) into
 /// red, green, blue, alpha. Cells of other photos are left as they are.
 pub fn paint(
-    sources: &Sources,
-    photos: &[Option<&Photo>],
+    sources: &CellSources,
+    photos: &[Option<&DecodedPhoto>],
     gains: Option<&[Gain]>,
     interpolation: Interpolation,
     rgba: &mut [[u8; 4]],
@@ -67,7 +67,11 @@ impl Blend {
     }
 
     /// The photos that have a weight in a window, by index.
-    pub fn photos(selector: &Selector<'_>, sources: &Sources, feather_m: f64) -> Vec<usize> {
+    pub fn photos(
+        selector: &PhotoSelector<'_>,
+        sources: &CellSources,
+        feather_m: f64,
+    ) -> Vec<usize> {
         let window = sources.window;
         let among = selector.within(window);
         let count = selector.views().len();
@@ -100,9 +104,9 @@ impl Blend {
     /// Adds the photos that are in memory; each is to be added once.
     pub fn add(
         &mut self,
-        selector: &Selector<'_>,
-        sources: &Sources,
-        photos: &[Option<&Photo>],
+        selector: &PhotoSelector<'_>,
+        sources: &CellSources,
+        photos: &[Option<&DecodedPhoto>],
         gains: Option<&[Gain]>,
         (interpolation, feather_m): (Interpolation, f64),
     ) {
@@ -132,7 +136,7 @@ impl Blend {
                     // Never 0 for a photo that may be the only one.
                     let edge = (border / EDGE_PX).max(1e-3);
                     let colour = photo.at(at.map(|value| value as f32), interpolation);
-                    if !Photo::has_data(colour) {
+                    if !DecodedPhoto::has_data(colour) {
                         continue;
                     }
                     let weight = ((1.0 - away / feather_m) * edge * edge) as f32;

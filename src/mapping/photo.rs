@@ -11,15 +11,15 @@ use image::RgbImage;
 
 /// A photo with four bytes for a pixel.
 #[derive(Debug, Clone)]
-pub struct Photo {
+pub struct DecodedPhoto {
     width: usize,
     height: usize,
     pixels: Vec<[u8; 4]>,
 }
 
-impl Photo {
+impl DecodedPhoto {
     /// Takes over a photo, and which of its pixels (row by row) have no data.
-    pub fn new(photo: &RgbImage, gaps: Option<&[bool]>) -> Photo {
+    pub fn new(photo: &RgbImage, gaps: Option<&[bool]>) -> DecodedPhoto {
         let pixels = photo.as_raw().as_chunks::<3>().0.iter().map(|&[r, g, b]| [r, g, b, 255]);
         let mut pixels: Vec<[u8; 4]> = pixels.collect();
         for (pixel, &gap) in pixels.iter_mut().zip(gaps.unwrap_or_default()) {
@@ -27,7 +27,7 @@ impl Photo {
                 *pixel = [0; 4];
             }
         }
-        Photo { width: photo.width() as usize, height: photo.height() as usize, pixels }
+        DecodedPhoto { width: photo.width() as usize, height: photo.height() as usize, pixels }
     }
 
     /// Whether a colour of [`Photo::at`] is one: all pixels that took part have data.
@@ -144,7 +144,7 @@ impl Photo {
 
 /// Colours at many positions, with the machine's SIMD.
 struct Colours<'a> {
-    photo: &'a Photo,
+    photo: &'a DecodedPhoto,
     at_px: &'a [[f32; 2]],
     interpolation: Interpolation,
     gain: Option<[f32; 3]>,
@@ -202,7 +202,7 @@ mod tests {
     fn straight_ramps_are_kept_and_borders_repeated() {
         let ramp =
             RgbImage::from_fn(30, 20, |u, v| Rgb([(5 * u + 3 * v) as u8, (2 * u) as u8, 40]));
-        let photo = Photo::new(&ramp, None);
+        let photo = DecodedPhoto::new(&ramp, None);
         for kind in [Interpolation::Bilinear, Interpolation::Bicubic] {
             let [r, g, b, _] = photo.at([8.25, 9.5], kind);
             for (found, expected) in [(r, 69.75), (g, 16.5), (b, 40.0)] {

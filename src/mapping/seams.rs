@@ -8,16 +8,16 @@
 //! are tried by that, until none that is left can be nearer than what all cells of the block have.
 
 use super::{
-    cells::{CELLS, Cells, Pixels, SIDE},
-    select::{Selector, Sources},
+    cells::{CELLS, CellBlock, Pixels, SIDE},
+    select::{CellSources, PhotoSelector},
     view::Bounds,
 };
 use rayon::prelude::*;
 
-impl Selector<'_> {
+impl PhotoSelector<'_> {
     /// Distance in plan from each cell of a window to the nearest seam of its photo with another that shows it too,
     /// metres; infinite where no other does, and where there is no photo. As `sources` says, row by row.
-    pub fn seams_m(&self, sources: &Sources) -> Vec<f32> {
+    pub fn seams_m(&self, sources: &CellSources) -> Vec<f32> {
         let window = sources.window;
         let among = self.within(window);
         let width = window.width;
@@ -119,8 +119,8 @@ impl Selector<'_> {
                     let away = self.to_seam_m(point, own as usize, k as usize);
                     let allowed = || {
                         self.cost(view, point).is_some()
-                            && self.rules.visibility_m.is_none_or(|tolerance_m| {
-                                self.surface.sees(point, view.centre_m(), tolerance_m)
+                            && self.options.visibility_m.is_none_or(|tolerance_m| {
+                                self.surface.is_visible(point, view.centre_m(), tolerance_m)
                             })
                     };
                     if away < nearest[at] && allowed() {
@@ -135,7 +135,7 @@ impl Selector<'_> {
 
 /// Working memory of a block.
 struct Scratch {
-    cells: Cells,
+    cells: CellBlock,
     order: Vec<(f64, u32)>,
     owners: Vec<u32>,
     source: Box<[u32; CELLS]>,
@@ -146,7 +146,7 @@ struct Scratch {
 impl Scratch {
     fn new() -> Scratch {
         Scratch {
-            cells: Cells::new(),
+            cells: CellBlock::new(),
             order: Vec::new(),
             owners: Vec::new(),
             source: Box::new([0; CELLS]),
@@ -164,8 +164,8 @@ mod tests {
         geometry::rotation,
         mapping::{
             Surface, View,
-            select::{Choice, Rules},
-            surface::Heights,
+            select::{PhotoRule, SelectionOptions},
+            surface::HeightInterpolation,
         },
         raster::{
             georeference::{Crs, Georeference},
@@ -195,20 +195,24 @@ mod tests {
         let place = Georeference::north_up([-20.0, 20.0], 0.5, Crs::LOCAL);
         let wave = |k: usize| ((k % 80) as f32 * 0.4).sin() * 0.4;
         let z = (0..80 * 80).map(wave).collect();
-        let surface = Surface::new(place, [80, 80], z, Heights::Bilinear).unwrap();
+        let surface = Surface::new(place, [80, 80], z, HeightInterpolation::Bilinear).unwrap();
         let grid = Georeference::north_up([-9.0, 8.0], 0.05, Crs::LOCAL);
         let whole = Window { u: 0, v: 0, width: 360, height: 320 };
-        for rules in [
-            Rules::default(),
-            Rules { choice: Choice::Nadir, border_px: 30.0, ..Rules::default() },
-            Rules {
+        for options in [
+            SelectionOptions::default(),
+            SelectionOptions {
+                rule: PhotoRule::Nadir,
+                border_px: 30.0,
+                ..SelectionOptions::default()
+            },
+            SelectionOptions {
                 max_angle_rad: Some(0.4),
                 visibility_m: Some(0.01),
                 border_px: 5.0,
-                ..Rules::default()
+                ..SelectionOptions::default()
             },
         ] {
-            let selector = Selector::new(&views, &surface, grid, rules);
+            let selector = PhotoSelector::new(&views, &surface, grid, options);
             let sources = selector.sources(whole);
             let found = selector.seams_m(&sources);
             // Window by window it is the same.

@@ -15,7 +15,7 @@
 
 use super::{
     Surface, View,
-    cells::{CELLS, Cells, Frame, Pixels, SIDE},
+    cells::{CELLS, CellBlock, Frame, Pixels, SIDE},
 };
 use crate::raster::{georeference::Georeference, window::Window};
 use rayon::prelude::*;
@@ -24,7 +24,7 @@ use serde::{Deserialize, Serialize};
 /// Which of the photos that show a cell is taken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Choice {
+pub enum PhotoRule {
     /// The one whose camera is closest.
     #[default]
     Closest,
@@ -36,9 +36,9 @@ pub enum Choice {
 
 /// What decides.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-pub struct Rules {
+pub struct SelectionOptions {
     /// Which of several.
-    pub choice: Choice,
+    pub rule: PhotoRule,
     /// The largest angle between the line of sight and the vertical, radians.
     pub max_angle_rad: Option<f64>,
     /// Photos from which the surface itself hides the cell do not show it; how far, metres, it may stand
@@ -50,7 +50,7 @@ pub struct Rules {
 
 /// The photos of a window's cells, row by row.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Sources {
+pub struct CellSources {
     /// The window.
     pub window: Window,
     /// The number of the photo plus 1; 0 where there is none.
@@ -71,32 +71,32 @@ pub struct Candidate {
 }
 
 /// What is needed to choose photos for the cells of a map.
-pub struct Selector<'a> {
+pub struct PhotoSelector<'a> {
     pub(super) views: &'a [View],
     pub(super) reach: Vec<super::view::Bounds>,
     pub(super) surface: &'a Surface,
     pub(super) grid: Georeference,
-    pub(super) rules: Rules,
+    pub(super) options: SelectionOptions,
     pub(super) to_surface: [[f64; 3]; 2],
 }
 
-impl<'a> Selector<'a> {
+impl<'a> PhotoSelector<'a> {
     /// For a map on `grid`.
     pub fn new(
         views: &'a [View],
         surface: &'a Surface,
         grid: Georeference,
-        rules: Rules,
-    ) -> Selector<'a> {
+        options: SelectionOptions,
+    ) -> PhotoSelector<'a> {
         let range_m = surface.range_m();
-        let reach = views.par_iter().map(|view| view.reach_m(range_m)).collect();
+        let reach = views.par_iter().map(|view| view.footprint_between_m(range_m)).collect();
         // Cells to positions in the surface's own grid, in one step.
         let at =
             |cell: [f64; 2]| surface.georeference.pixel(grid.map(cell)).unwrap_or([f64::NAN; 2]);
         let (origin, right, below) = (at([0.0, 0.0]), at([1e4, 0.0]), at([0.0, 1e4]));
         let to_surface = [0, 1]
             .map(|k| [origin[k], (right[k] - origin[k]) * 1e-4, (below[k] - origin[k]) * 1e-4]);
-        Selector { views, reach, surface, grid, rules, to_surface }
+        PhotoSelector { views, reach, surface, grid, options, to_surface }
     }
 
     /// The photos.
@@ -105,8 +105,8 @@ impl<'a> Selector<'a> {
     }
 
     /// What decides.
-    pub fn rules(&self) -> &Rules {
-        &self.rules
+    pub fn options(&self) -> &SelectionOptions {
+        &self.options
     }
 
     /// The point on the ground of a cell.
@@ -132,10 +132,10 @@ impl<'a> Selector<'a> {
                 of.iter().copied().fold(f64::NEG_INFINITY, f64::max),
             ]
         });
-        let meets = |bounds: &super::view::Bounds| {
+        let overlaps = |bounds: &super::view::Bounds| {
             (0..2).all(|k| bounds[k][0] <= range[k][1] && bounds[k][1] >= range[k][0])
         };
-        (0..self.views.len() as u32).filter(|&k| meets(&self.reach[k as usize])).collect()
+        (0..self.views.len() as u32).filter(|&k| overlaps(&self.reach[k as usize])).collect()
     }
 
     /// What a photo costs as the source of a point; `None` where the angle forbids it.
@@ -145,21 +145,21 @@ impl<'a> Selector<'a> {
         let d: [f64; 3] = std::array::from_fn(|k| c[k] - point_m[k]);
         let plan = d[0] * d[0] + d[1] * d[1];
         let squared = plan + d[2] * d[2];
-        if let Some(limit) = self.rules.max_angle_rad {
+        if let Some(limit) = self.options.max_angle_rad {
             let allowed = d[2] > 0.0 && plan.sqrt() <= d[2] * limit.tan();
             if !allowed {
                 return None;
             }
         }
-        Some(match self.rules.choice {
-            Choice::Closest => squared,
-            Choice::Nadir => {
+        Some(match self.options.rule {
+            PhotoRule::Closest => squared,
+            PhotoRule::Nadir => {
                 if d[2] <= 0.0 {
                     return None;
                 }
                 plan / (d[2] * d[2])
             }
-            Choice::Gsd => {
+            PhotoRule::Gsd => {
                 // The area of ground in a pixel grows with the obliqueness.
                 let cosine = (d[2] / squared.sqrt()).max(1e-3);
                 let f = view.interior.principal_distance_px();
@@ -171,21 +171,25 @@ impl<'a> Selector<'a> {
     #[inline]
     fn shown(&self, view: &View, point_m: [f64; 3]) -> Option<[f64; 2]> {
         let at = view.pixel(point_m)?;
-        if self.rules.border_px > 0.0 {
+        if self.options.border_px > 0.0 {
             let size = view.interior.size_px().map(f64::from);
-            let border = self.rules.border_px - 0.5;
+            let border = self.options.border_px - 0.5;
             let inside = (0..2).all(|k| at[k] >= border && at[k] <= size[k] - 1.0 - border);
             if !inside {
                 return None;
             }
         }
-        match self.rules.visibility_m {
-            Some(tolerance_m) if !self.surface.sees(point_m, view.centre_m(), tolerance_m) => None,
+        match self.options.visibility_m {
+            Some(tolerance_m)
+                if !self.surface.is_visible(point_m, view.centre_m(), tolerance_m) =>
+            {
+                None
+            }
             _ => Some(at),
         }
     }
 
-    /// The pixel of a point in a photo that shows it as the rules ask.
+    /// The pixel of a point in a photo that shows it as the options ask.
     #[inline]
     pub fn shown_by(&self, view: usize, point_m: [f64; 3]) -> Option<[f64; 2]> {
         let view = &self.views[view];
@@ -215,14 +219,14 @@ impl<'a> Selector<'a> {
     }
 
     /// The photo of each cell of a window.
-    pub fn sources(&self, window: Window) -> Sources {
-        let mut sources = Sources { window, source: Vec::new(), pixel: Vec::new() };
+    pub fn sources(&self, window: Window) -> CellSources {
+        let mut sources = CellSources { window, source: Vec::new(), pixel: Vec::new() };
         self.sources_into(window, &mut sources);
         sources
     }
 
-    /// As [`Selector::sources`], into memory that is there.
-    pub fn sources_into(&self, window: Window, out: &mut Sources) {
+    /// As [`PhotoSelector::sources`], into memory that is there.
+    pub fn sources_into(&self, window: Window, out: &mut CellSources) {
         let among = self.within(window);
         let width = window.width;
         out.window = window;
@@ -275,7 +279,7 @@ impl<'a> Selector<'a> {
         let middle = cells.bounds_m.map(|[low, high]| 0.5 * (low + high));
         let half = cells.bounds_m.map(|[low, high]| 0.5 * (high - low));
         let radius = half.iter().map(|h| h * h).sum::<f64>().sqrt();
-        let by_distance = self.rules.choice == Choice::Closest;
+        let by_distance = self.options.rule == PhotoRule::Closest;
         order.clear();
         order.extend(among.iter().map(|&k| {
             let c = self.views[k as usize].centre_m();
@@ -288,7 +292,7 @@ impl<'a> Selector<'a> {
         let mut compared = false;
         let mut painted = 0;
         // A rule that asks each cell, and whether `pixel` has been written.
-        let simple = self.rules.max_angle_rad.is_none() && self.rules.visibility_m.is_none();
+        let simple = self.options.max_angle_rad.is_none() && self.options.visibility_m.is_none();
         let mut projected = false;
         for &(distance, k) in order.iter() {
             let view = &self.views[k as usize];
@@ -354,9 +358,9 @@ impl<'a> Selector<'a> {
                 if !better || shown[at][0].is_nan() {
                     continue;
                 }
-                if let Some(tolerance_m) = self.rules.visibility_m {
+                if let Some(tolerance_m) = self.options.visibility_m {
                     let point = cells.point_m(at % SIDE, at / SIDE);
-                    if !self.surface.sees(point, view.centre_m(), tolerance_m) {
+                    if !self.surface.is_visible(point, view.centre_m(), tolerance_m) {
                         continue;
                     }
                 }
@@ -373,7 +377,7 @@ impl<'a> Selector<'a> {
     }
 
     /// What a photo costs for each cell; infinite where the angle forbids it, or there is no height.
-    fn costs(&self, cells: &Cells, k: usize, out: &mut [f64; CELLS]) {
+    fn costs(&self, cells: &CellBlock, k: usize, out: &mut [f64; CELLS]) {
         let view = &self.views[k];
         for j in 0..SIDE {
             for i in 0..SIDE {
@@ -387,7 +391,7 @@ impl<'a> Selector<'a> {
     /// The part of a photo that is used.
     pub(super) fn frame(&self, view: &View) -> Frame {
         let size = view.interior.size_px().map(f64::from);
-        let border = self.rules.border_px - 0.5;
+        let border = self.options.border_px - 0.5;
         Frame {
             least: [border.max(-0.5); 2],
             most: size.map(|n| if border > -0.5 { n - 1.0 - border } else { n }),
@@ -398,7 +402,7 @@ impl<'a> Selector<'a> {
 
 /// Working memory of a block.
 struct Scratch {
-    cells: Cells,
+    cells: CellBlock,
     order: Vec<(f64, u32)>,
     source: Box<[u32; CELLS]>,
     pixel: Box<Pixels>,
@@ -410,7 +414,7 @@ struct Scratch {
 impl Scratch {
     fn new() -> Scratch {
         Scratch {
-            cells: Cells::new(),
+            cells: CellBlock::new(),
             order: Vec::new(),
             source: Box::new([0; CELLS]),
             pixel: Box::new([[f32::NAN; 2]; CELLS]),

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 /// How heights are read between the centres of cells.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Heights {
+pub enum HeightInterpolation {
     /// From 2 x 2 cells.
     #[default]
     Bilinear,
@@ -19,7 +19,7 @@ pub enum Heights {
 }
 
 /// Rounding may put a position on the border a hair outside, in cells.
-const HAIR: f64 = 1e-6;
+const ROUNDING_CELLS: f64 = 1e-6;
 
 /// A height for each cell of a grid.
 #[derive(Debug, Clone, PartialEq)]
@@ -33,7 +33,7 @@ pub struct Surface {
     /// Metres, row by row; NaN where not known.
     pub heights_m: Vec<f32>,
     /// How it is read between the centres.
-    pub between: Heights,
+    pub interpolation: HeightInterpolation,
     range_m: [f64; 2],
 }
 
@@ -46,7 +46,7 @@ impl Surface {
         georeference: Georeference,
         [width, height]: [usize; 2],
         heights_m: Vec<f32>,
-        between: Heights,
+        interpolation: HeightInterpolation,
     ) -> Result<Surface, MapError> {
         if heights_m.len() != width * height {
             return Err(MapError(format!(
@@ -70,7 +70,7 @@ impl Surface {
         if range_m[0] > range_m[1] {
             return Err(MapError("none of its cells has a height".into()));
         }
-        Ok(Surface { georeference, width, height, heights_m, between, range_m })
+        Ok(Surface { georeference, width, height, heights_m, interpolation, range_m })
     }
 
     /// The least and the greatest height, metres.
@@ -114,7 +114,11 @@ impl Surface {
         let (right, below) = ((self.width - 1) as f64, (self.height - 1) as f64);
         let last = first + step * (out.len() as f64 - 1.0);
         let (least, most) = (first.min(last), first.max(last));
-        if !(v >= -HAIR && v <= below + HAIR && most >= -HAIR && least <= right + HAIR) {
+        if !(v >= -ROUNDING_CELLS
+            && v <= below + ROUNDING_CELLS
+            && most >= -ROUNDING_CELLS
+            && least <= right + ROUNDING_CELLS)
+        {
             out.fill(f64::NAN);
             return;
         }
@@ -151,13 +155,17 @@ impl Surface {
     #[inline]
     pub fn at_pixel(&self, [u, v]: [f64; 2]) -> Option<f64> {
         let (right, below) = ((self.width - 1) as f64, (self.height - 1) as f64);
-        if !(u >= -HAIR && v >= -HAIR && u <= right + HAIR && v <= below + HAIR) {
+        if !(u >= -ROUNDING_CELLS
+            && v >= -ROUNDING_CELLS
+            && u <= right + ROUNDING_CELLS
+            && v <= below + ROUNDING_CELLS)
+        {
             return None;
         }
         let (u, v) = (u.clamp(0.0, right), v.clamp(0.0, below));
         let (i, j) = (u as usize, v as usize);
         let (s, t) = (u - i as f64, v - j as f64);
-        if self.between == Heights::Bicubic
+        if self.interpolation == HeightInterpolation::Bicubic
             && i >= 1
             && j >= 1
             && i + 2 < self.width
@@ -194,7 +202,7 @@ impl Surface {
     }
 
     /// Where a ray from above first meets the surface. `direction` need not be of length 1.
-    pub fn meets(&self, from_m: [f64; 3], direction: [f64; 3]) -> Option<[f64; 3]> {
+    pub fn intersect_ray(&self, from_m: [f64; 3], direction: [f64; 3]) -> Option<[f64; 3]> {
         let [dx, dy, dz] = direction;
         if dz >= 0.0 {
             return None;
@@ -236,7 +244,7 @@ impl Surface {
 
     /// Whether nothing of the surface stands between a point of it and a camera, by steps of a cell.
     /// What stands less than `tolerance_m` above the line of sight hides nothing.
-    pub fn sees(&self, point_m: [f64; 3], camera_m: [f64; 3], tolerance_m: f64) -> bool {
+    pub fn is_visible(&self, point_m: [f64; 3], camera_m: [f64; 3], tolerance_m: f64) -> bool {
         let way: [f64; 3] = std::array::from_fn(|k| camera_m[k] - point_m[k]);
         let plan = way[0].hypot(way[1]);
         let cell = self.cell_m();
@@ -281,7 +289,7 @@ impl pulp::WithSimd for InChunk<'_> {
         let mut column = [0i32; LANES];
         for k in 0..LANES {
             let at = first + step * (self.start + k) as f64;
-            let inside = (at >= left - HAIR) & (at <= right + HAIR);
+            let inside = (at >= left - ROUNDING_CELLS) & (at <= right + ROUNDING_CELLS);
             outside[k] = if inside { 0.0 } else { f64::NAN };
             let at = at.max(left).min(right).max(0.0);
             column[k] = at as i32;
@@ -318,16 +326,16 @@ mod tests {
     use super::*;
     use crate::raster::georeference::Crs;
 
-    fn slope(between: Heights) -> Surface {
+    fn slope(interpolation: HeightInterpolation) -> Surface {
         let place = Georeference::north_up([100.0, 200.0], 2.0, Crs::LOCAL);
         let heights = (0..20 * 30).map(|k| (k % 20) as f32 * 0.5 - (k / 20) as f32 * 0.25);
-        Surface::new(place, [20, 30], heights.collect(), between).unwrap()
+        Surface::new(place, [20, 30], heights.collect(), interpolation).unwrap()
     }
 
     #[test]
     fn a_plane_is_a_plane_between_its_cells() {
-        for between in [Heights::Bilinear, Heights::Bicubic] {
-            let surface = slope(between);
+        for interpolation in [HeightInterpolation::Bilinear, HeightInterpolation::Bicubic] {
+            let surface = slope(interpolation);
             let [x, y] = [107.3, 171.1];
             let expected = (x - 100.0) / 2.0 * 0.5 - (200.0 - y) / 2.0 * 0.25;
             approx::assert_abs_diff_eq!(surface.at([x, y]).unwrap(), expected, epsilon = 1e-9);
@@ -337,7 +345,7 @@ mod tests {
 
     #[test]
     fn what_is_not_known_is_no_surface() {
-        let mut surface = slope(Heights::Bicubic);
+        let mut surface = slope(HeightInterpolation::Bicubic);
         surface.heights_m[5 * 20 + 5] = f32::NAN;
         let at = |u, v| surface.at_pixel([u, v]);
         assert_eq!((at(4.5, 5.0), at(5.0, 5.0), at(5.5, 4.5)), (None, None, None));
@@ -348,30 +356,37 @@ mod tests {
 
     #[test]
     fn rays_meet_the_plane_and_walls_hide() {
-        let surface = slope(Heights::Bilinear);
-        let met = surface.meets([110.0, 180.0, 50.0], [0.1, -0.05, -1.0]).unwrap();
+        let surface = slope(HeightInterpolation::Bilinear);
+        let met = surface.intersect_ray([110.0, 180.0, 50.0], [0.1, -0.05, -1.0]).unwrap();
         approx::assert_abs_diff_eq!(surface.at([met[0], met[1]]).unwrap(), met[2], epsilon = 1e-6);
-        assert_eq!(surface.meets([110.0, 180.0, 50.0], [0.0, 0.1, 1.0]), None);
-        let mut wall = slope(Heights::Bilinear);
+        assert_eq!(surface.intersect_ray([110.0, 180.0, 50.0], [0.0, 0.1, 1.0]), None);
+        let mut wall = slope(HeightInterpolation::Bilinear);
         for row in 0..30 {
             wall.heights_m[row * 20 + 10] = 30.0;
         }
-        let wall =
-            Surface::new(wall.georeference, [20, 30], wall.heights_m, Heights::Bilinear).unwrap();
+        let wall = Surface::new(
+            wall.georeference,
+            [20, 30],
+            wall.heights_m,
+            HeightInterpolation::Bilinear,
+        )
+        .unwrap();
         let point = [110.0, 180.0, wall.at([110.0, 180.0]).unwrap()];
-        assert!(!wall.sees(point, [140.0, 180.0, 40.0], 0.1));
-        assert!(wall.sees(point, [90.0, 180.0, 40.0], 0.1));
-        assert!(wall.sees(point, [112.0, 180.0, 400.0], 0.1));
+        assert!(!wall.is_visible(point, [140.0, 180.0, 40.0], 0.1));
+        assert!(wall.is_visible(point, [90.0, 180.0, 40.0], 0.1));
+        assert!(wall.is_visible(point, [112.0, 180.0, 400.0], 0.1));
     }
 
     #[test]
     fn degrees_and_emptiness_are_refused() {
         let crs = Crs::geographic(4326);
         let place = Georeference::north_up([9.0, 48.0], 1e-5, crs);
-        let error = Surface::new(place, [1, 1], vec![1.0], Heights::Bilinear).unwrap_err();
+        let error =
+            Surface::new(place, [1, 1], vec![1.0], HeightInterpolation::Bilinear).unwrap_err();
         assert!(error.to_string().contains("degrees"), "{error}");
         let place = Georeference::north_up([0.0; 2], 1.0, Crs::LOCAL);
-        let error = Surface::new(place, [1, 1], vec![f32::NAN], Heights::Bilinear).unwrap_err();
+        let error =
+            Surface::new(place, [1, 1], vec![f32::NAN], HeightInterpolation::Bilinear).unwrap_err();
         assert!(error.to_string().contains("none of its cells"), "{error}");
     }
 }

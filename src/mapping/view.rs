@@ -7,7 +7,7 @@ use super::Surface;
 use crate::{
     camera::{Interior, Lens},
     geometry::rotation,
-    scene::Pose,
+    scene::{Image, Pose, Reconstruction},
 };
 
 /// Points along each side of a photo by which its outline is followed.
@@ -30,6 +30,15 @@ pub struct View {
     rotation: [[f64; 3]; 3],
     centre_m: [f64; 3],
     size_px: [f64; 2],
+}
+
+/// The photos of a reconstruction, in its order, each with the exact lens of its own camera.
+pub fn views(reconstruction: &Reconstruction) -> Vec<View> {
+    let view = |image: &Image| {
+        let interior = reconstruction.cameras[image.camera].interior;
+        View::new(&image.name, interior, image.pose, Some(image.motion))
+    };
+    reconstruction.images.iter().map(view).collect()
 }
 
 /// Least and greatest x and y, metres.
@@ -65,7 +74,7 @@ impl View {
     }
 
     /// Whether it has a rolling shutter.
-    pub(super) fn rolls(&self) -> bool {
+    pub(super) fn has_rolling_shutter(&self) -> bool {
         self.motion.is_some()
     }
 
@@ -83,7 +92,7 @@ impl View {
         let mut at = self.interior.project(in_camera)?;
         if let Some(motion) = &self.motion {
             for _ in 0..4 {
-                let moved = moved(in_camera, motion, self.share(at[1]));
+                let moved = at_row(in_camera, motion, self.share(at[1]));
                 at = self.interior.project_near(moved, at)?;
             }
         }
@@ -121,12 +130,12 @@ impl View {
     /// Where on a surface a pixel is.
     pub fn ground(&self, image_px: [f64; 2], surface: &Surface) -> Option<[f64; 3]> {
         let (from, direction) = self.ray(image_px)?;
-        surface.meets(from, direction)
+        surface.intersect_ray(from, direction)
     }
 
     /// The part of the map outside of which the photo shows nothing between two heights; infinite where
     /// it looks at the horizon.
-    pub fn reach_m(&self, [low, high]: [f64; 2]) -> Bounds {
+    pub fn footprint_between_m(&self, [low, high]: [f64; 2]) -> Bounds {
         const ALL: Bounds = [[f64::NEG_INFINITY, f64::INFINITY]; 2];
         let mut bounds = [[f64::INFINITY, f64::NEG_INFINITY]; 2];
         for at in self.outline() {
@@ -157,7 +166,8 @@ impl View {
         for at in self.outline() {
             let Some(point) = self.ground(at, surface) else {
                 // It ends beyond the surface: what both reach.
-                let (reach, known) = (self.reach_m(surface.range_m()), surface.bounds_m());
+                let (reach, known) =
+                    (self.footprint_between_m(surface.range_m()), surface.bounds_m());
                 let both: Bounds = std::array::from_fn(|k| {
                     [reach[k][0].max(known[k][0]), reach[k][1].min(known[k][1])]
                 });
@@ -196,7 +206,7 @@ fn turn(motion: &[f64; 6], share: f64) -> rotation::Quaternion {
 }
 
 /// A point in the camera frame of the middle of the exposure, in that of a row.
-fn moved(point: [f64; 3], motion: &[f64; 6], share: f64) -> [f64; 3] {
+fn at_row(point: [f64; 3], motion: &[f64; 6], share: f64) -> [f64; 3] {
     let turned = rotation::rotate(turn(motion, share), point);
     std::array::from_fn(|k| turned[k] + share * motion[3 + k])
 }

@@ -8,6 +8,7 @@
 //! position of that centre. (GeoTIFF and GDAL count from the pixel's corner; the conversion is in
 //! [`crate::io::geotiff`].)
 
+use crate::scene::{HorizontalFrame, ReferenceFrame, VerticalFrame};
 use serde::Serialize;
 
 /// What kind of coordinates a map has.
@@ -42,6 +43,19 @@ impl Crs {
     /// Longitude and latitude of the registry.
     pub fn geographic(epsg: u32) -> Crs {
         Crs { epsg: Some(epsg), kind: CrsKind::Geographic, vertical_epsg: None }
+    }
+
+    /// That of a reconstruction in metres: with its codes, as far as it has any.
+    pub fn of(reference: &ReferenceFrame) -> Crs {
+        let horizontal = match reference.horizontal {
+            HorizontalFrame::Projected { epsg: Some(epsg), .. } => Crs::projected(epsg),
+            _ => Crs::LOCAL,
+        };
+        let vertical_epsg = match reference.vertical {
+            VerticalFrame::Known { epsg } => Some(epsg),
+            _ => None,
+        };
+        Crs { vertical_epsg, ..horizontal }
     }
 
     /// Metres in a frame of one's own.

@@ -17,10 +17,10 @@ use image::{GrayImage, Rgb, RgbImage};
 use rowgram::{
     mapping::{
         Surface,
-        dem::{Cloud, Options, Point},
+        dem::{CloudOptions, SurfacePoint, TriangulatedCloud},
         paint::paint,
-        photo::Photo,
-        select::{Rules, Selector},
+        photo::DecodedPhoto,
+        select::{PhotoSelector, SelectionOptions},
         view::View,
     },
     raster::{
@@ -282,13 +282,14 @@ impl Flown {
 
     /// The surface through the adjusted tie points.
     fn surface(&self, cell_m: f64) -> Result<Surface, String> {
-        let points: Vec<Point> = self
+        let points: Vec<SurfacePoint> = self
             .survey
             .points
             .iter()
-            .map(|point| Point { position_m: point.position_m, sigma_z_m: f64::NAN })
+            .map(|point| SurfacePoint { position_m: point.position_m, sigma_z_m: f64::NAN })
             .collect();
-        let cloud = Cloud::new(&points, &Options::default()).map_err(|e| e.to_string())?;
+        let cloud =
+            TriangulatedCloud::new(&points, &CloudOptions::default()).map_err(|e| e.to_string())?;
         let bounds = cloud.bounds_m();
         let size = bounds.map(|[low, high]| ((high - low) / cell_m) as usize + 1);
         let place = Georeference::north_up([bounds[0][0], bounds[1][1]], cell_m, Crs::LOCAL);
@@ -337,12 +338,12 @@ fn orthomosaic(flown: &Flown, surface_m: f64) -> Result<Seen, String> {
     let origin = frame.ground(0.0, 0.0);
     let grid = Georeference::north_up(origin, frame.gsd_m, Crs::LOCAL);
     let (width, height) = (frame.width_px as usize, frame.height_px as usize);
-    let selector = Selector::new(&views, &surface, grid, Rules::default());
+    let selector = PhotoSelector::new(&views, &surface, grid, SelectionOptions::default());
     let sources = selector.sources(Window::whole(width, height));
     let mosaic = |which: fn(&(RgbImage, RgbImage)) -> &RgbImage, interpolation| {
-        let photos: Vec<Photo> =
-            flown.photos.iter().map(|both| Photo::new(which(both), None)).collect();
-        let present: Vec<Option<&Photo>> = photos.iter().map(Some).collect();
+        let photos: Vec<DecodedPhoto> =
+            flown.photos.iter().map(|both| DecodedPhoto::new(which(both), None)).collect();
+        let present: Vec<Option<&DecodedPhoto>> = photos.iter().map(Some).collect();
         let mut rgba = vec![[0; 4]; width * height];
         paint(&sources, &present, None, interpolation, &mut rgba);
         RgbImage::from_fn(width as u32, height as u32, |u, v| {

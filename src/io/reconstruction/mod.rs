@@ -26,7 +26,8 @@ const FORMAT: &str = "rowgram reconstruction";
 /// Raised whenever the form changes.
 const VERSION: u32 = 1;
 
-const POINTS: &str = "tie_points.csv";
+/// Name of the table of tie points beside it.
+pub const POINTS: &str = "tie_points.csv";
 const OBSERVATIONS: &str = "tie_observations.csv";
 
 /// The file that a path names: itself, or `reconstruction.json` in a folder.

@@ -1,10 +1,10 @@
-//! How high the leaves are above the surface, by their parallax between photos.
+//! The height of the canopy above the surface, from the parallax of leaves between photos.
 //!
-//! What stands `h` above the surface of a map appears `h t` from where it is, with `t` the tangent vector of the line of
-//! sight from the vertical: a decimetre of height is worth several centimetres where a wide lens looks aside, more than
-//! plants in their rows are found by, and in another direction on the other side of a seam. A map drawn at
-//! the height of the leaves has them in their places, whichever photo they come from. That height is the one at which
-//! photos agree best,
+//! An object `h` above the surface is displaced by `h t` in an orthophoto, with `t` the tangent vector of the line of sight
+//! from the vertical: a decimetre of height displaces leaves by several centimetres where a wide lens looks aside, which is
+//! more than the precision of plant positions along a row, and the direction changes at a seam. An orthophoto at the height
+//! of the canopy shows leaves in their places, whichever photo they come from. That height is the one at which photos
+//! agree best,
 //!
 //! ```text
 //! h = argmax  sum_b cov_b(e_i, e_j) / sqrt(sum_b var_b(e_i) sum_b var_b(e_j)),    e = max(0, (2G - R - B)/(R + G + B) - 1/20)
@@ -15,54 +15,91 @@
 //! space-sweep approach to true multi-image matching*, CVPR 1996.
 
 use super::{
-    cells::{CELLS, Cells, Pixels},
-    photo::Photo,
-    select::{Candidate, Selector},
+    Surface, View,
+    cells::{CELLS, CellBlock, Pixels},
+    photo::DecodedPhoto,
+    photo_cache::PhotoCache,
+    select::{Candidate, PhotoSelector, SelectionOptions},
 };
-use crate::raster::{undistort::Interpolation, window::Window};
+use crate::raster::{georeference::Georeference, undistort::Interpolation, window::Window};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Heights that are tried, metres, and their number.
+/// Side of the cells by which photos are compared is no less than this, metres: finer than leaves are.
+const MIN_CELL_M: f64 = 0.01;
+/// The lowest height that is tried, the step to the next, metres, and their number.
 const LOWEST_M: f64 = -0.6;
 const STEP_M: f64 = 0.02;
-const STEPS: usize = 181;
-/// Blocks that are looked at, about, of so many times as many places that are tried.
-const BLOCKS: usize = 400;
-const SCAN: usize = 8;
-/// Pairs of photos in which they are.
-const PAIRS: usize = 48;
-/// Difference of two lines of sight, as tangents: least, wanted and greatest. Enough to tell heights apart, and not so much
-/// that two photos see different sides of a plant.
-const APART: [f64; 3] = [0.1, 0.5, 1.2];
-/// The least correlation that tells anything, and by how much it must exceed the median over all heights.
-const LEAST: f64 = 0.2;
-const ABOVE_USUAL: f64 = 0.05;
+const HEIGHTS: usize = 181;
+/// Number of blocks that are compared, about, and how many times as many places are tried for them.
+const TARGET_BLOCKS: usize = 400;
+const SCAN_FACTOR: usize = 8;
+/// The most pairs of photos in which they are, so that few photos have to be read.
+const MAX_PAIRS: usize = 48;
+/// Difference of the tangents of two lines of sight: least, preferred and greatest. Enough to tell heights apart, and not so
+/// much that two photos see different sides of a plant.
+const TANGENT_DIFFERENCES: [f64; 3] = [0.1, 0.5, 1.2];
+/// The least correlation at the height of the canopy, and by how much it must exceed the median over all heights.
+const MIN_CORRELATION: f64 = 0.2;
+const MIN_PROMINENCE: f64 = 0.05;
 
 /// Two photos, and the first cells of the blocks in which they are compared.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Pair {
+pub struct StereoBlocks {
     /// Indices of the photos.
     pub photos: [usize; 2],
     /// First cells.
     pub blocks: Vec<[usize; 2]>,
 }
 
-/// What was found.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct LeafHeight {
+/// The height of the canopy.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct CanopyHeight {
     /// Above the surface, metres.
     pub height_m: f64,
     /// The correlation there.
     pub correlation: f64,
     /// The correlation at the surface itself.
-    pub at_surface: f64,
+    pub surface_correlation: f64,
+}
+
+/// The height of the canopy above a surface; `None` where photos agree clearly better at no height.
+///
+/// Photos are compared at their ground sampling distance `gsd_m`, metres.
+///
+/// # Errors
+/// Photos that cannot be read.
+pub fn estimate<E: Send>(
+    views: &[View],
+    surface: &Surface,
+    options: SelectionOptions,
+    gsd_m: f64,
+    photos: &mut PhotoCache<'_, E>,
+) -> Result<Option<CanopyHeight>, E> {
+    let [x, y] = surface.bounds_m();
+    let cell_m = gsd_m.max(MIN_CELL_M);
+    let grid = Georeference::north_up([x[0], y[1]], cell_m, surface.georeference.crs);
+    let size = [x, y].map(|[low, high]| ((high - low) / cell_m) as usize + 1);
+    let selector = PhotoSelector::new(views, surface, grid, options);
+    let mut sweep = HeightSweep::default();
+    for pair in stereo_blocks(&selector, size) {
+        photos.each_group(&pair.photos, |photos| {
+            if let [Some(first), Some(second)] = pair.photos.map(|k| photos[k]) {
+                sweep.add(&selector, &pair, [first, second]);
+            }
+        })?;
+    }
+    Ok(sweep.best())
 }
 
 /// Blocks of a map of `size` cells, each with two photos that show it from different sides, ordered by photos; photos
 /// are many at most, so that few have to be read.
-pub fn pairs(selector: &Selector<'_>, [width, height]: [usize; 2]) -> Vec<Pair> {
-    let places = (SCAN * BLOCKS) as f64;
+pub fn stereo_blocks(
+    selector: &PhotoSelector<'_>,
+    [width, height]: [usize; 2],
+) -> Vec<StereoBlocks> {
+    let places = (SCAN_FACTOR * TARGET_BLOCKS) as f64;
     let step = ((width as f64 * height as f64 / places).sqrt().ceil() as usize).max(1);
     let rows: Vec<usize> = (step / 2..height).step_by(step).collect();
     let found: Vec<([usize; 2], [usize; 2])> = rows
@@ -73,7 +110,7 @@ pub fn pairs(selector: &Selector<'_>, [width, height]: [usize; 2]) -> Vec<Pair> 
             (step / 2..width).step_by(step).filter_map(move |u| {
                 let point = selector.point_m(u, v)?;
                 selector.candidates(point, &among, &mut candidates);
-                Some((from_two_sides(selector, point, &candidates)?, [u, v]))
+                Some((stereo_partners(selector, point, &candidates)?, [u, v]))
             })
         })
         .collect();
@@ -81,14 +118,14 @@ pub fn pairs(selector: &Selector<'_>, [width, height]: [usize; 2]) -> Vec<Pair> 
     for (photos, block) in found {
         by_photos.entry(photos).or_default().push(block);
     }
-    let every = by_photos.len().div_ceil(PAIRS).max(1);
-    let mut pairs: Vec<Pair> = by_photos
+    let every = by_photos.len().div_ceil(MAX_PAIRS).max(1);
+    let mut pairs: Vec<StereoBlocks> = by_photos
         .into_iter()
         .step_by(every)
-        .map(|(photos, blocks)| Pair { photos, blocks })
+        .map(|(photos, blocks)| StereoBlocks { photos, blocks })
         .collect();
     let count: usize = pairs.iter().map(|pair| pair.blocks.len()).sum();
-    let every = count.div_ceil(BLOCKS).max(1);
+    let every = count.div_ceil(TARGET_BLOCKS).max(1);
     for pair in &mut pairs {
         let mut place = 0;
         pair.blocks.retain(|_| {
@@ -100,8 +137,8 @@ pub fn pairs(selector: &Selector<'_>, [width, height]: [usize; 2]) -> Vec<Pair> 
 }
 
 /// The photo of a cell and the one that sees it from another side, in order.
-fn from_two_sides(
-    selector: &Selector<'_>,
+fn stereo_partners(
+    selector: &PhotoSelector<'_>,
     point_m: [f64; 3],
     candidates: &[Candidate],
 ) -> Option<[usize; 2]> {
@@ -119,22 +156,22 @@ fn from_two_sides(
     let (_, second) = others
         .iter()
         .map(|other| (apart(other.view), other.view))
-        .filter(|(apart, _)| (APART[0]..=APART[2]).contains(apart))
-        .map(|(apart, view)| ((apart - APART[1]).abs(), view))
+        .filter(|(apart, _)| (TANGENT_DIFFERENCES[0]..=TANGENT_DIFFERENCES[2]).contains(apart))
+        .map(|(apart, view)| ((apart - TANGENT_DIFFERENCES[1]).abs(), view))
         .min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)))?;
     Some([first.view.min(second), first.view.max(second)])
 }
 
 /// How well photos agree, height by height.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Agreement {
+pub struct HeightSweep {
     /// Covariances and both variances, times the number of cells.
     sums: Vec<[f64; 3]>,
 }
 
-impl Default for Agreement {
-    fn default() -> Agreement {
-        Agreement { sums: vec![[0.0; 3]; STEPS] }
+impl Default for HeightSweep {
+    fn default() -> HeightSweep {
+        HeightSweep { sums: vec![[0.0; 3]; HEIGHTS] }
     }
 }
 
@@ -142,14 +179,19 @@ fn height_m(step: usize) -> f64 {
     LOWEST_M + STEP_M * step as f64
 }
 
-impl Agreement {
+impl HeightSweep {
     /// Compares two photos in their blocks.
-    pub fn add(&mut self, selector: &Selector<'_>, pair: &Pair, photos: [&Photo; 2]) {
+    pub fn add(
+        &mut self,
+        selector: &PhotoSelector<'_>,
+        pair: &StereoBlocks,
+        photos: [&DecodedPhoto; 2],
+    ) {
         let of_blocks: Vec<Vec<[f64; 3]>> = pair
             .blocks
             .par_iter()
             .map_init(Scratch::new, |scratch, &block| {
-                (0..STEPS)
+                (0..HEIGHTS)
                     .map(|step| scratch.compare(selector, pair.photos, photos, block, step))
                     .collect()
             })
@@ -168,17 +210,18 @@ impl Agreement {
 
     /// Heights, metres, with the correlation at each.
     pub fn curve(&self) -> Vec<[f64; 2]> {
-        (0..STEPS).map(|step| [height_m(step), self.correlation(step)]).collect()
+        (0..HEIGHTS).map(|step| [height_m(step), self.correlation(step)]).collect()
     }
 
     /// The height at which photos agree best; `None` where none stands out.
-    pub fn best(&self) -> Option<LeafHeight> {
-        let all: Vec<f64> = (0..STEPS).map(|step| self.correlation(step)).collect();
-        let best = (0..STEPS).max_by(|&a, &b| all[a].total_cmp(&all[b]))?;
+    pub fn best(&self) -> Option<CanopyHeight> {
+        let all: Vec<f64> = (0..HEIGHTS).map(|step| self.correlation(step)).collect();
+        let best = (0..HEIGHTS).max_by(|&a, &b| all[a].total_cmp(&all[b]))?;
         let mut sorted = all.clone();
         sorted.sort_by(f64::total_cmp);
-        let stands_out = all[best] >= LEAST && all[best] >= sorted[STEPS / 2] + ABOVE_USUAL;
-        if !stands_out || best == 0 || best + 1 == STEPS {
+        let is_prominent =
+            all[best] >= MIN_CORRELATION && all[best] >= sorted[HEIGHTS / 2] + MIN_PROMINENCE;
+        if !is_prominent || best == 0 || best + 1 == HEIGHTS {
             return None;
         }
         // The vertex of the parabola through the best and its neighbours.
@@ -186,18 +229,18 @@ impl Agreement {
         let bend = before - 2.0 * at + after;
         let shift = if bend < 0.0 { 0.5 * (before - after) / bend } else { 0.0 };
         let surface = (-LOWEST_M / STEP_M).round() as usize;
-        Some(LeafHeight {
+        Some(CanopyHeight {
             height_m: height_m(best) + STEP_M * shift.clamp(-0.5, 0.5),
             correlation: at,
-            at_surface: all[surface],
+            surface_correlation: all[surface],
         })
     }
 }
 
 /// Working memory of a block.
 struct Scratch {
-    cells: Cells,
-    raised: Cells,
+    cells: CellBlock,
+    raised: CellBlock,
     first: [usize; 2],
     at: [Box<Pixels>; 2],
 }
@@ -206,8 +249,8 @@ impl Scratch {
     fn new() -> Scratch {
         let pixels = || Box::new([[f32::NAN; 2]; CELLS]);
         Scratch {
-            cells: Cells::new(),
-            raised: Cells::new(),
+            cells: CellBlock::new(),
+            raised: CellBlock::new(),
             first: [usize::MAX; 2],
             at: [pixels(), pixels()],
         }
@@ -215,9 +258,9 @@ impl Scratch {
 
     fn compare(
         &mut self,
-        selector: &Selector<'_>,
+        selector: &PhotoSelector<'_>,
         views: [usize; 2],
-        photos: [&Photo; 2],
+        photos: [&DecodedPhoto; 2],
         block: [usize; 2],
         step: usize,
     ) -> [f64; 3] {
@@ -238,7 +281,10 @@ impl Scratch {
             if a[0].is_nan() || b[0].is_nan() {
                 continue;
             }
-            let (Some(a), Some(b)) = (green(photos[0], a), green(photos[1], b)) else { continue };
+            let (Some(a), Some(b)) = (excess_green(photos[0], a), excess_green(photos[1], b))
+            else {
+                continue;
+            };
             n += 1.0;
             sums = [sums[0] + a, sums[1] + b];
             products = [products[0] + a * b, products[1] + a * a, products[2] + b * b];
@@ -255,9 +301,9 @@ impl Scratch {
 }
 
 /// Excess green where there is much of it; `None` where the photo has no data.
-fn green(photo: &Photo, at: [f32; 2]) -> Option<f64> {
+fn excess_green(photo: &DecodedPhoto, at: [f32; 2]) -> Option<f64> {
     let colour = photo.at(at, Interpolation::Bilinear);
-    if !Photo::has_data(colour) {
+    if !DecodedPhoto::has_data(colour) {
         return None;
     }
     let [r, g, b, _] = colour.map(f64::from);
@@ -271,7 +317,7 @@ mod tests {
     use super::*;
     use crate::{
         camera::{Interior, Model},
-        mapping::{Surface, View, select::Rules, surface::Heights},
+        mapping::{Surface, View, select::SelectionOptions, surface::HeightInterpolation},
         raster::georeference::{Crs, Georeference},
         scene::Pose,
     };
@@ -294,7 +340,7 @@ mod tests {
     }
 
     /// Green discs of 6 cm so far above textured soil, as a view shows them.
-    fn photo(view: &View, above_m: f64, leaves: bool) -> Photo {
+    fn photo(view: &View, above_m: f64, leaves: bool) -> DecodedPhoto {
         let random = |a: i64, b: i64| {
             let n = (a * 7919 + b * 104_729).wrapping_mul(0x9E37_79B9) as u64;
             ((n ^ (n >> 29)).wrapping_mul(0xBF58_476D_1CE4_E5B9) >> 40) as u8
@@ -319,24 +365,27 @@ mod tests {
             let grey = 100 + random(x, y) / 4;
             Rgb([grey + 20, grey, grey - 30])
         });
-        Photo::new(&image, None)
+        DecodedPhoto::new(&image, None)
     }
 
-    fn found(above_m: f64, leaves: bool) -> Option<LeafHeight> {
+    fn found(above_m: f64, leaves: bool) -> Option<CanopyHeight> {
         let views = views();
-        let photos: Vec<Photo> = views.iter().map(|view| photo(view, above_m, leaves)).collect();
+        let photos: Vec<DecodedPhoto> =
+            views.iter().map(|view| photo(view, above_m, leaves)).collect();
         let place = Georeference::north_up([-12.0, 8.0], 1.0, Crs::LOCAL);
-        let surface = Surface::new(place, [25, 17], vec![2.0; 25 * 17], Heights::Bilinear).unwrap();
+        let surface =
+            Surface::new(place, [25, 17], vec![2.0; 25 * 17], HeightInterpolation::Bilinear)
+                .unwrap();
         let grid = Georeference::north_up([-12.0, 8.0], 0.016, Crs::LOCAL);
-        let selector = Selector::new(&views, &surface, grid, Rules::default());
-        let mut agreement = Agreement::default();
-        let pairs = pairs(&selector, [1500, 1000]);
+        let selector = PhotoSelector::new(&views, &surface, grid, SelectionOptions::default());
+        let mut sweep = HeightSweep::default();
+        let pairs = stereo_blocks(&selector, [1500, 1000]);
         let blocks: usize = pairs.iter().map(|pair| pair.blocks.len()).sum();
-        assert!(pairs.len() >= 3 && (100..=BLOCKS).contains(&blocks), "{blocks}");
+        assert!(pairs.len() >= 3 && (100..=TARGET_BLOCKS).contains(&blocks), "{blocks}");
         for pair in &pairs {
-            agreement.add(&selector, pair, pair.photos.map(|k| &photos[k]));
+            sweep.add(&selector, pair, pair.photos.map(|k| &photos[k]));
         }
-        agreement.best()
+        sweep.best()
     }
 
     #[test]
@@ -344,7 +393,7 @@ mod tests {
         for above_m in [0.0, 0.137, -0.25] {
             let found = found(above_m, true).unwrap();
             assert!((found.height_m - above_m).abs() < 0.006, "{above_m}: {found:?}");
-            assert!(found.correlation > 0.6 && found.correlation >= found.at_surface);
+            assert!(found.correlation > 0.6 && found.correlation >= found.surface_correlation);
         }
     }
 

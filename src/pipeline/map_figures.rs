@@ -1,11 +1,10 @@
-//! Pictures of maps: the mosaic small, which photo each place came from, how many photos show it; surfaces
-//! shaded, in colours, with their standard deviations.
+//! Pictures of maps: the mosaic small, which photo each place came from, how many photos show it; surfaces shaded and in
+//! colours.
 
-use super::render::Rendered;
 use crate::{
     error::Error,
     io::{images, output},
-    mapping::{Surface, select::Selector},
+    mapping::{Surface, elevation::ElevationModel, mosaic::Rendered, select::PhotoSelector},
     raster::georeference::Georeference,
 };
 use image::{Rgb, RgbImage};
@@ -33,7 +32,7 @@ fn own_colour(number: u32) -> [u8; 3] {
 }
 
 /// From dark blue over green to yellow.
-pub(in crate::cli) fn scale_colour(share: f64) -> [u8; 3] {
+fn scale_colour(share: f64) -> [u8; 3] {
     const STOPS: [[f64; 3]; 5] = [
         [68.0, 1.0, 84.0],
         [59.0, 82.0, 139.0],
@@ -51,20 +50,21 @@ pub(in crate::cli) fn scale_colour(share: f64) -> [u8; 3] {
 ///
 /// # Errors
 /// Where one cannot be written.
-pub(super) fn mosaic(
+pub(super) fn draw_mosaic(
     folder: &Path,
-    selector: &Selector<'_>,
+    selector: &PhotoSelector<'_>,
     rendered: &Rendered,
     grid: Georeference,
     force: bool,
 ) -> Result<(), Error> {
-    let size = rendered.preview_size;
-    let preview = picture(size, |u, v| match rendered.preview[v * size[0] + u] {
+    let small = &rendered.preview;
+    let size = small.size;
+    let preview = picture(size, |u, v| match small.rgba[v * size[0] + u] {
         [_, _, _, 0] => EMPTY,
         [r, g, b, _] => [r, g, b],
     });
     images::write_photo(&folder.join("mosaic.png"), force, &preview)?;
-    let source = |u: usize, v: usize| rendered.preview_source[v * size[0] + u];
+    let source = |u: usize, v: usize| small.source[v * size[0] + u];
     let sources = picture(size, |u, v| {
         let own = source(u, v);
         let seam = (u + 1 < size[0] && source(u + 1, v) != own)
@@ -76,7 +76,7 @@ pub(super) fn mosaic(
         }
     });
     images::write_photo(&folder.join("sources.png"), force, &sources)?;
-    let step = rendered.step;
+    let step = small.step;
     let among: Vec<u32> = (0..selector.views().len() as u32).collect();
     let counts: Vec<usize> = (0..size[0] * size[1])
         .into_par_iter()
@@ -115,8 +115,46 @@ pub(super) fn mosaic(
     Ok(())
 }
 
+/// Surface, standard deviations and ground, and a table of how heights are distributed.
+///
+/// # Errors
+/// Where one cannot be written.
+pub(super) fn draw_elevation(
+    folder: &Path,
+    model: &ElevationModel,
+    force: bool,
+) -> Result<(), Error> {
+    let surface = &model.surface;
+    images::write_photo(&folder.join("hillshade.png"), force, &hillshade(surface))?;
+    if let Some(ground) = &model.ground {
+        images::write_photo(&folder.join("ground.png"), force, &hillshade(ground))?;
+    }
+    let sigmas = model.sorted_sigmas_m();
+    let share = |share: f64| ((sigmas.len().saturating_sub(1)) as f64 * share) as usize;
+    if let Some(&most) = sigmas.get(share(0.95)) {
+        let size = [surface.width, surface.height];
+        let picture = values(size, &model.sigmas_m, [0.0, f64::from(most)]);
+        images::write_photo(&folder.join("sigma.png"), force, &picture)?;
+    }
+    let mut heights: Vec<f32> =
+        surface.heights_m.iter().copied().filter(|z| z.is_finite()).collect();
+    heights.sort_by(f32::total_cmp);
+    output::write(&folder.join("heights.csv"), force, |out| {
+        writeln!(out, "share_of_cells,height_m,sigma_m")?;
+        for percent in (0..=100).step_by(5) {
+            let of = |values: &[f32]| {
+                let at = (values.len().saturating_sub(1)) * percent / 100;
+                values.get(at).map_or(String::new(), |value| format!("{value:.4}"))
+            };
+            writeln!(out, "{:.2},{},{}", percent as f64 / 100.0, of(&heights), of(&sigmas))?;
+        }
+        Ok(())
+    })?;
+    Ok(())
+}
+
 /// A surface lit from the north-west, its colours by height.
-pub(in crate::cli) fn hillshade(surface: &Surface) -> RgbImage {
+fn hillshade(surface: &Surface) -> RgbImage {
     let [low, high] = surface.range_m();
     let cell = surface.cell_m();
     let size = [surface.width, surface.height];
@@ -147,7 +185,7 @@ pub(in crate::cli) fn hillshade(surface: &Surface) -> RgbImage {
 }
 
 /// Values in colours between two limits.
-pub(in crate::cli) fn values(size: [usize; 2], of: &[f32], [low, high]: [f64; 2]) -> RgbImage {
+fn values(size: [usize; 2], of: &[f32], [low, high]: [f64; 2]) -> RgbImage {
     picture(size, |u, v| match f64::from(of[v * size[0] + u]) {
         value if value.is_finite() => scale_colour((value - low) / (high - low).max(1e-12)),
         _ => EMPTY,

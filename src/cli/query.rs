@@ -1,0 +1,104 @@
+//! `rowgram query`: from a place on an orthomosaic to the pixel of the photo behind it, and back.
+
+use super::stage;
+use crate::{
+    error::Error,
+    pipeline::query::{OrthophotoOrigins, query},
+};
+use std::path::PathBuf;
+
+/// Ask an orthomosaic which photo pixel is behind a place, or where a photo pixel is
+///
+/// Coordinates are metres in the mapping frame; pixels of photos are columns and rows, the centre of the first one being
+/// 0,0.
+///
+/// Examples:
+///   rowgram query field --at 500670.2,4480143.1
+///   rowgram query field --photo IMG_0031.JPG --pixel 2011.5,1490
+///   rowgram query ortho.tif --at 500670.2,4480143.1 --json
+#[derive(Debug, clap::Args)]
+#[command(verbatim_doc_comment, arg_required_else_help = true)]
+pub(super) struct Args {
+    /// Folder of a project, or an orthomosaic with its record (.json) and its provenance beside it.
+    input: PathBuf,
+    /// Folder of results of the project [default: PROJECT/rowgram].
+    #[arg(short, long, value_name = "DIR")]
+    output: Option<PathBuf>,
+    /// A place: the photo and its pixel behind it are told.
+    #[arg(
+        long,
+        value_name = "X,Y",
+        value_delimiter = ',',
+        num_args = 2,
+        allow_negative_numbers = true,
+        required_unless_present = "photo",
+        conflicts_with = "photo"
+    )]
+    at: Vec<f64>,
+    /// A photo, with --pixel: the place is told.
+    #[arg(long, value_name = "NAME", requires = "pixel")]
+    photo: Option<String>,
+    /// Column and row in the photo.
+    #[arg(
+        long,
+        value_name = "U,V",
+        value_delimiter = ',',
+        num_args = 2,
+        allow_negative_numbers = true,
+        requires = "photo"
+    )]
+    pixel: Vec<f64>,
+    /// The surface, if it is not where it was.
+    #[arg(long, value_name = "FILE")]
+    dem: Option<PathBuf>,
+    /// Print one line of JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// An orthomosaic without its record, a place that it does not show, a photo that it does not know.
+pub(super) fn run(args: &Args) -> Result<(), Error> {
+    let origins = if args.input.is_dir() {
+        query(&stage::open(&args.input, args.output.as_deref())?, args.dem.as_deref())?
+    } else {
+        OrthophotoOrigins::open(&args.input, args.dem.as_deref())?
+    };
+    if let (Some(photo), &[u, v]) = (&args.photo, &args.pixel[..]) {
+        let found = origins.map_position(photo, [u, v])?;
+        if args.json {
+            return super::print_json(&found);
+        }
+        return super::print(&format!(
+            "x {:.4} y {:.4} z {:.4} m; column {:.2} row {:.2} of the orthomosaic{}",
+            found.x_m,
+            found.y_m,
+            found.z_m,
+            found.column,
+            found.row,
+            match found.is_source {
+                Some(false) => ", which is taken from another photo",
+                Some(true) => ", which is taken from this photo",
+                None => "",
+            }
+        ));
+    }
+    let &[x, y] = &args.at[..] else {
+        return Err(Error::Argument("--at: expected X,Y".into()));
+    };
+    let found = origins.photo_pixel([x, y])?;
+    if args.json {
+        return super::print_json(&found);
+    }
+    super::print(&format!(
+        "{} u {:.3} v {:.3} px; height {:.3} m, view angle {:.1} degrees{}",
+        found.path.display(),
+        found.u_px,
+        found.v_px,
+        found.z_m,
+        found.view_angle_deg,
+        found.to_seam_m.map_or(String::new(), |m| format!(", {m:.2} m to the seam"))
+    ))
+}

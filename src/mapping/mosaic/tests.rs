@@ -1,0 +1,154 @@
+//! Mosaics of three photos of one colour each, side by side over level ground.
+
+use super::*;
+use crate::{
+    camera::{Interior, Model},
+    mapping::{
+        Surface, View, photo::DecodedPhoto, select::SelectionOptions, surface::HeightInterpolation,
+    },
+    raster::georeference::Crs,
+    scene::Pose,
+};
+use image::{Rgb, RgbImage};
+
+const SIZE: [u32; 2] = [80, 60];
+const COLOURS: [[u8; 3]; 3] = [[200, 10, 10], [10, 200, 10], [10, 10, 200]];
+
+/// 8 m x 6 m on the ground each, 4 m apart.
+fn views() -> Vec<View> {
+    let values = [100.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+    let interior = Interior::new(Model::Smac, SIZE, &values).unwrap();
+    let at = |k: usize| Pose::from_centre([1.0, 0.0, 0.0, 0.0], [4.0 * k as f64, 0.0, 10.0]);
+    (0..3).map(|k| View::new(&format!("p{k}"), interior, at(k), None)).collect()
+}
+
+fn surface() -> Surface {
+    let place = Georeference::north_up([-10.0, 10.0], 1.0, Crs::LOCAL);
+    Surface::new(place, [31, 21], vec![0.0; 31 * 21], HeightInterpolation::Bilinear).unwrap()
+}
+
+/// Photo `k`; the left half of the second one has no data.
+fn photo(k: usize) -> DecodedPhoto {
+    let image = RgbImage::from_pixel(SIZE[0], SIZE[1], Rgb(COLOURS[k]));
+    let gaps: Vec<bool> = (0..SIZE[0] * SIZE[1]).map(|n| k == 1 && n % SIZE[0] < 40).collect();
+    DecodedPhoto::new(&image, Some(&gaps))
+}
+
+/// All cells of a mosaic of 16 m x 6 m: colour, provenance, what came of it.
+fn rendered(
+    feather_m: Option<f64>,
+    gains: Option<&[Gain]>,
+    room: usize,
+) -> (Vec<[u8; 4]>, Vec<[f32; 5]>, Rendered) {
+    let (views, surface) = (views(), surface());
+    let grid = Georeference::north_up([-3.995, 2.995], 0.01, Crs::LOCAL);
+    let size = [1600, 600];
+    let selector = PhotoSelector::new(&views, &surface, grid, SelectionOptions::default());
+    let read = |k: usize| -> Result<DecodedPhoto, String> { Ok(photo(k)) };
+    let mut cache = PhotoCache::new(&views, &read, room);
+    let mosaic = Mosaic {
+        selector: &selector,
+        grid,
+        size,
+        interpolation: Interpolation::Bilinear,
+        feather_m,
+        gains,
+        with_provenance: true,
+    };
+    let mut colours = vec![[1u8; 4]; size[0] * size[1]];
+    let mut records = vec![[f32::NAN; 5]; size[0] * size[1]];
+    let found = render(&mosaic, &mut cache, |tile| {
+        let Window { u, v, width, height } = tile.window;
+        for n in 0..width * height {
+            let at = (v + n / width) * size[0] + u + n % width;
+            assert!(records[at][0].is_nan(), "cell {at} came twice");
+            colours[at].copy_from_slice(&tile.rgba[4 * n..4 * n + 4]);
+            records[at].copy_from_slice(&tile.provenance[5 * n..5 * n + 5]);
+        }
+        Ok(())
+    });
+    (colours, records, found.unwrap())
+}
+
+#[test]
+fn tiles_cover_every_cell_once() {
+    for size in [[1, 1], [512, 512], [1600, 600], [3000, 2100]] {
+        let tiles = tiles(size);
+        assert_eq!(tiles.iter().map(Window::pixels).sum::<usize>(), size[0] * size[1]);
+        let mut corners: Vec<[usize; 2]> = tiles.iter().map(|tile| [tile.u, tile.v]).collect();
+        corners.sort_unstable();
+        corners.dedup();
+        assert_eq!(corners.len(), tiles.len());
+        assert!(tiles.iter().all(|tile| tile.u % TILE == 0 && tile.v % TILE == 0));
+        assert!(tiles.iter().all(|tile| tile.width <= TILE && tile.height <= TILE));
+    }
+}
+
+#[test]
+fn a_cell_without_data_comes_from_the_next_best_photo() {
+    let (colours, records, found) = rendered(None, None, usize::MAX);
+    // Along the middle row: the nearest camera, but left of 4 m the second photo has no data.
+    for (x, photo) in [(-3.0, 0), (1.9, 0), (3.0, 0), (4.2, 1), (5.9, 1), (6.1, 2), (11.0, 2)] {
+        let at = 300 * 1600 + ((x + 4.0) * 100.0) as usize;
+        let [r, g, b] = COLOURS[photo];
+        assert_eq!(colours[at], [r, g, b, 255], "{x}");
+        assert_eq!(records[at][0], photo as f32, "{x}");
+        // The pixel in the photo, from similar triangles: 10 px per metre from the middle.
+        let u = 39.5 + 10.0 * (x + 0.005 - 4.0 * photo as f64);
+        assert!((f64::from(records[at][1]) - u).abs() < 0.06, "{x}: {u} {:?}", records[at]);
+        let angle = ((x + 0.005 - 4.0 * photo as f64).abs() / 10.0).atan().to_degrees();
+        assert!((f64::from(records[at][3]) - angle).abs() < 0.06, "{x}: {angle}");
+    }
+    assert_eq!(found.coloured, colours.iter().filter(|colour| colour[3] > 0).count());
+    assert_eq!(found.cells_of.iter().sum::<usize>(), found.coloured);
+    let preview = &found.preview;
+    assert_eq!((preview.step, preview.size), (1, [1600, 600]));
+    assert!(preview.rgba == colours && preview.source[300 * 1600] == 1);
+}
+
+#[test]
+fn the_room_for_photos_changes_nothing() {
+    for feather_m in [None, Some(1.0)] {
+        let (roomy, without) =
+            (rendered(feather_m, None, usize::MAX), rendered(feather_m, None, 0));
+        assert!(roomy.0 == without.0 && roomy.1 == without.1 && roomy.2 == without.2);
+    }
+}
+
+#[test]
+fn feathering_mixes_photos_at_a_seam_and_gains_change_them() {
+    let (colours, _, _) = rendered(Some(1.0), None, usize::MAX);
+    // The seam of the second and the third photo, at 6 m: half of each; beyond a metre of it one alone.
+    let at = |x: f64| colours[300 * 1600 + ((x + 4.0) * 100.0) as usize];
+    let [r, g, b, a] = at(6.0);
+    assert!(r == 10 && a == 255, "{r} {a}");
+    assert!(g.abs_diff(105) <= 2 && b.abs_diff(105) <= 2, "{g} {b}");
+    assert_eq!((at(4.9), at(7.1)), ([10, 200, 10, 255], [10, 10, 200, 255]));
+    let gains = [[0.5; 3], [1.0; 3], [1.2, 1.0, 1.0]];
+    let (colours, _, _) = rendered(None, Some(&gains), usize::MAX);
+    assert_eq!(colours[300 * 1600 + 100], [100, 5, 5, 255]);
+    assert_eq!(colours[300 * 1600 + 1500], [12, 10, 200, 255]);
+}
+
+#[test]
+fn errors_of_reading_and_of_taking_end_the_work() {
+    let (views, surface) = (views(), surface());
+    let grid = Georeference::north_up([-3.995, 2.995], 0.01, Crs::LOCAL);
+    let selector = PhotoSelector::new(&views, &surface, grid, SelectionOptions::default());
+    let mosaic = Mosaic {
+        selector: &selector,
+        grid,
+        size: [1600, 600],
+        interpolation: Interpolation::Bilinear,
+        feather_m: None,
+        gains: None,
+        with_provenance: false,
+    };
+    let damaged = |_: usize| -> Result<DecodedPhoto, String> { Err("damaged".to_owned()) };
+    let mut cache = PhotoCache::new(&views, &damaged, 0);
+    assert_eq!(render(&mosaic, &mut cache, |_| Ok(())).unwrap_err(), "damaged");
+    let read = |k: usize| -> Result<DecodedPhoto, String> { Ok(photo(k)) };
+    let mut cache = PhotoCache::new(&views, &read, 0);
+    let full = |_: Tile| Err("the disk is full".to_owned());
+    assert_eq!(render(&mosaic, &mut cache, full).unwrap_err(), "the disk is full");
+}

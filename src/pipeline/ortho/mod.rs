@@ -1,0 +1,181 @@
+//! The orthomosaic, and orthophotos of single photos.
+
+mod record;
+mod write;
+
+use super::{Project, Stage, Task, dem, import, stage};
+use crate::{
+    error::Error,
+    mapping::{
+        canopy_height::CanopyHeight,
+        select::{PhotoRule, SelectionOptions},
+        surface::HeightInterpolation,
+    },
+    monitor::Monitor,
+    options::Auto,
+    raster::undistort::Interpolation,
+};
+pub use record::{OrthophotoRecord, PhotoRecord};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+pub(super) use write::provenance_path;
+pub use write::{OrthoFiles, OrthoInput, write_orthophotos};
+
+crate::choices!(PhotoRule: Closest, Nadir, Gsd);
+crate::choices!(HeightInterpolation: Bilinear, Bicubic);
+crate::choices!(Interpolation: Bilinear, Bicubic, Lanczos);
+
+crate::options! {
+    /// The orthomosaic: every cell takes its colour from the photo whose camera is closest.
+    pub struct OrthoOptions in "ortho" {
+        /// Height above the surface at which the map is drawn; auto is the height of the canopy at which photos agree best, so
+        /// that plants are in their places whichever photo shows them. 0 has the ground in its place.
+        pub canopy_height_m: Auto<f64> = Auto::Auto, limits between(-1000.0, 1000.0);
+        /// Side of a pixel; the median ground sampling distance of the photos where not set.
+        pub gsd_m: Option<f64> = None, limits POSITIVE, example "0.015";
+        /// What the map shows: least x, least y, greatest x, greatest y; everything that photos show where not set.
+        pub bounds_m: Option<[f64; 4]> = None, example "[500600.0, 4480100.0, 500700.0, 4480200.0]";
+        /// A GeoTIFF whose grid the map takes, in place of gsd_m and bounds_m.
+        pub like: Option<PathBuf> = None, example "\"rowgram/dem/dem.tif\"";
+        /// The surface: a GeoTIFF of heights in the mapping frame. That of the stage dem where not set.
+        pub dem: Option<PathBuf> = None, example "\"terrain.tif\"";
+        /// How the surface is read between its cells.
+        pub dem_interpolation: HeightInterpolation = HeightInterpolation::Bilinear;
+        /// Use only these photos, by name; all where empty.
+        pub only: Vec<String> = Vec::new();
+        /// Which of the photos that show a cell is taken: closest, its camera is closest; nadir, it looks most straight down;
+        /// gsd, its ground sampling distance is smallest.
+        pub photo_selection: PhotoRule = PhotoRule::Closest;
+        /// The largest angle between line of sight and vertical.
+        pub max_angle_deg: Option<f64> = None, limits between(0.1, 89.9), example "30.0";
+        /// Leave out photos from which the surface hides the cell; what is less than this above the line of sight hides nothing.
+        pub visibility_m: Option<f64> = None, limits NON_NEGATIVE, example "0.05";
+        /// Distance from the borders of photos within which they are not used.
+        pub border_px: f64 = 0.0, limits NON_NEGATIVE;
+        /// How photos are read between their pixels.
+        pub interpolation: Interpolation = Interpolation::Bilinear;
+        /// Bring the colours of overlapping photos together.
+        pub balance: bool = false;
+        /// Distance from the seams up to which photos are blended; hard seams, as in the paper, where not set.
+        pub feather_m: Option<f64> = None, limits POSITIVE, example "0.2";
+        /// Write where every pixel comes from; needed by rowgram query.
+        pub provenance: bool = true;
+        /// Write the orthophoto of every photo too, into the folder frames.
+        pub frames: bool = false;
+        /// Memory for decoded photos. It has no influence on results.
+        pub memory_mb: usize = 600;
+    }
+}
+
+impl OrthoOptions {
+    /// How photos are chosen for cells.
+    pub fn selection(&self) -> SelectionOptions {
+        SelectionOptions {
+            rule: self.photo_selection,
+            max_angle_rad: self.max_angle_deg.map(f64::to_radians),
+            visibility_m: self.visibility_m,
+            border_px: self.border_px,
+        }
+    }
+}
+
+/// An orthophoto, of many photos or of one. Files are named relative to the folder of the orthomosaic.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Orthophoto {
+    /// The picture: red, green, blue, alpha.
+    pub file: PathBuf,
+    /// Where each of its pixels comes from.
+    pub provenance: Option<PathBuf>,
+    /// The photos behind it.
+    pub record: PathBuf,
+    /// Columns.
+    pub width_px: usize,
+    /// Rows.
+    pub height_px: usize,
+    /// Side of a pixel, metres.
+    pub gsd_m: f64,
+    /// EPSG code of the mapping frame, where it has one.
+    pub epsg: Option<u32>,
+    /// EPSG code of what heights are measured from, where it is known.
+    pub vertical_epsg: Option<u32>,
+    /// Number of photos that it shows.
+    pub photos: usize,
+    /// Number of pixels with a colour.
+    pub coloured_pixels: usize,
+}
+
+/// What was written.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct OrthoOutcome {
+    /// The orthomosaic.
+    #[serde(flatten)]
+    pub mosaic: Orthophoto,
+    /// How far above the surface it is drawn, metres.
+    pub canopy_height_m: f64,
+    /// The height of the canopy, where it was estimated and found.
+    pub canopy: Option<CanopyHeight>,
+    /// Orthophotos of single photos, where they were wanted.
+    pub frames: Vec<Orthophoto>,
+}
+
+/// The file of the orthomosaic in the folder of the stage.
+pub const ORTHOMOSAIC: &str = "ortho.tif";
+
+/// The stage.
+#[derive(Debug, Clone, Copy)]
+pub struct OrthoTask;
+
+impl Task for OrthoTask {
+    type Options = OrthoOptions;
+    type Outcome = OrthoOutcome;
+    const STAGE: Stage = Stage::Ortho;
+
+    fn inputs(project: &Project, options: &OrthoOptions) -> Result<Vec<PathBuf>, Error> {
+        let mut files = project.reconstruction_files()?;
+        files.push(surface_file(project, options)?);
+        files.extend(options.like.as_ref().map(|path| project.root().join(path)));
+        files.extend(project.photos());
+        Ok(files)
+    }
+
+    fn work(
+        project: &Project,
+        options: &OrthoOptions,
+        folder: &Path,
+        monitor: &mut dyn Monitor,
+    ) -> Result<OrthoOutcome, Error> {
+        let reconstruction = project.reconstruction()?;
+        let photos = import::photo_files(&reconstruction, &project.photo_folder())?;
+        let surface = surface_file(project, options)?;
+        let like = options.like.as_ref().map(|path| project.root().join(path));
+        let input =
+            OrthoInput { reconstruction: &reconstruction, photos: &photos, surface: &surface };
+        let options = OrthoOptions { like, ..options.clone() };
+        let (mosaic, figures) = (folder.join(ORTHOMOSAIC), folder.join("figures"));
+        let files = OrthoFiles { mosaic: &mosaic, figures: Some(&figures), force: false };
+        write_orthophotos(&input, &options, &files, monitor)
+    }
+}
+
+/// The surface that the options name, else that of the project.
+fn surface_file(project: &Project, options: &OrthoOptions) -> Result<PathBuf, Error> {
+    let own = || project.existing(Stage::Dem, dem::SURFACE);
+    options.dem.as_ref().map(|path| project.root().join(path)).or_else(own).ok_or_else(|| {
+        Error::NothingToDo(format!(
+            "there is no surface in {}; make one with rowgram dem, or name one with [ortho] dem",
+            project.folder(Stage::Dem).display()
+        ))
+    })
+}
+
+/// Makes the orthomosaic of a project, from its reconstruction, its photos and its surface.
+///
+/// # Errors
+/// A project that has not been aligned or has no surface, photos that cannot be read.
+pub fn ortho(
+    project: &Project,
+    options: &OrthoOptions,
+    monitor: &mut dyn Monitor,
+) -> Result<OrthoOutcome, Error> {
+    stage::perform::<OrthoTask>(project, options, monitor)
+}

@@ -1,0 +1,212 @@
+//! Single pixels of an orthophoto: from a place in the mapping frame to the pixel of the photo behind it, and back.
+
+use super::{
+    Project, Stage, dem,
+    ortho::{self, OrthophotoRecord, provenance_path},
+};
+use crate::{
+    error::Error,
+    io::{FileError, geotiff::Reader},
+    mapping::{
+        Surface, View,
+        mosaic::{NO_SOURCE, PROVENANCE_BANDS},
+        surface::HeightInterpolation,
+    },
+    raster::window::Window,
+};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// The pixel of a photo behind a place.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PhotoPixel {
+    /// Name of the photo.
+    pub image: String,
+    /// Its file.
+    pub path: PathBuf,
+    /// Column in the photo, pixels; the centre of the first one is 0.
+    pub u_px: f64,
+    /// Row in the photo, pixels.
+    pub v_px: f64,
+    /// East coordinate of the place, metres.
+    pub x_m: f64,
+    /// North coordinate, metres.
+    pub y_m: f64,
+    /// Height at which the map is drawn there, metres.
+    pub z_m: f64,
+    /// Column of the orthophoto that the place lies in.
+    pub column: usize,
+    /// Row of the orthophoto.
+    pub row: usize,
+    /// Column in the photo of the centre of that pixel, as it was stored, pixels.
+    pub pixel_u_px: f32,
+    /// Row in the photo of the centre of that pixel, pixels.
+    pub pixel_v_px: f32,
+    /// Angle between line of sight and vertical, degrees.
+    pub view_angle_deg: f32,
+    /// Distance to the seam, metres; `None` where no other photo shows the place.
+    pub to_seam_m: Option<f32>,
+}
+
+/// The place of a photo's pixel.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MapPosition {
+    /// Name of the photo.
+    pub image: String,
+    /// East coordinate, metres.
+    pub x_m: f64,
+    /// North coordinate, metres.
+    pub y_m: f64,
+    /// Height, metres.
+    pub z_m: f64,
+    /// Column in the orthophoto, the centre of its first pixel being 0.
+    pub column: f64,
+    /// Row in the orthophoto.
+    pub row: f64,
+    /// Whether the pixel of the orthophoto is taken from this photo; `None` where that is not known.
+    pub is_source: Option<bool>,
+}
+
+/// An orthophoto with the photos and the surface behind it.
+#[derive(Debug)]
+pub struct OrthophotoOrigins {
+    orthophoto: PathBuf,
+    views: Vec<View>,
+    photos: Vec<PathBuf>,
+    surface: Surface,
+}
+
+/// The origins of the orthomosaic of a project; `dem` is the file of the surface where it is not where it was.
+///
+/// # Errors
+/// [`Error::NothingToDo`] where there is no orthomosaic of photos; as [`OrthophotoOrigins::open`].
+pub fn query(project: &Project, dem: Option<&Path>) -> Result<OrthophotoOrigins, Error> {
+    let mosaic = project.existing(Stage::Ortho, ortho::ORTHOMOSAIC).ok_or_else(|| {
+        Error::NothingToDo(format!(
+            "there is no orthomosaic in {}; make one with rowgram ortho",
+            project.folder(Stage::Ortho).display()
+        ))
+    })?;
+    OrthophotoOrigins::open(&mosaic, dem)
+}
+
+impl OrthophotoOrigins {
+    /// Reads the record of an orthophoto and its surface; `dem` is the file of the surface where it is not where it was.
+    ///
+    /// # Errors
+    /// An orthophoto without its record; a surface that is not there.
+    pub fn open(orthophoto: &Path, dem: Option<&Path>) -> Result<OrthophotoOrigins, Error> {
+        let record = OrthophotoRecord::read(orthophoto)?;
+        let surface = dem.unwrap_or(&record.dem);
+        let surface = dem::read_surface(surface, HeightInterpolation::Bilinear)?;
+        Ok(OrthophotoOrigins {
+            orthophoto: orthophoto.to_owned(),
+            views: record.views(orthophoto)?,
+            photos: record.photos.into_iter().map(|photo| photo.path).collect(),
+            surface: surface.raised(record.canopy_height_m),
+        })
+    }
+
+    fn fault(&self, message: String) -> Error {
+        Error::Argument(format!("{}: {message}", self.orthophoto.display()))
+    }
+
+    /// Column, row and provenance of the pixel at a place; `None` where it has no colour.
+    fn stored(&self, at: [f64; 2]) -> Result<Option<(usize, usize, Vec<f32>)>, Error> {
+        let reader = Reader::open(&provenance_path(&self.orthophoto))?;
+        let outside = || self.fault(format!("it does not show ({}, {})", at[0], at[1]));
+        let place = reader.georeference().and_then(|place| place.pixel(at)).ok_or_else(outside)?;
+        let (u, v) = (place[0].round(), place[1].round());
+        let inside =
+            u >= 0.0 && v >= 0.0 && u < reader.width() as f64 && v < reader.height() as f64;
+        if !inside {
+            return Err(outside());
+        }
+        let (u, v) = (u as usize, v as usize);
+        let record = reader.read::<f32>(Window { u, v, width: 1, height: 1 })?;
+        if record.len() != PROVENANCE_BANDS {
+            let message = format!(
+                "it has {} bands, expected the {PROVENANCE_BANDS} of a provenance raster",
+                record.len()
+            );
+            return Err(FileError::malformed(reader.path(), None, message).into());
+        }
+        Ok((record[0] != NO_SOURCE).then_some((u, v, record)))
+    }
+
+    /// The photo and its pixel behind a place, metres in the mapping frame.
+    ///
+    /// # Errors
+    /// A place that the orthophoto does not show.
+    pub fn photo_pixel(&self, at_m: [f64; 2]) -> Result<PhotoPixel, Error> {
+        let [x_m, y_m] = at_m;
+        let (column, row, record) = self
+            .stored(at_m)?
+            .ok_or_else(|| self.fault(format!("no photo shows ({x_m}, {y_m})")))?;
+        let k = record[0] as usize;
+        let view =
+            self.views.get(k).ok_or_else(|| self.fault(format!("there is no photo number {k}")))?;
+        let z_m = self
+            .surface
+            .at(at_m)
+            .ok_or_else(|| self.fault(format!("the surface has no height at ({x_m}, {y_m})")))?;
+        // At the border of a photo the pixel's centre may be in it and the place just outside.
+        let pixel = view.pixel([x_m, y_m, z_m]);
+        let [u_px, v_px] = pixel.unwrap_or([f64::from(record[1]), f64::from(record[2])]);
+        Ok(PhotoPixel {
+            image: view.name.clone(),
+            path: self.photos[k].clone(),
+            u_px,
+            v_px,
+            x_m,
+            y_m,
+            z_m,
+            column,
+            row,
+            pixel_u_px: record[1],
+            pixel_v_px: record[2],
+            view_angle_deg: record[3],
+            to_seam_m: (record[4] != NO_SOURCE).then_some(record[4]),
+        })
+    }
+
+    /// The place of a pixel of a photo, named with or without its ending.
+    ///
+    /// # Errors
+    /// A photo that nobody knows, a pixel that does not show the surface.
+    pub fn map_position(&self, image: &str, image_px: [f64; 2]) -> Result<MapPosition, Error> {
+        let stem = Path::new(image).file_stem().and_then(|stem| stem.to_str());
+        let k = self
+            .views
+            .iter()
+            .position(|view| {
+                let own = Path::new(&view.name).file_stem().and_then(|stem| stem.to_str());
+                view.name == image || Some(view.name.as_str()) == stem || own == Some(image)
+            })
+            .ok_or_else(|| self.fault(format!("there is no photo {image:?}")))?;
+        let [u, v] = image_px;
+        let point = self.views[k].ground(image_px, &self.surface).ok_or_else(|| {
+            self.fault(format!("pixel ({u}, {v}) of {image} does not show the surface"))
+        })?;
+        let at = [point[0], point[1]];
+        let raster = Reader::open(&self.orthophoto)?;
+        let pixel = raster.georeference().and_then(|place| place.pixel(at));
+        let [column, row] = pixel.ok_or_else(|| self.fault("it is not georeferenced".into()))?;
+        let is_source = match provenance_path(&self.orthophoto).is_file() {
+            true => self
+                .stored(at)
+                .ok()
+                .map(|stored| stored.is_some_and(|(_, _, record)| record[0] as usize == k)),
+            false => None,
+        };
+        Ok(MapPosition {
+            image: self.views[k].name.clone(),
+            x_m: point[0],
+            y_m: point[1],
+            z_m: point[2],
+            column,
+            row,
+            is_source,
+        })
+    }
+}
