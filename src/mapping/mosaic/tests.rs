@@ -89,7 +89,7 @@ fn a_cell_without_data_comes_from_the_next_best_photo() {
     let (colours, records, found) = rendered(None, None, usize::MAX);
     // Along the middle row: the nearest camera, but left of 4 m the second photo has no data.
     for (x, photo) in [(-3.0, 0), (1.9, 0), (3.0, 0), (4.2, 1), (5.9, 1), (6.1, 2), (11.0, 2)] {
-        let at = 300 * 1600 + ((x + 4.0) * 100.0) as usize;
+        let at = 300 * 1600 + ((x + 4.0) * 100.0).round() as usize;
         let [r, g, b] = COLOURS[photo];
         assert_eq!(colours[at], [r, g, b, 255], "{x}");
         assert_eq!(records[at][0], photo as f32, "{x}");
@@ -119,7 +119,7 @@ fn the_room_for_photos_changes_nothing() {
 fn feathering_mixes_photos_at_a_seam_and_gains_change_them() {
     let (colours, _, _) = rendered(Some(1.0), None, usize::MAX);
     // The seam of the second and the third photo, at 6 m: half of each; beyond a metre of it one alone.
-    let at = |x: f64| colours[300 * 1600 + ((x + 4.0) * 100.0) as usize];
+    let at = |x: f64| colours[300 * 1600 + ((x + 4.0) * 100.0).round() as usize];
     let [r, g, b, a] = at(6.0);
     assert!(r == 10 && a == 255, "{r} {a}");
     assert!(g.abs_diff(105) <= 2 && b.abs_diff(105) <= 2, "{g} {b}");
