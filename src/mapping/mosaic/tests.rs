@@ -88,7 +88,7 @@ fn tiles_cover_every_cell_once() {
 fn a_cell_without_data_comes_from_the_next_best_photo() {
     let (colours, records, found) = rendered(None, None, usize::MAX);
     // Along the middle row: the nearest camera, but left of 4 m the second photo has no data.
-    for (x, photo) in [(-3.0, 0), (1.9, 0), (3.0, 0), (4.2, 1), (5.9, 1), (6.1, 2), (11.0, 2)] {
+    for (x, photo) in [(-3.0_f64, 0), (1.9, 0), (3.0, 0), (4.2, 1), (5.9, 1), (6.1, 2), (11.0, 2)] {
         let at = 300 * 1600 + ((x + 4.0) * 100.0).round() as usize;
         let [r, g, b] = COLOURS[photo];
         assert_eq!(colours[at], [r, g, b, 255], "{x}");

@@ -23,7 +23,6 @@ pub use write::{OrthoFiles, OrthoInput, write_orthophotos};
 
 crate::choices!(PhotoRule: Closest, Nadir, Gsd);
 crate::choices!(HeightInterpolation: Bilinear, Bicubic);
-crate::choices!(Interpolation: Bilinear, Bicubic, Lanczos);
 
 crate::options! {
     /// The orthomosaic: every cell takes its colour from the photo whose camera is closest.
