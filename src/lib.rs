@@ -30,6 +30,7 @@
 //! - A field is not cropped into regions: an update reads only the pixels near its plant.
 
 pub mod camera;
+#[cfg(feature = "cli")]
 pub mod cli;
 pub mod convex;
 pub mod crs;
@@ -52,6 +53,7 @@ pub mod raster;
 pub mod scene;
 pub mod score;
 pub mod sfm;
+pub mod simplex;
 pub mod target;
 
 pub use error::{Error, Kind};

@@ -1,4 +1,4 @@
-//! The import rules of ARCHITECTURE.md, read off the sources.
+//! The rules of ARCHITECTURE.md, read from that page and held against the sources.
 //!
 //! Comments, `mod tests` at the end of a file and files named `tests.rs` do not count; modules that are not there break no
 //! rule.
@@ -92,10 +92,32 @@ fn assert_none(offences: impl IntoIterator<Item = String>, rule: &str) {
     assert!(offences.is_empty(), "{rule}:\n  {}", offences.join("\n  "));
 }
 
-/// The modules that compute and do nothing else.
-const CORE: &[&str] = &[
-    "geometry", "camera", "engine", "nlls", "descent", "convex", "problems", "target", "features",
-];
+/// ARCHITECTURE.md, which has the rules.
+fn page() -> String {
+    fs::read_to_string(root().join("ARCHITECTURE.md")).unwrap()
+}
+
+/// The lines of a fenced block of the page, each as its words.
+fn block(page: &str, name: &str) -> Vec<Vec<String>> {
+    let begin = format!("```{name}\n");
+    let at = page.find(&begin).unwrap_or_else(|| panic!("ARCHITECTURE.md has no block {name}"));
+    let text = &page[at + begin.len()..];
+    let text = &text[..text.find("\n```").unwrap()];
+    text.lines().map(|line| line.split_whitespace().map(str::to_owned).collect()).collect()
+}
+
+/// The rows of the table under a heading of the page: for each cell what stands in it between backticks.
+fn table(page: &str, heading: &str) -> Vec<Vec<Vec<String>>> {
+    let text = &page[page.find(heading).unwrap_or_else(|| panic!("no heading {heading}"))..];
+    let rows = text.lines().skip_while(|line| !line.starts_with('|'));
+    let rows = rows.take_while(|line| line.starts_with('|')).skip(2);
+    let ticked = |cell: &str| cell.split('`').skip(1).step_by(2).map(str::to_owned).collect();
+    rows.map(|row| row.trim_matches('|').split('|').map(ticked).collect()).collect()
+}
+
+fn words(lines: Vec<Vec<String>>) -> Vec<String> {
+    lines.into_iter().flatten().collect()
+}
 
 #[test]
 fn the_numerical_core_opens_no_files_prints_nothing_reads_no_clock() {
@@ -117,44 +139,60 @@ fn the_numerical_core_opens_no_files_prints_nothing_reads_no_clock() {
         "std::time",
         "indicatif",
     ];
+    let core = words(block(&page(), "core"));
+    let core: Vec<&str> = core.iter().map(String::as_str).collect();
     let sources = sources("src");
-    let core = sources.iter().filter(|source| source.within(CORE));
+    let core = sources.iter().filter(|source| source.within(&core));
     let found = core.flat_map(|source| FORBIDDEN.iter().flat_map(|word| source.mentions(word)));
     assert_none(found, "the numerical core opens no files, prints nothing, reads no clock");
 }
 
+/// Files of the crate itself, which belong to no floor.
+const OUTSIDE: [&str; 4] = ["lib", "main", "build_id", "error"];
+
 #[test]
 fn arrows_point_down() {
-    /// Who must not know of whom.
-    const RULES: &[(&[&str], &[&str])] = &[
-        (&["features"], &["io", "cli", "drive", "sfm", "raster", "phenotype", "score", "nlls"]),
-        (CORE, &["io", "cli", "drive", "sfm", "raster", "phenotype", "score"]),
-        (CORE, &["io", "cli", "drive", "sfm", "raster", "mapping", "phenotype", "score"]),
-        (&["geometry"], &["camera", "engine", "nlls", "descent", "convex", "problems"]),
-        (&["camera"], &["engine", "nlls", "descent", "convex", "problems"]),
-        (&["engine"], &["nlls", "descent", "convex", "problems"]),
-        (&["nlls"], &["descent", "convex", "problems"]),
-        (&["descent"], &["nlls", "convex", "problems"]),
-        (&["convex"], &["nlls", "descent", "problems"]),
-        (&["drive"], &["nlls", "descent", "convex", "problems", "sfm", "raster", "phenotype"]),
-        (&["io"], &["drive", "sfm", "phenotype", "cli"]),
-        (&["sfm"], &["io", "cli", "drive", "raster", "phenotype", "score"]),
-        (&["crs"], &["io", "cli", "drive", "sfm", "problems", "nlls", "raster", "phenotype"]),
-        (&["drive", "raster", "phenotype", "sfm", "score", "error"], &["cli"]),
-        (&["raster", "mapping", "phenotype", "sfm", "score"], &["io"]),
-        (&["drive", "raster", "mapping", "phenotype", "sfm", "score", "error"], &["cli"]),
-    ];
-    let sources = sources("src");
+    let page = page();
+    let floors = block(&page, "floors");
+    let uses_error = words(block(&page, "uses-error"));
+    let floor_of =
+        |module: &str| floors.iter().position(|floor| floor.iter().any(|other| other == module));
     let mut found = Vec::new();
-    for (who, whom) in RULES {
-        for source in sources.iter().filter(|source| source.within(who)) {
-            for module in *whom {
-                found.extend(source.mentions(&format!("crate::{module}")));
-                found.extend(nested_imports(source, module));
+    for source in sources("src") {
+        let below = source.path.strip_prefix("src/").unwrap();
+        let module = below.split(['/', '.']).next().unwrap();
+        if OUTSIDE.contains(&module) {
+            continue;
+        }
+        let Some(floor) = floor_of(module) else {
+            found.push(format!("{} belongs to no floor", source.path));
+            continue;
+        };
+        for (other, other_floor) in
+            floors.iter().enumerate().flat_map(|(k, names)| names.iter().map(move |n| (n, k)))
+        {
+            if other_floor <= floor && other != module {
+                found.extend(source.mentions(&format!("crate::{other}")));
+                found.extend(nested_imports(&source, other));
             }
         }
+        if !uses_error.iter().any(|name| name == module) {
+            found.extend(source.mentions("crate::error"));
+            found.extend(nested_imports(&source, "error"));
+        }
     }
-    assert_none(found, "a module imports from above");
+    found.dedup();
+    assert_none(found, "a module imports from its own floor or from above");
+}
+
+#[test]
+fn the_floors_are_those_of_the_sources() {
+    let floors = words(block(&page(), "floors"));
+    let there = |name: &String| {
+        root().join("src").join(name).is_dir() || root().join(format!("src/{name}.rs")).is_file()
+    };
+    let gone = floors.iter().filter(|name| !there(name)).cloned();
+    assert_none(gone, "a module of ARCHITECTURE.md is not there");
 }
 
 /// `use crate::{a, b::c}` over any number of lines: mentions of `module` at its first level.
@@ -185,37 +223,16 @@ fn nested_imports(source: &Source, module: &str) -> Vec<String> {
 
 #[test]
 fn each_dependency_has_its_place() {
-    /// What may be mentioned only where.
-    const PLACES: &[(&[&str], &[&str])] = &[
-        (&["argmin"], &["drive/executor", "drive/simplex"]),
-        (&["clarabel"], &["convex"]),
-        (&["proj4rs", "crs_definitions"], &["crs"]),
-        (&["las"], &["io/cloud"]),
-        // The second is the generator's module of the same name.
-        (&["exif"], &["io/photo", "cli/synth/flight"]),
-        (&["faer"], &["nlls/cholesky"]),
-        (
-            &["geotiff_reader", "tiff_core", "tiff_reader", "tiff_writer", "ndarray"],
-            &["io/geotiff"],
-        ),
-        (&["indicatif"], &["drive", "cli"]),
-        (&["fdeflate"], &["io/geotiff"]),
-        (&["shapefile"], &["io/polygons"]),
-        (&["rusqlite"], &["io/gpkg", "io/polygons"]),
-        (&["pulp"], &["features", "raster/pixels", "lanes", "nlls/fused", "mapping"]),
-        (&["spade"], &["mapping/dem"]),
-        (&["mwmatching"], &["phenotype/leaves/bridge"]),
-        (&["zune_jpeg"], &["io/images"]),
-        (&["clap"], &["cli"]),
-        (&["tempfile"], &["io/output", "cli/doctor", "cli/verify"]),
-        (&["std::fs", "fs::", "File::open", "File::create", "OpenOptions"], &["io", "cli"]),
-        (&["Instant", "SystemTime"], &["drive", "cli"]),
-    ];
+    let rows = table(&page(), "## One place each");
+    assert!(rows.len() > 15, "the table was not understood: {} rows", rows.len());
     let sources = sources("src");
     let mut found = Vec::new();
-    for (words, places) in PLACES {
-        for source in sources.iter().filter(|source| !source.within(places)) {
-            found.extend(words.iter().flat_map(|word| source.mentions(word)));
+    for row in &rows {
+        let [_, mentions, places] = row.as_slice() else { panic!("{row:?}: expected three cells") };
+        assert!(!mentions.is_empty() && !places.is_empty(), "{row:?} has an empty cell");
+        let places: Vec<&str> = places.iter().map(String::as_str).collect();
+        for source in sources.iter().filter(|source| !source.within(&places)) {
+            found.extend(mentions.iter().flat_map(|word| source.mentions(word)));
         }
     }
     assert_none(found, "a dependency or a side effect is out of its place");

@@ -46,7 +46,6 @@
 mod checkpoint;
 mod executor;
 mod observe;
-pub mod simplex;
 mod state;
 mod trace;
 

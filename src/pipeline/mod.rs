@@ -27,6 +27,7 @@ mod reconstruction;
 pub mod record;
 pub mod segment;
 pub mod stage;
+#[cfg(feature = "synth")]
 pub mod synth;
 pub mod thresholds;
 pub mod undistort;

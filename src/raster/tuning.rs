@@ -14,7 +14,7 @@
 //! References: N. Otsu, IEEE Trans. SMC 9, 1979; D. Woebbecke et al., Trans. ASAE 38, 1995 (excess green).
 
 use super::{Mask, hsv, mask::Thresholds};
-use crate::{drive::simplex, error::Error};
+use crate::{error::Error, simplex};
 use image::RgbImage;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;

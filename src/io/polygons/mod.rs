@@ -7,6 +7,7 @@
 //! `plot` or `id`, else its number.
 
 mod geojson;
+#[cfg(feature = "geopackage")]
 mod package;
 mod shapes;
 
@@ -87,7 +88,10 @@ pub fn read(path: &Path, georeference: Option<&Georeference>) -> Result<Vec<Name
     let ending = path.extension().map(|e| e.to_string_lossy().to_lowercase());
     let (features, stated) = match ending.as_deref() {
         Some("shp") => shapes::read(path)?,
+        #[cfg(feature = "geopackage")]
         Some("gpkg") => package::read(path)?,
+        #[cfg(not(feature = "geopackage"))]
+        Some("gpkg") => return Err(super::gpkg::unavailable(path)),
         _ => geojson::read(path)?,
     };
     let malformed = |message| FileError::malformed(path, None, message);

@@ -85,13 +85,16 @@ fn on_map(polygon: &Polygon, place: Option<Georeference>) -> Rings {
     polygon.rings.iter().map(ring).collect()
 }
 
-/// The same as a layer of a GeoPackage; the unit of a trait is in its name.
+/// The same as a layer of a GeoPackage, in builds that have them; the unit of a trait is in its name.
 fn package(
     plots: &[Plot],
     rings: &[Rings],
     place: Option<Georeference>,
     folder: &Path,
 ) -> Result<(), Error> {
+    if !gpkg::IS_AVAILABLE {
+        return Ok(());
+    }
     let columns = std::iter::once(Column::new("plot", ColumnKind::Text))
         .chain(TRAITS.iter().map(|of| Column::new(of.name, ColumnKind::Real)));
     let feature = |(plot, rings): (&Plot, &Rings)| {
