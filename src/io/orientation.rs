@@ -2,7 +2,6 @@
 
 use super::{FileError, output};
 use crate::geometry::rotation;
-use crate::problems::adjustment::ImageAccuracy;
 use crate::scene::{Image, Reconstruction};
 use std::path::Path;
 
@@ -12,18 +11,12 @@ use std::path::Path;
 ///
 /// # Errors
 /// As [`output::write`].
-pub fn write(
-    path: &Path,
-    survey: &Reconstruction,
-    accuracies: &[ImageAccuracy],
-    sigma0: f64,
-    force: bool,
-) -> Result<(), FileError> {
+pub fn write(path: &Path, survey: &Reconstruction, force: bool) -> Result<(), FileError> {
     output::write(path, force, |out| {
         let images: &[Image] = &survey.images;
-        let known = accuracies.len() == images.len();
+        let known = survey.accuracy.as_ref();
         write!(out, "image,x_m,y_m,z_m,omega_deg,phi_deg,kappa_deg")?;
-        if known {
+        if known.is_some() {
             write!(
                 out,
                 ",sigma_x_m,sigma_y_m,sigma_z_m,sigma_omega_deg,sigma_phi_deg,sigma_kappa_deg"
@@ -38,13 +31,12 @@ pub fn write(
             let [x, y, z] = image.pose.centre_m();
             let [omega, phi, kappa] = image.pose.omega_phi_kappa_rad().map(f64::to_degrees);
             write!(out, "{},{x:.4},{y:.4},{z:.4},{omega:.7},{phi:.7},{kappa:.7}", image.name)?;
-            if known {
-                let accuracy = &accuracies[k];
-                for axis in 0..3 {
-                    write!(out, ",{:.4}", sigma0 * accuracy.centre_m2[axis][axis].max(0.0).sqrt())?;
+            if let Some(sigma) = known.and_then(|known| known.images.get(k)) {
+                for sigma_m in sigma.centre_m {
+                    write!(out, ",{sigma_m:.4}")?;
                 }
-                for angle in accuracy.angles_rad {
-                    write!(out, ",{:.7}", sigma0 * angle.to_degrees())?;
+                for angle in sigma.angles_rad {
+                    write!(out, ",{:.7}", angle.to_degrees())?;
                 }
             }
             if let (Some(shutter), Some([east, north, up])) =
@@ -88,7 +80,7 @@ mod tests {
             };
             let folder = tempfile::tempdir().unwrap();
             let path = folder.path().join("exterior_orientation.csv");
-            write(&path, &survey, &[], 1.0, false).unwrap();
+            write(&path, &survey, false).unwrap();
             let found = poses::read(&path).unwrap()[0].motion;
             match (rolling_shutter, found) {
                 // Rates have seven decimals, velocities five; 0.03 s of them are left.

@@ -4,7 +4,9 @@
 //! earlier stages wrote, writes its own folder below `Project::results`, and gives typed results. A record of what was
 //! read and written decides whether a stage has to be done again ([`stage`]).
 
+pub mod adjust;
 pub mod align;
+mod cache;
 pub mod calibrate;
 pub mod camera;
 mod config;

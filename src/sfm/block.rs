@@ -3,9 +3,9 @@
 
 use super::{
     relative::{self, RelativePose},
-    resection::Sight,
+    resection::Correspondence2d3d,
     tracks::Tracks,
-    triangulate::{Demands, View, error_px, triangulate, widest_angle_rad},
+    triangulate::{TriangulationOptions, View, error_px, triangulate, widest_angle_rad},
 };
 use crate::{
     camera::{Camera, Interior, Lens},
@@ -70,7 +70,7 @@ pub struct Block<'a> {
 
 /// How a block is adjusted while it grows.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Refining {
+pub struct BundleAdjustmentOptions {
     /// Robust loss, in pixels.
     pub loss: Loss,
     /// The most iterations.
@@ -133,6 +133,34 @@ impl<'a> Block<'a> {
         })
     }
 
+    /// The names of the images that have a pose.
+    pub fn image_names(&self) -> Vec<String> {
+        let of = self.poses.iter().zip(self.features).filter(|(pose, _)| pose.is_some());
+        of.map(|(_, image)| image.name.clone()).collect()
+    }
+
+    /// The robust standard deviation of an image coordinate, pixels. Most points are seen twice or three times, and
+    /// residuals are shorter than errors by the root of the redundancy's share.
+    pub fn robust_sigma_px(&self) -> f64 {
+        let mut errors = Vec::new();
+        let unknowns = 3 * self.points.iter().flatten().count() + 6 * self.registered();
+        for (track, point) in self.points.iter().enumerate() {
+            let Some(point) = *point else { continue };
+            for index in self.tracks.places(track).filter(|&index| self.used[index]) {
+                let image = self.tracks.member(index).image as usize;
+                let at = self.position_px(index);
+                let projected = self
+                    .pose_at(image, at[1])
+                    .and_then(|pose| self.lens(image).project(pose.to_camera(point)));
+                errors.extend(projected.map(|[u, v]| (u - at[0]).hypot(v - at[1])));
+            }
+        }
+        errors.sort_by(f64::total_cmp);
+        let share = 1.0 - unknowns as f64 / (2 * errors.len().max(1)) as f64;
+        let median = errors.get(errors.len() / 2).copied().unwrap_or(1.1774);
+        median / 1.1774 / share.max(0.1).sqrt()
+    }
+
     /// How many images have a pose.
     pub fn registered(&self) -> usize {
         self.poses.iter().flatten().count()
@@ -145,7 +173,7 @@ impl<'a> Block<'a> {
     }
 
     /// What an image sees of the points that are known.
-    pub fn sights(&self, image: usize) -> Vec<Sight> {
+    pub fn sights(&self, image: usize) -> Vec<Correspondence2d3d> {
         let lens = self.lens(image);
         self.tracks
             .in_image(image)
@@ -153,7 +181,7 @@ impl<'a> Block<'a> {
             .filter_map(|&(track, place)| {
                 let point = self.points[track as usize]?;
                 let image_px = self.position_px(place as usize);
-                Some(Sight { point, image_px, ray: lens.unproject(image_px)? })
+                Some(Correspondence2d3d { point, image_px, ray: lens.unproject(image_px)? })
             })
             .collect()
     }
@@ -190,9 +218,11 @@ impl<'a> Block<'a> {
     /// Goes through tracks: rays that have come too far from their point leave it, others that fit
     /// join it, and tracks without a point get one where their rays meet. Returns how many points
     /// there are among them afterwards.
-    pub fn retriangulate(&mut self, tracks: &[u32], demands: &Demands) -> usize {
-        let found: Vec<(Option<[f64; 3]>, Vec<usize>)> =
-            tracks.par_iter().map(|&track| self.meet(track as usize, demands)).collect();
+    pub fn retriangulate(&mut self, tracks: &[u32], demands: &TriangulationOptions) -> usize {
+        let found: Vec<(Option<[f64; 3]>, Vec<usize>)> = tracks
+            .par_iter()
+            .map(|&track| self.triangulate_track(track as usize, demands))
+            .collect();
         let mut count = 0;
         for (&track, (point, places)) in tracks.iter().zip(found) {
             let track = track as usize;
@@ -220,14 +250,18 @@ impl<'a> Block<'a> {
         tracks
     }
 
-    fn meet(&self, track: usize, demands: &Demands) -> (Option<[f64; 3]>, Vec<usize>) {
+    fn triangulate_track(
+        &self,
+        track: usize,
+        demands: &TriangulationOptions,
+    ) -> (Option<[f64; 3]>, Vec<usize>) {
         let (places, views) = self.views(track, false);
         if let Some(point) = self.points[track] {
             let keep: Vec<usize> = (0..views.len())
                 .filter(|&k| error_px(&views[k], point).is_some_and(|e| e <= demands.tolerance_px))
                 .collect();
             let centres: Vec<[f64; 3]> = keep.iter().map(|&k| views[k].pose.centre_m()).collect();
-            let wide = widest_angle_rad(&centres, point) >= 0.7 * demands.least_angle_rad;
+            let wide = widest_angle_rad(&centres, point) >= 0.7 * demands.min_angle_rad;
             if keep.len() >= 2 && 2 * keep.len() >= views.len() && wide {
                 return (Some(point), keep.into_iter().map(|k| places[k]).collect());
             }
@@ -259,7 +293,10 @@ impl<'a> Block<'a> {
     /// The block, or the part that some images see, as a survey, with the track of each of its
     /// points and the index of each of its images. Images that take part only because they see the
     /// same points come after those that were asked for.
-    pub fn survey(&self, images: Option<&[usize]>) -> (Reconstruction, Vec<u32>, Vec<usize>) {
+    pub fn reconstruction(
+        &self,
+        images: Option<&[usize]>,
+    ) -> (Reconstruction, Vec<u32>, Vec<usize>) {
         let asked: Vec<usize> = match images {
             Some(images) => images.to_vec(),
             None => (0..self.poses.len()).collect(),
@@ -329,9 +366,9 @@ impl<'a> Block<'a> {
     pub fn adjust(
         &mut self,
         images: Option<&[usize]>,
-        refining: &Refining,
+        refining: &BundleAdjustmentOptions,
     ) -> Result<(), SolveError> {
-        let (mut survey, tracks, order) = self.survey(images);
+        let (mut survey, tracks, order) = self.reconstruction(images);
         if survey.images.len() < 2 || survey.points.is_empty() {
             return Ok(());
         }

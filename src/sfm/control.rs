@@ -3,7 +3,7 @@
 use super::{
     block::Block,
     georeference::Known,
-    triangulate::{Demands, View, error_px, triangulate},
+    triangulate::{TriangulationOptions, View, error_px, triangulate},
 };
 use crate::{
     camera::Lens,
@@ -17,7 +17,7 @@ use nalgebra::Vector3;
 /// points, and the distance along the coordinates that are known; of a point that one image shows, and
 /// whose coordinates are all known, the distance from that ray.
 pub fn control_left_m(block: &Block<'_>, known: &Known) -> Vec<(usize, f64)> {
-    let demands = Demands { tolerance_px: 50.0, least_angle_rad: 0.01 };
+    let demands = TriangulationOptions { tolerance_px: 50.0, min_angle_rad: 0.01 };
     let mut found = Vec::new();
     for (ground, point) in known.ground.iter().enumerate() {
         if point.role != Role::Control {
@@ -62,7 +62,7 @@ fn marks_that_fit(
     block: &Block<'_>,
     known: &Known,
     scale: f64,
-    demands: &Demands,
+    demands: &TriangulationOptions,
 ) -> (usize, Vec<WrongMark>) {
     let (mut fitting, mut wrong) = (0, Vec::new());
     for ground in 0..known.ground.len() {
@@ -120,7 +120,7 @@ pub fn review_marks(
     block: &Block<'_>,
     known: &mut Known,
     scales: &[f64],
-    demands: &Demands,
+    demands: &TriangulationOptions,
 ) -> MarkReview {
     let (mut fitting, mut wrong) = marks_that_fit(block, known, 1.0, demands);
     let mut scale = 1.0;
@@ -149,7 +149,7 @@ pub fn review_marks(
 /// exchanged it fits and the cameras look down.
 pub fn axes_exchanged(block: &Block<'_>, known: &Known) -> bool {
     let quality = |exchange: bool| -> Option<(f64, f64)> {
-        let (mut survey, _, order) = block.survey(None);
+        let (mut survey, _, order) = block.reconstruction(None);
         let mut known = known.clone();
         known.positions.clear();
         if exchange {

@@ -3,7 +3,10 @@
 
 pub use super::control::{MarkReview, WrongMark, axes_exchanged, control_left_m, review_marks};
 
-use super::{block::Block, shutter::keep_feasible_marks, solitary, triangulate::Demands};
+use super::{
+    block::Block, depth_outliers, rolling_shutter::keep_feasible_marks,
+    triangulate::TriangulationOptions,
+};
 use crate::{
     engine::SolveError,
     geometry::rotation,
@@ -161,7 +164,7 @@ fn apply(survey: &mut Reconstruction, scale: f64, turn: &Matrix3<f64>, shift: &V
 }
 
 /// Brings a survey into the frame of what is known of it.
-fn into_the_map(survey: &mut Reconstruction) -> Option<Alignment> {
+fn georeference(survey: &mut Reconstruction) -> Option<Alignment> {
     let mut trial = survey.clone();
     let first = align(&mut trial);
     let by_positions = first.as_ref().is_none_or(|alignment| alignment.by == "camera positions");
@@ -180,13 +183,13 @@ fn into_the_map(survey: &mut Reconstruction) -> Option<Alignment> {
 pub fn join<'a>(
     mut blocks: Vec<Block<'a>>,
     known: &mut Known,
-    demands: &Demands,
+    demands: &TriangulationOptions,
 ) -> Option<Joined<'a>> {
     let mut alignments = Vec::new();
     for block in &mut blocks {
-        let (mut survey, _, order) = block.survey(None);
+        let (mut survey, _, order) = block.reconstruction(None);
         known.attach(&mut survey, &order);
-        let alignment = into_the_map(&mut survey);
+        let alignment = georeference(&mut survey);
         if alignment.is_some() {
             for (image, &index) in survey.images.iter().zip(&order) {
                 block.poses[index] = Some(image.pose);
@@ -213,10 +216,10 @@ pub fn join<'a>(
     let mut block = whole?;
     block.points.fill(None);
     block.used.fill(false);
-    renew_points(&mut block, demands);
+    retriangulate_and_filter(&mut block, demands);
     let control = alignments.iter().flatten().any(|alignment| alignment.by == "control points");
     let position_shift_m =
-        if control { take_off_shift(&block, &mut known.positions) } else { None };
+        if control { remove_common_offset(&block, &mut known.positions) } else { None };
     Some(Joined { block, alignments, georeferenced, position_shift_m })
 }
 
@@ -227,7 +230,7 @@ fn median(mut values: Vec<f64>) -> f64 {
 
 /// A receiver's positions have a common error (and heights of another datum than the control's),
 /// which control tells.
-fn take_off_shift(block: &Block<'_>, positions: &mut [CameraPosition]) -> Option<[f64; 3]> {
+fn remove_common_offset(block: &Block<'_>, positions: &mut [CameraPosition]) -> Option<[f64; 3]> {
     let left: Vec<[f64; 3]> = positions
         .iter()
         .filter_map(|p| {
@@ -343,11 +346,11 @@ pub fn adjust(
     block: &mut Block<'_>,
     known: &Known,
     tie_sigma_px: f64,
-    demands: &Demands,
+    demands: &TriangulationOptions,
     iterations: u64,
 ) -> Result<(), SolveError> {
     forget_lost(block, known);
-    let (mut survey, tracks, order) = block.survey(None);
+    let (mut survey, tracks, order) = block.reconstruction(None);
     known.attach(&mut survey, &order);
     survey.tie_sigma_px = tie_sigma_px;
     keep_feasible_marks(&mut survey);
@@ -367,7 +370,7 @@ pub fn adjust(
     for (camera, adjusted) in block.cameras.iter_mut().zip(&survey.cameras) {
         camera.interior = adjusted.interior;
     }
-    renew_points(block, demands);
+    retriangulate_and_filter(block, demands);
     Ok(())
 }
 
@@ -389,10 +392,10 @@ fn forget_lost(block: &mut Block<'_>, known: &Known) {
 }
 
 /// Goes through all tracks as [`Block::retriangulate`] does, and leaves out the points that stand alone.
-pub fn renew_points(block: &mut Block<'_>, demands: &Demands) {
+pub fn retriangulate_and_filter(block: &mut Block<'_>, demands: &TriangulationOptions) {
     let all = block.all_tracks();
     let points = block.retriangulate(&all, demands);
-    let alone = solitary::leave_out(block);
+    let alone = depth_outliers::remove_depth_outliers(block);
     tracing::debug!("{alone} of {points} points stand alone: left out");
 }
 

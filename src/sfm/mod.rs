@@ -2,10 +2,12 @@
 //! exterior orientation image by image, joining of fragments, the frame of the map.
 //!
 //! ```text
-//! pairs       r2^T E r1 = 0                    relative        two or five points, refinement
+//! lenses      r_ideal = r (1 + a r^2)          intrinsics      what explains most matches
+//! pairs       r2^T E r1 = 0                    verify          two or five points, refinement
 //! tracks      one point, many images           tracks
-//! images      x = u(R_i X_j + t_i)             block, growth   start, augmentation, adjustment
-//! the map     s R x + t = y                    absolute
+//! images      x = u(R_i X_j + t_i)             incremental     start, resection, adjustment
+//! frame       s R x + t = y                    georeference    by control points or camera positions
+//! block       min sum |v|^2                    adjust_block    rounds, shutter, guided matching, outliers
 //! ```
 //!
 //! Nothing here opens a file or reads a clock; results do not depend on the number of threads.
@@ -18,20 +20,22 @@
 
 mod polynomial;
 pub mod relative;
-mod vouched;
+mod single_pair_registration;
 
-pub mod again;
+pub mod adjust_block;
 pub mod averaging;
 pub mod block;
 pub mod control;
+pub mod depth_outliers;
+pub mod epipolar_rematching;
 pub mod georeference;
 pub mod global;
-pub mod growth;
-pub mod guided;
-pub mod remeasure;
+pub mod guided_matching;
+pub mod incremental;
+pub mod intrinsics;
+pub mod refinement;
 pub mod resection;
-pub mod shutter;
-pub mod solitary;
+pub mod rolling_shutter;
 pub mod start;
 pub mod tracks;
 pub mod triangulate;

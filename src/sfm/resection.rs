@@ -21,7 +21,7 @@ use rand_chacha::ChaCha8Rng;
 
 /// A known point and where an image shows it.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Sight {
+pub struct Correspondence2d3d {
     /// In the world.
     pub point: [f64; 3],
     /// Pixels.
@@ -31,13 +31,13 @@ pub struct Sight {
 }
 
 struct Sights<'a> {
-    sights: &'a [Sight],
+    sights: &'a [Correspondence2d3d],
     lens: &'a Interior,
 }
 
 /// The pose of an image from what it sees of known points, with the inliers within `tolerance_px`.
 pub fn resect(
-    sights: &[Sight],
+    sights: &[Correspondence2d3d],
     lens: &Interior,
     tolerance_px: f64,
     seed: u64,
@@ -81,7 +81,7 @@ impl Samples for Sights<'_> {
 /// pose.
 pub fn refine(
     start: &Pose,
-    sights: &[Sight],
+    sights: &[Correspondence2d3d],
     lens: &Interior,
     squared_tolerance: f64,
     iterations: usize,
@@ -131,7 +131,7 @@ pub fn refine(
 }
 
 /// All poses that put three points onto their rays.
-pub fn three_points(three: [&Sight; 3], out: &mut Vec<Pose>) {
+pub fn three_points(three: [&Correspondence2d3d; 3], out: &mut Vec<Pose>) {
     let x = three.map(|sight| Vector3::from(sight.point));
     let f = three.map(|sight| sight.ray);
     let (a2, b2, c2) =
@@ -203,7 +203,7 @@ mod tests {
         .unwrap()
     }
 
-    fn sights(pose: &Pose, count: usize, rng: &mut ChaCha8Rng) -> Vec<Sight> {
+    fn sights(pose: &Pose, count: usize, rng: &mut ChaCha8Rng) -> Vec<Correspondence2d3d> {
         let lens = lens();
         let mut out = Vec::new();
         while out.len() < count {
@@ -216,7 +216,7 @@ mod tests {
             let inside =
                 (0.0..1000.0).contains(&image_px[0]) && (0.0..750.0).contains(&image_px[1]);
             if let (true, Some(ray)) = (inside, lens.unproject(image_px)) {
-                out.push(Sight { point, image_px, ray });
+                out.push(Correspondence2d3d { point, image_px, ray });
             }
         }
         out

@@ -26,18 +26,18 @@ pub struct Triplet {
     pub score: f64,
 }
 
-/// Demands on loops.
+/// TriangulationOptions on loops.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Closing {
+pub struct LoopClosureOptions {
     /// The most rotation that may be left, radians.
     pub closure_rad: f64,
     /// The angle between rays at which a pair is as good as any, radians.
     pub good_angle_rad: f64,
 }
 
-impl Default for Closing {
-    fn default() -> Closing {
-        Closing { closure_rad: 0.05, good_angle_rad: 0.17 }
+impl Default for LoopClosureOptions {
+    fn default() -> LoopClosureOptions {
+        LoopClosureOptions { closure_rad: 0.05, good_angle_rad: 0.17 }
     }
 }
 
@@ -86,7 +86,7 @@ impl<'a> Graph<'a> {
         tracks: &Tracks,
         features: &[Features],
         allowed: &[bool],
-        closing: &Closing,
+        closing: &LoopClosureOptions,
     ) -> Vec<Triplet> {
         let common = common_tracks(tracks, features.len());
         let mut found = Vec::new();
@@ -110,7 +110,7 @@ impl<'a> Graph<'a> {
         &self,
         [a, b, c]: [u32; 3],
         common: &HashMap<[u32; 3], usize>,
-        closing: &Closing,
+        closing: &LoopClosureOptions,
     ) -> Option<Triplet> {
         let (ab, bc, ac) = (self.relative(a, b)?, self.relative(b, c)?, self.relative(a, c)?);
         let loop_turn = ac.0.transpose() * bc.0 * ab.0;
@@ -134,7 +134,7 @@ impl<'a> Graph<'a> {
     }
 
     /// For every pair in how many loops it closes and in how many it is at all.
-    pub fn support(&self, closing: &Closing) -> Vec<[u32; 2]> {
+    pub fn support(&self, closing: &LoopClosureOptions) -> Vec<[u32; 2]> {
         self.pairs
             .iter()
             .map(|pair| {

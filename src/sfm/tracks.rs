@@ -73,6 +73,17 @@ impl Forest {
 }
 
 impl Tracks {
+    /// Joins what pairs of images match, the strongest pairs first.
+    pub fn of_pairs<'a>(
+        features: &[super::Features],
+        pairs: impl Iterator<Item = ([u32; 2], &'a [[u32; 2]])>,
+    ) -> Tracks {
+        let mut order: Vec<([u32; 2], &[[u32; 2]])> = pairs.collect();
+        order.sort_by(|(a, of_a), (b, of_b)| of_b.len().cmp(&of_a.len()).then(a.cmp(b)));
+        let counts: Vec<usize> = features.iter().map(|f| f.positions_px.len()).collect();
+        Tracks::join(&counts, order.into_iter())
+    }
+
     /// Joins the matches of pairs, `([first image, second image], [[feature, feature], ..])`, given in
     /// the order in which they are to be trusted; `features` is how many each image has.
     pub fn join<'a>(

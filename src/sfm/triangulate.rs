@@ -23,11 +23,11 @@ pub struct View<'a> {
 
 /// What a point must be like.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Demands {
+pub struct TriangulationOptions {
     /// Distance between measured and projected position up to which a ray belongs to it, pixels.
     pub tolerance_px: f64,
     /// The least angle that two of its rays make, radians.
-    pub least_angle_rad: f64,
+    pub min_angle_rad: f64,
 }
 
 /// Distance between measured and projected position, pixels; `None` where there is no projection.
@@ -79,7 +79,10 @@ const MOST_PAIRS: usize = 45;
 
 /// The point of some views and which of them belong to it; `None` where fewer than two do or they are
 /// too nearly parallel.
-pub fn triangulate(views: &[View<'_>], demands: &Demands) -> Option<([f64; 3], Vec<bool>)> {
+pub fn triangulate(
+    views: &[View<'_>],
+    demands: &TriangulationOptions,
+) -> Option<([f64; 3], Vec<bool>)> {
     let rays: Vec<Option<Ray>> = views
         .iter()
         .map(|view| {
@@ -100,7 +103,7 @@ pub fn triangulate(views: &[View<'_>], demands: &Demands) -> Option<([f64; 3], V
     let wide = |point: [f64; 3], inside: &[bool]| {
         let of = views.iter().zip(inside).filter(|(_, inside)| **inside);
         let centres: Vec<[f64; 3]> = of.map(|(view, _)| view.pose.centre_m()).collect();
-        centres.len() >= 2 && widest_angle_rad(&centres, point) >= demands.least_angle_rad
+        centres.len() >= 2 && widest_angle_rad(&centres, point) >= demands.min_angle_rad
     };
     let all: Vec<&Ray> = rays.iter().flatten().collect();
     if all.len() < 2 {
@@ -162,7 +165,7 @@ mod tests {
                 image_px: lens.project(pose.to_camera(point)).unwrap(),
             })
             .collect();
-        let demands = Demands { tolerance_px: 2.0, least_angle_rad: 0.02 };
+        let demands = TriangulationOptions { tolerance_px: 2.0, min_angle_rad: 0.02 };
         let (found, fits) = triangulate(&views, &demands).unwrap();
         assert!((0..3).all(|k| (found[k] - point[k]).abs() < 1e-9));
         assert_eq!(fits, [true; 4]);

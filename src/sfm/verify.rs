@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 /// Matches of two images, as they come from comparing descriptors.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Matched {
+pub struct PairMatches {
     /// Indices of the images, ascending.
     pub images: [u32; 2],
     /// Which features match, `[in the first, in the second]`.
@@ -18,29 +18,29 @@ pub struct Matched {
 
 /// How pairs are oriented.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Verifying {
+pub struct GeometricVerificationOptions {
     /// Which minimal solver.
     pub solver: Solver,
     /// Distance from co-planarity up to which a match is right, pixels.
     pub tolerance_px: f64,
     /// A pair with fewer right matches is none.
-    pub least_inliers: usize,
+    pub min_inliers: usize,
     /// A pair with a smaller share of right matches is none.
-    pub least_share: f64,
+    pub min_share: f64,
     /// The most samples of each solver for a pair.
-    pub most_samples: usize,
+    pub max_samples: usize,
     /// Seed of all sampling.
     pub seed: u64,
 }
 
-impl Default for Verifying {
-    fn default() -> Verifying {
-        Verifying {
+impl Default for GeometricVerificationOptions {
+    fn default() -> GeometricVerificationOptions {
+        GeometricVerificationOptions {
             solver: Solver::Auto,
             tolerance_px: 4.0,
-            least_inliers: 15,
-            least_share: 0.1,
-            most_samples: 3000,
+            min_inliers: 15,
+            min_share: 0.1,
+            max_samples: 3000,
             seed: 1,
         }
     }
@@ -72,10 +72,10 @@ pub(super) fn finer_px(cameras: [&Camera; 2]) -> f64 {
 
 /// Orients one pair; `None` where too few matches agree.
 pub(super) fn orient_matched(
-    matched: &Matched,
+    matched: &PairMatches,
     [first, second]: [&[Option<Ray>]; 2],
     principal_distance_px: f64,
-    verifying: &Verifying,
+    verifying: &GeometricVerificationOptions,
 ) -> Option<Pair> {
     let mut places = Vec::with_capacity(matched.matches.len());
     let mut correspondences = Vec::with_capacity(matched.matches.len());
@@ -88,8 +88,8 @@ pub(super) fn orient_matched(
     let options = Relative {
         solver: verifying.solver,
         tolerance: verifying.tolerance_px / principal_distance_px,
-        least_inliers: verifying.least_inliers,
-        most_samples: verifying.most_samples,
+        min_inliers: verifying.min_inliers,
+        max_samples: verifying.max_samples,
         ..Relative::default()
     };
     let [a, b] = matched.images;
@@ -97,7 +97,7 @@ pub(super) fn orient_matched(
         verifying.seed ^ (u64::from(a) << 32 | u64::from(b)).wrapping_mul(0x9e37_79b9_7f4a_7c15);
     let found = estimate(&correspondences, &options, seed)?;
     let share = found.inliers.len() as f64 / correspondences.len() as f64;
-    if share < verifying.least_share {
+    if share < verifying.min_share {
         return None;
     }
     let mut angles: Vec<f64> = found
@@ -123,8 +123,8 @@ pub(super) fn orient_matched(
 pub fn orient_pairs(
     features: &[Features],
     cameras: &[Camera],
-    matched: &[Matched],
-    verifying: &Verifying,
+    matched: &[PairMatches],
+    verifying: &GeometricVerificationOptions,
     tell: &(dyn Fn() + Sync),
 ) -> Vec<Pair> {
     let rays = all_rays(features, cameras);
@@ -145,13 +145,17 @@ pub fn orient_pairs(
 /// matches, oriented by five points. Of pairs with very many matches a few hundred speak for all.
 pub fn shares_by_lens(
     features: &[Features],
-    matched: &[Matched],
+    matched: &[PairMatches],
     lenses: &[Interior],
-    verifying: &Verifying,
+    verifying: &GeometricVerificationOptions,
 ) -> Vec<f64> {
-    let five = Verifying { solver: Solver::FivePoint, most_samples: ENOUGH_SAMPLES, ..*verifying };
+    let five = GeometricVerificationOptions {
+        solver: Solver::FivePoint,
+        max_samples: ENOUGH_SAMPLES,
+        ..*verifying
+    };
     // Only what is matched is sent through every lens.
-    let few: Vec<(Matched, [Features; 2])> = matched
+    let few: Vec<(PairMatches, [Features; 2])> = matched
         .iter()
         .map(|pair| {
             let step = pair.matches.len().div_ceil(ENOUGH_MATCHES).max(1);
@@ -163,13 +167,13 @@ pub fn shares_by_lens(
             };
             let features = [of_side(0), of_side(1)];
             let matches = (0..features[0].positions_px.len() as u32).map(|k| [k, k]).collect();
-            (Matched { images: pair.images, matches }, features)
+            (PairMatches { images: pair.images, matches }, features)
         })
         .collect();
     lenses
         .par_iter()
         .map(|lens| {
-            let share = |(pair, features): &(Matched, [Features; 2])| {
+            let share = |(pair, features): &(PairMatches, [Features; 2])| {
                 let of = [0, 1].map(|side| rays(&features[side], lens));
                 let c = lens.principal_distance_px();
                 orient_matched(pair, [&of[0], &of[1]], c, &five)

@@ -8,16 +8,17 @@ use rowgram::{
     sfm::{
         block::Block,
         georeference::{Known, adjust, axes_exchanged, join, review_marks, weigh_positions},
-        growth::{Growing, reconstruct},
+        incremental::{IncrementalOptions, reconstruct},
         shutter,
         tracks::Tracks,
-        triangulate::Demands,
-        verify::{Matched, Verifying, orient_pairs},
+        triangulate::TriangulationOptions,
+        verify::{GeometricVerificationOptions, PairMatches, orient_pairs},
     },
 };
 use std::collections::HashSet;
 
-const DEMANDS: Demands = Demands { tolerance_px: 3.0, least_angle_rad: 0.02 };
+const DEMANDS: TriangulationOptions =
+    TriangulationOptions { tolerance_px: 3.0, min_angle_rad: 0.02 };
 
 /// A camera that is four per cent off, and knows nothing of distortion.
 fn guess() -> Vec<Camera> {
@@ -27,7 +28,10 @@ fn guess() -> Vec<Camera> {
 }
 
 fn tracks(flown: &Flown) -> (Tracks, Vec<rowgram::sfm::Pair>) {
-    let verifying = Verifying { tolerance_px: 4.0, ..Verifying::default() };
+    let verifying = GeometricVerificationOptions {
+        tolerance_px: 4.0,
+        ..GeometricVerificationOptions::default()
+    };
     let mut pairs = orient_pairs(&flown.features, &guess(), &flown.matched, &verifying, &|| ());
     let counts: Vec<usize> = flown.features.iter().map(|f| f.positions_px.len()).collect();
     let mut order: Vec<usize> = (0..pairs.len()).collect();
@@ -49,7 +53,7 @@ fn known(flown: &Flown) -> Known {
 }
 
 fn grow<'a>(flown: &'a Flown, tracks: &'a Tracks, pairs: &[rowgram::sfm::Pair]) -> Vec<Block<'a>> {
-    let growing = Growing::default();
+    let growing = IncrementalOptions::default();
     reconstruct(&flown.features, tracks, pairs, &guess(), &growing, |_| ()).unwrap()
 }
 
@@ -74,7 +78,7 @@ fn a_block_grows_whole_and_control_brings_it_into_the_map() {
     for _ in 0..3 {
         adjust(&mut block, &known, 0.4, &DEMANDS, 30).unwrap();
     }
-    let (mut survey, _, order) = block.survey(None);
+    let (mut survey, _, order) = block.reconstruction(None);
     known.attach(&mut survey, &order);
     survey.tie_sigma_px = 0.3;
     let adjusted = judge(&mut survey, &Settings::default()).unwrap();
@@ -93,7 +97,8 @@ fn at_the_edge(shared: usize) -> Flown {
     let mut flown = Flight { points: 6000, ..Flight::default() }.fly();
     let of_first = flown.matched.iter().filter(|pair| pair.images[0] == 0);
     let neighbour = of_first.max_by_key(|pair| pair.matches.len()).unwrap().images[1];
-    let others = |pair: &&Matched| !pair.images.contains(&0) && pair.images.contains(&neighbour);
+    let others =
+        |pair: &&PairMatches| !pair.images.contains(&0) && pair.images.contains(&neighbour);
     let elsewhere: HashSet<u32> = flown
         .matched
         .iter()
@@ -131,7 +136,7 @@ fn an_image_joins_by_one_pair_and_a_few_points() {
 
 /// The root mean square error of the check points along each axis, metres.
 fn check_rmse_m(block: &Block<'_>, known: &Known) -> [f64; 3] {
-    let (mut survey, _, order) = block.survey(None);
+    let (mut survey, _, order) = block.reconstruction(None);
     known.attach(&mut survey, &order);
     survey.tie_sigma_px = 0.3;
     let adjusted = judge(&mut survey, &Settings::default()).unwrap();
@@ -144,8 +149,8 @@ fn check_rmse_m(block: &Block<'_>, known: &Known) -> [f64; 3] {
 
 #[test]
 fn a_rolling_shutter_is_found_where_there_is_one_and_only_there() {
-    for way_m in [0.0, 0.5] {
-        let flown = Flight { way_m, ..Flight::default() }.fly();
+    for readout_displacement_m in [0.0, 0.5] {
+        let flown = Flight { readout_displacement_m, ..Flight::default() }.fly();
         let (tracks, pairs) = tracks(&flown);
         let blocks = grow(&flown, &tracks, &pairs);
         let mut known = known(&flown);
@@ -157,17 +162,25 @@ fn a_rolling_shutter_is_found_where_there_is_one_and_only_there() {
             adjust(&mut block, &known, 0.4, &DEMANDS, 30).unwrap();
         }
         let flight: Vec<usize> = (0..flown.poses.len()).collect();
-        let found = shutter::find(&block, &known, &flight, 0.4, 0.03, false).unwrap();
-        if way_m == 0.0 {
+        let found = rolling_shutter::find(&block, &known, &flight, 0.4, 0.03, false).unwrap();
+        if readout_displacement_m == 0.0 {
             assert_eq!(found, None);
             continue;
         }
         // Half a metre from 50 m is 10 pixels.
         let drift = found.unwrap();
-        assert!((drift.way_m - way_m).abs() < 0.02, "{}", drift.way_m);
-        assert!((drift.way_px - 10.0).abs() < 1.5, "{}", drift.way_px);
+        assert!(
+            (drift.readout_displacement_m - readout_displacement_m).abs() < 0.02,
+            "{}",
+            drift.readout_displacement_m
+        );
+        assert!(
+            (drift.readout_displacement_px - 10.0).abs() < 1.5,
+            "{}",
+            drift.readout_displacement_px
+        );
         let without = check_rmse_m(&block, &known);
-        shutter::adopt(&mut block, &drift);
+        rolling_shutter::adopt(&mut block, &drift);
         for _ in 0..2 {
             adjust(&mut block, &known, 0.4, &DEMANDS, 30).unwrap();
         }
@@ -179,7 +192,7 @@ fn a_rolling_shutter_is_found_where_there_is_one_and_only_there() {
 
 #[test]
 fn what_is_known_beforehand_counts_once_however_often_a_block_is_adjusted() {
-    let flown = Flight { way_m: 0.5, ..Flight::default() }.fly();
+    let flown = Flight { readout_displacement_m: 0.5, ..Flight::default() }.fly();
     let (tracks, pairs) = tracks(&flown);
     let blocks = grow(&flown, &tracks, &pairs);
     let mut known = known(&flown);
@@ -188,8 +201,8 @@ fn what_is_known_beforehand_counts_once_however_often_a_block_is_adjusted() {
     prepare(&mut block);
     adjust(&mut block, &known, 0.4, &DEMANDS, 30).unwrap();
     let flight: Vec<usize> = (0..flown.poses.len()).collect();
-    let drift = shutter::find(&block, &known, &flight, 0.4, 0.03, true).unwrap().unwrap();
-    shutter::adopt(&mut block, &drift);
+    let drift = rolling_shutter::find(&block, &known, &flight, 0.4, 0.03, true).unwrap().unwrap();
+    rolling_shutter::adopt(&mut block, &drift);
     let c_px = |block: &Block<'_>| block.cameras[0].interior.principal_distance_px();
     let adjusted = |block: &mut Block<'_>, times: usize| {
         for _ in 0..times {
@@ -296,7 +309,7 @@ fn marks_and_coordinates_that_cannot_be_are_found() {
     let flown = Flight::default().fly();
     let (tracks, pairs) = tracks(&flown);
     let blocks = grow(&flown, &tracks, &pairs);
-    let demands = Demands { tolerance_px: 8.0, least_angle_rad: 0.01 };
+    let demands = TriangulationOptions { tolerance_px: 8.0, min_angle_rad: 0.01 };
     let scales = [0.25, 0.5, 2.0, 4.0];
 
     let mut good = known(&flown);

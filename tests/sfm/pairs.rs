@@ -6,14 +6,18 @@ use rowgram::{
     geometry::rotation,
     sfm::{
         relative::Solver,
-        verify::{Verifying, orient_pairs},
+        verify::{GeometricVerificationOptions, orient_pairs},
     },
 };
 
 /// Errors of rotation and baseline direction, radians, of all pairs.
 fn errors(flight: &Flight, solver: Solver) -> (usize, usize, Vec<[f64; 2]>) {
     let flown = flight.fly();
-    let verifying = Verifying { solver, tolerance_px: 2.0, ..Verifying::default() };
+    let verifying = GeometricVerificationOptions {
+        solver,
+        tolerance_px: 2.0,
+        ..GeometricVerificationOptions::default()
+    };
     let pairs = orient_pairs(&flown.features, &flown.cameras, &flown.matched, &verifying, &|| ());
     let found = pairs.iter().map(|pair| {
         let [a, b] = pair.images.map(|k| flown.poses[k as usize]);

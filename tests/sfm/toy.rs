@@ -8,7 +8,7 @@ use rowgram::{
     camera::{Camera, Interior, Lens, Model},
     geometry::rotation,
     scene::{Axes, CameraPosition, GroundObservation, GroundPoint, Pose, Role},
-    sfm::{Features, verify::Matched},
+    sfm::{Features, verify::PairMatches},
 };
 
 /// What is flown.
@@ -21,7 +21,7 @@ pub struct Flight {
     pub noise_px: f64,
     pub wrong_share: f64,
     /// How far the camera flies while a photo is read, metres.
-    pub way_m: f64,
+    pub readout_displacement_m: f64,
     pub seed: u64,
 }
 
@@ -34,7 +34,7 @@ impl Default for Flight {
             tilt_deg: 3.0,
             noise_px: 0.3,
             wrong_share: 0.3,
-            way_m: 0.0,
+            readout_displacement_m: 0.0,
             seed: 1,
         }
     }
@@ -45,7 +45,7 @@ pub struct Flown {
     pub cameras: Vec<Camera>,
     pub poses: Vec<Pose>,
     pub features: Vec<Features>,
-    pub matched: Vec<Matched>,
+    pub matched: Vec<PairMatches>,
     pub ground: Vec<GroundPoint>,
     pub marks: Vec<GroundObservation>,
     pub positions: Vec<CameraPosition>,
@@ -68,8 +68,13 @@ pub fn lens(principal_distance_px: f64, k1: f64) -> Camera {
     Camera::new("toy", Interior::new(Model::Brown, SIZE_PX, &values).unwrap())
 }
 
-fn seen(camera: &Camera, pose: &Pose, way_m: [f64; 3], point: [f64; 3]) -> Option<[f64; 2]> {
-    let shift = rotation::rotate(pose.rotation, way_m.map(|v| -v));
+fn seen(
+    camera: &Camera,
+    pose: &Pose,
+    readout_displacement_m: [f64; 3],
+    point: [f64; 3],
+) -> Option<[f64; 2]> {
+    let shift = rotation::rotate(pose.rotation, readout_displacement_m.map(|v| -v));
     let middle = pose.to_camera(point);
     let mut at = camera.interior.project(middle)?;
     // The row decides when, and when decides the row.
@@ -106,7 +111,11 @@ impl Flight {
                     HEIGHT_M + 0.8 * number(),
                 ];
                 poses.push(Pose::from_centre(turn, centre));
-                ways.push([0.0, if back { -self.way_m } else { self.way_m }, 0.0]);
+                ways.push([
+                    0.0,
+                    if back { -self.readout_displacement_m } else { self.readout_displacement_m },
+                    0.0,
+                ]);
             }
         }
         let (wide, long) =
@@ -157,7 +166,7 @@ impl Flight {
                         pair[1] = rng.random_range(0..many);
                     }
                 }
-                matched.push(Matched { images: [a as u32, b as u32], matches });
+                matched.push(PairMatches { images: [a as u32, b as u32], matches });
             }
         }
         let mut flown = Flown {

@@ -3,35 +3,17 @@
 
 pub(super) mod convert;
 mod description;
-mod figures;
-pub(super) mod report;
-mod tables;
 
 use crate::{
     error::Error,
-    io::{FileError, bundler, camera, colmap, control, model::Model, opensfm, output},
-    problems::adjustment::{
-        Adjusted, Alignment, DataSnoopingOptions, LeaveOneOut, Removed, Settings, adjust, align,
-        leave_one_out, snoop, variance_components,
-    },
+    io::{FileError, bundler, camera, colmap, control, model::Model, opensfm},
+    pipeline::adjust::{self, Adjustment},
+    problems::adjustment::{Settings, DataSnoopingOptions, align, leave_one_out, snoop, variance_components},
     scene::{Excluded, Role},
 };
 pub(super) use description::Options;
 use description::{Datum, Description, Format};
-use std::path::{Path, PathBuf};
-
-/// Everything that came of an adjustment.
-pub(super) struct Outcome {
-    pub(super) model: Model,
-    pub(super) adjusted: Adjusted,
-    pub(super) settings: Settings,
-    pub(super) alignment: Option<Alignment>,
-    pub(super) removed: Vec<Removed>,
-    /// Rows of files that no image or point of the block belongs to.
-    pub(super) unmatched: Vec<Excluded>,
-    pub(super) left_out: Vec<LeaveOneOut>,
-    pub(super) complete: bool,
-}
+use std::path::Path;
 
 /// Whether a path is a block for this file: a COLMAP folder, a description, or a reconstruction of
 /// Bundler or OpenSfM.
@@ -79,23 +61,22 @@ pub(super) fn run(
     if let Some(path) = output {
         check_lenses(path, &block.0)?;
     }
-    let mut outcome = work(block, &description, loss)?;
-    outcome.unmatched.iter().take(5).for_each(|aside| tracing::warn!("set aside: {aside}"));
+    let (mut model, adjustment) = work(block, &description, loss)?;
+    adjustment.unmatched.iter().take(5).for_each(|aside| tracing::warn!("set aside: {aside}"));
     if let Some(folder) = &description.report {
-        report::write(folder, &outcome, force)?;
+        adjust::write(folder, &adjustment, force)?;
     }
     if let Some(path) = output {
-        write_model(path, description.to.unwrap_or(format), &mut outcome.model, force)?;
+        write_model(path, description.to.unwrap_or(format), &mut model, force)?;
     }
     if json {
-        super::print_json(&report::Report::new(&outcome))?;
+        super::print_json(&adjust::Report::new(&adjustment))?;
     } else {
-        super::print(&report::summary(&outcome))?;
+        super::print(&adjust::summary(&adjustment))?;
     }
-    if !outcome.complete || !outcome.adjusted.converged() {
+    if !adjustment.converged() {
         return Err(Error::Incomplete(
-            "the adjustment did not come to an end: look at the report before using its results"
-                .into(),
+            "the adjustment did not converge: look at the report before using its results".into(),
         ));
     }
     Ok(())
@@ -260,7 +241,7 @@ fn work(
     (mut model, unmatched): (Model, Vec<Excluded>),
     description: &Description,
     loss: crate::nlls::Loss,
-) -> Result<Outcome, Error> {
+) -> Result<(Model, Adjustment), Error> {
     let alignment = if description.align { align(&mut model.survey) } else { None };
     if let Some(alignment) = &alignment {
         tracing::info!(
@@ -297,7 +278,7 @@ fn work(
             }
             (snooped.adjusted, snooped.removed, snooped.complete)
         }
-        None => (adjust(survey, &settings)?, Vec::new(), true),
+        None => (crate::problems::adjustment::adjust(survey, &settings)?, Vec::new(), true),
     };
     settings.tie_loss = crate::nlls::Loss::Trivial;
     if description.variance_components {
@@ -312,29 +293,7 @@ fn work(
     }
     let left_out =
         if description.leave_one_out { leave_one_out(survey, &settings)? } else { Vec::new() };
-    Ok(Outcome { model, adjusted, settings, alignment, removed, unmatched, left_out, complete })
-}
-
-/// Writes the report folder of an adjustment.
-///
-/// # Errors
-/// Where it cannot be made or one of its files cannot be written.
-pub(super) fn write_report(folder: &Path, outcome: &Outcome, force: bool) -> Result<(), Error> {
-    report::write(folder, outcome, force)
-}
-
-/// What a person reads of an adjustment.
-pub(super) fn summary(outcome: &Outcome) -> String {
-    report::summary(outcome)
-}
-
-/// Paths of a report.
-fn in_folder(folder: &Path, name: &str) -> PathBuf {
-    folder.join(name)
-}
-
-/// Writes text atomically.
-fn write_text(path: &Path, text: &str, force: bool) -> Result<(), Error> {
-    output::write(path, force, |out| out.write_all(text.as_bytes()))?;
-    Ok(())
+    let adjustment =
+        Adjustment { adjusted, settings, alignment, removed, unmatched, left_out, complete };
+    Ok((model, adjustment))
 }

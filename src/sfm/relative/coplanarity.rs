@@ -133,7 +133,7 @@ pub struct Band {
     /// the scene is anything.
     pub sigmas: f64,
     /// The share of the x-parallax that the relief may take at least.
-    pub least_share: f64,
+    pub min_share: f64,
 }
 
 /// Which correspondences have the parallaxes of a point that is right.
@@ -165,7 +165,7 @@ pub fn by_parallax(
     };
     let centre = median(&mut found.iter().map(|(_, p)| *p).collect());
     let deviation = median(&mut found.iter().map(|(_, p)| (p - centre).abs()).collect());
-    let half = (band.sigmas * 1.4826 * deviation).max(band.least_share * centre);
+    let half = (band.sigmas * 1.4826 * deviation).max(band.min_share * centre);
     found.into_iter().filter(|(_, p)| (p - centre).abs() <= half).map(|(k, _)| k).collect()
 }
 
@@ -273,7 +273,7 @@ mod tests {
                 * pose.rotation,
             translation: (pose.translation + Vector3::new(0.02, -0.03, 0.02)).normalize(),
         };
-        let band = Band { tolerance: 0.02, sigmas: 4.0, least_share: 0.05 };
+        let band = Band { tolerance: 0.02, sigmas: 4.0, min_share: 0.05 };
         let (found, inliers) = settle(&start, &all, &band, 20).unwrap();
         assert!(!inliers.contains(&5) && !inliers.contains(&9));
         assert_eq!(inliers.len(), 58);

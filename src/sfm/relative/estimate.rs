@@ -44,9 +44,9 @@ pub struct Options {
     /// Probability of a sample without outliers.
     pub confidence: f64,
     /// The most samples of each solver.
-    pub most_samples: usize,
+    pub max_samples: usize,
     /// A pair with fewer inliers is none.
-    pub least_inliers: usize,
+    pub min_inliers: usize,
 }
 
 impl Default for Options {
@@ -59,8 +59,8 @@ impl Default for Options {
             band_sigmas: 6.0,
             relief_share: 0.25,
             confidence: 0.9999,
-            most_samples: 3000,
-            least_inliers: 15,
+            max_samples: 3000,
+            min_inliers: 15,
         }
     }
 }
@@ -216,7 +216,7 @@ pub fn estimate(
             },
         },
     };
-    found.filter(|found| found.inliers.len() >= options.least_inliers)
+    found.filter(|found| found.inliers.len() >= options.min_inliers)
 }
 
 fn two(
@@ -229,7 +229,7 @@ fn two(
         coarse: options.two_point_coarse,
         confidence: options.confidence,
         least: 20,
-        most: options.most_samples,
+        most: options.max_samples,
     };
     let data = TwoPoint {
         correspondences,
@@ -241,7 +241,7 @@ fn two(
     let band = Band {
         tolerance: options.tolerance,
         sigmas: options.band_sigmas,
-        least_share: options.relief_share,
+        min_share: options.relief_share,
     };
     finish(pose, correspondences, &band, Solver::TwoPoint, found.samples)
 }
@@ -256,7 +256,7 @@ fn five(
         coarse: 1.0,
         confidence: options.confidence,
         least: 20,
-        most: options.most_samples,
+        most: options.max_samples,
     };
     let found = sample(&FivePoint(correspondences), &sampling, rng)?;
     let pose = match found.model.0 {
@@ -264,7 +264,7 @@ fn five(
         None => pose_of_essential(&found.model.1, correspondences, &found.inliers)?,
     };
     let band =
-        Band { tolerance: options.tolerance, sigmas: f64::INFINITY, least_share: f64::INFINITY };
+        Band { tolerance: options.tolerance, sigmas: f64::INFINITY, min_share: f64::INFINITY };
     finish(pose, correspondences, &band, Solver::FivePoint, found.samples)
 }
 

@@ -10,7 +10,7 @@
 //! Inverse depths, as a plane's are linear in the image. What is narrow and tall has several points that bear each
 //! other out, and a third ray bears out any.
 
-use super::{block::Block, guided::Buckets, relative::Ray};
+use super::{block::Block, epipolar_rematching::Buckets, relative::Ray};
 use rayon::prelude::*;
 
 /// The neighbours that a point is held against.
@@ -53,7 +53,7 @@ impl Place {
 
 /// Takes the points out of a block that two rays only make and that stand alone in both images; how many.
 /// They come back when tracks are gone through again.
-pub fn leave_out(block: &mut Block<'_>) -> usize {
+pub fn remove_depth_outliers(block: &mut Block<'_>) -> usize {
     let images = 0..block.poses.len();
     let alone: Vec<Vec<u32>> = images.into_par_iter().map(|image| alone_in(block, image)).collect();
     let mut against = vec![0_u8; block.tracks.count()];
@@ -231,7 +231,7 @@ mod tests {
         let (mut features, mut tracks) = (Vec::new(), Tracks::default());
         let mut block = block(&points, &mut features, &mut tracks, &cameras);
         assert_eq!(block.points.iter().flatten().count(), 507);
-        assert_eq!(leave_out(&mut block), 3);
+        assert_eq!(remove_depth_outliers(&mut block), 3);
         let left: Vec<[f64; 3]> = block.points.iter().flatten().copied().collect();
         assert!(wrong.iter().all(|point| !left.contains(point)));
         assert_eq!(left.len(), 504);
@@ -239,6 +239,6 @@ mod tests {
             let used = block.tracks.places(track).all(|place| block.used[place]);
             assert_eq!(used, point.is_some());
         }
-        assert_eq!(leave_out(&mut block), 0, "once is enough");
+        assert_eq!(remove_depth_outliers(&mut block), 0, "once is enough");
     }
 }

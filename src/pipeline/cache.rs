@@ -1,7 +1,7 @@
-//! What a stage found, kept until what it came from changes.
+//! What the steps of a stage found, kept until what it came from changes.
 //!
 //! A file holds the mark of everything that decided it (contents of photos, options, results of the
-//! stage before), then CBOR. A mark that differs, or a file that is damaged, is as good as no file.
+//! step before), then CBOR. A mark that differs, or a file that is damaged, is as good as no file.
 
 use crate::{
     error::Error,
@@ -10,10 +10,7 @@ use crate::{
 use serde::{Serialize, de::DeserializeOwned};
 use std::path::{Path, PathBuf};
 
-/// Raised whenever what is stored changes its form, or is made in another way.
-const VERSION: u64 = 2;
-
-/// A folder of results of stages.
+/// A folder of results of steps.
 pub(super) struct Cache {
     folder: PathBuf,
 }
@@ -25,12 +22,12 @@ impl Cache {
         Ok(Cache { folder: folder.to_owned() })
     }
 
-    /// A mark to begin a stage's own with.
+    /// A mark to begin a step's own with: the build of the program.
     pub(super) fn mark() -> Fingerprint {
-        Fingerprint::new().count(VERSION).text(env!("CARGO_PKG_VERSION"))
+        Fingerprint::new().text(crate::BUILD)
     }
 
-    /// What a stage found under this mark.
+    /// What a step found under this mark.
     pub(super) fn load<T: DeserializeOwned>(&self, name: &str, mark: u64) -> Option<T> {
         let bytes = std::fs::read(self.folder.join(name)).ok()?;
         let (stored, rest) = bytes.split_at_checked(16)?;
@@ -43,7 +40,7 @@ impl Cache {
         ciborium::from_reader(rest).ok()
     }
 
-    /// Keeps what a stage found.
+    /// Keeps what a step found.
     pub(super) fn save(&self, name: &str, mark: u64, value: &impl Serialize) -> Result<(), Error> {
         let path = self.folder.join(name);
         let mut body = Vec::new();
@@ -56,6 +53,22 @@ impl Cache {
             out.write_all(&body)
         })?;
         Ok(())
+    }
+
+    /// Removes what is kept under a name: a file or a folder.
+    pub(super) fn forget(&self, name: &str) -> Result<(), Error> {
+        let path = self.folder.join(name);
+        let removed = if path.is_dir() {
+            std::fs::remove_dir_all(&path)
+        } else {
+            std::fs::remove_file(&path)
+        };
+        match removed {
+            Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
+                Err(FileError::write(&path, e).into())
+            }
+            _ => Ok(()),
+        }
     }
 
     /// A folder within.

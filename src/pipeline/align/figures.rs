@@ -21,33 +21,36 @@ const CELLS: usize = 90;
 /// Pixels of the pictures of the cloud along their longer side.
 const SIDE_PX: f64 = 1200.0;
 
-fn save(path: &Path, force: bool, draw: impl FnOnce(&mut String) -> Drawn) -> Result<(), Error> {
+fn save(path: &Path, draw: impl FnOnce(&mut String) -> Drawn) -> Result<(), Error> {
     let mut svg = String::new();
     draw(&mut svg).map_err(|e| FileError::write(path, std::io::Error::other(e.to_string())))?;
-    output::write(path, force, |out| out.write_all(svg.as_bytes()))?;
+    output::write(path, true, |out| out.write_all(svg.as_bytes()))?;
     Ok(())
 }
 
-/// Draws all of them, with tables beside.
+/// Draws all of them into `folder`, with their numbers in `tables`.
 ///
 /// # Errors
 /// Where one cannot be written.
 pub(super) fn write(
     folder: &Path,
+    tables: &Path,
     survey: &Reconstruction,
     pairs: &[Pair],
     names: &[&str],
-    force: bool,
 ) -> Result<(), Error> {
     if survey.points.len() < 3 {
         return Ok(());
     }
+    for folder in [folder, tables] {
+        std::fs::create_dir_all(folder).map_err(|e| FileError::write(folder, e))?;
+    }
     let view = View::of(survey);
-    overlap(folder, survey, &view, force)?;
-    pairs_table(folder, pairs, names, force)?;
-    graph(folder, survey, pairs, names, &view, force)?;
-    images::write_photo(&folder.join("cloud-above.png"), force, &cloud(survey, [0, 1]))?;
-    images::write_photo(&folder.join("cloud-aside.png"), force, &cloud(survey, [0, 2]))?;
+    overlap(folder, tables, survey, &view)?;
+    pairs_table(tables, pairs, names)?;
+    graph(folder, survey, pairs, names, &view)?;
+    images::write_photo(&folder.join("cloud-above.png"), true, &cloud(survey, [0, 1]))?;
+    images::write_photo(&folder.join("cloud-aside.png"), true, &cloud(survey, [0, 2]))?;
     Ok(())
 }
 
@@ -89,7 +92,12 @@ impl View {
 }
 
 /// How many photos see each place of a level ground, and where the cameras are.
-fn overlap(folder: &Path, survey: &Reconstruction, view: &View, force: bool) -> Result<(), Error> {
+fn overlap(
+    folder: &Path,
+    tables: &Path,
+    survey: &Reconstruction,
+    view: &View,
+) -> Result<(), Error> {
     let step = (view.x[1] - view.x[0]).max(view.y[1] - view.y[0]) / CELLS as f64;
     let count = |range: [f64; 2]| ((range[1] - range[0]) / step).ceil() as usize;
     let (columns, rows) = (count(view.x), count(view.y));
@@ -111,11 +119,11 @@ fn overlap(folder: &Path, survey: &Reconstruction, view: &View, force: bool) -> 
             cells.push((at, survey.images.iter().filter(sees).count()));
         }
     }
-    output::write(&folder.join("overlap.csv"), force, |out| {
+    output::write(&tables.join("overlap.csv"), true, |out| {
         writeln!(out, "x_m,y_m,images")?;
         cells.iter().try_for_each(|(at, n)| writeln!(out, "{:.3},{:.3},{n}", at[0], at[1]))
     })?;
-    save(&folder.join("overlap.svg"), force, |svg| {
+    save(&folder.join("overlap.svg"), |svg| {
         let area = SVGBackend::with_string(svg, view.size()).into_drawing_area();
         area.fill(&WHITE)?;
         let mut chart = ChartBuilder::on(&area)
@@ -144,14 +152,9 @@ fn overlap(folder: &Path, survey: &Reconstruction, view: &View, force: bool) -> 
 
 /// The pairs with their orientations: the rotation as a quaternion `w, x, y, z` and the baseline of
 /// length 1 that take the camera frame of the first to that of the second (`y` up, looking along `-z`).
-pub(super) fn pairs_table(
-    folder: &Path,
-    pairs: &[Pair],
-    names: &[&str],
-    force: bool,
-) -> Result<(), Error> {
+pub(super) fn pairs_table(folder: &Path, pairs: &[Pair], names: &[&str]) -> Result<(), Error> {
     std::fs::create_dir_all(folder).map_err(|e| FileError::write(folder, e))?;
-    output::write(&folder.join("pairs.csv"), force, |out| {
+    output::write(&folder.join("pairs.csv"), true, |out| {
         writeln!(out, "first,second,matches,solver,angle_deg,tilt_deg,qw,qx,qy,qz,tx,ty,tz")?;
         for pair in pairs {
             let [a, b] = pair.images.map(|k| names[k as usize]);
@@ -176,7 +179,6 @@ fn graph(
     pairs: &[Pair],
     names: &[&str],
     view: &View,
-    force: bool,
 ) -> Result<(), Error> {
     let places: HashMap<&str, (f64, f64)> = survey
         .images
@@ -186,7 +188,7 @@ fn graph(
             (image.name.as_str(), (c[0], c[1]))
         })
         .collect();
-    save(&folder.join("match-graph.svg"), force, |svg| {
+    save(&folder.join("match-graph.svg"), |svg| {
         let area = SVGBackend::with_string(svg, view.size()).into_drawing_area();
         area.fill(&WHITE)?;
         let mut chart = ChartBuilder::on(&area)

@@ -1,7 +1,7 @@
 //! Two pictures of one pair: its key points and right matches, and the photos in their epipolar
 //! geometry, where right points have the same row.
 
-use super::project::Photo;
+use super::inputs::Photo;
 use crate::{
     camera::{Camera, Lens},
     error::Error,
@@ -24,7 +24,6 @@ pub(super) fn write(
     (photos, features): (&[Photo], &[Features]),
     cameras: &[Camera],
     pairs: &[Pair],
-    force: bool,
 ) -> Result<(), Error> {
     let worth = |pair: &&Pair| (pair.matches.len() as f64 * pair.angle_rad.min(0.3)) as u64;
     let Some(pair) = pairs.iter().max_by_key(worth) else { return Ok(()) };
@@ -32,12 +31,12 @@ pub(super) fn write(
     let (first, second) =
         (images::read_photo(&photos[a].path)?, images::read_photo(&photos[b].path)?);
     let picture = beside(&first, &second, [&features[a], &features[b]], pair);
-    images::write_photo(&folder.join("pair.png"), force, &picture)?;
+    images::write_photo(&folder.join("pair.png"), true, &picture)?;
     let lenses = [&cameras[features[a].camera], &cameras[features[b].camera]];
     if let Some(turns) = rectification(&pair.pose) {
         let picture =
             rectified([&first, &second], lenses, &turns, pair, [&features[a], &features[b]]);
-        images::write_photo(&folder.join("pair-rectified.png"), force, &picture)?;
+        images::write_photo(&folder.join("pair-rectified.png"), true, &picture)?;
     }
     Ok(())
 }

@@ -23,13 +23,13 @@ use nalgebra::Vector3;
 
 /// What a rolling shutter does to a block.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Drift {
+pub struct RollingShutterEstimate {
     /// How far a camera flies while one photo is read, metres.
-    pub way_m: f64,
+    pub readout_displacement_m: f64,
     /// The same on the ground, pixels.
-    pub way_px: f64,
+    pub readout_displacement_px: f64,
     /// Standard deviation of single images about it, metres.
-    pub spread_m: f64,
+    pub image_sigma_m: f64,
     /// The shutter, and how closely images are expected to keep to that way.
     pub shutter: RollingShutter,
     /// How every image moves, as in [`Block::motions`].
@@ -43,7 +43,7 @@ const ANY: f64 = 0.02;
 /// Standard deviation of single images about the common way, as a share of it.
 ///
 /// Then it is what was found with that, but no less than that of [`CALM`] flight.
-const GUSTS: f64 = 0.1;
+const SPEED_SIGMA_RATIO: f64 = 0.1;
 /// The least of it: what an autopilot holds its speed to.
 const CALM: f64 = 0.03;
 /// And as a share of the distance of the ground, where nothing moves.
@@ -92,14 +92,14 @@ pub fn directions(centres_m: &[[f64; 3]]) -> Vec<Option<[f64; 3]>> {
 ///
 /// # Errors
 /// Where the block cannot be evaluated.
-pub fn find(
+pub fn estimate(
     block: &Block<'_>,
     known: &Known,
     flight: &[usize],
     tie_sigma_px: f64,
     readout_s: f64,
     certain: bool,
-) -> Result<Option<Drift>, SolveError> {
+) -> Result<Option<RollingShutterEstimate>, SolveError> {
     let Some(mut strips) = Strips::of(block, known, flight, tie_sigma_px) else { return Ok(None) };
     let still = settle(&mut strips.survey.clone())?;
     strips.survey.rolling_shutter = Some(shutter(ANY * strips.distance_m, readout_s));
@@ -111,14 +111,19 @@ pub fn find(
         - 9.0 * survey.images.len() as f64;
     let variance = (2.0 * cost / freedom.max(1.0)).max(1e-12);
     let gain = 2.0 * (still - cost) / variance;
-    let Drift { way_m, way_px, spread_m, .. } = drift;
-    let deviation_m = spread_m / (strips.directed() as f64).sqrt();
+    let RollingShutterEstimate {
+        readout_displacement_m,
+        readout_displacement_px,
+        image_sigma_m,
+        ..
+    } = drift;
+    let deviation_m = image_sigma_m / (strips.directed() as f64).sqrt();
     let sure = certain
         || gain > WORTH * 3.0 * survey.images.len() as f64
-            && way_m > SURE * deviation_m
-            && way_px > LEAST_PX;
+            && readout_displacement_m > SURE * deviation_m
+            && readout_displacement_px > LEAST_PX;
     tracing::debug!(
-        "rolling shutter: {way_m:.3} m ({way_px:.1} px) +- {spread_m:.3} in a readout, gain {gain:.0}{}",
+        "rolling shutter: {readout_displacement_m:.3} m ({readout_displacement_px:.1} px) +- {image_sigma_m:.3} in a readout, gain {gain:.0}{}",
         if sure { "" } else { ", not enough" }
     );
     Ok(sure.then_some(drift))
@@ -128,23 +133,25 @@ pub fn find(
 ///
 /// # Errors
 /// Where the block cannot be evaluated.
-pub fn renew(
+pub fn update(
     block: &Block<'_>,
     known: &Known,
     flight: &[usize],
     tie_sigma_px: f64,
-) -> Result<Option<Drift>, SolveError> {
+) -> Result<Option<RollingShutterEstimate>, SolveError> {
     let Some(RollingShutter { readout_s, .. }) = block.shutter else { return Ok(None) };
     let Some(mut strips) = Strips::of(block, known, flight, tie_sigma_px) else { return Ok(None) };
     let (drift, _) = strips.ways(readout_s)?;
     Ok(Some(drift))
 }
 
-/// Puts a drift into a block, so that all that is done with it knows of it.
-pub fn adopt(block: &mut Block<'_>, drift: &Drift) {
-    block.motions.clone_from(&drift.motions);
-    block.expected_motions.clone_from(&drift.expected_motions);
-    block.shutter = Some(drift.shutter);
+impl RollingShutterEstimate {
+    /// Puts it into a block, so that all that is done with it knows of it.
+    pub fn apply(&self, block: &mut Block<'_>) {
+        block.motions.clone_from(&self.motions);
+        block.expected_motions.clone_from(&self.expected_motions);
+        block.shutter = Some(self.shutter);
+    }
 }
 
 fn shutter(sigma_m: f64, readout_s: f64) -> RollingShutter {
@@ -166,7 +173,7 @@ struct Strips {
 impl Strips {
     /// `None` where the directions of too few images are known.
     fn of(block: &Block<'_>, known: &Known, flight: &[usize], tie_sigma_px: f64) -> Option<Strips> {
-        let (mut survey, _, order) = block.survey(None);
+        let (mut survey, _, order) = block.reconstruction(None);
         known.attach(&mut survey, &order);
         survey.tie_sigma_px = tie_sigma_px;
         keep_feasible_marks(&mut survey);
@@ -187,13 +194,15 @@ impl Strips {
     }
 
     /// Estimates the common way and the spread about it, and all else with them; and the cost.
-    fn ways(&mut self, readout_s: f64) -> Result<(Drift, f64), SolveError> {
+    fn ways(&mut self, readout_s: f64) -> Result<(RollingShutterEstimate, f64), SolveError> {
         let (start_m, _) = common(&self.survey, &self.along);
-        let (first_m, ..) = self.about(start_m, GUSTS * start_m, readout_s)?;
-        let (second_m, spread_m, _) = self.about(first_m, GUSTS * first_m, readout_s)?;
-        let way_m = limit([start_m, first_m, second_m]);
-        let sigma_m = spread_m.max(CALM * way_m.abs());
-        let (way_m, spread_m, cost) = self.about(way_m, sigma_m, readout_s)?;
+        let (first_m, ..) = self.about(start_m, SPEED_SIGMA_RATIO * start_m, readout_s)?;
+        let (second_m, image_sigma_m, _) =
+            self.about(first_m, SPEED_SIGMA_RATIO * first_m, readout_s)?;
+        let readout_displacement_m = limit([start_m, first_m, second_m]);
+        let sigma_m = image_sigma_m.max(CALM * readout_displacement_m.abs());
+        let (readout_displacement_m, image_sigma_m, cost) =
+            self.about(readout_displacement_m, sigma_m, readout_s)?;
         let c_px = |c: &Camera| c.interior.principal_distance_px();
         let c_px = self.survey.cameras.iter().map(c_px).fold(0.0, f64::max);
         let mut motions = vec![[0.0; 6]; self.images];
@@ -202,10 +211,10 @@ impl Strips {
             motions[index] = image.motion;
             expected_motions[index] = image.expected_motion;
         }
-        let drift = Drift {
-            way_m,
-            way_px: way_m * c_px / self.distance_m,
-            spread_m,
+        let drift = RollingShutterEstimate {
+            readout_displacement_m,
+            readout_displacement_px: readout_displacement_m * c_px / self.distance_m,
+            image_sigma_m,
             shutter: shutter(sigma_m.max(LEAST * self.distance_m), readout_s),
             motions,
             expected_motions,
@@ -216,13 +225,13 @@ impl Strips {
     /// Adjusts the block about a common way; the one that is found, the spread about it, and the cost.
     fn about(
         &mut self,
-        way_m: f64,
+        readout_displacement_m: f64,
         sigma_m: f64,
         readout_s: f64,
     ) -> Result<(f64, f64, f64), SolveError> {
         for (image, direction) in self.survey.images.iter_mut().zip(&self.along) {
             image.expected_motion = direction.map_or(image.motion, |direction| {
-                let flown = direction.map(|v| -v * way_m);
+                let flown = direction.map(|v| -v * readout_displacement_m);
                 let [x, y, z] = rotation::rotate(image.pose.rotation, flown);
                 [0.0, 0.0, 0.0, x, y, z]
             });
@@ -231,8 +240,8 @@ impl Strips {
         let sigma_m = sigma_m.abs().max(LEAST * self.distance_m);
         self.survey.rolling_shutter = Some(shutter(sigma_m, readout_s));
         let cost = settle(&mut self.survey)?;
-        let (found_m, spread_m) = common(&self.survey, &self.along);
-        Ok((found_m, spread_m, cost))
+        let (found_m, image_sigma_m) = common(&self.survey, &self.along);
+        Ok((found_m, image_sigma_m, cost))
     }
 }
 

@@ -3,59 +3,65 @@
 //! Neither has the paper's lens, so it is written as the nearest one they have, and what that leaves is said in pixels.
 //! Neither has a shutter that rolls: positions are those in the middle of the exposure.
 
-use super::{Finding, stages::gsd_m};
 use crate::{
     camera::Model as LensModel,
     error::Error,
     io::{FileError, colmap, model::Model, opensfm},
+    monitor::Diagnostic,
     pipeline::camera::{BROWN, FISHEYE, RATIONAL},
     problems::lens_fit::fit,
     scene::Reconstruction,
+    sfm::adjust_block::gsd_m,
 };
 use std::path::Path;
 
 /// What each program is given.
-pub(super) struct Foreign {
+pub(super) struct Exports {
     colmap: Option<Model>,
     opensfm: Option<Model>,
+    /// What is lost on the way.
+    pub(super) diagnostics: Vec<Diagnostic>,
 }
 
-impl Foreign {
-    /// The block as each program can hold it. What is lost on the way is a finding.
-    pub(super) fn of(block: &Reconstruction, findings: &mut Vec<Finding>) -> Foreign {
+impl Exports {
+    /// The block as each program can hold it.
+    pub(super) fn of(block: &Reconstruction) -> Exports {
+        let mut diagnostics = Vec::new();
         let mut held = |program: &str, brown: &'static [&'static str]| {
             let lenses = [(LensModel::Brown, brown), (LensModel::Fisheye, FISHEYE)];
             let (survey, notes) = lenses_held(block, &lenses, program);
-            findings.extend(notes);
+            diagnostics.extend(notes);
             survey.map(|survey| Model { survey, ..Model::default() })
         };
         // The one with six radial terms, the other with three.
-        let foreign = Foreign { colmap: held("COLMAP", RATIONAL), opensfm: held("OpenSfM", BROWN) };
-        let written = foreign.colmap.is_some() || foreign.opensfm.is_some();
+        let (colmap, opensfm) = (held("COLMAP", RATIONAL), held("OpenSfM", BROWN));
+        let written = colmap.is_some() || opensfm.is_some();
         if let Some(shift_px) = rolled_px(block).filter(|_| written) {
-            findings.push(Finding::new(
+            let message = format!(
+                "the files for COLMAP and OpenSfM cannot hold it: their poses are those in the middle of the exposure, \
+                 and measurements in the first and the last row are up to {shift_px:.1} px off"
+            );
+            diagnostics.push(Diagnostic::info(
+                "export-without-shutter",
                 "rolling shutter",
-                &format!(
-                    "neither COLMAP's files nor OpenSfM's can hold it: their poses are those in the middle of the \
-                     exposure, and measurements in the first and the last row are up to {shift_px:.1} px off"
-                ),
+                message,
             ));
         }
-        foreign
+        Exports { colmap, opensfm, diagnostics }
     }
 
     /// Writes both.
     ///
     /// # Errors
     /// Where a file cannot be written.
-    pub(super) fn write(&self, root: &Path, force: bool) -> Result<(), Error> {
+    pub(super) fn write(&self, root: &Path) -> Result<(), Error> {
         if let Some(model) = &self.colmap {
             let at = folder(root, "colmap")?;
-            colmap::write(&at, model, colmap::Form::Text, force)?;
+            colmap::write(&at, model, colmap::Form::Text, true)?;
         }
         if let Some(model) = &self.opensfm {
             let at = folder(root, "opensfm")?;
-            opensfm::write(&at.join("reconstruction.json"), &at.join("tracks.csv"), model, force)?;
+            opensfm::write(&at.join("reconstruction.json"), &at.join("tracks.csv"), model, true)?;
         }
         Ok(())
     }
@@ -72,7 +78,7 @@ fn lenses_held(
     block: &Reconstruction,
     lenses: &[(LensModel, &[&str])],
     program: &str,
-) -> (Option<Reconstruction>, Vec<Finding>) {
+) -> (Option<Reconstruction>, Vec<Diagnostic>) {
     let mut survey = block.clone();
     let mut notes = Vec::new();
     for camera in &mut survey.cameras {
@@ -86,24 +92,29 @@ fn lenses_held(
             .filter(|fit| fit.left_out == 0)
             .min_by(|a, b| a.rms_px.total_cmp(&b.rms_px));
         let Some(fit) = nearest else {
-            let what = format!("{program} has no lens that is near it: its files are not written");
-            notes.push(Finding::new(&camera.name, &what));
+            let message = format!(
+                "{program} has no lens model that comes near this one: files for {program} are not written"
+            );
+            notes.push(Diagnostic::warning("export-not-possible", subject(camera), message));
             return (None, notes);
         };
-        notes.push(Finding::new(
-            &camera.name,
-            &format!(
-                "{program} has no smac lens: in its files is the nearest {} one, {:.3} px off (root mean square), \
-                 {:.2} at most; camera-*.toml have the lens itself",
-                fit.interior.model().word(),
-                fit.rms_px,
-                fit.largest_px
-            ),
-        ));
+        let message = format!(
+            "{program} has no smac lens: its files have the nearest {} lens, {:.3} px off (root mean square, at most {:.2}); \
+             reconstruction.json and camera-*.toml have the lens itself",
+            fit.interior.model().word(),
+            fit.rms_px,
+            fit.largest_px
+        );
+        notes.push(Diagnostic::info("export-approximated", subject(camera), message));
         camera.interior = fit.interior;
         camera.expected = None;
     }
     (Some(survey), notes)
+}
+
+/// What a camera is called, also where it has no name.
+fn subject(camera: &crate::camera::Camera) -> &str {
+    if camera.name.is_empty() { "the camera" } else { &camera.name }
 }
 
 /// How far measurements in the first and the last row are from where a shutter that does not roll would have

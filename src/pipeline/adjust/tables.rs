@@ -1,6 +1,6 @@
 //! The tables of a report, as CSV. Standard deviations are scaled by `sigma0`.
 
-use super::{Outcome, in_folder};
+use super::Adjustment;
 use crate::{
     error::Error,
     io::{FileError, output},
@@ -8,12 +8,12 @@ use crate::{
 };
 use std::path::Path;
 
-pub(super) fn write(folder: &Path, outcome: &Outcome, force: bool) -> Result<(), Error> {
-    let adjusted = &outcome.adjusted;
+pub(super) fn write(folder: &Path, adjustment: &Adjustment, force: bool) -> Result<(), Error> {
+    let adjusted = &adjustment.adjusted;
     let (survey, statistics) = (&adjusted.reconstruction, &adjusted.statistics);
     let sigma0 = statistics.sigma0;
     let table = |name: &str, header: &[&str], rows: Vec<Vec<String>>| {
-        save(&in_folder(folder, name), header, rows, force)
+        save(&folder.join(name), header, rows, force)
     };
     let number = |v: f64| format!("{v:.6}");
 
@@ -41,13 +41,11 @@ pub(super) fn write(folder: &Path, outcome: &Outcome, force: bool) -> Result<(),
             let name = survey.ground[mark.ground as usize].name.clone();
             Some((mark.image, name, mark.image_px, mark.sigma_px))
         }
-        ObservationRef::Control(_) | ObservationRef::Position(_) | ObservationRef::ScaleBar(_) => {
-            None
-        }
+        ObservationRef::Control(_) | ObservationRef::Position(_) | ObservationRef::ScaleBar(_) => None,
     };
     let row = |tested: &TestedObservation| {
         let (image, point, at, sigma) = measured(tested.subject)?;
-        let sigma = sigma * outcome.settings.sigma_factors[tested.group as usize];
+        let sigma = sigma * adjustment.settings.sigma_factors[tested.group as usize];
         let mut row = vec![survey.images[image as usize].name.clone(), point];
         row.extend(
             [at[0], at[1], sigma * tested.residual[0], sigma * tested.residual[1]].map(number),
@@ -59,8 +57,7 @@ pub(super) fn write(folder: &Path, outcome: &Outcome, force: bool) -> Result<(),
     };
     let marks = |tested: &&TestedObservation| matches!(tested.subject, ObservationRef::Mark(_));
     table("marks.csv", &header, statistics.tested.iter().filter(marks).filter_map(row).collect())?;
-    let ties =
-        |tested: &&TestedObservation| matches!(tested.subject, ObservationRef::TieObservation(_));
+    let ties = |tested: &&TestedObservation| matches!(tested.subject, ObservationRef::TieObservation(_));
     table(
         "tie_points.csv",
         &header,
@@ -149,7 +146,7 @@ pub(super) fn write(folder: &Path, outcome: &Outcome, force: bool) -> Result<(),
         table(&format!("interior-{}.csv", interior.camera + 1), &header, rows.collect())?;
     }
 
-    let aside = outcome.unmatched.iter().chain(&adjusted.validated.excluded).map(|aside| {
+    let aside = adjustment.unmatched.iter().chain(&adjusted.validated.excluded).map(|aside| {
         let word = |word: &Option<String>| word.clone().unwrap_or_default();
         vec![
             aside.kind.word().to_owned(),
@@ -158,7 +155,7 @@ pub(super) fn write(folder: &Path, outcome: &Outcome, force: bool) -> Result<(),
             aside.reason.clone(),
         ]
     });
-    let removed = outcome.removed.iter().map(|removed| {
+    let removed = adjustment.removed.iter().map(|removed| {
         let reason = format!("taken out at {:.2} times the critical value", removed.excess);
         vec![removed.group.name().to_owned(), String::new(), removed.name.clone(), reason]
     });

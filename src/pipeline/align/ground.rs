@@ -1,17 +1,14 @@
 //! What is known of a project on the ground and in the air, in one frame.
 
-use super::{
-    Finding,
-    project::{Frame, Photo, Sources, stand_ins},
-};
+use super::inputs::{Frame, Photo, Sources, stand_ins};
 use crate::{
     crs::{Crs, LocalPlane},
     error::Error,
     io::{control, gcp_list, photo::Geotag},
+    monitor::{Diagnostic, Monitor},
     scene::{CameraPosition, GroundObservation, GroundPoint, Role},
     sfm::georeference::Known,
 };
-use std::path::Path;
 
 /// Control as it was read.
 struct Ground {
@@ -24,39 +21,33 @@ struct Ground {
 fn control(
     photos: &[Photo],
     sources: &Sources<'_>,
-    findings: &mut Vec<Finding>,
+    monitor: &mut dyn Monitor,
 ) -> Result<Option<Ground>, Error> {
-    let root = sources.root;
-    let beside = |name: &str| Some(root.join(name)).filter(|path| path.is_file());
-    let path = sources
-        .control
-        .map(Path::to_owned)
-        .or_else(|| beside("gcps.csv"))
-        .or_else(|| beside("gcp_list.txt"))
-        .or_else(|| beside("ground_control_points.json"));
-    let Some(path) = path else { return Ok(None) };
+    let Some(path) = &sources.control else { return Ok(None) };
     let images = stand_ins(photos);
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
     if extension.eq_ignore_ascii_case("csv") {
-        let points = control::ground_points(&path, &sources.defaults)?;
-        let marks = sources.marks.map(Path::to_owned).or_else(|| beside("marks.csv"));
-        let Some(marks) = marks else {
-            findings.push(Finding::new(
-                &path.display().to_string(),
-                "there is no marks.csv that says where the points are in the photos: not used",
-            ));
+        let points = control::ground_points(path, &sources.defaults)?;
+        let Some(marks) = &sources.marks else {
+            let message =
+                "there is no marks.csv that says where the points are in the photos: not used";
+            let subject = path.display().to_string();
+            monitor.diagnostic(&Diagnostic::warning("no-marks", subject, message));
             return Ok(None);
         };
-        let (marks, aside) = control::marks(&marks, &images, &points, &sources.defaults)?;
-        findings.extend(aside.iter().map(|a| Finding::new("marks", &a.to_string())));
+        let (marks, aside) = control::marks(marks, &images, &points, &sources.defaults)?;
+        for excluded in &aside {
+            let diagnostic = Diagnostic::warning("mark-excluded", "marks", excluded.to_string());
+            monitor.diagnostic(&diagnostic);
+        }
         return Ok(Some(Ground { crs: None, geographic: false, points, marks }));
     }
     let names = control::Names::new(&images);
     let read = if extension.eq_ignore_ascii_case("json") {
         let size = |name: &str| names.find(name).map(|k| photos[k as usize].size_px);
-        gcp_list::read_opensfm(&path, &sources.defaults, size)?
+        gcp_list::read_opensfm(path, &sources.defaults, size)?
     } else {
-        gcp_list::read(&path, &sources.defaults)?
+        gcp_list::read(path, &sources.defaults)?
     };
     let mut marks = Vec::new();
     let mut unmatched = std::collections::BTreeSet::new();
@@ -75,10 +66,9 @@ fn control(
     }
     if !unmatched.is_empty() {
         let names: Vec<String> = unmatched.into_iter().collect();
-        findings.push(Finding::new(
-            &path.display().to_string(),
-            &format!("marks in images that are not here: {}", names.join(", ")),
-        ));
+        let message = format!("marks in images that are not here: {}", names.join(", "));
+        let subject = path.display().to_string();
+        monitor.diagnostic(&Diagnostic::warning("mark-excluded", subject, message));
     }
     Ok(Some(Ground { crs: read.crs, geographic: read.geographic, points: read.ground, marks }))
 }
@@ -91,9 +81,9 @@ pub(super) fn read(
     photos: &[Photo],
     tags: &[Option<Geotag>],
     sources: &Sources<'_>,
-    findings: &mut Vec<Finding>,
+    monitor: &mut dyn Monitor,
 ) -> Result<(Frame, Known, Vec<bool>), Error> {
-    let control = control(photos, sources, findings)?;
+    let control = control(photos, sources, monitor)?;
     let mut known = Known::default();
     let tagged: Vec<(usize, Geotag)> =
         tags.iter().enumerate().filter_map(|(k, tag)| tag.map(|tag| (k, tag))).collect();
@@ -128,13 +118,12 @@ pub(super) fn read(
         let near =
             |p: &GroundPoint| (p.position_m[0] - east).hypot(p.position_m[1] - north) < REACH_M;
         if known.ground.iter().filter(|p| near(p)).count() * 2 > known.ground.len() {
-            findings.push(Finding::new(
-                "reference system",
-                &format!(
-                    "nobody named it; the control points lie among the photos in {}, so that it is (give --crs to say otherwise)",
-                    zone.name()
-                ),
-            ));
+            let message = format!(
+                "none was given; using {}, in which the control points lie among the photos",
+                zone.name()
+            );
+            let diagnostic = Diagnostic::info("crs-assumed", "coordinate system", message);
+            monitor.diagnostic(&diagnostic.with_remedy("change it with [project] crs"));
             crs = Some(zone);
         }
     }
@@ -152,10 +141,10 @@ pub(super) fn read(
         }
         (None, _) if !known.ground.is_empty() && !geographic => {
             if !tagged.is_empty() {
-                findings.push(Finding::new(
-                    "reference system",
-                    "nobody named that of the control points: camera positions only say which photos are neighbours; give --crs EPSG:<code> to use them",
-                ));
+                let message = "that of the control points is not known: camera positions only tell which photos are neighbours";
+                let diagnostic = Diagnostic::warning("crs-unknown", "coordinate system", message);
+                let remedy = "name it with [project] crs = \"EPSG:<code>\" to use them";
+                monitor.diagnostic(&diagnostic.with_remedy(remedy));
             }
             Frame::Unnamed
         }
@@ -170,19 +159,17 @@ pub(super) fn read(
     if let Frame::Map(crs) = &frame
         && !crs.knows_datum()
     {
-        findings.push(Finding::new(
-            crs.name(),
-            "its definition does not say how its datum lies to WGS84: positions of receivers come out up to some hundred metres off, all alike; control sets that right",
-        ));
+        let message = "its definition does not tell how its datum differs from WGS84: positions of receivers may be off by up to some hundred metres, all alike; ground control corrects that";
+        monitor.diagnostic(&Diagnostic::warning("datum-unknown", crs.name(), message));
     }
-    let mut told = vec![false; photos.len()];
+    let mut has_sigma = vec![false; photos.len()];
     if sources.use_positions && !matches!(frame, Frame::Unnamed | Frame::Free) {
         for (k, tag) in tagged {
             let Some(height) = tag.height_m else { continue };
             let position_m =
                 place(&frame, tag.latitude_deg, tag.longitude_deg, height).map_err(bad)?;
             let default = sources.defaults.position_m;
-            told[k] = tag.sigma_m.is_some();
+            has_sigma[k] = tag.sigma_m.is_some();
             known.positions.push(CameraPosition {
                 image: k as u32,
                 position_m,
@@ -190,7 +177,7 @@ pub(super) fn read(
             });
         }
     }
-    Ok((frame, known, told))
+    Ok((frame, known, has_sigma))
 }
 
 fn place(

@@ -6,12 +6,12 @@
 //! and what they see are adjusted, and everything whenever the block has grown by a fifth.
 
 use super::{
-    block::{Block, Features, Pair, Refining},
+    block::{Block, BundleAdjustmentOptions, Features, Pair},
     resection::{quaternion, resect},
-    start::{Closing, Graph, Triplet},
+    single_pair_registration,
+    start::{Graph, LoopClosureOptions, Triplet},
     tracks::Tracks,
-    triangulate::Demands,
-    vouched,
+    triangulate::TriangulationOptions,
 };
 use crate::{camera::Camera, engine::SolveError, geometry::rotation, nlls::Loss, scene::Pose};
 use nalgebra::Matrix3;
@@ -29,39 +29,39 @@ pub enum Start {
 
 /// How blocks grow.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Growing {
+pub struct IncrementalOptions {
     /// Where the first block starts.
     pub start: Start,
     /// Distance up to which an image position belongs to a point, pixels.
     pub tolerance_px: f64,
     /// The least angle at which the rays of a point meet, radians.
-    pub least_angle_rad: f64,
+    pub min_angle_rad: f64,
     /// The fewest points that an image must agree with.
-    pub least_points: usize,
+    pub min_points: usize,
     /// Names of the lens parameters that are adjusted while the block grows.
     pub free: Vec<String>,
     /// From how many images on.
     pub free_from: usize,
-    /// Demands on loops of pairs.
-    pub closing: Closing,
+    /// TriangulationOptions on loops of pairs.
+    pub closing: LoopClosureOptions,
     /// Seed of all sampling.
     pub seed: u64,
     /// The fewest images of a block.
-    pub least_images: usize,
+    pub min_images: usize,
 }
 
-impl Default for Growing {
-    fn default() -> Growing {
-        Growing {
+impl Default for IncrementalOptions {
+    fn default() -> IncrementalOptions {
+        IncrementalOptions {
             start: Start::Triplet,
             tolerance_px: 4.0,
-            least_angle_rad: 0.026,
-            least_points: 15,
+            min_angle_rad: 0.026,
+            min_points: 15,
             free: ["f_px", "k1", "k2"].map(str::to_owned).to_vec(),
             free_from: 5,
-            closing: Closing::default(),
+            closing: LoopClosureOptions::default(),
             seed: 1,
-            least_images: 3,
+            min_images: 3,
         }
     }
 }
@@ -88,7 +88,7 @@ pub fn reconstruct<'a>(
     tracks: &'a Tracks,
     pairs: &[Pair],
     cameras: &[Camera],
-    growing: &Growing,
+    growing: &IncrementalOptions,
     mut tell: impl FnMut(&Event),
 ) -> Result<Vec<Block<'a>>, SolveError> {
     let graph = Graph::new(features.len(), pairs);
@@ -96,7 +96,7 @@ pub fn reconstruct<'a>(
     let mut blocks: Vec<Block<'a>> = Vec::new();
     let mut cameras = cameras.to_vec();
     loop {
-        let grown = Grower {
+        let grown = Incremental {
             block: Block::new(features, tracks, &cameras),
             graph: &graph,
             growing,
@@ -122,24 +122,24 @@ pub fn reconstruct<'a>(
 /// How many starts are tried.
 const MOST_STARTS: usize = 20;
 
-struct Grower<'a, 'b> {
+struct Incremental<'a, 'b> {
     block: Block<'a>,
     graph: &'b Graph<'b>,
-    growing: &'b Growing,
+    growing: &'b IncrementalOptions,
     allowed: &'b [bool],
     tell: &'b mut dyn FnMut(&Event),
 }
 
-impl<'a> Grower<'a, '_> {
-    fn demands(&self) -> Demands {
-        Demands {
+impl<'a> Incremental<'a, '_> {
+    fn demands(&self) -> TriangulationOptions {
+        TriangulationOptions {
             tolerance_px: self.growing.tolerance_px,
-            least_angle_rad: self.growing.least_angle_rad,
+            min_angle_rad: self.growing.min_angle_rad,
         }
     }
 
-    fn refining(&self, iterations: u64) -> Refining {
-        Refining { loss: Loss::SoftL1(1.0), iterations, cost_tolerance: 1e-4 }
+    fn refining(&self, iterations: u64) -> BundleAdjustmentOptions {
+        BundleAdjustmentOptions { loss: Loss::SoftL1(1.0), iterations, cost_tolerance: 1e-4 }
     }
 
     fn run(mut self) -> Result<Option<Block<'a>>, SolveError> {
@@ -158,7 +158,7 @@ impl<'a> Grower<'a, '_> {
             }
             (self.tell)(&Event::Started(triplet));
             self.grow()?;
-            let enough = self.block.registered() >= self.growing.least_images;
+            let enough = self.block.registered() >= self.growing.min_images;
             return Ok(enough.then_some(self.block));
         }
         Ok(None)
@@ -166,20 +166,20 @@ impl<'a> Grower<'a, '_> {
 
     fn run_global(mut self, pairs: &[Pair]) -> Result<Option<Block<'a>>, SolveError> {
         let images = super::global::start(&mut self.block, pairs)?;
-        if images < self.growing.least_images {
+        if images < self.growing.min_images {
             return Ok(None);
         }
         // Averaged poses are good to a degree or so: what fits is found from loose to tight.
         let tracks = self.block.all_tracks();
         for looser in [12.0, 6.0, 3.0, 1.5] {
             let tolerance_px = looser * self.growing.tolerance_px;
-            let demands = Demands { tolerance_px, ..self.demands() };
+            let demands = TriangulationOptions { tolerance_px, ..self.demands() };
             self.block.retriangulate(&tracks, &demands);
             self.block.adjust(None, &self.refining(15))?;
         }
-        self.everything(false)?;
+        self.adjust_global(false)?;
         self.grow()?;
-        let enough = self.block.registered() >= self.growing.least_images;
+        let enough = self.block.registered() >= self.growing.min_images;
         Ok(enough.then_some(self.block))
     }
 
@@ -199,7 +199,10 @@ impl<'a> Grower<'a, '_> {
             Some(Pose { rotation: quaternion(&turn), translation: shift.into() });
         let tracks = self.block.tracks_of(&[first as usize, second as usize]);
         // The lens is not yet known: what is off by it must not be lost.
-        let loose = Demands { tolerance_px: 2.0 * self.growing.tolerance_px, ..self.demands() };
+        let loose = TriangulationOptions {
+            tolerance_px: 2.0 * self.growing.tolerance_px,
+            ..self.demands()
+        };
         self.block.retriangulate(&tracks, &loose);
         let third = third as usize;
         let Some(pose) = self.judge().resection(third, 2.0) else { return Ok(false) };
@@ -210,12 +213,12 @@ impl<'a> Grower<'a, '_> {
         self.block.adjust(None, &self.refining(30))?;
         let points = self.block.retriangulate(&tracks, &self.demands());
         self.block.adjust(None, &self.refining(20))?;
-        Ok(points >= 2 * self.growing.least_points
+        Ok(points >= 2 * self.growing.min_points
             && self.block.rms_px().0 < self.growing.tolerance_px)
     }
 
-    fn judge(&self) -> Judge<'_> {
-        Judge { block: &self.block, graph: self.graph, growing: self.growing }
+    fn judge(&self) -> PoseVerifier<'_> {
+        PoseVerifier { block: &self.block, graph: self.graph, growing: self.growing }
     }
 
     fn grow(&mut self) -> Result<(), SolveError> {
@@ -227,8 +230,8 @@ impl<'a> Grower<'a, '_> {
             let judge = self.judge();
             let mut candidates: Vec<(f64, usize)> = (0..self.block.poses.len())
                 .filter(|&k| self.allowed[k] && self.block.poses[k].is_none() && failed[k] < 2)
-                .map(|k| (self.block.sight_count(k) as f64 * judge.harmony(k), k))
-                .filter(|(worth, _)| *worth >= 0.5 * self.growing.least_points as f64)
+                .map(|k| (self.block.sight_count(k) as f64 * judge.rotation_consensus(k), k))
+                .filter(|(worth, _)| *worth >= 0.5 * self.growing.min_points as f64)
                 .collect();
             candidates.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
             let Some(&(best, _)) = candidates.first() else {
@@ -261,11 +264,11 @@ impl<'a> Grower<'a, '_> {
             self.block.adjust(Some(&joined), &self.refining(8))?;
             self.block.retriangulate(&tracks, &self.demands());
             if 5 * self.block.registered() >= 6 * adjusted {
-                self.everything(false)?;
+                self.adjust_global(false)?;
                 adjusted = self.block.registered();
             }
         }
-        self.everything(true)
+        self.adjust_global(true)
     }
 
     /// Takes in an image that one pair vouches for, where what both see then fits; whether there was one.
@@ -275,7 +278,9 @@ impl<'a> Grower<'a, '_> {
                 continue;
             }
             refused[image] = true;
-            let Some(pose) = vouched::pose(&self.block, self.graph, self.growing, image) else {
+            let Some(pose) =
+                single_pair_registration::pose(&self.block, self.graph, self.growing, image)
+            else {
                 continue;
             };
             let sights = self.block.sight_count(image);
@@ -284,7 +289,7 @@ impl<'a> Grower<'a, '_> {
             // The pair was found before the lens was.
             for looser in [8.0, 2.0, 1.0] {
                 let tolerance_px = looser * self.growing.tolerance_px;
-                let demands = Demands { tolerance_px, ..self.demands() };
+                let demands = TriangulationOptions { tolerance_px, ..self.demands() };
                 self.block.retriangulate(&tracks, &demands);
                 self.block.adjust(Some(&[image]), &self.refining(12))?;
             }
@@ -298,8 +303,8 @@ impl<'a> Grower<'a, '_> {
             let (inliers, shared) = (kept(2), kept(3));
             let adjusted = self.block.poses[image].unwrap_or(pose);
             let (agree, all) = self.judge().agreement(image, &adjusted);
-            if inliers >= 4 * self.growing.least_points
-                && shared >= vouched::FEWEST.max(sights.div_ceil(2))
+            if inliers >= 4 * self.growing.min_points
+                && shared >= single_pair_registration::FEWEST.max(sights.div_ceil(2))
                 && 2 * agree >= all
             {
                 (self.tell)(&Event::Joined(image, tracks.len(), inliers));
@@ -312,7 +317,7 @@ impl<'a> Grower<'a, '_> {
     }
 
     /// Adjusts everything, and again where that has changed what belongs to what.
-    fn everything(&mut self, last: bool) -> Result<(), SolveError> {
+    fn adjust_global(&mut self, last: bool) -> Result<(), SolveError> {
         // Where nothing is named the cameras keep what they say themselves.
         if !self.growing.free.is_empty() && self.block.registered() >= self.growing.free_from {
             for camera in &mut self.block.cameras {
@@ -333,7 +338,7 @@ impl<'a> Grower<'a, '_> {
         for _ in 0..rounds {
             self.block.adjust(None, &self.refining(if last { 25 } else { 12 }))?;
             self.block.retriangulate(&tracks, &self.demands());
-            self.weed_out();
+            self.filter_images();
         }
         let points = self.block.points.iter().flatten().count();
         let rms = self.block.rms_px().0;
@@ -342,14 +347,14 @@ impl<'a> Grower<'a, '_> {
     }
 
     /// Images that have lost their points leave.
-    fn weed_out(&mut self) {
+    fn filter_images(&mut self) {
         for image in 0..self.block.poses.len() {
             if self.block.poses[image].is_none() {
                 continue;
             }
             let kept = self.block.tracks.in_image(image).iter();
             let kept = kept.filter(|(_, place)| self.block.used[*place as usize]).count();
-            if kept < self.growing.least_points {
+            if kept < self.growing.min_points {
                 self.block.forget(image);
                 (self.tell)(&Event::Left(image));
             }
@@ -358,19 +363,19 @@ impl<'a> Grower<'a, '_> {
 }
 
 /// What a block knows of images that are not in it.
-struct Judge<'s> {
+struct PoseVerifier<'s> {
     block: &'s Block<'s>,
     graph: &'s Graph<'s>,
-    growing: &'s Growing,
+    growing: &'s IncrementalOptions,
 }
 
-impl Judge<'_> {
+impl PoseVerifier<'_> {
     /// The pose of an image by what it sees of the block and by what its pairs say, with how many
     /// points it sees and agrees with.
     fn resection(&self, image: usize, looser: f64) -> Option<(Pose, usize, usize)> {
         let sights = self.block.sights(image);
         // Half as many are enough where a pair vouches for what they say.
-        let least = self.growing.least_points.div_ceil(2);
+        let least = self.growing.min_points.div_ceil(2);
         if sights.len() < least {
             return None;
         }
@@ -384,11 +389,10 @@ impl Judge<'_> {
         // The pairs have a say: more of them must agree with the pose than not, unless the points
         // are nearly unanimous.
         let (agree, all) = self.agreement(image, &found.model);
-        if inliers < self.growing.least_points && (agree == 0 || 2 * agree < all) {
+        if inliers < self.growing.min_points && (agree == 0 || 2 * agree < all) {
             return None;
         }
-        let unanimous =
-            10 * inliers >= 6 * sights.len() && inliers >= 3 * self.growing.least_points;
+        let unanimous = 10 * inliers >= 6 * sights.len() && inliers >= 3 * self.growing.min_points;
         if all > 0 && 2 * agree < all && !unanimous {
             return None;
         }
@@ -419,7 +423,7 @@ impl Judge<'_> {
     }
 
     /// The share of the predictions that agree with the one that most agree with.
-    fn harmony(&self, image: usize) -> f64 {
+    fn rotation_consensus(&self, image: usize) -> f64 {
         let predictions = self.predictions(image);
         let matrices: Vec<Matrix3<f64>> = predictions
             .iter()

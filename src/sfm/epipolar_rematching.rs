@@ -13,7 +13,7 @@
 use super::{
     block::{Features, Pair},
     relative::{Correspondence, Ray, RelativePose, vector},
-    verify::{Matched, Verifying, all_rays, finer_px, orient_matched},
+    verify::{GeometricVerificationOptions, PairMatches, all_rays, finer_px, orient_matched},
 };
 use crate::{
     camera::Camera,
@@ -24,7 +24,7 @@ use rayon::prelude::*;
 
 /// How matches are looked for again.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Guiding {
+pub struct RematchingOptions {
     /// Pairs with more matches than this need no help.
     pub enough: usize,
     /// Distance from its piece of line up to which a feature may match, pixels, in each round.
@@ -39,9 +39,9 @@ pub struct Guiding {
     pub slack: [f64; 2],
 }
 
-impl Default for Guiding {
-    fn default() -> Guiding {
-        Guiding {
+impl Default for RematchingOptions {
+    fn default() -> RematchingOptions {
+        RematchingOptions {
             enough: 150,
             tolerances_px: [12.0, 6.0],
             context_px: 40.0,
@@ -242,7 +242,7 @@ pub fn rematch(
     ground: &Ground,
     principal_distance_px: f64,
     tolerance_px: f64,
-    guiding: &Guiding,
+    guiding: &RematchingOptions,
 ) -> Vec<[u32; 2]> {
     let tolerance = tolerance_px / principal_distance_px;
     let context = (guiding.context_px / principal_distance_px).max(tolerance);
@@ -281,7 +281,7 @@ pub(super) fn compete(
     buckets: &Buckets,
     piece: &dyn Fn(usize) -> Option<[Ray; 2]>,
     reach: &Reach,
-    guiding: &Guiding,
+    guiding: &RematchingOptions,
 ) -> Vec<[u32; 2]> {
     let most = (512.0 * guiding.max_distance).powi(2);
     let theirs = second.descriptors.as_bytes().as_chunks::<DESCRIPTOR_LENGTH>().0;
@@ -331,12 +331,12 @@ pub(super) fn compete(
 
 /// Looks again at the pairs that have few matches; each becomes what it was or better. `tell` is called for
 /// each pair.
-pub fn strengthen(
+pub fn rematch_weak_pairs(
     features: &[Features],
     descriptors: &[&Descriptors],
     cameras: &[Camera],
     pairs: &[Pair],
-    (verifying, guiding): (&Verifying, &Guiding),
+    (verifying, guiding): (&GeometricVerificationOptions, &RematchingOptions),
     tell: &(dyn Fn() + Sync),
 ) -> Vec<Pair> {
     let all = all_rays(features, cameras);
@@ -362,7 +362,7 @@ pub fn strengthen(
                 let seen = of.map(|k| Seen { rays: &all[k], descriptors: descriptors[k] });
                 let mut matches = rematch(seen, &best.pose, &ground, c, tolerance_px, guiding);
                 join(&mut matches, &best.matches);
-                let matched = Matched { images: best.images, matches };
+                let matched = PairMatches { images: best.images, matches };
                 let again = orient_matched(&matched, of.map(|k| all[k].as_slice()), c, verifying);
                 match again {
                     Some(again) if again.matches.len() > best.matches.len() => best = again,
@@ -445,7 +445,7 @@ mod tests {
                 second: rays[1][17 * k].unwrap(),
             })
             .collect();
-        let guiding = Guiding::default();
+        let guiding = RematchingOptions::default();
         let ground = Ground::of(&pose, &few, guiding.slack).unwrap();
         assert!((ground.plane[0] - 0.4).abs() < 0.01, "{ground:?}");
         assert!(ground.slack <= 0.1, "{ground:?}");
@@ -469,7 +469,7 @@ mod tests {
         let ground = Ground { plane: [0.4, 0.0, 0.0], slack: 0.1 };
         let none = Descriptors::default();
         let (empty, blind) = (Vec::new(), vec![None; 40]);
-        let guiding = Guiding::default();
+        let guiding = RematchingOptions::default();
         for other in [
             Seen { rays: &empty, descriptors: &none },
             Seen { rays: &blind, descriptors: &looks[1] },

@@ -1,6 +1,6 @@
-//! The stages that look at pixels: features of every photo, matches of the pairs worth trying.
+//! The steps that look at pixels: features of every photo, matches of the pairs worth trying.
 
-use super::{Finding, cache::Cache, project::Project};
+use super::inputs::Inputs;
 use crate::{
     error::Error,
     features::{
@@ -9,10 +9,11 @@ use crate::{
         pairs,
     },
     io::images,
-    sfm::{self, verify::Matched},
+    monitor::{Counter, Diagnostic, Monitor},
+    pipeline::cache::Cache,
+    sfm::{self, verify::PairMatches},
 };
 use image::RgbImage;
-use indicatif::{ProgressBar, ProgressStyle};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -65,31 +66,29 @@ pub(super) struct Extracted {
     pub(super) mark: u64,
 }
 
-/// A bar with rate and time left.
-pub(super) fn bar(count: usize, message: &'static str) -> ProgressBar {
-    let style =
-        ProgressStyle::with_template("{msg:10} {wide_bar} {pos}/{len} {per_sec} {eta} left")
-            .unwrap_or_else(|_| ProgressStyle::default_bar());
-    ProgressBar::new(count as u64).with_style(style).with_message(message)
-}
+/// Where the features are kept.
+pub(super) const FEATURES: &str = "features";
+/// Where the matches are kept.
+pub(super) const MATCHES: &str = "matches.cbor";
 
 /// A photo with fewer features shows nothing.
 const LEAST_FEATURES: usize = 30;
 
 /// Finds the features of all photos; those whose photo cannot be used are empty and named.
 pub(super) fn features(
-    project: &Project,
+    inputs: &Inputs,
     options: &features::Options,
-    (cache, fresh): (&Cache, bool),
-    findings: &mut Vec<Finding>,
+    cache: &Cache,
+    monitor: &mut dyn Monitor,
 ) -> Result<Extracted, Error> {
-    let cache = cache.within("features")?;
+    let cache = cache.within(FEATURES)?;
     let described = format!("{options:?}");
-    let progress = bar(project.photos.len(), "features");
+    let counter = Counter::new(monitor, "detecting features", inputs.photos.len(), "photos");
+    let mut faults = Vec::new();
     let mut all = Extracted { features: Vec::new(), colours: Vec::new(), mark: 0 };
     let mut mark = Cache::mark().text(&described);
     let key = |k: usize| {
-        let photo = &project.photos[k];
+        let photo = &inputs.photos[k];
         (
             Cache::mark().text(&described).count(photo.content).finish(),
             format!("{:016x}.cbor", photo.content),
@@ -97,15 +96,15 @@ pub(super) fn features(
     };
     // While the features of one photo are looked for, the next is decoded.
     let decode = |k: usize| -> Option<Result<RgbImage, String>> {
-        let photo = project.photos.get(k)?;
+        let photo = inputs.photos.get(k)?;
         let (mark, name) = key(k);
-        if !fresh && cache.load::<Found>(&name, mark).is_some() {
+        if cache.load::<Found>(&name, mark).is_some() {
             return None;
         }
         Some(images::read_photo(&photo.path).map_err(|e| e.to_string()))
     };
     let mut next = decode(0);
-    for k in 0..project.photos.len() {
+    for k in 0..inputs.photos.len() {
         let (photo_mark, name) = key(k);
         let picture = next.take();
         let (found, following) =
@@ -118,13 +117,18 @@ pub(super) fn features(
             }
             None => cache.load::<Found>(&name, photo_mark).unwrap_or_default(),
         };
-        let photo = &project.photos[k];
+        let photo = &inputs.photos[k];
         if let Some(fault) = &found.fault {
-            findings.push(Finding::new(&photo.name, &format!("it cannot be used: {fault}")));
+            faults.push(Diagnostic::warning(
+                "photo-unusable",
+                photo.name.as_str(),
+                format!("it cannot be used: {fault}"),
+            ));
         } else if found.numbers.len() < 5 * LEAST_FEATURES {
-            findings.push(Finding::new(
-                &photo.name,
-                &format!("it shows next to nothing: {} features", found.numbers.len() / 5),
+            faults.push(Diagnostic::warning(
+                "few-features",
+                photo.name.as_str(),
+                format!("it shows next to nothing: {} features", found.numbers.len() / 5),
             ));
         }
         mark = mark.count(photo_mark);
@@ -142,9 +146,10 @@ pub(super) fn features(
             descriptors: Descriptors::from_bytes(found.descriptors).unwrap_or_default(),
         });
         all.colours.push(found.colours.as_chunks::<3>().0.to_vec());
-        progress.inc(1);
+        counter.tick();
     }
-    progress.finish_and_clear();
+    drop(counter);
+    faults.iter().for_each(|fault| monitor.diagnostic(fault));
     all.mark = mark.finish();
     Ok(all)
 }
@@ -178,11 +183,16 @@ fn find(picture: Result<RgbImage, String>, options: &features::Options) -> Found
 }
 
 impl Extracted {
+    /// The descriptors of every photo.
+    pub(super) fn descriptors(&self) -> Vec<&Descriptors> {
+        self.features.iter().map(|features| &features.descriptors).collect()
+    }
+
     /// What the geometry needs of it.
-    pub(super) fn geometric(&self, project: &Project) -> Vec<sfm::Features> {
+    pub(super) fn geometric(&self, inputs: &Inputs) -> Vec<sfm::Features> {
         let of = |k: usize| sfm::Features {
-            name: project.photos[k].name.clone(),
-            camera: project.photos[k].camera,
+            name: inputs.photos[k].name.clone(),
+            camera: inputs.photos[k].camera,
             positions_px: self.features[k]
                 .key_points
                 .iter()
@@ -190,7 +200,7 @@ impl Extracted {
                 .collect(),
             colours: self.colours[k].clone(),
         };
-        (0..project.photos.len()).map(of).collect()
+        (0..inputs.photos.len()).map(of).collect()
     }
 }
 
@@ -228,8 +238,8 @@ impl Default for Choice {
 const MOST_EXHAUSTIVE: usize = 1000;
 
 /// Photos that follow each other in time, up to `reach` apart.
-fn following(project: &Project, reach: usize) -> Vec<pairs::Pair> {
-    let order = project.flight();
+fn following(inputs: &Inputs, reach: usize) -> Vec<pairs::Pair> {
+    let order = inputs.flight();
     pairs::in_sequence(order.len(), reach)
         .into_iter()
         .map(|[a, b]| [order[a].min(order[b]), order[a].max(order[b])])
@@ -238,14 +248,14 @@ fn following(project: &Project, reach: usize) -> Vec<pairs::Pair> {
 
 /// Pairs worth a look: neighbours by position, those that follow each other, and all where there is
 /// neither.
-fn candidates(project: &Project, choice: &Choice) -> Vec<pairs::Pair> {
-    let n = project.photos.len();
-    let placed = project.plan_m.iter().filter(|p| p[0].is_finite()).count();
-    let mut lists = vec![following(project, choice.following)];
+fn candidates(inputs: &Inputs, choice: &Choice) -> Vec<pairs::Pair> {
+    let n = inputs.photos.len();
+    let placed = inputs.plan_m.iter().filter(|p| p[0].is_finite()).count();
+    let mut lists = vec![following(inputs, choice.following)];
     if placed * 2 >= n {
-        lists.push(pairs::nearest(&project.plan_m, choice.nearest, f64::INFINITY));
+        lists.push(pairs::nearest(&inputs.plan_m, choice.nearest, f64::INFINITY));
         // A photo without a position may belong anywhere.
-        let lost: Vec<usize> = (0..n).filter(|&k| !project.plan_m[k][0].is_finite()).collect();
+        let lost: Vec<usize> = (0..n).filter(|&k| !inputs.plan_m[k][0].is_finite()).collect();
         let with_lost = lost
             .iter()
             .flat_map(|&a| (0..n).filter(move |&b| b != a).map(move |b| [a.min(b), a.max(b)]));
@@ -258,13 +268,13 @@ fn candidates(project: &Project, choice: &Choice) -> Vec<pairs::Pair> {
 
 /// Matches the pairs worth it.
 pub(super) fn matches(
-    project: &Project,
+    inputs: &Inputs,
     extracted: &Extracted,
-    choice: &Choice,
-    options: &MatchOptions,
-    (cache, fresh): (&Cache, bool),
-) -> Result<(Vec<Matched>, u64), Error> {
-    let candidates = candidates(project, choice);
+    cache: &Cache,
+    monitor: &mut dyn Monitor,
+) -> Result<(Vec<PairMatches>, u64), Error> {
+    let (choice, options) = (&Choice::default(), &MatchOptions::default());
+    let candidates = candidates(inputs, choice);
     let mark = candidates
         .iter()
         .fold(Cache::mark().count(extracted.mark), |mark, [a, b]| {
@@ -272,38 +282,35 @@ pub(super) fn matches(
         })
         .text(&format!("{choice:?} {options:?}"))
         .finish();
-    if let Some(found) =
-        cache.load::<Vec<([u32; 2], Vec<[u32; 2]>)>>("matches.cbor", mark).filter(|_| !fresh)
-    {
-        let found = found.into_iter().map(|(images, matches)| Matched { images, matches });
+    if let Some(found) = cache.load::<Vec<([u32; 2], Vec<[u32; 2]>)>>(MATCHES, mark) {
+        let found = found.into_iter().map(|(images, matches)| PairMatches { images, matches });
         return Ok((found.collect(), mark));
     }
     // The nearest few and those that follow each other are matched whatever the coarse look says:
     // on a plain crop it sees little.
     let close = [
-        following(project, choice.certain),
-        pairs::nearest(&project.plan_m, 2 * choice.certain, f64::INFINITY),
+        following(inputs, choice.certain),
+        pairs::nearest(&inputs.plan_m, 2 * choice.certain, f64::INFINITY),
     ];
-    let chosen =
-        pairs::join(&[shortlist(extracted, &candidates, choice, options), pairs::join(&close)]);
+    let shortlist = shortlist(extracted, &candidates, (choice, options), monitor);
+    let chosen = pairs::join(&[shortlist, pairs::join(&close)]);
     let prepared: Vec<Prepared<'_>> =
         extracted.features.par_iter().map(|f| Prepared::new(&f.descriptors)).collect();
-    let progress = bar(chosen.len(), "matching");
-    let found: Vec<Matched> = chosen
+    let counter = Counter::new(monitor, "matching", chosen.len(), "pairs");
+    let found: Vec<PairMatches> = chosen
         .par_iter()
         .map(|&[a, b]| {
             let found = match_prepared(&prepared[a], &prepared[b], options);
-            progress.inc(1);
-            Matched {
+            counter.tick();
+            PairMatches {
                 images: [a as u32, b as u32],
                 matches: found.iter().map(|m| [m.first, m.second]).collect(),
             }
         })
         .collect();
-    progress.finish_and_clear();
     let plain: Vec<([u32; 2], &Vec<[u32; 2]>)> =
         found.iter().map(|m| (m.images, &m.matches)).collect();
-    cache.save("matches.cbor", mark, &plain)?;
+    cache.save(MATCHES, mark, &plain)?;
     Ok((found, mark))
 }
 
@@ -312,15 +319,15 @@ const DOUBLE_SHARE: f64 = 0.2;
 /// And stand this close to each other in the middle, pixels.
 const DOUBLE_PX: f32 = 0.5;
 
-/// Takes pictures that show the same as another, pixel by pixel, out of the matches: saved twice, they
+/// Removes photos that show the same as another, pixel by pixel, from the matches: saved twice, they
 /// have no base and tell nothing. Of two the one that has a position stays, or else the first.
-pub(super) fn take_out_doubles(
-    project: &Project,
+pub(super) fn remove_duplicates(
+    inputs: &Inputs,
     extracted: &Extracted,
-    matched: &mut Vec<Matched>,
-    findings: &mut Vec<Finding>,
+    matched: &mut Vec<PairMatches>,
+    monitor: &mut dyn Monitor,
 ) {
-    let mut out = vec![false; project.photos.len()];
+    let mut out = vec![false; inputs.photos.len()];
     for pair in matched.iter() {
         let [a, b] = pair.images.map(|k| k as usize);
         let [first, second] = [a, b].map(|k| &extracted.features[k].key_points);
@@ -340,13 +347,12 @@ pub(super) fn take_out_doubles(
         if apart.get(apart.len() / 2).is_none_or(|&middle| middle > DOUBLE_PX) {
             continue;
         }
-        let placed = |k: usize| project.plan_m[k][0].is_finite();
+        let placed = |k: usize| inputs.plan_m[k][0].is_finite();
         let (stays, goes) = if placed(b) && !placed(a) { (b, a) } else { (a, b) };
         out[goes] = true;
-        findings.push(Finding::new(
-            &project.photos[goes].name,
-            &format!("it is the same picture as {}: left out", project.photos[stays].name),
-        ));
+        let message = format!("it shows the same as {}: left out", inputs.photos[stays].name);
+        let subject = inputs.photos[goes].name.as_str();
+        monitor.diagnostic(&Diagnostic::warning("duplicate-photo", subject, message));
     }
     matched.retain(|pair| pair.images.iter().all(|&k| !out[k as usize]));
 }
@@ -356,8 +362,8 @@ pub(super) fn take_out_doubles(
 fn shortlist(
     extracted: &Extracted,
     candidates: &[pairs::Pair],
-    choice: &Choice,
-    options: &MatchOptions,
+    (choice, options): (&Choice, &MatchOptions),
+    monitor: &mut dyn Monitor,
 ) -> Vec<pairs::Pair> {
     let few: Vec<Descriptors> = extracted
         .features
@@ -373,16 +379,15 @@ fn shortlist(
         })
         .collect();
     let prepared: Vec<Prepared<'_>> = few.par_iter().map(Prepared::new).collect();
-    let progress = bar(candidates.len(), "pairs");
+    let counter = Counter::new(monitor, "choosing pairs", candidates.len(), "pairs");
     let mut counted: Vec<(usize, pairs::Pair)> = candidates
         .par_iter()
         .map(|&[a, b]| {
-            progress.inc(1);
+            counter.tick();
             (match_prepared(&prepared[a], &prepared[b], options).len(), [a, b])
         })
         .filter(|(count, _)| *count >= choice.coarse_matches)
         .collect();
-    progress.finish_and_clear();
     counted.sort_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(&b.1)));
     let mut partners = vec![0; extracted.features.len()];
     let mut chosen: Vec<pairs::Pair> = Vec::new();

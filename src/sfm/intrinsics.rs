@@ -1,5 +1,5 @@
-//! Where nobody has calibrated a camera: a principal distance to begin with where its files tell none, and
-//! how much the lens bends rays, both by how much of the matches each of some lenses explains.
+//! Lenses that nobody has calibrated: a principal distance to start with where the files tell none, and how strong the
+//! distortion is, both by how many of the matches each of some lenses explains.
 //!
 //! With the principal distance `c` and a measured radius `r = |x - x0| / c` the lenses tried are
 //! `r_ideal = r (1 + a r^2)`: a wide lens of an action camera has an `a` of 0.2 to 0.5, and without it three
@@ -8,19 +8,36 @@
 //! nobody asked for one of the two.
 
 use super::{
-    Args, Finding, LensName,
-    cache::Cache,
-    project::{Project, camera_at},
+    Features,
+    verify::{GeometricVerificationOptions, PairMatches, shares_by_lens},
 };
-use crate::{
-    camera::{Camera, Interior, Lens, Model},
-    error::Error,
-    sfm::{
-        self,
-        verify::{Matched, Verifying, shares_by_lens},
-    },
-};
+use crate::camera::{Camera, CameraError, Interior, Lens, Model};
 use serde::{Deserialize, Serialize};
+
+/// The lens model of cameras that are not given.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum LensChoice {
+    /// Brown, or SMAC where that explains clearly more matches: lenses with strong distortion.
+    #[default]
+    Auto,
+    /// Ideal to measured, radial and decentring distortion, as in OpenCV and COLMAP.
+    Brown,
+    /// Measured to ideal, as in the paper.
+    Smac,
+}
+
+crate::choices!(LensChoice: Auto, Brown, Smac);
+
+impl LensChoice {
+    /// The model to start with.
+    pub fn model(self) -> Model {
+        match self {
+            LensChoice::Auto | LensChoice::Brown => Model::Brown,
+            LensChoice::Smac => Model::Smac,
+        }
+    }
+}
 
 /// Pairs by which lenses are judged.
 const PAIRS: usize = 10;
@@ -40,97 +57,101 @@ const AS_GOOD: f64 = 0.2;
 /// How much more SMAC must explain than Brown.
 const BETTER_BY_SMAC: f64 = 1.03;
 
-/// What was found for one camera.
-#[derive(Serialize, Deserialize, Clone)]
-struct Begun {
-    /// Whether it is SMAC's now.
-    smac: bool,
-    values: Vec<f64>,
-    sigma_px: Option<f64>,
-    findings: Vec<String>,
+/// What is known of a camera before anything is adjusted.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct InitialIntrinsics {
+    /// Its lens model.
+    pub model: Model,
+    /// The values of the model's parameters.
+    pub values: Vec<f64>,
+    /// Standard deviation of the principal distance, pixels.
+    pub principal_distance_sigma_px: Option<f64>,
+    /// What was found, for people.
+    pub notes: Vec<String>,
 }
 
-/// Gives every camera that was not calibrated a lens to begin with.
+impl InitialIntrinsics {
+    /// Puts them into a camera.
+    ///
+    /// # Errors
+    /// Values that the model cannot have.
+    pub fn apply(&self, camera: &mut Camera) -> Result<(), CameraError> {
+        if camera.interior.model() != self.model {
+            let c = camera.interior.principal_distance_px();
+            *camera = without_distortion(&camera.name, self.model, camera.interior.size_px(), c)?;
+        }
+        camera.interior = camera.interior.with_values(&self.values)?;
+        camera.standard_deviations[0] = self.principal_distance_sigma_px;
+        Ok(())
+    }
+}
+
+/// A camera without distortion.
 ///
 /// # Errors
-/// Where what was found cannot be kept.
-pub(super) fn begin(
-    project: &mut Project,
-    features: &[sfm::Features],
-    (matched, matched_mark): (&[Matched], u64),
-    args: &Args,
-    (cache, fresh): (&Cache, bool),
-    findings: &mut Vec<Finding>,
-) -> Result<(), Error> {
-    if args.camera.is_some() {
-        return Ok(());
-    }
-    let verifying = args.verifying();
-    let mut mark =
-        Cache::mark().count(matched_mark).text(&format!("{verifying:?} {BENDS:?} {:?}", args.lens));
-    for (camera, _) in &project.cameras {
-        mark = mark.text(camera.interior.model().word()).numbers(camera.interior.values());
-    }
-    let mark = mark.finish();
-    let known = cache.load::<Vec<Begun>>("lenses.cbor", mark).filter(|_| !fresh);
-    let begun = match known.filter(|known| known.len() == project.cameras.len()) {
-        Some(begun) => begun,
-        None => {
-            let all = 0..project.cameras.len();
-            let begun: Vec<Begun> = all
-                .map(|camera| one(project, camera, features, matched, (&verifying, args.lens)))
-                .collect::<Result<_, Error>>()?;
-            cache.save("lenses.cbor", mark, &begun)?;
-            begun
-        }
-    };
-    for ((camera, _), begun) in project.cameras.iter_mut().zip(begun) {
-        if begun.smac && camera.interior.model() != Model::Smac {
-            let c = camera.interior.principal_distance_px();
-            *camera = camera_at(&camera.name, Model::Smac, camera.interior.size_px(), c)?;
-        }
-        camera.interior = camera
-            .interior
-            .with_values(&begun.values)
-            .map_err(|e| Error::Incomplete(format!("camera {}: {e}", camera.name)))?;
-        camera.standard_deviations[0] = begun.sigma_px;
-        let of = |what: &String| Finding::new(&camera.name, what);
-        findings.extend(begun.findings.iter().map(of));
-    }
-    Ok(())
+/// A principal distance that is not positive.
+pub fn without_distortion(
+    name: &str,
+    model: Model,
+    size_px: [u32; 2],
+    principal_distance_px: f64,
+) -> Result<Camera, CameraError> {
+    let mut values: Vec<f64> = (0..model.parameters().len())
+        .map(|index| model.default_value(index, size_px).unwrap_or(0.0))
+        .collect();
+    values[0] = principal_distance_px;
+    Ok(Camera::new(name, Interior::new(model, size_px, &values)?))
 }
 
-fn one(
-    project: &Project,
-    camera: usize,
-    features: &[sfm::Features],
-    matched: &[Matched],
-    (verifying, wanted): (&Verifying, LensName),
-) -> Result<Begun, Error> {
-    let mut own: Vec<&Matched> = matched
+/// The parameters that a block determines of a lens: all but the aspect and rational terms, or of a `whole` lens only
+/// the principal distance and two radial terms.
+pub fn estimable(model: Model, whole: bool) -> Vec<String> {
+    let wanted: &[&str] = match (whole, model) {
+        (true, Model::Smac) => &["c_px", "xp_px", "yp_px", "K1", "K2", "K3", "P1", "P2"],
+        (false, Model::Smac) => &["c_px", "K1", "K2"],
+        (true, _) => &["f_px", "cx_px", "cy_px", "k1", "k2", "k3", "p1", "p2"],
+        (false, _) => &["f_px", "k1", "k2"],
+    };
+    let known = wanted.iter().filter(|name| model.place(name).is_some());
+    known.map(|&name| name.to_owned()).collect()
+}
+
+/// A lens to start with for the camera with index `camera`, from the matches of its photos; `is_known` says that its
+/// principal distance comes from somewhere.
+///
+/// # Errors
+/// A camera whose principal distance is not positive.
+pub fn initialize_intrinsics(
+    (entry, camera): (&Camera, usize),
+    is_known: bool,
+    features: &[Features],
+    matched: &[PairMatches],
+    (verification, wanted): (&GeometricVerificationOptions, LensChoice),
+) -> Result<InitialIntrinsics, CameraError> {
+    let mut own: Vec<&PairMatches> = matched
         .iter()
         .filter(|m| m.images.iter().all(|&k| features[k as usize].camera == camera))
         .collect();
     own.sort_by(|a, b| b.matches.len().cmp(&a.matches.len()).then(a.images.cmp(&b.images)));
     own.truncate(PAIRS);
-    let own: Vec<Matched> = own.into_iter().cloned().collect();
-    let (entry, source) = &project.cameras[camera];
+    let own: Vec<PairMatches> = own.into_iter().cloned().collect();
     let mut found = entry.clone();
     let mut told = Vec::new();
-    if source.is_none() {
-        let (c, what) = principal_distance(entry, features, &own, verifying)?;
-        found = camera_at(&entry.name, entry.interior.model(), entry.interior.size_px(), c)?;
+    if !is_known {
+        let (c, what) = principal_distance(entry, features, &own, verification)?;
+        found =
+            without_distortion(&entry.name, entry.interior.model(), entry.interior.size_px(), c)?;
         found.standard_deviations[0] = Some(0.3 * c);
-        told.push(format!("principal distance {c:.0} px to begin with, {what}"));
+        told.push(format!("its principal distance starts at {c:.0} px, {what}"));
     }
     let straight = found.interior;
-    let fine = Verifying { tolerance_px: TOLERANCE_PX, ..*verifying };
+    let fine = GeometricVerificationOptions { tolerance_px: TOLERANCE_PX, ..*verification };
     let (least, bends) = explaining(&straight, features, &own, &fine);
     let mut smac = straight.model() == Model::Smac;
     let mut begin = bends;
-    if wanted == LensName::Auto {
+    if wanted == LensChoice::Auto {
         let c = straight.principal_distance_px();
-        let other = camera_at(&entry.name, Model::Smac, entry.interior.size_px(), c)?;
+        let other = without_distortion(&entry.name, Model::Smac, entry.interior.size_px(), c)?;
         let (_, bends) = explaining(&other.interior, features, &own, &fine);
         let before = begin.as_ref().map_or(least, |(_, share)| *share);
         if let Some((lens, share)) = bends.filter(|(_, share)| *share > before * BETTER_BY_SMAC) {
@@ -143,21 +164,21 @@ fn one(
     if let Some((lens, share)) = begin {
         found.interior = lens;
         told.push(format!(
-            "its lens bends rays; a radial distortion with which {:.0} per cent of the matches agree, {:.0} without, is where it begins{}",
+            "its lens has radial distortion: a start value was chosen with which {:.0} per cent of the matches agree, {:.0} without{}",
             100.0 * share,
             100.0 * least,
-            if smac && wanted == LensName::Auto {
-                ", in the form that ends at the ideal image (SMAC; COLMAP and OpenSfM have none such: --lens brown for those)"
+            if smac && wanted == LensChoice::Auto {
+                " (the SMAC model; COLMAP and OpenSfM have none such: [align] lens = \"brown\" for those)"
             } else {
                 ""
             }
         ));
     }
-    Ok(Begun {
-        smac,
+    Ok(InitialIntrinsics {
+        model: if smac { Model::Smac } else { found.interior.model() },
         values: found.interior.values().to_vec(),
-        sigma_px: found.standard_deviations[0],
-        findings: told,
+        principal_distance_sigma_px: found.standard_deviations[0],
+        notes: told,
     })
 }
 
@@ -165,9 +186,9 @@ fn one(
 /// with its share.
 fn explaining(
     straight: &Interior,
-    features: &[sfm::Features],
-    own: &[Matched],
-    fine: &Verifying,
+    features: &[Features],
+    own: &[PairMatches],
+    fine: &GeometricVerificationOptions,
 ) -> (f64, Option<(Interior, f64)>) {
     let lenses: Vec<Interior> = BENDS.iter().filter_map(|&a| bent(straight, a)).collect();
     let shares = shares_by_lens(features, own, &lenses, fine);
@@ -180,22 +201,25 @@ fn explaining(
 
 fn principal_distance(
     entry: &Camera,
-    features: &[sfm::Features],
-    own: &[Matched],
-    verifying: &Verifying,
-) -> Result<(f64, &'static str), Error> {
+    features: &[Features],
+    own: &[PairMatches],
+    verification: &GeometricVerificationOptions,
+) -> Result<(f64, &'static str), CameraError> {
     let size_px = entry.interior.size_px();
     let larger = f64::from(size_px[0].max(size_px[1]));
     let candidates: Vec<f64> = (0..12).map(|k| larger * 0.5 * 1.18f64.powi(k)).collect();
-    let lens =
-        |c: &f64| camera_at(&entry.name, Model::Brown, size_px, *c).map(|camera| camera.interior);
+    let lens = |c: &f64| {
+        without_distortion(&entry.name, Model::Brown, size_px, *c).map(|camera| camera.interior)
+    };
     let lenses: Vec<Interior> = candidates.iter().map(lens).collect::<Result<_, _>>()?;
-    let fine = Verifying { tolerance_px: FINE_PX, ..*verifying };
+    let fine = GeometricVerificationOptions { tolerance_px: FINE_PX, ..*verification };
     let shares = shares_by_lens(features, own, &lenses, &fine);
     // Photos of a plane from above say little: then the usual is as good.
     Ok(match peak(&candidates, &shares) {
-        Some(c) => (c, "which explains most of the matches"),
-        None => (entry.interior.principal_distance_px(), "for want of anything better"),
+        Some(c) => (c, "which explains most matches"),
+        None => {
+            (entry.interior.principal_distance_px(), "the usual value, as the matches do not tell")
+        }
     })
 }
 
@@ -272,7 +296,8 @@ mod tests {
             // less the more a lens bends.
             let near = if a.abs() < 0.3 { 0.04 } else { 0.2 };
             for (model, near) in [(Model::Smac, 1e-9), (Model::Brown, near)] {
-                let straight = camera_at("", model, [2288, 1716], 1000.0).unwrap().interior;
+                let straight =
+                    without_distortion("", model, [2288, 1716], 1000.0).unwrap().interior;
                 let lens = bent(&straight, a).unwrap();
                 for far in [0.0, 300.0, 800.0, 1100.0] {
                     let at = [1143.5 + far, 857.5];

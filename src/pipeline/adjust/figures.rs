@@ -1,6 +1,6 @@
 //! The figures of a report, as SVG; their numbers are in the tables.
 
-use super::{Outcome, in_folder, write_text};
+use super::{Adjustment, write_text};
 use crate::{
     error::Error,
     io::FileError,
@@ -20,17 +20,17 @@ const CELLS: usize = 24;
 
 type Drawn = Result<(), Box<dyn std::error::Error>>;
 
-pub(super) fn write(folder: &Path, outcome: &Outcome, force: bool) -> Result<(), Error> {
-    for camera in 0..outcome.adjusted.reconstruction.cameras.len().min(8) {
+pub(super) fn write(folder: &Path, adjustment: &Adjustment, force: bool) -> Result<(), Error> {
+    for camera in 0..adjustment.adjusted.reconstruction.cameras.len().min(8) {
         let name = format!("residuals-{}.svg", camera + 1);
-        save(&in_folder(folder, &name), force, |svg| residuals(svg, outcome, camera))?;
+        save(&folder.join(&name), force, |svg| residuals(svg, adjustment, camera))?;
     }
-    for interior in &outcome.adjusted.statistics.interiors {
+    for interior in &adjustment.adjusted.statistics.interiors {
         let name = format!("correlation-{}.svg", interior.camera + 1);
-        save(&in_folder(folder, &name), force, |svg| correlation(svg, interior))?;
+        save(&folder.join(&name), force, |svg| correlation(svg, interior))?;
     }
-    if !outcome.adjusted.reconstruction.ground.is_empty() {
-        save(&in_folder(folder, "control.svg"), force, |svg| control(svg, outcome))?;
+    if !adjustment.adjusted.reconstruction.ground.is_empty() {
+        save(&folder.join("control.svg"), force, |svg| control(svg, adjustment))?;
     }
     Ok(())
 }
@@ -42,13 +42,13 @@ fn save(path: &Path, force: bool, draw: impl FnOnce(&mut String) -> Drawn) -> Re
 }
 
 /// Residuals of one camera's images, the mean of each cell of the image as an arrow.
-fn residuals(svg: &mut String, outcome: &Outcome, camera: usize) -> Drawn {
-    let survey = &outcome.adjusted.reconstruction;
+fn residuals(svg: &mut String, adjustment: &Adjustment, camera: usize) -> Drawn {
+    let survey = &adjustment.adjusted.reconstruction;
     let size = survey.cameras[camera].interior.size_px().map(f64::from);
     let cell = size[0] / CELLS as f64;
     let rows = (size[1] / cell).ceil().max(1.0) as usize;
     let mut sums = vec![[0.0f64; 3]; CELLS * rows];
-    for tested in &outcome.adjusted.statistics.tested {
+    for tested in &adjustment.adjusted.statistics.tested {
         let ObservationRef::TieObservation(k) = tested.subject else { continue };
         let o = &survey.observations[k];
         if survey.images[o.image as usize].camera != camera {
@@ -118,8 +118,8 @@ fn correlation(svg: &mut String, interior: &InteriorAccuracy) -> Drawn {
 }
 
 /// Control (blue) and check points (red) in plan with their differences as arrows.
-fn control(svg: &mut String, outcome: &Outcome) -> Drawn {
-    let adjusted = &outcome.adjusted;
+fn control(svg: &mut String, adjustment: &Adjustment) -> Drawn {
+    let adjusted = &adjustment.adjusted;
     let mut rows = Vec::new();
     for (k, point) in adjusted.reconstruction.ground.iter().enumerate() {
         let check = adjusted.check_points.iter().find(|check| check.ground == k);

@@ -9,7 +9,10 @@
 //! The first photo of a point is the one that has it nearest to its middle. It has it at a whole pixel: which place
 //! on the ground a point stands for is free to choose, and there nothing is interpolated.
 
-use super::{Features, again::seen_near, block::Block, guided::Ground, verify::Matched};
+use super::{
+    Features, block::Block, epipolar_rematching::Ground, guided_matching::seen_near,
+    verify::PairMatches,
+};
 use crate::{
     camera::Lens,
     features::least_squares::{Match, Placed, Smooth, Template, Window},
@@ -21,20 +24,20 @@ use std::collections::BTreeMap;
 
 /// What counts as found.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Remeasuring {
+pub struct LeastSquaresMatchingOptions {
     /// The least correlation of grey values.
     pub correlation: f64,
     /// The farthest that it may be from the key point, pixels.
     pub farthest_px: f64,
 }
 
-impl Default for Remeasuring {
-    fn default() -> Remeasuring {
-        Remeasuring { correlation: 0.7, farthest_px: 1.5 }
+impl Default for LeastSquaresMatchingOptions {
+    fn default() -> LeastSquaresMatchingOptions {
+        LeastSquaresMatchingOptions { correlation: 0.7, farthest_px: 1.5 }
     }
 }
 
-impl Remeasuring {
+impl LeastSquaresMatchingOptions {
     fn met(&self, found: &Match, start: &Placed) -> bool {
         let off = [0, 1].map(|k| found.placed.at_px[k] - start.at_px[k]);
         let far = (off[0] * off[0] + off[1] * off[1]).sqrt();
@@ -44,23 +47,23 @@ impl Remeasuring {
 
 /// Where the photos have their points.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Remeasured {
+pub struct RefinedTiePoints {
     /// As those of the block, at other places.
     pub features: Vec<Features>,
     /// What was found again, by images; of a photo in which hardly anything was, its key points, which are as inexact as before.
-    pub matches: Vec<Matched>,
+    pub matches: Vec<PairMatches>,
     /// How many image positions were looked for, besides those of the first photos.
     pub asked: usize,
     /// How many of them were measured; others are lost, but for those of photos that kept theirs.
     pub found: usize,
-    /// Photos that kept their key points because fewer than [`FEW`] were found, and how many they have.
+    /// Photos that kept their key points because fewer than [`MIN_REFINED`] were found, and how many they have.
     pub kept: Vec<(u32, usize)>,
 }
 
 /// Half of the way over which the shape of a window is taken, pixels.
 const REACH_PX: f64 = 6.0;
 /// A photo in which fewer are found again, one that is blurred maybe, keeps its key points: better than to lose it.
-pub const FEW: usize = 20;
+pub const MIN_REFINED: usize = 20;
 /// How far points may be off the plane of a photo, as [`Ground`] has it; nothing depends on it here.
 const SLACK: [f64; 2] = [0.0, 1.0];
 
@@ -94,12 +97,12 @@ struct InPhoto {
 ///
 /// # Errors
 /// What `read` says.
-pub fn remeasure<E: Send>(
+pub fn refine_tie_points<E: Send>(
     block: &Block<'_>,
     read: &(dyn Fn(usize) -> Result<GrayImage, E> + Sync),
-    demands: &Remeasuring,
+    demands: &LeastSquaresMatchingOptions,
     tell: &(dyn Fn() + Sync),
-) -> Result<Remeasured, E> {
+) -> Result<RefinedTiePoints, E> {
     let firsts = &firsts(block, read, tell)?;
     let planes: Vec<[f64; 3]> =
         (0..block.poses.len()).into_par_iter().map(|image| plane(block, image)).collect();
@@ -131,7 +134,7 @@ pub fn remeasure<E: Send>(
                 None => missed.push(Found { track, place, at_px: start.at_px }),
             }
         }
-        let few = found.len() < FEW && !missed.is_empty();
+        let few = found.len() < MIN_REFINED && !missed.is_empty();
         Ok(InPhoto { found, kept: if few { missed } else { Vec::new() } })
     };
     let images = 0..block.poses.len();
@@ -258,7 +261,7 @@ fn gather(
     firsts: &[Option<First>],
     of_photos: &[InPhoto],
     asked: usize,
-) -> Remeasured {
+) -> RefinedTiePoints {
     let mut features = block.features.to_vec();
     let mut of_pairs: BTreeMap<[u32; 2], Vec<[u32; 2]>> = BTreeMap::new();
     let positions = of_photos.iter().flat_map(|photo| photo.found.iter().chain(&photo.kept));
@@ -273,13 +276,13 @@ fn gather(
             if forward { [one.feature, other.feature] } else { [other.feature, one.feature] };
         of_pairs.entry(images).or_default().push(pair);
     }
-    let matches = of_pairs.into_iter().map(|(images, matches)| Matched { images, matches });
+    let matches = of_pairs.into_iter().map(|(images, matches)| PairMatches { images, matches });
     let kept = of_photos
         .iter()
         .enumerate()
         .filter(|(_, photo)| !photo.kept.is_empty())
         .map(|(image, photo)| (image as u32, photo.kept.len()));
-    Remeasured {
+    RefinedTiePoints {
         features,
         matches: matches.collect(),
         asked,
@@ -294,7 +297,7 @@ mod tests {
     use crate::{
         camera::{Camera, Interior, Model},
         scene::{Pose, RollingShutter},
-        sfm::{again::seen_at, tracks::Tracks},
+        sfm::{guided_matching::seen_at, tracks::Tracks},
     };
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
@@ -403,9 +406,11 @@ mod tests {
             })
             .collect();
         let read = |image: usize| Ok::<_, String>(pictures[image].clone());
-        let found = remeasure(&block, &read, &Remeasuring::default(), &|| ()).unwrap();
+        let found =
+            refine_tie_points(&block, &read, &LeastSquaresMatchingOptions::default(), &|| ())
+                .unwrap();
         let (mut before, mut after) = (Vec::new(), Vec::new());
-        for Matched { images: [a, b], matches } in &found.matches {
+        for PairMatches { images: [a, b], matches } in &found.matches {
             for &[i, j] in matches {
                 let ends = [(*a as usize, i as usize), (*b as usize, j as usize)];
                 let [first, second] = ends.map(|(k, i)| found.features[k].positions_px[i]);
@@ -454,13 +459,18 @@ mod tests {
             };
             Ok::<_, String>(grey)
         };
-        let without = remeasure(&block, &blank, &Remeasuring::default(), &|| ()).unwrap();
+        let without =
+            refine_tie_points(&block, &blank, &LeastSquaresMatchingOptions::default(), &|| ())
+                .unwrap();
         let [(2, kept)] = without.kept[..] else { panic!("{:?}", without.kept) };
         assert!(kept > 10 && without.found < found.found);
         let of_blank = without.matches.iter().filter(|pair| pair.images[1] == 2);
         assert!(of_blank.map(|pair| pair.matches.len()).sum::<usize>() >= kept);
         let broken =
             |image: usize| if image == 2 { Err("gone") } else { Ok(pictures[image].clone()) };
-        assert_eq!(remeasure(&block, &broken, &Remeasuring::default(), &|| ()), Err("gone"));
+        assert_eq!(
+            refine_tie_points(&block, &broken, &LeastSquaresMatchingOptions::default(), &|| ()),
+            Err("gone")
+        );
     }
 }

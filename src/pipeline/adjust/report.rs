@@ -1,15 +1,14 @@
 //! What came of an adjustment: a summary for a person, a report for a machine, a folder with both,
 //! tables, figures and cameras.
 
-use super::{Outcome, figures, in_folder, tables, write_text};
+use super::{Adjustment, figures, tables, write_text};
 use crate::{
-    camera::{Camera, Correlation},
     error::Error,
     io::{FileError, camera, output},
     problems::adjustment::{
-        Adjusted, Alignment, AxisError, GroupStatistics, InteriorAccuracy, LeaveOneOut,
-        OutlierTest, Removed, rmse,
+        Alignment, AxisError, GroupStatistics, InteriorAccuracy, LeaveOneOut, Removed, OutlierTest, rmse,
     },
+    scene::Reconstruction,
 };
 use serde::Serialize;
 use std::{fmt::Write, path::Path};
@@ -56,7 +55,7 @@ struct Suspect {
 
 /// All of it. Standard deviations are scaled by `sigma0`.
 #[derive(Serialize)]
-pub(super) struct Report {
+pub struct Report {
     images: usize,
     tie_points: usize,
     iterations: u64,
@@ -84,8 +83,9 @@ pub(super) struct Report {
 }
 
 impl Report {
-    pub(super) fn new(outcome: &Outcome) -> Report {
-        let (adjusted, statistics) = (&outcome.adjusted, &outcome.adjusted.statistics);
+    /// The report of an adjustment.
+    pub fn new(adjustment: &Adjustment) -> Report {
+        let (adjusted, statistics) = (&adjustment.adjusted, &adjustment.adjusted.statistics);
         let survey = &adjusted.reconstruction;
         let sigma0 = statistics.sigma0;
         let mut interiors = statistics.interiors.clone();
@@ -93,7 +93,7 @@ impl Report {
             let all = interior.standard_deviations.iter_mut().chain(&mut interior.independent);
             all.for_each(|sigma| *sigma *= sigma0);
         }
-        let ground = ground(outcome);
+        let ground = ground(adjustment);
         let check_rmse = std::array::from_fn(|axis| {
             let errors: Vec<f64> = ground
                 .iter()
@@ -126,15 +126,15 @@ impl Report {
                 .map(|group| Group {
                     statistics: *group,
                     variance_factor: group.variance_factor(),
-                    sigma_factor: outcome.settings.sigma_factors[group.group as usize],
+                    sigma_factor: adjustment.settings.sigma_factors[group.group as usize],
                 })
                 .collect(),
             nearly_the_same: interiors.iter().flat_map(nearly_the_same).collect(),
             interiors,
             ground,
             check_rmse,
-            alignment: outcome.alignment.clone(),
-            removed: outcome.removed.clone(),
+            alignment: adjustment.alignment.clone(),
+            removed: adjustment.removed.clone(),
             suspects: findings
                 .iter()
                 .take(200)
@@ -143,8 +143,8 @@ impl Report {
                     excess: finding.excess,
                 })
                 .collect(),
-            left_out: outcome.left_out.clone(),
-            set_aside: outcome
+            left_out: adjustment.left_out.clone(),
+            set_aside: adjustment
                 .unmatched
                 .iter()
                 .chain(&adjusted.validated.excluded)
@@ -157,8 +157,8 @@ impl Report {
 }
 
 /// Control and check points with what the adjustment makes of them.
-fn ground(outcome: &Outcome) -> Vec<Ground> {
-    let adjusted = &outcome.adjusted;
+fn ground(adjustment: &Adjustment) -> Vec<Ground> {
+    let adjusted = &adjustment.adjusted;
     let (survey, sigma0) = (&adjusted.reconstruction, adjusted.statistics.sigma0);
     let mut rows = Vec::new();
     for (k, point) in survey.ground.iter().enumerate() {
@@ -198,8 +198,8 @@ fn nearly_the_same(interior: &InteriorAccuracy) -> Vec<String> {
 }
 
 /// What a person reads.
-pub(super) fn summary(outcome: &Outcome) -> String {
-    let report = Report::new(outcome);
+pub fn summary(adjustment: &Adjustment) -> String {
+    let report = Report::new(adjustment);
     let mut text = String::new();
     // Writing to a string cannot fail.
     let _ = fill(&mut text, &report);
@@ -315,54 +315,32 @@ fn fill(out: &mut String, report: &Report) -> std::fmt::Result {
     Ok(())
 }
 
-/// Writes the folder.
+/// Writes tables into `folder`, pictures into `pictures`.
 ///
 /// # Errors
-/// Where it cannot be made or one of its files cannot be written.
-pub(super) fn write(folder: &Path, outcome: &Outcome, force: bool) -> Result<(), Error> {
-    std::fs::create_dir_all(folder).map_err(|e| FileError::write(folder, e))?;
-    let report = Report::new(outcome);
-    let path = in_folder(folder, "report.json");
-    output::write(&path, force, |out| {
+/// Where a folder cannot be made or one of its files cannot be written.
+pub(super) fn write(
+    (folder, pictures): (&Path, &Path),
+    adjustment: &Adjustment,
+    force: bool,
+) -> Result<(), Error> {
+    for folder in [folder, pictures] {
+        std::fs::create_dir_all(folder).map_err(|e| FileError::write(folder, e))?;
+    }
+    let report = Report::new(adjustment);
+    output::write(&folder.join("report.json"), force, |out| {
         serde_json::to_writer_pretty(&mut *out, &report)?;
         writeln!(out)
     })?;
-    write_text(&in_folder(folder, "summary.txt"), &summary(outcome), force)?;
-    tables::write(folder, outcome, force)?;
-    figures::write(folder, outcome, force)?;
-    let described = described(&outcome.adjusted);
-    for interior in &outcome.adjusted.statistics.interiors {
+    write_text(&folder.join("summary.txt"), &summary(adjustment), force)?;
+    tables::write(folder, adjustment, force)?;
+    figures::write(pictures, adjustment, force)?;
+    let adjusted = &adjustment.adjusted;
+    let scene = Reconstruction { accuracy: Some(adjusted.accuracy()), ..adjusted.reconstruction.clone() };
+    let cameras = scene.calibrated_cameras();
+    for interior in &adjusted.statistics.interiors {
         let name = format!("camera-{}.toml", interior.camera + 1);
-        camera::write(&in_folder(folder, &name), force, &described[interior.camera])?;
+        camera::write(&folder.join(name), force, &cameras[interior.camera])?;
     }
     Ok(())
-}
-
-/// The cameras as adjusted, with the standard deviations and correlations that came out of it.
-pub(in crate::cli) fn described(adjusted: &Adjusted) -> Vec<Camera> {
-    let mut cameras = adjusted.reconstruction.cameras.clone();
-    for interior in &adjusted.statistics.interiors {
-        let camera = &mut cameras[interior.camera];
-        for (name, sigma) in interior.names.iter().zip(&interior.standard_deviations) {
-            if let Some(place) = camera.interior.model().place(name) {
-                camera.standard_deviations[place] = Some(sigma * adjusted.statistics.sigma0);
-            }
-        }
-        camera.correlation = Some(Correlation {
-            names: interior.names.iter().map(|name| (*name).to_owned()).collect(),
-            matrix: symmetric(&interior.correlation),
-        });
-    }
-    cameras
-}
-
-/// What rounding has left asymmetric.
-fn symmetric(matrix: &[Vec<f64>]) -> Vec<Vec<f64>> {
-    let mut out = matrix.to_vec();
-    for i in 0..out.len() {
-        for j in 0..i {
-            out[j][i] = out[i][j];
-        }
-    }
-    out
 }

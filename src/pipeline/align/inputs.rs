@@ -1,19 +1,21 @@
-//! A project folder: which photos, what their files say, what is known on the ground.
+//! Which photos a project has, what their files say, what is known on the ground and in the air.
 
-use super::{Finding, ground};
+use super::{AlignOptions, ground};
 use crate::{
-    camera::{Camera, Interior, Model},
+    camera::{Camera, Model},
     crs::{Crs, LocalPlane},
     error::Error,
     io::{
         FileError,
         checkpoint::Fingerprint,
         control::{self, Defaults},
-        gcp_list,
+        gcp_list, images,
         photo::{self, Geotag, Metadata},
     },
+    monitor::{Diagnostic, Monitor},
+    pipeline::{Project, Stage},
     scene::{HorizontalFrame, Image, LengthUnit, Pose, ReferenceFrame, VerticalFrame},
-    sfm::georeference::Known,
+    sfm::{georeference::Known, intrinsics::without_distortion},
 };
 use rayon::prelude::*;
 use std::{
@@ -66,40 +68,27 @@ impl Frame {
             unit: LengthUnit::Metre,
         }
     }
-
-    /// What files and people call it.
-    pub(super) fn name(&self) -> String {
-        match self {
-            Frame::Map(crs) => crs.name().to_owned(),
-            Frame::Unnamed => "that of the control points (not named)".to_owned(),
-            Frame::Local(plane) => {
-                let [lat, lon, _] = plane.origin();
-                format!("local east, north, up at latitude {lat:.7}, longitude {lon:.7} (WGS84)")
-            }
-            Frame::Free => "free (no scale, no north)".to_owned(),
-        }
-    }
 }
 
 /// Everything that is known before a photo is looked at.
-pub(super) struct Project {
-    /// Its folder, as it was given.
-    pub(super) name: String,
+pub(super) struct Inputs {
     pub(super) photos: Vec<Photo>,
     /// The cameras at their start, and where their principal distance comes from; `None` where it is
     /// only a guess.
     pub(super) cameras: Vec<(Camera, Option<String>)>,
+    /// Whether the cameras were calibrated beforehand.
+    pub(super) calibrated: bool,
     pub(super) frame: Frame,
     pub(super) known: Known,
-    /// Which photos told the accuracy of their position.
-    pub(super) told: Vec<bool>,
+    /// For each photo whether the accuracy of its position was given.
+    pub(super) has_position_sigma: Vec<bool>,
     /// Horizontal positions for the choice of neighbours, metres; NaN where there is none.
     pub(super) plan_m: Vec<[f64; 2]>,
     /// Photos that are left out, and why.
     pub(super) left_out: Vec<(String, String)>,
 }
 
-impl Project {
+impl Inputs {
     /// The photos in the order in which they were taken, as far as they tell: by moment, then by name.
     pub(super) fn flight(&self) -> Vec<usize> {
         let mut order: Vec<usize> = (0..self.photos.len()).collect();
@@ -109,49 +98,87 @@ impl Project {
         });
         order
     }
+
+    /// The names of the photos.
+    pub(super) fn names(&self) -> Vec<&str> {
+        self.photos.iter().map(|photo| photo.name.as_str()).collect()
+    }
+
+    /// The cameras.
+    pub(super) fn cameras(&self) -> Vec<Camera> {
+        self.cameras.iter().map(|(camera, _)| camera.clone()).collect()
+    }
+
+    /// The frame as the reconstruction has it.
+    pub(super) fn reference(&self, georeferenced: bool) -> ReferenceFrame {
+        self.frame.reference(georeferenced, self.known.has_control())
+    }
+
+    /// Sizes that image measurements may have been made in, relative to the photos.
+    pub(super) fn mark_scales(&self) -> Vec<f64> {
+        let mut scales = vec![0.25, 0.5, 2.0, 4.0];
+        for photo in &self.photos {
+            if let Some([width, _]) = photo.metadata.written_size_px {
+                let scale = f64::from(photo.size_px[0]) / f64::from(width);
+                if (scale - 1.0).abs() > 0.01 && !scales.iter().any(|s| (s - scale).abs() < 0.01) {
+                    scales.push(scale);
+                }
+            }
+        }
+        scales
+    }
+
+    /// A photo in grey.
+    pub(super) fn read_grey(&self, image: usize) -> Result<image::GrayImage, Error> {
+        Ok(crate::features::grey(&images::read_photo(&self.photos[image].path)?))
+    }
 }
 
-/// Where things are, and what the command line says about them.
+/// Where things are, and what the settings say about them.
 pub(super) struct Sources<'a> {
-    pub(super) root: &'a Path,
     pub(super) crs: Option<&'a str>,
-    pub(super) control: Option<&'a Path>,
-    pub(super) marks: Option<&'a Path>,
-    pub(super) geolocation: Option<&'a Path>,
-    pub(super) camera: Option<&'a Path>,
+    pub(super) control: Option<PathBuf>,
+    pub(super) marks: Option<PathBuf>,
+    pub(super) positions: Option<PathBuf>,
+    pub(super) camera: Option<PathBuf>,
     pub(super) check: &'a [String],
     pub(super) use_positions: bool,
     pub(super) model: Model,
     pub(super) defaults: Defaults,
 }
 
-const EXTENSIONS: [&str; 5] = ["jpg", "jpeg", "png", "tif", "tiff"];
+const CONTROL: [&str; 3] = ["gcps.csv", "gcp_list.txt", "ground_control_points.json"];
 
-fn list(root: &Path) -> Result<Vec<PathBuf>, Error> {
-    let images = root.join("images");
-    let folder = if images.is_dir() { images } else { root.to_owned() };
-    let entries = std::fs::read_dir(&folder).map_err(|e| FileError::read(&folder, e))?;
-    let mut found = Vec::new();
-    for entry in entries {
-        let path = entry.map_err(|e| FileError::read(&folder, e))?.path();
-        let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
-        let hidden = path.file_name().and_then(|n| n.to_str()).is_none_or(|n| n.starts_with('.'));
-        if path.is_file()
-            && !hidden
-            && EXTENSIONS.contains(&extension.to_ascii_lowercase().as_str())
-        {
-            found.push(path);
+impl<'a> Sources<'a> {
+    fn of(project: &'a Project, options: &'a AlignOptions) -> Sources<'a> {
+        let settings = &project.config().project;
+        let calibrated = || project.existing(Stage::Calibrate, "camera.toml");
+        Sources {
+            crs: settings.crs.as_deref(),
+            control: project.given(settings.control.as_ref(), &CONTROL),
+            marks: project.given(settings.marks.as_ref(), &["marks.csv"]),
+            positions: project.given(settings.positions.as_ref(), &["geolocation.csv"]),
+            camera: project.given(settings.camera.as_ref(), &["camera.toml"]).or_else(calibrated),
+            check: &options.check,
+            use_positions: options.use_positions,
+            model: options.lens.model(),
+            defaults: Defaults {
+                mark_px: options.mark_sigma_px,
+                control_m: options.control_sigma_m,
+                ..Defaults::default()
+            },
         }
     }
-    found.sort();
-    if found.len() < 3 {
-        let message = format!(
-            "{} photos (JPEG, PNG, TIFF) here or in images/; at least 3 are needed",
-            found.len()
-        );
-        return Err(FileError::malformed(&folder, None, message).into());
-    }
-    Ok(found)
+}
+
+/// The files beside the photos that are read.
+pub(super) fn beside(project: &Project) -> Vec<PathBuf> {
+    let options = AlignOptions::default();
+    let Sources { control, marks, positions, camera, .. } = Sources::of(project, &options);
+    // Only a CSV file of control has its image measurements beside it.
+    let is_csv = |path: &PathBuf| path.extension().is_some_and(|e| e.eq_ignore_ascii_case("csv"));
+    let marks = marks.filter(|_| control.as_ref().is_some_and(is_csv));
+    [control, marks, positions, camera].into_iter().flatten().collect()
 }
 
 /// The size of a picture without decoding it.
@@ -164,12 +191,14 @@ fn size_of(bytes: &[u8]) -> Option<[u32; 2]> {
 /// Reads everything that is known beforehand.
 ///
 /// # Errors
-/// A folder without photos, control that cannot be read, a reference system that is none.
+/// Control that cannot be read, a coordinate reference system that is none.
 pub(super) fn inspect(
-    sources: &Sources<'_>,
-    findings: &mut Vec<Finding>,
-) -> Result<Project, Error> {
-    let paths = list(sources.root)?;
+    project: &Project,
+    options: &AlignOptions,
+    monitor: &mut dyn Monitor,
+) -> Result<Inputs, Error> {
+    let sources = &Sources::of(project, options);
+    let paths = project.photos();
     let read: Vec<Result<Photo, (String, String)>> =
         paths.par_iter().map(|path| open(path)).collect();
     let mut photos: Vec<Photo> = Vec::new();
@@ -190,12 +219,27 @@ pub(super) fn inspect(
             },
         }
     }
-    let cameras = cameras(&mut photos, sources, findings)?;
-    let tags = geotags(&photos, sources, findings)?;
-    let (frame, known, told) = ground::read(&photos, &tags, sources, findings)?;
+    for (name, reason) in &left_out {
+        monitor.diagnostic(&Diagnostic::warning(
+            "photo-left-out",
+            name.as_str(),
+            format!("left out: {reason}"),
+        ));
+    }
+    let cameras = cameras(&mut photos, sources, monitor)?;
+    let tags = geotags(&photos, sources, monitor)?;
+    let (frame, known, has_position_sigma) = ground::read(&photos, &tags, sources, monitor)?;
     let plan_m = ground::plan_m(&tags);
-    let name = sources.root.display().to_string();
-    Ok(Project { name, photos, cameras, frame, known, told, plan_m, left_out })
+    tracing::debug!(
+        "{} photos, {} with a position, {} ground points, {} marks; frame: {}",
+        photos.len(),
+        plan_m.iter().filter(|p| p[0].is_finite()).count(),
+        known.ground.len(),
+        known.marks.len(),
+        frame.reference(true, known.has_control()).name()
+    );
+    let calibrated = sources.camera.is_some();
+    Ok(Inputs { photos, cameras, calibrated, frame, known, has_position_sigma, plan_m, left_out })
 }
 
 fn open(path: &Path) -> Result<Photo, (String, String)> {
@@ -221,10 +265,10 @@ fn open(path: &Path) -> Result<Photo, (String, String)> {
 fn cameras(
     photos: &mut [Photo],
     sources: &Sources<'_>,
-    findings: &mut Vec<Finding>,
+    monitor: &mut dyn Monitor,
 ) -> Result<Vec<(Camera, Option<String>)>, Error> {
-    let given = match sources.camera {
-        Some(path) => Some((path, crate::io::camera::read(path)?)),
+    let given = match &sources.camera {
+        Some(path) => Some((path.as_path(), crate::io::camera::read(path)?)),
         None => None,
     };
     let mut groups: Vec<(String, [u32; 2])> = Vec::new();
@@ -267,16 +311,18 @@ fn cameras(
         photos[k].camera = place;
     }
     if !adopted.is_empty() && adopted.len() < photos.len() {
-        findings.push(Finding::new(
-            &adopted.join(", "),
-            "no camera data in the file; taken as photos of the camera of the others of that size",
-        ));
+        let message =
+            "no camera data in the file; taken as photos of the camera of the others of that size";
+        monitor.diagnostic(&Diagnostic::warning("camera-assumed", adopted.join(", "), message));
     }
     for (camera, source) in &cameras {
         if source.is_none() {
-            findings.push(Finding::new(
-                &camera.name,
-                "the files do not tell the focal length; it is looked for",
+            let message =
+                "the files do not tell the focal length; it is estimated from the matches";
+            monitor.diagnostic(&Diagnostic::warning(
+                "focal-length-unknown",
+                camera.name.as_str(),
+                message,
             ));
         }
     }
@@ -303,40 +349,22 @@ fn start(
     let found = metadata.principal_distance_px(size_px);
     let [width, height] = size_px.map(f64::from);
     let c = found.map_or(1.2 * width.max(height), |(c, _)| c);
-    let mut camera = camera_at(label, model, size_px, c)?;
+    let mut camera = without_distortion(label, model, size_px, c)
+        .map_err(|e| Error::Argument(format!("camera {label}: {e}")))?;
     // What the maker says of a focal length is good to a few per cent.
     camera.standard_deviations[0] = Some(if found.is_some() { 0.05 * c } else { 0.3 * c });
     Ok((camera, found.map(|(_, source)| source.to_owned())))
-}
-
-/// A camera without distortion.
-pub(super) fn camera_at(
-    name: &str,
-    model: Model,
-    size_px: [u32; 2],
-    principal_distance_px: f64,
-) -> Result<Camera, Error> {
-    let mut values: Vec<f64> = (0..model.parameters().len())
-        .map(|place| model.default_value(place, size_px).unwrap_or(0.0))
-        .collect();
-    values[0] = principal_distance_px;
-    let interior = Interior::new(model, size_px, &values)
-        .map_err(|e| Error::Argument(format!("camera {name}: {e}")))?;
-    Ok(Camera::new(name, interior))
 }
 
 /// Positions by file or by EXIF.
 fn geotags(
     photos: &[Photo],
     sources: &Sources<'_>,
-    findings: &mut Vec<Finding>,
+    monitor: &mut dyn Monitor,
 ) -> Result<Vec<Option<Geotag>>, Error> {
     let mut tags: Vec<Option<Geotag>> = photos.iter().map(|photo| photo.metadata.geotag).collect();
-    let beside = sources.root.join("geolocation.csv");
-    let path =
-        sources.geolocation.map(Path::to_owned).or_else(|| beside.is_file().then_some(beside));
-    if let Some(path) = path {
-        let rows = gcp_list::geolocation(&path)?;
+    if let Some(path) = &sources.positions {
+        let rows = gcp_list::geolocation(path)?;
         let stand_ins = stand_ins(photos);
         let names = control::Names::new(&stand_ins);
         let mut unmatched = Vec::new();
@@ -347,10 +375,9 @@ fn geotags(
             }
         }
         if let Some(first) = unmatched.first() {
-            findings.push(Finding::new(
-                &path.display().to_string(),
-                &format!("{} rows name no photo, the first {first:?}", unmatched.len()),
-            ));
+            let message = format!("{} rows name no photo, the first {first:?}", unmatched.len());
+            let subject = path.display().to_string();
+            monitor.diagnostic(&Diagnostic::warning("rows-without-photo", subject, message));
         }
     }
     let missing: Vec<&str> = photos
@@ -360,7 +387,8 @@ fn geotags(
         .map(|(photo, _)| photo.name.as_str())
         .collect();
     if !missing.is_empty() && missing.len() < photos.len() {
-        findings.push(Finding::new(&missing.join(", "), "no position in the file"));
+        let subject = missing.join(", ");
+        monitor.diagnostic(&Diagnostic::warning("no-position", subject, "no position in the file"));
     }
     Ok(tags)
 }

@@ -10,27 +10,33 @@
 
 use super::{
     block::Block,
-    guided::{BUCKET, Buckets, Guiding, Reach, SAME_PX, Seen, compete, distance, join},
+    epipolar_rematching::{
+        BUCKET, Buckets, Reach, RematchingOptions, SAME_PX, Seen, compete, distance, join,
+    },
     relative::Ray,
-    verify::Matched,
+    verify::PairMatches,
 };
 use crate::{camera::Lens, features::Descriptors, geometry::rotation};
 use rayon::prelude::*;
 
 /// How it is looked again.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Again {
+pub struct GuidedMatchingOptions {
     /// Distance from its piece of line up to which a feature may match, pixels.
     pub tolerance_px: f64,
     /// A pair overlaps where it shows at least this share of a photo's points together.
     pub overlap: f64,
     /// How features compete.
-    pub guiding: Guiding,
+    pub guiding: RematchingOptions,
 }
 
-impl Default for Again {
-    fn default() -> Again {
-        Again { tolerance_px: 4.0, overlap: 0.2, guiding: Guiding::default() }
+impl Default for GuidedMatchingOptions {
+    fn default() -> GuidedMatchingOptions {
+        GuidedMatchingOptions {
+            tolerance_px: 4.0,
+            overlap: 0.2,
+            guiding: RematchingOptions::default(),
+        }
     }
 }
 
@@ -164,13 +170,13 @@ fn overlapping(block: &Block<'_>, surfaces: &[Option<Surface>], least: f64) -> V
 
 /// The matches of all pairs of a block that overlap: those by looks (`matched`, by images) that lie where they must,
 /// and what only the block tells; `tell` is called for each pair with how many there are.
-pub fn look_again(
+pub fn match_guided(
     block: &Block<'_>,
     descriptors: &[&Descriptors],
-    matched: &[Matched],
-    again: &Again,
+    matched: &[PairMatches],
+    again: &GuidedMatchingOptions,
     tell: &(dyn Fn(usize) + Sync),
-) -> Vec<Matched> {
+) -> Vec<PairMatches> {
     let images = 0..block.poses.len();
     let surfaces: Vec<Option<Surface>> =
         images.clone().into_par_iter().map(|image| Surface::of(block, image)).collect();
@@ -220,7 +226,7 @@ pub fn look_again(
             let more = compete(descriptors[a], second, &buckets[b], &piece, &reach, &again.guiding);
             join(&mut matches, &more);
             tell(total);
-            Matched { images, matches }
+            PairMatches { images, matches }
         })
         .collect()
 }
@@ -311,7 +317,7 @@ mod tests {
 
     impl Flight {
         /// The matches that are right, every `step`-th of them.
-        fn right(&self, step: usize) -> Vec<Matched> {
+        fn right(&self, step: usize) -> Vec<PairMatches> {
             let of = |a: usize, b: usize| {
                 let all = self.plants[a].iter().enumerate().filter_map(|(i, plant)| {
                     let j = self.plants[b].iter().position(|other| other == plant)?;
@@ -321,7 +327,7 @@ mod tests {
             };
             let pairs = (0..IMAGES).flat_map(|a| (a + 1..IMAGES).map(move |b| (a, b)));
             pairs
-                .map(|(a, b)| Matched { images: [a as u32, b as u32], matches: of(a, b) })
+                .map(|(a, b)| PairMatches { images: [a as u32, b as u32], matches: of(a, b) })
                 .collect()
         }
     }
@@ -337,8 +343,10 @@ mod tests {
         block.poses = flight.poses.iter().copied().map(Some).collect();
         block.motions.clone_from(&flight.motions);
         block.shutter = Some(SHUTTER);
-        let demands =
-            super::super::triangulate::Demands { tolerance_px: 2.0, least_angle_rad: 0.02 };
+        let demands = super::super::triangulate::TriangulationOptions {
+            tolerance_px: 2.0,
+            min_angle_rad: 0.02,
+        };
         let all = block.all_tracks();
         assert!(block.retriangulate(&all, &demands) > 100);
         let looks: Vec<&Descriptors> = flight.looks.iter().collect();
@@ -346,7 +354,8 @@ mod tests {
         let far = |k: usize| [few[0].matches[k][0], few[0].matches[k + 20][1]];
         let mut matched = few.clone();
         matched[0].matches = vec![few[0].matches[0], far(1)];
-        let found = look_again(&block, &looks, &matched, &Again::default(), &|_| ());
+        let found =
+            match_guided(&block, &looks, &matched, &GuidedMatchingOptions::default(), &|_| ());
         assert!(found[0].matches.contains(&few[0].matches[0]));
         assert!(!found[0].matches.contains(&far(1)));
         let every = flight.right(1);
@@ -366,15 +375,16 @@ mod tests {
         assert!(found.len() >= 5 && found.is_sorted_by_key(|pair| pair.images));
         // Without the shutter up to 27 pixels are missing.
         block.shutter = None;
-        let blind: usize = look_again(&block, &looks, &[], &Again::default(), &|_| ())
-            .iter()
-            .map(|p| p.matches.len())
-            .sum();
+        let blind: usize =
+            match_guided(&block, &looks, &[], &GuidedMatchingOptions::default(), &|_| ())
+                .iter()
+                .map(|p| p.matches.len())
+                .sum();
         let seen: usize = found.iter().map(|pair| pair.matches.len()).sum();
         assert!(3 * blind < 2 * seen, "{blind} {seen}");
         // An image that has no pose takes no part.
         block.poses[0] = None;
-        let rest = look_again(&block, &looks, &[], &Again::default(), &|_| ());
+        let rest = match_guided(&block, &looks, &[], &GuidedMatchingOptions::default(), &|_| ());
         assert!(!rest.is_empty() && rest.iter().all(|pair| pair.images[0] > 0));
     }
 }

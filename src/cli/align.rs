@@ -1,0 +1,164 @@
+//! `rowgram align`: arguments in, results out; see [`crate::pipeline::align`].
+
+use super::{options::Given, terminal::Terminal};
+use crate::{
+    error::Error,
+    monitor::{Diagnostic, Recorder},
+    options::Choice,
+    pipeline::{
+        Config, Project, Stage,
+        align::{self, AlignOptions, Step},
+    },
+};
+use clap::Args as ClapArgs;
+use serde::Serialize;
+use std::path::PathBuf;
+
+/// Orient the photos of a flight: camera poses, a sparse cloud, self-calibration, check points.
+///
+/// PROJECT is a folder with photos (JPEG, PNG, TIFF), in images/ or directly. What lies beside them is used: gcps.csv and
+/// marks.csv (ground points and where they are in the photos), or an OpenDroneMap gcp_list.txt (names that begin with CHK-
+/// are check points), or OpenSfM's ground_control_points.json; geolocation.csv (camera positions, WGS84); camera.toml.
+/// Positions, focal lengths and dates come from EXIF and XMP.
+///
+/// Coordinates are in the system of the control (--crs names it); without control in the system of --crs, or in a local
+/// plane at the photos.
+///
+/// Steps: inspect, features, match, verify (orientation of pairs), orient (exterior orientation image by image), adjust
+/// (mapping frame, bundle adjustment with self-calibration), report. What a step found is kept and used again until
+/// something that it came from changes.
+///
+/// Exit code 3 where photos could not be oriented together, or the adjustment did not converge.
+#[derive(Debug, ClapArgs)]
+#[command(after_help = "Examples:
+  rowgram align field --json
+  rowgram align field --crs EPSG:27700 --check T3,T7
+  rowgram align field --solver two-point --lens smac --until verify")]
+pub(super) struct Args {
+    /// Folder with the photos and what is known of them.
+    project: PathBuf,
+    /// Folder of results [default: PROJECT/rowgram].
+    #[arg(short, long, value_name = "DIR")]
+    output: Option<PathBuf>,
+    /// Coordinate reference system of control and results: EPSG:<code> or a PROJ string.
+    #[arg(long, value_name = "CRS")]
+    crs: Option<String>,
+    /// Ground points: CSV, gcp_list.txt or ground_control_points.json.
+    #[arg(long, value_name = "FILE")]
+    control: Option<PathBuf>,
+    /// Where the ground points of a CSV file are in the photos.
+    #[arg(long, value_name = "FILE")]
+    marks: Option<PathBuf>,
+    /// Camera positions: image, latitude, longitude, height.
+    #[arg(long, value_name = "FILE")]
+    positions: Option<PathBuf>,
+    /// A calibrated camera (camera.toml); what it does not name as free is held.
+    #[arg(long, value_name = "FILE")]
+    camera: Option<PathBuf>,
+    #[command(flatten)]
+    options: Given<AlignOptions>,
+    /// Do this step and those after it again, whatever is kept.
+    #[arg(long, value_name = "STEP", value_parser = step())]
+    from: Option<String>,
+    /// Stop after this step.
+    #[arg(long, value_name = "STEP", value_parser = step())]
+    until: Option<String>,
+    /// Do all of it again.
+    #[arg(long)]
+    force: bool,
+    /// Print one line of JSON instead of a summary.
+    #[arg(long)]
+    json: bool,
+}
+
+fn step() -> clap::builder::PossibleValuesParser {
+    Step::all().iter().map(Choice::word).collect::<Vec<String>>().into()
+}
+
+/// What `--json` prints.
+#[derive(Serialize)]
+struct Line<'a, T> {
+    #[serde(flatten)]
+    outcome: &'a T,
+    diagnostics: &'a [Diagnostic],
+}
+
+impl Args {
+    fn project(&self) -> Result<(Project, AlignOptions), Error> {
+        let mut config = Config::read(&self.project, std::env::vars(), &[])?;
+        let options = self.options.over(&config.align)?;
+        let settings = &mut config.project;
+        settings.crs = self.crs.clone().or(settings.crs.take());
+        for (setting, given) in [
+            (&mut settings.control, &self.control),
+            (&mut settings.marks, &self.marks),
+            (&mut settings.positions, &self.positions),
+            (&mut settings.camera, &self.camera),
+        ] {
+            if let Some(path) = given {
+                // Settings are relative to the project, arguments to where they were typed.
+                let absolute = std::path::absolute(path);
+                *setting = Some(absolute.map_err(|e| crate::io::FileError::read(path, e))?);
+            }
+        }
+        config.align = options.clone();
+        let project = Project::new(&self.project, config)?;
+        let project = match &self.output {
+            Some(folder) => project.with_results(folder),
+            None => project,
+        };
+        Ok((project, options))
+    }
+
+    fn steps(&self) -> Result<(Option<Step>, Option<Step>), Error> {
+        let read = |word: &Option<String>| word.as_deref().and_then(|word| Step::read(word).ok());
+        let (from, until) = (read(&self.from), read(&self.until));
+        if from.zip(until).is_some_and(|(from, until)| from > until) {
+            return Err(Error::Argument("--from: it comes after the step of --until".into()));
+        }
+        Ok((if self.force { Some(Step::Inspect) } else { from }, until))
+    }
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// Bad input, photos that cannot be oriented together, an adjustment that did not converge.
+pub(super) fn run(args: &Args) -> Result<(), Error> {
+    let (from, until) = args.steps()?;
+    let (project, options) = args.project()?;
+    if let Some(from) = from {
+        align::forget(&project, from)?;
+    }
+    let mut terminal = Terminal::new();
+    let mut monitor = Recorder::new(&mut terminal);
+    if let Some(until) = until.filter(|until| *until < Step::Report) {
+        let report = align::align_until(&project, &options, until, &mut monitor)?;
+        return args.show(&report, &report, &monitor.diagnostics);
+    }
+    let outcome = align::align(&project, &options, &mut monitor)?;
+    let summary = std::fs::read_to_string(project.file(Stage::Align, "report/summary.txt"));
+    let text = format!("{outcome}{}", summary.unwrap_or_default());
+    args.show(&outcome, &text, &monitor.diagnostics)?;
+    if !outcome.converged {
+        return Err(Error::Incomplete(
+            "the adjustment did not converge: look at the report before using its results".into(),
+        ));
+    }
+    Ok(())
+}
+
+impl Args {
+    fn show(
+        &self,
+        outcome: &impl Serialize,
+        text: &impl std::fmt::Display,
+        diagnostics: &[Diagnostic],
+    ) -> Result<(), Error> {
+        if self.json {
+            super::print_json(&Line { outcome, diagnostics })
+        } else {
+            super::print(&text.to_string())
+        }
+    }
+}

@@ -1,0 +1,379 @@
+//! From photos to a reconstruction in the mapping frame.
+//!
+//! Steps: inspect, features, match, verify (orientation of pairs), orient (exterior orientation image by image), adjust
+//! (into the mapping frame, bundle adjustment with self-calibration), report. What a step found is kept in the cache of
+//! the stage's folder and used again until something that it came from changes.
+
+mod export;
+mod features;
+mod figures;
+mod ground;
+mod inputs;
+mod outcome;
+mod pair_figures;
+mod results;
+mod steps;
+
+pub use outcome::{AlignOutcome, Fragment, PartialReport, PointErrors};
+
+use super::{CACHE, Project, Stage, Task, adjust, cache::Cache, stage};
+use crate::{
+    error::Error,
+    monitor::{Monitor, Recorder},
+    sfm::{
+        adjust_block::{
+            BlockOptions, Flight, Photos, ShutterModel, USUAL_READOUT_S, adjust_blocks,
+        },
+        incremental::{IncrementalOptions, Start},
+        relative::Solver,
+        tracks::Tracks,
+        verify::GeometricVerificationOptions,
+    },
+};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+pub use crate::sfm::{adjust_block::When, intrinsics::LensChoice};
+
+/// The minimal solver of relative orientation.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum SolverChoice {
+    /// Whichever explains more matches of a pair.
+    Auto,
+    /// The paper's, for nadir photos from nearly the same height.
+    TwoPoint,
+    /// Any photos.
+    FivePoint,
+}
+
+/// Where exterior orientation starts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum StartChoice {
+    /// Three photos that fit; the others join one by one.
+    Triplet,
+    /// All photos at once: averaged rotations, positions by convex programming.
+    Global,
+}
+
+/// Whether rows are read one after the other while the camera moves.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ShutterChoice {
+    /// It is estimated, and modelled where it explains much.
+    Auto,
+    /// All rows are read at once.
+    Off,
+    /// It is modelled in any case.
+    On,
+}
+
+/// A step of the stage, in their order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Step {
+    /// Files and what they say.
+    Inspect,
+    /// Features of every photo.
+    Features,
+    /// Matches of the pairs worth trying.
+    Match,
+    /// Orientation of pairs.
+    Verify,
+    /// Exterior orientation.
+    Orient,
+    /// Mapping frame, bundle adjustment, self-calibration.
+    Adjust,
+    /// Files and pictures.
+    Report,
+}
+
+crate::choices!(SolverChoice: Auto, TwoPoint, FivePoint);
+crate::choices!(StartChoice: Triplet, Global);
+crate::choices!(ShutterChoice: Auto, Off, On);
+crate::choices!(Step: Inspect, Features, Match, Verify, Orient, Adjust, Report);
+
+crate::options! {
+    /// From photos to camera poses, calibrated cameras and a sparse cloud in the mapping frame.
+    pub struct AlignOptions in "align" {
+        /// Lens model of cameras that are not given.
+        pub lens: LensChoice = LensChoice::Auto;
+        /// Lens parameters of the last adjustment; all but the aspect and rational terms where not set, or those that a
+        /// calibrated camera names.
+        pub free: Option<Vec<String>> = None, example "[\"f_px\", \"k1\", \"k2\"]";
+        /// Minimal solver of relative orientation.
+        pub solver: SolverChoice = SolverChoice::Auto;
+        /// Where exterior orientation starts: at three photos that fit, or with all photos at once.
+        pub start: StartChoice = StartChoice::Triplet;
+        /// The most features of a photo.
+        pub max_features: usize = 6000, limits at_least(100.0);
+        /// Distance from the projection of its point up to which an image position is used.
+        pub tolerance_px: f64 = 4.0, limits POSITIVE;
+        /// Standard deviation of control points that come without one.
+        pub control_sigma_m: f64 = 0.02, limits POSITIVE;
+        /// Standard deviation of image measurements of ground points that come without one.
+        pub mark_sigma_px: f64 = 0.5, limits POSITIVE;
+        /// Whether camera positions take part in the adjustment; else they only tell which photos are neighbours.
+        pub use_positions: bool = true;
+        /// Ground points that take no part and are compared afterwards.
+        pub check: Vec<String> = Vec::new();
+        /// Whether rows are read one after the other while the camera moves: auto estimates it, on models it in any case.
+        pub rolling_shutter: ShutterChoice = ShutterChoice::Auto;
+        /// Time from the first to the last row of a photo. Where it is not set, velocities are told for 0.03 s.
+        pub readout_s: Option<f64> = None, limits between(0.0001, 1.0), example "0.03";
+        /// Whether matching is repeated with the adjusted poses (guided matching): auto does so with ground control.
+        pub guided_matching: When = When::Auto;
+        /// Whether tie points are measured again by least-squares matching, several times as exact: auto does so with
+        /// ground control.
+        pub refine_tie_points: When = When::Auto;
+        /// Seed of all random sampling.
+        pub seed: u64 = 1;
+    }
+}
+
+impl AlignOptions {
+    fn verification(&self) -> GeometricVerificationOptions {
+        GeometricVerificationOptions {
+            solver: match self.solver {
+                SolverChoice::Auto => Solver::Auto,
+                SolverChoice::TwoPoint => Solver::TwoPoint,
+                SolverChoice::FivePoint => Solver::FivePoint,
+            },
+            tolerance_px: self.tolerance_px,
+            seed: self.seed,
+            ..GeometricVerificationOptions::default()
+        }
+    }
+
+    fn incremental(&self, calibrated: bool) -> IncrementalOptions {
+        // Of each camera those that its model has.
+        let names: &[&str] =
+            if calibrated { &[] } else { &["f_px", "k1", "k2", "c_px", "K1", "K2"] };
+        IncrementalOptions {
+            start: match self.start {
+                StartChoice::Triplet => Start::Triplet,
+                StartChoice::Global => Start::Global,
+            },
+            tolerance_px: self.tolerance_px,
+            free: names.iter().map(|&name| name.to_owned()).collect(),
+            seed: self.seed,
+            ..IncrementalOptions::default()
+        }
+    }
+
+    fn block(&self, calibrated: bool) -> BlockOptions {
+        let readout_s = self.readout_s.unwrap_or(USUAL_READOUT_S);
+        BlockOptions {
+            tolerance_px: self.tolerance_px,
+            shutter: match self.rolling_shutter {
+                ShutterChoice::Auto => ShutterModel::Auto(readout_s),
+                ShutterChoice::Off => ShutterModel::Global,
+                ShutterChoice::On => ShutterModel::Rolling(readout_s),
+            },
+            guided_matching: self.guided_matching,
+            refine_tie_points: self.refine_tie_points,
+            free: self.free.clone(),
+            calibrated,
+        }
+    }
+}
+
+/// The task of [`align`].
+pub struct AlignTask;
+
+impl Task for AlignTask {
+    type Options = AlignOptions;
+    type Outcome = AlignOutcome;
+    const STAGE: Stage = Stage::Align;
+    const RESUMES: bool = true;
+
+    fn inputs(project: &Project, _: &AlignOptions) -> Result<Vec<PathBuf>, Error> {
+        if project.given_orthomosaic().is_some() {
+            return Err(Error::NothingToDo("the orthomosaic is there already".to_owned()));
+        }
+        let mut files = project.photos();
+        if files.len() < 3 {
+            return Err(Error::NothingToDo(format!(
+                "{}: {} photos (JPEG, PNG, TIFF) here or in images/; at least 3 are needed",
+                project.root().display(),
+                files.len()
+            )));
+        }
+        files.extend(inputs::beside(project));
+        Ok(files)
+    }
+
+    fn context(project: &Project) -> String {
+        project.config().project.crs.clone().unwrap_or_default()
+    }
+
+    fn work(
+        project: &Project,
+        options: &AlignOptions,
+        folder: &Path,
+        monitor: &mut dyn Monitor,
+    ) -> Result<AlignOutcome, Error> {
+        results::clear(folder)?;
+        match run(project, options, Step::Report, folder, monitor)? {
+            Ended::Whole(outcome) => Ok(*outcome),
+            Ended::Part(_) => Err(Error::Incomplete("the last step was not reached".to_owned())),
+        }
+    }
+}
+
+/// Orients the photos of a project: camera poses, a sparse cloud, self-calibration, check points.
+///
+/// Writes `reconstruction.json` with its tables (see [`crate::io::reconstruction`]), `camera-N.toml`,
+/// `exterior_orientation.csv`, `cloud.ply`, `cloud.laz`, `crs.txt`, exports for COLMAP and OpenSfM, `report/` and `figures/`.
+/// An adjustment that did not converge is a diagnostic of severity error, and the outcome says so.
+///
+/// # Errors
+/// [`Error::NothingToDo`] for a project without photos; bad input; [`Error::Incomplete`] where no three photos can be
+/// oriented together.
+pub fn align(
+    project: &Project,
+    options: &AlignOptions,
+    monitor: &mut dyn Monitor,
+) -> Result<AlignOutcome, Error> {
+    stage::perform::<AlignTask>(project, options, monitor)
+}
+
+/// As [`align`], up to a step; what that found is kept in the cache, and a later [`align`] goes on from there.
+///
+/// # Errors
+/// As [`align`].
+pub fn align_until(
+    project: &Project,
+    options: &AlignOptions,
+    last: Step,
+    monitor: &mut dyn Monitor,
+) -> Result<PartialReport, Error> {
+    let refused = |why| Error::Argument(format!("[align] {why}"));
+    crate::options::Options::validate(options).map_err(refused)?;
+    let _lock = project.lock()?;
+    AlignTask::inputs(project, options)?;
+    let folder = project.folder(Stage::Align);
+    std::fs::create_dir_all(&folder).map_err(|e| crate::io::FileError::write(&folder, e))?;
+    match run(project, options, last.min(Step::Adjust), &folder, monitor)? {
+        Ended::Part(report) => Ok(report),
+        Ended::Whole(_) => Err(Error::Incomplete("the step was passed".to_owned())),
+    }
+}
+
+/// Makes [`align`] do a step and those after it again, whatever is kept.
+///
+/// # Errors
+/// A project that another process is working on; a file that cannot be removed.
+pub fn forget(project: &Project, from: Step) -> Result<(), Error> {
+    let _lock = project.lock()?;
+    project.records().forget(Stage::Align)?;
+    let cache = Cache::new(&project.folder(Stage::Align).join(CACHE))?;
+    for (step, name) in steps::KEPT {
+        if from <= step {
+            cache.forget(name)?;
+        }
+    }
+    Ok(())
+}
+
+/// How far it went.
+enum Ended {
+    Part(PartialReport),
+    Whole(Box<AlignOutcome>),
+}
+
+fn run(
+    project: &Project,
+    options: &AlignOptions,
+    last: Step,
+    folder: &Path,
+    monitor: &mut dyn Monitor,
+) -> Result<Ended, Error> {
+    let monitor = &mut Recorder::new(monitor);
+    let cache = Cache::new(&folder.join(CACHE))?;
+    let mut inputs = inputs::inspect(project, options, monitor)?;
+    let mut report = PartialReport::new(&inputs, last);
+    if last == Step::Inspect {
+        return Ok(Ended::Part(report));
+    }
+    // Half of the usual contrast: the budget keeps the best, and a plain crop has no others.
+    let detection = crate::features::Options {
+        max_features: options.max_features,
+        contrast_threshold: 0.02,
+        ..Default::default()
+    };
+    let extracted = features::features(&inputs, &detection, &cache, monitor)?;
+    report.features = Some(extracted.features.iter().map(|f| f.key_points.len()).sum());
+    if last == Step::Features {
+        return Ok(Ended::Part(report));
+    }
+    let (mut matched, matched_mark) = features::matches(&inputs, &extracted, &cache, monitor)?;
+    features::remove_duplicates(&inputs, &extracted, &mut matched, monitor);
+    report.pairs = Some(matched.len());
+    report.matches = Some(matched.iter().map(|m| m.matches.len()).sum());
+    if last == Step::Match {
+        return Ok(Ended::Part(report));
+    }
+    let geometric = extracted.geometric(&inputs);
+    steps::intrinsics(&mut inputs, &geometric, (&matched, matched_mark), options, &cache, monitor)?;
+    let cameras = inputs.cameras();
+    let descriptors = extracted.descriptors();
+    let verification = options.verification();
+    let images = (geometric.as_slice(), cameras.as_slice(), descriptors.as_slice());
+    let (pairs, pairs_mark) =
+        steps::verify(images, (&matched, matched_mark), &verification, &cache, monitor)?;
+    report.pairs = Some(pairs.len());
+    report.matches = Some(pairs.iter().map(|pair| pair.matches.len()).sum());
+    if last == Step::Verify {
+        results::pairs_table(&folder.join(results::REPORT), &pairs, &inputs.names())?;
+        return Ok(Ended::Part(report));
+    }
+    let calibrated = inputs.calibrated;
+    let tracks = Tracks::of_pairs(
+        &geometric,
+        pairs.iter().map(|pair| (pair.images, pair.matches.as_slice())),
+    );
+    let marked = (pairs.as_slice(), pairs_mark);
+    let incremental = options.incremental(calibrated);
+    let blocks =
+        steps::orient((&geometric, &tracks, &cameras), marked, &incremental, &cache, monitor)?;
+    report.registered = blocks.first().map(crate::sfm::Block::registered);
+    report.fragments = Some(blocks.len());
+    if last == Step::Orient {
+        return Ok(Ended::Part(report));
+    }
+    let read = |image: usize| inputs.read_grey(image);
+    let photos = Photos { descriptors: &descriptors, matched: &matched, read: &read };
+    let (order, mark_scales) = (inputs.flight(), inputs.mark_scales());
+    let flight = Flight {
+        known: &inputs.known,
+        order: &order,
+        has_position_sigma: &inputs.has_position_sigma,
+        mark_scales: &mark_scales,
+    };
+    let mut found = adjust_blocks(blocks, &flight, &photos, &options.block(calibrated), monitor)?;
+    let exported = export::Exports::of(&found.adjusted.reconstruction);
+    found.diagnostics.extend(exported.diagnostics.iter().cloned());
+    found.diagnostics.iter().for_each(|diagnostic| monitor.diagnostic(diagnostic));
+    for diagnostic in
+        crate::sfm::adjust_block::unregistered(&found, &geometric, &pairs, &monitor.diagnostics)
+    {
+        monitor.diagnostic(&diagnostic);
+    }
+    let outcome = AlignOutcome::new(&found, &inputs, pairs.len());
+    if last == Step::Adjust {
+        return Ok(Ended::Part(report));
+    }
+    let scene = results::reconstruction(&inputs, &found);
+    results::write(folder, &scene, &outcome, &exported)?;
+    adjust::write_report(folder, &adjust::Adjustment::of_block(found))?;
+    let drawn = folder.join(results::FIGURES);
+    figures::write(&drawn, &folder.join(results::REPORT), &scene, &pairs, &inputs.names())?;
+    let of = (inputs.photos.as_slice(), geometric.as_slice());
+    pair_figures::write(&drawn, of, &cameras, &pairs)?;
+    if !outcome.converged {
+        monitor.diagnostic(&adjust::not_converged());
+    }
+    Ok(Ended::Whole(Box::new(outcome)))
+}

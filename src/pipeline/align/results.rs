@@ -1,0 +1,94 @@
+//! The files of the stage.
+
+use super::{AlignOutcome, export::Exports, figures, inputs::Inputs};
+use crate::{
+    error::Error,
+    io::{FileError, camera, cloud, cloud::CloudPoint, orientation, output, reconstruction},
+    pipeline::CACHE,
+    problems::adjustment::Removed,
+    scene::{Excluded, ExcludedKind, Reconstruction},
+    sfm::{Pair, adjust_block::AdjustedBlock},
+};
+use std::path::Path;
+
+/// Folder of the adjustment's report.
+pub(super) const REPORT: &str = "report";
+/// Folder of the pictures.
+pub(super) const FIGURES: &str = "figures";
+
+/// Removes the results of an earlier attempt, but not what it keeps for the next.
+pub(super) fn clear(folder: &Path) -> Result<(), Error> {
+    for entry in std::fs::read_dir(folder).map_err(|e| FileError::read(folder, e))? {
+        let entry = entry.map_err(|e| FileError::read(folder, e))?;
+        let path = entry.path();
+        if entry.file_name() == CACHE {
+            continue;
+        }
+        let removed = if path.is_dir() {
+            std::fs::remove_dir_all(&path)
+        } else {
+            std::fs::remove_file(&path)
+        };
+        removed.map_err(|e| FileError::write(&path, e))?;
+    }
+    Ok(())
+}
+
+/// The block with its frame, its accuracies and what was excluded.
+pub(super) fn reconstruction(inputs: &Inputs, found: &AdjustedBlock) -> Reconstruction {
+    let adjusted = &found.adjusted;
+    let excluded = adjusted.validated.excluded.iter().cloned();
+    let removed = found.removed.iter().map(Removed::excluded);
+    let left_out = inputs.left_out.iter().map(|(name, reason)| Excluded {
+        kind: ExcludedKind::Image,
+        image: Some(name.clone()),
+        point: None,
+        reason: reason.clone(),
+    });
+    Reconstruction {
+        reference: inputs.reference(found.georeferenced),
+        accuracy: Some(adjusted.accuracy()),
+        excluded: excluded.chain(removed).chain(left_out).collect(),
+        ..adjusted.reconstruction.clone()
+    }
+}
+
+/// Writes everything but the report and the pictures.
+///
+/// # Errors
+/// Where a file cannot be written.
+pub(super) fn write(
+    folder: &Path,
+    scene: &Reconstruction,
+    outcome: &AlignOutcome,
+    exports: &Exports,
+) -> Result<(), Error> {
+    for (k, camera) in scene.calibrated_cameras().iter().enumerate() {
+        camera::write(&folder.join(format!("camera-{}.toml", k + 1)), true, camera)?;
+    }
+    orientation::write(&folder.join("exterior_orientation.csv"), scene, true)?;
+    let points: Vec<CloudPoint> = scene
+        .points
+        .iter()
+        .map(|point| CloudPoint { position_m: point.position_m, colour: point.colour })
+        .collect();
+    cloud::write_ply(&folder.join("cloud.ply"), &points, true)?;
+    cloud::write_laz(&folder.join("cloud.laz"), &points, true)?;
+    reconstruction::write(folder, scene, true)?;
+    exports.write(folder)?;
+    let reference = &scene.reference;
+    let definition = reference.definition().map_or_else(String::new, |text| format!("{text}\n"));
+    let frame = format!("{}\n{definition}heights: {}\n", reference.name(), reference.heights());
+    output::write(&folder.join("crs.txt"), true, |out| out.write_all(frame.as_bytes()))?;
+    output::write(&folder.join("align.json"), true, |out| {
+        serde_json::to_writer_pretty(&mut *out, outcome)?;
+        writeln!(out)
+    })?;
+    Ok(())
+}
+
+/// Writes the table of oriented pairs.
+pub(super) fn pairs_table(folder: &Path, pairs: &[Pair], names: &[&str]) -> Result<(), Error> {
+    std::fs::create_dir_all(folder).map_err(|e| FileError::write(folder, e))?;
+    figures::pairs_table(folder, pairs, names)
+}
