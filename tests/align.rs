@@ -22,8 +22,9 @@ fn a_folder_that_is_none_or_without_photos_is_bad_input() {
 #[test]
 fn options_that_cannot_be_are_refused_before_any_work() {
     for (options, part) in [
-        ("--tolerance 0", "--tolerance 0: expected a positive number"),
-        ("--max-features 10", "--max-features 10: expected at least 100"),
+        ("--tolerance 0", "--tolerance-px 0: expected a number greater than 0"),
+        ("--max-features 10", "--max-features 10: expected"),
+        ("--lens wide", "--lens \"wide\": expected one of: auto, brown, smac"),
         ("--from adjust --until match", "--from: it comes after"),
     ] {
         let run = rowgram(std::env::temp_dir().as_path(), &format!("align nowhere {options}"));
@@ -57,6 +58,16 @@ fn dead_files_and_doubles_are_named_and_a_name_of_no_system_is_refused() {
     assert_eq!(run.code, 2);
     let said = run.stderr;
     assert!(said.contains("EPSG:99999 is not a known"), "{said}");
+
+    // Another process works on the project.
+    let results = folder.path().join("rowgram");
+    let lock = fs::File::create(results.join(".lock")).unwrap();
+    lock.lock().unwrap();
+    let run = rowgram(folder.path(), "align .");
+    assert_eq!(run.code, 2);
+    let said = run.stderr;
+    assert!(said.contains("another rowgram process is working here"), "{said}");
+    drop(lock);
 
     // Photos of nothing: nothing can be oriented, and that is said.
     let run = rowgram(folder.path(), "align .");

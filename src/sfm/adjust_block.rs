@@ -24,7 +24,8 @@ use crate::{
     monitor::{Counter, Diagnostic, Monitor},
     nlls::Loss,
     problems::adjustment::{
-        Adjusted, Alignment, Group, Removed, Settings, DataSnoopingOptions, retained_suspects, snoop,
+        Adjusted, Alignment, DataSnoopingOptions, Group, Removed, Settings, retained_suspects,
+        snoop,
     },
     scene::{Reconstruction, Role},
 };
@@ -635,7 +636,11 @@ impl BlockAdjuster<'_> {
                 distance(&doubt),
                 doubt.excess
             );
-            found.push(Diagnostic::warning("observation-retained_suspects", doubt.name.as_str(), message));
+            found.push(Diagnostic::warning(
+                "observation-retained_suspects",
+                doubt.name.as_str(),
+                message,
+            ));
         }
         Ok(AdjustedBlock {
             adjusted: snooped.adjusted,

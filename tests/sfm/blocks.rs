@@ -3,13 +3,15 @@
 use super::toy::{Flight, Flown, lens};
 use rowgram::{
     camera::Camera,
+    monitor::Silent,
     problems::adjustment::{Settings, adjust as judge},
     scene::Role,
     sfm::{
+        adjust_block::{BlockOptions, Flight as Given, Photos, ShutterModel, When, adjust_blocks},
         block::Block,
         georeference::{Known, adjust, axes_exchanged, join, review_marks, weigh_positions},
         incremental::{IncrementalOptions, reconstruct},
-        shutter,
+        rolling_shutter,
         tracks::Tracks,
         triangulate::TriangulationOptions,
         verify::{GeometricVerificationOptions, PairMatches, orient_pairs},
@@ -92,6 +94,62 @@ fn a_block_grows_whole_and_control_brings_it_into_the_map() {
     assert!((c - 1000.0).abs() < 2.0, "{c}");
 }
 
+/// What the strategy makes of a flight with this control, without another look at the photos.
+fn adjusted(flown: &Flown, known: &Known) -> rowgram::sfm::adjust_block::AdjustedBlock {
+    let (tracks, pairs) = tracks(flown);
+    let order: Vec<usize> = (0..flown.poses.len()).collect();
+    let given = Given {
+        known,
+        order: &order,
+        has_position_sigma: &vec![false; order.len()],
+        mark_scales: &[0.5, 2.0],
+    };
+    let read = |image: usize| Err(rowgram::error::Error::Incomplete(format!("no photo {image}")));
+    let photos = Photos { descriptors: &[], matched: &flown.matched, read: &read };
+    let options = BlockOptions {
+        tolerance_px: 4.0,
+        shutter: ShutterModel::Auto(0.03),
+        guided_matching: When::Off,
+        refine_tie_points: When::Off,
+        free: None,
+        calibrated: false,
+    };
+    let blocks = grow(flown, &tracks, &pairs);
+    adjust_blocks(blocks, &given, &photos, &options, &mut Silent).unwrap()
+}
+
+#[test]
+fn the_strategy_names_wrong_control_and_resized_marks_and_is_right_without() {
+    let flown = Flight::default().fly();
+    let mut known = known(&flown);
+    let wrong = known.ground.iter().position(|point| point.role == Role::Control).unwrap();
+    known.ground[wrong].position_m[0] += 5.0;
+    for mark in &mut known.marks {
+        mark.image_px = mark.image_px.map(|v| (v + 0.5) * 0.5 - 0.5);
+    }
+    let found = adjusted(&flown, &known);
+    assert!(found.georeferenced && found.complete);
+    let said = |code: &str| found.diagnostics.iter().find(|diagnostic| diagnostic.code == code);
+    assert!(said("marks-resized").is_some_and(|d| d.message.contains("multiplied by 2")));
+    let name = format!("control point {}", known.ground[wrong].name);
+    let named = found.diagnostics.iter().any(|d| d.subject == name);
+    assert!(named, "{:?}", found.diagnostics);
+    assert!(said("rolling-shutter").is_none());
+    assert_eq!(found.fragments.len(), 1);
+    let checks: Vec<_> = found
+        .adjusted
+        .check_points
+        .iter()
+        .filter(|check| {
+            found.checks.contains(&found.adjusted.reconstruction.ground[check.ground].name)
+        })
+        .collect();
+    assert_eq!(checks.len(), 4);
+    for check in checks {
+        assert!(check.error_m.iter().all(|error| error.abs() < 0.12), "{check:?}");
+    }
+}
+
 /// The first image sees what one neighbour does, of which others see but `shared` points.
 fn at_the_edge(shared: usize) -> Flown {
     let mut flown = Flight { points: 6000, ..Flight::default() }.fly();
@@ -162,7 +220,7 @@ fn a_rolling_shutter_is_found_where_there_is_one_and_only_there() {
             adjust(&mut block, &known, 0.4, &DEMANDS, 30).unwrap();
         }
         let flight: Vec<usize> = (0..flown.poses.len()).collect();
-        let found = rolling_shutter::find(&block, &known, &flight, 0.4, 0.03, false).unwrap();
+        let found = rolling_shutter::estimate(&block, &known, &flight, 0.4, 0.03, false).unwrap();
         if readout_displacement_m == 0.0 {
             assert_eq!(found, None);
             continue;
@@ -180,7 +238,7 @@ fn a_rolling_shutter_is_found_where_there_is_one_and_only_there() {
             drift.readout_displacement_px
         );
         let without = check_rmse_m(&block, &known);
-        rolling_shutter::adopt(&mut block, &drift);
+        drift.apply(&mut block);
         for _ in 0..2 {
             adjust(&mut block, &known, 0.4, &DEMANDS, 30).unwrap();
         }
@@ -201,8 +259,9 @@ fn what_is_known_beforehand_counts_once_however_often_a_block_is_adjusted() {
     prepare(&mut block);
     adjust(&mut block, &known, 0.4, &DEMANDS, 30).unwrap();
     let flight: Vec<usize> = (0..flown.poses.len()).collect();
-    let drift = rolling_shutter::find(&block, &known, &flight, 0.4, 0.03, true).unwrap().unwrap();
-    rolling_shutter::adopt(&mut block, &drift);
+    let drift =
+        rolling_shutter::estimate(&block, &known, &flight, 0.4, 0.03, true).unwrap().unwrap();
+    drift.apply(&mut block);
     let c_px = |block: &Block<'_>| block.cameras[0].interior.principal_distance_px();
     let adjusted = |block: &mut Block<'_>, times: usize| {
         for _ in 0..times {

@@ -5,7 +5,7 @@ use crate::{error::Error, io::FileError};
 use serde::Serialize;
 use std::path::PathBuf;
 
-/// Convert a reconstruction between COLMAP (text, binary), Bundler and OpenSfM.
+/// Convert a reconstruction between rowgram, COLMAP (text, binary), Bundler and OpenSfM.
 ///
 /// Nothing is changed but the conventions: pixel centres, camera frames, normalised coordinates. A lens
 /// that the other format cannot hold is refused.
@@ -14,12 +14,12 @@ use std::path::PathBuf;
   rowgram convert sparse/0 --to colmap-text -o text
   rowgram convert bundle.out --image-size 4000x3000 --to opensfm -o reconstruction.json")]
 pub(in crate::cli) struct Args {
-    /// A COLMAP folder, a bundle.out or a reconstruction.json.
+    /// A COLMAP folder, a bundle.out, OpenSfM's reconstruction.json, or rowgram's (the file or its folder).
     input: PathBuf,
     /// The format to write.
     #[arg(long, value_enum)]
     to: Format,
-    /// The folder (COLMAP) or file to write; list.txt or tracks.csv goes beside it.
+    /// The folder (COLMAP, rowgram) or file to write; list.txt or tracks.csv goes beside it.
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
     /// Image size of a Bundler file, which has none.
@@ -56,7 +56,8 @@ pub(in crate::cli) fn run(args: &Args) -> Result<(), Error> {
         return Err(FileError::Exists { path: args.output.clone() }.into());
     }
     let format = format_of(&args.input).ok_or_else(|| {
-        let message = "not a COLMAP folder, a bundle.out or a reconstruction.json";
+        let message =
+            "not a COLMAP folder, a bundle.out or a reconstruction.json of rowgram or OpenSfM";
         FileError::malformed(&args.input, None, message)
     })?;
     let size_px = super::description::image_size(args.image_size.as_deref())?;

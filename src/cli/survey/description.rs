@@ -132,6 +132,8 @@ pub(in crate::cli) enum Format {
     Bundler,
     /// reconstruction.json and tracks.csv.
     Opensfm,
+    /// Our own reconstruction.json with tie_points.csv and tie_observations.csv: everything, exactly.
+    Rowgram,
 }
 
 /// All of it, checked.
@@ -147,6 +149,8 @@ pub(super) struct Description {
     pub(super) per_image: bool,
     pub(super) check: Vec<String>,
     pub(super) tie_sigma_px: f64,
+    /// Whether somebody gave it.
+    pub(super) has_tie_sigma: bool,
     pub(super) defaults: Defaults,
     pub(super) lever_arm_m: [f64; 3],
     pub(super) rolling_shutter: Option<RollingShutter>,
@@ -303,6 +307,7 @@ impl Description {
         Ok(Description {
             model,
             tie_sigma_px: sigma(all.tie_sigma, "--tie-sigma", 1.0)?,
+            has_tie_sigma: all.tie_sigma.is_some(),
             defaults: Defaults {
                 mark_px: sigma(all.mark_sigma, "--mark-sigma", plain.mark_px)?,
                 control_m: sigma(all.control_sigma, "--control-sigma", plain.control_m)?,

@@ -6,9 +6,11 @@ mod description;
 
 use crate::{
     error::Error,
-    io::{FileError, bundler, camera, colmap, control, model::Model, opensfm},
+    io::{FileError, bundler, camera, colmap, control, model::Model, opensfm, reconstruction},
     pipeline::adjust::{self, Adjustment},
-    problems::adjustment::{Settings, DataSnoopingOptions, align, leave_one_out, snoop, variance_components},
+    problems::adjustment::{
+        DataSnoopingOptions, Settings, align, leave_one_out, snoop, variance_components,
+    },
     scene::{Excluded, Role},
 };
 pub(super) use description::Options;
@@ -22,6 +24,9 @@ pub(super) fn is_one(path: &Path) -> bool {
 }
 
 fn format_of(path: &Path) -> Option<Format> {
+    if reconstruction::is_one(path) {
+        return Some(Format::Rowgram);
+    }
     if path.is_dir() {
         return Some(match colmap::find(path) {
             Some(colmap::Form::Text) => Format::ColmapText,
@@ -53,21 +58,25 @@ pub(super) fn run(
         FileError::malformed(
             &description.model,
             None,
-            "not a COLMAP folder, a bundle.out or a reconstruction.json",
+            "not a COLMAP folder, a bundle.out or a reconstruction.json of rowgram or OpenSfM",
         )
     })?;
     check_outputs(&description, output, force)?;
     let block = assemble(&description, format)?;
-    if let Some(path) = output {
+    let output_format = description.to.unwrap_or(format);
+    if let Some(path) = output.filter(|_| output_format != Format::Rowgram) {
         check_lenses(path, &block.0)?;
     }
     let (mut model, adjustment) = work(block, &description, loss)?;
+    if output_format == Format::Rowgram {
+        model = Model { survey: adjustment.reconstruction(), ..Model::default() };
+    }
     adjustment.unmatched.iter().take(5).for_each(|aside| tracing::warn!("set aside: {aside}"));
     if let Some(folder) = &description.report {
         adjust::write(folder, &adjustment, force)?;
     }
     if let Some(path) = output {
-        write_model(path, description.to.unwrap_or(format), &mut model, force)?;
+        write_model(path, output_format, &mut model, force)?;
     }
     if json {
         super::print_json(&adjust::Report::new(&adjustment))?;
@@ -141,6 +150,7 @@ fn read_model(
             let beside = path.with_file_name("tracks.csv");
             opensfm::read(path, tracks.unwrap_or(&beside))?
         }
+        Format::Rowgram => Model { survey: reconstruction::read(path)?, ..Model::default() },
     })
 }
 
@@ -162,6 +172,13 @@ fn write_model(path: &Path, format: Format, model: &mut Model, force: bool) -> R
         Format::Opensfm => {
             opensfm::write(path, &path.with_file_name("tracks.csv"), model, force)?;
         }
+        Format::Rowgram => {
+            // A path that is no JSON file is a folder for the three of them.
+            if path.extension().is_none_or(|extension| extension != "json") {
+                std::fs::create_dir_all(path).map_err(|e| FileError::write(path, e))?;
+            }
+            reconstruction::write(path, &model.survey, force)?;
+        }
     }
     Ok(())
 }
@@ -177,7 +194,10 @@ fn assemble(description: &Description, format: Format) -> Result<(Model, Vec<Exc
     )?;
     let survey = &mut model.survey;
     let mut unmatched = Vec::new();
-    survey.tie_sigma_px = description.tie_sigma_px;
+    // Our own files tell it, and what is known on the ground and in the air.
+    if format != Format::Rowgram || description.has_tie_sigma {
+        survey.tie_sigma_px = description.tie_sigma_px;
+    }
     if let Some(path) = &description.camera {
         let camera = camera::read(path)?;
         for theirs in &mut survey.cameras {
@@ -255,7 +275,9 @@ fn work(
         }
     }
     // A shutter is read in seconds of a block in metres.
-    model.survey.rolling_shutter = description.rolling_shutter;
+    if let Some(shutter) = description.rolling_shutter {
+        model.survey.rolling_shutter = Some(shutter);
+    }
     let mut settings = Settings {
         tie_loss: loss,
         corrected_domain: description.corrected_domain,

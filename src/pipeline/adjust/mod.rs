@@ -11,7 +11,7 @@ use crate::{
     io::output,
     monitor::Diagnostic,
     problems::adjustment::{Adjusted, Alignment, LeaveOneOut, Removed, Settings},
-    scene::Excluded,
+    scene::{Excluded, Reconstruction},
     sfm::adjust_block::AdjustedBlock,
 };
 use std::path::Path;
@@ -47,6 +47,17 @@ impl Adjustment {
             left_out: Vec::new(),
             complete: block.complete,
         }
+    }
+
+    /// What took part, adjusted, with its accuracies and what was excluded.
+    pub fn reconstruction(&self) -> Reconstruction {
+        let adjusted = &self.adjusted;
+        let mut scene = adjusted.reconstruction.clone();
+        scene.accuracy = Some(adjusted.accuracy());
+        scene.excluded.extend(self.unmatched.iter().cloned());
+        scene.excluded.extend(adjusted.validated.excluded.iter().cloned());
+        scene.excluded.extend(self.removed.iter().map(Removed::excluded));
+        scene
     }
 
     /// Whether it has converged and nothing is suspect any more.

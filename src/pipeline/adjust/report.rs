@@ -6,7 +6,8 @@ use crate::{
     error::Error,
     io::{FileError, camera, output},
     problems::adjustment::{
-        Alignment, AxisError, GroupStatistics, InteriorAccuracy, LeaveOneOut, Removed, OutlierTest, rmse,
+        Alignment, AxisError, GroupStatistics, InteriorAccuracy, LeaveOneOut, OutlierTest, Removed,
+        rmse,
     },
     scene::Reconstruction,
 };
@@ -336,7 +337,8 @@ pub(super) fn write(
     tables::write(folder, adjustment, force)?;
     figures::write(pictures, adjustment, force)?;
     let adjusted = &adjustment.adjusted;
-    let scene = Reconstruction { accuracy: Some(adjusted.accuracy()), ..adjusted.reconstruction.clone() };
+    let scene =
+        Reconstruction { accuracy: Some(adjusted.accuracy()), ..adjusted.reconstruction.clone() };
     let cameras = scene.calibrated_cameras();
     for interior in &adjusted.statistics.interiors {
         let name = format!("camera-{}.toml", interior.camera + 1);

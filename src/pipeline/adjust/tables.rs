@@ -41,7 +41,9 @@ pub(super) fn write(folder: &Path, adjustment: &Adjustment, force: bool) -> Resu
             let name = survey.ground[mark.ground as usize].name.clone();
             Some((mark.image, name, mark.image_px, mark.sigma_px))
         }
-        ObservationRef::Control(_) | ObservationRef::Position(_) | ObservationRef::ScaleBar(_) => None,
+        ObservationRef::Control(_) | ObservationRef::Position(_) | ObservationRef::ScaleBar(_) => {
+            None
+        }
     };
     let row = |tested: &TestedObservation| {
         let (image, point, at, sigma) = measured(tested.subject)?;
@@ -57,7 +59,8 @@ pub(super) fn write(folder: &Path, adjustment: &Adjustment, force: bool) -> Resu
     };
     let marks = |tested: &&TestedObservation| matches!(tested.subject, ObservationRef::Mark(_));
     table("marks.csv", &header, statistics.tested.iter().filter(marks).filter_map(row).collect())?;
-    let ties = |tested: &&TestedObservation| matches!(tested.subject, ObservationRef::TieObservation(_));
+    let ties =
+        |tested: &&TestedObservation| matches!(tested.subject, ObservationRef::TieObservation(_));
     table(
         "tie_points.csv",
         &header,
