@@ -9,10 +9,7 @@ use super::{
 };
 use crate::{
     camera::{Camera, Interior, Lens},
-    engine::SolveError,
     geometry::rotation,
-    nlls::{Loss, Options as Engine, solve},
-    problems::adjustment::{AdjustmentProblem, Settings},
     scene::{Image, Observation, Pose, Reconstruction, RollingShutter, TiePoint},
 };
 use rayon::prelude::*;
@@ -66,17 +63,6 @@ pub struct Block<'a> {
     pub expected_motions: Vec<[f64; 6]>,
     /// The shutter, where it rolls.
     pub shutter: Option<RollingShutter>,
-}
-
-/// How a block is adjusted while it grows.
-#[derive(Debug, Clone, PartialEq)]
-pub struct BundleAdjustmentOptions {
-    /// Robust loss, in pixels.
-    pub loss: Loss,
-    /// The most iterations.
-    pub iterations: u64,
-    /// Relative decrease that is no longer worth an iteration.
-    pub cost_tolerance: f64,
 }
 
 impl<'a> Block<'a> {
@@ -356,50 +342,6 @@ impl<'a> Block<'a> {
             }
         }
         (survey, tracks, order)
-    }
-
-    /// Adjusts the block, or some images and all points that they see while the other images that see
-    /// them stand still.
-    ///
-    /// # Errors
-    /// Where the block cannot be evaluated.
-    pub fn adjust(
-        &mut self,
-        images: Option<&[usize]>,
-        refining: &BundleAdjustmentOptions,
-    ) -> Result<(), SolveError> {
-        let (mut survey, tracks, order) = self.reconstruction(images);
-        if survey.images.len() < 2 || survey.points.is_empty() {
-            return Ok(());
-        }
-        let free = images.map_or(survey.images.len(), |asked| {
-            asked.iter().filter(|&&image| self.poses[image].is_some()).count()
-        });
-        if images.is_some() {
-            for camera in &mut survey.cameras {
-                camera.free.fill(false);
-            }
-        }
-        let settings = Settings { tie_loss: refining.loss, ..Settings::default() };
-        let mut posed = AdjustmentProblem::new(&survey, &settings)?;
-        (free..survey.images.len()).try_for_each(|image| posed.hold_image(image))?;
-        let engine = Engine { cost_tolerance: refining.cost_tolerance, ..Engine::default() };
-        let mut x = posed.problem.start();
-        solve(&posed.problem, &mut x, &engine, refining.iterations)?;
-        posed.update(&x, &mut survey);
-        for (image, &index) in survey.images.iter().zip(&order) {
-            self.poses[index] = Some(image.pose);
-            self.motions[index] = image.motion;
-        }
-        for (point, &track) in survey.points.iter().zip(&tracks) {
-            self.points[track as usize] = Some(point.position_m);
-        }
-        if images.is_none() {
-            for (camera, adjusted) in self.cameras.iter_mut().zip(&survey.cameras) {
-                camera.interior = adjusted.interior;
-            }
-        }
-        Ok(())
     }
 
     /// Takes an image out again.

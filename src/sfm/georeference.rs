@@ -4,14 +4,17 @@
 pub use super::control::{MarkReview, WrongMark, axes_exchanged, control_left_m, review_marks};
 
 use super::{
-    block::Block, depth_outliers, rolling_shutter::keep_feasible_marks,
+    block::Block,
+    bundle::{BundleAdjustmentOptions, bundle_adjust},
+    depth_outliers,
+    rolling_shutter::keep_feasible_marks,
     triangulate::TriangulationOptions,
 };
 use crate::{
     engine::SolveError,
     geometry::rotation,
-    nlls::{Loss, Options as Engine, solve},
-    problems::adjustment::{AdjustmentProblem, Alignment, Settings, align},
+    nlls::Loss,
+    problems::adjustment::{Alignment, align},
     scene::{CameraPosition, GroundObservation, GroundPoint, Pose, Reconstruction, Role},
 };
 use nalgebra::{Matrix3, Rotation3, Vector3};
@@ -354,22 +357,11 @@ pub fn adjust(
     known.attach(&mut survey, &order);
     survey.tie_sigma_px = tie_sigma_px;
     keep_feasible_marks(&mut survey);
-    let settings = Settings { tie_loss: Loss::SoftL1(2.0), ..Settings::default() };
-    let posed = AdjustmentProblem::new(&survey, &settings)?;
-    let mut x = posed.problem.start();
-    let engine = Engine { cost_tolerance: 1e-6, ..Engine::default() };
-    solve(&posed.problem, &mut x, &engine, iterations)?;
-    posed.update(&x, &mut survey);
-    for (image, &index) in survey.images.iter().zip(&order) {
-        block.poses[index] = Some(image.pose);
-        block.motions[index] = image.motion;
-    }
-    for (point, &track) in survey.points.iter().zip(&tracks) {
-        block.points[track as usize] = Some(point.position_m);
-    }
-    for (camera, adjusted) in block.cameras.iter_mut().zip(&survey.cameras) {
-        camera.interior = adjusted.interior;
-    }
+    let options =
+        BundleAdjustmentOptions { loss: Loss::SoftL1(2.0), iterations, cost_tolerance: 1e-6 };
+    let free = survey.images.len();
+    bundle_adjust(&mut survey, free, &options)?;
+    block.take(&survey, &tracks, &order);
     retriangulate_and_filter(block, demands);
     Ok(())
 }

@@ -6,7 +6,8 @@
 //! and what they see are adjusted, and everything whenever the block has grown by a fifth.
 
 use super::{
-    block::{Block, BundleAdjustmentOptions, Features, Pair},
+    block::{Block, Features, Pair},
+    bundle::BundleAdjustmentOptions,
     resection::{quaternion, resect},
     single_pair_registration,
     start::{Graph, LoopClosureOptions, Triplet},

@@ -25,6 +25,7 @@ mod single_pair_registration;
 pub mod adjust_block;
 pub mod averaging;
 pub mod block;
+pub mod bundle;
 pub mod control;
 pub mod depth_outliers;
 pub mod epipolar_rematching;

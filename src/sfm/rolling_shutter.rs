@@ -10,13 +10,16 @@
 //! one number for all images that fly equally fast. Every image has its own shift about that, in this and in every
 //! later adjustment; one whose direction is not known has it about what was found before.
 
-use super::{block::Block, georeference::Known};
+use super::{
+    block::Block,
+    bundle::{BundleAdjustmentOptions, bundle_adjust},
+    georeference::Known,
+};
 use crate::{
     camera::{Camera, Lens},
     engine::SolveError,
     geometry::rotation,
-    nlls::{Loss, Options as Engine, solve},
-    problems::adjustment::{AdjustmentProblem, Settings},
+    nlls::Loss,
     scene::{GroundObservation, Reconstruction, RollingShutter},
 };
 use nalgebra::Vector3;
@@ -297,13 +300,9 @@ pub(super) fn keep_feasible_marks(survey: &mut Reconstruction) {
 }
 
 fn settle(survey: &mut Reconstruction) -> Result<f64, SolveError> {
-    let settings = Settings { tie_loss: Loss::SoftL1(2.0), ..Settings::default() };
-    let posed = AdjustmentProblem::new(survey, &settings)?;
-    let mut x = posed.problem.start();
-    let engine = Engine { cost_tolerance: 1e-6, ..Engine::default() };
-    let summary = solve(&posed.problem, &mut x, &engine, 30)?;
-    posed.update(&x, survey);
-    Ok(summary.final_cost)
+    let options =
+        BundleAdjustmentOptions { loss: Loss::SoftL1(2.0), iterations: 30, cost_tolerance: 1e-6 };
+    bundle_adjust(survey, survey.images.len(), &options)
 }
 
 #[cfg(test)]
