@@ -139,8 +139,9 @@ pub struct AdjustedBlock {
     pub diagnostics: Vec<Diagnostic>,
 }
 
-/// The code of diagnostics that a later step may take back.
+/// Codes of diagnostics that a later step may take back.
 const MARK: &str = "mark-rejected";
+const SHUTTER: &str = "rolling-shutter";
 
 /// Brings blocks into the mapping frame, makes them one, adjusts it and finds what cannot be right.
 ///
@@ -199,6 +200,10 @@ pub fn adjust_blocks(
         }
         (adjusted, more) = adjuster.adjust(block, known, monitor)?;
         adjusted.removed.splice(0..0, wrong);
+    }
+    if more.iter().any(|diagnostic| diagnostic.code == SHUTTER) {
+        // With the shutter in the model, image measurements were looked through anew.
+        found.retain(|diagnostic| diagnostic.code != MARK);
     }
     found.extend(more);
     Ok(AdjustedBlock {

@@ -1,7 +1,7 @@
 //! One block in its frame: rounds from loose to tight, the shutter, other tie points, outliers.
 
 use super::{
-    AdjustedBlock, BlockOptions, DatumInfo, Flight, MARK, Photos, ShutterModel, gsd_m,
+    AdjustedBlock, BlockOptions, DatumInfo, Flight, MARK, Photos, SHUTTER, ShutterModel, gsd_m,
     review::{mark_triangulation, name_wrong_marks},
     triangulation,
 };
@@ -32,7 +32,6 @@ const GROSS_ERROR_RATIO: f64 = 8.0;
 const ITERATIONS: u64 = 30;
 /// The most iterations of a round by other tie points.
 const REMATCHED_ITERATIONS: u64 = 12;
-const SHUTTER: &str = "rolling-shutter";
 
 /// Control with standard deviations of at least `sigma_m`.
 fn with_relaxed_sigmas(known: &Known, sigma_m: f64) -> Known {
