@@ -9,6 +9,7 @@ pub mod leaves;
 pub mod locate;
 pub mod locator;
 mod periodicity;
+pub mod plant_mass;
 pub mod plant_spacing;
 pub mod plots;
 pub mod row_curves;

@@ -6,6 +6,7 @@
 //!
 //! - [`hsv`]: colour to hue, saturation, value, in OpenCV's 8-bit convention;
 //! - [`mask`]: four thresholds on those, giving the leaf mask;
+//! - [`vegetation`]: vegetation estimated from the photo itself, a posterior per pixel;
 //! - [`components`]: small components and holes of a mask;
 //! - [`overlay`]: masks and points drawn over photos;
 //! - [`undistort`]: photos as a camera without distortion would have taken them.
@@ -24,6 +25,7 @@ pub mod polygon;
 pub mod sketch;
 pub mod tuning;
 pub mod undistort;
+pub mod vegetation;
 pub mod white_balance;
 pub mod window;
 

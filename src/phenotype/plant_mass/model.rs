@@ -1,0 +1,228 @@
+//! How much leaf one plant has, estimated from the components of a photo (empirical Bayes).
+//!
+//! ```text
+//! ln m | k plants ~ N(ln(k M), s^2 / k + t^2),  k = 1..12,    specks: log-uniform from 4 px to 0.3 M, with a soft end
+//! ```
+//!
+//! `M`, `s`, the share of specks and the frequencies of `k` are estimated by EM over all components. It starts at the
+//! mode of leaf mass over `ln m`, where the largest component near each size is left out: one field of grass or one
+//! boot is no evidence of a size, and specks have little mass however many they are.
+
+use serde::{Deserialize, Serialize};
+
+/// Most plants that a component of the mixture holds; larger ones are counted by their mass.
+pub const MOST: usize = 12;
+/// Least mass that is looked at, in pixels.
+pub const LEAST: f64 = 4.0;
+/// Spread of `ln m` of one plant before the photo is seen, what that is worth in plants, and the spread that is
+/// common to all components.
+const SPREAD: (f64, f64, f64) = (0.35, 8.0, 0.03);
+/// Specks end at this share of a plant.
+const SPECK: f64 = 0.3;
+/// Ratio of the frequencies of `k + 1` and `k` plants before the photo is seen, worth some components.
+const TOUCHING: (f64, f64) = (0.4, 3.0);
+/// What the starting value of `M` is worth, in components at a spread of 0.35.
+const START: f64 = 2.0;
+/// Width of the mode and step of its search, in `ln m`.
+const MODE: (f64, f64) = (0.25, 0.05);
+
+/// What was estimated of a field.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MassModel {
+    /// Leaf mass of one plant, in pixels.
+    pub plant: f64,
+    /// Standard deviation of the logarithm of a plant's mass.
+    pub spread: f64,
+    /// Standard deviation of `ln plant`.
+    pub log_sigma: f64,
+    /// Share of the components that are specks.
+    pub specks: f64,
+    /// Frequencies of `1..=MOST` plants among the others.
+    pub frequencies: Vec<f64>,
+}
+
+impl MassModel {
+    /// Estimates the model from masses of components, in pixels; `None` if none is at least [`LEAST`].
+    pub fn fit(masses: &[f64]) -> Option<MassModel> {
+        let masses: Vec<f64> = masses.iter().copied().filter(|m| *m >= LEAST).collect();
+        let start = mode(&masses)?;
+        let usual: Vec<f64> = (0..MOST).map(|k| TOUCHING.0.powi(k as i32)).collect();
+        let sum: f64 = usual.iter().sum();
+        let usual: Vec<f64> = usual.iter().map(|u| u / sum).collect();
+        let mut model = MassModel {
+            plant: start,
+            spread: SPREAD.0,
+            log_sigma: 1.0,
+            specks: 0.5,
+            frequencies: usual.clone(),
+        };
+        for _ in 0..40 {
+            model.update(&masses, start, &usual);
+        }
+        Some(model)
+    }
+
+    /// One step of EM.
+    fn update(&mut self, masses: &[f64], start: f64, usual: &[f64]) {
+        let prior = START / SPREAD.0.powi(2);
+        let (mut precision, mut sum) = (prior, prior * start.ln());
+        let mut counts: Vec<f64> = usual.iter().map(|u| TOUCHING.1 * u).collect();
+        let (mut specks, mut squares, mut singles) = (0.5, 0.0, 0.0);
+        for &m in masses {
+            let p = self.probabilities(m);
+            specks += p[0];
+            for k in 1..=MOST {
+                counts[k - 1] += p[k];
+            }
+            // Larger groups say little of one plant: their `k` is uncertain.
+            for k in 1..=4 {
+                let weight = p[k] / self.variance(k);
+                precision += weight;
+                sum += weight * (m.ln() - (k as f64).ln());
+            }
+            singles += p[1];
+            squares += p[1] * (m / self.plant).ln().powi(2);
+        }
+        self.plant = (sum / precision).exp();
+        self.log_sigma = precision.sqrt().recip();
+        let spread = ((squares + SPREAD.1 * SPREAD.0.powi(2)) / (singles + SPREAD.1)).sqrt();
+        self.spread = spread.clamp(0.15, 0.5);
+        self.specks = specks / (masses.len() as f64 + 1.0);
+        let total: f64 = counts.iter().sum();
+        self.frequencies = counts.iter().map(|c| c / total).collect();
+    }
+
+    fn variance(&self, k: usize) -> f64 {
+        self.spread.powi(2) / k as f64 + SPREAD.2.powi(2)
+    }
+
+    /// Probabilities that a component of mass `m` holds 0 (a speck), 1, .., [`MOST`] plants.
+    pub fn probabilities(&self, m: f64) -> [f64; MOST + 1] {
+        let mut p = [0.0; MOST + 1];
+        let end = SPECK * self.plant;
+        // Log-uniform, with an end that is soft.
+        p[0] = self.specks / (end.max(2.0 * LEAST) / LEAST).ln() / (1.0 + (m / end).powi(8));
+        for k in 1..=MOST {
+            let variance = self.variance(k);
+            let away = (m / (k as f64 * self.plant)).ln();
+            let density =
+                (-0.5 * away * away / variance).exp() / (std::f64::consts::TAU * variance).sqrt();
+            p[k] = (1.0 - self.specks) * self.frequencies[k - 1] * density;
+        }
+        let sum: f64 = p.iter().sum();
+        if sum < 1e-12 {
+            p = [0.0; MOST + 1];
+            p[if m < end { 0 } else { MOST }] = 1.0;
+        } else {
+            p.iter_mut().for_each(|p| *p /= sum);
+        }
+        p
+    }
+
+    /// The likeliest number of plants in a component of mass `m`, the expected one and its variance.
+    pub fn count(&self, m: f64) -> (usize, f64, f64) {
+        if m < LEAST {
+            return (0, 0.0, 0.0);
+        }
+        let most = MOST as f64;
+        if m > most * self.plant {
+            let k = m / self.plant;
+            return (k.round() as usize, k, k * self.spread.powi(2));
+        }
+        let p = self.probabilities(m);
+        let best = (1..=MOST).fold(1, |best, k| if p[k] > p[best] { k } else { best });
+        let mean: f64 = p.iter().enumerate().map(|(k, p)| k as f64 * p).sum();
+        let square: f64 = p.iter().enumerate().map(|(k, p)| (k * k) as f64 * p).sum();
+        (if p[0] > 0.5 { 0 } else { best }, mean, (square - mean * mean).max(0.0))
+    }
+
+    /// The same model for plants heavier by `log_ratio` in `ln M`.
+    pub fn scaled(&self, log_ratio: f64) -> MassModel {
+        MassModel { plant: self.plant * log_ratio.exp(), ..self.clone() }
+    }
+}
+
+/// Where leaf mass is densest over `ln m`, each time without the component that gives most.
+fn mode(masses: &[f64]) -> Option<f64> {
+    let (width, step) = MODE;
+    let largest = masses.iter().copied().reduce(f64::max)?;
+    if masses.len() == 1 {
+        return Some(largest);
+    }
+    let bins = ((largest / LEAST).ln() / step).ceil() as usize + 3;
+    let (mut sums, mut most) = (vec![0.0; bins], vec![0.0_f64; bins]);
+    for &m in masses {
+        let at = (m / LEAST).ln() / step;
+        let reach = 4.0 * width / step;
+        for bin in (at - reach).max(0.0) as usize..((at + reach) as usize + 1).min(bins) {
+            let away = (bin as f64 - at) * step / width;
+            let share = m * (-0.5 * away * away).exp();
+            sums[bin] += share;
+            most[bin] = most[bin].max(share);
+        }
+    }
+    let without = |bin: usize| sums[bin] - most[bin];
+    let best = (1..bins).fold(0, |best, bin| if without(bin) > without(best) { bin } else { best });
+    Some(LEAST * (best as f64 * step).exp())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    /// Masses of components: specks, plants alone and in groups, one boot. And how many plants.
+    fn field(seed: u64, plants: usize, specks: usize, boot: bool) -> (Vec<f64>, usize) {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let normal = |rng: &mut ChaCha8Rng| (0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0;
+        let mut masses = Vec::new();
+        let mut left = plants;
+        while left > 0 {
+            let k = if rng.random::<f64>() < 0.25 { 2 } else { 1 }.min(left);
+            left -= k;
+            masses.push((0..k).map(|_| 600.0 * (0.25 * normal(&mut rng)).exp()).sum());
+        }
+        masses.extend((0..specks).map(|_| 4.0 + 60.0 * rng.random::<f64>().powi(4)));
+        masses.extend(boot.then_some(60_000.0));
+        (masses, plants)
+    }
+
+    #[test]
+    fn mass_of_a_plant_is_found_among_specks() {
+        for (seed, specks) in [(1, 0), (2, 50), (3, 800)] {
+            let (masses, plants) = field(seed, 80, specks, false);
+            let model = MassModel::fit(&masses).unwrap();
+            assert!((model.plant / 600.0).ln().abs() < 0.12, "{specks} specks: {model:?}");
+            let count: f64 = masses.iter().map(|&m| model.count(m).1).sum();
+            assert!((count - plants as f64).abs() < 7.0, "{specks} specks: {count} of {plants}");
+        }
+    }
+
+    #[test]
+    fn one_large_thing_is_no_evidence_of_a_size() {
+        let (masses, _) = field(4, 9, 40, true);
+        let model = MassModel::fit(&masses).unwrap();
+        assert!((model.plant / 600.0).ln().abs() < 0.3, "{model:?}");
+    }
+
+    #[test]
+    fn few_plants_are_counted_too() {
+        assert!(MassModel::fit(&[]).is_none());
+        assert_eq!(MassModel::fit(&[500.0]).unwrap().count(500.0).0, 1);
+        let model = MassModel::fit(&[500.0, 560.0]).unwrap();
+        assert_eq!((model.count(500.0).0, model.count(560.0).0), (1, 1));
+        assert_eq!(model.count(2.0).0, 0);
+        assert_eq!(model.count(100.0 * model.plant).0, 100);
+    }
+
+    #[test]
+    fn probabilities_sum_to_one() {
+        let (masses, _) = field(5, 40, 100, true);
+        let model = MassModel::fit(&masses).unwrap();
+        for m in [4.0, 30.0, 200.0, 600.0, 1300.0, 7000.0, 1e6] {
+            let sum: f64 = model.probabilities(m).iter().sum();
+            assert!((sum - 1.0).abs() < 1e-9, "{m}: {sum}");
+        }
+    }
+}
