@@ -1,5 +1,6 @@
 //! Plant traits from a mask.
 
+pub mod broad_leaves;
 pub mod double_plants;
 pub mod dynamic_programming;
 pub mod evidence;

@@ -5,8 +5,8 @@
 //! is a speck. Components of several plants are cut into groups of pixels ([`split`]). Nothing is assumed of rows,
 //! of the crop or of the resolution.
 //!
-//! The number of plants has an interval: `Var(n) = sum_c Var(k_c | m_c) + (dn / d ln M)^2 Var(ln M)`. What no plant
-//! explains is reported: the mass of specks.
+//! The number of plants has an interval: `Var(n) = sum_c Var(k_c | m_c) + (dn / d ln M)^2 Var(ln M) + (0.06 n)^2`, the
+//! last term for what the model does not know. What no plant explains is reported: the mass of specks.
 
 mod model;
 mod split;
@@ -29,7 +29,8 @@ pub struct Plant {
     pub mass_px: f64,
     /// Plants that share its component.
     pub in_component: usize,
-    /// Probability that the component holds at least as many plants as were found in it, averaged over them.
+    /// Probability that a plant stands within a quarter of the spacing: that the component holds at least as many plants
+    /// as were found in it, averaged over them, times the share of places that are right.
     pub confidence: f64,
 }
 
@@ -40,7 +41,7 @@ pub struct MassCount {
     pub plants: Vec<Plant>,
     /// Expected number of plants.
     pub expected: f64,
-    /// Its standard deviation, given the leaf mask.
+    /// Its standard deviation.
     pub sigma: f64,
     /// What was estimated; `None` where there is no leaf.
     pub model: Option<MassModel>,
@@ -111,18 +112,27 @@ pub fn count(mask: &Mask, posterior: Option<&[u8]>) -> MassCount {
     let slope = (expected_of(&model.scaled(step)) - expected_of(&model.scaled(-step))) / 2.0;
     let explained: f64 = plants.iter().map(|plant| plant.mass_px).sum();
     let unexplained = if total > 0.0 { (1.0 - explained / total).max(0.0) } else { 0.0 };
-    let sigma = (within + slope * slope).sqrt();
+    let misfit = MISFIT * expected;
+    let sigma = (within + slope * slope + misfit * misfit).sqrt();
     MassCount { plants, expected, sigma, model: Some(model), unexplained }
 }
+
+/// Standard deviation of the relative error of counts that the model does not explain: with it, intervals of 95 % hold
+/// the truth in .99 of 100 maize plots, .86 of 50 clips of seedlings in residue and in all of 5 photos on straw. Chosen on
+/// any two of these sets it is between 0.05 and 0.08.
+const MISFIT: f64 = 0.06;
+/// Share of plants that are within a quarter of the spacing of a true one, of those whose number is right: 0.86 on
+/// maize plots, 0.86 on seedling clips, 0.95 on straw, 0.75 on potatoes among weeds.
+const PLACED: f64 = 0.86;
 
 /// Mean over the plants found in a component of the probability that it holds as many.
 fn confidence(model: &MassModel, mass: f64, plants: usize) -> f64 {
     if plants > MOST {
-        return 1.0 - 0.5 * model.spread;
+        return PLACED * (1.0 - 0.5 * model.spread);
     }
     let p = model.probabilities(mass);
     let at_least = |k: usize| p[k..].iter().sum::<f64>();
-    (1..=plants).map(at_least).sum::<f64>() / plants as f64
+    PLACED * (1..=plants).map(at_least).sum::<f64>() / plants as f64
 }
 
 #[cfg(test)]
