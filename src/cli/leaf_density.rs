@@ -2,7 +2,7 @@
 
 use super::{
     options::{Given, HsvArgument},
-    stage::{Target, check_paths},
+    stage::{Target, check_files},
 };
 use crate::{
     error::Error,
@@ -66,7 +66,8 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     }
     let density = target.file()?;
     output::expect_ending(density, &["tif", "tiff"])?;
-    check_paths(&[density], &[&target.input], target.force)?;
+    let picture = figures.as_deref().map(|folder| (folder, "density.png"));
+    check_files(&[density], picture, &[&target.input], target.force)?;
     let (options, hsv) = (options.over_defaults()?, hsv.value()?);
     let files = LeafDensityFiles { density, figures: figures.as_deref(), force: target.force };
     target.present(

@@ -2,7 +2,7 @@
 
 use super::{
     options::{Given, HsvArgument},
-    stage::{Target, check_paths, given},
+    stage::{Target, check_files, given},
 };
 use crate::{
     error::Error,
@@ -87,7 +87,8 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     let outputs = given([Some(table), labels.as_deref(), per_plant.as_deref()]);
     let inputs = given([Some(target.input.as_path()), plants.as_deref()]);
     let (options, hsv) = (options.over_defaults()?, hsv.value()?);
-    check_paths(&outputs, &inputs, target.force)?;
+    let picture = figures.as_deref().map(|folder| (folder, "leaves.png"));
+    check_files(&outputs, picture, &inputs, target.force)?;
     let files = LeavesFiles {
         leaves: table,
         per_plant: per_plant.as_deref(),

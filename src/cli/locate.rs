@@ -2,7 +2,7 @@
 
 use super::{
     options::{Given, HsvArgument},
-    stage::{Target, check_paths, given},
+    stage::{Target, check_files, given},
 };
 use crate::{
     error::Error,
@@ -99,7 +99,8 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     let plants = target.file()?;
     let outputs = given([Some(plants), gaps.as_deref(), rows.as_deref(), trace.as_deref()]);
     let (options, hsv) = (options.over_defaults()?, hsv.value()?);
-    check_paths(&outputs, &[&target.input], target.force)?;
+    let picture = figures.as_deref().map(|folder| (folder, "plants.png"));
+    check_files(&outputs, picture, &[&target.input], target.force)?;
     let files = LocateFiles {
         plants,
         gaps: gaps.as_deref(),

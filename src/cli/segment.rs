@@ -2,7 +2,7 @@
 
 use super::{
     options::Given,
-    stage::{Target, check_paths, given},
+    stage::{Target, check_files},
 };
 use crate::{
     error::Error,
@@ -60,12 +60,9 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     }
     let mask = target.file()?;
     output::expect_ending(mask, &["png", "tif", "tiff"])?;
-    let picture = figures.as_ref().map(|folder| folder.join("mask.png"));
     let options = options.over_defaults()?;
-    check_paths(&[mask], &[&target.input], target.force)?;
-    if let Some(picture) = picture.as_deref().filter(|path| path.exists()) {
-        check_paths(&given([Some(mask), Some(picture)]), &[&target.input], target.force)?;
-    }
+    let picture = figures.as_deref().map(|folder| (folder, "mask.png"));
+    check_files(&[mask], picture, &[&target.input], target.force)?;
     let files = SegmentFiles { mask, figures: figures.as_deref(), force: target.force };
     target.present(|monitor| segment::segment_file(&target.input, files, &options, monitor), text)
 }

@@ -165,6 +165,24 @@ pub(super) fn check_paths(outputs: &[&Path], inputs: &[&Path], force: bool) -> R
     Ok(())
 }
 
+/// As [`check_paths`], and refuses a picture that exists in the folder of pictures.
+///
+/// # Errors
+/// As [`check_paths`].
+pub(super) fn check_files(
+    outputs: &[&Path],
+    picture: Option<(&Path, &str)>,
+    inputs: &[&Path],
+    force: bool,
+) -> Result<(), Error> {
+    check_paths(outputs, inputs, force)?;
+    let picture = picture.map(|(folder, name)| folder.join(name)).filter(|path| path.exists());
+    match picture {
+        Some(path) => check_paths(&[outputs, &[path.as_path()]].concat(), inputs, force),
+        None => Ok(()),
+    }
+}
+
 /// The paths that are given, of some that need not be.
 pub(super) fn given<'a>(paths: impl IntoIterator<Item = Option<&'a Path>>) -> Vec<&'a Path> {
     paths.into_iter().flatten().collect()

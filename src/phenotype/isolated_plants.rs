@@ -1,8 +1,8 @@
-//! How far apart plants are that stand apart: in young crops each is an island of leaf in bare soil.
+//! Isolated plants: in young crops each is a connected patch of leaf in bare soil, and patches tell the spacing.
 //!
-//! Along every row the leaf mass of a band is gathered, and what has soil on both sides is an island. Plants that
-//! touch make one island of two, so that the middle distance is somewhat too long. Where too little of the rows is
-//! bare, or islands are long against their distance, plants have grown together and islands tell nothing.
+//! Along every row the leaf mass of a band is gathered, and what has soil on both sides is a patch. Plants that
+//! touch make one patch of two, so that the middle distance is somewhat too long. Where too little of the rows is
+//! bare, or patches are long against their distance, plants have grown together and patches tell nothing.
 //!
 //! Such plants are found by their leaf mass ([`Evidence::of_mass`](super::evidence::Evidence::of_mass)) instead of votes along leaf axes, and
 //! [`snap_to_centroid`] puts each into the middle of its leaves. What it is worth: `experiments/reference/plots.md`.
@@ -14,44 +14,44 @@ use std::collections::HashMap;
 /// Share of the rows that must be bare: photos of young maize and seedlings have from 0.16 on, closed and young canopies of 20 cm less.
 /// Chosen on half the training plots and clips, as all that is only used where plants stand apart.
 const LEAST_BARE: f64 = 0.22;
-/// The longest that the middle island may be, in distances between islands.
+/// The longest that the middle patch may be, in distances between patches.
 const LONGEST: f64 = 0.65;
-/// The fewest islands.
+/// The fewest patches.
 const LEAST: usize = 12;
-/// An island with less than this share of the middle one's mass is a weed or a speck.
+/// A patch with less than this share of the middle one's mass is a weed or a speck.
 const SPECK: f64 = 0.1;
 /// Half the width of a row's band where there is only one row, as a share of its length.
 const LONE: f64 = 0.1;
 
 /// A run of leaf along a row: where it begins and ends, its mass, and the first moment of that.
 #[derive(Debug, Clone, Copy)]
-struct Island {
+struct Patch {
     from: f64,
     to: f64,
     mass: f64,
     moment: f64,
 }
 
-impl Island {
+impl Patch {
     fn middle(&self) -> f64 {
         self.moment / self.mass
     }
 }
 
-/// The middle of the distances between neighbouring islands of the same row, pixels; `None` where plants do
+/// The middle of the distances between neighbouring patches of the same row, pixels; `None` where plants do
 /// not stand apart.
 pub fn spacing_px(mask: &Mask, rows: &Rows) -> Option<f64> {
     let profiles = profiles(mask, rows);
-    let mut islands: Vec<Vec<Island>> = profiles.iter().map(|profile| runs(profile)).collect();
+    let mut patches: Vec<Vec<Patch>> = profiles.iter().map(|profile| runs(profile)).collect();
     let length: f64 = profiles.iter().map(|profile| profile.len() as f64).sum();
-    drop_specks(&mut islands);
-    let covered: f64 = islands.iter().flatten().map(|island| island.to - island.from).sum();
+    remove_small_patches(&mut patches);
+    let covered: f64 = patches.iter().flatten().map(|patch| patch.to - patch.from).sum();
     if covered > (1.0 - LEAST_BARE) * length {
         return None;
     }
-    let spacing = middle_distance(&islands)?;
-    let longest = median(islands.iter().flatten().map(|island| island.to - island.from).collect())?;
-    let count: usize = islands.iter().map(Vec::len).sum();
+    let spacing = middle_distance(&patches)?;
+    let longest = median(patches.iter().flatten().map(|patch| patch.to - patch.from).collect())?;
+    let count: usize = patches.iter().map(Vec::len).sum();
     (count >= LEAST && longest <= LONGEST * spacing).then_some(spacing)
 }
 
@@ -82,21 +82,21 @@ fn profiles(mask: &Mask, rows: &Rows) -> Vec<Vec<f64>> {
     profiles
 }
 
-fn runs(profile: &[f64]) -> Vec<Island> {
-    let mut found: Vec<Island> = Vec::new();
+fn runs(profile: &[f64]) -> Vec<Patch> {
+    let mut found: Vec<Patch> = Vec::new();
     let mut open = false;
     for (k, &mass) in profile.iter().enumerate() {
         let at = k as f64 + 0.5;
         match (mass > 0.0, open) {
             (true, true) => {
-                if let Some(island) = found.last_mut() {
-                    island.to = at + 0.5;
-                    island.mass += mass;
-                    island.moment += mass * at;
+                if let Some(patch) = found.last_mut() {
+                    patch.to = at + 0.5;
+                    patch.mass += mass;
+                    patch.moment += mass * at;
                 }
             }
             (true, false) => {
-                found.push(Island { from: at - 0.5, to: at + 0.5, mass, moment: mass * at });
+                found.push(Patch { from: at - 0.5, to: at + 0.5, mass, moment: mass * at });
             }
             (false, _) => {}
         }
@@ -105,15 +105,15 @@ fn runs(profile: &[f64]) -> Vec<Island> {
     found
 }
 
-fn middle_distance(islands: &[Vec<Island>]) -> Option<f64> {
-    let pairs = islands.iter().flat_map(|row| row.windows(2));
+fn middle_distance(patches: &[Vec<Patch>]) -> Option<f64> {
+    let pairs = patches.iter().flat_map(|row| row.windows(2));
     median(pairs.map(|pair| pair[1].middle() - pair[0].middle()).collect())
 }
 
-fn drop_specks(islands: &mut [Vec<Island>]) {
-    let masses = islands.iter().flatten().map(|island| island.mass).collect();
+fn remove_small_patches(patches: &mut [Vec<Patch>]) {
+    let masses = patches.iter().flatten().map(|patch| patch.mass).collect();
     let Some(middle) = median(masses) else { return };
-    islands.iter_mut().for_each(|row| row.retain(|island| island.mass >= SPECK * middle));
+    patches.iter_mut().for_each(|row| row.retain(|patch| patch.mass >= SPECK * middle));
 }
 
 /// Moves plants that stand apart to the middle of the leaf pixels which are theirs: nearer than to any other plant, and within

@@ -20,11 +20,11 @@ use rayon::prelude::*;
 
 /// A spacing this many times finer than another may be that of the leaves of a plant.
 const LEAVES: f64 = 1.9;
-/// Where plants stand apart, their spacing as shares of the distance of islands, some of which are two plants.
-const ISLANDS: [f64; 2] = [0.7, 1.3];
+/// Spacing of isolated plants as shares of the distance of their patches of leaf, some of which are two plants.
+const PATCHES: [f64; 2] = [0.7, 1.3];
 /// Distance of neighbouring plants in the grid, where it is the plants that decide what the grid is.
 const APART: f64 = 13.0;
-/// What the mass of a plant that stands apart is worth, of what votes are (`experiments/reference/plots.md`).
+/// What the mass of an isolated plant is worth, of what votes are (`experiments/reference/plots.md`).
 const WHOLE: f64 = 0.75;
 /// Half the width of the band whose leaf mass a row has to cover.
 const BAND: i32 = 8;
@@ -73,14 +73,14 @@ pub(super) struct RowEvidence {
     mean: f64,
     mass: f64,
     length: f64,
-    /// Distance of the islands of leaf, where plants stand apart.
+    /// Distance of isolated plants, in pixels of the reduced grid.
     isolated_spacing: Option<f64>,
     pub(super) options: RowModelOptions,
 }
 
 impl RowEvidence {
     pub(super) fn new(mask: &Mask, rows: &Rows, options: &RowModelOptions) -> RowEvidence {
-        // Plants that stand apart are as far from each other, in pixels of the grid, as in a closed canopy.
+        // Isolated plants are as far from each other, in pixels of the grid, as in a closed canopy.
         let isolated_px = isolated_plants::spacing_px(mask, rows);
         let coarse = isolated_px.map_or(1.0, |spacing| spacing / APART);
         let factor = evidence::factor(mask).max(coarse.round() as usize);
@@ -127,7 +127,7 @@ impl RowEvidence {
         !self.evidence.axes.is_empty()
     }
 
-    /// Distance of the islands of leaf, pixels of the mask, where each is a plant as a whole.
+    /// Distance of isolated plants, pixels of the mask, where each is located by its leaf mass as a whole.
     pub(super) fn isolated_spacing_px(&self) -> Option<f64> {
         self.isolated_spacing
             .filter(|_| self.options.isolated_plants)
@@ -256,7 +256,7 @@ impl RowEvidence {
             })
             .collect();
         if let Some(apart) = self.isolated_spacing {
-            let within = ISLANDS[0] * apart..=ISLANDS[1] * apart;
+            let within = PATCHES[0] * apart..=PATCHES[1] * apart;
             tried.retain(|(_, spacing)| within.contains(spacing));
         }
         let peak = |k: &usize| {
