@@ -97,13 +97,13 @@ fn bad_input_is_explained() {
         run.stderr
     };
     let first = |arguments: &str| error(arguments).lines().next().unwrap_or_default().to_owned();
-    assert_snapshot!(first("photo.png --hsv 30,181,30,163 -o new.png"), @"");
-    assert_snapshot!(first("photo.png --hsv 80,79,30,163 -o new.png"), @"");
-    assert_snapshot!(first("photo.png --hsv -1,79,30,163 -o new.png"), @"");
-    assert_snapshot!(first("photo.png --hsv 30,79 -o new.png"), @"");
-    assert_snapshot!(first("photo.png --hsv green -o new.png"), @"");
-    assert_snapshot!(first("photo.png --min-pixel -1 -o new.png"), @"");
-    assert_snapshot!(first("photo.png"), @"");
+    assert_snapshot!(first("photo.png --hsv 30,181,30,163 -o new.png"), @"error: --hsv [30, 181, 30, 163]: the largest hue is 181, expected a number from 0 to 180");
+    assert_snapshot!(first("photo.png --hsv 80,79,30,163 -o new.png"), @"error: --hsv [80, 79, 30, 163]: the least hue 80 is above the largest hue 79");
+    assert_snapshot!(first("photo.png --hsv -1,79,30,163 -o new.png"), @"error: --hsv [-1, 79, 30, 163]: expected auto or 4 whole numbers from 0 to 255");
+    assert_snapshot!(first("photo.png --hsv 30,79 -o new.png"), @"error: --hsv [30, 79]: expected auto or 4 whole numbers from 0 to 255");
+    assert_snapshot!(first("photo.png --hsv green -o new.png"), @r#"error: --hsv ["green"]: expected auto or 4 whole numbers from 0 to 255"#);
+    assert_snapshot!(first("photo.png --min-pixel -1 -o new.png"), @"error: unexpected argument '--min-pixel' found");
+    assert_snapshot!(first("photo.png"), @"error: photo.png is a single file: give the file to write (--output)");
     assert!(
         error("cut.png -o new.png").starts_with("error: cut.png: damaged or unsupported PNG: ")
     );

@@ -82,7 +82,7 @@ crate::options! {
         pub row_model: RowModelOptions,
         /// The descent.
         pub descent: DescentOptions,
-    }, together together {
+    } {
         /// Number of plants; auto finds as many as there seem to be.
         pub plants: Auto<usize> = Auto::Auto, limits at_least(1.0);
         /// How plants are located: row-model (votes along leaf axes, dynamic programming along curved rows); refined (then the
@@ -122,7 +122,7 @@ impl LocateOptions {
     /// # Errors
     /// [`LocateError::Option`]: which, and what was expected.
     pub fn check(&self) -> Result<(), LocateError> {
-        self.validate().map_err(LocateError::Option)
+        self.validate().and_then(|()| together(self)).map_err(LocateError::Option)
     }
 
     /// Where the descent starts.
