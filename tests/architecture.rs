@@ -21,7 +21,7 @@ impl Source {
         let path = file.strip_prefix(root).unwrap().to_string_lossy().replace('\\', "/");
         let lines: Vec<&str> = text.lines().collect();
         let tests = lines.windows(2).position(|pair| {
-            pair[0].trim() == "#[cfg(test)]"
+            (pair[0].trim() == "#[cfg(test)]" || pair[0].trim().starts_with("#[cfg(all(test,"))
                 && pair[1].trim_start().starts_with("mod ")
                 && pair[1].ends_with('{')
         });
@@ -236,6 +236,26 @@ fn each_dependency_has_its_place() {
         }
     }
     assert_none(found, "a dependency or a side effect is out of its place");
+}
+
+#[test]
+fn the_library_alone_needs_no_program_report_database_or_generator() {
+    let output = std::process::Command::new(env!("CARGO"))
+        .args("tree -p rowgram -e normal --no-default-features --prefix none".split(' '))
+        .args(["--offline", "--locked"])
+        .current_dir(root())
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let text = String::from_utf8(output.stdout).unwrap();
+    let packages: Vec<&str> =
+        text.lines().filter_map(|line| line.split_whitespace().next()).collect();
+    assert!(packages.contains(&"faer"), "this is no list of dependencies: {text}");
+    let unwanted = ["clap", "maud", "rusqlite", "libsqlite3-sys", "data-synth"];
+    assert_none(
+        unwanted.iter().filter(|name| packages.contains(name)).map(|name| (*name).to_owned()),
+        "the library without default features depends on something of the program",
+    );
 }
 
 #[test]

@@ -24,6 +24,7 @@ mod engine;
 mod evaluate;
 mod examples;
 mod features;
+mod formats;
 mod leaves;
 mod locate;
 mod nlls;

@@ -272,6 +272,7 @@ fn the_main_job_needs_nothing() {
     let f1 = |radius: usize| truth["score"]["radii"][radius]["f1"].as_f64().unwrap();
     assert!(f1(0) > 0.85 && f1(1) > 0.9, "{truth}");
     let project = folder.path().join("rowgram-run");
+    crate::formats::assert_columns_are_documented(&project);
     for other in ["colmap/cameras.txt", "opensfm/reconstruction.json"] {
         assert!(project.join("rowgram/align").join(other).is_file(), "{other}");
     }
