@@ -50,6 +50,8 @@ pub mod phenotype;
 pub mod pipeline;
 pub mod problems;
 pub mod raster;
+#[cfg(feature = "report")]
+pub mod report;
 pub mod scene;
 pub mod score;
 pub mod sfm;

@@ -17,6 +17,10 @@ use std::{
     time::Duration,
 };
 
+#[path = "../examples/photos_to_plants.rs"]
+#[allow(dead_code, reason = "its main is for the command line")]
+mod photos_to_plants;
+
 /// Ground sampling distance of the small orthomosaic, metres.
 const GSD_M: f64 = 0.015;
 
@@ -63,18 +67,23 @@ fn orthomosaic(folder: &Path) {
         "features": [plot("West", 0.0, middle), plot("East", middle, width as f64)],
     });
     fs::write(folder.join("plots.geojson"), plots.to_string()).unwrap();
-    let settings = "[project]\ntruth = \"truth.csv\"\n[count]\nrho_px = 40.0\n";
+    let settings = "[project]\ntruth = \"truth.csv\"\n[leaf_count]\nrho_px = 40.0\n";
     fs::write(folder.join("rowgram.toml"), settings).unwrap();
 }
 
 /// What a run leaves that has to be the same again: all files of its stages.
 fn results(project: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
-    let stages = ["segment", "density", "count", "locate", "leaves", "plots", "evaluate"];
+    let stages = ["segment", "leaf-density", "leaf-count", "locate", "leaves", "plots", "evaluate"];
     let mut found = BTreeMap::new();
-    for stage in stages {
-        let folder = project.join("rowgram").join(stage);
-        for entry in fs::read_dir(&folder).unwrap_or_else(|e| panic!("{stage}: {e}")) {
+    let mut folders: Vec<PathBuf> =
+        stages.iter().map(|stage| project.join("rowgram").join(stage)).collect();
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(&folder).unwrap_or_else(|e| panic!("{}: {e}", folder.display())) {
             let path = entry.unwrap().path();
+            if path.is_dir() {
+                folders.push(path);
+                continue;
+            }
             let name = path.strip_prefix(project).unwrap().to_owned();
             found.insert(name, fs::read(path).unwrap());
         }
@@ -107,11 +116,16 @@ fn an_orthomosaic_alone_is_a_project() {
 
     let (code, out, err) = run("--json -q");
     assert_eq!(code, 0, "{err}");
-    let stats: Value = serde_json::from_str(&out).unwrap();
-    assert!(stats["skipped"]["align"].as_str().unwrap().contains("orthomosaic"), "{stats}");
-    let score = &stats["stages"]["evaluate"]["score"];
+    let outcome: Value = serde_json::from_str(&out).unwrap();
+    let align = &outcome["stages"][1];
+    assert_eq!(
+        (align["stage"].as_str(), align["ending"].as_str()),
+        (Some("align"), Some("left-out"))
+    );
+    assert!(align["reason"].as_str().unwrap().contains("orthomosaic"), "{align}");
+    let score = &outcome["results"]["evaluate"]["score"];
     assert!(score["radii"][1]["f1"].as_f64().unwrap() > 0.6, "{score}");
-    let plots = stats["stages"]["plots"]["plots"].as_array().unwrap();
+    let plots = outcome["results"]["plots"]["plots"].as_array().unwrap();
     let sum: f64 = plots.iter().map(|plot| plot["plants"].as_f64().unwrap()).sum();
     assert_eq!(sum, score["found"].as_f64().unwrap(), "the plots are all of the field");
     let area: f64 = plots.iter().map(|plot| plot["area_m2"].as_f64().unwrap()).sum();
@@ -136,10 +150,16 @@ fn an_orthomosaic_alone_is_a_project() {
         "{err}"
     );
     assert!(results(&project) == first);
-    let (_, _, err) = run("--set density.window_px=21");
-    assert!(err.contains("density: rowgram density") && err.contains("locate: nothing"), "{err}");
+    let (_, _, err) = run("--set leaf_density.window_px=21");
+    assert!(!err.contains("leaf-density: nothing") && err.contains("locate: nothing"), "{err}");
     let (_, _, err) = run("--from locate");
-    assert!(err.contains("segment: nothing") && err.contains("locate: rowgram locate"), "{err}");
+    assert!(err.contains("segment: nothing") && !err.contains("locate: nothing"), "{err}");
+    assert!(!err.contains("rowgram locate"), "messages are not buried by commands: {err}");
+    let (_, plan, _) = run("--dry-run --set locate.plants=50");
+    let of = |stage: &str| plan.lines().find(|line| line.starts_with(stage)).unwrap().to_owned();
+    assert!(of("segment").contains("kept") && of("locate").contains("to be done"), "{plan}");
+    assert!(of("locate").contains("rowgram locate . --plants 50"), "{plan}");
+    assert!(of("evaluate").contains("afterwards") && of("dem").contains("left out"), "{plan}");
     assert!(results(&project) == first);
 
     // A file that somebody touched is made again.
@@ -147,15 +167,13 @@ fn an_orthomosaic_alone_is_a_project() {
     run("-q");
     assert!(results(&project) == first);
 
-    // What another build of the same version wrote is kept, and said to be.
-    let record = project.join("rowgram/stages/locate.json");
-    let text = fs::read_to_string(&record).unwrap();
-    let mut other: Value = serde_json::from_str(&text).unwrap();
-    other["program"] = Value::from("0");
-    fs::write(&record, other.to_string()).unwrap();
-    let (_, _, err) = run("");
-    assert!(err.contains("locate: kept") && err.contains("--from locate"), "{err}");
-    fs::write(&record, text).unwrap();
+    // The report is written again from what the run left, the same page with the same numbers.
+    let page = fs::read(project.join("rowgram/report.html")).unwrap();
+    let path = project.to_str().unwrap();
+    let again =
+        Command::new(env!("CARGO_BIN_EXE_rowgram")).args(["report", path]).output().unwrap();
+    assert!(again.status.success(), "{}", String::from_utf8_lossy(&again.stderr));
+    assert!(page == fs::read(project.join("rowgram/report.html")).unwrap());
 
     // Verified, moved, verified again, and a byte that is not as it was is told.
     let moved = folder.path().join("elsewhere");
@@ -201,7 +219,7 @@ fn a_run_that_was_killed_goes_on_to_the_same_bytes() {
 }
 
 #[test]
-fn two_runs_do_not_meet_and_mistakes_leave_nothing() {
+fn a_second_run_is_refused_and_mistakes_leave_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let project = folder.path().join("field");
     orthomosaic(&project);
@@ -215,7 +233,7 @@ fn two_runs_do_not_meet_and_mistakes_leave_nothing() {
     lock.lock().unwrap();
     let second = rowgram(folder.path(), "run field -q");
     assert_eq!(second.code, 2);
-    assert!(second.stderr.contains("another rowgram run"), "{}", second.stderr);
+    assert!(second.stderr.contains("another rowgram process"), "{}", second.stderr);
     drop(lock);
 
     let nothing = folder.path().join("nothing");
@@ -234,11 +252,11 @@ fn two_runs_do_not_meet_and_mistakes_leave_nothing() {
     assert_eq!(rowgram(folder.path(), "init nothing").code, 2, "a file of somebody's stays");
     let sick = rowgram(folder.path(), "doctor nothing -q");
     assert_eq!(sick.code, 3);
-    assert!(sick.stdout.contains("BAD") && sick.stdout.contains("photos"), "{}", sick.stdout);
+    assert!(sick.stdout.contains("ERROR") && sick.stdout.contains("photos"), "{}", sick.stdout);
 }
 
 #[test]
-fn shells_and_manuals_know_the_verbs() {
+fn shells_and_manuals_know_the_commands() {
     let folder = tempfile::tempdir().unwrap();
     for shell in ["bash", "zsh", "fish"] {
         let script = rowgram(folder.path(), &format!("completions {shell}"));
@@ -251,19 +269,121 @@ fn shells_and_manuals_know_the_verbs() {
     assert!(folder.path().join("pages/rowgram-align.1").is_file());
 }
 
+/// Settings that cannot be, and what is said of each.
+const NONSENSE: [(&str, &str); 24] = [
+    ("align.seed=-1", "seed = -1: expected a whole number"),
+    ("align.seed=two", "seed = \"two\": expected a whole number"),
+    ("align.max_features=0", "max_features = 0: expected a whole number of at least 100"),
+    ("align.max_features=1.5", "max_features = 1.5: expected a whole number"),
+    ("align.tolerance_px=0", "tolerance_px = 0: expected a number greater than 0"),
+    ("align.tolerance_px=-4", "tolerance_px = -4: expected a number greater than 0"),
+    ("align.tolerance_px=nan", "tolerance_px = nan: expected a number greater than 0"),
+    ("align.tolerance_px=inf", "tolerance_px = inf: expected a number greater than 0"),
+    ("align.lens=fish", "lens = \"fish\": expected one of: auto, brown, smac"),
+    ("align.solver=six-point", "solver = \"six-point\": expected one of: auto"),
+    ("align.use_positions=maybe", "use_positions = \"maybe\": expected true or false"),
+    ("dem.cell_m=-1", "cell_m = -1: expected a number greater than 0"),
+    ("dem.outlier_ratio=0", "outlier_ratio = 0: expected a number greater than 0"),
+    ("ortho.gsd_m=-0.01", "gsd_m = -0.01: expected a number greater than 0"),
+    ("ortho.canopy_height_m=top", "canopy_height_m = \"top\": expected auto or a number"),
+    ("ortho.feather_m=-0.2", "feather_m = -0.2: expected a number"),
+    ("segment.hsv=30,79,30,300", "expected auto or 4 whole numbers from 0 to 255"),
+    ("segment.hsv=30,79,30", "expected auto or 4 whole numbers"),
+    ("leaf_density.window_px=40", "window_px = 40: expected an odd number"),
+    ("leaf_count.rho_px=0", "rho_px = 0: expected a number greater than 0"),
+    ("locate.plants=0", "plants = 0: expected auto or a whole number of at least 1"),
+    ("locate.method=magic", "method = \"magic\": expected one of: row-model"),
+    ("plots.rows_per_plot=4", "[plots] alley_m is not set"),
+    ("evaluate.radii_m=0.05,-0.1", "radii_m = [0.05, -0.1]: expected a list"),
+];
+
+#[test]
+fn settings_that_cannot_be_are_refused_everywhere() {
+    let folder = tempfile::tempdir().unwrap();
+    let project = folder.path().join("field");
+    orthomosaic(&project);
+    let settings = fs::read_to_string(project.join("rowgram.toml")).unwrap();
+    let refused = |run: crate::program::Run, what: &str, expected: &str| {
+        let said = format!("{}{}", run.stdout, run.stderr);
+        assert!(run.code == 2 || run.code == 3, "{what}: {said}");
+        assert!(said.contains(expected), "{what}: {said}");
+        assert!(!project.join("rowgram").exists(), "{what}");
+    };
+    for (setting, expected) in NONSENSE {
+        let words = format!("run field --dry-run --set {setting}");
+        refused(rowgram(folder.path(), &words), &words, expected);
+        // The same in the file: TOML needs its quotes.
+        let (name, value) = setting.split_once('=').unwrap();
+        let (section, key) = name.split_once('.').unwrap();
+        let value = match value {
+            list if list.contains(',') => format!("[{list}]"),
+            number if number.parse::<f64>().is_ok() => number.to_owned(),
+            word => format!("\"{word}\""),
+        };
+        let text = match settings.split_once(&format!("[{section}]\n")) {
+            Some((before, after)) => {
+                format!("{before}[{section}]\n{key} = {value}\n{}", after.replace("rho_px", "#"))
+            }
+            None => format!("{settings}[{section}]\n{key} = {value}\n"),
+        };
+        fs::write(project.join("rowgram.toml"), text).unwrap();
+        let doctor = rowgram(folder.path(), "doctor field");
+        assert_eq!(doctor.code, 3);
+        refused(doctor, &format!("doctor, {setting}"), expected);
+    }
+    // Every command of a project reads all of the settings, not only its own.
+    let text = format!("{settings}[align]\ntolerance_px = -4\n");
+    fs::write(project.join("rowgram.toml"), text).unwrap();
+    let commands = [
+        "segment",
+        "leaf-density",
+        "leaf-count",
+        "locate",
+        "leaves",
+        "align",
+        "dem",
+        "ortho",
+        "calibrate",
+    ];
+    for command in commands.iter().chain(&["run", "verify", "report"]) {
+        let words = format!("{command} field");
+        refused(rowgram(folder.path(), &words), &words, "tolerance_px = -4: expected");
+    }
+    fs::write(project.join("rowgram.toml"), &settings).unwrap();
+    for (words, expected) in [
+        ("run field --dry-run --set align.sede=1", "did you mean seed?"),
+        ("run field --dry-run --set algin.seed=1", "did you mean [align]?"),
+        ("run field --dry-run --set project.control=no.csv", "there is no such file"),
+        ("run field --dry-run --skip grow", "expected one of: calibrate"),
+        ("run field --dry-run --from plots --until align", "--from plots --until align"),
+        ("segment field --hsv 30,79,30,300", "expected auto or 4 whole numbers"),
+    ] {
+        refused(rowgram(folder.path(), words), words, expected);
+    }
+    let output = Command::new(env!("CARGO_BIN_EXE_rowgram"))
+        .args(["run", "field", "--dry-run"])
+        .env("ROWGRAM_ALIGN_SEEED", "2")
+        .current_dir(folder.path())
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2), "{said}");
+    assert!(said.contains("did you mean ROWGRAM_ALIGN_SEED?"), "{said}");
+}
+
 /// The README's first command: photos of a field of its own, to a report.
 #[test]
 fn the_main_job_needs_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let run = rowgram(folder.path(), "run -q --json");
     assert_eq!(run.code, 0, "{}", run.stderr);
-    let stats: Value = serde_json::from_str(&run.stdout).unwrap();
-    let (align, truth) = (&stats["stages"]["align"], &stats["stages"]["evaluate"]);
+    let outcome: Value = serde_json::from_str(&run.stdout).unwrap();
+    let (align, truth) = (&outcome["results"]["align"], &outcome["results"]["evaluate"]);
     assert_eq!(align["registered"], align["images"], "{align}");
-    let map = &stats["stages"]["ortho"]["maps"][0];
+    let map = &outcome["results"]["ortho"];
     let gsd_m = map["gsd_m"].as_f64().unwrap();
     // Drawn at the height of the leaves, without which one plant in five is found beside its place.
-    assert!((0.1..0.3).contains(&map["above_m"].as_f64().unwrap()), "{map}");
+    assert!((0.1..0.3).contains(&map["canopy_height_m"].as_f64().unwrap()), "{map}");
     for axis in ["x", "y", "z"] {
         // Targets are surveyed to 2 cm and marked to half a pixel of 1.5 cm.
         let rmse = align["check_points"][format!("rmse_{axis}_m")].as_f64().unwrap();
@@ -277,9 +397,32 @@ fn the_main_job_needs_nothing() {
         assert!(project.join("rowgram/align").join(other).is_file(), "{other}");
     }
     let page = fs::read_to_string(project.join("rowgram/report.html")).unwrap();
-    for text in ["Check points", "Correlations", "GCP01", "rowgram ortho", "Match graph"] {
+    for text in ["check points", "Correlations", "GCP01", "rowgram ortho", "Match graph"] {
         assert!(page.contains(text), "{text}");
     }
+    // Every check is in the page as it is in the outcome.
+    for check in outcome["checks"].as_array().unwrap() {
+        let subject = check["subject"].as_str().unwrap();
+        assert!(page.contains(subject), "{check}");
+    }
+    // Plots whose leaves were counted by hand do not validate themselves.
+    let by_hand = truth["plots"].as_array().unwrap().iter();
+    let by_hand = by_hand.filter(|plot| plot["is_counted_by_hand"] == true).count();
+    assert_eq!(by_hand, 3, "{truth}");
+    assert_eq!(truth["leaf_validation"]["plots"], 5, "{truth}");
+    // The same from a program.
+    let plots = photos_to_plants::traits(&project).unwrap().plots;
+    assert_eq!(serde_json::to_value(&plots).unwrap(), outcome["results"]["plots"]["plots"]);
+
+    // A red check is the last word, and the exit code.
+    let red = rowgram(
+        folder.path(),
+        "run rowgram-run --set report.check_red_gsd=0.01 --set report.check_yellow_gsd=0.001",
+    );
+    assert_eq!(red.code, 3, "{}", red.stderr);
+    let last = red.stderr.trim_end().lines().last().unwrap();
+    assert!(last.starts_with("error: check points: largest rmse"), "{last}");
+
     // The same field again is this one, another is another.
     let again = rowgram(folder.path(), "run");
     assert_eq!(again.code, 0, "{}", again.stderr);

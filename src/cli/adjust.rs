@@ -255,7 +255,7 @@ pub(super) fn work(args: &Args) -> Result<Report, Error> {
         iterations: outcome.iterations,
         load_seconds,
         solve_seconds,
-        peak_memory_mb: super::peak_memory_mb(),
+        peak_memory_mb: crate::pipeline::peak_memory_mb(),
         stop: outcome.stop,
         converged: outcome.stop.converged(),
         log: outcome.log,

@@ -12,6 +12,7 @@ mod doctor;
 mod evaluate;
 mod features;
 mod import;
+mod init;
 mod leaf_count;
 mod leaf_density;
 mod leaves;
@@ -64,7 +65,7 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Verb {
     Run(Box<run::Args>),
-    Init(run::Init),
+    Init(init::Args),
     Doctor(doctor::Args),
     Report(report::Args),
     Verify(verify::Args),
@@ -123,7 +124,7 @@ fn run(cli: Cli) -> Result<(), Error> {
 fn dispatch(verb: Verb) -> Result<(), Error> {
     match verb {
         Verb::Run(args) => run::run(&args),
-        Verb::Init(args) => args.run(),
+        Verb::Init(args) => init::run(&args),
         Verb::Doctor(args) => doctor::run(&args),
         Verb::Report(args) => report::run(&args),
         Verb::Verify(args) => verify::run(&args),
@@ -175,37 +176,9 @@ fn start_logging(verbose: u8, quiet: bool) {
         .init();
 }
 
-/// A command line as the program itself takes it.
-fn parse(words: Vec<std::ffi::OsString>) -> Result<Cli, Error> {
-    Cli::try_parse_from(words).map_err(|error| Error::Argument(error.to_string()))
-}
-
-thread_local! {
-    /// What is printed, while one verb does another's work and reads what it says.
-    static CAPTURED: std::cell::RefCell<Option<String>> = const { std::cell::RefCell::new(None) };
-}
-
-/// Does some work and gives back what it printed, which does not go to stdout.
-fn captured<T>(work: impl FnOnce() -> T) -> (String, T) {
-    let before = CAPTURED.replace(Some(String::new()));
-    let result = work();
-    (CAPTURED.replace(before).unwrap_or_default(), result)
-}
-
 /// Writes text for a person to stdout.
 fn print(text: &str) -> Result<(), Error> {
     use std::io::Write;
-    let kept = CAPTURED.with_borrow_mut(|captured| match captured {
-        Some(captured) => {
-            captured.push_str(text.trim_end());
-            captured.push('\n');
-            true
-        }
-        None => false,
-    });
-    if kept {
-        return Ok(());
-    }
     let mut out = std::io::stdout().lock();
     match writeln!(out, "{}", text.trim_end()).and_then(|()| out.flush()) {
         // A reader that has seen enough is no failure.
@@ -219,12 +192,4 @@ fn print_json(value: &impl serde::Serialize) -> Result<(), Error> {
     let line = serde_json::to_string(value)
         .map_err(|e| FileError::write("stdout".as_ref(), std::io::Error::other(e)))?;
     print(&line)
-}
-
-/// The most memory this process has used, in megabytes, where the system tells.
-fn peak_memory_mb() -> Option<f64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
-    let kilobytes: f64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
-    Some(kilobytes / 1024.0)
 }

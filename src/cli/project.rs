@@ -14,7 +14,19 @@ use std::path::Path;
 /// # Errors
 /// A folder that is none, settings that cannot be understood.
 pub(super) fn open(root: &Path, results: Option<&Path>) -> Result<Project, Error> {
-    let config = Config::read(root, std::env::vars(), &[])?;
+    open_with(root, results, &[])
+}
+
+/// As [`open`], with `settings` (`section.key=value`) over the file and the environment.
+///
+/// # Errors
+/// As [`open`].
+pub(super) fn open_with(
+    root: &Path,
+    results: Option<&Path>,
+    settings: &[String],
+) -> Result<Project, Error> {
+    let config = Config::read(root, std::env::vars(), settings)?;
     let project = Project::new(root, config)?;
     Ok(match results {
         Some(folder) => project.with_results(folder),

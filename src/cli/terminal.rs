@@ -9,19 +9,12 @@ use std::time::Instant;
 pub(super) struct Terminal {
     stage: Option<(String, Instant)>,
     bar: Option<(String, ProgressBar)>,
-    /// What was found, for the end.
-    found: Vec<Diagnostic>,
 }
 
 impl Terminal {
     /// Nothing has happened yet.
     pub(super) fn new() -> Terminal {
         Terminal::default()
-    }
-
-    /// The diagnostics that forbid the use of a result before somebody has looked at it.
-    pub(super) fn errors(&self) -> impl Iterator<Item = &Diagnostic> {
-        self.found.iter().filter(|found| found.severity == Severity::Error)
     }
 
     fn clear(&mut self) {
@@ -76,7 +69,6 @@ impl Monitor for Terminal {
             Some((_, bar)) => bar.suspend(say),
             None => say(),
         }
-        self.found.push(diagnostic.clone());
     }
 }
 

@@ -12,7 +12,6 @@ use crate::{
         rasters::Source,
     },
     monitor::Monitor,
-    options::Choice,
     raster::{georeference::Georeference, polygon::Polygon, window::Window},
     score::Score,
 };

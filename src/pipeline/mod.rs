@@ -9,8 +9,10 @@ pub mod align;
 mod cache;
 pub mod calibrate;
 pub mod camera;
+mod checks;
 mod config;
 pub mod dem;
+pub mod doctor;
 pub mod evaluate;
 pub mod evaluate_positions;
 pub mod features;
@@ -27,12 +29,14 @@ mod project;
 pub mod query;
 mod reconstruction;
 pub mod record;
+pub mod run;
 pub mod segment;
 pub mod stage;
 #[cfg(feature = "synth")]
 pub mod synth;
 pub mod thresholds;
 pub mod undistort;
+pub mod verify;
 
 pub use config::{Config, NAME as SETTINGS, ProjectOptions, ReportOptions, StagesOptions};
 pub use project::{PHOTO_ENDINGS, Project, photos_in};

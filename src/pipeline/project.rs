@@ -20,7 +20,10 @@ use crate::{
     io::{FileError, polygons, rasters},
     options::Choice,
 };
-use std::path::{Path, PathBuf};
+use std::{
+    path::{Path, PathBuf},
+    sync::Arc,
+};
 
 /// Endings of photos that are read, in lower case.
 pub const PHOTO_ENDINGS: [&str; 5] = ["jpg", "jpeg", "png", "tif", "tiff"];
@@ -32,7 +35,7 @@ pub struct Project {
     results: PathBuf,
     config: Config,
     /// Held where a run of several stages works on the project.
-    lock: Option<Lock>,
+    lock: Option<Arc<Lock>>,
 }
 
 impl Project {
@@ -72,8 +75,21 @@ impl Project {
     /// # Errors
     /// Where another process is working on it.
     pub fn reserved(mut self) -> Result<Project, Error> {
-        self.lock = Some(Lock::take(&self.results)?);
+        self.lock = Some(Arc::new(Lock::take(&self.results)?));
         Ok(self)
+    }
+
+    /// A copy that is reserved for this process until it is dropped.
+    ///
+    /// # Errors
+    /// Where another process is working on it.
+    pub(super) fn reserve(&self) -> Result<Project, Error> {
+        let lock = match &self.lock {
+            Some(lock) => Arc::clone(lock),
+            None => Arc::new(Lock::take(&self.results)?),
+        };
+        let (root, results) = (self.root.clone(), self.results.clone());
+        Ok(Project { root, results, config: self.config.clone(), lock: Some(lock) })
     }
 
     /// Reserves the project for a stage, unless it is reserved already.

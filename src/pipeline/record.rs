@@ -40,6 +40,9 @@ pub struct Record {
     pub key: String,
     /// The command that repeats it, as a person would type it in the project.
     pub command: String,
+    /// Its options, all of them.
+    #[serde(default)]
+    pub options: serde_json::Value,
     /// The program's version.
     pub version: String,
     /// Digest of the sources that the program was built from.

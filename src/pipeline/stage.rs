@@ -142,17 +142,22 @@ pub fn perform<T: Task>(
         stage: T::STAGE,
         key,
         command: command::<T>(options),
+        options: as_value(&folder, options)?,
         version: env!("CARGO_PKG_VERSION").to_owned(),
         build: crate::BUILD.to_owned(),
         inputs,
         outputs: record::contents(project.root(), &written)?,
-        outcome: serde_json::to_value(&outcome)
-            .map_err(|e| FileError::write(&folder, std::io::Error::other(e)))?,
+        outcome: as_value(&folder, &outcome)?,
         diagnostics,
         seconds: begin.elapsed().as_secs_f64(),
         peak_memory_mb: super::peak_memory_mb(),
     })?;
     Ok(outcome)
+}
+
+fn as_value(folder: &Path, what: &impl Serialize) -> Result<serde_json::Value, Error> {
+    let failed = |e| FileError::write(folder, std::io::Error::other(e));
+    Ok(serde_json::to_value(what).map_err(failed)?)
 }
 
 /// Everything that decides the files of a stage, in one digest.

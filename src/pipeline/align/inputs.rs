@@ -147,7 +147,9 @@ pub(super) struct Sources<'a> {
     pub(super) defaults: Defaults,
 }
 
-const CONTROL: [&str; 3] = ["gcps.csv", "gcp_list.txt", "ground_control_points.json"];
+/// The usual names of files of ground control.
+pub(in crate::pipeline) const CONTROL: [&str; 3] =
+    ["gcps.csv", "gcp_list.txt", "ground_control_points.json"];
 
 impl<'a> Sources<'a> {
     fn of(project: &'a Project, options: &'a AlignOptions) -> Sources<'a> {

@@ -8,7 +8,7 @@ mod export;
 mod features;
 mod figures;
 mod ground;
-mod inputs;
+pub(super) mod inputs;
 mod outcome;
 mod pair_figures;
 mod results;
@@ -259,6 +259,19 @@ pub fn align_until(
         Ended::Part(report) => Ok(report),
         Ended::Whole(_) => Err(Error::Incomplete("the step was passed".to_owned())),
     }
+}
+
+/// Reads what [`align`] reads, photos only by their heads, and tells the monitor what is remarkable; writes nothing.
+///
+/// # Errors
+/// What is missing or contradicts itself.
+pub fn inspect(
+    project: &Project,
+    options: &AlignOptions,
+    monitor: &mut dyn Monitor,
+) -> Result<PartialReport, Error> {
+    AlignTask::inputs(project, options)?;
+    Ok(PartialReport::new(&inputs::inspect(project, options, monitor)?, Step::Inspect))
 }
 
 /// Makes [`align`] do a step and those after it again, whatever is kept.

@@ -158,7 +158,8 @@ pub struct Calibration {
     pub bend: Option<BoardBend>,
 }
 
-struct Calibrate;
+/// The stage.
+pub struct Calibrate;
 
 impl Task for Calibrate {
     type Options = CalibrateOptions;

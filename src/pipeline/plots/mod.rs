@@ -10,7 +10,6 @@ use crate::{
     error::Error,
     io::{FileError, csv_table::CsvTable, polygons, rasters},
     monitor::{Diagnostic, Monitor},
-    options::Choice,
     phenotype::plots::{
         FieldMeasurements, LeavesByArea, MeasuredLeaf, PlotTraits, plots_from_rows,
     },

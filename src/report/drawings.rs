@@ -1,7 +1,7 @@
 //! Drawings in the page: vector graphics that follow its colours.
 
-use super::{facts::Facts, pictures};
-use crate::error::Error;
+use super::{Facts, pictures};
+use crate::{error::Error, pipeline::Stage, scene::Role};
 use maud::{Markup, html};
 
 /// Width of a drawing in its own units.
@@ -62,24 +62,21 @@ impl Frame {
 ///
 /// # Errors
 /// A table that cannot be read.
-pub(super) fn cameras(facts: &Facts) -> Result<Option<(Markup, String)>, Error> {
-    let Some(images) = facts.table("align", "report/images.csv")? else { return Ok(None) };
-    let (Some(names), Some(at)) = (images.texts("image"), images.pairs("x_m", "y_m")) else {
-        return Ok(None);
-    };
-    let sigmas = images.pairs("sigma_x_m", "sigma_y_m").unwrap_or_default();
-    let ground: Vec<(String, bool, [f64; 2])> = facts
-        .adjustment
-        .get("ground")
-        .and_then(|ground| ground.as_array())
-        .into_iter()
-        .flatten()
-        .filter_map(|point| {
-            let place = point.get("adjusted_m")?.as_array()?;
-            let at = [place.first()?.as_f64()?, place.get(1)?.as_f64()?];
-            let check = point.get("role")?.as_str()? == "check";
-            Some((point.get("name")?.as_str()?.to_owned(), check, at))
-        })
+pub(super) fn cameras(facts: &Facts<'_>) -> Result<Option<(Markup, String)>, Error> {
+    let Some((scene, adjustment)) = &facts.block else { return Ok(None) };
+    let names: Vec<&str> = scene.images.iter().map(|image| image.name.as_str()).collect();
+    let from_above = |[x, y, _]: [f64; 3]| [x, y];
+    let at: Vec<[f64; 2]> =
+        scene.images.iter().map(|image| from_above(image.pose.centre_m())).collect();
+    let sigmas: Vec<[f64; 2]> = scene
+        .accuracy
+        .iter()
+        .flat_map(|accuracy| accuracy.images.iter().map(|sigma| from_above(sigma.centre_m)))
+        .collect();
+    let ground: Vec<(&str, bool, [f64; 2])> = adjustment
+        .ground
+        .iter()
+        .map(|point| (point.name.as_str(), point.role == Role::Check, from_above(point.adjusted_m)))
         .collect();
     let all: Vec<[f64; 2]> = at.iter().copied().chain(ground.iter().map(|g| g.2)).collect();
     let Some(frame) = Frame::new(&all, 0.08) else { return Ok(None) };
@@ -90,7 +87,7 @@ pub(super) fn cameras(facts: &Facts) -> Result<Option<(Markup, String)>, Error> 
     let times = (times / round).floor() * round;
     let place = |name: &str| names.iter().position(|other| *other == name);
     let mut lines = Vec::new();
-    if let Some(pairs) = facts.table("align", "report/pairs.csv")?
+    if let Some(pairs) = facts.table(Stage::Align, "report/pairs.csv")?
         && let (Some(a), Some(b), Some(n)) =
             (pairs.texts("first"), pairs.texts("second"), pairs.numbers("matches"))
     {
@@ -142,8 +139,10 @@ pub(super) fn cameras(facts: &Facts) -> Result<Option<(Markup, String)>, Error> 
 ///
 /// # Errors
 /// A file that cannot be read.
-pub(super) fn plants(facts: &Facts) -> Result<Option<(Markup, Option<Markup>)>, Error> {
-    let (Some(ortho), Some(table)) = (facts.ortho(), facts.table("locate", "plants.csv")?) else {
+pub(super) fn plants(facts: &Facts<'_>) -> Result<Option<(Markup, Option<Markup>)>, Error> {
+    let (Some(ortho), Some(table)) =
+        (facts.orthomosaic(), facts.table(Stage::Locate, "plants.csv")?)
+    else {
         return Ok(None);
     };
     let Some(at) = table.pairs("u_px", "v_px") else { return Ok(None) };
@@ -185,7 +184,8 @@ pub(super) fn plants(facts: &Facts) -> Result<Option<(Markup, Option<Markup>)>, 
         image::imageops::FilterType::CatmullRom,
     );
     let href = pictures::jpeg(&enlarged, 1200)?;
-    let heading = super::facts::number(facts.says("locate"), "/heading_deg").unwrap_or(0.0);
+    let locate = facts.outcome.results.locate.as_ref();
+    let heading = locate.and_then(|locate| locate.heading_deg).unwrap_or(0.0);
     let inside = |p: &[f64; 2]| {
         p[0] >= u0 as f64
             && p[1] >= v0 as f64

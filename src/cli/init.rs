@@ -1,0 +1,36 @@
+//! `rowgram init`: the settings of a project, for a person to look through.
+
+use crate::{
+    error::Error,
+    io::{FileError, output},
+    pipeline::{Config, SETTINGS},
+};
+use std::path::PathBuf;
+
+/// Write rowgram.toml: every setting with its default, its limits and what it means
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:
+  rowgram init field")]
+pub(super) struct Args {
+    /// Folder of the project.
+    #[arg(default_value = ".")]
+    project: PathBuf,
+    /// Replace the file that is there.
+    #[arg(long)]
+    force: bool,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A folder that is none, a file that exists.
+pub(super) fn run(args: &Args) -> Result<(), Error> {
+    if !args.project.is_dir() {
+        return Err(FileError::malformed(&args.project, None, "expected a folder").into());
+    }
+    let path = args.project.join(SETTINGS);
+    output::write(&path, args.force, |out| out.write_all(Config::template().as_bytes()))?;
+    let project = args.project.display();
+    tracing::info!("{}: look through it, then: rowgram run {project}", path.display());
+    Ok(())
+}

@@ -1,0 +1,163 @@
+//! `rowgram run`: all stages of a project, and the report.
+
+use super::{print, print_json, project::open_with, terminal::Terminal};
+use crate::{
+    error::Error,
+    options::Choice,
+    pipeline::{
+        Config, Project, Stage,
+        run::{self, Plan, RunOptions, RunOutcome},
+        synth,
+    },
+    report,
+};
+use std::{
+    path::{Path, PathBuf},
+    time::Instant,
+};
+
+/// From photos to traits and a report, in one go
+///
+/// Without PROJECT a small synthetic field is grown, flown over and photographed first, and every result is compared
+/// with ground truth. With it, PROJECT is a folder with photos (in images/ or directly), optional ground control points
+/// and camera positions, or with one orthomosaic; rowgram.toml in it, which rowgram init writes, holds the settings.
+///
+/// Stages: calibrate, align, dem, ortho, segment, leaf-density, leaf-count, locate, leaves, plots, evaluate, then the
+/// report. A stage for which the project has no input is left out with the reason. What a stage wrote in
+/// PROJECT/rowgram is used again until something that it came from changes; a run that was stopped goes on where it was.
+///
+/// Settings: rowgram.toml, then the environment (ROWGRAM_ALIGN_SEED=2), then --set align.seed=2.
+///
+/// Exit code 3 where a stage could not be completed or a quality check is red; the report says what there is.
+#[derive(Debug, clap::Args)]
+#[command(
+    verbatim_doc_comment,
+    after_help = "Examples:
+  rowgram run
+  rowgram run --seed 2 -o second-field
+  rowgram init field && rowgram run field
+  rowgram run field --set ortho.gsd_m=0.01 --from ortho
+  rowgram run field --dry-run"
+)]
+pub(super) struct Args {
+    /// Folder of the project; a synthetic one in --output where it is not given.
+    project: Option<PathBuf>,
+    /// Folder for the results [default: PROJECT/rowgram]; without PROJECT, of the synthetic project
+    /// [default: rowgram-run].
+    #[arg(short, long, value_name = "DIR")]
+    output: Option<PathBuf>,
+    /// Seed of the synthetic field.
+    #[arg(long, value_name = "N", default_value_t = 1, conflicts_with = "project")]
+    seed: u64,
+    /// Set a key of rowgram.toml; may be given several times.
+    #[arg(long, value_name = "SECTION.KEY=VALUE")]
+    set: Vec<String>,
+    /// Leave out these stages.
+    #[arg(long, value_name = "STAGES", value_delimiter = ',')]
+    skip: Vec<Stage>,
+    /// Do this stage and those after it again, whatever is kept.
+    #[arg(long, value_name = "STAGE")]
+    from: Option<Stage>,
+    /// Stop after this stage.
+    #[arg(long, value_name = "STAGE")]
+    until: Option<Stage>,
+    /// Say what would be done, and do nothing.
+    #[arg(long)]
+    dry_run: bool,
+    /// Put a synthetic project into a folder that holds something else.
+    #[arg(long)]
+    force: bool,
+    /// Print the outcome as one line of JSON in place of the summary.
+    #[arg(long)]
+    json: bool,
+}
+
+impl Args {
+    fn options(&self) -> RunOptions {
+        RunOptions { skip: self.skip.clone(), from: self.from, until: self.until }
+    }
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// Bad settings, a project that is none, the first stage that failed, and [`Error::Incomplete`] where a quality check is
+/// red.
+pub(super) fn run(args: &Args) -> Result<(), Error> {
+    let begin = Instant::now();
+    let mut terminal = Terminal::new();
+    let project = match &args.project {
+        Some(root) => open_with(root, args.output.as_deref(), &args.set)?,
+        None => {
+            let root = args.output.clone().unwrap_or_else(|| "rowgram-run".into());
+            if args.dry_run {
+                return print(&synthetic_plan(&root, args.seed));
+            }
+            // Settings that cannot be understood are refused before anything is made.
+            Config::read(&root, std::env::vars(), &args.set)?;
+            let grow = if args.force { synth::synthesize_over } else { synth::synthesize };
+            grow(&root, args.seed, &mut terminal)?;
+            open_with(&root, None, &args.set)?
+        }
+    };
+    if args.dry_run {
+        return print_plan(&project, args);
+    }
+    let mut outcome = run::run(&project, &args.options(), &mut terminal)?;
+    let page = report::write(&project, &outcome)?;
+    drop(terminal);
+    if args.json {
+        print_json(&outcome)?;
+    } else {
+        print(&format!(
+            "{}\nreport  {}\n        {:.1} s",
+            report::summary(&outcome),
+            page.display(),
+            begin.elapsed().as_secs_f64()
+        ))?;
+    }
+    let failure = outcome.failure.take();
+    judge(&outcome, failure)
+}
+
+/// Repeats the red checks as the last words, and makes them the exit code.
+///
+/// # Errors
+/// The failure of the first stage that failed, else [`Error::Incomplete`] with the red checks.
+pub(super) fn judge(outcome: &RunOutcome, failure: Option<Error>) -> Result<(), Error> {
+    let red: Vec<String> = outcome.red_checks().map(ToString::to_string).collect();
+    match failure {
+        Some(error) => {
+            red.iter().for_each(|line| tracing::error!("{line}"));
+            Err(error)
+        }
+        None if red.is_empty() => Ok(()),
+        None => Err(Error::Incomplete(red.join("\nerror: "))),
+    }
+}
+
+fn synthetic_plan(root: &Path, seed: u64) -> String {
+    let stages: Vec<String> = Stage::all().iter().map(Stage::word).collect();
+    format!(
+        "a synthetic project of seed {seed} in {}\nthen the stages: {}",
+        root.display(),
+        stages.join(", ")
+    )
+}
+
+fn print_plan(project: &Project, args: &Args) -> Result<(), Error> {
+    let planned = run::plan(project, &args.options())?;
+    if args.json {
+        return print_json(&planned);
+    }
+    let lines = planned.iter().map(|stage| {
+        let plan = match stage.plan {
+            Plan::ToDo => "to be done",
+            Plan::Keep => "kept",
+            Plan::Depends => "afterwards",
+            Plan::LeaveOut => "left out",
+        };
+        format!("{:<13} {plan:<11} {}\n", stage.stage.to_string(), stage.text)
+    });
+    print(&lines.collect::<String>())
+}

@@ -1,0 +1,194 @@
+//! What a project lacks, before hours are spent on it.
+
+use super::{Config, PHOTO_ENDINGS, Project, run::LEAST_PHOTOS};
+use crate::{
+    crs::LocalPlane,
+    error::Error,
+    io::photo::{self, Geotag},
+    monitor::{Collector, Diagnostic},
+};
+use rayon::prelude::*;
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+};
+
+/// Forward overlap, percent, below which photos do not connect, and below which connections are weak.
+const OVERLAP_PERCENT: [f64; 2] = [30.0, 55.0];
+
+/// Checks photos, what their heads say, settings, tables and overlap; writes nothing. Information is what is well, a
+/// warning is what makes results less than they could be, an error has to be put right first.
+///
+/// # Errors
+/// A folder that is none.
+pub fn doctor(
+    root: &Path,
+    environment: impl Iterator<Item = (String, String)>,
+) -> Result<Vec<Diagnostic>, Error> {
+    let mut found = Vec::new();
+    let config = match Config::read(root, environment, &[]) {
+        Ok(config) => {
+            let message = "rowgram.toml and the environment are understood";
+            found.push(Diagnostic::info("settings-valid", "settings", message));
+            config
+        }
+        Err(error) => {
+            found.push(Diagnostic::error("settings-refused", "settings", error.to_string()));
+            Config::default()
+        }
+    };
+    let project = Project::new(root, config)?;
+    let photos = project.photos();
+    if let Some(ortho) = project.given_orthomosaic() {
+        let name = ortho.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let message = "traits come from this orthomosaic; photos are not used";
+        found.push(Diagnostic::info("orthomosaic-given", name, message));
+    } else if photos.is_empty() {
+        let message = format!("none in images/ or directly ({})", PHOTO_ENDINGS.join(", "));
+        found.push(Diagnostic::error("photos-missing", "photos", message));
+    } else {
+        found.extend(of_photos(&photos));
+        found.extend(tables(&project));
+        let control = project.config().project.control.as_ref();
+        if project.given(control, &super::align::inputs::CONTROL).is_none() {
+            let message = "no ground points: place and height are those of the camera positions, metres off, and nothing \
+                           independent tells the error";
+            found.push(
+                Diagnostic::warning("control-missing", "control", message)
+                    .with_remedy("give gcps.csv with marks.csv, or [project] control"),
+            );
+        }
+    }
+    if project.plots().is_none() && project.config().plots.rows_per_plot.is_none() {
+        let message = "no plots.geojson, .gpkg or .shp: traits are of the whole field";
+        found.push(
+            Diagnostic::warning("plots-missing", "plots", message)
+                .with_remedy("draw the plots, or say in [plots] how rows make plots"),
+        );
+    }
+    Ok(found)
+}
+
+/// What their heads say.
+fn of_photos(photos: &[PathBuf]) -> Vec<Diagnostic> {
+    let mut found = Vec::new();
+    let heads: Vec<_> = photos
+        .par_iter()
+        .map(|path| (photo::read(path), image::image_dimensions(path).ok()))
+        .collect();
+    let mut cameras: BTreeMap<String, usize> = BTreeMap::new();
+    let (mut unread, mut without_focal, mut without_place) = (Vec::new(), 0, 0);
+    let mut places = Vec::new();
+    let mut footprint_m = Vec::new();
+    for (path, (head, size)) in photos.iter().zip(&heads) {
+        let (Ok(head), Some((width, height))) = (head, size) else {
+            unread.push(path.file_name().unwrap_or_default().to_string_lossy().into_owned());
+            continue;
+        };
+        *cameras.entry(format!("{} {} {width} x {height}", head.make, head.model)).or_default() +=
+            1;
+        let principal = head.principal_distance_px([*width, *height]);
+        without_focal += usize::from(principal.is_none());
+        match &head.geotag {
+            Some(tag) => places.push(*tag),
+            None => without_place += 1,
+        }
+        if let (Some((distance, _)), Some(above)) = (principal, head.height_above_take_off_m) {
+            footprint_m.push(above / distance * f64::from(*width.min(height)));
+        }
+    }
+    let all = photos.len();
+    if unread.is_empty() {
+        let message = format!("{all}, all can be opened");
+        found.push(Diagnostic::info("photos-readable", "photos", message));
+    } else {
+        let message = format!("{} of {all} cannot be opened: {}", unread.len(), unread.join(", "));
+        found.push(Diagnostic::error("photos-unreadable", "photos", message));
+    }
+    if all < LEAST_PHOTOS {
+        let message = format!("{all} are too few for a block, expected {LEAST_PHOTOS} or more");
+        found.push(Diagnostic::error("photos-too-few", "photos", message));
+    }
+    let list: Vec<String> =
+        cameras.iter().map(|(name, n)| format!("{n} by {}", name.trim())).collect();
+    found.push(match cameras.len() {
+        0 | 1 => Diagnostic::info("cameras", "camera", list.join("; ")),
+        _ => Diagnostic::warning("cameras-several", "camera", list.join("; ")),
+    });
+    if without_focal > 0 {
+        let message = format!(
+            "{without_focal} of {all} photos state no focal length; it is estimated from the photos"
+        );
+        found.push(
+            Diagnostic::warning("focal-length-missing", "camera", message)
+                .with_remedy("give camera.toml, or photos of a chessboard for [calibrate]"),
+        );
+    }
+    if without_place > 0 {
+        let message = format!(
+            "{without_place} of {all} photos have no position: all pairs of them have to be tried"
+        );
+        found.push(
+            Diagnostic::warning("positions-missing", "positions", message)
+                .with_remedy("give geolocation.csv, or [project] positions"),
+        );
+    } else if all > 0 {
+        let message = format!("all {all} photos have one");
+        found.push(Diagnostic::info("positions", "positions", message));
+    }
+    found.extend(overlap(&places, &footprint_m));
+    found
+}
+
+/// How far photos are from their nearest neighbours, and what overlap that makes where the height is known.
+fn overlap(places: &[Geotag], footprint_m: &[f64]) -> Option<Diagnostic> {
+    let first = places.first().filter(|_| places.len() > 2)?;
+    let plane = LocalPlane::at([first.latitude_deg, first.longitude_deg, 0.0]);
+    let at: Vec<[f64; 2]> = places
+        .iter()
+        .map(|tag| {
+            let [east, north, _] = plane.from_wgs84([tag.latitude_deg, tag.longitude_deg, 0.0]);
+            [east, north]
+        })
+        .collect();
+    let nearest = |k: usize| {
+        let others = at.iter().enumerate().filter(|(j, _)| *j != k);
+        others.map(|(_, p)| (p[0] - at[k][0]).hypot(p[1] - at[k][1])).fold(f64::INFINITY, f64::min)
+    };
+    let mut distances: Vec<f64> = (0..at.len()).map(nearest).collect();
+    distances.sort_by(f64::total_cmp);
+    let (median, last) = (distances[distances.len() / 2], distances[distances.len() - 1]);
+    let mut message = format!("nearest neighbours are {median:.1} m apart, at most {last:.1} m");
+    let Some(&side) = footprint_m.get(footprint_m.len() / 2).filter(|side| **side > 0.0) else {
+        return Some(Diagnostic::info("overlap", "overlap", message));
+    };
+    let percent = 100.0 * (1.0 - median / side);
+    message += &format!("; about {percent:.0} % forward overlap by the heights in the photos");
+    let remedy = "fly more slowly, or take photos at shorter intervals: 75 % or more";
+    let [least, weak] = OVERLAP_PERCENT;
+    Some(if percent < least {
+        Diagnostic::error("overlap-too-small", "overlap", message).with_remedy(remedy)
+    } else if percent < weak {
+        Diagnostic::warning("overlap-small", "overlap", message).with_remedy(remedy)
+    } else {
+        Diagnostic::info("overlap", "overlap", message)
+    })
+}
+
+/// Whether photos, control, image measurements and positions fit together.
+fn tables(project: &Project) -> Vec<Diagnostic> {
+    let mut collector = Collector::default();
+    match super::align::inspect(project, &project.config().align, &mut collector) {
+        Ok(_) => collector.diagnostics.push(Diagnostic::info(
+            "tables-consistent",
+            "tables",
+            "photos, control, image measurements and positions fit together",
+        )),
+        Err(error) => collector.diagnostics.push(Diagnostic::error(
+            "tables-inconsistent",
+            "tables",
+            error.to_string(),
+        )),
+    }
+    collector.diagnostics
+}

@@ -1,0 +1,223 @@
+//! The sections of maps and traits: surface and orthomosaic, leaves, plants, plots.
+
+use super::{
+    Facts,
+    block::shown,
+    drawings,
+    page::{Section, digits, drawing, figure, table},
+    pictures,
+};
+use crate::{
+    error::Error,
+    io::csv_table::CsvTable,
+    phenotype::plots::{PlotTraits, TRAITS},
+    pipeline::{Stage, leaf_count::LeafCountOutcome, plots::PlotSource},
+};
+use maud::{Markup, html};
+
+/// Rows of a table that are shown; the file has all.
+const MOST_ROWS: usize = 200;
+
+/// Surface and orthomosaic.
+///
+/// # Errors
+/// Files of the results that cannot be read.
+pub(super) fn map(facts: &Facts<'_>) -> Result<Section, Error> {
+    let Some(ortho) = facts.orthomosaic() else { return Ok(None) };
+    let overview = pictures::overview(&ortho, 1400)?;
+    let (width, height) = overview.size;
+    let gsd_m = facts.outcome.gsd_m;
+    let gsd = gsd_m.map(|gsd_m| format!(" of {:.2} cm", 100.0 * gsd_m)).unwrap_or_default();
+    let results = &facts.outcome.results;
+    let canopy_height_m = results.ortho.as_ref().map_or(0.0, |ortho| ortho.canopy_height_m);
+    let drawn = if canopy_height_m == 0.0 {
+        String::new()
+    } else {
+        format!(
+            " It is drawn {canopy_height_m:.2} m above the surface, where photos agree about the leaves: plants are in their \
+             places, the ground beside them is up to a few centimetres off."
+        )
+    };
+    let caption = format!("The orthomosaic, {width} x {height} pixels{gsd}.{drawn}");
+    let content = html! {
+        (figure(&pictures::jpeg(&pictures::on_paper(overview.picture), 1400)?, &caption, ""))
+        div .pair {
+            (shown(facts, Stage::Ortho, "figures/sources.png", "Which photo each place comes from, and the seams between them.")?)
+            (shown(facts, Stage::Ortho, "figures/coverage.png", "How many photos show each place, from none to many.")?)
+        }
+        @if let Some(dem) = &results.dem {
+            p {
+                "Surface: " (dem.width_px) " x " (dem.height_px) " cells of " (format!("{:.3}", dem.cell_m)) " m from "
+                (dem.statistics.points) " points, " (dem.outlier_count) " left out; heights "
+                (format!("{:.2}", dem.min_height_m)) " to " (format!("{:.2}", dem.max_height_m)) " m; median standard deviation "
+                (digits(dem.median_sigma_m.map(|m| 100.0 * m), 1)) " cm."
+            }
+            div .pair {
+                (shown(facts, Stage::Dem, "figures/hillshade.png", "The surface, shaded; where there are no points there is no height.")?)
+                (shown(facts, Stage::Dem, "figures/sigma.png", "Standard deviation of its heights.")?)
+            }
+        }
+    };
+    Ok(Some(("map", "Map", content)))
+}
+
+/// Mask, density, leaves.
+///
+/// # Errors
+/// Files of the results that cannot be read.
+pub(super) fn leaves(facts: &Facts<'_>) -> Result<Section, Error> {
+    let results = &facts.outcome.results;
+    let (Some(segment), Some(mask)) = (&results.segment, facts.file(Stage::Segment, "mask.tif"))
+    else {
+        return Ok(None);
+    };
+    let overview = pictures::overview(&mask, 1100)?;
+    // Hues of the 8-bit HSV are half degrees; the page has degrees everywhere.
+    let [hue_min_deg, hue_max_deg] =
+        [segment.hsv.hue_min, segment.hsv.hue_max].map(|half| 2 * u16::from(half));
+    let content = html! {
+        p {
+            "Leaves cover " (format!("{:.2}", 100.0 * segment.leaf_share)) " % of the map"
+            @if let Some(gsd_m) = facts.outcome.gsd_m {
+                ", " (format!("{:.1}", segment.leaf_pixels as f64 * gsd_m * gsd_m)) " m²"
+            }
+            ": pixels with a hue from " (hue_min_deg) "° to " (hue_max_deg) "°, and a saturation from "
+            (segment.hsv.saturation_min) " or a value from " (segment.hsv.value_min) " (of 255)."
+        }
+        div .pair {
+            (figure(&pictures::jpeg(&pictures::green(&overview.picture), 1100)?, "The leaf mask.", ""))
+            (shown(facts, Stage::LeafDensity, "figures/density.png", "Local density: leaf pixels around each pixel, from dark blue (none) to yellow (many).")?)
+        }
+        @if let Some(count) = &results.leaf_count {
+            h3 { "Leaves by area" }
+            p { (format!("{:.1}", count.rho_px)) " leaf pixels per leaf." }
+            (table(&["where", "leaf pixels", "leaves", "95 %"], &counts(count)))
+        }
+        @if let Some(leaves) = &results.leaves {
+            h3 { "Leaves one by one" }
+            p {
+                (leaves.leaves) " leaves were told apart"
+                @if let Some(length) = leaves.median_length_m { ", of a median length of " (format!("{:.1}", 100.0 * length)) " cm" }
+                ". Where leaves cover one another this finds fewer than there are."
+            }
+        }
+    };
+    Ok(Some(("leaves", "Leaves", content)))
+}
+
+fn counts(count: &LeafCountOutcome) -> Vec<Vec<String>> {
+    let rows = count.counts.iter().take(MOST_ROWS).map(|line| {
+        let interval = line.count.interval.as_ref();
+        vec![
+            line.plot.clone(),
+            line.count.pixels.to_string(),
+            format!("{:.0}", line.count.leaves),
+            interval.map_or("-".to_owned(), |of| format!("{:.0} to {:.0}", of.low, of.high)),
+        ]
+    });
+    rows.collect()
+}
+
+/// Plants, rows, gaps.
+///
+/// # Errors
+/// Files of the results that cannot be read.
+pub(super) fn plants(facts: &Facts<'_>) -> Result<Section, Error> {
+    let Some(locate) = &facts.outcome.results.locate else { return Ok(None) };
+    let pictures = drawings::plants(facts)?;
+    let rows = facts.table(Stage::Locate, "rows.csv")?;
+    let gaps = facts.table(Stage::Locate, "gaps.csv")?;
+    let cm = |metres: Option<f64>| digits(metres.map(|m| 100.0 * m), 1);
+    let content = html! {
+        p {
+            (locate.plants) " plants in " (locate.rows) " rows"
+            @if let Some(stand) = &locate.stand {
+                @let [low, high] = stand.plants_interval;
+                " (by the leaves alone " (format!("{low:.0}")) " to " (format!("{high:.0}")) ")"
+                @if stand.spacing_m.is_some() {
+                    "; " (cm(stand.spacing_m)) " cm apart, rows " (cm(locate.row_spacing_m)) " cm"
+                }
+                "; " (format!("{:.1} %", 100.0 * stand.share_missing)) " missing"
+            }
+            @if let Some(heading) = locate.heading_deg { "; rows at " (format!("{heading:.1}")) "° in the picture" }
+            "."
+        }
+        @if let Some((map, detail)) = &pictures {
+            (drawing(map, "The plants on the map: red, and orange where they are doubtful (confidence below one half)."))
+            @if let Some(detail) = detail {
+                (drawing(detail, "A part of it as it is, with ellipses of 95 %."))
+            }
+        }
+        @if let Some(rows) = &rows {
+            details open[rows.len() <= 12] { summary { "Rows (" (rows.len()) ")" } (beginning(rows)) }
+        }
+        @if let Some(gaps) = gaps.as_ref().filter(|gaps| !gaps.is_empty()) {
+            details { summary { "Gaps (" (gaps.len()) ")" } (beginning(gaps)) }
+        }
+    };
+    Ok(Some(("plants", "Plants", content)))
+}
+
+/// The first rows of a table.
+fn beginning(of: &CsvTable) -> Markup {
+    let (header, rows) = of.all();
+    let header: Vec<String> = header.iter().map(|name| name.replace('_', " ")).collect();
+    let names: Vec<&str> = header.iter().map(String::as_str).collect();
+    table(&names, &rows[..rows.len().min(MOST_ROWS)])
+}
+
+/// Traits that are shown, their titles and digits.
+const COLUMNS: [(&str, &str, usize); 9] = [
+    ("area_m2", "area, m²", 1),
+    ("plants", "plants", 0),
+    ("plants_per_ha", "per hectare", 0),
+    ("missing_plants", "missing", 0),
+    ("canopy_cover", "cover", 3),
+    ("leaves_by_area", "leaves by area", 0),
+    ("leaves_single", "leaves told apart", 0),
+    ("leaf_length_m", "leaf length, m", 3),
+    ("leaf_hue_deg", "hue, °", 1),
+];
+
+/// A trait that is shown: its title, its digits, its value.
+type Column = (&'static str, usize, fn(&PlotTraits) -> Option<f64>);
+
+/// Traits of the plots.
+pub(super) fn plots(facts: &Facts<'_>) -> Section {
+    let outcome = facts.outcome.results.plots.as_ref().filter(|of| !of.plots.is_empty())?;
+    let plots = &outcome.plots;
+    let known: Vec<Column> = COLUMNS
+        .iter()
+        .filter_map(|(name, title, digits)| {
+            let value = TRAITS.iter().find(|of| of.name == *name)?.value;
+            plots.iter().any(|plot| value(plot).is_some()).then_some((*title, *digits, value))
+        })
+        .collect();
+    let mut header = vec!["plot"];
+    header.extend(known.iter().map(|(title, ..)| *title));
+    let rows: Vec<Vec<String>> = plots
+        .iter()
+        .take(MOST_ROWS)
+        .map(|plot| {
+            let mut row = vec![plot.plot.clone()];
+            row.extend(known.iter().map(|(_, n, value)| digits(value(plot), *n)));
+            row
+        })
+        .collect();
+    let bars: Vec<(String, f64)> = plots
+        .iter()
+        .take(40)
+        .filter_map(|plot| Some((plot.plot.clone(), 100.0 * plot.canopy_cover?)))
+        .collect();
+    let source = match outcome.source {
+        PlotSource::Polygons => "Plots are the polygons of the project.",
+        PlotSource::Rows => "Plots are groups of rows, cut at alleys.",
+        PlotSource::WholeField => "The whole field is one plot.",
+    };
+    let content = html! {
+        p { (source) " The same as CSV (wide and tidy), GeoJSON, GeoPackage and BrAPI observations in plots/." }
+        (table(&header, &rows))
+        @if bars.len() > 1 { h3 { "Canopy cover" } (drawing(&drawings::bars(&bars, "%"), "Share of each plot that leaves cover.")) }
+    };
+    Some(("plots", "Plots", content))
+}
