@@ -6,7 +6,7 @@
 use super::{
     cholesky::NotPositiveDefinite,
     factor::{Linearization, MAX_ARITY},
-    problem::Problem,
+    problem::{BlockId, NamedBatch, Problem},
     structure::{Chunk, NONE, Structure},
 };
 
@@ -54,92 +54,40 @@ pub(super) fn eliminate(
     lambda: f64,
     partial: &mut PartialSums,
 ) -> Result<(), NotPositiveDefinite> {
-    for sums in
-        [&mut partial.values, &mut partial.gradient, &mut partial.correction, &mut partial.diagonal]
-    {
-        sums.fill(0.0);
-    }
-    for list in [&mut partial.factor, &mut partial.gradient_e, &mut partial.diagonal_e] {
-        list.clear();
-    }
+    partial.clear();
+    let mut scratch = std::mem::take(&mut partial.scratch);
     for e in chunk.eliminated.clone() {
         let own = structure.eliminated[e];
         let block = &problem.blocks[own];
         let n = block.dimension;
         let adjacent = structure.adjacent(e);
-        let size_of = |k: u32| chunk.starts[k as usize + 1] - chunk.starts[k as usize];
-        let height: usize = adjacent.iter().map(|&k| size_of(k)).sum();
+        let height: usize = adjacent.iter().map(|&k| chunk.size(k)).sum();
         // V, g_e, then W with the rows of the adjacent kept blocks one after the other.
-        partial.scratch.clear();
-        partial.scratch.resize(n * n + n + height * n, 0.0);
-        let (v, rest) = partial.scratch.split_at_mut(n * n);
+        scratch.clear();
+        scratch.resize(n * n + n + height * n, 0.0);
+        let (v, rest) = scratch.split_at_mut(n * n);
         let (g, w) = rest.split_at_mut(n);
         for &(b, f) in structure.factors(e) {
             let (named, f) = (&problem.batches[b as usize], f as usize);
-            let (rows, width) = (named.batch.rows(), named.width);
-            let linearization = &linearizations[b as usize];
-            let residual = &linearization.residual[f * rows..(f + 1) * rows];
-            let jacobian = &linearization.jacobian[f * rows * width..(f + 1) * rows * width];
-            let blocks = named.batch.blocks(f);
-            let mut own_column = 0;
-            for (block, dim) in blocks.iter().zip(&named.dims) {
-                if block.index() == own {
-                    break;
-                }
-                own_column += dim;
-            }
-            for (row, r) in jacobian.chunks_exact(width).zip(residual) {
-                let own = &row[own_column..own_column + n];
-                for i in 0..n {
-                    g[i] += own[i] * r;
-                    for j in 0..=i {
-                        v[i * n + j] += own[i] * own[j];
-                    }
-                }
-            }
-            let mut column = 0;
-            let mut seen: [(usize, usize, usize); MAX_ARITY] = Default::default();
+            let factor = LinearFactor::new(named, &linearizations[b as usize], f);
+            let own_column = factor.column_of(own);
+            factor.add_own(own_column, v, g);
+            let mut seen = [(0, 0, 0); MAX_ARITY];
             let mut count = 0;
-            for (block, &dim) in blocks.iter().zip(&named.dims) {
-                let place = structure.kept_index[block.index()];
-                if place != NONE {
-                    let local = chunk.kept.partition_point(|&other| other < place);
+            for (block, column, dim) in factor.columns() {
+                let index = structure.kept_index[block.index()];
+                if index != NONE {
+                    let local = chunk.kept.partition_point(|&other| other < index);
                     let position = adjacent.partition_point(|&other| (other as usize) < local);
                     let at: usize =
-                        adjacent[..position].iter().map(|&k| size_of(k)).sum::<usize>() * n;
-                    let start = chunk.starts[local];
-                    for (row, r) in jacobian.chunks_exact(width).zip(residual) {
-                        let own = &row[own_column..own_column + n];
-                        for i in 0..dim {
-                            let value = row[column + i];
-                            partial.gradient[start + i] += value * r;
-                            partial.diagonal[start + i] += value * value;
-                            for j in 0..n {
-                                w[at + i * n + j] += value * own[j];
-                            }
-                        }
-                    }
+                        adjacent[..position].iter().map(|&k| chunk.size(k)).sum::<usize>() * n;
+                    let w = &mut w[at..at + dim * n];
+                    factor.add_kept((own_column, n), column, w, partial, chunk.starts[local]);
                     seen[count] = (local, column, dim);
                     count += 1;
                 }
-                column += dim;
             }
-            for &(row, row_column, row_dim) in &seen[..count] {
-                for &(other, other_column, other_dim) in &seen[..count] {
-                    if other <= row {
-                        let at = chunk.at(row, other);
-                        let to = &mut partial.values[at..at + row_dim * other_dim];
-                        for line in jacobian.chunks_exact(width) {
-                            for j in 0..other_dim {
-                                for i in 0..row_dim {
-                                    to[j * row_dim + i] +=
-                                        line[row_column + i] * line[other_column + j];
-                                }
-                            }
-                        }
-                    }
-                }
-            }
+            factor.add_products(&seen[..count], chunk, partial);
         }
         partial.gradient_e.extend_from_slice(g);
         for k in 0..n {
@@ -153,19 +101,145 @@ pub(super) fn eliminate(
         for row in w.chunks_exact_mut(n) {
             forward_solve(v, n, row);
         }
+        partial.subtract_products(chunk, adjacent, w, g);
+    }
+    partial.scratch = scratch;
+    Ok(())
+}
+
+/// One linearised factor of a batch.
+struct LinearFactor<'a> {
+    blocks: &'a [BlockId],
+    dims: &'a [usize],
+    width: usize,
+    residual: &'a [f64],
+    jacobian: &'a [f64],
+}
+
+impl<'a> LinearFactor<'a> {
+    fn new(named: &'a NamedBatch, linearization: &'a Linearization, f: usize) -> Self {
+        let (rows, width) = (named.batch.rows(), named.width);
+        LinearFactor {
+            blocks: named.batch.blocks(f),
+            dims: &named.dims,
+            width,
+            residual: &linearization.residual[f * rows..(f + 1) * rows],
+            jacobian: &linearization.jacobian[f * rows * width..(f + 1) * rows * width],
+        }
+    }
+
+    /// Each block with its first column and its dimension.
+    fn columns(&self) -> impl Iterator<Item = (BlockId, usize, usize)> + 'a {
+        let mut next = 0;
+        self.blocks.iter().zip(self.dims).map(move |(&block, &dim)| {
+            let column = next;
+            next += dim;
+            (block, column, dim)
+        })
+    }
+
+    fn column_of(&self, own: usize) -> usize {
+        self.columns().find(|(block, ..)| block.index() == own).map_or(0, |(_, column, _)| column)
+    }
+
+    fn rows(&self) -> impl Iterator<Item = (&'a [f64], &'a f64)> {
+        self.jacobian.chunks_exact(self.width).zip(self.residual)
+    }
+
+    /// `V += E^T E`, `g += E^T r`.
+    #[inline]
+    fn add_own(&self, column: usize, v: &mut [f64], g: &mut [f64]) {
+        let n = g.len();
+        for (row, r) in self.rows() {
+            let own = &row[column..column + n];
+            for i in 0..n {
+                g[i] += own[i] * r;
+                for j in 0..=i {
+                    v[i * n + j] += own[i] * own[j];
+                }
+            }
+        }
+    }
+
+    /// `W += F^T E`, the gradient and the diagonal of the kept block at `column`, which begins at
+    /// `start` in the chunk's vectors.
+    #[inline]
+    fn add_kept(
+        &self,
+        (own_column, n): (usize, usize),
+        column: usize,
+        w: &mut [f64],
+        partial: &mut PartialSums,
+        start: usize,
+    ) {
+        for (row, r) in self.rows() {
+            let own = &row[own_column..own_column + n];
+            for (i, w) in w.chunks_exact_mut(n).enumerate() {
+                let value = row[column + i];
+                partial.gradient[start + i] += value * r;
+                partial.diagonal[start + i] += value * value;
+                for j in 0..n {
+                    w[j] += value * own[j];
+                }
+            }
+        }
+    }
+
+    /// `F^T F` of all pairs of the kept blocks `seen`: local index, column, dimension.
+    #[inline]
+    fn add_products(
+        &self,
+        seen: &[(usize, usize, usize)],
+        chunk: &Chunk,
+        partial: &mut PartialSums,
+    ) {
+        for &(row, row_column, row_dim) in seen {
+            for &(other, other_column, other_dim) in seen {
+                if other <= row {
+                    let at = chunk.at(row, other);
+                    let to = &mut partial.values[at..at + row_dim * other_dim];
+                    for line in self.jacobian.chunks_exact(self.width) {
+                        for j in 0..other_dim {
+                            for i in 0..row_dim {
+                                to[j * row_dim + i] +=
+                                    line[row_column + i] * line[other_column + j];
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+impl PartialSums {
+    fn clear(&mut self) {
+        for sums in [&mut self.values, &mut self.gradient, &mut self.correction, &mut self.diagonal]
+        {
+            sums.fill(0.0);
+        }
+        for list in [&mut self.factor, &mut self.gradient_e, &mut self.diagonal_e] {
+            list.clear();
+        }
+    }
+
+    /// `-Y Y^T` and `-Y u` of one eliminated block; `y` holds the rows of its adjacent kept blocks.
+    #[inline]
+    fn subtract_products(&mut self, chunk: &Chunk, adjacent: &[u32], y: &[f64], u: &[f64]) {
+        let n = u.len();
         let mut row_at = 0;
         for (position, &row) in adjacent.iter().enumerate() {
-            let row_dim = size_of(row);
-            let y_row = &w[row_at..row_at + row_dim * n];
+            let row_dim = chunk.size(row);
+            let y_row = &y[row_at..row_at + row_dim * n];
             for (i, y) in y_row.chunks_exact(n).enumerate() {
-                partial.correction[chunk.starts[row as usize] + i] -= inner(y, g);
+                self.correction[chunk.starts[row as usize] + i] -= inner(y, u);
             }
             let mut column_at = 0;
             for &column in &adjacent[..=position] {
-                let column_dim = size_of(column);
-                let y_column = &w[column_at..column_at + column_dim * n];
+                let column_dim = chunk.size(column);
+                let y_column = &y[column_at..column_at + column_dim * n];
                 let at = chunk.at(row as usize, column as usize);
-                let to = &mut partial.values[at..at + row_dim * column_dim];
+                let to = &mut self.values[at..at + row_dim * column_dim];
                 for (to, y_j) in to.chunks_exact_mut(row_dim).zip(y_column.chunks_exact(n)) {
                     for (to, y_i) in to.iter_mut().zip(y_row.chunks_exact(n)) {
                         *to -= inner(y_i, y_j);
@@ -176,7 +250,6 @@ pub(super) fn eliminate(
             row_at += row_dim * n;
         }
     }
-    Ok(())
 }
 
 #[inline]

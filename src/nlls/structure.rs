@@ -47,6 +47,12 @@ impl Chunk {
         }
     }
 
+    /// Tangent dimension of a local kept block.
+    #[inline]
+    pub(super) fn size(&self, local: u32) -> usize {
+        self.starts[local as usize + 1] - self.starts[local as usize]
+    }
+
     /// Where local block `(row, column)`, `row >= column`, begins in the chunk's values.
     #[inline]
     pub(super) fn at(&self, row: usize, column: usize) -> usize {

@@ -31,8 +31,10 @@ mod problem;
 mod rank;
 mod rays;
 mod reprojection;
+mod settings;
 mod snooping;
 mod statistics;
+mod tested;
 mod validation;
 
 pub use accuracy::{ImageAccuracy, InteriorAccuracy, PointAccuracy};
@@ -42,7 +44,8 @@ pub use analysis::{
     variance_components,
 };
 pub use check_points::{AxisError, CheckPoint, check_points, rmse};
-pub use problem::{AdjustmentProblem, Group, Settings};
+pub use problem::AdjustmentProblem;
+pub use settings::{Group, Settings};
 pub use snooping::{DataSnooping, DataSnoopingOptions, Removed, retained_suspects, snoop};
 pub use statistics::{
     GroupStatistics, ObservationRef, OutlierTest, RejectedObservation, Statistics,

@@ -13,6 +13,9 @@
 //! imperfect lens model leaves more in the control than its standard deviations say, all of it would be
 //! rejected point by point instead of the one that is wrong.
 
+pub use super::tested::{
+    GroupStatistics, ObservationRef, OutlierTest, RejectedObservation, TestedObservation,
+};
 use super::{
     accuracy::{ImageAccuracy, InteriorAccuracy, PointAccuracy, array3, image, interior},
     cluster_robust,
@@ -29,92 +32,8 @@ use crate::{
 };
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use rayon::prelude::*;
-use serde::Serialize;
 use statrs::distribution::{ChiSquared, ContinuousCDF, FisherSnedecor};
 use std::{collections::BTreeMap, sync::Arc};
-
-/// Which test.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, serde::Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum OutlierTest {
-    /// The standard deviations given are right: Baarda's test.
-    Baarda,
-    /// They are right but for a common factor of each kind: Pope's test.
-    #[default]
-    Pope,
-}
-
-/// What an observation is; indices into the reconstruction.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum ObservationRef {
-    /// A measurement of a tie point.
-    TieObservation(usize),
-    /// A mark of a ground point.
-    Mark(usize),
-    /// The coordinates of a ground point.
-    Control(usize),
-    /// A camera position.
-    Position(usize),
-    /// A scale bar.
-    ScaleBar(usize),
-}
-
-/// An observation at the solution; its first `rows` entries count.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct TestedObservation {
-    /// Its kind.
-    pub group: Group,
-    /// Which one it is.
-    pub subject: ObservationRef,
-    /// How many numbers it is.
-    pub rows: usize,
-    /// Residuals (adjusted minus measured) in standard deviations.
-    pub residual: [f64; 3],
-    /// Redundancy numbers, 0 (nothing checks it) to 1.
-    pub redundancy: [f64; 3],
-    /// Residuals over their own standard deviations for a variance factor of 1; 0 where nothing
-    /// checks them.
-    pub standardised: [f64; 3],
-    /// `T`.
-    pub statistic: f64,
-    /// The error of the observation that would explain its residual, `-R_i^-1 v_i`, in standard deviations:
-    /// how far what was measured is from what all the others say. 0 where nothing checks it.
-    pub error: [f64; 3],
-    /// Degrees of freedom of `T`; 0 where nothing checks it.
-    pub freedom: usize,
-}
-
-/// A kind of observations at the solution.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct GroupStatistics {
-    /// The kind.
-    pub group: Group,
-    /// Numbers observed.
-    pub observations: usize,
-    /// Sum of their redundancy numbers.
-    pub redundancy: f64,
-    /// Sum of the squares of their residuals, in standard deviations.
-    pub squares: f64,
-}
-
-impl GroupStatistics {
-    /// The estimate of the group's own variance factor; `None` where nothing checks it.
-    pub fn variance_factor(&self) -> Option<f64> {
-        (self.redundancy > 0.1).then(|| self.squares / self.redundancy)
-    }
-}
-
-/// An observation that the test rejects.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct RejectedObservation {
-    /// Its place in [`Statistics::tested`].
-    pub place: usize,
-    /// What it is.
-    pub subject: ObservationRef,
-    /// The test value over its critical value: above 1.
-    pub excess: f64,
-}
 
 /// Statistics of an adjustment.
 #[derive(Debug, Clone)]
