@@ -6,7 +6,7 @@
 //! ```
 //!
 //! Greenness is `-a*`. Unlike ratios of channels, it goes to zero with the light, so the noise of dark pixels
-//! stays small. The tables hold linear light in 14 bits: errors are below 0.3 where `L*` exceeds 5.
+//! stays small. The tables hold linear light in 14 bits.
 
 use std::sync::LazyLock;
 
