@@ -199,7 +199,7 @@ fn bad_input_is_named() {
         ("00.png --board 8 --square-m 0.025 -o camera.toml".to_owned(), "such as 8x6"),
         (
             "00.png --board 8x6 --square-m -1 -o camera.toml".to_owned(),
-            "--square-m -1.0: expected a number greater than 0, in metres",
+            "--square-m -1: expected a number greater than 0, in metres",
         ),
         (format!("00.png {TERMS},q9 -o camera.toml"), "no parameter \"q9\""),
         (format!("{TERMS} {corners} nan.csv"), "u_px is"),
