@@ -6,7 +6,7 @@
 #![allow(clippy::print_stdout, reason = "an example prints")]
 
 use rowgram::{
-    phenotype::{canopy, locate::LocateError, rows},
+    phenotype::{locate::LocateError, row_model, rows},
     problems::plants::index::PixelIndex,
     raster::Mask,
 };
