@@ -194,7 +194,7 @@ fn main() -> ExitCode {
         }
         Experiment::RelativeOrientation { folders, trials } => relative::run_all(&folders, trials),
         Experiment::Canopy { folders, masks, only, set } => {
-            options(&set).and_then(|options| row_model::run(&folders, masks, &only, &options))
+            options(&set).and_then(|options| canopy::run(&folders, masks, &only, &options))
         }
         Experiment::CanopyPlots { folders, set, train_only, alone } => options(&set)
             .and_then(|options| canopy_plots::run(&folders, &options, train_only, alone)),

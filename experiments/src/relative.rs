@@ -124,9 +124,9 @@ fn pair(setting: &Setting, seed: u64) -> (Vec<Correspondence>, Rotation3<f64>, V
 /// Whether a solver gets a pair right, its inliers, its samples.
 pub(crate) fn run(setting: &Setting, solver: Solver, seed: u64) -> (bool, usize, usize) {
     let (correspondences, turn, base) = pair(setting, seed);
-    let options = Options { solver, tolerance: 2.0 / C_PX, least_inliers: 8, ..Options::default() };
+    let options = Options { solver, tolerance: 2.0 / C_PX, min_inliers: 8, ..Options::default() };
     match estimate(&correspondences, &options, seed) {
-        None => (false, 0, options.most_samples),
+        None => (false, 0, options.max_samples),
         Some(found) => {
             let left = found.pose.rotation * turn.inverse().into_inner();
             let angle = (0.5 * (left.trace() - 1.0)).clamp(-1.0, 1.0).acos();

@@ -277,6 +277,7 @@ impl Geometry {
 #[cfg(all(test, feature = "geopackage"))]
 mod tests {
     use super::*;
+    use rusqlite::Connection;
 
     fn layers() -> Vec<Layer> {
         let columns = vec![

@@ -5,9 +5,8 @@ use data_synth::scenario::Scenario;
 use rowgram::{
     descent,
     phenotype::{
-        canopy,
         locate::{Init, Options, Setup},
-        rows,
+        row_model, rows,
     },
     problems::plants::{Model, PlantUpdate, Prior, index::PixelIndex},
     raster::Mask,

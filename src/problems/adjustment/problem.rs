@@ -1,6 +1,6 @@
 //! A reconstruction as a least-squares problem.
 
-pub use super::settings::{Group, Settings};
+pub(super) use super::settings::{Group, Settings};
 use super::{
     factors::{
         CameraPositionFactor, ControlPointFactor, GaussianPrior, GroundPointFactor, ScaleBarFactor,

@@ -47,7 +47,7 @@ impl Quadratic {
 }
 
 /// Solves a symmetric 2 x 2 system, unless it is (numerically) singular.
-pub fn solve2([uu, uv, vv]: [f64; 3], [a, b]: [f64; 2]) -> Option<[f64; 2]> {
+pub(super) fn solve2([uu, uv, vv]: [f64; 3], [a, b]: [f64; 2]) -> Option<[f64; 2]> {
     let determinant = uu * vv - uv * uv;
     if determinant <= 1e-12 * (uu + vv) * (uu + vv) {
         return None;
