@@ -6,6 +6,7 @@ mod block;
 mod corruption;
 mod field;
 mod files;
+mod first_surface;
 mod flight;
 mod habit;
 mod photo;

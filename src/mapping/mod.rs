@@ -15,12 +15,14 @@
 //! - [`balance`]: gains that bring the colours of overlapping photos together;
 //! - [`grid`]: the area that photos cover, and the grid of a product;
 //! - [`mosaic`]: the orthomosaic, tile by tile;
-//! - [`elevation`]: elevation models of a cloud ([`dem`]) and of the ground below plants ([`ground`]).
+//! - [`elevation`]: elevation models of a cloud ([`dem`]) and of the ground below plants ([`ground`]);
+//! - [`dense`]: the first surface, cell by cell, and the ground below it.
 
 pub mod balance;
 pub mod canopy_height;
 mod cells;
 pub mod dem;
+pub mod dense;
 pub mod elevation;
 pub mod grid;
 pub mod ground;

@@ -85,6 +85,12 @@ impl View {
         self.inside(at).then_some(at)
     }
 
+    /// Where in the image plane a point is, inside the photo or not; `None` where the lens has no answer.
+    #[inline]
+    pub(super) fn seen_px(&self, point_m: [f64; 3]) -> Option<[f64; 2]> {
+        self.image_px(self.to_camera(point_m))
+    }
+
     /// Where in the image plane a point of the camera frame (of the middle of the exposure) is, inside the
     /// photo or not; `None` where the lens has no answer.
     #[inline]

@@ -7,6 +7,7 @@
 //!
 //! Photos come one after the other, the tiles of one in parallel; nothing depends on the number of threads.
 
+mod first_surface;
 mod ground;
 mod raster;
 mod sensor;
@@ -30,6 +31,8 @@ use sensor::Frame;
 use serde::{Deserialize, Serialize};
 use shade::Shader;
 use shadow::Shadows;
+
+pub use first_surface::{Cover, FirstSurface, SurfaceGrid};
 
 /// Light and sensor.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

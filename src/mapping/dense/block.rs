@@ -1,0 +1,208 @@
+//! One block of cells: which photos, what they say, and where their points fall on the ground.
+
+use super::{
+    DenseOptions, LAYERS,
+    aggregate::aggregate,
+    rectify::{BlockPlane, PosedPhoto, rectify},
+    sweep::{MOST_OTHERS, REACH, Rectified, costs, transfer},
+};
+use crate::raster::undistort::Interpolation;
+
+/// Cells beyond the core of a block that its neighbours have too, so that paths begin before it.
+const OVERLAP: usize = 16;
+/// Photos closer to the reference than this, per height of flight, say little of heights.
+const LEAST_BASE: f64 = 0.05;
+/// How far from its middle the pixels of leaves reach, in cells: at their edges they share pixels with soil.
+const LEAF_REACH: f64 = 0.75;
+
+/// What was found for the cells of a block, row by row.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Block {
+    /// Height of the first surface, metres; NaN where not known.
+    pub height_m: Vec<f32>,
+    /// How much better the best height is than any other, 0 to 255; 0 where a height was filled in.
+    pub confidence: Vec<u8>,
+    /// How many photos show the cell, of those compared.
+    pub photos: Vec<u8>,
+    /// Green minus red of what is seen.
+    pub green: Vec<i16>,
+}
+
+/// Matches a block; `ground` gives the height of the ground at a place, for the prior. `None` where fewer than two
+/// photos show it.
+pub fn match_block(
+    photos: &[PosedPhoto<'_>],
+    core: &BlockPlane,
+    ground: &dyn Fn([f64; 2]) -> Option<f64>,
+    options: &DenseOptions,
+) -> Option<Block> {
+    let (reference, others) = choose(photos, core, options.others)?;
+    let heights_m: [f64; LAYERS] =
+        std::array::from_fn(|k| options.lowest_m + options.layer_m * k as f64);
+    let margin = OVERLAP + displacement(photos[reference], core, &heights_m)?;
+    let [width, height] = core.size.map(|n| n + 2 * margin);
+    let corner_m = core.place_m([-(margin as f64); 2]);
+    let whole =
+        BlockPlane { corner_m, size: [width, height], height_m: core.at_m(corner_m), ..*core };
+    let (picture, green) = rectify(photos[reference], &whole, 0, Interpolation::Bicubic);
+    let others: Vec<Rectified> = others
+        .iter()
+        .map(|&k| {
+            let margin = reach(&picture, photos[k], &whole, &heights_m);
+            rectify(photos[k], &whole, margin, Interpolation::Bicubic).0
+        })
+        .collect();
+    let mut volume = costs(&picture, &others, &heights_m);
+    if options.prior.needs_ground() {
+        let above = |at: usize| {
+            let place = whole.place_m([(at % width) as f64, (at / width) as f64]);
+            ground(place).map_or(f32::NAN, |z| (z - whole.at_m(place)) as f32)
+        };
+        let ground_m: Vec<f32> = (0..width * height).map(above).collect();
+        options.prior.add(&mut volume, &green, &ground_m, &heights_m);
+    }
+    let best =
+        aggregate::<LAYERS, { LAYERS + 2 }>(&volume, &picture.values, width, &options.penalties);
+    // Each pixel of the reference to its cells; the highest stays.
+    let mut top_m = vec![f32::NEG_INFINITY; width * height];
+    let mut from = vec![usize::MAX; width * height];
+    for row in REACH..height - REACH {
+        for column in REACH..width - REACH {
+            let at = row * width + column;
+            if picture.values[at] == 0 {
+                continue;
+            }
+            let z = options.lowest_m + options.layer_m * f64::from(best[at].layer);
+            let share = z / picture.above_m;
+            let [u, v] = [column as f64, row as f64];
+            let [u, v] = [u + (picture.centre[0] - u) * share, v + (picture.centre[1] - v) * share];
+            let half = if options.prior.is_leaf(green[at]) { LEAF_REACH } else { 0.5 };
+            let low = [u, v].map(|c| (c - half).ceil().max(0.0) as usize);
+            let high = [(u, width), (v, height)]
+                .map(|(c, n)| ((c + half).floor().max(-1.0) as isize).min(n as isize - 1));
+            for j in low[1] as isize..=high[1] {
+                for i in low[0] as isize..=high[0] {
+                    let cell = j as usize * width + i as usize;
+                    if z as f32 > top_m[cell] {
+                        (top_m[cell], from[cell]) = (z as f32, at);
+                    }
+                }
+            }
+        }
+    }
+    let [columns, rows] = core.size;
+    let cells = columns * rows;
+    let mut block = Block {
+        height_m: vec![f32::NAN; cells],
+        confidence: vec![0; cells],
+        photos: vec![0; cells],
+        green: vec![0; cells],
+    };
+    for row in 0..rows {
+        for column in 0..columns {
+            let (out, u, v) = (row * columns + column, column + margin, row + margin);
+            let mut z = top_m[v * width + u];
+            let source = from[v * width + u];
+            if source != usize::MAX {
+                // Eight paths of 72 at most; a tenth of that is as sure as it gets.
+                block.confidence[out] = (f32::from(best[source].margin) * 2.0).min(255.0) as u8;
+                block.green[out] = green[source];
+            } else {
+                // Hidden in the reference: what is behind, so the lowest beside it.
+                z = f32::INFINITY;
+                for j in v - 1..=v + 1 {
+                    for &beside in &top_m[j * width + u - 1..=j * width + u + 1] {
+                        z = if beside.is_finite() { z.min(beside) } else { z };
+                    }
+                }
+            }
+            if z.is_finite() {
+                let place = core.place_m([column as f64, row as f64]);
+                block.height_m[out] = (f64::from(z) + core.at_m(place)) as f32;
+            }
+            let seen = |other: &&Rectified| {
+                let margin = (-other.origin[0]) as usize;
+                other.values[(v + margin) * other.width + u + margin] > 0
+            };
+            let reference = u8::from(picture.values[v * width + u] > 0);
+            block.photos[out] = reference + others.iter().filter(seen).count() as u8;
+        }
+    }
+    Some(block)
+}
+
+/// The reference, nearest in plan to the middle, and the nearest others that show at least the inner half.
+fn choose(
+    photos: &[PosedPhoto<'_>],
+    block: &BlockPlane,
+    count: usize,
+) -> Option<(usize, Vec<usize>)> {
+    let at = |share: [f64; 2]| {
+        let [x, y] = block.place_m([0, 1].map(|k| share[k] * block.size[k] as f64));
+        [x, y, block.at_m([x, y])]
+    };
+    let middle = at([0.5, 0.5]);
+    const INNER: [[f64; 2]; 4] = [[0.25, 0.25], [0.75, 0.25], [0.25, 0.75], [0.75, 0.75]];
+    let away = |from: [f64; 3], k: usize| {
+        let c = photos[k].view.centre_m();
+        (c[0] - from[0]).hypot(c[1] - from[1])
+    };
+    let mut near: Vec<usize> = (0..photos.len())
+        .filter(|&k| INNER.iter().all(|&share| photos[k].view.pixel(at(share)).is_some()))
+        .collect();
+    near.sort_by(|&a, &b| away(middle, a).total_cmp(&away(middle, b)).then(a.cmp(&b)));
+    let reference = *near.first()?;
+    let centre = photos[reference].view.centre_m();
+    let least_m = LEAST_BASE * (centre[2] - middle[2]);
+    let others: Vec<usize> = near[1..]
+        .iter()
+        .copied()
+        .filter(|&k| away(centre, k) >= least_m)
+        .take(count.min(MOST_OTHERS))
+        .collect();
+    (!others.is_empty()).then_some((reference, others))
+}
+
+/// How far points of the block move on the plane with their height, seen from a photo, cells. `None` where the photo is
+/// not above all layers.
+fn displacement(photo: PosedPhoto<'_>, block: &BlockPlane, heights_m: &[f64]) -> Option<usize> {
+    let [x, y, z] = photo.view.centre_m();
+    let above_m = z - block.at_m([x, y]);
+    let most = heights_m.iter().fold(0.0f64, |most, h| most.max(h.abs()));
+    if above_m <= 2.0 * most {
+        return None;
+    }
+    let [u, v] = block.cell([x, y]);
+    let farthest = (u.abs().max((u - block.size[0] as f64).abs()))
+        .max(v.abs().max((v - block.size[1] as f64).abs()));
+    Some((farthest * most / (above_m - most)).ceil() as usize + 1)
+}
+
+/// Cells around the block that another photo needs for all layers.
+fn reach(
+    reference: &Rectified,
+    photo: PosedPhoto<'_>,
+    block: &BlockPlane,
+    heights_m: &[f64],
+) -> usize {
+    let centre = photo.view.centre_m();
+    let other = Rectified {
+        values: Vec::new(),
+        width: 0,
+        height: 0,
+        origin: [0.0; 2],
+        centre: block.cell([centre[0], centre[1]]),
+        above_m: centre[2] - block.at_m([centre[0], centre[1]]),
+    };
+    let mut most = 0.0f64;
+    for &height_m in [heights_m[0], heights_m[heights_m.len() - 1]].iter() {
+        let (scale, offset) = transfer(reference, &other, height_m);
+        for k in 0..2 {
+            for end in [0.0, block.size[k] as f64] {
+                most = most.max((scale * end + offset[k] - end).abs());
+            }
+        }
+    }
+    // A photo far away or hardly above the plane shows nothing useful beyond twice the block.
+    (most.ceil() as usize + 2).min(2 * block.size[0].max(block.size[1]))
+}

@@ -1,0 +1,68 @@
+//! The first surface of the ground and what grows on it, densely, from photos whose lenses and poses are known.
+//!
+//! The ground is cut into blocks of cells. Each has a plane (inclined as the ground is), and one photo, the nearest in
+//! plan, is its reference: for each of its pixels `x` a height `h` above the plane is found that minimises
+//!
+//! ```text
+//! E(h) = sum_x C_x(h_x) + sum_x Q_x(h_x) + sum_(x,y) [ P1 [|h_x - h_y| = 1] + P2(x, y) [|h_x - h_y| > 1] ]
+//! ```
+//!
+//! | term | what it says | where |
+//! |---|---|---|
+//! | `C` | the reference and other photos look alike there | [`sweep`] |
+//! | `Q` | what is not green is ground, what is green is not | [`prior`] |
+//! | `P1`, `P2` | neighbours are at the same height unless the picture has an edge | [`aggregate`] |
+//!
+//! A pixel of the reference sees one surface only, so nothing is hidden in it; what others do not see is left to the best of them.
+//! The pixels are then points in space, `X = p + (C - p) h/F`, and each cell of the ground takes the highest that falls
+//! on it ([`block`]). A parabola through the aggregated costs beside the best layer gives fractions of a layer.
+//!
+//! From coarse to fine ([`tile`]): cells of twice the side without `Q` give the ground under the canopy ([`terrain`]), which the second
+//! pass takes as known. Blocks are done on their own, by any number of threads, with the same result.
+
+pub mod aggregate;
+pub mod block;
+pub mod prior;
+pub mod rectify;
+pub mod sweep;
+pub mod terrain;
+pub mod tile;
+
+pub use aggregate::Penalties;
+pub use prior::Prior;
+pub use rectify::PosedPhoto;
+pub use terrain::Terrain;
+pub use tile::{DenseTile, Tile, match_tile, surface_tile};
+
+/// Layers of heights: one or two SIMD registers of bytes.
+pub const LAYERS: usize = 64;
+
+/// How a surface is matched.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DenseOptions {
+    /// Distance of neighbouring layers of heights, metres.
+    pub layer_m: f64,
+    /// The lowest layer above the plane of a block, metres (below it where negative).
+    pub lowest_m: f64,
+    /// How many photos are compared with the reference.
+    pub others: usize,
+    /// Costs of steps in height.
+    pub penalties: Penalties,
+    /// What the colour of a pixel says of its height.
+    pub prior: Prior,
+}
+
+impl Default for DenseOptions {
+    fn default() -> DenseOptions {
+        DenseOptions {
+            layer_m: 0.015,
+            lowest_m: -0.1,
+            others: 4,
+            penalties: Penalties::default(),
+            prior: Prior::default(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,100 @@
+//! What the colour of a pixel says of its height above the ground.
+//!
+//! With `d = G - R` the green of a pixel of the reference and `g` its height above the ground,
+//!
+//! ```text
+//! Q(g) = soil min(1, (|g| - t)/t)   where d < d_soil and |g| > t
+//! Q(g) = leaf min(1, (l - g)/t)     where d >= d_leaf and g < l
+//! Q(g) = 0                          elsewhere
+//! ```
+//!
+//! Both are bounded, so photos that agree well on another height outweigh them: a stone, a wall, a seedling.
+
+/// How strongly colours speak. The default was measured on synthetic fields at mid stage, GSD 1.5 cm.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Prior {
+    /// Colours say nothing: buildings, trees without leaves, ripe crops.
+    None,
+    /// Green crops on soil.
+    GreenOnSoil {
+        /// Greatest cost of a pixel that is not green off the ground, in matching costs (at most 72).
+        soil: u8,
+        /// Greatest cost of a green pixel on the ground.
+        leaf: u8,
+        /// Green minus red, of 255, below which a pixel is soil.
+        soil_below: i16,
+        /// Green minus red from which a pixel is leaf.
+        leaf_from: i16,
+    },
+}
+
+/// Tolerance `t` of heights above the ground, metres.
+const TOLERANCE_M: f64 = 0.04;
+/// Least height `l` of leaves above the ground, metres.
+const LEAF_M: f64 = 0.03;
+
+impl Default for Prior {
+    fn default() -> Prior {
+        Prior::GreenOnSoil { soil: 20, leaf: 10, soil_below: 2, leaf_from: 6 }
+    }
+}
+
+impl Prior {
+    /// Whether the ground has to be known for it.
+    pub fn needs_ground(&self) -> bool {
+        *self != Prior::None
+    }
+
+    /// Whether a pixel is taken for leaf, at least in part.
+    pub fn is_leaf(&self, green: i16) -> bool {
+        matches!(*self, Prior::GreenOnSoil { soil_below, .. } if green >= soil_below)
+    }
+
+    /// The cost of a pixel so green at a height above the ground.
+    pub fn cost(&self, green: i16, above_m: f64) -> u8 {
+        let Prior::GreenOnSoil { soil, leaf, soil_below, leaf_from } = *self else { return 0 };
+        let of = |most: u8, excess_m: f64| {
+            (f64::from(most) * (excess_m / TOLERANCE_M).clamp(0.0, 1.0)) as u8
+        };
+        if green < soil_below {
+            of(soil, above_m.abs() - TOLERANCE_M)
+        } else if green >= leaf_from {
+            of(leaf, LEAF_M - above_m)
+        } else {
+            0
+        }
+    }
+
+    /// Adds the costs of all pixels and layers. `ground_m` is the height of the ground at each pixel above the plane of the
+    /// block, NaN where not known.
+    pub(super) fn add(&self, costs: &mut [u8], green: &[i16], ground_m: &[f32], heights_m: &[f64]) {
+        if !self.needs_ground() {
+            return;
+        }
+        for (layer, &height_m) in costs.chunks_exact_mut(green.len()).zip(heights_m) {
+            for ((cost, &green), &ground_m) in layer.iter_mut().zip(green).zip(ground_m) {
+                if ground_m.is_finite() {
+                    let more = self.cost(green, height_m - f64::from(ground_m));
+                    *cost = cost.saturating_add(more);
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn soil_belongs_on_the_ground_and_leaves_above_it() {
+        let prior = Prior::default();
+        assert_eq!(prior.cost(-5, 0.0), 0);
+        assert_eq!(prior.cost(-5, 0.5), 20);
+        assert_eq!(prior.cost(-5, -0.5), 20);
+        assert_eq!(prior.cost(30, 0.5), 0);
+        assert_eq!(prior.cost(30, -0.1), 10);
+        assert_eq!(prior.cost(4, 0.5), 0);
+        assert_eq!(Prior::None.cost(-5, 0.5), 0);
+    }
+}

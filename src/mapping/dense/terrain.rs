@@ -1,0 +1,223 @@
+//! The ground under the canopy, from the cells that show it.
+//!
+//! Nodes `z_i` on a square lattice minimise
+//!
+//! ```text
+//! sum_i w_i rho(z_i - d_i) + lambda sum (second differences of z along rows and columns)^2
+//! ```
+//!
+//! where `d_i` is the median height of the bare cells around node `i`, `w_i` their number over their variance (robust, and
+//! of no more cells than are independent), and `rho` Cauchy's loss by reweighting, so that leaves taken for soil have no
+//! say. Where nothing is bare the ground goes on with constant slope. Its standard deviation comes from the
+//! weights near a node and grows with the distance to bare cells. Solved by conjugate gradients, from the weighted mean.
+
+/// Weight of the second differences relative to the usual node: relief of 2.5 nodes keeps four fifths of its height.
+const STIFFNESS: f64 = 0.02;
+/// Bare cells around a node, at least.
+const LEAST_CELLS: usize = 4;
+/// Bare cells around a node that count as independent, at most.
+const MOST_CELLS: f64 = 25.0;
+/// Least standard deviation of a bare cell, metres.
+const LEAST_SIGMA_M: f64 = 0.003;
+/// Rounds of reweighting.
+const ROUNDS: usize = 5;
+
+/// Heights of the ground on a lattice.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Terrain {
+    /// The first node (north-west), metres.
+    pub corner_m: [f64; 2],
+    /// Distance of nodes, metres.
+    pub node_m: f64,
+    /// Columns and rows of nodes.
+    pub size: [usize; 2],
+    /// Height of each node, metres.
+    pub height_m: Vec<f64>,
+    /// Its standard deviation, metres.
+    pub sigma_m: Vec<f64>,
+}
+
+impl Terrain {
+    /// The ground of scattered bare places (x, y, z, metres) within `bounds_m` (least and greatest x and y); `None` where
+    /// no node has enough of them.
+    pub fn fit(bare_m: &[[f64; 3]], bounds_m: [[f64; 2]; 2], node_m: f64) -> Option<Terrain> {
+        let corner_m = [bounds_m[0][0], bounds_m[1][1]];
+        let size = bounds_m.map(|[low, high]| ((high - low) / node_m).ceil() as usize + 1);
+        let mut cells: Vec<Vec<f64>> = vec![Vec::new(); size[0] * size[1]];
+        for [x, y, z] in bare_m {
+            let at = [(x - corner_m[0]) / node_m, (corner_m[1] - y) / node_m].map(f64::round);
+            let inside = (0..2).all(|k| at[k] >= 0.0 && at[k] < size[k] as f64);
+            if inside && z.is_finite() {
+                cells[at[1] as usize * size[0] + at[0] as usize].push(*z);
+            }
+        }
+        let (mut data, mut weight) = (vec![0.0; cells.len()], vec![0.0; cells.len()]);
+        for (k, heights) in cells.iter_mut().enumerate() {
+            if heights.len() >= LEAST_CELLS {
+                data[k] = median(heights);
+                let mut off: Vec<f64> = heights.iter().map(|z| (z - data[k]).abs()).collect();
+                let sigma = (1.4826 * median(&mut off)).max(LEAST_SIGMA_M);
+                weight[k] = (heights.len() as f64).min(MOST_CELLS) / (sigma * sigma);
+            }
+        }
+        let mut known: Vec<f64> = weight.iter().copied().filter(|&w| w > 0.0).collect();
+        if known.is_empty() {
+            return None;
+        }
+        let stiffness = STIFFNESS * median(&mut known);
+        let total: f64 = weight.iter().sum();
+        let mean = data.iter().zip(&weight).map(|(d, w)| d * w).sum::<f64>() / total;
+        let mut terrain =
+            Terrain { corner_m, node_m, size, height_m: vec![mean; data.len()], sigma_m: vec![] };
+        let mut robust = weight.clone();
+        for _ in 0..ROUNDS {
+            terrain.solve(&data, &robust, stiffness);
+            let off: Vec<f64> = (0..data.len()).map(|k| data[k] - terrain.height_m[k]).collect();
+            let mut sizes: Vec<f64> =
+                (0..data.len()).filter(|&k| weight[k] > 0.0).map(|k| off[k].abs()).collect();
+            let scale = (1.4826 * median(&mut sizes)).max(LEAST_SIGMA_M);
+            for k in 0..data.len() {
+                let r = off[k] / (2.4 * scale);
+                robust[k] = weight[k] / (1.0 + r * r);
+            }
+        }
+        terrain.sigma_m = terrain.sigmas(&robust);
+        Some(terrain)
+    }
+
+    /// Conjugate gradients on the normal equations.
+    fn solve(&mut self, data: &[f64], weight: &[f64], stiffness: f64) {
+        let apply = |z: &[f64]| -> Vec<f64> {
+            let mut out: Vec<f64> = z.iter().zip(weight).map(|(z, w)| w * z).collect();
+            let [columns, rows] = self.size;
+            let mut bend = |a: usize, b: usize, c: usize| {
+                let second = stiffness * (z[a] - 2.0 * z[b] + z[c]);
+                out[a] += second;
+                out[b] -= 2.0 * second;
+                out[c] += second;
+            };
+            for row in 0..rows {
+                for column in 0..columns {
+                    let at = row * columns + column;
+                    if column >= 2 {
+                        bend(at - 2, at - 1, at);
+                    }
+                    if row >= 2 {
+                        bend(at - 2 * columns, at - columns, at);
+                    }
+                }
+            }
+            out
+        };
+        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        let start = apply(&self.height_m);
+        let mut residual: Vec<f64> =
+            (0..data.len()).map(|k| weight[k] * data[k] - start[k]).collect();
+        let mut direction = residual.clone();
+        let mut size = dot(&residual, &residual);
+        let enough = size * 1e-16;
+        for _ in 0..4 * data.len().min(500) {
+            let image = apply(&direction);
+            let along = dot(&direction, &image);
+            if size <= enough || along <= 0.0 {
+                break;
+            }
+            let step = size / along;
+            for k in 0..data.len() {
+                self.height_m[k] += step * direction[k];
+                residual[k] -= step * image[k];
+            }
+            let next = dot(&residual, &residual);
+            let ratio = next / size;
+            for k in 0..data.len() {
+                direction[k] = residual[k] + ratio * direction[k];
+            }
+            size = next;
+        }
+    }
+
+    /// What the weights within two nodes leave; twice as much for every further two nodes without any.
+    fn sigmas(&self, weight: &[f64]) -> Vec<f64> {
+        let [columns, rows] = self.size;
+        let of = |at: usize| {
+            let (column, row) = ((at % columns) as isize, (at / columns) as isize);
+            let mut factor = 1.0;
+            for reach in [2isize, 4, 8, 16] {
+                let mut sum = 0.0;
+                for j in (row - reach).max(0)..=(row + reach).min(rows as isize - 1) {
+                    for i in (column - reach).max(0)..=(column + reach).min(columns as isize - 1) {
+                        let d2 = ((i - column).pow(2) + (j - row).pow(2)) as f64;
+                        let near = (-2.0 * d2 / (reach * reach) as f64).exp();
+                        sum += weight[j as usize * columns + i as usize] * near;
+                    }
+                }
+                if sum > 0.0 {
+                    return factor / sum.sqrt();
+                }
+                factor *= 2.0;
+            }
+            f64::INFINITY
+        };
+        (0..weight.len()).map(of).collect()
+    }
+
+    /// The height of the ground at a place, linear between the nodes; `None` beyond them.
+    pub fn at_m(&self, place_m: [f64; 2]) -> Option<f64> {
+        self.between(&self.height_m, place_m)
+    }
+
+    /// Its standard deviation.
+    pub fn sigma_at_m(&self, place_m: [f64; 2]) -> Option<f64> {
+        self.between(&self.sigma_m, place_m)
+    }
+
+    fn between(&self, values: &[f64], [x, y]: [f64; 2]) -> Option<f64> {
+        let at = [(x - self.corner_m[0]) / self.node_m, (self.corner_m[1] - y) / self.node_m];
+        if (0..2).any(|k| at[k] < -0.5 || at[k] > self.size[k] as f64 - 0.5 || at[k].is_nan()) {
+            return None;
+        }
+        let low = [0, 1].map(|k| (at[k].max(0.0) as usize).min(self.size[k].saturating_sub(2)));
+        let [s, t] = [0, 1].map(|k| at[k] - low[k] as f64);
+        let next = [0, 1].map(|k| (low[k] + 1).min(self.size[k] - 1));
+        let value = |i: usize, j: usize| values[j * self.size[0] + i];
+        let above = value(low[0], low[1]) * (1.0 - s) + value(next[0], low[1]) * s;
+        let below = value(low[0], next[1]) * (1.0 - s) + value(next[0], next[1]) * s;
+        Some(above * (1.0 - t) + below * t)
+    }
+}
+
+fn median(values: &mut [f64]) -> f64 {
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_ground_goes_on_under_leaves_and_ignores_what_stands_on_it() {
+        let truth = |x: f64, y: f64| 100.0 + 0.02 * x - 0.03 * y + 0.05 * (x / 1.5).sin();
+        let mut bare = Vec::new();
+        for j in 0..120 {
+            for i in 0..120 {
+                let (x, y) = (0.05 * f64::from(i), 0.05 * f64::from(j));
+                // A canopy without soil, and one cell in ten that is a leaf.
+                if !((2.0..2.6).contains(&x) && (2.0..2.6).contains(&y)) {
+                    let leaf = if (i * 7 + j * 13) % 10 == 0 { 0.3 } else { 0.0 };
+                    let rough = 0.004 * f64::from((i * 31 + j * 17) % 7 - 3);
+                    bare.push([x, y, truth(x, y) + leaf + rough]);
+                }
+            }
+        }
+        let terrain = Terrain::fit(&bare, [[0.0, 6.0], [0.0, 6.0]], 0.3).unwrap();
+        for place in [[1.0, 1.0], [4.7, 3.1], [2.3, 2.3]] {
+            let off = terrain.at_m(place).unwrap() - truth(place[0], place[1]);
+            assert!(off.abs() < 0.006, "{place:?}: {off}");
+        }
+        let [open, hidden] = [[4.5, 4.5], [2.3, 2.3]].map(|p| terrain.sigma_at_m(p).unwrap());
+        assert!(hidden > open && open < 0.01, "{open} {hidden}");
+        assert_eq!(terrain.at_m([9.0, 1.0]), None);
+        assert_eq!(Terrain::fit(&bare[..3], [[0.0, 6.0], [0.0, 6.0]], 0.3), None);
+    }
+}

@@ -1,0 +1,204 @@
+//! A tile of the ground: its blocks, and the two passes from coarse to fine.
+
+use super::{
+    DenseOptions, Prior, Terrain,
+    block::{Block, match_block},
+    rectify::{BlockPlane, PosedPhoto},
+};
+use crate::mapping::MapError;
+use rayon::prelude::*;
+
+/// Side of a block, cells.
+const BLOCK: usize = 256;
+/// Distance of the nodes of the ground, metres, and at least this many coarse cells.
+const NODE_M: f64 = 0.3;
+const NODE_CELLS: f64 = 6.0;
+/// Confidence (of 255) from which a coarse cell may show the ground.
+const SURE: u8 = 30;
+/// Green minus red below which a cell may show the ground.
+const BARE_BELOW: i16 = 2;
+
+/// Cells of the ground: north up, metres of the frame in which the photos are posed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Tile {
+    /// Centre of the first (north-western) cell, metres.
+    pub corner_m: [f64; 2],
+    /// Side of a cell, metres.
+    pub cell_m: f64,
+    /// Columns and rows.
+    pub size: [usize; 2],
+}
+
+impl Tile {
+    /// The centre of a cell.
+    pub fn place_m(&self, column: usize, row: usize) -> [f64; 2] {
+        [
+            self.corner_m[0] + column as f64 * self.cell_m,
+            self.corner_m[1] - row as f64 * self.cell_m,
+        ]
+    }
+
+    /// Least and greatest x and y.
+    fn bounds_m(&self) -> [[f64; 2]; 2] {
+        let [x, y] = self.corner_m;
+        let [width, height] = self.size.map(|n| n as f64 * self.cell_m);
+        [[x, x + width], [y - height, y]]
+    }
+}
+
+/// The surface of a tile; all grids row by row.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DenseTile {
+    /// Its cells.
+    pub tile: Tile,
+    /// Height of the first surface, metres; NaN where not known.
+    pub surface_m: Vec<f32>,
+    /// How much better that height is than any other, 0 to 255; 0 where a height was filled in.
+    pub confidence: Vec<u8>,
+    /// How many photos show the cell, of those compared.
+    pub photos: Vec<u8>,
+    /// Green minus red of what is seen.
+    pub green: Vec<i16>,
+    /// The ground under the canopy, where it was asked for and could be found.
+    pub terrain: Option<Terrain>,
+}
+
+/// Matches the cells of a tile. `ground` gives a height near the ground (within the layers of the options) everywhere on the tile; it
+/// is the ground itself where the prior needs it.
+///
+/// # Errors
+/// Fewer than two photos, a cell or layer that is no length, nowhere a height of the ground.
+pub fn match_tile(
+    photos: &[PosedPhoto<'_>],
+    ground: &(dyn Fn([f64; 2]) -> Option<f64> + Sync),
+    tile: &Tile,
+    options: &DenseOptions,
+) -> Result<DenseTile, MapError> {
+    if photos.len() < 2 {
+        let found = photos.len();
+        return Err(MapError(format!("{found} photos, expected at least 2 that overlap")));
+    }
+    for (name, value) in [("cell", tile.cell_m), ("distance of layers", options.layer_m)] {
+        if !(value.is_finite() && value > 0.0) {
+            return Err(MapError(format!("{name} {value} m, expected a positive length")));
+        }
+    }
+    let [width, height] = tile.size;
+    let mut result = DenseTile {
+        tile: *tile,
+        surface_m: vec![f32::NAN; width * height],
+        confidence: vec![0; width * height],
+        photos: vec![0; width * height],
+        green: vec![0; width * height],
+        terrain: None,
+    };
+    let starts: Vec<[usize; 2]> = (0..height)
+        .step_by(BLOCK)
+        .flat_map(|row| (0..width).step_by(BLOCK).map(move |column| [column, row]))
+        .collect();
+    let planes: Vec<Option<BlockPlane>> = starts
+        .iter()
+        .map(|&[column, row]| {
+            let size = [BLOCK.min(width - column), BLOCK.min(height - row)];
+            plane(tile.place_m(column, row), tile.cell_m, size, ground)
+        })
+        .collect();
+    if planes.iter().all(Option::is_none) {
+        return Err(MapError("no height of the ground is known on this tile".into()));
+    }
+    let blocks: Vec<Option<Block>> = planes
+        .par_iter()
+        .map(|plane| plane.and_then(|plane| match_block(photos, &plane, ground, options)))
+        .collect();
+    for (([column, row], plane), block) in starts.into_iter().zip(planes).zip(blocks) {
+        let (Some(plane), Some(block)) = (plane, block) else { continue };
+        let [columns, rows] = plane.size;
+        for j in 0..rows {
+            let (to, from) = ((row + j) * width + column, j * columns);
+            result.surface_m[to..to + columns].copy_from_slice(&block.height_m[from..][..columns]);
+            let confidence = &block.confidence[from..][..columns];
+            result.confidence[to..to + columns].copy_from_slice(confidence);
+            result.photos[to..to + columns].copy_from_slice(&block.photos[from..][..columns]);
+            result.green[to..to + columns].copy_from_slice(&block.green[from..][..columns]);
+        }
+    }
+    Ok(result)
+}
+
+/// The first surface of a tile and the ground below it. `base` is a surface near the ground, such as that of tie points: within
+/// [`DenseOptions::lowest_m`] and the highest layer, relative to it.
+///
+/// # Errors
+/// As [`match_tile`].
+pub fn surface_tile(
+    photos: &[PosedPhoto<'_>],
+    base: &(dyn Fn([f64; 2]) -> Option<f64> + Sync),
+    tile: &Tile,
+    options: &DenseOptions,
+) -> Result<DenseTile, MapError> {
+    let coarse = Tile {
+        corner_m: tile.corner_m,
+        cell_m: 2.0 * tile.cell_m,
+        size: tile.size.map(|n| n.div_ceil(2)),
+    };
+    let wide = DenseOptions {
+        layer_m: 1.5 * options.layer_m,
+        // The base may lie in the canopy.
+        lowest_m: options.lowest_m - 0.5 * options.layer_m * super::LAYERS as f64,
+        prior: Prior::None,
+        ..*options
+    };
+    let found = match_tile(photos, base, &coarse, &wide)?;
+    let bare: Vec<[f64; 3]> = (0..found.surface_m.len())
+        .filter(|&at| found.green[at] < BARE_BELOW && found.confidence[at] >= SURE)
+        .map(|at| {
+            let [x, y] = coarse.place_m(at % coarse.size[0], at / coarse.size[0]);
+            [x, y, f64::from(found.surface_m[at])]
+        })
+        .collect();
+    let node_m = NODE_M.max(NODE_CELLS * coarse.cell_m);
+    let terrain = Terrain::fit(&bare, coarse.bounds_m(), node_m);
+    let Some(terrain) = terrain else {
+        // Nothing bare: colours say nothing of the ground.
+        return match_tile(photos, base, tile, &DenseOptions { prior: Prior::None, ..*options });
+    };
+    let ground = |place: [f64; 2]| terrain.at_m(place);
+    let mut result = match_tile(photos, &ground, tile, options)?;
+    result.terrain = Some(terrain);
+    Ok(result)
+}
+
+/// The plane through nine heights of the ground over a block; level where the ground is known at one place only.
+fn plane(
+    corner_m: [f64; 2],
+    cell_m: f64,
+    size: [usize; 2],
+    ground: &dyn Fn([f64; 2]) -> Option<f64>,
+) -> Option<BlockPlane> {
+    let half = size.map(|n| 0.5 * (n - 1) as f64 * cell_m);
+    let (mut sum, mut count) = (0.0, 0.0);
+    let (mut rise, mut square) = ([0.0; 2], [0.0; 2]);
+    for j in [-1.0, 0.0, 1.0] {
+        for i in [-1.0, 0.0, 1.0] {
+            let away = [i * half[0], j * half[1]];
+            let place = [corner_m[0] + half[0] + away[0], corner_m[1] - half[1] + away[1]];
+            if let Some(z) = ground(place) {
+                sum += z;
+                count += 1.0;
+                for k in 0..2 {
+                    rise[k] += z * away[k];
+                    square[k] += away[k] * away[k];
+                }
+            }
+        }
+    }
+    if count == 0.0 {
+        return None;
+    }
+    let mean = sum / count;
+    // The nine places lie symmetrically, so the slopes do not depend on each other; with gaps the plane is level.
+    let slope =
+        [0, 1].map(|k| if count == 9.0 && square[k] > 0.0 { rise[k] / square[k] } else { 0.0 });
+    let height_m = mean - slope[0] * half[0] + slope[1] * half[1];
+    Some(BlockPlane { corner_m, cell_m, size, height_m, slope })
+}
