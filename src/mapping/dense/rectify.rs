@@ -11,7 +11,7 @@
 
 use super::sweep::Rectified;
 use crate::{
-    mapping::{View, photo::Photo},
+    mapping::{View, photo::DecodedPhoto},
     raster::undistort::Interpolation,
 };
 
@@ -26,7 +26,7 @@ pub struct PosedPhoto<'a> {
     /// Lens and pose, in the frame of the ground grid.
     pub view: &'a View,
     /// Its pixels.
-    pub photo: &'a Photo,
+    pub photo: &'a DecodedPhoto,
 }
 
 /// Cells of a block and the plane below them.

@@ -4,7 +4,7 @@ use super::*;
 use crate::{
     camera::{Interior, Model},
     geometry::rotation,
-    mapping::{View, photo::Photo},
+    mapping::{View, photo::DecodedPhoto},
     scene::Pose,
 };
 use data_synth::{
@@ -108,8 +108,8 @@ fn surface_of(twin: &Twin) -> (DenseTile, FirstSurface) {
     let grid = SurfaceGrid { left_m, top_m, cell_m: CELL_M, width: SIZE, height: SIZE };
     let studio = twin.studio();
     let views = views(twin);
-    let photos: Vec<Photo> = (0..twin.shots.len())
-        .map(|k| Photo::new(&studio.photo(&twin.shots[k], k).image, None))
+    let photos: Vec<DecodedPhoto> = (0..twin.shots.len())
+        .map(|k| DecodedPhoto::new(&studio.photo(&twin.shots[k], k).image, None))
         .collect();
     let posed: Vec<PosedPhoto<'_>> =
         views.iter().zip(&photos).map(|(view, photo)| PosedPhoto { view, photo }).collect();
@@ -146,8 +146,8 @@ fn any_number_of_threads_gives_the_same_and_bad_input_is_refused() {
     let twin = twin(0.0);
     let views = views(&twin);
     let studio = twin.studio();
-    let photos: Vec<Photo> =
-        (0..4).map(|k| Photo::new(&studio.photo(&twin.shots[k], k).image, None)).collect();
+    let photos: Vec<DecodedPhoto> =
+        (0..4).map(|k| DecodedPhoto::new(&studio.photo(&twin.shots[k], k).image, None)).collect();
     let posed: Vec<PosedPhoto<'_>> =
         views.iter().zip(&photos).map(|(view, photo)| PosedPhoto { view, photo }).collect();
     let [x, y, _] = twin.shots[1].centre_m;
