@@ -1,6 +1,8 @@
 //! Run by Cargo before the library is compiled: a digest of its sources, so that results which another build of the
 //! program kept are told from its own.
 
+#![expect(clippy::print_stdout, reason = "this is how a build script speaks to Cargo")]
+
 use std::{
     env, fs,
     hash::{DefaultHasher, Hash, Hasher},

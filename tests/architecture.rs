@@ -1,4 +1,4 @@
-//! The rules of ARCHITECTURE.md, read from that page and held against the sources.
+//! The rules of ARCHITECTURE.md, read from that page and compared with the sources.
 //!
 //! Comments, `mod tests` at the end of a file and files named `tests.rs` do not count; modules that are not there break no
 //! rule.

@@ -327,7 +327,7 @@ fn what_is_wrong_with_the_input_is_said() {
     refused(&format!("{GIVEN} --max-angle-deg 95"), "from 0.1 to 89.9");
     refused(&GIVEN.replace("--photos images", "--photos ."), "there is no photo \"p0.png\"");
     refused("ortho --poses poses.csv --camera camera.yaml --dem dem.tif", "--photos");
-    refused("ortho nothing", "rowgram align");
+    refused("ortho nothing", "expected a folder with photos or an orthomosaic");
     fs::write(at.join("short.csv"), "filename,x,y,z,omega,phi\np0.png,1,2,3,4,5\n").unwrap();
     refused(&GIVEN.replace("poses.csv", "short.csv"), "kappa");
     // A surface that ends within the photos: what it does not cover has no colour.
@@ -472,7 +472,7 @@ fn two_wide_cameras(root: &Path) -> Vec<(Shot, TwinCamera)> {
         config.field.rows = 6;
         config.field.row_length_m = 6.0;
         config.field.plots = Default::default();
-        config.camera = CameraConfig::wide(600, 450, 260.0);
+        config.camera = CameraConfig::wide(600, 450, 330.0);
         config.camera.k1 *= degree;
         config.camera.xp_px *= -degree;
         config.flight.height_m = 8.0;

@@ -330,6 +330,7 @@ fn settings_that_cannot_be_are_refused_everywhere() {
         let doctor = rowgram(folder.path(), "doctor field");
         assert_eq!(doctor.code, 3);
         refused(doctor, &format!("doctor, {setting}"), expected);
+        fs::write(project.join("rowgram.toml"), &settings).unwrap();
     }
     // Every command of a project reads all of the settings, not only its own.
     let text = format!("{settings}[align]\ntolerance_px = -4\n");

@@ -1,4 +1,4 @@
-//! The baseline that leaf segmentation is held against: a watershed of the distance to the background.
+//! The baseline that leaf segmentation is compared with: a watershed of the distance to the background.
 //!
 //! As scikit-image and PlantCV do it: markers at the local maxima of the distance transform that are at least so far
 //! apart, pixels flooded from the markers in the order of falling distance.

@@ -148,7 +148,7 @@ pub(super) struct Report {
     summary: Summary,
 }
 
-/// Runs the verb.
+/// Runs the command.
 ///
 /// # Errors
 /// Bad input, outputs that exist, and whatever ends the adjustment early.

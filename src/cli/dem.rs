@@ -77,7 +77,7 @@ fn of_points(args: &Args) -> Result<(), Error> {
     let output = args.output.as_deref().ok_or_else(|| {
         Error::Argument("without a project --output names the file of the surface".into())
     })?;
-    let import = args.import.import();
+    let import = args.import.import()?;
     let (points, reference) = match &args.points {
         Some(path) => (cloud_points::read(path)?, import.reference()?),
         None => {

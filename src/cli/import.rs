@@ -1,5 +1,6 @@
 //! Arguments that name a reconstruction of another program.
 
+use crate::error::Error;
 use crate::pipeline::import::ModelImport;
 use std::path::PathBuf;
 
@@ -17,13 +18,7 @@ pub(super) struct ModelArgs {
     #[arg(long, value_name = "FILE")]
     camera: Vec<PathBuf>,
     /// Added to all coordinates of a model whose origin is elsewhere: east, north, up, metres.
-    #[arg(
-        long,
-        value_name = "E,N,U",
-        value_delimiter = ',',
-        num_args = 3,
-        allow_negative_numbers = true
-    )]
+    #[arg(long, value_name = "E,N,U", value_delimiter = ',', allow_negative_numbers = true)]
     offset: Vec<f64>,
     /// Coordinate reference system of the model: EPSG:<code> or a PROJ string.
     #[arg(long, value_name = "CRS")]
@@ -35,14 +30,22 @@ pub(super) struct ModelArgs {
 
 impl ModelArgs {
     /// What was named.
-    pub(super) fn import(&self) -> ModelImport {
-        ModelImport {
+    ///
+    /// # Errors
+    /// An offset that is not of three numbers.
+    pub(super) fn import(&self) -> Result<ModelImport, Error> {
+        let offset_m = match self.offset[..] {
+            [] => None,
+            [east, north, up] => Some([east, north, up]),
+            _ => return Err(Error::Argument("--offset: expected E,N,U, three numbers".into())),
+        };
+        Ok(ModelImport {
             model: self.model.clone(),
             poses: self.poses.clone(),
             cameras: self.camera.clone(),
-            offset_m: <[f64; 3]>::try_from(self.offset.as_slice()).ok(),
+            offset_m,
             crs: self.crs.clone(),
             vertical_crs: self.vertical_crs,
-        }
+        })
     }
 }

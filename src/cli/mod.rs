@@ -49,7 +49,7 @@ use std::process::ExitCode;
 Exit codes: 0 done, 1 failure, 2 bad input, 3 incomplete or a quality gate failed")]
 struct Cli {
     #[command(subcommand)]
-    verb: Verb,
+    command: Command,
     /// Threads to use, at most 1024; 0 means one per core. Results never depend on it.
     #[arg(long, global = true, default_value_t = 0, value_name = "N",
         value_parser = clap::value_parser!(u16).range(0..=1024))]
@@ -63,7 +63,7 @@ struct Cli {
 }
 
 #[derive(Debug, Subcommand)]
-enum Verb {
+enum Command {
     Run(Box<run::Args>),
     Init(init::Args),
     Doctor(doctor::Args),
@@ -92,7 +92,7 @@ enum Verb {
     Man(shell::Man),
 }
 
-/// Parses the command line, runs the verb, reports what went wrong.
+/// Parses the command line, runs the command, reports what went wrong.
 pub fn main() -> ExitCode {
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
@@ -117,38 +117,38 @@ fn run(cli: Cli) -> Result<(), Error> {
         .num_threads(cli.threads.into())
         .build_global()
         .map_err(|e| Error::Argument(format!("--threads {}: {e}", cli.threads)))?;
-    dispatch(cli.verb)
+    dispatch(cli.command)
 }
 
-/// Does what a verb says.
-fn dispatch(verb: Verb) -> Result<(), Error> {
-    match verb {
-        Verb::Run(args) => run::run(&args),
-        Verb::Init(args) => init::run(&args),
-        Verb::Doctor(args) => doctor::run(&args),
-        Verb::Report(args) => report::run(&args),
-        Verb::Verify(args) => verify::run(&args),
-        Verb::Align(args) => align::run(&args),
-        Verb::Adjust(args) => adjust::run(&args),
-        Verb::Convert(args) => survey::convert::run(&args),
-        Verb::Calibrate(args) => calibrate::run(&args),
-        Verb::Undistort(args) => undistort::run(&args),
-        Verb::Camera(args) => args.run(),
-        Verb::Dem(args) => dem::run(&args),
-        Verb::Ortho(args) => ortho::run(&args),
-        Verb::Query(args) => query::run(&args),
-        Verb::Synth(args) => synth::run(&args),
-        Verb::Locate(args) => locate::run(&args),
-        Verb::Segment(args) => segment::run(&args),
-        Verb::Features(args) => features::run(&args),
-        Verb::Match(args) => features::run_match(&args),
-        Verb::Thresholds(args) => thresholds::run(&args),
-        Verb::Leaves(args) => leaves::run(&args),
-        Verb::LeafCount(args) => leaf_count::run(&args),
-        Verb::LeafDensity(args) => leaf_density::run(&args),
-        Verb::Evaluate(args) => evaluate::run(&args),
-        Verb::Completions(args) => args.run(),
-        Verb::Man(args) => args.run(),
+/// Does what a command says.
+fn dispatch(command: Command) -> Result<(), Error> {
+    match command {
+        Command::Run(args) => run::run(&args),
+        Command::Init(args) => init::run(&args),
+        Command::Doctor(args) => doctor::run(&args),
+        Command::Report(args) => report::run(&args),
+        Command::Verify(args) => verify::run(&args),
+        Command::Align(args) => align::run(&args),
+        Command::Adjust(args) => adjust::run(&args),
+        Command::Convert(args) => survey::convert::run(&args),
+        Command::Calibrate(args) => calibrate::run(&args),
+        Command::Undistort(args) => undistort::run(&args),
+        Command::Camera(args) => args.run(),
+        Command::Dem(args) => dem::run(&args),
+        Command::Ortho(args) => ortho::run(&args),
+        Command::Query(args) => query::run(&args),
+        Command::Synth(args) => synth::run(&args),
+        Command::Locate(args) => locate::run(&args),
+        Command::Segment(args) => segment::run(&args),
+        Command::Features(args) => features::run(&args),
+        Command::Match(args) => features::run_match(&args),
+        Command::Thresholds(args) => thresholds::run(&args),
+        Command::Leaves(args) => leaves::run(&args),
+        Command::LeafCount(args) => leaf_count::run(&args),
+        Command::LeafDensity(args) => leaf_density::run(&args),
+        Command::Evaluate(args) => evaluate::run(&args),
+        Command::Completions(args) => args.run(),
+        Command::Man(args) => args.run(),
     }
 }
 

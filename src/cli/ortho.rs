@@ -84,7 +84,7 @@ fn of_model(args: &Args) -> Result<(), Error> {
     let output = needed(&args.output, "--output names the file of the orthomosaic")?;
     let surface = needed(&options.dem, "--dem names the surface; rowgram dem makes one")?;
     let folder = needed(&args.photos, "--photos names the folder of the photos")?;
-    let reconstruction = args.import.import().read()?;
+    let reconstruction = args.import.import()?.read()?;
     let photos = photo_files(&reconstruction, &folder)?;
     let input = OrthoInput { reconstruction: &reconstruction, photos: &photos, surface: &surface };
     let figures = args.figures.as_deref();

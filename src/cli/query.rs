@@ -29,7 +29,6 @@ pub(super) struct Args {
         long,
         value_name = "X,Y",
         value_delimiter = ',',
-        num_args = 2,
         allow_negative_numbers = true,
         required_unless_present = "photo",
         conflicts_with = "photo"
@@ -43,7 +42,6 @@ pub(super) struct Args {
         long,
         value_name = "U,V",
         value_delimiter = ',',
-        num_args = 2,
         allow_negative_numbers = true,
         requires = "photo"
     )]
@@ -86,7 +84,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
         ));
     }
     let &[x, y] = &args.at[..] else {
-        return Err(Error::Argument("--at: expected X,Y".into()));
+        return Err(Error::Argument("expected --at X,Y, or --photo NAME with --pixel U,V".into()));
     };
     let found = origins.photo_pixel([x, y])?;
     if args.json {

@@ -18,7 +18,7 @@ pub(super) struct Completions {
 }
 
 impl Completions {
-    /// Runs the verb.
+    /// Runs the command.
     ///
     /// # Errors
     /// Where stdout is closed.
@@ -29,19 +29,19 @@ impl Completions {
     }
 }
 
-/// Print the manual page, or write those of all verbs into a folder
+/// Print the manual page, or write those of all commands into a folder
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   rowgram man | man -l -
   rowgram man -o ~/.local/share/man/man1")]
 pub(super) struct Man {
-    /// Folder for the pages of all verbs: rowgram.1, rowgram-align.1 and so on.
+    /// Folder for the pages of all commands: rowgram.1, rowgram-align.1 and so on.
     #[arg(short, long, value_name = "DIR")]
     output: Option<PathBuf>,
 }
 
 impl Man {
-    /// Runs the verb.
+    /// Runs the command.
     ///
     /// # Errors
     /// Where a page cannot be written.
@@ -64,13 +64,14 @@ mod tests {
     use super::*;
     use clap::{Command, Parser};
 
-    /// Every verb at the end of a chain of verbs, with its name in full.
+    /// Every command at the end of a chain of commands, with its name in full.
     fn leaves(command: &Command, name: &str, out: &mut Vec<(String, String)>) {
         if command.has_subcommands() {
-            for verb in command.get_subcommands().filter(|verb| verb.get_name() != "help") {
-                leaves(verb, &format!("{name} {}", verb.get_name()), out);
+            for command in command.get_subcommands().filter(|command| command.get_name() != "help")
+            {
+                leaves(command, &format!("{name} {}", command.get_name()), out);
             }
-            // A verb that also works by itself explains itself too.
+            // A command that also works by itself explains itself too.
             if command.get_arguments().next().is_none() || name == "rowgram" {
                 return;
             }
@@ -103,11 +104,11 @@ mod tests {
 
     #[test]
     fn every_verb_shows_examples_that_are_commands() {
-        let mut verbs = Vec::new();
-        leaves(&Cli::command(), "rowgram", &mut verbs);
-        assert!(verbs.len() > 20, "{}", verbs.len());
+        let mut pages = Vec::new();
+        leaves(&Cli::command(), "rowgram", &mut pages);
+        assert!(pages.len() > 20, "{}", pages.len());
         let mut without = Vec::new();
-        for (name, help) in verbs {
+        for (name, help) in pages {
             // Before the examples there is prose, whose lines may begin with the program's name.
             let lines = commands(help.find("Example").map_or("", |at| &help[at..]));
             let own = |line: &String| format!("rowgram {line}").starts_with(&name);

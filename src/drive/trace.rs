@@ -12,7 +12,7 @@ use crate::{
 use serde::{Deserialize, Serialize};
 use std::{io::Write, path::Path};
 
-const COLUMNS: [&str; 6] = ["iteration", "cost", "best_cost", "movement", "accepted", "seconds"];
+const COLUMNS: [&str; 6] = ["iteration", "cost", "best_cost", "step_norm", "accepted", "seconds"];
 
 /// The rows so far; the notes of all rows lie in one list, so that a row costs no allocation.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]

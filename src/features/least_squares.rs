@@ -35,7 +35,7 @@ const STEPS: usize = 15;
 const LONGEST_PX: f64 = 0.5;
 /// Steps shorter than this change nothing, pixels.
 const SHORTEST_PX: f64 = 0.002;
-/// How firmly the shape is held against the position: what a window hardly shows of it does not run away.
+/// How firmly the shape is held compared with the position: what a window hardly shows of it does not run away.
 const STIFFNESS: f64 = 0.02;
 /// What is determined: position, shape, contrast, brightness.
 const UNKNOWNS: usize = 8;

@@ -62,8 +62,8 @@ pub fn covering(
         (first, (high / cell_m).ceil() - first)
     };
     let ((left, columns), (bottom, rows)) = (span(x), span(y));
-    // Also where a number is none.
-    if !(columns * rows <= max_cells) {
+    let cells = columns * rows;
+    if cells.is_nan() || cells > max_cells {
         return Err(MapError(format!(
             "the raster would have {columns:.0} x {rows:.0} cells of {cell_m} m, at most {max_cells:.0} are possible; choose larger cells or a smaller area"
         )));

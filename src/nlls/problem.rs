@@ -116,11 +116,10 @@ impl Problem {
         let too_many = || SolveError::Misuse("more blocks than can be counted".into());
         let id = u32::try_from(index).map_err(|_| too_many())?;
         let group = u32::try_from(group).map_err(|_| too_many())?;
-        let same = |known: &Box<dyn Manifold>| {
+        let known = self.manifolds.iter().position(|known| {
             let known: &dyn Any = known.as_ref();
             known.downcast_ref::<M>() == Some(&manifold)
-        };
-        let known = self.manifolds.iter().position(same);
+        });
         let manifold = known.unwrap_or_else(|| {
             self.manifolds.push(Box::new(manifold));
             self.manifolds.len() - 1

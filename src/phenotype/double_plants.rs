@@ -3,7 +3,7 @@
 //! Three numbers of a place, on the reduced grid of [`Evidence`]: leaf mass within `NEAR`, leaf mass within `WIDE`, and
 //! the leaves that point at it: of each of `SECTORS` directions the square root of the coherent leaf mass between
 //! `RING` whose axis passes the place, so that a leaf counts once, be it long or short. Each is taken as a logarithm
-//! and held against what is usual of the plants of the field ([`PlantBaseline`]); their sum is the score of the place.
+//! and compared with what is usual of the plants of the field ([`PlantBaseline`]); their sum is the score of the place.
 //!
 //! On synthetic masks such a score tells two plants within 7.5 cm from one with an area under the curve of 0.95 (spacing 20 cm), 0.98
 //! (30 cm), 0.73 (10 and 12 cm), with 3 % doubles (`experiments/reference/canopy.md`).

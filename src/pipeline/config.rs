@@ -224,10 +224,10 @@ impl Config {
 
     /// The file that `rowgram init` writes: every key with its default, its limits and what it means.
     pub fn template() -> String {
-        let mut text = format!(
+        let mut text = String::from(
             "# Settings of rowgram. Every key is here with its default; a key behind \"# \" is not set. Paths are relative to\n\
              # this folder. The same keys come from the environment (ROWGRAM_ALIGN_SEED=2) and from arguments\n\
-             # (--set align.seed=2); arguments come before the environment, the environment before this file.\n"
+             # (--set align.seed=2); arguments come before the environment, the environment before this file.\n",
         );
         for section in Config::sections() {
             let about = section.about.split_whitespace().collect::<Vec<_>>().join(" ");

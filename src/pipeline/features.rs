@@ -86,7 +86,6 @@ pub fn write_features(
         });
         counter.tick();
     }
-    drop(counter);
     for image in empty {
         let found = Diagnostic::warning(
             "no-features",

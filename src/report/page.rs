@@ -143,11 +143,11 @@ fn verdict(checks: &[Diagnostic]) -> Option<String> {
         .filter(|check| check.severity == worst)
         .map(|check| check.subject.as_str())
         .collect();
-    let (number, verb) = if of.len() == 1 { ("1 check", "s") } else { ("checks", "") };
+    let (number, ending) = if of.len() == 1 { ("1 check", "s") } else { ("checks", "") };
     let number = if of.len() == 1 { number.to_owned() } else { format!("{} {number}", of.len()) };
     Some(match worst {
         Severity::Info => "All checks are good.".to_owned(),
-        Severity::Warning => format!("{number} need{verb} attention: {}.", of.join(", ")),
+        Severity::Warning => format!("{number} need{ending} attention: {}.", of.join(", ")),
         Severity::Error => {
             format!("{number} failed: {}. Do not use the numbers that depend on it.", of.join(", "))
         }
@@ -212,7 +212,7 @@ mod tests {
         let doubtful = Diagnostic::warning("b", "self-calibration", "K2 and K3");
         let bad = Diagnostic::error("c", "check points", "rmse 1 m");
         assert_eq!(verdict(&[]), None);
-        assert_eq!(verdict(&[good.clone()]).unwrap(), "All checks are good.");
+        assert_eq!(verdict(std::slice::from_ref(&good)).unwrap(), "All checks are good.");
         assert_eq!(
             verdict(&[good.clone(), doubtful.clone()]).unwrap(),
             "1 check needs attention: self-calibration."

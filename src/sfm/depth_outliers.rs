@@ -13,7 +13,7 @@
 use super::{block::Block, epipolar_rematching::Buckets, relative::Ray};
 use rayon::prelude::*;
 
-/// The neighbours that a point is held against.
+/// The neighbours that a point is compared with.
 const NEIGHBOURS: usize = 16;
 /// Robust standard deviations of their inverse depths by which it must differ from them.
 const FAR: f64 = 5.0;

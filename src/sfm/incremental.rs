@@ -236,7 +236,7 @@ impl<'a> Incremental<'a, '_> {
                 .collect();
             candidates.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
             let Some(&(best, _)) = candidates.first() else {
-                if self.vouched(&mut refused)? {
+                if self.register_from_single_pair(&mut refused)? {
                     continue;
                 }
                 break;
@@ -272,8 +272,8 @@ impl<'a> Incremental<'a, '_> {
         self.adjust_global(true)
     }
 
-    /// Takes in an image that one pair vouches for, where what both see then fits; whether there was one.
-    fn vouched(&mut self, refused: &mut [bool]) -> Result<bool, SolveError> {
+    /// Registers an image from a single pair, if its matches agree; whether there was one.
+    fn register_from_single_pair(&mut self, refused: &mut [bool]) -> Result<bool, SolveError> {
         for image in 0..self.block.poses.len() {
             if !self.allowed[image] || refused[image] || self.block.poses[image].is_some() {
                 continue;
@@ -375,7 +375,7 @@ impl PoseVerifier<'_> {
     /// points it sees and agrees with.
     fn resection(&self, image: usize, looser: f64) -> Option<(Pose, usize, usize)> {
         let sights = self.block.sights(image);
-        // Half as many are enough where a pair vouches for what they say.
+        // Half as many are enough where a pair confirms them.
         let least = self.growing.min_points.div_ceil(2);
         if sights.len() < least {
             return None;

@@ -36,9 +36,9 @@ enum Method {
     /// Coordinate descent on the paper's likelihood with a prior.
     Descent,
     /// Votes along leaf axes and dynamic programming along the rows.
-    Stand,
+    RowModel,
     /// The same without being told the number of plants.
-    CanopyAuto,
+    RowModelAuto,
 }
 
 /// What can be varied.
@@ -55,7 +55,7 @@ pub(crate) struct Parameters {
     /// Distances are truncated here, metres; 0 is the paper, not at all.
     truncate_m: f64,
     /// The locator by votes.
-    canopy: row_model::RowModelOptions,
+    row_model: row_model::RowModelOptions,
     /// Floor of the scatter about a row, metres.
     floor_m: f64,
     /// Where the descent starts.
@@ -79,7 +79,7 @@ impl Default for Parameters {
             model: Model::default(),
             tempering: 0.0,
             truncate_m: 0.0,
-            canopy: row_model::RowModelOptions::default(),
+            row_model: row_model::RowModelOptions::default(),
             floor_m: 0.01,
             start: Start::Rows,
             count_factor: 1.0,
@@ -152,8 +152,8 @@ impl Stage for Locate {
                 height: mask.height() as usize,
                 data: mask.into_raw(),
             };
-            let count = (p.method == Method::Stand).then_some(plants);
-            let found = row_model::locate(&mask, &detection, count, &p.canopy);
+            let count = (p.method == Method::RowModel).then_some(plants);
+            let found = row_model::locate(&mask, &detection, count, &p.row_model);
             let found = found.map_err(|e| e.to_string())?;
             let places: Vec<[f64; 2]> = found.plants.iter().map(|s| s.position_px).collect();
             judge(&mut measured, &places, &truth, gsd_m)?;

@@ -47,7 +47,7 @@ struct Summary {
     observations: usize,
 }
 
-/// Runs the verb.
+/// Runs the command.
 ///
 /// # Errors
 /// Bad input, outputs that exist, lenses that the format cannot hold.

@@ -42,7 +42,7 @@ fn format_of(path: &Path) -> Option<Format> {
     (read.is_ok() && bundler::is_one(&start)).then_some(Format::Bundler)
 }
 
-/// Runs the verb for such a block.
+/// Runs the command for such a block.
 ///
 /// # Errors
 /// Bad input, outputs that exist, a block that is not determined, and an end before the optimum.

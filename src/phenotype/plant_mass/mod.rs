@@ -159,7 +159,7 @@ mod tests {
                 }
             }
         }
-        let specks: Vec<usize> = (0..300).map(|_| rng.random_range(0..1000_000)).collect();
+        let specks: Vec<usize> = (0..300).map(|_| rng.random_range(0..1_000_000)).collect();
         let (width, height) = ((43.0 * radius) as usize, (33.0 * radius) as usize);
         let mut mask = Mask::from_fn(width, height, |u, v| {
             places.iter().any(|p| (u as f64 - p[0]).hypot(v as f64 - p[1]) < radius)

@@ -148,7 +148,6 @@ pub(super) fn features(
         all.colours.push(found.colours.as_chunks::<3>().0.to_vec());
         counter.tick();
     }
-    drop(counter);
     faults.iter().for_each(|fault| monitor.diagnostic(fault));
     all.mark = mark.finish();
     Ok(all)

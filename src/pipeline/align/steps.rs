@@ -144,11 +144,9 @@ pub(super) fn verify(
     }
     let counter = Counter::new(monitor, "orienting pairs", matched.len(), "pairs");
     let pairs = orient_pairs(features, cameras, matched, verification, &|| counter.tick());
-    drop(counter);
     let counter = Counter::new(monitor, "rematching weak pairs", pairs.len(), "pairs");
     let how = (verification, &rematching);
     let pairs = rematch_weak_pairs(features, descriptors, cameras, &pairs, how, &|| counter.tick());
-    drop(counter);
     cache.save(PAIRS, mark, &pairs.iter().map(StoredPair::of).collect::<Vec<_>>())?;
     Ok((pairs, mark))
 }
@@ -190,7 +188,6 @@ pub(super) fn orient<'a>(
             tracing::debug!("{images} images, {points} points, {rms_px:.3} px");
         }
     })?;
-    drop(counter);
     let stored: Vec<StoredBlock> = blocks
         .iter()
         .map(|block| StoredBlock {

@@ -133,6 +133,9 @@ pub(super) fn gather(
     Ok(Gathered { photos, size_px })
 }
 
+/// A photo with what was found in it, its size, and how many other boards it shows.
+type Searched = Result<(Photo, [u32; 2], usize), FileError>;
+
 /// Looks for the board in every photo.
 fn look(
     images: &[PathBuf],
@@ -143,7 +146,7 @@ fn look(
     let search = target::Options { refinement: options.refinement, ..target::Options::default() };
     let folder = folder_of_all(images);
     let counter = Counter::new(monitor, "finding corners", images.len(), "photos");
-    let found: Vec<Result<(Photo, [u32; 2], usize), FileError>> = images
+    let found: Vec<Searched> = images
         .par_iter()
         .map(|path| {
             let image = images::read_grey(path)?;
@@ -155,7 +158,7 @@ fn look(
             Ok((photo, size_px, others))
         })
         .collect();
-    drop(counter);
+    // The error of the first photo, whichever thread came first.
     let found = found.into_iter().collect::<Result<Vec<_>, FileError>>()?;
     for (photo, _, others) in found.iter().filter(|(_, _, others)| *others > 0) {
         let message = format!("it shows {others} more board(s) of this size; the largest is used");

@@ -81,7 +81,7 @@ pub fn write_orthophotos(
 ) -> Result<OrthoOutcome, Error> {
     let (views, photos) = chosen(input, &options.only)?;
     let surface = surface(input, options, monitor)?;
-    let frames = if options.frames { frame_files(files.mosaic, &photos) } else { Vec::new() };
+    let frames = if options.frames { frame_files(files.mosaic, &photos)? } else { Vec::new() };
     for orthophoto in std::iter::once(files.mosaic).chain(frames.iter().map(PathBuf::as_path)) {
         output::check(orthophoto, files.force)?;
         output::check(&record::path(orthophoto), files.force)?;
@@ -125,15 +125,12 @@ pub fn write_orthophotos(
             monitor.diagnostic(&Diagnostic::warning("photo-off-surface", &views[k].name, message));
             continue;
         }
-        std::fs::create_dir_all(output::folder_of(frame))
-            .map_err(|e| FileError::write(frame, e))?;
         let (view, photo) = (&views[k..=k], &photos[k..=k]);
         let mut made = work.orthophoto(view, photo, &surface, (frame, None), monitor)?;
         let folder = frame.parent().and_then(Path::file_name).unwrap_or_default();
-        for file in [Some(&mut made.file), made.provenance.as_mut(), Some(&mut made.record)] {
-            if let Some(file) = file {
-                *file = Path::new(folder).join(&*file);
-            }
+        let files = [Some(&mut made.file), made.provenance.as_mut(), Some(&mut made.record)];
+        for file in files.into_iter().flatten() {
+            *file = Path::new(folder).join(&*file);
         }
         single.push(made);
     }
@@ -158,14 +155,15 @@ fn chosen(input: &OrthoInput<'_>, only: &[String]) -> Result<(Vec<View>, Vec<Pat
     Ok(pairs.filter(|(view, _)| used(view)).unzip())
 }
 
-/// The orthophoto of every photo, in a folder beside the mosaic.
-fn frame_files(mosaic: &Path, photos: &[PathBuf]) -> Vec<PathBuf> {
+/// The orthophoto of every photo, in a folder beside the mosaic, which is made.
+fn frame_files(mosaic: &Path, photos: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
     let folder = output::folder_of(mosaic).join("frames");
+    std::fs::create_dir_all(&folder).map_err(|e| FileError::write(&folder, e))?;
     let named = |photo: &PathBuf| {
         let stem = photo.file_stem().unwrap_or_default().to_string_lossy();
         folder.join(format!("{stem}_ortho.tif"))
     };
-    photos.iter().map(named).collect()
+    Ok(photos.iter().map(named).collect())
 }
 
 /// The surface, in the coordinate reference system of the photos.

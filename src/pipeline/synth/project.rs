@@ -238,6 +238,8 @@ mod tests {
     fn the_settings_say_what_is_known_and_can_be_read() {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join(SETTINGS), settings(7, 32616)).unwrap();
+        std::fs::create_dir(folder.path().join("truth")).unwrap();
+        std::fs::write(folder.path().join("truth/plants.csv"), "x,y\n").unwrap();
         let config = Config::of_folder(folder.path()).unwrap();
         assert_eq!(config.project.name.as_deref(), Some("Synthetic field 7"));
         assert_eq!(config.project.crs.as_deref(), Some("EPSG:32616"));

@@ -3,7 +3,7 @@
 //! For every pixel `n`: the nearest plant `C(n) = argmin_p |Z_n - X_p|`, the second nearest, and
 //! both squared distances. All of it is a pure function of the positions: distances are compared
 //! as `f32` values computed in one way only ([`distance2`]), equal ones by the lower number. So a
-//! checkpoint needs the positions alone, and the fast updates can be held against brute force bit
+//! checkpoint needs the positions alone, and the fast updates can be compared with brute force bit
 //! for bit.
 //!
 //! A moved plant changes only the pixels in which it is nearest or second nearest, before or after:

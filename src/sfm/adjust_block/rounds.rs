@@ -218,7 +218,6 @@ impl BlockAdjuster<'_> {
             Counter::new(monitor, "refining tie points", 2 * block.features.len(), "photos");
         let options = LeastSquaresMatchingOptions::default();
         let refined = refine_tie_points(block, self.photos.read, &options, &|| counter.tick())?;
-        drop(counter);
         found.extend(refined.kept.iter().map(|(image, count)| {
             let message = format!(
                 "fewer than {MIN_REFINED} of its tie points were refined by least-squares matching; {count} keep the less exact positions of their features"
