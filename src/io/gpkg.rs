@@ -124,7 +124,7 @@ pub struct Layer {
 /// Writes layers into a new GeoPackage.
 ///
 /// # Errors
-/// As [`output::write`]; where two layers or columns have one name, a feature has another number of values or another
+/// As [`write`](super::output::write); where two layers or columns have one name, a feature has another number of values or another
 /// kind of geometry than its layer, or a coordinate is not finite; in a build without the feature `geopackage`.
 pub fn write(path: &Path, force: bool, layers: &[Layer]) -> Result<(), FileError> {
     check(path, layers)?;

@@ -30,7 +30,7 @@ impl DecodedPhoto {
         DecodedPhoto { width: photo.width() as usize, height: photo.height() as usize, pixels }
     }
 
-    /// Whether a colour of [`Photo::at`] is one: all pixels that took part have data.
+    /// Whether a colour of [`DecodedPhoto::at`] is one: all pixels that took part have data.
     #[inline(always)]
     pub fn has_data(colour: [f32; 4]) -> bool {
         (colour[3] - 255.0).abs() < 0.5
@@ -47,7 +47,7 @@ impl DecodedPhoto {
     }
 
     /// The colour at a position, red, green, blue from 0 to 255 (a little beyond where a kernel overshoots);
-    /// the fourth number is for [`Photo::has_data`].
+    /// the fourth number is for [`DecodedPhoto::has_data`].
     #[inline(always)]
     pub fn at(&self, at_px: [f32; 2], interpolation: Interpolation) -> [f32; 4] {
         match interpolation {

@@ -36,7 +36,7 @@ crate::options! {
         /// An orthomosaic that exists already. Where it is set, or a folder without photos has a single GeoTIFF, nothing is
         /// aligned and traits come from it.
         pub ortho: Option<PathBuf> = None, example "\"ortho.tif\"";
-        /// Coordinate reference system of control and results: EPSG:<code> or a PROJ string. That of the control where not
+        /// Coordinate reference system of control and results: `EPSG:CODE` or a PROJ string. That of the control where not
         /// set.
         pub crs: Option<String> = None, example "\"EPSG:32616\"";
         /// Ground control points and check points. Where not set: gcps.csv, gcp_list.txt or ground_control_points.json.
@@ -45,7 +45,7 @@ crate::options! {
         pub marks: Option<PathBuf> = None, example "\"marks.csv\"";
         /// Camera positions. Where not set: geolocation.csv, else what EXIF says.
         pub positions: Option<PathBuf> = None, example "\"geolocation.csv\"";
-        /// A calibrated camera. Where not set: camera.toml, else calibration from the photos in [calibrate] images, else
+        /// A calibrated camera. Where not set: camera.toml, else calibration from the photos in `[calibrate] images`, else
         /// self-calibration.
         pub camera: Option<PathBuf> = None, example "\"camera.toml\"";
         /// Polygons of the plots. Where not set: plots.geojson, plots.gpkg or plots.shp.

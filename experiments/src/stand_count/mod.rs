@@ -1,7 +1,9 @@
 //! Fits the weights of the stand count (`rowgram::phenotype::stand_count`) to masks of which every plant is known.
 //!
-//!     experiments fit-stand-count --masks DATA/field_masks --first 1000 --last 1004 --rounds 8 \
-//!         -o src/phenotype/stand_count/weights.csv
+//! ```text
+//! experiments fit-stand-count --masks DATA/field_masks --first 1000 --last 1004 --rounds 8 \
+//!     -o src/phenotype/stand_count/weights.csv
+//! ```
 //!
 //! Takes the masks of every scenario with numbers from the first to the last, and writes both sets of weights: those fitted
 //! under the spacing, jitter, share of missing plants and of doubles that the true plants have (`of_spacing`), then those

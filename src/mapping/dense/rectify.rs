@@ -1,6 +1,6 @@
 //! Photos rectified onto the plane of a block.
 //!
-//! The lens and the pose (of each row, with a rolling shutter) are exact at the nodes of a lattice of [`LATTICE`] cells; between
+//! The lens and the pose (of each row, with a rolling shutter) are exact at the nodes of a lattice of `LATTICE` cells; between
 //! them image positions are interpolated linearly, which is within a hundredth of a pixel. The matching looks at one channel,
 //!
 //! ```text

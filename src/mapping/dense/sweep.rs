@@ -75,7 +75,7 @@ impl Positions {
     }
 }
 
-/// The matching costs of all layers: layer by layer, row by row; [`WORST`] within [`REACH`] of the border.
+/// The matching costs of all layers: layer by layer, row by row; `WORST` within `REACH` of the border.
 pub fn costs(reference: &Rectified, others: &[Rectified], heights_m: &[f64]) -> Vec<u8> {
     let cells = reference.width * reference.height;
     let mut volume = vec![WORST; cells * heights_m.len()];

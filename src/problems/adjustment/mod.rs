@@ -11,7 +11,7 @@
 //!         + (p - p_0)^T C_p^-1 (p - p_0) + ... ]             interior orientation, motion
 //! ```
 //!
-//! Residuals are in measured pixels. Check points take no part. A [`Reconstruction`] is validated
+//! Residuals are in measured pixels. Check points take no part. A [`Reconstruction`](crate::scene::Reconstruction) is validated
 //! ([`validate`]), posed as a problem ([`AdjustmentProblem`]), solved by [`crate::nlls`], and evaluated ([`Statistics`]);
 //! [`adjust()`] does all of it, [`snoop`] again and again until no observation is suspect.
 //!

@@ -78,7 +78,7 @@ impl GroupStatistics {
 /// An observation that the test rejects.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct RejectedObservation {
-    /// Its place in [`Statistics::tested`].
+    /// Its place in [`Statistics::tested`](super::Statistics::tested).
     pub place: usize,
     /// What it is.
     pub subject: ObservationRef,
