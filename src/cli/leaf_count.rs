@@ -9,7 +9,7 @@ use crate::{
     pipeline::{
         Stage,
         leaf_count::{Areas, LeafCountOptions, LeafCountOutcome, count_leaves, leaf_count},
-        segment::read_leaf_mask,
+        leaf_mask::read_leaf_mask,
     },
 };
 use std::path::PathBuf;
@@ -85,9 +85,9 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     let subject = target.input.display().to_string();
     target.present(
         |monitor| {
-            let (source, mask) = read_leaf_mask(&target.input, hsv, monitor)?;
+            let (source, leaf) = read_leaf_mask(&target.input, hsv)?;
             let place = source.georeference();
-            let outcome = count_leaves(&mask, place, &areas, &options, &subject, monitor)?;
+            let outcome = count_leaves(&leaf.mask, place, &areas, &options, &subject, monitor)?;
             outcome.write(output, target.force)?;
             Ok(outcome)
         },

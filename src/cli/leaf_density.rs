@@ -13,7 +13,7 @@ use crate::{
             LeafDensityFiles, LeafDensityOptions, LeafDensityOutcome, leaf_density,
             map_leaf_density,
         },
-        segment::read_leaf_mask,
+        leaf_mask::read_leaf_mask,
     },
 };
 use std::path::PathBuf;
@@ -71,9 +71,9 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     let (options, hsv) = (options.over_defaults()?, hsv.value()?);
     let files = LeafDensityFiles { density, figures: figures.as_deref(), force: target.force };
     target.present(
-        |monitor| {
-            let (source, mask) = read_leaf_mask(&target.input, hsv, monitor)?;
-            map_leaf_density(&mask, source.georeference(), files, &options)
+        |_| {
+            let (source, leaf) = read_leaf_mask(&target.input, hsv)?;
+            map_leaf_density(&leaf.mask, source.georeference(), files, &options)
         },
         text,
     )

@@ -9,8 +9,8 @@ use crate::{
     io::{output, points},
     pipeline::{
         Stage,
+        leaf_mask::read_leaf_mask,
         leaves::{self, LeafPicture, LeavesFiles, LeavesOptions, LeavesOutcome, measure_leaves},
-        segment::read_leaf_mask,
     },
 };
 use std::path::PathBuf;
@@ -99,9 +99,9 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     let subject = target.input.display().to_string();
     target.present(
         |monitor| {
-            let (source, mask) = read_leaf_mask(&target.input, hsv, monitor)?;
+            let (source, leaf) = read_leaf_mask(&target.input, hsv)?;
             let plants = plants.as_deref().map(points::read).transpose()?;
-            let picture = LeafPicture { source: &source, mask: &mask, subject: &subject };
+            let picture = LeafPicture { source: &source, mask: &leaf.mask, subject: &subject };
             measure_leaves(picture, plants.as_deref(), files, &options, monitor)
         },
         text,

@@ -8,8 +8,8 @@ use crate::{
     error::Error,
     pipeline::{
         Stage,
+        leaf_mask::read_leaf_mask,
         locate::{LocateFiles, LocateOptions, LocateOutcome, locate, locate_plants},
-        segment::read_leaf_mask,
     },
 };
 use std::{fmt::Write as _, path::PathBuf};
@@ -112,8 +112,8 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     let subject = target.input.display().to_string();
     target.present(
         |monitor| {
-            let (source, mask) = read_leaf_mask(&target.input, hsv, monitor)?;
-            locate_plants(&source, mask, &subject, files, &options, monitor)
+            let (source, leaf) = read_leaf_mask(&target.input, hsv)?;
+            locate_plants(&source, leaf, &subject, files, &options, monitor)
         },
         text,
     )

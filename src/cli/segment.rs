@@ -2,7 +2,7 @@
 
 use super::{
     options::Given,
-    stage::{Target, check_files},
+    stage::{Target, check_files, given},
 };
 use crate::{
     error::Error,
@@ -16,9 +16,10 @@ use std::path::PathBuf;
 
 /// Find the leaf pixels of an orthomosaic or photo by their colour
 ///
-/// A pixel is leaf where its hue is within two limits, and its saturation or its value is large enough (--hsv, in
-/// OpenCV's 8-bit HSV). Of a project, the orthomosaic is segmented into segment/mask.tif. Of a photo, a mask of its size
-/// is written, 255 where leaves are and 0 elsewhere (.png, or .tif for a GeoTIFF); TIFF files are read by bands of rows.
+/// Vegetation and background are estimated from the picture itself: every pixel gets a probability, and neighbours are made
+/// to agree. With --hsv a pixel is leaf where its hue is within two limits, and its saturation or its value is large enough
+/// (OpenCV's 8-bit HSV). Of a project, the orthomosaic is segmented into segment/mask.tif. Of a photo, a mask of its size
+/// is written, 255 where leaves are and 0 elsewhere (.png, or .tif for a GeoTIFF).
 ///
 /// Example: rowgram segment field
 /// Example: rowgram segment plot.jpg --hsv 30,79,30,163 -o mask.png --figures figures
@@ -29,6 +30,9 @@ pub(super) struct Args {
     target: Target,
     #[command(flatten)]
     options: Given<SegmentOptions>,
+    /// Of a photo: write the probability of vegetation, 0 to 255, here (.png or .tif).
+    #[arg(long, value_name = "FILE")]
+    posterior: Option<PathBuf>,
     /// Of a photo: write the photo with its mask drawn over it, mask.png, into this folder.
     #[arg(long, value_name = "DIR")]
     figures: Option<PathBuf>,
@@ -48,9 +52,12 @@ fn text(outcome: &SegmentOutcome) -> String {
 /// # Errors
 /// As [`segment::segment`] and [`segment::segment_file`].
 pub(super) fn run(args: &Args) -> Result<(), Error> {
-    let Args { target, options, figures } = args;
+    let Args { target, options, posterior, figures } = args;
     if target.is_project() {
-        target.refuse_of_files(&[("--figures", figures.is_some())])?;
+        target.refuse_of_files(&[
+            ("--posterior", posterior.is_some()),
+            ("--figures", figures.is_some()),
+        ])?;
         return target.perform(
             (Stage::Segment, segment::segment),
             options,
@@ -60,9 +67,22 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     }
     let mask = target.file()?;
     output::expect_ending(mask, &["png", "tif", "tiff"])?;
+    if let Some(posterior) = posterior {
+        output::expect_ending(posterior, &["png", "tif", "tiff"])?;
+    }
     let options = options.over_defaults()?;
     let picture = figures.as_deref().map(|folder| (folder, "mask.png"));
-    check_files(&[mask], picture, &[&target.input], target.force)?;
-    let files = SegmentFiles { mask, figures: figures.as_deref(), force: target.force };
+    check_files(
+        &given([Some(mask), posterior.as_deref()]),
+        picture,
+        &[&target.input],
+        target.force,
+    )?;
+    let files = SegmentFiles {
+        mask,
+        posterior: posterior.as_deref(),
+        figures: figures.as_deref(),
+        force: target.force,
+    };
     target.present(|monitor| segment::segment_file(&target.input, files, &options, monitor), text)
 }

@@ -46,6 +46,19 @@ pub fn read(path: &Path) -> Result<Picture, FileError> {
     })
 }
 
+/// As [`read`], and which pixels (row by row) are transparent (alpha 0); `None` where none is.
+///
+/// # Errors
+/// As [`read`].
+pub fn read_with_gaps(path: &Path) -> Result<(Picture, Option<Vec<bool>>), FileError> {
+    let stored = decode(path)?;
+    let gaps = stored.gaps();
+    Ok(match stored.as_mask(false) {
+        Some(mask) => (Picture::Mask(mask), gaps),
+        None => (Picture::Photo(stored.into_rgb()), gaps),
+    })
+}
+
 /// Reads a photo.
 ///
 /// # Errors
@@ -81,14 +94,8 @@ pub fn read_colour(path: &Path) -> Result<RgbImage, FileError> {
 /// As [`read`].
 pub fn read_colour_and_gaps(path: &Path) -> Result<(RgbImage, Option<Vec<bool>>), FileError> {
     let stored = decode(path)?;
-    let gaps: Option<Vec<bool>> = match &stored.image {
-        DynamicImage::ImageRgba8(image) => Some(image.pixels().map(|p| p.0[3] == 0).collect()),
-        DynamicImage::ImageLumaA8(image) => Some(image.pixels().map(|p| p.0[1] == 0).collect()),
-        DynamicImage::ImageRgba16(image) => Some(image.pixels().map(|p| p.0[3] == 0).collect()),
-        DynamicImage::ImageLumaA16(image) => Some(image.pixels().map(|p| p.0[1] == 0).collect()),
-        _ => None,
-    };
-    Ok((stored.into_rgb(), gaps.filter(|gaps| gaps.contains(&true))))
+    let gaps = stored.gaps();
+    Ok((stored.into_rgb(), gaps))
 }
 
 /// Reads a mask; here a colour picture that is all black or all white is one too.
@@ -117,6 +124,19 @@ pub fn is_mask(path: &Path) -> Result<bool, FileError> {
 pub fn write_mask(path: &Path, force: bool, mask: &Mask) -> Result<(), FileError> {
     let grey: Vec<u8> = mask.data.iter().map(|&pixel| if pixel == 0 { 0 } else { 255 }).collect();
     write_png(path, force, &grey, (mask.width, mask.height), ExtendedColorType::L8)
+}
+
+/// Writes values as a grey PNG of so many columns and rows.
+///
+/// # Errors
+/// As [`output::write`], and where there is no pixel or their number is another.
+pub fn write_grey(
+    path: &Path,
+    force: bool,
+    size: (usize, usize),
+    values: &[u8],
+) -> Result<(), FileError> {
+    write_png(path, force, values, size, ExtendedColorType::L8)
 }
 
 /// Writes a photo or drawing as an RGB PNG.
@@ -237,6 +257,18 @@ impl Stored {
         let colour: [u32; 3] = colour.map(Into::into);
         let pure = colour == [0; 3] || colour == [white; 3];
         Rank { brightness: colour.iter().sum(), in_pair: pure || self.palette, alone: pure }
+    }
+
+    /// Which pixels are transparent (alpha 0); `None` where none is.
+    fn gaps(&self) -> Option<Vec<bool>> {
+        let gaps: Vec<bool> = match &self.image {
+            DynamicImage::ImageRgba8(image) => image.pixels().map(|p| p.0[3] == 0).collect(),
+            DynamicImage::ImageLumaA8(image) => image.pixels().map(|p| p.0[1] == 0).collect(),
+            DynamicImage::ImageRgba16(image) => image.pixels().map(|p| p.0[3] == 0).collect(),
+            DynamicImage::ImageLumaA16(image) => image.pixels().map(|p| p.0[1] == 0).collect(),
+            _ => return None,
+        };
+        gaps.contains(&true).then_some(gaps)
     }
 
     fn into_rgb(self) -> RgbImage {

@@ -28,7 +28,12 @@ pub enum Source {
     /// A TIFF file.
     File(Box<Reader>),
     /// A picture in memory.
-    Picture(Picture),
+    Picture {
+        /// Its pixels.
+        picture: Picture,
+        /// Which of them (row by row) are transparent; `None` where none is.
+        gaps: Option<Vec<bool>>,
+    },
 }
 
 impl Source {
@@ -43,17 +48,18 @@ impl Source {
         if tiff {
             return Ok(Source::File(Box::new(Reader::open(path)?)));
         }
-        Ok(Source::Picture(images::read(path)?))
+        let (picture, gaps) = images::read_with_gaps(path)?;
+        Ok(Source::Picture { picture, gaps })
     }
 
     /// Columns and rows.
     pub fn size(&self) -> (usize, usize) {
         match self {
             Source::File(reader) => (reader.width(), reader.height()),
-            Source::Picture(Picture::Photo(photo)) => {
+            Source::Picture { picture: Picture::Photo(photo), .. } => {
                 (photo.width() as usize, photo.height() as usize)
             }
-            Source::Picture(Picture::Mask(mask)) => (mask.width, mask.height),
+            Source::Picture { picture: Picture::Mask(mask), .. } => (mask.width, mask.height),
         }
     }
 
@@ -61,7 +67,7 @@ impl Source {
     pub fn georeference(&self) -> Option<Georeference> {
         match self {
             Source::File(reader) => reader.georeference(),
-            Source::Picture(_) => None,
+            Source::Picture { .. } => None,
         }
     }
 
@@ -69,7 +75,7 @@ impl Source {
     pub fn is_photo(&self) -> bool {
         match self {
             Source::File(reader) => reader.is_colour(),
-            Source::Picture(picture) => matches!(picture, Picture::Photo(_)),
+            Source::Picture { picture, .. } => matches!(picture, Picture::Photo(_)),
         }
     }
 
@@ -78,17 +84,32 @@ impl Source {
     /// # Errors
     /// Where the file is damaged.
     pub fn rgb(&self, rows: Range<usize>) -> Result<RgbImage, FileError> {
+        Ok(self.rgb_and_gaps(rows)?.0)
+    }
+
+    /// As [`Source::rgb`], and which pixels (row by row) show nothing: transparent ones and those without data; `None`
+    /// where there are none.
+    ///
+    /// # Errors
+    /// As [`Source::rgb`].
+    pub fn rgb_and_gaps(
+        &self,
+        rows: Range<usize>,
+    ) -> Result<(RgbImage, Option<Vec<bool>>), FileError> {
         match self {
-            Source::File(reader) => reader.read_rgb(Window::rows(reader.width(), rows)),
-            Source::Picture(picture) => {
+            Source::File(reader) => reader.read_rgb_and_gaps(Window::rows(reader.width(), rows)),
+            Source::Picture { picture, gaps } => {
                 let crop = |photo: &RgbImage| {
                     let (width, height) = (photo.width(), rows.len() as u32);
                     image::imageops::crop_imm(photo, 0, rows.start as u32, width, height).to_image()
                 };
-                Ok(match picture {
+                let photo = match picture {
                     Picture::Photo(photo) => crop(photo),
                     Picture::Mask(mask) => crop(&mask.to_rgb()),
-                })
+                };
+                let width = photo.width() as usize;
+                let gaps = gaps.as_ref().map(|gaps| &gaps[rows.start * width..rows.end * width]);
+                Ok((photo, gaps.filter(|gaps| gaps.contains(&true)).map(<[bool]>::to_vec)))
             }
         }
     }
@@ -100,8 +121,8 @@ impl Source {
     /// Where the file is damaged, or has neither colours nor just two values.
     pub fn mask(&self, mut of_photo: impl FnMut(&RgbImage) -> Mask) -> Result<Mask, Error> {
         let reader = match self {
-            Source::Picture(Picture::Mask(mask)) => return Ok(mask.clone()),
-            Source::Picture(Picture::Photo(photo)) => return Ok(of_photo(photo)),
+            Source::Picture { picture: Picture::Mask(mask), .. } => return Ok(mask.clone()),
+            Source::Picture { picture: Picture::Photo(photo), .. } => return Ok(of_photo(photo)),
             Source::File(reader) => reader,
         };
         let (width, height) = self.size();
@@ -175,6 +196,44 @@ pub fn write_mask(
         }
         Ok(())
     })
+}
+
+/// Writes posterior probabilities in 1/255 by the name's ending, as [`write_mask`] does.
+///
+/// # Errors
+/// As [`super::output::write`], and where there is no pixel.
+pub fn write_posterior(
+    path: &Path,
+    force: bool,
+    (width, height): (usize, usize),
+    posterior: &[u8],
+    georeference: Option<Georeference>,
+) -> Result<(), FileError> {
+    if !is_tiff_name(path) {
+        return images::write_grey(path, force, (width, height), posterior);
+    }
+    let layout = Layout { width, height, colour: Colour::Values, georeference, nodata: None };
+    geotiff::write::<u8, FileError>(path, force, &layout, |writer| {
+        for band in window::bands(height, geotiff::TILE, 0) {
+            let samples = &posterior[band.rows.start * width..band.rows.end * width];
+            writer.put(Window::rows(width, band.rows), samples)?;
+        }
+        Ok(())
+    })
+}
+
+/// Reads what [`write_posterior`] wrote into a TIFF file, of a mask of this size.
+///
+/// # Errors
+/// Where the file cannot be read, or has another size or other samples.
+pub fn read_posterior(path: &Path, (width, height): (usize, usize)) -> Result<Vec<u8>, FileError> {
+    let reader = Reader::open(path)?;
+    if (reader.width(), reader.height()) != (width, height) {
+        let (columns, rows) = (reader.width(), reader.height());
+        let message = format!("it has {columns} x {rows} pixels, its mask {width} x {height}");
+        return Err(FileError::malformed(path, None, message));
+    }
+    reader.read::<u8>(Window::whole(width, height))
 }
 
 /// Whether a name ends like that of a TIFF file.

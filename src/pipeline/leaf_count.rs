@@ -1,6 +1,10 @@
 //! Number of leaves from the area that they cover.
 
-use super::{Project, Stage, Task, stage};
+use super::{
+    Project, Stage, Task,
+    leaf_mask::{self, LeafMask},
+    stage,
+};
 use crate::{
     error::Error,
     io::{FileError, leaf_counts, polygons},
@@ -92,7 +96,7 @@ impl Task for LeafCountStage {
         monitor: &mut dyn Monitor,
     ) -> Result<LeafCountOutcome, Error> {
         let image = project.mask()?;
-        let (source, mask) = super::segment::read_leaf_mask(&image, Auto::Auto, monitor)?;
+        let (source, LeafMask { mask, .. }) = leaf_mask::read_leaf_mask(&image, Auto::Auto)?;
         let areas = Areas {
             regions: project.regions().filter(|_| options.rho_px.is_none()),
             plots: project.plots(),

@@ -1,6 +1,10 @@
 //! Local density of leaf pixels.
 
-use super::{Project, Stage, Task, figures, stage};
+use super::{
+    Project, Stage, Task, figures,
+    leaf_mask::{self, LeafMask},
+    stage,
+};
 use crate::{
     error::Error,
     io::{
@@ -72,9 +76,10 @@ impl Task for LeafDensity {
         project: &Project,
         options: &LeafDensityOptions,
         folder: &Path,
-        monitor: &mut dyn Monitor,
+        _: &mut dyn Monitor,
     ) -> Result<LeafDensityOutcome, Error> {
-        let (source, mask) = super::segment::read_leaf_mask(&project.mask()?, Auto::Auto, monitor)?;
+        let (source, LeafMask { mask, .. }) =
+            leaf_mask::read_leaf_mask(&project.mask()?, Auto::Auto)?;
         let files = LeafDensityFiles {
             density: &folder.join("density.tif"),
             figures: Some(&folder.join("figures")),

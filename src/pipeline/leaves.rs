@@ -1,6 +1,11 @@
 //! Single leaves.
 
-use super::{Project, Stage, Task, figures::View, segment::read_leaf_mask, stage};
+use super::{
+    Project, Stage, Task,
+    figures::View,
+    leaf_mask::{self, LeafMask},
+    stage,
+};
 use crate::{
     error::Error,
     io::{
@@ -104,7 +109,7 @@ impl Task for LeavesStage {
         monitor: &mut dyn Monitor,
     ) -> Result<LeavesOutcome, Error> {
         let ortho = project.orthomosaic()?;
-        let (_, mask) = read_leaf_mask(&project.mask()?, Auto::Auto, monitor)?;
+        let (_, LeafMask { mask, .. }) = leaf_mask::read_leaf_mask(&project.mask()?, Auto::Auto)?;
         let plants = project.finished(Stage::Locate, "plants.csv");
         let plants = plants.as_deref().map(points::read).transpose()?;
         let subject = super::record::relative(project.root(), &ortho).display().to_string();

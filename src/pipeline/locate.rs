@@ -1,20 +1,24 @@
 //! The place of every plant.
 
-use super::{Project, Stage, Task, figures::View, segment::read_leaf_mask, stage};
+use super::{
+    Project, Stage, Task,
+    figures::View,
+    leaf_mask::{self, LeafMask},
+    stage,
+};
 use crate::{
     descent::{Descent, Outcome},
     drive::{Drive, Limits},
     error::Error,
     io::{plants as table, rasters::Source},
     monitor::{Diagnostic, Monitor},
-    options::Auto,
     phenotype::{
         locate::Setup,
         locator::{self, Descend, Descended, Found, Work},
         stand::{NORMAL_95, Stalk, Stand},
     },
     problems::plants::Proof,
-    raster::{Mask, components, overlay},
+    raster::{components, overlay},
 };
 use image::Rgb;
 use serde::{Deserialize, Serialize};
@@ -168,7 +172,7 @@ impl Task for Locate {
         monitor: &mut dyn Monitor,
     ) -> Result<LocateOutcome, Error> {
         let image = project.mask()?;
-        let (source, mask) = read_leaf_mask(&image, Auto::Auto, monitor)?;
+        let (source, leaf) = leaf_mask::of_project(project)?;
         let is_row_model = options.method == LocateMethod::RowModel && options.tile_px.is_none();
         let of_rows = |name: &str| is_row_model.then(|| folder.join(name));
         let (gaps, rows) = (of_rows("gaps.csv"), of_rows("rows.csv"));
@@ -181,7 +185,7 @@ impl Task for Locate {
             force: true,
         };
         let subject = super::record::relative(project.root(), &image).display().to_string();
-        locate_plants(&source, mask, &subject, files, options, monitor)
+        locate_plants(&source, leaf, &subject, files, options, monitor)
     }
 }
 
@@ -233,13 +237,14 @@ impl LocateFiles<'_> {
 /// Options that do not go together, as [`locator::find`]; files that cannot be written.
 pub fn locate_plants(
     source: &Source,
-    mut mask: Mask,
+    leaf: LeafMask,
     subject: &str,
     files: LocateFiles<'_>,
     options: &LocateOptions,
     monitor: &mut dyn Monitor,
 ) -> Result<LocateOutcome, Error> {
     files.check(options)?;
+    let mut mask = leaf.mask;
     components::remove_small(&mut mask, options.min_pixels);
     let of_raster = || source.georeference().and_then(|place| place.gsd_m());
     let gsd_m = options.gsd_m.or_else(of_raster);

@@ -20,6 +20,7 @@ pub mod figures;
 pub mod import;
 pub mod leaf_count;
 pub mod leaf_density;
+pub mod leaf_mask;
 pub mod leaves;
 pub mod locate;
 mod map_figures;

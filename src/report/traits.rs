@@ -72,17 +72,19 @@ pub(super) fn leaves(facts: &Facts<'_>) -> Result<Section, Error> {
         return Ok(None);
     };
     let overview = pictures::overview(&mask, 1100)?;
-    // Hues of the 8-bit HSV are half degrees; the page has degrees everywhere.
-    let [hue_min_deg, hue_max_deg] =
-        [segment.hsv.hue_min, segment.hsv.hue_max].map(|half| 2 * u16::from(half));
     let content = html! {
         p {
             "Leaves cover " (format!("{:.2}", 100.0 * segment.leaf_share)) " % of the map"
             @if let Some(gsd_m) = facts.outcome.gsd_m {
                 ", " (format!("{:.1}", segment.leaf_pixels as f64 * gsd_m * gsd_m)) " m²"
             }
-            ": pixels with a hue from " (hue_min_deg) "° to " (hue_max_deg) "°, and a saturation from "
-            (segment.hsv.saturation_min) " or a value from " (segment.hsv.value_min) " (of 255)."
+            @if let Some(hsv) = segment.hsv {
+                // Hues of the 8-bit HSV are half degrees; the page has degrees everywhere.
+                ": pixels with a hue from " (2 * u16::from(hsv.hue_min)) "° to " (2 * u16::from(hsv.hue_max))
+                "°, and a saturation from " (hsv.saturation_min) " or a value from " (hsv.value_min) " (of 255)."
+            } @else {
+                ", estimated from the colours of the map itself."
+            }
         }
         div .pair {
             (figure(&pictures::jpeg(&pictures::green(&overview.picture), 1100)?, "The leaf mask.", ""))
