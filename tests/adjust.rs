@@ -81,7 +81,7 @@ fn a_person_reads_a_summary() {
     let output = adjust(&[&file, "--loss", "huber:1", "--method", "dogleg", "--threads", "1"]);
     assert!(output.status.success(), "{}", stderr(&output));
     let text = String::from_utf8(output.stdout).unwrap();
-    for part in ["9 images, 100 points", "stopped because", "tie points", "rmse"] {
+    for part in ["9 images, 100 points", "stopped because", "tie points", "rmse", "fused"] {
         assert!(text.contains(part), "{text}");
     }
 }
@@ -100,6 +100,13 @@ fn every_solver_and_thread_count_gives_the_same_cost() {
     for solver in ["sparse", "dense", "iterative-schur"] {
         assert!((cost(&["--solver", solver]) / schur - 1.0).abs() < 1e-8);
     }
+    let path = |more: &[&str]| {
+        let output = adjust(&[&[file.as_str(), "--json"], more].concat());
+        let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+        report["batches"][0]["path"].clone()
+    };
+    assert_eq!(path(&[]), "fused");
+    assert_eq!(path(&["--solver", "dense"]), "dense");
 }
 
 #[test]
@@ -120,7 +127,9 @@ fn bad_input_is_refused_with_code_2_and_leaves_outputs_alone() {
     let empty = damaged("empty.txt", "");
     let unseen =
         damaged("unseen.txt", "1 2 1\n0 0 1 1\n0\n0\n0\n0\n0\n0\n1\n0\n0\n0\n0\n-1\n0\n0\n-1\n");
-    let cases: [(&[&str], &str); 12] = [
+    let cases: [(&[&str], &str); 14] = [
+        (&[&file, "--check", "A1"], "no names to join control to"),
+        (&[&file, "--solver", "sprse"], "schur, iterative-schur, sparse, dense"),
         (&[&file, "--threads", "100000"], "1024"),
         (&[&file, "-o", "/nowhere/out.txt"], "its folder does not exist"),
         (&[&cut], "line"),

@@ -270,7 +270,7 @@ fn shells_and_manuals_know_the_commands() {
 }
 
 /// Settings that cannot be, and what is said of each.
-const NONSENSE: [(&str, &str); 24] = [
+const NONSENSE: [(&str, &str); 27] = [
     ("align.seed=-1", "seed = -1: expected a whole number"),
     ("align.seed=two", "seed = \"two\": expected a whole number"),
     ("align.max_features=0", "max_features = 0: expected a whole number of at least 100"),
@@ -293,6 +293,9 @@ const NONSENSE: [(&str, &str); 24] = [
     ("leaf_count.rho_px=0", "rho_px = 0: expected a number greater than 0"),
     ("locate.plants=0", "plants = 0: expected auto or a whole number of at least 1"),
     ("locate.method=magic", "method = \"magic\": expected one of: row-model"),
+    ("locate.tempering=6", "tempering: an option of the descent"),
+    ("calibrate.square_m=0.025", "board and square_m: expected both"),
+    ("project.crs=EPSG:1", "[project] crs = \"EPSG:1\""),
     ("plots.rows_per_plot=4", "[plots] alley_m is not set"),
     ("evaluate.radii_m=0.05,-0.1", "radii_m = [0.05, -0.1]: expected a list"),
 ];

@@ -30,8 +30,8 @@ fn folder() -> tempfile::TempDir {
 fn a_photo_becomes_a_mask() {
     let folder = folder();
     let run = rowgram(folder.path(), "segment photo.png --hsv 30,79,30,163 -o mask.png");
-    assert_eq!((run.code, run.stdout.as_str()), (0, ""));
-    assert_snapshot!(run.stderr.trim(), @"INFO 32 of 600 pixels are leaf (5.33 %), in 2 connected areas");
+    assert_eq!((run.code, run.stderr.as_str()), (0, ""));
+    assert_snapshot!(run.stdout.trim(), @"32 of 600 pixels are leaf (5.33 %), in 2 connected areas");
     let mask = images::read_mask(&folder.path().join("mask.png")).unwrap();
     assert!(mask.get(5, 6) && mask.get(25, 15) && !mask.get(7, 7) && !mask.get(4, 6));
     assert_eq!(mask.count(), 32);
@@ -65,7 +65,7 @@ fn the_smallest_pictures_work() {
     RgbImage::from_pixel(1, 1, SOIL).save(folder.path().join("soil.png")).unwrap();
     let run = rowgram(folder.path(), "segment soil.png --hsv 30,79,30,163 -o empty.png --json");
     assert_eq!(run.code, 0, "{}", run.stderr);
-    assert_snapshot!(run.stderr.trim(), @"WARN soil.png: no pixel is within the thresholds; the leaf mask is empty; choose other thresholds (rowgram thresholds, then --hsv)");
+    assert_snapshot!(run.stderr.trim(), @"warning: soil.png: no pixel is within the thresholds; the leaf mask is empty; choose other thresholds (rowgram thresholds, then --hsv)");
     assert!(run.stdout.contains("\"leaf_pixels\":0,\"leaf_share\":0.0"), "{}", run.stdout);
     // A PNG header with a width of 0.
     let mut bytes = std::fs::read(folder.path().join("one.png")).unwrap();

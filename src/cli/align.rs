@@ -1,9 +1,11 @@
 //! `rowgram align`: arguments in, results out; see [`crate::pipeline::align`].
 
-use super::{options::Given, terminal::Terminal};
+use super::{
+    options::Given,
+    project::{self, present},
+};
 use crate::{
     error::Error,
-    monitor::{Diagnostic, Recorder},
     options::Choice,
     pipeline::{
         Config, Project, Stage,
@@ -11,7 +13,6 @@ use crate::{
     },
 };
 use clap::Args as ClapArgs;
-use serde::Serialize;
 use std::path::PathBuf;
 
 /// Orient the photos of a flight: camera poses, a sparse cloud, self-calibration, check points.
@@ -75,14 +76,6 @@ fn step() -> clap::builder::PossibleValuesParser {
     Step::all().iter().map(Choice::word).collect::<Vec<String>>().into()
 }
 
-/// What `--json` prints.
-#[derive(Serialize)]
-struct Line<'a, T> {
-    #[serde(flatten)]
-    outcome: &'a T,
-    diagnostics: &'a [Diagnostic],
-}
-
 impl Args {
     fn project(&self) -> Result<(Project, AlignOptions), Error> {
         let mut config = Config::read(&self.project, std::env::vars(), &[])?;
@@ -102,11 +95,7 @@ impl Args {
             }
         }
         config.align = options.clone();
-        let project = Project::new(&self.project, config)?;
-        let project = match &self.output {
-            Some(folder) => project.with_results(folder),
-            None => project,
-        };
+        let project = project::with_config(&self.project, self.output.as_deref(), config)?;
         Ok((project, options))
     }
 
@@ -130,35 +119,19 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     if let Some(from) = from {
         align::forget(&project, from)?;
     }
-    let mut terminal = Terminal::new();
-    let mut monitor = Recorder::new(&mut terminal);
     if let Some(until) = until.filter(|until| *until < Step::Report) {
-        let report = align::align_until(&project, &options, until, &mut monitor)?;
-        return args.show(&report, &report, &monitor.diagnostics);
+        return present(
+            args.json,
+            |monitor| align::align_until(&project, &options, until, monitor),
+            ToString::to_string,
+        );
     }
-    let outcome = align::align(&project, &options, &mut monitor)?;
-    let summary = std::fs::read_to_string(project.file(Stage::Align, "report/summary.txt"));
-    let text = format!("{outcome}{}", summary.unwrap_or_default());
-    args.show(&outcome, &text, &monitor.diagnostics)?;
-    if !outcome.converged {
-        return Err(Error::Incomplete(
-            "the adjustment did not converge: look at the report before using its results".into(),
-        ));
-    }
-    Ok(())
-}
-
-impl Args {
-    fn show(
-        &self,
-        outcome: &impl Serialize,
-        text: &impl std::fmt::Display,
-        diagnostics: &[Diagnostic],
-    ) -> Result<(), Error> {
-        if self.json {
-            super::print_json(&Line { outcome, diagnostics })
-        } else {
-            super::print(&text.to_string())
-        }
-    }
+    present(
+        args.json,
+        |monitor| align::align(&project, &options, monitor),
+        |outcome| {
+            let summary = std::fs::read_to_string(project.file(Stage::Align, "report/summary.txt"));
+            format!("{outcome}{}", summary.unwrap_or_default())
+        },
+    )
 }

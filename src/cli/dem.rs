@@ -1,6 +1,6 @@
 //! `rowgram dem`: a surface from the tie points of a project, or from other points.
 
-use super::{import::ModelArgs, options::Given, stage};
+use super::{import::ModelArgs, options::Given, project};
 use crate::{
     error::Error,
     io::cloud_points,
@@ -59,13 +59,10 @@ pub(super) struct Args {
 /// As the stage says.
 pub(super) fn run(args: &Args) -> Result<(), Error> {
     let Some(root) = &args.project else { return of_points(args) };
-    let project = stage::open(root, args.output.as_deref())?;
-    if args.force {
-        project.records().forget(Stage::Dem)?;
-    }
+    let project = project::open_for(Stage::Dem, root, args.output.as_deref(), args.force)?;
     let options = args.options.over(&project.config().dem)?;
     let folder = project.folder(Stage::Dem);
-    stage::present(
+    project::present(
         args.json,
         |monitor| dem(&project, &options, monitor),
         |outcome| text(&folder.join(&outcome.surface).display().to_string(), outcome),
@@ -86,7 +83,7 @@ fn of_points(args: &Args) -> Result<(), Error> {
         }
     };
     let files = (output, args.figures.as_deref(), args.force);
-    stage::present(
+    project::present(
         args.json,
         |monitor| write_elevation(&points, Crs::of(&reference), &options, files, monitor),
         |outcome| text(&output.display().to_string(), outcome),

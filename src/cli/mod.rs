@@ -7,6 +7,7 @@ mod adjust;
 mod align;
 mod calibrate;
 mod camera;
+mod convert;
 mod dem;
 mod doctor;
 mod evaluate;
@@ -26,7 +27,6 @@ mod run;
 mod segment;
 mod shell;
 mod stage;
-mod survey;
 mod synth;
 mod terminal;
 mod thresholds;
@@ -71,7 +71,7 @@ enum Command {
     Verify(verify::Args),
     Align(Box<align::Args>),
     Adjust(Box<adjust::Args>),
-    Convert(survey::convert::Args),
+    Convert(convert::Args),
     Calibrate(Box<calibrate::Args>),
     Undistort(undistort::Args),
     Camera(camera::CameraArgs),
@@ -130,7 +130,7 @@ fn dispatch(command: Command) -> Result<(), Error> {
         Command::Verify(args) => verify::run(&args),
         Command::Align(args) => align::run(&args),
         Command::Adjust(args) => adjust::run(&args),
-        Command::Convert(args) => survey::convert::run(&args),
+        Command::Convert(args) => convert::run(&args),
         Command::Calibrate(args) => calibrate::run(&args),
         Command::Undistort(args) => undistort::run(&args),
         Command::Camera(args) => args.run(),
@@ -170,9 +170,7 @@ fn start_logging(verbose: u8, quiet: bool) {
     tracing_subscriber::fmt()
         .with_env_filter(tracing_subscriber::EnvFilter::new(format!("rowgram={level}")))
         .with_writer(std::io::stderr)
-        .with_ansi(colour)
-        .without_time()
-        .with_target(false)
+        .event_format(terminal::Lines { colour })
         .init();
 }
 

@@ -3,7 +3,7 @@
 use crate::{
     error::Error,
     options::{Auto, Kind, Options},
-    pipeline::segment::SegmentOptions,
+    pipeline::{Config, segment::SegmentOptions},
     raster::mask::Thresholds,
 };
 use clap::{Arg, ArgMatches, Command};
@@ -74,7 +74,12 @@ fn argument<T: Options>(field: &crate::options::Field) -> Arg {
 }
 
 fn heading<T: Options>() -> String {
-    format!("Options of [{}] in rowgram.toml", T::SECTION)
+    let is_section = Config::sections().iter().any(|section| section.name == T::SECTION);
+    if is_section {
+        format!("Options of [{}] in rowgram.toml", T::SECTION)
+    } else {
+        "Options".to_owned()
+    }
 }
 
 fn plain(value: &toml::Value) -> String {

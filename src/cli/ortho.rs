@@ -1,6 +1,6 @@
 //! `rowgram ortho`: the orthomosaic of a project, or of photos with poses from elsewhere.
 
-use super::{import::ModelArgs, options::Given, stage};
+use super::{import::ModelArgs, options::Given, project};
 use crate::{
     error::Error,
     pipeline::{
@@ -63,13 +63,10 @@ pub(super) struct Args {
 /// As the stage says.
 pub(super) fn run(args: &Args) -> Result<(), Error> {
     let Some(root) = &args.project else { return of_model(args) };
-    let project = stage::open(root, args.output.as_deref())?;
-    if args.force {
-        project.records().forget(Stage::Ortho)?;
-    }
+    let project = project::open_for(Stage::Ortho, root, args.output.as_deref(), args.force)?;
     let options = args.options.over(&project.config().ortho)?;
     let folder = project.folder(Stage::Ortho);
-    stage::present(
+    project::present(
         args.json,
         |monitor| ortho(&project, &options, monitor),
         |outcome| text(&folder, outcome),
@@ -89,7 +86,7 @@ fn of_model(args: &Args) -> Result<(), Error> {
     let input = OrthoInput { reconstruction: &reconstruction, photos: &photos, surface: &surface };
     let figures = args.figures.as_deref();
     let files = OrthoFiles { mosaic: &output, figures, force: args.force };
-    stage::present(
+    project::present(
         args.json,
         |monitor| write_orthophotos(&input, &options, &files, monitor),
         |outcome| text(output.parent().unwrap_or(Path::new("")), outcome),

@@ -27,6 +27,18 @@ pub(super) fn open_with(
     settings: &[String],
 ) -> Result<Project, Error> {
     let config = Config::read(root, std::env::vars(), settings)?;
+    with_config(root, results, config)
+}
+
+/// The project in a folder, with these settings.
+///
+/// # Errors
+/// A folder that is none.
+pub(super) fn with_config(
+    root: &Path,
+    results: Option<&Path>,
+    config: Config,
+) -> Result<Project, Error> {
     let project = Project::new(root, config)?;
     Ok(match results {
         Some(folder) => project.with_results(folder),

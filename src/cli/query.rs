@@ -1,6 +1,6 @@
 //! `rowgram query`: from a place on an orthomosaic to the pixel of the photo behind it, and back.
 
-use super::stage;
+use super::project;
 use crate::{
     error::Error,
     pipeline::query::{OrthophotoOrigins, query},
@@ -60,7 +60,7 @@ pub(super) struct Args {
 /// An orthomosaic without its record, a place that it does not show, a photo that it does not know.
 pub(super) fn run(args: &Args) -> Result<(), Error> {
     let origins = if args.input.is_dir() {
-        query(&stage::open(&args.input, args.output.as_deref())?, args.dem.as_deref())?
+        query(&project::open(&args.input, args.output.as_deref())?, args.dem.as_deref())?
     } else {
         OrthophotoOrigins::open(&args.input, args.dem.as_deref())?
     };

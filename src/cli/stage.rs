@@ -1,13 +1,16 @@
 //! What the commands of stages have in common: they work on a project, or on a single file.
 
-use super::{options::Given, print_json, terminal::Terminal};
+use super::{
+    options::Given,
+    project::{open_for, present},
+};
 use crate::{
     error::Error,
     io::{
         FileError,
         output::{self, same_file},
     },
-    monitor::{Diagnostic, Monitor, Recorder, Severity},
+    monitor::Monitor,
     options::Options,
     pipeline::{Config, Project, Stage},
 };
@@ -33,14 +36,6 @@ pub(super) struct Target {
 
 /// A stage of the library.
 pub(super) type StageFunction<O, R> = fn(&Project, &O, &mut dyn Monitor) -> Result<R, Error>;
-
-/// What `--json` prints.
-#[derive(Serialize)]
-struct Shown<'a, T> {
-    #[serde(flatten)]
-    outcome: &'a T,
-    diagnostics: &'a [Diagnostic],
-}
 
 impl Target {
     /// Whether it is a project.
@@ -83,11 +78,8 @@ impl Target {
         of: fn(&Config) -> &O,
         text: impl FnOnce(&R) -> String,
     ) -> Result<(), Error> {
-        let project = open(&self.input, self.output.as_deref())?;
+        let project = open_for(stage, &self.input, self.output.as_deref(), self.force)?;
         let options = given.over(of(project.config()))?;
-        if self.force {
-            project.records().forget(stage)?;
-        }
         self.present(|monitor| work(&project, &options, monitor), text)
     }
 
@@ -101,43 +93,6 @@ impl Target {
         text: impl FnOnce(&O) -> String,
     ) -> Result<(), Error> {
         present(self.json, work, text)
-    }
-}
-
-/// The project in a folder, with the settings of its file and of the environment.
-///
-/// # Errors
-/// A folder that is none, settings that cannot be understood.
-pub(super) fn open(root: &Path, results: Option<&Path>) -> Result<Project, Error> {
-    let config = Config::read(root, std::env::vars(), &[])?;
-    let project = Project::new(root, config)?;
-    Ok(match results {
-        Some(folder) => project.with_results(folder),
-        None => project,
-    })
-}
-
-/// Does some work with the terminal as listener and presents what came of it.
-///
-/// # Errors
-/// As the work; [`Error::Incomplete`] where a diagnostic says that the result should not be used.
-pub(super) fn present<O: Serialize>(
-    json: bool,
-    work: impl FnOnce(&mut dyn Monitor) -> Result<O, Error>,
-    text: impl FnOnce(&O) -> String,
-) -> Result<(), Error> {
-    let mut terminal = Terminal::new();
-    let mut recorder = Recorder::new(&mut terminal);
-    let outcome = work(&mut recorder)?;
-    let diagnostics = recorder.diagnostics;
-    if json {
-        print_json(&Shown { outcome: &outcome, diagnostics: &diagnostics })?;
-    } else {
-        tracing::info!("{}", text(&outcome));
-    }
-    match diagnostics.iter().find(|found| found.severity == Severity::Error) {
-        Some(found) => Err(Error::Incomplete(found.to_string())),
-        None => Ok(()),
     }
 }
 

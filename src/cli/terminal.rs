@@ -2,7 +2,45 @@
 
 use crate::monitor::{Diagnostic, Monitor, Progress, Severity};
 use indicatif::{ProgressBar, ProgressStyle};
-use std::time::Instant;
+use std::{fmt, time::Instant};
+use tracing::{Event, Level, Subscriber};
+use tracing_subscriber::{
+    fmt::{FmtContext, FormatEvent, FormatFields, format::Writer},
+    registry::LookupSpan,
+};
+
+/// How messages are written: as they are, warnings and errors behind their word.
+pub(super) struct Lines {
+    /// Whether the word has a colour.
+    pub(super) colour: bool,
+}
+
+impl<S, N> FormatEvent<S, N> for Lines
+where
+    S: Subscriber + for<'a> LookupSpan<'a>,
+    N: for<'a> FormatFields<'a> + 'static,
+{
+    fn format_event(
+        &self,
+        context: &FmtContext<'_, S, N>,
+        mut line: Writer<'_>,
+        event: &Event<'_>,
+    ) -> fmt::Result {
+        let (word, code) = match *event.metadata().level() {
+            Level::ERROR => ("error: ", 31),
+            Level::WARN => ("warning: ", 33),
+            Level::INFO => ("", 0),
+            Level::DEBUG => ("debug: ", 34),
+            Level::TRACE => ("trace: ", 35),
+        };
+        match (word, self.colour) {
+            ("", _) | (_, false) => line.write_str(word)?,
+            (_, true) => write!(line, "\x1b[{code}m{word}\x1b[0m")?,
+        }
+        context.field_format().format_fields(line.by_ref(), event)?;
+        writeln!(line)
+    }
+}
 
 /// Shows what stages tell.
 #[derive(Default)]

@@ -1,12 +1,10 @@
 //! `rowgram thresholds`: thresholds of leaf pixels for photos.
 
-use super::{options::Given, print, print_json, terminal::Terminal};
+use super::{options::Given, project::present};
 use crate::{
     error::Error,
-    monitor::Recorder,
     pipeline::thresholds::{Photos, ThresholdsOptions, ThresholdsOutcome, thresholds},
 };
-use serde::Serialize;
 use std::path::PathBuf;
 
 /// Propose, tune or judge the thresholds of leaf pixels
@@ -44,27 +42,18 @@ pub(super) struct Args {
     force: bool,
 }
 
-#[derive(Serialize)]
-struct Shown<'a> {
-    #[serde(flatten)]
-    outcome: &'a ThresholdsOutcome,
-    diagnostics: &'a [crate::monitor::Diagnostic],
-}
-
 /// Runs the command.
 ///
 /// # Errors
 /// As [`thresholds`].
 pub(super) fn run(args: &Args) -> Result<(), Error> {
     let options = args.options.over_defaults()?;
-    let mut terminal = Terminal::new();
-    let mut recorder = Recorder::new(&mut terminal);
     let input = Photos { photos: &args.photos, masks: &args.masks };
     let figures = args.figures.as_deref().map(|folder| (folder, args.force));
-    let outcome = thresholds(input, &options, figures, &mut recorder)?;
-    if args.json {
-        return print_json(&Shown { outcome: &outcome, diagnostics: &recorder.diagnostics });
-    }
+    present(args.json, |monitor| thresholds(input, &options, figures, monitor), text)
+}
+
+fn text(outcome: &ThresholdsOutcome) -> String {
     let mut text = format!("--hsv {}  ({})\n", outcome.hsv, outcome.origin.word());
     for judged in &outcome.judged {
         text += &format!(
@@ -76,5 +65,5 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
             judged.hsv
         );
     }
-    print(&text)
+    text
 }

@@ -82,7 +82,7 @@ crate::options! {
         pub row_model: RowModelOptions,
         /// The descent.
         pub descent: DescentOptions,
-    } {
+    }, together go_together {
         /// Number of plants; auto finds as many as there seem to be.
         pub plants: Auto<usize> = Auto::Auto, limits at_least(1.0);
         /// How plants are located: row-model (votes along leaf axes, dynamic programming along curved rows); refined (then the
@@ -103,7 +103,7 @@ crate::options! {
 }
 
 /// Options of the descent go with methods that descend, tiles with the row model.
-fn together(options: &LocateOptions) -> Result<(), String> {
+fn go_together(options: &LocateOptions) -> Result<(), String> {
     let is_row_model = options.method == LocateMethod::RowModel;
     if let Some((name, _)) = options.descent.changed().first().filter(|_| is_row_model) {
         return Err(format!(
@@ -122,7 +122,7 @@ impl LocateOptions {
     /// # Errors
     /// [`LocateError::Option`]: which, and what was expected.
     pub fn check(&self) -> Result<(), LocateError> {
-        self.validate().and_then(|()| together(self)).map_err(LocateError::Option)
+        self.validate().map_err(LocateError::Option)
     }
 
     /// Where the descent starts.

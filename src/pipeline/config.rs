@@ -75,12 +75,23 @@ impl ProjectOptions {
             path.as_ref().filter(|path| !root.join(path).is_file()).map(|path| (key, path))
         });
         match missing {
-            None => Ok(()),
+            None => self.check_crs(),
             Some((key, path)) => Err(Error::Argument(format!(
                 "[project] {key} = {:?}: there is no such file in {}",
                 path.display().to_string(),
                 root.display()
             ))),
+        }
+    }
+}
+
+impl ProjectOptions {
+    /// Whether the coordinate reference system is one that is known.
+    fn check_crs(&self) -> Result<(), Error> {
+        let Some(words) = &self.crs else { return Ok(()) };
+        match crate::crs::Crs::from_words(words) {
+            Ok(_) => Ok(()),
+            Err(why) => Err(Error::Argument(format!("[project] crs = {words:?}: {why}"))),
         }
     }
 }

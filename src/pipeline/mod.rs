@@ -11,6 +11,7 @@ pub mod calibrate;
 pub mod camera;
 mod checks;
 mod config;
+pub mod convert;
 pub mod dem;
 pub mod doctor;
 pub mod evaluate;

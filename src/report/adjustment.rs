@@ -26,7 +26,7 @@ pub(super) struct Adjustment {
     sigma0_interval: Option<[f64; 2]>,
     groups: Vec<Group>,
     interiors: Vec<Interior>,
-    nearly_the_same: Vec<String>,
+    correlated_parameters: Vec<String>,
     /// Control and check points.
     pub(super) ground: Vec<Ground>,
     check_rmse: [Option<AxisError>; 3],
@@ -119,7 +119,7 @@ pub(super) fn adjustment(facts: &Facts<'_>) -> Result<Section, Error> {
             h3 { "Camera " (interior.camera + 1) }
             div .pair { div { (parameters(interior)) } div { (correlation(interior)) } }
         }
-        @if !of.nearly_the_same.is_empty() { ul { @for line in &of.nearly_the_same { li { (line) } } } }
+        @if !of.correlated_parameters.is_empty() { ul { @for line in &of.correlated_parameters { li { (line) } } } }
         div .pair {
             (shown(facts, Stage::Align, "figures/residuals-1.svg", "Mean residuals by place in the image: a pattern here is a lens that is not modelled.")?)
             (shown(facts, Stage::Align, "figures/control.svg", "Control and check points: adjusted minus given, in plan.")?)

@@ -82,7 +82,7 @@ fn a_block_with_control_is_adjusted_and_reported() {
     std::fs::write(
         folder.path().join("block.toml"),
         "model = \"sparse\"\ncontrol = \"gcps.csv\"\nmarks = \"marks.csv\"\npositions = \"gnss.csv\"\n\
-         free = [\"f_px\", \"cx_px\", \"cy_px\", \"k1\"]\ntie-sigma = 0.4\nreport = \"report\"\n",
+         free = [\"f_px\", \"cx_px\", \"cy_px\", \"k1\"]\ntie_sigma_px = 0.4\nreport = \"report\"\n",
     )
     .unwrap();
     let run = |more: &[&str]| {
@@ -130,15 +130,25 @@ fn a_block_with_control_is_adjusted_and_reported() {
     assert!(second.status.success());
     assert!(before == names(), "a report depends on the run or the number of threads");
     let summary = text(&second.stdout);
-    assert!(summary.contains("taken out: control point G03"), "{summary}");
+    assert!(summary.contains("removed: control point G03"), "{summary}");
     assert!(summary.contains("check points Z: rmse"), "{summary}");
+    // Tie points are eliminated on the fly; what ground points have stays in the reduced system.
+    let path = |name: &str| {
+        let all = report["batches"].as_array().unwrap();
+        all.iter().find(|batch| batch["name"] == name).unwrap()["path"].clone()
+    };
+    assert_eq!(path("tie points"), "fused");
+    assert!(path("marks")["stored"].is_string(), "{}", report["batches"]);
+    // Options of BAL files are refused, unknown keys of a block.toml named.
+    let foreign = rowgram(folder.path(), &["adjust", "block.toml", "--solver", "dense"]);
+    assert!(text(&foreign.stderr).contains("only those are solved with it"), "{foreign:?}");
     // What exists is not replaced.
     let third = rowgram(folder.path(), &["adjust", "block.toml"]);
     assert!(!third.status.success() && text(&third.stderr).contains("--force"));
     // The calibrated camera can be taken again.
     let again = rowgram(
         folder.path(),
-        &["adjust", "adjusted", "--no-align", "--camera", "report/camera-1.toml"],
+        &["adjust", "adjusted", "--align=false", "--camera", "report/camera-1.toml"],
     );
     let message = text(&again.stderr);
     assert_eq!(again.status.code(), Some(2), "{message}");
@@ -236,7 +246,7 @@ fn bad_control_is_refused_by_file_line_and_name() {
     assert!(output.status.success(), "{}", text(&output.stderr));
     assert!(text(&output.stderr).contains("IMG_9999.JPG"), "{}", text(&output.stderr));
     let report: Value = serde_json::from_slice(&output.stdout).unwrap();
-    let aside = report["set_aside"].as_array().unwrap();
+    let aside = report["excluded"].as_array().unwrap();
     assert!(aside.iter().any(|a| a["image"] == "IMG_9999.JPG"), "{aside:?}");
 }
 

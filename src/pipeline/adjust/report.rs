@@ -5,6 +5,7 @@ use super::{Adjustment, figures, tables, write_text};
 use crate::{
     error::Error,
     io::{FileError, camera, output},
+    nlls::BatchSummary,
     problems::adjustment::{
         Alignment, AxisError, GroupStatistics, InteriorAccuracy, LeaveOneOut, OutlierTest, Removed,
         rmse,
@@ -22,11 +23,11 @@ const SIGNIFICANCE: f64 = 0.001;
 const LEAST_FACTOR: f64 = 0.25;
 /// Interior parameters whose neutral value is not 0.
 const NEVER_ZERO: [&str; 5] = ["c_px", "f_px", "aspect", "cx_px", "cy_px"];
-/// Interior parameters that are correlated by more than this are nearly the same.
-const NEARLY_THE_SAME: f64 = 0.95;
+/// Interior parameters that are correlated by more than this are reported.
+const HIGH_CORRELATION: f64 = 0.95;
 
 /// A kind of observations with its variance component.
-#[derive(Serialize)]
+#[derive(Debug, Serialize)]
 struct Group {
     #[serde(flatten)]
     statistics: GroupStatistics,
@@ -36,7 +37,7 @@ struct Group {
 }
 
 /// A control or check point.
-#[derive(Serialize)]
+#[derive(Debug, Serialize)]
 struct Ground {
     name: String,
     role: crate::scene::Role,
@@ -48,14 +49,14 @@ struct Ground {
 }
 
 /// An observation that the test rejects.
-#[derive(Serialize)]
+#[derive(Debug, Serialize)]
 struct Suspect {
     name: String,
     excess: f64,
 }
 
 /// All of it. Standard deviations are scaled by `sigma0`.
-#[derive(Serialize)]
+#[derive(Debug, Serialize)]
 pub struct Report {
     images: usize,
     tie_points: usize,
@@ -70,8 +71,10 @@ pub struct Report {
     /// Where `sigma0` lies with 95 % if the standard deviations given are right.
     sigma0_interval: Option<[f64; 2]>,
     groups: Vec<Group>,
+    /// The batches of residuals, and how the solver evaluated each.
+    batches: Vec<BatchSummary>,
     interiors: Vec<InteriorAccuracy>,
-    nearly_the_same: Vec<String>,
+    correlated_parameters: Vec<String>,
     ground: Vec<Ground>,
     /// Root mean square errors of the check points along X, Y, Z with their 95 % intervals.
     check_rmse: [Option<AxisError>; 3],
@@ -79,7 +82,7 @@ pub struct Report {
     removed: Vec<Removed>,
     suspects: Vec<Suspect>,
     left_out: Vec<LeaveOneOut>,
-    set_aside: Vec<crate::scene::Excluded>,
+    excluded: Vec<crate::scene::Excluded>,
     mean_velocity_m_s: Option<f64>,
 }
 
@@ -130,7 +133,8 @@ impl Report {
                     sigma_factor: adjustment.settings.sigma_factors[group.group as usize],
                 })
                 .collect(),
-            nearly_the_same: interiors.iter().flat_map(nearly_the_same).collect(),
+            batches: adjusted.summary.batches.clone(),
+            correlated_parameters: interiors.iter().flat_map(correlated_parameters).collect(),
             interiors,
             ground,
             check_rmse,
@@ -145,7 +149,7 @@ impl Report {
                 })
                 .collect(),
             left_out: adjustment.left_out.clone(),
-            set_aside: adjustment
+            excluded: adjustment
                 .unmatched
                 .iter()
                 .chain(&adjusted.validated.excluded)
@@ -183,13 +187,13 @@ fn ground(adjustment: &Adjustment) -> Vec<Ground> {
     rows
 }
 
-fn nearly_the_same(interior: &InteriorAccuracy) -> Vec<String> {
+fn correlated_parameters(interior: &InteriorAccuracy) -> Vec<String> {
     let mut found = Vec::new();
     for (i, row) in interior.correlation.iter().enumerate() {
         for (j, correlation) in row.iter().enumerate().take(i) {
-            if correlation.abs() > NEARLY_THE_SAME {
+            if correlation.abs() > HIGH_CORRELATION {
                 found.push(format!(
-                    "{} and {} are nearly the same parameter here (correlation {correlation:.4})",
+                    "{} and {} are highly correlated ({correlation:.4})",
                     interior.names[j], interior.names[i]
                 ));
             }
@@ -199,11 +203,10 @@ fn nearly_the_same(interior: &InteriorAccuracy) -> Vec<String> {
 }
 
 /// What a person reads.
-pub fn summary(adjustment: &Adjustment) -> String {
-    let report = Report::new(adjustment);
+pub fn summary(report: &Report) -> String {
     let mut text = String::new();
     // Writing to a string cannot fail.
-    let _ = fill(&mut text, &report);
+    let _ = fill(&mut text, report);
     text
 }
 
@@ -237,13 +240,17 @@ fn fill(out: &mut String, report: &Report) -> std::fmt::Result {
             group.statistics.redundancy
         )?;
     }
+    for batch in &report.batches {
+        let path = batch.path.as_ref().map_or("-".into(), ToString::to_string);
+        writeln!(out, "  {:22} {:>8} factors  {path}", batch.name, batch.factors)?;
+    }
     let off = |group: &Group| {
         group.variance_factor.is_some_and(|v| !(LEAST_FACTOR..=1.0 / LEAST_FACTOR).contains(&v))
     };
     if report.groups.iter().any(off) {
         writeln!(
             out,
-            "  hint: an own sigma0 far from 1 says that the standard deviations of its kind are not the given ones, or that the lens model lacks something; --variance-components estimates them"
+            "  hint: a sigma0 of a kind far from 1 says that its standard deviations are not the given ones, or that the lens model lacks something; --variance-components estimates them"
         )?;
     }
     for interior in &report.interiors {
@@ -262,11 +269,11 @@ fn fill(out: &mut String, report: &Report) -> std::fmt::Result {
         if most > 1.05 {
             writeln!(
                 out,
-                "  (up to {most:.2} times what independent measurements would have: neighbouring ones err alike, or not all equally)"
+                "  (up to {most:.2} times as large as for independent measurements: errors of neighbouring ones are correlated, or vary in size)"
             )?;
         }
     }
-    report.nearly_the_same.iter().try_for_each(|line| writeln!(out, "  {line}"))?;
+    report.correlated_parameters.iter().try_for_each(|line| writeln!(out, "  {line}"))?;
     for (axis, error) in ["X", "Y", "Z"].iter().zip(&report.check_rmse) {
         if let Some(error) = error {
             writeln!(
@@ -283,7 +290,7 @@ fn fill(out: &mut String, report: &Report) -> std::fmt::Result {
     {
         writeln!(
             out,
-            "taken out: {} ({:.1} times the critical value, residual {:.3} {:.3} {:.3})",
+            "removed: {} ({:.1} times the critical value, residual {:.3} {:.3} {:.3})",
             removed.name,
             removed.excess,
             removed.residual[0],
@@ -297,7 +304,7 @@ fn fill(out: &mut String, report: &Report) -> std::fmt::Result {
         .filter(|removed| removed.group == crate::problems::adjustment::Group::TiePoints)
         .count();
     if ties > 0 {
-        writeln!(out, "taken out: {ties} measurements of tie points")?;
+        writeln!(out, "removed: {ties} measurements of tie points")?;
     }
     for left_out in &report.left_out {
         match left_out.error_m {
@@ -310,8 +317,8 @@ fn fill(out: &mut String, report: &Report) -> std::fmt::Result {
     if let Some(speed) = report.mean_velocity_m_s {
         writeln!(out, "mean speed within the frames {speed:.2} m/s")?;
     }
-    if !report.set_aside.is_empty() {
-        writeln!(out, "set aside: {} (the report names them)", report.set_aside.len())?;
+    if !report.excluded.is_empty() {
+        writeln!(out, "excluded: {} (the report names them)", report.excluded.len())?;
     }
     Ok(())
 }
@@ -333,7 +340,7 @@ pub(super) fn write(
         serde_json::to_writer_pretty(&mut *out, &report)?;
         writeln!(out)
     })?;
-    write_text(&folder.join("summary.txt"), &summary(adjustment), force)?;
+    write_text(&folder.join("summary.txt"), &summary(&report), force)?;
     tables::write(folder, adjustment, force)?;
     figures::write(pictures, adjustment, force)?;
     let adjusted = &adjustment.adjusted;

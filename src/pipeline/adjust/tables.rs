@@ -163,7 +163,7 @@ pub(super) fn write(folder: &Path, adjustment: &Adjustment, force: bool) -> Resu
         vec![removed.group.name().to_owned(), String::new(), removed.name.clone(), reason]
     });
     let header = ["kind", "image", "point", "reason"];
-    table("set_aside.csv", &header, aside.chain(removed).collect())
+    table("excluded.csv", &header, aside.chain(removed).collect())
 }
 
 fn save(path: &Path, header: &[&str], rows: Vec<Vec<String>>, force: bool) -> Result<(), Error> {

@@ -96,7 +96,7 @@ crate::choices!(Step: Inspect, Features, Match, Verify, Orient, Adjust, Report);
 
 crate::options! {
     /// From photos to camera poses, calibrated cameras and a sparse cloud in the mapping frame.
-    pub struct AlignOptions in "align" {
+    pub struct AlignOptions in "align", together go_together {
         /// Lens model of cameras that are not given.
         pub lens: LensChoice = LensChoice::Auto;
         /// Lens parameters of the last adjustment; all but the aspect and rational terms where not set, or those that a
@@ -129,6 +129,28 @@ crate::options! {
         pub refine_tie_points: When = When::Auto;
         /// Seed of all random sampling.
         pub seed: u64 = 1;
+    }
+}
+
+/// Lens parameters are those of a lens, and only a rolling shutter has a readout.
+fn go_together(options: &AlignOptions) -> Result<(), String> {
+    let known: Vec<&str> = crate::camera::Model::ALL
+        .iter()
+        .flat_map(|model| model.parameters())
+        .map(|parameter| parameter.name)
+        .collect();
+    for name in options.free.iter().flatten() {
+        if !known.contains(&name.as_str()) {
+            let near = crate::options::nearest(name, &known)
+                .map_or_else(String::new, |near| format!("; did you mean {near}?"));
+            return Err(format!("free: no lens has a parameter {name:?}{near}"));
+        }
+    }
+    match (options.rolling_shutter, options.readout_s) {
+        (ShutterChoice::Off, Some(_)) => {
+            Err("readout_s: rolling_shutter = off takes all rows to be read at once".to_owned())
+        }
+        _ => Ok(()),
     }
 }
 

@@ -20,7 +20,7 @@ use crate::{
     io::{FileError, output},
     monitor::{Diagnostic, Monitor},
     nlls::Loss,
-    options::{Kind, Value},
+    options::{Kind, Options, Value},
     problems::calibration::{
         BoardShape, Request, Solution, View,
         comparison::{BoardBend, ModelFit, board_bend, compare_models},
@@ -92,7 +92,7 @@ impl Value for LossChoice {
 
 crate::options! {
     /// A camera from photos of a chessboard, all by one camera at one focus and zoom.
-    pub struct CalibrateOptions in "calibrate" {
+    pub struct CalibrateOptions in "calibrate", together go_together {
         /// Folder with the photos of the board; the stage is done where it exists.
         pub images: PathBuf = "calibration".into();
         /// Inner corners of the board, where four squares meet: of a row times of a column.
@@ -129,6 +129,24 @@ crate::options! {
         /// Name of the camera in its file.
         pub camera_name: Option<String> = None, example "\"P4 8.8 mm\"";
     }
+}
+
+/// Board and square come together, and parameters are those of the lens.
+fn go_together(options: &CalibrateOptions) -> Result<(), String> {
+    if options.board.is_some() != options.square_m.is_some() {
+        return Err(
+            "board and square_m: expected both, the inner corners and the side of a square, or neither"
+                .to_owned(),
+        );
+    }
+    if options.board_shape == BoardShape::Free && options.partial_boards {
+        return Err(
+            "board_shape = free needs to know which corner is which: not with partial_boards"
+                .to_owned(),
+        );
+    }
+    // The size of the photos changes no name.
+    request::own(options, [640, 480]).map(drop).map_err(|error| error.to_string())
 }
 
 /// A calibrated camera and what it came from.
@@ -241,13 +259,7 @@ pub fn calibrate_photos(
                 .into(),
         ));
     };
-    if options.board_shape == BoardShape::Free && options.partial_boards {
-        return Err(Error::Argument(
-            "board_shape free needs to know which corner is which: not with partial_boards".into(),
-        ));
-    }
-    // Bad names are found before any photo is read.
-    request::own(options, [640, 480])?;
+    Options::validate(options).map_err(Error::Argument)?;
     let photos::Gathered { mut photos, size_px } =
         photos::gather(images, board, square_m, options, monitor)?;
     let request = request::own(options, size_px)?;
