@@ -421,7 +421,7 @@ fn the_main_job_needs_nothing() {
     // A red check is the last word, and the exit code.
     let red = rowgram(
         folder.path(),
-        "run rowgram-run --set report.check_red_gsd=0.01 --set report.check_yellow_gsd=0.001",
+        "run rowgram-run --set checks.check_points_red_gsd=0.01 --set checks.check_points_yellow_gsd=0.001",
     );
     assert_eq!(red.code, 3, "{}", red.stderr);
     let last = red.stderr.trim_end().lines().last().unwrap();

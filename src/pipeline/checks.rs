@@ -2,29 +2,67 @@
 //!
 //! Every check is a [`Diagnostic`]: information is green, a warning yellow, an error red.
 
-use super::{
-    ReportOptions,
-    run::{Ending, RunOutcome},
-};
+use super::run::{Ending, RunOutcome};
 use crate::{
     monitor::{Diagnostic, Severity},
     options::Choice,
     scene::Reconstruction,
 };
 
-/// Root mean square reprojection errors beyond which a block needs attention, and is bad, pixels. Features are found to
-/// about half a pixel; two pixels are a wrong lens or wrong matches.
-const REPROJECTION_PX: [f64; 2] = [1.0, 2.0];
-/// Shares of oriented photos below which a block needs attention, and is bad.
-const ORIENTED: [f64; 2] = [1.0, 0.9];
-/// Factors between assumed and found standard deviations.
-const SIGMA0: [f64; 2] = [2.0, 4.0];
-/// Mean probabilities of plants below which they need attention, and are bad.
-const CONFIDENCE: [f64; 2] = [0.7, 0.5];
-/// Correlations of two parameters of a lens from which the block hardly tells them apart.
-const HIGH_CORRELATION: f64 = 0.95;
-/// Fewer control points than this do not place a block.
-const LEAST_CONTROL: usize = 3;
+crate::options! {
+    /// Limits of the quality checks: from the first a result needs attention (yellow), from the second it should not be used
+    /// as it is (red, exit code 3).
+    pub struct ChecksOptions in "checks", together yellow_before_red {
+        /// Share of the photos that are oriented; yellow below it.
+        pub oriented_yellow: f64 = 1.0, limits SHARE;
+        /// Share of the photos that are oriented; red below it.
+        pub oriented_red: f64 = 0.9, limits SHARE;
+        /// Root mean square reprojection error; yellow above it. Key points are found to about half a pixel.
+        pub reprojection_yellow_px: f64 = 1.0, limits POSITIVE;
+        /// Root mean square reprojection error; red above it. Two pixels are a wrong lens or wrong matches.
+        pub reprojection_red_px: f64 = 2.0, limits POSITIVE;
+        /// Fewer ground control points than this do not place a block; yellow.
+        pub min_control_points: usize = 3;
+        /// Largest root mean square error of check points along an axis; yellow above it.
+        pub check_points_yellow_gsd: f64 = 2.0, limits POSITIVE;
+        /// Largest root mean square error of check points along an axis; red above it.
+        pub check_points_red_gsd: f64 = 4.0, limits POSITIVE;
+        /// Factor between the assumed accuracies and those found, either way (sigma0 or its inverse); yellow above it.
+        pub sigma0_yellow: f64 = 2.0, limits at_least(1.0);
+        /// Factor between the assumed accuracies and those found, either way; red above it.
+        pub sigma0_red: f64 = 4.0, limits at_least(1.0);
+        /// Correlation of two lens parameters; yellow above it, for the block hardly tells them apart.
+        pub correlation_yellow: f64 = 0.95, limits SHARE;
+        /// Mean probability of the plants; yellow below it.
+        pub confidence_yellow: f64 = 0.7, limits between(0.0, 1.0);
+        /// Mean probability of the plants; red below it.
+        pub confidence_red: f64 = 0.5, limits between(0.0, 1.0);
+    }
+}
+
+fn yellow_before_red(options: &ChecksOptions) -> Result<(), String> {
+    let rising = [
+        ("reprojection", "_px", options.reprojection_yellow_px, options.reprojection_red_px),
+        ("check_points", "_gsd", options.check_points_yellow_gsd, options.check_points_red_gsd),
+        ("sigma0", "", options.sigma0_yellow, options.sigma0_red),
+    ];
+    let falling = [
+        ("oriented", "", options.oriented_yellow, options.oriented_red),
+        ("confidence", "", options.confidence_yellow, options.confidence_red),
+    ];
+    let refuse = |(name, unit, yellow, red): (&str, &str, f64, f64), how: &str| {
+        Err(format!(
+            "{name}_yellow{unit} = {yellow}: expected {how} {name}_red{unit}, which is {red}"
+        ))
+    };
+    if let Some(limits) = rising.into_iter().find(|(_, _, yellow, red)| yellow > red) {
+        return refuse(limits, "at most");
+    }
+    match falling.into_iter().find(|(_, _, yellow, red)| yellow < red) {
+        Some(limits) => refuse(limits, "at least"),
+        None => Ok(()),
+    }
+}
 
 /// Green up to the first limit, yellow up to the second; what is no number is red.
 fn rising(value: f64, [yellow, red]: [f64; 2]) -> Severity {
@@ -41,7 +79,7 @@ fn rising(value: f64, [yellow, red]: [f64; 2]) -> Severity {
 pub(super) fn checks(
     outcome: &RunOutcome,
     reconstruction: Option<&Reconstruction>,
-    limits: &ReportOptions,
+    limits: &ChecksOptions,
 ) -> Vec<Diagnostic> {
     let mut found: Vec<Diagnostic> = outcome
         .stages
@@ -53,8 +91,8 @@ pub(super) fn checks(
         })
         .collect();
     of_block(outcome, limits, &mut found);
-    found.extend(reconstruction.and_then(of_accuracy));
-    found.extend(reconstruction.and_then(of_lenses));
+    found.extend(reconstruction.and_then(|found| of_accuracy(found, limits)));
+    found.extend(reconstruction.and_then(|found| of_lenses(found, limits)));
     if let Some(ortho) = &outcome.results.ortho {
         let share = ortho.mosaic.coloured_pixels as f64
             / (ortho.mosaic.width_px * ortho.mosaic.height_px).max(1) as f64;
@@ -63,7 +101,7 @@ pub(super) fn checks(
     }
     if let Some(stand) = outcome.results.locate.as_ref().and_then(|locate| locate.stand.as_ref()) {
         let confidence = stand.mean_confidence;
-        let severity = rising(-confidence, CONFIDENCE.map(|limit| -limit));
+        let severity = rising(-confidence, [-limits.confidence_yellow, -limits.confidence_red]);
         let message = format!("mean confidence {confidence:.2}");
         found.push(remedied(
             Diagnostic::new(severity, "plants-confidence", "plants", message),
@@ -78,17 +116,17 @@ fn remedied(found: Diagnostic, remedy: &str) -> Diagnostic {
     if found.severity == Severity::Info { found } else { found.with_remedy(remedy) }
 }
 
-fn of_block(outcome: &RunOutcome, limits: &ReportOptions, found: &mut Vec<Diagnostic>) {
+fn of_block(outcome: &RunOutcome, limits: &ChecksOptions, found: &mut Vec<Diagnostic>) {
     let Some(align) = &outcome.results.align else { return };
     let share = align.registered as f64 / align.images.max(1) as f64;
-    let severity = rising(-share, ORIENTED.map(|limit| -limit));
+    let severity = rising(-share, [-limits.oriented_yellow, -limits.oriented_red]);
     let message = format!("{} of {}", align.registered, align.images);
     found.push(remedied(
         Diagnostic::new(severity, "photos-oriented", "photos oriented", message),
         "look at the photos that are not: blurred, or too little overlap",
     ));
     let rms = align.reprojection_rms_px;
-    let severity = rising(rms, REPROJECTION_PX);
+    let severity = rising(rms, [limits.reprojection_yellow_px, limits.reprojection_red_px]);
     found.push(remedied(
         Diagnostic::new(severity, "reprojection", "reprojection", format!("rms {rms:.2} px")),
         "try another lens model, or a calibrated camera",
@@ -97,7 +135,7 @@ fn of_block(outcome: &RunOutcome, limits: &ReportOptions, found: &mut Vec<Diagno
     found.push(if !align.georeferenced {
         Diagnostic::error("georeference", "georeference", "the block has no scale and no place in a mapping frame")
             .with_remedy("give camera positions or ground control points")
-    } else if control < LEAST_CONTROL {
+    } else if control < limits.min_control_points {
         Diagnostic::warning(
             "georeference",
             "georeference",
@@ -113,7 +151,7 @@ fn of_block(outcome: &RunOutcome, limits: &ReportOptions, found: &mut Vec<Diagno
     found.push(match worst.zip(align.gsd_m) {
         Some((worst_m, gsd_m)) => {
             let ratio = worst_m / gsd_m;
-            let severity = rising(ratio, [limits.check_yellow_gsd, limits.check_red_gsd]);
+            let severity = rising(ratio, [limits.check_points_yellow_gsd, limits.check_points_red_gsd]);
             let message = format!(
                 "largest rmse {:.1} cm, {ratio:.1} ground sampling distances",
                 100.0 * worst_m
@@ -132,9 +170,10 @@ fn of_block(outcome: &RunOutcome, limits: &ReportOptions, found: &mut Vec<Diagno
     });
 }
 
-fn of_accuracy(reconstruction: &Reconstruction) -> Option<Diagnostic> {
+fn of_accuracy(reconstruction: &Reconstruction, limits: &ChecksOptions) -> Option<Diagnostic> {
     let sigma0 = reconstruction.accuracy.as_ref()?.sigma0;
-    let severity = rising(sigma0.max(1.0 / sigma0.max(1e-9)), SIGMA0);
+    let severity =
+        rising(sigma0.max(1.0 / sigma0.max(1e-9)), [limits.sigma0_yellow, limits.sigma0_red]);
     let message = format!("residuals are {sigma0:.2} times the assumed accuracy (ideal: 1)");
     Some(remedied(
         Diagnostic::new(severity, "assumed-accuracies", "assumed accuracies", message),
@@ -143,7 +182,7 @@ fn of_accuracy(reconstruction: &Reconstruction) -> Option<Diagnostic> {
 }
 
 /// Parameters of lenses that the block hardly tells apart.
-fn of_lenses(reconstruction: &Reconstruction) -> Option<Diagnostic> {
+fn of_lenses(reconstruction: &Reconstruction, limits: &ChecksOptions) -> Option<Diagnostic> {
     let cameras = &reconstruction.accuracy.as_ref()?.cameras;
     if cameras.iter().all(|camera| camera.names.is_empty()) {
         return None;
@@ -152,7 +191,7 @@ fn of_lenses(reconstruction: &Reconstruction) -> Option<Diagnostic> {
     for camera in cameras {
         for (i, row) in camera.correlation.iter().enumerate() {
             for (j, value) in row.iter().enumerate().take(i) {
-                if value.abs() > HIGH_CORRELATION {
+                if value.abs() > limits.correlation_yellow {
                     let [a, b] = [&camera.names[j], &camera.names[i]];
                     pairs.push(format!("{a} and {b} ({value:.2})"));
                 }
@@ -173,6 +212,7 @@ fn of_lenses(reconstruction: &Reconstruction) -> Option<Diagnostic> {
 mod tests {
     use super::*;
     use crate::{
+        options::Options,
         pipeline::{Stage, run::StageReport},
         scene::{Accuracy, CameraSigma},
     };
@@ -186,6 +226,19 @@ mod tests {
     }
 
     #[test]
+    fn yellow_comes_before_red() {
+        let refused = |table: &str| {
+            let given = table.parse().unwrap();
+            ChecksOptions::default().with(&given).unwrap().validate().unwrap_err()
+        };
+        let message = refused("sigma0_yellow = 5.0");
+        assert_eq!(message, "sigma0_yellow = 5: expected at most sigma0_red, which is 4");
+        let message = refused("oriented_yellow = 0.8");
+        assert_eq!(message, "oriented_yellow = 0.8: expected at least oriented_red, which is 0.9");
+        ChecksOptions::default().validate().unwrap();
+    }
+
+    #[test]
     fn a_failed_stage_is_red() {
         let report = StageReport {
             stage: Stage::Ortho,
@@ -194,7 +247,7 @@ mod tests {
             diagnostics: Vec::new(),
         };
         let outcome = RunOutcome { stages: vec![report], ..RunOutcome::default() };
-        let found = checks(&outcome, None, &ReportOptions::default());
+        let found = checks(&outcome, None, &ChecksOptions::default());
         assert_eq!(found.len(), 1);
         assert_eq!(found[0].severity, Severity::Error);
         assert_eq!(found[0].to_string(), "ortho: failed: no photo");
@@ -211,11 +264,18 @@ mod tests {
             accuracy: Some(Accuracy { sigma0: 3.0, cameras, ..Accuracy::default() }),
             ..Reconstruction::default()
         };
-        let found = of_lenses(&with(vec![camera(-0.98)])).unwrap();
+        let limits = ChecksOptions::default();
+        let found = of_lenses(&with(vec![camera(-0.98)]), &limits).unwrap();
         assert_eq!(found.severity, Severity::Warning);
         assert!(found.message.contains("K2 and K3 (-0.98)"), "{found}");
-        assert_eq!(of_lenses(&with(vec![camera(0.5)])).unwrap().severity, Severity::Info);
-        assert_eq!(of_lenses(&with(vec![CameraSigma::default()])), None);
-        assert_eq!(of_accuracy(&with(Vec::new())).unwrap().severity, Severity::Warning);
+        assert_eq!(of_lenses(&with(vec![camera(0.5)]), &limits).unwrap().severity, Severity::Info);
+        assert_eq!(of_lenses(&with(vec![CameraSigma::default()]), &limits), None);
+        assert_eq!(of_accuracy(&with(Vec::new()), &limits).unwrap().severity, Severity::Warning);
+        let lenient = ChecksOptions { sigma0_yellow: 3.5, correlation_yellow: 0.99, ..limits };
+        assert_eq!(of_accuracy(&with(Vec::new()), &lenient).unwrap().severity, Severity::Info);
+        assert_eq!(
+            of_lenses(&with(vec![camera(-0.98)]), &lenient).unwrap().severity,
+            Severity::Info
+        );
     }
 }

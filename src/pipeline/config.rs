@@ -5,10 +5,10 @@
 //! refused where it stands.
 
 use super::{
-    align::AlignOptions, calibrate::CalibrateOptions, dem::DemOptions, evaluate::EvaluateOptions,
-    leaf_count::LeafCountOptions, leaf_density::LeafDensityOptions, leaves::LeavesOptions,
-    locate::LocateOptions, ortho::OrthoOptions, plots::PlotsOptions, segment::SegmentOptions,
-    stage::Stage,
+    align::AlignOptions, calibrate::CalibrateOptions, checks::ChecksOptions, dem::DemOptions,
+    evaluate::EvaluateOptions, leaf_count::LeafCountOptions, leaf_density::LeafDensityOptions,
+    leaves::LeavesOptions, locate::LocateOptions, ortho::OrthoOptions, plots::PlotsOptions,
+    segment::SegmentOptions, stage::Stage,
 };
 use crate::{
     error::Error,
@@ -104,24 +104,6 @@ crate::options! {
     }
 }
 
-crate::options! {
-    /// Quality checks in the report.
-    pub struct ReportOptions in "report", together yellow_before_red {
-        /// A check-point error from which the check is yellow.
-        pub check_yellow_gsd: f64 = 2.0, limits POSITIVE;
-        /// A check-point error from which the check is red.
-        pub check_red_gsd: f64 = 4.0, limits POSITIVE;
-    }
-}
-
-fn yellow_before_red(options: &ReportOptions) -> Result<(), String> {
-    let (yellow, red) = (options.check_yellow_gsd, options.check_red_gsd);
-    if yellow <= red {
-        return Ok(());
-    }
-    Err(format!("check_yellow_gsd = {yellow}: expected at most check_red_gsd, which is {red}"))
-}
-
 macro_rules! config {
     ($($name:ident: $kind:ty,)*) => {
         /// All settings of a project.
@@ -170,7 +152,7 @@ config! {
     leaves: LeavesOptions,
     plots: PlotsOptions,
     evaluate: EvaluateOptions,
-    report: ReportOptions,
+    checks: ChecksOptions,
 }
 
 type Entries = BTreeMap<Spanned<String>, BTreeMap<Spanned<String>, Spanned<Value>>>;

@@ -6,7 +6,6 @@
 
 pub mod adjust;
 pub mod align;
-mod cache;
 pub mod calibrate;
 pub mod camera;
 mod checks;
@@ -40,7 +39,8 @@ pub mod thresholds;
 pub mod undistort;
 pub mod verify;
 
-pub use config::{Config, NAME as SETTINGS, ProjectOptions, ReportOptions, StagesOptions};
+pub use checks::ChecksOptions;
+pub use config::{Config, NAME as SETTINGS, ProjectOptions, StagesOptions};
 pub use project::{PHOTO_ENDINGS, Project, photos_in};
 pub use stage::{Stage, State, Task};
 

@@ -287,7 +287,7 @@ pub fn run(
         .filter(|_| outcome.results.align.is_some())
         .map(|path| reconstruction::read(&path))
         .transpose()?;
-    outcome.checks = checks::checks(&outcome, reconstruction.as_ref(), &project.config().report);
+    outcome.checks = checks::checks(&outcome, reconstruction.as_ref(), &project.config().checks);
     monitor.stage("checks");
     outcome.checks.iter().for_each(|found| monitor.diagnostic(found));
     write(project.results(), &outcome, &project.config().to_toml())?;

@@ -163,12 +163,11 @@ fn as_value(folder: &Path, what: &impl Serialize) -> Result<serde_json::Value, E
 /// Everything that decides the files of a stage, in one digest.
 fn key<T: Task>(project: &Project, options: &T::Options, inputs: &[record::Content]) -> String {
     let options = serde_json::to_string(options).unwrap_or_default();
-    let mut text = format!("{}\n{}\n{options}\n", crate::BUILD, T::STAGE.word());
-    text += &T::context(project);
-    for input in inputs {
-        text += &format!("\n{} {}", input.sha256, input.path.display());
-    }
-    record::of_text(&text)
+    let own = record::Key::begin().text(&T::STAGE.word()).text(&options).text(&T::context(project));
+    let key = inputs
+        .iter()
+        .fold(own, |key, input| key.text(&input.sha256).text(&input.path.to_string_lossy()));
+    key.finish().to_string()
 }
 
 /// The command that does a stage with these options.

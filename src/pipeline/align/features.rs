@@ -10,7 +10,7 @@ use crate::{
     },
     io::images,
     monitor::{Counter, Diagnostic, Monitor},
-    pipeline::cache::Cache,
+    pipeline::record::{Cache, Key},
     sfm::{self, verify::PairMatches},
 };
 use image::RgbImage;
@@ -62,8 +62,8 @@ mod serde_bytes {
 pub(super) struct Extracted {
     pub(super) features: Vec<features::Features>,
     pub(super) colours: Vec<Vec<[u8; 3]>>,
-    /// Mark of all of it.
-    pub(super) mark: u64,
+    /// Key of all of it.
+    pub(super) key: Key,
 }
 
 /// Where the features are kept.
@@ -85,37 +85,36 @@ pub(super) fn features(
     let described = format!("{options:?}");
     let counter = Counter::new(monitor, "detecting features", inputs.photos.len(), "photos");
     let mut faults = Vec::new();
-    let mut all = Extracted { features: Vec::new(), colours: Vec::new(), mark: 0 };
-    let mut mark = Cache::mark().text(&described);
+    let mut whole_key = Key::begin().text(&described);
+    let (mut all, mut colours) = (Vec::new(), Vec::new());
     let key = |k: usize| {
-        let photo = &inputs.photos[k];
-        (
-            Cache::mark().text(&described).count(photo.content).finish(),
-            format!("{:016x}.cbor", photo.content),
-        )
+        let content = inputs.photos[k].content;
+        (Key::begin().text(&described).key(content).finish(), format!("{content}.cbor"))
     };
+    let names: Vec<String> = (0..inputs.photos.len()).map(|k| key(k).1).collect();
+    cache.retain(&names)?;
     // While the features of one photo are looked for, the next is decoded.
     let decode = |k: usize| -> Option<Result<RgbImage, String>> {
         let photo = inputs.photos.get(k)?;
-        let (mark, name) = key(k);
-        if cache.load::<Found>(&name, mark).is_some() {
+        let (key, name) = key(k);
+        if cache.load::<Found>(&name, key).is_some() {
             return None;
         }
         Some(images::read_photo(&photo.path).map_err(|e| e.to_string()))
     };
     let mut next = decode(0);
     for k in 0..inputs.photos.len() {
-        let (photo_mark, name) = key(k);
+        let (photo_key, name) = key(k);
         let picture = next.take();
         let (found, following) =
             rayon::join(|| picture.map(|picture| find(picture, options)), || decode(k + 1));
         next = following;
         let found = match found {
             Some(found) => {
-                cache.save(&name, photo_mark, &found)?;
+                cache.save(&name, photo_key, &found)?;
                 found
             }
-            None => cache.load::<Found>(&name, photo_mark).unwrap_or_default(),
+            None => cache.load::<Found>(&name, photo_key).unwrap_or_default(),
         };
         let photo = &inputs.photos[k];
         if let Some(fault) = &found.fault {
@@ -131,7 +130,7 @@ pub(super) fn features(
                 format!("it shows next to nothing: {} features", found.numbers.len() / 5),
             ));
         }
-        mark = mark.count(photo_mark);
+        whole_key = whole_key.key(photo_key);
         let key_points = found.numbers.as_chunks::<5>().0.iter().map(|v| KeyPoint {
             u_px: v[0],
             v_px: v[1],
@@ -139,18 +138,17 @@ pub(super) fn features(
             angle_rad: v[3],
             response: v[4],
         });
-        all.features.push(features::Features {
+        all.push(features::Features {
             width_px: found.width_px,
             height_px: found.height_px,
             key_points: key_points.collect(),
             descriptors: Descriptors::from_bytes(found.descriptors).unwrap_or_default(),
         });
-        all.colours.push(found.colours.as_chunks::<3>().0.to_vec());
+        colours.push(found.colours.as_chunks::<3>().0.to_vec());
         counter.tick();
     }
     faults.iter().for_each(|fault| monitor.diagnostic(fault));
-    all.mark = mark.finish();
-    Ok(all)
+    Ok(Extracted { features: all, colours, key: whole_key.finish() })
 }
 
 fn find(picture: Result<RgbImage, String>, options: &features::Options) -> Found {
@@ -271,19 +269,17 @@ pub(super) fn matches(
     extracted: &Extracted,
     cache: &Cache,
     monitor: &mut dyn Monitor,
-) -> Result<(Vec<PairMatches>, u64), Error> {
+) -> Result<(Vec<PairMatches>, Key), Error> {
     let (choice, options) = (&Choice::default(), &MatchOptions::default());
     let candidates = candidates(inputs, choice);
-    let mark = candidates
+    let key = candidates
         .iter()
-        .fold(Cache::mark().count(extracted.mark), |mark, [a, b]| {
-            mark.count(*a as u64).count(*b as u64)
-        })
+        .fold(Key::begin().key(extracted.key), |key, [a, b]| key.count(*a as u64).count(*b as u64))
         .text(&format!("{choice:?} {options:?}"))
         .finish();
-    if let Some(found) = cache.load::<Vec<([u32; 2], Vec<[u32; 2]>)>>(MATCHES, mark) {
+    if let Some(found) = cache.load::<Vec<([u32; 2], Vec<[u32; 2]>)>>(MATCHES, key) {
         let found = found.into_iter().map(|(images, matches)| PairMatches { images, matches });
-        return Ok((found.collect(), mark));
+        return Ok((found.collect(), key));
     }
     // The nearest few and those that follow each other are matched whatever the coarse look says:
     // on a plain crop it sees little.
@@ -309,8 +305,8 @@ pub(super) fn matches(
         .collect();
     let plain: Vec<([u32; 2], &Vec<[u32; 2]>)> =
         found.iter().map(|m| (m.images, &m.matches)).collect();
-    cache.save(MATCHES, mark, &plain)?;
-    Ok((found, mark))
+    cache.save(MATCHES, key, &plain)?;
+    Ok((found, key))
 }
 
 /// A photo and its double match in at least this share of their features.

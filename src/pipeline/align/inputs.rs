@@ -7,13 +7,12 @@ use crate::{
     error::Error,
     io::{
         FileError,
-        checkpoint::Fingerprint,
         control::{self, Defaults},
         gcp_list, images,
         photo::{self, Geotag, Metadata},
     },
     monitor::{Diagnostic, Monitor},
-    pipeline::{Project, Stage},
+    pipeline::{Project, Stage, record::Key},
     scene::{HorizontalFrame, Image, LengthUnit, Pose, ReferenceFrame, VerticalFrame},
     sfm::{georeference::Known, intrinsics::without_distortion},
 };
@@ -30,7 +29,7 @@ pub(super) struct Photo {
     pub(super) metadata: Metadata,
     pub(super) size_px: [u32; 2],
     /// Mark of the file's bytes.
-    pub(super) content: u64,
+    pub(super) content: Key,
     /// Index of its camera.
     pub(super) camera: usize,
 }
@@ -205,7 +204,7 @@ pub(super) fn inspect(
         paths.par_iter().map(|path| open(path)).collect();
     let mut photos: Vec<Photo> = Vec::new();
     let mut left_out = Vec::new();
-    let mut seen: HashMap<u64, String> = HashMap::new();
+    let mut seen: HashMap<Key, String> = HashMap::new();
     for photo in read {
         match photo {
             Err(fault) => left_out.push(fault),
@@ -258,7 +257,7 @@ fn open(path: &Path) -> Result<Photo, (String, String)> {
         name,
         metadata: photo::parse(&bytes),
         size_px,
-        content: Fingerprint::new().bytes(&bytes).finish(),
+        content: Key::of_bytes(&bytes),
         camera: 0,
     })
 }

@@ -16,7 +16,7 @@ mod steps;
 
 pub use outcome::{AlignOutcome, Fragment, PartialReport, PointErrors};
 
-use super::{CACHE, Project, Stage, Task, adjust, cache::Cache, stage};
+use super::{CACHE, Project, Stage, Task, adjust, record::Cache, stage};
 use crate::{
     error::Error,
     monitor::{Monitor, Recorder},
@@ -343,7 +343,7 @@ fn run(
     if last == Step::Features {
         return Ok(Ended::Part(report));
     }
-    let (mut matched, matched_mark) = features::matches(&inputs, &extracted, &cache, monitor)?;
+    let (mut matched, matched_key) = features::matches(&inputs, &extracted, &cache, monitor)?;
     features::remove_duplicates(&inputs, &extracted, &mut matched, monitor);
     report.pairs = Some(matched.len());
     report.matches = Some(matched.iter().map(|m| m.matches.len()).sum());
@@ -351,13 +351,13 @@ fn run(
         return Ok(Ended::Part(report));
     }
     let geometric = extracted.geometric(&inputs);
-    steps::intrinsics(&mut inputs, &geometric, (&matched, matched_mark), options, &cache, monitor)?;
+    steps::intrinsics(&mut inputs, &geometric, (&matched, matched_key), options, &cache, monitor)?;
     let cameras = inputs.cameras();
     let descriptors = extracted.descriptors();
     let verification = options.verification();
     let images = (geometric.as_slice(), cameras.as_slice(), descriptors.as_slice());
-    let (pairs, pairs_mark) =
-        steps::verify(images, (&matched, matched_mark), &verification, &cache, monitor)?;
+    let (pairs, pairs_key) =
+        steps::verify(images, (&matched, matched_key), &verification, &cache, monitor)?;
     report.pairs = Some(pairs.len());
     report.matches = Some(pairs.iter().map(|pair| pair.matches.len()).sum());
     if last == Step::Verify {
@@ -369,7 +369,7 @@ fn run(
         &geometric,
         pairs.iter().map(|pair| (pair.images, pair.matches.as_slice())),
     );
-    let marked = (pairs.as_slice(), pairs_mark);
+    let marked = (pairs.as_slice(), pairs_key);
     let incremental = options.incremental(calibrated);
     let blocks =
         steps::orient((&geometric, &tracks, &cameras), marked, &incremental, &cache, monitor)?;

@@ -10,7 +10,7 @@ use crate::{
     error::Error,
     features::Descriptors,
     monitor::{Counter, Diagnostic, Monitor},
-    pipeline::cache::Cache,
+    pipeline::record::{Cache, Key},
     scene::Pose,
     sfm::{
         self, Block, Pair,
@@ -45,7 +45,7 @@ pub(super) const KEPT: [(Step, &str); 5] = [
 pub(super) fn intrinsics(
     inputs: &mut Inputs,
     features: &[sfm::Features],
-    (matched, matched_mark): (&[PairMatches], u64),
+    (matched, matched_key): (&[PairMatches], Key),
     options: &AlignOptions,
     cache: &Cache,
     monitor: &mut dyn Monitor,
@@ -54,16 +54,16 @@ pub(super) fn intrinsics(
         return Ok(());
     }
     let verification = options.verification();
-    let mut mark =
-        Cache::mark().count(matched_mark).text(&format!("{verification:?} {:?}", options.lens));
+    let mut key =
+        Key::begin().key(matched_key).text(&format!("{verification:?} {:?}", options.lens));
     for (camera, _) in &inputs.cameras {
-        mark = mark.text(camera.interior.model().word()).numbers(camera.interior.values());
+        key = key.text(camera.interior.model().word()).numbers(camera.interior.values());
     }
-    let mark = mark.finish();
+    let key = key.finish();
     let wrong = |camera: &Camera, why: crate::camera::CameraError| {
         Error::Incomplete(format!("camera {}: {why}", camera.name))
     };
-    let kept = cache.load::<Vec<InitialIntrinsics>>(LENSES, mark);
+    let kept = cache.load::<Vec<InitialIntrinsics>>(LENSES, key);
     let found = match kept.filter(|kept| kept.len() == inputs.cameras.len()) {
         Some(found) => found,
         None => {
@@ -75,7 +75,7 @@ pub(super) fn intrinsics(
                         .map_err(|why| wrong(camera, why))
                 })
                 .collect::<Result<_, Error>>()?;
-            cache.save(LENSES, mark, &found)?;
+            cache.save(LENSES, key, &found)?;
             found
         }
     };
@@ -127,28 +127,27 @@ impl StoredPair {
 /// Orients the pairs.
 pub(super) fn verify(
     (features, cameras, descriptors): (&[sfm::Features], &[Camera], &[&Descriptors]),
-    (matched, matched_mark): (&[PairMatches], u64),
+    (matched, matched_key): (&[PairMatches], Key),
     verification: &GeometricVerificationOptions,
     cache: &Cache,
     monitor: &mut dyn Monitor,
-) -> Result<(Vec<Pair>, u64), Error> {
+) -> Result<(Vec<Pair>, Key), Error> {
     let rematching = RematchingOptions::default();
-    let mut mark =
-        Cache::mark().count(matched_mark).text(&format!("{verification:?} {rematching:?}"));
+    let mut key = Key::begin().key(matched_key).text(&format!("{verification:?} {rematching:?}"));
     for camera in cameras {
-        mark = mark.text(camera.interior.model().word()).numbers(camera.interior.values());
+        key = key.text(camera.interior.model().word()).numbers(camera.interior.values());
     }
-    let mark = mark.finish();
-    if let Some(found) = cache.load::<Vec<StoredPair>>(PAIRS, mark) {
-        return Ok((found.into_iter().map(StoredPair::pair).collect(), mark));
+    let key = key.finish();
+    if let Some(found) = cache.load::<Vec<StoredPair>>(PAIRS, key) {
+        return Ok((found.into_iter().map(StoredPair::pair).collect(), key));
     }
     let counter = Counter::new(monitor, "orienting pairs", matched.len(), "pairs");
     let pairs = orient_pairs(features, cameras, matched, verification, &|| counter.tick());
     let counter = Counter::new(monitor, "rematching weak pairs", pairs.len(), "pairs");
     let how = (verification, &rematching);
     let pairs = rematch_weak_pairs(features, descriptors, cameras, &pairs, how, &|| counter.tick());
-    cache.save(PAIRS, mark, &pairs.iter().map(StoredPair::of).collect::<Vec<_>>())?;
-    Ok((pairs, mark))
+    cache.save(PAIRS, key, &pairs.iter().map(StoredPair::of).collect::<Vec<_>>())?;
+    Ok((pairs, key))
 }
 
 #[derive(Serialize, Deserialize)]
@@ -162,13 +161,13 @@ struct StoredBlock {
 /// Orients the images.
 pub(super) fn orient<'a>(
     (features, tracks, cameras): (&'a [sfm::Features], &'a Tracks, &[Camera]),
-    (pairs, pairs_mark): (&[Pair], u64),
+    (pairs, pairs_key): (&[Pair], Key),
     incremental: &IncrementalOptions,
     cache: &Cache,
     monitor: &mut dyn Monitor,
 ) -> Result<Vec<Block<'a>>, Error> {
-    let mark = Cache::mark().count(pairs_mark).text(&format!("{incremental:?}")).finish();
-    if let Some(stored) = cache.load::<Vec<StoredBlock>>(BLOCKS, mark) {
+    let key = Key::begin().key(pairs_key).text(&format!("{incremental:?}")).finish();
+    if let Some(stored) = cache.load::<Vec<StoredBlock>>(BLOCKS, key) {
         let restored = stored.into_iter().map(|stored| restore(stored, features, tracks, cameras));
         return restored.collect();
     }
@@ -206,7 +205,7 @@ pub(super) fn orient<'a>(
             used: block.used.clone(),
         })
         .collect();
-    cache.save(BLOCKS, mark, &stored)?;
+    cache.save(BLOCKS, key, &stored)?;
     // What is stored holds every bit, so that a run that goes on from here is the same.
     Ok(blocks)
 }

@@ -163,7 +163,7 @@ impl Task for Plots {
             let subject = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
             monitor.diagnostic(&Diagnostic::warning("plots-outside", subject, message));
         }
-        write::traits(&plots, place, &study(project), folder)?;
+        write::traits(&plots, place, &study(project), folder, monitor)?;
         let plots = plots.into_iter().map(|plot| plot.traits).collect();
         Ok(PlotsOutcome { source, plots, outside })
     }

@@ -8,6 +8,7 @@ use crate::{
         gpkg::{self, Column, ColumnKind, Feature, Geometry, GeometryKind, Layer},
         output,
     },
+    monitor::{Diagnostic, Monitor},
     phenotype::plots::TRAITS,
     raster::{georeference::Georeference, polygon::Polygon},
 };
@@ -23,6 +24,7 @@ pub(super) fn traits(
     place: Option<Georeference>,
     study: &str,
     folder: &Path,
+    monitor: &mut dyn Monitor,
 ) -> Result<(), Error> {
     let text = |value: Option<f64>| value.map(|value| value.to_string()).unwrap_or_default();
     output::write(&folder.join("traits.csv"), true, |out| {
@@ -47,7 +49,15 @@ pub(super) fn traits(
         csv.flush()
     })?;
     let rings: Vec<Rings> = plots.iter().map(|plot| on_map(&plot.polygon, place)).collect();
-    package(plots, &rings, place, folder)?;
+    if gpkg::IS_AVAILABLE {
+        package(plots, &rings, place, folder)?;
+    } else {
+        let message = "not written: this build of rowgram has no GeoPackages";
+        monitor.diagnostic(
+            &Diagnostic::info("output-left-out", "traits.gpkg", message)
+                .with_remedy("take traits.geojson, or build with the Cargo feature geopackage"),
+        );
+    }
     let features: Vec<Value> = plots
         .iter()
         .zip(&rings)
@@ -85,16 +95,13 @@ fn on_map(polygon: &Polygon, place: Option<Georeference>) -> Rings {
     polygon.rings.iter().map(ring).collect()
 }
 
-/// The same as a layer of a GeoPackage, in builds that have them; the unit of a trait is in its name.
+/// The same as a layer of a GeoPackage; the unit of a trait is in its name.
 fn package(
     plots: &[Plot],
     rings: &[Rings],
     place: Option<Georeference>,
     folder: &Path,
 ) -> Result<(), Error> {
-    if !gpkg::IS_AVAILABLE {
-        return Ok(());
-    }
     let columns = std::iter::once(Column::new("plot", ColumnKind::Text))
         .chain(TRAITS.iter().map(|of| Column::new(of.name, ColumnKind::Real)));
     let feature = |(plot, rings): (&Plot, &Rings)| {

@@ -3,6 +3,14 @@
 //! A stage's record is written when all of its files are; until then it has not been done. Its key stands for
 //! everything that decides its files, so a stage whose key is the recorded one, and whose files still have the
 //! recorded contents, need not be done again. Paths are relative to the project, which may move.
+//!
+//! Steps within a stage are kept in the same manner ([`cache`]): one kind of [`Key`] for both.
+
+mod cache;
+mod key;
+
+pub(crate) use cache::Cache;
+pub(crate) use key::Key;
 
 use super::Stage;
 use crate::{
@@ -61,16 +69,6 @@ pub struct Record {
     pub peak_memory_mb: Option<f64>,
 }
 
-/// Hexadecimal digits of a digest.
-fn digits(digest: &[u8]) -> String {
-    digest.iter().map(|byte| format!("{byte:02x}")).collect()
-}
-
-/// The SHA-256 of a text.
-pub(crate) fn of_text(text: &str) -> String {
-    digits(&Sha256::digest(text.as_bytes()))
-}
-
 /// Lengths and contents of files, in the order given.
 ///
 /// # Errors
@@ -91,7 +89,7 @@ pub fn contents(root: &Path, files: &[PathBuf]) -> Result<Vec<Content>, Error> {
                 hash.update(&buffer[..count]);
                 bytes += count as u64;
             }
-            Ok(Content { path: relative(root, path), bytes, sha256: digits(&hash.finalize()) })
+            Ok(Content { path: relative(root, path), bytes, sha256: key::digits(&hash.finalize()) })
         })
         .collect()
 }
