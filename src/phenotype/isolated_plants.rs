@@ -4,12 +4,11 @@
 //! touch make one patch of two, so that the middle distance is somewhat too long. Where too little of the rows is
 //! bare, or patches are long against their distance, plants have grown together and patches tell nothing.
 //!
-//! Such plants are found by their leaf mass ([`Evidence::of_mass`](super::evidence::Evidence::of_mass)) instead of votes along leaf axes, and
-//! [`snap_to_centroid`] puts each into the middle of its leaves. What it is worth: `experiments/reference/plots.md`.
+//! Such plants are found by their leaf mass ([`mass_stand`](super::mass_stand)); where that is switched off, the distance of
+//! patches is where the search for the spacing starts.
 
-use super::{rows::Rows, stand::Stalk};
+use super::rows::Rows;
 use crate::raster::Mask;
-use std::collections::HashMap;
 
 /// Share of the rows that must be bare: photos of young maize and seedlings have from 0.16 on, closed and young canopies of 20 cm less.
 /// Chosen on half the training plots and clips, as all that is only used where plants stand apart.
@@ -53,6 +52,14 @@ pub fn spacing_px(mask: &Mask, rows: &Rows) -> Option<f64> {
     let longest = median(patches.iter().flatten().map(|patch| patch.to - patch.from).collect())?;
     let count: usize = patches.iter().map(Vec::len).sum();
     (count >= LEAST && longest <= LONGEST * spacing).then_some(spacing)
+}
+
+/// Share of the length of the rows that has leaf within their bands.
+pub(super) fn covered_share(mask: &Mask, rows: &Rows) -> f64 {
+    let profiles = profiles(mask, rows);
+    let length: usize = profiles.iter().map(Vec::len).sum();
+    let covered = profiles.iter().flatten().filter(|mass| **mass > 0.0).count();
+    covered as f64 / length.max(1) as f64
 }
 
 /// Leaf mass along every row, by pixels.
@@ -116,65 +123,6 @@ fn remove_small_patches(patches: &mut [Vec<Patch>]) {
     patches.iter_mut().for_each(|row| row.retain(|patch| patch.mass >= SPECK * middle));
 }
 
-/// Moves plants that stand apart to the middle of the leaf pixels which are theirs: nearer than to any other plant, and within
-/// `reach_px`. A plant without any stays. (One step of k-means, truncated.)
-pub fn snap_to_centroid(mask: &Mask, plants: &mut [Stalk], heading_rad: f64, reach_px: f64) {
-    let places: Vec<[f64; 2]> = plants.iter().map(|plant| plant.position_px).collect();
-    let near = Cells::new(&places, reach_px);
-    // Sums of whole numbers: the order of the pixels changes nothing.
-    let mut sums = vec![[0_u64; 3]; plants.len()];
-    for (u, v) in mask.plant_pixels() {
-        let Some(plant) = near.nearest(&places, [u as f64, v as f64]) else { continue };
-        let sum = &mut sums[plant];
-        *sum = [sum[0] + 1, sum[1] + u as u64, sum[2] + v as u64];
-    }
-    let (sin, cos) = heading_rad.sin_cos();
-    for (plant, [count, u, v]) in plants.iter_mut().zip(sums) {
-        if count > 0 {
-            let middle = [u as f64 / count as f64, v as f64 / count as f64];
-            let moved = [0, 1].map(|k| middle[k] - plant.position_px[k]);
-            plant.position_px = middle;
-            plant.along_px += cos * moved[0] + sin * moved[1];
-        }
-    }
-}
-
-/// Places in square cells of the side within which they are looked for. They stay where they are and distances are exact, other
-/// than in the buckets of `problems::plants`, which follow plants that move.
-struct Cells {
-    side: f64,
-    cells: HashMap<[i64; 2], Vec<usize>>,
-}
-
-impl Cells {
-    fn new(places: &[[f64; 2]], side: f64) -> Cells {
-        let mut found = Cells { side, cells: HashMap::new() };
-        for (k, &place) in places.iter().enumerate() {
-            found.cells.entry(found.cell(place)).or_default().push(k);
-        }
-        found
-    }
-
-    fn cell(&self, place: [f64; 2]) -> [i64; 2] {
-        place.map(|x| (x / self.side).floor() as i64)
-    }
-
-    /// The nearest place within a side of this one, the first of several.
-    fn nearest(&self, places: &[[f64; 2]], at: [f64; 2]) -> Option<usize> {
-        let [x, y] = self.cell(at);
-        let mut best = (self.side * self.side, None);
-        for cell in (y - 1..=y + 1).flat_map(|y| (x - 1..=x + 1).map(move |x| [x, y])) {
-            for &k in self.cells.get(&cell).into_iter().flatten() {
-                let distance2 = (places[k][0] - at[0]).powi(2) + (places[k][1] - at[1]).powi(2);
-                if distance2 < best.0 || (distance2 == best.0 && best.1.is_some_and(|b| k < b)) {
-                    best = (distance2, Some(k));
-                }
-            }
-        }
-        best.1
-    }
-}
-
 /// The middle one, the upper of two; `None` of nothing.
 pub(super) fn median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
@@ -217,50 +165,6 @@ mod tests {
         }
         let detection = rows::detect(&PixelIndex::from_mask(mask.width, &mask.data));
         (mask, detection.rows().unwrap().clone())
-    }
-
-    fn stalk(position_px: [f64; 2]) -> Stalk {
-        let along_px = position_px[0] + 7.0;
-        let (sigma_along_px, sigma_across_px) = (1.0, 1.0);
-        Stalk { position_px, row: 0, along_px, confidence: 1.0, sigma_along_px, sigma_across_px }
-    }
-
-    #[test]
-    fn settling_is_one_truncated_step_of_k_means() {
-        let (mask, _) = crop(45.0, 12.0);
-        let mut rng = ChaCha8Rng::seed_from_u64(3);
-        let mut plants: Vec<Stalk> = (0..80)
-            .map(|_| stalk([1200.0 * rng.random::<f64>(), 400.0 * rng.random::<f64>()]))
-            .collect();
-        let (before, reach) = (plants.clone(), 30.0);
-        snap_to_centroid(&mask, &mut plants, 0.0, reach);
-        let distance = |plant: &Stalk, u: usize, v: usize| {
-            (plant.position_px[0] - u as f64).hypot(plant.position_px[1] - v as f64)
-        };
-        for (k, (old, new)) in before.iter().zip(&plants).enumerate() {
-            let own: Vec<(usize, usize)> = mask
-                .plant_pixels()
-                .filter(|&(u, v)| {
-                    let mine = distance(old, u, v);
-                    mine < reach
-                        && before.iter().enumerate().all(|(other, plant)| {
-                            let theirs = distance(plant, u, v);
-                            mine < theirs || (mine == theirs && k <= other)
-                        })
-                })
-                .collect();
-            let mean = |part: &dyn Fn(&(usize, usize)) -> usize| {
-                own.iter().map(part).sum::<usize>() as f64 / own.len() as f64
-            };
-            let expected = if own.is_empty() {
-                old.position_px
-            } else {
-                [mean(&|pixel| pixel.0), mean(&|pixel| pixel.1)]
-            };
-            assert_eq!(new.position_px, expected);
-            approx::assert_relative_eq!(new.along_px, expected[0] + 7.0, epsilon = 1e-9);
-        }
-        assert_ne!(before, plants);
     }
 
     #[test]

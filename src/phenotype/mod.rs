@@ -9,6 +9,7 @@ pub mod leaf_count;
 pub mod leaves;
 pub mod locate;
 pub mod locator;
+mod mass_stand;
 mod periodicity;
 pub mod plant_mass;
 pub mod plant_spacing;

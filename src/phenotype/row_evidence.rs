@@ -24,8 +24,6 @@ const LEAVES: f64 = 1.9;
 const PATCHES: [f64; 2] = [0.7, 1.3];
 /// Distance of neighbouring plants in the grid, where it is the plants that decide what the grid is.
 const APART: f64 = 13.0;
-/// What the mass of an isolated plant is worth, of what votes are (`experiments/reference/plots.md`).
-const WHOLE: f64 = 0.75;
 /// Half the width of the band whose leaf mass a row has to cover.
 const BAND: i32 = 8;
 /// Places looked at beyond the ends of a row.
@@ -84,8 +82,7 @@ impl RowEvidence {
         let isolated_px = isolated_plants::spacing_px(mask, rows);
         let coarse = isolated_px.map_or(1.0, |spacing| spacing / APART);
         let factor = evidence::factor(mask).max(coarse.round() as usize);
-        let whole = options.isolated_plants && isolated_px.is_some();
-        let evidence = if options.leaf_axes && !whole {
+        let evidence = if options.leaf_axes {
             Evidence::new(mask, rows.axes.heading_rad, options.axis_source, factor)
         } else {
             Evidence::of_mass(mask, factor)
@@ -127,13 +124,6 @@ impl RowEvidence {
         !self.evidence.axes.is_empty()
     }
 
-    /// Distance of isolated plants, pixels of the mask, where each is located by its leaf mass as a whole.
-    pub(super) fn isolated_spacing_px(&self) -> Option<f64> {
-        self.isolated_spacing
-            .filter(|_| self.options.isolated_plants)
-            .map(|apart| apart * self.evidence.factor as f64)
-    }
-
     /// Reads what every row shows.
     pub(super) fn read(&mut self) {
         let RowEvidence { evidence, axes, curves, options, .. } = self;
@@ -166,7 +156,6 @@ impl RowEvidence {
     ) -> Vec<Chain<'_>> {
         let mass = self.mass * spacing.spacing / self.length.max(f64::MIN_POSITIVE);
         let RowModelOptions { vote_weight: votes, uncovered_weight: cover, .. } = self.options;
-        let votes = if self.isolated_spacing_px().is_some() { WHOLE * votes } else { votes };
         let weights = Weights { votes, cover, mean: self.mean, mass };
         rows.into_iter().map(|row| Chain::new(&self.profiles[row], spacing, &weights)).collect()
     }

@@ -13,8 +13,10 @@
 //!    score fitted to count ([`stand_count`]).
 //! 5. Probabilities of all places ([`dynamic_programming::Chain::posterior`]) give each plant its confidence and its
 //!    standard deviations, the field its count with an interval, and every gap the probability that
-//!    plants are missing in it. Isolated plants ([`isolated_plants`]) move to the middle of their leaves;
-//!    elsewhere stalks may be tilted, and their bases not below their leaves ([`tilt`]).
+//!    plants are missing in it. Stalks may be tilted, and their bases not below their leaves ([`tilt`]).
+//!
+//! All that is for rows along which leaves have closed. Where there is soil between plants, or there are no rows, plants are
+//! counted and located by their leaf mass ([`mass_stand`]).
 //!
 //! Positions and lengths in pixels of the mask where the name ends in `_px`, else of the reduced grid.
 //!
@@ -25,7 +27,7 @@
 //! [`dynamic_programming::Chain::posterior`]: Chain::posterior
 //! [`double_plants`]: super::double_plants
 //! [`row_curves`]: super::row_curves
-//! [`isolated_plants`]: super::isolated_plants
+//! [`mass_stand`]: super::mass_stand
 //! [`plant_spacing`]: super::plant_spacing
 //! [`stand_count`]: super::stand_count
 //! [`tilt`]: super::tilt
@@ -33,8 +35,8 @@
 use super::{
     dynamic_programming::{Chain, Posterior, STEP},
     evidence::AxisSource,
-    isolated_plants,
     locate::LocateError,
+    mass_stand,
     plant_spacing::Spacing,
     row_evidence::{Expected, RowEvidence, best, bisect, gaps, total, worth_of},
     rows::{Detection, Rows},
@@ -78,7 +80,8 @@ crate::options! {
         pub double_plants: bool = true;
         /// Standard deviation, in each direction, of the base of a stalk about the middle of its leaves.
         pub tilt_sigma: f64 = 1.5, limits between(0.0, 1e6);
-        /// Isolated plants, each a connected leaf area of its own, are found by their leaf mass and stand in its middle.
+        /// Where there is soil between plants, or there are no rows, plants are counted and located by their leaf mass; else only
+        /// along rows.
         pub isolated_plants: bool = true;
     }
 }
@@ -106,6 +109,11 @@ pub fn locate(
     let pixels = mask.data.iter().filter(|&&pixel| pixel != 0).count();
     if let Some(plants) = count.filter(|&count| count > pixels) {
         return Err(LocateError::TooManyPlants { plants, pixels });
+    }
+    if options.isolated_plants
+        && let Some(stand) = mass_stand::locate(mask, detection, count)
+    {
+        return Ok(stand);
     }
     let rows = match detection {
         Detection::Found(rows) => rows,
@@ -144,14 +152,6 @@ pub fn locate(
     let spacing = spacing.refit(&gaps(&places));
     let mut stand =
         evidence.present(rows, &places, &chains, &posteriors, &spacing, (plant_log_odds, expected));
-    if let Some(apart) = evidence.isolated_spacing_px() {
-        isolated_plants::snap_to_centroid(
-            mask,
-            &mut stand.plants,
-            rows.axes.heading_rad,
-            SETTLED * apart,
-        );
-    }
     stand.refit_rows();
     Ok(stand)
 }
@@ -199,8 +199,6 @@ fn together(marginals: &[f64], places: &[usize], at: usize, steps: usize) -> [f6
     [plants / count.max(1) as f64, mean, variance]
 }
 
-/// An isolated plant has its leaves within this share of the spacing (`experiments/reference/plots.md`).
-const SETTLED: f64 = 0.4;
 /// Standard deviation of the relative error of expected counts, on synthetic fields that took no part in
 /// fitting the weights.
 const COUNT_SIGMA: f64 = 0.06;
@@ -217,7 +215,7 @@ impl RowEvidence {
     ) -> Stand {
         let factor = self.evidence.factor as f64;
         let inverse_temperature = self.options.inverse_temperature;
-        let tilt = if self.isolated_spacing_px().is_some() { 0.0 } else { self.options.tilt_sigma };
+        let tilt = self.options.tilt_sigma;
         let across = self.scatter(places, spacing.spacing);
         let shrinkage =
             self.options.shrinkage * tilt::shrinkage(tilt, across / self.options.across_sigma);
@@ -292,6 +290,7 @@ impl RowEvidence {
             row_counts: posteriors.iter().map(|posterior| posterior.count).collect(),
             row_count_sigmas: variances.into_iter().map(f64::sqrt).collect(),
             missing,
+            leaf_mass: None,
         }
     }
 }

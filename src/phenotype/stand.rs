@@ -16,7 +16,7 @@ const LEAST: f64 = 5.0;
 pub struct Stalk {
     /// Position in the image.
     pub position_px: [f64; 2],
-    /// Number of its row, counted across the rows.
+    /// Number of its row, counted across the rows; 0 where there are none.
     pub row: usize,
     /// Place along the rows.
     pub along_px: f64,
@@ -43,12 +43,26 @@ pub struct Gap {
     pub probability: f64,
 }
 
+/// What the leaf mass says, where plants are told by it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LeafMass {
+    /// Leaf pixels of one plant.
+    pub plant_px: f64,
+    /// Share of the leaf pixels that no plant explains: specks.
+    pub unexplained: f64,
+    /// Share of the leaf pixels that belong to plants between the rows, where there are rows.
+    pub between_rows: Option<f64>,
+    /// Middles of leaf areas too small to be plants.
+    pub specks_px: Vec<[f64; 2]>,
+}
+
 /// What was found.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Stand {
     /// The plants, by row and along the row.
     pub plants: Vec<Stalk>,
-    /// The rows, straight as detected, each through the middle of its plants.
+    /// The rows, straight as detected, each through the middle of its plants; none where plants are told by their mass and no rows
+    /// stand out.
     pub rows: Rows,
     /// The spacing of the plants within their rows; its length in pixels of the mask.
     pub spacing: Spacing,
@@ -62,6 +76,8 @@ pub struct Stand {
     pub row_count_sigmas: Vec<f64>,
     /// Gaps in which plants seem to be missing, by row and along the row.
     pub missing: Vec<Gap>,
+    /// What the leaf mass says, where plants are told by it.
+    pub leaf_mass: Option<LeafMass>,
 }
 
 impl Stand {
@@ -171,6 +187,7 @@ mod tests {
             row_counts: vec![],
             row_count_sigmas: vec![],
             missing: vec![],
+            leaf_mass: None,
         };
         stand.refit_rows();
         let across: Vec<f64> = stand.rows.rows.iter().map(|row| row.across_px).collect();

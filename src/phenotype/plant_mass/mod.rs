@@ -32,6 +32,10 @@ pub struct Plant {
     /// Probability that a plant stands within a quarter of the spacing: that the component holds at least as many plants
     /// as were found in it, averaged over them, times the share of places that are right.
     pub confidence: f64,
+    /// Its share of the number of plants that the component is expected to hold.
+    pub expected: f64,
+    /// Its share of the variance of that.
+    pub variance: f64,
 }
 
 /// The plants of a photo.
@@ -60,61 +64,119 @@ impl MassCount {
 /// Counts and locates plants by leaf mass. `posterior` has a probability in 1/255 for each pixel of the mask; pixels
 /// of the mask itself count fully where it is `None`. A photo without leaf has no plants.
 pub fn count(mask: &Mask, posterior: Option<&[u8]>) -> MassCount {
-    let weight = |u: usize, v: usize| {
-        posterior.and_then(|p| p.get(v * mask.width + u)).map_or(1.0, |&p| f64::from(p) / 255.0)
-    };
-    let parts = components::parts(mask);
-    let mass = |part: &components::Part| -> f64 {
-        part.runs.iter().flat_map(|run| (run.start..run.end).map(|u| weight(u, run.v))).sum()
-    };
-    let masses: Vec<f64> = parts.par_iter().map(mass).collect();
-    let total: f64 = masses.iter().sum();
-    let Some(model) = MassModel::fit(&masses) else {
-        let unexplained = if total > 0.0 { 1.0 } else { 0.0 };
-        return MassCount {
-            plants: Vec::new(),
-            expected: 0.0,
-            sigma: 0.0,
-            model: None,
-            unexplained,
+    Parts::new(mask, posterior).count(None)
+}
+
+/// The components of a mask and the masses of plants that they suggest.
+pub(super) struct Parts<'a> {
+    mask: &'a Mask,
+    posterior: Option<&'a [u8]>,
+    parts: Vec<components::Part>,
+    masses: Vec<f64>,
+    model: Option<MassModel>,
+}
+
+impl<'a> Parts<'a> {
+    pub(super) fn new(mask: &'a Mask, posterior: Option<&'a [u8]>) -> Parts<'a> {
+        let parts = components::parts(mask);
+        let mut found = Parts { mask, posterior, parts, masses: Vec::new(), model: None };
+        let mass = |part: &components::Part| -> f64 {
+            let pixels = |run: &components::Run| run.start..run.end;
+            part.runs.iter().flat_map(|run| pixels(run).map(|u| found.weight(u, run.v))).sum()
         };
-    };
-    let of_part = |(part, &mass): (&components::Part, &f64)| -> Vec<Plant> {
-        let (plants, ..) = model.count(mass);
-        if plants == 0 {
-            return Vec::new();
+        found.masses = found.parts.par_iter().map(mass).collect();
+        found.model = MassModel::fit(&found.masses);
+        found
+    }
+
+    fn weight(&self, u: usize, v: usize) -> f64 {
+        let posterior = self.posterior.and_then(|p| p.get(v * self.mask.width + u));
+        posterior.map_or(1.0, |&p| f64::from(p) / 255.0)
+    }
+
+    /// The mask without specks.
+    pub(super) fn without_specks(&self) -> Mask {
+        let mut mask = Mask::empty(self.mask.width, self.mask.height);
+        let Some(model) = &self.model else { return mask };
+        for (part, &mass) in self.parts.iter().zip(&self.masses) {
+            if model.count(mass).0 > 0 {
+                for run in &part.runs {
+                    let at = run.v * mask.width;
+                    mask.data[at + run.start..at + run.end].fill(1);
+                }
+            }
         }
-        let pixels: Vec<Weighted> = part
-            .runs
-            .iter()
-            .flat_map(|run| {
-                (run.start..run.end).map(|u| ([u as f64, run.v as f64], weight(u, run.v)))
-            })
-            .collect();
-        let centres = split(&pixels, plants);
-        let confidence = confidence(&model, mass, plants);
-        let share = mass / centres.len().max(1) as f64;
-        let plant = |centre: &[f64; 2]| Plant {
-            u_px: centre[0],
-            v_px: centre[1],
-            mass_px: share,
-            in_component: centres.len(),
-            confidence,
+        mask
+    }
+
+    /// Masses and middles of the components that hold no plant.
+    pub(super) fn specks(&self) -> Vec<(f64, [f64; 2])> {
+        let held = |mass: f64| self.model.as_ref().map_or(0, |model| model.count(mass).0);
+        let middle = |part: &components::Part| {
+            let window = part.window;
+            let at = |from: usize, size: usize| from as f64 + 0.5 * (size as f64 - 1.0);
+            [at(window.u, window.width), at(window.v, window.height)]
         };
-        centres.iter().map(plant).collect()
-    };
-    let plants: Vec<Plant> =
-        parts.par_iter().zip(&masses).map(of_part).collect::<Vec<_>>().concat();
-    let expected_of = |model: &MassModel| masses.iter().map(|&m| model.count(m).1).sum::<f64>();
-    let expected = expected_of(&model);
-    let within: f64 = masses.iter().map(|&m| model.count(m).2).sum();
-    let step = model.log_sigma;
-    let slope = (expected_of(&model.scaled(step)) - expected_of(&model.scaled(-step))) / 2.0;
-    let explained: f64 = plants.iter().map(|plant| plant.mass_px).sum();
-    let unexplained = if total > 0.0 { (1.0 - explained / total).max(0.0) } else { 0.0 };
-    let misfit = MISFIT * expected;
-    let sigma = (within + slope * slope + misfit * misfit).sqrt();
-    MassCount { plants, expected, sigma, model: Some(model), unexplained }
+        let all = self.parts.iter().zip(&self.masses);
+        all.filter(|(_, mass)| held(**mass) == 0).map(|(p, &mass)| (mass, middle(p))).collect()
+    }
+
+    /// Counts and locates the plants: `wanted` of them, or as many as there seem to be.
+    pub(super) fn count(self, wanted: Option<usize>) -> MassCount {
+        let total: f64 = self.masses.iter().sum();
+        let Some(model) = &self.model else {
+            let unexplained = if total > 0.0 { 1.0 } else { 0.0 };
+            return MassCount {
+                plants: Vec::new(),
+                expected: 0.0,
+                sigma: 0.0,
+                model: None,
+                unexplained,
+            };
+        };
+        let numbers = match wanted {
+            Some(wanted) => model.share_out(&self.masses, wanted),
+            None => self.masses.iter().map(|&mass| model.count(mass).0).collect(),
+        };
+        let of_part = |((part, &mass), &plants): ((&components::Part, &f64), &usize)| {
+            if plants == 0 {
+                return Vec::new();
+            }
+            let pixel = |u: usize, v: usize| ([u as f64, v as f64], self.weight(u, v));
+            let pixels: Vec<Weighted> = part
+                .runs
+                .iter()
+                .flat_map(|run| (run.start..run.end).map(move |u| pixel(u, run.v)))
+                .collect();
+            let centres = split(&pixels, plants);
+            let confidence = confidence(model, mass, plants);
+            let of_each = 1.0 / centres.len().max(1) as f64;
+            let (_, expected, variance) = model.count(mass);
+            let plant = |centre: &[f64; 2]| Plant {
+                u_px: centre[0],
+                v_px: centre[1],
+                mass_px: mass * of_each,
+                in_component: centres.len(),
+                confidence,
+                expected: expected * of_each,
+                variance: variance * of_each,
+            };
+            centres.iter().map(plant).collect()
+        };
+        let parts = self.parts.par_iter().zip(&self.masses).zip(&numbers);
+        let plants: Vec<Plant> = parts.map(of_part).collect::<Vec<_>>().concat();
+        let expected_of =
+            |model: &MassModel| self.masses.iter().map(|&m| model.count(m).1).sum::<f64>();
+        let expected = expected_of(model);
+        let within: f64 = self.masses.iter().map(|&m| model.count(m).2).sum();
+        let step = model.log_sigma;
+        let slope = (expected_of(&model.scaled(step)) - expected_of(&model.scaled(-step))) / 2.0;
+        let explained: f64 = plants.iter().map(|plant| plant.mass_px).sum();
+        let unexplained = if total > 0.0 { (1.0 - explained / total).max(0.0) } else { 0.0 };
+        let misfit = MISFIT * expected;
+        let sigma = (within + slope * slope + misfit * misfit).sqrt();
+        MassCount { plants, expected, sigma, model: self.model, unexplained }
+    }
 }
 
 /// Standard deviation of the relative error of counts that the model does not explain. Chosen on four sets of photos

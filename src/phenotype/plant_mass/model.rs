@@ -23,6 +23,8 @@ const SPECK: f64 = 0.3;
 const TOUCHING: (f64, f64) = (0.4, 3.0);
 /// What the starting value of `M` is worth, in components at a spread of 0.35.
 const START: f64 = 2.0;
+/// A number of plants that is given is reached with plants lighter or heavier by this factor at most, in `ln M`.
+const LIGHTEST: f64 = 4.0;
 /// Width of the mode and step of its search, in `ln m`.
 const MODE: (f64, f64) = (0.25, 0.05);
 
@@ -136,6 +138,58 @@ impl MassModel {
         (if p[0] > 0.5 { 0 } else { best }, mean, (square - mean * mean).max(0.0))
     }
 
+    /// `wanted` plants shared out to components: the likeliest numbers, of plants so heavy that it fits.
+    pub fn share_out(&self, masses: &[f64], wanted: usize) -> Vec<usize> {
+        let numbers = |model: &MassModel| -> Vec<usize> {
+            masses.iter().map(|&mass| model.count(mass).0).collect()
+        };
+        let total = |model: &MassModel| numbers(model).iter().sum::<usize>();
+        // Heavier plants are fewer, apart from what turns into specks.
+        let (mut light, mut heavy) = (-LIGHTEST, LIGHTEST);
+        for _ in 0..24 {
+            let middle = 0.5 * (light + heavy);
+            if total(&self.scaled(middle)) > wanted { light = middle } else { heavy = middle }
+        }
+        let model = self.scaled(heavy);
+        let mut found = numbers(&model);
+        let mut sum: usize = found.iter().sum();
+        // What is left goes one by one to where it costs least.
+        let worth = |mass: f64, k: usize| model.log_worth(mass, k);
+        while sum != wanted {
+            let more = sum < wanted;
+            let gain = |at: usize| -> f64 {
+                let (mass, k) = (masses[at], found[at]);
+                if more {
+                    worth(mass, k + 1) - worth(mass, k)
+                } else if k > 0 {
+                    worth(mass, k - 1) - worth(mass, k)
+                } else {
+                    f64::NEG_INFINITY
+                }
+            };
+            let gains: Vec<f64> = (0..found.len()).map(gain).collect();
+            let best = (0..gains.len()).max_by(|&a, &b| gains[a].total_cmp(&gains[b]).then(b.cmp(&a)));
+            let Some(best) = best.filter(|&best| gains[best] > f64::NEG_INFINITY) else { break };
+            (found[best], sum) =
+                if more { (found[best] + 1, sum + 1) } else { (found[best] - 1, sum - 1) };
+        }
+        found
+    }
+
+    /// Logarithm of how well `k` plants explain a component; the mass of a speck cannot be told well.
+    fn log_worth(&self, mass: f64, k: usize) -> f64 {
+        if mass < LEAST {
+            return if k == 0 { 0.0 } else { -1e6 * k as f64 };
+        }
+        if k == 0 {
+            return self.probabilities(mass)[0].max(1e-12).ln();
+        }
+        let variance = self.variance(k);
+        let away = (mass / (k as f64 * self.plant)).ln();
+        let usual = (1.0 - self.specks) * self.frequencies[k.min(MOST) - 1].max(1e-12);
+        usual.ln() - 0.5 * away * away / variance - 0.5 * variance.ln()
+    }
+
     /// The same model for plants heavier by `log_ratio` in `ln M`.
     pub fn scaled(&self, log_ratio: f64) -> MassModel {
         MassModel { plant: self.plant * log_ratio.exp(), ..self.clone() }
@@ -214,6 +268,19 @@ mod tests {
         assert_eq!((model.count(500.0).0, model.count(560.0).0), (1, 1));
         assert_eq!(model.count(2.0).0, 0);
         assert_eq!(model.count(100.0 * model.plant).0, 100);
+    }
+
+    #[test]
+    fn a_given_number_is_shared_out() {
+        let (masses, plants) = field(6, 60, 100, false);
+        let model = MassModel::fit(&masses).unwrap();
+        for wanted in [1, plants / 2, plants, plants + 7, 3 * plants] {
+            let numbers = model.share_out(&masses, wanted);
+            assert_eq!(numbers.iter().sum::<usize>(), wanted);
+        }
+        // The heaviest get more.
+        let numbers = model.share_out(&[600.0, 620.0, 1300.0, 5.0], 4);
+        assert_eq!(numbers, [1, 1, 2, 0]);
     }
 
     #[test]
