@@ -51,7 +51,12 @@ pub(super) struct Args {
 
 fn text(outcome: &LocateOutcome) -> String {
     let LocateOutcome { plants, rows, leaf_pixels, .. } = outcome;
-    let mut text = format!("{plants} plants in {rows} rows from {leaf_pixels} leaf pixels");
+    let rows = match rows {
+        0 => "; no rows".to_owned(),
+        1 => " in 1 row".to_owned(),
+        rows => format!(" in {rows} rows"),
+    };
+    let mut text = format!("{plants} plants{rows} from {leaf_pixels} leaf pixels");
     // Writing to a string cannot fail.
     if let Some(descent) = &outcome.descent {
         let (sweeps, distance) = (descent.sweeps, descent.mean_distance_px);

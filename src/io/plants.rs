@@ -47,7 +47,7 @@ fn write(
     points::write(path, force, positions_px, &columns)
 }
 
-/// Writes the plants of the row model.
+/// Writes the plants of the row model; their rows if there are any.
 ///
 /// # Errors
 /// As [`points::write`].
@@ -55,11 +55,13 @@ pub fn write_plants(
     path: &Path,
     force: bool,
     plants: &[Stalk],
+    has_rows: bool,
     gsd_m: Option<f64>,
 ) -> Result<(), FileError> {
+    let row = |plant: &Stalk| if has_rows { plant.row as f64 } else { f64::NAN };
     let positions: Vec<[f64; 2]> = plants.iter().map(|plant| plant.position_px).collect();
     let columns = vec![
-        ("row", plants.iter().map(|plant| plant.row as f64).collect()),
+        ("row", plants.iter().map(row).collect()),
         ("confidence", plants.iter().map(|plant| plant.confidence).collect()),
         ("sigma_along_px", plants.iter().map(|plant| plant.sigma_along_px).collect()),
         ("sigma_across_px", plants.iter().map(|plant| plant.sigma_across_px).collect()),
@@ -115,7 +117,9 @@ pub fn write_rows(
     gsd_m: Option<f64>,
 ) -> Result<(), FileError> {
     let mut found = vec![0_usize; stand.rows.rows.len()];
-    stand.plants.iter().for_each(|plant| found[plant.row] += 1);
+    for plant in &stand.plants {
+        found.get_mut(plant.row).into_iter().for_each(|count| *count += 1);
+    }
     output::write(path, force, |writer| {
         let mut csv = csv::Writer::from_writer(writer);
         let mut header = vec!["row", "plants", "expected", "low", "high", "length_px"];

@@ -13,7 +13,7 @@ use super::{
     plant_mass::{Parts, Plant},
     plant_spacing::Spacing,
     rows::{self, Detection, Rows},
-    stand::{Gap, LeafMass, Stalk, Stand},
+    stand::{BETWEEN, Gap, LeafMass, Stalk, Stand},
 };
 use crate::{
     problems::plants::{index::PixelIndex, lines::Axes},
@@ -25,8 +25,8 @@ use crate::{
 const CLOSED: f64 = 0.78;
 /// Closed rows are this many times longer than they are apart; shorter ones may be plants.
 const LONG: f64 = 3.0;
-/// Half the width of the band of a row, in distances between rows; a lone row's is this many times the size of a plant.
-const BAND: (f64, f64) = (0.25, 1.5);
+/// Half the width of the band of a lone row, in sizes of a plant.
+const LONE: f64 = 1.5;
 /// Radius of the disc that stands for a plant when rows are looked for, of that of a disc with the plant's mass.
 const DISC: f64 = 0.6;
 /// Plants that say something of rows, at least.
@@ -145,7 +145,7 @@ fn nearest_row(rows: &Rows, across_px: f64) -> (usize, f64) {
 }
 
 fn band_px(rows: &Rows, plant_px: f64) -> f64 {
-    rows.spacing_px.map_or(BAND.1 * plant_px.sqrt(), |spacing| BAND.0 * spacing)
+    rows.spacing_px.map_or(LONE * plant_px.sqrt(), |spacing| BETWEEN * spacing)
 }
 
 /// The middle distance to the nearest plant.
@@ -171,10 +171,14 @@ fn rows_of(mask: &Mask, plants: &[Plant], plant_px: f64, detection: &Detection) 
     let again = rows::detect(&PixelIndex::from_mask(discs.width, &discs.data));
     let worth = |rows: &Rows| held_beyond_chance(rows, plants, plant_px);
     let found = [detection.rows(), again.rows()].into_iter().flatten();
-    let best = found.max_by(|a, b| worth(a).total_cmp(&worth(b)));
+    // A line through two plants is no row.
+    let filled = found.filter(|rows| plants.len() >= FILLED * rows.rows.len());
+    let best = filled.max_by(|a, b| worth(a).total_cmp(&worth(b)));
     best.filter(|rows| worth(rows) > HELD).map_or(none, Rows::clone)
 }
 
+/// Plants per row, at least.
+const FILLED: usize = 3;
 /// The least share of the plants that rows hold beyond chance.
 const HELD: f64 = 0.15;
 
@@ -229,7 +233,9 @@ mod tests {
             }
         }
         let mut all = plants.clone();
-        all.extend((0..weeds).map(|_| [760.0 * rng.random::<f64>(), 650.0 * rng.random::<f64>(), 3.0]));
+        all.extend(
+            (0..weeds).map(|_| [760.0 * rng.random::<f64>(), 650.0 * rng.random::<f64>(), 3.0]),
+        );
         let mask = Mask::from_fn(760, 650, |u, v| {
             all.iter().any(|p| (u as f64 - p[0]).hypot(v as f64 - p[1]) < p[2])
         });
@@ -281,8 +287,7 @@ mod tests {
     fn closed_rows_are_left_to_the_row_model() {
         let mask = Mask::from_fn(600, 400, |u, v| {
             let edge = 22.0 + 4.0 * (u as f64 / 9.0).sin();
-            (0..4).any(|row| (v as f64 - 50.0 - 100.0 * f64::from(row)).abs() < edge)
-                && u % 97 != 0
+            (0..4).any(|row| (v as f64 - 50.0 - 100.0 * f64::from(row)).abs() < edge) && u % 97 != 0
         });
         assert!(find(&mask, None).is_none());
     }

@@ -11,6 +11,9 @@ pub const NORMAL_95: f64 = 1.959_963_984_540_054;
 /// The fewest plants that say where their row is.
 const LEAST: f64 = 5.0;
 
+/// Plants farther from every row than this share of the distance between rows stand between rows.
+pub(super) const BETWEEN: f64 = 0.25;
+
 /// One plant.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Stalk {
@@ -140,6 +143,14 @@ impl Stand {
         if spread > 0.0 {
             self.rows.spacing_px = Some((weight * product - number * across) / spread);
         }
+    }
+
+    /// Whether a plant told by its leaf mass stands between two rows, farther than a quarter of their distance from either.
+    pub fn is_between_rows(&self, plant: &Stalk) -> bool {
+        let row = self.rows.rows.get(plant.row).filter(|_| self.leaf_mass.is_some());
+        let away = |at: f64| (self.rows.axes.aligned(plant.position_px)[1] - at).abs();
+        row.zip(self.rows.spacing_px)
+            .is_some_and(|(row, spacing)| away(row.across_px) > BETWEEN * spacing)
     }
 
     /// The ground that the rows stand on: their lengths times the distance between them.

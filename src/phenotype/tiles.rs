@@ -84,7 +84,9 @@ fn crop(
         return Ok(Vec::new());
     }
     let local = Rows { axes, rows: inside.iter().map(|(_, row)| *row).collect(), ..rows.clone() };
-    let found = row_model::locate(&part, &Detection::Found(local), None, options)?;
+    // The rows of a crop are those of the whole.
+    let options = RowModelOptions { isolated_plants: false, ..*options };
+    let found = row_model::locate(&part, &Detection::Found(local), None, &options)?;
     let place = |plant: Stalk| {
         let [u, v] = plant.position_px;
         let position_px = [u + shift[0], v + shift[1]];

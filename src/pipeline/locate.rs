@@ -102,6 +102,15 @@ pub struct StandOutcome {
     pub gaps: usize,
     /// Mean probability of a plant.
     pub mean_confidence: f64,
+    /// Leaf pixels of one plant, where plants are told by their leaf mass.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub plant_leaf_px: Option<f64>,
+    /// Share of the leaf pixels in areas too small to be plants, where plants are told by their leaf mass.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unexplained_share: Option<f64>,
+    /// Share of the leaf pixels that belong to plants between the rows, where plants are told by their leaf mass.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub between_rows_share: Option<f64>,
     /// Plants over the area of the rows.
     pub plants_per_hectare: Option<f64>,
     /// Its interval.
@@ -133,6 +142,9 @@ impl StandOutcome {
             share_doubles: stand.spacing.doubles,
             gaps: stand.missing.len(),
             mean_confidence: confidence / count.max(1.0),
+            plant_leaf_px: stand.leaf_mass.as_ref().map(|mass| mass.plant_px),
+            unexplained_share: stand.leaf_mass.as_ref().map(|mass| mass.unexplained),
+            between_rows_share: stand.leaf_mass.as_ref().and_then(|mass| mass.between_rows),
             plants_per_hectare: hectares.map(|area| count / area),
             plants_per_hectare_interval: hectares
                 .map(|area| stand.count_interval.map(|count| count / area)),
@@ -249,7 +261,10 @@ pub fn locate_plants(
     let of_raster = || source.georeference().and_then(|place| place.gsd_m());
     let gsd_m = options.gsd_m.or_else(of_raster);
     let prepared = locator::prepare(&mask, gsd_m, options)?;
-    let rows = prepared.detection.rows();
+    let rows = match &prepared.work {
+        Work::Stand(stand) => Some(&stand.rows).filter(|rows| !rows.rows.is_empty()),
+        _ => prepared.detection.rows(),
+    };
     let row_spacing_px = rows.and_then(|rows| rows.spacing_px);
     let mut outcome = LocateOutcome {
         method: options.method,
@@ -275,7 +290,9 @@ pub fn locate_plants(
         Found::Stand(stand) => {
             outcome.plants = stand.plants.len();
             outcome.stand = Some(StandOutcome::new(stand, gsd_m));
-            table::write_plants(files.plants, files.force, &stand.plants, gsd_m)?;
+            tell(stand, subject, monitor);
+            let has_rows = !stand.rows.rows.is_empty();
+            table::write_plants(files.plants, files.force, &stand.plants, has_rows, gsd_m)?;
             if let Some(path) = files.gaps {
                 table::write_gaps(path, files.force, stand, gsd_m)?;
             }
@@ -285,7 +302,7 @@ pub fn locate_plants(
         }
         Found::Tiles(plants) => {
             outcome.plants = plants.len();
-            table::write_plants(files.plants, files.force, plants, gsd_m)?;
+            table::write_plants(files.plants, files.force, plants, true, gsd_m)?;
         }
         Found::Descent(found) => {
             outcome.plants = found.located.plants.len();
@@ -342,11 +359,65 @@ fn traced(descend: Descend, trace: &Path, force: bool, certify: bool) -> Result<
     Ok(Descended::finish(Setup { problem, field: outcome.x, detection }, done, certify)?)
 }
 
-/// Plants in red, doubtful ones in orange; yellow where plants are missing.
+/// From this share of the leaf area on, what stands between the rows is worth a warning.
+const BETWEEN_ROWS: f64 = 0.05;
+/// From this share of the leaf area on, what is too small to be a plant is worth a warning.
+const UNEXPLAINED: f64 = 0.1;
+/// A row is thin with less than this share of the plants of the middle row, for its length.
+const THIN: f64 = 0.6;
+
+/// Tells what was found in a few words, and what no plant in a row explains.
+fn tell(stand: &Stand, subject: &str, monitor: &mut dyn Monitor) {
+    let rows = stand.rows.rows.len();
+    let thin = thin_rows(stand);
+    let what = match (rows, thin) {
+        (0, _) => "no rows stand out; plants are counted by their leaf area".to_owned(),
+        (1, _) => "1 row".to_owned(),
+        (_, 0) => format!("{rows} rows"),
+        (_, thin) => format!("{rows} rows, {thin} of them thin"),
+    };
+    monitor.diagnostic(&Diagnostic::info("rows-found", subject, what));
+    let Some(mass) = &stand.leaf_mass else { return };
+    if let Some(between) = mass.between_rows.filter(|&share| share >= BETWEEN_ROWS) {
+        let message =
+            format!("{:.0} % of the leaf area lies between the rows: weeds?", 100.0 * between);
+        monitor.diagnostic(
+            &Diagnostic::warning("leaf-between-rows", subject, message).with_remedy(
+                "look at figures/plants.png, where plants between the rows are violet",
+            ),
+        );
+    }
+    if mass.unexplained >= UNEXPLAINED {
+        let message = format!(
+            "{:.0} % of the leaf area is in {} specks too small to be plants: weeds, or other colours taken for leaf?",
+            100.0 * mass.unexplained,
+            mass.specks_px.len()
+        );
+        monitor.diagnostic(
+            &Diagnostic::warning("leaf-without-plant", subject, message)
+                .with_remedy("look at figures/plants.png, where specks are blue"),
+        );
+    }
+}
+
+/// Rows with far fewer plants for their length than the middle one.
+fn thin_rows(stand: &Stand) -> usize {
+    let rows = stand.row_counts.iter().zip(&stand.rows.rows);
+    let mut density: Vec<f64> = rows.map(|(count, row)| count / row.length_px().max(1.0)).collect();
+    density.sort_by(f64::total_cmp);
+    let Some(&middle) = density.get(density.len() / 2) else { return 0 };
+    density.iter().filter(|&&of| of < THIN * middle).count()
+}
+
+/// Plants in red, doubtful ones in orange, those between the rows in violet; yellow where plants are missing; specks in blue; rows as
+/// dotted white lines.
 fn draw(view: &mut View, found: &Found) {
     const SURE: Rgb<u8> = Rgb([255, 40, 40]);
     const DOUBTFUL: Rgb<u8> = Rgb([255, 150, 0]);
     const MISSING: Rgb<u8> = Rgb([255, 230, 60]);
+    const BETWEEN: Rgb<u8> = Rgb([200, 60, 255]);
+    const SPECK: Rgb<u8> = Rgb([60, 120, 255]);
+    const ROW: Rgb<u8> = Rgb([255, 255, 255]);
     let step = view.step as f64;
     let radius = |px: f64| (px / step).clamp(2.0, 12.0) as u32;
     let mut points = |at_px: Vec<[f64; 2]>, colour, radius_px| {
@@ -357,9 +428,19 @@ fn draw(view: &mut View, found: &Found) {
         Found::Stand(stand) => {
             let radius_px = radius(stand.spacing.spacing / 4.0);
             points(stand.missing.iter().map(|gap| gap.position_px).collect(), MISSING, radius_px);
+            if let Some(mass) = &stand.leaf_mass {
+                points(mass.specks_px.clone(), SPECK, 2);
+            }
+            for row in &stand.rows.rows {
+                let dots = (row.length_px() / (8.0 * step)).ceil() as usize;
+                let at = |k: usize| [row.start_px + 8.0 * step * k as f64, row.across_px];
+                points((0..=dots).map(|k| stand.rows.axes.image(at(k))).collect(), ROW, 1);
+            }
+            let (between, inside): (Vec<Stalk>, Vec<Stalk>) =
+                stand.plants.iter().partition(|plant| stand.is_between_rows(plant));
             let (sure, doubtful): (Vec<Stalk>, Vec<Stalk>) =
-                stand.plants.iter().partition(|plant| plant.confidence >= 0.5);
-            for (plants, colour) in [(sure, SURE), (doubtful, DOUBTFUL)] {
+                inside.into_iter().partition(|plant| plant.confidence >= 0.5);
+            for (plants, colour) in [(between, BETWEEN), (sure, SURE), (doubtful, DOUBTFUL)] {
                 points(plants.iter().map(|p| p.position_px).collect(), colour, radius_px);
             }
         }

@@ -168,7 +168,8 @@ impl MassModel {
                 }
             };
             let gains: Vec<f64> = (0..found.len()).map(gain).collect();
-            let best = (0..gains.len()).max_by(|&a, &b| gains[a].total_cmp(&gains[b]).then(b.cmp(&a)));
+            let best =
+                (0..gains.len()).max_by(|&a, &b| gains[a].total_cmp(&gains[b]).then(b.cmp(&a)));
             let Some(best) = best.filter(|&best| gains[best] > f64::NEG_INFINITY) else { break };
             (found[best], sum) =
                 if more { (found[best] + 1, sum + 1) } else { (found[best] - 1, sum - 1) };
