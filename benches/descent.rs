@@ -9,7 +9,7 @@ use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rowgram::{
-    descent::{Descent, Options, run},
+    descent::{CoordinateDescentOptions, Descent, run},
     engine::Engine,
     problems::plants::{Field, Model, Plants, Prior, index::PixelIndex, lines::Axes, start},
 };
@@ -63,7 +63,8 @@ fn sweeps(criterion: &mut Criterion) {
         group.bench_function(format!("one sweep, {name} pixels"), |bencher| {
             bencher.iter_batched(
                 || {
-                    let (mut engine, mut x) = (Descent::new(Options::default()), start.clone());
+                    let (mut engine, mut x) =
+                        (Descent::new(CoordinateDescentOptions::default()), start.clone());
                     let cost = engine.start(&problem, &mut x);
                     (engine, x, cost)
                 },
@@ -72,7 +73,7 @@ fn sweeps(criterion: &mut Criterion) {
             );
         });
         let mut x = start.clone();
-        match run(&problem, &mut x, Options::default(), 1, |_, _| ()) {
+        match run(&problem, &mut x, CoordinateDescentOptions::default(), 1, |_, _| ()) {
             Ok(outcome) => println!(
                 "    quality: {} plants, {count} pixels, cost per pixel {:.5} -> {:.5}",
                 x.positions_px.len(),
@@ -86,12 +87,13 @@ fn sweeps(criterion: &mut Criterion) {
     group.bench_function("to convergence, 1e5 pixels", |bencher| {
         bencher.iter_batched(
             || start.clone(),
-            |mut x| run(&problem, &mut x, Options::default(), 1000, |_, _| ()),
+            |mut x| run(&problem, &mut x, CoordinateDescentOptions::default(), 1000, |_, _| ()),
             BatchSize::LargeInput,
         );
     });
     let mut x = start.clone();
-    if let Ok(outcome) = run(&problem, &mut x, Options::default(), 1000, |_, _| ()) {
+    if let Ok(outcome) = run(&problem, &mut x, CoordinateDescentOptions::default(), 1000, |_, _| ())
+    {
         let count = problem.index().len() as f64;
         println!(
             "    quality: {} sweeps, cost per pixel {:.5} -> {:.5}, {}",

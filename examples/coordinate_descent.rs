@@ -7,7 +7,7 @@
 #![allow(clippy::print_stdout, reason = "an example prints")]
 
 use rowgram::{
-    descent::{ActiveSet, BlockCost, Options, run},
+    descent::{ActiveSet, BlockCost, CoordinateDescentOptions, run},
     engine::SolveError,
 };
 
@@ -51,7 +51,11 @@ impl BlockCost for Chain {
 pub(crate) fn main() -> Result<(), SolveError> {
     let problem = Chain { measured: vec![0.0, 1.2, 1.8, 3.3, 3.9, 5.0], smooth: 4.0 };
     let mut x = vec![0.0; 6];
-    let options = Options { movement_tolerance: 1e-9, cost_tolerance: 0.0, ..Options::default() };
+    let options = CoordinateDescentOptions {
+        movement_tolerance: 1e-9,
+        cost_tolerance: 0.0,
+        ..CoordinateDescentOptions::default()
+    };
     let outcome = run(&problem, &mut x, options, 500, |_, _| ())?;
     println!("{x:.3?} after {} sweeps: {}", outcome.sweeps, outcome.stop.explain());
     // At the optimum all data residuals add up to nothing.

@@ -110,7 +110,7 @@ crate::choices!(Order: Cyclic, Shuffled);
 
 /// How to descend.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Options {
+pub struct CoordinateDescentOptions {
     /// In which order to visit the blocks.
     pub order: Order,
     /// Decides the shuffled orders.
@@ -122,9 +122,14 @@ pub struct Options {
     pub cost_tolerance: f64,
 }
 
-impl Default for Options {
-    fn default() -> Options {
-        Options { order: Order::Cyclic, seed: 0, movement_tolerance: 1e-2, cost_tolerance: 1e-6 }
+impl Default for CoordinateDescentOptions {
+    fn default() -> CoordinateDescentOptions {
+        CoordinateDescentOptions {
+            order: Order::Cyclic,
+            seed: 0,
+            movement_tolerance: 1e-2,
+            cost_tolerance: 1e-6,
+        }
     }
 }
 
@@ -142,7 +147,7 @@ pub struct DescentState {
 /// The coordinate descent engine.
 #[derive(Debug, Clone, Default)]
 pub struct Descent {
-    options: Options,
+    options: CoordinateDescentOptions,
     sweep: u64,
     active: ActiveSet,
     cost: f64,
@@ -151,7 +156,7 @@ pub struct Descent {
 
 impl Descent {
     /// An engine with these options.
-    pub fn new(options: Options) -> Descent {
+    pub fn new(options: CoordinateDescentOptions) -> Descent {
         Descent { options, ..Descent::default() }
     }
 
@@ -272,7 +277,7 @@ pub struct Outcome {
 pub fn run<P: BlockCost>(
     problem: &P,
     x: &mut P::Iterate,
-    options: Options,
+    options: CoordinateDescentOptions,
     max_sweeps: u64,
     mut observe: impl FnMut(u64, &Step),
 ) -> Result<Outcome, SolveError> {
@@ -341,8 +346,8 @@ mod tests {
         Chain { targets: (0..20).map(|p| f64::from(p * p % 7)).collect() }
     }
 
-    fn options(order: Order) -> Options {
-        Options { order, seed: 5, movement_tolerance: 1e-13, cost_tolerance: 0.0 }
+    fn options(order: Order) -> CoordinateDescentOptions {
+        CoordinateDescentOptions { order, seed: 5, movement_tolerance: 1e-13, cost_tolerance: 0.0 }
     }
 
     #[test]
@@ -413,7 +418,8 @@ mod tests {
     #[test]
     fn an_empty_problem_converges_and_a_foreign_checkpoint_is_refused() {
         let problem = Chain { targets: vec![] };
-        let outcome = run(&problem, &mut vec![], Options::default(), 10, |_, _| ()).unwrap();
+        let outcome =
+            run(&problem, &mut vec![], CoordinateDescentOptions::default(), 10, |_, _| ()).unwrap();
         assert_eq!((outcome.sweeps, outcome.stop), (1, Termination::StepConverged));
         let memory = DescentState { sweep: 3, active: vec![20], cost: 0.0 };
         let refused = Descent::default().resume(&chain(), &mut vec![0.0; 20], memory);

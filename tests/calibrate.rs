@@ -145,7 +145,8 @@ fn a_camera_takes_the_distortion_out_of_photos() {
     // Corners lie where the camera without distortion sees them: rows are straight.
     let image = rowgram::io::images::read_grey(&here.join("flat/00.png")).unwrap();
     let found =
-        rowgram::target::detect(&image, BOARD, &rowgram::target::Options::default()).unwrap();
+        rowgram::target::detect(&image, BOARD, &rowgram::target::DetectionOptions::default())
+            .unwrap();
     let truth = corners(BOARD, &ideal, &poses(BOARD, &wide(SIZE), 2, 8)[0]);
     assert!(found.complete);
     for c in &found.corners {

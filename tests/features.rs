@@ -7,7 +7,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rowgram::{
     features::{
-        Features, KeyPoint, Norm, Options, Upscale, detect, grey,
+        FeatureOptions, Features, KeyPoint, Norm, Upscale, detect, grey,
         matching::{MatchOptions, match_descriptors},
     },
     io,
@@ -48,8 +48,8 @@ impl Scene {
     }
 }
 
-fn all() -> Options {
-    Options { max_features: 0, ..Options::default() }
+fn all() -> FeatureOptions {
+    FeatureOptions { max_features: 0, ..FeatureOptions::default() }
 }
 
 /// Enlarged, it is wider and higher than the tiles that the search works in.
@@ -114,7 +114,7 @@ fn key_points_and_descriptors_are_those_of_the_oracle() {
         [(Upscale::HalfPixel, FirstOctave::Double), (Upscale::None, FirstOctave::Native)]
     {
         let (expected, descriptors) = oracle(&picture, first_octave);
-        let found = detect(&picture, &Options { upscale, norm: Norm::L2, ..all() });
+        let found = detect(&picture, &FeatureOptions { upscale, norm: Norm::L2, ..all() });
         assert!(expected.len() > 100, "{} key points", expected.len());
         // The same formulas in another order of rounding; what differs are key points at the very
         // edge of a threshold.
@@ -144,7 +144,7 @@ fn precise_enlargement_has_no_shift_and_the_other_a_quarter_of_a_pixel() {
     for (upscale, shift) in
         [(Upscale::Precise, 0.0), (Upscale::None, 0.0), (Upscale::HalfPixel, 0.25)]
     {
-        let options = Options { upscale, ..all() };
+        let options = FeatureOptions { upscale, ..all() };
         let one = detect(&picture, &options).key_points;
         let mut other = detect(&mirrored, &options).key_points;
         for point in &mut other {
@@ -197,7 +197,9 @@ fn threads_change_nothing() {
     let picture = scene();
     let with = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| detect(&picture, &Options { max_features: 150, ..Options::default() }))
+        pool.install(|| {
+            detect(&picture, &FeatureOptions { max_features: 150, ..FeatureOptions::default() })
+        })
     };
     let one = with(1);
     assert_eq!(one.key_points.len(), 150);
@@ -208,14 +210,15 @@ fn threads_change_nothing() {
 fn a_budget_is_kept_and_takes_from_what_there_is() {
     let picture = scene();
     let everything = detect(&picture, &all());
-    let some = detect(&picture, &Options { max_features: 64, ..Options::default() });
+    let some = detect(&picture, &FeatureOptions { max_features: 64, ..FeatureOptions::default() });
     assert_eq!((some.key_points.len(), some.descriptors.len()), (64, 64));
     let known: Vec<(&KeyPoint, _)> =
         everything.key_points.iter().zip(everything.descriptors.iter()).collect();
     for feature in some.key_points.iter().zip(some.descriptors.iter()) {
         assert!(known.contains(&feature));
     }
-    let plenty = detect(&picture, &Options { max_features: 1_000_000, ..Options::default() });
+    let plenty =
+        detect(&picture, &FeatureOptions { max_features: 1_000_000, ..FeatureOptions::default() });
     assert_eq!(plenty, everything);
     // Every quarter of the picture gets its share.
     for left in [true, false] {
@@ -227,7 +230,7 @@ fn a_budget_is_kept_and_takes_from_what_there_is() {
 #[test]
 fn nothing_is_found_where_nothing_is() {
     for upscale in [Upscale::Precise, Upscale::HalfPixel, Upscale::None] {
-        let options = Options { upscale, ..all() };
+        let options = FeatureOptions { upscale, ..all() };
         for (width, height) in [(0, 0), (0, 9), (1, 1), (5, 400), (11, 11), (64, 48), (300, 6)] {
             let flat = GrayImage::from_pixel(width, height, Luma([77]));
             let expected = Features { width_px: width, height_px: height, ..Features::default() };
@@ -264,7 +267,7 @@ fn homography(path: &std::path::Path) -> [[f64; 3]; 3] {
 fn the_graffiti_wall_is_recognised_from_the_side() {
     let Some(folder) = data::path("match_graf") else { return };
     let load = |name: &str| grey(&io::images::read_photo(&folder.join(name)).unwrap());
-    let options = Options { max_features: 1500, ..Options::default() };
+    let options = FeatureOptions { max_features: 1500, ..FeatureOptions::default() };
     let first = detect(&load("img1.png"), &options);
     for (other, h, least) in [("img2.png", "H1to2p", 0.9), ("img3.png", "H1to3p", 0.7)] {
         let second = detect(&load(other), &options);
@@ -294,7 +297,7 @@ fn photos_become_files_and_pictures() {
     assert_eq!(run.code, 0, "{}", run.stderr);
     assert_eq!(run.stdout, "out/one.features: 90 features\nout/two.features: 90 features\n");
     let (key, found) = io::features::read(&folder.path().join("out/one.features")).unwrap();
-    let options = Options { max_features: 90, ..Options::default() };
+    let options = FeatureOptions { max_features: 90, ..FeatureOptions::default() };
     let bytes = std::fs::read(folder.path().join("one.png")).unwrap();
     assert_eq!(key, io::features::key(&bytes, &options));
     assert_eq!(found, detect(&scene(), &options));

@@ -54,12 +54,12 @@ fn f1(found: &[[f64; 2]], truth: &[[f64; 2]]) -> f64 {
 
 /// The descent from given plants.
 fn descend(mask: &Mask, start: &[[f64; 2]], model: Model) -> Vec<[f64; 2]> {
-    let options = locate::Options {
+    let options = locate::PlantFitOptions {
         plants: start.len(),
         model,
         init: Init::Votes,
         seed: 0,
-        descent: descent::Options::default(),
+        descent: descent::CoordinateDescentOptions::default(),
         max_sweeps: 200,
     };
     let index = index(mask);

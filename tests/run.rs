@@ -252,7 +252,7 @@ fn a_second_run_is_refused_and_mistakes_leave_nothing() {
     assert_eq!(rowgram(folder.path(), "init nothing").code, 2, "a file of somebody's stays");
     let sick = rowgram(folder.path(), "doctor nothing -q");
     assert_eq!(sick.code, 3);
-    assert!(sick.stdout.contains("ERROR") && sick.stdout.contains("photos"), "{}", sick.stdout);
+    assert!(sick.stdout.contains("error ") && sick.stdout.contains("photos"), "{}", sick.stdout);
 }
 
 #[test]
@@ -344,6 +344,7 @@ fn settings_that_cannot_be_are_refused_everywhere() {
         "leaf-count",
         "locate",
         "leaves",
+        "plots",
         "align",
         "dem",
         "ortho",

@@ -8,7 +8,7 @@ use image::{GrayImage, Luma};
 use rowgram::{
     camera::Interior,
     io::images,
-    target::{Board, Detection, NotFound, Options, Refinement, detect},
+    target::{Board, Detection, DetectionOptions, NotFound, Refinement, detect},
 };
 use std::f64::consts::PI;
 
@@ -17,7 +17,7 @@ const SIZE: [u32; 2] = [640, 480];
 const UNIQUE: Board = Board { columns: 7, rows: 6 };
 
 fn found(image: &GrayImage, board: Board) -> Detection {
-    detect(image, board, &Options::default()).unwrap()
+    detect(image, board, &DetectionOptions::default()).unwrap()
 }
 
 /// Root mean square and largest distance to the true corners, pixels; where the board looks the same
@@ -91,7 +91,7 @@ fn both_refinements_agree_and_know_how_sharp_a_photo_is() {
     let place = pose(UNIQUE, [0.0, 0.0, -0.4], 0.4, 0.3, 0.1);
     let truth = corners(UNIQUE, &lens, &place);
     let image = photo(UNIQUE, &lens, &place, CLEAN, 0);
-    let saddle = Options { refinement: Refinement::Saddle, ..Options::default() };
+    let saddle = DetectionOptions { refinement: Refinement::Saddle, ..DetectionOptions::default() };
     let other = detect(&image, UNIQUE, &saddle).unwrap();
     assert!(errors(&other, UNIQUE, &truth).0 < 0.05);
     let sharp = found(&image, UNIQUE).edge_width_px;
@@ -115,7 +115,7 @@ fn what_is_not_the_board_is_said() {
     let lens = normal(SIZE);
     let place = pose(UNIQUE, [0.0, 0.0, -0.4], 0.2, 0.3, 0.1);
     let image = photo(UNIQUE, &lens, &place, CLEAN, 0);
-    let options = Options::default();
+    let options = DetectionOptions::default();
     for wrong in ["8x6", "9x7", "5x4"] {
         assert_eq!(
             detect(&image, wrong.parse().unwrap(), &options),

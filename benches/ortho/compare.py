@@ -101,7 +101,7 @@ def rowgram(args, *options):
 def positions(args):
     data, work = args.data, args.work
     results = []
-    common = ["--interpolation", "bicubic", "--dem-interpolation", "bicubic", "--no-provenance", "--force", "--json"]
+    common = ["--interpolation", "bicubic", "--dem-interpolation", "bicubic", "--provenance=false", "--force", "--json"]
     ngi = [
         "--poses", f"{data}/io/ngi_xyz_opk.csv", "--camera", f"{data}/io/ngi_int_param.yaml",
         "--dem", f"{data}/ngi/dem.tif", "--photos", f"{data}/ngi",
@@ -142,6 +142,7 @@ def speed(args):
     os.makedirs(f"{work}/speed_theirs", exist_ok=True)
     sources = sorted(glob.glob(f"{data}/ngi/*RGB.tif"))
     ratios = []
+    os.makedirs(f"{work}/speed_ours", exist_ok=True)
     for turn in range(args.turns):
         started, cpu, pixels = time.perf_counter(), time.process_time(), 0
         cameras = oty.FrameCameras(f"{data}/io/ngi_int_param.yaml", f"{data}/io/ngi_xyz_opk.csv")
@@ -162,19 +163,19 @@ def speed(args):
         started = time.perf_counter()
         report = rowgram(
             args, "ortho", "--poses", f"{data}/io/ngi_xyz_opk.csv", "--camera", f"{data}/io/ngi_int_param.yaml",
-            "--dem", f"{data}/ngi/dem.tif", "--photos", f"{data}/ngi", "--frames", "--gsd", str(args.gsd),
-            "-o", f"{work}/speed_ours", "--no-provenance", "--force", "--json", "--threads", str(args.threads),
+            "--dem", f"{data}/ngi/dem.tif", "--photos", f"{data}/ngi", "--frames", "--gsd-m", str(args.gsd),
+            "-o", f"{work}/speed_ours/ortho.tif", "--provenance=false", "--force", "--json", "--threads", str(args.threads),
         )
         seconds = time.perf_counter() - started
         after = os.times()
-        pixels = sum(m["width_px"] * m["height_px"] for m in report["maps"])
+        # The mosaic of all of them is made too.
+        pixels = sum(m["width_px"] * m["height_px"] for m in [report, *report["frames"]])
         ours = pixels / seconds * 1e-6
         used = after.children_user + after.children_system - before.children_user - before.children_system
         row = {
             "turn": turn, "megapixels": round(pixels * 1e-6, 1), "threads": args.threads,
             "orthority_mpx_per_s": round(theirs, 2), "rowgram_mpx_per_s": round(ours, 2), "ratio": round(ours / theirs, 2),
             "orthority_mpx_per_cpu_s": round(theirs_cpu, 2), "rowgram_mpx_per_cpu_s": round(pixels / used * 1e-6, 2),
-            "rowgram_peak_mb": report["peak_memory_mb"],
         }
         ratios.append(ours / theirs)
         print(json.dumps(row))

@@ -3,7 +3,8 @@
     rowgram synth flight --preset small --photo-truth -o field
     venv/bin/python benches/ortho/twin.py --field field --rowgram target/release/rowgram --work /tmp/twin [--aligned]
 
-With the true poses, lens and ground, or with --aligned with those of `rowgram align field` and `rowgram dem field -o <work>/dem.tif`.
+With the true poses, lens and ground, or with --aligned with those of `rowgram align field` and `rowgram dem field`.
+The map is drawn on the ground, where the bases of the stalks are.
 
 Targets: the saddle point of each target's pattern in the mosaic (cv2.cornerSubPix) against the target's true place.
 Stalks: at the true place of each stalk's base the provenance raster names a photo and a pixel; the generator knows at
@@ -47,13 +48,15 @@ def main():
     args = parser.parse_args()
     os.makedirs(args.work, exist_ok=True)
     truth = f"{args.field}/truth"
-    mosaic = f"{args.work}/ortho.tif"
-    options = ["-o", mosaic, "--force", "--json", "--figures", f"{args.work}/pictures"]
+    folder = f"{args.field}/rowgram/ortho" if args.aligned else args.work
+    mosaic = f"{folder}/ortho.tif"
+    options = ["--canopy-height-m", "0", "--force", "--json"]
     if args.gsd:
-        options += ["--gsd", str(args.gsd)]
+        options += ["--gsd-m", str(args.gsd)]
     if args.aligned:
-        command = [args.rowgram, "ortho", args.field, "--dem", f"{args.work}/dem.tif", *options]
+        command = [args.rowgram, "ortho", args.field, *options]
     else:
+        options += ["-o", mosaic, "--figures", f"{args.work}/pictures"]
         dem = f"{args.work}/dem.tif"
         with rasterio.open(f"{truth}/dem.asc") as file:
             with open(f"{truth}/dem.prj") as prj:
@@ -67,13 +70,12 @@ def main():
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:
         sys.exit(done.stderr)
-    report = json.loads(done.stdout)["maps"][0]
-    gsd = report["gsd_m"]
+    gsd = json.loads(done.stdout)["gsd_m"]
     with rasterio.open(mosaic) as file:
         colours, place = file.read(), file.transform
-    with rasterio.open(f"{args.work}/ortho_provenance.tif") as file:
+    with rasterio.open(f"{folder}/ortho_provenance.tif") as file:
         provenance = file.read()
-    with open(f"{args.work}/ortho.json") as file:
+    with open(f"{folder}/ortho.json") as file:
         photos = [photo["name"] for photo in json.load(file)["photos"]]
     grey = cv2.cvtColor(np.moveaxis(colours[:3], 0, 2), cv2.COLOR_RGB2GRAY)
     height, width = grey.shape
@@ -121,7 +123,6 @@ def main():
     print(json.dumps({
         "gsd_m": gsd, "size": [width, height], "targets": summary("targets", targets, gsd),
         "stalks": summary("stalks", stalks, gsd), "holes_px": holes, "black_px": black,
-        "megapixels_per_second": report["megapixels_per_second"],
     }, indent=1))
 
 

@@ -7,9 +7,6 @@
 //! The commands that read a data folder (`locate-masks` and the like) write `NAME.csv` (one line per run)
 //! and `NAME.md` (the table of means).
 
-mod canopy;
-mod canopy_field;
-mod canopy_plots;
 mod command;
 mod compare;
 mod data;
@@ -29,6 +26,9 @@ mod parquet_file;
 mod plan;
 mod plots;
 mod relative;
+mod row_model_masks;
+mod row_model_plots;
+mod row_model_time;
 mod segment_speed;
 mod spec;
 mod stage;
@@ -95,7 +95,7 @@ enum Experiment {
         trials: usize,
     },
     /// The locator for closed canopies: synthetic masks, number of plants given and not.
-    Canopy {
+    RowModelMasks {
         #[command(flatten)]
         folders: Folders,
         /// Masks per scenario, at most.
@@ -110,7 +110,7 @@ enum Experiment {
     },
     /// The locator for closed canopies on real plots, number of plants not given; thresholds chosen on
     /// `train`, reported on `val`.
-    CanopyPlots {
+    RowModelPlots {
         #[command(flatten)]
         folders: Folders,
         /// An option of the locator, as `NAME=VALUE`; can be given several times.
@@ -124,7 +124,7 @@ enum Experiment {
         alone: bool,
     },
     /// The locator for closed canopies on a quarter, half, the whole and twice of a field.
-    CanopyField {
+    RowModelTime {
         #[command(flatten)]
         folders: Folders,
     },
@@ -193,12 +193,12 @@ fn main() -> ExitCode {
             locate::run(&folders, 10).and_then(|()| plots::run(&folders))
         }
         Experiment::RelativeOrientation { folders, trials } => relative::run_all(&folders, trials),
-        Experiment::Canopy { folders, masks, only, set } => {
-            options(&set).and_then(|options| canopy::run(&folders, masks, &only, &options))
+        Experiment::RowModelMasks { folders, masks, only, set } => {
+            options(&set).and_then(|options| row_model_masks::run(&folders, masks, &only, &options))
         }
-        Experiment::CanopyPlots { folders, set, train_only, alone } => options(&set)
-            .and_then(|options| canopy_plots::run(&folders, &options, train_only, alone)),
-        Experiment::CanopyField { folders } => canopy_field::run(&folders),
+        Experiment::RowModelPlots { folders, set, train_only, alone } => options(&set)
+            .and_then(|options| row_model_plots::run(&folders, &options, train_only, alone)),
+        Experiment::RowModelTime { folders } => row_model_time::run(&folders),
         Experiment::Leaves { folders, masks } => leaves::run(&folders, masks),
         Experiment::LeavesTwin { out, photos } => leaves_twin::run(&out, photos),
         Experiment::LeafTips { folders } => leaf_tips::run(&folders),

@@ -4,7 +4,7 @@
 use rowgram::{
     descent,
     phenotype::{
-        locate::{Init, Located, Options, Setup},
+        locate::{Init, Located, PlantFitOptions, Setup},
         rows::Detection,
     },
     problems::plants::{Form, Model, PlantUpdate, Prior, SigmaRule, index::PixelIndex},
@@ -95,7 +95,7 @@ pub(crate) fn run(
     radii_px: &[f64],
     floor_px: f64,
 ) -> Result<Run, rowgram::Error> {
-    let options = Options {
+    let options = PlantFitOptions {
         plants: truth.len(),
         model: Model {
             prior: method.prior,
@@ -107,7 +107,7 @@ pub(crate) fn run(
         },
         init: method.init,
         seed: 1,
-        descent: descent::Options::default(),
+        descent: descent::CoordinateDescentOptions::default(),
         max_sweeps: if method.fit { 300 } else { 0 },
     };
     let mut run = Run {
@@ -137,7 +137,7 @@ pub(crate) fn run(
 
 fn descend(
     index: &PixelIndex,
-    options: &Options,
+    options: &PlantFitOptions,
     detection: &Detection,
 ) -> Result<(Located, descent::Outcome), rowgram::Error> {
     let mut setup = Setup::with_rows(index.clone(), options, detection.clone())?;

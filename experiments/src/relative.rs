@@ -15,7 +15,7 @@ use rayon::prelude::*;
 use rowgram::{
     Error,
     io::{FileError, output},
-    sfm::relative::{Correspondence, Options, Solver, estimate},
+    sfm::relative::{Correspondence, RelativePoseOptions, Solver, estimate},
 };
 use std::fmt::Write as _;
 
@@ -124,7 +124,12 @@ fn pair(setting: &Setting, seed: u64) -> (Vec<Correspondence>, Rotation3<f64>, V
 /// Whether a solver gets a pair right, its inliers, its samples.
 pub(crate) fn run(setting: &Setting, solver: Solver, seed: u64) -> (bool, usize, usize) {
     let (correspondences, turn, base) = pair(setting, seed);
-    let options = Options { solver, tolerance: 2.0 / C_PX, min_inliers: 8, ..Options::default() };
+    let options = RelativePoseOptions {
+        solver,
+        tolerance: 2.0 / C_PX,
+        min_inliers: 8,
+        ..RelativePoseOptions::default()
+    };
     match estimate(&correspondences, &options, seed) {
         None => (false, 0, options.max_samples),
         Some(found) => {

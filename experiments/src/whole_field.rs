@@ -7,7 +7,7 @@ use rowgram::{
     engine::Engine,
     io::{images, output, points},
     phenotype::{
-        locate::{Init, Options, Setup},
+        locate::{Init, PlantFitOptions, Setup},
         rows,
     },
     problems::plants::{Form, Model, PlantUpdate, Prior, SigmaRule, index::PixelIndex},
@@ -55,9 +55,15 @@ pub(crate) fn run(folders: &Folders) -> Result<(), Error> {
             floor_px: 2.0 / 3.0,
             ..Model::default()
         };
-        let descent = descent::Options::default();
-        let options =
-            Options { plants: truth.len(), model, init, seed: 1, descent, max_sweeps: 1000 };
+        let descent = descent::CoordinateDescentOptions::default();
+        let options = PlantFitOptions {
+            plants: truth.len(),
+            model,
+            init,
+            seed: 1,
+            descent,
+            max_sweeps: 1000,
+        };
         let clock = Instant::now();
         let mut setup = Setup::with_rows(index.clone(), &options, detection.clone())?;
         let started = clock.elapsed().as_secs_f64();

@@ -35,7 +35,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
             let state = match found.severity {
                 Severity::Info => "good",
                 Severity::Warning => "warning",
-                Severity::Error => "ERROR",
+                Severity::Error => "error",
             };
             format!("{state:<8} {found}\n")
         });
@@ -43,7 +43,12 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     }
     match found.iter().filter(|found| found.severity == Severity::Error).count() {
         0 => Ok(()),
-        1 => Err(Error::Incomplete("1 error has to be put right first".to_owned())),
-        n => Err(Error::Incomplete(format!("{n} errors have to be put right first"))),
+        n => {
+            let errors = if n == 1 { "error" } else { "errors" };
+            let project = args.project.display();
+            Err(Error::Incomplete(format!(
+                "{project}: {n} {errors} to be corrected first, listed above"
+            )))
+        }
     }
 }

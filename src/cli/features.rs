@@ -3,7 +3,7 @@
 use super::project;
 use crate::{
     error::Error,
-    features::{Norm, Options, Upscale, matching},
+    features::{FeatureOptions, Norm, Upscale, matching},
     pipeline::features::{write_features, write_matches},
 };
 use std::path::PathBuf;
@@ -12,13 +12,13 @@ use std::path::PathBuf;
 #[derive(Debug, Clone, clap::Args)]
 pub(super) struct Search {
     /// The most features kept of a photo, spread over it; 0 keeps all.
-    #[arg(long, value_name = "N", default_value_t = Options::default().max_features)]
+    #[arg(long, value_name = "N", default_value_t = FeatureOptions::default().max_features)]
     max_features: usize,
     /// Least contrast, three times that of a key point, for grey values from 0 to 1.
-    #[arg(long, value_name = "X", default_value_t = Options::default().contrast_threshold)]
+    #[arg(long, value_name = "X", default_value_t = FeatureOptions::default().contrast_threshold)]
     contrast: f32,
     /// Largest ratio of the principal curvatures; above it a point lies on an edge.
-    #[arg(long, value_name = "R", default_value_t = Options::default().edge_threshold)]
+    #[arg(long, value_name = "R", default_value_t = FeatureOptions::default().edge_threshold)]
     edge: f32,
     /// Do not enlarge photos before the search: a quarter of the time, without the finest points.
     #[arg(long)]
@@ -29,7 +29,7 @@ pub(super) struct Search {
 }
 
 impl Search {
-    fn options(&self) -> Result<Options, Error> {
+    fn options(&self) -> Result<FeatureOptions, Error> {
         if !(self.contrast.is_finite() && self.contrast >= 0.0) {
             let contrast = self.contrast;
             return Err(Error::Argument(format!(
@@ -42,7 +42,7 @@ impl Search {
                 "--edge {edge}: expected a number from 1, such as 10"
             )));
         }
-        Ok(Options {
+        Ok(FeatureOptions {
             max_features: self.max_features,
             upscale: if self.no_upscale { Upscale::None } else { Upscale::Precise },
             norm: if self.plain_sift { Norm::L2 } else { Norm::Root },

@@ -20,6 +20,7 @@ mod leaves;
 mod locate;
 mod options;
 mod ortho;
+mod plots;
 mod project;
 mod query;
 mod report;
@@ -87,6 +88,7 @@ enum Command {
     Leaves(leaves::Args),
     LeafCount(leaf_count::Args),
     LeafDensity(leaf_density::Args),
+    Plots(plots::Args),
     Evaluate(evaluate::Args),
     Completions(shell::Completions),
     Man(shell::Man),
@@ -146,6 +148,7 @@ fn dispatch(command: Command) -> Result<(), Error> {
         Command::Leaves(args) => leaves::run(&args),
         Command::LeafCount(args) => leaf_count::run(&args),
         Command::LeafDensity(args) => leaf_density::run(&args),
+        Command::Plots(args) => plots::run(&args),
         Command::Evaluate(args) => evaluate::run(&args),
         Command::Completions(args) => args.run(),
         Command::Man(args) => args.run(),

@@ -80,18 +80,18 @@ impl Saver {
         engine: &E,
         run: &RunState<'_, E::Iterate>,
     ) {
-        let (Some(x), Ok(mut aside)) = (&run.x, run.aside.try_borrow_mut()) else { return };
-        if run.error.is_some() || aside.saved_at == Some(run.iterations) {
+        let (Some(x), Ok(mut effects)) = (&run.x, run.effects.try_borrow_mut()) else { return };
+        if run.error.is_some() || effects.saved_at == Some(run.iterations) {
             return;
         }
         match self.write(engine, run, x) {
             Ok(()) => {
                 self.force.set(true);
-                aside.saved_at = Some(run.iterations);
+                effects.saved_at = Some(run.iterations);
             }
             Err(error) => {
                 tracing::warn!("no checkpoint at iteration {}: {error}", run.iterations);
-                aside.file_error.get_or_insert(error);
+                effects.file_error.get_or_insert(error);
             }
         }
     }

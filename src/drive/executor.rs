@@ -31,7 +31,7 @@ pub(super) fn execute<'a, P: ?Sized, E: Engine<P>>(
     run: RunState<'a, E::Iterate>,
     saver: Option<Saver>,
 ) -> Result<(RunState<'a, E::Iterate>, Termination), Error> {
-    let watched = run.aside.try_borrow().is_ok_and(|aside| !aside.observers.is_empty());
+    let watched = run.effects.try_borrow().is_ok_and(|effects| !effects.observers.is_empty());
     let driver = Driver { engine, problem: PhantomData::<fn(&P)> };
     let mut executor = Executor::new(problem, driver)
         .configure(|_: Owned<'a, E::Iterate>| Owned::of(run))

@@ -294,7 +294,7 @@ impl<'a, P: ?Sized, E: Engine<P>> Drive<'a, P, E> {
         run.limits = self.limits;
         run.interrupt = self.interrupt;
         run.keep_best = self.keep_best;
-        run.aside.get_mut().observers = self.observers;
+        run.effects.get_mut().observers = self.observers;
 
         if let Some(path) = &self.resume_from {
             let (mut saved, memory) =
@@ -303,7 +303,7 @@ impl<'a, P: ?Sized, E: Engine<P>> Drive<'a, P, E> {
             refuse_other_cost(path, saved.cost, cost)?;
             run.resume_at(saved);
             if self.checkpoint.as_ref().is_some_and(|(to, _)| to == path) {
-                run.aside.get_mut().saved_at = Some(run.iterations);
+                run.effects.get_mut().saved_at = Some(run.iterations);
             }
         } else {
             let cost = self.engine.start(self.problem, &mut self.x)?;
@@ -317,7 +317,7 @@ impl<'a, P: ?Sized, E: Engine<P>> Drive<'a, P, E> {
 
         let (mut run, stop) = executor::execute(self.problem, self.engine, run, saver)?;
 
-        let mut file_error = run.aside.get_mut().file_error.take();
+        let mut file_error = run.effects.get_mut().file_error.take();
         if let (Some(path), Some(rows)) = (&self.trace, &run.rows)
             && let Err(error) = rows.write(path, self.force)
         {

@@ -47,11 +47,11 @@ pub(super) struct RunState<'a, X> {
     began: Instant,
     pub(super) limits: Limits,
     pub(super) interrupt: Option<&'a AtomicBool>,
-    pub(super) aside: RefCell<Aside<'a, X>>,
+    pub(super) effects: RefCell<SideEffects<'a, X>>,
 }
 
 /// What changes while the run is only looked at.
-pub(super) struct Aside<'a, X> {
+pub(super) struct SideEffects<'a, X> {
     pub(super) observers: Vec<Box<dyn Observe<X> + 'a>>,
     /// The iteration of the last checkpoint.
     pub(super) saved_at: Option<u64>,
@@ -83,7 +83,11 @@ impl<X> RunState<'_, X> {
             began,
             limits: Limits::default(),
             interrupt: None,
-            aside: RefCell::new(Aside { observers: Vec::new(), saved_at: None, file_error: None }),
+            effects: RefCell::new(SideEffects {
+                observers: Vec::new(),
+                saved_at: None,
+                file_error: None,
+            }),
         }
     }
 
@@ -194,7 +198,7 @@ impl<X> RunState<'_, X> {
 
     /// Shows this moment to all observers.
     pub(super) fn show(&self, mut to: impl FnMut(&mut dyn Observe<X>, &Event<'_, X>)) {
-        let (Some(x), Ok(mut aside)) = (&self.x, self.aside.try_borrow_mut()) else { return };
+        let (Some(x), Ok(mut effects)) = (&self.x, self.effects.try_borrow_mut()) else { return };
         let event = Event {
             engine: self.engine,
             iteration: self.iterations,
@@ -207,7 +211,7 @@ impl<X> RunState<'_, X> {
             seconds_here: self.seconds - self.earlier_seconds,
             limits: &self.limits,
         };
-        for observer in &mut aside.observers {
+        for observer in &mut effects.observers {
             to(observer.as_mut(), &event);
         }
     }

@@ -8,7 +8,7 @@
 //! Lowe, "Distinctive image features from scale-invariant keypoints", IJCV 2004, sections 3 and 4.
 
 use super::{
-    Options,
+    FeatureOptions,
     pyramid::{BASE_SIGMA_PX, BORDER, Frames, LAYERS, SCALES, TILE, Tile},
 };
 use pulp::{Simd, WithSimd};
@@ -84,7 +84,7 @@ pub(super) struct Scan<'a> {
     pub(super) tile: &'a Tile,
     pub(super) frames: &'a mut Frames,
     pub(super) octave: u8,
-    pub(super) options: &'a Options,
+    pub(super) options: &'a FeatureOptions,
     pub(super) found: &'a mut Vec<Extremum>,
 }
 
@@ -209,7 +209,7 @@ fn refine(
     layers: &[Vec<f32>; LAYERS],
     octave: u8,
     start: [usize; 3],
-    options: &Options,
+    options: &FeatureOptions,
 ) -> Option<Extremum> {
     // Grey values are 0 to 255, contrast is measured where they are 0 to 1.
     const SCALE: f32 = 1.0 / 255.0;

@@ -66,15 +66,15 @@ impl Window {
 
 /// A picture between its pixels.
 #[derive(Debug, Clone)]
-pub struct Smooth {
+pub struct BSplineImage {
     width: usize,
     height: usize,
     coefficients: Vec<f32>,
 }
 
-impl Smooth {
+impl BSplineImage {
     /// The cubic B-spline through the grey values of a picture, which is its own mirror beyond its edges.
-    pub fn new(picture: &GrayImage) -> Smooth {
+    pub fn new(picture: &GrayImage) -> BSplineImage {
         let (width, height) = (picture.width() as usize, picture.height() as usize);
         let mut coefficients: Vec<f32> = picture.as_raw().iter().map(|&v| f32::from(v)).collect();
         if width > 1 {
@@ -83,7 +83,7 @@ impl Smooth {
         if height > 1 {
             filter_columns(&mut coefficients, width, height);
         }
-        Smooth { width, height, coefficients }
+        BSplineImage { width, height, coefficients }
     }
 
     /// Value and slopes at `[u, v]`; `None` within a pixel of the left and the upper edge, or two of the others.
@@ -192,7 +192,7 @@ fn filter_columns(values: &mut [f32], width: usize, height: usize) {
 
 /// Where a window is in the second picture: its middle, and the shape that it has there.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Placed {
+pub struct Warp {
     /// Its middle, pixels.
     pub at_px: [f64; 2],
     /// Columns: how far one pixel to the right and one down reach.
@@ -201,7 +201,7 @@ pub struct Placed {
     pub curvature: [[f64; 2]; 3],
 }
 
-impl Placed {
+impl Warp {
     #[inline(always)]
     fn pixel(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let ([a, b], [c, d, e]) = (&self.shape, &self.curvature);
@@ -217,7 +217,7 @@ impl Placed {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Match {
     /// Where it is.
-    pub placed: Placed,
+    pub warp: Warp,
     /// Weighted correlation of the grey values.
     pub correlation: f64,
 }
@@ -242,7 +242,7 @@ impl Default for Template {
 
 impl Template {
     /// Finds a window in a picture near a start. `None` where it leaves the picture, shows nothing, or comes to no rest.
-    pub fn find(&self, window: &Window, picture: &Smooth, start: Placed) -> Option<Match> {
+    pub fn find(&self, window: &Window, picture: &BSplineImage, start: Warp) -> Option<Match> {
         let mut first = [0.0f32; SIDE * SIDE];
         first.iter_mut().zip(&window.grey).for_each(|(out, &v)| *out = f32::from(v));
         let mut middle = 0.0;
@@ -255,11 +255,11 @@ impl Template {
             power += weight * f64::from(*v * *v);
         }
         let mut second = [[0.0f32; 3]; SIDE * SIDE];
-        let mut placed = start;
+        let mut warp = start;
         for _ in 0..STEPS {
             let mut middle = 0.0;
             for ((at, weight), out) in self.offsets.iter().zip(&self.weights).zip(&mut second) {
-                *out = picture.at(placed.pixel(*at))?;
+                *out = picture.at(warp.pixel(*at))?;
                 middle += weight * f64::from(out[0]);
             }
             let (mut both, mut own) = (0.0, 0.0);
@@ -276,12 +276,12 @@ impl Template {
             let length = step[0].hypot(step[1]);
             let share = (LONGEST_PX / length).min(1.0);
             for k in 0..2 {
-                placed.at_px[k] += share * step[k];
-                placed.shape[0][k] += share * step[2 + 2 * k];
-                placed.shape[1][k] += share * step[3 + 2 * k];
+                warp.at_px[k] += share * step[k];
+                warp.shape[0][k] += share * step[2 + 2 * k];
+                warp.shape[1][k] += share * step[3 + 2 * k];
             }
             if length < SHORTEST_PX {
-                return Some(Match { placed, correlation: both / (own * power).sqrt() });
+                return Some(Match { warp, correlation: both / (own * power).sqrt() });
             }
         }
         None
@@ -357,7 +357,7 @@ mod tests {
     #[test]
     fn the_spline_goes_through_the_pixels_and_is_smooth_between() {
         let grey = picture(scene);
-        let smooth = Smooth::new(&grey);
+        let smooth = BSplineImage::new(&grey);
         let mut worst = [0.0f64; 3];
         for v in 2..87u32 {
             for u in 2..117u32 {
@@ -387,7 +387,7 @@ mod tests {
         let first = picture(scene);
         // The second picture at p shows what the first has at B p + b.
         let map = |[x, y]: [f64; 2]| [1.06 * x + 0.08 * y - 6.3, -0.05 * x + 0.93 * y + 4.9];
-        let second = Smooth::new(&picture(|p| 40.0 + 0.7 * scene(map(p))));
+        let second = BSplineImage::new(&picture(|p| 40.0 + 0.7 * scene(map(p))));
         let template = Template::default();
         let (mut worst, mut count) = (0.0f64, 0);
         for v in (20..70).step_by(7) {
@@ -399,9 +399,9 @@ mod tests {
                 let truth =
                     [(0.93 * x - 0.08 * y) / determinant, (0.05 * x + 1.06 * y) / determinant];
                 let at_px = [truth[0] + 0.7, truth[1] - 0.6];
-                let start = Placed { at_px, shape: UNTURNED, curvature: FLAT };
+                let start = Warp { at_px, shape: UNTURNED, curvature: FLAT };
                 let found = template.find(&window, &second, start).unwrap();
-                let off = [0, 1].map(|k| (found.placed.at_px[k] - truth[k]).abs());
+                let off = [0, 1].map(|k| (found.warp.at_px[k] - truth[k]).abs());
                 worst = worst.max(off[0].max(off[1]));
                 assert!(found.correlation > 0.99);
                 count += 1;
@@ -419,7 +419,7 @@ mod tests {
         };
         let first = picture(scene);
         let window = Window::of(&first, [60, 45]).unwrap();
-        let second = Smooth::new(&picture(|[u, v]| {
+        let second = BSplineImage::new(&picture(|[u, v]| {
             let target = [u - 60.0, v - 45.0];
             let mut p = target;
             for _ in 0..30 {
@@ -430,8 +430,8 @@ mod tests {
             if near { scene([60.0 + p[0], 45.0 + p[1]]) } else { 128.0 }
         }));
         let off = |curvature: [[f64; 2]; 3]| {
-            let start = Placed { at_px: [60.3, 44.8], shape: UNTURNED, curvature };
-            let found = Template::default().find(&window, &second, start).unwrap().placed.at_px;
+            let start = Warp { at_px: [60.3, 44.8], shape: UNTURNED, curvature };
+            let found = Template::default().find(&window, &second, start).unwrap().warp.at_px;
             (found[0] - 60.0).hypot(found[1] - 45.0)
         };
         assert!(off(bend) < 0.01 && off(FLAT) > 0.03, "{} {}", off(bend), off(FLAT));
@@ -442,10 +442,10 @@ mod tests {
         let flat = GrayImage::from_pixel(60, 60, image::Luma([90]));
         let grey = picture(scene);
         let template = Template::default();
-        let start = |at_px: [f64; 2]| Placed { at_px, shape: UNTURNED, curvature: FLAT };
+        let start = |at_px: [f64; 2]| Warp { at_px, shape: UNTURNED, curvature: FLAT };
         let window = Window::of(&grey, [30, 30]).unwrap();
-        assert_eq!(template.find(&window, &Smooth::new(&flat), start([30.0, 30.0])), None);
-        assert_eq!(template.find(&window, &Smooth::new(&grey), start([6.0, 30.0])), None);
+        assert_eq!(template.find(&window, &BSplineImage::new(&flat), start([30.0, 30.0])), None);
+        assert_eq!(template.find(&window, &BSplineImage::new(&grey), start([6.0, 30.0])), None);
         assert_eq!(Window::of(&grey, [6, 30]), None);
         assert_eq!(Window::of(&grey, [30, 83]), None);
         assert!(Window::of(&grey, [7, 82]).is_some());

@@ -62,7 +62,7 @@ pub enum Norm {
 /// What is looked for.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Options {
+pub struct FeatureOptions {
     /// The most features that are kept, spread over the photo; 0 keeps all.
     pub max_features: usize,
     /// Enlargement before the search.
@@ -75,9 +75,9 @@ pub struct Options {
     pub edge_threshold: f32,
 }
 
-impl Default for Options {
-    fn default() -> Options {
-        Options {
+impl Default for FeatureOptions {
+    fn default() -> FeatureOptions {
+        FeatureOptions {
             max_features: 8192,
             upscale: Upscale::default(),
             norm: Norm::default(),
@@ -175,7 +175,7 @@ pub fn grey(photo: &RgbImage) -> GrayImage {
 /// several directions gives several features. A photo too small or too flat gives none.
 ///
 /// Memory: about 10 bytes for each pixel of the photo enlarged, 0.5 GB for 12 megapixels.
-pub fn detect(photo: &GrayImage, options: &Options) -> Features {
+pub fn detect(photo: &GrayImage, options: &FeatureOptions) -> Features {
     let (width_px, height_px) = photo.dimensions();
     let factor = options.upscale.factor() as f32;
     let pyramid = pyramid::Pyramid::new(options);

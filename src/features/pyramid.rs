@@ -15,7 +15,7 @@
 //! layers that describe features, with 1/256 of a grey value, and the base of the next octave.
 
 use super::{
-    Options,
+    FeatureOptions,
     blur::{Blur, Kernel, MAX_LANES, Window},
     detect::{self, Extremum},
     photo::{Grid, LONGEST, Rows},
@@ -133,7 +133,7 @@ impl Tile {
 
 /// Makes the octaves one after the other.
 pub(super) struct Pyramid<'a> {
-    options: &'a Options,
+    options: &'a FeatureOptions,
     filters: Filters,
     pool: Mutex<Vec<Frames>>,
 }
@@ -154,7 +154,7 @@ struct Strip<'a> {
 }
 
 impl<'a> Pyramid<'a> {
-    pub(super) fn new(options: &'a Options) -> Pyramid<'a> {
+    pub(super) fn new(options: &'a FeatureOptions) -> Pyramid<'a> {
         let filters = Filters::new(options.upscale.factor());
         Pyramid { options, filters, pool: Mutex::new(Vec::new()) }
     }

@@ -12,7 +12,7 @@
 //! from a damaged one.
 
 use super::{FileError, checkpoint::Fingerprint, output};
-use crate::features::{DESCRIPTOR_LENGTH, Descriptors, Features, KeyPoint, Options};
+use crate::features::{DESCRIPTOR_LENGTH, Descriptors, FeatureOptions, Features, KeyPoint};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -43,8 +43,9 @@ struct Line {
 
 /// A mark of a photo's file (all its bytes), of the options and of the method's version: features under
 /// another key are to be found anew.
-pub fn key(photo_file: &[u8], options: &Options) -> u64 {
-    let Options { max_features, upscale, norm, contrast_threshold, edge_threshold } = *options;
+pub fn key(photo_file: &[u8], options: &FeatureOptions) -> u64 {
+    let FeatureOptions { max_features, upscale, norm, contrast_threshold, edge_threshold } =
+        *options;
     Fingerprint::new()
         .count(photo_file.len() as u64)
         .bytes(photo_file)
@@ -171,7 +172,7 @@ mod tests {
     fn what_was_written_is_read() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("photo.features");
-        let options = Options::default();
+        let options = FeatureOptions::default();
         let key = key(b"a photo", &options);
         for features in [features(), Features::default()] {
             write(&path, true, key, &features).unwrap();
@@ -182,8 +183,8 @@ mod tests {
 
     #[test]
     fn another_photo_or_option_has_another_key() {
-        let options = Options::default();
-        let more = Options { max_features: options.max_features + 1, ..options };
+        let options = FeatureOptions::default();
+        let more = FeatureOptions { max_features: options.max_features + 1, ..options };
         let marks = [key(b"a photo", &options), key(b"a phot0", &options), key(b"a photo", &more)];
         assert!(marks[0] != marks[1] && marks[0] != marks[2] && marks[1] != marks[2]);
     }

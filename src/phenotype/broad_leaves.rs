@@ -16,7 +16,7 @@ use rayon::prelude::*;
 use std::{cmp::Reverse, collections::BinaryHeap};
 
 /// Least distance of two markers, as a share of the square root of the plant's area.
-const APART: f64 = 0.05;
+const MIN_SEPARATION: f64 = 0.05;
 /// Components of fewer pixels have no leaves, nor those of a smaller share of the largest one: moss and specks.
 const LEAST: (usize, f64) = (9, 0.05);
 
@@ -62,7 +62,7 @@ fn leaves_of(part: &components::Part) -> (Vec<u32>, u32) {
         inside[place(run.start, run.v)..place(run.end, run.v)].fill(true);
     }
     let depth = smooth(&distance(&inside, width, height), width);
-    let apart = (APART * (part.pixels as f64).sqrt()).round().max(2.0) as usize;
+    let apart = (MIN_SEPARATION * (part.pixels as f64).sqrt()).round().max(2.0) as usize;
     let markers = markers(&inside, &depth, width, apart);
     let labels = flood(&inside, &depth, width, &markers);
     let of_run =

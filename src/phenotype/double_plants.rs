@@ -213,8 +213,8 @@ mod tests {
             .map(|k| ([20.0 + 32.0 * f64::from(k), 30.0], [5, 5, 4, 5, 9, 5, 6, 2, 5][k as usize]))
             .collect();
         let evidence = field(&stalks);
-        let crown = LeafSurroundings::new(&evidence);
-        let numbers: Vec<_> = stalks.iter().map(|&(at, _)| crown.at(at)).collect();
+        let surroundings = LeafSurroundings::new(&evidence);
+        let numbers: Vec<_> = stalks.iter().map(|&(at, _)| surroundings.at(at)).collect();
         let usual = PlantBaseline::new(&numbers);
         let score = |k: usize| usual.score(&numbers[k]);
         assert!(score(4) > 1.5 && score(7) < -1.5, "{} {}", score(4), score(7));
@@ -223,7 +223,7 @@ mod tests {
         let judged = |k: usize| usual.judge(&numbers[k]);
         assert!(judged(4).second > judged(0).second && judged(4).thin == 0.0);
         // Beside the mask there is nothing.
-        assert_eq!(crown.at([-50.0, 30.0]), [0.0; FEATURES]);
+        assert_eq!(surroundings.at([-50.0, 30.0]), [0.0; FEATURES]);
     }
 
     #[test]

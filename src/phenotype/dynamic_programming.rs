@@ -32,7 +32,7 @@ const OVERLAP: f64 = 2.0;
 /// A plant covers this share of the spacing to each side, and distances are truncated one spacing on.
 const COVERED: f64 = 0.6;
 /// Two plants in one place are this share of the spacing from each other.
-const APART: f64 = 0.2;
+const PAIR_SEPARATION: f64 = 0.2;
 /// This share of the spacing at the ends of a row needs no plant.
 const FREE: f64 = 0.7;
 
@@ -130,12 +130,12 @@ impl<'p> Chain<'p> {
                 let near = (sums[to] - sums[from]) / (to - from) as f64;
                 let usual = (1.0 - WHOLE) * near + WHOLE * weights.mean;
                 let ratio = profile.votes[k].max(0.0) / usual.max(f64::MIN_POSITIVE);
-                let thin = profile.surroundings.get(k).map_or(0.0, |crown| crown.thin);
+                let thin = profile.surroundings.get(k).map_or(0.0, |around| around.thin);
                 weights.votes * (ratio.sqrt() - 1.0) - thin
             })
             .collect();
         let rare = spacing.doubles.ln();
-        let second = profile.surroundings.iter().map(|crown| crown.second + rare).collect();
+        let second = profile.surroundings.iter().map(|around| around.second + rare).collect();
         let s = spacing.spacing;
         let steps = (spacing.farthest() / STEP) as usize + 1;
         let gaps = (0..steps).map(|g| spacing.density(g as f64 * STEP).ln()).collect();
@@ -147,7 +147,7 @@ impl<'p> Chain<'p> {
             profile,
             worth,
             second,
-            apart: ((APART * s / STEP).round() as usize).max(2),
+            apart: ((PAIR_SEPARATION * s / STEP).round() as usize).max(2),
             gaps,
             overlap,
             weights: [weights.votes, uncovered, -spacing.missing.ln() * STEP / s],
@@ -346,7 +346,7 @@ mod tests {
     }
 
     /// Two plants may stand in one place, and there are fewer leaves than usual at the end.
-    fn crowned(mut profile: Profile) -> Profile {
+    fn with_surroundings(mut profile: Profile) -> Profile {
         let judge = |k: usize| PlantScores {
             thin: if k > 12 { 0.8 } else { 0.0 },
             second: if (3..6).contains(&k) { 3.5 } else { -2.0 },
@@ -359,7 +359,7 @@ mod tests {
     #[test]
     fn the_best_chain_and_all_probabilities_agree_with_brute_force() {
         let bare = profile(&[2.0, 5.0, 5.5], 8.0);
-        for profile in [bare.clone(), crowned(bare)] {
+        for profile in [bare.clone(), with_surroundings(bare)] {
             let spacing = Spacing { spacing: 3.0, jitter: 0.2, missing: 0.1, doubles: 0.05 };
             let chain = Chain::new(&profile, &spacing, &WEIGHTS);
             let (plant_log_odds, inverse_temperature, count) = (0.3, 0.7, profile.votes.len());

@@ -35,7 +35,7 @@ crate::choices!(Init: KmeansPlusPlus, Rows, Random, Votes);
 
 /// How to locate.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Options {
+pub struct PlantFitOptions {
     /// Number of plants.
     pub plants: usize,
     /// The model.
@@ -45,7 +45,7 @@ pub struct Options {
     /// Decides k-means++ and random starts.
     pub seed: u64,
     /// How to descend.
-    pub descent: descent::Options,
+    pub descent: descent::CoordinateDescentOptions,
     /// Most sweeps to make; 0 leaves the start as it is.
     pub max_sweeps: u64,
 }
@@ -134,7 +134,7 @@ impl Setup {
     ///
     /// # Errors
     /// [`LocateError`], one for everything that cannot be.
-    pub fn new(index: PixelIndex, options: &Options) -> Result<Setup, LocateError> {
+    pub fn new(index: PixelIndex, options: &PlantFitOptions) -> Result<Setup, LocateError> {
         let detection = detect(&index);
         Setup::with_rows(index, options, detection)
     }
@@ -145,7 +145,7 @@ impl Setup {
     /// As [`Setup::new`].
     pub fn with_rows(
         index: PixelIndex,
-        options: &Options,
+        options: &PlantFitOptions,
         detection: Detection,
     ) -> Result<Setup, LocateError> {
         Setup::from(index, options, detection, None)
@@ -158,7 +158,7 @@ impl Setup {
     /// As [`Setup::new`], and with [`Init::Votes`] but no positions.
     pub fn from(
         index: PixelIndex,
-        options: &Options,
+        options: &PlantFitOptions,
         detection: Detection,
         positions: Option<Vec<[f64; 2]>>,
     ) -> Result<Setup, LocateError> {
@@ -237,7 +237,7 @@ impl Setup {
 /// As [`Setup::new`].
 pub fn locate(
     index: PixelIndex,
-    options: &Options,
+    options: &PlantFitOptions,
     observe: impl FnMut(u64, &Step),
 ) -> Result<(Located, Outcome), LocateError> {
     let mut setup = Setup::new(index, options)?;
@@ -275,14 +275,14 @@ impl Default for Restarts {
 /// model without a joint objective.
 pub fn locate_best(
     index: &PixelIndex,
-    options: &Options,
+    options: &PlantFitOptions,
     detection: &Detection,
     positions: Option<&[[f64; 2]]>,
     effort: Restarts,
 ) -> Result<(Setup, Outcome), LocateError> {
     let mut best: Option<(Setup, Outcome)> = None;
     for start in 0..effort.starts {
-        let options = Options { seed: options.seed.wrapping_add(start), ..*options };
+        let options = PlantFitOptions { seed: options.seed.wrapping_add(start), ..*options };
         let positions = positions.map(<[[f64; 2]]>::to_vec);
         let mut setup = Setup::from(index.clone(), &options, detection.clone(), positions)?;
         if effort.starts > 1 && !setup.problem.monotone() {
@@ -358,12 +358,12 @@ mod tests {
 
     #[test]
     fn what_cannot_be_located_is_named() {
-        let options = |plants, prior, init| Options {
+        let options = |plants, prior, init| PlantFitOptions {
             plants,
             model: Model { prior, ..Model::default() },
             init,
             seed: 0,
-            descent: descent::Options::default(),
+            descent: descent::CoordinateDescentOptions::default(),
             max_sweeps: 10,
         };
         let square = PixelIndex::new(&(0..2500).map(|k| [k % 50, k / 50]).collect::<Vec<_>>());

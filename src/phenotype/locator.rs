@@ -4,7 +4,7 @@
 //! descent too. Positions and lengths in pixels of the mask, centre of the top-left pixel at (0, 0).
 
 use super::{
-    locate::{Init, LocateError, Located, Options, Restarts, Setup, locate_best},
+    locate::{Init, LocateError, Located, PlantFitOptions, Restarts, Setup, locate_best},
     row_model::{self, RowModelOptions},
     rows::{self, Detection},
     stand::{Stalk, Stand},
@@ -138,7 +138,7 @@ impl LocateOptions {
     }
 
     /// The problem and the engine of the descent: what the method says, where no option says otherwise.
-    fn posed(&self, gsd_m: Option<f64>, plants: usize) -> Options {
+    fn posed(&self, gsd_m: Option<f64>, plants: usize) -> PlantFitOptions {
         let base = self.method.model(gsd_m);
         let given = &self.descent;
         let model = Model {
@@ -154,12 +154,16 @@ impl LocateOptions {
         };
         let fit = given.fit && self.method != LocateMethod::Rows;
         let (order, seed) = (given.order, self.seed);
-        Options {
+        PlantFitOptions {
             plants,
             model,
             init: self.init(),
             seed,
-            descent: descent::Options { order, seed, ..descent::Options::default() },
+            descent: descent::CoordinateDescentOptions {
+                order,
+                seed,
+                ..descent::CoordinateDescentOptions::default()
+            },
             max_sweeps: if fit { given.max_sweeps } else { 0 },
         }
     }
@@ -227,7 +231,7 @@ pub struct Descend {
     /// The problem and its start.
     pub setup: Setup,
     /// Engine, limits and start.
-    pub options: Options,
+    pub options: PlantFitOptions,
 }
 
 /// What a descent found.

@@ -1,4 +1,15 @@
-//! Plant traits from a mask.
+//! Plant traits from a leaf mask.
+//!
+//! | question | modules |
+//! |---|---|
+//! | where are the rows? | [`rows`] (heading, straight rows), [`row_curves`] (as they bend) |
+//! | where are the plants? | [`locator`] (all methods), [`row_model`] (the default), [`locate`] (the paper's clustering and its variants), [`tiles`] |
+//! | what does the row model rest on? | [`evidence`] (votes along leaf axes), [`isolated_plants`], [`plant_spacing`], [`double_plants`], [`dynamic_programming`], [`tilt`] |
+//! | how many plants are there? | [`stand_count`], [`stand`], [`plant_mass`] |
+//! | how many leaves, and which? | [`leaf_count`] (from area), [`leaves`] (one by one), [`broad_leaves`] |
+//! | what has each plot? | [`plots`] |
+//!
+//! Lengths are in pixels of the mask unless a name says metres.
 
 pub mod broad_leaves;
 pub mod double_plants;

@@ -23,7 +23,7 @@ const LEAVES: f64 = 1.9;
 /// Spacing of isolated plants as shares of the distance of their patches of leaf, some of which are two plants.
 const PATCHES: [f64; 2] = [0.7, 1.3];
 /// Distance of neighbouring plants in the grid, where it is the plants that decide what the grid is.
-const APART: f64 = 13.0;
+const TARGET_SPACING_PX: f64 = 13.0;
 /// Half the width of the band whose leaf mass a row has to cover.
 const BAND: i32 = 8;
 /// Places looked at beyond the ends of a row.
@@ -80,7 +80,7 @@ impl RowEvidence {
     pub(super) fn new(mask: &Mask, rows: &Rows, options: &RowModelOptions) -> RowEvidence {
         // Isolated plants are as far from each other, in pixels of the grid, as in a closed canopy.
         let isolated_px = isolated_plants::spacing_px(mask, rows);
-        let coarse = isolated_px.map_or(1.0, |spacing| spacing / APART);
+        let coarse = isolated_px.map_or(1.0, |spacing| spacing / TARGET_SPACING_PX);
         let factor = evidence::factor(mask).max(coarse.round() as usize);
         let evidence = if options.leaf_axes {
             Evidence::new(mask, rows.axes.heading_rad, options.axis_source, factor)
@@ -263,12 +263,12 @@ impl RowEvidence {
     /// Looks at the leaves around all places, which are compared with those of these plants. Leaves around a place change
     /// slowly along a row: every other place is looked at, and stands for the one before it too.
     pub(super) fn compare_surroundings(&mut self, places: &[Vec<usize>]) {
-        let crown = LeafSurroundings::new(&self.evidence);
+        let surroundings = LeafSurroundings::new(&self.evidence);
         let look = |row: usize, at: usize| {
             let profile = &self.profiles[row];
             let along = profile.start + at as f64 * STEP;
             let across = self.curves[row].offset(along) + profile.offsets[at];
-            crown.at(self.axes.image([along, across]))
+            surroundings.at(self.axes.image([along, across]))
         };
         let all: Vec<Vec<_>> = (0..self.profiles.len())
             .into_par_iter()

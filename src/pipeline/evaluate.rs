@@ -97,9 +97,11 @@ pub(super) struct Evaluate;
 
 fn truth_of(project: &Project) -> Result<PathBuf, Error> {
     let named = project.config().project.truth.as_ref();
-    named
-        .map(|path| project.root().join(path))
-        .ok_or_else(|| Error::NothingToDo("there is no ground truth ([project] truth)".to_owned()))
+    named.map(|path| project.root().join(path)).ok_or_else(|| {
+        Error::NothingToDo(
+            "there is no ground truth to compare with: set [project] truth".to_owned(),
+        )
+    })
 }
 
 fn plants_of(project: &Project) -> Result<PathBuf, Error> {

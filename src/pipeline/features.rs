@@ -2,7 +2,7 @@
 
 use crate::{
     error::Error,
-    features::{self, Features, Options as FeatureOptions, matching},
+    features::{self, FeatureOptions, Features, matching},
     io::{self, FileError, images, output},
     monitor::{Counter, Diagnostic, Monitor},
     raster::sketch,

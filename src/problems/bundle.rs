@@ -78,7 +78,7 @@ pub struct Bundle {
 }
 
 /// The image measurement of a point by a camera with a lens of its own: blocks
-/// `[PoseAnd(3), Euclidean(3)]`, data the measured position in pixels.
+/// `[PoseWithParameters(3), Euclidean(3)]`, data the measured position in pixels.
 #[derive(Debug, Clone, Copy)]
 pub struct Reprojection;
 

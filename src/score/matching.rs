@@ -28,7 +28,7 @@ use std::{
 
 /// A found plant and the true plant that it stands for.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Pair {
+pub struct MatchedPlants {
     /// Index of the found plant.
     pub found: usize,
     /// Index of the true plant.
@@ -40,7 +40,7 @@ pub struct Pair {
 /// The pairs of the best matching within `radius_px` (inclusive), in the order of the smaller set.
 ///
 /// Points with a coordinate that is not finite have no partner.
-pub fn within(found: &[[f64; 2]], truth: &[[f64; 2]], radius_px: f64) -> Vec<Pair> {
+pub fn within(found: &[[f64; 2]], truth: &[[f64; 2]], radius_px: f64) -> Vec<MatchedPlants> {
     // Fewer rows than columns: then few rows stay alone, and those cost the longest searches.
     let swapped = found.len() > truth.len();
     let (rows, columns) = if swapped { (truth, found) } else { (found, truth) };
@@ -55,7 +55,7 @@ pub fn within(found: &[[f64; 2]], truth: &[[f64; 2]], radius_px: f64) -> Vec<Pai
         .filter_map(|(row, &column)| {
             let column = column?;
             let (found, truth) = if swapped { (column, row) } else { (row, column) };
-            Some(Pair { found, truth, distance_px: distance(rows[row], columns[column]) })
+            Some(MatchedPlants { found, truth, distance_px: distance(rows[row], columns[column]) })
         })
         .collect()
 }

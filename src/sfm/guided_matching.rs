@@ -168,7 +168,7 @@ fn overlapping(block: &Block<'_>, surfaces: &[Option<Surface>], least: f64) -> V
         .collect()
 }
 
-/// The matches of all pairs of a block that overlap: those by looks (`matched`, by images) that lie where they must,
+/// The matches of all pairs of a block that overlap: descriptor matches (`matched`, by images) that lie where they must,
 /// and what only the block tells; `tell` is called for each pair with how many there are.
 pub fn match_guided(
     block: &Block<'_>,
@@ -350,7 +350,7 @@ mod tests {
         let all = block.all_tracks();
         assert!(block.retriangulate(&all, &demands) > 100);
         let looks: Vec<&Descriptors> = flight.looks.iter().collect();
-        // A wrong match by looks does not come back, and a right one does.
+        // A wrong descriptor match does not come back, and a right one does.
         let far = |k: usize| [few[0].matches[k][0], few[0].matches[k + 20][1]];
         let mut matched = few.clone();
         matched[0].matches = vec![few[0].matches[0], far(1)];

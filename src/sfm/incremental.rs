@@ -89,7 +89,7 @@ pub fn reconstruct<'a>(
     tracks: &'a Tracks,
     pairs: &[Pair],
     cameras: &[Camera],
-    growing: &IncrementalOptions,
+    options: &IncrementalOptions,
     mut tell: impl FnMut(&Event),
 ) -> Result<Vec<Block<'a>>, SolveError> {
     let graph = Graph::new(features.len(), pairs);
@@ -100,11 +100,11 @@ pub fn reconstruct<'a>(
         let grown = Incremental {
             block: Block::new(features, tracks, &cameras),
             graph: &graph,
-            growing,
+            options,
             allowed: &allowed,
             tell: &mut tell,
         };
-        let global = growing.start == Start::Global && blocks.is_empty();
+        let global = options.start == Start::Global && blocks.is_empty();
         let block = if global { grown.run_global(pairs)? } else { grown.run()? };
         let Some(block) = block else { break };
         for (image, pose) in block.poses.iter().enumerate() {
@@ -126,7 +126,7 @@ const MOST_STARTS: usize = 20;
 struct Incremental<'a, 'b> {
     block: Block<'a>,
     graph: &'b Graph<'b>,
-    growing: &'b IncrementalOptions,
+    options: &'b IncrementalOptions,
     allowed: &'b [bool],
     tell: &'b mut dyn FnMut(&Event),
 }
@@ -134,8 +134,8 @@ struct Incremental<'a, 'b> {
 impl<'a> Incremental<'a, '_> {
     fn demands(&self) -> TriangulationOptions {
         TriangulationOptions {
-            tolerance_px: self.growing.tolerance_px,
-            min_angle_rad: self.growing.min_angle_rad,
+            tolerance_px: self.options.tolerance_px,
+            min_angle_rad: self.options.min_angle_rad,
         }
     }
 
@@ -148,7 +148,7 @@ impl<'a> Incremental<'a, '_> {
             self.block.tracks,
             self.block.features,
             self.allowed,
-            &self.growing.closing,
+            &self.options.closing,
         );
         for triplet in triplets.into_iter().take(MOST_STARTS) {
             if !self.start(&triplet)? {
@@ -159,7 +159,7 @@ impl<'a> Incremental<'a, '_> {
             }
             (self.tell)(&Event::Started(triplet));
             self.grow()?;
-            let enough = self.block.registered() >= self.growing.min_images;
+            let enough = self.block.registered() >= self.options.min_images;
             return Ok(enough.then_some(self.block));
         }
         Ok(None)
@@ -167,20 +167,20 @@ impl<'a> Incremental<'a, '_> {
 
     fn run_global(mut self, pairs: &[Pair]) -> Result<Option<Block<'a>>, SolveError> {
         let images = super::global::start(&mut self.block, pairs)?;
-        if images < self.growing.min_images {
+        if images < self.options.min_images {
             return Ok(None);
         }
         // Averaged poses are good to a degree or so: what fits is found from loose to tight.
         let tracks = self.block.all_tracks();
         for looser in [12.0, 6.0, 3.0, 1.5] {
-            let tolerance_px = looser * self.growing.tolerance_px;
+            let tolerance_px = looser * self.options.tolerance_px;
             let demands = TriangulationOptions { tolerance_px, ..self.demands() };
             self.block.retriangulate(&tracks, &demands);
             self.block.adjust(None, &self.refining(15))?;
         }
         self.adjust_global(false)?;
         self.grow()?;
-        let enough = self.block.registered() >= self.growing.min_images;
+        let enough = self.block.registered() >= self.options.min_images;
         Ok(enough.then_some(self.block))
     }
 
@@ -201,7 +201,7 @@ impl<'a> Incremental<'a, '_> {
         let tracks = self.block.tracks_of(&[first as usize, second as usize]);
         // The lens is not yet known: what is off by it must not be lost.
         let loose = TriangulationOptions {
-            tolerance_px: 2.0 * self.growing.tolerance_px,
+            tolerance_px: 2.0 * self.options.tolerance_px,
             ..self.demands()
         };
         self.block.retriangulate(&tracks, &loose);
@@ -214,12 +214,12 @@ impl<'a> Incremental<'a, '_> {
         self.block.adjust(None, &self.refining(30))?;
         let points = self.block.retriangulate(&tracks, &self.demands());
         self.block.adjust(None, &self.refining(20))?;
-        Ok(points >= 2 * self.growing.min_points
-            && self.block.rms_px().0 < self.growing.tolerance_px)
+        Ok(points >= 2 * self.options.min_points
+            && self.block.rms_px().0 < self.options.tolerance_px)
     }
 
     fn judge(&self) -> PoseVerifier<'_> {
-        PoseVerifier { block: &self.block, graph: self.graph, growing: self.growing }
+        PoseVerifier { block: &self.block, graph: self.graph, options: self.options }
     }
 
     fn grow(&mut self) -> Result<(), SolveError> {
@@ -232,7 +232,7 @@ impl<'a> Incremental<'a, '_> {
             let mut candidates: Vec<(f64, usize)> = (0..self.block.poses.len())
                 .filter(|&k| self.allowed[k] && self.block.poses[k].is_none() && failed[k] < 2)
                 .map(|k| (self.block.sight_count(k) as f64 * judge.rotation_consensus(k), k))
-                .filter(|(worth, _)| *worth >= 0.5 * self.growing.min_points as f64)
+                .filter(|(worth, _)| *worth >= 0.5 * self.options.min_points as f64)
                 .collect();
             candidates.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
             let Some(&(best, _)) = candidates.first() else {
@@ -280,7 +280,7 @@ impl<'a> Incremental<'a, '_> {
             }
             refused[image] = true;
             let Some(pose) =
-                single_pair_registration::pose(&self.block, self.graph, self.growing, image)
+                single_pair_registration::pose(&self.block, self.graph, self.options, image)
             else {
                 continue;
             };
@@ -289,7 +289,7 @@ impl<'a> Incremental<'a, '_> {
             let tracks = self.block.tracks_of(&[image]);
             // The pair was found before the lens was.
             for looser in [8.0, 2.0, 1.0] {
-                let tolerance_px = looser * self.growing.tolerance_px;
+                let tolerance_px = looser * self.options.tolerance_px;
                 let demands = TriangulationOptions { tolerance_px, ..self.demands() };
                 self.block.retriangulate(&tracks, &demands);
                 self.block.adjust(Some(&[image]), &self.refining(12))?;
@@ -304,7 +304,7 @@ impl<'a> Incremental<'a, '_> {
             let (inliers, shared) = (kept(2), kept(3));
             let adjusted = self.block.poses[image].unwrap_or(pose);
             let (agree, all) = self.judge().agreement(image, &adjusted);
-            if inliers >= 4 * self.growing.min_points
+            if inliers >= 4 * self.options.min_points
                 && shared >= single_pair_registration::FEWEST.max(sights.div_ceil(2))
                 && 2 * agree >= all
             {
@@ -320,11 +320,11 @@ impl<'a> Incremental<'a, '_> {
     /// Adjusts everything, and again where that has changed what belongs to what.
     fn adjust_global(&mut self, last: bool) -> Result<(), SolveError> {
         // Where nothing is named the cameras keep what they say themselves.
-        if !self.growing.free.is_empty() && self.block.registered() >= self.growing.free_from {
+        if !self.options.free.is_empty() && self.block.registered() >= self.options.free_from {
             for camera in &mut self.block.cameras {
                 // A model without one of these parameters goes without it.
                 let names: Vec<&String> = self
-                    .growing
+                    .options
                     .free
                     .iter()
                     .filter(|name| camera.interior.model().place(name).is_some())
@@ -355,7 +355,7 @@ impl<'a> Incremental<'a, '_> {
             }
             let kept = self.block.tracks.in_image(image).iter();
             let kept = kept.filter(|(_, place)| self.block.used[*place as usize]).count();
-            if kept < self.growing.min_points {
+            if kept < self.options.min_points {
                 self.block.forget(image);
                 (self.tell)(&Event::Left(image));
             }
@@ -367,7 +367,7 @@ impl<'a> Incremental<'a, '_> {
 struct PoseVerifier<'s> {
     block: &'s Block<'s>,
     graph: &'s Graph<'s>,
-    growing: &'s IncrementalOptions,
+    options: &'s IncrementalOptions,
 }
 
 impl PoseVerifier<'_> {
@@ -376,12 +376,12 @@ impl PoseVerifier<'_> {
     fn resection(&self, image: usize, looser: f64) -> Option<(Pose, usize, usize)> {
         let sights = self.block.sights(image);
         // Half as many are enough where a pair confirms them.
-        let least = self.growing.min_points.div_ceil(2);
+        let least = self.options.min_points.div_ceil(2);
         if sights.len() < least {
             return None;
         }
-        let seed = self.growing.seed ^ ((image as u64 + 1) << 20);
-        let tolerance_px = looser * self.growing.tolerance_px;
+        let seed = self.options.seed ^ ((image as u64 + 1) << 20);
+        let tolerance_px = looser * self.options.tolerance_px;
         let found = resect(&sights, self.block.lens(image), tolerance_px, seed)?;
         let inliers = found.inliers.len();
         if inliers < least || 4 * inliers < sights.len() {
@@ -390,10 +390,10 @@ impl PoseVerifier<'_> {
         // The pairs have a say: more of them must agree with the pose than not, unless the points
         // are nearly unanimous.
         let (agree, all) = self.agreement(image, &found.model);
-        if inliers < self.growing.min_points && (agree == 0 || 2 * agree < all) {
+        if inliers < self.options.min_points && (agree == 0 || 2 * agree < all) {
             return None;
         }
-        let unanimous = 10 * inliers >= 6 * sights.len() && inliers >= 3 * self.growing.min_points;
+        let unanimous = 10 * inliers >= 6 * sights.len() && inliers >= 3 * self.options.min_points;
         if all > 0 && 2 * agree < all && !unanimous {
             return None;
         }
@@ -407,7 +407,7 @@ impl PoseVerifier<'_> {
             all += 1;
             let turn = rotation::multiply(pose.rotation, rotation::inverse(predicted));
             let angle = rotation::log(turn).iter().map(|v| v * v).sum::<f64>().sqrt();
-            agree += usize::from(angle < 3.0 * self.growing.closing.closure_rad);
+            agree += usize::from(angle < 3.0 * self.options.closing.closure_rad);
         }
         (agree, all)
     }
@@ -432,7 +432,7 @@ impl PoseVerifier<'_> {
             .collect();
         let near = |a: &Matrix3<f64>, b: &Matrix3<f64>| {
             let cosine = 0.5 * ((a.transpose() * b).trace() - 1.0);
-            cosine.clamp(-1.0, 1.0).acos() < 2.0 * self.growing.closing.closure_rad
+            cosine.clamp(-1.0, 1.0).acos() < 2.0 * self.options.closing.closure_rad
         };
         let most = matrices
             .iter()

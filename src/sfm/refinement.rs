@@ -15,7 +15,7 @@ use super::{
 };
 use crate::{
     camera::Lens,
-    features::least_squares::{Match, Placed, Smooth, Template, Window},
+    features::least_squares::{BSplineImage, Match, Template, Warp, Window},
     geometry::rotation,
 };
 use image::GrayImage;
@@ -38,8 +38,8 @@ impl Default for LeastSquaresMatchingOptions {
 }
 
 impl LeastSquaresMatchingOptions {
-    fn met(&self, found: &Match, start: &Placed) -> bool {
-        let off = [0, 1].map(|k| found.placed.at_px[k] - start.at_px[k]);
+    fn met(&self, found: &Match, start: &Warp) -> bool {
+        let off = [0, 1].map(|k| found.warp.at_px[k] - start.at_px[k]);
         let far = (off[0] * off[0] + off[1] * off[1]).sqrt();
         found.correlation >= self.correlation && far <= self.farthest_px
     }
@@ -119,7 +119,7 @@ pub fn refine_tie_points<E: Send>(
         if other(image).next().is_none() {
             return Ok(InPhoto::default());
         }
-        let picture = Smooth::new(&read(image)?);
+        let picture = BSplineImage::new(&read(image)?);
         let (mut found, mut missed) = (Vec::new(), Vec::new());
         for (first, track, place) in other(image) {
             let key_point = block.position_px(place);
@@ -130,7 +130,7 @@ pub fn refine_tie_points<E: Send>(
             };
             let matched = template.find(&first.window, &picture, start);
             match matched.filter(|matched| demands.met(matched, &start)) {
-                Some(matched) => found.push(Found { track, place, at_px: matched.placed.at_px }),
+                Some(matched) => found.push(Found { track, place, at_px: matched.warp.at_px }),
                 None => missed.push(Found { track, place, at_px: start.at_px }),
             }
         }
@@ -212,7 +212,7 @@ fn start(
     point: [f64; 3],
     image: usize,
     key_point: [f64; 2],
-) -> Option<Placed> {
+) -> Option<Warp> {
     let share = |[x, y]: [f64; 2]| a + b * x + c * y;
     let pose = block.pose_at(first.image, first.at_px[1])?;
     let [x, y, inverse] = inverse_depth(pose.to_camera(point))?;
@@ -246,7 +246,7 @@ fn start(
     ];
     let by = carried(first, &shape);
     let at_px = [key_point[0] + by[0], key_point[1] + by[1]];
-    Some(Placed { at_px, shape, curvature })
+    Some(Warp { at_px, shape, curvature })
 }
 
 /// How far the window's middle is from the key point of the first photo, as another photo has it.

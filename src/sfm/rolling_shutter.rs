@@ -6,7 +6,7 @@
 //! P = R X + t + tau s       tau: share of the readout, -1/2 .. 1/2;   s = -R d l
 //! ```
 //!
-//! `d` is the direction in which an image flew, by the images before and after it, `l` the way of one readout:
+//! `d` is the direction in which an image flew, by the images before and after it, `l` the displacement during one readout:
 //! one number for all images that fly equally fast. Every image has its own shift about that, in this and in every
 //! later adjustment; one whose direction is not known has it about what was found before.
 
@@ -33,7 +33,7 @@ pub struct RollingShutterEstimate {
     pub readout_displacement_px: f64,
     /// Standard deviation of single images about it, metres.
     pub image_sigma_m: f64,
-    /// The shutter, and how closely images are expected to keep to that way.
+    /// The shutter, and how closely images are expected to keep to that displacement.
     pub shutter: RollingShutter,
     /// How every image moves, as in [`Block::motions`].
     pub motions: Vec<[f64; 6]>,
@@ -43,7 +43,7 @@ pub struct RollingShutterEstimate {
 
 /// Standard deviation of shifts of which nothing is known yet, as a share of the distance of the ground.
 const ANY: f64 = 0.02;
-/// Standard deviation of single images about the common way, as a share of it.
+/// Standard deviation of single images about the common displacement, as a share of it.
 ///
 /// Then it is what was found with that, but no less than that of [`CALM`] flight.
 const SPEED_SIGMA_RATIO: f64 = 0.1;
@@ -51,13 +51,13 @@ const SPEED_SIGMA_RATIO: f64 = 0.1;
 const CALM: f64 = 0.03;
 /// And as a share of the distance of the ground, where nothing moves.
 const LEAST: f64 = 1e-4;
-/// Steps of the common way are led on to their limit where less than this share is left of each by the next.
+/// Steps of the common displacement are led on to their limit where less than this share is left of each by the next.
 const MOST_LEFT: f64 = 0.9;
 /// The fewest images whose direction must be known.
 const LEAST_IMAGES: usize = 6;
 /// The gain that each of the new numbers must be worth.
 const WORTH: f64 = 4.0;
-/// The common way must be this many times its standard deviation.
+/// The common displacement must be this many times its standard deviation.
 const SURE: f64 = 5.0;
 /// And longer than this on the ground, pixels.
 const LEAST_PX: f64 = 0.5;
@@ -103,12 +103,14 @@ pub fn estimate(
     readout_s: f64,
     certain: bool,
 ) -> Result<Option<RollingShutterEstimate>, SolveError> {
-    let Some(mut strips) = Strips::of(block, known, flight, tie_sigma_px) else { return Ok(None) };
-    let still = settle(&mut strips.survey.clone())?;
-    strips.survey.rolling_shutter = Some(shutter(ANY * strips.distance_m, readout_s));
-    settle(&mut strips.survey)?;
-    let (drift, cost) = strips.ways(readout_s)?;
-    let survey = &strips.survey;
+    let Some(mut problem) = ShutterProblem::of(block, known, flight, tie_sigma_px) else {
+        return Ok(None);
+    };
+    let still = adjust_survey(&mut problem.survey.clone())?;
+    problem.survey.rolling_shutter = Some(shutter(ANY * problem.distance_m, readout_s));
+    adjust_survey(&mut problem.survey)?;
+    let (drift, cost) = problem.readout_displacements(readout_s)?;
+    let survey = &problem.survey;
     let freedom = survey.observations.len() as f64 * 2.0
         - 3.0 * survey.points.len() as f64
         - 9.0 * survey.images.len() as f64;
@@ -120,7 +122,7 @@ pub fn estimate(
         image_sigma_m,
         ..
     } = drift;
-    let deviation_m = image_sigma_m / (strips.directed() as f64).sqrt();
+    let deviation_m = image_sigma_m / (problem.directed() as f64).sqrt();
     let sure = certain
         || gain > WORTH * 3.0 * survey.images.len() as f64
             && readout_displacement_m > SURE * deviation_m
@@ -143,8 +145,10 @@ pub fn update(
     tie_sigma_px: f64,
 ) -> Result<Option<RollingShutterEstimate>, SolveError> {
     let Some(RollingShutter { readout_s, .. }) = block.shutter else { return Ok(None) };
-    let Some(mut strips) = Strips::of(block, known, flight, tie_sigma_px) else { return Ok(None) };
-    let (drift, _) = strips.ways(readout_s)?;
+    let Some(mut problem) = ShutterProblem::of(block, known, flight, tie_sigma_px) else {
+        return Ok(None);
+    };
+    let (drift, _) = problem.readout_displacements(readout_s)?;
     Ok(Some(drift))
 }
 
@@ -163,7 +167,7 @@ fn shutter(sigma_m: f64, readout_s: f64) -> RollingShutter {
 }
 
 /// A block and how its images flew.
-struct Strips {
+struct ShutterProblem {
     survey: Reconstruction,
     /// Which images of the block its images are, of how many.
     order: Vec<usize>,
@@ -173,9 +177,14 @@ struct Strips {
     distance_m: f64,
 }
 
-impl Strips {
+impl ShutterProblem {
     /// `None` where the directions of too few images are known.
-    fn of(block: &Block<'_>, known: &Known, flight: &[usize], tie_sigma_px: f64) -> Option<Strips> {
+    fn of(
+        block: &Block<'_>,
+        known: &Known,
+        flight: &[usize],
+        tie_sigma_px: f64,
+    ) -> Option<ShutterProblem> {
         let (mut survey, _, order) = block.reconstruction(None);
         known.attach(&mut survey, &order);
         survey.tie_sigma_px = tie_sigma_px;
@@ -187,8 +196,9 @@ impl Strips {
         let mut along: Vec<Option<[f64; 3]>> = vec![None; survey.images.len()];
         flown.iter().zip(directions(&centres)).for_each(|(&k, direction)| along[k] = direction);
         let distance_m = distance_m(&survey)?;
-        let strips = Strips { survey, order, images: block.poses.len(), along, distance_m };
-        (strips.directed() >= LEAST_IMAGES).then_some(strips)
+        let problem =
+            ShutterProblem { survey, order, images: block.poses.len(), along, distance_m };
+        (problem.directed() >= LEAST_IMAGES).then_some(problem)
     }
 
     /// How many images have a direction.
@@ -196,8 +206,11 @@ impl Strips {
         self.along.iter().flatten().count()
     }
 
-    /// Estimates the common way and the spread about it, and all else with them; and the cost.
-    fn ways(&mut self, readout_s: f64) -> Result<(RollingShutterEstimate, f64), SolveError> {
+    /// Estimates the common displacement and the spread about it, and all else with them; and the cost.
+    fn readout_displacements(
+        &mut self,
+        readout_s: f64,
+    ) -> Result<(RollingShutterEstimate, f64), SolveError> {
         let (start_m, _) = common(&self.survey, &self.along);
         let (first_m, ..) = self.about(start_m, SPEED_SIGMA_RATIO * start_m, readout_s)?;
         let (second_m, image_sigma_m, _) =
@@ -225,7 +238,7 @@ impl Strips {
         Ok((drift, cost))
     }
 
-    /// Adjusts the block about a common way; the one that is found, the spread about it, and the cost.
+    /// Adjusts the block about a common displacement; the one that is found, the spread about it, and the cost.
     fn about(
         &mut self,
         readout_displacement_m: f64,
@@ -242,7 +255,7 @@ impl Strips {
         }
         let sigma_m = sigma_m.abs().max(LEAST * self.distance_m);
         self.survey.rolling_shutter = Some(shutter(sigma_m, readout_s));
-        let cost = settle(&mut self.survey)?;
+        let cost = adjust_survey(&mut self.survey)?;
         let (found_m, image_sigma_m) = common(&self.survey, &self.along);
         Ok((found_m, image_sigma_m, cost))
     }
@@ -256,9 +269,9 @@ fn limit([start, first, second]: [f64; 3]) -> f64 {
     if (0.0..MOST_LEFT).contains(&share) { second + next * share / (1.0 - share) } else { second }
 }
 
-/// Mean and standard deviation of the ways that images flew along their directions, metres.
+/// Mean and standard deviation of the displacements of images along their directions, metres.
 fn common(survey: &Reconstruction, along: &[Option<[f64; 3]>]) -> (f64, f64) {
-    let ways: Vec<f64> = survey
+    let displacements: Vec<f64> = survey
         .images
         .iter()
         .zip(along)
@@ -268,9 +281,9 @@ fn common(survey: &Reconstruction, along: &[Option<[f64; 3]>]) -> (f64, f64) {
             Some(-Vector3::from(world).dot(&Vector3::from((*direction)?)))
         })
         .collect();
-    let n = ways.len().max(1) as f64;
-    let mean = ways.iter().sum::<f64>() / n;
-    let squares: f64 = ways.iter().map(|way| (way - mean).powi(2)).sum();
+    let n = displacements.len().max(1) as f64;
+    let mean = displacements.iter().sum::<f64>() / n;
+    let squares: f64 = displacements.iter().map(|displacement| (displacement - mean).powi(2)).sum();
     (mean, (squares / (n - 1.0).max(1.0)).sqrt())
 }
 
@@ -299,7 +312,7 @@ pub(super) fn keep_feasible_marks(survey: &mut Reconstruction) {
     survey.marks = survey.marks.iter().copied().filter(feasible).collect();
 }
 
-fn settle(survey: &mut Reconstruction) -> Result<f64, SolveError> {
+fn adjust_survey(survey: &mut Reconstruction) -> Result<f64, SolveError> {
     let options =
         BundleAdjustmentOptions { loss: Loss::SoftL1(2.0), iterations: 30, cost_tolerance: 1e-6 };
     bundle_adjust(survey, survey.images.len(), &options)
@@ -322,7 +335,7 @@ mod tests {
     }
 
     #[test]
-    fn strips_have_directions_and_turns_have_none() {
+    fn images_in_strips_have_directions_and_turns_have_none() {
         let mut centres: Vec<[f64; 3]> = (0..4).map(|k| [10.0 * f64::from(k), 0.0, 30.0]).collect();
         centres.extend((0..4).map(|k| [30.0 - 10.0 * f64::from(k), 20.0, 30.0]));
         let found = directions(&centres);

@@ -16,7 +16,7 @@ pub(super) const FEWEST: usize = 3;
 pub(super) fn pose(
     block: &Block<'_>,
     graph: &Graph<'_>,
-    growing: &IncrementalOptions,
+    options: &IncrementalOptions,
     image: usize,
 ) -> Option<Pose> {
     let own = image as u32;
@@ -26,13 +26,13 @@ pub(super) fn pose(
         .filter(|&&other| block.poses[other as usize].is_some())
         .filter_map(|&other| {
             let pair = graph.pair(own, other)?;
-            let wide = pair.angle_rad >= growing.min_angle_rad;
+            let wide = pair.angle_rad >= options.min_angle_rad;
             wide.then_some((pair.matches.len(), std::cmp::Reverse(other)))
         })
         .max()?;
     let pairs = graph.neighbours(own).iter().filter_map(|&other| graph.pair(own, other));
     let most = pairs.map(|pair| pair.matches.len()).max().unwrap_or(0);
-    if count < 4 * growing.min_points || 2 * count < most {
+    if count < 4 * options.min_points || 2 * count < most {
         return None;
     }
     let (turn, shift) = graph.relative(neighbour.0, own)?;

@@ -2,7 +2,7 @@
 
 use super::{
     block::{Features, Pair},
-    relative::{Correspondence, Options as Relative, Ray, Solver, estimate, vector},
+    relative::{Correspondence, Ray, RelativePoseOptions, Solver, estimate, vector},
 };
 use crate::camera::{Camera, Interior, Lens};
 use rayon::prelude::*;
@@ -85,12 +85,12 @@ pub(super) fn orient_matched(
             correspondences.push(Correspondence { first, second });
         }
     }
-    let options = Relative {
+    let options = RelativePoseOptions {
         solver: verifying.solver,
         tolerance: verifying.tolerance_px / principal_distance_px,
         min_inliers: verifying.min_inliers,
         max_samples: verifying.max_samples,
-        ..Relative::default()
+        ..RelativePoseOptions::default()
     };
     let [a, b] = matched.images;
     let seed =

@@ -85,7 +85,7 @@ impl std::str::FromStr for Board {
 
 /// How corners are looked for.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Options {
+pub struct DetectionOptions {
     /// How they are refined.
     pub refinement: Refinement,
     /// Half the side of the window of the refinement, as a share of the distance to the nearest
@@ -95,9 +95,9 @@ pub struct Options {
     pub max_window_px: usize,
 }
 
-impl Default for Options {
-    fn default() -> Options {
-        Options { refinement: Refinement::Gradients, window_share: 0.3, max_window_px: 11 }
+impl Default for DetectionOptions {
+    fn default() -> DetectionOptions {
+        DetectionOptions { refinement: Refinement::Gradients, window_share: 0.3, max_window_px: 11 }
     }
 }
 
@@ -168,7 +168,11 @@ const LAST_LEVEL_PIXELS: usize = 60_000;
 ///
 /// # Errors
 /// Where there is none, or too little of it.
-pub fn detect(image: &GrayImage, board: Board, options: &Options) -> Result<Detection, NotFound> {
+pub fn detect(
+    image: &GrayImage,
+    board: Board,
+    options: &DetectionOptions,
+) -> Result<Detection, NotFound> {
     let mut levels = vec![Grey::new(image)];
     while levels.last().is_some_and(|level| level.data.len() >= 4 * LAST_LEVEL_PIXELS) {
         let next = levels[levels.len() - 1].half();
@@ -267,7 +271,7 @@ fn partial(
     level: usize,
     grid: &Grid,
     board: Board,
-    options: &Options,
+    options: &DetectionOptions,
 ) -> Result<Detection, NotFound> {
     let (columns, rows) = size(grid);
     let (long, short) = (columns.max(rows), columns.min(rows));
@@ -311,7 +315,7 @@ fn finish(
     grid: &Grid,
     board: Option<Board>,
     others: usize,
-    options: &Options,
+    options: &DetectionOptions,
 ) -> Option<Detection> {
     let scale = f64::from(1u32 << level);
     let offset = 0.5 * (scale - 1.0);

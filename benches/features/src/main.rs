@@ -9,7 +9,7 @@
 //! descriptors. Each repeat prints `seconds WALL PROCESSOR`; reading and writing files is not in it.
 
 use rowgram::{
-    features::{Descriptors, Norm, Options, detect, grey, matching},
+    features::{Descriptors, Norm, FeatureOptions, detect, grey, matching},
     io::images,
 };
 use std::{error::Error, path::Path, time::Instant};
@@ -20,7 +20,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         ["detect", picture, out, budget, norm, repeats] => {
             let grey = grey(&images::read_photo(Path::new(picture))?);
             let norm = if norm == "root" { Norm::Root } else { Norm::L2 };
-            let options = Options { max_features: budget.parse()?, norm, ..Options::default() };
+            let options = FeatureOptions { max_features: budget.parse()?, norm, ..FeatureOptions::default() };
             let found = timed(repeats, || detect(&grey, &options))?;
             let points = found.key_points.iter().flat_map(|p| {
                 [p.u_px, p.v_px, p.sigma_px, p.angle_rad, p.response].map(f32::to_le_bytes)

@@ -5,7 +5,7 @@ use data_synth::scenario::Scenario;
 use rowgram::{
     descent,
     phenotype::{
-        locate::{Init, Options, Setup},
+        locate::{Init, PlantFitOptions, Setup},
         row_model, rows,
     },
     problems::plants::{Model, PlantUpdate, Prior, index::PixelIndex},
@@ -62,7 +62,7 @@ pub(crate) struct Parameters {
     start: Start,
     /// Plants asked for over plants there are.
     count_factor: f64,
-    descent: descent::Options,
+    descent: descent::CoordinateDescentOptions,
     /// 0 leaves the start as it is.
     max_sweeps: u64,
     /// Whether the cost of every sweep is kept.
@@ -83,7 +83,7 @@ impl Default for Parameters {
             floor_m: 0.01,
             start: Start::Rows,
             count_factor: 1.0,
-            descent: descent::Options::default(),
+            descent: descent::CoordinateDescentOptions::default(),
             max_sweeps: 300,
             trace: false,
             positions: false,
@@ -173,8 +173,9 @@ impl Stage for Locate {
             Start::Rows => Init::Rows,
             Start::Random | Start::Truth => Init::Random,
         };
-        let descent = descent::Options { seed, ..p.descent };
-        let options = Options { plants, model, init, seed, descent, max_sweeps: p.max_sweeps };
+        let descent = descent::CoordinateDescentOptions { seed, ..p.descent };
+        let options =
+            PlantFitOptions { plants, model, init, seed, descent, max_sweeps: p.max_sweeps };
         let mut setup = Setup::with_rows(index, &options, detection).map_err(|e| e.to_string())?;
         if p.start == Start::Truth {
             let found = setup.detection.rows().map_or(&[][..], |rows| &rows.rows);

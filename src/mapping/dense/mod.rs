@@ -19,6 +19,10 @@
 //!
 //! From coarse to fine ([`tile`]): cells of twice the side without `Q` give the ground under the canopy ([`terrain`]), which the second
 //! pass takes as known. Blocks are done on their own, by any number of threads, with the same result.
+//!
+//! Constants of this module and its files were chosen on synthetic fields at mid stage, 1.5 cm a cell; what they give is
+//! printed by `cargo test --lib mapping::dense -- --nocapture`: share of cells that have a height, spread of bare soil, shares
+//! of leaves and of the soil beside them within 5 cm of the truth, error of the ground.
 
 pub mod aggregate;
 pub mod block;

@@ -125,6 +125,7 @@ fn leaves_and_soil_are_where_they_are() {
     let (found, truth) = surface_of(&twin(0.0));
     let q = compare(&found, &truth);
     let all = [q.known, q.bare_nmad_m, q.leaves_within, q.soil_near_within, q.terrain_rmse_m];
+    println!("known, bare soil (m), leaves, soil beside leaves, ground (m): {all:?}");
     assert!(q.known > 0.99, "{all:?}");
     assert!(q.bare_nmad_m < 0.5 * CELL_M, "{all:?}");
     assert!(q.leaves_within > 0.55, "{all:?}");

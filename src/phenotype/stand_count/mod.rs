@@ -182,8 +182,8 @@ fn mean_around(sums: &[f64], at: usize, reach: usize) -> f64 {
 }
 
 /// How many standard deviations of plants there is less leaf around a place than around plants, and more.
-fn crown(profile: &Profile, at: usize) -> [f64; 2] {
-    let score = profile.surroundings.get(at).map_or(0.0, |crown| crown.score);
+fn surroundings_scores(profile: &Profile, at: usize) -> [f64; 2] {
+    let score = profile.surroundings.get(at).map_or(0.0, |around| around.score);
     [score.clamp(CROWNS[0], 0.0), score.clamp(0.0, CROWNS[1])]
 }
 
@@ -210,7 +210,7 @@ fn places(profile: &Profile, heights: &[f64], overall: &Overall, gaps: &Gaps) ->
             let local = heights[at] - mean_around(&sums, at, wide);
             let (from, to) = (at.saturating_sub(narrow), (at + narrow + 1).min(heights.len()));
             let mass = (profile.mass[to][0] - profile.mass[from][0]) / (to - from) as f64;
-            let [less, more] = crown(profile, at);
+            let [less, more] = surroundings_scores(profile, at);
             [
                 1.0,
                 height,
@@ -320,7 +320,8 @@ impl<'p> Pairs<'p> {
             0.0
         };
         let middling = !close && gap < 2 * self.covered + self.covered / 2;
-        let more = crown(self.profile, from)[1].min(crown(self.profile, to)[1]);
+        let more = surroundings_scores(self.profile, from)[1]
+            .min(surroundings_scores(self.profile, to)[1]);
         [
             density,
             near * lower,

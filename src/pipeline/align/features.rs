@@ -77,7 +77,7 @@ const LEAST_FEATURES: usize = 30;
 /// Finds the features of all photos; those whose photo cannot be used are empty and named.
 pub(super) fn features(
     inputs: &Inputs,
-    options: &features::Options,
+    options: &features::FeatureOptions,
     cache: &Cache,
     monitor: &mut dyn Monitor,
 ) -> Result<Extracted, Error> {
@@ -151,7 +151,7 @@ pub(super) fn features(
     Ok(Extracted { features: all, colours, key: whole_key.finish() })
 }
 
-fn find(picture: Result<RgbImage, String>, options: &features::Options) -> Found {
+fn find(picture: Result<RgbImage, String>, options: &features::FeatureOptions) -> Found {
     let picture = match picture {
         Ok(picture) => picture,
         Err(fault) => return Found { fault: Some(fault), ..Found::default() },

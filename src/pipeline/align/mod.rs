@@ -238,8 +238,10 @@ impl Task for AlignTask {
     ) -> Result<AlignOutcome, Error> {
         results::clear(folder)?;
         match run(project, options, Step::Report, folder, monitor)? {
-            Ended::Whole(outcome) => Ok(*outcome),
-            Ended::Part(_) => Err(Error::Incomplete("the last step was not reached".to_owned())),
+            StepOutcome::Whole(outcome) => Ok(*outcome),
+            StepOutcome::Part(_) => {
+                Err(Error::Incomplete("the last step was not reached".to_owned()))
+            }
         }
     }
 }
@@ -278,8 +280,8 @@ pub fn align_until(
     let folder = project.folder(Stage::Align);
     std::fs::create_dir_all(&folder).map_err(|e| crate::io::FileError::write(&folder, e))?;
     match run(project, options, last.min(Step::Adjust), &folder, monitor)? {
-        Ended::Part(report) => Ok(report),
-        Ended::Whole(_) => Err(Error::Incomplete("the step was passed".to_owned())),
+        StepOutcome::Part(report) => Ok(report),
+        StepOutcome::Whole(_) => Err(Error::Incomplete("the step was passed".to_owned())),
     }
 }
 
@@ -313,7 +315,7 @@ pub fn forget(project: &Project, from: Step) -> Result<(), Error> {
 }
 
 /// How far it went.
-enum Ended {
+enum StepOutcome {
     Part(PartialReport),
     Whole(Box<AlignOutcome>),
 }
@@ -324,16 +326,16 @@ fn run(
     last: Step,
     folder: &Path,
     monitor: &mut dyn Monitor,
-) -> Result<Ended, Error> {
+) -> Result<StepOutcome, Error> {
     let monitor = &mut Recorder::new(monitor);
     let cache = Cache::new(&folder.join(CACHE))?;
     let mut inputs = inputs::inspect(project, options, monitor)?;
     let mut report = PartialReport::new(&inputs, last);
     if last == Step::Inspect {
-        return Ok(Ended::Part(report));
+        return Ok(StepOutcome::Part(report));
     }
     // Half of the usual contrast: the budget keeps the best, and a plain crop has no others.
-    let detection = crate::features::Options {
+    let detection = crate::features::FeatureOptions {
         max_features: options.max_features,
         contrast_threshold: 0.02,
         ..Default::default()
@@ -341,14 +343,14 @@ fn run(
     let extracted = features::features(&inputs, &detection, &cache, monitor)?;
     report.features = Some(extracted.features.iter().map(|f| f.key_points.len()).sum());
     if last == Step::Features {
-        return Ok(Ended::Part(report));
+        return Ok(StepOutcome::Part(report));
     }
     let (mut matched, matched_key) = features::matches(&inputs, &extracted, &cache, monitor)?;
     features::remove_duplicates(&inputs, &extracted, &mut matched, monitor);
     report.pairs = Some(matched.len());
     report.matches = Some(matched.iter().map(|m| m.matches.len()).sum());
     if last == Step::Match {
-        return Ok(Ended::Part(report));
+        return Ok(StepOutcome::Part(report));
     }
     let geometric = extracted.geometric(&inputs);
     steps::intrinsics(&mut inputs, &geometric, (&matched, matched_key), options, &cache, monitor)?;
@@ -362,7 +364,7 @@ fn run(
     report.matches = Some(pairs.iter().map(|pair| pair.matches.len()).sum());
     if last == Step::Verify {
         results::pairs_table(&folder.join(results::REPORT), &pairs, &inputs.names())?;
-        return Ok(Ended::Part(report));
+        return Ok(StepOutcome::Part(report));
     }
     let calibrated = inputs.calibrated;
     let tracks = Tracks::of_pairs(
@@ -376,7 +378,7 @@ fn run(
     report.registered = blocks.first().map(crate::sfm::Block::registered);
     report.fragments = Some(blocks.len());
     if last == Step::Orient {
-        return Ok(Ended::Part(report));
+        return Ok(StepOutcome::Part(report));
     }
     let read = |image: usize| inputs.read_grey(image);
     let photos = Photos { descriptors: &descriptors, matched: &matched, read: &read };
@@ -398,7 +400,7 @@ fn run(
     }
     let outcome = AlignOutcome::new(&found, &inputs, pairs.len());
     if last == Step::Adjust {
-        return Ok(Ended::Part(report));
+        return Ok(StepOutcome::Part(report));
     }
     let scene = results::reconstruction(&inputs, &found);
     results::write(folder, &scene, &outcome, &exported)?;
@@ -410,5 +412,5 @@ fn run(
     if !outcome.converged {
         monitor.diagnostic(&adjust::not_converged());
     }
-    Ok(Ended::Whole(Box::new(outcome)))
+    Ok(StepOutcome::Whole(Box::new(outcome)))
 }

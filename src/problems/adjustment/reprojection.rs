@@ -5,7 +5,7 @@
 //! r = (u(P; interior) - u_measured) / sigma
 //! ```
 //!
-//! Blocks: `Pose` (or `PoseAnd(6)` with `w`, `s`), lens, point. A lens block holds the parameters of
+//! Blocks: `Pose` (or `PoseWithParameters(6)` with `w`, `s`), lens, point. A lens block holds the parameters of
 //! any model with the image centre as origin, then a number for the model; what the model does not
 //! have is frozen.
 

@@ -38,7 +38,7 @@ fn before(a2: f32, a: u32, b2: f32, b: u32) -> bool {
 
 /// The two nearest plants of one pixel, in order.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Pair {
+pub struct NearestPlants {
     /// Nearest plant.
     pub near: u32,
     /// Second nearest plant, or [`NONE`].
@@ -49,9 +49,9 @@ pub struct Pair {
     pub second2: f32,
 }
 
-impl Pair {
-    const NOBODY: Pair =
-        Pair { near: NONE, second: NONE, near2: f32::INFINITY, second2: f32::INFINITY };
+impl NearestPlants {
+    const NOBODY: NearestPlants =
+        NearestPlants { near: NONE, second: NONE, near2: f32::INFINITY, second2: f32::INFINITY };
 
     fn offer(&mut self, plant: u32, d2: f32) {
         if before(d2, plant, self.near2, self.near) {
@@ -75,7 +75,7 @@ pub struct Sums {
 /// Nearest and second nearest plant of every pixel.
 #[derive(Debug, Clone, Default)]
 pub struct Assignment {
-    pairs: Vec<Pair>,
+    pairs: Vec<NearestPlants>,
     /// Largest squared distance to the nearest plant below every node.
     near_reach: Reach,
     /// The same to the second nearest.
@@ -96,15 +96,15 @@ impl Assignment {
     /// Assigns every pixel from nothing.
     pub fn new(index: &PixelIndex, plants: &[[f64; 2]]) -> Assignment {
         let buckets = Buckets::new(index.extent(), plants);
-        let leaves: Vec<Vec<Pair>> = (0..index.leaves())
+        let leaves: Vec<Vec<NearestPlants>> = (0..index.leaves())
             .into_par_iter()
             .with_min_len(256)
             .map_init(Vec::new, |candidates, leaf| {
                 assign(index, leaf, plants, &buckets, candidates)
             })
             .collect();
-        let pairs: Vec<Pair> = leaves.into_iter().flatten().collect();
-        let column = |f: fn(&Pair) -> f32| pairs.iter().map(f).collect::<Vec<f32>>();
+        let pairs: Vec<NearestPlants> = leaves.into_iter().flatten().collect();
+        let column = |f: fn(&NearestPlants) -> f32| pairs.iter().map(f).collect::<Vec<f32>>();
         let near_reach = Reach::new(index, &column(|pair| pair.near2));
         let second_reach = Reach::new(index, &column(|pair| pair.second2));
         let mut assignment = Assignment {
@@ -121,7 +121,7 @@ impl Assignment {
     }
 
     /// Nearest and second nearest plant of every pixel.
-    pub fn pairs(&self) -> &[Pair] {
+    pub fn pairs(&self) -> &[NearestPlants] {
         &self.pairs
     }
 
@@ -286,7 +286,7 @@ fn assign(
     plants: &[[f64; 2]],
     buckets: &Buckets,
     candidates: &mut Vec<(u32, [f64; 2])>,
-) -> Vec<Pair> {
+) -> Vec<NearestPlants> {
     let bounds = index.bounds(leaf);
     let (middle, radius) = bounds.circle();
     // No pixel is farther from its second nearest plant than `radius` plus the distance of the
@@ -297,7 +297,7 @@ fn assign(
         .pixels_of(leaf)
         .map(|pixel| {
             let (u, v) = (index.u_px()[pixel], index.v_px()[pixel]);
-            let mut pair = Pair::NOBODY;
+            let mut pair = NearestPlants::NOBODY;
             candidates.iter().for_each(|&(plant, at)| pair.offer(plant, distance2(u, v, at)));
             pair
         })
@@ -306,10 +306,10 @@ fn assign(
 
 /// The same by comparing every pixel with every plant: the reference for tests.
 #[cfg(test)]
-pub(super) fn brute_force(index: &PixelIndex, plants: &[[f64; 2]]) -> Vec<Pair> {
+pub(super) fn brute_force(index: &PixelIndex, plants: &[[f64; 2]]) -> Vec<NearestPlants> {
     (0..index.len())
         .map(|pixel| {
-            let mut pair = Pair::NOBODY;
+            let mut pair = NearestPlants::NOBODY;
             for (plant, &at) in (0u32..).zip(plants) {
                 pair.offer(plant, distance2(index.u_px()[pixel], index.v_px()[pixel], at));
             }

@@ -313,11 +313,11 @@ impl Plants {
 
     /// How many plants have no pixel.
     pub fn empty_clusters(&self, x: &Field) -> usize {
-        let mut idle = vec![true; self.plants];
+        let mut empty = vec![true; self.plants];
         for pair in x.work.assignment.pairs() {
-            idle[pair.near as usize] = false;
+            empty[pair.near as usize] = false;
         }
-        idle.iter().filter(|&&idle| idle).count()
+        empty.iter().filter(|&&empty| empty).count()
     }
 
     /// Mean distance from a pixel to its plant, in pixels.
@@ -326,7 +326,7 @@ impl Plants {
     }
 
     /// Nearest and second nearest plant of every pixel, in the order of [`PixelIndex`].
-    pub fn pairs<'x>(&self, x: &'x Field) -> &'x [assignment::Pair] {
+    pub fn pairs<'x>(&self, x: &'x Field) -> &'x [assignment::NearestPlants] {
         x.work.assignment.pairs()
     }
 

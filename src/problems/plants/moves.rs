@@ -94,12 +94,14 @@ impl Plants {
             });
             order
         };
-        let (idle, crowded) = (order(&worth.loss, 1.0), order(&worth.cost, -1.0));
+        let (missed_least, crowded) = (order(&worth.loss, 1.0), order(&worth.cost, -1.0));
         let before = self.cost(x);
         let rounding = 1e-9 * before.abs();
         let pairs = (0..TRIES).flat_map(|sum| (0..=sum).map(move |k| (k, sum - k)));
         for (from, to) in pairs.take(TRIES) {
-            let (Some(&plant), Some(&split)) = (idle.get(from), crowded.get(to)) else { continue };
+            let (Some(&plant), Some(&split)) = (missed_least.get(from), crowded.get(to)) else {
+                continue;
+            };
             if plant == split {
                 continue;
             }

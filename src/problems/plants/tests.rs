@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::{
-    descent::{Descent, Options, Order, run},
+    descent::{CoordinateDescentOptions, Descent, Order, run},
     engine::{Engine, Termination},
 };
 use rand::{RngExt, SeedableRng};
@@ -12,8 +12,8 @@ const AXES: Axes = Axes { origin_px: [80.0, 50.0], heading_rad: 0.1 };
 const ROWS: [f64; 3] = [-30.0, 0.0, 30.0];
 
 /// Until nothing moves any more, however little the cost gains.
-fn exact() -> Options {
-    Options { cost_tolerance: 0.0, ..Options::default() }
+fn exact() -> CoordinateDescentOptions {
+    CoordinateDescentOptions { cost_tolerance: 0.0, ..CoordinateDescentOptions::default() }
 }
 
 /// Stars of leaves in three rows; their centres.
@@ -161,7 +161,7 @@ fn fast_updates_equal_brute_force_bit_for_bit() {
     for model in models().into_iter().filter(|model| model.sigma != SigmaRule::Planar) {
         let (problem, mut fast) = problem(model, 2);
         let mut slow = fast.clone();
-        let options = Options { order: Order::Shuffled, ..exact() };
+        let options = CoordinateDescentOptions { order: Order::Shuffled, ..exact() };
         let outcome = run(&problem, &mut fast, options, 12, |_, _| ()).unwrap();
         let reference =
             run(&BruteForce(problem.clone()), &mut slow, options, 12, |_, _| ()).unwrap();
@@ -202,7 +202,7 @@ fn converged_plants_are_certified_by_the_cone_programme() {
 fn a_resumed_descent_equals_an_unbroken_one_bit_for_bit() {
     for model in models() {
         let (problem, mut whole) = problem(model, 4);
-        let options = Options { order: Order::Shuffled, seed: 3, ..exact() };
+        let options = CoordinateDescentOptions { order: Order::Shuffled, seed: 3, ..exact() };
         let mut engine = Descent::new(options);
         engine.start(&problem, &mut whole).unwrap();
         let mut saved = String::new();
@@ -231,7 +231,7 @@ fn the_number_of_threads_changes_nothing() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
             let (problem, mut x) = problem(model, 5);
-            run(&problem, &mut x, Options::default(), 20, |_, _| ()).unwrap();
+            run(&problem, &mut x, CoordinateDescentOptions::default(), 20, |_, _| ()).unwrap();
             serde_json::to_string(&x).unwrap()
         })
     };
@@ -244,7 +244,7 @@ fn plants_started_near_the_truth_of_separate_plants_stay_there() {
     let shifted = centres.iter().map(|c| [c[0] + 1.5, c[1] - 1.0]).collect();
     let problem = Plants::new(index, 24, Model::default(), AXES).unwrap();
     let mut x = problem.field(shifted, &ROWS, &[]).unwrap();
-    run(&problem, &mut x, Options::default(), 100, |_, _| ()).unwrap();
+    run(&problem, &mut x, CoordinateDescentOptions::default(), 100, |_, _| ()).unwrap();
     for (plant, centre) in x.positions_px.iter().zip(&centres) {
         assert!((plant[0] - centre[0]).hypot(plant[1] - centre[1]) < 4.0, "{plant:?} {centre:?}");
     }
@@ -264,7 +264,9 @@ fn degenerate_fields_are_solved_or_refused_but_never_panic() {
                 };
                 let start = start::random(&index, count, &mut ChaCha8Rng::seed_from_u64(0));
                 let mut x = problem.field(start, &[-2.0, 40.0], &[0.0]).unwrap();
-                let outcome = run(&problem, &mut x, Options::default(), 50, |_, _| ()).unwrap();
+                let outcome =
+                    run(&problem, &mut x, CoordinateDescentOptions::default(), 50, |_, _| ())
+                        .unwrap();
                 assert!(outcome.final_cost.is_finite(), "{model:?}");
             }
         }
@@ -371,7 +373,14 @@ fn the_worth_of_plants_is_what_brute_force_says() {
 fn a_settled_field_is_certified_and_a_shifted_one_is_not() {
     let model = Model { relaxation: 1.0, ..Model::default() };
     let (problem, mut x) = problem(model, 4);
-    run(&problem, &mut x, Options { movement_tolerance: 1e-6, ..exact() }, 500, |_, _| ()).unwrap();
+    run(
+        &problem,
+        &mut x,
+        CoordinateDescentOptions { movement_tolerance: 1e-6, ..exact() },
+        500,
+        |_, _| (),
+    )
+    .unwrap();
     let proof = problem.prove(&mut x).unwrap();
     assert!(proof.plants > 20 && proof.worst_gap < 0.01, "{proof}");
     let worst = proof.worst_gap;

@@ -21,7 +21,12 @@ fn by_force(found: &[[f64; 2]], truth: &[[f64; 2]], radius: f64) -> (usize, f64)
     best
 }
 
-fn check(pairs: &[Pair], found: &[[f64; 2]], truth: &[[f64; 2]], radius: f64) -> (usize, f64) {
+fn check(
+    pairs: &[MatchedPlants],
+    found: &[[f64; 2]],
+    truth: &[[f64; 2]],
+    radius: f64,
+) -> (usize, f64) {
     let (mut used_found, mut used_truth) = (vec![false; found.len()], vec![false; truth.len()]);
     for pair in pairs {
         assert!(!std::mem::replace(&mut used_found[pair.found], true), "one to one");

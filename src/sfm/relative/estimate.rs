@@ -27,7 +27,7 @@ pub enum Solver {
 
 /// How a pair is oriented.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Options {
+pub struct RelativePoseOptions {
     /// Which minimal solver.
     pub solver: Solver,
     /// Distance from co-planarity up to which a correspondence is an inlier, in the plane `z = -1`.
@@ -49,9 +49,9 @@ pub struct Options {
     pub min_inliers: usize,
 }
 
-impl Default for Options {
-    fn default() -> Options {
-        Options {
+impl Default for RelativePoseOptions {
+    fn default() -> RelativePoseOptions {
+        RelativePoseOptions {
             solver: Solver::Auto,
             tolerance: 2e-3,
             two_point_coarse: 12.0,
@@ -195,7 +195,7 @@ impl Samples for FivePoint<'_> {
 /// Orients a pair; `None` where fewer than the wanted number of correspondences agree on anything.
 pub fn estimate(
     correspondences: &[Correspondence],
-    options: &Options,
+    options: &RelativePoseOptions,
     seed: u64,
 ) -> Option<Estimated> {
     let two = || two(correspondences, options, &mut ChaCha8Rng::seed_from_u64(seed));
@@ -221,7 +221,7 @@ pub fn estimate(
 
 fn two(
     correspondences: &[Correspondence],
-    options: &Options,
+    options: &RelativePoseOptions,
     rng: &mut ChaCha8Rng,
 ) -> Option<Estimated> {
     let sampling = Sampling {
@@ -248,7 +248,7 @@ fn two(
 
 fn five(
     correspondences: &[Correspondence],
-    options: &Options,
+    options: &RelativePoseOptions,
     rng: &mut ChaCha8Rng,
 ) -> Option<Estimated> {
     let sampling = Sampling {

@@ -18,7 +18,7 @@ pub mod five_point;
 pub mod sample;
 pub mod two_point;
 
-pub use estimate::{Estimated, Options, Solver, estimate};
+pub use estimate::{Estimated, RelativePoseOptions, Solver, estimate};
 
 use nalgebra::{Matrix3, Vector3};
 

@@ -58,7 +58,7 @@ pub(crate) fn run(
     let runs: Vec<Vec<Run>> =
         jobs.par_iter().map(|job| both(job, options)).collect::<Result<_, Error>>()?;
     let runs: Vec<Run> = runs.into_iter().flatten().collect();
-    let path = folders.out.join("canopy.csv");
+    let path = folders.out.join("row_model_masks.csv");
     output::write(&path, true, |writer| {
         let mut csv = csv::Writer::from_writer(writer);
         for run in &runs {
@@ -67,7 +67,7 @@ pub(crate) fn run(
         csv.flush()
     })?;
     let text = markdown(&runs);
-    let path = folders.out.join("canopy.md");
+    let path = folders.out.join("row_model_masks.md");
     output::write(&path, true, |writer| writer.write_all(text.as_bytes()))?;
     show(&text);
     Ok(())

@@ -106,7 +106,7 @@ pub(crate) fn run(
             }
         }
     }
-    let path = folders.out.join("canopy_plots.csv");
+    let path = folders.out.join("row_model_plots.csv");
     output::write(&path, true, |writer| {
         let mut csv = csv::Writer::from_writer(writer);
         for run in &runs {
@@ -115,7 +115,7 @@ pub(crate) fn run(
         csv.flush()
     })?;
     let text = markdown(&runs, &chosen);
-    let path = folders.out.join("canopy_plots.md");
+    let path = folders.out.join("row_model_plots.md");
     output::write(&path, true, |writer| writer.write_all(text.as_bytes()))?;
     show(&text);
     Ok(())

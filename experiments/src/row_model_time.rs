@@ -60,7 +60,7 @@ pub(crate) fn run(folders: &Folders) -> Result<(), Error> {
             f1(1)
         );
     }
-    let path = folders.out.join("canopy_field.md");
+    let path = folders.out.join("row_model_time.md");
     output::write(&path, true, |writer| writer.write_all(text.as_bytes()))?;
     show(&text);
     Ok(())

@@ -1,0 +1,65 @@
+//! `rowgram plots`: the traits of the plots of a project.
+
+use super::{
+    options::Given,
+    project::{open_for, present},
+};
+use crate::{
+    error::Error,
+    pipeline::{
+        Stage,
+        plots::{PlotsOptions, PlotsOutcome, plots},
+    },
+};
+use std::path::PathBuf;
+
+/// Put the traits of every plot together: area, plants, leaves, canopy cover
+///
+/// Takes the leaf mask, and the plants, gaps, leaves and counts where those stages were done. Plots are the polygons of
+/// plots.geojson, .gpkg or .shp, or groups of rows cut at alleys (--rows-per-plot and --alley-m), else the whole field. Writes
+/// plots/traits.csv, .geojson, .gpkg, traits_long.csv and traits.brapi.json.
+///
+/// Example: rowgram plots field
+/// Example: rowgram plots field --rows-per-plot 4 --alley-m 1
+#[derive(Debug, clap::Args)]
+#[command(verbatim_doc_comment)]
+pub(super) struct Args {
+    /// Folder of the project.
+    project: PathBuf,
+    /// Folder of results [default: PROJECT/rowgram].
+    #[arg(short, long, value_name = "DIR")]
+    output: Option<PathBuf>,
+    #[command(flatten)]
+    options: Given<PlotsOptions>,
+    /// Do the stage again although nothing has changed.
+    #[arg(long)]
+    force: bool,
+    /// Print the outcome as one line of JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+fn text(outcome: &PlotsOutcome) -> String {
+    let plural = if outcome.plots.len() == 1 { "" } else { "s" };
+    let mut text = format!("{} plot{plural}", outcome.plots.len());
+    for plot in &outcome.plots {
+        text += &format!("\n{}:", plot.plot);
+        if let Some(area_m2) = plot.area_m2 {
+            text += &format!(" {area_m2:.1} m2");
+        }
+        if let Some(plants) = plot.plants {
+            text += &format!(", {plants:.0} plants");
+        }
+    }
+    text
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// As the stage.
+pub(super) fn run(args: &Args) -> Result<(), Error> {
+    let project = open_for(Stage::Plots, &args.project, args.output.as_deref(), args.force)?;
+    let options = args.options.over(&project.config().plots)?;
+    present(args.json, |monitor| plots(&project, &options, monitor), text)
+}
