@@ -16,7 +16,7 @@ use crate::{
     },
     monitor::{Diagnostic, Monitor},
     options::Auto,
-    phenotype::leaves::{self, Bridging, Leaf, LeafOptions, Leaves},
+    phenotype::leaves::{self, Bridging, Leaf, LeafOptions, LeafShape, Leaves},
     raster::{Mask, hsv, window},
 };
 use image::Rgb;
@@ -35,7 +35,7 @@ crate::options! {
         /// Ground sampling distance, metres per pixel; that of the raster where not set. Without both, lengths are in pixels
         /// only.
         pub gsd_m: Option<f64> = None, limits between(0.00001, 100.0), example "0.015";
-        /// The paper's method alone: greedy bridging, neither curvature nor splitting.
+        /// The paper's method alone: all leaves are blades, greedy bridging, neither curvature nor splitting.
         pub paper: bool = false;
     }
 }
@@ -47,7 +47,7 @@ impl LeavesOptions {
             return self.leaf;
         }
         let (bridging, curvature, split) = (Bridging::Greedy, false, false);
-        LeafOptions { bridging, curvature, split, ..self.leaf }
+        LeafOptions { bridging, curvature, split, shape: LeafShape::Blade, ..self.leaf }
     }
 }
 
@@ -62,6 +62,8 @@ pub struct LeavesOutcome {
     pub gsd_m: Option<f64>,
     /// Leaves.
     pub leaves: usize,
+    /// Whether they were found as broad leaves, else as blades.
+    pub is_broad: bool,
     /// Leaf pixels.
     pub leaf_pixels: usize,
     /// Usual width of a leaf; 0 without leaves.
@@ -218,6 +220,7 @@ pub fn measure_leaves(
         height_px: mask.height,
         gsd_m,
         leaves: found.leaves.len(),
+        is_broad: found.is_broad,
         leaf_pixels: mask.count(),
         usual_width_px: found.usual_width_px,
         median_length_px: length_px,

@@ -9,6 +9,9 @@
 //! 6. Every pixel that is left belongs to the leaf that it is nearest to within the plant.
 //!
 //! Steps 1 to 3 and 5 with [`Bridging::Greedy`] are the paper's; [`LeafOptions::paper`] does just these.
+//! That is for blades. Broad leaves are found by [`super::broad_leaves`]; which of the two a mask shows is seen from how compact
+//! its parts are.
+//!
 //! All is done for each connected part of the mask on its own (`part`); the only number they
 //! share is the usual width of a leaf, a median over all slices.
 //!
@@ -18,6 +21,7 @@
 
 mod axis;
 mod bridge;
+mod broad;
 mod edges;
 mod part;
 mod plants;
@@ -25,6 +29,7 @@ mod segments;
 mod slices;
 mod split;
 
+use crate::phenotype::broad_leaves::{BROAD, compactness};
 use crate::raster::{
     Mask,
     components::{self, Part, Run},
@@ -37,6 +42,20 @@ use rayon::prelude::*;
 use segments::{Across, NONE, Segment};
 use serde::{Deserialize, Serialize};
 use std::{collections::VecDeque, f64::consts::PI};
+
+/// What leaves look like.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum LeafShape {
+    /// Found from the mask.
+    Auto,
+    /// Blades: long, with edges that are nearly parallel.
+    Blade,
+    /// Broad leaves, as those of rosettes.
+    Broad,
+}
+
+crate::choices!(LeafShape: Auto, Blade, Broad);
 
 /// How segments are joined across gaps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -55,6 +74,9 @@ crate::choices!(Bridging: None, Greedy, Global);
 crate::options! {
     /// What decides which pixels are one leaf.
     pub struct LeafOptions in "leaves" {
+        /// What leaves look like: blades, which are measured by slices across them; broad leaves, which are parts of the plant
+        /// between narrow places; auto finds that from the mask.
+        pub shape: LeafShape = LeafShape::Auto;
         /// How far the gradients at the two edges of a slice may be from opposite (T_a of the paper, 36 degrees).
         pub edge_angle_rad: f64 = PI / 5.0, limits between(0.0, PI);
         /// How far the directions of adjacent slices of one segment may differ (T_b of the paper, 22.5 degrees).
@@ -92,6 +114,7 @@ impl LeafOptions {
             bridging: Bridging::Greedy,
             curvature: false,
             split: false,
+            shape: LeafShape::Blade,
             ..LeafOptions::default()
         }
     }
@@ -147,6 +170,8 @@ pub struct Leaves {
     pub leaves: Vec<Leaf>,
     /// The usual width of a leaf, pixels; 0 where there is none.
     pub usual_width_px: f64,
+    /// Whether they were found as broad leaves.
+    pub is_broad: bool,
 }
 
 /// The longest walk across a leaf before its usual width is known, pixels.
@@ -160,6 +185,13 @@ const CLASSES_PER_PX: f64 = 16.0;
 ///
 /// The result does not depend on the number of threads.
 pub fn find(mask: &Mask, options: &LeafOptions) -> Leaves {
+    let is_broad = match options.shape {
+        LeafShape::Auto => compactness(mask).is_some_and(|compactness| compactness < BROAD),
+        shape => shape == LeafShape::Broad,
+    };
+    if is_broad {
+        return broad::find(mask, options);
+    }
     let parts = components::parts(mask);
     let usual_width_px =
         options.leaf_width_px.unwrap_or_else(|| usual_width(&parts, options.edge_angle_rad));
@@ -171,7 +203,7 @@ pub fn find(mask: &Mask, options: &LeafOptions) -> Leaves {
         .flatten()
         .filter(|leaf| leaf.area_px >= options.min_pixels)
         .collect();
-    Leaves { leaves, usual_width_px }
+    Leaves { leaves, usual_width_px, is_broad: false }
 }
 
 /// The median of the widths of all slices, pixels.
