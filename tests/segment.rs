@@ -160,3 +160,94 @@ fn real_photos_and_masks_are_told_apart() {
         }
     }
 }
+
+/// A field in three colours with noise: leaves where `is_leaf` says so.
+fn noisy(width: u32, height: u32, is_leaf: impl Fn(u32, u32) -> bool) -> RgbImage {
+    RgbImage::from_fn(width, height, |u, v| {
+        let noise = (u.wrapping_mul(2_654_435_761) ^ v.wrapping_mul(40_503)) >> 7;
+        let add = |value: u8, k: u32| value + ((noise >> (4 * k)) % 14) as u8;
+        let [r, g, b] = if is_leaf(u, v) { [62, 118, 48] } else { [122, 104, 84] };
+        Rgb([add(r, 0), add(g, 1), add(b, 2)])
+    })
+}
+
+/// One round plant of 11 px radius.
+fn is_plant(u: u32, v: u32) -> bool {
+    (u as f32 - 90.0).hypot(v as f32 - 60.0) < 11.0
+}
+
+/// The share of pixels on which the mask of a photo agrees with the plant, and the leaf pixels.
+fn of_one_plant(folder: &Path, photo: &str) -> (f64, usize) {
+    let mask = folder.join("mask.png");
+    let run = rowgram(folder, &format!("segment {photo} -o mask.png --force"));
+    assert_eq!(run.code, 0, "{photo}: {}", run.stderr);
+    let mask = images::read_mask(&mask).unwrap();
+    let right = (0..mask.data.len()).filter(|i| {
+        let (u, v) = (i % mask.width, i / mask.width);
+        mask.get(u, v) == is_plant(u as u32, v as u32)
+    });
+    (right.count() as f64 / mask.data.len() as f64, mask.count())
+}
+
+#[test]
+fn surrounds_transparency_and_depth_do_not_change_the_vegetation() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let plant = noisy(180, 120, is_plant);
+    plant.save(path("plain.png")).unwrap();
+    // A mosaic with a black surround that JPEG compression has made noisy.
+    let mut framed = plant.clone();
+    for (u, _, pixel) in framed.enumerate_pixels_mut() {
+        if !(40..140).contains(&u) {
+            *pixel = Rgb([0; 3]);
+        }
+    }
+    images::write_as_named(&path("framed.jpg"), false, &framed).unwrap();
+    // The surround is transparent and green.
+    let mut clear = image::DynamicImage::from(plant.clone()).into_rgba8();
+    for (u, v, pixel) in clear.enumerate_pixels_mut() {
+        if !(40..140).contains(&u) || (5..15).contains(&v) {
+            *pixel = image::Rgba([20, 250, 20, 0]);
+        }
+    }
+    clear.save(path("clear.png")).unwrap();
+    image::DynamicImage::from(plant).into_rgb16().save(path("deep.png")).unwrap();
+    for photo in ["plain.png", "framed.jpg", "clear.png", "deep.png"] {
+        let (right, _) = of_one_plant(folder.path(), photo);
+        assert!(right > 0.99, "{photo}: {right} of the pixels are right");
+    }
+    let nothing = image::RgbaImage::from_pixel(30, 20, image::Rgba([20, 250, 20, 0]));
+    nothing.save(path("nothing.png")).unwrap();
+    let run = rowgram(folder.path(), "segment nothing.png -o none.png");
+    assert_eq!(run.code, 2, "{}", run.stderr);
+    assert!(run.stderr.contains("no pixel of 30 x 20 shows anything"), "{}", run.stderr);
+}
+
+#[test]
+fn bare_soil_is_empty_and_full_cover_is_full() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    noisy(180, 120, |_, _| false).save(path("soil.png")).unwrap();
+    noisy(180, 120, |_, _| true).save(path("full.png")).unwrap();
+    noisy(180, 120, |u, v| u / 3 != 20 || v / 3 != 20).save(path("hardly.png")).unwrap();
+    let (_, soil) = of_one_plant(folder.path(), "soil.png");
+    assert!(soil < 22, "{soil} leaf pixels on bare soil");
+    for photo in ["full.png", "hardly.png"] {
+        let (_, full) = of_one_plant(folder.path(), photo);
+        assert!(full > 21_380, "{photo}: {full} of 21600 leaf pixels");
+    }
+}
+
+#[test]
+fn the_posterior_is_written_on_request() {
+    let folder = tempfile::tempdir().unwrap();
+    noisy(180, 120, is_plant).save(folder.path().join("plant.png")).unwrap();
+    let run = rowgram(folder.path(), "segment plant.png -o mask.png --posterior posterior.png");
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    let posterior = image::open(folder.path().join("posterior.png")).unwrap().into_luma8();
+    assert!(posterior.get_pixel(90, 60).0[0] > 200 && posterior.get_pixel(20, 20).0[0] < 50);
+    let refused = "segment plant.png --hsv 30,79,30,163 -o other.png --posterior no.png";
+    let run = rowgram(folder.path(), refused);
+    assert_eq!(run.code, 2, "{}", run.stderr);
+    assert!(run.stderr.contains("thresholds (hsv) give no posterior"), "{}", run.stderr);
+}

@@ -363,6 +363,14 @@ fn decode_bytes(bytes: &[u8]) -> Result<Stored, String> {
             Stored { image: by(decoder, "TIFF", bytes.len(), 1 << 17)?, palette: false }
         }
         Ok(ImageFormat::Jpeg) => Stored { image: jpeg(bytes)?, palette: false },
+        // Whatever the name says: pictures saved from web pages often are WebP under another name.
+        Ok(
+            other @ (ImageFormat::WebP | ImageFormat::Gif | ImageFormat::Bmp | ImageFormat::Avif),
+        ) => {
+            return Err(format!(
+                "it is a {other:?} picture whatever its name says, expected PNG, JPEG or TIFF: convert it first"
+            ));
+        }
         _ => return Err("expected a PNG, JPEG or TIFF picture".to_owned()),
     };
     if stored.image.width() == 0 || stored.image.height() == 0 {

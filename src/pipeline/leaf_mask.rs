@@ -11,13 +11,16 @@ use crate::{
     raster::{
         Mask,
         mask::Thresholds,
-        vegetation::{self, Model},
+        vegetation::{self, Coherence, Model},
         white_balance::{Channels, Gains, WhiteBalance},
         window,
     },
 };
 use image::RgbImage;
 use std::path::Path;
+
+/// Most sweeps of iterated conditional modes; hardly a pixel changes after the third.
+const SWEEPS: usize = 4;
 
 /// A leaf mask and what is known of it.
 #[derive(Debug, Clone, PartialEq)]
@@ -109,8 +112,12 @@ pub(super) fn of_photo(
                 let data = gaps.iter().map(|&gap| u8::from(!gap)).collect();
                 Mask { width, height, data }
             });
-            let usual = vegetation::Options::default();
-            let found = vegetation::segment(&balanced(photo), valid.as_ref(), &usual)
+            let coherence = match options.coherence {
+                0.0 => Coherence::None,
+                weight => Coherence::Icm { weight, sweeps: SWEEPS },
+            };
+            let how = vegetation::Options { coherence, ..vegetation::Options::default() };
+            let found = vegetation::segment(&balanced(photo), valid.as_ref(), &how)
                 .map_err(|why| FileError::malformed(image, None, why.to_string()))?;
             Ok(LeafMask {
                 mask: found.mask,

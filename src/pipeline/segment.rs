@@ -12,11 +12,14 @@ use crate::{
     monitor::{Diagnostic, Monitor},
     options::Auto,
     raster::{
-        components, mask::Thresholds, overlay, vegetation::Model, white_balance::WhiteBalance,
+        Mask, components, mask::Thresholds, overlay, vegetation::Model, white_balance::WhiteBalance,
     },
 };
 use serde::{Deserialize, Serialize};
-use std::path::{Path, PathBuf};
+use std::{
+    ops::RangeInclusive,
+    path::{Path, PathBuf},
+};
 
 crate::options! {
     /// The leaf mask: pixels of the orthomosaic that show leaves.
@@ -24,6 +27,8 @@ crate::options! {
         /// How leaf pixels are told: auto estimates vegetation from the picture itself; or thresholds in 8-bit HSV: hue from, hue
         /// to (0 to 180), least saturation, least value (0 to 255), as 30,79,30,163 (the paper's, for June).
         pub hsv: Auto<Thresholds> = Auto::Auto, limits between(0.0, 255.0);
+        /// Price of two neighbours of unlike class where vegetation is estimated; 0 judges every pixel alone.
+        pub coherence: f64 = 0.5, limits between(0.0, 100.0);
         /// Scale the channels first, so that the mean colour is grey or the brightest colours are white.
         pub white_balance: Option<WhiteBalance> = None, example "\"grey-world\"";
         /// Connected leaf areas of fewer pixels are removed.
@@ -114,7 +119,8 @@ pub struct SegmentFiles<'a> {
     pub mask: &'a Path,
     /// Posterior probability of vegetation in 1/255, in the same formats; only where vegetation is estimated.
     pub posterior: Option<&'a Path>,
-    /// Folder of pictures: `mask.png`, the mask drawn over the photo.
+    /// Folder of pictures: `mask.png`, the mask drawn over the photo; where vegetation is estimated, also what is doubtful and
+    /// what shows nothing.
     pub figures: Option<&'a Path>,
     /// Whether files that exist are replaced.
     pub force: bool,
@@ -130,6 +136,10 @@ pub fn segment_file(
     options: &SegmentOptions,
     monitor: &mut dyn Monitor,
 ) -> Result<SegmentOutcome, Error> {
+    if files.posterior.is_some() && options.hsv != Auto::Auto {
+        let message = "thresholds (hsv) give no posterior: leave out one of them";
+        return Err(Error::Argument(message.to_owned()));
+    }
     let source = leaf_mask::open_photo(image)?;
     let subject = image.display().to_string();
     let mut found = leaf_mask::of_photo(&source, image, options)?;
@@ -152,18 +162,13 @@ pub fn segment_file(
             .diagnostic(&Diagnostic::warning("empty-mask", subject, message).with_remedy(remedy));
     }
     rasters::write_mask(files.mask, files.force, mask, source.georeference())?;
-    if let Some(path) = files.posterior {
-        let posterior = posterior.as_deref().ok_or_else(|| {
-            let message = "thresholds (hsv) give no posterior: leave them out, or the posterior";
-            Error::Argument(message.to_owned())
-        })?;
+    if let (Some(path), Some(posterior)) = (files.posterior, posterior) {
         let size = (mask.width, mask.height);
         rasters::write_posterior(path, files.force, size, posterior, source.georeference())?;
     }
     if let Some(folder) = files.figures {
         let mut view = View::of(&source)?;
-        let reduced = view.mask(mask);
-        overlay::draw_mask(&mut view.picture, &reduced, overlay::MASK_COLOUR)?;
+        draw(&mut view, &found)?;
         view.write(folder, "mask.png", files.force)?;
     }
     Ok(SegmentOutcome {
@@ -180,4 +185,28 @@ pub fn segment_file(
         filled_holes: filled.components,
         filled_pixels: filled.pixels,
     })
+}
+
+/// Posteriors, in 1/255, within which a pixel is doubtful.
+const DOUBTFUL: RangeInclusive<u8> = 64..=191;
+
+/// Leaf pixels, doubtful ones, and pixels that show nothing, each in a colour of its own.
+fn draw(view: &mut View, found: &LeafMask) -> Result<(), Error> {
+    let LeafMask { mask, posterior, valid, .. } = found;
+    let (width, height) = (mask.width, mask.height);
+    let reduced = view.mask(mask);
+    overlay::draw_mask(&mut view.picture, &reduced, overlay::MASK_COLOUR)?;
+    let step = view.step;
+    let mut tint = |shown: &dyn Fn(usize) -> bool, colour| {
+        let (columns, rows) = (width.div_ceil(step), height.div_ceil(step));
+        let class = Mask::from_fn(columns, rows, |u, v| shown(v * step * width + u * step));
+        overlay::draw_mask(&mut view.picture, &class, colour)
+    };
+    if let Some(posterior) = posterior {
+        tint(&|pixel| DOUBTFUL.contains(&posterior[pixel]), overlay::DOUBTFUL_COLOUR)?;
+    }
+    if let Some(valid) = valid {
+        tint(&|pixel| valid.data[pixel] == 0, overlay::NOTHING_COLOUR)?;
+    }
+    Ok(())
 }

@@ -6,6 +6,10 @@ use image::{Rgb, RgbImage};
 
 /// Colour for a leaf mask.
 pub const MASK_COLOUR: Rgb<u8> = Rgb([255, 0, 255]);
+/// Colour for pixels that are nearly as likely vegetation as not.
+pub const DOUBTFUL_COLOUR: Rgb<u8> = Rgb([255, 150, 0]);
+/// Colour for pixels that show nothing.
+pub const NOTHING_COLOUR: Rgb<u8> = Rgb([60, 170, 255]);
 /// Colour for plants that were found.
 pub const FOUND_COLOUR: Rgb<u8> = Rgb([255, 40, 40]);
 /// Colour for plants that are known to be there.

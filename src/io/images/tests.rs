@@ -150,6 +150,8 @@ fn truncated_files_are_refused() {
         }
     }
     assert!(decode_bytes(&[]).err().unwrap().contains("is empty"));
+    let webp = decode_bytes(b"RIFF\x24\0\0\0WEBPVP8 ").err().unwrap();
+    assert!(webp.starts_with("it is a WebP picture whatever its name says"), "{webp}");
     assert_eq!(decode_bytes(b"u_px,v_px\n").err().unwrap(), "expected a PNG, JPEG or TIFF picture");
 }
 
