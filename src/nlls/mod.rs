@@ -43,7 +43,9 @@ pub use linearized::LinearizedFactor;
 pub use loss::{Loss, LossFunction, Rho};
 pub use manifold::{Euclidean, Manifold};
 pub use problem::{BlockId, Problem};
-pub use projection::{LinearizedProjection, Measurement, ProjectionBatch, ProjectionFactor};
+pub use projection::{
+    Dim, Linearized, LinearizedProjection, Measurement, Of, ProjectionBatch, ProjectionFactor, Size,
+};
 pub use residual::{Residual, Residuals, Vector};
 pub use schur::{FusedElimination, FusionRequest};
 pub use step_profiler::StepProfiler;

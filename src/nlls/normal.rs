@@ -192,7 +192,7 @@ impl Normal {
                 diagonal: &mut self.diagonal,
                 correction: &mut self.kept_vector,
             };
-            self.fused_slope = work.0.reduce(problem, x, settings, sums)?;
+            self.fused_slope = work.0.reduce(problem, x, &self.linearizations, settings, sums)?;
         } else {
             let (structure, linearizations) = (&self.structure, &self.linearizations);
             self.partials

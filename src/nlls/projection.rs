@@ -13,47 +13,125 @@ use super::{
 use crate::lanes::Lane;
 use std::{marker::PhantomData, ops::Range};
 
-/// Residual and Jacobians of one factor, or of one per lane.
-#[derive(Debug, Clone, Copy)]
-pub struct LinearizedProjection<L, const R: usize, const K: usize, const S: usize, const P: usize> {
-    /// The residual.
-    pub residual: [L; R],
-    /// By the tangent of the kept block.
-    pub jacobian_camera: [[L; K]; R],
-    /// By the tangent of the shared block.
-    pub jacobian_shared: [[L; S]; R],
-    /// By the eliminated block.
-    pub jacobian_point: [[L; P]; R],
+/// How many numbers something has, as a type: [`Dim`].
+pub trait Size: Send + Sync + 'static {
+    /// So many numbers.
+    type Of<T: Copy>: Copy;
 }
+
+/// `N` numbers.
+#[derive(Debug, Clone, Copy)]
+pub struct Dim<const N: usize>;
+
+impl<const N: usize> Size for Dim<N> {
+    type Of<T: Copy> = [T; N];
+}
+
+/// An array of the numbers that a [`Size`] says.
+pub type Of<N, T> = <N as Size>::Of<T>;
+
+/// Residual and Jacobians of one factor, or of one per lane.
+#[derive(Clone, Copy)]
+pub struct LinearizedProjection<L: Copy, R: Size, K: Size, S: Size, P: Size> {
+    /// The residual.
+    pub residual: R::Of<L>,
+    /// By the tangent of the kept block.
+    pub jacobian_camera: R::Of<K::Of<L>>,
+    /// By the tangent of the shared block.
+    pub jacobian_shared: R::Of<S::Of<L>>,
+    /// By the eliminated block.
+    pub jacobian_point: R::Of<P::Of<L>>,
+}
+
+/// What [`ProjectionFactor::linearize`] gives.
+pub type Linearized<F, L> = LinearizedProjection<
+    L,
+    <F as ProjectionFactor>::Residual,
+    <F as ProjectionFactor>::Camera,
+    <F as ProjectionFactor>::Shared,
+    <F as ProjectionFactor>::Point,
+>;
 
 /// A factor of a kept block (a camera), perhaps a block shared by many of those (a lens), and an
 /// eliminated Euclidean block (a point).
 ///
-/// `R` rows, `K`, `S` and `P` tangent dimensions (`S = 0`: nothing is shared), `Q` numbers prepared
-/// per kept block and linearisation, `D` numbers of data per observation. A value that is not
-/// finite says that the factor is infeasible there.
-pub trait ProjectionFactor<
+/// In an implementation `Of<Self::Point, L>` is written `[L; 3]` where `Point` is `Dim<3>`. A value
+/// that is not finite says that the factor is infeasible there.
+pub trait ProjectionFactor: Sized + Send + Sync + 'static {
+    /// The residual.
+    type Residual: Size;
+    /// The tangent of the kept block.
+    type Camera: Size;
+    /// The tangent of the shared block; `Dim<0>` where nothing is shared.
+    type Shared: Size;
+    /// The eliminated block.
+    type Point: Size;
+    /// What is prepared of a kept block and its shared one.
+    type Prepared: Size;
+    /// The data of an observation.
+    type Data: Size;
+
+    /// What all observations of one kept block need of it, once per linearisation: a rotation
+    /// matrix, say.
+    fn prepare(kept: &[f64], shared: &[f64]) -> Of<Self::Prepared, f64>;
+
+    /// The residual alone.
+    fn residual<L: Lane>(
+        prepared: &Of<Self::Prepared, L>,
+        point: &Of<Self::Point, L>,
+        data: &Of<Self::Data, L>,
+    ) -> Of<Self::Residual, L> {
+        Self::linearize(prepared, point, data).residual
+    }
+
+    /// The residual and its Jacobians.
+    fn linearize<L: Lane>(
+        prepared: &Of<Self::Prepared, L>,
+        point: &Of<Self::Point, L>,
+        data: &Of<Self::Data, L>,
+    ) -> Linearized<Self, L>;
+}
+
+/// A [`ProjectionFactor`] with its sizes as numbers, which is what kernels are written for: `R` rows, `K`, `S` and `P`
+/// tangent dimensions, `Q` prepared numbers, `D` numbers of data.
+pub(super) trait SizedFactor<
     const R: usize,
     const K: usize,
     const S: usize,
     const P: usize,
     const Q: usize,
     const D: usize,
->: Send + Sync + 'static
+>:
+    ProjectionFactor<
+        Residual = Dim<R>,
+        Camera = Dim<K>,
+        Shared = Dim<S>,
+        Point = Dim<P>,
+        Prepared = Dim<Q>,
+        Data = Dim<D>,
+    >
 {
-    /// What all observations of one kept block need of it, once per linearisation: a rotation
-    /// matrix, say.
-    fn prepare(kept: &[f64], shared: &[f64]) -> [f64; Q];
+}
 
-    /// The residual alone.
-    fn residual<L: Lane>(prepared: &[L; Q], point: &[L; P], data: &[L; D]) -> [L; R];
-
-    /// The residual and its Jacobians.
-    fn linearize<L: Lane>(
-        prepared: &[L; Q],
-        point: &[L; P],
-        data: &[L; D],
-    ) -> LinearizedProjection<L, R, K, S, P>;
+impl<
+    F,
+    const R: usize,
+    const K: usize,
+    const S: usize,
+    const P: usize,
+    const Q: usize,
+    const D: usize,
+> SizedFactor<R, K, S, P, Q, D> for F
+where
+    F: ProjectionFactor<
+            Residual = Dim<R>,
+            Camera = Dim<K>,
+            Shared = Dim<S>,
+            Point = Dim<P>,
+            Prepared = Dim<Q>,
+            Data = Dim<D>,
+        >,
+{
 }
 
 /// Kept blocks that are held prepared while observations are gone through one by one.
@@ -87,7 +165,24 @@ impl<const D: usize> Measurement<D> {
 
 /// A batch of such factors.
 #[derive(Debug, Clone)]
-pub struct ProjectionBatch<
+pub struct ProjectionBatch<F, const D: usize> {
+    pub(super) pairs: Vec<Measurement<D>>,
+    factor: PhantomData<F>,
+}
+
+impl<F: ProjectionFactor<Data = Dim<D>>, const D: usize> ProjectionBatch<F, D> {
+    /// A batch over these observations.
+    pub fn new(_: F, pairs: Vec<Measurement<D>>) -> Self {
+        ProjectionBatch { pairs, factor: PhantomData }
+    }
+}
+
+/// How many blocks a factor has, with so many tangent dimensions of the shared one.
+const fn arity(shared: usize) -> usize {
+    if shared == 0 { 2 } else { 3 }
+}
+
+impl<
     F,
     const R: usize,
     const K: usize,
@@ -95,40 +190,16 @@ pub struct ProjectionBatch<
     const P: usize,
     const Q: usize,
     const D: usize,
-> {
-    pub(super) pairs: Vec<Measurement<D>>,
-    factor: PhantomData<F>,
-}
-
-impl<
-    F: ProjectionFactor<R, K, S, P, Q, D>,
-    const R: usize,
-    const K: usize,
-    const S: usize,
-    const P: usize,
-    const Q: usize,
-    const D: usize,
-> ProjectionBatch<F, R, K, S, P, Q, D>
-{
-    /// A batch over these observations.
-    pub fn new(pairs: Vec<Measurement<D>>) -> Self {
-        ProjectionBatch { pairs, factor: PhantomData }
-    }
-
-    fn arity() -> usize {
-        if S == 0 { 2 } else { 3 }
-    }
-}
-
-impl<
-    F: ProjectionFactor<R, K, S, P, Q, D>,
-    const R: usize,
-    const K: usize,
-    const S: usize,
-    const P: usize,
-    const Q: usize,
-    const D: usize,
-> Batch for ProjectionBatch<F, R, K, S, P, Q, D>
+> Batch for ProjectionBatch<F, D>
+where
+    F: ProjectionFactor<
+            Residual = Dim<R>,
+            Camera = Dim<K>,
+            Shared = Dim<S>,
+            Point = Dim<P>,
+            Prepared = Dim<Q>,
+            Data = Dim<D>,
+        >,
 {
     fn len(&self) -> usize {
         self.pairs.len()
@@ -139,7 +210,7 @@ impl<
     }
 
     fn blocks(&self, factor: usize) -> &[BlockId] {
-        &self.pairs[factor].blocks[..Self::arity()]
+        &self.pairs[factor].blocks[..arity(S)]
     }
 
     fn linearize(
@@ -165,7 +236,7 @@ impl<
                 }
             };
             let prepared = &*prepared;
-            let values = x.block(pair.blocks[Self::arity() - 1]);
+            let values = x.block(pair.blocks[arity(S) - 1]);
             let point: [f64; P] = std::array::from_fn(|i| values[i]);
             let out = &mut residual[k * R..(k + 1) * R];
             match jacobian.as_deref_mut() {

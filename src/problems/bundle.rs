@@ -14,8 +14,8 @@ use crate::{
     geometry::rotation,
     lanes::Lane,
     nlls::{
-        BlockId, Euclidean, LinearizedProjection, Loss, Measurement, Problem, ProjectionBatch,
-        ProjectionFactor, manifold,
+        BlockId, Dim, Euclidean, Linearized, LinearizedProjection, Loss, Measurement, Problem,
+        ProjectionBatch, ProjectionFactor, manifold,
     },
 };
 use serde::{Deserialize, Serialize};
@@ -163,7 +163,7 @@ fn linearize<L: Lane>(
     c: &Prepared<L>,
     x: &[L; 3],
     measured_px: &[L; 2],
-) -> LinearizedProjection<L, 2, 6, 3, 3> {
+) -> Linearized<SharedReprojection, L> {
     let p = to_camera(c, x);
     let found = bal::project_with_derivatives(p, [c[12], c[13], c[14]]);
     let (u, j) = (found.image_px, &found.by_point);
@@ -181,7 +181,14 @@ fn beside<L: Lane>(p: &[L; 6], l: &[L; 3]) -> [L; 9] {
     [p[0], p[1], p[2], p[3], p[4], p[5], l[0], l[1], l[2]]
 }
 
-impl ProjectionFactor<2, 9, 0, 3, 15, 2> for Reprojection {
+impl ProjectionFactor for Reprojection {
+    type Residual = Dim<2>;
+    type Camera = Dim<9>;
+    type Shared = Dim<0>;
+    type Point = Dim<3>;
+    type Prepared = Dim<15>;
+    type Data = Dim<2>;
+
     fn prepare(kept: &[f64], _: &[f64]) -> Prepared<f64> {
         prepare(&kept[..7], &kept[7..])
     }
@@ -196,7 +203,7 @@ impl ProjectionFactor<2, 9, 0, 3, 15, 2> for Reprojection {
         camera: &Prepared<L>,
         point: &[L; 3],
         measured_px: &[L; 2],
-    ) -> LinearizedProjection<L, 2, 9, 0, 3> {
+    ) -> Linearized<Self, L> {
         let found = linearize(camera, point, measured_px);
         let (pose, lens) = (&found.jacobian_camera, &found.jacobian_shared);
         LinearizedProjection {
@@ -208,7 +215,14 @@ impl ProjectionFactor<2, 9, 0, 3, 15, 2> for Reprojection {
     }
 }
 
-impl ProjectionFactor<2, 6, 3, 3, 15, 2> for SharedReprojection {
+impl ProjectionFactor for SharedReprojection {
+    type Residual = Dim<2>;
+    type Camera = Dim<6>;
+    type Shared = Dim<3>;
+    type Point = Dim<3>;
+    type Prepared = Dim<15>;
+    type Data = Dim<2>;
+
     fn prepare(kept: &[f64], shared: &[f64]) -> Prepared<f64> {
         prepare(kept, shared)
     }
@@ -223,7 +237,7 @@ impl ProjectionFactor<2, 6, 3, 3, 15, 2> for SharedReprojection {
         camera: &Prepared<L>,
         point: &[L; 3],
         measured_px: &[L; 2],
-    ) -> LinearizedProjection<L, 2, 6, 3, 3> {
+    ) -> Linearized<Self, L> {
         linearize(camera, point, measured_px)
     }
 }
@@ -323,18 +337,16 @@ impl Bundle {
                     let (camera, point) = ends(o);
                     Measurement::new(camera, point, o.image_px)
                 });
-                let pairs =
-                    ProjectionBatch::<Reprojection, 2, 9, 0, 3, 15, 2>::new(pairs.collect());
-                problem.add(TIE_POINTS, loss, pairs)?;
+                let batch = ProjectionBatch::new(Reprojection, pairs.collect());
+                problem.add(TIE_POINTS, loss, batch)?;
             }
             Some(lens) => {
                 let pairs = observations.map(|o| {
                     let (camera, point) = ends(o);
                     Measurement::with_shared(camera, lens, point, o.image_px)
                 });
-                let pairs =
-                    ProjectionBatch::<SharedReprojection, 2, 6, 3, 3, 15, 2>::new(pairs.collect());
-                problem.add(TIE_POINTS, loss, pairs)?;
+                let batch = ProjectionBatch::new(SharedReprojection, pairs.collect());
+                problem.add(TIE_POINTS, loss, batch)?;
             }
         }
         Ok(Bundle { problem, cameras, lens, points })

@@ -6,7 +6,7 @@
 use super::layout::{ChunkSums, Layout, TILE, padded};
 use crate::{
     lanes::{MAX_WIDTH, Register, gather},
-    nlls::{loss::BatchLoss, projection::ProjectionFactor},
+    nlls::{loss::BatchLoss, projection::SizedFactor},
 };
 use pulp::{Arch, Simd, WithSimd};
 use std::{marker::PhantomData, ops::Range};
@@ -183,7 +183,7 @@ pub(super) fn coordinates<const P: usize>(x: &[f64], at: u32) -> [f64; P] {
 #[inline(always)]
 pub(super) fn tile_cost<
     V: Simd,
-    F: ProjectionFactor<R, K, S, P, Q, D>,
+    F: SizedFactor<R, K, S, P, Q, D>,
     const R: usize,
     const K: usize,
     const S: usize,
@@ -237,7 +237,7 @@ struct Cost<
 }
 
 impl<
-    F: ProjectionFactor<R, K, S, P, Q, D>,
+    F: SizedFactor<R, K, S, P, Q, D>,
     const R: usize,
     const K: usize,
     const S: usize,
@@ -262,7 +262,7 @@ impl<
 
 /// The cost of one chunk at `x`; not finite where an observation is infeasible.
 pub(super) fn chunk_cost<
-    F: ProjectionFactor<R, K, S, P, Q, D>,
+    F: SizedFactor<R, K, S, P, Q, D>,
     const R: usize,
     const K: usize,
     const S: usize,

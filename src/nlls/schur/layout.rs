@@ -62,6 +62,8 @@ pub(super) struct PointAt {
     pub(super) block: u32,
     /// Bits of entries that must not move.
     pub(super) frozen: u32,
+    /// Its place among the points with priors, or [`NONE`].
+    pub(super) prior: u32,
 }
 
 /// What all chunks read.

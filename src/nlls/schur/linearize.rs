@@ -7,7 +7,7 @@ use super::{
 };
 use crate::{
     lanes::{Lane, MAX_WIDTH, Register, scatter},
-    nlls::{factor::robust_weights, projection::ProjectionFactor},
+    nlls::{factor::robust_weights, projection::SizedFactor},
 };
 use pulp::Simd;
 use std::ops::Range;
@@ -34,7 +34,7 @@ fn scatter_points<V: Simd, const R: usize, const P: usize>(
 #[inline(always)]
 pub(super) fn linearize_tile<
     V: Simd,
-    F: ProjectionFactor<R, K, S, P, Q, D>,
+    F: SizedFactor<R, K, S, P, Q, D>,
     const R: usize,
     const K: usize,
     const S: usize,
@@ -193,7 +193,7 @@ fn freeze<const R: usize, const K: usize, const S: usize, const D: usize>(
 #[inline(always)]
 pub(super) fn apply_tile<
     V: Simd,
-    F: ProjectionFactor<R, K, S, P, Q, D>,
+    F: SizedFactor<R, K, S, P, Q, D>,
     const R: usize,
     const K: usize,
     const S: usize,

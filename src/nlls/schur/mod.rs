@@ -10,7 +10,8 @@
 //! a product of rank `R` (2 for image measurements) where the usual `W V^-1 W^T` has rank `P` (3). With
 //! a shared block, `T = sum Q_i^T Js_i` gives `S_is += Jc_i^T (Js_i - Q_i T)` and `S_ss += sum Js^T Js - T^T T`.
 //! Back-substitution linearises once more instead of reading Jacobians from memory, moves the point
-//! and evaluates the trial cost while it is at hand. Nothing per observation is ever stored.
+//! and evaluates the trial cost while it is at hand. Nothing per observation is ever stored. A factor of another
+//! batch that depends on a point alone, a prior, is stored and enters `V` and `g` of its point.
 
 mod accumulate;
 mod lanes;
@@ -19,14 +20,16 @@ mod linearize;
 mod plan;
 mod point;
 mod point_system;
+mod prior;
 mod shared_block;
 mod sweep;
 
 use super::{
     cholesky::{BlockMatrix, NotPositiveDefinite},
+    factor::Linearization,
     loss::BatchLoss,
     problem::Problem,
-    projection::{Measurement, ProjectionFactor},
+    projection::{Measurement, SizedFactor},
     structure::Structure,
 };
 use lanes::chunk_cost;
@@ -47,23 +50,31 @@ pub struct FusionRequest<'a> {
 #[derive(Debug)]
 pub struct FusedElimination(pub(super) Box<dyn Eliminator>);
 
-/// The batch of the first eliminated block in its fused form, or why it has none.
+/// The batch that carries the eliminated blocks in its fused form, or why none can: of those with a factor of the
+/// first block, the longest that can be fused.
 pub(super) fn find(
     problem: &Problem,
     structure: &Structure,
     matrix: &BlockMatrix,
 ) -> Result<(usize, FusedElimination), String> {
-    let Some((first, _)) = structure.factors(0).first() else {
-        return Err("no block is marked for elimination".into());
-    };
-    let batch = *first as usize;
-    let request = FusionRequest { problem, structure, matrix, batch };
-    problem.batches[batch].batch.fuse(request).map(|work| (batch, work))
+    let mut candidates: Vec<usize> =
+        structure.factors(0).iter().map(|&(batch, _)| batch as usize).collect();
+    candidates.dedup();
+    candidates.sort_by_key(|&batch| std::cmp::Reverse(problem.batches[batch].batch.len()));
+    let mut why = None;
+    for batch in candidates {
+        let request = FusionRequest { problem, structure, matrix, batch };
+        match problem.batches[batch].batch.fuse(request) {
+            Ok(work) => return Ok((batch, work)),
+            Err(reason) => why = why.or(Some(reason)),
+        }
+    }
+    Err(why.unwrap_or_else(|| "no block is marked for elimination".into()))
 }
 
 impl FusedElimination {
     pub(super) fn new<
-        F: ProjectionFactor<R, K, S, P, Q, D>,
+        F: SizedFactor<R, K, S, P, Q, D>,
         const R: usize,
         const K: usize,
         const S: usize,
@@ -116,10 +127,12 @@ pub(super) trait Eliminator: Send + Sync + std::fmt::Debug {
     fn cost(&mut self, problem: &Problem, x: &[f64], loss: &BatchLoss) -> f64;
 
     /// Adds the batch to the reduced system; returns the largest `|g_k| / sqrt(D_k)` of the points.
+    /// `linearizations` are those of the other batches, whose factors of single points are priors.
     fn reduce(
         &mut self,
         problem: &Problem,
         x: &[f64],
+        linearizations: &[Linearization],
         settings: Settings<'_>,
         sums: NormalEquationsMut<'_>,
     ) -> Result<f64, NotPositiveDefinite>;
@@ -137,7 +150,7 @@ pub(super) trait Eliminator: Send + Sync + std::fmt::Debug {
 }
 
 impl<
-    F: ProjectionFactor<R, K, S, P, Q, D>,
+    F: SizedFactor<R, K, S, P, Q, D>,
     const R: usize,
     const K: usize,
     const S: usize,
@@ -161,16 +174,19 @@ impl<
         &mut self,
         problem: &Problem,
         x: &[f64],
+        linearizations: &[Linearization],
         settings: Settings<'_>,
         mut sums: NormalEquationsMut<'_>,
     ) -> Result<f64, NotPositiveDefinite> {
         self.prepare(problem, x);
+        self.priors.sum(problem, linearizations);
+        let priors = &self.priors.sums;
         let (layout, prepared) = (&self.layout, &self.prepared);
         let largest = self
             .chunks
             .par_iter_mut()
             .map(|chunk| {
-                eliminate_chunk::<F, R, K, S, P, Q, D>(layout, chunk, prepared, x, settings)
+                eliminate_chunk::<F, R, K, S, P, Q, D>(layout, chunk, prepared, priors, x, settings)
             })
             .collect::<Result<Vec<f64>, NotPositiveDefinite>>()?;
         for chunk in &self.chunks {
@@ -189,13 +205,15 @@ impl<
     ) -> BackSubstitution {
         self.prepare_steps(problem, step);
         self.prepare_trial(problem, trial);
-        let layout = &self.layout;
+        let (layout, priors) = (&self.layout, &self.priors.sums);
         let prepared = (&self.prepared, &self.trial_prepared);
         let moved: Vec<BackSubstitution> = self
             .chunks
             .par_iter_mut()
             .map(|chunk| {
-                back_substitute_chunk::<F, R, K, S, P, Q, D>(layout, chunk, prepared, x, settings)
+                back_substitute_chunk::<F, R, K, S, P, Q, D>(
+                    layout, chunk, prepared, priors, x, settings,
+                )
             })
             .collect();
         for chunk in &self.chunks {

@@ -6,10 +6,11 @@ use super::{
     layout::{
         Camera, ChunkSums, Layout, MAX_CAMERA_RECORD, MAX_KEPT, MAX_RECORD, MAX_SHARED, PointAt,
     },
+    prior::Priors,
 };
 use crate::nlls::{
     problem::Problem,
-    projection::{Measurement, ProjectionFactor},
+    projection::{Measurement, SizedFactor},
     structure::{NONE, Structure},
 };
 use rayon::prelude::*;
@@ -32,6 +33,7 @@ pub(super) struct FusedPlan<
     pub(super) prepared: CameraCache,
     /// What it prepares at the trial values.
     pub(super) trial_prepared: CameraCache,
+    pub(super) priors: Priors<P>,
     factor: PhantomData<F>,
 }
 
@@ -51,7 +53,7 @@ impl<
 }
 
 impl<
-    F: ProjectionFactor<R, K, S, P, Q, D>,
+    F: SizedFactor<R, K, S, P, Q, D>,
     const R: usize,
     const K: usize,
     const S: usize,
@@ -78,13 +80,13 @@ impl<
         if structure.camera_only_factors.iter().any(|&(other, _)| other as usize == batch) {
             return Err("some of its factors depend on no eliminated block".into());
         }
-        let points = find_points(problem, structure, batch)?;
+        let (points, priors) = find_points(problem, structure, batch)?;
         let (cameras, shared_blocks) = find_cameras::<D, S>(pairs, structure)?;
         let mut ordinal = vec![NONE; problem.blocks.len()];
         for (k, camera) in cameras.iter().enumerate() {
             ordinal[camera.block as usize] = k as u32;
         }
-        let (observed_by, data) = collect(pairs, structure, &points, &ordinal);
+        let (observed_by, data) = collect(pairs, structure, batch, &points, &ordinal);
         let free = |block: usize, k: usize| problem.blocks[block].frozen >> k & 1 == 0;
         let mask = |block: usize, k: usize| f64::from(u8::from(free(block, k)));
         let held = cameras.iter().any(|c| (0..K).any(|k| !free(c.block as usize, k)));
@@ -123,6 +125,7 @@ impl<
         let count = layout.cameras.len();
         Ok(FusedPlan {
             chunks,
+            priors,
             prepared: CameraCache::new(count, Q + K + S),
             trial_prepared: CameraCache::new(count, Q),
             factor: PhantomData,
@@ -157,7 +160,7 @@ impl<
 }
 
 fn prepare_cameras<
-    F: ProjectionFactor<R, K, S, P, Q, D>,
+    F: SizedFactor<R, K, S, P, Q, D>,
     const R: usize,
     const K: usize,
     const S: usize,
@@ -179,44 +182,58 @@ fn prepare_cameras<
     }
 }
 
-/// The eliminated blocks with the numbers of their observations; an error where one is not a vector or
-/// has a factor of another batch, whose sums would be missing.
-fn find_points(
+/// The eliminated blocks with the numbers of their observations, and their priors; an error where one is not a
+/// vector, or a factor of another batch joins it with a kept block: that sum would be missing.
+fn find_points<const P: usize>(
     problem: &Problem,
     structure: &Structure,
     batch: usize,
-) -> Result<Vec<PointAt>, String> {
+) -> Result<(Vec<PointAt>, Priors<P>), String> {
     let mut points = Vec::with_capacity(structure.eliminated.len() + 1);
+    let mut priors = Priors::default();
     let mut first = 0;
     for (e, &block) in structure.eliminated.iter().enumerate() {
         let id = Problem::id(block);
         if !problem.manifold(id).is_euclidean() {
             return Err(format!("{} is eliminated and not Euclidean", problem.describe(id)));
         }
-        points.push(PointAt {
+        let mut point = PointAt {
             at: problem.offsets[block] as u32,
             first,
             block: block as u32,
             frozen: problem.blocks[block].frozen as u32,
-        });
-        let factors = structure.factors(e);
-        if let Some(&(other, _)) = factors.iter().find(|&&(b, _)| b as usize != batch) {
-            return Err(format!(
-                "{} is eliminated and has a factor of batch {:?} as well; do not eliminate it",
-                problem.describe(id),
-                problem.batches[other as usize].name
-            ));
+            prior: NONE,
+        };
+        for &(b, f) in structure.factors(e) {
+            if b as usize == batch {
+                first += 1;
+                continue;
+            }
+            let named = &problem.batches[b as usize];
+            let blocks = named.batch.blocks(f as usize);
+            if blocks.iter().any(|other| structure.kept_index[other.index()] != NONE) {
+                return Err(format!(
+                    "{} is eliminated, and batch {:?} joins it with another block as well; do not eliminate it",
+                    problem.describe(id),
+                    named.name
+                ));
+            }
+            let own = blocks.iter().position(|other| *other == id).unwrap_or(0);
+            let column = named.dims[..own].iter().sum();
+            priors.push((b, f), column, point.prior == NONE);
+            point.prior = priors.sums.len() as u32 - 1;
         }
-        first += factors.len() as u32;
+        points.push(point);
     }
-    points.push(PointAt { at: 0, first, block: NONE, frozen: 0 });
-    Ok(points)
+    points.push(PointAt { at: 0, first, block: NONE, frozen: 0, prior: NONE });
+    Ok((points, priors))
 }
 
 /// Camera and data of each observation, those of one point in the order of their cameras.
 fn collect<const D: usize>(
     pairs: &[Measurement<D>],
     structure: &Structure,
+    batch: usize,
     points: &[PointAt],
     ordinal: &[u32],
 ) -> (Vec<u32>, Vec<[f64; D]>) {
@@ -235,7 +252,7 @@ fn collect<const D: usize>(
         let (mut one, mut at) = (Vec::new(), 0);
         for e in range {
             one.clear();
-            for &(_, f) in structure.factors(e) {
+            for &(_, f) in structure.factors(e).iter().filter(|(b, _)| *b as usize == batch) {
                 one.push((ordinal[pairs[f as usize].kept().index()], f));
             }
             one.sort_unstable();

@@ -1,8 +1,9 @@
 //! Elimination of one point from the Jacobians of its observations.
 
 use super::{
+    Settings,
     layout::{Buffers, ChunkSums, Layout, MAX_KEPT, block_len, padded, point_record},
-    point_system::PointSystem,
+    point_system::{PointSystem, PriorSums},
     shared_block::add_shared,
 };
 use crate::nlls::{cholesky::NotPositiveDefinite, structure::NONE};
@@ -24,7 +25,8 @@ pub(super) fn eliminate_point<
     chunk: &mut ChunkSums<P>,
     buffers: &mut Buffers,
     (e, origin): (usize, usize),
-    lambda: f64,
+    settings: &Settings<'_>,
+    priors: &[PriorSums<P>],
 ) -> Result<f64, NotPositiveDefinite> {
     let point = layout.points[e];
     let first = point.first as usize - origin;
@@ -41,22 +43,34 @@ pub(super) fn eliminate_point<
         }
     }
     let jacobian_point = &buffers.jacobian_point[first * length..end * length];
-    let mut system = PointSystem::<P>::new::<R>(jacobian_point);
-    let mut slope = 0.0;
-    for k in 0..P {
-        if system.diagonal[k] > 0.0 {
-            slope = f64::max(slope, system.g[k].abs() / system.diagonal[k].sqrt());
-        }
-    }
-    if !system.factorize(lambda, point.frozen) {
+    let prior = priors.get(point.prior as usize);
+    let mut system = PointSystem::<P>::new::<R>(jacobian_point, prior);
+    let slope = system.slope();
+    if !system.factorize(settings.lambda, point.frozen) {
         return Err(NotPositiveDefinite(Some(point.block as usize)));
     }
     let u = system.forward(system.g);
-    // Q_i row by row, and what the point takes from each residual, Q_i u.
     let whitened = &mut buffers.whitened[..(end - first) * R * P];
     let along = &mut buffers.along[..(end - first) * R];
-    for ((record, q), along) in jacobian_point
-        .chunks_exact(length)
+    whiten::<R, P>(&system, &u, jacobian_point, whitened, along);
+    if S > 0 {
+        add_shared::<V, R, K, S, P, D>(simd, layout, chunk, buffers, (first, end), origin, &u);
+    }
+    add_cameras::<V, R, K, S, P, D>(simd, layout, chunk, buffers, (first, end), origin);
+    Ok(slope)
+}
+
+/// `Q_i` row by row, and what the point takes from each residual, `Q_i u`.
+#[inline(always)]
+fn whiten<const R: usize, const P: usize>(
+    system: &PointSystem<P>,
+    u: &[f64; P],
+    records: &[f64],
+    whitened: &mut [f64],
+    along: &mut [f64],
+) {
+    for ((record, q), along) in records
+        .chunks_exact(point_record(R, P))
         .zip(whitened.chunks_exact_mut(R * P))
         .zip(along.chunks_exact_mut(R))
     {
@@ -71,9 +85,26 @@ pub(super) fn eliminate_point<
             }
         }
     }
-    if S > 0 {
-        add_shared::<V, R, K, S, P, D>(simd, layout, chunk, buffers, (first, end), origin, &u);
-    }
+}
+
+/// Adds the point with observations `first..end` of the tile to the blocks of the cameras that see it.
+#[inline(always)]
+fn add_cameras<
+    V: Simd,
+    const R: usize,
+    const K: usize,
+    const S: usize,
+    const P: usize,
+    const D: usize,
+>(
+    simd: V,
+    layout: &Layout<K, S, D>,
+    chunk: &mut ChunkSums<P>,
+    buffers: &Buffers,
+    (first, end): (usize, usize),
+    origin: usize,
+) {
+    let length = point_record(R, P);
     let stride = R * padded(K);
     for i in 0..end - first {
         let local = chunk.local[layout.observed_by[origin + first + i] as usize];
@@ -102,7 +133,6 @@ pub(super) fn eliminate_point<
             }
         }
     }
-    Ok(slope)
 }
 
 /// `-Q_i Q_j^T`, and `I` added where they are one observation.

@@ -14,11 +14,35 @@ pub(super) struct PointSystem<const P: usize> {
     pub(super) diagonal: [f64; P],
 }
 
-impl<const P: usize> PointSystem<P> {
-    /// Sums over the records of a point's observations, `R` rows each.
+/// What factors of a point alone, priors, add to its normal equations.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct PriorSums<const P: usize> {
+    /// The lower triangle of `J^T J`.
+    pub(super) v: [[f64; P]; P],
+    /// `J^T r`.
+    pub(super) g: [f64; P],
+}
+
+impl<const P: usize> PriorSums<P> {
+    pub(super) const NONE: Self = PriorSums { v: [[0.0; P]; P], g: [0.0; P] };
+
+    /// Adds one row of the Jacobian and its residual.
     #[inline(always)]
-    pub(super) fn new<const R: usize>(records: &[f64]) -> Self {
-        let (mut v, mut g) = ([[0.0; P]; P], [0.0; P]);
+    pub(super) fn add(&mut self, row: &[f64], residual: f64) {
+        for i in 0..P {
+            self.g[i] += row[i] * residual;
+            for j in 0..=i {
+                self.v[i][j] += row[i] * row[j];
+            }
+        }
+    }
+}
+
+impl<const P: usize> PointSystem<P> {
+    /// Sums over the records of a point's observations, `R` rows each, on top of its priors.
+    #[inline(always)]
+    pub(super) fn new<const R: usize>(records: &[f64], prior: Option<&PriorSums<P>>) -> Self {
+        let PriorSums { mut v, mut g } = *prior.unwrap_or(&PriorSums::NONE);
         for record in records.chunks_exact(point_record(R, P)) {
             for row in 0..R {
                 let row = &record[row * (P + 1)..(row + 1) * (P + 1)];
@@ -35,6 +59,18 @@ impl<const P: usize> PointSystem<P> {
             diagonal[k] = v[k][k];
         }
         PointSystem { v, g, damped: [0.0; P], diagonal }
+    }
+
+    /// The largest `|g_k| / sqrt(D_k)`.
+    #[inline(always)]
+    pub(super) fn slope(&self) -> f64 {
+        let mut slope = 0.0;
+        for k in 0..P {
+            if self.diagonal[k] > 0.0 {
+                slope = f64::max(slope, self.g[k].abs() / self.diagonal[k].sqrt());
+            }
+        }
+        slope
     }
 
     /// Damps and factorises, holding the entries with a bit in `frozen`; `false` where the matrix

@@ -23,12 +23,34 @@ pub(super) fn add_shared<
     origin: usize,
     u: &[f64; P],
 ) {
-    let (lenses, width) = (layout.shared.len(), layout.lens_width());
-    if width == 0 {
+    if layout.lens_width() == 0 {
         return;
     }
+    sum_observations::<V, R, K, S, P, D>(simd, layout, chunk, buffers, (first, end), origin);
+    add_shared_pairs::<V, K, S, P, D>(simd, layout, chunk, buffers, u);
+    add_camera_pairs::<V, R, K, S, P, D>(simd, layout, chunk, buffers, (first, end), origin);
+}
+
+/// `T_l = sum Q_i^T Js_i` over the observations through shared block `l`, and what needs no `T`: gradient, diagonal,
+/// `Js^T Js`.
+#[inline(always)]
+fn sum_observations<
+    V: Simd,
+    const R: usize,
+    const K: usize,
+    const S: usize,
+    const P: usize,
+    const D: usize,
+>(
+    simd: V,
+    layout: &Layout<K, S, D>,
+    chunk: &mut ChunkSums<P>,
+    buffers: &mut Buffers,
+    (first, end): (usize, usize),
+    origin: usize,
+) {
+    let (lenses, width) = (layout.shared.len(), layout.lens_width());
     let columns = layout.lens_columns.len();
-    // T_l = sum of Q_i^T Js_i over the observations through shared block l.
     buffers.lens_sums.fill(0.0);
     for i in 0..end - first {
         let camera = layout.observed_by[origin + first + i] as usize;
@@ -61,6 +83,19 @@ pub(super) fn add_shared<
         let block = &mut chunk.lens_lens[at..at + width * width];
         add_products::<V, R>(simd, block, (js, width), js, (columns, 1.0));
     }
+}
+
+/// `-T^T T` of each pair of shared blocks, and `-T^T u`.
+#[inline(always)]
+fn add_shared_pairs<V: Simd, const K: usize, const S: usize, const P: usize, const D: usize>(
+    simd: V,
+    layout: &Layout<K, S, D>,
+    chunk: &mut ChunkSums<P>,
+    buffers: &mut Buffers,
+    u: &[f64; P],
+) {
+    let (lenses, width) = (layout.shared.len(), layout.lens_width());
+    let columns = layout.lens_columns.len();
     for l in 0..lenses {
         let own = &buffers.lens_sums[l * P * width..(l + 1) * P * width];
         let to = &mut chunk.lens_correction[l * width..(l + 1) * width];
@@ -79,6 +114,26 @@ pub(super) fn add_shared<
             add_products::<V, P>(simd, block, (own, width), other, (columns, -1.0));
         }
     }
+}
+
+/// `Jc_i^T (Js_i - Q_i T)` of each camera and shared block.
+#[inline(always)]
+fn add_camera_pairs<
+    V: Simd,
+    const R: usize,
+    const K: usize,
+    const S: usize,
+    const P: usize,
+    const D: usize,
+>(
+    simd: V,
+    layout: &Layout<K, S, D>,
+    chunk: &mut ChunkSums<P>,
+    buffers: &mut Buffers,
+    (first, end): (usize, usize),
+    origin: usize,
+) {
+    let (lenses, width) = (layout.shared.len(), layout.lens_width());
     for i in 0..end - first {
         let camera = layout.observed_by[origin + first + i] as usize;
         let local = chunk.local[camera];

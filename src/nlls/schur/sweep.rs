@@ -6,9 +6,9 @@ use super::{
     layout::{ChunkSums, Layout, point_record},
     linearize::{apply_tile, linearize_tile},
     point::eliminate_point,
-    point_system::PointSystem,
+    point_system::{PointSystem, PriorSums},
 };
-use crate::nlls::{cholesky::NotPositiveDefinite, projection::ProjectionFactor};
+use crate::nlls::{cholesky::NotPositiveDefinite, projection::SizedFactor};
 use pulp::{Arch, Simd, WithSimd};
 use std::marker::PhantomData;
 
@@ -25,6 +25,7 @@ struct Eliminate<
     layout: &'a Layout<K, S, D>,
     chunk: &'a mut ChunkSums<P>,
     prepared: &'a CameraCache,
+    priors: &'a [PriorSums<P>],
     x: &'a [f64],
     settings: Settings<'a>,
     factor: PhantomData<F>,
@@ -32,7 +33,7 @@ struct Eliminate<
 
 /// Eliminates the points of one chunk; returns the largest `|g_k| / sqrt(D_k)` of them.
 pub(super) fn eliminate_chunk<
-    F: ProjectionFactor<R, K, S, P, Q, D>,
+    F: SizedFactor<R, K, S, P, Q, D>,
     const R: usize,
     const K: usize,
     const S: usize,
@@ -43,6 +44,7 @@ pub(super) fn eliminate_chunk<
     layout: &Layout<K, S, D>,
     chunk: &mut ChunkSums<P>,
     prepared: &CameraCache,
+    priors: &[PriorSums<P>],
     x: &[f64],
     settings: Settings<'_>,
 ) -> Result<f64, NotPositiveDefinite> {
@@ -51,6 +53,7 @@ pub(super) fn eliminate_chunk<
         layout,
         chunk,
         prepared,
+        priors,
         x,
         settings,
         factor,
@@ -58,7 +61,7 @@ pub(super) fn eliminate_chunk<
 }
 
 impl<
-    F: ProjectionFactor<R, K, S, P, Q, D>,
+    F: SizedFactor<R, K, S, P, Q, D>,
     const R: usize,
     const K: usize,
     const S: usize,
@@ -71,7 +74,7 @@ impl<
 
     #[inline(always)]
     fn with_simd<V: Simd>(self, simd: V) -> Self::Output {
-        let Eliminate { layout, chunk, prepared, x, settings, .. } = self;
+        let Eliminate { layout, chunk, prepared, priors, x, settings, .. } = self;
         chunk.clear();
         let mut buffers = std::mem::take(&mut chunk.buffers);
         let (mut largest, mut failed) = (0.0, None);
@@ -93,7 +96,8 @@ impl<
                     chunk,
                     &mut buffers,
                     (e, origin),
-                    settings.lambda,
+                    &settings,
+                    priors,
                 ) {
                     Ok(slope) => largest = f64::max(largest, slope),
                     Err(error) => {
@@ -122,6 +126,7 @@ struct Substitute<
     chunk: &'a mut ChunkSums<P>,
     /// At the current and at the trial values.
     prepared: (&'a CameraCache, &'a CameraCache),
+    priors: &'a [PriorSums<P>],
     x: &'a [f64],
     settings: Settings<'a>,
     factor: PhantomData<F>,
@@ -130,7 +135,7 @@ struct Substitute<
 /// Moves the points of one chunk into [`ChunkSums::moved`] and evaluates the trial cost;
 /// `prepared` are the cameras at the current and at the trial values.
 pub(super) fn back_substitute_chunk<
-    F: ProjectionFactor<R, K, S, P, Q, D>,
+    F: SizedFactor<R, K, S, P, Q, D>,
     const R: usize,
     const K: usize,
     const S: usize,
@@ -141,6 +146,7 @@ pub(super) fn back_substitute_chunk<
     layout: &Layout<K, S, D>,
     chunk: &mut ChunkSums<P>,
     prepared: (&CameraCache, &CameraCache),
+    priors: &[PriorSums<P>],
     x: &[f64],
     settings: Settings<'_>,
 ) -> BackSubstitution {
@@ -149,6 +155,7 @@ pub(super) fn back_substitute_chunk<
         layout,
         chunk,
         prepared,
+        priors,
         x,
         settings,
         factor,
@@ -156,7 +163,7 @@ pub(super) fn back_substitute_chunk<
 }
 
 impl<
-    F: ProjectionFactor<R, K, S, P, Q, D>,
+    F: SizedFactor<R, K, S, P, Q, D>,
     const R: usize,
     const K: usize,
     const S: usize,
@@ -169,7 +176,8 @@ impl<
 
     #[inline(always)]
     fn with_simd<V: Simd>(self, simd: V) -> BackSubstitution {
-        let Substitute { layout, chunk, prepared: (prepared, trial), x, settings, .. } = self;
+        let Substitute { layout, chunk, prepared: (prepared, trial), priors, x, settings, .. } =
+            self;
         let range = chunk.range.clone();
         let (buffers, moved) = (&mut chunk.buffers, &mut chunk.moved);
         let mut total = BackSubstitution::default();
@@ -190,7 +198,8 @@ impl<
                     (point.first as usize - origin, layout.points[e + 1].first as usize - origin);
                 let records =
                     &buffers.jacobian_point[first * point_record(R, P)..end * point_record(R, P)];
-                let mut system = PointSystem::<P>::new::<R>(records);
+                let prior = priors.get(point.prior as usize);
+                let mut system = PointSystem::<P>::new::<R>(records, prior);
                 let mut h = system.g;
                 let along = &buffers.along[first * R..end * R];
                 for (record, along) in

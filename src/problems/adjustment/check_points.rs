@@ -3,7 +3,7 @@
 use super::{
     problem::{AdjustmentProblem, measurement},
     rays::{Rays, prepared, rays},
-    reprojection::{DATA, GlobalShutterFactor, LENS, RollingShutterFactor},
+    reprojection::DATA,
     statistics::Statistics,
 };
 use crate::scene::{GroundObservation, Reconstruction, Role};
@@ -121,17 +121,8 @@ fn intersect(
     let start = nearest_to_rays(reconstruction, &marks)?;
     let mut at: [f64; 3] = std::array::from_fn(|k| start[k] - adjustment.origin_m[k]);
     let linearize = |at: [f64; 3]| -> Rays {
-        if adjustment.moving {
-            let of = |image, camera| {
-                prepared::<RollingShutterFactor, 12, { 19 + LENS }>(adjustment, x, image, camera)
-            };
-            rays::<RollingShutterFactor, 12, { 19 + LENS }>(adjustment, of, at, &measurements)
-        } else {
-            let of = |image, camera| {
-                prepared::<GlobalShutterFactor, 6, { 13 + LENS }>(adjustment, x, image, camera)
-            };
-            rays::<GlobalShutterFactor, 6, { 13 + LENS }>(adjustment, of, at, &measurements)
-        }
+        let of = |image, camera| prepared(adjustment, x, image, camera);
+        rays(adjustment, of, at, &measurements)
     };
     // The intersection is close to linear: a few steps are plenty.
     for _ in 0..10 {

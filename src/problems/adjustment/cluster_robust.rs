@@ -18,9 +18,8 @@ use super::{
     inverse::SelectedInverse,
     problem::{AdjustmentProblem, Group, Settings, measurement},
     rays::{Rays, prepared, rays},
-    reprojection::{DATA, GlobalShutterFactor, LENS, RollingShutterFactor},
+    reprojection::{LENS, PreparedImage},
 };
-use crate::nlls::ProjectionFactor;
 use crate::scene::Reconstruction;
 use nalgebra::{DMatrix, SMatrix, SVector};
 use rayon::prelude::*;
@@ -63,12 +62,7 @@ pub(super) fn widen_by_clusters(
     let side_m = PATCH * typical_distance_m(reconstruction);
     let tracks = Tracks { reconstruction, adjustment, x, inverse, of_points, sigma_px, side_m };
     for interior in interiors {
-        let found = if adjustment.moving {
-            tracks.covariance::<RollingShutterFactor, 12, { 19 + LENS }>(interior.camera, sigma0)
-        } else {
-            tracks.covariance::<GlobalShutterFactor, 6, { 13 + LENS }>(interior.camera, sigma0)
-        };
-        let Some(variances) = found else { continue };
+        let Some(variances) = tracks.covariance(interior.camera, sigma0) else { continue };
         let free = &reconstruction.cameras[interior.camera].free;
         let free = (0..free.len()).filter(|&k| free[k]);
         for (sigma, k) in interior.standard_deviations.iter_mut().zip(free) {
@@ -90,23 +84,20 @@ struct Tracks<'a> {
 
 impl Tracks<'_> {
     /// The diagonal of `C'` of the lens of `camera` over `sigma0^2`; `None` where there are too few patches.
-    fn covariance<F: ProjectionFactor<2, K, LENS, 3, Q, DATA>, const K: usize, const Q: usize>(
-        &self,
-        camera: usize,
-        sigma0: f64,
-    ) -> Option<[f64; LENS]> {
+    fn covariance(&self, camera: usize, sigma0: f64) -> Option<[f64; LENS]> {
         let (reconstruction, adjustment) = (self.reconstruction, self.adjustment);
         let lens = adjustment.lenses[camera];
         let with = |block, dim| self.inverse.between((lens, LENS), (block, dim));
+        let dimension = |image| adjustment.problem.dimension(image);
         let of_images: Vec<DMatrix<f64>> =
-            adjustment.images.iter().map(|&image| with(image, K)).collect();
+            adjustment.images.iter().map(|&image| with(image, dimension(image))).collect();
         let of_lenses: Vec<DMatrix<f64>> =
             adjustment.lenses.iter().map(|&other| with(other, LENS)).collect();
-        let images: Vec<[f64; Q]> = reconstruction
+        let images: Vec<PreparedImage> = reconstruction
             .images
             .iter()
             .enumerate()
-            .map(|(image, of)| prepared::<F, K, Q>(adjustment, self.x, image, of.camera))
+            .map(|(image, of)| prepared(adjustment, self.x, image, of.camera))
             .collect();
         let own = |k: &usize| {
             let image = reconstruction.observations[*k].image as usize;
@@ -136,8 +127,7 @@ impl Tracks<'_> {
                         .collect();
                     let at = adjustment.problem.values(self.x, adjustment.points[point]);
                     let at = [at[0], at[1], at[2]];
-                    let rays =
-                        rays::<F, K, Q>(adjustment, |image, _| images[image], at, &measurements);
+                    let rays = rays(adjustment, |image, _| images[image], at, &measurements);
                     let by = |ray: usize| {
                         let (image, camera, _) = measurements[ray];
                         [&of_images[image], &of_lenses[camera]]

@@ -2,15 +2,16 @@
 //! what is known of lenses and motions beforehand. All residuals are divided by their standard
 //! deviations.
 
-use super::reprojection::{DATA, GlobalShutterFactor, LENS, RollingShutterFactor};
+use super::reprojection::{DATA, LENS, Shutter};
 use crate::{
     geometry::{cross, dot, rotation},
-    nlls::{BlockId, Factor, Infeasible, Jacobian, ProjectionFactor},
+    nlls::{BlockId, Factor, Infeasible, Jacobian},
 };
 
 /// A ground point measured in an image: blocks image, lens, ground point.
 #[derive(Debug, Clone)]
 pub(super) struct GroundPointFactor {
+    pub(super) shutter: Shutter,
     pub(super) blocks: [BlockId; 3],
     pub(super) data: [f64; DATA],
 }
@@ -31,33 +32,20 @@ impl Factor for GroundPointFactor {
         jacobian: Option<&mut Jacobian<'_>>,
     ) -> Result<(), Infeasible> {
         let point = [x[2][0], x[2][1], x[2][2]];
-        if x[0].len() == 7 {
-            let c = GlobalShutterFactor::prepare(x[0], x[1]);
-            let found = GlobalShutterFactor::linearize(&c, &point, &self.data);
-            residual.copy_from_slice(&found.residual);
-            fill(jacobian, &found.jacobian_camera, &found.jacobian_shared, &found.jacobian_point);
-        } else {
-            let c = RollingShutterFactor::prepare(x[0], x[1]);
-            let found = RollingShutterFactor::linearize(&c, &point, &self.data);
-            residual.copy_from_slice(&found.residual);
-            fill(jacobian, &found.jacobian_camera, &found.jacobian_shared, &found.jacobian_point);
+        let prepared = self.shutter.prepare(x[0], x[1]);
+        let found = self.shutter.linearize(&prepared, &point, &self.data);
+        residual.copy_from_slice(&found.residual);
+        if let Some(jacobian) = jacobian {
+            let dimension = found.by_image.len() / 2;
+            for row in 0..2 {
+                let (by_image, rest) = jacobian.row(row).split_at_mut(dimension);
+                let (by_lens, by_point) = rest.split_at_mut(LENS);
+                by_image.copy_from_slice(&found.by_image[row * dimension..][..dimension]);
+                by_lens.copy_from_slice(&found.by_lens[row * LENS..][..LENS]);
+                by_point.copy_from_slice(&found.by_point[row]);
+            }
         }
         if residual.iter().all(|v| v.is_finite()) { Ok(()) } else { Err(Infeasible) }
-    }
-}
-
-fn fill<const K: usize>(
-    jacobian: Option<&mut Jacobian<'_>>,
-    jacobian_camera: &[[f64; K]; 2],
-    by_lens: &[[f64; LENS]; 2],
-    by_point: &[[f64; 3]; 2],
-) {
-    let Some(jacobian) = jacobian else { return };
-    for row in 0..2 {
-        let to = jacobian.row(row);
-        to[..K].copy_from_slice(&jacobian_camera[row]);
-        to[K..K + LENS].copy_from_slice(&by_lens[row]);
-        to[K + LENS..].copy_from_slice(&by_point[row]);
     }
 }
 

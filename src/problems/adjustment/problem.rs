@@ -5,17 +5,14 @@ use super::{
     factors::{
         CameraPositionFactor, ControlPointFactor, GaussianPrior, GroundPointFactor, ScaleBarFactor,
     },
-    reprojection::{
-        DATA, GlobalShutterFactor, LENS, RollingShutterFactor, lens_block, lens_values,
-    },
+    reprojection::{DATA, LENS, Shutter, lens_block, lens_values},
 };
 use crate::scene::{Axes, Reconstruction, Role};
 use crate::{
     camera::{Lens, Model},
     engine::SolveError,
     nlls::{
-        BlockId, Euclidean, Factor, Factors, LeastSquares, Loss, Measurement, Problem,
-        ProjectionBatch, manifold,
+        BlockId, Euclidean, Factor, Factors, LeastSquares, Loss, Measurement, Problem, manifold,
     },
 };
 
@@ -32,7 +29,7 @@ pub struct AdjustmentProblem {
     pub(super) points: Vec<BlockId>,
     /// Batches besides the tie points: group, name, the index of what each factor observes.
     pub(super) batches: Vec<(Group, String, Vec<usize>)>,
-    pub(super) moving: bool,
+    pub(super) shutter: Shutter,
     /// Factor on the standard deviations of marks.
     pub(super) mark_sigma_factor: f64,
 }
@@ -74,7 +71,10 @@ impl AdjustmentProblem {
             ground: Vec::new(),
             points: Vec::new(),
             batches: Vec::new(),
-            moving: reconstruction.rolling_shutter.is_some(),
+            shutter: match reconstruction.rolling_shutter {
+                Some(_) => Shutter::Rolling,
+                None => Shutter::Global,
+            },
             mark_sigma_factor: settings.factor(Group::Marks),
         };
         adjustment.add_images(&local, settings)?;
@@ -94,11 +94,12 @@ impl AdjustmentProblem {
         settings: &Settings,
     ) -> Result<(), SolveError> {
         // A pose at rest has no motion behind it.
-        let space = manifold::PoseWithParameters(if self.moving { 6 } else { 0 });
+        let space =
+            manifold::PoseWithParameters(if self.shutter == Shutter::Rolling { 6 } else { 0 });
         for image in &reconstruction.images {
             let mut values = image.pose.rotation.to_vec();
             values.extend(image.pose.translation);
-            if self.moving {
+            if self.shutter == Shutter::Rolling {
                 values.extend(image.motion);
             }
             self.images.push(self.problem.block("image", space, &values)?);
@@ -182,6 +183,7 @@ impl AdjustmentProblem {
             if let Some(ground) = self.ground[mark.ground as usize] {
                 let image = mark.image as usize;
                 marks.push(GroundPointFactor {
+                    shutter: self.shutter,
                     blocks: [
                         self.images[image],
                         self.lenses[reconstruction.images[image].camera],
@@ -260,19 +262,7 @@ impl AdjustmentProblem {
             })
             .collect();
         let name = Group::TiePoints.name();
-        if self.moving {
-            let batch =
-                ProjectionBatch::<RollingShutterFactor, 2, 12, LENS, 3, { 19 + LENS }, DATA>::new(
-                    pairs,
-                );
-            self.problem.add(name, settings.tie_loss, batch)
-        } else {
-            let batch =
-                ProjectionBatch::<GlobalShutterFactor, 2, 6, LENS, 3, { 13 + LENS }, DATA>::new(
-                    pairs,
-                );
-            self.problem.add(name, settings.tie_loss, batch)
-        }
+        self.shutter.add_measurements(&mut self.problem, name, settings.tie_loss, pairs)
     }
 
     fn add_motion(
@@ -375,7 +365,7 @@ impl AdjustmentProblem {
             let v = self.problem.values(x, block);
             image.pose.rotation = [v[0], v[1], v[2], v[3]];
             image.pose.translation = [v[4], v[5], v[6]];
-            if self.moving {
+            if self.shutter == Shutter::Rolling {
                 image.motion.copy_from_slice(&v[7..]);
             }
         }

@@ -5,9 +5,9 @@
 use super::{
     inverse::SelectedInverse,
     problem::AdjustmentProblem,
-    reprojection::{DATA, LENS},
+    reprojection::{DATA, PreparedImage},
 };
-use crate::nlls::{BlockId, ProjectionFactor};
+use crate::nlls::BlockId;
 use nalgebra::{DMatrix, DVector};
 
 /// What intersecting rays need: residuals, and Jacobians by the point and, ray by ray, by the image and
@@ -19,26 +19,23 @@ pub(super) struct Rays {
 }
 
 /// What is prepared of an image and its camera at `x`, for [`rays`].
-pub(super) fn prepared<
-    F: ProjectionFactor<2, K, LENS, 3, Q, DATA>,
-    const K: usize,
-    const Q: usize,
->(
+pub(super) fn prepared(
     adjustment: &AdjustmentProblem,
     x: &[f64],
     image: usize,
     camera: usize,
-) -> [f64; Q] {
+) -> PreparedImage {
     let (kept, lens) = (adjustment.images[image], adjustment.lenses[camera]);
-    F::prepare(adjustment.problem.values(x, kept), adjustment.problem.values(x, lens))
+    let problem = &adjustment.problem;
+    adjustment.shutter.prepare(problem.values(x, kept), problem.values(x, lens))
 }
 
 /// Linearises measurements of one point: image, camera, data. `prepared` gives what is prepared of an
 /// image and its camera; for many points it is worth keeping, because a lens is looked through for
 /// the range in which it is one to one.
-pub(super) fn rays<F: ProjectionFactor<2, K, LENS, 3, Q, DATA>, const K: usize, const Q: usize>(
+pub(super) fn rays(
     adjustment: &AdjustmentProblem,
-    prepared: impl Fn(usize, usize) -> [f64; Q],
+    prepared: impl Fn(usize, usize) -> PreparedImage,
     point: [f64; 3],
     measurements: &[(usize, usize, [f64; DATA])],
 ) -> Rays {
@@ -49,16 +46,16 @@ pub(super) fn rays<F: ProjectionFactor<2, K, LENS, 3, Q, DATA>, const K: usize, 
         jacobian_camera: Vec::with_capacity(measurements.len()),
     };
     for (k, &(image, camera, data)) in measurements.iter().enumerate() {
-        let found = F::linearize(&prepared(image, camera), &point, &data);
+        let found = adjustment.shutter.linearize(&prepared(image, camera), &point, &data);
         for row in 0..2 {
             rays.residual[2 * k + row] = found.residual[row];
             for j in 0..3 {
-                rays.by_point[(2 * k + row, j)] = found.jacobian_point[row][j];
+                rays.by_point[(2 * k + row, j)] = found.by_point[row][j];
             }
         }
         rays.jacobian_camera.push([
-            (adjustment.images[image], found.jacobian_camera.concat()),
-            (adjustment.lenses[camera], found.jacobian_shared.concat()),
+            (adjustment.images[image], found.by_image),
+            (adjustment.lenses[camera], found.by_lens),
         ]);
     }
     rays

@@ -11,9 +11,13 @@
 
 use crate::{
     camera::{Interior, Lens, MAX_PARAMETERS, Model},
+    engine::SolveError,
     geometry::{cross, rotation},
     lanes::Lane,
-    nlls::{LinearizedProjection, ProjectionFactor},
+    nlls::{
+        Dim, Linearized, LinearizedProjection, Loss, Measurement, Problem, ProjectionBatch,
+        ProjectionFactor,
+    },
 };
 
 /// Length of a lens block.
@@ -27,11 +31,11 @@ pub(super) const DATA: usize = 4;
 
 /// An image at rest.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct GlobalShutterFactor;
+struct GlobalShutterFactor;
 
 /// An image in motion.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct RollingShutterFactor;
+struct RollingShutterFactor;
 
 /// The number of SMAC with its residual in the corrected domain: behind those of all models.
 const CORRECTED: f64 = Model::ALL.len() as f64;
@@ -186,7 +190,14 @@ fn by_lens<L: Lane>(found: &[L; ANSWERED], row: usize, weight: L) -> [L; LENS] {
     by_lens
 }
 
-impl ProjectionFactor<2, 6, LENS, 3, GLOBAL_SHUTTER, DATA> for GlobalShutterFactor {
+impl ProjectionFactor for GlobalShutterFactor {
+    type Residual = Dim<2>;
+    type Camera = Dim<6>;
+    type Shared = Dim<LENS>;
+    type Point = Dim<3>;
+    type Prepared = Dim<GLOBAL_SHUTTER>;
+    type Data = Dim<DATA>;
+
     fn prepare(kept: &[f64], shared: &[f64]) -> [f64; GLOBAL_SHUTTER] {
         prepare(kept, shared)
     }
@@ -203,7 +214,7 @@ impl ProjectionFactor<2, 6, LENS, 3, GLOBAL_SHUTTER, DATA> for GlobalShutterFact
         c: &[L; GLOBAL_SHUTTER],
         x: &[L; 3],
         data: &[L; DATA],
-    ) -> LinearizedProjection<L, 2, 6, LENS, 3> {
+    ) -> Linearized<Self, L> {
         let p = to_camera(c, x);
         let found = L::each(&asked(c, &p, data), answer);
         let weight = data[2];
@@ -271,7 +282,14 @@ fn motion_asked<L: Lane>(c: &[L; ROLLING_SHUTTER], q: &[L; 3], tau: L) -> [L; 10
     asked
 }
 
-impl ProjectionFactor<2, 12, LENS, 3, ROLLING_SHUTTER, DATA> for RollingShutterFactor {
+impl ProjectionFactor for RollingShutterFactor {
+    type Residual = Dim<2>;
+    type Camera = Dim<12>;
+    type Shared = Dim<LENS>;
+    type Point = Dim<3>;
+    type Prepared = Dim<ROLLING_SHUTTER>;
+    type Data = Dim<DATA>;
+
     fn prepare(kept: &[f64], shared: &[f64]) -> [f64; ROLLING_SHUTTER] {
         prepare(kept, shared)
     }
@@ -289,7 +307,7 @@ impl ProjectionFactor<2, 12, LENS, 3, ROLLING_SHUTTER, DATA> for RollingShutterF
         c: &[L; ROLLING_SHUTTER],
         x: &[L; 3],
         data: &[L; DATA],
-    ) -> LinearizedProjection<L, 2, 12, LENS, 3> {
+    ) -> Linearized<Self, L> {
         let q = to_camera(c, x);
         let m = L::each(&motion_asked(c, &q, data[3]), moved_with_derivatives);
         let p = [m[0], m[1], m[2]];
@@ -322,5 +340,74 @@ impl ProjectionFactor<2, 12, LENS, 3, ROLLING_SHUTTER, DATA> for RollingShutterF
             jacobian_shared: [by_lens(&found, 0, weight), by_lens(&found, 1, weight)],
             jacobian_point,
         }
+    }
+}
+
+/// Whether images move while they are read out: the one place that chooses between the two factors.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Shutter {
+    Global,
+    Rolling,
+}
+
+/// What is prepared of an image and its camera, with unused places behind a global shutter's.
+pub(super) type PreparedImage = [f64; ROLLING_SHUTTER];
+
+/// One linearised measurement.
+pub(super) struct Ray {
+    pub(super) residual: [f64; 2],
+    /// By the tangent of the image, row by row.
+    pub(super) by_image: Vec<f64>,
+    /// By the lens, row by row.
+    pub(super) by_lens: Vec<f64>,
+    pub(super) by_point: [[f64; 3]; 2],
+}
+
+impl Shutter {
+    pub(super) fn prepare(self, image: &[f64], lens: &[f64]) -> PreparedImage {
+        prepare(image, lens)
+    }
+
+    pub(super) fn linearize(
+        self,
+        prepared: &PreparedImage,
+        point: &[f64; 3],
+        data: &[f64; DATA],
+    ) -> Ray {
+        match self {
+            Shutter::Global => {
+                let mut own = [0.0; GLOBAL_SHUTTER];
+                own.copy_from_slice(&prepared[..GLOBAL_SHUTTER]);
+                ray(GlobalShutterFactor::linearize(&own, point, data))
+            }
+            Shutter::Rolling => ray(RollingShutterFactor::linearize(prepared, point, data)),
+        }
+    }
+
+    /// Adds tie points to a problem.
+    pub(super) fn add_measurements(
+        self,
+        problem: &mut Problem,
+        name: &str,
+        loss: Loss,
+        measurements: Vec<Measurement<DATA>>,
+    ) -> Result<(), SolveError> {
+        match self {
+            Shutter::Global => {
+                problem.add(name, loss, ProjectionBatch::new(GlobalShutterFactor, measurements))
+            }
+            Shutter::Rolling => {
+                problem.add(name, loss, ProjectionBatch::new(RollingShutterFactor, measurements))
+            }
+        }
+    }
+}
+
+fn ray<const K: usize>(found: LinearizedProjection<f64, Dim<2>, Dim<K>, Dim<LENS>, Dim<3>>) -> Ray {
+    Ray {
+        residual: found.residual,
+        by_image: found.jacobian_camera.concat(),
+        by_lens: found.jacobian_shared.concat(),
+        by_point: found.jacobian_point,
     }
 }

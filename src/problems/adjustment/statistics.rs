@@ -23,12 +23,12 @@ use super::{
     problem::{AdjustmentProblem, Group, Settings, measurement},
     rank,
     rays::{prepared, rays},
-    reprojection::{DATA, GlobalShutterFactor, LENS, RollingShutterFactor},
+    reprojection::PreparedImage,
 };
 use crate::scene::Reconstruction;
 use crate::{
     engine::SolveError,
-    nlls::{BlockId, LinearSolver, ProjectionFactor, covariance::Covariance},
+    nlls::{BlockId, LinearSolver, covariance::Covariance},
 };
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use rayon::prelude::*;
@@ -90,23 +90,7 @@ impl Statistics {
         x: &[f64],
         inverse: Arc<SelectedInverse>,
     ) -> Result<Statistics, SolveError> {
-        let (mut tested, points) = if adjustment.moving {
-            ties::<RollingShutterFactor, 12, { 19 + LENS }>(
-                reconstruction,
-                adjustment,
-                settings,
-                x,
-                &inverse,
-            )
-        } else {
-            ties::<GlobalShutterFactor, 6, { 13 + LENS }>(
-                reconstruction,
-                adjustment,
-                settings,
-                x,
-                &inverse,
-            )
-        };
+        let (mut tested, points) = ties(reconstruction, adjustment, settings, x, &inverse);
         let mut groups: Vec<GroupStatistics> = Vec::new();
         if !tested.is_empty() {
             groups.push(sum(Group::TiePoints, &tested));
@@ -307,7 +291,7 @@ fn test(
     tested
 }
 
-fn ties<F: ProjectionFactor<2, K, LENS, 3, Q, DATA>, const K: usize, const Q: usize>(
+fn ties(
     reconstruction: &Reconstruction,
     adjustment: &AdjustmentProblem,
     settings: &Settings,
@@ -319,11 +303,11 @@ fn ties<F: ProjectionFactor<2, K, LENS, 3, Q, DATA>, const K: usize, const Q: us
         tracks[o.point as usize].push(k);
     }
     let sigma_px = reconstruction.tie_sigma_px * settings.factor(Group::TiePoints);
-    let images: Vec<[f64; Q]> = reconstruction
+    let images: Vec<PreparedImage> = reconstruction
         .images
         .iter()
         .enumerate()
-        .map(|(image, of)| prepared::<F, K, Q>(adjustment, x, image, of.camera))
+        .map(|(image, of)| prepared(adjustment, x, image, of.camera))
         .collect();
     let found: Vec<(Vec<TestedObservation>, PointAccuracy)> = tracks
         .par_iter()
@@ -340,7 +324,7 @@ fn ties<F: ProjectionFactor<2, K, LENS, 3, Q, DATA>, const K: usize, const Q: us
                 .collect();
             let at = adjustment.problem.values(x, adjustment.points[point]);
             let of = |image: usize, _| images[image];
-            let rays = rays::<F, K, Q>(adjustment, of, [at[0], at[1], at[2]], &measurements);
+            let rays = rays(adjustment, of, [at[0], at[1], at[2]], &measurements);
             let unknown = || {
                 let n = 2 * track.len();
                 (DMatrix::from_element(3, 3, f64::NAN), DMatrix::identity(n, n))
