@@ -3,10 +3,11 @@
 use super::toys::{Prior, network, perturb};
 use proptest::prelude::*;
 use rowgram::{
+    engine::Engine,
     geometry::rotation,
     nlls::{
-        BatchPath, BlockId, Euclidean, Factors, Infeasible, LinearSolver, Loss, LossFunction,
-        Method, Options, Problem, Residual, Residuals, Rho, Scalar, Vector,
+        BatchPath, BlockId, Euclidean, Factors, Infeasible, LeastSquares, LinearSolver, Loss,
+        LossFunction, Method, Options, Problem, Residual, Residuals, Rho, Scalar, Vector,
         check::{check_batch, check_loss},
         manifold,
         residual::{DirectionBlock, PoseBlock, RigidTransform, RotationBlock, RotationMatrix},
@@ -170,7 +171,7 @@ fn the_summary_says_which_path_each_batch_took_and_why() {
         }
     }
 
-    // A prior on a camera leaves the tie points alone; one on a point does not, and that is said.
+    // A prior leaves the tie points fused, whether it is on a block that is kept or on a point.
     let prior = |block: BlockId, values: &[f64]| {
         Factors(vec![Prior { block: [block], value: values.to_vec(), sigma: 1.0 }])
     };
@@ -187,8 +188,68 @@ fn the_summary_says_which_path_each_batch_took_and_why() {
     let point = with_point.point(3);
     let values = with_point.problem.values(&with_point.problem.start(), point).to_vec();
     with_point.problem.add("point", Loss::Trivial, prior(point, &values)).unwrap();
-    match path_of(&with_point.problem, &options, TIE_POINTS) {
-        BatchPath::Stored(why) => assert!(why.contains("batch \"point\" as well"), "{why}"),
+    assert_eq!(path_of(&with_point.problem, &options, TIE_POINTS), BatchPath::Fused);
+
+    // A factor that joins a point with a camera is more than a prior, and that is said.
+    struct Distance;
+    impl Residual<1> for Distance {
+        type Blocks = (PoseBlock, Vector<3>);
+        fn evaluate<T: Scalar>(
+            &self,
+            (pose, x): (RigidTransform<T>, [T; 3]),
+        ) -> Result<[T; 1], Infeasible> {
+            let [x, y, z] = pose.transform(x);
+            Ok([(x * x + y * y + z * z).sqrt() - 4.0])
+        }
+    }
+    let mut joined = bundle(Loss::Trivial);
+    let blocks = [joined.camera(0), joined.point(3)];
+    joined.problem.add("tape", Loss::Trivial, Residuals::new([(blocks, Distance)])).unwrap();
+    match path_of(&joined.problem, &options, TIE_POINTS) {
+        BatchPath::Stored(why) => assert!(why.contains("\"tape\" joins it"), "{why}"),
         path => panic!("{path}"),
     }
+}
+
+#[test]
+fn priors_on_points_give_the_same_steps_fused_and_stored() {
+    // One prior, two on one point, one on a point with an entry that is held; one prior outlying, with a loss.
+    let posed = || {
+        let mut bundle = bundle(Loss::Huber(1.0));
+        let start = bundle.problem.start();
+        let mut on = |of: &[(usize, f64)], name: &str, loss: Loss| {
+            let priors = of.iter().map(|&(point, off)| {
+                let block = bundle.point(point);
+                let value = bundle.problem.values(&start, block).iter().map(|v| v + off).collect();
+                Prior { block: [block], value, sigma: 0.05 }
+            });
+            let priors = Factors(priors.collect());
+            bundle.problem.add(name, loss, priors).unwrap();
+        };
+        on(&[(3, 0.02), (7, -0.05), (7, 0.1)], "priors", Loss::Trivial);
+        on(&[(11, 0.5), (7, 0.3)], "doubtful priors", Loss::Huber(1.0));
+        bundle.problem.fix_entries(bundle.point(11), &[1]).unwrap();
+        bundle
+    };
+    let trace = |linear| {
+        let problem = posed().problem;
+        let mut x = problem.start();
+        let mut engine = LeastSquares::new(Options { linear, ..Options::default() });
+        engine.start(&problem, &mut x).unwrap();
+        let steps = (0..4).map(|_| engine.step(&problem, &mut x).unwrap());
+        steps.flat_map(|step| [step.cost, step.step_norm]).collect::<Vec<f64>>()
+    };
+    let options = Options::default();
+    assert_eq!(path_of(&posed().problem, &options, TIE_POINTS), BatchPath::Fused);
+    let (fused, stored) = (trace(LinearSolver::Schur), trace(LinearSolver::Sparse));
+    for (a, b) in fused.iter().zip(&stored) {
+        assert!((a - b).abs() < 1e-7 * b.abs().max(1e-6), "{fused:?} {stored:?}");
+    }
+    // They count: without them the first step is another.
+    let without = bundle(Loss::Huber(1.0)).problem;
+    let mut x = without.start();
+    let mut engine = LeastSquares::new(options);
+    engine.start(&without, &mut x).unwrap();
+    let step = engine.step(&without, &mut x).unwrap();
+    assert!((step.step_norm / fused[1] - 1.0).abs() > 1e-3);
 }

@@ -92,6 +92,57 @@ pub struct Assignment {
     candidates: Vec<(u32, [f64; 2])>,
 }
 
+/// What the move of a plant did to a pixel.
+enum Followed {
+    /// Nothing: the plant is farther than its two nearest ones.
+    Unchanged,
+    /// Its two nearest plants or their distances are others.
+    Changed,
+    /// The plant is its second now and farther than it was: another one may be before it.
+    Fallen,
+}
+
+impl Pair {
+    /// Takes the square distance `d2` to `plant`, which has moved; calls `mark` with the plants that won or lost the
+    /// pixel.
+    #[inline(always)]
+    fn follow(&mut self, plant: u32, d2: f32, mark: &mut impl FnMut(u32)) -> Followed {
+        let (near, second) = (self.near == plant, self.second == plant);
+        if !near && !second && d2 > self.second2 {
+            return Followed::Unchanged;
+        }
+        let first = before(d2, plant, self.near2, self.near);
+        if near {
+            if before(d2, plant, self.second2, self.second) {
+                self.near2 = d2;
+                return Followed::Changed;
+            }
+            mark(plant);
+            mark(self.second);
+            (self.near, self.near2) = (self.second, self.second2);
+            (self.second, self.second2) = (plant, d2);
+            return Followed::Fallen;
+        }
+        if first {
+            mark(plant);
+            mark(self.near);
+            (self.second, self.second2) = (self.near, self.near2);
+            (self.near, self.near2) = (plant, d2);
+        } else if second {
+            let farther = d2 > self.second2;
+            self.second2 = d2;
+            if farther {
+                return Followed::Fallen;
+            }
+        } else if before(d2, plant, self.second2, self.second) {
+            (self.second, self.second2) = (plant, d2);
+        } else {
+            return Followed::Unchanged;
+        }
+        Followed::Changed
+    }
+}
+
 impl Assignment {
     /// Assigns every pixel from nothing.
     pub fn new(index: &PixelIndex, plants: &[[f64; 2]]) -> Assignment {
@@ -168,38 +219,13 @@ impl Assignment {
             }
             let pairs = &mut self.pairs[pixels.clone()];
             for ((pixel, pair), &d2) in pixels.zip(pairs).zip(&distances2) {
-                let (near, second) = (pair.near == plant, pair.second == plant);
-                if !near && !second && d2 > pair.second2 {
-                    continue;
-                }
-                let first = before(d2, plant, pair.near2, pair.near);
-                if pair.near == plant {
-                    if before(d2, plant, pair.second2, pair.second) {
-                        pair.near2 = d2;
-                    } else {
-                        mark(plant);
-                        mark(pair.second);
-                        (pair.near, pair.near2) = (pair.second, pair.second2);
-                        (pair.second, pair.second2) = (plant, d2);
+                match pair.follow(plant, d2, &mut mark) {
+                    Followed::Unchanged => continue,
+                    Followed::Changed => {}
+                    Followed::Fallen => {
                         self.losers.push(pixel as u32);
                         farthest2 = farthest2.max(d2);
                     }
-                } else if first {
-                    mark(plant);
-                    mark(pair.near);
-                    (pair.second, pair.second2) = (pair.near, pair.near2);
-                    (pair.near, pair.near2) = (plant, d2);
-                } else if pair.second == plant {
-                    let farther = d2 > pair.second2;
-                    pair.second2 = d2;
-                    if farther {
-                        self.losers.push(pixel as u32);
-                        farthest2 = farthest2.max(d2);
-                    }
-                } else if before(d2, plant, pair.second2, pair.second) {
-                    (pair.second, pair.second2) = (plant, d2);
-                } else {
-                    continue;
                 }
                 active = true;
             }
@@ -207,21 +233,32 @@ impl Assignment {
                 self.changed.push(leaf);
             }
             if !self.losers.is_empty() {
-                let bounds = index.bounds(leaf as usize);
-                self.buckets.within(bounds, farthest2, plants, &mut self.candidates);
-                for &pixel in &self.losers {
-                    let pixel = pixel as usize;
-                    let (u, v) = (index.u_px()[pixel], index.v_px()[pixel]);
-                    let pair = &mut self.pairs[pixel];
-                    for &(other, at) in &self.candidates {
-                        let d2 = distance2(u, v, at);
-                        if other != pair.near && before(d2, other, pair.second2, pair.second) {
-                            (pair.second, pair.second2) = (other, d2);
-                        }
-                    }
+                self.find_seconds(index, plants, leaf, farthest2);
+            }
+        }
+        self.measure_reaches(index);
+    }
+
+    /// Looks for the second nearest plants of the pixels of `leaf` whose second one may have another before it now,
+    /// within the root of `farthest2`.
+    fn find_seconds(&mut self, index: &PixelIndex, plants: &[[f64; 2]], leaf: u32, farthest2: f32) {
+        let bounds = index.bounds(leaf as usize);
+        self.buckets.within(bounds, farthest2, plants, &mut self.candidates);
+        for &pixel in &self.losers {
+            let pixel = pixel as usize;
+            let (u, v) = (index.u_px()[pixel], index.v_px()[pixel]);
+            let pair = &mut self.pairs[pixel];
+            for &(other, at) in &self.candidates {
+                let d2 = distance2(u, v, at);
+                if other != pair.near && before(d2, other, pair.second2, pair.second) {
+                    (pair.second, pair.second2) = (other, d2);
                 }
             }
         }
+    }
+
+    /// Brings the reaches of the leaves that changed up to date.
+    fn measure_reaches(&mut self, index: &PixelIndex) {
         for &leaf in &self.changed {
             let leaf = leaf as usize;
             self.stale[leaf] = true;
