@@ -23,6 +23,25 @@ pub(super) struct BlockTable {
     dense: Vec<u32>,
 }
 
+/// One row of a table.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct TableRow<'a> {
+    table: &'a BlockTable,
+    row: usize,
+    dense: Option<&'a [u32]>,
+}
+
+impl TableRow<'_> {
+    /// The number of the block in `column`, or [`NONE`].
+    #[inline(always)]
+    pub(super) fn get(&self, column: usize) -> u32 {
+        match self.dense {
+            Some(dense) => dense[column],
+            None => self.table.search(self.row, column),
+        }
+    }
+}
+
 impl BlockTable {
     /// A table of the blocks that `rows` lists (ascending columns, row by row); `number` gives the
     /// number of each, row by row.
@@ -67,7 +86,16 @@ impl BlockTable {
         }
     }
 
+    /// The numbers of the blocks of one row, for several columns.
+    #[inline(always)]
+    pub(super) fn row(&self, row: usize) -> TableRow<'_> {
+        let n = self.row_ptr.len() - 1;
+        let dense = if self.dense.is_empty() { None } else { Some(&self.dense[row * n..][..n]) };
+        TableRow { table: self, row, dense }
+    }
+
     #[cold]
+    #[inline(never)]
     fn search(&self, row: usize, column: usize) -> u32 {
         let range = self.row_ptr[row]..self.row_ptr[row + 1];
         let found = self.columns[range.clone()].binary_search(&(column as u32));

@@ -99,9 +99,16 @@ impl BatchLoss {
     pub(super) fn evaluate(&self, s: f64) -> Rho {
         match self {
             BatchLoss::BuiltIn(loss) => loss.evaluate(s),
-            BatchLoss::Custom(loss) => loss.evaluate(s),
+            BatchLoss::Custom(loss) => call(loss.as_ref(), s),
         }
     }
+}
+
+/// Out of line, so that the loops over built-in losses stay small.
+#[cold]
+#[inline(never)]
+fn call(loss: &dyn LossFunction, s: f64) -> Rho {
+    loss.evaluate(s)
 }
 
 impl Loss {

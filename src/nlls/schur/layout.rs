@@ -103,8 +103,8 @@ pub(super) struct ChunkSums<const P: usize> {
     pub(super) local: Vec<u32>,
     /// Cameras by local place.
     pub(super) members: Vec<u32>,
-    /// Which block belongs to a pair of cameras.
-    table: BlockTable,
+    /// Which block belongs to a pair of local cameras.
+    pub(super) table: BlockTable,
     /// The slot of the reduced matrix behind each block.
     pub(super) slots: Vec<u32>,
     pub(super) values: Vec<f64>,
@@ -214,12 +214,6 @@ impl<const P: usize> ChunkSums<P> {
             table,
             slots,
         })
-    }
-
-    /// Which block belongs to two local cameras, `row >= column`.
-    #[inline(always)]
-    pub(super) fn block(&self, row: usize, column: usize) -> usize {
-        self.table.get(row, column) as usize
     }
 
     pub(super) fn clear(&mut self) {

@@ -118,11 +118,12 @@ fn add_cameras<
         let along = &buffers.along[i * R..(i + 1) * R];
         add_vectors::<V, R, K, P>(simd, jacobian, record, along, chunk, local);
         let q_i = &buffers.whitened[i * R * P..(i + 1) * R * P];
+        let row = chunk.table.row(local);
         for j in 0..=i {
             let other = chunk.local[layout.observed_by[origin + first + j] as usize] as usize;
             let q_j = &buffers.whitened[j * R * P..(j + 1) * R * P];
             let middle = middle::<R, P>(q_i, q_j, i == j);
-            let at = chunk.block(local, other) * block_len(K);
+            let at = row.get(other) as usize * block_len(K);
             let block = &mut chunk.values[at..at + block_len(K)];
             let column = &buffers.jacobian_camera[(first + j) * stride..(first + j + 1) * stride];
             add_product::<V, R, K>(simd, block, jacobian, &middle, column);

@@ -208,7 +208,8 @@ impl Assignment {
         self.buckets.moved(plant, old, new);
         index.within_reach(&self.second_reach, &[old, new], &mut self.walk);
         self.changed.clear();
-        for &leaf in &self.walk.found {
+        let found = std::mem::take(&mut self.walk.found);
+        for &leaf in &found {
             let (mut active, mut farthest2) = (false, 0.0_f32);
             self.losers.clear();
             let pixels = index.pixels_of(leaf as usize);
@@ -236,6 +237,7 @@ impl Assignment {
                 self.find_seconds(index, plants, leaf, farthest2);
             }
         }
+        self.walk.found = found;
         self.measure_reaches(index);
     }
 
