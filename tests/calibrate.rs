@@ -395,6 +395,7 @@ fn a_fit_says_what_it_leaves() {
 }
 
 #[test]
+#[ignore = "slow; cargo test -- --include-ignored"]
 fn real_photos_become_a_camera_that_opencv_agrees_with() {
     let Some(photos) = data::path("calib_opencv_left") else { return };
     let folder = tempfile::tempdir().unwrap();

@@ -315,6 +315,7 @@ fn thresholds_are_proposed_tuned_and_drawn() {
 }
 
 #[test]
+#[ignore = "slow; cargo test -- --include-ignored"]
 fn real_pictures_are_read() {
     let Some(path) = data::path("leaf_cvppp_a1/plant001_fg.png") else { return };
     let folder = tempfile::tempdir().unwrap();

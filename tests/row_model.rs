@@ -70,6 +70,7 @@ fn descend(mask: &Mask, start: &[[f64; 2]], model: Model) -> Vec<[f64; 2]> {
 }
 
 #[test]
+#[ignore = "slow; cargo test -- --include-ignored"]
 fn stalks_in_a_closed_canopy_are_found_and_counted_where_others_fail() {
     let (mut known, mut unknown, mut regular, mut errors) = (0.0, 0.0, 0.0, 0.0);
     let (mut confidence, mut precision) = (0.0, 0.0);
@@ -124,6 +125,7 @@ fn young_plants_that_stand_apart_are_found_by_their_mass() {
 }
 
 #[test]
+#[ignore = "slow; cargo test -- --include-ignored"]
 fn the_papers_likelihood_drifts_from_the_truth_and_tempering_helps() {
     let (mask, truth) = field(Preset::Mid20, 0.0, 4);
     let paper = Model { form: Form::Conditional, ..Model::default() };
@@ -137,6 +139,7 @@ fn the_papers_likelihood_drifts_from_the_truth_and_tempering_helps() {
 }
 
 #[test]
+#[ignore = "slow; cargo test -- --include-ignored"]
 fn rows_of_any_heading_and_bent_rows_are_followed() {
     for (k, heading_deg) in [0.0, 18.0, 36.0, 54.0, 72.0, 90.0].into_iter().enumerate() {
         let (mask, truth) = field(Preset::Early20, heading_deg, 5 + k as u64);
@@ -149,6 +152,7 @@ fn rows_of_any_heading_and_bent_rows_are_followed() {
 }
 
 #[test]
+#[ignore = "slow; cargo test -- --include-ignored"]
 fn a_mirrored_or_turned_mask_has_mirrored_or_turned_plants() {
     let (mask, _) = field(Preset::Mid20, 0.0, 6);
     let (width, height) = (mask.width, mask.height);
@@ -169,6 +173,7 @@ fn a_mirrored_or_turned_mask_has_mirrored_or_turned_plants() {
 }
 
 #[test]
+#[ignore = "slow; cargo test -- --include-ignored"]
 fn crops_have_the_same_plants_away_from_the_seams() {
     let (mask, _) = field(Preset::Mid20, 20.0, 8);
     let detection = detect(&index(&mask));

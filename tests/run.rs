@@ -93,6 +93,7 @@ fn results(project: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
 }
 
 #[test]
+#[ignore = "slow; cargo test -- --include-ignored"]
 fn an_orthomosaic_alone_is_a_project() {
     let folder = tempfile::tempdir().unwrap();
     // A path that people have.
@@ -189,6 +190,7 @@ fn an_orthomosaic_alone_is_a_project() {
 }
 
 #[test]
+#[ignore = "slow; cargo test -- --include-ignored"]
 fn a_run_that_was_killed_goes_on_to_the_same_bytes() {
     let folder = tempfile::tempdir().unwrap();
     let (whole, killed) = (folder.path().join("whole"), folder.path().join("killed"));
@@ -378,6 +380,7 @@ fn settings_that_cannot_be_are_refused_everywhere() {
 
 /// The README's first command: photos of a field of its own, to a report.
 #[test]
+#[ignore = "slow; cargo test -- --include-ignored"]
 fn the_main_job_needs_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let run = rowgram(folder.path(), "run -q --json");

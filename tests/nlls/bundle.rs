@@ -6,7 +6,10 @@ use proptest::prelude::*;
 use rowgram::{
     engine::Engine,
     io::bal,
-    nlls::{LeastSquares, LinearSolver, Loss, Method, Options, Summary, check::check_batch, solve},
+    nlls::{
+        BatchPath, LeastSquares, LinearSolver, Loss, Method, Options, Summary, check::check_batch,
+        solve,
+    },
     problems::bundle::{Bundle, Camera, InteriorSharing, Network, Observation, TIE_POINTS},
 };
 
@@ -53,6 +56,7 @@ fn the_fused_path_takes_the_steps_of_the_stored_one() {
     for sharing in [InteriorSharing::PerImage, InteriorSharing::Shared] {
         for loss in [Loss::Trivial, Loss::Cauchy(2.0)] {
             for held in [false, true] {
+                let mut path = None;
                 let traces: Vec<Vec<f64>> = [LinearSolver::Schur, LinearSolver::Sparse]
                     .iter()
                     .map(|&linear| {
@@ -76,9 +80,16 @@ fn the_fused_path_takes_the_steps_of_the_stored_one() {
                             let step = engine.step(&bundle.problem, &mut x).unwrap();
                             trace.extend([step.cost, step.step_norm, step.metrics[2].1]);
                         }
+                        if linear == LinearSolver::Schur {
+                            let problem = &bundle.problem;
+                            let summary =
+                                solve(problem, &mut problem.start(), &Options::default(), 1);
+                            path = summary.unwrap().batches[0].path.clone();
+                        }
                         trace
                     })
                     .collect();
+                assert_eq!(path, Some(BatchPath::Fused), "{sharing:?} {loss} {held}");
                 for (fused, stored) in traces[0].iter().zip(&traces[1]) {
                     let error = (fused - stored).abs() / stored.abs().max(1e-6);
                     assert!(error < 1e-5, "{sharing:?} {loss} {held}: {traces:?}");

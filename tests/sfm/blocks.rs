@@ -119,6 +119,7 @@ fn adjusted(flown: &Flown, known: &Known) -> rowgram::sfm::adjust_block::Adjuste
 }
 
 #[test]
+#[ignore = "slow; cargo test -- --include-ignored"]
 fn the_strategy_names_wrong_control_and_resized_marks_and_is_right_without() {
     let flown = Flight::default().fly();
     let mut known = known(&flown);
@@ -206,6 +207,7 @@ fn check_rmse_m(block: &Block<'_>, known: &Known) -> [f64; 3] {
 }
 
 #[test]
+#[ignore = "slow; cargo test -- --include-ignored"]
 fn a_rolling_shutter_is_found_where_there_is_one_and_only_there() {
     for readout_displacement_m in [0.0, 0.5] {
         let flown = Flight { readout_displacement_m, ..Flight::default() }.fly();
@@ -249,6 +251,7 @@ fn a_rolling_shutter_is_found_where_there_is_one_and_only_there() {
 }
 
 #[test]
+#[ignore = "slow; cargo test -- --include-ignored"]
 fn what_is_known_beforehand_counts_once_however_often_a_block_is_adjusted() {
     let flown = Flight { readout_displacement_m: 0.5, ..Flight::default() }.fly();
     let (tracks, pairs) = tracks(&flown);
