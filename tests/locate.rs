@@ -186,7 +186,7 @@ fn bad_input_is_refused_with_code_2_and_a_reason() {
 }
 
 #[test]
-fn a_field_of_rows_is_located_better_than_by_chance() {
+fn the_plants_of_a_young_field_are_found() {
     let Some(folder) = crate::data::path("field_masks/early20") else { return };
     let out = tempfile::tempdir().unwrap();
     let plants = out.path().join("plants.csv");
@@ -206,7 +206,8 @@ fn a_field_of_rows_is_located_better_than_by_chance() {
     let (_, found) = read(&plants);
     let found: Vec<[f64; 2]> = found.iter().map(|row| [row[0], row[1]]).collect();
     let score = rowgram::score::Score::new(&found, &truth, &[10.0 / 1.5]).unwrap();
-    assert!(score.radii[0].f1.unwrap() > 0.5, "{score:?}");
+    // 141 of 142 plants are found; four more may change sides with the last digits of the scores.
+    assert!(score.radii[0].f1.unwrap() > 0.96, "{score:?}");
 }
 
 #[test]

@@ -8,6 +8,7 @@
 //! frame, for the camera of [`crate::camera::bal`]. The gauge is free: nothing is fixed, the damped
 //! steps choose the frame nearest to the start, as is the custom for these files.
 
+use super::pose_chain::{by_increment, by_world, to_camera};
 use crate::{
     camera::bal,
     engine::SolveError,
@@ -106,55 +107,10 @@ fn prepare(pose: &[f64], interior: &[f64]) -> Prepared<f64> {
 // No closures from here on: one that is not inlined would be compiled without the instruction set
 // that the engine has chosen.
 
-/// `row . x + start`.
-#[inline(always)]
-fn affine<L: Lane>(row: [L; 3], x: &[L; 3], start: L) -> L {
-    row[0].mul_add(x[0], row[1].mul_add(x[1], row[2].mul_add(x[2], start)))
-}
-
-#[inline(always)]
-fn to_camera<L: Lane>(c: &Prepared<L>, x: &[L; 3]) -> [L; 3] {
-    [
-        affine([c[0], c[1], c[2]], x, c[9]),
-        affine([c[3], c[4], c[5]], x, c[10]),
-        affine([c[6], c[7], c[8]], x, c[11]),
-    ]
-}
-
 #[inline(always)]
 fn residual<L: Lane>(c: &Prepared<L>, x: &[L; 3], measured_px: &[L; 2]) -> [L; 2] {
     let image_px = bal::project(to_camera(c, x), [c[12], c[13], c[14]]);
     [image_px[0] - measured_px[0], image_px[1] - measured_px[1]]
-}
-
-/// `a b - c d`.
-#[inline(always)]
-fn minor<L: Lane>(a: L, b: L, c: L, d: L) -> L {
-    a.mul_add(b, -(c * d))
-}
-
-/// A row of the Jacobian by the pose increment, from the one by the point in the camera frame,
-/// which turns by `w` and shifts by `s`: `dP = w x P + s`, so `j dP = w (P x j) + s j`.
-#[inline(always)]
-fn by_increment<L: Lane>(p: &[L; 3], j: &[L; 3]) -> [L; 6] {
-    [
-        minor(p[1], j[2], p[2], j[1]),
-        minor(p[2], j[0], p[0], j[2]),
-        minor(p[0], j[1], p[1], j[0]),
-        j[0],
-        j[1],
-        j[2],
-    ]
-}
-
-/// A row of the Jacobian by the point in the world frame: `j R`.
-#[inline(always)]
-fn by_world<L: Lane>(c: &Prepared<L>, j: &[L; 3]) -> [L; 3] {
-    [
-        affine([c[0], c[3], c[6]], j, j[0].like(0.0)),
-        affine([c[1], c[4], c[7]], j, j[0].like(0.0)),
-        affine([c[2], c[5], c[8]], j, j[0].like(0.0)),
-    ]
 }
 
 /// The residual and its derivatives by the pose increment, the interior orientation and the point.

@@ -5,3 +5,4 @@ pub mod bundle;
 pub mod calibration;
 pub mod lens_fit;
 pub mod plants;
+mod pose_chain;

@@ -18,6 +18,7 @@ use crate::{
         Dim, Linearized, LinearizedProjection, Loss, Measurement, Problem, ProjectionBatch,
         ProjectionFactor,
     },
+    problems::pose_chain::{affine, by_increment, by_world, to_camera},
 };
 
 /// Length of a lens block.
@@ -86,21 +87,6 @@ fn prepare<const Q: usize>(kept: &[f64], lens: &[f64]) -> [f64; Q] {
     out
 }
 
-/// A row times a vector, plus a start.
-#[inline(always)]
-fn affine<L: Lane>(row: [L; 3], x: &[L; 3], start: L) -> L {
-    row[0].mul_add(x[0], row[1].mul_add(x[1], row[2].mul_add(x[2], start)))
-}
-
-#[inline(always)]
-fn to_camera<L: Lane>(c: &[L], x: &[L; 3]) -> [L; 3] {
-    [
-        affine([c[0], c[1], c[2]], x, c[9]),
-        affine([c[3], c[4], c[5]], x, c[10]),
-        affine([c[6], c[7], c[8]], x, c[11]),
-    ]
-}
-
 /// What the lens is asked: point, measured position, range, lens block.
 const ASKED: usize = 6 + LENS;
 /// What it answers: residual, by point, by parameters.
@@ -154,29 +140,6 @@ fn asked<L: Lane>(c: &[L], p: &[L; 3], data: &[L; DATA]) -> [L; ASKED] {
     asked[3..5].copy_from_slice(&data[..2]);
     asked[5..].copy_from_slice(&c[12..ASKED + 7]);
     asked
-}
-
-/// A row of the Jacobian by the pose increment `(w, s)`: `dP = w x P + s`.
-#[inline(always)]
-fn by_increment<L: Lane>(p: &[L; 3], j: &[L; 3]) -> [L; 6] {
-    [
-        p[1] * j[2] - p[2] * j[1],
-        p[2] * j[0] - p[0] * j[2],
-        p[0] * j[1] - p[1] * j[0],
-        j[0],
-        j[1],
-        j[2],
-    ]
-}
-
-#[inline(always)]
-fn by_world<L: Lane>(c: &[L], j: &[L; 3]) -> [L; 3] {
-    let zero = j[0].like(0.0);
-    [
-        affine([c[0], c[3], c[6]], j, zero),
-        affine([c[1], c[4], c[7]], j, zero),
-        affine([c[2], c[5], c[8]], j, zero),
-    ]
 }
 
 /// Everything but the rows by the kept block: residual, by lens, by the point in the frame of the

@@ -102,7 +102,7 @@ enum Followed {
     Fallen,
 }
 
-impl Pair {
+impl NearestPlants {
     /// Takes the square distance `d2` to `plant`, which has moved; calls `mark` with the plants that won or lost the
     /// pixel.
     #[inline(always)]
