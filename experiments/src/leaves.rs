@@ -51,9 +51,9 @@ pub(crate) fn methods() -> Vec<(&'static str, Method)> {
 pub(crate) struct Run {
     scenario: String,
     method: &'static str,
-    sbd: f64,
-    found: f64,
-    truth: f64,
+    pub(crate) sbd: f64,
+    pub(crate) found: f64,
+    pub(crate) truth: f64,
     pub(crate) length: Option<f64>,
     pub(crate) width: Option<f64>,
 }
@@ -116,27 +116,32 @@ fn rosettes(folder: &Path, runs: &mut Vec<Run>) -> Result<(), Error> {
     let mut names: Vec<_> = entries.flatten().map(|entry| entry.path()).collect();
     names.sort();
     for path in names.iter().filter(|path| path.to_string_lossy().ends_with("_label.png")) {
-        let picture = match images::read(path)? {
-            images::Picture::Photo(picture) => picture,
-            images::Picture::Mask(mask) => mask.to_rgb(),
-        };
-        // Classes are colours here.
-        let mut classes: BTreeMap<[u8; 3], u32> = BTreeMap::from([([0; 3], 0)]);
-        let truth: Vec<u32> = picture
-            .pixels()
-            .map(|pixel| {
-                let next = classes.len() as u32;
-                *classes.entry(pixel.0).or_insert(next)
-            })
-            .collect();
-        let (width, height) = (picture.width() as usize, picture.height() as usize);
-        let mask = Mask { width, height, data: truth.iter().map(|&x| u8::from(x > 0)).collect() };
+        let (truth, mask) = classes(path)?;
         for (method, how) in methods() {
             let (found, _) = segment(&mask, &how);
             runs.push(judge("CVPPP A1 rosettes", method, &found, &truth));
         }
     }
     Ok(())
+}
+
+/// The labels of a picture in which every leaf has a colour, and the mask of all leaves.
+pub(crate) fn classes(path: &Path) -> Result<(Vec<u32>, Mask), FileError> {
+    let picture = match images::read(path)? {
+        images::Picture::Photo(picture) => picture,
+        images::Picture::Mask(mask) => mask.to_rgb(),
+    };
+    let mut classes: BTreeMap<[u8; 3], u32> = BTreeMap::from([([0; 3], 0)]);
+    let labels: Vec<u32> = picture
+        .pixels()
+        .map(|pixel| {
+            let next = classes.len() as u32;
+            *classes.entry(pixel.0).or_insert(next)
+        })
+        .collect();
+    let (width, height) = (picture.width() as usize, picture.height() as usize);
+    let mask = Mask { width, height, data: labels.iter().map(|&x| u8::from(x > 0)).collect() };
+    Ok((labels, mask))
 }
 
 pub(crate) fn segment(mask: &Mask, how: &Method) -> (Vec<u32>, Option<Leaves>) {

@@ -7,6 +7,7 @@
 //! The commands that read a data folder (`locate-masks` and the like) write `NAME.csv` (one line per run)
 //! and `NAME.md` (the table of means).
 
+mod accuracy;
 mod command;
 mod compare;
 mod data;
@@ -26,6 +27,7 @@ mod parquet_file;
 mod plan;
 mod plots;
 mod relative;
+mod rivals;
 mod row_model_masks;
 mod row_model_plots;
 mod row_model_time;
@@ -167,6 +169,14 @@ enum Experiment {
         /// Where the mask goes, one byte for each pixel.
         mask: PathBuf,
     },
+    /// Every real data set with defaults, beside rivals of a few lines: the tables of docs/accuracy.md.
+    Accuracy {
+        #[command(flatten)]
+        folders: Folders,
+        /// Only every so many-th photo.
+        #[arg(long, default_value_t = 1)]
+        every: usize,
+    },
     /// The weights of the stand count, from masks of which every plant is known.
     FitStandCount(stand_count::FitStandCount),
     /// Speed and accuracy on one mask of a whole field.
@@ -206,6 +216,7 @@ fn main() -> ExitCode {
         Experiment::SegmentSpeed { raw, width, height, mask } => {
             segment_speed::run(&raw, width, height, &mask)
         }
+        Experiment::Accuracy { folders, every } => accuracy::run(&folders, every.max(1)),
         Experiment::FitStandCount(args) => stand_count::run(&args),
         Experiment::WholeField { folders } => whole_field::run(&folders),
     };

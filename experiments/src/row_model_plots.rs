@@ -148,7 +148,7 @@ fn choose(score: impl Fn([i64; 5]) -> Result<f64, Error>) -> Result<[i64; 5], Er
 }
 
 /// Clips with their boxes, every other one.
-fn clips(root: &Path) -> Result<[Vec<Plot>; 2], Error> {
+pub(crate) fn clips(root: &Path) -> Result<[Vec<Plot>; 2], Error> {
     let folder = root.join("images");
     let entries = std::fs::read_dir(&folder).map_err(|error| FileError::read(&folder, error))?;
     let mut paths: Vec<_> = entries.filter_map(Result::ok).map(|entry| entry.path()).collect();
@@ -183,7 +183,7 @@ fn clips(root: &Path) -> Result<[Vec<Plot>; 2], Error> {
 
 /// Median distance to the nearest neighbour on the farther side: with rows farther apart than plants,
 /// the spacing in the rows, whatever their heading.
-fn nearest_px(truth: &[[f64; 2]]) -> f64 {
+pub(crate) fn nearest_px(truth: &[[f64; 2]]) -> f64 {
     let mut distances: Vec<f64> = truth
         .iter()
         .filter_map(|at| {

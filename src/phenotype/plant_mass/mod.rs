@@ -209,10 +209,10 @@ impl<'a> Parts<'a> {
 /// differ, the less mass tells. Intervals of 95 % then hold the truth in 0.90 to 1.00 of 100 maize plots, 50 clips of seedlings in
 /// residue and 5 photos on straw, and the value found without any of these sets is the same within a tenth
 /// (`experiments accuracy`); among weeds they do not hold (0.3 of 20 potato tiles).
-const MISFIT: f64 = 0.18;
+pub const MISFIT: f64 = 0.18;
 /// Share of plants that are within a quarter of the spacing of a true one, of those whose number is right: 0.92 over 0.91 expected on
 /// maize plots, 0.88 over 0.89 on seedling clips, 0.95 over 0.91 on straw; 0.53 over 0.87 on potatoes among weeds.
-const PLACED: f64 = 0.94;
+pub const PLACED: f64 = 0.94;
 
 /// Mean over the plants found in a component of the probability that it holds as many.
 fn confidence(model: &MassModel, measured: Measured, plants: usize) -> f64 {

@@ -381,7 +381,7 @@ mod tests {
     #[test]
     fn a_crop_among_many_small_weeds_is_the_heavier_of_two_sizes() {
         let (mut masses, _) = field(8, 30, 0, false);
-        masses.extend((0..200).map(|k| 80.0 + 0.4 * f64::from(k % 100)));
+        masses.extend((0..120).map(|k| 80.0 + 0.4 * f64::from(k % 100)));
         let model = MassModel::fit(&masses).unwrap();
         assert!((model.plant / 600.0).ln().abs() < 0.3, "{model:?}");
     }

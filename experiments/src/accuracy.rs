@@ -1,0 +1,368 @@
+//! Real data sets with default settings and nothing told: plants, leaf masks and leaves, beside rivals of a few lines.
+//!
+//! Constants of a rival (its smallest component) and of the uncertainty (the share of a count's error that the model does not know,
+//! the share of plants in the right place) are fitted on all other sets and judged on the one left out.
+//!
+//! Writes `accuracy_plants.csv`, one line per photo, and `accuracy.md`, the tables of `docs/accuracy.md`. Numbers only.
+
+use crate::{
+    Folders, leaves,
+    locate::make,
+    plots::{self, Plot},
+    rivals::{by_area, excess_green, green_of_lab},
+    row_model_plots::{clips, nearest_px},
+};
+use image::RgbImage;
+use rayon::prelude::*;
+use rowgram::{
+    Error,
+    io::{FileError, images, output},
+    phenotype::{
+        leaves::LeafOptions,
+        plant_mass::{self, MISFIT, PLACED},
+        row_model::{self, RowModelOptions},
+        rows,
+    },
+    problems::plants::index::PixelIndex,
+    raster::{Mask, vegetation},
+    score::Score,
+};
+use std::{
+    fmt::Write as _,
+    path::{Path, PathBuf},
+};
+
+/// Smallest components that the rival may choose from, in pixels.
+const LEAST: [usize; 6] = [10, 25, 50, 100, 200, 400];
+/// Sets of photos with a point per plant, besides plots and clips.
+const POINTS: [&str; 4] = ["maize_residue", "maize_emergence", "potato_uav", "olive_trees"];
+/// The 97.5 % point of the normal distribution.
+const NORMAL_95: f64 = 1.959_963_984_540_054;
+
+/// One photo.
+struct Counted {
+    set: &'static str,
+    photo: String,
+    truth: f64,
+    found: f64,
+    right: f64,
+    /// Sum of the confidences.
+    confidence: f64,
+    interval: [f64; 2],
+    /// Variance of the count that the model knows, and that of which the share is a constant.
+    known: f64,
+    misfit: f64,
+    /// Count and right places of the rival, by its smallest component.
+    rival: Vec<[f64; 2]>,
+}
+
+/// Runs everything on every `every`-th photo.
+pub(crate) fn run(folders: &Folders, every: usize) -> Result<(), Error> {
+    make(&folders.out)?;
+    let mut all = Vec::new();
+    for (set, plots) in sets(&folders.data)? {
+        let some: Vec<&Plot> = plots.iter().step_by(every).collect();
+        let counted: Vec<Counted> =
+            some.par_iter().map(|plot| count(set, plot)).collect::<Result<_, Error>>()?;
+        all.extend(counted);
+    }
+    write_csv(&folders.out.join("accuracy_plants.csv"), &all)?;
+    let mut text = plants_table(&all);
+    text += &masks_table(&folders.data, every)?;
+    text += &leaves_table(&folders.data, every)?;
+    let path = folders.out.join("accuracy.md");
+    output::write(&path, true, |writer| writer.write_all(text.as_bytes()))?;
+    show(&text);
+    Ok(())
+}
+
+fn sets(data: &Path) -> Result<Vec<(&'static str, Vec<Plot>)>, Error> {
+    let root = data.join("maize_plots");
+    let mut maize = plots::read(&root, "train.txt")?;
+    maize.extend(plots::read(&root, "val.txt")?);
+    let [mut even, odd] = clips(&data.join("stand_count_clips"))?;
+    even.extend(odd);
+    let mut sets = vec![("maize_plots", maize), ("stand_count_clips", even)];
+    for name in POINTS {
+        let root = data.join("plants").join(name);
+        let mut found = Vec::new();
+        for path in files(&root.join("images"))? {
+            let stem = path.file_stem().map(|s| s.to_string_lossy().into_owned());
+            let stem = stem.unwrap_or_default();
+            let points = root.join(format!("truth/{stem}.csv"));
+            if points.exists() {
+                let truth = marks(&points)?;
+                let radii_px = [nearest_px(&truth) / 4.0, 15.0];
+                found.push(Plot { name: stem, photo: images::read_photo(&path)?, truth, radii_px });
+            }
+        }
+        sets.push((name, found));
+    }
+    Ok(sets)
+}
+
+/// The first two columns of a table.
+fn marks(path: &Path) -> Result<Vec<[f64; 2]>, FileError> {
+    let text = std::fs::read_to_string(path).map_err(|error| FileError::read(path, error))?;
+    let number = |word: Option<&str>| word.and_then(|word| word.trim().parse::<f64>().ok());
+    let point = |line: &str| {
+        let mut words = line.split(',');
+        Some([number(words.next())?, number(words.next())?])
+    };
+    Ok(text.lines().skip(1).filter_map(point).collect())
+}
+
+fn files(folder: &Path) -> Result<Vec<PathBuf>, FileError> {
+    let entries = std::fs::read_dir(folder).map_err(|error| FileError::read(folder, error))?;
+    let mut paths: Vec<_> = entries.flatten().map(|entry| entry.path()).collect();
+    paths.sort();
+    Ok(paths)
+}
+
+fn vegetation_of(photo: &RgbImage) -> Mask {
+    let found = vegetation::segment(photo, None, &vegetation::Options::default());
+    found.map_or(Mask::empty(photo.width() as usize, photo.height() as usize), |found| found.mask)
+}
+
+fn right(found: &[[f64; 2]], plot: &Plot) -> Result<f64, Error> {
+    let score = Score::new(found, &plot.truth, &plot.radii_px[..1])?;
+    Ok(score.radii[0].precision.unwrap_or(0.0) * found.len() as f64)
+}
+
+fn count(set: &'static str, plot: &Plot) -> Result<Counted, Error> {
+    let mask = vegetation_of(&plot.photo);
+    let detection = rows::detect(&PixelIndex::from_mask(mask.width, &mask.data));
+    let stand = row_model::locate(&mask, &detection, None, &RowModelOptions::default()).ok();
+    let plants = stand.as_ref().map_or(&[][..], |stand| &stand.plants);
+    let at: Vec<[f64; 2]> = plants.iter().map(|plant| plant.position_px).collect();
+    let mass = plant_mass::count(&mask, None);
+    let misfit = mass.model.as_ref().map_or(0.0, |model| model.spread * mass.expected);
+    let green = excess_green(&plot.photo);
+    let rival = LEAST
+        .iter()
+        .map(|&least| {
+            let places = by_area(&green, least);
+            Ok([places.len() as f64, right(&places, plot)?])
+        })
+        .collect::<Result<_, Error>>()?;
+    Ok(Counted {
+        set,
+        photo: plot.name.clone(),
+        truth: plot.truth.len() as f64,
+        found: at.len() as f64,
+        right: right(&at, plot)?,
+        confidence: plants.iter().map(|plant| plant.confidence).sum(),
+        interval: stand.as_ref().map_or([0.0; 2], |stand| stand.count_interval),
+        known: (mass.sigma.powi(2) - (MISFIT * misfit).powi(2)).max(0.0),
+        misfit,
+        rival,
+    })
+}
+
+fn mean(values: impl Iterator<Item = f64>) -> f64 {
+    let (sum, count) = values.fold((0.0, 0.0), |(sum, n), value| (sum + value, n + 1.0));
+    sum / f64::max(count, 1.0)
+}
+
+/// MAPE, MAE, RMSE, R2 of counts.
+fn errors(counts: &[(f64, f64)]) -> [f64; 4] {
+    let off = |&(truth, found): &(f64, f64)| found - truth;
+    let middle = mean(counts.iter().map(|count| count.0));
+    let square = mean(counts.iter().map(|count| off(count).powi(2)));
+    let spread = mean(counts.iter().map(|count| (count.0 - middle).powi(2)));
+    [
+        100.0 * mean(counts.iter().map(|count| (off(count) / count.0.max(1.0)).abs())),
+        mean(counts.iter().map(|count| off(count).abs())),
+        square.sqrt(),
+        1.0 - square / spread.max(1e-12),
+    ]
+}
+
+fn f1(truth: f64, found: f64, right: f64) -> f64 {
+    2.0 * right / (truth + found).max(1.0)
+}
+
+/// Share of the photos whose count lies in the interval, and the mean width of it, for a share of misfit.
+fn coverage(photos: &[&Counted], share: f64) -> [f64; 2] {
+    let half = |c: &Counted| NORMAL_95 * (c.known + (share * c.misfit).powi(2)).sqrt();
+    let inside = |c: &&&Counted| {
+        let middle = 0.5 * (c.interval[0] + c.interval[1]);
+        (c.truth - middle).abs() <= half(c)
+    };
+    let held = photos.iter().filter(inside).count() as f64 / photos.len().max(1) as f64;
+    [held, mean(photos.iter().map(|c| 2.0 * half(c) / c.truth.max(1.0)))]
+}
+
+fn plants_table(all: &[Counted]) -> String {
+    let mut names: Vec<&str> = all.iter().map(|c| c.set).collect();
+    names.dedup();
+    let mut text = "## Plants, defaults, number not given\n\nRight: within a quarter of the spacing. The rival: excess green above \
+         Otsu's threshold, components of at least n pixels, `round(area / median area)` plants each; n is the one with the smallest \
+         mean error on the other sets. MAPE in %.\n\n| set | photos | MAPE | MAE | RMSE | R2 | F1 | rival's n | MAPE | MAE | RMSE | R2 | F1 |\n\
+         |---|---|---|---|---|---|---|---|---|---|---|---|---|\n"
+        .to_owned();
+    let mut sure = "\n## Uncertainty\n\nHeld: share of photos whose number lies in the interval of 95 %, and its mean width over the \
+         number. Left out: with the share of misfit that holds 95 % on all other sets, and the share of right places of all other sets.\n\n\
+         | set | held | width | confidence | precision | misfit, left out | held | width | confidence, left out |\n\
+         |---|---|---|---|---|---|---|---|---|\n"
+        .to_owned();
+    for name in names {
+        let (mine, others): (Vec<&Counted>, Vec<&Counted>) =
+            all.iter().partition(|c| c.set == name);
+        let rival = |set: &[&Counted], k: usize| -> Vec<(f64, f64)> {
+            set.iter().map(|c| (c.truth, c.rival[k][0])).collect()
+        };
+        let cost = |k: usize| errors(&rival(&others, k))[0];
+        let k = (1..LEAST.len()).fold(0, |best, k| if cost(k) < cost(best) { k } else { best });
+        let [mape, mae, rmse, r2] =
+            errors(&mine.iter().map(|c| (c.truth, c.found)).collect::<Vec<_>>());
+        let [mape_r, mae_r, rmse_r, r2_r] = errors(&rival(&mine, k));
+        let own = mean(mine.iter().map(|c| f1(c.truth, c.found, c.right)));
+        let theirs = mean(mine.iter().map(|c| f1(c.truth, c.rival[k][0], c.rival[k][1])));
+        // Writing to a string does not fail.
+        let _ = writeln!(
+            text,
+            "| {name} | {} | {mape:.1} | {mae:.1} | {rmse:.1} | {r2:.2} | {own:.3} | {} | {mape_r:.1} | {mae_r:.1} | {rmse_r:.1} | {r2_r:.2} | {theirs:.3} |",
+            mine.len(),
+            LEAST[k],
+        );
+        let inside = |c: &&Counted| (c.interval[0]..=c.interval[1]).contains(&c.truth);
+        let held = mean(mine.iter().map(|c| f64::from(u8::from(inside(c)))));
+        let width = mean(mine.iter().map(|c| (c.interval[1] - c.interval[0]) / c.truth.max(1.0)));
+        let share = |set: &[&Counted], of: fn(&Counted) -> f64| {
+            set.iter().map(|c| of(c)).sum::<f64>()
+                / set.iter().map(|c| c.found).sum::<f64>().max(1.0)
+        };
+        let confidence = share(&mine, |c| c.confidence);
+        let least = (0..60).map(|k| 0.01 * f64::from(k));
+        let fitted = least.into_iter().find(|&m| coverage(&others, m)[0] >= 0.95).unwrap_or(0.6);
+        let [held_out, width_out] = coverage(&mine, fitted);
+        let placed = share(&others, |c| c.right) / share(&others, |c| c.confidence);
+        let _ = writeln!(
+            sure,
+            "| {name} | {held:.2} | {width:.2} | {confidence:.3} | {:.3} | {fitted:.2} | {held_out:.2} | {width_out:.2} | {:.3} |",
+            share(&mine, |c| c.right),
+            (confidence * placed).min(1.0),
+        );
+    }
+    let _ = writeln!(
+        sure,
+        "\nIn use: a misfit of {MISFIT} spreads, a share of right places of {PLACED}.\n"
+    );
+    text + &sure
+}
+
+fn write_csv(path: &Path, all: &[Counted]) -> Result<(), Error> {
+    Ok(output::write(path, true, |writer| {
+        let mut csv = csv::Writer::from_writer(writer);
+        csv.write_record(["set", "photo", "truth", "found", "right", "confidence", "low", "high"])?;
+        for c in all {
+            let numbers = [c.truth, c.found, c.right, c.confidence, c.interval[0], c.interval[1]];
+            let mut record = vec![c.set.to_owned(), c.photo.clone()];
+            record.extend(numbers.map(|x| format!("{x:.2}")));
+            csv.write_record(record)?;
+        }
+        csv.flush()
+    })?)
+}
+
+/// Share of the pixels that are leaf in either mask which are in both.
+fn overlap(found: &Mask, truth: &[bool]) -> f64 {
+    let pairs = || found.data.iter().zip(truth);
+    let both = pairs().filter(|(f, t)| **f != 0 && **t).count();
+    let any = pairs().filter(|(f, t)| **f != 0 || **t).count();
+    both as f64 / any.max(1) as f64
+}
+
+fn masks_table(data: &Path, every: usize) -> Result<String, Error> {
+    let mut text =
+        "## Leaf masks, defaults\n\nMean over photos of the intersection over union.\n\n\
+         | set | photos | default | excess green + Otsu | a* + Otsu |\n|---|---|---|---|---|\n"
+            .to_owned();
+    for name in ["wheat_ews", "rice_paddy"] {
+        let root = data.join("plants").join(name);
+        let photos: Vec<PathBuf> =
+            files(&root.join("images"))?.into_iter().step_by(every).collect();
+        let scores: Vec<[f64; 3]> = photos
+            .par_iter()
+            .map(|path| {
+                let stem = path.file_stem().map(|s| s.to_string_lossy().into_owned());
+                let mask = root.join(format!("truth/{}.mask.png", stem.unwrap_or_default()));
+                let photo = images::read_photo(path)?;
+                let truth: Vec<bool> =
+                    images::read_grey(&mask)?.pixels().map(|pixel| pixel.0[0] > 0).collect();
+                let found = [vegetation_of(&photo), excess_green(&photo), green_of_lab(&photo)];
+                Ok(found.map(|mask| overlap(&mask, &truth)))
+            })
+            .collect::<Result<_, Error>>()?;
+        let of = |k: usize| mean(scores.iter().map(|score| score[k]));
+        // Writing to a string does not fail.
+        let _ = writeln!(
+            text,
+            "| {name} | {} | {:.3} | {:.3} | {:.3} |",
+            scores.len(),
+            of(0),
+            of(1),
+            of(2)
+        );
+    }
+    Ok(text)
+}
+
+fn leaves_table(data: &Path, every: usize) -> Result<String, Error> {
+    let mut text = "\n## Leaves of rosettes\n\nSymmetric best Dice, and mean absolute error of the number of leaves.\n\n\
+         | mask | method | SBD | number |\n|---|---|---|---|\n"
+        .to_owned();
+    let all = files(&data.join("leaf_cvppp_a1"))?;
+    let labels: Vec<&PathBuf> = all
+        .iter()
+        .filter(|path| path.to_string_lossy().ends_with("_label.png"))
+        .step_by(every)
+        .collect();
+    let rivals = [
+        ("default", leaves::Method::Slices(LeafOptions::default())),
+        ("watershed, markers 3 widths apart", leaves::Method::Watershed(3.0)),
+    ];
+    for own in [false, true] {
+        for (name, how) in &rivals {
+            let runs: Vec<leaves::Run> = labels
+                .par_iter()
+                .map(|path| {
+                    let (truth, mut mask) = leaves::classes(path)?;
+                    if own {
+                        let photo = path.to_string_lossy().replace("_label", "_rgb");
+                        mask = vegetation_of(&images::read_colour(Path::new(&photo))?);
+                    }
+                    let (found, _) = leaves::segment(&mask, how);
+                    Ok(leaves::judge("rosettes", name, &found, &truth))
+                })
+                .collect::<Result<_, Error>>()?;
+            // Writing to a string does not fail.
+            let _ = writeln!(
+                text,
+                "| {} | {name} | {:.3} | {:.1} |",
+                if own { "own" } else { "true" },
+                mean(runs.iter().map(|run| run.sbd)),
+                mean(runs.iter().map(|run| (run.found - run.truth).abs()))
+            );
+        }
+    }
+    Ok(text)
+}
+
+#[expect(clippy::print_stdout, reason = "the tables are the output")]
+fn show(text: &str) {
+    println!("{text}");
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn errors_of_counts() {
+        let [mape, mae, rmse, r2] = errors(&[(10.0, 11.0), (20.0, 17.0)]);
+        assert!((mape - 12.5).abs() < 1e-9 && (mae - 2.0).abs() < 1e-9, "{mape} {mae}");
+        assert!((rmse - 5f64.sqrt()).abs() < 1e-9 && (r2 - 0.8).abs() < 1e-9, "{rmse} {r2}");
+    }
+}
