@@ -75,3 +75,61 @@ fn dead_files_and_doubles_are_named_and_a_name_of_no_system_is_refused() {
     let said = run.stderr;
     assert!(said.contains("shows next to nothing") && said.contains("could be oriented"), "{said}");
 }
+
+/// A project of three photos of nothing at some place, in decimal degrees, with control.
+fn placed(root: &std::path::Path, photos: [f64; 2], control: [f64; 2], settings: &str) -> String {
+    let images = root.join("images");
+    fs::create_dir_all(&images).unwrap();
+    let mut positions = "image,lat,lon,height_m\n".to_owned();
+    for k in 0..3_u8 {
+        let name = format!("{k}.png");
+        let shade = image::Rgb([40 * k + 20; 3]);
+        image::RgbImage::from_pixel(64, 48, shade).save(images.join(&name)).unwrap();
+        let [lat, lon] = photos.map(|v| v + 1e-4 * f64::from(k));
+        positions += &format!("{name},{lat},{lon},200\n");
+    }
+    fs::write(root.join("geolocation.csv"), positions).unwrap();
+    let [east, north] = control;
+    let row = |k: i32| format!("G{k},{},{},100\n", east + 5.0 * f64::from(k), north);
+    let rows: String = (0..3).map(row).collect();
+    fs::write(root.join("gcps.csv"), format!("label,easting_m,northing_m,height_m\n{rows}"))
+        .unwrap();
+    let marks: String = (0..3).map(|k| format!("{k}.png,G{k},20,20\n")).collect();
+    fs::write(root.join("marks.csv"), format!("image,label,u_px,v_px\n{marks}")).unwrap();
+    fs::write(root.join("rowgram.toml"), format!("[project]\n{settings}\n")).unwrap();
+    let run = rowgram(root, "align . --until inspect");
+    let doctor = rowgram(root, "doctor .");
+    let said = run.stderr;
+    if run.code == 0 {
+        return "fine".to_owned();
+    }
+    assert_eq!(run.code, 2, "{said}");
+    let line = said.lines().find(|line| line.contains("error:")).unwrap_or_default();
+    let message = line.split_once("error: ").map_or("", |(_, message)| message);
+    let told = format!("{}{}", doctor.stdout, doctor.stderr);
+    assert!(told.contains(message), "doctor does not say {message:?}: {told}");
+    said
+}
+
+#[test]
+fn positions_and_control_of_another_place_are_errors_that_name_the_cause() {
+    let folder = tempfile::tempdir().unwrap();
+    // Indiana, UTM zone 16.
+    let (here, control) = ([40.4718, -86.9920], [500_678.0, 4_480_140.0]);
+    let zone = "crs = \"EPSG:32616\"";
+    let cases: [(&str, [f64; 2], [f64; 2], &str, &str); 7] = [
+        ("right", here, control, zone, "fine"),
+        ("assumed", here, control, "", "fine"),
+        ("wrong zone", here, control, "crs = \"EPSG:32633\"", "EPSG:32616"),
+        ("neighbour", here, control, "crs = \"EPSG:32617\"", "EPSG:32616"),
+        ("exchanged", [-86.9920, 40.4718], control, zone, "latitude and longitude"),
+        ("feet", here, control.map(|v| v / 0.3048), zone, "in feet"),
+        ("nowhere", here, [1e12, 4_480_140.0], zone, "no coordinates in metres"),
+    ];
+    for (name, photos, control, settings, expected) in cases {
+        let root = folder.path().join(name.replace(' ', "-"));
+        fs::create_dir(&root).unwrap();
+        let said = placed(&root, photos, control, settings);
+        assert!(said.contains(expected), "{name}: {said}");
+    }
+}

@@ -4,7 +4,10 @@ use super::{Config, PHOTO_ENDINGS, Project, run::LEAST_PHOTOS};
 use crate::{
     crs::LocalPlane,
     error::Error,
-    io::photo::{self, Geotag},
+    io::{
+        images,
+        photo::{self, Geotag},
+    },
     monitor::{Collector, Diagnostic},
 };
 use rayon::prelude::*;
@@ -47,7 +50,9 @@ pub fn doctor(
         let message = format!("none in images/ or directly ({})", PHOTO_ENDINGS.join(", "));
         found.push(Diagnostic::error("photos-missing", "photos", message));
     } else {
-        found.extend(of_photos(&photos));
+        let positions = project.config().project.positions.as_ref();
+        let tabled = project.given(positions, &["geolocation.csv"]).is_some();
+        found.extend(of_photos(&photos, tabled));
         found.extend(tables(&project));
         let control = project.config().project.control.as_ref();
         if project.given(control, &super::align::inputs::CONTROL).is_none() {
@@ -69,12 +74,14 @@ pub fn doctor(
     Ok(found)
 }
 
-/// What their heads say.
-fn of_photos(photos: &[PathBuf]) -> Vec<Diagnostic> {
+/// What their heads say, and whether all of them can be decoded.
+fn of_photos(photos: &[PathBuf], tabled: bool) -> Vec<Diagnostic> {
     let mut found = Vec::new();
     let heads: Vec<_> = photos
         .par_iter()
-        .map(|path| (photo::read(path), image::image_dimensions(path).ok()))
+        .map(|path| {
+            (photo::read(path), images::read_photo(path).map(|photo| photo.dimensions()).ok())
+        })
         .collect();
     let mut cameras: BTreeMap<String, usize> = BTreeMap::new();
     let (mut unread, mut without_focal, mut without_place) = (Vec::new(), 0, 0);
@@ -124,7 +131,10 @@ fn of_photos(photos: &[PathBuf]) -> Vec<Diagnostic> {
                 .with_remedy("give camera.toml, or photos of a chessboard for [calibrate]"),
         );
     }
-    if without_place > 0 {
+    if without_place > 0 && tabled {
+        let message = "those of a file are used; photos that it does not name are named below";
+        found.push(Diagnostic::info("positions", "positions", message));
+    } else if without_place > 0 {
         let message = format!(
             "{without_place} of {all} photos have no position: all pairs of them have to be tried"
         );

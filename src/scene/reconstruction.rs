@@ -3,7 +3,7 @@
 
 use super::{Accuracy, Excluded, Pose, ReferenceFrame};
 use crate::{
-    camera::Camera,
+    camera::{Camera, Lens},
     geometry::{dot, rotation},
 };
 use serde::{Deserialize, Serialize};
@@ -186,6 +186,28 @@ impl Reconstruction {
     pub fn readout_share(&self, image: usize, v_px: f64) -> f64 {
         let height = f64::from(self.cameras[self.images[image].camera].interior.size_px()[1]);
         (v_px - 0.5 * (height - 1.0)) / height
+    }
+
+    /// The pose of an image while it read a row.
+    pub fn pose_at(&self, image: usize, v_px: f64) -> Pose {
+        let Image { pose, motion, .. } = &self.images[image];
+        if self.rolling_shutter.is_none() {
+            return *pose;
+        }
+        let share = self.readout_share(image, v_px);
+        let motion = motion.map(|v| v * share);
+        let turn = rotation::exp([motion[0], motion[1], motion[2]]);
+        let turned = rotation::rotate(turn, pose.translation);
+        Pose {
+            rotation: rotation::normalize(rotation::multiply(turn, pose.rotation)),
+            translation: std::array::from_fn(|k| turned[k] + motion[3 + k]),
+        }
+    }
+
+    /// Whether a camera can have a point where it was measured: in front of it, and where its lens is one to one.
+    pub fn is_feasible(&self, image: usize, image_px: [f64; 2], point_m: [f64; 3]) -> bool {
+        let lens = &self.cameras[self.images[image].camera].interior;
+        lens.project(self.pose_at(image, image_px[1]).to_camera(point_m)).is_some()
     }
 
     /// The velocity of an image in the world, metres per second, from its motion.

@@ -20,7 +20,29 @@ pub struct BundleAdjustmentOptions {
     pub cost_tolerance: f64,
 }
 
-/// Adjusts a reconstruction whose images from `free` on are held; the final cost.
+/// Leaves out what cannot be evaluated where the block stands now: a point behind a camera, a mark whose ground point is.
+/// The block keeps it, and its turn comes when it can be.
+fn keep_feasible(scene: &mut Reconstruction) {
+    let marks = std::mem::take(&mut scene.marks);
+    let observations = std::mem::take(&mut scene.observations);
+    scene.marks = marks
+        .into_iter()
+        .filter(|m| {
+            let at = scene.ground[m.ground as usize].position_m;
+            scene.is_feasible(m.image as usize, m.image_px, at)
+        })
+        .collect();
+    scene.observations = observations
+        .into_iter()
+        .filter(|o| {
+            let at = scene.points[o.point as usize].position_m;
+            scene.is_feasible(o.image as usize, o.image_px, at)
+        })
+        .collect();
+}
+
+/// Adjusts a reconstruction whose images from `free` on are held; the final cost. What cannot be evaluated at the start
+/// takes no part.
 ///
 /// # Errors
 /// Where it cannot be evaluated.
@@ -29,6 +51,7 @@ pub(super) fn bundle_adjust(
     free: usize,
     options: &BundleAdjustmentOptions,
 ) -> Result<f64, SolveError> {
+    keep_feasible(scene);
     let settings = Settings { tie_loss: options.loss, ..Settings::default() };
     let mut problem = AdjustmentProblem::new(scene, &settings)?;
     (free..scene.images.len()).try_for_each(|image| problem.hold_image(image))?;

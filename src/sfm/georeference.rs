@@ -1,13 +1,15 @@
 //! Blocks with a frame of their own come into the frame of the map: by control points or camera
 //! positions, each by its own similarity; then fragments are one block, tied by the tracks they share.
 
+pub use super::positions::{PositionFit, weigh_positions};
+
 pub use super::control::{MarkReview, WrongMark, axes_exchanged, control_left_m, review_marks};
 
 use super::{
     block::Block,
     bundle::{BundleAdjustmentOptions, bundle_adjust},
     depth_outliers,
-    rolling_shutter::keep_feasible_marks,
+    level::{self, HeightReview},
     triangulate::TriangulationOptions,
 };
 use crate::{
@@ -18,7 +20,6 @@ use crate::{
     scene::{CameraPosition, GroundObservation, GroundPoint, Pose, Reconstruction, Role},
 };
 use nalgebra::{Matrix3, Rotation3, Vector3};
-use serde::Serialize;
 
 /// What is known on the ground and in the air; images by their index in the block.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -43,6 +44,8 @@ pub struct Joined<'a> {
     pub georeferenced: bool,
     /// The shift of all camera positions against the control that was taken off them, metres.
     pub position_shift_m: Option<[f64; 3]>,
+    /// The heights of the camera positions against the block, where it could be brought level without them.
+    pub heights: Option<HeightReview>,
 }
 
 impl Known {
@@ -74,7 +77,7 @@ impl Known {
 const NEARLY_A_LINE: f64 = 0.1;
 
 /// Ratio of the second to the first principal spread of some positions.
-fn spread_across(positions: &[[f64; 3]]) -> f64 {
+pub(super) fn spread_across(positions: &[[f64; 3]]) -> f64 {
     let n = positions.len().max(1) as f64;
     let mean = positions.iter().map(|p| Vector3::from(*p)).sum::<Vector3<f64>>() / n;
     let mut moments = Matrix3::zeros();
@@ -154,7 +157,12 @@ fn align_strip(survey: &mut Reconstruction) -> Option<Alignment> {
     })
 }
 
-fn apply(survey: &mut Reconstruction, scale: f64, turn: &Matrix3<f64>, shift: &Vector3<f64>) {
+pub(super) fn apply(
+    survey: &mut Reconstruction,
+    scale: f64,
+    turn: &Matrix3<f64>,
+    shift: &Vector3<f64>,
+) {
     let q = super::resection::quaternion(&Rotation3::from_matrix_unchecked(*turn).into_inner());
     for image in &mut survey.images {
         let centre = scale * (turn * Vector3::from(image.pose.centre_m())) + shift;
@@ -167,35 +175,74 @@ fn apply(survey: &mut Reconstruction, scale: f64, turn: &Matrix3<f64>, shift: &V
 }
 
 /// Brings a survey into the frame of what is known of it.
-fn georeference(survey: &mut Reconstruction) -> Option<Alignment> {
+fn georeference(
+    survey: &mut Reconstruction,
+    places: &[f64],
+) -> Option<(Alignment, Option<HeightReview>)> {
     let mut trial = survey.clone();
     let first = align(&mut trial);
     let by_positions = first.as_ref().is_none_or(|alignment| alignment.by == "camera positions");
+    if by_positions && let Some((alignment, review)) = level::level(survey, places) {
+        return Some((alignment, Some(review)));
+    }
     let measured: Vec<[f64; 3]> = survey.positions.iter().map(|p| p.position_m).collect();
     if by_positions && measured.len() >= 2 && spread_across(&measured) < NEARLY_A_LINE {
-        return align_strip(survey);
+        return Some((align_strip(survey)?, None));
     }
     let alignment = first?;
     *survey = trial;
-    Some(alignment)
+    Some((alignment, None))
 }
 
-/// Brings blocks into the frame of the map and makes them one; those that nothing places stay out.
+/// Places in the flight of some images of a block.
+fn places_of(places: &[f64], order: &[usize]) -> Vec<f64> {
+    order.iter().map(|&image| places.get(image).copied().unwrap_or(0.0)).collect()
+}
+
+/// Heights that are off by less than this along a flight may as well be those of a block that is bent, metres.
+const LEAST_HEIGHT_ERROR_M: f64 = 3.0;
+
+/// Takes off camera positions what a review found in their heights; those of images that it did not see get what it
+/// says of their place in the flight.
+fn correct_heights(
+    positions: &mut [CameraPosition],
+    review: &HeightReview,
+    order: &[usize],
+    places: &[f64],
+) {
+    for position in positions {
+        let image = position.image as usize;
+        let known = order.iter().position(|&k| k == image).map(|k| review.correction_m[k]);
+        let place = places.get(image).copied().unwrap_or(0.0);
+        position.position_m[2] -= known.unwrap_or_else(|| review.error_m(place));
+    }
+}
+
+/// Brings blocks into the frame of the map and makes them one; those that nothing places stay out. `flight` is the images
+/// in the order in which they were taken.
 ///
 /// `None` where there is no block at all.
 pub fn join<'a>(
     mut blocks: Vec<Block<'a>>,
     known: &mut Known,
+    flight: &[usize],
     demands: &TriangulationOptions,
 ) -> Option<Joined<'a>> {
+    let places = level::places(flight, blocks.first()?);
     let mut alignments = Vec::new();
+    let mut heights = None;
     for block in &mut blocks {
         let (mut survey, _, order) = block.reconstruction(None);
         known.attach(&mut survey, &order);
-        let alignment = georeference(&mut survey);
-        if alignment.is_some() {
+        let mut alignment = None;
+        if let Some((found, review)) = georeference(&mut survey, &places_of(&places, &order)) {
             for (image, &index) in survey.images.iter().zip(&order) {
                 block.poses[index] = Some(image.pose);
+            }
+            alignment = Some(found);
+            if let (Some(review), None) = (review, &heights) {
+                correct_heights(&mut known.positions, &review, &order, &places);
+                heights = Some(review);
             }
         }
         alignments.push(alignment);
@@ -223,10 +270,19 @@ pub fn join<'a>(
     let control = alignments.iter().flatten().any(|alignment| alignment.by == "control points");
     let position_shift_m =
         if control { remove_common_offset(&block, &mut known.positions) } else { None };
-    Some(Joined { block, alignments, georeferenced, position_shift_m })
+    if control {
+        let (mut survey, _, order) = block.reconstruction(None);
+        known.attach(&mut survey, &order);
+        let review = level::review_level(&survey, &places_of(&places, &order));
+        heights = review.filter(|review| review.range_m > LEAST_HEIGHT_ERROR_M);
+        if let Some(review) = &heights {
+            correct_heights(&mut known.positions, review, &order, &places);
+        }
+    }
+    Some(Joined { block, alignments, georeferenced, position_shift_m, heights })
 }
 
-fn median(mut values: Vec<f64>) -> f64 {
+pub(super) fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
@@ -251,96 +307,6 @@ fn remove_common_offset(block: &Block<'_>, positions: &mut [CameraPosition]) -> 
     Some(shift)
 }
 
-/// From so many control points on these fix where a block is.
-const FIXED_BY: usize = 3;
-
-/// Camera positions against the block.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct PositionFit {
-    /// Standard deviations that the block suggests, horizontal and vertical, metres.
-    pub sigma_m: [f64; 2],
-    /// Over how many photos errors stay alike, horizontally and vertically.
-    pub together: [f64; 2],
-    /// Images whose positions are far out, with the distance, metres.
-    pub outliers: Vec<(u32, f64)>,
-}
-
-/// Over how many of its values a series stays alike: the integrated autocorrelation `1 + 2 sum rho_k`, up to the first
-/// lag at which it is gone.
-///
-/// Reference: C. J. Geyer, "Practical Markov chain Monte Carlo", Statistical Science 7 (1992).
-fn correlation_length(series: &[Vec<f64>]) -> f64 {
-    let longest = series.iter().map(Vec::len).max().unwrap_or(0);
-    let at_lag = |lag: usize| -> f64 {
-        let product = |values: &Vec<f64>| {
-            values.iter().zip(values.iter().skip(lag)).map(|(a, b)| a * b).sum::<f64>()
-        };
-        series.iter().map(product).sum()
-    };
-    let variance = at_lag(0);
-    let shares = (1..longest / 2).map(|lag| at_lag(lag) / variance.max(f64::MIN_POSITIVE));
-    1.0 + 2.0 * shares.take_while(|&share| share > 0.0).sum::<f64>()
-}
-
-/// How camera positions whose accuracy nobody has told fit the block: robust standard deviations, and
-/// positions that are beyond five of them, which are taken out.
-///
-/// Errors of a receiver drift: neighbours have nearly the same one, and together they would outweigh control that fixes the
-/// block far better. Where there is control, standard deviations are made larger by the root of how long errors stay
-/// alike. `told` are those that somebody has told, image by image.
-pub fn weigh_positions(
-    block: &Block<'_>,
-    known: &mut Known,
-    told: &[Option<[f64; 3]>],
-) -> Option<PositionFit> {
-    let left = |position: &CameraPosition| -> Option<[f64; 3]> {
-        let centre = block.poses[position.image as usize]?.centre_m();
-        Some(std::array::from_fn(|k| position.position_m[k] - centre[k]))
-    };
-    let all: Vec<[f64; 3]> = known.positions.iter().filter_map(left).collect();
-    if all.len() < 4 {
-        return None;
-    }
-    let scale = |axes: &[usize]| {
-        let values = all.iter().flat_map(|d| axes.iter().map(|&k| d[k].abs())).collect();
-        (1.4826 * median(values)).max(0.01)
-    };
-    let sigma_m = [scale(&[0, 1]), scale(&[2])];
-    let mut outliers = Vec::new();
-    for position in &mut known.positions {
-        if let Some(&Some(sigma_m)) = told.get(position.image as usize) {
-            position.sigma_m = sigma_m;
-            continue;
-        }
-        position.sigma_m = [sigma_m[0], sigma_m[0], sigma_m[1]];
-        if let Some(d) = left(position) {
-            let far = (0..3).any(|k| d[k].abs() > 5.0 * position.sigma_m[k]);
-            if far {
-                let distance = (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt();
-                outliers.push((position.image, distance));
-            }
-        }
-    }
-    known.positions.retain(|p| !outliers.iter().any(|(image, _)| *image == p.image));
-    let mut together = [1.0; 2];
-    if known.ground.iter().filter(|point| point.role == Role::Control).count() >= FIXED_BY {
-        let mut ordered: Vec<(u32, [f64; 3])> =
-            known.positions.iter().filter_map(|p| Some((p.image, left(p)?))).collect();
-        ordered.sort_by_key(|(image, _)| *image);
-        let axis = |k: usize| -> Vec<f64> {
-            let mean = ordered.iter().map(|(_, d)| d[k]).sum::<f64>() / ordered.len().max(1) as f64;
-            ordered.iter().map(|(_, d)| d[k] - mean).collect()
-        };
-        together = [correlation_length(&[axis(0), axis(1)]), correlation_length(&[axis(2)])];
-        for position in &mut known.positions {
-            for (k, sigma) in position.sigma_m.iter_mut().enumerate() {
-                *sigma *= together[usize::from(k == 2)].sqrt();
-            }
-        }
-    }
-    Some(PositionFit { sigma_m, together, outliers })
-}
-
 /// Adjusts a block with what is known, without judging it, and renews its points.
 ///
 /// # Errors
@@ -356,7 +322,6 @@ pub fn adjust(
     let (mut survey, tracks, order) = block.reconstruction(None);
     known.attach(&mut survey, &order);
     survey.tie_sigma_px = tie_sigma_px;
-    keep_feasible_marks(&mut survey);
     let options =
         BundleAdjustmentOptions { loss: Loss::SoftL1(2.0), iterations, cost_tolerance: 1e-6 };
     let free = survey.images.len();
@@ -389,33 +354,4 @@ pub fn retriangulate_and_filter(block: &mut Block<'_>, demands: &TriangulationOp
     let points = block.retriangulate(&all, demands);
     let alone = depth_outliers::remove_depth_outliers(block);
     tracing::debug!("{alone} of {points} points stand alone: left out");
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use rand::{RngExt, SeedableRng};
-    use rand_chacha::ChaCha8Rng;
-
-    #[test]
-    fn errors_that_drift_are_alike_for_as_long_as_they_do() {
-        // Of a first-order autoregression, (1 + phi) / (1 - phi) on average.
-        let mut rng = ChaCha8Rng::seed_from_u64(1);
-        for (phi, expected) in [(0.0, 1.0), (0.5, 3.0), (0.9, 19.0)] {
-            let mut series = || {
-                let mut value = 0.0;
-                let step = |_| {
-                    value = phi * value + rng.random_range(-1.0..1.0);
-                    value
-                };
-                (0..3000).map(step).collect::<Vec<f64>>()
-            };
-            let found = correlation_length(&[series(), series()]);
-            assert!((found / expected - 1.0).abs() < 0.35, "{phi}: {found}");
-        }
-        // Too short to tell, or all the same.
-        assert_eq!(correlation_length(&[vec![1.0, -1.0]]), 1.0);
-        assert_eq!(correlation_length(&[vec![0.0; 20]]), 1.0);
-        assert_eq!(correlation_length(&[]), 1.0);
-    }
 }

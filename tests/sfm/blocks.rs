@@ -3,11 +3,14 @@
 use super::toy::{Flight, Flown, lens};
 use rowgram::{
     camera::Camera,
+    error::Error,
     monitor::Silent,
     problems::adjustment::{Settings, adjust as judge},
     scene::Role,
     sfm::{
-        adjust_block::{BlockOptions, Flight as Given, Photos, ShutterModel, When, adjust_blocks},
+        adjust_block::{
+            AdjustedBlock, BlockOptions, Flight as Given, Photos, ShutterModel, When, adjust_blocks,
+        },
         block::Block,
         georeference::{Known, adjust, axes_exchanged, join, review_marks, weigh_positions},
         incremental::{IncrementalOptions, reconstruct},
@@ -29,7 +32,7 @@ fn guess() -> Vec<Camera> {
     vec![camera]
 }
 
-fn tracks(flown: &Flown) -> (Tracks, Vec<rowgram::sfm::Pair>) {
+pub(super) fn tracks(flown: &Flown) -> (Tracks, Vec<rowgram::sfm::Pair>) {
     let verifying = GeometricVerificationOptions {
         tolerance_px: 4.0,
         ..GeometricVerificationOptions::default()
@@ -46,7 +49,7 @@ fn tracks(flown: &Flown) -> (Tracks, Vec<rowgram::sfm::Pair>) {
     (tracks, pairs)
 }
 
-fn known(flown: &Flown) -> Known {
+pub(super) fn known(flown: &Flown) -> Known {
     Known {
         ground: flown.ground.clone(),
         marks: flown.marks.clone(),
@@ -54,9 +57,18 @@ fn known(flown: &Flown) -> Known {
     }
 }
 
-fn grow<'a>(flown: &'a Flown, tracks: &'a Tracks, pairs: &[rowgram::sfm::Pair]) -> Vec<Block<'a>> {
+pub(super) fn grow<'a>(
+    flown: &'a Flown,
+    tracks: &'a Tracks,
+    pairs: &[rowgram::sfm::Pair],
+) -> Vec<Block<'a>> {
     let growing = IncrementalOptions::default();
     reconstruct(&flown.features, tracks, pairs, &guess(), &growing, |_| ()).unwrap()
+}
+
+/// The photos in the order in which they were taken.
+pub(super) fn in_order(flown: &Flown) -> Vec<usize> {
+    (0..flown.poses.len()).collect()
 }
 
 fn prepare(block: &mut Block<'_>) {
@@ -75,7 +87,7 @@ fn a_block_grows_whole_and_control_brings_it_into_the_map() {
     assert_eq!(blocks[0].registered(), flown.poses.len());
     let mut known = known(&flown);
     known.positions.clear();
-    let mut block = join(blocks, &mut known, &DEMANDS).unwrap().block;
+    let mut block = join(blocks, &mut known, &in_order(&flown), &DEMANDS).unwrap().block;
     prepare(&mut block);
     for _ in 0..3 {
         adjust(&mut block, &known, 0.4, &DEMANDS, 30).unwrap();
@@ -95,16 +107,30 @@ fn a_block_grows_whole_and_control_brings_it_into_the_map() {
 }
 
 /// What the strategy makes of a flight with this control, without another look at the photos.
-fn adjusted(flown: &Flown, known: &Known) -> rowgram::sfm::adjust_block::AdjustedBlock {
+fn adjusted(flown: &Flown, known: &Known) -> AdjustedBlock {
     let (tracks, pairs) = tracks(flown);
-    let order: Vec<usize> = (0..flown.poses.len()).collect();
-    let given = Given {
-        known,
-        order: &order,
-        has_position_sigma: &vec![false; order.len()],
-        mark_scales: &[0.5, 2.0],
-    };
-    let read = |image: usize| Err(rowgram::error::Error::Incomplete(format!("no photo {image}")));
+    adjusted_with(flown, known, grow(flown, &tracks, &pairs)).unwrap()
+}
+
+/// The same of blocks that have grown.
+pub(super) fn adjusted_with(
+    flown: &Flown,
+    known: &Known,
+    blocks: Vec<Block<'_>>,
+) -> Result<AdjustedBlock, Error> {
+    adjusted_as(flown, known, blocks, &vec![false; flown.poses.len()])
+}
+
+/// The same with receivers that tell how accurate they are.
+pub(super) fn adjusted_as(
+    flown: &Flown,
+    known: &Known,
+    blocks: Vec<Block<'_>>,
+    has_position_sigma: &[bool],
+) -> Result<AdjustedBlock, Error> {
+    let order = in_order(flown);
+    let given = Given { known, order: &order, has_position_sigma, mark_scales: &[0.5, 2.0] };
+    let read = |image: usize| Err(Error::Incomplete(format!("no photo {image}")));
     let photos = Photos { descriptors: &[], matched: &flown.matched, read: &read };
     let options = BlockOptions {
         tolerance_px: 4.0,
@@ -114,8 +140,7 @@ fn adjusted(flown: &Flown, known: &Known) -> rowgram::sfm::adjust_block::Adjuste
         free: None,
         calibrated: false,
     };
-    let blocks = grow(flown, &tracks, &pairs);
-    adjust_blocks(blocks, &given, &photos, &options, &mut Silent).unwrap()
+    adjust_blocks(blocks, &given, &photos, &options, &mut Silent)
 }
 
 #[test]
@@ -215,7 +240,7 @@ fn a_rolling_shutter_is_found_where_there_is_one_and_only_there() {
         let blocks = grow(&flown, &tracks, &pairs);
         let mut known = known(&flown);
         known.positions.clear();
-        let mut block = join(blocks, &mut known, &DEMANDS).unwrap().block;
+        let mut block = join(blocks, &mut known, &in_order(&flown), &DEMANDS).unwrap().block;
         assert_eq!(block.registered(), flown.poses.len());
         prepare(&mut block);
         for _ in 0..3 {
@@ -258,7 +283,7 @@ fn what_is_known_beforehand_counts_once_however_often_a_block_is_adjusted() {
     let blocks = grow(&flown, &tracks, &pairs);
     let mut known = known(&flown);
     known.positions.clear();
-    let mut block = join(blocks, &mut known, &DEMANDS).unwrap().block;
+    let mut block = join(blocks, &mut known, &in_order(&flown), &DEMANDS).unwrap().block;
     prepare(&mut block);
     adjust(&mut block, &known, 0.4, &DEMANDS, 30).unwrap();
     let flight: Vec<usize> = (0..flown.poses.len()).collect();
@@ -302,7 +327,7 @@ fn positions_alone_bring_it_there_too() {
     known.marks.clear();
     // One position is far out.
     known.positions[4].position_m[0] += 60.0;
-    let joined = join(blocks, &mut known, &DEMANDS).unwrap();
+    let joined = join(blocks, &mut known, &in_order(&flown), &DEMANDS).unwrap();
     assert!(joined.georeferenced);
     let mut block = joined.block;
     prepare(&mut block);
@@ -332,7 +357,8 @@ fn positions_that_drift_weigh_less_where_there_is_control() {
         position.sigma_m = [1.0; 3];
     }
     let told = vec![Some([1.0; 3]); known.positions.len()];
-    let mut block = join(grow(&flown, &tracks, &pairs), &mut known, &DEMANDS).unwrap().block;
+    let mut block =
+        join(grow(&flown, &tracks, &pairs), &mut known, &in_order(&flown), &DEMANDS).unwrap().block;
     prepare(&mut block);
     adjust(&mut block, &known, 0.4, &DEMANDS, 30).unwrap();
     let fit = weigh_positions(&block, &mut known, &told).unwrap();
@@ -361,7 +387,7 @@ fn pieces_that_share_nothing_are_joined_by_positions() {
     let mut known = known(&flown);
     known.ground.clear();
     known.marks.clear();
-    let joined = join(blocks, &mut known, &DEMANDS).unwrap();
+    let joined = join(blocks, &mut known, &in_order(&flown), &DEMANDS).unwrap();
     assert_eq!(joined.block.registered(), 12);
     assert!(joined.alignments.iter().all(Option::is_some));
 }
@@ -407,7 +433,7 @@ fn marks_and_coordinates_that_cannot_be_are_found() {
         wrong.ground[place].position_m[0] += 5.0;
         let marks = wrong.marks.iter().filter(|mark| mark.ground as usize == place).count();
         assert_eq!(marks == 1, name == "T0");
-        let joined = join(blocks.clone(), &mut wrong, &DEMANDS).unwrap();
+        let joined = join(blocks.clone(), &mut wrong, &in_order(&flown), &DEMANDS).unwrap();
         let alignment = joined.alignments[0].as_ref().unwrap();
         let named: Vec<&str> = alignment.misfits.iter().map(|(n, _)| n.as_str()).collect();
         assert!(named.contains(&name) && alignment.misfits.len() <= 2, "{name}: {alignment:?}");

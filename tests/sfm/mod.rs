@@ -1,5 +1,6 @@
 //! Orientation of blocks, on flights made from geometry.
 
+mod any_flight;
 mod blocks;
 mod pairs;
 mod toy;

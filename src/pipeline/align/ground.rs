@@ -1,6 +1,9 @@
 //! What is known of a project on the ground and in the air, in one frame.
 
-use super::inputs::{Frame, Photo, Sources, stand_ins};
+use super::{
+    inputs::{Frame, Photo, Sources, stand_ins},
+    place as places,
+};
 use crate::{
     crs::{Crs, LocalPlane},
     error::Error,
@@ -109,6 +112,14 @@ pub(super) fn read(
         })?;
         point.role = Role::Check;
     }
+    let taken: Vec<Geotag> = tagged.iter().map(|(_, tag)| *tag).collect();
+    places::check_numbers(&known.ground)?;
+    if let Some(crs) = &crs {
+        places::check_crs(crs, &taken)?;
+        if !geographic && sources.use_positions {
+            places::check_control(crs, &known.ground, &taken)?;
+        }
+    }
     // Control that lies where the photos were taken in the UTM zone of those is in that zone.
     if let (None, Some((_, tag)), false, false) =
         (&crs, tagged.first(), known.ground.is_empty(), geographic)
@@ -133,14 +144,24 @@ pub(super) fn read(
             let n = tagged.len() as f64;
             let mean =
                 |of: &dyn Fn(&Geotag) -> f64| tagged.iter().map(|(_, t)| of(t)).sum::<f64>() / n;
-            Frame::Local(LocalPlane::at([
-                mean(&|t| t.latitude_deg),
-                mean(&|t| t.longitude_deg),
-                0.0,
-            ]))
+            let (lat, lon) = (mean(&|t| t.latitude_deg), mean(&|t| t.longitude_deg));
+            match Crs::utm_of(lat, lon) {
+                // Poleward of it there is no zone.
+                Ok(zone) if lat.abs() < 84.0 => {
+                    let message =
+                        format!("none was given; using {}, the zone of the photos", zone.name());
+                    let diagnostic = Diagnostic::info("crs-assumed", "coordinate system", message);
+                    monitor.diagnostic(&diagnostic.with_remedy("change it with [project] crs"));
+                    Frame::Map(Box::new(zone))
+                }
+                _ => Frame::Local(LocalPlane::at([lat, lon, 0.0])),
+            }
         }
         (None, _) if !known.ground.is_empty() && !geographic => {
             if !tagged.is_empty() {
+                if sources.use_positions {
+                    places::check_unnamed(&known.ground, &taken)?;
+                }
                 let message = "that of the control points is not known: camera positions only tell which photos are neighbours";
                 let diagnostic = Diagnostic::warning("crs-unknown", "coordinate system", message);
                 let remedy = "name it with [project] crs = \"EPSG:<code>\" to use them";

@@ -1,6 +1,6 @@
 //! Which photos a project has, what their files say, what is known on the ground and in the air.
 
-use super::{AlignOptions, ground};
+use super::{AlignOptions, ground, place};
 use crate::{
     camera::{Camera, Model},
     crs::{Crs, LocalPlane},
@@ -366,6 +366,7 @@ fn geotags(
     let mut tags: Vec<Option<Geotag>> = photos.iter().map(|photo| photo.metadata.geotag).collect();
     if let Some(path) = &sources.positions {
         let rows = gcp_list::geolocation(path)?;
+        let own = tags.clone();
         let stand_ins = stand_ins(photos);
         let names = control::Names::new(&stand_ins);
         let mut unmatched = Vec::new();
@@ -375,12 +376,14 @@ fn geotags(
                 None => unmatched.push(name),
             }
         }
+        place::check_tables(&own, &tags)?;
         if let Some(first) = unmatched.first() {
             let message = format!("{} rows name no photo, the first {first:?}", unmatched.len());
             let subject = path.display().to_string();
             monitor.diagnostic(&Diagnostic::warning("rows-without-photo", subject, message));
         }
     }
+    place::drop_far(photos, &mut tags, monitor);
     let missing: Vec<&str> = photos
         .iter()
         .zip(&tags)

@@ -11,6 +11,7 @@ mod ground;
 pub(super) mod inputs;
 mod outcome;
 mod pair_figures;
+mod place;
 mod results;
 mod steps;
 

@@ -9,8 +9,8 @@ use super::{
 };
 use crate::scene::{Excluded, ExcludedKind, Reconstruction, Role};
 use crate::{
-    engine::SolveError,
-    nlls::{Loss, Summary, solve},
+    engine::{SolveError, Termination},
+    nlls::{Loss, Options, Summary, solve},
 };
 use serde::Serialize;
 
@@ -40,6 +40,8 @@ pub struct Adjusted {
     pub check_points: Vec<CheckPoint>,
     /// Where the adjustment puts each ground point of `reconstruction` that took part, metres.
     pub ground_m: Vec<Option<[f64; 3]>>,
+    /// Lens parameters, by camera and place, that still move where the iterations ended.
+    pub creeping: Vec<(usize, usize)>,
 }
 
 /// Validates `whole`, adjusts it and evaluates the result; `whole` gets the adjusted values.
@@ -55,6 +57,8 @@ pub fn adjust(whole: &mut Reconstruction, settings: &Settings) -> Result<Adjuste
     adjust_after(whole, settings, None)
 }
 
+/// The robust adjustment only finds where to start from.
+const ROBUST_TOLERANCE: f64 = 1e-8;
 /// A step that gains less than this share of the cost changes no residual by what tests could see.
 const ROUGH_TOLERANCE: f64 = 1e-7;
 
@@ -68,13 +72,11 @@ pub(super) fn adjust_after(
     last: Option<&Adjusted>,
 ) -> Result<Adjusted, AdjustError> {
     let mut validated = validate(whole)?;
-    let mut initial_cost = None;
     if settings.tie_loss != Loss::Trivial && !validated.reconstruction.observations.is_empty() {
         let adjustment = AdjustmentProblem::new(&validated.reconstruction, settings)?;
         let mut x = adjustment.problem.start();
-        let summary =
-            solve(&adjustment.problem, &mut x, &settings.engine(), settings.max_iterations)?;
-        initial_cost = Some(summary.initial_cost);
+        let engine = Options { cost_tolerance: ROBUST_TOLERANCE, ..settings.engine() };
+        solve(&adjustment.problem, &mut x, &engine, settings.max_iterations)?;
         let mut reconstruction = validated.reconstruction.clone();
         adjustment.update(&x, &mut reconstruction);
         validated.update(&reconstruction, whole);
@@ -88,8 +90,7 @@ pub(super) fn adjust_after(
     if last.is_some() {
         engine.cost_tolerance = ROUGH_TOLERANCE;
     }
-    let mut summary = solve(&adjustment.problem, &mut x, &engine, plain.max_iterations)?;
-    summary.initial_cost = initial_cost.unwrap_or(summary.initial_cost);
+    let (summary, moving) = solve_to_rest(&adjustment, &mut x, &engine, plain.max_iterations)?;
     let mut reconstruction = validated.reconstruction.clone();
     adjustment.update(&x, &mut reconstruction);
     let same = |last: &&Adjusted| {
@@ -102,10 +103,79 @@ pub(super) fn adjust_after(
         }
         None => Statistics::new(&reconstruction, &adjustment, &plain, &x)?,
     };
+    let creeping = creeping(&reconstruction, &statistics, &moving);
     let check_points = check_points(&reconstruction, &adjustment, &x, &statistics);
     let ground_m = (0..reconstruction.ground.len()).map(|k| adjustment.ground_m(&x, k)).collect();
     validated.update(&reconstruction, whole);
-    Ok(Adjusted { validated, reconstruction, summary, statistics, check_points, ground_m })
+    Ok(Adjusted {
+        validated,
+        reconstruction,
+        summary,
+        statistics,
+        check_points,
+        ground_m,
+        creeping,
+    })
+}
+
+/// The last iterations, whose progress is judged where the limit is reached.
+const LAST_ITERATIONS: u64 = 10;
+/// Parameters that the last iterations moved by more than this many standard deviations have not come to rest.
+const AT_REST: f64 = 0.2;
+
+/// Solves, and judges an end at the limit: where the last iterations together gain less than half the variance of unit
+/// weight, no parameter is a standard deviation away from where further ones would bring it, and the noise of the cost is larger by
+/// orders. With what the last iterations moved the lenses by.
+fn solve_to_rest(
+    adjustment: &AdjustmentProblem,
+    x: &mut Vec<f64>,
+    engine: &Options,
+    iterations: u64,
+) -> Result<(Summary, Vec<Vec<f64>>), SolveError> {
+    let problem = &adjustment.problem;
+    let most = iterations.saturating_sub(LAST_ITERATIONS).max(1);
+    let first = solve(problem, x, engine, most)?;
+    if first.stop != Termination::MaxIterations || iterations <= LAST_ITERATIONS {
+        return Ok((first, Vec::new()));
+    }
+    let before = x.clone();
+    let mut last = solve(problem, x, engine, LAST_ITERATIONS)?;
+    let redundancy = last.residuals.saturating_sub(last.parameters).max(1) as f64;
+    let variance = 2.0 * last.final_cost / redundancy;
+    let rests = first.final_cost - last.final_cost < 0.5 * variance;
+    last.initial_cost = first.initial_cost;
+    last.iterations += first.iterations;
+    if last.stop.converged() || rests {
+        last.stop = Termination::CostConverged;
+        return Ok((last, Vec::new()));
+    }
+    let moved = adjustment.lenses.iter().map(|&lens| {
+        let (from, to) = (problem.values(&before, lens), problem.values(x, lens));
+        from.iter().zip(to).map(|(a, b)| b - a).collect()
+    });
+    Ok((last, moved.collect()))
+}
+
+/// Parameters of lenses that moved by a good part of their standard deviations, the one that moved most last.
+fn creeping(
+    reconstruction: &Reconstruction,
+    statistics: &Statistics,
+    moved: &[Vec<f64>],
+) -> Vec<(usize, usize)> {
+    let mut found = Vec::new();
+    for interior in &statistics.interiors {
+        let Some(moved) = moved.get(interior.camera) else { continue };
+        let model = reconstruction.cameras[interior.camera].interior.model();
+        for (name, sigma) in interior.names.iter().zip(&interior.standard_deviations) {
+            let Some(place) = model.place(name) else { continue };
+            let ratio = moved.get(place).map_or(0.0, |moved| moved.abs() / sigma.max(1e-300));
+            if *sigma > 0.0 && ratio > AT_REST {
+                found.push((ratio, (interior.camera, place)));
+            }
+        }
+    }
+    found.sort_by(|a, b| a.0.total_cmp(&b.0));
+    found.into_iter().map(|(_, which)| which).collect()
 }
 
 impl Adjusted {

@@ -45,6 +45,7 @@ pub use analysis::{
 };
 pub use check_points::{AxisError, CheckPoint, check_points, rmse};
 pub use problem::AdjustmentProblem;
+pub use rank::{Undetermined, undetermined};
 pub use settings::{Group, Settings};
 pub use snooping::{DataSnooping, DataSnoopingOptions, Removed, retained_suspects, snoop};
 pub use statistics::{

@@ -1,12 +1,16 @@
 //! A rank deficiency in words: which parameters the observations cannot tell apart.
 
-use super::problem::AdjustmentProblem;
+use super::{
+    analysis::AdjustError,
+    problem::{AdjustmentProblem, Settings},
+    validation::validate,
+};
 use crate::scene::Reconstruction;
 use crate::{
     camera::Lens,
     engine::SolveError,
     nlls::{
-        LinearSolver,
+        BlockId, LinearSolver, Loss,
         covariance::{Direction, null_space},
     },
 };
@@ -76,6 +80,70 @@ pub(super) fn explain(
         ));
     }
     if reasons.is_empty() { otherwise } else { SolveError::RankDeficient(reasons.join("; ")) }
+}
+
+/// What the observations of a reconstruction leave undetermined, by index.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Undetermined {
+    /// In how many directions the block as a whole is free.
+    pub datum: usize,
+    /// For each direction of lenses the camera and its parameters that carry it.
+    pub lenses: Vec<(usize, Vec<usize>)>,
+    /// Images that nothing ties to the others.
+    pub images: Vec<usize>,
+}
+
+/// Finds what the observations leave undetermined where `whole` stands.
+///
+/// # Errors
+/// A reconstruction that cannot be adjusted, points that are undetermined by themselves.
+pub fn undetermined(
+    whole: &Reconstruction,
+    settings: &Settings,
+) -> Result<Undetermined, AdjustError> {
+    let validated = validate(whole)?;
+    let plain = Settings { tie_loss: Loss::Trivial, ..settings.clone() };
+    let adjustment = AdjustmentProblem::new(&validated.reconstruction, &plain)?;
+    let x = adjustment.problem.start();
+    let mut found = Undetermined::default();
+    let mut images = BTreeSet::new();
+    for direction in null_space(&adjustment.problem, &x, LinearSolver::Schur)? {
+        let share = |block: &BlockId| -> f64 {
+            let of = direction.iter().find(|(other, _)| other == block);
+            of.map_or(0.0, |(_, entries)| entries.iter().map(|v| v * v).sum())
+        };
+        let lens = adjustment.lenses.iter().map(share).sum::<f64>();
+        if is_datum(&adjustment, &direction) {
+            if settings.minimal_datum {
+                // The first image is held, so that all others move where it is one of those that are not tied.
+                let still =
+                    (0..adjustment.images.len()).filter(|&k| share(&adjustment.images[k]) < 1e-9);
+                images.extend(still.map(|k| validated.images[k]));
+            } else {
+                found.datum += 1;
+            }
+        } else if lens >= LENS_ALONE {
+            for (camera, block) in adjustment.lenses.iter().enumerate() {
+                let entries = direction.iter().find(|(other, _)| other == block);
+                let taking = entries.map_or(Vec::new(), |(_, entries)| {
+                    (0..entries.len())
+                        .filter(|&k| entries[k] * entries[k] > TAKES_PART * lens)
+                        .collect()
+                });
+                let there = whole.cameras[camera].free.len();
+                let taking: Vec<usize> = taking.into_iter().filter(|&k| k < there).collect();
+                if !taking.is_empty() {
+                    found.lenses.push((camera, taking));
+                }
+            }
+        } else {
+            let moved =
+                (0..adjustment.images.len()).filter(|&k| share(&adjustment.images[k]) > 0.05);
+            images.extend(moved.map(|k| validated.images[k]));
+        }
+    }
+    found.images = images.into_iter().collect();
+    Ok(found)
 }
 
 /// The parameters of lenses that carry a direction; none where it is not one of lenses.

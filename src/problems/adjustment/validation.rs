@@ -2,13 +2,10 @@
 //! excluded by name, and nothing is lost.
 
 use super::consistency::check;
+use crate::geometry::{cross, dot};
 use crate::scene::{
     Axes, CameraPosition, Excluded, ExcludedKind, GroundObservation, Observation, Reconstruction,
     Role, ScaleBar,
-};
-use crate::{
-    camera::Lens,
-    geometry::{cross, dot},
 };
 use std::collections::HashSet;
 
@@ -91,13 +88,10 @@ fn keep_feasible(
     mark: &mut [bool],
     excluded: &mut Vec<Excluded>,
 ) {
-    let why = |image: usize, point_m: [f64; 3]| -> Option<String> {
-        let image = &reconstruction.images[image];
-        let local = image.pose.to_camera(point_m);
-        let lens = &reconstruction.cameras[image.camera].interior;
-        if lens.project(local).is_some() {
+    let why = |image: usize, image_px: [f64; 2], point_m: [f64; 3]| -> Option<String> {
+        if reconstruction.is_feasible(image, image_px, point_m) {
             None
-        } else if local[2] >= 0.0 {
+        } else if reconstruction.pose_at(image, image_px[1]).to_camera(point_m)[2] >= 0.0 {
             Some("the point is behind the camera".into())
         } else {
             Some("the point is outside the range in which the lens model is one to one".into())
@@ -107,7 +101,7 @@ fn keep_feasible(
     for (keep, o) in tie.iter_mut().zip(&reconstruction.observations) {
         let point = &reconstruction.points[o.point as usize];
         let reason = if seen.insert((o.image, o.point)) {
-            why(o.image as usize, point.position_m)
+            why(o.image as usize, o.image_px, point.position_m)
         } else {
             Some("the point is measured twice in this image".into())
         };
@@ -123,7 +117,7 @@ fn keep_feasible(
     }
     for (keep, m) in mark.iter_mut().zip(&reconstruction.marks) {
         let ground = &reconstruction.ground[m.ground as usize];
-        if let Some(reason) = why(m.image as usize, ground.position_m) {
+        if let Some(reason) = why(m.image as usize, m.image_px, ground.position_m) {
             *keep = false;
             excluded.push(Excluded {
                 kind: ExcludedKind::Mark,

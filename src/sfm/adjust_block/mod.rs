@@ -4,6 +4,7 @@
 //! The strategy, in memory: [`adjust_blocks`] is all of it, from blocks in frames of their own to one adjusted block in
 //! the mapping frame. What is found on the way is a [`Diagnostic`].
 
+mod determined;
 mod review;
 mod rounds;
 
@@ -21,6 +22,7 @@ use crate::{
     problems::adjustment::{Adjusted, Alignment, Group, Removed, Settings},
     scene::{Reconstruction, Role},
 };
+use determined::keep_tied;
 use image::GrayImage;
 use review::{name_scarcely_marked, position_shift, prepare_cameras, review};
 use rounds::BlockAdjuster;
@@ -164,15 +166,19 @@ pub fn adjust_blocks(
         review(largest, &mut known, flight, options, &mut found);
     }
     name_scarcely_marked(&blocks, &known, &mut found);
-    let Some(Joined { mut block, alignments, georeferenced, position_shift_m }) =
-        join(blocks, &mut known, &triangulation(3.0 * options.tolerance_px))
+    let Some(Joined { mut block, alignments, georeferenced, position_shift_m, heights }) =
+        join(blocks, &mut known, flight.order, &triangulation(3.0 * options.tolerance_px))
     else {
         return Err(Error::Incomplete(
             "no three photos could be oriented together: look at the matches (rowgram align --until match), or give the camera (--camera)".into(),
         ));
     };
+    found.extend(heights.iter().flat_map(review::heights));
+    keep_tied(&mut block, &known, georeferenced, &mut found);
+    let within = block.image_names();
     for (k, alignment) in alignments.iter().enumerate() {
-        fragments[k].1 = alignment.is_some() || !georeferenced && k == 0;
+        let there = fragments[k].0.iter().any(|name| within.contains(name));
+        fragments[k].1 = there && (alignment.is_some() || !georeferenced && k == 0);
     }
     found.extend(position_shift_m.filter(|_| !known.positions.is_empty()).map(position_shift));
     prepare_cameras(&mut block, georeferenced, options)?;
@@ -206,6 +212,7 @@ pub fn adjust_blocks(
         found.retain(|diagnostic| diagnostic.code != MARK);
     }
     found.extend(more);
+    found.extend(review::tilt(&adjusted.adjusted.reconstruction, georeferenced));
     Ok(AdjustedBlock {
         alignment: alignments.into_iter().flatten().next(),
         fragments,

@@ -5,10 +5,12 @@ use crate::{
     camera::Lens,
     error::Error,
     monitor::Diagnostic,
+    scene::Reconstruction,
     sfm::{
         Block, Features,
         georeference::{Known, MarkReview, axes_exchanged, review_marks},
         intrinsics::estimable,
+        level::{HeightError, HeightReview, tilt_rad},
         triangulate::TriangulationOptions,
     },
 };
@@ -17,6 +19,9 @@ use crate::{
 const MIN_IMAGES_FOR_WHOLE_LENS: usize = 6;
 /// A difference of heights beyond this is one of vertical datums, metres.
 const DATUM_DIFFERENCE_M: f64 = 10.0;
+
+/// No receiver is off by more in the plan, metres.
+const RECEIVER_ERROR_M: f64 = 100.0;
 
 pub(super) fn position_shift([x, y, z]: [f64; 3]) -> Diagnostic {
     let message = format!(
@@ -27,7 +32,58 @@ pub(super) fn position_shift([x, y, z]: [f64; 3]) -> Diagnostic {
             format!("{message}; heights that differ by so much have different vertical datums");
         return Diagnostic::warning("vertical-datum", "camera positions", message);
     }
+    if x.hypot(y) > RECEIVER_ERROR_M {
+        let remedy =
+            "check [project] crs, its datum, and both tables: one of them may be of another place";
+        return Diagnostic::warning("position-offset", "camera positions", message)
+            .with_remedy(remedy);
+    }
     Diagnostic::info("position-offset", "camera positions", message)
+}
+
+/// Heights of camera positions that err by less than this along a flight are what receivers give, metres.
+const HEIGHT_ERROR_M: f64 = 3.0;
+/// A tilt beyond this is none of a mount.
+const TILT_DEG: f64 = 8.0;
+
+/// What was found in the heights of the camera positions.
+pub(super) fn heights(review: &HeightReview) -> Vec<Diagnostic> {
+    let mut found = Vec::new();
+    let error = match review.error {
+        HeightError::Drift(_) => Some("drift"),
+        HeightError::Jump(..) => Some("jump"),
+        HeightError::Constant => None,
+    };
+    if let Some(what) = error.filter(|_| review.range_m > HEIGHT_ERROR_M) {
+        let message = format!(
+            "their heights {what} by {:.1} m along the flight, which the photos contradict; that was taken off them",
+            review.range_m
+        );
+        let diagnostic = Diagnostic::warning("heights-corrected", "camera positions", message);
+        found.push(
+            diagnostic
+                .with_remedy("heights of the result may be off by as much: give control points"),
+        );
+    }
+    let degrees = review.tilt_rad.to_degrees();
+    if degrees > TILT_DEG {
+        let message = format!(
+            "their heights alone would tilt the block by {degrees:.0} degrees against the direction in which the cameras look; the cameras were followed"
+        );
+        found.push(Diagnostic::warning("heights-tilted", "camera positions", message));
+    }
+    found
+}
+
+/// Whether a block in the map is level as its cameras have it.
+pub(super) fn tilt(scene: &Reconstruction, georeferenced: bool) -> Option<Diagnostic> {
+    let degrees = tilt_rad(scene).filter(|_| georeferenced)?.to_degrees();
+    let message = format!(
+        "the cameras of the block look {degrees:.0} degrees away from straight down on average: it may be tilted"
+    );
+    let remedy = "check the heights of control points and camera positions; nothing has to be done where the camera was mounted obliquely";
+    let diagnostic = Diagnostic::warning("block-tilted", "block", message);
+    (degrees > TILT_DEG).then(|| diagnostic.with_remedy(remedy))
 }
 
 /// What image measurements of one ground point must be like: a free block is bent, but not within the few photos of one.

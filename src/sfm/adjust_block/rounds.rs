@@ -1,7 +1,9 @@
 //! One block in its frame: rounds from loose to tight, the shutter, other tie points, outliers.
 
 use super::{
-    AdjustedBlock, BlockOptions, DatumInfo, Flight, MARK, Photos, SHUTTER, ShutterModel, gsd_m,
+    AdjustedBlock, BlockOptions, DatumInfo, Flight, MARK, Photos, SHUTTER, ShutterModel,
+    determined::{keep_tied, snoop_determined},
+    gsd_m,
     review::{mark_triangulation, name_wrong_marks},
     triangulation,
 };
@@ -9,9 +11,7 @@ use crate::{
     error::Error,
     monitor::{Counter, Diagnostic, Monitor},
     nlls::Loss,
-    problems::adjustment::{
-        DataSnoopingOptions, Group, Removed, Settings, retained_suspects, snoop,
-    },
+    problems::adjustment::{DataSnoopingOptions, Group, Removed, Settings, retained_suspects},
     scene::Role,
     sfm::{
         Block, Features,
@@ -91,6 +91,7 @@ impl BlockAdjuster<'_> {
             block = block.over(&refined.0, &refined.1);
             self.settle_rematched(&mut block, &known, &mut sigma_px, &mut found)?;
         }
+        keep_tied(&mut block, &known, self.datum.georeferenced, &mut found);
         let adjusted = self.reject_outliers(&block, &known, sigma_px, &mut found)?;
         Ok((adjusted, found))
     }
@@ -271,6 +272,12 @@ impl BlockAdjuster<'_> {
         let (mut scene, _, order) = block.reconstruction(None);
         known.attach(&mut scene, &order);
         scene.tie_sigma_px = sigma_px;
+        // The camera of photos that are not in the block has nothing to be estimated from.
+        for camera in 0..scene.cameras.len() {
+            if scene.images.iter().all(|image| image.camera != camera) {
+                scene.cameras[camera].free.fill(false);
+            }
+        }
         let was_check = |name: &String| {
             let mut given = self.flight.known.ground.iter();
             given.any(|point| point.name == *name && point.role == Role::Check)
@@ -279,7 +286,7 @@ impl BlockAdjuster<'_> {
         let checks = checks.map(|point| point.name.clone()).filter(was_check).collect();
         // Without a mapping frame the first photo and the distance to the farthest one are the frame.
         let minimal_datum = !self.datum.georeferenced;
-        let settings =
+        let mut settings =
             Settings { tie_loss: Loss::SoftL1(2.0), minimal_datum, ..Settings::default() };
         let snooping = DataSnoopingOptions {
             rounds: 8,
@@ -287,7 +294,7 @@ impl BlockAdjuster<'_> {
             least_error_px: MIN_ERROR_PX,
             ..DataSnoopingOptions::default()
         };
-        let snooped = snoop(&mut scene, &settings, &snooping)?;
+        let snooped = snoop_determined(&mut scene, &mut settings, &snooping, found)?;
         for removed in snooped.removed.iter().filter(|removed| removed.group != Group::TiePoints) {
             let message = format!(
                 "the rest of the block puts it {} away ({:.1} times the critical value); removed",
@@ -310,7 +317,7 @@ impl BlockAdjuster<'_> {
         }
         Ok(AdjustedBlock {
             adjusted: snooped.adjusted,
-            settings: Settings { minimal_datum, ..Settings::default() },
+            settings: Settings { tie_loss: Loss::Trivial, ..settings },
             alignment: None,
             removed: snooped.removed,
             complete: snooped.complete,
