@@ -16,6 +16,8 @@ use std::collections::BTreeSet;
 
 /// So many things are held or left out before an adjustment is given up.
 const MOST_ATTEMPTS: usize = 12;
+/// Fewer photos of one camera than this among many of another do not tell its lens.
+const FEW_OF_CAMERA: usize = 3;
 /// So many lens parameters that do not come to rest are held.
 const MOST_HELD: usize = 2;
 /// A group of images with so many positions or control points has a place of its own.
@@ -73,8 +75,14 @@ pub(super) fn snoop_determined(
     snooping: &DataSnoopingOptions,
     found: &mut Vec<Diagnostic>,
 ) -> Result<DataSnooping, Error> {
+    let nothing_left = |why: &str| {
+        Error::Incomplete(format!("the photos fell apart while they were adjusted: {why}"))
+    };
     let mut held = 0;
     for _ in 0..MOST_ATTEMPTS {
+        if scene.images.len() < 2 {
+            return Err(nothing_left("no two of them are tied to each other"));
+        }
         let error = match snoop(scene, settings, snooping) {
             Ok(snooped) => match snooped.adjusted.creeping.last() {
                 Some(&(camera, place)) if held < MOST_HELD && scene.cameras[camera].free[place] => {
@@ -86,10 +94,23 @@ pub(super) fn snoop_determined(
             },
             Err(error) => error,
         };
+        if let AdjustError::Invalid(why) = &error
+            && why.0.starts_with("no image is left")
+        {
+            return Err(nothing_left(&why.0));
+        }
         let AdjustError::Solve(SolveError::RankDeficient(_)) = &error else {
             return Err(error.into());
         };
+        // Points that hardly say how far away they are also make everything else look undetermined.
+        let before = scene.observations.len();
+        remove_flat_points(scene);
+        if scene.observations.len() < before {
+            tracing::debug!("{error}: points at small angles are left out");
+            continue;
+        }
         let what = undetermined(scene, settings).unwrap_or_default();
+        tracing::debug!("{error}: {what:?}");
         if !leave_out(scene, settings, &what, found) {
             return Err(error.into());
         }
@@ -125,6 +146,18 @@ fn leave_out(
 ) -> bool {
     // Of a few that cannot be told apart the one of the highest order goes.
     for (camera, places) in &what.lenses {
+        let of = |k: &usize| scene.images[*k].camera == *camera;
+        let own: Vec<usize> = (0..scene.images.len()).filter(of).collect();
+        if own.len() < FEW_OF_CAMERA && own.len() + 3 <= scene.images.len() {
+            for &image in &own {
+                let subject = scene.images[image].name.as_str();
+                let message =
+                    "it has a camera of its own, and too little to find its lens: left out";
+                found.push(Diagnostic::warning("not-tied", subject, message));
+            }
+            remove_images(scene, &own);
+            return true;
+        }
         let free = places.iter().copied().filter(|&place| scene.cameras[*camera].free[place]);
         if let Some(place) = free.max() {
             hold(scene, *camera, place, "cannot be told from others", found);
@@ -146,9 +179,7 @@ fn leave_out(
         found.push(Diagnostic::warning("datum-weak", "block", message));
         return true;
     }
-    let before = scene.observations.len();
-    remove_flat_points(scene);
-    scene.observations.len() < before
+    false
 }
 
 /// Rays that meet at less than this say little of how far away a point is, radians.
