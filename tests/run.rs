@@ -199,7 +199,9 @@ fn a_run_that_was_killed_goes_on_to_the_same_bytes() {
     orthomosaic(&killed);
     let done = rowgram(folder.path(), "run whole -q");
     assert_eq!(done.code, 0, "{}", done.stderr);
-    for wait_ms in [30, 60, 120, 240, 480] {
+    // Killed later and later, until a kill has met it with some stages done and others not.
+    let mut wait_ms = 30;
+    loop {
         let mut child = Command::new(env!("CARGO_BIN_EXE_rowgram"))
             .args(["run", "killed", "-q"])
             .current_dir(folder.path())
@@ -209,7 +211,14 @@ fn a_run_that_was_killed_goes_on_to_the_same_bytes() {
             .unwrap();
         std::thread::sleep(Duration::from_millis(wait_ms));
         child.kill().unwrap();
-        child.wait().unwrap();
+        let status = child.wait().unwrap();
+        assert!(!status.success(), "the run was over within {wait_ms} ms: no kill has met it");
+        let stage = |name: &str| killed.join("rowgram").join(name).exists();
+        assert!(!stage("evaluate"), "after {wait_ms} ms the last stage was done");
+        if stage("segment") {
+            break;
+        }
+        wait_ms += wait_ms / 4;
     }
     let done = rowgram(folder.path(), "run killed -q");
     assert_eq!(done.code, 0, "{}", done.stderr);
