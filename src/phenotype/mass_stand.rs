@@ -173,7 +173,7 @@ fn rows_of(mask: &Mask, plants: &[Plant], plant_px: f64, detection: &Detection) 
     }
     let discs = discs(mask, plants, DISC * (plant_px / std::f64::consts::PI).sqrt());
     let again = rows::detect(&PixelIndex::from_mask(discs.width, &discs.data));
-    let worth = |rows: &Rows| held_beyond_chance(rows, plants, plant_px);
+    let worth = |rows: &Rows| held_beyond_chance(rows, mask, plants, plant_px);
     let found = [detection.rows(), again.rows()].into_iter().flatten();
     // A line through two plants is no row.
     let filled = found.filter(|rows| plants.len() >= FILLED * rows.rows.len());
@@ -186,16 +186,19 @@ const FILLED: usize = 3;
 /// The least share of the plants that rows hold beyond chance.
 const HELD: f64 = 0.15;
 
-/// Share of the plants within the bands of the rows, less what would be there if plants stood anywhere.
-fn held_beyond_chance(rows: &Rows, plants: &[Plant], plant_px: f64) -> f64 {
+/// Share of the plants within the bands of the rows, less what would be there if plants stood anywhere in the picture.
+fn held_beyond_chance(rows: &Rows, mask: &Mask, plants: &[Plant], plant_px: f64) -> f64 {
     let band = band_px(rows, plant_px);
     let across: Vec<f64> =
         plants.iter().map(|plant| rows.axes.aligned([plant.u_px, plant.v_px])[1]).collect();
-    let low = across.iter().copied().fold(f64::INFINITY, f64::min);
-    let high = across.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let (right, below) = (mask.width as f64 - 1.0, mask.height as f64 - 1.0);
+    let corners = [[0.0, 0.0], [right, 0.0], [0.0, below], [right, below]];
+    let corners = corners.map(|corner| rows.axes.aligned(corner)[1]);
+    let low = corners.into_iter().fold(f64::INFINITY, f64::min);
+    let high = corners.into_iter().fold(f64::NEG_INFINITY, f64::max);
     let held = across.iter().filter(|&&across| nearest_row(rows, across).1 <= band).count();
     let bands = 2.0 * band * rows.rows.len() as f64;
-    held as f64 / plants.len() as f64 - (bands / (high - low + 2.0 * band)).min(1.0)
+    held as f64 / plants.len() as f64 - (bands / (high - low).max(1.0)).min(1.0)
 }
 
 /// A mask of discs in the places of plants.
@@ -285,6 +288,29 @@ mod tests {
             assert!(stand.rows.rows.is_empty() || count > 3, "{:?}", stand.rows);
             assert_eq!(find(&mask, Some(count + 2)).unwrap().plants.len(), count + 2);
         }
+    }
+
+    #[test]
+    fn plants_exactly_in_line_are_a_row() {
+        let mask = Mask::from_fn(400, 80, |u, v| {
+            (0..12).any(|k| (u as f64 - 30.0 - 30.0 * f64::from(k)).hypot(v as f64 - 40.0) < 7.0)
+        });
+        let stand = find(&mask, None).unwrap();
+        assert_eq!((stand.plants.len(), stand.rows.rows.len()), (12, 1));
+        assert!((stand.spacing.spacing - 30.0).abs() < 0.5, "{:?}", stand.spacing);
+    }
+
+    #[test]
+    fn next_to_nothing_and_full_cover_have_an_answer() {
+        let full = find(&Mask::from_fn(120, 90, |_, _| true), None).unwrap();
+        assert_eq!((full.plants.len(), full.rows.rows.len()), (1, 0));
+        assert!(full.plants[0].position_px.iter().all(|x| x.is_finite()));
+        let none = find(&Mask::empty(50, 40), None).unwrap();
+        assert_eq!((none.plants.len(), none.count_interval), (0, [0.0; 2]));
+        // Dust on bare soil is no plant: components of 1 to 3 pixels.
+        let dust = find(&Mask::from_fn(200, 100, |u, v| u % 17 < 2 && v % 13 == 0), None).unwrap();
+        assert_eq!(dust.plants.len(), 0);
+        assert_eq!(dust.leaf_mass.unwrap().unexplained, 1.0);
     }
 
     #[test]

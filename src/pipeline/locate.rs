@@ -291,6 +291,17 @@ pub fn locate_plants(
             outcome.plants = stand.plants.len();
             outcome.stand = Some(StandOutcome::new(stand, gsd_m));
             tell(stand, subject, monitor);
+            let covered = outcome.leaf_pixels as f64 / mask.data.len().max(1) as f64;
+            if stand.rows.rows.is_empty() && covered > CLOSED {
+                let message = format!(
+                    "{:.0} % of the picture is leaf and no rows stand out: how many plants that are cannot be told",
+                    100.0 * covered
+                );
+                monitor.diagnostic(
+                    &Diagnostic::warning("canopy-closed", subject, message)
+                        .with_remedy("count on an earlier photo, or give their number (plants)"),
+                );
+            }
             let has_rows = !stand.rows.rows.is_empty();
             table::write_plants(files.plants, files.force, &stand.plants, has_rows, gsd_m)?;
             if let Some(path) = files.gaps {
@@ -359,6 +370,8 @@ fn traced(descend: Descend, trace: &Path, force: bool, certify: bool) -> Result<
     Ok(Descended::finish(Setup { problem, field: outcome.x, detection }, done, certify)?)
 }
 
+/// From this share of the picture on that is leaf, plants without rows are no separate patches.
+const CLOSED: f64 = 0.7;
 /// From this share of the leaf area on, what stands between the rows is worth a warning.
 const BETWEEN_ROWS: f64 = 0.05;
 /// From this share of the leaf area on, what is too small to be a plant is worth a warning.
