@@ -124,11 +124,12 @@ fn show(args: &Args, from: &str, converted: &ConvertedCamera) -> Result<(), Erro
         });
     }
     if *is_exact {
-        tracing::info!("the same lens model: nothing was fitted");
+        tracing::info!("{}: the same lens model: nothing was fitted", args.camera.display());
         return Ok(());
     }
     tracing::info!(
-        "fitted over the sensor: rms {:.4} px, at most {:.4} px at ({:.0}, {:.0})",
+        "{}: fitted over the sensor: rms {:.4} px, at most {:.4} px at ({:.0}, {:.0})",
+        args.camera.display(),
         fit.rms_px,
         fit.largest_px,
         fit.largest_at_px[0],

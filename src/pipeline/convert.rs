@@ -100,10 +100,7 @@ impl Format {
     /// # Errors
     /// A path that is no reconstruction, and what was expected.
     pub(super) fn required(path: &Path) -> Result<Format, Error> {
-        if !path.exists() {
-            let source = std::io::Error::from(std::io::ErrorKind::NotFound);
-            return Err(FileError::read(path, source).into());
-        }
+        std::fs::metadata(path).map_err(|e| FileError::read(path, e))?;
         Format::of(path).ok_or_else(|| {
             let message = "expected a COLMAP folder, a bundle.out or a reconstruction.json of rowgram or OpenSfM";
             FileError::malformed(path, None, message).into()
