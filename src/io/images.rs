@@ -11,6 +11,8 @@
 //!   white. Everything else is a **photo**.
 //! - A JPEG that ends early or whose data are damaged is refused, not filled with grey.
 
+mod jpeg;
+
 use super::{FileError, output};
 use crate::raster::Mask;
 use image::{
@@ -23,7 +25,6 @@ use image::{
     },
 };
 use std::{io::Cursor, path::Path};
-use zune_jpeg::zune_core::{bytestream::ZCursor, colorspace::ColorSpace, options::DecoderOptions};
 
 /// What a picture file holds.
 #[derive(Debug, Clone, PartialEq)]
@@ -362,7 +363,7 @@ fn decode_bytes(bytes: &[u8]) -> Result<Stored, String> {
             // Fax codes take one bit for a blank line.
             Stored { image: by(decoder, "TIFF", bytes.len(), 1 << 17)?, palette: false }
         }
-        Ok(ImageFormat::Jpeg) => Stored { image: jpeg(bytes)?, palette: false },
+        Ok(ImageFormat::Jpeg) => Stored { image: jpeg::decode(bytes)?, palette: false },
         // Whatever the name says: pictures saved from web pages often are WebP under another name.
         Ok(
             other @ (ImageFormat::WebP | ImageFormat::Gif | ImageFormat::Bmp | ImageFormat::Avif),
@@ -416,52 +417,6 @@ fn by(
     limits.max_alloc = Some(2 * decoder.total_bytes() + length as u64 + (1 << 26));
     decoder.set_limits(limits).map_err(|e| damaged(format, e))?;
     DynamicImage::from_decoder(decoder).map_err(|e| damaged(format, e))
-}
-
-fn jpeg(bytes: &[u8]) -> Result<DynamicImage, String> {
-    let failed = |error| damaged("JPEG", error);
-    // Some cameras pad between the headers, which the strict mode minds; it is for the data.
-    let options = DecoderOptions::default()
-        .set_strict_mode(false)
-        .set_max_width(usize::MAX)
-        .set_max_height(usize::MAX);
-    let mut decoder = zune_jpeg::JpegDecoder::new_with_options(ZCursor::new(bytes), options);
-    decoder.decode_headers().map_err(failed)?;
-    let (width, height) = decoder.dimensions().ok_or("damaged JPEG: it has no size")?;
-    // At least one bit for every 8 x 8 block.
-    check_size(width as u64, height as u64, bytes.len(), 1024)?;
-    let grey = decoder.input_colorspace() == Some(ColorSpace::Luma);
-    let colour = if grey { ColorSpace::Luma } else { ColorSpace::RGB };
-    decoder.set_options(options.set_strict_mode(true).jpeg_set_out_colorspace(colour));
-    let data = decoder.decode().map_err(failed)?;
-    if !jpeg_is_whole(bytes) {
-        return Err("damaged JPEG: it ends before its end marker".to_owned());
-    }
-    let (width, height) = (width as u32, height as u32);
-    let image = if grey {
-        GrayImage::from_raw(width, height, data).map(DynamicImage::from)
-    } else {
-        RgbImage::from_raw(width, height, data).map(DynamicImage::from)
-    };
-    image.ok_or_else(|| "damaged JPEG: it has fewer pixels than its header says".to_owned())
-}
-
-/// Whether an end marker (FF D9) follows the first scan; the headers may hold a thumbnail with an
-/// end marker of its own and are stepped over.
-fn jpeg_is_whole(bytes: &[u8]) -> bool {
-    let mut at = 2;
-    while let Some(&[marker, kind, high, low]) = bytes.get(at..).and_then(|b| b.first_chunk::<4>())
-    {
-        if marker != 0xFF || kind == 0xFF {
-            at += 1;
-            continue;
-        }
-        at += 2 + usize::from(u16::from_be_bytes([high, low]));
-        if kind == 0xDA {
-            break;
-        }
-    }
-    bytes.get(at..).is_some_and(|scan| scan.windows(2).any(|pair| pair == [0xFF, 0xD9]))
 }
 
 #[cfg(test)]
