@@ -92,7 +92,8 @@ fn the_fused_path_takes_the_steps_of_the_stored_one() {
                 assert_eq!(path, Some(BatchPath::Fused), "{sharing:?} {loss} {held}");
                 for (fused, stored) in traces[0].iter().zip(&traces[1]) {
                     let error = (fused - stored).abs() / stored.abs().max(1e-6);
-                    assert!(error < 1e-5, "{sharing:?} {loss} {held}: {traces:?}");
+                    // 5e-9 at the most; rounding differs by the instruction set.
+                    assert!(error < 1e-7, "{sharing:?} {loss} {held}: {traces:?}");
                 }
             }
         }
