@@ -35,6 +35,7 @@ pub mod cli;
 pub mod convex;
 pub mod crs;
 pub mod descent;
+pub mod disjoint_sets;
 pub mod drive;
 pub mod engine;
 pub mod error;

@@ -10,6 +10,7 @@
 //! Reference: L. He et al., "The connected-component labeling problem", Pattern Recognition 70, 2017.
 
 use super::{Mask, window::Window};
+use crate::disjoint_sets::DisjointSets;
 
 /// What a cleaning step changed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -36,7 +37,7 @@ pub fn fill_holes(mask: &mut Mask, max_pixels: usize) -> Changed {
 /// Number of components of plant pixels.
 pub fn count(mask: &Mask) -> usize {
     let mut runs = Runs::of(mask, true);
-    (0..runs.runs.len()).filter(|&run| runs.root(run) == run).count()
+    (0..runs.runs.len()).filter(|&run| runs.sets.root(run) == run).count()
 }
 
 /// Pixels side by side: columns `start..end` of row `v`.
@@ -67,7 +68,7 @@ pub fn parts(mask: &Mask) -> Vec<Part> {
     let mut place = vec![usize::MAX; all.runs.len()];
     let mut parts: Vec<Part> = Vec::new();
     for index in 0..all.runs.len() {
-        let root = all.root(index);
+        let root = all.sets.root(index);
         let Stretch { start, end } = all.runs[index];
         let (v, u) = (start / mask.width, start % mask.width);
         let run = Run { v, start: u, end: u + end - start };
@@ -97,7 +98,7 @@ struct Stretch {
 /// All runs of one kind of pixel, and which of them are connected.
 struct Runs {
     runs: Vec<Stretch>,
-    parent: Vec<usize>,
+    sets: DisjointSets,
 }
 
 #[derive(Clone, Copy, Default)]
@@ -108,7 +109,7 @@ struct Component {
 
 impl Runs {
     fn of(mask: &Mask, plant: bool) -> Runs {
-        let mut all = Runs { runs: Vec::new(), parent: Vec::new() };
+        let mut all = Runs { runs: Vec::new(), sets: DisjointSets::default() };
         // Plant runs that meet only at a corner are connected, others are not.
         let reach = usize::from(plant);
         let mut above = 0..0;
@@ -128,7 +129,7 @@ impl Runs {
         while let Some(start) = row[u..].iter().position(wanted).map(|n| u + n) {
             let length = row[start..].iter().position(|pixel| !wanted(pixel));
             u = length.map_or(row.len(), |length| start + length);
-            self.parent.push(self.runs.len());
+            self.sets.push();
             self.runs.push(Stretch { start: offset + start, end: offset + u });
         }
     }
@@ -147,8 +148,7 @@ impl Runs {
             let (a_start, a_end) = (self.runs[a].start + width, self.runs[a].end + width);
             let Stretch { start, end } = self.runs[b];
             if a_start < end + reach && start < a_end + reach {
-                let (one, other) = (self.root(a), self.root(b));
-                self.parent[one.max(other)] = one.min(other);
+                self.sets.join(a, b);
             }
             if a_end < end {
                 a += 1;
@@ -158,19 +158,11 @@ impl Runs {
         }
     }
 
-    fn root(&mut self, mut run: usize) -> usize {
-        while self.parent[run] != run {
-            self.parent[run] = self.parent[self.parent[run]];
-            run = self.parent[run];
-        }
-        run
-    }
-
     /// Sets all pixels of the components that are `chosen` to `value`.
     fn paint(mut self, mask: &mut Mask, value: u8, chosen: impl Fn(&Component) -> bool) -> Changed {
         let mut components = vec![Component::default(); self.runs.len()];
         for run in 0..self.runs.len() {
-            let root = self.root(run);
+            let root = self.sets.root(run);
             let Stretch { start, end } = self.runs[run];
             let at_border = start < mask.width
                 || end + mask.width > mask.data.len()
@@ -181,7 +173,7 @@ impl Runs {
         }
         let mut changed = Changed::default();
         for run in 0..self.runs.len() {
-            let root = self.root(run);
+            let root = self.sets.root(run);
             if chosen(&components[root]) {
                 let Stretch { start, end } = self.runs[run];
                 mask.data[start..end].fill(value);

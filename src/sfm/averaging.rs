@@ -9,7 +9,10 @@
 //! V. Govindu, *Robust relative rotation averaging*, PAMI 40(4), 2018.
 
 use super::{block::Pair, resection::quaternion};
-use crate::geometry::rotation::{self, Quaternion};
+use crate::{
+    disjoint_sets::DisjointSets,
+    geometry::rotation::{self, Quaternion},
+};
 use nalgebra::{DMatrix, DVector};
 
 /// Angle at which a pair counts half, radians.
@@ -81,26 +84,19 @@ fn spanning_tree(
 ) -> Vec<Option<Quaternion>> {
     let mut order: Vec<usize> = (0..pairs.len()).collect();
     order.sort_by_key(|&k| (std::cmp::Reverse(pairs[k].matches.len()), pairs[k].images));
-    let mut part: Vec<usize> = (0..images).collect();
-    fn root(part: &mut [usize], mut k: usize) -> usize {
-        while part[k] != k {
-            part[k] = part[part[k]];
-            k = part[k];
-        }
-        k
-    }
+    let mut parts = DisjointSets::new(images);
     let mut tree: Vec<Vec<(usize, Quaternion)>> = vec![Vec::new(); images];
     for k in order {
         let [a, b] = pairs[k].images.map(|image| image as usize);
-        let (ra, rb) = (root(&mut part, a), root(&mut part, b));
+        let (ra, rb) = (parts.root(a), parts.root(b));
         if ra != rb {
-            part[rb] = ra;
+            parts.link(ra, rb);
             tree[a].push((b, relative[k]));
             tree[b].push((a, rotation::inverse(relative[k])));
         }
     }
     let mut sizes = vec![0usize; images];
-    (0..images).for_each(|k| sizes[root(&mut part, k)] += 1);
+    (0..images).for_each(|k| sizes[parts.root(k)] += 1);
     let mut found = vec![None; images];
     let largest = (0..images).max_by_key(|&k| (sizes[k], std::cmp::Reverse(k)));
     let Some(start) = largest.filter(|&k| sizes[k] >= 2) else { return found };

@@ -3,6 +3,8 @@
 //! Matches of pairs join to tracks, those of the strongest pairs first; a match that would put two
 //! positions of one image into a track is refused, because one point has one image in a photo.
 
+use crate::disjoint_sets::DisjointSets;
+
 /// A place in an image: which image, which of its features.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Member {
@@ -25,33 +27,21 @@ pub struct Tracks {
 }
 
 struct Forest {
-    parent: Vec<u32>,
+    sets: DisjointSets,
     /// Images of the tree at each root, ascending.
     images: Vec<Vec<u32>>,
 }
 
 impl Forest {
-    fn root(&mut self, mut node: u32) -> u32 {
-        while self.parent[node as usize] != node {
-            let above = self.parent[self.parent[node as usize] as usize];
-            self.parent[node as usize] = above;
-            node = above;
-        }
-        node
-    }
-
     /// Joins two trees unless they share an image; whether they are one now.
     fn join(&mut self, a: u32, b: u32) -> bool {
-        let (a, b) = (self.root(a), self.root(b));
+        let (a, b) = (self.sets.root(a as usize), self.sets.root(b as usize));
         if a == b {
             return true;
         }
-        let (root, other) = if self.images[a as usize].len() >= self.images[b as usize].len() {
-            (a, b)
-        } else {
-            (b, a)
-        };
-        let (x, y) = (&self.images[root as usize], &self.images[other as usize]);
+        let (root, other) =
+            if self.images[a].len() >= self.images[b].len() { (a, b) } else { (b, a) };
+        let (x, y) = (&self.images[root], &self.images[other]);
         let mut both = Vec::with_capacity(x.len() + y.len());
         let (mut i, mut j) = (0, 0);
         while i < x.len() || j < y.len() {
@@ -65,9 +55,9 @@ impl Forest {
                 return false;
             }
         }
-        self.images[root as usize] = both;
-        self.images[other as usize] = Vec::new();
-        self.parent[other as usize] = root;
+        self.images[root] = both;
+        self.images[other] = Vec::new();
+        self.sets.link(root, other);
         true
     }
 }
@@ -95,8 +85,10 @@ impl Tracks {
             offsets.push(offsets[offsets.len() - 1] + *count as u32);
         }
         let total = offsets[features.len()];
-        let mut forest =
-            Forest { parent: (0..total).collect(), images: vec![Vec::new(); total as usize] };
+        let mut forest = Forest {
+            sets: DisjointSets::new(total as usize),
+            images: vec![Vec::new(); total as usize],
+        };
         for (image, window) in offsets.windows(2).enumerate() {
             for node in window[0]..window[1] {
                 forest.images[node as usize] = vec![image as u32];
@@ -120,16 +112,16 @@ impl Tracks {
         let mut place = vec![u32::MAX; total as usize];
         for (image, window) in offsets.windows(2).enumerate() {
             for node in window[0]..window[1] {
-                let root = forest.root(node);
-                if forest.images[root as usize].len() < 2 {
+                let root = forest.sets.root(node as usize);
+                if forest.images[root].len() < 2 {
                     continue;
                 }
-                if place[root as usize] == u32::MAX {
-                    place[root as usize] = gathered.len() as u32;
+                if place[root] == u32::MAX {
+                    place[root] = gathered.len() as u32;
                     gathered.push(Vec::new());
                 }
                 let member = Member { image: image as u32, feature: node - window[0] };
-                gathered[place[root as usize] as usize].push(member);
+                gathered[place[root] as usize].push(member);
             }
         }
         for (track, members) in gathered.into_iter().enumerate() {

@@ -31,6 +31,7 @@ use super::{
     segments::{NONE, Segment},
     slices::turn,
 };
+use crate::disjoint_sets::DisjointSets;
 
 /// Share of a gap that must be plant.
 const COVERED: f64 = 0.7;
@@ -205,21 +206,13 @@ fn choose(mut gaps: Vec<Gap>, rules: &Rules, ends: usize) -> Vec<Gap> {
 
 /// Gaps that share no end do not compete: one group for each connected set of them.
 fn groups(gaps: &[Gap], ends: usize) -> Vec<Vec<Gap>> {
-    let mut parent: Vec<usize> = (0..ends).collect();
-    fn root(parent: &mut [usize], mut end: usize) -> usize {
-        while parent[end] != end {
-            parent[end] = parent[parent[end]];
-            end = parent[end];
-        }
-        end
-    }
+    let mut sets = DisjointSets::new(ends);
     for gap in gaps {
-        let (a, b) = (root(&mut parent, gap.ends[0]), root(&mut parent, gap.ends[1]));
-        parent[a.max(b)] = a.min(b);
+        sets.join(gap.ends[0], gap.ends[1]);
     }
     let mut groups: std::collections::BTreeMap<usize, Vec<Gap>> = Default::default();
     for gap in gaps {
-        groups.entry(root(&mut parent, gap.ends[0])).or_default().push(*gap);
+        groups.entry(sets.root(gap.ends[0])).or_default().push(*gap);
     }
     groups.into_values().collect()
 }

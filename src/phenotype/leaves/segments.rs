@@ -9,6 +9,7 @@ use super::{
     part::Local,
     slices::{Slices, tilt},
 };
+use crate::disjoint_sets::DisjointSets;
 
 /// Number of no pixel, no segment.
 pub(super) const NONE: u32 = u32::MAX;
@@ -66,7 +67,7 @@ pub(super) struct Segment {
 ///
 /// A set of pixels that is not longer than wide has no direction of its own and is no segment.
 pub(super) fn merge(local: &Local, across: &Across, number: &[u32], t_b: f64) -> Vec<Segment> {
-    let mut sets = Sets::new(local.pixels.len());
+    let mut sets = DisjointSets::new(local.pixels.len());
     for (n, &pixel) in local.pixels.iter().enumerate() {
         // The four neighbours that come before it.
         for &other in &local.neighbours(pixel)[..4] {
@@ -77,7 +78,7 @@ pub(super) fn merge(local: &Local, across: &Across, number: &[u32], t_b: f64) ->
             let (a, b) = (across.theta[n], across.theta[m as usize]);
             // NaN is similar to nothing.
             if tilt(f64::from(a), f64::from(b)) < t_b {
-                sets.join(n as u32, m);
+                sets.join(n, m as usize);
             }
         }
     }
@@ -87,7 +88,7 @@ pub(super) fn merge(local: &Local, across: &Across, number: &[u32], t_b: f64) ->
         if across.theta[n].is_nan() {
             continue;
         }
-        let root = sets.root(n as u32) as usize;
+        let root = sets.root(n);
         if place[root] == NONE {
             place[root] = members.len() as u32;
             members.push(Vec::new());
@@ -104,27 +105,4 @@ pub(super) fn merge(local: &Local, across: &Across, number: &[u32], t_b: f64) ->
         })
         .filter(long)
         .collect()
-}
-
-/// Disjoint sets; the smallest member stands for its set.
-struct Sets(Vec<u32>);
-
-impl Sets {
-    fn new(count: usize) -> Sets {
-        Sets((0..count as u32).collect())
-    }
-
-    fn root(&mut self, mut member: u32) -> u32 {
-        while self.0[member as usize] != member {
-            let above = self.0[self.0[member as usize] as usize];
-            self.0[member as usize] = above;
-            member = above;
-        }
-        member
-    }
-
-    fn join(&mut self, a: u32, b: u32) {
-        let (a, b) = (self.root(a), self.root(b));
-        self.0[a.max(b) as usize] = a.min(b);
-    }
 }
