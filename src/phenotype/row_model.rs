@@ -110,7 +110,9 @@ pub fn locate(
     if let Some(plants) = count.filter(|&count| count > pixels) {
         return Err(LocateError::TooManyPlants { plants, pixels });
     }
+    let fits = count.is_none_or(|count| count <= pixels / PLANT);
     if options.isolated_plants
+        && fits
         && let Some(stand) = mass_stand::locate(mask, detection, count)
     {
         return Ok(stand);
@@ -199,6 +201,8 @@ fn together(marginals: &[f64], places: &[usize], at: usize, steps: usize) -> [f6
     [plants / count.max(1) as f64, mean, variance]
 }
 
+/// Leaf pixels of a plant told by its mass, at least.
+const PLANT: usize = 8;
 /// Standard deviation of the relative error of expected counts, on synthetic fields that took no part in
 /// fitting the weights.
 const COUNT_SIGMA: f64 = 0.06;
