@@ -1,0 +1,303 @@
+"""Projects on disk: from a folder of photos to traits, stage by stage."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from . import _rowgram
+from ._errors import InputError
+
+if TYPE_CHECKING:
+    import geopandas
+    import pandas
+
+Progress = Callable[[str, str, int, "int | None", str], None]
+"""Called as ``progress(stage, activity, done, total, unit)`` while work goes on; ``total`` may be ``None``."""
+
+MAIN_TABLES = {
+    "locate": "plants.csv",
+    "leaves": "leaves.csv",
+    "plots": "traits.csv",
+    "leaf-count": "leaf_counts.csv",
+    "align": "cameras.csv",
+}
+"""The table of a stage that ``to_pandas()`` reads where none is named."""
+
+
+def doctor(path: str | os.PathLike[str]) -> list[dict[str, Any]]:
+    """What a project lacks, before hours are spent on it.
+
+    Returns:
+        One dictionary per finding: ``severity`` ("info", "warning", "error"), ``code``, ``subject``, ``message`` and,
+        where there is one, ``remedy``.
+    """
+    return _rowgram.doctor(os.fspath(path))
+
+
+def options(section: str | None = None) -> dict[str, Any]:
+    """The definitions of all options: name, meaning, unit, default.
+
+    Args:
+        section: One section of ``rowgram.toml``, such as ``"locate"``; all where not given.
+    """
+    all_sections = _rowgram.sections()
+    if section is None:
+        return all_sections
+    try:
+        return all_sections[section.replace("-", "_")]
+    except KeyError:
+        known = ", ".join(all_sections)
+        raise InputError(f"section {section!r}: expected one of {known}") from None
+
+
+def progress_bar() -> Progress:
+    """A progress bar per activity, by `tqdm` (which has to be installed)."""
+    from tqdm.auto import tqdm
+
+    bars: dict[tuple[str, str], Any] = {}
+
+    def show(stage: str, activity: str, done: int, total: int | None, unit: str) -> None:
+        bar = bars.get((stage, activity))
+        if bar is None:
+            bar = bars[stage, activity] = tqdm(total=total, desc=f"{stage}: {activity}", unit=f" {unit}")
+        bar.update(done - bar.n)
+        if total is not None and done >= total:
+            bar.close()
+            del bars[stage, activity]
+
+    return show
+
+
+class StageResult:
+    """What came of a stage.
+
+    Numbers are attributes (``result.plants``) and in ``values``; files are in ``folder``.
+    """
+
+    def __init__(self, stage: str, folder: Path, values: dict[str, Any], diagnostics: list[dict[str, Any]]) -> None:
+        self.stage = stage
+        self.folder = folder
+        self.values = values
+        self.diagnostics = diagnostics
+
+    def __getattr__(self, name: str) -> Any:
+        values = self.__dict__.get("values") or {}
+        if name in values:
+            return values[name]
+        raise AttributeError(f"stage {self.__dict__.get('stage')} has no {name}; there are: {', '.join(values)}")
+
+    def __dir__(self) -> Iterable[str]:
+        return [*super().__dir__(), *self.values]
+
+    def __repr__(self) -> str:
+        shown = {k: v for k, v in self.values.items() if isinstance(v, (int, float, str, bool))}
+        return f"<rowgram {self.stage}: {', '.join(f'{k}={v!r}' for k, v in shown.items())}>"
+
+    @property
+    def files(self) -> list[Path]:
+        """All files of the stage."""
+        return sorted(path for path in self.folder.rglob("*") if path.is_file())
+
+    def file(self, name: str) -> Path:
+        """A file of the stage.
+
+        Raises:
+            InputError: There is none of this name.
+        """
+        path = self.folder / name
+        if not path.is_file():
+            there = ", ".join(str(file.relative_to(self.folder)) for file in self.files)
+            raise InputError(f"{path}: there is no such file; the stage {self.stage} wrote {there or 'nothing'}")
+        return path
+
+    def to_pandas(self, table: str | None = None) -> pandas.DataFrame:
+        """A table of the stage; that of its plants, leaves, plots, ... where none is named."""
+        import pandas
+
+        return pandas.read_csv(self.file(table or self._main(".csv")))
+
+    def to_geopandas(self, layer: str | None = None) -> geopandas.GeoDataFrame:
+        """A map layer of the stage (GeoPackage or GeoJSON), where it has one."""
+        import geopandas
+
+        return geopandas.read_file(self.file(layer or self._main(".gpkg", ".geojson")))
+
+    def _main(self, *endings: str) -> str:
+        known = MAIN_TABLES.get(self.stage)
+        if known is not None and known.endswith(endings) and (self.folder / known).is_file():
+            return known
+        fits = [str(path.relative_to(self.folder)) for path in self.files if path.name.endswith(endings)]
+        if len(fits) == 1:
+            return fits[0]
+        raise InputError(f"stage {self.stage}: name one of {', '.join(fits)}" if fits else f"{self.stage} has no table")
+
+
+class RunResult:
+    """What came of a run: ``stages``, ``checks``, ``gsd_m`` and the result of each stage."""
+
+    def __init__(self, project: Project, values: dict[str, Any]) -> None:
+        self._project = project
+        self.values = values
+        self.stages: list[dict[str, Any]] = values["stages"]
+        self.checks: list[dict[str, Any]] = values["checks"]
+        self.gsd_m: float | None = values["gsd_m"]
+
+    def __getitem__(self, stage: str) -> StageResult:
+        word = stage.replace("_", "-")
+        values = self.values["results"].get(word.replace("-", "_"))
+        if values is None:
+            done = [entry["stage"] for entry in self.stages if entry["ending"] in ("done", "kept")]
+            raise InputError(f"stage {stage!r} was not done; these were: {', '.join(done)}")
+        found = [entry["diagnostics"] for entry in self.stages if entry["stage"] == word]
+        return StageResult(word, self._project.folder(word), values, found[0] if found else [])
+
+    def __repr__(self) -> str:
+        ends = ", ".join(f"{entry['stage']} {entry['ending']}" for entry in self.stages)
+        return f"<rowgram run of {self.values['project']}: {ends}>"
+
+
+class Project:
+    """A folder with photos or an orthomosaic, its settings, and where results go.
+
+    Args:
+        path: The folder.
+        results: Folder of the results; ``rowgram`` below the project where not given.
+        **settings: Sections of ``rowgram.toml`` as dictionaries, which come before the file:
+            ``align={"seed": 2}, dem={"cell_m": 0.1}``.
+
+    Raises:
+        InputError: No folder; a setting that does not exist or cannot have this value.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        results: str | os.PathLike[str] | None = None,
+        **settings: dict[str, Any],
+    ) -> None:
+        if not isinstance(path, (str, os.PathLike)):
+            raise InputError(f"path: expected text or a path, not {type(path).__name__}")
+        self._path = os.fspath(path)
+        self._results = None if results is None else os.fspath(results)
+        self._settings = settings
+        self._inner = _rowgram.Project(self._path, self._results, settings)
+
+    @property
+    def name(self) -> str:
+        """Its name for people."""
+        return self._inner.name
+
+    @property
+    def root(self) -> Path:
+        """The folder of the project."""
+        return Path(self._inner.root)
+
+    @property
+    def results(self) -> Path:
+        """The folder of its results."""
+        return Path(self._inner.results)
+
+    @property
+    def photos(self) -> list[Path]:
+        """Its photos, sorted by name."""
+        return [Path(path) for path in self._inner.photos]
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """All settings by section."""
+        return self._inner.settings
+
+    def folder(self, stage: str) -> Path:
+        """The folder of a stage."""
+        return Path(self._inner.folder(stage))
+
+    def run(
+        self,
+        until: str | None = None,
+        *,
+        begin: str | None = None,
+        skip: Iterable[str] = (),
+        progress: Progress | None = None,
+        report: bool = True,
+        **settings: dict[str, Any],
+    ) -> RunResult:
+        """Do all stages; what is current is kept.
+
+        Args:
+            until: The last stage.
+            begin: This stage and those after it are done again, whatever is kept.
+            skip: Stages to leave out.
+            progress: Called while work goes on, see :data:`Progress`; :func:`progress_bar` makes one.
+            report: Whether ``report.html`` is written.
+            **settings: Sections as dictionaries, for this run: ``locate={"method": "paper"}``.
+
+        Raises:
+            InputError: The input cannot be used.
+            RowgramError: A stage failed; results of the stages before it are kept.
+        """
+        inner = self._inner
+        if settings:
+            merged = {name: dict(keys) for name, keys in self._settings.items()}
+            for name, keys in settings.items():
+                if not isinstance(keys, dict):
+                    raise InputError(f"{name}: expected a dictionary of options, as {name}={{...}}")
+                merged.setdefault(name, {}).update(keys)
+            inner = _rowgram.Project(self._path, self._results, merged)
+        values = inner.run(list(skip), begin, until, progress, report)
+        return RunResult(self, values)
+
+    def stage(self, stage: str, *, progress: Progress | None = None, **options: Any) -> StageResult:
+        """Do one stage, unless its result is current.
+
+        Args:
+            stage: Its name, such as ``"align"`` or ``"leaf-count"``.
+            progress: Called while work goes on.
+            **options: Its options; ``rowgram.options(stage)`` lists them.
+        """
+        values, diagnostics = self._inner.stage(stage, options, progress)
+        return StageResult(stage.replace("_", "-"), self.folder(stage), values, diagnostics)
+
+    def result(self, stage: str) -> StageResult:
+        """What came of a stage in the last run.
+
+        Raises:
+            InputError: There was no run, or it did not do this stage.
+        """
+        import json
+
+        path = self.results / "stats.json"
+        if not path.is_file():
+            raise InputError(f"{path}: there are no results here; call run() first")
+        return RunResult(self, json.loads(path.read_text(encoding="utf-8")))[stage]
+
+    @property
+    def report(self) -> Path:
+        """The report of the last run, one HTML file."""
+        return self.results / "report.html"
+
+    def show(self) -> Any:
+        """The report inside a notebook."""
+        from IPython.display import IFrame
+
+        if not self.report.is_file():
+            raise InputError(f"{self.report}: there is no report; call run() first")
+        return IFrame(os.path.relpath(self.report), width="100%", height=600)
+
+    def __repr__(self) -> str:
+        return f"<rowgram.Project {self.name!r} in {self.root}>"
+
+
+def _stage_method(stage: str) -> Callable[..., StageResult]:
+    def method(self: Project, *, progress: Progress | None = None, **options: Any) -> StageResult:
+        return self.stage(stage, progress=progress, **options)
+
+    method.__name__ = method.__qualname__ = stage.replace("-", "_")
+    method.__doc__ = f"Do the stage ``{stage}``; options as ``rowgram.options({stage!r})`` lists them."
+    return method
+
+
+for _stage in _rowgram.stage_names():
+    setattr(Project, _stage.replace("-", "_"), _stage_method(_stage))

@@ -1,0 +1,202 @@
+//! Projects on disk and their stages.
+
+use crate::{
+    error::{from_library, input, result, without_python},
+    monitor::PythonMonitor,
+    options,
+};
+use pyo3::{
+    prelude::*,
+    types::{PyDict, PyList},
+};
+use rowgram::{
+    monitor::Diagnostic,
+    options::Choice,
+    pipeline::{self, Config, RunOptions, Stage, run::RunOutcome},
+};
+use std::path::PathBuf;
+
+/// A folder with photos or an orthomosaic, its settings, and where results go.
+#[pyclass(frozen, module = "rowgram._rowgram")]
+pub(crate) struct Project(pipeline::Project);
+
+/// `section.key=value` settings from `{"section": {"key": value}}`.
+fn settings(given: Option<&Bound<'_, PyDict>>) -> PyResult<Vec<String>> {
+    let mut all = Vec::new();
+    for (section, keys) in given.into_iter().flatten() {
+        let section: String = section.extract()?;
+        let keys = keys.cast::<PyDict>().map_err(|_| {
+            input(format!("{section}: expected a dictionary of options, as {section}={{...}}"))
+        })?;
+        for (key, value) in options::table(Some(keys))? {
+            all.push(format!("{section}.{key}={value}"));
+        }
+    }
+    Ok(all)
+}
+
+fn stage(word: &str) -> PyResult<Stage> {
+    Stage::read(&word.replace('_', "-")).map_err(|why| input(format!("stage {word:?}: {why}")))
+}
+
+macro_rules! stages {
+    ($($module:ident: $stage:ident),* $(,)?) => {
+        /// Does one stage; its outcome as plain objects.
+        fn perform<'py>(
+            py: Python<'py>,
+            project: &pipeline::Project,
+            stage: Stage,
+            given: &Bound<'py, PyDict>,
+            monitor: &mut PythonMonitor,
+        ) -> PyResult<Bound<'py, PyAny>> {
+            match stage {
+                $(Stage::$stage => {
+                    let options = options::with(&project.config().$module, Some(given))?;
+                    let outcome = without_python(py, || {
+                        pipeline::$module::$module(project, &options, monitor)
+                    })?;
+                    result(py, &outcome.map_err(|error| from_library(&error))?)
+                })*
+            }
+        }
+
+    };
+}
+
+stages!(
+    calibrate: Calibrate, align: Align, dem: Dem, ortho: Ortho, segment: Segment, leaf_density: LeafDensity,
+    leaf_count: LeafCount, locate: Locate, leaves: Leaves, plots: Plots, evaluate: Evaluate,
+);
+
+fn diagnostics<'py>(py: Python<'py>, found: &[Diagnostic]) -> PyResult<Bound<'py, PyAny>> {
+    result(py, &found)
+}
+
+#[pymethods]
+impl Project {
+    #[new]
+    #[pyo3(signature = (path, results=None, settings=None))]
+    fn new(
+        path: PathBuf,
+        results: Option<PathBuf>,
+        settings: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<Project> {
+        let config = Config::read(&path, std::env::vars(), &self::settings(settings)?)
+            .map_err(|error| from_library(&error))?;
+        let project =
+            pipeline::Project::new(path, config).map_err(|error| from_library(&error))?;
+        Ok(Project(match results {
+            Some(results) => project.with_results(results),
+            None => project,
+        }))
+    }
+
+    #[getter]
+    fn name(&self) -> String {
+        self.0.name()
+    }
+
+    #[getter]
+    fn root(&self) -> PathBuf {
+        self.0.root().to_owned()
+    }
+
+    #[getter]
+    fn results(&self) -> PathBuf {
+        self.0.results().to_owned()
+    }
+
+    #[getter]
+    fn photos(&self) -> Vec<PathBuf> {
+        self.0.photos()
+    }
+
+    #[getter]
+    fn settings<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        result(py, self.0.config())
+    }
+
+    /// The folder of a stage.
+    fn folder(&self, stage: &str) -> PyResult<PathBuf> {
+        Ok(self.0.folder(self::stage(stage)?))
+    }
+
+    /// Does one stage unless its result is current: `(outcome, diagnostics)`.
+    #[pyo3(signature = (stage, options, progress=None))]
+    fn stage<'py>(
+        &self,
+        py: Python<'py>,
+        stage: &str,
+        options: &Bound<'py, PyDict>,
+        progress: Option<Py<PyAny>>,
+    ) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
+        let mut monitor = PythonMonitor::new(progress);
+        let outcome = perform(py, &self.0, self::stage(stage)?, options, &mut monitor);
+        let outcome = outcome?;
+        monitor.finish()?;
+        Ok((outcome, diagnostics(py, &monitor.diagnostics)?))
+    }
+
+    /// Does all stages; the outcome of the run.
+    #[pyo3(signature = (skip, begin=None, until=None, progress=None, report=true))]
+    fn run<'py>(
+        &self,
+        py: Python<'py>,
+        skip: Vec<String>,
+        begin: Option<&str>,
+        until: Option<&str>,
+        progress: Option<Py<PyAny>>,
+        report: bool,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let options = RunOptions {
+            skip: skip.iter().map(|word| stage(word)).collect::<PyResult<_>>()?,
+            from: begin.map(stage).transpose()?,
+            until: until.map(stage).transpose()?,
+        };
+        let mut monitor = PythonMonitor::new(progress);
+        let project = &self.0;
+        let outcome: RunOutcome = without_python(py, || {
+            let outcome = pipeline::run::run(project, &options, &mut monitor)?;
+            if report {
+                rowgram::report::write(project, &outcome)?;
+            }
+            Ok(outcome)
+        })?
+        .map_err(|error: rowgram::Error| from_library(&error))?;
+        monitor.finish()?;
+        if let Some(failure) = &outcome.failure {
+            return Err(from_library(failure));
+        }
+        result(py, &outcome)
+    }
+}
+
+/// What a project lacks, before hours are spent on it: diagnostics.
+#[pyfunction]
+pub(crate) fn doctor(py: Python<'_>, path: PathBuf) -> PyResult<Bound<'_, PyAny>> {
+    let found = without_python(py, || pipeline::doctor::doctor(&path, std::env::vars()))?;
+    result(py, &found.map_err(|error| from_library(&error))?)
+}
+
+/// The names of all stages in their order.
+#[pyfunction]
+pub(crate) fn stage_names() -> Vec<String> {
+    Stage::all().into_iter().map(|stage| stage.word()).collect()
+}
+
+/// The definitions of all options, by section.
+#[pyfunction]
+pub(crate) fn sections(py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
+    let all = PyDict::new(py);
+    for section in Config::sections() {
+        let list = PyList::empty(py);
+        for field in &section.fields {
+            list.append(options::describe(py, field)?)?;
+        }
+        let entry = PyDict::new(py);
+        entry.set_item("about", section.about)?;
+        entry.set_item("options", list)?;
+        all.set_item(section.name, entry)?;
+    }
+    Ok(all)
+}

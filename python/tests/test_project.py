@@ -1,0 +1,75 @@
+"""A project from photos to traits."""
+
+import pytest
+
+import rowgram
+
+
+def test_a_flight_gives_traits(flight):
+    align = flight.result("align")
+    assert align.registered == align.images == len(flight.photos)
+    traits = flight.result("plots").to_pandas()
+    assert len(traits) > 0
+    plants = flight.result("locate").to_pandas()
+    assert len(plants) == flight.result("locate").plants
+    assert flight.report.is_file() and flight.result("ortho").file("ortho.tif").is_file()
+
+
+def test_what_is_current_is_kept(flight):
+    seen = []
+    found = flight.run(until="plots", progress=lambda *progress: seen.append(progress))
+    done = {entry["stage"]: entry["ending"] for entry in found.stages}
+    assert done["align"] == done["locate"] == "kept"
+
+
+def test_a_stage_takes_options_and_tells_progress(flight, tmp_path):
+    seen = []
+    other = rowgram.Project(flight.root, results=flight.results)
+    result = other.locate(method="kmeans", seed=7, progress=lambda *progress: seen.append(progress))
+    assert result.method == "kmeans" and result.plants > 0
+    assert "plants.csv" in [path.name for path in result.files]
+    with pytest.raises(AttributeError, match="plants"):
+        result.plnts
+    other.locate()
+
+
+def test_warnings_are_pythons_own(tmp_path):
+    folder = tmp_path / "bare"
+    rowgram.synth.flight(folder, "small", photos=False)
+    found = rowgram.doctor(folder)
+    assert any(entry["severity"] == "error" and "photos" in entry["subject"] for entry in found)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda p: rowgram.Project(p.root / "nowhere"), "nowhere"),
+        (lambda p: rowgram.Project(3), "path"),
+        (lambda p: rowgram.Project(p.root, algin={"seed": 1}), "align"),
+        (lambda p: rowgram.Project(p.root, align={"seeed": 1}), "seed"),
+        (lambda p: rowgram.Project(p.root, ortho={"gsd_m": -0.01}), "gsd_m"),
+        (lambda p: p.run(until="plotz"), "plots"),
+        (lambda p: p.run(locate=3), "dictionary"),
+        (lambda p: p.locate(methd="paper"), "method"),
+        (lambda p: p.result("evaluate"), "evaluate"),
+        (lambda p: rowgram.options("locat"), "locate"),
+    ],
+)
+def test_what_cannot_be_is_refused(flight, call, message):
+    with pytest.raises(rowgram.InputError, match=message):
+        call(flight)
+
+
+def test_options_are_described():
+    names = {entry["name"]: entry for entry in rowgram.options("locate")["options"]}
+    assert names["gsd_m"]["unit"] == "metres" and names["method"]["default"]
+    for section in rowgram.options().values():
+        assert all(entry["about"] for entry in section["options"])
+
+
+def test_an_exception_of_the_callback_comes_through(tmp_path):
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        rowgram.synth.flight(tmp_path / "field", "small", progress=stop)
