@@ -19,6 +19,7 @@ mod calibration;
 mod camera;
 mod crs;
 mod data;
+mod diagnostics;
 mod drive;
 mod engine;
 mod evaluate;

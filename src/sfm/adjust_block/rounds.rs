@@ -310,7 +310,7 @@ impl BlockAdjuster<'_> {
                 doubt.excess
             );
             found.push(Diagnostic::warning(
-                "observation-retained_suspects",
+                "observation-retained",
                 doubt.name.as_str(),
                 message,
             ));
