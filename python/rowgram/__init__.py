@@ -29,10 +29,13 @@ from ._errors import (
 from ._rowgram import __version__
 from .arrays import Leaves, Plants, Score, Vegetation, evaluate, leaves, locate, match, segment, sift
 from .optimize import (
+    AdjustResult,
     BundleResult,
     CoordinateDescentResult,
     Problem,
     Summary,
+    adjust,
+    adjust_reconstruction,
     bundle_adjust,
     coordinate_descent,
     read_bal,
@@ -40,6 +43,7 @@ from .optimize import (
 from .project import Project, RunResult, StageResult, doctor, options, progress_bar
 
 __all__ = [
+    "AdjustResult",
     "BundleResult",
     "CoordinateDescentResult",
     "IncompleteError",
@@ -59,6 +63,8 @@ __all__ = [
     "Summary",
     "Vegetation",
     "__version__",
+    "adjust",
+    "adjust_reconstruction",
     "bundle_adjust",
     "coordinate_descent",
     "doctor",

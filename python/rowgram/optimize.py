@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _rowgram
 from ._errors import InputError
+from .project import Progress
 
 
 @dataclass(frozen=True)
@@ -235,6 +237,68 @@ def bundle_adjust(
         cameras, points, camera_index, point_index, image_px, loss, shared_lens, max_iterations, options
     )
     return BundleResult(found["cameras"], found["points"], Summary(**found["summary"]))
+
+
+@dataclass(frozen=True)
+class AdjustResult:
+    """An adjusted block.
+
+    Attributes:
+        report: Statistics, ground points, suspect observations and so on, as ``rowgram adjust --json`` prints them.
+        text: The same in short, for people.
+    """
+
+    report: dict[str, Any]
+    text: str
+
+    def __str__(self) -> str:
+        return self.text
+
+
+def adjust(
+    file: str | os.PathLike[str],
+    output: str | os.PathLike[str] | None = None,
+    *,
+    force: bool = False,
+    progress: Progress | None = None,
+    **options: Any,
+) -> AdjustResult:
+    """Adjust the block of a file, with control where there is any.
+
+    Args:
+        file: A COLMAP folder, ``bundle.out``, ``reconstruction.json`` of OpenSfM or rowgram, or a BAL file.
+        output: Where the adjusted block goes, in the format of the input unless ``to`` says otherwise.
+        force: Whether files that exist are replaced.
+        progress: Called while work goes on.
+        **options: ``control``, ``marks``, ``positions``, ``camera``, ``loss``, ``datum``, ``snooping``,
+            ``variance_components`` and so on, as ``rowgram adjust --help`` lists them.
+    """
+    found, text = _rowgram.adjust_file(
+        os.fspath(file), None if output is None else os.fspath(output), force, options, progress
+    )
+    return AdjustResult(found, text)
+
+
+def adjust_reconstruction(reconstruction: Any, **options: Any) -> tuple[Any, AdjustResult]:
+    """Adjust a reconstruction of pycolmap, or any object whose ``write(folder)`` makes a COLMAP folder and whose class
+    reads one.
+
+    Args:
+        reconstruction: It is not changed.
+        **options: As for :func:`adjust`.
+
+    Returns:
+        The adjusted reconstruction, an object of the same class, and the report.
+    """
+    if not callable(getattr(reconstruction, "write", None)):
+        kind = type(reconstruction).__name__
+        raise InputError(f"reconstruction: expected an object with write(folder), as pycolmap.Reconstruction; not {kind}")
+    with tempfile.TemporaryDirectory() as folder:
+        before, after = Path(folder, "before"), Path(folder, "after")
+        before.mkdir()
+        reconstruction.write(os.fspath(before))
+        report = adjust(before, after, **options)
+        return type(reconstruction)(os.fspath(after)), report
 
 
 def read_bal(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:

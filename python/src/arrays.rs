@@ -12,7 +12,7 @@ use numpy::{
 use pyo3::{prelude::*, types::PyDict};
 use rowgram::{
     Error,
-    features::{self, Descriptors, Options as FeatureOptions, matching},
+    features::{self, Descriptors, FeatureOptions, matching},
     phenotype::{
         leaves::{self, LeafOptions},
         locator::{self, Found, LocateOptions},

@@ -2,8 +2,9 @@
 
 use crate::{
     arrays::table,
-    error::{exception, from_solver, input, result, without_python},
+    error::{exception, from_library, from_solver, input, result, without_python},
     least_squares::count,
+    monitor::PythonMonitor,
     options,
     residuals::rows,
 };
@@ -12,6 +13,7 @@ use pyo3::{prelude::*, types::PyDict};
 use rowgram::{
     io::bal,
     nlls::{self, Loss},
+    pipeline::adjust::{self, AdjustOptions, Outputs},
     problems::bundle::{Bundle, Camera, InteriorSharing, Network, Observation},
 };
 use std::path::PathBuf;
@@ -115,4 +117,24 @@ pub(crate) fn read_bal(py: Python<'_>, path: PathBuf) -> PyResult<Bound<'_, PyDi
     out.set_item("point_index", of(|o| o.point))?;
     out.set_item("image_px", table(py, 2, all.iter().flat_map(|o| o.image_px).collect())?)?;
     Ok(out)
+}
+
+/// Adjusts the block of a file (COLMAP folder, Bundler, OpenSfM, rowgram, BAL): the report, and a summary for people.
+#[pyfunction]
+#[pyo3(signature = (file, output=None, force=false, options=None, progress=None))]
+pub(crate) fn adjust_file<'py>(
+    py: Python<'py>,
+    file: PathBuf,
+    output: Option<PathBuf>,
+    force: bool,
+    options: Option<&Bound<'py, PyDict>>,
+    progress: Option<Py<PyAny>>,
+) -> PyResult<(Bound<'py, PyAny>, String)> {
+    let options = options::with(&AdjustOptions::default(), options)?;
+    let outputs = Outputs { output, force, ..Outputs::default() };
+    let mut monitor = PythonMonitor::new(progress);
+    let outcome = without_python(py, || adjust::adjust(&file, &options, &outputs, &mut monitor))?;
+    monitor.finish()?;
+    let outcome = outcome.map_err(|error| from_library(&error))?;
+    Ok((result(py, &outcome)?, outcome.to_string()))
 }

@@ -4,7 +4,7 @@ use crate::error::{from_solver, input, without_python};
 use numpy::{IntoPyArray, PyArray1, PyArrayMethods};
 use pyo3::{prelude::*, types::PyDict};
 use rowgram::{
-    descent::{self, ActiveSet, BlockCost, Options, Order},
+    descent::{self, ActiveSet, BlockCost, CoordinateDescentOptions, Order},
     engine::SolveError,
 };
 use std::sync::Mutex;
@@ -113,7 +113,7 @@ pub(crate) fn coordinate_descent<'py>(
     let problem =
         PythonProblem { blocks, x: array.clone().unbind(), cost, update, end_sweep, monotone, raised };
     let order = if shuffled { Order::Shuffled } else { Order::Cyclic };
-    let options = Options { order, seed, movement_tolerance, cost_tolerance };
+    let options = CoordinateDescentOptions { order, seed, movement_tolerance, cost_tolerance };
     let mut x = x;
     let problem = &problem;
     let outcome =

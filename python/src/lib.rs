@@ -35,6 +35,7 @@ fn _rowgram(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(synth::synth_flight, module)?)?;
     module.add_function(wrap_pyfunction!(bundle::adjust_network, module)?)?;
     module.add_function(wrap_pyfunction!(bundle::read_bal, module)?)?;
+    module.add_function(wrap_pyfunction!(bundle::adjust_file, module)?)?;
     module.add_function(wrap_pyfunction!(descent::coordinate_descent, module)?)?;
     Ok(())
 }

@@ -1,5 +1,7 @@
 """The two engines from Python."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -90,6 +92,26 @@ def test_a_bundle_of_arrays_is_adjusted(rng):
     found = rowgram.bundle_adjust(cameras, start, camera, point, image_px * [1, -1], shared_lens=True)
     assert found.summary.converged and found.summary.final_cost < 1e-8
     assert found.summary.batches[0]["path"] == "fused"
+
+
+class ColmapFolder:
+    """What pycolmap's reconstruction is to `adjust_reconstruction`: it reads and writes COLMAP folders."""
+
+    def __init__(self, folder):
+        names = ("cameras.txt", "images.txt", "points3D.txt")
+        self.files = {name: (Path(folder) / name).read_text() for name in names}
+
+    def write(self, folder):
+        for name, text in self.files.items():
+            (Path(folder) / name).write_text(text)
+
+
+def test_a_colmap_folder_goes_in_and_out(tmp_path):
+    rowgram.synth.flight(tmp_path / "field", "small", photos=False, tie_points={"per_photo": 60})
+    given = ColmapFolder(tmp_path / "field" / "model")
+    adjusted, report = rowgram.adjust_reconstruction(given, datum="minimal", free=["f_px"])
+    assert adjusted.files["images.txt"] != given.files["images.txt"]
+    assert report.report["final_cost"] < report.report["initial_cost"]
 
 
 def test_heights_are_smoothed_by_coordinate_descent():
