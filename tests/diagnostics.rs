@@ -17,7 +17,8 @@ fn sources(folder: &Path, text: &mut String) {
 }
 
 fn is_code(text: &str) -> bool {
-    text.contains('-') && text.bytes().all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'-')
+    text.contains('-')
+        && text.bytes().all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'-')
 }
 
 /// The codes that the sources give to `Diagnostic::info`, `warning`, `error` and `new` as literals.
@@ -30,7 +31,8 @@ fn given(text: &str) -> BTreeSet<&str> {
             "new" => arguments.split_once(',').map_or("", |(_, rest)| rest),
             _ => continue,
         };
-        let literal = arguments.trim_start().strip_prefix('"').and_then(|rest| rest.split('"').next());
+        let literal =
+            arguments.trim_start().strip_prefix('"').and_then(|rest| rest.split('"').next());
         codes.extend(literal.filter(|code| is_code(code)));
     }
     codes

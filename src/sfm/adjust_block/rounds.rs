@@ -309,11 +309,7 @@ impl BlockAdjuster<'_> {
                 distance(&doubt),
                 doubt.excess
             );
-            found.push(Diagnostic::warning(
-                "observation-retained",
-                doubt.name.as_str(),
-                message,
-            ));
+            found.push(Diagnostic::warning("observation-retained", doubt.name.as_str(), message));
         }
         Ok(AdjustedBlock {
             adjusted: snooped.adjusted,
