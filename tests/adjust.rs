@@ -81,7 +81,9 @@ fn a_person_reads_a_summary() {
     let output = adjust(&[&file, "--loss", "huber:1", "--method", "dogleg", "--threads", "1"]);
     assert!(output.status.success(), "{}", stderr(&output));
     let text = String::from_utf8(output.stdout).unwrap();
-    for part in ["9 images, 100 points", "stopped because", "tie points", "rmse", "fused"] {
+    for part in
+        ["9 images, 100 points", "stopped because", "tie points", "rmse", "stored: the method"]
+    {
         assert!(text.contains(part), "{text}");
     }
 }

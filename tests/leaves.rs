@@ -140,7 +140,7 @@ fn masks_without_and_with_nothing_but_plants_work_and_what_is_no_mask_is_told() 
     let folder = tempfile::tempdir().unwrap();
     for (name, value) in [("empty.png", 0), ("full.png", 255)] {
         GrayImage::from_pixel(30, 20, Luma([value])).save(folder.path().join(name)).unwrap();
-        let run = rowgram(folder.path(), &format!("leaves {name} -o {name}.csv"));
+        let run = rowgram(folder.path(), &format!("leaves {name} --shape blade -o {name}.csv"));
         assert_eq!(run.code, 0, "{}", run.stderr);
     }
     assert_eq!(rows(&folder.path().join("empty.png.csv")).len(), 1);

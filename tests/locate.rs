@@ -159,7 +159,6 @@ fn bad_input_is_refused_with_code_2_and_a_reason() {
         (&[mask, "--plants", "-3"], "-3"),
         (&[mask, "--plants", "9999999"], "leaf pixels"),
         (&[&black, "--plants", "3"], "no leaf pixel"),
-        (&[&white, "--plants", "3"], "no rows"),
         (&[&text, "--plants", "3"], "text.png"),
         (&["/nonexistent.png", "--plants", "3"], "/nonexistent.png"),
         (&[mask, "--plants", "3", "--gsd-m", "0"], "gsd-m"),
@@ -177,6 +176,11 @@ fn bad_input_is_refused_with_code_2_and_a_reason() {
         assert!(message.contains(reason), "{arguments:?}: {message}");
         assert!(!Path::new(&out).exists());
     }
+    // Leaf all over is no error: as many plants as were asked for, and a word that leaf alone cannot tell.
+    let run = rowgram(&["locate", &white, "--plants", "3", "-o", &path("white.csv")]);
+    assert_eq!(run.status.code(), Some(0));
+    assert!(String::from_utf8_lossy(&run.stderr).contains("cannot be told"));
+    assert_eq!(std::fs::read_to_string(path("white.csv")).unwrap().lines().count(), 4);
     let run = rowgram(&["locate", mask, "--plants", "3", "--force", "-o", mask]);
     assert_eq!(run.status.code(), Some(2));
     assert!(String::from_utf8_lossy(&run.stderr).contains("is an input"));

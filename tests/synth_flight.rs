@@ -162,9 +162,10 @@ fn the_truth_is_judged_perfect() {
     let output = succeed(&["evaluate", text(&truth), text(&truth), "--radius", "3", "--json"]);
     let score: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     assert!(score.to_string().contains("\"f1\":1.0"), "{score}");
-    // And a segmentation of the picture from above finds the mask.
+    // And the thresholds for which the picture from above was made find the mask.
     let mask = folder.path().join("mask.png");
-    succeed(&["segment", text(&out.join("truth/picture.png")), "-o", text(&mask)]);
+    let picture = out.join("truth/picture.png");
+    succeed(&["segment", text(&picture), "--hsv", "30,79,30,163", "-o", text(&mask)]);
     let (found, truth) = (
         image::open(&mask).unwrap().into_luma8(),
         image::open(out.join("truth/mask.png")).unwrap().into_luma8(),

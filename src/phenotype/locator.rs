@@ -245,12 +245,14 @@ pub struct Descended {
     pub certificate: Option<Proof>,
 }
 
-/// Finds rows, and plants by the row model; poses the descent of the other methods.
+/// Finds rows, and plants by the row model; poses the descent of the other methods. `detail` is the mask of pixels that were
+/// judged alone, where there is one: closed rows are looked at in it.
 ///
 /// # Errors
 /// As [`LocateOptions::check`] and [`row_model::locate`].
 pub fn prepare(
     mask: &Mask,
+    detail: Option<&Mask>,
     gsd_m: Option<f64>,
     options: &LocateOptions,
 ) -> Result<Prepared, LocateError> {
@@ -270,7 +272,8 @@ pub fn prepare(
     let is_row_model = options.method == LocateMethod::RowModel;
     let counts = options.plants == Auto::Auto && leaf_pixels > 0;
     let stand = if is_row_model || init == Init::Votes || counts {
-        Some(row_model::locate(mask, &detection, options.plants.given(), &options.row_model)?)
+        let (count, options) = (options.plants.given(), &options.row_model);
+        Some(row_model::locate_in_detail(mask, detail, &detection, count, options)?)
     } else {
         None
     };
@@ -335,7 +338,7 @@ pub fn find(
     gsd_m: Option<f64>,
     options: &LocateOptions,
 ) -> Result<Found, LocateError> {
-    Ok(match prepare(mask, gsd_m, options)?.work {
+    Ok(match prepare(mask, None, gsd_m, options)?.work {
         Work::Stand(stand) => Found::Stand(stand),
         Work::Tiles(plants) => Found::Tiles(plants),
         Work::Descent(descend) => Found::Descent(Box::new(descend.run(&options.descent)?)),

@@ -12,7 +12,7 @@ use super::{
     isolated_plants::{covered_share, median},
     plant_mass::{Parts, Plant},
     plant_spacing::Spacing,
-    rows::{self, Detection, Rows},
+    rows::{self, Detection, Row, Rows},
     stand::{BETWEEN, Gap, LeafMass, Stalk, Stand},
 };
 use crate::{
@@ -174,13 +174,42 @@ fn rows_of(mask: &Mask, plants: &[Plant], plant_px: f64, detection: &Detection) 
     let discs = discs(mask, plants, DISC * (plant_px / std::f64::consts::PI).sqrt());
     let again = rows::detect(&PixelIndex::from_mask(discs.width, &discs.data));
     let worth = |rows: &Rows| held_beyond_chance(rows, mask, plants, plant_px);
-    let found = [detection.rows(), again.rows()].into_iter().flatten();
+    let lone = lone_row(plants, axes, plant_px);
+    let found = [detection.rows(), again.rows(), lone.as_ref()].into_iter().flatten();
     // A line through two plants is no row.
     let filled = found.filter(|rows| plants.len() >= FILLED * rows.rows.len());
     let best = filled.max_by(|a, b| worth(a).total_cmp(&worth(b)));
     best.filter(|rows| worth(rows) > HELD).map_or(none, Rows::clone)
 }
 
+/// The line through all plants, where most of them stand along it: one row alone repeats nothing across itself.
+fn lone_row(plants: &[Plant], axes: Axes, plant_px: f64) -> Option<Rows> {
+    let count = plants.len() as f64;
+    let mean = plants.iter().fold([0.0; 2], |m, p| [m[0] + p.u_px / count, m[1] + p.v_px / count]);
+    let away = plants.iter().map(|p| [p.u_px - mean[0], p.v_px - mean[1]]);
+    let [uu, uv, vv] =
+        away.fold([0.0; 3], |[uu, uv, vv], [u, v]| [uu + u * u, uv + u * v, vv + v * v]);
+    let axes = Axes { heading_rad: 0.5 * (2.0 * uv).atan2(uu - vv), ..axes };
+    let across_px = axes.aligned(mean)[1];
+    let places = plants.iter().map(|plant| axes.aligned([plant.u_px, plant.v_px]));
+    let along: Vec<f64> = places
+        .filter(|[_, across]| (across - across_px).abs() <= LONE * plant_px.sqrt())
+        .map(|[along, _]| along)
+        .collect();
+    let start_px = along.iter().copied().fold(f64::INFINITY, f64::min);
+    let end_px = along.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let pixels = plants.iter().map(|plant| plant.mass_px).sum::<f64>() as usize;
+    let row = Row { across_px, start_px, end_px, pixels };
+    (along.len() as f64 >= ALONG * count).then(|| Rows {
+        axes,
+        rows: vec![row],
+        spacing_px: None,
+        contrast: 0.0,
+    })
+}
+
+/// Share of the plants along a lone row, at least.
+const ALONG: f64 = 0.8;
 /// Plants per row, at least.
 const FILLED: usize = 3;
 /// The least share of the plants that rows hold beyond chance.

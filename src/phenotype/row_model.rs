@@ -99,6 +99,21 @@ pub fn locate(
     count: Option<usize>,
     options: &RowModelOptions,
 ) -> Result<Stand, LocateError> {
+    locate_in_detail(mask, None, detection, count, options)
+}
+
+/// [`locate`] where pixels have been judged alone, too: closed rows are told apart by gaps between leaves as narrow as a pixel,
+/// which a mask of neighbours that agree has lost.
+///
+/// # Errors
+/// As [`locate`].
+pub(super) fn locate_in_detail(
+    mask: &Mask,
+    detail: Option<&Mask>,
+    detection: &Detection,
+    count: Option<usize>,
+    options: &RowModelOptions,
+) -> Result<Stand, LocateError> {
     options.validate().map_err(LocateError::Option)?;
     if mask.data.iter().all(|&pixel| pixel == 0) {
         return Err(LocateError::EmptyMask);
@@ -123,7 +138,7 @@ pub fn locate(
             return Err(LocateError::NoRows { contrast, prominence });
         }
     };
-    let mut evidence = RowEvidence::new(mask, rows, options);
+    let mut evidence = RowEvidence::new(detail.unwrap_or(mask), rows, options);
     let spacing = evidence.spacing(count);
     if options.double_plants && evidence.has_axes() {
         // What is usual of plants, from those that are found without it.

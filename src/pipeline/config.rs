@@ -361,12 +361,12 @@ mod tests {
             })
             .map(|line| format!("{line}\n"))
             .collect();
-        let set = read(&set, &[], &[]).unwrap();
-        let table = Table::try_from(&set).unwrap();
+        let table: Table = set.parse().unwrap();
         for section in Config::sections() {
-            for field in section.fields {
-                let written = &table[section.name];
-                assert!(written.get(field.name).is_some(), "{} lacks an example", field.name);
+            for field in &section.fields {
+                let written = table[section.name].get(field.name);
+                let written = written.unwrap_or_else(|| panic!("{} lacks an example", field.name));
+                section.check_entry(field.name, written).unwrap();
             }
         }
         assert!(template.lines().all(|line| line.chars().count() <= 110));
@@ -423,7 +423,10 @@ mod tests {
         assert!(error.contains("did you mean ROWGRAM_ALIGN_SEED?"), "{error}");
         for (file, expected) in [
             ("[plots]\nrows_per_plot = 4\n", "[plots] alley_m is not set"),
-            ("[report]\ncheck_yellow_gsd = 9\n", "[report] check_yellow_gsd = 9: expected at most"),
+            (
+                "[checks]\ncheck_points_yellow_gsd = 9\n",
+                "[checks] check_points_yellow_gsd = 9: expected at most",
+            ),
             (
                 "[project]\ntruth = \"a.csv\"\n",
                 "[project] truth = \"a.csv\": there is no such file",

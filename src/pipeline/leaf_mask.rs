@@ -19,6 +19,9 @@ use crate::{
 use image::RgbImage;
 use std::path::Path;
 
+/// The file of the stage `segment` with the posterior.
+pub(super) const POSTERIOR: &str = "posterior.tif";
+
 /// Most sweeps of iterated conditional modes; hardly a pixel changes after the third.
 const SWEEPS: usize = 4;
 
@@ -43,6 +46,15 @@ impl From<Mask> for LeafMask {
     }
 }
 
+impl LeafMask {
+    /// The mask of pixels that are judged alone, where there is a posterior.
+    pub(super) fn detail(&self) -> Option<Mask> {
+        let posterior = self.posterior.as_ref()?;
+        let data = posterior.iter().map(|&p| u8::from(p >= 128)).collect();
+        Some(Mask { width: self.mask.width, height: self.mask.height, data })
+    }
+}
+
 /// A photo, mask or orthomosaic with its leaf mask: a mask's own two values, else pixels within thresholds, or vegetation
 /// as it is estimated from the photo.
 ///
@@ -64,7 +76,7 @@ pub fn read_leaf_mask(image: &Path, hsv: Auto<Thresholds>) -> Result<(Source, Le
 /// [`Error::NothingToDo`] where there is none; files that cannot be read.
 pub fn of_project(project: &Project) -> Result<(Source, LeafMask), Error> {
     let (source, mut found) = read_leaf_mask(&project.mask()?, Auto::Auto)?;
-    if let Some(path) = project.finished(Stage::Segment, "posterior.tif") {
+    if let Some(path) = project.finished(Stage::Segment, POSTERIOR) {
         let size = (found.mask.width, found.mask.height);
         found.posterior = Some(rasters::read_posterior(&path, size)?);
     }

@@ -100,7 +100,7 @@ impl Task for Segment {
         monitor: &mut dyn Monitor,
     ) -> Result<SegmentOutcome, Error> {
         let image = project.orthomosaic()?;
-        let posterior = folder.join("posterior.tif");
+        let posterior = folder.join(super::leaf_mask::POSTERIOR);
         let files = SegmentFiles {
             mask: &folder.join("mask.tif"),
             posterior: matches!(options.hsv, Auto::Auto).then_some(posterior.as_path()),
