@@ -117,7 +117,8 @@ fn positions_and_control_of_another_place_are_errors_that_name_the_cause() {
     // Indiana, UTM zone 16.
     let (here, control) = ([40.4718, -86.9920], [500_678.0, 4_480_140.0]);
     let zone = "crs = \"EPSG:32616\"";
-    let cases: [(&str, [f64; 2], [f64; 2], &str, &str); 7] = [
+    type Case = (&'static str, [f64; 2], [f64; 2], &'static str, &'static str);
+    let cases: [Case; 7] = [
         ("right", here, control, zone, "fine"),
         ("assumed", here, control, "", "fine"),
         ("wrong zone", here, control, "crs = \"EPSG:32633\"", "EPSG:32616"),

@@ -4,7 +4,7 @@
 //! touch make one patch of two, so that the middle distance is somewhat too long. Where too little of the rows is
 //! bare, or patches are long against their distance, plants have grown together and patches tell nothing.
 //!
-//! Such plants are found by their leaf mass ([`mass_stand`](super::mass_stand)); where that is switched off, the distance of
+//! Such plants are found by their leaf mass (`mass_stand`); where that is switched off, the distance of
 //! patches is where the search for the spacing starts.
 
 use super::rows::Rows;

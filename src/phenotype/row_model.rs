@@ -16,7 +16,7 @@
 //!    plants are missing in it. Stalks may be tilted, and their bases not below their leaves ([`tilt`]).
 //!
 //! All that is for rows along which leaves have closed. Where there is soil between plants, or there are no rows, plants are
-//! counted and located by their leaf mass ([`mass_stand`]).
+//! counted and located by their leaf mass (`mass_stand`).
 //!
 //! Positions and lengths in pixels of the mask where the name ends in `_px`, else of the reduced grid.
 //!
@@ -27,7 +27,6 @@
 //! [`dynamic_programming::Chain::posterior`]: Chain::posterior
 //! [`double_plants`]: super::double_plants
 //! [`row_curves`]: super::row_curves
-//! [`mass_stand`]: super::mass_stand
 //! [`plant_spacing`]: super::plant_spacing
 //! [`stand_count`]: super::stand_count
 //! [`tilt`]: super::tilt

@@ -115,7 +115,8 @@ fn a_block_is_level_whatever_a_receiver_says_of_heights() {
     let blocks = grow(&flown, &tracks, &pairs);
     let half = flown.poses.len() / 2;
     let last = (flown.poses.len() - 1) as f64;
-    let spoil: [(&str, &dyn Fn(usize, f64) -> f64, bool); 6] = [
+    type Spoiled<'a> = (&'static str, &'a dyn Fn(usize, f64) -> f64, bool);
+    let spoil: [Spoiled<'_>; 6] = [
         ("as measured", &|_, z| z, false),
         ("drift of 75", &|k, z| z + 75.0 * k as f64 / last, true),
         ("jump", &|k, z| if k < half { z } else { z + 60.0 }, true),

@@ -4,7 +4,7 @@
 //! everything that decides its files, so a stage whose key is the recorded one, and whose files still have the
 //! recorded contents, need not be done again. Paths are relative to the project, which may move.
 //!
-//! Steps within a stage are kept in the same manner ([`cache`]): one kind of [`Key`] for both.
+//! Steps within a stage are kept in the same manner (`cache`): one kind of `Key` for both.
 
 mod cache;
 mod key;
