@@ -95,7 +95,7 @@ pub(crate) fn table<'py, T: numpy::Element + Clone>(
 pub(crate) fn segment<'py>(
     py: Python<'py>,
     image: &Bound<'py, PyAny>,
-    hsv: Option<[u8; 4]>,
+    hsv: Option<[i64; 4]>,
 ) -> PyResult<(Bound<'py, PyArray2<bool>>, Option<Bound<'py, PyArray2<f32>>>)> {
     let photo = photo(image)?;
     let (width, height) = (photo.width() as usize, photo.height() as usize);

@@ -12,7 +12,10 @@ use pyo3::{
 use rowgram::{
     monitor::Diagnostic,
     options::Choice,
-    pipeline::{self, Config, RunOptions, Stage, run::RunOutcome},
+    pipeline::{
+        self, Config, Stage,
+        run::{RunOptions, RunOutcome},
+    },
 };
 use std::path::PathBuf;
 
