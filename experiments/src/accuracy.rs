@@ -93,7 +93,11 @@ fn sets(data: &Path) -> Result<Vec<(&'static str, Vec<Plot>)>, Error> {
             if points.exists() {
                 let truth = marks(&points)?;
                 let radii_px = [nearest_px(&truth) / 4.0, 15.0];
-                found.push(Plot { name: stem, photo: images::read_photo(&path)?, truth, radii_px });
+                match images::read_photo(&path) {
+                    Ok(photo) => found.push(Plot { name: stem, photo, truth, radii_px }),
+                    // The program refuses it as well; the table has one photo less.
+                    Err(error) => left_out(&error),
+                }
             }
         }
         sets.push((name, found));
@@ -119,6 +123,7 @@ fn files(folder: &Path) -> Result<Vec<PathBuf>, FileError> {
     Ok(paths)
 }
 
+/// A photo in which nothing can be told has an empty mask, and is judged by it.
 fn vegetation_of(photo: &RgbImage) -> Mask {
     let found = vegetation::segment(photo, None, &vegetation::Options::default());
     found.map_or(Mask::empty(photo.width() as usize, photo.height() as usize), |found| found.mask)
@@ -132,6 +137,7 @@ fn right(found: &[[f64; 2]], plot: &Plot) -> Result<f64, Error> {
 fn count(set: &'static str, plot: &Plot) -> Result<Counted, Error> {
     let mask = vegetation_of(&plot.photo);
     let detection = rows::detect(&PixelIndex::from_mask(mask.width, &mask.data));
+    // Where no plant can be located none was found: the photo counts, with all its plants missed.
     let stand = row_model::locate(&mask, &detection, None, &RowModelOptions::default()).ok();
     let plants = stand.as_ref().map_or(&[][..], |stand| &stand.plants);
     let at: Vec<[f64; 2]> = plants.iter().map(|plant| plant.position_px).collect();
@@ -348,6 +354,11 @@ fn leaves_table(data: &Path, every: usize) -> Result<String, Error> {
         }
     }
     Ok(text)
+}
+
+#[expect(clippy::print_stderr, reason = "what the tables lack is said")]
+fn left_out(error: &FileError) {
+    eprintln!("left out: {error}");
 }
 
 #[expect(clippy::print_stdout, reason = "the tables are the output")]
