@@ -126,7 +126,7 @@ fn a_block_is_level_whatever_a_receiver_says_of_heights() {
     ];
     let mut plain = 0.0;
     for (name, spoiled, says) in spoil {
-        // Accuracies that are told hold the plan; without them a jump of a dozen heights is taken for a slope yet.
+        // Told accuracies hold the plan. Without them a jump of a dozen heights can be taken for a slope.
         let told = says;
         let mut given = known(&flown);
         (given.ground, given.marks) = (Vec::new(), Vec::new());
