@@ -70,6 +70,12 @@ struct Folders {
 enum Experiment {
     #[command(flatten)]
     Spec(command::Command),
+    /// Writes the pages of the documentation that are made from definitions: options.md, traits.md.
+    Pages {
+        /// The folder of the documentation.
+        #[arg(long, value_name = "DIR", default_value = "docs")]
+        out: PathBuf,
+    },
     /// Plant location, every variant: synthetic masks (true number of plants).
     LocateMasks {
         #[command(flatten)]
@@ -216,6 +222,7 @@ fn main() -> ExitCode {
         Experiment::SegmentSpeed { raw, width, height, mask } => {
             segment_speed::run(&raw, width, height, &mask)
         }
+        Experiment::Pages { out } => pages(&out),
         Experiment::Accuracy { folders, every } => accuracy::run(&folders, every.max(1)),
         Experiment::FitStandCount(args) => stand_count::run(&args),
         Experiment::WholeField { folders } => whole_field::run(&folders),
@@ -227,6 +234,15 @@ fn main() -> ExitCode {
             ExitCode::from(error.kind().exit_code())
         }
     }
+}
+
+/// Writes `options.md` and `traits.md`.
+fn pages(out: &std::path::Path) -> Result<(), rowgram::Error> {
+    use rowgram::{io::output, phenotype::plots::dictionary_page, pipeline::reference_page};
+    for (name, page) in [("options.md", reference_page()), ("traits.md", dictionary_page())] {
+        output::write(&out.join(name), true, |file| file.write_all(page.as_bytes()))?;
+    }
+    Ok(())
 }
 
 /// Options of the locator from lines of TOML.

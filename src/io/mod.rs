@@ -28,6 +28,7 @@ pub mod plants;
 pub mod points;
 pub mod polygons;
 pub mod poses;
+pub mod qgis;
 pub mod rasters;
 pub mod reconstruction;
 mod table;

@@ -1,7 +1,8 @@
 //! What stands in a field, in CSV files: plants, gaps, and the stand count of every row.
 //!
-//! All have `u_px`, `v_px`, positions in pixels of the raster, the centre of the top-left pixel at (0, 0), and, where the
-//! ground sampling distance is known, `x_m`, `y_m`, the same in metres from that pixel.
+//! All have `u_px`, `v_px`, positions in pixels of the raster, the centre of the top-left pixel at (0, 0). Where the raster lies
+//! on a map, `easting_m`, `northing_m` (or `longitude_deg`, `latitude_deg`) are the same places there; where only the ground
+//! sampling distance is known, `x_m`, `y_m` are metres to the right of that pixel and upwards from it.
 //!
 //! Plants:
 //!
@@ -18,19 +19,49 @@
 //! `length_px`, and `length_m` where the ground sampling distance is known.
 
 use super::{FileError, output, points};
-use crate::phenotype::{
-    locate::{Located, Plant},
-    stand::{NORMAL_95, Stalk, Stand},
+use crate::{
+    phenotype::{
+        locate::{Located, Plant},
+        stand::{NORMAL_95, Stalk, Stand},
+    },
+    raster::georeference::{CrsKind, Georeference},
 };
 use std::path::Path;
 
 /// Columns of numbers by name.
 type Columns = Vec<(&'static str, Vec<f64>)>;
 
-/// Positions in metres, where the size of a pixel is known.
-fn metres(positions_px: &[[f64; 2]], gsd_m: Option<f64>) -> Columns {
-    let axis = |axis: usize, gsd: f64| positions_px.iter().map(|at| at[axis] * gsd).collect();
-    gsd_m.map_or(Vec::new(), |gsd| vec![("x_m", axis(0, gsd)), ("y_m", axis(1, gsd))])
+/// What turns pixels into places.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Placement {
+    /// Where the raster lies on the map, if it says so.
+    pub georeference: Option<Georeference>,
+    /// Ground sampling distance, metres, where it is known.
+    pub gsd_m: Option<f64>,
+}
+
+impl Placement {
+    /// The places as columns, as far as they are known.
+    fn columns(&self, positions_px: &[[f64; 2]]) -> Columns {
+        let named = |names: [&'static str; 2], place: &dyn Fn([f64; 2]) -> [f64; 2]| {
+            let places: Vec<[f64; 2]> = positions_px.iter().map(|&at| place(at)).collect();
+            // A tenth of a millimetre, also in degrees.
+            let unit = if names[0].ends_with("_deg") { 1e9 } else { 1e4 };
+            let rounded = |x: f64| (x * unit).round() / unit;
+            let axis = |axis: usize| places.iter().map(|at| rounded(at[axis])).collect();
+            vec![(names[0], axis(0)), (names[1], axis(1))]
+        };
+        match (self.georeference, self.gsd_m) {
+            (Some(map), _) if map.crs.kind == CrsKind::Geographic => {
+                named(["longitude_deg", "latitude_deg"], &|at| map.map(at))
+            }
+            (Some(map), _) if map.crs.kind == CrsKind::Projected => {
+                named(["easting_m", "northing_m"], &|at| map.map(at))
+            }
+            (_, Some(gsd_m)) => named(["x_m", "y_m"], &|[u, v]| [gsd_m * u, -gsd_m * v]),
+            _ => Vec::new(),
+        }
+    }
 }
 
 fn write(
@@ -38,10 +69,10 @@ fn write(
     force: bool,
     positions_px: &[[f64; 2]],
     mut columns: Columns,
-    gsd_m: Option<f64>,
+    place: Placement,
 ) -> Result<(), FileError> {
     let after_row = 1.min(columns.len());
-    columns.splice(after_row..after_row, metres(positions_px, gsd_m));
+    columns.splice(after_row..after_row, place.columns(positions_px));
     let columns: Vec<(&str, &[f64])> =
         columns.iter().map(|(name, values)| (*name, &values[..])).collect();
     points::write(path, force, positions_px, &columns)
@@ -56,7 +87,7 @@ pub fn write_plants(
     force: bool,
     plants: &[Stalk],
     has_rows: bool,
-    gsd_m: Option<f64>,
+    place: Placement,
 ) -> Result<(), FileError> {
     let row = |plant: &Stalk| if has_rows { plant.row as f64 } else { f64::NAN };
     let positions: Vec<[f64; 2]> = plants.iter().map(|plant| plant.position_px).collect();
@@ -66,7 +97,7 @@ pub fn write_plants(
         ("sigma_along_px", plants.iter().map(|plant| plant.sigma_along_px).collect()),
         ("sigma_across_px", plants.iter().map(|plant| plant.sigma_across_px).collect()),
     ];
-    write(path, force, &positions, columns, gsd_m)
+    write(path, force, &positions, columns, place)
 }
 
 /// Writes the plants of a descent: positions and rows.
@@ -77,12 +108,12 @@ pub fn write_located(
     path: &Path,
     force: bool,
     located: &Located,
-    gsd_m: Option<f64>,
+    place: Placement,
 ) -> Result<(), FileError> {
     let positions: Vec<[f64; 2]> = located.plants.iter().map(|p| p.position_px).collect();
     let row = |plant: &Plant| plant.row.map_or(f64::NAN, |row| row as f64);
     let columns = vec![("row", located.plants.iter().map(row).collect())];
-    write(path, force, &positions, columns, gsd_m)
+    write(path, force, &positions, columns, place)
 }
 
 /// Writes the gaps: the middle of each, its row, length, missing plants and their probability.
@@ -93,7 +124,7 @@ pub fn write_gaps(
     path: &Path,
     force: bool,
     stand: &Stand,
-    gsd_m: Option<f64>,
+    place: Placement,
 ) -> Result<(), FileError> {
     let gaps = &stand.missing;
     let positions: Vec<[f64; 2]> = gaps.iter().map(|gap| gap.position_px).collect();
@@ -103,7 +134,7 @@ pub fn write_gaps(
         ("plants", gaps.iter().map(|gap| gap.plants as f64).collect()),
         ("probability", gaps.iter().map(|gap| gap.probability).collect()),
     ];
-    write(path, force, &positions, columns, gsd_m)
+    write(path, force, &positions, columns, place)
 }
 
 /// Writes the stand count of every row.

@@ -7,11 +7,12 @@
 //! | what does the row model rest on? | [`evidence`] (votes along leaf axes), [`isolated_plants`], [`plant_spacing`], [`double_plants`], [`dynamic_programming`], [`tilt`] |
 //! | how many plants are there? | [`stand_count`], [`stand`], [`plant_mass`] |
 //! | how many leaves, and which? | [`leaf_count`] (from area), [`leaves`] (one by one), [`broad_leaves`] |
-//! | what has each plot? | [`plots`] |
+//! | what has each plot? | [`plots`], [`colour_indices`] |
 //!
 //! Lengths are in pixels of the mask unless a name says metres.
 
 pub mod broad_leaves;
+pub mod colour_indices;
 pub mod double_plants;
 pub mod dynamic_programming;
 pub mod evidence;

@@ -2,8 +2,11 @@
 //!
 //! Positions are pixels of the raster that the mask has; traits are per plot, in SI units.
 
+use super::colour_indices::ColourSum;
 use crate::raster::{Mask, polygon::Polygon};
 use serde::{Deserialize, Serialize};
+use statrs::statistics::Statistics;
+use std::collections::BTreeMap;
 
 /// Traits of one plot, rounded to six significant digits; `None` where the trait is not known.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -34,6 +37,24 @@ pub struct PlotTraits {
     pub leaf_width_m: Option<f64>,
     /// Mean hue of these leaves, degrees.
     pub leaf_hue_deg: Option<f64>,
+    /// Mean distance of neighbouring plants of a row, metres.
+    pub plant_spacing_m: Option<f64>,
+    /// Standard deviation of that distance over its mean.
+    pub plant_spacing_cv: Option<f64>,
+    /// The greatest of these distances, metres.
+    pub longest_gap_m: Option<f64>,
+    /// Excess green of the leaf pixels.
+    pub exg: Option<f64>,
+    /// Green leaf index of the leaf pixels.
+    pub gli: Option<f64>,
+    /// Normalized green-red difference index of the leaf pixels.
+    pub ngrdi: Option<f64>,
+    /// Visible atmospherically resistant index of the leaf pixels.
+    pub vari: Option<f64>,
+    /// Triangular greenness index of the leaf pixels.
+    pub tgi: Option<f64>,
+    /// a* of the mean colour of the leaf pixels.
+    pub a_star: Option<f64>,
 }
 
 /// A trait of plots.
@@ -45,15 +66,26 @@ pub struct Trait {
     pub unit: &'static str,
     /// What it is.
     pub meaning: &'static str,
+    /// How it comes about.
+    pub method: &'static str,
+    /// What defines it; empty where the method says it all.
+    pub reference: &'static str,
     /// Its value in a plot.
     pub value: fn(&PlotTraits) -> Option<f64>,
 }
 
 macro_rules! traits {
-    ($($name:ident, $unit:literal, $meaning:literal;)*) => {
+    ($($name:ident, $unit:literal, $meaning:literal, $method:literal, $reference:literal;)*) => {
         /// All traits of plots in their order.
         pub const TRAITS: &[Trait] = &[
-            $(Trait { name: stringify!($name), unit: $unit, meaning: $meaning, value: |plot| plot.$name },)*
+            $(Trait {
+                name: stringify!($name),
+                unit: $unit,
+                meaning: $meaning,
+                method: $method,
+                reference: $reference,
+                value: |plot| plot.$name,
+            },)*
         ];
 
         impl PlotTraits {
@@ -66,18 +98,68 @@ macro_rules! traits {
 }
 
 traits! {
-    area_m2, "m2", "area of the plot on the map";
-    plants, "1", "plants that were located";
-    plants_per_ha, "1/ha", "plants by area";
-    missing_plants, "1", "plants that gaps in the rows lack";
-    canopy_cover, "1", "share of the area that leaves cover";
-    leaves_by_area, "1", "leaf pixels over leaf pixels per leaf";
-    leaves_by_area_low, "1", "lower end of the 95 % interval";
-    leaves_by_area_high, "1", "upper end of the 95 % interval";
-    leaves_single, "1", "leaves that were told apart";
-    leaf_length_m, "m", "mean length of these leaves";
-    leaf_width_m, "m", "mean width of these leaves";
-    leaf_hue_deg, "deg", "mean hue of these leaves";
+    area_m2, "m2", "area of the plot on the map",
+        "pixels whose centre is in the polygon, times the area of a pixel", "";
+    plants, "1", "plants that were located",
+        "plants of the stage locate that stand in the polygon", "";
+    plants_per_ha, "1/ha", "plants by area",
+        "plants over area_m2, times 10,000", "";
+    missing_plants, "1", "plants that gaps in the rows lack",
+        "most probable number of missing plants of each gap whose middle is in the polygon", "";
+    canopy_cover, "1", "share of the area that leaves cover",
+        "leaf pixels over pixels of the polygon", "";
+    leaves_by_area, "1", "leaf pixels over leaf pixels per leaf",
+        "stage leaf-count", "Ribera et al. 2016, KDD workshop on data science for food, energy and water";
+    leaves_by_area_low, "1", "lower end of the 95 % interval",
+        "stage leaf-count", "";
+    leaves_by_area_high, "1", "upper end of the 95 % interval",
+        "stage leaf-count", "";
+    leaves_single, "1", "leaves that were told apart",
+        "leaves of the stage leaves whose middle is in the polygon", "";
+    leaf_length_m, "m", "mean length of these leaves",
+        "along the axis of the leaf in the plane of the map", "";
+    leaf_width_m, "m", "mean width of these leaves",
+        "area over length", "";
+    leaf_hue_deg, "deg", "mean hue of these leaves",
+        "mean over leaves of the hue of their pixels", "";
+    plant_spacing_m, "m", "mean distance of neighbouring plants of a row",
+        "from each plant to the next of its row within the polygon", "";
+    plant_spacing_cv, "1", "standard deviation of that distance over its mean",
+        "of the same distances, from two on", "";
+    longest_gap_m, "m", "greatest distance of neighbouring plants of a row",
+        "of the same distances", "";
+    exg, "1", "excess green of the leaf pixels, 2 g - r - b",
+        "of the mean colour of the leaf pixels in the orthomosaic", "Woebbecke et al. 1995, Trans. ASAE 38, 259-269";
+    gli, "1", "green leaf index of the leaf pixels, (2 G - R - B) / (2 G + R + B)",
+        "of the mean colour of the leaf pixels in the orthomosaic", "Louhaichi et al. 2001, Geocarto Int. 16, 65-70";
+    ngrdi, "1", "normalized green-red difference index of the leaf pixels, (G - R) / (G + R)",
+        "of the mean colour of the leaf pixels in the orthomosaic", "Tucker 1979, Remote Sens. Environ. 8, 127-150";
+    vari, "1", "visible atmospherically resistant index of the leaf pixels, (G - R) / (G + R - B)",
+        "of the mean colour of the leaf pixels in the orthomosaic", "Gitelson et al. 2002, Remote Sens. Environ. 80, 76-87";
+    tgi, "1", "triangular greenness index of the leaf pixels, (G - 0.39 R - 0.61 B) / 255",
+        "of the mean colour of the leaf pixels in the orthomosaic", "Hunt et al. 2011, Agron. J. 103, 1090-1099";
+    a_star, "1", "a* (CIELAB, D65) of the leaf pixels; green is negative",
+        "of the mean colour of the leaf pixels in the orthomosaic", "CIE 15; IEC 61966-2-1";
+}
+
+/// The traits as a page: a table of name, unit, meaning, method and reference.
+///
+/// `docs/traits.md` is this text, and a test compares the two.
+pub fn dictionary_page() -> String {
+    let mut page = String::from(
+        "# Traits of plots\n\n\
+         Every column of `traits.csv`, of the layer `plots` in `traits.gpkg` and of `traits.geojson`. The same table is written beside them as\n\
+         `trait_dictionary.csv`. Units are after UCUM; 1 stands for numbers and shares. A trait without a value was not measured: a map without\n\
+         scale has no areas, a mask without picture no colours. Colour indices are not corrected for the light of the day.\n\n\
+         | trait | unit | what it is | how | reference |\n|---|---|---|---|---|\n",
+    );
+    for of in TRAITS {
+        page += &format!(
+            "| `{}` | {} | {} | {} | {} |\n",
+            of.name, of.unit, of.meaning, of.method, of.reference
+        );
+    }
+    page
 }
 
 /// Six significant digits.
@@ -118,6 +200,8 @@ pub struct FieldMeasurements {
     pub gsd_m: Option<f64>,
     /// Places of the plants, pixels.
     pub plants: Option<Vec<[f64; 2]>>,
+    /// The row of each plant, NaN where it stands in none; empty where there are no rows.
+    pub row_of: Vec<f64>,
     /// Middles of gaps in the rows, pixels, and how many plants each lacks.
     pub gaps: Option<Vec<([f64; 2], f64)>>,
     /// Leaves that were told apart.
@@ -127,8 +211,15 @@ pub struct FieldMeasurements {
 }
 
 impl FieldMeasurements {
-    /// The traits of a plot, and how many pixels of the mask's raster it has.
-    pub fn traits(&self, name: &str, polygon: &Polygon, mask: &Mask) -> (PlotTraits, usize) {
+    /// The traits of a plot, and how many pixels of the mask's raster it has. `colour` is the sum of the colours of its
+    /// leaf pixels, where there is a picture.
+    pub fn traits(
+        &self,
+        name: &str,
+        polygon: &Polygon,
+        mask: &Mask,
+        colour: Option<ColourSum>,
+    ) -> (PlotTraits, usize) {
         let runs = polygon.runs(mask.width, mask.height);
         let pixels: usize = runs.iter().map(|(_, run)| run.len()).sum();
         let covered: usize = runs
@@ -154,6 +245,9 @@ impl FieldMeasurements {
         let by_area = self.by_area.iter().flatten().find(|count| count.plot == name);
         let [number, low, high] = [0, 1, 2]
             .map(|k| by_area.map(|count| count.leaves[k]).filter(|number| number.is_finite()));
+        let indices = colour.and_then(|sum| sum.indices());
+        let steps_m = self.steps_m(&inside);
+        let mean_m = (!steps_m.is_empty()).then(|| steps_m.iter().mean());
         let found = PlotTraits {
             plot: name.to_owned(),
             area_m2,
@@ -168,9 +262,60 @@ impl FieldMeasurements {
             leaf_length_m: mean(|leaf| leaf.length_m),
             leaf_width_m: mean(|leaf| leaf.width_m),
             leaf_hue_deg: mean(|leaf| leaf.hue_deg),
+            plant_spacing_m: mean_m,
+            plant_spacing_cv: mean_m
+                .filter(|_| steps_m.len() > 1)
+                .map(|mean| steps_m.iter().std_dev() / mean),
+            longest_gap_m: steps_m.iter().copied().reduce(f64::max),
+            exg: indices.map(|of| of.exg),
+            gli: indices.map(|of| of.gli),
+            ngrdi: indices.and_then(|of| of.ngrdi),
+            vari: indices.and_then(|of| of.vari),
+            tgi: indices.map(|of| of.tgi),
+            a_star: indices.map(|of| of.a_star),
         };
         (found.rounded(), pixels)
     }
+
+    /// Distances from each plant of an area to the next of its row, metres.
+    fn steps_m(&self, inside: &dyn Fn(&[f64; 2]) -> bool) -> Vec<f64> {
+        let (Some(plants), Some(gsd_m)) = (&self.plants, self.gsd_m) else { return Vec::new() };
+        let mut rows: BTreeMap<u64, Vec<[f64; 2]>> = BTreeMap::new();
+        for (at, row) in plants.iter().zip(&self.row_of) {
+            if row.is_finite() && inside(at) {
+                rows.entry(*row as u64).or_default().push(*at);
+            }
+        }
+        let steps = rows.values().flat_map(|row| {
+            let order = along_the_row(row);
+            let step = |pair: &[usize]| {
+                let [a, b] = [row[pair[0]], row[pair[1]]];
+                gsd_m * (a[0] - b[0]).hypot(a[1] - b[1])
+            };
+            order.windows(2).map(step).collect::<Vec<f64>>()
+        });
+        steps.collect()
+    }
+}
+
+/// The plants of a row in their order along it, as indices: along the main axis of their places, towards larger `u` (in rows
+/// along `v`, larger `v`).
+pub fn along_the_row(row: &[[f64; 2]]) -> Vec<usize> {
+    let n = row.len().max(1) as f64;
+    let middle: [f64; 2] = std::array::from_fn(|k| row.iter().map(|at| at[k]).sum::<f64>() / n);
+    let [mut uu, mut uv, mut vv] = [0.0; 3];
+    for at in row {
+        let [a, b] = [at[0] - middle[0], at[1] - middle[1]];
+        (uu, uv, vv) = (uu + a * a, uv + a * b, vv + b * b);
+    }
+    let (sin, cos) = (0.5 * (2.0 * uv).atan2(uu - vv)).sin_cos();
+    let (sin, cos) = if cos < 1e-9 { (sin.abs(), cos) } else { (sin, cos) };
+    let mut order: Vec<usize> = (0..row.len()).collect();
+    order.sort_by(|&i, &j| {
+        let along = |at: [f64; 2]| cos * at[0] + sin * at[1];
+        along(row[i]).total_cmp(&along(row[j]))
+    });
+    order
 }
 
 /// Plots as the rows of plants give them: groups of `rows_per_plot` neighbouring rows, cut where all of a group have
@@ -269,12 +414,32 @@ mod tests {
     }
 
     #[test]
+    fn a_row_has_one_order_whatever_its_direction() {
+        let place = |k: f64, [du, dv]: [f64; 2]| [50.0 + du * k, 50.0 + dv * k];
+        for step in [[5.0, 0.0], [0.0, 5.0], [0.01, 5.0], [3.0, -4.0]] {
+            let row: Vec<[f64; 2]> = [2.0, 0.0, 3.0, 1.0].map(|k| place(k, step)).to_vec();
+            let order = along_the_row(&row);
+            assert_eq!(order, [1, 3, 0, 2], "{step:?}");
+        }
+        assert!(along_the_row(&[]).is_empty());
+    }
+
+    #[test]
+    fn the_dictionary_page_is_what_is_measured() {
+        let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/traits.md");
+        let page = std::fs::read_to_string(path).unwrap();
+        assert_eq!(page, dictionary_page(), "cargo run -p experiments -- pages");
+        assert!(TRAITS.iter().all(|of| !of.method.is_empty()));
+    }
+
+    #[test]
     fn traits_of_a_square() {
         let data = (0..100).map(|k| u8::from(k % 10 < 2)).collect();
         let mask = Mask { width: 10, height: 10, data };
         let field = FieldMeasurements {
             gsd_m: Some(0.5),
-            plants: Some(vec![[1.0, 1.0], [3.0, 3.0], [8.0, 8.0]]),
+            plants: Some(vec![[3.0, 1.0], [1.0, 1.0], [4.0, 1.0], [8.0, 8.0]]),
+            row_of: vec![0.0; 4],
             gaps: Some(vec![([2.0, 2.0], 1.5), ([9.0, 9.0], 4.0)]),
             leaves: Some(vec![
                 MeasuredLeaf { at_px: [1.0, 2.0], length_m: 0.2, width_m: 0.05, hue_deg: f64::NAN },
@@ -284,16 +449,25 @@ mod tests {
         };
         let ring = vec![[-0.5, -0.5], [4.5, -0.5], [4.5, 4.5], [-0.5, 4.5]];
         let square = Polygon { rings: vec![ring] };
-        let (of_a, pixels) = field.traits("A", &square, &mask);
+        let leaf = ColourSum { rgb: [60, 120, 40], pixels: 1 };
+        let (of_a, pixels) = field.traits("A", &square, &mask, Some(leaf));
         assert_eq!(pixels, 25);
-        assert_eq!((of_a.area_m2, of_a.plants), (Some(6.25), Some(2.0)));
-        assert_eq!(of_a.plants_per_ha, Some(3200.0));
+        assert_eq!((of_a.area_m2, of_a.plants), (Some(6.25), Some(3.0)));
+        assert_eq!(of_a.plants_per_ha, Some(4800.0));
         assert_eq!((of_a.missing_plants, of_a.canopy_cover), (Some(1.5), Some(0.4)));
         assert_eq!((of_a.leaves_by_area, of_a.leaves_by_area_high), (Some(7.0), None));
         assert_eq!((of_a.leaves_single, of_a.leaf_hue_deg), (Some(2.0), Some(90.0)));
         assert_eq!(of_a.leaf_length_m, Some(0.3));
+        // Plants of the row at 1, 3 and 4 px, half a metre each: steps of 1 m and 0.5 m.
+        assert_eq!((of_a.plant_spacing_m, of_a.longest_gap_m), (Some(0.75), Some(1.0)));
+        assert_eq!(of_a.plant_spacing_cv, Some(rounded(0.125f64.sqrt() / 0.75)));
+        assert_eq!(
+            (of_a.ngrdi, of_a.exg),
+            (Some(rounded(1.0 / 3.0)), Some(rounded(140.0 / 220.0)))
+        );
         // Nothing was measured: what is not known is not zero.
-        let (of_b, _) = FieldMeasurements::default().traits("B", &square, &mask);
+        let (of_b, _) = FieldMeasurements::default().traits("B", &square, &mask, None);
+        assert_eq!((of_b.plant_spacing_m, of_b.exg), (None, None));
         assert_eq!((of_b.plants, of_b.area_m2, of_b.leaves_single), (None, None, None));
         assert_eq!(of_b.canopy_cover, Some(0.4));
     }

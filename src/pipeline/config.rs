@@ -239,6 +239,40 @@ impl Config {
     }
 }
 
+/// The reference of all settings as a page; `docs/options.md` is this text, and a test compares the two.
+pub fn reference_page() -> String {
+    let mut page = String::from(
+        "# Options\n\n\
+         Every option of a project, by section of `rowgram.toml`. An option `name` of a section `stage` can be given as `name = value` in the\n\
+         section of the file, as `ROWGRAM_STAGE_NAME` in the environment, as `--set stage.name=value` of `rowgram run`, as `--name value` (with\n\
+         hyphens) of the command of that stage, and as a keyword of `project.stage()` from Python. Arguments come before the environment, the\n\
+         environment before the file. This page is made from the definitions in the library.\n",
+    );
+    for section in Config::sections() {
+        let about = section.about.split_whitespace().collect::<Vec<_>>().join(" ");
+        let _ = write!(
+            page,
+            "\n## {}\n\n{about}\n\n| option | default | expected | what it does |\n|---|---|---|---|\n",
+            section.name
+        );
+        for field in &section.fields {
+            let cell = |text: &str| text.replace('|', "\\|");
+            let default = match &field.default {
+                Some(value) => format!("`{}`", cell(&value.to_string())),
+                None => "not set".to_owned(),
+            };
+            let _ = writeln!(
+                page,
+                "| `{}` | {default} | {} | {} |",
+                field.name,
+                cell(&field.expected()),
+                cell(&field.paragraph())
+            );
+        }
+    }
+    page
+}
+
 /// Lines of a comment, at most 110 characters each.
 fn commented(text: &str) -> String {
     const WIDTH: usize = 110;
@@ -333,6 +367,13 @@ fn of_variable(name: &str, sections: &[Section]) -> Result<(String, String), Err
 mod tests {
     use super::*;
     use crate::options::Kind;
+
+    #[test]
+    fn the_reference_page_is_what_is_defined() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/options.md");
+        let page = std::fs::read_to_string(path).unwrap_or_default();
+        assert_eq!(page, reference_page(), "cargo run -p experiments -- pages");
+    }
 
     fn read(file: &str, variables: &[(&str, &str)], settings: &[&str]) -> Result<Config, String> {
         let folder = tempfile::tempdir().unwrap();

@@ -7,6 +7,7 @@ use crate::{
         FileError,
         geotiff::{self, Colour, Layout, TILE},
         output,
+        qgis::{self, Style},
     },
     mapping::{
         Surface,
@@ -152,7 +153,9 @@ pub fn write_elevation(
     monitor: &mut dyn Monitor,
 ) -> Result<DemOutcome, Error> {
     let (sigma, ground) = (beside(output, "sigma"), beside(output, "ground"));
-    let wanted = [Some(output), Some(&sigma), options.ground.then_some(ground.as_path())];
+    let style_path = output.with_extension("qml");
+    let wanted =
+        [Some(output), Some(&sigma), Some(&style_path), options.ground.then_some(ground.as_path())];
     wanted.into_iter().flatten().try_for_each(|path| output::check(path, force))?;
     let model = elevation_model(points, crs, &options.elevation())?;
     let ElevationModel { surface, sigmas_m, statistics, .. } = &model;
@@ -174,6 +177,8 @@ pub fn write_elevation(
         map_figures::draw_elevation(folder, &model, force)?;
     }
     let [min_height_m, max_height_m] = surface.range_m();
+    let style = Style::Raster { range: [min_height_m, max_height_m], quantity: "m" };
+    qgis::write(&style_path, force, &style)?;
     Ok(DemOutcome {
         surface: name(output).into(),
         sigma: (!sorted.is_empty()).then(|| name(&sigma).into()),

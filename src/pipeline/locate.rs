@@ -263,6 +263,7 @@ pub fn locate_plants(
     components::remove_small(&mut mask, options.min_pixels);
     let of_raster = || source.georeference().and_then(|place| place.gsd_m());
     let gsd_m = options.gsd_m.or_else(of_raster);
+    let place = table::Placement { georeference: source.georeference(), gsd_m };
     let prepared = locator::prepare(&mask, detail.as_ref(), gsd_m, options)?;
     let rows = match &prepared.work {
         Work::Stand(stand) => Some(&stand.rows).filter(|rows| !rows.rows.is_empty()),
@@ -306,9 +307,9 @@ pub fn locate_plants(
                 );
             }
             let has_rows = !stand.rows.rows.is_empty();
-            table::write_plants(files.plants, files.force, &stand.plants, has_rows, gsd_m)?;
+            table::write_plants(files.plants, files.force, &stand.plants, has_rows, place)?;
             if let Some(path) = files.gaps {
-                table::write_gaps(path, files.force, stand, gsd_m)?;
+                table::write_gaps(path, files.force, stand, place)?;
             }
             if let Some(path) = files.rows {
                 table::write_rows(path, files.force, stand, gsd_m)?;
@@ -316,12 +317,12 @@ pub fn locate_plants(
         }
         Found::Tiles(plants) => {
             outcome.plants = plants.len();
-            table::write_plants(files.plants, files.force, plants, true, gsd_m)?;
+            table::write_plants(files.plants, files.force, plants, true, place)?;
         }
         Found::Descent(found) => {
             outcome.plants = found.located.plants.len();
             outcome.descent = Some(DescentOutcome::new(found));
-            table::write_located(files.plants, files.force, &found.located, gsd_m)?;
+            table::write_located(files.plants, files.force, &found.located, place)?;
             if found.located.empty_clusters > 0 {
                 let message = format!("{} plants have no leaf pixel", found.located.empty_clusters);
                 monitor.diagnostic(

@@ -32,6 +32,7 @@ mod reconstruction;
 pub mod record;
 pub mod run;
 pub mod segment;
+mod stac;
 pub mod stage;
 #[cfg(feature = "synth")]
 pub mod synth;
@@ -40,7 +41,7 @@ pub mod undistort;
 pub mod verify;
 
 pub use checks::ChecksOptions;
-pub use config::{Config, NAME as SETTINGS, ProjectOptions, StagesOptions};
+pub use config::{Config, NAME as SETTINGS, ProjectOptions, StagesOptions, reference_page};
 pub use project::{PHOTO_ENDINGS, Project, photos_in};
 pub use stage::{Stage, State, Task};
 

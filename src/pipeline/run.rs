@@ -3,7 +3,7 @@
 //! A stage for which the project has no input is left out with the reason. A stage that fails takes those with it that
 //! need its result; the others go on. What a stage did before is kept while nothing that it came from has changed.
 
-use super::{Project, Stage, State, checks, record, stage};
+use super::{Project, Stage, State, checks, record, stac, stage};
 use crate::{
     error::Error,
     io::{FileError, output, rasters, reconstruction},
@@ -214,7 +214,8 @@ impl RunOutcome {
     }
 }
 
-/// Does the stages of a project, checks the quality of what came out, and writes `stats.json` and `resolved.toml`.
+/// Does the stages of a project, checks the quality of what came out, and writes `stats.json`, `resolved.toml` and, where the
+/// products have a place and a time, `stac.json`.
 ///
 /// A stage that fails does not end the run; its error is in the outcome.
 ///
@@ -291,6 +292,7 @@ pub fn run(
     monitor.stage("checks");
     outcome.checks.iter().for_each(|found| monitor.diagnostic(found));
     write(project.results(), &outcome, &project.config().to_toml())?;
+    stac::write(project, &outcome)?;
     Ok(outcome)
 }
 

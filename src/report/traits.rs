@@ -169,7 +169,7 @@ fn beginning(of: &CsvTable) -> Markup {
 }
 
 /// Traits that are shown, their titles and digits.
-const COLUMNS: [(&str, &str, usize); 9] = [
+const COLUMNS: [(&str, &str, usize); 13] = [
     ("area_m2", "area, m²", 1),
     ("plants", "plants", 0),
     ("plants_per_ha", "per hectare", 0),
@@ -179,6 +179,10 @@ const COLUMNS: [(&str, &str, usize); 9] = [
     ("leaves_single", "leaves told apart", 0),
     ("leaf_length_m", "leaf length, m", 3),
     ("leaf_hue_deg", "hue, °", 1),
+    ("plant_spacing_m", "spacing, m", 3),
+    ("plant_spacing_cv", "spacing CV", 2),
+    ("exg", "ExG", 3),
+    ("ngrdi", "NGRDI", 3),
 ];
 
 /// A trait that is shown: its title, its digits, its value.

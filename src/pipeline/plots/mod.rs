@@ -1,8 +1,12 @@
 //! Traits of every plot: from polygons, from a grid that the rows give, or of the whole field.
 //!
 //! Written as a wide table (`traits.csv`), a tidy one (`traits_long.csv`: plot, trait, value, unit), polygons with
-//! the traits (`traits.geojson`, `traits.gpkg`), and observations after BrAPI's names (`traits.brapi.json`).
+//! the traits (`traits.geojson`, `traits.gpkg`), observations after BrAPI's names (`traits.brapi.json`), and what each trait is
+//! (`trait_dictionary.csv`). Plants and gaps come with the plot that they stand in (`plants.csv`, `plants.gpkg`, `gaps.csv`,
+//! `gaps.gpkg`). Layers have styles for QGIS beside them.
 
+mod colours;
+mod plants;
 mod write;
 
 use super::{Project, Stage, Task, stage};
@@ -109,6 +113,7 @@ impl Task for Plots {
 
     fn inputs(project: &Project, _: &PlotsOptions) -> Result<Vec<PathBuf>, Error> {
         let mut files = vec![project.mask()?];
+        files.extend(project.orthomosaic().ok());
         if let Some(path) = project.plots() {
             files.extend(polygons::files(&path));
         }
@@ -129,6 +134,8 @@ impl Task for Plots {
         monitor: &mut dyn Monitor,
     ) -> Result<PlotsOutcome, Error> {
         let (mask, place) = rasters::read_mask(&project.mask()?, &Thresholds::default())?;
+        let picture = project.orthomosaic().ok().map(|path| rasters::Source::open(&path));
+        let picture = picture.transpose()?;
         let tables = Tables::of(project);
         let field = measurements(&tables, place.and_then(|place| place.gsd_m()))?;
         let (source, areas) = areas(project, options, &tables, place, monitor)?;
@@ -137,11 +144,16 @@ impl Task for Plots {
             let ring = vec![[-0.5, -0.5], [u, -0.5], [u, v], [-0.5, v]];
             vec![("field".to_owned(), Polygon { rings: vec![ring] })]
         });
+        let polygons = areas.iter().map(|(_, polygon)| polygon);
+        let colours = picture.map(|picture| colours::of_leaves(&picture, &mask, polygons));
+        let colours = colours.transpose()?.flatten();
         let mut outside = Vec::new();
         let plots: Vec<Plot> = areas
             .into_iter()
-            .map(|(name, polygon)| {
-                let (traits, pixels) = field.traits(&name, &polygon, &mask);
+            .enumerate()
+            .map(|(number, (name, polygon))| {
+                let colour = colours.as_ref().map(|sums| sums[number]);
+                let (traits, pixels) = field.traits(&name, &polygon, &mask, colour);
                 if pixels == 0 {
                     outside.push(name);
                 }
@@ -164,6 +176,7 @@ impl Task for Plots {
             monitor.diagnostic(&Diagnostic::warning("plots-outside", subject, message));
         }
         write::traits(&plots, place, &study(project), folder, monitor)?;
+        plants::write(&tables, &plots, place, folder)?;
         let plots = plots.into_iter().map(|plot| plot.traits).collect();
         Ok(PlotsOutcome { source, plots, outside })
     }
@@ -224,9 +237,12 @@ fn measurements(tables: &Tables, gsd_m: Option<f64>) -> Result<FieldMeasurements
         };
         Some(plots.map(row).collect())
     });
+    let plants = read(&tables.plants)?;
+    let row_of = plants.as_ref().and_then(|table| table.numbers("row"));
     Ok(FieldMeasurements {
         gsd_m,
-        plants: read(&tables.plants)?.and_then(|table| table.pairs("u_px", "v_px")),
+        plants: plants.and_then(|table| table.pairs("u_px", "v_px")),
+        row_of: row_of.unwrap_or_default(),
         gaps,
         leaves: read(&tables.leaves)?.as_ref().and_then(single_leaves),
         by_area,

@@ -7,9 +7,10 @@ use crate::{
         FileError,
         gpkg::{self, Column, ColumnKind, Feature, Geometry, GeometryKind, Layer},
         output,
+        qgis::{self, Style},
     },
     monitor::{Diagnostic, Monitor},
-    phenotype::plots::TRAITS,
+    phenotype::plots::{TRAITS, Trait},
     raster::{georeference::Georeference, polygon::Polygon},
 };
 use serde_json::{Value, json};
@@ -48,6 +49,14 @@ pub(super) fn traits(
         }
         csv.flush()
     })?;
+    output::write(&folder.join("trait_dictionary.csv"), true, |out| {
+        let mut csv = csv::Writer::from_writer(out);
+        csv.write_record(["trait", "unit", "meaning", "method", "reference"])?;
+        for of in TRAITS {
+            csv.write_record([of.name, of.unit, of.meaning, of.method, of.reference])?;
+        }
+        csv.flush()
+    })?;
     let rings: Vec<Rings> = plots.iter().map(|plot| on_map(&plot.polygon, place)).collect();
     if gpkg::IS_AVAILABLE {
         package(plots, &rings, place, folder)?;
@@ -75,12 +84,32 @@ pub(super) fn traits(
         collection["crs"] = json!({"type": "name", "properties": {"name": name}});
     }
     output::write(&folder.join("traits.geojson"), true, |out| writeln!(out, "{collection}"))?;
+    style(plots, folder)?;
     let observations = brapi(study, plots);
     output::write(&folder.join("traits.brapi.json"), true, |out| {
         serde_json::to_writer_pretty(&mut *out, &observations)?;
         writeln!(out)
     })
     .map_err(|error: FileError| error.into())
+}
+
+/// How the layers of plots open in QGIS: coloured by the first of some traits that was measured.
+fn style(plots: &[Plot], folder: &Path) -> Result<(), Error> {
+    let values = |of: &Trait| -> Vec<f64> {
+        plots.iter().filter_map(|plot| (of.value)(&plot.traits)).filter(|x| x.is_finite()).collect()
+    };
+    let by = ["plants_per_ha", "plants", "canopy_cover"];
+    let known = by.iter().filter_map(|name| {
+        let values = values(TRAITS.iter().find(|of| of.name == *name)?);
+        (!values.is_empty()).then_some((*name, values))
+    });
+    let Some((by, values)) = known.into_iter().next() else { return Ok(()) };
+    let range = [
+        values.iter().copied().fold(f64::INFINITY, f64::min),
+        values.iter().copied().fold(f64::NEG_INFINITY, f64::max),
+    ];
+    let style = Style::Polygons { by, range, label: "plot" };
+    Ok(qgis::write(&folder.join("traits.qml"), true, &style)?)
 }
 
 /// Closed rings of map positions, to a tenth of a millimetre.
@@ -131,10 +160,13 @@ fn brapi(study: &str, plots: &[Plot]) -> Value {
         for of in TRAITS {
             let Some(value) = (of.value)(traits) else { continue };
             data.push(json!({
+                "observationDbId": format!("{study}-{}-{}", traits.plot, of.name),
                 "observationUnitDbId": traits.plot,
                 "observationUnitName": traits.plot,
                 "observationLevel": "plot",
+                "observationVariableDbId": of.name,
                 "observationVariableName": of.name,
+                "studyDbId": study,
                 "observationVariableDescription": of.meaning,
                 "scale": of.unit,
                 "value": value.to_string(),
@@ -146,6 +178,7 @@ fn brapi(study: &str, plots: &[Plot]) -> Value {
             "pagination": {"currentPage": 0, "pageSize": data.len(), "totalCount": data.len(), "totalPages": 1},
         },
         "study": {
+            "studyDbId": study,
             "studyName": study,
             "studyType": "UAV phenotyping",
             "method": format!("rowgram {}", env!("CARGO_PKG_VERSION")),

@@ -1,0 +1,48 @@
+//! Colours of the leaf pixels of areas.
+
+use crate::{
+    io::{FileError, rasters::Source},
+    phenotype::colour_indices::ColourSum,
+    raster::{Mask, polygon::Polygon},
+};
+use std::ops::Range;
+
+/// Rows of the orthomosaic that are read at a time.
+const BAND_ROWS: usize = 512;
+
+/// The sum of the colours of the leaf pixels of each area; pixels without data take no part. `None` where the picture has no
+/// colours or another size than the mask.
+///
+/// # Errors
+/// A damaged picture.
+pub(super) fn of_leaves<'a>(
+    source: &Source,
+    mask: &Mask,
+    areas: impl Iterator<Item = &'a Polygon>,
+) -> Result<Option<Vec<ColourSum>>, FileError> {
+    if !source.is_photo() || source.size() != (mask.width, mask.height) {
+        return Ok(None);
+    }
+    let runs: Vec<Vec<(usize, Range<usize>)>> =
+        areas.map(|area| area.runs(mask.width, mask.height)).collect();
+    let mut sums = vec![ColourSum::default(); runs.len()];
+    for first in (0..mask.height).step_by(BAND_ROWS) {
+        let rows = first..(first + BAND_ROWS).min(mask.height);
+        let (picture, gaps) = source.rgb_and_gaps(rows.clone())?;
+        for (sum, runs) in sums.iter_mut().zip(&runs) {
+            // The runs of an area are sorted by row.
+            let begin = runs.partition_point(|(v, _)| *v < rows.start);
+            for (v, run) in runs[begin..].iter().take_while(|(v, _)| *v < rows.end) {
+                let leaf = mask.row(*v);
+                for u in run.clone().filter(|&u| leaf[u] != 0) {
+                    let row = v - first;
+                    if gaps.as_ref().is_some_and(|gaps| gaps[row * mask.width + u]) {
+                        continue;
+                    }
+                    sum.add(picture.get_pixel(u as u32, row as u32).0);
+                }
+            }
+        }
+    }
+    Ok(Some(sums))
+}
