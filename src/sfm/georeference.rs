@@ -30,6 +30,8 @@ pub struct Known {
     pub marks: Vec<GroundObservation>,
     /// Camera positions.
     pub positions: Vec<CameraPosition>,
+    /// Names of control points that are never left out.
+    pub keep: Vec<String>,
 }
 
 /// What came of bringing blocks into one frame.

@@ -1,9 +1,11 @@
 //! Tracks: which image positions show the same point.
 //!
 //! Matches of pairs join to tracks, those of the strongest pairs first; a match that would put two
-//! positions of one image into a track is refused, because one point has one image in a photo.
+//! positions of one image into a track is refused, because one point has one image in a photo. Features at the same
+//! place (one for each direction of a key point) are one position: counted twice, it would pass for two measurements.
 
 use crate::disjoint_sets::DisjointSets;
+use std::collections::HashMap;
 
 /// A place in an image: which image, which of its features.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -12,6 +14,13 @@ pub struct Member {
     pub image: u32,
     /// Index of the feature in it.
     pub feature: u32,
+}
+
+/// For each of some positions the first one at the same place.
+fn places(positions_px: &[[f64; 2]]) -> Vec<u32> {
+    let mut first: HashMap<[u64; 2], u32> = HashMap::with_capacity(positions_px.len());
+    let of = positions_px.iter().enumerate();
+    of.map(|(k, at)| *first.entry(at.map(f64::to_bits)).or_insert(k as u32)).collect()
 }
 
 /// All tracks of a block.
@@ -63,7 +72,7 @@ impl Forest {
 }
 
 impl Tracks {
-    /// Joins what pairs of images match, the strongest pairs first.
+    /// Joins what pairs of images match, the strongest pairs first; features of an image at the same place are one.
     pub fn of_pairs<'a>(
         features: &[super::Features],
         pairs: impl Iterator<Item = ([u32; 2], &'a [[u32; 2]])>,
@@ -71,7 +80,16 @@ impl Tracks {
         let mut order: Vec<([u32; 2], &[[u32; 2]])> = pairs.collect();
         order.sort_by(|(a, of_a), (b, of_b)| of_b.len().cmp(&of_a.len()).then(a.cmp(b)));
         let counts: Vec<usize> = features.iter().map(|f| f.positions_px.len()).collect();
-        Tracks::join(&counts, order.into_iter())
+        let places: Vec<Vec<u32>> = features.iter().map(|f| places(&f.positions_px)).collect();
+        let of_places: Vec<([u32; 2], Vec<[u32; 2]>)> = order
+            .into_iter()
+            .map(|(images, matches)| {
+                let [first, second] = images.map(|image| &places[image as usize]);
+                let place = |&[a, b]: &[u32; 2]| [first[a as usize], second[b as usize]];
+                (images, matches.iter().map(place).collect())
+            })
+            .collect();
+        Tracks::join(&counts, of_places.iter().map(|(images, of)| (*images, of.as_slice())))
     }
 
     /// Joins the matches of pairs, `([first image, second image], [[feature, feature], ..])`, given in
@@ -174,6 +192,19 @@ impl Tracks {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn features_at_the_same_place_are_one() {
+        let at = |positions: &[[f64; 2]]| crate::sfm::Features {
+            positions_px: positions.to_vec(),
+            ..crate::sfm::Features::default()
+        };
+        // Two directions of one key point in each image.
+        let features = [at(&[[5.0, 6.0], [5.0, 6.0], [9.0, 9.0]]), at(&[[1.0, 2.0], [1.0, 2.0]])];
+        let matches = [[0, 0], [1, 1], [2, 0]];
+        let tracks = Tracks::of_pairs(&features, [([0, 1], matches.as_slice())].into_iter());
+        assert_eq!((tracks.count(), tracks.member_count(), tracks.refused()), (1, 2, 1));
+    }
 
     #[test]
     fn matches_join_and_contradictions_are_refused() {

@@ -54,6 +54,7 @@ pub(super) fn known(flown: &Flown) -> Known {
         ground: flown.ground.clone(),
         marks: flown.marks.clone(),
         positions: flown.positions.clone(),
+        ..Known::default()
     }
 }
 

@@ -273,5 +273,14 @@ fn estimate(
     }
     let left_out =
         if options.leave_one_out { leave_one_out(survey, &settings)? } else { Vec::new() };
-    Ok(Adjustment { adjusted, settings, alignment, removed, unmatched, left_out, complete })
+    Ok(Adjustment {
+        adjusted,
+        settings,
+        alignment,
+        removed,
+        unmatched,
+        left_out,
+        complete,
+        checks: None,
+    })
 }

@@ -115,6 +115,8 @@ pub struct Adjustment {
     pub left_out: Vec<LeaveOneOut>,
     /// Whether nothing is suspect any more.
     pub complete: bool,
+    /// The check points whose errors are summed up; all of them where not set.
+    pub checks: Option<Vec<String>>,
 }
 
 impl Adjustment {
@@ -128,6 +130,7 @@ impl Adjustment {
             unmatched: Vec::new(),
             left_out: Vec::new(),
             complete: block.complete,
+            checks: Some(block.checks),
         }
     }
 

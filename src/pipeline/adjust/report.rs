@@ -68,6 +68,9 @@ pub struct Report {
     parameters: usize,
     redundancy: usize,
     sigma0: f64,
+    /// By how much variances are larger because neighbouring tie points have the same errors; standard deviations have it
+    /// in them.
+    design_effect: f64,
     /// Where `sigma0` lies with 95 % if the standard deviations given are right.
     sigma0_interval: Option<[f64; 2]>,
     groups: Vec<Group>,
@@ -98,10 +101,14 @@ impl Report {
             all.for_each(|sigma| *sigma *= sigma0);
         }
         let ground = ground(adjustment);
+        // Control that was rejected is compared too, and tells nothing of the accuracy of the block.
+        let is_check =
+            |name: &String| adjustment.checks.as_ref().is_none_or(|checks| checks.contains(name));
         let check_rmse = std::array::from_fn(|axis| {
             let errors: Vec<f64> = ground
                 .iter()
                 .filter(|point| point.role == crate::scene::Role::Check)
+                .filter(|point| is_check(&point.name))
                 .filter(|point| point.axes.indices().contains(&axis))
                 .map(|point| point.difference_m[axis])
                 .collect();
@@ -123,6 +130,7 @@ impl Report {
             parameters: statistics.parameters,
             redundancy: statistics.redundancy,
             sigma0,
+            design_effect: statistics.design_effect,
             sigma0_interval: statistics.variance_interval(CONFIDENCE).map(|i| i.map(f64::sqrt)),
             groups: statistics
                 .groups
@@ -243,6 +251,13 @@ fn fill(out: &mut String, report: &Report) -> std::fmt::Result {
     for batch in &report.batches {
         let path = batch.path.as_ref().map_or("-".into(), ToString::to_string);
         writeln!(out, "  {:22} {:>8} factors  {path}", batch.name, batch.factors)?;
+    }
+    if report.design_effect > 1.0 {
+        writeln!(
+            out,
+            "  standard deviations of photos and points: tie points count as {:.0} independent ones, as their errors within patches of ground say",
+            report.tie_points as f64 / report.design_effect
+        )?;
     }
     let off = |group: &Group| {
         group.variance_factor.is_some_and(|v| !(LEAST_FACTOR..=1.0 / LEAST_FACTOR).contains(&v))

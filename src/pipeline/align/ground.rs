@@ -112,6 +112,17 @@ pub(super) fn read(
         })?;
         point.role = Role::Check;
     }
+    for name in sources.keep {
+        let point = known.ground.iter().find(|point| point.name == *name);
+        let point = point.ok_or_else(|| {
+            Error::Argument(format!("--keep {name}: there is no such ground point"))
+        })?;
+        if point.role != Role::Control {
+            let message = format!("--keep {name}: it is a check point, and no control to keep");
+            return Err(Error::Argument(message));
+        }
+    }
+    known.keep = sources.keep.to_vec();
     let taken: Vec<Geotag> = tagged.iter().map(|(_, tag)| *tag).collect();
     places::check_numbers(&known.ground)?;
     if let Some(crs) = &crs {

@@ -141,6 +141,7 @@ pub(super) struct Sources<'a> {
     pub(super) positions: Option<PathBuf>,
     pub(super) camera: Option<PathBuf>,
     pub(super) check: &'a [String],
+    pub(super) keep: &'a [String],
     pub(super) use_positions: bool,
     pub(super) model: Model,
     pub(super) defaults: Defaults,
@@ -161,6 +162,7 @@ impl<'a> Sources<'a> {
             positions: project.given(settings.positions.as_ref(), &["geolocation.csv"]),
             camera: project.given(settings.camera.as_ref(), &["camera.toml"]).or_else(calibrated),
             check: &options.check,
+            keep: &options.keep,
             use_positions: options.use_positions,
             model: options.lens.model(),
             defaults: Defaults {

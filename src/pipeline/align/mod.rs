@@ -119,6 +119,8 @@ crate::options! {
         pub use_positions: bool = true;
         /// Ground points that take no part and are compared afterwards.
         pub check: Vec<String> = Vec::new();
+        /// Control points that are never left out, whatever the block says of them.
+        pub keep: Vec<String> = Vec::new();
         /// Whether rows are read one after the other while the camera moves: auto estimates it, on models it in any case.
         pub rolling_shutter: ShutterChoice = ShutterChoice::Auto;
         /// Time from the first to the last row of a photo. Where it is not set, velocities are told for 0.03 s.

@@ -159,11 +159,10 @@ impl fmt::Display for AlignOutcome {
             "{} tie points, {} observations, reprojection rms {:.3} px{gsd}",
             self.tie_points, self.observations, self.reprojection_rms_px
         )?;
-        for (name, errors) in [("control", &self.control_points), ("check", &self.check_points)] {
-            if let (Some(x), Some(y), Some(z)) = (errors.rmse_x_m, errors.rmse_y_m, errors.rmse_z_m)
-            {
-                writeln!(f, "{} {name} points: rmse {x:.4} {y:.4} {z:.4} m", errors.count)?;
-            }
+        // Those of the check points are in the summary of the adjustment.
+        let errors = &self.control_points;
+        if let (Some(x), Some(y), Some(z)) = (errors.rmse_x_m, errors.rmse_y_m, errors.rmse_z_m) {
+            writeln!(f, "{} control points: rmse {x:.4} {y:.4} {z:.4} m", errors.count)?;
         }
         if !self.unregistered.is_empty() {
             writeln!(f, "not oriented: {}", self.unregistered.join(", "))?;

@@ -137,7 +137,7 @@ fn intersect(
     if at.iter().any(|v| !v.is_finite()) {
         return None;
     }
-    let (covariance, _) = linearize(at).covariances(&statistics.inverse)?;
+    let (covariance, _) = linearize(at).covariances(&statistics.clustered)?;
     let position_m: [f64; 3] = std::array::from_fn(|k| at[k] + adjustment.origin_m[k]);
     let given = reconstruction.ground[ground].position_m;
     Some(CheckPoint {

@@ -44,15 +44,17 @@ struct Part {
 /// A reconstruction and its adjustment.
 type At<'a> = (&'a Reconstruction, &'a AdjustmentProblem, &'a Settings, &'a [f64]);
 
-/// Makes standard deviations of lenses as large as patches say.
+/// Makes standard deviations of lenses as large as patches say. Returns by how much variances are larger on average than
+/// those of independent measurements, which survey statistics call the design effect of clusters (L. Kish, *Survey
+/// sampling*, 1965); 1 where patches do not say.
 pub(super) fn widen_by_clusters(
     (reconstruction, adjustment, settings, x): At<'_>,
     inverse: &SelectedInverse,
     sigma0: f64,
     interiors: &mut [InteriorAccuracy],
-) {
+) -> f64 {
     if interiors.is_empty() || reconstruction.observations.is_empty() {
-        return;
+        return 1.0;
     }
     let mut of_points = vec![Vec::new(); reconstruction.points.len()];
     for (k, o) in reconstruction.observations.iter().enumerate() {
@@ -61,14 +63,19 @@ pub(super) fn widen_by_clusters(
     let sigma_px = reconstruction.tie_sigma_px * settings.factor(Group::TiePoints);
     let side_m = PATCH * typical_distance_m(reconstruction);
     let tracks = Tracks { reconstruction, adjustment, x, inverse, of_points, sigma_px, side_m };
+    let mut effects: Vec<f64> = Vec::new();
     for interior in interiors {
         let Some(variances) = tracks.covariance(interior.camera, sigma0) else { continue };
         let free = &reconstruction.cameras[interior.camera].free;
         let free = (0..free.len()).filter(|&k| free[k]);
         for (sigma, k) in interior.standard_deviations.iter_mut().zip(free) {
+            if *sigma > 0.0 {
+                effects.push(variances[k].max(0.0) / (*sigma * *sigma));
+            }
             *sigma = sigma.max(variances[k].max(0.0).sqrt());
         }
     }
+    (effects.iter().sum::<f64>() / effects.len().max(1) as f64).max(1.0)
 }
 
 /// The tie points of a reconstruction, each with its measurements.

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// How suspect observations are looked for.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 pub struct DataSnoopingOptions {
     /// Which test.
@@ -26,6 +26,8 @@ pub struct DataSnoopingOptions {
     pub least_error_m: f64,
     /// The same of marks, pixels.
     pub least_error_px: f64,
+    /// Names of control points that stay control whatever the tests say.
+    pub keep: Vec<String>,
 }
 
 impl Default for DataSnoopingOptions {
@@ -36,6 +38,7 @@ impl Default for DataSnoopingOptions {
             rounds: 20,
             least_error_m: 0.0,
             least_error_px: 0.0,
+            keep: Vec::new(),
         }
     }
 }
@@ -148,6 +151,7 @@ fn select_outliers(
                 *best = (place, excess);
             }
         } else if worst.is_none_or(|(_, most)| excess > most)
+            && !is_kept(adjusted, place, snooping)
             && is_large(&describe(adjusted, place, excess, settings), snooping)
         {
             worst = Some((place, excess));
@@ -157,6 +161,15 @@ fn select_outliers(
         // A wrong control point bends the block and makes good tie points look bad.
         Some(worst) => vec![worst],
         None => of_points.into_values().collect(),
+    }
+}
+
+fn is_kept(adjusted: &Adjusted, place: usize, snooping: &DataSnoopingOptions) -> bool {
+    match adjusted.statistics.tested[place].subject {
+        ObservationRef::Control(k) => {
+            snooping.keep.contains(&adjusted.reconstruction.ground[k].name)
+        }
+        _ => false,
     }
 }
 

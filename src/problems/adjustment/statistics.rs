@@ -58,7 +58,12 @@ pub struct Statistics {
     pub ground: Vec<Option<PointAccuracy>>,
     /// Every camera with a free parameter.
     pub interiors: Vec<InteriorAccuracy>,
+    /// How many tie points tell as much as one independent one would: by how much neighbouring ones have the same errors.
+    /// Covariances of images and points have it in them, tests do not.
+    pub design_effect: f64,
     pub(super) inverse: Arc<SelectedInverse>,
+    /// The same with tie points of that much larger variances.
+    pub(super) clustered: Arc<SelectedInverse>,
 }
 
 impl Statistics {
@@ -77,8 +82,40 @@ impl Statistics {
         let inverse = Arc::new(SelectedInverse::new(reconstruction, adjustment, &mut covariance));
         let mut found = Statistics::with_inverse(reconstruction, adjustment, settings, x, inverse)?;
         let at = (reconstruction, adjustment, settings, x);
-        cluster_robust::widen_by_clusters(at, &found.inverse, found.sigma0, &mut found.interiors);
+        let effect = cluster_robust::widen_by_clusters(
+            at,
+            &found.inverse,
+            found.sigma0,
+            &mut found.interiors,
+        );
+        if effect > LEAST_DESIGN_EFFECT {
+            found.spread(reconstruction, settings, effect)?;
+        }
         Ok(found)
+    }
+
+    /// Covariances of images and points as if the variances of tie points were `effect` times as large.
+    fn spread(
+        &mut self,
+        reconstruction: &Reconstruction,
+        settings: &Settings,
+        effect: f64,
+    ) -> Result<(), SolveError> {
+        let mut wider = settings.clone();
+        wider.sigma_factors[Group::TiePoints as usize] *= effect.sqrt();
+        let adjustment = &AdjustmentProblem::new(reconstruction, &wider)?;
+        let x = &adjustment.problem.start();
+        let mut covariance = Covariance::new(&adjustment.problem, x, LinearSolver::Schur)
+            .map_err(|error| rank::explain(reconstruction, adjustment, x, error))?;
+        let inverse = Arc::new(SelectedInverse::new(reconstruction, adjustment, &mut covariance));
+        let (_, points) = ties(reconstruction, adjustment, &wider, x, &inverse);
+        let images = adjustment.images.iter().map(|&block| image(adjustment, x, &inverse, block));
+        self.images = images.collect();
+        self.points = points;
+        self.ground = ground(adjustment, &inverse);
+        self.design_effect = effect;
+        self.clustered = inverse;
+        Ok(())
     }
 
     /// The same with the covariances of another solution of the same images, lenses and ground
@@ -140,18 +177,12 @@ impl Statistics {
                 .map(|&block| image(adjustment, x, &inverse, block))
                 .collect(),
             points,
-            ground: adjustment
-                .ground
-                .iter()
-                .map(|block| {
-                    block.map(|block| PointAccuracy {
-                        covariance_m2: array3(&inverse.among(&[(block, 3)])),
-                    })
-                })
-                .collect(),
+            ground: ground(adjustment, &inverse),
             interiors: (0..reconstruction.cameras.len())
                 .filter_map(|camera| interior(reconstruction, adjustment, &inverse, camera))
                 .collect(),
+            design_effect: 1.0,
+            clustered: inverse.clone(),
             inverse,
         })
     }
@@ -245,6 +276,14 @@ fn sum(group: Group, tested: &[TestedObservation]) -> GroupStatistics {
         }
     }
     total
+}
+
+/// Variances larger by less than this are not worth another inverse.
+const LEAST_DESIGN_EFFECT: f64 = 1.1;
+
+fn ground(adjustment: &AdjustmentProblem, inverse: &SelectedInverse) -> Vec<Option<PointAccuracy>> {
+    let accuracy = |block| PointAccuracy { covariance_m2: array3(&inverse.among(&[(block, 3)])) };
+    adjustment.ground.iter().map(|block| block.map(accuracy)).collect()
 }
 
 /// A kind with less redundancy than this has no variance factor of its own.

@@ -162,9 +162,10 @@ pub fn adjust_blocks(
     let mut found = Vec::new();
     let mut fragments: Vec<(Vec<String>, bool)> =
         blocks.iter().map(|block| (block.image_names(), false)).collect();
-    if let Some(largest) = blocks.first() {
-        review(largest, &mut known, flight, options, &mut found);
-    }
+    let given = match blocks.first() {
+        Some(largest) => review(largest, &mut known, flight, options, &mut found),
+        None => known.clone(),
+    };
     name_scarcely_marked(&blocks, &known, &mut found);
     let Some(Joined { mut block, alignments, georeferenced, position_shift_m, heights }) =
         join(blocks, &mut known, flight.order, &triangulation(3.0 * options.tolerance_px))
@@ -191,7 +192,7 @@ pub fn adjust_blocks(
         alignments.iter().flatten().filter(|alignment| alignment.by == "control points");
     let max_control_misfit_m = by_control.map(control_misfit_m).fold(0.0, f64::max);
     let datum = DatumInfo { georeferenced, position_sigmas, max_control_misfit_m };
-    let adjuster = BlockAdjuster { flight, photos, options, datum: &datum };
+    let adjuster = BlockAdjuster { flight, given: &given, photos, options, datum: &datum };
     let (mut adjusted, mut more) = adjuster.adjust(block.clone(), known.clone(), monitor)?;
     let wrong: Vec<Removed> =
         adjusted.removed.iter().filter(|r| r.group == Group::Control).cloned().collect();
@@ -212,6 +213,7 @@ pub fn adjust_blocks(
         found.retain(|diagnostic| diagnostic.code != MARK);
     }
     found.extend(more);
+    take_back(&mut adjusted, &mut found);
     found.extend(review::tilt(&adjusted.adjusted.reconstruction, georeferenced));
     Ok(AdjustedBlock {
         alignment: alignments.into_iter().flatten().next(),
@@ -219,6 +221,33 @@ pub fn adjust_blocks(
         diagnostics: found,
         ..adjusted
     })
+}
+
+/// Takes back what was said of control points and image measurements that take part after all.
+fn take_back(adjusted: &mut AdjustedBlock, found: &mut Vec<Diagnostic>) {
+    let scene = &adjusted.adjusted.reconstruction;
+    let name = |ground: u32| &scene.ground[ground as usize].name;
+    let control = scene.ground.iter().filter(|point| point.role == Role::Control);
+    let control = control.map(|point| format!("control point {}", point.name));
+    let marks = scene.marks.iter().map(|mark| {
+        format!("mark of {} in {}", name(mark.ground), scene.images[mark.image as usize].name)
+    });
+    let in_use: std::collections::HashSet<String> = control.chain(marks).collect();
+    adjusted.removed.retain(|removed| !in_use.contains(&removed.name));
+    let mut back = Vec::new();
+    found.retain(|said| {
+        let rejected =
+            ["control-rejected", "observation-rejected", MARK].contains(&said.code.as_ref());
+        let stays = !(rejected && in_use.contains(&said.subject));
+        if !stays && !back.contains(&said.subject) {
+            back.push(said.subject.clone());
+        }
+        stays
+    });
+    for subject in back {
+        let message = "it did not fit at first and was left out; it fits the adjusted block, and takes part again";
+        found.push(Diagnostic::info("observation-reconsidered", subject, message));
+    }
 }
 
 /// What control is off by at most after a similarity, but for the worst of it, metres.

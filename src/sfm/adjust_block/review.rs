@@ -112,16 +112,18 @@ pub(super) fn name_scarcely_marked(
     }
 }
 
-/// Image measurements and coordinates that cannot be as they are.
+/// Image measurements and coordinates that cannot be as they are. What they are once they are read right, nothing
+/// rejected.
 pub(super) fn review(
     block: &Block<'_>,
     known: &mut Known,
     flight: &Flight<'_>,
     options: &BlockOptions,
     found: &mut Vec<Diagnostic>,
-) {
+) -> Known {
+    let mut given = known.clone();
     if known.marks.is_empty() {
-        return;
+        return given;
     }
     let review = review_marks(block, known, flight.mark_scales, &mark_triangulation(options));
     if review.scale != 1.0 {
@@ -132,11 +134,17 @@ pub(super) fn review(
         found.push(Diagnostic::warning("marks-resized", "marks", message));
     }
     name_wrong_marks(&review, known, block.features, found);
+    for mark in &mut given.marks {
+        mark.image_px = mark.image_px.map(|v| (v + 0.5) * review.scale - 0.5);
+    }
     if axes_exchanged(block, known) {
-        known.ground.iter_mut().for_each(|point| point.position_m.swap(0, 1));
+        for point in known.ground.iter_mut().chain(&mut given.ground) {
+            point.position_m.swap(0, 1);
+        }
         let message = "X and Y are exchanged: as given they would turn the block upside down; they were swapped";
         found.push(Diagnostic::warning("axes-exchanged", "control points", message));
     }
+    given
 }
 
 pub(super) fn name_wrong_marks(

@@ -12,22 +12,26 @@ use crate::{
     monitor::{Counter, Diagnostic, Monitor},
     nlls::Loss,
     problems::adjustment::{DataSnoopingOptions, Group, Removed, Settings, retained_suspects},
-    scene::Role,
+    scene::{self, Role},
     sfm::{
         Block, Features,
-        georeference::{self, Known, adjust, review_marks, weigh_positions},
+        georeference::{self, Known, WrongMark, adjust, review_marks, weigh_positions},
         guided_matching::{GuidedMatchingOptions, match_guided},
         refinement::{LeastSquaresMatchingOptions, MIN_REFINED, refine_tie_points},
         rolling_shutter::{self, RollingShutterEstimate},
         tracks::Tracks,
+        triangulate::TriangulationOptions,
     },
 };
+use std::collections::BTreeSet;
 
 /// Pixels, on the ground or in a photo, that control, image measurements and camera positions may be off by without being
 /// removed: what flights with a cheap lens leave at their borders.
 const MIN_ERROR_PX: f64 = 6.0;
 /// Control that is this many times as far off as half of it is wrong.
 const GROSS_ERROR_RATIO: f64 = 8.0;
+/// Control that is off by less than this many of its expected standard deviations may take part again.
+const AS_EXPECTED: f64 = 3.0;
 /// The most iterations of a round.
 const ITERATIONS: u64 = 30;
 /// The most iterations of a round by other tie points.
@@ -44,7 +48,8 @@ fn with_relaxed_sigmas(known: &Known, sigma_m: f64) -> Known {
 
 /// The control point that the block contradicts most, and by how many metres.
 fn worst_control(block: &Block<'_>, known: &Known, sigma_m: f64) -> Option<(usize, f64)> {
-    let left = georeference::control_left_m(block, known);
+    let mut left = georeference::control_left_m(block, known);
+    left.retain(|(ground, _)| !known.keep.contains(&known.ground[*ground].name));
     if left.len() < 4 {
         return None;
     }
@@ -60,6 +65,8 @@ fn worst_control(block: &Block<'_>, known: &Known, sigma_m: f64) -> Option<(usiz
 /// One block in its frame, with everything that it is adjusted by.
 pub(super) struct BlockAdjuster<'a> {
     pub(super) flight: &'a Flight<'a>,
+    /// What is known, image measurements and coordinates as they are to be read, nothing rejected.
+    pub(super) given: &'a Known,
     pub(super) photos: &'a Photos<'a>,
     pub(super) options: &'a BlockOptions,
     pub(super) datum: &'a DatumInfo,
@@ -92,8 +99,96 @@ impl BlockAdjuster<'_> {
             self.settle_rematched(&mut block, &known, &mut sigma_px, &mut found)?;
         }
         keep_tied(&mut block, &known, self.datum.georeferenced, &mut found);
+        let said = found.len();
+        let adjusted = self.reject_outliers(&block, &known, sigma_px, &mut found)?;
+        let Some(known) = self.reconsidered(&mut block, &known, &adjusted) else {
+            return Ok((adjusted, found));
+        };
+        found.truncate(said);
+        let limits = triangulation((6.0 * sigma_px).max(0.1 * self.options.tolerance_px));
+        adjust(&mut block, &known, sigma_px, &limits, REMATCHED_ITERATIONS)?;
         let adjusted = self.reject_outliers(&block, &known, sigma_px, &mut found)?;
         Ok((adjusted, found))
+    }
+
+    /// What is known with those control points and image measurements again that were rejected, and that the adjusted block
+    /// would not reject; `None` where there are none. `block` gets the adjusted poses and lenses.
+    ///
+    /// Most is rejected while a block is still bent, or while something else that is wrong still bends it.
+    fn reconsidered(
+        &self,
+        block: &mut Block<'_>,
+        known: &Known,
+        adjusted: &AdjustedBlock,
+    ) -> Option<Known> {
+        let adjusted = &adjusted.adjusted;
+        let scene = &adjusted.reconstruction;
+        let mut again = known.clone();
+        let mut is_any = false;
+        let least_m = MIN_ERROR_PX * gsd_m(scene);
+        for check in &adjusted.check_points {
+            let point = &scene.ground[check.ground];
+            let was_control = |given: &&scene::GroundPoint| {
+                given.name == point.name && given.role == Role::Control
+            };
+            if self.given.ground.iter().find(was_control).is_none() {
+                continue;
+            }
+            let variance = adjusted.statistics.sigma0.powi(2);
+            let (mut error, mut expected) = (0.0, 0.0);
+            for &axis in point.axes.indices() {
+                error += check.error_m[axis].powi(2);
+                expected +=
+                    variance * check.covariance_m2[axis][axis] + point.sigma_m[axis].powi(2);
+            }
+            if error.sqrt() > least_m.max(AS_EXPECTED * expected.sqrt()) {
+                continue;
+            }
+            for known in again.ground.iter_mut().filter(|known| known.name == point.name) {
+                known.role = Role::Control;
+                is_any = true;
+            }
+        }
+        let index = |image: &scene::Image| image.id.saturating_sub(1) as usize;
+        let mut solved = block.clone();
+        for image in &scene.images {
+            solved.poses[index(image)] = Some(image.pose);
+            solved.motions[index(image)] = image.motion;
+        }
+        for (camera, of) in solved.cameras.iter_mut().zip(&scene.cameras) {
+            camera.interior = of.interior.clone();
+        }
+        let limits =
+            TriangulationOptions { tolerance_px: MIN_ERROR_PX, ..mark_triangulation(self.options) };
+        let mut fitting = self.given.clone();
+        let review = review_marks(&solved, &mut fitting, &[], &limits);
+        let in_use: BTreeSet<(usize, &str)> = scene
+            .marks
+            .iter()
+            .map(|mark| {
+                let ground = scene.ground[mark.ground as usize].name.as_str();
+                (index(&scene.images[mark.image as usize]), ground)
+            })
+            .collect();
+        let is_used = |mark: &scene::GroundObservation| {
+            let ground = self.given.ground[mark.ground as usize].name.as_str();
+            in_use.contains(&(mark.image as usize, ground))
+        };
+        again.marks.retain(|mark| is_used(mark));
+        for mark in &fitting.marks {
+            let disagrees =
+                |wrong: &&WrongMark| wrong.ground == mark.ground && wrong.error_px.is_infinite();
+            let oriented = solved.poses[mark.image as usize].is_some();
+            if oriented && !is_used(mark) && review.wrong.iter().find(disagrees).is_none() {
+                again.marks.push(*mark);
+                is_any = true;
+            }
+        }
+        if !is_any {
+            return None;
+        }
+        *block = solved;
+        Some(again)
     }
 
     /// Rounds from loose to tight; the robust standard deviation of an image coordinate, pixels.
@@ -172,9 +267,9 @@ impl BlockAdjuster<'_> {
         found.push(self.shutter_diagnostic(&estimate));
         // Marks that were off by what the shutter does are right after all.
         found.retain(|diagnostic| diagnostic.code != MARK);
-        known.marks.clone_from(&self.flight.known.marks);
+        known.marks.clone_from(&self.given.marks);
         let limits = mark_triangulation(self.options);
-        let review = review_marks(block, known, self.flight.mark_scales, &limits);
+        let review = review_marks(block, known, &[], &limits);
         name_wrong_marks(&review, known, block.features, found);
         for factor in [2.0, 1.0, 1.0] {
             let tolerance_px = (6.0 * factor * *sigma_px).max(0.1 * self.options.tolerance_px);
@@ -292,6 +387,7 @@ impl BlockAdjuster<'_> {
             rounds: 8,
             least_error_m: MIN_ERROR_PX * gsd_m(&scene),
             least_error_px: MIN_ERROR_PX,
+            keep: known.keep.clone(),
             ..DataSnoopingOptions::default()
         };
         let snooped = snoop_determined(&mut scene, &mut settings, &snooping, found)?;
