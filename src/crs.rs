@@ -11,6 +11,11 @@
 
 use proj4rs::{proj::Proj, transform::transform};
 
+/// The international foot, metres.
+pub const FOOT_M: f64 = 0.3048;
+/// The foot of the US survey, metres.
+pub const US_SURVEY_FOOT_M: f64 = 1200.0 / 3937.0;
+
 /// Why a reference system cannot be used.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{0}")]
@@ -67,6 +72,30 @@ impl Crs {
             definition = definition.replace(" +units=", &format!(" +towgs84={shift} +units="));
         }
         Crs::new(&format!("EPSG:{code}"), &definition)
+    }
+
+    /// The well-known text of an EPSG code, where that is known.
+    pub fn well_known_text(code: u32) -> Option<&'static str> {
+        Some(crs_definitions::from_code(u16::try_from(code).ok()?)?.wkt)
+    }
+
+    /// Metres in the unit of the coordinates of an EPSG code, where that is a known projected one.
+    pub fn metres_per_unit(code: u32) -> Option<f64> {
+        let definition = crs_definitions::from_code(u16::try_from(code).ok()?)?.proj4;
+        let value = |key: &str| {
+            let words = definition.split_whitespace();
+            words.filter_map(|word| word.strip_prefix(key)).next()
+        };
+        if definition.contains("+proj=longlat") {
+            return None;
+        }
+        match (value("+to_meter="), value("+units=")) {
+            (Some(metres), _) => metres.parse().ok(),
+            (None, Some("m") | None) => Some(1.0),
+            (None, Some("ft")) => Some(FOOT_M),
+            (None, Some("us-ft")) => Some(US_SURVEY_FOOT_M),
+            (None, Some(_)) => None,
+        }
     }
 
     /// Whether its definition says how its datum lies to WGS84; where it does not, places come out up to

@@ -12,7 +12,7 @@ use std::path::PathBuf;
 #[command(after_help = "Example:
   rowgram init field")]
 pub(super) struct Args {
-    /// Folder of the project.
+    /// Folder of the project; it is made where there is none.
     #[arg(default_value = ".")]
     project: PathBuf,
     /// Replace the file that is there.
@@ -25,9 +25,10 @@ pub(super) struct Args {
 /// # Errors
 /// A folder that is none, a file that exists.
 pub(super) fn run(args: &Args) -> Result<(), Error> {
-    if !args.project.is_dir() {
+    if args.project.exists() && !args.project.is_dir() {
         return Err(FileError::malformed(&args.project, None, "expected a folder").into());
     }
+    std::fs::create_dir_all(&args.project).map_err(|e| FileError::write(&args.project, e))?;
     let path = args.project.join(SETTINGS);
     output::write(&path, args.force, |out| out.write_all(Config::template().as_bytes()))?;
     let project = args.project.display();

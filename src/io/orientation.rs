@@ -6,7 +6,7 @@ use crate::scene::{Image, Reconstruction};
 use std::path::Path;
 
 /// Writes `image,x_m,y_m,z_m,omega_deg,phi_deg,kappa_deg` and, where the accuracies are known, standard
-/// deviations of all six, and with a rolling shutter the velocity of each image and the readout time; `R^T = Rx(omega) Ry(phi) Rz(kappa)` takes the camera frame (y up, looking along -z)
+/// deviations of all six (`x`, `y`, `z` without a unit where the reconstruction has no scale), and with a rolling shutter the velocity of each image and the readout time; `R^T = Rx(omega) Ry(phi) Rz(kappa)` takes the camera frame (y up, looking along -z)
 /// to the map.
 ///
 /// # Errors
@@ -15,12 +15,11 @@ pub fn write(path: &Path, survey: &Reconstruction, force: bool) -> Result<(), Fi
     output::write(path, force, |out| {
         let images: &[Image] = &survey.images;
         let known = survey.accuracy.as_ref();
-        write!(out, "image,x_m,y_m,z_m,omega_deg,phi_deg,kappa_deg")?;
+        let unit = if survey.reference.has_scale() { "_m" } else { "" };
+        write!(out, "image,x{unit},y{unit},z{unit},omega_deg,phi_deg,kappa_deg")?;
         if known.is_some() {
-            write!(
-                out,
-                ",sigma_x_m,sigma_y_m,sigma_z_m,sigma_omega_deg,sigma_phi_deg,sigma_kappa_deg"
-            )?;
+            write!(out, ",sigma_x{unit},sigma_y{unit},sigma_z{unit}")?;
+            write!(out, ",sigma_omega_deg,sigma_phi_deg,sigma_kappa_deg")?;
         }
         if survey.rolling_shutter.is_some() {
             write!(out, ",velocity_east_m_s,velocity_north_m_s,velocity_up_m_s")?;

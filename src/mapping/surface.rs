@@ -54,7 +54,10 @@ impl Surface {
                 heights_m.len()
             )));
         }
-        if georeference.crs.kind == CrsKind::Geographic {
+        if matches!(
+            georeference.crs.kind,
+            CrsKind::Geographic | CrsKind::Feet | CrsKind::SurveyFeet
+        ) {
             return Err(MapError(
                 "its coordinates are degrees, expected metres: reproject it to a projected coordinate \
                  reference system (for example with gdalwarp -t_srs EPSG:<UTM zone>)"

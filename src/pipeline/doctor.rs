@@ -7,6 +7,7 @@ use crate::{
     io::{
         images,
         photo::{self, Geotag},
+        polygons, rasters,
     },
     monitor::{Collector, Diagnostic},
 };
@@ -44,8 +45,7 @@ pub fn doctor(
     let photos = project.photos();
     if let Some(ortho) = project.given_orthomosaic() {
         let name = ortho.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let message = "traits come from this orthomosaic; photos are not used";
-        found.push(Diagnostic::info("orthomosaic-given", name, message));
+        found.push(of_orthomosaic(&ortho, &name));
     } else if photos.is_empty() {
         let message = format!("none in images/ or directly ({})", PHOTO_ENDINGS.join(", "));
         found.push(Diagnostic::error("photos-missing", "photos", message));
@@ -64,6 +64,10 @@ pub fn doctor(
             );
         }
     }
+    found.extend(of_polygons(&project));
+    if let Err(error) = project.config().validate() {
+        found.push(Diagnostic::error("settings-refused", "settings", error.to_string()));
+    }
     if project.plots().is_none() && project.config().plots.rows_per_plot.is_none() {
         let message = "no plots.geojson, .gpkg or .shp: traits are of the whole field";
         found.push(
@@ -72,6 +76,54 @@ pub fn doctor(
         );
     }
     Ok(found)
+}
+
+/// Whether plots and regions can be read, and lie on the orthomosaic where there is one.
+fn of_polygons(project: &Project) -> Vec<Diagnostic> {
+    let ortho = project.orthomosaic().ok();
+    let place = ortho.and_then(|path| rasters::Source::open(&path).ok()?.georeference());
+    let mut found = Vec::new();
+    for path in [project.plots(), project.regions()].into_iter().flatten() {
+        let subject = path.display().to_string();
+        match polygons::read(&path, place.as_ref()) {
+            Err(error) => {
+                found.push(Diagnostic::error("polygons-unreadable", subject, error.to_string()));
+            }
+            Ok(read) if read.is_empty() => {
+                let message = "it has no polygon";
+                found.push(Diagnostic::error("polygons-unreadable", subject, message));
+            }
+            Ok(read) => {
+                let message = format!("{} polygons", read.len());
+                found.push(Diagnostic::info("polygons-readable", subject, message));
+            }
+        }
+    }
+    found
+}
+
+/// What an orthomosaic that is given lacks.
+fn of_orthomosaic(path: &Path, name: &str) -> Diagnostic {
+    let source = match rasters::Source::open(path) {
+        Ok(source) => source,
+        Err(error) => {
+            return Diagnostic::error("orthomosaic-unreadable", name, error.to_string());
+        }
+    };
+    match source.georeference().and_then(|place| place.gsd_m()) {
+        Some(gsd_m) => {
+            let message = format!(
+                "traits come from this orthomosaic, {:.2} cm per pixel; photos are not used",
+                100.0 * gsd_m
+            );
+            Diagnostic::info("orthomosaic-given", name, message)
+        }
+        None => {
+            let message = "traits come from this orthomosaic, which does not say how large its pixels are: lengths and areas are in pixels";
+            Diagnostic::warning("orthomosaic-given", name, message)
+                .with_remedy("give a GeoTIFF in a projected reference system")
+        }
+    }
 }
 
 /// What their heads say, and whether all of them can be decoded.

@@ -8,6 +8,7 @@
 //! position of that centre. (GeoTIFF and GDAL count from the pixel's corner; the conversion is in
 //! [`crate::io::geotiff`].)
 
+use crate::crs::{FOOT_M, US_SURVEY_FOOT_M};
 use crate::scene::{HorizontalFrame, ReferenceFrame, VerticalFrame};
 use serde::Serialize;
 
@@ -17,10 +18,28 @@ use serde::Serialize;
 pub enum CrsKind {
     /// Easting and northing in metres.
     Projected,
+    /// The same in international feet.
+    #[serde(rename = "projected in feet")]
+    Feet,
+    /// The same in feet of the US survey.
+    #[serde(rename = "projected in US survey feet")]
+    SurveyFeet,
     /// Longitude and latitude in degrees.
     Geographic,
     /// Not stated.
     Unknown,
+}
+
+impl CrsKind {
+    /// Metres in the unit of its coordinates; `None` where they are no lengths.
+    pub fn metres_per_unit(self) -> Option<f64> {
+        match self {
+            CrsKind::Projected => Some(1.0),
+            CrsKind::Feet => Some(FOOT_M),
+            CrsKind::SurveyFeet => Some(US_SURVEY_FOOT_M),
+            CrsKind::Geographic | CrsKind::Unknown => None,
+        }
+    }
 }
 
 /// A coordinate reference system, as far as it is known.
@@ -97,11 +116,11 @@ impl Georeference {
     }
 
     /// Ground sampling distance: the side of a square as large as a pixel, metres. `None` where the
-    /// map is not in metres.
+    /// coordinates of the map are no lengths.
     pub fn gsd_m(&self) -> Option<f64> {
         let ([a, c], [b, d]) = (self.per_column, self.per_row);
-        let gsd_m = (a * d - b * c).abs().sqrt();
-        (self.crs.kind == CrsKind::Projected && gsd_m.is_finite() && gsd_m > 0.0).then_some(gsd_m)
+        let gsd_m = (a * d - b * c).abs().sqrt() * self.crs.kind.metres_per_unit()?;
+        (gsd_m.is_finite() && gsd_m > 0.0).then_some(gsd_m)
     }
 
     /// The georeference of the same raster with `(u, v)` as its top-left pixel.
@@ -134,6 +153,14 @@ mod tests {
         for (a, b) in place.from_pixel(3, 4).map([1.0, 1.0]).iter().zip(place.map([4.0, 5.0])) {
             approx::assert_abs_diff_eq!(*a, b, epsilon = 1e-8);
         }
+    }
+
+    #[test]
+    fn feet_are_feet() {
+        // A tenth of a US survey foot.
+        let crs = Crs { kind: CrsKind::SurveyFeet, ..Crs::projected(2263) };
+        let gsd_m = Georeference::north_up([980_000.0, 190_000.0], 0.1, crs).gsd_m().unwrap();
+        approx::assert_relative_eq!(gsd_m, 0.030_480_061, epsilon = 1e-9);
     }
 
     #[test]

@@ -7,6 +7,7 @@
 
 use super::{
     Sample, TILE,
+    read::{FOOT, METRE, SURVEY_FOOT},
     write::{Colour, Layout, predictor},
 };
 use crate::raster::georeference::{CrsKind, Georeference};
@@ -150,7 +151,6 @@ impl Directory {
 /// Where the raster lies: GeoTIFF counts from the corner of the first pixel.
 fn place(place: &Georeference) -> Vec<(u16, Value)> {
     const USER_DEFINED: u16 = 32767;
-    const METRE: u16 = 9001;
     let corner = place.map([-0.5, -0.5]);
     let ([a, c], [b, d]) = (place.per_column, place.per_row);
     let mut tags = if b == 0.0 && c == 0.0 && a > 0.0 && d < 0.0 {
@@ -168,6 +168,11 @@ fn place(place: &Georeference) -> Vec<(u16, Value)> {
     match (place.crs.kind, code) {
         (CrsKind::Projected | CrsKind::Unknown, Some(code)) => {
             keys.extend([(1024, 1), (3072, code)]);
+        }
+        (CrsKind::Feet | CrsKind::SurveyFeet, code) => {
+            let is_survey = place.crs.kind == CrsKind::SurveyFeet;
+            let unit = if is_survey { SURVEY_FOOT } else { FOOT };
+            keys.extend([(1024, 1), (3072, code.unwrap_or(USER_DEFINED)), (3076, unit)]);
         }
         (CrsKind::Geographic, Some(code)) => keys.extend([(1024, 2), (2048, code)]),
         (CrsKind::Projected, None) => {

@@ -2,6 +2,7 @@
 
 use super::Sample;
 use crate::{
+    crs,
     io::FileError,
     raster::{
         georeference::{Crs, CrsKind, Georeference},
@@ -22,7 +23,10 @@ const BLACK_IS_ZERO: u16 = 1;
 const RGB: u16 = 2;
 /// `ProjLinearUnitsGeoKey` and its code for the metre.
 const LINEAR_UNITS: u16 = 3076;
-const METRE: u16 = 9001;
+pub(super) const METRE: u16 = 9001;
+/// The same of the international foot and the foot of the US survey.
+pub(super) const FOOT: u16 = 9002;
+pub(super) const SURVEY_FOOT: u16 = 9003;
 /// `VerticalGeoKey`, and the first code that is not of the registry.
 const VERTICAL: u16 = 4096;
 const USER_DEFINED: u16 = 32767;
@@ -281,12 +285,34 @@ impl File {
     }
 }
 
+/// By the unit that the file states, else by that of its code.
+fn kind_of_unit(file: &GeoTiffFile) -> CrsKind {
+    let by_code = || match file.epsg().map(crs::Crs::metres_per_unit) {
+        None => CrsKind::Projected,
+        Some(None) => CrsKind::Unknown,
+        Some(Some(metres)) => {
+            let all = [CrsKind::Projected, CrsKind::Feet, CrsKind::SurveyFeet];
+            // The two feet differ by two millionths.
+            let same = |kind: &CrsKind| {
+                kind.metres_per_unit().is_some_and(|of| (of / metres - 1.0).abs() < 1e-7)
+            };
+            all.into_iter().find(same).unwrap_or(CrsKind::Unknown)
+        }
+    };
+    match file.geokeys().get_short(LINEAR_UNITS) {
+        Some(METRE) => CrsKind::Projected,
+        Some(FOOT) => CrsKind::Feet,
+        Some(SURVEY_FOOT) => CrsKind::SurveyFeet,
+        Some(_) => CrsKind::Unknown,
+        None => by_code(),
+    }
+}
+
 fn georeference(file: &GeoTiffFile) -> Option<Georeference> {
     let transform = file.transform()?;
     let info = file.crs();
-    let metres = file.geokeys().get_short(LINEAR_UNITS).is_none_or(|unit| unit == METRE);
     let kind = match info.model_type {
-        1 if metres => CrsKind::Projected,
+        1 => kind_of_unit(file),
         2 => CrsKind::Geographic,
         _ => CrsKind::Unknown,
     };

@@ -3,7 +3,7 @@
 
 use super::inputs::Photo;
 use crate::{
-    crs::Crs,
+    crs::{Crs, FOOT_M, US_SURVEY_FOOT_M},
     error::Error,
     io::photo::Geotag,
     monitor::{Diagnostic, Monitor},
@@ -21,7 +21,7 @@ const MERIDIAN_DEG: f64 = 12.0;
 /// The same of other projections.
 const LONGITUDE_DEG: f64 = 60.0;
 /// The metre in feet: international and of the US survey.
-const FEET: [f64; 2] = [0.3048, 1200.0 / 3937.0];
+const FEET: [f64; 2] = [FOOT_M, US_SURVEY_FOOT_M];
 
 fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);

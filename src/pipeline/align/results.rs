@@ -73,7 +73,7 @@ pub(super) fn write(
         .map(|point| CloudPoint { position_m: point.position_m, colour: point.colour })
         .collect();
     cloud::write_ply(&folder.join("cloud.ply"), &points, true)?;
-    cloud::write_laz(&folder.join("cloud.laz"), &points, true)?;
+    cloud::write_laz(&folder.join("cloud.laz"), &points, &scene.reference, true)?;
     reconstruction::write(folder, scene, true)?;
     exports.write(folder)?;
     let reference = &scene.reference;

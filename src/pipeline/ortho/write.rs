@@ -237,7 +237,9 @@ impl Work<'_> {
         let crs = surface.georeference.crs;
         if let Some(path) = &self.options.like {
             let reader = geotiff::Reader::open(path)?;
-            let place = reader.georeference().filter(|place| place.crs.kind != CrsKind::Geographic);
+            let place = reader.georeference().filter(|place| {
+                !matches!(place.crs.kind, CrsKind::Geographic | CrsKind::Feet | CrsKind::SurveyFeet)
+            });
             let place = place.ok_or_else(|| {
                 FileError::malformed(path, None, "it is not georeferenced in metres")
             })?;
