@@ -7,6 +7,7 @@ use super::{
 use rand::{RngExt, SeedableRng, seq::SliceRandom};
 use rand_chacha::ChaCha8Rng;
 use rowgram::{
+    camera::Lens,
     error::Error,
     geometry::rotation,
     scene::Role,
@@ -201,4 +202,83 @@ fn positions_that_do_not_fit_are_named_and_do_nothing() {
     }
     assert_eq!(found.adjusted.reconstruction.positions.len(), flown.poses.len() - wrong.len());
     assert!(found.adjusted.statistics.sigma0 < 1.5, "{}", found.adjusted.statistics.sigma0);
+}
+
+#[test]
+fn an_orbit_around_a_heap_is_a_block_with_four_targets_and_without() {
+    let flown = Flight { strips: 4, per_strip: 6, points: 1500, ..Flight::default() }.orbit();
+    let (tracks, pairs) = tracks(&flown);
+    let blocks = grow(&flown, &tracks, &pairs);
+    for targets in [0, 4] {
+        let mut given = known(&flown);
+        // Some marks are where no camera could have the point.
+        for mark in given.marks.iter_mut().step_by(9) {
+            mark.image_px = [1150.0 - mark.image_px[0] / 3.0, 20.0];
+        }
+        let middle = |name: &str| ["T4", "T5", "T7", "T8"].contains(&name);
+        for point in &mut given.ground {
+            let is_control = targets > 0 && middle(&point.name);
+            point.role = if is_control { Role::Control } else { Role::Check };
+        }
+        if targets == 0 {
+            given = Known::default();
+        }
+        let found = adjusted_with(&flown, &given, blocks.clone()).unwrap();
+        let adjusted = &found.adjusted;
+        assert!(adjusted.reconstruction.images.len() >= 20, "{targets}");
+        let (turned, summary) = (turned_deg(&flown, &found), &adjusted.summary);
+        assert!(turned < 1.0, "{targets}: {turned} degrees");
+        assert!(
+            summary.final_cost <= summary.initial_cost,
+            "{targets}: {} to {}",
+            summary.initial_cost,
+            summary.final_cost
+        );
+        assert_eq!(found.georeferenced, targets > 0);
+    }
+}
+
+#[test]
+fn control_that_is_to_be_kept_is_kept() {
+    let flown = Flight { points: 1200, ..Flight::default() }.fly();
+    let (tracks, pairs) = tracks(&flown);
+    let blocks = grow(&flown, &tracks, &pairs);
+    let mut given = known(&flown);
+    let wrong = given.ground.iter().position(|point| point.role == Role::Control).unwrap();
+    given.ground[wrong].position_m[2] += 3.0;
+    let name = given.ground[wrong].name.clone();
+    for keep in [false, true] {
+        given.keep = if keep { vec![name.clone()] } else { Vec::new() };
+        let found = adjusted_with(&flown, &given, blocks.clone()).unwrap();
+        let ground = &found.adjusted.reconstruction.ground;
+        let role = ground.iter().find(|point| point.name == name).unwrap().role;
+        assert_eq!(role == Role::Control, keep, "{:?}", found.diagnostics);
+        let said = |d: &&rowgram::monitor::Diagnostic| d.subject.ends_with(&name);
+        let said: Vec<_> = found.diagnostics.iter().filter(said).map(|d| d.code.as_ref()).collect();
+        let rejected = said.iter().any(|code| code.ends_with("-rejected"));
+        assert_eq!(rejected, !keep, "{said:?}");
+    }
+}
+
+#[test]
+fn marks_that_only_a_bent_block_contradicts_take_part_in_the_end() {
+    // A lens that nobody knows leaves marks of the corners tens of pixels off before it is adjusted.
+    let flown = Flight { points: 1200, ..Flight::default() }.fly();
+    let (tracks, pairs) = tracks(&flown);
+    let mut blocks = grow(&flown, &tracks, &pairs);
+    for block in &mut blocks {
+        for camera in &mut block.cameras {
+            let mut values = camera.interior.values().to_vec();
+            values[4] += 0.15;
+            camera.interior = camera.interior.with_values(&values).unwrap();
+        }
+    }
+    let given = known(&flown);
+    let found = adjusted_with(&flown, &given, blocks).unwrap();
+    let used = found.adjusted.reconstruction.marks.len();
+    let said = |code: &str| found.diagnostics.iter().filter(|d| d.code == code).count();
+    println!("{used} of {}, {}", given.marks.len(), said("observation-reconsidered"));
+    assert_eq!(used, given.marks.len(), "{:?}", found.diagnostics);
+    assert!(said("observation-reconsidered") > 0, "{:?}", found.diagnostics);
+    assert_eq!(said("mark-rejected"), 0, "{:?}", found.diagnostics);
 }

@@ -118,8 +118,45 @@ impl Flight {
                 ]);
             }
         }
-        let (wide, long) =
-            (self.strips as f64 * across + 40.0, self.per_strip as f64 * along + 40.0);
+        let extent = [self.strips as f64 * across + 40.0, self.per_strip as f64 * along + 40.0];
+        self.photograph(&truth, poses, &ways, extent, &mut rng)
+    }
+
+    /// A flight around a place instead, the camera looking at it from the side, without receiver; only photos beside each
+    /// other are matched.
+    pub fn orbit(&self) -> Flown {
+        let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
+        let count = self.strips * self.per_strip;
+        let pose = |k: usize| {
+            let angle = std::f64::consts::TAU * k as f64 / count as f64;
+            // Turned about the vertical, then tilted backwards.
+            let turn = rotation::multiply(
+                rotation::exp([-55.0_f64.to_radians(), 0.0, 0.0]),
+                rotation::exp([0.0, 0.0, -angle]),
+            );
+            let centre = [30.0 + 40.0 * angle.sin(), 30.0 - 40.0 * angle.cos(), 28.0];
+            Pose::from_centre(turn, centre)
+        };
+        let poses: Vec<Pose> = (0..count).map(pose).collect();
+        let ways = vec![[0.0; 3]; count];
+        let mut flown = self.photograph(&lens(C_PX, -0.05), poses, &ways, [100.0; 2], &mut rng);
+        flown.positions.clear();
+        flown.matched.retain(|pair| {
+            let apart = pair.images[1].abs_diff(pair.images[0]) as usize;
+            apart.min(count - apart) <= 3
+        });
+        flown
+    }
+
+    fn photograph(
+        &self,
+        truth: &Camera,
+        poses: Vec<Pose>,
+        ways: &[[f64; 3]],
+        [wide, long]: [f64; 2],
+        rng: &mut ChaCha8Rng,
+    ) -> Flown {
+        let normal = Normal::new(0.0, 1.0).unwrap();
         let points: Vec<[f64; 3]> = (0..self.points)
             .map(|_| {
                 let x = rng.random_range(-40.0..wide);
@@ -133,14 +170,14 @@ impl Flight {
             let mut list: Vec<(usize, [f64; 2])> = points
                 .iter()
                 .enumerate()
-                .filter_map(|(p, &point)| Some((p, seen(&truth, pose, ways[k], point)?)))
+                .filter_map(|(p, &point)| Some((p, seen(truth, pose, ways[k], point)?)))
                 .collect();
-            list.shuffle(&mut rng);
+            list.shuffle(rng);
             let mut place = vec![None; points.len()];
             let mut found = Features { name: format!("{k:03}.jpg"), ..Features::default() };
             for (p, at) in list {
                 place[p] = Some(found.positions_px.len() as u32);
-                let noisy = at.map(|v| v + self.noise_px * normal.sample(&mut rng));
+                let noisy = at.map(|v| v + self.noise_px * normal.sample(rng));
                 found.positions_px.push(noisy);
                 found.colours.push([p as u8; 3]);
             }
@@ -178,7 +215,7 @@ impl Flight {
             marks: Vec::new(),
             poses,
         };
-        flown.survey(&truth, &ways, [wide, long], &mut rng);
+        flown.survey(truth, ways, [wide, long], rng);
         flown
     }
 }
