@@ -136,8 +136,8 @@ fn times(project: &Project) -> Result<Option<[String; 2]>, Error> {
 }
 
 /// `2015:06:24 10:31:07.50` as `2015-06-24T10:31:07Z`; `None` where it is no time.
-fn rfc3339(exif: &str) -> Option<String> {
-    let (date, time) = exif.trim().split_once([' ', 'T'])?;
+fn rfc3339(moment: &str) -> Option<String> {
+    let (date, time) = moment.trim().split_once([' ', 'T'])?;
     let numbers = |text: &str| -> Option<Vec<u32>> {
         let parts = text.split([':', '-']);
         parts.map(|part| part.split('.').next()?.parse().ok()).collect()

@@ -98,7 +98,7 @@ crate::options! {
         pub longest_gap_ratio: f64 = 6.0, limits NON_NEGATIVE;
         /// The widest slice, in usual leaf widths, four pixels added.
         pub widest_slice_ratio: f64 = 1.2, limits NON_NEGATIVE;
-        /// PlantBaseline width of a leaf; found from the mask where not set.
+        /// Usual width of a leaf; found from the mask where not set.
         pub leaf_width_px: Option<f64> = None, limits between(0.5, 10000.0), example "8.0";
         /// Leaves of fewer pixels are left out.
         pub min_pixels: usize = 1;
