@@ -12,8 +12,9 @@ use super::{
     isolated_plants::{covered_share, median},
     plant_mass::{Parts, Plant},
     plant_spacing::Spacing,
+    row_parts::is_alley,
     rows::{self, Detection, Row, Rows},
-    stand::{BETWEEN, Gap, LeafMass, Stalk, Stand},
+    stand::{BETWEEN, Gap, LEAST_MISSING, LeafMass, Stalk, Stand},
 };
 use crate::{
     problems::plants::{index::PixelIndex, lines::Axes},
@@ -32,6 +33,8 @@ const LONG: f64 = 3.0;
 const LONE: f64 = 1.5;
 /// Radius of the disc that stands for a plant when rows are looked for, of that of a disc with the plant's mass.
 const DISC: f64 = 0.6;
+/// Gaps longer than this many spacings may be alleys.
+const LONG_GAP: f64 = 4.0;
 /// Plants that say something of rows, at least.
 const LEAST: usize = 6;
 /// Standard deviation of a place along each axis, in square roots of a plant's mass: of a plant alone in its component, and of each of
@@ -123,22 +126,37 @@ fn find_gaps(stand: &mut Stand) {
     for _ in 0..4 {
         spacing = spacing.refit(&gaps);
     }
+    let mut along: Vec<Vec<f64>> = vec![Vec::new(); stand.rows.rows.len()];
+    for plant in &stand.plants {
+        along[plant.row].push(plant.along_px);
+    }
     let missing: Vec<Gap> = pairs()
         .filter_map(|pair| {
-            let length_px = pair[1].along_px - pair[0].along_px;
-            let shares = spacing.missing_in(length_px);
-            let probability = 1.0 - shares[0];
-            let likely =
-                (1..shares.len()).fold(1, |a, b| if shares[b] > shares[a] { b } else { a });
+            let row = pair[0].row;
+            let ends = [pair[0].along_px, pair[1].along_px];
+            let length_px = ends[1] - ends[0];
+            if length_px > LONG_GAP * spacing.spacing && is_alley_between(&along, row, ends) {
+                return None;
+            }
+            let (plants, probability) = spacing.missing_plants(length_px);
             let position_px =
                 [0, 1].map(|k| 0.5 * (pair[0].position_px[k] + pair[1].position_px[k]));
-            let gap = Gap { row: pair[0].row, position_px, length_px, plants: likely, probability };
-            (probability > 0.05).then_some(gap)
+            let gap = Gap { row, position_px, length_px, plants, probability };
+            (probability > LEAST_MISSING).then_some(gap)
         })
         .collect();
     stand.spacing_sigma_px = spacing.jitter * spacing.spacing / (gaps.len() as f64).sqrt();
     stand.spacing = spacing;
     stand.missing = missing;
+}
+
+/// Whether the rows beside have no plants in the middle half of a gap either. `along` has the places of each row's plants.
+fn is_alley_between(along: &[Vec<f64>], row: usize, [from, to]: [f64; 2]) -> bool {
+    let (middle, quarter) = (0.5 * (from + to), 0.25 * (to - from));
+    let first_behind = |row: usize, at: f64| along[row].partition_point(|&place| place < at);
+    let reaches = |row: usize| (1..along[row].len()).contains(&first_behind(row, middle));
+    let is_bare = |row| first_behind(row, middle - quarter) == first_behind(row, middle + quarter);
+    is_alley(along.len(), row, reaches, is_bare)
 }
 
 /// The nearest row and how far away it is; row 0 where there are none.

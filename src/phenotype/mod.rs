@@ -29,6 +29,7 @@ pub mod plots;
 pub mod row_curves;
 mod row_evidence;
 pub mod row_model;
+mod row_parts;
 pub mod rows;
 pub mod stand;
 pub mod stand_count;

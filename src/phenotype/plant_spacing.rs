@@ -66,6 +66,16 @@ impl Spacing {
         shares
     }
 
+    /// The most probable number of plants missing in a gap, at least 1, and the probability that any is.
+    pub fn missing_plants(&self, gap: f64) -> (usize, f64) {
+        if gap > self.farthest() {
+            return (((gap / self.spacing).round() as usize).saturating_sub(1).max(1), 1.0);
+        }
+        let shares = self.missing_in(gap);
+        let likely = (1..shares.len()).fold(1, |a, b| if shares[b] > shares[a] { b } else { a });
+        (likely, 1.0 - shares[0])
+    }
+
     /// Farthest gap worth looking at.
     pub fn farthest(&self) -> f64 {
         (MOST as f64 - 0.5) * self.spacing
@@ -117,6 +127,9 @@ mod tests {
             assert!((total - 1.0).abs() < 1e-12);
         }
         assert!(spacing.missing_in(26.0)[1] > 0.9 && spacing.missing_in(13.0)[0] > 0.99);
+        // Longer than what the density describes: nothing there for 20 places.
+        assert_eq!(spacing.missing_plants(260.0), (19, 1.0));
+        assert_eq!(spacing.missing_plants(26.0).0, 1);
     }
 
     #[test]

@@ -40,6 +40,11 @@ impl RowCurve {
         RowCurve { start: row.start_px, end: row.end_px, offsets: vec![row.across_px; knots] }
     }
 
+    /// From its beginning to its end, along the rows.
+    pub(super) fn length(&self) -> f64 {
+        self.end - self.start
+    }
+
     /// Offset across at a place along, held beyond the ends.
     pub fn offset(&self, along: f64) -> f64 {
         let last = self.offsets.len() - 1;
@@ -47,6 +52,13 @@ impl RowCurve {
         let left = (place as usize).min(last.saturating_sub(1));
         let right = (left + 1).min(last);
         self.offsets[left] + (place - left as f64) * (self.offsets[right] - self.offsets[left])
+    }
+
+    /// The part of it between two places along the row.
+    pub(super) fn part(&self, start: f64, end: f64) -> RowCurve {
+        let knots = ((end - start) / KNOT).ceil().max(1.0) as usize + 1;
+        let offsets = (0..knots).map(|knot| self.offset(start + KNOT * knot as f64)).collect();
+        RowCurve { start, end, offsets }
     }
 
     fn refine(&mut self, evidence: &Evidence, axes: &Axes, window: f64, reach: f64) {

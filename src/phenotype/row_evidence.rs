@@ -12,6 +12,7 @@ use super::{
     plant_spacing::Spacing,
     row_curves::{self, RowCurve},
     row_model::RowModelOptions,
+    row_parts::{self, Part},
     rows::{Row, Rows},
     stand_count::{Overall, stand_count},
 };
@@ -65,8 +66,8 @@ const SCATTER_OF_EXCESS: f64 = 5.0;
 pub(super) struct RowEvidence {
     pub(super) evidence: Evidence,
     axes: Axes,
-    rows: Vec<Row>,
-    curves: Vec<RowCurve>,
+    /// The rows, or the parts of rows that have plants.
+    pub(super) parts: Vec<Part>,
     pub(super) profiles: Vec<Profile>,
     mean: f64,
     mass: f64,
@@ -102,12 +103,14 @@ impl RowEvidence {
         } else {
             reduced.iter().map(RowCurve::straight).collect()
         };
-        let length = reduced.iter().map(Row::length_px).sum();
+        let whole = curves.into_iter().enumerate();
+        let parts: Vec<Part> =
+            whole.map(|(row, curve)| Part { row, curve, before: None }).collect();
+        let length = parts.iter().map(|part| part.curve.length()).sum();
         let mut scene = RowEvidence {
             evidence,
             axes,
-            rows: reduced,
-            curves,
+            parts,
             profiles: Vec::new(),
             mean: 0.0,
             mass: 0.0,
@@ -126,10 +129,10 @@ impl RowEvidence {
 
     /// Reads what every row shows.
     pub(super) fn read(&mut self) {
-        let RowEvidence { evidence, axes, curves, options, .. } = self;
+        let RowEvidence { evidence, axes, parts, options, .. } = self;
         let across = Across::new(axes, options.across_sigma);
         self.profiles =
-            curves.par_iter().map(|curve| read(evidence, axes, curve, &across)).collect();
+            parts.par_iter().map(|part| read(evidence, axes, &part.curve, &across)).collect();
         let profiles = &self.profiles;
         let votes: f64 = profiles.iter().flat_map(|profile| &profile.votes).sum();
         let places: usize = profiles.iter().map(|profile| profile.votes.len()).sum();
@@ -137,15 +140,33 @@ impl RowEvidence {
         self.mean = votes / places.max(1) as f64;
     }
 
+    /// Cuts rows where they have no leaf for some spacings, and reads what is left.
+    pub(super) fn cut(&mut self, spacing: &Spacing) {
+        let mass = self.mass_of_plant(spacing);
+        let curves: Vec<RowCurve> = self.parts.iter().map(|part| part.curve.clone()).collect();
+        let parts = row_parts::cut(&self.profiles, &curves, spacing.spacing, mass);
+        if parts.iter().all(|part| part.before.is_none() && curves[part.row] == part.curve) {
+            return;
+        }
+        self.length = parts.iter().map(|part| part.curve.length()).sum();
+        self.parts = parts;
+        self.read();
+    }
+
+    /// Leaf mass of a plant.
+    fn mass_of_plant(&self, spacing: &Spacing) -> f64 {
+        self.mass * spacing.spacing / self.length.max(f64::MIN_POSITIVE)
+    }
+
     /// Some of the rows, evenly.
     pub(super) fn sample(&self, length: f64) -> Vec<usize> {
-        let rows = (length * self.rows.len() as f64 / self.length).ceil().max(1.0) as usize;
-        (0..self.rows.len()).step_by(self.rows.len().div_ceil(rows).max(1)).collect()
+        let rows = (length * self.parts.len() as f64 / self.length).ceil().max(1.0) as usize;
+        (0..self.parts.len()).step_by(self.parts.len().div_ceil(rows).max(1)).collect()
     }
 
     /// How many of `count` plants belong to some of the rows.
     pub(super) fn share(&self, count: usize, rows: &[usize]) -> usize {
-        let length: f64 = rows.iter().map(|&row| self.rows[row].length_px()).sum();
+        let length: f64 = rows.iter().map(|&row| self.parts[row].curve.length()).sum();
         (count as f64 * length / self.length).round() as usize
     }
 
@@ -154,7 +175,7 @@ impl RowEvidence {
         spacing: &Spacing,
         rows: impl IntoIterator<Item = usize>,
     ) -> Vec<Chain<'_>> {
-        let mass = self.mass * spacing.spacing / self.length.max(f64::MIN_POSITIVE);
+        let mass = self.mass_of_plant(spacing);
         let RowModelOptions { vote_weight: votes, uncovered_weight: cover, .. } = self.options;
         let weights = Weights { votes, cover, mean: self.mean, mass };
         rows.into_iter().map(|row| Chain::new(&self.profiles[row], spacing, &weights)).collect()
@@ -219,7 +240,7 @@ impl RowEvidence {
             cover: self.mass / (self.length * f64::from(2 * BAND + 1)).max(f64::MIN_POSITIVE),
         };
         let counts = stand_count(&profiles, &overall, spacing)?;
-        let length: f64 = rows.iter().map(|&row| self.rows[row].length_px()).sum();
+        let length: f64 = rows.iter().map(|&row| self.parts[row].curve.length()).sum();
         Ok(Expected {
             count: counts.counts.iter().sum(),
             variance: counts.variances.iter().sum(),
@@ -235,7 +256,7 @@ impl RowEvidence {
     /// it has: against a peak that is [`LEAVES`] times as coarse it does not count.
     pub(super) fn likeliest_spacing(&self, sample: &[usize]) -> f64 {
         let worth = self.options.spacing_log_odds;
-        let length: f64 = sample.iter().map(|&row| self.rows[row].length_px()).sum();
+        let length: f64 = sample.iter().map(|&row| self.parts[row].curve.length()).sum();
         let mut tried: Vec<(f64, f64)> = (0..SPACINGS)
             .into_par_iter()
             .map(|k| {
@@ -267,7 +288,7 @@ impl RowEvidence {
         let look = |row: usize, at: usize| {
             let profile = &self.profiles[row];
             let along = profile.start + at as f64 * STEP;
-            let across = self.curves[row].offset(along) + profile.offsets[at];
+            let across = self.parts[row].curve.offset(along) + profile.offsets[at];
             surroundings.at(self.axes.image([along, across]))
         };
         let all: Vec<Vec<_>> = (0..self.profiles.len())
@@ -292,7 +313,7 @@ impl RowEvidence {
     /// The offset across its row of the best votes at a place.
     fn offset(&self, row: usize, at: f64, across: &Across) -> f64 {
         let along = self.profiles[row].start + at * STEP;
-        across.best(&self.evidence, along, self.curves[row].offset(along)).1
+        across.best(&self.evidence, along, self.parts[row].curve.offset(along)).1
     }
 
     /// The offsets of the plants of every row, under a normal weight of this scatter.
@@ -320,7 +341,7 @@ impl RowEvidence {
 
     pub(super) fn image(&self, row: usize, at: f64, offset: f64) -> [f64; 2] {
         let along = self.profiles[row].start + at * STEP;
-        let across = self.curves[row].offset(along) + offset;
+        let across = self.parts[row].curve.offset(along) + offset;
         self.evidence.full(self.axes.image([along, across]))
     }
 }

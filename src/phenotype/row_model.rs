@@ -6,6 +6,7 @@
 //! 2. The spacing of the plants ([`plant_spacing`]), on some of the rows: where the number of plants is not
 //!    given, the one with the largest marginal likelihood ([`dynamic_programming::Chain::log_sum`]); then alternating
 //!    between the best plants and the gaps between them.
+//!    Rows are then cut where they have no leaf for some spacings (`row_parts`): at alleys, and where many plants are missing.
 //! 3. How many leaves there are around every place ([`double_plants`]), compared with the best plants so far: what the chains and
 //!    the expected counts below know of two plants in one place, and of none.
 //! 4. The best plants of every row ([`dynamic_programming::Chain::best`]). The score `plant_log_odds` of one plant more is found
@@ -38,8 +39,9 @@ use super::{
     mass_stand,
     plant_spacing::Spacing,
     row_evidence::{Expected, RowEvidence, best, bisect, gaps, total, worth_of},
+    row_parts::Part,
     rows::{Detection, Rows},
-    stand::{Gap, NORMAL_95, Stalk, Stand},
+    stand::{Gap, LEAST_MISSING, NORMAL_95, Stalk, Stand},
     tilt,
 };
 use crate::{options::Options as _, raster::Mask};
@@ -139,6 +141,7 @@ pub(super) fn locate_in_detail(
     };
     let mut evidence = RowEvidence::new(detail.unwrap_or(mask), rows, options);
     let spacing = evidence.spacing(count);
+    evidence.cut(&spacing);
     if options.double_plants && evidence.has_axes() {
         // What is usual of plants, from those that are found without it.
         let chains = evidence.chains(&spacing, 0..evidence.profiles.len());
@@ -240,8 +243,12 @@ impl RowEvidence {
         let offsets = self.offsets(places, across);
         let radius = ((0.25 * spacing.spacing / STEP) as usize).max(1);
         let (mut plants, mut missing) = (Vec::new(), Vec::new());
-        for (row, places) in places.iter().enumerate() {
-            let marginals = &posteriors[row].marginals;
+        // The last plant before this one, and its row.
+        let mut last: Option<(usize, f64)> = None;
+        for (part, places) in places.iter().enumerate() {
+            let Part { row, before, .. } = self.parts[part];
+            let mut is_behind_alley = before.is_some_and(|bare| bare.is_alley);
+            let marginals = &posteriors[part].marginals;
             let found: Vec<[f64; 3]> =
                 places.iter().map(|&at| together(marginals, places, at, radius)).collect();
             let whorls: Vec<f64> = places
@@ -256,9 +263,9 @@ impl RowEvidence {
                 found.into_iter().zip(bases).enumerate()
             {
                 plants.push(Stalk {
-                    position_px: self.image(row, base / STEP, shrinkage * offsets[row][k]),
+                    position_px: self.image(part, base / STEP, shrinkage * offsets[part][k]),
                     row,
-                    along_px: (self.profiles[row].start + base) * factor,
+                    along_px: (self.profiles[part].start + base) * factor,
                     confidence: confidence.min(1.0),
                     // A place stands for a step around it.
                     sigma_along_px: ((variance + 1.0 / 12.0) * STEP * STEP + tilted).sqrt()
@@ -266,17 +273,24 @@ impl RowEvidence {
                     sigma_across_px: (1.0 - shrinkage).sqrt() * across * factor,
                 });
             }
-            for pair in places.windows(2) {
-                let length = (pair[1] - pair[0]) as f64 * STEP;
-                let shares = spacing.missing_in(length);
-                let likely =
-                    (1..shares.len()).fold(1, |a, b| if shares[b] > shares[a] { b } else { a });
-                let probability = 1.0 - shares[0];
-                if probability > 0.05 {
-                    let middle = 0.5 * (pair[0] + pair[1]) as f64;
-                    let position_px = self.image(row, middle, 0.0);
-                    let length_px = length * factor;
-                    missing.push(Gap { row, position_px, length_px, plants: likely, probability });
+            let start = self.profiles[part].start;
+            for place in places.iter().map(|&at| start + at as f64 * STEP) {
+                let before = last.filter(|(of, _)| *of == row).map(|(_, before)| before);
+                last = Some((row, place));
+                let Some(before) = before.filter(|_| !is_behind_alley) else {
+                    is_behind_alley = false;
+                    continue;
+                };
+                let (likely, probability) = spacing.missing_plants(place - before);
+                if probability > LEAST_MISSING {
+                    let middle = (0.5 * (before + place) - start) / STEP;
+                    missing.push(Gap {
+                        row,
+                        position_px: self.image(part, middle, 0.0),
+                        length_px: (place - before) * factor,
+                        plants: likely,
+                        probability,
+                    });
                 }
             }
         }
@@ -299,14 +313,20 @@ impl RowEvidence {
         };
         let half = NORMAL_95 * variance.sqrt();
         let singles = found.max(2.0) - 1.0;
+        let mut row_counts = vec![0.0; rows.rows.len()];
+        let mut row_variances = row_counts.clone();
+        for ((part, posterior), variance) in self.parts.iter().zip(posteriors).zip(&variances) {
+            row_counts[part.row] += posterior.count;
+            row_variances[part.row] += variance;
+        }
         Stand {
             plants,
             rows: rows.clone(),
             spacing: Spacing { spacing: spacing.spacing * factor, ..*spacing },
             spacing_sigma_px: spacing.jitter * spacing.spacing * factor / singles.sqrt(),
             count_interval: [(middle - half).max(0.0), middle + half],
-            row_counts: posteriors.iter().map(|posterior| posterior.count).collect(),
-            row_count_sigmas: variances.into_iter().map(f64::sqrt).collect(),
+            row_counts,
+            row_count_sigmas: row_variances.into_iter().map(f64::sqrt).collect(),
             missing,
             leaf_mass: None,
         }

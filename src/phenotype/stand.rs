@@ -11,6 +11,9 @@ pub const NORMAL_95: f64 = 1.959_963_984_540_054;
 /// The fewest plants that say where their row is.
 const LEAST: f64 = 5.0;
 
+/// Places where plants are missing with less probability are not told.
+pub(super) const LEAST_MISSING: f64 = 0.05;
+
 /// Plants farther from every row than this share of the distance between rows stand between rows.
 pub(super) const BETWEEN: f64 = 0.25;
 
