@@ -319,6 +319,13 @@ impl RowEvidence {
             row_counts[part.row] += posterior.count;
             row_variances[part.row] += variance;
         }
+        // Rows share the plants of the field: scores at a temperature count too many where canopies are closed.
+        let share = middle / row_counts.iter().sum::<f64>().max(f64::MIN_POSITIVE);
+        let relative = variance.sqrt() / middle.max(1.0);
+        for (count, variance) in row_counts.iter_mut().zip(&mut row_variances) {
+            *count *= share;
+            *variance = *variance * share * share + (relative * *count).powi(2);
+        }
         Stand {
             plants,
             rows: rows.clone(),
