@@ -134,3 +134,50 @@ fn positions_and_control_of_another_place_are_errors_that_name_the_cause() {
         assert!(said.contains(expected), "{name}: {said}");
     }
 }
+
+/// A picture of blobs of many sizes, the same for the same seed.
+fn texture(seed: u64) -> image::RgbImage {
+    use rand::{RngExt, SeedableRng};
+    let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+    let mut sum = vec![0.0_f32; 400 * 300];
+    for cell in [2_u32, 5, 11, 23] {
+        let side = 400 / cell + 2;
+        let values: Vec<f32> = (0..side * side).map(|_| random.random::<f32>()).collect();
+        for (k, out) in sum.iter_mut().enumerate() {
+            let (u, v) = (k as u32 % 400, k as u32 / 400);
+            *out += values[(v / cell * side + u / cell) as usize] / 4.0;
+        }
+    }
+    image::RgbImage::from_fn(400, 300, |u, v| {
+        image::Rgb([(40.0 + 170.0 * sum[(v * 400 + u) as usize]) as u8; 3])
+    })
+}
+
+#[test]
+fn blurred_and_wrongly_exposed_photos_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let images = folder.path().join("images");
+    fs::create_dir(&images).unwrap();
+    for k in 0..7 {
+        let photo = texture(k);
+        let photo = match k {
+            2 => image::imageops::blur(&photo, 3.0),
+            4 => image::RgbImage::from_fn(400, 300, |u, v| {
+                image::Rgb(
+                    photo.get_pixel(u, v).0.map(|c| c.saturating_add(if u > 90 { 240 } else { 0 })),
+                )
+            }),
+            _ => photo,
+        };
+        photo.save(images.join(format!("{k}.png"))).unwrap();
+    }
+    let run = rowgram(folder.path(), "align . --until features");
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    let named: Vec<&str> = run.stderr.lines().filter(|line| line.contains(".png: ")).collect();
+    assert_eq!(named.len(), 2, "{}", run.stderr);
+    assert!(named.iter().any(|line| line.contains("2.png: it seems blurred")), "{named:?}");
+    assert!(
+        named.iter().any(|line| line.contains("4.png: ") && line.contains("white")),
+        "{named:?}"
+    );
+}

@@ -1,6 +1,10 @@
 //! The steps that look at pixels: features of every photo, matches of the pairs worth trying.
 
-use super::inputs::Inputs;
+use super::{
+    EnlargeChoice,
+    inputs::Inputs,
+    sharpness::{self, Quality},
+};
 use crate::{
     error::Error,
     features::{
@@ -28,6 +32,8 @@ pub(super) struct Found {
     descriptors: Vec<u8>,
     #[serde(with = "serde_bytes")]
     colours: Vec<u8>,
+    /// Shares of the pixels that are black, and white.
+    clipped: [f32; 2],
     /// Why there are none, where the photo could not be used.
     fault: Option<String>,
 }
@@ -78,13 +84,14 @@ const LEAST_FEATURES: usize = 30;
 pub(super) fn features(
     inputs: &Inputs,
     options: &features::FeatureOptions,
+    enlarge: EnlargeChoice,
     cache: &Cache,
     monitor: &mut dyn Monitor,
 ) -> Result<Extracted, Error> {
     let cache = cache.within(FEATURES)?;
-    let described = format!("{options:?}");
+    let described = format!("{options:?} {enlarge:?}");
     let counter = Counter::new(monitor, "detecting features", inputs.photos.len(), "photos");
-    let mut faults = Vec::new();
+    let (mut faults, mut qualities) = (Vec::new(), Vec::new());
     let mut whole_key = Key::begin().text(&described);
     let (mut all, mut colours) = (Vec::new(), Vec::new());
     let key = |k: usize| {
@@ -106,8 +113,10 @@ pub(super) fn features(
     for k in 0..inputs.photos.len() {
         let (photo_key, name) = key(k);
         let picture = next.take();
-        let (found, following) =
-            rayon::join(|| picture.map(|picture| find(picture, options)), || decode(k + 1));
+        let (found, following) = rayon::join(
+            || picture.map(|picture| find(picture, options, enlarge)),
+            || decode(k + 1),
+        );
         next = following;
         let found = match found {
             Some(found) => {
@@ -130,6 +139,14 @@ pub(super) fn features(
                 format!("it shows next to nothing: {} features", found.numbers.len() / 5),
             ));
         }
+        let sigmas_px = found.numbers.as_chunks::<5>().0.iter().map(|v| v[2]);
+        qualities.push(Quality {
+            name: &photo.name,
+            size_px: [found.width_px, found.height_px],
+            feature_sigma_px: (found.numbers.len() >= 5 * LEAST_FEATURES)
+                .then(|| sharpness::median(sigmas_px.collect())),
+            clipped: found.clipped,
+        });
         whole_key = whole_key.key(photo_key);
         let key_points = found.numbers.as_chunks::<5>().0.iter().map(|v| KeyPoint {
             u_px: v[0],
@@ -147,18 +164,54 @@ pub(super) fn features(
         colours.push(found.colours.as_chunks::<3>().0.to_vec());
         counter.tick();
     }
+    faults.extend(sharpness::judge(&qualities));
     faults.iter().for_each(|fault| monitor.diagnostic(fault));
     Ok(Extracted { features: all, colours, key: whole_key.finish() })
 }
 
-fn find(picture: Result<RgbImage, String>, options: &features::FeatureOptions) -> Found {
+/// Photos with as many pixels have enough features without being enlarged, mostly.
+const FULL_SIZE_PX: u64 = 8_000_000;
+/// This share of the most features is enough.
+const ENOUGH: f64 = 0.75;
+
+/// The features of a photo, enlarged where that is asked for or needed.
+fn detect(
+    grey: &image::GrayImage,
+    options: &features::FeatureOptions,
+    enlarge: EnlargeChoice,
+) -> features::Features {
+    let own_size = features::FeatureOptions { upscale: features::Upscale::None, ..*options };
+    let is_large = u64::from(grey.width()) * u64::from(grey.height()) >= FULL_SIZE_PX;
+    match enlarge {
+        EnlargeChoice::Off => features::detect(grey, &own_size),
+        EnlargeChoice::Auto if is_large => {
+            let found = features::detect(grey, &own_size);
+            let enough = ENOUGH * options.max_features as f64;
+            if (found.key_points.len() as f64) < enough {
+                return features::detect(grey, options);
+            }
+            found
+        }
+        EnlargeChoice::On | EnlargeChoice::Auto => features::detect(grey, options),
+    }
+}
+
+fn find(
+    picture: Result<RgbImage, String>,
+    options: &features::FeatureOptions,
+    enlarge: EnlargeChoice,
+) -> Found {
     let picture = match picture {
         Ok(picture) => picture,
         Err(fault) => return Found { fault: Some(fault), ..Found::default() },
     };
     let grey = features::grey(&picture);
-    let found = features::detect(&grey, options);
+    let found = detect(&grey, options, enlarge);
+    let share = |is: &dyn Fn(u8) -> bool| {
+        grey.as_raw().iter().filter(|&&value| is(value)).count() as f32 / grey.len().max(1) as f32
+    };
     let mut out = Found {
+        clipped: [share(&|value| value < 3), share(&|value| value > 252)],
         width_px: found.width_px,
         height_px: found.height_px,
         descriptors: found.descriptors.as_bytes().to_vec(),

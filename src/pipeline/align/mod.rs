@@ -13,6 +13,7 @@ mod outcome;
 mod pair_figures;
 mod place;
 mod results;
+mod sharpness;
 mod steps;
 
 pub use outcome::{AlignOutcome, Fragment, PartialReport, PointErrors};
@@ -58,6 +59,18 @@ pub enum StartChoice {
     Global,
 }
 
+/// Whether photos are enlarged twofold before features are looked for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum EnlargeChoice {
+    /// Those of fewer than eight megapixels, and those that show too few features at their own size.
+    Auto,
+    /// All.
+    On,
+    /// None.
+    Off,
+}
+
 /// Whether rows are read one after the other while the camera moves.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -92,6 +105,7 @@ pub enum Step {
 
 crate::choices!(SolverChoice: Auto, TwoPoint, FivePoint);
 crate::choices!(StartChoice: Triplet, Global);
+crate::choices!(EnlargeChoice: Auto, On, Off);
 crate::choices!(ShutterChoice: Auto, Off, On);
 crate::choices!(Step: Inspect, Features, Match, Verify, Orient, Adjust, Report);
 
@@ -109,6 +123,9 @@ crate::options! {
         pub start: StartChoice = StartChoice::Triplet;
         /// The most features of a photo.
         pub max_features: usize = 6000, limits at_least(100.0);
+        /// Whether photos are enlarged twofold before features are looked for, which takes four times as long: auto enlarges
+        /// photos of fewer than eight megapixels, and those that show too few features at their own size.
+        pub enlarge: EnlargeChoice = EnlargeChoice::Auto;
         /// Distance from the projection of its point up to which an image position is used.
         pub tolerance_px: f64 = 4.0, limits POSITIVE;
         /// Standard deviation of control points that come without one.
@@ -343,7 +360,7 @@ fn run(
         contrast_threshold: 0.02,
         ..Default::default()
     };
-    let extracted = features::features(&inputs, &detection, &cache, monitor)?;
+    let extracted = features::features(&inputs, &detection, options.enlarge, &cache, monitor)?;
     report.features = Some(extracted.features.iter().map(|f| f.key_points.len()).sum());
     if last == Step::Features {
         return Ok(StepOutcome::Part(report));
