@@ -74,11 +74,6 @@ impl Crs {
         Crs::new(&format!("EPSG:{code}"), &definition)
     }
 
-    /// The well-known text of an EPSG code, where that is known.
-    pub fn well_known_text(code: u32) -> Option<&'static str> {
-        Some(crs_definitions::from_code(u16::try_from(code).ok()?)?.wkt)
-    }
-
     /// Metres in the unit of the coordinates of an EPSG code, where that is a known projected one.
     pub fn metres_per_unit(code: u32) -> Option<f64> {
         let definition = crs_definitions::from_code(u16::try_from(code).ok()?)?.proj4;

@@ -163,17 +163,18 @@ fn report(error: &Error) {
 /// Messages go to stderr, coloured only on a terminal and only where `NO_COLOR` is not set.
 fn start_logging(verbose: u8, quiet: bool) {
     use std::io::IsTerminal;
+    use tracing_subscriber::{filter::Targets, fmt, layer::SubscriberExt, util::SubscriberInitExt};
     let level = match (quiet, verbose) {
-        (true, _) => "error",
-        (false, 0) => "info",
-        (false, 1) => "debug",
-        (false, _) => "trace",
+        (true, _) => tracing::Level::ERROR,
+        (false, 0) => tracing::Level::INFO,
+        (false, 1) => tracing::Level::DEBUG,
+        (false, _) => tracing::Level::TRACE,
     };
     let colour = std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none();
-    tracing_subscriber::fmt()
-        .with_env_filter(tracing_subscriber::EnvFilter::new(format!("rowgram={level}")))
-        .with_writer(std::io::stderr)
-        .event_format(terminal::Lines { colour })
+    let lines = fmt::layer().with_writer(std::io::stderr);
+    tracing_subscriber::registry()
+        .with(lines.event_format(terminal::Lines { colour }))
+        .with(Targets::new().with_target("rowgram", level))
         .init();
 }
 

@@ -1,7 +1,10 @@
 //! Coloured point clouds: PLY for viewers, LAZ with a coordinate reference system's extent for GIS.
 
-use super::{FileError, output};
-use crate::scene::ReferenceFrame;
+use super::{FileError, geotiff::geo_keys, output};
+use crate::{
+    raster::georeference::{Crs, CrsKind},
+    scene::ReferenceFrame,
+};
 use std::{io::Cursor, path::Path};
 
 /// A point with its colour.
@@ -34,8 +37,8 @@ pub fn write_ply(path: &Path, points: &[CloudPoint], force: bool) -> Result<(), 
     })
 }
 
-/// Writes LAZ (version 1.4, point format 7) with coordinates to a tenth of a millimetre and a record of their reference
-/// system, OGC well-known text as the EPSG registry gives it (of either edition; what is built on PROJ reads both).
+/// Writes LAZ (version 1.2, point format 2) with coordinates to a tenth of a millimetre and the keys of their reference
+/// system, as GeoTIFF has them.
 ///
 /// # Errors
 /// As [`output::write`], and points so far apart that the format cannot hold them.
@@ -45,17 +48,17 @@ pub fn write_laz(
     reference: &ReferenceFrame,
     force: bool,
 ) -> Result<(), FileError> {
-    let bytes = laz(points, &reference.well_known_text())
-        .map_err(|e| FileError::write(path, std::io::Error::other(e)))?;
+    let bytes =
+        laz(points, reference).map_err(|e| FileError::write(path, std::io::Error::other(e)))?;
     output::write(path, force, |out| out.write_all(&bytes))
 }
 
 /// Metres per unit of the stored integers.
 const STEP_M: f64 = 1e-4;
 
-fn laz(points: &[CloudPoint], well_known_text: &str) -> Result<Vec<u8>, las::Error> {
-    let mut builder = las::Builder::from((1, 4));
-    builder.point_format = las::point::Format::new(7)?;
+fn laz(points: &[CloudPoint], reference: &ReferenceFrame) -> Result<Vec<u8>, las::Error> {
+    let mut builder = las::Builder::from((1, 2));
+    builder.point_format = las::point::Format::new(2)?;
     builder.point_format.is_compressed = true;
     builder.generating_software = "rowgram".into();
     builder.date = None;
@@ -65,10 +68,15 @@ fn laz(points: &[CloudPoint], well_known_text: &str) -> Result<Vec<u8>, las::Err
     };
     let axis = |k: usize| las::Transform { scale: STEP_M, offset: least(k) };
     builder.transforms = las::Vector { x: axis(0), y: axis(1), z: axis(2) };
-    let mut header = builder.into_header()?;
-    // The record is a string of C.
-    header.set_wkt_crs(format!("{well_known_text}\0").into_bytes())?;
-    let mut writer = las::Writer::new(Cursor::new(Vec::new()), header)?;
+    let kind = if reference.has_scale() { CrsKind::Projected } else { CrsKind::Unknown };
+    let crs = Crs { kind, ..Crs::of(reference) };
+    builder.vlrs.push(las::Vlr {
+        user_id: "LASF_Projection".into(),
+        record_id: 34735,
+        description: "GeoTIFF keys".into(),
+        data: geo_keys(&crs, None).into_iter().flat_map(u16::to_le_bytes).collect(),
+    });
+    let mut writer = las::Writer::new(Cursor::new(Vec::new()), builder.into_header()?)?;
     for point in points {
         let [x, y, z] = point.position_m;
         // Eight bits become sixteen as the format recommends.
@@ -78,7 +86,6 @@ fn laz(points: &[CloudPoint], well_known_text: &str) -> Result<Vec<u8>, las::Err
             y,
             z,
             color: Some(las::Color { red, green, blue }),
-            gps_time: Some(0.0),
             ..las::Point::default()
         })?;
     }
@@ -89,33 +96,34 @@ fn laz(points: &[CloudPoint], well_known_text: &str) -> Result<Vec<u8>, las::Err
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{HorizontalFrame, LengthUnit};
+    use crate::scene::{HorizontalFrame, LengthUnit, VerticalFrame};
 
     #[test]
     fn a_cloud_says_its_reference_system_in_every_case() {
         let points = [CloudPoint { position_m: [5e5, 4e6, 100.0], colour: [1, 2, 3] }];
-        let record = |reference: &ReferenceFrame| {
-            let bytes = laz(&points, &reference.well_known_text()).unwrap();
+        let keys = |reference: &ReferenceFrame| {
+            let bytes = laz(&points, reference).unwrap();
             let reader = las::Reader::new(Cursor::new(bytes)).unwrap();
-            let header = reader.header();
-            assert!(header.has_wkt_crs());
-            String::from_utf8(header.get_wkt_crs_bytes().unwrap().to_vec()).unwrap()
+            let keys = reader.header().get_geotiff_crs().unwrap().unwrap();
+            keys.entries
+                .iter()
+                .map(|entry| (entry.id, format!("{:?}", entry.data)))
+                .collect::<Vec<_>>()
         };
         let zone = ReferenceFrame {
             horizontal: (&crate::crs::Crs::from_epsg(32616).unwrap()).into(),
+            vertical: VerticalFrame::Known { epsg: 5703 },
             unit: LengthUnit::Metre,
-            ..ReferenceFrame::default()
         };
-        let text = record(&zone);
-        assert!(
-            text.starts_with("PROJ")
-                && text.contains("[\"WGS 84 / UTM zone 16N\"")
-                && text.contains("32616")
-                && text.ends_with("]\0"),
-            "{text}"
-        );
+        let said = keys(&zone);
+        for (key, value) in [(1024, "1"), (3072, "32616"), (4096, "5703"), (4099, "9001")] {
+            let found = said.iter().find(|(id, _)| *id == key);
+            assert!(found.is_some_and(|(_, data)| data.contains(value)), "{key}: {said:?}");
+        }
         let unnamed = ReferenceFrame { horizontal: HorizontalFrame::Unnamed, ..zone };
-        assert!(record(&unnamed).contains("UNIT[\"metre\",1]"));
-        assert!(record(&ReferenceFrame::default()).contains("UNIT[\"unknown\",1]"));
+        let said = keys(&unnamed);
+        assert!(said.iter().any(|(id, data)| *id == 3076 && data.contains("9001")), "{said:?}");
+        let no_scale = keys(&ReferenceFrame::default());
+        assert!(no_scale.iter().all(|(id, _)| ![3072, 3076].contains(id)), "{no_scale:?}");
     }
 }

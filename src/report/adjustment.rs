@@ -62,7 +62,8 @@ pub(super) struct Ground {
     pub(super) role: Role,
     /// Where the adjustment puts it.
     pub(super) adjusted_m: [f64; 3],
-    difference_m: [f64; 3],
+    /// From the given coordinates to the adjusted ones.
+    pub(super) difference_m: [f64; 3],
     sigma_m: [f64; 3],
 }
 

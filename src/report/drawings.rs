@@ -135,41 +135,28 @@ pub(super) fn cameras(facts: &Facts<'_>) -> Result<Option<(Markup, String)>, Err
     Ok(Some((drawing, caption)))
 }
 
-/// The plants over the orthomosaic, in two scales: all of them, and some with their ellipses.
+/// Some plants over the orthomosaic as it is, with their ellipses.
 ///
 /// # Errors
 /// A file that cannot be read.
-pub(super) fn plants(facts: &Facts<'_>) -> Result<Option<(Markup, Option<Markup>)>, Error> {
+pub(super) fn plants(facts: &Facts<'_>) -> Result<Option<Markup>, Error> {
     let (Some(ortho), Some(table)) =
         (facts.orthomosaic(), facts.table(Stage::Locate, "plants.csv")?)
     else {
         return Ok(None);
     };
-    let Some(at) = table.pairs("u_px", "v_px") else { return Ok(None) };
-    let overview = pictures::overview(&ortho, 1400)?;
-    let (width, height) = overview.size;
-    let href = pictures::jpeg(&pictures::on_paper(overview.picture), 1400)?;
+    let (Some(at), Some(along), Some(across)) = (
+        table.pairs("u_px", "v_px"),
+        table.numbers("sigma_along_px"),
+        table.numbers("sigma_across_px"),
+    ) else {
+        return Ok(None);
+    };
     let confidence = table.numbers("confidence").unwrap_or_else(|| vec![1.0; at.len()]);
     let colour = |k: usize| if confidence[k] >= 0.5 { "#ff3b30" } else { "#ff9f0a" };
-    let radius = 0.0022 * width.max(height) as f64;
-    // Tens of thousands of circles are more than a page can bear; they would not be told apart anyway.
-    let step = at.len().div_ceil(8000).max(1);
-    let map = html! {
-        svg viewBox=(format!("-0.5 -0.5 {width} {height}")) role="img" aria-label="Plants on the map" {
-            image href=(href) x="-0.5" y="-0.5" width=(width) height=(height) {}
-            @for k in (0..at.len()).step_by(step) {
-                circle cx=(f(at[k][0])) cy=(f(at[k][1])) r=(f(radius)) fill=(colour(k)) fill-opacity="0.85" {}
-            }
-        }
-    };
-    let (Some(along), Some(across)) =
-        (table.numbers("sigma_along_px"), table.numbers("sigma_across_px"))
-    else {
-        return Ok(Some((map, None)));
-    };
     let mut sorted: Vec<[f64; 2]> = at.clone();
     sorted.sort_by(|a, b| a[0].total_cmp(&b[0]));
-    let Some(middle) = sorted.get(sorted.len() / 2) else { return Ok(Some((map, None))) };
+    let Some(middle) = sorted.get(sorted.len() / 2) else { return Ok(None) };
     let median_v = {
         let mut rows: Vec<f64> = at.iter().map(|p| p[1]).collect();
         rows.sort_by(f64::total_cmp);
@@ -207,7 +194,7 @@ pub(super) fn plants(facts: &Facts<'_>) -> Result<Option<(Markup, Option<Markup>
             }
         }
     };
-    Ok(Some((map, Some(detail))))
+    Ok(Some(detail))
 }
 
 /// Bars of a few numbers, each with its label.

@@ -3,6 +3,7 @@
 mod adjustment;
 mod block;
 mod drawings;
+mod map;
 mod page;
 mod pictures;
 mod provenance;

@@ -3,13 +3,13 @@
 use super::{
     Facts,
     block::shown,
-    drawings,
+    drawings, map,
     page::{Section, digits, drawing, figure, table},
     pictures,
 };
 use crate::{
     error::Error,
-    io::csv_table::CsvTable,
+    io::{csv_table::CsvTable, rasters::Source},
     phenotype::plots::{PlotTraits, TRAITS},
     pipeline::{Stage, leaf_count::LeafCountOutcome, plots::PlotSource},
 };
@@ -24,8 +24,7 @@ const MOST_ROWS: usize = 200;
 /// Files of the results that cannot be read.
 pub(super) fn map(facts: &Facts<'_>) -> Result<Section, Error> {
     let Some(ortho) = facts.orthomosaic() else { return Ok(None) };
-    let overview = pictures::overview(&ortho, 1400)?;
-    let (width, height) = overview.size;
+    let (width, height) = Source::open(&ortho)?.size();
     let gsd_m = facts.outcome.gsd_m;
     let gsd = gsd_m.map(|gsd_m| format!(" of {:.2} cm", 100.0 * gsd_m)).unwrap_or_default();
     let results = &facts.outcome.results;
@@ -40,7 +39,8 @@ pub(super) fn map(facts: &Facts<'_>) -> Result<Section, Error> {
     };
     let caption = format!("The orthomosaic, {width} x {height} pixels{gsd}.{drawn}");
     let content = html! {
-        (figure(&pictures::jpeg(&pictures::on_paper(overview.picture), 1400)?, &caption, ""))
+        @if let Some(map) = map::map(facts)? { (map) }
+        p .note { (caption) }
         div .pair {
             (shown(facts, Stage::Ortho, "figures/sources.png", "Which photo each place comes from, and the seams between them.")?)
             (shown(facts, Stage::Ortho, "figures/coverage.png", "How many photos show each place, from none to many.")?)
@@ -126,7 +126,7 @@ fn counts(count: &LeafCountOutcome) -> Vec<Vec<String>> {
 /// Files of the results that cannot be read.
 pub(super) fn plants(facts: &Facts<'_>) -> Result<Section, Error> {
     let Some(locate) = &facts.outcome.results.locate else { return Ok(None) };
-    let pictures = drawings::plants(facts)?;
+    let detail = drawings::plants(facts)?;
     let rows = facts.table(Stage::Locate, "rows.csv")?;
     let gaps = facts.table(Stage::Locate, "gaps.csv")?;
     let cm = |metres: Option<f64>| digits(metres.map(|m| 100.0 * m), 1);
@@ -144,11 +144,8 @@ pub(super) fn plants(facts: &Facts<'_>) -> Result<Section, Error> {
             @if let Some(heading) = locate.heading_deg { "; rows at " (format!("{heading:.1}")) "° in the picture" }
             "."
         }
-        @if let Some((map, detail)) = &pictures {
-            (drawing(map, "The plants on the map: red, and orange where they are doubtful (confidence below one half)."))
-            @if let Some(detail) = detail {
-                (drawing(detail, "A part of it as it is, with ellipses of 95 %."))
-            }
+        @if let Some(detail) = &detail {
+            (drawing(detail, "Part of the map as it is: plants with ellipses of 95 %, orange where they are doubtful (confidence below one half)."))
         }
         @if let Some(rows) = &rows {
             details open[rows.len() <= 12] { summary { "Rows (" (rows.len()) ")" } (beginning(rows)) }

@@ -122,24 +122,6 @@ impl ReferenceFrame {
         }
     }
 
-    /// The horizontal frame as well-known text of the OGC, version 1: of a registered system its own, else a local one with
-    /// its name and unit.
-    pub fn well_known_text(&self) -> String {
-        let registered = match &self.horizontal {
-            HorizontalFrame::Projected { epsg: Some(epsg), .. } => Crs::well_known_text(*epsg),
-            _ => None,
-        };
-        let local = || {
-            let name = match self.definition() {
-                Some(definition) => definition.to_owned(),
-                None => self.name(),
-            };
-            let unit = if self.has_scale() { "metre" } else { "unknown" };
-            format!("LOCAL_CS[\"{}\",UNIT[\"{unit}\",1]]", name.replace('"', "'"))
-        };
-        registered.map_or_else(local, str::to_owned)
-    }
-
     /// What heights are above, for people.
     pub fn heights(&self) -> String {
         match self.vertical {

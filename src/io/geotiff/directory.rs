@@ -10,7 +10,7 @@ use super::{
     read::{FOOT, METRE, SURVEY_FOOT},
     write::{Colour, Layout, predictor},
 };
-use crate::raster::georeference::{CrsKind, Georeference};
+use crate::raster::georeference::{Crs, CrsKind, Georeference};
 use std::io::{Result, Write};
 use tiff_core::Predictor;
 
@@ -148,9 +148,41 @@ impl Directory {
     }
 }
 
+/// The directory of keys that names a coordinate reference system (GeoTIFF 1.1, 7.1.1), with one key more.
+pub(crate) fn geo_keys(crs: &Crs, more: Option<(u16, u16)>) -> Vec<u16> {
+    const USER_DEFINED: u16 = 32767;
+    let code = crs.epsg.and_then(|epsg| u16::try_from(epsg).ok());
+    // Key and value.
+    let mut keys: Vec<(u16, u16)> = more.into_iter().collect();
+    match (crs.kind, code) {
+        (CrsKind::Projected | CrsKind::Unknown, Some(code)) => {
+            keys.extend([(1024, 1), (3072, code)]);
+        }
+        (CrsKind::Feet | CrsKind::SurveyFeet, code) => {
+            let is_survey = crs.kind == CrsKind::SurveyFeet;
+            let unit = if is_survey { SURVEY_FOOT } else { FOOT };
+            keys.extend([(1024, 1), (3072, code.unwrap_or(USER_DEFINED)), (3076, unit)]);
+        }
+        (CrsKind::Geographic, Some(code)) => keys.extend([(1024, 2), (2048, code)]),
+        (CrsKind::Projected, None) => {
+            keys.extend([(1024, 1), (3072, USER_DEFINED), (3076, METRE)]);
+        }
+        (CrsKind::Geographic, None) => keys.push((1024, 2)),
+        (CrsKind::Unknown, None) => {}
+    }
+    if let Some(code) = crs.vertical_epsg.and_then(|epsg| u16::try_from(epsg).ok()) {
+        keys.extend([(4096, code), (4099, METRE)]);
+    }
+    keys.sort_unstable();
+    // Revision 1.1 where heights have a datum: GDAL takes those of 1.0 for a habit without meaning.
+    let minor = u16::from(crs.vertical_epsg.is_some());
+    let mut directory = vec![1, 1, minor, keys.len() as u16];
+    directory.extend(keys.into_iter().flat_map(|(key, value)| [key, 0, 1, value]));
+    directory
+}
+
 /// Where the raster lies: GeoTIFF counts from the corner of the first pixel.
 fn place(place: &Georeference) -> Vec<(u16, Value)> {
-    const USER_DEFINED: u16 = 32767;
     let corner = place.map([-0.5, -0.5]);
     let ([a, c], [b, d]) = (place.per_column, place.per_row);
     let mut tags = if b == 0.0 && c == 0.0 && a > 0.0 && d < 0.0 {
@@ -162,34 +194,8 @@ fn place(place: &Georeference) -> Vec<(u16, Value)> {
         let rows = [[a, b, 0.0, corner[0]], [c, d, 0.0, corner[1]], [0.0; 4], [0.0, 0.0, 0.0, 1.0]];
         vec![(34264, Value::Double(rows.concat()))]
     };
-    let code = place.crs.epsg.and_then(|epsg| u16::try_from(epsg).ok());
-    // Key and value; the key of the raster's kind says that a pixel is an area.
-    let mut keys: Vec<(u16, u16)> = vec![(1025, 1)];
-    match (place.crs.kind, code) {
-        (CrsKind::Projected | CrsKind::Unknown, Some(code)) => {
-            keys.extend([(1024, 1), (3072, code)]);
-        }
-        (CrsKind::Feet | CrsKind::SurveyFeet, code) => {
-            let is_survey = place.crs.kind == CrsKind::SurveyFeet;
-            let unit = if is_survey { SURVEY_FOOT } else { FOOT };
-            keys.extend([(1024, 1), (3072, code.unwrap_or(USER_DEFINED)), (3076, unit)]);
-        }
-        (CrsKind::Geographic, Some(code)) => keys.extend([(1024, 2), (2048, code)]),
-        (CrsKind::Projected, None) => {
-            keys.extend([(1024, 1), (3072, USER_DEFINED), (3076, METRE)]);
-        }
-        (CrsKind::Geographic, None) => keys.push((1024, 2)),
-        (CrsKind::Unknown, None) => {}
-    }
-    if let Some(code) = place.crs.vertical_epsg.and_then(|epsg| u16::try_from(epsg).ok()) {
-        keys.extend([(4096, code), (4099, METRE)]);
-    }
-    keys.sort_unstable();
-    // Revision 1.1 where heights have a datum: GDAL takes those of 1.0 for a habit without meaning.
-    let minor = u16::from(place.crs.vertical_epsg.is_some());
-    let mut directory = vec![1, 1, minor, keys.len() as u16];
-    directory.extend(keys.into_iter().flat_map(|(key, value)| [key, 0, 1, value]));
-    tags.push((34735, Value::Short(directory)));
+    // The key of the raster's kind says that a pixel is an area.
+    tags.push((34735, Value::Short(geo_keys(&place.crs, Some((1025, 1))))));
     tags
 }
 

@@ -15,6 +15,7 @@ mod directory;
 mod read;
 mod write;
 
+pub(crate) use directory::geo_keys;
 pub use read::Reader;
 pub use write::{Colour, Layout, Writer, write};
 
