@@ -4,6 +4,7 @@
 //! (into the mapping frame, bundle adjustment with self-calibration), report. What a step found is kept in the cache of
 //! the stage's folder and used again until something that it came from changes.
 
+mod enlarge;
 mod export;
 mod features;
 mod figures;

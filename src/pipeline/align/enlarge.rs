@@ -1,0 +1,31 @@
+//! Whether a photo is enlarged before features are looked for.
+
+use super::EnlargeChoice;
+use crate::features;
+
+/// Photos with as many pixels have enough features without being enlarged, mostly.
+const FULL_SIZE_PX: u64 = 8_000_000;
+/// This share of the most features is enough.
+const ENOUGH: f64 = 0.75;
+
+/// The features of a photo, enlarged where that is asked for or needed.
+pub(super) fn detect(
+    grey: &image::GrayImage,
+    options: &features::FeatureOptions,
+    enlarge: EnlargeChoice,
+) -> features::Features {
+    let own_size = features::FeatureOptions { upscale: features::Upscale::None, ..*options };
+    let is_large = u64::from(grey.width()) * u64::from(grey.height()) >= FULL_SIZE_PX;
+    match enlarge {
+        EnlargeChoice::Off => features::detect(grey, &own_size),
+        EnlargeChoice::Auto if is_large => {
+            let found = features::detect(grey, &own_size);
+            let enough = ENOUGH * options.max_features as f64;
+            if (found.key_points.len() as f64) < enough {
+                return features::detect(grey, options);
+            }
+            found
+        }
+        EnlargeChoice::On | EnlargeChoice::Auto => features::detect(grey, options),
+    }
+}
