@@ -245,14 +245,15 @@ pub struct Descended {
     pub certificate: Option<Proof>,
 }
 
-/// Finds rows, and plants by the row model; poses the descent of the other methods. `detail` is the mask of pixels that were
-/// judged alone, where there is one: closed rows are looked at in it.
+/// Finds rows, and plants by the row model; poses the descent of the other methods. `posterior` is the probability
+/// of vegetation of each pixel of the mask in 1/255, where it is known: closed rows are looked at in pixels judged alone, and weeds
+/// are less green than a crop.
 ///
 /// # Errors
 /// As [`LocateOptions::check`] and [`row_model::locate`].
 pub fn prepare(
     mask: &Mask,
-    detail: Option<&Mask>,
+    posterior: Option<&[u8]>,
     gsd_m: Option<f64>,
     options: &LocateOptions,
 ) -> Result<Prepared, LocateError> {
@@ -273,7 +274,7 @@ pub fn prepare(
     let counts = options.plants == Auto::Auto && leaf_pixels > 0;
     let stand = if is_row_model || init == Init::Votes || counts {
         let (count, options) = (options.plants.given(), &options.row_model);
-        Some(row_model::locate_in_detail(mask, detail, &detection, count, options)?)
+        Some(row_model::locate_in_detail(mask, posterior, &detection, count, options)?)
     } else {
         None
     };

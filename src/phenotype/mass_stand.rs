@@ -50,14 +50,20 @@ fn is_closed(parts: &Parts<'_>, rows: &Rows) -> bool {
 }
 
 /// The plants of a mask by their mass: `count` of them, or as many as there seem to be. `None` where leaves have closed along rows.
-pub(super) fn locate(mask: &Mask, detection: &Detection, count: Option<usize>) -> Option<Stand> {
-    let parts = Parts::new(mask, None);
+/// `posterior` is the probability of vegetation of each pixel in 1/255, where it is known.
+pub(super) fn locate(
+    mask: &Mask,
+    posterior: Option<&[u8]>,
+    detection: &Detection,
+    count: Option<usize>,
+) -> Option<Stand> {
+    let parts = Parts::new(mask, None, posterior);
     if detection.rows().is_some_and(|rows| is_closed(&parts, rows)) {
         return None;
     }
     let specks = parts.specks();
     let found = parts.count(count);
-    let plant_px = found.model.as_ref().map_or(1.0, |model| model.plant);
+    let plant_px = found.plant_px;
     let rows = rows_of(mask, &found.plants, plant_px, detection);
     let [low, high] = match count {
         Some(count) => [count as f64; 2],
@@ -298,7 +304,7 @@ mod tests {
 
     fn find(mask: &Mask, count: Option<usize>) -> Option<Stand> {
         let detection = rows::detect(&PixelIndex::from_mask(mask.width, &mask.data));
-        locate(mask, &detection, count)
+        locate(mask, None, &detection, count)
     }
 
     #[test]

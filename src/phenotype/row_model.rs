@@ -44,7 +44,7 @@ use super::{
     stand::{Gap, LEAST_MISSING, NORMAL_95, Stalk, Stand},
     tilt,
 };
-use crate::{options::Options as _, raster::Mask};
+use crate::{engine::SolveError, options::Options as _, raster::Mask};
 use rayon::prelude::*;
 
 crate::options! {
@@ -103,14 +103,14 @@ pub fn locate(
     locate_in_detail(mask, None, detection, count, options)
 }
 
-/// [`locate`] where pixels have been judged alone, too: closed rows are told apart by gaps between leaves as narrow as a pixel,
-/// which a mask of neighbours that agree has lost.
+/// [`locate`] where the probability of vegetation of each pixel is known, too, in 1/255. Closed rows are told apart by gaps between
+/// leaves as narrow as a pixel, which a mask of neighbours that agree has lost; weeds are less green than the crop.
 ///
 /// # Errors
 /// As [`locate`].
 pub(super) fn locate_in_detail(
     mask: &Mask,
-    detail: Option<&Mask>,
+    posterior: Option<&[u8]>,
     detection: &Detection,
     count: Option<usize>,
     options: &RowModelOptions,
@@ -118,6 +118,11 @@ pub(super) fn locate_in_detail(
     options.validate().map_err(LocateError::Option)?;
     if mask.data.iter().all(|&pixel| pixel == 0) {
         return Err(LocateError::EmptyMask);
+    }
+    if let Some(posterior) = posterior.filter(|posterior| posterior.len() != mask.data.len()) {
+        let (found, expected) = (posterior.len(), mask.data.len());
+        let message = format!("a posterior of {found} pixels, expected {expected} as in the mask");
+        return Err(SolveError::Misuse(message).into());
     }
     if count == Some(0) {
         return Err(LocateError::NoPlants);
@@ -129,7 +134,7 @@ pub(super) fn locate_in_detail(
     let fits = count.is_none_or(|count| count <= pixels / PLANT);
     if options.isolated_plants
         && fits
-        && let Some(stand) = mass_stand::locate(mask, detection, count)
+        && let Some(stand) = mass_stand::locate(mask, posterior, detection, count)
     {
         return Ok(stand);
     }
@@ -139,7 +144,12 @@ pub(super) fn locate_in_detail(
             return Err(LocateError::NoRows { contrast, prominence });
         }
     };
-    let mut evidence = RowEvidence::new(detail.unwrap_or(mask), rows, options);
+    let detail = posterior.map(|posterior| Mask {
+        width: mask.width,
+        height: mask.height,
+        data: posterior.iter().map(|&p| u8::from(p >= LIKELY)).collect(),
+    });
+    let mut evidence = RowEvidence::new(detail.as_ref().unwrap_or(mask), rows, options);
     let spacing = evidence.spacing(count);
     evidence.cut(&spacing);
     if options.double_plants && evidence.has_axes() {
@@ -218,6 +228,8 @@ fn together(marginals: &[f64], places: &[usize], at: usize, steps: usize) -> [f6
     [plants / count.max(1) as f64, mean, variance]
 }
 
+/// Pixels with this probability, in 1/255, are leaf by themselves.
+const LIKELY: u8 = 128;
 /// Leaf pixels of a plant told by its mass, at least.
 const PLANT: usize = 8;
 /// Standard deviation of the relative error of expected counts, on synthetic fields that took no part in

@@ -46,15 +46,6 @@ impl From<Mask> for LeafMask {
     }
 }
 
-impl LeafMask {
-    /// The mask of pixels that are judged alone, where there is a posterior.
-    pub(super) fn detail(&self) -> Option<Mask> {
-        let posterior = self.posterior.as_ref()?;
-        let data = posterior.iter().map(|&p| u8::from(p >= 128)).collect();
-        Some(Mask { width: self.mask.width, height: self.mask.height, data })
-    }
-}
-
 /// A photo, mask or orthomosaic with its leaf mask: a mask's own two values, else pixels within thresholds, or vegetation
 /// as it is estimated from the photo.
 ///

@@ -80,11 +80,13 @@ pub struct Measured {
     pub mass: f64,
     /// Logarithm of its standard deviation along its longest axis over the square root of its pixels.
     pub shape: Option<f64>,
+    /// Mean log odds of vegetation of its pixels; `None` where their posterior is not known.
+    pub log_odds: Option<f64>,
 }
 
 impl From<f64> for Measured {
     fn from(mass: f64) -> Measured {
-        Measured { mass, shape: None }
+        Measured { mass, shape: None, log_odds: None }
     }
 }
 
@@ -207,7 +209,7 @@ impl MassModel {
 
     /// Probabilities that a component holds 0 (a speck), 1, .., [`MOST`] plants.
     pub fn probabilities(&self, component: impl Into<Measured>) -> [f64; MOST + 1] {
-        let Measured { mass: m, shape } = component.into();
+        let Measured { mass: m, shape, .. } = component.into();
         let mut p = [0.0; MOST + 1];
         let end = SPECK * self.plant;
         // Log-uniform, with an end that is soft.
@@ -411,7 +413,8 @@ mod tests {
             let normal: f64 = (0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0;
             let round = -1.0 + 0.1 * (rng.random::<f64>() - 0.5);
             let shape = Some(round + if k == 2 { 0.35 } else { 0.0 });
-            components.push(Measured { mass: k as f64 * 300.0 * (0.5 * normal).exp(), shape });
+            let mass = k as f64 * 300.0 * (0.5 * normal).exp();
+            components.push(Measured { mass, shape, log_odds: None });
             truth.push(k);
         }
         let wrong = |model: &MassModel, components: &[Measured]| {
