@@ -223,6 +223,39 @@ fn surrounds_transparency_and_depth_do_not_change_the_vegetation() {
     assert!(run.stderr.contains("no pixel of 30 x 20 shows anything"), "{}", run.stderr);
 }
 
+/// As GDAL and cameras write them (`golden/pictures.py`); an orientation in the metadata does not turn pixels.
+#[test]
+fn masks_inks_and_orientations_do_not_change_the_vegetation() {
+    let folder = tempfile::tempdir().unwrap();
+    let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/pictures");
+    for photo in ["internal_mask.tif", "nodata.tif", "cmyk.jpg", "turned.jpg"] {
+        std::fs::copy(golden.join(photo), folder.path().join(photo)).unwrap();
+        let (right, _) = of_one_plant(folder.path(), photo);
+        assert!(right > 0.995, "{photo}: {right} of the pixels are right");
+        let run = rowgram(folder.path(), &format!("locate {photo} -o plants.csv --force --json"));
+        assert_eq!(run.code, 0, "{photo}: {}", run.stderr);
+        assert!(run.stdout.contains(r#""plants":1,"#), "{photo}: {}", run.stdout);
+    }
+}
+
+#[test]
+fn no_plant_and_one_plant_are_answers() {
+    let folder = tempfile::tempdir().unwrap();
+    noisy(180, 120, |_, _| false).save(folder.path().join("soil.png")).unwrap();
+    noisy(180, 120, is_plant).save(folder.path().join("plant.png")).unwrap();
+    let two = |u, v| is_plant(u, v) || is_plant(u + 50, v + 9);
+    noisy(180, 120, two).save(folder.path().join("two.png")).unwrap();
+    for (photo, plants) in [("plant.png", 1), ("two.png", 2)] {
+        let run = rowgram(folder.path(), &format!("locate {photo} -o plants.csv --force --json"));
+        assert_eq!(run.code, 0, "{photo}: {}", run.stderr);
+        let number = format!(r#""plants":{plants},"#);
+        assert!(run.stdout.contains(&number), "{photo}: {}", run.stdout);
+    }
+    let run = rowgram(folder.path(), "locate soil.png -o none.csv");
+    let told = run.stdout.contains("0 plants") || run.stderr.contains("no leaf pixel");
+    assert!(told, "{} {}", run.stdout, run.stderr);
+}
+
 #[test]
 fn bare_soil_is_empty_and_full_cover_is_full() {
     let folder = tempfile::tempdir().unwrap();

@@ -13,7 +13,7 @@ use crate::{
     rivals::{by_area, excess_green, green_of_lab},
     row_model_plots::{clips, nearest_px},
 };
-use image::RgbImage;
+use image::{DynamicImage, ImageDecoder as _, ImageReader, RgbImage, metadata::Orientation};
 use rayon::prelude::*;
 use rowgram::{
     Error,
@@ -291,6 +291,16 @@ fn overlap(found: &Mask, truth: &[bool]) -> f64 {
     both as f64 / any.max(1) as f64
 }
 
+/// A photo as its metadata say that it is to be seen, which is how masks were drawn; the program takes pixels as stored.
+fn upright(path: &Path, photo: RgbImage) -> RgbImage {
+    let reader = ImageReader::open(path).ok().and_then(|file| file.with_guessed_format().ok());
+    let decoder = reader.and_then(|reader| reader.into_decoder().ok());
+    let orientation = decoder.and_then(|mut decoder| decoder.orientation().ok());
+    let mut picture = DynamicImage::from(photo);
+    picture.apply_orientation(orientation.unwrap_or(Orientation::NoTransforms));
+    picture.into_rgb8()
+}
+
 /// The true mask of a photo.
 fn mask_of(folder: &Path, photo: &Path, suffix: &str) -> PathBuf {
     let stem = photo.file_stem().map(|s| s.to_string_lossy().into_owned());
@@ -316,14 +326,14 @@ fn masks_table(data: &Path, every: usize) -> Result<String, Error> {
             .par_iter()
             .map(|path| {
                 let mask = mask_of(&root.join(masks), path, suffix);
-                let photo = images::read_photo(path)?;
+                let photo = upright(path, images::read_photo(path)?);
                 let grey = images::read_grey(&mask)?;
                 if grey.dimensions() != photo.dimensions() {
                     let (found, expected) = (grey.dimensions(), photo.dimensions());
                     let message = format!("a mask of {found:?} pixels, expected {expected:?}");
                     return Err(FileError::malformed(&mask, None, message).into());
                 }
-                let truth: Vec<bool> = grey.pixels().map(|pixel| pixel.0[0] > 0).collect();
+                let truth: Vec<bool> = grey.pixels().map(|pixel| pixel.0[0] > 127).collect();
                 let found = [vegetation_of(&photo), excess_green(&photo), green_of_lab(&photo)];
                 Ok(found.map(|mask| overlap(&mask, &truth)))
             })

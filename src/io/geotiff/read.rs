@@ -21,6 +21,12 @@ const CACHE_BYTES: usize = 1 << 28;
 /// `PhotometricInterpretation`: black is zero, RGB.
 const BLACK_IS_ZERO: u16 = 1;
 const RGB: u16 = 2;
+/// `GDAL_NODATA`, the value of pixels without data as text.
+const NODATA: u16 = 42_113;
+/// `NewSubfileType`, and its bits for a mask and for a picture of lower resolution.
+const SUBFILE: u16 = 254;
+const MASK: u32 = 4;
+const OVERVIEW: u32 = 1;
 /// `ProjLinearUnitsGeoKey` and its code for the metre.
 const LINEAR_UNITS: u16 = 3076;
 pub(super) const METRE: u16 = 9001;
@@ -42,6 +48,8 @@ pub struct Reader {
     photometric: u16,
     georeference: Option<Georeference>,
     nodata: Option<f64>,
+    /// Directory of the internal mask: its pixels are 0 where the picture shows nothing.
+    mask: Option<usize>,
 }
 
 enum File {
@@ -85,17 +93,21 @@ impl Reader {
         }
         let (georeference, nodata) = match &file {
             File::Placed(file) => (georeference(file), file.nodata().map(str::to_owned)),
-            File::Plain(_) => (None, None),
+            File::Plain(file) => {
+                let tag = file.ifd(directory).ok().and_then(|ifd| ifd.tag(NODATA));
+                (None, tag.and_then(|tag| tag.value.as_str()).map(str::to_owned))
+            }
         };
         let nodata = match nodata {
             None => None,
-            Some(text) => Some(text.trim().parse().map_err(|_| {
+            Some(text) => Some(text.trim_matches(['\0', ' ']).trim().parse().map_err(|_| {
                 malformed(format!("its nodata value is {text:?}, expected a number"))
             })?),
         };
+        let mask = internal_mask(file.tiff(), &layout);
         let path = path.to_owned();
         let photometric = photometric.unwrap_or(BLACK_IS_ZERO);
-        Ok(Reader { path, file, directory, layout, photometric, georeference, nodata })
+        Ok(Reader { path, file, directory, layout, photometric, georeference, nodata, mask })
     }
 
     /// The file.
@@ -179,7 +191,7 @@ impl Reader {
     }
 
     /// A window as a picture in 8-bit colours. 16 bits are scaled (65535 becomes 255); grey has three
-    /// equal channels; pixels without data or with alpha 0 are black.
+    /// equal channels; pixels without data, with alpha 0 or outside the file's internal mask are black.
     ///
     /// # Errors
     /// As [`Reader::read`], and where the samples are not of 8 or 16 bits.
@@ -211,6 +223,17 @@ impl Reader {
                 "its samples are {}, expected colours of 8 or 16 bits",
                 self.sample_name()
             )));
+        }
+        if let Some(mask) = self.mask {
+            let Window { u, v, width, height } = window;
+            let read = self.file.tiff().read_decoded_window::<u8>(mask, v, u, height, width);
+            let seen = self.flat(read)?;
+            for ((gap, pixel), seen) in gaps.iter_mut().zip(rgb.chunks_exact_mut(3)).zip(seen) {
+                if seen == 0 {
+                    *gap = true;
+                    pixel.fill(0);
+                }
+            }
         }
         let rgb = RgbImage::from_raw(width as u32, height as u32, rgb).ok_or_else(|| {
             self.malformed("damaged: it has fewer pixels than it says".to_owned())
@@ -283,6 +306,15 @@ impl File {
             File::Plain(file) => file,
         }
     }
+}
+
+/// The directory of a mask of the picture's own size, as GDAL writes it beside a picture.
+fn internal_mask(tiff: &TiffFile, picture: &RasterLayout) -> Option<usize> {
+    tiff.ifds().iter().position(|ifd| {
+        let kind = ifd.tag(SUBFILE).and_then(|tag| tag.value.as_u32()).unwrap_or(0);
+        let size = (ifd.width() as usize, ifd.height() as usize);
+        kind & MASK != 0 && kind & OVERVIEW == 0 && size == (picture.width, picture.height)
+    })
 }
 
 /// By the unit that the file states, else by that of its code.
