@@ -30,6 +30,7 @@ pub mod row_curves;
 mod row_evidence;
 pub mod row_model;
 mod row_parts;
+mod row_profile;
 pub mod rows;
 pub mod stand;
 pub mod stand_count;

@@ -13,6 +13,7 @@ use super::{
     row_curves::{self, RowCurve},
     row_model::RowModelOptions,
     row_parts::{self, Part},
+    row_profile::{Across, BAND, read},
     rows::{Row, Rows},
     stand_count::{Overall, stand_count},
 };
@@ -25,10 +26,6 @@ const LEAVES: f64 = 1.9;
 const PATCHES: [f64; 2] = [0.7, 1.3];
 /// Distance of neighbouring plants in the grid, where it is the plants that decide what the grid is.
 const TARGET_SPACING_PX: f64 = 13.0;
-/// Half the width of the band whose leaf mass a row has to cover.
-const BAND: i32 = 8;
-/// Places looked at beyond the ends of a row.
-const BEYOND: f64 = 6.0;
 /// Length of the rows on which the spacing is estimated, about.
 const SAMPLE: f64 = 6000.0;
 /// Length of the rows on which plants are counted where it is not given how many there are, about.
@@ -395,61 +392,4 @@ pub(super) fn bisect(chains: &[Chain<'_>], count: usize) -> Option<f64> {
         }
     }
     Some(high)
-}
-
-/// Looks for the best votes across rows, under a normal weight about them.
-struct Across {
-    /// Sine and cosine of the rows' heading, and where they begin.
-    heading: (f64, f64),
-    origin_px: [f64; 2],
-    /// Offsets with their weights.
-    weights: [(f64, f64); 25],
-}
-
-impl Across {
-    fn new(axes: &Axes, scatter: f64) -> Across {
-        let weights = std::array::from_fn(|k| {
-            let offset = (k as f64 - 12.0) * 0.5;
-            (offset, (-0.5 * (offset / scatter).powi(2)).exp())
-        });
-        Across { heading: axes.heading_rad.sin_cos(), origin_px: axes.origin_px, weights }
-    }
-
-    /// The best votes at a place along a row, and their offset from its middle.
-    fn best(&self, evidence: &Evidence, along: f64, middle: f64) -> (f64, f64) {
-        let ((s, c), [x, y]) = (self.heading, self.origin_px);
-        let mut best = (f64::NEG_INFINITY, 0.0);
-        for (offset, weight) in self.weights {
-            let across = middle + offset;
-            let at = [x + c * along - s * across, y + s * along + c * across];
-            let score = weight * evidence.at(at);
-            if score > best.0 {
-                best = (score, offset);
-            }
-        }
-        best
-    }
-}
-
-/// Reads the votes along a row.
-fn read(evidence: &Evidence, axes: &Axes, curve: &RowCurve, across: &Across) -> Profile {
-    let start = curve.start - BEYOND;
-    let count = ((curve.end + BEYOND - start) / STEP) as usize + 1;
-    let mut votes = Vec::with_capacity(count);
-    let mut offsets = Vec::with_capacity(count);
-    let mut mass = vec![[0.0; 2]];
-    let (mut sum, mut moment) = (0.0, 0.0);
-    for k in 0..count {
-        let along = start + k as f64 * STEP;
-        let middle = curve.offset(along);
-        let (best, offset) = across.best(evidence, along, middle);
-        votes.push(best);
-        offsets.push(offset);
-        let leaf = |across: i32| evidence.leaf_at(axes.image([along, middle + f64::from(across)]));
-        let here = STEP * (-BAND..=BAND).map(leaf).sum::<f64>();
-        sum += here;
-        moment += here * k as f64;
-        mass.push([sum, moment]);
-    }
-    Profile { start, votes, offsets, mass, surroundings: Vec::new() }
 }
