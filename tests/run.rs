@@ -359,6 +359,7 @@ fn settings_that_cannot_be_are_refused_everywhere() {
         "plots",
         "align",
         "dem",
+        "surface",
         "ortho",
         "calibrate",
     ];

@@ -67,7 +67,7 @@ macro_rules! stages {
 }
 
 stages!(
-    calibrate: Calibrate, align: Align, dem: Dem, ortho: Ortho, segment: Segment, leaf_density: LeafDensity,
+    calibrate: Calibrate, align: Align, dem: Dem, surface: Surface, ortho: Ortho, segment: Segment, leaf_density: LeafDensity,
     leaf_count: LeafCount, locate: Locate, leaves: Leaves, plots: Plots, evaluate: Evaluate,
 );
 

@@ -28,6 +28,7 @@ mod run;
 mod segment;
 mod shell;
 mod stage;
+mod surface;
 mod synth;
 mod terminal;
 mod thresholds;
@@ -77,6 +78,7 @@ enum Command {
     Undistort(undistort::Args),
     Camera(camera::CameraArgs),
     Dem(Box<dem::Args>),
+    Surface(surface::Args),
     Ortho(Box<ortho::Args>),
     Query(query::Args),
     Synth(synth::Args),
@@ -137,6 +139,7 @@ fn dispatch(command: Command) -> Result<(), Error> {
         Command::Undistort(args) => undistort::run(&args),
         Command::Camera(args) => args.run(),
         Command::Dem(args) => dem::run(&args),
+        Command::Surface(args) => surface::run(&args),
         Command::Ortho(args) => ortho::run(&args),
         Command::Query(args) => query::run(&args),
         Command::Synth(args) => synth::run(&args),

@@ -22,7 +22,7 @@ use std::{
 /// with ground truth. With it, PROJECT is a folder with photos (in images/ or directly), optional ground control points
 /// and camera positions, or with one orthomosaic; rowgram.toml in it, which rowgram init writes, holds the settings.
 ///
-/// Stages: calibrate, align, dem, ortho, segment, leaf-density, leaf-count, locate, leaves, plots, evaluate, then the
+/// Stages: calibrate, align, dem, surface, ortho, segment, leaf-density, leaf-count, locate, leaves, plots, evaluate, then the
 /// report. A stage for which the project has no input is left out with the reason. What a stage wrote in
 /// PROJECT/rowgram is used again until something that it came from changes; a run that was stopped goes on where it was.
 ///

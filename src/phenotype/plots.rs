@@ -43,6 +43,12 @@ pub struct PlotTraits {
     pub plant_spacing_cv: Option<f64>,
     /// The greatest of these distances, metres.
     pub longest_gap_m: Option<f64>,
+    /// Height over the ground that 95 % of the cells do not exceed, metres.
+    pub canopy_height_m: Option<f64>,
+    /// Mean height over the ground, metres.
+    pub canopy_height_mean_m: Option<f64>,
+    /// Height over the ground times area, summed over the cells, cubic metres.
+    pub canopy_volume_m3: Option<f64>,
     /// Excess green of the leaf pixels.
     pub exg: Option<f64>,
     /// Green leaf index of the leaf pixels.
@@ -128,6 +134,12 @@ traits! {
         "of the same distances, from two on", "";
     longest_gap_m, "m", "greatest distance of neighbouring plants of a row",
         "of the same distances", "";
+    canopy_height_m, "m", "height of the canopy over the ground",
+        "95th percentile of the cells of the raster chm.tif inside the polygon (stage surface)", "";
+    canopy_height_mean_m, "m", "mean height over the ground",
+        "mean of the same cells, soil between plants among them", "";
+    canopy_volume_m3, "m3", "volume between surface and ground",
+        "sum of the same cells times the area of a cell", "";
     exg, "1", "excess green of the leaf pixels, 2 g - r - b",
         "of the mean colour of the leaf pixels in the orthomosaic", "Woebbecke et al. 1995, Trans. ASAE 38, 259-269";
     gli, "1", "green leaf index of the leaf pixels, (2 G - R - B) / (2 G + R + B)",
@@ -171,6 +183,32 @@ fn rounded(value: f64) -> f64 {
     (value * unit).round() / unit
 }
 
+/// Heights of the canopy over the ground in a plot.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CanopyHeights {
+    /// Height that 95 % of the cells do not exceed, metres.
+    pub p95_m: f64,
+    /// Mean height, metres.
+    pub mean_m: f64,
+    /// Sum of height times area, cubic metres; `None` where cells have no area.
+    pub volume_m3: Option<f64>,
+}
+
+impl CanopyHeights {
+    /// Of the heights of cells, metres, each a square of this side; `None` without any.
+    pub fn of(mut heights_m: Vec<f32>, cell_m: Option<f64>) -> Option<CanopyHeights> {
+        let last = heights_m.len().checked_sub(1)?;
+        let sum: f64 = heights_m.iter().map(|&height| f64::from(height)).sum();
+        let at = (0.95 * last as f64).round() as usize;
+        let (_, p95, _) = heights_m.select_nth_unstable_by(at, f32::total_cmp);
+        Some(CanopyHeights {
+            p95_m: f64::from(*p95),
+            mean_m: sum / (last + 1) as f64,
+            volume_m3: cell_m.map(|cell_m| sum * cell_m * cell_m),
+        })
+    }
+}
+
 /// A leaf that was told apart; NaN where a number is not known.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MeasuredLeaf {
@@ -212,13 +250,14 @@ pub struct FieldMeasurements {
 
 impl FieldMeasurements {
     /// The traits of a plot, and how many pixels of the mask's raster it has. `colour` is the sum of the colours of its
-    /// leaf pixels, where there is a picture.
+    /// leaf pixels, where there is a picture, `canopy` its heights, where there is a dense surface.
     pub fn traits(
         &self,
         name: &str,
         polygon: &Polygon,
         mask: &Mask,
         colour: Option<ColourSum>,
+        canopy: Option<CanopyHeights>,
     ) -> (PlotTraits, usize) {
         let runs = polygon.runs(mask.width, mask.height);
         let pixels: usize = runs.iter().map(|(_, run)| run.len()).sum();
@@ -262,6 +301,9 @@ impl FieldMeasurements {
             leaf_length_m: mean(|leaf| leaf.length_m),
             leaf_width_m: mean(|leaf| leaf.width_m),
             leaf_hue_deg: mean(|leaf| leaf.hue_deg),
+            canopy_height_m: canopy.map(|of| of.p95_m),
+            canopy_height_mean_m: canopy.map(|of| of.mean_m),
+            canopy_volume_m3: canopy.and_then(|of| of.volume_m3),
             plant_spacing_m: mean_m,
             plant_spacing_cv: mean_m
                 .filter(|_| steps_m.len() > 1)
@@ -450,7 +492,7 @@ mod tests {
         let ring = vec![[-0.5, -0.5], [4.5, -0.5], [4.5, 4.5], [-0.5, 4.5]];
         let square = Polygon { rings: vec![ring] };
         let leaf = ColourSum { rgb: [60, 120, 40], pixels: 1 };
-        let (of_a, pixels) = field.traits("A", &square, &mask, Some(leaf));
+        let (of_a, pixels) = field.traits("A", &square, &mask, Some(leaf), None);
         assert_eq!(pixels, 25);
         assert_eq!((of_a.area_m2, of_a.plants), (Some(6.25), Some(3.0)));
         assert_eq!(of_a.plants_per_ha, Some(4800.0));
@@ -466,7 +508,7 @@ mod tests {
             (Some(rounded(1.0 / 3.0)), Some(rounded(140.0 / 220.0)))
         );
         // Nothing was measured: what is not known is not zero.
-        let (of_b, _) = FieldMeasurements::default().traits("B", &square, &mask, None);
+        let (of_b, _) = FieldMeasurements::default().traits("B", &square, &mask, None, None);
         assert_eq!((of_b.plant_spacing_m, of_b.exg), (None, None));
         assert_eq!((of_b.plants, of_b.area_m2, of_b.leaves_single), (None, None, None));
         assert_eq!(of_b.canopy_cover, Some(0.4));

@@ -8,7 +8,7 @@ use super::{
     align::AlignOptions, calibrate::CalibrateOptions, checks::ChecksOptions, dem::DemOptions,
     evaluate::EvaluateOptions, leaf_count::LeafCountOptions, leaf_density::LeafDensityOptions,
     leaves::LeavesOptions, locate::LocateOptions, ortho::OrthoOptions, plots::PlotsOptions,
-    segment::SegmentOptions, stage::Stage,
+    segment::SegmentOptions, stage::Stage, surface::SurfaceOptions,
 };
 use crate::{
     error::Error,
@@ -144,6 +144,7 @@ config! {
     calibrate: CalibrateOptions,
     align: AlignOptions,
     dem: DemOptions,
+    surface: SurfaceOptions,
     ortho: OrthoOptions,
     segment: SegmentOptions,
     leaf_density: LeafDensityOptions,

@@ -212,7 +212,10 @@ pub(super) fn beside(path: &Path, what: &str) -> PathBuf {
 const NODATA: f32 = -9999.0;
 
 /// Writes heights, metres, row by row; NaN where there is none.
-fn write_heights(
+///
+/// # Errors
+/// Where it cannot be written.
+pub(super) fn write_heights(
     path: &Path,
     place: &Georeference,
     [width, height]: [usize; 2],

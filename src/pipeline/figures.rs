@@ -106,6 +106,50 @@ pub(super) fn write_drawing(
 const BLUE: RGBColor = RGBColor(0, 114, 178);
 const VERMILION: RGBColor = RGBColor(213, 94, 0);
 
+/// Surface and ground along a line, as SVG: the way in metres, the height in metres.
+///
+/// # Errors
+/// Where it cannot be drawn.
+pub(super) fn profile(
+    surface: &[(f64, f64)],
+    ground: &[(f64, f64)],
+) -> Result<String, Box<dyn std::error::Error>> {
+    let all = || surface.iter().chain(ground);
+    let least = |axis: fn(&(f64, f64)) -> f64| all().map(axis).fold(f64::INFINITY, f64::min);
+    let most = |axis: fn(&(f64, f64)) -> f64| all().map(axis).fold(f64::NEG_INFINITY, f64::max);
+    let range = |low: f64, high: f64, spare: f64| match low <= high {
+        true => low - spare..high + spare,
+        false => 0.0..1.0,
+    };
+    let (way, height) =
+        (range(least(|p| p.0), most(|p| p.0), 0.1), range(least(|p| p.1), most(|p| p.1), 0.1));
+    let mut svg = String::new();
+    {
+        let area = SVGBackend::with_string(&mut svg, (1100, 320)).into_drawing_area();
+        area.fill(&WHITE)?;
+        let mut chart = ChartBuilder::on(&area)
+            .margin(12)
+            .x_label_area_size(40)
+            .y_label_area_size(70)
+            .build_cartesian_2d(way, height)?;
+        chart.configure_mesh().x_desc("way, m").y_desc("height, m").draw()?;
+        let series = |points: &[(f64, f64)], colour: RGBColor| {
+            LineSeries::new(points.to_vec(), colour.stroke_width(1))
+        };
+        chart
+            .draw_series(series(ground, VERMILION))?
+            .label("ground")
+            .legend(|(x, y)| PathElement::new([(x, y), (x + 16, y)], VERMILION));
+        chart
+            .draw_series(series(surface, BLUE))?
+            .label("surface")
+            .legend(|(x, y)| PathElement::new([(x, y), (x + 16, y)], BLUE));
+        chart.configure_series_labels().border_style(BLACK).background_style(WHITE).draw()?;
+        area.present()?;
+    }
+    Ok(svg)
+}
+
 /// How the cost fell, as SVG: its excess over the lowest, relative to that, by iteration.
 ///
 /// # Errors

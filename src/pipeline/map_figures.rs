@@ -1,6 +1,7 @@
 //! Pictures of maps: the mosaic small, which photo each place came from, how many photos show it; surfaces shaded and in
 //! colours.
 
+use super::figures;
 use crate::{
     error::Error,
     io::{images, output},
@@ -151,6 +152,46 @@ pub(super) fn draw_elevation(
         Ok(())
     })?;
     Ok(())
+}
+
+/// A dense surface, shaded, every so many cells that the picture has at most 4096 a side.
+///
+/// # Errors
+/// Where it cannot be written.
+pub(super) fn draw_surface(folder: &Path, surface: &Surface) -> Result<(), Error> {
+    let step = figures::step(surface.width, surface.height);
+    let shaded = hillshade(surface);
+    let size = [surface.width.div_ceil(step), surface.height.div_ceil(step)];
+    let picture = picture(size, |u, v| shaded.get_pixel((u * step) as u32, (v * step) as u32).0);
+    Ok(images::write_photo(&folder.join("surface.png"), false, &picture)?)
+}
+
+/// Heights of the canopy from 0 (dark blue) to `top_m` (yellow), with a bar of these colours at the right border.
+///
+/// # Errors
+/// Where it cannot be written.
+pub(super) fn draw_canopy(
+    folder: &Path,
+    [width, height]: [usize; 2],
+    canopy_m: &[f32],
+    top_m: f64,
+) -> Result<(), Error> {
+    let step = figures::step(width, height);
+    let size = [width.div_ceil(step), height.div_ceil(step)];
+    let bar = (size[0] / 40).max(4);
+    let picture = picture([size[0] + 2 * bar, size[1]], |u, v| {
+        if u >= size[0] + bar {
+            return scale_colour(1.0 - v as f64 / size[1].max(2) as f64);
+        }
+        if u >= size[0] {
+            return EMPTY;
+        }
+        match f64::from(canopy_m[v * step * width + u * step]) {
+            value if value.is_finite() => scale_colour(value / top_m.max(1e-9)),
+            _ => EMPTY,
+        }
+    });
+    Ok(images::write_photo(&folder.join("canopy.png"), false, &picture)?)
 }
 
 /// A surface lit from the north-west, its colours by height.

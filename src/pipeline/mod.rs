@@ -34,6 +34,7 @@ pub mod run;
 pub mod segment;
 mod stac;
 pub mod stage;
+pub mod surface;
 #[cfg(feature = "synth")]
 pub mod synth;
 pub mod thresholds;

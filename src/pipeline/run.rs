@@ -84,7 +84,7 @@ fn needs(stage: Stage) -> &'static [Stage] {
         Stage::Calibrate => &[],
         Stage::Align => &[Stage::Calibrate],
         Stage::Dem => &[Stage::Align],
-        Stage::Ortho => &[Stage::Align, Stage::Dem],
+        Stage::Surface | Stage::Ortho => &[Stage::Align, Stage::Dem],
         Stage::Segment => &[Stage::Ortho],
         Stage::LeafDensity | Stage::LeafCount | Stage::Locate | Stage::Leaves | Stage::Plots => {
             &[Stage::Segment]
@@ -142,6 +142,7 @@ stages! {
     calibrate: Calibrate, CalibrateOutcome, Calibrate;
     align: Align, AlignOutcome, AlignTask;
     dem: Dem, DemOutcome, DemTask;
+    surface: Surface, SurfaceOutcome, SurfaceTask;
     ortho: Ortho, OrthoOutcome, OrthoTask;
     segment: Segment, SegmentOutcome, Segment;
     leaf_density: LeafDensity, LeafDensityOutcome, LeafDensity;

@@ -20,9 +20,12 @@ use std::path::Path;
 pub(super) const STAC_FILE: &str = "stac.json";
 
 /// Products: stage, file, title, media type, roles.
-const PRODUCTS: [(Stage, &str, &str, &str, &str); 8] = [
+const PRODUCTS: [(Stage, &str, &str, &str, &str); 11] = [
     (Stage::Ortho, "ortho.tif", "Orthomosaic", COG, "visual"),
     (Stage::Dem, "dem.tif", "Surface from tie points", COG, "data"),
+    (Stage::Surface, "dsm.tif", "Dense surface", COG, "data"),
+    (Stage::Surface, "dtm.tif", "Ground under the canopy", COG, "data"),
+    (Stage::Surface, "chm.tif", "Height of the canopy", COG, "data"),
     (Stage::Segment, "mask.tif", "Leaf mask", COG, "data"),
     (Stage::LeafDensity, "density.tif", "Leaf density", COG, "data"),
     (Stage::Plots, "traits.gpkg", "Traits of plots", GEOPACKAGE, "data"),

@@ -24,6 +24,8 @@ pub enum Stage {
     Align,
     /// The surface from the tie points.
     Dem,
+    /// The dense surface: canopy and ground.
+    Surface,
     /// The orthomosaic.
     Ortho,
     /// The leaf mask.
@@ -42,7 +44,7 @@ pub enum Stage {
     Evaluate,
 }
 
-crate::choices!(Stage: Calibrate, Align, Dem, Ortho, Segment, LeafDensity, LeafCount, Locate, Leaves, Plots, Evaluate);
+crate::choices!(Stage: Calibrate, Align, Dem, Surface, Ortho, Segment, LeafDensity, LeafCount, Locate, Leaves, Plots, Evaluate);
 
 /// What a stage reads, does and gives.
 ///

@@ -57,6 +57,24 @@ pub(super) fn map(facts: &Facts<'_>) -> Result<Section, Error> {
                 (shown(facts, Stage::Dem, "figures/sigma.png", "Standard deviation of its heights.")?)
             }
         }
+        @if let Some(surface) = &results.surface {
+            h3 { "Canopy" }
+            p {
+                "Dense surface: " (surface.width_px) " x " (surface.height_px) " cells of " (format!("{:.3}", surface.cell_m)) " m, "
+                (format!("{:.1}", 100.0 * surface.cells_with_height as f64 / surface.cells_seen.max(1) as f64))
+                " % of those that two photos show have a height"
+                @if let Some([half, most, top]) = surface.canopy_percentiles_m {
+                    "; over the ground 50 % of them at most " (format!("{half:.2}")) " m, 95 % " (format!("{most:.2}")) " m, 99 % "
+                    (format!("{top:.2}")) " m"
+                }
+                "."
+            }
+            div .pair {
+                (shown(facts, Stage::Surface, "figures/surface.png", "The dense surface, shaded.")?)
+                (shown(facts, Stage::Surface, "figures/canopy.png", "Height over the ground, from 0 (dark blue, bottom of the bar) to the height that one cell in 200 exceeds (yellow).")?)
+            }
+            (shown(facts, Stage::Surface, "figures/profile.svg", "A line across the middle of the map: the surface and the ground below it.")?)
+        }
     };
     Ok(Some(("map", "Map", content)))
 }
@@ -166,7 +184,7 @@ fn beginning(of: &CsvTable) -> Markup {
 }
 
 /// Traits that are shown, their titles and digits.
-const COLUMNS: [(&str, &str, usize); 13] = [
+const COLUMNS: [(&str, &str, usize); 14] = [
     ("area_m2", "area, m²", 1),
     ("plants", "plants", 0),
     ("plants_per_ha", "per hectare", 0),
@@ -178,6 +196,7 @@ const COLUMNS: [(&str, &str, usize); 13] = [
     ("leaf_hue_deg", "hue, °", 1),
     ("plant_spacing_m", "spacing, m", 3),
     ("plant_spacing_cv", "spacing CV", 2),
+    ("canopy_height_m", "height, m", 2),
     ("exg", "ExG", 3),
     ("ngrdi", "NGRDI", 3),
 ];

@@ -6,7 +6,7 @@ use super::{
     rectify::{BlockPlane, PosedPhoto, rectify},
     sweep::{MOST_OTHERS, REACH, Rectified, costs, transfer},
 };
-use crate::raster::undistort::Interpolation;
+use crate::{mapping::View, raster::undistort::Interpolation};
 
 /// Cells beyond the core of a block that its neighbours have too, so that paths begin before it.
 const OVERLAP: usize = 16;
@@ -36,7 +36,8 @@ pub fn match_block(
     ground: &dyn Fn([f64; 2]) -> Option<f64>,
     options: &DenseOptions,
 ) -> Option<Block> {
-    let (reference, others) = choose(photos, core, options.others)?;
+    let views: Vec<&View> = photos.iter().map(|photo| photo.view).collect();
+    let (reference, others) = choose(&views, core, options.others)?;
     let heights_m: [f64; LAYERS] =
         std::array::from_fn(|k| options.lowest_m + options.layer_m * k as f64);
     let margin = OVERLAP + displacement(photos[reference], core, &heights_m)?;
@@ -132,8 +133,8 @@ pub fn match_block(
 }
 
 /// The reference, nearest in plan to the middle, and the nearest others that show at least the inner half.
-fn choose(
-    photos: &[PosedPhoto<'_>],
+pub(super) fn choose(
+    views: &[&View],
     block: &BlockPlane,
     count: usize,
 ) -> Option<(usize, Vec<usize>)> {
@@ -144,15 +145,15 @@ fn choose(
     let middle = at([0.5, 0.5]);
     const INNER: [[f64; 2]; 4] = [[0.25, 0.25], [0.75, 0.25], [0.25, 0.75], [0.75, 0.75]];
     let away = |from: [f64; 3], k: usize| {
-        let c = photos[k].view.centre_m();
+        let c = views[k].centre_m();
         (c[0] - from[0]).hypot(c[1] - from[1])
     };
-    let mut near: Vec<usize> = (0..photos.len())
-        .filter(|&k| INNER.iter().all(|&share| photos[k].view.pixel(at(share)).is_some()))
+    let mut near: Vec<usize> = (0..views.len())
+        .filter(|&k| INNER.iter().all(|&share| views[k].pixel(at(share)).is_some()))
         .collect();
     near.sort_by(|&a, &b| away(middle, a).total_cmp(&away(middle, b)).then(a.cmp(&b)));
     let reference = *near.first()?;
-    let centre = photos[reference].view.centre_m();
+    let centre = views[reference].centre_m();
     let least_m = LEAST_BASE * (centre[2] - middle[2]);
     let others: Vec<usize> = near[1..]
         .iter()

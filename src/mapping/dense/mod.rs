@@ -17,7 +17,7 @@
 //! The pixels are then points in space, `X = p + (C - p) h/F`, and each cell of the ground takes the highest that falls
 //! on it ([`block`]). A parabola through the aggregated costs beside the best layer gives fractions of a layer.
 //!
-//! From coarse to fine ([`tile`]): cells of twice the side without `Q` give the ground under the canopy ([`terrain`]), which the second
+//! From coarse to fine ([`tile`], [`area`]): cells of twice the side without `Q` give the ground under the canopy ([`terrain`]), which the second
 //! pass takes as known. Blocks are done on their own, by any number of threads, with the same result.
 //!
 //! Constants of this module and its files were chosen on synthetic fields at mid stage, 1.5 cm a cell; what they give is
@@ -25,6 +25,7 @@
 //! of leaves and of the soil beside them within 5 cm of the truth, error of the ground.
 
 pub mod aggregate;
+pub mod area;
 pub mod block;
 pub mod prior;
 pub mod rectify;
@@ -33,6 +34,7 @@ pub mod terrain;
 pub mod tile;
 
 pub use aggregate::Penalties;
+pub use area::{AreaOptions, AreaSurface, surface_area};
 pub use prior::Prior;
 pub use rectify::PosedPhoto;
 pub use terrain::Terrain;

@@ -39,7 +39,7 @@ impl Tile {
     }
 
     /// Least and greatest x and y.
-    fn bounds_m(&self) -> [[f64; 2]; 2] {
+    pub(super) fn bounds_m(&self) -> [[f64; 2]; 2] {
         let [x, y] = self.corner_m;
         let [width, height] = self.size.map(|n| n as f64 * self.cell_m);
         [[x, x + width], [y - height, y]]
@@ -83,34 +83,17 @@ pub fn match_tile(
             return Err(MapError(format!("{name} {value} m, expected a positive length")));
         }
     }
-    let [width, height] = tile.size;
-    let mut result = DenseTile {
-        tile: *tile,
-        surface_m: vec![f32::NAN; width * height],
-        confidence: vec![0; width * height],
-        photos: vec![0; width * height],
-        green: vec![0; width * height],
-        terrain: None,
-    };
-    let starts: Vec<[usize; 2]> = (0..height)
-        .step_by(BLOCK)
-        .flat_map(|row| (0..width).step_by(BLOCK).map(move |column| [column, row]))
-        .collect();
-    let planes: Vec<Option<BlockPlane>> = starts
-        .iter()
-        .map(|&[column, row]| {
-            let size = [BLOCK.min(width - column), BLOCK.min(height - row)];
-            plane(tile.place_m(column, row), tile.cell_m, size, ground)
-        })
-        .collect();
-    if planes.iter().all(Option::is_none) {
+    let width = tile.size[0];
+    let mut result = nothing(tile);
+    let planes = planes(tile, ground);
+    if planes.iter().all(|(_, plane)| plane.is_none()) {
         return Err(MapError("no height of the ground is known on this tile".into()));
     }
     let blocks: Vec<Option<Block>> = planes
         .par_iter()
-        .map(|plane| plane.and_then(|plane| match_block(photos, &plane, ground, options)))
+        .map(|(_, plane)| plane.and_then(|plane| match_block(photos, &plane, ground, options)))
         .collect();
-    for (([column, row], plane), block) in starts.into_iter().zip(planes).zip(blocks) {
+    for (([column, row], plane), block) in planes.into_iter().zip(blocks) {
         let (Some(plane), Some(block)) = (plane, block) else { continue };
         let [columns, rows] = plane.size;
         for j in 0..rows {
@@ -123,6 +106,50 @@ pub fn match_tile(
         }
     }
     Ok(result)
+}
+
+/// A tile of which nothing is known.
+pub(super) fn nothing(tile: &Tile) -> DenseTile {
+    let cells = tile.size[0] * tile.size[1];
+    DenseTile {
+        tile: *tile,
+        surface_m: vec![f32::NAN; cells],
+        confidence: vec![0; cells],
+        photos: vec![0; cells],
+        green: vec![0; cells],
+        terrain: None,
+    }
+}
+
+/// First column and row of the blocks of a tile, and the plane of each; `None` where the ground is not known.
+pub(super) fn planes(
+    tile: &Tile,
+    ground: &dyn Fn([f64; 2]) -> Option<f64>,
+) -> Vec<([usize; 2], Option<BlockPlane>)> {
+    let [width, height] = tile.size;
+    let starts = (0..height)
+        .step_by(BLOCK)
+        .flat_map(|row| (0..width).step_by(BLOCK).map(move |column| [column, row]));
+    starts
+        .map(|[column, row]| {
+            let size = [BLOCK.min(width - column), BLOCK.min(height - row)];
+            ([column, row], plane(tile.place_m(column, row), tile.cell_m, size, ground))
+        })
+        .collect()
+}
+
+/// Cells of a coarse tile that may show the ground: x, y, z in metres.
+pub(super) fn bare_cells(found: &DenseTile) -> impl Iterator<Item = [f64; 3]> + '_ {
+    let is_bare = |at: &usize| found.green[*at] < BARE_BELOW && found.confidence[*at] >= SURE;
+    (0..found.surface_m.len()).filter(is_bare).map(|at| {
+        let [x, y] = found.tile.place_m(at % found.tile.size[0], at / found.tile.size[0]);
+        [x, y, f64::from(found.surface_m[at])]
+    })
+}
+
+/// Distance of the nodes of the ground under cells of this side, metres.
+pub(super) fn node_m(coarse_cell_m: f64) -> f64 {
+    NODE_M.max(NODE_CELLS * coarse_cell_m)
 }
 
 /// The first surface of a tile and the ground below it. `base` is a surface near the ground, such as that of tie points: within
@@ -149,15 +176,8 @@ pub fn surface_tile(
         ..*options
     };
     let found = match_tile(photos, base, &coarse, &wide)?;
-    let bare: Vec<[f64; 3]> = (0..found.surface_m.len())
-        .filter(|&at| found.green[at] < BARE_BELOW && found.confidence[at] >= SURE)
-        .map(|at| {
-            let [x, y] = coarse.place_m(at % coarse.size[0], at / coarse.size[0]);
-            [x, y, f64::from(found.surface_m[at])]
-        })
-        .collect();
-    let node_m = NODE_M.max(NODE_CELLS * coarse.cell_m);
-    let terrain = Terrain::fit(&bare, coarse.bounds_m(), node_m);
+    let bare: Vec<[f64; 3]> = bare_cells(&found).collect();
+    let terrain = Terrain::fit(&bare, coarse.bounds_m(), node_m(coarse.cell_m));
     let Some(terrain) = terrain else {
         // Nothing bare: colours say nothing of the ground.
         return match_tile(photos, base, tile, &DenseOptions { prior: Prior::None, ..*options });

@@ -18,8 +18,8 @@ use crate::{
 pub use record::{OrthophotoRecord, PhotoRecord};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
-pub(super) use write::provenance_path;
 pub use write::{OrthoFiles, OrthoInput, write_orthophotos};
+pub(super) use write::{provenance_path, read_photo};
 
 crate::choices!(PhotoRule: Closest, Nadir, Gsd);
 crate::choices!(HeightInterpolation: Bilinear, Bicubic);

@@ -409,7 +409,10 @@ fn render(
 }
 
 /// Reads a photo that must be as large as its camera says.
-fn read_photo(path: &Path, size_px: [u32; 2]) -> Result<DecodedPhoto, Error> {
+pub(in crate::pipeline) fn read_photo(
+    path: &Path,
+    size_px: [u32; 2],
+) -> Result<DecodedPhoto, Error> {
     let mut first = [0; 4];
     let tiff = std::fs::File::open(path)
         .and_then(|mut file| std::io::Read::read_exact(&mut file, &mut first))

@@ -6,10 +6,11 @@
 //! `gaps.gpkg`). Layers have styles for QGIS beside them.
 
 mod colours;
+mod heights;
 mod plants;
 mod write;
 
-use super::{Project, Stage, Task, stage};
+use super::{Project, Stage, Task, stage, surface};
 use crate::{
     error::Error,
     io::{FileError, csv_table::CsvTable, polygons, rasters},
@@ -93,6 +94,8 @@ struct Tables {
     gaps: Option<PathBuf>,
     leaves: Option<PathBuf>,
     counts: Option<PathBuf>,
+    /// Heights of the canopy, a raster.
+    canopy: Option<PathBuf>,
 }
 
 impl Tables {
@@ -102,6 +105,7 @@ impl Tables {
             gaps: project.finished(Stage::Locate, "gaps.csv"),
             leaves: project.finished(Stage::Leaves, "leaves.csv"),
             counts: project.finished(Stage::LeafCount, "counts.csv"),
+            canopy: project.finished(Stage::Surface, surface::CANOPY),
         }
     }
 }
@@ -118,7 +122,7 @@ impl Task for Plots {
             files.extend(polygons::files(&path));
         }
         let tables = Tables::of(project);
-        let optional = [tables.plants, tables.gaps, tables.leaves, tables.counts];
+        let optional = [tables.plants, tables.gaps, tables.leaves, tables.counts, tables.canopy];
         files.extend(optional.into_iter().flatten());
         Ok(files)
     }
@@ -147,13 +151,20 @@ impl Task for Plots {
         let polygons = areas.iter().map(|(_, polygon)| polygon);
         let colours = picture.map(|picture| colours::of_leaves(&picture, &mask, polygons));
         let colours = colours.transpose()?.flatten();
+        let heights = match (&tables.canopy, place) {
+            (Some(path), Some(place)) => {
+                Some(heights::of_areas(path, place, areas.iter().map(|(_, polygon)| polygon))?)
+            }
+            _ => None,
+        };
         let mut outside = Vec::new();
         let plots: Vec<Plot> = areas
             .into_iter()
             .enumerate()
             .map(|(number, (name, polygon))| {
                 let colour = colours.as_ref().map(|sums| sums[number]);
-                let (traits, pixels) = field.traits(&name, &polygon, &mask, colour);
+                let canopy = heights.as_ref().and_then(|heights| heights[number]);
+                let (traits, pixels) = field.traits(&name, &polygon, &mask, colour, canopy);
                 if pixels == 0 {
                     outside.push(name);
                 }

@@ -1,0 +1,71 @@
+//! `rowgram surface`: the dense surface of a project.
+
+use super::{options::Given, project};
+use crate::{
+    error::Error,
+    pipeline::{
+        Stage,
+        surface::{SurfaceOptions, SurfaceOutcome, surface},
+    },
+};
+use std::path::PathBuf;
+
+/// Make the dense surface: canopy, ground, plant height
+///
+/// For every cell the height at which photos agree, within what the surface of the tie points allows (rowgram dem), by
+/// semi-global matching. Writes GeoTIFFs of heights in metres: dsm.tif (the first surface), dtm.tif (the ground below it, from what is
+/// bare) with dtm_sigma.tif, and chm.tif (the height of the one over the other); for every cell how sure its height is
+/// (confidence.tif, 0 to 255) and how many photos were compared (photos.tif); pictures and a profile in figures/.
+///
+/// PROJECT is a folder after rowgram align and rowgram dem.
+///
+/// Examples:
+///   rowgram surface field
+///   rowgram surface field --cell-m 0.02 --ground any
+#[derive(Debug, clap::Args)]
+#[command(verbatim_doc_comment)]
+pub(super) struct Args {
+    /// Folder of the project.
+    project: PathBuf,
+    /// Folder of results [default: PROJECT/rowgram].
+    #[arg(short, long, value_name = "DIR")]
+    output: Option<PathBuf>,
+    #[command(flatten)]
+    options: Given<SurfaceOptions>,
+    /// Make it again where nothing has changed.
+    #[arg(long)]
+    force: bool,
+    /// Print the outcome as one line of JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// As the stage says.
+pub(super) fn run(args: &Args) -> Result<(), Error> {
+    let root = &args.project;
+    let project = project::open_for(Stage::Surface, root, args.output.as_deref(), args.force)?;
+    let options = args.options.over(&project.config().surface)?;
+    let folder = project.folder(Stage::Surface);
+    project::present(
+        args.json,
+        |monitor| surface(&project, &options, monitor),
+        |outcome| text(&folder.join(&outcome.surface).display().to_string(), outcome),
+    )
+}
+
+fn text(path: &str, of: &SurfaceOutcome) -> String {
+    let share = 100.0 * of.cells_with_height as f64 / of.cells_seen.max(1) as f64;
+    let mut text = format!(
+        "{path}: {} x {} cells of {} m, {share:.1} % of those that two photos show have a height",
+        of.width_px, of.height_px, of.cell_m
+    );
+    if let Some([half, most, top]) = of.canopy_percentiles_m {
+        text += &format!(
+            "\nheight over the ground: 50 % of the cells at most {half:.3} m, 95 % {most:.3} m, 99 % {top:.3} m"
+        );
+    }
+    text
+}
