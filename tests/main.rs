@@ -36,6 +36,7 @@ mod row_model;
 mod run;
 mod segment;
 mod sfm;
+mod surface;
 mod synth;
 mod synth_flight;
 mod target;

@@ -412,6 +412,7 @@ fn the_main_job_needs_nothing() {
     assert!(f1(0) > 0.85 && f1(1) > 0.9, "{truth}");
     let project = folder.path().join("rowgram-run");
     crate::formats::assert_columns_are_documented(&project);
+    crate::surface::assert_close_to_truth(&project);
     for other in ["colmap/cameras.txt", "opensfm/reconstruction.json"] {
         assert!(project.join("rowgram/align").join(other).is_file(), "{other}");
     }

@@ -16,9 +16,9 @@ use std::path::PathBuf;
 /// Writes what a crew brings home: images/ (JPEG with EXIF: position, moment, lens), gcps.csv (surveyed
 /// targets, role control or check), marks.csv (targets clicked in the photos), geolocation.csv, and field.toml
 /// (every parameter, for --config). And under truth/ what no crew knows: camera.toml, exterior_orientation.csv,
-/// plants.csv, leaves.csv, leaf_axes.csv, rows.csv, plots.csv, weeds.csv, gcps.csv, marks.csv, dem.asc, and the
-/// field from straight above (mask.png, picture.png, with world files). Tie points without photos go to
-/// tie_points.csv, truth/tie_points.csv and, with start values as from the receiver, to model/ in COLMAP's text
+/// plants.csv, leaves.csv, leaf_axes.csv, rows.csv, plots.csv, weeds.csv, gcps.csv, marks.csv, dem.asc, the field
+/// from straight above (mask.png, picture.png, with world files) and, with photos, its first surface and the height
+/// of that over the ground (dsm.tif, chm.tif). Tie points without photos go to tie_points.csv, truth/tie_points.csv and, with start values as from the receiver, to model/ in COLMAP's text
 /// form (the lens without distortion: truth/camera.toml has it).
 ///
 /// Positions are in a UTM zone on WGS84, heights above the ellipsoid; image positions have the centre of

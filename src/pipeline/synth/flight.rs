@@ -7,13 +7,21 @@
 use super::{config_text, encode_png};
 use crate::{
     error::Error,
-    io::{FileError, output},
+    io::{
+        FileError,
+        geotiff::{self, Colour, Layout},
+        output,
+    },
     monitor::{Counter, Monitor},
+    raster::{
+        georeference::{Crs, Georeference},
+        window::Window,
+    },
 };
 use data_synth::{
     board::{self, BOARD},
     exif, files,
-    photo::Photo,
+    photo::{Photo, SurfaceGrid},
     start_model,
     twin::{Twin, TwinConfig},
 };
@@ -75,6 +83,7 @@ pub fn write_flight(
     from_above(&folder, &twin)?;
     boards(&folder, &twin, options.boards.into(), monitor)?;
     if options.photos {
+        surfaces(&folder, &twin)?;
         photos(&folder, &twin, options.photo_truth, monitor)?;
     }
     Ok(FlightOutcome {
@@ -122,6 +131,9 @@ const TIE_TABLES: [&str; 5] = [
 const FROM_ABOVE: [&str; 4] =
     ["truth/mask.png", "truth/picture.png", "truth/mask.pgw", "truth/picture.pgw"];
 
+/// The first surface and its height over the ground, metres.
+const SURFACES: [&str; 2] = ["truth/dsm.tif", "truth/chm.tif"];
+
 impl Folder<'_> {
     /// Makes the folders and refuses what is there already, before any work is done.
     fn prepare(&self, options: &FlightOptions, twin: &Twin) -> Result<(), Error> {
@@ -141,6 +153,7 @@ impl Folder<'_> {
             names.extend(TIE_TABLES.map(str::to_owned));
         }
         if options.photos {
+            names.extend(SURFACES.map(str::to_owned));
             names.extend(twin.shots.iter().map(|shot| format!("images/{}", shot.name)));
         }
         if options.photo_truth {
@@ -184,6 +197,44 @@ fn tables(folder: &Folder<'_>, twin: &Twin) -> Result<(), FileError> {
         folder.text(TIE_TABLES[2], |out| start_model::cameras(twin, out))?;
         folder.text(TIE_TABLES[3], |out| start_model::images(twin, &points, out))?;
         folder.text(TIE_TABLES[4], |out| start_model::points(twin, &points, out))?;
+    }
+    Ok(())
+}
+
+/// What is highest at every pixel of the field seen from straight above, and by how much it is above the ground.
+fn surfaces(folder: &Folder<'_>, twin: &Twin) -> Result<(), FileError> {
+    let frame = &twin.field().frame;
+    let cell_m = frame.gsd_m;
+    let grid = SurfaceGrid {
+        left_m: frame.left_m + 0.5 * cell_m,
+        top_m: frame.top_m - 0.5 * cell_m,
+        cell_m,
+        width: frame.width_px as usize,
+        height: frame.height_px as usize,
+    };
+    let found = twin.studio().first_surface(grid);
+    let [east_m, north_m, _] = twin.site.grid_m([grid.left_m, grid.top_m, 0.0]);
+    let site = twin.site.config();
+    let top_m: Vec<f32> =
+        found.top_m.iter().map(|&z| (site.height_m + f64::from(z)) as f32).collect();
+    let above_m: Vec<f32> =
+        found.top_m.iter().zip(&found.ground_m).map(|(top, ground)| top - ground).collect();
+    let layout = Layout {
+        width: grid.width,
+        height: grid.height,
+        colour: Colour::Values,
+        georeference: Some(Georeference::north_up(
+            [east_m, north_m],
+            cell_m,
+            Crs::projected(site.epsg),
+        )),
+        nodata: Some(-9999.0),
+    };
+    for (name, values) in SURFACES.into_iter().zip([top_m, above_m]) {
+        let path = folder.root.join(name);
+        geotiff::write::<f32, FileError>(&path, folder.force, &layout, |writer| {
+            writer.put(Window::whole(grid.width, grid.height), &values)
+        })?;
     }
     Ok(())
 }
