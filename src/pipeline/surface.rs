@@ -24,7 +24,10 @@ use crate::{
     raster::georeference::{Crs, Georeference},
 };
 use serde::{Deserialize, Serialize};
-use std::path::{Path, PathBuf};
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+};
 
 /// What plants are beside, for the prior.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -222,17 +225,36 @@ const MORE_M: f64 = 0.3;
 /// Limits of the range, metres.
 const RANGE_M: [f64; 2] = [0.5, 30.0];
 
+/// Fewer squares than this do not say what is usual; larger squares are tried.
+const LEAST_SQUARES: usize = 10;
+/// How often the side of the squares is doubled.
+const DOUBLINGS: usize = 5;
+
 /// How far heights are looked for: what tie points of the same square differ by, from the lowest twentieth to the highest.
 fn range_of(points: &[SurfacePoint], cell_m: f64) -> f64 {
-    let side_m = SQUARE_CELLS * cell_m;
-    let mut squares: std::collections::BTreeMap<[i64; 2], Vec<f64>> = Default::default();
+    let mut side_m = SQUARE_CELLS * cell_m;
+    let mut spans = Vec::new();
+    for _ in 0..DOUBLINGS {
+        spans = spans_m(points, side_m);
+        if spans.len() >= LEAST_SQUARES {
+            break;
+        }
+        side_m *= 2.0;
+    }
+    let at = (USUAL * spans.len().saturating_sub(1) as f64) as usize;
+    let span = spans.get(at).copied().unwrap_or(0.0);
+    rounded((span + MORE_M).clamp(RANGE_M[0], RANGE_M[1]), 3)
+}
+
+/// What heights differ by in squares of this side, without the twentieths at both ends; sorted.
+fn spans_m(points: &[SurfacePoint], side_m: f64) -> Vec<f64> {
+    let mut squares: BTreeMap<[i64; 2], Vec<f64>> = BTreeMap::new();
     for point in points {
         let [x, y, z] = point.position_m;
         squares.entry([x, y].map(|c| (c / side_m).floor() as i64)).or_default().push(z);
     }
-    let mut spans: Vec<f64> = squares
-        .into_values()
-        .filter(|heights| heights.len() >= LEAST_POINTS)
+    let enough = squares.into_values().filter(|heights| heights.len() >= LEAST_POINTS);
+    let mut spans: Vec<f64> = enough
         .map(|mut heights| {
             heights.sort_by(f64::total_cmp);
             let cut = heights.len() / 20;
@@ -240,9 +262,7 @@ fn range_of(points: &[SurfacePoint], cell_m: f64) -> f64 {
         })
         .collect();
     spans.sort_by(f64::total_cmp);
-    let at = (USUAL * spans.len().saturating_sub(1) as f64) as usize;
-    let span = spans.get(at).copied().unwrap_or(0.0);
-    rounded((span + MORE_M).clamp(RANGE_M[0], RANGE_M[1]), 3)
+    spans
 }
 
 /// Writes rasters, tables and pictures.

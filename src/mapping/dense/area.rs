@@ -108,6 +108,7 @@ pub fn surface_area<E: From<MapError> + Send>(
         layer_m: 2.0 * options.range_m / (LAYERS - 1) as f64,
         lowest_m: -options.range_m,
         others: options.others,
+        block_cells: DenseOptions::default().block_cells / 2,
         penalties: options.penalties,
         prior: Prior::None,
     };
@@ -149,6 +150,7 @@ pub fn surface_area<E: From<MapError> + Send>(
             DenseOptions {
                 layer_m: (span / (LAYERS - 1) as f64).max(area.cell_m),
                 lowest_m: -SPARE_M,
+                block_cells: DenseOptions::default().block_cells,
                 prior: options.prior,
                 ..wide
             }
@@ -211,9 +213,9 @@ fn match_tiles<E: From<MapError> + Send>(
             cell_m: area.cell_m,
             size: [0, 1].map(|k| TILE.min(area.size[k] - start[k])),
         };
-        let mut needed: Vec<usize> = tile::planes(&part, ground)
+        let mut needed: Vec<usize> = tile::blocks(&views, ground, &part, options)
             .into_iter()
-            .filter_map(|(_, plane)| block::choose(&views, &plane?, options.others))
+            .filter_map(|(_, plane)| block::choose(&views, &plane, options.others))
             .flat_map(|(reference, others)| std::iter::once(reference).chain(others))
             .collect();
         needed.sort_unstable();

@@ -52,6 +52,8 @@ pub struct DenseOptions {
     pub lowest_m: f64,
     /// How many photos are compared with the reference.
     pub others: usize,
+    /// Side of a block, cells; a power of two.
+    pub block_cells: usize,
     /// Costs of steps in height.
     pub penalties: Penalties,
     /// What the colour of a pixel says of its height.
@@ -64,6 +66,7 @@ impl Default for DenseOptions {
             layer_m: 0.015,
             lowest_m: -0.1,
             others: 4,
+            block_cells: 256,
             penalties: Penalties::default(),
             prior: Prior::default(),
         }

@@ -2,14 +2,14 @@
 
 use super::{
     DenseOptions, Prior, Terrain,
-    block::{Block, match_block},
+    block::{Block, choose, match_block},
     rectify::{BlockPlane, PosedPhoto},
 };
-use crate::mapping::MapError;
+use crate::mapping::{MapError, View};
 use rayon::prelude::*;
 
-/// Side of a block, cells.
-const BLOCK: usize = 256;
+/// Least side of a block, cells.
+const LEAST_BLOCK: usize = 32;
 /// Distance of the nodes of the ground, metres, and at least this many coarse cells.
 const NODE_M: f64 = 0.3;
 const NODE_CELLS: f64 = 6.0;
@@ -85,16 +85,17 @@ pub fn match_tile(
     }
     let width = tile.size[0];
     let mut result = nothing(tile);
-    let planes = planes(tile, ground);
-    if planes.iter().all(|(_, plane)| plane.is_none()) {
-        return Err(MapError("no height of the ground is known on this tile".into()));
+    let views: Vec<&View> = photos.iter().map(|photo| photo.view).collect();
+    let planes = blocks(&views, ground, tile, options);
+    if planes.is_empty() {
+        let message =
+            "no two photos show a place of this tile at which the height of the ground is known";
+        return Err(MapError(message.into()));
     }
-    let blocks: Vec<Option<Block>> = planes
-        .par_iter()
-        .map(|(_, plane)| plane.and_then(|plane| match_block(photos, &plane, ground, options)))
-        .collect();
+    let blocks: Vec<Option<Block>> =
+        planes.par_iter().map(|(_, plane)| match_block(photos, plane, ground, options)).collect();
     for (([column, row], plane), block) in planes.into_iter().zip(blocks) {
-        let (Some(plane), Some(block)) = (plane, block) else { continue };
+        let Some(block) = block else { continue };
         let [columns, rows] = plane.size;
         for j in 0..rows {
             let (to, from) = ((row + j) * width + column, j * columns);
@@ -121,21 +122,39 @@ pub(super) fn nothing(tile: &Tile) -> DenseTile {
     }
 }
 
-/// First column and row of the blocks of a tile, and the plane of each; `None` where the ground is not known.
-pub(super) fn planes(
-    tile: &Tile,
+/// First column and row of the blocks of a tile that two photos show, and the plane of each. A block of which photos show only a part is
+/// cut into four, down to a side of [`LEAST_BLOCK`].
+pub(super) fn blocks(
+    views: &[&View],
     ground: &dyn Fn([f64; 2]) -> Option<f64>,
-) -> Vec<([usize; 2], Option<BlockPlane>)> {
+    tile: &Tile,
+    options: &DenseOptions,
+) -> Vec<([usize; 2], BlockPlane)> {
     let [width, height] = tile.size;
+    let side = options.block_cells.max(LEAST_BLOCK);
     let starts = (0..height)
-        .step_by(BLOCK)
-        .flat_map(|row| (0..width).step_by(BLOCK).map(move |column| [column, row]));
-    starts
-        .map(|[column, row]| {
-            let size = [BLOCK.min(width - column), BLOCK.min(height - row)];
-            ([column, row], plane(tile.place_m(column, row), tile.cell_m, size, ground))
-        })
-        .collect()
+        .step_by(side)
+        .flat_map(|row| (0..width).step_by(side).map(move |column| [column, row]));
+    let mut open: Vec<([usize; 2], usize)> = starts.map(|start| (start, side)).collect();
+    open.reverse();
+    let mut found = Vec::new();
+    while let Some(([column, row], side)) = open.pop() {
+        if column >= width || row >= height {
+            continue;
+        }
+        let size = [side.min(width - column), side.min(height - row)];
+        let plane = plane(tile.place_m(column, row), tile.cell_m, size, ground);
+        match plane.filter(|plane| choose(views, plane, options.others).is_some()) {
+            Some(plane) => found.push(([column, row], plane)),
+            None if side > LEAST_BLOCK => {
+                let half = side / 2;
+                let parts = [[half, half], [0, half], [half, 0], [0, 0]];
+                open.extend(parts.map(|[u, v]| ([column + u, row + v], half)));
+            }
+            None => {}
+        }
+    }
+    found
 }
 
 /// Cells of a coarse tile that may show the ground: x, y, z in metres.
@@ -173,6 +192,7 @@ pub fn surface_tile(
         // The base may lie in the canopy.
         lowest_m: options.lowest_m - 0.5 * options.layer_m * super::LAYERS as f64,
         prior: Prior::None,
+        block_cells: options.block_cells / 2,
         ..*options
     };
     let found = match_tile(photos, base, &coarse, &wide)?;
