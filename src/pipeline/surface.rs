@@ -88,7 +88,7 @@ pub struct SurfaceOutcome {
     pub layer_m: f64,
     /// Cells that at least two photos show.
     pub cells_seen: usize,
-    /// Cells with a height.
+    /// Those of them with a height.
     pub cells_with_height: usize,
     /// Median standard deviation of the ground, metres.
     pub median_ground_sigma_m: Option<f64>,
@@ -306,7 +306,9 @@ fn write(
         range_m,
         layer_m: found.layer_m,
         cells_seen: found.photos.iter().filter(|&&n| n >= 2).count(),
-        cells_with_height: found.surface_m.iter().filter(|z| z.is_finite()).count(),
+        cells_with_height: (0..found.surface_m.len())
+            .filter(|&at| found.photos[at] >= 2 && found.surface_m[at].is_finite())
+            .count(),
         median_ground_sigma_m: None,
         canopy_percentiles_m: None,
     };

@@ -15,9 +15,14 @@ use std::collections::BTreeMap;
 
 /// Side of a tile, cells.
 pub const TILE: usize = 1024;
-/// Share of the cells that may stand above the layers of the second pass.
-const ABOVE: f64 = 0.0005;
-/// Layers above the highest cells and below the ground, metres at least: what the coarse pass may be off by.
+/// Share of what surely stands on the ground in the coarse pass that decides how high layers reach: one leaf in ten may be mistaken
+/// there, and mistakes are as high as the layers.
+const USUAL: f64 = 0.9;
+/// Layers reach so many times as high as that.
+const HIGHER: f64 = 1.4;
+/// Confidence (of 255) of a coarse cell that says how high layers have to reach.
+const SURE: u8 = 80;
+/// Layers below the ground, and above what stands on it, metres: what the ground may be off by.
 const SPARE_M: f64 = 0.1;
 /// The layers of the second pass reach at least so high, metres.
 const LEAST_TOP_M: f64 = 0.3;
@@ -112,18 +117,21 @@ pub fn surface_area<E: From<MapError> + Send>(
         penalties: options.penalties,
         prior: Prior::None,
     };
-    let (mut bare, mut seen) = (Vec::new(), Vec::new());
+    let (mut bare, mut seen, mut any) = (Vec::new(), Vec::new(), false);
     match_tiles(&mut album, base, &coarse(area), &wide, &mut |_, found| {
         bare.extend(tile::bare_cells(&found));
-        seen.extend(found.surface_m.iter().enumerate().filter(|(_, z)| z.is_finite()).map(
-            |(at, &z)| {
-                let [x, y] = found.tile.place_m(at % found.tile.size[0], at / found.tile.size[0]);
-                [x as f32, y as f32, z]
-            },
-        ));
+        any |= found.surface_m.iter().any(|z| z.is_finite());
+        let stands = |at: &usize| {
+            found.confidence[*at] >= SURE
+                && (options.prior == Prior::None || options.prior.is_leaf(found.green[*at]))
+        };
+        seen.extend((0..found.surface_m.len()).filter(stands).map(|at| {
+            let [x, y] = found.tile.place_m(at % found.tile.size[0], at / found.tile.size[0]);
+            [x, y, f64::from(found.surface_m[at])]
+        }));
         done();
     })?;
-    if seen.is_empty() {
+    if !any {
         let message = "nowhere do two photos show the same ground from places far enough apart";
         return Err(MapError(message.into()).into());
     }
@@ -134,19 +142,14 @@ pub fn surface_area<E: From<MapError> + Send>(
         // Nothing bare: colours say nothing of the ground.
         None => wide,
         Some(terrain) => {
-            let mut above: Vec<f32> = seen
-                .iter()
-                .filter_map(|&[x, y, z]| {
-                    let ground = terrain.at_m([f64::from(x), f64::from(y)])?;
-                    Some((f64::from(z) - ground) as f32)
-                })
-                .collect();
-            let at = ((1.0 - ABOVE) * (above.len().saturating_sub(1)) as f64) as usize;
-            let top = match above.is_empty() {
-                true => LEAST_TOP_M,
-                false => f64::from(*above.select_nth_unstable_by(at, f32::total_cmp).1),
+            let above = |&[x, y, z]: &[f64; 3]| Some(z - terrain.at_m([x, y])?);
+            let mut above: Vec<f64> = seen.iter().filter_map(above).collect();
+            let at = (USUAL * above.len().saturating_sub(1) as f64) as usize;
+            let usual = match above.is_empty() {
+                true => 0.0,
+                false => *above.select_nth_unstable_by(at, f64::total_cmp).1,
             };
-            let span = top.max(LEAST_TOP_M) + 2.0 * SPARE_M;
+            let span = (HIGHER * usual).max(LEAST_TOP_M) + 2.0 * SPARE_M;
             DenseOptions {
                 layer_m: (span / (LAYERS - 1) as f64).max(area.cell_m),
                 lowest_m: -SPARE_M,

@@ -144,7 +144,12 @@ pub(super) fn blocks(
         }
         let size = [side.min(width - column), side.min(height - row)];
         let plane = plane(tile.place_m(column, row), tile.cell_m, size, ground);
-        match plane.filter(|plane| choose(views, plane, options.others).is_some()) {
+        // Whatever is left at the end is as small as blocks are; before, the reference has to show all of it.
+        let is_shown = |plane: &BlockPlane| match choose(views, plane, options.others) {
+            Some((reference, _)) => side == LEAST_BLOCK || shows_all(views[reference], plane),
+            None => false,
+        };
+        match plane.filter(is_shown) {
             Some(plane) => found.push(([column, row], plane)),
             None if side > LEAST_BLOCK => {
                 let half = side / 2;
@@ -155,6 +160,15 @@ pub(super) fn blocks(
         }
     }
     found
+}
+
+/// Whether a photo shows the four corners of a block.
+fn shows_all(view: &View, block: &BlockPlane) -> bool {
+    let [u, v] = block.size.map(|n| n as f64 - 1.0);
+    [[0.0, 0.0], [u, 0.0], [0.0, v], [u, v]].into_iter().all(|cell| {
+        let [x, y] = block.place_m(cell);
+        view.pixel([x, y, block.at_m([x, y])]).is_some()
+    })
 }
 
 /// Cells of a coarse tile that may show the ground: x, y, z in metres.
