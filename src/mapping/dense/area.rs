@@ -18,6 +18,8 @@ pub const TILE: usize = 1024;
 /// Share of what surely stands on the ground in the coarse pass that decides how high layers reach: one leaf in ten may be mistaken
 /// there, and mistakes are as high as the layers.
 const USUAL: f64 = 0.9;
+/// Share of all sure cells of the coarse pass that may be mistaken.
+const MISTAKEN: f64 = 0.001;
 /// Layers reach so many times as high as that.
 const HIGHER: f64 = 1.4;
 /// Confidence (of 255) of a coarse cell that says how high layers have to reach.
@@ -144,12 +146,17 @@ pub fn surface_area<E: From<MapError> + Send>(
         Some(terrain) => {
             let above = |&[x, y, z]: &[f64; 3]| Some(z - terrain.at_m([x, y])?);
             let mut above: Vec<f64> = seen.iter().filter_map(above).collect();
-            let at = (USUAL * above.len().saturating_sub(1) as f64) as usize;
+            // Without colours all sure cells are asked, most of which are ground.
+            let (share, higher) = match options.prior {
+                Prior::None => (1.0 - MISTAKEN, 1.0),
+                Prior::GreenOnSoil { .. } => (USUAL, HIGHER),
+            };
+            let at = (share * above.len().saturating_sub(1) as f64) as usize;
             let usual = match above.is_empty() {
                 true => 0.0,
                 false => *above.select_nth_unstable_by(at, f64::total_cmp).1,
             };
-            let span = (HIGHER * usual).max(LEAST_TOP_M) + 2.0 * SPARE_M;
+            let span = (higher * usual).max(LEAST_TOP_M) + 2.0 * SPARE_M;
             DenseOptions {
                 layer_m: (span / (LAYERS - 1) as f64).max(area.cell_m),
                 lowest_m: -SPARE_M,
