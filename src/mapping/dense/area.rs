@@ -114,6 +114,7 @@ pub fn surface_area<E: From<MapError> + Send>(
     let wide = DenseOptions {
         layer_m: 2.0 * options.range_m / (LAYERS - 1) as f64,
         lowest_m: -options.range_m,
+        layers: LAYERS,
         others: options.others,
         block_cells: DenseOptions::default().block_cells / 2,
         penalties: options.penalties,
@@ -157,8 +158,10 @@ pub fn surface_area<E: From<MapError> + Send>(
                 false => *above.select_nth_unstable_by(at, f64::total_cmp).1,
             };
             let span = (higher * usual).max(LEAST_TOP_M) + 2.0 * SPARE_M;
+            let layer_m = (span / (LAYERS - 1) as f64).max(area.cell_m);
             DenseOptions {
-                layer_m: (span / (LAYERS - 1) as f64).max(area.cell_m),
+                layer_m,
+                layers: (span / layer_m).ceil() as usize + 1,
                 lowest_m: -SPARE_M,
                 block_cells: DenseOptions::default().block_cells,
                 prior: options.prior,

@@ -4,7 +4,7 @@ use super::{
     DenseOptions, LAYERS,
     aggregate::aggregate,
     rectify::{BlockPlane, PosedPhoto, rectify},
-    sweep::{MOST_OTHERS, REACH, Rectified, costs, transfer},
+    sweep::{MOST_OTHERS, REACH, Rectified, WORST, costs, transfer},
 };
 use crate::{mapping::View, raster::undistort::Interpolation};
 
@@ -12,6 +12,8 @@ use crate::{mapping::View, raster::undistort::Interpolation};
 const OVERLAP: usize = 16;
 /// Photos closer to the reference than this, per height of flight, say little of heights.
 const LEAST_BASE: f64 = 0.05;
+/// What layers that take no part cost more than those in which nothing fits: as much as the prior may add to these.
+const DISLIKED: u8 = 20;
 /// How far from its middle the pixels of leaves reach, in cells: at their edges they share pixels with soil.
 const LEAF_REACH: f64 = 0.75;
 
@@ -38,8 +40,9 @@ pub fn match_block(
 ) -> Option<Block> {
     let views: Vec<&View> = photos.iter().map(|photo| photo.view).collect();
     let (reference, others) = choose(&views, core, options.others)?;
-    let heights_m: [f64; LAYERS] =
-        std::array::from_fn(|k| options.lowest_m + options.layer_m * k as f64);
+    let layers = options.layers.clamp(2, LAYERS);
+    let heights_m: Vec<f64> =
+        (0..layers).map(|k| options.lowest_m + options.layer_m * k as f64).collect();
     let margin = OVERLAP + displacement(photos[reference], core, &heights_m)?;
     let [width, height] = core.size.map(|n| n + 2 * margin);
     let corner_m = core.place_m([-(margin as f64); 2]);
@@ -62,6 +65,8 @@ pub fn match_block(
         let ground_m: Vec<f32> = (0..width * height).map(above).collect();
         options.prior.add(&mut volume, &green, &ground_m, &heights_m);
     }
+    // Layers that take no part fit nowhere.
+    volume.resize(width * height * LAYERS, WORST + DISLIKED);
     let best =
         aggregate::<LAYERS, { LAYERS + 2 }>(&volume, &picture.values, width, &options.penalties);
     // Each pixel of the reference to its cells; the highest stays.

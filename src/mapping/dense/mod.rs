@@ -50,6 +50,8 @@ pub struct DenseOptions {
     pub layer_m: f64,
     /// The lowest layer above the plane of a block, metres (below it where negative).
     pub lowest_m: f64,
+    /// How many of the [`LAYERS`] take part, from the lowest on.
+    pub layers: usize,
     /// How many photos are compared with the reference.
     pub others: usize,
     /// Side of a block, cells; a power of two.
@@ -65,6 +67,7 @@ impl Default for DenseOptions {
         DenseOptions {
             layer_m: 0.015,
             lowest_m: -0.1,
+            layers: LAYERS,
             others: 4,
             block_cells: 256,
             penalties: Penalties::default(),
