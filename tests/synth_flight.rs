@@ -106,6 +106,7 @@ fn a_project_folder_is_complete_and_the_same_for_any_number_of_threads() {
     let found = contents(&first);
     let mut expected: Vec<String> = ALWAYS.map(str::to_owned).to_vec();
     expected.extend(["tie_points.csv", "truth/tie_points.csv"].map(str::to_owned));
+    expected.extend(["truth/chm.tif", "truth/dsm.tif"].map(str::to_owned));
     expected.extend(["cameras", "images", "points3D"].map(|name| format!("model/{name}.txt")));
     for photo in 1..=6 {
         expected.push(format!("images/IMG_{photo:04}.JPG"));

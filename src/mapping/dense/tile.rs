@@ -88,9 +88,10 @@ pub fn match_tile(
     let views: Vec<&View> = photos.iter().map(|photo| photo.view).collect();
     let planes = blocks(&views, ground, tile, options);
     if planes.is_empty() {
-        let message =
-            "no two photos show a place of this tile at which the height of the ground is known";
-        return Err(MapError(message.into()));
+        if plane(tile.corner_m, tile.cell_m, tile.size, ground).is_none() {
+            return Err(MapError("no height of the ground is known on this tile".into()));
+        }
+        return Ok(result);
     }
     let blocks: Vec<Option<Block>> =
         planes.par_iter().map(|(_, plane)| match_block(photos, plane, ground, options)).collect();
