@@ -210,12 +210,12 @@ fn plants_table(all: &[Counted]) -> String {
          mean error on the other sets. MAPE in %.\n\n| set | photos | MAPE | MAE | RMSE | R2 | F1 | rival's n | MAPE | MAE | RMSE | R2 | F1 |\n\
          |---|---|---|---|---|---|---|---|---|---|---|---|---|\n"
         .to_owned();
-    let mut sure = format!(
+    let mut sure = String::from(
         "\n## Uncertainty\n\nHeld: share of photos whose number lies in the interval of 95 %, and its mean width over the \
          number. Left out: intervals as many times as wide as holds 95 % on all other sets, each of which counts the same (trees, which no width holds, take no part), \
          and confidence times the share of right places of all other sets.\n\n\
          | set | held | width | confidence | precision | wider, left out | held | width | confidence, left out |\n\
-         |---|---|---|---|---|---|---|---|---|\n"
+         |---|---|---|---|---|---|---|---|---|\n",
     );
     for name in &names {
         let (mine, others): (Vec<&Counted>, Vec<&Counted>) =

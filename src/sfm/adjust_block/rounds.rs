@@ -156,7 +156,7 @@ impl BlockAdjuster<'_> {
             solved.motions[index(image)] = image.motion;
         }
         for (camera, of) in solved.cameras.iter_mut().zip(&scene.cameras) {
-            camera.interior = of.interior.clone();
+            camera.interior = of.interior;
         }
         let limits =
             TriangulationOptions { tolerance_px: MIN_ERROR_PX, ..mark_triangulation(self.options) };
