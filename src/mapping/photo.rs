@@ -79,7 +79,7 @@ impl DecodedPhoto {
     /// As [`Photo::sum`] of two, in loops that need no inlining to be fast.
     #[inline(always)]
     fn bilinear(&self, [u, v]: [f32; 2]) -> [f32; 4] {
-        let (column, row) = (u.floor(), v.floor());
+        let (column, row) = (first(u), first(v));
         let (s, t) = (u - column, v - row);
         let (i, j) = (column as isize, row as isize);
         let (width, height) = (self.width as isize, self.height as isize);
@@ -106,7 +106,7 @@ impl DecodedPhoto {
 
     #[inline(always)]
     fn sum<const N: usize>(&self, [u, v]: [f32; 2], weights: impl Fn(f32) -> [f32; N]) -> [f32; 4] {
-        let (column, row) = (u.floor(), v.floor());
+        let (column, row) = (first(u), first(v));
         let (across, down) = (weights(u - column), weights(v - row));
         let reach = N as isize / 2 - 1;
         let (left, top) = (column as isize - reach, row as isize - reach);
@@ -140,6 +140,13 @@ impl DecodedPhoto {
         }
         colour
     }
+}
+
+/// The whole pixels before a position; positions that a lens sends to where no photo is stay within what integers hold.
+#[inline(always)]
+fn first(position_px: f32) -> f32 {
+    const FAR_PX: f32 = 1e9;
+    position_px.floor().clamp(-FAR_PX, FAR_PX)
 }
 
 /// Colours at many positions, with the machine's SIMD.
@@ -213,6 +220,20 @@ mod tests {
         assert_eq!((at[0], at[1]), (0.0, 0.0));
         for t in [0.0, 0.3, 0.8] {
             assert!((lanczos(t).iter().sum::<f32>() - 1.0).abs() < 1e-5);
+        }
+    }
+
+    #[test]
+    fn positions_far_outside_are_read_without_harm() {
+        // The polynomials of a lens are far off beyond the photo.
+        let photo = DecodedPhoto::new(&RgbImage::from_pixel(8, 6, Rgb([9, 9, 9])), None);
+        let far = [1e6, 1e20, f32::MAX, f32::INFINITY, f32::NAN];
+        let at_px: Vec<[f32; 2]> =
+            far.iter().flat_map(|&x| [[x, 2.0], [2.0, x], [-x, -x], [x, -x]]).collect();
+        let mut out = vec![[0; 4]; at_px.len()];
+        for kind in [Interpolation::Bilinear, Interpolation::Bicubic, Interpolation::Lanczos] {
+            photo.colours(&at_px, kind, None, &mut out);
+            assert_eq!(out.len(), at_px.len());
         }
     }
 }
