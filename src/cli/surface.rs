@@ -17,6 +17,8 @@ use std::path::PathBuf;
 /// bare) with dtm_sigma.tif, and chm.tif (the height of the one over the other); for every cell how sure its height is
 /// (confidence.tif, 0 to 255) and how many photos were compared (photos.tif); pictures and a profile in figures/.
 ///
+/// For crops that stand on soil: trees and houses come out wrong, and a lawn counts as canopy.
+///
 /// PROJECT is a folder after rowgram align and rowgram dem.
 ///
 /// Examples:

@@ -1,4 +1,7 @@
 //! The dense surface: what grows, the ground below it, and the height of the one over the other.
+//!
+//! For crops that stand on soil. Heights are looked for near the tie points, and what is not green is ground: trees and houses come
+//! out wrong, a lawn counts as canopy.
 
 use super::{
     Project, Stage, Task, dem,
