@@ -1,4 +1,4 @@
-//! Coloured point clouds: PLY for viewers, LAZ with a coordinate reference system's extent for GIS.
+//! Coloured point clouds: PLY for viewers, LAZ with the keys of its coordinate reference system for GIS.
 
 use super::{FileError, geotiff::geo_keys, output};
 use crate::{

@@ -33,7 +33,7 @@ const LONG: f64 = 3.0;
 const LONE: f64 = 1.5;
 /// Radius of the disc that stands for a plant when rows are looked for, of that of a disc with the plant's mass.
 const DISC: f64 = 0.6;
-/// Gaps longer than this many spacings may be alleys.
+/// Gaps longer than this many spacings may be alleys: as many as the bare stretch at which closed rows are cut (`row_parts`).
 const LONG_GAP: f64 = 4.0;
 /// Plants that say something of rows, at least.
 const LEAST: usize = 6;

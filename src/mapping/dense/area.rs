@@ -13,12 +13,14 @@ use crate::mapping::{MapError, View, photo::DecodedPhoto};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// Side of a tile, cells.
+/// Side of a tile, cells: the photos that one tile compares are in memory together.
 pub const TILE: usize = 1024;
+// Of the next, `USUAL`, `HIGHER` and `SURE` were chosen on the synthetic flight `small` (`rowgram synth flight --preset small`, then `run`), beside what the test of the run
+// prints; docs/decisions.md has the numbers. No other flight was looked at.
 /// Share of what surely stands on the ground in the coarse pass that decides how high layers reach: one leaf in ten may be mistaken
 /// there, and mistakes are as high as the layers.
 const USUAL: f64 = 0.9;
-/// Share of all sure cells of the coarse pass that may be mistaken.
+/// Share of all sure cells of the coarse pass that may be mistaken, where colours say nothing. Not measured.
 const MISTAKEN: f64 = 0.001;
 /// Layers reach so many times as high as that.
 const HIGHER: f64 = 1.4;
@@ -26,7 +28,7 @@ const HIGHER: f64 = 1.4;
 const SURE: u8 = 80;
 /// Layers below the ground, and above what stands on it, metres: what the ground may be off by.
 const SPARE_M: f64 = 0.1;
-/// The layers of the second pass reach at least so high, metres.
+/// The layers of the second pass reach at least so high, metres: young plants, where nothing stands surely. Not measured.
 const LEAST_TOP_M: f64 = 0.3;
 
 /// How the surface of an area is matched.

@@ -8,7 +8,7 @@ use super::{
 use crate::mapping::{MapError, View};
 use rayon::prelude::*;
 
-/// Least side of a block, cells.
+/// Least side of a block, cells: as wide as what its neighbours share with it on both sides.
 const LEAST_BLOCK: usize = 32;
 /// Distance of the nodes of the ground, metres, and at least this many coarse cells.
 const NODE_M: f64 = 0.3;
