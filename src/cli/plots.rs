@@ -17,7 +17,7 @@ use std::path::PathBuf;
 ///
 /// Takes the leaf mask, and the plants, gaps, leaves and counts where those stages were done. Plots are the polygons of
 /// plots.geojson, .gpkg or .shp, or groups of rows cut at alleys (--rows-per-plot and --alley-m), else the whole field. Writes
-/// plots/traits.csv, .geojson, .gpkg, traits_long.csv and traits.brapi.json.
+/// plots/traits.csv, .geojson, .gpkg, traits_long.csv, .parquet and BrAPI answers (*.brapi.json).
 ///
 /// Example: rowgram plots field
 /// Example: rowgram plots field --rows-per-plot 4 --alley-m 1

@@ -220,7 +220,7 @@ impl Geometry {
         }
     }
 
-    fn points(&self) -> Box<dyn Iterator<Item = [f64; 2]> + '_> {
+    pub(super) fn points(&self) -> Box<dyn Iterator<Item = [f64; 2]> + '_> {
         match self {
             Geometry::Point(point) => Box::new(std::iter::once(*point)),
             Geometry::LineString(points) => Box::new(points.iter().copied()),
@@ -242,7 +242,13 @@ impl Geometry {
             self.points().for_each(|point| bounds.add(point));
             out.extend(bounds.0.as_flattened().iter().flat_map(|value| value.to_le_bytes()));
         }
-        out.push(1);
+        out.extend(self.well_known_binary());
+        out
+    }
+
+    /// Well-known binary, little-endian.
+    pub fn well_known_binary(&self) -> Vec<u8> {
+        let mut out = vec![1];
         let count = |n: usize| (n as u32).to_le_bytes();
         let put = |out: &mut Vec<u8>, points: &[[f64; 2]]| {
             out.extend(points.as_flattened().iter().flat_map(|value| value.to_le_bytes()));

@@ -12,6 +12,7 @@ pub mod corners;
 pub mod csv_table;
 pub mod features;
 pub mod gcp_list;
+pub mod geoparquet;
 pub mod geotiff;
 pub mod gpkg;
 pub mod images;

@@ -30,6 +30,8 @@ pub struct Metadata {
     pub model: String,
     /// When it was taken, as EXIF writes it with fractions of a second: sorts by time.
     pub moment: String,
+    /// Offset of that time from UTC, as EXIF writes it (`+02:00`); empty where it is not told.
+    pub utc_offset: String,
     /// Focal length, millimetres.
     pub focal_mm: Option<f64>,
     /// Focal length of a 36 x 24 mm camera with as wide a view, millimetres.
@@ -57,6 +59,29 @@ pub struct Metadata {
 pub fn read(path: &Path) -> Result<Metadata, FileError> {
     let bytes = std::fs::read(path).map_err(|e| FileError::read(path, e))?;
     Ok(parse(&bytes))
+}
+
+impl Metadata {
+    /// When the photo was taken, after ISO 8601, with the offset from UTC where that is known; `None` where the photo does not
+    /// tell a date and a time.
+    pub fn time(&self) -> Option<String> {
+        let (date, time) = self.moment.split_once(' ')?;
+        let digits = |text: &str, lengths: &[usize], by: char| {
+            let parts: Vec<&str> = text.split(by).collect();
+            parts.len() == lengths.len()
+                && parts.iter().zip(lengths).all(|(part, length)| {
+                    part.len() == *length && part.bytes().all(|byte| byte.is_ascii_digit())
+                })
+        };
+        let whole = time.split('.').next()?;
+        if !digits(date, &[4, 2, 2], ':') || !digits(whole, &[2, 2, 2], ':') {
+            return None;
+        }
+        let offset =
+            self.utc_offset.strip_prefix(['+', '-']).is_some_and(|rest| digits(rest, &[2, 2], ':'));
+        let offset = if offset { self.utc_offset.as_str() } else { "" };
+        Some(format!("{}T{time}{offset}", date.replace(':', "-")))
+    }
 }
 
 /// As [`read`], from a file's bytes.
@@ -97,6 +122,7 @@ fn from_exif(exif: &exif::Exif, found: &mut Metadata) {
     if !found.moment.is_empty() && !fraction.is_empty() {
         found.moment = format!("{}.{fraction}", found.moment);
     }
+    found.utc_offset = text(Tag::OffsetTimeOriginal);
     found.focal_mm = positive(Tag::FocalLength);
     found.focal_35mm = positive(Tag::FocalLengthIn35mmFilm);
     // Unit 3 is the centimetre, 4 the millimetre, otherwise the inch.

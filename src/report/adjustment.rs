@@ -65,6 +65,10 @@ pub(super) struct Ground {
     /// From the given coordinates to the adjusted ones.
     pub(super) difference_m: [f64; 3],
     sigma_m: [f64; 3],
+    /// How many images it was measured in.
+    images: usize,
+    /// Root mean square distance of where it was measured and where it is seen, pixels.
+    image_rms_px: Option<f64>,
 }
 
 /// Errors of the check points along an axis.
@@ -185,6 +189,7 @@ pub(super) fn ground(facts: &Facts<'_>) -> Section {
         };
         let mut row = vec![point.name.clone(), role.to_owned()];
         row.extend([0, 1, 2].map(axis));
+        row.extend([point.images.to_string(), digits(point.image_rms_px, 2)]);
         row
     };
     let rows: Vec<Vec<String>> = sorted.into_iter().map(row).collect();
@@ -211,8 +216,8 @@ pub(super) fn ground(facts: &Facts<'_>) -> Section {
             p { "Check points take no part in the adjustment; their errors are those of the map." }
             (table(&["axis", "rmse, cm", "95 %", "mean, cm", "points"], &rmse))
         }
-        h3 { "One by one: adjusted minus given, cm, with the half width of its 95 % interval" }
-        (table(&["point", "role", "X", "Y", "Z"], &rows))
+        h3 { "One by one: adjusted minus given, with the half width of its 95 % interval" }
+        (table(&["point", "role", "X, cm", "Y, cm", "Z, cm", "images", "in images, rms px"], &rows))
     };
     Some(("ground", "Ground points", content))
 }

@@ -1,14 +1,16 @@
-//! The section of the block: cameras, overlap, matches.
+//! The section of the block: flight, cameras, overlap, matches.
 
 use super::{
     Facts, drawings,
-    page::{Section, drawing, figure},
+    page::{Section, chart, digits, drawing, figure, table},
     pictures,
 };
 use crate::{
+    camera::Lens,
     error::Error,
     monitor::{Diagnostic, Severity},
-    pipeline::Stage,
+    pipeline::{Stage, align::AlignOutcome},
+    scene::Reconstruction,
 };
 use maud::{Markup, html};
 
@@ -23,6 +25,7 @@ pub(super) fn shown(
     caption: &str,
 ) -> Result<Markup, Error> {
     Ok(match facts.file(stage, name) {
+        Some(path) if name.ends_with(".svg") => chart(&pictures::file(&path)?, caption),
         Some(path) => figure(&pictures::file(&path)?, caption, "paper"),
         None => html! {},
     })
@@ -46,6 +49,8 @@ pub(super) fn block(facts: &Facts<'_>) -> Result<Section, Error> {
             (align.crs) "."
         }
         @if !align.unregistered.is_empty() { p { "Not oriented: " (align.unregistered.join(", ")) } }
+        (flight(align))
+        @if let Some((scene, _)) = &facts.block { (cameras(scene)) }
         div .pair {
             @if let Some((map, caption)) = drawings::cameras(facts)? { (drawing(&map, &caption)) }
             (shown(facts, Stage::Align, "figures/overlap.svg", "How many photos see each place.")?)
@@ -56,6 +61,86 @@ pub(super) fn block(facts: &Facts<'_>) -> Result<Section, Error> {
         }
     };
     Ok(Some(("block", "Block", content)))
+}
+
+/// As [`shown`], for a map in colours from dark blue (`low`) to yellow (`high`), with its bar.
+///
+/// # Errors
+/// As [`shown`].
+pub(super) fn scaled(
+    facts: &Facts<'_>,
+    stage: Stage,
+    name: &str,
+    caption: &str,
+    [low, high]: [&str; 2],
+) -> Result<Markup, Error> {
+    let Some(path) = facts.file(stage, name) else { return Ok(html! {}) };
+    Ok(html! {
+        figure {
+            img .paper src=(pictures::file(&path)?) alt=(caption);
+            div .colour-bar { span { (low) } i {} span { (high) } }
+            figcaption { (caption) }
+        }
+    })
+}
+
+/// When, how high, how much photos share.
+fn flight(align: &AlignOutcome) -> Markup {
+    let flight = &align.flight;
+    let percent = |share: Option<f64>| digits(share.map(|share| 100.0 * share), 0);
+    // Without a scale there are no metres.
+    let height_m = flight.height_above_ground_m.filter(|_| align.gsd_m.is_some());
+    let row = vec![
+        flight.first_photo_time.clone().unwrap_or_else(|| "-".to_owned()),
+        flight.last_photo_time.clone().unwrap_or_else(|| "-".to_owned()),
+        digits(height_m, 1),
+        digits(align.gsd_m.map(|gsd_m| 100.0 * gsd_m), 2),
+        percent(flight.overlap),
+        digits(flight.photos_per_place, 1),
+    ];
+    let header = [
+        "first photo",
+        "last photo",
+        "height above ground, m",
+        "ground sampling distance, cm",
+        "overlap with the next photo, %",
+        "photos per place",
+    ];
+    html! { h3 { "Flight" } (table(&header, &[row])) }
+}
+
+/// The cameras as adjusted.
+fn cameras(scene: &Reconstruction) -> Markup {
+    let rows: Vec<Vec<String>> = (scene.cameras.iter().enumerate())
+        .map(|(k, camera)| {
+            let interior = &camera.interior;
+            let [width, height] = interior.size_px();
+            let c_px = interior.principal_distance_px();
+            let view_deg = |length: u32| 2.0 * (0.5 * f64::from(length) / c_px).atan().to_degrees();
+            let free = camera.free.iter().filter(|free| **free).count();
+            vec![
+                camera.name.clone(),
+                scene.images.iter().filter(|image| image.camera == k).count().to_string(),
+                format!("{width} x {height}"),
+                interior.model().word().to_owned(),
+                format!("{c_px:.1}"),
+                format!("{:.0} x {:.0}", view_deg(width), view_deg(height)),
+                format!("{free} of {}", interior.parameters().len()),
+                if scene.rolling_shutter.is_some() { "rolling" } else { "global" }.to_owned(),
+            ]
+        })
+        .collect();
+    let header = [
+        "camera",
+        "photos",
+        "size, px",
+        "lens model",
+        "principal distance, px",
+        "field of view, °",
+        "parameters adjusted",
+        "shutter",
+    ];
+    html! { h3 { "Cameras" } (table(&header, &rows)) }
 }
 
 /// What stages found on the way.

@@ -36,13 +36,7 @@ pub(super) fn page(facts: &Facts<'_>) -> Result<String, Error> {
     let page = html! {
         (DOCTYPE)
         html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                meta name="generator" content=(concat!("rowgram ", env!("CARGO_PKG_VERSION")));
-                title { (name) " - rowgram" }
-                style { (PreEscaped(STYLE)) }
-            }
+            (head(name))
             body {
                 header {
                     h1 { (name) }
@@ -71,6 +65,33 @@ pub(super) fn page(facts: &Facts<'_>) -> Result<String, Error> {
         }
     };
     Ok(page.into_string())
+}
+
+/// The page of a map that a server sends.
+pub(super) fn viewer(name: &str, map: &Markup) -> String {
+    let page = html! {
+        (DOCTYPE)
+        html lang="en" {
+            (head(name))
+            body .viewer {
+                header { h1 { (name) } }
+                main { (map) }
+            }
+        }
+    };
+    page.into_string()
+}
+
+fn head(name: &str) -> Markup {
+    html! {
+        head {
+            meta charset="utf-8";
+            meta name="viewport" content="width=device-width, initial-scale=1";
+            meta name="generator" content=(concat!("rowgram ", env!("CARGO_PKG_VERSION")));
+            title { (name) " - rowgram" }
+            style { (PreEscaped(STYLE)) }
+        }
+    }
 }
 
 fn subtitle(facts: &Facts<'_>) -> String {
@@ -187,6 +208,16 @@ pub(super) fn figure(source: &str, caption: &str, class: &str) -> Markup {
     }
 }
 
+/// A chart: drawn dark on white, with lettering that has to stay legible on small screens.
+pub(super) fn chart(source: &str, caption: &str) -> Markup {
+    html! {
+        figure {
+            div .chart { img .paper .drawn src=(source) alt=(caption); }
+            figcaption { (caption) }
+        }
+    }
+}
+
 /// A drawing of the page.
 pub(super) fn drawing(content: &Markup, caption: &str) -> Markup {
     html! { figure { (content) figcaption { (caption) } } }
@@ -194,8 +225,10 @@ pub(super) fn drawing(content: &Markup, caption: &str) -> Markup {
 
 /// A table.
 pub(super) fn table(header: &[&str], rows: &[Vec<String>]) -> Markup {
+    // On paper nothing can be moved aside.
+    let class = if header.len() > 9 { "wide" } else { "" };
     html! {
-        div .scroll { table {
+        div .scroll { table class=(class) {
             thead { tr { @for name in header { th { (name) } } } }
             tbody { @for row in rows { tr { @for cell in row { td { (cell) } } } } }
         } }

@@ -2,7 +2,7 @@
 
 use super::{
     Facts,
-    block::shown,
+    block::{scaled, shown},
     drawings, map,
     page::{Section, digits, drawing, figure, table},
     pictures,
@@ -37,13 +37,17 @@ pub(super) fn map(facts: &Facts<'_>) -> Result<Section, Error> {
              places, the ground beside them is up to a few centimetres off."
         )
     };
+    let most = at_share(facts, Stage::Ortho, "figures/coverage.csv", "photos_that_show_it", 1.0)?;
+    let most = digits(most, 0);
+    let sigma_m = at_share(facts, Stage::Dem, "figures/heights.csv", "sigma_m", 0.95)?;
+    let sigma_cm = digits(sigma_m.map(|m| 100.0 * m), 1);
     let caption = format!("The orthomosaic, {width} x {height} pixels{gsd}.{drawn}");
     let content = html! {
         @if let Some(map) = map::map(facts)? { (map) }
         p .note { (caption) }
         div .pair {
             (shown(facts, Stage::Ortho, "figures/sources.png", "Which photo each place comes from, and the seams between them.")?)
-            (shown(facts, Stage::Ortho, "figures/coverage.png", "How many photos show each place, from none to many.")?)
+            (scaled(facts, Stage::Ortho, "figures/coverage.png", "How many photos show each place; white where none does.", ["1", &format!("{most} photos")])?)
         }
         @if let Some(dem) = &results.dem {
             p {
@@ -54,7 +58,7 @@ pub(super) fn map(facts: &Facts<'_>) -> Result<Section, Error> {
             }
             div .pair {
                 (shown(facts, Stage::Dem, "figures/hillshade.png", "The surface, shaded; where there are no points there is no height.")?)
-                (shown(facts, Stage::Dem, "figures/sigma.png", "Standard deviation of its heights.")?)
+                (scaled(facts, Stage::Dem, "figures/sigma.png", "Standard deviation of its heights; one cell in twenty exceeds the end of the scale.", ["0", &format!("{sigma_cm} cm")])?)
             }
         }
         @if let Some(surface) = &results.surface {
@@ -79,6 +83,20 @@ pub(super) fn map(facts: &Facts<'_>) -> Result<Section, Error> {
     Ok(Some(("map", "Map", content)))
 }
 
+/// The value of a column at a share of the rows of a table that is sorted by it.
+fn at_share(
+    facts: &Facts<'_>,
+    stage: Stage,
+    name: &str,
+    column: &str,
+    share: f64,
+) -> Result<Option<f64>, Error> {
+    let values = facts.table(stage, name)?.and_then(|table| table.numbers(column));
+    Ok(values.and_then(|of| {
+        of.get((of.len().saturating_sub(1) as f64 * share).round() as usize).copied()
+    }))
+}
+
 /// Mask, density, leaves.
 ///
 /// # Errors
@@ -90,6 +108,7 @@ pub(super) fn leaves(facts: &Facts<'_>) -> Result<Section, Error> {
         return Ok(None);
     };
     let overview = pictures::overview(&mask, 1100)?;
+    let densest = results.leaf_density.as_ref().map_or(0, |density| density.largest);
     let content = html! {
         p {
             "Leaves cover " (format!("{:.2}", 100.0 * segment.leaf_share)) " % of the map"
@@ -106,7 +125,7 @@ pub(super) fn leaves(facts: &Facts<'_>) -> Result<Section, Error> {
         }
         div .pair {
             (figure(&pictures::jpeg(&pictures::green(&overview.picture), 1100)?, "The leaf mask.", ""))
-            (shown(facts, Stage::LeafDensity, "figures/density.png", "Local density: leaf pixels around each pixel, from dark blue (none) to yellow (many).")?)
+            (scaled(facts, Stage::LeafDensity, "figures/density.png", "Local density: leaf pixels around each pixel.", ["0", &format!("{densest} pixels")])?)
         }
         @if let Some(count) = &results.leaf_count {
             h3 { "Leaves by area" }

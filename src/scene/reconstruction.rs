@@ -210,6 +210,21 @@ impl Reconstruction {
         lens.project(self.pose_at(image, image_px[1]).to_camera(point_m)).is_some()
     }
 
+    /// Root mean square distance of where a ground point was measured and where it is seen if it is at `position_m`, pixels; `None`
+    /// where it was measured in no image that can see it there.
+    pub fn ground_point_rms_px(&self, ground: usize, position_m: [f64; 3]) -> Option<f64> {
+        let squares =
+            self.marks.iter().filter(|mark| mark.ground as usize == ground).filter_map(|mark| {
+                let image = mark.image as usize;
+                let lens = &self.cameras[self.images[image].camera].interior;
+                let [u, v] =
+                    lens.project(self.pose_at(image, mark.image_px[1]).to_camera(position_m))?;
+                Some((u - mark.image_px[0]).powi(2) + (v - mark.image_px[1]).powi(2))
+            });
+        let squares: Vec<f64> = squares.collect();
+        (!squares.is_empty()).then(|| (squares.iter().sum::<f64>() / squares.len() as f64).sqrt())
+    }
+
     /// The velocity of an image in the world, metres per second, from its motion.
     pub fn velocity_m_s(&self, image: usize) -> Option<[f64; 3]> {
         let readout_s = self.rolling_shutter?.readout_s;

@@ -29,6 +29,7 @@ pub mod bundle;
 pub mod control;
 pub mod depth_outliers;
 pub mod epipolar_rematching;
+pub mod flight;
 pub mod georeference;
 pub mod global;
 pub mod guided_matching;

@@ -46,6 +46,10 @@ struct Ground {
     adjusted_m: [f64; 3],
     difference_m: [f64; 3],
     sigma_m: [f64; 3],
+    /// How many images it was measured in.
+    images: usize,
+    /// Root mean square distance of where it was measured and where the adjusted point is seen, pixels.
+    image_rms_px: Option<f64>,
 }
 
 /// An observation that the test rejects.
@@ -190,6 +194,8 @@ fn ground(adjustment: &Adjustment) -> Vec<Ground> {
             adjusted_m: at,
             difference_m: std::array::from_fn(|axis| at[axis] - point.position_m[axis]),
             sigma_m: std::array::from_fn(|axis| sigma0 * covariance[axis][axis].max(0.0).sqrt()),
+            images: survey.marks.iter().filter(|mark| mark.ground as usize == k).count(),
+            image_rms_px: survey.ground_point_rms_px(k, at),
         });
     }
     rows

@@ -6,7 +6,10 @@ use crate::{
     options::Choice,
     problems::adjustment::Group,
     scene::Role,
-    sfm::adjust_block::{AdjustedBlock, gsd_m},
+    sfm::{
+        adjust_block::{AdjustedBlock, gsd_m},
+        flight::FlightSummary,
+    },
 };
 use serde::{Deserialize, Serialize};
 use std::{collections::BTreeMap, fmt};
@@ -64,6 +67,8 @@ pub struct AlignOutcome {
     pub sigma0: f64,
     /// Whether the adjustment has converged and nothing is suspect any more.
     pub converged: bool,
+    /// Height, overlap, times.
+    pub flight: FlightSummary,
     /// The lens parameters of every camera by name.
     pub cameras: Vec<BTreeMap<String, f64>>,
     /// Names of photos that are not oriented.
@@ -118,6 +123,10 @@ impl AlignOutcome {
             inputs.names().into_iter().filter(is_left).map(str::to_owned).collect();
         unregistered.extend(inputs.left_out.iter().map(|(name, _)| name.clone()));
         unregistered.sort();
+        let times: Vec<String> = (inputs.photos.iter())
+            .filter(|photo| registered.contains(&photo.name.as_str()))
+            .filter_map(|photo| photo.metadata.time())
+            .collect();
         let apart = found.fragments.iter().filter(|(_, joined)| !joined).count();
         AlignOutcome {
             images: inputs.photos.len() + inputs.left_out.len(),
@@ -134,6 +143,7 @@ impl AlignOutcome {
             check_points: errors(&checks),
             sigma0: adjusted.statistics.sigma0,
             converged: adjusted.converged() && found.complete,
+            flight: FlightSummary::of(block, &times),
             cameras: block.cameras.iter().map(described).collect(),
             unregistered,
             fragment_images: found

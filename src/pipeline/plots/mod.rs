@@ -1,16 +1,17 @@
 //! Traits of every plot: from polygons, from a grid that the rows give, or of the whole field.
 //!
 //! Written as a wide table (`traits.csv`), a tidy one (`traits_long.csv`: plot, trait, value, unit), polygons with
-//! the traits (`traits.geojson`, `traits.gpkg`), observations after BrAPI's names (`traits.brapi.json`), and what each trait is
-//! (`trait_dictionary.csv`). Plants and gaps come with the plot that they stand in (`plants.csv`, `plants.gpkg`, `gaps.csv`,
-//! `gaps.gpkg`). Layers have styles for QGIS beside them.
+//! the traits (`traits.geojson`, `traits.gpkg`, `traits.parquet`), BrAPI answers (`*.brapi.json`), and what each trait is
+//! (`trait_dictionary.csv`). Plants and gaps come with the plot that they stand in (`plants.csv`, `gaps.csv`, and
+//! both as `.gpkg` and `.parquet`). Layers have styles for QGIS beside them.
 
+mod brapi;
 mod colours;
 mod heights;
 mod plants;
 mod write;
 
-use super::{Project, Stage, Task, stage, surface};
+use super::{Project, Stage, Task, align::AlignOutcome, stage, surface};
 use crate::{
     error::Error,
     io::{FileError, csv_table::CsvTable, polygons, rasters},
@@ -85,6 +86,9 @@ pub fn plots(
     stage::perform::<Plots>(project, options, monitor)
 }
 
+/// Polygons of the plots with their traits.
+pub const POLYGONS: &str = "traits.geojson";
+
 /// The stage.
 pub(super) struct Plots;
 
@@ -128,7 +132,8 @@ impl Task for Plots {
     }
 
     fn context(project: &Project) -> String {
-        study(project)
+        let study = study(project);
+        format!("{} {}", study.name, study.time.unwrap_or_default())
     }
 
     fn work(
@@ -186,16 +191,21 @@ impl Task for Plots {
             let subject = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
             monitor.diagnostic(&Diagnostic::warning("plots-outside", subject, message));
         }
-        write::traits(&plots, place, &study(project), folder, monitor)?;
+        write::traits(&plots, place, folder, monitor)?;
+        brapi::write(&plots, &study(project), folder)?;
         plants::write(&tables, &plots, place, folder)?;
         let plots = plots.into_iter().map(|plot| plot.traits).collect();
         Ok(PlotsOutcome { source, plots, outside })
     }
 }
 
-/// The name of the study. Not the folder's: a project that moves keeps its bytes.
-fn study(project: &Project) -> String {
-    project.config().project.name.clone().unwrap_or_else(|| "field".to_owned())
+/// The study. Its name is not the folder's: a project that moves keeps its bytes.
+fn study(project: &Project) -> brapi::Study {
+    let name = project.config().project.name.clone().unwrap_or_else(|| "field".to_owned());
+    let align = project.records().read(Stage::Align);
+    let outcome =
+        align.and_then(|record| serde_json::from_value::<AlignOutcome>(record.outcome).ok());
+    brapi::Study { name, time: outcome.and_then(|outcome| outcome.flight.first_photo_time) }
 }
 
 /// Polygons with names, pixels.

@@ -5,6 +5,7 @@ use crate::{
     error::Error,
     io::{
         csv_table::CsvTable,
+        geoparquet,
         gpkg::{self, Column, ColumnKind, Feature, Geometry, GeometryKind, Layer, Value},
         output,
         qgis::{self, Style},
@@ -31,7 +32,7 @@ struct Points {
     values: Vec<Vec<Value>>,
 }
 
-/// Writes `plants.csv`, `gaps.csv` and the layers `plants.gpkg`, `gaps.gpkg`, as far as earlier stages found any.
+/// Writes `plants.csv`, `gaps.csv` and the same as layers (`.gpkg`, `.parquet`), as far as earlier stages found any.
 ///
 /// # Errors
 /// Tables that cannot be read, files that cannot be written.
@@ -186,9 +187,6 @@ impl Points {
             }
             csv.flush()
         })?;
-        if !gpkg::IS_AVAILABLE {
-            return Ok(());
-        }
         let features = map
             .iter()
             .zip(self.values)
@@ -201,7 +199,14 @@ impl Points {
             columns: self.columns,
             features: features.collect(),
         };
-        Ok(gpkg::write(&folder.join(format!("{}.gpkg", self.name)), true, &[layer])?)
+        let path = |ending: &str| folder.join(format!("{}.{ending}", self.name));
+        if geoparquet::IS_AVAILABLE {
+            geoparquet::write(&path("parquet"), true, &layer)?;
+        }
+        if gpkg::IS_AVAILABLE {
+            gpkg::write(&path("gpkg"), true, &[layer])?;
+        }
+        Ok(())
     }
 }
 

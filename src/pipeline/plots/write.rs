@@ -1,10 +1,10 @@
-//! Traits as files: CSV wide and tidy, GeoJSON, GeoPackage, observations with the names of BrAPI.
+//! Traits as files: CSV wide and tidy, GeoJSON, GeoPackage, GeoParquet.
 
 use super::Plot;
 use crate::{
     error::Error,
     io::{
-        FileError,
+        geoparquet,
         gpkg::{self, Column, ColumnKind, Feature, Geometry, GeometryKind, Layer},
         output,
         qgis::{self, Style},
@@ -16,14 +16,13 @@ use crate::{
 use serde_json::{Value, json};
 use std::path::Path;
 
-/// Writes all of them into a folder; `study` is the name of the field.
+/// Writes all of them into a folder.
 ///
 /// # Errors
 /// Where a file cannot be written.
 pub(super) fn traits(
     plots: &[Plot],
     place: Option<Georeference>,
-    study: &str,
     folder: &Path,
     monitor: &mut dyn Monitor,
 ) -> Result<(), Error> {
@@ -58,14 +57,16 @@ pub(super) fn traits(
         csv.flush()
     })?;
     let rings: Vec<Rings> = plots.iter().map(|plot| on_map(&plot.polygon, place)).collect();
+    let layer = layer(plots, &rings, place);
     if gpkg::IS_AVAILABLE {
-        package(plots, &rings, place, folder)?;
+        gpkg::write(&folder.join("traits.gpkg"), true, std::slice::from_ref(&layer))?;
     } else {
-        let message = "not written: this build of rowgram has no GeoPackages";
-        monitor.diagnostic(
-            &Diagnostic::info("output-left-out", "traits.gpkg", message)
-                .with_remedy("take traits.geojson, or build with the Cargo feature geopackage"),
-        );
+        left_out("traits.gpkg", "GeoPackages", "geopackage", monitor);
+    }
+    if geoparquet::IS_AVAILABLE {
+        geoparquet::write(&folder.join("traits.parquet"), true, &layer)?;
+    } else {
+        left_out("traits.parquet", "GeoParquet", "geoparquet", monitor);
     }
     let features: Vec<Value> = plots
         .iter()
@@ -83,14 +84,9 @@ pub(super) fn traits(
         let name = format!("urn:ogc:def:crs:EPSG::{code}");
         collection["crs"] = json!({"type": "name", "properties": {"name": name}});
     }
-    output::write(&folder.join("traits.geojson"), true, |out| writeln!(out, "{collection}"))?;
+    output::write(&folder.join(super::POLYGONS), true, |out| writeln!(out, "{collection}"))?;
     style(plots, folder)?;
-    let observations = brapi(study, plots);
-    output::write(&folder.join("traits.brapi.json"), true, |out| {
-        serde_json::to_writer_pretty(&mut *out, &observations)?;
-        writeln!(out)
-    })
-    .map_err(|error: FileError| error.into())
+    Ok(())
 }
 
 /// How the layers of plots open in QGIS: coloured by the first of some traits that was measured.
@@ -124,13 +120,15 @@ fn on_map(polygon: &Polygon, place: Option<Georeference>) -> Rings {
     polygon.rings.iter().map(ring).collect()
 }
 
-/// The same as a layer of a GeoPackage; the unit of a trait is in its name.
-fn package(
-    plots: &[Plot],
-    rings: &[Rings],
-    place: Option<Georeference>,
-    folder: &Path,
-) -> Result<(), Error> {
+fn left_out(file: &str, format: &str, feature: &str, monitor: &mut dyn Monitor) {
+    let message = format!("not written: this build of rowgram has no {format}");
+    let remedy = format!("take traits.geojson, or build with the Cargo feature {feature}");
+    let found = Diagnostic::info("output-left-out", file, message).with_remedy(remedy);
+    monitor.diagnostic(&found);
+}
+
+/// The same as a layer; the unit of a trait is in its name.
+fn layer(plots: &[Plot], rings: &[Rings], place: Option<Georeference>) -> Layer {
     let columns = std::iter::once(Column::new("plot", ColumnKind::Text))
         .chain(TRAITS.iter().map(|of| Column::new(of.name, ColumnKind::Real)));
     let feature = |(plot, rings): (&Plot, &Rings)| {
@@ -142,48 +140,12 @@ fn package(
             values: std::iter::once(name).chain(values).collect(),
         }
     };
-    let layer = Layer {
+    Layer {
         name: "plots".to_owned(),
         description: "Traits of plots".to_owned(),
         kind: GeometryKind::Polygon,
         crs: place.map(|place| place.crs),
         columns: columns.collect(),
         features: plots.iter().zip(rings).map(feature).collect(),
-    };
-    Ok(gpkg::write(&folder.join("traits.gpkg"), true, &[layer])?)
-}
-
-/// Observations with the names of BrAPI 2.1, and what MIAPPE asks of a study as far as it is known here.
-fn brapi(study: &str, plots: &[Plot]) -> Value {
-    let mut data = Vec::new();
-    for Plot { traits, .. } in plots {
-        for of in TRAITS {
-            let Some(value) = (of.value)(traits) else { continue };
-            data.push(json!({
-                "observationDbId": format!("{study}-{}-{}", traits.plot, of.name),
-                "observationUnitDbId": traits.plot,
-                "observationUnitName": traits.plot,
-                "observationLevel": "plot",
-                "observationVariableDbId": of.name,
-                "observationVariableName": of.name,
-                "studyDbId": study,
-                "observationVariableDescription": of.meaning,
-                "scale": of.unit,
-                "value": value.to_string(),
-            }));
-        }
     }
-    json!({
-        "metadata": {
-            "pagination": {"currentPage": 0, "pageSize": data.len(), "totalCount": data.len(), "totalPages": 1},
-        },
-        "study": {
-            "studyDbId": study,
-            "studyName": study,
-            "studyType": "UAV phenotyping",
-            "method": format!("rowgram {}", env!("CARGO_PKG_VERSION")),
-            "observationUnitLevel": "plot",
-        },
-        "result": {"data": data},
-    })
 }
