@@ -141,7 +141,7 @@ fn an_orthomosaic_alone_is_a_project() {
     for outside in ["http://", "https://", "<script src", "src=\"/"] {
         assert!(!page.contains(outside), "the page needs nothing else: {outside}");
     }
-    drive_map(folder.path(), &page);
+    crate::browser::drive_map(folder.path(), &page);
     let first = results(&project);
 
     // Nothing has changed, so nothing is done; a setting changes what depends on it and no more.
@@ -413,6 +413,8 @@ fn the_main_job_needs_nothing() {
     let project = folder.path().join("rowgram-run");
     crate::formats::assert_columns_are_documented(&project);
     crate::surface::assert_close_to_truth(&project);
+    crate::browser::assert_map_is_served(&project);
+    crate::crops::assert_photos_agree_with_the_map(&project);
     for other in ["colmap/cameras.txt", "opensfm/reconstruction.json"] {
         assert!(project.join("rowgram/align").join(other).is_file(), "{other}");
     }
@@ -455,51 +457,4 @@ fn the_main_job_needs_nothing() {
     fs::rename(&project, folder.path().join("moved")).unwrap();
     let same = rowgram(folder.path(), "verify moved -q");
     assert_eq!(same.code, 0, "{} {}", same.stdout, same.stderr);
-}
-
-/// Moves, zooms and asks the map of a report in a browser; says so where there is none.
-fn drive_map(folder: &Path, page: &str) {
-    let browsers = ["chromium", "chromium-browser", "google-chrome"];
-    let is_there = |name: &&str| Command::new(name).arg("--version").output().is_ok();
-    let Some(browser) = browsers.into_iter().find(is_there) else {
-        println!("skipped: the map of the report is not driven, for there is no Chromium here");
-        return;
-    };
-    let driven = folder.join("driven.html");
-    let script = include_str!("report_map.js");
-    fs::write(&driven, format!("{page}<script>{script}</script>")).unwrap();
-    let run = Command::new(browser)
-        .args(["--headless", "--no-sandbox", "--disable-gpu", "--window-size=1200,900"])
-        .arg(format!("--user-data-dir={}", folder.join("browser").display()))
-        .args(["--virtual-time-budget=8000", "--dump-dom"])
-        .arg(format!("file://{}", driven.display()))
-        .output()
-        .unwrap();
-    let dom = String::from_utf8_lossy(&run.stdout);
-    let seen = dom.split_once("data-seen=\"").and_then(|(_, rest)| rest.split_once('"'));
-    let seen = seen.unwrap_or_else(|| panic!("{}", String::from_utf8_lossy(&run.stderr))).0;
-    let seen: Value = serde_json::from_str(&percent_decoded(seen)).unwrap();
-    assert!(seen["error"].is_null(), "{seen}");
-    assert!(seen["colours"].as_u64().unwrap() > 20, "nothing is drawn: {seen}");
-    assert!((seen["zoomed"].as_f64().unwrap() - 0.6_f64.exp()).abs() < 1e-3, "{seen}");
-    assert!((seen["moved_px"].as_f64().unwrap() - 50.0).abs() < 1e-6, "{seen}");
-    let text = |name: &str| seen[name].as_str().unwrap().to_owned();
-    assert!(!text("after_drag").contains("place"), "a drag is no click: {seen}");
-    let plant = text("plant");
-    assert!(plant.contains(&format!("Plant {}", seen["plant_number"])), "{seen}");
-    assert!(plant.contains("confidence") && plant.contains("row"), "{seen}");
-    assert!(text("plot").contains(&format!("Plot {}", text("plot_name"))), "{seen}");
-    assert!(text("plot").contains("canopy cover"), "{seen}");
-    assert!(seen["whole"].as_bool().unwrap() && seen["key"].as_f64().unwrap() > 1.3, "{seen}");
-}
-
-/// What `encodeURIComponent` made.
-fn percent_decoded(text: &str) -> String {
-    let mut parts = text.split('%');
-    let mut bytes = parts.next().unwrap().as_bytes().to_vec();
-    for part in parts {
-        bytes.push(u8::from_str_radix(&part[..2], 16).unwrap());
-        bytes.extend(part[2..].bytes());
-    }
-    String::from_utf8(bytes).unwrap()
 }

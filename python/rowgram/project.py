@@ -21,6 +21,7 @@ MAIN_TABLES = {
     "locate": "plants.csv",
     "leaves": "leaves.csv",
     "plots": "traits.csv",
+    "crops": "traits.csv",
     "leaf-count": "leaf_counts.csv",
     "align": "cameras.csv",
 }
@@ -259,6 +260,23 @@ class Project:
         """
         values, diagnostics = self._inner.stage(stage, options, progress)
         return StageResult(stage.replace("_", "-"), self.folder(stage), values, diagnostics)
+
+    def crops(self, *, force: bool = False, progress: Progress | None = None, **options: Any) -> StageResult:
+        """Cut every plot out of its best photos, with traits photo by photo.
+
+        The table of the result (``to_pandas()``) has a row per plot: the mean of each trait over the photos and its standard
+        deviation between photos (``_sd``); ``to_pandas("crops.csv")`` has a row per picture.
+
+        Args:
+            force: Replace crops that are there.
+            progress: Called while work goes on.
+            **options: ``photos_per_plot``, ``margin_m``, ...: ``rowgram.options("crops")`` lists them.
+
+        Raises:
+            InputError: There are no plots, or crops are there already.
+        """
+        values, diagnostics = self._inner.crops(options, force, progress)
+        return StageResult("crops", Path(values["folder"]), values, diagnostics)
 
     def result(self, stage: str) -> StageResult:
         """What came of a stage in the last run.

@@ -140,6 +140,25 @@ impl Project {
         Ok((outcome, diagnostics(py, &monitor.diagnostics)?))
     }
 
+    /// Cuts the plots out of their best photos: `(outcome, diagnostics)`.
+    #[pyo3(signature = (options, force=false, progress=None))]
+    fn crops<'py>(
+        &self,
+        py: Python<'py>,
+        options: &Bound<'py, PyDict>,
+        force: bool,
+        progress: Option<Py<PyAny>>,
+    ) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
+        let options = options::with(&self.0.config().crops, Some(options))?;
+        let mut monitor = PythonMonitor::new(progress);
+        let outcome = without_python(py, || {
+            pipeline::crops::crops(&self.0, &options, force, &mut monitor)
+        })?;
+        let outcome = result(py, &outcome.map_err(|error| from_library(&error))?)?;
+        monitor.finish()?;
+        Ok((outcome, diagnostics(py, &monitor.diagnostics)?))
+    }
+
     /// Does all stages; the outcome of the run.
     #[pyo3(signature = (skip, begin=None, until=None, progress=None, report=true))]
     fn run<'py>(

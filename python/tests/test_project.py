@@ -15,6 +15,25 @@ def test_a_flight_gives_traits(flight):
     assert flight.report.is_file() and flight.result("ortho").file("ortho.tif").is_file()
 
 
+def test_layers_open_as_geoparquet(flight):
+    geopandas = pytest.importorskip("geopandas")
+    pytest.importorskip("pyarrow")
+    plots = geopandas.read_parquet(flight.result("plots").file("traits.parquet"))
+    assert plots.crs == "OGC:CRS84" and len(plots) > 0
+    same = geopandas.read_file(flight.result("plots").file("traits.gpkg")).to_crs("OGC:CRS84")
+    assert plots.geometry.iloc[0].equals_exact(same.geometry.iloc[0], tolerance=1e-7)
+    assert (plots["plants"] == same["plants"]).all()
+
+
+def test_crops_have_traits_photo_by_photo(flight):
+    crops = flight.crops(photos_per_plot=2, margin_m=0.1)
+    table = crops.to_pandas("crops.csv")
+    assert len(table) == len(crops.crops) and (table["rank"] <= 2).all()
+    assert all(crops.file(name).is_file() for name in table["file"])
+    with pytest.raises(rowgram.InputError, match="force"):
+        flight.crops()
+
+
 def test_what_is_current_is_kept(flight):
     seen = []
     found = flight.run(until="plots", progress=lambda *progress: seen.append(progress))

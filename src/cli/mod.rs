@@ -8,6 +8,7 @@ mod align;
 mod calibrate;
 mod camera;
 mod convert;
+mod crops;
 mod dem;
 mod doctor;
 mod evaluate;
@@ -34,6 +35,7 @@ mod terminal;
 mod thresholds;
 mod undistort;
 mod verify;
+mod view;
 
 use crate::{error::Error, io::FileError};
 use clap::{Parser, Subcommand};
@@ -70,6 +72,7 @@ enum Command {
     Init(init::Args),
     Doctor(doctor::Args),
     Report(report::Args),
+    View(view::Args),
     Verify(verify::Args),
     Align(Box<align::Args>),
     Adjust(Box<adjust::Args>),
@@ -91,6 +94,7 @@ enum Command {
     LeafCount(leaf_count::Args),
     LeafDensity(leaf_density::Args),
     Plots(plots::Args),
+    Crops(crops::Args),
     Evaluate(evaluate::Args),
     Completions(shell::Completions),
     Man(shell::Man),
@@ -131,6 +135,7 @@ fn dispatch(command: Command) -> Result<(), Error> {
         Command::Init(args) => init::run(&args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Report(args) => report::run(&args),
+        Command::View(args) => view::run(&args),
         Command::Verify(args) => verify::run(&args),
         Command::Align(args) => align::run(&args),
         Command::Adjust(args) => adjust::run(&args),
@@ -152,6 +157,7 @@ fn dispatch(command: Command) -> Result<(), Error> {
         Command::LeafCount(args) => leaf_count::run(&args),
         Command::LeafDensity(args) => leaf_density::run(&args),
         Command::Plots(args) => plots::run(&args),
+        Command::Crops(args) => crops::run(&args),
         Command::Evaluate(args) => evaluate::run(&args),
         Command::Completions(args) => args.run(),
         Command::Man(args) => args.run(),

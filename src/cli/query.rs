@@ -3,7 +3,7 @@
 use super::project;
 use crate::{
     error::Error,
-    pipeline::query::{OrthophotoOrigins, query},
+    pipeline::query::{OrthophotoOrigins, Sighting, query},
 };
 use std::path::PathBuf;
 
@@ -14,6 +14,7 @@ use std::path::PathBuf;
 ///
 /// Examples:
 ///   rowgram query field --at 500670.2,4480143.1
+///   rowgram query field --at 500670.2,4480143.1 --every-photo
 ///   rowgram query field --photo IMG_0031.JPG --pixel 2011.5,1490
 ///   rowgram query ortho.tif --at 500670.2,4480143.1 --json
 #[derive(Debug, clap::Args)]
@@ -34,6 +35,9 @@ pub(super) struct Args {
         conflicts_with = "photo"
     )]
     at: Vec<f64>,
+    /// With --at: every photo in whose frame the place lies, the steepest view first.
+    #[arg(long, conflicts_with = "photo")]
+    every_photo: bool,
     /// A photo, with --pixel: the place is told.
     #[arg(long, value_name = "NAME", requires = "pixel")]
     photo: Option<String>,
@@ -86,6 +90,23 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     let &[x, y] = &args.at[..] else {
         return Err(Error::Argument("expected --at X,Y, or --photo NAME with --pixel U,V".into()));
     };
+    if args.every_photo {
+        let found = origins.sightings([x, y])?;
+        if args.json {
+            return super::print_json(&found);
+        }
+        let line = |of: &Sighting| {
+            format!(
+                "{} u {:.3} v {:.3} px; view angle {:.1} degrees{}",
+                of.image,
+                of.u_px,
+                of.v_px,
+                of.view_angle_deg,
+                if of.is_source == Some(true) { "; the orthomosaic shows this one" } else { "" }
+            )
+        };
+        return super::print(&found.iter().map(line).collect::<Vec<_>>().join("\n"));
+    }
     let found = origins.photo_pixel([x, y])?;
     if args.json {
         return super::print_json(&found);

@@ -30,6 +30,7 @@ pub mod mosaic;
 pub mod paint;
 pub mod photo;
 pub mod photo_cache;
+pub mod plot_frame;
 mod seams;
 pub mod select;
 pub mod surface;

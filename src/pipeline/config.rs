@@ -5,10 +5,11 @@
 //! refused where it stands.
 
 use super::{
-    align::AlignOptions, calibrate::CalibrateOptions, checks::ChecksOptions, dem::DemOptions,
-    evaluate::EvaluateOptions, leaf_count::LeafCountOptions, leaf_density::LeafDensityOptions,
-    leaves::LeavesOptions, locate::LocateOptions, ortho::OrthoOptions, plots::PlotsOptions,
-    segment::SegmentOptions, stage::Stage, surface::SurfaceOptions,
+    align::AlignOptions, calibrate::CalibrateOptions, checks::ChecksOptions, crops::CropsOptions,
+    dem::DemOptions, evaluate::EvaluateOptions, leaf_count::LeafCountOptions,
+    leaf_density::LeafDensityOptions, leaves::LeavesOptions, locate::LocateOptions,
+    ortho::OrthoOptions, plots::PlotsOptions, segment::SegmentOptions, stage::Stage,
+    surface::SurfaceOptions,
 };
 use crate::{
     error::Error,
@@ -152,6 +153,7 @@ config! {
     locate: LocateOptions,
     leaves: LeavesOptions,
     plots: PlotsOptions,
+    crops: CropsOptions,
     evaluate: EvaluateOptions,
     checks: ChecksOptions,
 }

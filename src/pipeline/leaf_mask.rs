@@ -23,7 +23,7 @@ use std::path::Path;
 pub(super) const POSTERIOR: &str = "posterior.tif";
 
 /// Most sweeps of iterated conditional modes; hardly a pixel changes after the third.
-const SWEEPS: usize = 4;
+pub(super) const SWEEPS: usize = 4;
 
 /// A leaf mask and what is known of it.
 #[derive(Debug, Clone, PartialEq)]

@@ -11,6 +11,7 @@ pub mod camera;
 mod checks;
 mod config;
 pub mod convert;
+pub mod crops;
 pub mod dem;
 pub mod doctor;
 pub mod evaluate;

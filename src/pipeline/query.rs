@@ -12,7 +12,7 @@ use crate::{
         mosaic::{NO_SOURCE, PROVENANCE_BANDS},
         surface::HeightInterpolation,
     },
-    raster::window::Window,
+    raster::{georeference::Georeference, window::Window},
 };
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -67,6 +67,25 @@ pub struct MapPosition {
     pub is_source: Option<bool>,
 }
 
+/// A photo in whose frame a place lies.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Sighting {
+    /// Number of the photo, as in the record of the orthophoto.
+    pub number: usize,
+    /// Its name.
+    pub image: String,
+    /// Column in the photo, pixels; the centre of the first one is 0.
+    pub u_px: f64,
+    /// Row in the photo, pixels.
+    pub v_px: f64,
+    /// Columns and rows of the photo.
+    pub size_px: [u32; 2],
+    /// Angle between line of sight and vertical, degrees.
+    pub view_angle_deg: f64,
+    /// Whether the pixel of the orthophoto is taken from this photo; `None` where that is not known.
+    pub is_source: Option<bool>,
+}
+
 /// An orthophoto with the photos and the surface behind it.
 #[derive(Debug)]
 pub struct OrthophotoOrigins {
@@ -107,7 +126,29 @@ impl OrthophotoOrigins {
         })
     }
 
-    fn fault(&self, message: String) -> Error {
+    /// Where the orthophoto lies, and its columns and rows.
+    ///
+    /// # Errors
+    /// An orthophoto that cannot be read or lies nowhere.
+    pub(super) fn place(&self) -> Result<(Georeference, [usize; 2]), Error> {
+        let reader = Reader::open(&self.orthophoto)?;
+        let place = reader
+            .georeference()
+            .ok_or_else(|| self.fault("it is not georeferenced".to_owned()))?;
+        Ok((place, [reader.width(), reader.height()]))
+    }
+
+    /// The photos with lenses and poses.
+    pub(super) fn views(&self) -> &[View] {
+        &self.views
+    }
+
+    /// The surface that the orthophoto is drawn on.
+    pub(super) fn surface(&self) -> &Surface {
+        &self.surface
+    }
+
+    pub(super) fn fault(&self, message: String) -> Error {
         Error::Argument(format!("{}: {message}", self.orthophoto.display()))
     }
 
@@ -168,6 +209,45 @@ impl OrthophotoOrigins {
             view_angle_deg: record[3],
             to_seam_m: (record[4] != NO_SOURCE).then_some(record[4]),
         })
+    }
+
+    /// Every photo in whose frame a place lies, the steepest first. What stands between the camera and the place is not
+    /// looked at.
+    ///
+    /// # Errors
+    /// A place where the surface has no height.
+    pub fn sightings(&self, at_m: [f64; 2]) -> Result<Vec<Sighting>, Error> {
+        let [x_m, y_m] = at_m;
+        let z_m = self.surface.at(at_m).filter(|z_m| z_m.is_finite());
+        let z_m =
+            z_m.ok_or_else(|| self.fault(format!("the surface has no height at ({x_m}, {y_m})")))?;
+        let source = match provenance_path(&self.orthophoto).is_file() {
+            // A place that the orthophoto does not show has no source.
+            true => Some(self.stored(at_m).ok().flatten().map(|(_, _, record)| record[0] as usize)),
+            false => None,
+        };
+        let of = |(number, view): (usize, &View)| {
+            let [u_px, v_px] = view.pixel([x_m, y_m, z_m])?;
+            let [x, y, z] = view.centre_m();
+            let level = (x - x_m).hypot(y - y_m);
+            Some(Sighting {
+                number,
+                image: view.name.clone(),
+                u_px,
+                v_px,
+                size_px: view.interior.size_px(),
+                view_angle_deg: level.atan2(z - z_m).to_degrees(),
+                is_source: source.map(|source| source == Some(number)),
+            })
+        };
+        let mut found: Vec<_> = self.views.iter().enumerate().filter_map(of).collect();
+        found.sort_by(|a, b| a.view_angle_deg.total_cmp(&b.view_angle_deg));
+        Ok(found)
+    }
+
+    /// The file of a photo by its number.
+    pub fn photo(&self, number: usize) -> Option<&Path> {
+        self.photos.get(number).map(PathBuf::as_path)
     }
 
     /// The place of a pixel of a photo, named with or without its ending.

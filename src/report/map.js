@@ -127,6 +127,7 @@
     const [x, y] = toScreen(-0.5, -0.5);
     context.imageSmoothingEnabled = view.scale * width / (picture.naturalWidth || width) < 3;
     if (picture.complete && picture.naturalWidth) context.drawImage(picture, x, y, width * view.scale, height * view.scale);
+    tiles();
     const limits = range();
     if (shown("plots")) {
       const k = index();
@@ -148,6 +149,41 @@
     if (shown("ground")) marks(data.ground, "triangle", (k) => (data.ground.check[k] ? "#d55e00" : "#2e8b57"));
     scaleBar();
     colourBar(limits);
+  }
+  // Where a server sends it, the orthomosaic in as many pixels as the screen has.
+  const loaded = new Map();
+  function tiles() {
+    const side = data.tile_px;
+    const pictureStep = width / (picture.naturalWidth || width);
+    const level = Math.max(0, Math.floor(Math.log2(1 / (view.scale * (window.devicePixelRatio || 1)))));
+    const step = 2 ** level;
+    if (!side || step >= pictureStep) return;
+    const [u, v] = toMap(canvas.clientWidth, canvas.clientHeight);
+    const first = (at) => Math.max(0, Math.floor((at + 0.5) / (side * step)));
+    const last = (at, length) => Math.min(Math.floor((at + 0.5) / (side * step)), Math.ceil(length / step / side) - 1);
+    for (let row = first(view.v); row <= last(v, height); row += 1) {
+      for (let column = first(view.u); column <= last(u, width); column += 1) {
+        const name = level + "/" + column + "/" + row;
+        let tile = loaded.get(name);
+        if (!tile) {
+          tile = new Image();
+          tile.addEventListener("load", draw);
+          tile.src = "/tiles/" + name + ".jpg";
+        }
+        // The last one used is the last one dropped.
+        loaded.delete(name);
+        loaded.set(name, tile);
+        if (!tile.complete || !tile.naturalWidth) continue;
+        const [x, y] = toScreen(column * side * step - 0.5, row * side * step - 0.5);
+        const size = step * view.scale;
+        context.imageSmoothingEnabled = size < 3;
+        context.drawImage(tile, x, y, tile.naturalWidth * size, tile.naturalHeight * size);
+      }
+    }
+    for (const name of loaded.keys()) {
+      if (loaded.size <= 200) break;
+      loaded.delete(name);
+    }
   }
   function scaleBar() {
     if (!data.gsd_m) return;
@@ -216,7 +252,7 @@
       if (k >= 0) {
         const rows = [at(plants, k), ["confidence", digits(plants.confidence[k])]];
         if (plants.row[k] !== null) rows.push(["row", plants.row[k]]);
-        return { title: "Plant " + k, rows };
+        return { title: "Plant " + k, rows, at: [plants.u[k], plants.v[k]] };
       }
     }
     if (shown("gaps")) {
@@ -284,15 +320,31 @@
     }
     fingers.set(event.pointerId, now);
   });
-  const lifted = (event) => {
-    const was = fingers.delete(event.pointerId);
-    if (!was || event.type !== "pointerup" || moved > 4) return;
-    const [x, y] = spot(event);
+  function choose(x, y) {
     const found = under(x, y);
     chosen = found && found.plot ? found.plot : null;
     tell(found, ...toMap(x, y));
+    const [u, v] = found && found.at ? found.at : toMap(x, y);
+    box.dispatchEvent(new CustomEvent("field-click", { detail: { u, v } }));
     draw();
+  }
+  const lifted = (event) => {
+    const was = fingers.delete(event.pointerId);
+    if (was && event.type === "pointerup" && moved <= 4) choose(...spot(event));
   };
+  // An address that ends in #at=EAST,NORTH opens the map at that place.
+  function go() {
+    const asked = /^#at=(-?[\d.]+),(-?[\d.]+)$/.exec(location.hash);
+    const g = data.georeference;
+    if (!asked || !g) return;
+    const [x, y] = [Number(asked[1]) - g[0], Number(asked[2]) - g[1]];
+    const area = g[2] * g[5] - g[3] * g[4];
+    view.scale = Math.max(view.scale, 2);
+    view.u = (x * g[5] - y * g[4]) / area - canvas.clientWidth / 2 / view.scale;
+    view.v = (y * g[2] - x * g[3]) / area - canvas.clientHeight / 2 / view.scale;
+    choose(canvas.clientWidth / 2, canvas.clientHeight / 2);
+  }
+  window.addEventListener("hashchange", go);
   canvas.addEventListener("pointerup", lifted);
   canvas.addEventListener("pointercancel", lifted);
   canvas.addEventListener("pointerleave", () => { hover.hidden = true; });
@@ -324,6 +376,8 @@
   size();
   whole();
   new ResizeObserver(() => { size(); draw(); }).observe(canvas);
+  // When what else the page has to say of a click is there too.
+  window.addEventListener("DOMContentLoaded", go);
   // For those who want to drive the map from a script, and for the tests.
-  box.fieldMap = { view, zoom, pan, whole, toScreen, data };
+  box.fieldMap = { view, zoom, pan, whole, toScreen, data, loaded };
 })();

@@ -7,7 +7,7 @@ use crate::{
     error::Error,
     io::{FileError, csv_table::CsvTable, rasters::Source},
     phenotype::plots::TRAITS,
-    pipeline::Stage,
+    pipeline::{Stage, plots},
     raster::georeference::Georeference,
     scene::Role,
 };
@@ -15,17 +15,39 @@ use maud::{Markup, PreEscaped, html};
 use serde_json::{Value, json};
 
 const SCRIPT: &str = include_str!("map.js");
+const PHOTOS_SCRIPT: &str = include_str!("view/photos.js");
 /// The longer side of the picture in the page: what a browser holds with ease, and shows rows of plants in a field of half
 /// a hectare.
 const SIDE_PX: usize = 2400;
 /// The trait that plots are coloured by at first; where it is not known, the first that is.
 const FIRST_TRAIT: &str = "canopy_cover";
 
-/// The map and what moves it.
+/// What a server adds to the map.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Served {
+    /// The orthomosaic in full resolution.
+    pub(super) tiles: bool,
+    /// The photos that show a place.
+    pub(super) photos: bool,
+}
+
+/// The map and what moves it; without an orthomosaic there is none.
 ///
 /// # Errors
 /// Files of the results that cannot be read.
 pub(super) fn map(facts: &Facts<'_>) -> Result<Option<Markup>, Error> {
+    drawn(facts, Served::default())
+}
+
+/// As [`map`], for a page that a server sends.
+///
+/// # Errors
+/// As [`map`].
+pub(super) fn served(facts: &Facts<'_>, served: Served) -> Result<Markup, Error> {
+    Ok(drawn(facts, served)?.unwrap_or_default())
+}
+
+fn drawn(facts: &Facts<'_>, served: Served) -> Result<Option<Markup>, Error> {
     let Some(ortho) = facts.orthomosaic() else { return Ok(None) };
     let place = Source::open(&ortho)?.georeference();
     let overview = pictures::overview(&ortho, SIDE_PX)?;
@@ -58,6 +80,7 @@ pub(super) fn map(facts: &Facts<'_>) -> Result<Option<Markup>, Error> {
         "gaps": gaps.unwrap_or_else(none),
         "photos": photos,
         "ground": ground,
+        "tile_px": served.tiles.then_some(super::view::TILE_PX),
     });
     let first = known.iter().position(|&k| TRAITS[k].name == FIRST_TRAIT).unwrap_or(0);
     // Nothing in the data may end the script.
@@ -95,8 +118,10 @@ pub(super) fn map(facts: &Facts<'_>) -> Result<Option<Markup>, Error> {
             div .values aria-live="polite" {
                 p .note { "Drag to move the map, turn the wheel to zoom, click for values." }
             }
+            @if served.photos { div .photos {} }
             script id="field-map-data" type="application/json" { (PreEscaped(data)) }
             script { (PreEscaped(SCRIPT)) }
+            @if served.photos { script { (PreEscaped(PHOTOS_SCRIPT)) } }
         }
     }))
 }
@@ -138,7 +163,7 @@ fn gaps(table: &CsvTable) -> Value {
 /// Polygons of the plots with the values of all traits.
 fn plots(facts: &Facts<'_>, place: Option<Georeference>) -> Result<Vec<Value>, Error> {
     let (Some(outcome), Some(path)) =
-        (&facts.outcome.results.plots, facts.file(Stage::Plots, "traits.geojson"))
+        (&facts.outcome.results.plots, facts.file(Stage::Plots, plots::POLYGONS))
     else {
         return Ok(Vec::new());
     };

@@ -9,6 +9,7 @@ mod pictures;
 mod provenance;
 mod summary;
 mod traits;
+pub mod view;
 
 use crate::{
     error::Error,

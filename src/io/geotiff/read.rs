@@ -13,7 +13,7 @@ use geotiff_reader::{Error as GeoError, GeoTiffFile, GeoTiffOpenOptions};
 use image::RgbImage;
 use ndarray::ArrayD;
 use std::path::{Path, PathBuf};
-use tiff_reader::{RasterLayout, TiffError, TiffFile, TiffSample};
+use tiff_reader::{Ifd, RasterLayout, TiffError, TiffFile, TiffSample};
 
 /// Decoded tiles or strips that are kept for the next window, bytes.
 const CACHE_BYTES: usize = 1 << 28;
@@ -104,7 +104,7 @@ impl Reader {
                 malformed(format!("its nodata value is {text:?}, expected a number"))
             })?),
         };
-        let mask = internal_mask(file.tiff(), &layout);
+        let mask = picture_mask(file.tiff(), [layout.width, layout.height], 0);
         let path = path.to_owned();
         let photometric = photometric.unwrap_or(BLACK_IS_ZERO);
         Ok(Reader { path, file, directory, layout, photometric, georeference, nodata, mask })
@@ -199,6 +199,41 @@ impl Reader {
         Ok(self.read_rgb_and_gaps(window)?.0)
     }
 
+    /// Columns and rows of the pictures of lower resolution in the file, the largest first.
+    pub fn overviews(&self) -> Vec<[usize; 2]> {
+        self.overview_directories().into_iter().map(|(_, size)| size).collect()
+    }
+
+    /// As [`Reader::read_rgb`], from the picture of lower resolution that has number `overview` in
+    /// [`Reader::overviews`].
+    ///
+    /// # Errors
+    /// As [`Reader::read_rgb`], and where there is no such picture.
+    pub fn read_overview_rgb(
+        &self,
+        overview: usize,
+        window: Window,
+    ) -> Result<RgbImage, FileError> {
+        let of = self.overview_directories();
+        let &(directory, size) = of
+            .get(overview)
+            .ok_or_else(|| self.malformed(format!("there is no overview number {overview}")))?;
+        let mask = picture_mask(self.file.tiff(), size, OVERVIEW);
+        Ok(self.rgb_and_gaps(directory, mask, window)?.0)
+    }
+
+    fn overview_directories(&self) -> Vec<(usize, [usize; 2])> {
+        let base = [self.width(), self.height()];
+        let mut found: Vec<_> = (self.file.tiff().ifds().iter().enumerate())
+            .filter(|(_, ifd)| subfile(ifd) & (MASK | OVERVIEW) == OVERVIEW)
+            .map(|(k, ifd)| (k, [ifd.width() as usize, ifd.height() as usize]))
+            // A file may hold pictures of something else.
+            .filter(|(_, size)| (0..2).all(|axis| size[axis] > 0 && size[axis] < base[axis]))
+            .collect();
+        found.sort_by_key(|&(_, size)| std::cmp::Reverse(size));
+        found
+    }
+
     /// As [`Reader::read_rgb`], and which pixels (row by row) have no data; `None` where all have.
     ///
     /// # Errors
@@ -207,15 +242,24 @@ impl Reader {
         &self,
         window: Window,
     ) -> Result<(RgbImage, Option<Vec<bool>>), FileError> {
+        self.rgb_and_gaps(self.directory, self.mask, window)
+    }
+
+    fn rgb_and_gaps(
+        &self,
+        directory: usize,
+        mask: Option<usize>,
+        window: Window,
+    ) -> Result<(RgbImage, Option<Vec<bool>>), FileError> {
         let Window { width, height, .. } = window;
         let mut gaps = Vec::with_capacity(window.pixels());
         let stored = matches!(self.photometric, BLACK_IS_ZERO | RGB);
         let mut rgb = Vec::with_capacity(3 * window.pixels());
         if u8::matches_layout(&self.layout) {
-            let samples = self.pixels::<u8>(window, stored)?;
+            let samples = self.pixels::<u8>(directory, window, stored)?;
             self.add_rgb(&samples, window, 255, |x| x, (&mut rgb, &mut gaps));
         } else if u16::matches_layout(&self.layout) {
-            let samples = self.pixels::<u16>(window, stored)?;
+            let samples = self.pixels::<u16>(directory, window, stored)?;
             let byte = |x: u16| ((u32::from(x) * 255 + 32_767) / 65_535) as u8;
             self.add_rgb(&samples, window, 65_535, byte, (&mut rgb, &mut gaps));
         } else {
@@ -224,7 +268,7 @@ impl Reader {
                 self.sample_name()
             )));
         }
-        if let Some(mask) = self.mask {
+        if let Some(mask) = mask {
             let Window { u, v, width, height } = window;
             let read = self.file.tiff().read_decoded_window::<u8>(mask, v, u, height, width);
             let seen = self.flat(read)?;
@@ -241,9 +285,14 @@ impl Reader {
         Ok((rgb, gaps.contains(&true).then_some(gaps)))
     }
 
-    fn pixels<T: Sample>(&self, window: Window, stored: bool) -> Result<Vec<T>, FileError> {
+    fn pixels<T: Sample>(
+        &self,
+        at: usize,
+        window: Window,
+        stored: bool,
+    ) -> Result<Vec<T>, FileError> {
         let Window { u, v, width, height } = window;
-        let (tiff, at) = (self.file.tiff(), self.directory);
+        let tiff = self.file.tiff();
         self.flat(if stored {
             tiff.read_window::<T>(at, v, u, height, width)
         } else {
@@ -308,12 +357,17 @@ impl File {
     }
 }
 
-/// The directory of a mask of the picture's own size, as GDAL writes it beside a picture.
-fn internal_mask(tiff: &TiffFile, picture: &RasterLayout) -> Option<usize> {
+/// What a directory is: bits [`MASK`] and [`OVERVIEW`].
+fn subfile(ifd: &Ifd) -> u32 {
+    ifd.tag(SUBFILE).and_then(|tag| tag.value.as_u32()).unwrap_or(0)
+}
+
+/// The directory of the mask of a picture of this size, as GDAL writes it beside a picture; `overview` is [`OVERVIEW`] or 0,
+/// as the picture is.
+fn picture_mask(tiff: &TiffFile, size: [usize; 2], overview: u32) -> Option<usize> {
     tiff.ifds().iter().position(|ifd| {
-        let kind = ifd.tag(SUBFILE).and_then(|tag| tag.value.as_u32()).unwrap_or(0);
-        let size = (ifd.width() as usize, ifd.height() as usize);
-        kind & MASK != 0 && kind & OVERVIEW == 0 && size == (picture.width, picture.height)
+        let own = [ifd.width() as usize, ifd.height() as usize];
+        subfile(ifd) & (MASK | OVERVIEW) == MASK | overview && own == size
     })
 }
 

@@ -152,6 +152,32 @@ pub fn segment(
     Ok(Vegetation { width, height, posterior, mask, valid: shown, model })
 }
 
+/// The vegetation of a photo by a model that was estimated elsewhere: of a larger picture of the same ground in the same light
+/// ([`Model::at`]). `valid` are the pixels that show something (1), if that is known.
+///
+/// # Errors
+/// [`VegetationError`]: sizes that differ, an option that means nothing.
+pub fn classify(
+    photo: &RgbImage,
+    valid: Option<&Mask>,
+    model: &Model,
+    coherence: Coherence,
+) -> Result<Mask, VegetationError> {
+    coherence.check()?;
+    let (width, height) = (photo.width() as usize, photo.height() as usize);
+    let mut posterior = posteriors(photo, model);
+    if let Some(shown) = valid {
+        if (shown.width, shown.height) != (width, height) {
+            let (mask_width, mask_height) = (shown.width, shown.height);
+            return Err(VegetationError::Size { width, height, mask_width, mask_height });
+        }
+        for (p, &shown) in posterior.iter_mut().zip(&shown.data) {
+            *p *= shown;
+        }
+    }
+    Ok(coherence.mask(width, height, &posterior))
+}
+
 /// Smoothed pixels on a regular grid, without those that show nothing.
 fn samples(photo: &RgbImage, shown: Option<&Mask>) -> Vec<Sample> {
     let (width, height) = (photo.width() as usize, photo.height() as usize);

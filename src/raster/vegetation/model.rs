@@ -168,6 +168,14 @@ impl Model {
         Model { background, vegetation, threshold, yellow_weight, yellow_mean, surface }
     }
 
+    /// The model of a small part of the photo around a place, given in -1..1 of its width and height: the background's
+    /// surface is what it is there.
+    pub fn at(&self, [x, y]: [f64; 2]) -> Model {
+        let [constant, linear, quadratic] = self.surface_of_row(y);
+        let level = constant + x * (linear + x * quadratic);
+        Model { threshold: self.threshold + level, surface: [0.0; 5], ..*self }
+    }
+
     /// Posterior log odds of vegetation for a unit of `z` above the threshold.
     pub fn log_odds_per_unit(&self) -> f64 {
         1.0 / (VARIANCE * (self.vegetation - self.background).max(1.0))

@@ -1,0 +1,183 @@
+//! The map of the report and of `rowgram view`, driven in a browser.
+
+use crate::program::rowgram;
+use serde_json::Value;
+use std::{
+    fs,
+    io::{BufRead, BufReader, Read, Write},
+    net::TcpStream,
+    path::Path,
+    process::{Child, Command, Stdio},
+};
+
+/// The page that headless Chromium makes of an address; says so where there is no browser.
+fn shown(folder: &Path, address: &str) -> Option<String> {
+    let browsers = ["chromium", "chromium-browser", "google-chrome"];
+    let is_there = |name: &&str| Command::new(name).arg("--version").output().is_ok();
+    let Some(browser) = browsers.into_iter().find(is_there) else {
+        println!("skipped: no map is driven, for there is no Chromium here");
+        return None;
+    };
+    let run = Command::new(browser)
+        .args(["--headless", "--no-sandbox", "--disable-gpu", "--window-size=1200,900"])
+        .arg(format!("--user-data-dir={}", folder.join("browser").display()))
+        .args(["--virtual-time-budget=8000", "--dump-dom"])
+        .arg(address)
+        .output()
+        .unwrap();
+    assert!(!run.stdout.is_empty(), "{}", String::from_utf8_lossy(&run.stderr));
+    Some(String::from_utf8_lossy(&run.stdout).into_owned())
+}
+
+/// Moves, zooms and asks the map of a report.
+pub fn drive_map(folder: &Path, page: &str) {
+    let driven = folder.join("driven.html");
+    let script = include_str!("report_map.js");
+    fs::write(&driven, format!("{page}<script>{script}</script>")).unwrap();
+    let Some(dom) = shown(folder, &format!("file://{}", driven.display())) else { return };
+    let seen = dom.split_once("data-seen=\"").and_then(|(_, rest)| rest.split_once('"'));
+    let seen = seen.unwrap_or_else(|| panic!("the script has not ended: {dom}")).0;
+    let seen: Value = serde_json::from_str(&percent_decoded(seen)).unwrap();
+    assert!(seen["error"].is_null(), "{seen}");
+    assert!(seen["colours"].as_u64().unwrap() > 20, "nothing is drawn: {seen}");
+    assert!((seen["zoomed"].as_f64().unwrap() - 0.6_f64.exp()).abs() < 1e-3, "{seen}");
+    assert!((seen["moved_px"].as_f64().unwrap() - 50.0).abs() < 1e-6, "{seen}");
+    let text = |name: &str| seen[name].as_str().unwrap().to_owned();
+    assert!(!text("after_drag").contains("place"), "a drag is no click: {seen}");
+    let plant = text("plant");
+    assert!(plant.contains(&format!("Plant {}", seen["plant_number"])), "{seen}");
+    assert!(plant.contains("confidence") && plant.contains("row"), "{seen}");
+    assert!(text("plot").contains(&format!("Plot {}", text("plot_name"))), "{seen}");
+    assert!(text("plot").contains("canopy cover"), "{seen}");
+    assert!(seen["whole"].as_bool().unwrap() && seen["key"].as_f64().unwrap() > 1.3, "{seen}");
+}
+
+/// A program that is ended when it goes out of scope.
+struct Running(Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// Status and body of what a server says to these bytes.
+fn ask(address: &str, request: &str) -> (String, Vec<u8>) {
+    let mut stream = TcpStream::connect(address).unwrap();
+    stream.write_all(request.as_bytes()).unwrap();
+    let mut answer = Vec::new();
+    // A connection that is reset has given its answer, or none.
+    let _ = stream.read_to_end(&mut answer);
+    let end = answer.windows(4).position(|four| four == b"\r\n\r\n").unwrap_or(answer.len());
+    let head = String::from_utf8_lossy(&answer[..end]).into_owned();
+    let status = head.lines().next().unwrap_or_default().to_owned();
+    (status, answer.get(end + 4..).unwrap_or_default().to_vec())
+}
+
+/// `rowgram view` serves every pixel of the map and the photos behind it, and nothing else.
+pub fn assert_map_is_served(project: &Path) {
+    let mut server = Running(
+        Command::new(env!("CARGO_BIN_EXE_rowgram"))
+            .arg("view")
+            .arg(project)
+            .arg("--json")
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap(),
+    );
+    let mut line = String::new();
+    BufReader::new(server.0.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    let said: Value = serde_json::from_str(&line).unwrap();
+    let url = said["url"].as_str().unwrap();
+    let address = url.trim_start_matches("http://").trim_end_matches('/');
+    assert!(address.starts_with("127.0.0.1:"), "{url}");
+    let get = |target: &str| {
+        ask(
+            address,
+            &format!("GET {target} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n"),
+        )
+    };
+
+    // A tile is what the orthomosaic is there.
+    let ortho =
+        rowgram::io::geotiff::Reader::open(&project.join("rowgram/ortho/ortho.tif")).unwrap();
+    let (status, tile) = get("/tiles/0/1/1.jpg");
+    assert!(status.contains(" 200"), "{status}");
+    let tile = image::load_from_memory(&tile).unwrap().into_rgb8();
+    let window = rowgram::raster::window::Window { u: 512, v: 512, width: 512, height: 512 };
+    let pixels = ortho.read_rgb(window).unwrap();
+    assert_eq!(tile.dimensions(), pixels.dimensions());
+    let differences =
+        tile.as_raw().iter().zip(pixels.as_raw()).map(|(a, b)| f64::from(a.abs_diff(*b)));
+    let mean = differences.sum::<f64>() / tile.as_raw().len() as f64;
+    assert!(mean < 6.0, "JPEG, but the same place: {mean}");
+
+    // A plant, in every photo as `query` says.
+    let table =
+        rowgram::io::csv_table::CsvTable::read(&project.join("rowgram/locate/plants.csv")).unwrap();
+    let column = |name: &str| table.numbers(name).unwrap()[table.len() / 2];
+    let (u, v) = (column("u_px"), column("v_px"));
+    let (status, found) = get(&format!("/photos?u={u}&v={v}"));
+    assert!(status.contains(" 200"), "{status}");
+    let found: Vec<Value> = serde_json::from_slice(&found).unwrap();
+    assert!(found.len() >= 2, "{found:?}");
+    assert_eq!(found.iter().filter(|of| of["is_source"] == true).count(), 1, "{found:?}");
+    let [x, y] = ortho.georeference().unwrap().map([u, v]);
+    let parent = project.parent().unwrap();
+    let name = project.file_name().unwrap().to_str().unwrap();
+    let asked = rowgram(parent, &format!("query {name} --at {x},{y} --every-photo --json"));
+    let asked: Vec<Value> = serde_json::from_str(&asked.stdout).unwrap();
+    assert_eq!(asked, found);
+    let first = &found[0];
+    let [number, column, row] = ["number", "u_px", "v_px"].map(|name| &first[name]);
+    let (status, part) = get(&format!("/photos/{number}.jpg?u={column}&v={row}&side=80"));
+    assert!(status.contains(" 200"), "{status}");
+    assert!(image::load_from_memory(&part).is_ok());
+
+    // Nothing else, whatever is asked.
+    for target in [
+        "/../../../../etc/passwd",
+        "/%2e%2e/rowgram.toml",
+        "/photos/9999.jpg?u=1&v=1&side=9",
+        "/tiles/0/99999/0.jpg",
+        "/photos?u=1e9&v=0",
+        "/rowgram.toml",
+    ] {
+        let (status, body) = get(target);
+        assert!(status.contains(" 404") || status.contains(" 400"), "{target}: {status}");
+        assert!(body.len() < 300, "{target}");
+    }
+    let elsewhere =
+        ask(address, "GET / HTTP/1.1\r\nHost: evil.example\r\nConnection: close\r\n\r\n");
+    assert!(elsewhere.0.contains(" 403"), "{}", elsewhere.0);
+    let written = ask(
+        address,
+        &format!(
+            "PUT / HTTP/1.1\r\nHost: {address}\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
+        ),
+    );
+    assert!(written.0.contains(" 405"), "{}", written.0);
+    for broken in ["\r\n\r\n", "GET\r\n\r\n", "\u{0}\u{1}\r\n\r\n", "GET / HTTP/9.9\r\n\r\n"] {
+        ask(address, broken);
+    }
+    drop(TcpStream::connect(address).unwrap());
+    assert!(get("/").0.contains(" 200"), "it goes on after broken requests");
+
+    // In a browser, at that plant.
+    let folder = tempfile::tempdir().unwrap();
+    let Some(dom) = shown(folder.path(), &format!("{url}#at={x},{y}")) else { return };
+    assert!(dom.contains("<h3>Plant "), "the plant is chosen");
+    assert_eq!(dom.matches("<figure>").count(), found.len().min(24));
+    assert!(dom.contains("the map shows this one"));
+}
+/// What `encodeURIComponent` made.
+fn percent_decoded(text: &str) -> String {
+    let mut parts = text.split('%');
+    let mut bytes = parts.next().unwrap().as_bytes().to_vec();
+    for part in parts {
+        bytes.push(u8::from_str_radix(&part[..2], 16).unwrap());
+        bytes.extend(part[2..].bytes());
+    }
+    String::from_utf8(bytes).unwrap()
+}
