@@ -4,12 +4,18 @@
 //! raster's are transformed; a GeoJSON file that states none is in longitude and latitude where the standard says so
 //! (RFC 7946) and its numbers allow nothing else, otherwise in the raster's own. Where the raster has no place on the
 //! map, coordinates are pixels (the centre of the top-left pixel at 0, 0). A polygon's name is its property `name`,
-//! `plot` or `id`, else its number.
+//! `plot` or `id`, else its number. Other properties come along as attributes. [`write()`] writes plots.
+//!
+//! A file without polygons, two polygons of one name, a ring that crosses itself and a polygon without area are refused: each
+//! would give traits of something that nobody drew.
 
 mod geojson;
 #[cfg(feature = "geopackage")]
 mod package;
 mod shapes;
+mod write;
+
+pub use write::{Outline, projection, write};
 
 use super::FileError;
 use crate::{
@@ -20,7 +26,10 @@ use crate::{
     },
 };
 use serde_json::Value;
-use std::path::{Path, PathBuf};
+use std::{
+    collections::BTreeSet,
+    path::{Path, PathBuf},
+};
 
 /// A named polygon, in pixels.
 #[derive(Debug, Clone, PartialEq)]
@@ -31,7 +40,14 @@ pub struct Named {
     pub polygon: Polygon,
     /// Its number of leaves, where the property `leaves` says it.
     pub leaves: Option<f64>,
+    /// Its other properties by name: texts, numbers, truth values.
+    pub attributes: Vec<(String, Value)>,
 }
+
+/// Properties that are a name, the first one first.
+pub const NAMES: [&str; 3] = ["name", "plot", "id"];
+/// Properties that are no attributes: the number of leaves, and numbers that programs give to rows.
+const NO_ATTRIBUTES: [&str; 4] = ["leaves", "fid", "ogc_fid", "objectid"];
 
 /// What the coordinates of a file are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -82,8 +98,8 @@ pub fn files(path: &Path) -> Vec<PathBuf> {
 /// Reads the polygons of a file: `.gpkg`, `.shp`, else GeoJSON.
 ///
 /// # Errors
-/// Where the file cannot be read or is damaged, has a reference system that is not known, or a ring of fewer than three
-/// points.
+/// Where the file cannot be read or is damaged, has a reference system that is not known, no polygon, two of one name, or
+/// one that is no area: a ring of fewer than three points or one that crosses itself.
 pub fn read(path: &Path, georeference: Option<&Georeference>) -> Result<Vec<Named>, FileError> {
     let ending = path.extension().map(|e| e.to_string_lossy().to_lowercase());
     let (features, stated) = match ending.as_deref() {
@@ -96,11 +112,21 @@ pub fn read(path: &Path, georeference: Option<&Georeference>) -> Result<Vec<Name
     };
     let malformed = |message| FileError::malformed(path, None, message);
     let to_map = to_map_of(georeference, stated, &features).map_err(malformed)?;
-    features
+    if features.is_empty() {
+        return Err(malformed("it has no polygons, expected one for each plot".to_owned()));
+    }
+    let named: Vec<Named> = features
         .into_iter()
         .enumerate()
         .map(|(index, feature)| named(index, feature, georeference, &to_map).map_err(malformed))
-        .collect()
+        .collect::<Result<_, _>>()?;
+    let mut names = BTreeSet::new();
+    match named.iter().find(|polygon| !names.insert(polygon.name.as_str())) {
+        Some(Named { name, .. }) => Err(malformed(format!(
+            "two polygons are named {name:?}, expected a name for each; parts of one plot belong into one MultiPolygon"
+        ))),
+        None => Ok(named),
+    }
 }
 
 type ToMap = Box<dyn Fn([f64; 2]) -> Result<[f64; 2], String>>;
@@ -176,7 +202,7 @@ fn named(
         let found = feature.properties.iter().find(|(name, _)| name.eq_ignore_ascii_case(key));
         found.map(|(_, value)| value).filter(|value| !value.is_null())
     };
-    let name = ["name", "plot", "id"].into_iter().find_map(property).or(feature.id.as_ref());
+    let name = NAMES.into_iter().find_map(property).or(feature.id.as_ref());
     let name = match name {
         Some(Value::String(text)) => text.clone(),
         Some(Value::Null) | None => (index + 1).to_string(),
@@ -188,6 +214,16 @@ fn named(
             format!("feature {name}: its property leaves is {value}, expected a number")
         })?),
     };
+    let own =
+        |key: &str| NAMES.iter().chain(&NO_ATTRIBUTES).any(|other| other.eq_ignore_ascii_case(key));
+    let attributes = feature
+        .properties
+        .iter()
+        .filter(|(key, value)| {
+            !own(key) && (value.is_string() || value.is_number() || value.is_boolean())
+        })
+        .map(|(key, value)| (key.clone(), value.clone()))
+        .collect();
     let mut polygon = Polygon::default();
     for ring in feature.rings {
         let mut points = Vec::with_capacity(ring.len());
@@ -205,9 +241,21 @@ fn named(
         if points.len() < 3 {
             return Err(format!("feature {name}: a ring has fewer than three points"));
         }
+        if !points.iter().flatten().all(|x: &f64| x.is_finite()) {
+            return Err(format!("feature {name}: a position is no finite number"));
+        }
         polygon.rings.push(points);
     }
-    Ok(Named { name, polygon, leaves })
+    if let Some(at) = polygon.crossing() {
+        let [x, y] = place.map_or(at, |place| place.map(at));
+        return Err(format!(
+            "feature {name}: its outline crosses itself at {x:.2}, {y:.2}, expected corners in their order around the plot"
+        ));
+    }
+    if polygon.is_flat() {
+        return Err(format!("feature {name}: its points lie on one line, expected an area"));
+    }
+    Ok(Named { name, polygon, leaves, attributes })
 }
 
 #[cfg(test)]
