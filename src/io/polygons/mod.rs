@@ -101,30 +101,52 @@ pub fn files(path: &Path) -> Vec<PathBuf> {
 /// Where the file cannot be read or is damaged, has a reference system that is not known, no polygon, two of one name, or
 /// one that is no area: a ring of fewer than three points or one that crosses itself.
 pub fn read(path: &Path, georeference: Option<&Georeference>) -> Result<Vec<Named>, FileError> {
-    let ending = path.extension().map(|e| e.to_string_lossy().to_lowercase());
-    let (features, stated) = match ending.as_deref() {
-        Some("shp") => shapes::read(path)?,
-        #[cfg(feature = "geopackage")]
-        Some("gpkg") => package::read(path)?,
-        #[cfg(not(feature = "geopackage"))]
-        Some("gpkg") => return Err(super::gpkg::unavailable(path)),
-        _ => geojson::read(path)?,
-    };
+    let (features, stated) = features(path)?;
     let malformed = |message| FileError::malformed(path, None, message);
     let to_map = to_map_of(georeference, stated, &features).map_err(malformed)?;
+    all_named(features, georeference, &to_map).map_err(malformed)
+}
+
+/// Whether the polygons of a file can be used wherever they lie; how many there are.
+///
+/// # Errors
+/// As [`read`], but for the reference system.
+pub fn check(path: &Path) -> Result<usize, FileError> {
+    let same: ToMap = Box::new(Ok);
+    let named = all_named(features(path)?.0, None, &same);
+    Ok(named.map_err(|message| FileError::malformed(path, None, message))?.len())
+}
+
+fn features(path: &Path) -> Result<(Vec<Feature>, Stated), FileError> {
+    let ending = path.extension().map(|e| e.to_string_lossy().to_lowercase());
+    match ending.as_deref() {
+        Some("shp") => shapes::read(path),
+        #[cfg(feature = "geopackage")]
+        Some("gpkg") => package::read(path),
+        #[cfg(not(feature = "geopackage"))]
+        Some("gpkg") => Err(super::gpkg::unavailable(path)),
+        _ => geojson::read(path),
+    }
+}
+
+fn all_named(
+    features: Vec<Feature>,
+    place: Option<&Georeference>,
+    to_map: &ToMap,
+) -> Result<Vec<Named>, String> {
     if features.is_empty() {
-        return Err(malformed("it has no polygons, expected one for each plot".to_owned()));
+        return Err("it has no polygons, expected one for each plot".to_owned());
     }
     let named: Vec<Named> = features
         .into_iter()
         .enumerate()
-        .map(|(index, feature)| named(index, feature, georeference, &to_map).map_err(malformed))
+        .map(|(index, feature)| named(index, feature, place, to_map))
         .collect::<Result<_, _>>()?;
     let mut names = BTreeSet::new();
     match named.iter().find(|polygon| !names.insert(polygon.name.as_str())) {
-        Some(Named { name, .. }) => Err(malformed(format!(
+        Some(Named { name, .. }) => Err(format!(
             "two polygons are named {name:?}, expected a name for each; parts of one plot belong into one MultiPolygon"
-        ))),
+        )),
         None => Ok(named),
     }
 }
@@ -309,6 +331,49 @@ mod tests {
             let error = parse(text, None).unwrap_err();
             assert!(error.contains(expected) && error.contains("plots.geojson"), "{error}");
         }
+    }
+
+    #[test]
+    fn what_nobody_meant_to_draw_is_refused() {
+        let place = Georeference::north_up([100.0, 200.0], 0.5, Crs::projected(32616));
+        let square = "[[100,200],[110,200],[110,190],[100,200]]";
+        for (text, expected) in [
+            (
+                PLOTS.replace(square, "[[100,200],[110,190],[110,200],[100,190],[100,200]]"),
+                "crosses itself at 105.00, 195.00",
+            ),
+            (PLOTS.replace(square, "[[100,200],[105,195],[110,190],[100,200]]"), "on one line"),
+            (PLOTS.replace("\"id\":7", "\"id\":\"A\""), "two polygons are named \"A\""),
+            (r#"{"type":"FeatureCollection","features":[]}"#.to_owned(), "no polygons"),
+        ] {
+            let error = parse(&text, Some(&place)).unwrap_err();
+            assert!(error.contains(expected) && error.contains("plots.geojson"), "{error}");
+        }
+    }
+
+    #[test]
+    fn properties_come_along_and_names_do_not() {
+        let text = PLOTS.replace(
+            "\"leaves\":12",
+            "\"leaves\":12,\"genotype\":\"B73\",\"block\":2,\"fid\":9,\"note\":null",
+        );
+        let plots = parse(&text, None).unwrap_err();
+        assert!(plots.contains("in pixels"), "{plots}");
+        let place = Georeference::north_up([100.0, 200.0], 0.5, Crs::projected(32616));
+        let plots = parse(&text, Some(&place)).unwrap();
+        let kept: Vec<&str> = plots[0].attributes.iter().map(|(name, _)| name.as_str()).collect();
+        assert_eq!(kept, ["block", "genotype"]);
+        assert!(plots[1].attributes.is_empty());
+    }
+
+    #[test]
+    fn a_file_is_checked_without_a_map() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("plots.geojson");
+        std::fs::write(&path, PLOTS).unwrap();
+        assert_eq!(check(&path).unwrap(), 2);
+        std::fs::write(&path, PLOTS.replace("\"id\":7", "\"id\":\"A\"")).unwrap();
+        assert!(check(&path).unwrap_err().to_string().contains("two polygons"));
     }
 
     /// The same corner of a field in three systems comes to the same pixel.
