@@ -160,3 +160,231 @@ fn a_spoiled_layout_comes_back_and_its_sigmas_are_true() {
         assert!((0.5..1.5).contains(&ratio), "{name}: {ratio}");
     }
 }
+
+/// A field that was planted by a machine: rows and lines of ends are a little off as a whole.
+struct Machine {
+    design: Design,
+    truth: Placement,
+    /// Standard deviations of rows and of lines of ends, metres.
+    row_m: f64,
+    line_m: f64,
+    /// Shift of each plot along and across, metres.
+    plot_m: f64,
+}
+
+impl Machine {
+    fn new() -> Machine {
+        let (_, small) = field(1);
+        let design = Design {
+            ranges: 5,
+            plots_per_range: 12,
+            rows_per_plot: 4,
+            plot_length_m: 6.0,
+            plot_width_m: 4.0 * 0.76,
+            alley_m: 1.2,
+            ..small
+        };
+        let mut truth = Placement::nominal([1000.0, 2000.0], 1.4, design.plan().unwrap().half_length_m());
+        truth.affine = [0.31, -0.62, 0.012, 0.007, -0.006, 0.002];
+        truth.bend_m = [0.12, -0.05, 0.02];
+        Machine { design, truth, row_m: 0.02, line_m: 0.03, plot_m: 0.0 }
+    }
+
+    /// Plants every 0.2 m from a phase of their own; `w` of each plot.
+    fn plants(&self, draws: &mut Draws) -> (Vec<FoundPlant>, Vec<[f64; 2]>) {
+        let plan = self.design.plan().unwrap();
+        let rows = self.design.plots_per_range * self.design.rows_per_plot;
+        let of_rows: Vec<f64> = (0..rows).map(|_| self.row_m * draws.normal()).collect();
+        let of_ends: Vec<[f64; 2]> =
+            (0..self.design.ranges).map(|_| [0, 1].map(|_| self.line_m * draws.normal())).collect();
+        let mut plants = Vec::new();
+        let mut shifts = Vec::new();
+        for plot in &plan.plots {
+            let shift = [0, 1].map(|_| self.plot_m * draws.normal());
+            shifts.push(shift);
+            for (k, row) in plot.rows.iter().enumerate() {
+                let row_number = (plot.column - 1) * self.design.rows_per_plot + k;
+                let [begin, end] = of_ends[plot.range - 1];
+                let last = row.ends[1][0] + end;
+                let mut s = row.ends[0][0] + begin + 0.2 * draws.unit();
+                while s < last {
+                    if draws.unit() > 0.08 {
+                        let t = row.across(s) + of_rows[row_number] + 0.02 * draws.normal();
+                        let at = [s + 0.03 * draws.normal() + shift[0], t + shift[1]];
+                        plants.push(FoundPlant { at_m: self.truth.map(at), row: row_number });
+                    }
+                    s += 0.2;
+                }
+            }
+        }
+        (plants, shifts)
+    }
+
+    /// The plan where somebody believes it to be.
+    fn believed(&self, draws: &mut Draws) -> (Plan, Placement) {
+        let plan = self.design.plan().unwrap();
+        let mut about = Placement::nominal(self.truth.origin_m, self.truth.heading_rad, plan.half_length_m());
+        let spoil = [0.4, 0.4, 0.012, 0.006, 0.006, 0.002].map(|sigma| sigma * draws.normal());
+        about.affine = std::array::from_fn(|k| self.truth.affine[k] + spoil[k]);
+        (plan, about)
+    }
+}
+
+/// Standard deviations hold where rows and lines of ends are off as a whole, which plants alone would not tell.
+#[test]
+fn sigmas_hold_for_what_a_planter_does() {
+    let machine = Machine::new();
+    let mut sums = [[0.0; 2]; 2];
+    let mut count = 0.0;
+    for seed in 1..=12 {
+        let mut draws = Draws::new(100 + seed);
+        let (plants, _) = machine.plants(&mut draws);
+        let (plan, about) = machine.believed(&mut draws);
+        let found = refine(&plan, &about, &plants, &ASSUMED, &|_| true).unwrap();
+        for &at in plan.plots.iter().flat_map(|plot| plot.rings.iter().flatten()) {
+            let placement = &found.fit.placement;
+            let (is, truth) =
+                (placement.frame(placement.map(at)), placement.frame(machine.truth.map(at)));
+            let sigma = found.sigma_m(at);
+            for axis in 0..2 {
+                sums[axis][0] += (is[axis] - truth[axis]).powi(2);
+                sums[axis][1] += ((is[axis] - truth[axis]) / sigma[axis]).powi(2);
+            }
+            count += 1.0;
+        }
+        println!("seed {seed}: {:?} margin {:.3}", found.fit.scatter, found.fit.margin_m);
+    }
+    for (axis, name) in ["along", "across"].iter().enumerate() {
+        let (rms, ratio) = ((sums[axis][0] / count).sqrt(), (sums[axis][1] / count).sqrt());
+        println!("{name}: rms {rms:.4} m, errors over sigma {ratio:.2}");
+        assert!(rms < 0.04, "{name}: {rms}");
+        assert!((0.5..1.5).contains(&ratio), "{name}: {ratio}");
+    }
+}
+
+/// The largest error of a corner, metres.
+fn worst(config: &FieldConfig, plan: &Plan, found: &Refinement) -> f64 {
+    let of = errors(config, plan, found);
+    of.into_iter().map(|(error, _)| error[0].hypot(error[1])).fold(0.0, f64::max)
+}
+
+/// A layout that is a whole row off comes back, because a row is left over on one side and lacks on the other; with rows
+/// on both sides that no plot has, nothing tells, and that is said.
+#[test]
+fn which_row_is_which_is_told_by_the_outer_rows() {
+    let (config, design) = field(3);
+    let plan = design.plan().unwrap();
+    let one_off = |config: &FieldConfig| {
+        let mut about = Placement::nominal([0.0; 2], config.heading_rad(), plan.half_length_m());
+        about.affine[1] = config.inter_row_m;
+        about
+    };
+    let mut draws = Draws::new(3);
+    let plants = found(&config, &mut draws);
+    let is = refine(&plan, &one_off(&config), &plants, &ASSUMED, &|_| true).unwrap();
+    assert!(worst(&config, &plan, &is) < 0.06, "{}", worst(&config, &plan, &is));
+    assert!(is.alternatives.iter().all(|other| other.odds < 0.05), "{:?}", is.alternatives);
+
+    // Two border rows on either side.
+    let bordered = FieldConfig { rows: config.rows + 4, ..config.clone() };
+    let plants = found(&bordered, &mut draws);
+    let is = refine(&plan, &one_off(&bordered), &plants, &ASSUMED, &|_| true).unwrap();
+    let rival = is.alternatives.first().expect("the other row is named");
+    assert!(rival.odds > 0.05 && (rival.across_m.abs() - 0.76).abs() < 0.2, "{rival:?}");
+    // Who knows the place to a few centimetres is not in doubt.
+    let about = Placement { affine: [0.0; 6], ..one_off(&bordered) };
+    let sure = Assumptions { position_m: 0.1, ..ASSUMED };
+    let is = refine(&plan, &about, &plants, &sure, &|_| true).unwrap();
+    assert!(worst(&bordered, &plan, &is) < 0.06, "{}", worst(&bordered, &plan, &is));
+    assert!(is.alternatives.iter().all(|other| other.odds < 0.05), "{:?}", is.alternatives);
+}
+
+#[test]
+fn a_range_that_was_not_planted_is_bridged_or_named() {
+    let (config, design) = field(5);
+    let config = FieldConfig { row_length_m: 27.75, ..config };
+    let design = Design { ranges: 3, ..design };
+    let mut draws = Draws::new(5);
+    let mut plants = found(&config, &mut draws);
+    plants.retain(|plant| {
+        config.along_across(plant.at_m[0], plant.at_m[1])[0].abs() > 0.5 * 8.25 + 0.75
+    });
+    for missing_ranges in [vec![2], vec![]] {
+        let is_named = !missing_ranges.is_empty();
+        let design = Design { missing_ranges, ..design.clone() };
+        let (plan, about) = spoiled(&config, &design, &mut draws);
+        let is = refine(&plan, &about, &plants, &ASSUMED, &|_| true).unwrap();
+        assert!(worst(&config, &plan, &is) < 0.08, "{}", worst(&config, &plan, &is));
+        let empty = is.plots.iter().filter(|plot| plot.plants == 0).count();
+        assert_eq!(empty, if is_named { 0 } else { 4 });
+    }
+}
+
+#[test]
+fn polygons_move_like_a_design_and_plots_by_themselves() {
+    use rowgram::phenotype::layout::polygons::{Drawn, direction, middle, plan};
+    let machine = Machine { plot_m: 0.06, ..Machine::new() };
+    let mut draws = Draws::new(77);
+    let (plants, shifts) = machine.plants(&mut draws);
+    let (of_design, believed) = machine.believed(&mut draws);
+    let drawn: Vec<Drawn> = of_design
+        .plots
+        .iter()
+        .map(|plot| Drawn { name: plot.name.clone(), rings: plot.on_map(&believed) })
+        .collect();
+    let heading = direction(&drawn);
+    let origin = middle(&drawn);
+    let of_polygons = plan(&drawn, origin, heading, Some(4), 0.76).unwrap();
+    let about = Placement::nominal(origin, heading, of_polygons.half_length_m());
+    // The sides of a rectangle have two directions; the rows are along one of them.
+    let quarter = std::f64::consts::FRAC_PI_2;
+    let turned = ((1.4 + 0.012 - heading) / quarter).round() * quarter;
+    let (of_polygons, about) = match turned.abs() < 0.1 {
+        true => (of_polygons, about),
+        false => {
+            let of = plan(&drawn, origin, heading + turned, Some(4), 0.76).unwrap();
+            let half = of.half_length_m();
+            (of, Placement::nominal(origin, heading + turned, half))
+        }
+    };
+    let assumed = Assumptions { plot_shift_m: Some(0.06), ..ASSUMED };
+    let found = refine(&of_polygons, &about, &plants, &assumed, &|_| true).unwrap();
+    let mut sums = [0.0; 2];
+    for (k, plot) in of_design.plots.iter().enumerate() {
+        let middle = plot.rows[1].ends;
+        let at = [0.5 * (middle[0][0] + middle[1][0]), middle[0][1]];
+        // Where the plot was drawn, where it is now, and where it is planted.
+        let placement = &found.fit.placement;
+        let now = placement.frame(placement.map(about.plan(believed.map(at))));
+        let own = found.plots[k].shift_m;
+        let planted = [at[0] + shifts[k][0], at[1] + shifts[k][1]];
+        let truth = placement.frame(machine.truth.map(planted));
+        for axis in 0..2 {
+            sums[axis] += (now[axis] + own[axis] - truth[axis]).powi(2);
+        }
+    }
+    let rms = sums.map(|sum| (sum / of_design.plots.len() as f64).sqrt());
+    println!("plots by themselves: rms {rms:?} m of 0.06 m");
+    assert!(rms[0] < 0.05 && rms[1] < 0.03, "{rms:?}");
+}
+
+#[test]
+fn rows_of_another_layout_are_refused() {
+    let (config, design) = field(1);
+    let plants = found(&config, &mut Draws::new(1));
+    let plan = design.plan().unwrap();
+    let at = |turn: f64| Placement::nominal([0.0; 2], config.heading_rad() + turn, plan.half_length_m());
+    let refused = |plan: &Plan, about: &Placement, plants: &[FoundPlant]| {
+        refine(plan, about, plants, &ASSUMED, &|_| true).unwrap_err().to_string()
+    };
+    let error = refused(&plan, &at(1.5), &plants);
+    assert!(error.contains("run") && error.contains("corners named rightly"), "{error}");
+    assert!(refused(&plan, &at(0.0), &[]).contains("no rows of plants"));
+    let wide = Design { row_spacing_m: 1.5, plot_width_m: 7.5, plots_per_range: 2, ..design };
+    let error = refused(&wide.plan().unwrap(), &at(0.0), &plants);
+    assert!(error.contains("m apart") && error.contains("1.500 m"), "{error}");
+    let mut away = at(0.0);
+    away.origin_m = [300.0, 0.0];
+    let error = refused(&plan, &away, &plants);
+    assert!(error.contains("pieces of rows"), "{error}");
+}

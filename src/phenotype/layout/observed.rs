@@ -326,7 +326,7 @@ mod tests {
         let mut plants = Vec::new();
         for (row, (_, planned)) in Lookup::new(&plan).rows.iter().enumerate() {
             // Both plots of a line are one row that was found.
-            let line = (planned.ends[0][1] / 0.76).round() as i64 + 100;
+            let line = (planned.ends[0][1] / 0.76 + 100.0).floor();
             assert!(row < 40);
             for k in 0..40 {
                 let s = planned.ends[0][0] + 0.1 + 0.2 * f64::from(k);

@@ -245,7 +245,7 @@ fn pose(
     let plots = blocks("plot", priors.plot_shift_m.map_or(0, |_| seen.plots), 2)?;
     let prior = Prior { mean: start.affine, sigma: priors.affine };
     problem.add("placement", Loss::Trivial, Residuals::new([([affine], prior)]))?;
-    problem.add("bend", Loss::Trivial, Residuals::new([([bend], same(priors.bend_m))]))?;
+    problem.add("bend", Loss::Trivial, Residuals::new([([bend], same::<BEND>(priors.bend_m))]))?;
     let [mean, sigma] = priors.margin_m.map(|x| [x]);
     problem.add("margin", Loss::Trivial, Residuals::new([([margin], Prior { mean, sigma })]))?;
     let of_groups = |blocks: &[BlockId], sigma_m: f64| {
