@@ -6,17 +6,35 @@ use rand_chacha::{
     rand_core::{Rng, SeedableRng},
 };
 use rowgram::{
+    io::{FileError, csv_table::CsvTable, geotiff, polygons},
+    monitor::{Recorder, Silent},
+    options::Options,
     phenotype::layout::{
         Plan,
         design::{Design, Numbering, Side},
         observed::FoundPlant,
         refine::{Assumptions, Refinement, refine},
     },
+    pipeline::{
+        Project, Stage,
+        locate::locate,
+        plots::{
+            layout::{LayoutOptions, LayoutRequest, LayoutSource, layout},
+            plots,
+        },
+        segment::segment,
+        synth::{FlightOptions, write_flight},
+    },
     problems::plot_layout::{
         Placement,
         corners::{self, Corner, CornerSigmas},
     },
+    raster::{
+        georeference::{Crs, Georeference},
+        window::Window,
+    },
 };
+use std::path::{Path, PathBuf};
 
 /// Uniform and normal numbers from a seed.
 struct Draws(ChaCha8Rng);
@@ -184,7 +202,8 @@ impl Machine {
             alley_m: 1.2,
             ..small
         };
-        let mut truth = Placement::nominal([1000.0, 2000.0], 1.4, design.plan().unwrap().half_length_m());
+        let mut truth =
+            Placement::nominal([1000.0, 2000.0], 1.4, design.plan().unwrap().half_length_m());
         truth.affine = [0.31, -0.62, 0.012, 0.007, -0.006, 0.002];
         truth.bend_m = [0.12, -0.05, 0.02];
         Machine { design, truth, row_m: 0.02, line_m: 0.03, plot_m: 0.0 }
@@ -223,7 +242,8 @@ impl Machine {
     /// The plan where somebody believes it to be.
     fn believed(&self, draws: &mut Draws) -> (Plan, Placement) {
         let plan = self.design.plan().unwrap();
-        let mut about = Placement::nominal(self.truth.origin_m, self.truth.heading_rad, plan.half_length_m());
+        let mut about =
+            Placement::nominal(self.truth.origin_m, self.truth.heading_rad, plan.half_length_m());
         let spoil = [0.4, 0.4, 0.012, 0.006, 0.006, 0.002].map(|sigma| sigma * draws.normal());
         about.affine = std::array::from_fn(|k| self.truth.affine[k] + spoil[k]);
         (plan, about)
@@ -373,7 +393,8 @@ fn rows_of_another_layout_are_refused() {
     let (config, design) = field(1);
     let plants = found(&config, &mut Draws::new(1));
     let plan = design.plan().unwrap();
-    let at = |turn: f64| Placement::nominal([0.0; 2], config.heading_rad() + turn, plan.half_length_m());
+    let at =
+        |turn: f64| Placement::nominal([0.0; 2], config.heading_rad() + turn, plan.half_length_m());
     let refused = |plan: &Plan, about: &Placement, plants: &[FoundPlant]| {
         refine(plan, about, plants, &ASSUMED, &|_| true).unwrap_err().to_string()
     };
@@ -387,4 +408,169 @@ fn rows_of_another_layout_are_refused() {
     away.origin_m = [300.0, 0.0];
     let error = refused(&plan, &away, &plants);
     assert!(error.contains("pieces of rows"), "{error}");
+}
+
+/// The truth of the plots: name, and corners first row's start and end, last row's end and start.
+fn true_plots(path: &Path) -> Vec<(String, [[f64; 2]; 4])> {
+    let table = CsvTable::read(path).unwrap();
+    let column = |name: &str| table.numbers(name).unwrap();
+    let corners: Vec<[Vec<f64>; 2]> = (0..4)
+        .map(|k| ["easting", "northing"].map(|axis| column(&format!("{axis}_{k}_m"))))
+        .collect();
+    let names = table.texts("plot").unwrap().into_iter().map(str::to_owned);
+    let of = |row: usize| std::array::from_fn(|k| [corners[k][0][row], corners[k][1][row]]);
+    names.enumerate().map(|(row, name)| (name, of(row))).collect()
+}
+
+/// A project that is the picture of a synthetic field from straight above, with the truth of its plots.
+fn project_of_picture(folder: &Path) -> PathBuf {
+    let preset = data_synth::twin::FlightPreset::Small;
+    let config = data_synth::twin::TwinConfig::preset(preset);
+    let options = FlightOptions { photos: false, ..FlightOptions::default() };
+    let flight = folder.join("flight");
+    std::fs::create_dir(&flight).unwrap();
+    write_flight(&config, &options, &flight, false, &mut Silent).unwrap();
+    let picture = image::open(flight.join("truth/picture.png")).unwrap().into_rgb8();
+    let world = std::fs::read_to_string(flight.join("truth/picture.pgw")).unwrap();
+    let world: Vec<f64> = world.lines().map(|line| line.trim().parse().unwrap()).collect();
+    let code = config.build().unwrap().site.config().epsg;
+    let place = Georeference {
+        per_column: [world[0], world[1]],
+        per_row: [world[2], world[3]],
+        origin: [world[4], world[5]],
+        crs: Crs::projected(code),
+    };
+    let layout = geotiff::Layout {
+        width: picture.width() as usize,
+        height: picture.height() as usize,
+        colour: geotiff::Colour::Rgb,
+        georeference: Some(place),
+        nodata: None,
+    };
+    let root = folder.join("field");
+    std::fs::create_dir(&root).unwrap();
+    let whole = Window::whole(layout.width, layout.height);
+    geotiff::write::<u8, FileError>(&root.join("field.tif"), false, &layout, |writer| {
+        writer.put(whole, picture.as_raw())
+    })
+    .unwrap();
+    root
+}
+
+/// From a picture to plants, from corners that are wrong to plots that are right, and from their files to traits.
+#[test]
+#[ignore = "slow; cargo test -- --include-ignored"]
+fn a_layout_is_moved_onto_the_picture_of_a_field() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = project_of_picture(folder.path());
+    let truth = true_plots(&folder.path().join("flight/truth/plots.csv"));
+    assert_eq!(truth.len(), 8);
+    let project = Project::open(&root).unwrap();
+    segment(&project, &project.config().segment, &mut Silent).unwrap();
+    locate(&project, &project.config().locate, &mut Silent).unwrap();
+
+    // The corners of the field, off by 0.4 m and half a row, a degree and a hundredth. The twin counts plots along the rows.
+    let corners = [
+        ("first", truth[0].1[0]),
+        ("along", truth[1].1[1]),
+        ("across", truth[6].1[3]),
+        ("opposite", truth[7].1[2]),
+    ];
+    let middle = [0, 1].map(|axis| corners.iter().map(|of| of.1[axis]).sum::<f64>() / 4.0);
+    let (sin, cos) = 1f64.to_radians().sin_cos();
+    let mut table = "corner,easting_m,northing_m\n".to_owned();
+    for (name, at) in corners {
+        let [x, y] = [at[0] - middle[0], at[1] - middle[1]].map(|x| 1.01 * x);
+        let moved = [middle[0] + cos * x - sin * y + 0.4, middle[1] + sin * x + cos * y - 0.38];
+        table += &format!("{name},{:.4},{:.4}\n", moved[0], moved[1]);
+    }
+    std::fs::write(root.join("corners.csv"), table).unwrap();
+    let map: String = (0..8).map(|plot| format!("{plot},G{plot},{}\n", plot % 2)).collect();
+    std::fs::write(root.join("map.csv"), format!("plot,genotype,block\n{map}")).unwrap();
+    let design = "ranges = 2\nplots_per_range = 4\nrows_per_plot = 5\nrow_spacing_m = 0.76\nplot_length_m = 8.25\n\
+                  alley_m = 1.5\nnumbering = \"along\"\nfirst_number = 0\n";
+    let options = LayoutOptions::default().with(&design.parse().unwrap()).unwrap();
+    let (corners, map) = (root.join("corners.csv"), root.join("map.csv"));
+    let mut request = LayoutRequest {
+        source: LayoutSource::Corners(&corners),
+        field_map: Some(&map),
+        crs: None,
+        project: Some(&project),
+        output: &root,
+        force: false,
+    };
+    let mut silent = Silent;
+    let mut recorder = Recorder::new(&mut silent);
+    let outcome = layout(&request, &options, &mut recorder).unwrap();
+    let codes: Vec<&str> = recorder.diagnostics.iter().map(|of| &*of.code).collect();
+    assert!(!codes.iter().any(|code| code.starts_with("layout-amb")), "{:?}", recorder.diagnostics);
+    println!("{codes:?}\n{:?}", outcome.refined);
+
+    let place = Georeference::north_up([0.0; 2], 1.0, Crs::projected(outcome.epsg.unwrap()));
+    let errors = |path: &Path| -> Vec<f64> {
+        let plots = polygons::read(path, Some(&place)).unwrap();
+        let found = |name: &str| plots.iter().find(|plot| plot.name == name).unwrap();
+        let off = |at: &[f64; 2], ring: &[[f64; 2]]| {
+            let near = ring.iter().map(|[u, v]| (u - at[0]).hypot(-v - at[1]));
+            near.fold(f64::INFINITY, f64::min)
+        };
+        let of = |(name, corners): &(String, [[f64; 2]; 4])| {
+            let ring = &found(name).polygon.rings[0];
+            corners.iter().map(|at| off(at, ring)).collect::<Vec<_>>()
+        };
+        truth.iter().flat_map(of).collect()
+    };
+    let rms =
+        |errors: &[f64]| (errors.iter().map(|e| e * e).sum::<f64>() / errors.len() as f64).sqrt();
+    for name in ["plots.geojson", "plots.gpkg", "plots.shp"] {
+        let errors = errors(&root.join(name));
+        let worst = errors.iter().copied().fold(0.0, f64::max);
+        println!("{name}: rms {:.4} m, worst {worst:.4} m", rms(&errors));
+        assert!(rms(&errors) < 0.04 && worst < 0.08, "{name}: {errors:?}");
+    }
+    let sigma = outcome.plots.iter().map(|plot| plot.sigma_m.unwrap());
+    let sigma = sigma.map(|[a, b]| a.hypot(b)).fold(0.0, f64::max);
+    println!("largest sigma {sigma:.4} m");
+    assert!(rms(&errors(&root.join("plots.geojson"))) < 1.5 * sigma);
+    assert!(root.join("figures/layout.png").is_file());
+    crate::formats::assert_columns_are_documented(&root);
+
+    // Polygons that somebody drew come back likewise; here those of corners alone, which nothing has moved yet.
+    let (drawn, moved) = (root.join("drawn"), root.join("moved"));
+    let alone = LayoutRequest { project: None, crs: Some("EPSG:32616"), output: &drawn, ..request };
+    layout(&alone, &options, &mut Silent).unwrap();
+    let before = rms(&errors(&drawn.join("plots.gpkg")));
+    let path = drawn.join("plots.gpkg");
+    (request.source, request.field_map, request.output) =
+        (LayoutSource::Polygons(&path), None, &moved);
+    layout(&request, &LayoutOptions::default(), &mut Silent).unwrap();
+    let after = rms(&errors(&moved.join("plots.gpkg")));
+    println!("polygons: from {before:.3} m to {after:.4} m");
+    assert!(before > 0.4 && after < 0.06, "{before} {after}");
+
+    // The file in the project is what plots are of, and its attributes come along.
+    plots(&project, &project.config().plots, &mut Silent).unwrap();
+    let traits = CsvTable::read(&project.file(Stage::Plots, "traits.csv")).unwrap();
+    assert_eq!(traits.texts("genotype").unwrap()[3], "G3");
+    let text = std::fs::read_to_string(project.file(Stage::Plots, "traits.geojson")).unwrap();
+    assert!(text.contains("\"genotype\":\"G3\"") && text.contains("\"block\":1"), "{text}");
+
+    // Plots that the map shows a part of, and none of, are told.
+    let geojson = std::fs::read_to_string(root.join("plots.geojson")).unwrap();
+    let mut document: serde_json::Value = serde_json::from_str(&geojson).unwrap();
+    for (plot, east) in [(0, -8.0), (1, 500.0)] {
+        let ring = &mut document["features"][plot]["geometry"]["coordinates"][0];
+        for at in ring.as_array_mut().unwrap() {
+            at[0] = (at[0].as_f64().unwrap() + east).into();
+        }
+    }
+    std::fs::write(root.join("plots.geojson"), document.to_string()).unwrap();
+    let mut recorder = Recorder::new(&mut silent);
+    let outcome = plots(&project, &project.config().plots, &mut recorder).unwrap();
+    let codes: Vec<&str> = recorder.diagnostics.iter().map(|of| &*of.code).collect();
+    assert!(
+        codes.contains(&"plots-outside") && codes.contains(&"plots-partly-outside"),
+        "{codes:?}"
+    );
+    assert_eq!((outcome.outside.len(), outcome.partly_outside.len()), (1, 1), "{outcome:?}");
 }
