@@ -537,7 +537,8 @@ fn a_layout_is_moved_onto_the_picture_of_a_field() {
 
     // Polygons that somebody drew come back likewise; here those of corners alone, which nothing has moved yet.
     let (drawn, moved) = (root.join("drawn"), root.join("moved"));
-    let alone = LayoutRequest { project: None, crs: Some("EPSG:32616"), output: &drawn, ..request };
+    let system = format!("EPSG:{}", outcome.epsg.unwrap());
+    let alone = LayoutRequest { project: None, crs: Some(&system), output: &drawn, ..request };
     layout(&alone, &options, &mut Silent).unwrap();
     let before = rms(&errors(&drawn.join("plots.gpkg")));
     let path = drawn.join("plots.gpkg");
