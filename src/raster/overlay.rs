@@ -69,7 +69,7 @@ pub fn draw_line(image: &mut RgbImage, points_px: &[[f64; 2]], colour: Rgb<u8>, 
         let [from, to] = [pair[0], pair[1]];
         let [du, dv] = [to[0] - from[0], to[1] - from[1]];
         let steps = du.abs().max(dv.abs()).ceil().max(1.0);
-        if !(steps < 1e7) {
+        if steps.is_nan() || steps > 1e7 {
             continue;
         }
         for step in 0..=steps as u64 {

@@ -80,8 +80,8 @@ impl Polygon {
         let points = || self.rings.iter().flatten().map(|at| [at[0] - first[0], at[1] - first[1]]);
         let longest = points().map(|at| at[0].hypot(at[1])).fold(0.0, f64::max);
         let far = points().find(|at| at[0].hypot(at[1]) == longest).unwrap_or_default();
-        // A thousandth of a pixel beside the line is rounding.
-        points().all(|at| (at[0] * far[1] - at[1] * far[0]).abs() <= 1e-3 * longest)
+        // A millionth of its length beside the line is rounding, whatever the unit.
+        points().all(|at| (at[0] * far[1] - at[1] * far[0]).abs() <= 1e-6 * longest * longest)
     }
 
     /// Whether a position lies inside, by the same rule.

@@ -13,10 +13,10 @@ use crate::{
 };
 use serde_json::{Map, Value, json};
 use shapefile::{
-    Point, Polygon, PolygonRing,
+    Point, Polygon, PolygonRing, ShapeWriter,
     dbase::{FieldName, FieldValue, Record, TableWriterBuilder},
 };
-use std::{collections::BTreeSet, path::Path};
+use std::{collections::BTreeSet, io::Cursor, path::Path};
 
 /// A plot to be written.
 #[derive(Debug, Clone, PartialEq)]
@@ -143,13 +143,6 @@ fn shapes(path: &Path, force: bool, plots: &[Outline], crs: Option<Crs>) -> Resu
     let own = columns(plots);
     let mut taken = BTreeSet::from(["plot".to_owned()]);
     let fields: Vec<String> = own.iter().map(|(name, _)| field(name, &mut taken)).collect();
-    // The writer wants files of its own; they take their names when all are complete.
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
-    let scratch = tempfile::Builder::new()
-        .prefix(".rowgram-")
-        .tempdir_in(folder.unwrap_or(Path::new(".")))
-        .map_err(|error| FileError::write(path, error))?;
-    let draft = scratch.path().join("plots.shp");
     let name_of = |name: &str| FieldName::try_from(name).map_err(|error| failed(&error));
     let longest = |k: Option<usize>| {
         let texts = plots.iter().map(|plot| match k {
@@ -165,7 +158,11 @@ fn shapes(path: &Path, force: bool, plots: &[Outline], crs: Option<Crs>) -> Resu
             false => table.add_character_field(name_of(name)?, longest(Some(k))),
         };
     }
-    let mut writer = shapefile::Writer::from_path(&draft, table).map_err(|error| failed(&error))?;
+    let [mut shp, mut shx, mut dbf] = [(); 3].map(|()| Cursor::new(Vec::new()));
+    let mut writer = shapefile::Writer::new(
+        ShapeWriter::with_shx(&mut shp, &mut shx),
+        table.build_with_dest(&mut dbf),
+    );
     for plot in plots {
         let mut record = Record::default();
         record.insert("plot".to_owned(), FieldValue::Character(Some(plot.name.clone())));
@@ -184,17 +181,25 @@ fn shapes(path: &Path, force: bool, plots: &[Outline], crs: Option<Crs>) -> Resu
         writer.write_shape_and_record(&polygon, &record).map_err(|error| failed(&error))?;
     }
     drop(writer);
-    for ending in ["dbf", "shx", "shp"] {
-        let (from, to) = (draft.with_extension(ending), path.with_extension(ending));
-        let bytes = std::fs::read(&from).map_err(|error| FileError::write(&to, error))?;
-        let bytes = if ending == "dbf" { undated(bytes) } else { bytes };
-        output::write(&to, force, |out| out.write_all(&bytes))?;
+    let parts =
+        [("dbf", undated(dbf.into_inner())), ("shx", shx.into_inner()), ("shp", shp.into_inner())];
+    for (ending, bytes) in parts {
+        output::write(&path.with_extension(ending), force, |out| out.write_all(&bytes))?;
     }
     match crs.and_then(projection) {
         Some(text) => {
             output::write(&path.with_extension("prj"), force, |out| out.write_all(text.as_bytes()))
         }
-        None => Ok(()),
+        None => {
+            // One that is there says another system.
+            let old = path.with_extension("prj");
+            match std::fs::remove_file(&old) {
+                Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                    Err(FileError::write(&old, error))
+                }
+                _ => Ok(()),
+            }
+        }
     }
 }
 
@@ -209,11 +214,12 @@ fn undated(mut table: Vec<u8>) -> Vec<u8> {
 /// The first ten letters of a name, with a number at the end where they are taken.
 fn field(name: &str, taken: &mut BTreeSet<String>) -> String {
     let plain: String = name.chars().filter(char::is_ascii).collect();
+    let plain = if plain.is_empty() { "field".to_owned() } else { plain };
     let cut = |length: usize| plain.chars().take(length).collect::<String>();
     let numbered = (2..100).map(|k: u32| format!("{}{k}", cut(FIELD_LETTERS - 2)));
     let name = std::iter::once(cut(FIELD_LETTERS))
         .chain(numbered)
-        .find(|name| !name.is_empty() && !taken.contains(&name.to_lowercase()))
+        .find(|name| !taken.contains(&name.to_lowercase()))
         .unwrap_or_else(|| format!("f{}", taken.len()));
     taken.insert(name.to_lowercase());
     name
@@ -312,6 +318,6 @@ mod tests {
         let mut taken = BTreeSet::new();
         let names = ["nitrogen_dose_kg", "nitrogen_dose_lb", "ä", "Plot"];
         let fields: Vec<String> = names.iter().map(|name| field(name, &mut taken)).collect();
-        assert_eq!(fields, ["nitrogen_d", "nitrogen2", "f3", "Plot2"]);
+        assert_eq!(fields, ["nitrogen_d", "nitrogen2", "field", "Plot2"]);
     }
 }

@@ -183,8 +183,8 @@ impl Task for Plots {
                 let shown = pixels - colours.as_ref().map_or(0, |sums| sums.gaps[number]);
                 if shown == 0 {
                     outside.push(name);
-                } else if (shown as f64) < WHOLE * polygon.pixels() as f64
-                    && source == PlotSource::Polygons
+                } else if source == PlotSource::Polygons
+                    && (shown as f64) < WHOLE * polygon.pixels() as f64
                 {
                     partly_outside.push(name);
                 }
