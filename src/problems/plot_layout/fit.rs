@@ -243,6 +243,7 @@ fn pose(
     let rows = blocks("row", seen.found_rows, 1)?;
     let lines = blocks("line of ends", seen.lines, 1)?;
     let plots = blocks("plot", priors.plot_shift_m.map_or(0, |_| seen.plots), 2)?;
+    plots.iter().for_each(|&plot| problem.eliminate(plot));
     let prior = Prior { mean: start.affine, sigma: priors.affine };
     problem.add("placement", Loss::Trivial, Residuals::new([([affine], prior)]))?;
     problem.add("bend", Loss::Trivial, Residuals::new([([bend], same::<BEND>(priors.bend_m))]))?;
@@ -333,7 +334,12 @@ pub fn fit(
     priors: &Priors,
     first: &Scatter,
 ) -> Result<RowFit, SolveError> {
-    let options = Options { linear: LinearSolver::Dense, ..Options::default() };
+    // Plots meet only through the placement, rows and lines, which are few.
+    let linear = match priors.plot_shift_m {
+        Some(_) => LinearSolver::Schur,
+        None => LinearSolver::Dense,
+    };
+    let options = Options { linear, ..Options::default() };
     let mut scatter = *first;
     let mut x: Vec<f64> = Vec::new();
     let mut round = 0;
@@ -346,7 +352,7 @@ pub fn fit(
             x[AFFINE..FREE].copy_from_slice(&start.bend_m);
         }
         let summary = nlls::solve(&problem, &mut x, &options, 100)?;
-        let mut covariance = Covariance::new(&problem, &x, LinearSolver::Dense)?;
+        let mut covariance = Covariance::new(&problem, &x, linear)?;
         let residuals_of = |name: &str, is_there: bool| match is_there {
             true => problem.residuals(&x, name),
             false => Ok(Vec::new()),
