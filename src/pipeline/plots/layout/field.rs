@@ -26,6 +26,8 @@ pub(super) struct Field {
     source: Source,
     /// Where it lies.
     pub(super) place: Georeference,
+    /// Where the raster lies whose pixels the places of plants are: the leaf mask.
+    pub(super) place_of_plants: Georeference,
     /// Pixels of a cell.
     step: usize,
     cells: [usize; 2],
@@ -47,6 +49,8 @@ impl Field {
                 "it is not georeferenced, so plots have no place on it",
             )
         })?;
+        let mask = project.mask().ok().map(|path| Source::open(&path)).transpose()?;
+        let place_of_plants = mask.and_then(|mask| mask.georeference()).unwrap_or(place);
         let (width, height) = source.size();
         let step = place.gsd_m().map_or(1.0, |gsd_m| CELL_M / gsd_m).round().max(1.0) as usize;
         let cells = [width.div_ceil(step), height.div_ceil(step)];
@@ -64,7 +68,7 @@ impl Field {
                 }
             }
         }
-        Ok(Some(Field { source, place, step, cells, visible }))
+        Ok(Some(Field { source, place, place_of_plants, step, cells, visible }))
     }
 
     /// Whether the map shows anything at a position.

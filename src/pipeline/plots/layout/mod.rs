@@ -194,7 +194,7 @@ fn plants(
         return Err(FileError::malformed(&path, None, message).into());
     };
     let plant = |(at, row): ([f64; 2], f64)| {
-        let at_m = field.place.map(at).map(|x| x * metres);
+        let at_m = field.place_of_plants.map(at).map(|x| x * metres);
         (row >= 0.0).then_some(FoundPlant { at_m, row: row as usize })
     };
     Ok(Some(places.into_iter().zip(rows).filter_map(plant).collect()))
