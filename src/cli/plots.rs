@@ -1,4 +1,6 @@
-//! `rowgram plots`: the traits of the plots of a project.
+//! `rowgram plots`: the traits of the plots of a project; `rowgram plots layout`: the plots themselves.
+
+mod layout;
 
 use super::{
     options::Given,
@@ -17,15 +19,23 @@ use std::path::PathBuf;
 ///
 /// Takes the leaf mask, and the plants, gaps, leaves and counts where those stages were done. Plots are the polygons of
 /// plots.geojson, .gpkg or .shp, or groups of rows cut at alleys (--rows-per-plot and --alley-m), else the whole field. Writes
-/// plots/traits.csv, .geojson, .gpkg, traits_long.csv, .parquet and BrAPI answers (*.brapi.json).
+/// plots/traits.csv, .geojson, .gpkg, .parquet, traits_long.csv and BrAPI answers (*.brapi.json). The command layout makes the
+/// polygons (a project in a folder of that name is ./layout).
 ///
 /// Example: rowgram plots field
 /// Example: rowgram plots field --rows-per-plot 4 --alley-m 1
 #[derive(Debug, clap::Args)]
-#[command(verbatim_doc_comment)]
+#[command(
+    verbatim_doc_comment,
+    args_conflicts_with_subcommands = true,
+    subcommand_negates_reqs = true
+)]
 pub(super) struct Args {
+    #[command(subcommand)]
+    command: Option<Command>,
     /// Folder of the project.
-    project: PathBuf,
+    #[arg(required = true)]
+    project: Option<PathBuf>,
     /// Folder of results [default: PROJECT/rowgram].
     #[arg(short, long, value_name = "DIR")]
     output: Option<PathBuf>,
@@ -37,6 +47,11 @@ pub(super) struct Args {
     /// Print the outcome as one line of JSON.
     #[arg(long)]
     json: bool,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Command {
+    Layout(Box<layout::Args>),
 }
 
 fn text(outcome: &PlotsOutcome) -> String {
@@ -59,7 +74,11 @@ fn text(outcome: &PlotsOutcome) -> String {
 /// # Errors
 /// As the stage.
 pub(super) fn run(args: &Args) -> Result<(), Error> {
-    let project = open_for(Stage::Plots, &args.project, args.output.as_deref(), args.force)?;
+    if let Some(Command::Layout(args)) = &args.command {
+        return layout::run(args);
+    }
+    let root = args.project.as_deref().unwrap_or(".".as_ref());
+    let project = open_for(Stage::Plots, root, args.output.as_deref(), args.force)?;
     let options = args.options.over(&project.config().plots)?;
     present(args.json, |monitor| plots(&project, &options, monitor), text)
 }

@@ -11,6 +11,7 @@ pub mod control;
 pub mod corners;
 pub mod csv_table;
 pub mod features;
+pub mod field_design;
 pub mod gcp_list;
 pub mod geoparquet;
 pub mod geotiff;

@@ -78,6 +78,11 @@ impl Table {
         &self.rows
     }
 
+    /// All columns with their names, in their order.
+    pub(super) fn columns(&self) -> impl Iterator<Item = (&str, Column)> {
+        self.header.iter().enumerate().map(|(k, title)| (title.as_str(), Column(k)))
+    }
+
     /// The column of one of these names, letters' case aside.
     pub(super) fn column(&self, names: &[&str]) -> Option<Column> {
         names.iter().find_map(|name| {

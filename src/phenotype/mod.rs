@@ -17,6 +17,7 @@ pub mod double_plants;
 pub mod dynamic_programming;
 pub mod evidence;
 pub mod isolated_plants;
+pub mod layout;
 pub mod leaf_count;
 pub mod leaves;
 pub mod locate;

@@ -5,10 +5,20 @@
 //! refused where it stands.
 
 use super::{
-    align::AlignOptions, calibrate::CalibrateOptions, checks::ChecksOptions, crops::CropsOptions,
-    dem::DemOptions, evaluate::EvaluateOptions, leaf_count::LeafCountOptions,
-    leaf_density::LeafDensityOptions, leaves::LeavesOptions, locate::LocateOptions,
-    ortho::OrthoOptions, plots::PlotsOptions, segment::SegmentOptions, stage::Stage,
+    align::AlignOptions,
+    calibrate::CalibrateOptions,
+    checks::ChecksOptions,
+    crops::CropsOptions,
+    dem::DemOptions,
+    evaluate::EvaluateOptions,
+    leaf_count::LeafCountOptions,
+    leaf_density::LeafDensityOptions,
+    leaves::LeavesOptions,
+    locate::LocateOptions,
+    ortho::OrthoOptions,
+    plots::{PlotsOptions, layout::LayoutOptions},
+    segment::SegmentOptions,
+    stage::Stage,
     surface::SurfaceOptions,
 };
 use crate::{
@@ -152,6 +162,7 @@ config! {
     leaf_count: LeafCountOptions,
     locate: LocateOptions,
     leaves: LeavesOptions,
+    layout: LayoutOptions,
     plots: PlotsOptions,
     crops: CropsOptions,
     evaluate: EvaluateOptions,

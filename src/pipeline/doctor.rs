@@ -85,16 +85,17 @@ fn of_polygons(project: &Project) -> Vec<Diagnostic> {
     let mut found = Vec::new();
     for path in [project.plots(), project.regions()].into_iter().flatten() {
         let subject = path.display().to_string();
-        match polygons::read(&path, place.as_ref()) {
+        // Without a map their place cannot be checked, but everything else can.
+        let read = match &place {
+            Some(place) => polygons::read(&path, Some(place)).map(|read| read.len()),
+            None => polygons::check(&path),
+        };
+        match read {
             Err(error) => {
                 found.push(Diagnostic::error("polygons-unreadable", subject, error.to_string()));
             }
-            Ok(read) if read.is_empty() => {
-                let message = "it has no polygon";
-                found.push(Diagnostic::error("polygons-unreadable", subject, message));
-            }
-            Ok(read) => {
-                let message = format!("{} polygons", read.len());
+            Ok(count) => {
+                let message = format!("{count} polygons");
                 found.push(Diagnostic::info("polygons-readable", subject, message));
             }
         }

@@ -5,4 +5,5 @@ pub mod bundle;
 pub mod calibration;
 pub mod lens_fit;
 pub mod plants;
+pub mod plot_layout;
 mod pose_chain;

@@ -61,6 +61,30 @@ pub fn draw_points(image: &mut RgbImage, points_px: &[[f64; 2]], colour: Rgb<u8>
     }
 }
 
+/// Draws a line through points `[u, v]`, pixels, `width_px` pixels wide; what lies outside the picture is not drawn.
+pub fn draw_line(image: &mut RgbImage, points_px: &[[f64; 2]], colour: Rgb<u8>, width_px: u32) {
+    let (before, after) = (i64::from(width_px.max(1) - 1) / 2, i64::from(width_px) / 2);
+    let (width, height) = (f64::from(image.width()), f64::from(image.height()));
+    for pair in points_px.windows(2) {
+        let [from, to] = [pair[0], pair[1]];
+        let [du, dv] = [to[0] - from[0], to[1] - from[1]];
+        let steps = du.abs().max(dv.abs()).ceil().max(1.0);
+        if steps.is_nan() || steps > 1e7 {
+            continue;
+        }
+        for step in 0..=steps as u64 {
+            let share = step as f64 / steps;
+            let [u, v] = [from[0] + share * du, from[1] + share * dv].map(f64::round);
+            let margin = f64::from(width_px);
+            if u < -margin || v < -margin || u > width + margin || v > height + margin {
+                continue;
+            }
+            let (u, v) = (u as i64, v as i64);
+            fill(image, (u - before, v - before), (u + after, v + after), colour);
+        }
+    }
+}
+
 /// Fills the rectangle between two corners (both belong to it), as far as it lies in the picture.
 fn fill(image: &mut RgbImage, from: (i64, i64), to: (i64, i64), colour: Rgb<u8>) {
     let (width, height) = (i64::from(image.width()), i64::from(image.height()));
@@ -89,6 +113,15 @@ mod tests {
             error.to_string(),
             "the mask has 4 x 5 pixels, the photo 5 x 5: expected the same size"
         );
+    }
+
+    #[test]
+    fn lines_have_their_width_and_end_at_the_edge() {
+        let mut image = RgbImage::new(9, 9);
+        let white = Rgb([255; 3]);
+        draw_line(&mut image, &[[2.0, 4.0], [60.0, 4.0], [f64::NAN, 0.0]], white, 3);
+        assert_eq!(image.pixels().filter(|&&pixel| pixel == white).count(), 8 * 3);
+        assert_eq!((image.get_pixel(1, 3), image.get_pixel(8, 5)), (&white, &white));
     }
 
     #[test]

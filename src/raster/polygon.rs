@@ -52,6 +52,38 @@ impl Polygon {
         runs
     }
 
+    /// How many pixels lie inside of it, on a raster without edges.
+    pub fn pixels(&self) -> usize {
+        let points = || self.rings.iter().flatten();
+        let bound = |axis: usize| {
+            let low = points().map(|at| at[axis]).fold(f64::INFINITY, f64::min).floor();
+            let high = points().map(|at| at[axis]).fold(f64::NEG_INFINITY, f64::max);
+            (low, (high - low + 2.0) as usize)
+        };
+        let ((u, width), (v, height)) = (bound(0), bound(1));
+        let ring = |ring: &Vec<[f64; 2]>| ring.iter().map(|at| [at[0] - u, at[1] - v]).collect();
+        let shifted = Polygon { rings: self.rings.iter().map(ring).collect() };
+        shifted.runs(width, height).iter().map(|(_, run)| run.len()).sum()
+    }
+
+    /// Where two sides of a ring cross each other, as those of a bow tie do; rings that only touch themselves do not cross.
+    pub fn crossing(&self) -> Option<[f64; 2]> {
+        self.rings.iter().find_map(|ring| {
+            let side = |k: usize| (ring[k], ring[(k + 1) % ring.len()]);
+            (0..ring.len()).find_map(|i| (i + 1..ring.len()).find_map(|j| meet(side(i), side(j))))
+        })
+    }
+
+    /// Whether all its points lie on one line.
+    pub fn is_flat(&self) -> bool {
+        let Some(first) = self.rings.first().and_then(|ring| ring.first()) else { return true };
+        let points = || self.rings.iter().flatten().map(|at| [at[0] - first[0], at[1] - first[1]]);
+        let longest = points().map(|at| at[0].hypot(at[1])).fold(0.0, f64::max);
+        let far = points().find(|at| at[0].hypot(at[1]) == longest).unwrap_or_default();
+        // A millionth of its length beside the line is rounding, whatever the unit.
+        points().all(|at| (at[0] * far[1] - at[1] * far[0]).abs() <= 1e-6 * longest * longest)
+    }
+
     /// Whether a position lies inside, by the same rule.
     pub fn holds(&self, [u, v]: [f64; 2]) -> bool {
         let mut inside = false;
@@ -66,6 +98,20 @@ impl Polygon {
         }
         inside
     }
+}
+
+/// The place where two sides cross, strictly within both.
+fn meet((a, b): ([f64; 2], [f64; 2]), (c, d): ([f64; 2], [f64; 2])) -> Option<[f64; 2]> {
+    let cross = |o: [f64; 2], p: [f64; 2], q: [f64; 2]| {
+        (p[0] - o[0]) * (q[1] - o[1]) - (p[1] - o[1]) * (q[0] - o[0])
+    };
+    let (of_c, of_d) = (cross(a, b, c), cross(a, b, d));
+    let (of_a, of_b) = (cross(c, d, a), cross(c, d, b));
+    if of_c * of_d >= 0.0 || of_a * of_b >= 0.0 {
+        return None;
+    }
+    let share = of_a / (of_a - of_b);
+    Some([0, 1].map(|axis| a[axis] + share * (b[axis] - a[axis])))
 }
 
 #[cfg(test)]
@@ -104,6 +150,30 @@ mod tests {
         assert_eq!(count(&Polygon { rings: vec![large] }), 2000);
         assert_eq!(count(&Polygon::default()), 0);
         assert_eq!(count(&Polygon { rings: vec![vec![[f64::NAN; 2], [1.0, 2.0]]] }), 0);
+    }
+
+    #[test]
+    fn bow_ties_cross_and_what_touches_does_not() {
+        let bow = vec![[0.0, 0.0], [10.0, 10.0], [10.0, 0.0], [0.0, 10.0]];
+        let at = Polygon { rings: vec![bow] }.crossing().unwrap();
+        assert!((at[0] - 5.0).abs() < 1e-12 && (at[1] - 5.0).abs() < 1e-12, "{at:?}");
+        // Two triangles that touch in a corner, and a corner that is there twice.
+        let touching =
+            vec![[0.0, 0.0], [5.0, 5.0], [10.0, 0.0], [10.0, 10.0], [5.0, 5.0], [0.0, 10.0]];
+        let twice = vec![[0.0, 0.0], [9.0, 0.0], [9.0, 0.0], [9.0, 9.0], [0.0, 9.0]];
+        for ring in [touching, twice] {
+            assert_eq!(Polygon { rings: vec![ring] }.crossing(), None);
+        }
+        let line = vec![[1e5, 0.0], [1e5 + 3.0, 3.0], [1e5 + 9.0, 9.0]];
+        assert!(Polygon { rings: vec![line] }.is_flat());
+        assert!(!Polygon { rings: vec![vec![[0.0, 0.0], [9.0, 0.0], [9.0, 0.1]]] }.is_flat());
+    }
+
+    #[test]
+    fn pixels_beyond_the_raster_are_counted() {
+        let ring = vec![[-50.3, -20.0], [49.7, -20.0], [49.7, 20.0], [-50.3, 20.0]];
+        assert_eq!(Polygon { rings: vec![ring] }.pixels(), 4000);
+        assert_eq!(Polygon::default().pixels(), 0);
     }
 
     #[test]

@@ -4,12 +4,18 @@
 //! raster's are transformed; a GeoJSON file that states none is in longitude and latitude where the standard says so
 //! (RFC 7946) and its numbers allow nothing else, otherwise in the raster's own. Where the raster has no place on the
 //! map, coordinates are pixels (the centre of the top-left pixel at 0, 0). A polygon's name is its property `name`,
-//! `plot` or `id`, else its number.
+//! `plot` or `id`, else its number. Other properties come along as attributes. [`write()`] writes plots.
+//!
+//! A file without polygons, two polygons of one name, a ring that crosses itself and a polygon without area are refused: each
+//! would give traits of something that nobody drew.
 
 mod geojson;
 #[cfg(feature = "geopackage")]
 mod package;
 mod shapes;
+mod write;
+
+pub use write::{Outline, projection, write};
 
 use super::FileError;
 use crate::{
@@ -20,7 +26,10 @@ use crate::{
     },
 };
 use serde_json::Value;
-use std::path::{Path, PathBuf};
+use std::{
+    collections::BTreeSet,
+    path::{Path, PathBuf},
+};
 
 /// A named polygon, in pixels.
 #[derive(Debug, Clone, PartialEq)]
@@ -31,7 +40,14 @@ pub struct Named {
     pub polygon: Polygon,
     /// Its number of leaves, where the property `leaves` says it.
     pub leaves: Option<f64>,
+    /// Its other properties by name: texts, numbers, truth values.
+    pub attributes: Vec<(String, Value)>,
 }
+
+/// Properties that are a name, the first one first.
+pub const NAMES: [&str; 3] = ["name", "plot", "id"];
+/// Properties that are no attributes: the number of leaves, and numbers that programs give to rows.
+const NO_ATTRIBUTES: [&str; 4] = ["leaves", "fid", "ogc_fid", "objectid"];
 
 /// What the coordinates of a file are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -82,25 +98,57 @@ pub fn files(path: &Path) -> Vec<PathBuf> {
 /// Reads the polygons of a file: `.gpkg`, `.shp`, else GeoJSON.
 ///
 /// # Errors
-/// Where the file cannot be read or is damaged, has a reference system that is not known, or a ring of fewer than three
-/// points.
+/// Where the file cannot be read or is damaged, has a reference system that is not known, no polygon, two of one name, or
+/// one that is no area: a ring of fewer than three points or one that crosses itself.
 pub fn read(path: &Path, georeference: Option<&Georeference>) -> Result<Vec<Named>, FileError> {
-    let ending = path.extension().map(|e| e.to_string_lossy().to_lowercase());
-    let (features, stated) = match ending.as_deref() {
-        Some("shp") => shapes::read(path)?,
-        #[cfg(feature = "geopackage")]
-        Some("gpkg") => package::read(path)?,
-        #[cfg(not(feature = "geopackage"))]
-        Some("gpkg") => return Err(super::gpkg::unavailable(path)),
-        _ => geojson::read(path)?,
-    };
+    let (features, stated) = features(path)?;
     let malformed = |message| FileError::malformed(path, None, message);
     let to_map = to_map_of(georeference, stated, &features).map_err(malformed)?;
-    features
+    all_named(features, georeference, &to_map).map_err(malformed)
+}
+
+/// Whether the polygons of a file can be used wherever they lie; how many there are.
+///
+/// # Errors
+/// As [`read`], but for the reference system.
+pub fn check(path: &Path) -> Result<usize, FileError> {
+    let same: ToMap = Box::new(Ok);
+    let named = all_named(features(path)?.0, None, &same);
+    Ok(named.map_err(|message| FileError::malformed(path, None, message))?.len())
+}
+
+fn features(path: &Path) -> Result<(Vec<Feature>, Stated), FileError> {
+    let ending = path.extension().map(|e| e.to_string_lossy().to_lowercase());
+    match ending.as_deref() {
+        Some("shp") => shapes::read(path),
+        #[cfg(feature = "geopackage")]
+        Some("gpkg") => package::read(path),
+        #[cfg(not(feature = "geopackage"))]
+        Some("gpkg") => Err(super::gpkg::unavailable(path)),
+        _ => geojson::read(path),
+    }
+}
+
+fn all_named(
+    features: Vec<Feature>,
+    place: Option<&Georeference>,
+    to_map: &ToMap,
+) -> Result<Vec<Named>, String> {
+    if features.is_empty() {
+        return Err("it has no polygons, expected one for each plot".to_owned());
+    }
+    let named: Vec<Named> = features
         .into_iter()
         .enumerate()
-        .map(|(index, feature)| named(index, feature, georeference, &to_map).map_err(malformed))
-        .collect()
+        .map(|(index, feature)| named(index, feature, place, to_map))
+        .collect::<Result<_, _>>()?;
+    let mut names = BTreeSet::new();
+    match named.iter().find(|polygon| !names.insert(polygon.name.as_str())) {
+        Some(Named { name, .. }) => Err(format!(
+            "two polygons are named {name:?}, expected a name for each; parts of one plot belong into one MultiPolygon"
+        )),
+        None => Ok(named),
+    }
 }
 
 type ToMap = Box<dyn Fn([f64; 2]) -> Result<[f64; 2], String>>;
@@ -176,7 +224,7 @@ fn named(
         let found = feature.properties.iter().find(|(name, _)| name.eq_ignore_ascii_case(key));
         found.map(|(_, value)| value).filter(|value| !value.is_null())
     };
-    let name = ["name", "plot", "id"].into_iter().find_map(property).or(feature.id.as_ref());
+    let name = NAMES.into_iter().find_map(property).or(feature.id.as_ref());
     let name = match name {
         Some(Value::String(text)) => text.clone(),
         Some(Value::Null) | None => (index + 1).to_string(),
@@ -188,6 +236,16 @@ fn named(
             format!("feature {name}: its property leaves is {value}, expected a number")
         })?),
     };
+    let own =
+        |key: &str| NAMES.iter().chain(&NO_ATTRIBUTES).any(|other| other.eq_ignore_ascii_case(key));
+    let attributes = feature
+        .properties
+        .iter()
+        .filter(|(key, value)| {
+            !own(key) && (value.is_string() || value.is_number() || value.is_boolean())
+        })
+        .map(|(key, value)| (key.clone(), value.clone()))
+        .collect();
     let mut polygon = Polygon::default();
     for ring in feature.rings {
         let mut points = Vec::with_capacity(ring.len());
@@ -205,9 +263,21 @@ fn named(
         if points.len() < 3 {
             return Err(format!("feature {name}: a ring has fewer than three points"));
         }
+        if !points.iter().flatten().all(|x: &f64| x.is_finite()) {
+            return Err(format!("feature {name}: a position is no finite number"));
+        }
         polygon.rings.push(points);
     }
-    Ok(Named { name, polygon, leaves })
+    if let Some(at) = polygon.crossing() {
+        let [x, y] = place.map_or(at, |place| place.map(at));
+        return Err(format!(
+            "feature {name}: its outline crosses itself at {x:.2}, {y:.2}, expected corners in their order around the plot"
+        ));
+    }
+    if polygon.is_flat() {
+        return Err(format!("feature {name}: its points lie on one line, expected an area"));
+    }
+    Ok(Named { name, polygon, leaves, attributes })
 }
 
 #[cfg(test)]
@@ -261,6 +331,49 @@ mod tests {
             let error = parse(text, None).unwrap_err();
             assert!(error.contains(expected) && error.contains("plots.geojson"), "{error}");
         }
+    }
+
+    #[test]
+    fn what_nobody_meant_to_draw_is_refused() {
+        let place = Georeference::north_up([100.0, 200.0], 0.5, Crs::projected(32616));
+        let square = "[[100,200],[110,200],[110,190],[100,200]]";
+        for (text, expected) in [
+            (
+                PLOTS.replace(square, "[[100,200],[110,190],[110,200],[100,190],[100,200]]"),
+                "crosses itself at 105.00, 195.00",
+            ),
+            (PLOTS.replace(square, "[[100,200],[105,195],[110,190],[100,200]]"), "on one line"),
+            (PLOTS.replace("\"id\":7", "\"id\":\"A\""), "two polygons are named \"A\""),
+            (r#"{"type":"FeatureCollection","features":[]}"#.to_owned(), "no polygons"),
+        ] {
+            let error = parse(&text, Some(&place)).unwrap_err();
+            assert!(error.contains(expected) && error.contains("plots.geojson"), "{error}");
+        }
+    }
+
+    #[test]
+    fn properties_come_along_and_names_do_not() {
+        let text = PLOTS.replace(
+            "\"leaves\":12",
+            "\"leaves\":12,\"genotype\":\"B73\",\"block\":2,\"fid\":9,\"note\":null",
+        );
+        let plots = parse(&text, None).unwrap_err();
+        assert!(plots.contains("in pixels"), "{plots}");
+        let place = Georeference::north_up([100.0, 200.0], 0.5, Crs::projected(32616));
+        let plots = parse(&text, Some(&place)).unwrap();
+        let kept: Vec<&str> = plots[0].attributes.iter().map(|(name, _)| name.as_str()).collect();
+        assert_eq!(kept, ["block", "genotype"]);
+        assert!(plots[1].attributes.is_empty());
+    }
+
+    #[test]
+    fn a_file_is_checked_without_a_map() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("plots.geojson");
+        std::fs::write(&path, PLOTS).unwrap();
+        assert_eq!(check(&path).unwrap(), 2);
+        std::fs::write(&path, PLOTS.replace("\"id\":7", "\"id\":\"A\"")).unwrap();
+        assert!(check(&path).unwrap_err().to_string().contains("two polygons"));
     }
 
     /// The same corner of a field in three systems comes to the same pixel.

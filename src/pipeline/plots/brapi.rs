@@ -132,12 +132,31 @@ fn variables(plots: &[Plot]) -> Vec<Value> {
 fn units(plots: &[Plot], study: &Study) -> Vec<Value> {
     let unit = |plot: &Plot| {
         let name = &plot.traits.plot;
+        // What the polygons say of a plot, under the names that field maps have.
+        let attribute = |wanted: &str| {
+            let found =
+                plot.attributes.iter().find(|(name, _)| name.eq_ignore_ascii_case(wanted))?;
+            match &found.1 {
+                Value::Null => None,
+                Value::String(text) => Some(text.clone()),
+                other => Some(other.to_string()),
+            }
+        };
+        let block = attribute("block")
+            .map(|code| json!({"levelName": "block", "levelOrder": 1, "levelCode": code}));
+        let treatment =
+            attribute("treatment").map(|value| json!({"factor": "treatment", "modality": value}));
         json!({
+            "germplasmName": attribute("genotype"),
             "observationUnitDbId": unit_id(study, name),
             "observationUnitName": name,
-            "observationUnitPosition": {"observationLevel": {"levelName": "plot", "levelOrder": 2, "levelCode": name}},
+            "observationUnitPosition": {
+                "observationLevel": {"levelName": "plot", "levelOrder": 2, "levelCode": name},
+                "observationLevelRelationships": block.into_iter().collect::<Vec<_>>(),
+            },
             "studyDbId": study.name,
             "studyName": study.name,
+            "treatments": treatment.into_iter().collect::<Vec<_>>(),
         })
     };
     plots.iter().map(unit).collect()
@@ -238,6 +257,13 @@ mod tests {
         assert_eq!(variables.len(), 1, "only what was measured");
         assert_eq!(variables[0]["scale"]["units"], "1");
         assert_eq!(study[0]["startDate"], "2026-06-01");
+        assert_eq!(units[0]["germplasmName"], "B73");
+        let relation = &units[0]["observationUnitPosition"]["observationLevelRelationships"][0];
+        assert_eq!(
+            (&relation["levelName"], &relation["levelCode"]),
+            (&json!("block"), &json!("2"))
+        );
+        assert_eq!(units[0]["treatments"], json!([]));
         for of in observations {
             assert!(
                 units.iter().any(|unit| unit["observationUnitDbId"] == of["observationUnitDbId"])

@@ -10,7 +10,15 @@ use std::ops::Range;
 /// Rows of the orthomosaic that are read at a time.
 const BAND_ROWS: usize = 512;
 
-/// The sum of the colours of the leaf pixels of each area; pixels without data take no part. `None` where the picture has no
+/// What a picture has in each of some areas.
+pub(super) struct Colours {
+    /// The sum of the colours of its leaf pixels.
+    pub(super) of_leaves: Vec<ColourSum>,
+    /// How many of its pixels have no data.
+    pub(super) gaps: Vec<usize>,
+}
+
+/// The sum of the colours of the leaf pixels of each area; pixels without data take no part and are counted. `None` where the picture has no
 /// colours or another size than the mask.
 ///
 /// # Errors
@@ -19,21 +27,26 @@ pub(super) fn of_leaves<'a>(
     source: &Source,
     mask: &Mask,
     areas: impl Iterator<Item = &'a Polygon>,
-) -> Result<Option<Vec<ColourSum>>, FileError> {
+) -> Result<Option<Colours>, FileError> {
     if !source.is_photo() || source.size() != (mask.width, mask.height) {
         return Ok(None);
     }
     let runs: Vec<Vec<(usize, Range<usize>)>> =
         areas.map(|area| area.runs(mask.width, mask.height)).collect();
     let mut sums = vec![ColourSum::default(); runs.len()];
+    let mut missing = vec![0; runs.len()];
     for first in (0..mask.height).step_by(BAND_ROWS) {
         let rows = first..(first + BAND_ROWS).min(mask.height);
         let (picture, gaps) = source.rgb_and_gaps(rows.clone())?;
-        for (sum, runs) in sums.iter_mut().zip(&runs) {
+        for ((sum, missing), runs) in sums.iter_mut().zip(&mut missing).zip(&runs) {
             // The runs of an area are sorted by row.
             let begin = runs.partition_point(|(v, _)| *v < rows.start);
             for (v, run) in runs[begin..].iter().take_while(|(v, _)| *v < rows.end) {
                 let leaf = mask.row(*v);
+                if let Some(gaps) = &gaps {
+                    let row = &gaps[(v - first) * mask.width..][..mask.width];
+                    *missing += row[run.clone()].iter().filter(|gap| **gap).count();
+                }
                 for u in run.clone().filter(|&u| leaf[u] != 0) {
                     let row = v - first;
                     if gaps.as_ref().is_some_and(|gaps| gaps[row * mask.width + u]) {
@@ -44,5 +57,5 @@ pub(super) fn of_leaves<'a>(
             }
         }
     }
-    Ok(Some(sums))
+    Ok(Some(Colours { of_leaves: sums, gaps: missing }))
 }

@@ -8,13 +8,19 @@
 mod brapi;
 mod colours;
 mod heights;
+pub mod layout;
 mod plants;
 mod write;
 
 use super::{Project, Stage, Task, align::AlignOutcome, stage, surface};
 use crate::{
     error::Error,
-    io::{FileError, csv_table::CsvTable, polygons, rasters},
+    io::{
+        FileError,
+        csv_table::CsvTable,
+        polygons::{self, Named},
+        rasters,
+    },
     monitor::{Diagnostic, Monitor},
     phenotype::plots::{
         FieldMeasurements, LeavesByArea, MeasuredLeaf, PlotTraits, plots_from_rows,
@@ -22,6 +28,7 @@ use crate::{
     raster::{georeference::Georeference, mask::Thresholds, polygon::Polygon},
 };
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 use std::path::{Path, PathBuf};
 
 crate::options! {
@@ -65,13 +72,20 @@ pub struct PlotsOutcome {
     pub plots: Vec<PlotTraits>,
     /// Plots that lie outside of the orthomosaic.
     pub outside: Vec<String>,
+    /// Plots of which the orthomosaic shows a part only.
+    #[serde(default)]
+    pub partly_outside: Vec<String>,
 }
 
-/// A plot, its polygon in pixels, its traits.
+/// A plot, its polygon in pixels, its traits, and what its polygon says of it.
 struct Plot {
     polygon: Polygon,
     traits: PlotTraits,
+    attributes: Vec<(String, Value)>,
 }
+
+/// A plot of which the orthomosaic shows less than this is told.
+const WHOLE: f64 = 0.99;
 
 /// Measures the traits of the plots from what earlier stages found, and writes them.
 ///
@@ -151,29 +165,35 @@ impl Task for Plots {
         let areas = areas.unwrap_or_else(|| {
             let [u, v] = [mask.width as f64 - 0.5, mask.height as f64 - 0.5];
             let ring = vec![[-0.5, -0.5], [u, -0.5], [u, v], [-0.5, v]];
-            vec![("field".to_owned(), Polygon { rings: vec![ring] })]
+            vec![named("field".to_owned(), Polygon { rings: vec![ring] })]
         });
-        let polygons = areas.iter().map(|(_, polygon)| polygon);
+        let polygons = areas.iter().map(|area| &area.polygon);
         let colours = picture.map(|picture| colours::of_leaves(&picture, &mask, polygons));
         let colours = colours.transpose()?.flatten();
         let heights = match (&tables.canopy, place) {
             (Some(path), Some(place)) => {
-                Some(heights::of_areas(path, place, areas.iter().map(|(_, polygon)| polygon))?)
+                Some(heights::of_areas(path, place, areas.iter().map(|area| &area.polygon))?)
             }
             _ => None,
         };
         let mut outside = Vec::new();
+        let mut partly_outside = Vec::new();
         let plots: Vec<Plot> = areas
             .into_iter()
             .enumerate()
-            .map(|(number, (name, polygon))| {
-                let colour = colours.as_ref().map(|sums| sums[number]);
+            .map(|(number, Named { name, polygon, attributes, .. })| {
+                let colour = colours.as_ref().map(|sums| sums.of_leaves[number]);
                 let canopy = heights.as_ref().and_then(|heights| heights[number]);
                 let (traits, pixels) = field.traits(&name, &polygon, &mask, colour, canopy);
-                if pixels == 0 {
+                let shown = pixels - colours.as_ref().map_or(0, |sums| sums.gaps[number]);
+                if shown == 0 {
                     outside.push(name);
+                } else if source == PlotSource::Polygons
+                    && (shown as f64) < WHOLE * polygon.pixels() as f64
+                {
+                    partly_outside.push(name);
                 }
-                Plot { polygon, traits }
+                Plot { polygon, traits, attributes }
             })
             .collect();
         if let (Some(path), false) = (project.plots(), outside.is_empty()) {
@@ -191,11 +211,21 @@ impl Task for Plots {
             let subject = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
             monitor.diagnostic(&Diagnostic::warning("plots-outside", subject, message));
         }
+        if let (Some(path), false) = (project.plots(), partly_outside.is_empty()) {
+            let message = format!(
+                "the orthomosaic shows only a part of {} of {} plots, whose traits are of that part: {}",
+                partly_outside.len(),
+                plots.len(),
+                partly_outside.join(", ")
+            );
+            let subject = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            monitor.diagnostic(&Diagnostic::warning("plots-partly-outside", subject, message));
+        }
         write::traits(&plots, place, folder, monitor)?;
         brapi::write(&plots, &study(project), folder)?;
         plants::write(&tables, &plots, place, folder)?;
         let plots = plots.into_iter().map(|plot| plot.traits).collect();
-        Ok(PlotsOutcome { source, plots, outside })
+        Ok(PlotsOutcome { source, plots, outside, partly_outside })
     }
 }
 
@@ -209,7 +239,12 @@ fn study(project: &Project) -> brapi::Study {
 }
 
 /// Polygons with names, pixels.
-type Areas = Vec<(String, Polygon)>;
+type Areas = Vec<Named>;
+
+/// A plot that nobody drew.
+fn named(name: String, polygon: Polygon) -> Named {
+    Named { name, polygon, leaves: None, attributes: Vec::new() }
+}
 
 /// The plots in pixels; `None` where the whole field is one.
 fn areas(
@@ -220,9 +255,7 @@ fn areas(
     monitor: &mut dyn Monitor,
 ) -> Result<(PlotSource, Option<Areas>), Error> {
     if let Some(path) = project.plots() {
-        let named = polygons::read(&path, place.as_ref())?;
-        let areas = named.into_iter().map(|plot| (plot.name, plot.polygon)).collect();
-        return Ok((PlotSource::Polygons, Some(areas)));
+        return Ok((PlotSource::Polygons, Some(polygons::read(&path, place.as_ref())?)));
     }
     let (Some(rows), Some(alley_m)) = (options.rows_per_plot, options.alley_m) else {
         return Ok((PlotSource::WholeField, None));
@@ -240,7 +273,9 @@ fn areas(
     let gsd_m = place.and_then(|place| place.gsd_m()).ok_or_else(|| {
         Error::Argument("[plots] alley_m: the orthomosaic has no scale in metres".into())
     })?;
-    Ok((PlotSource::Rows, Some(plots_from_rows(&plants, &row_of, rows, alley_m / gsd_m))))
+    let areas = plots_from_rows(&plants, &row_of, rows, alley_m / gsd_m);
+    let areas = areas.into_iter().map(|(name, polygon)| named(name, polygon)).collect();
+    Ok((PlotSource::Rows, Some(areas)))
 }
 
 fn measurements(tables: &Tables, gsd_m: Option<f64>) -> Result<FieldMeasurements, Error> {

@@ -27,12 +27,22 @@ pub(super) fn traits(
     monitor: &mut dyn Monitor,
 ) -> Result<(), Error> {
     let text = |value: Option<f64>| value.map(|value| value.to_string()).unwrap_or_default();
+    let attributes = attributes(plots, monitor);
     output::write(&folder.join("traits.csv"), true, |out| {
         let mut csv = csv::Writer::from_writer(out);
-        csv.write_record(std::iter::once("plot").chain(TRAITS.iter().map(|of| of.name)))?;
-        for Plot { traits, .. } in plots {
-            let values = TRAITS.iter().map(|of| text((of.value)(traits)));
-            csv.write_record(std::iter::once(traits.plot.clone()).chain(values))?;
+        let own = attributes.iter().map(|of| of.name.as_str());
+        csv.write_record(
+            std::iter::once("plot").chain(TRAITS.iter().map(|of| of.name)).chain(own),
+        )?;
+        for plot in plots {
+            let values = TRAITS.iter().map(|of| text((of.value)(&plot.traits)));
+            let own = attributes.iter().map(|of| match of.value(plot) {
+                Value::Null => String::new(),
+                Value::String(text) => text.clone(),
+                other => other.to_string(),
+            });
+            let name = plot.traits.plot.clone();
+            csv.write_record(std::iter::once(name).chain(values).chain(own))?;
         }
         csv.flush()
     })?;
@@ -57,7 +67,7 @@ pub(super) fn traits(
         csv.flush()
     })?;
     let rings: Vec<Rings> = plots.iter().map(|plot| on_map(&plot.polygon, place)).collect();
-    let layer = layer(plots, &rings, place);
+    let layer = layer(plots, &attributes, &rings, place);
     if gpkg::IS_AVAILABLE {
         gpkg::write(&folder.join("traits.gpkg"), true, std::slice::from_ref(&layer))?;
     } else {
@@ -72,9 +82,13 @@ pub(super) fn traits(
         .iter()
         .zip(&rings)
         .map(|(plot, rings)| {
+            let mut properties = json!(plot.traits);
+            for of in attributes.iter().filter(|of| !of.value(plot).is_null()) {
+                properties[&of.name] = of.value(plot).clone();
+            }
             json!({
                 "type": "Feature",
-                "properties": plot.traits,
+                "properties": properties,
                 "geometry": {"type": "Polygon", "coordinates": rings},
             })
         })
@@ -87,6 +101,48 @@ pub(super) fn traits(
     output::write(&folder.join(super::POLYGONS), true, |out| writeln!(out, "{collection}"))?;
     style(plots, folder)?;
     Ok(())
+}
+
+/// What polygons say of plots beside their names: genotype, treatment, block.
+struct Attribute {
+    name: String,
+    kind: ColumnKind,
+}
+
+impl Attribute {
+    /// Its value for a plot.
+    fn value<'a>(&self, plot: &'a Plot) -> &'a Value {
+        let found = plot.attributes.iter().find(|(name, _)| *name == self.name);
+        found.map_or(&Value::Null, |(_, value)| value)
+    }
+}
+
+/// The attributes of the plots in the order in which they first appear. One with the name of a trait is left out: it
+/// is of an earlier table of traits.
+fn attributes(plots: &[Plot], monitor: &mut dyn Monitor) -> Vec<Attribute> {
+    let mut found: Vec<Attribute> = Vec::new();
+    let mut taken: Vec<String> = Vec::new();
+    for (name, value) in plots.iter().flat_map(|plot| &plot.attributes) {
+        let is_taken = |other: &str| other.eq_ignore_ascii_case(name);
+        if TRAITS.iter().any(|of| is_taken(of.name)) {
+            if !taken.contains(name) {
+                taken.push(name.clone());
+            }
+            continue;
+        }
+        let kind = if value.is_number() { ColumnKind::Real } else { ColumnKind::Text };
+        match found.iter_mut().find(|of| is_taken(&of.name)) {
+            Some(of) if of.kind != kind => of.kind = ColumnKind::Text,
+            Some(_) => {}
+            None => found.push(Attribute { name: name.clone(), kind }),
+        }
+    }
+    if !taken.is_empty() {
+        let message =
+            format!("attributes with the names of traits are not kept: {}", taken.join(", "));
+        monitor.diagnostic(&Diagnostic::info("attributes-left-out", "plots", message));
+    }
+    found
 }
 
 /// How the layers of plots open in QGIS: coloured by the first of some traits that was measured.
@@ -128,16 +184,28 @@ fn left_out(file: &str, format: &str, feature: &str, monitor: &mut dyn Monitor) 
 }
 
 /// The same as a layer; the unit of a trait is in its name.
-fn layer(plots: &[Plot], rings: &[Rings], place: Option<Georeference>) -> Layer {
+fn layer(
+    plots: &[Plot],
+    attributes: &[Attribute],
+    rings: &[Rings],
+    place: Option<Georeference>,
+) -> Layer {
     let columns = std::iter::once(Column::new("plot", ColumnKind::Text))
-        .chain(TRAITS.iter().map(|of| Column::new(of.name, ColumnKind::Real)));
+        .chain(TRAITS.iter().map(|of| Column::new(of.name, ColumnKind::Real)))
+        .chain(attributes.iter().map(|of| Column::new(&of.name, of.kind)));
     let feature = |(plot, rings): (&Plot, &Rings)| {
         let number = |value: Option<f64>| value.map_or(gpkg::Value::Null, gpkg::Value::Real);
         let values = TRAITS.iter().map(|of| number((of.value)(&plot.traits)));
+        let own = attributes.iter().map(|of| match (of.value(plot), of.kind) {
+            (Value::Null, _) => gpkg::Value::Null,
+            (value, ColumnKind::Real) => number(value.as_f64()),
+            (Value::String(text), _) => gpkg::Value::Text(text.clone()),
+            (other, _) => gpkg::Value::Text(other.to_string()),
+        });
         let name = gpkg::Value::Text(plot.traits.plot.clone());
         Feature {
             geometry: Some(Geometry::Polygon(rings.clone())),
-            values: std::iter::once(name).chain(values).collect(),
+            values: std::iter::once(name).chain(values).chain(own).collect(),
         }
     };
     Layer {
