@@ -14,7 +14,7 @@ use std::path::PathBuf;
 ///
 /// For every cell the height at which photos agree, within what the surface of the tie points allows (rowgram dem), by
 /// semi-global matching. Writes GeoTIFFs of heights in metres: dsm.tif (the first surface), dtm.tif (the ground below it, from what is
-/// bare) with dtm_sigma.tif, and chm.tif (the height of the one over the other); for every cell how sure its height is
+/// bare) with dsm_sigma.tif and dtm_sigma.tif, their standard deviations, and chm.tif (the height of the one over the other); for every cell how sure its height is
 /// (confidence.tif, 0 to 255) and how many photos were compared (photos.tif); pictures and a profile in figures/.
 ///
 /// For crops that stand on soil: trees and houses come out wrong, and a lawn counts as canopy.

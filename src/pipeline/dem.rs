@@ -209,7 +209,7 @@ pub(super) fn beside(path: &Path, what: &str) -> PathBuf {
 }
 
 /// What stands for no height: finite, so that every program understands it.
-const NODATA: f32 = -9999.0;
+pub(super) const NODATA: f32 = -9999.0;
 
 /// Writes heights, metres, row by row; NaN where there is none.
 ///

@@ -157,13 +157,35 @@ pub fn perform<T: Task>(
     Ok(outcome)
 }
 
+/// Removes the results of an earlier attempt, but not what it keeps for the next.
+pub(super) fn clear(folder: &Path) -> Result<(), Error> {
+    for entry in std::fs::read_dir(folder).map_err(|e| FileError::read(folder, e))? {
+        let entry = entry.map_err(|e| FileError::read(folder, e))?;
+        let path = entry.path();
+        if entry.file_name() == super::CACHE {
+            continue;
+        }
+        let removed = if path.is_dir() {
+            std::fs::remove_dir_all(&path)
+        } else {
+            std::fs::remove_file(&path)
+        };
+        removed.map_err(|e| FileError::write(&path, e))?;
+    }
+    Ok(())
+}
+
 fn as_value(folder: &Path, what: &impl Serialize) -> Result<serde_json::Value, Error> {
     let failed = |e| FileError::write(folder, std::io::Error::other(e));
     Ok(serde_json::to_value(what).map_err(failed)?)
 }
 
 /// Everything that decides the files of a stage, in one digest.
-fn key<T: Task>(project: &Project, options: &T::Options, inputs: &[record::Content]) -> String {
+pub(super) fn key<T: Task>(
+    project: &Project,
+    options: &T::Options,
+    inputs: &[record::Content],
+) -> String {
     let options = serde_json::to_string(options).unwrap_or_default();
     let own = record::Key::begin().text(&T::STAGE.word()).text(&options).text(&T::context(project));
     let key = inputs

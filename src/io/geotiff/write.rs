@@ -72,6 +72,7 @@ impl Layout {
 /// A raster that is being written.
 pub struct Writer<T: Sample> {
     path: PathBuf,
+    force: bool,
     layout: Layout,
     spool: BufWriter<File>,
     spooled: u64,
@@ -97,42 +98,59 @@ pub fn write<T: Sample, E: From<FileError>>(
     layout: &Layout,
     fill: impl FnOnce(&mut Writer<T>) -> Result<(), E>,
 ) -> Result<(), E> {
-    output::check(path, force)?;
-    let fits = |pixels: usize| pixels > 0 && u32::try_from(pixels).is_ok();
-    if !fits(layout.width) || !fits(layout.height) {
-        let (width, height) = (layout.width, layout.height);
-        let message = format!("a raster of {width} x {height} pixels cannot be a GeoTIFF");
-        let invalid = std::io::Error::new(std::io::ErrorKind::InvalidInput, message);
-        return Err(FileError::write(path, invalid).into());
-    }
-    let spool = BufWriter::with_capacity(1 << 20, output::scratch(path)?);
-    let mut writer = Writer {
-        path: path.to_owned(),
-        layout: *layout,
-        spool,
-        spooled: 0,
-        levels: Level::all(layout),
-        pending: BTreeMap::new(),
-        fill: T::from_f64(layout.nodata.unwrap_or(0.0)),
-    };
+    let mut writer = Writer::begin(path, force, layout)?;
     fill(&mut writer)?;
-    let mut spool = writer.complete()?;
-    output::write_seekable(path, force, |file| {
-        let directory = Directory::new::<T>(layout);
-        let failed = |error| FileError::write(path, error);
-        let mut out = BufWriter::with_capacity(1 << 20, file);
-        emit(&mut out, &directory, &writer.levels, &mut |offset, length, out| {
-            spool.seek(SeekFrom::Start(offset))?;
-            let copied = std::io::copy(&mut (&mut spool).take(length), out)?;
-            (copied == length).then_some(()).ok_or_else(|| std::io::ErrorKind::UnexpectedEof.into())
-        })
-        .and_then(|()| out.flush())
-        .map_err(failed)?;
-        Ok(())
-    })
+    Ok(writer.finish()?)
 }
 
 impl<T: Sample> Writer<T> {
+    /// Begins a raster, for where several are written at a time. It appears with [`Writer::finish`], and never without.
+    ///
+    /// # Errors
+    /// As [`write`].
+    pub fn begin(path: &Path, force: bool, layout: &Layout) -> Result<Writer<T>, FileError> {
+        output::check(path, force)?;
+        let fits = |pixels: usize| pixels > 0 && u32::try_from(pixels).is_ok();
+        if !fits(layout.width) || !fits(layout.height) {
+            let (width, height) = (layout.width, layout.height);
+            let message = format!("a raster of {width} x {height} pixels cannot be a GeoTIFF");
+            let invalid = std::io::Error::new(std::io::ErrorKind::InvalidInput, message);
+            return Err(FileError::write(path, invalid));
+        }
+        Ok(Writer {
+            path: path.to_owned(),
+            force,
+            layout: *layout,
+            spool: BufWriter::with_capacity(1 << 20, output::scratch(path)?),
+            spooled: 0,
+            levels: Level::all(layout),
+            pending: BTreeMap::new(),
+            fill: T::from_f64(layout.nodata.unwrap_or(0.0)),
+        })
+    }
+
+    /// Puts the file in its place.
+    ///
+    /// # Errors
+    /// As [`write`].
+    pub fn finish(mut self) -> Result<(), FileError> {
+        let mut spool = self.complete()?;
+        output::write_seekable(&self.path, self.force, |file| {
+            let directory = Directory::new::<T>(&self.layout);
+            let failed = |error| FileError::write(&self.path, error);
+            let mut out = BufWriter::with_capacity(1 << 20, file);
+            emit(&mut out, &directory, &self.levels, &mut |offset, length, out| {
+                spool.seek(SeekFrom::Start(offset))?;
+                let copied = std::io::copy(&mut (&mut spool).take(length), out)?;
+                (copied == length)
+                    .then_some(())
+                    .ok_or_else(|| std::io::ErrorKind::UnexpectedEof.into())
+            })
+            .and_then(|()| out.flush())
+            .map_err(failed)
+        })
+    }
+
     /// What is being written.
     pub fn layout(&self) -> &Layout {
         &self.layout

@@ -36,27 +36,14 @@ impl Default for Penalties {
     }
 }
 
-/// The best layer of a pixel.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Best {
-    /// Its number and the fraction of a layer beyond it.
-    pub layer: f32,
-    /// Aggregated cost there.
-    pub cost: u16,
-    /// How much worse the best layer is that is not beside it.
-    pub margin: u16,
-    /// Second difference of the aggregated costs: how narrow the minimum is.
-    pub curvature: u16,
-}
-
-/// Aggregates costs (layer by layer, row by row, `D` layers) over a picture, and finds the best layers. `P` is
+/// Aggregates costs (layer by layer, row by row, `D` layers) over a picture: the sums of the eight paths, pixel by pixel. `P` is
 /// `D + 2`.
 pub fn aggregate<const D: usize, const P: usize>(
     costs: &[u8],
     picture: &[u8],
     width: usize,
     penalties: &Penalties,
-) -> Vec<Best> {
+) -> Vec<[u16; D]> {
     let height = picture.len() / width.max(1);
     let by_pixel = transpose::<D>(costs, width * height);
     let jumps = std::array::from_fn(|difference| {
@@ -76,9 +63,7 @@ pub fn aggregate<const D: usize, const P: usize>(
             sums: &mut sums,
         });
     }
-    let mut best = vec![Best::default(); width * height];
-    pulp::Arch::new().dispatch(Winners { sums: &sums, best: &mut best });
-    best
+    sums
 }
 
 /// From layers of pixels to pixels of layers.
@@ -159,10 +144,10 @@ impl<const D: usize, const P: usize> pulp::WithSimd for Pass<'_, D, P> {
                 ];
                 let sum = &mut sums[pixel];
                 for d in 0..D {
-                    sum[d] += u16::from(left.costs[d + 1])
-                        + u16::from(a.costs[d + 1])
-                        + u16::from(b.costs[d + 1])
-                        + u16::from(c.costs[d + 1]);
+                    // Eight bytes fit; said so because checks would keep the loop out of registers.
+                    let [a, b, c] = [&a, &b, &c].map(|path| u16::from(path.costs[d + 1]));
+                    let four = u16::from(left.costs[d + 1]).wrapping_add(a).wrapping_add(b);
+                    sum[d] = sum[d].wrapping_add(four).wrapping_add(c);
                 }
                 now[column + 1] = [a, b, c];
             }
@@ -183,7 +168,7 @@ fn go<const D: usize, const P: usize>(
     let beyond = from.least.saturating_add(jump);
     for d in 0..D {
         let beside = from.costs[d].min(from.costs[d + 2]).saturating_add(step);
-        let best = from.costs[d + 1].min(beside).min(beyond) - from.least;
+        let best = from.costs[d + 1].min(beside).min(beyond).wrapping_sub(from.least);
         to.costs[d + 1] = cost[d].saturating_add(best);
     }
     let mut least = u8::MAX;
@@ -194,47 +179,19 @@ fn go<const D: usize, const P: usize>(
     to
 }
 
-/// The best layer of every pixel.
-struct Winners<'a, const D: usize> {
-    sums: &'a [[u16; D]],
-    best: &'a mut [Best],
-}
-
-impl<const D: usize> pulp::WithSimd for Winners<'_, D> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: pulp::Simd>(self, _: S) {
-        for (sums, best) in self.sums.iter().zip(self.best) {
-            let mut least = u16::MAX;
-            for d in 0..D {
-                least = least.min(sums[d]);
-            }
-            let at = sums.iter().position(|&s| s == least).unwrap_or_default();
-            let mut second = u16::MAX;
-            for d in 0..D {
-                let away = d.abs_diff(at) > 2;
-                second = second.min(if away { sums[d] } else { u16::MAX });
-            }
-            let (mut shift, mut curvature) = (0.0, 0);
-            if at > 0 && at + 1 < D {
-                let (a, b) = (f32::from(sums[at - 1]), f32::from(sums[at + 1]));
-                let c = f32::from(least);
-                let bend = a + b - 2.0 * c;
-                if bend > 0.0 {
-                    shift = 0.5 * (a - b) / bend;
-                    curvature = bend as u16;
-                }
-            }
-            let margin = second.saturating_sub(least);
-            *best = Best { layer: at as f32 + shift, cost: least, margin, curvature };
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// The layer of the least sum and the vertex of the parabola through it.
+    fn best_layer<const D: usize>(sums: &[u16; D]) -> f64 {
+        let at = (0..D).min_by_key(|&d| sums[d]).unwrap();
+        if at == 0 || at + 1 == D {
+            return at as f64;
+        }
+        let [a, c, b] = [at - 1, at, at + 1].map(|d| f64::from(sums[d]));
+        at as f64 + if a + b > 2.0 * c { 0.5 * (a - b) / (a + b - 2.0 * c) } else { 0.0 }
+    }
 
     /// Two heights side by side, costs with random winners in a third of the pixels.
     #[test]
@@ -254,11 +211,9 @@ mod tests {
         }
         let picture: Vec<u8> =
             (0..width * height).map(|at| if at % width < 30 { 80 } else { 150 }).collect();
-        let best = aggregate::<D, { D + 2 }>(&costs, &picture, width, &Penalties::default());
-        let right = best.iter().enumerate().filter(|&(at, best)| {
-            let off = (f64::from(best.layer) - truth(at)).abs();
-            off < 0.6
-        });
+        let sums = aggregate::<D, { D + 2 }>(&costs, &picture, width, &Penalties::default());
+        let best: Vec<f64> = sums.iter().map(best_layer).collect();
+        let right = best.iter().enumerate().filter(|&(at, best)| (best - truth(at)).abs() < 0.6);
         // Each pixel on its own would be right in seven of ten. At the border fewer paths help, and beside the edge
         // steps are cheap.
         let share = right.count() as f64 / best.len() as f64;
@@ -274,8 +229,8 @@ mod tests {
                 [(2.0 * off * off).min(72.0).round() as u8; 100]
             })
             .collect();
-        let best = aggregate::<64, 66>(&costs, &[7; 100], 10, &Penalties::default());
-        let inner = &best[33..37];
-        assert!(inner.iter().all(|b| b.layer > 30.01 && b.layer < 30.35), "{inner:?}");
+        let sums = aggregate::<64, 66>(&costs, &[7; 100], 10, &Penalties::default());
+        let inner: Vec<f64> = sums[33..37].iter().map(best_layer).collect();
+        assert!(inner.iter().all(|&b| b > 30.01 && b < 30.35), "{inner:?}");
     }
 }

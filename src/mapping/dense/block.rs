@@ -3,7 +3,8 @@
 use super::{
     DenseOptions, LAYERS,
     aggregate::aggregate,
-    rectify::{BlockPlane, PosedPhoto, rectify},
+    posterior::{self, Pixels},
+    rectify::{BlockPlane, PosedPhoto, greenness, rectify},
     sweep::{MOST_OTHERS, REACH, Rectified, WORST, costs, transfer},
 };
 use crate::{mapping::View, raster::undistort::Interpolation};
@@ -17,6 +18,10 @@ const DISLIKED: u8 = 20;
 /// How far from its middle the pixels of leaves reach, in cells: at their edges they share pixels with soil.
 const LEAF_REACH: f64 = 0.75;
 
+/// Of the pixels that fall on a cell the one stays that is highest when lowered by so many of its standard deviations: a wrong match does
+/// not hide what is sure.
+const LOWERED: f32 = 1.0;
+
 /// What was found for the cells of a block, row by row.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Block {
@@ -26,8 +31,10 @@ pub struct Block {
     pub confidence: Vec<u8>,
     /// How many photos show the cell, of those compared.
     pub photos: Vec<u8>,
-    /// Green minus red of what is seen.
-    pub green: Vec<i16>,
+    /// Standard deviation of the height relative to its neighbours, metres; NaN where not known.
+    pub sigma_m: Vec<f32>,
+    /// Red, green, blue of what is seen; black where nothing is.
+    pub colour: Vec<[u8; 3]>,
 }
 
 /// Matches a block; `ground` gives the height of the ground at a place, for the prior. `None` where fewer than two
@@ -48,7 +55,8 @@ pub fn match_block(
     let corner_m = core.place_m([-(margin as f64); 2]);
     let whole =
         BlockPlane { corner_m, size: [width, height], height_m: core.at_m(corner_m), ..*core };
-    let (picture, green) = rectify(photos[reference], &whole, 0, Interpolation::Bicubic);
+    let (picture, colour) = rectify(photos[reference], &whole, 0, Interpolation::Bicubic);
+    let green: Vec<i16> = colour.iter().copied().map(greenness).collect();
     let others: Vec<Rectified> = others
         .iter()
         .map(|&k| {
@@ -57,20 +65,34 @@ pub fn match_block(
         })
         .collect();
     let mut volume = costs(&picture, &others, &heights_m);
+    let mut ground_m = Vec::new();
     if options.prior.needs_ground() {
         let above = |at: usize| {
             let place = whole.place_m([(at % width) as f64, (at / width) as f64]);
             ground(place).map_or(f32::NAN, |z| (z - whole.at_m(place)) as f32)
         };
-        let ground_m: Vec<f32> = (0..width * height).map(above).collect();
+        ground_m = (0..width * height).map(above).collect();
         options.prior.add(&mut volume, &green, &ground_m, &heights_m);
     }
     // Layers that take no part fit nowhere.
     volume.resize(width * height * LAYERS, WORST + DISLIKED);
-    let best =
+    let sums =
         aggregate::<LAYERS, { LAYERS + 2 }>(&volume, &picture.values, width, &options.penalties);
-    // Each pixel of the reference to its cells; the highest stays.
+    drop(volume);
+    let class: Vec<u8> = (0..width * height)
+        .map(|at| match (picture.values[at], &options.prior) {
+            (0, _) => posterior::CLASSES as u8,
+            (_, prior) => prior.class(green[at]),
+        })
+        .collect();
+    let to_layer = |z: f32| (z - options.lowest_m as f32) / options.layer_m as f32;
+    let ground_layers: Vec<f32> = ground_m.into_iter().map(to_layer).collect();
+    let pixels = Pixels { width, layers, class: &class, ground: &ground_layers };
+    let best = posterior::estimates(&sums, &pixels, &options.posterior);
+    drop(sums);
+    // Each pixel of the reference to its cells; what surely is the highest stays.
     let mut top_m = vec![f32::NEG_INFINITY; width * height];
+    let mut rank_m = vec![f32::NEG_INFINITY; width * height];
     let mut from = vec![usize::MAX; width * height];
     for row in REACH..height - REACH {
         for column in REACH..width - REACH {
@@ -89,7 +111,9 @@ pub fn match_block(
             for j in low[1] as isize..=high[1] {
                 for i in low[0] as isize..=high[0] {
                     let cell = j as usize * width + i as usize;
-                    if z as f32 > top_m[cell] {
+                    let rank = z as f32 - LOWERED * best[at].sigma * options.layer_m as f32;
+                    if rank > rank_m[cell] {
+                        rank_m[cell] = rank;
                         (top_m[cell], from[cell]) = (z as f32, at);
                     }
                 }
@@ -102,7 +126,8 @@ pub fn match_block(
         height_m: vec![f32::NAN; cells],
         confidence: vec![0; cells],
         photos: vec![0; cells],
-        green: vec![0; cells],
+        sigma_m: vec![f32::NAN; cells],
+        colour: vec![[0; 3]; cells],
     };
     for row in 0..rows {
         for column in 0..columns {
@@ -112,7 +137,8 @@ pub fn match_block(
             if source != usize::MAX {
                 // Eight paths of 72 at most; a tenth of that is as sure as it gets.
                 block.confidence[out] = (f32::from(best[source].margin) * 2.0).min(255.0) as u8;
-                block.green[out] = green[source];
+                block.colour[out] = colour[source];
+                block.sigma_m[out] = best[source].sigma * options.layer_m as f32;
             } else {
                 // Hidden in the reference: what is behind, so the lowest beside it.
                 z = f32::INFINITY;

@@ -13,6 +13,8 @@
 //! | `Q` | what is not green is ground, what is green is not | [`prior`] |
 //! | `P1`, `P2` | neighbours are at the same height unless the picture has an edge | [`aggregate`] |
 //!
+//! From the aggregated costs come a distribution over the layers, the most probable one, and a standard deviation ([`posterior`]).
+//!
 //! A pixel of the reference sees one surface only, so nothing is hidden in it; what others do not see is left to the best of them.
 //! The pixels are then points in space, `X = p + (C - p) h/F`, and each cell of the ground takes the highest that falls
 //! on it ([`block`]). A parabola through the aggregated costs beside the best layer gives fractions of a layer.
@@ -27,6 +29,8 @@
 pub mod aggregate;
 pub mod area;
 pub mod block;
+pub mod counts;
+pub mod posterior;
 pub mod prior;
 pub mod rectify;
 pub mod sweep;
@@ -34,10 +38,12 @@ pub mod terrain;
 pub mod tile;
 
 pub use aggregate::Penalties;
-pub use area::{AreaOptions, AreaSurface, surface_area};
+pub use area::{AreaGround, AreaOptions, Pass, TileStore, TilesInMemory, match_area};
+pub use counts::HeightCounts;
+pub use posterior::PosteriorOptions;
 pub use prior::Prior;
 pub use rectify::PosedPhoto;
-pub use terrain::Terrain;
+pub use terrain::{BarePlaces, Terrain};
 pub use tile::{DenseTile, Tile, match_tile, surface_tile};
 
 /// Layers of heights: one or two SIMD registers of bytes.
@@ -60,6 +66,8 @@ pub struct DenseOptions {
     pub penalties: Penalties,
     /// What the colour of a pixel says of its height.
     pub prior: Prior,
+    /// How heights are estimated from aggregated costs.
+    pub posterior: PosteriorOptions,
 }
 
 impl Default for DenseOptions {
@@ -72,6 +80,7 @@ impl Default for DenseOptions {
             block_cells: 256,
             penalties: Penalties::default(),
             prior: Prior::default(),
+            posterior: PosteriorOptions::default(),
         }
     }
 }

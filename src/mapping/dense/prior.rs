@@ -50,6 +50,15 @@ impl Prior {
         matches!(*self, Prior::GreenOnSoil { soil_below, .. } if green >= soil_below)
     }
 
+    /// The class of a colour: 0 soil, 1 leaf, 2 neither for sure.
+    pub(super) fn class(&self, green: i16) -> u8 {
+        match *self {
+            Prior::GreenOnSoil { soil_below, .. } if green < soil_below => 0,
+            Prior::GreenOnSoil { leaf_from, .. } if green >= leaf_from => 1,
+            _ => 2,
+        }
+    }
+
     /// The cost of a pixel so green at a height above the ground.
     pub fn cost(&self, green: i16, above_m: f64) -> u8 {
         let Prior::GreenOnSoil { soil, leaf, soil_below, leaf_from } = *self else { return 0 };

@@ -63,13 +63,18 @@ impl BlockPlane {
     }
 }
 
-/// A photo on the plane of a block with `margin` more cells on each side, and by how much green exceeds red in each pixel.
+/// By how much green exceeds red.
+pub fn greenness([red, green, _]: [u8; 3]) -> i16 {
+    i16::from(green) - i16::from(red)
+}
+
+/// A photo on the plane of a block with `margin` more cells on each side, and its colours; black where it shows nothing.
 pub fn rectify(
     photo: PosedPhoto<'_>,
     block: &BlockPlane,
     margin: usize,
     interpolation: Interpolation,
-) -> (Rectified, Vec<i16>) {
+) -> (Rectified, Vec<[u8; 3]>) {
     let [width, height] = block.size.map(|n| n + 2 * margin);
     let nodes = width.div_ceil(LATTICE) + 1;
     let at = |column: usize, row: usize| -> Option<[f64; 2]> {
@@ -81,7 +86,7 @@ pub fn rectify(
         (0..nodes).map(|k| at(k * LATTICE, row * LATTICE)).collect()
     };
     let mut values = vec![0; width * height];
-    let mut green = vec![0; width * height];
+    let mut colour = vec![[0; 3]; width * height];
     let mut positions = vec![[0.0f32; 2]; width];
     let mut colours = vec![[0u8; 4]; width];
     let (mut above, mut below) = (line(0), line(1));
@@ -94,7 +99,7 @@ pub fn rectify(
         let [columns, rows] = photo.photo.size_px();
         photo.photo.colours(&positions, interpolation, None, &mut colours);
         let values = &mut values[row * width..][..width];
-        let green = &mut green[row * width..][..width];
+        let colour = &mut colour[row * width..][..width];
         for k in 0..width {
             let [u, v] = positions[k];
             let seen = u >= -0.5
@@ -107,7 +112,7 @@ pub fn rectify(
                 let grey = 0.299 * r + 0.587 * g + 0.114 * b;
                 let mixed = 0.5 * grey + GREEN_WEIGHT * (g - r).max(0.0);
                 values[k] = mixed.round().clamp(1.0, 255.0) as u8;
-                green[k] = (g - r) as i16;
+                colour[k] = [0, 1, 2].map(|c| colours[k][c]);
             }
         }
     }
@@ -120,7 +125,7 @@ pub fn rectify(
         centre: block.cell([centre_m[0], centre_m[1]]),
         above_m: centre_m[2] - block.at_m([centre_m[0], centre_m[1]]),
     };
-    (rectified, green)
+    (rectified, colour)
 }
 
 /// Image positions along a row between two rows of nodes; far outside of any photo where a node has none.

@@ -181,7 +181,9 @@ impl pulp::WithSimd for Resample<'_> {
 
 #[inline(always)]
 fn blend(a: u8, b: u8, weight: u16) -> u8 {
-    ((u16::from(a) * (128 - weight) + u16::from(b) * weight + 64) >> 7) as u8
+    // At most 255 times 128, so nothing wraps; said so because checks would keep loops out of registers.
+    let sum = u16::from(a).wrapping_mul(128u16.wrapping_sub(weight));
+    (sum.wrapping_add(u16::from(b).wrapping_mul(weight)).wrapping_add(64) >> 7) as u8
 }
 
 #[inline(always)]
@@ -257,7 +259,8 @@ fn census<O: AsMut<[u8]> + ?Sized>(reference: &[u8], other: &[u8], width: usize,
             }
             let (rn, on) = (&reference[dy * width + dx..][..n], &other[dy * width + dx..][..n]);
             for k in 0..n {
-                distance[k] += u8::from(rn[k] > r[k]) ^ u8::from(on[k] > o[k]);
+                let differs = u8::from(rn[k] > r[k]) ^ u8::from(on[k] > o[k]);
+                distance[k] = distance[k].wrapping_add(differs);
             }
         }
     }
@@ -285,10 +288,11 @@ fn best(distances: &[Vec<u8>], out: &mut [u8]) {
             }
         }
         for k in 0..m {
+            let two = a[k].wrapping_add(b[k]);
             out[k] = match distances.len() {
-                1 => 3 * a[k],
-                2 => a[k] + b[k] + (a[k] + b[k]) / 2,
-                _ => a[k] + b[k] + c[k],
+                1 => a[k].wrapping_mul(3),
+                2 => two.wrapping_add(two / 2),
+                _ => two.wrapping_add(c[k]),
             };
         }
     }

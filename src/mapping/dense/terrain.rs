@@ -11,6 +11,8 @@
 //! say. Where nothing is bare the ground goes on with constant slope. Its standard deviation comes from the
 //! weights near a node and grows with the distance to bare cells. Solved by conjugate gradients, from the weighted mean.
 
+use std::collections::BTreeMap;
+
 /// Weight of the second differences relative to the usual node: relief of 2.5 nodes keeps four fifths of its height.
 const STIFFNESS: f64 = 0.02;
 /// Bare cells around a node, at least.
@@ -37,29 +39,76 @@ pub struct Terrain {
     pub sigma_m: Vec<f64>,
 }
 
-impl Terrain {
-    /// The ground of scattered bare places (x, y, z, metres) within `bounds_m` (least and greatest x and y); `None` where
-    /// no node has enough of them.
-    pub fn fit(bare_m: &[[f64; 3]], bounds_m: [[f64; 2]; 2], node_m: f64) -> Option<Terrain> {
+/// Bare places gathered around the nodes of a lattice, part by part of an area; nodes whose places have all come keep three numbers.
+#[derive(Debug, Clone)]
+pub struct BarePlaces {
+    corner_m: [f64; 2],
+    node_m: f64,
+    size: [usize; 2],
+    /// Heights around the nodes that may get more, metres.
+    open: BTreeMap<usize, Vec<f64>>,
+    /// Median height of the other nodes, and its weight.
+    data: Vec<f64>,
+    weight: Vec<f64>,
+}
+
+impl BarePlaces {
+    /// None yet; the lattice covers `bounds_m` (least and greatest x and y).
+    pub fn new(bounds_m: [[f64; 2]; 2], node_m: f64) -> BarePlaces {
         let corner_m = [bounds_m[0][0], bounds_m[1][1]];
         let size = bounds_m.map(|[low, high]| ((high - low) / node_m).ceil() as usize + 1);
-        let mut cells: Vec<Vec<f64>> = vec![Vec::new(); size[0] * size[1]];
-        for [x, y, z] in bare_m {
-            let at = [(x - corner_m[0]) / node_m, (corner_m[1] - y) / node_m].map(f64::round);
-            let inside = (0..2).all(|k| at[k] >= 0.0 && at[k] < size[k] as f64);
-            if inside && z.is_finite() {
-                cells[at[1] as usize * size[0] + at[0] as usize].push(*z);
-            }
+        let nodes = size[0] * size[1];
+        let (data, weight) = (vec![0.0; nodes], vec![0.0; nodes]);
+        BarePlaces { corner_m, node_m, size, open: BTreeMap::new(), data, weight }
+    }
+
+    /// The nearest node of a place, before it is rounded: column, row.
+    fn node(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+        [(x - self.corner_m[0]) / self.node_m, (self.corner_m[1] - y) / self.node_m]
+    }
+
+    /// Adds a bare place: x, y, z in metres.
+    pub fn add(&mut self, [x, y, z]: [f64; 3]) {
+        let at = self.node([x, y]).map(f64::round);
+        let inside = (0..2).all(|k| at[k] >= 0.0 && at[k] < self.size[k] as f64);
+        if inside && z.is_finite() {
+            let at = at[1] as usize * self.size[0] + at[0] as usize;
+            self.open.entry(at).or_default().push(z);
         }
-        let (mut data, mut weight) = (vec![0.0; cells.len()], vec![0.0; cells.len()]);
-        for (k, heights) in cells.iter_mut().enumerate() {
-            if heights.len() >= LEAST_CELLS {
-                data[k] = median(heights);
-                let mut off: Vec<f64> = heights.iter().map(|z| (z - data[k]).abs()).collect();
-                let sigma = (1.4826 * median(&mut off)).max(LEAST_SIGMA_M);
-                weight[k] = (heights.len() as f64).min(MOST_CELLS) / (sigma * sigma);
-            }
+    }
+
+    /// All places within `bounds_m` have come.
+    pub fn close(&mut self, bounds_m: [[f64; 2]; 2]) {
+        let (low, high) = (
+            self.node([bounds_m[0][0], bounds_m[1][1]]),
+            self.node([bounds_m[0][1], bounds_m[1][0]]),
+        );
+        let width = self.size[0];
+        let is_whole = |at: usize| {
+            let at = [(at % width) as f64, (at / width) as f64];
+            (0..2).all(|k| at[k] - 0.5 > low[k] && at[k] + 0.5 < high[k])
+        };
+        let whole: Vec<usize> = self.open.keys().copied().filter(|&at| is_whole(at)).collect();
+        for at in whole {
+            self.reduce(at);
         }
+    }
+
+    fn reduce(&mut self, at: usize) {
+        let Some(mut heights) = self.open.remove(&at) else { return };
+        if heights.len() >= LEAST_CELLS {
+            self.data[at] = median(&mut heights);
+            let mut off: Vec<f64> = heights.iter().map(|z| (z - self.data[at]).abs()).collect();
+            let sigma = (1.4826 * median(&mut off)).max(LEAST_SIGMA_M);
+            self.weight[at] = (heights.len() as f64).min(MOST_CELLS) / (sigma * sigma);
+        }
+    }
+
+    /// The ground; `None` where no node has enough places.
+    pub fn fit(mut self) -> Option<Terrain> {
+        let rest: Vec<usize> = self.open.keys().copied().collect();
+        rest.into_iter().for_each(|at| self.reduce(at));
+        let BarePlaces { corner_m, node_m, size, data, weight, .. } = self;
         let mut known: Vec<f64> = weight.iter().copied().filter(|&w| w > 0.0).collect();
         if known.is_empty() {
             return None;
@@ -83,6 +132,16 @@ impl Terrain {
         }
         terrain.sigma_m = terrain.sigmas(&robust);
         Some(terrain)
+    }
+}
+
+impl Terrain {
+    /// The ground of scattered bare places (x, y, z, metres) within `bounds_m` (least and greatest x and y); `None` where
+    /// no node has enough of them.
+    pub fn fit(bare_m: &[[f64; 3]], bounds_m: [[f64; 2]; 2], node_m: f64) -> Option<Terrain> {
+        let mut places = BarePlaces::new(bounds_m, node_m);
+        bare_m.iter().for_each(|&place| places.add(place));
+        places.fit()
     }
 
     /// Conjugate gradients on the normal equations.

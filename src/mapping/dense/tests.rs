@@ -4,7 +4,7 @@ use super::*;
 use crate::{
     camera::{Interior, Model},
     geometry::rotation,
-    mapping::{View, photo::DecodedPhoto},
+    mapping::{MapError, View, photo::DecodedPhoto},
     scene::Pose,
 };
 use data_synth::{
@@ -174,4 +174,78 @@ fn any_number_of_threads_gives_the_same_and_bad_input_is_refused() {
     let beyond = Tile { corner_m: [x + 500.0, y], ..tile };
     let found = match_tile(&posed, &base, &beyond, &options).unwrap();
     assert!(found.surface_m.iter().all(|z| z.is_nan()));
+}
+
+/// Tiles in memory that refuse to be kept after a number of them, as a full disk would.
+struct Stopping {
+    kept: TilesInMemory,
+    left: usize,
+    asked: usize,
+}
+
+impl TileStore<MapError> for Stopping {
+    fn load(&mut self, pass: Pass, number: usize) -> Result<Option<DenseTile>, MapError> {
+        self.kept.load(pass, number)
+    }
+
+    fn save(&mut self, pass: Pass, number: usize, tile: &DenseTile) -> Result<(), MapError> {
+        self.asked += 1;
+        self.left = self.left.checked_sub(1).ok_or_else(|| MapError("stopped".into()))?;
+        self.kept.save(pass, number, tile)
+    }
+}
+
+#[test]
+fn an_attempt_that_stops_between_tiles_goes_on_to_the_same_bits() {
+    let twin = twin(0.0);
+    let views = views(&twin);
+    let studio = twin.studio();
+    let read = |k: usize| -> Result<DecodedPhoto, MapError> {
+        Ok(DecodedPhoto::new(&studio.photo(&twin.shots[k], k).image, None))
+    };
+    let [x, y, _] = twin.shots[1].centre_m;
+    let area = Tile { corner_m: [x - 1.0, y + 0.9], cell_m: 0.03, size: [200, 120] };
+    let base = |_: [f64; 2]| Some(0.1);
+    let options = AreaOptions {
+        range_m: 0.6,
+        others: 4,
+        tile_cells: 64,
+        penalties: Penalties::default(),
+        prior: Prior::default(),
+    };
+    let attempt = |store: &mut dyn TileStore<MapError>| {
+        let mut done = 0;
+        let found = match_area(&views, &read, &base, &area, &options, store, &mut || done += 1);
+        found.map(|ground| (ground, done))
+    };
+    let mut whole = TilesInMemory::default();
+    let (ground, done) = attempt(&mut whole).unwrap();
+    let tiles = area::steps(&area, options.tile_cells);
+    assert_eq!((done, tiles), (tiles, 8 + 2));
+    assert!(ground.terrain.is_some());
+    // Stopped in the coarse pass, and again in the fine one.
+    let mut store = Stopping { kept: TilesInMemory::default(), left: 1, asked: 0 };
+    assert_eq!(attempt(&mut store).unwrap_err().to_string(), "stopped");
+    store.left = 5;
+    assert_eq!(attempt(&mut store).unwrap_err().to_string(), "stopped");
+    (store.left, store.asked) = (tiles, 0);
+    let (resumed, done) = attempt(&mut store).unwrap();
+    assert_eq!(done, tiles);
+    assert_eq!(store.asked, tiles - 6, "what was kept is not matched again");
+    assert_eq!(resumed, ground);
+    let bits = |store: &mut TilesInMemory, pass, number| {
+        let found: Result<Option<DenseTile>, MapError> = store.load(pass, number);
+        let tile = found.unwrap().unwrap();
+        let heights: Vec<u32> =
+            tile.surface_m.iter().chain(&tile.sigma_m).map(|z| z.to_bits()).collect();
+        (heights, tile.confidence, tile.photos, tile.colour)
+    };
+    let fine = area::starts(&area, options.tile_cells).len();
+    for (pass, count) in [(Pass::Coarse, tiles - fine), (Pass::Fine, fine)] {
+        for number in 0..count {
+            let (a, b) = (bits(&mut whole, pass, number), bits(&mut store.kept, pass, number));
+            assert!(a == b, "{pass:?} {number}");
+        }
+    }
+    assert!(bits(&mut whole, Pass::Fine, 0).0.iter().any(|&z| f32::from_bits(z).is_finite()));
 }

@@ -3,7 +3,7 @@
 use super::{
     DenseOptions, Prior, Terrain,
     block::{Block, choose, match_block},
-    rectify::{BlockPlane, PosedPhoto},
+    rectify::{BlockPlane, PosedPhoto, greenness},
 };
 use crate::mapping::{MapError, View};
 use rayon::prelude::*;
@@ -57,8 +57,10 @@ pub struct DenseTile {
     pub confidence: Vec<u8>,
     /// How many photos show the cell, of those compared.
     pub photos: Vec<u8>,
-    /// Green minus red of what is seen.
-    pub green: Vec<i16>,
+    /// Standard deviation of the height relative to its neighbours, metres; NaN where not known.
+    pub sigma_m: Vec<f32>,
+    /// Red, green, blue of what is seen; black where nothing is.
+    pub colour: Vec<[u8; 3]>,
     /// The ground under the canopy, where it was asked for and could be found.
     pub terrain: Option<Terrain>,
 }
@@ -103,8 +105,9 @@ pub fn match_tile(
             result.surface_m[to..to + columns].copy_from_slice(&block.height_m[from..][..columns]);
             let confidence = &block.confidence[from..][..columns];
             result.confidence[to..to + columns].copy_from_slice(confidence);
+            result.sigma_m[to..to + columns].copy_from_slice(&block.sigma_m[from..][..columns]);
             result.photos[to..to + columns].copy_from_slice(&block.photos[from..][..columns]);
-            result.green[to..to + columns].copy_from_slice(&block.green[from..][..columns]);
+            result.colour[to..to + columns].copy_from_slice(&block.colour[from..][..columns]);
         }
     }
     Ok(result)
@@ -118,7 +121,8 @@ pub(super) fn nothing(tile: &Tile) -> DenseTile {
         surface_m: vec![f32::NAN; cells],
         confidence: vec![0; cells],
         photos: vec![0; cells],
-        green: vec![0; cells],
+        sigma_m: vec![f32::NAN; cells],
+        colour: vec![[0; 3]; cells],
         terrain: None,
     }
 }
@@ -174,7 +178,8 @@ fn shows_all(view: &View, block: &BlockPlane) -> bool {
 
 /// Cells of a coarse tile that may show the ground: x, y, z in metres.
 pub(super) fn bare_cells(found: &DenseTile) -> impl Iterator<Item = [f64; 3]> + '_ {
-    let is_bare = |at: &usize| found.green[*at] < BARE_BELOW && found.confidence[*at] >= SURE;
+    let is_bare =
+        |at: &usize| greenness(found.colour[*at]) < BARE_BELOW && found.confidence[*at] >= SURE;
     (0..found.surface_m.len()).filter(is_bare).map(|at| {
         let [x, y] = found.tile.place_m(at % found.tile.size[0], at / found.tile.size[0]);
         [x, y, f64::from(found.surface_m[at])]

@@ -257,7 +257,7 @@ impl Task for AlignTask {
         folder: &Path,
         monitor: &mut dyn Monitor,
     ) -> Result<AlignOutcome, Error> {
-        results::clear(folder)?;
+        stage::clear(folder)?;
         match run(project, options, Step::Report, folder, monitor)? {
             StepOutcome::Whole(outcome) => Ok(*outcome),
             StepOutcome::Part(_) => {

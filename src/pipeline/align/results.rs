@@ -4,7 +4,6 @@ use super::{AlignOutcome, export::Exports, figures, inputs::Inputs};
 use crate::{
     error::Error,
     io::{FileError, camera, cloud, cloud::CloudPoint, orientation, output, reconstruction},
-    pipeline::CACHE,
     problems::adjustment::Removed,
     scene::{Excluded, ExcludedKind, Reconstruction},
     sfm::{Pair, adjust_block::AdjustedBlock},
@@ -15,24 +14,6 @@ use std::path::Path;
 pub(super) const REPORT: &str = "report";
 /// Folder of the pictures.
 pub(super) const FIGURES: &str = "figures";
-
-/// Removes the results of an earlier attempt, but not what it keeps for the next.
-pub(super) fn clear(folder: &Path) -> Result<(), Error> {
-    for entry in std::fs::read_dir(folder).map_err(|e| FileError::read(folder, e))? {
-        let entry = entry.map_err(|e| FileError::read(folder, e))?;
-        let path = entry.path();
-        if entry.file_name() == CACHE {
-            continue;
-        }
-        let removed = if path.is_dir() {
-            std::fs::remove_dir_all(&path)
-        } else {
-            std::fs::remove_file(&path)
-        };
-        removed.map_err(|e| FileError::write(&path, e))?;
-    }
-    Ok(())
-}
 
 /// The block with its frame, its accuracies and what was excluded.
 pub(super) fn reconstruction(inputs: &Inputs, found: &AdjustedBlock) -> Reconstruction {
