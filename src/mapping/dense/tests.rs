@@ -200,9 +200,10 @@ fn an_attempt_that_stops_between_tiles_goes_on_to_the_same_bits() {
     let twin = twin(0.0);
     let views = views(&twin);
     let studio = twin.studio();
-    let read = |k: usize| -> Result<DecodedPhoto, MapError> {
-        Ok(DecodedPhoto::new(&studio.photo(&twin.shots[k], k).image, None))
-    };
+    let photos: Vec<DecodedPhoto> = (0..twin.shots.len())
+        .map(|k| DecodedPhoto::new(&studio.photo(&twin.shots[k], k).image, None))
+        .collect();
+    let read = |k: usize| -> Result<DecodedPhoto, MapError> { Ok(photos[k].clone()) };
     let [x, y, _] = twin.shots[1].centre_m;
     let area = Tile { corner_m: [x - 1.0, y + 0.9], cell_m: 0.03, size: [200, 120] };
     let base = |_: [f64; 2]| Some(0.1);
@@ -248,4 +249,47 @@ fn an_attempt_that_stops_between_tiles_goes_on_to_the_same_bits() {
         }
     }
     assert!(bits(&mut whole, Pass::Fine, 0).0.iter().any(|&z| f32::from_bits(z).is_finite()));
+}
+
+#[test]
+fn two_photos_no_overlap_and_water_say_what_is_not_known() {
+    let twin = twin(0.0);
+    let views = views(&twin);
+    let studio = twin.studio();
+    let photos: Vec<DecodedPhoto> =
+        (0..2).map(|k| DecodedPhoto::new(&studio.photo(&twin.shots[k], k).image, None)).collect();
+    let [x, y, _] = twin.shots[1].centre_m;
+    let area = Tile { corner_m: [x - 1.0, y + 0.9], cell_m: 0.03, size: [100, 60] };
+    let options = AreaOptions {
+        range_m: 0.6,
+        others: 4,
+        tile_cells: 64,
+        penalties: Penalties::default(),
+        prior: Prior::default(),
+    };
+    type Read<'a> = &'a (dyn Fn(usize) -> Result<DecodedPhoto, MapError> + Sync);
+    let attempt = |read: Read<'_>, area: &Tile| {
+        let mut store = TilesInMemory::default();
+        let base = |_: [f64; 2]| Some(0.1);
+        let found = match_area(&views[..2], read, &base, area, &options, &mut store, &mut || ())?;
+        let tile: Result<_, MapError> = store.load(Pass::Fine, 0);
+        Ok::<_, MapError>((found, tile?.unwrap()))
+    };
+    // Two photos see the same ground, and heights are those of the pair.
+    let (found, tile) = attempt(&|k| Ok(photos[k].clone()), &area).unwrap();
+    assert!(found.terrain.is_some());
+    assert!(tile.photos.iter().all(|&n| n <= 2) && tile.photos.contains(&2));
+    assert!(tile.surface_m.iter().any(|z| z.is_finite()));
+    // Ground that neither shows.
+    let away = Tile { corner_m: [x + 400.0, y], ..area };
+    let refused = attempt(&|k| Ok(photos[k].clone()), &away).unwrap_err().to_string();
+    assert!(refused.contains("nowhere do two photos"), "{refused}");
+    // Water without a ripple looks alike at all heights: no height is better than another, and nothing is taken for ground.
+    let water = image::RgbImage::from_pixel(640, 480, image::Rgb([60, 70, 80]));
+    let (found, tile) = attempt(&|_| Ok(DecodedPhoto::new(&water, None)), &area).unwrap();
+    assert_eq!(found.terrain, None);
+    assert!(tile.confidence.iter().all(|&c| c == 0), "{:?}", tile.confidence.iter().max());
+    let sigmas = || tile.sigma_m.iter().filter(|sigma| sigma.is_finite());
+    let least = sigmas().fold(f32::INFINITY, |least, &sigma| least.min(sigma));
+    assert!(sigmas().count() > 0 && f64::from(least) > 15.0 * found.layer_m, "{least}");
 }
