@@ -212,6 +212,7 @@ mod tests {
                     plants: Some(7.0),
                     ..PlotTraits::default()
                 },
+                attributes: vec![("Genotype".into(), "B73".into()), ("block".into(), 2.into())],
             })
             .into()
     }
