@@ -76,7 +76,9 @@ pub fn draw_line(image: &mut RgbImage, points_px: &[[f64; 2]], colour: Rgb<u8>, 
             let share = step as f64 / steps;
             let [u, v] = [from[0] + share * du, from[1] + share * dv].map(f64::round);
             let margin = f64::from(width_px);
-            if u < -margin || v < -margin || u > width + margin || v > height + margin {
+            let is_near =
+                u >= -margin && v >= -margin && u <= width + margin && v <= height + margin;
+            if !is_near {
                 continue;
             }
             let (u, v) = (u as i64, v as i64);

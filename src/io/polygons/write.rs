@@ -315,7 +315,7 @@ mod tests {
 
     #[test]
     fn names_of_fields_are_told_apart() {
-        let mut taken = BTreeSet::new();
+        let mut taken = BTreeSet::from(["plot".to_owned()]);
         let names = ["nitrogen_dose_kg", "nitrogen_dose_lb", "ä", "Plot"];
         let fields: Vec<String> = names.iter().map(|name| field(name, &mut taken)).collect();
         assert_eq!(fields, ["nitrogen_d", "nitrogen2", "field", "Plot2"]);
