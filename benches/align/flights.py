@@ -138,8 +138,11 @@ def main():
     parser.add_argument("--keep", type=pathlib.Path)
     parser.add_argument("--details", action="store_true", help="every check point of every split")
     parser.add_argument("--more", default="", help="further words for rowgram align")
-    parser.add_argument("names", nargs="*", choices=[[], *FOLDERS])
+    parser.add_argument("names", nargs="*", metavar="NAME")
     args = parser.parse_args()
+    for name in args.names:
+        if name not in FOLDERS:
+            parser.error(f"{name} is none of {', '.join(FOLDERS)}")
     data = os.environ.get("ROWGRAM_DATA")
     if not data:
         sys.exit("ROWGRAM_DATA names no folder: set it to the folder with the real data")

@@ -314,11 +314,7 @@ impl BlockAdjuster<'_> {
         let counter =
             Counter::new(monitor, "refining tie points", 2 * block.features.len(), "photos");
         let options = LeastSquaresMatchingOptions::default();
-        let number = |name: &str| std::env::var(name).ok().and_then(|v| v.parse::<f64>().ok()); // TEMP
-        let mut lengthening = LongerTracksOptions::default();
-        lengthening.most_rays = number("RG_RAYS").map_or(lengthening.most_rays, |v| v as usize); // TEMP
-        lengthening.same_px = number("RG_SAME").unwrap_or(lengthening.same_px); // TEMP
-        let longer = lengthen(block, &lengthening);
+        let longer = lengthen(block, &LongerTracksOptions::default());
         let mut block = block.over(&longer.features, &longer.tracks);
         georeference::retriangulate_and_filter(
             &mut block,
