@@ -36,6 +36,7 @@ pub mod guided_matching;
 pub mod incremental;
 pub mod intrinsics;
 pub mod level;
+pub mod longer_tracks;
 pub mod positions;
 pub mod refinement;
 pub mod resection;

@@ -56,6 +56,8 @@ pub struct RefinedTiePoints {
     pub asked: usize,
     /// How many of them were measured; others are lost, but for those of photos that kept theirs.
     pub found: usize,
+    /// How many of those found were predicted: places of points in further photos.
+    pub further: usize,
     /// Photos that kept their key points because fewer than [`MIN_REFINED`] were found, and how many they have.
     pub kept: Vec<(u32, usize)>,
 }
@@ -93,17 +95,24 @@ struct InPhoto {
 }
 
 /// Measures the points of a block again in the photos that `read` yields, each of which is asked for twice; `tell` is
-/// called for each.
+/// called for each. `measured` says how many features of each image were measured before; where others are is only predicted
+/// ([`super::longer_tracks`]), and what is not found of them is forgotten.
 ///
 /// # Errors
 /// What `read` says.
 pub fn refine_tie_points<E: Send>(
     block: &Block<'_>,
+    measured: &[usize],
     read: &(dyn Fn(usize) -> Result<GrayImage, E> + Sync),
     demands: &LeastSquaresMatchingOptions,
     tell: &(dyn Fn() + Sync),
 ) -> Result<RefinedTiePoints, E> {
-    let firsts = &firsts(block, read, tell)?;
+    let is_measured = |image: usize, place: usize| {
+        measured
+            .get(image)
+            .is_none_or(|&count| (block.tracks.member(place).feature as usize) < count)
+    };
+    let firsts = &firsts(block, &is_measured, read, tell)?;
     let planes: Vec<[f64; 3]> =
         (0..block.poses.len()).into_par_iter().map(|image| plane(block, image)).collect();
     let template = Template::default();
@@ -134,18 +143,24 @@ pub fn refine_tie_points<E: Send>(
                 None => missed.push(Found { track, place, at_px: start.at_px }),
             }
         }
+        missed.retain(|missed| is_measured(image, missed.place));
         let few = found.len() < MIN_REFINED && !missed.is_empty();
         Ok(InPhoto { found, kept: if few { missed } else { Vec::new() } })
     };
     let images = 0..block.poses.len();
     let found: Vec<InPhoto> = images.clone().into_par_iter().map(find).collect::<Result<_, E>>()?;
     let asked = images.map(|image| other(image).count()).sum();
-    Ok(gather(block, firsts, &found, asked))
+    let is_further = |(image, of): (usize, &InPhoto)| {
+        of.found.iter().filter(|found| !is_measured(image, found.place)).count()
+    };
+    let further = found.iter().enumerate().map(is_further).sum();
+    Ok(RefinedTiePoints { asked, further, ..gather(block, firsts, &found) })
 }
 
 /// The first photo of each point, and its window there.
 fn firsts<E: Send>(
     block: &Block<'_>,
+    is_measured: &(dyn Fn(usize, usize) -> bool + Sync),
     read: &(dyn Fn(usize) -> Result<GrayImage, E> + Sync),
     tell: &(dyn Fn() + Sync),
 ) -> Result<Vec<Option<First>>, E> {
@@ -157,7 +172,9 @@ fn firsts<E: Send>(
     };
     let mut of_images: Vec<Vec<(usize, usize)>> = vec![Vec::new(); block.poses.len()];
     for track in (0..block.tracks.count()).filter(|&track| block.points[track].is_some()) {
-        let used = block.tracks.places(track).filter(|&place| block.used[place]);
+        let used = block.tracks.places(track).filter(|&place| {
+            block.used[place] && is_measured(block.tracks.member(place).image as usize, place)
+        });
         let nearest = used.min_by(|&a, &b| off_middle(a).total_cmp(&off_middle(b)));
         if let Some(place) = nearest {
             of_images[block.tracks.member(place).image as usize].push((track, place));
@@ -256,12 +273,7 @@ fn carried(first: &First, shape: &[[f64; 2]; 2]) -> [f64; 2] {
 }
 
 /// What was found, as features and matches between the first photo of a point and the others.
-fn gather(
-    block: &Block<'_>,
-    firsts: &[Option<First>],
-    of_photos: &[InPhoto],
-    asked: usize,
-) -> RefinedTiePoints {
+fn gather(block: &Block<'_>, firsts: &[Option<First>], of_photos: &[InPhoto]) -> RefinedTiePoints {
     let mut features = block.features.to_vec();
     let mut of_pairs: BTreeMap<[u32; 2], Vec<[u32; 2]>> = BTreeMap::new();
     let positions = of_photos.iter().flat_map(|photo| photo.found.iter().chain(&photo.kept));
@@ -285,7 +297,8 @@ fn gather(
     RefinedTiePoints {
         features,
         matches: matches.collect(),
-        asked,
+        asked: 0,
+        further: 0,
         found: of_photos.iter().map(|photo| photo.found.len()).sum(),
         kept: kept.collect(),
     }
@@ -407,7 +420,7 @@ mod tests {
             .collect();
         let read = |image: usize| Ok::<_, String>(pictures[image].clone());
         let found =
-            refine_tie_points(&block, &read, &LeastSquaresMatchingOptions::default(), &|| ())
+            refine_tie_points(&block, &[], &read, &LeastSquaresMatchingOptions::default(), &|| ())
                 .unwrap();
         let (mut before, mut after) = (Vec::new(), Vec::new());
         for PairMatches { images: [a, b], matches } in &found.matches {
@@ -460,7 +473,7 @@ mod tests {
             Ok::<_, String>(grey)
         };
         let without =
-            refine_tie_points(&block, &blank, &LeastSquaresMatchingOptions::default(), &|| ())
+            refine_tie_points(&block, &[], &blank, &LeastSquaresMatchingOptions::default(), &|| ())
                 .unwrap();
         let [(2, kept)] = without.kept[..] else { panic!("{:?}", without.kept) };
         assert!(kept > 10 && without.found < found.found);
@@ -469,7 +482,13 @@ mod tests {
         let broken =
             |image: usize| if image == 2 { Err("gone") } else { Ok(pictures[image].clone()) };
         assert_eq!(
-            refine_tie_points(&block, &broken, &LeastSquaresMatchingOptions::default(), &|| ()),
+            refine_tie_points(
+                &block,
+                &[],
+                &broken,
+                &LeastSquaresMatchingOptions::default(),
+                &|| ()
+            ),
             Err("gone")
         );
     }

@@ -397,3 +397,18 @@ fn a_robust_loss_needs_no_tie_points() {
     let robust = adjust(&mut survey.clone(), &settings).unwrap();
     assert_eq!(robust.summary.final_cost, least_squares.summary.final_cost);
 }
+
+#[test]
+fn costs_are_those_of_one_problem() {
+    // Under a robust loss the same residuals cost less: next to the cost of least squares it would look like a rise.
+    let noise = Noise { tie: 3.0, ..NOISE };
+    let mut survey = measured(&with_positions(truth(&Plan::default())), 94, noise);
+    adjust(&mut survey, &Settings::default()).unwrap();
+    let settings = Settings { tie_loss: rowgram::nlls::Loss::SoftL1(1.0), ..Settings::default() };
+    let posed = AdjustmentProblem::new(&validate(&survey).unwrap().reconstruction, &settings);
+    let posed = posed.unwrap();
+    let robust: f64 = posed.problem.costs(&posed.problem.start()).unwrap().iter().sum();
+    let found = adjust(&mut survey, &settings).unwrap().summary;
+    assert!(robust < 0.9 * found.final_cost, "{robust} {}", found.final_cost);
+    assert!(found.final_cost <= found.initial_cost, "{found}");
+}

@@ -2,5 +2,6 @@
 
 mod any_flight;
 mod blocks;
+mod longer_tracks;
 mod pairs;
 mod toy;

@@ -145,8 +145,8 @@ crate::options! {
         pub readout_s: Option<f64> = None, limits between(0.0001, 1.0), example "0.03";
         /// Whether matching is repeated with the adjusted poses (guided matching): auto does so with ground control.
         pub guided_matching: When = When::Auto;
-        /// Whether tie points are measured again by least-squares matching, several times as exact: auto does so with
-        /// ground control.
+        /// Whether tie points are measured again by least-squares matching, several times as exact, and in further photos: auto
+        /// does so with ground control.
         pub refine_tie_points: When = When::Auto;
         /// Seed of all random sampling.
         pub seed: u64 = 1;

@@ -17,6 +17,7 @@ use crate::{
         Block, Features,
         georeference::{self, Known, WrongMark, adjust, review_marks, weigh_positions},
         guided_matching::{GuidedMatchingOptions, match_guided},
+        longer_tracks::{LongerTracksOptions, lengthen},
         refinement::{LeastSquaresMatchingOptions, MIN_REFINED, refine_tie_points},
         rolling_shutter::{self, RollingShutterEstimate},
         tracks::Tracks,
@@ -313,7 +314,20 @@ impl BlockAdjuster<'_> {
         let counter =
             Counter::new(monitor, "refining tie points", 2 * block.features.len(), "photos");
         let options = LeastSquaresMatchingOptions::default();
-        let refined = refine_tie_points(block, self.photos.read, &options, &|| counter.tick())?;
+        let longer = lengthen(block, &LongerTracksOptions::default());
+        let mut block = block.over(&longer.features, &longer.tracks);
+        georeference::retriangulate_and_filter(
+            &mut block,
+            &triangulation(self.options.tolerance_px),
+        );
+        let (measured, tell) = (longer.measured.as_slice(), &|| counter.tick());
+        let refined = refine_tie_points(&block, measured, self.photos.read, &options, tell)?;
+        tracing::debug!(
+            "{} pairs of tracks are one, {} of {} places in further photos measured",
+            longer.joined,
+            refined.further,
+            longer.predicted
+        );
         found.extend(refined.kept.iter().map(|(image, count)| {
             let message = format!(
                 "fewer than {MIN_REFINED} of its tie points were refined by least-squares matching; {count} keep the less exact positions of their features"

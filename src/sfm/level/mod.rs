@@ -200,7 +200,9 @@ pub fn level(survey: &mut Reconstruction, places: &[f64]) -> Option<(Alignment, 
         found = Some((pairs, fit, inside, review, alone, scale));
     }
     let (pairs, fit, inside, review, alone, scale) = found?;
-    let up_shift = review.constant;
+    // Where most of the heights have it, as they are corrected: positions that are all off by the same have no weight, and the
+    // plan alone hardly tells a tilt.
+    let up_shift = review.constant + usual_error(survey, places, review.error);
     for image in &mut survey.images {
         let mut centre = image.pose.centre_m();
         centre[2] += up_shift;
@@ -256,6 +258,12 @@ pub fn review_level(survey: &Reconstruction, places: &[f64]) -> Option<HeightRev
     Some(corrected(survey, places, review, 0.0))
 }
 
+/// The error that most heights have, metres: the part of the flight that most of it agrees with is taken to be right.
+fn usual_error(survey: &Reconstruction, places: &[f64], error: HeightError) -> f64 {
+    let of = survey.positions.iter().map(|position| error.at(places[position.image as usize]));
+    median(of.collect())
+}
+
 /// What is to be taken off the heights so that they say what the block does of the vertical.
 fn corrected(
     survey: &Reconstruction,
@@ -266,8 +274,7 @@ fn corrected(
     let at = middle(survey);
     let mut heights = samples(survey, places, at);
     let errors: Vec<f64> = heights.iter().map(|sample| fit.error.at(sample.place)).collect();
-    // The part of the flight that most of it agrees with is taken to be right.
-    let usual = median(errors.clone());
+    let usual = usual_error(survey, places, fit.error);
     for (sample, error) in heights.iter_mut().zip(&errors) {
         sample.height -= error - usual;
     }
