@@ -36,7 +36,15 @@ impl Normal {
                 self.kept_vector[start + k] = -(g + self.kept_vector[start + k]);
             }
         }
-        self.solver.solve(&self.matrix, &mut self.kept_vector, 1);
+        let (shift, starts, fused) = (&self.shift, &self.matrix.starts, &mut self.fused);
+        self.solver.solve(&self.matrix, &mut self.kept_vector, |x, y| {
+            for ((y, x), shift) in y.iter_mut().zip(x).zip(shift) {
+                *y = x * shift;
+            }
+            if let Some((_, work)) = fused {
+                work.0.multiply(starts, x, y);
+            }
+        });
         for (place, &block) in self.structure.kept.iter().enumerate() {
             let block = &problem.blocks[block];
             let n = block.dimension;
@@ -64,9 +72,13 @@ impl Normal {
         self.solve(problem, step);
         let (mut predicted, mut square) = (0.0, 0.0);
         // -(g d + 1/2 d H d) with H d = -g - lambda D d.
-        for ((d, g), w) in step.iter().zip(&self.gradient).zip(&self.diagonal) {
-            predicted += 0.5 * d * (lambda * w * d - g);
-            square += d * d * w;
+        for block in problem.blocks.iter().filter(|block| block.tangent < step.len()) {
+            let lambda = lambda * problem.damping_share(block);
+            for k in block.tangent..block.tangent + block.dimension {
+                let (d, g, w) = (step[k], self.gradient[k], self.diagonal[k]);
+                predicted += 0.5 * d * (lambda * w * d - g);
+                square += d * d * w;
+            }
         }
         let step_norm = step.iter().fold(0.0, |most: f64, v| v.abs().max(most));
         let mut moved = BackSubstitution::default();
