@@ -14,13 +14,12 @@
 //! similarities, on top of independent errors.
 
 use crate::{
-    block::{Block, ForwardCamera, Observation, camera, measure_with},
-    block_camera::{Matrix, matrix, multiply},
+    block::{Block, Observation, measure_with},
     check::{self, ConfigError, within},
     collection_scene::{Scene, Wall},
+    collection_start::{drifts, start_camera},
     streams::{Draw, Stage, stream},
 };
-use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -326,63 +325,84 @@ fn track_lengths(config: &CollectionConfig, placed: &[Placed]) -> Result<Vec<usi
     Ok(found)
 }
 
-/// `X' = s R X + t`.
-#[derive(Debug, Clone)]
-struct Similarity {
-    scale: f64,
-    rotation: Matrix,
-    shift_m: [f64; 3],
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::block::ForwardCamera;
 
-impl Similarity {
-    fn apply(&self, x: [f64; 3]) -> [f64; 3] {
-        [0, 1, 2].map(|i| {
-            let turned: f64 = (0..3).map(|k| self.rotation[i][k] * x[k]).sum();
-            self.scale * turned + self.shift_m[i]
-        })
+    fn small(layout: Layout) -> CollectionConfig {
+        CollectionConfig {
+            layout,
+            images: 120,
+            points: 3000,
+            observations: 12_345,
+            places: 4,
+            sigma_px: 0.0,
+            ..CollectionConfig::preset(CollectionPreset::Trafalgar257)
+        }
     }
-}
 
-/// How far each place has drifted: its parent's drift, and one of its own about its foot.
-fn drifts(config: &CollectionConfig, walls: &[Wall]) -> Vec<Similarity> {
-    let identity = Similarity { scale: 1.0, rotation: matrix([0.0; 3]), shift_m: [0.0; 3] };
-    let mut found: Vec<Similarity> = Vec::with_capacity(walls.len());
-    for (k, wall) in walls.iter().enumerate() {
-        let Some(parent) = wall.parent else {
-            found.push(identity.clone());
-            continue;
+    #[test]
+    fn numbers_are_those_asked_for_and_tracks_have_a_tail() {
+        for layout in [Layout::Places, Layout::Street] {
+            let config = small(layout);
+            let block = config.photograph().unwrap();
+            let counts =
+                [block.cameras_true.len(), block.points_true.len(), block.observations.len()];
+            assert_eq!(counts, [120, 3000, 12_345]);
+            let (mut lengths, mut per_image) = (vec![0; 3000], vec![0; 120]);
+            for pair in block.observations.windows(2) {
+                let (a, b) = (pair[0], pair[1]);
+                assert!((a.point, a.camera) < (b.point, b.camera), "{layout:?}");
+            }
+            for observation in &block.observations {
+                lengths[observation.point] += 1;
+                per_image[observation.camera] += 1;
+            }
+            lengths.sort_unstable();
+            assert!(lengths[0] >= 2 && per_image.iter().all(|&n| n >= 3), "{layout:?}");
+            // A geometric distribution with this mean has none as long as that.
+            assert!(lengths[1500] <= 4 && lengths[2999] >= 20, "{layout:?}: {}", lengths[2999]);
+            // Without noise the true values measure exactly what was measured.
+            let cameras: Vec<_> = block.cameras_true.iter().map(ForwardCamera::new).collect();
+            for observation in &block.observations {
+                let found =
+                    cameras[observation.camera].project(block.points_true[observation.point]);
+                assert_eq!(found, Some(observation.measured_px));
+            }
+        }
+    }
+
+    #[test]
+    fn a_seed_means_the_same_for_any_number_of_threads() {
+        let config = small(Layout::Places);
+        let with = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| config.photograph().unwrap())
         };
-        let mut rng = stream(config.seed, Stage::CollectionDrift, k as u64);
-        let scale = 1.0 + config.start.drift_scale * rng.normal();
-        let turn = config.start.drift_deg.to_radians();
-        let rotation = matrix([0; 3].map(|_| turn * rng.normal()));
-        let before = &found[parent];
-        let own = Similarity { scale, rotation, shift_m: [0.0; 3] };
-        let foot = [wall.foot_m[0], wall.foot_m[1], 0.0];
-        let turned = own.apply(foot);
-        let shift_m = [0, 1, 2].map(|i| foot[i] - turned[i] + config.start.drift_m * rng.normal());
-        found.push(Similarity {
-            scale: before.scale * scale,
-            rotation: multiply(&before.rotation, &own.rotation),
-            shift_m: before.apply(shift_m),
-        });
+        let first = with(1);
+        assert_eq!(first, with(3));
+        let other = CollectionConfig { seed: 2, ..config.clone() }.photograph().unwrap();
+        assert_ne!(first.observations, other.observations);
     }
-    found
-}
 
-fn start_camera(
-    config: &CollectionConfig,
-    image: usize,
-    truth: &ForwardCamera,
-    drift: &Similarity,
-) -> [f64; 9] {
-    let mut rng: ChaCha8Rng = stream(config.seed, Stage::BlockCameraStart, image as u64);
-    let error_rad = config.start.rotation_deg.to_radians();
-    let turn = matrix([0; 3].map(|_| error_rad * rng.normal()));
-    let back: Matrix = std::array::from_fn(|i| [0, 1, 2].map(|k| drift.rotation[k][i]));
-    let rotation = multiply(&turn, &multiply(&truth.rotation, &back));
-    let centre_m = drift.apply(truth.centre_m());
-    let centre_m = centre_m.map(|value| value + config.start.centre_m * rng.normal());
-    let focal_px = truth.focal_px() * (1.0 + config.start.focal * rng.normal());
-    camera(&rotation, centre_m, [focal_px, 0.0, 0.0])
+    #[test]
+    fn presets_can_be_used_and_impossible_numbers_are_refused() {
+        for preset in [
+            CollectionPreset::Ladybug1723,
+            CollectionPreset::Trafalgar257,
+            CollectionPreset::Dubrovnik356,
+            CollectionPreset::Venice1778,
+        ] {
+            CollectionConfig::preset(preset).check().unwrap();
+        }
+        let config = small(Layout::Places);
+        let many = CollectionConfig { observations: 300_000, ..config.clone() };
+        let error = many.photograph().unwrap_err();
+        assert!(error.parameter == "observations" && error.expected.contains("at most"), "{error}");
+        let few = CollectionConfig { observations: 5999, ..config.clone() };
+        assert_eq!(few.photograph().unwrap_err().parameter, "observations");
+        let crowded = CollectionConfig { places: 11, ..config };
+        assert_eq!(crowded.photograph().unwrap_err().parameter, "places");
+    }
 }

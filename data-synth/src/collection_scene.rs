@@ -168,16 +168,16 @@ fn photo(
         // From before the seam: both walls are in the picture.
         seen.push(parent);
         if joins && !whole {
-            let towards: f64 = (0..2)
-                .map(|i| (walls[parent].foot_m[i] - wall.foot_m[i]) * wall.along[i])
-                .sum();
+            let towards: f64 =
+                (0..2).map(|i| (walls[parent].foot_m[i] - wall.foot_m[i]) * wall.along[i]).sum();
             s_m = wall.half_width_m * towards.signum();
             distance_m = distance_m.max(20.0);
         }
     }
     if whole {
         (s_m, z_m, aside) = (0.0, 0.4 * wall.height_m, 0.3 * aside);
-        let fill = (1.2 * wall.half_width_m / PHOTO_HALF_PX[0]).max(0.7 * wall.height_m / PHOTO_HALF_PX[1]);
+        let fill = (1.2 * wall.half_width_m / PHOTO_HALF_PX[0])
+            .max(0.7 * wall.height_m / PHOTO_HALF_PX[1]);
         distance_m = fill * focal_px;
     }
     let distance_m = if whole { distance_m } else { distance_m.clamp(8.0, 120.0) };
@@ -259,7 +259,8 @@ fn street(config: &CollectionConfig) -> (Vec<Wall>, Vec<View>) {
         .map(|image| {
             let mut rng = stream(config.seed, Stage::CollectionView, image as u64);
             let (at, direction) = road(TAU * image as f64 * STEP_M / length_m);
-            let aside_m = 0.3 * rng.normal() + if image as f64 * STEP_M > length_m { 1.5 } else { 0.0 };
+            let aside_m =
+                0.3 * rng.normal() + if image as f64 * STEP_M > length_m { 1.5 } else { 0.0 };
             let (sin, cos) = direction.sin_cos();
             let centre_m =
                 [at[0] - aside_m * sin, at[1] + aside_m * cos, 2.2 + 0.02 * rng.normal()];
@@ -275,7 +276,12 @@ fn street(config: &CollectionConfig) -> (Vec<Wall>, Vec<View>) {
             let rotation = looking(centre_m, target, 0.02 * rng.normal());
             let camera = camera(&rotation, centre_m, [focal_px, k1, 0.005]);
             let seen = in_sight(&walls, centre_m, towards);
-            View { forward: ForwardCamera::new(&camera), camera, half_px: VEHICLE_HALF_PX, walls: seen }
+            View {
+                forward: ForwardCamera::new(&camera),
+                camera,
+                half_px: VEHICLE_HALF_PX,
+                walls: seen,
+            }
         })
         .collect();
     (walls, views)

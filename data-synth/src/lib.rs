@@ -65,6 +65,7 @@ mod block_camera;
 mod block_ground;
 mod check;
 mod collection_scene;
+mod collection_start;
 mod mesh;
 mod soil;
 mod streams;

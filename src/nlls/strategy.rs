@@ -47,11 +47,7 @@ impl Strategy {
     }
 
     /// The solver for `matrix`, and what to say of it.
-    pub(super) fn solver(
-        self,
-        matrix: &BlockMatrix,
-        tolerance: f64,
-    ) -> (SchurSolver, LinearPath) {
+    pub(super) fn solver(self, matrix: &BlockMatrix, tolerance: f64) -> (SchurSolver, LinearPath) {
         let iteration = |matrix| ConjugateGradients::new(matrix, tolerance);
         let (solver, kind) = match self.way {
             Way::Direct(order) => {
@@ -63,10 +59,9 @@ impl Strategy {
             Way::Iterative => {
                 (SchurSolver::Iterative(iteration(matrix)), LinearKind::ConjugateGradients)
             }
-            Way::Implicit => (
-                SchurSolver::Implicit(iteration(matrix)),
-                LinearKind::ImplicitConjugateGradients,
-            ),
+            Way::Implicit => {
+                (SchurSolver::Implicit(iteration(matrix)), LinearKind::ImplicitConjugateGradients)
+            }
         };
         (solver, LinearPath { kind, why: self.why })
     }

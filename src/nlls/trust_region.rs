@@ -7,7 +7,8 @@
 //! gradient towards the Gauss-Newton step, as far as a radius in the norm `|D^1/2 d|` allows.
 
 use super::{
-    BatchPath, Curvature, LinearPath, LinearSolver, normal::Normal, problem::Problem, trial_step::TrialStep,
+    BatchPath, Curvature, LinearPath, LinearSolver, normal::Normal, problem::Problem,
+    trial_step::TrialStep,
 };
 use crate::engine::{Engine, SolveError, Step, Termination};
 use serde::{Deserialize, Serialize};

@@ -72,7 +72,8 @@ pub fn plan(projects: &[Project], settings: &[String]) -> Result<Workflow, Error
         let results = if project.results() == project.root().join("rowgram") {
             root.join("rowgram")
         } else {
-            std::path::absolute(project.results()).map_err(|e| FileError::read(project.results(), e))?
+            std::path::absolute(project.results())
+                .map_err(|e| FileError::read(project.results(), e))?
         };
         let mut arguments = vec!["run".to_owned(), text(&root)?];
         if results != root.join("rowgram") {
@@ -159,7 +160,8 @@ fn identifier(name: &str) -> String {
 fn unique(taken: &mut BTreeSet<String>, name: &str) -> String {
     let name = format!("p_{}", identifier(name));
     let numbered = (2..).map(|n| format!("{name}_{n}"));
-    let mut free = std::iter::once(name.clone()).chain(numbered).filter(|name| !taken.contains(name));
+    let mut free =
+        std::iter::once(name.clone()).chain(numbered).filter(|name| !taken.contains(name));
     let found = free.next().unwrap_or(name);
     taken.insert(found.clone());
     found

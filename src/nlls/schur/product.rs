@@ -59,7 +59,8 @@ pub(super) fn keep<const R: usize, const K: usize, const P: usize>(
     }
 }
 
-struct Multiply<'a, const K: usize, const R: usize, const S: usize, const P: usize, const D: usize> {
+struct Multiply<'a, const K: usize, const R: usize, const S: usize, const P: usize, const D: usize>
+{
     layout: &'a Layout<K, S, D>,
     chunk: &'a mut ChunkSums<P>,
     directions: &'a [f64],

@@ -59,7 +59,11 @@ impl BlockSource {
     pub fn preset(preset: BlockPreset) -> BlockSource {
         let collection = |preset| BlockSource::Collection(CollectionConfig::preset(preset));
         let flight = |images| {
-            BlockSource::Flight(BlockConfig { images, points: 200 * images, ..BlockConfig::default() })
+            BlockSource::Flight(BlockConfig {
+                images,
+                points: 200 * images,
+                ..BlockConfig::default()
+            })
         };
         match preset {
             BlockPreset::Ladybug1723 => collection(CollectionPreset::Ladybug1723),
