@@ -277,6 +277,13 @@ fn sight(scene: &Scene, view: usize, wall: &Wall, place_m: [f64; 3]) -> Option<(
     }
     let centre_m = view.forward.centre_m();
     let ray = [0, 1, 2].map(|k| centre_m[k] - place_m[k]);
+    // Beyond the corners the radial curve may turn back into the image.
+    let depth: f64 = (0..3).map(|k| view.forward.rotation[2][k] * ray[k]).sum();
+    let square: f64 = ray.iter().map(|v| v * v).sum::<f64>() / (depth * depth) - 1.0;
+    let corner = view.half_px[0].hypot(view.half_px[1]) / view.forward.focal_px();
+    if square > (1.1 * corner).powi(2) {
+        return None;
+    }
     let length_m = ray.iter().map(|v| v * v).sum::<f64>().sqrt();
     let direction = ray.map(|v| v / length_m);
     let n = wall.normal();

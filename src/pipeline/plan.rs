@@ -158,12 +158,13 @@ fn identifier(name: &str) -> String {
 
 /// A name for rules that none before it has.
 fn unique(taken: &mut BTreeSet<String>, name: &str) -> String {
-    let name = format!("p_{}", identifier(name));
-    let numbered = (2..).map(|n| format!("{name}_{n}"));
-    let mut free =
-        std::iter::once(name.clone()).chain(numbered).filter(|name| !taken.contains(name));
-    let found = free.next().unwrap_or(name);
-    taken.insert(found.clone());
+    let first = format!("p_{}", identifier(name));
+    let mut found = first.clone();
+    let mut number = 2;
+    while !taken.insert(found.clone()) {
+        found = format!("{first}_{number}");
+        number += 1;
+    }
     found
 }
 
