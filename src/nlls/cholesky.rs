@@ -38,6 +38,7 @@ pub(super) struct BlockMatrix {
 impl BlockMatrix {
     /// A zero matrix with the given block dimensions and, per block column, ascending block rows
     /// that begin with the diagonal.
+    #[cfg(test)]
     pub(super) fn new(dims: &[usize], columns: &[Vec<u32>]) -> BlockMatrix {
         let mut matrix = BlockMatrix::pattern(dims, columns);
         matrix.allocate();
@@ -196,7 +197,8 @@ const MAX_COLUMNS: usize = 32;
 
 impl Cholesky {
     /// Analyses the pattern of `matrix`.
-    pub(super) fn analyze(matrix: &BlockMatrix, prefer_dense: bool) -> Cholesky {
+    #[cfg(test)]
+    fn analyze(matrix: &BlockMatrix, prefer_dense: bool) -> Cholesky {
         Cholesky::new(matrix, Cholesky::order(matrix, prefer_dense))
     }
 

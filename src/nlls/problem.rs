@@ -212,7 +212,9 @@ impl Problem {
     }
 
     fn move_block(&self, block: &Block, x: &[f64], d: &[f64], out: &mut [f64]) {
-        match (self.sights.get(block.sight as usize), x, d) {
+        // A point with an entry that must not move can only go straight.
+        let sight = self.sights.get(block.sight as usize).filter(|_| block.frozen == 0);
+        match (sight, x, d) {
             (Some(from), &[a, b, c], &[e, f, g]) => {
                 out.copy_from_slice(&sight::moved(from, &[a, b, c], &[e, f, g]));
             }

@@ -227,7 +227,7 @@ impl<
                     d[k] = -step[k];
                 }
                 let to = &mut moved[e - range.start];
-                if let Some(from) = sights.get(e - range.start) {
+                if let Some(from) = sights.get(e - range.start).filter(|_| point.frozen == 0) {
                     *to = sight::moved(from, &at, &d);
                 } else {
                     for k in 0..P {
