@@ -59,7 +59,7 @@ pub(super) fn eliminate(
     for e in chunk.eliminated.clone() {
         let own = structure.eliminated[e];
         let block = &problem.blocks[own];
-        let (n, share) = (block.dimension, problem.damping_share(block));
+        let n = block.dimension;
         let adjacent = structure.adjacent(e);
         let height: usize = adjacent.iter().map(|&k| chunk.size(k)).sum();
         // V, g_e, then W with the rows of the adjacent kept blocks one after the other.
@@ -93,7 +93,7 @@ pub(super) fn eliminate(
         for k in 0..n {
             partial.diagonal_e.push(v[k * n + k]);
             let frozen = block.frozen >> k & 1 == 1;
-            v[k * n + k] += if frozen { 1.0 } else { lambda * share * damping(v[k * n + k]) };
+            v[k * n + k] += if frozen { 1.0 } else { lambda * damping(v[k * n + k]) };
         }
         factor_in_place(v, n).map_err(|_| NotPositiveDefinite(Some(own)))?;
         partial.factor.extend_from_slice(v);

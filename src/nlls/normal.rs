@@ -230,7 +230,6 @@ impl Normal {
         self.shift.clear();
         for &block in &self.structure.kept {
             let block = &problem.blocks[block];
-            let lambda = lambda * problem.damping_share(block);
             for k in 0..block.dimension {
                 let frozen = block.frozen >> k & 1 == 1;
                 let diagonal = damping(self.diagonal[block.tangent + k]);

@@ -206,11 +206,6 @@ impl Problem {
         self.sights.get(self.blocks[block].sight as usize)
     }
 
-    /// Which share of the damping a block gets.
-    pub(super) fn damping_share(&self, block: &Block) -> f64 {
-        if block.sight == NO_SIGHT { 1.0 } else { sight::DAMPING }
-    }
-
     fn move_block(&self, block: &Block, x: &[f64], d: &[f64], out: &mut [f64]) {
         // A point with an entry that must not move can only go straight.
         let sight = self.sights.get(block.sight as usize).filter(|_| block.frozen == 0);

@@ -72,13 +72,9 @@ impl Normal {
         self.solve(problem, step);
         let (mut predicted, mut square) = (0.0, 0.0);
         // -(g d + 1/2 d H d) with H d = -g - lambda D d.
-        for block in problem.blocks.iter().filter(|block| block.tangent < step.len()) {
-            let lambda = lambda * problem.damping_share(block);
-            for k in block.tangent..block.tangent + block.dimension {
-                let (d, g, w) = (step[k], self.gradient[k], self.diagonal[k]);
-                predicted += 0.5 * d * (lambda * w * d - g);
-                square += d * d * w;
-            }
+        for ((d, g), w) in step.iter().zip(&self.gradient).zip(&self.diagonal) {
+            predicted += 0.5 * d * (lambda * w * d - g);
+            square += d * d * w;
         }
         let step_norm = step.iter().fold(0.0, |most: f64, v| v.abs().max(most));
         let mut moved = BackSubstitution::default();

@@ -122,8 +122,6 @@ pub(super) struct ChunkSums<const P: usize> {
     pub(super) moved: Vec<[f64; P]>,
     /// Where its points are seen from; empty where that is not known of all.
     pub(super) sights: Vec<[f64; P]>,
-    /// Share of the damping that its points get.
-    pub(super) damping_share: f64,
     /// Where the reduced system is not formed, one record per observation; see [`super::product`].
     pub(super) kept: Vec<Kept>,
     /// Its product with a vector, per local camera [`whole`] numbers.
@@ -221,7 +219,6 @@ impl<const P: usize> ChunkSums<P> {
             lens_diagonal: vec![0.0; lenses * width],
             moved: vec![[0.0; P]; chunk.eliminated.len()],
             sights: Vec::new(),
-            damping_share: 1.0,
             kept: vec![0.0; if implicit { observations * kept_record(rows, K, P) } else { 0 }],
             product: vec![0.0; if implicit { n * whole(K) } else { 0 }],
             buffers: Buffers::new::<K, P>(longest.max(TILE), rows, (lenses, width)),

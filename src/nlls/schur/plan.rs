@@ -12,7 +12,6 @@ use super::{
 use crate::nlls::{
     problem::Problem,
     projection::{Measurement, SizedFactor},
-    sight,
     structure::{NONE, Structure},
 };
 use rayon::prelude::*;
@@ -133,7 +132,6 @@ impl<
         if !sights.is_empty() {
             for chunk in &mut chunks {
                 chunk.sights = sights[chunk.range.clone()].to_vec();
-                chunk.damping_share = sight::DAMPING;
             }
         }
         let count = layout.cameras.len();

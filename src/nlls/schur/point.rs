@@ -48,7 +48,7 @@ pub(super) fn eliminate_point<
     let prior = priors.get(point.prior as usize);
     let mut system = PointSystem::<P>::new::<R>(jacobian_point, prior);
     let slope = system.slope();
-    if !system.factorize(settings.lambda * chunk.damping_share, point.frozen) {
+    if !system.factorize(settings.lambda, point.frozen) {
         return Err(NotPositiveDefinite(Some(point.block as usize)));
     }
     let u = system.forward(system.g);

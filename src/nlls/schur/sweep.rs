@@ -180,7 +180,7 @@ impl<
             self;
         let range = chunk.range.clone();
         let (buffers, moved) = (&mut chunk.buffers, &mut chunk.moved);
-        let (sights, share) = (&chunk.sights, chunk.damping_share);
+        let sights = &chunk.sights;
         let mut total = BackSubstitution::default();
         for tile in tiles(layout, range.clone()) {
             apply_tile::<V, F, R, K, S, P, Q, D>(
@@ -213,7 +213,7 @@ impl<
                     }
                 }
                 // Elimination has factorised the same matrix already.
-                let definite = system.factorize(settings.lambda * share, point.frozen);
+                let definite = system.factorize(settings.lambda, point.frozen);
                 debug_assert!(definite);
                 for (k, h) in h.iter_mut().enumerate() {
                     if point.frozen >> k & 1 == 1 {
