@@ -178,6 +178,9 @@ fn limits(options: &AdjustOptions) -> Result<Limits, Error> {
     })
 }
 
+/// The outcome, and how batches and linear systems were worked on.
+type Solved = (Outcome<Vec<f64>>, Vec<BatchPath>, Option<LinearPath>);
+
 fn solve(
     bundle: &Bundle,
     sharing: InteriorSharing,
@@ -185,7 +188,7 @@ fn solve(
     limits: Limits,
     outputs: &Outputs,
     monitor: &mut dyn Monitor,
-) -> Result<(Outcome<Vec<f64>>, Vec<BatchPath>, Option<LinearPath>), Error> {
+) -> Result<Solved, Error> {
     let settings = nlls::Options {
         method: options.network.method,
         linear: options.network.solver,
