@@ -131,7 +131,7 @@ fn bad_input_is_refused_with_code_2_and_leaves_outputs_alone() {
         damaged("unseen.txt", "1 2 1\n0 0 1 1\n0\n0\n0\n0\n0\n0\n1\n0\n0\n0\n0\n-1\n0\n0\n-1\n");
     let cases: [(&[&str], &str); 14] = [
         (&[&file, "--check", "A1"], "no names to join control to"),
-        (&[&file, "--solver", "sprse"], "schur, iterative-schur, sparse, dense"),
+        (&[&file, "--solver", "sprse"], "auto, schur, iterative-schur, sparse, dense"),
         (&[&file, "--threads", "100000"], "1024"),
         (&[&file, "-o", "/nowhere/out.txt"], "its folder does not exist"),
         (&[&cut], "line"),

@@ -458,3 +458,91 @@ fn the_main_job_needs_nothing() {
     let same = rowgram(folder.path(), "verify moved -q");
     assert_eq!(same.code, 0, "{} {}", same.stdout, same.stderr);
 }
+
+/// Does the tasks of a plan one by one, each only once what it needs is there.
+fn do_tasks(workflow: &Path) {
+    let plan: Value =
+        serde_json::from_slice(&fs::read(workflow.join("plan.json")).unwrap()).unwrap();
+    let tasks = plan["tasks"].as_array().unwrap();
+    assert!(tasks.len() >= 6, "{plan}");
+    for task in tasks {
+        for input in task["inputs"].as_array().unwrap() {
+            assert!(Path::new(input.as_str().unwrap()).is_file(), "{task}");
+        }
+        let words = task["arguments"].as_array().unwrap().iter().map(|word| word.as_str().unwrap());
+        let output =
+            Command::new(env!("CARGO_BIN_EXE_rowgram")).args(words).arg("-q").output().unwrap();
+        assert!(output.status.success(), "{task}: {}", String::from_utf8_lossy(&output.stderr));
+        let done = Path::new(task["done"].as_str().unwrap());
+        fs::create_dir_all(done.parent().unwrap()).unwrap();
+        fs::write(done, "").unwrap();
+    }
+}
+
+#[test]
+#[ignore = "slow; cargo test -- --include-ignored"]
+fn a_plan_gives_what_a_run_gives() {
+    let folder = tempfile::tempdir().unwrap();
+    let whole = folder.path().join("whole");
+    orthomosaic(&whole);
+    let copy = |name: &str| {
+        let project = folder.path().join(name);
+        fs::create_dir(&project).unwrap();
+        for entry in fs::read_dir(&whole).unwrap().map(|entry| entry.unwrap().path()) {
+            if entry.is_file() {
+                fs::copy(&entry, project.join(entry.file_name().unwrap())).unwrap();
+            }
+        }
+        project
+    };
+    let (first, second) = (copy("12 May"), copy("12-May"));
+    let run = rowgram(folder.path(), "run whole -q");
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    let plan = |output: &str, projects: &[&Path]| {
+        let status = Command::new(env!("CARGO_BIN_EXE_rowgram"))
+            .arg("plan")
+            .args(projects)
+            .args(["-o", output])
+            .current_dir(folder.path())
+            .status()
+            .unwrap();
+        status.code().unwrap()
+    };
+    assert_eq!(plan("work", &[&first, &second]), 0);
+    assert_eq!(plan("work", &[&first, &second]), 2, "files that exist");
+    assert_eq!(plan("other", &[&first, &first]), 2, "a project given twice");
+    do_tasks(&folder.path().join("work"));
+    let expected = results(&whole);
+    for project in [&first, &second] {
+        assert_eq!(results(project), expected);
+        assert!(project.join("rowgram/report.html").is_file());
+    }
+    by_snakemake(folder.path(), &copy("third"), &expected);
+}
+
+/// The same by Snakemake; says so where there is none.
+fn by_snakemake(folder: &Path, project: &Path, expected: &BTreeMap<PathBuf, Vec<u8>>) {
+    if Command::new("snakemake").arg("--version").output().is_err() {
+        println!("skipped: the workflow is not run by Snakemake, which is not installed");
+        return;
+    }
+    let made = rowgram(folder, "plan third -o third-work -q");
+    assert_eq!(made.code, 0, "{}", made.stderr);
+    let again = || {
+        Command::new("snakemake")
+            .args(["--snakefile", "third-work/Snakefile", "--profile", "third-work/profiles/local"])
+            .args(["--config", &format!("program={}", env!("CARGO_BIN_EXE_rowgram")), "threads=2"])
+            .current_dir(folder)
+            .output()
+            .unwrap()
+    };
+    let output = again();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert_eq!(results(project), *expected);
+    // A task that is lost is done again.
+    fs::remove_file(project.join("rowgram/plan/locate.done")).unwrap();
+    fs::remove_dir_all(project.join("rowgram/locate")).unwrap();
+    let output = again();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert_eq!(results(project), *expected);
+}

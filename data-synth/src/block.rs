@@ -292,7 +292,7 @@ fn fly_strips(config: &BlockConfig) -> Vec<[f64; 9]> {
         .collect()
 }
 
-fn camera(rotation: &Matrix, centre_m: [f64; 3], lens: [f64; 3]) -> [f64; 9] {
+pub(crate) fn camera(rotation: &Matrix, centre_m: [f64; 3], lens: [f64; 3]) -> [f64; 9] {
     let r = angle_axis(rotation);
     let t = matrix(r).map(|row| -(0..3).map(|i| row[i] * centre_m[i]).sum::<f64>());
     [r[0], r[1], r[2], t[0], t[1], t[2], lens[0], lens[1], lens[2]]
@@ -378,10 +378,20 @@ fn measure(
     point: usize,
     seen: Vec<(usize, [f64; 2])>,
 ) -> impl Iterator<Item = Observation> {
-    let mut noise = stream(config.seed, Stage::BlockNoise, point as u64);
-    let mut gross = stream(config.seed, Stage::BlockOutlier, point as u64);
-    let (sigma_px, fraction, most_px) =
-        (config.sigma_px, config.outlier_fraction, config.outlier_px);
+    let errors = (config.sigma_px, config.outlier_fraction, config.outlier_px);
+    measure_with(config.seed, errors, point, seen)
+}
+
+/// Adds noise to the exact image positions of a point; `errors` as `sigma_px`, `outlier_fraction` and
+/// `outlier_px` of [`BlockConfig`].
+pub(crate) fn measure_with(
+    seed: u64,
+    (sigma_px, fraction, most_px): (f64, f64, f64),
+    point: usize,
+    seen: Vec<(usize, [f64; 2])>,
+) -> impl Iterator<Item = Observation> {
+    let mut noise = stream(seed, Stage::BlockNoise, point as u64);
+    let mut gross = stream(seed, Stage::BlockOutlier, point as u64);
     seen.into_iter().map(move |(camera, [u, v])| {
         let mut measured_px = [u + sigma_px * noise.normal(), v + sigma_px * noise.normal()];
         let outlier = gross.unit() < fraction;

@@ -3,7 +3,8 @@
 //!
 //! What exists ([`field`], [`leaf`]) is kept apart from what corrupts it ([`corrupt`]) and from how
 //! it looks from above ([`render`], [`picture`]); [`scenario`] joins the three under one seed.
-//! [`block`] makes the measurements of a nadir aerial block straight from geometry.
+//! [`block`] makes the measurements of a nadir aerial block straight from geometry, [`collection`] those of a
+//! collection of photos of places.
 //! [`twin`] sets the field on [`terrain`] at a [`site`] on Earth, flies over it with a true [`camera`]
 //! ([`flight`]), sets out [`targets`], takes photos ([`photo`]) or measures tie points without them
 //! ([`tie_points`]), and [`files`] writes it all down. [`board`] photographs a chessboard with the same camera.
@@ -38,6 +39,7 @@ pub mod block;
 pub mod board;
 pub mod camera;
 pub mod clutter;
+pub mod collection;
 pub mod corrupt;
 pub mod exif;
 pub mod field;
@@ -62,6 +64,8 @@ pub mod visible;
 mod block_camera;
 mod block_ground;
 mod check;
+mod collection_scene;
+mod collection_start;
 mod mesh;
 mod soil;
 mod streams;

@@ -43,6 +43,11 @@ pub(crate) enum Stage {
     BlockOutlier = 37,
     BlockCameraStart = 38,
     BlockPointStart = 39,
+    CollectionWall = 64,
+    CollectionView = 65,
+    CollectionPoint = 66,
+    CollectionTrack = 67,
+    CollectionDrift = 68,
 }
 
 /// The stream of one item of one stage.

@@ -164,8 +164,8 @@ class Problem:
 
         Args:
             max_iterations: Limit of trials.
-            **options: ``method`` ("levenberg-marquardt", "dogleg"), ``linear`` ("dense", "sparse", "schur",
-                "iterative-schur"), ``cost_tolerance``, ``gradient_tolerance``, ``step_tolerance``, ...
+            **options: ``method`` ("levenberg-marquardt", "dogleg"), ``linear`` ("auto", "dense", "sparse",
+                "schur", "iterative-schur"), ``cost_tolerance``, ``gradient_tolerance``, ``step_tolerance``, ...
 
         Raises:
             SolverError: The start cannot be evaluated, or something is not finite.

@@ -21,6 +21,7 @@ mod leaves;
 mod locate;
 mod options;
 mod ortho;
+mod plan;
 mod plots;
 mod project;
 mod query;
@@ -69,6 +70,7 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     Run(Box<run::Args>),
+    Plan(plan::Args),
     Init(init::Args),
     Doctor(doctor::Args),
     Report(report::Args),
@@ -132,6 +134,7 @@ fn run(cli: Cli) -> Result<(), Error> {
 fn dispatch(command: Command) -> Result<(), Error> {
     match command {
         Command::Run(args) => run::run(&args),
+        Command::Plan(args) => plan::run(&args),
         Command::Init(args) => init::run(&args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Report(args) => report::run(&args),

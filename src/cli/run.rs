@@ -6,7 +6,7 @@ use crate::{
     options::Choice,
     pipeline::{
         Config, Project, Stage,
-        run::{self, Plan, RunOptions, RunOutcome},
+        run::{self, Ending, Plan, RunOptions, RunOutcome, StageReport},
         synth,
     },
     report,
@@ -61,6 +61,10 @@ pub(super) struct Args {
     /// Stop after this stage.
     #[arg(long, value_name = "STAGE")]
     until: Option<Stage>,
+    /// Do this stage alone, without checks and report: for workflow managers (see rowgram plan).
+    #[arg(long, value_name = "STAGE", requires = "project",
+        conflicts_with_all = ["skip", "from", "until", "dry_run"])]
+    only: Option<Stage>,
     /// Say what would be done, and do nothing.
     #[arg(long)]
     dry_run: bool,
@@ -103,6 +107,11 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     if args.dry_run {
         return print_plan(&project, args);
     }
+    if let Some(stage) = args.only {
+        let report = run::only(&project, stage, &mut terminal)?;
+        drop(terminal);
+        return if args.json { print_json(&report) } else { print(&one_line(&report)) };
+    }
     let mut outcome = run::run(&project, &args.options(), &mut terminal)?;
     let page = report::write(&project, &outcome)?;
     drop(terminal);
@@ -118,6 +127,19 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     }
     let failure = outcome.failure.take();
     judge(&outcome, failure)
+}
+
+fn one_line(report: &StageReport) -> String {
+    let ending = match report.ending {
+        Ending::Done => "done",
+        Ending::Kept => "kept",
+        Ending::LeftOut => "left out",
+        Ending::Failed => "failed",
+    };
+    match &report.reason {
+        Some(reason) => format!("{}: {ending}, {reason}", report.stage),
+        None => format!("{}: {ending}", report.stage),
+    }
 }
 
 /// Repeats the red checks as the last words, and makes them the exit code.

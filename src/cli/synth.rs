@@ -2,10 +2,14 @@
 
 mod flight;
 
-use crate::{error::Error, pipeline::synth};
+use crate::{
+    error::Error,
+    pipeline::synth::{self, BlockPreset, BlockSource},
+};
 use clap::Subcommand;
 use data_synth::{
     block::BlockConfig,
+    collection::CollectionConfig,
     field::{GrowthStage, Phyllotaxy},
     scenario::{Preset, Scenario},
 };
@@ -25,7 +29,7 @@ enum What {
     /// Writes mask.png (255 leaf, 0 other), picture.png, plants.csv (u_px,v_px,row,x_m,y_m; the
     /// centre of the top-left pixel is at 0,0) and field.toml (every parameter, for --config).
     Mask(Box<MaskArgs>),
-    /// Measurements of a nadir aerial block as a BAL text file, start values included.
+    /// Measurements of a nadir aerial block or of a photo collection as a BAL text file, start values included.
     Bundle(BundleArgs),
     Flight(flight::Args),
 }
@@ -189,8 +193,9 @@ fn mask(args: &MaskArgs) -> Result<(), Error> {
 }
 
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Example:
-  rowgram synth bundle --images 200 --points 40000 -o block.txt --truth truth.txt")]
+#[command(after_help = "Examples:
+  rowgram synth bundle --images 200 --points 40000 -o block.txt --truth truth.txt
+  rowgram synth bundle --preset venice-1778 --seed 2 -o venice.txt --truth truth.txt")]
 struct BundleArgs {
     /// BAL file to write, with the start values.
     #[arg(short, long, value_name = "FILE")]
@@ -201,6 +206,9 @@ struct BundleArgs {
     /// Replace files that exist.
     #[arg(long)]
     force: bool,
+    /// A photo collection or a flight of the size of a known problem.
+    #[arg(long, value_name = "NAME", conflicts_with_all = ["images", "strips", "points"])]
+    preset: Option<BlockPreset>,
     /// Number of images.
     #[arg(long, value_name = "N", default_value_t = 200, allow_negative_numbers = true)]
     images: usize,
@@ -222,16 +230,26 @@ struct BundleArgs {
 }
 
 fn bundle(args: &BundleArgs) -> Result<(), Error> {
-    let config = BlockConfig {
-        seed: args.seed,
-        images: args.images,
-        strips: args.strips,
-        points: args.points,
-        sigma_px: args.sigma_px,
-        outlier_fraction: args.outliers,
-        ..BlockConfig::default()
+    let named = args.preset.map(BlockSource::preset);
+    let source = match named {
+        Some(BlockSource::Collection(config)) => BlockSource::Collection(CollectionConfig {
+            seed: args.seed,
+            sigma_px: args.sigma_px,
+            outlier_fraction: args.outliers,
+            ..config
+        }),
+        Some(BlockSource::Flight(config)) => BlockSource::Flight(flight_errors(args, config)),
+        None => BlockSource::Flight(flight_errors(
+            args,
+            BlockConfig {
+                images: args.images,
+                strips: args.strips,
+                points: args.points,
+                ..BlockConfig::default()
+            },
+        )),
     };
-    let found = synth::write_block(&config, &args.output, args.truth.as_deref(), args.force)?;
+    let found = synth::write_block(&source, &args.output, args.truth.as_deref(), args.force)?;
     tracing::info!(
         "{}: {} images, {} points, {} observations",
         args.output.display(),
@@ -240,4 +258,13 @@ fn bundle(args: &BundleArgs) -> Result<(), Error> {
         found.observations,
     );
     Ok(())
+}
+
+fn flight_errors(args: &BundleArgs, config: BlockConfig) -> BlockConfig {
+    BlockConfig {
+        seed: args.seed,
+        sigma_px: args.sigma_px,
+        outlier_fraction: args.outliers,
+        ..config
+    }
 }

@@ -38,7 +38,15 @@ pub(super) struct BlockMatrix {
 impl BlockMatrix {
     /// A zero matrix with the given block dimensions and, per block column, ascending block rows
     /// that begin with the diagonal.
+    #[cfg(test)]
     pub(super) fn new(dims: &[usize], columns: &[Vec<u32>]) -> BlockMatrix {
+        let mut matrix = BlockMatrix::pattern(dims, columns);
+        matrix.allocate();
+        matrix
+    }
+
+    /// The same without room for values.
+    pub(super) fn pattern(dims: &[usize], columns: &[Vec<u32>]) -> BlockMatrix {
         let mut starts = vec![0];
         for dim in dims {
             starts.push(starts[starts.len() - 1] + dim);
@@ -55,8 +63,17 @@ impl BlockMatrix {
             matrix.column_ptr.push(matrix.rows.len());
         }
         matrix.value_ptr.push(size);
-        matrix.values = vec![0.0; size];
         matrix
+    }
+
+    /// Makes room for the values: zeros.
+    pub(super) fn allocate(&mut self) {
+        self.values = vec![0.0; self.value_len()];
+    }
+
+    /// How many values its blocks have.
+    pub(super) fn value_len(&self) -> usize {
+        self.value_ptr.last().copied().unwrap_or(0)
     }
 
     pub(super) fn dimension(&self) -> usize {
@@ -150,6 +167,27 @@ pub(super) struct Cholesky {
     fronts: Fronts,
 }
 
+/// An order of elimination and what it costs.
+#[derive(Debug)]
+pub(super) struct Order(Tree);
+
+impl Order {
+    /// Multiply-adds of the factorisation.
+    pub(super) fn work(&self) -> f64 {
+        self.0.fronts.iter().map(tree::Front::work).sum()
+    }
+
+    /// Numbers in the factor.
+    pub(super) fn factor_len(&self) -> usize {
+        self.0.factor_len()
+    }
+
+    /// The matrix is one front.
+    pub(super) fn is_dense(&self) -> bool {
+        self.0.fronts.len() == 1
+    }
+}
+
 /// Below this dimension the dense factorisation always wins.
 const SMALL: usize = 160;
 /// Share of a full lower triangle from which a sparse factor is slower than a dense one.
@@ -159,16 +197,27 @@ const MAX_COLUMNS: usize = 32;
 
 impl Cholesky {
     /// Analyses the pattern of `matrix`.
-    pub(super) fn analyze(matrix: &BlockMatrix, prefer_dense: bool) -> Cholesky {
+    #[cfg(test)]
+    fn analyze(matrix: &BlockMatrix, prefer_dense: bool) -> Cholesky {
+        Cholesky::new(matrix, Cholesky::order(matrix, prefer_dense))
+    }
+
+    /// Makes room for the factor of `matrix` along `order`.
+    pub(super) fn new(matrix: &BlockMatrix, order: Order) -> Cholesky {
+        Cholesky { dimension: matrix.dimension(), fronts: Fronts::new(order.0) }
+    }
+
+    /// The order in which `matrix`, whose values do not matter, is factorised.
+    pub(super) fn order(matrix: &BlockMatrix, prefer_dense: bool) -> Order {
         let dimension = matrix.dimension();
         let full = 0.5 * (dimension as f64).powi(2);
         let tree =
-            (!prefer_dense && dimension > SMALL && (matrix.values.len() as f64) < FULL * full)
+            (!prefer_dense && dimension > SMALL && (matrix.value_len() as f64) < FULL * full)
                 .then(|| Tree::sparse(matrix))
                 .flatten()
                 .filter(|tree| (tree.factor_len() as f64) < FULL * full)
                 .unwrap_or_else(|| Tree::dense(matrix));
-        Cholesky { dimension, fronts: Fronts::new(tree) }
+        Order(tree)
     }
 
     /// Factorises `matrix`, whose pattern is the one that was analysed.

@@ -65,8 +65,14 @@ impl ConjugateGradients {
         Ok(())
     }
 
-    /// Replaces `b` by an approximate solution of `matrix d = b`.
-    pub(super) fn solve(&mut self, matrix: &BlockMatrix, b: &mut [f64]) {
+    /// Replaces `b` by an approximate solution of `A d = b`; `multiply(d, out)` says what `A d` is, and `matrix` holds
+    /// its diagonal blocks.
+    pub(super) fn solve(
+        &mut self,
+        matrix: &BlockMatrix,
+        b: &mut [f64],
+        mut multiply: impl FnMut(&[f64], &mut [f64]),
+    ) {
         self.residual.copy_from_slice(b);
         b.fill(0.0);
         self.precondition(matrix);
@@ -77,7 +83,7 @@ impl ConjugateGradients {
             if square <= enough || square.is_nan() {
                 return;
             }
-            multiply(matrix, &self.direction, &mut self.product);
+            multiply(&self.direction, &mut self.product);
             self.products += 1;
             let curvature = inner(&self.direction, &self.product);
             // Rounding has eaten the definiteness: what there is so far is a descent direction.
@@ -115,7 +121,7 @@ impl ConjugateGradients {
 }
 
 /// `y = A x`, block by block.
-fn multiply(matrix: &BlockMatrix, x: &[f64], y: &mut [f64]) {
+pub(super) fn multiply(matrix: &BlockMatrix, x: &[f64], y: &mut [f64]) {
     y.fill(0.0);
     for column in 0..matrix.block_count() {
         let (c, width) = (matrix.starts[column], matrix.dim(column));
@@ -183,14 +189,14 @@ mod tests {
             let mut found = b.clone();
             let mut solver = ConjugateGradients::new(&matrix, tolerance);
             solver.prepare(&matrix).unwrap();
-            solver.solve(&matrix, &mut found);
+            solver.solve(&matrix, &mut found, |x, y| multiply(&matrix, x, y));
             let error = found.iter().zip(&x).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
             assert!(error < within, "{tolerance}: {error}");
             assert!(inner(&found, &solver.residual).abs() < 1e-10 * inner(&found, &b));
         }
         let mut exact = ConjugateGradients::new(&matrix, 1e-12);
         exact.prepare(&matrix).unwrap();
-        exact.solve(&matrix, &mut b.clone());
+        exact.solve(&matrix, &mut b.clone(), |x, y| multiply(&matrix, x, y));
         assert!(exact.products as usize <= n);
     }
 

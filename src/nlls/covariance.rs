@@ -142,7 +142,9 @@ impl<'a> Covariance<'a> {
         } else {
             return rhs;
         }
-        self.normal.solver.solve(&self.normal.matrix, &mut rhs, n);
+        if let Some(cholesky) = self.normal.solver.cholesky() {
+            cholesky.solve(&mut rhs, n);
+        }
         rhs
     }
 
@@ -275,7 +277,9 @@ fn null_space_directions(problem: &Problem, normal: &mut Normal) -> Vec<Vec<f64>
     });
     for _ in 0..4 {
         basis = basis.qr().q();
-        normal.solver.solve(&shifted, basis.as_mut_slice(), count);
+        if let Some(cholesky) = normal.solver.cholesky() {
+            cholesky.solve(basis.as_mut_slice(), count);
+        }
     }
     let basis = basis.qr().q();
     let mut image = DMatrix::zeros(n, count);

@@ -29,7 +29,9 @@ mod projection;
 pub mod residual;
 mod schur;
 mod schur_solver;
+mod sight;
 mod step_profiler;
+mod strategy;
 mod structure;
 mod summary;
 mod trial_step;
@@ -49,7 +51,7 @@ pub use projection::{
 pub use residual::{Residual, Residuals, Vector};
 pub use schur::{FusedElimination, FusionRequest};
 pub use step_profiler::StepProfiler;
-pub use summary::{BatchPath, BatchSummary, Summary};
+pub use summary::{BatchPath, BatchSummary, LinearKind, LinearPath, Summary};
 pub use trust_region::{LeastSquares, Method, Options, SolverState};
 
 use crate::engine::{Engine, SolveError, Termination};
@@ -59,24 +61,33 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum LinearSolver {
+    /// As [`LinearSolver::Schur`] or as [`LinearSolver::IterativeSchur`], whichever a step is estimated to cost less
+    /// with.
+    #[default]
+    Auto,
     /// Dense Cholesky of the whole system: for small problems.
     Dense,
     /// Sparse Cholesky of the whole system.
     Sparse,
     /// Blocks marked with [`Problem::eliminate`] first, one by one; then Cholesky of the reduced
     /// system, sparse or dense by its fill.
-    #[default]
     Schur,
     /// Blocks marked with [`Problem::eliminate`] first; then conjugate gradients on the reduced system,
-    /// preconditioned by its diagonal blocks, to [`Options::linear_tolerance`]. For networks so large and
-    /// so dense that the factor of the reduced system is the trouble.
+    /// preconditioned by its diagonal blocks, to [`Options::linear_tolerance`]. Where the points are fused and no
+    /// block is shared, the reduced system is never formed. For networks so large and so dense that its factor is the
+    /// trouble.
     IterativeSchur,
 }
 
 impl LinearSolver {
     /// The same elimination with a factorisation: what covariances need.
     fn direct(self) -> LinearSolver {
-        if self == LinearSolver::IterativeSchur { LinearSolver::Schur } else { self }
+        if self.eliminates() { LinearSolver::Schur } else { self }
+    }
+
+    /// Whether blocks are eliminated first.
+    fn eliminates(self) -> bool {
+        matches!(self, LinearSolver::Auto | LinearSolver::Schur | LinearSolver::IterativeSchur)
     }
 }
 
@@ -104,5 +115,5 @@ pub fn solve(
         }
     }
     let summary = Summary::new(problem, x, initial_cost, final_cost, iterations, stop)?;
-    Ok(summary.with_paths(engine.paths()))
+    Ok(summary.with_paths(engine.paths(), engine.linear_path()))
 }

@@ -20,8 +20,9 @@ use super::{
     problem::Problem,
     schur::{self, FusedElimination, NormalEquationsMut, Settings},
     schur_solver::SchurSolver,
+    strategy,
     structure::{NONE, Structure},
-    summary::BatchPath,
+    summary::{BatchPath, LinearPath},
 };
 use crate::engine::SolveError;
 use rayon::prelude::*;
@@ -45,6 +46,10 @@ pub(super) struct Normal {
     pub(super) kept_vector: Vec<f64>,
     /// The batch that is eliminated without being stored, if there is one that can be.
     pub(super) fused: Option<(usize, FusedElimination)>,
+    /// How the reduced system is solved.
+    pub(super) linear_path: LinearPath,
+    /// What damping adds to the diagonal of the reduced system.
+    pub(super) shift: Vec<f64>,
     /// How each batch is evaluated.
     pub(super) paths: Vec<BatchPath>,
     /// The largest `|g_k| / sqrt(D_k)` of the points that the fused batch eliminates.
@@ -60,13 +65,28 @@ impl Normal {
         linear_tolerance: f64,
         fuse: bool,
     ) -> Result<Normal, SolveError> {
-        let (mut structure, matrix) = Structure::new(problem, linear)?;
-        let solver = SchurSolver::analyze(&matrix, linear, linear_tolerance);
-        let fused = if fuse {
-            schur::find(problem, &structure, &matrix)
-        } else {
-            Err("the method needs all Jacobians at once".into())
-        };
+        let (mut structure, mut matrix) = Structure::new(problem, linear)?;
+        let mut choice = strategy::choose(&structure, &matrix, linear, fuse);
+        let mut fused = Err("the method needs all Jacobians at once".into());
+        if choice.is_implicit() {
+            let mut diagonal = structure.uncouple(problem);
+            diagonal.allocate();
+            fused = schur::find(problem, &structure, &diagonal, true);
+            match &fused {
+                Ok(_) => matrix = diagonal,
+                Err(why) => {
+                    choice = strategy::explicit(&matrix, linear, why);
+                    structure.couple(problem);
+                }
+            }
+        }
+        if !choice.is_implicit() {
+            matrix.allocate();
+            if fuse {
+                fused = schur::find(problem, &structure, &matrix, false);
+            }
+        }
+        let (solver, linear_path) = choice.solver(&matrix, linear_tolerance);
         let paths = paths(problem, &structure, linear, &fused);
         let fused = fused.ok();
         let mut tangent = problem.tangent_len();
@@ -91,6 +111,8 @@ impl Normal {
             curvature_share: 0.0,
             fused,
             paths,
+            linear_path,
+            shift: Vec::new(),
             fused_slope: 0.0,
             gradient: vec![0.0; tangent],
             diagonal: vec![0.0; tangent],
@@ -205,16 +227,16 @@ impl Normal {
             self.add_partials(problem);
         }
         self.add_camera_only_factors(problem);
-        let mut shift = Vec::with_capacity(self.kept_vector.len());
+        self.shift.clear();
         for &block in &self.structure.kept {
             let block = &problem.blocks[block];
             for k in 0..block.dimension {
                 let frozen = block.frozen >> k & 1 == 1;
                 let diagonal = damping(self.diagonal[block.tangent + k]);
-                shift.push(if frozen { 1.0 } else { lambda * diagonal });
+                self.shift.push(if frozen { 1.0 } else { lambda * diagonal });
             }
         }
-        self.matrix.add_to_diagonal(&shift);
+        self.matrix.add_to_diagonal(&self.shift);
         Ok(())
     }
 

@@ -4,6 +4,7 @@ use super::{
     factor::{Batch, InfeasibleFactor, MAX_ARITY, Values, batch_cost, batch_residuals},
     loss::{BatchLoss, LossFunction},
     manifold::{self, MAX_TANGENT, Manifold},
+    sight,
 };
 use crate::engine::SolveError;
 use std::any::Any;
@@ -33,7 +34,11 @@ pub(super) struct Block {
     pub(super) frozen: u64,
     pub(super) eliminate: bool,
     group: u32,
+    /// Index of where it is seen from in [`Problem::sights`], or [`NO_SIGHT`].
+    sight: u32,
 }
+
+const NO_SIGHT: u32 = u32::MAX;
 
 impl Block {
     pub(super) fn is_fixed(&self) -> bool {
@@ -69,6 +74,7 @@ pub struct Problem {
     /// Every manifold that a block lives on, once.
     manifolds: Vec<Box<dyn Manifold>>,
     groups: Vec<(String, usize)>,
+    sights: Vec<[f64; 3]>,
 }
 
 impl std::fmt::Debug for Problem {
@@ -133,6 +139,7 @@ impl Problem {
             frozen: 0,
             eliminate: false,
             group,
+            sight: NO_SIGHT,
         });
         self.initial.extend_from_slice(values);
         self.offsets.push(self.initial.len());
@@ -171,6 +178,43 @@ impl Problem {
     /// Marks a block to be eliminated first by the Schur solver. No factor may join two of them.
     pub fn eliminate(&mut self, block: BlockId) {
         self.blocks[block.index()].eliminate = true;
+    }
+
+    /// Says that a block is a point that is seen from about `from`: steps then move it straight in inverse distance, and
+    /// only as far away as is sensible ([`super::sight`]).
+    ///
+    /// # Errors
+    /// [`SolveError::Misuse`] where the block is not `Euclidean(3)`.
+    pub fn seen_from(&mut self, block: BlockId, from: [f64; 3]) -> Result<(), SolveError> {
+        if !self.manifold(block).is_euclidean() || self.blocks[block.index()].dimension != 3 {
+            let name = self.describe(block);
+            return Err(SolveError::Misuse(format!("{name} is no point of space to be seen")));
+        }
+        if let Some(axis) = from.iter().position(|v| !v.is_finite()) {
+            let name = self.describe(block);
+            return Err(SolveError::Misuse(format!("{name} is seen from {}", from[axis])));
+        }
+        let sight = u32::try_from(self.sights.len());
+        self.blocks[block.index()].sight =
+            sight.map_err(|_| SolveError::Misuse("more points than can be counted".into()))?;
+        self.sights.push(from);
+        Ok(())
+    }
+
+    /// Where a block is seen from, if that is known.
+    pub(super) fn sight(&self, block: usize) -> Option<&[f64; 3]> {
+        self.sights.get(self.blocks[block].sight as usize)
+    }
+
+    fn move_block(&self, block: &Block, x: &[f64], d: &[f64], out: &mut [f64]) {
+        // A point with an entry that must not move can only go straight.
+        let sight = self.sights.get(block.sight as usize).filter(|_| block.frozen == 0);
+        match (sight, x, d) {
+            (Some(from), &[a, b, c], &[e, f, g]) => {
+                out.copy_from_slice(&sight::moved(from, &[a, b, c], &[e, f, g]));
+            }
+            _ => self.manifold_of(block).plus(x, d, out),
+        }
     }
 
     /// Adds a batch of factors under a name that summaries will use.
@@ -325,7 +369,7 @@ impl Problem {
                 out[range.clone()].copy_from_slice(&x[range]);
             } else {
                 let d = &d[block.tangent..block.tangent + block.dimension];
-                self.manifold_of(block).plus(&x[range.clone()], d, &mut out[range]);
+                self.move_block(block, &x[range.clone()], d, &mut out[range]);
             }
         }
     }
@@ -339,7 +383,7 @@ impl Problem {
                 out[range.clone()].copy_from_slice(&x[range]);
             } else if !block.eliminate {
                 let d = &d[block.tangent..block.tangent + block.dimension];
-                self.manifold_of(block).plus(&x[range.clone()], d, &mut out[range]);
+                self.move_block(block, &x[range.clone()], d, &mut out[range]);
             }
         }
     }

@@ -80,6 +80,8 @@ pub(super) struct Structure {
     adjacent: Vec<u32>,
     /// Factors without an eliminated block.
     pub(super) camera_only_factors: Vec<FactorRef>,
+    /// No factor depends on more than one kept block.
+    pub(super) single_kept: bool,
     pub(super) chunks: Vec<Chunk>,
 }
 
@@ -88,12 +90,12 @@ const FACTORS_PER_CHUNK: usize = 8192;
 const MAX_CHUNKS: usize = 8;
 
 impl Structure {
-    /// Finds the structure of `problem` and its empty reduced matrix.
+    /// Finds the structure of `problem` and the pattern of its reduced matrix.
     pub(super) fn new(
         problem: &Problem,
         linear: LinearSolver,
     ) -> Result<(Structure, BlockMatrix), SolveError> {
-        let eliminating = matches!(linear, LinearSolver::Schur | LinearSolver::IterativeSchur);
+        let eliminating = linear.eliminates();
         let blocks = &problem.blocks;
         let mut kept_index = vec![NONE; blocks.len()];
         let mut eliminated_index = vec![NONE; blocks.len()];
@@ -111,7 +113,7 @@ impl Structure {
         if kept.is_empty() && eliminated.is_empty() {
             return Err(SolveError::Misuse("every block is fixed: nothing to solve for".into()));
         }
-        let Incidence { owner, camera_only_factors, mut neighbourhood } =
+        let Incidence { owner, camera_only_factors, mut neighbourhood, single_kept } =
             Incidence::new(problem, &kept_index, &eliminated_index, &eliminated)?;
         neighbourhood.par_sort_unstable();
         let eliminated: Vec<usize> =
@@ -132,19 +134,49 @@ impl Structure {
             adjacent_ptr: Vec::new(),
             adjacent: Vec::new(),
             camera_only_factors,
+            single_kept,
             chunks: Vec::new(),
         };
         structure.list_factors(problem, &owner, &sorted);
         let dims: Vec<usize> = structure.kept.iter().map(|&k| blocks[k].dimension).collect();
-        structure.chunks = structure
-            .partition()
-            .into_par_iter()
-            .with_max_len(1)
-            .map(|range| Chunk::new(&structure, problem, range, dims.len()))
-            .collect();
+        structure.connect(problem, Coupling::All);
         structure.refuse_unconstrained_blocks(problem)?;
         let matrix = structure.reduced_pattern(problem, &dims);
         Ok((structure, matrix))
+    }
+
+    /// Cuts the eliminated blocks into chunks with the pairs of kept blocks that `coupling` wants.
+    fn connect(&mut self, problem: &Problem, coupling: Coupling) {
+        let kept = self.kept.len();
+        self.chunks = self
+            .partition()
+            .into_par_iter()
+            .with_max_len(1)
+            .map(|range| Chunk::new(self, problem, range, kept, coupling))
+            .collect();
+    }
+
+    /// Forgets which kept blocks meet; returns the pattern of the diagonal blocks.
+    pub(super) fn uncouple(&mut self, problem: &Problem) -> BlockMatrix {
+        self.connect(problem, Coupling::None);
+        let dims: Vec<usize> = self.kept.iter().map(|&k| problem.blocks[k].dimension).collect();
+        self.reduced_pattern(problem, &dims)
+    }
+
+    /// Finds again which kept blocks meet.
+    pub(super) fn couple(&mut self, problem: &Problem) {
+        self.connect(problem, Coupling::All);
+    }
+
+    /// How many pairs of kept blocks the eliminated ones join, each as often as it is joined.
+    pub(super) fn joined_pairs(&self) -> f64 {
+        let ends = self.factor_ptr.windows(2).map(|ends| (ends[1] - ends[0]) as f64);
+        ends.map(|n| 0.5 * n * (n + 1.0)).sum()
+    }
+
+    /// How many factors depend on an eliminated block.
+    pub(super) fn factor_count(&self) -> usize {
+        self.factors.len()
     }
 
     /// Fills in what only the stored path reads.
@@ -306,8 +338,17 @@ impl Structure {
             column.sort_unstable();
             column.dedup();
         });
-        BlockMatrix::new(dims, &columns)
+        BlockMatrix::pattern(dims, &columns)
     }
+}
+
+/// Which pairs of kept blocks have a place of their own.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Coupling {
+    /// All that an eliminated block joins.
+    All,
+    /// Each with itself.
+    None,
 }
 
 /// Which eliminated block each factor depends on.
@@ -320,6 +361,8 @@ struct Incidence {
     /// sorting. Blocks with the same adjacent kept ones follow each other, so that a chunk's sums
     /// stay in the cache and differ from the other chunks'.
     neighbourhood: Vec<(u64, u32)>,
+    /// No factor depends on more than one kept block.
+    single_kept: bool,
 }
 
 impl Incidence {
@@ -333,6 +376,7 @@ impl Incidence {
         let mut owner = Vec::with_capacity(total);
         let mut camera_only_factors = Vec::new();
         let mut ends = vec![(NONE, 0u32); eliminated.len()];
+        let mut single_kept = true;
         for (b, named) in problem.batches.iter().enumerate() {
             for f in 0..named.batch.len() {
                 let blocks = named.batch.blocks(f);
@@ -355,6 +399,7 @@ impl Incidence {
                         high = high.max(kept_index[block.index()]);
                     }
                 }
+                single_kept &= low == NONE || low == high;
                 owner.push(found);
                 if found != NONE {
                     let end = &mut ends[found as usize];
@@ -369,7 +414,7 @@ impl Incidence {
             .enumerate()
             .map(|(e, (low, high))| (u64::from(low) << 32 | u64::from(high), e as u32))
             .collect();
-        Ok(Incidence { owner, camera_only_factors, neighbourhood })
+        Ok(Incidence { owner, camera_only_factors, neighbourhood, single_kept })
     }
 }
 
@@ -379,6 +424,7 @@ impl Chunk {
         problem: &Problem,
         eliminated: Range<usize>,
         kept: usize,
+        coupling: Coupling,
     ) -> Chunk {
         let (mut first, mut members, mut one) = (vec![0], Vec::new(), Vec::new());
         let mut local = vec![NONE; kept];
@@ -398,7 +444,10 @@ impl Chunk {
         for &index in &kept {
             starts.push(starts[starts.len() - 1] + dim(index));
         }
-        let rows = pairs_of_groups(kept.len(), &first, &members);
+        let rows = match coupling {
+            Coupling::All => pairs_of_groups(kept.len(), &first, &members),
+            Coupling::None => (0..kept.len() as u32).map(|k| vec![k]).collect(),
+        };
         let mut len = 0;
         let table = BlockTable::new(rows.into_iter(), |row, column| {
             let at = len;

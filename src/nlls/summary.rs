@@ -26,6 +26,43 @@ impl std::fmt::Display for BatchPath {
     }
 }
 
+/// What solves the reduced system.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum LinearKind {
+    /// One dense Cholesky factor.
+    DenseCholesky,
+    /// A sparse Cholesky factor.
+    SparseCholesky,
+    /// Conjugate gradients on the matrix.
+    ConjugateGradients,
+    /// Conjugate gradients, the matrix never formed.
+    ImplicitConjugateGradients,
+}
+
+/// How the (reduced) normal equations are solved, and why so.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct LinearPath {
+    /// What solves them.
+    pub kind: LinearKind,
+    /// Why.
+    pub why: String,
+}
+
+impl std::fmt::Display for LinearPath {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let kind = match self.kind {
+            LinearKind::DenseCholesky => "dense Cholesky",
+            LinearKind::SparseCholesky => "sparse Cholesky",
+            LinearKind::ConjugateGradients => "conjugate gradients",
+            LinearKind::ImplicitConjugateGradients => {
+                "conjugate gradients without forming the reduced system"
+            }
+        };
+        write!(f, "{kind}: {}", self.why)
+    }
+}
+
 /// One batch at the solution.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct BatchSummary {
@@ -58,6 +95,8 @@ pub struct Summary {
     pub parameters: usize,
     /// Batch by batch.
     pub batches: Vec<BatchSummary>,
+    /// How the linear systems were solved; `None` where no engine was asked.
+    pub linear: Option<LinearPath>,
 }
 
 impl Summary {
@@ -97,14 +136,17 @@ impl Summary {
             residuals: problem.residual_count(),
             parameters: problem.parameter_count(),
             batches,
+            linear: None,
         })
     }
 }
 
 impl Summary {
-    /// With the paths of the batches, from [`super::LeastSquares::paths`].
+    /// With the paths of the batches, from [`super::LeastSquares::paths`], and that of the linear systems, from
+    /// [`super::LeastSquares::linear_path`].
     #[must_use]
-    pub fn with_paths(mut self, paths: &[BatchPath]) -> Summary {
+    pub fn with_paths(mut self, paths: &[BatchPath], linear: Option<&LinearPath>) -> Summary {
+        self.linear = linear.cloned();
         for (batch, path) in self.batches.iter_mut().zip(paths) {
             batch.path = Some(path.clone());
         }
@@ -123,6 +165,9 @@ impl std::fmt::Display for Summary {
             self.stop.explain()
         )?;
         writeln!(f, "{} residuals, {} free parameters", self.residuals, self.parameters)?;
+        if let Some(linear) = &self.linear {
+            writeln!(f, "linear systems by {linear}")?;
+        }
         let width = self.batches.iter().map(|b| b.name.len()).max().unwrap_or(0);
         for batch in &self.batches {
             write!(

@@ -36,7 +36,15 @@ impl Normal {
                 self.kept_vector[start + k] = -(g + self.kept_vector[start + k]);
             }
         }
-        self.solver.solve(&self.matrix, &mut self.kept_vector, 1);
+        let (shift, starts, fused) = (&self.shift, &self.matrix.starts, &mut self.fused);
+        self.solver.solve(&self.matrix, &mut self.kept_vector, |x, y| {
+            for ((y, x), shift) in y.iter_mut().zip(x).zip(shift) {
+                *y = x * shift;
+            }
+            if let Some((_, work)) = fused {
+                work.0.multiply(starts, x, y);
+            }
+        });
         for (place, &block) in self.structure.kept.iter().enumerate() {
             let block = &problem.blocks[block];
             let n = block.dimension;

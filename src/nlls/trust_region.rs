@@ -7,7 +7,8 @@
 //! gradient towards the Gauss-Newton step, as far as a radius in the norm `|D^1/2 d|` allows.
 
 use super::{
-    BatchPath, Curvature, LinearSolver, normal::Normal, problem::Problem, trial_step::TrialStep,
+    BatchPath, Curvature, LinearPath, LinearSolver, normal::Normal, problem::Problem,
+    trial_step::TrialStep,
 };
 use crate::engine::{Engine, SolveError, Step, Termination};
 use serde::{Deserialize, Serialize};
@@ -53,7 +54,7 @@ impl Default for Options {
     fn default() -> Options {
         Options {
             method: Method::LevenbergMarquardt,
-            linear: LinearSolver::Schur,
+            linear: LinearSolver::Auto,
             linear_tolerance: LINEAR_TOLERANCE,
             curvature: Curvature::Adaptive,
             cost_tolerance: 1e-9,
@@ -155,6 +156,11 @@ impl LeastSquares {
     /// How each batch of the problem is evaluated, in their order; empty before the start.
     pub fn paths(&self) -> &[BatchPath] {
         self.work.as_ref().map_or(&[], |work| &work.normal.paths)
+    }
+
+    /// How the linear systems are solved; `None` before the start.
+    pub fn linear_path(&self) -> Option<&LinearPath> {
+        self.work.as_ref().map(|work| &work.normal.linear_path)
     }
 
     fn prepare(&mut self, problem: &Problem, x: &[f64]) -> Result<f64, SolveError> {

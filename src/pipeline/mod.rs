@@ -26,6 +26,7 @@ pub mod leaves;
 pub mod locate;
 mod map_figures;
 pub mod ortho;
+pub mod plan;
 pub mod plots;
 mod project;
 pub mod query;

@@ -11,7 +11,10 @@ use crate::{
     options::Choice,
 };
 use serde::{Deserialize, Serialize};
-use std::{collections::BTreeSet, path::Path};
+use std::{
+    collections::BTreeSet,
+    path::{Path, PathBuf},
+};
 
 /// The file in the folder of results that holds the [`RunOutcome`].
 pub const RUN_FILE: &str = "stats.json";
@@ -124,6 +127,15 @@ macro_rules! stages {
                     })*
                 }
                 Ok(())
+            }
+        }
+
+        /// The files that a stage reads.
+        fn inputs(stage: Stage, project: &Project) -> Result<Vec<PathBuf>, Error> {
+            match stage {
+                $(Stage::$stage => {
+                    <super::$module::$task as stage::Task>::inputs(project, &project.config().$module)
+                })*
             }
         }
 
@@ -370,6 +382,50 @@ pub fn plan(project: &Project, options: &RunOptions) -> Result<Vec<PlannedStage>
         planned.push(PlannedStage { stage, plan, text });
     }
     Ok(planned)
+}
+
+/// Does one stage, whose predecessors have been done, and nothing else: no checks, no report.
+///
+/// # Errors
+/// As [`run`], and what the stage itself says; having nothing to do is none.
+pub fn only(
+    project: &Project,
+    stage: Stage,
+    monitor: &mut dyn Monitor,
+) -> Result<StageReport, Error> {
+    check_input(project)?;
+    project.config().validate()?;
+    let project = &project.reserve()?;
+    let mut recorder = Recorder::new(monitor);
+    let done = StageResults::default().perform(stage, project, None, &mut recorder);
+    let mut diagnostics = recorder.diagnostics;
+    let kept = diagnostics.iter().any(|found| found.code == "stage-kept");
+    diagnostics.retain(|found| !found.code.starts_with("stage-"));
+    let (ending, reason) = match done {
+        Ok(()) => (if kept { Ending::Kept } else { Ending::Done }, None),
+        Err(Error::NothingToDo(why)) => (Ending::LeftOut, Some(why)),
+        Err(error) => return Err(error),
+    };
+    Ok(StageReport { stage, ending, reason, diagnostics })
+}
+
+/// The stages that a run would look at, each with the files that it is known to read from outside the results.
+///
+/// # Errors
+/// As [`run`].
+pub(super) fn workflow(project: &Project) -> Result<Vec<(Stage, Vec<PathBuf>)>, Error> {
+    let planned = plan(project, &RunOptions::default())?;
+    let taken = planned.into_iter().filter(|stage| stage.plan != Plan::LeaveOut);
+    taken
+        .map(|planned| match inputs(planned.stage, project) {
+            Ok(mut files) => {
+                files.retain(|path| !path.starts_with(project.results()));
+                Ok((planned.stage, files))
+            }
+            Err(Error::NothingToDo(_)) => Ok((planned.stage, Vec::new())),
+            Err(error) => Err(error),
+        })
+        .collect()
 }
 
 /// Does a stage again as its record says, with results in the folder of `project`.

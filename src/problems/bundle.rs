@@ -208,6 +208,28 @@ impl Network {
         rays
     }
 
+    /// The middle of the cameras that measure each point.
+    fn sights(&self) -> Vec<[f64; 3]> {
+        let centres: Vec<[f64; 3]> = self
+            .cameras
+            .iter()
+            .map(|camera| {
+                let r = rotation::matrix(rotation::exp(camera.rotation_rad));
+                let t = camera.translation;
+                std::array::from_fn(|k| -(0..3).map(|i| r[i][k] * t[i]).sum::<f64>())
+            })
+            .collect();
+        let mut sums = vec![([0.0; 3], 0.0); self.points.len()];
+        for observation in &self.observations {
+            let (sum, count) = &mut sums[observation.point as usize];
+            for (sum, centre) in sum.iter_mut().zip(centres[observation.camera as usize]) {
+                *sum += centre;
+            }
+            *count += 1.0;
+        }
+        sums.into_iter().map(|(sum, count)| sum.map(|v| v / count)).collect()
+    }
+
     /// What is wrong with the network, if anything: indices that are not there, cameras and
     /// points that nothing measures, numbers that are not finite.
     pub fn defect(&self) -> Option<String> {
@@ -279,9 +301,11 @@ impl Bundle {
         let points = network
             .points
             .iter()
-            .map(|point| {
+            .zip(network.sights())
+            .map(|(point, sight)| {
                 let block = problem.block("point", Euclidean(3), point)?;
                 problem.eliminate(block);
+                problem.seen_from(block, sight)?;
                 Ok(block)
             })
             .collect::<Result<Vec<_>, SolveError>>()?;

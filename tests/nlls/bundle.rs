@@ -292,3 +292,24 @@ fn dogleg_keeps_the_damping_that_a_singular_first_system_has_raised() {
     let damping = step.metrics.iter().find(|(name, _)| *name == "damping").unwrap().1;
     assert_eq!(damping, 1e-3);
 }
+
+#[test]
+fn points_far_away_need_few_steps() {
+    // A fifth of the points is 100 to 10,000 times as far away as the start says: straight in distance, a step at most
+    // doubles that.
+    let mut start = network(4, 3, 150, 0.0);
+    let middle = [5.0, 5.0, 20.0];
+    let mut truth = start.clone();
+    for (k, point) in truth.points.iter_mut().enumerate().filter(|(k, _)| k % 5 == 0) {
+        let scale = 1e4 / (1.0 + (k % 7) as f64).powi(2);
+        *point = std::array::from_fn(|i| middle[i] + scale * (point[i] - middle[i]));
+    }
+    let exact = Bundle::new(&truth, InteriorSharing::PerImage, Loss::Trivial).unwrap();
+    let residuals = exact.problem.residuals(&exact.problem.start(), TIE_POINTS).unwrap();
+    for (observation, r) in start.observations.iter_mut().zip(residuals.chunks_exact(2)) {
+        observation.image_px = [observation.image_px[0] + r[0], observation.image_px[1] + r[1]];
+    }
+    let options = Options { cost_tolerance: 1e-12, ..Options::default() };
+    let (found, _) = adjust(&start, InteriorSharing::PerImage, &options);
+    assert!(found.final_cost < 1e-9 * found.initial_cost && found.iterations <= 15, "{found}");
+}

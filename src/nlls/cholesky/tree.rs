@@ -46,7 +46,7 @@ impl Front {
         self.order - self.width
     }
 
-    fn work(&self) -> f64 {
+    pub(super) fn work(&self) -> f64 {
         // Multiply-adds of a partial factorisation.
         let (n, m) = (self.order as f64, self.rest() as f64);
         (n * n * n - m * m * m) / 6.0

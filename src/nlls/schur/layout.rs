@@ -1,5 +1,6 @@
 //! What the fused path keeps in memory: observations by point, and the sums of each chunk.
 
+use super::product::{Kept, kept_record, whole};
 use crate::{
     lanes::MAX_WIDTH,
     nlls::{
@@ -119,6 +120,12 @@ pub(super) struct ChunkSums<const P: usize> {
     pub(super) lens_correction: Vec<f64>,
     pub(super) lens_diagonal: Vec<f64>,
     pub(super) moved: Vec<[f64; P]>,
+    /// Where its points are seen from; empty where that is not known of all.
+    pub(super) sights: Vec<[f64; P]>,
+    /// Where the reduced system is not formed, one record per observation; see [`super::product`].
+    pub(super) kept: Vec<Kept>,
+    /// Its product with a vector, per local camera [`whole`] numbers.
+    pub(super) product: Vec<f64>,
     pub(super) buffers: Buffers,
 }
 
@@ -149,6 +156,7 @@ impl<const P: usize> ChunkSums<P> {
         layout: &Layout<K, S, D>,
         matrix: &BlockMatrix,
         rows: usize,
+        implicit: bool,
     ) -> Option<Self> {
         // Cameras are in the order of their places, and so are the kept blocks of the chunk.
         let mut members: Vec<u32> = Vec::new();
@@ -190,6 +198,8 @@ impl<const P: usize> ChunkSums<P> {
             .map(|slot| slot.map(|slot| slot as u32))
             .collect::<Option<Vec<_>>>()?;
         let (lenses, width) = (layout.shared.len(), layout.lens_width());
+        let ends = [chunk.eliminated.start, chunk.eliminated.end].map(|e| layout.points[e].first);
+        let observations = (ends[1] - ends[0]) as usize;
         let longest = chunk
             .eliminated
             .clone()
@@ -208,6 +218,9 @@ impl<const P: usize> ChunkSums<P> {
             lens_correction: vec![0.0; lenses * width],
             lens_diagonal: vec![0.0; lenses * width],
             moved: vec![[0.0; P]; chunk.eliminated.len()],
+            sights: Vec::new(),
+            kept: vec![0.0; if implicit { observations * kept_record(rows, K, P) } else { 0 }],
+            product: vec![0.0; if implicit { n * whole(K) } else { 0 }],
             buffers: Buffers::new::<K, P>(longest.max(TILE), rows, (lenses, width)),
             local,
             members,

@@ -12,6 +12,8 @@
 //! Back-substitution linearises once more instead of reading Jacobians from memory, moves the point
 //! and evaluates the trial cost while it is at hand. Nothing per observation is ever stored. A factor of another
 //! batch that depends on a point alone, a prior, is stored and enters `V` and `g` of its point.
+//!
+//! Where the reduced system is not formed ([`product`]), `Jc` and `Q` of all observations are kept for its products.
 
 mod accumulate;
 mod lanes;
@@ -21,6 +23,7 @@ mod plan;
 mod point;
 mod point_system;
 mod prior;
+mod product;
 mod shared_block;
 mod sweep;
 
@@ -44,6 +47,8 @@ pub struct FusionRequest<'a> {
     structure: &'a Structure,
     matrix: &'a BlockMatrix,
     batch: usize,
+    /// Keep Jacobians for products with the reduced system, whose matrix holds diagonal blocks only.
+    implicit: bool,
 }
 
 /// A batch's fused form.
@@ -56,6 +61,7 @@ pub(super) fn find(
     problem: &Problem,
     structure: &Structure,
     matrix: &BlockMatrix,
+    implicit: bool,
 ) -> Result<(usize, FusedElimination), String> {
     let mut candidates: Vec<usize> =
         structure.factors(0).iter().map(|&(batch, _)| batch as usize).collect();
@@ -63,7 +69,7 @@ pub(super) fn find(
     candidates.sort_by_key(|&batch| std::cmp::Reverse(problem.batches[batch].batch.len()));
     let mut why = None;
     for batch in candidates {
-        let request = FusionRequest { problem, structure, matrix, batch };
+        let request = FusionRequest { problem, structure, matrix, batch, implicit };
         match problem.batches[batch].batch.fuse(request) {
             Ok(work) => return Ok((batch, work)),
             Err(reason) => why = why.or(Some(reason)),
@@ -137,6 +143,10 @@ pub(super) trait Eliminator: Send + Sync + std::fmt::Debug {
         sums: NormalEquationsMut<'_>,
     ) -> Result<f64, NotPositiveDefinite>;
 
+    /// `y += S x` of the linearisation that was reduced last, without the damping of kept blocks: over the reduced
+    /// system, whose blocks begin at `starts`.
+    fn multiply(&mut self, starts: &[usize], x: &[f64], y: &mut [f64]);
+
     /// Writes the moved points into `trial`, which holds the moved kept blocks already; `step` is
     /// the kept blocks' step.
     fn substitute(
@@ -193,6 +203,10 @@ impl<
             layout.add_chunk(chunk, &mut sums);
         }
         Ok(largest.into_iter().fold(0.0, f64::max))
+    }
+
+    fn multiply(&mut self, starts: &[usize], x: &[f64], y: &mut [f64]) {
+        self.multiply_reduced(starts, x, y);
     }
 
     fn substitute(

@@ -7,6 +7,7 @@ use super::{
         Camera, ChunkSums, Layout, MAX_CAMERA_RECORD, MAX_KEPT, MAX_RECORD, MAX_SHARED, PointAt,
     },
     prior::Priors,
+    product::whole,
 };
 use crate::nlls::{
     problem::Problem,
@@ -34,6 +35,8 @@ pub(super) struct FusedPlan<
     /// What it prepares at the trial values.
     pub(super) trial_prepared: CameraCache,
     pub(super) priors: Priors<P>,
+    /// A vector over the cameras, for products with the reduced system.
+    pub(super) directions: Vec<f64>,
     factor: PhantomData<F>,
 }
 
@@ -67,7 +70,7 @@ impl<
         pairs: &[Measurement<D>],
         request: FusionRequest<'_>,
     ) -> Result<Self, String> {
-        let FusionRequest { problem, structure, matrix, batch } = request;
+        let FusionRequest { problem, structure, matrix, batch, implicit } = request;
         if K > MAX_KEPT || R * (P + 1) > MAX_RECORD || Q + K + S > MAX_CAMERA_RECORD {
             return Err(format!(
                 "blocks of {K} and {P} degrees of freedom with {Q} prepared numbers are too large"
@@ -95,6 +98,9 @@ impl<
             .filter(|&k| shared_blocks.iter().any(|&block| moves(block) && free(block, k)))
             .collect();
         let differ = lens_columns.iter().any(|&k| shared_blocks.iter().any(|&b| !free(b, k)));
+        if implicit && !lens_columns.is_empty() {
+            return Err("a block is shared by cameras".into());
+        }
         let layout = Layout {
             camera_mask: (0..if held { cameras.len() } else { 0 })
                 .map(|c| std::array::from_fn(|k| mask(cameras[c].block as usize, k)))
@@ -116,18 +122,25 @@ impl<
             data,
             cameras,
         };
-        let chunks = structure
+        let sights = find_sights::<P>(problem, structure)?;
+        let mut chunks = structure
             .chunks
             .par_iter()
-            .map(|chunk| ChunkSums::new(chunk, &layout, matrix, R))
+            .map(|chunk| ChunkSums::new(chunk, &layout, matrix, R, implicit))
             .collect::<Option<Vec<_>>>()
             .ok_or("the reduced system lacks one of its blocks")?;
+        if !sights.is_empty() {
+            for chunk in &mut chunks {
+                chunk.sights = sights[chunk.range.clone()].to_vec();
+            }
+        }
         let count = layout.cameras.len();
         Ok(FusedPlan {
             chunks,
             priors,
             prepared: CameraCache::new(count, Q + K + S),
             trial_prepared: CameraCache::new(count, Q),
+            directions: vec![0.0; if implicit { count * whole(K) } else { 0 }],
             factor: PhantomData,
             layout,
         })
@@ -227,6 +240,26 @@ fn find_points<const P: usize>(
     }
     points.push(PointAt { at: 0, first, block: NONE, frozen: 0, prior: NONE });
     Ok((points, priors))
+}
+
+/// Where each eliminated block is seen from; nothing where none is known, an error where some are.
+fn find_sights<const P: usize>(
+    problem: &Problem,
+    structure: &Structure,
+) -> Result<Vec<[f64; P]>, String> {
+    let mut sights = Vec::new();
+    for &block in &structure.eliminated {
+        if let Some(from) = problem.sight(block) {
+            let mut own = [0.0; P];
+            own.iter_mut().zip(from).for_each(|(to, from)| *to = *from);
+            sights.push(own);
+        }
+    }
+    if sights.is_empty() || sights.len() == structure.eliminated.len() {
+        Ok(sights)
+    } else {
+        Err("of some eliminated blocks it is not known where they are seen from".into())
+    }
 }
 
 /// Camera and data of each observation, those of one point in the order of their cameras.

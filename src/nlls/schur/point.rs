@@ -4,6 +4,7 @@ use super::{
     Settings,
     layout::{Buffers, ChunkSums, Layout, MAX_KEPT, block_len, padded, point_record},
     point_system::{PointSystem, PriorSums},
+    product::keep,
     shared_block::add_shared,
 };
 use crate::nlls::{cholesky::NotPositiveDefinite, structure::NONE};
@@ -29,6 +30,7 @@ pub(super) fn eliminate_point<
     priors: &[PriorSums<P>],
 ) -> Result<f64, NotPositiveDefinite> {
     let point = layout.points[e];
+    let chunk_origin = layout.points[chunk.range.start].first as usize;
     let first = point.first as usize - origin;
     let end = layout.points[e + 1].first as usize - origin;
     let length = point_record(R, P);
@@ -55,6 +57,9 @@ pub(super) fn eliminate_point<
     whiten::<R, P>(&system, &u, jacobian_point, whitened, along);
     if S > 0 {
         add_shared::<V, R, K, S, P, D>(simd, layout, chunk, buffers, (first, end), origin, &u);
+    }
+    if !chunk.kept.is_empty() {
+        keep::<R, K, P>(chunk, buffers, (first, end), origin - chunk_origin);
     }
     add_cameras::<V, R, K, S, P, D>(simd, layout, chunk, buffers, (first, end), origin);
     Ok(slope)
@@ -119,7 +124,9 @@ fn add_cameras<
         add_vectors::<V, R, K, P>(simd, jacobian, record, along, chunk, local);
         let q_i = &buffers.whitened[i * R * P..(i + 1) * R * P];
         let row = chunk.table.row(local);
-        for j in 0..=i {
+        // Where only diagonal blocks are wanted, nothing but the camera's own measurements of the point.
+        let from = if chunk.kept.is_empty() { 0 } else { own_first(layout, origin + first, i) };
+        for j in from..=i {
             let other = chunk.local[layout.observed_by[origin + first + j] as usize] as usize;
             let q_j = &buffers.whitened[j * R * P..(j + 1) * R * P];
             let middle = middle::<R, P>(q_i, q_j, i == j);
@@ -134,6 +141,20 @@ fn add_cameras<
             }
         }
     }
+}
+
+/// The first of the observations up to `i` of a point that are by the camera of `i`; they follow each other.
+#[inline(always)]
+fn own_first<const K: usize, const S: usize, const D: usize>(
+    layout: &Layout<K, S, D>,
+    first: usize,
+    i: usize,
+) -> usize {
+    let mut own = i;
+    while own > 0 && layout.observed_by[first + own - 1] == layout.observed_by[first + i] {
+        own -= 1;
+    }
+    own
 }
 
 /// `-Q_i Q_j^T`, and `I` added where they are one observation.

@@ -8,7 +8,7 @@ use super::{
     point::eliminate_point,
     point_system::{PointSystem, PriorSums},
 };
-use crate::nlls::{cholesky::NotPositiveDefinite, projection::SizedFactor};
+use crate::nlls::{cholesky::NotPositiveDefinite, projection::SizedFactor, sight};
 use pulp::{Arch, Simd, WithSimd};
 use std::marker::PhantomData;
 
@@ -180,6 +180,7 @@ impl<
             self;
         let range = chunk.range.clone();
         let (buffers, moved) = (&mut chunk.buffers, &mut chunk.moved);
+        let sights = &chunk.sights;
         let mut total = BackSubstitution::default();
         for tile in tiles(layout, range.clone()) {
             apply_tile::<V, F, R, K, S, P, Q, D>(
@@ -221,12 +222,23 @@ impl<
                 }
                 let step = system.backward(system.forward(h));
                 let at = coordinates::<P>(x, point.at);
+                let mut d = [0.0; P];
                 for k in 0..P {
-                    let d = -step[k];
+                    d[k] = -step[k];
+                }
+                let to = &mut moved[e - range.start];
+                if let Some(from) = sights.get(e - range.start).filter(|_| point.frozen == 0) {
+                    *to = sight::moved(from, &at, &d);
+                } else {
+                    for k in 0..P {
+                        to[k] = at[k] + d[k];
+                    }
+                }
+                for k in 0..P {
+                    let d = d[k];
                     total.predicted += 0.5 * d * (system.damped[k] * d - system.g[k]);
                     total.squared_length += d * d * system.diagonal[k];
                     total.step_norm = total.step_norm.max(d.abs());
-                    moved[e - range.start][k] = at[k] + d;
                 }
             }
             let value = |e: usize| moved[e - range.start];

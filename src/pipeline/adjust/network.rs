@@ -7,7 +7,7 @@ use crate::{
     error::Error,
     io::{FileError, bal, output},
     monitor::{Diagnostic, Monitor, Progress},
-    nlls::{self, BatchPath, BatchSummary, LeastSquares, LinearSolver, Summary},
+    nlls::{self, BatchPath, BatchSummary, LeastSquares, LinearPath, LinearSolver, Summary},
     pipeline::{figures, peak_memory_mb},
     problems::bundle::{Bundle, InteriorSharing, Network},
 };
@@ -57,6 +57,8 @@ pub struct NetworkOutcome {
     pub batches: Vec<BatchSummary>,
     /// How the cost fell.
     pub log: Vec<LogEntry>,
+    /// How the linear systems were solved.
+    pub linear: Option<LinearPath>,
     /// For a person.
     #[serde(skip)]
     pub summary: Summary,
@@ -111,7 +113,7 @@ pub(super) fn adjust_network(
         )));
     }
     let setup_seconds = begin.elapsed().as_secs_f64();
-    let (mut outcome, paths) = solve(&bundle, sharing, options, limits, outputs, monitor)?;
+    let (mut outcome, paths, linear) = solve(&bundle, sharing, options, limits, outputs, monitor)?;
     outcome.log.iter_mut().for_each(|entry| entry.seconds += setup_seconds);
     let solve_seconds = begin.elapsed().as_secs_f64();
 
@@ -123,7 +125,7 @@ pub(super) fn adjust_network(
         outcome.iterations,
         outcome.stop,
     )?
-    .with_paths(&paths);
+    .with_paths(&paths, linear.as_ref());
     if let Some(path) = &outputs.output {
         bundle.update(&outcome.x, &mut network);
         bal::write(path, &network, outputs.force)?;
@@ -156,6 +158,7 @@ pub(super) fn adjust_network(
         stop: outcome.stop,
         converged: outcome.stop.converged(),
         batches: summary.batches.clone(),
+        linear,
         log: outcome.log,
         summary,
     })
@@ -175,6 +178,9 @@ fn limits(options: &AdjustOptions) -> Result<Limits, Error> {
     })
 }
 
+/// The outcome, and how batches and linear systems were worked on.
+type Solved = (Outcome<Vec<f64>>, Vec<BatchPath>, Option<LinearPath>);
+
 fn solve(
     bundle: &Bundle,
     sharing: InteriorSharing,
@@ -182,7 +188,7 @@ fn solve(
     limits: Limits,
     outputs: &Outputs,
     monitor: &mut dyn Monitor,
-) -> Result<(Outcome<Vec<f64>>, Vec<BatchPath>), Error> {
+) -> Result<Solved, Error> {
     let settings = nlls::Options {
         method: options.network.method,
         linear: options.network.solver,
@@ -219,7 +225,7 @@ fn solve(
         drive = drive.resume_from(path);
     }
     let outcome = drive.run()?.checked()?;
-    Ok((outcome, engine.paths().to_vec()))
+    Ok((outcome, engine.paths().to_vec(), engine.linear_path().cloned()))
 }
 
 fn report_single_rays(file: &Path, network: &Network, monitor: &mut dyn Monitor) {

@@ -50,7 +50,7 @@ impl SnoopingChoice {
 
 crate::choices!(DatumChoice: Control, Minimal);
 crate::choices!(SnoopingChoice: Off, Pope, Baarda);
-crate::choices!(LinearSolver: Schur, IterativeSchur, Sparse, Dense);
+crate::choices!(LinearSolver: Auto, Schur, IterativeSchur, Sparse, Dense);
 crate::choices!(Method: LevenbergMarquardt, Dogleg);
 crate::choices!(InteriorSharing: PerImage, Shared);
 
@@ -58,7 +58,7 @@ crate::options! {
     /// How a BAL file is solved.
     pub struct NetworkOptions in "adjust" {
         /// Of a BAL file: how the linear systems are solved.
-        pub solver: LinearSolver = LinearSolver::Schur;
+        pub solver: LinearSolver = LinearSolver::Auto;
         /// Of a BAL file: which trial step.
         pub method: Method = Method::LevenbergMarquardt;
         /// Of a BAL file: the longest time to solve for, in seconds.

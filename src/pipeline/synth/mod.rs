@@ -8,7 +8,7 @@ mod field;
 mod flight;
 mod project;
 
-pub use block::{BlockOutcome, write_block};
+pub use block::{BlockOutcome, BlockPreset, BlockSource, write_block};
 pub use field::{FieldOutcome, write_field};
 pub use flight::{FlightOptions, FlightOutcome, write_flight};
 pub use project::{BOARD_PHOTOS, SynthesisOutcome, synthesize, synthesize_over};
