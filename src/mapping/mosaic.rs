@@ -5,7 +5,8 @@
 //! memory, or on the number of threads.
 
 use super::{
-    paint::{Blend, Gain, paint},
+    colour_correction::ColourCorrection,
+    paint::{Blend, paint},
     photo_cache::PhotoCache,
     select::{CellSources, PhotoSelector},
 };
@@ -39,8 +40,8 @@ pub struct Mosaic<'a> {
     pub interpolation: Interpolation,
     /// Distance from seams up to which photos are blended, metres; `None`: hard seams.
     pub feather_m: Option<f64>,
-    /// Factors on the colours of each photo.
-    pub gains: Option<&'a [Gain]>,
+    /// What corrects the colours of each photo.
+    pub corrections: Option<&'a [ColourCorrection]>,
     /// Whether tiles say where their colours come from.
     pub with_provenance: bool,
 }
@@ -179,7 +180,7 @@ fn tile<E: Send>(
     match mosaic.feather_m {
         None => {
             photos.each_group(&used(&cells), |photos| {
-                paint(sources, photos, mosaic.gains, mosaic.interpolation, &mut rgba);
+                paint(sources, photos, mosaic.corrections, mosaic.interpolation, &mut rgba);
             })?;
             if has_gaps(sources, &rgba) {
                 fill_gaps(mosaic, photos, sources, &mut rgba)?;
@@ -191,7 +192,7 @@ fn tile<E: Send>(
             let mut blend = Blend::new(window);
             photos.each_group(&needed, |photos| {
                 let how = (mosaic.interpolation, feather_m);
-                blend.add(selector, sources, photos, mosaic.gains, how);
+                blend.add(selector, sources, photos, mosaic.corrections, how);
             })?;
             blend.finish(&mut rgba);
             let empty: Vec<usize> = gaps(sources, &rgba).collect();
@@ -278,7 +279,7 @@ fn fill_gaps<E: Send>(
         }
         let cells = cells_of(&next, photos.count());
         photos.each_group(&used(&cells), |photos| {
-            paint(&next, photos, mosaic.gains, mosaic.interpolation, rgba);
+            paint(&next, photos, mosaic.corrections, mosaic.interpolation, rgba);
         })?;
         open = gaps(sources, rgba).collect();
         if open.is_empty() {

@@ -10,14 +10,14 @@ use crate::{
         FileError,
         geotiff::{self, Colour, Layout},
         images, output,
+        photo::{self, Metadata},
     },
     mapping::{
         MapError, Surface, View,
-        balance::Overlaps,
         canopy_height,
+        colour_balance::{self, ColourBalance, Exposure},
         grid::{coverage, covering, median_gsd_m, rounded},
         mosaic::{self, Mosaic, NO_SOURCE, PROVENANCE_BANDS, Rendered},
-        paint::Gain,
         photo::DecodedPhoto,
         photo_cache::PhotoCache,
         select::PhotoSelector,
@@ -35,7 +35,11 @@ use crate::{
     },
     scene::Reconstruction,
 };
-use std::path::{Path, PathBuf};
+use rayon::prelude::*;
+use std::{
+    ops::Range,
+    path::{Path, PathBuf},
+};
 
 // Tiles are written whole.
 const _: () = assert!(mosaic::TILE.is_multiple_of(geotiff::TILE));
@@ -79,7 +83,7 @@ pub fn write_orthophotos(
     files: &OrthoFiles<'_>,
     monitor: &mut dyn Monitor,
 ) -> Result<OrthoOutcome, Error> {
-    let (views, photos) = chosen(input, &options.only)?;
+    let Chosen { views, photos, cameras } = chosen(input, &options.only)?;
     let surface = surface(input, options, monitor)?;
     let frames = if options.frames { frame_files(files.mosaic, &photos)? } else { Vec::new() };
     for orthophoto in std::iter::once(files.mosaic).chain(frames.iter().map(PathBuf::as_path)) {
@@ -89,7 +93,8 @@ pub fn write_orthophotos(
             output::check(&provenance_path(orthophoto), files.force)?;
         }
     }
-    let mut work = Work { options, files, dem: input.surface, canopy_height_m: 0.0 };
+    let mut work =
+        Work { options, files, dem: input.surface, canopy_height_m: 0.0, colour: None };
     let (canopy_height_m, canopy) = match options.canopy_height_m {
         Auto::Given(metres) => (metres, None),
         Auto::Auto => {
@@ -116,8 +121,12 @@ pub fn write_orthophotos(
     };
     let surface = surface.raised(canopy_height_m);
     work.canopy_height_m = canopy_height_m;
+    if options.balance {
+        work.colour = work.balance(&views, (&photos, &cameras), &surface, monitor)?;
+    }
+    let all = 0..views.len();
     let mosaic =
-        work.orthophoto(&views, &photos, &surface, (files.mosaic, files.figures), monitor)?;
+        work.orthophoto((&views, all), &photos, &surface, (files.mosaic, files.figures), monitor)?;
     let mut single = Vec::new();
     for (k, frame) in frames.iter().enumerate() {
         if views[k].footprint_m(&surface).is_none() {
@@ -125,8 +134,8 @@ pub fn write_orthophotos(
             monitor.diagnostic(&Diagnostic::warning("photo-off-surface", &views[k].name, message));
             continue;
         }
-        let (view, photo) = (&views[k..=k], &photos[k..=k]);
-        let mut made = work.orthophoto(view, photo, &surface, (frame, None), monitor)?;
+        let which = (views.as_slice(), k..k + 1);
+        let mut made = work.orthophoto(which, &photos, &surface, (frame, None), monitor)?;
         let folder = frame.parent().and_then(Path::file_name).unwrap_or_default();
         let files = [Some(&mut made.file), made.provenance.as_mut(), Some(&mut made.record)];
         for file in files.into_iter().flatten() {
@@ -134,11 +143,18 @@ pub fn write_orthophotos(
         }
         single.push(made);
     }
-    Ok(OrthoOutcome { mosaic, canopy_height_m, canopy, frames: single })
+    Ok(OrthoOutcome { mosaic, canopy_height_m, canopy, colour: work.colour, frames: single })
 }
 
-/// The photos that are used, with their files.
-fn chosen(input: &OrthoInput<'_>, only: &[String]) -> Result<(Vec<View>, Vec<PathBuf>), Error> {
+/// The photos that are used.
+struct Chosen {
+    views: Vec<View>,
+    photos: Vec<PathBuf>,
+    /// Index of the camera of each.
+    cameras: Vec<usize>,
+}
+
+fn chosen(input: &OrthoInput<'_>, only: &[String]) -> Result<Chosen, Error> {
     let all = views(input.reconstruction);
     if all.is_empty() {
         return Err(Error::Argument("there is no photo with a pose".into()));
@@ -151,8 +167,32 @@ fn chosen(input: &OrthoInput<'_>, only: &[String]) -> Result<(Vec<View>, Vec<Pat
         return Err(Error::Argument(format!("photo {missing:?} has no pose")));
     }
     let used = |view: &View| only.is_empty() || only.iter().any(|name| is(view, name));
-    let pairs = all.into_iter().zip(input.photos.iter().cloned());
-    Ok(pairs.filter(|(view, _)| used(view)).unzip())
+    let cameras = input.reconstruction.images.iter().map(|image| image.camera);
+    let mut chosen = Chosen { views: Vec::new(), photos: Vec::new(), cameras: Vec::new() };
+    for ((view, photo), camera) in all.into_iter().zip(input.photos).zip(cameras) {
+        if used(&view) {
+            chosen.views.push(view);
+            chosen.photos.push(photo.clone());
+            chosen.cameras.push(camera);
+        }
+    }
+    Ok(chosen)
+}
+
+/// When photos were taken and how they were exposed, as their files say. Exposures are compared only where all files say the same
+/// things of them.
+fn exposures(photos: &[PathBuf], cameras: &[usize]) -> Result<Vec<Exposure>, Error> {
+    let all: Vec<Metadata> =
+        photos.par_iter().map(|path| photo::read(path)).collect::<Result<_, _>>()?;
+    let known = |of: &Metadata| [of.exposure_s, of.iso, of.f_number].map(|value| value.is_some());
+    let alike = all.iter().all(|of| of.exposure_s.is_some() && known(of) == known(&all[0]));
+    let log = |value: Option<f64>| value.map_or(0.0, f64::ln);
+    let of = |(of, &camera): (Metadata, &usize)| Exposure {
+        log_exposure: alike.then(|| log(of.exposure_s) + log(of.iso) - 2.0 * log(of.f_number)),
+        moment: of.moment,
+        camera,
+    };
+    Ok(all.into_iter().zip(cameras).map(of).collect())
 }
 
 /// The orthophoto of every photo, in a folder beside the mosaic, which is made.
@@ -209,9 +249,50 @@ struct Work<'a> {
     files: &'a OrthoFiles<'a>,
     dem: &'a Path,
     canopy_height_m: f64,
+    colour: Option<ColourBalance>,
 }
 
 impl Work<'_> {
+    /// Brings the colours of photos together, over all that they show.
+    fn balance(
+        &self,
+        views: &[View],
+        (photos, cameras): (&[PathBuf], &[usize]),
+        surface: &Surface,
+        monitor: &mut dyn Monitor,
+    ) -> Result<Option<ColourBalance>, Error> {
+        let bounds = coverage(views, surface).bounds_m.ok_or_else(|| nothing(views, surface))?;
+        let gsd_m = median_gsd_m(views, surface).ok_or_else(|| nothing(views, surface))?;
+        let (grid, size) = covering(bounds, gsd_m, surface.georeference.crs, MAX_PIXELS)?;
+        let selector = PhotoSelector::new(views, surface, grid, self.options.selection());
+        let read = |k: usize| read_photo(&photos[k], views[k].interior.size_px());
+        let mut cache = PhotoCache::new(views, &read, self.options.memory_mb << 20);
+        let exposures = exposures(photos, cameras)?;
+        let found = colour_balance::balance(&selector, size, &exposures, &mut cache)?;
+        let subject = name(self.files.mosaic);
+        monitor.diagnostic(&match &found {
+            Some(found) => Diagnostic::info(
+                "colours-balanced",
+                subject,
+                format!(
+                    "photos of one place differ by {:.1} grey values, {:.1} before (median of {} windows); gains from {:.2} to {:.2}, light in the corners {}",
+                    found.difference.after,
+                    found.difference.before,
+                    found.observations,
+                    found.gain_range[0],
+                    found.gain_range[1],
+                    found.cameras.iter().map(|of| format!("{:.2}", of.corner_light)).collect::<Vec<_>>().join(", "),
+                ),
+            ),
+            None => Diagnostic::warning(
+                "no-overlap",
+                subject,
+                "no two photos show the same ground, so colours are not balanced",
+            ),
+        });
+        Ok(found)
+    }
+
     fn canopy_height(
         &self,
         views: &[View],
@@ -294,34 +375,27 @@ impl Work<'_> {
     /// Makes an orthophoto and everything beside it.
     fn orthophoto(
         &self,
-        views: &[View],
-        photos: &[PathBuf],
+        (all, which): (&[View], Range<usize>),
+        files: &[PathBuf],
         surface: &Surface,
         (output, figures): (&Path, Option<&Path>),
         monitor: &mut dyn Monitor,
     ) -> Result<Orthophoto, Error> {
         let options = self.options;
+        let (views, photos) = (&all[which.clone()], &files[which.clone()]);
         let (grid, size) = self.grid(views, surface, &name(output), monitor)?;
         let selector = PhotoSelector::new(views, surface, grid, options.selection());
         let read = |k: usize| read_photo(&photos[k], views[k].interior.size_px());
         let mut cache = PhotoCache::new(views, &read, options.memory_mb << 20);
-        let gains: Option<Vec<Gain>> = if options.balance {
-            let overlaps = Overlaps::sample(&selector, size, &mut cache)?;
-            if overlaps.pairs() == 0 {
-                let message = "no two photos show the same ground, so colours are not balanced";
-                monitor.diagnostic(&Diagnostic::warning("no-overlap", name(output), message));
-            }
-            Some(overlaps.gains(views.len())?)
-        } else {
-            None
-        };
+        let colour = self.colour.as_ref();
+        let corrections = colour.map(|colour| &colour.corrections[which.clone()]);
         let mosaic = Mosaic {
             selector: &selector,
             grid,
             size,
             interpolation: options.interpolation,
             feather_m: options.feather_m,
-            gains: gains.as_deref(),
+            corrections,
             with_provenance: options.provenance,
         };
         let provenance = options.provenance.then(|| provenance_path(output));
@@ -331,7 +405,7 @@ impl Work<'_> {
             let message = "no pixel has a colour";
             monitor.diagnostic(&Diagnostic::warning("ortho-empty", name(output), message));
         }
-        let (cameras, photo_records) = record::photos_of(output, views, photos, gains.as_deref());
+        let (cameras, photo_records) = record::photos_of(output, &which, all, files, colour);
         let record = OrthophotoRecord {
             version: OrthophotoRecord::VERSION,
             epsg: grid.crs.epsg,
