@@ -251,11 +251,12 @@ fn summary(
     let shapes: Vec<([f64; RADIAL], [f64; DIRECTION])> = (0..block.cameras)
         .map(|c| (solution.vignetting[c].value, solution.direction[c].value))
         .collect();
-    let corrections = (0..count).map(|k| {
+    let correction = |k: usize| {
         let (radial, direction) = shapes[cameras_of[k]];
         let geometry = PixelGeometry::new(&selector.views()[k]);
         ColourCorrection::new(&geometry, log_gains[k], radial, direction)
-    });
+    };
+    let corrections: Vec<ColourCorrection> = (0..count).map(correction).collect();
     let mean = |rgb: &[f64; 3]| rgb.iter().sum::<f64>() / 3.0;
     let gains = log_gains.iter().map(|of| mean(of).exp());
     let (least, most) = gains.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), gain| {
@@ -286,7 +287,7 @@ fn summary(
         cameras: cameras.collect(),
         log_gains,
         log_gain_sigmas,
-        corrections: corrections.collect(),
+        corrections,
     }
 }
 

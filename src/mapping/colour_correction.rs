@@ -181,7 +181,8 @@ fn exponential(x: f32) -> f32 {
     let y = x.clamp(-6.0, 6.0) * 0.125;
     let p = 1.0
         + y * (1.0
-            + y * (0.5 + y * (1.0 / 6.0 + y * (1.0 / 24.0 + y * (1.0 / 120.0 + y * (1.0 / 720.0))))));
+            + y * (0.5
+                + y * (1.0 / 6.0 + y * (1.0 / 24.0 + y * (1.0 / 120.0 + y * (1.0 / 720.0))))));
     let p = p * p;
     let p = p * p;
     p * p
@@ -224,11 +225,7 @@ mod tests {
             let factor = correction.factor(at);
             for c in 0..3 {
                 let expected = (-(log_gain[c] + shape)).exp();
-                approx::assert_relative_eq!(
-                    f64::from(factor[c]),
-                    expected,
-                    max_relative = 1e-5
-                );
+                approx::assert_relative_eq!(f64::from(factor[c]), expected, max_relative = 1e-5);
             }
             for byte in [4u8, 12, 60, 130, 180] {
                 let mut colour = [f32::from(byte); 4];

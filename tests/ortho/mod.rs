@@ -7,6 +7,8 @@ mod wide_lenses;
 use crate::program::rowgram;
 use rowgram::{
     io::geotiff::{Colour, Layout, Reader, write},
+    monitor::Collector,
+    pipeline::query::OrthophotoOrigins,
     raster::{
         georeference::{Crs, Georeference},
         window::Window,
@@ -64,7 +66,8 @@ impl World {
                 let a = (f64::from(u) - 59.5) / F_PX;
                 let x = (Self::camera_x(k) + a * HEIGHT_M) / (1.0 + a * self.slope);
                 let y = (44.5 - f64::from(v)) / F_PX * (HEIGHT_M - self.slope * x);
-                let bytes = colour(x, y).map(|c| exposed(c, self.exposure[k]).round().clamp(0.0, 255.0));
+                let bytes =
+                    colour(x, y).map(|c| exposed(c, self.exposure[k]).round().clamp(0.0, 255.0));
                 image::Rgb(bytes.map(|c| c as u8))
             });
             photo.save(folder.join(format!("images/p{k}.png"))).unwrap();
@@ -108,6 +111,8 @@ struct Mosaic {
     size: [usize; 2],
     rgba: Vec<u8>,
     records: Vec<f32>,
+    /// 1 where a better photo has no data or does not see the place.
+    passed_over: Vec<u16>,
 }
 
 impl Mosaic {
@@ -116,12 +121,19 @@ impl Mosaic {
         let size = [reader.width(), reader.height()];
         let all = Window::whole(size[0], size[1]);
         let stem = path.file_stem().unwrap().to_str().unwrap();
-        let records = Reader::open(&path.with_file_name(format!("{stem}_provenance.tif"))).unwrap();
+        let full = path.with_file_name(format!("{stem}_full.tif"));
+        let origins = OrthophotoOrigins::open(path, None).unwrap();
+        origins.write_full(&full, true, &mut Collector::default()).unwrap();
+        let records = Reader::open(&full).unwrap();
+        let stored = Reader::open(&path.with_file_name(format!("{stem}_provenance.tif"))).unwrap();
+        let passed_over =
+            stored.read::<u16>(all).unwrap().chunks_exact(2).map(|cell| cell[1]).collect();
         Mosaic {
             place: reader.georeference().unwrap(),
             size,
             rgba: reader.read::<u8>(all).unwrap(),
             records: records.read::<f32>(all).unwrap(),
+            passed_over,
         }
     }
 
@@ -211,7 +223,9 @@ fn every_cell_comes_from_the_closest_camera_that_shows_it() {
 fn results_do_not_depend_on_threads_or_room() {
     let folder = tempfile::tempdir().unwrap();
     World { slope: 0.05, exposure: [1.0, 0.9, 1.05] }.build(folder.path());
-    for options in ["", "--balance=false", "--feather-m 2 --visibility-m 0.05 --interpolation bicubic"] {
+    for options in
+        ["", "--balance=false", "--feather-m 2 --visibility-m 0.05 --interpolation bicubic"]
+    {
         run(folder.path(), &format!("{GIVEN} {options} -o a.tif --force"));
         run(
             folder.path(),
@@ -376,6 +390,11 @@ fn pixels_without_data_come_from_the_next_photo_or_from_none() {
             }
         }
         assert!(of_next > 500 && of_none == 0, "{of_next} {of_none}");
+        let marked = mosaic.cells().zip(&mosaic.passed_over).filter(|((_, rgba, record), mark)| {
+            assert!(**mark == 0 || (rgba[3] == 255 && record[0] != 1.0));
+            **mark == 1
+        });
+        assert!(marked.count() >= of_next);
     }
 }
 

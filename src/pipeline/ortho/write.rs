@@ -13,13 +13,13 @@ use crate::{
         photo::{self, Metadata},
     },
     mapping::{
-        MapError, Surface, View,
-        canopy_height,
+        MapError, Surface, View, canopy_height,
         colour_balance::{self, ColourBalance, Exposure},
         grid::{coverage, covering, median_gsd_m, rounded},
-        mosaic::{self, Mosaic, NO_SOURCE, PROVENANCE_BANDS, Rendered},
+        mosaic::{self, Mosaic, Rendered},
         photo::DecodedPhoto,
         photo_cache::PhotoCache,
+        provenance::{BANDS, NO_PHOTO},
         select::PhotoSelector,
         views,
     },
@@ -84,6 +84,12 @@ pub fn write_orthophotos(
     monitor: &mut dyn Monitor,
 ) -> Result<OrthoOutcome, Error> {
     let Chosen { views, photos, cameras } = chosen(input, &options.only)?;
+    if views.len() >= usize::from(NO_PHOTO) {
+        return Err(Error::Argument(format!(
+            "an orthomosaic of {} photos: at most {NO_PHOTO} are possible; choose some with only",
+            views.len()
+        )));
+    }
     let surface = surface(input, options, monitor)?;
     let frames = if options.frames { frame_files(files.mosaic, &photos)? } else { Vec::new() };
     for orthophoto in std::iter::once(files.mosaic).chain(frames.iter().map(PathBuf::as_path)) {
@@ -93,8 +99,7 @@ pub fn write_orthophotos(
             output::check(&provenance_path(orthophoto), files.force)?;
         }
     }
-    let mut work =
-        Work { options, files, dem: input.surface, canopy_height_m: 0.0, colour: None };
+    let mut work = Work { options, files, dem: input.surface, canopy_height_m: 0.0, colour: None };
     let (canopy_height_m, canopy) = match options.canopy_height_m {
         Auto::Given(metres) => (metres, None),
         Auto::Auto => {
@@ -413,6 +418,7 @@ impl Work<'_> {
             height_px: size[1],
             gsd_m: grid.per_column[0],
             dem: self.dem.to_owned(),
+            dem_interpolation: options.dem_interpolation,
             canopy_height_m: self.canopy_height_m,
             selection: options.selection(),
             cameras,
@@ -465,12 +471,9 @@ fn render(
             })?);
             return Ok(());
         };
-        let layout = Layout {
-            colour: Colour::Records(PROVENANCE_BANDS),
-            nodata: Some(f64::from(NO_SOURCE)),
-            ..layout
-        };
-        geotiff::write::<f32, Error>(path, force, &layout, |records| {
+        let layout =
+            Layout { colour: Colour::Records(BANDS), nodata: Some(f64::from(NO_PHOTO)), ..layout };
+        geotiff::write::<u16, Error>(path, force, &layout, |records| {
             rendered = Some(mosaic::render(mosaic, photos, |tile| {
                 counter.tick();
                 colours.put(tile.window, &tile.rgba)?;

@@ -11,7 +11,7 @@
 //! A photo's block is `[g_0, g_1, g_2, l]`, in the combinations of channels that [`super`] names.
 
 use super::{DIRECTION, RADIAL};
-use crate::nlls::{BlockId, Factor, Infeasible, Jacobian};
+use crate::nlls::{BlockId, Factor, Factors, Infeasible, Jacobian};
 
 /// Standard deviation of a link of the chain: far below what a gain is known to, far above rounding.
 const TIGHT: f64 = 1e-4;
@@ -135,6 +135,14 @@ impl Factor for Walk {
 pub(super) struct ShapePrior<const N: usize> {
     pub(super) blocks: [BlockId; 1],
     pub(super) inverse_sigma: f64,
+}
+
+impl<const N: usize> ShapePrior<N> {
+    /// One for each block.
+    pub(super) fn all(blocks: &[BlockId], sigma: f64) -> Factors<ShapePrior<N>> {
+        let of = |&block: &BlockId| ShapePrior { blocks: [block], inverse_sigma: 1.0 / sigma };
+        Factors(blocks.iter().map(of).collect())
+    }
 }
 
 impl<const N: usize> Factor for ShapePrior<N> {

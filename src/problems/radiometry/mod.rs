@@ -13,7 +13,8 @@
 //! photo. Channels enter by the orthonormal combinations `(r + g + b)/sqrt 3, (r - b)/sqrt 2, (r + b - 2 g)/sqrt 6`, whose errors are
 //! nearly independent.
 //!
-//! Observations cannot tell a slope of `L` over the map from `a` with gains that follow the camera's place. Priors do:
+//! Observations cannot tell a slope of `L` over the map from `a` with gains that follow the camera's place. Priors do, as far as light
+//! and direction of view can be told apart at all: strips to and fro tell them apart along the strips, nothing does across them.
 //!
 //! ```text
 //! g_i0 - sqrt(3) e_i - l_i ~ N(0, t_0^2),   l_i+1 - l_i ~ N(0, w^2),   g_i1, g_i2 ~ N(0, t_1^2), N(0, t_2^2)
@@ -121,6 +122,9 @@ const START_SIGMA: [f64; 3] = [0.05, 0.02, 0.02];
 const START: Spread = Spread { exposure: 0.3, chroma: [0.1; 2], walk: 0.1 };
 /// No spread is estimated smaller: a thousandth of the light is less than a grey value.
 const LEAST_SPREAD: f64 = 1e-3;
+/// The light of a flight changes by a tenth at least, as far as anybody knows: the least standard deviation of its logarithm from the
+/// first photo to the last.
+const LEAST_DRIFT: f64 = 0.1;
 /// Standard deviations of the coefficients of vignetting (a lens loses a third of its light in the corners, some two thirds) and of
 /// the direction of view (maize at 45 degrees towards the sun is 20 to 40 % darker than away from it).
 const RADIAL_SIGMA: f64 = 0.5;
@@ -185,14 +189,16 @@ impl RadiometricBlock {
             let mut x = start.take().unwrap_or_else(|| posed.problem.start());
             // Steps are exact where no weight changes.
             let options = Options { initial_damping: 1e-9, ..Options::default() };
-            iterations +=
-                nlls::solve(&posed.problem, &mut x, &options, MAX_ITERATIONS)?.iterations;
+            iterations += nlls::solve(&posed.problem, &mut x, &options, MAX_ITERATIONS)?.iterations;
             let residuals = posed.problem.residuals(&x, "light")?;
             if round + 1 == ROUNDS {
                 return self.solution(&posed, &x, (sigma, &residuals), iterations);
             }
             sigma = self.spread_of_residuals(&residuals, sigma);
-            spread = self.spread_of_photos(&posed, &x, &exposures);
+            let found = self.spread_of_photos(&posed, &x, &exposures);
+            // Later rounds would take a drift across the strips for the direction of view, and then find no drift.
+            let walk = if round == 0 { found.walk } else { spread.walk };
+            spread = Spread { walk, ..found };
             start = Some(x);
         }
         Err(SolveError::Misuse("no round was made".into()))
@@ -277,20 +283,12 @@ impl RadiometricBlock {
         if !walks.is_empty() {
             problem.add("light of the flight", Loss::Trivial, Factors(walks))?;
         }
-        let shapes = |blocks: &[BlockId], sigma: f64| {
-            let of = |&block: &BlockId| ShapePrior { blocks: [block], inverse_sigma: 1.0 / sigma };
-            Factors(blocks.iter().map(of).collect::<Vec<_>>())
-        };
-        problem.add(
-            "vignetting",
-            Loss::Trivial,
-            shapes::<RADIAL>(&vignetting, RADIAL_SIGMA),
-        )?;
-        problem.add("direction", Loss::Trivial, shapes::<DIRECTION>(&direction, DIRECTION_SIGMA))?;
-        let chain = (0..n).map(|k| Chain {
-            blocks: [photos[k], sums[k], sums[k + 1]],
-            weight: count[k] / mean,
-        });
+        let lens = ShapePrior::<RADIAL>::all(&vignetting, RADIAL_SIGMA);
+        problem.add("vignetting", Loss::Trivial, lens)?;
+        let view = ShapePrior::<DIRECTION>::all(&direction, DIRECTION_SIGMA);
+        problem.add("direction of view", Loss::Trivial, view)?;
+        let chain = (0..n)
+            .map(|k| Chain { blocks: [photos[k], sums[k], sums[k + 1]], weight: count[k] / mean });
         problem.add("mean of gains", Loss::Trivial, Factors(chain.collect()))?;
         Ok(Posed { problem, photos, vignetting, direction })
     }
@@ -309,36 +307,40 @@ impl RadiometricBlock {
         })
     }
 
-    /// Spreads of gains: a white part and a random walk by the moments of differences of photos taken one after the other, `E d_i^2 =
-    /// w^2 + 2 t^2` and `E d_i d_i+1 = -t^2`.
+    /// Spreads of gains: a white part and a random walk, by the mean squares of differences of photos `m` apart, `m w^2 + 2 t^2`, for
+    /// `m` of 1 and of a quarter of the flight: what is that slow stands out there from what is not.
     fn spread_of_photos(&self, posed: &Posed, x: &[f64], exposures: &[f64]) -> Spread {
         let gain = |k: usize| posed.problem.values(x, posed.photos[k]);
-        let (mut squares, mut products, mut n, mut m) = (0.0, 0.0, 0.0f64, 0.0f64);
+        let (mut near, mut far, mut apart) = ([0.0, 0.0f64], [0.0, 0.0f64], 0.0);
         for camera in 0..self.cameras {
             let of: Vec<f64> = (0..self.photos.len())
                 .filter(|&k| self.photos[k].camera == camera)
                 .map(|k| gain(k)[0] - SQRT_3 * exposures[k])
                 .collect();
-            let steps: Vec<f64> = of.windows(2).map(|pair| pair[1] - pair[0]).collect();
-            squares += steps.iter().map(|d| d * d).sum::<f64>();
-            n += steps.len() as f64;
-            products += steps.windows(2).map(|pair| pair[0] * pair[1]).sum::<f64>();
-            m += steps.len().saturating_sub(1) as f64;
+            let quarter = of.len() / 4;
+            if quarter < 2 {
+                continue;
+            }
+            for (lag, [squares, n]) in [(1, &mut near), (quarter, &mut far)] {
+                *squares += (lag..of.len()).map(|k| (of[k] - of[k - lag]).powi(2)).sum::<f64>();
+                *n += (of.len() - lag) as f64;
+                apart += if lag > 1 { lag as f64 * (of.len() - lag) as f64 } else { 0.0 };
+            }
         }
         let root = |variance: f64| variance.max(LEAST_SPREAD * LEAST_SPREAD).sqrt();
         let chroma = |c: usize| {
             let all = (0..self.photos.len()).map(|k| gain(k)[c].powi(2));
             root(all.sum::<f64>() / self.photos.len() as f64)
         };
-        // Two photos tell nothing of how light goes on.
-        if m < 2.0 {
+        // A few photos tell nothing of how light goes on.
+        if far[1] == 0.0 {
             return Spread { chroma: [chroma(1), chroma(2)], ..START };
         }
-        let (squares, products) = (squares / n, products / m);
-        let white = (-products).clamp(0.0, 0.5 * squares);
+        let (near, apart, far) = (near[0] / near[1], apart / far[1], far[0] / far[1]);
+        let walk = ((far - near) / (apart - 1.0)).clamp(0.0, near);
         Spread {
-            exposure: root(white),
-            walk: root(squares - 2.0 * white),
+            exposure: root(0.5 * (near - walk)),
+            walk: root(walk).max(SQRT_3 * LEAST_DRIFT / (self.photos.len() as f64).sqrt()),
             chroma: [chroma(1), chroma(2)],
         }
     }
