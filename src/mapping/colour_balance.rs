@@ -124,7 +124,9 @@ pub fn balance<E: Send + From<SolveError>>(
     if observations.is_empty() {
         return Ok(None);
     }
-    let (block, order) = block(observations, exposures);
+    let places = selector.views().iter().map(|view| view.centre_m());
+    let places: Vec<[f64; 2]> = places.map(|[x, y, _]| [x, y]).collect();
+    let (block, order) = block(observations, exposures, &places);
     let solution = block.adjust()?;
     Ok(Some(summary(selector, &block, &order, &solution)))
 }
@@ -219,6 +221,7 @@ fn observe<E: Send>(
 fn block(
     mut observations: Vec<Observation>,
     exposures: &[Exposure],
+    places: &[[f64; 2]],
 ) -> (RadiometricBlock, Vec<usize>) {
     let mut order: Vec<usize> = (0..exposures.len()).collect();
     order.sort_by(|&a, &b| exposures[a].moment.cmp(&exposures[b].moment).then(a.cmp(&b)));
@@ -226,9 +229,11 @@ fn block(
     order.iter().enumerate().for_each(|(n, &k)| place[k] = n as u32);
     observations.iter_mut().for_each(|seen| seen.photo = place[seen.photo as usize]);
     let points = observations.last().map_or(0, |last| last.point as usize + 1);
-    let photos = order
-        .iter()
-        .map(|&k| Photo { camera: exposures[k].camera, log_exposure: exposures[k].log_exposure });
+    let photos = order.iter().map(|&k| Photo {
+        camera: exposures[k].camera,
+        place: places[k],
+        log_exposure: exposures[k].log_exposure,
+    });
     let cameras = exposures.iter().map(|of| of.camera + 1).max().unwrap_or(0);
     (RadiometricBlock { photos: photos.collect(), cameras, points, observations }, order)
 }

@@ -38,6 +38,7 @@ use crate::{
     },
 };
 use factors::{Chain, Light, PhotoPrior, ShapePrior, Walk};
+use nalgebra::{Matrix2, Vector2};
 
 /// Coefficients of the vignetting: of `r^2`, `r^4`, `r^6`.
 pub const RADIAL: usize = 3;
@@ -64,6 +65,8 @@ pub struct Observation {
 pub struct Photo {
     /// Index of its camera.
     pub camera: usize,
+    /// Where it was taken, east and north, in any unit.
+    pub place: [f64; 2],
     /// Natural logarithm of the exposure that the camera reports (time, aperture and sensitivity), any zero; `None` where it
     /// reports none.
     pub log_exposure: Option<f64>,
@@ -119,18 +122,18 @@ const SQRT_3: f64 = 1.732_050_807_568_877_2;
 
 /// Standard deviations before anything is known: of observations, and of priors; log of light.
 const START_SIGMA: [f64; 3] = [0.05, 0.02, 0.02];
-const START: Spread = Spread { exposure: 0.3, chroma: [0.1; 2], walk: 0.1 };
+const START: Spread = Spread { exposure: 0.1, chroma: [0.1; 2], walk: 0.03 };
 /// No spread is estimated smaller: a thousandth of the light is less than a grey value.
 const LEAST_SPREAD: f64 = 1e-3;
-/// The light of a flight changes by a tenth at least, as far as anybody knows: the least standard deviation of its logarithm from the
+/// The light of a flight changes by a twentieth at least, as far as anybody knows: the least standard deviation of its logarithm from the
 /// first photo to the last.
-const LEAST_DRIFT: f64 = 0.1;
+const LEAST_DRIFT: f64 = 0.05;
 /// Standard deviations of the coefficients of vignetting (a lens loses a third of its light in the corners, some two thirds) and of
 /// the direction of view (maize at 45 degrees towards the sun is 20 to 40 % darker than away from it).
 const RADIAL_SIGMA: f64 = 0.5;
-const DIRECTION_SIGMA: f64 = 0.2;
-/// Huber's constant: 95 % efficiency for normal errors.
-const HUBER: f64 = 1.345;
+const DIRECTION_SIGMA: f64 = 0.1;
+/// Huber's constant for the length of a residual of three numbers: a tenth of normal ones are longer.
+const HUBER: f64 = 2.5;
 /// Rounds: spreads of observations and priors are estimated after each but the last.
 const ROUNDS: usize = 4;
 const MAX_ITERATIONS: u64 = 50;
@@ -308,15 +311,17 @@ impl RadiometricBlock {
     }
 
     /// Spreads of gains: a white part and a random walk, by the mean squares of differences of photos `m` apart, `m w^2 + 2 t^2`, for
-    /// `m` of 1 and of a quarter of the flight: what is that slow stands out there from what is not.
+    /// `m` of 1 and of a quarter of the flight: what is that slow stands out there from what is not. A slope of the gains over the map
+    /// is what observations do not determine, and tells nothing of the spread: it is taken off first.
     fn spread_of_photos(&self, posed: &Posed, x: &[f64], exposures: &[f64]) -> Spread {
         let gain = |k: usize| posed.problem.values(x, posed.photos[k]);
         let (mut near, mut far, mut apart) = ([0.0, 0.0f64], [0.0, 0.0f64], 0.0);
         for camera in 0..self.cameras {
-            let of: Vec<f64> = (0..self.photos.len())
+            let of: Vec<([f64; 2], f64)> = (0..self.photos.len())
                 .filter(|&k| self.photos[k].camera == camera)
-                .map(|k| gain(k)[0] - SQRT_3 * exposures[k])
+                .map(|k| (self.photos[k].place, gain(k)[0] - SQRT_3 * exposures[k]))
                 .collect();
+            let of = without_slope(&of);
             let quarter = of.len() / 4;
             if quarter < 2 {
                 continue;
@@ -387,6 +392,25 @@ impl RadiometricBlock {
             iterations,
         })
     }
+}
+
+/// Values less the plane that fits them best.
+fn without_slope(of: &[([f64; 2], f64)]) -> Vec<f64> {
+    let n = of.len().max(1) as f64;
+    let mean = [0, 1].map(|k| of.iter().map(|(place, _)| place[k]).sum::<f64>() / n);
+    let level = of.iter().map(|(_, value)| value).sum::<f64>() / n;
+    let mut normal = Matrix2::zeros();
+    let mut right = Vector2::zeros();
+    for (place, value) in of {
+        let row = Vector2::new(place[0] - mean[0], place[1] - mean[1]);
+        normal += row * row.transpose();
+        right += row * (value - level);
+    }
+    // On one line the slope across it is 0.
+    let slope = normal.svd(true, true).solve(&right, 1e-6 * normal.trace()).unwrap_or_default();
+    of.iter()
+        .map(|(p, value)| value - level - slope[0] * (p[0] - mean[0]) - slope[1] * (p[1] - mean[1]))
+        .collect()
 }
 
 /// Values and standard deviations of blocks of `N` coefficients.

@@ -48,7 +48,12 @@ fn block(flight: &Flight) -> (RadiometricBlock, Vec<[f64; 3]>) {
         let exposure = 0.23 * normal(1.0, &mut rng).round();
         let own = light + exposure + normal(0.04, &mut rng);
         gains.push([own + normal(0.02, &mut rng), own, own + normal(0.02, &mut rng)]);
-        photos.push(Photo { camera: 0, log_exposure: flight.reported.then_some(exposure + 3.0) });
+        let place = centres[n];
+        photos.push(Photo {
+            camera: 0,
+            place,
+            log_exposure: flight.reported.then_some(exposure + 3.0),
+        });
     }
     let mut observations = Vec::new();
     let mut seen_by = vec![0.0; count];
@@ -118,7 +123,7 @@ fn errors(solution: &RadiometricSolution, truth: &[[f64; 3]]) -> [f64; 3] {
 fn gains_vignetting_and_light_are_found_with_true_standard_deviations() {
     let (mut scaled, mut shapes) = (Vec::new(), Vec::new());
     for seed in 1..=6 {
-        let (block, truth) = block(&Flight { seed, drift: 0.1, reported: true, ..FLIGHT });
+        let (block, truth) = block(&Flight { seed, drift: 0.06, reported: true, ..FLIGHT });
         let solution = block.adjust().unwrap();
         let [step, plain, over_sigma] = errors(&solution, &truth);
         println!(
