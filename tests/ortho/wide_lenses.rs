@@ -127,7 +127,7 @@ fn wide_lenses_of_two_cameras_are_right_to_a_fiftieth_of_a_pixel() {
     };
     let mut found = Collector::default();
     let outcome = ortho(&project, &options, &mut found).unwrap();
-    let mosaic = root.join("rowgram/ortho").join(&outcome.mosaic.file);
+    assert!(root.join("rowgram/ortho").join(&outcome.mosaic.file).is_file());
     let full = root.join("full.tif");
     query(&project, None).unwrap().write_full(&full, false, &mut found).unwrap();
     let reader = Reader::open(&full).unwrap();
