@@ -34,12 +34,12 @@ fn photo(k: usize) -> DecodedPhoto {
     DecodedPhoto::new(&image, Some(&gaps))
 }
 
-/// All cells of a mosaic of 16 m x 6 m: colour, provenance, what came of it.
+/// All cells of a mosaic of 16 m x 6 m: colour, all of the provenance and whether a photo was passed over, what came of it.
 fn rendered(
     feather_m: Option<f64>,
     corrections: Option<&[ColourCorrection]>,
     room: usize,
-) -> (Vec<[u8; 4]>, Vec<[f32; 5]>, Rendered) {
+) -> (Vec<[u8; 4]>, Vec<[f32; 6]>, Rendered) {
     let (views, surface) = (views(), surface());
     let grid = Georeference::north_up([-3.995, 2.995], 0.01, Crs::LOCAL);
     let size = [1600, 600];
@@ -56,14 +56,16 @@ fn rendered(
         with_provenance: true,
     };
     let mut colours = vec![[1u8; 4]; size[0] * size[1]];
-    let mut records = vec![[f32::NAN; 5]; size[0] * size[1]];
+    let mut records = vec![[f32::NAN; 6]; size[0] * size[1]];
     let found = render(&mosaic, &mut cache, |tile| {
         let Window { u, v, width, height } = tile.window;
+        let full = provenance::full(&selector, tile.window, &tile.provenance);
         for n in 0..width * height {
             let at = (v + n / width) * size[0] + u + n % width;
             assert!(records[at][0].is_nan(), "cell {at} came twice");
             colours[at].copy_from_slice(&tile.rgba[4 * n..4 * n + 4]);
-            records[at].copy_from_slice(&tile.provenance[5 * n..5 * n + 5]);
+            records[at][..5].copy_from_slice(&full[5 * n..5 * n + 5]);
+            records[at][5] = f32::from(tile.provenance[2 * n + 1]);
         }
         Ok(())
     });
@@ -93,6 +95,7 @@ fn a_cell_without_data_comes_from_the_next_best_photo() {
         let [r, g, b] = COLOURS[photo];
         assert_eq!(colours[at], [r, g, b, 255], "{x}");
         assert_eq!(records[at][0], photo as f32, "{x}");
+        assert_eq!(records[at][5], if x == 3.0 { 1.0 } else { 0.0 }, "{x}: passed over");
         // The pixel in the photo, from similar triangles: 10 px per metre from the middle.
         let u = 39.5 + 10.0 * (x + 0.005 - 4.0 * photo as f64);
         assert!((f64::from(records[at][1]) - u).abs() < 0.06, "{x}: {u} {:?}", records[at]);
