@@ -15,7 +15,7 @@
 
 use super::{
     Surface, View,
-    cells::{CELLS, CellBlock, Frame, Pixels, SIDE},
+    cells::{CELLS, CellBlock, Frame, Pixels, SIDE, farther_everywhere},
 };
 use crate::raster::{georeference::Georeference, window::Window};
 use rayon::prelude::*;
@@ -448,12 +448,4 @@ impl Scratch {
             hidden: Box::new([f64::INFINITY; CELLS]),
         }
     }
-}
-
-/// Whether all points of a box are farther from `other` than from `own`: the difference of the squared
-/// distances is linear, so it is least at a corner.
-fn farther_everywhere(middle: &[f64; 3], half: &[f64; 3], own: [f64; 3], other: [f64; 3]) -> bool {
-    let squared = |c: [f64; 3]| (0..3).map(|k| (c[k] - middle[k]).powi(2)).sum::<f64>();
-    let spread: f64 = (0..3).map(|k| 2.0 * (other[k] - own[k]).abs() * half[k]).sum();
-    squared(other) - squared(own) > spread
 }

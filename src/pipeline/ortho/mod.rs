@@ -1,5 +1,6 @@
 //! The orthomosaic, and orthophotos of single photos.
 
+mod colours;
 mod record;
 mod write;
 

@@ -10,11 +10,10 @@ use crate::{
         FileError,
         geotiff::{self, Colour, Layout},
         images, output,
-        photo::{self, Metadata},
     },
     mapping::{
         MapError, Surface, View, canopy_height,
-        colour_balance::{self, ColourBalance, Exposure},
+        colour_balance::ColourBalance,
         grid::{coverage, covering, median_gsd_m, rounded},
         mosaic::{self, Mosaic, Rendered},
         photo::DecodedPhoto,
@@ -35,7 +34,6 @@ use crate::{
     },
     scene::Reconstruction,
 };
-use rayon::prelude::*;
 use std::{
     ops::Range,
     path::{Path, PathBuf},
@@ -44,7 +42,7 @@ use std::{
 // Tiles are written whole.
 const _: () = assert!(mosaic::TILE.is_multiple_of(geotiff::TILE));
 /// The most pixels of an orthophoto.
-const MAX_PIXELS: f64 = 1e11;
+pub(super) const MAX_PIXELS: f64 = 1e11;
 
 /// What orthophotos are made of.
 #[derive(Debug, Clone, Copy)]
@@ -184,22 +182,6 @@ fn chosen(input: &OrthoInput<'_>, only: &[String]) -> Result<Chosen, Error> {
     Ok(chosen)
 }
 
-/// When photos were taken and how they were exposed, as their files say. Exposures are compared only where all files say the same
-/// things of them.
-fn exposures(photos: &[PathBuf], cameras: &[usize]) -> Result<Vec<Exposure>, Error> {
-    let all: Vec<Metadata> =
-        photos.par_iter().map(|path| photo::read(path)).collect::<Result<_, _>>()?;
-    let known = |of: &Metadata| [of.exposure_s, of.iso, of.f_number].map(|value| value.is_some());
-    let alike = all.iter().all(|of| of.exposure_s.is_some() && known(of) == known(&all[0]));
-    let log = |value: Option<f64>| value.map_or(0.0, f64::ln);
-    let of = |(of, &camera): (Metadata, &usize)| Exposure {
-        log_exposure: alike.then(|| log(of.exposure_s) + log(of.iso) - 2.0 * log(of.f_number)),
-        moment: of.moment,
-        camera,
-    };
-    Ok(all.into_iter().zip(cameras).map(of).collect())
-}
-
 /// The orthophoto of every photo, in a folder beside the mosaic, which is made.
 fn frame_files(mosaic: &Path, photos: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
     let folder = output::folder_of(mosaic).join("frames");
@@ -249,55 +231,15 @@ fn surface(
 }
 
 /// What all orthophotos have in common.
-struct Work<'a> {
-    options: &'a OrthoOptions,
-    files: &'a OrthoFiles<'a>,
+pub(super) struct Work<'a> {
+    pub(super) options: &'a OrthoOptions,
+    pub(super) files: &'a OrthoFiles<'a>,
     dem: &'a Path,
     canopy_height_m: f64,
     colour: Option<ColourBalance>,
 }
 
 impl Work<'_> {
-    /// Brings the colours of photos together, over all that they show.
-    fn balance(
-        &self,
-        views: &[View],
-        (photos, cameras): (&[PathBuf], &[usize]),
-        surface: &Surface,
-        monitor: &mut dyn Monitor,
-    ) -> Result<Option<ColourBalance>, Error> {
-        let bounds = coverage(views, surface).bounds_m.ok_or_else(|| nothing(views, surface))?;
-        let gsd_m = median_gsd_m(views, surface).ok_or_else(|| nothing(views, surface))?;
-        let (grid, size) = covering(bounds, gsd_m, surface.georeference.crs, MAX_PIXELS)?;
-        let selector = PhotoSelector::new(views, surface, grid, self.options.selection());
-        let read = |k: usize| read_photo(&photos[k], views[k].interior.size_px());
-        let mut cache = PhotoCache::new(views, &read, self.options.memory_mb << 20);
-        let exposures = exposures(photos, cameras)?;
-        let found = colour_balance::balance(&selector, size, &exposures, &mut cache)?;
-        let subject = name(self.files.mosaic);
-        monitor.diagnostic(&match &found {
-            Some(found) => Diagnostic::info(
-                "colours-balanced",
-                subject,
-                format!(
-                    "photos of one place differ by {:.1} grey values, {:.1} before (median of {} windows); gains from {:.2} to {:.2}, light in the corners {}",
-                    found.difference.after,
-                    found.difference.before,
-                    found.observations,
-                    found.gain_range[0],
-                    found.gain_range[1],
-                    found.cameras.iter().map(|of| format!("{:.2}", of.corner_light)).collect::<Vec<_>>().join(", "),
-                ),
-            ),
-            None => Diagnostic::warning(
-                "no-overlap",
-                subject,
-                "no two photos show the same ground, so colours are not balanced",
-            ),
-        });
-        Ok(found)
-    }
-
     fn canopy_height(
         &self,
         views: &[View],
@@ -513,7 +455,7 @@ pub(in crate::pipeline) fn read_photo(
     Ok(DecodedPhoto::new(&photo, gaps.as_deref()))
 }
 
-fn nothing(views: &[View], surface: &Surface) -> MapError {
+pub(super) fn nothing(views: &[View], surface: &Surface) -> MapError {
     let [[left, right], [bottom, top]] = surface.bounds_m();
     let centre = views[0].centre_m();
     MapError(format!(
