@@ -255,9 +255,7 @@ impl<'a> PhotoSelector<'a> {
                     let n = columns.len();
                     source[to..to + n].copy_from_slice(&scratch.source[from..from + n]);
                     pixel[to..to + n].copy_from_slice(&scratch.pixel[from..from + n]);
-                    for k in 0..n {
-                        passed[to + k] = scratch.hidden[from + k] < f64::INFINITY;
-                    }
+                    (0..n).for_each(|k| passed[to + k] = scratch.hidden[from + k].is_finite());
                 }
                 left += SIDE;
             }

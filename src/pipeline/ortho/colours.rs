@@ -1,6 +1,9 @@
 //! One colour for the photos of an orthomosaic: when and how each was exposed, by its file, and the adjustment over all that they show.
 
-use super::write::{MAX_PIXELS, Work, nothing, read_photo};
+use super::{
+    photos::read_photo,
+    write::{MAX_PIXELS, Work, nothing},
+};
 use crate::{
     error::Error,
     io::photo::{self, Metadata},

@@ -1,6 +1,7 @@
 //! The orthomosaic, and orthophotos of single photos.
 
 mod colours;
+mod photos;
 mod record;
 mod write;
 
@@ -17,11 +18,12 @@ use crate::{
     options::Auto,
     raster::undistort::Interpolation,
 };
+pub(super) use photos::read_photo;
 pub use record::{OrthophotoRecord, PhotoRecord};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
+pub(super) use write::provenance_path;
 pub use write::{OrthoFiles, OrthoInput, write_orthophotos};
-pub(super) use write::{provenance_path, read_photo};
 
 crate::choices!(PhotoRule: Closest, Nadir, Gsd);
 crate::choices!(HeightInterpolation: Bilinear, Bicubic);
