@@ -65,7 +65,7 @@ fn contents(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     found
 }
 
-const ALWAYS: [&str; 20] = [
+const ALWAYS: [&str; 21] = [
     "field.toml",
     "gcps.csv",
     "geolocation.csv",
@@ -77,6 +77,7 @@ const ALWAYS: [&str; 20] = [
     "truth/gcps.csv",
     "truth/leaf_axes.csv",
     "truth/leaves.csv",
+    "truth/light.csv",
     "truth/marks.csv",
     "truth/mask.pgw",
     "truth/mask.png",

@@ -101,7 +101,7 @@ def rowgram(args, *options):
 def positions(args):
     data, work = args.data, args.work
     results = []
-    common = ["--interpolation", "bicubic", "--dem-interpolation", "bicubic", "--provenance=false", "--force", "--json"]
+    common = ["--interpolation", "bicubic", "--dem-interpolation", "bicubic", "--provenance=false", "--balance=false", "--force", "--json"]
     ngi = [
         "--poses", f"{data}/io/ngi_xyz_opk.csv", "--camera", f"{data}/io/ngi_int_param.yaml",
         "--dem", f"{data}/ngi/dem.tif", "--photos", f"{data}/ngi",
@@ -164,7 +164,7 @@ def speed(args):
         report = rowgram(
             args, "ortho", "--poses", f"{data}/io/ngi_xyz_opk.csv", "--camera", f"{data}/io/ngi_int_param.yaml",
             "--dem", f"{data}/ngi/dem.tif", "--photos", f"{data}/ngi", "--frames", "--gsd-m", str(args.gsd),
-            "-o", f"{work}/speed_ours/ortho.tif", "--provenance=false", "--force", "--json", "--threads", str(args.threads),
+            "-o", f"{work}/speed_ours/ortho.tif", "--provenance=false", "--balance=false", "--force", "--json", "--threads", str(args.threads),
         )
         seconds = time.perf_counter() - started
         after = os.times()

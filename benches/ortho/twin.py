@@ -73,7 +73,9 @@ def main():
     gsd = json.loads(done.stdout)["gsd_m"]
     with rasterio.open(mosaic) as file:
         colours, place = file.read(), file.transform
-    with rasterio.open(f"{folder}/ortho_provenance.tif") as file:
+    full = f"{args.work}/origins.tif"
+    subprocess.run([args.rowgram, "query", mosaic, "--write", full, "--force"], check=True, capture_output=True)
+    with rasterio.open(full) as file:
         provenance = file.read()
     with open(f"{folder}/ortho.json") as file:
         photos = [photo["name"] for photo in json.load(file)["photos"]]

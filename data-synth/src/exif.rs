@@ -26,6 +26,10 @@ pub fn jpeg(
     Ok(bytes)
 }
 
+/// Sensitivity and aperture of a camera that reports them.
+const USUAL_ISO: f64 = 100.0;
+const USUAL_F_NUMBER: f64 = 2.8;
+
 /// The TIFF structure inside EXIF.
 fn metadata(shot: &Shot, camera: &CameraConfig, site: &Site) -> io::Result<Vec<u8>> {
     let [latitude_deg, longitude_deg, height_m] =
@@ -53,7 +57,7 @@ fn metadata(shot: &Shot, camera: &CameraConfig, site: &Site) -> io::Result<Vec<u
     // Of a frame 36 mm wide: what says how long the focal length is in pixels.
     let full_frame_mm = (36.0 * camera.c_px / f64::from(camera.width_px)).round();
     let below = u8::from(height_m < 0.0);
-    let fields: Vec<Field> = [
+    let mut fields: Vec<Field> = [
         (Tag::Make, text(&camera.make)),
         (Tag::Model, text(&camera.model)),
         (Tag::Orientation, Value::Short(vec![1])),
@@ -79,6 +83,15 @@ fn metadata(shot: &Shot, camera: &CameraConfig, site: &Site) -> io::Result<Vec<u
     .into_iter()
     .map(|(tag, value)| Field { tag, ifd_num: In::PRIMARY, value })
     .collect();
+    if let Some(sensitivity) = shot.sensitivity {
+        let iso = (USUAL_ISO * sensitivity).round() as u16;
+        for (tag, value) in [
+            (Tag::PhotographicSensitivity, Value::Short(vec![iso])),
+            (Tag::FNumber, Value::Rational(vec![ratio(USUAL_F_NUMBER, 10)])),
+        ] {
+            fields.push(Field { tag, ifd_num: In::PRIMARY, value });
+        }
+    }
     let mut writer = Writer::new();
     for field in &fields {
         writer.push_field(field);

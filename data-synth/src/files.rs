@@ -156,6 +156,21 @@ pub fn exterior_orientation(twin: &Twin, out: &mut dyn Write) -> Result {
     Ok(())
 }
 
+/// `truth/light.csv`: what the light of each channel is multiplied by in every photo, vignetting aside.
+///
+/// # Errors
+/// What the writer says.
+pub fn light(twin: &Twin, out: &mut dyn Write) -> Result {
+    writeln!(out, "image,light,sensitivity,gain_red,gain_green,gain_blue")?;
+    let studio = twin.studio();
+    for (number, shot) in twin.shots.iter().enumerate() {
+        let [red, green, blue] = studio.gains(shot, number);
+        let (light, sensitivity) = (shot.light, shot.sensitivity.unwrap_or(1.0));
+        writeln!(out, "{},{light:.6},{sensitivity:.6},{red:.6},{green:.6},{blue:.6}", shot.name)?;
+    }
+    Ok(())
+}
+
 /// `truth/plants.csv`: every stalk base, with its pixel in the raster from straight above.
 ///
 /// # Errors

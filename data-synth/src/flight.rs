@@ -45,6 +45,10 @@ pub struct Shot {
     pub readout_s: f64,
     /// Time that each row is exposed, seconds.
     pub exposure_s: f64,
+    /// Light beside that of the usual flight, a factor.
+    pub light: f64,
+    /// Sensitivity beside the usual one, a factor, where the camera changes and reports it.
+    pub sensitivity: Option<f64>,
     /// Rows of the image.
     height_px: f64,
     /// Where the receiver says its antenna is, metres.
@@ -198,6 +202,8 @@ pub fn fly(
                 turn_rad_s,
                 readout_s: config.readout_seconds,
                 exposure_s: config.exposure_seconds,
+                light: 1.0,
+                sensitivity: None,
                 height_px: f64::from(camera.config().height_px),
                 gnss_m,
             });
@@ -207,6 +213,21 @@ pub fn fly(
     }
     check_view(&shots, field, camera)?;
     Ok(shots)
+}
+
+/// Lets the light change slowly over a flight, with a standard deviation `drift` of its logarithm, and the camera follow it in thirds
+/// of a stop where `follow` says so.
+pub(crate) fn light_up(shots: &mut [Shot], seed: u64, drift: f64, follow: bool) {
+    // Neighbours of 20 photos have a correlation of 2/3.
+    let mut change = Drift::new(seed, 4, 0.98);
+    for shot in shots {
+        let log = drift * change.next();
+        shot.light = log.exp();
+        if follow {
+            let thirds = (-3.0 * log / std::f64::consts::LN_2).round();
+            shot.sensitivity = Some((thirds / 3.0).exp2());
+        }
+    }
 }
 
 /// Every photo looks down on ground that a ray can reach from it.

@@ -88,7 +88,9 @@ impl TwinConfig {
         let targets = targets::set_out(&self.targets, &mut scene.field)?;
         let camera = Camera::new(&self.camera)?;
         let site = Site::new(&self.site)?;
-        let shots = flight::fly(&self.flight, &scene.field, &camera)?;
+        let mut shots = flight::fly(&self.flight, &scene.field, &camera)?;
+        let (drift, follow) = (self.image.light_drift, self.image.auto_exposure);
+        flight::light_up(&mut shots, self.field.seed, drift, follow);
         for shot in &shots {
             site.geographic(shot.gnss_m)?;
         }

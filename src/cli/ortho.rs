@@ -20,8 +20,8 @@ use std::path::{Path, PathBuf};
 /// each camera), and takes its colour from the photo whose camera is closest.
 ///
 /// Writes a tiled, compressed GeoTIFF with overviews and an alpha channel (ortho.tif), and beside it, as
-/// ortho_provenance.tif, where each pixel comes from: photo, column, row, view angle (degrees), distance to the seam
-/// (metres; -1 where there is none); ortho.json names the photos. rowgram query answers from them.
+/// ortho_provenance.tif, where each pixel comes from: number of the photo, and 1 where a better one was passed over, because it has no
+/// data or does not see the place; ortho.json has the photos. rowgram query computes the rest: column, row, view angle, distance to the seam.
 ///
 /// PROJECT is a folder after rowgram align and rowgram dem. Without a project, another program's model is read, or
 /// poses with a camera.

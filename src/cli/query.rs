@@ -17,6 +17,7 @@ use std::path::PathBuf;
 ///   rowgram query field --at 500670.2,4480143.1 --every-photo
 ///   rowgram query field --photo IMG_0031.JPG --pixel 2011.5,1490
 ///   rowgram query ortho.tif --at 500670.2,4480143.1 --json
+///   rowgram query field --write origins.tif
 #[derive(Debug, clap::Args)]
 #[command(verbatim_doc_comment, arg_required_else_help = true)]
 pub(super) struct Args {
@@ -31,7 +32,7 @@ pub(super) struct Args {
         value_name = "X,Y",
         value_delimiter = ',',
         allow_negative_numbers = true,
-        required_unless_present = "photo",
+        required_unless_present_any = ["photo", "write"],
         conflicts_with = "photo"
     )]
     at: Vec<f64>,
@@ -50,6 +51,13 @@ pub(super) struct Args {
         requires = "photo"
     )]
     pixel: Vec<f64>,
+    /// Write a GeoTIFF of all pixels: number of the photo, column and row in it, view angle (degrees), distance to the seam (metres; -1
+    /// where there is none).
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["at", "photo"])]
+    write: Option<PathBuf>,
+    /// Replace a file that exists.
+    #[arg(long, requires = "write")]
+    force: bool,
     /// The surface, if it is not where it was.
     #[arg(long, value_name = "FILE")]
     dem: Option<PathBuf>,
@@ -68,6 +76,13 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     } else {
         OrthophotoOrigins::open(&args.input, args.dem.as_deref())?
     };
+    if let Some(path) = &args.write {
+        return project::present(
+            false,
+            |monitor| origins.write_full(path, args.force, monitor),
+            |()| path.display().to_string(),
+        );
+    }
     if let (Some(photo), &[u, v]) = (&args.photo, &args.pixel[..]) {
         let found = origins.map_position(photo, [u, v])?;
         if args.json {

@@ -50,6 +50,12 @@ pub struct Metadata {
     pub gimbal_deg: Option<[f64; 3]>,
     /// Height above the point of take-off, metres.
     pub height_above_take_off_m: Option<f64>,
+    /// How long each pixel was exposed, seconds.
+    pub exposure_s: Option<f64>,
+    /// Sensitivity of the sensor, ISO.
+    pub iso: Option<f64>,
+    /// Focal length over the diameter of the aperture.
+    pub f_number: Option<f64>,
 }
 
 /// Reads what a file says, without decoding the picture. A file without EXIF gives an empty answer.
@@ -125,6 +131,9 @@ fn from_exif(exif: &exif::Exif, found: &mut Metadata) {
     found.utc_offset = text(Tag::OffsetTimeOriginal);
     found.focal_mm = positive(Tag::FocalLength);
     found.focal_35mm = positive(Tag::FocalLengthIn35mmFilm);
+    found.exposure_s = positive(Tag::ExposureTime);
+    found.iso = positive(Tag::PhotographicSensitivity);
+    found.f_number = positive(Tag::FNumber);
     // Unit 3 is the centimetre, 4 the millimetre, otherwise the inch.
     let unit_mm = match value(Tag::FocalPlaneResolutionUnit).and_then(|v| v.get_uint(0)) {
         Some(3) => 10.0,

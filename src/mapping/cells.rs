@@ -310,6 +310,19 @@ impl pulp::WithSimd for Projection<'_> {
     }
 }
 
+/// Whether all points of a box are farther from `other` than from `own`: the difference of the squared
+/// distances is linear, so it is least at a corner.
+pub(super) fn farther_everywhere(
+    middle: &[f64; 3],
+    half: &[f64; 3],
+    own: [f64; 3],
+    other: [f64; 3],
+) -> bool {
+    let squared = |c: [f64; 3]| (0..3).map(|k| (c[k] - middle[k]).powi(2)).sum::<f64>();
+    let spread: f64 = (0..3).map(|k| 2.0 * (other[k] - own[k]).abs() * half[k]).sum();
+    squared(other) - squared(own) > spread
+}
+
 /// The polynomial through values at -1, 0 and 1.
 fn through(values: [[f64; 3]; 3]) -> Quadratic {
     let line = |[a, b, c]: [f64; 3]| [b, 0.5 * (c - a), 0.5 * (a + c) - b];

@@ -12,15 +12,16 @@
 //! - [`select`]: the photo of every cell, its pixel there, the distance to the seam (`seams`);
 //! - [`photo`], [`photo_cache`] and [`paint`]: decoded photos, their colours between pixels, feathering;
 //! - [`canopy_height`]: the height of the canopy above the surface;
-//! - [`balance`]: gains that bring the colours of overlapping photos together;
+//! - [`colour_balance`] and [`colour_correction`]: what brings the colours of overlapping photos together;
 //! - [`grid`]: the area that photos cover, and the grid of a product;
-//! - [`mosaic`]: the orthomosaic, tile by tile;
+//! - [`mosaic`]: the orthomosaic, tile by tile, and where its cells come from ([`provenance`]);
 //! - [`elevation`]: elevation models of a cloud ([`dem`]) and of the ground below plants ([`ground`]);
 //! - [`dense`]: the first surface, cell by cell, and the ground below it.
 
-pub mod balance;
 pub mod canopy_height;
 mod cells;
+pub mod colour_balance;
+pub mod colour_correction;
 pub mod dem;
 pub mod dense;
 pub mod elevation;
@@ -31,6 +32,7 @@ pub mod paint;
 pub mod photo;
 pub mod photo_cache;
 pub mod plot_frame;
+pub mod provenance;
 mod seams;
 pub mod select;
 pub mod surface;

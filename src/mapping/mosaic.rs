@@ -5,12 +5,13 @@
 //! memory, or on the number of threads.
 
 use super::{
-    paint::{Blend, Gain, paint},
+    colour_correction::ColourCorrection,
+    paint::{Blend, paint},
     photo_cache::PhotoCache,
+    provenance,
     select::{CellSources, PhotoSelector},
 };
 use crate::raster::{georeference::Georeference, undistort::Interpolation, window::Window};
-use rayon::prelude::*;
 use std::sync::mpsc;
 
 /// Side of the tiles, cells: a multiple of the tiles of a GeoTIFF. What a tile needs stays in the processor's cache.
@@ -19,12 +20,6 @@ pub const TILE: usize = 512;
 const SQUARE: usize = 2;
 /// Longer side of the preview, pixels.
 const PREVIEW: usize = 1600;
-
-/// Samples of a pixel of the provenance raster: number of the photo, column and row in it, angle between line of sight and
-/// vertical (degrees), distance to the seam (metres).
-pub const PROVENANCE_BANDS: usize = 5;
-/// What stands for no photo, and for no seam, in the provenance raster.
-pub const NO_SOURCE: f32 = -1.0;
 
 /// What is to be rendered.
 #[derive(Clone, Copy)]
@@ -39,8 +34,8 @@ pub struct Mosaic<'a> {
     pub interpolation: Interpolation,
     /// Distance from seams up to which photos are blended, metres; `None`: hard seams.
     pub feather_m: Option<f64>,
-    /// Factors on the colours of each photo.
-    pub gains: Option<&'a [Gain]>,
+    /// What corrects the colours of each photo.
+    pub corrections: Option<&'a [ColourCorrection]>,
     /// Whether tiles say where their colours come from.
     pub with_provenance: bool,
 }
@@ -52,8 +47,8 @@ pub struct Tile {
     pub window: Window,
     /// Red, green, blue, alpha, row by row.
     pub rgba: Vec<u8>,
-    /// [`PROVENANCE_BANDS`] samples of each cell, row by row; empty where nobody asked.
-    pub provenance: Vec<f32>,
+    /// [`provenance::BANDS`] samples of each cell, row by row; empty where nobody asked.
+    pub provenance: Vec<u16>,
 }
 
 /// What came of it.
@@ -179,7 +174,7 @@ fn tile<E: Send>(
     match mosaic.feather_m {
         None => {
             photos.each_group(&used(&cells), |photos| {
-                paint(sources, photos, mosaic.gains, mosaic.interpolation, &mut rgba);
+                paint(sources, photos, mosaic.corrections, mosaic.interpolation, &mut rgba);
             })?;
             if has_gaps(sources, &rgba) {
                 fill_gaps(mosaic, photos, sources, &mut rgba)?;
@@ -191,7 +186,7 @@ fn tile<E: Send>(
             let mut blend = Blend::new(window);
             photos.each_group(&needed, |photos| {
                 let how = (mosaic.interpolation, feather_m);
-                blend.add(selector, sources, photos, mosaic.gains, how);
+                blend.add(selector, sources, photos, mosaic.corrections, how);
             })?;
             blend.finish(&mut rgba);
             let empty: Vec<usize> = gaps(sources, &rgba).collect();
@@ -206,8 +201,7 @@ fn tile<E: Send>(
     rendered.coloured += cells.iter().sum::<usize>();
     rendered.cells_of.iter_mut().zip(&cells).for_each(|(all, own)| *all += own);
     rendered.preview.take(window, &rgba, &sources.source);
-    let provenance =
-        if mosaic.with_provenance { provenance(selector, sources) } else { Vec::new() };
+    let provenance = if mosaic.with_provenance { provenance::compact(sources) } else { Vec::new() };
     Ok(Tile { window, rgba: rgba.into_flattened(), provenance })
 }
 
@@ -274,11 +268,12 @@ fn fill_gaps<E: Send>(
             let pixel = candidate.map(|candidate| candidate.image_px.map(|value| value as f32));
             next.pixel[cell] = pixel.unwrap_or([f32::NAN; 2]);
             sources.source[cell] = next.source[cell];
+            sources.passed_over[cell] = true;
             sources.pixel[cell] = next.pixel[cell];
         }
         let cells = cells_of(&next, photos.count());
         photos.each_group(&used(&cells), |photos| {
-            paint(&next, photos, mosaic.gains, mosaic.interpolation, rgba);
+            paint(&next, photos, mosaic.corrections, mosaic.interpolation, rgba);
         })?;
         open = gaps(sources, rgba).collect();
         if open.is_empty() {
@@ -286,31 +281,6 @@ fn fill_gaps<E: Send>(
         }
     }
     Ok(())
-}
-
-/// The samples of the provenance raster.
-fn provenance(selector: &PhotoSelector<'_>, sources: &CellSources) -> Vec<f32> {
-    let window = sources.window;
-    let seams = selector.seams_m(sources);
-    let mut out = vec![NO_SOURCE; window.pixels() * PROVENANCE_BANDS];
-    out.par_chunks_mut(window.width * PROVENANCE_BANDS).enumerate().for_each(|(j, row)| {
-        for (i, cell) in row.chunks_exact_mut(PROVENANCE_BANDS).enumerate() {
-            let at = j * window.width + i;
-            let Some(own) = (sources.source[at] as usize).checked_sub(1) else { continue };
-            let Some(point) = selector.point_m(window.u + i, window.v + j) else { continue };
-            let seam = seams[at];
-            let centre = selector.views()[own].centre_m();
-            let plan = (centre[0] - point[0]).hypot(centre[1] - point[1]);
-            let angle = plan.atan2(centre[2] - point[2]).to_degrees();
-            cell[0] = own as f32;
-            cell[1] = sources.pixel[at][0];
-            cell[2] = sources.pixel[at][1];
-            cell[3] = angle as f32;
-            // Where no other photo shows the cell there is no seam.
-            cell[4] = if seam.is_finite() { seam } else { NO_SOURCE };
-        }
-    });
-    out
 }
 
 #[cfg(test)]

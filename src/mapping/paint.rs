@@ -1,24 +1,22 @@
 //! Colours of a window, from the photos that were selected for it.
 //!
 //! ```text
-//! colour = g_k photo_k(u_k)                                            without feathering
-//! colour = sum_k w_k g_k photo_k(u_k) / sum_k w_k                      with it
+//! colour = f_k(photo_k(u_k))                                           without feathering
+//! colour = sum_k w_k f_k(photo_k(u_k)) / sum_k w_k                     with it
 //! w_k = max(0, 1 - s_k / F) e_k^2,   e_k = min(1, border_k / 32 px)
 //! ```
 //!
 //! `s_k` is how far, in plan, the cell lies on the other side of the seam towards photo `k` (0 for the photo of the cell),
 //! `F` the width of the feathering, so that on a seam both sides weigh alike and a distance `F` from it
-//! one photo is alone. `e_k` fades a photo out towards its own border, where seams end. `g_k` are gains.
+//! one photo is alone. `e_k` fades a photo out towards its own border, where seams end. `f_k` corrects the colours of a photo.
 
 use super::{
+    colour_correction::ColourCorrection,
     photo::DecodedPhoto,
     select::{CellSources, PhotoSelector},
 };
 use crate::raster::{undistort::Interpolation, window::Window};
 use rayon::prelude::*;
-
-/// The gain of each channel of a photo.
-pub type Gain = [f32; 3];
 
 /// Pixels along a photo's border over which it fades out.
 const EDGE_PX: f64 = 32.0;
@@ -28,7 +26,7 @@ const EDGE_PX: f64 = 32.0;
 pub fn paint(
     sources: &CellSources,
     photos: &[Option<&DecodedPhoto>],
-    gains: Option<&[Gain]>,
+    corrections: Option<&[ColourCorrection]>,
     interpolation: Interpolation,
     rgba: &mut [[u8; 4]],
 ) {
@@ -46,8 +44,8 @@ pub fn paint(
             start = end;
             let Some(k) = (source[run.start] as usize).checked_sub(1) else { continue };
             if let Some(photo) = photos[k] {
-                let gain = gains.map(|gains| gains[k]);
-                photo.colours(&pixel[run.clone()], interpolation, gain, &mut out[run]);
+                let correction = corrections.map(|of| &of[k]);
+                photo.colours(&pixel[run.clone()], interpolation, correction, &mut out[run]);
             }
         }
     });
@@ -107,13 +105,15 @@ impl Blend {
         selector: &PhotoSelector<'_>,
         sources: &CellSources,
         photos: &[Option<&DecodedPhoto>],
-        gains: Option<&[Gain]>,
+        corrections: Option<&[ColourCorrection]>,
         (interpolation, feather_m): (Interpolation, f64),
     ) {
         let window = self.window;
         let among = selector.within(window);
         let width = window.width;
         let rows = sources.source.par_chunks(width);
+        let prepared: Option<Vec<_>> =
+            corrections.map(|of| of.iter().map(ColourCorrection::prepared).collect());
         self.sums.par_chunks_mut(width).zip(rows).enumerate().for_each(|(j, (sums, source))| {
             for (i, sum) in sums.iter_mut().enumerate() {
                 if source[i] == 0 {
@@ -135,14 +135,17 @@ impl Blend {
                         .fold(EDGE_PX, f64::min);
                     // Never 0 for a photo that may be the only one.
                     let edge = (border / EDGE_PX).max(1e-3);
-                    let colour = photo.at(at.map(|value| value as f32), interpolation);
+                    let at = at.map(|value| value as f32);
+                    let mut colour = photo.at(at, interpolation);
                     if !DecodedPhoto::has_data(colour) {
                         continue;
                     }
+                    if let Some(prepared) = &prepared {
+                        prepared[k].apply(at, &mut colour);
+                    }
                     let weight = ((1.0 - away / feather_m) * edge * edge) as f32;
-                    let gain = gains.map_or([1.0; 3], |gains| gains[k]);
                     for c in 0..3 {
-                        sum[c] += weight * gain[c] * colour[c];
+                        sum[c] += weight * colour[c];
                     }
                     sum[3] += weight;
                 }

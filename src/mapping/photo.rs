@@ -6,8 +6,14 @@
 //! interpolation for digital image processing*, 1981; C. E. Duchon, *Lanczos filtering in one and two
 //! dimensions*, 1979.
 
+use super::colour_correction::{ColourCorrection, PreparedCorrection};
 use crate::raster::undistort::Interpolation;
 use image::RgbImage;
+
+/// From here on a byte may have been cut off; JPEG leaves a cut-off value a few below 255.
+const SATURATED: u8 = 251;
+/// The largest share of such pixels in a window whose mean is used: what they lack moves the mean by much less than its noise.
+const MOST_SATURATED: f64 = 0.01;
 
 /// A photo with four bytes for a pixel.
 #[derive(Debug, Clone)]
@@ -64,16 +70,52 @@ impl DecodedPhoto {
         }
     }
 
-    /// The colours at positions, in bytes, opaque, each channel times a gain; all 0 where there are no data.
+    /// The colours at positions, in bytes, opaque, corrected; all 0 where there are no data.
     pub fn colours(
         &self,
         at_px: &[[f32; 2]],
         interpolation: Interpolation,
-        gain: Option<[f32; 3]>,
+        correction: Option<&ColourCorrection>,
         out: &mut [[u8; 4]],
     ) {
         let photo = self;
-        pulp::Arch::new().dispatch(Colours { photo, at_px, interpolation, gain, out });
+        let correction = correction.map(ColourCorrection::prepared);
+        pulp::Arch::new().dispatch(Colours { photo, at_px, interpolation, correction, out });
+    }
+
+    /// The mean of the linear light of a square window, red, green, blue; `light` holds that of each byte. `None` where the window is
+    /// not all in the photo, has pixels without data, or more than [`MOST_SATURATED`] of its pixels may be cut off.
+    pub(super) fn mean_light(
+        &self,
+        [u, v]: [f64; 2],
+        side_px: usize,
+        light: &[f32; 256],
+    ) -> Option<[f64; 3]> {
+        let half = 0.5 * (side_px as f64 - 1.0);
+        let (left, top) = ((u - half).round(), (v - half).round());
+        let inside = left >= 0.0
+            && top >= 0.0
+            && left + side_px as f64 <= self.width as f64
+            && top + side_px as f64 <= self.height as f64;
+        if !inside {
+            return None;
+        }
+        let (left, top) = (left as usize, top as usize);
+        let (mut sums, mut saturated) = ([0.0f32; 3], 0);
+        for row in top..top + side_px {
+            for pixel in &self.pixels[row * self.width + left..][..side_px] {
+                if pixel[3] == 0 {
+                    return None;
+                }
+                saturated += usize::from(pixel[0].max(pixel[1]).max(pixel[2]) >= SATURATED);
+                for c in 0..3 {
+                    sums[c] += light[usize::from(pixel[c])];
+                }
+            }
+        }
+        let count = (side_px * side_px) as f64;
+        let usable = saturated as f64 <= MOST_SATURATED * count;
+        usable.then(|| sums.map(|sum| f64::from(sum) / count))
     }
 
     /// As [`Photo::sum`] of two, in loops that need no inlining to be fast.
@@ -154,7 +196,7 @@ struct Colours<'a> {
     photo: &'a DecodedPhoto,
     at_px: &'a [[f32; 2]],
     interpolation: Interpolation,
-    gain: Option<[f32; 3]>,
+    correction: Option<PreparedCorrection>,
     out: &'a mut [[u8; 4]],
 }
 
@@ -163,20 +205,17 @@ impl pulp::WithSimd for Colours<'_> {
 
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, _: S) {
-        let Colours { photo, at_px, interpolation, gain, out } = self;
+        let Colours { photo, at_px, interpolation, correction, out } = self;
         let n = out.len().min(at_px.len());
         let (at_px, out) = (&at_px[..n], &mut out[..n]);
-        let factors = gain.unwrap_or([1.0; 3]);
         for i in 0..n {
             let mut colour = match interpolation {
                 Interpolation::Bilinear => photo.bilinear(at_px[i]),
                 other => photo.at(at_px[i], other),
             };
             let data = (colour[3] - 255.0).abs() < 0.5;
-            if gain.is_some() {
-                for c in 0..3 {
-                    colour[c] *= factors[c];
-                }
+            if let Some(correction) = &correction {
+                correction.apply(at_px[i], &mut colour);
             }
             colour[3] = 255.0;
             let mut bytes = [0u8; 4];

@@ -15,7 +15,7 @@
 
 use super::{
     Surface, View,
-    cells::{CELLS, CellBlock, Frame, Pixels, SIDE},
+    cells::{CELLS, CellBlock, Frame, Pixels, SIDE, farther_everywhere},
 };
 use crate::raster::{georeference::Georeference, window::Window};
 use rayon::prelude::*;
@@ -57,6 +57,8 @@ pub struct CellSources {
     pub source: Vec<u32>,
     /// The pixel in that photo.
     pub pixel: Vec<[f32; 2]>,
+    /// Whether a photo that is better by the rule shows the cell's place, but has no data there or is hidden from it by the surface.
+    pub passed_over: Vec<bool>,
 }
 
 /// A photo as a source for a cell.
@@ -220,7 +222,7 @@ impl<'a> PhotoSelector<'a> {
 
     /// The photo of each cell of a window.
     pub fn sources(&self, window: Window) -> CellSources {
-        let mut sources = CellSources { window, source: Vec::new(), pixel: Vec::new() };
+        let mut sources = CellSources { window, ..CellSources::default() };
         self.sources_into(window, &mut sources);
         sources
     }
@@ -233,44 +235,50 @@ impl<'a> PhotoSelector<'a> {
         out.source.clear();
         out.source.resize(window.pixels(), 0);
         out.pixel.resize(window.pixels(), [f32::NAN; 2]);
+        out.passed_over.clear();
+        out.passed_over.resize(window.pixels(), false);
         // Blocks lie on a grid of their own, so that nothing depends on the window.
         let head = ((SIDE - window.v % SIDE) % SIDE).min(window.height) * width;
         let (first_source, source) = out.source.split_at_mut(head);
         let (first_pixel, pixel) = out.pixel.split_at_mut(head);
+        let (first_passed, passed) = out.passed_over.split_at_mut(head);
         let below = window.v + head / width.max(1);
-        let strip =
-            |scratch: &mut Scratch, top: usize, source: &mut [u32], pixel: &mut [[f32; 2]]| {
-                let rows = top % SIDE..top % SIDE + source.len() / width.max(1);
-                let mut left = window.u - window.u % SIDE;
-                while left < window.u + width {
-                    let columns = window.u.max(left)..(window.u + width).min(left + SIDE);
-                    self.block([left, top - top % SIDE], &among, scratch);
-                    for (j, row) in rows.clone().enumerate() {
-                        let from = row * SIDE + columns.start - left;
-                        let to = j * width + columns.start - window.u;
-                        let n = columns.len();
-                        source[to..to + n].copy_from_slice(&scratch.source[from..from + n]);
-                        pixel[to..to + n].copy_from_slice(&scratch.pixel[from..from + n]);
-                    }
-                    left += SIDE;
+        let strip = |scratch: &mut Scratch, top: usize, (source, pixel, passed): Rows<'_>| {
+            let rows = top % SIDE..top % SIDE + source.len() / width.max(1);
+            let mut left = window.u - window.u % SIDE;
+            while left < window.u + width {
+                let columns = window.u.max(left)..(window.u + width).min(left + SIDE);
+                self.block([left, top - top % SIDE], &among, scratch);
+                for (j, row) in rows.clone().enumerate() {
+                    let from = row * SIDE + columns.start - left;
+                    let to = j * width + columns.start - window.u;
+                    let n = columns.len();
+                    source[to..to + n].copy_from_slice(&scratch.source[from..from + n]);
+                    pixel[to..to + n].copy_from_slice(&scratch.pixel[from..from + n]);
+                    (0..n).for_each(|k| passed[to + k] = scratch.hidden[from + k].is_finite());
                 }
-            };
+                left += SIDE;
+            }
+        };
         if head > 0 {
-            strip(&mut Scratch::new(), window.v, first_source, first_pixel);
+            strip(&mut Scratch::new(), window.v, (first_source, first_pixel, first_passed));
         }
+        let rows = (width * SIDE).max(1);
         source
-            .par_chunks_mut((width * SIDE).max(1))
-            .zip(pixel.par_chunks_mut((width * SIDE).max(1)))
+            .par_chunks_mut(rows)
+            .zip(pixel.par_chunks_mut(rows))
+            .zip(passed.par_chunks_mut(rows))
             .enumerate()
-            .for_each_init(Scratch::new, |scratch, (n, (source, pixel))| {
-                strip(scratch, below + n * SIDE, source, pixel);
+            .for_each_init(Scratch::new, |scratch, (n, ((source, pixel), passed))| {
+                strip(scratch, below + n * SIDE, (source, pixel, passed));
             });
     }
 
     /// Chooses for the cells of one block.
     fn block(&self, first: [usize; 2], among: &[u32], scratch: &mut Scratch) {
-        let Scratch { cells, order, source, pixel, shown, best, costs } = scratch;
+        let Scratch { cells, order, source, pixel, shown, best, costs, hidden } = scratch;
         source.fill(0);
+        hidden.fill(f64::INFINITY);
         cells.fill(first, &self.grid, self.surface, &self.to_surface);
         if cells.known == 0 {
             pixel.fill([f32::NAN; 2]);
@@ -361,6 +369,7 @@ impl<'a> PhotoSelector<'a> {
                 if let Some(tolerance_m) = self.options.visibility_m {
                     let point = cells.point_m(at % SIDE, at / SIDE);
                     if !self.surface.is_visible(point, view.centre_m(), tolerance_m) {
+                        hidden[at] = hidden[at].min(cost);
                         continue;
                     }
                 }
@@ -373,6 +382,14 @@ impl<'a> PhotoSelector<'a> {
         }
         if !projected {
             pixel.fill([f32::NAN; 2]);
+        }
+        // What was hidden counts where it would have been better than what was found.
+        if compared {
+            for (hidden, best) in hidden.iter_mut().zip(best.iter()) {
+                if *hidden >= *best {
+                    *hidden = f64::INFINITY;
+                }
+            }
         }
     }
 
@@ -400,6 +417,9 @@ impl<'a> PhotoSelector<'a> {
     }
 }
 
+/// Rows of a window that are being filled: photos, pixels, whether one was passed over.
+type Rows<'a> = (&'a mut [u32], &'a mut [[f32; 2]], &'a mut [bool]);
+
 /// Working memory of a block.
 struct Scratch {
     cells: CellBlock,
@@ -409,6 +429,8 @@ struct Scratch {
     shown: Box<Pixels>,
     best: Box<[f64; CELLS]>,
     costs: Box<[f64; CELLS]>,
+    /// The least cost of a photo from which the surface hides the cell; infinite where that is not better than the photo of the cell.
+    hidden: Box<[f64; CELLS]>,
 }
 
 impl Scratch {
@@ -421,14 +443,7 @@ impl Scratch {
             shown: Box::new([[f32::NAN; 2]; CELLS]),
             best: Box::new([f64::INFINITY; CELLS]),
             costs: Box::new([f64::INFINITY; CELLS]),
+            hidden: Box::new([f64::INFINITY; CELLS]),
         }
     }
-}
-
-/// Whether all points of a box are farther from `other` than from `own`: the difference of the squared
-/// distances is linear, so it is least at a corner.
-fn farther_everywhere(middle: &[f64; 3], half: &[f64; 3], own: [f64; 3], other: [f64; 3]) -> bool {
-    let squared = |c: [f64; 3]| (0..3).map(|k| (c[k] - middle[k]).powi(2)).sum::<f64>();
-    let spread: f64 = (0..3).map(|k| 2.0 * (other[k] - own[k]).abs() * half[k]).sum();
-    squared(other) - squared(own) > spread
 }

@@ -6,12 +6,16 @@ use super::{
 };
 use crate::{
     error::Error,
-    io::{FileError, geotiff::Reader},
-    mapping::{
-        Surface, View,
-        mosaic::{NO_SOURCE, PROVENANCE_BANDS},
-        surface::HeightInterpolation,
+    io::{
+        FileError,
+        geotiff::{self, Colour, Layout, Reader},
     },
+    mapping::{
+        Surface, View, mosaic,
+        provenance::{self, BANDS, FULL_BANDS, NO_PHOTO, NONE},
+        select::{PhotoSelector, SelectionOptions},
+    },
+    monitor::{Counter, Monitor},
     raster::{georeference::Georeference, window::Window},
 };
 use serde::{Deserialize, Serialize};
@@ -38,7 +42,7 @@ pub struct PhotoPixel {
     pub column: usize,
     /// Row of the orthophoto.
     pub row: usize,
-    /// Column in the photo of the centre of that pixel, as it was stored, pixels.
+    /// Column in the photo of the centre of that pixel, pixels.
     pub pixel_u_px: f32,
     /// Row in the photo of the centre of that pixel, pixels.
     pub pixel_v_px: f32,
@@ -93,6 +97,7 @@ pub struct OrthophotoOrigins {
     views: Vec<View>,
     photos: Vec<PathBuf>,
     surface: Surface,
+    selection: SelectionOptions,
 }
 
 /// The origins of the orthomosaic of a project; `dem` is the file of the surface where it is not where it was.
@@ -117,12 +122,13 @@ impl OrthophotoOrigins {
     pub fn open(orthophoto: &Path, dem: Option<&Path>) -> Result<OrthophotoOrigins, Error> {
         let record = OrthophotoRecord::read(orthophoto)?;
         let surface = dem.unwrap_or(&record.dem);
-        let surface = dem::read_surface(surface, HeightInterpolation::Bilinear)?;
+        let surface = dem::read_surface(surface, record.dem_interpolation)?;
         Ok(OrthophotoOrigins {
             orthophoto: orthophoto.to_owned(),
             views: record.views(orthophoto)?,
             photos: record.photos.into_iter().map(|photo| photo.path).collect(),
             surface: surface.raised(record.canopy_height_m),
+            selection: record.selection,
         })
     }
 
@@ -152,9 +158,37 @@ impl OrthophotoOrigins {
         Error::Argument(format!("{}: {message}", self.orthophoto.display()))
     }
 
+    /// The provenance raster.
+    fn raster(&self) -> Result<Reader, Error> {
+        let reader = Reader::open(&provenance_path(&self.orthophoto))?;
+        if reader.bands() != BANDS {
+            let message = format!(
+                "it has {} bands, expected the {BANDS} of a provenance raster; make the orthophoto again",
+                reader.bands()
+            );
+            return Err(FileError::malformed(reader.path(), None, message).into());
+        }
+        Ok(reader)
+    }
+
+    /// All that is known of the cells of a window; [`FULL_BANDS`] numbers each.
+    fn full(&self, reader: &Reader, window: Window) -> Result<Vec<f32>, Error> {
+        let grid = reader
+            .georeference()
+            .ok_or_else(|| self.fault("its provenance is not georeferenced".into()))?;
+        let stored = reader.read::<u16>(window)?;
+        let photo =
+            |cell: &[u16; BANDS]| cell[0] != NO_PHOTO && usize::from(cell[0]) >= self.views.len();
+        if let Some(cell) = stored.as_chunks::<BANDS>().0.iter().find(|cell| photo(cell)) {
+            return Err(self.fault(format!("there is no photo number {}", cell[0])));
+        }
+        let selector = PhotoSelector::new(&self.views, &self.surface, grid, self.selection);
+        Ok(provenance::full(&selector, window, &stored))
+    }
+
     /// Column, row and provenance of the pixel at a place; `None` where it has no colour.
     fn stored(&self, at: [f64; 2]) -> Result<Option<(usize, usize, Vec<f32>)>, Error> {
-        let reader = Reader::open(&provenance_path(&self.orthophoto))?;
+        let reader = self.raster()?;
         let outside = || self.fault(format!("it does not show ({}, {})", at[0], at[1]));
         let place = reader.georeference().and_then(|place| place.pixel(at)).ok_or_else(outside)?;
         let (u, v) = (place[0].round(), place[1].round());
@@ -164,15 +198,39 @@ impl OrthophotoOrigins {
             return Err(outside());
         }
         let (u, v) = (u as usize, v as usize);
-        let record = reader.read::<f32>(Window { u, v, width: 1, height: 1 })?;
-        if record.len() != PROVENANCE_BANDS {
-            let message = format!(
-                "it has {} bands, expected the {PROVENANCE_BANDS} of a provenance raster",
-                record.len()
-            );
-            return Err(FileError::malformed(reader.path(), None, message).into());
-        }
-        Ok((record[0] != NO_SOURCE).then_some((u, v, record)))
+        let record = self.full(&reader, Window { u, v, width: 1, height: 1 })?;
+        Ok((record[0] != NONE).then_some((u, v, record)))
+    }
+
+    /// Writes the photo, column and row in it, view angle (degrees) and distance to the seam (metres) of every pixel as a GeoTIFF of
+    /// 32-bit numbers; -1 where there is none.
+    ///
+    /// # Errors
+    /// A provenance raster that cannot be read, an output that cannot be written or exists.
+    pub fn write_full(
+        &self,
+        path: &Path,
+        force: bool,
+        monitor: &mut dyn Monitor,
+    ) -> Result<(), Error> {
+        let reader = self.raster()?;
+        let size = [reader.width(), reader.height()];
+        let tiles = mosaic::tiles(size);
+        let counter = Counter::new(monitor, "computing pixels", tiles.len(), "tiles");
+        let layout = Layout {
+            width: size[0],
+            height: size[1],
+            colour: Colour::Records(FULL_BANDS),
+            georeference: reader.georeference(),
+            nodata: Some(f64::from(NONE)),
+        };
+        geotiff::write::<f32, Error>(path, force, &layout, |writer| {
+            for window in tiles {
+                writer.put(window, &self.full(&reader, window)?)?;
+                counter.tick();
+            }
+            Ok(())
+        })
     }
 
     /// The photo and its pixel behind a place, metres in the mapping frame.
@@ -207,7 +265,7 @@ impl OrthophotoOrigins {
             pixel_u_px: record[1],
             pixel_v_px: record[2],
             view_angle_deg: record[3],
-            to_seam_m: (record[4] != NO_SOURCE).then_some(record[4]),
+            to_seam_m: (record[4] != NONE).then_some(record[4]),
         })
     }
 

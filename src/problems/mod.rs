@@ -7,3 +7,4 @@ pub mod lens_fit;
 pub mod plants;
 pub mod plot_layout;
 mod pose_chain;
+pub mod radiometry;

@@ -10,6 +10,7 @@ use super::{
 use crate::{
     error::Error,
     io::{csv_table::CsvTable, rasters::Source},
+    mapping::colour_balance::ColourBalance,
     phenotype::plots::{PlotTraits, TRAITS},
     pipeline::{Stage, leaf_count::LeafCountOutcome, plots::PlotSource},
 };
@@ -17,6 +18,42 @@ use maud::{Markup, html};
 
 /// Rows of a table that are shown; the file has all.
 const MOST_ROWS: usize = 200;
+
+/// How the colours of photos were brought together.
+fn balanced(colour: &ColourBalance) -> Markup {
+    let number = |value: f64, sigma: f64| format!("{value:.3} ± {sigma:.3}");
+    html! {
+        h3 { "Colours" }
+        p {
+            "Two photos of one place differ by " (format!("{:.1}", colour.difference.after)) " grey values, "
+            (format!("{:.1}", colour.difference.before)) " before the adjustment of exposure, white balance, vignetting and light (median over "
+            (colour.observations) " windows at " (colour.points) " places; " (format!("{:.1}", 100.0 * colour.downweighted))
+            " % of them with reduced weight). The brightness of a window has a standard deviation of "
+            (format!("{:.1}", 100.0 * colour.sigma)) " %. Photos are from " (format!("{:.2}", colour.gain_range[0])) " to "
+            (format!("{:.2}", colour.gain_range[1])) " times as bright as the mean; the logarithm of a gain is known to "
+            (format!("{:.4}", colour.gain_sigma)) " (median standard deviation). Exposures in the files of the photos "
+            @if colour.with_exposures { "took part." } @else { "are not known." }
+        }
+        table {
+            thead { tr {
+                th { "camera" } th { "light in the corners" } th { "r²" } th { "r⁴" } th { "r⁶" } th { "to the east" } th { "to the north" }
+            } }
+            tbody {
+                @for (k, of) in colour.cameras.iter().enumerate() {
+                    tr {
+                        td { (k + 1) } td { (format!("{:.2}", of.corner_light)) }
+                        @for (value, sigma) in of.vignetting.iter().zip(&of.vignetting_sigma) { td { (number(*value, *sigma)) } }
+                        @for (value, sigma) in of.direction[..2].iter().zip(&of.direction_sigma) { td { (number(*value, *sigma)) } }
+                    }
+                }
+            }
+        }
+        p .note {
+            "Coefficients of the logarithm of the light: vignetting by the distance from the principal point over half the diagonal, and "
+            "by the tangent of the direction of view. ortho.json has what each photo was multiplied by."
+        }
+    }
+}
 
 /// Surface and orthomosaic.
 ///
@@ -49,6 +86,7 @@ pub(super) fn map(facts: &Facts<'_>) -> Result<Section, Error> {
             (shown(facts, Stage::Ortho, "figures/sources.png", "Which photo each place comes from, and the seams between them.")?)
             (scaled(facts, Stage::Ortho, "figures/coverage.png", "How many photos show each place; white where none does.", ["1", &format!("{most} photos")])?)
         }
+        @if let Some(colour) = results.ortho.as_ref().and_then(|ortho| ortho.colour.as_ref()) { (balanced(colour)) }
         @if let Some(dem) = &results.dem {
             p {
                 "Surface: " (dem.width_px) " x " (dem.height_px) " cells of " (format!("{:.3}", dem.cell_m)) " m from "

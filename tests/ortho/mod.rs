@@ -1,11 +1,14 @@
 //! `rowgram ortho`, `query` and `dem` on small worlds whose photos are drawn by a formula of their own.
 
+mod colour;
 mod dem;
 mod wide_lenses;
 
 use crate::program::rowgram;
 use rowgram::{
     io::geotiff::{Colour, Layout, Reader, write},
+    monitor::Collector,
+    pipeline::query::OrthophotoOrigins,
     raster::{
         georeference::{Crs, Georeference},
         window::Window,
@@ -27,7 +30,15 @@ fn colour(x: f64, y: f64) -> [f64; 3] {
     ]
 }
 
-/// Ground `z = slope x`; three cameras straight down, 10 m apart, their x axis to the east.
+/// A grey value of sRGB whose linear light is multiplied.
+fn exposed(value: f64, factor: f64) -> f64 {
+    let coded = value / 255.0;
+    let light = if coded <= 0.04045 { coded / 12.92 } else { ((coded + 0.055) / 1.055).powf(2.4) };
+    let light = light * factor;
+    255.0 * if light <= 0.003_130_8 { 12.92 * light } else { 1.055 * light.powf(1.0 / 2.4) - 0.055 }
+}
+
+/// Ground `z = slope x`; three cameras straight down, 10 m apart, their x axis to the east, with exposures that light is multiplied by.
 struct World {
     slope: f64,
     exposure: [f64; 3],
@@ -55,7 +66,8 @@ impl World {
                 let a = (f64::from(u) - 59.5) / F_PX;
                 let x = (Self::camera_x(k) + a * HEIGHT_M) / (1.0 + a * self.slope);
                 let y = (44.5 - f64::from(v)) / F_PX * (HEIGHT_M - self.slope * x);
-                let bytes = colour(x, y).map(|c| (c * self.exposure[k]).round().clamp(0.0, 255.0));
+                let bytes =
+                    colour(x, y).map(|c| exposed(c, self.exposure[k]).round().clamp(0.0, 255.0));
                 image::Rgb(bytes.map(|c| c as u8))
             });
             photo.save(folder.join(format!("images/p{k}.png"))).unwrap();
@@ -99,6 +111,8 @@ struct Mosaic {
     size: [usize; 2],
     rgba: Vec<u8>,
     records: Vec<f32>,
+    /// 1 where a better photo has no data or does not see the place.
+    passed_over: Vec<u16>,
 }
 
 impl Mosaic {
@@ -107,12 +121,19 @@ impl Mosaic {
         let size = [reader.width(), reader.height()];
         let all = Window::whole(size[0], size[1]);
         let stem = path.file_stem().unwrap().to_str().unwrap();
-        let records = Reader::open(&path.with_file_name(format!("{stem}_provenance.tif"))).unwrap();
+        let full = path.with_file_name(format!("{stem}_full.tif"));
+        let origins = OrthophotoOrigins::open(path, None).unwrap();
+        origins.write_full(&full, true, &mut Collector::default()).unwrap();
+        let records = Reader::open(&full).unwrap();
+        let stored = Reader::open(&path.with_file_name(format!("{stem}_provenance.tif"))).unwrap();
+        let passed_over =
+            stored.read::<u16>(all).unwrap().chunks_exact(2).map(|cell| cell[1]).collect();
         Mosaic {
             place: reader.georeference().unwrap(),
             size,
             rgba: reader.read::<u8>(all).unwrap(),
             records: records.read::<f32>(all).unwrap(),
+            passed_over,
         }
     }
 
@@ -202,7 +223,9 @@ fn every_cell_comes_from_the_closest_camera_that_shows_it() {
 fn results_do_not_depend_on_threads_or_room() {
     let folder = tempfile::tempdir().unwrap();
     World { slope: 0.05, exposure: [1.0, 0.9, 1.05] }.build(folder.path());
-    for options in ["", "--feather-m 2 --balance --visibility-m 0.05 --interpolation bicubic"] {
+    for options in
+        ["", "--balance=false", "--feather-m 2 --visibility-m 0.05 --interpolation bicubic"]
+    {
         run(folder.path(), &format!("{GIVEN} {options} -o a.tif --force"));
         run(
             folder.path(),
@@ -246,7 +269,7 @@ fn a_mosaic_knows_the_photo_pixel_behind_each_place_and_back() {
 #[test]
 fn feathering_and_balance_take_the_step_out_of_a_seam() {
     let folder = tempfile::tempdir().unwrap();
-    World { slope: 0.0, exposure: [1.0, 0.8, 1.0] }.build(folder.path());
+    World { slope: 0.0, exposure: [1.0, 0.6, 1.0] }.build(folder.path());
     // Ratios of the mosaic to the true colour left and right of the seam at x = 5 m.
     let step = |name: &str| {
         let mosaic = Mosaic::read(&folder.path().join(name));
@@ -260,13 +283,14 @@ fn feathering_and_balance_take_the_step_out_of_a_seam() {
         };
         (side(4.4..5.0) - side(5.0..5.6)).abs()
     };
-    run(folder.path(), &format!("{GIVEN} -o plain.tif"));
-    run(folder.path(), &format!("{GIVEN} -o balanced.tif --balance"));
-    run(folder.path(), &format!("{GIVEN} -o feathered.tif --feather-m 4"));
+    run(folder.path(), &format!("{GIVEN} -o plain.tif --balance=false"));
+    run(folder.path(), &format!("{GIVEN} -o balanced.tif"));
+    run(folder.path(), &format!("{GIVEN} -o feathered.tif --balance=false --feather-m 4"));
     let (plain, balanced, feathered) =
         (step("plain.tif"), step("balanced.tif"), step("feathered.tif"));
-    assert!((plain - 0.2).abs() < 0.02, "{plain}");
-    assert!(balanced < 0.02, "{balanced}");
+    // 0.6^(1/2.4) = 0.81.
+    assert!((plain - 0.2).abs() < 0.03, "{plain}");
+    assert!(balanced < 0.01, "{balanced}");
     // Over 0.6 m of a ramp of 2 x 4 m.
     assert!(feathered < 0.04, "{feathered}");
 }
@@ -366,6 +390,11 @@ fn pixels_without_data_come_from_the_next_photo_or_from_none() {
             }
         }
         assert!(of_next > 500 && of_none == 0, "{of_next} {of_none}");
+        let marked = mosaic.cells().zip(&mosaic.passed_over).filter(|((_, rgba, record), mark)| {
+            assert!(**mark == 0 || (rgba[3] == 255 && record[0] != 1.0));
+            **mark == 1
+        });
+        assert!(marked.count() >= of_next);
     }
 }
 

@@ -127,8 +127,10 @@ fn wide_lenses_of_two_cameras_are_right_to_a_fiftieth_of_a_pixel() {
     };
     let mut found = Collector::default();
     let outcome = ortho(&project, &options, &mut found).unwrap();
-    let mosaic = root.join("rowgram/ortho").join(&outcome.mosaic.file);
-    let reader = Reader::open(&mosaic.with_file_name("ortho_provenance.tif")).unwrap();
+    assert!(root.join("rowgram/ortho").join(&outcome.mosaic.file).is_file());
+    let full = root.join("full.tif");
+    query(&project, None).unwrap().write_full(&full, false, &mut found).unwrap();
+    let reader = Reader::open(&full).unwrap();
     let grid = reader.georeference().unwrap();
     let records = reader.read::<f32>(Window::whole(reader.width(), reader.height())).unwrap();
     let (mut squared, mut largest, mut of_camera, mut far) = (0.0, 0.0f64, [0, 0], 0);

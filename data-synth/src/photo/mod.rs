@@ -48,6 +48,10 @@ pub struct ImageConfig {
     pub exposure_spread: f64,
     /// Standard deviation of the logarithm of the red and blue gains from photo to photo.
     pub white_balance_spread: f64,
+    /// Standard deviation of the logarithm of the light over a flight: it changes slowly, as thin clouds make it.
+    pub light_drift: f64,
+    /// Whether the camera follows the light in thirds of a stop, by its sensitivity, which it reports.
+    pub auto_exposure: bool,
     /// Light lost in the corners, fraction.
     pub vignetting: f64,
     /// Standard deviation of the Gaussian blur of lens and sensor, pixels.
@@ -70,6 +74,8 @@ impl Default for ImageConfig {
             soil_contrast: 1.0,
             exposure_spread: 0.06,
             white_balance_spread: 0.02,
+            light_drift: 0.0,
+            auto_exposure: false,
             vignetting: 0.15,
             defocus_px: 0.8,
             motion_blur: true,
@@ -91,6 +97,7 @@ impl ImageConfig {
         within("image.soil_contrast", self.soil_contrast, 0.0..=3.0)?;
         within("image.exposure_spread", self.exposure_spread, 0.0..=1.0)?;
         within("image.white_balance_spread", self.white_balance_spread, 0.0..=0.5)?;
+        within("image.light_drift", self.light_drift, 0.0..=1.0)?;
         within("image.vignetting", self.vignetting, 0.0..=0.9)?;
         within("image.defocus_px", self.defocus_px, 0.0..=20.0)?;
         within("image.read_noise", self.read_noise, 0.0..=0.2)?;
@@ -174,8 +181,15 @@ impl<'a> Studio<'a> {
             frame.smear(&self.motion(shot));
         }
         frame.blur(self.image.defocus_px);
-        let image = frame.develop(self.image, self.world.field.config.seed, photo);
+        let gains = self.gains(shot, photo);
+        let image = frame.develop(self.image, (self.world.field.config.seed, photo), gains);
         Photo { image, mask, plants, leaves }
+    }
+
+    /// What the light of each channel is multiplied by in photo number `photo`, vignetting aside.
+    pub fn gains(&self, shot: &Shot, photo: usize) -> [f64; 3] {
+        sensor::gains(self.image, self.world.field.config.seed, photo)
+            .map(|gain| gain * shot.light * shot.sensitivity.unwrap_or(1.0))
     }
 
     /// How far the ground in the middle of every block moves during the exposure, pixels.

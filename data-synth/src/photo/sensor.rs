@@ -89,12 +89,13 @@ impl Frame {
     }
 
     /// The picture: vignetting, exposure and white balance, noise, sRGB.
-    pub(super) fn develop(&self, config: &ImageConfig, seed: u64, photo: usize) -> RgbImage {
-        let mut rng = stream(seed, Stage::Exposure, photo as u64);
-        let gain = (config.exposure_spread * rng.normal()).exp();
-        let [red, blue] =
-            [rng.normal(), rng.normal()].map(|n| (config.white_balance_spread * n).exp());
-        let gains = [gain * red, gain, gain * blue].map(|g| g as f32);
+    pub(super) fn develop(
+        &self,
+        config: &ImageConfig,
+        (seed, photo): (u64, usize),
+        gains: [f64; 3],
+    ) -> RgbImage {
+        let gains = gains.map(|g| g as f32);
         let curve = tone_curve();
         let (width, height) = (self.width, self.height);
         let middle = [0.5 * (width as f32 - 1.0), 0.5 * (height as f32 - 1.0)];
@@ -124,6 +125,14 @@ impl Frame {
         });
         image
     }
+}
+
+/// Exposure and white balance of a photo, as they vary from photo to photo.
+pub(super) fn gains(config: &ImageConfig, seed: u64, photo: usize) -> [f64; 3] {
+    let mut rng = stream(seed, Stage::Exposure, photo as u64);
+    let gain = (config.exposure_spread * rng.normal()).exp();
+    let [red, blue] = [rng.normal(), rng.normal()].map(|n| (config.white_balance_spread * n).exp());
+    [gain * red, gain, gain * blue]
 }
 
 const CURVE: usize = 16384;

@@ -34,12 +34,12 @@ fn photo(k: usize) -> DecodedPhoto {
     DecodedPhoto::new(&image, Some(&gaps))
 }
 
-/// All cells of a mosaic of 16 m x 6 m: colour, provenance, what came of it.
+/// All cells of a mosaic of 16 m x 6 m: colour, all of the provenance and whether a photo was passed over, what came of it.
 fn rendered(
     feather_m: Option<f64>,
-    gains: Option<&[Gain]>,
+    corrections: Option<&[ColourCorrection]>,
     room: usize,
-) -> (Vec<[u8; 4]>, Vec<[f32; 5]>, Rendered) {
+) -> (Vec<[u8; 4]>, Vec<[f32; 6]>, Rendered) {
     let (views, surface) = (views(), surface());
     let grid = Georeference::north_up([-3.995, 2.995], 0.01, Crs::LOCAL);
     let size = [1600, 600];
@@ -52,18 +52,20 @@ fn rendered(
         size,
         interpolation: Interpolation::Bilinear,
         feather_m,
-        gains,
+        corrections,
         with_provenance: true,
     };
     let mut colours = vec![[1u8; 4]; size[0] * size[1]];
-    let mut records = vec![[f32::NAN; 5]; size[0] * size[1]];
+    let mut records = vec![[f32::NAN; 6]; size[0] * size[1]];
     let found = render(&mosaic, &mut cache, |tile| {
         let Window { u, v, width, height } = tile.window;
+        let full = provenance::full(&selector, tile.window, &tile.provenance);
         for n in 0..width * height {
             let at = (v + n / width) * size[0] + u + n % width;
             assert!(records[at][0].is_nan(), "cell {at} came twice");
             colours[at].copy_from_slice(&tile.rgba[4 * n..4 * n + 4]);
-            records[at].copy_from_slice(&tile.provenance[5 * n..5 * n + 5]);
+            records[at][..5].copy_from_slice(&full[5 * n..5 * n + 5]);
+            records[at][5] = f32::from(tile.provenance[2 * n + 1]);
         }
         Ok(())
     });
@@ -93,6 +95,7 @@ fn a_cell_without_data_comes_from_the_next_best_photo() {
         let [r, g, b] = COLOURS[photo];
         assert_eq!(colours[at], [r, g, b, 255], "{x}");
         assert_eq!(records[at][0], photo as f32, "{x}");
+        assert_eq!(records[at][5], if x == 3.0 { 1.0 } else { 0.0 }, "{x}: passed over");
         // The pixel in the photo, from similar triangles: 10 px per metre from the middle.
         let u = 39.5 + 10.0 * (x + 0.005 - 4.0 * photo as f64);
         assert!((f64::from(records[at][1]) - u).abs() < 0.06, "{x}: {u} {:?}", records[at]);
@@ -116,7 +119,7 @@ fn the_room_for_photos_changes_nothing() {
 }
 
 #[test]
-fn feathering_mixes_photos_at_a_seam_and_gains_change_them() {
+fn feathering_mixes_photos_at_a_seam_and_corrections_change_them() {
     let (colours, _, _) = rendered(Some(1.0), None, usize::MAX);
     // The seam of the second and the third photo, at 6 m: half of each; beyond a metre of it one alone.
     let at = |x: f64| colours[300 * 1600 + ((x + 4.0) * 100.0).round() as usize];
@@ -124,10 +127,18 @@ fn feathering_mixes_photos_at_a_seam_and_gains_change_them() {
     assert!(r == 10 && a == 255, "{r} {a}");
     assert!(g.abs_diff(105) <= 2 && b.abs_diff(105) <= 2, "{g} {b}");
     assert_eq!((at(4.9), at(7.1)), ([10, 200, 10, 255], [10, 10, 200, 255]));
-    let gains = [[0.5; 3], [1.0; 3], [1.2, 1.0, 1.0]];
-    let (colours, _, _) = rendered(None, Some(&gains), usize::MAX);
-    assert_eq!(colours[300 * 1600 + 100], [100, 5, 5, 255]);
-    assert_eq!(colours[300 * 1600 + 1500], [12, 10, 200, 255]);
+    let by = |gain: [f32; 3]| ColourCorrection {
+        gain,
+        middle_px: [39.5, 29.5],
+        radius_px: 50.0,
+        log_shape: [0.0; 7],
+    };
+    let corrections = [by([0.5; 3]), by([1.0; 3]), by([2.0, 1.0, 1.0])];
+    let (colours, _, _) = rendered(None, Some(&corrections), usize::MAX);
+    // By the equations of IEC 61966-2-1 half the light of 200 is 146.3.
+    assert_eq!(colours[300 * 1600 + 100][0], 146);
+    assert_eq!(colours[300 * 1600 + 800], [10, 200, 10, 255]);
+    assert_eq!(colours[300 * 1600 + 1500][1..], [10, 200, 255]);
 }
 
 #[test]
@@ -141,7 +152,7 @@ fn errors_of_reading_and_of_taking_end_the_work() {
         size: [1600, 600],
         interpolation: Interpolation::Bilinear,
         feather_m: None,
-        gains: None,
+        corrections: None,
         with_provenance: false,
     };
     let damaged = |_: usize| -> Result<DecodedPhoto, String> { Err("damaged".to_owned()) };

@@ -1,5 +1,7 @@
 //! The orthomosaic, and orthophotos of single photos.
 
+mod colours;
+mod photos;
 mod record;
 mod write;
 
@@ -8,6 +10,7 @@ use crate::{
     error::Error,
     mapping::{
         canopy_height::CanopyHeight,
+        colour_balance::ColourBalance,
         select::{PhotoRule, SelectionOptions},
         surface::HeightInterpolation,
     },
@@ -15,11 +18,12 @@ use crate::{
     options::Auto,
     raster::undistort::Interpolation,
 };
+pub(super) use photos::read_photo;
 pub use record::{OrthophotoRecord, PhotoRecord};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
+pub(super) use write::provenance_path;
 pub use write::{OrthoFiles, OrthoInput, write_orthophotos};
-pub(super) use write::{provenance_path, read_photo};
 
 crate::choices!(PhotoRule: Closest, Nadir, Gsd);
 crate::choices!(HeightInterpolation: Bilinear, Bicubic);
@@ -53,8 +57,9 @@ crate::options! {
         pub border_px: f64 = 0.0, limits NON_NEGATIVE;
         /// How photos are read between their pixels.
         pub interpolation: Interpolation = Interpolation::Bilinear;
-        /// Bring the colours of overlapping photos together.
-        pub balance: bool = false;
+        /// Bring the colours of photos together: exposure and white balance of each, vignetting, light and direction of view. What
+        /// each photo's light was multiplied by is in ortho.json.
+        pub balance: bool = true;
         /// Distance from the seams up to which photos are blended; hard seams, as in the paper, where not set.
         pub feather_m: Option<f64> = None, limits POSITIVE, example "0.2";
         /// Write where every pixel comes from; needed by rowgram query.
@@ -113,6 +118,8 @@ pub struct OrthoOutcome {
     pub canopy_height_m: f64,
     /// The height of the canopy, where it was estimated and found.
     pub canopy: Option<CanopyHeight>,
+    /// How colours were brought together, where they were.
+    pub colour: Option<ColourBalance>,
     /// Orthophotos of single photos, where they were wanted.
     pub frames: Vec<Orthophoto>,
 }

@@ -4,14 +4,20 @@ use crate::{
     camera::Camera,
     error::Error,
     io::{FileError, output},
-    mapping::{View, select::SelectionOptions},
+    mapping::{
+        View, colour_balance::ColourBalance, colour_correction::ColourCorrection,
+        select::SelectionOptions, surface::HeightInterpolation,
+    },
     scene::Pose,
 };
 use serde::{Deserialize, Serialize};
-use std::path::{Component, Path, PathBuf};
+use std::{
+    ops::Range,
+    path::{Component, Path, PathBuf},
+};
 
 /// The version of the format.
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 
 /// A photo behind an orthophoto.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -28,8 +34,10 @@ pub struct PhotoRecord {
     pub translation_m: [f64; 3],
     /// With a rolling shutter: rotation vector (radians) and shift (metres) of the camera frame during the readout.
     pub motion: Option<[f64; 6]>,
-    /// Factors on red, green and blue.
-    pub gain: Option<[f32; 3]>,
+    /// What its linear light was multiplied by; the inverse undoes it.
+    pub colour: Option<ColourCorrection>,
+    /// Standard deviations of the logarithms of the gains, red, green, blue.
+    pub log_gain_sigma: Option<[f64; 3]>,
 }
 
 /// The photos behind an orthophoto, and how it was made of them.
@@ -47,6 +55,8 @@ pub struct OrthophotoRecord {
     pub gsd_m: f64,
     /// The surface; relative to the folder of the record where both are of one project.
     pub dem: PathBuf,
+    /// How it is read between its cells.
+    pub dem_interpolation: HeightInterpolation,
     /// How far above it the map is drawn, metres.
     pub canopy_height_m: f64,
     /// How photos were chosen for cells.
@@ -97,18 +107,20 @@ fn found(folder: &Path, path: &Path) -> PathBuf {
     at
 }
 
-/// Photos with their cameras, as a record holds them.
+/// The photos of `which`, with their cameras, as a record holds them.
 pub(super) fn photos_of(
     orthophoto: &Path,
+    which: &Range<usize>,
     views: &[View],
     files: &[PathBuf],
-    gains: Option<&[[f32; 3]]>,
+    balance: Option<&ColourBalance>,
 ) -> (Vec<String>, Vec<PhotoRecord>) {
     let record = path(orthophoto);
     let folder = output::folder_of(&record);
     let mut cameras: Vec<String> = Vec::new();
     let mut photos = Vec::new();
-    for (k, view) in views.iter().enumerate() {
+    for k in which.clone() {
+        let view = &views[k];
         let camera = Camera::new("camera", view.interior).to_toml();
         let index = cameras.iter().position(|other| *other == camera).unwrap_or_else(|| {
             cameras.push(camera);
@@ -121,7 +133,8 @@ pub(super) fn photos_of(
             rotation: view.pose.rotation,
             translation_m: view.pose.translation,
             motion: view.motion,
-            gain: gains.map(|gains| gains[k]),
+            colour: balance.map(|balance| balance.corrections[k]),
+            log_gain_sigma: balance.map(|balance| balance.log_gain_sigmas[k]),
         });
     }
     (cameras, photos)

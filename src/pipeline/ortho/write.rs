@@ -2,6 +2,7 @@
 
 use super::{
     OrthoOptions, OrthoOutcome, Orthophoto,
+    photos::{Chosen, chosen, read_photo},
     record::{self, OrthophotoRecord},
 };
 use crate::{
@@ -9,19 +10,16 @@ use crate::{
     io::{
         FileError,
         geotiff::{self, Colour, Layout},
-        images, output,
+        output,
     },
     mapping::{
-        MapError, Surface, View,
-        balance::Overlaps,
-        canopy_height,
+        MapError, Surface, View, canopy_height,
+        colour_balance::ColourBalance,
         grid::{coverage, covering, median_gsd_m, rounded},
-        mosaic::{self, Mosaic, NO_SOURCE, PROVENANCE_BANDS, Rendered},
-        paint::Gain,
-        photo::DecodedPhoto,
+        mosaic::{self, Mosaic, Rendered},
         photo_cache::PhotoCache,
+        provenance::{BANDS, NO_PHOTO},
         select::PhotoSelector,
-        views,
     },
     monitor::{Counter, Diagnostic, Monitor},
     options::Auto,
@@ -29,18 +27,18 @@ use crate::{
         dem::{beside, name, read_surface},
         map_figures,
     },
-    raster::{
-        georeference::{Crs, CrsKind, Georeference},
-        window::Window,
-    },
+    raster::georeference::{Crs, CrsKind, Georeference},
     scene::Reconstruction,
 };
-use std::path::{Path, PathBuf};
+use std::{
+    ops::Range,
+    path::{Path, PathBuf},
+};
 
 // Tiles are written whole.
 const _: () = assert!(mosaic::TILE.is_multiple_of(geotiff::TILE));
 /// The most pixels of an orthophoto.
-const MAX_PIXELS: f64 = 1e11;
+pub(super) const MAX_PIXELS: f64 = 1e11;
 
 /// What orthophotos are made of.
 #[derive(Debug, Clone, Copy)]
@@ -79,7 +77,13 @@ pub fn write_orthophotos(
     files: &OrthoFiles<'_>,
     monitor: &mut dyn Monitor,
 ) -> Result<OrthoOutcome, Error> {
-    let (views, photos) = chosen(input, &options.only)?;
+    let Chosen { views, photos, cameras } = chosen(input, &options.only)?;
+    if views.len() >= usize::from(NO_PHOTO) {
+        return Err(Error::Argument(format!(
+            "an orthomosaic of {} photos: at most {NO_PHOTO} are possible; choose some with only",
+            views.len()
+        )));
+    }
     let surface = surface(input, options, monitor)?;
     let frames = if options.frames { frame_files(files.mosaic, &photos)? } else { Vec::new() };
     for orthophoto in std::iter::once(files.mosaic).chain(frames.iter().map(PathBuf::as_path)) {
@@ -89,7 +93,7 @@ pub fn write_orthophotos(
             output::check(&provenance_path(orthophoto), files.force)?;
         }
     }
-    let mut work = Work { options, files, dem: input.surface, canopy_height_m: 0.0 };
+    let mut work = Work { options, files, dem: input.surface, canopy_height_m: 0.0, colour: None };
     let (canopy_height_m, canopy) = match options.canopy_height_m {
         Auto::Given(metres) => (metres, None),
         Auto::Auto => {
@@ -116,8 +120,12 @@ pub fn write_orthophotos(
     };
     let surface = surface.raised(canopy_height_m);
     work.canopy_height_m = canopy_height_m;
+    if options.balance {
+        work.colour = work.balance(&views, (&photos, &cameras), &surface, monitor)?;
+    }
+    let all = 0..views.len();
     let mosaic =
-        work.orthophoto(&views, &photos, &surface, (files.mosaic, files.figures), monitor)?;
+        work.orthophoto((&views, all), &photos, &surface, (files.mosaic, files.figures), monitor)?;
     let mut single = Vec::new();
     for (k, frame) in frames.iter().enumerate() {
         if views[k].footprint_m(&surface).is_none() {
@@ -125,8 +133,8 @@ pub fn write_orthophotos(
             monitor.diagnostic(&Diagnostic::warning("photo-off-surface", &views[k].name, message));
             continue;
         }
-        let (view, photo) = (&views[k..=k], &photos[k..=k]);
-        let mut made = work.orthophoto(view, photo, &surface, (frame, None), monitor)?;
+        let which = (views.as_slice(), k..k + 1);
+        let mut made = work.orthophoto(which, &photos, &surface, (frame, None), monitor)?;
         let folder = frame.parent().and_then(Path::file_name).unwrap_or_default();
         let files = [Some(&mut made.file), made.provenance.as_mut(), Some(&mut made.record)];
         for file in files.into_iter().flatten() {
@@ -134,25 +142,7 @@ pub fn write_orthophotos(
         }
         single.push(made);
     }
-    Ok(OrthoOutcome { mosaic, canopy_height_m, canopy, frames: single })
-}
-
-/// The photos that are used, with their files.
-fn chosen(input: &OrthoInput<'_>, only: &[String]) -> Result<(Vec<View>, Vec<PathBuf>), Error> {
-    let all = views(input.reconstruction);
-    if all.is_empty() {
-        return Err(Error::Argument("there is no photo with a pose".into()));
-    }
-    let is = |view: &View, wanted: &String| {
-        let stem = Path::new(wanted).file_stem().and_then(|stem| stem.to_str());
-        view.name == *wanted || Some(view.name.as_str()) == stem
-    };
-    if let Some(missing) = only.iter().find(|name| !all.iter().any(|view| is(view, name))) {
-        return Err(Error::Argument(format!("photo {missing:?} has no pose")));
-    }
-    let used = |view: &View| only.is_empty() || only.iter().any(|name| is(view, name));
-    let pairs = all.into_iter().zip(input.photos.iter().cloned());
-    Ok(pairs.filter(|(view, _)| used(view)).unzip())
+    Ok(OrthoOutcome { mosaic, canopy_height_m, canopy, colour: work.colour, frames: single })
 }
 
 /// The orthophoto of every photo, in a folder beside the mosaic, which is made.
@@ -204,11 +194,12 @@ fn surface(
 }
 
 /// What all orthophotos have in common.
-struct Work<'a> {
-    options: &'a OrthoOptions,
-    files: &'a OrthoFiles<'a>,
+pub(super) struct Work<'a> {
+    pub(super) options: &'a OrthoOptions,
+    pub(super) files: &'a OrthoFiles<'a>,
     dem: &'a Path,
     canopy_height_m: f64,
+    colour: Option<ColourBalance>,
 }
 
 impl Work<'_> {
@@ -294,34 +285,27 @@ impl Work<'_> {
     /// Makes an orthophoto and everything beside it.
     fn orthophoto(
         &self,
-        views: &[View],
-        photos: &[PathBuf],
+        (all, which): (&[View], Range<usize>),
+        files: &[PathBuf],
         surface: &Surface,
         (output, figures): (&Path, Option<&Path>),
         monitor: &mut dyn Monitor,
     ) -> Result<Orthophoto, Error> {
         let options = self.options;
+        let (views, photos) = (&all[which.clone()], &files[which.clone()]);
         let (grid, size) = self.grid(views, surface, &name(output), monitor)?;
         let selector = PhotoSelector::new(views, surface, grid, options.selection());
         let read = |k: usize| read_photo(&photos[k], views[k].interior.size_px());
         let mut cache = PhotoCache::new(views, &read, options.memory_mb << 20);
-        let gains: Option<Vec<Gain>> = if options.balance {
-            let overlaps = Overlaps::sample(&selector, size, &mut cache)?;
-            if overlaps.pairs() == 0 {
-                let message = "no two photos show the same ground, so colours are not balanced";
-                monitor.diagnostic(&Diagnostic::warning("no-overlap", name(output), message));
-            }
-            Some(overlaps.gains(views.len())?)
-        } else {
-            None
-        };
+        let colour = self.colour.as_ref();
+        let corrections = colour.map(|colour| &colour.corrections[which.clone()]);
         let mosaic = Mosaic {
             selector: &selector,
             grid,
             size,
             interpolation: options.interpolation,
             feather_m: options.feather_m,
-            gains: gains.as_deref(),
+            corrections,
             with_provenance: options.provenance,
         };
         let provenance = options.provenance.then(|| provenance_path(output));
@@ -331,7 +315,7 @@ impl Work<'_> {
             let message = "no pixel has a colour";
             monitor.diagnostic(&Diagnostic::warning("ortho-empty", name(output), message));
         }
-        let (cameras, photo_records) = record::photos_of(output, views, photos, gains.as_deref());
+        let (cameras, photo_records) = record::photos_of(output, &which, all, files, colour);
         let record = OrthophotoRecord {
             version: OrthophotoRecord::VERSION,
             epsg: grid.crs.epsg,
@@ -339,6 +323,7 @@ impl Work<'_> {
             height_px: size[1],
             gsd_m: grid.per_column[0],
             dem: self.dem.to_owned(),
+            dem_interpolation: options.dem_interpolation,
             canopy_height_m: self.canopy_height_m,
             selection: options.selection(),
             cameras,
@@ -391,12 +376,9 @@ fn render(
             })?);
             return Ok(());
         };
-        let layout = Layout {
-            colour: Colour::Records(PROVENANCE_BANDS),
-            nodata: Some(f64::from(NO_SOURCE)),
-            ..layout
-        };
-        geotiff::write::<f32, Error>(path, force, &layout, |records| {
+        let layout =
+            Layout { colour: Colour::Records(BANDS), nodata: Some(f64::from(NO_PHOTO)), ..layout };
+        geotiff::write::<u16, Error>(path, force, &layout, |records| {
             rendered = Some(mosaic::render(mosaic, photos, |tile| {
                 counter.tick();
                 colours.put(tile.window, &tile.rgba)?;
@@ -408,35 +390,7 @@ fn render(
     rendered.ok_or_else(|| Error::Incomplete(format!("{}: nothing was rendered", output.display())))
 }
 
-/// Reads a photo that must be as large as its camera says.
-pub(in crate::pipeline) fn read_photo(
-    path: &Path,
-    size_px: [u32; 2],
-) -> Result<DecodedPhoto, Error> {
-    let mut first = [0; 4];
-    let tiff = std::fs::File::open(path)
-        .and_then(|mut file| std::io::Read::read_exact(&mut file, &mut first))
-        .is_ok_and(|()| geotiff::is_tiff(&first));
-    let (photo, gaps) = if tiff {
-        let reader = geotiff::Reader::open(path)?;
-        reader.read_rgb_and_gaps(Window::whole(reader.width(), reader.height()))?
-    } else {
-        images::read_colour_and_gaps(path)?
-    };
-    if [photo.width(), photo.height()] != size_px {
-        let message = format!(
-            "it has {} x {} pixels, its camera {} x {}",
-            photo.width(),
-            photo.height(),
-            size_px[0],
-            size_px[1]
-        );
-        return Err(FileError::malformed(path, None, message).into());
-    }
-    Ok(DecodedPhoto::new(&photo, gaps.as_deref()))
-}
-
-fn nothing(views: &[View], surface: &Surface) -> MapError {
+pub(super) fn nothing(views: &[View], surface: &Surface) -> MapError {
     let [[left, right], [bottom, top]] = surface.bounds_m();
     let centre = views[0].centre_m();
     MapError(format!(

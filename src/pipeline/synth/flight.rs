@@ -104,7 +104,7 @@ struct Folder<'a> {
 type Table = fn(&Twin, &mut dyn Write) -> std::io::Result<()>;
 
 /// Every table, by its place in the folder.
-const TABLES: [(&str, Table); 15] = [
+const TABLES: [(&str, Table); 16] = [
     ("gcps.csv", files::gcps),
     ("marks.csv", files::marks),
     ("geolocation.csv", files::geolocation),
@@ -112,6 +112,7 @@ const TABLES: [(&str, Table); 15] = [
     ("truth/marks.csv", files::true_marks),
     ("truth/camera.toml", files::camera),
     ("truth/exterior_orientation.csv", files::exterior_orientation),
+    ("truth/light.csv", files::light),
     ("truth/plants.csv", files::plants),
     ("truth/leaves.csv", files::leaves),
     ("truth/leaf_axes.csv", files::leaf_axes),
