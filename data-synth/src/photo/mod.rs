@@ -141,7 +141,7 @@ impl<'a> Studio<'a> {
         camera: &'a Camera,
         image: &'a ImageConfig,
     ) -> Studio<'a> {
-        let ground = ground::Ground::new(field.config.seed, image.soil_contrast, image.sun());
+        let ground = ground::Ground::new(&field.config, image.soil_contrast, image.sun());
         Studio { world: World::new(field, weeds, clutter, targets), camera, image, ground }
     }
 
@@ -174,7 +174,7 @@ impl<'a> Studio<'a> {
             frame.smear(&self.motion(shot));
         }
         frame.blur(self.image.defocus_px);
-        let image = frame.develop(self.image, self.world.field.config.seed, photo);
+        let image = frame.develop(self.image, self.world.field.config.flight_seed(), photo);
         Photo { image, mask, plants, leaves }
     }
 
