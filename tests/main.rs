@@ -34,6 +34,7 @@ mod parsers;
 mod program;
 mod row_model;
 mod run;
+mod season;
 mod segment;
 mod sfm;
 mod surface;

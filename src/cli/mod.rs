@@ -25,6 +25,7 @@ mod project;
 mod query;
 mod report;
 mod run;
+mod season;
 mod segment;
 mod shell;
 mod stage;
@@ -67,6 +68,7 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     Run(Box<run::Args>),
+    Season(season::Args),
     Init(init::Args),
     Doctor(doctor::Args),
     Report(report::Args),
@@ -128,6 +130,7 @@ fn run(cli: Cli) -> Result<(), Error> {
 fn dispatch(command: Command) -> Result<(), Error> {
     match command {
         Command::Run(args) => run::run(&args),
+        Command::Season(args) => season::run(&args),
         Command::Init(args) => init::run(&args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Report(args) => report::run(&args),

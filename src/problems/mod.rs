@@ -3,6 +3,8 @@
 pub mod adjustment;
 pub mod bundle;
 pub mod calibration;
+pub mod growth_curve;
 pub mod lens_fit;
+pub mod map_similarity;
 pub mod plants;
 mod pose_chain;
