@@ -227,38 +227,68 @@ fn improve(
     found.iter().all(|value| value.is_finite()).then_some(found)
 }
 
-/// Least squares from the best of a grid of starts.
-fn search(model: GrowthModel, samples: &[Sample]) -> Option<[f64; 3]> {
+/// Starts that are improved.
+const BEST_STARTS: usize = 4;
+
+fn robust_cost(
+    model: GrowthModel,
+    samples: &[Sample],
+    (sigma, loss): (f64, Loss),
+    parameters: &[f64; 3],
+) -> f64 {
+    let rho = |s: &Sample| {
+        let off = (s.value - model.value(*parameters, s.day)) / sigma;
+        loss.evaluate(off * off).value
+    };
+    samples.iter().map(rho).sum()
+}
+
+/// The best curve from a grid of starts, values having a standard deviation and a loss.
+fn search(
+    model: GrowthModel,
+    samples: &[Sample],
+    (sigma, loss): (f64, Loss),
+) -> Result<[f64; 3], Untold> {
     let days = || samples.iter().map(|sample| sample.day);
     let (first, last) =
         (days().fold(f64::INFINITY, f64::min), days().fold(f64::NEG_INFINITY, f64::max));
     let span = last - first;
-    let largest = samples.iter().map(|sample| sample.value).fold(0.0, f64::max);
+    let largest = largest(samples);
     if !(span > 0.0 && largest > 0.0) {
-        return None;
+        return Err(Untold::NoGrowth);
     }
+    let cost = |parameters: &[f64; 3]| robust_cost(model, samples, (sigma, loss), parameters);
     let mut starts: Vec<(f64, [f64; 3])> = Vec::new();
     for step in -2..=14 {
         let half = first + span * f64::from(step) / 12.0;
         for rate in [2.0, 4.0, 8.0, 16.0, 32.0, 64.0].map(|rate| (rate / span).ln()) {
-            let shape = |day| model.value([0.0, rate, half], day);
-            let (yf, ff) = samples.iter().fold((0.0, 0.0), |(yf, ff), s| {
-                let f = shape(s.day);
-                (yf + s.value * f, ff + f * f)
-            });
-            if yf > 0.0 && ff > 0.0 {
-                let start = [(yf / ff).ln(), rate, half];
-                starts.push((residual_squares(model, samples, &start), start));
+            let shape: Vec<(f64, f64)> =
+                samples.iter().map(|s| (s.value, model.value([0.0, rate, half], s.day))).collect();
+            let (yf, ff) =
+                shape.iter().fold((0.0, 0.0), |(yf, ff), (y, f)| (yf + y * f, ff + f * f));
+            // By least squares, and by the median of what the values say one by one, which a wrong one does not move.
+            let mut ratios: Vec<f64> =
+                shape.iter().filter(|(_, f)| *f > 0.1).map(|(y, f)| y / f).collect();
+            ratios.sort_unstable_by(f64::total_cmp);
+            let median = ratios.get(ratios.len() / 2).copied();
+            for last in [(ff > 0.0).then(|| yf / ff), median].into_iter().flatten() {
+                if last > 0.0 {
+                    let start = [last.ln(), rate, half];
+                    starts.push((cost(&start), start));
+                }
             }
         }
     }
     starts.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
-    let sigma = 0.05 * largest;
-    let ends = starts.iter().take(3).filter_map(|(_, start)| {
-        let end = improve(model, samples, sigma, Loss::Trivial, start)?;
-        Some((residual_squares(model, samples, &end), end))
+    let ends = starts.iter().take(BEST_STARTS).filter_map(|(_, start)| {
+        let end = improve(model, samples, sigma, loss, start)?;
+        Some((cost(&end), end))
     });
-    ends.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, end)| end)
+    ends.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, end)| end).ok_or(Untold::NotBracketed)
+}
+
+fn largest(samples: &[Sample]) -> f64 {
+    samples.iter().map(|sample| sample.value).fold(0.0, f64::max)
 }
 
 /// Fits a curve to each series; without a form the one that all series together are nearer to.
@@ -296,11 +326,11 @@ fn first_fits(series: &[Vec<Sample>], model: GrowthModel) -> FirstFits {
             if samples.len() < LEAST_DATES {
                 return Err(Untold::TooFewDates);
             }
-            search(model, samples).ok_or(Untold::NoGrowth)
+            search(model, samples, (0.05 * largest(samples), Loss::Trivial))
         })
         .collect();
     let mut variances = Vec::new();
-    let (mut squares, mut freedom, mut largest) = (0.0, 0, 0.0f64);
+    let (mut squares, mut freedom, mut highest) = (0.0, 0, 0.0f64);
     for (samples, fitted) in series.iter().zip(&found) {
         let Ok(parameters) = fitted else { continue };
         let of_plot = residual_squares(model, samples, parameters);
@@ -308,7 +338,7 @@ fn first_fits(series: &[Vec<Sample>], model: GrowthModel) -> FirstFits {
         variances.push(of_plot / degrees as f64);
         squares += of_plot;
         freedom += degrees;
-        largest = samples.iter().map(|sample| sample.value).fold(largest, f64::max);
+        highest = highest.max(largest(samples));
     }
     if variances.is_empty() {
         return FirstFits { model, found, scatter: None };
@@ -324,13 +354,17 @@ fn first_fits(series: &[Vec<Sample>], model: GrowthModel) -> FirstFits {
         _ => mean,
     };
     // Values that lie on a curve exactly still have a rounding.
-    let scatter = variance.sqrt().max(1e-9 * largest);
+    let scatter = variance.sqrt().max(1e-9 * highest);
+    let loss = (scatter, Loss::Cauchy(CAUCHY_SCALE));
     for (samples, fitted) in series.iter().zip(&mut found) {
-        if let Ok(parameters) = fitted
-            && let Some(robust) =
-                improve(model, samples, scatter, Loss::Cauchy(CAUCHY_SCALE), parameters)
-        {
-            *parameters = robust;
+        // Least squares may have gone after a wrong value, so the robust fit begins anew, and from there too.
+        if let Ok(parameters) = fitted {
+            let near = improve(model, samples, scatter, loss.1, parameters);
+            let ends = [near, search(model, samples, loss).ok()].into_iter().flatten();
+            let cost = |end: &[f64; 3]| robust_cost(model, samples, loss, end);
+            if let Some(best) = ends.min_by(|a, b| cost(a).total_cmp(&cost(b))) {
+                *parameters = best;
+            }
         }
     }
     FirstFits { model, found, scatter: Some(scatter) }
@@ -339,14 +373,9 @@ fn first_fits(series: &[Vec<Sample>], model: GrowthModel) -> FirstFits {
 impl FirstFits {
     /// Robust cost of all series at a common scatter.
     fn cost(&self, series: &[Vec<Sample>], scatter: f64) -> f64 {
-        let loss = Loss::Cauchy(CAUCHY_SCALE);
+        let loss = (scatter, Loss::Cauchy(CAUCHY_SCALE));
         let of_series = |(samples, fitted): (&Vec<Sample>, &Result<[f64; 3], Untold>)| {
-            let Ok(parameters) = fitted else { return 0.0 };
-            let rho = |s: &Sample| {
-                let off = (s.value - self.model.value(*parameters, s.day)) / scatter;
-                loss.evaluate(off * off).value
-            };
-            samples.iter().map(rho).sum::<f64>()
+            fitted.as_ref().map_or(0.0, |found| robust_cost(self.model, samples, loss, found))
         };
         series.iter().zip(&self.found).map(of_series).sum()
     }
@@ -382,13 +411,13 @@ impl FirstFits {
                 Trimmed { outliers, kept, parameters: end.unwrap_or(parameters) }
             }));
         }
-        let (mut squares, mut freedom, mut largest) = (0.0, 0, 0.0f64);
+        let (mut squares, mut freedom, mut highest) = (0.0, 0, 0.0f64);
         for Trimmed { kept, parameters, .. } in fits.iter().flatten() {
             squares += residual_squares(model, kept, parameters);
             freedom += kept.len() - 3;
-            largest = kept.iter().map(|sample| sample.value).fold(largest, f64::max);
+            highest = highest.max(largest(kept));
         }
-        let scatter = (squares / freedom.max(1) as f64).sqrt().max(1e-9 * largest);
+        let scatter = (squares / freedom.max(1) as f64).sqrt().max(1e-9 * highest);
         let t95 =
             StudentsT::new(0.0, 1.0, freedom.max(1) as f64).map_or(1.96, |t| t.inverse_cdf(0.975));
         let curves = fits

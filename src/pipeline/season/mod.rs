@@ -1,7 +1,7 @@
 //! A season: the flights over one field on several dates, in one frame, with the growth of its plots and plants.
 //!
 //! Every flight is a project of its own and is run as one ([`crate::pipeline::run`]), so only what has changed is done again. Then the
-//! maps are brought into one frame ([`register`]), the plots of the season are measured on each of them, plants are
+//! maps are brought into one frame, the plots of the season are measured on each of them, plants are
 //! followed from date to date ([`crate::phenotype::plant_tracks`]) and growth curves fitted to every plot
 //! ([`crate::problems::growth_curve`]). What came of it is written beside `season.toml`:
 //!

@@ -64,11 +64,11 @@ pub fn write_season(
     monitor: &mut dyn Monitor,
 ) -> Result<SeasonSynthesis, Error> {
     config.check()?;
+    let truth = root.join("truth");
+    std::fs::create_dir_all(&truth).map_err(|e| FileError::write(&truth, e))?;
     for name in FILES {
         output::check(&root.join(name), force)?;
     }
-    let truth = root.join("truth");
-    std::fs::create_dir_all(&truth).map_err(|e| FileError::write(&truth, e))?;
     let mut found =
         SeasonSynthesis { dates: Vec::new(), photos: Vec::new(), plants: Vec::new(), plots: 0 };
     let season = Truth::new(config)?;
