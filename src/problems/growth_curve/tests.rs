@@ -1,4 +1,5 @@
-use super::*;
+use super::{search::Deviation, *};
+use crate::nlls::{Euclidean, Problem, Residuals};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
