@@ -132,6 +132,8 @@ const MOST_LOG_SIGMA: f64 = 0.35;
 const CAUCHY_SCALE: f64 = 2.385;
 /// One good series in a hundred loses a value to the test for outliers.
 const OUTLIER_LEVEL: f64 = 0.01;
+/// A scatter of more than this many times what the median of the residuals says comes from wrong values.
+const CONTAMINATED: f64 = 2.0;
 /// Level of the test of growth against none.
 const GROWTH_LEVEL: f64 = 0.99;
 /// Beyond this many time constants before the half day a curve is zero.
@@ -238,10 +240,27 @@ fn first_fits(series: &[Vec<Sample>], model: GrowthModel) -> FirstFits {
         _ => mean,
     };
     // Values that lie on a curve exactly still have a rounding.
-    let scatter = variance.sqrt().max(1e-9 * highest);
+    let mut scatter = variance.sqrt().max(1e-9 * highest);
+    refine(model, series, &mut found, scatter);
+    // Of few plots one wrong value makes all of the variance; the median of the residuals of robust curves does not follow it.
+    while let Some(typical) = typical_residual(model, series, &found, freedom)
+        && scatter > CONTAMINATED * typical.max(1e-9 * highest)
+    {
+        scatter = typical.max(1e-9 * highest).max(0.25 * scatter);
+        refine(model, series, &mut found, scatter);
+    }
+    FirstFits { model, found, scatter: Some(scatter) }
+}
+
+/// Robust fits at this scatter. Least squares may have gone after a wrong value, so each begins anew, and from there too.
+fn refine(
+    model: GrowthModel,
+    series: &[Vec<Sample>],
+    found: &mut [Result<[f64; 3], Untold>],
+    scatter: f64,
+) {
     let loss = (scatter, Loss::Cauchy(CAUCHY_SCALE));
-    for (samples, fitted) in series.iter().zip(&mut found) {
-        // Least squares may have gone after a wrong value, so the robust fit begins anew, and from there too.
+    for (samples, fitted) in series.iter().zip(found) {
         if let Ok(parameters) = fitted {
             let near = improve(model, samples, scatter, loss.1, parameters);
             let ends = [near, search(model, samples, loss).ok()].into_iter().flatten();
@@ -251,7 +270,30 @@ fn first_fits(series: &[Vec<Sample>], model: GrowthModel) -> FirstFits {
             }
         }
     }
-    FirstFits { model, found, scatter: Some(scatter) }
+}
+
+/// Standard deviation from the median of all residuals, corrected for the parameters; `None` without any.
+fn typical_residual(
+    model: GrowthModel,
+    series: &[Vec<Sample>],
+    found: &[Result<[f64; 3], Untold>],
+    freedom: usize,
+) -> Option<f64> {
+    let mut residuals: Vec<f64> = Vec::new();
+    for (samples, fitted) in series.iter().zip(found) {
+        if let Ok(parameters) = fitted {
+            residuals
+                .extend(samples.iter().map(|s| (s.value - model.value(*parameters, s.day)).abs()));
+        }
+    }
+    let middle = residuals.len() / 2;
+    if residuals.is_empty() || freedom == 0 {
+        return None;
+    }
+    let (_, median, _) = residuals.select_nth_unstable_by(middle, f64::total_cmp);
+    // Half of normal residuals are below 0.6745 standard deviations.
+    let median = *median / 0.6745;
+    Some(median * (residuals.len() as f64 / freedom as f64).sqrt())
 }
 
 impl FirstFits {

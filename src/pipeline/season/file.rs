@@ -242,7 +242,7 @@ mod tests {
     #[test]
     fn faults_are_named_with_their_line() {
         for (text, words) in [
-            ("name = 3\n", "season.toml:1"),
+            ("name = 3\n", "season.toml, line 1"),
             ("", "no [[flights]]"),
             ("[[flights]]\nproject = \"c\"\ndate = \"2016-03-01\"\n", "no such folder"),
             ("[[flights]]\nproject = \"a\"\ndate = \"2016-02-30\"\n", "expected a date"),

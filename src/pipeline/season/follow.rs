@@ -277,15 +277,22 @@ mod tests {
                         logistic(t, 50.0, 1.5, 8.0 + late).round(),
                     )
                 };
-                let (a, b, c) = (plot(0.0), plot(1.0), plot(2.0));
-                day(t, &[("a", a.0, a.1), ("b", b.0 + wrong, b.1), ("c", c.0, c.1)])
+                let values: Vec<(&str, f64, f64)> = ["a", "b", "c", "d", "e", "f"]
+                    .into_iter()
+                    .enumerate()
+                    .map(|(k, name)| {
+                        let (cover, plants) = plot(0.5 * k as f64);
+                        (name, cover + if name == "b" { wrong } else { 0.0 }, plants)
+                    })
+                    .collect();
+                day(t, &values)
             })
             .collect();
         let traits = ["canopy_cover".to_owned(), "plants".to_owned()];
         let found = follow(&days, None, &traits, None);
-        assert_eq!(found.plots, ["a", "b", "c"]);
+        assert_eq!(found.plots.len(), 6);
         let emergence: Vec<f64> = found.emergence.iter().map(|of| of.day.unwrap().value).collect();
-        for (found, truth) in emergence.iter().zip([8.0, 9.0, 10.0]) {
+        for (found, truth) in emergence.iter().zip([8.0, 8.5, 9.0, 9.5, 10.0, 10.5]) {
             assert!((found - truth).abs() < 0.2, "{emergence:?}");
         }
         let [outlier] = &found.outliers[..] else { panic!("{:?}", found.outliers) };
