@@ -37,6 +37,7 @@ mod plot_layout;
 mod program;
 mod row_model;
 mod run;
+mod season;
 mod segment;
 mod sfm;
 mod surface;

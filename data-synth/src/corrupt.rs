@@ -107,13 +107,13 @@ impl Corruption {
 }
 
 fn grow_weed(field: &Field, weed: u64, grass_share: f64) -> Weed {
-    let mut rng = stream(field.config.seed, Stage::Weed, weed);
+    let mut rng = stream(field.config.flight_seed(), Stage::Weed, weed);
     let frame = &field.frame;
     let [x_m, y_m] = frame.ground(
         rng.between(-0.5, f64::from(frame.width_px) - 0.5),
         rng.between(-0.5, f64::from(frame.height_px) - 0.5),
     );
-    let mut kind = stream(field.config.seed, Stage::Grass, weed);
+    let mut kind = stream(field.config.flight_seed(), Stage::Grass, weed);
     if kind.unit() < grass_share {
         return Weed { grass: true, x_m, y_m, leaves: tuft([x_m, y_m], &mut kind) };
     }

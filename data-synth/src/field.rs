@@ -20,6 +20,7 @@ use crate::{
     check::{self, ConfigError, within},
     habit::{Habit, PlotConfig, Stalk},
     leaf::{self, Leaf},
+    season::SeasonDay,
     streams::{Draw, Stage, pair, stream},
     terrain::{Terrain, TerrainConfig},
 };
@@ -122,6 +123,9 @@ pub struct FieldConfig {
     pub terrain: TerrainConfig,
     /// Preferred directions, tillers, panicles, dying leaves, colours.
     pub habit: Habit,
+    /// The day of a season on which the field is seen; without it the plants are as their stage says.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub season: Option<SeasonDay>,
 }
 
 impl Default for FieldConfig {
@@ -147,6 +151,7 @@ impl Default for FieldConfig {
             plots: PlotConfig::default(),
             terrain: TerrainConfig::default(),
             habit: Habit::default(),
+            season: None,
         }
     }
 }
@@ -174,6 +179,7 @@ impl FieldConfig {
         self.plots.check()?;
         self.terrain.check()?;
         self.habit.check()?;
+        self.season.as_ref().map_or(Ok(()), SeasonDay::check)?;
         let sites = self.rows as f64 * (self.row_length_m / self.spacing_m + 1.0);
         if sites > MOST_PLANTS {
             let expected = format!(
@@ -190,6 +196,12 @@ impl FieldConfig {
             return Err(ConfigError::new("gsd_m", self.gsd_m, expected));
         }
         Ok(())
+    }
+
+    /// The seed of what differs from one flight to the next over the same field: trajectory, receiver, exposure, noise, clicks,
+    /// weeds. Without a season it is the field's.
+    pub fn flight_seed(&self) -> u64 {
+        self.season.as_ref().map_or(self.seed, |season| season.flight_seed(self.seed))
     }
 
     /// Direction of the rows, radians counter-clockwise from east.
@@ -389,7 +401,7 @@ fn plant_site(
             let second = index == 1;
             // The raster and the ground give the rest once all plants are known.
             let (z_m, u_px, v_px) = (0.0, 0.0, 0.0);
-            Some(Plant {
+            let plant = Plant {
                 row,
                 site,
                 second,
@@ -402,7 +414,11 @@ fn plant_site(
                 tilt_m,
                 stalks,
                 leaves,
-            })
+            };
+            match &config.season {
+                Some(season) => season.grown(config, plant),
+                None => Some(plant),
+            }
         },
     )
 }

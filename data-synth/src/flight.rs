@@ -147,7 +147,7 @@ pub fn fly(
 ) -> Result<Vec<Shot>, ConfigError> {
     config.check()?;
     let layout = Layout::new(config, field, camera)?;
-    let seed = field.config.seed;
+    let seed = field.config.flight_seed();
     let mut drift = Drift::new(seed, 0, 0.9);
     let mut wander = [1, 2, 3].map(|axis| Drift::new(seed, axis, 0.97));
     let interval_s = if config.speed_m_s > 0.0 { layout.base_m / config.speed_m_s } else { 2.0 };

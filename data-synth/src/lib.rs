@@ -53,6 +53,8 @@ pub mod photo;
 pub mod picture;
 pub mod render;
 pub mod scenario;
+pub mod season;
+pub mod season_plan;
 pub mod site;
 pub mod start_model;
 pub mod targets;

@@ -198,7 +198,7 @@ pub fn mark(
             if near[target].iter().any(|quad| hides(quad, origin, what.place_m)) {
                 return None;
             }
-            let mut rng = stream(field.config.seed, Stage::Mark, pair(shot, target));
+            let mut rng = stream(field.config.flight_seed(), Stage::Mark, pair(shot, target));
             let marked_px = true_px.map(|value| value + config.mark_px * rng.normal());
             Some(Mark { shot, target, true_px, marked_px })
         })

@@ -108,7 +108,7 @@ fn place(
     reach_m: &[f64],
     point: usize,
 ) -> Option<TiePoint> {
-    let seed = field.config.seed;
+    let seed = field.config.flight_seed();
     let mut rng = stream(seed, Stage::TiePoint, point as u64);
     let owner = point / config.per_photo;
     let (width, height) =

@@ -27,6 +27,7 @@ mod project;
 mod query;
 mod report;
 mod run;
+mod season;
 mod segment;
 mod shell;
 mod stage;
@@ -71,6 +72,7 @@ struct Cli {
 enum Command {
     Run(Box<run::Args>),
     Plan(plan::Args),
+    Season(season::Args),
     Init(init::Args),
     Doctor(doctor::Args),
     Report(report::Args),
@@ -135,6 +137,7 @@ fn dispatch(command: Command) -> Result<(), Error> {
     match command {
         Command::Run(args) => run::run(&args),
         Command::Plan(args) => plan::run(&args),
+        Command::Season(args) => season::run(&args),
         Command::Init(args) => init::run(&args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Report(args) => report::run(&args),

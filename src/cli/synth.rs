@@ -1,6 +1,7 @@
 //! `rowgram synth`: synthetic fields and blocks with their truth.
 
 mod flight;
+mod season;
 
 use crate::{
     error::Error,
@@ -32,6 +33,7 @@ enum What {
     /// Measurements of a nadir aerial block or of a photo collection as a BAL text file, start values included.
     Bundle(BundleArgs),
     Flight(flight::Args),
+    Season(season::Args),
 }
 
 /// Runs `rowgram synth`.
@@ -43,6 +45,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
         What::Mask(args) => mask(args),
         What::Bundle(args) => bundle(args),
         What::Flight(args) => flight::run(args),
+        What::Season(args) => season::run(args),
     }
 }
 

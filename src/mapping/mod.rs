@@ -27,6 +27,7 @@ pub mod dense;
 pub mod elevation;
 pub mod grid;
 pub mod ground;
+pub mod map_ties;
 pub mod mosaic;
 pub mod paint;
 pub mod photo;

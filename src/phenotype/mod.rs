@@ -26,6 +26,7 @@ mod mass_stand;
 mod periodicity;
 pub mod plant_mass;
 pub mod plant_spacing;
+pub mod plant_tracks;
 pub mod plots;
 pub mod row_curves;
 mod row_evidence;

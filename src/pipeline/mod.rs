@@ -33,6 +33,7 @@ pub mod query;
 mod reconstruction;
 pub mod record;
 pub mod run;
+pub mod season;
 pub mod segment;
 mod stac;
 pub mod stage;

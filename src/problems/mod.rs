@@ -3,7 +3,9 @@
 pub mod adjustment;
 pub mod bundle;
 pub mod calibration;
+pub mod growth_curve;
 pub mod lens_fit;
+pub mod map_similarity;
 pub mod plants;
 pub mod plot_layout;
 mod pose_chain;

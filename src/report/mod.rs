@@ -7,6 +7,7 @@ mod map;
 mod page;
 mod pictures;
 mod provenance;
+mod season;
 mod summary;
 mod traits;
 pub mod view;
@@ -19,6 +20,7 @@ use crate::{
     scene::Reconstruction,
 };
 use adjustment::Adjustment;
+pub use season::write_season;
 use std::path::PathBuf;
 pub use summary::summary;
 

@@ -5,7 +5,7 @@
 //! sun or turn away from it. A rung fades out where its lattice is finer than the pixels see, so what is left is
 //! free of aliasing, and every photo sees the same soil.
 
-use crate::soil::Soil;
+use crate::{field::FieldConfig, soil::Soil};
 
 /// One rung: lattice spacing in metres, deviation of the patches, steepness of the relief.
 const LADDER: [(f32, f32, f32); 10] = [
@@ -24,16 +24,35 @@ const LADDER: [(f32, f32, f32); 10] = [
 /// The soil of one field, as photos see it.
 pub(super) struct Ground {
     soil: Soil,
+    /// What is new of the soil on this day of a season, and the weights of the old and the new.
+    weathered: Option<(Soil, [f32; 2])>,
     contrast: f32,
     /// Horizontal direction to the sun.
     sun: [f32; 2],
 }
 
 impl Ground {
-    pub(super) fn new(seed: u64, contrast: f64, sun: [f64; 3]) -> Ground {
+    pub(super) fn new(field: &FieldConfig, contrast: f64, sun: [f64; 3]) -> Ground {
         let flat = f64::hypot(sun[0], sun[1]).max(1e-9);
         let sun = [(sun[0] / flat) as f32, (sun[1] / flat) as f32];
-        Ground { soil: Soil::new(seed, 0.0, [0.0; 2]), contrast: contrast as f32, sun }
+        let soil = |seed| Soil::new(seed, 0.0, [0.0; 2]);
+        // Shares of the variance, so that the soil is as uneven as before.
+        let weathered =
+            field.season.as_ref().filter(|season| season.weathering > 0.0).map(|season| {
+                let share = season.weathering as f32;
+                (soil(field.flight_seed()), [(1.0 - share).sqrt(), share.sqrt()])
+            });
+        Ground { soil: soil(field.seed), weathered, contrast: contrast as f32, sun }
+    }
+
+    fn noise(&self, u: f32, v: f32) -> f32 {
+        let lasting = self.soil.noise(u, v);
+        match &self.weathered {
+            Some((new, [old_weight, new_weight])) => {
+                old_weight * lasting + new_weight * new.noise(u, v)
+            }
+            None => lasting,
+        }
     }
 
     /// Reflectance (red, green, blue; linear) at a place of the mapping frame seen with a ground sampling
@@ -53,13 +72,13 @@ impl Ground {
             (sx, sy) = (sx * cos - sy * sin, sx * sin + sy * cos);
             let offset = 37.0 * rung as f32;
             let (u, v) = (x / spacing_m + offset, y / spacing_m - offset);
-            let here = self.soil.noise(u, v);
+            let here = self.noise(u, v);
             patches += fade * patch * here;
             if rung < 2 {
                 broad += here;
             }
             if steep > 0.0 {
-                let aside = self.soil.noise(u + 0.6 * sx, v + 0.6 * sy);
+                let aside = self.noise(u + 0.6 * sx, v + 0.6 * sy);
                 relief += fade * steep * (here - aside);
             }
         }

@@ -148,7 +148,7 @@ impl<'a> Studio<'a> {
         camera: &'a Camera,
         image: &'a ImageConfig,
     ) -> Studio<'a> {
-        let ground = ground::Ground::new(field.config.seed, image.soil_contrast, image.sun());
+        let ground = ground::Ground::new(&field.config, image.soil_contrast, image.sun());
         Studio { world: World::new(field, weeds, clutter, targets), camera, image, ground }
     }
 
@@ -182,7 +182,8 @@ impl<'a> Studio<'a> {
         }
         frame.blur(self.image.defocus_px);
         let gains = self.gains(shot, photo);
-        let image = frame.develop(self.image, (self.world.field.config.seed, photo), gains);
+        let seed = self.world.field.config.flight_seed();
+        let image = frame.develop(self.image, (seed, photo), gains);
         Photo { image, mask, plants, leaves }
     }
 

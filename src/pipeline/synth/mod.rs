@@ -1,5 +1,5 @@
 //! Synthetic data with the whole truth, as files: a field from straight above, a flight over it, the measurements of a
-//! block, and a small project that has everything.
+//! block, a small project that has everything, and a season of flights.
 //!
 //! What exists and how it looks is `data-synth`'s; here it becomes the files that the other stages read.
 
@@ -7,11 +7,13 @@ mod block;
 mod field;
 mod flight;
 mod project;
+mod season;
 
 pub use block::{BlockOutcome, BlockPreset, BlockSource, write_block};
 pub use field::{FieldOutcome, write_field};
 pub use flight::{FlightOptions, FlightOutcome, write_flight};
 pub use project::{BOARD_PHOTOS, SynthesisOutcome, synthesize, synthesize_over};
+pub use season::{SeasonSynthesis, write_season};
 
 use crate::{error::Error, io::FileError};
 use data_synth::ConfigError;

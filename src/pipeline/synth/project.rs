@@ -166,13 +166,14 @@ fn settings(seed: u64, epsg: u32) -> String {
 }
 
 /// A plot of the truth.
-struct Plot {
+pub(super) struct Plot {
     name: String,
     leaves: f64,
     corners_m: [[f64; 2]; 4],
 }
 
-fn plots(path: &Path) -> Result<Vec<Plot>, Error> {
+/// The plots of `truth/plots.csv`.
+pub(super) fn plots(path: &Path) -> Result<Vec<Plot>, Error> {
     let table = CsvTable::read(path)?;
     let numbers = |name: &str| {
         let column = table.numbers(name).filter(|column| column.iter().all(|v| v.is_finite()));
@@ -200,7 +201,8 @@ fn plots(path: &Path) -> Result<Vec<Plot>, Error> {
         .collect())
 }
 
-fn polygons<'a>(
+/// Writes plots as polygons, with the numbers of their leaves where asked.
+pub(super) fn polygons<'a>(
     path: &Path,
     epsg: u32,
     plots: impl Iterator<Item = (&'a Plot, bool)>,

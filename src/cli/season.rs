@@ -1,0 +1,110 @@
+//! `rowgram season`: the flights over one field on several dates, and what grows.
+
+use super::{print, print_json, terminal::Terminal};
+use crate::{
+    error::Error,
+    pipeline::season::{self, SeasonFile, SeasonOutcome},
+    report,
+};
+use std::path::PathBuf;
+
+/// Flights over one field on several dates: one frame, the same plots and plants, growth curves
+///
+/// FILE lists the flights (folders of projects) with their dates:
+///
+///   name = "Trial 7"
+///   sown = "2015-05-20"
+///   plots = "plots.geojson"
+///
+///   [[flights]]
+///   project = "2015-05-28"
+///   date = "2015-05-28"
+///
+/// Every flight is run as by rowgram run, as far as something has changed. Maps of flights without ground control are tied to
+/// those of the dates before and after by what does not grow. Plots are those of the season; plants are followed from date to
+/// date; logistic or Gompertz curves are fitted to every plot.
+///
+/// Writes into the folder season beside FILE: flights.csv, traits_long.csv, plants_long.csv, growth.csv, season.json,
+/// report.html. A flight that is added later changes nothing of the others.
+///
+/// Exit code 3 where a flight takes no part.
+#[derive(Debug, clap::Args)]
+#[command(
+    verbatim_doc_comment,
+    after_help = "Examples:
+  rowgram synth season -o field && rowgram season field/season.toml
+  rowgram season field/season.toml --set ortho.gsd_m=0.01"
+)]
+pub(super) struct Args {
+    /// The list of flights, usually season.toml.
+    file: PathBuf,
+    /// Set a key of the rowgram.toml of all flights; may be given several times.
+    #[arg(long, value_name = "SECTION.KEY=VALUE")]
+    set: Vec<String>,
+    /// Print the outcome as one line of JSON in place of the summary.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A file or settings that cannot be understood, and [`Error::Incomplete`] where a flight takes no part.
+pub(super) fn run(args: &Args) -> Result<(), Error> {
+    let file = SeasonFile::read(&args.file)?;
+    let mut terminal = Terminal::new();
+    let environment: Vec<(String, String)> = std::env::vars().collect();
+    let outcome = season::season(&file, &environment, &args.set, &mut terminal)?;
+    let page = report::write_season(&file, &outcome)?;
+    drop(terminal);
+    if args.json {
+        print_json(&outcome)?;
+    } else {
+        print(&format!("{}\nreport  {}", summary(&outcome), page.display()))?;
+    }
+    let missing: Vec<String> = outcome
+        .flights
+        .iter()
+        .filter(|flight| flight.placement.is_none())
+        .map(|flight| format!("{} takes no part", flight.date))
+        .collect();
+    if missing.is_empty() { Ok(()) } else { Err(Error::Incomplete(missing.join("\nerror: "))) }
+}
+
+fn summary(outcome: &SeasonOutcome) -> String {
+    let mut text = format!(
+        "{}: {} flights, {} plots",
+        outcome.name,
+        outcome.flights.len(),
+        outcome.plots.len()
+    );
+    for flight in &outcome.flights {
+        let frame = match &flight.placement {
+            None => "takes no part".to_owned(),
+            Some(placement) => match &placement.fit {
+                None => "in its own frame".to_owned(),
+                Some(fit) => format!(
+                    "tied to {} by {} places, +- {:.1} cm, deformation {:.1} cm",
+                    placement.tied_to.join(" and "),
+                    fit.ties,
+                    100.0 * fit.edge_sigma_m,
+                    100.0 * fit.deformation_m
+                ),
+            },
+        };
+        let plants = flight.plants.map(|plants| format!(", {plants} plants")).unwrap_or_default();
+        text += &format!("\n  {}  day {:<5} {frame}{plants}", flight.date, flight.day);
+    }
+    for of in &outcome.traits {
+        let fitted = of.plots.iter().filter(|plot| plot.curve.is_some()).count();
+        text += &format!(
+            "\n  {:<18} {} curves of {} plots ({})",
+            of.name,
+            fitted,
+            of.plots.len(),
+            of.model
+        );
+    }
+    text += &format!("\n  {} plants followed, {} outliers", outcome.tracks, outcome.outliers.len());
+    text
+}
