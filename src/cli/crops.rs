@@ -18,7 +18,7 @@ use std::path::PathBuf;
 ///
 /// Examples:
 ///   rowgram crops field
-///   rowgram crops field --photos-per-plot 5 --margin-m 0.3 --as-taken true
+///   rowgram crops field --photos-per-plot 5 --margin-m 0.3 --as-taken
 #[derive(Debug, clap::Args)]
 #[command(verbatim_doc_comment)]
 pub(super) struct Args {

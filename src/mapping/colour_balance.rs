@@ -90,14 +90,16 @@ pub struct ColourBalance {
     pub gain_sigma: f64,
     /// Each camera.
     pub cameras: Vec<CameraLight>,
-    /// Log gain of each photo, red, green, blue: how bright it is beside the others.
-    #[serde(skip)]
-    pub log_gains: Vec<[f64; 3]>,
-    /// Their standard deviations.
-    #[serde(skip)]
+}
+
+/// The colours of all photos: how they were brought together, and what that means for each, in their order.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BalancedPhotos {
+    /// How they were brought together.
+    pub balance: ColourBalance,
+    /// Standard deviations of the log gain of each photo, red, green, blue.
     pub log_gain_sigmas: Vec<[f64; 3]>,
-    /// What undoes that in each photo.
-    #[serde(skip)]
+    /// What undoes the gain and the shape of each photo.
     pub corrections: Vec<ColourCorrection>,
 }
 
@@ -118,7 +120,7 @@ pub fn balance<E: Send + From<SolveError>>(
     size: [usize; 2],
     exposures: &[Exposure],
     photos: &mut PhotoCache<'_, E>,
-) -> Result<Option<ColourBalance>, E> {
+) -> Result<Option<BalancedPhotos>, E> {
     let wanted = places(selector, size);
     let observations = observe(selector, &wanted, photos)?;
     if observations.is_empty() {
@@ -243,7 +245,7 @@ fn summary(
     block: &RadiometricBlock,
     order: &[usize],
     solution: &RadiometricSolution,
-) -> ColourBalance {
+) -> BalancedPhotos {
     let count = order.len();
     let mut log_gains = vec![[0.0; 3]; count];
     let mut log_gain_sigmas = vec![[0.0; 3]; count];
@@ -279,7 +281,7 @@ fn summary(
             direction_sigma: direction.sigma,
         }
     });
-    ColourBalance {
+    let balance = ColourBalance {
         points: block.points,
         observations: block.observations.len(),
         untied_photos: tied.iter().filter(|tied| !**tied).count(),
@@ -290,10 +292,8 @@ fn summary(
         gain_range: [least, most],
         gain_sigma: median(log_gain_sigmas.iter().map(mean).collect()),
         cameras: cameras.collect(),
-        log_gains,
-        log_gain_sigmas,
-        corrections,
-    }
+    };
+    BalancedPhotos { balance, log_gain_sigmas, corrections }
 }
 
 /// Differences of the photos of each place, taken one after the other.

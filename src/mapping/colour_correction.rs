@@ -169,10 +169,21 @@ impl PreparedCorrection {
             let factor = self.of.gain[c] * shape;
             let y = colour[c];
             let power = (y + OFFSET) * factor - OFFSET;
-            let straight = y * (((STRAIGHT + OFFSET) * factor - OFFSET) * (1.0 / STRAIGHT));
+            // Where the curve is straight, light and colour have one factor; a cubic leads from there to the power.
+            let light = light_factor(factor);
+            let end = (STRAIGHT + OFFSET) * factor - OFFSET - light * STRAIGHT;
+            let share = y * (1.0 / STRAIGHT);
+            let straight = y * light + end * share * share * share;
             colour[c] = if y > STRAIGHT { power } else { straight };
         }
     }
+}
+
+/// `f^2.4`, the factor on light whose factor on colour is `f`: to a hundredth between 0.6 and 1.6.
+#[inline(always)]
+fn light_factor(f: f32) -> f32 {
+    let d = f - 1.0;
+    f * f * (1.0 + d * (0.4 + d * (-0.12 + d * 0.064)))
 }
 
 /// `exp(x)` to 1e-6 for what photos need (to 1e-4 at 4), in operations that a register does for many at a time.
@@ -233,7 +244,7 @@ mod tests {
                 for c in 0..3 {
                     let light = f64::from(table[usize::from(byte)]) * f64::from(factor[c]);
                     let off = f64::from(colour[c]) - grey_value(light);
-                    // The straight part of the curve and the power meet where both are nearly straight.
+                    // Below 20 a cubic stands for the bend between the straight part of the curve and the power.
                     assert!(off.abs() < if byte < 20 { 0.3 } else { 0.01 }, "{byte}: {off}");
                 }
             }

@@ -32,6 +32,7 @@ pub mod mosaic;
 pub mod paint;
 pub mod photo;
 pub mod photo_cache;
+pub mod plant_ties;
 pub mod plot_frame;
 pub mod provenance;
 mod seams;

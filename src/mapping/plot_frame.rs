@@ -53,7 +53,8 @@ impl PlotFrame {
         if area([along, across]).partial_cmp(&0.0) != Some(std::cmp::Ordering::Greater) {
             return None;
         }
-        let cells = |[low, high]: [f64; 2]| ((high - low) / cell).ceil().max(1.0);
+        // A side of a whole number of cells has that many, whatever rounding does.
+        let cells = |[low, high]: [f64; 2]| ((high - low) / cell - 1e-6).ceil().max(1.0);
         let [columns, rows] = [along, across].map(cells);
         // Cells that stick out do so on both sides alike; rows run from the high end of the short side.
         let first = [

@@ -5,6 +5,8 @@
 //! with its own small accumulator over just the kept blocks adjacent to it; accumulators are
 //! added in the order of the ranges, so that the sums do not depend on the number of threads.
 
+mod incidence;
+
 use super::{
     LinearSolver,
     block_table::{BlockTable, pairs_of_groups},
@@ -12,6 +14,7 @@ use super::{
     problem::Problem,
 };
 use crate::engine::SolveError;
+use incidence::Incidence;
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -349,73 +352,6 @@ enum Coupling {
     All,
     /// Each with itself.
     None,
-}
-
-/// Which eliminated block each factor depends on.
-struct Incidence {
-    /// Per factor, batch after batch, its eliminated block by its index before sorting, or [`NONE`].
-    owner: Vec<u32>,
-    /// Factors of kept blocks alone.
-    camera_only_factors: Vec<FactorRef>,
-    /// Per eliminated block the first and the last kept one adjacent to it, and its index before
-    /// sorting. Blocks with the same adjacent kept ones follow each other, so that a chunk's sums
-    /// stay in the cache and differ from the other chunks'.
-    neighbourhood: Vec<(u64, u32)>,
-    /// No factor depends on more than one kept block.
-    single_kept: bool,
-}
-
-impl Incidence {
-    fn new(
-        problem: &Problem,
-        kept_index: &[u32],
-        eliminated_index: &[u32],
-        eliminated: &[u32],
-    ) -> Result<Incidence, SolveError> {
-        let total = problem.batches.iter().map(|named| named.batch.len()).sum();
-        let mut owner = Vec::with_capacity(total);
-        let mut camera_only_factors = Vec::new();
-        let mut ends = vec![(NONE, 0u32); eliminated.len()];
-        let mut single_kept = true;
-        for (b, named) in problem.batches.iter().enumerate() {
-            for f in 0..named.batch.len() {
-                let blocks = named.batch.blocks(f);
-                let (mut found, mut low, mut high) = (NONE, NONE, 0);
-                for block in blocks {
-                    let e = eliminated_index[block.index()];
-                    if e != NONE {
-                        if found != NONE {
-                            let first = Problem::id(eliminated[found as usize] as usize);
-                            return Err(SolveError::Misuse(format!(
-                                "factor {f} of {:?} joins {} and {}, which are both to be eliminated",
-                                named.name,
-                                problem.describe(first),
-                                problem.describe(*block)
-                            )));
-                        }
-                        found = e;
-                    } else if kept_index[block.index()] != NONE {
-                        low = low.min(kept_index[block.index()]);
-                        high = high.max(kept_index[block.index()]);
-                    }
-                }
-                single_kept &= low == NONE || low == high;
-                owner.push(found);
-                if found != NONE {
-                    let end = &mut ends[found as usize];
-                    *end = (end.0.min(low), end.1.max(high));
-                } else if low != NONE {
-                    camera_only_factors.push((b as u32, f as u32));
-                }
-            }
-        }
-        let neighbourhood = ends
-            .into_iter()
-            .enumerate()
-            .map(|(e, (low, high))| (u64::from(low) << 32 | u64::from(high), e as u32))
-            .collect();
-        Ok(Incidence { owner, camera_only_factors, neighbourhood, single_kept })
-    }
 }
 
 impl Chunk {

@@ -125,7 +125,10 @@ pub fn plan(projects: &[Project], settings: &[String]) -> Result<Workflow, Error
 pub fn write(workflow: &Workflow, folder: &Path, force: bool) -> Result<(), Error> {
     let files = PROFILES.iter().copied().chain([("Snakefile", SNAKEFILE)]);
     for name in files.clone().map(|(name, _)| name).chain([PLAN_FILE]) {
-        output::check(&folder.join(name), force)?;
+        let path = folder.join(name);
+        if path.exists() {
+            output::check(&path, force)?;
+        }
     }
     for (name, content) in files {
         let path = folder.join(name);

@@ -18,12 +18,14 @@
 //!
 //! Curves that the dates do not determine have no parameters but a reason ([`Untold`]).
 
+mod robust;
 mod search;
 
 use crate::nlls::{Dual, LinearSolver, Loss, Scalar, covariance::Covariance};
-use search::{improve, largest, problem_of, residual_squares, robust_cost, search};
+use robust::{FirstFits, first_fits, least_scatter};
+use search::{improve, problem_of, residual_squares};
 use serde::{Deserialize, Serialize};
-use statrs::distribution::{ChiSquared, ContinuousCDF, FisherSnedecor, StudentsT};
+use statrs::distribution::{ContinuousCDF, FisherSnedecor, StudentsT};
 use std::f64::consts::LN_2;
 
 /// Which form a curve has.
@@ -127,13 +129,8 @@ pub struct GrowthFits {
 const LEAST_DATES: usize = 4;
 /// A final value whose logarithm is less sure than this is none: its 95 % interval spans a factor of four.
 const MOST_LOG_SIGMA: f64 = 0.35;
-/// Scale of the robust loss, standard deviations: 95 % of the efficiency of least squares on normal errors (Holland and
-/// Welsch, Commun. Stat. A6, 1977).
-const CAUCHY_SCALE: f64 = 2.385;
 /// One good series in a hundred loses a value to the test for outliers.
 const OUTLIER_LEVEL: f64 = 0.01;
-/// A scatter of more than this many times what the median of the residuals says comes from wrong values.
-const CONTAMINATED: f64 = 2.0;
 /// Level of the test of growth against none.
 const GROWTH_LEVEL: f64 = 0.99;
 /// Beyond this many time constants before the half day a curve is zero.
@@ -198,114 +195,7 @@ struct Trimmed {
     parameters: [f64; 3],
 }
 
-/// The robust fits, and the first estimate of the scatter.
-struct FirstFits {
-    model: GrowthModel,
-    found: Vec<Result<[f64; 3], Untold>>,
-    scatter: Option<f64>,
-}
-
-fn first_fits(series: &[Vec<Sample>], model: GrowthModel) -> FirstFits {
-    let mut found: Vec<Result<[f64; 3], Untold>> = series
-        .iter()
-        .map(|samples| {
-            if samples.len() < LEAST_DATES {
-                return Err(Untold::TooFewDates);
-            }
-            search(model, samples, (0.05 * largest(samples), Loss::Trivial))
-        })
-        .collect();
-    let mut variances = Vec::new();
-    let (mut squares, mut freedom, mut highest) = (0.0, 0, 0.0f64);
-    for (samples, fitted) in series.iter().zip(&found) {
-        let Ok(parameters) = fitted else { continue };
-        let of_plot = residual_squares(model, samples, parameters);
-        let degrees = samples.len() - 3;
-        variances.push(of_plot / degrees as f64);
-        squares += of_plot;
-        freedom += degrees;
-        highest = highest.max(largest(samples));
-    }
-    if variances.is_empty() {
-        return FirstFits { model, found, scatter: None };
-    }
-    variances.sort_unstable_by(f64::total_cmp);
-    let mean = squares / freedom as f64;
-    // The median is not moved by plots with a wrong value; of a few plots it says too little.
-    let degrees = freedom as f64 / variances.len() as f64;
-    let variance = match ChiSquared::new(degrees) {
-        Ok(spread) if variances.len() >= 5 => {
-            variances[variances.len() / 2] * degrees / spread.inverse_cdf(0.5)
-        }
-        _ => mean,
-    };
-    // Values that lie on a curve exactly still have a rounding.
-    let mut scatter = variance.sqrt().max(1e-9 * highest);
-    refine(model, series, &mut found, scatter);
-    // Of few plots one wrong value makes all of the variance; the median of the residuals of robust curves does not follow it.
-    while let Some(typical) = typical_residual(model, series, &found, freedom)
-        && scatter > CONTAMINATED * typical.max(1e-9 * highest)
-    {
-        scatter = typical.max(1e-9 * highest).max(0.25 * scatter);
-        refine(model, series, &mut found, scatter);
-    }
-    FirstFits { model, found, scatter: Some(scatter) }
-}
-
-/// Robust fits at this scatter. Least squares may have gone after a wrong value, so each begins anew, and from there too.
-fn refine(
-    model: GrowthModel,
-    series: &[Vec<Sample>],
-    found: &mut [Result<[f64; 3], Untold>],
-    scatter: f64,
-) {
-    let loss = (scatter, Loss::Cauchy(CAUCHY_SCALE));
-    for (samples, fitted) in series.iter().zip(found) {
-        if let Ok(parameters) = fitted {
-            let near = improve(model, samples, scatter, loss.1, parameters);
-            let ends = [near, search(model, samples, loss).ok()].into_iter().flatten();
-            let cost = |end: &[f64; 3]| robust_cost(model, samples, loss, end);
-            if let Some(best) = ends.min_by(|a, b| cost(a).total_cmp(&cost(b))) {
-                *parameters = best;
-            }
-        }
-    }
-}
-
-/// Standard deviation from the median of all residuals, corrected for the parameters; `None` without any.
-fn typical_residual(
-    model: GrowthModel,
-    series: &[Vec<Sample>],
-    found: &[Result<[f64; 3], Untold>],
-    freedom: usize,
-) -> Option<f64> {
-    let mut residuals: Vec<f64> = Vec::new();
-    for (samples, fitted) in series.iter().zip(found) {
-        if let Ok(parameters) = fitted {
-            residuals
-                .extend(samples.iter().map(|s| (s.value - model.value(*parameters, s.day)).abs()));
-        }
-    }
-    let middle = residuals.len() / 2;
-    if residuals.is_empty() || freedom == 0 {
-        return None;
-    }
-    let (_, median, _) = residuals.select_nth_unstable_by(middle, f64::total_cmp);
-    // Half of normal residuals are below 0.6745 standard deviations.
-    let median = *median / 0.6745;
-    Some(median * (residuals.len() as f64 / freedom as f64).sqrt())
-}
-
 impl FirstFits {
-    /// Robust cost of all series at a common scatter.
-    fn cost(&self, series: &[Vec<Sample>], scatter: f64) -> f64 {
-        let loss = (scatter, Loss::Cauchy(CAUCHY_SCALE));
-        let of_series = |(samples, fitted): (&Vec<Sample>, &Result<[f64; 3], Untold>)| {
-            fitted.as_ref().map_or(0.0, |found| robust_cost(self.model, samples, loss, found))
-        };
-        series.iter().zip(&self.found).map(of_series).sum()
-    }
-
     /// Takes out outliers, fits the rest by least squares, and estimates the scatter again.
     fn finish(self, series: &[Vec<Sample>]) -> GrowthFits {
         let model = self.model;
@@ -337,13 +227,12 @@ impl FirstFits {
                 Trimmed { outliers, kept, parameters: end.unwrap_or(parameters) }
             }));
         }
-        let (mut squares, mut freedom, mut highest) = (0.0, 0, 0.0f64);
+        let (mut squares, mut freedom) = (0.0, 0);
         for Trimmed { kept, parameters, .. } in fits.iter().flatten() {
             squares += residual_squares(model, kept, parameters);
             freedom += kept.len() - 3;
-            highest = highest.max(largest(kept));
         }
-        let scatter = (squares / freedom.max(1) as f64).sqrt().max(1e-9 * highest);
+        let scatter = (squares / freedom.max(1) as f64).sqrt().max(least_scatter(series));
         let t95 =
             StudentsT::new(0.0, 1.0, freedom.max(1) as f64).map_or(1.96, |t| t.inverse_cdf(0.975));
         let curves = fits

@@ -161,7 +161,8 @@ fn every_cell_comes_from_the_closest_camera_that_shows_it() {
         let folder = folder.path().join(name);
         fs::create_dir(&folder).unwrap();
         world.build(&folder);
-        run(&folder, &format!("{GIVEN} -o ortho.tif --figures pictures"));
+        // Colours as the photos have them.
+        run(&folder, &format!("{GIVEN} -o ortho.tif --figures pictures --balance=false"));
         let mosaic = Mosaic::read(&folder.join("ortho.tif"));
         let mut seen = 0;
         for ([x, y], rgba, record) in mosaic.cells() {

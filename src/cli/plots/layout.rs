@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 /// (figures/layout.png). Polygons that are there (--refine) are moved the same way. A field map joins genotype, treatment and
 /// block to the plots.
 ///
-/// Example: rowgram plots layout --corners corners.csv --ranges 12 --plots-per-range 20 --rows-per-plot 4 --row-spacing-m 0.76 --plot-length-m 6 --alley-m 1 -o plots
+/// Example: rowgram plots layout field --corners corners.csv --row-spacing-m 0.76 -o plots
 /// Example: rowgram plots layout field --corners corners.csv --field-map field_map.csv -o field
 /// Example: rowgram plots layout field --refine field/drawn.geojson -o field
 #[derive(Debug, clap::Args)]

@@ -12,6 +12,7 @@
 //! crates `geotiff-reader` and `tiff-writer`.
 
 mod directory;
+mod overview;
 mod read;
 mod write;
 

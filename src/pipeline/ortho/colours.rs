@@ -9,7 +9,7 @@ use crate::{
     io::photo::{self, Metadata},
     mapping::{
         Surface, View,
-        colour_balance::{self, ColourBalance, Exposure},
+        colour_balance::{self, BalancedPhotos, Exposure},
         grid::{coverage, covering, median_gsd_m},
         photo_cache::PhotoCache,
         select::PhotoSelector,
@@ -44,7 +44,7 @@ impl Work<'_> {
         (photos, cameras): (&[PathBuf], &[usize]),
         surface: &Surface,
         monitor: &mut dyn Monitor,
-    ) -> Result<Option<ColourBalance>, Error> {
+    ) -> Result<Option<BalancedPhotos>, Error> {
         let bounds = coverage(views, surface).bounds_m.ok_or_else(|| nothing(views, surface))?;
         let gsd_m = median_gsd_m(views, surface).ok_or_else(|| nothing(views, surface))?;
         let (grid, size) = covering(bounds, gsd_m, surface.georeference.crs, MAX_PIXELS)?;
@@ -54,7 +54,7 @@ impl Work<'_> {
         let exposures = exposures(photos, cameras)?;
         let found = colour_balance::balance(&selector, size, &exposures, &mut cache)?;
         let subject = name(self.files.mosaic);
-        monitor.diagnostic(&match &found {
+        monitor.diagnostic(&match found.as_ref().map(|found| &found.balance) {
             Some(found) => Diagnostic::info(
                 "colours-balanced",
                 subject,

@@ -5,7 +5,7 @@ use crate::{
     error::Error,
     io::{FileError, output},
     mapping::{
-        View, colour_balance::ColourBalance, colour_correction::ColourCorrection,
+        View, colour_balance::BalancedPhotos, colour_correction::ColourCorrection,
         select::SelectionOptions, surface::HeightInterpolation,
     },
     scene::Pose,
@@ -113,7 +113,7 @@ pub(super) fn photos_of(
     which: &Range<usize>,
     views: &[View],
     files: &[PathBuf],
-    balance: Option<&ColourBalance>,
+    balance: Option<&BalancedPhotos>,
 ) -> (Vec<String>, Vec<PhotoRecord>) {
     let record = path(orthophoto);
     let folder = output::folder_of(&record);

@@ -14,7 +14,7 @@ use crate::{
     },
     mapping::{
         MapError, Surface, View, canopy_height,
-        colour_balance::ColourBalance,
+        colour_balance::BalancedPhotos,
         grid::{coverage, covering, median_gsd_m, rounded},
         mosaic::{self, Mosaic, Rendered},
         photo_cache::PhotoCache,
@@ -142,7 +142,8 @@ pub fn write_orthophotos(
         }
         single.push(made);
     }
-    Ok(OrthoOutcome { mosaic, canopy_height_m, canopy, colour: work.colour, frames: single })
+    let colour = work.colour.map(|colour| colour.balance);
+    Ok(OrthoOutcome { mosaic, canopy_height_m, canopy, colour, frames: single })
 }
 
 /// The orthophoto of every photo, in a folder beside the mosaic, which is made.
@@ -199,7 +200,7 @@ pub(super) struct Work<'a> {
     pub(super) files: &'a OrthoFiles<'a>,
     dem: &'a Path,
     canopy_height_m: f64,
-    colour: Option<ColourBalance>,
+    colour: Option<BalancedPhotos>,
 }
 
 impl Work<'_> {
@@ -368,17 +369,21 @@ fn render(
         nodata: None,
     };
     let mut rendered = None;
-    geotiff::write::<u8, Error>(output, force, &layout, |colours| {
-        let Some(path) = provenance else {
+    let Some(path) = provenance else {
+        geotiff::write::<u8, Error>(output, force, &layout, |colours| {
             rendered = Some(mosaic::render(mosaic, photos, |tile| {
                 counter.tick();
                 Ok(colours.put(tile.window, &tile.rgba)?)
             })?);
-            return Ok(());
-        };
-        let layout =
-            Layout { colour: Colour::Records(BANDS), nodata: Some(f64::from(NO_PHOTO)), ..layout };
-        geotiff::write::<u16, Error>(path, force, &layout, |records| {
+            Ok(())
+        })?;
+        return rendered.ok_or_else(|| nothing_rendered(output));
+    };
+    let records =
+        Layout { colour: Colour::Records(BANDS), nodata: Some(f64::from(NO_PHOTO)), ..layout };
+    // The colours are done first: they need most room, and where there is too little neither file is left.
+    geotiff::write::<u16, Error>(path, force, &records, |records| {
+        geotiff::write::<u8, Error>(output, force, &layout, |colours| {
             rendered = Some(mosaic::render(mosaic, photos, |tile| {
                 counter.tick();
                 colours.put(tile.window, &tile.rgba)?;
@@ -387,7 +392,11 @@ fn render(
             Ok(())
         })
     })?;
-    rendered.ok_or_else(|| Error::Incomplete(format!("{}: nothing was rendered", output.display())))
+    rendered.ok_or_else(|| nothing_rendered(output))
+}
+
+fn nothing_rendered(output: &Path) -> Error {
+    Error::Incomplete(format!("{}: nothing was rendered", output.display()))
 }
 
 pub(super) fn nothing(views: &[View], surface: &Surface) -> MapError {

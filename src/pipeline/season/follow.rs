@@ -291,9 +291,10 @@ mod tests {
         let traits = ["canopy_cover".to_owned(), "plants".to_owned()];
         let found = follow(&days, None, &traits, None);
         assert_eq!(found.plots.len(), 6);
-        let emergence: Vec<f64> = found.emergence.iter().map(|of| of.day.unwrap().value).collect();
-        for (found, truth) in emergence.iter().zip([8.0, 8.5, 9.0, 9.5, 10.0, 10.5]) {
-            assert!((found - truth).abs() < 0.2, "{emergence:?}");
+        // Whole plants on a few dates leave a third of a day open.
+        for (found, truth) in found.emergence.iter().zip([8.0, 8.5, 9.0, 9.5, 10.0, 10.5]) {
+            let day = found.day.unwrap();
+            assert!((day.value - truth).abs() < 0.4, "{truth}: {day:?}");
         }
         let [outlier] = &found.outliers[..] else { panic!("{:?}", found.outliers) };
         assert_eq!((outlier.plot.as_str(), outlier.date.as_str()), ("b", "2020-05-17"));

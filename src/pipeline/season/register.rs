@@ -1,14 +1,17 @@
 //! Brings the maps of all dates into one frame.
 //!
 //! Flights with ground control of their own stay as they are; without any, the first one does. The others follow in the order of their
-//! distance in time from one that is placed: each is tied by what does not grow to the placed flights nearest in time, and a
+//! distance in time from one that is placed: each is tied by plants, or by what does not grow, to the placed flights nearest in time, and a
 //! similarity ([`crate::problems::map_similarity`]) puts it into their frame. A flight that is added at the end changes no other.
 
 use super::{SeasonOptions, file::Frame};
 use crate::{
     error::Error,
-    io::{FileError, geotiff::Reader},
-    mapping::map_ties::{self, MapFeatures},
+    io::{FileError, csv_table::CsvTable, geotiff::Reader},
+    mapping::{
+        map_ties::{self, MapFeatures},
+        plant_ties::plant_ties,
+    },
     monitor::{Counter, Diagnostic, Monitor},
     pipeline::{
         Project, Stage,
@@ -44,7 +47,9 @@ pub(super) struct DateMap {
     pub(super) place: Georeference,
     pub(super) gsd_m: f64,
     size: (usize, usize),
-    /// What decides orthomosaic and mask.
+    /// Plants that are sure, metres on the map.
+    plants_m: Vec<[f64; 2]>,
+    /// What decides orthomosaic, mask and plants.
     key: String,
 }
 
@@ -67,10 +72,15 @@ impl DateMap {
                 "it has no place on the map in metres, so it cannot be compared with other dates";
             FileError::malformed(&ortho, None, message)
         })?;
-        let record = project.records().read(Stage::Segment);
-        let key = record.map(|record| record.key).unwrap_or_default();
+        let key = |stage: Stage| {
+            let record = project.records().read(stage);
+            record.map(|record| record.key).unwrap_or_default()
+        };
+        let key = [Stage::Segment, Stage::Locate].map(key).concat();
         let size = (reader.width(), reader.height());
-        Ok(DateMap { date: date.to_owned(), day, frame, ortho, mask, place, gsd_m, size, key })
+        let plants_m = sure_plants(project, &place)?;
+        let date = date.to_owned();
+        Ok(DateMap { date, day, frame, ortho, mask, place, gsd_m, size, plants_m, key })
     }
 
     /// Bounds on the map: lowest and highest of each axis, metres.
@@ -120,6 +130,16 @@ impl DateMap {
     }
 }
 
+/// The plants of a project that are more likely there than not, metres on the map.
+fn sure_plants(project: &Project, place: &Georeference) -> Result<Vec<[f64; 2]>, FileError> {
+    let Some(path) = project.finished(Stage::Locate, "plants.csv") else { return Ok(Vec::new()) };
+    let table = CsvTable::read(&path)?;
+    let Some(at) = table.pairs("u_px", "v_px") else { return Ok(Vec::new()) };
+    let confidence = table.numbers("confidence").unwrap_or_else(|| vec![1.0; at.len()]);
+    let sure = at.into_iter().zip(confidence).filter(|(_, confidence)| *confidence > 0.5);
+    Ok(sure.map(|(at, _)| place.map(at)).collect())
+}
+
 /// Features of the tiles of all maps, made when they are first asked for.
 #[derive(Default)]
 struct Features(BTreeMap<(usize, [i64; 2]), MapFeatures>);
@@ -154,13 +174,17 @@ fn shared_tiles(a: &DateMap, b: &DateMap, options: &SeasonOptions) -> Vec<[i64; 
     all.into_iter().step_by(step).collect()
 }
 
-/// Places that two maps share, from the first to the second.
+/// Places that two maps share, from the first to the second: plants, or where they do not tell, features of what does not grow.
 fn ties(
     maps: &[DateMap],
     [from, to]: [usize; 2],
     features: &mut Features,
     options: &SeasonOptions,
 ) -> Result<Vec<MapTie>, Error> {
+    let plants = plant_ties(&maps[from].plants_m, &maps[to].plants_m, options.search_m);
+    if plants.len() >= map_similarity::LEAST_TIES {
+        return Ok(plants);
+    }
     let mut alike = Vec::new();
     for cell in shared_tiles(&maps[from], &maps[to], options) {
         let own = features.tile(maps, from, cell, options)?.clone();

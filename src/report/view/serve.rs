@@ -89,7 +89,10 @@ fn response(answer: Answer) -> Response<std::io::Cursor<Vec<u8>>> {
         ("Cache-Control", "no-cache"),
     ];
     let headers = headers.iter().filter_map(|(name, value)| Header::from_bytes(*name, *value).ok());
-    let response = Response::from_data(answer.body).with_status_code(answer.status);
+    // Whole answers have their length in front.
+    let response = Response::from_data(answer.body)
+        .with_status_code(answer.status)
+        .with_chunked_threshold(usize::MAX);
     headers.fold(response, Response::with_header)
 }
 
