@@ -9,8 +9,7 @@ use std::{fs, path::Path};
 pub fn assert_photos_agree_with_the_map(project: &Path) {
     let parent = project.parent().unwrap();
     let name = project.file_name().unwrap().to_str().unwrap();
-    let run =
-        rowgram(parent, &format!("crops {name} -q --json --as-taken --photos-per-plot 4"));
+    let run = rowgram(parent, &format!("crops {name} -q --json --as-taken --photos-per-plot 4"));
     assert_eq!(run.code, 0, "{}", run.stderr);
     let outcome: Value = serde_json::from_str(&run.stdout).unwrap();
     let crops = outcome["crops"].as_array().unwrap();

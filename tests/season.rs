@@ -147,7 +147,7 @@ fn a_season_without_control_after_its_first_flight_is_in_one_frame() {
         let rms = (apart.iter().map(|d| d * d).sum::<f64>() / apart.len() as f64).sqrt();
         let gsd_m = outcome.flights[k].gsd_m.unwrap();
         println!("dates {k} and {}: {:.2} GSD apart", k - 1, rms / gsd_m);
-        assert!(rms < 2.0 * gsd_m, "dates {k}: {rms} m of {gsd_m} m");
+        assert!(rms < gsd_m, "dates {k}: {rms} m of {gsd_m} m");
     }
     assert_eq!(outcome.plots.len(), 2);
     let covers = &outcome.traits[0];

@@ -197,7 +197,8 @@ fn on_ellipsoid(layer: &Layer) -> (Vec<Option<Geometry>>, bool) {
     found.map_or_else(|| (own(), false), |found| (found, true))
 }
 
-#[cfg(all(test, feature = "geoparquet"))]
+#[cfg(feature = "geoparquet")]
+#[cfg(test)]
 mod tests {
     use super::*;
     use crate::io::gpkg::{Column, Feature};

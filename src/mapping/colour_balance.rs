@@ -103,6 +103,9 @@ pub struct BalancedPhotos {
     pub corrections: Vec<ColourCorrection>,
 }
 
+/// A photo, and the pixel of it that shows a place.
+type Seen = (usize, [f64; 2]);
+
 /// A window in a photo that is to be read.
 #[derive(Debug, Clone, Copy)]
 struct Wanted {
@@ -146,7 +149,7 @@ fn places(selector: &PhotoSelector<'_>, [width, height]: [usize; 2]) -> Vec<Vec<
         let cell = [(at[0] * width as f64) as usize, (at[1] * height as f64) as usize];
         squares[cell[1] / SQUARE * columns + cell[0] / SQUARE].push(cell);
     }
-    let found: Vec<Vec<Vec<(usize, [f64; 2])>>> = squares
+    let found: Vec<Vec<Vec<Seen>>> = squares
         .par_iter()
         .enumerate()
         .map(|(n, cells)| {
@@ -211,10 +214,9 @@ fn observe<E: Send>(
     let mut all: Vec<Observation> = found.into_iter().flatten().collect();
     all.sort_by_key(|seen| (seen.point, seen.photo));
     let mut kept = Vec::with_capacity(all.len());
-    let mut point = 0;
-    for of in all.chunk_by(|a, b| a.point == b.point).filter(|of| of.len() >= 2) {
+    let shared = all.chunk_by(|a, b| a.point == b.point).filter(|of| of.len() >= 2);
+    for (point, of) in (0_u32..).zip(shared) {
         kept.extend(of.iter().map(|seen| Observation { point, ..*seen }));
-        point += 1;
     }
     Ok(kept)
 }

@@ -311,8 +311,6 @@ fn points_far_away_need_few_steps() {
     }
     let bundle = Bundle::new(&start, InteriorSharing::PerImage, Loss::Trivial).unwrap();
     let mut x = bundle.problem.start();
-    for n in [5, 5, 5, 5, 10, 10, 10] {
-        let found = solve(&bundle.problem, &mut x, &Options::default(), n).unwrap();
-        println!("{n} more: {:e} -> {:e}", found.initial_cost, found.final_cost);
-    }
+    let found = solve(&bundle.problem, &mut x, &Options::default(), 10).unwrap();
+    assert!(found.final_cost < 1e-6 * found.initial_cost, "{found}");
 }

@@ -233,7 +233,7 @@ mod tests {
         let of = |at: usize| -> [u16; 64] {
             std::array::from_fn(|d| {
                 let off = |from: usize| (30 * d.abs_diff(from) as u16).min(400);
-                if at % 8 == 0 { (off(10) + 20).min(off(40)) } else { off(10) }
+                if at.is_multiple_of(8) { (off(10) + 20).min(off(40)) } else { off(10) }
             })
         };
         let sums: Vec<[u16; 64]> = (0..64 * WIDTH).map(of).collect();

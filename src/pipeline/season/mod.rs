@@ -124,6 +124,9 @@ impl SeasonOutcome {
     }
 }
 
+/// A plot: its name, and its outer ring in the frame of the season, metres.
+type Outline = (String, Vec<[f64; 2]>);
+
 /// A flight while the season is done.
 struct Flight {
     entry: FlightEntry,
@@ -284,7 +287,7 @@ fn first_run(flight: &mut Flight, monitor: &mut dyn Monitor) -> Result<DateMap, 
 fn second_run(
     flight: &mut Flight,
     map: &DateMap,
-    outlines_m: Option<&[(String, Vec<[f64; 2]>)]>,
+    outlines_m: Option<&[Outline]>,
     results: &Path,
     monitor: &mut dyn Monitor,
 ) -> Result<(), Error> {
@@ -306,15 +309,12 @@ fn second_run(
 }
 
 /// The outlines of the plots in the frame of the season; `None` where the season has none.
-fn outlines(
-    file: &SeasonFile,
-    maps: &[DateMap],
-) -> Result<Option<Vec<(String, Vec<[f64; 2]>)>>, Error> {
+fn outlines(file: &SeasonFile, maps: &[DateMap]) -> Result<Option<Vec<Outline>>, Error> {
     let Some(path) = &file.plots else { return Ok(None) };
     // Any map will do: it says in which system, and pixels go back to where they came from.
     let place = maps[0].place;
     let named = polygons::read(path, Some(&place))?;
-    let mut outlines: Vec<(String, Vec<[f64; 2]>)> = Vec::new();
+    let mut outlines: Vec<Outline> = Vec::new();
     for plot in named {
         if outlines.iter().any(|(name, _)| *name == plot.name) {
             let message = format!(

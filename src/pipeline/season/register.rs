@@ -152,11 +152,11 @@ impl Features {
         cell: [i64; 2],
         options: &SeasonOptions,
     ) -> Result<&MapFeatures, Error> {
-        if !self.0.contains_key(&(map, cell)) {
-            let found = maps[map].features(cell, options)?;
-            self.0.insert((map, cell), found);
-        }
-        Ok(&self.0[&(map, cell)])
+        use std::collections::btree_map::Entry;
+        Ok(match self.0.entry((map, cell)) {
+            Entry::Occupied(kept) => kept.into_mut(),
+            Entry::Vacant(place) => place.insert(maps[map].features(cell, options)?),
+        })
     }
 }
 

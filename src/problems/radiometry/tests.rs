@@ -35,8 +35,7 @@ const RADIAL_TRUTH: [f64; RADIAL] = [-0.35, 0.05, -0.03];
 /// A block and the true log gains, with the mean that the adjustment gives them.
 fn block(flight: &Flight) -> (RadiometricBlock, Vec<[f64; 3]>) {
     let mut rng = ChaCha8Rng::seed_from_u64(flight.seed);
-    let normal =
-        |sigma: f64, rng: &mut ChaCha8Rng| sigma * rng.sample::<f64, _>(StandardNormal);
+    let normal = |sigma: f64, rng: &mut ChaCha8Rng| sigma * rng.sample::<f64, _>(StandardNormal);
     let count = flight.strips * flight.along;
     let mut photos = Vec::new();
     let (mut gains, mut centres) = (Vec::new(), Vec::new());
