@@ -25,13 +25,12 @@ def test_layers_open_as_geoparquet(flight):
     assert (plots["plants"] == same["plants"]).all()
 
 
-def test_crops_have_traits_photo_by_photo(flight):
-    crops = flight.crops(photos_per_plot=2, margin_m=0.1)
-    table = crops.to_pandas("crops.csv")
-    assert len(table) == len(crops.crops) and (table["rank"] <= 2).all()
-    assert all(crops.file(name).is_file() for name in table["file"])
-    with pytest.raises(rowgram.InputError, match="force"):
-        flight.crops()
+def test_crops_need_a_photo_that_shows_the_whole_plot(flight):
+    # The field is one plot here, larger than any photo.
+    with pytest.raises(rowgram.RowgramError, match="whole"):
+        flight.crops(photos_per_plot=2, margin_m=0.1)
+    with pytest.raises(rowgram.InputError, match="photos_per_plot"):
+        flight.crops(photos_per_plott=2)
 
 
 def test_what_is_current_is_kept(flight):

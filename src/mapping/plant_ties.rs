@@ -11,7 +11,7 @@
 //!
 //! `x_i` and `y_j`: plants of the two dates, metres; `c` the middle of the plants that vote, the ones nearest to the middle of what both
 //! maps show. Rows and an even spacing repeat, so another shift has votes too; where the runner-up has nearly as many as the
-//! best, nothing is said ([`LEAST_LEAD`]).
+//! best, nothing is said (`LEAST_LEAD`).
 //!
 //! Reference: the Hough transform, D. H. Ballard, Pattern Recognition 13, 1981; iterated closest points, P. J. Besl and N. D. McKay,
 //! IEEE PAMI 14, 1992.

@@ -181,7 +181,7 @@ impl Problem {
     }
 
     /// Says that a block is a point that is seen from about `from`: steps then move it straight in inverse distance, and
-    /// only as far away as is sensible ([`super::sight`]).
+    /// only as far away as is sensible.
     ///
     /// # Errors
     /// [`SolveError::Misuse`] where the block is not `Euclidean(3)`.

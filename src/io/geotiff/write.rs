@@ -108,7 +108,7 @@ impl<T: Sample> Writer<T> {
     /// Begins a raster, for where several are written at a time. It appears with [`Writer::finish`], and never without.
     ///
     /// # Errors
-    /// As [`write`].
+    /// As [`write()`].
     pub fn begin(path: &Path, force: bool, layout: &Layout) -> Result<Writer<T>, FileError> {
         output::check(path, force)?;
         let fits = |pixels: usize| pixels > 0 && u32::try_from(pixels).is_ok();
@@ -133,7 +133,7 @@ impl<T: Sample> Writer<T> {
     /// Puts the file in its place.
     ///
     /// # Errors
-    /// As [`write`].
+    /// As [`write()`].
     pub fn finish(mut self) -> Result<(), FileError> {
         let mut spool = self.complete()?;
         output::write_seekable(&self.path, self.force, |file| {

@@ -34,7 +34,7 @@ use crate::nlls::{Dual, Scalar};
 
 /// Free numbers of [`Placement::affine`].
 pub const AFFINE: usize = 6;
-/// Free numbers of [`Placement::bend`].
+/// Free numbers of `Placement::bend`.
 pub const BEND: usize = 3;
 
 /// Free numbers of a placement.
