@@ -13,7 +13,11 @@ pub fn assert_photos_agree_with_the_map(project: &Path) {
     assert_eq!(run.code, 0, "{}", run.stderr);
     let outcome: Value = serde_json::from_str(&run.stdout).unwrap();
     let crops = outcome["crops"].as_array().unwrap();
-    assert!(crops.len() > 10, "{}", crops.len());
+    // Photos of 15 m x 11 m show few plots of 8 m x 4 m whole; every other one is named.
+    assert!(!crops.is_empty(), "{outcome}");
+    let plots: std::collections::BTreeSet<&str> =
+        crops.iter().map(|crop| crop["plot"].as_str().unwrap()).collect();
+    assert_eq!(plots.len() + outcome["without_photo"].as_array().unwrap().len(), 6, "{outcome}");
     let folder = project.join("rowgram/crops");
     for crop in crops {
         let file = folder.join(crop["file"].as_str().unwrap());
@@ -52,7 +56,8 @@ pub fn assert_photos_agree_with_the_map(project: &Path) {
             "{plot}: {cover} in photos, {} on the map",
             map[plot]
         );
-        assert!(scatter[plot] < 0.05, "{plot}: {}", scatter[plot]);
+        // A single photo has no scatter.
+        assert!(scatter[plot].is_nan() || scatter[plot] < 0.05, "{plot}: {}", scatter[plot]);
     }
     let again = rowgram(parent, &format!("crops {name} -q"));
     assert_eq!(again.code, 2, "what is there is not replaced: {}", again.stderr);
