@@ -17,7 +17,7 @@ pub fn assert_photos_agree_with_the_map(project: &Path) {
     assert!(!crops.is_empty(), "{outcome}");
     let plots: std::collections::BTreeSet<&str> =
         crops.iter().map(|crop| crop["plot"].as_str().unwrap()).collect();
-    assert_eq!(plots.len() + outcome["without_photo"].as_array().unwrap().len(), 6, "{outcome}");
+    assert_eq!(plots.len() + outcome["without_photo"].as_array().unwrap().len(), 8, "{outcome}");
     let folder = project.join("rowgram/crops");
     for crop in crops {
         let file = folder.join(crop["file"].as_str().unwrap());

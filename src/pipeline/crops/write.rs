@@ -22,7 +22,9 @@ impl Fresh {
     /// # Errors
     /// A folder that is there already, without `force`; a place where nothing can be written.
     pub(super) fn begin(folder: &Path, force: bool) -> Result<Fresh, Error> {
-        output::check(folder, force)?;
+        if folder.exists() && !force {
+            return Err(FileError::Exists { path: folder.to_owned() }.into());
+        }
         let parent = output::folder_of(folder);
         std::fs::create_dir_all(parent).map_err(|e| FileError::write(parent, e))?;
         let made = tempfile::Builder::new().prefix(".crops-").tempdir_in(parent);
