@@ -27,6 +27,7 @@ class Summary:
         iterations: Trials made, refused ones included.
         stop: Why it ended.
         converged: Whether that is an optimum.
+        linear: Solver of the linear systems: the one chosen where ``"auto"`` was asked for.
         batches: One dictionary per named batch of residuals: ``name``, ``factors``, ``cost``, ``rmse``, ``path``.
     """
 
@@ -37,6 +38,7 @@ class Summary:
     converged: bool
     residuals: int
     parameters: int
+    linear: str
     batches: list[dict[str, Any]]
     text: str
 
