@@ -3,9 +3,11 @@
 use crate::{
     compare,
     data::Frame,
+    document,
     fail::Fail,
     keys, merge,
     plan::{Plan, Planned},
+    publish,
     spec::Spec,
     stage::{self, STAGES},
     submit::{self, Engine},
@@ -121,7 +123,34 @@ pub(crate) enum Command {
         #[arg(long, value_name = "SHARE")]
         within: Option<f64>,
     },
+    /// Copy merged results, with six digits, to where the committed ones are.
+    ///
+    /// Takes runs.csv, the series and timings that figures are drawn from, the manifest, and writes tests.csv where the
+    /// spec names a baseline.
+    Keep {
+        /// Result folders of full runs.
+        #[arg(required = true, value_name = "RESULT")]
+        folders: Vec<PathBuf>,
+        /// Where they go.
+        #[arg(long, value_name = "DIR", default_value = "experiments/results")]
+        results: PathBuf,
+    },
+    /// Draw the figures and tables of every spec from the committed results.
+    Figures {
+        /// The folder with the specs.
+        #[arg(long, value_name = "DIR", default_value = "experiments/specs")]
+        specs: PathBuf,
+        /// The folder with a result for each spec.
+        #[arg(long, value_name = "DIR", default_value = "experiments/results")]
+        results: PathBuf,
+        /// Where the figures go, a folder for each spec.
+        #[arg(long, value_name = "DIR", default_value = "experiments/out/figures")]
+        out: PathBuf,
+    },
     /// Redraw the paper: run every spec whose name begins with `paper-`.
+    ///
+    /// With --pdf nothing is run: the committed results become one document with findings, figures, tables and the
+    /// commands that made them (paper.typ, and paper.pdf by Typst or its Python package).
     Paper {
         /// The folder with the specs.
         #[arg(long, value_name = "DIR", default_value = "experiments/specs")]
@@ -135,13 +164,25 @@ pub(crate) enum Command {
         /// Every spec, not only the paper's.
         #[arg(long)]
         all: bool,
+        /// Make one document of the results in DIR.
+        #[arg(
+            long,
+            value_name = "DIR",
+            num_args = 0..=1,
+            default_missing_value = "experiments/results",
+            conflicts_with_all = ["small", "all"]
+        )]
+        pdf: Option<PathBuf>,
     },
     /// Write FINDINGS.md from the committed results, or check that it is what they say.
     Findings {
         /// The folder with the specs.
         #[arg(long, value_name = "DIR", default_value = "experiments/specs")]
         specs: PathBuf,
-        /// The folder with a result for each spec.
+        /// The folder with the results of full settings.
+        #[arg(long, value_name = "DIR", default_value = "experiments/results")]
+        results: PathBuf,
+        /// The folder with those of small settings, for specs that have no full one.
         #[arg(long, value_name = "DIR", default_value = "experiments/reference")]
         reference: PathBuf,
         /// The file.
@@ -200,8 +241,26 @@ impl Command {
                 Ok(())
             }
             Command::Draw { spec, result } => draw(&Spec::read(&spec, false)?.0, &result),
+            Command::Keep { folders, results } => folders.iter().try_for_each(|folder| {
+                let (name, bytes) = publish::keep(folder, &results)?;
+                say(&format!("{name}: {} kB", bytes.div_ceil(1000)));
+                Ok(())
+            }),
+            Command::Figures { specs, results, out } => {
+                publish::kept(&spec_files(&specs)?, &results)?.iter().try_for_each(
+                    |(spec, result)| {
+                        say(&spec.name);
+                        publish::draw(spec, result, &out.join(&spec.name))
+                    },
+                )
+            }
             Command::Compare { a, b, level, within } => compare_two(&a, &b, level, within),
-            Command::Paper { specs, out, small, all } => {
+            Command::Paper { specs, out, pdf: Some(results), .. } => {
+                let kept = publish::kept(&spec_files(&specs)?, &results)?;
+                say(&document::write(&kept, &out)?.display().to_string());
+                Ok(())
+            }
+            Command::Paper { specs, out, small, all, pdf: None } => {
                 for path in spec_files(&specs)? {
                     let plan = Plan::of(&path, small)?;
                     if all || plan.spec.name.starts_with(PAPER) {
@@ -212,8 +271,8 @@ impl Command {
                 }
                 Ok(())
             }
-            Command::Findings { specs, reference, output, check } => {
-                findings(&specs, &reference, &output, check)
+            Command::Findings { specs, results, reference, output, check } => {
+                findings(&specs, [&results, &reference], &output, check)
             }
         }
     }
@@ -241,18 +300,20 @@ fn run(plan: Plan, out: &Path, jobs: usize, resume: bool, force: bool) -> Result
     Ok(())
 }
 
-/// Figures, tables and the finding, into `figures/` of the result.
+/// Figures, tables, tests and the finding of a result, into its folder.
 fn draw(spec: &Spec, result: &Path) -> Result<(), Fail> {
-    let folder = result.join("figures");
-    std::fs::create_dir_all(&folder).map_err(|e| Fail::io(&folder, &e))?;
+    publish::draw(spec, result, &result.join("figures"))?;
     let runs = Frame::read(&result.join("runs.csv"))?;
-    spec.figures.iter().try_for_each(|figure| figure.draw(result, &folder))?;
-    spec.tables.iter().try_for_each(|table| table.write(&runs, &folder))?;
+    publish::write_tests(spec, &runs, result)?;
+    let tests = publish::tests_sentence(spec, &runs)?;
     if let Some(finding) = &spec.finding {
         say(&finding.fill(&runs).map_err(|e| Fail::Failed(format!("finding: {e}")))?);
         for claim in finding.refuted(&runs).map_err(|e| Fail::Failed(format!("finding: {e}")))? {
             say(&format!("these numbers do not bear out: {claim}"));
         }
+    }
+    if !tests.is_empty() {
+        say(&tests);
     }
     Ok(())
 }
@@ -300,18 +361,24 @@ fn spec_files(folder: &Path) -> Result<Vec<PathBuf>, Fail> {
     Ok(paths)
 }
 
-fn findings(specs: &Path, reference: &Path, output: &Path, check: bool) -> Result<(), Fail> {
+fn findings(
+    specs: &Path,
+    [results, reference]: [&Path; 2],
+    output: &Path,
+    check: bool,
+) -> Result<(), Fail> {
     let mut text = String::from(
-        "# Findings\n\nWritten from the committed results in `reference/` by `experiments findings`; every number \
-         comes from\nthe tables, and what the sentences claim is checked against them. The results are those of the \
-         small\nsettings (`--small`), few seeds on small fields: they show directions. Each spec states the large \
-         setting.\n",
+        "# Findings\n\nWritten from the committed results by `experiments findings`; every number comes from the tables, and \
+         what\nthe sentences claim is checked against them. Results are those of the full settings (`results/`) unless it says \
+         that they\nare of the small one (`reference/`): few seeds on small fields, which show directions.\n",
     );
     let (mut refuted, mut pending) = (Vec::new(), Vec::new());
     for path in spec_files(specs)? {
-        let (spec, cells) = Spec::read(&path, true)?;
+        let full = results.join(path.file_stem().unwrap_or_default()).join("runs.csv");
+        let small = !full.exists();
+        let (spec, cells) = Spec::read(&path, small)?;
         let Some(finding) = &spec.finding else { continue };
-        let result = reference.join(&spec.name).join("runs.csv");
+        let result = if small { reference.join(&spec.name).join("runs.csv") } else { full };
         if !result.exists() {
             pending.push(spec.name);
             continue;
@@ -319,17 +386,17 @@ fn findings(specs: &Path, reference: &Path, output: &Path, check: bool) -> Resul
         let runs = Frame::read(&result)?;
         let fail = |e: String| Fail::Failed(format!("{}: {e}", spec.name));
         let filled = finding.fill(&runs).map_err(fail)?;
-        refuted.extend(
-            finding
-                .refuted(&runs)
-                .map_err(fail)?
-                .into_iter()
-                .map(|c| format!("{}: {c}", spec.name)),
-        );
+        let wrong = finding.refuted(&runs).map_err(fail)?;
+        refuted.extend(wrong.into_iter().map(|c| format!("{}: {c}", spec.name)));
+        text += &format!("\n## {}\n\n{filled}\n", spec.title);
+        let tests = publish::tests_sentence(&spec, &runs)?;
+        if !tests.is_empty() {
+            text += &format!("\n{tests}\n");
+        }
         text += &format!(
-            "\n## {}\n\n{filled}\n\n`specs/{}.toml`: {} cells, {} seed{}.\n",
-            spec.title,
+            "\n`specs/{}.toml`{}: {} cells, {} seed{}.\n",
             spec.name,
+            if small { ", small setting" } else { "" },
             cells.len(),
             spec.seeds.count,
             if spec.seeds.count == 1 { "" } else { "s" }

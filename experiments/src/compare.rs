@@ -94,7 +94,8 @@ pub(crate) fn compare(a: &Path, b: &Path) -> Result<(Vec<Comparison>, Vec<String
 /// Nothing is measured to this, in whatever unit: smaller differences are the arithmetic's.
 const ROUNDING: f64 = 1e-11;
 
-fn judge(cell: String, metric: String, pairs: &[[f64; 2]]) -> Comparison {
+/// Tests the mean difference of pairs.
+pub(crate) fn judge(cell: String, metric: String, pairs: &[[f64; 2]]) -> Comparison {
     let count = pairs.len() as f64;
     let mean = |k: usize| pairs.iter().map(|pair| pair[k]).sum::<f64>() / count;
     let differences: Vec<f64> = pairs.iter().map(|[a, b]| b - a).collect();
@@ -126,7 +127,8 @@ fn judge(cell: String, metric: String, pairs: &[[f64; 2]]) -> Comparison {
 }
 
 /// Corrects the probabilities.
-fn holm(found: &mut [Comparison]) {
+pub(crate) fn holm<'a>(found: impl IntoIterator<Item = &'a mut Comparison>) {
+    let mut found: Vec<&mut Comparison> = found.into_iter().collect();
     let mut order: Vec<usize> = (0..found.len()).collect();
     order.sort_by(|&a, &b| found[a].probability.total_cmp(&found[b].probability));
     let mut least: f64 = 0.0;

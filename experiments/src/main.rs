@@ -10,7 +10,9 @@
 mod accuracy;
 mod command;
 mod compare;
+mod contrasts;
 mod data;
+mod document;
 mod fail;
 mod figures;
 mod findings;
@@ -26,6 +28,7 @@ mod methods;
 mod parquet_file;
 mod plan;
 mod plots;
+mod publish;
 mod relative;
 mod rivals;
 mod row_model_masks;

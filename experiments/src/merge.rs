@@ -192,6 +192,7 @@ fn manifest(
         "cells": plan.cells.len(),
         "tasks": planned.count(),
         "failed": records.iter().filter(|record| record.reason.is_some()).count(),
+        "task_seconds": records.iter().map(|record| record.seconds).sum::<f64>().round(),
         "spec_sha256": sha256(spec.as_bytes()),
         "plan_sha256": planned.hash,
         "files_sha256": files,

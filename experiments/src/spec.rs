@@ -6,6 +6,7 @@
 //! the file is the setting for a paper.
 
 use crate::{
+    contrasts::Baseline,
     fail::Fail,
     figures::Figure,
     findings::Finding,
@@ -49,6 +50,9 @@ pub(crate) struct Spec {
     /// How it is made small.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) small: Option<Small>,
+    /// What the levels of an axis are tested against.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) baseline: Option<Baseline>,
     /// What is drawn.
     #[serde(default, rename = "figure", skip_serializing_if = "Vec::is_empty")]
     pub(crate) figures: Vec<Figure>,
@@ -216,6 +220,13 @@ impl Spec {
         if let Some(finding) = &self.finding {
             finding.check(&known, &kept)?;
         }
+        if let Some(baseline) = &self.baseline {
+            let labels = |axis: &Axis| -> Result<Vec<String>, String> {
+                Ok(axis.levels()?.into_iter().map(|level| level.label).collect())
+            };
+            let levels = self.axes.iter().map(|axis| Ok((axis.column(), labels(axis)?)));
+            baseline.check(&levels.collect::<Result<Vec<_>, String>>()?, &kept)?;
+        }
         self.cells(entry)
     }
 
@@ -229,7 +240,7 @@ impl Spec {
     }
 
     /// The columns of the axes.
-    fn columns(&self) -> Result<Vec<String>, String> {
+    pub(crate) fn columns(&self) -> Result<Vec<String>, String> {
         let mut columns: Vec<String> =
             self.axes.iter().map(|axis| axis.column().to_owned()).collect();
         if let Some(random) = &self.random {

@@ -89,6 +89,23 @@ impl TableSpec {
         Ok(())
     }
 
+    /// The table as text: a row of heads, then the rows with theirs in front.
+    pub(crate) fn shown_rows(&self, runs: &Frame) -> Result<Vec<Vec<String>>, String> {
+        let cells = self.cells(runs)?;
+        let mut rows = vec![vec![self.rows.clone()]];
+        rows[0].extend(cells.columns.iter().cloned());
+        for (r, head) in cells.rows.iter().enumerate() {
+            let shown = cells.row(r).iter().map(|&cell| self.shown(cell, " ± "));
+            rows.push(std::iter::once(head.clone()).chain(shown).collect());
+        }
+        Ok(rows)
+    }
+
+    /// The caption and what the numbers of a cell are.
+    pub(crate) fn caption_with_intervals(&self) -> String {
+        format!("{} Mean ± half the 95 % interval.", self.caption).trim().to_owned()
+    }
+
     fn cells(&self, runs: &Frame) -> Result<Cells, String> {
         let runs = runs.at(&self.conditions)?;
         let rows = runs.labels(&self.rows)?;
@@ -120,8 +137,7 @@ impl TableSpec {
     }
 
     fn markdown(&self, cells: &Cells) -> String {
-        let head = if self.rows.is_empty() { "" } else { &self.rows };
-        let mut text = format!("| {head} | {} |\n", cells.columns.join(" | "));
+        let mut text = format!("| {} | {} |\n", self.rows, cells.columns.join(" | "));
         text += &format!("|---|{}\n", "---|".repeat(cells.columns.len()));
         for (r, row) in cells.rows.iter().enumerate() {
             let shown: Vec<String> =
@@ -129,7 +145,7 @@ impl TableSpec {
             text += &format!("| {row} | {} |\n", shown.join(" | "));
         }
         if !self.caption.is_empty() {
-            text += &format!("\n{} Mean ± half the 95 % interval.\n", self.caption);
+            text += &format!("\n{}\n", self.caption_with_intervals());
         }
         text
     }

@@ -202,12 +202,15 @@ fn every_spec_is_valid_in_both_settings() {
 fn the_findings_are_what_the_results_say() {
     let place = Place::new(SPEC);
     let path = |name: &str| home().join(name).to_str().unwrap().to_owned();
-    let [specs, reference, file] = ["specs", "reference", "FINDINGS.md"].map(path);
+    let [specs, results, reference, file] =
+        ["specs", "results", "reference", "FINDINGS.md"].map(path);
     place.good(&[
         "findings",
         "--check",
         "--specs",
         &specs,
+        "--results",
+        &results,
         "--reference",
         &reference,
         "--output",
