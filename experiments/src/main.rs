@@ -241,7 +241,7 @@ fn main() -> ExitCode {
 
 /// Writes `options.md` and `traits.md`.
 fn pages(out: &std::path::Path) -> Result<(), rowgram::Error> {
-    use rowgram::{io::output, phenotype::plots::dictionary_page, pipeline::reference_page};
+    use rowgram::{io::output, phenotype::traits::dictionary_page, pipeline::reference_page};
     for (name, page) in [("options.md", reference_page()), ("traits.md", dictionary_page())] {
         output::write(&out.join(name), true, |file| file.write_all(page.as_bytes()))?;
     }

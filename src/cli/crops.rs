@@ -12,7 +12,8 @@ use std::path::PathBuf;
 /// For every plot the photos that show it whole, the steepest view first; those that were found blurred or wrongly exposed come
 /// last. Each is drawn on the surface along the sides of the plot: PNG with a world file (.pgw) in crops/PLOT/. crops.csv has a
 /// line for every picture, crops.json also the outline of the plot in picture and photo, traits.csv the mean of cover and
-/// colour indices over the photos of a plot and their standard deviation between photos.
+/// colour indices over the photos of a plot and their standard deviation between photos, comparison.csv these beside the traits
+/// of the orthomosaic.
 ///
 /// PROJECT is a folder after rowgram run (or align, dem, ortho, segment, plots).
 ///
@@ -49,10 +50,31 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
 
 fn text(of: &CropsOutcome) -> String {
     let plots = of.crops.chunk_by(|a, b| a.plot == b.plot).count();
-    format!(
-        "{}: {} pictures of {plots} plots, pixels of {:.4} m",
+    let count =
+        |number: usize, of: &str| format!("{number} {of}{}", if number == 1 { "" } else { "s" });
+    let mut text = format!(
+        "{}: {} of {}, pixels of {:.4} m",
         of.folder.display(),
-        of.crops.len(),
+        count(of.crops.len(), "picture"),
+        count(plots, "plot"),
         of.gsd_m
-    )
+    );
+    if !of.comparison.is_empty() {
+        text +=
+            "\n\ntrait          plots  orthomosaic   photos  difference  its SD  SD between photos";
+    }
+    let shown = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.4}"));
+    for of in &of.comparison {
+        text += &format!(
+            "\n{:<14} {:>5} {:>12.4} {:>8.4} {:>+11.4} {:>7} {:>18}",
+            of.name,
+            of.plots,
+            of.orthomosaic,
+            of.photos,
+            of.photos - of.orthomosaic,
+            shown(of.difference_sd),
+            shown(of.between_photos_sd)
+        );
+    }
+    text
 }

@@ -7,7 +7,7 @@
 //! | what does the row model rest on? | [`evidence`] (votes along leaf axes), [`isolated_plants`], [`plant_spacing`], [`double_plants`], [`dynamic_programming`], [`tilt`] |
 //! | how many plants are there? | [`stand_count`], [`stand`], [`plant_mass`] |
 //! | how many leaves, and which? | [`leaf_count`] (from area), [`leaves`] (one by one), [`broad_leaves`] |
-//! | what has each plot? | [`plots`], [`colour_indices`] |
+//! | what has each plot? | [`traits`] (what there is), [`plots`] (measured), [`plot_scatter`] (standard deviations), [`colour_indices`] |
 //!
 //! Lengths are in pixels of the mask unless a name says metres.
 
@@ -27,6 +27,7 @@ mod periodicity;
 pub mod plant_mass;
 pub mod plant_spacing;
 pub mod plant_tracks;
+pub mod plot_scatter;
 pub mod plots;
 pub mod row_curves;
 mod row_evidence;
@@ -38,3 +39,4 @@ pub mod stand;
 pub mod stand_count;
 pub mod tiles;
 pub mod tilt;
+pub mod traits;

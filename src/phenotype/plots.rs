@@ -2,211 +2,66 @@
 //!
 //! Positions are pixels of the raster that the mask has; traits are per plot, in SI units.
 
-use super::colour_indices::ColourSum;
+use super::{
+    colour_indices::ColourIndices,
+    plot_scatter::{ColourParts, PARTS, Parts, jackknife},
+    traits::{PlotTraits, deviation_name},
+};
 use crate::raster::{Mask, polygon::Polygon};
-use serde::{Deserialize, Serialize};
 use statrs::statistics::Statistics;
 use std::collections::BTreeMap;
 
-/// Traits of one plot, rounded to six significant digits; `None` where the trait is not known.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-pub struct PlotTraits {
-    /// Name of the plot.
-    pub plot: String,
-    /// Area of the plot on the map, square metres.
-    pub area_m2: Option<f64>,
-    /// Plants that were located.
-    pub plants: Option<f64>,
-    /// Plants by area, per hectare.
-    pub plants_per_ha: Option<f64>,
-    /// Plants that gaps in the rows lack.
-    pub missing_plants: Option<f64>,
-    /// Share of the area that leaves cover.
-    pub canopy_cover: Option<f64>,
-    /// Leaf pixels over leaf pixels per leaf.
-    pub leaves_by_area: Option<f64>,
-    /// Lower end of the 95 % interval of `leaves_by_area`.
-    pub leaves_by_area_low: Option<f64>,
-    /// Upper end of the 95 % interval of `leaves_by_area`.
-    pub leaves_by_area_high: Option<f64>,
-    /// Leaves that were told apart.
-    pub leaves_single: Option<f64>,
-    /// Mean length of these leaves, metres.
-    pub leaf_length_m: Option<f64>,
-    /// Mean width of these leaves, metres.
-    pub leaf_width_m: Option<f64>,
-    /// Mean hue of these leaves, degrees.
-    pub leaf_hue_deg: Option<f64>,
-    /// Mean distance of neighbouring plants of a row, metres.
-    pub plant_spacing_m: Option<f64>,
-    /// Standard deviation of that distance over its mean.
-    pub plant_spacing_cv: Option<f64>,
-    /// The greatest of these distances, metres.
-    pub longest_gap_m: Option<f64>,
-    /// Height over the ground that 95 % of the cells do not exceed, metres.
-    pub canopy_height_m: Option<f64>,
-    /// Mean height over the ground, metres.
-    pub canopy_height_mean_m: Option<f64>,
-    /// Height over the ground times area, summed over the cells, cubic metres.
-    pub canopy_volume_m3: Option<f64>,
-    /// Excess green of the leaf pixels.
-    pub exg: Option<f64>,
-    /// Green leaf index of the leaf pixels.
-    pub gli: Option<f64>,
-    /// Normalized green-red difference index of the leaf pixels.
-    pub ngrdi: Option<f64>,
-    /// Visible atmospherically resistant index of the leaf pixels.
-    pub vari: Option<f64>,
-    /// Triangular greenness index of the leaf pixels.
-    pub tgi: Option<f64>,
-    /// a* of the mean colour of the leaf pixels.
-    pub a_star: Option<f64>,
-}
-
-/// A trait of plots.
-#[derive(Debug, Clone, Copy)]
-pub struct Trait {
-    /// Its name, with its unit.
-    pub name: &'static str,
-    /// Its unit after UCUM; `1` for numbers and shares.
-    pub unit: &'static str,
-    /// What it is.
-    pub meaning: &'static str,
-    /// How it comes about.
-    pub method: &'static str,
-    /// What defines it; empty where the method says it all.
-    pub reference: &'static str,
-    /// Its value in a plot.
-    pub value: fn(&PlotTraits) -> Option<f64>,
-}
-
-macro_rules! traits {
-    ($($name:ident, $unit:literal, $meaning:literal, $method:literal, $reference:literal;)*) => {
-        /// All traits of plots in their order.
-        pub const TRAITS: &[Trait] = &[
-            $(Trait {
-                name: stringify!($name),
-                unit: $unit,
-                meaning: $meaning,
-                method: $method,
-                reference: $reference,
-                value: |plot| plot.$name,
-            },)*
-        ];
-
-        impl PlotTraits {
-            fn rounded(mut self) -> PlotTraits {
-                $(self.$name = self.$name.map(rounded);)*
-                self
-            }
-        }
-    };
-}
-
-traits! {
-    area_m2, "m2", "area of the plot on the map",
-        "pixels whose centre is in the polygon, times the area of a pixel", "";
-    plants, "1", "plants that were located",
-        "plants of the stage locate that stand in the polygon", "";
-    plants_per_ha, "1/ha", "plants by area",
-        "plants over area_m2, times 10,000", "";
-    missing_plants, "1", "plants that gaps in the rows lack",
-        "most probable number of missing plants of each gap whose middle is in the polygon", "";
-    canopy_cover, "1", "share of the area that leaves cover",
-        "leaf pixels over pixels of the polygon", "";
-    leaves_by_area, "1", "leaf pixels over leaf pixels per leaf",
-        "stage leaf-count", "Ribera et al. 2016, KDD workshop on data science for food, energy and water";
-    leaves_by_area_low, "1", "lower end of the 95 % interval",
-        "stage leaf-count", "";
-    leaves_by_area_high, "1", "upper end of the 95 % interval",
-        "stage leaf-count", "";
-    leaves_single, "1", "leaves that were told apart",
-        "leaves of the stage leaves whose middle is in the polygon", "";
-    leaf_length_m, "m", "mean length of these leaves",
-        "along the axis of the leaf in the plane of the map", "";
-    leaf_width_m, "m", "mean width of these leaves",
-        "area over length", "";
-    leaf_hue_deg, "deg", "mean hue of these leaves",
-        "mean over leaves of the hue of their pixels", "";
-    plant_spacing_m, "m", "mean distance of neighbouring plants of a row",
-        "from each plant to the next of its row within the polygon", "";
-    plant_spacing_cv, "1", "standard deviation of that distance over its mean",
-        "of the same distances, from two on", "";
-    longest_gap_m, "m", "greatest distance of neighbouring plants of a row",
-        "of the same distances", "";
-    canopy_height_m, "m", "height of the canopy over the ground",
-        "95th percentile of the cells of the raster chm.tif inside the polygon (stage surface)", "";
-    canopy_height_mean_m, "m", "mean height over the ground",
-        "mean of the same cells, soil between plants among them", "";
-    canopy_volume_m3, "m3", "volume between surface and ground",
-        "sum of the same cells times the area of a cell", "";
-    exg, "1", "excess green of the leaf pixels, 2 g - r - b",
-        "of the mean colour of the leaf pixels in the orthomosaic", "Woebbecke et al. 1995, Trans. ASAE 38, 259-269";
-    gli, "1", "green leaf index of the leaf pixels, (2 G - R - B) / (2 G + R + B)",
-        "of the mean colour of the leaf pixels in the orthomosaic", "Louhaichi et al. 2001, Geocarto Int. 16, 65-70";
-    ngrdi, "1", "normalized green-red difference index of the leaf pixels, (G - R) / (G + R)",
-        "of the mean colour of the leaf pixels in the orthomosaic", "Tucker 1979, Remote Sens. Environ. 8, 127-150";
-    vari, "1", "visible atmospherically resistant index of the leaf pixels, (G - R) / (G + R - B)",
-        "of the mean colour of the leaf pixels in the orthomosaic", "Gitelson et al. 2002, Remote Sens. Environ. 80, 76-87";
-    tgi, "1", "triangular greenness index of the leaf pixels, (G - 0.39 R - 0.61 B) / 255",
-        "of the mean colour of the leaf pixels in the orthomosaic", "Hunt et al. 2011, Agron. J. 103, 1090-1099";
-    a_star, "1", "a* (CIELAB, D65) of the leaf pixels; green is negative",
-        "of the mean colour of the leaf pixels in the orthomosaic", "CIE 15; IEC 61966-2-1";
-}
-
-/// The traits as a page: a table of name, unit, meaning, method and reference.
-///
-/// `docs/traits.md` is this text, and a test compares the two.
-pub fn dictionary_page() -> String {
-    let mut page = String::from(
-        "# Traits of plots\n\n\
-         Every column of `traits.csv`, of the layer `plots` in `traits.gpkg` and of `traits.geojson`. The same table is written beside them as\n\
-         `trait_dictionary.csv`. Units are after UCUM; 1 stands for numbers and shares. A trait without a value was not measured: a map without\n\
-         scale has no areas, a mask without picture no colours. Colour indices are not corrected for the light of the day.\n\n\
-         | trait | unit | what it is | how | reference |\n|---|---|---|---|---|\n",
-    );
-    for of in TRAITS {
-        page += &format!(
-            "| `{}` | {} | {} | {} | {} |\n",
-            of.name, of.unit, of.meaning, of.method, of.reference
-        );
-    }
-    page
-}
-
-/// Six significant digits.
-fn rounded(value: f64) -> f64 {
-    if value == 0.0 || !value.is_finite() {
-        return value;
-    }
-    let unit = 10f64.powi(5 - value.abs().log10().floor() as i32);
-    (value * unit).round() / unit
+/// A number and its standard deviation, where that is known.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Measured {
+    /// The number.
+    pub value: f64,
+    /// Its standard deviation.
+    pub sd: Option<f64>,
 }
 
 /// Heights of the canopy over the ground in a plot.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CanopyHeights {
     /// Height that 95 % of the cells do not exceed, metres.
-    pub p95_m: f64,
+    pub p95_m: Measured,
     /// Mean height, metres.
-    pub mean_m: f64,
+    pub mean_m: Measured,
     /// Sum of height times area, cubic metres; `None` where cells have no area.
-    pub volume_m3: Option<f64>,
+    pub volume_m3: Option<Measured>,
 }
 
 impl CanopyHeights {
-    /// Of the heights of cells, metres, each a square of this side; `None` without any.
-    pub fn of(mut heights_m: Vec<f32>, cell_m: Option<f64>) -> Option<CanopyHeights> {
-        let last = heights_m.len().checked_sub(1)?;
-        let sum: f64 = heights_m.iter().map(|&height| f64::from(height)).sum();
-        let at = (0.95 * last as f64).round() as usize;
-        let (_, p95, _) = heights_m.select_nth_unstable_by(at, f32::total_cmp);
-        Some(CanopyHeights {
-            p95_m: f64::from(*p95),
-            mean_m: sum / (last + 1) as f64,
-            volume_m3: cell_m.map(|cell_m| sum * cell_m * cell_m),
-        })
+    /// Of the heights of cells by part of the plot, metres, each cell a square of this side; `None` without any.
+    pub fn of(parts: &[Vec<f32>; PARTS], cell_m: Option<f64>) -> Option<CanopyHeights> {
+        let has_data = |part: usize| !parts[part].is_empty();
+        let rest = |left_out: Option<usize>| -> Vec<f32> {
+            let parts = parts.iter().enumerate().filter(|(k, _)| Some(*k) != left_out);
+            parts.flat_map(|(_, heights)| heights.iter().copied()).collect()
+        };
+        let of = |value: fn(Vec<f32>) -> Option<f64>| {
+            let sd = jackknife(has_data, |part| value(rest(Some(part))));
+            Some(Measured { value: value(rest(None))?, sd })
+        };
+        let mean_m = of(mean_height)?;
+        let cells: usize = parts.iter().map(Vec::len).sum();
+        let area = cell_m.map(|cell_m| cells as f64 * cell_m * cell_m);
+        let volume =
+            |area: f64| Measured { value: mean_m.value * area, sd: mean_m.sd.map(|sd| sd * area) };
+        Some(CanopyHeights { p95_m: of(high_height)?, mean_m, volume_m3: area.map(volume) })
     }
+}
+
+fn mean_height(heights_m: Vec<f32>) -> Option<f64> {
+    let sum: f64 = heights_m.iter().map(|&height| f64::from(height)).sum();
+    (!heights_m.is_empty()).then(|| sum / heights_m.len() as f64)
+}
+
+/// The height that 95 % do not exceed; `None` without any.
+pub fn high_height(mut heights_m: Vec<f32>) -> Option<f64> {
+    let last = heights_m.len().checked_sub(1)?;
+    let at = (0.95 * last as f64).round() as usize;
+    Some(f64::from(*heights_m.select_nth_unstable_by(at, f32::total_cmp).1))
 }
 
 /// A leaf that was told apart; NaN where a number is not known.
@@ -220,6 +75,17 @@ pub struct MeasuredLeaf {
     pub width_m: f64,
     /// Its mean hue, degrees.
     pub hue_deg: f64,
+}
+
+/// A gap in a row.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RowGap {
+    /// Its middle, pixels.
+    pub at_px: [f64; 2],
+    /// How many plants it lacks.
+    pub plants: f64,
+    /// Probability that it lacks any.
+    pub probability: f64,
 }
 
 /// Leaves of a plot from the area that they cover, with the ends of the 95 % interval.
@@ -240,8 +106,12 @@ pub struct FieldMeasurements {
     pub plants: Option<Vec<[f64; 2]>>,
     /// The row of each plant, NaN where it stands in none; empty where there are no rows.
     pub row_of: Vec<f64>,
-    /// Middles of gaps in the rows, pixels, and how many plants each lacks.
-    pub gaps: Option<Vec<([f64; 2], f64)>>,
+    /// What each plant adds to the variance of a number of plants; empty where that is not known.
+    pub count_variance: Vec<f64>,
+    /// Standard deviation of the place of each plant along its row, pixels; empty where that is not known.
+    pub along_sigma_px: Vec<f64>,
+    /// Gaps in the rows.
+    pub gaps: Option<Vec<RowGap>>,
     /// Leaves that were told apart.
     pub leaves: Option<Vec<MeasuredLeaf>>,
     /// Leaves by area, by plot.
@@ -249,95 +119,182 @@ pub struct FieldMeasurements {
 }
 
 impl FieldMeasurements {
-    /// The traits of a plot, and how many pixels of the mask's raster it has. `colour` is the sum of the colours of its
+    /// The traits of a plot, and how many pixels of the mask's raster it has. `colours` are the sums of the colours of its
     /// leaf pixels, where there is a picture, `canopy` its heights, where there is a dense surface.
     pub fn traits(
         &self,
         name: &str,
         polygon: &Polygon,
         mask: &Mask,
-        colour: Option<ColourSum>,
+        colours: Option<&ColourParts>,
         canopy: Option<CanopyHeights>,
     ) -> (PlotTraits, usize) {
-        let runs = polygon.runs(mask.width, mask.height);
-        let pixels: usize = runs.iter().map(|(_, run)| run.len()).sum();
-        let covered: usize = runs
-            .iter()
-            .map(|(v, run)| mask.row(*v)[run.clone()].iter().filter(|&&pixel| pixel != 0).count())
-            .sum();
-        let area_m2 = self.gsd_m.map(|gsd| pixels as f64 * gsd * gsd);
-        let inside = |at: &[f64; 2]| polygon.holds(*at);
-        let plants =
-            self.plants.as_ref().map(|plants| plants.iter().filter(|at| inside(at)).count() as f64);
-        let missing = self.gaps.as_ref().map(|gaps| {
-            gaps.iter().filter(|(at, _)| inside(at)).map(|(_, count)| count).sum::<f64>()
-        });
-        let leaves: Option<Vec<&MeasuredLeaf>> = self
-            .leaves
-            .as_ref()
-            .map(|leaves| leaves.iter().filter(|leaf| inside(&leaf.at_px)).collect());
-        let mean = |value: fn(&MeasuredLeaf) -> f64| {
-            let known = leaves.iter().flatten().map(|leaf| value(leaf)).filter(|x| x.is_finite());
-            let known: Vec<f64> = known.collect();
-            (!known.is_empty()).then(|| known.iter().sum::<f64>() / known.len() as f64)
-        };
-        let by_area = self.by_area.iter().flatten().find(|count| count.plot == name);
-        let [number, low, high] = [0, 1, 2]
-            .map(|k| by_area.map(|count| count.leaves[k]).filter(|number| number.is_finite()));
-        let indices = colour.and_then(|sum| sum.indices());
-        let steps_m = self.steps_m(&inside);
-        let mean_m = (!steps_m.is_empty()).then(|| steps_m.iter().mean());
-        let found = PlotTraits {
-            plot: name.to_owned(),
-            area_m2,
-            plants,
-            plants_per_ha: plants.zip(area_m2.filter(|&a| a > 0.0)).map(|(n, a)| n / a * 1e4),
-            missing_plants: missing,
-            canopy_cover: (pixels > 0).then(|| covered as f64 / pixels as f64),
-            leaves_by_area: number,
-            leaves_by_area_low: low,
-            leaves_by_area_high: high,
-            leaves_single: leaves.as_ref().map(|leaves| leaves.len() as f64),
-            leaf_length_m: mean(|leaf| leaf.length_m),
-            leaf_width_m: mean(|leaf| leaf.width_m),
-            leaf_hue_deg: mean(|leaf| leaf.hue_deg),
-            canopy_height_m: canopy.map(|of| of.p95_m),
-            canopy_height_mean_m: canopy.map(|of| of.mean_m),
-            canopy_volume_m3: canopy.and_then(|of| of.volume_m3),
-            plant_spacing_m: mean_m,
-            plant_spacing_cv: mean_m
-                .filter(|_| steps_m.len() > 1)
-                .map(|mean| steps_m.iter().std_dev() / mean),
-            longest_gap_m: steps_m.iter().copied().reduce(f64::max),
-            exg: indices.map(|of| of.exg),
-            gli: indices.map(|of| of.gli),
-            ngrdi: indices.and_then(|of| of.ngrdi),
-            vari: indices.and_then(|of| of.vari),
-            tgi: indices.map(|of| of.tgi),
-            a_star: indices.map(|of| of.a_star),
-        };
+        let mut found = PlotTraits { plot: name.to_owned(), ..PlotTraits::default() };
+        let pixels = self.add_cover(&mut found, polygon, mask);
+        self.add_plants(&mut found, polygon);
+        self.add_leaves(&mut found, polygon);
+        add_heights(&mut found, canopy);
+        add_colours(&mut found, colours);
         (found.rounded(), pixels)
     }
 
-    /// Distances from each plant of an area to the next of its row, metres.
-    fn steps_m(&self, inside: &dyn Fn(&[f64; 2]) -> bool) -> Vec<f64> {
+    /// Area and cover; gives the number of pixels.
+    fn add_cover(&self, found: &mut PlotTraits, polygon: &Polygon, mask: &Mask) -> usize {
+        let parts = Parts::of(polygon);
+        // Pixels and leaf pixels.
+        let mut counts = [[0usize; 2]; PARTS];
+        for (v, run) in polygon.runs(mask.width, mask.height) {
+            let row = mask.row(v);
+            for u in run {
+                let count = &mut counts[parts.at([u as f64, v as f64])];
+                count[0] += 1;
+                count[1] += usize::from(row[u] != 0);
+            }
+        }
+        let total = |what: usize| counts.iter().map(|count| count[what]).sum::<usize>();
+        let share = |pixels: usize, leaf: usize| (pixels > 0).then(|| leaf as f64 / pixels as f64);
+        let (pixels, leaf) = (total(0), total(1));
+        found.area_m2 = self.gsd_m.map(|gsd| pixels as f64 * gsd * gsd);
+        found.canopy_cover = share(pixels, leaf);
+        let without = |k: usize| share(pixels - counts[k][0], leaf - counts[k][1]);
+        put(found, "canopy_cover", jackknife(|k| counts[k][0] > 0, without));
+        pixels
+    }
+
+    /// Plants, gaps and spacing; after the area.
+    fn add_plants(&self, found: &mut PlotTraits, polygon: &Polygon) {
+        let inside = |at: &[f64; 2]| polygon.holds(*at);
+        let area_m2 = found.area_m2.filter(|&area| area > 0.0);
+        if let Some(plants) = &self.plants {
+            let members: Vec<usize> = (0..plants.len()).filter(|&k| inside(&plants[k])).collect();
+            let count = members.len() as f64;
+            found.plants = Some(count);
+            found.plants_per_ha = area_m2.map(|area| count / area * 1e4);
+            let variance =
+                members.iter().map(|&k| self.count_variance.get(k).copied()).sum::<Option<f64>>();
+            let sd = variance.filter(|_| !self.count_variance.is_empty()).map(f64::sqrt);
+            put(found, "plants", sd);
+            put(found, "plants_per_ha", sd.zip(area_m2).map(|(sd, area)| sd / area * 1e4));
+        }
+        if let Some(gaps) = &self.gaps {
+            let gaps = || gaps.iter().filter(|gap| inside(&gap.at_px));
+            found.missing_plants = Some(gaps().map(|gap| gap.plants).sum());
+            let variance =
+                |gap: &RowGap| gap.plants.powi(2) * gap.probability * (1.0 - gap.probability);
+            let variance: f64 = gaps().map(variance).sum();
+            put(found, "missing_plants", variance.is_finite().then(|| variance.max(0.0).sqrt()));
+        }
+        let steps = self.steps_m(&inside);
+        let steps_m: Vec<f64> = steps.iter().map(|step| step.0).collect();
+        let Some(longest) = steps.iter().copied().reduce(|a, b| if b.0 > a.0 { b } else { a })
+        else {
+            return;
+        };
+        let (mean, number) = (steps_m.iter().mean(), steps_m.len() as f64);
+        found.plant_spacing_m = Some(mean);
+        found.longest_gap_m = Some(longest.0);
+        put(found, "longest_gap_m", longest.1);
+        if steps_m.len() > 1 {
+            let sd = steps_m.iter().std_dev();
+            let cv = sd / mean;
+            found.plant_spacing_cv = Some(cv);
+            put(found, "plant_spacing_m", Some(sd / number.sqrt()));
+            let of_cv = cv * ((1.0 + 2.0 * cv * cv) / (2.0 * number)).sqrt();
+            put(found, "plant_spacing_cv", Some(of_cv));
+        }
+    }
+
+    fn add_leaves(&self, found: &mut PlotTraits, polygon: &Polygon) {
+        if let Some(count) = self.by_area.iter().flatten().find(|count| count.plot == found.plot) {
+            let [number, low, high] =
+                count.leaves.map(|number| Some(number).filter(|x| x.is_finite()));
+            (found.leaves_by_area, found.leaves_by_area_low, found.leaves_by_area_high) =
+                (number, low, high);
+            // The interval reaches two standard deviations to either side.
+            put(found, "leaves_by_area", low.zip(high).map(|(low, high)| (high - low) / 4.0));
+        }
+        let Some(leaves) = &self.leaves else { return };
+        let leaves: Vec<&MeasuredLeaf> =
+            leaves.iter().filter(|leaf| polygon.holds(leaf.at_px)).collect();
+        found.leaves_single = Some(leaves.len() as f64);
+        let mut mean = |name: &str, value: fn(&MeasuredLeaf) -> f64| {
+            let known = leaves.iter().map(|leaf| value(leaf)).filter(|x| x.is_finite());
+            let known: Vec<f64> = known.collect();
+            if known.len() > 1 {
+                put(found, name, Some(known.iter().std_dev() / (known.len() as f64).sqrt()));
+            }
+            (!known.is_empty()).then(|| known.iter().mean())
+        };
+        let length_m = mean("leaf_length_m", |leaf| leaf.length_m);
+        let width_m = mean("leaf_width_m", |leaf| leaf.width_m);
+        let hue_deg = mean("leaf_hue_deg", |leaf| leaf.hue_deg);
+        (found.leaf_length_m, found.leaf_width_m, found.leaf_hue_deg) =
+            (length_m, width_m, hue_deg);
+    }
+
+    /// Distances from each plant of an area to the next of its row, metres, each with its standard deviation where that of
+    /// the plants is known.
+    fn steps_m(&self, inside: &dyn Fn(&[f64; 2]) -> bool) -> Vec<(f64, Option<f64>)> {
         let (Some(plants), Some(gsd_m)) = (&self.plants, self.gsd_m) else { return Vec::new() };
-        let mut rows: BTreeMap<u64, Vec<[f64; 2]>> = BTreeMap::new();
-        for (at, row) in plants.iter().zip(&self.row_of) {
+        let mut rows: BTreeMap<u64, Vec<usize>> = BTreeMap::new();
+        for (k, (at, row)) in plants.iter().zip(&self.row_of).enumerate() {
             if row.is_finite() && inside(at) {
-                rows.entry(*row as u64).or_default().push(*at);
+                rows.entry(*row as u64).or_default().push(k);
             }
         }
         let steps = rows.values().flat_map(|row| {
-            let order = along_the_row(row);
+            let places: Vec<[f64; 2]> = row.iter().map(|&k| plants[k]).collect();
+            let order = along_the_row(&places);
             let step = |pair: &[usize]| {
-                let [a, b] = [row[pair[0]], row[pair[1]]];
-                gsd_m * (a[0] - b[0]).hypot(a[1] - b[1])
+                let [a, b] = [0, 1].map(|end| row[pair[end]]);
+                let sigma = |k: usize| self.along_sigma_px.get(k).filter(|x| x.is_finite());
+                let sd = sigma(a).zip(sigma(b)).map(|(a, b)| gsd_m * a.hypot(*b));
+                let apart = [0, 1].map(|axis| plants[a][axis] - plants[b][axis]);
+                (gsd_m * apart[0].hypot(apart[1]), sd)
             };
-            order.windows(2).map(step).collect::<Vec<f64>>()
+            order.windows(2).map(step).collect::<Vec<_>>()
         });
         steps.collect()
     }
+}
+
+/// Notes a standard deviation where there is one.
+fn put(found: &mut PlotTraits, name: &str, sd: Option<f64>) {
+    if let Some(sd) = sd.filter(|sd| sd.is_finite()) {
+        found.standard_deviations.insert(deviation_name(name), sd);
+    }
+}
+
+fn add_heights(found: &mut PlotTraits, canopy: Option<CanopyHeights>) {
+    let Some(canopy) = canopy else { return };
+    found.canopy_height_m = Some(canopy.p95_m.value);
+    found.canopy_height_mean_m = Some(canopy.mean_m.value);
+    found.canopy_volume_m3 = canopy.volume_m3.map(|of| of.value);
+    put(found, "canopy_height_m", canopy.p95_m.sd);
+    put(found, "canopy_height_mean_m", canopy.mean_m.sd);
+    put(found, "canopy_volume_m3", canopy.volume_m3.and_then(|of| of.sd));
+}
+
+fn add_colours(found: &mut PlotTraits, colours: Option<&ColourParts>) {
+    let Some(colours) = colours else { return };
+    let Some(indices) = colours.sum(None).indices() else { return };
+    let sd = |value: fn(&ColourIndices) -> Option<f64>| {
+        let without = |part: usize| value(&colours.sum(Some(part)).indices()?);
+        jackknife(|part| colours.0[part].pixels > 0, without)
+    };
+    let all: [(&str, fn(&ColourIndices) -> Option<f64>); 6] = [
+        ("exg", |of| Some(of.exg)),
+        ("gli", |of| Some(of.gli)),
+        ("ngrdi", |of| of.ngrdi),
+        ("vari", |of| of.vari),
+        ("tgi", |of| Some(of.tgi)),
+        ("a_star", |of| Some(of.a_star)),
+    ];
+    for (name, value) in all {
+        put(found, name, sd(value));
+    }
+    (found.exg, found.gli, found.ngrdi) = (Some(indices.exg), Some(indices.gli), indices.ngrdi);
+    (found.vari, found.tgi, found.a_star) = (indices.vari, Some(indices.tgi), Some(indices.a_star));
 }
 
 /// The plants of a row in their order along it, as indices: along the main axis of their places, towards larger `u` (in rows
@@ -431,7 +388,10 @@ pub fn plots_from_rows(
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use super::{
+        super::{colour_indices::ColourSum, traits::rounded},
+        *,
+    };
 
     #[test]
     fn rows_with_an_alley_give_four_plots() {
@@ -467,22 +427,17 @@ mod tests {
     }
 
     #[test]
-    fn the_dictionary_page_is_what_is_measured() {
-        let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/traits.md");
-        let page = std::fs::read_to_string(path).unwrap();
-        assert_eq!(page, dictionary_page(), "cargo run -p experiments -- pages");
-        assert!(TRAITS.iter().all(|of| !of.method.is_empty()));
-    }
-
-    #[test]
     fn traits_of_a_square() {
+        let gap = |at_px, plants| RowGap { at_px, plants, probability: 0.8 };
         let data = (0..100).map(|k| u8::from(k % 10 < 2)).collect();
         let mask = Mask { width: 10, height: 10, data };
         let field = FieldMeasurements {
             gsd_m: Some(0.5),
             plants: Some(vec![[3.0, 1.0], [1.0, 1.0], [4.0, 1.0], [8.0, 8.0]]),
             row_of: vec![0.0; 4],
-            gaps: Some(vec![([2.0, 2.0], 1.5), ([9.0, 9.0], 4.0)]),
+            count_variance: vec![0.5, 0.25, 0.25, 9.0],
+            along_sigma_px: vec![0.3, 0.4, 0.4, 9.0],
+            gaps: Some(vec![gap([2.0, 2.0], 1.5), gap([9.0, 9.0], 4.0)]),
             leaves: Some(vec![
                 MeasuredLeaf { at_px: [1.0, 2.0], length_m: 0.2, width_m: 0.05, hue_deg: f64::NAN },
                 MeasuredLeaf { at_px: [2.0, 2.0], length_m: 0.4, width_m: 0.07, hue_deg: 90.0 },
@@ -491,8 +446,9 @@ mod tests {
         };
         let ring = vec![[-0.5, -0.5], [4.5, -0.5], [4.5, 4.5], [-0.5, 4.5]];
         let square = Polygon { rings: vec![ring] };
-        let leaf = ColourSum { rgb: [60, 120, 40], pixels: 1 };
-        let (of_a, pixels) = field.traits("A", &square, &mask, Some(leaf), None);
+        let mut colours = ColourParts::default();
+        colours.0[0] = ColourSum { rgb: [60, 120, 40], pixels: 1 };
+        let (of_a, pixels) = field.traits("A", &square, &mask, Some(&colours), None);
         assert_eq!(pixels, 25);
         assert_eq!((of_a.area_m2, of_a.plants), (Some(6.25), Some(3.0)));
         assert_eq!(of_a.plants_per_ha, Some(4800.0));
@@ -507,6 +463,16 @@ mod tests {
             (of_a.ngrdi, of_a.exg),
             (Some(rounded(1.0 / 3.0)), Some(rounded(140.0 / 220.0)))
         );
+        // Variances of the three plants inside sum to 1; their places give that of the longest gap.
+        let sd = |name: &str| of_a.standard_deviations.get(&deviation_name(name)).copied();
+        assert_eq!((sd("plants"), sd("plants_per_ha")), (Some(1.0), Some(1600.0)));
+        assert_eq!(sd("missing_plants"), Some(rounded(1.5 * 0.16f64.sqrt())));
+        assert_eq!(sd("longest_gap_m"), Some(0.25));
+        assert_eq!(sd("plant_spacing_m"), Some(0.25));
+        assert_eq!(sd("leaf_length_m"), Some(rounded(0.1)));
+        // Only one part has leaf pixels with a colour, and one leaf a hue.
+        assert_eq!((sd("exg"), sd("leaf_hue_deg"), sd("area_m2")), (None, None, None));
+        assert!(sd("canopy_cover").unwrap() > 0.0);
         // Nothing was measured: what is not known is not zero.
         let (of_b, _) = FieldMeasurements::default().traits("B", &square, &mask, None, None);
         assert_eq!((of_b.plant_spacing_m, of_b.exg), (None, None));

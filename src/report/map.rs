@@ -6,7 +6,7 @@ use super::{Facts, pictures};
 use crate::{
     error::Error,
     io::{FileError, csv_table::CsvTable, rasters::Source},
-    phenotype::plots::TRAITS,
+    phenotype::traits::TRAITS,
     pipeline::{Stage, plots},
     raster::georeference::Georeference,
     scene::Role,

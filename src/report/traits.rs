@@ -11,7 +11,7 @@ use crate::{
     error::Error,
     io::{csv_table::CsvTable, rasters::Source},
     mapping::colour_balance::ColourBalance,
-    phenotype::plots::{PlotTraits, TRAITS},
+    phenotype::traits::{PlotTraits, TRAITS},
     pipeline::{Stage, leaf_count::LeafCountOutcome, plots::PlotSource},
 };
 use maud::{Markup, html};

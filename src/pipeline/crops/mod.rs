@@ -7,17 +7,24 @@
 //! A photo shows a plot where all corners of its frame are in the picture. Photos that the stage align found blurred or wrongly
 //! exposed come last, then the steeper view of the middle of the plot comes first.
 
+mod comparison;
 mod traits;
 mod write;
 
-use super::{Project, Stage, plots, query};
+use super::{
+    Project, Stage,
+    plots::{self, PlotsOutcome},
+    query,
+};
 use crate::{
     error::Error,
     io::{FileError, images, polygons},
     mapping::{Surface, View, photo::DecodedPhoto, plot_frame::PlotFrame},
     monitor::{Counter, Diagnostic, Monitor},
+    phenotype::traits::PlotTraits,
     raster::{georeference::Georeference, polygon::Polygon, undistort::Interpolation},
 };
+pub use comparison::TraitComparison;
 use image::RgbImage;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -89,6 +96,8 @@ pub struct CropsOutcome {
     pub gsd_m: f64,
     /// All crops, plot by plot, the best photo first.
     pub crops: Vec<PlotCrop>,
+    /// Traits of all plots, from the orthomosaic and from the photos.
+    pub comparison: Vec<TraitComparison>,
     /// Plots that no photo shows whole.
     pub without_photo: Vec<String>,
 }
@@ -167,10 +176,24 @@ pub fn crops(
     }
     let crops = cut(&plots, &chosen, &origins, &source, monitor)?;
     let epsg = georeference.crs.epsg;
-    let outcome = CropsOutcome { folder: folder.clone(), epsg, gsd_m, crops, without_photo };
+    let pairs = comparison::pairs(&crops, &traits_on_map(project)?);
+    comparison::write(&pairs, fresh.path())?;
+    let comparison = comparison::summary(&pairs);
+    let folder_of = folder.clone();
+    let outcome = CropsOutcome { folder: folder_of, epsg, gsd_m, crops, comparison, without_photo };
     write::tables(&outcome, fresh.path())?;
     fresh.finish(&folder)?;
     Ok(outcome)
+}
+
+/// The traits of the plots in the orthomosaic.
+fn traits_on_map(project: &Project) -> Result<Vec<PlotTraits>, Error> {
+    let Some(record) = project.records().read(Stage::Plots) else { return Ok(Vec::new()) };
+    let outcome: PlotsOutcome = serde_json::from_value(record.outcome).map_err(|e| {
+        let message = format!("its record is damaged ({e}); make it again");
+        FileError::malformed(&project.folder(Stage::Plots), None, message)
+    })?;
+    Ok(outcome.plots)
 }
 
 fn read_plots(

@@ -10,16 +10,17 @@
 //! | `study.brapi.json` | `/studies` | the flight as MIAPPE 1.1 describes an observation: facility and environment are not known here |
 //!
 //! `observationTimeStamp` is the time of the first photo where the photos tell it together with their time zone; without a zone the
-//! local time is in `additionalInfo`. Variables have the identifiers of this program: those of the Crop Ontology differ by crop.
+//! local time is in `additionalInfo`, as standard deviations are, for which BrAPI has no field. Variables have the names of the traits, or the
+//! identifiers that a table gives (those of the Crop Ontology differ by crop).
 //!
 //! Reference: BrAPI 2.1 (P. Selby et al., *BrAPI: an application programming interface for plant breeding applications*,
 //! Bioinformatics 35, 2019); MIAPPE 1.1 (E. Papoutsoglou et al., New Phytologist 227, 2020).
 
-use super::Plot;
+use super::{Plot, variable_ids::VariableIds};
 use crate::{
     error::Error,
     io::output,
-    phenotype::plots::{TRAITS, Trait},
+    phenotype::traits::{TRAITS, Trait},
 };
 use serde_json::{Value, json};
 use std::path::Path;
@@ -31,6 +32,8 @@ pub(super) struct Study {
     pub(super) name: String,
     /// Time of the first photo, ISO 8601; with its offset from UTC where that is known.
     pub(super) time: Option<String>,
+    /// What its variables are called.
+    pub(super) ids: VariableIds,
 }
 
 /// Writes the four files.
@@ -40,7 +43,7 @@ pub(super) struct Study {
 pub(super) fn write(plots: &[Plot], study: &Study, folder: &Path) -> Result<(), Error> {
     let files = [
         ("traits.brapi.json", observations(plots, study)),
-        ("variables.brapi.json", variables(plots)),
+        ("variables.brapi.json", variables(plots, study)),
         ("units.brapi.json", units(plots, study)),
         ("study.brapi.json", vec![self::study(study)]),
     ];
@@ -82,13 +85,17 @@ fn observations(plots: &[Plot], study: &Study) -> Vec<Value> {
     known
         .map(|(Plot { traits, .. }, of, value)| {
             let unit = unit_id(study, &traits.plot);
+            let mut info = local.map_or(json!({}), |time| json!({"localTime": time}));
+            if let Some(sd) = of.standard_deviation(traits) {
+                info["standardDeviation"] = json!(sd.to_string());
+            }
             json!({
-                "additionalInfo": local.map_or(json!({}), |time| json!({"localTime": time})),
+                "additionalInfo": info,
                 "observationDbId": format!("{unit}-{}", of.name),
                 "observationTimeStamp": stamp,
                 "observationUnitDbId": unit,
                 "observationUnitName": traits.plot,
-                "observationVariableDbId": of.name,
+                "observationVariableDbId": study.ids.of(of),
                 "observationVariableName": of.name,
                 "studyDbId": study.name,
                 "uploadedBy": concat!("rowgram ", env!("CARGO_PKG_VERSION")),
@@ -99,11 +106,11 @@ fn observations(plots: &[Plot], study: &Study) -> Vec<Value> {
 }
 
 /// The traits that some plot has.
-fn variables(plots: &[Plot]) -> Vec<Value> {
+fn variables(plots: &[Plot], study: &Study) -> Vec<Value> {
     let is_known = |of: &&Trait| plots.iter().any(|plot| (of.value)(&plot.traits).is_some());
     let variable = |of: &Trait| {
         json!({
-            "observationVariableDbId": of.name,
+            "observationVariableDbId": study.ids.of(of),
             "observationVariableName": of.name,
             "trait": {
                 "traitDbId": of.name,
@@ -169,7 +176,7 @@ fn study(of: &Study) -> Value {
         "studyType": "UAV phenotyping",
         "startDate": of.time.as_deref().and_then(|time| time.get(..10)),
         "observationLevels": [{"levelName": "plot", "levelOrder": 2}],
-        "observationVariableDbIds": TRAITS.iter().map(|of| of.name).collect::<Vec<_>>(),
+        "observationVariableDbIds": TRAITS.iter().map(|own| of.ids.of(own)).collect::<Vec<_>>(),
         "experimentalDesign": {"description": "not known to this program"},
     })
 }
@@ -177,7 +184,7 @@ fn study(of: &Study) -> Value {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{phenotype::plots::PlotTraits, raster::polygon::Polygon};
+    use crate::{phenotype::traits::PlotTraits, raster::polygon::Polygon};
     use serde::Deserialize;
 
     /// An observation as BrAPI 2.1 has it: what is not named here is not part of the standard.
@@ -225,7 +232,11 @@ mod tests {
             (Some("2026-06-01T10:20:30"), None),
             (None, None),
         ] {
-            let study = Study { name: "north".into(), time: time.map(str::to_owned) };
+            let study = Study {
+                name: "north".into(),
+                time: time.map(str::to_owned),
+                ids: VariableIds::default(),
+            };
             let found = observations(&plots(), &study);
             assert_eq!(found.len(), 2);
             for (value, plot) in found.into_iter().zip(["A", "B"]) {
@@ -245,7 +256,11 @@ mod tests {
     #[test]
     fn files_refer_to_each_other() {
         let folder = tempfile::tempdir().unwrap();
-        let study = Study { name: "north".into(), time: Some("2026-06-01T10:20:30".into()) };
+        let study = Study {
+            name: "north".into(),
+            time: Some("2026-06-01T10:20:30".into()),
+            ids: VariableIds::default(),
+        };
         write(&plots(), &study, folder.path()).unwrap();
         let read = |name: &str| -> Vec<Value> {
             let text = std::fs::read(folder.path().join(name)).unwrap();

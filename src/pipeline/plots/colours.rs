@@ -2,7 +2,7 @@
 
 use crate::{
     io::{FileError, rasters::Source},
-    phenotype::colour_indices::ColourSum,
+    phenotype::plot_scatter::{ColourParts, Parts},
     raster::{Mask, polygon::Polygon},
 };
 use std::ops::Range;
@@ -12,8 +12,8 @@ const BAND_ROWS: usize = 512;
 
 /// What a picture has in each of some areas.
 pub(super) struct Colours {
-    /// The sum of the colours of its leaf pixels.
-    pub(super) of_leaves: Vec<ColourSum>,
+    /// The sums of the colours of its leaf pixels, by part.
+    pub(super) of_leaves: Vec<ColourParts>,
     /// How many of its pixels have no data.
     pub(super) gaps: Vec<usize>,
 }
@@ -31,14 +31,15 @@ pub(super) fn of_leaves<'a>(
     if !source.is_photo() || source.size() != (mask.width, mask.height) {
         return Ok(None);
     }
-    let runs: Vec<Vec<(usize, Range<usize>)>> =
-        areas.map(|area| area.runs(mask.width, mask.height)).collect();
-    let mut sums = vec![ColourSum::default(); runs.len()];
+    let (runs, parts): (Vec<Vec<(usize, Range<usize>)>>, Vec<Parts>) =
+        areas.map(|area| (area.runs(mask.width, mask.height), Parts::of(area))).unzip();
+    let mut sums = vec![ColourParts::default(); runs.len()];
     let mut missing = vec![0; runs.len()];
     for first in (0..mask.height).step_by(BAND_ROWS) {
         let rows = first..(first + BAND_ROWS).min(mask.height);
         let (picture, gaps) = source.rgb_and_gaps(rows.clone())?;
-        for ((sum, missing), runs) in sums.iter_mut().zip(&mut missing).zip(&runs) {
+        let all = sums.iter_mut().zip(&mut missing).zip(&runs).zip(&parts);
+        for (((sum, missing), runs), parts) in all {
             // The runs of an area are sorted by row.
             let begin = runs.partition_point(|(v, _)| *v < rows.start);
             for (v, run) in runs[begin..].iter().take_while(|(v, _)| *v < rows.end) {
@@ -52,7 +53,8 @@ pub(super) fn of_leaves<'a>(
                     if gaps.as_ref().is_some_and(|gaps| gaps[row * mask.width + u]) {
                         continue;
                     }
-                    sum.add(picture.get_pixel(u as u32, row as u32).0);
+                    let part = parts.at([u as f64, *v as f64]);
+                    sum.0[part].add(picture.get_pixel(u as u32, row as u32).0);
                 }
             }
         }

@@ -10,6 +10,7 @@ mod colours;
 mod heights;
 pub mod layout;
 mod plants;
+mod variable_ids;
 mod write;
 
 use super::{Project, Stage, Task, align::AlignOutcome, stage, surface};
@@ -22,14 +23,19 @@ use crate::{
         rasters,
     },
     monitor::{Diagnostic, Monitor},
-    phenotype::plots::{
-        FieldMeasurements, LeavesByArea, MeasuredLeaf, PlotTraits, plots_from_rows,
+    phenotype::{
+        plots::{FieldMeasurements, LeavesByArea, MeasuredLeaf, RowGap, plots_from_rows},
+        traits::PlotTraits,
     },
     raster::{georeference::Georeference, mask::Thresholds, polygon::Polygon},
 };
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
-use std::path::{Path, PathBuf};
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+};
+use variable_ids::VariableIds;
 
 crate::options! {
     /// Traits of plots. Without polygons and without both options below the whole field is one plot.
@@ -38,6 +44,8 @@ crate::options! {
         pub rows_per_plot: Option<usize> = None, limits at_least(1.0), example "4";
         /// Least length of an alley between plots, where there are no polygons.
         pub alley_m: Option<f64> = None, limits POSITIVE, example "1.0";
+        /// Table with identifiers of traits for BrAPI, such as those of the Crop Ontology: columns trait and id.
+        pub variable_ids: Option<PathBuf> = None, example "\"variables.csv\"";
     }
 }
 
@@ -110,6 +118,7 @@ pub(super) struct Plots;
 struct Tables {
     plants: Option<PathBuf>,
     gaps: Option<PathBuf>,
+    rows: Option<PathBuf>,
     leaves: Option<PathBuf>,
     counts: Option<PathBuf>,
     /// Heights of the canopy, a raster.
@@ -121,6 +130,7 @@ impl Tables {
         Tables {
             plants: project.finished(Stage::Locate, "plants.csv"),
             gaps: project.finished(Stage::Locate, "gaps.csv"),
+            rows: project.finished(Stage::Locate, "rows.csv"),
             leaves: project.finished(Stage::Leaves, "leaves.csv"),
             counts: project.finished(Stage::LeafCount, "counts.csv"),
             canopy: project.finished(Stage::Surface, surface::CANOPY),
@@ -133,20 +143,22 @@ impl Task for Plots {
     type Outcome = PlotsOutcome;
     const STAGE: Stage = Stage::Plots;
 
-    fn inputs(project: &Project, _: &PlotsOptions) -> Result<Vec<PathBuf>, Error> {
+    fn inputs(project: &Project, options: &PlotsOptions) -> Result<Vec<PathBuf>, Error> {
         let mut files = vec![project.mask()?];
         files.extend(project.orthomosaic().ok());
         if let Some(path) = project.plots() {
             files.extend(polygons::files(&path));
         }
+        files.extend(variable_ids_path(project, options));
         let tables = Tables::of(project);
-        let optional = [tables.plants, tables.gaps, tables.leaves, tables.counts, tables.canopy];
-        files.extend(optional.into_iter().flatten());
+        let of_plants = [tables.plants, tables.gaps, tables.rows];
+        let others = [tables.leaves, tables.counts, tables.canopy];
+        files.extend(of_plants.into_iter().chain(others).flatten());
         Ok(files)
     }
 
     fn context(project: &Project) -> String {
-        let study = study(project);
+        let study = study(project, VariableIds::default());
         format!("{} {}", study.name, study.time.unwrap_or_default())
     }
 
@@ -156,6 +168,8 @@ impl Task for Plots {
         folder: &Path,
         monitor: &mut dyn Monitor,
     ) -> Result<PlotsOutcome, Error> {
+        let ids = variable_ids_path(project, options).map(|path| VariableIds::read(&path));
+        let ids = ids.transpose()?.unwrap_or_default();
         let (mask, place) = rasters::read_mask(&project.mask()?, &Thresholds::default())?;
         let picture = project.orthomosaic().ok().map(|path| rasters::Source::open(&path));
         let picture = picture.transpose()?;
@@ -182,7 +196,7 @@ impl Task for Plots {
             .into_iter()
             .enumerate()
             .map(|(number, Named { name, polygon, attributes, .. })| {
-                let colour = colours.as_ref().map(|sums| sums.of_leaves[number]);
+                let colour = colours.as_ref().map(|sums| &sums.of_leaves[number]);
                 let canopy = heights.as_ref().and_then(|heights| heights[number]);
                 let (traits, pixels) = field.traits(&name, &polygon, &mask, colour, canopy);
                 let shown = pixels - colours.as_ref().map_or(0, |sums| sums.gaps[number]);
@@ -222,7 +236,7 @@ impl Task for Plots {
             monitor.diagnostic(&Diagnostic::warning("plots-partly-outside", subject, message));
         }
         write::traits(&plots, place, folder, monitor)?;
-        brapi::write(&plots, &study(project), folder)?;
+        brapi::write(&plots, &study(project, ids), folder)?;
         plants::write(&tables, &plots, place, folder)?;
         let plots = plots.into_iter().map(|plot| plot.traits).collect();
         Ok(PlotsOutcome { source, plots, outside, partly_outside })
@@ -230,12 +244,16 @@ impl Task for Plots {
 }
 
 /// The study. Its name is not the folder's: a project that moves keeps its bytes.
-fn study(project: &Project) -> brapi::Study {
+fn study(project: &Project, ids: VariableIds) -> brapi::Study {
     let name = project.config().project.name.clone().unwrap_or_else(|| "field".to_owned());
     let align = project.records().read(Stage::Align);
     let outcome =
         align.and_then(|record| serde_json::from_value::<AlignOutcome>(record.outcome).ok());
-    brapi::Study { name, time: outcome.and_then(|outcome| outcome.flight.first_photo_time) }
+    brapi::Study { name, time: outcome.and_then(|outcome| outcome.flight.first_photo_time), ids }
+}
+
+fn variable_ids_path(project: &Project, options: &PlotsOptions) -> Option<PathBuf> {
+    options.variable_ids.as_ref().map(|path| project.root().join(path))
 }
 
 /// Polygons with names, pixels.
@@ -281,8 +299,12 @@ fn areas(
 fn measurements(tables: &Tables, gsd_m: Option<f64>) -> Result<FieldMeasurements, Error> {
     let read = |path: &Option<PathBuf>| path.as_deref().map(CsvTable::read).transpose();
     let gaps = read(&tables.gaps)?.and_then(|table| {
-        let places = table.pairs("u_px", "v_px")?;
-        Some(places.into_iter().zip(table.numbers("plants")?).collect())
+        let (places, plants) = (table.pairs("u_px", "v_px")?, table.numbers("plants")?);
+        let probability =
+            table.numbers("probability").unwrap_or_else(|| vec![f64::NAN; plants.len()]);
+        let gap =
+            |k: usize| RowGap { at_px: places[k], plants: plants[k], probability: probability[k] };
+        Some((0..places.len()).map(gap).collect())
     });
     let by_area = read(&tables.counts)?.and_then(|table| {
         let columns = [table.numbers("leaves")?, table.numbers("low")?, table.numbers("high")?];
@@ -294,15 +316,43 @@ fn measurements(tables: &Tables, gsd_m: Option<f64>) -> Result<FieldMeasurements
         Some(plots.map(row).collect())
     });
     let plants = read(&tables.plants)?;
-    let row_of = plants.as_ref().and_then(|table| table.numbers("row"));
+    let column = |name: &str| plants.as_ref().and_then(|table| table.numbers(name));
+    let row_of = column("row").unwrap_or_default();
+    let confidence = column("confidence").unwrap_or_default();
+    let rows = read(&tables.rows)?.map(|table| row_variances(&table)).unwrap_or_default();
     Ok(FieldMeasurements {
         gsd_m,
-        plants: plants.and_then(|table| table.pairs("u_px", "v_px")),
-        row_of: row_of.unwrap_or_default(),
+        plants: plants.as_ref().and_then(|table| table.pairs("u_px", "v_px")),
+        count_variance: count_variances(&confidence, &row_of, &rows),
+        along_sigma_px: column("sigma_along_px").unwrap_or_default(),
+        row_of,
         gaps,
         leaves: read(&tables.leaves)?.as_ref().and_then(single_leaves),
         by_area,
     })
+}
+
+/// What each plant of a row adds to the variance of a number of plants: that of the row, in equal shares.
+fn row_variances(table: &CsvTable) -> BTreeMap<u64, f64> {
+    let columns = ["row", "plants", "low", "high"].map(|name| table.numbers(name));
+    let [Some(rows), Some(plants), Some(low), Some(high)] = columns else { return BTreeMap::new() };
+    let share = |k: usize| {
+        // The interval of 95 % reaches two standard deviations to either side.
+        let variance = ((high[k] - low[k]) / 4.0).powi(2);
+        (rows[k] >= 0.0 && plants[k] > 0.0 && variance.is_finite())
+            .then(|| (rows[k] as u64, variance / plants[k]))
+    };
+    (0..rows.len()).filter_map(share).collect()
+}
+
+/// What each plant adds to the variance of a number of plants; of a plant in no row, what the probability that it is one says.
+fn count_variances(confidence: &[f64], row_of: &[f64], rows: &BTreeMap<u64, f64>) -> Vec<f64> {
+    let variance = |(k, confidence): (usize, &f64)| {
+        let row = row_of.get(k).filter(|row| row.is_finite());
+        let of_row = row.and_then(|&row| rows.get(&(row as u64)));
+        of_row.copied().unwrap_or(confidence * (1.0 - confidence))
+    };
+    confidence.iter().enumerate().map(variance).collect()
 }
 
 fn single_leaves(table: &CsvTable) -> Option<Vec<MeasuredLeaf>> {
@@ -323,6 +373,19 @@ fn single_leaves(table: &CsvTable) -> Option<Vec<MeasuredLeaf>> {
 mod tests {
     use super::*;
     use crate::options::Options;
+
+    #[test]
+    fn rows_share_their_variance_among_their_plants() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("rows.csv");
+        let text = "row,plants,expected,low,high,length_px\n0,10,10.5,8,12,90\n1,0,0.2,0,1,90\n";
+        std::fs::write(&path, text).unwrap();
+        let rows = row_variances(&CsvTable::read(&path).unwrap());
+        // The row has a standard deviation of 1.
+        assert_eq!(rows, BTreeMap::from([(0, 0.1)]));
+        let found = count_variances(&[0.5, 0.5, 1.0], &[0.0, f64::NAN, 1.0], &rows);
+        assert_eq!(found, [0.1, 0.25, 0.0]);
+    }
 
     #[test]
     fn rows_and_alley_belong_together() {

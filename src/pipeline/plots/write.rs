@@ -10,7 +10,7 @@ use crate::{
         qgis::{self, Style},
     },
     monitor::{Diagnostic, Monitor},
-    phenotype::plots::{TRAITS, Trait},
+    phenotype::traits::{PlotTraits, TRAITS, Trait},
     raster::{georeference::Georeference, polygon::Polygon},
 };
 use serde_json::{Value, json};
@@ -31,11 +31,11 @@ pub(super) fn traits(
     output::write(&folder.join("traits.csv"), true, |out| {
         let mut csv = csv::Writer::from_writer(out);
         let own = attributes.iter().map(|of| of.name.as_str());
-        csv.write_record(
-            std::iter::once("plot").chain(TRAITS.iter().map(|of| of.name)).chain(own),
-        )?;
+        let columns = columns();
+        let names = columns.iter().map(|column| column.name.as_str());
+        csv.write_record(std::iter::once("plot").chain(names).chain(own))?;
         for plot in plots {
-            let values = TRAITS.iter().map(|of| text((of.value)(&plot.traits)));
+            let values = columns.iter().map(|column| text(column.value(&plot.traits)));
             let own = attributes.iter().map(|of| match of.value(plot) {
                 Value::Null => String::new(),
                 Value::String(text) => text.clone(),
@@ -48,11 +48,12 @@ pub(super) fn traits(
     })?;
     output::write(&folder.join("traits_long.csv"), true, |out| {
         let mut csv = csv::Writer::from_writer(out);
-        csv.write_record(["plot", "trait", "value", "unit"])?;
+        csv.write_record(["plot", "trait", "value", "unit", "standard_deviation"])?;
         for Plot { traits, .. } in plots {
             for of in TRAITS {
                 if let Some(value) = (of.value)(traits) {
-                    csv.write_record([&traits.plot, of.name, &value.to_string(), of.unit])?;
+                    let sd = text(of.standard_deviation(traits));
+                    csv.write_record([&traits.plot, of.name, &value.to_string(), of.unit, &sd])?;
                 }
             }
         }
@@ -60,9 +61,23 @@ pub(super) fn traits(
     })?;
     output::write(&folder.join("trait_dictionary.csv"), true, |out| {
         let mut csv = csv::Writer::from_writer(out);
-        csv.write_record(["trait", "unit", "meaning", "method", "reference"])?;
+        csv.write_record([
+            "trait",
+            "unit",
+            "meaning",
+            "method",
+            "standard_deviation",
+            "reference",
+        ])?;
         for of in TRAITS {
-            csv.write_record([of.name, of.unit, of.meaning, of.method, of.reference])?;
+            csv.write_record([
+                of.name,
+                of.unit,
+                of.meaning,
+                of.method,
+                of.deviation,
+                of.reference,
+            ])?;
         }
         csv.flush()
     })?;
@@ -103,6 +118,29 @@ pub(super) fn traits(
     Ok(())
 }
 
+/// A column of numbers: a trait, or its standard deviation, which stands behind it.
+struct NumberColumn {
+    name: String,
+    of: &'static Trait,
+    is_deviation: bool,
+}
+
+impl NumberColumn {
+    fn value(&self, plot: &PlotTraits) -> Option<f64> {
+        if self.is_deviation { self.of.standard_deviation(plot) } else { (self.of.value)(plot) }
+    }
+}
+
+/// The columns of numbers of every table of plots.
+fn columns() -> Vec<NumberColumn> {
+    let both = |of: &'static Trait| {
+        let own = NumberColumn { name: of.name.to_owned(), of, is_deviation: false };
+        let sd = of.deviation_name().map(|name| NumberColumn { name, of, is_deviation: true });
+        std::iter::once(own).chain(sd)
+    };
+    TRAITS.iter().flat_map(both).collect()
+}
+
 /// What polygons say of plots beside their names: genotype, treatment, block.
 struct Attribute {
     name: String,
@@ -124,7 +162,7 @@ fn attributes(plots: &[Plot], monitor: &mut dyn Monitor) -> Vec<Attribute> {
     let mut taken: Vec<String> = Vec::new();
     for (name, value) in plots.iter().flat_map(|plot| &plot.attributes) {
         let is_taken = |other: &str| other.eq_ignore_ascii_case(name);
-        if TRAITS.iter().any(|of| is_taken(of.name)) {
+        if columns().iter().any(|column| is_taken(&column.name)) {
             if !taken.contains(name) {
                 taken.push(name.clone());
             }
@@ -190,12 +228,13 @@ fn layer(
     rings: &[Rings],
     place: Option<Georeference>,
 ) -> Layer {
+    let numbers = columns();
     let columns = std::iter::once(Column::new("plot", ColumnKind::Text))
-        .chain(TRAITS.iter().map(|of| Column::new(of.name, ColumnKind::Real)))
+        .chain(numbers.iter().map(|column| Column::new(&column.name, ColumnKind::Real)))
         .chain(attributes.iter().map(|of| Column::new(&of.name, of.kind)));
     let feature = |(plot, rings): (&Plot, &Rings)| {
         let number = |value: Option<f64>| value.map_or(gpkg::Value::Null, gpkg::Value::Real);
-        let values = TRAITS.iter().map(|of| number((of.value)(&plot.traits)));
+        let values = numbers.iter().map(|column| number(column.value(&plot.traits)));
         let own = attributes.iter().map(|of| match (of.value(plot), of.kind) {
             (Value::Null, _) => gpkg::Value::Null,
             (value, ColumnKind::Real) => number(value.as_f64()),

@@ -20,7 +20,7 @@ use crate::{
     error::Error,
     io::FileError,
     options::{Options, nearest},
-    phenotype::plots::TRAITS,
+    phenotype::traits::TRAITS,
 };
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};

@@ -7,7 +7,7 @@ use crate::{
     monitor::{Diagnostic, Monitor},
     phenotype::{
         plant_tracks::{self, Sighting, Tracks},
-        plots::{PlotTraits, TRAITS},
+        traits::{PlotTraits, TRAITS},
     },
     pipeline::{Project, Stage},
     problems::growth_curve::{self, Estimate, GrowthCurve, GrowthModel, Sample, Untold},

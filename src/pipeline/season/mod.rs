@@ -29,7 +29,7 @@ use crate::{
     error::Error,
     io::{FileError, polygons},
     monitor::{Diagnostic, Monitor, Recorder},
-    phenotype::plots::PlotTraits,
+    phenotype::traits::PlotTraits,
     problems::growth_curve::GrowthModel,
 };
 use follow::Day;

@@ -4,7 +4,9 @@ use super::{
     SEASON_RESULTS, SeasonOutcome,
     follow::{Day, Found},
 };
-use crate::{error::Error, io::output, phenotype::plots::TRAITS, problems::growth_curve::Estimate};
+use crate::{
+    error::Error, io::output, phenotype::traits::TRAITS, problems::growth_curve::Estimate,
+};
 use serde_json::json;
 use std::path::Path;
 
