@@ -57,7 +57,7 @@ fn chapter(spec: &Spec, result: &Path) -> Result<String, Fail> {
         "#raw({})\n",
         quoted(&format!("experiments run experiments/specs/{}.toml", spec.name))
     );
-    for figure in &spec.figures {
+    for figure in publish::drawn(spec, result) {
         let _ = writeln!(
             text,
             "#figure(image({}, width: 90%), caption: {})\n",

@@ -8,6 +8,7 @@ use crate::{
     contrasts::{Baseline, Contrast},
     data::Frame,
     fail::Fail,
+    figures::Figure,
     plan::Planned,
     spec::Spec,
 };
@@ -17,6 +18,9 @@ use std::path::{Path, PathBuf};
 /// Significant digits of kept numbers: more than any interval of a mean resolves.
 const DIGITS: usize = 6;
 
+/// Larger series are not kept; their figures need the run.
+const MOST_BYTES: u64 = 400_000;
+
 /// Copies a merged result into the folder of kept ones; says how many bytes it has.
 pub(crate) fn keep(result: &Path, results: &Path) -> Result<(String, u64), Fail> {
     let spec = Planned::load(result)?.plan.spec;
@@ -25,7 +29,13 @@ pub(crate) fn keep(result: &Path, results: &Path) -> Result<(String, u64), Fail>
     std::fs::create_dir_all(&series).map_err(|e| Fail::io(&series, &e))?;
     let mut bytes = 0;
     for name in tables_of(&spec) {
-        bytes += copy_rounded(&result.join(&name), &folder.join(&name))?;
+        let (from, to) = (result.join(&name), folder.join(&name));
+        let size = copy_rounded(&from, &to)?;
+        if name != "runs.csv" && size > MOST_BYTES {
+            std::fs::remove_file(&to).map_err(|e| Fail::io(&to, &e))?;
+        } else {
+            bytes += size;
+        }
     }
     for name in ["manifest.json", "sensitivity.csv"] {
         let from = result.join(name);
@@ -45,18 +55,22 @@ pub(crate) fn keep(result: &Path, results: &Path) -> Result<(String, u64), Fail>
 fn tables_of(spec: &Spec) -> Vec<String> {
     let mut names = vec!["runs.csv".to_owned()];
     for figure in &spec.figures {
-        for table in [&figure.from, &figure.over] {
-            let name = match table.as_str() {
-                "" | "runs" => continue,
-                "timing" => "timing.csv".to_owned(),
-                trace => format!("traces/{trace}.csv"),
-            };
+        for name in [&figure.from, &figure.over].into_iter().filter_map(|name| table_of(name)) {
             if !names.contains(&name) {
                 names.push(name);
             }
         }
     }
     names
+}
+
+/// The file of a figure's table; `None` for none, and for the runs, which are always there.
+fn table_of(name: &str) -> Option<String> {
+    match name {
+        "" | "runs" => None,
+        "timing" => Some("timing.csv".to_owned()),
+        series => Some(format!("traces/{series}.csv")),
+    }
 }
 
 fn copy_rounded(from: &Path, to: &Path) -> Result<u64, Fail> {
@@ -112,8 +126,18 @@ fn contrasts(
 pub(crate) fn draw(spec: &Spec, result: &Path, folder: &Path) -> Result<(), Fail> {
     std::fs::create_dir_all(folder).map_err(|e| Fail::io(folder, &e))?;
     let runs = Frame::read(&result.join("runs.csv"))?;
-    spec.figures.iter().try_for_each(|figure| figure.draw(result, folder))?;
+    drawn(spec, result).try_for_each(|figure| figure.draw(result, folder))?;
     spec.tables.iter().try_for_each(|table| table.write(&runs, folder))
+}
+
+/// The figures whose tables are in a result; series that are too large to be kept are missing in kept ones.
+pub(crate) fn drawn<'a>(spec: &'a Spec, result: &'a Path) -> impl Iterator<Item = &'a Figure> {
+    // A result that was not kept has every table, or the figure says which is missing.
+    let complete = Planned::exists(result);
+    spec.figures.iter().filter(move |figure| {
+        let mut tables = [&figure.from, &figure.over].into_iter();
+        complete || tables.all(|name| table_of(name).is_none_or(|name| result.join(name).exists()))
+    })
 }
 
 /// The specs that have a kept result, each with its folder.
@@ -136,6 +160,33 @@ pub(crate) fn kept(specs: &[PathBuf], results: &Path) -> Result<Vec<(Spec, PathB
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn figures_without_their_series_are_left_out_of_kept_results() {
+        let (spec, _) = Spec::parse(
+            r#"
+            name = "toy"
+            title = "Toy"
+            stage = "arena"
+            seeds = { count = 1 }
+            figure = [
+                { name = "a", look = "bars", x = "seed", y = "solved" },
+                { name = "b", look = "convergence", from = "descent", x = "evaluations", y = "excess" },
+            ]
+            "#,
+            false,
+        )
+        .unwrap();
+        assert_eq!(tables_of(&spec), ["runs.csv", "traces/descent.csv"]);
+        let folder = tempfile::tempdir().unwrap();
+        let names = |result: &Path| -> Vec<String> {
+            drawn(&spec, result).map(|figure| figure.name.clone()).collect()
+        };
+        assert_eq!(names(folder.path()), ["a"]);
+        // A run has to have it, and says so where it does not.
+        std::fs::write(folder.path().join("plan.json"), "{}").unwrap();
+        assert_eq!(names(folder.path()), ["a", "b"]);
+    }
 
     #[test]
     fn numbers_keep_six_digits() {

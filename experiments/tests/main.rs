@@ -199,6 +199,17 @@ fn every_spec_is_valid_in_both_settings() {
 }
 
 #[test]
+fn the_question_of_the_documentation_is_ten_lines() {
+    let page = std::fs::read_to_string(home().join("../docs/planning.md")).unwrap();
+    let spec = page.split("```toml\n").nth(1).unwrap().split("```").next().unwrap();
+    assert!(spec.lines().count() <= 10, "{spec}");
+    let place = Place::new(SPEC);
+    std::fs::write(place.path("my-spacing.toml"), spec).unwrap();
+    let told = place.good(&["check", "my-spacing.toml"]);
+    assert!(told.contains("4 cells x 10 seeds of stage locate"), "{told}");
+}
+
+#[test]
 fn the_findings_are_what_the_results_say() {
     let place = Place::new(SPEC);
     let path = |name: &str| home().join(name).to_str().unwrap().to_owned();

@@ -40,7 +40,7 @@ from .optimize import (
     coordinate_descent,
     read_bal,
 )
-from .project import Project, RunResult, StageResult, doctor, options, progress_bar
+from .project import Project, RunResult, StageResult, doctor, options, progress_bar, season
 
 __all__ = [
     "AdjustResult",
@@ -75,6 +75,7 @@ __all__ = [
     "options",
     "progress_bar",
     "read_bal",
+    "season",
     "segment",
     "sift",
     "synth",

@@ -22,10 +22,37 @@ MAIN_TABLES = {
     "leaves": "leaves.csv",
     "plots": "traits.csv",
     "crops": "traits.csv",
+    "layout": "layout.csv",
+    "season": "traits_long.csv",
     "leaf-count": "leaf_counts.csv",
     "align": "cameras.csv",
 }
 """The table of a stage that ``to_pandas()`` reads where none is named."""
+
+
+def season(
+    file: str | os.PathLike[str],
+    *,
+    settings: Iterable[str] = (),
+    progress: Progress | None = None,
+    report: bool = True,
+) -> StageResult:
+    """Run the flights of a season as far as something has changed, and follow plots and plants through its dates.
+
+    ``to_pandas()`` of the result has a row for each date, plot and trait; ``to_pandas("growth.csv")`` the growth curves,
+    ``to_pandas("plants_long.csv")`` the plants.
+
+    Args:
+        file: The list of flights, usually ``season.toml``.
+        settings: Keys of the ``rowgram.toml`` of all flights, as ``"section.key=value"``.
+        progress: Called while work goes on.
+        report: Whether ``report.html`` is written.
+
+    Raises:
+        InputError: The list, the plots or a setting cannot be used.
+    """
+    values, folder = _rowgram.season(os.fspath(file), list(settings), progress, report)
+    return StageResult("season", Path(folder), values, values["diagnostics"])
 
 
 def doctor(path: str | os.PathLike[str]) -> list[dict[str, Any]]:
@@ -277,6 +304,41 @@ class Project:
         """
         values, diagnostics = self._inner.crops(options, force, progress)
         return StageResult("crops", Path(values["folder"]), values, diagnostics)
+
+    def layout(
+        self,
+        corners: str | os.PathLike[str] | None = None,
+        *,
+        refine: str | os.PathLike[str] | None = None,
+        field_map: str | os.PathLike[str] | None = None,
+        output: str | os.PathLike[str] | None = None,
+        force: bool = False,
+        progress: Progress | None = None,
+        **options: Any,
+    ) -> StageResult:
+        """Lay out the plots of the field, and move them onto the rows that were found.
+
+        The result has the plots as ``plots.gpkg``, ``plots.geojson`` and ``plots.shp`` (``to_geopandas("plots.gpkg")``), and
+        ``layout.csv`` with the standard deviations of their corners, metres. Where the plants of the project were not located
+        yet, the plots are where corners and design put them.
+
+        Args:
+            corners: Table of two to four surveyed corners (``corner``, ``easting_m``, ``northing_m``, or degrees).
+            refine: Polygons to move, in place of corners.
+            field_map: Table of entries: ``plot`` and any other columns, which become attributes of the plots.
+            output: Folder to write into; ``layout`` in the results where none is named.
+            force: Replace files that exist.
+            progress: Called while work goes on.
+            **options: The design: ``ranges``, ``plots_per_range``, ...: ``rowgram.options("layout")`` lists them.
+
+        Raises:
+            InputError: The design lacks something, corners do not fit, polygons are damaged, or files exist.
+        """
+        path = lambda given: None if given is None else os.fspath(given)  # noqa: E731
+        folder = Path(output) if output is not None else Path(self.results) / "layout"
+        arguments = (path(corners), path(refine), path(field_map), os.fspath(folder))
+        values, diagnostics = self._inner.layout(*arguments, options, force, progress)
+        return StageResult("layout", folder, values, diagnostics)
 
     def result(self, stage: str) -> StageResult:
         """What came of a stage in the last run.

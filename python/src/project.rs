@@ -14,7 +14,9 @@ use rowgram::{
     options::Choice,
     pipeline::{
         self, Config, Stage,
+        plots::layout::{self, LayoutRequest, LayoutSource},
         run::{RunOptions, RunOutcome},
+        season::SeasonFile,
     },
 };
 use std::path::PathBuf;
@@ -159,6 +161,41 @@ impl Project {
         Ok((outcome, diagnostics(py, &monitor.diagnostics)?))
     }
 
+    /// Lays out plots, and moves them onto the rows of the project: `(outcome, diagnostics)`.
+    #[pyo3(signature = (corners, refine, field_map, output, options, force=false, progress=None))]
+    #[expect(clippy::too_many_arguments, reason = "those of Python")]
+    fn layout<'py>(
+        &self,
+        py: Python<'py>,
+        corners: Option<PathBuf>,
+        refine: Option<PathBuf>,
+        field_map: Option<PathBuf>,
+        output: PathBuf,
+        options: &Bound<'py, PyDict>,
+        force: bool,
+        progress: Option<Py<PyAny>>,
+    ) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
+        let options = options::with(&self.0.config().layout, Some(options))?;
+        let source = match (&corners, &refine) {
+            (Some(corners), None) => LayoutSource::Corners(corners),
+            (None, Some(polygons)) => LayoutSource::Polygons(polygons),
+            _ => return Err(input("expected either corners or refine".to_owned())),
+        };
+        let request = LayoutRequest {
+            source,
+            field_map: field_map.as_deref(),
+            crs: None,
+            project: Some(&self.0),
+            output: &output,
+            force,
+        };
+        let mut monitor = PythonMonitor::new(progress);
+        let outcome = without_python(py, || layout::layout(&request, &options, &mut monitor))?;
+        let outcome = result(py, &outcome.map_err(|error| from_library(&error))?)?;
+        monitor.finish()?;
+        Ok((outcome, diagnostics(py, &monitor.diagnostics)?))
+    }
+
     /// Does all stages; the outcome of the run.
     #[pyo3(signature = (skip, begin=None, until=None, progress=None, report=true))]
     fn run<'py>(
@@ -191,6 +228,31 @@ impl Project {
         }
         result(py, &outcome)
     }
+}
+
+/// Runs a season as far as something has changed: its outcome, its folder.
+#[pyfunction]
+#[pyo3(signature = (file, settings, progress=None, report=true))]
+pub(crate) fn season<'py>(
+    py: Python<'py>,
+    file: PathBuf,
+    settings: Vec<String>,
+    progress: Option<Py<PyAny>>,
+    report: bool,
+) -> PyResult<(Bound<'py, PyAny>, PathBuf)> {
+    let mut monitor = PythonMonitor::new(progress);
+    let done = without_python(py, || {
+        let file = SeasonFile::read(&file)?;
+        let environment: Vec<(String, String)> = std::env::vars().collect();
+        let outcome = pipeline::season::season(&file, &environment, &settings, &mut monitor)?;
+        if report {
+            rowgram::report::write_season(&file, &outcome)?;
+        }
+        Ok((outcome, file.results()))
+    })?;
+    let (outcome, folder) = done.map_err(|error: rowgram::Error| from_library(&error))?;
+    monitor.finish()?;
+    Ok((result(py, &outcome)?, folder))
 }
 
 /// What a project lacks, before hours are spent on it: diagnostics.

@@ -33,6 +33,33 @@ def test_crops_need_a_photo_that_shows_the_whole_plot(flight):
         flight.crops(photos_per_plott=2)
 
 
+def test_plots_are_laid_out_before_any_photo(tmp_path):
+    folder = tmp_path / "field"
+    folder.mkdir()
+    corners = tmp_path / "corners.csv"
+    # 11.1 m to the north: two plots of 5 m and an alley of 1 m.
+    corners.write_text("corner,longitude_deg,latitude_deg\nfirst,-86.99,40.47\nalong,-86.99,40.4701\n")
+    project = rowgram.Project(folder)
+    design = dict(ranges=2, plots_per_range=2, rows_per_plot=2, row_spacing_m=0.76, plot_length_m=5.0, alley_m=1.0)
+    result = project.layout(corners, **design)
+    assert result.epsg == 32616 and result.refined is None
+    plots = result.to_geopandas("plots.gpkg")
+    assert len(plots) == 4 and plots.crs.to_epsg() == 32616
+    assert plots.area.between(0.9 * 7.6, 1.1 * 7.6).all()
+    assert len(result.to_pandas()) == 4
+    with pytest.raises(rowgram.InputError, match="exist"):
+        project.layout(corners, **design)
+    with pytest.raises(rowgram.InputError, match="plot_length_m"):
+        project.layout(corners, force=True, ranges=2)
+    with pytest.raises(rowgram.InputError, match="either corners or refine"):
+        project.layout()
+
+
+def test_a_season_needs_its_list(tmp_path):
+    with pytest.raises(rowgram.RowgramError, match="season.toml"):
+        rowgram.season(tmp_path / "season.toml")
+
+
 def test_what_is_current_is_kept(flight):
     seen = []
     found = flight.run(until="plots", progress=lambda *progress: seen.append(progress))
