@@ -5,7 +5,7 @@ use crate::{
     raster::georeference::{Crs, CrsKind},
     scene::ReferenceFrame,
 };
-use std::{io::Cursor, path::Path};
+use std::{fs::File, io::BufWriter, path::Path};
 
 /// A point with its colour.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -48,49 +48,98 @@ pub fn write_laz(
     reference: &ReferenceFrame,
     force: bool,
 ) -> Result<(), FileError> {
-    let bytes =
-        laz(points, reference).map_err(|e| FileError::write(path, std::io::Error::other(e)))?;
-    output::write(path, force, |out| out.write_all(&bytes))
+    let least = |axis: usize| {
+        let least = points.iter().map(|p| p.position_m[axis]).fold(f64::INFINITY, f64::min);
+        if least.is_finite() { least } else { 0.0 }
+    };
+    let corner_m = [least(0), least(1), least(2)];
+    let crs = crs_of(reference);
+    output::write_seekable(path, force, |file| {
+        let mut writer = LazWriter::begin(file, path, &crs, corner_m)?;
+        points.iter().try_for_each(|point| writer.put(point, 0))?;
+        writer.finish()
+    })
+}
+
+/// What a cloud says of its frame: without scale nothing.
+fn crs_of(reference: &ReferenceFrame) -> Crs {
+    let kind = if reference.has_scale() { CrsKind::Projected } else { CrsKind::Unknown };
+    Crs { kind, ..Crs::of(reference) }
 }
 
 /// Metres per unit of the stored integers.
 const STEP_M: f64 = 1e-4;
 
-fn laz(points: &[CloudPoint], reference: &ReferenceFrame) -> Result<Vec<u8>, las::Error> {
+/// LAZ that is written point by point, in the order in which they come.
+pub struct LazWriter<'a> {
+    path: &'a Path,
+    writer: las::Writer<BufWriter<File>>,
+}
+
+impl LazWriter<'_> {
+    /// Begins a cloud whose points lie within 200 km of `corner_m`, metres; `path` is for messages.
+    ///
+    /// # Errors
+    /// Where the file cannot be written.
+    pub fn begin<'a>(
+        file: &File,
+        path: &'a Path,
+        crs: &Crs,
+        corner_m: [f64; 3],
+    ) -> Result<LazWriter<'a>, FileError> {
+        let own = file.try_clone().map_err(|e| FileError::write(path, e))?;
+        let writer = header(crs, corner_m)
+            .and_then(|header| las::Writer::new(BufWriter::new(own), header))
+            .map_err(|e| FileError::write(path, std::io::Error::other(e)))?;
+        Ok(LazWriter { path, writer })
+    }
+
+    /// Adds a point. The intensity, 0 to 255, says how sure it is.
+    ///
+    /// # Errors
+    /// A point too far away, and where the file cannot be written.
+    pub fn put(&mut self, point: &CloudPoint, intensity: u8) -> Result<(), FileError> {
+        let [x, y, z] = point.position_m;
+        // Eight bits become sixteen as the format recommends.
+        let wide = |byte: u8| u16::from(byte) * 257;
+        let [red, green, blue] = point.colour.map(wide);
+        let point = las::Point {
+            x,
+            y,
+            z,
+            intensity: wide(intensity),
+            color: Some(las::Color { red, green, blue }),
+            ..las::Point::default()
+        };
+        let path = self.path;
+        self.writer.write_point(point).map_err(|e| FileError::write(path, std::io::Error::other(e)))
+    }
+
+    /// Completes the file.
+    ///
+    /// # Errors
+    /// Where it cannot be written.
+    pub fn finish(mut self) -> Result<(), FileError> {
+        let path = self.path;
+        self.writer.close().map_err(|e| FileError::write(path, std::io::Error::other(e)))
+    }
+}
+
+fn header(crs: &Crs, corner_m: [f64; 3]) -> Result<las::Header, las::Error> {
     let mut builder = las::Builder::from((1, 2));
     builder.point_format = las::point::Format::new(2)?;
     builder.point_format.is_compressed = true;
     builder.generating_software = "rowgram".into();
     builder.date = None;
-    let least = |axis: usize| {
-        let least = points.iter().map(|p| p.position_m[axis]).fold(f64::INFINITY, f64::min);
-        if least.is_finite() { least.floor() } else { 0.0 }
-    };
-    let axis = |k: usize| las::Transform { scale: STEP_M, offset: least(k) };
+    let axis = |k: usize| las::Transform { scale: STEP_M, offset: corner_m[k].floor() };
     builder.transforms = las::Vector { x: axis(0), y: axis(1), z: axis(2) };
-    let kind = if reference.has_scale() { CrsKind::Projected } else { CrsKind::Unknown };
-    let crs = Crs { kind, ..Crs::of(reference) };
     builder.vlrs.push(las::Vlr {
         user_id: "LASF_Projection".into(),
         record_id: 34735,
         description: "GeoTIFF keys".into(),
-        data: geo_keys(&crs, None).into_iter().flat_map(u16::to_le_bytes).collect(),
+        data: geo_keys(crs, None).into_iter().flat_map(u16::to_le_bytes).collect(),
     });
-    let mut writer = las::Writer::new(Cursor::new(Vec::new()), builder.into_header()?)?;
-    for point in points {
-        let [x, y, z] = point.position_m;
-        // Eight bits become sixteen as the format recommends.
-        let [red, green, blue] = point.colour.map(|c| u16::from(c) * 257);
-        writer.write_point(las::Point {
-            x,
-            y,
-            z,
-            color: Some(las::Color { red, green, blue }),
-            ..las::Point::default()
-        })?;
-    }
-    writer.close()?;
-    Ok(writer.into_inner()?.into_inner())
+    builder.into_header()
 }
 
 #[cfg(test)]
@@ -101,9 +150,11 @@ mod tests {
     #[test]
     fn a_cloud_says_its_reference_system_in_every_case() {
         let points = [CloudPoint { position_m: [5e5, 4e6, 100.0], colour: [1, 2, 3] }];
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("cloud.laz");
         let keys = |reference: &ReferenceFrame| {
-            let bytes = laz(&points, reference).unwrap();
-            let reader = las::Reader::new(Cursor::new(bytes)).unwrap();
+            write_laz(&path, &points, reference, true).unwrap();
+            let reader = las::Reader::from_path(&path).unwrap();
             let keys = reader.header().get_geotiff_crs().unwrap().unwrap();
             keys.entries
                 .iter()

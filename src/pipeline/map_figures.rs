@@ -166,7 +166,7 @@ pub(super) fn draw_surface(folder: &Path, surface: &Surface) -> Result<(), Error
     Ok(images::write_photo(&folder.join("surface.png"), false, &picture)?)
 }
 
-/// Heights of the canopy from 0 (dark blue) to `top_m` (yellow), with a bar of these colours at the right border.
+/// Heights of the canopy from 0 (dark blue) to `top_m` (yellow).
 ///
 /// # Errors
 /// Where it cannot be written.
@@ -178,18 +178,9 @@ pub(super) fn draw_canopy(
 ) -> Result<(), Error> {
     let step = figures::step(width, height);
     let size = [width.div_ceil(step), height.div_ceil(step)];
-    let bar = (size[0] / 40).max(4);
-    let picture = picture([size[0] + 2 * bar, size[1]], |u, v| {
-        if u >= size[0] + bar {
-            return scale_colour(1.0 - v as f64 / size[1].max(2) as f64);
-        }
-        if u >= size[0] {
-            return EMPTY;
-        }
-        match f64::from(canopy_m[v * step * width + u * step]) {
-            value if value.is_finite() => scale_colour(value / top_m.max(1e-9)),
-            _ => EMPTY,
-        }
+    let picture = picture(size, |u, v| match f64::from(canopy_m[v * step * width + u * step]) {
+        value if value.is_finite() => scale_colour(value / top_m.max(1e-9)),
+        _ => EMPTY,
     });
     Ok(images::write_photo(&folder.join("canopy.png"), false, &picture)?)
 }

@@ -113,7 +113,7 @@ pub(super) fn map(facts: &Facts<'_>) -> Result<Section, Error> {
             }
             div .pair {
                 (shown(facts, Stage::Surface, "figures/surface.png", "The dense surface, shaded.")?)
-                (shown(facts, Stage::Surface, "figures/canopy.png", "Height over the ground, from 0 (dark blue, bottom of the bar) to the height that one cell in 200 exceeds (yellow).")?)
+                (scaled(facts, Stage::Surface, "figures/canopy.png", "Height over the ground; one cell in 200 exceeds the end of the scale.", ["0", &format!("{} m", digits(surface.canopy_picture_to_m, 2))])?)
             }
             (shown(facts, Stage::Surface, "figures/profile.svg", "A line across the middle of the map: the surface and the ground below it.")?)
         }

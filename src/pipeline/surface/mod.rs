@@ -60,6 +60,8 @@ crate::options! {
         pub ground: GroundColour = GroundColour::Soil;
         /// How many photos are compared with the one nearest to a place.
         pub others: usize = 4, limits between(1.0, 8.0);
+        /// Also write the surface as a coloured cloud of points (dsm.laz).
+        pub cloud: bool = false;
     }
 }
 
@@ -71,6 +73,8 @@ pub const SIGMA: &str = "dsm_sigma.tif";
 pub const GROUND: &str = "dtm.tif";
 /// Standard deviation of its heights.
 pub const GROUND_SIGMA: &str = "dtm_sigma.tif";
+/// The surface as a coloured cloud of points.
+pub const CLOUD: &str = "dsm.laz";
 /// The height of the surface over the ground.
 pub const CANOPY: &str = "chm.tif";
 
@@ -83,6 +87,9 @@ pub struct SurfaceOutcome {
     pub ground: Option<PathBuf>,
     /// Height of the surface over the ground, metres.
     pub canopy: Option<PathBuf>,
+    /// The surface as points with colours, where it was asked for.
+    #[serde(default)]
+    pub cloud: Option<PathBuf>,
     /// Columns.
     pub width_px: usize,
     /// Rows.
@@ -103,6 +110,9 @@ pub struct SurfaceOutcome {
     pub median_ground_sigma_m: Option<f64>,
     /// Height over the ground that 50, 95 and 99 % of the cells do not exceed, metres.
     pub canopy_percentiles_m: Option<[f64; 3]>,
+    /// Where the colours of its picture end, metres over the ground.
+    #[serde(default)]
+    pub canopy_picture_to_m: Option<f64>,
 }
 
 /// The stage.
@@ -171,7 +181,11 @@ impl Task for SurfaceTask {
             monitor.diagnostic(&Diagnostic::warning("surface-no-ground", subject, message));
         }
         let found = write::Found { area, place: &place, ground: &ground, range_m };
-        let outcome = write::write(&found, &mut store, folder)?;
+        let mut outcome = write::write(&found, &mut store, folder)?;
+        if options.cloud {
+            write::cloud(&found, &mut store, &folder.join(CLOUD))?;
+            outcome.cloud = Some(CLOUD.into());
+        }
         // The rasters have it all.
         Cache::new(folder)?.forget(CACHE)?;
         Ok(outcome)

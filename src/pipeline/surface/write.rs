@@ -5,8 +5,9 @@ use crate::{
     error::Error,
     io::{
         FileError,
+        cloud::{CloudPoint, LazWriter},
         geotiff::{self, Colour, Layout, Writer},
-        qgis,
+        output, qgis,
     },
     mapping::{
         Surface,
@@ -62,6 +63,31 @@ pub(super) fn write(
         qgis::write(&folder.join("chm.qml"), true, &style)?;
     }
     Ok(sums.outcome(found))
+}
+
+/// Writes every cell with a height as a point; its intensity is the confidence in it.
+pub(super) fn cloud(
+    found: &Found<'_>,
+    store: &mut dyn TileStore<Error>,
+    path: &Path,
+) -> Result<(), Error> {
+    let [x, y] = found.area.place_m(0, found.area.size[1].saturating_sub(1));
+    let level_m = found.ground.terrain.as_ref().and_then(|terrain| terrain.at_m([x, y]));
+    output::write_seekable(path, true, |file| {
+        let mut writer =
+            LazWriter::begin(file, path, &found.place.crs, [x, y, level_m.unwrap_or(0.0)])?;
+        for number in 0..starts(&found.area, TILE).len() {
+            let Some(of) = store.load(Pass::Fine, number)? else { continue };
+            let width = of.tile.size[0];
+            for (at, &top) in of.surface_m.iter().enumerate().filter(|(_, top)| top.is_finite()) {
+                let [x, y] = of.tile.place_m(at % width, at / width);
+                let point =
+                    CloudPoint { position_m: [x, y, f64::from(top)], colour: of.colour[at] };
+                writer.put(&point, of.confidence[at])?;
+            }
+        }
+        Ok(writer.finish()?)
+    })
 }
 
 /// A tile with the ground below it.
@@ -224,6 +250,7 @@ impl Sums {
             surface: SURFACE.into(),
             ground: has_ground.then(|| GROUND.into()),
             canopy: has_ground.then(|| CANOPY.into()),
+            cloud: None,
             width_px: self.size[0],
             height_px: self.size[1],
             cell_m: found.area.cell_m,
@@ -237,6 +264,7 @@ impl Sums {
                 .zip(percentile(0.95))
                 .zip(percentile(0.99))
                 .map(|((a, b), c)| [a, b, c]),
+            canopy_picture_to_m: has_ground.then(|| self.top_m()),
         }
     }
 
@@ -278,5 +306,46 @@ impl Sums {
         let svg = figures::profile(&line(0), &line(1))
             .map_err(|e| FileError::write(folder, std::io::Error::other(e.to_string())))?;
         Ok(figures::write_drawing(folder, "profile.svg", true, &svg, &csv)?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{mapping::dense::area::TilesInMemory, raster::georeference::Crs};
+
+    #[test]
+    fn the_cloud_has_every_cell_with_a_height() {
+        let place = Georeference::north_up([500_000.0, 4_480_000.0], 0.02, Crs::projected(32616));
+        let area = Tile { corner_m: place.origin, cell_m: 0.02, size: [3, 2] };
+        let mut tile = DenseTile {
+            tile: area,
+            surface_m: vec![200.0, f32::NAN, 200.25, 199.5, 200.0, f32::NAN],
+            confidence: vec![10, 0, 255, 0, 30, 0],
+            photos: vec![2; 6],
+            sigma_m: vec![0.01; 6],
+            colour: vec![[1, 2, 3]; 6],
+            terrain: None,
+        };
+        tile.colour[2] = [255, 0, 128];
+        let mut store = TilesInMemory::default();
+        let tiles: &mut dyn TileStore<Error> = &mut store;
+        tiles.save(Pass::Fine, 0, &tile).unwrap();
+        let ground = AreaGround { terrain: None, layer_m: 0.01 };
+        let found = Found { area, place: &place, ground: &ground, range_m: 1.0 };
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("dsm.laz");
+        cloud(&found, &mut store, &path).unwrap();
+        let mut reader = las::Reader::from_path(&path).unwrap();
+        let points: Vec<las::Point> = reader.points().map(Result::unwrap).collect();
+        assert_eq!(points.len(), 4);
+        let third = &points[1];
+        let [x, y] = area.place_m(2, 0);
+        assert!((third.x - x).abs() < 1e-4 && (third.y - y).abs() < 1e-4, "{third:?}");
+        assert!((third.z - 200.25).abs() < 1e-4, "{third:?}");
+        assert_eq!(third.intensity, 255 * 257);
+        let colour = third.color.unwrap();
+        assert_eq!((colour.red, colour.blue), (255 * 257, 128 * 257));
+        assert!((points[2].z - 199.5).abs() < 1e-4, "{points:?}");
     }
 }
