@@ -291,3 +291,59 @@ fn traits(plants: impl Iterator<Item = (usize, f64)>, cover: f64) -> Traits {
     let spacing_cv = (squares / (count - 1.0)).sqrt() / spacing;
     Traits { plants: plants.len() as f64, spacing, spacing_cv, cover }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn small() -> Parameters {
+        let mut p = Parameters::default();
+        (p.twin.field.rows, p.twin.field.row_length_m) = (4, 4.0);
+        (p.plot_rows, p.plot_length_m) = (2, 3.0);
+        (p.twin.tie_points.per_photo, p.twin.targets.check) = (30, 3);
+        p
+    }
+
+    #[test]
+    fn without_errors_the_map_is_where_the_field_is() {
+        let mut p = small();
+        (p.errors.lens_px, p.errors.control_m, p.errors.receiver_m) = (0.0, 0.0, 0.01);
+        (p.errors.leaf_height_m, p.map.noise_grey) = (0.0, 0.0);
+        let exact = Chain::run(&p, 1).unwrap().values;
+        assert!(exact["check_plan_m"] < 0.01, "{exact:?}");
+        assert!(exact["cover_error"].abs() < 0.1, "{exact:?}");
+        assert!(exact["position_rms_m"] < 0.05, "{exact:?}");
+        p.errors.control_m = 0.2;
+        let moved = Chain::run(&p, 1).unwrap().values;
+        assert!(moved["position_rms_m"] > exact["position_rms_m"] + 0.01, "{moved:?}");
+        p.errors.threshold_grey = 20.0;
+        let less = Chain::run(&p, 1).unwrap().values;
+        assert!(less["cover_error"] < moved["cover_error"] - 0.1, "{less:?}");
+        assert_eq!(less["check_plan_m"], moved["check_plan_m"]);
+    }
+
+    #[test]
+    fn another_draw_of_one_error_moves_no_other() {
+        let p = small();
+        let first = Chain::run(&p, 1).unwrap().values;
+        let mut other = p.clone();
+        other.draws.lens = 1;
+        let lens = Chain::run(&other, 1).unwrap().values;
+        assert_eq!((first["plants"], first["cover"]), (lens["plants"], lens["cover"]));
+        assert_ne!(first["check_plan_m"], lens["check_plan_m"]);
+        let mut other = p.clone();
+        other.draws.field = 1;
+        assert_ne!(first["cover"], Chain::run(&other, 1).unwrap().values["cover"]);
+        assert_eq!(first, Chain::run(&p, 1).unwrap().values);
+    }
+
+    #[test]
+    fn distances_are_those_within_a_row() {
+        let plants = [(0, 0.0), (1, 0.1), (0, 0.2), (0, 0.6), (1, 0.3)];
+        let found = traits(plants.into_iter(), 0.3);
+        // Gaps of 0.2, 0.4 and 0.2.
+        assert!((found.spacing - 0.8 / 3.0).abs() < 1e-12);
+        assert!((found.spacing_cv - 0.115_470 / found.spacing).abs() < 1e-4);
+        assert_eq!((found.plants, found.cover), (5.0, 0.3));
+    }
+}

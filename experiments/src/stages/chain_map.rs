@@ -37,8 +37,8 @@ use serde::{Deserialize, Serialize};
 
 /// Pixels along the side of a cell in which leaves are drawn.
 pub(super) const FINE: u32 = 3;
-/// Farther from its plant no leaf reaches, in the field or in the map, metres.
-const REACH_M: f64 = 0.9;
+/// Farther than this the map moves no leaf, metres.
+const MOVED_M: f64 = 0.3;
 
 /// The errors of what goes in.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -296,9 +296,14 @@ impl Flown {
     /// Everything near the cells of a photo, as that photo shows it.
     fn picture(&self, photo: usize, centres: &[[f64; 2]]) -> GrayImage {
         let field = self.twin.field();
+        let leaves = field.plants.iter().flat_map(|plant| {
+            let far = |node: &[f64; 3]| distance([node[0], node[1]], [plant.x_m, plant.y_m]);
+            plant.leaves.iter().flat_map(move |leaf| leaf.axis_m.each_ref().map(far))
+        });
+        let reach_m = leaves.fold(0.25, f64::max) + MOVED_M;
         let near = |place: [f64; 2]| {
             let least = distance(centres[nearest(centres, place)], place);
-            distance(centres[photo], place) < least + 2.0 * REACH_M
+            distance(centres[photo], place) < least + 2.0 * reach_m
         };
         let plants = field
             .plants
@@ -433,4 +438,42 @@ fn blurred(values: &[f32], width: usize, sigma: f64) -> Vec<f32> {
         }
     }
     across
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rowgram::camera::Model;
+
+    #[test]
+    fn a_misfit_is_as_large_as_it_is_asked_to_be() {
+        let values = [3000.0, 5.0, -3.0, 0.0, 4e-9, 0.0, 0.0, 1e-7, 0.0, 0.0];
+        let lens = Interior::new(Model::Smac, [4000, 3000], &values).unwrap();
+        assert_eq!(rms_between(&lens, &misfit(&lens, 0.0, 1, 0).unwrap()), 0.0);
+        for draw in 0..5 {
+            let found = rms_between(&lens, &misfit(&lens, 2.0, 1, draw).unwrap());
+            assert!((found - 2.0).abs() < 0.05, "{draw}: {found}");
+        }
+        let (one, other) = (misfit(&lens, 2.0, 1, 0).unwrap(), misfit(&lens, 2.0, 1, 1).unwrap());
+        assert!(rms_between(&one, &other) > 0.1);
+    }
+
+    #[test]
+    fn a_blur_keeps_the_sum_and_a_higher_threshold_keeps_less() {
+        let mut shares = vec![0.0; 40 * 30];
+        for v in 10..20 {
+            shares[v * 40 + 8..][..14].fill(1.0);
+        }
+        let soft = blurred(&shares, 40, 1.2);
+        assert!((soft.iter().sum::<f32>() - 140.0).abs() < 1e-3);
+        assert!(soft[10 * 40 + 8] < 0.5 && soft[15 * 40 + 15] > 0.999);
+        let contrast = Contrast { noise_grey: 0.0, ..Contrast::default() };
+        let leaf = |offset: f64| {
+            let mask = threshold(&shares, 40, &contrast, offset, 1, 0);
+            mask.data.iter().filter(|&&pixel| pixel != 0).count()
+        };
+        assert!(leaf(-20.0) > leaf(0.0) && leaf(0.0) > leaf(20.0));
+        // Half way between leaf and soil edges stay where they are, but for the corners.
+        assert!((130..=140).contains(&leaf(0.0)), "{}", leaf(0.0));
+    }
 }
