@@ -30,7 +30,9 @@ pub(super) fn draw(figure: &Figure, frame: &Frame) -> Result<Drawn, String> {
         let parts = [first, total].into_iter().flat_map(|i| [i.value, i.low, i.high]);
         std::iter::once((*name).to_owned()).chain(parts.map(|x| x.to_string())).collect()
     }));
+    // Intervals of a few samples reach far beyond any share there is.
     let reach = bars.iter().map(|(_, i)| i.total.high.max(i.first.high)).fold(1.0, f64::max);
+    let reach = reach.min(1.5);
     let least = bars.iter().map(|(_, i)| i.first.low).fold(0.0, f64::min).max(-0.25);
     let count = bars.len();
     let longest = bars.iter().map(|(name, _)| name.chars().count()).max().unwrap_or(0);
@@ -67,10 +69,10 @@ pub(super) fn draw(figure: &Figure, frame: &Frame) -> Result<Drawn, String> {
                 let Interval { value, low, high } = part;
                 let y = place as f64 + HALF - 2.0 * HALF * series as f64;
                 let stroke = colour(series).stroke_width(2);
-                let corners = [(0.0, y - HALF), (value.max(least), y + HALF)];
+                let corners = [(0.0, y - HALF), (value.clamp(least, reach), y + HALF)];
                 chart.draw_series([Rectangle::new(corners, light(series).filled())])?;
                 chart.draw_series([Rectangle::new(corners, stroke)])?;
-                let ends = vec![(low.max(least), y), (high, y)];
+                let ends = vec![(low.clamp(least, reach), y), (high.clamp(least, reach), y)];
                 chart.draw_series([PathElement::new(ends, BLACK.stroke_width(2))])?;
             }
         }
