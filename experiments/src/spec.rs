@@ -285,9 +285,6 @@ impl Spec {
         let mut cells = vec![Cell { at: Vec::new(), parameters: table }];
         for axis in &self.axes {
             let levels = axis.levels()?;
-            if cells.len().saturating_mul(levels.len()) > MOST_TASKS {
-                return Err(format!("more than {MOST_TASKS} cells"));
-            }
             cells = product(&cells, &levels, |cell, level| {
                 cell.at.push((axis.column().to_owned(), level.label.clone()));
             })
@@ -300,9 +297,6 @@ impl Spec {
             _ => return Err("sensitivity goes without axes and [random]".to_owned()),
         };
         if let Some((labels, levels)) = drawn {
-            if cells.len().saturating_mul(levels.len()) > MOST_TASKS {
-                return Err(format!("more than {MOST_TASKS} cells"));
-            }
             let mut number = 0;
             let count = levels.len().max(1);
             cells = product(&cells, &levels, |cell, _| {
@@ -432,6 +426,9 @@ fn product(
     levels: &[Level],
     mut label: impl FnMut(&mut Cell, &Level),
 ) -> Result<Vec<Cell>, String> {
+    if cells.len().saturating_mul(levels.len()) > MOST_TASKS {
+        return Err(format!("more than {MOST_TASKS} cells"));
+    }
     let mut found = Vec::with_capacity(cells.len() * levels.len());
     for cell in cells {
         for level in levels {
