@@ -322,6 +322,6 @@ mod tests {
         let path = folder.path().join("sensitivity.csv");
         write(&runs, &["y"], &path).unwrap();
         let text = std::fs::read_to_string(path).unwrap();
-        assert!(text.contains("\ny,sowing,255,0.5"), "{text}");
+        assert!(text.contains("\ny,sowing,255,0.49936,"), "{text}");
     }
 }

@@ -449,7 +449,7 @@ mod tests {
     fn a_misfit_is_as_large_as_it_is_asked_to_be() {
         let values = [3000.0, 5.0, -3.0, 0.0, 4e-9, 0.0, 0.0, 1e-7, 0.0, 0.0];
         let lens = Interior::new(Model::Smac, [4000, 3000], &values).unwrap();
-        assert_eq!(rms_between(&lens, &misfit(&lens, 0.0, 1, 0).unwrap()), 0.0);
+        assert!(rms_between(&lens, &misfit(&lens, 0.0, 1, 0).unwrap()) < 1e-9);
         for draw in 0..5 {
             let found = rms_between(&lens, &misfit(&lens, 2.0, 1, draw).unwrap());
             assert!((found - 2.0).abs() < 0.05, "{draw}: {found}");
@@ -472,7 +472,7 @@ mod tests {
             let mask = threshold(&shares, 40, &contrast, offset, 1, 0);
             mask.data.iter().filter(|&&pixel| pixel != 0).count()
         };
-        assert!(leaf(-20.0) > leaf(0.0) && leaf(0.0) > leaf(20.0));
+        assert!(leaf(-24.0) > leaf(0.0) && leaf(0.0) > leaf(24.0));
         // Half way between leaf and soil edges stay where they are, but for the corners.
         assert!((130..=140).contains(&leaf(0.0)), "{}", leaf(0.0));
     }
