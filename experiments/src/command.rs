@@ -7,7 +7,7 @@ use crate::{
     fail::Fail,
     keys, merge,
     plan::{Plan, Planned},
-    publish,
+    publish, sensitivity,
     spec::Spec,
     stage::{self, STAGES},
     submit::{self, Engine},
@@ -305,6 +305,10 @@ fn draw(spec: &Spec, result: &Path) -> Result<(), Fail> {
     publish::draw(spec, result, &result.join("figures"))?;
     let runs = Frame::read(&result.join("runs.csv"))?;
     publish::write_tests(spec, &runs, result)?;
+    if spec.sensitivity.is_some() {
+        let stage = stage::find(&spec.stage).map_err(Fail::Input)?;
+        sensitivity::write(&runs, &spec.kept(stage), &result.join("sensitivity.csv"))?;
+    }
     let tests = publish::tests_sentence(spec, &runs)?;
     if let Some(finding) = &spec.finding {
         say(&finding.fill(&runs).map_err(|e| Fail::Failed(format!("finding: {e}")))?);

@@ -2,13 +2,15 @@
 //!
 //! In a sentence, `{mean f1_5cm @ method=k-means, stage=mid}` is a number from the runs that have these
 //! labels (a label may have commas). `mean`, `median`, `min`, `max`, `ci` (mean with half its 95 % interval), `sum` take a metric;
-//! `best AXIS by METRIC` and `worst AXIS by METRIC` give the label with the highest or lowest mean. A
+//! `best AXIS by METRIC` and `worst AXIS by METRIC` give the label with the highest or lowest mean. From a
+//! sensitivity design, `first FACTOR of METRIC` and `total FACTOR of METRIC` are indices, `foremost of METRIC` is the
+//! factor with the greatest total index, `foremost of METRIC without FACTOR` that among the others. A
 //! claim puts two numbers in relation: `mean f1_5cm @ method=k-means < 0.9`, either side with a
 //! factor in front (`2 * mean ...`).
 
 use crate::{
     data::{Conditions, Frame, Summary, quantile},
-    keys,
+    keys, sensitivity,
 };
 use serde::{Deserialize, Serialize};
 
@@ -27,7 +29,7 @@ pub(crate) struct Finding {
 #[derive(Debug, PartialEq)]
 struct Query<'a> {
     how: &'a str,
-    /// The axis of `best` and `worst`.
+    /// The axis of `best` and `worst`, the factor of a sensitivity index.
     axis: &'a str,
     metric: &'a str,
     conditions: Conditions,
@@ -130,10 +132,13 @@ fn query(text: &str) -> Result<Query<'_>, String> {
     let (how, axis, metric) = match words[..] {
         [how @ ("mean" | "median" | "min" | "max" | "ci" | "sum"), metric] => (how, "", metric),
         [how @ ("best" | "worst"), axis, "by", metric] => (how, axis, metric),
+        [how @ ("first" | "total"), factor, "of", metric] => (how, factor, metric),
+        [how @ "foremost", "of", metric] => (how, "", metric),
+        [how @ "foremost", "of", metric, "without", factor] => (how, factor, metric),
         _ => {
             return Err(format!(
-                "{text:?}: expected mean, median, min, max, ci or sum with a metric, or best or worst \
-                 AXIS by METRIC"
+                "{text:?}: expected mean, median, min, max, ci or sum with a metric, best or worst AXIS by \
+                 METRIC, first or total FACTOR of METRIC, or foremost of METRIC"
             ));
         }
     };
@@ -154,6 +159,9 @@ fn query(text: &str) -> Result<Query<'_>, String> {
 }
 
 fn number(query: &Query<'_>, runs: &Frame) -> Result<f64, String> {
+    if let how @ ("first" | "total") = query.how {
+        return sensitivity::one(runs, query.metric, query.axis, how == "total");
+    }
     let mut values = runs.at(&query.conditions)?.numbers(query.metric)?;
     values.sort_by(f64::total_cmp);
     let summary = Summary::of(&values)
@@ -186,6 +194,7 @@ fn show(query: &Query<'_>, runs: &Frame) -> Result<String, String> {
                 .map(|(_, label)| label)
                 .ok_or_else(|| format!("{} has no value", query.metric))
         }
+        "foremost" => sensitivity::foremost(runs, query.metric, query.axis),
         "ci" => {
             let values = runs.at(&query.conditions)?.numbers(query.metric)?;
             let summary = Summary::of(&values).ok_or("there is no value")?;

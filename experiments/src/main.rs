@@ -35,6 +35,7 @@ mod row_model_masks;
 mod row_model_plots;
 mod row_model_time;
 mod segment_speed;
+mod sensitivity;
 mod spec;
 mod stage;
 mod stages;

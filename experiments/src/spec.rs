@@ -2,15 +2,16 @@
 //! and the finding that its numbers are to bear out.
 //!
 //! Axes multiply: a grid is several axes, a list is one axis of labelled levels, and a random sweep is an
-//! axis of drawn settings. `[small]` shrinks an experiment to what a laptop does in a minute; the rest of
+//! axis of drawn settings, as is a sensitivity design. `[small]` shrinks an experiment to what a laptop does in a minute; the rest of
 //! the file is the setting for a paper.
 
 use crate::{
     contrasts::Baseline,
     fail::Fail,
-    figures::Figure,
+    figures::{Figure, Look},
     findings::Finding,
     keys,
+    sensitivity::Sensitivity,
     stage::{self, Entry},
     streams::{Stream, stream},
     tables::TableSpec,
@@ -44,6 +45,9 @@ pub(crate) struct Spec {
     /// What is drawn at random.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) random: Option<Random>,
+    /// Which inputs' shares of the variance are asked for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) sensitivity: Option<Sensitivity>,
     /// The metrics to keep, in the order of their columns; none keeps all.
     #[serde(default)]
     pub(crate) metrics: Vec<String>,
@@ -116,6 +120,9 @@ pub(crate) struct Random {
 #[serde(deny_unknown_fields)]
 pub(crate) struct Draw {
     pub(crate) key: String,
+    /// In a sensitivity design, the factor that it belongs to; the key where nothing is said.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    factor: String,
     /// Uniform between two ends.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) uniform: Option<[f64; 2]>,
@@ -144,6 +151,9 @@ pub(crate) struct Small {
     /// Draws of the random sweep.
     #[serde(default)]
     pub(crate) random: Option<usize>,
+    /// Samples of the sensitivity design.
+    #[serde(default)]
+    pub(crate) samples: Option<usize>,
 }
 
 /// One setting: where it is on every axis, and all parameters.
@@ -194,6 +204,9 @@ impl Spec {
         if let (Some(random), Some(count)) = (&mut self.random, small.random) {
             random.count = count;
         }
+        if let (Some(sensitivity), Some(samples)) = (&mut self.sensitivity, small.samples) {
+            sensitivity.samples = samples;
+        }
         keys::merge(&mut self.base, &small.base);
         Ok(())
     }
@@ -213,9 +226,14 @@ impl Spec {
             }
         }
         let columns = self.columns()?;
-        let known: Vec<&str> = columns.iter().map(String::as_str).chain(["seed"]).collect();
+        let factors = self.sensitivity.as_ref().map(Sensitivity::factors);
+        let named = columns.iter().map(String::as_str).chain(["seed"]);
+        let known: Vec<&str> = named.chain(factors.iter().flatten().map(String::as_str)).collect();
         let kept = self.kept(entry);
         self.figures.iter().try_for_each(|figure| figure.check(&known, &kept))?;
+        if self.sensitivity.is_none() && self.figures.iter().any(|f| f.look == Look::Sensitivity) {
+            return Err("a figure of sensitivity needs [sensitivity]".to_owned());
+        }
         self.tables.iter().try_for_each(|table| table.check(&known, &kept))?;
         if let Some(finding) = &self.finding {
             finding.check(&known, &kept)?;
@@ -246,6 +264,9 @@ impl Spec {
         if let Some(random) = &self.random {
             columns.extend(random.draws.iter().map(|draw| draw.key.clone()));
         }
+        if let Some(sensitivity) = &self.sensitivity {
+            columns.extend(sensitivity.columns());
+        }
         let mut seen = BTreeSet::from(["cell", "seed", "status", "reason"].map(str::to_owned));
         for column in &columns {
             if column.is_empty() || !seen.insert(column.clone()) {
@@ -264,23 +285,25 @@ impl Spec {
         let mut cells = vec![Cell { at: Vec::new(), parameters: table }];
         for axis in &self.axes {
             let levels = axis.levels()?;
-            if cells.len().saturating_mul(levels.len()) > MOST_TASKS {
-                return Err(format!("more than {MOST_TASKS} cells"));
-            }
             cells = product(&cells, &levels, |cell, level| {
                 cell.at.push((axis.column().to_owned(), level.label.clone()));
             })
             .map_err(|e| format!("axis {}: {e}", axis.column()))?;
         }
-        if let Some(random) = &self.random {
-            let (labels, levels) = random.levels()?;
+        let drawn = match (&self.random, &self.sensitivity) {
+            (None, None) => None,
+            (Some(random), None) => Some(random.levels()?),
+            (None, Some(sensitivity)) if self.axes.is_empty() => Some(sensitivity.levels()?),
+            _ => return Err("sensitivity goes without axes and [random]".to_owned()),
+        };
+        if let Some((labels, levels)) = drawn {
             let mut number = 0;
             let count = levels.len().max(1);
             cells = product(&cells, &levels, |cell, _| {
                 cell.at.extend(labels[number % count].iter().cloned());
                 number += 1;
             })
-            .map_err(|e| format!("random: {e}"))?;
+            .map_err(|e| format!("draws: {e}"))?;
         }
         for cell in &cells {
             let place: Vec<String> = cell.at.iter().map(|(c, l)| format!("{c} = {l}")).collect();
@@ -320,7 +343,8 @@ impl Axis {
     }
 }
 
-type Labels = Vec<(String, String)>;
+/// Columns and labels of a cell.
+pub(crate) type Labels = Vec<(String, String)>;
 
 impl Random {
     fn levels(&self) -> Result<(Vec<Labels>, Vec<Level>), String> {
@@ -329,6 +353,9 @@ impl Random {
         for _ in 0..self.count {
             let mut set = Table::new();
             let mut label = Labels::new();
+            if let Some(draw) = self.draws.iter().find(|draw| !draw.factor.is_empty()) {
+                return Err(format!("random {}: a factor goes with [sensitivity]", draw.key));
+            }
             for draw in &self.draws {
                 // One number per key and draw, whatever its kind: changing one leaves the others.
                 let unit: f64 = rng.random();
@@ -347,7 +374,13 @@ impl Random {
 }
 
 impl Draw {
-    fn at(&self, unit: f64) -> Result<Value, String> {
+    /// The factor that it belongs to.
+    pub(crate) fn factor(&self) -> &str {
+        if self.factor.is_empty() { &self.key } else { &self.factor }
+    }
+
+    /// The value at a share from 0 to 1 of its range.
+    pub(crate) fn at(&self, unit: f64) -> Result<Value, String> {
         let ordered = |low: f64, high: f64| {
             let sound = low.is_finite() && high.is_finite() && low <= high;
             if sound { Ok(()) } else { Err(format!("[{low}, {high}] is not an interval")) }
@@ -384,7 +417,7 @@ fn single(key: &str, value: &Value) -> Level {
 }
 
 /// A value as a label: strings without quotes.
-fn text(value: &Value) -> String {
+pub(crate) fn text(value: &Value) -> String {
     value.as_str().map_or_else(|| value.to_string(), str::to_owned)
 }
 
@@ -393,6 +426,9 @@ fn product(
     levels: &[Level],
     mut label: impl FnMut(&mut Cell, &Level),
 ) -> Result<Vec<Cell>, String> {
+    if cells.len().saturating_mul(levels.len()) > MOST_TASKS {
+        return Err(format!("more than {MOST_TASKS} cells"));
+    }
     let mut found = Vec::with_capacity(cells.len() * levels.len());
     for cell in cells {
         for level in levels {

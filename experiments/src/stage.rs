@@ -135,6 +135,7 @@ pub(crate) const STAGES: &[Entry] = &[
     entry::<stages::orthomosaic::Orthomosaic>(),
     entry::<stages::adjust::Adjust>(),
     entry::<stages::bundle::BundleBlock>(),
+    entry::<stages::chain::Chain>(),
     entry::<stages::arena::Arena>(),
     entry::<stages::lens::LensFit>(),
     entry::<stages::leaves::LeafSlices>(),

@@ -14,15 +14,33 @@ pub(crate) enum Stream {
     Start = 1,
     /// The draws of a random sweep.
     Sweep = 2,
+    /// The error of a calibration.
+    Lens = 3,
+    /// The errors of surveyed control points.
+    Control = 4,
+    /// The errors of a satellite receiver.
+    Receiver = 5,
+    /// The seed of a field.
+    Field = 6,
+    /// The noise of the pixels of a map.
+    Pixels = 7,
+    /// The resamples of a bootstrap.
+    Bootstrap = 8,
 }
 
 /// The stream of a stage under a seed.
 pub(crate) fn stream(seed: u64, stream: Stream) -> ChaCha8Rng {
+    drawn(seed, 0, stream)
+}
+
+/// As [`stream`], for one of several draws under a seed.
+pub(crate) fn drawn(seed: u64, draw: u64, stream: Stream) -> ChaCha8Rng {
     let mut key = [0; 32];
     key[..8].copy_from_slice(&seed.to_le_bytes());
     key[8..16].copy_from_slice(&(stream as u64).to_le_bytes());
     // Apart from the generator's streams, which leave these bytes at 0.
     key[16..24].copy_from_slice(b"measured");
+    key[24..].copy_from_slice(&draw.to_le_bytes());
     ChaCha8Rng::from_seed(key)
 }
 
@@ -38,6 +56,7 @@ mod tests {
         assert_eq!(first(1, Stream::Start), first(1, Stream::Start));
         assert_ne!(first(1, Stream::Start), first(1, Stream::Sweep));
         assert_ne!(first(1, Stream::Start), first(2, Stream::Start));
+        assert_ne!(drawn(1, 1, Stream::Start).random::<u64>(), first(1, Stream::Start));
     }
 
     #[test]

@@ -9,6 +9,7 @@ mod export;
 mod maps;
 mod picture;
 mod scale;
+mod shares;
 mod spread;
 
 use crate::{
@@ -43,6 +44,8 @@ pub(crate) enum Look {
     Points,
     /// Arrows in the plane.
     Field,
+    /// First-order and total shares of the variance of `y` by factor, from a sensitivity design.
+    Sensitivity,
     /// A picture: a value, one or three channels, or the number of a colour for each pixel.
     Image,
 }
@@ -66,7 +69,8 @@ pub(crate) struct Figure {
     /// The column that tells the series apart.
     #[serde(default)]
     pub(crate) series: String,
-    /// What the key calls the labels of the series, where that is not the label itself.
+    /// What the key calls the labels of the series (or a figure of sensitivity its factors), where that is not the
+    /// label itself.
     #[serde(default)]
     pub(crate) names: BTreeMap<String, String>,
     /// The column of the small multiples.
@@ -200,6 +204,7 @@ impl Figure {
             Look::Surface => maps::surface(self, &frame, over.as_ref()),
             Look::Points => maps::points(self, &frame),
             Look::Field => maps::field(self, &frame),
+            Look::Sensitivity => shares::draw(self, &frame),
             Look::Image => picture::draw(self, &frame),
         };
         let Drawn { svg, numbers } = drawn.map_err(fail)?;

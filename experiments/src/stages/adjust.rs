@@ -55,11 +55,11 @@ pub(super) struct Estimate {
     /// Whether the lens starts without distortion (SMAC only).
     nominal_lens: bool,
     /// How many control points take part, at most.
-    control: usize,
+    pub(super) control: usize,
     /// Which of them.
     layout: Layout,
     /// Whether the receiver's positions take part.
-    gnss: bool,
+    pub(super) gnss: bool,
     /// Whether the rolling shutter is modelled, where there is one.
     model_shutter: bool,
     /// Robust loss of tie points: `trivial`, `huber:1.5`, ...
@@ -192,7 +192,7 @@ pub(super) fn check(twin: &TwinConfig, e: &Estimate) -> Result<(), String> {
     Ok(())
 }
 
-fn settings(e: &Estimate) -> Result<Settings, String> {
+pub(super) fn settings(e: &Estimate) -> Result<Settings, String> {
     Ok(Settings {
         tie_loss: e.tie_loss.parse()?,
         corrected_domain: e.corrected_domain,
@@ -286,7 +286,7 @@ fn camera(twin: &Twin, e: &Estimate) -> Result<Camera, String> {
 }
 
 /// A normal number from two uniform ones (Box and Muller).
-fn normal(rng: &mut ChaCha8Rng) -> f64 {
+pub(super) fn normal(rng: &mut ChaCha8Rng) -> f64 {
     let (a, b): (f64, f64) = (rng.random(), rng.random());
     (-2.0 * (1.0 - a).ln()).sqrt() * (std::f64::consts::TAU * b).cos()
 }
@@ -330,7 +330,8 @@ fn image(number: usize, shot: &Shot, e: &Estimate, rng: &mut ChaCha8Rng) -> Imag
     }
 }
 
-fn survey(twin: &Twin, e: &Estimate, seed: u64) -> Result<Reconstruction, String> {
+/// What is measured on a flight, with start values near the truth.
+pub(super) fn survey(twin: &Twin, e: &Estimate, seed: u64) -> Result<Reconstruction, String> {
     let config = &twin.config;
     let mut rng = stream(seed, Stream::Start);
     let mut survey = Reconstruction {

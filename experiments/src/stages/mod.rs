@@ -4,6 +4,8 @@ pub(crate) mod adjust;
 pub(crate) mod arena;
 mod arena_problems;
 pub(crate) mod bundle;
+pub(crate) mod chain;
+mod chain_map;
 mod contestants;
 pub(crate) mod cost_map;
 mod flat_block;
