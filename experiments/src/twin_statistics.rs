@@ -242,25 +242,25 @@ mod tests {
     fn squares_in_a_row_have_the_statistics_that_they_were_drawn_with() {
         let mut mask = Mask::empty(400, 100);
         let mut truth = Vec::new();
-        for row in 0..2 {
+        for row in 0..3 {
             for k in 0..18 {
-                // Site 9 is empty.
+                // Site 9 is empty, and there are no columns.
                 if k != 9 {
-                    let at = [20 + 20 * k, 30 + 40 * row];
+                    let at = [20 + 20 * k + 7 * row, 20 + 30 * row];
                     square(&mut mask, at, 2);
                     truth.push([at[0] as f64, at[1] as f64]);
                 }
             }
         }
-        // A weed between the rows: 25 of 34 * 25 + 25 pixels.
-        square(&mut mask, [110, 50], 2);
+        // A weed between the rows, as large as each of the 51 plants.
+        square(&mut mask, [110, 35], 2);
         let (set, photo) = (String::new(), String::new());
         let case = Case { set, photo, mask, posterior: None, truth, spacing_px: 20.0 };
         let found = of(&Ready::new(&case));
         let value = |name: &str| found[NAMES.iter().position(|n| n.0 == name).unwrap()].unwrap();
-        assert!((value("stray_mass") - 1.0 / 35.0).abs() < 1e-12, "{found:?}");
-        assert!((value("leaf_area") - 35.0 * 25.0 / 34.0 / 400.0).abs() < 1e-12);
-        assert!((value("missing") - 2.0 / 36.0).abs() < 1e-12, "{}", value("missing"));
+        assert!((value("stray_mass") - 1.0 / 52.0).abs() < 1e-12, "{found:?}");
+        assert!((value("leaf_area") - 52.0 * 25.0 / 51.0 / 400.0).abs() < 1e-12);
+        assert!((value("missing") - 3.0 / 54.0).abs() < 1e-12, "{}", value("missing"));
         assert!(value("jitter_along") < 1e-9 && value("jitter_across") < 1e-9);
         assert!(value("shared_mass") == 0.0 && value("bare_plants") == 0.0);
         // 25 pixels, 16 of them at the border.
