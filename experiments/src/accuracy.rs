@@ -75,7 +75,8 @@ pub(crate) fn run(folders: &Folders, every: usize) -> Result<(), Error> {
     Ok(())
 }
 
-fn sets(data: &Path) -> Result<Vec<(&'static str, Vec<Plot>)>, Error> {
+/// Every set of photos with a point per plant.
+pub(crate) fn sets(data: &Path) -> Result<Vec<(&'static str, Vec<Plot>)>, Error> {
     let root = data.join("maize_plots");
     let mut maize = plots::read(&root, "train.txt")?;
     maize.extend(plots::read(&root, "val.txt")?);
@@ -123,7 +124,7 @@ fn files(folder: &Path) -> Result<Vec<PathBuf>, FileError> {
 }
 
 /// The leaf mask and its posterior. A photo in which nothing can be told has an empty mask, and is judged by it.
-fn leaf_of(photo: &RgbImage) -> (Mask, Option<Vec<u8>>) {
+pub(crate) fn leaf_of(photo: &RgbImage) -> (Mask, Option<Vec<u8>>) {
     let empty = || Mask::empty(photo.width() as usize, photo.height() as usize);
     let found = vegetation::segment(photo, None, &vegetation::Options::default());
     found.map_or_else(|_| (empty(), None), |found| (found.mask, Some(found.posterior)))

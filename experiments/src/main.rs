@@ -29,6 +29,9 @@ mod parquet_file;
 mod plan;
 mod plots;
 mod publish;
+mod real_fields;
+mod real_locators;
+mod real_tables;
 mod relative;
 mod rivals;
 mod row_model_masks;
@@ -44,6 +47,7 @@ mod streams;
 mod submit;
 mod table;
 mod tables;
+mod twin_statistics;
 mod watershed;
 mod whole_field;
 mod work;
@@ -187,6 +191,11 @@ enum Experiment {
         #[arg(long, default_value_t = 1)]
         every: usize,
     },
+    /// The paper's locators, regular spacing and today's locator on every real data set and on synthetic fields.
+    Locators {
+        #[command(flatten)]
+        fields: real_fields::RealFields,
+    },
     /// The weights of the stand count, from masks of which every plant is known.
     FitStandCount(stand_count::FitStandCount),
     /// Speed and accuracy on one mask of a whole field.
@@ -228,6 +237,15 @@ fn main() -> ExitCode {
         }
         Experiment::Pages { out } => pages(&out),
         Experiment::Accuracy { folders, every } => accuracy::run(&folders, every.max(1)),
+        Experiment::Locators { fields } => {
+            return match real_fields::run(&fields) {
+                Ok(()) => ExitCode::SUCCESS,
+                Err(fail) => {
+                    complain(&fail);
+                    ExitCode::from(fail.exit_code())
+                }
+            };
+        }
         Experiment::FitStandCount(args) => stand_count::run(&args),
         Experiment::WholeField { folders } => whole_field::run(&folders),
     };

@@ -224,7 +224,7 @@ fn draw(
     scale::canvas(parts.len(), height, &names, |panel, area| {
         let mut builder = ChartBuilder::on(area);
         builder.margin(10).margin_right(24).y_label_area_size(if columns > 2 { 70 } else { 84 });
-        let rotated = labels.iter().map(String::len).sum::<usize>() > 40;
+        let rotated = labels.iter().map(String::len).sum::<usize>() > 46;
         builder.x_label_area_size(if rotated { 150 } else { 58 });
         if !parts[panel].0.is_empty() {
             builder.caption(&parts[panel].0, font(TITLE));

@@ -198,12 +198,23 @@ pub(super) fn points(figure: &Figure, frame: &Frame) -> Result<Drawn, String> {
     }
     let flat: Vec<Vec<f64>> = all.iter().flatten().flatten().cloned().collect();
     let (bounds, height) = bounds(&flat, parts.len())?;
-    let size = if flat.len() > 3000 { 1 } else { 2 };
+    let size = match flat.len() {
+        3001.. => 1,
+        FEW.. => 2,
+        _ => 4,
+    };
     let legend = figure.legend(&names);
     let svg = scale::canvas(parts.len(), height, &legend, |panel, area| {
         map!(figure, area, &parts[panel].0, bounds, chart, {
-            for (s, places) in all[panel].iter().enumerate() {
-                if s > 0 && places.len() < FEW {
+            // A few dots lie on the markers of the others, a crowd of them below.
+            let crowded = all[panel].first().is_some_and(|places| places.len() >= FEW);
+            let mut order: Vec<usize> = (0..names.len()).collect();
+            if !crowded {
+                order.rotate_left(1);
+            }
+            for s in order {
+                let places = &all[panel][s];
+                if (s > 0 || names.len() > 2) && places.len() < FEW {
                     places.iter().try_for_each(|p| marker(&mut chart, s, (p[0], p[1])))?;
                 } else {
                     let dot = |p: &Vec<f64>| Circle::new((p[0], p[1]), size, colour(s).filled());

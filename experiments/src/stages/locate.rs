@@ -1,7 +1,7 @@
 //! Plants from the mask of a synthetic field, by any variant of the locator.
 
 use crate::stage::{Measured, Metric, Stage, Trace, metric};
-use data_synth::scenario::Scenario;
+use data_synth::{field::FieldConfig, scenario::Scenario};
 use rowgram::{
     descent,
     phenotype::{
@@ -111,6 +111,7 @@ impl Stage for Locate {
         metric("cost_per_pixel", "final cost over the number of leaf pixels"),
         metric("sigma_m", "scale of the distances at the end"),
         metric("moved_m", "median distance of a true plant from the nearest found one"),
+        metric("f1_quarter", "F1 within a quarter of the spacing in the rows"),
     ];
     const SEEDED: &'static [&'static str] =
         &["scenario.field.seed", "descent.seed", "model.floor_px"];
@@ -156,7 +157,7 @@ impl Stage for Locate {
             let found = row_model::locate(&mask, &detection, count, &p.row_model);
             let found = found.map_err(|e| e.to_string())?;
             let places: Vec<[f64; 2]> = found.plants.iter().map(|s| s.position_px).collect();
-            judge(&mut measured, &places, &truth, gsd_m)?;
+            judge(&mut measured, &places, &truth, &scenario.field)?;
             if p.positions {
                 measured.traces.push(positions(&places, &truth));
             }
@@ -196,7 +197,7 @@ impl Stage for Locate {
         .map_err(|e| e.to_string())?;
         let located = setup.finish();
         let found: Vec<[f64; 2]> = located.plants.iter().map(|plant| plant.position_px).collect();
-        judge(&mut measured, &found, &truth, gsd_m)?;
+        judge(&mut measured, &found, &truth, &scenario.field)?;
         measured.put("sweeps", outcome.sweeps as f64);
         measured.put("cost_per_pixel", outcome.final_cost / pixels);
         measured.put("sigma_m", located.sigma_px * gsd_m);
@@ -214,9 +215,12 @@ fn judge(
     measured: &mut Measured,
     found: &[[f64; 2]],
     truth: &[[f64; 2]],
-    gsd_m: f64,
+    field: &FieldConfig,
 ) -> Result<(), String> {
+    let gsd_m = field.gsd_m;
     let radii_px = [0.05 / gsd_m, 0.10 / gsd_m];
+    let quarter = Score::new(found, truth, &[0.25 * field.spacing_m / gsd_m]);
+    measured.put_some("f1_quarter", quarter.map_err(|e| e.to_string())?.radii[0].f1);
     let score = Score::new(found, truth, &radii_px).map_err(|e| e.to_string())?;
     measured.put_some("f1_5cm", score.radii[0].f1);
     measured.put_some("f1_10cm", score.radii[1].f1);
