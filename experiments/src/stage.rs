@@ -136,6 +136,7 @@ pub(crate) const STAGES: &[Entry] = &[
     entry::<stages::adjust::Adjust>(),
     entry::<stages::bundle::BundleBlock>(),
     entry::<stages::arena::Arena>(),
+    entry::<stages::solvers::Solvers>(),
     entry::<stages::lens::LensFit>(),
     entry::<stages::leaves::LeafSlices>(),
     entry::<stages::two_view::TwoView>(),

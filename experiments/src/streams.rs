@@ -14,6 +14,8 @@ pub(crate) enum Stream {
     Start = 1,
     /// The draws of a random sweep.
     Sweep = 2,
+    /// The instance of a problem for solvers.
+    Instance = 3,
 }
 
 /// The stream of a stage under a seed.
