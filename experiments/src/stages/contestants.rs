@@ -180,8 +180,7 @@ where
             .run()
             .map(drop),
         Contestant::Steihaug => {
-            let inner: Steihaug<Vec<f64>, f64> =
-                Steihaug::new().with_max_iters(max_products);
+            let inner: Steihaug<Vec<f64>, f64> = Steihaug::new().with_max_iters(max_products);
             let solver = TrustRegion::<_, f64>::new(inner)
                 .with_max_radius(1e6)
                 .map_err(|e| e.to_string())?;
