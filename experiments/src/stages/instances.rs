@@ -312,7 +312,7 @@ fn calibration(ranges: &Ranges, draws: &mut Draws, seed: u64) -> Result<Instance
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
 
     /// Small ones, for tests.
@@ -326,12 +326,15 @@ mod tests {
     }
 
     #[test]
-    fn the_true_place_explains_the_measurements_of_a_calibration() {
-        for seed in 1..9 {
-            let found = Instance::draw(Family::Calibration, &small(), seed).unwrap();
-            let start = found.cost(&found.charted.problem.start()).unwrap();
-            let hint = found.cost(&found.hints[0]).unwrap();
-            assert!(hint < start, "seed {seed}: {hint} {start}");
+    fn the_start_and_the_hints_can_be_evaluated() {
+        for family in [Family::Bundle, Family::Calibration, Family::Plant, Family::Leaf] {
+            for seed in 1..7 {
+                let found = Instance::draw(family, &small(), seed).unwrap();
+                for x in found.hints.iter().chain([&found.problem().start()]) {
+                    let cost = found.cost(x).unwrap();
+                    assert!(cost.is_finite() && cost > 0.0, "{family:?} {seed}: {cost}");
+                }
+            }
         }
     }
 
@@ -340,7 +343,7 @@ mod tests {
         for family in [Family::Bundle, Family::Calibration, Family::Plant, Family::Leaf] {
             let start = |seed| {
                 let found = Instance::draw(family, &small(), seed).unwrap();
-                (found.charted.problem.start(), found.charted.problem.residual_count())
+                (found.problem().start(), found.problem().residual_count())
             };
             assert_eq!(start(3), start(3), "{family:?}");
             assert_ne!(start(3), start(4), "{family:?}");

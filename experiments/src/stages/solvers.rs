@@ -408,7 +408,8 @@ fn flat(
 
 #[cfg(test)]
 mod tests {
-    use super::{super::instances::tests::small, *};
+    use super::*;
+    use crate::stages::instances::tests::small;
 
     const FAMILIES: [Family; 4] =
         [Family::Bundle, Family::Calibration, Family::Plant, Family::Leaf];
@@ -455,7 +456,8 @@ mod tests {
     #[test]
     fn what_does_not_apply_says_so_and_measures_nothing() {
         let found = Solvers::run(&parameters(Family::Bundle, Solver::Clarabel), 1).unwrap();
-        assert_eq!(found.values, ["applies", "counted"].map(|name| (name.to_owned(), 0.0)).into());
+        let neither = ["applies", "counted"].map(|name| (name.to_owned(), 0.0));
+        assert_eq!(found.values, BTreeMap::from(neither));
         let found = Solvers::run(&parameters(Family::Plant, Solver::Clarabel), 1).unwrap();
         assert_eq!((found.values["applies"], found.values["solved_1e6"]), (1.0, 1.0));
     }
