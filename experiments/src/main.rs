@@ -8,6 +8,7 @@
 //! and `NAME.md` (the table of means).
 
 mod accuracy;
+mod arena_peers;
 mod command;
 mod compare;
 mod contrasts;
@@ -196,6 +197,8 @@ enum Experiment {
         #[command(flatten)]
         fields: real_fields::RealFields,
     },
+    ArenaExport(arena_peers::Export),
+    ArenaRace(arena_peers::Race),
     /// The weights of the stand count, from masks of which every plant is known.
     FitStandCount(stand_count::FitStandCount),
     /// Speed and accuracy on one mask of a whole field.
@@ -207,15 +210,9 @@ enum Experiment {
 
 fn main() -> ExitCode {
     let done = match Cli::parse().experiment {
-        Experiment::Spec(command) => {
-            return match command.run() {
-                Ok(()) => ExitCode::SUCCESS,
-                Err(fail) => {
-                    complain(&fail);
-                    ExitCode::from(fail.exit_code())
-                }
-            };
-        }
+        Experiment::Spec(command) => return ended(command.run()),
+        Experiment::ArenaExport(args) => return ended(args.run()),
+        Experiment::ArenaRace(args) => return ended(args.run()),
         Experiment::LocateMasks { folders, masks } => locate::run(&folders, masks),
         Experiment::LocatePlots { folders } => plots::run(&folders),
         Experiment::Locate { folders } => {
@@ -254,6 +251,16 @@ fn main() -> ExitCode {
         Err(error) => {
             complain(&error);
             ExitCode::from(error.kind().exit_code())
+        }
+    }
+}
+
+fn ended(done: Result<(), fail::Fail>) -> ExitCode {
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(fail) => {
+            complain(&fail);
+            ExitCode::from(fail.exit_code())
         }
     }
 }

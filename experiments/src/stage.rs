@@ -137,6 +137,7 @@ pub(crate) const STAGES: &[Entry] = &[
     entry::<stages::bundle::BundleBlock>(),
     entry::<stages::chain::Chain>(),
     entry::<stages::arena::Arena>(),
+    entry::<stages::solvers::Solvers>(),
     entry::<stages::lens::LensFit>(),
     entry::<stages::leaves::LeafSlices>(),
     entry::<stages::two_view::TwoView>(),

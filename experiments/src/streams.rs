@@ -14,8 +14,8 @@ pub(crate) enum Stream {
     Start = 1,
     /// The draws of a random sweep.
     Sweep = 2,
-    /// The error of a calibration.
-    Lens = 3,
+    /// What a stage draws of its input before anything else: the error of a lens, the instance of a problem.
+    Input = 3,
     /// The errors of surveyed control points.
     Control = 4,
     /// The errors of a satellite receiver.

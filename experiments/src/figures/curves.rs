@@ -1,7 +1,7 @@
 //! Means over a number or over labels, convergence curves, performance profiles.
 
 use super::{
-    Drawn, Figure, panels,
+    Drawn, Figure, panels, profile,
     scale::{self, Area, Done, LABEL, TITLE, colour, extent, font, light, placed, tick},
 };
 use crate::data::{Frame, Summary};
@@ -76,7 +76,7 @@ pub(super) fn means(figure: &Figure, frame: &Frame, bars: bool) -> Result<Drawn,
     }
     let joined = if named { Joined::Whisker } else { Joined::Band };
     let svg = draw(figure, &parts, &all, &labels, joined, &figure.x_text(), &figure.y_text())?;
-    Ok(Drawn { svg, numbers })
+    Ok(Drawn { svg, numbers, summary: Vec::new() })
 }
 
 fn header(figure: &Figure, more: &[&str]) -> Vec<String> {
@@ -121,58 +121,42 @@ pub(super) fn convergence(figure: &Figure, frame: &Frame) -> Result<Drawn, Strin
         all.push(drawn);
     }
     let svg = draw(figure, &parts, &all, &[], Joined::Line, &figure.x_text(), &figure.y_text())?;
-    Ok(Drawn { svg, numbers })
+    Ok(Drawn { svg, numbers, summary: Vec::new() })
 }
 
-/// For solver `s` and problem `p` with the measure `m`, the share of problems with
-/// `m(s, p) <= tau min_s m(s, p)`, over `tau`. A run that failed or has no value is never within.
-///
-/// Reference: E. D. Dolan and J. J. More, "Benchmarking optimization software with performance
-/// profiles", Mathematical Programming 91, 2002.
+/// The share of problems within a factor of the best, over the factor.
 pub(super) fn profile(figure: &Figure, frame: &Frame) -> Result<Drawn, String> {
     let solvers = frame.labels(&figure.series)?;
     let parts = panels(figure, frame)?;
     let mut numbers =
         vec![vec!["panel".to_owned(), "series".to_owned(), "tau".to_owned(), "share".to_owned()]];
+    let heads = ["panel", "series", "problems", "solved", "best", "within_2", "median_ratio"];
+    let mut summary = vec![heads.map(str::to_owned).to_vec()];
     let mut all = Vec::new();
     let mut farthest: f64 = 2.0;
     let mut curves = Vec::new();
     for (title, rows) in &parts {
-        let (problem, seed) = (rows.column(&figure.x)?, rows.column("seed")?);
-        let (solver, measure) = (rows.column(&figure.series)?, rows.column(&figure.y)?);
-        let mut problems: Vec<(String, String)> = Vec::new();
-        let mut measured: Vec<Vec<f64>> = Vec::new();
-        for row in &rows.rows {
-            let key = (row[problem].clone(), row[seed].clone());
-            let place = problems.iter().position(|other| *other == key).unwrap_or_else(|| {
-                problems.push(key);
-                measured.push(vec![f64::INFINITY; solvers.len()]);
-                problems.len() - 1
-            });
-            let s = solvers.iter().position(|name| *name == row[solver]).unwrap_or(0);
-            measured[place][s] = row[measure].parse().unwrap_or(f64::INFINITY);
-        }
-        let ratios: Vec<Vec<f64>> = measured
-            .iter()
-            .map(|values| {
-                let best =
-                    values.iter().copied().fold(f64::INFINITY, f64::min).max(f64::MIN_POSITIVE);
-                values.iter().map(|value| value / best).collect()
-            })
-            .collect();
+        let found = profile::profiles(rows, &figure.x, &figure.series, &figure.y, &solvers)?;
         let mut mine = Vec::new();
-        for (s, name) in solvers.iter().enumerate() {
-            let mut steps: Vec<f64> =
-                ratios.iter().map(|r| r[s]).filter(|r| r.is_finite()).collect();
-            steps.sort_by(f64::total_cmp);
-            farthest = steps.last().map_or(farthest, |&last| farthest.max(last));
-            let count = problems.len().max(1) as f64;
-            let shares: Vec<(f64, f64)> =
-                steps.iter().enumerate().map(|(k, &tau)| (tau, (k + 1) as f64 / count)).collect();
+        for (name, of) in solvers.iter().zip(found) {
+            farthest = of.ratios.last().map_or(farthest, |&last| farthest.max(last));
+            let count = of.problems.max(1) as f64;
+            let shares: Vec<(f64, f64)> = of
+                .ratios
+                .iter()
+                .enumerate()
+                .map(|(k, &tau)| (tau, (k + 1) as f64 / count))
+                .collect();
             for (tau, share) in &shares {
                 numbers.push(vec![title.clone(), name.clone(), tau.to_string(), share.to_string()]);
             }
-            mine.push((name.clone(), shares));
+            if of.problems > 0 {
+                let mut row = vec![title.clone(), name.clone(), of.problems.to_string()];
+                row.extend([f64::MAX, 1.0, 2.0].map(|tau| format!("{:.2}", of.share(tau))));
+                row.push(of.median().map_or(String::new(), |ratio| format!("{ratio:.2}")));
+                summary.push(row);
+            }
+            mine.push((name.clone(), of.problems, shares));
         }
         curves.push(mine);
     }
@@ -180,7 +164,10 @@ pub(super) fn profile(figure: &Figure, frame: &Frame) -> Result<Drawn, String> {
     for mine in curves {
         let drawn: Vec<Series> = mine
             .into_iter()
-            .map(|(name, shares)| {
+            .map(|(name, problems, shares)| {
+                if problems == 0 {
+                    return (name, Vec::new());
+                }
                 let mut points = vec![(0.0, 0.0)];
                 for (tau, share) in shares {
                     let (_, before) = points[points.len() - 1];
@@ -196,7 +183,7 @@ pub(super) fn profile(figure: &Figure, frame: &Frame) -> Result<Drawn, String> {
     }
     let x_text = format!("log2 of the factor of the best, {}", figure.y_text());
     let svg = draw(figure, &parts, &all, &[], Joined::Step, &x_text, "share of problems")?;
-    Ok(Drawn { svg, numbers })
+    Ok(Drawn { svg, numbers, summary })
 }
 
 fn draw(

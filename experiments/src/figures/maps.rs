@@ -170,7 +170,7 @@ pub(super) fn surface(
             )?;
         })
     })?;
-    Ok(Drawn { svg, numbers })
+    Ok(Drawn { svg, numbers, summary: Vec::new() })
 }
 
 /// Fewer points than this have the marker of their series.
@@ -223,7 +223,7 @@ pub(super) fn points(figure: &Figure, frame: &Frame) -> Result<Drawn, String> {
             }
         })
     })?;
-    Ok(Drawn { svg, numbers })
+    Ok(Drawn { svg, numbers, summary: Vec::new() })
 }
 
 /// Arrows from where something was measured, as many times longer than life as `magnify` says.
@@ -265,5 +265,5 @@ pub(super) fn field(figure: &Figure, frame: &Frame) -> Result<Drawn, String> {
             chart.draw_series(all[panel].iter().map(foot))?;
         })
     })?;
-    Ok(Drawn { svg, numbers })
+    Ok(Drawn { svg, numbers, summary: Vec::new() })
 }

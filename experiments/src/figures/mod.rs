@@ -8,6 +8,7 @@ mod curves;
 mod export;
 mod maps;
 mod picture;
+mod profile;
 mod scale;
 mod shares;
 mod spread;
@@ -111,6 +112,9 @@ pub(crate) struct Figure {
     pub(crate) x_label: String,
     #[serde(default)]
     pub(crate) y_label: String,
+    /// For a profile, the metric that is 0 where a solver does not apply to a problem.
+    #[serde(default)]
+    pub(crate) applies: String,
     /// Which rows.
     #[serde(default, rename = "where")]
     pub(crate) conditions: Conditions,
@@ -151,6 +155,9 @@ impl Figure {
                     return Err(place(keys::unknown("column", column, both())));
                 }
             }
+        }
+        if !self.applies.is_empty() && !metrics.contains(&self.applies.as_str()) {
+            return Err(place(keys::unknown("metric", &self.applies, metrics.iter().copied())));
         }
         if self.look == Look::Field && self.arrow.len() != 2 {
             return Err(place("a field needs the two columns of its arrows".to_owned()));
@@ -193,6 +200,11 @@ impl Figure {
             }
         };
         let frame = table(&self.from)?.at(&self.conditions).map_err(fail)?;
+        let frame = if self.applies.is_empty() {
+            frame
+        } else {
+            profile::applicable(&frame, &table("runs")?, &self.applies).map_err(fail)?
+        };
         let over = if self.over.is_empty() { None } else { Some(table(&self.over)?) };
         let drawn = match self.look {
             Look::Curve => curves::means(self, &frame, false),
@@ -207,13 +219,18 @@ impl Figure {
             Look::Sensitivity => shares::draw(self, &frame),
             Look::Image => picture::draw(self, &frame),
         };
-        let Drawn { svg, numbers } = drawn.map_err(fail)?;
+        let Drawn { svg, numbers, summary } = drawn.map_err(fail)?;
         export::write(out, &self.name, &svg)?;
-        output::write(&out.join(format!("{}.csv", self.name)), true, |file| {
-            let mut writer = csv::Writer::from_writer(file);
-            numbers.iter().try_for_each(|row| writer.write_record(row))?;
-            writer.flush()
-        })?;
+        for (end, rows) in [("", numbers), ("-summary", summary)] {
+            if rows.is_empty() {
+                continue;
+            }
+            output::write(&out.join(format!("{}{end}.csv", self.name)), true, |file| {
+                let mut writer = csv::Writer::from_writer(file);
+                rows.iter().try_for_each(|row| writer.write_record(row))?;
+                writer.flush()
+            })?;
+        }
         // What is drawn for one column keeps its letters there; small multiples go across both.
         let (place, width) = if scale::is_one_column(&svg) {
             ("figure", "\\columnwidth")
@@ -255,6 +272,8 @@ fn plain(column: &str) -> String {
 struct Drawn {
     svg: String,
     numbers: Vec<Vec<String>>,
+    /// Of a profile, what it comes to for each series.
+    summary: Vec<Vec<String>>,
 }
 
 /// The labels of the panels with their rows.

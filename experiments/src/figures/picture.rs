@@ -84,7 +84,7 @@ pub(super) fn draw(figure: &Figure, frame: &Frame) -> Result<Drawn, String> {
         format!("{}: {} (dark) to {} (bright)", plain(&figure.value), short(low), short(high))
     });
     let svg = frames(figure, &grids, key.as_deref())?;
-    Ok(Drawn { svg, numbers })
+    Ok(Drawn { svg, numbers, summary: Vec::new() })
 }
 
 /// Most pixels along a side.

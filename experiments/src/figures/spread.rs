@@ -108,7 +108,7 @@ pub(super) fn draw(figure: &Figure, frame: &Frame, violin: bool) -> Result<Drawn
         }
         Ok(())
     })?;
-    Ok(Drawn { svg, numbers })
+    Ok(Drawn { svg, numbers, summary: Vec::new() })
 }
 
 /// A closed curve around a Gaussian kernel density (Silverman's width), cut at the extremes.

@@ -5,17 +5,17 @@
 
 use super::{
     contestants::{self, Contestant},
-    flat_block::FlatBlock,
+    flat_problem::{Chart, Charted, FlatProblem, Limits, Weighing},
 };
 use crate::stage::{Measured, Metric, Stage, Trace, metric};
 use data_synth::block::{Block, BlockConfig, ForwardCamera};
 use rowgram::{
     engine::{Engine, Termination},
     nlls::{LeastSquares, Loss, Options, Problem},
-    problems::bundle::{Bundle, Camera, InteriorSharing, Network, Observation},
+    problems::bundle::{Bundle, Camera, InteriorSharing, Network, Observation, TIE_POINTS},
 };
 use serde::{Deserialize, Serialize};
-use std::time::Instant;
+use std::{sync::Arc, time::Instant};
 
 /// Who adjusts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -118,50 +118,37 @@ impl Stage for BundleBlock {
     fn run(p: &Parameters, seed: u64) -> Result<Measured, String> {
         let block = Block::fly(&config(p, seed)).map_err(|e| e.to_string())?;
         let loss: Loss = p.loss.parse()?;
-        let network = |cameras: &[[f64; 9]], points: &[[f64; 3]]| Network {
-            cameras: cameras.iter().map(camera).collect(),
-            points: points.to_vec(),
-            observations: block
-                .observations
-                .iter()
-                .map(|o| Observation {
-                    camera: o.camera as u32,
-                    point: o.point as u32,
-                    image_px: o.measured_px,
-                })
-                .collect(),
-        };
         let pose =
             |network: &Network| Bundle::new(network, p.interior, loss).map_err(|e| e.to_string());
-        let truth = pose(&network(&block.cameras_true, &block.points_true))?;
+        let truth = pose(&network(&block, &block.cameras_true, &block.points_true))?;
         let mut x = truth.problem.start();
         let (best, _) = descend(&truth.problem, &mut x, &Options::default(), 200, |_, _, _| ())?;
-        let mut adjusted = network(&block.cameras_start, &block.points_start);
+        let mut adjusted = network(&block, &block.cameras_start, &block.points_start);
         let bundle = pose(&adjusted)?;
         let mut measured = Measured::default();
         let mut trace = Trace::new("iterations", &["iteration", "passes", "cost_excess"]);
         let cost = match p.solver.contestant() {
             None => adjust(p, &bundle, best, &mut adjusted, &mut measured, &mut trace)?,
             Some(who) => {
-                let flat = FlatBlock::new(
-                    pose(&adjusted)?,
-                    adjusted.cameras.len(),
-                    adjusted.points.len(),
-                    SOLVED * best,
-                )?;
+                let problem = pose(&adjusted)?.problem;
+                let charted = charted(problem, adjusted.cameras.len(), loss);
+                let flat = FlatProblem::new(Arc::new(charted), Limits::NONE)?;
                 let ended = contestants::race(who, flat.clone(), flat.origin(), p.max_iterations);
                 let noted = flat.noted.lock().map_err(|_| "a solver failed".to_owned())?;
                 // Solvers that give up with an error have come as far as they have.
                 if let (Err(error), true) = (ended, noted.passes == 0.0) {
                     return Err(error);
                 }
-                measured.put_some("passes", noted.solved.map(|(passes, _)| passes));
-                if let Some((_, seconds)) = noted.solved {
-                    measured.seconds.insert(TO_SOLVE.to_owned(), seconds);
+                let solved = noted.log.iter().find(|[_, cost, _]| *cost <= SOLVED * best);
+                measured.put_some("passes", solved.map(|[passes, _, _]| *passes));
+                if let Some([_, _, seconds]) = solved {
+                    measured.seconds.insert(TO_SOLVE.to_owned(), *seconds);
                 }
                 let rows = noted.log.iter().enumerate();
                 trace.rows.extend(
-                    rows.map(|(k, [passes, cost])| vec![k as f64, *passes, (cost - best) / best]),
+                    rows.map(|(k, [passes, cost, _])| {
+                        vec![k as f64, *passes, (cost - best) / best]
+                    }),
                 );
                 bundle.update(&noted.best, &mut adjusted);
                 noted.lowest
@@ -186,6 +173,27 @@ fn config(p: &Parameters, seed: u64) -> BlockConfig {
     block.start.centre_m *= p.start_scale;
     block.start.point_m *= p.start_scale;
     block
+}
+
+/// The block as one vector: cameras with their lenses first, then the points.
+pub(super) fn charted(problem: Problem, cameras: usize, loss: Loss) -> Charted {
+    let points = problem.block_count() - cameras;
+    let charts = [vec![Chart::Pose(3); cameras], vec![Chart::Plain(3); points]].concat();
+    Charted { problem, charts, batches: vec![(TIE_POINTS, Weighing::Robust(loss))] }
+}
+
+/// The network of a block from these cameras and points.
+pub(super) fn network(block: &Block, cameras: &[[f64; 9]], points: &[[f64; 3]]) -> Network {
+    let observations = block.observations.iter().map(|o| Observation {
+        camera: o.camera as u32,
+        point: o.point as u32,
+        image_px: o.measured_px,
+    });
+    Network {
+        cameras: cameras.iter().map(camera).collect(),
+        points: points.to_vec(),
+        observations: observations.collect(),
+    }
 }
 
 fn camera(values: &[f64; 9]) -> Camera {
@@ -227,7 +235,7 @@ fn adjust(
 
 /// Runs the engine and shows every trial, its cost and its products with the reduced system; the last cost and the
 /// number of trials.
-fn descend(
+pub(crate) fn descend(
     problem: &Problem,
     x: &mut Vec<f64>,
     options: &Options,

@@ -164,7 +164,7 @@ fn receive(
 /// A lens that differs from the true one by so much, root mean square over the photo: principal distance,
 /// principal point, radial and decentring terms, each with as much at a corner, times a normal number.
 fn misfit(lens: &Interior, rms_px: f64, seed: u64, draw: u32) -> Result<Interior, String> {
-    let mut rng = drawn(seed, draw.into(), Stream::Lens);
+    let mut rng = drawn(seed, draw.into(), Stream::Input);
     let [width, height] = lens.size_px().map(f64::from);
     let corner = 0.5 * width.hypot(height);
     let c = lens.principal_distance_px();

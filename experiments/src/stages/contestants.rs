@@ -59,6 +59,22 @@ impl Rows {
     }
 }
 
+impl GaussNewtonHessian {
+    /// The rows of `J` with their zeros, over so many columns.
+    pub(super) fn jacobian(&self, columns: usize) -> Dense {
+        let rows = &self.0;
+        let mut entries = DMatrix::zeros(rows.ends.len(), columns);
+        let mut begin = 0;
+        for (row, &end) in rows.ends.iter().enumerate() {
+            for k in begin..end {
+                entries[(row, rows.columns[k])] += rows.values[k];
+            }
+            begin = end;
+        }
+        Dense(entries)
+    }
+}
+
 impl From<Rows> for GaussNewtonHessian {
     fn from(rows: Rows) -> GaussNewtonHessian {
         GaussNewtonHessian(Arc::new(rows))
@@ -114,12 +130,30 @@ fn told(error: Error) -> String {
     error.to_string()
 }
 
-/// Runs a contestant; what it finds is what `problem` noted when it was asked.
+/// Runs a contestant; what it finds is what `problem` noted when it was asked. Conjugate gradients inside
+/// a step may make twice as many products as there are parameters.
 pub(super) fn race<P>(
     contestant: Contestant,
     problem: P,
     start: Vec<f64>,
     max_iterations: u64,
+) -> Result<(), String>
+where
+    P: CostFunction<Param = Vec<f64>, Output = f64>
+        + Gradient<Param = Vec<f64>, Gradient = Vec<f64>>
+        + Hessian<Param = Vec<f64>, Hessian = GaussNewtonHessian>,
+{
+    let products = 2 * start.len() as u64;
+    race_within(contestant, problem, start, max_iterations, products)
+}
+
+/// As [`race`], with so many products inside a step at most.
+pub(super) fn race_within<P>(
+    contestant: Contestant,
+    problem: P,
+    start: Vec<f64>,
+    max_iterations: u64,
+    max_products: u64,
 ) -> Result<(), String>
 where
     P: CostFunction<Param = Vec<f64>, Output = f64>
@@ -146,8 +180,7 @@ where
             .run()
             .map(drop),
         Contestant::Steihaug => {
-            let inner: Steihaug<Vec<f64>, f64> =
-                Steihaug::new().with_max_iters(2 * start.len() as u64);
+            let inner: Steihaug<Vec<f64>, f64> = Steihaug::new().with_max_iters(max_products);
             let solver = TrustRegion::<_, f64>::new(inner)
                 .with_max_radius(1e6)
                 .map_err(|e| e.to_string())?;
@@ -207,7 +240,9 @@ mod tests {
         }
         let x = vec![0.7, -2.0];
         let expected = j.transpose() * &j * nalgebra::DVector::from_column_slice(&x);
-        let found = GaussNewtonHessian::from(rows).dot(&x);
+        let hessian = GaussNewtonHessian::from(rows);
+        assert_eq!(hessian.jacobian(2).0, j);
+        let found = hessian.dot(&x);
         for k in 0..2 {
             assert!((found[k] - expected[k]).abs() < 1e-14, "{found:?} {expected}");
         }
