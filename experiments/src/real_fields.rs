@@ -95,7 +95,7 @@ pub(crate) fn run(asked: &RealFields) -> Result<(), Fail> {
     let (mut rows, mut described, mut scores) = (Vec::new(), Vec::new(), Vec::new());
     for set in &sets {
         let step = set.cases.len().div_ceil(MOST_FOR_CHOICE).max(1);
-        let done: Vec<(Vec<Row>, Described, Vec<(usize, usize, f64)>)> = set
+        let done: Vec<Looked> = set
             .cases
             .par_iter()
             .enumerate()
@@ -133,12 +133,11 @@ pub(crate) fn run(asked: &RealFields) -> Result<(), Fail> {
     real_tables::write(&asked.out, &rows, &described)
 }
 
+/// Rows of the table, statistics, and scores of choices: place in [`CHOSEN`], number of the candidate, F1.
+type Looked = (Vec<Row>, Described, Vec<(usize, usize, f64)>);
+
 /// Everything without a choice, the statistics, and the scores of all choices where this photo decides any.
-fn look(
-    case: &Case,
-    real: bool,
-    decides: bool,
-) -> Result<(Vec<Row>, Described, Vec<(usize, usize, f64)>), Error> {
+fn look(case: &Case, real: bool, decides: bool) -> Result<Looked, Error> {
     let ready = Ready::new(case);
     let rows = LOCATORS
         .into_iter()

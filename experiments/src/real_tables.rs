@@ -13,8 +13,11 @@ use crate::{
 use rowgram::io::output;
 use std::path::Path;
 
+/// Whether a set of this name is among those that are joined.
+type IsMember = fn(&str) -> bool;
+
 /// Real sets that are joined, each of them counting once.
-const JOINED: [(&str, fn(&str) -> bool); 2] = [("all real sets", |_| true), (ROWS, is_maize)];
+const JOINED: [(&str, IsMember); 2] = [("all real sets", |_| true), (ROWS, is_maize)];
 /// The sets of a crop in rows that photos show over several plants.
 const ROWS: &str = "maize in rows";
 

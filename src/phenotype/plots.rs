@@ -275,14 +275,17 @@ fn add_heights(found: &mut PlotTraits, canopy: Option<CanopyHeights>) {
     put(found, "canopy_volume_m3", canopy.volume_m3.and_then(|of| of.sd));
 }
 
+/// One of the indices.
+type Index = fn(&ColourIndices) -> Option<f64>;
+
 fn add_colours(found: &mut PlotTraits, colours: Option<&ColourParts>) {
     let Some(colours) = colours else { return };
     let Some(indices) = colours.sum(None).indices() else { return };
-    let sd = |value: fn(&ColourIndices) -> Option<f64>| {
+    let sd = |value: Index| {
         let without = |part: usize| value(&colours.sum(Some(part)).indices()?);
         jackknife(|part| colours.0[part].pixels > 0, without)
     };
-    let all: [(&str, fn(&ColourIndices) -> Option<f64>); 6] = [
+    let all: [(&str, Index); 6] = [
         ("exg", |of| Some(of.exg)),
         ("gli", |of| Some(of.gli)),
         ("ngrdi", |of| of.ngrdi),

@@ -78,5 +78,5 @@ pub(super) fn draw(figure: &Figure, frame: &Frame) -> Result<Drawn, String> {
         }
         Ok(())
     })?;
-    Ok(Drawn { svg, numbers })
+    Ok(Drawn { svg, numbers, summary: Vec::new() })
 }

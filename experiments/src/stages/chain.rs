@@ -118,7 +118,8 @@ impl Stage for Chain {
         if !sizes.iter().chain(&map).all(|size| size.is_finite() && *size >= 0.0) {
             return Err("errors and map: expected numbers of 0 or more".to_owned());
         }
-        if !(e.threshold_grey.abs() < 0.5 * p.map.contrast_grey) {
+        let within = (0.0..0.5 * p.map.contrast_grey).contains(&e.threshold_grey.abs());
+        if !within {
             return Err("errors.threshold_grey: expected less than half the contrast".to_owned());
         }
         if !(1..=p.twin.field.rows).contains(&p.plot_rows) {

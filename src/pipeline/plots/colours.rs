@@ -31,8 +31,10 @@ pub(super) fn of_leaves<'a>(
     if !source.is_photo() || source.size() != (mask.width, mask.height) {
         return Ok(None);
     }
-    let (runs, parts): (Vec<Vec<(usize, Range<usize>)>>, Vec<Parts>) =
-        areas.map(|area| (area.runs(mask.width, mask.height), Parts::of(area))).unzip();
+    let areas: Vec<&Polygon> = areas.collect();
+    let runs: Vec<Vec<(usize, Range<usize>)>> =
+        areas.iter().map(|area| area.runs(mask.width, mask.height)).collect();
+    let parts: Vec<Parts> = areas.iter().map(|area| Parts::of(area)).collect();
     let mut sums = vec![ColourParts::default(); runs.len()];
     let mut missing = vec![0; runs.len()];
     for first in (0..mask.height).step_by(BAND_ROWS) {
