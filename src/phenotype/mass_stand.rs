@@ -5,20 +5,24 @@
 //! looked for twice: in the leaf mask, and in the plants, where a thin plant counts as much as a thick one; the rows that
 //! hold more of the plants than chance does are taken.
 //!
+//! Where there are rows, components whose plants all grow between them are weeds, more probably than not ([`row_membership`](super::row_membership)):
+//! they are left out, and everything is done again without them.
+//!
 //! What carries over to the row model is the share of the rows that is covered by leaf ([`is_closed`]): the mass of a
 //! component tells the number of its plants as long as there is soil between components.
 
 use super::{
     isolated_plants::{covered_share, median},
-    plant_mass::{Parts, Plant},
+    plant_mass::{MassCount, Parts, Plant},
     plant_spacing::Spacing,
+    row_membership::{self, RowMembership},
     row_parts::is_alley,
     rows::{self, Detection, Row, Rows},
     stand::{BETWEEN, Gap, LEAST_MISSING, LeafMass, Stalk, Stand},
 };
 use crate::{
     problems::plants::{index::PixelIndex, lines::Axes},
-    raster::Mask,
+    raster::{Mask, components},
 };
 
 /// The smallest components with this share of the leaf mass are left out when the covered share of rows is measured: specks of residue
@@ -62,9 +66,75 @@ pub(super) fn locate(
         return None;
     }
     let specks = parts.specks();
-    let found = parts.count(count);
+    // Weeds are told among as many plants as there seem to be.
+    let found = parts.count(None);
+    let rows = rows_of(mask, &found.plants, found.plant_px, detection);
+    if let Some(crop) = without_weeds(mask, &found.plants, &rows) {
+        let again = rows::detect(&PixelIndex::from_mask(crop.width, &crop.data));
+        let parts = Parts::new(&crop, None, posterior);
+        if again.rows().is_some_and(|rows| is_closed(&parts, rows)) {
+            return None;
+        }
+        let found = parts.count(count);
+        let rows = rows_of(&crop, &found.plants, found.plant_px, &again);
+        return Some(stand(&crop, found, rows, count, specks));
+    }
+    let (found, rows) = match count {
+        None => (found, rows),
+        Some(_) => {
+            let found = Parts::new(mask, None, posterior).count(count);
+            let rows = rows_of(mask, &found.plants, found.plant_px, detection);
+            (found, rows)
+        }
+    };
+    Some(stand(mask, found, rows, count, specks))
+}
+
+/// The mask without the components all of whose plants grow between the rows; `None` where there are none, or rows say nothing.
+fn without_weeds(mask: &Mask, plants: &[Plant], rows: &Rows) -> Option<Mask> {
+    let away = |plant: &Plant| row_membership::distance(rows, [plant.u_px, plant.v_px]);
+    let distances: Vec<f64> = plants.iter().map(away).collect::<Option<_>>()?;
+    let membership = RowMembership::fit(&distances)?;
+    let is_weed = |distance: &f64| membership.probability(*distance) < 0.5;
+    if !distances.iter().any(is_weed) {
+        return None;
+    }
+    let mut crop = mask.clone();
+    let mut next = 0;
+    // Plants come in the order of their components, some of which hold none.
+    for part in components::parts(mask) {
+        let Some(plant) = plants.get(next) else { break };
+        let holds = |at: f64, from: usize, size: usize| {
+            at > from as f64 - 0.5 && at < (from + size) as f64 - 0.5
+        };
+        let window = part.window;
+        let is_inside =
+            holds(plant.u_px, window.u, window.width) && holds(plant.v_px, window.v, window.height);
+        let mass_px = plant.mass_px * plant.in_component as f64;
+        if !is_inside || (mass_px - part.pixels as f64).abs() > 0.5 {
+            continue;
+        }
+        let members = next..(next + plant.in_component).min(plants.len());
+        next = members.end;
+        if distances[members].iter().all(is_weed) {
+            for run in &part.runs {
+                let at = run.v * crop.width;
+                crop.data[at + run.start..at + run.end].fill(0);
+            }
+        }
+    }
+    (crop.data != mask.data).then_some(crop)
+}
+
+/// The stand of plants that were found by their mass in a mask, in their rows.
+fn stand(
+    mask: &Mask,
+    found: MassCount,
+    rows: Rows,
+    count: Option<usize>,
+    specks: Vec<(f64, [f64; 2])>,
+) -> Stand {
     let plant_px = found.plant_px;
-    let rows = rows_of(mask, &found.plants, plant_px, detection);
     let [low, high] = match count {
         Some(count) => [count as f64; 2],
         None => found.interval(),
@@ -117,7 +187,7 @@ pub(super) fn locate(
         between_rows: shown.then(|| between_px / leaf.max(1.0)),
         specks_px: specks.into_iter().map(|(_, at)| at).collect(),
     });
-    Some(stand)
+    stand
 }
 
 /// The spacing within rows, its standard error, and the gaps in which plants are missing.

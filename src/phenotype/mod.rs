@@ -31,6 +31,7 @@ pub mod plot_scatter;
 pub mod plots;
 pub mod row_curves;
 mod row_evidence;
+mod row_membership;
 pub mod row_model;
 mod row_parts;
 mod row_profile;
