@@ -246,6 +246,14 @@ fn a_small_run_gives_the_committed_numbers() {
         place.good(&["run", spec.to_str().unwrap(), "--small", "--out", name]);
         place.good(&["compare", reference.to_str().unwrap(), name, "--within", within]);
     }
+    // Two of the full settings, which are as short.
+    for (name, within) in [("bundle-solvers", "0.05"), ("lens-models", "0.001")] {
+        let spec = home().join(format!("specs/{name}.toml"));
+        let kept = home().join(format!("results/{name}/runs.csv"));
+        let out = format!("{name}-full");
+        place.good(&["run", spec.to_str().unwrap(), "--out", &out]);
+        place.good(&["compare", kept.to_str().unwrap(), &out, "--within", within]);
+    }
     // A picture is inside its figure, not beside it.
     let figure = place.path("paper-leaf/figures/leaf-crossing");
     let svg = std::fs::read_to_string(figure.with_extension("svg")).unwrap();
