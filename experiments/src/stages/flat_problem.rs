@@ -389,36 +389,38 @@ impl Jacobian for FlatProblem {
     }
 }
 
+/// Compares the gradient with differences of costs, away from the start, where the left Jacobian
+/// is not the identity.
 #[cfg(test)]
-pub(super) mod tests {
+#[allow(clippy::unwrap_used, reason = "a test that cannot go on fails")]
+pub(super) fn check_gradient(charted: Charted, away: f64, tolerance: f64) {
+    let flat = FlatProblem::new(Arc::new(charted), Limits::NONE).unwrap();
+    let y: Vec<f64> =
+        flat.scale.iter().enumerate().map(|(k, s)| away * (k as f64).sin() / s).collect();
+    let gradient = flat.gradient(&y).unwrap();
+    for k in 0..y.len() {
+        let h = 1e-6 / flat.scale[k];
+        let at = |sign: f64| {
+            let mut moved = y.clone();
+            moved[k] += sign * h;
+            flat.cost(&moved).unwrap()
+        };
+        let difference = (at(1.0) - at(-1.0)) / (2.0 * h);
+        let size = difference.abs().max(1.0);
+        assert!(
+            (difference - gradient[k]).abs() < tolerance * size,
+            "{k}: {difference} {}",
+            gradient[k]
+        );
+    }
+}
+
+#[cfg(test)]
+mod tests {
     use super::*;
     use rowgram::problems::bundle::{
         Bundle, Camera, InteriorSharing, Network, Observation, TIE_POINTS,
     };
-
-    /// Compares the gradient with differences of costs, away from the start, where the left Jacobian
-    /// is not the identity.
-    pub(in crate::stages) fn check_gradient(charted: Charted, away: f64, tolerance: f64) {
-        let flat = FlatProblem::new(Arc::new(charted), Limits::NONE).unwrap();
-        let y: Vec<f64> =
-            flat.scale.iter().enumerate().map(|(k, s)| away * (k as f64).sin() / s).collect();
-        let gradient = flat.gradient(&y).unwrap();
-        for k in 0..y.len() {
-            let h = 1e-6 / flat.scale[k];
-            let at = |sign: f64| {
-                let mut moved = y.clone();
-                moved[k] += sign * h;
-                flat.cost(&moved).unwrap()
-            };
-            let difference = (at(1.0) - at(-1.0)) / (2.0 * h);
-            let size = difference.abs().max(1.0);
-            assert!(
-                (difference - gradient[k]).abs() < tolerance * size,
-                "{k}: {difference} {}",
-                gradient[k]
-            );
-        }
-    }
 
     #[test]
     fn the_gradient_is_the_difference_of_the_costs() {

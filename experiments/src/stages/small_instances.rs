@@ -292,7 +292,7 @@ pub(super) fn leaf(ranges: &Ranges, draws: &mut Draws, seed: u64) -> Result<Inst
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::stages::{flat_problem::tests::check_gradient, instances::Family};
+    use crate::stages::{flat_problem::check_gradient, instances::Family};
 
     #[test]
     fn gradients_are_differences_of_the_costs() {
