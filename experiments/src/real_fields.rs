@@ -95,11 +95,11 @@ pub(crate) fn run(asked: &RealFields) -> Result<(), Fail> {
     let (mut rows, mut described, mut scores) = (Vec::new(), Vec::new(), Vec::new());
     for set in &sets {
         let step = set.cases.len().div_ceil(MOST_FOR_CHOICE).max(1);
-        let done: Vec<Looked> = set
+        let done: Vec<Measurements> = set
             .cases
             .par_iter()
             .enumerate()
-            .map(|(k, case)| look(case, set.real, set.real && k % step == 0))
+            .map(|(k, case)| measure(case, set.real, set.real && k % step == 0))
             .collect::<Result<_, Error>>()?;
         for (mine, statistics, tried) in done {
             rows.extend(mine);
@@ -134,10 +134,10 @@ pub(crate) fn run(asked: &RealFields) -> Result<(), Fail> {
 }
 
 /// Rows of the table, statistics, and scores of choices: place in [`CHOSEN`], number of the candidate, F1.
-type Looked = (Vec<Row>, Described, Vec<(usize, usize, f64)>);
+type Measurements = (Vec<Row>, Described, Vec<(usize, usize, f64)>);
 
 /// Everything without a choice, the statistics, and the scores of all choices where this photo decides any.
-fn look(case: &Case, real: bool, decides: bool) -> Result<Looked, Error> {
+fn measure(case: &Case, real: bool, decides: bool) -> Result<Measurements, Error> {
     let ready = Ready::new(case);
     let rows = LOCATORS
         .into_iter()

@@ -22,7 +22,7 @@ use super::{
 };
 use crate::{
     problems::plants::{index::PixelIndex, lines::Axes},
-    raster::{Mask, components},
+    raster::Mask,
 };
 
 /// The smallest components with this share of the leaf mass are left out when the covered share of rows is measured: specks of residue
@@ -65,65 +65,52 @@ pub(super) fn locate(
     if detection.rows().is_some_and(|rows| is_closed(&parts, rows)) {
         return None;
     }
-    let specks = parts.specks();
     // Weeds are told among as many plants as there seem to be.
     let found = parts.count(None);
     let rows = rows_of(mask, &found.plants, found.plant_px, detection);
-    if let Some(crop) = without_weeds(mask, &found.plants, &rows) {
-        let again = rows::detect(&PixelIndex::from_mask(crop.width, &crop.data));
+    let left_out = LeftOut { specks: parts.specks(), weeds: weeds(&found.plants, &rows) };
+    if !left_out.weeds.is_empty() {
+        let crop = parts.mask_of(|part| left_out.weeds.iter().all(|weed| weed.component != part));
+        let detection = rows::detect(&PixelIndex::from_mask(crop.width, &crop.data));
         let parts = Parts::new(&crop, None, posterior);
-        if again.rows().is_some_and(|rows| is_closed(&parts, rows)) {
+        if detection.rows().is_some_and(|rows| is_closed(&parts, rows)) {
             return None;
         }
         let found = parts.count(count);
-        let rows = rows_of(&crop, &found.plants, found.plant_px, &again);
-        return Some(stand(&crop, found, rows, count, specks));
+        let rows = rows_of(&crop, &found.plants, found.plant_px, &detection);
+        return Some(stand(&crop, found, rows, count, left_out));
     }
     let (found, rows) = match count {
         None => (found, rows),
         Some(_) => {
-            let found = Parts::new(mask, None, posterior).count(count);
+            let found = parts.count(count);
             let rows = rows_of(mask, &found.plants, found.plant_px, detection);
             (found, rows)
         }
     };
-    Some(stand(mask, found, rows, count, specks))
+    Some(stand(mask, found, rows, count, left_out))
 }
 
-/// The mask without the components all of whose plants grow between the rows; `None` where there are none, or rows say nothing.
-fn without_weeds(mask: &Mask, plants: &[Plant], rows: &Rows) -> Option<Mask> {
+/// Leaf that belongs to no plant of the crop.
+struct LeftOut {
+    /// Masses and middles of components too small to be plants.
+    specks: Vec<(f64, [f64; 2])>,
+    /// Plants between the rows.
+    weeds: Vec<Plant>,
+}
+
+/// The plants of components in which all plants grow between the rows; none where rows say nothing.
+fn weeds(plants: &[Plant], rows: &Rows) -> Vec<Plant> {
     let away = |plant: &Plant| row_membership::distance(rows, [plant.u_px, plant.v_px]);
-    let distances: Vec<f64> = plants.iter().map(away).collect::<Option<_>>()?;
-    let membership = RowMembership::fit(&distances)?;
-    let is_weed = |distance: &f64| membership.probability(*distance) < 0.5;
-    if !distances.iter().any(is_weed) {
-        return None;
-    }
-    let mut crop = mask.clone();
-    let mut next = 0;
-    // Plants come in the order of their components, some of which hold none.
-    for part in components::parts(mask) {
-        let Some(plant) = plants.get(next) else { break };
-        let holds = |at: f64, from: usize, size: usize| {
-            at > from as f64 - 0.5 && at < (from + size) as f64 - 0.5
-        };
-        let window = part.window;
-        let is_inside =
-            holds(plant.u_px, window.u, window.width) && holds(plant.v_px, window.v, window.height);
-        let mass_px = plant.mass_px * plant.in_component as f64;
-        if !is_inside || (mass_px - part.pixels as f64).abs() > 0.5 {
-            continue;
-        }
-        let members = next..(next + plant.in_component).min(plants.len());
-        next = members.end;
-        if distances[members].iter().all(is_weed) {
-            for run in &part.runs {
-                let at = run.v * crop.width;
-                crop.data[at + run.start..at + run.end].fill(0);
-            }
-        }
-    }
-    (crop.data != mask.data).then_some(crop)
+    let Some(distances) = plants.iter().map(away).collect::<Option<Vec<f64>>>() else {
+        return Vec::new();
+    };
+    let Some(membership) = RowMembership::fit(&distances) else { return Vec::new() };
+    let places = (0..plants.len()).collect::<Vec<usize>>();
+    let components = places.chunk_by(|&a, &b| plants[a].component == plants[b].component);
+    let are_weeds = components
+        .filter(|members| members.iter().all(|&k| membership.probability(distances[k]) < 0.5));
+    are_weeds.flatten().map(|&k| plants[k]).collect()
 }
 
 /// The stand of plants that were found by their mass in a mask, in their rows.
@@ -132,14 +119,15 @@ fn stand(
     found: MassCount,
     rows: Rows,
     count: Option<usize>,
-    specks: Vec<(f64, [f64; 2])>,
+    left_out: LeftOut,
 ) -> Stand {
     let plant_px = found.plant_px;
     let [low, high] = match count {
         Some(count) => [count as f64; 2],
         None => found.interval(),
     };
-    let leaf: f64 = mask.count() as f64;
+    let weeds_px: f64 = left_out.weeds.iter().map(|weed| weed.mass_px).sum();
+    let leaf = mask.count() as f64 + weeds_px;
     let mut stand = Stand {
         plants: Vec::new(),
         spacing: Spacing::new(nearest_px(&found.plants).unwrap_or(plant_px.sqrt())),
@@ -152,7 +140,7 @@ fn stand(
         leaf_mass: None,
     };
     let relative = found.sigma / found.expected.max(1.0);
-    let (mut between_px, size) = (0.0, plant_px.sqrt());
+    let (mut between_px, size) = (weeds_px, plant_px.sqrt());
     for plant in &found.plants {
         let position_px = [plant.u_px, plant.v_px];
         let [along_px, across_px] = stand.rows.axes.aligned(position_px);
@@ -185,7 +173,8 @@ fn stand(
         plant_px,
         unexplained: found.unexplained,
         between_rows: shown.then(|| between_px / leaf.max(1.0)),
-        specks_px: specks.into_iter().map(|(_, at)| at).collect(),
+        weeds_px: left_out.weeds.iter().map(|weed| [weed.u_px, weed.v_px]).collect(),
+        specks_px: left_out.specks.into_iter().map(|(_, at)| at).collect(),
     });
     stand
 }
@@ -389,6 +378,34 @@ mod tests {
             assert!((stand.spacing.spacing - 40.0).abs() < 2.0, "{:?}", stand.spacing);
             let mass = stand.leaf_mass.unwrap();
             assert_eq!(mass.specks_px.is_empty(), weeds == 0);
+        }
+    }
+
+    #[test]
+    fn weeds_between_the_rows_are_left_out_and_told() {
+        let (mask, plants) = field(1, 0);
+        let mut rng = ChaCha8Rng::seed_from_u64(9);
+        // As large as plants, in the middle third between two rows.
+        let mut weeds: Vec<[f64; 2]> = Vec::new();
+        while weeds.len() < 60 {
+            let row = f64::from(rng.random_range(0..6u8));
+            let across = 60.0 + 90.0 * (row + rng.random_range(0.35..0.65));
+            let at = [rng.random_range(20.0..740.0), across];
+            if weeds.iter().all(|w| (w[0] - at[0]).hypot(w[1] - at[1]) > 24.0) {
+                weeds.push(at);
+            }
+        }
+        let weedy = Mask::from_fn(760, 650, |u, v| {
+            mask.get(u, v) || weeds.iter().any(|w| (u as f64 - w[0]).hypot(v as f64 - w[1]) < 9.0)
+        });
+        for count in [None, Some(plants.len())] {
+            let stand = find(&weedy, count).unwrap();
+            let n = plants.len() as f64;
+            assert!((stand.plants.len() as f64 / n - 1.0).abs() < 0.04, "{}", stand.plants.len());
+            let mass = stand.leaf_mass.unwrap();
+            assert_eq!(mass.weeds_px.len(), weeds.len(), "{count:?}");
+            let share = 1.0 - mask.count() as f64 / weedy.count() as f64;
+            assert!((mass.between_rows.unwrap() - share).abs() < 0.02, "{mass:?}");
         }
     }
 

@@ -13,21 +13,22 @@
 use super::colour_indices::ColourSum;
 use crate::raster::polygon::Polygon;
 
-/// Parts of a plot along each axis of the raster.
+/// Parts of a plot along each axis of the raster. A standard deviation from 16 parts is known to 18 %, `1 / sqrt(2 * 15)`, and a part of a
+/// plot of 2 m x 5 m still holds several plants, so that neighbouring parts hardly depend on each other.
 const ACROSS: usize = 4;
 /// Parts of a plot.
 pub const PARTS: usize = ACROSS * ACROSS;
 
 /// The parts of the box around a plot, in pixels of a raster.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Parts {
+pub struct PlotParts {
     first_px: [f64; 2],
     step_px: [f64; 2],
 }
 
-impl Parts {
+impl PlotParts {
     /// Of a plot.
-    pub fn of(plot: &Polygon) -> Parts {
+    pub fn of(plot: &Polygon) -> PlotParts {
         let points = || plot.rings.iter().flatten();
         let bound = |axis: usize| {
             let low = points().map(|at| at[axis]).fold(f64::INFINITY, f64::min);
@@ -35,7 +36,7 @@ impl Parts {
             (low, ((high - low) / ACROSS as f64).max(f64::MIN_POSITIVE))
         };
         let [(u, width), (v, height)] = [bound(0), bound(1)];
-        Parts { first_px: [u, v], step_px: [width, height] }
+        PlotParts { first_px: [u, v], step_px: [width, height] }
     }
 
     /// The part of a place, from 0; places outside belong to the nearest.
@@ -92,7 +93,7 @@ mod tests {
     #[test]
     fn every_pixel_has_a_part() {
         let ring = vec![[10.0, 20.0], [18.0, 20.0], [18.0, 60.0], [10.0, 60.0]];
-        let parts = Parts::of(&Polygon { rings: vec![ring] });
+        let parts = PlotParts::of(&Polygon { rings: vec![ring] });
         assert_eq!(parts.at([10.0, 20.0]), 0);
         assert_eq!(parts.at([13.0, 20.5]), 1);
         assert_eq!(parts.at([17.9, 31.0]), 7);

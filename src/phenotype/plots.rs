@@ -4,7 +4,7 @@
 
 use super::{
     colour_indices::ColourIndices,
-    plot_scatter::{ColourParts, PARTS, Parts, jackknife},
+    plot_scatter::{ColourParts, PARTS, PlotParts, jackknife},
     traits::{PlotTraits, deviation_name},
 };
 use crate::raster::{Mask, polygon::Polygon};
@@ -48,7 +48,11 @@ impl CanopyHeights {
         let area = cell_m.map(|cell_m| cells as f64 * cell_m * cell_m);
         let volume =
             |area: f64| Measured { value: mean_m.value * area, sd: mean_m.sd.map(|sd| sd * area) };
-        Some(CanopyHeights { p95_m: of(high_height)?, mean_m, volume_m3: area.map(volume) })
+        Some(CanopyHeights {
+            p95_m: of(height_percentile_95)?,
+            mean_m,
+            volume_m3: area.map(volume),
+        })
     }
 }
 
@@ -58,7 +62,7 @@ fn mean_height(heights_m: Vec<f32>) -> Option<f64> {
 }
 
 /// The height that 95 % do not exceed; `None` without any.
-pub fn high_height(mut heights_m: Vec<f32>) -> Option<f64> {
+pub fn height_percentile_95(mut heights_m: Vec<f32>) -> Option<f64> {
     let last = heights_m.len().checked_sub(1)?;
     let at = (0.95 * last as f64).round() as usize;
     Some(f64::from(*heights_m.select_nth_unstable_by(at, f32::total_cmp).1))
@@ -140,7 +144,7 @@ impl FieldMeasurements {
 
     /// Area and cover; gives the number of pixels.
     fn add_cover(&self, found: &mut PlotTraits, polygon: &Polygon, mask: &Mask) -> usize {
-        let parts = Parts::of(polygon);
+        let parts = PlotParts::of(polygon);
         // Pixels and leaf pixels.
         let mut counts = [[0usize; 2]; PARTS];
         for (v, run) in polygon.runs(mask.width, mask.height) {

@@ -14,13 +14,16 @@
 use super::rows::Rows;
 use std::f64::consts::TAU;
 
-/// Rounds of expectation maximization; changes are below a thousandth long before.
+/// Rounds of expectation maximization. With 100 to 200 crop plants and 0 to 300 weeds, share and scatter change by less than 1e-4 after these.
 const ROUNDS: usize = 60;
-/// The least standard deviation across a row, as a share of the distance between rows: a bound for plants in one line.
+/// The least standard deviation across a row, as a share of the distance between rows: 0.8 cm at the usual 0.76 m, what a planter
+/// and the middle of a seedling's leaves reach together. It keeps the likelihood of plants exactly in line finite.
 const LEAST_SIGMA: f64 = 0.01;
-/// The largest: wider rows are none.
+/// The largest, as a share of the distance between rows: the middle between two rows is then 2.5 standard deviations away, and with more the
+/// rows would run into each other.
 const MOST_SIGMA: f64 = 0.2;
-/// The least gain in log likelihood over plants that grow anywhere: heading, distance and phase of rows were chosen among many before.
+/// The least gain in log likelihood over plants that grow anywhere. The rows were chosen among many before: of 10 to 1,000 plants anywhere,
+/// the best of 210 distances and phases gains at most 9.2 in 200 draws (4 at the median; the test draws 20 of them).
 const LEAST_GAIN: f64 = 10.0;
 
 /// The mixture of crop and weeds across the rows.
@@ -104,8 +107,19 @@ mod tests {
 
     #[test]
     fn plants_anywhere_have_no_rows() {
+        // Not even in the best of many lattices of rows.
         for seed in 0..20 {
-            assert_eq!(RowMembership::fit(&field(0, 150, seed)), None, "{seed}");
+            let places = field(0, 60, seed);
+            for lattice in 0..210 {
+                let (distance, phase) =
+                    (0.03 + 0.0025 * f64::from(lattice / 10), 0.1 * f64::from(lattice % 10));
+                let away = |place: &f64| {
+                    let rows = place / distance + phase;
+                    rows - rows.round()
+                };
+                let distances: Vec<f64> = places.iter().map(away).collect();
+                assert_eq!(RowMembership::fit(&distances), None, "{seed} {distance} {phase}");
+            }
         }
         assert_eq!(RowMembership::fit(&[]), None);
         assert_eq!(RowMembership::fit(&[0.0, 0.01]), None);

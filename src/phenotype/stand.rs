@@ -56,8 +56,10 @@ pub struct LeafMass {
     pub plant_px: f64,
     /// Share of the leaf pixels that no plant explains: specks.
     pub unexplained: f64,
-    /// Share of the leaf pixels that belong to plants between the rows, where there are rows.
+    /// Share of the leaf pixels that belong to plants between the rows, where there are rows; weeds that were left out among them.
     pub between_rows: Option<f64>,
+    /// Plants between the rows that were taken for weeds and left out.
+    pub weeds_px: Vec<[f64; 2]>,
     /// Middles of leaf areas too small to be plants.
     pub specks_px: Vec<[f64; 2]>,
 }

@@ -7,7 +7,10 @@
 //! doubled at seams as in any mosaic. The share of a cell that leaves cover is blurred, scaled to grey
 //! values, spoiled by noise, and cut at a threshold.
 
-use super::adjust::{self, Estimate, normal};
+use super::{
+    adjust::{self, Estimate, normal},
+    orthomosaic,
+};
 use crate::streams::{Stream, drawn};
 use data_synth::{
     camera::Camera as TrueCamera,
@@ -21,19 +24,15 @@ use data_synth::{
 use image::GrayImage;
 use rowgram::{
     camera::{Camera, Interior, Lens},
-    mapping::{
-        Surface,
-        dem::{CloudOptions, SurfacePoint, TriangulatedCloud},
-        view::View,
-    },
+    mapping::{Surface, view::View},
     problems::adjustment::{CheckPoint, adjust},
-    raster::{
-        Mask,
-        georeference::{Crs, Georeference},
-    },
-    scene::{CameraPosition, Reconstruction, Role},
+    raster::Mask,
+    scene::{CameraPosition, Role},
 };
 use serde::{Deserialize, Serialize};
+
+/// Side of the cells of the surface through the tie points, metres.
+const SURFACE_M: f64 = 0.5;
 
 /// Pixels along the side of a cell in which leaves are drawn.
 pub(super) const FINE: u32 = 3;
@@ -136,7 +135,7 @@ pub(super) fn fly(
             View::new(&image.name, survey.cameras[image.camera].interior, image.pose, None)
         })
         .collect();
-    let surface = surface(&survey)?;
+    let surface = orthomosaic::surface(&survey, SURFACE_M)?;
     Ok(Flown { twin, checks: adjusted.check_points, views, surface })
 }
 
@@ -229,22 +228,6 @@ fn raise(field: &mut Field, height_m: f64) {
         let leaves = field.plants.iter_mut().flat_map(|plant| &mut plant.leaves);
         leaves.flat_map(|leaf| &mut leaf.axis_m).for_each(|node| node[2] *= scale);
     }
-}
-
-/// The surface through the adjusted tie points.
-fn surface(survey: &Reconstruction) -> Result<Surface, String> {
-    const CELL_M: f64 = 0.5;
-    let points: Vec<SurfacePoint> = survey
-        .points
-        .iter()
-        .map(|point| SurfacePoint { position_m: point.position_m, sigma_z_m: f64::NAN })
-        .collect();
-    let cloud =
-        TriangulatedCloud::new(&points, &CloudOptions::default()).map_err(|e| e.to_string())?;
-    let bounds = cloud.bounds_m();
-    let size = bounds.map(|[low, high]| ((high - low) / CELL_M) as usize + 1);
-    let place = Georeference::north_up([bounds[0][0], bounds[1][1]], CELL_M, Crs::LOCAL);
-    cloud.surface(place, size).map(|(surface, _)| surface).map_err(|e| e.to_string())
 }
 
 impl Flown {

@@ -279,22 +279,21 @@ impl Flown {
         let interior = self.survey.cameras[image.camera].interior;
         View::new(&image.name, interior, image.pose, None)
     }
+}
 
-    /// The surface through the adjusted tie points.
-    fn surface(&self, cell_m: f64) -> Result<Surface, String> {
-        let points: Vec<SurfacePoint> = self
-            .survey
-            .points
-            .iter()
-            .map(|point| SurfacePoint { position_m: point.position_m, sigma_z_m: f64::NAN })
-            .collect();
-        let cloud =
-            TriangulatedCloud::new(&points, &CloudOptions::default()).map_err(|e| e.to_string())?;
-        let bounds = cloud.bounds_m();
-        let size = bounds.map(|[low, high]| ((high - low) / cell_m) as usize + 1);
-        let place = Georeference::north_up([bounds[0][0], bounds[1][1]], cell_m, Crs::LOCAL);
-        cloud.surface(place, size).map(|(surface, _)| surface).map_err(|e| e.to_string())
-    }
+/// The surface through the adjusted tie points, with cells of this side.
+pub(super) fn surface(survey: &Reconstruction, cell_m: f64) -> Result<Surface, String> {
+    let points: Vec<SurfacePoint> = survey
+        .points
+        .iter()
+        .map(|point| SurfacePoint { position_m: point.position_m, sigma_z_m: f64::NAN })
+        .collect();
+    let cloud =
+        TriangulatedCloud::new(&points, &CloudOptions::default()).map_err(|e| e.to_string())?;
+    let bounds = cloud.bounds_m();
+    let size = bounds.map(|[low, high]| ((high - low) / cell_m) as usize + 1);
+    let place = Georeference::north_up([bounds[0][0], bounds[1][1]], cell_m, Crs::LOCAL);
+    cloud.surface(place, size).map(|(surface, _)| surface).map_err(|e| e.to_string())
 }
 
 fn perspective(flown: &Flown) -> Result<Seen, String> {
@@ -332,7 +331,7 @@ fn distortion_free(flown: &Flown) -> Result<Seen, String> {
 }
 
 fn orthomosaic(flown: &Flown, surface_m: f64) -> Result<Seen, String> {
-    let surface = flown.surface(surface_m)?;
+    let surface = surface(&flown.survey, surface_m)?;
     let views: Vec<View> = (0..flown.photos.len()).map(|image| flown.view(image)).collect();
     let frame = flown.frame;
     let origin = frame.ground(0.0, 0.0);
@@ -363,7 +362,7 @@ fn orthomosaic(flown: &Flown, surface_m: f64) -> Result<Seen, String> {
 /// How unequal the ground areas of a view's pixels are, over a grid of them.
 fn spread(view: &View, flown: &Flown) -> Result<f64, String> {
     const PLACES: u32 = 24;
-    let surface = flown.surface(1.0)?;
+    let surface = surface(&flown.survey, 1.0)?;
     let [width, height] = view.interior.size_px().map(f64::from);
     let mut areas = Vec::new();
     for i in 0..PLACES {

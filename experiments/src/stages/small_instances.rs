@@ -63,13 +63,13 @@ impl Factor for Pixel {
 }
 
 /// A line that the plant is near, in standard deviations.
-struct Near {
+struct LinePrior {
     blocks: [BlockId; 1],
     normal: [f64; 2],
     offset: f64,
 }
 
-impl Factor for Near {
+impl Factor for LinePrior {
     fn rows(&self) -> usize {
         1
     }
@@ -145,7 +145,7 @@ pub(super) fn plant(ranges: &Ranges, draws: &mut Draws, seed: u64) -> Result<Ins
             normal[0] * (places[chosen][0] - start[0]) + normal[1] * (places[chosen][1] - start[1]);
         let offset = to_truth + draws.normal(deviation_px);
         prior.add(normal, offset, deviation_px * deviation_px);
-        lines.push(Near {
+        lines.push(LinePrior {
             blocks: [block],
             normal: normal.map(|n| n / deviation_px),
             offset: offset / deviation_px,
@@ -169,13 +169,13 @@ pub(super) fn plant(ranges: &Ranges, draws: &mut Draws, seed: u64) -> Result<Ins
 }
 
 /// One end of a slice, from the collar.
-struct End {
+struct SliceEnd {
     blocks: [BlockId; 1],
     at: [f64; 2],
     side: f64,
 }
 
-impl Factor for End {
+impl Factor for SliceEnd {
     fn rows(&self) -> usize {
         1
     }
@@ -270,7 +270,7 @@ pub(super) fn leaf(ranges: &Ranges, draws: &mut Draws, seed: u64) -> Result<Inst
             let at = std::array::from_fn(|i| {
                 between(low[i], high[i]) + side * out * across[i] - base[i]
             });
-            ends.push(End { blocks: [block], at, side });
+            ends.push(SliceEnd { blocks: [block], at, side });
         }
     }
     problem.add("slices", loss, Factors(ends)).map_err(failed)?;

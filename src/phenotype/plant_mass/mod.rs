@@ -30,6 +30,8 @@ pub struct Plant {
     pub v_px: f64,
     /// Its share of the component's mass, in pixels.
     pub mass_px: f64,
+    /// Its component, by the order of first pixels.
+    pub component: usize,
     /// Plants that share its component.
     pub in_component: usize,
     /// Probability that a plant stands within a quarter of the spacing: that the component holds at least as many plants
@@ -160,13 +162,16 @@ impl<'a> Parts<'a> {
             left -= mass;
             left < 0.0
         });
+        self.mask_of(|part| least.is_some_and(|least| self.measured[part].mass >= least))
+    }
+
+    /// The mask with some of its components only.
+    pub(super) fn mask_of(&self, is_kept: impl Fn(usize) -> bool) -> Mask {
         let mut mask = Mask::empty(self.mask.width, self.mask.height);
-        for (part, of) in self.parts.iter().zip(&self.measured) {
-            if least.is_some_and(|least| of.mass >= least) {
-                for run in &part.runs {
-                    let at = run.v * mask.width;
-                    mask.data[at + run.start..at + run.end].fill(1);
-                }
+        for part in (0..self.parts.len()).filter(|&part| is_kept(part)) {
+            for run in &self.parts[part].runs {
+                let at = run.v * mask.width;
+                mask.data[at + run.start..at + run.end].fill(1);
             }
         }
         mask
@@ -185,7 +190,7 @@ impl<'a> Parts<'a> {
     }
 
     /// Counts and locates the plants: `wanted` of them, or as many as there seem to be.
-    pub(super) fn count(self, wanted: Option<usize>) -> MassCount {
+    pub(super) fn count(&self, wanted: Option<usize>) -> MassCount {
         let total: f64 = self.measured.iter().map(|of| of.mass).sum();
         let Some(model) = &self.model else {
             let unexplained = if total > 0.0 { 1.0 } else { 0.0 };
@@ -202,7 +207,8 @@ impl<'a> Parts<'a> {
             Some(wanted) => self.share_out(model, wanted),
             None => self.measured.iter().map(|of| self.number(model, of).0).collect(),
         };
-        let of_part = |((part, &measured), &plants): ((&components::Part, &Measured), &usize)| {
+        let of_part = |(component, &plants): (usize, &usize)| {
+            let (part, measured) = (&self.parts[component], self.measured[component]);
             if plants == 0 {
                 return Vec::new();
             }
@@ -223,6 +229,7 @@ impl<'a> Parts<'a> {
                 u_px: centre[0],
                 v_px: centre[1],
                 mass_px: measured.mass * of_each,
+                component,
                 in_component: centres.len(),
                 confidence,
                 expected: expected * of_each,
@@ -230,8 +237,8 @@ impl<'a> Parts<'a> {
             };
             centres.iter().map(plant).collect()
         };
-        let parts = self.parts.par_iter().zip(&self.measured).zip(&numbers);
-        let plants: Vec<Plant> = parts.map(of_part).collect::<Vec<_>>().concat();
+        let of_parts = numbers.par_iter().enumerate().map(of_part);
+        let plants: Vec<Plant> = of_parts.collect::<Vec<_>>().concat();
         let expected_of = |model: &MassModel| {
             self.measured.iter().map(|of| self.number(model, of).1).sum::<f64>()
         };
@@ -252,7 +259,7 @@ impl<'a> Parts<'a> {
         let explained: f64 = plants.iter().map(|plant| plant.mass_px).sum();
         let unexplained = if total > 0.0 { (1.0 - explained / total).max(0.0) } else { 0.0 };
         let sigma = (within + slope * slope + misfit * misfit).sqrt();
-        MassCount { plants, plant_px, expected, sigma, model: self.model, unexplained }
+        MassCount { plants, plant_px, expected, sigma, model: self.model.clone(), unexplained }
     }
 
     /// `wanted` plants shared out to components.

@@ -37,7 +37,7 @@ pub struct TraitComparison {
 }
 
 /// A trait of a plot from both.
-pub(super) struct Pair {
+pub(super) struct PairedTrait {
     plot: String,
     name: &'static str,
     orthomosaic: Measured,
@@ -46,7 +46,7 @@ pub(super) struct Pair {
 }
 
 /// The traits that plots have from both.
-pub(super) fn pairs(crops: &[PlotCrop], plots: &[PlotTraits]) -> Vec<Pair> {
+pub(super) fn pairs(crops: &[PlotCrop], plots: &[PlotTraits]) -> Vec<PairedTrait> {
     let of_map: BTreeMap<&str, &PlotTraits> =
         plots.iter().map(|traits| (traits.plot.as_str(), traits)).collect();
     let mut found = Vec::new();
@@ -59,7 +59,7 @@ pub(super) fn pairs(crops: &[PlotCrop], plots: &[PlotTraits]) -> Vec<Pair> {
             };
             let (mean, sd) = mean_and_deviation(crops.iter().map(|crop| value(&crop.traits)));
             let Some(mean) = mean else { continue };
-            found.push(Pair {
+            found.push(PairedTrait {
                 plot: crops[0].plot.clone(),
                 name,
                 orthomosaic: Measured { value: on_map, sd: of.standard_deviation(map) },
@@ -72,13 +72,13 @@ pub(super) fn pairs(crops: &[PlotCrop], plots: &[PlotTraits]) -> Vec<Pair> {
 }
 
 /// One line for each trait.
-pub(super) fn summary(pairs: &[Pair]) -> Vec<TraitComparison> {
+pub(super) fn summary(pairs: &[PairedTrait]) -> Vec<TraitComparison> {
     let of = |name: &str| {
-        let mine: Vec<&Pair> = pairs.iter().filter(|pair| pair.name == name).collect();
-        let mean = |value: fn(&Pair) -> Option<f64>| {
+        let mine: Vec<&PairedTrait> = pairs.iter().filter(|pair| pair.name == name).collect();
+        let mean = |value: fn(&PairedTrait) -> Option<f64>| {
             mean_and_deviation(mine.iter().map(|pair| value(pair)))
         };
-        let difference = |pair: &Pair| Some(pair.of_photos.value - pair.orthomosaic.value);
+        let difference = |pair: &PairedTrait| Some(pair.of_photos.value - pair.orthomosaic.value);
         Some(TraitComparison {
             name: name.to_owned(),
             plots: mine.len(),
@@ -92,7 +92,7 @@ pub(super) fn summary(pairs: &[Pair]) -> Vec<TraitComparison> {
 }
 
 /// Writes `comparison.csv`: one line for each plot and trait.
-pub(super) fn write(pairs: &[Pair], folder: &Path) -> Result<(), Error> {
+pub(super) fn write(pairs: &[PairedTrait], folder: &Path) -> Result<(), Error> {
     let number = |value: Option<f64>| value.map(|x| format!("{x:.6}")).unwrap_or_default();
     output::write(&folder.join("comparison.csv"), false, |out| {
         let mut csv = csv::Writer::from_writer(out);

@@ -31,11 +31,14 @@ pub(super) fn tell(stand: &Stand, subject: &str, monitor: &mut dyn Monitor) {
     monitor.diagnostic(&Diagnostic::info("rows-found", subject, what));
     let Some(mass) = &stand.leaf_mass else { return };
     if let Some(between) = mass.between_rows.filter(|&share| share >= BETWEEN_ROWS) {
-        let message =
-            format!("{:.0} % of the leaf area lies between the rows: weeds?", 100.0 * between);
+        let message = format!(
+            "{:.0} % of the leaf area lies between the rows: weeds? {} patches of it were left out and are not counted as plants",
+            100.0 * between,
+            mass.weeds_px.len()
+        );
         monitor.diagnostic(
             &Diagnostic::warning("leaf-between-rows", subject, message).with_remedy(
-                "look at figures/plants.png, where plants between the rows are violet",
+                "look at figures/plants.png, where plants between the rows are violet, small if they were left out",
             ),
         );
     }
@@ -61,7 +64,7 @@ fn thin_rows(stand: &Stand) -> usize {
     density.iter().filter(|&&of| of < THIN * middle).count()
 }
 
-/// Plants in red, doubtful ones in orange, those between the rows in violet; yellow where plants are missing; specks in blue;
+/// Plants in red, doubtful ones in orange, those between the rows in violet, small where they were left out as weeds; yellow where plants are missing; specks in blue;
 /// rows as dotted white lines.
 pub(super) fn draw(view: &mut View, found: &Found) {
     const SURE: Rgb<u8> = Rgb([255, 40, 40]);
@@ -82,6 +85,7 @@ pub(super) fn draw(view: &mut View, found: &Found) {
             points(stand.missing.iter().map(|gap| gap.position_px).collect(), MISSING, radius_px);
             if let Some(mass) = &stand.leaf_mass {
                 points(mass.specks_px.clone(), SPECK, 2);
+                points(mass.weeds_px.clone(), BETWEEN, 2);
             }
             for row in &stand.rows.rows {
                 let dots = (row.length_px() / (8.0 * step)).ceil() as usize;

@@ -2,7 +2,7 @@
 
 use crate::{
     io::{FileError, rasters::Source},
-    phenotype::plot_scatter::{ColourParts, Parts},
+    phenotype::plot_scatter::{ColourParts, PlotParts},
     raster::{Mask, polygon::Polygon},
 };
 use std::ops::Range;
@@ -34,7 +34,7 @@ pub(super) fn of_leaves<'a>(
     let areas: Vec<&Polygon> = areas.collect();
     let runs: Vec<Vec<(usize, Range<usize>)>> =
         areas.iter().map(|area| area.runs(mask.width, mask.height)).collect();
-    let parts: Vec<Parts> = areas.iter().map(|area| Parts::of(area)).collect();
+    let parts: Vec<PlotParts> = areas.iter().map(|area| PlotParts::of(area)).collect();
     let mut sums = vec![ColourParts::default(); runs.len()];
     let mut missing = vec![0; runs.len()];
     for first in (0..mask.height).step_by(BAND_ROWS) {

@@ -3,7 +3,7 @@
 use crate::{
     io::{FileError, geotiff},
     phenotype::{
-        plot_scatter::{PARTS, Parts},
+        plot_scatter::{PARTS, PlotParts},
         plots::CanopyHeights,
     },
     raster::{georeference::Georeference, polygon::Polygon, window::Window},
@@ -56,7 +56,7 @@ fn of_area(
     let shifted = |at: &[f64; 2]| [at[0] - u as f64, at[1] - v as f64];
     let rings = area.rings.iter().map(|ring| ring.iter().map(shifted).collect()).collect();
     let inside = Polygon { rings };
-    let parts = Parts::of(&inside);
+    let parts = PlotParts::of(&inside);
     let mut heights_m: [Vec<f32>; PARTS] = Default::default();
     for (row, run) in inside.runs(window.width, window.height) {
         for column in run {

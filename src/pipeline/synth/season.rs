@@ -14,7 +14,7 @@ use crate::{
     error::Error,
     io::{FileError, output},
     monitor::Monitor,
-    phenotype::plots::high_height,
+    phenotype::plots::height_percentile_95,
     pipeline::{SETTINGS, season::SEASON_FILE},
 };
 use data_synth::{
@@ -250,7 +250,7 @@ impl<'a> Truth<'a> {
             let area_m2: f64 =
                 of_plot().flat_map(|plant| &plant.leaves).map(|leaf| leaf.area_m2()).sum();
             let share = |count: u32| f64::from(count) / f64::from(pixels.max(1));
-            let height_m = high_height(heights_m).unwrap_or(0.0);
+            let height_m = height_percentile_95(heights_m).unwrap_or(0.0);
             rows.push(format!(
                 "{date},{},{},{:.6},{:.6},{height_m:.4},{area_m2:.5}",
                 name_of(plot),
