@@ -15,7 +15,7 @@ use super::{
     isolated_plants::{covered_share, median},
     plant_mass::{MassCount, Parts, Plant},
     plant_spacing::Spacing,
-    row_membership::{self, RowMembership},
+    row_membership::RowMembership,
     row_parts::is_alley,
     rows::{self, Detection, Row, Rows},
     stand::{BETWEEN, Gap, LEAST_MISSING, LeafMass, Stalk, Stand},
@@ -101,15 +101,13 @@ struct LeftOut {
 
 /// The plants of components in which all plants grow between the rows; none where rows say nothing.
 fn weeds(plants: &[Plant], rows: &Rows) -> Vec<Plant> {
-    let away = |plant: &Plant| row_membership::distance(rows, [plant.u_px, plant.v_px]);
-    let Some(distances) = plants.iter().map(away).collect::<Option<Vec<f64>>>() else {
-        return Vec::new();
-    };
-    let Some(membership) = RowMembership::fit(&distances) else { return Vec::new() };
-    let places = (0..plants.len()).collect::<Vec<usize>>();
-    let components = places.chunk_by(|&a, &b| plants[a].component == plants[b].component);
+    let place = |plant: &Plant| rows.axes.aligned([plant.u_px, plant.v_px]);
+    let places: Vec<[f64; 2]> = plants.iter().map(place).collect();
+    let Some(membership) = RowMembership::fit(rows, &places) else { return Vec::new() };
+    let order = (0..plants.len()).collect::<Vec<usize>>();
+    let components = order.chunk_by(|&a, &b| plants[a].component == plants[b].component);
     let are_weeds = components
-        .filter(|members| members.iter().all(|&k| membership.probability(distances[k]) < 0.5));
+        .filter(|members| members.iter().all(|&k| membership.probability(places[k]) < 0.5));
     are_weeds.flatten().map(|&k| plants[k]).collect()
 }
 
