@@ -18,10 +18,12 @@ mod orient;
 pub mod pairs;
 mod photo;
 mod pyramid;
+pub mod retrieval;
 
 use image::{GrayImage, RgbImage};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 
 /// Bytes of a descriptor.
 pub const DESCRIPTOR_LENGTH: usize = 128;
@@ -139,6 +141,18 @@ impl Descriptors {
         let all = self.bytes.as_chunks::<DESCRIPTOR_LENGTH>().0;
         let bytes = indices.iter().filter_map(|&index| all.get(index)).flatten().copied().collect();
         Descriptors { bytes }
+    }
+}
+
+/// Where the descriptors of photos come from: memory, or files that are read when they are needed.
+pub trait DescriptorSource: Sync {
+    /// The descriptors of a photo, by its index.
+    fn descriptors(&self, photo: usize) -> Arc<Descriptors>;
+}
+
+impl DescriptorSource for Vec<Arc<Descriptors>> {
+    fn descriptors(&self, photo: usize) -> Arc<Descriptors> {
+        self.get(photo).map(Arc::clone).unwrap_or_default()
     }
 }
 

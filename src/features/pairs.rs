@@ -1,11 +1,11 @@
 //! Which photos are worth matching: `n (n - 1) / 2` pairs are too many where each overlaps with a few.
 //!
-//! From where the photos were taken ([`nearest`], [`within`]), from their order ([`in_sequence`]), or,
-//! where neither is known, from what a few of their features say ([`coarse`]). Pairs are `[i, j]` with
+//! From where the photos were taken ([`nearest`], [`within`]), from their order ([`in_sequence`]), or, where neither is known, from what they
+//! show ([`similar`](super::retrieval::similar)); and of these those of which a few features match ([`coarse`]). Pairs are `[i, j]` with
 //! `i < j`, without repetition, in rising order.
 
 use super::{
-    Features,
+    Descriptors, Features,
     matching::{MatchOptions, Prepared, match_prepared},
 };
 use rayon::prelude::*;
@@ -58,7 +58,7 @@ pub fn join(lists: &[Vec<Pair>]) -> Vec<Pair> {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CoarseOptions {
-    /// Features of each photo that are matched, those of the largest scales.
+    /// Features of each photo that are looked at, those of the largest scales.
     pub features: usize,
     /// Least number of matches of a pair.
     pub min_matches: usize,
@@ -71,60 +71,55 @@ pub struct CoarseOptions {
 impl Default for CoarseOptions {
     fn default() -> CoarseOptions {
         CoarseOptions {
-            features: 512,
-            min_matches: 6,
-            per_photo: 20,
+            features: 768,
+            min_matches: 4,
+            per_photo: 16,
             matching: MatchOptions::default(),
         }
     }
 }
 
-/// A pair with the number of its coarse matches.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct ScoredPair {
-    /// The photos.
-    pub pair: Pair,
-    /// How many of their coarse features match.
-    pub matches: usize,
+/// The descriptors of the features with the largest scales.
+pub fn largest(photo: &Features, count: usize) -> Descriptors {
+    let mut order: Vec<usize> = (0..photo.key_points.len()).collect();
+    order.sort_unstable_by(|&a, &b| {
+        let (one, other) = (&photo.key_points[a], &photo.key_points[b]);
+        other.sigma_px.total_cmp(&one.sigma_px).then(a.cmp(&b))
+    });
+    order.truncate(count);
+    photo.descriptors.select(&order)
 }
 
-/// Matches a few features of every photo with those of every other, and keeps for each photo the
-/// pairs with the most matches; a pair stays if one of its photos asks for it.
-pub fn coarse(photos: &[Features], options: &CoarseOptions) -> Vec<ScoredPair> {
-    let chosen: Vec<_> = photos
+/// Of each photo the candidates of which most features match, of a few ([`largest`]); a pair stays if one of its photos asks for it.
+/// `matched` is called after each candidate.
+pub fn coarse(
+    photos: &[Descriptors],
+    candidates: &[Pair],
+    options: &CoarseOptions,
+    matched: &(dyn Fn() + Sync),
+) -> Vec<Pair> {
+    let prepared: Vec<Prepared<'_>> = photos.par_iter().map(Prepared::new).collect();
+    let mut best_first: Vec<(usize, Pair)> = candidates
         .par_iter()
-        .map(|photo| {
-            let mut order: Vec<usize> = (0..photo.key_points.len()).collect();
-            order.sort_unstable_by(|&a, &b| {
-                let (one, other) = (&photo.key_points[a], &photo.key_points[b]);
-                other.sigma_px.total_cmp(&one.sigma_px).then(a.cmp(&b))
-            });
-            order.truncate(options.features);
-            photo.descriptors.select(&order)
-        })
-        .collect();
-    let prepared: Vec<Prepared<'_>> = chosen.par_iter().map(Prepared::new).collect();
-    let scored: Vec<ScoredPair> = all(photos.len())
-        .into_par_iter()
-        .map(|pair| {
+        .map(|&pair| {
             let [one, other] = pair.map(|index| &prepared[index]);
-            ScoredPair { pair, matches: match_prepared(one, other, &options.matching).len() }
+            let found = match_prepared(one, other, &options.matching).len();
+            matched();
+            (found, pair)
         })
-        .filter(|scored| scored.matches >= options.min_matches.max(1))
+        .filter(|(found, _)| *found >= options.min_matches.max(1))
         .collect();
     // The most matches first, so that a photo's first are its best.
-    let mut best_first = scored;
-    best_first.sort_unstable_by(|a, b| b.matches.cmp(&a.matches).then(a.pair.cmp(&b.pair)));
+    best_first.sort_unstable_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(&b.1)));
     let mut asked = vec![0; photos.len()];
-    best_first.retain(|scored| {
-        let wanted = scored.pair.iter().any(|&photo| asked[photo] < options.per_photo);
-        for &photo in &scored.pair {
-            asked[photo] += 1;
+    best_first.retain(|(_, pair)| {
+        let wanted = pair.iter().any(|&photo| asked[photo] < options.per_photo);
+        if wanted {
+            pair.iter().for_each(|&photo| asked[photo] += 1);
         }
         wanted
     });
-    best_first.sort_unstable_by_key(|scored| scored.pair);
-    best_first
+    unique(best_first.into_iter().map(|(_, pair)| pair).collect())
 }
 
 fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
@@ -140,7 +135,7 @@ fn unique(mut pairs: Vec<Pair>) -> Vec<Pair> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::features::{DESCRIPTOR_LENGTH, Descriptors, KeyPoint};
+    use crate::features::{DESCRIPTOR_LENGTH, KeyPoint};
 
     #[test]
     fn neighbours_on_a_grid_of_photos() {
@@ -196,15 +191,12 @@ mod tests {
     #[test]
     fn few_features_tell_who_overlaps() {
         let photos = line(6);
-        let options = CoarseOptions { features: 15, min_matches: 3, ..CoarseOptions::default() };
-        let found = coarse(&photos, &options);
-        let pairs: Vec<Pair> = found.iter().map(|scored| scored.pair).collect();
-        assert_eq!(pairs, in_sequence(6, 2));
-        for scored in &found {
-            let [a, b] = scored.pair;
-            assert_eq!(scored.matches, 15 - 5 * (b - a), "coarse things that both see");
-        }
-        let few = coarse(&photos, &CoarseOptions { per_photo: 1, ..options });
-        assert!(few.iter().all(|scored| scored.matches == 10) && few.len() >= 3);
+        let options = CoarseOptions { min_matches: 3, ..CoarseOptions::default() };
+        let photos: Vec<Descriptors> = photos.iter().map(|photo| largest(photo, 15)).collect();
+        let found = coarse(&photos, &all(6), &options, &|| ());
+        assert_eq!(found, in_sequence(6, 2));
+        assert_eq!(coarse(&photos, &[[0, 1], [0, 5]], &options, &|| ()), [[0, 1]]);
+        let few = coarse(&photos, &all(6), &CoarseOptions { per_photo: 1, ..options }, &|| ());
+        assert_eq!(few, in_sequence(6, 1), "neighbours, of which most matches");
     }
 }

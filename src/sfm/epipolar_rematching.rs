@@ -17,7 +17,7 @@ use super::{
 };
 use crate::{
     camera::Camera,
-    features::{DESCRIPTOR_LENGTH, Descriptors, matching::distance_squared},
+    features::{DESCRIPTOR_LENGTH, DescriptorSource, Descriptors, matching::distance_squared},
 };
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
@@ -333,46 +333,56 @@ pub(super) fn compete(
 /// each pair.
 pub fn rematch_weak_pairs(
     features: &[Features],
-    descriptors: &[&Descriptors],
+    descriptors: &dyn DescriptorSource,
     cameras: &[Camera],
     pairs: &[Pair],
     (verifying, guiding): (&GeometricVerificationOptions, &RematchingOptions),
     tell: &(dyn Fn() + Sync),
 ) -> Vec<Pair> {
     let all = all_rays(features, cameras);
-    pairs
-        .par_iter()
-        .map(|pair| {
-            let mut best = pair.clone();
-            for tolerance_px in guiding.tolerances_px {
-                if best.matches.len() >= guiding.enough {
-                    break;
-                }
-                let of = best.images.map(|k| k as usize);
-                let c = finer_px(of.map(|k| &cameras[features[k].camera]));
-                let right: Vec<Correspondence> = best
-                    .matches
-                    .iter()
-                    .filter_map(|[a, b]| {
-                        let first = all[of[0]][*a as usize]?;
-                        Some(Correspondence { first, second: all[of[1]][*b as usize]? })
-                    })
-                    .collect();
-                let Some(ground) = Ground::of(&best.pose, &right, guiding.slack) else { break };
-                let seen = of.map(|k| Seen { rays: &all[k], descriptors: descriptors[k] });
-                let mut matches = rematch(seen, &best.pose, &ground, c, tolerance_px, guiding);
-                join(&mut matches, &best.matches);
-                let matched = PairMatches { images: best.images, matches };
-                let again = orient_matched(&matched, of.map(|k| all[k].as_slice()), c, verifying);
-                match again {
-                    Some(again) if again.matches.len() > best.matches.len() => best = again,
-                    _ => break,
-                }
+    in_parts(pairs, |pair| {
+        let mut best = pair.clone();
+        for tolerance_px in guiding.tolerances_px {
+            if best.matches.len() >= guiding.enough {
+                break;
             }
-            tell();
-            best
-        })
-        .collect()
+            let of = best.images.map(|k| k as usize);
+            let looks = of.map(|k| descriptors.descriptors(k));
+            let c = finer_px(of.map(|k| &cameras[features[k].camera]));
+            let right: Vec<Correspondence> = best
+                .matches
+                .iter()
+                .filter_map(|[a, b]| {
+                    let first = all[of[0]][*a as usize]?;
+                    Some(Correspondence { first, second: all[of[1]][*b as usize]? })
+                })
+                .collect();
+            let Some(ground) = Ground::of(&best.pose, &right, guiding.slack) else { break };
+            let seen = [0, 1].map(|k| Seen { rays: &all[of[k]], descriptors: &looks[k] });
+            let mut matches = rematch(seen, &best.pose, &ground, c, tolerance_px, guiding);
+            join(&mut matches, &best.matches);
+            let matched = PairMatches { images: best.images, matches };
+            let again = orient_matched(&matched, of.map(|k| all[k].as_slice()), c, verifying);
+            match again {
+                Some(again) if again.matches.len() > best.matches.len() => best = again,
+                _ => break,
+            }
+        }
+        tell();
+        best
+    })
+}
+
+/// Pairs that are looked at together: neighbours in the list have photos in common, whose descriptors then are in memory.
+const TOGETHER: usize = 512;
+
+/// Does the same with every pair, one part of the list after the other.
+pub(super) fn in_parts<P: Sync, T: Send>(pairs: &[P], each: impl Fn(&P) -> T + Sync) -> Vec<T> {
+    let mut found = Vec::with_capacity(pairs.len());
+    for part in pairs.chunks(TOGETHER) {
+        found.par_extend(part.par_iter().map(&each));
+    }
+    found
 }
 
 /// Adds the matches of `known` whose features are free.

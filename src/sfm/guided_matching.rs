@@ -11,12 +11,12 @@
 use super::{
     block::Block,
     epipolar_rematching::{
-        BUCKET, Buckets, Reach, RematchingOptions, SAME_PX, Seen, compete, distance, join,
+        BUCKET, Buckets, Reach, RematchingOptions, SAME_PX, Seen, compete, distance, in_parts, join,
     },
     relative::Ray,
     verify::PairMatches,
 };
-use crate::{camera::Lens, features::Descriptors, geometry::rotation};
+use crate::{camera::Lens, features::DescriptorSource, geometry::rotation};
 use rayon::prelude::*;
 
 /// How it is looked again.
@@ -172,7 +172,7 @@ fn overlapping(block: &Block<'_>, surfaces: &[Option<Surface>], least: f64) -> V
 /// and what only the block tells; `tell` is called for each pair with how many there are.
 pub fn match_guided(
     block: &Block<'_>,
-    descriptors: &[&Descriptors],
+    descriptors: &dyn DescriptorSource,
     matched: &[PairMatches],
     again: &GuidedMatchingOptions,
     tell: &(dyn Fn(usize) + Sync),
@@ -191,44 +191,42 @@ pub fn match_guided(
     let pairs = overlapping(block, &surfaces, again.overlap);
     let reach = Reach { tolerance: again.tolerance_px, context, same: SAME_PX };
     let total = pairs.len();
-    pairs
-        .into_par_iter()
-        .map(|images| {
-            let [a, b] = images.map(|k| k as usize);
-            let piece = |index: usize| {
-                let surface = surfaces[a].as_ref()?;
-                let at = block.features[a].positions_px[index];
-                let [low, high] = surface.cells[cell(surface.size_px, at)];
-                let pose = block.pose_at(a, at[1])?;
-                let d = block.lens(a).unproject(at)?;
-                if d[2] > -1e-3 {
-                    return None;
-                }
-                let back = rotation::rotate(rotation::inverse(pose.rotation), d);
-                let centre = pose.centre_m();
-                let [from, to] = [high, low].map(|inverse| {
-                    let along = 1.0 / (inverse * -d[2]);
-                    seen_at(block, b, std::array::from_fn(|k| centre[k] + along * back[k]))
-                });
-                Some([from?, to?])
-            };
-            let second = Seen { rays: &places[b], descriptors: descriptors[b] };
-            let mut matches: Vec<[u32; 2]> = matched
-                .binary_search_by_key(&images, |matched| matched.images)
-                .map_or(&[][..], |at| matched[at].matches.as_slice())
-                .iter()
-                .filter(|[i, j]| {
-                    let at = block.features[b].positions_px[*j as usize];
-                    piece(*i as usize).is_some_and(|piece| distance(piece, at) <= reach.tolerance)
-                })
-                .copied()
-                .collect();
-            let more = compete(descriptors[a], second, &buckets[b], &piece, &reach, &again.guiding);
-            join(&mut matches, &more);
-            tell(total);
-            PairMatches { images, matches }
-        })
-        .collect()
+    in_parts(&pairs, |&images| {
+        let [a, b] = images.map(|k| k as usize);
+        let looks = [a, b].map(|k| descriptors.descriptors(k));
+        let piece = |index: usize| {
+            let surface = surfaces[a].as_ref()?;
+            let at = block.features[a].positions_px[index];
+            let [low, high] = surface.cells[cell(surface.size_px, at)];
+            let pose = block.pose_at(a, at[1])?;
+            let d = block.lens(a).unproject(at)?;
+            if d[2] > -1e-3 {
+                return None;
+            }
+            let back = rotation::rotate(rotation::inverse(pose.rotation), d);
+            let centre = pose.centre_m();
+            let [from, to] = [high, low].map(|inverse| {
+                let along = 1.0 / (inverse * -d[2]);
+                seen_at(block, b, std::array::from_fn(|k| centre[k] + along * back[k]))
+            });
+            Some([from?, to?])
+        };
+        let second = Seen { rays: &places[b], descriptors: &looks[1] };
+        let mut matches: Vec<[u32; 2]> = matched
+            .binary_search_by_key(&images, |matched| matched.images)
+            .map_or(&[][..], |at| matched[at].matches.as_slice())
+            .iter()
+            .filter(|[i, j]| {
+                let at = block.features[b].positions_px[*j as usize];
+                piece(*i as usize).is_some_and(|piece| distance(piece, at) <= reach.tolerance)
+            })
+            .copied()
+            .collect();
+        let more = compete(&looks[0], second, &buckets[b], &piece, &reach, &again.guiding);
+        join(&mut matches, &more);
+        tell(total);
+        PairMatches { images, matches }
+    })
 }
 
 #[cfg(test)]
@@ -236,12 +234,13 @@ mod tests {
     use super::*;
     use crate::{
         camera::{Camera, Interior, Model},
-        features::DESCRIPTOR_LENGTH,
+        features::{DESCRIPTOR_LENGTH, Descriptors},
         scene::{Pose, RollingShutter},
         sfm::{Features, tracks::Tracks},
     };
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
+    use std::sync::Arc;
 
     const POINTS: usize = 1500;
     const IMAGES: usize = 4;
@@ -349,7 +348,7 @@ mod tests {
         };
         let all = block.all_tracks();
         assert!(block.retriangulate(&all, &demands) > 100);
-        let looks: Vec<&Descriptors> = flight.looks.iter().collect();
+        let looks: Vec<Arc<Descriptors>> = flight.looks.iter().cloned().map(Arc::new).collect();
         // A wrong descriptor match does not come back, and a right one does.
         let far = |k: usize| [few[0].matches[k][0], few[0].matches[k + 20][1]];
         let mut matched = few.clone();

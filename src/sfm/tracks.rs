@@ -37,11 +37,17 @@ pub struct Tracks {
 
 struct Forest {
     sets: DisjointSets,
-    /// Images of the tree at each root, ascending.
-    images: Vec<Vec<u32>>,
+    /// Image of each node.
+    image_of: Vec<u32>,
+    /// Images of each tree of several nodes, ascending, by its root.
+    images: HashMap<u32, Vec<u32>>,
 }
 
 impl Forest {
+    fn images(&self, root: usize) -> &[u32] {
+        self.images.get(&(root as u32)).map_or(&self.image_of[root..=root], Vec::as_slice)
+    }
+
     /// Joins two trees unless they share an image; whether they are one now.
     fn join(&mut self, a: u32, b: u32) -> bool {
         let (a, b) = (self.sets.root(a as usize), self.sets.root(b as usize));
@@ -49,8 +55,8 @@ impl Forest {
             return true;
         }
         let (root, other) =
-            if self.images[a].len() >= self.images[b].len() { (a, b) } else { (b, a) };
-        let (x, y) = (&self.images[root], &self.images[other]);
+            if self.images(a).len() >= self.images(b).len() { (a, b) } else { (b, a) };
+        let (x, y) = (self.images(root), self.images(other));
         let mut both = Vec::with_capacity(x.len() + y.len());
         let (mut i, mut j) = (0, 0);
         while i < x.len() || j < y.len() {
@@ -64,8 +70,8 @@ impl Forest {
                 return false;
             }
         }
-        self.images[root] = both;
-        self.images[other] = Vec::new();
+        self.images.remove(&(other as u32));
+        self.images.insert(root as u32, both);
         self.sets.link(root, other);
         true
     }
@@ -103,15 +109,13 @@ impl Tracks {
             offsets.push(offsets[offsets.len() - 1] + *count as u32);
         }
         let total = offsets[features.len()];
+        let image_of = features.iter().enumerate();
+        let image_of = image_of.flat_map(|(k, count)| std::iter::repeat_n(k as u32, *count));
         let mut forest = Forest {
             sets: DisjointSets::new(total as usize),
-            images: vec![Vec::new(); total as usize],
+            image_of: image_of.collect(),
+            images: HashMap::new(),
         };
-        for (image, window) in offsets.windows(2).enumerate() {
-            for node in window[0]..window[1] {
-                forest.images[node as usize] = vec![image as u32];
-            }
-        }
         let mut refused = 0;
         for (images, matches) in pairs {
             let [first, second] = images.map(|image| offsets[image as usize]);
@@ -126,29 +130,44 @@ impl Tracks {
             refused,
         };
         // Tracks come in the order of their first member.
-        let mut gathered: Vec<Vec<Member>> = Vec::new();
-        let mut place = vec![u32::MAX; total as usize];
-        for (image, window) in offsets.windows(2).enumerate() {
-            for node in window[0]..window[1] {
-                let root = forest.sets.root(node as usize);
-                if forest.images[root].len() < 2 {
-                    continue;
+        let mut numbers = vec![u32::MAX; total as usize];
+        let mut lengths: Vec<u32> = Vec::new();
+        let Forest { mut sets, image_of, images } = forest;
+        let mut track_of = |node: u32, lengths: &mut Vec<u32>| {
+            let root = sets.root(node as usize);
+            images.contains_key(&(root as u32)).then(|| {
+                if numbers[root] == u32::MAX {
+                    numbers[root] = lengths.len() as u32;
+                    lengths.push(0);
                 }
-                if place[root] == u32::MAX {
-                    place[root] = gathered.len() as u32;
-                    gathered.push(Vec::new());
-                }
-                let member = Member { image: image as u32, feature: node - window[0] };
-                gathered[place[root] as usize].push(member);
+                numbers[root] as usize
+            })
+        };
+        for node in 0..total {
+            if let Some(track) = track_of(node, &mut lengths) {
+                lengths[track] += 1;
             }
         }
-        for (track, members) in gathered.into_iter().enumerate() {
-            for member in members {
-                let at = tracks.members.len() as u32;
-                tracks.of_images[member.image as usize].push((track as u32, at));
-                tracks.members.push(member);
+        let mut next = 0;
+        for length in &mut lengths {
+            let begin = next;
+            next += *length;
+            tracks.starts.push(next);
+            *length = begin;
+        }
+        tracks.members = vec![Member { image: 0, feature: 0 }; next as usize];
+        for node in 0..total {
+            let Some(track) = track_of(node, &mut lengths) else { continue };
+            let (image, place) = (image_of[node as usize], lengths[track]);
+            lengths[track] += 1;
+            tracks.members[place as usize] =
+                Member { image, feature: node - offsets[image as usize] };
+        }
+        for track in 0..tracks.count() {
+            for place in tracks.places(track) {
+                let image = tracks.members[place].image as usize;
+                tracks.of_images[image].push((track as u32, place as u32));
             }
-            tracks.starts.push(tracks.members.len() as u32);
         }
         tracks
     }

@@ -132,7 +132,7 @@ pub(super) fn adjusted_as(
     let order = in_order(flown);
     let given = Given { known, order: &order, has_position_sigma, mark_scales: &[0.5, 2.0] };
     let read = |image: usize| Err(Error::Incomplete(format!("no photo {image}")));
-    let photos = Photos { descriptors: &[], matched: &flown.matched, read: &read };
+    let photos = Photos { descriptors: &Vec::new(), matched: &flown.matched, read: &read };
     let options = BlockOptions {
         tolerance_px: 4.0,
         shutter: ShutterModel::Auto(0.03),

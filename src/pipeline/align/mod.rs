@@ -4,12 +4,14 @@
 //! (into the mapping frame, bundle adjustment with self-calibration), report. What a step found is kept in the cache of
 //! the stage's folder and used again until something that it came from changes.
 
+mod descriptor_store;
 mod enlarge;
 mod export;
 mod features;
 mod figures;
 mod ground;
 pub(super) mod inputs;
+mod matches;
 mod outcome;
 mod pair_figures;
 mod place;
@@ -22,6 +24,7 @@ pub use outcome::{AlignOutcome, Fragment, PartialReport, PointErrors};
 use super::{CACHE, Project, Stage, Task, adjust, record::Cache, stage};
 use crate::{
     error::Error,
+    features::DescriptorSource,
     monitor::{Monitor, Recorder},
     sfm::{
         adjust_block::{
@@ -362,25 +365,27 @@ fn run(
         ..Default::default()
     };
     let extracted = features::features(&inputs, &detection, options.enlarge, &cache, monitor)?;
-    report.features = Some(extracted.features.iter().map(|f| f.key_points.len()).sum());
+    report.features = Some(extracted.geometric.iter().map(|of| of.positions_px.len()).sum());
     if last == Step::Features {
         return Ok(StepOutcome::Part(report));
     }
-    let (mut matched, matched_key) = features::matches(&inputs, &extracted, &cache, monitor)?;
-    features::remove_duplicates(&inputs, &extracted, &mut matched, monitor);
+    let (mut matched, matched_key) =
+        matches::matches(&inputs, &extracted, options.seed, &cache, monitor)?;
+    matches::remove_duplicates(&inputs, &extracted, &mut matched, monitor);
     report.pairs = Some(matched.len());
     report.matches = Some(matched.iter().map(|m| m.matches.len()).sum());
     if last == Step::Match {
         return Ok(StepOutcome::Part(report));
     }
-    let geometric = extracted.geometric(&inputs);
+    let features::Extracted { geometric, descriptors, .. } = extracted;
     steps::intrinsics(&mut inputs, &geometric, (&matched, matched_key), options, &cache, monitor)?;
     let cameras = inputs.cameras();
-    let descriptors = extracted.descriptors();
     let verification = options.verification();
-    let images = (geometric.as_slice(), cameras.as_slice(), descriptors.as_slice());
+    let looks: &dyn DescriptorSource = &descriptors;
+    let images = (geometric.as_slice(), cameras.as_slice(), looks);
     let (pairs, pairs_key) =
         steps::verify(images, (&matched, matched_key), &verification, &cache, monitor)?;
+    descriptors.check()?;
     report.pairs = Some(pairs.len());
     report.matches = Some(pairs.iter().map(|pair| pair.matches.len()).sum());
     if last == Step::Verify {
@@ -411,6 +416,7 @@ fn run(
         mark_scales: &mark_scales,
     };
     let mut found = adjust_blocks(blocks, &flight, &photos, &options.block(calibrated), monitor)?;
+    descriptors.check()?;
     let exported = export::Exports::of(&found.adjusted.reconstruction);
     found.diagnostics.extend(exported.diagnostics.iter().cloned());
     found.diagnostics.iter().for_each(|diagnostic| monitor.diagnostic(diagnostic));

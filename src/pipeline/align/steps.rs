@@ -1,14 +1,10 @@
 //! The steps that compute, with what they keep: lenses to start with, orientation of pairs, blocks.
 
-use super::{
-    AlignOptions, Step,
-    features::{FEATURES, MATCHES},
-    inputs::Inputs,
-};
+use super::{AlignOptions, Step, features::FEATURES, inputs::Inputs, matches::MATCHES};
 use crate::{
     camera::{Camera, Lens},
     error::Error,
-    features::Descriptors,
+    features::DescriptorSource,
     monitor::{Counter, Diagnostic, Monitor},
     pipeline::record::{Cache, Key},
     scene::Pose,
@@ -126,7 +122,7 @@ impl StoredPair {
 
 /// Orients the pairs.
 pub(super) fn verify(
-    (features, cameras, descriptors): (&[sfm::Features], &[Camera], &[&Descriptors]),
+    (features, cameras, descriptors): (&[sfm::Features], &[Camera], &dyn DescriptorSource),
     (matched, matched_key): (&[PairMatches], Key),
     verification: &GeometricVerificationOptions,
     cache: &Cache,

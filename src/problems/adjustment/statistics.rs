@@ -80,6 +80,8 @@ impl Statistics {
         let mut covariance = Covariance::new(&adjustment.problem, x, LinearSolver::Schur)
             .map_err(|error| rank::explain(reconstruction, adjustment, x, error))?;
         let inverse = Arc::new(SelectedInverse::new(reconstruction, adjustment, &mut covariance));
+        // As large as the problem itself.
+        drop(covariance);
         let mut found = Statistics::with_inverse(reconstruction, adjustment, settings, x, inverse)?;
         let at = (reconstruction, adjustment, settings, x);
         let effect = cluster_robust::widen_by_clusters(
@@ -108,7 +110,8 @@ impl Statistics {
         let mut covariance = Covariance::new(&adjustment.problem, x, LinearSolver::Schur)
             .map_err(|error| rank::explain(reconstruction, adjustment, x, error))?;
         let inverse = Arc::new(SelectedInverse::new(reconstruction, adjustment, &mut covariance));
-        let (_, points) = ties(reconstruction, adjustment, &wider, x, &inverse);
+        drop(covariance);
+        let (_, points) = ties(reconstruction, adjustment, &wider, x, &inverse, false);
         let images = adjustment.images.iter().map(|&block| image(adjustment, x, &inverse, block));
         self.images = images.collect();
         self.points = points;
@@ -127,7 +130,7 @@ impl Statistics {
         x: &[f64],
         inverse: Arc<SelectedInverse>,
     ) -> Result<Statistics, SolveError> {
-        let (mut tested, points) = ties(reconstruction, adjustment, settings, x, &inverse);
+        let (mut tested, points) = ties(reconstruction, adjustment, settings, x, &inverse, true);
         let mut groups: Vec<GroupStatistics> = Vec::new();
         if !tested.is_empty() {
             groups.push(sum(Group::TiePoints, &tested));
@@ -330,12 +333,17 @@ fn test(
     tested
 }
 
+/// Tie points whose matrices are in memory together.
+const POINTS_TOGETHER: usize = 4096;
+
+/// What is known of tie points, and, where asked for, of each of their measurements.
 fn ties(
     reconstruction: &Reconstruction,
     adjustment: &AdjustmentProblem,
     settings: &Settings,
     x: &[f64],
     inverse: &SelectedInverse,
+    with_tests: bool,
 ) -> (Vec<TestedObservation>, Vec<PointAccuracy>) {
     let mut tracks: Vec<Vec<usize>> = vec![Vec::new(); reconstruction.points.len()];
     for (k, o) in reconstruction.observations.iter().enumerate() {
@@ -348,38 +356,44 @@ fn ties(
         .enumerate()
         .map(|(image, of)| prepared(adjustment, x, image, of.camera))
         .collect();
-    let found: Vec<(Vec<TestedObservation>, PointAccuracy)> = tracks
-        .par_iter()
-        .enumerate()
-        .map(|(point, track)| {
-            let measurements: Vec<_> = track
-                .iter()
-                .map(|&k| {
-                    let o = &reconstruction.observations[k];
-                    let image = o.image as usize;
-                    let data = measurement(reconstruction, image, o.image_px, sigma_px);
-                    (image, reconstruction.images[image].camera, data)
-                })
-                .collect();
-            let at = adjustment.problem.values(x, adjustment.points[point]);
-            let of = |image: usize, _| images[image];
-            let rays = rays(adjustment, of, [at[0], at[1], at[2]], &measurements);
-            let unknown = || {
-                let n = 2 * track.len();
-                (DMatrix::from_element(3, 3, f64::NAN), DMatrix::identity(n, n))
-            };
-            let (covariance, hat) = rays.covariances(inverse).unwrap_or_else(unknown);
-            let tested = track.iter().enumerate().map(|(i, &k)| {
-                let r = DMatrix::identity(2, 2) - hat.view((2 * i, 2 * i), (2, 2));
-                let v = rays.residual.rows(2 * i, 2).into_owned();
-                test(Group::TiePoints, ObservationRef::TieObservation(k), &v, &r)
-            });
-            (tested.collect(), PointAccuracy { covariance_m2: array3(&covariance) })
-        })
-        .collect();
-    let (tested, points): (Vec<Vec<TestedObservation>>, Vec<PointAccuracy>) =
-        found.into_iter().unzip();
-    (tested.into_iter().flatten().collect(), points)
+    let judge = |point: usize, track: &[usize]| {
+        let measurements: Vec<_> = track
+            .iter()
+            .map(|&k| {
+                let o = &reconstruction.observations[k];
+                let image = o.image as usize;
+                let data = measurement(reconstruction, image, o.image_px, sigma_px);
+                (image, reconstruction.images[image].camera, data)
+            })
+            .collect();
+        let at = adjustment.problem.values(x, adjustment.points[point]);
+        let of = |image: usize, _| images[image];
+        let rays = rays(adjustment, of, [at[0], at[1], at[2]], &measurements);
+        let unknown = || {
+            let n = 2 * track.len();
+            (DMatrix::from_element(3, 3, f64::NAN), DMatrix::identity(n, n))
+        };
+        let (covariance, hat) = rays.covariances(inverse).unwrap_or_else(unknown);
+        let tested = track.iter().enumerate().filter(|_| with_tests).map(|(i, &k)| {
+            let r = DMatrix::identity(2, 2) - hat.view((2 * i, 2 * i), (2, 2));
+            let v = rays.residual.rows(2 * i, 2).into_owned();
+            test(Group::TiePoints, ObservationRef::TieObservation(k), &v, &r)
+        });
+        let tested: Vec<TestedObservation> = tested.collect();
+        (tested, PointAccuracy { covariance_m2: array3(&covariance) })
+    };
+    let count = if with_tests { reconstruction.observations.len() } else { 0 };
+    let mut tested = Vec::with_capacity(count);
+    let mut points = Vec::with_capacity(tracks.len());
+    for (part, together) in tracks.chunks(POINTS_TOGETHER).enumerate() {
+        let tracks = together.par_iter().enumerate();
+        let found = tracks.map(|(k, track)| judge(POINTS_TOGETHER * part + k, track));
+        for (of_track, point) in found.collect::<Vec<_>>() {
+            tested.extend(of_track);
+            points.push(point);
+        }
+    }
+    (tested, points)
 }
 
 /// Residuals of a factor and their redundancy matrix.

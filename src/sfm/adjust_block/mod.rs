@@ -17,7 +17,7 @@ use super::{
 };
 use crate::{
     error::Error,
-    features::Descriptors,
+    features::DescriptorSource,
     monitor::{Diagnostic, Monitor},
     problems::adjustment::{Adjusted, Alignment, Group, Removed, Settings},
     scene::{Reconstruction, Role},
@@ -102,7 +102,7 @@ pub struct Flight<'a> {
 #[derive(Clone, Copy)]
 pub struct Photos<'a> {
     /// Descriptors of the features of each.
-    pub descriptors: &'a [&'a Descriptors],
+    pub descriptors: &'a dyn DescriptorSource,
     /// Descriptor matches, by images.
     pub matched: &'a [PairMatches],
     /// Reads one.

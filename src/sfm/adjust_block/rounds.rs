@@ -298,7 +298,7 @@ impl BlockAdjuster<'_> {
     fn match_again(&self, block: &Block<'_>, monitor: &mut dyn Monitor) -> Tracks {
         let counter = Counter::new(monitor, "guided matching", None, "pairs");
         let options = GuidedMatchingOptions::default();
-        let Photos { descriptors, matched, .. } = self.photos;
+        let &Photos { descriptors, matched, .. } = self.photos;
         let found = match_guided(block, descriptors, matched, &options, &|_| counter.tick());
         let pairs = found.iter().map(|pair| (pair.images, pair.matches.as_slice()));
         Tracks::of_pairs(block.features, pairs)

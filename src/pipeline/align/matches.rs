@@ -1,0 +1,183 @@
+//! The step that compares photos: matches of the pairs worth trying.
+
+use super::{features::Extracted, inputs::Inputs};
+use crate::{
+    error::Error,
+    features::{
+        DescriptorSource, Descriptors,
+        matching::{MatchOptions, Prepared, match_prepared},
+        pairs::{self, CoarseOptions},
+        retrieval::{self, RetrievalOptions},
+    },
+    monitor::{Counter, Diagnostic, Monitor},
+    pipeline::record::{Cache, Key},
+    sfm::verify::PairMatches,
+};
+use rayon::prelude::*;
+use std::sync::Arc;
+
+/// Where the matches are kept.
+pub(super) const MATCHES: &str = "matches.cbor";
+
+/// Pairs that are matched together, and whose photos' descriptors are in memory together.
+const TOGETHER: usize = 512;
+
+/// How pairs are chosen.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Choice {
+    /// Neighbours by position that are looked at.
+    nearest: usize,
+    /// Photos that follow in time.
+    following: usize,
+    /// Photos that follow in time, and half of the nearest ones, that are matched in any case.
+    certain: usize,
+    /// A first look at few features.
+    coarse: CoarseOptions,
+    /// Without positions.
+    retrieval: RetrievalOptions,
+}
+
+impl Choice {
+    fn new(seed: u64) -> Choice {
+        Choice {
+            nearest: 40,
+            following: 3,
+            certain: 2,
+            coarse: CoarseOptions::default(),
+            retrieval: RetrievalOptions { seed, ..RetrievalOptions::default() },
+        }
+    }
+}
+
+/// Up to so many photos without positions everything is compared with everything, coarsely: with more, retrieval has fewer pairs to look at.
+const MOST_EXHAUSTIVE: usize = 100;
+
+/// Photos that follow each other in time, up to `reach` apart.
+fn following(inputs: &Inputs, reach: usize) -> Vec<pairs::Pair> {
+    let order = inputs.flight();
+    pairs::in_sequence(order.len(), reach)
+        .into_iter()
+        .map(|[a, b]| [order[a].min(order[b]), order[a].max(order[b])])
+        .collect()
+}
+
+/// Pairs worth a look: neighbours by position, those that follow each other, and without positions those that are alike.
+fn candidates(inputs: &Inputs, extracted: &Extracted, choice: &Choice) -> Vec<pairs::Pair> {
+    let n = inputs.photos.len();
+    let placed = inputs.plan_m.iter().filter(|p| p[0].is_finite()).count();
+    let alike = || match n {
+        0..=MOST_EXHAUSTIVE => pairs::all(n),
+        _ => retrieval::similar(&extracted.largest, &choice.retrieval),
+    };
+    let mut lists = vec![following(inputs, choice.following)];
+    if placed * 2 >= n {
+        lists.push(pairs::nearest(&inputs.plan_m, choice.nearest, f64::INFINITY));
+        // A photo without a position may belong anywhere.
+        let is_lost = |k: &usize| !inputs.plan_m[*k][0].is_finite();
+        let mut with_lost = if (0..n).any(|k| is_lost(&k)) { alike() } else { Vec::new() };
+        with_lost.retain(|pair| pair.iter().any(is_lost));
+        lists.push(with_lost);
+    } else {
+        lists.push(alike());
+    }
+    pairs::join(&lists)
+}
+
+/// Matches the pairs worth it.
+pub(super) fn matches(
+    inputs: &Inputs,
+    extracted: &Extracted,
+    seed: u64,
+    cache: &Cache,
+    monitor: &mut dyn Monitor,
+) -> Result<(Vec<PairMatches>, Key), Error> {
+    let (choice, options) = (&Choice::new(seed), &MatchOptions::default());
+    let candidates = candidates(inputs, extracted, choice);
+    let key = candidates
+        .iter()
+        .fold(Key::begin().key(extracted.key), |key, [a, b]| key.count(*a as u64).count(*b as u64))
+        .text(&format!("{choice:?} {options:?}"))
+        .finish();
+    if let Some(found) = cache.load::<Vec<([u32; 2], Vec<[u32; 2]>)>>(MATCHES, key) {
+        let found = found.into_iter().map(|(images, matches)| PairMatches { images, matches });
+        return Ok((found.collect(), key));
+    }
+    // The nearest few and those that follow each other are matched whatever the coarse look says:
+    // on a plain crop it sees little.
+    let close = [
+        following(inputs, choice.certain),
+        pairs::nearest(&inputs.plan_m, 2 * choice.certain, f64::INFINITY),
+    ];
+    let counter = Counter::new(monitor, "choosing pairs", candidates.len(), "pairs");
+    let tick = || counter.tick();
+    let shortlist = pairs::coarse(&extracted.largest, &candidates, &choice.coarse, &tick);
+    let chosen = pairs::join(&[shortlist, pairs::join(&close)]);
+    let counter = Counter::new(monitor, "matching", chosen.len(), "pairs");
+    let mut found: Vec<PairMatches> = Vec::with_capacity(chosen.len());
+    for span in chosen.chunks(TOGETHER) {
+        let mut photos: Vec<usize> = span.iter().flatten().copied().collect();
+        photos.sort_unstable();
+        photos.dedup();
+        let looks: Vec<Arc<Descriptors>> =
+            photos.par_iter().map(|&photo| extracted.descriptors.descriptors(photo)).collect();
+        let prepared: Vec<Prepared<'_>> = looks.par_iter().map(|of| Prepared::new(of)).collect();
+        let of = |photo: usize| &prepared[photos.partition_point(|&other| other < photo)];
+        let matched = span.par_iter().map(|&[a, b]| {
+            let matches = match_prepared(of(a), of(b), options);
+            counter.tick();
+            PairMatches {
+                images: [a as u32, b as u32],
+                matches: matches.iter().map(|m| [m.first, m.second]).collect(),
+            }
+        });
+        found.par_extend(matched);
+    }
+    extracted.descriptors.check()?;
+    let plain: Vec<([u32; 2], &Vec<[u32; 2]>)> =
+        found.iter().map(|m| (m.images, &m.matches)).collect();
+    cache.save(MATCHES, key, &plain)?;
+    Ok((found, key))
+}
+
+/// A photo and its double match in at least this share of their features.
+const DOUBLE_SHARE: f64 = 0.2;
+/// And stand this close to each other in the middle, pixels.
+const DOUBLE_PX: f64 = 0.5;
+
+/// Removes photos that show the same as another, pixel by pixel, from the matches: saved twice, they
+/// have no base and tell nothing. Of two the one that has a position stays, or else the first.
+pub(super) fn remove_duplicates(
+    inputs: &Inputs,
+    extracted: &Extracted,
+    matched: &mut Vec<PairMatches>,
+    monitor: &mut dyn Monitor,
+) {
+    let mut out = vec![false; inputs.photos.len()];
+    for pair in matched.iter() {
+        let [a, b] = pair.images.map(|k| k as usize);
+        let [first, second] = [a, b].map(|k| &extracted.geometric[k].positions_px);
+        let fewer = first.len().min(second.len());
+        if out[a] || out[b] || (pair.matches.len() as f64) < DOUBLE_SHARE * fewer as f64 {
+            continue;
+        }
+        let mut apart: Vec<f64> = pair
+            .matches
+            .iter()
+            .map(|[i, j]| {
+                let (p, q) = (&first[*i as usize], &second[*j as usize]);
+                (p[0] - q[0]).hypot(p[1] - q[1])
+            })
+            .collect();
+        apart.sort_by(f64::total_cmp);
+        if apart.get(apart.len() / 2).is_none_or(|&middle| middle > DOUBLE_PX) {
+            continue;
+        }
+        let placed = |k: usize| inputs.plan_m[k][0].is_finite();
+        let (stays, goes) = if placed(b) && !placed(a) { (b, a) } else { (a, b) };
+        out[goes] = true;
+        let message = format!("it shows the same as {}: left out", inputs.photos[stays].name);
+        let subject = inputs.photos[goes].name.as_str();
+        monitor.diagnostic(&Diagnostic::warning("duplicate-photo", subject, message));
+    }
+    matched.retain(|pair| pair.images.iter().all(|&k| !out[k as usize]));
+}
