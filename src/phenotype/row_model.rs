@@ -36,7 +36,7 @@ use super::{
     dynamic_programming::{Chain, Posterior, STEP},
     evidence::AxisSource,
     locate::LocateError,
-    mass_stand,
+    mass_stand::{self, ByMass},
     plant_spacing::Spacing,
     row_evidence::{Expected, RowEvidence, best, bisect, gaps, total, worth_of},
     row_parts::Part,
@@ -132,12 +132,20 @@ pub(super) fn locate_in_detail(
         return Err(LocateError::TooManyPlants { plants, pixels });
     }
     let fits = count.is_none_or(|count| count <= pixels / PLANT);
-    if options.isolated_plants
-        && fits
-        && let Some(stand) = mass_stand::locate(mask, posterior, detection, count)
-    {
-        return Ok(stand);
-    }
+    let by_mass = if options.isolated_plants && fits {
+        mass_stand::locate(mask, posterior, detection, count)
+    } else {
+        ByMass::Closed
+    };
+    let weedy;
+    let (mask, detection, between_rows) = match by_mass {
+        ByMass::Found(stand) => return Ok(*stand),
+        ByMass::Closed => (mask, detection, None),
+        ByMass::Weedy(found) => {
+            weedy = found;
+            (&weedy.crop, &weedy.detection, Some(weedy.between_rows.clone()))
+        }
+    };
     let rows = match detection {
         Detection::Found(rows) => rows,
         &Detection::NoRows { contrast, prominence } => {
@@ -147,7 +155,9 @@ pub(super) fn locate_in_detail(
     let detail = posterior.map(|posterior| Mask {
         width: mask.width,
         height: mask.height,
-        data: posterior.iter().map(|&p| u8::from(p >= LIKELY)).collect(),
+        data: std::iter::zip(posterior, &mask.data)
+            .map(|(&p, &crop)| u8::from(p >= LIKELY && (crop != 0 || between_rows.is_none())))
+            .collect(),
     });
     let mut evidence = RowEvidence::new(detail.as_ref().unwrap_or(mask), rows, options);
     let spacing = evidence.spacing(count);
@@ -182,6 +192,7 @@ pub(super) fn locate_in_detail(
     let mut stand =
         evidence.present(rows, &places, &chains, &posteriors, &spacing, (plant_log_odds, expected));
     stand.refit_rows();
+    stand.between_rows = between_rows;
     Ok(stand)
 }
 
@@ -348,6 +359,7 @@ impl RowEvidence {
             row_count_sigmas: row_variances.into_iter().map(f64::sqrt).collect(),
             missing,
             leaf_mass: None,
+            between_rows: None,
         }
     }
 }

@@ -56,12 +56,17 @@ pub struct LeafMass {
     pub plant_px: f64,
     /// Share of the leaf pixels that no plant explains: specks.
     pub unexplained: f64,
-    /// Share of the leaf pixels that belong to plants between the rows, where there are rows; weeds that were left out among them.
-    pub between_rows: Option<f64>,
-    /// Plants between the rows that were taken for weeds and left out.
-    pub weeds_px: Vec<[f64; 2]>,
     /// Middles of leaf areas too small to be plants.
     pub specks_px: Vec<[f64; 2]>,
+}
+
+/// What grows between the rows.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BetweenRows {
+    /// Share of the leaf pixels that belong to plants between the rows; weeds that were left out among them.
+    pub leaf_share: f64,
+    /// Plants between the rows that were taken for weeds and left out.
+    pub weeds_px: Vec<[f64; 2]>,
 }
 
 /// What was found.
@@ -86,6 +91,8 @@ pub struct Stand {
     pub missing: Vec<Gap>,
     /// What the leaf mass says, where plants are told by it.
     pub leaf_mass: Option<LeafMass>,
+    /// What grows between the rows, where there are rows and soil between leaves tells.
+    pub between_rows: Option<BetweenRows>,
 }
 
 impl Stand {
@@ -204,6 +211,7 @@ mod tests {
             row_count_sigmas: vec![],
             missing: vec![],
             leaf_mass: None,
+            between_rows: None,
         };
         stand.refit_rows();
         let across: Vec<f64> = stand.rows.rows.iter().map(|row| row.across_px).collect();

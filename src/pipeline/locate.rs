@@ -145,7 +145,7 @@ impl StandOutcome {
             mean_confidence: confidence / count.max(1.0),
             plant_leaf_px: stand.leaf_mass.as_ref().map(|mass| mass.plant_px),
             unexplained_share: stand.leaf_mass.as_ref().map(|mass| mass.unexplained),
-            between_rows_share: stand.leaf_mass.as_ref().and_then(|mass| mass.between_rows),
+            between_rows_share: stand.between_rows.as_ref().map(|between| between.leaf_share),
             plants_per_hectare: hectares.map(|area| count / area),
             plants_per_hectare_interval: hectares
                 .map(|area| stand.count_interval.map(|count| count / area)),

@@ -29,12 +29,11 @@ pub(super) fn tell(stand: &Stand, subject: &str, monitor: &mut dyn Monitor) {
         (_, thin) => format!("{rows} rows, {thin} of them thin"),
     };
     monitor.diagnostic(&Diagnostic::info("rows-found", subject, what));
-    let Some(mass) = &stand.leaf_mass else { return };
-    if let Some(between) = mass.between_rows.filter(|&share| share >= BETWEEN_ROWS) {
+    if let Some(between) = stand.between_rows.as_ref().filter(|of| of.leaf_share >= BETWEEN_ROWS) {
         let message = format!(
             "{:.0} % of the leaf area lies between the rows: weeds? {} patches of it were left out and are not counted as plants",
-            100.0 * between,
-            mass.weeds_px.len()
+            100.0 * between.leaf_share,
+            between.weeds_px.len()
         );
         monitor.diagnostic(
             &Diagnostic::warning("leaf-between-rows", subject, message).with_remedy(
@@ -42,6 +41,7 @@ pub(super) fn tell(stand: &Stand, subject: &str, monitor: &mut dyn Monitor) {
             ),
         );
     }
+    let Some(mass) = &stand.leaf_mass else { return };
     if mass.unexplained >= UNEXPLAINED {
         let message = format!(
             "{:.0} % of the leaf area is in {} specks too small to be plants: weeds, or other colours taken for leaf?",
@@ -85,7 +85,9 @@ pub(super) fn draw(view: &mut View, found: &Found) {
             points(stand.missing.iter().map(|gap| gap.position_px).collect(), MISSING, radius_px);
             if let Some(mass) = &stand.leaf_mass {
                 points(mass.specks_px.clone(), SPECK, 2);
-                points(mass.weeds_px.clone(), BETWEEN, 2);
+            }
+            if let Some(between) = &stand.between_rows {
+                points(between.weeds_px.clone(), BETWEEN, 2);
             }
             for row in &stand.rows.rows {
                 let dots = (row.length_px() / (8.0 * step)).ceil() as usize;
