@@ -189,7 +189,7 @@ fn of_photos(photos: &[PathBuf], tabled: bool) -> Vec<Diagnostic> {
         found.push(Diagnostic::info("positions", "positions", message));
     } else if without_place > 0 {
         let message = format!(
-            "{without_place} of {all} photos have no position: all pairs of them have to be tried"
+            "{without_place} of {all} photos have no position: what they show has to tell their neighbours"
         );
         found.push(
             Diagnostic::warning("positions-missing", "positions", message)
