@@ -47,10 +47,11 @@ const LEAST: usize = 6;
 const PLACE: (f64, f64) = (0.14, 0.20);
 
 /// Share of weeds between the rows among all plants above which votes along leaf axes tell crop from weeds better than mass: on synthetic
-/// seedlings with 1, 2 and 5 weeds per square metre (an eighth to half of all plants), number not told, F1 is 0.96, 0.96 and 0.86 instead of 0.91, 0.79 and 0.64.
+/// seedlings with 1, 2 and 5 weeds per square metre (an eighth to half of all plants), number not told, F1 is 0.96, 0.96 and 0.86
+/// instead of 0.91, 0.79 and 0.64 (the fields of `experiments/specs/locate-weeds.toml`, seeds 1 to 6, method `row-model-auto`).
 const WEEDY: f64 = 0.1;
-/// Plants in the rows, at least, from which the spacing and what is usual of a plant can be learned amid weeds: in a synthetic field of 46 plants
-/// votes found 57, mass 48.
+/// Plants in the rows, at least, from which the spacing and what is usual of a plant can be learned amid weeds: in a synthetic field of
+/// 46 plants votes found 57, mass 48 (second date of `rowgram synth season --preset tiny`).
 const LEAST_CROP: usize = 60;
 
 /// Whether leaves have closed along the rows, so that leaf mass does not tell plants.

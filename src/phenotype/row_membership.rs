@@ -19,7 +19,8 @@ use super::rows::Rows;
 use nalgebra::{Matrix3, Vector3};
 use std::f64::consts::TAU;
 
-/// Rounds of expectation maximization, with the rows as they were seen and then with lines that move. With 100 to 200 crop plants and 0 to 300 weeds, share and scatter change by less than 1e-4 after these.
+/// Rounds of expectation maximization, with the rows as they were seen and then with lines that move. With 100 to 200 crop plants and 0 to
+/// 300 weeds, share and scatter change by less than 1e-4 after these where the lines do not move.
 const ROUNDS: usize = 60;
 /// The least standard deviation across a row, as a share of the distance between rows: 0.8 cm at the usual 0.76 m, what a planter
 /// and the middle of a seedling's leaves reach together. It keeps the likelihood of plants exactly in line finite.
@@ -27,9 +28,10 @@ const LEAST_SIGMA: f64 = 0.01;
 /// The largest, as a share of the distance between rows: the middle between two rows is then 2.5 standard deviations away, and with more the
 /// rows would run into each other.
 const MOST_SIGMA: f64 = 0.2;
-/// Standard deviation of the distance between rows about that of the rows seen, as a share.
+/// Standard deviation of the distance between rows about that of the rows seen, as a share: weeds as large as plants drew it by 3.5 %
+/// (the test of weeds between the rows in `mass_stand`).
 const SPACING_SIGMA: f64 = 0.05;
-/// Standard deviation of the heading about that of the rows seen, in radians.
+/// Standard deviation of the heading about that of the rows seen, in radians: about one degree. Not tuned.
 const HEADING_SIGMA: f64 = 0.02;
 /// Standard deviation of a row about its place among equal distances, as a share of the distance: the rows where two passes of a planter
 /// meet are 2 to 4 cm off.
@@ -49,11 +51,17 @@ pub(super) struct RowMembership {
 /// Row `k` crosses the axis at `origin + k spacing + aside[k - first]`.
 #[derive(Debug, Clone, PartialEq)]
 struct Lines {
+    /// Distance between the rows that were seen, the unit of all lengths here.
     unit_px: f64,
+    /// Where row 0 crosses the axis.
     origin: f64,
+    /// Distance between rows.
     spacing: f64,
+    /// Of the rows against the axes along which they were seen.
     slope: f64,
+    /// Number of the first row with an offset of its own.
     first: i64,
+    /// How far each row, from the first on, is from its place among equal distances.
     aside: Vec<f64>,
 }
 

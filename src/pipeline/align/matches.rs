@@ -49,7 +49,8 @@ impl Choice {
     }
 }
 
-/// Up to so many photos without positions everything is compared with everything, coarsely: with more, retrieval has fewer pairs to look at.
+/// Up to so many photos without positions everything is compared with everything, coarsely: with more, retrieval has fewer pairs to look
+/// at, 40 a photo instead of half of all photos.
 const MOST_EXHAUSTIVE: usize = 100;
 
 /// Photos that follow each other in time, up to `reach` apart.
