@@ -94,6 +94,11 @@ pub fn compactness(mask: &Mask) -> Option<f64> {
     (total(1) > 0.5 * total(2)).then(|| total(0) / total(1))
 }
 
+/// Whether the leaves of a mask are broad ([`compactness`]); not where nothing is deep enough to tell.
+pub fn is_broad(mask: &Mask) -> bool {
+    compactness(mask).is_some_and(|compactness| compactness < BROAD)
+}
+
 /// Labels of the pixels of a component, run by run, and their number.
 fn leaves_of(part: &components::Part) -> (Vec<u32>, u32) {
     let cut = Watershed::of(part);

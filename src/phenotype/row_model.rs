@@ -36,7 +36,7 @@ use super::{
     dynamic_programming::{Chain, Posterior, STEP},
     evidence::AxisSource,
     locate::LocateError,
-    mass_stand::{self, ByMass},
+    mass_stand::{self, ByMass, Weedy},
     plant_spacing::Spacing,
     row_evidence::{Expected, RowEvidence, best, bisect, gaps, total, worth_of},
     row_parts::Part,
@@ -137,15 +137,32 @@ pub(super) fn locate_in_detail(
     } else {
         ByMass::Closed
     };
-    let weedy;
-    let (mask, detection, between_rows) = match by_mass {
-        ByMass::Found(stand) => return Ok(*stand),
-        ByMass::Closed => (mask, detection, None),
-        ByMass::Weedy(found) => {
-            weedy = found;
-            (&weedy.crop, &weedy.detection, Some(weedy.between_rows.clone()))
+    match by_mass {
+        ByMass::Found(stand) => Ok(*stand),
+        ByMass::Closed => by_votes(mask, posterior, detection, count, options),
+        ByMass::Weedy(weedy) => {
+            let Weedy { crop, detection, .. } = &*weedy;
+            let of_crop: Option<Vec<u8>> = posterior.map(|posterior| {
+                let pixels = std::iter::zip(posterior, &crop.data);
+                pixels.map(|(&p, &crop)| if crop == 0 { 0 } else { p }).collect()
+            });
+            let stand = by_votes(crop, of_crop.as_deref(), detection, count, options)?;
+            if !weedy.allows(stand.plants.len()) {
+                return Ok(weedy.by_mass);
+            }
+            Ok(Stand { between_rows: Some(weedy.between_rows), ..stand })
         }
-    };
+    }
+}
+
+/// [`locate_in_detail`] by votes along leaf axes alone.
+fn by_votes(
+    mask: &Mask,
+    posterior: Option<&[u8]>,
+    detection: &Detection,
+    count: Option<usize>,
+    options: &RowModelOptions,
+) -> Result<Stand, LocateError> {
     let rows = match detection {
         Detection::Found(rows) => rows,
         &Detection::NoRows { contrast, prominence } => {
@@ -155,9 +172,7 @@ pub(super) fn locate_in_detail(
     let detail = posterior.map(|posterior| Mask {
         width: mask.width,
         height: mask.height,
-        data: std::iter::zip(posterior, &mask.data)
-            .map(|(&p, &crop)| u8::from(p >= LIKELY && (crop != 0 || between_rows.is_none())))
-            .collect(),
+        data: posterior.iter().map(|&p| u8::from(p >= LIKELY)).collect(),
     });
     let mut evidence = RowEvidence::new(detail.as_ref().unwrap_or(mask), rows, options);
     let spacing = evidence.spacing(count);
@@ -192,7 +207,6 @@ pub(super) fn locate_in_detail(
     let mut stand =
         evidence.present(rows, &places, &chains, &posteriors, &spacing, (plant_log_odds, expected));
     stand.refit_rows();
-    stand.between_rows = between_rows;
     Ok(stand)
 }
 

@@ -29,7 +29,7 @@ mod segments;
 mod slices;
 mod split;
 
-use crate::phenotype::broad_leaves::{BROAD, compactness};
+use crate::phenotype::broad_leaves;
 use crate::raster::{
     Mask,
     components::{self, Part, Run},
@@ -186,7 +186,7 @@ const CLASSES_PER_PX: f64 = 16.0;
 /// The result does not depend on the number of threads.
 pub fn find(mask: &Mask, options: &LeafOptions) -> Leaves {
     let is_broad = match options.shape {
-        LeafShape::Auto => compactness(mask).is_some_and(|compactness| compactness < BROAD),
+        LeafShape::Auto => broad_leaves::is_broad(mask),
         shape => shape == LeafShape::Broad,
     };
     if is_broad {
