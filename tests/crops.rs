@@ -3,7 +3,7 @@
 use crate::program::rowgram;
 use rowgram::io::csv_table::CsvTable;
 use serde_json::Value;
-use std::{fs, path::Path};
+use std::{collections::BTreeSet, fs, path::Path};
 
 /// Cuts the plots of a project that was run, and compares what the photos say with what the orthomosaic says.
 pub fn assert_photos_agree_with_the_map(project: &Path) {
@@ -15,8 +15,7 @@ pub fn assert_photos_agree_with_the_map(project: &Path) {
     let crops = outcome["crops"].as_array().unwrap();
     // Photos of 15 m x 11 m show few plots of 8 m x 4 m whole; every other one is named.
     assert!(!crops.is_empty(), "{outcome}");
-    let plots: std::collections::BTreeSet<&str> =
-        crops.iter().map(|crop| crop["plot"].as_str().unwrap()).collect();
+    let plots: BTreeSet<&str> = crops.iter().map(|crop| crop["plot"].as_str().unwrap()).collect();
     assert_eq!(plots.len() + outcome["without_photo"].as_array().unwrap().len(), 8, "{outcome}");
     let folder = project.join("rowgram/crops");
     for crop in crops {
@@ -59,7 +58,46 @@ pub fn assert_photos_agree_with_the_map(project: &Path) {
         // A single photo has no scatter.
         assert!(scatter[plot].is_nan() || scatter[plot] < 0.05, "{plot}: {}", scatter[plot]);
     }
+    assert_comparison_agrees(project, &plots);
     let again = rowgram(parent, &format!("crops {name} -q"));
     assert_eq!(again.code, 2, "what is there is not replaced: {}", again.stderr);
     assert!(again.stderr.contains("--force"), "{}", again.stderr);
+}
+
+/// Most that a trait of a plot may differ between photos and orthomosaic, in the unit of the trait. Both see the same leaves through the
+/// same leaf rule; what is left are the colours that drawing the map balances and the direction from which a leaf is seen.
+const MOST_DIFFERENCE: [(&str, f64); 7] = [
+    ("canopy_cover", 0.05),
+    ("exg", 0.02),
+    ("gli", 0.02),
+    ("ngrdi", 0.02),
+    ("vari", 0.03),
+    ("tgi", 0.02),
+    ("a_star", 1.5),
+];
+
+/// `comparison.csv` has every trait of every plot that photos show, and the two sources agree.
+fn assert_comparison_agrees(project: &Path, plots: &BTreeSet<&str>) {
+    let table = CsvTable::read(&project.join("rowgram/crops/comparison.csv")).unwrap();
+    let [names, traits] = ["plot", "trait"].map(|column| table.texts(column).unwrap());
+    let [map, photos, mean, difference] =
+        ["orthomosaic", "photos", "photos_mean", "difference"].map(|of| table.numbers(of).unwrap());
+    let rows: BTreeSet<(&str, &str)> =
+        names.iter().zip(&traits).map(|(plot, of)| (*plot, *of)).collect();
+    let expected: BTreeSet<(&str, &str)> = plots
+        .iter()
+        .flat_map(|plot| MOST_DIFFERENCE.iter().map(move |(of, _)| (*plot, *of)))
+        .collect();
+    assert_eq!(rows, expected, "every trait of every plot once");
+    assert_eq!(table.len(), rows.len());
+    for k in 0..table.len() {
+        let of =
+            format!("{} of {}: {} on the map, {} in photos", traits[k], names[k], map[k], mean[k]);
+        assert!([map[k], mean[k], difference[k]].iter().all(|x| x.is_finite()), "{of}");
+        assert!((1.0..=4.0).contains(&photos[k]), "{of}: {} photos", photos[k]);
+        // Six decimals of each.
+        approx::assert_abs_diff_eq!(difference[k], mean[k] - map[k], epsilon = 2e-6);
+        let (_, most) = MOST_DIFFERENCE.iter().find(|(name, _)| *name == traits[k]).unwrap();
+        assert!(difference[k].abs() < *most, "{of}");
+    }
 }

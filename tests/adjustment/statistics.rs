@@ -240,7 +240,7 @@ fn redundancy_numbers_are_those_of_the_dense_hat_matrix() {
         });
         let others = statistics.tested.iter().filter(|t| t.group != Group::TiePoints);
         for tested in in_order.into_iter().chain(others.filter(|t| t.group == Group::Marks)) {
-            for k in 0..tested.rows {
+            for k in 0..usize::from(tested.rows) {
                 let expected = 1.0 - hat[(at, at)];
                 assert!((tested.redundancy[k] - expected).abs() < 1e-5, "{tested:?} {expected}");
                 assert!((tested.residual[k] - v[at]).abs() < 1e-3);

@@ -3,7 +3,7 @@
 use super::Adjustment;
 use crate::{
     error::Error,
-    io::{FileError, output},
+    io::output,
     problems::adjustment::{ObservationRef, TestedObservation},
 };
 use std::path::Path;
@@ -12,7 +12,8 @@ pub(super) fn write(folder: &Path, adjustment: &Adjustment, force: bool) -> Resu
     let adjusted = &adjustment.adjusted;
     let (survey, statistics) = (&adjusted.reconstruction, &adjusted.statistics);
     let sigma0 = statistics.sigma0;
-    let table = |name: &str, header: &[&str], rows: Vec<Vec<String>>| {
+    // Rows are made as they are written: all of them at once would be the largest thing in memory.
+    let table = |name: &str, header: &[&str], rows: &mut dyn Iterator<Item = Vec<String>>| {
         save(&folder.join(name), header, rows, force)
     };
     let number = |v: f64| format!("{v:.6}");
@@ -53,27 +54,23 @@ pub(super) fn write(folder: &Path, adjustment: &Adjustment, force: bool) -> Resu
             [at[0], at[1], sigma * tested.residual[0], sigma * tested.residual[1]].map(number),
         );
         row.extend([0, 1].map(|k| number(tested.redundancy[k])));
-        row.extend([0, 1].map(|k| number(tested.standardised[k])));
+        row.extend([0, 1].map(|k| number(tested.standardised()[k])));
         row.push(number(tested.statistic));
         Some(row)
     };
     let marks = |tested: &&TestedObservation| matches!(tested.subject, ObservationRef::Mark(_));
-    table("marks.csv", &header, statistics.tested.iter().filter(marks).filter_map(row).collect())?;
+    table("marks.csv", &header, &mut statistics.tested.iter().filter(marks).filter_map(row))?;
     let ties =
         |tested: &&TestedObservation| matches!(tested.subject, ObservationRef::TieObservation(_));
-    table(
-        "tie_points.csv",
-        &header,
-        statistics.tested.iter().filter(ties).filter_map(row).collect(),
-    )?;
+    table("tie_points.csv", &header, &mut statistics.tested.iter().filter(ties).filter_map(row))?;
 
     let other = statistics.tested.iter().filter(|tested| measured(tested.subject).is_none());
-    let rows = other.map(|tested| {
+    let mut rows = other.map(|tested| {
         let mut row = vec![adjusted.name(tested.subject)];
-        for values in [&tested.residual, &tested.redundancy, &tested.standardised] {
-            row.extend(
-                (0..3).map(|k| if k < tested.rows { number(values[k]) } else { String::new() }),
-            );
+        for values in [tested.residual, tested.redundancy, tested.standardised()] {
+            row.extend((0..3).map(|k| {
+                if k < usize::from(tested.rows) { number(values[k]) } else { String::new() }
+            }));
         }
         row.push(number(tested.statistic));
         row.push(tested.freedom.to_string());
@@ -93,9 +90,9 @@ pub(super) fn write(folder: &Path, adjustment: &Adjustment, force: bool) -> Resu
         "test",
         "freedom",
     ];
-    table("control_tests.csv", &header, rows.collect())?;
+    table("control_tests.csv", &header, &mut rows)?;
 
-    let rows = survey.images.iter().zip(&statistics.images).map(|(image, accuracy)| {
+    let mut rows = survey.images.iter().zip(&statistics.images).map(|(image, accuracy)| {
         let mut row = vec![image.name.clone()];
         row.extend(image.pose.centre_m().map(number));
         row.extend(image.pose.omega_phi_kappa_rad().map(|angle| number(angle.to_degrees())));
@@ -124,9 +121,9 @@ pub(super) fn write(folder: &Path, adjustment: &Adjustment, force: bool) -> Resu
         "ellipsoid_2_m",
         "ellipsoid_3_m",
     ];
-    table("images.csv", &header, rows.collect())?;
+    table("images.csv", &header, &mut rows)?;
 
-    let rows = survey.points.iter().zip(&statistics.points).map(|(point, accuracy)| {
+    let mut rows = survey.points.iter().zip(&statistics.points).map(|(point, accuracy)| {
         let mut row = vec![point.id.to_string()];
         row.extend(point.position_m.map(number));
         row.extend(
@@ -135,10 +132,10 @@ pub(super) fn write(folder: &Path, adjustment: &Adjustment, force: bool) -> Resu
         row
     });
     let header = ["point", "x_m", "y_m", "z_m", "sigma_x_m", "sigma_y_m", "sigma_z_m"];
-    table("points.csv", &header, rows.collect())?;
+    table("points.csv", &header, &mut rows)?;
 
     for interior in &statistics.interiors {
-        let rows = interior.names.iter().enumerate().map(|(k, name)| {
+        let mut rows = interior.names.iter().enumerate().map(|(k, name)| {
             let mut row = vec![(*name).to_owned(), format!("{:e}", interior.values[k])];
             row.push(format!("{:e}", sigma0 * interior.standard_deviations[k]));
             row.extend(interior.correlation[k].iter().map(|&v| number(v)));
@@ -146,7 +143,7 @@ pub(super) fn write(folder: &Path, adjustment: &Adjustment, force: bool) -> Resu
         });
         let mut header = vec!["parameter", "value", "standard_deviation"];
         header.extend(&interior.names);
-        table(&format!("interior-{}.csv", interior.camera + 1), &header, rows.collect())?;
+        table(&format!("interior-{}.csv", interior.camera + 1), &header, &mut rows)?;
     }
 
     let aside = adjustment.unmatched.iter().chain(&adjusted.validated.excluded).map(|aside| {
@@ -163,17 +160,22 @@ pub(super) fn write(folder: &Path, adjustment: &Adjustment, force: bool) -> Resu
         vec![removed.group.name().to_owned(), String::new(), removed.name.clone(), reason]
     });
     let header = ["kind", "image", "point", "reason"];
-    table("excluded.csv", &header, aside.chain(removed).collect())
+    table("excluded.csv", &header, &mut aside.chain(removed))
 }
 
-fn save(path: &Path, header: &[&str], rows: Vec<Vec<String>>, force: bool) -> Result<(), Error> {
-    let failed = |e: csv::Error| FileError::write(path, std::io::Error::other(e));
-    let mut writer = csv::Writer::from_writer(Vec::new());
-    writer.write_record(header).map_err(failed)?;
-    for row in rows {
-        writer.write_record(row).map_err(failed)?;
-    }
-    let bytes = writer.into_inner().map_err(|e| FileError::write(path, e.into_error()))?;
-    output::write(path, force, |out| out.write_all(&bytes))?;
+fn save(
+    path: &Path,
+    header: &[&str],
+    rows: &mut dyn Iterator<Item = Vec<String>>,
+    force: bool,
+) -> Result<(), Error> {
+    output::write(path, force, |out| {
+        let mut writer = csv::Writer::from_writer(out);
+        writer.write_record(header)?;
+        for row in rows {
+            writer.write_record(row)?;
+        }
+        writer.flush()
+    })?;
     Ok(())
 }

@@ -216,7 +216,9 @@ fn suspects(adjusted: &Adjusted, snooping: &DataSnoopingOptions) -> Vec<(usize, 
         .collect();
     let tested = statistics.tested.iter().enumerate().filter(|(_, tested)| tested.freedom > 0);
     tested
-        .map(|(place, tested)| (place, tested.statistic / critical[&tested.group][tested.freedom]))
+        .map(|(place, tested)| {
+            (place, tested.statistic / critical[&tested.group][usize::from(tested.freedom)])
+        })
         .filter(|(_, excess)| *excess > 1.0)
         .collect()
 }

@@ -13,6 +13,7 @@
 //! imperfect lens model leaves more in the control than its standard deviations say, all of it would be
 //! rejected point by point instead of the one that is wrong.
 
+use super::tested::LEAST_REDUNDANCY;
 pub use super::tested::{
     GroupStatistics, ObservationRef, OutlierTest, RejectedObservation, TestedObservation,
 };
@@ -243,7 +244,7 @@ impl Statistics {
             .enumerate()
             .filter(|(_, tested)| tested.freedom > 0)
             .map(|(place, tested)| {
-                let (group, freedom) = (tested.group, tested.freedom);
+                let (group, freedom) = (tested.group, usize::from(tested.freedom));
                 let critical = criticals
                     .entry((group, freedom))
                     .or_insert_with(|| self.critical(testing, group, freedom, significance));
@@ -272,8 +273,9 @@ impl Statistics {
 fn sum(group: Group, tested: &[TestedObservation]) -> GroupStatistics {
     let mut total = GroupStatistics { group, observations: 0, redundancy: 0.0, squares: 0.0 };
     for tested in tested {
-        total.observations += tested.rows;
-        for k in 0..tested.rows {
+        let rows = usize::from(tested.rows);
+        total.observations += rows;
+        for k in 0..rows {
             total.redundancy += tested.redundancy[k];
             total.squares += tested.residual[k].powi(2);
         }
@@ -292,9 +294,6 @@ fn ground(adjustment: &AdjustmentProblem, inverse: &SelectedInverse) -> Vec<Opti
 /// A kind with less redundancy than this has no variance factor of its own.
 const LEAST_FOR_A_FACTOR: f64 = 8.0;
 
-/// Directions of a residual that are checked by less than this are not checked.
-const LEAST_REDUNDANCY: f64 = 1e-6;
-
 fn test(
     group: Group,
     subject: ObservationRef,
@@ -305,20 +304,16 @@ fn test(
     let mut tested = TestedObservation {
         group,
         subject,
-        rows,
+        rows: rows as u8,
+        freedom: 0,
         residual: [0.0; 3],
         redundancy: [0.0; 3],
-        standardised: [0.0; 3],
         statistic: 0.0,
         error: [0.0; 3],
-        freedom: 0,
     };
     for k in 0..rows {
         tested.residual[k] = v[k];
         tested.redundancy[k] = r[(k, k)].clamp(0.0, 1.0);
-        if r[(k, k)] > LEAST_REDUNDANCY {
-            tested.standardised[k] = v[k] / r[(k, k)].sqrt();
-        }
     }
     let eigen = SymmetricEigen::new(r.clone());
     for (k, &value) in eigen.eigenvalues.iter().enumerate() {

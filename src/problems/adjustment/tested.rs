@@ -38,21 +38,32 @@ pub struct TestedObservation {
     /// Which one it is.
     pub subject: ObservationRef,
     /// How many numbers it is.
-    pub rows: usize,
+    pub rows: u8,
+    /// Degrees of freedom of `T`; 0 where nothing checks it.
+    pub freedom: u8,
     /// Residuals (adjusted minus measured) in standard deviations.
     pub residual: [f64; 3],
     /// Redundancy numbers, 0 (nothing checks it) to 1.
     pub redundancy: [f64; 3],
-    /// Residuals over their own standard deviations for a variance factor of 1; 0 where nothing
-    /// checks them.
-    pub standardised: [f64; 3],
     /// `T`.
     pub statistic: f64,
     /// The error of the observation that would explain its residual, `-R_i^-1 v_i`, in standard deviations:
     /// how far what was measured is from what all the others say. 0 where nothing checks it.
     pub error: [f64; 3],
-    /// Degrees of freedom of `T`; 0 where nothing checks it.
-    pub freedom: usize,
+}
+
+/// Directions of a residual that are checked by less than this are not checked.
+pub(super) const LEAST_REDUNDANCY: f64 = 1e-6;
+
+impl TestedObservation {
+    /// Residuals over their own standard deviations for a variance factor of 1; 0 where nothing
+    /// checks them.
+    pub fn standardised(&self) -> [f64; 3] {
+        std::array::from_fn(|k| match self.redundancy[k] {
+            redundancy if redundancy > LEAST_REDUNDANCY => self.residual[k] / redundancy.sqrt(),
+            _ => 0.0,
+        })
+    }
 }
 
 /// A kind of observations at the solution.
