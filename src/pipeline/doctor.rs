@@ -1,6 +1,10 @@
 //! What a project lacks, before hours are spent on it.
 
-use super::{Config, PHOTO_ENDINGS, Project, run::LEAST_PHOTOS};
+use super::{
+    Config, PHOTO_ENDINGS, Project,
+    forecast::{self, Forecast},
+    run::LEAST_PHOTOS,
+};
 use crate::{
     crs::LocalPlane,
     error::Error,
@@ -53,6 +57,9 @@ pub fn doctor(
         let positions = project.config().project.positions.as_ref();
         let tabled = project.given(positions, &["geolocation.csv"]).is_some();
         found.extend(of_photos(&photos, tabled));
+        let forecast = Forecast::new(photos.len(), project.config().align.max_features);
+        let threads = rayon::current_num_threads();
+        found.push(forecast.diagnostic(threads, forecast::available_bytes()));
         found.extend(tables(&project));
         let control = project.config().project.control.as_ref();
         if project.given(control, &super::align::inputs::CONTROL).is_none() {

@@ -18,6 +18,7 @@ pub mod evaluate;
 pub mod evaluate_positions;
 pub mod features;
 pub mod figures;
+pub mod forecast;
 pub mod import;
 pub mod leaf_count;
 pub mod leaf_density;

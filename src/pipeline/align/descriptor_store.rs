@@ -45,7 +45,7 @@ impl<'de> Deserialize<'de> for Bytes {
 
 /// Bytes of descriptors that are kept in memory: those of 330 photos with 6,000 features. A flight's photo has its
 /// neighbours in a few strips before and after it.
-const ROOM_BYTES: usize = 256 << 20;
+pub(crate) const DESCRIPTORS_IN_MEMORY_BYTES: usize = 256 << 20;
 
 /// The descriptors of all photos.
 pub(super) struct DescriptorStore {
@@ -69,7 +69,12 @@ struct Kept {
 impl DescriptorStore {
     /// An empty one over a folder.
     pub(super) fn new(cache: Cache) -> DescriptorStore {
-        DescriptorStore { cache, files: Vec::new(), room_bytes: ROOM_BYTES, kept: Mutex::default() }
+        DescriptorStore {
+            cache,
+            files: Vec::new(),
+            room_bytes: DESCRIPTORS_IN_MEMORY_BYTES,
+            kept: Mutex::default(),
+        }
     }
 
     /// The folder.

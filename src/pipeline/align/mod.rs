@@ -19,6 +19,7 @@ mod results;
 mod sharpness;
 mod steps;
 
+pub(super) use descriptor_store::DESCRIPTORS_IN_MEMORY_BYTES;
 pub use outcome::{AlignOutcome, Fragment, PartialReport, PointErrors};
 
 use super::{CACHE, Project, Stage, Task, adjust, record::Cache, stage};

@@ -1,0 +1,106 @@
+//! What a flight will take, before hours are spent on it: memory, processor time and disk of `align`.
+//!
+//! ```text
+//! memory = photos in work + descriptors in use + bytes a measurement * measurements,   measurements = F * share * N
+//! time = seconds a photo * N,   disk = bytes of a feature * F * N
+//! ```
+//!
+//! with `N` photos and at most `F` features in each. All numbers are measured (`docs/large.md`): a flight over a field with texture
+//! everywhere and 70 % of overlap, which has more measurements a photo than most (2,850; 12 photos of a meadow 570), so that memory
+//! is seldom more.
+
+use super::align::DESCRIPTORS_IN_MEMORY_BYTES;
+use crate::monitor::Diagnostic;
+
+/// Memory of photos in work and of the program itself: photos of 12 megapixels take 190 MB with one thread as with two.
+const WORK_BYTES: f64 = 200e6;
+/// Memory for each measurement of the adjusted block and its statistics, at most.
+const MEASUREMENT_BYTES: f64 = 1800.0;
+/// Share of the features that become measurements of tie points: 400,000 of 140 times 6,000.
+const MEASURED: f64 = 0.48;
+/// Disk for a feature, its matches included: 136 MB for those 140 photos.
+const FEATURE_BYTES: f64 = 170.0;
+/// Processor time for a photo, seconds: 2.8 on that flight, 2.3 on 12 photos of 3 megapixels.
+const PHOTO_S: f64 = 3.0;
+
+/// What `align` will take.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Forecast {
+    /// Photos.
+    pub photos: usize,
+    /// Memory at most, bytes.
+    pub memory_bytes: f64,
+    /// Processor time of all threads together, seconds.
+    pub processor_s: f64,
+    /// Disk for what is kept between the steps, bytes.
+    pub disk_bytes: f64,
+}
+
+impl Forecast {
+    /// Of a flight of `photos` with at most `max_features` in each.
+    pub fn new(photos: usize, max_features: usize) -> Forecast {
+        let features = photos as f64 * max_features as f64;
+        let descriptors = (FEATURE_BYTES * features).min(DESCRIPTORS_IN_MEMORY_BYTES as f64);
+        Forecast {
+            photos,
+            memory_bytes: WORK_BYTES + descriptors + MEASUREMENT_BYTES * MEASURED * features,
+            processor_s: PHOTO_S * photos as f64,
+            disk_bytes: FEATURE_BYTES * features,
+        }
+    }
+
+    /// In words; a warning where this machine has less memory than that.
+    pub fn diagnostic(&self, threads: usize, available_bytes: Option<f64>) -> Diagnostic {
+        let size = |bytes: f64| match bytes {
+            bytes if bytes < 1e9 => format!("{:.0} MB", bytes / 1e6),
+            bytes => format!("{:.1} GB", bytes / 1e9),
+        };
+        let minutes = self.processor_s / 60.0 / threads.max(1) as f64;
+        let message = format!(
+            "align of {} photos takes up to {} of memory, {} of disk and about {:.0} min on {threads} threads",
+            self.photos,
+            size(self.memory_bytes),
+            size(self.disk_bytes),
+            minutes.ceil()
+        );
+        match available_bytes {
+            Some(available) if available < self.memory_bytes => {
+                let message = format!("{message}; {} of memory are free", size(available));
+                Diagnostic::warning("memory-short", "align", message)
+                    .with_remedy("lower max_features in [align], or align parts of the flight")
+            }
+            _ => Diagnostic::info("align-forecast", "align", message),
+        }
+    }
+}
+
+/// Memory that programs can still have, bytes; `None` where the system does not say (Linux does).
+pub fn available_bytes() -> Option<f64> {
+    let text = std::fs::read_to_string("/proc/meminfo").ok()?;
+    let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
+    let kibibytes: f64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some(1024.0 * kibibytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_flight_that_was_measured_is_within_what_is_said() {
+        // docs/large.md: 140 photos with 6,000 features took 714 MB at most and 396 s.
+        let said = Forecast::new(140, 6000);
+        assert!((714e6..2.0 * 714e6).contains(&said.memory_bytes), "{said:?}");
+        assert!((396.0..1.5 * 396.0).contains(&said.processor_s), "{said:?}");
+        assert!((136e6..2.0 * 136e6).contains(&said.disk_bytes), "{said:?}");
+    }
+
+    #[test]
+    fn short_memory_is_a_warning() {
+        let large = Forecast::new(5000, 6000);
+        assert_eq!(large.diagnostic(8, Some(8e9)).code, "memory-short");
+        assert_eq!(large.diagnostic(8, Some(1e12)).code, "align-forecast");
+        assert_eq!(large.diagnostic(8, None).code, "align-forecast");
+        assert!(Forecast::new(5000, 2000).memory_bytes < large.memory_bytes);
+    }
+}
