@@ -5,20 +5,21 @@
 //! time = seconds a photo * N,   disk = bytes of a feature * F * N
 //! ```
 //!
-//! with `N` photos and at most `F` features in each. All numbers are measured (`docs/large.md`): a flight over a field with texture
-//! everywhere and 70 % of overlap, which has more measurements a photo than most (2,850; 12 photos of a meadow 570), so that memory
-//! is seldom more.
+//! with `N` photos and at most `F` features in each. The numbers come from `rowgram align` on one synthetic flight of 140 photos with
+//! 6,000 features and 70 % and 65 % of overlap (`docs/large.md`); other flights are extrapolation. That flight has 2,850 measurements a
+//! photo, 12 real photos of a meadow had 570; more overlap than its makes more of them.
 
 use super::align::DESCRIPTORS_IN_MEMORY_BYTES;
 use crate::monitor::Diagnostic;
 
-/// Memory of photos in work and of the program itself: photos of 12 megapixels take 190 MB with one thread as with two.
+/// Memory of photos in work and of the program itself: six photos of 9 and 12 megapixels took 180 MB with one thread, 190 with two.
+/// More threads were not measured.
 const WORK_BYTES: f64 = 200e6;
-/// Memory for each measurement of the adjusted block and its statistics, at most.
+/// Memory for each measurement of the adjusted block and its statistics: 714 MB for 400,000.
 const MEASUREMENT_BYTES: f64 = 1800.0;
 /// Share of the features that become measurements of tie points: 400,000 of 140 times 6,000.
 const MEASURED: f64 = 0.48;
-/// Disk for a feature, its matches included: 136 MB for those 140 photos.
+/// Disk for a feature, its matches included: the cache of those 140 photos has 136 MB. Of that 128 bytes are the descriptor in memory.
 const FEATURE_BYTES: f64 = 170.0;
 /// Processor time for a photo, seconds: 2.8 on that flight, 2.3 on 12 photos of 3 megapixels.
 const PHOTO_S: f64 = 3.0;

@@ -3,6 +3,9 @@
 use super::settings::Group;
 use serde::Serialize;
 
+/// Directions of a residual that are checked by less than this are not checked.
+pub(super) const LEAST_REDUNDANCY: f64 = 1e-6;
+
 /// Which test.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -51,9 +54,6 @@ pub struct TestedObservation {
     /// how far what was measured is from what all the others say. 0 where nothing checks it.
     pub error: [f64; 3],
 }
-
-/// Directions of a residual that are checked by less than this are not checked.
-pub(super) const LEAST_REDUNDANCY: f64 = 1e-6;
 
 impl TestedObservation {
     /// Residuals over their own standard deviations for a variance factor of 1; 0 where nothing
