@@ -66,6 +66,7 @@ pub fn assert_photos_agree_with_the_map(project: &Path) {
 
 /// Most that a trait of a plot may differ between photos and orthomosaic, in the unit of the trait. Both see the same leaves through the
 /// same leaf rule; what is left are the colours that drawing the map balances and the direction from which a leaf is seen.
+/// The one plot that a photo shows whole differs by 0.010 in cover, at most 0.005 in indices and 0.22 in a*: the bounds are four to nine times that.
 const MOST_DIFFERENCE: [(&str, f64); 7] = [
     ("canopy_cover", 0.05),
     ("exg", 0.02),
