@@ -1,8 +1,14 @@
 //! `rowgram run`: the whole way on a field of its own, and everything that happens to runs.
 
 use crate::program::rowgram;
+use data_synth::season_plan::{SeasonConfig, SeasonPreset};
 use rowgram::{
     io::{FileError, geotiff},
+    monitor::Silent,
+    pipeline::{
+        season::SeasonFile,
+        synth::{FlightOptions, write_season},
+    },
     raster::{
         georeference::{Crs, Georeference},
         window::Window,
@@ -518,6 +524,63 @@ fn a_plan_gives_what_a_run_gives() {
         assert!(project.join("rowgram/report.html").is_file());
     }
     by_snakemake(folder.path(), &copy("third"), &expected);
+}
+
+#[test]
+#[ignore = "slow; cargo test -- --include-ignored"]
+fn a_season_in_parts_gives_what_a_season_gives() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = SeasonConfig::preset(SeasonPreset::Tiny);
+    config.days.truncate(2);
+    for name in ["whole", "parts"] {
+        let root = folder.path().join(name);
+        write_season(&config, &FlightOptions::default(), &root, false, &mut Silent).unwrap();
+    }
+    let set = "--set stages.skip=[\"leaves\"]";
+    let whole = rowgram(folder.path(), &format!("season whole/season.toml -q {set}"));
+    assert_eq!(whole.code, 0, "{}", whole.stderr);
+    let plan = rowgram(
+        folder.path(),
+        &format!("plan parts/season.toml -o work --photos-per-task 3 --json {set}"),
+    );
+    assert_eq!(plan.code, 0, "{}", plan.stderr);
+    let plan: Value = serde_json::from_str(&plan.stdout).unwrap();
+    let batches = plan["tasks"].as_array().unwrap().iter().filter(|task| {
+        task["arguments"].as_array().unwrap().iter().any(|argument| argument == "--batch")
+    });
+    assert!(batches.count() >= 2 * 4 * 2, "two flights, four steps, two parts or more: {plan}");
+    do_tasks(&folder.path().join("work"));
+    let tables = |root: &str| {
+        let names = ["flights.csv", "traits_long.csv", "plants_long.csv"];
+        names.map(|name| fs::read(folder.path().join(root).join("season").join(name)).unwrap())
+    };
+    assert_eq!(tables("parts"), tables("whole"));
+    let names = [
+        "align/reconstruction.json",
+        "align/cloud.laz",
+        "surface/dsm.tif",
+        "surface/chm.tif",
+        "ortho/ortho.tif",
+        "locate/plants.csv",
+        "plots/traits.csv",
+    ];
+    for flight in SeasonFile::read(&folder.path().join("whole/season.toml")).unwrap().flights {
+        for name in names {
+            let of = |root: &str| {
+                let path = folder.path().join(root).join(&flight.project).join("rowgram");
+                fs::read(path.join(name)).unwrap_or_else(|e| panic!("{root} {name}: {e}"))
+            };
+            assert!(of("parts") == of("whole"), "{} {name}", flight.date);
+        }
+    }
+    // What was done is not done again, and parts that do not exist are refused.
+    let project = "parts/2015-05-30";
+    let again = rowgram(folder.path(), &format!("run {project} --batch features:1/2 --json {set}"));
+    assert_eq!(again.code, 0, "{}", again.stderr);
+    assert!(again.stdout.contains("\"stage_is_current\":true"), "{}", again.stdout);
+    let wrong = rowgram(folder.path(), &format!("run {project} --batch features:3/2"));
+    assert_eq!(wrong.code, 2);
+    assert!(wrong.stderr.contains("expected a part such as 2/8"), "{}", wrong.stderr);
 }
 
 /// The same by Snakemake; says so where there is none.

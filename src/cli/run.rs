@@ -6,6 +6,7 @@ use crate::{
     options::Choice,
     pipeline::{
         Config, Project, Stage,
+        batches::{self, Batch, BatchOutcome, BatchStep},
         run::{self, Ending, Plan, RunOptions, RunOutcome, StageReport},
         synth,
     },
@@ -65,6 +66,11 @@ pub(super) struct Args {
     #[arg(long, value_name = "STAGE", requires = "project",
         conflicts_with_all = ["skip", "from", "until", "dry_run"])]
     only: Option<Stage>,
+    /// Do a part of a long step and keep it for its stage (features, matches, surface-coarse, surface-fine): for workflow
+    /// managers (see rowgram plan).
+    #[arg(long, value_name = "STEP:PART/PARTS", requires = "project",
+        conflicts_with_all = ["skip", "from", "until", "only", "dry_run"])]
+    batch: Option<Batch>,
     /// Say what would be done, and do nothing.
     #[arg(long)]
     dry_run: bool,
@@ -107,6 +113,9 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     if args.dry_run {
         return print_plan(&project, args);
     }
+    if let Some(batch) = args.batch {
+        return run_batch(&project, batch, args.json, terminal);
+    }
     if let Some(stage) = args.only {
         let report = run::only(&project, stage, &mut terminal)?;
         drop(terminal);
@@ -127,6 +136,30 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     }
     let failure = outcome.failure.take();
     judge(&outcome, failure)
+}
+
+fn run_batch(
+    project: &Project,
+    batch: Batch,
+    json: bool,
+    mut terminal: Terminal,
+) -> Result<(), Error> {
+    let outcome = match batches::perform(project, batch, &mut terminal) {
+        // The stage says why.
+        Err(Error::NothingToDo(_)) => BatchOutcome { items: 0, stage_is_current: false },
+        outcome => outcome?,
+    };
+    drop(terminal);
+    if json {
+        return print_json(&outcome);
+    }
+    let what = match batch.step {
+        BatchStep::Features => "photos",
+        BatchStep::Matches => "sets of pairs",
+        BatchStep::SurfaceCoarse | BatchStep::SurfaceFine => "tiles",
+    };
+    let current = if outcome.stage_is_current { ", the stage is done already" } else { "" };
+    print(&format!("{batch}: {} {what}{current}", outcome.items))
 }
 
 fn one_line(report: &StageReport) -> String {

@@ -6,6 +6,7 @@
 
 pub mod adjust;
 pub mod align;
+pub mod batches;
 pub mod calibrate;
 pub mod camera;
 mod checks;

@@ -7,9 +7,17 @@
 //! writes the report. So whatever does the tasks, the results are those of `rowgram run`, byte by byte, and a task that
 //! was lost is done again by the same command.
 //!
+//! Projects of many photos have the long steps in parts ([`super::batches`]), which may be done at the same time: features and matches of
+//! photos, and tiles of the surface. A season has its flights as projects, up to their plants, and [`super::season`] as its last task.
+//!
 //! Written for Snakemake: `Snakefile`, which holds no knowledge of stages, `plan.json` with the tasks, and profiles.
 
-use super::{Project, SETTINGS, run};
+use super::{
+    Project, SETTINGS, Stage,
+    batches::{Batch, BatchStep, Part},
+    run,
+    season::SeasonFile,
+};
 use crate::{
     error::Error,
     io::{FileError, output},
@@ -18,6 +26,7 @@ use crate::{
 use serde::Serialize;
 use std::{
     collections::BTreeSet,
+    num::NonZeroUsize,
     path::{Path, PathBuf},
 };
 
@@ -54,21 +63,90 @@ pub struct Workflow {
     pub tasks: Vec<PlannedTask>,
 }
 
-/// Plans the work on projects; `settings` (`section.key=value`) go with every command.
+/// What is planned.
+#[derive(Debug)]
+pub enum Work {
+    /// All stages of a project, and its report.
+    Project(Box<Project>),
+    /// A season and its flights.
+    Season {
+        /// Its file.
+        file: Box<SeasonFile>,
+        /// The projects of its flights.
+        flights: Vec<Project>,
+    },
+}
+
+/// How work is planned.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct PlanOptions {
+    /// Settings (`section.key=value`) that go with every command.
+    pub settings: Vec<String>,
+    /// Projects with more photos have their long steps in parts for so many photos each; in one where not set.
+    pub photos_per_task: Option<NonZeroUsize>,
+}
+
+/// Plans work.
 ///
 /// # Errors
-/// No project, one given twice, and what [`run::plan`] says of each.
-pub fn plan(projects: &[Project], settings: &[String]) -> Result<Workflow, Error> {
-    if projects.is_empty() {
+/// No work, a project that is given twice, and what [`run::plan`] says of each.
+pub fn plan(work: &[Work], options: &PlanOptions) -> Result<Workflow, Error> {
+    if work.is_empty() {
         return Err(Error::Argument("expected one project or more".into()));
     }
-    let (mut tasks, mut names, mut roots) = (Vec::new(), BTreeSet::new(), BTreeSet::new());
-    for project in projects {
+    let mut planner =
+        Planner { options, tasks: Vec::new(), names: BTreeSet::new(), roots: BTreeSet::new() };
+    for work in work {
+        match work {
+            Work::Project(project) => {
+                planner.project(project, &[])?;
+            }
+            Work::Season { file, flights } => planner.season(file, flights)?,
+        }
+    }
+    Ok(Workflow { version: env!("CARGO_PKG_VERSION").to_owned(), tasks: planner.tasks })
+}
+
+/// A plan in the making.
+struct Planner<'a> {
+    options: &'a PlanOptions,
+    tasks: Vec<PlannedTask>,
+    names: BTreeSet<String>,
+    roots: BTreeSet<PathBuf>,
+}
+
+impl Planner<'_> {
+    fn with_settings(&self, mut arguments: Vec<String>) -> Vec<String> {
+        for setting in &self.options.settings {
+            arguments.extend(["--set".to_owned(), setting.clone()]);
+        }
+        arguments
+    }
+
+    /// A season: the stages of its flights before plots, which are those of the season, and then the season itself.
+    fn season(&mut self, file: &SeasonFile, flights: &[Project]) -> Result<(), Error> {
+        let path = absolute(&file.path)?;
+        let name = unique(&mut self.names, &file.name);
+        let mut inputs = vec![path.clone()];
+        inputs.extend(file.plots.as_deref().map(absolute).transpose()?);
+        for flight in flights {
+            inputs.extend(self.project(flight, &[Stage::Plots, Stage::Evaluate])?);
+        }
+        let results =
+            std::path::absolute(file.results()).map_err(|e| FileError::read(&file.results(), e))?;
+        let arguments = self.with_settings(vec!["season".to_owned(), text(&path)?]);
+        let done = results.join("plan/season.done");
+        self.tasks.push(PlannedTask { name, inputs, done, arguments, last: true });
+        Ok(())
+    }
+
+    /// The stages of a project but some, and its report where all are wanted. Gives the file that says that the last was done.
+    fn project(&mut self, project: &Project, without: &[Stage]) -> Result<Option<PathBuf>, Error> {
         let root = absolute(project.root())?;
-        if !roots.insert(root.clone()) {
+        if !self.roots.insert(root.clone()) {
             return Err(Error::Argument(format!("{} is given twice", project.root().display())));
         }
-        let name = unique(&mut names, &project.name());
+        let name = unique(&mut self.names, &project.name());
         let results = if project.results() == project.root().join("rowgram") {
             root.join("rowgram")
         } else {
@@ -79,43 +157,57 @@ pub fn plan(projects: &[Project], settings: &[String]) -> Result<Workflow, Error
         if results != root.join("rowgram") {
             arguments.extend(["--output".to_owned(), text(&results)?]);
         }
-        for setting in settings {
-            arguments.extend(["--set".to_owned(), setting.clone()]);
-        }
+        let arguments = self.with_settings(arguments);
+        let photos = project.photos().len();
+        let parts =
+            self.options.photos_per_task.map_or(1, |per_task| photos.div_ceil(per_task.get()));
         let done = |word: &str| results.join("plan").join(format!("{word}.done"));
-        let mut before: Option<PathBuf> = None;
+        let own = Some(root.join(SETTINGS)).filter(|own| own.is_file());
+        let mut before: Vec<PathBuf> = Vec::new();
         for (stage, files) in run::workflow(project)? {
-            let mut inputs = Vec::new();
+            if without.contains(&stage) {
+                continue;
+            }
+            let mut fixed = own.iter().cloned().collect::<Vec<_>>();
             for file in files {
-                inputs.push(absolute(&file)?);
+                fixed.push(absolute(&file)?);
             }
-            let own = root.join(SETTINGS);
-            if own.is_file() {
-                inputs.push(own);
+            let mut task = |word: &str, flags: [String; 2], before: &[PathBuf]| {
+                let mut inputs = [fixed.as_slice(), before].concat();
+                inputs.sort();
+                inputs.dedup();
+                self.tasks.push(PlannedTask {
+                    name: format!("{name}_{}", identifier(word)),
+                    inputs,
+                    done: done(word),
+                    arguments: arguments.iter().cloned().chain(flags).collect(),
+                    last: false,
+                });
+                done(word)
+            };
+            let steps = BatchStep::all().into_iter().filter(|step| step.stage() == stage);
+            for step in steps.filter(|_| parts > 1) {
+                let of_step = (1..=parts).filter_map(|number| {
+                    let batch = Batch { step, part: Part::new(number, parts)? };
+                    let word = format!("{step}-{number}-of-{parts}");
+                    Some(task(&word, ["--batch".to_owned(), batch.to_string()], &before))
+                });
+                before = of_step.collect();
             }
-            inputs.extend(before.take());
-            inputs.sort();
-            inputs.dedup();
             let word = stage.word();
-            let only = ["--only".to_owned(), word.clone()];
-            tasks.push(PlannedTask {
-                name: format!("{name}_{}", identifier(&word)),
-                inputs,
-                done: done(&word),
-                arguments: arguments.iter().cloned().chain(only).collect(),
-                last: false,
-            });
-            before = Some(done(&word));
+            before = vec![task(&word, ["--only".to_owned(), word.clone()], &before)];
         }
-        tasks.push(PlannedTask {
-            name: format!("{name}_report"),
-            inputs: before.into_iter().collect(),
-            done: done("report"),
-            arguments,
-            last: true,
-        });
+        if without.is_empty() {
+            self.tasks.push(PlannedTask {
+                name: format!("{name}_report"),
+                inputs: before.clone(),
+                done: done("report"),
+                arguments,
+                last: true,
+            });
+        }
+        Ok(before.pop())
     }
-    Ok(Workflow { version: env!("CARGO_PKG_VERSION").to_owned(), tasks })
 }
 
 /// Writes a workflow into a folder, made if missing.

@@ -100,6 +100,11 @@ impl Project {
         }
     }
 
+    /// Reserves the project for processes that only add to what its stages keep.
+    pub(super) fn share(&self) -> Result<Lock, Error> {
+        Lock::share(&self.results)
+    }
+
     /// The folder of the project.
     pub fn root(&self) -> &Path {
         &self.root

@@ -11,7 +11,7 @@ use super::{
 };
 use crate::mapping::{MapError, View, photo::DecodedPhoto};
 use rayon::prelude::*;
-use std::collections::BTreeMap;
+use std::{collections::BTreeMap, ops::Range};
 
 /// The usual side of a tile, cells: the photos that one tile compares are in memory together.
 pub const TILE: usize = 1024;
@@ -120,93 +120,191 @@ impl<E: Send> Album<'_, E> {
     }
 }
 
-/// Number of tiles of an area, both passes together: how often `done` of [`match_area`] is called.
-pub fn steps(area: &Tile, tile_cells: usize) -> usize {
-    starts(area, tile_cells).len() + starts(&coarse(area), tile_cells).len()
+/// An area and what it is matched from.
+pub struct Area<'a, E> {
+    /// The photos' cameras.
+    pub views: &'a [View],
+    /// Decodes the photo of a view.
+    pub read: &'a (dyn Fn(usize) -> Result<DecodedPhoto, E> + Sync),
+    /// A surface near the ground, such as that of tie points.
+    pub base: &'a (dyn Fn([f64; 2]) -> Option<f64> + Sync),
+    /// Its cells.
+    pub cells: Tile,
+    /// How it is matched.
+    pub options: AreaOptions,
 }
 
-/// Matches the cells of an area. `base` is a surface near the ground, such as that of tie points. `read` decodes the photo of a
-/// view; tiles go to `store`, which has all of [`Pass::Fine`] afterwards; `done` is called after each tile. In memory are one tile, the photos
-/// that it compares, and the lattice of the ground.
-///
-/// # Errors
-/// What `read` and `store` say; fewer than two photos, no place that two photos show, a length that is none.
-pub fn match_area<E: From<MapError> + Send>(
-    views: &[View],
-    read: &(dyn Fn(usize) -> Result<DecodedPhoto, E> + Sync),
-    base: &(dyn Fn([f64; 2]) -> Option<f64> + Sync),
-    area: &Tile,
-    options: &AreaOptions,
-    store: &mut dyn TileStore<E>,
-    done: &mut dyn FnMut(),
-) -> Result<AreaGround, E> {
-    if views.len() < 2 {
-        let found = views.len();
-        return Err(MapError(format!("{found} photos, expected at least 2 that overlap")).into());
+impl<E: From<MapError> + Send> Area<'_, E> {
+    /// Number of tiles of a pass.
+    pub fn tiles(&self, pass: Pass) -> usize {
+        starts(&self.cells_of(pass), self.options.tile_cells).len()
     }
-    for (name, value) in [("cell", area.cell_m), ("range of heights", options.range_m)] {
-        if !(value.is_finite() && value > 0.0) {
-            return Err(MapError(format!("{name} {value} m, expected a positive length")).into());
+
+    fn cells_of(&self, pass: Pass) -> Tile {
+        match pass {
+            Pass::Coarse => coarse(&self.cells),
+            Pass::Fine => self.cells,
         }
     }
-    let mut album = Album { views, read, photos: BTreeMap::new() };
-    let wide = DenseOptions {
-        layer_m: 2.0 * options.range_m / (LAYERS - 1) as f64,
-        lowest_m: -options.range_m,
-        layers: LAYERS,
-        others: options.others,
-        block_cells: DenseOptions::default().block_cells / 2,
-        penalties: options.penalties,
-        prior: Prior::None,
-        posterior: PosteriorOptions { rounds: 0, ..PosteriorOptions::default() },
-    };
-    let (coarse, side) = (coarse(area), options.tile_cells);
-    let mut bare = BarePlaces::new(area.bounds_m(), tile::node_m(coarse.cell_m));
-    let mut any = false;
-    for number in 0..starts(&coarse, options.tile_cells).len() {
-        let found =
-            match_one(&mut album, base, (&coarse, side, number), &wide, Pass::Coarse, store)?;
-        tile::bare_cells(&found).for_each(|place| bare.add(place));
-        // Cells reach half their side beyond their middles.
-        let half = 0.5 * coarse.cell_m;
-        bare.close(found.tile.bounds_m().map(|[low, high]| [low + half, high - half]));
-        any |= found.surface_m.iter().any(|z| z.is_finite());
-        done();
+
+    /// Matches all cells. Tiles go to `store`, which has all of [`Pass::Fine`] afterwards; `done` is called after each tile of both
+    /// passes. In memory are one tile, the photos that it compares, and the lattice of the ground.
+    ///
+    /// # Errors
+    /// What `read` and `store` say; fewer than two photos, no place that two photos show, a length that is none.
+    pub fn matched(
+        &self,
+        store: &mut dyn TileStore<E>,
+        done: &mut dyn FnMut(),
+    ) -> Result<AreaGround, E> {
+        let mut album = self.album()?;
+        let terrain = self.ground(&mut album, store, done)?;
+        let fine = self.fine(terrain.as_ref(), store)?;
+        let all = 0..self.tiles(Pass::Fine);
+        self.surface(&mut album, all, (terrain.as_ref(), &fine), store, done)?;
+        Ok(AreaGround { terrain, layer_m: fine.layer_m })
     }
-    if !any {
-        let message = "nowhere do two photos show the same ground from places far enough apart";
-        return Err(MapError(message.into()).into());
-    }
-    let terrain = bare.fit();
-    let fine = match &terrain {
-        // Nothing bare: colours say nothing of the ground.
-        None => wide,
-        Some(terrain) => {
-            let usual = usual_height_m(&coarse, terrain, options, store)?;
-            // Without colours all sure cells are asked, most of which are ground.
-            let higher = if options.prior == Prior::None { 1.0 } else { HIGHER };
-            let span = (higher * usual).max(LEAST_TOP_M) + 2.0 * SPARE_M;
-            let layer_m = (span / (LAYERS - 1) as f64).max(area.cell_m);
-            DenseOptions {
-                layer_m,
-                layers: (span / layer_m).ceil() as usize + 1,
-                lowest_m: -SPARE_M,
-                block_cells: DenseOptions::default().block_cells,
-                prior: options.prior,
-                posterior: PosteriorOptions::default(),
-                ..wide
+
+    /// Matches some tiles of a pass, for [`Area::matched`] to go on from; all of [`Pass::Coarse`] come before the first of [`Pass::Fine`].
+    ///
+    /// # Errors
+    /// As [`Area::matched`].
+    pub fn match_tiles(
+        &self,
+        pass: Pass,
+        numbers: Range<usize>,
+        store: &mut dyn TileStore<E>,
+        done: &mut dyn FnMut(),
+    ) -> Result<(), E> {
+        let mut album = self.album()?;
+        match pass {
+            Pass::Coarse => {
+                for number in numbers {
+                    self.coarse_tile(&mut album, number, store)?;
+                    done();
+                }
+                Ok(())
+            }
+            Pass::Fine => {
+                let terrain = self.ground(&mut album, store, &mut || ())?;
+                let fine = self.fine(terrain.as_ref(), store)?;
+                self.surface(&mut album, numbers, (terrain.as_ref(), &fine), store, done)
             }
         }
-    };
-    let ground = |place: [f64; 2]| match &terrain {
-        Some(terrain) => terrain.at_m(place),
-        None => base(place),
-    };
-    for number in 0..starts(area, options.tile_cells).len() {
-        match_one(&mut album, &ground, (area, side, number), &fine, Pass::Fine, store)?;
-        done();
     }
-    Ok(AreaGround { terrain, layer_m: fine.layer_m })
+
+    fn album(&self) -> Result<Album<'_, E>, E> {
+        if self.views.len() < 2 {
+            let found = self.views.len();
+            let message = format!("{found} photos, expected at least 2 that overlap");
+            return Err(MapError(message).into());
+        }
+        let lengths = [("cell", self.cells.cell_m), ("range of heights", self.options.range_m)];
+        for (name, value) in lengths {
+            if !(value.is_finite() && value > 0.0) {
+                let message = format!("{name} {value} m, expected a positive length");
+                return Err(MapError(message).into());
+            }
+        }
+        Ok(Album { views: self.views, read: self.read, photos: BTreeMap::new() })
+    }
+
+    /// How the first pass is matched.
+    fn wide(&self) -> DenseOptions {
+        DenseOptions {
+            layer_m: 2.0 * self.options.range_m / (LAYERS - 1) as f64,
+            lowest_m: -self.options.range_m,
+            layers: LAYERS,
+            others: self.options.others,
+            block_cells: DenseOptions::default().block_cells / 2,
+            penalties: self.options.penalties,
+            prior: Prior::None,
+            posterior: PosteriorOptions { rounds: 0, ..PosteriorOptions::default() },
+        }
+    }
+
+    fn coarse_tile(
+        &self,
+        album: &mut Album<'_, E>,
+        number: usize,
+        store: &mut dyn TileStore<E>,
+    ) -> Result<DenseTile, E> {
+        let (cells, side) = (self.cells_of(Pass::Coarse), self.options.tile_cells);
+        match_one(album, self.base, (&cells, side, number), &self.wide(), Pass::Coarse, store)
+    }
+
+    /// The first pass, and the ground from it.
+    fn ground(
+        &self,
+        album: &mut Album<'_, E>,
+        store: &mut dyn TileStore<E>,
+        done: &mut dyn FnMut(),
+    ) -> Result<Option<Terrain>, E> {
+        let cells = self.cells_of(Pass::Coarse);
+        let cell_m = cells.cell_m;
+        let mut bare = BarePlaces::new(cells.bounds_m(), tile::node_m(cell_m));
+        let mut any = false;
+        for number in 0..self.tiles(Pass::Coarse) {
+            let found = self.coarse_tile(album, number, store)?;
+            tile::bare_cells(&found).for_each(|place| bare.add(place));
+            // Cells reach half their side beyond their middles.
+            let half = 0.5 * cell_m;
+            bare.close(found.tile.bounds_m().map(|[low, high]| [low + half, high - half]));
+            any |= found.surface_m.iter().any(|z| z.is_finite());
+            done();
+        }
+        if !any {
+            let message = "nowhere do two photos show the same ground from places far enough apart";
+            return Err(MapError(message.into()).into());
+        }
+        Ok(bare.fit())
+    }
+
+    /// How the second pass is matched.
+    fn fine(
+        &self,
+        terrain: Option<&Terrain>,
+        store: &mut dyn TileStore<E>,
+    ) -> Result<DenseOptions, E> {
+        // Nothing bare: colours say nothing of the ground.
+        let Some(terrain) = terrain else { return Ok(self.wide()) };
+        let options = &self.options;
+        let usual = usual_height_m(&self.cells_of(Pass::Coarse), terrain, options, store)?;
+        // Without colours all sure cells are asked, most of which are ground.
+        let higher = if options.prior == Prior::None { 1.0 } else { HIGHER };
+        let span = (higher * usual).max(LEAST_TOP_M) + 2.0 * SPARE_M;
+        let layer_m = (span / (LAYERS - 1) as f64).max(self.cells.cell_m);
+        Ok(DenseOptions {
+            layer_m,
+            layers: (span / layer_m).ceil() as usize + 1,
+            lowest_m: -SPARE_M,
+            block_cells: DenseOptions::default().block_cells,
+            prior: options.prior,
+            posterior: PosteriorOptions::default(),
+            ..self.wide()
+        })
+    }
+
+    /// Tiles of the second pass.
+    fn surface(
+        &self,
+        album: &mut Album<'_, E>,
+        numbers: Range<usize>,
+        (terrain, fine): (Option<&Terrain>, &DenseOptions),
+        store: &mut dyn TileStore<E>,
+        done: &mut dyn FnMut(),
+    ) -> Result<(), E> {
+        let ground = |place: [f64; 2]| match terrain {
+            Some(terrain) => terrain.at_m(place),
+            None => (self.base)(place),
+        };
+        let side = self.options.tile_cells;
+        for number in numbers {
+            match_one(album, &ground, (&self.cells, side, number), fine, Pass::Fine, store)?;
+            done();
+        }
+        Ok(())
+    }
 }
 
 /// The height above the ground that what surely stands on it usually does not exceed, from the tiles of the coarse pass.

@@ -38,7 +38,7 @@ pub mod terrain;
 pub mod tile;
 
 pub use aggregate::Penalties;
-pub use area::{AreaGround, AreaOptions, Pass, TileStore, TilesInMemory, match_area};
+pub use area::{Area, AreaGround, AreaOptions, Pass, TileStore, TilesInMemory};
 pub use counts::HeightCounts;
 pub use posterior::PosteriorOptions;
 pub use prior::Prior;

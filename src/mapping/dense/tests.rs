@@ -205,7 +205,7 @@ fn an_attempt_that_stops_between_tiles_goes_on_to_the_same_bits() {
         .collect();
     let read = |k: usize| -> Result<DecodedPhoto, MapError> { Ok(photos[k].clone()) };
     let [x, y, _] = twin.shots[1].centre_m;
-    let area = Tile { corner_m: [x - 1.0, y + 0.9], cell_m: 0.03, size: [200, 120] };
+    let cells = Tile { corner_m: [x - 1.0, y + 0.9], cell_m: 0.03, size: [200, 120] };
     let base = |_: [f64; 2]| Some(0.1);
     let options = AreaOptions {
         range_m: 0.6,
@@ -214,15 +214,17 @@ fn an_attempt_that_stops_between_tiles_goes_on_to_the_same_bits() {
         penalties: Penalties::default(),
         prior: Prior::default(),
     };
+    let area = Area { views: &views, read: &read, base: &base, cells, options };
     let attempt = |store: &mut dyn TileStore<MapError>| {
         let mut done = 0;
-        let found = match_area(&views, &read, &base, &area, &options, store, &mut || done += 1);
+        let found = area.matched(store, &mut || done += 1);
         found.map(|ground| (ground, done))
     };
     let mut whole = TilesInMemory::default();
     let (ground, done) = attempt(&mut whole).unwrap();
-    let tiles = area::steps(&area, options.tile_cells);
-    assert_eq!((done, tiles), (tiles, 8 + 2));
+    let [coarse, fine] = [Pass::Coarse, Pass::Fine].map(|pass| area.tiles(pass));
+    let tiles = coarse + fine;
+    assert_eq!((done, coarse, fine), (tiles, 2, 8));
     assert!(ground.terrain.is_some());
     // Stopped in the coarse pass, and again in the fine one.
     let mut store = Stopping { kept: TilesInMemory::default(), left: 1, asked: 0 };
@@ -241,11 +243,17 @@ fn an_attempt_that_stops_between_tiles_goes_on_to_the_same_bits() {
             tile.surface_m.iter().chain(&tile.sigma_m).map(|z| z.to_bits()).collect();
         (heights, tile.confidence, tile.photos, tile.colour)
     };
-    let fine = area::starts(&area, options.tile_cells).len();
-    for (pass, count) in [(Pass::Coarse, tiles - fine), (Pass::Fine, fine)] {
+    // In parts, the last ones first.
+    let mut parts = TilesInMemory::default();
+    for (pass, from) in [(Pass::Coarse, 1..2), (Pass::Coarse, 0..1), (Pass::Fine, 3..8)] {
+        area.match_tiles(pass, from, &mut parts, &mut || ()).unwrap();
+    }
+    assert_eq!(attempt(&mut parts).unwrap().0, ground);
+    for (pass, count) in [(Pass::Coarse, coarse), (Pass::Fine, fine)] {
         for number in 0..count {
-            let (a, b) = (bits(&mut whole, pass, number), bits(&mut store.kept, pass, number));
-            assert!(a == b, "{pass:?} {number}");
+            let expected = bits(&mut whole, pass, number);
+            assert!(expected == bits(&mut store.kept, pass, number), "{pass:?} {number}");
+            assert!(expected == bits(&mut parts, pass, number), "{pass:?} {number}");
         }
     }
     assert!(bits(&mut whole, Pass::Fine, 0).0.iter().any(|&z| f32::from_bits(z).is_finite()));
@@ -268,10 +276,11 @@ fn two_photos_no_overlap_and_water_say_what_is_not_known() {
         prior: Prior::default(),
     };
     type Read<'a> = &'a (dyn Fn(usize) -> Result<DecodedPhoto, MapError> + Sync);
-    let attempt = |read: Read<'_>, area: &Tile| {
+    let attempt = |read: Read<'_>, cells: &Tile| {
         let mut store = TilesInMemory::default();
         let base = |_: [f64; 2]| Some(0.1);
-        let found = match_area(&views[..2], read, &base, area, &options, &mut store, &mut || ())?;
+        let area = Area { views: &views[..2], read, base: &base, cells: *cells, options };
+        let found = area.matched(&mut store, &mut || ())?;
         let tile: Result<_, MapError> = store.load(Pass::Fine, 0);
         Ok::<_, MapError>((found, tile?.unwrap()))
     };

@@ -77,11 +77,6 @@ impl DescriptorStore {
         }
     }
 
-    /// The folder.
-    pub(super) fn cache(&self) -> &Cache {
-        &self.cache
-    }
-
     /// Names the files of all photos.
     pub(super) fn hold(&mut self, files: Vec<(String, Key)>) {
         self.files = files;
@@ -149,7 +144,7 @@ mod tests {
         let files: Vec<(String, Key)> =
             (0..5).map(|k| (format!("{k}.cbor"), Key::begin().count(k).finish())).collect();
         for (k, (name, key)) in files.iter().enumerate() {
-            store.cache().save(name, *key, &Bytes(vec![k as u8; 1280])).unwrap();
+            store.cache.save(name, *key, &Bytes(vec![k as u8; 1280])).unwrap();
         }
         store.hold(files);
         store.room_bytes = 3000;

@@ -15,11 +15,15 @@ use crate::{
     },
     io::images,
     monitor::{Counter, Diagnostic, Monitor},
-    pipeline::record::{Cache, Key},
+    pipeline::{
+        batches::Part,
+        record::{Cache, Key},
+    },
     sfm,
 };
 use image::RgbImage;
 use serde::{Deserialize, Serialize};
+use std::ops::Range;
 
 /// Features of a photo with their colours; the descriptors are in a file beside it.
 #[derive(Serialize, Deserialize, Default)]
@@ -59,56 +63,127 @@ const DESCRIPTORS: &str = "descriptors";
 /// A photo with fewer features shows nothing.
 const LEAST_FEATURES: usize = 30;
 
-/// Finds the features of all photos; those whose photo cannot be used are empty and named.
+/// The files with the features of the photos.
+struct Files<'a> {
+    inputs: &'a Inputs,
+    options: &'a features::FeatureOptions,
+    enlarge: EnlargeChoice,
+    /// Of all photos, what decides their features besides their content.
+    described: String,
+    cache: Cache,
+    descriptors: Cache,
+}
+
+/// What there is to do about a photo.
+enum Work {
+    /// Its features are there.
+    Kept(Box<Found>),
+    /// They have to be looked for.
+    Photo(Result<RgbImage, String>),
+}
+
+impl<'a> Files<'a> {
+    fn new(
+        inputs: &'a Inputs,
+        options: &'a features::FeatureOptions,
+        enlarge: EnlargeChoice,
+        cache: &Cache,
+    ) -> Result<Files<'a>, Error> {
+        let cache = cache.within(FEATURES)?;
+        let descriptors = cache.within(DESCRIPTORS)?;
+        let described = format!("{options:?} {enlarge:?}");
+        Ok(Files { inputs, options, enlarge, described, cache, descriptors })
+    }
+
+    fn key(&self, k: usize) -> Key {
+        Key::begin().text(&self.described).key(self.inputs.photos[k].content).finish()
+    }
+
+    fn name(&self, k: usize) -> String {
+        format!("{}.cbor", self.inputs.photos[k].content)
+    }
+
+    /// Removes what was found in photos that are no longer there.
+    fn retain(&self) -> Result<(), Error> {
+        let photos = (0..self.inputs.photos.len()).map(|k| self.name(k));
+        let names: Vec<String> = photos.chain([DESCRIPTORS.to_owned()]).collect();
+        self.cache.retain(&names)?;
+        self.descriptors.retain(&names)
+    }
+
+    fn work(&self, k: usize) -> Work {
+        let (key, name) = (self.key(k), self.name(k));
+        if let Some(found) = self.cache.load::<Found>(&name, key)
+            && self.descriptors.load::<Bytes>(&name, key).is_some()
+        {
+            return Work::Kept(Box::new(found));
+        }
+        Work::Photo(images::read_photo(&self.inputs.photos[k].path).map_err(|e| e.to_string()))
+    }
+
+    /// The features of some photos, kept; while those of one are looked for, the next is decoded.
+    fn each(&self, photos: Range<usize>, mut take: impl FnMut(usize, Found)) -> Result<(), Error> {
+        let end = photos.end;
+        let next = |k: usize| (k < end).then(|| self.work(k));
+        let mut waiting = next(photos.start);
+        for k in photos {
+            let Some(work) = waiting.take() else { break };
+            let (found, following) = rayon::join(
+                || match work {
+                    Work::Kept(found) => (*found, None),
+                    Work::Photo(picture) => {
+                        let (found, looks) = find(picture, self.options, self.enlarge);
+                        (found, Some(looks))
+                    }
+                },
+                || next(k + 1),
+            );
+            waiting = following;
+            let (found, looks) = found;
+            if let Some(looks) = looks {
+                self.descriptors.save(&self.name(k), self.key(k), &looks)?;
+                self.cache.save(&self.name(k), self.key(k), &found)?;
+            }
+            take(k, found);
+        }
+        Ok(())
+    }
+}
+
+/// Finds the features of a part of the photos and keeps them; gives the number of these photos.
+pub(super) fn find_part(
+    inputs: &Inputs,
+    (options, enlarge): (&features::FeatureOptions, EnlargeChoice),
+    part: Part,
+    cache: &Cache,
+    monitor: &mut dyn Monitor,
+) -> Result<usize, Error> {
+    let files = Files::new(inputs, options, enlarge, cache)?;
+    let photos = part.range(inputs.photos.len());
+    let count = photos.len();
+    let counter = Counter::new(monitor, "detecting features", count, "photos");
+    files.each(photos, |_, _| counter.tick())?;
+    Ok(count)
+}
+
+/// Finds the features of all photos; those whose photo cannot be used are empty and named. Where other processes work on parts at the
+/// same time (`alone` is false), nothing is removed.
 pub(super) fn features(
     inputs: &Inputs,
-    options: &features::FeatureOptions,
-    enlarge: EnlargeChoice,
+    (options, enlarge): (&features::FeatureOptions, EnlargeChoice),
+    alone: bool,
     cache: &Cache,
     monitor: &mut dyn Monitor,
 ) -> Result<Extracted, Error> {
-    let cache = cache.within(FEATURES)?;
-    let described = format!("{options:?} {enlarge:?}");
+    let files = Files::new(inputs, options, enlarge, cache)?;
+    if alone {
+        files.retain()?;
+    }
     let counter = Counter::new(monitor, "detecting features", inputs.photos.len(), "photos");
     let (mut faults, mut qualities) = (Vec::new(), Vec::new());
-    let mut whole_key = Key::begin().text(&described);
-    let (mut geometric, mut largest) = (Vec::new(), Vec::new());
-    let key = |k: usize| Key::begin().text(&described).key(inputs.photos[k].content).finish();
-    let name = |k: usize| format!("{}.cbor", inputs.photos[k].content);
-    let mut descriptors = DescriptorStore::new(cache.within(DESCRIPTORS)?);
-    let names: Vec<String> =
-        (0..inputs.photos.len()).map(name).chain([DESCRIPTORS.to_owned()]).collect();
-    cache.retain(&names)?;
-    descriptors.cache().retain(&names)?;
-    // While the features of one photo are looked for, the next is decoded.
-    let decode = |k: usize| -> Option<Result<RgbImage, String>> {
-        let photo = inputs.photos.get(k)?;
-        let key = key(k);
-        let known = cache.load::<Found>(&name(k), key);
-        if known.is_some() && descriptors.cache().load::<Bytes>(&name(k), key).is_some() {
-            return None;
-        }
-        Some(images::read_photo(&photo.path).map_err(|e| e.to_string()))
-    };
-    let mut next = decode(0);
-    let mut stored = Vec::new();
-    for k in 0..inputs.photos.len() {
-        let (photo_key, name) = (key(k), name(k));
-        let picture = next.take();
-        let (found, following) = rayon::join(
-            || picture.map(|picture| find(picture, options, enlarge)),
-            || decode(k + 1),
-        );
-        next = following;
-        let found = match found {
-            Some((found, looks)) => {
-                descriptors.cache().save(&name, photo_key, &looks)?;
-                cache.save(&name, photo_key, &found)?;
-                found
-            }
-            None => cache.load::<Found>(&name, photo_key).unwrap_or_default(),
-        };
-        stored.push((name, photo_key));
+    let mut whole_key = Key::begin().text(&files.described);
+    let (mut geometric, mut largest, mut stored) = (Vec::new(), Vec::new(), Vec::new());
+    files.each(0..inputs.photos.len(), |k, found| {
         let photo = &inputs.photos[k];
         let count = found.positions_px.len() / 2;
         if let Some(fault) = &found.fault {
@@ -130,7 +205,8 @@ pub(super) fn features(
             feature_sigma_px: found.feature_sigma_px,
             clipped: found.clipped,
         });
-        whole_key = whole_key.key(photo_key);
+        stored.push((files.name(k), files.key(k)));
+        whole_key = whole_key.clone().key(files.key(k));
         geometric.push(sfm::Features {
             name: photo.name.clone(),
             camera: photo.camera,
@@ -145,7 +221,8 @@ pub(super) fn features(
         });
         largest.push(Descriptors::from_bytes(found.largest.0).unwrap_or_default());
         counter.tick();
-    }
+    })?;
+    let mut descriptors = DescriptorStore::new(files.descriptors);
     descriptors.hold(stored);
     faults.extend(sharpness::judge(&qualities));
     faults.iter().for_each(|fault| monitor.diagnostic(fault));

@@ -10,7 +10,10 @@ use crate::{
         retrieval::{self, RetrievalOptions},
     },
     monitor::{Counter, Diagnostic, Monitor},
-    pipeline::record::{Cache, Key},
+    pipeline::{
+        batches::Part,
+        record::{Cache, Key},
+    },
     sfm::verify::PairMatches,
 };
 use rayon::prelude::*;
@@ -18,8 +21,12 @@ use std::sync::Arc;
 
 /// Where the matches are kept.
 pub(super) const MATCHES: &str = "matches.cbor";
+/// Where parts of them are, until all have been found.
+pub(super) const PARTS: &str = "matching";
+/// Within that, the pairs that are matched.
+const CHOSEN: &str = "chosen.cbor";
 
-/// Pairs that are matched together, and whose photos' descriptors are in memory together.
+/// Pairs that are matched and kept together, and whose photos' descriptors are in memory together.
 const TOGETHER: usize = 512;
 
 /// How pairs are chosen.
@@ -84,60 +91,134 @@ fn candidates(inputs: &Inputs, extracted: &Extracted, choice: &Choice) -> Vec<pa
     pairs::join(&lists)
 }
 
-/// Matches the pairs worth it.
-pub(super) fn matches(
-    inputs: &Inputs,
-    extracted: &Extracted,
-    seed: u64,
-    cache: &Cache,
-    monitor: &mut dyn Monitor,
-) -> Result<(Vec<PairMatches>, Key), Error> {
-    let (choice, options) = (&Choice::new(seed), &MatchOptions::default());
-    let candidates = candidates(inputs, extracted, choice);
-    let key = candidates
-        .iter()
-        .fold(Key::begin().key(extracted.key), |key, [a, b]| key.count(*a as u64).count(*b as u64))
-        .text(&format!("{choice:?} {options:?}"))
-        .finish();
-    if let Some(found) = cache.load::<Vec<([u32; 2], Vec<[u32; 2]>)>>(MATCHES, key) {
-        let found = found.into_iter().map(|(images, matches)| PairMatches { images, matches });
-        return Ok((found.collect(), key));
+/// Matches as they are kept.
+type Stored = Vec<([u32; 2], Vec<[u32; 2]>)>;
+
+/// The pairs worth matching, in sets that are matched and kept one by one.
+pub(super) struct Matching<'a> {
+    inputs: &'a Inputs,
+    extracted: &'a Extracted,
+    choice: Choice,
+    options: MatchOptions,
+    candidates: Vec<pairs::Pair>,
+    cache: &'a Cache,
+    parts: Cache,
+    key: Key,
+}
+
+impl<'a> Matching<'a> {
+    /// Looks for pairs that may be worth it.
+    pub(super) fn new(
+        inputs: &'a Inputs,
+        extracted: &'a Extracted,
+        seed: u64,
+        cache: &'a Cache,
+    ) -> Result<Matching<'a>, Error> {
+        let (choice, options) = (Choice::new(seed), MatchOptions::default());
+        let candidates = candidates(inputs, extracted, &choice);
+        let key = candidates
+            .iter()
+            .fold(Key::begin().key(extracted.key), |key, [a, b]| {
+                key.count(*a as u64).count(*b as u64)
+            })
+            .text(&format!("{choice:?} {options:?}"))
+            .finish();
+        let parts = cache.within(PARTS)?;
+        Ok(Matching { inputs, extracted, choice, options, candidates, cache, parts, key })
     }
-    // The nearest few and those that follow each other are matched whatever the coarse look says:
-    // on a plain crop it sees little.
-    let close = [
-        following(inputs, choice.certain),
-        pairs::nearest(&inputs.plan_m, 2 * choice.certain, f64::INFINITY),
-    ];
-    let counter = Counter::new(monitor, "choosing pairs", candidates.len(), "pairs");
-    let tick = || counter.tick();
-    let shortlist = pairs::coarse(&extracted.largest, &candidates, &choice.coarse, &tick);
-    let chosen = pairs::join(&[shortlist, pairs::join(&close)]);
-    let counter = Counter::new(monitor, "matching", chosen.len(), "pairs");
-    let mut found: Vec<PairMatches> = Vec::with_capacity(chosen.len());
-    for span in chosen.chunks(TOGETHER) {
-        let mut photos: Vec<usize> = span.iter().flatten().copied().collect();
+
+    /// All matches.
+    ///
+    /// # Errors
+    /// Where they cannot be kept.
+    pub(super) fn all(&self, monitor: &mut dyn Monitor) -> Result<(Vec<PairMatches>, Key), Error> {
+        let stored = match self.cache.load::<Stored>(MATCHES, self.key) {
+            Some(stored) => stored,
+            None => {
+                let mut all = Stored::new();
+                self.part(Part::WHOLE, monitor, |found| all.extend(found))?;
+                self.cache.save(MATCHES, self.key, &all)?;
+                all
+            }
+        };
+        self.cache.forget(PARTS)?;
+        let found = stored.into_iter().map(|(images, matches)| PairMatches { images, matches });
+        Ok((found.collect(), self.key))
+    }
+
+    /// Matches a part of the sets, unless that was done, and gives the number of these.
+    ///
+    /// # Errors
+    /// Where they cannot be kept.
+    pub(super) fn part(
+        &self,
+        part: Part,
+        monitor: &mut dyn Monitor,
+        mut take: impl FnMut(Stored),
+    ) -> Result<usize, Error> {
+        let chosen = self.chosen(monitor)?;
+        let sets: Vec<&[pairs::Pair]> = chosen.chunks(TOGETHER).collect();
+        let own = part.range(sets.len());
+        let pairs = own.clone().map(|k| sets[k].len()).sum::<usize>();
+        let counter = Counter::new(monitor, "matching", pairs, "pairs");
+        for k in own.clone() {
+            let name = format!("{k}.cbor");
+            let key = Key::begin().key(self.key).count(k as u64).finish();
+            let found = match self.parts.load::<Stored>(&name, key) {
+                Some(found) => {
+                    found.iter().for_each(|_| counter.tick());
+                    found
+                }
+                None => {
+                    let found = self.match_set(sets[k], &|| counter.tick());
+                    self.extracted.descriptors.check()?;
+                    self.parts.save(&name, key, &found)?;
+                    found
+                }
+            };
+            take(found);
+        }
+        Ok(own.len())
+    }
+
+    /// The pairs that are matched.
+    fn chosen(&self, monitor: &mut dyn Monitor) -> Result<Vec<pairs::Pair>, Error> {
+        if let Some(chosen) = self.parts.load(CHOSEN, self.key) {
+            return Ok(chosen);
+        }
+        // The nearest few and those that follow each other are matched whatever the coarse look says:
+        // on a plain crop it sees little.
+        let close = [
+            following(self.inputs, self.choice.certain),
+            pairs::nearest(&self.inputs.plan_m, 2 * self.choice.certain, f64::INFINITY),
+        ];
+        let counter = Counter::new(monitor, "choosing pairs", self.candidates.len(), "pairs");
+        let tick = || counter.tick();
+        let looks = &self.extracted.largest;
+        let shortlist = pairs::coarse(looks, &self.candidates, &self.choice.coarse, &tick);
+        let chosen = pairs::join(&[shortlist, pairs::join(&close)]);
+        self.parts.save(CHOSEN, self.key, &chosen)?;
+        Ok(chosen)
+    }
+
+    fn match_set(&self, set: &[pairs::Pair], tick: &(dyn Fn() + Sync)) -> Stored {
+        let mut photos: Vec<usize> = set.iter().flatten().copied().collect();
         photos.sort_unstable();
         photos.dedup();
+        let source = &self.extracted.descriptors;
         let looks: Vec<Arc<Descriptors>> =
-            photos.par_iter().map(|&photo| extracted.descriptors.descriptors(photo)).collect();
+            photos.par_iter().map(|&photo| source.descriptors(photo)).collect();
         let prepared: Vec<Prepared<'_>> = looks.par_iter().map(|of| Prepared::new(of)).collect();
         let of = |photo: usize| &prepared[photos.partition_point(|&other| other < photo)];
-        let matched = span.par_iter().map(|&[a, b]| {
-            let matches = match_prepared(of(a), of(b), options);
-            counter.tick();
-            PairMatches {
-                images: [a as u32, b as u32],
-                matches: matches.iter().map(|m| [m.first, m.second]).collect(),
-            }
-        });
-        found.par_extend(matched);
+        set.par_iter()
+            .map(|&[a, b]| {
+                let matches = match_prepared(of(a), of(b), &self.options);
+                tick();
+                let matches = matches.iter().map(|m| [m.first, m.second]).collect();
+                ([a as u32, b as u32], matches)
+            })
+            .collect()
     }
-    extracted.descriptors.check()?;
-    let plain: Vec<([u32; 2], &Vec<[u32; 2]>)> =
-        found.iter().map(|m| (m.images, &m.matches)).collect();
-    cache.save(MATCHES, key, &plain)?;
-    Ok((found, key))
 }
 
 /// A photo and its double match in at least this share of their features.

@@ -14,6 +14,7 @@ pub(super) mod inputs;
 mod matches;
 mod outcome;
 mod pair_figures;
+mod parts;
 mod place;
 mod results;
 mod sharpness;
@@ -21,11 +22,12 @@ mod steps;
 
 pub(super) use descriptor_store::DESCRIPTORS_IN_MEMORY_BYTES;
 pub use outcome::{AlignOutcome, Fragment, PartialReport, PointErrors};
+pub use parts::{find_features, match_pairs};
 
 use super::{CACHE, Project, Stage, Task, adjust, record::Cache, stage};
 use crate::{
     error::Error,
-    features::DescriptorSource,
+    features::{DescriptorSource, FeatureOptions},
     monitor::{Monitor, Recorder},
     sfm::{
         adjust_block::{
@@ -37,6 +39,7 @@ use crate::{
         verify::GeometricVerificationOptions,
     },
 };
+use matches::Matching;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -180,6 +183,13 @@ fn go_together(options: &AlignOptions) -> Result<(), String> {
 }
 
 impl AlignOptions {
+    fn detection(&self) -> FeatureOptions {
+        // Half of the usual contrast: the budget keeps the best, and a plain crop has no others.
+        let contrast_threshold = 0.02;
+        let max_features = self.max_features;
+        FeatureOptions { max_features, contrast_threshold, ..FeatureOptions::default() }
+    }
+
     fn verification(&self) -> GeometricVerificationOptions {
         GeometricVerificationOptions {
             solver: match self.solver {
@@ -359,19 +369,14 @@ fn run(
     if last == Step::Inspect {
         return Ok(StepOutcome::Part(report));
     }
-    // Half of the usual contrast: the budget keeps the best, and a plain crop has no others.
-    let detection = crate::features::FeatureOptions {
-        max_features: options.max_features,
-        contrast_threshold: 0.02,
-        ..Default::default()
-    };
-    let extracted = features::features(&inputs, &detection, options.enlarge, &cache, monitor)?;
+    let search = (&options.detection(), options.enlarge);
+    let extracted = features::features(&inputs, search, true, &cache, monitor)?;
     report.features = Some(extracted.geometric.iter().map(|of| of.positions_px.len()).sum());
     if last == Step::Features {
         return Ok(StepOutcome::Part(report));
     }
     let (mut matched, matched_key) =
-        matches::matches(&inputs, &extracted, options.seed, &cache, monitor)?;
+        Matching::new(&inputs, &extracted, options.seed, &cache)?.all(monitor)?;
     matches::remove_duplicates(&inputs, &extracted, &mut matched, monitor);
     report.pairs = Some(matched.len());
     report.matches = Some(matched.iter().map(|m| m.matches.len()).sum());

@@ -1,6 +1,6 @@
 //! The steps that compute, with what they keep: lenses to start with, orientation of pairs, blocks.
 
-use super::{AlignOptions, Step, features::FEATURES, inputs::Inputs, matches::MATCHES};
+use super::{AlignOptions, Step, features::FEATURES, inputs::Inputs, matches};
 use crate::{
     camera::{Camera, Lens},
     error::Error,
@@ -26,9 +26,10 @@ const PAIRS: &str = "pairs.cbor";
 const BLOCKS: &str = "blocks.cbor";
 
 /// What is kept of every step.
-pub(super) const KEPT: [(Step, &str); 5] = [
+pub(super) const KEPT: [(Step, &str); 6] = [
     (Step::Features, FEATURES),
-    (Step::Match, MATCHES),
+    (Step::Match, matches::MATCHES),
+    (Step::Match, matches::PARTS),
     (Step::Verify, LENSES),
     (Step::Verify, PAIRS),
     (Step::Orient, BLOCKS),

@@ -197,17 +197,32 @@ pub struct Lock {
 }
 
 impl Lock {
-    /// Takes it.
+    /// Takes it for one process alone.
     ///
     /// # Errors
     /// Where another run has it, or the folder cannot be written.
     pub fn take(results: &Path) -> Result<Lock, Error> {
+        Lock::with(results, File::try_lock)
+    }
+
+    /// Takes it for a process that only adds to what is kept, together with others of the kind.
+    ///
+    /// # Errors
+    /// Where a process has it alone, or the folder cannot be written.
+    pub fn share(results: &Path) -> Result<Lock, Error> {
+        Lock::with(results, File::try_lock_shared)
+    }
+
+    fn with(
+        results: &Path,
+        lock: impl Fn(&File) -> Result<(), std::fs::TryLockError>,
+    ) -> Result<Lock, Error> {
         std::fs::create_dir_all(results).map_err(|e| FileError::write(results, e))?;
         let path = results.join(".lock");
         let failed = |e| FileError::write(&path, e);
         let file =
             File::options().create(true).truncate(false).write(true).open(&path).map_err(failed)?;
-        match file.try_lock() {
+        match lock(&file) {
             Ok(()) => Ok(Lock { _file: file }),
             Err(std::fs::TryLockError::WouldBlock) => Err(Error::Argument(format!(
                 "{}: another rowgram process is working here; wait until it has finished, or choose another folder with --output",

@@ -8,7 +8,9 @@ mod store;
 mod write;
 
 use super::{
-    CACHE, Project, Stage, Task, dem,
+    CACHE, Project, Stage, Task,
+    batches::Part,
+    dem,
     dem::read_surface,
     import, ortho,
     record::{self, Cache, Key},
@@ -17,12 +19,9 @@ use super::{
 use crate::{
     error::Error,
     mapping::{
-        Surface,
+        Surface, View,
         dem::SurfacePoint,
-        dense::{
-            AreaOptions, Prior, Tile,
-            area::{TILE, match_area, steps},
-        },
+        dense::{Area, AreaOptions, Pass, Prior, Tile, area::TILE},
         grid::{coverage, covering, median_gsd_m, rounded},
         surface::HeightInterpolation,
         views,
@@ -138,49 +137,22 @@ impl Task for SurfaceTask {
         folder: &Path,
         monitor: &mut dyn Monitor,
     ) -> Result<SurfaceOutcome, Error> {
-        let reconstruction = project.reconstruction()?;
-        if !reconstruction.reference.has_scale() {
-            let message = "the reconstruction has no scale, so heights have no metres; give camera positions or control";
-            return Err(Error::NothingToDo(message.into()));
-        }
-        let files = import::photo_files(&reconstruction, &project.photo_folder())?;
-        let base = read_surface(&base(project)?, HeightInterpolation::Bilinear)?;
-        let views = views(&reconstruction);
-        let crs = Crs::of(&reconstruction.reference);
-        let (place, size) = grid(&views, &base, options, crs)?;
-        let area = Tile { corner_m: place.origin, cell_m: place.per_column[0], size };
-        let range_m = match options.range_m {
-            Auto::Given(range_m) => range_m,
-            Auto::Auto => range::range_of(&SurfacePoint::of(&reconstruction), area.cell_m),
-        };
-        let prior = match options.ground {
-            GroundColour::Soil => Prior::default(),
-            GroundColour::Any => Prior::None,
-        };
-        let area_options = AreaOptions {
-            range_m,
-            others: options.others,
-            tile_cells: TILE,
-            penalties: Default::default(),
-            prior,
-        };
-        let inputs = record::contents(project.root(), &Self::inputs(project, options)?)?;
-        let key = Key::begin().text(&stage::key::<Self>(project, options, &inputs)).finish();
+        let scene = Scene::new(project, options)?;
         stage::clear(folder)?;
-        let mut store = store::TilesOnDisk::new(&folder.join(CACHE), key)?;
-        let counter = Counter::new(monitor, "matching the surface", steps(&area, TILE), "tiles");
-        let read = |k: usize| ortho::read_photo(&files[k], views[k].interior.size_px());
-        let height = |at: [f64; 2]| base.at(at);
-        let done = &mut || counter.tick();
-        let ground = match_area(&views, &read, &height, &area, &area_options, &mut store, done)
-            .map_err(left_out)?;
+        let mut store = store::TilesOnDisk::new(&folder.join(CACHE), scene.key)?;
+        let (place, range_m) = (&scene.place, scene.options.range_m);
+        let ground = scene.matched(|area| {
+            let steps = area.tiles(Pass::Coarse) + area.tiles(Pass::Fine);
+            let counter = Counter::new(monitor, "matching the surface", steps, "tiles");
+            area.matched(&mut store, &mut || counter.tick())
+        })?;
         let subject = Stage::Surface.word();
         if ground.terrain.is_none() {
             let message =
                 "nothing bare was found, so there is no ground and no height of the canopy";
             monitor.diagnostic(&Diagnostic::warning("surface-no-ground", subject, message));
         }
-        let found = write::Found { area, place: &place, ground: &ground, range_m };
+        let found = write::Found { area: scene.cells, place, ground: &ground, range_m };
         let mut outcome = write::write(&found, &mut store, folder)?;
         if options.cloud {
             write::cloud(&found, &mut store, &folder.join(CLOUD))?;
@@ -204,6 +176,87 @@ pub fn surface(
     stage::perform::<SurfaceTask>(project, options, monitor)
 }
 
+/// What a surface is matched from.
+struct Scene {
+    views: Vec<View>,
+    files: Vec<PathBuf>,
+    base: Surface,
+    place: Georeference,
+    cells: Tile,
+    options: AreaOptions,
+    /// Of all that decides the tiles.
+    key: Key,
+}
+
+impl Scene {
+    fn new(project: &Project, options: &SurfaceOptions) -> Result<Scene, Error> {
+        let reconstruction = project.reconstruction()?;
+        if !reconstruction.reference.has_scale() {
+            let message = "the reconstruction has no scale, so heights have no metres; give camera positions or control";
+            return Err(Error::NothingToDo(message.into()));
+        }
+        let files = import::photo_files(&reconstruction, &project.photo_folder())?;
+        let base = read_surface(&base(project)?, HeightInterpolation::Bilinear)?;
+        let views = views(&reconstruction);
+        let crs = Crs::of(&reconstruction.reference);
+        let (place, size) = grid(&views, &base, options, crs)?;
+        let cells = Tile { corner_m: place.origin, cell_m: place.per_column[0], size };
+        let range_m = match options.range_m {
+            Auto::Given(range_m) => range_m,
+            Auto::Auto => range::range_of(&SurfacePoint::of(&reconstruction), cells.cell_m),
+        };
+        let prior = match options.ground {
+            GroundColour::Soil => Prior::default(),
+            GroundColour::Any => Prior::None,
+        };
+        let area_options = AreaOptions {
+            range_m,
+            others: options.others,
+            tile_cells: TILE,
+            penalties: Default::default(),
+            prior,
+        };
+        let inputs = record::contents(project.root(), &SurfaceTask::inputs(project, options)?)?;
+        let key = stage::key::<SurfaceTask>(project, options, &inputs);
+        let key = Key::begin().text(&key).finish();
+        Ok(Scene { views, files, base, place, cells, options: area_options, key })
+    }
+
+    /// Does something with the area.
+    fn matched<R>(
+        &self,
+        work: impl FnOnce(&Area<'_, Error>) -> Result<R, Error>,
+    ) -> Result<R, Error> {
+        let read = |k: usize| ortho::read_photo(&self.files[k], self.views[k].interior.size_px());
+        let base = |at: [f64; 2]| self.base.at(at);
+        let (views, cells, options) = (self.views.as_slice(), self.cells, self.options);
+        work(&Area { views, read: &read, base: &base, cells, options }).map_err(left_out)
+    }
+}
+
+/// Matches a part of the tiles of a pass and keeps them for [`surface`]; all of the coarse pass come before the first of the fine one.
+/// Gives the number of tiles.
+///
+/// # Errors
+/// As [`surface`].
+pub fn match_tiles(
+    project: &Project,
+    options: &SurfaceOptions,
+    (pass, part): (Pass, Part),
+    monitor: &mut dyn Monitor,
+) -> Result<usize, Error> {
+    let scene = Scene::new(project, options)?;
+    let folder = project.folder(Stage::Surface);
+    let mut store = store::TilesOnDisk::new(&folder.join(CACHE), scene.key)?;
+    scene.matched(|area| {
+        let numbers = part.range(area.tiles(pass));
+        let count = numbers.len();
+        let counter = Counter::new(monitor, "matching the surface", count, "tiles");
+        area.match_tiles(pass, numbers, &mut store, &mut || counter.tick())?;
+        Ok(count)
+    })
+}
+
 /// The surface of the tie points.
 fn base(project: &Project) -> Result<PathBuf, Error> {
     project.existing(Stage::Dem, dem::SURFACE).ok_or_else(|| {
@@ -224,7 +277,7 @@ fn left_out(error: Error) -> Error {
 
 /// The cells: those of the orthomosaic, where both are made by default.
 fn grid(
-    views: &[crate::mapping::View],
+    views: &[View],
     base: &Surface,
     options: &SurfaceOptions,
     crs: Crs,
