@@ -95,7 +95,7 @@ fn plan_errors(root: &Path, outcome: &SeasonOutcome, flight: usize) -> Vec<[f64;
         (truth.texts("label").unwrap(), truth.pairs("easting_m", "northing_m").unwrap());
     let text = fs::read(folder.join("rowgram/align/report/report.json")).unwrap();
     let report: serde_json::Value = serde_json::from_slice(&text).unwrap();
-    let similarity = &flight.placement.as_ref().unwrap().similarity;
+    let similarity = &flight.placement.as_ref().unwrap().transform;
     let adjusted: BTreeMap<&str, [f64; 2]> = report["ground"]
         .as_array()
         .unwrap()

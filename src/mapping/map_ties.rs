@@ -11,7 +11,7 @@ use crate::{
         self, Descriptors, FeatureOptions, Upscale,
         matching::{MatchOptions, match_descriptors},
     },
-    problems::map_similarity::MapTie,
+    problems::map_transform::MapTie,
     raster::georeference::Georeference,
 };
 use image::RgbImage;
@@ -146,7 +146,7 @@ pub fn consistent(ties: &[MapTie], tolerance_m: f64, seed: u64) -> Vec<MapTie> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{problems::map_similarity, raster::georeference::Crs};
+    use crate::{problems::map_transform, raster::georeference::Crs};
 
     /// Uneven soil, shifted by whole pixels.
     fn soil(shift: [i64; 2], size: u32) -> RgbImage {
@@ -185,8 +185,8 @@ mod tests {
         let [from, to] = [&first, &second].map(|map| features(map, &usable, &place, 2000));
         assert!(from.at_m.iter().all(|at| at[1] < 2000.0 - 0.6), "leaf has no features");
         let ties = consistent(&alike(&from, &to), 0.02, 1);
-        let fit = map_similarity::fit(&ties).unwrap();
-        let shift = fit.similarity.shift_m;
+        let fit = map_transform::fit(&ties).unwrap();
+        let shift = fit.transform.shift_m;
         assert!((shift[0] + 0.07).abs() < 0.002 && (shift[1] - 0.04).abs() < 0.002, "{fit:?}");
     }
 

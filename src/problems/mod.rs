@@ -5,7 +5,7 @@ pub mod bundle;
 pub mod calibration;
 pub mod growth_curve;
 pub mod lens_fit;
-pub mod map_similarity;
+pub mod map_transform;
 pub mod plants;
 pub mod plot_layout;
 mod pose_chain;

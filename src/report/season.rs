@@ -124,7 +124,7 @@ fn flights(outcome: &SeasonOutcome) -> Markup {
                     @match fit {
                         Some(fit) => {
                             td { (fit.ties) }
-                            td { (centimetres(fit.similarity.shift_m[0].hypot(fit.similarity.shift_m[1]))) }
+                            td { (centimetres(fit.transform.shift_m[0].hypot(fit.transform.shift_m[1]))) }
                             td { (centimetres(fit.scatter_m)) }
                             td { (centimetres(fit.deformation_m)) }
                             td { (centimetres(fit.middle_sigma_m)) }
@@ -140,7 +140,7 @@ fn flights(outcome: &SeasonOutcome) -> Markup {
         } }
         p .note {
             "Places are what two maps share and does not grow. Scatter is the standard deviation of one of them; deformation is the "
-            "root mean square of their means over cells of the field, which no similarity takes out."
+            "root mean square of their means over cells of the field, which no transform of the map takes out."
         }
     }
 }

@@ -7,6 +7,7 @@ use crate::{
     monitor::{Diagnostic, Monitor},
     phenotype::{
         plant_tracks::{self, Sighting, Tracks},
+        stand::NORMAL_95,
         traits::{PlotTraits, TRAITS},
     },
     pipeline::{Project, Stage},
@@ -54,7 +55,7 @@ impl Day {
                 let plots = table.texts("plot").unwrap_or_else(|| vec![""; at.len()]);
                 let confidence = table.numbers("confidence");
                 let plant = |k: usize| DayPlant {
-                    at_m: placement.similarity.apply(at[k]),
+                    at_m: placement.transform.apply(at[k]),
                     plot: plots[k].to_owned(),
                     confidence: confidence.as_ref().map(|all| all[k]).filter(|c| c.is_finite()),
                 };
@@ -98,10 +99,22 @@ pub struct SeasonTrait {
     pub scatter: Option<f64>,
     /// Degrees of freedom of that.
     pub degrees_of_freedom: usize,
-    /// Half the width of the 95 % interval of a value: the scatter times the quantile of Student's t.
+    /// Half the width of the 95 % interval of a value by its scatter alone: that times the quantile of Student's t.
     pub half_interval: Option<f64>,
     /// The plots.
     pub plots: Vec<PlotSeries>,
+}
+
+impl SeasonTrait {
+    /// Half the width of the 95 % interval of a value of which its flight gives this standard deviation: scatter about the curve and what
+    /// the flight does not know, as far as each is known.
+    pub(super) fn half_interval_with(&self, flight_sd: Option<f64>) -> Option<f64> {
+        match (self.half_interval, self.scatter.filter(|&scatter| scatter > 0.0), flight_sd) {
+            (Some(half), Some(scatter), Some(sd)) => Some(half * (sd / scatter).hypot(1.0)),
+            (half, _, None) => half,
+            (_, _, Some(sd)) => Some(NORMAL_95 * sd),
+        }
+    }
 }
 
 /// When a plot emerged: the day on which half of its final number of plants was there.

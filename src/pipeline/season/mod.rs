@@ -296,7 +296,7 @@ fn second_run(
         std::fs::create_dir_all(&folder).map_err(|e| FileError::write(&folder, e))?;
         let path = folder.join(format!("{}.geojson", map.date));
         let on_map = outlines.iter().map(|(name, ring)| {
-            (name.as_str(), ring.iter().map(|&at| placement.similarity.invert(at)).collect())
+            (name.as_str(), ring.iter().map(|&at| placement.transform.invert(at)).collect())
         });
         write::polygons(&path, map.place.crs.epsg, on_map)?;
         flight.config.project.plots = Some(from(&flight.root, &path));

@@ -2,7 +2,7 @@
 //!
 //! Flights with ground control of their own stay as they are; without any, the first one does. The others follow in the order of their
 //! distance in time from one that is placed: each is tied by plants, or by what does not grow, to the placed flights nearest in time, and a
-//! similarity ([`crate::problems::map_similarity`]) puts it into their frame. A flight that is added at the end changes no other.
+//! similarity or an affine map ([`crate::problems::map_transform`]) puts it into their frame. A flight that is added at the end changes no other.
 
 use super::{SeasonOptions, file::Frame};
 use crate::{
@@ -17,7 +17,7 @@ use crate::{
         Project, Stage,
         record::{Cache, Key},
     },
-    problems::map_similarity::{self, MapFit, MapSimilarity, MapTie},
+    problems::map_transform::{self, MapFit, MapTie, MapTransform},
     raster::{georeference::Georeference, window::Window},
 };
 use serde::{Deserialize, Serialize};
@@ -30,7 +30,7 @@ const NEIGHBOURS: usize = 2;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Placement {
     /// From its map into the frame of the season.
-    pub similarity: MapSimilarity,
+    pub transform: MapTransform,
     /// Dates that it is tied to; none where it is in its own frame.
     pub tied_to: Vec<String>,
     /// How well; `None` where it is in its own frame.
@@ -182,7 +182,7 @@ fn ties(
     options: &SeasonOptions,
 ) -> Result<Vec<MapTie>, Error> {
     let plants = plant_ties(&maps[from].plants_m, &maps[to].plants_m, options.search_m);
-    if plants.len() >= map_similarity::LEAST_TIES {
+    if plants.len() >= map_transform::LEAST_TIES {
         return Ok(plants);
     }
     let mut alike = Vec::new();
@@ -234,7 +234,7 @@ pub(super) fn place(
     cache: &Cache,
     monitor: &mut dyn Monitor,
 ) -> Result<Vec<Option<Placement>>, Error> {
-    let own = || Placement { similarity: MapSimilarity::IDENTITY, tied_to: Vec::new(), fit: None };
+    let own = || Placement { transform: MapTransform::IDENTITY, tied_to: Vec::new(), fit: None };
     let mut placed: Vec<Option<Placement>> =
         maps.iter().map(|map| (map.frame == Frame::Own).then(own)).collect();
     if placed.iter().all(Option::is_none)
@@ -263,18 +263,18 @@ pub(super) fn place(
             for other in near {
                 let found = kept_ties(maps, [next, other], &mut features, options, cache)?;
                 if let Some(placement) =
-                    placed[other].as_ref().filter(|_| found.len() >= map_similarity::LEAST_TIES)
+                    placed[other].as_ref().filter(|_| found.len() >= map_transform::LEAST_TIES)
                 {
                     let into =
-                        |tie: MapTie| MapTie { to_m: placement.similarity.apply(tie.to_m), ..tie };
+                        |tie: MapTie| MapTie { to_m: placement.transform.apply(tie.to_m), ..tie };
                     all.extend(found.into_iter().map(into));
                     tied_to.push(maps[other].date.clone());
                 }
             }
-            match map_similarity::fit(&all) {
+            match map_transform::fit(&all) {
                 Some(fit) => {
                     placed[next] =
-                        Some(Placement { similarity: fit.similarity, tied_to, fit: Some(fit) });
+                        Some(Placement { transform: fit.transform, tied_to, fit: Some(fit) });
                 }
                 None => {
                     failed[next] = true;

@@ -5,7 +5,10 @@ use super::{
     follow::{Day, Found},
 };
 use crate::{
-    error::Error, io::output, phenotype::traits::TRAITS, problems::growth_curve::Estimate,
+    error::Error,
+    io::output,
+    phenotype::{stand::NORMAL_95, traits::TRAITS},
+    problems::growth_curve::Estimate,
 };
 use serde_json::json;
 use std::path::Path;
@@ -59,6 +62,8 @@ fn flights(path: &Path, outcome: &SeasonOutcome) -> Result<(), Error> {
             "shift_north_m",
             "scale",
             "rotation_rad",
+            "stretch",
+            "stretch_45",
             "scatter_m",
             "deformation_m",
             "middle_sigma_m",
@@ -74,7 +79,7 @@ fn flights(path: &Path, outcome: &SeasonOutcome) -> Result<(), Error> {
                 (Some(_), Some(_)) => "tied",
             };
             let tied_to = flight.placement.as_ref().map(|placement| placement.tied_to.join(" "));
-            let similarity = fit.map(|fit| fit.similarity);
+            let transform = fit.map(|fit| fit.transform);
             csv.write_record([
                 flight.date.clone(),
                 flight.day.to_string(),
@@ -83,10 +88,12 @@ fn flights(path: &Path, outcome: &SeasonOutcome) -> Result<(), Error> {
                 frame.to_owned(),
                 tied_to.unwrap_or_default(),
                 fit.map(|fit| fit.ties.to_string()).unwrap_or_default(),
-                number(similarity.map(|s| s.shift_m[0]), 4),
-                number(similarity.map(|s| s.shift_m[1]), 4),
-                number(similarity.map(|s| 1.0 + s.scale), 6),
-                number(similarity.map(|s| s.rotation), 6),
+                number(transform.map(|s| s.shift_m[0]), 4),
+                number(transform.map(|s| s.shift_m[1]), 4),
+                number(transform.map(|s| 1.0 + s.scale), 6),
+                number(transform.map(|s| s.rotation), 6),
+                number(transform.map(|s| s.stretch[0]), 6),
+                number(transform.map(|s| s.stretch[1]), 6),
                 number(fit.map(|fit| fit.scatter_m), 4),
                 number(fit.map(|fit| fit.deformation_m), 4),
                 number(fit.map(|fit| fit.middle_sigma_m), 4),
@@ -122,7 +129,11 @@ fn traits(path: &Path, outcome: &SeasonOutcome, days: &[Day]) -> Result<(), Erro
                 for of in TRAITS {
                     let Some(value) = (of.value)(traits) else { continue };
                     let season = outcome.traits.iter().find(|season| season.name == of.name);
-                    let half = season.and_then(|season| season.half_interval);
+                    let sd = of.standard_deviation(traits);
+                    let half = match season {
+                        Some(season) => season.half_interval_with(sd),
+                        None => sd.map(|sd| NORMAL_95 * sd),
+                    };
                     let curve = season
                         .and_then(|season| season.plots.iter().find(|series| series.plot == *plot))
                         .and_then(|series| series.curve.as_ref());
