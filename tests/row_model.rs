@@ -1,7 +1,11 @@
 //! The locator for closed canopies on synthetic fields, whose truth is known: accuracy, count,
 //! symmetry, and the negative controls that make it necessary.
 
-use data_synth::scenario::{Preset, Scenario};
+use data_synth::{
+    field::FieldConfig,
+    scenario::{Preset, Scenario},
+    season_plan::{SeasonConfig, SeasonPreset},
+};
 use rowgram::{
     descent,
     phenotype::{
@@ -122,6 +126,35 @@ fn young_plants_that_stand_apart_are_found_by_their_mass() {
     let (apart, votes) = (score(true), score(false));
     eprintln!("F1 at 5 cm {apart:.3}, by votes along leaf axes {votes:.3}");
     assert!(apart > 0.9 && apart > votes + 0.05, "{apart} {votes}");
+}
+
+/// Plants that touch in pairs pass for single ones by their mass; votes along leaf axes tell them.
+#[test]
+fn plants_that_have_merged_are_not_counted_as_one() {
+    let mut field = SeasonConfig::preset(SeasonPreset::Small).twin.field;
+    field.gsd_m = 0.0071;
+    for (seed, day) in [(1, 16.0), (1, 21.0), (1, 28.0), (2, 28.0)] {
+        field.seed = seed;
+        let day = data_synth::season::SeasonDay { day, ..Default::default() };
+        let scenario = Scenario {
+            field: FieldConfig { season: Some(day.clone()), ..field.clone() },
+            ..Scenario::preset(Preset::Early20)
+        };
+        let scene = scenario.build().unwrap();
+        let image = scene.mask();
+        let mask = Mask::from_fn(image.width() as usize, image.height() as usize, |u, v| {
+            image.get_pixel(u as u32, v as u32).0[0] > 0
+        });
+        let truth: Vec<[f64; 2]> = scene.field.plants.iter().map(|p| [p.u_px, p.v_px]).collect();
+        for told in [None, Some(truth.len())] {
+            let found = positions(&find(&mask, told));
+            let error = found.len() as f64 / truth.len() as f64 - 1.0;
+            let score = Score::new(&found, &truth, &[0.1 / 0.0071]).unwrap();
+            let f1 = score.radii[0].f1.unwrap();
+            println!("day {} seed {seed}, told {told:?}: {error:+.3}, F1 {f1:.3}", day.day);
+            assert!(error.abs() < 0.15 && f1 > 0.8, "day {}: {error} {f1}", day.day);
+        }
+    }
 }
 
 #[test]

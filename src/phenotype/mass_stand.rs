@@ -8,7 +8,7 @@
 //! Where there are rows, components whose plants all grow between them are weeds, more probably than not ([`row_membership`](super::row_membership)):
 //! they are left out, and everything is done again without them.
 //!
-//! What carries over to the row model is the share of the rows that is covered by leaf ([`is_closed`]): the mass of a
+//! What carries over to the row model is the share of the rows that is covered by leaf ([`covered`]): the mass of a
 //! component tells the number of its plants as long as there is soil between components.
 
 use super::{
@@ -51,48 +51,53 @@ const PLACE: (f64, f64) = (0.14, 0.20);
 /// seedlings with 1, 2 and 5 weeds per square metre (an eighth to half of all plants), number not told, F1 is 0.96, 0.96 and 0.86
 /// instead of 0.91, 0.79 and 0.64 (the fields of `experiments/specs/locate-weeds.toml`, seeds 1 to 6, method `row-model-auto`).
 const WEEDY: f64 = 0.1;
-/// Plants in the rows, at least, from which the spacing and what is usual of a plant can be learned amid weeds: in a synthetic field of
-/// 46 plants votes found 57, mass 48 (second date of `rowgram synth season --preset tiny`).
+/// Plants in the rows, at least, from which votes learn the spacing and what is usual of a plant: in a synthetic field of 46 plants amid
+/// weeds they found 57, mass 48 (second date of `rowgram synth season --preset tiny`).
 const LEAST_CROP: usize = 60;
 /// Counts by mass and by votes contradict each other from this ratio on: halfway, by ratios, between agreement and a double.
 const CONTRADICTS: f64 = std::f64::consts::SQRT_2;
+/// From this covered share on neighbours touch so often that two plants may pass for the usual one: on the last date of `rowgram synth season`
+/// (less than 0.78) mass counts 174 of 340 plants, votes 353. Not searched for: only counts that contradict each other depend on it.
+const HALF_CLOSED: f64 = 0.5;
 
-/// Whether leaves have closed along the rows, so that leaf mass does not tell plants.
-fn is_closed(parts: &Parts<'_>, rows: &Rows) -> bool {
+/// The share of the rows that leaves cover, of rows that may be closed.
+fn covered(parts: &Parts<'_>, detection: &Detection) -> f64 {
+    let Some(rows) = detection.rows() else { return 0.0 };
     let longest = rows.rows.iter().map(|row| row.length_px()).fold(0.0, f64::max);
     let is_long = rows.spacing_px.is_none_or(|spacing| longest > LONG * spacing);
-    is_long && covered_share(&parts.without_smallest(SPECKS), rows) >= CLOSED
+    if is_long { covered_share(&parts.without_smallest(SPECKS), rows) } else { 0.0 }
 }
 
 /// What the leaf mass of a mask says.
 pub(super) enum ByMass {
     /// Its plants.
     Found(Box<Stand>),
-    /// Leaves have closed along rows: nothing.
+    /// Leaves have closed along rows, or as many plants as were told make no sense by mass: nothing.
     Closed,
-    /// Weeds grow between the rows in such numbers that many must grow within them, too, which mass does not tell from the crop,
-    /// but votes along the axes of its blades may.
-    Weedy(Box<Weedy>),
+    /// What mass says may be wrong, and votes along the axes of blades can tell.
+    Doubtful(Box<Doubtful>),
 }
 
-/// A weedy field.
-pub(super) struct Weedy {
-    /// Its mask without the weeds between the rows.
-    pub(super) crop: Mask,
-    /// The rows of that.
-    pub(super) detection: Detection,
-    /// What was left out.
-    pub(super) between_rows: BetweenRows,
-    /// What the mass of the crop says.
+/// A field that mass may count wrongly.
+pub(super) struct Doubtful {
+    /// Its mask without the weeds between the rows, and the rows of that; nothing where none were left out.
+    pub(super) crop: Option<(Mask, Detection)>,
+    /// What mass says.
     pub(super) by_mass: Stand,
+    /// Weeds grow between the rows in such numbers that many must grow within them, too, which mass does not tell from the crop.
+    is_weedy: bool,
+    /// Leaves cover so much of the rows that two plants may pass for one.
+    is_half_closed: bool,
 }
 
-impl Weedy {
-    /// Whether the number of plants found by votes along leaf axes can be true, by the mass of the crop: a spacing that is a half or a
-    /// double of the true one stands out even where weeds within rows are counted.
-    pub(super) fn allows(&self, plants: usize) -> bool {
-        let by_mass = self.by_mass.plants.len() as f64;
-        (by_mass / CONTRADICTS..=by_mass * CONTRADICTS).contains(&(plants as f64))
+impl Doubtful {
+    /// Whether so many plants, found by votes along leaf axes, are nearer to the truth. A spacing that is a half or a double of the true
+    /// one stands out even where weeds within rows are counted, and only plants that have merged make a double of the mass.
+    pub(super) fn prefers(&self, plants: usize) -> bool {
+        let ratio = plants as f64 / self.by_mass.plants.len().max(1) as f64;
+        let agrees = (1.0 / CONTRADICTS..=CONTRADICTS).contains(&ratio);
+        let are_merged = self.is_half_closed && plants >= LEAST_CROP && ratio > CONTRADICTS;
+        self.is_weedy && agrees || are_merged
     }
 }
 
@@ -105,7 +110,8 @@ pub(super) fn locate(
     count: Option<usize>,
 ) -> ByMass {
     let parts = Parts::new(mask, None, posterior);
-    if detection.rows().is_some_and(|rows| is_closed(&parts, rows)) {
+    let share = covered(&parts, detection);
+    if share >= CLOSED {
         return ByMass::Closed;
     }
     // Weeds are told among as many plants as there seem to be.
@@ -116,21 +122,25 @@ pub(super) fn locate(
         let crop = parts.mask_of(|part| left_out.weeds.iter().all(|weed| weed.component != part));
         let detection = rows::detect(&PixelIndex::from_mask(crop.width, &crop.data));
         let parts = Parts::new(&crop, None, posterior);
-        if detection.rows().is_some_and(|rows| is_closed(&parts, rows)) {
+        let share = covered(&parts, &detection);
+        if share >= CLOSED {
             return ByMass::Closed;
         }
         let (all, weeds) = (found.plants.len(), left_out.weeds.len());
         let is_weedy = weeds as f64 > WEEDY * all as f64 && all - weeds >= LEAST_CROP;
-        let leaf_share = left_out.weeds_px() / mask.count().max(1) as f64;
-        let between_rows = BetweenRows { leaf_share, weeds_px: left_out.weed_places_px() };
-        let found = parts.count(count);
+        let found = parts.count(None);
+        if is_merged(&found, count, share) {
+            return ByMass::Closed;
+        }
+        let found = if count.is_some() { parts.count(count) } else { found };
         drop(parts);
         let rows = rows_of(&crop, &found.plants, found.plant_px, &detection);
         let by_mass = stand(&crop, found, rows, count, left_out);
-        if is_weedy && detection.rows().is_some() && !broad_leaves::is_broad(&crop) {
-            return ByMass::Weedy(Box::new(Weedy { crop, detection, between_rows, by_mass }));
-        }
-        return ByMass::Found(Box::new(by_mass));
+        let crop = Some((crop, detection));
+        return judged(mask, by_mass, crop, (is_weedy, share), count);
+    }
+    if is_merged(&found, count, share) {
+        return ByMass::Closed;
     }
     let (found, rows) = match count {
         None => (found, rows),
@@ -140,7 +150,31 @@ pub(super) fn locate(
             (found, rows)
         }
     };
-    ByMass::Found(Box::new(stand(mask, found, rows, count, left_out)))
+    let by_mass = stand(mask, found, rows, count, left_out);
+    judged(mask, by_mass, None, (false, share), count)
+}
+
+/// Whether so many plants were told that two or more of them pass for one.
+fn is_merged(found: &MassCount, count: Option<usize>, share: f64) -> bool {
+    let most = CONTRADICTS * found.plants.len() as f64;
+    share >= HALF_CLOSED && count.is_some_and(|count| count as f64 > most)
+}
+
+/// What mass says, with what may be wrong about it. Round leaves have no axes that could tell.
+fn judged(
+    mask: &Mask,
+    by_mass: Stand,
+    crop: Option<(Mask, Detection)>,
+    (is_weedy, share): (bool, f64),
+    count: Option<usize>,
+) -> ByMass {
+    let has_rows = crop.as_ref().is_none_or(|(_, detection)| detection.rows().is_some());
+    let is_half_closed = count.is_none() && share >= HALF_CLOSED;
+    let leaves = crop.as_ref().map_or(mask, |(crop, _)| crop);
+    if has_rows && (is_weedy || is_half_closed) && !broad_leaves::is_broad(leaves) {
+        return ByMass::Doubtful(Box::new(Doubtful { crop, by_mass, is_weedy, is_half_closed }));
+    }
+    ByMass::Found(Box::new(by_mass))
 }
 
 /// Leaf that belongs to no plant of the crop.
@@ -429,7 +463,7 @@ mod tests {
         let detection = rows::detect(&PixelIndex::from_mask(mask.width, &mask.data));
         match locate(mask, None, &detection, count) {
             ByMass::Found(stand) => Some(*stand),
-            ByMass::Closed | ByMass::Weedy(..) => None,
+            ByMass::Closed | ByMass::Doubtful(..) => None,
         }
     }
 

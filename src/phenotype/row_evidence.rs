@@ -274,6 +274,9 @@ impl RowEvidence {
         let likeliest = (0..tried.len()).max_by(|&a, &b| tried[a].0.total_cmp(&tried[b].0));
         let Some(likeliest) = likeliest else { return FINEST };
         let coarser = |k: &usize| tried[*k].1 > LEAVES * tried[likeliest].1;
+        for k in (0..tried.len()).filter(peak) {
+            tracing::debug!("spacing {:.1}: {:.1}, {:.1} bare", tried[k].1, tried[k].0, bare(k));
+        }
         let rivals = (0..tried.len()).filter(peak).filter(coarser);
         tried[rivals.fold(likeliest, |best, k| if bare(k) > bare(best) { k } else { best })].1
     }

@@ -36,7 +36,7 @@ use super::{
     dynamic_programming::{Chain, Posterior, STEP},
     evidence::AxisSource,
     locate::LocateError,
-    mass_stand::{self, ByMass, Weedy},
+    mass_stand::{self, ByMass, Doubtful},
     plant_spacing::Spacing,
     row_evidence::{Expected, RowEvidence, best, bisect, gaps, total, worth_of},
     row_parts::Part,
@@ -140,17 +140,26 @@ pub(super) fn locate_in_detail(
     match by_mass {
         ByMass::Found(stand) => Ok(*stand),
         ByMass::Closed => by_votes(mask, posterior, detection, count, options),
-        ByMass::Weedy(weedy) => {
-            let Weedy { crop, detection, .. } = &*weedy;
-            let of_crop: Option<Vec<u8>> = posterior.map(|posterior| {
-                let pixels = std::iter::zip(posterior, &crop.data);
-                pixels.map(|(&p, &crop)| if crop == 0 { 0 } else { p }).collect()
-            });
-            let stand = by_votes(crop, of_crop.as_deref(), detection, count, options)?;
-            if !weedy.allows(stand.plants.len()) {
-                return Ok(weedy.by_mass);
+        ByMass::Doubtful(doubtful) => {
+            let Doubtful { crop, by_mass, .. } = &*doubtful;
+            let stand = match crop {
+                None => by_votes(mask, posterior, detection, count, options)?,
+                Some((crop, detection)) => {
+                    let of_crop: Option<Vec<u8>> = posterior.map(|posterior| {
+                        let pixels = std::iter::zip(posterior, &crop.data);
+                        pixels.map(|(&p, &crop)| if crop == 0 { 0 } else { p }).collect()
+                    });
+                    by_votes(crop, of_crop.as_deref(), detection, count, options)?
+                }
+            };
+            let (votes, mass) = (stand.plants.len(), by_mass.plants.len());
+            let is_preferred = doubtful.prefers(votes);
+            tracing::debug!("{mass} plants by leaf mass, {votes} by votes along leaf axes");
+            if !is_preferred {
+                return Ok(doubtful.by_mass);
             }
-            Ok(Stand { between_rows: Some(weedy.between_rows), ..stand })
+            let between_rows = if crop.is_some() { doubtful.by_mass.between_rows } else { None };
+            Ok(Stand { between_rows, ..stand })
         }
     }
 }
