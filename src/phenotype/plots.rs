@@ -68,6 +68,10 @@ pub fn height_percentile_95(mut heights_m: Vec<f32>) -> Option<f64> {
     Some(f64::from(*heights_m.select_nth_unstable_by(at, f32::total_cmp).1))
 }
 
+/// Standard deviation of where the edge of a leaf is taken to be, the same for all leaves of a picture, pixels: a mask of whole pixels
+/// says no more than to half a pixel, `1 / sqrt(12)`.
+const EDGE_SIGMA_PX: f64 = 0.288_675;
+
 /// A leaf that was told apart; NaN where a number is not known.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MeasuredLeaf {
@@ -147,12 +151,18 @@ impl FieldMeasurements {
         let parts = PlotParts::of(polygon);
         // Pixels and leaf pixels.
         let mut counts = [[0usize; 2]; PARTS];
+        // Pairs of neighbours along rows and columns of which one is leaf.
+        let mut edges = 0usize;
         for (v, run) in polygon.runs(mask.width, mask.height) {
             let row = mask.row(v);
+            let above = v.checked_sub(1).map(|v| mask.row(v));
             for u in run {
+                let is_leaf = row[u] != 0;
                 let count = &mut counts[parts.at([u as f64, v as f64])];
                 count[0] += 1;
-                count[1] += usize::from(row[u] != 0);
+                count[1] += usize::from(is_leaf);
+                edges += usize::from(u > 0 && (row[u - 1] != 0) != is_leaf);
+                edges += usize::from(above.is_some_and(|above| (above[u] != 0) != is_leaf));
             }
         }
         let total = |what: usize| counts.iter().map(|count| count[what]).sum::<usize>();
@@ -161,7 +171,11 @@ impl FieldMeasurements {
         found.area_m2 = self.gsd_m.map(|gsd| pixels as f64 * gsd * gsd);
         found.canopy_cover = share(pixels, leaf);
         let without = |k: usize| share(pixels - counts[k][0], leaf - counts[k][1]);
-        put(found, "canopy_cover", jackknife(|k| counts[k][0] > 0, without));
+        // Steps along the axes are 4/pi times as long as an edge in any direction.
+        let edge_px = std::f64::consts::FRAC_PI_4 * edges as f64;
+        let edge_sd = EDGE_SIGMA_PX * edge_px / pixels.max(1) as f64;
+        let scatter = jackknife(|k| counts[k][0] > 0, without);
+        put(found, "canopy_cover", scatter.map(|scatter| scatter.hypot(edge_sd)));
         pixels
     }
 

@@ -99,6 +99,8 @@ impl Trait {
 
 /// From the scatter between parts of the plot.
 const PARTS_SD: &str = "scatter between 16 parts of the plot (jackknife)";
+/// Of a cover.
+const COVER_SD: &str = "scatter between 16 parts of the plot (jackknife), and the edges of all leaves off by 0.29 pixels";
 /// Of a mean.
 const MEAN_SD: &str = "scatter of the single values over the root of their number";
 
@@ -137,7 +139,7 @@ traits! {
     missing_plants, "1", "plants that gaps in the rows lack",
         "most probable number of missing plants of each gap whose middle is in the polygon", "", "probabilities of the gaps";
     canopy_cover, "1", "share of the area that leaves cover",
-        "leaf pixels over pixels of the polygon", "", PARTS_SD;
+        "leaf pixels over pixels of the polygon", "", COVER_SD;
     leaves_by_area, "1", "leaf pixels over leaf pixels per leaf",
         "stage leaf-count", "Ribera et al. 2016, KDD workshop on data science for food, energy and water", "interval of 95 %, a quarter of its width";
     leaves_by_area_low, "1", "lower end of the 95 % interval",
