@@ -105,7 +105,6 @@ def rowgram(program, project, threads, more):
             "rms_px": found["reprojection_rms_px"],
             "seconds": seconds,
             "cpu_seconds": cpu,
-            "stages": found["seconds"],
             "check_points": found["check_points"],
         }
 

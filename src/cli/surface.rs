@@ -64,6 +64,9 @@ fn text(path: &str, of: &SurfaceOutcome) -> String {
         "{path}: {} x {} cells of {} m, {share:.1} % of those that two photos show have a height",
         of.width_px, of.height_px, of.cell_m
     );
+    if let Some(cloud) = &of.cloud {
+        text += &format!("\nas points with colours: {} beside it", cloud.display());
+    }
     if let Some([half, most, top]) = of.canopy_percentiles_m {
         text += &format!(
             "\nheight over the ground: 50 % of the cells at most {half:.3} m, 95 % {most:.3} m, 99 % {top:.3} m"

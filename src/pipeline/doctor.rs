@@ -165,6 +165,7 @@ fn of_photos(photos: &[PathBuf], tabled: bool) -> Vec<Diagnostic> {
         }
     }
     let all = photos.len();
+    let opened = all - unread.len();
     if unread.is_empty() {
         let message = format!("{all}, all can be opened");
         found.push(Diagnostic::info("photos-readable", "photos", message));
@@ -178,13 +179,14 @@ fn of_photos(photos: &[PathBuf], tabled: bool) -> Vec<Diagnostic> {
     }
     let list: Vec<String> =
         cameras.iter().map(|(name, n)| format!("{n} by {}", name.trim())).collect();
-    found.push(match cameras.len() {
-        0 | 1 => Diagnostic::info("cameras", "camera", list.join("; ")),
-        _ => Diagnostic::warning("cameras-several", "camera", list.join("; ")),
-    });
+    match cameras.len() {
+        0 => return found,
+        1 => found.push(Diagnostic::info("cameras", "camera", list.join("; "))),
+        _ => found.push(Diagnostic::warning("cameras-several", "camera", list.join("; "))),
+    }
     if without_focal > 0 {
         let message = format!(
-            "{without_focal} of {all} photos state no focal length; it is estimated from the photos"
+            "{without_focal} of {opened} photos state no focal length; it is estimated from the photos"
         );
         found.push(
             Diagnostic::warning("focal-length-missing", "camera", message)
@@ -196,14 +198,14 @@ fn of_photos(photos: &[PathBuf], tabled: bool) -> Vec<Diagnostic> {
         found.push(Diagnostic::info("positions", "positions", message));
     } else if without_place > 0 {
         let message = format!(
-            "{without_place} of {all} photos have no position: what they show has to tell their neighbours"
+            "{without_place} of {opened} photos have no position: what they show has to tell their neighbours"
         );
         found.push(
             Diagnostic::warning("positions-missing", "positions", message)
                 .with_remedy("give geolocation.csv, or [project] positions"),
         );
-    } else if all > 0 {
-        let message = format!("all {all} photos have one");
+    } else {
+        let message = format!("all {opened} photos have one");
         found.push(Diagnostic::info("positions", "positions", message));
     }
     found.extend(overlap(&places, &footprint_m));
