@@ -531,7 +531,7 @@ fn a_plan_gives_what_a_run_gives() {
 fn a_season_in_parts_gives_what_a_season_gives() {
     let folder = tempfile::tempdir().unwrap();
     let mut config = SeasonConfig::preset(SeasonPreset::Tiny);
-    config.days.truncate(2);
+    config.days.truncate(1);
     for name in ["whole", "parts"] {
         let root = folder.path().join(name);
         write_season(&config, &FlightOptions::default(), &root, false, &mut Silent).unwrap();
@@ -548,7 +548,7 @@ fn a_season_in_parts_gives_what_a_season_gives() {
     let batches = plan["tasks"].as_array().unwrap().iter().filter(|task| {
         task["arguments"].as_array().unwrap().iter().any(|argument| argument == "--batch")
     });
-    assert!(batches.count() >= 2 * 4 * 2, "two flights, four steps, two parts or more: {plan}");
+    assert!(batches.count() >= 4 * 2, "four steps, two parts or more: {plan}");
     do_tasks(&folder.path().join("work"));
     let tables = |root: &str| {
         let names = ["flights.csv", "traits_long.csv", "plants_long.csv"];
