@@ -50,8 +50,6 @@ pub struct PlannedTask {
     pub done: PathBuf,
     /// Arguments of the program.
     pub arguments: Vec<String>,
-    /// Whether no task needs it.
-    pub last: bool,
 }
 
 /// All tasks.
@@ -136,7 +134,7 @@ impl Planner<'_> {
             std::path::absolute(file.results()).map_err(|e| FileError::read(&file.results(), e))?;
         let arguments = self.with_settings(vec!["season".to_owned(), text(&path)?]);
         let done = results.join("plan/season.done");
-        self.tasks.push(PlannedTask { name, inputs, done, arguments, last: true });
+        self.tasks.push(PlannedTask { name, inputs, done, arguments });
         Ok(())
     }
 
@@ -181,7 +179,6 @@ impl Planner<'_> {
                     inputs,
                     done: done(word),
                     arguments: arguments.iter().cloned().chain(flags).collect(),
-                    last: false,
                 });
                 done(word)
             };
@@ -203,7 +200,6 @@ impl Planner<'_> {
                 inputs: before.clone(),
                 done: done("report"),
                 arguments,
-                last: true,
             });
         }
         Ok(before.pop())
