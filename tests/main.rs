@@ -33,6 +33,7 @@ mod locate;
 mod nlls;
 mod ortho;
 mod parsers;
+mod plan;
 mod plot_layout;
 mod program;
 mod row_model;

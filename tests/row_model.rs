@@ -152,6 +152,7 @@ fn plants_that_have_merged_are_not_counted_as_one() {
             let score = Score::new(&found, &truth, &[0.1 / 0.0071]).unwrap();
             let f1 = score.radii[0].f1.unwrap();
             println!("day {} seed {seed}, told {told:?}: {error:+.3}, F1 {f1:.3}", day.day);
+            // Measured: -0.11 to +0.04, F1 0.84 (day 21, by mass) to 0.98; two for one would be -0.5.
             assert!(error.abs() < 0.15 && f1 > 0.8, "day {}: {error} {f1}", day.day);
         }
     }

@@ -6,7 +6,7 @@ use crate::{
     options::Choice,
     pipeline::{
         Config, Project, Stage,
-        batches::{self, Batch, BatchOutcome, BatchStep},
+        batches::{self, Batch, BatchStep},
         run::{self, Ending, Plan, RunOptions, RunOutcome, StageReport},
         synth,
     },
@@ -144,11 +144,7 @@ fn run_batch(
     json: bool,
     mut terminal: Terminal,
 ) -> Result<(), Error> {
-    let outcome = match batches::perform(project, batch, &mut terminal) {
-        // The stage says why.
-        Err(Error::NothingToDo(_)) => BatchOutcome { items: 0, stage_is_current: false },
-        outcome => outcome?,
-    };
+    let outcome = batches::perform(project, batch, &mut terminal)?;
     drop(terminal);
     if json {
         return print_json(&outcome);
@@ -158,8 +154,11 @@ fn run_batch(
         BatchStep::Matches => "sets of pairs",
         BatchStep::SurfaceCoarse | BatchStep::SurfaceFine => "tiles",
     };
-    let current = if outcome.stage_is_current { ", the stage is done already" } else { "" };
-    print(&format!("{batch}: {} {what}{current}", outcome.items))
+    print(&match (outcome.reason, outcome.stage_is_current) {
+        (Some(reason), _) => format!("{batch}: left out, {reason}"),
+        (None, true) => format!("{batch}: the stage is done already"),
+        (None, false) => format!("{batch}: {} {what}", outcome.items),
+    })
 }
 
 fn one_line(report: &StageReport) -> String {

@@ -72,8 +72,8 @@ fn covered(parts: &Parts<'_>, detection: &Detection) -> f64 {
 pub(super) enum ByMass {
     /// Its plants.
     Found(Box<Stand>),
-    /// Leaves have closed along rows, or as many plants as were told make no sense by mass: nothing.
-    Closed,
+    /// Nothing: leaves have closed along rows, or the number of plants that was told says that many have merged.
+    Nothing,
     /// What mass says may be wrong, and votes along the axes of blades can tell.
     Doubtful(Box<Doubtful>),
 }
@@ -112,7 +112,7 @@ pub(super) fn locate(
     let parts = Parts::new(mask, None, posterior);
     let share = covered(&parts, detection);
     if share >= CLOSED {
-        return ByMass::Closed;
+        return ByMass::Nothing;
     }
     // Weeds are told among as many plants as there seem to be.
     let found = parts.count(None);
@@ -124,13 +124,13 @@ pub(super) fn locate(
         let parts = Parts::new(&crop, None, posterior);
         let share = covered(&parts, &detection);
         if share >= CLOSED {
-            return ByMass::Closed;
+            return ByMass::Nothing;
         }
         let (all, weeds) = (found.plants.len(), left_out.weeds.len());
         let is_weedy = weeds as f64 > WEEDY * all as f64 && all - weeds >= LEAST_CROP;
         let found = parts.count(None);
         if is_merged(&found, count, share) {
-            return ByMass::Closed;
+            return ByMass::Nothing;
         }
         let found = if count.is_some() { parts.count(count) } else { found };
         drop(parts);
@@ -140,7 +140,7 @@ pub(super) fn locate(
         return judged(mask, by_mass, crop, (is_weedy, share), count);
     }
     if is_merged(&found, count, share) {
-        return ByMass::Closed;
+        return ByMass::Nothing;
     }
     let (found, rows) = match count {
         None => (found, rows),
@@ -463,7 +463,7 @@ mod tests {
         let detection = rows::detect(&PixelIndex::from_mask(mask.width, &mask.data));
         match locate(mask, None, &detection, count) {
             ByMass::Found(stand) => Some(*stand),
-            ByMass::Closed | ByMass::Doubtful(..) => None,
+            ByMass::Nothing | ByMass::Doubtful(..) => None,
         }
     }
 

@@ -275,7 +275,11 @@ impl RowEvidence {
         let Some(likeliest) = likeliest else { return FINEST };
         let coarser = |k: &usize| tried[*k].1 > LEAVES * tried[likeliest].1;
         for k in (0..tried.len()).filter(peak) {
-            tracing::debug!("spacing {:.1}: {:.1}, {:.1} bare", tried[k].1, tried[k].0, bare(k));
+            let (likelihood, spacing) = tried[k];
+            tracing::debug!(
+                "spacing {spacing:.1} px of the grid: log likelihood {likelihood:.1}, {:.1} without the worth of plants",
+                bare(k)
+            );
         }
         let rivals = (0..tried.len()).filter(peak).filter(coarser);
         tried[rivals.fold(likeliest, |best, k| if bare(k) > bare(best) { k } else { best })].1

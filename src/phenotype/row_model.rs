@@ -135,11 +135,11 @@ pub(super) fn locate_in_detail(
     let by_mass = if options.isolated_plants && fits {
         mass_stand::locate(mask, posterior, detection, count)
     } else {
-        ByMass::Closed
+        ByMass::Nothing
     };
     match by_mass {
         ByMass::Found(stand) => Ok(*stand),
-        ByMass::Closed => by_votes(mask, posterior, detection, count, options),
+        ByMass::Nothing => by_votes(mask, posterior, detection, count, options),
         ByMass::Doubtful(doubtful) => {
             let Doubtful { crop, by_mass, .. } = &*doubtful;
             let stand = match crop {

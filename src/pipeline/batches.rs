@@ -3,7 +3,7 @@
 //! What a part finds goes to the cache of its stage, where the stage itself finds it: its result does not depend on which parts were
 //! done before. Parts of one step may be done at the same time, each step after all parts of the one before.
 
-use super::{Project, Stage, align, stage, surface};
+use super::{Project, Stage, align, run, stage, surface};
 use crate::{error::Error, mapping::dense::Pass, monitor::Monitor, options::Choice};
 use serde::{Deserialize, Serialize};
 use std::{fmt, ops::Range, str::FromStr};
@@ -100,32 +100,52 @@ impl FromStr for Batch {
 }
 
 /// What came of a part.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct BatchOutcome {
     /// Photos, sets of pairs, or tiles that were looked at.
     pub items: usize,
     /// Whether the stage is done already, so that nothing had to be.
     pub stage_is_current: bool,
+    /// Why the project has nothing to do for the stage, where that is so.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reason: Option<String>,
 }
 
-/// Does a part of a step, unless its stage is done and current. Other parts may be done at the same time.
+/// Does a part of a step, unless its stage is done and current. Other parts may be done at the same time. Having nothing to do is no
+/// error, as in [`run::only`].
 ///
 /// # Errors
-/// [`Error::NothingToDo`] where the project has no input for the stage; a project on which a whole stage is at work; what the
-/// step says.
+/// As [`run::run`], and what the step says; a project on which a whole stage is at work.
 pub fn perform(
     project: &Project,
     batch: Batch,
     monitor: &mut dyn Monitor,
 ) -> Result<BatchOutcome, Error> {
+    run::check_input(project)?;
+    project.config().validate()?;
+    match work(project, batch, monitor) {
+        Ok(Some(items)) => Ok(BatchOutcome { items, stage_is_current: false, reason: None }),
+        Ok(None) => Ok(BatchOutcome { items: 0, stage_is_current: true, reason: None }),
+        Err(Error::NothingToDo(why)) => {
+            Ok(BatchOutcome { items: 0, stage_is_current: false, reason: Some(why) })
+        }
+        Err(error) => Err(error),
+    }
+}
+
+/// Gives the number of items; `None` where the stage is current.
+fn work(
+    project: &Project,
+    batch: Batch,
+    monitor: &mut dyn Monitor,
+) -> Result<Option<usize>, Error> {
     let config = project.config();
-    config.validate()?;
     let state = match batch.step.stage() {
         Stage::Surface => stage::state::<surface::SurfaceTask>(project, &config.surface)?,
         _ => stage::state::<align::AlignTask>(project, &config.align)?,
     };
     if state.is_current {
-        return Ok(BatchOutcome { items: 0, stage_is_current: true });
+        return Ok(None);
     }
     let _shared = project.share()?;
     let part = batch.part;
@@ -139,7 +159,7 @@ pub fn perform(
             surface::match_tiles(project, &config.surface, (Pass::Fine, part), monitor)?
         }
     };
-    Ok(BatchOutcome { items, stage_is_current: false })
+    Ok(Some(items))
 }
 
 #[cfg(test)]

@@ -309,7 +309,7 @@ pub fn run(
     Ok(outcome)
 }
 
-fn check_input(project: &Project) -> Result<(), Error> {
+pub(super) fn check_input(project: &Project) -> Result<(), Error> {
     let photos = project.photos().len();
     if project.given_orthomosaic().is_some() || photos >= LEAST_PHOTOS {
         return Ok(());

@@ -128,8 +128,8 @@ const LEAST_IN_CELL: usize = 4;
 const ROUNDS: usize = 4;
 const STEPS: usize = 50;
 
-/// Chance lowers the cost by half of this, the 99 % quantile of chi squared with two degrees of freedom, in one case of a hundred.
-const STRETCHES: f64 = 9.21;
+/// 99 % quantile of chi squared with two degrees of freedom: of maps that differ by a similarity one in a hundred is taken for stretched.
+const STRETCH_TEST: f64 = 9.21;
 
 /// Fits the transform to places among which gross errors may be left; `None` where there are too few, or all at one place.
 pub fn fit(ties: &[MapTie]) -> Option<MapFit> {
@@ -148,14 +148,17 @@ pub fn fit(ties: &[MapTie]) -> Option<MapFit> {
     }
     let field = Field { ties, centre_m, reach_m };
     let similarity = field.fitted(false)?;
-    let Some(affine) = field.fitted(true).filter(|_| ties.len() >= 2 * LEAST_TIES) else {
-        return similarity.accuracy(&field);
-    };
-    let sigma_m = affine.sigma_m;
-    let gained = 2.0
-        * (field.cost(&similarity.parameters, sigma_m) - field.cost(&affine.parameters, sigma_m));
-    let common = affine.common(&field)?;
-    if gained > STRETCHES * common.design { affine } else { similarity }.accuracy(&field)
+    if ties.len() >= 2 * LEAST_TIES
+        && let Some(affine) = field.fitted(true)
+        && let Some(common) = affine.common(&field)
+    {
+        let cost = |fitted: &Fitted| field.cost(&fitted.parameters, affine.sigma_m);
+        // The likelihood ratio: costs are half of sums of squares in standard deviations.
+        if 2.0 * (cost(&similarity) - cost(&affine)) > STRETCH_TEST * common.design {
+            return affine.accuracy(&field);
+        }
+    }
+    similarity.accuracy(&field)
 }
 
 /// Places of a field.
@@ -218,11 +221,12 @@ impl Field<'_> {
 
     /// The cost at this scatter.
     fn cost(&self, p: &[f64; 6], sigma_m: f64) -> f64 {
-        let squares = self.ties.iter().map(|tie| {
+        let loss = Loss::Cauchy(CAUCHY_SCALE);
+        let costs = self.ties.iter().map(|tie| {
             let [x, y] = self.residual(tie, p);
-            (x * x + y * y) / (sigma_m * CAUCHY_SCALE).powi(2)
+            0.5 * loss.evaluate((x * x + y * y) / (sigma_m * sigma_m)).value
         });
-        0.5 * CAUCHY_SCALE * CAUCHY_SCALE * squares.map(f64::ln_1p).sum::<f64>()
+        costs.sum()
     }
 
     /// Standard deviation of a coordinate from the median length: 1.1774 standard deviations in the plane.
@@ -267,7 +271,7 @@ impl Fitted {
 
     fn accuracy(&self, field: &Field<'_>) -> Option<MapFit> {
         let common = self.common(field)?;
-        // Of the first axis of the place; the second has the same without stretch.
+        // Of a coordinate with this gradient by the parameters.
         let at = |gradient: [f64; 6]| {
             let c = &self.covariance;
             let row = |i: usize| (0..6).map(move |j| c[6 * i + j] * gradient[j]).sum::<f64>();

@@ -152,7 +152,7 @@ impl<E: From<MapError> + Send> Area<'_, E> {
     ///
     /// # Errors
     /// What `read` and `store` say; fewer than two photos, no place that two photos show, a length that is none.
-    pub fn matched(
+    pub fn match_all(
         &self,
         store: &mut dyn TileStore<E>,
         done: &mut dyn FnMut(),
@@ -165,10 +165,10 @@ impl<E: From<MapError> + Send> Area<'_, E> {
         Ok(AreaGround { terrain, layer_m: fine.layer_m })
     }
 
-    /// Matches some tiles of a pass, for [`Area::matched`] to go on from; all of [`Pass::Coarse`] come before the first of [`Pass::Fine`].
+    /// Matches some tiles of a pass, for [`Area::match_all`] to go on from; all of [`Pass::Coarse`] come before the first of [`Pass::Fine`].
     ///
     /// # Errors
-    /// As [`Area::matched`].
+    /// As [`Area::match_all`].
     pub fn match_tiles(
         &self,
         pass: Pass,

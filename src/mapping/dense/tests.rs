@@ -217,7 +217,7 @@ fn an_attempt_that_stops_between_tiles_goes_on_to_the_same_bits() {
     let area = Area { views: &views, read: &read, base: &base, cells, options };
     let attempt = |store: &mut dyn TileStore<MapError>| {
         let mut done = 0;
-        let found = area.matched(store, &mut || done += 1);
+        let found = area.match_all(store, &mut || done += 1);
         found.map(|ground| (ground, done))
     };
     let mut whole = TilesInMemory::default();
@@ -280,7 +280,7 @@ fn two_photos_no_overlap_and_water_say_what_is_not_known() {
         let mut store = TilesInMemory::default();
         let base = |_: [f64; 2]| Some(0.1);
         let area = Area { views: &views[..2], read, base: &base, cells: *cells, options };
-        let found = area.matched(&mut store, &mut || ())?;
+        let found = area.match_all(&mut store, &mut || ())?;
         let tile: Result<_, MapError> = store.load(Pass::Fine, 0);
         Ok::<_, MapError>((found, tile?.unwrap()))
     };

@@ -75,7 +75,7 @@ struct Files<'a> {
 }
 
 /// What there is to do about a photo.
-enum Work {
+enum PhotoWork {
     /// Its features are there.
     Kept(Box<Found>),
     /// They have to be looked for.
@@ -111,14 +111,14 @@ impl<'a> Files<'a> {
         self.descriptors.retain(&names)
     }
 
-    fn work(&self, k: usize) -> Work {
+    fn work(&self, k: usize) -> PhotoWork {
         let (key, name) = (self.key(k), self.name(k));
         if let Some(found) = self.cache.load::<Found>(&name, key)
             && self.descriptors.load::<Bytes>(&name, key).is_some()
         {
-            return Work::Kept(Box::new(found));
+            return PhotoWork::Kept(Box::new(found));
         }
-        Work::Photo(images::read_photo(&self.inputs.photos[k].path).map_err(|e| e.to_string()))
+        PhotoWork::Photo(images::read_photo(&self.inputs.photos[k].path).map_err(|e| e.to_string()))
     }
 
     /// The features of some photos, kept; while those of one are looked for, the next is decoded.
@@ -130,8 +130,8 @@ impl<'a> Files<'a> {
             let Some(work) = waiting.take() else { break };
             let (found, following) = rayon::join(
                 || match work {
-                    Work::Kept(found) => (*found, None),
-                    Work::Photo(picture) => {
+                    PhotoWork::Kept(found) => (*found, None),
+                    PhotoWork::Photo(picture) => {
                         let (found, looks) = find(picture, self.options, self.enlarge);
                         (found, Some(looks))
                     }

@@ -1,6 +1,6 @@
 //! Parts of the steps that look at photos and compare them; see [`crate::pipeline::batches`].
 
-use super::{AlignOptions, AlignTask, Task, features, inputs, matches::Matching};
+use super::{AlignOptions, AlignTask, Task, features, inputs, inputs::Inputs, matches::Matching};
 use crate::{
     error::Error,
     io::FileError,
@@ -8,11 +8,16 @@ use crate::{
     pipeline::{CACHE, Project, Stage, batches::Part, record::Cache},
 };
 
-fn cache(project: &Project, options: &AlignOptions) -> Result<Cache, Error> {
+fn prepare(
+    project: &Project,
+    options: &AlignOptions,
+    monitor: &mut dyn Monitor,
+) -> Result<(Inputs, Cache), Error> {
     AlignTask::inputs(project, options)?;
     let folder = project.folder(Stage::Align);
     std::fs::create_dir_all(&folder).map_err(|e| FileError::write(&folder, e))?;
-    Cache::new(&folder.join(CACHE))
+    let cache = Cache::new(&folder.join(CACHE))?;
+    Ok((inputs::inspect(project, options, monitor)?, cache))
 }
 
 /// Finds the features of a part of the photos and keeps them for [`super::align`]. Gives the number of these photos.
@@ -25,8 +30,7 @@ pub fn find_features(
     part: Part,
     monitor: &mut dyn Monitor,
 ) -> Result<usize, Error> {
-    let cache = cache(project, options)?;
-    let inputs = inputs::inspect(project, options, monitor)?;
+    let (inputs, cache) = prepare(project, options, monitor)?;
     let search = (&options.detection(), options.enlarge);
     features::find_part(&inputs, search, part, &cache, monitor)
 }
@@ -42,8 +46,7 @@ pub fn match_pairs(
     part: Part,
     monitor: &mut dyn Monitor,
 ) -> Result<usize, Error> {
-    let cache = cache(project, options)?;
-    let inputs = inputs::inspect(project, options, monitor)?;
+    let (inputs, cache) = prepare(project, options, monitor)?;
     let search = (&options.detection(), options.enlarge);
     let extracted = features::features(&inputs, search, false, &cache, monitor)?;
     Matching::new(&inputs, &extracted, options.seed, &cache)?.part(part, monitor, drop)

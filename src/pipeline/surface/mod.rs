@@ -141,10 +141,10 @@ impl Task for SurfaceTask {
         stage::clear(folder)?;
         let mut store = store::TilesOnDisk::new(&folder.join(CACHE), scene.key)?;
         let (place, range_m) = (&scene.place, scene.options.range_m);
-        let ground = scene.matched(|area| {
+        let ground = scene.with_area(|area| {
             let steps = area.tiles(Pass::Coarse) + area.tiles(Pass::Fine);
             let counter = Counter::new(monitor, "matching the surface", steps, "tiles");
-            area.matched(&mut store, &mut || counter.tick())
+            area.match_all(&mut store, &mut || counter.tick())
         })?;
         let subject = Stage::Surface.word();
         if ground.terrain.is_none() {
@@ -222,8 +222,8 @@ impl Scene {
         Ok(Scene { views, files, base, place, cells, options: area_options, key })
     }
 
-    /// Does something with the area.
-    fn matched<R>(
+    /// Does something with the area, whose photos are read as they are needed.
+    fn with_area<R>(
         &self,
         work: impl FnOnce(&Area<'_, Error>) -> Result<R, Error>,
     ) -> Result<R, Error> {
@@ -248,7 +248,7 @@ pub fn match_tiles(
     let scene = Scene::new(project, options)?;
     let folder = project.folder(Stage::Surface);
     let mut store = store::TilesOnDisk::new(&folder.join(CACHE), scene.key)?;
-    scene.matched(|area| {
+    scene.with_area(|area| {
         let numbers = part.range(area.tiles(pass));
         let count = numbers.len();
         let counter = Counter::new(monitor, "matching the surface", count, "tiles");
