@@ -403,7 +403,7 @@ fn left_out(error: &FileError) {
 }
 
 #[expect(clippy::print_stdout, reason = "the tables are the output")]
-fn show(text: &str) {
+pub(crate) fn show(text: &str) {
     println!("{text}");
 }
 

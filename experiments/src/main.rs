@@ -38,6 +38,7 @@ mod rivals;
 mod row_model_masks;
 mod row_model_plots;
 mod row_model_time;
+mod season;
 mod segment_speed;
 mod sensitivity;
 mod spec;
@@ -199,6 +200,7 @@ enum Experiment {
     },
     ArenaExport(arena_peers::Export),
     ArenaRace(arena_peers::Race),
+    Season(season::Season),
     /// The weights of the stand count, from masks of which every plant is known.
     FitStandCount(stand_count::FitStandCount),
     /// Speed and accuracy on one mask of a whole field.
@@ -213,6 +215,7 @@ fn main() -> ExitCode {
         Experiment::Spec(command) => return ended(command.run()),
         Experiment::ArenaExport(args) => return ended(args.run()),
         Experiment::ArenaRace(args) => return ended(args.run()),
+        Experiment::Season(args) => return ended(args.run()),
         Experiment::LocateMasks { folders, masks } => locate::run(&folders, masks),
         Experiment::LocatePlots { folders } => plots::run(&folders),
         Experiment::Locate { folders } => {

@@ -1,13 +1,14 @@
 //! A whole area, tile by tile, and one ground under all of it.
 //!
 //! First all tiles with cells of twice the side, without the prior of colours, in layers that reach as far as heights may differ from
-//! the base; their bare cells give the ground ([`Terrain`]), one lattice for the whole area, so that tiles have no steps. What
-//! stands above it there says how high the layers of the second pass have to reach. Only one tile and the photos that it compares
+//! the base, and farther where cells of eight times the side see trees or houses ([`Relief`]); their bare cells give the ground ([`Terrain`]), one lattice for the whole area, so that tiles have no steps. What
+//! usually stands above it there says how high the layers of the second pass have to reach, and trees and houses on a block how much higher on that block. Only one tile and the photos that it compares
 //! are in memory; tiles go to a store, and what an interrupted attempt has left there is not matched again.
 
 use super::{
-    BarePlaces, DenseOptions, DenseTile, HeightCounts, LAYERS, Penalties, PosedPhoto,
-    PosteriorOptions, Prior, Terrain, Tile, block, match_tile, rectify::greenness, tile,
+    DenseOptions, DenseTile, GroundPlaces, HeightCounts, LAYERS, MOST_LAYERS, Penalties,
+    PosedPhoto, PosteriorOptions, Prior, Relief, Terrain, Tile, block, match_tile,
+    rectify::greenness, tile,
 };
 use crate::mapping::{MapError, View, photo::DecodedPhoto};
 use rayon::prelude::*;
@@ -30,6 +31,12 @@ const SURE: u8 = 80;
 const SPARE_M: f64 = 0.1;
 /// The layers of the second pass reach at least so high, metres: young plants, where nothing stands surely. Not measured.
 const LEAST_TOP_M: f64 = 0.3;
+/// Cells of the overview in which trees and houses are looked for, in coarse cells, and the values of a photo in each, across.
+const OVERVIEW_CELLS: usize = 4;
+/// Costs of steps there: large cells of crowns are as rough as leaves and need more support. Looked at on the three real flights.
+const OVERVIEW_PENALTIES: Penalties = Penalties { step: 10, jump: 70, edge: 0.02 };
+/// Trees and houses are looked for where they may be so many times as far from the base as other heights.
+const RELIEF: f64 = 1.5;
 /// Width of the classes in which heights are counted, metres: a twentieth of the finest layers.
 const CLASS_M: f64 = 5e-4;
 
@@ -38,6 +45,8 @@ const CLASS_M: f64 = 5e-4;
 pub struct AreaOptions {
     /// How far above and below the base heights are looked for, metres.
     pub range_m: f64,
+    /// How far above and below the base trees and houses are looked for, metres; nothing of the kind where it is hardly more.
+    pub relief_m: f64,
     /// How many photos are compared with the reference of a place.
     pub others: usize,
     /// Side of a tile, cells; a multiple of the blocks'.
@@ -215,6 +224,7 @@ impl<E: From<MapError> + Send> Area<'_, E> {
             layer_m: 2.0 * self.options.range_m / (LAYERS - 1) as f64,
             lowest_m: -self.options.range_m,
             layers: LAYERS,
+            samples: 1,
             others: self.options.others,
             block_cells: DenseOptions::default().block_cells / 2,
             penalties: self.options.penalties,
@@ -229,8 +239,51 @@ impl<E: From<MapError> + Send> Area<'_, E> {
         number: usize,
         store: &mut dyn TileStore<E>,
     ) -> Result<DenseTile, E> {
-        let (cells, side) = (self.cells_of(Pass::Coarse), self.options.tile_cells);
-        match_one(album, self.base, (&cells, side, number), &self.wide(), Pass::Coarse, store)
+        let part = self.part(Pass::Coarse, number);
+        if let Some(found) = kept(store, (Pass::Coarse, number), &part)? {
+            return Ok(found);
+        }
+        let wide = self.wide();
+        let found = match self.overview(&part) {
+            None => match_part(album, self.base, &part, &wide, None)?,
+            Some((tile, options)) => {
+                let overview = match_part(album, self.base, &tile, &options, None)?;
+                match_part(album, self.base, &part, &wide, Some(&Relief::new(overview, &part)))?
+            }
+        };
+        store.save(Pass::Coarse, number, &found)?;
+        Ok(found)
+    }
+
+    /// The cells in which trees and houses on a part are looked for, and how; `None` where there are none.
+    fn overview(&self, part: &Tile) -> Option<(Tile, DenseOptions)> {
+        let range_m = self.options.relief_m;
+        if range_m <= RELIEF * self.options.range_m {
+            return None;
+        }
+        let tile = Tile {
+            cell_m: OVERVIEW_CELLS as f64 * part.cell_m,
+            size: part.size.map(|n| n.div_ceil(OVERVIEW_CELLS)),
+            ..*part
+        };
+        let layer_m = tile.cell_m.max(2.0 * range_m / (MOST_LAYERS - 1) as f64);
+        let options = DenseOptions {
+            layer_m,
+            lowest_m: -range_m,
+            layers: (2.0 * range_m / layer_m).ceil() as usize + 1,
+            samples: OVERVIEW_CELLS,
+            penalties: OVERVIEW_PENALTIES,
+            ..self.wide()
+        };
+        Some((tile, options))
+    }
+
+    /// The cells of a tile.
+    fn part(&self, pass: Pass, number: usize) -> Tile {
+        let (area, side) = (self.cells_of(pass), self.options.tile_cells);
+        let start = starts(&area, side)[number];
+        let size = [0, 1].map(|k| side.min(area.size[k] - start[k]));
+        Tile { corner_m: area.place_m(start[0], start[1]), cell_m: area.cell_m, size }
     }
 
     /// The first pass, and the ground from it.
@@ -242,14 +295,14 @@ impl<E: From<MapError> + Send> Area<'_, E> {
     ) -> Result<Option<Terrain>, E> {
         let cells = self.cells_of(Pass::Coarse);
         let cell_m = cells.cell_m;
-        let mut bare = BarePlaces::new(cells.bounds_m(), tile::node_m(cell_m));
+        let mut places = GroundPlaces::new(cells.bounds_m(), tile::node_m(cell_m));
         let mut any = false;
         for number in 0..self.tiles(Pass::Coarse) {
             let found = self.coarse_tile(album, number, store)?;
-            tile::bare_cells(&found).for_each(|place| bare.add(place));
+            tile::sure_cells(&found).for_each(|(place, bare)| places.add(place, bare));
             // Cells reach half their side beyond their middles.
             let half = 0.5 * cell_m;
-            bare.close(found.tile.bounds_m().map(|[low, high]| [low + half, high - half]));
+            places.close(found.tile.bounds_m().map(|[low, high]| [low + half, high - half]));
             any |= found.surface_m.iter().any(|z| z.is_finite());
             done();
         }
@@ -257,7 +310,7 @@ impl<E: From<MapError> + Send> Area<'_, E> {
             let message = "nowhere do two photos show the same ground from places far enough apart";
             return Err(MapError(message.into()).into());
         }
-        Ok(bare.fit())
+        Ok(places.fit())
     }
 
     /// How the second pass is matched.
@@ -298,12 +351,24 @@ impl<E: From<MapError> + Send> Area<'_, E> {
             Some(terrain) => terrain.at_m(place),
             None => (self.base)(place),
         };
-        let side = self.options.tile_cells;
         for number in numbers {
-            match_one(album, &ground, (&self.cells, side, number), fine, Pass::Fine, store)?;
+            let part = self.part(Pass::Fine, number);
+            if kept(store, (Pass::Fine, number), &part)?.is_none() {
+                let coarse = store.load(Pass::Coarse, self.coarse_of(number))?;
+                let relief = coarse.map(|found| Relief::new(found, &part));
+                let found = match_part(album, &ground, &part, fine, relief.as_ref())?;
+                store.save(Pass::Fine, number, &found)?;
+            }
             done();
         }
         Ok(())
+    }
+
+    /// The tile of the coarse pass in which a tile of the fine pass lies.
+    fn coarse_of(&self, number: usize) -> usize {
+        let side = self.options.tile_cells;
+        let [column, row] = starts(&self.cells, side)[number].map(|start| start / (2 * side));
+        row * self.cells_of(Pass::Coarse).size[0].div_ceil(side) + column
     }
 }
 
@@ -345,38 +410,34 @@ pub fn starts(area: &Tile, tile_cells: usize) -> Vec<[usize; 2]> {
     rows.flat_map(|row| (0..width).step_by(side).map(move |column| [column, row])).collect()
 }
 
-/// A tile that is kept, or else is matched and kept; nothing but NaN where no two photos show it.
-fn match_one<E: From<MapError> + Send>(
+/// What is kept of a tile with these cells.
+fn kept<E>(
+    store: &mut dyn TileStore<E>,
+    (pass, number): (Pass, usize),
+    part: &Tile,
+) -> Result<Option<DenseTile>, E> {
+    Ok(store.load(pass, number)?.filter(|found| found.tile == *part))
+}
+
+/// Matches a tile; nothing but NaN where no two photos show it.
+fn match_part<E: From<MapError> + Send>(
     album: &mut Album<'_, E>,
     ground: &(dyn Fn([f64; 2]) -> Option<f64> + Sync),
-    (area, side, number): (&Tile, usize, usize),
+    part: &Tile,
     options: &DenseOptions,
-    pass: Pass,
-    store: &mut dyn TileStore<E>,
+    relief: Option<&Relief>,
 ) -> Result<DenseTile, E> {
-    let start = starts(area, side)[number];
-    let part = Tile {
-        corner_m: area.place_m(start[0], start[1]),
-        cell_m: area.cell_m,
-        size: [0, 1].map(|k| side.min(area.size[k] - start[k])),
-    };
-    if let Some(found) = store.load(pass, number)?.filter(|found| found.tile == part) {
-        return Ok(found);
-    }
     let views: Vec<&View> = album.views.iter().collect();
-    let mut needed: Vec<usize> = tile::blocks(&views, ground, &part, options)
+    let mut needed: Vec<usize> = tile::blocks(&views, ground, part, options)
         .into_iter()
         .filter_map(|(_, plane)| block::choose(&views, &plane, options.others))
         .flat_map(|(reference, others)| std::iter::once(reference).chain(others))
         .collect();
     needed.sort_unstable();
     needed.dedup();
-    let found = if needed.len() < 2 {
-        tile::nothing(&part)
-    } else {
-        album.open(&needed)?;
-        match_tile(&album.posed(), ground, &part, options)?
-    };
-    store.save(pass, number, &found)?;
-    Ok(found)
+    if needed.len() < 2 {
+        return Ok(tile::nothing(part));
+    }
+    album.open(&needed)?;
+    Ok(match_tile(&album.posed(), ground, part, options, relief)?)
 }

@@ -1,10 +1,11 @@
 //! One block of cells: which photos, what they say, and where their points fall on the ground.
 
 use super::{
-    DenseOptions, LAYERS,
-    aggregate::aggregate,
-    posterior::{self, Pixels},
+    DenseOptions, LAYERS, MOST_LAYERS, Relief,
+    aggregate::{Penalties, aggregate},
+    posterior::{self, Estimate, Pixels, PosteriorOptions},
     rectify::{BlockPlane, PosedPhoto, greenness, rectify},
+    relief::Colours,
     sweep::{MOST_OTHERS, REACH, Rectified, WORST, costs, transfer},
 };
 use crate::{mapping::View, raster::undistort::Interpolation};
@@ -15,6 +16,8 @@ const OVERLAP: usize = 16;
 const LEAST_BASE: f64 = 0.05;
 /// What layers that take no part cost more than those in which nothing fits: as much as the prior may add to these.
 const DISLIKED: u8 = 20;
+/// Layers between the usual and the most: less memory and time where these do.
+const MIDDLE: usize = 2 * LAYERS;
 /// How far from its middle the pixels of leaves reach, in cells: at their edges they share pixels with soil.
 const LEAF_REACH: f64 = 0.75;
 
@@ -37,17 +40,20 @@ pub struct Block {
     pub colour: Vec<[u8; 3]>,
 }
 
-/// Matches a block; `ground` gives the height of the ground at a place, for the prior. `None` where fewer than two
-/// photos show it.
-pub fn match_block(
+/// A surface of larger cells that says which heights places may have besides usual ones above the ground, metres.
+pub(super) type Limits<'a> = (&'a Relief, [f64; 2]);
+
+/// Matches a block; `chosen` are the reference and the others ([`choose`]), `ground` gives the height of the ground at a place, for the prior.
+/// `None` where the reference is not well above all layers.
+pub(super) fn match_block(
     photos: &[PosedPhoto<'_>],
+    (reference, others): (usize, &[usize]),
     core: &BlockPlane,
     ground: &dyn Fn([f64; 2]) -> Option<f64>,
     options: &DenseOptions,
+    limits: Option<Limits<'_>>,
 ) -> Option<Block> {
-    let views: Vec<&View> = photos.iter().map(|photo| photo.view).collect();
-    let (reference, others) = choose(&views, core, options.others)?;
-    let layers = options.layers.clamp(2, LAYERS);
+    let layers = options.layers.clamp(2, MOST_LAYERS);
     let heights_m: Vec<f64> =
         (0..layers).map(|k| options.lowest_m + options.layer_m * k as f64).collect();
     let margin = OVERLAP + displacement(photos[reference], core, &heights_m)?;
@@ -55,13 +61,14 @@ pub fn match_block(
     let corner_m = core.place_m([-(margin as f64); 2]);
     let whole =
         BlockPlane { corner_m, size: [width, height], height_m: core.at_m(corner_m), ..*core };
-    let (picture, colour) = rectify(photos[reference], &whole, 0, Interpolation::Bicubic);
+    let (picture, colour) =
+        rectify(photos[reference], &whole, (0, options.samples), Interpolation::Bicubic);
     let green: Vec<i16> = colour.iter().copied().map(greenness).collect();
     let others: Vec<Rectified> = others
         .iter()
         .map(|&k| {
             let margin = reach(&picture, photos[k], &whole, &heights_m);
-            rectify(photos[k], &whole, margin, Interpolation::Bicubic).0
+            rectify(photos[k], &whole, (margin, options.samples), Interpolation::Bicubic).0
         })
         .collect();
     let mut volume = costs(&picture, &others, &heights_m);
@@ -74,22 +81,40 @@ pub fn match_block(
         ground_m = (0..width * height).map(above).collect();
         options.prior.add(&mut volume, &green, &ground_m, &heights_m);
     }
-    // Layers that take no part fit nowhere.
-    volume.resize(width * height * LAYERS, WORST + DISLIKED);
-    let sums =
-        aggregate::<LAYERS, { LAYERS + 2 }>(&volume, &picture.values, width, &options.penalties);
-    drop(volume);
+    let mut standing = vec![];
+    if let Some((relief, usual)) = limits {
+        let farther = options.lowest_m < usual[0] || options.highest_m() > usual[1];
+        let limits = relief.limits(&whole, (usual, farther), &options.prior, ground);
+        let colours = Colours {
+            centre: picture.centre,
+            above_m: picture.above_m,
+            prior: &options.prior,
+            green: &green,
+            ground_m: &ground_m,
+        };
+        standing = limits.apply(&mut volume, &whole, &colours, &heights_m);
+    }
     let class: Vec<u8> = (0..width * height)
         .map(|at| match (picture.values[at], &options.prior) {
             (0, _) => posterior::CLASSES as u8,
+            _ if standing.get(at) == Some(&true) => posterior::UNSURE,
             (_, prior) => prior.class(green[at]),
         })
         .collect();
     let to_layer = |z: f32| (z - options.lowest_m as f32) / options.layer_m as f32;
     let ground_layers: Vec<f32> = ground_m.into_iter().map(to_layer).collect();
     let pixels = Pixels { width, layers, class: &class, ground: &ground_layers };
-    let best = posterior::estimates(&sums, &pixels, &options.posterior);
-    drop(sums);
+    let costs = Costs {
+        volume,
+        picture: &picture.values,
+        penalties: &options.penalties,
+        posterior: &options.posterior,
+    };
+    let best = match layers {
+        0..=LAYERS => costs.heights::<LAYERS, { LAYERS + 2 }>(&pixels),
+        _ if layers <= MIDDLE => costs.heights::<MIDDLE, { MIDDLE + 2 }>(&pixels),
+        _ => costs.heights::<MOST_LAYERS, { MOST_LAYERS + 2 }>(&pixels),
+    };
     // Each pixel of the reference to its cells; what surely is the highest stays.
     let mut top_m = vec![f32::NEG_INFINITY; width * height];
     let mut rank_m = vec![f32::NEG_INFINITY; width * height];
@@ -161,6 +186,25 @@ pub fn match_block(
         }
     }
     Some(block)
+}
+
+/// The matching costs of a block, and how heights are found from them.
+struct Costs<'a> {
+    volume: Vec<u8>,
+    picture: &'a [u8],
+    penalties: &'a Penalties,
+    posterior: &'a PosteriorOptions,
+}
+
+impl Costs<'_> {
+    /// The height of every pixel, with room for `D` layers; `P` is `D + 2`.
+    fn heights<const D: usize, const P: usize>(mut self, pixels: &Pixels<'_>) -> Vec<Estimate> {
+        // Layers that take no part fit nowhere.
+        self.volume.resize(self.picture.len() * D, WORST + DISLIKED);
+        let sums = aggregate::<D, P>(&self.volume, self.picture, pixels.width, self.penalties);
+        drop(self.volume);
+        posterior::estimates(&sums, pixels, self.posterior)
+    }
 }
 
 /// The reference, nearest in plan to the middle, and the nearest others that show at least the inner half.

@@ -19,8 +19,8 @@
 //! The pixels are then points in space, `X = p + (C - p) h/F`, and each cell of the ground takes the highest that falls
 //! on it ([`block`]). A parabola through the aggregated costs beside the best layer gives fractions of a layer.
 //!
-//! From coarse to fine ([`tile`], [`area`]): cells of twice the side without `Q` give the ground under the canopy ([`terrain`]), which the second
-//! pass takes as known. Blocks are done on their own, by any number of threads, with the same result.
+//! From coarse to fine ([`tile`], [`area`]): cells of eight times the side say where trees and houses are ([`relief`]), cells of twice the side
+//! without `Q` give the ground under the canopy ([`terrain`]), which the second pass takes as known. Blocks are done on their own, by any number of threads, with the same result.
 //!
 //! Constants of this module and its files were chosen on synthetic fields at mid stage, 1.5 cm a cell; what they give is
 //! printed by `cargo test --lib mapping::dense -- --nocapture`: share of cells that have a height, spread of bare soil, shares
@@ -33,6 +33,7 @@ pub mod counts;
 pub mod posterior;
 pub mod prior;
 pub mod rectify;
+pub mod relief;
 pub mod sweep;
 pub mod terrain;
 pub mod tile;
@@ -43,11 +44,14 @@ pub use counts::HeightCounts;
 pub use posterior::PosteriorOptions;
 pub use prior::Prior;
 pub use rectify::PosedPhoto;
-pub use terrain::{BarePlaces, Terrain};
+pub use relief::Relief;
+pub use terrain::{GroundPlaces, Terrain};
 pub use tile::{DenseTile, Tile, match_tile, surface_tile};
 
-/// Layers of heights: one or two SIMD registers of bytes.
+/// Layers of heights, usually: one or two SIMD registers of bytes.
 pub const LAYERS: usize = 64;
+/// The most layers of heights: trees, houses and cliffs.
+pub const MOST_LAYERS: usize = 4 * LAYERS;
 
 /// How a surface is matched.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -56,8 +60,10 @@ pub struct DenseOptions {
     pub layer_m: f64,
     /// The lowest layer above the plane of a block, metres (below it where negative).
     pub lowest_m: f64,
-    /// How many of the [`LAYERS`] take part, from the lowest on.
+    /// How many layers there are, from the lowest on; at most [`MOST_LAYERS`].
     pub layers: usize,
+    /// A cell is the mean of so many by so many values of each photo, so that large cells do not alias.
+    pub samples: usize,
     /// How many photos are compared with the reference.
     pub others: usize,
     /// Side of a block, cells; a power of two.
@@ -76,12 +82,20 @@ impl Default for DenseOptions {
             layer_m: 0.015,
             lowest_m: -0.1,
             layers: LAYERS,
+            samples: 1,
             others: 4,
             block_cells: 256,
             penalties: Penalties::default(),
             prior: Prior::default(),
             posterior: PosteriorOptions::default(),
         }
+    }
+}
+
+impl DenseOptions {
+    /// The highest layer above the plane of a block, metres.
+    pub fn highest_m(&self) -> f64 {
+        self.lowest_m + self.layer_m * (self.layers.max(1) - 1) as f64
     }
 }
 

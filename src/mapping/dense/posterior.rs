@@ -43,6 +43,8 @@ pub struct Estimate {
 
 /// Classes of colours: soil, leaf, and what is neither for sure.
 pub const CLASSES: usize = 3;
+/// The class of what is neither for sure.
+pub(super) const UNSURE: u8 = 2;
 /// Every so-manieth pixel of every so-manieth row takes part in the estimate of the distributions.
 const THINNED: usize = 4;
 /// Share of pixels whose height may be any: stones, weeds, what the photos show wrongly.

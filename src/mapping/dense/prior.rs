@@ -1,6 +1,6 @@
 //! What the colour of a pixel says of its height above the ground.
 //!
-//! With `d = G - R` the green of a pixel of the reference and `g` its height above the ground,
+//! With `d = G - max(R, B)` the green of a pixel of the reference and `g` its height above the ground,
 //!
 //! ```text
 //! Q(g) = soil min(1, (|g| - t)/t)   where d < d_soil and |g| > t
@@ -21,9 +21,9 @@ pub enum Prior {
         soil: u8,
         /// Greatest cost of a green pixel on the ground.
         leaf: u8,
-        /// Green minus red, of 255, below which a pixel is soil.
+        /// Greenness, of 255, below which a pixel is soil.
         soil_below: i16,
-        /// Green minus red from which a pixel is leaf.
+        /// Greenness from which a pixel is leaf.
         leaf_from: i16,
     },
 }
@@ -55,7 +55,7 @@ impl Prior {
         match *self {
             Prior::GreenOnSoil { soil_below, .. } if green < soil_below => 0,
             Prior::GreenOnSoil { leaf_from, .. } if green >= leaf_from => 1,
-            _ => 2,
+            _ => super::posterior::UNSURE,
         }
     }
 

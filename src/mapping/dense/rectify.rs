@@ -63,13 +63,56 @@ impl BlockPlane {
     }
 }
 
-/// By how much green exceeds red.
-pub fn greenness([red, green, _]: [u8; 3]) -> i16 {
-    i16::from(green) - i16::from(red)
+/// By how much green exceeds the larger of red and blue: water, sky-blue roofs and wet roads are no leaves.
+pub fn greenness([red, green, blue]: [u8; 3]) -> i16 {
+    i16::from(green) - i16::from(red.max(blue))
 }
 
-/// A photo on the plane of a block with `margin` more cells on each side, and its colours; black where it shows nothing.
+/// A photo on the plane of a block with `margin` more cells on each side, and its colours; black where it shows nothing. A cell is the
+/// mean of `samples` by `samples` values.
 pub fn rectify(
+    photo: PosedPhoto<'_>,
+    block: &BlockPlane,
+    (margin, samples): (usize, usize),
+    interpolation: Interpolation,
+) -> (Rectified, Vec<[u8; 3]>) {
+    if samples < 2 {
+        return sampled(photo, block, margin, interpolation);
+    }
+    // The first of the smaller cells is as far from the middle of the first cell as the last of it.
+    let cell_m = block.cell_m / samples as f64;
+    let back_m = 0.5 * (block.cell_m - cell_m);
+    let corner_m = [block.corner_m[0] - back_m, block.corner_m[1] + back_m];
+    let size = block.size.map(|n| n * samples);
+    let height_m = block.at_m(corner_m);
+    let smaller = BlockPlane { corner_m, cell_m, size, height_m, slope: block.slope };
+    let (found, colours) = sampled(photo, &smaller, margin * samples, interpolation);
+    let [width, height] = block.size.map(|n| n + 2 * margin);
+    let mut values = vec![0; width * height];
+    let mut colour = vec![[0; 3]; width * height];
+    let count = (samples * samples) as u32;
+    for (at, (value, colour)) in values.iter_mut().zip(&mut colour).enumerate() {
+        let [u, v] = [at % width * samples, at / width * samples];
+        let (mut sum, mut sums, mut seen) = (0, [0; 3], 0);
+        for row in v..v + samples {
+            for at in row * found.width + u..row * found.width + u + samples {
+                sum += u32::from(found.values[at]);
+                (0..3).for_each(|c| sums[c] += u32::from(colours[at][c]));
+                seen += u32::from(found.values[at] > 0);
+            }
+        }
+        if seen == count {
+            *value = ((sum + count / 2) / count) as u8;
+            *colour = sums.map(|sum| ((sum + count / 2) / count) as u8);
+        }
+    }
+    let centre_m = photo.view.centre_m();
+    let centre = block.cell([centre_m[0], centre_m[1]]);
+    (Rectified { values, width, height, origin: [-(margin as f64); 2], centre, ..found }, colour)
+}
+
+/// The same with one value for a cell.
+fn sampled(
     photo: PosedPhoto<'_>,
     block: &BlockPlane,
     margin: usize,

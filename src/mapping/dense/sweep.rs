@@ -80,20 +80,25 @@ pub fn costs(reference: &Rectified, others: &[Rectified], heights_m: &[f64]) -> 
     let cells = reference.width * reference.height;
     let mut volume = vec![WORST; cells * heights_m.len()];
     let mut work = Work::new(reference, others.len());
+    let [Some(&lowest_m), Some(&highest_m)] = [heights_m.first(), heights_m.last()] else {
+        return volume;
+    };
+    // A photo that shows a pixel at some heights only would speak for those: it has no say there. What it shows of the lowest
+    // and the highest layer it shows of all between, since photos are convex.
+    let mut shown = vec![vec![u8::MAX; cells]; others.len()];
+    for height_m in [lowest_m, highest_m] {
+        for (k, other) in others.iter().enumerate() {
+            resample(reference, other, height_m, &mut work.line, &mut work.sampled[k]);
+            for (shown, &value) in shown[k].iter_mut().zip(&work.sampled[k]) {
+                *shown = if value == 0 { 0 } else { *shown };
+            }
+        }
+    }
     for (&height_m, layer) in heights_m.iter().zip(volume.chunks_exact_mut(cells)) {
-        for (other, sampled) in others.iter().zip(&mut work.sampled) {
-            let (scale, offset) = transfer(reference, other, height_m);
-            let at = |k: usize| offset[k] - other.origin[k];
-            let across = Positions::new(scale, at(0), reference.width);
-            let down = Positions::new(scale, at(1), reference.height);
-            pulp::Arch::new().dispatch(Resample {
-                other,
-                across: &across,
-                down: &down,
-                line: &mut work.line,
-                out: sampled,
-                width: reference.width,
-            });
+        for (k, other) in others.iter().enumerate() {
+            let sampled = &mut work.sampled[k];
+            resample(reference, other, height_m, &mut work.line, sampled);
+            sampled.iter_mut().zip(&shown[k]).for_each(|(value, shown)| *value &= shown);
         }
         pulp::Arch::new().dispatch(Distances {
             reference,
@@ -103,6 +108,22 @@ pub fn costs(reference: &Rectified, others: &[Rectified], heights_m: &[f64]) -> 
         });
     }
     volume
+}
+
+/// A photo at one height, as the reference would see it.
+fn resample(
+    reference: &Rectified,
+    other: &Rectified,
+    height_m: f64,
+    line: &mut Vec<u8>,
+    out: &mut [u8],
+) {
+    let (scale, offset) = transfer(reference, other, height_m);
+    let at = |k: usize| offset[k] - other.origin[k];
+    let across = Positions::new(scale, at(0), reference.width);
+    let down = Positions::new(scale, at(1), reference.height);
+    let (across, down, width) = (&across, &down, reference.width);
+    pulp::Arch::new().dispatch(Resample { other, across, down, line, out, width });
 }
 
 /// Memory that the layers use in turn.
@@ -122,7 +143,7 @@ impl Work {
     }
 }
 
-/// One photo at one height, as the reference would see it.
+/// Positions and memory of [`resample`].
 struct Resample<'a> {
     other: &'a Rectified,
     across: &'a Positions,

@@ -157,7 +157,7 @@ fn any_number_of_threads_gives_the_same_and_bad_input_is_refused() {
     let options = DenseOptions { prior: Prior::None, ..DenseOptions::default() };
     let with = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        let found = pool.install(|| match_tile(&posed, &base, &tile, &options)).unwrap();
+        let found = pool.install(|| match_tile(&posed, &base, &tile, &options, None)).unwrap();
         let bits: Vec<u32> = found.surface_m.iter().map(|z| z.to_bits()).collect();
         assert!(found.surface_m.iter().any(|z| z.is_finite()));
         (bits, found.confidence, found.photos)
@@ -165,14 +165,14 @@ fn any_number_of_threads_gives_the_same_and_bad_input_is_refused() {
     assert_eq!(with(1), with(3));
     let refused =
         |result: Result<DenseTile, crate::mapping::MapError>| result.unwrap_err().to_string();
-    assert!(refused(match_tile(&posed[..1], &base, &tile, &options)).contains("at least 2"));
+    assert!(refused(match_tile(&posed[..1], &base, &tile, &options, None)).contains("at least 2"));
     let nowhere = |_: [f64; 2]| None;
-    assert!(refused(match_tile(&posed, &nowhere, &tile, &options)).contains("no height"));
+    assert!(refused(match_tile(&posed, &nowhere, &tile, &options, None)).contains("no height"));
     let wrong = DenseOptions { layer_m: 0.0, ..options };
-    assert!(refused(match_tile(&posed, &base, &tile, &wrong)).contains("positive length"));
+    assert!(refused(match_tile(&posed, &base, &tile, &wrong, None)).contains("positive length"));
     // Photos that do not overlap there: no height, and no guess.
     let beyond = Tile { corner_m: [x + 500.0, y], ..tile };
-    let found = match_tile(&posed, &base, &beyond, &options).unwrap();
+    let found = match_tile(&posed, &base, &beyond, &options, None).unwrap();
     assert!(found.surface_m.iter().all(|z| z.is_nan()));
 }
 
@@ -209,6 +209,7 @@ fn an_attempt_that_stops_between_tiles_goes_on_to_the_same_bits() {
     let base = |_: [f64; 2]| Some(0.1);
     let options = AreaOptions {
         range_m: 0.6,
+        relief_m: 0.6,
         others: 4,
         tile_cells: 64,
         penalties: Penalties::default(),
@@ -270,6 +271,7 @@ fn two_photos_no_overlap_and_water_say_what_is_not_known() {
     let area = Tile { corner_m: [x - 1.0, y + 0.9], cell_m: 0.03, size: [100, 60] };
     let options = AreaOptions {
         range_m: 0.6,
+        relief_m: 0.6,
         others: 4,
         tile_cells: 64,
         penalties: Penalties::default(),

@@ -1,7 +1,7 @@
 //! A tile of the ground: its blocks, and the two passes from coarse to fine.
 
 use super::{
-    DenseOptions, Prior, Terrain,
+    DenseOptions, Prior, Relief, Terrain,
     block::{Block, choose, match_block},
     rectify::{BlockPlane, PosedPhoto, greenness},
 };
@@ -15,7 +15,7 @@ const NODE_M: f64 = 0.3;
 const NODE_CELLS: f64 = 6.0;
 /// Confidence (of 255) from which a coarse cell may show the ground.
 const SURE: u8 = 30;
-/// Green minus red below which a cell may show the ground.
+/// Greenness below which a cell may show the ground.
 const BARE_BELOW: i16 = 2;
 
 /// Cells of the ground: north up, metres of the frame in which the photos are posed.
@@ -66,7 +66,7 @@ pub struct DenseTile {
 }
 
 /// Matches the cells of a tile. `ground` gives a height near the ground (within the layers of the options) everywhere on the tile; it
-/// is the ground itself where the prior needs it.
+/// is the ground itself where the prior needs it. A surface of larger cells says where layers have to reach farther.
 ///
 /// # Errors
 /// Fewer than two photos, a cell or layer that is no length, nowhere a height of the ground.
@@ -75,6 +75,7 @@ pub fn match_tile(
     ground: &(dyn Fn([f64; 2]) -> Option<f64> + Sync),
     tile: &Tile,
     options: &DenseOptions,
+    relief: Option<&Relief>,
 ) -> Result<DenseTile, MapError> {
     if photos.len() < 2 {
         let found = photos.len();
@@ -95,8 +96,17 @@ pub fn match_tile(
         }
         return Ok(result);
     }
-    let blocks: Vec<Option<Block>> =
-        planes.par_iter().map(|(_, plane)| match_block(photos, plane, ground, options)).collect();
+    let one = |plane: &BlockPlane| {
+        let (reference, others) = choose(&views, plane, options.others)?;
+        let usual = [options.lowest_m, options.highest_m()];
+        let (plane, options) = match relief {
+            Some(relief) => relief.fit(plane, options),
+            None => (*plane, *options),
+        };
+        let limits = relief.map(|relief| (relief, usual));
+        match_block(photos, (reference, &others), &plane, ground, &options, limits)
+    };
+    let blocks: Vec<Option<Block>> = planes.par_iter().map(|(_, plane)| one(plane)).collect();
     for (([column, row], plane), block) in planes.into_iter().zip(blocks) {
         let Some(block) = block else { continue };
         let [columns, rows] = plane.size;
@@ -176,13 +186,13 @@ fn shows_all(view: &View, block: &BlockPlane) -> bool {
     })
 }
 
-/// Cells of a coarse tile that may show the ground: x, y, z in metres.
-pub(super) fn bare_cells(found: &DenseTile) -> impl Iterator<Item = [f64; 3]> + '_ {
-    let is_bare =
-        |at: &usize| greenness(found.colour[*at]) < BARE_BELOW && found.confidence[*at] >= SURE;
-    (0..found.surface_m.len()).filter(is_bare).map(|at| {
+/// Cells of a coarse tile that are sure: x, y, z in metres, and whether they may show the ground.
+pub(super) fn sure_cells(found: &DenseTile) -> impl Iterator<Item = ([f64; 3], bool)> + '_ {
+    let is_sure = |at: &usize| found.confidence[*at] >= SURE;
+    (0..found.surface_m.len()).filter(is_sure).map(|at| {
         let [x, y] = found.tile.place_m(at % found.tile.size[0], at / found.tile.size[0]);
-        [x, y, f64::from(found.surface_m[at])]
+        let bare = greenness(found.colour[at]) < BARE_BELOW;
+        ([x, y, f64::from(found.surface_m[at])], bare)
     })
 }
 
@@ -215,15 +225,17 @@ pub fn surface_tile(
         block_cells: options.block_cells / 2,
         ..*options
     };
-    let found = match_tile(photos, base, &coarse, &wide)?;
-    let bare: Vec<[f64; 3]> = bare_cells(&found).collect();
+    let found = match_tile(photos, base, &coarse, &wide, None)?;
+    let bare: Vec<[f64; 3]> =
+        sure_cells(&found).filter(|(_, bare)| *bare).map(|(place, _)| place).collect();
     let terrain = Terrain::fit(&bare, coarse.bounds_m(), node_m(coarse.cell_m));
     let Some(terrain) = terrain else {
         // Nothing bare: colours say nothing of the ground.
-        return match_tile(photos, base, tile, &DenseOptions { prior: Prior::None, ..*options });
+        let options = DenseOptions { prior: Prior::None, ..*options };
+        return match_tile(photos, base, tile, &options, None);
     };
     let ground = |place: [f64; 2]| terrain.at_m(place);
-    let mut result = match_tile(photos, &ground, tile, options)?;
+    let mut result = match_tile(photos, &ground, tile, options, None)?;
     result.terrain = Some(terrain);
     Ok(result)
 }

@@ -201,9 +201,13 @@ impl Scene {
         let crs = Crs::of(&reconstruction.reference);
         let (place, size) = grid(&views, &base, options, crs)?;
         let cells = Tile { corner_m: place.origin, cell_m: place.per_column[0], size };
-        let range_m = match options.range_m {
-            Auto::Given(range_m) => range_m,
-            Auto::Auto => range::range_of(&SurfacePoint::of(&reconstruction), cells.cell_m),
+        let points = SurfacePoint::of(&reconstruction);
+        let (range_m, relief_m) = match options.range_m {
+            Auto::Given(range_m) => (range_m, range_m),
+            Auto::Auto => {
+                let of = |range: fn(&[SurfacePoint], f64) -> f64| range(&points, cells.cell_m);
+                (of(range::range_of), of(range::relief_of))
+            }
         };
         let prior = match options.ground {
             GroundColour::Soil => Prior::default(),
@@ -211,6 +215,7 @@ impl Scene {
         };
         let area_options = AreaOptions {
             range_m,
+            relief_m,
             others: options.others,
             tile_cells: TILE,
             penalties: Default::default(),

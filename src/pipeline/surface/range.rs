@@ -20,6 +20,10 @@ const MORE_M: f64 = 0.3;
 /// Limits of the range, metres.
 const RANGE_M: [f64; 2] = [0.5, 30.0];
 
+/// Side of the squares in which trees and houses are compared with what is around them, in cells: a coarse tile.
+const RELIEF_CELLS: f64 = 2048.0;
+/// Trees and houses stand up to so high above the surface of the tie points, in cells: a quarter to half of the height of flight.
+const MOST_RELIEF_CELLS: f64 = 1000.0;
 /// Fewer squares than this do not say what is usual; larger squares are tried.
 const LEAST_SQUARES: usize = 10;
 /// How often the side of the squares is doubled.
@@ -30,7 +34,7 @@ pub(super) fn range_of(points: &[SurfacePoint], cell_m: f64) -> f64 {
     let mut side_m = SQUARE_CELLS * cell_m;
     let mut spans = Vec::new();
     for _ in 0..DOUBLINGS {
-        spans = spans_m(points, side_m);
+        spans = spans_m(points, side_m, 20);
         if spans.len() >= LEAST_SQUARES {
             break;
         }
@@ -41,8 +45,14 @@ pub(super) fn range_of(points: &[SurfacePoint], cell_m: f64) -> f64 {
     rounded((span + MORE_M).clamp(RANGE_M[0], RANGE_M[1]), 3)
 }
 
-/// What heights differ by in squares of this side, without the twentieths at both ends; sorted.
-fn spans_m(points: &[SurfacePoint], side_m: f64) -> Vec<f64> {
+/// How far trees and houses may be from the surface of the tie points: the most that tie points of a tile differ by.
+pub(super) fn relief_of(points: &[SurfacePoint], cell_m: f64) -> f64 {
+    let most = spans_m(points, RELIEF_CELLS * cell_m, 0).last().copied().unwrap_or(0.0);
+    rounded((most + MORE_M).min(MOST_RELIEF_CELLS * cell_m), 3)
+}
+
+/// What heights differ by in squares of this side, without one of so many at both ends (0: with all); sorted.
+fn spans_m(points: &[SurfacePoint], side_m: f64, one_of: usize) -> Vec<f64> {
     let mut squares: BTreeMap<[i64; 2], Vec<f64>> = BTreeMap::new();
     for point in points {
         let [x, y, z] = point.position_m;
@@ -52,7 +62,7 @@ fn spans_m(points: &[SurfacePoint], side_m: f64) -> Vec<f64> {
     let mut spans: Vec<f64> = enough
         .map(|mut heights| {
             heights.sort_by(f64::total_cmp);
-            let cut = heights.len() / 20;
+            let cut = heights.len().checked_div(one_of).unwrap_or(0);
             heights[heights.len() - 1 - cut] - heights[cut]
         })
         .collect();
@@ -80,5 +90,11 @@ mod tests {
         assert!((0.7..0.9).contains(&low), "{low}");
         assert!((2.8..3.0).contains(&high), "{high}");
         assert_eq!(range_of(&[], 0.015), RANGE_M[0]);
+        // One tie point on a tree: the relief has to reach it, the range of usual heights not.
+        let mut with_tree = points(0.4);
+        with_tree.push(SurfacePoint { position_m: [1.0, 0.5, 109.0], sigma_z_m: f64::NAN });
+        assert!((0.7..0.9).contains(&range_of(&with_tree, 0.015)));
+        assert!((9.0..9.5).contains(&relief_of(&with_tree, 0.015)));
+        assert!((0.95..1.05).contains(&relief_of(&points(0.4), 0.015)));
     }
 }
