@@ -1,7 +1,7 @@
 //! What a project lacks, before hours are spent on it.
 
 use super::{
-    Config, PHOTO_ENDINGS, Project,
+    Config, PHOTO_ENDINGS, Project, Stage,
     forecast::{self, Forecast},
     run::LEAST_PHOTOS,
 };
@@ -60,6 +60,8 @@ pub fn doctor(
         let forecast = Forecast::new(photos.len(), project.config().align.max_features);
         let threads = rayon::current_num_threads();
         found.push(forecast.diagnostic(threads, forecast::available_bytes()));
+        let free = forecast::free_disk_bytes(&project.folder(Stage::Align));
+        found.extend(forecast.disk_diagnostic(free));
         found.extend(tables(&project));
         let control = project.config().project.control.as_ref();
         if project.given(control, &super::align::inputs::CONTROL).is_none() {

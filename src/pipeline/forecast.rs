@@ -11,6 +11,7 @@
 
 use super::align::DESCRIPTORS_IN_MEMORY_BYTES;
 use crate::monitor::Diagnostic;
+use std::path::Path;
 
 /// Memory of photos in work and of the program itself: six photos of 9 and 12 megapixels took 180 MB with one thread, 190 with two.
 /// More threads were not measured.
@@ -50,12 +51,21 @@ impl Forecast {
         }
     }
 
+    /// A warning where less disk is free than that.
+    pub fn disk_diagnostic(&self, free_bytes: Option<f64>) -> Option<Diagnostic> {
+        let free = free_bytes.filter(|&free| free < self.disk_bytes)?;
+        let message = format!(
+            "align of {} photos keeps {} between its steps; {} are free where results go",
+            self.photos,
+            size(self.disk_bytes),
+            size(free)
+        );
+        let remedy = "make room, or choose another folder for the results (--output)";
+        Some(Diagnostic::warning("disk-short", "align", message).with_remedy(remedy))
+    }
+
     /// In words; a warning where this machine has less memory than that.
     pub fn diagnostic(&self, threads: usize, available_bytes: Option<f64>) -> Diagnostic {
-        let size = |bytes: f64| match bytes {
-            bytes if bytes < 1e9 => format!("{:.0} MB", bytes / 1e6),
-            bytes => format!("{:.1} GB", bytes / 1e9),
-        };
         let minutes = self.processor_s / 60.0 / threads.max(1) as f64;
         let message = format!(
             "align of {} photos takes up to {} of memory, {} of disk and about {:.0} min on {threads} threads",
@@ -73,6 +83,27 @@ impl Forecast {
             _ => Diagnostic::info("align-forecast", "align", message),
         }
     }
+}
+
+fn size(bytes: f64) -> String {
+    match bytes {
+        bytes if bytes < 1e9 => format!("{:.0} MB", bytes / 1e6),
+        bytes => format!("{:.1} GB", bytes / 1e9),
+    }
+}
+
+/// Disk that is free for a folder, which need not be there yet, bytes; `None` where the system does not say (Unix does).
+#[cfg(unix)]
+pub fn free_disk_bytes(folder: &Path) -> Option<f64> {
+    let folder = folder.ancestors().find(|folder| folder.is_dir())?;
+    let found = rustix::fs::statvfs(folder).ok()?;
+    Some(found.f_bavail as f64 * found.f_frsize as f64)
+}
+
+/// Disk that is free for a folder, bytes: this system is not asked.
+#[cfg(not(unix))]
+pub fn free_disk_bytes(_: &Path) -> Option<f64> {
+    None
 }
 
 /// Memory that programs can still have, bytes; `None` where the system does not say (Linux does).
@@ -94,6 +125,21 @@ mod tests {
         assert!((714e6..2.0 * 714e6).contains(&said.memory_bytes), "{said:?}");
         assert!((396.0..1.5 * 396.0).contains(&said.processor_s), "{said:?}");
         assert!((136e6..2.0 * 136e6).contains(&said.disk_bytes), "{said:?}");
+    }
+
+    #[test]
+    fn a_full_disk_is_told_before() {
+        let large = Forecast::new(5000, 6000);
+        assert_eq!(large.disk_diagnostic(Some(1e9)).unwrap().code, "disk-short");
+        assert_eq!(large.disk_diagnostic(Some(1e12)), None);
+        assert_eq!(large.disk_diagnostic(None), None);
+        if cfg!(unix) {
+            let there = std::env::temp_dir();
+            let free = free_disk_bytes(&there).unwrap();
+            let below = free_disk_bytes(&there.join("not/yet/there")).unwrap();
+            // Others write meanwhile.
+            assert!(free > 0.0 && (below / free - 1.0).abs() < 0.5, "{free} {below}");
+        }
     }
 
     #[test]
