@@ -77,16 +77,43 @@ impl Prior {
     /// Adds the costs of all pixels and layers. `ground_m` is the height of the ground at each pixel above the plane of the
     /// block, NaN where not known.
     pub(super) fn add(&self, costs: &mut [u8], green: &[i16], ground_m: &[f32], heights_m: &[f64]) {
-        if !self.needs_ground() {
-            return;
-        }
+        let Prior::GreenOnSoil { soil, leaf, soil_below, leaf_from } = *self else { return };
+        // What colours cost at most does not depend on the height.
+        let most = |&green: &i16| match green {
+            green if green < soil_below => [f32::from(soil), 0.0],
+            green if green >= leaf_from => [0.0, f32::from(leaf)],
+            _ => [0.0; 2],
+        };
+        let most: Vec<[f32; 2]> = green.iter().map(most).collect();
         for (layer, &height_m) in costs.chunks_exact_mut(green.len()).zip(heights_m) {
-            for ((cost, &green), &ground_m) in layer.iter_mut().zip(green).zip(ground_m) {
-                if ground_m.is_finite() {
-                    let more = self.cost(green, height_m - f64::from(ground_m));
-                    *cost = cost.saturating_add(more);
-                }
-            }
+            let height_m = height_m as f32;
+            pulp::Arch::new().dispatch(Add { layer, most: &most, ground_m, height_m });
+        }
+    }
+}
+
+/// The costs of colours in one layer.
+struct Add<'a> {
+    layer: &'a mut [u8],
+    /// Greatest costs off the ground and on it.
+    most: &'a [[f32; 2]],
+    ground_m: &'a [f32],
+    height_m: f32,
+}
+
+impl pulp::WithSimd for Add<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) {
+        const SLOPE: f32 = 1.0 / TOLERANCE_M as f32;
+        let Add { layer, most, ground_m, height_m } = self;
+        for ((cost, [soil, leaf]), &ground_m) in layer.iter_mut().zip(most).zip(ground_m) {
+            let above_m = height_m - ground_m;
+            let off = ((above_m.abs() - TOLERANCE_M as f32) * SLOPE).clamp(0.0, 1.0);
+            let on = ((LEAF_M as f32 - above_m) * SLOPE).clamp(0.0, 1.0);
+            // Where the ground is not known this is no number, and adds nothing.
+            *cost = cost.saturating_add((soil * off + leaf * on) as u8);
         }
     }
 }
@@ -105,5 +132,28 @@ mod tests {
         assert_eq!(prior.cost(30, -0.1), 10);
         assert_eq!(prior.cost(4, 0.5), 0);
         assert_eq!(Prior::None.cost(-5, 0.5), 0);
+    }
+
+    #[test]
+    fn all_pixels_and_layers_get_what_one_gets() {
+        let prior = Prior::default();
+        let green: Vec<i16> = (0..200).map(|k| k % 25 - 10).collect();
+        let mut ground_m: Vec<f32> = (0..200).map(|k| 0.01 * (k % 17) as f32).collect();
+        ground_m[7] = f32::NAN;
+        let heights_m = [-0.2, 0.003, 0.08, 0.5];
+        let mut costs = vec![30; 800];
+        prior.add(&mut costs, &green, &ground_m, &heights_m);
+        for (at, &cost) in costs.iter().enumerate() {
+            let (pixel, height_m) = (at % 200, heights_m[at / 200]);
+            let expected = match ground_m[pixel] {
+                ground if ground.is_finite() => {
+                    prior.cost(green[pixel], height_m - f64::from(ground))
+                }
+                _ => 0,
+            };
+            // A cost is a whole number, which rounding may move by one.
+            assert!(cost.abs_diff(30 + expected) <= 1, "{at}: {cost} {expected}");
+        }
+        assert_eq!(costs[7], 30);
     }
 }

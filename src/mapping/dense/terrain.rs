@@ -11,7 +11,7 @@
 //! say. Where nothing is bare the ground goes on with constant slope, and farther from bare cells than
 //! [`GroundPlaces::LOWEST_FROM_M`] it follows the lowest of what stands there (`d_i` the twentieth from below of all cells around the node,
 //! with the small weight that has a say from that distance on): meadows, lawns, fields that have closed. Its standard deviation comes from the
-//! weights of bare cells near a node and grows with the distance to them. Solved by conjugate gradients, first on
+//! weights of bare cells near a node and grows with the distance to them. Solved by conjugate gradients with the diagonal as preconditioner, first on
 //! lattices of twice the distance of nodes, whose solution is where the next begins.
 
 use std::collections::BTreeMap;
@@ -29,8 +29,8 @@ const LEAST_STANDING: usize = 16;
 const LOWEST: f64 = 0.05;
 /// Nodes of the coarsest lattice in each direction, at least.
 const LEAST_NODES: usize = 8;
-/// Residuals of the equations that count as none, relative to their right-hand side.
-const SOLVED: f64 = 1e-8;
+/// Residuals of the equations that count as none, relative to their right-hand side: micrometres of a metre.
+const SOLVED: f64 = 1e-6;
 /// Rounds of reweighting.
 const ROUNDS: usize = 5;
 
@@ -212,28 +212,42 @@ impl Lattice {
         out
     }
 
-    /// Second differences weighted, and the data's own weights.
-    fn apply(&self, z: &[f64]) -> Vec<f64> {
-        let mut out: Vec<f64> = z.iter().zip(&self.weight).map(|(z, w)| w * z).collect();
+    /// The three nodes of each second difference.
+    fn bends(&self, mut take: impl FnMut(usize, usize, usize)) {
         let [columns, rows] = self.size;
-        let mut bend = |a: usize, b: usize, c: usize| {
+        for row in 0..rows {
+            for at in row * columns..(row + 1) * columns {
+                if at - row * columns >= 2 {
+                    take(at - 2, at - 1, at);
+                }
+                if row >= 2 {
+                    take(at - 2 * columns, at - columns, at);
+                }
+            }
+        }
+    }
+
+    /// Second differences weighted, and the data's own weights.
+    fn apply(&self, z: &[f64], out: &mut Vec<f64>) {
+        out.clear();
+        out.extend(z.iter().zip(&self.weight).map(|(z, w)| w * z));
+        self.bends(|a, b, c| {
             let second = self.stiffness * (z[a] - 2.0 * z[b] + z[c]);
             out[a] += second;
             out[b] -= 2.0 * second;
             out[c] += second;
-        };
-        for row in 0..rows {
-            for column in 0..columns {
-                let at = row * columns + column;
-                if column >= 2 {
-                    bend(at - 2, at - 1, at);
-                }
-                if row >= 2 {
-                    bend(at - 2 * columns, at - columns, at);
-                }
-            }
-        }
-        out
+        });
+    }
+
+    /// One over the diagonal of the equations: weights of nodes differ by orders of magnitude.
+    fn inverse_diagonal(&self) -> Vec<f64> {
+        let mut diagonal = self.weight.clone();
+        self.bends(|a, b, c| {
+            diagonal[a] += self.stiffness;
+            diagonal[b] += 4.0 * self.stiffness;
+            diagonal[c] += self.stiffness;
+        });
+        diagonal.into_iter().map(|d| if d > 0.0 { 1.0 / d } else { 0.0 }).collect()
     }
 
     /// Conjugate gradients on the normal equations, from `start` or, where it is empty, from the solution of the coarser lattice.
@@ -244,14 +258,17 @@ impl Lattice {
             true => self.finer(&self.coarser().solve(vec![])),
         };
         let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-        let image = self.apply(&z);
+        let scale = self.inverse_diagonal();
+        let scaled = |r: &[f64]| r.iter().zip(&scale).map(|(r, s)| r * s).collect::<Vec<f64>>();
+        let mut image = Vec::with_capacity(z.len());
+        self.apply(&z, &mut image);
         let pull: Vec<f64> = self.data.iter().zip(&self.weight).map(|(d, w)| d * w).collect();
         let mut residual: Vec<f64> = pull.iter().zip(&image).map(|(p, i)| p - i).collect();
-        let mut direction = residual.clone();
-        let mut size = dot(&residual, &residual);
-        let enough = dot(&pull, &pull) * SOLVED * SOLVED;
+        let mut direction = scaled(&residual);
+        let mut size = dot(&residual, &direction);
+        let enough = dot(&pull, &scaled(&pull)) * SOLVED * SOLVED;
         for _ in 0..4 * z.len().min(500) {
-            let image = self.apply(&direction);
+            self.apply(&direction, &mut image);
             let along = dot(&direction, &image);
             if size <= enough || along <= 0.0 {
                 break;
@@ -261,10 +278,10 @@ impl Lattice {
                 z[k] += step * direction[k];
                 residual[k] -= step * image[k];
             }
-            let next = dot(&residual, &residual);
+            let next = residual.iter().zip(&scale).map(|(r, s)| r * r * s).sum::<f64>();
             let ratio = next / size;
             for k in 0..z.len() {
-                direction[k] = residual[k] + ratio * direction[k];
+                direction[k] = scale[k] * residual[k] + ratio * direction[k];
             }
             size = next;
         }
