@@ -95,7 +95,8 @@ impl Limits {
         colours: &Colours<'_>,
         heights_m: &[f64],
     ) -> Vec<bool> {
-        if !self.matter() {
+        // A block beyond the larger cells has no limits.
+        if !self.matter() || self.columns.is_empty() || self.rows.is_empty() {
             return vec![];
         }
         let Colours { centre, above_m, .. } = *colours;
@@ -352,6 +353,25 @@ mod tests {
             assert_eq!([55.0, 53.0, 50.0].map(|z| cost([26, 26], z)), [7, FORBIDDEN, 7]);
             assert_eq!([50.0, 50.5, 55.0].map(|z| cost([2, 2], z)), [7, 27, FORBIDDEN]);
         }
+    }
+
+    #[test]
+    fn beyond_the_larger_cells_nothing_is_limited() {
+        let options =
+            DenseOptions { lowest_m: -0.1, layer_m: 0.05, layers: 2, ..Default::default() };
+        let (relief, away) = (relief(false), block([300.0, 100.0]));
+        assert_eq!(relief.fit(&away, &options), (away, options));
+        let limits = relief.limits(&away, ([-0.1, 0.0], true), &options.prior, &|_| Some(50.0));
+        let colours = Colours {
+            centre: [20.0; 2],
+            above_m: 60.0,
+            prior: &options.prior,
+            green: &[0; 1600],
+            ground_m: &[],
+        };
+        let mut volume = vec![7; 3200];
+        assert!(limits.apply(&mut volume, &away, &colours, &[-0.1, -0.05]).is_empty());
+        assert!(volume.iter().all(|&cost| cost == 7));
     }
 
     #[test]
