@@ -48,8 +48,10 @@ impl CanopyHeights {
         let area = cell_m.map(|cell_m| cells as f64 * cell_m * cell_m);
         let volume =
             |area: f64| Measured { value: mean_m.value * area, sd: mean_m.sd.map(|sd| sd * area) };
+        let common_m = HEIGHT_SIGMA_CELLS * cell_m.unwrap_or(0.0);
+        let p95_m = of(height_percentile_95)?;
         Some(CanopyHeights {
-            p95_m: of(height_percentile_95)?,
+            p95_m: Measured { sd: p95_m.sd.map(|sd| sd.hypot(common_m)), ..p95_m },
             mean_m,
             volume_m3: area.map(volume),
         })
@@ -71,6 +73,11 @@ pub fn height_percentile_95(mut heights_m: Vec<f32>) -> Option<f64> {
 /// Standard deviation of where the edge of a leaf is taken to be, the same for all leaves of a picture, pixels: a mask of whole pixels
 /// says no more than to half a pixel, `1 / sqrt(12)`.
 const EDGE_SIGMA_PX: f64 = 0.288_675;
+
+/// Standard deviation of what the 95th percentile of all plots of a flight is off by, cells of the surface: root mean square of the mean errors
+/// of four flights and two dates of a season in docs/accuracy.md and docs/season.md (`benches/surface/compare.py`, `experiments season`; -0.1 to 3.4
+/// cells). Noise of heights makes most of it.
+const HEIGHT_SIGMA_CELLS: f64 = 2.0;
 
 /// A leaf that was told apart; NaN where a number is not known.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -161,7 +161,8 @@ traits! {
     longest_gap_m, "m", "greatest distance of neighbouring plants of a row",
         "of the same distances", "", "standard deviations of the two plants along the row";
     canopy_height_m, "m", "height of the canopy over the ground",
-        "95th percentile of the cells of the raster chm.tif inside the polygon (stage surface)", "", PARTS_SD;
+        "95th percentile of the cells of the raster chm.tif inside the polygon (stage surface)", "",
+        "scatter between 16 parts of the plot (jackknife), and two cells of the surface, by which all plots of a flight may be off";
     canopy_height_mean_m, "m", "mean height over the ground",
         "mean of the same cells, soil between plants among them", "", PARTS_SD;
     canopy_volume_m3, "m3", "volume between surface and ground",
@@ -190,7 +191,8 @@ pub fn dictionary_page() -> String {
          `trait_dictionary.csv`. Units are after UCUM; 1 stands for numbers and shares. A trait without a value was not measured: a map without\n\
          scale has no areas, a mask without picture no colours. Colour indices are not corrected for the light of the day.\n\n\
          The standard deviation of a trait is in the column with `_sd` behind its name, in the same unit. It says how far another map of the same\n\
-         plot, or another part of the same stand, may differ; what is common to the whole plot, such as a surface that lies too high, is not in it.\n\n\
+         plot, or another part of the same stand, may differ; what is common to the whole plot is in it only\n\
+         where the table names it.\n\n\
          | trait | unit | what it is | how | standard deviation | reference |\n|---|---|---|---|---|---|\n",
     );
     for of in TRAITS {
