@@ -2,7 +2,7 @@
 //!
 //! Plants stay where they are; what moves is the map, by a drift `d_p` per plot, and the place at which a plant is found, by a
 //! deviation of `sigma` in each axis. From one date to the next the plants `i` last seen at `x_i` and the plants `j` found at `y_j` are
-//! matched one to one: as many pairs as possible with `|x_i + d_p - y_j|` below [`REACH`] of the distance of neighbouring plants, and
+//! matched one to one: as many pairs as possible with `|x_i + d_p - y_j|` below 0.7 of the distance of neighbouring plants, and
 //! of these the least sum of distances ([`crate::score::matching`]). `d_p` is the median displacement of mutual nearest neighbours of
 //! the plot, `sigma` comes from the distances of the pairs. That a pair is one plant and not one lost beside one that is new
 //! has the probability
