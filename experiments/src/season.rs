@@ -148,7 +148,7 @@ impl Season {
         let file = SeasonFile::read(&self.season)?;
         let outcome = SeasonOutcome::read(&file)?;
         let (truth, results) = (file.root().join("truth"), file.results());
-        let dates = self.dates(&file, &outcome, &truth, &results)?;
+        let dates = dates(&file, &outcome, &truth, &results)?;
         let emergence = emergence(&outcome, &table(&truth.join("plots.csv"))?);
         crate::locate::make(&self.out).map_err(rowgram::Error::from)?;
         write_table(&self.out.join("season.csv"), &dates)?;
@@ -159,75 +159,74 @@ impl Season {
         crate::accuracy::show(&text);
         Ok(())
     }
+}
 
-    fn dates(
-        &self,
-        file: &SeasonFile,
-        outcome: &SeasonOutcome,
-        truth: &Path,
-        results: &Path,
-    ) -> Result<Vec<Date>, Fail> {
-        let plot_days: Vec<PlotDay> = table(&truth.join("plot_days.csv"))?;
-        let values: Vec<Value> = table(&results.join("traits_long.csv"))?;
-        let plants: BTreeMap<usize, [f64; 2]> = table::<Plant>(&truth.join("plants.csv"))?
-            .into_iter()
-            .map(|p| (p.plant, [p.easting_m, p.northing_m]))
+/// How each date came out.
+fn dates(
+    file: &SeasonFile,
+    outcome: &SeasonOutcome,
+    truth: &Path,
+    results: &Path,
+) -> Result<Vec<Date>, Fail> {
+    let plot_days: Vec<PlotDay> = table(&truth.join("plot_days.csv"))?;
+    let values: Vec<Value> = table(&results.join("traits_long.csv"))?;
+    let plants: BTreeMap<usize, [f64; 2]> = table::<Plant>(&truth.join("plants.csv"))?
+        .into_iter()
+        .map(|p| (p.plant, [p.easting_m, p.northing_m]))
+        .collect();
+    let days: Vec<PlantDay> = table(&truth.join("plant_days.csv"))?;
+    let located: Vec<Located> = table(&results.join("plants_long.csv"))?;
+    let (mut dates, mut errors_before, mut tracks_before) = (Vec::new(), None, None);
+    for flight in &outcome.flights {
+        let date = &flight.date;
+        let visible: Vec<(usize, [f64; 2])> = days
+            .iter()
+            .filter(|day| day.date == *date && day.leaf_area_m2 > 0.0)
+            .filter_map(|day| Some((day.plant, *plants.get(&day.plant)?)))
             .collect();
-        let days: Vec<PlantDay> = table(&truth.join("plant_days.csv"))?;
-        let located: Vec<Located> = table(&results.join("plants_long.csv"))?;
-        let (mut dates, mut errors_before, mut tracks_before) = (Vec::new(), None, None);
-        for flight in &outcome.flights {
-            let date = &flight.date;
-            let visible: Vec<(usize, [f64; 2])> = days
-                .iter()
-                .filter(|day| day.date == *date && day.leaf_area_m2 > 0.0)
-                .filter_map(|day| Some((day.plant, *plants.get(&day.plant)?)))
-                .collect();
-            let found: Vec<(usize, [f64; 2])> = located
-                .iter()
-                .filter(|plant| plant.date == *date)
-                .map(|plant| (plant.plant, [plant.easting_m, plant.northing_m]))
-                .collect();
-            let tracks = matched(&visible, &found);
-            let held =
-                |name: &str, of: fn(&PlotDay) -> f64| held(&values, &plot_days, date, name, of);
-            let [cover, count, height] = [
-                held("canopy_cover", |day| day.canopy_cover),
-                held("plants", |day| day.plants),
-                held("canopy_height_m", |day| day.canopy_height_m),
-            ];
-            let errors = match (&flight.placement, flight.gsd_m) {
-                (Some(placement), Some(gsd_m)) => {
-                    let errors = target_errors(&file.root().join(&flight.project), |at| {
-                        placement.transform.apply(at)
-                    })?;
-                    Some((errors, gsd_m))
-                }
-                _ => None,
-            };
-            let apart = match (&errors_before, &errors) {
-                (Some((before, _)), Some((now, gsd_m))) => apart_m(before, now).map(|d| d / gsd_m),
-                _ => None,
-            };
-            dates.push(Date {
-                date: date.clone(),
-                day: flight.day,
-                apart_gsd: apart,
-                plants_true: visible.len(),
-                located: found.len(),
-                right: tracks.len(),
-                cover_held: cover[0],
-                cover_told: cover[1],
-                plants_held: count[0],
-                plants_told: count[1],
-                height_held: height[0],
-                height_told: height[1],
-                same_plant: tracks_before.as_ref().and_then(|before| same(before, &tracks)),
-            });
-            (errors_before, tracks_before) = (errors, Some(tracks));
-        }
-        Ok(dates)
+        let found: Vec<(usize, [f64; 2])> = located
+            .iter()
+            .filter(|plant| plant.date == *date)
+            .map(|plant| (plant.plant, [plant.easting_m, plant.northing_m]))
+            .collect();
+        let tracks = matched(&visible, &found);
+        let held = |name: &str, of: fn(&PlotDay) -> f64| held(&values, &plot_days, date, name, of);
+        let [cover, count, height] = [
+            held("canopy_cover", |day| day.canopy_cover),
+            held("plants", |day| day.plants),
+            held("canopy_height_m", |day| day.canopy_height_m),
+        ];
+        let errors = match (&flight.placement, flight.gsd_m) {
+            (Some(placement), Some(gsd_m)) => {
+                let errors = target_errors(&file.root().join(&flight.project), |at| {
+                    placement.transform.apply(at)
+                })?;
+                Some((errors, gsd_m))
+            }
+            _ => None,
+        };
+        let apart = match (&errors_before, &errors) {
+            (Some((before, _)), Some((now, gsd_m))) => apart_m(before, now).map(|d| d / gsd_m),
+            _ => None,
+        };
+        dates.push(Date {
+            date: date.clone(),
+            day: flight.day,
+            apart_gsd: apart,
+            plants_true: visible.len(),
+            located: found.len(),
+            right: tracks.len(),
+            cover_held: cover[0],
+            cover_told: cover[1],
+            plants_held: count[0],
+            plants_told: count[1],
+            height_held: height[0],
+            height_told: height[1],
+            same_plant: tracks_before.as_ref().and_then(|before| same(before, &tracks)),
+        });
+        (errors_before, tracks_before) = (errors, Some(tracks));
     }
+    Ok(dates)
 }
 
 /// Plots whose true value lies in the interval, and those that have one.

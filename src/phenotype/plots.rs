@@ -74,9 +74,9 @@ pub fn height_percentile_95(mut heights_m: Vec<f32>) -> Option<f64> {
 /// says no more than to half a pixel, `1 / sqrt(12)`.
 const EDGE_SIGMA_PX: f64 = 0.288_675;
 
-/// Standard deviation of what the 95th percentile of all plots of a flight is off by, cells of the surface: root mean square of the mean errors
-/// of four flights and two dates of a season in docs/accuracy.md and docs/season.md (`benches/surface/compare.py`, `experiments season`; -0.1 to 3.4
-/// cells). Noise of heights makes most of it.
+/// Standard deviation of what the 95th percentile of all plots of a flight is off by, cells of the surface. Root mean square of six mean errors on
+/// synthetic flights: the four of docs/accuracy.md (`benches/surface/compare.py twin`; 4.0, 3.0, 1.1, 0.0 cm at 1.5 cm a cell), and bare soil and
+/// the plants of day 21 in `rowgram synth season` (1.1 and 2.4 cm at 7 mm). Noise of heights makes most of it.
 const HEIGHT_SIGMA_CELLS: f64 = 2.0;
 
 /// A leaf that was told apart; NaN where a number is not known.

@@ -1,9 +1,10 @@
 //! A whole area, tile by tile, and one ground under all of it.
 //!
 //! First all tiles with cells of twice the side, without the prior of colours, in layers that reach as far as heights may differ from
-//! the base, and farther where cells of eight times the side see trees or houses ([`Relief`]); their bare cells give the ground ([`Terrain`]), one lattice for the whole area, so that tiles have no steps. What
-//! usually stands above it there says how high the layers of the second pass have to reach, and trees and houses on a block how much higher on that block. Only one tile and the photos that it compares
-//! are in memory; tiles go to a store, and what an interrupted attempt has left there is not matched again.
+//! the base, and farther where cells of eight times the side see trees or houses ([`Relief`]); their bare cells give the ground
+//! ([`Terrain`]), one lattice for the whole area, so that tiles have no steps. What usually stands above it there says how high the
+//! layers of the second pass have to reach, and trees and houses on a block how much higher on that block. Only one tile and the
+//! photos that it compares are in memory; tiles go to a store, and what an interrupted attempt has left there is not matched again.
 
 use super::{
     DenseOptions, DenseTile, GroundPlaces, HeightCounts, LAYERS, MOST_LAYERS, Penalties,
@@ -31,9 +32,10 @@ const SURE: u8 = 80;
 const SPARE_M: f64 = 0.1;
 /// The layers of the second pass reach at least so high, metres: young plants, where nothing stands surely. Not measured.
 const LEAST_TOP_M: f64 = 0.3;
-/// Cells of the overview in which trees and houses are looked for, in coarse cells, and the values of a photo in each, across.
+// The next three were chosen while looking at the surfaces of three real flights (docs/accuracy.md), not by a measured optimum.
+/// Side of the cells in which trees and houses are looked for, in coarse cells, and the values of a photo in each, across.
 const OVERVIEW_CELLS: usize = 4;
-/// Costs of steps there: large cells of crowns are as rough as leaves and need more support. Looked at on the three real flights.
+/// Costs of steps there: large cells of crowns are as rough as leaves and need more support.
 const OVERVIEW_PENALTIES: Penalties = Penalties { step: 10, jump: 70, edge: 0.02 };
 /// Trees and houses are looked for where they may be so many times as far from the base as other heights.
 const RELIEF: f64 = 1.5;
@@ -255,7 +257,7 @@ impl<E: From<MapError> + Send> Area<'_, E> {
         Ok(found)
     }
 
-    /// The cells in which trees and houses on a part are looked for, and how; `None` where there are none.
+    /// The cells in which trees and houses on a part are looked for, and how; `None` where tie points speak of none.
     fn overview(&self, part: &Tile) -> Option<(Tile, DenseOptions)> {
         let range_m = self.options.relief_m;
         if range_m <= RELIEF * self.options.range_m {

@@ -15,8 +15,8 @@ const OVERLAP: usize = 16;
 /// Photos closer to the reference than this, per height of flight, say little of heights.
 const LEAST_BASE: f64 = 0.05;
 /// What layers that take no part cost more than those in which nothing fits: as much as the prior may add to these.
-const DISLIKED: u8 = 20;
-/// Layers between the usual and the most: less memory and time where these do.
+pub(super) const DISLIKED: u8 = 20;
+/// Between the usual and the most layers: less memory and time where so many are enough.
 const MIDDLE: usize = 2 * LAYERS;
 /// How far from its middle the pixels of leaves reach, in cells: at their edges they share pixels with soil.
 const LEAF_REACH: f64 = 0.75;
@@ -43,7 +43,7 @@ pub struct Block {
 /// A surface of larger cells that says which heights places may have besides usual ones above the ground, metres.
 pub(super) type Limits<'a> = (&'a Relief, [f64; 2]);
 
-/// Matches a block; `chosen` are the reference and the others ([`choose`]), `ground` gives the height of the ground at a place, for the prior.
+/// Matches a block from its reference and the others ([`choose`]); `ground` gives the height of the ground at a place, for the prior.
 /// `None` where the reference is not well above all layers.
 pub(super) fn match_block(
     photos: &[PosedPhoto<'_>],

@@ -13,11 +13,14 @@
 
 use super::{
     DenseOptions, DenseTile, LAYERS, MOST_LAYERS, Prior, Tile,
+    block::DISLIKED,
     rectify::{BlockPlane, greenness},
     sweep::WORST,
 };
 use std::ops::Range;
 
+// All numbers below were chosen while looking at the surfaces of three real flights (docs/accuracy.md), not by a measured optimum; on four
+// synthetic flights (`benches/surface/compare.py twin`) they change less than two in a hundred of the leaf cells within 5 cm.
 /// Confidence (of 255) from which a cell has a say.
 const SURE: u8 = 100;
 /// Cells around a cell, in each direction, whose median is its height.
@@ -25,7 +28,7 @@ const AROUND: usize = 2;
 /// Sure cells among those 25, at least.
 const LEAST_SURE: usize = 9;
 /// What layers cost that a place cannot have: more than those in which nothing fits, with all that the prior may add.
-const FORBIDDEN: u8 = WORST + 20;
+const FORBIDDEN: u8 = WORST + DISLIKED;
 /// Share of the cells of a block left out at either end.
 const TAIL: f64 = 0.01;
 /// What layers reach beyond that, in cells of the surface that says how far.

@@ -24,10 +24,11 @@ const LEAST_CELLS: usize = 4;
 const MOST_CELLS: f64 = 25.0;
 /// Least standard deviation of a bare cell, metres.
 const LEAST_SIGMA_M: f64 = 0.003;
-/// Cells around a node of which the lowest stand for the ground where none is bare, at least, and the share of those below it.
+/// Cells around a node of which the lowest stand for the ground where none is bare, at least, and the share of those below it: as robust
+/// as a low percentile of so few can be. Not measured.
 const LEAST_STANDING: usize = 16;
 const LOWEST: f64 = 0.05;
-/// Nodes of the coarsest lattice in each direction, at least.
+/// Nodes of the coarsest lattice in each direction, at least; it decides the time, not the result.
 const LEAST_NODES: usize = 8;
 /// Residuals of the equations that count as none, relative to their right-hand side: micrometres of a metre.
 const SOLVED: f64 = 1e-6;

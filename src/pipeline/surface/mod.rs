@@ -1,7 +1,7 @@
 //! The dense surface: what grows, the ground below it, and the height of the one over the other.
 //!
-//! For crops that stand on soil. Heights are looked for near the tie points, and what is not green is ground: trees and houses come
-//! out wrong, a lawn counts as canopy.
+//! For crops that stand on soil. Heights are looked for near the tie points and, on each block, as far beyond as larger cells see something.
+//! What is not green is ground unless it surely stands on it.
 
 mod range;
 mod store;
@@ -37,7 +37,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum GroundColour {
-    /// What is not green is ground, what is green is above it.
+    /// What is not green is ground unless it surely stands on it, what is green is above it.
     Soil,
     /// Colours say nothing: buildings, ripe crops, meadows.
     Any,
@@ -53,9 +53,10 @@ crate::options! {
         /// What is mapped: least x, least y, greatest x, greatest y; everything that photos show where not set.
         pub bounds_m: Option<[f64; 4]> = None, example "[500600.0, 4480100.0, 500700.0, 4480200.0]";
         /// How far above and below the surface of the tie points heights are looked for; auto takes it from how much neighbouring
-        /// tie points differ.
+        /// tie points differ, and trees and houses are looked for beyond it.
         pub range_m: Auto<f64> = Auto::Auto, limits between(0.05, 200.0);
-        /// What the ground looks like: soil, what is not green is ground; any, colours say nothing of heights.
+        /// What the ground looks like: soil, what is not green is ground unless it surely stands on it; any, colours
+        /// say nothing of heights.
         pub ground: GroundColour = GroundColour::Soil;
         /// How many photos are compared with the one nearest to a place.
         pub others: usize = 4, limits between(1.0, 8.0);

@@ -22,7 +22,8 @@ const RANGE_M: [f64; 2] = [0.5, 30.0];
 
 /// Side of the squares in which trees and houses are compared with what is around them, in cells: a coarse tile.
 const RELIEF_CELLS: f64 = 2048.0;
-/// Trees and houses stand up to so high above the surface of the tie points, in cells: a quarter to half of the height of flight.
+/// Trees and houses stand up to so high above the surface of the tie points, in cells: a quarter to half of the height of flight of usual
+/// cameras. Not measured.
 const MOST_RELIEF_CELLS: f64 = 1000.0;
 /// Fewer squares than this do not say what is usual; larger squares are tried.
 const LEAST_SQUARES: usize = 10;
