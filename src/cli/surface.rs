@@ -17,7 +17,7 @@ use std::path::PathBuf;
 /// bare) with dsm_sigma.tif and dtm_sigma.tif, their standard deviations, and chm.tif (the height of the one over the other); for every cell how sure its height is
 /// (confidence.tif, 0 to 255) and how many photos were compared (photos.tif); pictures and a profile in figures/.
 ///
-/// For crops that stand on soil. Hills, walls and houses come out too; crowns of trees need 80 % of overlap and more.
+/// For crops that stand on soil. Hills, walls and houses come out too; crowns of trees are noise where photos overlap by two thirds only.
 ///
 /// PROJECT is a folder after rowgram align and rowgram dem.
 ///

@@ -30,7 +30,8 @@ const LEAST_STANDING: usize = 16;
 const LOWEST: f64 = 0.05;
 /// Nodes of the coarsest lattice in each direction, at least; it decides the time, not the result.
 const LEAST_NODES: usize = 8;
-/// Residuals of the equations that count as none, relative to their right-hand side: micrometres of a metre.
+/// Residuals of the equations that count as none, relative to their right-hand side. Near data that is micrometres; far from any, where the
+/// ground is hardly determined, how the equations are solved moves it by decimetres to metres (a wood, `docs/accuracy.md`).
 const SOLVED: f64 = 1e-6;
 /// Rounds of reweighting.
 const ROUNDS: usize = 5;
