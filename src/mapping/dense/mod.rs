@@ -30,6 +30,7 @@ pub mod aggregate;
 pub mod area;
 pub mod block;
 pub mod counts;
+mod lattice;
 pub mod posterior;
 pub mod prior;
 pub mod rectify;

@@ -11,9 +11,9 @@
 //! say. Where nothing is bare the ground goes on with constant slope, and farther from bare cells than
 //! [`GroundPlaces::LOWEST_FROM_M`] it follows the lowest of what stands there (`d_i` the twentieth from below of all cells around the node,
 //! with the small weight that has a say from that distance on): meadows, lawns, fields that have closed. Its standard deviation comes from the
-//! weights of bare cells near a node and grows with the distance to them. Solved by conjugate gradients with the diagonal as preconditioner, first on
-//! lattices of twice the distance of nodes, whose solution is where the next begins.
+//! weights of bare cells near a node and grows with the distance to them.
 
+use super::lattice::Lattice;
 use std::collections::BTreeMap;
 
 /// Weight of the second differences relative to the usual node: relief of 2.5 nodes keeps four fifths of its height.
@@ -28,11 +28,6 @@ const LEAST_SIGMA_M: f64 = 0.003;
 /// as a low percentile of so few can be. Not measured.
 const LEAST_STANDING: usize = 16;
 const LOWEST: f64 = 0.05;
-/// Nodes of the coarsest lattice in each direction, at least; it decides the time, not the result.
-const LEAST_NODES: usize = 8;
-/// Residuals of the equations that count as none, relative to their right-hand side. Near data that is micrometres; far from any, where the
-/// ground is hardly determined, how the equations are solved moves it by decimetres to metres (a wood, `docs/accuracy.md`).
-const SOLVED: f64 = 1e-6;
 /// Rounds of reweighting.
 const ROUNDS: usize = 5;
 
@@ -145,14 +140,14 @@ impl GroundPlaces {
             size,
             data: data.iter().map(|d| d - mean_m).collect(),
             weight: vec![],
-            stiffness,
+            stiffness: [stiffness; 2],
         };
         let mut height = vec![];
         let mut robust = weight.clone();
         for _ in 0..ROUNDS {
             let of = |k: usize| if standing[k] { lowest } else { robust[k] };
             lattice.weight = (0..data.len()).map(of).collect();
-            height = lattice.solve(height);
+            height = lattice.solve(height).value;
             let off: Vec<f64> = (0..data.len()).map(|k| lattice.data[k] - height[k]).collect();
             let mut sizes: Vec<f64> =
                 (0..data.len()).filter(|&k| weight[k] > 0.0).map(|k| off[k].abs()).collect();
@@ -166,128 +161,6 @@ impl GroundPlaces {
         let mut terrain = Terrain { corner_m, node_m, size, height_m, sigma_m: vec![] };
         terrain.sigma_m = terrain.sigmas(&robust);
         Some(terrain)
-    }
-}
-
-/// Heights that follow data and bend little.
-struct Lattice {
-    /// Columns and rows.
-    size: [usize; 2],
-    data: Vec<f64>,
-    weight: Vec<f64>,
-    /// Of the second differences.
-    stiffness: f64,
-}
-
-impl Lattice {
-    /// The same with half the nodes in each direction; bending by as much is a quarter as stiff there.
-    fn coarser(&self) -> Lattice {
-        let size = self.size.map(|n| n.div_ceil(2));
-        let (mut data, mut weight) = (vec![0.0; size[0] * size[1]], vec![0.0; size[0] * size[1]]);
-        for (at, (&d, &w)) in self.data.iter().zip(&self.weight).enumerate() {
-            let to = at / self.size[0] / 2 * size[0] + at % self.size[0] / 2;
-            data[to] += w * d;
-            weight[to] += w;
-        }
-        data.iter_mut().zip(&weight).filter(|(_, w)| **w > 0.0).for_each(|(d, w)| *d /= w);
-        Lattice { size, data, weight, stiffness: self.stiffness / 4.0 }
-    }
-
-    /// Values of half the nodes in each direction, linear between them.
-    fn finer(&self, coarse: &[f64]) -> Vec<f64> {
-        let size = self.size.map(|n| n.div_ceil(2));
-        let of = |at: usize, k: usize| {
-            let at = (0.5 * at as f64 - 0.25).clamp(0.0, (size[k] - 1) as f64);
-            (at as usize, (at as usize + 1).min(size[k] - 1), at.fract())
-        };
-        let mut out = Vec::with_capacity(self.data.len());
-        for row in 0..self.size[1] {
-            let (up, down, t) = of(row, 1);
-            for column in 0..self.size[0] {
-                let (left, right, s) = of(column, 0);
-                let line = |row: usize| {
-                    coarse[row * size[0] + left] * (1.0 - s) + coarse[row * size[0] + right] * s
-                };
-                out.push(line(up) * (1.0 - t) + line(down) * t);
-            }
-        }
-        out
-    }
-
-    /// The three nodes of each second difference.
-    fn bends(&self, mut take: impl FnMut(usize, usize, usize)) {
-        let [columns, rows] = self.size;
-        for row in 0..rows {
-            for at in row * columns..(row + 1) * columns {
-                if at - row * columns >= 2 {
-                    take(at - 2, at - 1, at);
-                }
-                if row >= 2 {
-                    take(at - 2 * columns, at - columns, at);
-                }
-            }
-        }
-    }
-
-    /// Second differences weighted, and the data's own weights.
-    fn apply(&self, z: &[f64], out: &mut Vec<f64>) {
-        out.clear();
-        out.extend(z.iter().zip(&self.weight).map(|(z, w)| w * z));
-        self.bends(|a, b, c| {
-            let second = self.stiffness * (z[a] - 2.0 * z[b] + z[c]);
-            out[a] += second;
-            out[b] -= 2.0 * second;
-            out[c] += second;
-        });
-    }
-
-    /// One over the diagonal of the equations: weights of nodes differ by orders of magnitude.
-    fn inverse_diagonal(&self) -> Vec<f64> {
-        let mut diagonal = self.weight.clone();
-        self.bends(|a, b, c| {
-            diagonal[a] += self.stiffness;
-            diagonal[b] += 4.0 * self.stiffness;
-            diagonal[c] += self.stiffness;
-        });
-        diagonal.into_iter().map(|d| if d > 0.0 { 1.0 / d } else { 0.0 }).collect()
-    }
-
-    /// Conjugate gradients on the normal equations, from `start` or, where it is empty, from the solution of the coarser lattice.
-    fn solve(&self, start: Vec<f64>) -> Vec<f64> {
-        let mut z = match start.is_empty() {
-            false => start,
-            true if self.size.iter().any(|&n| n < LEAST_NODES) => vec![0.0; self.data.len()],
-            true => self.finer(&self.coarser().solve(vec![])),
-        };
-        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-        let scale = self.inverse_diagonal();
-        let scaled = |r: &[f64]| r.iter().zip(&scale).map(|(r, s)| r * s).collect::<Vec<f64>>();
-        let mut image = Vec::with_capacity(z.len());
-        self.apply(&z, &mut image);
-        let pull: Vec<f64> = self.data.iter().zip(&self.weight).map(|(d, w)| d * w).collect();
-        let mut residual: Vec<f64> = pull.iter().zip(&image).map(|(p, i)| p - i).collect();
-        let mut direction = scaled(&residual);
-        let mut size = dot(&residual, &direction);
-        let enough = dot(&pull, &scaled(&pull)) * SOLVED * SOLVED;
-        for _ in 0..4 * z.len().min(500) {
-            self.apply(&direction, &mut image);
-            let along = dot(&direction, &image);
-            if size <= enough || along <= 0.0 {
-                break;
-            }
-            let step = size / along;
-            for k in 0..z.len() {
-                z[k] += step * direction[k];
-                residual[k] -= step * image[k];
-            }
-            let next = residual.iter().zip(&scale).map(|(r, s)| r * r * s).sum::<f64>();
-            let ratio = next / size;
-            for k in 0..z.len() {
-                direction[k] = scale[k] * residual[k] + ratio * direction[k];
-            }
-            size = next;
-        }
-        z
     }
 }
 
