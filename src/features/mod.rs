@@ -148,6 +148,9 @@ impl Descriptors {
 pub trait DescriptorSource: Sync {
     /// The descriptors of a photo, by its index.
     fn descriptors(&self, photo: usize) -> Arc<Descriptors>;
+
+    /// None are needed for a while: what can be read again may leave the memory.
+    fn release(&self) {}
 }
 
 impl DescriptorSource for Vec<Arc<Descriptors>> {

@@ -57,7 +57,8 @@ pub fn doctor(
         let positions = project.config().project.positions.as_ref();
         let tabled = project.given(positions, &["geolocation.csv"]).is_some();
         found.extend(of_photos(&photos, tabled));
-        let forecast = Forecast::new(photos.len(), project.config().align.max_features);
+        let align = &project.config().align;
+        let forecast = Forecast::new(photos.len(), align.max_features, align.max_tie_observations);
         let threads = rayon::current_num_threads();
         found.push(forecast.diagnostic(threads, forecast::available_bytes()));
         let free = forecast::free_disk_bytes(&project.folder(Stage::Align));

@@ -1,13 +1,14 @@
 //! What a flight will take, before hours are spent on it: memory, processor time and disk of `align`.
 //!
 //! ```text
-//! memory = photos in work + descriptors in use + bytes a measurement * measurements,   measurements = F * share * N
+//! memory = photos in work + descriptors in use + bytes a photo * N + bytes a measurement * measurements
+//! measurements = min(F * share * N, M)
 //! time = seconds a photo * N,   disk = bytes of a feature * F * N
 //! ```
 //!
-//! with `N` photos and at most `F` features in each. The numbers come from `rowgram align` on one synthetic flight of 140 photos with
-//! 6,000 features and 70 % and 65 % of overlap (`docs/large.md`); other flights are extrapolation. That flight has 2,850 measurements a
-//! photo, 12 real photos of a meadow had 570; more overlap than its makes more of them.
+//! with `N` photos, at most `F` features in each, and at most `M` measurements that are adjusted. The numbers come from `rowgram align` on
+//! synthetic flights of 135 to 544 photos with 6,000 features (`docs/large.md`); other flights are extrapolation. Those with 75 % and 65 % of
+//! overlap have 4,700 measurements a photo, one with 70 % and 65 % 2,850, 12 real photos of a meadow 570.
 
 use super::align::DESCRIPTORS_IN_MEMORY_BYTES;
 use crate::monitor::Diagnostic;
@@ -16,10 +17,12 @@ use std::path::Path;
 /// Memory of photos in work and of the program itself: six photos of 9 and 12 megapixels took 180 MB with one thread, 190 with two.
 /// More threads were not measured.
 const WORK_BYTES: f64 = 200e6;
-/// Memory for each measurement of the adjusted block and its statistics: 714 MB for 400,000.
-const MEASUREMENT_BYTES: f64 = 1800.0;
-/// Share of the features that become measurements of tie points: 400,000 of 140 times 6,000.
-const MEASURED: f64 = 0.48;
+/// Memory for each measurement of the adjusted block and its statistics: 540 MB more at the end of a flight of 544 photos with 857,000.
+const MEASUREMENT_BYTES: f64 = 700.0;
+/// Memory for each feature of a photo, its matches and tracks included: 790 MB before the adjustment of that flight, less what is said above.
+const MATCHED_BYTES: f64 = 110.0;
+/// Share of the features that become measurements of tie points: 639,000 of 135 times 6,000.
+const MEASURED: f64 = 0.79;
 /// Disk for a feature, its matches included: the cache of those 140 photos has 136 MB. Of that 128 bytes are the descriptor in memory.
 const FEATURE_BYTES: f64 = 170.0;
 /// Processor time for a photo, seconds: 2.8 on that flight, 2.3 on 12 photos of 3 megapixels.
@@ -39,13 +42,17 @@ pub struct Forecast {
 }
 
 impl Forecast {
-    /// Of a flight of `photos` with at most `max_features` in each.
-    pub fn new(photos: usize, max_features: usize) -> Forecast {
+    /// Of a flight of `photos` with at most `max_features` in each, and at most `max_tie_observations` that are adjusted.
+    pub fn new(photos: usize, max_features: usize, max_tie_observations: usize) -> Forecast {
         let features = photos as f64 * max_features as f64;
+        let measurements = (MEASURED * features).min(max_tie_observations as f64);
         let descriptors = (FEATURE_BYTES * features).min(DESCRIPTORS_IN_MEMORY_BYTES as f64);
         Forecast {
             photos,
-            memory_bytes: WORK_BYTES + descriptors + MEASUREMENT_BYTES * MEASURED * features,
+            memory_bytes: WORK_BYTES
+                + descriptors
+                + MATCHED_BYTES * features
+                + MEASUREMENT_BYTES * measurements,
             processor_s: PHOTO_S * photos as f64,
             disk_bytes: FEATURE_BYTES * features,
         }
@@ -78,7 +85,7 @@ impl Forecast {
             Some(available) if available < self.memory_bytes => {
                 let message = format!("{message}; {} of memory are free", size(available));
                 Diagnostic::warning("memory-short", "align", message)
-                    .with_remedy("lower max_features in [align], or align parts of the flight")
+                    .with_remedy("lower max_features or max_tie_observations in [align], or align parts of the flight")
             }
             _ => Diagnostic::info("align-forecast", "align", message),
         }
@@ -121,7 +128,7 @@ mod tests {
     #[test]
     fn the_flight_that_was_measured_is_within_what_is_said() {
         // docs/large.md: 140 photos with 6,000 features took 714 MB at most and 396 s.
-        let said = Forecast::new(140, 6000);
+        let said = Forecast::new(140, 6000, 1_000_000);
         assert!((714e6..2.0 * 714e6).contains(&said.memory_bytes), "{said:?}");
         assert!((396.0..1.5 * 396.0).contains(&said.processor_s), "{said:?}");
         assert!((136e6..2.0 * 136e6).contains(&said.disk_bytes), "{said:?}");
@@ -129,7 +136,7 @@ mod tests {
 
     #[test]
     fn a_full_disk_is_told_before() {
-        let large = Forecast::new(5000, 6000);
+        let large = Forecast::new(5000, 6000, 1_000_000);
         assert_eq!(large.disk_diagnostic(Some(1e9)).unwrap().code, "disk-short");
         assert_eq!(large.disk_diagnostic(Some(1e12)), None);
         assert_eq!(large.disk_diagnostic(None), None);
@@ -144,10 +151,12 @@ mod tests {
 
     #[test]
     fn short_memory_is_a_warning() {
-        let large = Forecast::new(5000, 6000);
-        assert_eq!(large.diagnostic(8, Some(8e9)).code, "memory-short");
+        let large = Forecast::new(5000, 6000, 1_000_000);
+        assert_eq!(large.diagnostic(8, Some(4e9)).code, "memory-short");
         assert_eq!(large.diagnostic(8, Some(1e12)).code, "align-forecast");
         assert_eq!(large.diagnostic(8, None).code, "align-forecast");
-        assert!(Forecast::new(5000, 2000).memory_bytes < large.memory_bytes);
+        let fewer = Forecast::new(5000, 6000, 200_000);
+        assert!(fewer.memory_bytes < large.memory_bytes);
+        assert!(Forecast::new(5000, 2000, 1_000_000).memory_bytes < large.memory_bytes);
     }
 }

@@ -43,6 +43,7 @@ pub mod resection;
 pub mod rolling_shutter;
 pub mod start;
 pub mod tied;
+mod track_thinning;
 pub mod tracks;
 pub mod triangulate;
 pub mod verify;

@@ -57,6 +57,8 @@ const MOST_LEFT: f64 = 0.9;
 const LEAST_IMAGES: usize = 6;
 /// The gain that each of the new numbers must be worth.
 const WORTH: f64 = 4.0;
+/// How often photos that stand still are adjusted further, at most.
+const MOST_ATTEMPTS: usize = 10;
 /// The common displacement must be this many times its standard deviation.
 const SURE: f64 = 5.0;
 /// And longer than this on the ground, pixels.
@@ -106,32 +108,20 @@ pub fn estimate(
     let Some(mut problem) = ShutterProblem::of(block, known, flight, tie_sigma_px) else {
         return Ok(None);
     };
-    let still = adjust_survey(&mut problem.survey.clone())?;
     problem.survey.rolling_shutter = Some(shutter(ANY * problem.distance_m, readout_s));
     adjust_survey(&mut problem.survey)?;
-    let (drift, cost) = problem.readout_displacements(readout_s)?;
-    let survey = &problem.survey;
-    let freedom = survey.observations.len() as f64 * 2.0
-        - 3.0 * survey.points.len() as f64
-        - 9.0 * survey.images.len() as f64;
-    let variance = (2.0 * cost / freedom.max(1.0)).max(1e-12);
-    let gain = 2.0 * (still - cost) / variance;
-    let RollingShutterEstimate {
-        readout_displacement_m,
-        readout_displacement_px,
-        image_sigma_m,
-        ..
-    } = drift;
-    let deviation_m = image_sigma_m / (problem.directed() as f64).sqrt();
-    let sure = certain
-        || gain > WORTH * 3.0 * survey.images.len() as f64
-            && readout_displacement_m > SURE * deviation_m
-            && readout_displacement_px > LEAST_PX;
-    tracing::debug!(
-        "rolling shutter: {readout_displacement_m:.3} m ({readout_displacement_px:.1} px) +- {image_sigma_m:.3} in a readout, gain {gain:.0}{}",
-        if sure { "" } else { ", not enough" }
-    );
-    Ok(sure.then_some(drift))
+    let (drift, is_sure) = problem.judged(readout_s)?;
+    Ok((certain || is_sure).then_some(drift))
+}
+
+/// What became of a drift when the block was better known.
+pub enum Update {
+    /// Nothing can be said.
+    Unknown,
+    /// It is this.
+    Drift(Box<RollingShutterEstimate>),
+    /// Nothing speaks for one any more.
+    Still,
 }
 
 /// The drift once more, of a block that has one and is better known than when that was found.
@@ -143,13 +133,14 @@ pub fn update(
     known: &Known,
     flight: &[usize],
     tie_sigma_px: f64,
-) -> Result<Option<RollingShutterEstimate>, SolveError> {
-    let Some(RollingShutter { readout_s, .. }) = block.shutter else { return Ok(None) };
+    certain: bool,
+) -> Result<Update, SolveError> {
+    let Some(RollingShutter { readout_s, .. }) = block.shutter else { return Ok(Update::Unknown) };
     let Some(mut problem) = ShutterProblem::of(block, known, flight, tie_sigma_px) else {
-        return Ok(None);
+        return Ok(Update::Unknown);
     };
-    let (drift, _) = problem.readout_displacements(readout_s)?;
-    Ok(Some(drift))
+    let (drift, is_sure) = problem.judged(readout_s)?;
+    Ok(if certain || is_sure { Update::Drift(Box::new(drift)) } else { Update::Still })
 }
 
 impl RollingShutterEstimate {
@@ -159,6 +150,12 @@ impl RollingShutterEstimate {
         block.expected_motions.clone_from(&self.expected_motions);
         block.shutter = Some(self.shutter);
     }
+}
+
+/// Takes it out of a block.
+pub fn remove(block: &mut Block<'_>) {
+    block.motions.iter_mut().chain(&mut block.expected_motions).for_each(|m| *m = [0.0; 6]);
+    block.shutter = None;
 }
 
 fn shutter(sigma_m: f64, readout_s: f64) -> RollingShutter {
@@ -204,6 +201,55 @@ impl ShutterProblem {
     /// How many images have a direction.
     fn directed(&self) -> usize {
         self.along.iter().flatten().count()
+    }
+
+    /// The drift, and whether photos that stand still explain the measurements clearly worse.
+    fn judged(&mut self, readout_s: f64) -> Result<(RollingShutterEstimate, bool), SolveError> {
+        let (drift, cost) = self.readout_displacements(readout_s)?;
+        let survey = &self.survey;
+        let freedom = survey.observations.len() as f64 * 2.0
+            - 3.0 * survey.points.len() as f64
+            - 9.0 * survey.images.len() as f64;
+        let variance = (2.0 * cost / freedom.max(1.0)).max(1e-12);
+        let worth = WORTH * 3.0 * survey.images.len() as f64;
+        let deviation_m = drift.image_sigma_m / (self.directed() as f64).sqrt();
+        let is_seen = drift.readout_displacement_m > SURE * deviation_m
+            && drift.readout_displacement_px > LEAST_PX;
+        let gain = if is_seen {
+            2.0 * (self.still_cost(cost, 0.5 * worth * variance)? - cost) / variance
+        } else {
+            0.0
+        };
+        let is_sure = is_seen && gain > worth;
+        tracing::debug!(
+            "rolling shutter: {:.3} m ({:.1} px) +- {:.3} in a readout, gain {gain:.0}{}",
+            drift.readout_displacement_m,
+            drift.readout_displacement_px,
+            drift.image_sigma_m,
+            if is_sure { "" } else { ", not enough" }
+        );
+        Ok((drift, is_sure))
+    }
+
+    /// The cost without any motion, from where the block is with it. A block goes to its least cost slowly, so it is adjusted until a
+    /// difference of `worth` from `cost` is decided: what one has not yet gained would pass for a gain of the other.
+    fn still_cost(&self, cost: f64, worth: f64) -> Result<f64, SolveError> {
+        let mut still = self.survey.clone();
+        still.rolling_shutter = None;
+        for image in &mut still.images {
+            (image.motion, image.expected_motion) = ([0.0; 6], [0.0; 6]);
+        }
+        let mut found = adjust_survey(&mut still)?;
+        for _ in 0..MOST_ATTEMPTS {
+            let next = adjust_survey(&mut still)?;
+            let gained = found - next;
+            found = next;
+            // Were every further attempt worth half of the last.
+            if found - cost < worth || found - 2.0 * gained - cost > worth {
+                break;
+            }
+        }
+        Ok(found)
     }
 
     /// Estimates the common displacement and the spread about it, and all else with them; and the cost.
@@ -321,6 +367,15 @@ fn adjust_survey(survey: &mut Reconstruction) -> Result<f64, SolveError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{
+        camera::{Interior, Model},
+        mapping::View,
+        scene::{Axes, GroundPoint, Pose, Role},
+        sfm::{Features, tracks::Tracks},
+    };
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+    use std::collections::BTreeMap;
 
     #[test]
     fn steps_that_shrink_are_led_to_their_limit_and_others_are_not() {
@@ -345,5 +400,116 @@ mod tests {
         }
         assert_eq!(directions(&centres[..1]), [None]);
         assert_eq!(directions(&centres[..2]), [None, None], "two images may be a turn");
+    }
+
+    /// Three strips of six photos from 12 m, whose camera flies `readout_m` while a photo is read: features, tracks, points and
+    /// whatever is known, as it is after the block has found its frame without a shutter.
+    fn flight(
+        readout_m: f64,
+    ) -> (Vec<Features>, Tracks, Vec<Camera>, Vec<Pose>, Vec<[f64; 3]>, Known) {
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        let values = [480.0, 1.0, 299.5, 224.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+        let lens = Interior::new(Model::Brown, [600, 450], &values).unwrap();
+        let views: Vec<View> = (0..18)
+            .map(|k| {
+                let (strip, along) = (k / 6, k % 6);
+                let sense = if strip % 2 == 0 { 1.0 } else { -1.0 };
+                let x = 2.5 * f64::from(if sense > 0.0 { along } else { 5 - along });
+                let rotation = rotation::exp([0.02, -0.01, 0.03 * f64::from(along)]);
+                let pose = Pose::from_centre(rotation, [x, 4.0 * f64::from(strip), 12.0]);
+                let s = rotation::rotate(rotation, [-sense * readout_m, 0.0, 0.0]);
+                View::new("photo", lens, pose, Some([0.0, 0.0, 0.0, s[0], s[1], s[2]]))
+            })
+            .collect();
+        let mut features = vec![Features::default(); views.len()];
+        let mut matches: BTreeMap<[u32; 2], Vec<[u32; 2]>> = BTreeMap::new();
+        let mut points = vec![];
+        let mut noise =
+            |sigma: f64| sigma * (rng.random_range(-1.7..1.7) + rng.random_range(-0.1..0.1));
+        for k in 0..900 {
+            let at = [0.7 * f64::from(k % 30) - 4.0, 0.6 * f64::from(k / 30) - 5.0, noise(0.2)];
+            let mut last: Option<[u32; 2]> = None;
+            for (image, view) in views.iter().enumerate() {
+                let Some(px) = view.pixel(at) else { continue };
+                let of = &mut features[image].positions_px;
+                of.push(px.map(|v| v + noise(0.1)));
+                let own = [image as u32, of.len() as u32 - 1];
+                if let Some([image, feature]) = last {
+                    matches.entry([image, own[0]]).or_default().push([feature, own[1]]);
+                }
+                last = Some(own);
+            }
+            points.push(at);
+        }
+        let counts: Vec<usize> = features.iter().map(|of| of.positions_px.len()).collect();
+        let tracks = Tracks::join(&counts, matches.iter().map(|(pair, of)| (*pair, of.as_slice())));
+        let mut known = Known::default();
+        for (k, [x, y]) in [[-2.0, -3.0], [14.0, -3.0], [-2.0, 11.0], [14.0, 11.0], [6.0, 4.0]]
+            .into_iter()
+            .enumerate()
+        {
+            known.ground.push(GroundPoint {
+                name: format!("T{k}"),
+                position_m: [x, y, 0.0],
+                sigma_m: [0.01; 3],
+                role: Role::Control,
+                axes: Axes::Xyz,
+            });
+            for (image, view) in views.iter().enumerate() {
+                if let Some(px) = view.pixel([x, y, 0.0]) {
+                    let (image, ground) = (image as u32, k as u32);
+                    known.marks.push(GroundObservation {
+                        image,
+                        ground,
+                        image_px: px,
+                        sigma_px: 0.3,
+                    });
+                }
+            }
+        }
+        let poses = views.iter().map(|view| view.pose).collect();
+        (features, tracks, vec![Camera::new("drone", lens)], poses, points, known)
+    }
+
+    #[test]
+    fn a_rolling_shutter_is_told_from_none_and_a_wrong_one_is_taken_back() {
+        for readout_m in [0.0, 0.15] {
+            let (features, tracks, cameras, poses, points, known) = flight(readout_m);
+            let mut block = Block::new(&features, &tracks, &cameras);
+            block.poses = poses.into_iter().map(Some).collect();
+            let order: Vec<usize> = (0..18).collect();
+            for track in 0..tracks.count() {
+                let member = tracks.of(track)[0];
+                let at = features[member.image as usize].positions_px[member.feature as usize];
+                let pose = block.poses[member.image as usize].unwrap();
+                let off = |point: &[f64; 3]| {
+                    let px = cameras[0].interior.project(pose.to_camera(*point)).unwrap();
+                    (px[0] - at[0]).hypot(px[1] - at[1])
+                };
+                let nearest = points.iter().min_by(|a, b| off(a).total_cmp(&off(b)));
+                block.points[track] = nearest.copied();
+                block.used[tracks.places(track)].fill(true);
+            }
+            let found = estimate(&block, &known, &order, 0.1, 0.03, false).unwrap();
+            if readout_m == 0.0 {
+                assert_eq!(found, None);
+                // Somebody took it for one.
+                let forced = estimate(&block, &known, &order, 0.1, 0.03, true).unwrap().unwrap();
+                forced.apply(&mut block);
+                let update = update(&block, &known, &order, 0.1, false).unwrap();
+                assert!(matches!(update, Update::Still));
+                remove(&mut block);
+                assert!(
+                    block.shutter.is_none() && block.motions.iter().flatten().all(|&v| v == 0.0)
+                );
+            } else {
+                let found = found.unwrap();
+                let off_m = found.readout_displacement_m - readout_m;
+                assert!(off_m.abs() < 0.1 * readout_m, "{off_m}");
+                found.apply(&mut block);
+                let update = update(&block, &known, &order, 0.1, false).unwrap();
+                assert!(matches!(update, Update::Drift(_)));
+            }
+        }
     }
 }

@@ -87,15 +87,11 @@ impl Tracks {
         order.sort_by(|(a, of_a), (b, of_b)| of_b.len().cmp(&of_a.len()).then(a.cmp(b)));
         let counts: Vec<usize> = features.iter().map(|f| f.positions_px.len()).collect();
         let places: Vec<Vec<u32>> = features.iter().map(|f| places(&f.positions_px)).collect();
-        let of_places: Vec<([u32; 2], Vec<[u32; 2]>)> = order
-            .into_iter()
-            .map(|(images, matches)| {
-                let [first, second] = images.map(|image| &places[image as usize]);
-                let place = |&[a, b]: &[u32; 2]| [first[a as usize], second[b as usize]];
-                (images, matches.iter().map(place).collect())
-            })
-            .collect();
-        Tracks::join(&counts, of_places.iter().map(|(images, of)| (*images, of.as_slice())))
+        let of_places = order.into_iter().map(|(images, matches)| {
+            let [first, second] = images.map(|image| &places[image as usize]);
+            (images, matches.iter().map(|&[a, b]| [first[a as usize], second[b as usize]]))
+        });
+        Tracks::join_each(&counts, of_places)
     }
 
     /// Joins the matches of pairs, `([first image, second image], [[feature, feature], ..])`, given in
@@ -103,6 +99,13 @@ impl Tracks {
     pub fn join<'a>(
         features: &[usize],
         pairs: impl Iterator<Item = ([u32; 2], &'a [[u32; 2]])>,
+    ) -> Tracks {
+        Tracks::join_each(features, pairs.map(|(images, of)| (images, of.iter().copied())))
+    }
+
+    fn join_each<M: Iterator<Item = [u32; 2]>>(
+        features: &[usize],
+        pairs: impl Iterator<Item = ([u32; 2], M)>,
     ) -> Tracks {
         let mut offsets = vec![0u32];
         for count in features {
@@ -168,6 +171,26 @@ impl Tracks {
                 let image = tracks.members[place].image as usize;
                 tracks.of_images[image].push((track as u32, place as u32));
             }
+        }
+        tracks
+    }
+
+    /// The tracks that are marked, in their order.
+    pub(super) fn only(&self, kept: &[bool]) -> Tracks {
+        let mut tracks = Tracks {
+            starts: vec![0],
+            members: Vec::new(),
+            of_images: vec![Vec::new(); self.of_images.len()],
+            refused: self.refused,
+        };
+        for track in (0..self.count()).filter(|&track| kept[track]) {
+            let number = tracks.count() as u32;
+            for &member in self.of(track) {
+                let place = tracks.members.len() as u32;
+                tracks.of_images[member.image as usize].push((number, place));
+                tracks.members.push(member);
+            }
+            tracks.starts.push(tracks.members.len() as u32);
         }
         tracks
     }

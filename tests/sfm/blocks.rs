@@ -134,6 +134,7 @@ pub(super) fn adjusted_as(
     let read = |image: usize| Err(Error::Incomplete(format!("no photo {image}")));
     let photos = Photos { descriptors: &Vec::new(), matched: &flown.matched, read: &read };
     let options = BlockOptions {
+        max_tie_observations: usize::MAX,
         tolerance_px: 4.0,
         shutter: ShutterModel::Auto(0.03),
         guided_matching: When::Off,

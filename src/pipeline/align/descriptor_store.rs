@@ -131,6 +131,12 @@ impl DescriptorSource for DescriptorStore {
         }
         descriptors
     }
+
+    fn release(&self) {
+        let mut kept = self.kept();
+        kept.photos = HashMap::new();
+        kept.bytes = 0;
+    }
 }
 
 #[cfg(test)]
@@ -155,6 +161,9 @@ mod tests {
             assert!(kept.photos.len() <= 2 && kept.bytes == 1280 * kept.photos.len());
             assert!(kept.photos.contains_key(&photo));
         }
+        store.release();
+        assert!(store.kept().photos.is_empty());
+        assert_eq!(store.descriptors(4).as_bytes(), vec![4; 1280]);
         store.check().unwrap();
         std::fs::remove_file(folder.path().join("2.cbor")).unwrap();
         assert!(store.descriptors(2).is_empty());

@@ -158,12 +158,12 @@ struct StoredBlock {
 /// Orients the images.
 pub(super) fn orient<'a>(
     (features, tracks, cameras): (&'a [sfm::Features], &'a Tracks, &[Camera]),
-    (pairs, pairs_key): (&[Pair], Key),
+    (pairs, tracks_key): (&[Pair], Key),
     incremental: &IncrementalOptions,
     cache: &Cache,
     monitor: &mut dyn Monitor,
 ) -> Result<Vec<Block<'a>>, Error> {
-    let key = Key::begin().key(pairs_key).text(&format!("{incremental:?}")).finish();
+    let key = Key::begin().key(tracks_key).text(&format!("{incremental:?}")).finish();
     if let Some(stored) = cache.load::<Vec<StoredBlock>>(BLOCKS, key) {
         let restored = stored.into_iter().map(|stored| restore(stored, features, tracks, cameras));
         return restored.collect();

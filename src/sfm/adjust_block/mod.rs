@@ -79,6 +79,8 @@ pub struct BlockOptions {
     pub guided_matching: When,
     /// Whether tie points are measured again by least-squares matching.
     pub refine_tie_points: When,
+    /// The most image measurements of tie points that are adjusted ([`Tracks::thinned`](crate::sfm::tracks::Tracks::thinned)).
+    pub max_tie_observations: usize,
     /// Lens parameters to adjust; all but the aspect and rational terms where not set.
     pub free: Option<Vec<String>>,
     /// Whether the cameras are calibrated: then what they say themselves is free.

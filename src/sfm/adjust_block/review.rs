@@ -8,7 +8,7 @@ use crate::{
     scene::Reconstruction,
     sfm::{
         Block, Features,
-        georeference::{Known, MarkReview, axes_exchanged, review_marks},
+        georeference::{Known, MarkReview, axes_exchanged, control_left_m, review_marks},
         intrinsics::estimable,
         level::{HeightError, HeightReview, tilt_rad},
         triangulate::TriangulationOptions,
@@ -207,4 +207,27 @@ pub(super) fn prepare_cameras(
         }
     }
     Ok(())
+}
+
+/// Control that is this many times as far off as half of it is wrong.
+const GROSS_ERROR_RATIO: f64 = 8.0;
+
+/// The control point that the block contradicts most, and by how many metres.
+pub(super) fn worst_control(
+    block: &Block<'_>,
+    known: &Known,
+    sigma_m: f64,
+) -> Option<(usize, f64)> {
+    let mut left = control_left_m(block, known);
+    left.retain(|(ground, _)| !known.keep.contains(&known.ground[*ground].name));
+    if left.len() < 4 {
+        return None;
+    }
+    let mut sorted: Vec<f64> = left.iter().map(|(_, left)| *left).collect();
+    sorted.sort_by(f64::total_cmp);
+    let half = sorted[sorted.len() / 2];
+    let (index, most) = left.into_iter().max_by(|a, b| a.1.total_cmp(&b.1))?;
+    let given = known.ground[index].sigma_m.iter().copied().fold(0.0, f64::max);
+    let is_gross = most > GROSS_ERROR_RATIO * half && most > GROSS_ERROR_RATIO * given;
+    (is_gross && most > sigma_m).then_some((index, most))
 }

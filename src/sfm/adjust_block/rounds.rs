@@ -4,7 +4,7 @@ use super::{
     AdjustedBlock, BlockOptions, DatumInfo, Flight, MARK, Photos, SHUTTER, ShutterModel,
     determined::{keep_tied, snoop_determined},
     gsd_m,
-    review::{mark_triangulation, name_wrong_marks},
+    review::{mark_triangulation, name_wrong_marks, worst_control},
     triangulation,
 };
 use crate::{
@@ -19,7 +19,7 @@ use crate::{
         guided_matching::{GuidedMatchingOptions, match_guided},
         longer_tracks::{LongerTracksOptions, lengthen},
         refinement::{LeastSquaresMatchingOptions, MIN_REFINED, refine_tie_points},
-        rolling_shutter::{self, RollingShutterEstimate},
+        rolling_shutter::{self, RollingShutterEstimate, Update},
         tracks::Tracks,
         triangulate::TriangulationOptions,
     },
@@ -29,8 +29,6 @@ use std::collections::BTreeSet;
 /// Pixels, on the ground or in a photo, that control, image measurements and camera positions may be off by without being
 /// removed: what flights with a cheap lens leave at their borders.
 const MIN_ERROR_PX: f64 = 6.0;
-/// Control that is this many times as far off as half of it is wrong.
-const GROSS_ERROR_RATIO: f64 = 8.0;
 /// Control that is off by less than this many of its expected standard deviations may take part again.
 const AS_EXPECTED: f64 = 3.0;
 /// The most iterations of a round.
@@ -45,22 +43,6 @@ fn with_relaxed_sigmas(known: &Known, sigma_m: f64) -> Known {
         point.sigma_m = point.sigma_m.map(|sigma| sigma.max(sigma_m));
     }
     known
-}
-
-/// The control point that the block contradicts most, and by how many metres.
-fn worst_control(block: &Block<'_>, known: &Known, sigma_m: f64) -> Option<(usize, f64)> {
-    let mut left = georeference::control_left_m(block, known);
-    left.retain(|(ground, _)| !known.keep.contains(&known.ground[*ground].name));
-    if left.len() < 4 {
-        return None;
-    }
-    let mut sorted: Vec<f64> = left.iter().map(|(_, left)| *left).collect();
-    sorted.sort_by(f64::total_cmp);
-    let half = sorted[sorted.len() / 2];
-    let (index, most) = left.into_iter().max_by(|a, b| a.1.total_cmp(&b.1))?;
-    let given = known.ground[index].sigma_m.iter().copied().fold(0.0, f64::max);
-    let is_gross = most > GROSS_ERROR_RATIO * half && most > GROSS_ERROR_RATIO * given;
-    (is_gross && most > sigma_m).then_some((index, most))
 }
 
 /// One block in its frame, with everything that it is adjusted by.
@@ -94,6 +76,7 @@ impl BlockAdjuster<'_> {
             block = block.over(block.features, &guided);
             self.settle_rematched(&mut block, &known, &mut sigma_px, &mut found)?;
         }
+        self.photos.descriptors.release();
         if self.options.refine_tie_points.applies(&known) {
             refined = self.refine(&block, &mut found, monitor)?;
             block = block.over(&refined.0, &refined.1);
@@ -302,6 +285,7 @@ impl BlockAdjuster<'_> {
         let found = match_guided(block, descriptors, matched, &options, &|_| counter.tick());
         let pairs = found.iter().map(|pair| (pair.images, pair.matches.as_slice()));
         Tracks::of_pairs(block.features, pairs)
+            .thinned(block.features, self.options.max_tie_observations)
     }
 
     /// Its tie points, measured again in the photos: features and tracks.
@@ -336,7 +320,8 @@ impl BlockAdjuster<'_> {
             Diagnostic::warning("tie-points-not-refined", subject, message)
         }));
         let pairs = refined.matches.iter().map(|pair| (pair.images, pair.matches.as_slice()));
-        let tracks = Tracks::of_pairs(&refined.features, pairs);
+        let tracks = Tracks::of_pairs(&refined.features, pairs)
+            .thinned(&refined.features, self.options.max_tie_observations);
         Ok((refined.features, tracks))
     }
 
@@ -349,7 +334,7 @@ impl BlockAdjuster<'_> {
         block: &mut Block<'_>,
         known: &Known,
         sigma_px: &mut f64,
-        found: &mut [Diagnostic],
+        found: &mut Vec<Diagnostic>,
     ) -> Result<(), Error> {
         let tolerance_px = self.options.tolerance_px;
         let mut settle = |block: &mut Block<'_>, within_px: f64| -> Result<f64, Error> {
@@ -359,11 +344,20 @@ impl BlockAdjuster<'_> {
         };
         georeference::retriangulate_and_filter(block, &triangulation(tolerance_px));
         let sigma = settle(block, tolerance_px)?;
-        if let Some(estimate) = rolling_shutter::update(block, known, self.flight.order, sigma)? {
-            estimate.apply(block);
-            if let Some(said) = found.iter_mut().rfind(|diagnostic| diagnostic.code == SHUTTER) {
-                *said = self.shutter_diagnostic(&estimate);
+        let certain = matches!(self.options.shutter, ShutterModel::Rolling(_));
+        match rolling_shutter::update(block, known, self.flight.order, sigma, certain)? {
+            Update::Drift(estimate) => {
+                estimate.apply(block);
+                let mut said = found.iter_mut();
+                if let Some(said) = said.rfind(|diagnostic| diagnostic.code == SHUTTER) {
+                    *said = self.shutter_diagnostic(&estimate);
+                }
             }
+            Update::Still => {
+                rolling_shutter::remove(block);
+                found.retain(|diagnostic| diagnostic.code != SHUTTER);
+            }
+            Update::Unknown => {}
         }
         let sigma = settle(block, tolerance_px)?;
         settle(block, (6.0 * sigma).clamp(0.1 * tolerance_px, tolerance_px))?;
