@@ -26,6 +26,7 @@ mod drive;
 mod engine;
 mod evaluate;
 mod examples;
+mod faults;
 mod features;
 mod formats;
 mod leaves;
