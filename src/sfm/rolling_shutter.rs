@@ -51,8 +51,12 @@ const SPEED_SIGMA_RATIO: f64 = 0.1;
 const CALM: f64 = 0.03;
 /// And as a share of the distance of the ground, where nothing moves.
 const LEAST: f64 = 1e-4;
-/// Steps of the common displacement are led on to their limit where less than this share is left of each by the next.
-const MOST_LEFT: f64 = 0.9;
+/// How far images are off for each metre that the displacement expected of them is: at least so much, or else two expectations do not
+/// tell the right one.
+const LEAST_PULL: f64 = 0.02;
+/// Displacements that are looked at, at most, and the change that ends it, as a share.
+const MOST_STEPS: usize = 5;
+const CLOSE: f64 = 0.01;
 /// The fewest images whose direction must be known.
 const LEAST_IMAGES: usize = 6;
 /// The gain that each of the new numbers must be worth.
@@ -258,10 +262,21 @@ impl ShutterProblem {
         readout_s: f64,
     ) -> Result<(RollingShutterEstimate, f64), SolveError> {
         let (start_m, _) = common(&self.survey, &self.along);
-        let (first_m, ..) = self.about(start_m, SPEED_SIGMA_RATIO * start_m, readout_s)?;
-        let (second_m, image_sigma_m, _) =
-            self.about(first_m, SPEED_SIGMA_RATIO * first_m, readout_s)?;
-        let readout_displacement_m = limit([start_m, first_m, second_m]);
+        // The displacement about which images spread evenly, by the secant method.
+        let about_m = SPEED_SIGMA_RATIO * start_m;
+        let (mut readout_displacement_m, mut image_sigma_m) = (start_m, 0.0);
+        let mut last: Option<[f64; 2]> = None;
+        for _ in 0..MOST_STEPS {
+            let at_m = readout_displacement_m;
+            let (found_m, sigma_m, _) = self.about(at_m, about_m, readout_s)?;
+            image_sigma_m = sigma_m;
+            let own = [at_m, found_m - at_m];
+            readout_displacement_m = last.map_or(found_m, |last| evenly(last, own));
+            last = Some(own);
+            if (readout_displacement_m - at_m).abs() < CLOSE * at_m.abs() {
+                break;
+            }
+        }
         let sigma_m = image_sigma_m.max(CALM * readout_displacement_m.abs());
         let (readout_displacement_m, image_sigma_m, cost) =
             self.about(readout_displacement_m, sigma_m, readout_s)?;
@@ -307,12 +322,11 @@ impl ShutterProblem {
     }
 }
 
-/// Where steps lead of which each is the same share of the one before it. What images are found to fly on the whole
-/// is drawn to what was expected, and so comes nearer to what the measurements want by such steps.
-fn limit([start, first, second]: [f64; 3]) -> f64 {
-    let (step, next) = (first - start, second - first);
-    let share = next / step;
-    if (0.0..MOST_LEFT).contains(&share) { second + next * share / (1.0 - share) } else { second }
+/// Where images would not be off from what was expected on the whole, by two expectations `[displacement, how far images are off]`. Images are
+/// drawn to what is expected, and so are off by a share of the error only; where that is next to nothing, they lead as far as they are off.
+fn evenly([before, off_before]: [f64; 2], [at, off]: [f64; 2]) -> f64 {
+    let slope = (off - off_before) / (at - before);
+    if (-1.0..-LEAST_PULL).contains(&slope) { at - off / slope } else { at + off }
 }
 
 /// Mean and standard deviation of the displacements of images along their directions, metres.
@@ -378,15 +392,15 @@ mod tests {
     use std::collections::BTreeMap;
 
     #[test]
-    fn steps_that_shrink_are_led_to_their_limit_and_others_are_not() {
-        let steps = |share: f64| [1.0, 2.0, 2.0 + share];
-        assert!((limit(steps(0.5)) - 3.0).abs() < 1e-12);
-        assert!((limit(steps(0.9)) - 11.0).abs() < 1e-9);
-        for share in [-0.5, 0.99, 1.5, f64::NAN] {
-            let steps = steps(share);
-            assert!(limit(steps).to_bits() == steps[2].to_bits(), "{share}");
-        }
-        assert_eq!(limit([2.0, 2.0, 2.0]), 2.0);
+    fn two_expectations_lead_to_the_one_in_which_images_are_not_off() {
+        // Images that go a tenth of the way from what is expected to 0.12.
+        let off = |expected: f64| [expected, 0.1 * (0.12 - expected)];
+        assert!((evenly(off(0.3), off(0.28)) - 0.12).abs() < 1e-12);
+        assert!((evenly(off(0.0), off(0.02)) - 0.12).abs() < 1e-12);
+        // Nothing pulls, or away from the right one.
+        assert_eq!(evenly([0.3, 0.001], [0.2, 0.001]), 0.201);
+        assert!((evenly([0.3, 0.02], [0.2, 0.01]) - 0.21).abs() < 1e-12);
+        assert_eq!(evenly([0.2, 0.0], [0.2, 0.0]), 0.2);
     }
 
     #[test]
@@ -505,7 +519,7 @@ mod tests {
             } else {
                 let found = found.unwrap();
                 let off_m = found.readout_displacement_m - readout_m;
-                assert!(off_m.abs() < 0.1 * readout_m, "{off_m}");
+                assert!(off_m.abs() < 0.04 * readout_m, "{off_m}");
                 found.apply(&mut block);
                 let update = update(&block, &known, &order, 0.1, false).unwrap();
                 assert!(matches!(update, Update::Drift(_)));
