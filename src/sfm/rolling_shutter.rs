@@ -416,11 +416,18 @@ mod tests {
         assert_eq!(directions(&centres[..2]), [None, None], "two images may be a turn");
     }
 
+    struct Flown {
+        features: Vec<Features>,
+        tracks: Tracks,
+        cameras: Vec<Camera>,
+        poses: Vec<Pose>,
+        points_m: Vec<[f64; 3]>,
+        known: Known,
+    }
+
     /// Three strips of six photos from 12 m, whose camera flies `readout_m` while a photo is read: features, tracks, points and
     /// whatever is known, as it is after the block has found its frame without a shutter.
-    fn flight(
-        readout_m: f64,
-    ) -> (Vec<Features>, Tracks, Vec<Camera>, Vec<Pose>, Vec<[f64; 3]>, Known) {
+    fn flight(readout_m: f64) -> Flown {
         let mut rng = ChaCha8Rng::seed_from_u64(3);
         let values = [480.0, 1.0, 299.5, 224.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
         let lens = Interior::new(Model::Brown, [600, 450], &values).unwrap();
@@ -482,13 +489,14 @@ mod tests {
             }
         }
         let poses = views.iter().map(|view| view.pose).collect();
-        (features, tracks, vec![Camera::new("drone", lens)], poses, points, known)
+        let cameras = vec![Camera::new("drone", lens)];
+        Flown { features, tracks, cameras, poses, points_m: points, known }
     }
 
     #[test]
     fn a_rolling_shutter_is_told_from_none_and_a_wrong_one_is_taken_back() {
         for readout_m in [0.0, 0.15] {
-            let (features, tracks, cameras, poses, points, known) = flight(readout_m);
+            let Flown { features, tracks, cameras, poses, points_m, known } = flight(readout_m);
             let mut block = Block::new(&features, &tracks, &cameras);
             block.poses = poses.into_iter().map(Some).collect();
             let order: Vec<usize> = (0..18).collect();
@@ -500,7 +508,7 @@ mod tests {
                     let px = cameras[0].interior.project(pose.to_camera(*point)).unwrap();
                     (px[0] - at[0]).hypot(px[1] - at[1])
                 };
-                let nearest = points.iter().min_by(|a, b| off(a).total_cmp(&off(b)));
+                let nearest = points_m.iter().min_by(|a, b| off(a).total_cmp(&off(b)));
                 block.points[track] = nearest.copied();
                 block.used[tracks.places(track)].fill(true);
             }

@@ -29,9 +29,9 @@ pub enum Prior {
 }
 
 /// Tolerance `t` of heights above the ground, metres.
-const TOLERANCE_M: f64 = 0.04;
+const TOLERANCE_M: f32 = 0.04;
 /// Least height `l` of leaves above the ground, metres.
-const LEAF_M: f64 = 0.03;
+const LEAF_M: f32 = 0.03;
 
 impl Default for Prior {
     fn default() -> Prior {
@@ -59,37 +59,47 @@ impl Prior {
         }
     }
 
-    /// The cost of a pixel so green at a height above the ground.
-    pub fn cost(&self, green: i16, above_m: f64) -> u8 {
-        let Prior::GreenOnSoil { soil, leaf, soil_below, leaf_from } = *self else { return 0 };
-        let of = |most: u8, excess_m: f64| {
-            (f64::from(most) * (excess_m / TOLERANCE_M).clamp(0.0, 1.0)) as u8
-        };
-        if green < soil_below {
-            of(soil, above_m.abs() - TOLERANCE_M)
-        } else if green >= leaf_from {
-            of(leaf, LEAF_M - above_m)
-        } else {
-            0
+    /// The cost of a pixel so green at a height above the ground, metres; none where that is not known (NaN).
+    pub fn cost(&self, green: i16, above_m: f32) -> u8 {
+        price(self.most(green), above_m)
+    }
+
+    /// What a pixel so green costs at most off the ground, and on it.
+    fn most(&self, green: i16) -> [f32; 2] {
+        match *self {
+            Prior::GreenOnSoil { soil, soil_below, .. } if green < soil_below => {
+                [f32::from(soil), 0.0]
+            }
+            Prior::GreenOnSoil { leaf, leaf_from, .. } if green >= leaf_from => {
+                [0.0, f32::from(leaf)]
+            }
+            _ => [0.0; 2],
         }
     }
 
     /// Adds the costs of all pixels and layers. `ground_m` is the height of the ground at each pixel above the plane of the
     /// block, NaN where not known.
     pub(super) fn add(&self, costs: &mut [u8], green: &[i16], ground_m: &[f32], heights_m: &[f64]) {
-        let Prior::GreenOnSoil { soil, leaf, soil_below, leaf_from } = *self else { return };
+        if !self.needs_ground() {
+            return;
+        }
         // What colours cost at most does not depend on the height.
-        let most = |&green: &i16| match green {
-            green if green < soil_below => [f32::from(soil), 0.0],
-            green if green >= leaf_from => [0.0, f32::from(leaf)],
-            _ => [0.0; 2],
-        };
-        let most: Vec<[f32; 2]> = green.iter().map(most).collect();
+        let most: Vec<[f32; 2]> = green.iter().map(|&green| self.most(green)).collect();
         for (layer, &height_m) in costs.chunks_exact_mut(green.len()).zip(heights_m) {
             let height_m = height_m as f32;
             pulp::Arch::new().dispatch(Add { layer, most: &most, ground_m, height_m });
         }
     }
+}
+
+/// The cost at a height above the ground of what costs so much at most off the ground, and on it. Where the height is no number
+/// neither is the sum, and the cost is 0.
+#[inline(always)]
+fn price([soil, leaf]: [f32; 2], above_m: f32) -> u8 {
+    const SLOPE: f32 = 1.0 / TOLERANCE_M;
+    let off = ((above_m.abs() - TOLERANCE_M) * SLOPE).clamp(0.0, 1.0);
+    let on = ((LEAF_M - above_m) * SLOPE).clamp(0.0, 1.0);
+    (soil * off + leaf * on) as u8
 }
 
 /// The costs of colours in one layer.
@@ -106,14 +116,9 @@ impl pulp::WithSimd for Add<'_> {
 
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, _: S) {
-        const SLOPE: f32 = 1.0 / TOLERANCE_M as f32;
         let Add { layer, most, ground_m, height_m } = self;
-        for ((cost, [soil, leaf]), &ground_m) in layer.iter_mut().zip(most).zip(ground_m) {
-            let above_m = height_m - ground_m;
-            let off = ((above_m.abs() - TOLERANCE_M as f32) * SLOPE).clamp(0.0, 1.0);
-            let on = ((LEAF_M as f32 - above_m) * SLOPE).clamp(0.0, 1.0);
-            // Where the ground is not known this is no number, and adds nothing.
-            *cost = cost.saturating_add((soil * off + leaf * on) as u8);
+        for ((cost, &most), &ground_m) in layer.iter_mut().zip(most).zip(ground_m) {
+            *cost = cost.saturating_add(price(most, height_m - ground_m));
         }
     }
 }
@@ -144,15 +149,8 @@ mod tests {
         let mut costs = vec![30; 800];
         prior.add(&mut costs, &green, &ground_m, &heights_m);
         for (at, &cost) in costs.iter().enumerate() {
-            let (pixel, height_m) = (at % 200, heights_m[at / 200]);
-            let expected = match ground_m[pixel] {
-                ground if ground.is_finite() => {
-                    prior.cost(green[pixel], height_m - f64::from(ground))
-                }
-                _ => 0,
-            };
-            // A cost is a whole number, which rounding may move by one.
-            assert!(cost.abs_diff(30 + expected) <= 1, "{at}: {cost} {expected}");
+            let (pixel, height_m) = (at % 200, heights_m[at / 200] as f32);
+            assert_eq!(cost, 30 + prior.cost(green[pixel], height_m - ground_m[pixel]), "{at}");
         }
         assert_eq!(costs[7], 30);
     }

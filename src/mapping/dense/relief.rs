@@ -74,12 +74,8 @@ pub(super) struct Colours<'a> {
 
 impl Colours<'_> {
     fn added(&self, pixel: usize, height_m: f64) -> u8 {
-        match self.ground_m.get(pixel) {
-            Some(ground_m) if ground_m.is_finite() => {
-                self.prior.cost(self.green[pixel], height_m - f64::from(*ground_m))
-            }
-            _ => 0,
-        }
+        let of = |ground_m: &f32| self.prior.cost(self.green[pixel], height_m as f32 - ground_m);
+        self.ground_m.get(pixel).map_or(0, of)
     }
 }
 
