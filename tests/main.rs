@@ -26,6 +26,7 @@ mod drive;
 mod engine;
 mod evaluate;
 mod examples;
+#[cfg(target_os = "linux")]
 mod faults;
 mod features;
 mod formats;

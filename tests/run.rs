@@ -71,6 +71,16 @@ pub(crate) fn orthomosaic(folder: &Path) {
     fs::write(folder.join("rowgram.toml"), settings).unwrap();
 }
 
+/// Two projects of the same orthomosaic, named so.
+pub(crate) fn two_alike(folder: &Path, names: [&str; 2]) -> [PathBuf; 2] {
+    names.map(|name| {
+        let project = folder.join(name);
+        orthomosaic(&project);
+        fs::remove_dir_all(folder.join("grown")).unwrap();
+        project
+    })
+}
+
 /// What a run leaves that has to be the same again: all files of its stages.
 pub(crate) fn results(project: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let stages = ["segment", "leaf-density", "leaf-count", "locate", "leaves", "plots", "evaluate"];
@@ -194,10 +204,7 @@ fn an_orthomosaic_alone_is_a_project() {
 #[ignore = "slow; cargo test -- --include-ignored"]
 fn a_run_that_was_killed_goes_on_to_the_same_bytes() {
     let folder = tempfile::tempdir().unwrap();
-    let (whole, killed) = (folder.path().join("whole"), folder.path().join("killed"));
-    orthomosaic(&whole);
-    fs::remove_dir_all(folder.path().join("grown")).unwrap();
-    orthomosaic(&killed);
+    let [whole, killed] = two_alike(folder.path(), ["whole", "killed"]);
     let done = rowgram(folder.path(), "run whole -q");
     assert_eq!(done.code, 0, "{}", done.stderr);
     // Killed later and later, until a kill has met it with some stages done and others not.

@@ -37,7 +37,7 @@ daemons+=("$workflow")
 
 # Node n1 dies when tasks have been finished and it has one under way.
 under_way() {
-    [[ $(find "$work/there" -path '*done*' -type f 2>/dev/null | wc -l) -gt 3 || $(grep -c '^Finished jobid' "$work/snakemake.log") -gt 3 ]] &&
+    [[ $(grep -c '^Finished jobid' "$work/snakemake.log") -gt 3 ]] &&
         [[ -n $(squeue --noheader --states=R --nodelist=n1) ]] && pgrep -f "^$program .*--threads 1 --quiet" >/dev/null
 }
 await 240 'a task on node n1 after others' under_way
@@ -47,7 +47,8 @@ await 90 'node n1 found down' n1_is_lost
 
 wait "$workflow" || fail 'the workflow failed'
 await 60 'the end of all jobs' no_jobs_left
-printf 'slurm: %s\n' "$(grep -m1 -i 'requeue\|node_fail' "$work/slurmctld.log" || echo 'nothing was requeued')"
+grep -q -i 'requeue' "$work/slurmctld.log" || fail 'no job was requeued'
+printf 'slurm: %s\n' "$(grep -i -m1 'requeue' "$work/slurmctld.log")"
 
 # Tables, clouds and rasters: all that has no path in it.
 compared=0

@@ -52,16 +52,16 @@ const CALM: f64 = 0.03;
 /// And as a share of the distance of the ground, where nothing moves.
 const LEAST: f64 = 1e-4;
 /// How far images are off for each metre that the displacement expected of them is: at least so much, or else two expectations do not
-/// tell the right one.
+/// tell the right one. Not searched for.
 const LEAST_PULL: f64 = 0.02;
-/// Displacements that are looked at, at most, and the change that ends it, as a share.
+/// Displacements that are looked at, at most, and the change that ends it, as a share of it. Neither was searched for.
 const MOST_STEPS: usize = 5;
 const CLOSE: f64 = 0.01;
 /// The fewest images whose direction must be known.
 const LEAST_IMAGES: usize = 6;
 /// The gain that each of the new numbers must be worth.
 const WORTH: f64 = 4.0;
-/// How often photos that stand still are adjusted further, at most.
+/// How often a block with a global shutter is adjusted further, at most. Not searched for.
 const MOST_ATTEMPTS: usize = 10;
 /// The common displacement must be this many times its standard deviation.
 const SURE: f64 = 5.0;
@@ -114,18 +114,18 @@ pub fn estimate(
     };
     problem.survey.rolling_shutter = Some(shutter(ANY * problem.distance_m, readout_s));
     adjust_survey(&mut problem.survey)?;
-    let (drift, is_sure) = problem.judged(readout_s)?;
-    Ok((certain || is_sure).then_some(drift))
+    let (drift, is_sure) = problem.judged(readout_s, certain)?;
+    Ok(is_sure.then_some(drift))
 }
 
-/// What became of a drift when the block was better known.
+/// What became of a rolling shutter when the block was better known.
 pub enum Update {
     /// Nothing can be said.
     Unknown,
-    /// It is this.
-    Drift(Box<RollingShutterEstimate>),
+    /// It moves images by this.
+    Rolling(Box<RollingShutterEstimate>),
     /// Nothing speaks for one any more.
-    Still,
+    Global,
 }
 
 /// The drift once more, of a block that has one and is better known than when that was found.
@@ -143,8 +143,8 @@ pub fn update(
     let Some(mut problem) = ShutterProblem::of(block, known, flight, tie_sigma_px) else {
         return Ok(Update::Unknown);
     };
-    let (drift, is_sure) = problem.judged(readout_s)?;
-    Ok(if certain || is_sure { Update::Drift(Box::new(drift)) } else { Update::Still })
+    let (drift, is_sure) = problem.judged(readout_s, certain)?;
+    Ok(if is_sure { Update::Rolling(Box::new(drift)) } else { Update::Global })
 }
 
 impl RollingShutterEstimate {
@@ -207,9 +207,16 @@ impl ShutterProblem {
         self.along.iter().flatten().count()
     }
 
-    /// The drift, and whether photos that stand still explain the measurements clearly worse.
-    fn judged(&mut self, readout_s: f64) -> Result<(RollingShutterEstimate, bool), SolveError> {
+    /// The drift, and whether it is there: because somebody is `certain`, or a global shutter explains the measurements clearly worse.
+    fn judged(
+        &mut self,
+        readout_s: f64,
+        certain: bool,
+    ) -> Result<(RollingShutterEstimate, bool), SolveError> {
         let (drift, cost) = self.readout_displacements(readout_s)?;
+        if certain {
+            return Ok((drift, true));
+        }
         let survey = &self.survey;
         let freedom = survey.observations.len() as f64 * 2.0
             - 3.0 * survey.points.len() as f64
@@ -220,7 +227,7 @@ impl ShutterProblem {
         let is_seen = drift.readout_displacement_m > SURE * deviation_m
             && drift.readout_displacement_px > LEAST_PX;
         let gain = if is_seen {
-            2.0 * (self.still_cost(cost, 0.5 * worth * variance)? - cost) / variance
+            2.0 * (self.global_shutter_cost(cost, 0.5 * worth * variance)? - cost) / variance
         } else {
             0.0
         };
@@ -237,7 +244,7 @@ impl ShutterProblem {
 
     /// The cost without any motion, from where the block is with it. A block goes to its least cost slowly, so it is adjusted until a
     /// difference of `worth` from `cost` is decided: what one has not yet gained would pass for a gain of the other.
-    fn still_cost(&self, cost: f64, worth: f64) -> Result<f64, SolveError> {
+    fn global_shutter_cost(&self, cost: f64, worth: f64) -> Result<f64, SolveError> {
         let mut still = self.survey.clone();
         still.rolling_shutter = None;
         for image in &mut still.images {
@@ -519,7 +526,7 @@ mod tests {
                 let forced = estimate(&block, &known, &order, 0.1, 0.03, true).unwrap().unwrap();
                 forced.apply(&mut block);
                 let update = update(&block, &known, &order, 0.1, false).unwrap();
-                assert!(matches!(update, Update::Still));
+                assert!(matches!(update, Update::Global));
                 remove(&mut block);
                 assert!(
                     block.shutter.is_none() && block.motions.iter().flatten().all(|&v| v == 0.0)
@@ -530,7 +537,7 @@ mod tests {
                 assert!(off_m.abs() < 0.04 * readout_m, "{off_m}");
                 found.apply(&mut block);
                 let update = update(&block, &known, &order, 0.1, false).unwrap();
-                assert!(matches!(update, Update::Drift(_)));
+                assert!(matches!(update, Update::Rolling(_)));
             }
         }
     }

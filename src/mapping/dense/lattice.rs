@@ -10,7 +10,7 @@
 //! M^-1 = sum_l P_l D_l^-1 P_l^T + P_L A_L^+ P_L^T
 //! ```
 //!
-//! `P_l` carries values of lattice `l` to the finest one, linear between nodes at each step, which in the limit are quadratic splines: smooth
+//! `P_l` prolongs values of lattice `l` to the finest one, linear between nodes at each step, which in the limit gives quadratic splines: smooth
 //! enough for second differences. `D_l` is the diagonal of `A_l = P_l^T A P_l`, with `A` the matrix of the normal equations and `L` the coarsest
 //! lattice. The number of iterations then hardly depends on the number of nodes or on how far they are from data (J. H. Bramble,
 //! J. E. Pasciak, J. Xu, *Parallel multilevel preconditioners*, Mathematics of Computation 1990).
@@ -18,14 +18,15 @@
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-/// Nodes of the coarsest lattice in a direction, at most: its equations are solved directly.
+/// Nodes of the coarsest lattice in a direction, at most: its equations, 16 at most, are solved directly.
 const FEW_NODES: usize = 4;
-/// The error that counts as none, in the norm that is minimised and relative to the data. A wood of 100 m by 30 m whose ground hangs on the
-/// smallest weights is right within a centimetre then.
+/// The error that counts as none, in the norm that is minimised and relative to the data. By arithmetic, a wood of 100 m by 30 m whose ground
+/// hangs on the smallest weights is right within a centimetre then.
 const SOLVED: f64 = 1e-7;
-/// Iterations, at most.
+/// Iterations, at most. The tests of this file need fewer than 120.
 const MOST_ITERATIONS: usize = 1000;
-/// Eigenvalues of the coarsest equations below this, relative to the largest, belong to what no data determine.
+/// Eigenvalues of the coarsest equations below this, relative to the largest, belong to what no data determine: rounding leaves them at
+/// about 1e-16.
 const SINGULAR: f64 = 1e-12;
 
 /// Data of a lattice, row by row.
@@ -54,17 +55,17 @@ impl Lattice {
     pub(super) fn solve(&self, start: Vec<f64>) -> Solution {
         let nodes = self.weight.len();
         let mut value = if start.is_empty() { vec![0.0; nodes] } else { start };
-        let pull: Vec<f64> = self.data.iter().zip(&self.weight).map(|(d, w)| d * w).collect();
+        let right_side: Vec<f64> = self.data.iter().zip(&self.weight).map(|(d, w)| d * w).collect();
         let mut levels = Levels::new(Equations {
             size: self.size,
             weight: self.weight.clone(),
             stiffness: self.stiffness,
         });
         let (mut image, mut scaled) = (vec![0.0; nodes], vec![0.0; nodes]);
-        levels.precondition(&pull, &mut scaled);
-        let enough = self.dot(&pull, &scaled) * SOLVED * SOLVED;
+        levels.precondition(&right_side, &mut scaled);
+        let enough = self.dot(&right_side, &scaled) * SOLVED * SOLVED;
         levels.finest.apply(&value, &mut image);
-        let mut residual: Vec<f64> = pull.iter().zip(&image).map(|(p, i)| p - i).collect();
+        let mut residual: Vec<f64> = right_side.iter().zip(&image).map(|(p, i)| p - i).collect();
         levels.precondition(&residual, &mut scaled);
         let mut direction = scaled.clone();
         let mut size = self.dot(&residual, &scaled);
@@ -148,9 +149,9 @@ impl Equations {
         });
     }
 
-    /// The diagonal of the equations of a coarser lattice, whose nodes spread over those of this one as `lines` says.
-    fn diagonal(&self, lines: &[Line; 2]) -> Vec<f64> {
-        let [x, y] = lines;
+    /// The diagonal of the equations of a coarser lattice, whose nodes spread over those of this one as `bases` says.
+    fn diagonal(&self, bases: &[Basis; 2]) -> Vec<f64> {
+        let [x, y] = bases;
         let mut between = vec![0.0; x.nodes * self.size[1]];
         between.par_chunks_mut(x.nodes).zip(self.weight.par_chunks(self.size[0])).for_each(
             |(out, weight)| {
@@ -166,8 +167,8 @@ impl Equations {
                 out.iter_mut().zip(line).for_each(|(out, w)| *out += share * share * w);
             }
         }
-        let [across, down] = lines.each_ref().map(Line::bends);
-        let [wide, high] = lines.each_ref().map(Line::squares);
+        let [across, down] = bases.each_ref().map(Basis::bending_energies);
+        let [wide, high] = bases.each_ref().map(Basis::squared_norms);
         for (at, out) in out.iter_mut().enumerate() {
             let (column, row) = (at % x.nodes, at / x.nodes);
             *out += self.stiffness[0] * across[column] * high[row]
@@ -177,26 +178,26 @@ impl Equations {
     }
 }
 
-/// How the nodes of a coarser line spread over those of the finest.
-struct Line {
+/// The basis functions of a coarser line: how its nodes spread over those of the finest.
+struct Basis {
     /// Coarse nodes.
     nodes: usize,
     /// Of each fine node: coarse nodes and how much of its value is theirs.
     shares: Vec<Vec<(usize, f64)>>,
 }
 
-impl Line {
+impl Basis {
     /// The finest line itself.
-    fn finest(nodes: usize) -> Line {
-        Line { nodes, shares: (0..nodes).map(|k| vec![(k, 1.0)]).collect() }
+    fn finest(nodes: usize) -> Basis {
+        Basis { nodes, shares: (0..nodes).map(|k| vec![(k, 1.0)]).collect() }
     }
 
     /// That of half the nodes.
-    fn coarser(&self, steps: &Steps) -> Line {
+    fn coarser(&self, interpolation: &Interpolation) -> Basis {
         let of = |shares: &Vec<(usize, f64)>| {
             let mut out: Vec<(usize, f64)> = vec![];
             for &(k, share) in shares {
-                for (to, part) in steps.of(k) {
+                for (to, part) in interpolation.of(k) {
                     match out.iter_mut().find(|(node, _)| *node == to) {
                         Some((_, sum)) => *sum += share * part,
                         None => out.push((to, share * part)),
@@ -205,18 +206,18 @@ impl Line {
             }
             out
         };
-        Line { nodes: steps.coarse, shares: self.shares.iter().map(of).collect() }
+        Basis { nodes: interpolation.coarse, shares: self.shares.iter().map(of).collect() }
     }
 
-    /// The sum of squares of each coarse node's spread.
-    fn squares(&self) -> Vec<f64> {
+    /// The sum of squares of each basis function.
+    fn squared_norms(&self) -> Vec<f64> {
         let mut out = vec![0.0; self.nodes];
         self.shares.iter().flatten().for_each(|&(to, share)| out[to] += share * share);
         out
     }
 
     /// The sum of squares of its second differences.
-    fn bends(&self) -> Vec<f64> {
+    fn bending_energies(&self) -> Vec<f64> {
         let mut out = vec![0.0; self.nodes];
         for three in self.shares.windows(3) {
             let nodes = three.iter().flatten().map(|&(to, _)| to);
@@ -232,18 +233,18 @@ impl Line {
     }
 }
 
-/// Places of the nodes of a line among those of half as many.
-struct Steps {
+/// Linear interpolation from half as many nodes of a line: the places of its nodes among these.
+struct Interpolation {
     fine: usize,
     coarse: usize,
     /// The nearer end of the pair of coarse nodes, and how far between them (beyond them at the ends of the line).
     at: Vec<(usize, f64)>,
 }
 
-impl Steps {
-    fn new(fine: usize) -> Steps {
+impl Interpolation {
+    fn new(fine: usize) -> Interpolation {
         if fine <= FEW_NODES {
-            return Steps { fine, coarse: fine, at: (0..fine).map(|k| (k, 0.0)).collect() };
+            return Interpolation { fine, coarse: fine, at: (0..fine).map(|k| (k, 0.0)).collect() };
         }
         let coarse = fine.div_ceil(2);
         let of = |k: usize| {
@@ -251,7 +252,7 @@ impl Steps {
             let low = (at.max(0.0) as usize).min(coarse - 2);
             (low, at - low as f64)
         };
-        Steps { fine, coarse, at: (0..fine).map(of).collect() }
+        Interpolation { fine, coarse, at: (0..fine).map(of).collect() }
     }
 
     /// The coarse nodes of a fine one and their shares.
@@ -262,7 +263,7 @@ impl Steps {
 }
 
 struct Level {
-    steps: [Steps; 2],
+    interpolation: [Interpolation; 2],
     inverse_diagonal: Vec<f64>,
     /// Of the coarse nodes: what is carried to them, and what comes back.
     residual: Vec<f64>,
@@ -286,18 +287,18 @@ fn inverses(diagonal: Vec<f64>) -> Vec<f64> {
 impl Levels {
     fn new(finest: Equations) -> Levels {
         let mut size = finest.size;
-        let mut lines = size.map(Line::finest);
-        let inverse_diagonal = inverses(finest.diagonal(&lines));
+        let mut bases = size.map(Basis::finest);
+        let inverse_diagonal = inverses(finest.diagonal(&bases));
         let mut levels = vec![];
         while size.iter().any(|&n| n > FEW_NODES) {
-            let steps = size.map(Steps::new);
-            lines = [0, 1].map(|k| lines[k].coarser(&steps[k]));
-            let between = vec![0.0; steps[0].coarse * size[1]];
-            size = [0, 1].map(|k| steps[k].coarse);
+            let interpolation = size.map(Interpolation::new);
+            bases = [0, 1].map(|k| bases[k].coarser(&interpolation[k]));
+            let between = vec![0.0; interpolation[0].coarse * size[1]];
+            size = [0, 1].map(|k| interpolation[k].coarse);
             let nodes = vec![0.0; size[0] * size[1]];
             levels.push(Level {
-                steps,
-                inverse_diagonal: inverses(finest.diagonal(&lines)),
+                interpolation,
+                inverse_diagonal: inverses(finest.diagonal(&bases)),
                 residual: nodes.clone(),
                 value: nodes,
                 between,
@@ -321,17 +322,17 @@ impl Levels {
                 Some(level) => level.value.copy_from_slice(&unit),
                 None => value.copy_from_slice(&unit),
             }
-            self.carry_up(&mut value, |_| {});
+            self.prolong_all(&mut value, |_| {});
             self.finest.apply(&value, &mut image);
-            self.carry_down(&image);
+            self.restrict_all(&image);
             let column = self.levels.last().map_or(&image, |level| &level.residual);
             matrix.set_column(node, &DVector::from_column_slice(column));
         }
         matrix
     }
 
-    /// Carries a residual of the finest lattice down to all others.
-    fn carry_down(&mut self, residual: &[f64]) {
+    /// Restricts a residual of the finest lattice to all others.
+    fn restrict_all(&mut self, residual: &[f64]) {
         for k in 0..self.levels.len() {
             let (before, rest) = self.levels.split_at_mut(k);
             rest[0].restrict(before.last().map_or(residual, |level| &level.residual));
@@ -339,29 +340,29 @@ impl Levels {
     }
 
     /// Adds the values of the coarsest lattice to those of the next, which `prepare` has set before, and so on to `out`, of the finest.
-    fn carry_up(&mut self, out: &mut [f64], prepare: impl Fn(&mut Level)) {
+    fn prolong_all(&mut self, out: &mut [f64], prepare: impl Fn(&mut Level)) {
         for k in (0..self.levels.len()).rev() {
             let (before, rest) = self.levels.split_at_mut(k);
             match before.last_mut() {
                 Some(finer) => {
                     prepare(finer);
-                    rest[0].add_to(&mut finer.value);
+                    rest[0].prolong(&mut finer.value);
                 }
-                None => rest[0].add_to(out),
+                None => rest[0].prolong(out),
             }
         }
     }
 
     fn precondition(&mut self, residual: &[f64], out: &mut [f64]) {
         scale(&self.inverse_diagonal, residual, out);
-        self.carry_down(residual);
+        self.restrict_all(residual);
         let right = self.levels.last().map_or(residual, |level| &level.residual);
         let coarsest = &self.last * DVector::from_column_slice(right);
         match self.levels.last_mut() {
             Some(level) => level.value.copy_from_slice(coarsest.as_slice()),
             None => out.copy_from_slice(coarsest.as_slice()),
         }
-        self.carry_up(out, |level| {
+        self.prolong_all(out, |level| {
             scale(&level.inverse_diagonal, &level.residual, &mut level.value)
         });
     }
@@ -379,9 +380,9 @@ fn scale(factor: &[f64], values: &[f64], out: &mut [f64]) {
 }
 
 impl Level {
-    /// Carries the residual of the finer lattice to this one.
+    /// Restricts the residual of the finer lattice to this one: the transpose of `prolong`.
     fn restrict(&mut self, fine: &[f64]) {
-        let [x, y] = &self.steps;
+        let [x, y] = &self.interpolation;
         self.between.par_chunks_mut(x.coarse).zip(fine.par_chunks(x.fine)).for_each(
             |(out, fine)| {
                 out.fill(0.0);
@@ -411,9 +412,9 @@ impl Level {
         });
     }
 
-    /// Adds the values, linear between nodes, to those of the finer lattice.
-    fn add_to(&mut self, fine: &mut [f64]) {
-        let [x, y] = &self.steps;
+    /// Adds the values, interpolated, to those of the finer lattice.
+    fn prolong(&mut self, fine: &mut [f64]) {
+        let [x, y] = &self.interpolation;
         let value = &self.value;
         self.between.par_chunks_mut(x.coarse).enumerate().for_each(|(row, out)| {
             let (low, t) = y.at[row];
@@ -477,8 +478,8 @@ mod tests {
                     bend([at - 2 * size[0], at - size[0], at], 0.02);
                 }
             }
-            let pull = (0..n).map(|k| lattice.weight[k] * lattice.data[k]);
-            let truth = matrix.cholesky().unwrap().solve(&DVector::from_iterator(n, pull));
+            let right_side = (0..n).map(|k| lattice.weight[k] * lattice.data[k]);
+            let truth = matrix.cholesky().unwrap().solve(&DVector::from_iterator(n, right_side));
             let found = lattice.solve(vec![]);
             for k in 0..n {
                 let off = (found.value[k] - truth[k]).abs();

@@ -102,7 +102,7 @@ crate::options! {
         /// photos of fewer than eight megapixels, and those that show too few features at their own size.
         pub enlarge: EnlargeChoice = EnlargeChoice::Auto;
         /// The most image measurements of tie points that are adjusted together. Of more, the longest tie points are kept that
-        /// leave no part of a photo without; memory grows with them, 1.3 kB each.
+        /// leave no part of a photo without; memory grows with them, about 0.7 kB each.
         pub max_tie_observations: usize = 1_000_000, limits at_least(1000.0);
         /// Distance from the projection of its point up to which an image position is used.
         pub tolerance_px: f64 = 4.0, limits POSITIVE;

@@ -325,7 +325,7 @@ impl BlockAdjuster<'_> {
         Ok((refined.features, tracks))
     }
 
-    /// The block by other tracks, adjusted; its rolling shutter is estimated anew.
+    /// The block by other tracks, adjusted; its rolling shutter is estimated anew, or taken back where these do not bear it out.
     ///
     /// Some matches are wrong, and lie anywhere within the tolerance: cut off close to the block, they hold it where it was.
     /// So the tolerance is a wide one until the block has converged.
@@ -346,14 +346,14 @@ impl BlockAdjuster<'_> {
         let sigma = settle(block, tolerance_px)?;
         let certain = matches!(self.options.shutter, ShutterModel::Rolling(_));
         match rolling_shutter::update(block, known, self.flight.order, sigma, certain)? {
-            Update::Drift(estimate) => {
+            Update::Rolling(estimate) => {
                 estimate.apply(block);
                 let mut said = found.iter_mut();
                 if let Some(said) = said.rfind(|diagnostic| diagnostic.code == SHUTTER) {
                     *said = self.shutter_diagnostic(&estimate);
                 }
             }
-            Update::Still => {
+            Update::Global => {
                 rolling_shutter::remove(block);
                 found.retain(|diagnostic| diagnostic.code != SHUTTER);
             }
