@@ -7,6 +7,7 @@ use super::{
     FileError,
     geotiff::{self, Colour, Layout, Reader},
     images::{self, Picture},
+    output,
 };
 use crate::{
     error::Error,
@@ -18,7 +19,11 @@ use crate::{
     },
 };
 use image::RgbImage;
-use std::{io::Read, ops::Range, path::Path};
+use std::{
+    io::Read,
+    ops::Range,
+    path::{Path, PathBuf},
+};
 
 /// Rows that are read at a time; tiles are read once where it is a multiple of theirs.
 pub const BAND_ROWS: usize = 512;
@@ -167,7 +172,71 @@ fn two_values(reader: &Reader) -> Result<Mask, FileError> {
     Ok(Mask { width, height, data })
 }
 
-/// Writes a mask by the name's ending: a GeoTIFF for `.tif` or `.tiff`, else a PNG; plants 255, the rest 0.
+/// A picture of one grey value a pixel that is written band by band: a GeoTIFF for a name in `.tif` or `.tiff`, which is not held
+/// in memory, else a PNG, which is.
+pub struct GreyWriter(Grey);
+
+enum Grey {
+    Tiff(Box<geotiff::Writer<u8>>),
+    Picture { path: PathBuf, force: bool, size: (usize, usize), values: Vec<u8> },
+}
+
+impl GreyWriter {
+    /// Begins a picture of so many columns and rows. It appears with [`GreyWriter::finish`], and never without.
+    ///
+    /// # Errors
+    /// As [`super::output::check`], and where a picture of that size cannot be written.
+    pub fn begin(
+        path: &Path,
+        force: bool,
+        size: (usize, usize),
+        colour: Colour,
+        georeference: Option<Georeference>,
+    ) -> Result<GreyWriter, FileError> {
+        Ok(GreyWriter(if is_tiff_name(path) {
+            let (width, height) = size;
+            let layout = Layout { width, height, colour, georeference, nodata: None };
+            Grey::Tiff(Box::new(geotiff::Writer::begin(path, force, &layout)?))
+        } else {
+            output::check(path, force)?;
+            let values = Vec::with_capacity(size.0 * size.1);
+            Grey::Picture { path: path.to_owned(), force, size, values }
+        }))
+    }
+
+    /// Puts the next rows, from the top: [`BAND_ROWS`] of them, or the last ones.
+    ///
+    /// # Errors
+    /// As [`geotiff::Writer::put`].
+    pub fn put(&mut self, rows: Range<usize>, samples: &[u8]) -> Result<(), FileError> {
+        match &mut self.0 {
+            Grey::Tiff(writer) => {
+                let window = Window::rows(writer.layout().width, rows);
+                writer.put(window, samples)
+            }
+            Grey::Picture { values, size, .. } => {
+                debug_assert_eq!(values.len(), rows.start * size.0);
+                values.extend_from_slice(samples);
+                Ok(())
+            }
+        }
+    }
+
+    /// Puts the file in its place.
+    ///
+    /// # Errors
+    /// As [`super::output::write`], and where the picture has no pixel.
+    pub fn finish(self) -> Result<(), FileError> {
+        match self.0 {
+            Grey::Tiff(writer) => writer.finish(),
+            Grey::Picture { path, force, size, values } => {
+                images::write_grey(&path, force, size, &values)
+            }
+        }
+    }
+}
+
+/// Writes a mask by the name's ending ([`GreyWriter`]); plants 255, the rest 0.
 ///
 /// # Errors
 /// As [`super::output::write`], and where the mask has no pixel.
@@ -177,52 +246,17 @@ pub fn write_mask(
     mask: &Mask,
     georeference: Option<Georeference>,
 ) -> Result<(), FileError> {
-    if !is_tiff_name(path) {
-        return images::write_mask(path, force, mask);
+    let size = (mask.width, mask.height);
+    let mut writer = GreyWriter::begin(path, force, size, Colour::Classes, georeference)?;
+    for band in window::bands(mask.height, BAND_ROWS, 0) {
+        let pixels = band.rows.start * mask.width..band.rows.end * mask.width;
+        let white = |&pixel: &u8| if pixel == 0 { 0 } else { 255 };
+        writer.put(band.rows, &mask.data[pixels].iter().map(white).collect::<Vec<u8>>())?;
     }
-    let layout = Layout {
-        width: mask.width,
-        height: mask.height,
-        colour: Colour::Classes,
-        georeference,
-        nodata: None,
-    };
-    geotiff::write::<u8, FileError>(path, force, &layout, |writer| {
-        for band in window::bands(mask.height, geotiff::TILE, 0) {
-            let rows = band.rows.start * mask.width..band.rows.end * mask.width;
-            let grey: Vec<u8> =
-                mask.data[rows].iter().map(|&pixel| if pixel == 0 { 0 } else { 255 }).collect();
-            writer.put(Window::rows(mask.width, band.rows), &grey)?;
-        }
-        Ok(())
-    })
+    writer.finish()
 }
 
-/// Writes posterior probabilities in 1/255 by the name's ending, as [`write_mask`] does.
-///
-/// # Errors
-/// As [`super::output::write`], and where there is no pixel.
-pub fn write_posterior(
-    path: &Path,
-    force: bool,
-    (width, height): (usize, usize),
-    posterior: &[u8],
-    georeference: Option<Georeference>,
-) -> Result<(), FileError> {
-    if !is_tiff_name(path) {
-        return images::write_grey(path, force, (width, height), posterior);
-    }
-    let layout = Layout { width, height, colour: Colour::Values, georeference, nodata: None };
-    geotiff::write::<u8, FileError>(path, force, &layout, |writer| {
-        for band in window::bands(height, geotiff::TILE, 0) {
-            let samples = &posterior[band.rows.start * width..band.rows.end * width];
-            writer.put(Window::rows(width, band.rows), samples)?;
-        }
-        Ok(())
-    })
-}
-
-/// Reads what [`write_posterior`] wrote into a TIFF file, of a mask of this size.
+/// Reads a TIFF file of posterior probabilities in 1/255, of a mask of this size.
 ///
 /// # Errors
 /// Where the file cannot be read, or has another size or other samples.

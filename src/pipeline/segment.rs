@@ -2,17 +2,27 @@
 
 use super::{
     Project, Stage, Task,
-    figures::View,
-    leaf_mask::{self, LeafMask},
+    figures::{self, View},
+    leaf_mask::{self, LeafRows, Segmenter},
     stage,
 };
 use crate::{
     error::Error,
-    io::rasters,
-    monitor::{Diagnostic, Monitor},
+    io::{
+        FileError,
+        geotiff::Colour,
+        rasters::{BAND_ROWS, GreyWriter},
+    },
+    monitor::{Diagnostic, Monitor, Progress},
     options::Auto,
     raster::{
-        Mask, components, mask::Thresholds, overlay, vegetation::Model, white_balance::WhiteBalance,
+        Mask,
+        components::{self, Changed},
+        mask::Thresholds,
+        overlay,
+        vegetation::Model,
+        white_balance::WhiteBalance,
+        window,
     },
 };
 use serde::{Deserialize, Serialize};
@@ -141,13 +151,54 @@ pub fn segment_file(
         return Err(Error::Argument(message.to_owned()));
     }
     let source = leaf_mask::open_photo(image)?;
-    let subject = image.display().to_string();
-    let mut found = leaf_mask::of_photo(&source, image, options)?;
-    let removed = components::remove_small(&mut found.mask, options.min_pixels);
-    let filled = components::fill_holes(&mut found.mask, options.fill_holes);
-    let LeafMask { mask, posterior, vegetation, hsv, .. } = &found;
-    let leaf_pixels = mask.count();
+    let segmenter = Segmenter::new(&source, image, options)?;
+    let (width, height) = source.size();
+    let place = source.georeference();
+    let grey = |path, colour| GreyWriter::begin(path, files.force, (width, height), colour, place);
+    let mut mask = grey(files.mask, Colour::Classes)?;
+    let mut posterior = files.posterior.map(|path| grey(path, Colour::Values)).transpose()?;
+    let mut view = files.figures.map(|_| MaskView::new(width, height));
+    let mut counter = components::Counter::default();
+    let mut leaf_pixels = 0;
+    let mut put = |band: LeafRows| -> Result<(), FileError> {
+        counter.add(&band.mask, width);
+        leaf_pixels += band.mask.iter().filter(|&&pixel| pixel != 0).count();
+        if let Some(view) = &mut view {
+            view.add(&band);
+        }
+        if let (Some(writer), Some(values)) = (&mut posterior, &band.posterior) {
+            writer.put(band.rows.clone(), values)?;
+        }
+        let white: Vec<u8> = band.mask.iter().map(|&pixel| 255 * pixel).collect();
+        mask.put(band.rows, &white)
+    };
+    let (mut removed, mut filled) = (Changed::default(), Changed::default());
+    let mut tell = |done: usize| {
+        let (done, total) = (done as u64, Some(height as u64));
+        monitor.progress(&Progress { activity: "finding leaves", done, total, unit: "rows" });
+    };
+    if options.min_pixels > 1 || options.fill_holes > 0 {
+        // Leaf areas and holes may reach over all bands.
+        let mut found = segmenter.whole()?;
+        removed = components::remove_small(&mut found.mask, options.min_pixels);
+        filled = components::fill_holes(&mut found.mask, options.fill_holes);
+        for band in window::bands(height, BAND_ROWS, 0) {
+            put(found.rows(band.rows))?;
+        }
+    } else {
+        for band in segmenter.bands() {
+            let band = band?;
+            let done = band.rows.end;
+            put(band)?;
+            tell(done);
+        }
+    }
+    let components = counter.count();
+    mask.finish()?;
+    posterior.map(GreyWriter::finish).transpose()?;
+    let hsv = segmenter.hsv();
     if leaf_pixels == 0 {
+        let subject = image.display().to_string();
         let (message, remedy) = match hsv {
             Some(_) => (
                 "no pixel is within the thresholds; the leaf mask is empty",
@@ -161,25 +212,20 @@ pub fn segment_file(
         monitor
             .diagnostic(&Diagnostic::warning("empty-mask", subject, message).with_remedy(remedy));
     }
-    rasters::write_mask(files.mask, files.force, mask, source.georeference())?;
-    if let (Some(path), Some(posterior)) = (files.posterior, posterior) {
-        let size = (mask.width, mask.height);
-        rasters::write_posterior(path, files.force, size, posterior, source.georeference())?;
-    }
-    if let Some(folder) = files.figures {
+    if let (Some(folder), Some(shown)) = (files.figures, view) {
         let mut view = View::of(&source)?;
-        draw(&mut view, &found)?;
+        shown.draw(&mut view)?;
         view.write(folder, "mask.png", files.force)?;
     }
     Ok(SegmentOutcome {
         image: image.to_owned(),
-        width_px: mask.width,
-        height_px: mask.height,
-        hsv: *hsv,
-        vegetation: *vegetation,
+        width_px: width,
+        height_px: height,
+        hsv,
+        vegetation: segmenter.vegetation(),
         leaf_pixels,
-        leaf_share: leaf_pixels as f64 / mask.data.len().max(1) as f64,
-        components: components::count(mask),
+        leaf_share: leaf_pixels as f64 / (width * height).max(1) as f64,
+        components,
         removed_components: removed.components,
         removed_pixels: removed.pixels,
         filled_holes: filled.components,
@@ -190,23 +236,49 @@ pub fn segment_file(
 /// Posteriors, in 1/255, within which a pixel is doubtful.
 const DOUBTFUL: RangeInclusive<u8> = 64..=191;
 
-/// Leaf pixels, doubtful ones, and pixels that show nothing, each in a colour of its own.
-fn draw(view: &mut View, found: &LeafMask) -> Result<(), Error> {
-    let LeafMask { mask, posterior, valid, .. } = found;
-    let (width, height) = (mask.width, mask.height);
-    let reduced = view.mask(mask);
-    overlay::draw_mask(&mut view.picture, &reduced, overlay::MASK_COLOUR)?;
-    let step = view.step;
-    let mut tint = |shown: &dyn Fn(usize) -> bool, colour| {
-        let (columns, rows) = (width.div_ceil(step), height.div_ceil(step));
-        let class = Mask::from_fn(columns, rows, |u, v| shown(v * step * width + u * step));
-        overlay::draw_mask(&mut view.picture, &class, colour)
-    };
-    if let Some(posterior) = posterior {
-        tint(&|pixel| DOUBTFUL.contains(&posterior[pixel]), overlay::DOUBTFUL_COLOUR)?;
+/// Leaf pixels, doubtful ones, and pixels that show nothing, as many as a picture shows.
+struct MaskView {
+    width: usize,
+    step: usize,
+    leaf: Mask,
+    doubtful: Mask,
+    nothing: Mask,
+}
+
+impl MaskView {
+    fn new(width: usize, height: usize) -> MaskView {
+        let step = figures::step(width, height);
+        let none = Mask { width: width.div_ceil(step), height: 0, data: Vec::new() };
+        MaskView { width, step, leaf: none.clone(), doubtful: none.clone(), nothing: none }
     }
-    if let Some(valid) = valid {
-        tint(&|pixel| valid.data[pixel] == 0, overlay::NOTHING_COLOUR)?;
+
+    /// Adds the next rows.
+    fn add(&mut self, band: &LeafRows) {
+        let MaskView { width, step, .. } = *self;
+        let add = |to: &mut Mask, is_of: &dyn Fn(usize) -> bool| {
+            for v in band.rows.clone().filter(|v| v.is_multiple_of(step)) {
+                let first = (v - band.rows.start) * width;
+                to.data.extend((first..first + width).step_by(step).map(|k| u8::from(is_of(k))));
+                to.height += 1;
+            }
+        };
+        add(&mut self.leaf, &|k| band.mask[k] != 0);
+        add(&mut self.doubtful, &|k| {
+            band.posterior.as_ref().is_some_and(|posterior| DOUBTFUL.contains(&posterior[k]))
+        });
+        add(&mut self.nothing, &|k| band.shown.as_ref().is_some_and(|shown| shown[k] == 0));
     }
-    Ok(())
+
+    /// Each in a colour of its own.
+    fn draw(&self, view: &mut View) -> Result<(), Error> {
+        let MaskView { leaf, doubtful, nothing, .. } = self;
+        for (class, colour) in [
+            (leaf, overlay::MASK_COLOUR),
+            (doubtful, overlay::DOUBTFUL_COLOUR),
+            (nothing, overlay::NOTHING_COLOUR),
+        ] {
+            overlay::draw_mask(&mut view.picture, class, colour)?;
+        }
+        Ok(())
+    }
 }

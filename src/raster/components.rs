@@ -23,6 +23,9 @@ pub struct Changed {
 
 /// Removes the components of plant pixels that have fewer than `min_pixels` pixels.
 pub fn remove_small(mask: &mut Mask, min_pixels: usize) -> Changed {
+    if min_pixels <= 1 {
+        return Changed::default();
+    }
     let runs = Runs::of(mask, true);
     let keep = |component: &Component| component.pixels >= min_pixels;
     runs.paint(mask, 0, |component| !keep(component))
@@ -30,14 +33,77 @@ pub fn remove_small(mask: &mut Mask, min_pixels: usize) -> Changed {
 
 /// Fills the holes that have at most `max_pixels` pixels.
 pub fn fill_holes(mask: &mut Mask, max_pixels: usize) -> Changed {
+    if max_pixels == 0 {
+        return Changed::default();
+    }
     let runs = Runs::of(mask, false);
     runs.paint(mask, 1, |component| component.pixels <= max_pixels && !component.at_border)
 }
 
 /// Number of components of plant pixels.
 pub fn count(mask: &Mask) -> usize {
-    let mut runs = Runs::of(mask, true);
-    (0..runs.runs.len()).filter(|&run| runs.sets.root(run) == run).count()
+    let mut counter = Counter::default();
+    counter.add(&mask.data, mask.width);
+    counter.count()
+}
+
+/// Counts the components of plant pixels of a mask that comes row by row; memory holds one row.
+#[derive(Debug, Clone, Default)]
+pub struct Counter {
+    count: usize,
+    /// Columns `start..end` of the runs of the last row, and which component each belongs to, by number of this row.
+    above: Vec<(usize, usize, usize)>,
+}
+
+impl Counter {
+    /// Adds rows of `width` pixels each, from the top.
+    pub fn add(&mut self, rows: &[u8], width: usize) {
+        for row in rows.chunks_exact(width.max(1)) {
+            self.add_row(row);
+        }
+    }
+
+    fn add_row(&mut self, row: &[u8]) {
+        let known = self.above.iter().map(|run| run.2 + 1).max().unwrap_or(0);
+        let mut sets = DisjointSets::new(known);
+        let mut below: Vec<(usize, usize, usize)> = Vec::new();
+        let (mut u, mut first) = (0, 0);
+        while let Some(start) = row[u..].iter().position(|&pixel| pixel != 0).map(|n| u + n) {
+            let length = row[start..].iter().position(|&pixel| pixel == 0);
+            u = length.map_or(row.len(), |length| start + length);
+            let own = known + below.len();
+            sets.push();
+            below.push((start, u, own));
+            self.count += 1;
+            // Runs that meet at a corner are connected, too.
+            while self.above.get(first).is_some_and(|&(_, end, _)| end < start) {
+                first += 1;
+            }
+            for &(_, _, other) in self.above[first..].iter().take_while(|&&(from, ..)| from <= u) {
+                if sets.root(own) != sets.root(other) {
+                    sets.join(own, other);
+                    self.count -= 1;
+                }
+            }
+        }
+        // Numbers that are as few as the runs.
+        let mut number = vec![usize::MAX; known + below.len()];
+        let mut used = 0;
+        for run in &mut below {
+            let root = sets.root(run.2);
+            if number[root] == usize::MAX {
+                number[root] = used;
+                used += 1;
+            }
+            run.2 = number[root];
+        }
+        self.above = below;
+    }
+
+    /// The components so far.
+    pub fn count(&self) -> usize {
+        self.count
+    }
 }
 
 /// Pixels side by side: columns `start..end` of row `v`.

@@ -78,16 +78,30 @@ impl Coherence {
         }
     }
 
+    /// Rows and columns that a pixel can depend on, on either side.
+    pub(super) fn reach(&self) -> usize {
+        match self {
+            Coherence::None => 0,
+            // Each half sweep looks at the next pixel.
+            Coherence::Icm { sweeps, .. } => 2 * sweeps,
+        }
+    }
+
     /// The mask for posteriors in 1/255, row by row.
     pub fn mask(&self, width: usize, height: usize, posterior: &[u8]) -> Mask {
-        let data = posterior.par_iter().with_min_len(1 << 16).map(|&p| u8::from(p > 127)).collect();
-        let mut mask = Mask { width, height, data };
+        debug_assert_eq!(posterior.len(), width * height);
+        Mask { width, height, data: self.mask_of_rows(width, 0, posterior) }
+    }
+
+    /// [`Coherence::mask`] of some rows, the first of which is row `first` of the picture.
+    pub(super) fn mask_of_rows(&self, width: usize, first: usize, posterior: &[u8]) -> Vec<u8> {
+        let likelier = posterior.par_iter().with_min_len(1 << 16).map(|&p| u8::from(p > 127));
+        let mut mask: Vec<u8> = likelier.collect();
         if let Coherence::Icm { weight, sweeps } = *self {
             let prices = Prices::new(weight);
             for _ in 0..sweeps {
-                let flipped = half_sweep(&mut mask, posterior, &prices, 0)
-                    + half_sweep(&mut mask, posterior, &prices, 1);
-                if flipped == 0 {
+                let mut half = |colour| half_sweep(&mut mask, width, posterior, &prices, colour);
+                if half(first % 2) + half(1 - first % 2) == 0 {
                     break;
                 }
             }
@@ -116,12 +130,18 @@ impl Coherence {
 }
 
 /// Decides the pixels of one colour of the chessboard again; the number of those that changed.
-fn half_sweep(mask: &mut Mask, posterior: &[u8], prices: &Prices, colour: usize) -> usize {
-    let (width, height) = (mask.width, mask.height);
+fn half_sweep(
+    mask: &mut [u8],
+    width: usize,
+    posterior: &[u8],
+    prices: &Prices,
+    colour: usize,
+) -> usize {
     if width == 0 {
         return 0;
     }
-    let before = &mask.data;
+    let height = mask.len() / width;
+    let before = &*mask;
     // Only pixels of the other colour are read, and those do not change: flips can be collected row by row.
     let flips: Vec<Vec<usize>> = (0..height)
         .into_par_iter()
@@ -161,7 +181,7 @@ fn half_sweep(mask: &mut Mask, posterior: &[u8], prices: &Prices, colour: usize)
         .collect();
     let mut count = 0;
     for i in flips.into_iter().flatten() {
-        mask.data[i] ^= 1;
+        mask[i] ^= 1;
         count += 1;
     }
     count

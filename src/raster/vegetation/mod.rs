@@ -9,29 +9,24 @@
 //! by iterated conditional modes ([`coherence`]). Pixels that show nothing (nodata, borders of a mosaic, alpha:
 //! [`nothing`]) take no part in the estimate and are never vegetation.
 //!
-//! Photos are read by bands of rows on all threads; the result does not depend on their number.
+//! A photo that is larger than the memory is seen band by band ([`Estimator`]); the result depends neither on the bands nor on
+//! the number of threads.
 
 pub mod coherence;
 mod colour;
+mod estimate;
 mod model;
 pub mod nothing;
+mod posterior;
 
 pub use coherence::Coherence;
+pub use estimate::{Classified, Estimate, Estimator};
 pub use model::Model;
 
-use super::Mask;
-use colour::Converter;
+use super::{Mask, window::Band};
 use image::RgbImage;
-use model::{Sample, leaf_green};
-use rayon::prelude::*;
+use posterior::posteriors;
 use serde::{Deserialize, Serialize};
-
-/// Rows of one task.
-const BAND: usize = 32;
-/// Pixels that the classes are estimated from, about.
-const SAMPLES: usize = 120_000;
-/// Steps of the table of posteriors per unit of log odds, and the log odds at its ends.
-const TABLE: (f32, f32) = (32.0, 12.0);
 
 /// How vegetation is found.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -124,32 +119,30 @@ pub fn segment(
     valid: Option<&Mask>,
     options: &Options,
 ) -> Result<Vegetation, VegetationError> {
-    options.coherence.check()?;
     let (width, height) = (photo.width() as usize, photo.height() as usize);
-    if let Some(mask) = valid.filter(|mask| (mask.width, mask.height) != (width, height)) {
-        let (mask_width, mask_height) = (mask.width, mask.height);
-        return Err(VegetationError::Size { width, height, mask_width, mask_height });
-    }
-    let mut shown = valid.filter(|mask| mask.data.contains(&0)).cloned();
-    if let Some(border) = options.find_borders.then(|| nothing::border(photo)).flatten() {
-        let shown = shown.get_or_insert_with(|| Mask::from_fn(width, height, |_, _| true));
-        for (shown, border) in shown.data.iter_mut().zip(&border.data) {
-            *shown &= 1 - border;
+    let shown = shown(valid, (width, height))?.filter(|shown| shown.contains(&0));
+    let all = Band { rows: 0..height, seen: 0..height };
+    let mut estimator = Estimator::new((width, height), options)?;
+    estimator.add(&all, photo, shown);
+    let estimate = estimator.finish()?;
+    let Classified { mask, posterior, shown } = estimate.classify(&all, photo, shown);
+    let mask = Mask { width, height, data: mask };
+    let valid = shown.map(|data| Mask { width, height, data });
+    Ok(Vegetation { width, height, posterior, mask, valid, model: estimate.model })
+}
+
+/// The pixels of a mask of those that show something, which has to be as large as the photo.
+fn shown(
+    valid: Option<&Mask>,
+    (width, height): (usize, usize),
+) -> Result<Option<&[u8]>, VegetationError> {
+    match valid {
+        Some(mask) if (mask.width, mask.height) != (width, height) => {
+            let (mask_width, mask_height) = (mask.width, mask.height);
+            Err(VegetationError::Size { width, height, mask_width, mask_height })
         }
+        _ => Ok(valid.map(|mask| &mask.data[..])),
     }
-    let samples = samples(photo, shown.as_ref());
-    if samples.is_empty() {
-        return Err(VegetationError::Nothing { width, height });
-    }
-    let model = Model::fit(&samples);
-    let mut posterior = posteriors(photo, &model);
-    if let Some(shown) = &shown {
-        for (p, &shown) in posterior.iter_mut().zip(&shown.data) {
-            *p *= shown;
-        }
-    }
-    let mask = options.coherence.mask(width, height, &posterior);
-    Ok(Vegetation { width, height, posterior, mask, valid: shown, model })
 }
 
 /// The vegetation of a photo by a model that was estimated elsewhere: of a larger picture of the same ground in the same light
@@ -165,145 +158,16 @@ pub fn classify(
 ) -> Result<Mask, VegetationError> {
     coherence.check()?;
     let (width, height) = (photo.width() as usize, photo.height() as usize);
-    let mut posterior = posteriors(photo, model);
-    if let Some(shown) = valid {
-        if (shown.width, shown.height) != (width, height) {
-            let (mask_width, mask_height) = (shown.width, shown.height);
-            return Err(VegetationError::Size { width, height, mask_width, mask_height });
-        }
-        for (p, &shown) in posterior.iter_mut().zip(&shown.data) {
-            *p *= shown;
-        }
-    }
+    let shown = shown(valid, (width, height))?;
+    let mut posterior = posteriors(photo, model, 0, height);
+    hide(&mut posterior, shown);
     Ok(coherence.mask(width, height, &posterior))
 }
 
-/// Smoothed pixels on a regular grid, without those that show nothing.
-fn samples(photo: &RgbImage, shown: Option<&Mask>) -> Vec<Sample> {
-    let (width, height) = (photo.width() as usize, photo.height() as usize);
-    let step = ((width * height / SAMPLES) as f64).sqrt().max(1.0) as usize;
-    let rows: Vec<usize> = (step / 2..height).step_by(step).collect();
-    let converter = Converter::new();
-    let smooth = |u: usize, v: usize| {
-        let mut sum = [0.0; 2];
-        for (dv, row_weight) in [(0, 0.25), (1, 0.5), (2, 0.25)] {
-            let row = (v + dv).saturating_sub(1).min(height - 1);
-            for (du, weight) in [(0, 0.25), (1, 0.5), (2, 0.25)] {
-                let column = (u + du).saturating_sub(1).min(width - 1);
-                let pixel = photo.get_pixel(column as u32, row as u32).0;
-                let colour = converter.green_yellow(pixel);
-                sum[0] += row_weight * weight * colour[0];
-                sum[1] += row_weight * weight * colour[1];
-            }
-        }
-        sum
-    };
-    let of_row = |&v: &usize| -> Vec<Sample> {
-        let columns = (step / 2..width).step_by(step);
-        let columns = columns.filter(|&u| shown.is_none_or(|shown| shown.get(u, v)));
-        let sample = |u| {
-            let [green, yellow] = smooth(u, v);
-            Sample {
-                x: from_middle(u, width) as f32,
-                y: from_middle(v, height) as f32,
-                green,
-                yellow,
-            }
-        };
-        columns.map(sample).collect()
-    };
-    rows.par_iter().map(of_row).collect::<Vec<_>>().concat()
-}
-
-/// Place of a pixel centre in -1..1.
-fn from_middle(at: usize, size: usize) -> f64 {
-    (2 * at + 1) as f64 / size as f64 - 1.0
-}
-
-/// Posterior of every pixel in 1/255.
-fn posteriors(photo: &RgbImage, model: &Model) -> Vec<u8> {
-    let (width, height) = (photo.width() as usize, photo.height() as usize);
-    let (per_unit, end) = TABLE;
-    let entry = |i: usize| {
-        let log_odds = i as f32 / per_unit - end;
-        (255.0 / (1.0 + (-log_odds).exp())).round() as u8
-    };
-    let table: Vec<u8> = (0..=(2.0 * end * per_unit) as usize).map(entry).collect();
-    let last = (table.len() - 1) as f32;
-    let scale = model.log_odds_per_unit() as f32 * per_unit;
-    let yellow_weight = model.yellow_weight as f32;
-    let offset = -(model.threshold + model.yellow_weight * model.yellow_mean) as f32;
-    let mut posterior = vec![0; width * height];
-    let bands = posterior.par_chunks_mut((BAND * width).max(1)).enumerate();
-    bands.for_each(|(band, out)| {
-        let mut rows = SmoothRows::new(photo);
-        let mut line: Vec<[f32; 2]> = vec![[0.0; 2]; width];
-        for (index, out) in out.chunks_mut(width).enumerate() {
-            let v = band * BAND + index;
-            rows.smooth(v, &mut line);
-            let [s0, s1, s2] = model.surface_of_row(from_middle(v, height)).map(|s| s as f32);
-            let pixel = 2.0 / width as f32;
-            let first = 0.5 * pixel - 1.0;
-            for (u, (out, &[green, yellow])) in out.iter_mut().zip(&line).enumerate() {
-                let x = first + pixel * u as f32;
-                let surface = s0 + x * (s1 + x * s2);
-                let z = leaf_green(green, yellow) + yellow_weight * yellow - surface + offset;
-                let at = (z * scale + end * per_unit).clamp(0.0, last);
-                *out = table[at as usize];
-            }
-        }
-    });
-    posterior
-}
-
-/// Rows of colour smoothed with weights 1/4, 1/2, 1/4 both ways, from the top down.
-struct SmoothRows<'a> {
-    photo: &'a RgbImage,
-    converter: Converter,
-    /// The last rows, smoothed along themselves, and which they are.
-    kept: [(usize, Vec<[f32; 2]>); 3],
-    raw: Vec<[f32; 2]>,
-}
-
-impl<'a> SmoothRows<'a> {
-    fn new(photo: &'a RgbImage) -> SmoothRows<'a> {
-        let empty = || (usize::MAX, vec![[0.0; 2]; photo.width() as usize]);
-        let kept = [empty(), empty(), empty()];
-        let raw = vec![[0.0; 2]; photo.width() as usize];
-        SmoothRows { photo, converter: Converter::new(), kept, raw }
-    }
-
-    fn smooth(&mut self, v: usize, out: &mut [[f32; 2]]) {
-        let last = self.photo.height() as usize - 1;
-        let rows = [v.saturating_sub(1), v, (v + 1).min(last)];
-        for row in rows {
-            if self.kept[row % 3].0 != row {
-                self.load(row);
-            }
-        }
-        let [above, here, below] = rows.map(|row| &self.kept[row % 3].1);
-        for (out, ((a, h), b)) in out.iter_mut().zip(above.iter().zip(here).zip(below)) {
-            *out = [0.25 * (a[0] + b[0]) + 0.5 * h[0], 0.25 * (a[1] + b[1]) + 0.5 * h[1]];
-        }
-    }
-
-    fn load(&mut self, v: usize) {
-        let width = self.photo.width() as usize;
-        let bytes = &self.photo.as_raw()[3 * v * width..3 * (v + 1) * width];
-        for (raw, pixel) in self.raw.iter_mut().zip(bytes.as_chunks::<3>().0) {
-            *raw = self.converter.green_yellow(*pixel);
-        }
-        let (row, line) = &mut self.kept[v % 3];
-        *row = v;
-        let raw = &self.raw;
-        let mix = |a: [f32; 2], h: [f32; 2], b: [f32; 2]| {
-            [0.25 * (a[0] + b[0]) + 0.5 * h[0], 0.25 * (a[1] + b[1]) + 0.5 * h[1]]
-        };
-        for (line, near) in line[1..].iter_mut().zip(raw.windows(3)) {
-            *line = mix(near[0], near[1], near[2]);
-        }
-        line[0] = mix(raw[0], raw[0], raw[1.min(width - 1)]);
-        line[width - 1] = mix(raw[width.saturating_sub(2)], raw[width - 1], raw[width - 1]);
+/// Pixels that show nothing are no vegetation.
+fn hide(posterior: &mut [u8], shown: Option<&[u8]>) {
+    for (p, shown) in posterior.iter_mut().zip(shown.into_iter().flatten()) {
+        *p *= shown;
     }
 }
 

@@ -1,4 +1,5 @@
 use super::*;
+use crate::raster::window;
 use image::Rgb;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -107,5 +108,43 @@ fn tiny_photos_do_not_fail() {
         let found = segment(&photo, None, &Options::default()).unwrap();
         assert_eq!(found.posterior.len(), (width * height) as usize);
         assert_eq!(found.mask.count(), 0);
+    }
+}
+
+#[test]
+fn bands_give_what_the_whole_photo_gives() {
+    let (photo, _) = field(1.0, &GRID);
+    // A black frame on two sides, and pixels that show nothing.
+    let photo = RgbImage::from_fn(240, 180, |u, v| {
+        if u < 30 || v < 24 { Rgb([0, 3, 0]) } else { *photo.get_pixel(u, v) }
+    });
+    let valid = Mask::from_fn(240, 180, |u, v| u + v < 380);
+    for valid in [None, Some(&valid)] {
+        let whole = segment(&photo, valid, &Options::default()).unwrap();
+        for rows in [4, 20, 44] {
+            let seen = |band: &Band| {
+                let (top, height) = (band.seen.start as u32, band.seen.len() as u32);
+                let part = image::imageops::crop_imm(&photo, 0, top, 240, height).to_image();
+                (part, valid.map(|valid| &valid.data[band.seen.start * 240..band.seen.end * 240]))
+            };
+            let mut estimator = Estimator::new((240, 180), &Options::default()).unwrap();
+            for band in window::bands(180, rows, Estimator::HALO) {
+                let (part, shown) = seen(&band);
+                estimator.add(&band, &part, shown);
+            }
+            let estimate = estimator.finish().unwrap();
+            assert_eq!(estimate.model, whole.model);
+            let (mut mask, mut posterior, mut shown) = (vec![], vec![], vec![]);
+            for band in window::bands(180, rows, estimate.halo()) {
+                let (part, valid) = seen(&band);
+                let found = estimate.classify(&band, &part, valid);
+                mask.extend(found.mask);
+                posterior.extend(found.posterior);
+                shown.extend(found.shown.unwrap());
+            }
+            assert_eq!(mask, whole.mask.data, "{rows}");
+            assert_eq!(posterior, whole.posterior, "{rows}");
+            assert_eq!(Some(shown), whole.valid.as_ref().map(|valid| valid.data.clone()));
+        }
     }
 }
