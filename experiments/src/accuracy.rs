@@ -141,7 +141,7 @@ fn right(found: &[[f64; 2]], plot: &Plot) -> Result<f64, Error> {
 
 fn count(set: &'static str, plot: &Plot) -> Result<Counted, Error> {
     let (mask, posterior) = leaf_of(&plot.photo);
-    let found = locator::prepare(&mask, posterior.as_deref(), None, &LocateOptions::default());
+    let found = locator::prepare(&mask, posterior, None, &LocateOptions::default());
     // Where no plant can be located none was found: the photo counts, with all its plants missed.
     let stand = match found.map(|found| found.work) {
         Ok(Work::Stand(stand)) => Some(stand),

@@ -210,7 +210,7 @@ impl<'a> Ready<'a> {
         let plants = if told { Auto::Given(self.case.truth.len()) } else { Auto::Auto };
         let options = LocateOptions { plants, ..LocateOptions::default() };
         let prepared =
-            locator::prepare(&self.case.mask, self.case.posterior.as_deref(), None, &options)?;
+            locator::prepare(&self.case.mask, self.case.posterior.clone(), None, &options)?;
         let places = match prepared.work {
             Work::Stand(stand) => stand.plants.iter().map(|plant| plant.position_px).collect(),
             Work::Tiles(_) | Work::Descent(_) => Vec::new(),

@@ -14,7 +14,6 @@ use rowgram::{
         row_model::{self, RowModelOptions},
         rows,
     },
-    problems::plants::index::PixelIndex,
     score::Score,
 };
 use serde::Serialize;
@@ -80,7 +79,7 @@ fn both((scenario, path): &Job, options: &RowModelOptions) -> Result<Vec<Run>, E
     let mut runs = Vec::new();
     for plants in ["given", "auto"] {
         let clock = std::time::Instant::now();
-        let detection = rows::detect(&PixelIndex::from_mask(mask.width, &mask.data));
+        let detection = rows::detect(&mask);
         let count = (plants == "given").then_some(truth.len());
         let found = row_model::locate(&mask, &detection, count, options)?;
         let seconds = clock.elapsed().as_secs_f64();

@@ -222,7 +222,7 @@ fn locate(
         .par_iter()
         .map(|plot| {
             let mask = mask_of(plot, settings)?;
-            let detection = rows::detect(&PixelIndex::from_mask(mask.width, &mask.data));
+            let detection = rows::detect(&mask);
             let auto = row_model::locate(&mask, &detection, None, options).ok();
             let mut runs = vec![run_of(set, list, plot, "full", auto.as_ref())?];
             if given {

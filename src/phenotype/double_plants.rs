@@ -78,7 +78,7 @@ impl<'e> LeafSurroundings<'e> {
                 continue;
             }
             let k = v as usize * evidence.width + u as usize;
-            let leaf = evidence.leaf[k];
+            let leaf = evidence.leaf_share(k);
             if leaf == 0.0 {
                 continue;
             }
@@ -90,7 +90,7 @@ impl<'e> LeafSurroundings<'e> {
                 wide += leaf;
             }
             if squared > (RING[0] * RING[0]) as f32 {
-                let [cos2, sin2] = evidence.axes[k].map(f32::from);
+                let [cos2, sin2] = evidence.axis(k).map(f32::from);
                 let coherence = cos2.hypot(sin2);
                 if coherence < 6.0 {
                     continue;

@@ -26,6 +26,7 @@ use super::leaves;
 use crate::raster::Mask;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use std::ops::Range;
 
 /// Scale of the gradient, in reduced pixels.
 const GRADIENT_PX: f64 = 0.7;
@@ -61,21 +62,23 @@ pub enum AxisSource {
 
 crate::choices!(AxisSource: Tensor, Slices);
 
-/// The votes for a stalk at every pixel of the reduced mask.
+/// The votes for a stalk at every pixel of the reduced mask, in five bytes each: a map of a field has many.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Evidence {
     /// Columns.
     pub width: usize,
     /// Rows.
     pub height: usize,
-    /// Votes, row by row.
-    pub votes: Vec<f32>,
-    /// Share of each reduced pixel that is leaf.
-    pub leaf: Vec<f32>,
-    /// The axis of each, `c (cos 2 theta, sin 2 theta)` in 127ths; empty where nothing votes.
-    pub axes: Vec<[i8; 2]>,
     /// Pixels of the mask per pixel of this grid, along each axis.
     pub factor: usize,
+    /// Square roots of the votes, row by row, in 65535ths of that of `most`.
+    roots: Vec<u16>,
+    /// No place can have more votes.
+    most: f32,
+    /// Share of each reduced pixel that is leaf, in 255ths.
+    shares: Vec<u8>,
+    /// The axis of each, `c (cos 2 theta, sin 2 theta)` in 127ths; empty where nothing votes.
+    axes: Vec<[i8; 2]>,
 }
 
 /// The whole factor by which the grid of a mask of broad leaves is reduced.
@@ -86,44 +89,83 @@ pub fn factor(mask: &Mask) -> usize {
 impl Evidence {
     /// Votes of a mask whose rows have this heading (from `u` towards `v`), on a grid reduced by `factor`.
     pub fn new(mask: &Mask, heading_rad: f64, axes: AxisSource, factor: usize) -> Evidence {
-        let (width, height, leaf) = reduce(mask, factor);
+        let (width, height) = (mask.width.div_ceil(factor), mask.height.div_ceil(factor));
         let across = match axes {
             AxisSource::Tensor => None,
             AxisSource::Slices => Some(doubled(mask, factor)),
         };
-        let mut votes = vec![0.0; width * height];
+        let most = SATURATION * WEIGHTS.iter().sum::<f32>();
+        let (mut roots, mut shares) = (vec![0; width * height], vec![0; width * height]);
         let mut held = vec![[0; 2]; width * height];
         if width > 0 {
-            let outs =
-                votes.par_chunks_mut(STRIPE * width).zip(held.par_chunks_mut(STRIPE * width));
-            outs.enumerate().for_each(|(stripe, (out, held))| {
+            let outs = roots
+                .par_chunks_mut(STRIPE * width)
+                .zip(shares.par_chunks_mut(STRIPE * width))
+                .zip(held.par_chunks_mut(STRIPE * width));
+            outs.enumerate().for_each(|(stripe, ((roots, shares), held))| {
                 let first = stripe * STRIPE;
                 let from = first.saturating_sub(HALO);
                 let to = (first + STRIPE + HALO).min(height);
-                let part = &leaf[from * width..to * width];
+                let leaf = reduce(mask, factor, from..to);
                 let stripe = Stripe { width, height: to - from };
                 let of_tensor;
                 let axes = match &across {
                     Some(doubled) => &doubled[from * width..to * width],
                     None => {
-                        of_tensor = stripe.tensor_axes(part);
+                        of_tensor = stripe.tensor_axes(&leaf);
                         &of_tensor[..]
                     }
                 };
-                for (held, axis) in held.iter_mut().zip(&axes[(first - from) * width..]) {
+                let skip = (first - from) * width;
+                for (held, axis) in held.iter_mut().zip(&axes[skip..]) {
                     *held = axis.map(|a| (127.0 * a).round() as i8);
                 }
-                stripe.vote(part, axes, heading_rad, first - from, out);
+                keep_shares(&leaf[skip..], shares);
+                let mut votes = vec![0.0; roots.len()];
+                stripe.vote(&leaf, axes, heading_rad, first - from, &mut votes);
+                keep_roots(&votes, most, roots);
             });
         }
-        Evidence { width, height, votes, leaf, axes: held, factor }
+        Evidence { width, height, factor, roots, most, shares, axes: held }
     }
 
     /// The leaf mass around each place instead of votes, on a grid reduced by `factor`.
     pub fn of_mass(mask: &Mask, factor: usize) -> Evidence {
-        let (width, height, leaf) = reduce(mask, factor);
-        let votes = Stripe { width, height }.blur(leaf.clone(), MASS_PX);
-        Evidence { width, height, votes, leaf, axes: Vec::new(), factor }
+        let (width, height) = (mask.width.div_ceil(factor), mask.height.div_ceil(factor));
+        let leaf = reduce(mask, factor, 0..height);
+        let (mut roots, mut shares) = (vec![0; width * height], vec![0; width * height]);
+        keep_shares(&leaf, &mut shares);
+        keep_roots(&Stripe { width, height }.blur(leaf, MASS_PX), 1.0, &mut roots);
+        Evidence { width, height, factor, roots, most: 1.0, shares, axes: Vec::new() }
+    }
+
+    /// Votes of a pixel of the grid, row by row.
+    #[inline]
+    pub fn votes(&self, pixel: usize) -> f32 {
+        let root = f32::from(self.roots[pixel]) / f32::from(u16::MAX);
+        self.most * root * root
+    }
+
+    /// Share of a pixel of the grid that is leaf.
+    #[inline]
+    pub fn leaf_share(&self, pixel: usize) -> f32 {
+        f32::from(self.shares[pixel]) / 255.0
+    }
+
+    /// Leaf of the whole mask, in pixels of the grid.
+    pub fn leaf_area(&self) -> f64 {
+        self.shares.iter().map(|&share| u64::from(share)).sum::<u64>() as f64 / 255.0
+    }
+
+    /// Whether there are axes, which votes follow.
+    pub fn has_axes(&self) -> bool {
+        !self.axes.is_empty()
+    }
+
+    /// The axis of the leaf at a pixel of the grid, `c (cos 2 theta, sin 2 theta)` in 127ths, `c` its coherence.
+    #[inline]
+    pub fn axis(&self, pixel: usize) -> [i8; 2] {
+        self.axes[pixel]
     }
 
     /// A position of the mask in this grid.
@@ -146,19 +188,20 @@ impl Evidence {
         if !inside {
             return 0.0;
         }
-        let corner = top as usize * self.width + left as usize;
+        let upper = top as usize * self.width + left as usize;
+        let lower = upper + self.width;
         let (a, b) = ((x - left) as f32, (y - top) as f32);
-        let (upper, lower) = (&self.votes[corner..], &self.votes[corner + self.width..]);
-        let above = upper[0] + a * (upper[1] - upper[0]);
-        let below = lower[0] + a * (lower[1] - lower[0]);
-        f64::from(above + b * (below - above))
+        let between = |from: f32, to: f32, part: f32| from + part * (to - from);
+        let above = between(self.votes(upper), self.votes(upper + 1), a);
+        let below = between(self.votes(lower), self.votes(lower + 1), a);
+        f64::from(between(above, below, b))
     }
 
     /// Share of leaf in the pixel around a place; 0 outside.
     pub fn leaf_at(&self, at: [f64; 2]) -> f64 {
         let [x, y] = at.map(f64::round);
         let inside = x >= 0.0 && y >= 0.0 && x < self.width as f64 && y < self.height as f64;
-        if inside { f64::from(self.leaf[y as usize * self.width + x as usize]) } else { 0.0 }
+        if inside { f64::from(self.leaf_share(y as usize * self.width + x as usize)) } else { 0.0 }
     }
 }
 
@@ -177,20 +220,31 @@ fn stroke_px(mask: &Mask) -> f64 {
     2.0 * area as f64 / (std::f64::consts::FRAC_PI_4 * edges as f64).max(1.0)
 }
 
-/// Shares of leaf in blocks of `factor` by `factor` pixels.
-fn reduce(mask: &Mask, factor: usize) -> (usize, usize, Vec<f32>) {
-    let (width, height) = (mask.width.div_ceil(factor), mask.height.div_ceil(factor));
-    let mut leaf = vec![0.0_f32; width * height];
+/// Shares of leaf in blocks of `factor` by `factor` pixels, of some rows of blocks.
+fn reduce(mask: &Mask, factor: usize, rows: Range<usize>) -> Vec<f32> {
+    let width = mask.width.div_ceil(factor);
+    let mut leaf = vec![0.0_f32; width * rows.len()];
     let share = 1.0 / (factor * factor) as f32;
-    for v in 0..mask.height {
-        let out = &mut leaf[v / factor * width..][..width];
+    for v in rows.start * factor..(rows.end * factor).min(mask.height) {
+        let out = &mut leaf[(v / factor - rows.start) * width..][..width];
         for (u, &pixel) in mask.row(v).iter().enumerate() {
             if pixel != 0 {
                 out[u / factor] += share;
             }
         }
     }
-    (width, height, leaf)
+    leaf
+}
+
+/// Shares in 255ths.
+fn keep_shares(leaf: &[f32], to: &mut [u8]) {
+    to.iter_mut().zip(leaf).for_each(|(to, share)| *to = (255.0 * share).round() as u8);
+}
+
+/// Square roots of votes in 65535ths of that of `most`.
+fn keep_roots(votes: &[f32], most: f32, to: &mut [u16]) {
+    let root = |votes: f32| (f32::from(u16::MAX) * (votes / most).sqrt()).round() as u16;
+    to.iter_mut().zip(votes).for_each(|(to, &votes)| *to = root(votes));
 }
 
 /// The mean of `(cos 2 theta, sin 2 theta)` over the leaf pixels of each block, from slices.
@@ -396,8 +450,8 @@ mod tests {
         {
             let centre = [29.3 * scale, 31.0 * scale];
             let evidence = seen(&star(centre, turn, side, scale), 0.0, axes);
-            let best = (0..evidence.votes.len())
-                .max_by(|&a, &b| evidence.votes[a].total_cmp(&evidence.votes[b]))
+            let best = (0..evidence.width * evidence.height)
+                .max_by(|&a, &b| evidence.votes(a).total_cmp(&evidence.votes(b)))
                 .unwrap();
             let (x, y) = (best % evidence.width, best / evidence.width);
             let found = evidence.full([x as f64, y as f64]);
@@ -417,11 +471,11 @@ mod tests {
         // Away from the edges, where one walk can leave the mask just before the other.
         for v in 0..300 {
             for u in 0..40 {
-                let (one, two) = (a.votes[v * 40 + u], b.votes[(299 - v) * 40 + u]);
+                let (one, two) = (a.votes(v * 40 + u), b.votes((299 - v) * 40 + u));
                 assert!((one - two).abs() <= 0.35 * one.max(two).max(1.0), "{u} {v}: {one} {two}");
             }
         }
-        let mean = |e: &Evidence| e.votes.iter().sum::<f32>();
+        let mean = |e: &Evidence| (0..40 * 300).map(|k| e.votes(k)).sum::<f32>();
         assert!((mean(&a) / mean(&b) - 1.0).abs() < 0.01);
     }
 
@@ -429,18 +483,17 @@ mod tests {
     fn degenerate_masks_have_no_votes() {
         for mask in [Mask::empty(0, 0), Mask::empty(1, 1), Mask::empty(9, 200)] {
             for axes in [AxisSource::Tensor, AxisSource::Slices] {
-                let votes = seen(&mask, 0.0, axes).votes;
-                assert!(votes.iter().all(|&votes| votes == 0.0));
+                let evidence = seen(&mask, 0.0, axes);
+                assert!((0..mask.data.len()).all(|k| evidence.votes(k) == 0.0));
             }
         }
         let dot = Mask::from_fn(1, 1, |_, _| true);
-        assert_eq!(seen(&dot, 0.0, AxisSource::Slices).votes.len(), 1);
+        assert_eq!(seen(&dot, 0.0, AxisSource::Slices).width, 1);
     }
 
     #[test]
     fn positions_turn_there_and_back() {
-        let evidence =
-            Evidence { width: 1, height: 1, votes: vec![], leaf: vec![], axes: vec![], factor: 3 };
+        let evidence = Evidence::of_mass(&Mask::empty(1, 1), 3);
         let at = [7.25, -3.0];
         let back = evidence.full(evidence.reduced(at));
         approx::assert_relative_eq!(back[0], at[0], epsilon = 1e-12);

@@ -132,7 +132,7 @@ pub(super) fn median(mut values: Vec<f64>) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{phenotype::rows, problems::plants::index::PixelIndex};
+    use crate::phenotype::rows;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
@@ -163,7 +163,7 @@ mod tests {
                 }
             }
         }
-        let detection = rows::detect(&PixelIndex::from_mask(mask.width, &mask.data));
+        let detection = rows::detect(&mask);
         (mask, detection.rows().unwrap().clone())
     }
 

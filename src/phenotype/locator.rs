@@ -4,6 +4,7 @@
 //! descent too. Positions and lengths in pixels of the mask, centre of the top-left pixel at (0, 0).
 
 use super::{
+    leaf_pixels::LeafPixels as _,
     locate::{Init, LocateError, Located, PlantFitOptions, Restarts, Setup, locate_best},
     row_model::{self, RowModelOptions},
     rows::{self, Detection},
@@ -253,14 +254,13 @@ pub struct Descended {
 /// As [`LocateOptions::check`] and [`row_model::locate`].
 pub fn prepare(
     mask: &Mask,
-    posterior: Option<&[u8]>,
+    posterior: Option<Vec<u8>>,
     gsd_m: Option<f64>,
     options: &LocateOptions,
 ) -> Result<Prepared, LocateError> {
     options.check()?;
-    let index = PixelIndex::from_mask(mask.width, &mask.data);
-    let leaf_pixels = index.len();
-    let detection = rows::detect(&index);
+    let leaf_pixels = mask.number();
+    let detection = rows::detect(mask);
     if let Some(tile_px) = options.tile_px {
         // Two rows on every side, several plants.
         let spacing_px = detection.rows().and_then(|rows| rows.spacing_px);
@@ -287,6 +287,7 @@ pub fn prepare(
             let plants = plants.unwrap_or_else(|| start.as_ref().map_or(1, Vec::len));
             let posed = options.posed(gsd_m, plants);
             let start = start.filter(|_| init == Init::Votes);
+            let index = PixelIndex::from_mask(mask.width, &mask.data);
             let setup = Setup::from(index, &posed, detection.clone(), start)?;
             Work::Descent(Box::new(Descend { setup, options: posed }))
         }

@@ -21,10 +21,7 @@ use super::{
     rows::{self, Detection, Row, Rows},
     stand::{BETWEEN, BetweenRows, Gap, LEAST_MISSING, LeafMass, Stalk, Stand},
 };
-use crate::{
-    problems::plants::{index::PixelIndex, lines::Axes},
-    raster::Mask,
-};
+use crate::{problems::plants::lines::Axes, raster::Mask};
 
 /// The smallest components with this share of the leaf mass are left out when the covered share of rows is measured: specks of residue
 /// cover soil and have next to no mass.
@@ -120,7 +117,7 @@ pub(super) fn locate(
     let left_out = LeftOut { specks: parts.specks(), weeds: weeds(&found.plants, &rows) };
     if !left_out.weeds.is_empty() {
         let crop = parts.mask_of(|part| left_out.weeds.iter().all(|weed| weed.component != part));
-        let detection = rows::detect(&PixelIndex::from_mask(crop.width, &crop.data));
+        let detection = rows::detect(&crop);
         let parts = Parts::new(&crop, None, posterior);
         let share = covered(&parts, &detection);
         if share >= CLOSED {
@@ -352,7 +349,7 @@ fn rows_of(mask: &Mask, plants: &[Plant], plant_px: f64, detection: &Detection) 
         return none;
     }
     let discs = discs(mask, plants, DISC * (plant_px / std::f64::consts::PI).sqrt());
-    let again = rows::detect(&PixelIndex::from_mask(discs.width, &discs.data));
+    let again = rows::detect(&discs);
     let worth = |rows: &Rows| held_beyond_chance(rows, mask, plants, plant_px);
     let lone = lone_row(plants, axes, plant_px);
     let found = [detection.rows(), again.rows(), lone.as_ref()].into_iter().flatten();
@@ -460,7 +457,7 @@ mod tests {
     }
 
     fn find(mask: &Mask, count: Option<usize>) -> Option<Stand> {
-        let detection = rows::detect(&PixelIndex::from_mask(mask.width, &mask.data));
+        let detection = rows::detect(mask);
         match locate(mask, None, &detection, count) {
             ByMass::Found(stand) => Some(*stand),
             ByMass::Nothing | ByMass::Doubtful(..) => None,
@@ -499,7 +496,7 @@ mod tests {
         let weedy = Mask::from_fn(760, 650, |u, v| {
             mask.get(u, v) || weeds.iter().any(|w| (u as f64 - w[0]).hypot(v as f64 - w[1]) < 9.0)
         });
-        let detection = rows::detect(&PixelIndex::from_mask(weedy.width, &weedy.data));
+        let detection = rows::detect(&weedy);
         let share = 1.0 - mask.count() as f64 / weedy.count() as f64;
         for count in [None, Some(plants.len())] {
             // So many that mass would not tell the crop from weeds within rows; but discs have no axes to vote along.
@@ -513,7 +510,7 @@ mod tests {
         }
         // The same, of so few pixels that the shape of leaves cannot be told.
         let small = Mask::from_fn(760 / 4, 650 / 4, |u, v| weedy.get(4 * u + 2, 4 * v + 2));
-        let detection = rows::detect(&PixelIndex::from_mask(small.width, &small.data));
+        let detection = rows::detect(&small);
         let stand =
             row_model::locate(&small, &detection, None, &RowModelOptions::default()).unwrap();
         let n = plants.len() as f64;

@@ -121,7 +121,7 @@ impl RowEvidence {
 
     /// Whether evidence is votes along the axes of leaves.
     pub(super) fn has_axes(&self) -> bool {
-        !self.evidence.axes.is_empty()
+        self.evidence.has_axes()
     }
 
     /// Reads what every row shows.
@@ -228,7 +228,7 @@ impl RowEvidence {
         };
         let middle = heights().sum::<f64>() / places.max(1) as f64;
         let variance = heights().map(|h| (h - middle).powi(2)).sum::<f64>() / places.max(1) as f64;
-        let leaf: f64 = self.evidence.leaf.iter().map(|&share| f64::from(share)).sum();
+        let leaf = self.evidence.leaf_area();
         let overall = Overall {
             mean: self.mean,
             outside: (1.0 - self.mass / leaf.max(f64::MIN_POSITIVE)).max(0.0),

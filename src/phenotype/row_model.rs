@@ -110,7 +110,7 @@ pub fn locate(
 /// As [`locate`].
 pub(super) fn locate_in_detail(
     mask: &Mask,
-    posterior: Option<&[u8]>,
+    posterior: Option<Vec<u8>>,
     detection: &Detection,
     count: Option<usize>,
     options: &RowModelOptions,
@@ -119,8 +119,8 @@ pub(super) fn locate_in_detail(
     if mask.data.iter().all(|&pixel| pixel == 0) {
         return Err(LocateError::EmptyMask);
     }
-    if let Some(posterior) = posterior.filter(|posterior| posterior.len() != mask.data.len()) {
-        let (found, expected) = (posterior.len(), mask.data.len());
+    let expected = mask.data.len();
+    if let Some(found) = posterior.as_ref().map(Vec::len).filter(|&found| found != expected) {
         let message = format!("a posterior of {found} pixels, expected {expected} as in the mask");
         return Err(SolveError::Misuse(message).into());
     }
@@ -133,7 +133,7 @@ pub(super) fn locate_in_detail(
     }
     let fits = count.is_none_or(|count| count <= pixels / PLANT);
     let by_mass = if options.isolated_plants && fits {
-        mass_stand::locate(mask, posterior, detection, count)
+        mass_stand::locate(mask, posterior.as_deref(), detection, count)
     } else {
         ByMass::Nothing
     };
@@ -145,11 +145,11 @@ pub(super) fn locate_in_detail(
             let stand = match crop {
                 None => by_votes(mask, posterior, detection, count, options)?,
                 Some((crop, detection)) => {
-                    let of_crop: Option<Vec<u8>> = posterior.map(|posterior| {
-                        let pixels = std::iter::zip(posterior, &crop.data);
-                        pixels.map(|(&p, &crop)| if crop == 0 { 0 } else { p }).collect()
-                    });
-                    by_votes(crop, of_crop.as_deref(), detection, count, options)?
+                    let mut posterior = posterior;
+                    for (p, crop) in posterior.iter_mut().flatten().zip(&crop.data) {
+                        *p *= u8::from(*crop != 0);
+                    }
+                    by_votes(crop, posterior, detection, count, options)?
                 }
             };
             let (votes, mass) = (stand.plants.len(), by_mass.plants.len());
@@ -167,7 +167,7 @@ pub(super) fn locate_in_detail(
 /// [`locate_in_detail`] by votes along leaf axes alone.
 fn by_votes(
     mask: &Mask,
-    posterior: Option<&[u8]>,
+    posterior: Option<Vec<u8>>,
     detection: &Detection,
     count: Option<usize>,
     options: &RowModelOptions,
@@ -178,12 +178,14 @@ fn by_votes(
             return Err(LocateError::NoRows { contrast, prominence });
         }
     };
-    let detail = posterior.map(|posterior| Mask {
-        width: mask.width,
-        height: mask.height,
-        data: posterior.iter().map(|&p| u8::from(p >= LIKELY)).collect(),
-    });
-    let mut evidence = RowEvidence::new(detail.as_ref().unwrap_or(mask), rows, options);
+    let mut evidence = match posterior {
+        None => RowEvidence::new(mask, rows, options),
+        Some(mut data) => {
+            let (width, height) = (mask.width, mask.height);
+            data.iter_mut().for_each(|p| *p = u8::from(*p >= LIKELY));
+            RowEvidence::new(&Mask { width, height, data }, rows, options)
+        }
+    };
     let spacing = evidence.spacing(count);
     evidence.cut(&spacing);
     if options.double_plants && evidence.has_axes() {

@@ -17,8 +17,8 @@
 //! Headings are measured from the image's `u` axis towards its `v` axis; along and across as in
 //! [`Axes`]; everything else in pixels.
 
-use super::periodicity::{blur, period, two_rows};
-use crate::problems::plants::{index::PixelIndex, lines::Axes};
+use super::{leaf_pixels::LeafPixels, row_lines::lines};
+use crate::problems::plants::lines::Axes;
 use std::f64::consts::PI;
 
 /// Pixels that the search for the heading looks at, at most.
@@ -93,23 +93,18 @@ impl Detection {
     }
 }
 
-/// Finds the rows of a mask.
-pub fn detect(index: &PixelIndex) -> Detection {
+/// Finds the rows of a mask, or of an index of its leaf pixels.
+pub fn detect(pixels: &impl LeafPixels) -> Detection {
     let none = |contrast, prominence| Detection::NoRows { contrast, prominence };
-    let Some(extent) = index.extent() else { return none(0.0, 0.0) };
+    let Some(extent) = pixels.extent() else { return none(0.0, 0.0) };
     let (origin_px, _) = extent.circle();
     let size = [
         f64::from(extent.u_max) - f64::from(extent.u_min) + 1.0,
         f64::from(extent.v_max) - f64::from(extent.v_min) + 1.0,
     ];
-    let stride = index.len().div_ceil(SAMPLE);
-    let sample: Vec<[f64; 2]> = (0..index.len())
-        .step_by(stride)
-        .map(|n| {
-            let [u, v] = index.position(n);
-            [u - origin_px[0], v - origin_px[1]]
-        })
-        .collect();
+    let stride = pixels.number().div_ceil(SAMPLE);
+    let from_origin = |[u, v]: [f64; 2]| [u - origin_px[0], v - origin_px[1]];
+    let sample: Vec<[f64; 2]> = pixels.sample(stride).into_iter().map(from_origin).collect();
     let finder = Finder { sample: &sample, size, weight: stride as f64 };
     let window = FIRST_WINDOW_PX.min(size[0].hypot(size[1]));
     let first = Windows::new(&finder, window);
@@ -133,7 +128,7 @@ pub fn detect(index: &PixelIndex) -> Detection {
         let lines_near = |heading_rad: f64| {
             let heading_rad = finder.refine(heading_rad, window).rem_euclid(PI);
             let axes = Axes { origin_px, heading_rad };
-            let (rows, spacing_px) = lines(index, &axes);
+            let (rows, spacing_px) = lines(pixels, &axes);
             (axes, rows, spacing_px)
         };
         let (mut axes, mut rows, mut spacing_px) = lines_near((degree as f64).to_radians());
@@ -314,83 +309,10 @@ fn area_below(a: f64, b: f64, area: f64, at: f64) -> f64 {
     }
 }
 
-/// Row lines at a heading, by position across, and the distance between them.
-fn lines(index: &PixelIndex, axes: &Axes) -> (Vec<Row>, Option<f64>) {
-    let places: Vec<[f64; 2]> = (0..index.len()).map(|n| axes.aligned(index.position(n))).collect();
-    let low = places.iter().map(|p| p[1]).fold(f64::INFINITY, f64::min).floor();
-    let high = places.iter().map(|p| p[1]).fold(f64::NEG_INFINITY, f64::max);
-    let mut profile = vec![0.0; (high - low) as usize + 1];
-    for place in &places {
-        profile[(place[1] - low) as usize] += 1.0;
-    }
-    let period = period(&profile).or_else(|| two_rows(&profile));
-    let smooth_px = period.map_or(profile.len() as f64 / 8.0, |period| period / 7.0);
-    let smooth = blur(&profile, smooth_px);
-    let apart = period.map_or(profile.len() as f64, |period| 0.6 * period);
-    let highest = smooth.iter().copied().fold(0.0, f64::max);
-    let mut peaks: Vec<usize> = (0..smooth.len())
-        .filter(|&k| {
-            let left = k.checked_sub(1).map_or(0.0, |j| smooth[j]);
-            let right = smooth.get(k + 1).copied().unwrap_or(0.0);
-            smooth[k] > left && smooth[k] >= right && smooth[k] >= 0.35 * highest
-        })
-        .collect();
-    // The higher of two that are too close stays.
-    peaks.sort_by(|&a, &b| smooth[b].total_cmp(&smooth[a]).then(a.cmp(&b)));
-    let mut kept: Vec<usize> = Vec::new();
-    for peak in peaks {
-        if kept.iter().all(|&k| k.abs_diff(peak) as f64 > apart) {
-            kept.push(peak);
-        }
-    }
-    kept.sort_unstable();
-    let band = period.map_or(profile.len() as f64, |period| period / 2.0);
-    let mut along: Vec<Vec<f64>> = vec![Vec::new(); kept.len()];
-    let mut across = vec![0.0; kept.len()];
-    for [a, b] in places {
-        let strip = b - low - 0.5;
-        let nearest = kept.partition_point(|&k| (k as f64) < strip);
-        let candidates = [nearest.checked_sub(1), (nearest < kept.len()).then_some(nearest)];
-        let distance = |k: usize| (kept[k] as f64 - strip).abs();
-        let row =
-            candidates.into_iter().flatten().min_by(|&a, &b| distance(a).total_cmp(&distance(b)));
-        if let Some(row) = row.filter(|&row| distance(row) <= band) {
-            along[row].push(a);
-            across[row] += b;
-        }
-    }
-    let rows: Vec<Row> = along
-        .into_iter()
-        .zip(across)
-        .filter(|(along, _)| !along.is_empty())
-        .map(|(mut along, across)| {
-            along.sort_by(f64::total_cmp);
-            let pixels = along.len();
-            // A little is cut off at both ends: weeds and noise beyond the row.
-            let trim = pixels / 500;
-            Row {
-                across_px: across / pixels as f64,
-                start_px: along[trim] - 0.5,
-                end_px: along[pixels - 1 - trim] + 0.5,
-                pixels,
-            }
-        })
-        .collect();
-    let gaps: Vec<f64> = rows.windows(2).map(|w| w[1].across_px - w[0].across_px).collect();
-    let spacing = period.filter(|_| rows.len() > 1).map(|period| refine(&gaps, period));
-    (rows, spacing)
-}
-
-/// The distance between rows that explains the gaps, each a whole number of them.
-fn refine(gaps: &[f64], period: f64) -> f64 {
-    let steps = |gap: &f64| (gap / period).round().max(1.0);
-    let total: f64 = gaps.iter().sum();
-    total / gaps.iter().map(steps).sum::<f64>()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::problems::plants::index::PixelIndex;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 

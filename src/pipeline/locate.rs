@@ -263,7 +263,7 @@ pub fn locate_plants(
     let of_raster = || source.georeference().and_then(|place| place.gsd_m());
     let gsd_m = options.gsd_m.or_else(of_raster);
     let place = table::Placement { georeference: source.georeference(), gsd_m };
-    let prepared = locator::prepare(&mask, leaf.posterior.as_deref(), gsd_m, options)?;
+    let prepared = locator::prepare(&mask, leaf.posterior, gsd_m, options)?;
     let rows = match &prepared.work {
         Work::Stand(stand) => Some(&stand.rows).filter(|rows| !rows.rows.is_empty()),
         _ => prepared.detection.rows(),

@@ -23,7 +23,7 @@ use rowgram::{
         rows,
         stand::Stand,
     },
-    problems::{adjustment::rmse, plants::index::PixelIndex},
+    problems::adjustment::rmse,
     raster::Mask,
     score::matching,
 };
@@ -148,7 +148,7 @@ impl Stage for Chain {
         let (shares, offset) = (flown.shares(), p.errors.threshold_grey);
         let mask = chain_map::threshold(&shares, width, &p.map, offset, seed, p.draws.field);
         seconds("map", &mut measured);
-        let detection = rows::detect(&PixelIndex::from_mask(mask.width, &mask.data));
+        let detection = rows::detect(&mask);
         let stand = row_model::locate(&mask, &detection, None, &p.row_model);
         let stand = stand.map_err(|e| e.to_string())?;
         seconds("plants", &mut measured);

@@ -10,7 +10,6 @@ use rowgram::{
         rows,
         stand::Stalk,
     },
-    problems::plants::index::PixelIndex,
 };
 use std::{error::Error, f64::consts::TAU, path::Path};
 
@@ -100,7 +99,7 @@ pub(super) struct Field {
 pub(super) fn read(path: &Path) -> Result<Field, Box<dyn Error + Send + Sync>> {
     let mask = images::read_mask(path)?;
     let plants = points::read(&path.with_extension("csv"))?;
-    let detection = rows::detect(&PixelIndex::from_mask(mask.width, &mask.data));
+    let detection = rows::detect(&mask);
     let uncounted =
         RowModelOptions { stand_count: false, double_plants: false, ..RowModelOptions::default() };
     let uncounted = row_model::locate(&mask, &detection, None, &uncounted)?;
@@ -190,7 +189,7 @@ pub(super) fn read(path: &Path) -> Result<Field, Box<dyn Error + Send + Sync>> {
     let mass: f64 = rows.iter().filter_map(|row| row.mass.last()).map(|m| m[0]).sum();
     let length: f64 = reduced.iter().map(rows::Row::length_px).sum();
     let cover = mass / (length * f64::from(2 * BAND + 1));
-    let leaf: f64 = evidence.leaf.iter().map(|&share| f64::from(share)).sum();
+    let leaf = evidence.leaf_area();
     let overall = [mean, mass / places, contrast.sqrt(), cover, (1.0 - mass / leaf).max(0.0)];
     Ok(Field { rows, overall, truth, start: start / factor })
 }

@@ -74,8 +74,7 @@ pub struct PixelIndex {
 impl PixelIndex {
     /// Sorts pixels given as (column, row).
     pub fn new(pixels: &[[u32; 2]]) -> PixelIndex {
-        let side = pixels.iter().map(|p| p[0].max(p[1])).max().unwrap_or(0);
-        let order = u64::BITS - u64::from(side).leading_zeros();
+        let order = hilbert_order(pixels.iter().map(|p| p[0].max(p[1])).max().unwrap_or(0));
         let mut keyed: Vec<(u64, [u32; 2])> =
             pixels.iter().map(|&p| (hilbert(order, p), p)).collect();
         keyed.sort_unstable();
@@ -243,8 +242,13 @@ pub(super) fn largest(values: &[f32]) -> f32 {
     values.iter().copied().fold(f32::NEG_INFINITY, |a, b| if b > a { b } else { a })
 }
 
+/// Order of the curve through cells of at most this column and row.
+pub(crate) fn hilbert_order(largest: u32) -> u32 {
+    u32::BITS - largest.leading_zeros()
+}
+
 /// Place of a cell on the Hilbert curve through a square of side `2^order`.
-fn hilbert(order: u32, [mut x, mut y]: [u32; 2]) -> u64 {
+pub(crate) fn hilbert(order: u32, [mut x, mut y]: [u32; 2]) -> u64 {
     let mut place = 0_u64;
     for bit in (0..order).rev() {
         let (rx, ry) = (x >> bit & 1, y >> bit & 1);
