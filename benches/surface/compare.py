@@ -1,15 +1,17 @@
 """How exact a surface is: of synthetic flights against their truth, of real ones against another program's cloud.
 
-    rowgram synth flight --preset small --seed 2 --stage mid --overlap 80/70 -o field
+    rowgram synth flight --config field.toml -o field
     rowgram run field --until surface
     python3 benches/surface/compare.py twin field [field ...]
     python3 benches/surface/compare.py cloud PROJECT/rowgram/surface model.laz
+
+field.toml: that of `rowgram synth flight --preset small --no-photos` with other seed, stage, forward_overlap and side_overlap.
 
 twin: over the middle 60 % of each side of the map, one row for each flight. Soil: robust spread (1.4826 times the
 median deviation) of its errors in cells. Leaves: share of cells all round leaf within 5 cm of the true top. Soil beside leaves:
 share within 7.5 cm of those within 5 cells of a leaf. Height: 95th percentile of the canopy height model in squares of 2 m over the
 true one, mean and standard deviation. Ground: median error where leaves cover it. Known: share of the cells of the middle.
-Sigma: robust spread of error over standard deviation, soil and leaves.
+Sigma: 1.4826 times the median absolute error over standard deviation, soil, leaves and ground.
 
 cloud: the surface against the cloud's highest points in cells of 0.25 m, after the shift in x, y and z that makes
 the median difference least, and a tilt: the other program has camera positions of its own. Robust spread and shares within 10 and 50 cm, for cells
@@ -54,6 +56,10 @@ def spread(errors):
     return 1.4826 * np.median(np.abs(errors - np.median(errors))) if errors.size else float("nan")
 
 
+def ratio(errors):
+    return 1.4826 * np.nanmedian(np.abs(errors))
+
+
 def grown(mask, cells):
     out = mask.copy()
     for _ in range(cells):
@@ -67,7 +73,7 @@ def grown(mask, cells):
 
 
 def twin(projects):
-    print("| flight | known % | soil, cells | leaves % | soil beside % | height, cm | ground, cm | sigma soil, leaves |")
+    print("| flight | known % | soil, cells | leaves % | soil beside % | height, cm | ground, cm | sigma soil, leaves, ground |")
     print("|---|---|---|---|---|---|---|---|")
     for project in map(pathlib.Path, projects):
         folder = project / "rowgram" / "surface"
@@ -82,6 +88,7 @@ def twin(projects):
         top, true_height = at(project / "truth/dsm.tif"), at(project / "truth/chm.tif")
         height, sigma = at(folder / "chm.tif"), at(folder / "dsm_sigma.tif")
         ground_off = at(folder / "dtm.tif") - (top - true_height)
+        ground_sigma = at(folder / "dtm_sigma.tif")
         plant = true_height > 0.01
         leaf = ~grown(~plant, 1)
         soil = ~plant & (true_height < 0.005)
@@ -105,7 +112,7 @@ def twin(projects):
             f"| {project.name} | {known:.1f} | {spread(off[soil]) / side:.2f} | {within(leaf, 0.05):.0f} "
             f"| {within(beside, 0.075):.0f} | {100 * np.mean(differences):+.1f}, {100 * np.std(differences):.1f} "
             f"| {100 * np.nanmedian(ground_off[plant]):+.1f} "
-            f"| {spread(off[soil] / sigma[soil]):.2f}, {spread(off[leaf] / sigma[leaf]):.2f} |"
+            f"| {ratio(off[soil] / sigma[soil]):.2f}, {ratio(off[leaf] / sigma[leaf]):.2f}, {ratio(ground_off / ground_sigma):.2f} |"
         )
 
 

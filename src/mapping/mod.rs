@@ -29,6 +29,7 @@ pub mod grid;
 pub mod ground;
 pub mod map_ties;
 pub mod mosaic;
+pub mod orientation_sigma;
 pub mod paint;
 pub mod photo;
 pub mod photo_cache;

@@ -23,6 +23,7 @@ use crate::{
         dem::SurfacePoint,
         dense::{Area, AreaOptions, Pass, Prior, Tile, area::TILE},
         grid::{coverage, covering, median_gsd_m, rounded},
+        orientation_sigma::OrientationSigma,
         surface::HeightInterpolation,
         views,
     },
@@ -106,6 +107,13 @@ pub struct SurfaceOutcome {
     pub cells_seen: usize,
     /// Those of them with a height.
     pub cells_with_height: usize,
+    /// Median standard deviation of the surface, metres.
+    #[serde(default)]
+    pub median_surface_sigma_m: Option<f64>,
+    /// The part of it, and of that of the ground, that comes from the orientation of the photos, metres; `None` where no adjustment said how
+    /// well tie points are known.
+    #[serde(default)]
+    pub median_orientation_sigma_m: Option<f64>,
     /// Median standard deviation of the ground, metres.
     pub median_ground_sigma_m: Option<f64>,
     /// Height over the ground that 50, 95 and 99 % of the cells do not exceed, metres.
@@ -153,7 +161,9 @@ impl Task for SurfaceTask {
                 "nothing bare was found, so there is no ground and no height of the canopy";
             monitor.diagnostic(&Diagnostic::warning("surface-no-ground", subject, message));
         }
-        let found = write::Found { area: scene.cells, place, ground: &ground, range_m };
+        let orientation = scene.orientation.as_ref();
+        let found =
+            write::Found { area: scene.cells, place, ground: &ground, range_m, orientation };
         let mut outcome = write::write(&found, &mut store, folder)?;
         if options.cloud {
             write::cloud(&found, &mut store, &folder.join(CLOUD))?;
@@ -184,6 +194,8 @@ struct Scene {
     base: Surface,
     place: Georeference,
     cells: Tile,
+    /// What orientation leaves of heights unknown, where an adjustment says so.
+    orientation: Option<OrientationSigma>,
     options: AreaOptions,
     /// Of all that decides the tiles.
     key: Key,
@@ -203,6 +215,7 @@ impl Scene {
         let (place, size) = grid(&views, &base, options, crs)?;
         let cells = Tile { corner_m: place.origin, cell_m: place.per_column[0], size };
         let points = SurfacePoint::of(&reconstruction);
+        let orientation = OrientationSigma::of(&points);
         let (range_m, relief_m) = match options.range_m {
             Auto::Given(range_m) => (range_m, range_m),
             Auto::Auto => {
@@ -225,7 +238,7 @@ impl Scene {
         let inputs = record::contents(project.root(), &SurfaceTask::inputs(project, options)?)?;
         let key = stage::key::<SurfaceTask>(project, options, &inputs);
         let key = Key::begin().text(&key).finish();
-        Ok(Scene { views, files, base, place, cells, options: area_options, key })
+        Ok(Scene { views, files, base, place, cells, orientation, options: area_options, key })
     }
 
     /// Does something with the area, whose photos are read as they are needed.

@@ -15,6 +15,7 @@ use crate::{
             AreaGround, DenseTile, HeightCounts, Pass, Tile, TileStore,
             area::{TILE, starts},
         },
+        orientation_sigma::OrientationSigma,
         surface::HeightInterpolation,
     },
     pipeline::{dem::NODATA, figures, map_figures},
@@ -35,6 +36,7 @@ pub(super) struct Found<'a> {
     pub(super) place: &'a Georeference,
     pub(super) ground: &'a AreaGround,
     pub(super) range_m: f64,
+    pub(super) orientation: Option<&'a OrientationSigma>,
 }
 
 /// Writes everything into the folder of the stage.
@@ -52,9 +54,9 @@ pub(super) fn write(
             let message = "a tile of the surface that was matched is gone; run the stage again";
             return Err(FileError::read(folder, std::io::Error::other(message)).into());
         };
-        let planes = Planes::new(tile, found.ground);
+        let planes = Planes::new(tile, found);
         rasters.put(start, &planes)?;
-        sums.add(start, &planes);
+        sums.add(start, &planes, found);
     }
     rasters.finish()?;
     sums.draw(found, &pictures)?;
@@ -99,12 +101,21 @@ struct Planes {
 }
 
 impl Planes {
-    fn new(tile: DenseTile, ground: &AreaGround) -> Planes {
-        let Some(terrain) = &ground.terrain else {
+    fn new(mut tile: DenseTile, found: &Found<'_>) -> Planes {
+        let width = tile.tile.size[0];
+        // Matching and orientation are independent of each other.
+        let with_orientation = |sigma_m: f64, place_m: [f64; 2]| match found.orientation {
+            Some(orientation) => orientation.with(sigma_m, place_m),
+            None => sigma_m,
+        };
+        for (at, sigma) in tile.sigma_m.iter_mut().enumerate().filter(|(_, of)| of.is_finite()) {
+            let place = tile.tile.place_m(at % width, at / width);
+            *sigma = with_orientation(f64::from(*sigma), place) as f32;
+        }
+        let Some(terrain) = &found.ground.terrain else {
             let [ground_m, ground_sigma_m, canopy_m] = [const { Vec::new() }; 3];
             return Planes { tile, ground_m, ground_sigma_m, canopy_m };
         };
-        let width = tile.tile.size[0];
         // The ground is known where photos show something; beyond it is a guess.
         let on_grid = |of: &dyn Fn([f64; 2]) -> Option<f64>| -> Vec<f32> {
             let cell = |at: usize| {
@@ -115,7 +126,10 @@ impl Planes {
         };
         let ground_m = on_grid(&|place| terrain.at_m(place));
         let finite = |sigma: &f64| sigma.is_finite();
-        let ground_sigma_m = on_grid(&|place| terrain.sigma_at_m(place).filter(finite));
+        let ground_sigma_m = on_grid(&|place| {
+            let sigma = terrain.sigma_at_m(place).filter(finite);
+            sigma.map(|sigma| with_orientation(sigma, place))
+        });
         // Not `max`, which takes zero for what is not known.
         let above = |(top, ground): (&f32, &f32)| if top < ground { 0.0 } else { top - ground };
         let canopy_m = tile.surface_m.iter().zip(&ground_m).map(above).collect();
@@ -177,6 +191,8 @@ struct Sums {
     seen: usize,
     with_height: usize,
     canopy: HeightCounts,
+    surface_sigma: HeightCounts,
+    orientation_sigma: HeightCounts,
     ground_sigma: HeightCounts,
     /// Every so-manieth cell is in the pictures.
     step: usize,
@@ -199,6 +215,8 @@ impl Sums {
             seen: 0,
             with_height: 0,
             canopy: HeightCounts::new(HEIGHT_CLASS_M),
+            surface_sigma: HeightCounts::new(SIGMA_CLASS_M),
+            orientation_sigma: HeightCounts::new(SIGMA_CLASS_M),
             ground_sigma: HeightCounts::new(SIGMA_CLASS_M),
             step,
             small,
@@ -209,7 +227,7 @@ impl Sums {
         }
     }
 
-    fn add(&mut self, start: [usize; 2], of: &Planes) {
+    fn add(&mut self, start: [usize; 2], of: &Planes, found: &Found<'_>) {
         let width = of.tile.tile.size[0];
         let middle = self.size.map(|n| n / 2);
         for at in 0..of.tile.surface_m.len() {
@@ -222,6 +240,11 @@ impl Sums {
             let below = of.ground_m.get(at).copied().unwrap_or(f32::NAN);
             let canopy = of.canopy_m.get(at).copied().unwrap_or(f32::NAN);
             self.canopy.add(f64::from(canopy));
+            self.surface_sigma.add(f64::from(of.tile.sigma_m[at]));
+            if let Some(orientation) = found.orientation.filter(|_| top.is_finite()) {
+                let place = of.tile.tile.place_m(at % width, at / width);
+                self.orientation_sigma.add(orientation.at_m(place));
+            }
             if let Some(&sigma) = of.ground_sigma_m.get(at) {
                 self.ground_sigma.add(f64::from(sigma));
             }
@@ -259,6 +282,8 @@ impl Sums {
             layer_m: found.ground.layer_m,
             cells_seen: self.seen,
             cells_with_height: self.with_height,
+            median_surface_sigma_m: self.surface_sigma.percentile_m(0.5),
+            median_orientation_sigma_m: self.orientation_sigma.percentile_m(0.5),
             median_ground_sigma_m: self.ground_sigma.percentile_m(0.5),
             canopy_percentiles_m: percentile(0.5)
                 .zip(percentile(0.95))
@@ -332,7 +357,7 @@ mod tests {
         let tiles: &mut dyn TileStore<Error> = &mut store;
         tiles.save(Pass::Fine, 0, &tile).unwrap();
         let ground = AreaGround { terrain: None, layer_m: 0.01 };
-        let found = Found { area, place: &place, ground: &ground, range_m: 1.0 };
+        let found = Found { area, place: &place, ground: &ground, range_m: 1.0, orientation: None };
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("dsm.laz");
         cloud(&found, &mut store, &path).unwrap();
