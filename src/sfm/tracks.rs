@@ -35,17 +35,41 @@ pub struct Tracks {
     refused: usize,
 }
 
+/// Trees of positions, no two of which are in one image. Flat arrays: of thousands of photos there are millions of trees.
 struct Forest {
     sets: DisjointSets,
     /// Image of each node.
     image_of: Vec<u32>,
-    /// Images of each tree of several nodes, ascending, by its root.
-    images: HashMap<u32, Vec<u32>>,
+    /// The next node of the same tree, around in a ring.
+    next: Vec<u32>,
+    /// Nodes of each tree, by its root.
+    nodes: Vec<u32>,
+    /// Of each image: the last question in which it was in the first of two trees.
+    asked: Vec<u64>,
+    questions: u64,
 }
 
 impl Forest {
-    fn images(&self, root: usize) -> &[u32] {
-        self.images.get(&(root as u32)).map_or(&self.image_of[root..=root], Vec::as_slice)
+    /// A tree for each position; images have so many.
+    fn new(counts: &[usize]) -> Forest {
+        let images = counts.iter().enumerate();
+        let image_of: Vec<u32> =
+            images.flat_map(|(k, count)| std::iter::repeat_n(k as u32, *count)).collect();
+        let total = image_of.len();
+        Forest {
+            sets: DisjointSets::new(total),
+            image_of,
+            next: (0..total as u32).collect(),
+            nodes: vec![1; total],
+            asked: vec![0; counts.len()],
+            questions: 0,
+        }
+    }
+
+    /// The nodes of a tree.
+    fn ring(&self, root: usize) -> impl Iterator<Item = usize> + '_ {
+        let after = move |node: &usize| Some(self.next[*node] as usize).filter(|&n| n != root);
+        std::iter::successors(Some(root), after)
     }
 
     /// Joins two trees unless they share an image; whether they are one now.
@@ -54,24 +78,22 @@ impl Forest {
         if a == b {
             return true;
         }
-        let (root, other) =
-            if self.images(a).len() >= self.images(b).len() { (a, b) } else { (b, a) };
-        let (x, y) = (self.images(root), self.images(other));
-        let mut both = Vec::with_capacity(x.len() + y.len());
-        let (mut i, mut j) = (0, 0);
-        while i < x.len() || j < y.len() {
-            if j == y.len() || i < x.len() && x[i] < y[j] {
-                both.push(x[i]);
-                i += 1;
-            } else if i == x.len() || y[j] < x[i] {
-                both.push(y[j]);
-                j += 1;
-            } else {
-                return false;
+        let (root, other) = if self.nodes[a] >= self.nodes[b] { (a, b) } else { (b, a) };
+        self.questions += 1;
+        let mut node = other;
+        loop {
+            self.asked[self.image_of[node] as usize] = self.questions;
+            node = self.next[node] as usize;
+            if node == other {
+                break;
             }
         }
-        self.images.remove(&(other as u32));
-        self.images.insert(root as u32, both);
+        let is_asked = |node: usize| self.asked[self.image_of[node] as usize] == self.questions;
+        if self.ring(root).any(is_asked) {
+            return false;
+        }
+        self.next.swap(root, other);
+        self.nodes[root] += self.nodes[other];
         self.sets.link(root, other);
         true
     }
@@ -112,13 +134,7 @@ impl Tracks {
             offsets.push(offsets[offsets.len() - 1] + *count as u32);
         }
         let total = offsets[features.len()];
-        let image_of = features.iter().enumerate();
-        let image_of = image_of.flat_map(|(k, count)| std::iter::repeat_n(k as u32, *count));
-        let mut forest = Forest {
-            sets: DisjointSets::new(total as usize),
-            image_of: image_of.collect(),
-            images: HashMap::new(),
-        };
+        let mut forest = Forest::new(features);
         let mut refused = 0;
         for (images, matches) in pairs {
             let [first, second] = images.map(|image| offsets[image as usize]);
@@ -135,10 +151,10 @@ impl Tracks {
         // Tracks come in the order of their first member.
         let mut numbers = vec![u32::MAX; total as usize];
         let mut lengths: Vec<u32> = Vec::new();
-        let Forest { mut sets, image_of, images } = forest;
+        let Forest { mut sets, image_of, nodes, .. } = forest;
         let mut track_of = |node: u32, lengths: &mut Vec<u32>| {
             let root = sets.root(node as usize);
-            images.contains_key(&(root as u32)).then(|| {
+            (nodes[root] > 1).then(|| {
                 if numbers[root] == u32::MAX {
                     numbers[root] = lengths.len() as u32;
                     lengths.push(0);
@@ -234,6 +250,45 @@ impl Tracks {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn tracks_are_those_of_joining_sets_one_by_one(
+            matches in prop::collection::vec(((0u32..6, 0u32..4), (0u32..6, 0u32..4)), 0..60),
+        ) {
+            let matches: Vec<_> = matches.into_iter().filter(|(a, b)| a.0 != b.0).collect();
+            let pairs: Vec<([u32; 2], [[u32; 2]; 1])> =
+                matches.iter().map(|(a, b)| ([a.0, b.0], [[a.1, b.1]])).collect();
+            let tracks = Tracks::join(&[4; 6], pairs.iter().map(|(i, m)| (*i, m.as_slice())));
+            let mut sets: Vec<Vec<(u32, u32)>> =
+                (0..6).flat_map(|i| (0..4).map(move |f| vec![(i, f)])).collect();
+            let mut refused = 0;
+            for (a, b) in &matches {
+                let holds = |sets: &[Vec<(u32, u32)>], of| sets.iter().position(|s| s.contains(of));
+                let (one, two) = (holds(&sets, a).unwrap(), holds(&sets, b).unwrap());
+                let share = |s: &(u32, u32)| sets[two].iter().any(|other| other.0 == s.0);
+                if one == two {
+                    continue;
+                }
+                if sets[one].iter().any(share) {
+                    refused += 1;
+                    continue;
+                }
+                let moved = std::mem::take(&mut sets[two]);
+                sets[one].extend(moved);
+            }
+            let mut expected: Vec<Vec<(u32, u32)>> =
+                sets.into_iter().filter(|set| set.len() > 1).collect();
+            expected.iter_mut().for_each(|set| set.sort_unstable());
+            expected.sort();
+            let of = |track| tracks.of(track).iter().map(|m| (m.image, m.feature)).collect();
+            let mut found: Vec<Vec<(u32, u32)>> = (0..tracks.count()).map(of).collect();
+            found.sort();
+            prop_assert_eq!(found, expected);
+            prop_assert_eq!(tracks.refused(), refused);
+        }
+    }
 
     #[test]
     fn features_at_the_same_place_are_one() {
