@@ -3,11 +3,14 @@
 use super::FileError;
 use std::path::Path;
 
-/// A table of texts, one list per row.
+/// A table of texts. All of them are one: tables of leaves have millions of cells.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CsvTable {
     header: Vec<String>,
-    rows: Vec<Vec<String>>,
+    /// The texts of all cells, row by row.
+    text: String,
+    /// Where each ends.
+    ends: Vec<usize>,
 }
 
 impl CsvTable {
@@ -21,48 +24,64 @@ impl CsvTable {
             other => FileError::malformed(path, None, format!("damaged table: {other:?}")),
         };
         let mut reader = csv::Reader::from_path(path).map_err(malformed)?;
-        let words = |record: &csv::StringRecord| record.iter().map(str::to_owned).collect();
         let header = reader.headers().map_err(malformed)?;
         let header = header.iter().map(|name| name.trim().to_owned()).collect();
-        let rows = reader
-            .records()
-            .map(|record| record.map(|record| words(&record)))
-            .collect::<Result<_, _>>()
-            .map_err(malformed)?;
-        Ok(CsvTable { header, rows })
+        let (mut text, mut ends) = (String::new(), Vec::new());
+        let mut record = csv::StringRecord::new();
+        while reader.read_record(&mut record).map_err(malformed)? {
+            for cell in &record {
+                text += cell;
+                ends.push(text.len());
+            }
+        }
+        Ok(CsvTable { header, text, ends })
     }
 
     /// Number of rows, without the header.
     pub fn len(&self) -> usize {
-        self.rows.len()
+        self.ends.len() / self.header.len().max(1)
     }
 
     /// Whether there is no row.
     pub fn is_empty(&self) -> bool {
-        self.rows.is_empty()
+        self.len() == 0
+    }
+
+    fn cell(&self, at: usize) -> &str {
+        let start = at.checked_sub(1).map_or(0, |before| self.ends[before]);
+        &self.text[start..self.ends[at]]
+    }
+
+    /// The names of the columns.
+    pub fn header(&self) -> &[String] {
+        &self.header
+    }
+
+    /// The cells of a row.
+    pub fn row(&self, row: usize) -> impl Iterator<Item = &str> {
+        let first = row * self.header.len();
+        (first..first + self.header.len()).map(|at| self.cell(at))
+    }
+
+    fn column(&self, name: &str) -> Option<impl Iterator<Item = &str>> {
+        let place = self.header.iter().position(|other| other == name)?;
+        Some((place..self.ends.len()).step_by(self.header.len()).map(|at| self.cell(at)))
     }
 
     /// The column of this name; `None` where there is no such column.
     pub fn texts(&self, name: &str) -> Option<Vec<&str>> {
-        let place = self.header.iter().position(|other| other == name)?;
-        Some(self.rows.iter().map(|row| row[place].as_str()).collect())
+        Some(self.column(name)?.collect())
     }
 
     /// The numbers of a column, NaN where a cell has none; `None` where there is no such column.
     pub fn numbers(&self, name: &str) -> Option<Vec<f64>> {
-        let texts = self.texts(name)?;
-        Some(texts.into_iter().map(|text| text.trim().parse().unwrap_or(f64::NAN)).collect())
+        Some(self.column(name)?.map(|text| text.trim().parse().unwrap_or(f64::NAN)).collect())
     }
 
     /// Pairs of numbers of two columns; `None` where one of them is not there.
     pub fn pairs(&self, first: &str, second: &str) -> Option<Vec<[f64; 2]>> {
         let (first, second) = (self.numbers(first)?, self.numbers(second)?);
         Some(first.into_iter().zip(second).map(|(a, b)| [a, b]).collect())
-    }
-
-    /// Header and rows as they are.
-    pub fn all(&self) -> (&[String], &[Vec<String>]) {
-        (&self.header, &self.rows)
     }
 }
 
@@ -81,6 +100,12 @@ mod tests {
         let rows = table.numbers("row").unwrap();
         assert!(rows[0].is_nan() && rows[1] == 1.0);
         assert_eq!(table.texts("nothing"), None);
+        assert_eq!(table.texts("row").unwrap(), ["", "1"]);
+        assert_eq!(table.row(1).collect::<Vec<_>>(), ["3", "4", "1"]);
+        assert_eq!(table.header(), ["u_px", "v_px", "row"]);
+        std::fs::write(&path, "u_px,v_px\n").unwrap();
+        let empty = CsvTable::read(&path).unwrap();
+        assert!(empty.is_empty() && empty.numbers("v_px").unwrap().is_empty());
         std::fs::write(&path, "u_px,v_px\n1,2,3\n").unwrap();
         assert!(CsvTable::read(&path).unwrap_err().to_string().contains("damaged table"));
     }

@@ -234,10 +234,11 @@ pub(super) fn plants(facts: &Facts<'_>) -> Result<Section, Error> {
 
 /// The first rows of a table.
 fn beginning(of: &CsvTable) -> Markup {
-    let (header, rows) = of.all();
-    let header: Vec<String> = header.iter().map(|name| name.replace('_', " ")).collect();
+    let header: Vec<String> = of.header().iter().map(|name| name.replace('_', " ")).collect();
     let names: Vec<&str> = header.iter().map(String::as_str).collect();
-    table(&names, &rows[..rows.len().min(MOST_ROWS)])
+    let row = |row: usize| of.row(row).map(str::to_owned).collect();
+    let rows: Vec<Vec<String>> = (0..of.len().min(MOST_ROWS)).map(row).collect();
+    table(&names, &rows)
 }
 
 /// Traits that are shown, their titles and digits.
