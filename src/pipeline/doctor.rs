@@ -49,7 +49,7 @@ pub fn doctor(
     let photos = project.photos();
     if let Some(ortho) = project.given_orthomosaic() {
         let name = ortho.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        found.push(of_orthomosaic(&ortho, &name));
+        found.extend(of_orthomosaic(&ortho, &name));
     } else if photos.is_empty() {
         let message = format!("none in images/ or directly ({})", PHOTO_ENDINGS.join(", "));
         found.push(Diagnostic::error("photos-missing", "photos", message));
@@ -114,14 +114,14 @@ fn of_polygons(project: &Project) -> Vec<Diagnostic> {
 }
 
 /// What an orthomosaic that is given lacks.
-fn of_orthomosaic(path: &Path, name: &str) -> Diagnostic {
+fn of_orthomosaic(path: &Path, name: &str) -> Vec<Diagnostic> {
     let source = match rasters::Source::open(path) {
         Ok(source) => source,
         Err(error) => {
-            return Diagnostic::error("orthomosaic-unreadable", name, error.to_string());
+            return vec![Diagnostic::error("orthomosaic-unreadable", name, error.to_string())];
         }
     };
-    match source.georeference().and_then(|place| place.gsd_m()) {
+    let given = match source.georeference().and_then(|place| place.gsd_m()) {
         Some(gsd_m) => {
             let message = format!(
                 "traits come from this orthomosaic, {:.2} cm per pixel; photos are not used",
@@ -134,7 +134,10 @@ fn of_orthomosaic(path: &Path, name: &str) -> Diagnostic {
             Diagnostic::warning("orthomosaic-given", name, message)
                 .with_remedy("give a GeoTIFF in a projected reference system")
         }
-    }
+    };
+    let size = source.size();
+    let memory = forecast::map_diagnostic(name, size, forecast::available_bytes());
+    std::iter::once(given).chain(memory).collect()
 }
 
 /// What their heads say, and whether all of them can be decoded.

@@ -1,4 +1,4 @@
-//! What a flight will take, before hours are spent on it: memory, processor time and disk of `align`.
+//! What a flight will take, before hours are spent on it: memory, processor time and disk of `align`; and the memory of `locate` on a map.
 //!
 //! ```text
 //! memory = photos in work + descriptors in use + bytes a photo * N + bytes a measurement * measurements
@@ -27,6 +27,28 @@ const MEASURED: f64 = 0.79;
 const FEATURE_BYTES: f64 = 190.0;
 /// Processor time for a photo, seconds: 2.8 on that flight, 2.3 on 12 photos of 3 megapixels.
 const PHOTO_S: f64 = 3.0;
+
+/// Memory of `locate`, which of all stages after the orthomosaic takes most: so much, and so much for each pixel of the map. Maps of 452 and
+/// 458 million pixels took 4.4 GB (`docs/large.md`).
+const LOCATE_BYTES: f64 = 4e8;
+const PIXEL_BYTES: f64 = 9.5;
+
+/// A warning where this machine has less memory than plants of a map of so many columns and rows take to be located.
+pub fn map_diagnostic(
+    subject: &str,
+    (width, height): (usize, usize),
+    available_bytes: Option<f64>,
+) -> Option<Diagnostic> {
+    let needed = LOCATE_BYTES + PIXEL_BYTES * width as f64 * height as f64;
+    let available = available_bytes.filter(|&available| available < needed)?;
+    let message = format!(
+        "locating plants on a map of {width} x {height} pixels takes up to {} of memory; {} are free",
+        size(needed),
+        size(available)
+    );
+    let remedy = "make the map coarser ([ortho] gsd_m) or of parts of the field ([ortho] bounds_m)";
+    Some(Diagnostic::warning("map-memory-short", subject, message).with_remedy(remedy))
+}
 
 /// What `align` will take.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -144,6 +166,15 @@ mod tests {
             assert!((memory_bytes..1.25 * memory_bytes).contains(&said.memory_bytes), "{said:?}");
             assert!((0.95 * disk_bytes..1.25 * disk_bytes).contains(&said.disk_bytes), "{said:?}");
         }
+    }
+
+    #[test]
+    fn a_map_that_does_not_fit_is_told_before() {
+        let map = |available| map_diagnostic("mask.tif", (21_848, 20_685), available);
+        // Measured: 4.4 GB.
+        assert_eq!(map(Some(4.3e9)).unwrap().code, "map-memory-short");
+        assert_eq!(map(Some(5e9)), None);
+        assert_eq!(map(None), None);
     }
 
     #[test]

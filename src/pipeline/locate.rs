@@ -5,6 +5,7 @@ mod show;
 use super::{
     Project, Stage, Task,
     figures::View,
+    forecast::{self, map_diagnostic},
     leaf_mask::{self, LeafMask},
     stage,
 };
@@ -186,6 +187,12 @@ impl Task for Locate {
         monitor: &mut dyn Monitor,
     ) -> Result<LocateOutcome, Error> {
         let image = project.mask()?;
+        let subject = super::record::relative(project.root(), &image).display().to_string();
+        let size = Source::open(&image)?.size();
+        // Not a diagnostic: results do not depend on the memory of a machine, and neither does what is recorded of them.
+        if let Some(short) = map_diagnostic(&subject, size, forecast::available_bytes()) {
+            tracing::warn!("{short}");
+        }
         let (source, leaf) = leaf_mask::of_project(project)?;
         let is_row_model = options.method == LocateMethod::RowModel && options.tile_px.is_none();
         let of_rows = |name: &str| is_row_model.then(|| folder.join(name));
@@ -198,7 +205,6 @@ impl Task for Locate {
             figures: Some(&folder.join("figures")),
             force: true,
         };
-        let subject = super::record::relative(project.root(), &image).display().to_string();
         locate_plants(&source, leaf, &subject, files, options, monitor)
     }
 }
