@@ -27,10 +27,10 @@ pub trait LeafPixels: Sync {
     /// Every `stride`-th of them along a Hilbert curve.
     fn sample(&self, stride: usize) -> Vec<[f64; 2]>;
 
-    /// Looks at all of part `part` of [`PARTS`], in an order that is always the same.
+    /// Looks at all of part `part` of 32, in an order that is always the same.
     fn visit(&self, part: usize, see: impl FnMut([f64; 2]));
 
-    /// What each part gives, in order.
+    /// What each of the 32 parts gives, in order.
     fn map_parts<T: Send>(&self, of_part: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {
         (0..PARTS).into_par_iter().map(of_part).collect()
     }
