@@ -3,7 +3,7 @@
 use crate::{data, program::rowgram};
 use image::{Rgb, RgbImage};
 use insta::assert_snapshot;
-use rowgram::io::images;
+use rowgram::io::{images, rasters};
 use std::path::Path;
 
 const SOIL: Rgb<u8> = Rgb([150, 120, 90]);
@@ -88,7 +88,8 @@ fn bad_input_is_explained() {
     std::fs::write(path("text.png"), "u_px,v_px\n").unwrap();
     std::fs::write(path("empty.png"), "").unwrap();
     std::fs::write(path("taken.png"), "mine").unwrap();
-    images::write_mask(&path("mask.png"), false, &rowgram::raster::Mask::empty(3, 3)).unwrap();
+    let mask = rowgram::raster::Mask::empty(3, 3);
+    rasters::write_mask(&path("mask.png"), false, &mask, None).unwrap();
     std::os::unix::fs::symlink(path("photo.png"), path("link.png")).unwrap();
     let error = |arguments: &str| {
         let run = rowgram(folder.path(), &format!("segment {arguments}"));

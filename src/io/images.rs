@@ -118,15 +118,6 @@ pub fn is_mask(path: &Path) -> Result<bool, FileError> {
     Ok(decode(path)?.as_mask(false).is_some())
 }
 
-/// Writes a mask as a grey PNG: plants 255, the rest 0.
-///
-/// # Errors
-/// As [`output::write`], and where the mask has no pixel.
-pub fn write_mask(path: &Path, force: bool, mask: &Mask) -> Result<(), FileError> {
-    let grey: Vec<u8> = mask.data.iter().map(|&pixel| if pixel == 0 { 0 } else { 255 }).collect();
-    write_png(path, force, &grey, (mask.width, mask.height), ExtendedColorType::L8)
-}
-
 /// Writes values as a grey PNG of so many columns and rows.
 ///
 /// # Errors

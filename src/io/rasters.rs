@@ -214,8 +214,7 @@ impl GreyWriter {
                 let window = Window::rows(writer.layout().width, rows);
                 writer.put(window, samples)
             }
-            Grey::Picture { values, size, .. } => {
-                debug_assert_eq!(values.len(), rows.start * size.0);
+            Grey::Picture { values, .. } => {
                 values.extend_from_slice(samples);
                 Ok(())
             }
@@ -225,7 +224,7 @@ impl GreyWriter {
     /// Puts the file in its place.
     ///
     /// # Errors
-    /// As [`super::output::write`], and where the picture has no pixel.
+    /// As [`super::output::write`], and where the picture has no pixel or other ones were put than it has.
     pub fn finish(self) -> Result<(), FileError> {
         match self.0 {
             Grey::Tiff(writer) => writer.finish(),
@@ -239,7 +238,7 @@ impl GreyWriter {
 /// Writes a mask by the name's ending ([`GreyWriter`]); plants 255, the rest 0.
 ///
 /// # Errors
-/// As [`super::output::write`], and where the mask has no pixel.
+/// As [`super::output::write`], and where the mask has no pixel, or others than it says.
 pub fn write_mask(
     path: &Path,
     force: bool,
@@ -247,6 +246,12 @@ pub fn write_mask(
     georeference: Option<Georeference>,
 ) -> Result<(), FileError> {
     let size = (mask.width, mask.height);
+    if mask.data.len() != size.0 * size.1 {
+        let (width, height, found) = (size.0, size.1, mask.data.len());
+        let message = format!("a mask of {width} x {height} pixels that holds {found}");
+        let invalid = std::io::Error::new(std::io::ErrorKind::InvalidInput, message);
+        return Err(FileError::write(path, invalid));
+    }
     let mut writer = GreyWriter::begin(path, force, size, Colour::Classes, georeference)?;
     for band in window::bands(mask.height, BAND_ROWS, 0) {
         let pixels = band.rows.start * mask.width..band.rows.end * mask.width;

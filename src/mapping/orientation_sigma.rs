@@ -10,11 +10,13 @@
 
 use super::dem::SurfacePoint;
 
-/// Share of the tie points of a place that are determined better than what orientation allows, by chance.
+/// Share of the tie points around a place whose standard deviations are smaller than what is taken. On the synthetic flights of seeds 1 to 3 of
+/// `docs/accuracy.md` the errors of bare soil are 0.9, 1.2 and 1.8 times what is told with a tenth of all tie points, 0.7, 1.0 and 1.4 times with
+/// a quarter.
 const BEST: f64 = 0.1;
-/// Tie points of a square, on average, and at least so many of which a tenth is taken.
+/// Tie points of a square on average, and around its middle at least: of fewer, a tenth is hardly a number. Not searched for.
 const POINTS: usize = 30;
-/// Squares in each direction, at most.
+/// Squares in each direction, at most: orientation varies over photos, of which flights have fewer in a row. Not searched for.
 const MOST_SQUARES: f64 = 256.0;
 
 /// A lattice of standard deviations.
@@ -90,8 +92,8 @@ impl OrientationSigma {
         along(v) + b * (along(v + 1) - along(v))
     }
 
-    /// With another standard deviation that is independent of it, metres.
-    pub fn with(&self, sigma_m: f64, place_m: [f64; 2]) -> f64 {
+    /// Combined with another standard deviation that is independent of it, metres.
+    pub fn combined_with(&self, sigma_m: f64, place_m: [f64; 2]) -> f64 {
         sigma_m.hypot(self.at_m(place_m))
     }
 }
@@ -123,7 +125,7 @@ mod tests {
         // Where nothing is seen, as beside; beyond the last points, as there.
         assert!(sigma.at_m([5.0, 5.0]) < 0.025);
         assert_eq!(sigma.at_m([1e6, 30.0]), sigma.at_m([2e6, 30.0]));
-        assert!((sigma.with(0.03, [50.0, 30.0]) - 0.036).abs() < 0.002);
+        assert!((sigma.combined_with(0.03, [50.0, 30.0]) - 0.036).abs() < 0.002);
     }
 
     #[test]

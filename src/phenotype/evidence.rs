@@ -488,7 +488,24 @@ mod tests {
             }
         }
         let dot = Mask::from_fn(1, 1, |_, _| true);
-        assert_eq!(seen(&dot, 0.0, AxisSource::Slices).width, 1);
+        assert_eq!(seen(&dot, 0.0, AxisSource::Slices).leaf_share(0), 1.0);
+    }
+
+    #[test]
+    fn votes_and_shares_are_kept_closely() {
+        let votes: Vec<f32> = (0..=1000).map(|k| 120.0 * (k as f32 / 1000.0).powi(3)).collect();
+        let mut roots = vec![0; votes.len()];
+        keep_roots(&votes, 120.0, &mut roots);
+        let evidence = Evidence { roots, most: 120.0, ..Evidence::of_mass(&Mask::empty(1, 1), 1) };
+        for (k, votes) in votes.iter().enumerate() {
+            // Half a step of the root.
+            let most = 1.01 * (120.0 * votes).sqrt() / 65535.0 + 1e-5;
+            assert!((evidence.votes(k) - votes).abs() <= most, "{votes}: {}", evidence.votes(k));
+        }
+        let half = Evidence::of_mass(&Mask::from_fn(2, 2, |u, _| u == 0), 2);
+        // One half lies between two steps, and rounding comes on top.
+        assert!((half.leaf_share(0) - 0.5).abs() < 0.51 / 255.0);
+        assert!((half.leaf_area() - 0.5).abs() < 0.51 / 255.0);
     }
 
     #[test]

@@ -11,9 +11,9 @@ use crate::{
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Parts of the pixels: the same on any number of threads.
+/// Parts of the pixels: the same on any number of threads. Not searched for.
 const PARTS: usize = 32;
-/// Side of a block is two to this power, in pixels.
+/// Side of a block is two to this power, in pixels. Any gives the same sample; not searched for.
 const BLOCK_ORDER: u32 = 5;
 
 /// Leaf pixels, each by its column and row.
@@ -22,15 +22,15 @@ pub trait LeafPixels: Sync {
     fn extent(&self) -> Option<Bounds>;
 
     /// Their number.
-    fn number(&self) -> usize;
+    fn count(&self) -> usize;
 
     /// Every `stride`-th of them along a Hilbert curve.
     fn sample(&self, stride: usize) -> Vec<[f64; 2]>;
 
-    /// Looks at all of part `part` of 32, in an order that is always the same.
+    /// Looks at all pixels of a part, in an order that is always the same.
     fn visit(&self, part: usize, see: impl FnMut([f64; 2]));
 
-    /// What each of the 32 parts gives, in order.
+    /// What each part gives, in order.
     fn map_parts<T: Send>(&self, of_part: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {
         (0..PARTS).into_par_iter().map(of_part).collect()
     }
@@ -46,7 +46,7 @@ impl LeafPixels for PixelIndex {
         PixelIndex::extent(self)
     }
 
-    fn number(&self) -> usize {
+    fn count(&self) -> usize {
         self.len()
     }
 
@@ -78,8 +78,8 @@ impl LeafPixels for Mask {
         Some(Bounds { u_min, u_max, v_min, v_max })
     }
 
-    fn number(&self) -> usize {
-        self.data.par_chunks(1 << 16).map(|part| part.iter().filter(|&&p| p != 0).count()).sum()
+    fn count(&self) -> usize {
+        Mask::count(self)
     }
 
     fn sample(&self, stride: usize) -> Vec<[f64; 2]> {
@@ -158,7 +158,7 @@ mod tests {
             let mask = Mask::from_fn(width, height, of);
             let index = PixelIndex::from_mask(width, &mask.data);
             prop_assert_eq!(LeafPixels::extent(&mask), index.extent());
-            prop_assert_eq!(mask.number(), index.len());
+            prop_assert_eq!(LeafPixels::count(&mask), LeafPixels::count(&index));
             prop_assert_eq!(LeafPixels::sample(&mask, stride), index.sample(stride));
             let all = |pixels: &dyn Fn(usize, &mut Vec<[u64; 2]>)| {
                 let mut seen = Vec::new();

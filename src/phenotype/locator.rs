@@ -4,7 +4,6 @@
 //! descent too. Positions and lengths in pixels of the mask, centre of the top-left pixel at (0, 0).
 
 use super::{
-    leaf_pixels::LeafPixels as _,
     locate::{Init, LocateError, Located, PlantFitOptions, Restarts, Setup, locate_best},
     row_model::{self, RowModelOptions},
     rows::{self, Detection},
@@ -259,7 +258,7 @@ pub fn prepare(
     options: &LocateOptions,
 ) -> Result<Prepared, LocateError> {
     options.check()?;
-    let leaf_pixels = mask.number();
+    let leaf_pixels = mask.count();
     let detection = rows::detect(mask);
     if let Some(tile_px) = options.tile_px {
         // Two rows on every side, several plants.

@@ -10,9 +10,10 @@ use super::{
 };
 use crate::problems::plants::lines::Axes;
 
-/// Of the pixels of a row so many parts are left out at either end: weeds and noise beyond it.
+/// One of so many pixels of a row is left out at either end: weeds and noise beyond it. Not searched for.
 const ENDS: usize = 500;
-/// Bins of positions along the rows, by which the ends are looked for. Any number gives the same ends.
+/// Bins of positions along the rows, by which the ends are looked for. Any number gives the same ends; more of them take more memory,
+/// fewer leave more pixels to be sorted.
 const BINS: usize = 256;
 
 /// Row lines at a heading, by position across, and the distance between them.
@@ -27,11 +28,11 @@ pub(super) fn lines(pixels: &impl LeafPixels, axes: &Axes) -> (Vec<Row>, Option<
         });
         (low, high)
     });
-    let extreme = |k: usize, sign: f64| {
-        let of = extents.iter().map(|(low, high)| if sign < 0.0 { -low[k] } else { high[k] });
-        sign * of.fold(f64::NEG_INFINITY, f64::max)
-    };
-    let [along, across] = [0, 1].map(|k| [extreme(k, -1.0), extreme(k, 1.0)]);
+    let [along, across] = [0, 1].map(|k| {
+        let low = extents.iter().map(|(low, _)| low[k]).fold(f64::INFINITY, f64::min);
+        let high = extents.iter().map(|(_, high)| high[k]).fold(f64::NEG_INFINITY, f64::max);
+        [low, high]
+    });
     let first = across[0].floor();
     let mut profile = vec![0.0; (across[1] - first) as usize + 1];
     let counts = pixels.map_parts(|part| {

@@ -102,7 +102,7 @@ pub fn detect(pixels: &impl LeafPixels) -> Detection {
         f64::from(extent.u_max) - f64::from(extent.u_min) + 1.0,
         f64::from(extent.v_max) - f64::from(extent.v_min) + 1.0,
     ];
-    let stride = pixels.number().div_ceil(SAMPLE);
+    let stride = pixels.count().div_ceil(SAMPLE);
     let from_origin = |[u, v]: [f64; 2]| [u - origin_px[0], v - origin_px[1]];
     let sample: Vec<[f64; 2]> = pixels.sample(stride).into_iter().map(from_origin).collect();
     let finder = Finder { sample: &sample, size, weight: stride as f64 };

@@ -28,8 +28,8 @@ const FEATURE_BYTES: f64 = 190.0;
 /// Processor time for a photo, seconds: 2.8 on that flight, 2.3 on 12 photos of 3 megapixels.
 const PHOTO_S: f64 = 3.0;
 
-/// Memory of `locate`, which of all stages after the orthomosaic takes most: so much, and so much for each pixel of the map. Maps of 452 and
-/// 458 million pixels took 4.4 GB (`docs/large.md`).
+/// Memory of `locate`, which of all stages after the orthomosaic takes most: so much for decoded tiles that are kept, at most, and so much for
+/// each pixel of the map. Maps of 452 and 458 million pixels took 4.4 and 4.2 GB (`docs/large.md`), one of 3.2 million 59 MB in all.
 const LOCATE_BYTES: f64 = 4e8;
 const PIXEL_BYTES: f64 = 9.5;
 
@@ -46,7 +46,7 @@ pub fn map_diagnostic(
         size(needed),
         size(available)
     );
-    let remedy = "make the map coarser ([ortho] gsd_m) or of parts of the field ([ortho] bounds_m)";
+    let remedy = "make the map coarser or of parts of the field ([ortho] gsd_m, bounds_m; of an orthomosaic that is given, resample or cut the file)";
     Some(Diagnostic::warning("map-memory-short", subject, message).with_remedy(remedy))
 }
 

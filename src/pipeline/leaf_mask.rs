@@ -22,6 +22,9 @@ use std::{ops::Range, path::Path};
 /// The file of the stage `segment` with the posterior.
 pub(super) const POSTERIOR: &str = "posterior.tif";
 
+// Bands begin where those do that are looked at first.
+const _: () = assert!(BAND_ROWS.is_multiple_of(Estimator::ROWS));
+
 /// Most sweeps of iterated conditional modes; hardly a pixel changes after the third.
 pub(super) const SWEEPS: usize = 4;
 

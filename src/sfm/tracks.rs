@@ -35,6 +35,12 @@ pub struct Tracks {
     refused: usize,
 }
 
+/// The nodes of a tree, from one of them on.
+fn ring(next: &[u32], first: usize) -> impl Iterator<Item = usize> + '_ {
+    let after = move |&node: &usize| Some(next[node] as usize).filter(|&node| node != first);
+    std::iter::successors(Some(first), after)
+}
+
 /// Trees of positions, no two of which are in one image. Flat arrays: of thousands of photos there are millions of trees.
 struct Forest {
     sets: DisjointSets,
@@ -44,9 +50,9 @@ struct Forest {
     next: Vec<u32>,
     /// Nodes of each tree, by its root.
     nodes: Vec<u32>,
-    /// Of each image: the last question in which it was in the first of two trees.
-    asked: Vec<u64>,
-    questions: u64,
+    /// Of each image: the last comparison of two trees whose smaller one has it.
+    compared: Vec<u64>,
+    comparisons: u64,
 }
 
 impl Forest {
@@ -61,15 +67,9 @@ impl Forest {
             image_of,
             next: (0..total as u32).collect(),
             nodes: vec![1; total],
-            asked: vec![0; counts.len()],
-            questions: 0,
+            compared: vec![0; counts.len()],
+            comparisons: 0,
         }
-    }
-
-    /// The nodes of a tree.
-    fn ring(&self, root: usize) -> impl Iterator<Item = usize> + '_ {
-        let after = move |node: &usize| Some(self.next[*node] as usize).filter(|&n| n != root);
-        std::iter::successors(Some(root), after)
     }
 
     /// Joins two trees unless they share an image; whether they are one now.
@@ -79,17 +79,13 @@ impl Forest {
             return true;
         }
         let (root, other) = if self.nodes[a] >= self.nodes[b] { (a, b) } else { (b, a) };
-        self.questions += 1;
-        let mut node = other;
-        loop {
-            self.asked[self.image_of[node] as usize] = self.questions;
-            node = self.next[node] as usize;
-            if node == other {
-                break;
-            }
+        self.comparisons += 1;
+        for node in ring(&self.next, other) {
+            self.compared[self.image_of[node] as usize] = self.comparisons;
         }
-        let is_asked = |node: usize| self.asked[self.image_of[node] as usize] == self.questions;
-        if self.ring(root).any(is_asked) {
+        let is_shared =
+            |node: usize| self.compared[self.image_of[node] as usize] == self.comparisons;
+        if ring(&self.next, root).any(is_shared) {
             return false;
         }
         self.next.swap(root, other);

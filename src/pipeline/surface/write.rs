@@ -105,7 +105,7 @@ impl Planes {
         let width = tile.tile.size[0];
         // Matching and orientation are independent of each other.
         let with_orientation = |sigma_m: f64, place_m: [f64; 2]| match found.orientation {
-            Some(orientation) => orientation.with(sigma_m, place_m),
+            Some(orientation) => orientation.combined_with(sigma_m, place_m),
             None => sigma_m,
         };
         for (at, sigma) in tile.sigma_m.iter_mut().enumerate().filter(|(_, of)| of.is_finite()) {

@@ -12,7 +12,7 @@ use crate::raster::window::Band;
 use image::RgbImage;
 use rayon::prelude::*;
 
-/// Pixels that the classes are estimated from, about.
+/// Pixels that the classes are estimated from, about: by arithmetic, the share of a class that is one hundredth of the photo is then known to 3 %.
 const SAMPLES: usize = 120_000;
 
 /// What is gathered of a photo before its classes are estimated.

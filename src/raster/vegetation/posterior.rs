@@ -7,7 +7,7 @@ use super::{
 use image::RgbImage;
 use rayon::prelude::*;
 
-/// Rows of one task.
+/// Rows of one task. Any number gives the same.
 const BAND: usize = 32;
 /// Steps of the table of posteriors per unit of log odds, and the log odds at its ends.
 const TABLE: (f32, f32) = (32.0, 12.0);
