@@ -6,7 +6,8 @@
 //!
 //! The height of a tie point is uncertain because its photos are, and because its images were measured. The best determined ones
 //! of a place were measured so often, or from so far apart, that the second hardly counts. `docs/accuracy.md` compares what this and the
-//! matching say together with the errors of synthetic flights; of heights above the ground it is no part.
+//! matching say together with the errors of synthetic flights; of heights above the ground it is no part. Without ground control it is
+//! mostly what is unknown of the height of the whole map.
 
 use super::dem::SurfacePoint;
 
