@@ -90,6 +90,12 @@ pub trait ProjectionFactor: Sized + Send + Sync + 'static {
         point: &Of<Self::Point, L>,
         data: &Of<Self::Data, L>,
     ) -> Linearized<Self, L>;
+
+    /// Whether a point is where the kept block can see it. Only a factor with finite residuals elsewhere, behind a camera say, has to
+    /// tell.
+    fn is_in_front(_prepared: &Of<Self::Prepared, f64>, _point: &Of<Self::Point, f64>) -> bool {
+        true
+    }
 }
 
 /// A [`ProjectionFactor`] with its sizes as numbers, which is what kernels are written for: `R` rows, `K`, `S` and `P`

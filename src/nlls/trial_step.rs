@@ -58,13 +58,13 @@ impl Normal {
     }
 
     /// Tries the step with damping `lambda` from the current linearisation at `x`: writes it to
-    /// `step` and the values it leads to to `trial`. `None` where the system is not positive
+    /// `step` and the values it leads to to `trial`; points beyond `restart_cost` are started again. `None` where the system is not positive
     /// definite.
     pub(super) fn attempt(
         &mut self,
         problem: &Problem,
         x: &[f64],
-        lambda: f64,
+        (lambda, restart_cost): (f64, Option<f64>),
         step: &mut [f64],
         trial: &mut [f64],
     ) -> Option<TrialStep> {
@@ -85,7 +85,7 @@ impl Normal {
                 lambda,
             };
             problem.plus_within(x, step, trial);
-            moved = work.0.substitute(problem, x, settings, step, trial);
+            moved = work.0.substitute(problem, x, (settings, restart_cost), step, trial);
             moved.cost += self.stored_cost(problem, trial);
         } else {
             problem.plus(x, step, trial);

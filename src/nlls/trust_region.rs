@@ -3,6 +3,7 @@
 //! Levenberg-Marquardt solves `(J^T J + lambda D) d = -J^T r` with `D` the diagonal of `J^T J` and moves
 //! `lambda` by the ratio `rho` of the actual to the predicted decrease (Nielsen, IMM-REP-1999-05):
 //! `lambda max(1/10, 1 - (2 rho - 1)^3)` after a good step, `lambda nu` with doubling `nu` after a bad one.
+//! Points of fused batches that a step leaves far off are started again before the step is judged.
 //! Dogleg (Powell; Madsen, Nielsen and Tingleff 2004, section 3.3) goes from the minimum along the
 //! gradient towards the Gauss-Newton step, as far as a radius in the norm `|D^1/2 d|` allows.
 
@@ -48,6 +49,9 @@ pub struct Options {
     pub initial_damping: f64,
     /// A step is taken where the actual decrease is at least this share of the predicted one.
     pub min_relative_decrease: f64,
+    /// Levenberg-Marquardt starts eliminated points again that a step leaves with so many times the mean cost of an observation;
+    /// `None`: never. Of normal noise no point is one of them with 30.
+    pub restart_ratio: Option<f64>,
 }
 
 impl Default for Options {
@@ -62,6 +66,7 @@ impl Default for Options {
             step_tolerance: 1e-12,
             initial_damping: 3e-5,
             min_relative_decrease: 1e-3,
+            restart_ratio: Some(30.0),
         }
     }
 }
@@ -84,6 +89,10 @@ impl Options {
                 "initial-damping is {}, expected a positive number",
                 self.initial_damping
             )));
+        }
+        if let Some(ratio) = self.restart_ratio.filter(|ratio| !(*ratio > 1.0)) {
+            let message = format!("restart-ratio is {ratio}, expected more than 1");
+            return Err(SolveError::Misuse(message));
         }
         Ok(())
     }
@@ -225,8 +234,9 @@ impl Engine<Problem> for LeastSquares {
         }
         let trial = match self.options.method {
             Method::LevenbergMarquardt => {
-                let Workspace { normal, step, trial, .. } = work;
-                normal.attempt(problem, x, self.state.lambda, step, trial)
+                let Workspace { normal, cost, step, trial, .. } = work;
+                let restart_cost = self.options.restart_ratio.map(|ratio| ratio * *cost);
+                normal.attempt(problem, x, (self.state.lambda, restart_cost), step, trial)
             }
             Method::Dogleg => dogleg_step(problem, x, work, &mut self.state),
         };

@@ -169,6 +169,11 @@ impl ProjectionFactor for Reprojection {
             jacobian_point: found.jacobian_point,
         }
     }
+
+    fn is_in_front(camera: &Prepared<f64>, point: &[f64; 3]) -> bool {
+        // Cameras of this format look along -z.
+        to_camera(camera, point)[2] < 0.0
+    }
 }
 
 impl ProjectionFactor for SharedReprojection {
@@ -195,6 +200,11 @@ impl ProjectionFactor for SharedReprojection {
         measured_px: &[L; 2],
     ) -> Linearized<Self, L> {
         linearize(camera, point, measured_px)
+    }
+
+    fn is_in_front(camera: &Prepared<f64>, point: &[f64; 3]) -> bool {
+        // Cameras of this format look along -z.
+        to_camera(camera, point)[2] < 0.0
     }
 }
 

@@ -55,7 +55,7 @@ pub(super) fn bundle_adjust(
     let settings = Settings { tie_loss: options.loss, ..Settings::default() };
     let mut problem = AdjustmentProblem::new(scene, &settings)?;
     (free..scene.images.len()).try_for_each(|image| problem.hold_image(image))?;
-    let engine = Engine { cost_tolerance: options.cost_tolerance, ..Engine::default() };
+    let engine = Engine { cost_tolerance: options.cost_tolerance, ..settings.engine() };
     let mut x = problem.problem.start();
     let summary = solve(&problem.problem, &mut x, &engine, options.iterations)?;
     problem.update(&x, scene);

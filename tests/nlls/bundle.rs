@@ -5,6 +5,7 @@ use crate::data;
 use proptest::prelude::*;
 use rowgram::{
     engine::Engine,
+    geometry::rotation,
     io::bal,
     nlls::{
         BatchPath, LeastSquares, LinearSolver, Loss, Method, Options, Summary, check::check_batch,
@@ -291,6 +292,31 @@ fn dogleg_keeps_the_damping_that_a_singular_first_system_has_raised() {
     let step = engine.step(&bundle.problem, &mut x).unwrap();
     let damping = step.metrics.iter().find(|(name, _)| *name == "damping").unwrap().1;
     assert_eq!(damping, 1e-3);
+}
+
+#[test]
+fn points_thrown_to_the_wrong_side_of_a_ray_come_back() {
+    let mut start = network(31, 4, 200, 0.5);
+    perturb(&mut start, 32, 0.3);
+    let good = adjust(&start, InteriorSharing::PerImage, &Options::default()).0.final_cost;
+    // Some points on the other side of the first camera that sees them.
+    for point in [0, 100] {
+        let of = start.observations.iter().find(|o| o.point == point).unwrap();
+        let camera = &start.cameras[of.camera as usize];
+        let back = rotation::exp(camera.rotation_rad.map(|v| -v));
+        let centre = rotation::rotate(back, camera.translation).map(|v| -v);
+        let place = &mut start.points[point as usize];
+        *place = std::array::from_fn(|k| centre[k] - 0.3 * (place[k] - centre[k]));
+    }
+    let with = |restart_ratio| {
+        let options = Options { restart_ratio, ..Options::default() };
+        adjust(&start, InteriorSharing::PerImage, &options).0.final_cost
+    };
+    let found = with(Some(30.0));
+    assert!(found < good * (1.0 + 1e-4), "{found}, without thrown points {good}");
+    // Where points are not started again the block ends elsewhere.
+    let stuck = with(None);
+    assert!(stuck > good * 1.5, "{stuck}, without thrown points {good}");
 }
 
 #[test]

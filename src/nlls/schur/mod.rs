@@ -25,6 +25,7 @@ mod point_system;
 mod prior;
 mod product;
 mod shared_block;
+mod stray;
 mod sweep;
 
 use super::{
@@ -148,12 +149,13 @@ pub(super) trait Eliminator: Send + Sync + std::fmt::Debug {
     fn multiply(&mut self, starts: &[usize], x: &[f64], y: &mut [f64]);
 
     /// Writes the moved points into `trial`, which holds the moved kept blocks already; `step` is
-    /// the kept blocks' step.
+    /// the kept blocks' step. A point whose observations cost more than a cost, shared among the observations of the batch, is
+    /// started again.
     fn substitute(
         &mut self,
         problem: &Problem,
         x: &[f64],
-        settings: Settings<'_>,
+        settings_and_restart_cost: (Settings<'_>, Option<f64>),
         step: &[f64],
         trial: &mut [f64],
     ) -> BackSubstitution;
@@ -213,7 +215,7 @@ impl<
         &mut self,
         problem: &Problem,
         x: &[f64],
-        settings: Settings<'_>,
+        (settings, restart_cost): (Settings<'_>, Option<f64>),
         step: &[f64],
         trial: &mut [f64],
     ) -> BackSubstitution {
@@ -221,12 +223,18 @@ impl<
         self.prepare_trial(problem, trial);
         let (layout, priors) = (&self.layout, &self.priors.sums);
         let prepared = (&self.prepared, &self.trial_prepared);
+        let stray = restart_cost.map_or(f64::INFINITY, |cost| cost / layout.data.len() as f64);
         let moved: Vec<BackSubstitution> = self
             .chunks
             .par_iter_mut()
             .map(|chunk| {
                 back_substitute_chunk::<F, R, K, S, P, Q, D>(
-                    layout, chunk, prepared, priors, x, settings,
+                    layout,
+                    chunk,
+                    prepared,
+                    priors,
+                    x,
+                    (settings, stray),
                 )
             })
             .collect();

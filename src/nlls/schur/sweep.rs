@@ -7,8 +7,9 @@ use super::{
     linearize::{apply_tile, linearize_tile},
     point::eliminate_point,
     point_system::{PointSystem, PriorSums},
+    stray::LonePoint,
 };
-use crate::nlls::{cholesky::NotPositiveDefinite, projection::SizedFactor, sight};
+use crate::nlls::{cholesky::NotPositiveDefinite, projection::SizedFactor, sight, structure::NONE};
 use pulp::{Arch, Simd, WithSimd};
 use std::marker::PhantomData;
 
@@ -129,6 +130,8 @@ struct Substitute<
     priors: &'a [PriorSums<P>],
     x: &'a [f64],
     settings: Settings<'a>,
+    /// A point that costs more than this an observation is looked at again.
+    stray: f64,
     factor: PhantomData<F>,
 }
 
@@ -148,7 +151,7 @@ pub(super) fn back_substitute_chunk<
     prepared: (&CameraCache, &CameraCache),
     priors: &[PriorSums<P>],
     x: &[f64],
-    settings: Settings<'_>,
+    (settings, stray): (Settings<'_>, f64),
 ) -> BackSubstitution {
     let factor = PhantomData::<F>;
     Arch::new().dispatch(Substitute::<F, R, K, S, P, Q, D> {
@@ -158,6 +161,7 @@ pub(super) fn back_substitute_chunk<
         priors,
         x,
         settings,
+        stray,
         factor,
     })
 }
@@ -176,8 +180,8 @@ impl<
 
     #[inline(always)]
     fn with_simd<V: Simd>(self, simd: V) -> BackSubstitution {
-        let Substitute { layout, chunk, prepared: (prepared, trial), priors, x, settings, .. } =
-            self;
+        let Substitute { layout, chunk, prepared, priors, x, settings, stray, .. } = self;
+        let (prepared, trial) = prepared;
         let range = chunk.range.clone();
         let (buffers, moved) = (&mut chunk.buffers, &mut chunk.moved);
         let sights = &chunk.sights;
@@ -242,14 +246,32 @@ impl<
                 }
             }
             let value = |e: usize| moved[e - range.start];
-            let cost = tile_cost::<V, F, R, K, S, P, Q, D>(
+            let mut cost = tile_cost::<V, F, R, K, S, P, Q, D>(
                 simd,
                 layout,
-                tile,
+                tile.clone(),
                 trial,
                 value,
                 settings.loss,
             );
+            let observations = |e: usize| layout.points[e + 1].first - layout.points[e].first;
+            let fewest = tile.clone().map(observations).min().unwrap_or(0);
+            if !(cost <= stray * f64::from(fewest)) {
+                cost = 0.0;
+                for e in tile {
+                    let (k, point) = (e - range.start, layout.points[e]);
+                    let alone =
+                        LonePoint { layout, point: e, prepared: trial, loss: settings.loss };
+                    let mut own = alone.cost::<F, R, P, Q>(&moved[k]);
+                    let is_free = point.frozen == 0 && point.prior == NONE;
+                    if is_free && own > stray * f64::from(observations(e)) {
+                        let before = coordinates::<P>(x, point.at);
+                        (moved[k], own) =
+                            alone.best::<F, R, P, Q>((moved[k], own), before, sights.get(k));
+                    }
+                    cost += own;
+                }
+            }
             total.cost += cost;
         }
         total

@@ -193,6 +193,7 @@ fn solve(
         method: options.network.method,
         linear: options.network.solver,
         cost_tolerance: options.network.cost_tolerance,
+        restart_ratio: Some(options.network.restart_ratio).filter(|&ratio| ratio > 0.0),
         ..nlls::Options::default()
     };
     let mut engine = LeastSquares::new(settings.clone());

@@ -84,6 +84,7 @@ impl Settings {
 
     /// The engine's settings.
     pub fn engine(&self) -> Options {
-        Options { cost_tolerance: 1e-12, ..Options::default() }
+        // The start is a block that was oriented: its points are near their places.
+        Options { cost_tolerance: 1e-12, restart_ratio: None, ..Options::default() }
     }
 }
