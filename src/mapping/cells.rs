@@ -50,7 +50,7 @@ pub(super) struct Frame {
 
 impl Frame {
     #[inline(always)]
-    fn holds(&self, [u, v]: [f64; 2]) -> bool {
+    pub(super) fn holds(&self, [u, v]: [f64; 2]) -> bool {
         // Not `&&`, so that it needs no branches.
         (u >= self.least[0])
             & (u <= self.most[0])

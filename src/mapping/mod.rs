@@ -18,6 +18,7 @@
 //! - [`elevation`]: elevation models of a cloud ([`dem`]) and of the ground below plants ([`ground`]);
 //! - [`dense`]: the first surface, cell by cell, and the ground below it.
 
+pub mod assignment;
 pub mod canopy_height;
 mod cells;
 pub mod colour_balance;
@@ -36,6 +37,7 @@ pub mod photo_cache;
 pub mod plant_ties;
 pub mod plot_frame;
 pub mod provenance;
+pub mod seam_paths;
 mod seams;
 pub mod select;
 pub mod surface;

@@ -5,6 +5,7 @@
 //! memory, or on the number of threads.
 
 use super::{
+    assignment::Assignment,
     colour_correction::ColourCorrection,
     paint::{Blend, paint},
     photo_cache::PhotoCache,
@@ -36,6 +37,8 @@ pub struct Mosaic<'a> {
     pub feather_m: Option<f64>,
     /// What corrects the colours of each photo.
     pub corrections: Option<&'a [ColourCorrection]>,
+    /// Photos that are told for cells, whatever the selector's rule says.
+    pub assignment: Option<&'a Assignment>,
     /// Whether tiles say where their colours come from.
     pub with_provenance: bool,
 }
@@ -169,6 +172,9 @@ fn tile<E: Send>(
     let selector = mosaic.selector;
     let count = photos.count();
     selector.sources_into(window, sources);
+    if let Some(assignment) = mosaic.assignment {
+        selector.assign(assignment, sources);
+    }
     let mut cells = cells_of(sources, count);
     let mut rgba = vec![[0u8; 4]; window.pixels()];
     match mosaic.feather_m {
@@ -255,7 +261,8 @@ fn fill_gaps<E: Send>(
     let among = selector.within(window);
     let mut candidates = Vec::new();
     let mut open: Vec<usize> = gaps(sources, rgba).collect();
-    for rank in 1.. {
+    let first = sources.source.clone();
+    for rank in 0.. {
         let mut next = CellSources { source: vec![0; window.pixels()], ..sources.clone() };
         for &cell in &open {
             let (u, v) = (window.u + cell % window.width, window.v + cell / window.width);
@@ -263,7 +270,9 @@ fn fill_gaps<E: Send>(
             if let Some(point) = selector.point_m(u, v) {
                 selector.candidates(point, &among, &mut candidates);
             }
-            let candidate = candidates.get(rank);
+            // The photo without data is passed over, whatever its place among the candidates is.
+            let mut others = candidates.iter().filter(|of| of.view as u32 + 1 != first[cell]);
+            let candidate = others.nth(rank);
             next.source[cell] = candidate.map_or(0, |candidate| candidate.view as u32 + 1);
             let pixel = candidate.map(|candidate| candidate.image_px.map(|value| value as f32));
             next.pixel[cell] = pixel.unwrap_or([f32::NAN; 2]);

@@ -224,9 +224,12 @@ fn every_cell_comes_from_the_closest_camera_that_shows_it() {
 fn results_do_not_depend_on_threads_or_room() {
     let folder = tempfile::tempdir().unwrap();
     World { slope: 0.05, exposure: [1.0, 0.9, 1.05] }.build(folder.path());
-    for options in
-        ["", "--balance=false", "--feather-m 2 --visibility-m 0.05 --interpolation bicubic"]
-    {
+    for options in [
+        "",
+        "--balance=false",
+        "--feather-m 2 --visibility-m 0.05 --interpolation bicubic",
+        "--seams least-difference",
+    ] {
         run(folder.path(), &format!("{GIVEN} {options} -o a.tif --force"));
         run(
             folder.path(),
@@ -297,6 +300,54 @@ fn feathering_and_balance_take_the_step_out_of_a_seam() {
 }
 
 #[test]
+fn a_plot_can_come_from_one_photo() {
+    let folder = tempfile::tempdir().unwrap();
+    LEVEL.build(folder.path());
+    // Across the seam at x = 5 m, and wider than a photo.
+    let plot = |name: &str, [left, right]: [f64; 2], [bottom, top]: [f64; 2]| {
+        let [west, east] = [left, right].map(|x| EAST_M + x);
+        let [south, north] = [bottom, top].map(|y| NORTH_M + y);
+        serde_json::json!({
+            "type": "Feature",
+            "properties": {"name": name},
+            "geometry": {"type": "Polygon", "coordinates":
+                [[[west, south], [east, south], [east, north], [west, north], [west, south]]]}
+        })
+    };
+    let plots = serde_json::json!({
+        "type": "FeatureCollection",
+        "crs": {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::32616"}},
+        "features": [plot("A1", [4.0, 9.0], [-3.0, 3.0]), plot("A2", [-5.0, 20.0], [4.0, 6.0])]
+    });
+    fs::write(folder.path().join("plots.geojson"), plots.to_string()).unwrap();
+    let arguments = format!("{GIVEN} --whole-plots plots.geojson -o ortho.tif").replace(" -q", "");
+    let run = rowgram(folder.path(), &arguments);
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    assert!(run.stderr.contains("no photo shows the whole of 1 of 2 plots (A2)"), "{}", run.stderr);
+    let table = fs::read_to_string(folder.path().join("ortho_plots.csv")).unwrap();
+    let lines: Vec<&str> = table.lines().collect();
+    assert_eq!(lines.len(), 3, "{table}");
+    assert_eq!(lines[0], "plot,photo,view_angle_deg");
+    assert!(lines[1].starts_with("A1,p1.png,") && lines[2] == "A2,,", "{table}");
+    // 3.5 m beside the camera, 20 m below it; outlines are followed from cell to cell, half a cell off at the most.
+    let angle: f64 = lines[1].split(',').next_back().unwrap().parse().unwrap();
+    approx::assert_abs_diff_eq!(angle, (3.5_f64 / 20.0).atan().to_degrees(), epsilon = 0.4);
+    let mosaic = Mosaic::read(&folder.path().join("ortho.tif"));
+    let mut seen = [0; 2];
+    for ([x, y], _, provenance) in mosaic.cells() {
+        let is_in_plot = (4.1..8.9).contains(&x) && y.abs() < 2.9;
+        if is_in_plot {
+            assert_eq!(provenance[0], 1.0, "({x}, {y})");
+            seen[0] += 1;
+        } else if (4.0..4.9).contains(&x) && y.abs() > 3.1 && y.abs() < 6.0 {
+            assert_eq!(provenance[0], 0.0, "({x}, {y})");
+            seen[1] += 1;
+        }
+    }
+    assert!(seen.iter().all(|&n| n > 50), "{seen:?}");
+}
+
+#[test]
 fn frames_have_a_map_each() {
     let folder = tempfile::tempdir().unwrap();
     LEVEL.build(folder.path());
@@ -337,6 +388,10 @@ fn what_is_wrong_with_the_input_is_said() {
     refused(&format!("{GIVEN} --max-angle-deg 95"), "from 0.1 to 89.9");
     refused(&GIVEN.replace("--photos images", "--photos ."), "there is no photo \"p0.png\"");
     refused("ortho --poses poses.csv --camera camera.yaml --dem dem.tif", "--photos");
+    let both = "--feather-m 1 --seams least-difference";
+    refused(&format!("{GIVEN} {both}"), "feather_m and seams");
+    refused(&format!("{GIVEN} --feather-m 1 --whole-plots p.geojson"), "feather_m and whole_plots");
+    refused(&format!("{GIVEN} --whole-plots p.geojson"), "p.geojson");
     refused("ortho nothing", "expected a folder with photos or an orthomosaic");
     fs::write(at.join("short.csv"), "filename,x,y,z,omega,phi\np0.png,1,2,3,4,5\n").unwrap();
     refused(&GIVEN.replace("poses.csv", "short.csv"), "kappa");

@@ -6,7 +6,7 @@ use crate::{
     mapping::{
         Surface, View, photo::DecodedPhoto, select::SelectionOptions, surface::HeightInterpolation,
     },
-    raster::georeference::Crs,
+    raster::{georeference::Crs, polygon::Polygon},
     scene::Pose,
 };
 use image::{Rgb, RgbImage};
@@ -40,12 +40,25 @@ fn rendered(
     corrections: Option<&[ColourCorrection]>,
     room: usize,
 ) -> (Vec<[u8; 4]>, Vec<[f32; 6]>, Rendered) {
+    rendered_with(feather_m, corrections, room, &[]).0
+}
+
+type Found = (Vec<[u8; 4]>, Vec<[f32; 6]>, Rendered);
+
+/// The same with plots that are to come from one photo, and which they come from.
+fn rendered_with(
+    feather_m: Option<f64>,
+    corrections: Option<&[ColourCorrection]>,
+    room: usize,
+    plots: &[&Polygon],
+) -> (Found, Vec<Option<usize>>) {
     let (views, surface) = (views(), surface());
     let grid = Georeference::north_up([-3.995, 2.995], 0.01, Crs::LOCAL);
     let size = [1600, 600];
     let selector = PhotoSelector::new(&views, &surface, grid, SelectionOptions::default());
     let read = |k: usize| -> Result<DecodedPhoto, String> { Ok(photo(k)) };
     let mut cache = PhotoCache::new(&views, &read, room);
+    let (assignment, photos) = selector.whole_plots(size, plots);
     let mosaic = Mosaic {
         selector: &selector,
         grid,
@@ -53,6 +66,7 @@ fn rendered(
         interpolation: Interpolation::Bilinear,
         feather_m,
         corrections,
+        assignment: Some(&assignment),
         with_provenance: true,
     };
     let mut colours = vec![[1u8; 4]; size[0] * size[1]];
@@ -69,7 +83,8 @@ fn rendered(
         }
         Ok(())
     });
-    (colours, records, found.unwrap())
+    let photos = photos.iter().map(|photo| photo.map(|photo| photo.view)).collect();
+    ((colours, records, found.unwrap()), photos)
 }
 
 #[test]
@@ -107,6 +122,61 @@ fn a_cell_without_data_comes_from_the_next_best_photo() {
     let preview = &found.preview;
     assert_eq!((preview.step, preview.size), (1, [1600, 600]));
     assert!(preview.rgba == colours && preview.source[300 * 1600] == 1);
+}
+
+/// A rectangle in metres on the ground as a polygon in cells.
+fn rectangle([left, right]: [f64; 2], [bottom, top]: [f64; 2]) -> Polygon {
+    let corners = [[left, top], [right, top], [right, bottom], [left, bottom]];
+    Polygon { rings: vec![corners.map(|[x, y]| [(x + 4.0) * 100.0, (3.0 - y) * 100.0]).to_vec()] }
+}
+
+#[test]
+fn a_plot_comes_from_the_photo_that_shows_all_of_it() {
+    let across = rectangle([4.5, 7.0], [0.5, 1.5]);
+    let without_data = rectangle([1.5, 3.5], [0.5, 1.5]);
+    let too_wide = rectangle([-1.0, 7.5], [-1.5, -0.5]);
+    let beside = rectangle([6.5, 7.7], [1.0, 2.0]);
+    let plots = [&across, &without_data, &too_wide, &beside];
+    let ((colours, records, found), photos) = rendered_with(None, None, usize::MAX, &plots);
+    // The last one overlaps the first, which begins farther left and keeps its cells.
+    assert_eq!(photos, [Some(1), Some(1), None, Some(2)]);
+    let (by_rule, rule_records, _) = rendered(None, None, usize::MAX);
+    let at = |[x, y]: [f64; 2]| {
+        ((3.0 - y) * 100.0).round() as usize * 1600 + ((x + 4.0) * 100.0).round() as usize
+    };
+    for (place, photo, passed_over) in [
+        ([5.0, 1.0], 1, false),
+        ([6.9, 1.0], 1, false),
+        ([6.9, 1.2], 1, false),
+        ([7.2, 1.2], 2, false),
+        ([7.2, 0.7], 2, false),
+        // Its photo has no data there: the best of the others.
+        ([3.0, 1.0], 0, true),
+        ([1.6, 1.0], 0, true),
+        ([5.9, -1.0], 1, false),
+        ([6.1, -1.0], 2, false),
+    ] {
+        let [r, g, b] = COLOURS[photo];
+        assert_eq!(colours[at(place)], [r, g, b, 255], "{place:?}");
+        assert_eq!(records[at(place)][0], photo as f32, "{place:?}");
+        assert_eq!(records[at(place)][5] > 0.0, passed_over, "{place:?}");
+    }
+    // Elsewhere nothing changes, and a cell of a told photo shows its place on the ground as ever.
+    let mut told = vec![false; colours.len()];
+    for plot in [&across, &without_data, &beside] {
+        for (row, run) in plot.runs(1600, 600) {
+            told[row * 1600..][run].fill(true);
+        }
+    }
+    for n in (0..colours.len()).filter(|&n| !told[n]) {
+        assert!(colours[n] == by_rule[n], "{n}");
+        assert!(records[n][5] == rule_records[n][5], "{n}");
+    }
+    let record = records[at([6.9, 1.0])];
+    assert!((f64::from(record[1]) - (39.5 + 10.0 * (6.905 - 4.0))).abs() < 0.06, "{record:?}");
+    assert_eq!(found.coloured, colours.iter().filter(|colour| colour[3] > 0).count());
+    let (again, _) = rendered_with(None, None, 0, &plots);
+    assert!(again.0 == colours && again.2 == found);
 }
 
 #[test]
@@ -154,6 +224,7 @@ fn errors_of_reading_and_of_taking_end_the_work() {
         interpolation: Interpolation::Bilinear,
         feather_m: None,
         corrections: None,
+        assignment: None,
         with_provenance: false,
     };
     let damaged = |_: usize| -> Result<DecodedPhoto, String> { Err("damaged".to_owned()) };

@@ -2,12 +2,14 @@
 
 mod colours;
 mod photos;
+mod plots;
 mod record;
 mod write;
 
 use super::{Project, Stage, Task, dem, import, stage};
 use crate::{
     error::Error,
+    io::polygons,
     mapping::{
         canopy_height::CanopyHeight,
         colour_balance::ColourBalance,
@@ -19,18 +21,31 @@ use crate::{
     raster::undistort::Interpolation,
 };
 pub(super) use photos::read_photo;
+pub use plots::WholePlots;
 pub use record::{OrthophotoRecord, PhotoRecord};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 pub(super) use write::provenance_path;
 pub use write::{OrthoFiles, OrthoInput, write_orthophotos};
 
+/// Where one photo takes over from the next.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum SeamPaths {
+    /// Where the rule of selection says.
+    #[default]
+    Rule,
+    /// Beside that, along the path on which two photos differ least.
+    LeastDifference,
+}
+
+crate::choices!(SeamPaths: Rule, LeastDifference);
 crate::choices!(PhotoRule: Closest, Nadir, Gsd);
 crate::choices!(HeightInterpolation: Bilinear, Bicubic);
 
 crate::options! {
     /// The orthomosaic: every cell takes its colour from the photo whose camera is closest.
-    pub struct OrthoOptions in "ortho" {
+    pub struct OrthoOptions in "ortho", together hard_seams {
         /// Height above the surface at which the map is drawn; auto is the height of the canopy at which photos agree best, so
         /// that plants are in their places whichever photo shows them. 0 has the ground in its place.
         pub canopy_height_m: Auto<f64> = Auto::Auto, limits between(-1000.0, 1000.0);
@@ -55,6 +70,12 @@ crate::options! {
         pub visibility_m: Option<f64> = None, limits NON_NEGATIVE, example "0.05";
         /// Distance from the borders of photos within which they are not used.
         pub border_px: f64 = 0.0, limits NON_NEGATIVE;
+        /// Where one photo takes over from the next: rule, where photo_selection says; least-difference, beside that along the path on
+        /// which two photos differ least, which keeps off leaves.
+        pub seams: SeamPaths = SeamPaths::Rule;
+        /// Polygons of plots (GeoJSON, GeoPackage, shapefile), each of which is to come from one photo: the best by photo_selection of
+        /// those that show all of it.
+        pub whole_plots: Option<PathBuf> = None, example "\"plots.geojson\"";
         /// How photos are read between their pixels.
         pub interpolation: Interpolation = Interpolation::Bilinear;
         /// Bring the colours of photos together: exposure and white balance of each, vignetting, light and direction of view. What
@@ -69,6 +90,19 @@ crate::options! {
         /// Memory for decoded photos. It has no influence on results.
         pub memory_mb: usize = 600;
     }
+}
+
+/// Blending mixes the photos on both sides of the rule's seams, which others are not.
+fn hard_seams(options: &OrthoOptions) -> Result<(), String> {
+    if options.feather_m.is_none() {
+        return Ok(());
+    }
+    let other = match (options.whole_plots.is_some(), options.seams) {
+        (true, _) => "whole_plots",
+        (_, SeamPaths::LeastDifference) => "seams = \"least-difference\"",
+        _ => return Ok(()),
+    };
+    Err(format!("feather_m and {other} do not go together: leave one of them out"))
 }
 
 impl OrthoOptions {
@@ -120,6 +154,8 @@ pub struct OrthoOutcome {
     pub canopy: Option<CanopyHeight>,
     /// How colours were brought together, where they were.
     pub colour: Option<ColourBalance>,
+    /// Which photos plots come from, where they were to be whole.
+    pub whole_plots: Option<WholePlots>,
     /// Orthophotos of single photos, where they were wanted.
     pub frames: Vec<Orthophoto>,
 }
@@ -140,6 +176,8 @@ impl Task for OrthoTask {
         let mut files = project.reconstruction_files()?;
         files.push(surface_file(project, options)?);
         files.extend(options.like.as_ref().map(|path| project.root().join(path)));
+        let plots = options.whole_plots.as_ref().map(|path| project.root().join(path));
+        files.extend(plots.iter().flat_map(|path| polygons::files(path)));
         files.extend(project.photos());
         Ok(files)
     }
@@ -156,7 +194,8 @@ impl Task for OrthoTask {
         let like = options.like.as_ref().map(|path| project.root().join(path));
         let input =
             OrthoInput { reconstruction: &reconstruction, photos: &photos, surface: &surface };
-        let options = OrthoOptions { like, ..options.clone() };
+        let whole_plots = options.whole_plots.as_ref().map(|path| project.root().join(path));
+        let options = OrthoOptions { like, whole_plots, ..options.clone() };
         let (mosaic, figures) = (folder.join(ORTHOMOSAIC), folder.join("figures"));
         let files = OrthoFiles { mosaic: &mosaic, figures: Some(&figures), force: false };
         write_orthophotos(&input, &options, &files, monitor)

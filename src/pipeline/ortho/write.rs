@@ -3,6 +3,7 @@
 use super::{
     OrthoOptions, OrthoOutcome, Orthophoto,
     photos::{Chosen, chosen, read_photo},
+    plots::{WholePlots, table_path},
     record::{self, OrthophotoRecord},
 };
 use crate::{
@@ -22,7 +23,7 @@ use crate::{
         select::PhotoSelector,
     },
     monitor::{Counter, Diagnostic, Monitor},
-    options::Auto,
+    options::{Auto, Options},
     pipeline::{
         dem::{beside, name, read_surface},
         map_figures,
@@ -77,6 +78,7 @@ pub fn write_orthophotos(
     files: &OrthoFiles<'_>,
     monitor: &mut dyn Monitor,
 ) -> Result<OrthoOutcome, Error> {
+    options.validate().map_err(|why| Error::Argument(format!("[ortho] {why}")))?;
     let Chosen { views, photos, cameras } = chosen(input, &options.only)?;
     if views.len() >= usize::from(NO_PHOTO) {
         return Err(Error::Argument(format!(
@@ -92,6 +94,9 @@ pub fn write_orthophotos(
         if options.provenance {
             output::check(&provenance_path(orthophoto), files.force)?;
         }
+    }
+    if options.whole_plots.is_some() {
+        output::check(&table_path(files.mosaic), files.force)?;
     }
     let mut work = Work { options, files, dem: input.surface, canopy_height_m: 0.0, colour: None };
     let (canopy_height_m, canopy) = match options.canopy_height_m {
@@ -124,7 +129,7 @@ pub fn write_orthophotos(
         work.colour = work.balance(&views, (&photos, &cameras), &surface, monitor)?;
     }
     let all = 0..views.len();
-    let mosaic =
+    let (mosaic, whole_plots) =
         work.orthophoto((&views, all), &photos, &surface, (files.mosaic, files.figures), monitor)?;
     let mut single = Vec::new();
     for (k, frame) in frames.iter().enumerate() {
@@ -134,7 +139,7 @@ pub fn write_orthophotos(
             continue;
         }
         let which = (views.as_slice(), k..k + 1);
-        let mut made = work.orthophoto(which, &photos, &surface, (frame, None), monitor)?;
+        let (mut made, _) = work.orthophoto(which, &photos, &surface, (frame, None), monitor)?;
         let folder = frame.parent().and_then(Path::file_name).unwrap_or_default();
         let files = [Some(&mut made.file), made.provenance.as_mut(), Some(&mut made.record)];
         for file in files.into_iter().flatten() {
@@ -143,7 +148,7 @@ pub fn write_orthophotos(
         single.push(made);
     }
     let colour = work.colour.map(|colour| colour.balance);
-    Ok(OrthoOutcome { mosaic, canopy_height_m, canopy, colour, frames: single })
+    Ok(OrthoOutcome { mosaic, canopy_height_m, canopy, colour, whole_plots, frames: single })
 }
 
 /// The orthophoto of every photo, in a folder beside the mosaic, which is made.
@@ -291,7 +296,7 @@ impl Work<'_> {
         surface: &Surface,
         (output, figures): (&Path, Option<&Path>),
         monitor: &mut dyn Monitor,
-    ) -> Result<Orthophoto, Error> {
+    ) -> Result<(Orthophoto, Option<WholePlots>), Error> {
         let options = self.options;
         let (views, photos) = (&all[which.clone()], &files[which.clone()]);
         let (grid, size) = self.grid(views, surface, &name(output), monitor)?;
@@ -300,6 +305,10 @@ impl Work<'_> {
         let mut cache = PhotoCache::new(views, &read, options.memory_mb << 20);
         let colour = self.colour.as_ref();
         let corrections = colour.map(|colour| &colour.corrections[which.clone()]);
+        let (assignment, whole_plots) = match output == self.files.mosaic {
+            true => self.assignment(&selector, (grid, size), corrections, &mut cache, monitor)?,
+            false => Default::default(),
+        };
         let mosaic = Mosaic {
             selector: &selector,
             grid,
@@ -307,6 +316,7 @@ impl Work<'_> {
             interpolation: options.interpolation,
             feather_m: options.feather_m,
             corrections,
+            assignment: (!assignment.is_empty()).then_some(&assignment),
             with_provenance: options.provenance,
         };
         let provenance = options.provenance.then(|| provenance_path(output));
@@ -335,7 +345,7 @@ impl Work<'_> {
             std::fs::create_dir_all(folder).map_err(|e| FileError::write(folder, e))?;
             map_figures::draw_mosaic(folder, &selector, &rendered, grid, self.files.force)?;
         }
-        Ok(Orthophoto {
+        let made = Orthophoto {
             file: name(output).into(),
             provenance: provenance.map(|path| name(&path).into()),
             record: name(&record::path(output)).into(),
@@ -346,7 +356,8 @@ impl Work<'_> {
             vertical_epsg: grid.crs.vertical_epsg,
             photos: rendered.cells_of.iter().filter(|&&cells| cells > 0).count(),
             coloured_pixels: rendered.coloured,
-        })
+        };
+        Ok((made, whole_plots))
     }
 }
 
