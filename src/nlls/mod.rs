@@ -24,6 +24,7 @@ mod linearized;
 mod loss;
 pub mod manifold;
 mod normal;
+mod options;
 mod problem;
 mod projection;
 pub mod residual;
@@ -44,6 +45,7 @@ pub use factor::{
 pub use linearized::LinearizedFactor;
 pub use loss::{Loss, LossFunction, Rho};
 pub use manifold::{Euclidean, Manifold};
+pub use options::{Method, Options};
 pub use problem::{BlockId, Problem};
 pub use projection::{
     Dim, Linearized, LinearizedProjection, Measurement, Of, ProjectionBatch, ProjectionFactor, Size,
@@ -52,7 +54,7 @@ pub use residual::{Residual, Residuals, Vector};
 pub use schur::{FusedElimination, FusionRequest};
 pub use step_profiler::StepProfiler;
 pub use summary::{BatchPath, BatchSummary, LinearKind, LinearPath, Summary};
-pub use trust_region::{LeastSquares, Method, Options, SolverState};
+pub use trust_region::{LeastSquares, SolverState};
 
 use crate::engine::{Engine, SolveError, Termination};
 use serde::{Deserialize, Serialize};

@@ -1,6 +1,6 @@
 //! The parts of one Levenberg-Marquardt step, one by one: for benchmarks and for looking inside.
 
-use super::{LinearSolver, normal::Normal, problem::Problem, trust_region::LINEAR_TOLERANCE};
+use super::{LinearSolver, normal::Normal, options::LINEAR_TOLERANCE, problem::Problem};
 use crate::engine::SolveError;
 
 /// A problem whose steps are made part by part. The parts are called in the order in which they

@@ -8,95 +8,11 @@
 //! gradient towards the Gauss-Newton step, as far as a radius in the norm `|D^1/2 d|` allows.
 
 use super::{
-    BatchPath, Curvature, LinearPath, LinearSolver, normal::Normal, problem::Problem,
+    BatchPath, Curvature, LinearPath, Method, Options, normal::Normal, problem::Problem,
     trial_step::TrialStep,
 };
 use crate::engine::{Engine, SolveError, Step, Termination};
 use serde::{Deserialize, Serialize};
-
-/// Which trial step.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Method {
-    /// Damped Gauss-Newton.
-    #[default]
-    LevenbergMarquardt,
-    /// Gauss-Newton and steepest descent blended within a radius.
-    Dogleg,
-}
-
-/// Settings of the engine. The defaults suit bundle adjustment.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
-pub struct Options {
-    /// Which trial step.
-    pub method: Method,
-    /// How the linear systems are solved.
-    pub linear: LinearSolver,
-    /// Conjugate gradients stop where the residual, in the norm of the preconditioner, is below this
-    /// share of the first.
-    pub linear_tolerance: f64,
-    /// How a robust loss enters the Hessian.
-    pub curvature: Curvature,
-    /// Stop where an accepted step decreases the cost by less than this share of it.
-    pub cost_tolerance: f64,
-    /// Stop where the cosine between the residual and every column of the Jacobian,
-    /// `|g_k| / (sqrt(D_k) |r|)`, is below this.
-    pub gradient_tolerance: f64,
-    /// Stop where `|D^1/2 d|` of a step falls below this share of `|r|`.
-    pub step_tolerance: f64,
-    /// `lambda` of the first Levenberg-Marquardt step; Dogleg has its own.
-    pub initial_damping: f64,
-    /// A step is taken where the actual decrease is at least this share of the predicted one.
-    pub min_relative_decrease: f64,
-    /// Levenberg-Marquardt starts eliminated points again that a step leaves with so many times the mean cost of an observation;
-    /// `None`: never. Of normal noise no point is one of them with 30.
-    pub restart_ratio: Option<f64>,
-}
-
-impl Default for Options {
-    fn default() -> Options {
-        Options {
-            method: Method::LevenbergMarquardt,
-            linear: LinearSolver::Auto,
-            linear_tolerance: LINEAR_TOLERANCE,
-            curvature: Curvature::Adaptive,
-            cost_tolerance: 1e-9,
-            gradient_tolerance: 1e-10,
-            step_tolerance: 1e-12,
-            initial_damping: 3e-5,
-            min_relative_decrease: 1e-3,
-            restart_ratio: Some(30.0),
-        }
-    }
-}
-
-impl Options {
-    fn check(&self) -> Result<(), SolveError> {
-        for (name, value) in [
-            ("linear-tolerance", self.linear_tolerance),
-            ("cost-tolerance", self.cost_tolerance),
-            ("gradient-tolerance", self.gradient_tolerance),
-            ("step-tolerance", self.step_tolerance),
-            ("min_relative_decrease", self.min_relative_decrease),
-        ] {
-            if !(0.0..1.0).contains(&value) {
-                return Err(SolveError::Misuse(format!("{name} is {value}, expected 0 to 1")));
-            }
-        }
-        if !(self.initial_damping > 0.0 && self.initial_damping.is_finite()) {
-            return Err(SolveError::Misuse(format!(
-                "initial-damping is {}, expected a positive number",
-                self.initial_damping
-            )));
-        }
-        if let Some(ratio) = self.restart_ratio.filter(|ratio| !(*ratio > 1.0)) {
-            let message = format!("restart-ratio is {ratio}, expected more than 1");
-            return Err(SolveError::Misuse(message));
-        }
-        Ok(())
-    }
-}
 
 /// What besides the iterate decides the next steps.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -145,8 +61,6 @@ const MIN_LAMBDA: f64 = 1e-15;
 /// The damping falls to no less than this share after the best of steps. Nielsen takes a third, which
 /// costs bundle blocks one to three more iterations.
 const MIN_DAMPING_FACTOR: f64 = 0.1;
-/// A step that is right to a percent gains nearly what the exact one does.
-pub(super) const LINEAR_TOLERANCE: f64 = 1e-2;
 /// Damping of Dogleg's Gauss-Newton step, raised where the system is singular.
 const GAUSS_NEWTON_LAMBDA: f64 = 1e-10;
 
