@@ -97,10 +97,14 @@ pub struct State {
 /// # Errors
 /// As [`Task::inputs`]; inputs that cannot be read.
 pub fn state<T: Task>(project: &Project, options: &T::Options) -> Result<State, Error> {
-    let inputs = record::contents(project.root(), &T::inputs(project, options)?)?;
-    let key = key::<T>(project, options, &inputs);
-    let kept = project.records().kept(T::STAGE, &key)?;
-    Ok(State { is_current: kept.is_some(), command: command::<T>(options) })
+    let files = T::inputs(project, options)?;
+    let records = project.records();
+    // Contents are read where there is something to compare them with: of thousands of photos that takes minutes.
+    let is_current = records.read(T::STAGE).is_some() && {
+        let inputs = record::contents(project.root(), &files)?;
+        records.kept(T::STAGE, &key::<T>(project, options, &inputs))?.is_some()
+    };
+    Ok(State { is_current, command: command::<T>(options) })
 }
 
 /// Does a stage, unless its result is there and current, and gives what came of it.
