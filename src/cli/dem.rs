@@ -4,10 +4,9 @@ use super::{import::ModelArgs, options::Given, project};
 use crate::{
     error::Error,
     io::cloud_points,
-    mapping::dem::SurfacePoint,
     pipeline::{
         Stage,
-        dem::{DemOptions, DemOutcome, dem, write_elevation},
+        dem::{Cloud, DemOptions, DemOutcome, dem, write_elevation},
     },
     raster::georeference::Crs,
 };
@@ -16,7 +15,7 @@ use std::path::PathBuf;
 /// Make a digital elevation model
 ///
 /// Points that do not fit their neighbours are left out; the rest is triangulated (Delaunay) and interpolated by
-/// natural neighbours. Where there are no points there is no height. Writes a tiled GeoTIFF of heights in metres
+/// natural neighbours. Where there are no points there is no height, but for --extend-m. Writes a tiled GeoTIFF of heights in metres
 /// (dem.tif, nodata -9999), their standard deviations (dem_sigma.tif) and, with --ground, the ground under plants
 /// (dem_ground.tif).
 ///
@@ -75,17 +74,18 @@ fn of_points(args: &Args) -> Result<(), Error> {
         Error::Argument("without a project --output names the file of the surface".into())
     })?;
     let import = args.import.import()?;
-    let (points, reference) = match &args.points {
-        Some(path) => (cloud_points::read(path)?, import.reference()?),
-        None => {
-            let model = import.read()?;
-            (SurfacePoint::of(&model), model.reference)
-        }
+    let cloud = match &args.points {
+        Some(path) => Cloud {
+            points: cloud_points::read(path)?,
+            crs: Crs::of(&import.reference()?),
+            shown_m: None,
+        },
+        None => Cloud::of(&import.read()?),
     };
     let files = (output, args.figures.as_deref(), args.force);
     project::present(
         args.json,
-        |monitor| write_elevation(&points, Crs::of(&reference), &options, files, monitor),
+        |monitor| write_elevation(&cloud, &options, files, monitor),
         |outcome| text(&output.display().to_string(), outcome),
     )
 }

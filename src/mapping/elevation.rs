@@ -2,10 +2,12 @@
 
 use super::{
     MapError, Surface,
+    continuation::continue_heights,
     dem::{CloudOptions, CloudStatistics, SurfacePoint, TriangulatedCloud},
     grid::{covering, rounded},
     ground::{GroundOptions, ground_surface},
     surface::HeightInterpolation,
+    view::Bounds,
 };
 use crate::raster::georeference::Crs;
 
@@ -21,6 +23,33 @@ pub struct ElevationOptions {
     pub cell_m: Option<f64>,
     /// How the ground is found, where it is wanted.
     pub ground: Option<GroundOptions>,
+    /// Where the surface goes on beyond its points.
+    pub extent: Extent,
+}
+
+/// How far a surface goes.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub enum Extent {
+    /// As far as its points.
+    #[default]
+    Points,
+    /// So many metres beyond the bounds of its points.
+    Beyond(f64),
+    /// At least over these bounds.
+    Over(Bounds),
+}
+
+impl Extent {
+    fn bounds_m(self, points_m: Bounds) -> Bounds {
+        std::array::from_fn(|k| {
+            let [low, high] = points_m[k];
+            match self {
+                Extent::Points => points_m[k],
+                Extent::Beyond(metres) => [low - metres, high + metres],
+                Extent::Over(bounds) => [low.min(bounds[k][0]), high.max(bounds[k][1])],
+            }
+        })
+    }
 }
 
 /// An elevation model. All rasters have the grid of the surface.
@@ -28,8 +57,10 @@ pub struct ElevationOptions {
 pub struct ElevationModel {
     /// The surface.
     pub surface: Surface,
-    /// Standard deviations of its heights, metres, row by row; NaN where not known.
+    /// Standard deviations of its heights, metres, row by row; NaN where not known, as beyond the points.
     pub sigmas_m: Vec<f32>,
+    /// Cells with a height beyond the points and in their gaps.
+    pub continued_cells: usize,
     /// The ground below plants, where there is a surface.
     pub ground: Option<Surface>,
     /// What became of the points.
@@ -57,8 +88,9 @@ pub fn elevation_model(
     let cloud = TriangulatedCloud::new(points, &options.cloud)?;
     // Two digits are enough to name it.
     let cell_m = options.cell_m.unwrap_or_else(|| rounded(0.5 * cloud.statistics.spacing_m, 2));
-    let (grid, size) = covering(cloud.bounds_m(), cell_m, crs, MAX_CELLS)?;
-    let (surface, sigmas_m) = cloud.surface(grid, size)?;
+    let bounds_m = options.extent.bounds_m(cloud.bounds_m());
+    let (grid, size) = covering(bounds_m, cell_m, crs, MAX_CELLS)?;
+    let (mut surface, sigmas_m) = cloud.surface(grid, size)?;
     let ground = match &options.ground {
         None => None,
         Some(how) => {
@@ -72,7 +104,13 @@ pub fn elevation_model(
             Some(Surface::new(grid, size, heights, HeightInterpolation::Bilinear)?)
         }
     };
-    Ok(ElevationModel { surface, sigmas_m, ground, statistics: cloud.statistics })
+    let mut continued_cells = 0;
+    if options.extent != Extent::Points {
+        let mut heights = surface.heights_m;
+        continued_cells = continue_heights(&mut heights, size);
+        surface = Surface::new(grid, size, heights, HeightInterpolation::Bilinear)?;
+    }
+    Ok(ElevationModel { surface, sigmas_m, continued_cells, ground, statistics: cloud.statistics })
 }
 
 #[cfg(test)]
@@ -109,6 +147,30 @@ mod tests {
         // Half the spacing of 2000 points on 100 m2, about .1 m, in two digits.
         let cell_m = found.surface.cell_m();
         assert!((0.05..0.15).contains(&cell_m) && rounded(cell_m, 2) == cell_m, "{cell_m}");
+    }
+
+    #[test]
+    fn a_surface_goes_on_beyond_its_points_where_it_is_told_to() {
+        let with = |extent| ElevationOptions { extent, cell_m: Some(0.2), ..Default::default() };
+        let found = |extent| elevation_model(&points(), Crs::LOCAL, &with(extent)).unwrap();
+        let plain = found(Extent::Points);
+        assert_eq!(plain.continued_cells, 0);
+        for extent in [Extent::Beyond(3.0), Extent::Over([[-3.0, 13.0], [-3.0, 13.0]])] {
+            let more = found(extent);
+            let [[left, right], _] = more.surface.bounds_m();
+            assert!(left < -2.5 && right > 12.5, "{left} {right}");
+            assert!(more.surface.heights_m.iter().all(|z| z.is_finite()));
+            let known = |of: &ElevationModel| of.sigmas_m.iter().filter(|s| s.is_finite()).count();
+            assert_eq!(known(&more), known(&plain), "standard deviations end with the points");
+            assert!(more.continued_cells + known(&more) == more.surface.heights_m.len());
+            for at in [[-2.0, 5.0], [12.0, -2.0]] {
+                let z = more.surface.at(at).unwrap();
+                assert!((5.0..5.5).contains(&z), "{z}");
+            }
+            let inside = [5.03, 4.97];
+            let (a, b) = (plain.surface.at(inside).unwrap(), more.surface.at(inside).unwrap());
+            assert!((a - b).abs() < 1e-5, "{a} {b}");
+        }
     }
 
     #[test]

@@ -23,6 +23,7 @@ pub mod canopy_height;
 mod cells;
 pub mod colour_balance;
 pub mod colour_correction;
+pub mod continuation;
 pub mod dem;
 pub mod dense;
 pub mod elevation;

@@ -10,17 +10,20 @@ use crate::{
         qgis::{self, Style},
     },
     mapping::{
-        Surface,
+        Surface, View,
         dem::{CloudOptions, CloudStatistics, SurfacePoint},
-        elevation::{ElevationModel, ElevationOptions, elevation_model},
+        elevation::{ElevationModel, ElevationOptions, Extent, elevation_model},
         ground::GroundOptions,
         surface::HeightInterpolation,
+        view::{Bounds, views},
     },
     monitor::{Diagnostic, Monitor},
+    options::Auto,
     raster::{
         georeference::{Crs, Georeference},
         window::{self, Window},
     },
+    scene::Reconstruction,
 };
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -34,6 +37,10 @@ crate::options! {
         pub outlier_ratio: f64 = 5.0, limits POSITIVE;
         /// The longest side of a triangle that is filled; 30 times the median distance of neighbouring points where not set.
         pub largest_gap_m: Option<f64> = None, limits POSITIVE, example "2.0";
+        /// How far the surface goes beyond the bounds of its points, and over gaps between them, on the plane of the field and as far off
+        /// it as the heights nearest are; auto: as far as photos show ground. 0 ends it with the points. Standard deviations end there
+        /// always.
+        pub extend_m: Auto<f64> = Auto::Given(0.0), limits NON_NEGATIVE;
         /// Write the ground under plants too: the lower envelope of the points, with as few breaks as they allow.
         pub ground: bool = false;
         /// Side of the cells of the ground: larger than a plant.
@@ -46,9 +53,22 @@ crate::options! {
 }
 
 impl DemOptions {
-    /// How the elevation model is made.
-    pub fn elevation(&self) -> ElevationOptions {
-        ElevationOptions {
+    /// How the elevation model is made of points that photos show over `shown_m`.
+    ///
+    /// # Errors
+    /// A surface as far as photos show ground, where none does.
+    pub fn elevation(&self, shown_m: Option<Bounds>) -> Result<ElevationOptions, Error> {
+        let extent = match (self.extend_m, shown_m) {
+            (Auto::Given(metres), _) if metres > 0.0 => Extent::Beyond(metres),
+            (Auto::Given(_), _) => Extent::Points,
+            (Auto::Auto, Some(bounds)) => Extent::Over(bounds),
+            (Auto::Auto, None) => {
+                return Err(Error::Argument(
+                    "[dem] extend_m = \"auto\": there are no photos with a pose that look down, expected metres".into(),
+                ));
+            }
+        };
+        Ok(ElevationOptions {
             cloud: CloudOptions {
                 outlier_ratio: self.outlier_ratio,
                 largest_gap_m: self.largest_gap_m,
@@ -59,7 +79,8 @@ impl DemOptions {
                 quantile: self.ground_quantile,
                 smoothness: self.ground_smoothness,
             }),
-        }
+            extent,
+        })
     }
 }
 
@@ -89,6 +110,8 @@ pub struct DemOutcome {
     pub outlier_count: usize,
     /// Number of cells with a height.
     pub cells_with_height: usize,
+    /// Number of those beyond the points or in gaps between them.
+    pub continued_cells: usize,
     /// The least height, metres.
     pub min_height_m: f64,
     /// The greatest height, metres.
@@ -117,13 +140,52 @@ impl Task for DemTask {
         monitor: &mut dyn Monitor,
     ) -> Result<DemOutcome, Error> {
         let reconstruction = project.reconstruction()?;
-        let crs = Crs::of(&reconstruction.reference);
-        let points = SurfacePoint::of(&reconstruction);
+        let cloud = Cloud::of(&reconstruction);
         let output = folder.join(SURFACE);
         let figures = folder.join("figures");
-        write_elevation(&points, crs, options, (&output, Some(&figures), false), monitor)
+        write_elevation(&cloud, options, (&output, Some(&figures), false), monitor)
     }
 }
+
+/// Points, and what photos show of the ground that they are on.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Cloud {
+    /// The points.
+    pub points: Vec<SurfacePoint>,
+    /// Their reference system.
+    pub crs: Crs,
+    /// What photos show of the ground: least and greatest x and y, metres; `None` without photos.
+    pub shown_m: Option<Bounds>,
+}
+
+impl Cloud {
+    /// The points of a reconstruction. What a photo shows is taken at their middle height; one that looks so flat that it shows many times
+    /// what the others do does not count.
+    pub fn of(reconstruction: &Reconstruction) -> Cloud {
+        let points = SurfacePoint::of(reconstruction);
+        let mut heights: Vec<f64> = points.iter().map(|point| point.position_m[2]).collect();
+        heights.sort_by(f64::total_cmp);
+        let middle = heights.get(heights.len() / 2).copied();
+        let footprint = |view: &View| {
+            let bounds = middle.map(|z| view.footprint_between_m([z, z]))?;
+            let diagonal = bounds.map(|[low, high]| high - low);
+            Some((diagonal[0].hypot(diagonal[1]), bounds))
+                .filter(|(diagonal, _)| diagonal.is_finite())
+        };
+        let mut footprints: Vec<(f64, Bounds)> =
+            views(reconstruction).iter().filter_map(footprint).collect();
+        footprints.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let usual = footprints.get(footprints.len() / 2).map_or(0.0, |(diagonal, _)| *diagonal);
+        let kept = footprints.iter().filter(|(diagonal, _)| *diagonal <= FLATTEST * usual);
+        let shown_m = kept
+            .map(|(_, bounds)| *bounds)
+            .reduce(|a, b| std::array::from_fn(|k| [a[k][0].min(b[k][0]), a[k][1].max(b[k][1])]));
+        Cloud { points, crs: Crs::of(&reconstruction.reference), shown_m }
+    }
+}
+
+/// A photo that shows more than so many times the usual length of ground looks too flat to say how far a map should go.
+const FLATTEST: f64 = 3.0;
 
 /// The file of the surface in the folder of the stage.
 pub const SURFACE: &str = "dem.tif";
@@ -146,8 +208,7 @@ pub fn dem(
 /// # Errors
 /// Too few points, outputs that cannot be written.
 pub fn write_elevation(
-    points: &[SurfacePoint],
-    crs: Crs,
+    cloud: &Cloud,
     options: &DemOptions,
     (output, figures, force): (&Path, Option<&Path>, bool),
     monitor: &mut dyn Monitor,
@@ -157,7 +218,7 @@ pub fn write_elevation(
     let wanted =
         [Some(output), Some(&sigma), Some(&style_path), options.ground.then_some(ground.as_path())];
     wanted.into_iter().flatten().try_for_each(|path| output::check(path, force))?;
-    let model = elevation_model(points, crs, &options.elevation())?;
+    let model = elevation_model(&cloud.points, cloud.crs, &options.elevation(cloud.shown_m)?)?;
     let ElevationModel { surface, sigmas_m, statistics, .. } = &model;
     let place = &surface.georeference;
     let size = [surface.width, surface.height];
@@ -190,6 +251,7 @@ pub fn write_elevation(
         vertical_epsg: place.crs.vertical_epsg,
         statistics: statistics.clone(),
         outlier_count: statistics.outliers.len(),
+        continued_cells: model.continued_cells,
         cells_with_height: surface.heights_m.iter().filter(|z| z.is_finite()).count(),
         min_height_m,
         max_height_m,
