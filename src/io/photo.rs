@@ -6,10 +6,11 @@
 
 use super::FileError;
 use exif::{In, Reader, Tag, Value};
+use serde::{Deserialize, Serialize};
 use std::{io::Cursor, path::Path};
 
 /// A photo's position as its receiver gave it, WGS84.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Geotag {
     /// Degrees north.
     pub latitude_deg: f64,
@@ -22,7 +23,7 @@ pub struct Geotag {
 }
 
 /// What is known of a photo before it is looked at.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Metadata {
     /// Maker of the camera.
     pub make: String,

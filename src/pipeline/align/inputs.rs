@@ -1,6 +1,6 @@
 //! Which photos a project has, what their files say, what is known on the ground and in the air.
 
-use super::{AlignOptions, ground, place};
+use super::{AlignOptions, ground, known_photos, place};
 use crate::{
     camera::{Camera, Model},
     crs::{Crs, LocalPlane},
@@ -9,14 +9,16 @@ use crate::{
         FileError,
         control::{self, Defaults},
         gcp_list, images,
-        photo::{self, Geotag, Metadata},
+        photo::{Geotag, Metadata},
     },
     monitor::{Diagnostic, Monitor},
-    pipeline::{Project, Stage, record::Key},
+    pipeline::{
+        Project, Stage,
+        record::{Cache, Key},
+    },
     scene::{HorizontalFrame, Image, LengthUnit, Pose, ReferenceFrame, VerticalFrame},
     sfm::{georeference::Known, intrinsics::without_distortion},
 };
-use rayon::prelude::*;
 use std::{
     collections::HashMap,
     path::{Path, PathBuf},
@@ -184,26 +186,18 @@ pub(super) fn beside(project: &Project) -> Vec<PathBuf> {
     [control, marks, positions, camera].into_iter().flatten().collect()
 }
 
-/// The size of a picture without decoding it.
-fn size_of(bytes: &[u8]) -> Option<[u32; 2]> {
-    let reader = image::ImageReader::new(std::io::Cursor::new(bytes)).with_guessed_format().ok()?;
-    let (width, height) = reader.into_dimensions().ok()?;
-    (width > 0 && height > 0).then_some([width, height])
-}
-
-/// Reads everything that is known beforehand.
+/// Reads everything that is known beforehand; photos that the cache knows are not read again.
 ///
 /// # Errors
 /// Control that cannot be read, a coordinate reference system that is none.
 pub(super) fn inspect(
     project: &Project,
     options: &AlignOptions,
+    cache: Option<&Cache>,
     monitor: &mut dyn Monitor,
 ) -> Result<Inputs, Error> {
     let sources = &Sources::of(project, options);
-    let paths = project.photos();
-    let read: Vec<Result<Photo, (String, String)>> =
-        paths.par_iter().map(|path| open(path)).collect();
+    let read = known_photos::read(&project.photos(), cache)?;
     let mut photos: Vec<Photo> = Vec::new();
     let mut left_out = Vec::new();
     let mut seen: HashMap<Key, String> = HashMap::new();
@@ -243,25 +237,6 @@ pub(super) fn inspect(
     );
     let calibrated = sources.camera.is_some();
     Ok(Inputs { photos, cameras, calibrated, frame, known, has_position_sigma, plan_m, left_out })
-}
-
-fn open(path: &Path) -> Result<Photo, (String, String)> {
-    let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-    let bytes = match std::fs::read(path) {
-        Ok(bytes) => bytes,
-        Err(error) => return Err((name, format!("it cannot be read: {error}"))),
-    };
-    let Some(size_px) = size_of(&bytes) else {
-        return Err((name, "it is no picture that can be read".into()));
-    };
-    Ok(Photo {
-        path: path.to_owned(),
-        name,
-        metadata: photo::parse(&bytes),
-        size_px,
-        content: Key::of_bytes(&bytes),
-        camera: 0,
-    })
 }
 
 /// Photos of one make, model, size and focal length share a camera.

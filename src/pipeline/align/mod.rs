@@ -11,6 +11,7 @@ mod features;
 mod figures;
 mod ground;
 pub(super) mod inputs;
+mod known_photos;
 mod matches;
 mod options;
 mod outcome;
@@ -139,7 +140,7 @@ pub fn inspect(
     monitor: &mut dyn Monitor,
 ) -> Result<PartialReport, Error> {
     AlignTask::inputs(project, options)?;
-    Ok(PartialReport::new(&inputs::inspect(project, options, monitor)?, Step::Inspect))
+    Ok(PartialReport::new(&inputs::inspect(project, options, None, monitor)?, Step::Inspect))
 }
 
 /// Makes [`align`] do a step and those after it again, whatever is kept.
@@ -173,7 +174,7 @@ fn run(
 ) -> Result<StepOutcome, Error> {
     let monitor = &mut Recorder::new(monitor);
     let cache = Cache::new(&folder.join(CACHE))?;
-    let mut inputs = inputs::inspect(project, options, monitor)?;
+    let mut inputs = inputs::inspect(project, options, Some(&cache), monitor)?;
     let mut report = PartialReport::new(&inputs, last);
     if last == Step::Inspect {
         return Ok(StepOutcome::Part(report));

@@ -17,7 +17,8 @@ fn prepare(
     let folder = project.folder(Stage::Align);
     std::fs::create_dir_all(&folder).map_err(|e| FileError::write(&folder, e))?;
     let cache = Cache::new(&folder.join(CACHE))?;
-    Ok((inputs::inspect(project, options, monitor)?, cache))
+    let inputs = inputs::inspect(project, options, Some(&cache), monitor)?;
+    Ok((inputs, cache))
 }
 
 /// Finds the features of a part of the photos and keeps them for [`super::align`]. Gives the number of these photos.
