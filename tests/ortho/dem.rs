@@ -50,4 +50,49 @@ fn points_become_a_surface_with_its_ground_and_uncertainty() {
     assert!(at.join("pictures/hillshade.png").is_file() && at.join("pictures/sigma.png").is_file());
     let none = rowgram(at, "dem --points points.csv -o dem.tif");
     assert!(none.code == 2 && none.stderr.contains("--force"), "{}", none.stderr);
+    let auto = rowgram(at, "dem --points points.csv -o more.tif --extend-m auto");
+    assert!(auto.code == 2 && auto.stderr.contains("expected metres"), "{}", auto.stderr);
+    let text = run(
+        at,
+        "dem --points points.csv --crs EPSG:32616 --cell-m 0.25 --extend-m 5 -o more.tif --json -q",
+    );
+    let more: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let cells = |of: &serde_json::Value, key: &str| of[key].as_u64().unwrap();
+    assert_eq!(cells(&report, "continued_cells"), 0);
+    assert_eq!(
+        cells(&more, "cells_with_height"),
+        cells(&more, "width_px") * cells(&more, "height_px")
+    );
+    assert!(cells(&more, "continued_cells") > cells(&report, "cells_with_height") / 2, "{more}");
+    let (place, width, surface) = grid("more.tif");
+    let (_, _, sigma) = grid("more_sigma.tif");
+    for (k, &z) in surface.iter().enumerate().filter(|&(k, _)| sigma[k].is_nan()) {
+        let [x, _] = place.map([(k % width) as f64, (k / width) as f64]);
+        let off = f64::from(z) - 100.0 - 0.05 * (x - EAST_M);
+        // Between the soil and the tops of the plants, as the heights nearest are.
+        assert!((-0.15..0.75).contains(&off), "{off}");
+    }
+}
+
+#[test]
+fn a_surface_can_go_as_far_as_photos_show_ground() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    run(at, "synth flight --preset small --no-photos -o field -q");
+    let made = |extend: &str| -> serde_json::Value {
+        let arguments = format!(
+            "dem --model field/model --cell-m 0.5 --extend-m {extend} -o {extend}.tif --json -q"
+        );
+        serde_json::from_str(&run(at, &arguments)).unwrap()
+    };
+    let (points, photos) = (made("0"), made("auto"));
+    let side = |of: &serde_json::Value, key: &str| of[key].as_f64().unwrap() * 0.5;
+    for key in ["width_px", "height_px"] {
+        // Photos of 15 m x 11 m overlap by 60 %: beyond the points there is up to half of one on either side.
+        let more = side(&photos, key) - side(&points, key);
+        assert!((2.0..15.0).contains(&more), "{key}: {more}");
+    }
+    let cells = |key: &str| photos[key].as_u64().unwrap();
+    assert_eq!(cells("cells_with_height"), cells("width_px") * cells("height_px"));
+    assert!(cells("continued_cells") > 0);
 }
