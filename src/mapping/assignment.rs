@@ -144,7 +144,7 @@ impl PhotoSelector<'_> {
         Some(PlotPhoto { view, angle_rad: plan.atan2(centre[2] - middle[2]) })
     }
 
-    /// Gives the cells of a window, which begins at a multiple of [`SIDE`], the photos that they are told.
+    /// Gives the cells of a window, which begins at a multiple of 32 of them, the photos that they are told.
     pub fn assign(&self, assignment: &Assignment, sources: &mut CellSources) {
         let CellSources { window, source, pixel, passed_over } = sources;
         let Window { u: left, v: top, width, .. } = *window;

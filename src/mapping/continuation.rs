@@ -112,7 +112,8 @@ fn between(coarse: &Level, u: usize, v: usize) -> f32 {
     let [width, height] = coarse.size;
     let neighbours = |at: usize, size: usize| {
         let own = at / 2;
-        let other = if at % 2 == 0 { own.saturating_sub(1) } else { (own + 1).min(size - 1) };
+        let other =
+            if at.is_multiple_of(2) { own.saturating_sub(1) } else { (own + 1).min(size - 1) };
         [(own, 0.75), (other, 0.25)]
     };
     let mut sum = 0.0;

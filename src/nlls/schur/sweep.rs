@@ -256,7 +256,7 @@ impl<
             );
             let observations = |e: usize| layout.points[e + 1].first - layout.points[e].first;
             let fewest = tile.clone().map(observations).min().unwrap_or(0);
-            if !(cost <= stray * f64::from(fewest)) {
+            if cost.is_nan() || cost > stray * f64::from(fewest) {
                 cost = 0.0;
                 for e in tile {
                     let (k, point) = (e - range.start, layout.points[e]);
