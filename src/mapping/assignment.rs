@@ -1,6 +1,6 @@
-//! Photos that are told for cells of a map, whatever the rule of the selector says: whole plots from one photo, seams along paths.
+//! Photos that are assigned to cells of a map before the selection of photos is asked: whole plots from one photo, seams along paths.
 //!
-//! A told photo is taken where it shows the cell as the options of the selector ask; elsewhere the rule stands.
+//! An assigned photo is taken where it shows the cell as the options of the selector ask; elsewhere the selector chooses.
 
 use super::{
     cells::{CELLS, CellBlock, Pixels, SIDE},
@@ -10,10 +10,11 @@ use crate::raster::{polygon::Polygon, window::Window};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Cells between the points of an outline at which it is asked whether a photo shows them.
+/// Cells between the points of an outline at which it is asked whether a photo shows them; as a block of cells, within which positions in photos
+/// are interpolated.
 const OUTLINE_STEP: f64 = 32.0;
 
-/// The photos that are told for cells, by the number of the photo plus 1; 0 where none is.
+/// The photos that are assigned to cells, by the number of the photo plus 1; 0 where none is.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Assignment {
     /// Of each row of the map the columns of plots, ascending and disjoint. They come before squares.
@@ -49,7 +50,7 @@ impl Assignment {
         Assignment { squares, ..self }
     }
 
-    /// Whether no cell is told a photo.
+    /// Whether no cell has an assigned photo.
     pub fn is_empty(&self) -> bool {
         self.plots.iter().all(Vec::is_empty) && self.squares.side == 0
     }
@@ -81,8 +82,8 @@ impl Assignment {
 }
 
 impl PhotoSelector<'_> {
-    /// For plots, polygons in cells of a map of `[width, height]` cells: each gets the photo that shows its whole outline best by the
-    /// rule, averaged over the outline, and is told it. A cell of two plots goes with the one that begins farther left.
+    /// For plots, polygons in cells of a map of `[width, height]` cells: each is assigned the photo that shows its whole outline and
+    /// has the least cost of selection, averaged over the outline; where other things hide the plot is not asked. A cell of two plots goes with the one that begins farther left.
     pub fn whole_plots(
         &self,
         [width, height]: [usize; 2],
@@ -144,7 +145,7 @@ impl PhotoSelector<'_> {
         Some(PlotPhoto { view, angle_rad: plan.atan2(centre[2] - middle[2]) })
     }
 
-    /// Gives the cells of a window, which begins at a multiple of 32 of them, the photos that they are told.
+    /// Gives the cells of a window, which begins at a multiple of 32 of them, the photos that are assigned to them.
     pub fn assign(&self, assignment: &Assignment, sources: &mut CellSources) {
         let CellSources { window, source, pixel, passed_over } = sources;
         let Window { u: left, v: top, width, .. } = *window;
@@ -157,26 +158,26 @@ impl PhotoSelector<'_> {
             .enumerate()
             .for_each_init(Scratch::new, |scratch, (n, ((source, pixel), passed_over))| {
                 for u in (0..width).step_by(SIDE) {
-                    if !assignment.block([left + u, top + n * SIDE], &mut scratch.told) {
+                    if !assignment.block([left + u, top + n * SIDE], &mut scratch.assigned) {
                         continue;
                     }
                     let columns = SIDE.min(width - u);
                     let rows = source.len() / width;
-                    let is_told_another = |at: usize| {
+                    let has_another = |at: usize| {
                         let own = source[at / SIDE * width + u + at % SIDE];
-                        scratch.told[at] > 0 && scratch.told[at] != own
+                        scratch.assigned[at] > 0 && scratch.assigned[at] != own
                     };
                     let cells = (0..rows * SIDE).filter(|at| at % SIDE < columns);
-                    let mut open: Vec<usize> = cells.filter(|&at| is_told_another(at)).collect();
+                    let mut open: Vec<usize> = cells.filter(|&at| has_another(at)).collect();
                     if !open.is_empty() {
                         let first = [left + u, top + n * SIDE];
                         scratch.cells.fill(first, &self.grid, self.surface, &self.to_surface);
                     }
                     while let Some(&at) = open.first() {
-                        let photo = scratch.told[at];
+                        let photo = scratch.assigned[at];
                         self.show(photo as usize - 1, scratch);
                         open.retain(|&at| {
-                            if scratch.told[at] != photo {
+                            if scratch.assigned[at] != photo {
                                 return true;
                             }
                             if !scratch.shown[at][0].is_nan() {
@@ -194,10 +195,10 @@ impl PhotoSelector<'_> {
 
     /// Where a photo shows the cells of a block as the options ask; NaN elsewhere.
     fn show(&self, photo: usize, scratch: &mut Scratch) {
-        let Scratch { cells, told, shown } = scratch;
+        let Scratch { cells, assigned, shown } = scratch;
         let view = &self.views[photo];
         cells.project(view, &self.frame(view), shown);
-        for at in (0..CELLS).filter(|&at| told[at] as usize == photo + 1) {
+        for at in (0..CELLS).filter(|&at| assigned[at] as usize == photo + 1) {
             let point = cells.point_m(at % SIDE, at / SIDE);
             let is_allowed = self.cost(view, point).is_some()
                 && self.options.visibility_m.is_none_or(|tolerance_m| {
@@ -227,7 +228,7 @@ fn outline(plot: &Polygon) -> Vec<[f64; 2]> {
 /// Working memory of a block.
 struct Scratch {
     cells: CellBlock,
-    told: Box<[u32; CELLS]>,
+    assigned: Box<[u32; CELLS]>,
     shown: Box<Pixels>,
 }
 
@@ -235,7 +236,7 @@ impl Scratch {
     fn new() -> Scratch {
         Scratch {
             cells: CellBlock::new(),
-            told: Box::new([0; CELLS]),
+            assigned: Box::new([0; CELLS]),
             shown: Box::new([[f32::NAN; 2]; CELLS]),
         }
     }

@@ -37,7 +37,7 @@ pub struct Mosaic<'a> {
     pub feather_m: Option<f64>,
     /// What corrects the colours of each photo.
     pub corrections: Option<&'a [ColourCorrection]>,
-    /// Photos that are told for cells, whatever the selector's rule says.
+    /// Photos that are assigned to cells, before the selector is asked.
     pub assignment: Option<&'a Assignment>,
     /// Whether tiles say where their colours come from.
     pub with_provenance: bool,

@@ -184,7 +184,7 @@ impl Cloud {
     }
 }
 
-/// A photo that shows more than so many times the usual length of ground looks too flat to say how far a map should go.
+/// A photo that shows more than so many times the usual length of ground looks too flat to say how far a map should go. A first choice, not tuned.
 const FLATTEST: f64 = 3.0;
 
 /// The file of the surface in the folder of the stage.

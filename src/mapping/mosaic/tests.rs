@@ -161,14 +161,14 @@ fn a_plot_comes_from_the_photo_that_shows_all_of_it() {
         assert_eq!(records[at(place)][0], photo as f32, "{place:?}");
         assert_eq!(records[at(place)][5] > 0.0, passed_over, "{place:?}");
     }
-    // Elsewhere nothing changes, and a cell of a told photo shows its place on the ground as ever.
-    let mut told = vec![false; colours.len()];
+    // Elsewhere nothing changes, and a cell of an assigned photo shows its place on the ground as ever.
+    let mut assigned = vec![false; colours.len()];
     for plot in [&across, &without_data, &beside] {
         for (row, run) in plot.runs(1600, 600) {
-            told[row * 1600..][run].fill(true);
+            assigned[row * 1600..][run].fill(true);
         }
     }
-    for n in (0..colours.len()).filter(|&n| !told[n]) {
+    for n in (0..colours.len()).filter(|&n| !assigned[n]) {
         assert!(colours[n] == by_rule[n], "{n}");
         assert!(records[n][5] == rule_records[n][5], "{n}");
     }

@@ -1,7 +1,7 @@
 //! What was read of photos before: a photo whose file is as it was is not read again.
 //!
 //! Every part of a plan ([`super::parts`]) needs a mark of the content of every photo; of thousands of photos reading that takes longer than
-//! many a part. A file is as it was where its number, its length, and the times of the last write and of the last change of any kind are;
+//! many a part. A file is as it was where its inode, its length, and the times of the last write and of the last change of any kind are;
 //! the last of these no program can set. It counts only where that change was some time before the photo was read: clocks of
 //! file systems are coarse, and those of two machines differ.
 
@@ -28,7 +28,7 @@ const SETTLED_S: i64 = 60;
 /// A file at one time.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct FileState {
-    number: u64,
+    inode: u64,
     bytes: u64,
     /// Seconds and nanoseconds since 1970.
     written: [i64; 2],
@@ -43,7 +43,7 @@ impl FileState {
             use std::os::unix::fs::MetadataExt;
             let found = fs::metadata(path).ok()?;
             Some(FileState {
-                number: found.ino(),
+                inode: found.ino(),
                 bytes: found.len(),
                 written: [found.mtime(), found.mtime_nsec()],
                 changed: [found.ctime(), found.ctime_nsec()],

@@ -1,4 +1,4 @@
-//! Plots that are to come from one photo each, and seams along paths: which photos the mosaic is told.
+//! Plots that are to come from one photo each, and seams along paths: which photos are assigned to cells of the mosaic.
 
 use super::{
     SeamPaths,
@@ -39,7 +39,7 @@ pub(super) fn table_path(orthophoto: &Path) -> PathBuf {
 }
 
 impl Work<'_> {
-    /// The photos that cells of the mosaic are told, where the options ask for any.
+    /// The photos that are assigned to cells of the mosaic, where the options ask for any.
     pub(super) fn assignment(
         &self,
         selector: &PhotoSelector<'_>,
@@ -50,8 +50,8 @@ impl Work<'_> {
     ) -> Result<(Assignment, Option<WholePlots>), Error> {
         let (mut assignment, mut plots) = (Assignment::default(), None);
         if let Some(path) = &self.options.whole_plots {
-            let (told, found) = whole_plots(selector, path, (grid, size), self.files, monitor)?;
-            (assignment, plots) = (told, Some(found));
+            let (of_plots, found) = whole_plots(selector, path, (grid, size), self.files, monitor)?;
+            (assignment, plots) = (of_plots, Some(found));
         }
         if self.options.seams == SeamPaths::LeastDifference {
             let squares = seam_paths::least_difference(selector, size, corrections, photos)?;
