@@ -29,40 +29,24 @@
 //! - Axes are called along and across the rows, which need not follow the image.
 //! - A field is not cropped into regions: an update reads only the pixels near its plant.
 
-pub mod camera;
 #[cfg(feature = "cli")]
 pub mod cli;
-pub mod convex;
-pub mod crs;
-pub mod descent;
-pub mod disjoint_sets;
-pub mod drive;
-pub mod engine;
-pub mod error;
-pub mod features;
-pub mod geometry;
-pub mod io;
-pub mod lanes;
-pub mod mapping;
-pub mod monitor;
-pub mod nlls;
-pub mod options;
-pub mod phenotype;
-pub mod pipeline;
-pub mod problems;
-pub mod raster;
+
+pub use rowgram_base::{Error, Kind, choices, disjoint_sets, error, monitor, options};
+pub use rowgram_files as io;
+pub use rowgram_optim::{convex, descent, drive, engine, geometry, lanes, nlls, output, simplex};
+pub use rowgram_plants::{phenotype, score};
 #[cfg(feature = "report")]
-pub mod report;
-pub mod scene;
-pub mod score;
-pub mod sfm;
-pub mod simplex;
-pub mod target;
+pub use rowgram_project::report;
+pub use rowgram_project::{self as pipeline, BUILD};
+pub use rowgram_raster::{self as raster, crs};
+pub use rowgram_survey::{camera, features, mapping, scene, sfm, target};
 
-pub use error::{Error, Kind};
-
-/// Digest of the sources that this library was built from; results of another build are told by it.
-pub const BUILD: &str = env!("ROWGRAM_BUILD");
+/// Estimation problems: the equations of each, posed for the engines.
+pub mod problems {
+    pub use rowgram_plants::problems::*;
+    pub use rowgram_survey::problems::*;
+}
 
 /// The programs in `docs/extending.md`, compiled and run as documentation tests.
 #[cfg(doctest)]

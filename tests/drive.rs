@@ -2,8 +2,8 @@
 
 use crate::engine::{Accelerated, Bowl, Wanderer, trace_without_seconds};
 use rowgram::{
-    Error, Kind,
-    drive::{Drive, Event, Fingerprint, Limits, Observe},
+    Kind,
+    drive::{Drive, DriveError, Event, Fingerprint, Limits, Observe},
     engine::{Engine, SolveError, Step, Termination},
     io::FileError,
 };
@@ -210,7 +210,7 @@ fn a_failing_step_loses_nothing_and_nothing_is_copied() {
     assert_eq!(outcome.error, Some(SolveError::NotFinite("a test".to_owned())));
     assert!(outcome.brief().contains("not a finite number in a test"));
     assert_eq!(trace_without_seconds(&trace).len(), 1 + 1 + 5, "header, start, five steps");
-    assert!(matches!(outcome.checked(), Err(Error::Solve(_))));
+    assert!(matches!(outcome.checked(), Err(DriveError::Solve(_))));
     assert_eq!(COPIES.load(Ordering::Relaxed), 0, "monotone, no best asked for: no copy");
 
     let resumed = drive(7).resume_from(&saved).run().unwrap();
@@ -220,7 +220,7 @@ fn a_failing_step_loses_nothing_and_nothing_is_copied() {
 #[test]
 fn a_start_that_cannot_be_evaluated_is_an_error() {
     let error = Drive::new(&bowl(), Accelerated::default(), vec![f64::NAN; 3]).run().unwrap_err();
-    assert!(matches!(error, Error::Solve(SolveError::InfeasibleStart(_))), "{error}");
+    assert!(matches!(error, DriveError::Solve(SolveError::InfeasibleStart(_))), "{error}");
 }
 
 #[test]
@@ -276,8 +276,9 @@ fn the_time_before_a_resumption_counts() {
 /// The message of a refused resumption, which is bad input each time.
 fn refusal<P: ?Sized, E: Engine<P>>(drive: Drive<'_, P, E>) -> String {
     let error = drive.run().map(|outcome| outcome.iterations).unwrap_err();
-    assert_eq!(error.kind(), Kind::BadInput, "{error}");
-    error.to_string()
+    let message = error.to_string();
+    assert_eq!(rowgram::Error::from(error).kind(), Kind::BadInput, "{message}");
+    message
 }
 
 #[test]
@@ -332,7 +333,7 @@ fn outputs_that_exist_are_refused_before_any_work() {
     };
     for refused in [drive().trace(&taken), drive().checkpoint(&taken, 1)] {
         let error = refused.run().map(|outcome| outcome.iterations).unwrap_err();
-        assert!(matches!(error, Error::File(FileError::Exists { .. })), "{error}");
+        assert!(matches!(error, DriveError::File(FileError::Exists { .. })), "{error}");
     }
     let both = folder.path().join("both");
     assert!(refusal(drive().trace(&both).checkpoint(&both, 1)).contains("one path"));
@@ -359,5 +360,5 @@ fn a_full_disk_ends_no_run() {
         .run()
         .unwrap();
     assert_eq!(outcome.iterations, 9);
-    assert!(matches!(outcome.checked(), Err(Error::File(FileError::Write { .. }))));
+    assert!(matches!(outcome.checked(), Err(DriveError::File(FileError::Write { .. }))));
 }

@@ -22,8 +22,8 @@ use rowgram::{
     Error,
     camera::{Camera, Lens},
     io::output,
+    mapping::undistort::{self, Crop, Interpolation},
     phenotype::leaf_count::{Calibration, Region},
-    raster::undistort::{self, Crop, Interpolation},
 };
 use std::{fmt::Write as _, path::Path};
 

@@ -1,11 +1,9 @@
-//! `rowgram adjust`: arguments in, results out; see [`crate::pipeline::adjust`].
+//! `rowgram adjust`: arguments in, results out; see [`rowgram_project::adjust`].
 
 use super::{options::Given, project::present};
-use crate::{
-    error::Error,
-    pipeline::adjust::{self, AdjustOptions, Outputs},
-};
 use clap::Args as ClapArgs;
+use rowgram_base::error::Error;
+use rowgram_project::adjust::{self, AdjustOptions, Outputs};
 use std::path::PathBuf;
 
 /// Adjust a bundle: camera poses, interior orientations and points from image measurements.

@@ -1,18 +1,15 @@
-//! `rowgram align`: arguments in, results out; see [`crate::pipeline::align`].
+//! `rowgram align`: arguments in, results out; see [`rowgram_project::align`].
 
 use super::{
     options::Given,
     project::{self, present},
 };
-use crate::{
-    error::Error,
-    options::Choice,
-    pipeline::{
-        Config, Project, Stage,
-        align::{self, AlignOptions, Step},
-    },
-};
 use clap::Args as ClapArgs;
+use rowgram_base::{error::Error, options::Choice};
+use rowgram_project::{
+    Config, Project, Stage,
+    align::{self, AlignOptions, Step},
+};
 use std::path::PathBuf;
 
 /// Orient the photos of a flight: camera poses, a sparse cloud, self-calibration, check points.
@@ -91,7 +88,8 @@ impl Args {
             if let Some(path) = given {
                 // Settings are relative to the project, arguments to where they were typed.
                 let absolute = std::path::absolute(path);
-                *setting = Some(absolute.map_err(|e| crate::io::FileError::read(path, e))?);
+                *setting =
+                    Some(absolute.map_err(|e| rowgram_optim::output::FileError::read(path, e))?);
             }
         }
         config.align = options.clone();

@@ -1,16 +1,13 @@
 //! `rowgram calibrate`: a camera from photos of a chessboard.
 
 use super::{options::Given, project};
-use crate::{
-    error::Error,
-    io::{FileError, output},
-    monitor::Monitor,
-    pipeline::{
-        Stage,
-        calibrate::{
-            CalibrateOptions, CalibrateOutcome, FIGURES, TABLES, calibrate, calibrate_photos,
-            write_figures, write_tables,
-        },
+use rowgram_base::{error::Error, monitor::Monitor};
+use rowgram_optim::output::{self, FileError};
+use rowgram_project::{
+    Stage,
+    calibrate::{
+        CalibrateOptions, CalibrateOutcome, FIGURES, TABLES, calibrate, calibrate_photos,
+        write_figures, write_tables,
     },
 };
 use std::{

@@ -1,12 +1,11 @@
 //! `rowgram camera convert`: a calibrated camera in the words of another program.
 
-use crate::{
-    error::Error,
-    io::{camera, output},
-    pipeline::camera::{CameraFormat, ConvertedCamera, ConvertedLens, convert_camera},
-    problems::lens_fit::Fit,
-};
 use clap::{Args as ClapArgs, Subcommand};
+use rowgram_base::error::Error;
+use rowgram_files::camera;
+use rowgram_optim::output;
+use rowgram_project::camera::{CameraFormat, ConvertedCamera, ConvertedLens, convert_camera};
+use rowgram_survey::problems::lens_fit::Fit;
 use serde::Serialize;
 use std::path::PathBuf;
 

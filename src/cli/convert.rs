@@ -1,10 +1,8 @@
 //! `rowgram convert`: a reconstruction from one format into another.
 
 use super::{options::Given, project::present};
-use crate::{
-    error::Error,
-    pipeline::convert::{self, Format, ModelFileOptions},
-};
+use rowgram_base::error::Error;
+use rowgram_project::convert::{self, Format, ModelFileOptions};
 use std::path::PathBuf;
 
 /// Convert a reconstruction between rowgram, COLMAP (text, binary), Bundler and OpenSfM.

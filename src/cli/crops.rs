@@ -1,10 +1,8 @@
 //! `rowgram crops`: plots cut out of the photos themselves.
 
 use super::{options::Given, project};
-use crate::{
-    error::Error,
-    pipeline::crops::{CropsOptions, CropsOutcome, crops},
-};
+use rowgram_base::error::Error;
+use rowgram_project::crops::{CropsOptions, CropsOutcome, crops};
 use std::path::PathBuf;
 
 /// Cut every plot out of its best photos, with traits photo by photo

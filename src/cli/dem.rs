@@ -1,15 +1,13 @@
 //! `rowgram dem`: a surface from the tie points of a project, or from other points.
 
 use super::{import::ModelArgs, options::Given, project};
-use crate::{
-    error::Error,
-    io::cloud_points,
-    pipeline::{
-        Stage,
-        dem::{Cloud, DemOptions, DemOutcome, dem, write_elevation},
-    },
-    raster::georeference::Crs,
+use rowgram_base::error::Error;
+use rowgram_files::cloud_points;
+use rowgram_project::{
+    Stage,
+    dem::{Cloud, DemOptions, DemOutcome, dem, write_elevation},
 };
+use rowgram_raster::georeference::Crs;
 use std::path::PathBuf;
 
 /// Make a digital elevation model
@@ -77,7 +75,7 @@ fn of_points(args: &Args) -> Result<(), Error> {
     let cloud = match &args.points {
         Some(path) => Cloud {
             points: cloud_points::read(path)?,
-            crs: Crs::of(&import.reference()?),
+            crs: Crs::from(&import.reference()?),
             shown_m: None,
         },
         None => Cloud::of(&import.read()?),

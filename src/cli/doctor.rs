@@ -1,7 +1,8 @@
 //! `rowgram doctor`: what a project lacks, before hours are spent on it.
 
 use super::{print, print_json};
-use crate::{error::Error, monitor::Severity, pipeline};
+use rowgram_base::{error::Error, monitor::Severity};
+use rowgram_project as pipeline;
 use std::path::PathBuf;
 
 /// Check a project: photos, EXIF, ground points, overlap, settings

@@ -1,13 +1,11 @@
 //! `rowgram evaluate`: found plants against the truth, of a project or of two files.
 
 use super::{options::Given, print, print_json, stage::Target};
-use crate::{
-    error::Error,
-    pipeline::{
-        Stage,
-        evaluate::{EvaluateOptions, EvaluateOutcome, evaluate},
-        evaluate_positions::evaluate_positions,
-    },
+use rowgram_base::error::Error;
+use rowgram_project::{
+    Stage,
+    evaluate::{EvaluateOptions, EvaluateOutcome, evaluate},
+    evaluate_positions::evaluate_positions,
 };
 use std::path::PathBuf;
 

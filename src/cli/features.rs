@@ -1,11 +1,9 @@
 //! `rowgram features`: the key points of photos, and `rowgram match`: what two photos have in common.
 
 use super::project;
-use crate::{
-    error::Error,
-    features::{FeatureOptions, Norm, Upscale, matching},
-    pipeline::features::{write_features, write_matches},
-};
+use rowgram_base::error::Error;
+use rowgram_project::features::{write_features, write_matches};
+use rowgram_survey::features::{FeatureOptions, Norm, Upscale, matching};
 use std::path::PathBuf;
 
 /// What is looked for in a photo.
@@ -92,7 +90,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
         args.json,
         |monitor| write_features(photos, &options, folder, figures, args.force, monitor),
         |found| {
-            let line = |photo: &crate::pipeline::features::PhotoFeatures| {
+            let line = |photo: &rowgram_project::features::PhotoFeatures| {
                 format!("{}: {} features\n", photo.output.display(), photo.features)
             };
             found.photos.iter().map(line).collect()

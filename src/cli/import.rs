@@ -1,7 +1,7 @@
 //! Arguments that name a reconstruction of another program.
 
-use crate::error::Error;
-use crate::pipeline::import::ModelImport;
+use rowgram_base::error::Error;
+use rowgram_project::import::ModelImport;
 use std::path::PathBuf;
 
 /// A model of another program, in place of a project.

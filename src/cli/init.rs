@@ -1,10 +1,8 @@
 //! `rowgram init`: the settings of a project, for a person to look through.
 
-use crate::{
-    error::Error,
-    io::{FileError, output},
-    pipeline::{Config, SETTINGS},
-};
+use rowgram_base::error::Error;
+use rowgram_optim::output::{self, FileError};
+use rowgram_project::{Config, SETTINGS};
 use std::path::PathBuf;
 
 /// Write rowgram.toml: every setting with its default, its limits and what it means

@@ -4,13 +4,11 @@ use super::{
     options::{Given, HsvArgument},
     stage::{Target, check_paths, given},
 };
-use crate::{
-    error::Error,
-    pipeline::{
-        Stage,
-        leaf_count::{Areas, LeafCountOptions, LeafCountOutcome, count_leaves, leaf_count},
-        leaf_mask::read_leaf_mask,
-    },
+use rowgram_base::error::Error;
+use rowgram_project::{
+    Stage,
+    leaf_count::{Areas, LeafCountOptions, LeafCountOutcome, count_leaves, leaf_count},
+    leaf_mask::read_leaf_mask,
 };
 use std::path::PathBuf;
 

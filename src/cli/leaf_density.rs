@@ -4,17 +4,14 @@ use super::{
     options::{Given, HsvArgument},
     stage::{Target, check_files},
 };
-use crate::{
-    error::Error,
-    io::output,
-    pipeline::{
-        Stage,
-        leaf_density::{
-            LeafDensityFiles, LeafDensityOptions, LeafDensityOutcome, leaf_density,
-            map_leaf_density,
-        },
-        leaf_mask::read_leaf_mask,
+use rowgram_base::error::Error;
+use rowgram_optim::output;
+use rowgram_project::{
+    Stage,
+    leaf_density::{
+        LeafDensityFiles, LeafDensityOptions, LeafDensityOutcome, leaf_density, map_leaf_density,
     },
+    leaf_mask::read_leaf_mask,
 };
 use std::path::PathBuf;
 

@@ -4,14 +4,13 @@ use super::{
     options::{Given, HsvArgument},
     stage::{Target, check_files, given},
 };
-use crate::{
-    error::Error,
-    io::{output, points},
-    pipeline::{
-        Stage,
-        leaf_mask::read_leaf_mask,
-        leaves::{self, LeafPicture, LeavesFiles, LeavesOptions, LeavesOutcome, measure_leaves},
-    },
+use rowgram_base::error::Error;
+use rowgram_files::points;
+use rowgram_optim::output;
+use rowgram_project::{
+    Stage,
+    leaf_mask::read_leaf_mask,
+    leaves::{self, LeafPicture, LeavesFiles, LeavesOptions, LeavesOutcome, measure_leaves},
 };
 use std::path::PathBuf;
 

@@ -4,13 +4,11 @@ use super::{
     options::{Given, HsvArgument},
     stage::{Target, check_files, given},
 };
-use crate::{
-    error::Error,
-    pipeline::{
-        Stage,
-        leaf_mask::read_leaf_mask,
-        locate::{LocateFiles, LocateOptions, LocateOutcome, locate, locate_plants},
-    },
+use rowgram_base::error::Error;
+use rowgram_project::{
+    Stage,
+    leaf_mask::read_leaf_mask,
+    locate::{LocateFiles, LocateOptions, LocateOutcome, locate, locate_plants},
 };
 use std::{fmt::Write as _, path::PathBuf};
 

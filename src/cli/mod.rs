@@ -39,8 +39,9 @@ mod undistort;
 mod verify;
 mod view;
 
-use crate::{error::Error, io::FileError};
 use clap::{Parser, Subcommand};
+use rowgram_base::error::Error;
+use rowgram_optim::output::FileError;
 use std::process::ExitCode;
 
 /// From overlapping drone photos of a crop field to plant traits.

@@ -1,12 +1,12 @@
 //! Arguments made from the definitions of options, so that nothing is defined twice.
 
-use crate::{
+use clap::{Arg, ArgMatches, Command};
+use rowgram_base::{
     error::Error,
     options::{Auto, Kind, Options},
-    pipeline::{Config, segment::SegmentOptions},
-    raster::mask::Thresholds,
 };
-use clap::{Arg, ArgMatches, Command};
+use rowgram_project::{Config, segment::SegmentOptions};
+use rowgram_raster::mask::Thresholds;
 use std::marker::PhantomData;
 
 /// Those options that the command line gives.
@@ -50,7 +50,7 @@ fn dashed(why: &str) -> String {
 /// Endings of names that tell the unit; `--gsd` is understood as `--gsd-m`.
 const UNIT_ENDINGS: [&str; 6] = ["-m-s", "-px", "-m", "-deg", "-s", "-rad"];
 
-fn argument<T: Options>(field: &crate::options::Field) -> Arg {
+fn argument<T: Options>(field: &rowgram_base::options::Field) -> Arg {
     let flag = field.flag();
     let mut help = field.paragraph();
     match (&field.default, &field.kind) {

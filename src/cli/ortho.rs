@@ -1,15 +1,12 @@
 //! `rowgram ortho`: the orthomosaic of a project, or of photos with poses from elsewhere.
 
 use super::{import::ModelArgs, options::Given, project};
-use crate::{
-    error::Error,
-    pipeline::{
-        Stage,
-        import::photo_files,
-        ortho::{
-            OrthoFiles, OrthoInput, OrthoOptions, OrthoOutcome, Orthophoto, ortho,
-            write_orthophotos,
-        },
+use rowgram_base::error::Error;
+use rowgram_project::{
+    Stage,
+    import::photo_files,
+    ortho::{
+        OrthoFiles, OrthoInput, OrthoOptions, OrthoOutcome, Orthophoto, ortho, write_orthophotos,
     },
 };
 use std::path::{Path, PathBuf};

@@ -1,12 +1,10 @@
 //! `rowgram plan`: the work on projects as a graph of commands for Snakemake.
 
 use super::{print, print_json, project::open_with};
-use crate::{
-    error::Error,
-    pipeline::{
-        plan::{self, PlanOptions, Work},
-        season::SeasonFile,
-    },
+use rowgram_base::error::Error;
+use rowgram_project::{
+    plan::{self, PlanOptions, Work},
+    season::SeasonFile,
 };
 use std::{
     num::NonZeroUsize,

@@ -6,12 +6,10 @@ use super::{
     options::Given,
     project::{open_for, present},
 };
-use crate::{
-    error::Error,
-    pipeline::{
-        Stage,
-        plots::{PlotsOptions, PlotsOutcome, plots},
-    },
+use rowgram_base::error::Error;
+use rowgram_project::{
+    Stage,
+    plots::{PlotsOptions, PlotsOutcome, plots},
 };
 use std::path::PathBuf;
 

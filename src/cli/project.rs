@@ -1,11 +1,11 @@
 //! What commands on a project share: opening it, doing a stage, showing what came of it.
 
 use super::terminal::Terminal;
-use crate::{
+use rowgram_base::{
     error::Error,
     monitor::{Diagnostic, Monitor, Recorder, Severity},
-    pipeline::{Config, Project, Stage},
 };
+use rowgram_project::{Config, Project, Stage};
 use serde::Serialize;
 use std::path::Path;
 

@@ -1,10 +1,8 @@
 //! `rowgram query`: from a place on an orthomosaic to the pixel of the photo behind it, and back.
 
 use super::project;
-use crate::{
-    error::Error,
-    pipeline::query::{OrthophotoOrigins, Sighting, query},
-};
+use rowgram_base::error::Error;
+use rowgram_project::query::{OrthophotoOrigins, Sighting, query};
 use std::path::PathBuf;
 
 /// Ask an orthomosaic which photo pixel is behind a place, or where a photo pixel is

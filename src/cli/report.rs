@@ -1,7 +1,8 @@
 //! `rowgram report`: the page of the last run, written again.
 
 use super::{print, print_json, project, run::judge};
-use crate::{error::Error, pipeline::run::RunOutcome, report};
+use rowgram_base::error::Error;
+use rowgram_project::{report, run::RunOutcome};
 use std::path::PathBuf;
 
 /// Write the report of a run again: report.html

@@ -1,16 +1,13 @@
 //! `rowgram run`: all stages of a project, and the report.
 
 use super::{print, print_json, project::open_with, terminal::Terminal};
-use crate::{
-    error::Error,
-    options::Choice,
-    pipeline::{
-        Config, Project, Stage,
-        batches::{self, Batch, BatchStep},
-        run::{self, Ending, Plan, RunOptions, RunOutcome, StageReport},
-        synth,
-    },
+use rowgram_base::{error::Error, options::Choice};
+use rowgram_project::{
+    Config, Project, Stage,
+    batches::{self, Batch, BatchStep},
     report,
+    run::{self, Ending, Plan, RunOptions, RunOutcome, StageReport},
+    synth,
 };
 use std::{
     path::{Path, PathBuf},

@@ -1,10 +1,10 @@
 //! `rowgram season`: the flights over one field on several dates, and what grows.
 
 use super::{print, print_json, terminal::Terminal};
-use crate::{
-    error::Error,
-    pipeline::season::{self, SeasonFile, SeasonOutcome},
+use rowgram_base::error::Error;
+use rowgram_project::{
     report,
+    season::{self, SeasonFile, SeasonOutcome},
 };
 use std::path::PathBuf;
 

@@ -4,13 +4,11 @@ use super::{
     options::Given,
     stage::{Target, check_files, given},
 };
-use crate::{
-    error::Error,
-    io::output,
-    pipeline::{
-        Stage,
-        segment::{self, SegmentFiles, SegmentOptions, SegmentOutcome},
-    },
+use rowgram_base::error::Error;
+use rowgram_optim::output;
+use rowgram_project::{
+    Stage,
+    segment::{self, SegmentFiles, SegmentOptions, SegmentOutcome},
 };
 use std::path::PathBuf;
 

@@ -1,9 +1,10 @@
 //! `rowgram completions` and `rowgram man`: what shells and readers of manuals know of the program.
 
 use super::{Cli, print};
-use crate::{error::Error, io::FileError};
 use clap::CommandFactory;
 use clap_complete::Shell;
+use rowgram_base::error::Error;
+use rowgram_optim::output::FileError;
 use std::path::{Path, PathBuf};
 
 /// Print the completions of a shell

@@ -4,16 +4,9 @@ use super::{
     options::Given,
     project::{open_for, present},
 };
-use crate::{
-    error::Error,
-    io::{
-        FileError,
-        output::{self, same_file},
-    },
-    monitor::Monitor,
-    options::Options,
-    pipeline::{Config, Project, Stage},
-};
+use rowgram_base::{error::Error, monitor::Monitor, options::Options};
+use rowgram_optim::output::{self, FileError, same_file};
+use rowgram_project::{Config, Project, Stage};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 

@@ -1,12 +1,10 @@
 //! `rowgram surface`: the dense surface of a project.
 
 use super::{options::Given, project};
-use crate::{
-    error::Error,
-    pipeline::{
-        Stage,
-        surface::{SurfaceOptions, SurfaceOutcome, surface},
-    },
+use rowgram_base::error::Error;
+use rowgram_project::{
+    Stage,
+    surface::{SurfaceOptions, SurfaceOutcome, surface},
 };
 use std::path::PathBuf;
 

@@ -3,10 +3,6 @@
 mod flight;
 mod season;
 
-use crate::{
-    error::Error,
-    pipeline::synth::{self, BlockPreset, BlockSource},
-};
 use clap::Subcommand;
 use data_synth::{
     block::BlockConfig,
@@ -14,6 +10,8 @@ use data_synth::{
     field::{GrowthStage, Phyllotaxy},
     scenario::{Preset, Scenario},
 };
+use rowgram_base::error::Error;
+use rowgram_project::synth::{self, BlockPreset, BlockSource};
 use std::path::PathBuf;
 
 /// Make synthetic data with known truth.
@@ -177,7 +175,7 @@ impl MaskArgs {
         set(&mut corruption.weeds_per_m2, &look.weeds);
         set(&mut corruption.false_fraction, &look.false_pixels);
         set(&mut corruption.missed_fraction, &look.missed_pixels);
-        scenario.check()?;
+        scenario.check().map_err(|error| Error::Argument(error.to_string()))?;
         Ok(scenario)
     }
 }

@@ -1,7 +1,7 @@
 //! The terminal as a listener: progress as a bar, diagnostics as lines on stderr.
 
-use crate::monitor::{Diagnostic, Monitor, Progress, Severity};
 use indicatif::{ProgressBar, ProgressStyle};
+use rowgram_base::monitor::{Diagnostic, Monitor, Progress, Severity};
 use std::{fmt, time::Instant};
 use tracing::{Event, Level, Subscriber};
 use tracing_subscriber::{

@@ -1,10 +1,8 @@
 //! `rowgram thresholds`: thresholds of leaf pixels for photos.
 
 use super::{options::Given, project::present};
-use crate::{
-    error::Error,
-    pipeline::thresholds::{Photos, ThresholdsOptions, ThresholdsOutcome, thresholds},
-};
+use rowgram_base::error::Error;
+use rowgram_project::thresholds::{Photos, ThresholdsOptions, ThresholdsOutcome, thresholds};
 use std::path::PathBuf;
 
 /// Propose, tune or judge the thresholds of leaf pixels

@@ -1,11 +1,9 @@
 //! `rowgram undistort`: photos as a camera without distortion would have taken them.
 
 use super::project;
-use crate::{
-    error::Error,
-    pipeline::undistort::{PhotoFormat, UndistortOptions, undistort_photos},
-    raster::undistort::{Crop, Interpolation},
-};
+use rowgram_base::error::Error;
+use rowgram_project::undistort::{PhotoFormat, UndistortOptions, undistort_photos};
+use rowgram_survey::mapping::undistort::{Crop, Interpolation};
 use std::path::PathBuf;
 
 /// Remove the distortion from photos

@@ -1,7 +1,8 @@
 //! `rowgram verify`: whether a run gives the same bytes again.
 
 use super::{print, print_json, project, terminal::Terminal};
-use crate::{error::Error, pipeline::verify};
+use rowgram_base::error::Error;
+use rowgram_project::verify;
 use std::path::PathBuf;
 
 /// Do a run again from its inputs and compare all files byte by byte

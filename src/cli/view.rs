@@ -1,10 +1,8 @@
 //! `rowgram view`: the map of a project in a browser.
 
 use super::{print, print_json, project};
-use crate::{
-    error::Error,
-    report::view::{Server, Viewer, serve},
-};
+use rowgram_base::error::Error;
+use rowgram_project::report::view::{Server, Viewer, serve};
 use std::path::PathBuf;
 
 /// Show the map of a project in a browser, in full resolution

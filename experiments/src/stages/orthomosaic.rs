@@ -14,6 +14,7 @@ use data_synth::{
     twin::{FlightPreset, TwinConfig},
 };
 use image::{GrayImage, Rgb, RgbImage};
+use rowgram::mapping::undistort::{self, Crop, Interpolation};
 use rowgram::{
     mapping::{
         Surface,
@@ -27,7 +28,6 @@ use rowgram::{
         Mask, density,
         georeference::{Crs, Georeference},
         mask::Thresholds,
-        undistort::{self, Crop, Interpolation},
         window::Window,
     },
     scene::Reconstruction,

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! experiments fit-stand-count --masks DATA/field_masks --first 1000 --last 1004 --rounds 8 \
-//!     -o src/phenotype/stand_count/weights.csv
+//!     -o src/plants/src/phenotype/stand_count/weights.csv
 //! ```
 //!
 //! Takes the masks of every scenario with numbers from the first to the last, and writes both sets of weights: those fitted

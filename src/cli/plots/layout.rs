@@ -1,12 +1,12 @@
 //! `rowgram plots layout`: plots from corners and a design, or from polygons, moved onto the rows of a project.
 
-use crate::{
-    cli::{
-        options::Given,
-        project::{open, present},
-    },
-    error::Error,
-    pipeline::plots::layout::{LayoutOptions, LayoutOutcome, LayoutRequest, LayoutSource, layout},
+use crate::cli::{
+    options::Given,
+    project::{open, present},
+};
+use rowgram_base::error::Error;
+use rowgram_project::plots::layout::{
+    LayoutOptions, LayoutOutcome, LayoutRequest, LayoutSource, layout,
 };
 use std::path::{Path, PathBuf};
 

@@ -1,14 +1,12 @@
 //! `rowgram synth flight`: a project folder with photos, ground control and the whole truth.
 
-use crate::{
-    cli::terminal::Terminal,
-    error::Error,
-    pipeline::synth::{FlightOptions, read_config, write_flight},
-};
+use crate::cli::terminal::Terminal;
 use data_synth::{
     field::GrowthStage,
     twin::{FlightPreset, TwinConfig},
 };
+use rowgram_base::error::Error;
+use rowgram_project::synth::{FlightOptions, read_config, write_flight};
 use std::path::PathBuf;
 
 /// Photos of a flight over a synthetic field, as a project folder with the whole truth.

@@ -1,11 +1,9 @@
 //! `rowgram synth season`: flights over one field on several dates, with the truth over all of them.
 
-use crate::{
-    cli::terminal::Terminal,
-    error::Error,
-    pipeline::synth::{FlightOptions, read_config, write_season},
-};
+use crate::cli::terminal::Terminal;
 use data_synth::season_plan::{SeasonConfig, SeasonPreset};
+use rowgram_base::error::Error;
+use rowgram_project::synth::{FlightOptions, read_config, write_season};
 use std::path::PathBuf;
 
 /// Flights over one synthetic field on several dates: the same plants as they grow, with the whole truth.

@@ -1,0 +1,257 @@
+//! *Bundle Adjustment in the Large* text files, plain or gzipped.
+//!
+//! ```text
+//! cameras points observations
+//! camera point u v                 one line per observation
+//! ...
+//! nine numbers per camera          rotation vector, translation, f, k1, k2
+//! three numbers per point
+//! ```
+//!
+//! Numbers are separated by any white space. Conventions: [`rowgram_survey::camera::bal`].
+
+use super::{FileError, output};
+use rowgram_survey::problems::bundle::{Camera, Network, Observation};
+use std::{io::Read, io::Write, path::Path};
+
+/// Reads a network.
+///
+/// # Errors
+/// Where the file cannot be read, or is not such a file; names the line.
+pub fn read(path: &Path) -> Result<Network, FileError> {
+    let mut bytes = std::fs::read(path).map_err(|e| FileError::read(path, e))?;
+    if bytes.starts_with(&[0x1f, 0x8b]) {
+        let mut plain = Vec::new();
+        flate2::read::MultiGzDecoder::new(bytes.as_slice())
+            .read_to_end(&mut plain)
+            .map_err(|e| FileError::malformed(path, None, format!("damaged gzip data: {e}")))?;
+        bytes = plain;
+    }
+    let text = std::str::from_utf8(&bytes).map_err(|e| {
+        let line = bytes[..e.valid_up_to()].iter().filter(|&&b| b == b'\n').count() + 1;
+        FileError::malformed(path, line, "not text")
+    })?;
+    parse(text).map_err(|(line, message)| FileError::malformed(path, line, message))
+}
+
+/// Reads a network from the text of a file.
+///
+/// # Errors
+/// The one-based line and what is wrong there.
+pub fn parse(text: &str) -> Result<Network, (usize, String)> {
+    let mut tokens = Tokens { text, line: 1 };
+    let counts: [usize; 3] = [
+        tokens.number("the number of cameras")?,
+        tokens.number("the number of points")?,
+        tokens.number("the number of observations")?,
+    ];
+    let [cameras, points, observations] = counts;
+    for (count, what) in counts.iter().zip(["cameras", "points", "observations"]) {
+        if *count == 0 {
+            return Err((1, format!("the file has no {what}")));
+        }
+        // Every count needs at least two characters each of what follows; nothing is allocated
+        // for a header that promises more than the file can hold.
+        if *count > text.len() / 2 || u32::try_from(*count).is_err() {
+            return Err((1, format!("{count} {what} cannot be in a file of {} bytes", text.len())));
+        }
+    }
+    let mut network = Network {
+        cameras: Vec::with_capacity(cameras),
+        points: Vec::with_capacity(points),
+        observations: Vec::with_capacity(observations),
+    };
+    for _ in 0..observations {
+        let camera = tokens.index("camera", cameras)?;
+        let point = tokens.index("point", points)?;
+        let image_px = [tokens.finite("u")?, tokens.finite("v")?];
+        network.observations.push(Observation { camera, point, image_px });
+    }
+    for k in 0..cameras {
+        let mut values = [0.0; 9];
+        for (value, what) in values.iter_mut().zip(CAMERA_ENTRIES) {
+            *value = tokens.finite(what).map_err(|(l, m)| (l, format!("camera {k}: {m}")))?;
+        }
+        let [a, b, c, x, y, z, f, k1, k2] = values;
+        network.cameras.push(Camera {
+            rotation_rad: [a, b, c],
+            translation: [x, y, z],
+            interior: [f, k1, k2],
+        });
+    }
+    for k in 0..points {
+        let mut point = [0.0; 3];
+        for (value, what) in point.iter_mut().zip(["X", "Y", "Z"]) {
+            *value = tokens.finite(what).map_err(|(l, m)| (l, format!("point {k}: {m}")))?;
+        }
+        network.points.push(point);
+    }
+    match tokens.next() {
+        Some(extra) => Err((tokens.line, format!("expected the end of the file, found {extra:?}"))),
+        None => Ok(network),
+    }
+}
+
+const CAMERA_ENTRIES: [&str; 9] = [
+    "rotation x",
+    "rotation y",
+    "rotation z",
+    "translation x",
+    "translation y",
+    "translation z",
+    "f",
+    "k1",
+    "k2",
+];
+
+/// Writes a network with full precision; gzipped where the name ends in `.gz`.
+///
+/// # Errors
+/// As [`output::write`].
+pub fn write(path: &Path, network: &Network, force: bool) -> Result<(), FileError> {
+    output::write(path, force, |out| {
+        if path.extension().is_some_and(|extension| extension == "gz") {
+            let mut gzip = flate2::write::GzEncoder::new(out, flate2::Compression::default());
+            write_text(&mut gzip, network)?;
+            gzip.finish().map(|_| ())
+        } else {
+            write_text(out, network)
+        }
+    })
+}
+
+fn write_text(out: &mut dyn Write, network: &Network) -> std::io::Result<()> {
+    let Network { cameras, points, observations } = network;
+    writeln!(out, "{} {} {}", cameras.len(), points.len(), observations.len())?;
+    for o in observations {
+        writeln!(out, "{} {} {:e} {:e}", o.camera, o.point, o.image_px[0], o.image_px[1])?;
+    }
+    for camera in cameras {
+        for v in camera.rotation_rad.iter().chain(&camera.translation).chain(&camera.interior) {
+            writeln!(out, "{v:e}")?;
+        }
+    }
+    for v in points.iter().flatten() {
+        writeln!(out, "{v:e}")?;
+    }
+    Ok(())
+}
+
+/// White-space separated words with the line that each is on.
+struct Tokens<'a> {
+    text: &'a str,
+    line: usize,
+}
+
+impl<'a> Tokens<'a> {
+    fn next(&mut self) -> Option<&'a str> {
+        let bytes = self.text.as_bytes();
+        let mut start = 0;
+        while start < bytes.len() && bytes[start].is_ascii_whitespace() {
+            self.line += usize::from(bytes[start] == b'\n');
+            start += 1;
+        }
+        let length = bytes[start..].iter().take_while(|b| !b.is_ascii_whitespace()).count();
+        let token = &self.text[start..start + length];
+        self.text = &self.text[start + length..];
+        (!token.is_empty()).then_some(token)
+    }
+
+    fn number<T: std::str::FromStr>(&mut self, what: &str) -> Result<T, (usize, String)> {
+        let token = self
+            .next()
+            .ok_or_else(|| (self.line, format!("the file ends where {what} was expected")))?;
+        token.parse().map_err(|_| (self.line, format!("expected {what}, found {token:?}")))
+    }
+
+    fn finite(&mut self, what: &str) -> Result<f64, (usize, String)> {
+        let value: f64 = self.number(what)?;
+        if value.is_finite() {
+            Ok(value)
+        } else {
+            Err((self.line, format!("{what} is {value}, a finite number was expected")))
+        }
+    }
+
+    fn index(&mut self, what: &str, count: usize) -> Result<u32, (usize, String)> {
+        let index: u32 = self.number(&format!("the index of a {what}"))?;
+        if (index as usize) < count {
+            Ok(index)
+        } else {
+            Err((self.line, format!("{what} {index} does not exist, there are {count}")))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const SMALL: &str =
+        "1 2 2\n0 0 1.5 -2\n0 1 3e1 4\n.1 .2 .3\n1 2 3 500 -0.1 0.01\n0 0 -5\n1\n1\n-6\n";
+
+    #[test]
+    fn what_is_written_is_read_back() {
+        let network = parse(SMALL).unwrap();
+        assert_eq!(network.cameras[0].interior, [500.0, -0.1, 0.01]);
+        assert_eq!(network.points[1], [1.0, 1.0, -6.0]);
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["a.txt", "a.txt.gz"] {
+            let path = folder.path().join(name);
+            write(&path, &network, false).unwrap();
+            assert_eq!(read(&path).unwrap(), network);
+        }
+    }
+
+    #[test]
+    fn the_line_of_an_error_is_named() {
+        for (damage, line, part) in [
+            (("0 1 3e1 4", "0 2 3e1 4"), 3, "point 2 does not exist"),
+            (("0 1 3e1 4", "0 1 NaN 4"), 3, "finite"),
+            (("0 1 3e1 4", "0 1 x 4"), 3, "expected u"),
+            (("-6\n", "-6\n7\n"), 10, "end of the file"),
+            (("-6\n", ""), 9, "the file ends where Z"),
+            (("500", "inf"), 5, "finite"),
+            (("1 2 2", "1 2 99999999"), 1, "cannot be in a file"),
+            (("1 2 2", "0 2 2"), 1, "no cameras"),
+            (("1 2 2", "-1 2 2"), 1, "number of cameras"),
+        ] {
+            let (at, message) = parse(&SMALL.replacen(damage.0, damage.1, 1)).unwrap_err();
+            assert!(at == line && message.contains(part), "{damage:?}: line {at}: {message}");
+        }
+        assert!(parse("").unwrap_err().1.contains("ends"));
+    }
+
+    proptest! {
+        #[test]
+        fn damage_is_an_error_or_another_network(
+            at in 0..SMALL.len(),
+            byte in any::<u8>(),
+            cut in 0..SMALL.len(),
+        ) {
+            let mut bytes = SMALL.as_bytes().to_vec();
+            bytes[at] = byte;
+            bytes.truncate(cut);
+            if let Ok(text) = std::str::from_utf8(&bytes)
+                && let Ok(network) = parse(text)
+            {
+                let finite = network.points.iter().flatten().all(|v| v.is_finite());
+                prop_assert!(finite);
+            }
+        }
+
+        #[test]
+        fn damaged_gzip_is_an_error(at in 0..64usize, byte in any::<u8>()) {
+            let folder = tempfile::tempdir().unwrap();
+            let path = folder.path().join("a.gz");
+            write(&path, &parse(SMALL).unwrap(), false).unwrap();
+            let mut bytes = std::fs::read(&path).unwrap();
+            let at = at % bytes.len();
+            bytes[at] ^= byte;
+            std::fs::write(&path, &bytes).unwrap();
+            // Some bits of the header mean nothing; none may cause a panic.
+            let _ = read(&path);
+        }
+    }
+}

@@ -1,0 +1,188 @@
+//! What a person writes down of a field: its surveyed corners, and which plot has which entry.
+//!
+//! | file | columns |
+//! |---|---|
+//! | corners | `corner` (first, along, across, opposite), and `easting_m`, `northing_m` or `longitude_deg`, `latitude_deg` |
+//! | field map | `plot` (its number or name); every other column is an attribute: `genotype`, `treatment`, `block` |
+//!
+//! Files of other programs are understood as in [`super::control`]: separators, a byte order mark, the order of columns.
+
+use super::{
+    FileError,
+    polygons::NAMES,
+    table::{Row, Table},
+};
+use rowgram_base::options::Choice;
+use rowgram_plants::phenotype::layout::design::FieldCorner;
+use serde_json::Value;
+use std::{collections::BTreeMap, path::Path};
+
+const CORNER: &[&str] = &["corner", "label", "name", "point", "id"];
+const EASTING: &[&str] = &["easting_m", "easting", "x_m", "x", "east"];
+const NORTHING: &[&str] = &["northing_m", "northing", "y_m", "y", "north"];
+const LONGITUDE: &[&str] = &["longitude_deg", "longitude", "lon", "lng"];
+const LATITUDE: &[&str] = &["latitude_deg", "latitude", "lat"];
+const PLOT: &[&str] = &["plot", "plot_number", "plot_id", "plot_no"];
+
+/// Where a corner was surveyed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Surveyed {
+    /// Easting and northing, metres.
+    Metres([f64; 2]),
+    /// Longitude and latitude on WGS84, degrees.
+    Degrees([f64; 2]),
+}
+
+/// Reads the corners of a field, each once.
+///
+/// # Errors
+/// A damaged table, a corner that does not exist or is there twice, fewer than two corners.
+pub fn read_corners(path: &Path) -> Result<Vec<(FieldCorner, Surveyed)>, FileError> {
+    let table = Table::read(path)?;
+    let name = table.required("corners", CORNER)?;
+    let in_degrees = table.column(LONGITUDE).zip(table.column(LATITUDE));
+    let place = |row: &Row| match in_degrees {
+        Some((longitude, latitude)) => {
+            let [longitude, latitude] =
+                [table.number(row, longitude)?, table.number(row, latitude)?];
+            if longitude.abs() > 180.0 || latitude.abs() > 90.0 {
+                let message = format!(
+                    "longitude {longitude}, latitude {latitude} is no place on Earth: are the columns exchanged?"
+                );
+                return Err(table.fault(row, message));
+            }
+            Ok(Surveyed::Degrees([longitude, latitude]))
+        }
+        None => Ok(Surveyed::Metres([
+            table.number(row, table.required("eastings", EASTING)?)?,
+            table.number(row, table.required("northings", NORTHING)?)?,
+        ])),
+    };
+    let mut corners: BTreeMap<FieldCorner, Surveyed> = BTreeMap::new();
+    for row in table.rows() {
+        let word = table.text(row, name);
+        let all = FieldCorner::all();
+        let corner = all.iter().find(|corner| corner.word().eq_ignore_ascii_case(word));
+        let corner = *corner.ok_or_else(|| {
+            let words: Vec<String> = all.iter().map(Choice::word).collect();
+            table.fault(row, format!("corner {word:?}: expected one of {}", words.join(", ")))
+        })?;
+        if corners.insert(corner, place(row)?).is_some() {
+            return Err(table.fault(row, format!("the corner {word} is there twice")));
+        }
+    }
+    if corners.len() < 2 {
+        let message = format!("it has {} corners, expected two to four", corners.len());
+        return Err(table.whole_fault(message));
+    }
+    Ok(corners.into_iter().collect())
+}
+
+/// The entries of a field by plot.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct FieldMap {
+    /// Names of the attributes in the order of the file.
+    pub columns: Vec<String>,
+    /// The attributes of each plot, one for each column; null where a field is empty.
+    pub plots: BTreeMap<String, Vec<Value>>,
+}
+
+/// Reads a field map.
+///
+/// # Errors
+/// A damaged table, a table without plots or with a plot twice, an attribute that would be taken for the plot's name.
+pub fn read_field_map(path: &Path) -> Result<FieldMap, FileError> {
+    let table = Table::read(path)?;
+    let plot = table.required("plots", PLOT)?;
+    let plot_title =
+        table.columns().find(|(title, _)| PLOT.iter().any(|p| p.eq_ignore_ascii_case(title)));
+    let plot_title = plot_title.map_or("plot", |(title, _)| title);
+    let others: Vec<_> = table.columns().filter(|(title, _)| *title != plot_title).collect();
+    let taken = |title: &str| NAMES.iter().any(|name| name.eq_ignore_ascii_case(title));
+    if let Some((title, _)) = others.iter().find(|(title, _)| taken(title)) {
+        let message = format!(
+            "the column {title} would be taken for the name of the plot, expected another name for it, as genotype"
+        );
+        return Err(table.whole_fault(message));
+    }
+    let mut map = FieldMap {
+        columns: others.iter().map(|(title, _)| (*title).to_owned()).collect(),
+        plots: BTreeMap::new(),
+    };
+    for row in table.rows() {
+        let name = table.text(row, plot).to_owned();
+        if name.is_empty() {
+            return Err(table.fault(row, "the plot has no number".to_owned()));
+        }
+        let values = others.iter().map(|(_, column)| match table.text(row, *column) {
+            "" => Value::Null,
+            // A number that a text would not give back, such as 007, is a text.
+            text => match text.parse::<serde_json::Number>() {
+                Ok(number) if number.to_string() == text => Value::Number(number),
+                _ => Value::String(text.to_owned()),
+            },
+        });
+        let values = values.collect();
+        if map.plots.insert(name.clone(), values).is_some() {
+            return Err(table.fault(row, format!("plot {name} is there twice")));
+        }
+    }
+    if map.plots.is_empty() {
+        return Err(table.whole_fault("it has no plots".to_owned()));
+    }
+    Ok(map)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn file(text: &str) -> (tempfile::TempDir, std::path::PathBuf) {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("table.csv");
+        std::fs::write(&path, text).unwrap();
+        (folder, path)
+    }
+
+    #[test]
+    fn corners_are_read_in_metres_or_degrees() {
+        let (_folder, path) =
+            file("corner;Easting;Northing\nAlong;500010;4480000\nfirst;500000;4480000\n");
+        let corners = read_corners(&path).unwrap();
+        assert_eq!(corners[0], (FieldCorner::First, Surveyed::Metres([500_000.0, 4_480_000.0])));
+        let (_folder, path) = file("corner,lat,lon\nfirst,40.1,-87.2\nopposite,40.2,-87.1\n");
+        let corners = read_corners(&path).unwrap();
+        assert_eq!(corners[1], (FieldCorner::Opposite, Surveyed::Degrees([-87.1, 40.2])));
+        for (text, expected) in [
+            ("corner,x,y\nfirst,1,2\n", "expected two to four"),
+            ("corner,x,y\nfirst,1,2\nfirst,1,3\n", "twice"),
+            ("corner,x,y\nnorth-west,1,2\n", "expected one of first, along, across, opposite"),
+            ("corner,x\nfirst,1\n", "northings"),
+            ("corner,lat,lon\nfirst,140,-87\n", "no place on Earth"),
+        ] {
+            let (_folder, path) = file(text);
+            let error = read_corners(&path).unwrap_err().to_string();
+            assert!(error.contains(expected) && error.contains("table.csv"), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_field_map_keeps_its_columns_and_kinds() {
+        let (_folder, path) = file("Plot,genotype,block,rate\n101,B73,007,1.5\n102,,1,2\n");
+        let map = read_field_map(&path).unwrap();
+        assert_eq!(map.columns, ["genotype", "block", "rate"]);
+        assert_eq!(map.plots["101"], [Value::from("B73"), Value::from("007"), Value::from(1.5)]);
+        assert_eq!(map.plots["102"], [Value::Null, Value::from(1), Value::from(2)]);
+        for (text, expected) in [
+            ("plot,genotype\n1,a\n1,b\n", "plot 1 is there twice"),
+            ("plot,name\n1,a\n", "taken for the name"),
+            ("entry,genotype\n1,a\n", "no column for the plots"),
+            ("plot,genotype\n", "no plots"),
+            ("plot,genotype\n,a\n", "no number"),
+        ] {
+            let (_folder, path) = file(text);
+            let error = read_field_map(&path).unwrap_err().to_string();
+            assert!(error.contains(expected), "{error}");
+        }
+    }
+}

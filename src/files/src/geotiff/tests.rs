@@ -1,0 +1,239 @@
+//! What GDAL writes is read, what is written is read again, what is damaged is told.
+
+use super::*;
+use rowgram_raster::{
+    georeference::{Crs, CrsKind, Georeference},
+    window::Window,
+};
+use std::path::{Path, PathBuf};
+
+fn golden(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/golden/geotiff").join(name)
+}
+
+/// Sample `b` of pixel `(u, v)` in the rasters of `tests/golden/geotiff.py`.
+fn pattern(u: usize, v: usize, b: usize) -> u32 {
+    ((7 * u + 13 * v + 101 * b) % 251) as u32
+}
+
+const WINDOWS: [Window; 4] = [
+    Window { u: 0, v: 0, width: 70, height: 45 },
+    Window { u: 31, v: 15, width: 3, height: 19 },
+    Window { u: 69, v: 44, width: 1, height: 1 },
+    Window { u: 5, v: 40, width: 65, height: 5 },
+];
+
+fn expect<T: Sample + PartialEq + std::fmt::Debug>(
+    name: &str,
+    bands: usize,
+    of: impl Fn(u32) -> T,
+) {
+    let reader = Reader::open(&golden(name)).unwrap();
+    assert_eq!((reader.width(), reader.height(), reader.bands()), (70, 45, bands), "{name}");
+    for window in WINDOWS {
+        let read = reader.read::<T>(window).unwrap();
+        let pixels = window.row_range().flat_map(|v| window.columns().map(move |u| (u, v)));
+        let expected: Vec<T> = pixels
+            .flat_map(|(u, v)| (0..bands).map(move |b| (u, v, b)))
+            .map(|(u, v, b)| of(pattern(u, v, b)))
+            .collect();
+        assert!(read == expected, "{name} {window:?}");
+    }
+}
+
+#[test]
+fn what_gdal_writes_is_read_by_any_window() {
+    expect("lzw_tiles.tif", 3, |x| x as u8);
+    expect("packbits_strips.tif", 1, |x| x as u8);
+    expect("planar_bigtiff.tif", 3, |x| x as u8);
+    expect("u16_turned.tif", 1, |x| (257 * x) as u16);
+    expect("f32_predictor.tif", 1, |x| x as f32 + 0.25);
+    let reader = Reader::open(&golden("jpeg_ycbcr.tif")).unwrap();
+    let picture = reader.read_rgb(WINDOWS[1]).unwrap();
+    for (u, v, pixel) in picture.enumerate_pixels() {
+        for b in 0..3 {
+            let expected = 60 + 31 + 15 + u + v + 20 * b as u32;
+            assert!(pixel.0[b].abs_diff(expected as u8) <= 4, "{u} {v}: {:?}", pixel.0);
+        }
+    }
+}
+
+#[test]
+fn the_place_on_the_map_is_that_of_gdal_at_pixel_centres() {
+    let place = |name| Reader::open(&golden(name)).unwrap().georeference().unwrap();
+    let upright = place("lzw_tiles.tif");
+    assert_eq!(upright.crs, Crs::projected(32616));
+    let expected = [500_000.0 + 10.5 * 0.013, 4_475_000.0 - 20.5 * 0.013];
+    for i in 0..2 {
+        // The transform is stored as it is; only the sum is rounded, at 1e-9 m.
+        approx::assert_abs_diff_eq!(upright.map([10.0, 20.0])[i], expected[i], epsilon = 1e-8);
+    }
+    let turned = place("u16_turned.tif");
+    let expected =
+        [500_000.0 + 10.5 * 0.012 + 20.5 * 0.005, 4_475_000.0 + 10.5 * 0.005 - 20.5 * 0.012];
+    for i in 0..2 {
+        approx::assert_abs_diff_eq!(turned.map([10.0, 20.0])[i], expected[i], epsilon = 1e-8);
+    }
+    assert_eq!(turned.gsd_m().map(|gsd| (gsd * 1e4).round()), Some(130.0));
+    let degrees = place("degrees.tif");
+    assert_eq!((degrees.crs.kind, degrees.gsd_m()), (CrsKind::Geographic, None));
+}
+
+#[test]
+fn values_are_numbers_and_nodata_is_nan() {
+    let heights = Reader::open(&golden("f32_predictor.tif")).unwrap();
+    assert_eq!(heights.nodata(), Some(-9999.0));
+    assert_eq!(heights.read_f32(WINDOWS[2]).unwrap(), [pattern(69, 44, 0) as f32 + 0.25]);
+    let reader = Reader::open(&golden("u16_turned.tif")).unwrap();
+    let values = reader.read_f32(WINDOWS[0]).unwrap();
+    for v in 0..45 {
+        for u in 0..70 {
+            let (value, expected) = (values[v * 70 + u], pattern(u, v, 0));
+            assert!(if expected == 0 { value.is_nan() } else { value == 257.0 * expected as f32 });
+        }
+    }
+    let grey = reader.read_rgb(WINDOWS[0]).unwrap();
+    assert_eq!(grey.get_pixel(1, 0).0, [7; 3]);
+}
+
+#[test]
+fn wrong_kinds_and_damaged_files_are_told() {
+    let error =
+        Reader::open(&golden("lzw_tiles.tif")).unwrap().read::<f32>(WINDOWS[0]).unwrap_err();
+    let message = error.to_string();
+    assert!(
+        message.ends_with("its samples are 8-bit, expected 32-bit floating point"),
+        "{message}"
+    );
+    let outside = Window { u: 60, v: 0, width: 20, height: 2 };
+    assert!(Reader::open(&golden("lzw_tiles.tif")).unwrap().read::<u8>(outside).is_err());
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("cut.tif");
+    let whole = std::fs::read(golden("planar_bigtiff.tif")).unwrap();
+    for length in [0, 3, 8, 20, 100, whole.len() / 2, whole.len() - 40] {
+        std::fs::write(&path, &whole[..length]).unwrap();
+        let read = Reader::open(&path).and_then(|reader| reader.read::<u8>(WINDOWS[0]));
+        let error = read
+            .err()
+            .map(|e| (e.to_string().contains("cut.tif"), rowgram_base::Error::from(e).kind()));
+        assert_eq!(error, Some((true, rowgram_base::Kind::BadInput)), "{length} bytes");
+    }
+    let missing = Reader::open(&folder.path().join("missing.tif")).err().unwrap();
+    assert!(missing.to_string().starts_with("cannot read"), "{missing}");
+}
+
+fn round_trip<T: Sample + PartialEq>(layout: Layout, of: impl Fn(usize) -> T) -> PathBuf {
+    let folder = tempfile::tempdir().unwrap().keep();
+    let path = folder.join("raster.tif");
+    let samples: Vec<T> = (0..layout.width * layout.height * layout.bands()).map(of).collect();
+    let band = layout.width * layout.bands();
+    write::<T, rowgram_optim::output::FileError>(&path, false, &layout, |writer| {
+        // From the bottom up, by rows of tiles.
+        for v in (0..layout.height).step_by(TILE).rev() {
+            let rows = v..(v + TILE).min(layout.height);
+            let part = &samples[rows.start * band..rows.end * band];
+            writer.put(Window::rows(layout.width, rows), part)?;
+        }
+        Ok(())
+    })
+    .unwrap();
+    let reader = Reader::open(&path).unwrap();
+    assert!(reader.read::<T>(Window::whole(layout.width, layout.height)).unwrap() == samples);
+    assert_eq!(reader.nodata(), layout.nodata);
+    let (place, expected) = (reader.georeference(), layout.georeference);
+    assert_eq!(place.map(|place| place.crs), expected.map(|place| place.crs));
+    if let (Some(place), Some(expected)) = (place, expected) {
+        for corner in [[0.0, 0.0], [layout.width as f64, 0.0], [0.0, layout.height as f64]] {
+            for i in 0..2 {
+                let (a, b) = (place.map(corner)[i], expected.map(corner)[i]);
+                approx::assert_abs_diff_eq!(a, b, epsilon = 1e-8);
+            }
+        }
+    }
+    path
+}
+
+#[test]
+fn what_is_written_is_read_again() {
+    let place = Georeference::north_up([500_000.0, 4_475_000.0], 0.02, Crs::projected(32616));
+    let layout = Layout {
+        width: 700,
+        height: 1100,
+        colour: Colour::Classes,
+        georeference: Some(place),
+        nodata: None,
+    };
+    let keep = std::env::var_os("ROWGRAM_KEEP").map(PathBuf::from);
+    let files = [
+        ("classes.tif", round_trip(layout, |i| ((i / 700) % 3) as u32)),
+        ("mask.tif", round_trip(layout, |i| if i % 7 == 0 { 255u8 } else { 0 })),
+        ("rgb.tif", round_trip(Layout { colour: Colour::Rgb, ..layout }, |i| (i * i % 251) as u8)),
+        (
+            "rgba.tif",
+            round_trip(Layout { colour: Colour::Rgba, width: 3, height: 1, ..layout }, |i| i as u8),
+        ),
+        (
+            "heights.tif",
+            round_trip(Layout { colour: Colour::Values, nodata: Some(-9999.0), ..layout }, |i| {
+                if i % 5 == 0 { -9999.0 } else { (i as f32).sqrt() }
+            }),
+        ),
+        ("plain.tif", round_trip(Layout { georeference: None, ..layout }, |i| i as u16)),
+        (
+            "local.tif",
+            round_trip(
+                Layout {
+                    georeference: Some(Georeference {
+                        crs: Crs::LOCAL,
+                        per_column: [0.01, 0.002],
+                        ..place
+                    }),
+                    ..layout
+                },
+                |i| (i % 2) as u8,
+            ),
+        ),
+    ];
+    for (name, path) in files {
+        if let Some(folder) = &keep {
+            std::fs::copy(&path, folder.join(name)).unwrap();
+        }
+        std::fs::remove_dir_all(path.parent().unwrap()).unwrap();
+    }
+}
+
+#[test]
+fn tiles_that_do_not_fit_and_failures_leave_no_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("raster.tif");
+    let layout = Layout {
+        width: 600,
+        height: 600,
+        colour: Colour::Classes,
+        georeference: None,
+        nodata: None,
+    };
+    for window in [
+        Window { u: 1, v: 0, width: 511, height: 512 },
+        Window { u: 0, v: 0, width: 100, height: 512 },
+        Window { u: 512, v: 512, width: 512, height: 512 },
+        Window { u: 0, v: 0, width: 512, height: 513 },
+    ] {
+        let samples = vec![0u8; window.pixels()];
+        let failed = write(&path, false, &layout, |writer| writer.put(window, &samples));
+        assert!(failed.unwrap_err().to_string().contains("does not fit"), "{window:?}");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "no litter");
+    }
+    // Tiles that were not put are nodata.
+    write::<u8, rowgram_optim::output::FileError>(
+        &path,
+        false,
+        &Layout { nodata: Some(9.0), ..layout },
+        |writer| writer.put(Window { u: 512, v: 0, width: 88, height: 512 }, &[1; 88 * 512]),
+    )
+    .unwrap();
+    let read = Reader::open(&path).unwrap().read::<u8>(Window::whole(600, 600)).unwrap();
+    assert_eq!((read[0], read[599], read[600 * 599]), (9, 1, 9));
+    let none = Layout { width: 0, ..layout };
+    assert!(write::<u8, rowgram_optim::output::FileError>(&path, true, &none, |_| Ok(())).is_err());
+}

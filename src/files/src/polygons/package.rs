@@ -1,0 +1,266 @@
+//! Polygons of a GeoPackage: its tables by SQL, geometries as the standard's header and well-known binary.
+//!
+//! Reference: OGC GeoPackage Encoding Standard 12-128r18; OGC 06-103r4 for well-known binary.
+
+use super::{Feature, Stated};
+use rowgram_optim::output::FileError;
+use rusqlite::{Connection, OpenFlags, types::ValueRef};
+use serde_json::{Map, Value};
+use std::path::Path;
+
+/// The polygons of a file, and what its coordinates are.
+pub(super) fn read(path: &Path) -> Result<(Vec<Feature>, Stated), FileError> {
+    std::fs::metadata(path).map_err(|error| FileError::read(path, error))?;
+    let malformed = |message: String| FileError::malformed(path, None, message);
+    let sql = |error: rusqlite::Error| malformed(format!("{error}; expected a GeoPackage"));
+    let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+    let file = Connection::open_with_flags(path, flags).map_err(sql)?;
+    let layer = layer(&file, path).map_err(sql)?.map_err(malformed)?;
+    let stated = stated(&file, layer.system).map_err(sql)?;
+    let table = layer.table.replace('"', "\"\"");
+    let mut select = file.prepare(&format!("SELECT * FROM \"{table}\"")).map_err(sql)?;
+    let columns: Vec<String> = select.column_names().into_iter().map(str::to_owned).collect();
+    let mut rows = select.query([]).map_err(sql)?;
+    let mut features = Vec::new();
+    while let Some(row) = rows.next().map_err(sql)? {
+        let mut feature = Feature { rings: Vec::new(), properties: Map::new(), id: None };
+        for (k, column) in columns.iter().enumerate() {
+            let value = row.get_ref(k).map_err(sql)?;
+            if *column == layer.geometry {
+                let ValueRef::Blob(bytes) = value else { continue };
+                feature.rings = geometry(bytes)
+                    .map_err(|what| malformed(format!("feature {}: {what}", features.len() + 1)))?;
+            } else {
+                feature.properties.insert(column.clone(), plain(value));
+            }
+        }
+        // A plot without a shape is a row of a table, no place.
+        if !feature.rings.is_empty() {
+            features.push(feature);
+        }
+    }
+    Ok((features, stated))
+}
+
+struct LayerOfPolygons {
+    table: String,
+    geometry: String,
+    system: i64,
+}
+
+/// The only layer of polygons, or the one with the name of the file.
+fn layer(file: &Connection, path: &Path) -> rusqlite::Result<Result<LayerOfPolygons, String>> {
+    let mut select = file.prepare(
+        "SELECT table_name, column_name, srs_id FROM gpkg_geometry_columns \
+         WHERE upper(geometry_type_name) IN ('POLYGON', 'MULTIPOLYGON', 'GEOMETRY', 'SURFACE', \
+         'CURVEPOLYGON', 'MULTISURFACE') ORDER BY table_name",
+    )?;
+    let layers = select.query_map([], |row| {
+        Ok(LayerOfPolygons { table: row.get(0)?, geometry: row.get(1)?, system: row.get(2)? })
+    })?;
+    let mut layers = layers.collect::<rusqlite::Result<Vec<_>>>()?;
+    if layers.is_empty() {
+        return Ok(Err("it has no layer of polygons".to_owned()));
+    }
+    let stem = path.file_stem().map(|stem| stem.to_string_lossy().to_lowercase());
+    let named = layers.iter().position(|layer| Some(layer.table.to_lowercase()) == stem);
+    Ok(match (named, layers.len()) {
+        (Some(k), _) => Ok(layers.swap_remove(k)),
+        (None, 1) => Ok(layers.swap_remove(0)),
+        _ => {
+            let names: Vec<&str> = layers.iter().map(|layer| layer.table.as_str()).collect();
+            Err(format!(
+                "it has several layers of polygons ({}), expected one, or one with the name of the file",
+                names.join(", ")
+            ))
+        }
+    })
+}
+
+fn stated(file: &Connection, system: i64) -> rusqlite::Result<Stated> {
+    if system <= 0 {
+        // Undefined Cartesian coordinates, or undefined degrees.
+        return Ok(if system == 0 { Stated::Degrees } else { Stated::Nothing });
+    }
+    let mut select = file.prepare(
+        "SELECT organization, organization_coordsys_id FROM gpkg_spatial_ref_sys WHERE srs_id = ?1",
+    )?;
+    let found = select
+        .query_map([system], |row| Ok((row.get::<_, String>(0)?, row.get::<_, i64>(1)?)))?
+        .next()
+        .transpose()?;
+    Ok(match found {
+        Some((who, code)) if who.eq_ignore_ascii_case("EPSG") => {
+            u32::try_from(code).map_or(Stated::Nothing, Stated::code)
+        }
+        _ => Stated::Nothing,
+    })
+}
+
+fn plain(value: ValueRef<'_>) -> Value {
+    match value {
+        ValueRef::Integer(x) => x.into(),
+        ValueRef::Real(x) => x.into(),
+        ValueRef::Text(text) => String::from_utf8_lossy(text).into_owned().into(),
+        ValueRef::Null | ValueRef::Blob(_) => Value::Null,
+    }
+}
+
+/// Rings of a geometry with its header.
+fn geometry(bytes: &[u8]) -> Result<Vec<Vec<[f64; 2]>>, String> {
+    let header = bytes.get(..8).filter(|header| header.starts_with(b"GP"));
+    let flags = header.ok_or("its geometry does not begin as one of a GeoPackage")?[3];
+    let bounds = match flags >> 1 & 7 {
+        0 => 0,
+        1 => 32,
+        2 | 3 => 48,
+        4 => 64,
+        other => return Err(format!("its geometry has bounds of kind {other}, which is none")),
+    };
+    let rest = bytes.get(8 + bounds..).ok_or("its geometry ends early")?;
+    let mut rings = Vec::new();
+    // Empty ones have no rings to read.
+    if flags & 16 == 0 {
+        Reader { bytes: rest, little: true }.shape(&mut rings, 0)?;
+    }
+    Ok(rings)
+}
+
+/// Well-known binary.
+struct Reader<'a> {
+    bytes: &'a [u8],
+    little: bool,
+}
+
+impl Reader<'_> {
+    fn take<const N: usize>(&mut self) -> Result<[u8; N], String> {
+        let (first, rest) = self.bytes.split_first_chunk::<N>().ok_or("its geometry ends early")?;
+        self.bytes = rest;
+        let mut first = *first;
+        if !self.little {
+            first.reverse();
+        }
+        Ok(first)
+    }
+
+    fn count(&mut self, least_bytes: usize) -> Result<usize, String> {
+        let count = u32::from_le_bytes(self.take()?) as usize;
+        match count.checked_mul(least_bytes) {
+            Some(needed) if needed <= self.bytes.len() => Ok(count),
+            _ => Err(format!("its geometry has {count} parts and ends before them")),
+        }
+    }
+
+    fn shape(&mut self, rings: &mut Vec<Vec<[f64; 2]>>, depth: usize) -> Result<(), String> {
+        self.little = self.take::<1>()?[0] != 0;
+        let code = u32::from_le_bytes(self.take()?);
+        // Thousands say which of Z and M follow x and y.
+        let extra = match code / 1000 {
+            0 => 0,
+            1 | 2 => 1,
+            3 => 2,
+            _ => return Err(format!("its geometry is of kind {code}, expected polygons")),
+        };
+        match code % 1000 {
+            3 => {
+                for _ in 0..self.count(4)? {
+                    let mut ring = Vec::new();
+                    for _ in 0..self.count(8 * (2 + extra))? {
+                        let mut number = || Ok::<_, String>(f64::from_le_bytes(self.take()?));
+                        ring.push([number()?, number()?]);
+                        (0..extra).try_for_each(|_| number().map(drop))?;
+                    }
+                    rings.push(ring);
+                }
+                Ok(())
+            }
+            6 if depth == 0 => {
+                let parts = self.count(5)?;
+                (0..parts).try_for_each(|_| self.shape(rings, 1))
+            }
+            _ => Err(format!("its geometry is of kind {code}, expected polygons")),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gpkg::{self, Column, ColumnKind, Geometry, GeometryKind, Layer};
+    use rowgram_raster::georeference::Crs;
+
+    fn layer_of(name: &str, rings: Vec<Vec<[f64; 2]>>) -> Layer {
+        let values = vec![gpkg::Value::Text("A 1".into()), gpkg::Value::Real(12.0)];
+        Layer {
+            name: name.into(),
+            description: String::new(),
+            kind: GeometryKind::Polygon,
+            crs: Some(Crs::projected(32616)),
+            columns: vec![
+                Column::new("plot", ColumnKind::Text),
+                Column::new("leaves", ColumnKind::Real),
+            ],
+            features: vec![
+                gpkg::Feature { geometry: Some(Geometry::Polygon(rings)), values: values.clone() },
+                gpkg::Feature { geometry: None, values },
+            ],
+        }
+    }
+
+    #[test]
+    fn what_was_written_is_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("plots.gpkg");
+        let ring = vec![[1.0, 2.0], [5.0, 2.0], [5.0, 9.5], [1.0, 2.0]];
+        let hole = vec![[2.0, 3.0], [3.0, 3.0], [3.0, 4.0], [2.0, 3.0]];
+        gpkg::write(&path, false, &[layer_of("any", vec![ring.clone(), hole.clone()])]).unwrap();
+        let (features, stated) = read(&path).unwrap();
+        assert_eq!(stated, Stated::Epsg(32616));
+        assert_eq!(features.len(), 1);
+        assert_eq!(features[0].rings, [ring.clone(), hole]);
+        assert_eq!(features[0].properties["plot"], "A 1");
+        // Of several layers the one with the file's name.
+        let two = [layer_of("other", vec![ring.clone()]), layer_of("Plots", vec![ring])];
+        gpkg::write(&path, true, &two).unwrap();
+        assert_eq!(read(&path).unwrap().0.len(), 1);
+        let elsewhere = folder.path().join("both.gpkg");
+        std::fs::rename(&path, &elsewhere).unwrap();
+        let error = read(&elsewhere).err().unwrap().to_string();
+        assert!(error.contains("both.gpkg") && error.contains("Plots, other"), "{error}");
+        std::fs::write(&path, "no database, but long enough to be looked at").unwrap();
+        assert!(read(&path).err().unwrap().to_string().contains("expected a GeoPackage"));
+    }
+
+    /// Both byte orders, Z and M, several polygons; and none of their beginnings.
+    #[test]
+    fn well_known_binary_of_others() {
+        for little in [true, false] {
+            for (kind, extra) in [(0u32, 0), (1000, 1), (2000, 1), (3000, 2)] {
+                let mut bytes = b"GP\0\0\0\0\0\0".to_vec();
+                let whole = |n: u32| if little { n.to_le_bytes() } else { n.to_be_bytes() };
+                let real = |x: f64| if little { x.to_le_bytes() } else { x.to_be_bytes() };
+                let polygon = |bytes: &mut Vec<u8>| {
+                    bytes.push(u8::from(little));
+                    bytes.extend(whole(kind + 3));
+                    bytes.extend(whole(1));
+                    bytes.extend(whole(3));
+                    for [x, y] in [[1.0, 2.0], [3.0, 4.0], [5.0, 7.0]] {
+                        bytes.extend(real(x));
+                        bytes.extend(real(y));
+                        (0..extra).for_each(|_| bytes.extend(real(-1.0)));
+                    }
+                };
+                bytes.push(u8::from(little));
+                bytes.extend(whole(kind + 6));
+                bytes.extend(whole(2));
+                polygon(&mut bytes);
+                polygon(&mut bytes);
+                let ring = vec![[1.0, 2.0], [3.0, 4.0], [5.0, 7.0]];
+                assert_eq!(geometry(&bytes).unwrap(), [ring.clone(), ring]);
+                for end in 0..bytes.len() {
+                    assert!(geometry(&bytes[..end]).is_err(), "{end}");
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,292 @@
+//! Photos and masks of any size, with their place on the map where they have one.
+//!
+//! TIFF files are read by bands of rows, so that a photo larger than the memory can be looked at; other
+//! pictures are read whole.
+
+use super::{
+    FileError,
+    geotiff::{self, Colour, Layout, Reader},
+    images::{self, Picture},
+    output,
+};
+use image::RgbImage;
+use rowgram_base::error::Error;
+use rowgram_raster::{
+    Mask,
+    georeference::Georeference,
+    mask::Thresholds,
+    window::{self, Window},
+};
+use std::{
+    io::Read,
+    ops::Range,
+    path::{Path, PathBuf},
+};
+
+/// Rows that are read at a time; tiles are read once where it is a multiple of theirs.
+pub const BAND_ROWS: usize = 512;
+
+/// A photo or a mask that can be looked at.
+pub enum Source {
+    /// A TIFF file.
+    File(Box<Reader>),
+    /// A picture in memory.
+    Picture {
+        /// Its pixels.
+        picture: Picture,
+        /// Which of them (row by row) are transparent; `None` where none is.
+        gaps: Option<Vec<bool>>,
+    },
+}
+
+impl Source {
+    /// Opens a PNG, JPEG, TIFF or GeoTIFF.
+    ///
+    /// # Errors
+    /// Where the file cannot be read or is no such picture.
+    pub fn open(path: &Path) -> Result<Source, FileError> {
+        let mut first = [0; 4];
+        let mut file = std::fs::File::open(path).map_err(|e| FileError::read(path, e))?;
+        let tiff = file.read_exact(&mut first).is_ok() && geotiff::is_tiff(&first);
+        if tiff {
+            return Ok(Source::File(Box::new(Reader::open(path)?)));
+        }
+        let (picture, gaps) = images::read_with_gaps(path)?;
+        Ok(Source::Picture { picture, gaps })
+    }
+
+    /// Columns and rows.
+    pub fn size(&self) -> (usize, usize) {
+        match self {
+            Source::File(reader) => (reader.width(), reader.height()),
+            Source::Picture { picture: Picture::Photo(photo), .. } => {
+                (photo.width() as usize, photo.height() as usize)
+            }
+            Source::Picture { picture: Picture::Mask(mask), .. } => (mask.width, mask.height),
+        }
+    }
+
+    /// Where it lies on the map, if it says so.
+    pub fn georeference(&self) -> Option<Georeference> {
+        match self {
+            Source::File(reader) => reader.georeference(),
+            Source::Picture { .. } => None,
+        }
+    }
+
+    /// Whether it has colours; what has none is a mask.
+    pub fn is_photo(&self) -> bool {
+        match self {
+            Source::File(reader) => reader.is_colour(),
+            Source::Picture { picture, .. } => matches!(picture, Picture::Photo(_)),
+        }
+    }
+
+    /// Rows of a photo, or of a mask in black and white.
+    ///
+    /// # Errors
+    /// Where the file is damaged.
+    pub fn rgb(&self, rows: Range<usize>) -> Result<RgbImage, FileError> {
+        Ok(self.rgb_and_gaps(rows)?.0)
+    }
+
+    /// As [`Source::rgb`], and which pixels (row by row) show nothing: transparent ones and those without data; `None`
+    /// where there are none.
+    ///
+    /// # Errors
+    /// As [`Source::rgb`].
+    pub fn rgb_and_gaps(
+        &self,
+        rows: Range<usize>,
+    ) -> Result<(RgbImage, Option<Vec<bool>>), FileError> {
+        match self {
+            Source::File(reader) => reader.read_rgb_and_gaps(Window::rows(reader.width(), rows)),
+            Source::Picture { picture, gaps } => {
+                let crop = |photo: &RgbImage| {
+                    let (width, height) = (photo.width(), rows.len() as u32);
+                    image::imageops::crop_imm(photo, 0, rows.start as u32, width, height).to_image()
+                };
+                let photo = match picture {
+                    Picture::Photo(photo) => crop(photo),
+                    Picture::Mask(mask) => crop(&mask.to_rgb()),
+                };
+                let width = photo.width() as usize;
+                let gaps = gaps.as_ref().map(|gaps| &gaps[rows.start * width..rows.end * width]);
+                Ok((photo, gaps.filter(|gaps| gaps.contains(&true)).map(<[bool]>::to_vec)))
+            }
+        }
+    }
+
+    /// The mask: that of a photo by the thresholds, or the picture itself, which then has two values,
+    /// of which the larger is plant (one value alone is plant unless it is 0).
+    ///
+    /// # Errors
+    /// Where the file is damaged, or has neither colours nor just two values.
+    pub fn mask(&self, mut of_photo: impl FnMut(&RgbImage) -> Mask) -> Result<Mask, Error> {
+        let reader = match self {
+            Source::Picture { picture: Picture::Mask(mask), .. } => return Ok(mask.clone()),
+            Source::Picture { picture: Picture::Photo(photo), .. } => return Ok(of_photo(photo)),
+            Source::File(reader) => reader,
+        };
+        let (width, height) = self.size();
+        if !self.is_photo() {
+            return two_values(reader).map_err(Error::from);
+        }
+        let mut data = Vec::with_capacity(width * height);
+        for band in window::bands(height, BAND_ROWS, 0) {
+            data.extend_from_slice(&of_photo(&self.rgb(band.rows)?).data);
+        }
+        Ok(Mask { width, height, data })
+    }
+}
+
+/// The mask in a file of single values.
+fn two_values(reader: &Reader) -> Result<Mask, FileError> {
+    let (width, height) = (reader.width(), reader.height());
+    let mut values: Vec<f32> = Vec::new();
+    let mut data = Vec::with_capacity(width * height);
+    for band in window::bands(height, BAND_ROWS, 0) {
+        for value in reader.read_f32(Window::rows(width, band.rows))? {
+            // What has no data is no plant.
+            let value = if value.is_nan() { 0.0 } else { value };
+            let place = values.iter().position(|&other| other == value).unwrap_or_else(|| {
+                values.push(value);
+                values.len() - 1
+            });
+            if place > 1 {
+                let message = "it holds single values and more than two of them, expected a mask (two \
+                               values) or a photo in colours";
+                return Err(FileError::malformed(reader.path(), None, message));
+            }
+            data.push(place as u8);
+        }
+    }
+    let plant = match values[..] {
+        [first, second] => u8::from(second > first),
+        [0.0] => 1,
+        _ => 0,
+    };
+    data.iter_mut().for_each(|pixel| *pixel = u8::from(*pixel == plant));
+    Ok(Mask { width, height, data })
+}
+
+/// A picture of one grey value a pixel that is written band by band: a GeoTIFF for a name in `.tif` or `.tiff`, which is not held
+/// in memory, else a PNG, which is.
+pub struct GreyWriter(Grey);
+
+enum Grey {
+    Tiff(Box<geotiff::Writer<u8>>),
+    Picture { path: PathBuf, force: bool, size: (usize, usize), values: Vec<u8> },
+}
+
+impl GreyWriter {
+    /// Begins a picture of so many columns and rows. It appears with [`GreyWriter::finish`], and never without.
+    ///
+    /// # Errors
+    /// As [`super::output::check`], and where a picture of that size cannot be written.
+    pub fn begin(
+        path: &Path,
+        force: bool,
+        size: (usize, usize),
+        colour: Colour,
+        georeference: Option<Georeference>,
+    ) -> Result<GreyWriter, FileError> {
+        Ok(GreyWriter(if is_tiff_name(path) {
+            let (width, height) = size;
+            let layout = Layout { width, height, colour, georeference, nodata: None };
+            Grey::Tiff(Box::new(geotiff::Writer::begin(path, force, &layout)?))
+        } else {
+            output::check(path, force)?;
+            let values = Vec::with_capacity(size.0 * size.1);
+            Grey::Picture { path: path.to_owned(), force, size, values }
+        }))
+    }
+
+    /// Puts the next rows, from the top: [`BAND_ROWS`] of them, or the last ones.
+    ///
+    /// # Errors
+    /// As [`geotiff::Writer::put`].
+    pub fn put(&mut self, rows: Range<usize>, samples: &[u8]) -> Result<(), FileError> {
+        match &mut self.0 {
+            Grey::Tiff(writer) => {
+                let window = Window::rows(writer.layout().width, rows);
+                writer.put(window, samples)
+            }
+            Grey::Picture { values, .. } => {
+                values.extend_from_slice(samples);
+                Ok(())
+            }
+        }
+    }
+
+    /// Puts the file in its place.
+    ///
+    /// # Errors
+    /// As [`super::output::write`], and where the picture has no pixel or other ones were put than it has.
+    pub fn finish(self) -> Result<(), FileError> {
+        match self.0 {
+            Grey::Tiff(writer) => writer.finish(),
+            Grey::Picture { path, force, size, values } => {
+                images::write_grey(&path, force, size, &values)
+            }
+        }
+    }
+}
+
+/// Writes a mask by the name's ending ([`GreyWriter`]); plants 255, the rest 0.
+///
+/// # Errors
+/// As [`super::output::write`], and where the mask has no pixel, or others than it says.
+pub fn write_mask(
+    path: &Path,
+    force: bool,
+    mask: &Mask,
+    georeference: Option<Georeference>,
+) -> Result<(), FileError> {
+    let size = (mask.width, mask.height);
+    if mask.data.len() != size.0 * size.1 {
+        let (width, height, found) = (size.0, size.1, mask.data.len());
+        let message = format!("a mask of {width} x {height} pixels that holds {found}");
+        let invalid = std::io::Error::new(std::io::ErrorKind::InvalidInput, message);
+        return Err(FileError::write(path, invalid));
+    }
+    let mut writer = GreyWriter::begin(path, force, size, Colour::Classes, georeference)?;
+    for band in window::bands(mask.height, BAND_ROWS, 0) {
+        let pixels = band.rows.start * mask.width..band.rows.end * mask.width;
+        let white = |&pixel: &u8| if pixel == 0 { 0 } else { 255 };
+        writer.put(band.rows, &mask.data[pixels].iter().map(white).collect::<Vec<u8>>())?;
+    }
+    writer.finish()
+}
+
+/// Reads a TIFF file of posterior probabilities in 1/255, of a mask of this size.
+///
+/// # Errors
+/// Where the file cannot be read, or has another size or other samples.
+pub fn read_posterior(path: &Path, (width, height): (usize, usize)) -> Result<Vec<u8>, FileError> {
+    let reader = Reader::open(path)?;
+    if (reader.width(), reader.height()) != (width, height) {
+        let (columns, rows) = (reader.width(), reader.height());
+        let message = format!("it has {columns} x {rows} pixels, its mask {width} x {height}");
+        return Err(FileError::malformed(path, None, message));
+    }
+    reader.read::<u8>(Window::whole(width, height))
+}
+
+/// Whether a name ends like that of a TIFF file.
+pub fn is_tiff_name(path: &Path) -> bool {
+    path.extension().is_some_and(|end| ["tif", "tiff"].iter().any(|t| end.eq_ignore_ascii_case(t)))
+}
+
+/// The mask of a photo or mask, and its place on the map; see [`Source::mask`].
+///
+/// # Errors
+/// As [`Source::open`] and [`Source::mask`].
+pub fn read_mask(
+    path: &Path,
+    thresholds: &Thresholds,
+) -> Result<(Mask, Option<Georeference>), Error> {
+    let source = Source::open(path)?;
+    let mask = source.mask(|photo| thresholds.mask(photo))?;
+    Ok((mask, source.georeference()))
+}

@@ -1,0 +1,288 @@
+//! Outputs that appear whole or not at all.
+//!
+//! A file is written beside its final place under a temporary name and renamed when complete, so a
+//! reader never sees half of one and a failure leaves what was there before.
+
+use std::{
+    fs::File,
+    io::{BufWriter, Write},
+    path::{Path, PathBuf},
+};
+
+/// What is wrong with a file: which one, where in it, what was expected.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum FileError {
+    /// The file cannot be opened or read.
+    #[error("cannot read {}: {source}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The file cannot be created or written.
+    #[error("cannot write {}: {source}", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The output is already there and `--force` was not given.
+    #[error("{} exists already; give --force to replace it, or another path", path.display())]
+    Exists {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The output path cannot be used as given.
+    #[error("cannot write {}: {message}", path.display())]
+    Unusable {
+        /// The path.
+        path: PathBuf,
+        /// Why.
+        message: &'static str,
+    },
+    /// The content is not what the format asks for.
+    #[error("{}{}: {message}", path.display(), line.map(|n| format!(", line {n}")).unwrap_or_default())]
+    Malformed {
+        /// The file.
+        path: PathBuf,
+        /// One-based line, for text formats.
+        line: Option<usize>,
+        /// What is wrong and what was expected.
+        message: String,
+    },
+}
+
+impl FileError {
+    /// Shorthand for [`FileError::Read`].
+    pub fn read(path: &Path, source: std::io::Error) -> FileError {
+        FileError::Read { path: path.to_owned(), source }
+    }
+
+    /// Shorthand for [`FileError::Write`].
+    pub fn write(path: &Path, source: std::io::Error) -> FileError {
+        FileError::Write { path: path.to_owned(), source }
+    }
+
+    /// Shorthand for [`FileError::Malformed`]; `line` is one-based.
+    pub fn malformed(
+        path: &Path,
+        line: impl Into<Option<usize>>,
+        message: impl Into<String>,
+    ) -> FileError {
+        FileError::Malformed { path: path.to_owned(), line: line.into(), message: message.into() }
+    }
+}
+
+/// Refuses an output path that is taken, unless `force` says that it may be replaced.
+///
+/// Called before any work is done, so that a refusal costs the user nothing.
+///
+/// # Errors
+/// [`FileError::Exists`] where the file exists; [`FileError::Unusable`] where its folder does not,
+/// or where the path is a folder.
+pub fn check(path: &Path, force: bool) -> Result<(), FileError> {
+    let unusable = |message| FileError::Unusable { path: path.to_owned(), message };
+    if path.is_dir() {
+        return Err(unusable("it is a folder, a file name was expected"));
+    }
+    if path.exists() && !force {
+        return Err(FileError::Exists { path: path.to_owned() });
+    }
+    if !folder_of(path).is_dir() {
+        return Err(unusable("its folder does not exist"));
+    }
+    Ok(())
+}
+
+/// Refuses a name without one of these endings, upper or lower case.
+///
+/// # Errors
+/// [`FileError::Malformed`]: the endings.
+pub fn expect_ending(path: &Path, endings: &[&str]) -> Result<(), FileError> {
+    let ending = path.extension().map(|ending| ending.to_string_lossy().to_lowercase());
+    if ending.is_some_and(|ending| endings.contains(&ending.as_str())) {
+        return Ok(());
+    }
+    let dotted: Vec<String> = endings.iter().map(|ending| format!(".{ending}")).collect();
+    let message = format!("expected a name that ends in {}", dotted.join(" or "));
+    Err(FileError::malformed(path, None, message))
+}
+
+/// Whether two paths lead to the same file, through whatever links; the files need not exist yet.
+pub fn same_file(one: &Path, other: &Path) -> bool {
+    let resolved = |path: &Path| {
+        path.canonicalize().or_else(|error| {
+            let folder = folder_of(path).canonicalize()?;
+            path.file_name().map(|name| folder.join(name)).ok_or(error)
+        })
+    };
+    match (resolved(one), resolved(other)) {
+        (Ok(one), Ok(other)) => one == other,
+        _ => one == other,
+    }
+}
+
+/// Refuses outputs that are there already, unless `force`, and those that are one of `inputs`: before any work is done.
+///
+/// # Errors
+/// [`FileError::Exists`], and [`FileError::Unusable`] for an output that is an input.
+pub fn check_apart(outputs: &[&Path], inputs: &[&Path], force: bool) -> Result<(), FileError> {
+    for output in outputs {
+        if inputs.iter().any(|input| same_file(input, output)) {
+            let message = "it is an input, expected another output";
+            return Err(FileError::Unusable { path: (*output).to_owned(), message });
+        }
+        if output.exists() && !force {
+            return Err(FileError::Exists { path: (*output).to_owned() });
+        }
+    }
+    Ok(())
+}
+
+/// Writes a file atomically: `fill` writes the content, then the file takes its name.
+///
+/// # Errors
+/// [`FileError::Exists`] where the file exists, [`FileError::Write`] where writing or renaming fails.
+pub fn write(
+    path: &Path,
+    force: bool,
+    fill: impl FnOnce(&mut dyn Write) -> std::io::Result<()>,
+) -> Result<(), FileError> {
+    write_seekable(path, force, |file| {
+        let mut writer = BufWriter::new(file);
+        fill(&mut writer)
+            .and_then(|()| writer.flush())
+            .map_err(|source| FileError::write(path, source))
+    })
+}
+
+/// As [`write()`], for content that is not written from its beginning to its end.
+///
+/// # Errors
+/// As [`write()`], and whatever `fill` fails with.
+pub fn write_seekable<E: From<FileError>>(
+    path: &Path,
+    force: bool,
+    fill: impl FnOnce(&mut File) -> Result<(), E>,
+) -> Result<(), E> {
+    if path.exists() && !force {
+        return Err(FileError::Exists { path: path.to_owned() }.into());
+    }
+    let failed = |source| FileError::write(path, source);
+    let mut temporary = tempfile::Builder::new()
+        .prefix(".rowgram-")
+        .tempfile_in(folder_of(path))
+        .map_err(failed)?;
+    fill(temporary.as_file_mut())?;
+    Ok(take_place(temporary, path, force)?)
+}
+
+/// Gives a complete file its name.
+fn take_place(
+    temporary: tempfile::NamedTempFile,
+    path: &Path,
+    force: bool,
+) -> Result<(), FileError> {
+    let failed = |source| FileError::write(path, source);
+    temporary.as_file().sync_all().map_err(failed)?;
+    share(&temporary).map_err(failed)?;
+    if force {
+        temporary.persist(path).map_err(|e| failed(e.error))?;
+    } else {
+        temporary.persist_noclobber(path).map_err(|e| match e.error.kind() {
+            std::io::ErrorKind::AlreadyExists => FileError::Exists { path: path.to_owned() },
+            _ => failed(e.error),
+        })?;
+    }
+    Ok(())
+}
+
+/// As [`write()`], for content that a library writes to a path of its own opening: `fill` gets the path of an empty file,
+/// and may leave no other beside it.
+///
+/// # Errors
+/// As [`write()`], and whatever `fill` fails with.
+pub fn write_by_path(
+    path: &Path,
+    force: bool,
+    fill: impl FnOnce(&Path) -> Result<(), FileError>,
+) -> Result<(), FileError> {
+    if path.exists() && !force {
+        return Err(FileError::Exists { path: path.to_owned() });
+    }
+    let failed = |source| FileError::write(path, source);
+    let temporary = tempfile::Builder::new()
+        .prefix(".rowgram-")
+        .tempfile_in(folder_of(path))
+        .map_err(failed)?;
+    fill(temporary.path())?;
+    take_place(temporary, path, force)
+}
+
+/// Makes a folder, and those it lies in, unless it is there.
+///
+/// # Errors
+/// Where it cannot be made.
+pub fn make_folder(path: &Path) -> Result<(), FileError> {
+    std::fs::create_dir_all(path).map_err(|source| FileError::write(path, source))
+}
+
+/// A file without a name beside `path`, gone when it is closed or the program ends.
+///
+/// # Errors
+/// Where none can be made in that folder.
+pub fn scratch(path: &Path) -> Result<File, FileError> {
+    tempfile::tempfile_in(folder_of(path)).map_err(|source| FileError::write(path, source))
+}
+
+/// Temporary files are private by default; an output should be as readable as any other file.
+#[cfg(unix)]
+fn share(file: &tempfile::NamedTempFile) -> std::io::Result<()> {
+    use std::os::unix::fs::PermissionsExt;
+    file.as_file().set_permissions(std::fs::Permissions::from_mode(0o644))
+}
+
+#[cfg(not(unix))]
+fn share(_: &tempfile::NamedTempFile) -> std::io::Result<()> {
+    Ok(())
+}
+
+/// The folder that a path lies in.
+pub fn folder_of(path: &Path) -> &Path {
+    match path.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_failed_write_leaves_what_was_there() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("out.txt");
+        write(&path, false, |w| w.write_all(b"first")).unwrap();
+        assert!(matches!(write(&path, false, |_| Ok(())), Err(FileError::Exists { .. })));
+        let broken = write(&path, true, |w| {
+            w.write_all(b"half")?;
+            Err(std::io::Error::other("disk full"))
+        });
+        assert!(matches!(broken, Err(FileError::Write { .. })));
+        assert_eq!(std::fs::read(&path).unwrap(), b"first");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "no litter");
+        write(&path, true, |w| w.write_all(b"second")).unwrap();
+        assert_eq!(std::fs::read(&path).unwrap(), b"second");
+    }
+
+    #[test]
+    fn a_missing_folder_is_named() {
+        let missing = Path::new("/nonexistent-folder/out.txt");
+        let message = write(missing, false, |_| Ok(())).unwrap_err().to_string();
+        assert!(message.contains("/nonexistent-folder/out.txt"), "{message}");
+    }
+}

@@ -1,0 +1,520 @@
+//! Where stalks may be: leaf pixels vote along the axes of their leaves.
+//!
+//! The axis of the leaf at a pixel is the direction in which the mask changes least, from the
+//! structure tensor `S = G_i * (grad m grad m^T)`, `m` the mask smoothed by a Gaussian of scale
+//! `GRADIENT_PX` and `G_i` one of scale `TENSOR_PX`. With `xx`, `xy`, `yy` its entries, the axis at
+//! angle `theta` and its coherence are
+//!
+//! `(cos 2 theta, sin 2 theta) = -(xx - yy, 2 xy) / n`, `n = |(xx - yy, 2 xy)|`, `c = n / (xx + yy)`.
+//!
+//! Every pixel votes with weight `c` for all places both ways along its axis, as far as the straight
+//! walk stays on the mask (one missing pixel is stepped over) and at most `REACH_PX`. Many leaves
+//! cross where a stalk is. Votes are kept apart by the angle between leaf and row, because leaves
+//! along the row cross it everywhere and say least, and each part saturates so that no single broad
+//! leaf outweighs several narrow ones:
+//!
+//! `E = sum_b w_b v_b / (1 + v_b / ``SATURATION``)`.
+//!
+//! Instead of the structure tensor, slices across the leaves can say where the axes are ([`AxisSource::Slices`]): the direction
+//! of a reduced pixel is then the mean of `(cos 2 theta, sin 2 theta)` over its leaf pixels, its coherence the
+//! length of that mean, and a pixel without a slice does not vote.
+//!
+//! A mask of broad leaves is first reduced by the whole factor that makes its strokes about
+//! `STROKE_PX` wide ([`factor`]), or by more where plants stand far apart. Positions in pixels of the given mask, centre of the top-left pixel at (0, 0).
+
+use super::leaves;
+use rayon::prelude::*;
+use rowgram_raster::Mask;
+use serde::{Deserialize, Serialize};
+use std::ops::Range;
+
+/// Scale of the gradient, in reduced pixels.
+const GRADIENT_PX: f64 = 0.7;
+/// Scale over which the tensor is averaged, in reduced pixels.
+const TENSOR_PX: f64 = 1.3;
+/// Scale by which votes are blurred, in reduced pixels.
+const VOTE_PX: f64 = 0.8;
+/// Scale over which leaf mass is gathered where no votes are wanted, in reduced pixels.
+const MASS_PX: f64 = 1.7;
+/// How far a vote walks, in reduced pixels.
+const REACH_PX: usize = 20;
+/// Where votes saturate.
+const SATURATION: f32 = 60.0;
+/// Weight of leaves within 30, 60 and 90 degrees of the row.
+const WEIGHTS: [f32; 3] = [0.3, 0.7, 1.0];
+/// Width of a stroke that votes work best with.
+const STROKE_PX: f64 = 3.0;
+/// Rows of one stripe: stripes are fixed, so sums do not depend on the threads.
+const STRIPE: usize = 128;
+/// Rows beyond a stripe that its votes and filters can reach.
+const HALO: usize = REACH_PX + 12;
+
+/// What says where the axes of leaves are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum AxisSource {
+    /// The structure tensor around a pixel.
+    #[default]
+    Tensor,
+    /// Slices across the leaf at a pixel.
+    Slices,
+}
+
+rowgram_base::choices!(AxisSource: Tensor, Slices);
+
+/// The votes for a stalk at every pixel of the reduced mask, in five bytes each: a map of a field has many.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Evidence {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Pixels of the mask per pixel of this grid, along each axis.
+    pub factor: usize,
+    /// Square roots of the votes, row by row, in 65535ths of that of `most`.
+    roots: Vec<u16>,
+    /// No place can have more votes.
+    most: f32,
+    /// Share of each reduced pixel that is leaf, in 255ths.
+    shares: Vec<u8>,
+    /// The axis of each, `c (cos 2 theta, sin 2 theta)` in 127ths; empty where nothing votes.
+    axes: Vec<[i8; 2]>,
+}
+
+/// The whole factor by which the grid of a mask of broad leaves is reduced.
+pub fn factor(mask: &Mask) -> usize {
+    (stroke_px(mask) / STROKE_PX).floor().max(1.0) as usize
+}
+
+impl Evidence {
+    /// Votes of a mask whose rows have this heading (from `u` towards `v`), on a grid reduced by `factor`.
+    pub fn new(mask: &Mask, heading_rad: f64, axes: AxisSource, factor: usize) -> Evidence {
+        let (width, height) = (mask.width.div_ceil(factor), mask.height.div_ceil(factor));
+        let across = match axes {
+            AxisSource::Tensor => None,
+            AxisSource::Slices => Some(doubled(mask, factor)),
+        };
+        let most = SATURATION * WEIGHTS.iter().sum::<f32>();
+        let (mut roots, mut shares) = (vec![0; width * height], vec![0; width * height]);
+        let mut held = vec![[0; 2]; width * height];
+        if width > 0 {
+            let outs = roots
+                .par_chunks_mut(STRIPE * width)
+                .zip(shares.par_chunks_mut(STRIPE * width))
+                .zip(held.par_chunks_mut(STRIPE * width));
+            outs.enumerate().for_each(|(stripe, ((roots, shares), held))| {
+                let first = stripe * STRIPE;
+                let from = first.saturating_sub(HALO);
+                let to = (first + STRIPE + HALO).min(height);
+                let leaf = reduce(mask, factor, from..to);
+                let stripe = Stripe { width, height: to - from };
+                let of_tensor;
+                let axes = match &across {
+                    Some(doubled) => &doubled[from * width..to * width],
+                    None => {
+                        of_tensor = stripe.tensor_axes(&leaf);
+                        &of_tensor[..]
+                    }
+                };
+                let skip = (first - from) * width;
+                for (held, axis) in held.iter_mut().zip(&axes[skip..]) {
+                    *held = axis.map(|a| (127.0 * a).round() as i8);
+                }
+                keep_shares(&leaf[skip..], shares);
+                let mut votes = vec![0.0; roots.len()];
+                stripe.vote(&leaf, axes, heading_rad, first - from, &mut votes);
+                keep_roots(&votes, most, roots);
+            });
+        }
+        Evidence { width, height, factor, roots, most, shares, axes: held }
+    }
+
+    /// The leaf mass around each place instead of votes, on a grid reduced by `factor`.
+    pub fn of_mass(mask: &Mask, factor: usize) -> Evidence {
+        let (width, height) = (mask.width.div_ceil(factor), mask.height.div_ceil(factor));
+        let leaf = reduce(mask, factor, 0..height);
+        let (mut roots, mut shares) = (vec![0; width * height], vec![0; width * height]);
+        keep_shares(&leaf, &mut shares);
+        keep_roots(&Stripe { width, height }.blur(leaf, MASS_PX), 1.0, &mut roots);
+        Evidence { width, height, factor, roots, most: 1.0, shares, axes: Vec::new() }
+    }
+
+    /// Votes of a pixel of the grid, row by row.
+    #[inline]
+    pub fn votes(&self, pixel: usize) -> f32 {
+        let root = f32::from(self.roots[pixel]) / f32::from(u16::MAX);
+        self.most * root * root
+    }
+
+    /// Share of a pixel of the grid that is leaf.
+    #[inline]
+    pub fn leaf_share(&self, pixel: usize) -> f32 {
+        f32::from(self.shares[pixel]) / 255.0
+    }
+
+    /// Leaf of the whole mask, in pixels of the grid.
+    pub fn leaf_area(&self) -> f64 {
+        self.shares.iter().map(|&share| u64::from(share)).sum::<u64>() as f64 / 255.0
+    }
+
+    /// Whether there are axes, which votes follow.
+    pub fn has_axes(&self) -> bool {
+        !self.axes.is_empty()
+    }
+
+    /// The axis of the leaf at a pixel of the grid, `c (cos 2 theta, sin 2 theta)` in 127ths, `c` its coherence.
+    #[inline]
+    pub fn axis(&self, pixel: usize) -> [i8; 2] {
+        self.axes[pixel]
+    }
+
+    /// A position of the mask in this grid.
+    pub fn reduced(&self, at_px: [f64; 2]) -> [f64; 2] {
+        at_px.map(|x| (x + 0.5) / self.factor as f64 - 0.5)
+    }
+
+    /// A position of this grid in the mask.
+    pub fn full(&self, at: [f64; 2]) -> [f64; 2] {
+        at.map(|x| (x + 0.5) * self.factor as f64 - 0.5)
+    }
+
+    /// Votes between pixel centres, bilinear; 0 outside.
+    pub fn at(&self, [x, y]: [f64; 2]) -> f64 {
+        let (left, top) = (x.floor(), y.floor());
+        let inside = left >= 0.0
+            && top >= 0.0
+            && left + 1.0 < self.width as f64
+            && top + 1.0 < self.height as f64;
+        if !inside {
+            return 0.0;
+        }
+        let upper = top as usize * self.width + left as usize;
+        let lower = upper + self.width;
+        let (a, b) = ((x - left) as f32, (y - top) as f32);
+        let between = |from: f32, to: f32, part: f32| from + part * (to - from);
+        let above = between(self.votes(upper), self.votes(upper + 1), a);
+        let below = between(self.votes(lower), self.votes(lower + 1), a);
+        f64::from(between(above, below, b))
+    }
+
+    /// Share of leaf in the pixel around a place; 0 outside.
+    pub fn leaf_at(&self, at: [f64; 2]) -> f64 {
+        let [x, y] = at.map(f64::round);
+        let inside = x >= 0.0 && y >= 0.0 && x < self.width as f64 && y < self.height as f64;
+        if inside { f64::from(self.leaf_share(y as usize * self.width + x as usize)) } else { 0.0 }
+    }
+}
+
+/// Mean width of the strokes: twice the area over the perimeter. The edges of pixels are longer
+/// than the outline they follow, by `4 / pi` on average.
+fn stroke_px(mask: &Mask) -> f64 {
+    let (mut area, mut edges) = (0_u64, 0_u64);
+    for v in 0..mask.height {
+        let (row, below) = (mask.row(v), mask.row(v + 1));
+        for (u, &pixel) in row.iter().enumerate() {
+            area += u64::from(pixel != 0);
+            edges += u64::from((pixel != 0) != row.get(u + 1).is_some_and(|&p| p != 0));
+            edges += u64::from((pixel != 0) != below.get(u).is_some_and(|&p| p != 0));
+        }
+    }
+    2.0 * area as f64 / (std::f64::consts::FRAC_PI_4 * edges as f64).max(1.0)
+}
+
+/// Shares of leaf in blocks of `factor` by `factor` pixels, of some rows of blocks.
+fn reduce(mask: &Mask, factor: usize, rows: Range<usize>) -> Vec<f32> {
+    let width = mask.width.div_ceil(factor);
+    let mut leaf = vec![0.0_f32; width * rows.len()];
+    let share = 1.0 / (factor * factor) as f32;
+    for v in rows.start * factor..(rows.end * factor).min(mask.height) {
+        let out = &mut leaf[(v / factor - rows.start) * width..][..width];
+        for (u, &pixel) in mask.row(v).iter().enumerate() {
+            if pixel != 0 {
+                out[u / factor] += share;
+            }
+        }
+    }
+    leaf
+}
+
+/// Shares in 255ths.
+fn keep_shares(leaf: &[f32], to: &mut [u8]) {
+    to.iter_mut().zip(leaf).for_each(|(to, share)| *to = (255.0 * share).round() as u8);
+}
+
+/// Square roots of votes in 65535ths of that of `most`.
+fn keep_roots(votes: &[f32], most: f32, to: &mut [u16]) {
+    let root = |votes: f32| (f32::from(u16::MAX) * (votes / most).sqrt()).round() as u16;
+    to.iter_mut().zip(votes).for_each(|(to, &votes)| *to = root(votes));
+}
+
+/// The mean of `(cos 2 theta, sin 2 theta)` over the leaf pixels of each block, from slices.
+fn doubled(mask: &Mask, factor: usize) -> Vec<[f32; 2]> {
+    let directions = leaves::directions(mask, &leaves::LeafOptions::default());
+    let (width, height) = (mask.width.div_ceil(factor), mask.height.div_ceil(factor));
+    let mut sums = vec![[0.0_f32; 2]; width * height];
+    let mut counts = vec![0.0_f32; width * height];
+    for v in 0..mask.height {
+        let row = v / factor * width;
+        for (u, &theta) in directions[v * mask.width..][..mask.width].iter().enumerate() {
+            if mask.data[v * mask.width + u] == 0 {
+                continue;
+            }
+            counts[row + u / factor] += 1.0;
+            if theta.is_finite() {
+                let (sin, cos) = (2.0 * theta).sin_cos();
+                let sum = &mut sums[row + u / factor];
+                *sum = [sum[0] + cos, sum[1] + sin];
+            }
+        }
+    }
+    for (sum, count) in sums.iter_mut().zip(counts) {
+        *sum = sum.map(|part| part / count.max(1.0));
+    }
+    sums
+}
+
+/// One stripe of the picture and its surroundings.
+#[derive(Clone, Copy)]
+struct Stripe {
+    width: usize,
+    height: usize,
+}
+
+impl Stripe {
+    /// The axis at each leaf pixel as `c (cos 2 theta, sin 2 theta)`, from the structure tensor.
+    fn tensor_axes(self, leaf: &[f32]) -> Vec<[f32; 2]> {
+        let [xx, xy, yy] = self.tensor(leaf);
+        let entries = xx.iter().zip(&xy).zip(&yy);
+        entries
+            .map(|((xx, xy), yy)| {
+                let sum = xx + yy + 1e-4;
+                [(yy - xx) / sum, -2.0 * xy / sum]
+            })
+            .collect()
+    }
+
+    /// Votes into the rows of `out`, the first of which is row `skip` of the stripe.
+    fn vote(self, leaf: &[f32], axes: &[[f32; 2]], heading_rad: f64, skip: usize, out: &mut [f32]) {
+        let Stripe { width, height } = self;
+        let (turn_sin, turn_cos) = (2.0 * heading_rad).sin_cos();
+        let (turn_cos, turn_sin) = (turn_cos as f32, turn_sin as f32);
+        let mut parts = [(); 3].map(|()| vec![0.0_f32; width * height]);
+        for y in 0..height {
+            for x in 0..width {
+                let at = y * width + x;
+                if leaf[at] < 0.5 {
+                    continue;
+                }
+                let [cos2, sin2] = axes[at];
+                let coherence = cos2.hypot(sin2);
+                if coherence < 0.05 {
+                    continue;
+                }
+                let (cos2, sin2) = (cos2 / coherence, sin2 / coherence);
+                let from_row = cos2 * turn_cos + sin2 * turn_sin;
+                let part = usize::from(from_row < 0.5) + usize::from(from_row < -0.5);
+                let cos = ((1.0 + cos2) / 2.0).max(0.0).sqrt();
+                let sin = ((1.0 - cos2) / 2.0).max(0.0).sqrt().copysign(sin2);
+                self.walk(leaf, &mut parts[part], [x, y], [cos, sin], coherence);
+            }
+        }
+        out.fill(0.0);
+        for (part, weight) in parts.into_iter().zip(WEIGHTS) {
+            let part = self.blur(part, VOTE_PX);
+            for (sum, &votes) in out.iter_mut().zip(&part[skip * width..]) {
+                *sum += weight * votes / (1.0 + votes / SATURATION);
+            }
+        }
+    }
+
+    /// One pixel votes both ways along its axis.
+    fn walk(
+        self,
+        leaf: &[f32],
+        votes: &mut [f32],
+        [x, y]: [usize; 2],
+        [cos, sin]: [f32; 2],
+        weight: f32,
+    ) {
+        let (width, height) = (self.width as f32, self.height as f32);
+        // One cell per step along the longer axis; longer steps weigh more.
+        let longer = cos.abs().max(sin.abs());
+        let (dx, dy) = (cos / longer, sin / longer);
+        let steps = (REACH_PX as f32 * longer) as usize;
+        let weight = weight / longer;
+        for (dx, dy) in [(dx, dy), (-dx, -dy)] {
+            // Half a pixel more, so that truncation rounds.
+            let (mut px, mut py) = (x as f32 + 0.5, y as f32 + 0.5);
+            let mut missing = 0;
+            for _ in 0..steps {
+                px += dx;
+                py += dy;
+                if !(px >= 0.0 && py >= 0.0 && px < width && py < height) {
+                    break;
+                }
+                let at = py as usize * self.width + px as usize;
+                if leaf[at] < 0.5 {
+                    missing += 1;
+                    if missing > 1 {
+                        break;
+                    }
+                } else {
+                    missing = 0;
+                }
+                votes[at] += weight;
+            }
+        }
+    }
+
+    /// The entries `xx`, `xy`, `yy` of the structure tensor (gradients by Scharr's filter).
+    fn tensor(self, leaf: &[f32]) -> [Vec<f32>; 3] {
+        let Stripe { width, height } = self;
+        let smooth = self.blur(leaf.to_vec(), GRADIENT_PX);
+        let mut entries = [(); 3].map(|()| vec![0.0_f32; width * height]);
+        for y in 1..height.saturating_sub(1) {
+            for x in 1..width.saturating_sub(1) {
+                let at = y * width + x;
+                let value = |dx: usize, dy: usize| smooth[at + dx - 1 + dy * width - width];
+                let du = 3.0 * (value(2, 0) - value(0, 0) + value(2, 2) - value(0, 2))
+                    + 10.0 * (value(2, 1) - value(0, 1));
+                let dv = 3.0 * (value(0, 2) - value(0, 0) + value(2, 2) - value(2, 0))
+                    + 10.0 * (value(1, 2) - value(1, 0));
+                let (du, dv) = (du / 32.0, dv / 32.0);
+                entries[0][at] = du * du;
+                entries[1][at] = du * dv;
+                entries[2][at] = dv * dv;
+            }
+        }
+        entries.map(|entry| self.blur(entry, TENSOR_PX))
+    }
+
+    /// A Gaussian filter; beyond the edges is nothing.
+    fn blur(self, picture: Vec<f32>, scale_px: f64) -> Vec<f32> {
+        let Stripe { width, height } = self;
+        let radius = (3.0 * scale_px).ceil() as usize;
+        let raw: Vec<f64> = (0..=2 * radius)
+            .map(|k| (-0.5 * ((k as f64 - radius as f64) / scale_px).powi(2)).exp())
+            .collect();
+        let sum: f64 = raw.iter().sum();
+        let kernel: Vec<f32> = raw.iter().map(|k| (k / sum) as f32).collect();
+        let mut across = vec![0.0_f32; width * height];
+        let mut padded = vec![0.0_f32; width + 2 * radius];
+        for (row, out) in picture.chunks(width).zip(across.chunks_mut(width)) {
+            padded[radius..radius + width].copy_from_slice(row);
+            for (k, &weight) in kernel.iter().enumerate() {
+                for (sum, value) in out.iter_mut().zip(&padded[k..]) {
+                    *sum += weight * value;
+                }
+            }
+        }
+        let mut both = picture;
+        both.fill(0.0);
+        for y in 0..height {
+            let out = &mut both[y * width..][..width];
+            for (k, &weight) in kernel.iter().enumerate() {
+                if let Some(from) = (y + k).checked_sub(radius).filter(|&from| from < height) {
+                    for (sum, value) in out.iter_mut().zip(&across[from * width..][..width]) {
+                        *sum += weight * value;
+                    }
+                }
+            }
+        }
+        both
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Four bars, two pixels wide, through a point.
+    fn star(centre: [f64; 2], turn_rad: f64, side: usize, scale: f64) -> Mask {
+        Mask::from_fn(side, side, |u, v| {
+            let (x, y) = (u as f64 - centre[0], v as f64 - centre[1]);
+            (0..4).any(|k| {
+                let (s, c) = (turn_rad + f64::from(k) * std::f64::consts::FRAC_PI_4).sin_cos();
+                (c * y - s * x).abs() < 1.2 * scale && (c * x + s * y).abs() < 14.0 * scale
+            })
+        })
+    }
+
+    fn seen(mask: &Mask, heading_rad: f64, axes: AxisSource) -> Evidence {
+        Evidence::new(mask, heading_rad, axes, factor(mask))
+    }
+
+    #[test]
+    fn leaves_that_cross_vote_for_the_crossing() {
+        let cases = [(0.1, 1.0, 60), (0.35, 1.0, 60), (0.2, 4.0, 240)];
+        let both = cases.map(|case| (case, AxisSource::Tensor)).into_iter();
+        for ((turn, scale, side), axes) in both.chain(cases.map(|case| (case, AxisSource::Slices)))
+        {
+            let centre = [29.3 * scale, 31.0 * scale];
+            let evidence = seen(&star(centre, turn, side, scale), 0.0, axes);
+            let best = (0..evidence.width * evidence.height)
+                .max_by(|&a, &b| evidence.votes(a).total_cmp(&evidence.votes(b)))
+                .unwrap();
+            let (x, y) = (best % evidence.width, best / evidence.width);
+            let found = evidence.full([x as f64, y as f64]);
+            let error = (found[0] - centre[0]).hypot(found[1] - centre[1]);
+            assert!(error < 2.0 * scale, "{turn} {scale}: {error}");
+            assert_eq!(evidence.factor > 1, scale > 1.0);
+        }
+    }
+
+    #[test]
+    fn mirrored_masks_give_mirrored_votes_and_stripes_do_not_show() {
+        // Long enough for three stripes.
+        let mask = Mask::from_fn(40, 300, |u, v| (u + v / 2) % 9 < 2 || (v + 400 - u) % 31 < 3);
+        let mirrored = Mask::from_fn(40, 300, |u, v| mask.get(u, 299 - v));
+        let (a, b) =
+            (seen(&mask, 0.3, AxisSource::Tensor), seen(&mirrored, -0.3, AxisSource::Tensor));
+        // Away from the edges, where one walk can leave the mask just before the other.
+        for v in 0..300 {
+            for u in 0..40 {
+                let (one, two) = (a.votes(v * 40 + u), b.votes((299 - v) * 40 + u));
+                assert!((one - two).abs() <= 0.35 * one.max(two).max(1.0), "{u} {v}: {one} {two}");
+            }
+        }
+        let mean = |e: &Evidence| (0..40 * 300).map(|k| e.votes(k)).sum::<f32>();
+        assert!((mean(&a) / mean(&b) - 1.0).abs() < 0.01);
+    }
+
+    #[test]
+    fn degenerate_masks_have_no_votes() {
+        for mask in [Mask::empty(0, 0), Mask::empty(1, 1), Mask::empty(9, 200)] {
+            for axes in [AxisSource::Tensor, AxisSource::Slices] {
+                let evidence = seen(&mask, 0.0, axes);
+                assert!((0..mask.data.len()).all(|k| evidence.votes(k) == 0.0));
+            }
+        }
+        let dot = Mask::from_fn(1, 1, |_, _| true);
+        assert_eq!(seen(&dot, 0.0, AxisSource::Slices).leaf_share(0), 1.0);
+    }
+
+    #[test]
+    fn votes_and_shares_are_kept_closely() {
+        let votes: Vec<f32> = (0..=1000).map(|k| 120.0 * (k as f32 / 1000.0).powi(3)).collect();
+        let mut roots = vec![0; votes.len()];
+        keep_roots(&votes, 120.0, &mut roots);
+        let evidence = Evidence { roots, most: 120.0, ..Evidence::of_mass(&Mask::empty(1, 1), 1) };
+        for (k, votes) in votes.iter().enumerate() {
+            // Half a step of the root.
+            let most = 1.01 * (120.0 * votes).sqrt() / 65535.0 + 1e-5;
+            assert!((evidence.votes(k) - votes).abs() <= most, "{votes}: {}", evidence.votes(k));
+        }
+        let half = Evidence::of_mass(&Mask::from_fn(2, 2, |u, _| u == 0), 2);
+        // One half lies between two steps, and rounding comes on top.
+        assert!((half.leaf_share(0) - 0.5).abs() < 0.51 / 255.0);
+        assert!((half.leaf_area() - 0.5).abs() < 0.51 / 255.0);
+    }
+
+    #[test]
+    fn positions_turn_there_and_back() {
+        let evidence = Evidence::of_mass(&Mask::empty(1, 1), 3);
+        let at = [7.25, -3.0];
+        let back = evidence.full(evidence.reduced(at));
+        approx::assert_relative_eq!(back[0], at[0], epsilon = 1e-12);
+        approx::assert_relative_eq!(back[1], at[1], epsilon = 1e-12);
+        assert_eq!(evidence.full([0.0, 0.0]), [1.0, 1.0]);
+    }
+}

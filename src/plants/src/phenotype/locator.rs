@@ -1,0 +1,405 @@
+//! Plants in a mask by a named method: the row model, the descent and its variants.
+//!
+//! [`prepare`] finds the rows and does all of the row model, or poses the descent from its start; [`find`] does the
+//! descent too. Positions and lengths in pixels of the mask, centre of the top-left pixel at (0, 0).
+
+use super::{
+    locate::{Init, LocateError, Located, PlantFitOptions, Restarts, Setup, locate_best},
+    row_model::{self, RowModelOptions},
+    rows::{self, Detection},
+    stand::{Stalk, Stand},
+    tiles,
+};
+use crate::problems::plants::{
+    Form, Model, PlantUpdate, Prior, Proof, SigmaRule, index::PixelIndex,
+};
+use rowgram_base::options::{Auto, Options as _};
+use rowgram_optim::descent::{self, Order, Outcome};
+use rowgram_raster::Mask;
+use serde::{Deserialize, Serialize};
+
+/// A named way to locate plants.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum LocateMethod {
+    /// Votes along leaf axes, dynamic programming along curved rows.
+    RowModel,
+    /// `RowModel`, then the tempered descent from its plants.
+    Refined,
+    /// The tempered descent from regular spacing: row prior, truncated distances.
+    Tempered,
+    /// The descent of the joint objective from regular spacing, neither tempered nor truncated.
+    Descent,
+    /// The paper: row prior of the other plants, mean distance as scale, from k-means++.
+    Paper,
+    /// k-means from k-means++.
+    Kmeans,
+    /// Detected rows and regular spacing; nothing is fitted.
+    Rows,
+}
+
+rowgram_base::choices!(LocateMethod: RowModel, Refined, Tempered, Descent, Paper, Kmeans, Rows);
+
+rowgram_base::options! {
+    /// The descent and its variants, of all methods but the row model. An option that is not set is as the method says.
+    pub struct DescentOptions in "locate" {
+        /// What holds a plant: nothing (none), its row (rows), its row and column (grid).
+        pub prior: Option<Prior> = None, example "\"rows\"";
+        /// How a plant moves: to the minimum of squared distances (mean), or of the stated cost, exactly (median).
+        pub update: Option<PlantUpdate> = None, example "\"median\"";
+        /// Scale of the distances: paper (mean distance), planar (half of it), fixed:PX.
+        pub sigma: Option<SigmaRule> = None, example "\"planar\"";
+        /// How the rows hold a plant: joint (latent lines, one objective), conditional (the other plants of its row).
+        pub form: Option<Form> = None, example "\"joint\"";
+        /// The data count as this many independent pixels per plant; 0 is the paper, all of them.
+        pub tempering: Option<f64> = None, limits NON_NEGATIVE, example "6.0";
+        /// Distances are truncated at this length; 0 is the paper, never.
+        pub truncate_px: Option<f64> = None, limits NON_NEGATIVE, example "20.0";
+        /// Where the descent starts: far from each other (kmeans++), evenly along the rows (rows), anywhere (random), at the
+        /// plants of the row model (votes).
+        pub init: Option<Init> = None, example "\"rows\"";
+        /// Plants are fitted; else they stay where they start.
+        pub fit: bool = true;
+        /// Order of the updates: cyclic, shuffled.
+        pub order: Order = Order::Cyclic;
+        /// Most sweeps over all plants.
+        pub max_sweeps: u64 = 500;
+        /// Number of starts, with seeds one after the other; the plants with the smallest objective are kept.
+        pub starts: u64 = 1, limits between(1.0, 10000.0);
+        /// After every descent, the plant that is least missed moves to where leaves are farthest from theirs, and stays if the
+        /// objective becomes smaller; at most this often.
+        pub swaps: usize = 0;
+        /// Solve the convex problem of every plant again with an interior-point method, and tell how far the descent is from its
+        /// bound.
+        pub certify: bool = false;
+    }
+}
+
+rowgram_base::options! {
+    /// The place of every plant.
+    pub struct LocateOptions in "locate" with {
+        /// The row model.
+        pub row_model: RowModelOptions,
+        /// The descent.
+        pub descent: DescentOptions,
+    }, together go_together {
+        /// Number of plants; auto finds as many as there seem to be.
+        pub plants: Auto<usize> = Auto::Auto, limits at_least(1.0);
+        /// How plants are located: row-model (votes along leaf axes, dynamic programming along curved rows); refined (then the
+        /// tempered descent from its plants); tempered, descent, paper, kmeans (descents from other starts); rows (regular
+        /// spacing).
+        pub method: LocateMethod = LocateMethod::RowModel;
+        /// Connected leaf areas of fewer pixels are left out.
+        pub min_pixels: usize = 0;
+        /// Ground sampling distance, metres per pixel; that of the raster where not set. Without both, lengths are in pixels
+        /// only.
+        pub gsd_m: Option<f64> = None, limits POSITIVE, example "0.015";
+        /// Seed of everything random.
+        pub seed: u64 = 0;
+        /// Cut the mask into tiles of this side and locate in each on its own, as the paper does; for comparison. Row model with
+        /// an unknown number of plants only.
+        pub tile_px: Option<usize> = None, limits at_least(64.0), example "512";
+    }
+}
+
+/// Options of the descent go with methods that descend, tiles with the row model.
+fn go_together(options: &LocateOptions) -> Result<(), String> {
+    let is_row_model = options.method == LocateMethod::RowModel;
+    if let Some((name, _)) = options.descent.changed().first().filter(|_| is_row_model) {
+        return Err(format!(
+            "{name}: an option of the descent, which method = \"row-model\" does not use; choose another method"
+        ));
+    }
+    if options.tile_px.is_some() && !(is_row_model && options.plants == Auto::Auto) {
+        return Err("tile_px: goes with method = \"row-model\" and plants = \"auto\"".to_owned());
+    }
+    Ok(())
+}
+
+impl LocateOptions {
+    /// Refuses options beyond their limits, or that do not go together.
+    ///
+    /// # Errors
+    /// [`LocateError::Option`]: which, and what was expected.
+    pub fn check(&self) -> Result<(), LocateError> {
+        self.validate().map_err(LocateError::Option)
+    }
+
+    /// Where the descent starts.
+    fn init(&self) -> Init {
+        self.descent.init.unwrap_or(match self.method {
+            LocateMethod::RowModel | LocateMethod::Refined => Init::Votes,
+            LocateMethod::Descent if self.descent.prior == Some(Prior::None) => {
+                Init::KmeansPlusPlus
+            }
+            LocateMethod::Tempered | LocateMethod::Descent | LocateMethod::Rows => Init::Rows,
+            LocateMethod::Paper | LocateMethod::Kmeans => Init::KmeansPlusPlus,
+        })
+    }
+
+    /// The problem and the engine of the descent: what the method says, where no option says otherwise.
+    fn posed(&self, gsd_m: Option<f64>, plants: usize) -> PlantFitOptions {
+        let base = self.method.model(gsd_m);
+        let given = &self.descent;
+        let model = Model {
+            prior: given.prior.unwrap_or(base.prior),
+            update: given.update.unwrap_or(base.update),
+            sigma: given.sigma.unwrap_or(base.sigma),
+            form: given.form.unwrap_or(base.form),
+            tempering: given.tempering.or(base.tempering).filter(|&votes| votes > 0.0),
+            truncate_px: given.truncate_px.or(base.truncate_px).filter(|&px| px > 0.0),
+            // As far as it is known how much that is.
+            floor_px: gsd_m.map_or(Model::default().floor_px, |gsd| FLOOR_M / gsd),
+            ..base
+        };
+        let fit = given.fit && self.method != LocateMethod::Rows;
+        let (order, seed) = (given.order, self.seed);
+        PlantFitOptions {
+            plants,
+            model,
+            init: self.init(),
+            seed,
+            descent: descent::CoordinateDescentOptions {
+                order,
+                seed,
+                ..descent::CoordinateDescentOptions::default()
+            },
+            max_sweeps: if fit { given.max_sweeps } else { 0 },
+        }
+    }
+}
+
+/// Independent votes of a plant's pixels where the descent is tempered: about one per leaf.
+const VOTES_PER_PLANT: f64 = 6.0;
+/// Where its distances are truncated, given the ground sampling distance.
+const TRUNCATED_M: f64 = 0.3;
+/// Floor of the standard deviation of plants about their row.
+const FLOOR_M: f64 = 0.01;
+
+impl LocateMethod {
+    /// Its model, given a ground sampling distance.
+    fn model(self, gsd_m: Option<f64>) -> Model {
+        match self {
+            LocateMethod::RowModel | LocateMethod::Refined | LocateMethod::Tempered => Model {
+                tempering: Some(VOTES_PER_PLANT),
+                truncate_px: gsd_m.map(|gsd| TRUNCATED_M / gsd),
+                ..Model::default()
+            },
+            LocateMethod::Descent => Model::default(),
+            LocateMethod::Paper => Model { form: Form::Conditional, ..Model::default() },
+            LocateMethod::Kmeans => {
+                Model { prior: Prior::None, update: PlantUpdate::Mean, ..Model::default() }
+            }
+            LocateMethod::Rows => Model { prior: Prior::None, ..Model::default() },
+        }
+    }
+}
+
+/// The rows of a mask, and its plants or the descent that finds them.
+pub struct Prepared {
+    /// Leaf pixels.
+    pub leaf_pixels: usize,
+    /// The rows, where there are any.
+    pub detection: Detection,
+    /// The plants, or how they are found.
+    pub work: Work,
+}
+
+/// Plants, or how they are found.
+pub enum Work {
+    /// The plants of the row model.
+    Stand(Box<Stand>),
+    /// The plants of the row model in tiles.
+    Tiles(Vec<Stalk>),
+    /// A descent that has not begun.
+    Descent(Box<Descend>),
+}
+
+/// What was found.
+#[derive(Debug, Clone)]
+pub enum Found {
+    /// By the row model.
+    Stand(Box<Stand>),
+    /// By the row model in tiles.
+    Tiles(Vec<Stalk>),
+    /// By a descent.
+    Descent(Box<Descended>),
+}
+
+/// A descent that has not begun.
+pub struct Descend {
+    /// The problem and its start.
+    pub setup: Setup,
+    /// Engine, limits and start.
+    pub options: PlantFitOptions,
+}
+
+/// What a descent found.
+#[derive(Debug, Clone)]
+pub struct Descended {
+    /// The plants.
+    pub located: Located,
+    /// How it went.
+    pub outcome: Outcome,
+    /// How far plants are from the optima of their convex problems, where that was asked for.
+    pub certificate: Option<Proof>,
+}
+
+/// Finds rows, and plants by the row model; poses the descent of the other methods. `posterior` is the probability
+/// of vegetation of each pixel of the mask in 1/255, where it is known: closed rows are looked at in pixels judged alone, and weeds
+/// are less green than a crop.
+///
+/// # Errors
+/// As [`LocateOptions::check`] and [`row_model::locate`].
+pub fn prepare(
+    mask: &Mask,
+    posterior: Option<Vec<u8>>,
+    gsd_m: Option<f64>,
+    options: &LocateOptions,
+) -> Result<Prepared, LocateError> {
+    options.check()?;
+    let leaf_pixels = mask.count();
+    let detection = rows::detect(mask);
+    if let Some(tile_px) = options.tile_px {
+        // Two rows on every side, several plants.
+        let spacing_px = detection.rows().and_then(|rows| rows.spacing_px);
+        let halo_px = 2.0 * spacing_px.unwrap_or(tile_px as f64 / 8.0);
+        let plants =
+            tiles::locate(mask, &detection, &options.row_model, tile_px, halo_px as usize)?;
+        return Ok(Prepared { leaf_pixels, detection, work: Work::Tiles(plants) });
+    }
+    let init = options.init();
+    let is_row_model = options.method == LocateMethod::RowModel;
+    let counts = options.plants == Auto::Auto && leaf_pixels > 0;
+    let stand = if is_row_model || init == Init::Votes || counts {
+        let (count, options) = (options.plants.given(), &options.row_model);
+        Some(row_model::locate_in_detail(mask, posterior, &detection, count, options)?)
+    } else {
+        None
+    };
+    let work = match stand {
+        Some(stand) if is_row_model => Work::Stand(Box::new(stand)),
+        stand => {
+            let start: Option<Vec<[f64; 2]>> =
+                stand.map(|stand| stand.plants.iter().map(|plant| plant.position_px).collect());
+            let plants = options.plants.given();
+            let plants = plants.unwrap_or_else(|| start.as_ref().map_or(1, Vec::len));
+            let posed = options.posed(gsd_m, plants);
+            let start = start.filter(|_| init == Init::Votes);
+            let index = PixelIndex::from_mask(mask.width, &mask.data);
+            let setup = Setup::from(index, &posed, detection.clone(), start)?;
+            Work::Descent(Box::new(Descend { setup, options: posed }))
+        }
+    };
+    Ok(Prepared { leaf_pixels, detection, work })
+}
+
+impl Descend {
+    /// Descends, from several starts and with swaps where that is asked for.
+    ///
+    /// # Errors
+    /// As [`locate_best`].
+    pub fn run(self, options: &DescentOptions) -> Result<Descended, LocateError> {
+        let effort = Restarts { starts: options.starts, swaps: options.swaps };
+        let Descend { mut setup, options: posed } = self;
+        let (setup, outcome) = if effort == Restarts::default() {
+            let Setup { problem, field, .. } = &mut setup;
+            let outcome = descent::run(problem, field, posed.descent, posed.max_sweeps, |_, _| ())?;
+            (setup, outcome)
+        } else {
+            let Setup { problem, field, detection } = setup;
+            let start = (posed.init == Init::Votes).then_some(&field.positions_px[..]);
+            locate_best(problem.index(), &posed, &detection, start, effort)?
+        };
+        Descended::finish(setup, outcome, options.certify)
+    }
+}
+
+impl Descended {
+    /// Reads the plants off a descent that has ended.
+    ///
+    /// # Errors
+    /// Plants whose convex problem cannot be solved.
+    pub fn finish(
+        mut setup: Setup,
+        outcome: Outcome,
+        certify: bool,
+    ) -> Result<Descended, LocateError> {
+        let certificate = if certify { Some(setup.problem.prove(&mut setup.field)?) } else { None };
+        Ok(Descended { located: setup.finish(), outcome, certificate })
+    }
+}
+
+/// Finds the plants of a mask. `gsd_m` scales what the methods say in metres.
+///
+/// # Errors
+/// As [`prepare`] and [`Descend::run`].
+pub fn find(
+    mask: &Mask,
+    gsd_m: Option<f64>,
+    options: &LocateOptions,
+) -> Result<Found, LocateError> {
+    Ok(match prepare(mask, None, gsd_m, options)?.work {
+        Work::Stand(stand) => Found::Stand(stand),
+        Work::Tiles(plants) => Found::Tiles(plants),
+        Work::Descent(descend) => Found::Descent(Box::new(descend.run(&options.descent)?)),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two rows of discs, 20 px apart.
+    fn mask() -> Mask {
+        Mask::from_fn(300, 120, |u, v| {
+            let near = |centre: f64, x: usize| (x as f64 - centre).powi(2);
+            (0..13).any(|k| {
+                let along = near(25.0 + 20.0 * f64::from(k), u);
+                [30.0, 90.0].iter().any(|row| along + near(*row, v) < 36.0)
+            })
+        })
+    }
+
+    fn with(text: &str) -> LocateOptions {
+        LocateOptions::default().with(&text.parse().unwrap()).unwrap()
+    }
+
+    #[test]
+    fn every_method_finds_the_plants() {
+        let plants = |options: &LocateOptions| match find(&mask(), Some(0.01), options).unwrap() {
+            Found::Stand(stand) => stand.plants.iter().map(|plant| plant.position_px).collect(),
+            Found::Tiles(plants) => plants.iter().map(|plant| plant.position_px).collect(),
+            Found::Descent(found) => {
+                found.located.plants.iter().map(|plant| plant.position_px).collect::<Vec<_>>()
+            }
+        };
+        for method in ["row-model", "refined", "tempered", "descent"] {
+            let found = plants(&with(&format!("method = \"{method}\"\nplants = 26")));
+            assert_eq!(found.len(), 26, "{method}");
+            for k in 0..13 {
+                let at = [25.0 + 20.0 * f64::from(k), 30.0];
+                let off = |p: &[f64; 2]| (p[0] - at[0]).hypot(p[1] - at[1]);
+                let nearest = found.iter().map(off).fold(f64::INFINITY, f64::min);
+                assert!(nearest < 3.0, "{method}: {nearest} px from {at:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn options_that_do_not_go_together_are_refused() {
+        for (text, expected) in [
+            ("prior = \"rows\"", "prior: an option of the descent"),
+            ("starts = 2", "starts: an option of the descent"),
+            ("tile_px = 64\nplants = 3", "tile_px: goes with"),
+            ("tile_px = 64\nmethod = \"paper\"", "tile_px: goes with"),
+        ] {
+            let error = find(&mask(), None, &with(text)).map(drop).unwrap_err();
+            assert!(error.to_string().contains(expected), "{text}: {error}");
+        }
+        let wrong = RowModelOptions { shrinkage: f64::NAN, ..RowModelOptions::default() };
+        let options = LocateOptions { row_model: wrong, ..LocateOptions::default() };
+        let error = find(&mask(), None, &options).map(drop).unwrap_err();
+        assert!(error.to_string().contains("shrinkage"), "{error}");
+    }
+}

@@ -1,0 +1,403 @@
+//! What the rows of a mask show, and the plants that are best for it: the working parts of
+//! [`super::row_model`].
+//!
+//! All lengths in pixels of the reduced grid of [`Evidence`].
+
+use super::{
+    double_plants::{LeafSurroundings, PlantBaseline, PlantScores},
+    dynamic_programming::{Chain, Profile, STEP, Weights},
+    evidence::{self, Evidence},
+    isolated_plants,
+    locate::LocateError,
+    plant_spacing::Spacing,
+    row_curves::{self, RowCurve},
+    row_model::RowModelOptions,
+    row_parts::{self, Part},
+    row_profile::{Across, BAND, read},
+    rows::{Row, Rows},
+    stand_count::{Overall, stand_count},
+};
+use crate::problems::plants::lines::Axes;
+use rayon::prelude::*;
+use rowgram_raster::Mask;
+
+/// A spacing this many times finer than another may be that of the leaves of a plant.
+const LEAVES: f64 = 1.9;
+/// Spacing of isolated plants as shares of the distance of their patches of leaf, some of which are two plants.
+const PATCHES: [f64; 2] = [0.7, 1.3];
+/// Distance of neighbouring plants in the grid, where it is the plants that decide what the grid is.
+const TARGET_SPACING_PX: f64 = 13.0;
+/// Length of the rows on which the spacing is estimated, about.
+const SAMPLE: f64 = 6000.0;
+/// Length of the rows on which plants are counted where it is not given how many there are, about.
+const COUNTED: f64 = 24_000.0;
+/// Rounds in which the spacing is estimated.
+const ROUNDS: usize = 4;
+/// The spacings that are tried where nobody says how many plants there are, from the finest on.
+const SPACINGS: i32 = 33;
+/// The finest of them.
+const FINEST: f64 = 4.5;
+/// Ratio of one to the next.
+const FINER: f64 = 1.075;
+
+/// How many plants some of the rows are expected to have.
+pub(super) struct Expected {
+    /// These rows.
+    pub(super) rows: Vec<usize>,
+    /// Their plants.
+    pub(super) count: f64,
+    /// The variance of that.
+    pub(super) variance: f64,
+    /// Their share of the length of all rows.
+    pub(super) share: f64,
+}
+
+/// Votes hardly held to the row: standard deviation of the weight across it.
+const WIDE: f64 = 6.0;
+/// Offset (RMS) of such votes for plants in line: at least, and how much more per unit of spacing below a third number,
+/// where neighbours take part in them. Chosen by F1 on synthetic masks of five scenarios (`experiments/reference/canopy.md`).
+const IN_LINE: [f64; 3] = [1.2, 0.2, 13.0];
+/// Scatter of plants across their rows for one of an offset beyond that.
+const SCATTER_OF_EXCESS: f64 = 5.0;
+
+/// Everything that the chains are made of.
+pub(super) struct RowEvidence {
+    pub(super) evidence: Evidence,
+    axes: Axes,
+    /// The rows, or the parts of rows that have plants.
+    pub(super) parts: Vec<Part>,
+    pub(super) profiles: Vec<Profile>,
+    mean: f64,
+    mass: f64,
+    length: f64,
+    /// Distance of isolated plants, in pixels of the reduced grid.
+    isolated_spacing: Option<f64>,
+    pub(super) options: RowModelOptions,
+}
+
+impl RowEvidence {
+    pub(super) fn new(mask: &Mask, rows: &Rows, options: &RowModelOptions) -> RowEvidence {
+        // Isolated plants are as far from each other, in pixels of the grid, as in a closed canopy.
+        let isolated_px = isolated_plants::spacing_px(mask, rows);
+        let coarse = isolated_px.map_or(1.0, |spacing| spacing / TARGET_SPACING_PX);
+        let factor = evidence::factor(mask).max(coarse.round() as usize);
+        let evidence = if options.leaf_axes {
+            Evidence::new(mask, rows.axes.heading_rad, options.axis_source, factor)
+        } else {
+            Evidence::of_mass(mask, factor)
+        };
+        let factor = evidence.factor as f64;
+        let axes = Axes { origin_px: evidence.reduced(rows.axes.origin_px), ..rows.axes };
+        let shrink = |row: &Row| Row {
+            across_px: row.across_px / factor,
+            start_px: row.start_px / factor,
+            end_px: row.end_px / factor,
+            pixels: row.pixels,
+        };
+        let reduced: Vec<Row> = rows.rows.iter().map(shrink).collect();
+        let spacing = rows.spacing_px.map(|spacing| spacing / factor);
+        let curves = if options.curved_rows {
+            row_curves::trace(&evidence, &axes, &reduced, spacing)
+        } else {
+            reduced.iter().map(RowCurve::straight).collect()
+        };
+        let whole = curves.into_iter().enumerate();
+        let parts: Vec<Part> =
+            whole.map(|(row, curve)| Part { row, curve, before: None }).collect();
+        let length = parts.iter().map(|part| part.curve.length()).sum();
+        let mut scene = RowEvidence {
+            evidence,
+            axes,
+            parts,
+            profiles: Vec::new(),
+            mean: 0.0,
+            mass: 0.0,
+            length,
+            isolated_spacing: isolated_px.map(|spacing| spacing / factor),
+            options: *options,
+        };
+        scene.read();
+        scene
+    }
+
+    /// Whether evidence is votes along the axes of leaves.
+    pub(super) fn has_axes(&self) -> bool {
+        self.evidence.has_axes()
+    }
+
+    /// Reads what every row shows.
+    pub(super) fn read(&mut self) {
+        let RowEvidence { evidence, axes, parts, options, .. } = self;
+        let across = Across::new(axes, options.across_sigma);
+        self.profiles =
+            parts.par_iter().map(|part| read(evidence, axes, &part.curve, &across)).collect();
+        let profiles = &self.profiles;
+        let votes: f64 = profiles.iter().flat_map(|profile| &profile.votes).sum();
+        let places: usize = profiles.iter().map(|profile| profile.votes.len()).sum();
+        self.mass = profiles.iter().filter_map(|profile| profile.mass.last()).map(|m| m[0]).sum();
+        self.mean = votes / places.max(1) as f64;
+    }
+
+    /// Cuts rows where they have no leaf for some spacings, and reads what is left.
+    pub(super) fn cut(&mut self, spacing: &Spacing) {
+        let mass = self.mass_of_plant(spacing);
+        let curves: Vec<RowCurve> = self.parts.iter().map(|part| part.curve.clone()).collect();
+        let parts = row_parts::cut(&self.profiles, &curves, spacing.spacing, mass);
+        if parts.iter().all(|part| part.before.is_none() && curves[part.row] == part.curve) {
+            return;
+        }
+        self.length = parts.iter().map(|part| part.curve.length()).sum();
+        self.parts = parts;
+        self.read();
+    }
+
+    /// Leaf mass of a plant.
+    fn mass_of_plant(&self, spacing: &Spacing) -> f64 {
+        self.mass * spacing.spacing / self.length.max(f64::MIN_POSITIVE)
+    }
+
+    /// Some of the rows, evenly.
+    pub(super) fn sample(&self, length: f64) -> Vec<usize> {
+        let rows = (length * self.parts.len() as f64 / self.length).ceil().max(1.0) as usize;
+        (0..self.parts.len()).step_by(self.parts.len().div_ceil(rows).max(1)).collect()
+    }
+
+    /// How many of `count` plants belong to some of the rows.
+    pub(super) fn share(&self, count: usize, rows: &[usize]) -> usize {
+        let length: f64 = rows.iter().map(|&row| self.parts[row].curve.length()).sum();
+        (count as f64 * length / self.length).round() as usize
+    }
+
+    pub(super) fn chains(
+        &self,
+        spacing: &Spacing,
+        rows: impl IntoIterator<Item = usize>,
+    ) -> Vec<Chain<'_>> {
+        let mass = self.mass_of_plant(spacing);
+        let RowModelOptions { vote_weight: votes, uncovered_weight: cover, .. } = self.options;
+        let weights = Weights { votes, cover, mean: self.mean, mass };
+        rows.into_iter().map(|row| Chain::new(&self.profiles[row], spacing, &weights)).collect()
+    }
+
+    /// The spacing, from several starts on some of the rows.
+    pub(super) fn spacing(&self, count: Option<usize>) -> Spacing {
+        let sample = self.sample(SAMPLE);
+        let wanted = count.map(|count| self.share(count, &sample));
+        let starts = match count {
+            Some(count) => [0.8, 1.0].map(|share| share * self.length / count as f64).to_vec(),
+            None => vec![self.likeliest_spacing(&sample)],
+        };
+        let tried: Vec<(f64, Spacing)> = starts
+            .par_iter()
+            .map(|&start| {
+                let mut spacing = Spacing::new(start);
+                let mut score = f64::NEG_INFINITY;
+                for _ in 0..ROUNDS {
+                    let chains = self.chains(&spacing, sample.iter().copied());
+                    let plant_log_odds = match wanted {
+                        Some(wanted) => bisect(&chains, wanted).unwrap_or(0.0),
+                        None => self.options.plant_log_odds,
+                    };
+                    let found: Vec<_> =
+                        chains.iter().map(|chain| chain.best(plant_log_odds)).collect();
+                    let places: Vec<Vec<usize>> = found.iter().map(|f| f.0.clone()).collect();
+                    let own = plant_log_odds * total(&places) as f64;
+                    score = found.iter().map(|f| f.1).sum::<f64>() - own;
+                    let refit = spacing.refit(&gaps(&places));
+                    spacing = if self.options.estimate_jitter {
+                        refit
+                    } else {
+                        Spacing { spacing: refit.spacing, ..Spacing::new(start) }
+                    };
+                }
+                (score, spacing)
+            })
+            .collect();
+        let first = (f64::NEG_INFINITY, Spacing::new(13.0));
+        tried.into_iter().fold(first, |best, next| if next.0 > best.0 { next } else { best }).1
+    }
+
+    /// How many plants the rows are expected to have, from some of them: the number on those, their
+    /// variance, and the share of all rows' length that they are.
+    pub(super) fn stand_count(&self, spacing: f64) -> Result<Expected, LocateError> {
+        let rows = self.sample(COUNTED);
+        let profiles: Vec<&Profile> = rows.iter().map(|&row| &self.profiles[row]).collect();
+        let places: usize = self.profiles.iter().map(|profile| profile.votes.len()).sum();
+        let heights = || {
+            let votes = self.profiles.iter().flat_map(|profile| &profile.votes);
+            votes.map(|votes| (votes.max(0.0) / self.mean.max(f64::MIN_POSITIVE)).sqrt())
+        };
+        let middle = heights().sum::<f64>() / places.max(1) as f64;
+        let variance = heights().map(|h| (h - middle).powi(2)).sum::<f64>() / places.max(1) as f64;
+        let leaf = self.evidence.leaf_area();
+        let overall = Overall {
+            mean: self.mean,
+            outside: (1.0 - self.mass / leaf.max(f64::MIN_POSITIVE)).max(0.0),
+            mass: self.mass / places.max(1) as f64,
+            contrast: variance.sqrt(),
+            cover: self.mass / (self.length * f64::from(2 * BAND + 1)).max(f64::MIN_POSITIVE),
+        };
+        let counts = stand_count(&profiles, &overall, spacing)?;
+        let length: f64 = rows.iter().map(|&row| self.parts[row].curve.length()).sum();
+        Ok(Expected {
+            count: counts.counts.iter().sum(),
+            variance: counts.variances.iter().sum(),
+            share: length / self.length.max(f64::MIN_POSITIVE),
+            rows,
+        })
+    }
+
+    /// The spacing under which the rows are likeliest, all sets of plants taken together.
+    ///
+    /// Where leaves of a plant can pass for plants there are two such spacings, and a worth of every plant,
+    /// which makes up for what evidence lacks in a closed canopy, favours the finer one by how many more plants
+    /// it has: against a peak that is [`LEAVES`] times as coarse it does not count.
+    pub(super) fn likeliest_spacing(&self, sample: &[usize]) -> f64 {
+        let worth = self.options.spacing_log_odds;
+        let length: f64 = sample.iter().map(|&row| self.parts[row].curve.length()).sum();
+        let mut tried: Vec<(f64, f64)> = (0..SPACINGS)
+            .into_par_iter()
+            .map(|k| {
+                let spacing = FINEST * FINER.powi(k);
+                let chains = self.chains(&Spacing::new(spacing), sample.iter().copied());
+                (chains.iter().map(|chain| chain.log_sum(worth, 1.0)).sum(), spacing)
+            })
+            .collect();
+        if let Some(apart) = self.isolated_spacing {
+            let within = PATCHES[0] * apart..=PATCHES[1] * apart;
+            tried.retain(|(_, spacing)| within.contains(spacing));
+        }
+        let peak = |k: &usize| {
+            let over = |other: Option<&(f64, f64)>| other.is_none_or(|o| o.0 <= tried[*k].0);
+            over(k.checked_sub(1).and_then(|k| tried.get(k))) && over(tried.get(k + 1))
+        };
+        let bare = |k: usize| tried[k].0 - worth * length / tried[k].1;
+        let likeliest = (0..tried.len()).max_by(|&a, &b| tried[a].0.total_cmp(&tried[b].0));
+        let Some(likeliest) = likeliest else { return FINEST };
+        let coarser = |k: &usize| tried[*k].1 > LEAVES * tried[likeliest].1;
+        for k in (0..tried.len()).filter(peak) {
+            let (likelihood, spacing) = tried[k];
+            tracing::debug!(
+                "spacing {spacing:.1} px of the grid: log likelihood {likelihood:.1}, {:.1} without the worth of plants",
+                bare(k)
+            );
+        }
+        let rivals = (0..tried.len()).filter(peak).filter(coarser);
+        tried[rivals.fold(likeliest, |best, k| if bare(k) > bare(best) { k } else { best })].1
+    }
+
+    /// Looks at the leaves around all places, which are compared with those of these plants. Leaves around a place change
+    /// slowly along a row: every other place is looked at, and stands for the one before it too.
+    pub(super) fn compare_surroundings(&mut self, places: &[Vec<usize>]) {
+        let surroundings = LeafSurroundings::new(&self.evidence);
+        let look = |row: usize, at: usize| {
+            let profile = &self.profiles[row];
+            let along = profile.start + at as f64 * STEP;
+            let across = self.parts[row].curve.offset(along) + profile.offsets[at];
+            surroundings.at(self.axes.image([along, across]))
+        };
+        let all: Vec<Vec<_>> = (0..self.profiles.len())
+            .into_par_iter()
+            .map(|row| {
+                let last = self.profiles[row].votes.len() - 1;
+                (0..=last / 2).map(|k| look(row, (2 * k + 1).min(last))).collect()
+            })
+            .collect();
+        let plants: Vec<_> = places
+            .iter()
+            .zip(&all)
+            .flat_map(|(places, row)| places.iter().map(|&at| row[at / 2]))
+            .collect();
+        let usual = PlantBaseline::new(&plants);
+        for (profile, row) in self.profiles.iter_mut().zip(&all) {
+            let judged: Vec<PlantScores> = row.iter().map(|place| usual.judge(place)).collect();
+            profile.surroundings = (0..profile.votes.len()).map(|at| judged[at / 2]).collect();
+        }
+    }
+
+    /// The offset across its row of the best votes at a place.
+    fn offset(&self, row: usize, at: f64, across: &Across) -> f64 {
+        let along = self.profiles[row].start + at * STEP;
+        across.best(&self.evidence, along, self.parts[row].curve.offset(along)).1
+    }
+
+    /// The offsets of the plants of every row, under a normal weight of this scatter.
+    pub(super) fn offsets(&self, places: &[Vec<usize>], scatter: f64) -> Vec<Vec<f64>> {
+        let across = Across::new(&self.axes, scatter);
+        let of_row = |(row, places): (usize, &Vec<usize>)| {
+            places.iter().map(|&at| self.offset(row, at as f64, &across)).collect()
+        };
+        places.iter().enumerate().map(of_row).collect()
+    }
+
+    /// How far plants scatter across their rows, once their places along them are known: more than is usual where the
+    /// best votes, hardly held to the row, are further off it than those of plants in line are at that spacing.
+    pub(super) fn scatter(&self, places: &[Vec<usize>], spacing: f64) -> f64 {
+        let usual = self.options.across_sigma;
+        let (mut sum, mut count) = (0.0, 0.0);
+        for offset in self.offsets(places, WIDE).iter().flatten() {
+            sum += offset * offset;
+            count += 1.0;
+        }
+        let in_line = IN_LINE[0] + IN_LINE[1] * (IN_LINE[2] - spacing).max(0.0);
+        let excess = (sum / f64::max(count, 1.0)).sqrt() - in_line;
+        (usual + SCATTER_OF_EXCESS * excess.max(0.0)).min(usual.max(WIDE))
+    }
+
+    pub(super) fn image(&self, row: usize, at: f64, offset: f64) -> [f64; 2] {
+        let along = self.profiles[row].start + at * STEP;
+        let across = self.parts[row].curve.offset(along) + offset;
+        self.evidence.full(self.axes.image([along, across]))
+    }
+}
+
+pub(super) fn best(chains: &[Chain<'_>], plant_log_odds: f64) -> Vec<Vec<usize>> {
+    chains.par_iter().map(|chain| chain.best(plant_log_odds).0).collect()
+}
+
+pub(super) fn total(places: &[Vec<usize>]) -> usize {
+    places.iter().map(Vec::len).sum()
+}
+
+/// Gaps between the plants of the same row.
+pub(super) fn gaps(places: &[Vec<usize>]) -> Vec<f64> {
+    let pairs = places.iter().flat_map(|row| row.windows(2));
+    pairs.map(|pair| (pair[1] - pair[0]) as f64 * STEP).collect()
+}
+
+/// What a plant has to be worth for there to be `count` of them.
+pub(super) fn worth_of(chains: &[Chain<'_>], count: usize) -> Result<f64, LocateError> {
+    bisect(chains, count).ok_or_else(|| {
+        let most = total(&best(chains, MOST_WORTH));
+        LocateError::RowsTooShort { plants: count, most }
+    })
+}
+
+/// The most that a plant can be worth.
+const MOST_WORTH: f64 = 40.0;
+
+/// The least worth of a plant at which the chains have `count` of them, nearly.
+pub(super) fn bisect(chains: &[Chain<'_>], count: usize) -> Option<f64> {
+    let number = |plant_log_odds: f64| total(&best(chains, plant_log_odds));
+    let (mut low, mut high) = (-MOST_WORTH, MOST_WORTH);
+    // Usually it is near nothing.
+    for near in [-6.0, 6.0] {
+        match number(near) {
+            n if n == count => return Some(near),
+            n if n > count => high = high.min(near),
+            _ => low = low.max(near),
+        }
+    }
+    if high == MOST_WORTH && number(high) < count {
+        return None;
+    }
+    for _ in 0..14 {
+        let middle = 0.5 * (low + high);
+        match number(middle) {
+            n if n == count => return Some(middle),
+            n if n > count => high = middle,
+            _ => low = middle,
+        }
+    }
+    Some(high)
+}

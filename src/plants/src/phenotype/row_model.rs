@@ -1,0 +1,403 @@
+//! Plants in closed canopies, from votes along leaf axes and dynamic programming along curved rows.
+//!
+//! 1. Votes for stalks ([`evidence`]), rows as they run ([`row_curves`]), and the votes along every row
+//!    ([`dynamic_programming::Profile`]): at each place along the row the best votes across it, under a normal
+//!    weight about the row.
+//! 2. The spacing of the plants ([`plant_spacing`]), on some of the rows: where the number of plants is not
+//!    given, the one with the largest marginal likelihood ([`dynamic_programming::Chain::log_sum`]); then alternating
+//!    between the best plants and the gaps between them.
+//!    Rows are then cut where they have no leaf for some spacings (`row_parts`): at alleys, and where many plants are missing.
+//! 3. How many leaves there are around every place ([`double_plants`]), compared with the best plants so far: what the chains and
+//!    the expected counts below know of two plants in one place, and of none.
+//! 4. The best plants of every row ([`dynamic_programming::Chain::best`]). The score `plant_log_odds` of one plant more is found
+//!    by bisection: for their number where it is given, otherwise for the number that is expected of a
+//!    score fitted to count ([`stand_count`]).
+//! 5. Probabilities of all places ([`dynamic_programming::Chain::posterior`]) give each plant its confidence and its
+//!    standard deviations, the field its count with an interval, and every gap the probability that
+//!    plants are missing in it. Stalks may be tilted, and their bases not below their leaves ([`tilt`]).
+//!
+//! All that is for rows along which leaves have closed. Where there is soil between plants, or there are no rows, plants are
+//! counted and located by their leaf mass (`mass_stand`).
+//!
+//! Positions and lengths in pixels of the mask where the name ends in `_px`, else of the reduced grid.
+//!
+//! [`evidence`]: super::evidence
+//! [`dynamic_programming::Profile`]: super::dynamic_programming::Profile
+//! [`dynamic_programming::Chain::log_sum`]: Chain::log_sum
+//! [`dynamic_programming::Chain::best`]: Chain::best
+//! [`dynamic_programming::Chain::posterior`]: Chain::posterior
+//! [`double_plants`]: super::double_plants
+//! [`row_curves`]: super::row_curves
+//! [`plant_spacing`]: super::plant_spacing
+//! [`stand_count`]: super::stand_count
+//! [`tilt`]: super::tilt
+
+use super::{
+    dynamic_programming::{Chain, Posterior, STEP},
+    evidence::AxisSource,
+    locate::LocateError,
+    mass_stand::{self, ByMass, Doubtful},
+    plant_spacing::Spacing,
+    row_evidence::{Expected, RowEvidence, best, bisect, gaps, total, worth_of},
+    row_parts::Part,
+    rows::{Detection, Rows},
+    stand::{Gap, LEAST_MISSING, NORMAL_95, Stalk, Stand},
+    tilt,
+};
+use rayon::prelude::*;
+use rowgram_base::options::Options as _;
+use rowgram_optim::engine::SolveError;
+use rowgram_raster::Mask;
+
+rowgram_base::options! {
+    /// The row model. Lengths without a unit are pixels of the reduced grid, about a third of a leaf's width.
+    pub struct RowModelOptions in "locate" {
+        /// Votes along leaf axes are the evidence; else the leaf mass around a place.
+        pub leaf_axes: bool = true;
+        /// What says where leaf axes are: the structure tensor, or slices across the leaves.
+        pub axis_source: AxisSource = AxisSource::Tensor;
+        /// Rows are followed where they bend.
+        pub curved_rows: bool = true;
+        /// Standard deviation of plants across their row, to begin with.
+        pub across_sigma: f64 = 3.0, limits between(0.000001, 1e6);
+        /// Shrinkage of the offset across the row: the share of the best offset that is applied.
+        pub shrinkage: f64 = 0.7, limits between(0.0, 1.0);
+        /// Weight of the votes: of the square root of their ratio to what is usual.
+        pub vote_weight: f64 = 12.0, limits between(0.0, 1e6);
+        /// Weight of the leaf mass that no plant covers, in terms per plant.
+        pub uncovered_weight: f64 = 1.0, limits between(0.0, 1e6);
+        /// Inverse temperature of the probabilities: scores per unit of log probability.
+        pub inverse_temperature: f64 = 0.5, limits between(0.000001, 1e6);
+        /// Where the number of plants is not given, as many as the stand count expects; else as many as are best at
+        /// plant_log_odds.
+        pub stand_count: bool = true;
+        /// Score of one plant more where the number of plants is not given.
+        pub plant_log_odds: f64 = 1.1, limits between(-1e6, 1e6);
+        /// Score of one plant more while spacings are compared.
+        pub spacing_log_odds: f64 = 0.5, limits between(-1e6, 1e6);
+        /// Plants stand at their mean place under the probabilities; else at the most probable one.
+        pub mean_place: bool = true;
+        /// The relative jitter of the spacing is estimated; else it is that of the prior.
+        pub estimate_jitter: bool = true;
+        /// The leaves around a place say whether one plant stands there, or two, or none.
+        pub double_plants: bool = true;
+        /// Standard deviation, in each direction, of the base of a stalk about the middle of its leaves.
+        pub tilt_sigma: f64 = 1.5, limits between(0.0, 1e6);
+        /// Where there is soil between plants, or there are no rows, plants are counted and located by their leaf mass; else only
+        /// along rows.
+        pub isolated_plants: bool = true;
+    }
+}
+
+impl Copy for RowModelOptions {}
+
+/// Finds plants in a mask whose rows are known; `count` of them, or as many as there seem to be.
+///
+/// # Errors
+/// [`LocateError`]: an empty mask, no rows, no plants asked for, or more than fit into the rows; an option that
+/// means nothing.
+pub fn locate(
+    mask: &Mask,
+    detection: &Detection,
+    count: Option<usize>,
+    options: &RowModelOptions,
+) -> Result<Stand, LocateError> {
+    locate_in_detail(mask, None, detection, count, options)
+}
+
+/// [`locate`] where the probability of vegetation of each pixel is known, too, in 1/255. Closed rows are told apart by gaps between
+/// leaves as narrow as a pixel, which a mask of neighbours that agree has lost; weeds are less green than the crop.
+///
+/// # Errors
+/// As [`locate`].
+pub(super) fn locate_in_detail(
+    mask: &Mask,
+    posterior: Option<Vec<u8>>,
+    detection: &Detection,
+    count: Option<usize>,
+    options: &RowModelOptions,
+) -> Result<Stand, LocateError> {
+    options.validate().map_err(LocateError::Option)?;
+    if mask.data.iter().all(|&pixel| pixel == 0) {
+        return Err(LocateError::EmptyMask);
+    }
+    let expected = mask.data.len();
+    if let Some(found) = posterior.as_ref().map(Vec::len).filter(|&found| found != expected) {
+        let message = format!("a posterior of {found} pixels, expected {expected} as in the mask");
+        return Err(SolveError::Misuse(message).into());
+    }
+    if count == Some(0) {
+        return Err(LocateError::NoPlants);
+    }
+    let pixels = mask.data.iter().filter(|&&pixel| pixel != 0).count();
+    if let Some(plants) = count.filter(|&count| count > pixels) {
+        return Err(LocateError::TooManyPlants { plants, pixels });
+    }
+    let fits = count.is_none_or(|count| count <= pixels / PLANT);
+    let by_mass = if options.isolated_plants && fits {
+        mass_stand::locate(mask, posterior.as_deref(), detection, count)
+    } else {
+        ByMass::Nothing
+    };
+    match by_mass {
+        ByMass::Found(stand) => Ok(*stand),
+        ByMass::Nothing => by_votes(mask, posterior, detection, count, options),
+        ByMass::Doubtful(doubtful) => {
+            let Doubtful { crop, by_mass, .. } = &*doubtful;
+            let stand = match crop {
+                None => by_votes(mask, posterior, detection, count, options)?,
+                Some((crop, detection)) => {
+                    let mut posterior = posterior;
+                    for (p, crop) in posterior.iter_mut().flatten().zip(&crop.data) {
+                        *p *= u8::from(*crop != 0);
+                    }
+                    by_votes(crop, posterior, detection, count, options)?
+                }
+            };
+            let (votes, mass) = (stand.plants.len(), by_mass.plants.len());
+            let is_preferred = doubtful.prefers(votes);
+            tracing::debug!("{mass} plants by leaf mass, {votes} by votes along leaf axes");
+            if !is_preferred {
+                return Ok(doubtful.by_mass);
+            }
+            let between_rows = if crop.is_some() { doubtful.by_mass.between_rows } else { None };
+            Ok(Stand { between_rows, ..stand })
+        }
+    }
+}
+
+/// [`locate_in_detail`] by votes along leaf axes alone.
+fn by_votes(
+    mask: &Mask,
+    posterior: Option<Vec<u8>>,
+    detection: &Detection,
+    count: Option<usize>,
+    options: &RowModelOptions,
+) -> Result<Stand, LocateError> {
+    let rows = match detection {
+        Detection::Found(rows) => rows,
+        &Detection::NoRows { contrast, prominence } => {
+            return Err(LocateError::NoRows { contrast, prominence });
+        }
+    };
+    let mut evidence = match posterior {
+        None => RowEvidence::new(mask, rows, options),
+        Some(mut data) => {
+            let (width, height) = (mask.width, mask.height);
+            data.iter_mut().for_each(|p| *p = u8::from(*p >= LIKELY));
+            RowEvidence::new(&Mask { width, height, data }, rows, options)
+        }
+    };
+    let spacing = evidence.spacing(count);
+    evidence.cut(&spacing);
+    if options.double_plants && evidence.has_axes() {
+        // What is usual of plants, from those that are found without it.
+        let chains = evidence.chains(&spacing, 0..evidence.profiles.len());
+        let plants = best(&chains, options.plant_log_odds);
+        drop(chains);
+        evidence.compare_surroundings(&plants);
+    }
+    let chains = evidence.chains(&spacing, 0..evidence.profiles.len());
+    let expected =
+        if options.stand_count { Some(evidence.stand_count(spacing.spacing)?) } else { None };
+    let plant_log_odds = match (count, &expected) {
+        (Some(count), _) => worth_of(&chains, count)?,
+        (None, Some(expected)) => {
+            let wanted = expected.count.round() as usize;
+            let counted = evidence.chains(&spacing, expected.rows.iter().copied());
+            bisect(&counted, wanted.max(1)).unwrap_or(options.plant_log_odds)
+        }
+        (None, None) => options.plant_log_odds,
+    };
+    let mut places = best(&chains, plant_log_odds);
+    let posteriors = posteriors(&chains, plant_log_odds, options.inverse_temperature);
+    let whole = expected.as_ref().filter(|expected| expected.share > 0.999);
+    let wanted = count.or(whole.map(|expected| (expected.count.round() as usize).max(1)));
+    if let Some(count) = wanted {
+        keep_likeliest(&mut places, &posteriors, count);
+    }
+    let spacing = spacing.refit(&gaps(&places));
+    let mut stand =
+        evidence.present(rows, &places, &chains, &posteriors, &spacing, (plant_log_odds, expected));
+    stand.refit_rows();
+    Ok(stand)
+}
+
+fn posteriors(
+    chains: &[Chain<'_>],
+    plant_log_odds: f64,
+    inverse_temperature: f64,
+) -> Vec<Posterior> {
+    chains.par_iter().map(|chain| chain.posterior(plant_log_odds, inverse_temperature)).collect()
+}
+
+/// Drops the least likely plants beyond `count`.
+fn keep_likeliest(places: &mut [Vec<usize>], posteriors: &[Posterior], count: usize) {
+    let mut ranked: Vec<(f64, usize, usize)> = Vec::new();
+    for (row, places) in places.iter().enumerate() {
+        let marginals = &posteriors[row].marginals;
+        ranked.extend(places.iter().map(|&at| (together(marginals, places, at, 2)[0], row, at)));
+    }
+    ranked.sort_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
+    for &(_, row, at) in &ranked[..ranked.len().saturating_sub(count)] {
+        places[row].retain(|&other| other != at);
+    }
+}
+
+/// What is probable within some steps of a place: a plant at all, its mean offset, its variance.
+fn around(marginals: &[f64], at: usize, steps: usize) -> [f64; 3] {
+    let (from, to) = (at.saturating_sub(steps), (at + steps + 1).min(marginals.len()));
+    let (mut sum, mut first, mut second) = (0.0, 0.0, 0.0);
+    for (k, marginal) in (from..to).zip(&marginals[from..to]) {
+        let away = k as f64 - at as f64;
+        sum += marginal;
+        first += marginal * away;
+        second += marginal * away * away;
+    }
+    let mean = first / sum.max(f64::MIN_POSITIVE);
+    [sum, mean, (second / sum.max(f64::MIN_POSITIVE) - mean * mean).max(0.0)]
+}
+
+/// As [`around`] the middle of all the plants found within some steps of this one, and of each the same share.
+fn together(marginals: &[f64], places: &[usize], at: usize, steps: usize) -> [f64; 3] {
+    let near = places.iter().filter(|other| other.abs_diff(at) <= steps);
+    let (sum, count) = near.fold((0, 0), |(sum, count), other| (sum + other, count + 1));
+    let [plants, mean, variance] = around(marginals, sum / count.max(1), steps);
+    [plants / count.max(1) as f64, mean, variance]
+}
+
+/// Pixels with this probability, in 1/255, are leaf by themselves.
+const LIKELY: u8 = 128;
+/// Leaf pixels of a plant told by its mass, at least.
+const PLANT: usize = 8;
+/// Standard deviation of the relative error of expected counts, on synthetic fields that took no part in
+/// fitting the weights.
+const COUNT_SIGMA: f64 = 0.06;
+
+impl RowEvidence {
+    fn present(
+        &self,
+        rows: &Rows,
+        places: &[Vec<usize>],
+        chains: &[Chain<'_>],
+        posteriors: &[Posterior],
+        spacing: &Spacing,
+        (plant_log_odds, expected): (f64, Option<Expected>),
+    ) -> Stand {
+        let factor = self.evidence.factor as f64;
+        let inverse_temperature = self.options.inverse_temperature;
+        let tilt = self.options.tilt_sigma;
+        let across = self.scatter(places, spacing.spacing);
+        let shrinkage =
+            self.options.shrinkage * tilt::shrinkage(tilt, across / self.options.across_sigma);
+        let offsets = self.offsets(places, across);
+        let radius = ((0.25 * spacing.spacing / STEP) as usize).max(1);
+        let (mut plants, mut missing) = (Vec::new(), Vec::new());
+        // The last plant before this one, and its row.
+        let mut last: Option<(usize, f64)> = None;
+        for (part, places) in places.iter().enumerate() {
+            let Part { row, before, .. } = self.parts[part];
+            let mut is_behind_alley = before.is_some_and(|bare| bare.is_alley);
+            let marginals = &posteriors[part].marginals;
+            let found: Vec<[f64; 3]> =
+                places.iter().map(|&at| together(marginals, places, at, radius)).collect();
+            let whorls: Vec<f64> = places
+                .iter()
+                .zip(&found)
+                .map(|(&at, [_, mean, _])| {
+                    STEP * (at as f64 + if self.options.mean_place { *mean } else { 0.0 })
+                })
+                .collect();
+            let bases = tilt::bases(&whorls, spacing, tilt);
+            for (k, ([confidence, _, variance], [base, tilted])) in
+                found.into_iter().zip(bases).enumerate()
+            {
+                plants.push(Stalk {
+                    position_px: self.image(part, base / STEP, shrinkage * offsets[part][k]),
+                    row,
+                    along_px: (self.profiles[part].start + base) * factor,
+                    confidence: confidence.min(1.0),
+                    // A place stands for a step around it.
+                    sigma_along_px: ((variance + 1.0 / 12.0) * STEP * STEP + tilted).sqrt()
+                        * factor,
+                    sigma_across_px: (1.0 - shrinkage).sqrt() * across * factor,
+                });
+            }
+            let start = self.profiles[part].start;
+            for place in places.iter().map(|&at| start + at as f64 * STEP) {
+                let before = last.filter(|(of, _)| *of == row).map(|(_, before)| before);
+                last = Some((row, place));
+                let Some(before) = before.filter(|_| !is_behind_alley) else {
+                    is_behind_alley = false;
+                    continue;
+                };
+                let (likely, probability) = spacing.missing_plants(place - before);
+                if probability > LEAST_MISSING {
+                    let middle = (0.5 * (before + place) - start) / STEP;
+                    missing.push(Gap {
+                        row,
+                        position_px: self.image(part, middle, 0.0),
+                        length_px: (place - before) * factor,
+                        plants: likely,
+                        probability,
+                    });
+                }
+            }
+        }
+        // The variance of a count is its derivative by the (heated) worth of a plant.
+        let apart = 0.1 / inverse_temperature;
+        let (less, more) = rayon::join(
+            || posterior_counts(chains, plant_log_odds - apart, inverse_temperature),
+            || posterior_counts(chains, plant_log_odds + apart, inverse_temperature),
+        );
+        let variances: Vec<f64> =
+            less.iter().zip(&more).map(|(a, b)| ((b - a) / 0.2).max(0.0)).collect();
+        let found = total(places) as f64;
+        let (middle, variance) = match expected {
+            Some(Expected { count, variance, share, .. }) => {
+                // What a part says of the whole, and what the weights may be off for this field.
+                let systematic = (COUNT_SIGMA * count).powi(2);
+                (count / share, (variance + systematic) / (share * share))
+            }
+            None => (found, variances.iter().sum()),
+        };
+        let half = NORMAL_95 * variance.sqrt();
+        let singles = found.max(2.0) - 1.0;
+        let mut row_counts = vec![0.0; rows.rows.len()];
+        let mut row_variances = row_counts.clone();
+        for ((part, posterior), variance) in self.parts.iter().zip(posteriors).zip(&variances) {
+            row_counts[part.row] += posterior.count;
+            row_variances[part.row] += variance;
+        }
+        // Rows share the plants of the field: scores at a temperature count too many where canopies are closed.
+        let share = middle / row_counts.iter().sum::<f64>().max(f64::MIN_POSITIVE);
+        let relative = variance.sqrt() / middle.max(1.0);
+        for (count, variance) in row_counts.iter_mut().zip(&mut row_variances) {
+            *count *= share;
+            *variance = *variance * share * share + (relative * *count).powi(2);
+        }
+        Stand {
+            plants,
+            rows: rows.clone(),
+            spacing: Spacing { spacing: spacing.spacing * factor, ..*spacing },
+            spacing_sigma_px: spacing.jitter * spacing.spacing * factor / singles.sqrt(),
+            count_interval: [(middle - half).max(0.0), middle + half],
+            row_counts,
+            row_count_sigmas: row_variances.into_iter().map(f64::sqrt).collect(),
+            missing,
+            leaf_mass: None,
+            between_rows: None,
+        }
+    }
+}
+
+fn posterior_counts(
+    chains: &[Chain<'_>],
+    plant_log_odds: f64,
+    inverse_temperature: f64,
+) -> Vec<f64> {
+    chains
+        .par_iter()
+        .map(|chain| chain.posterior(plant_log_odds, inverse_temperature).count)
+        .collect()
+}

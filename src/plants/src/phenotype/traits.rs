@@ -1,0 +1,246 @@
+//! The traits of plots: what each is, how it comes about, and the values of one plot.
+
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Traits of one plot, rounded to six significant digits; `None` where the trait is not known.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct PlotTraits {
+    /// Name of the plot.
+    pub plot: String,
+    /// Area of the plot on the map, square metres.
+    pub area_m2: Option<f64>,
+    /// Plants that were located.
+    pub plants: Option<f64>,
+    /// Plants by area, per hectare.
+    pub plants_per_ha: Option<f64>,
+    /// Plants that gaps in the rows lack.
+    pub missing_plants: Option<f64>,
+    /// Share of the area that leaves cover.
+    pub canopy_cover: Option<f64>,
+    /// Leaf pixels over leaf pixels per leaf.
+    pub leaves_by_area: Option<f64>,
+    /// Lower end of the 95 % interval of `leaves_by_area`.
+    pub leaves_by_area_low: Option<f64>,
+    /// Upper end of the 95 % interval of `leaves_by_area`.
+    pub leaves_by_area_high: Option<f64>,
+    /// Leaves that were told apart.
+    pub leaves_single: Option<f64>,
+    /// Mean length of these leaves, metres.
+    pub leaf_length_m: Option<f64>,
+    /// Mean width of these leaves, metres.
+    pub leaf_width_m: Option<f64>,
+    /// Mean hue of these leaves, degrees.
+    pub leaf_hue_deg: Option<f64>,
+    /// Mean distance of neighbouring plants of a row, metres.
+    pub plant_spacing_m: Option<f64>,
+    /// Standard deviation of that distance over its mean.
+    pub plant_spacing_cv: Option<f64>,
+    /// The greatest of these distances, metres.
+    pub longest_gap_m: Option<f64>,
+    /// Height over the ground that 95 % of the cells do not exceed, metres.
+    pub canopy_height_m: Option<f64>,
+    /// Mean height over the ground, metres.
+    pub canopy_height_mean_m: Option<f64>,
+    /// Height over the ground times area, summed over the cells, cubic metres.
+    pub canopy_volume_m3: Option<f64>,
+    /// Excess green of the leaf pixels.
+    pub exg: Option<f64>,
+    /// Green leaf index of the leaf pixels.
+    pub gli: Option<f64>,
+    /// Normalized green-red difference index of the leaf pixels.
+    pub ngrdi: Option<f64>,
+    /// Visible atmospherically resistant index of the leaf pixels.
+    pub vari: Option<f64>,
+    /// Triangular greenness index of the leaf pixels.
+    pub tgi: Option<f64>,
+    /// a* of the mean colour of the leaf pixels.
+    pub a_star: Option<f64>,
+    /// Standard deviations in the units of the traits, under the names of the traits with `_sd` behind.
+    #[serde(flatten)]
+    pub standard_deviations: BTreeMap<String, f64>,
+}
+
+/// The name of the standard deviation of a trait.
+pub fn deviation_name(of: &str) -> String {
+    format!("{of}_sd")
+}
+
+/// A trait of plots.
+#[derive(Debug, Clone, Copy)]
+pub struct Trait {
+    /// Its name, with its unit.
+    pub name: &'static str,
+    /// Its unit after UCUM; `1` for numbers and shares.
+    pub unit: &'static str,
+    /// What it is.
+    pub meaning: &'static str,
+    /// How it comes about.
+    pub method: &'static str,
+    /// What defines it; empty where the method says it all.
+    pub reference: &'static str,
+    /// How its standard deviation comes about; empty where it has none.
+    pub deviation: &'static str,
+    /// Its value in a plot.
+    pub value: fn(&PlotTraits) -> Option<f64>,
+}
+
+impl Trait {
+    /// Its standard deviation in a plot, in its unit.
+    pub fn standard_deviation(&self, plot: &PlotTraits) -> Option<f64> {
+        plot.standard_deviations.get(&deviation_name(self.name)).copied()
+    }
+
+    /// The name of its standard deviation; `None` where it has none.
+    pub fn deviation_name(&self) -> Option<String> {
+        (!self.deviation.is_empty()).then(|| deviation_name(self.name))
+    }
+}
+
+/// From the scatter between parts of the plot.
+const PARTS_SD: &str = "scatter between 16 parts of the plot (jackknife)";
+/// Of a cover.
+const COVER_SD: &str = "scatter between 16 parts of the plot (jackknife), and the edges of all leaves off by 0.29 pixels";
+/// Of a mean.
+const MEAN_SD: &str = "scatter of the single values over the root of their number";
+
+macro_rules! traits {
+    ($($name:ident, $unit:literal, $meaning:literal, $method:literal, $reference:literal, $deviation:expr;)*) => {
+        /// All traits of plots in their order.
+        pub const TRAITS: &[Trait] = &[
+            $(Trait {
+                name: stringify!($name),
+                unit: $unit,
+                meaning: $meaning,
+                method: $method,
+                reference: $reference,
+                deviation: $deviation,
+                value: |plot| plot.$name,
+            },)*
+        ];
+
+        impl PlotTraits {
+            pub(super) fn rounded(mut self) -> PlotTraits {
+                $(self.$name = self.$name.map(rounded);)*
+                self.standard_deviations.values_mut().for_each(|value| *value = rounded(*value));
+                self
+            }
+        }
+    };
+}
+
+traits! {
+    area_m2, "m2", "area of the plot on the map",
+        "pixels whose centre is in the polygon, times the area of a pixel", "", "";
+    plants, "1", "plants that were located",
+        "plants of the stage locate that stand in the polygon", "", "intervals of the rows, each row's variance shared out by its plants in the plot; without rows from the confidence of the plants";
+    plants_per_ha, "1/ha", "plants by area",
+        "plants over area_m2, times 10,000", "", "that of plants over area_m2, times 10,000";
+    missing_plants, "1", "plants that gaps in the rows lack",
+        "most probable number of missing plants of each gap whose middle is in the polygon", "", "probabilities of the gaps";
+    canopy_cover, "1", "share of the area that leaves cover",
+        "leaf pixels over pixels of the polygon", "", COVER_SD;
+    leaves_by_area, "1", "leaf pixels over leaf pixels per leaf",
+        "stage leaf-count", "Ribera et al. 2016, KDD workshop on data science for food, energy and water", "interval of 95 %, a quarter of its width";
+    leaves_by_area_low, "1", "lower end of the 95 % interval",
+        "stage leaf-count", "", "";
+    leaves_by_area_high, "1", "upper end of the 95 % interval",
+        "stage leaf-count", "", "";
+    leaves_single, "1", "leaves that were told apart",
+        "leaves of the stage leaves whose middle is in the polygon", "", "";
+    leaf_length_m, "m", "mean length of these leaves",
+        "along the axis of the leaf in the plane of the map", "", MEAN_SD;
+    leaf_width_m, "m", "mean width of these leaves",
+        "area over length", "", MEAN_SD;
+    leaf_hue_deg, "deg", "mean hue of these leaves",
+        "mean over leaves of the hue of their pixels", "", MEAN_SD;
+    plant_spacing_m, "m", "mean distance of neighbouring plants of a row",
+        "from each plant to the next of its row within the polygon", "", MEAN_SD;
+    plant_spacing_cv, "1", "standard deviation of that distance over its mean",
+        "of the same distances, from two on", "", "of the coefficient of variation of n normal distances, cv sqrt((1 + 2 cv^2) / 2n)";
+    longest_gap_m, "m", "greatest distance of neighbouring plants of a row",
+        "of the same distances", "", "standard deviations of the two plants along the row";
+    canopy_height_m, "m", "height of the canopy over the ground",
+        "95th percentile of the cells of the raster chm.tif inside the polygon (stage surface)", "",
+        "scatter between 16 parts of the plot (jackknife), and two cells of the surface, by which all plots of a flight may be off";
+    canopy_height_mean_m, "m", "mean height over the ground",
+        "mean of the same cells, soil between plants among them", "", PARTS_SD;
+    canopy_volume_m3, "m3", "volume between surface and ground",
+        "sum of the same cells times the area of a cell", "", PARTS_SD;
+    exg, "1", "excess green of the leaf pixels, 2 g - r - b",
+        "of the mean colour of the leaf pixels in the orthomosaic", "Woebbecke et al. 1995, Trans. ASAE 38, 259-269", PARTS_SD;
+    gli, "1", "green leaf index of the leaf pixels, (2 G - R - B) / (2 G + R + B)",
+        "of the mean colour of the leaf pixels in the orthomosaic", "Louhaichi et al. 2001, Geocarto Int. 16, 65-70", PARTS_SD;
+    ngrdi, "1", "normalized green-red difference index of the leaf pixels, (G - R) / (G + R)",
+        "of the mean colour of the leaf pixels in the orthomosaic", "Tucker 1979, Remote Sens. Environ. 8, 127-150", PARTS_SD;
+    vari, "1", "visible atmospherically resistant index of the leaf pixels, (G - R) / (G + R - B)",
+        "of the mean colour of the leaf pixels in the orthomosaic", "Gitelson et al. 2002, Remote Sens. Environ. 80, 76-87", PARTS_SD;
+    tgi, "1", "triangular greenness index of the leaf pixels, (G - 0.39 R - 0.61 B) / 255",
+        "of the mean colour of the leaf pixels in the orthomosaic", "Hunt et al. 2011, Agron. J. 103, 1090-1099", PARTS_SD;
+    a_star, "1", "a* (CIELAB, D65) of the leaf pixels; green is negative",
+        "of the mean colour of the leaf pixels in the orthomosaic", "CIE 15; IEC 61966-2-1", PARTS_SD;
+}
+
+/// The traits as a page: a table of name, unit, meaning, method and reference.
+///
+/// `docs/traits.md` is this text, and a test compares the two.
+pub fn dictionary_page() -> String {
+    let mut page = String::from(
+        "# Traits of plots\n\n\
+         Every column of `traits.csv`, of the layer `plots` in `traits.gpkg` and of `traits.geojson`. The same table is written beside them as\n\
+         `trait_dictionary.csv`. Units are after UCUM; 1 stands for numbers and shares. A trait without a value was not measured: a map without\n\
+         scale has no areas, a mask without picture no colours. Colour indices are not corrected for the light of the day.\n\n\
+         The standard deviation of a trait is in the column with `_sd` behind its name, in the same unit. It says how far another map of the same\n\
+         plot, or another part of the same stand, may differ; what is common to the whole plot is in it only\n\
+         where the table names it.\n\n\
+         | trait | unit | what it is | how | standard deviation | reference |\n|---|---|---|---|---|---|\n",
+    );
+    for of in TRAITS {
+        page += &format!(
+            "| `{}` | {} | {} | {} | {} | {} |\n",
+            of.name, of.unit, of.meaning, of.method, of.deviation, of.reference
+        );
+    }
+    page
+}
+
+/// Six significant digits.
+pub(super) fn rounded(value: f64) -> f64 {
+    if value == 0.0 || !value.is_finite() {
+        return value;
+    }
+    let unit = 10f64.powi(5 - value.abs().log10().floor() as i32);
+    (value * unit).round() / unit
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_dictionary_page_is_what_is_measured() {
+        let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/traits.md");
+        let page = std::fs::read_to_string(path).unwrap();
+        assert_eq!(page, dictionary_page(), "cargo run -p experiments -- pages");
+        assert!(TRAITS.iter().all(|of| !of.method.is_empty()));
+    }
+
+    #[test]
+    fn standard_deviations_stand_beside_the_traits() {
+        let sd = [(deviation_name("plants"), 2.345_678_9)];
+        let plot = PlotTraits {
+            plot: "A".to_owned(),
+            plants: Some(30.0),
+            standard_deviations: sd.into_iter().collect(),
+            ..PlotTraits::default()
+        }
+        .rounded();
+        let json = serde_json::to_string(&plot).unwrap();
+        assert!(json.contains("\"plants_sd\":2.34568"), "{json}");
+        assert_eq!(serde_json::from_str::<PlotTraits>(&json).unwrap(), plot);
+        let of = TRAITS.iter().find(|of| of.name == "plants").unwrap();
+        assert_eq!(of.standard_deviation(&plot), Some(2.345_68));
+        let area = TRAITS.iter().find(|of| of.name == "area_m2").unwrap();
+        assert_eq!((area.deviation_name(), area.standard_deviation(&plot)), (None, None));
+    }
+}

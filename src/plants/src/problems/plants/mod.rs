@@ -1,0 +1,427 @@
+//! The locator: plants from leaf pixels, by coordinate descent.
+//!
+//! Leaf pixels `Z_n` and plants `X_p` are image positions in pixels, centre of the top-left pixel
+//! at (0, 0); `d_n = min_p |Z_n - X_p|` (where the paper prints an argmin). The objective in its
+//! joint form, with `m` the dimension of the density (1 as in the paper, 2 for the planar rule) and
+//! the prior of [`lines`]:
+//!
+//! `J(X, lines, sigma, R) = m N ln sigma + (1/sigma) sum_n d_n
+//!   + sum_p [1/2 |X_p - mu_p(lines)|^2_{R^-1} + 1/2 ln det R] + sum_lines slope^2 / (2 tau^2)`
+//!
+//! and for the `mean` update `d_n^2 / (2 sigma^2)` in place of `d_n / sigma`: the paper's closed
+//! form minimises squares, not the stated distances.
+//!
+//! One update takes the pixels that the plant wins, moves it to the exact optimum for them
+//! ([`rowgram_optim::convex`] certifies it) and lets every pixel choose again. The cost for held pixels lies
+//! above the true, non-convex objective and touches it where the plant was, so `J` never increases
+//! (majorise-minimise). A long step goes beyond that optimum, as far as the cost for the held pixels
+//! stays below that of not moving: the pixels to come lie ahead. The last steps are exact, as are all
+//! of the conditional form. Only pixels near the plant are read ([`assignment`]). After each sweep
+//! memberships, lines, variances and `sigma` are refitted, each by its exact minimiser.
+//!
+//! Two remedies for closed canopies, off by default because the paper has neither: *tempering*
+//! multiplies the data terms (those with `sigma`) by `T = min(1, v P / N)`, because the pixels of one
+//! leaf are not independent; *truncation* replaces `d_n` by `min(d_n, t)`. Both keep the objective and
+//! its decrease: a pixel beyond `t` holds its plant with no force, and its cost cannot rise.
+//!
+//! In the paper's conditional form the prior of a plant is taken from the other plants and there is
+//! no joint objective; the cost is then only a number for the trace.
+//!
+//! Reference: Ribera et al. 2016, section "Plant Location Model".
+
+pub mod assignment;
+mod buckets;
+pub mod index;
+mod inner;
+pub mod lines;
+pub mod moves;
+mod options;
+mod proof;
+mod quadratic;
+pub mod start;
+
+pub use inner::{mean as inner_mean, median as inner_median};
+pub use options::{Form, Model, PlantUpdate, Prior, SigmaRule};
+pub use proof::Proof;
+pub use quadratic::Quadratic;
+
+use assignment::Assignment;
+use index::PixelIndex;
+use lines::{Axes, Family};
+use rowgram_optim::{
+    descent::{ActiveSet, BlockCost},
+    engine::SolveError,
+};
+use serde::{Deserialize, Serialize};
+
+/// `sigma` is never less than this, in pixels: every pixel its own plant would make it zero.
+const SIGMA_FLOOR_PX: f64 = 0.1;
+/// Steps longer than this many pixels go beyond the optimum, which saves half of the sweeps.
+const RELAXED_PX: f64 = 0.1;
+/// Positions beyond this many pixels are refused: no picture is as large.
+const FARTHEST_PX: f64 = 1e9;
+
+/// The pixels of one mask and the model that explains them.
+#[derive(Debug, Clone)]
+pub struct Plants {
+    index: PixelIndex,
+    model: Model,
+    axes: Axes,
+    plants: usize,
+}
+
+/// Everything the descent moves. What follows from the positions is not serialised.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct Field {
+    /// The plants, image positions in pixels.
+    pub positions_px: Vec<[f64; 2]>,
+    /// Scale of the distances, in pixels.
+    pub sigma_px: f64,
+    /// The rows.
+    pub rows: Family,
+    /// The columns.
+    pub columns: Family,
+    /// Gradient of the prior over the weight of the data at the last visit of each plant: with the
+    /// same pixels its optimum moves only as this changes.
+    balance: Vec<[f64; 2]>,
+    #[serde(skip)]
+    work: Work,
+}
+
+/// Rebuilt from the positions, never stored.
+#[derive(Debug, Clone, Default)]
+struct Work {
+    assignment: Assignment,
+    u: Vec<f64>,
+    v: Vec<f64>,
+}
+
+impl Plants {
+    /// A problem over these pixels with a number of plants.
+    ///
+    /// # Errors
+    /// [`SolveError::Misuse`] without pixels, without plants, with more plants than pixels, or with
+    /// numbers in the model that are not positive.
+    pub fn new(
+        index: PixelIndex,
+        plants: usize,
+        model: Model,
+        axes: Axes,
+    ) -> Result<Plants, SolveError> {
+        let misuse = |message: String| Err(SolveError::Misuse(message));
+        if index.is_empty() {
+            return misuse("there is no leaf pixel".to_owned());
+        }
+        if plants == 0 || plants > index.len() {
+            return misuse(format!("{plants} plants cannot explain {} leaf pixels", index.len()));
+        }
+        let fixed = if let SigmaRule::Fixed(px) = model.sigma { px } else { 1.0 };
+        let (votes, truncate) = (model.tempering.unwrap_or(1.0), model.truncate_px.unwrap_or(1.0));
+        let positive = [model.floor_px, model.settle_px, fixed, votes, truncate];
+        if positive.iter().any(|x| !(x.is_finite() && *x > 0.0)) {
+            return misuse(
+                "floor, settling distance, sigma, tempering and truncation have to be positive"
+                    .to_owned(),
+            );
+        }
+        if !(1.0..2.0).contains(&model.relaxation) {
+            return misuse("the relaxation has to be at least 1 and less than 2".to_owned());
+        }
+        if ![axes.origin_px[0], axes.origin_px[1], axes.heading_rad].iter().all(|x| x.is_finite()) {
+            return misuse("the axes are not finite".to_owned());
+        }
+        Ok(Plants { index, model, axes, plants })
+    }
+
+    /// The pixels.
+    pub fn index(&self) -> &PixelIndex {
+        &self.index
+    }
+
+    /// The row-aligned axes.
+    pub fn axes(&self) -> &Axes {
+        &self.axes
+    }
+
+    /// The model.
+    pub fn model(&self) -> &Model {
+        &self.model
+    }
+
+    /// A field to start from: positions, and offsets across of the rows and along of the columns
+    /// (those that the prior does not ask for are ignored).
+    ///
+    /// # Errors
+    /// [`SolveError::Misuse`] where the prior asks for lines and none are given, or as
+    /// [`BlockCost::prepare`].
+    pub fn field(
+        &self,
+        positions_px: Vec<[f64; 2]>,
+        rows_px: &[f64],
+        columns_px: &[f64],
+    ) -> Result<Field, SolveError> {
+        let (rows_px, columns_px) = match self.model.prior {
+            Prior::None => (&[][..], &[][..]),
+            Prior::Rows => (rows_px, &[][..]),
+            Prior::Grid => (rows_px, columns_px),
+        };
+        if (self.model.prior != Prior::None && rows_px.is_empty())
+            || (self.model.prior == Prior::Grid && columns_px.is_empty())
+        {
+            return Err(SolveError::Misuse("the prior needs rows, and there are none".to_owned()));
+        }
+        self.check(&positions_px)?;
+        let floor_px2 = self.model.floor_px * self.model.floor_px;
+        let family = |offsets: &[f64], exchanged| {
+            // A wide start: the descent narrows it.
+            let gaps =
+                offsets.windows(2).map(|w| (w[1] - w[0]).abs()).fold(f64::INFINITY, f64::min);
+            let start_px = if gaps.is_finite() { gaps / 10.0 } else { 10.0 * self.model.floor_px };
+            let variance_px2 = (start_px * start_px).max(floor_px2);
+            Family::new(offsets, exchanged, variance_px2, floor_px2, &positions_px, &self.axes)
+        };
+        let (rows, columns) = (family(rows_px, false), family(columns_px, true));
+        let balance = vec![[0.0; 2]; positions_px.len()];
+        let work = Work::default();
+        let mut x = Field { positions_px, sigma_px: 1.0, rows, columns, balance, work };
+        self.prepare(&mut x)?;
+        self.refit_sigma(&mut x);
+        Ok(x)
+    }
+
+    fn check(&self, positions_px: &[[f64; 2]]) -> Result<(), SolveError> {
+        if positions_px.len() != self.plants {
+            return Err(SolveError::Misuse(format!(
+                "{} positions for {} plants",
+                positions_px.len(),
+                self.plants
+            )));
+        }
+        match positions_px.iter().position(|at| !at.iter().all(|x| x.abs() <= FARTHEST_PX)) {
+            Some(p) => Err(SolveError::InfeasibleStart(format!("the position of plant {p}"))),
+            None => Ok(()),
+        }
+    }
+
+    /// What one unit of distance (or half a squared one) costs.
+    fn weight(&self, x: &Field) -> f64 {
+        self.temperature()
+            * match self.model.update {
+                PlantUpdate::Median => 1.0 / x.sigma_px,
+                PlantUpdate::Mean => 1.0 / (x.sigma_px * x.sigma_px),
+            }
+    }
+
+    /// `T`: how much of a pixel counts.
+    fn temperature(&self) -> f64 {
+        let share = |votes: f64| votes * self.plants as f64 / self.index.len() as f64;
+        self.model.tempering.map_or(1.0, |votes| share(votes).min(1.0))
+    }
+
+    fn assign(&self, positions_px: &[[f64; 2]]) -> Assignment {
+        Assignment::new(&self.index, positions_px).truncated(self.model.truncate_px)
+    }
+
+    fn joint(&self) -> bool {
+        self.model.form == Form::Joint
+    }
+
+    /// The prior of a plant as a function of its offset from where it is.
+    pub fn prior_of(&self, x: &Field, plant: usize) -> Quadratic {
+        let mut quadratic = Quadratic::default();
+        for family in [&x.rows, &x.columns] {
+            let at = x.positions_px[plant];
+            family.add_to(&mut quadratic, plant, at, &self.axes, self.joint());
+        }
+        quadratic
+    }
+
+    /// Moves a plant to the optimum for the pixels in `x.work`, and returns its offset.
+    fn solve(&self, x: &mut Field, plant: usize) -> [f64; 2] {
+        let (prior, weight) = (self.prior_of(x, plant), self.weight(x));
+        let inner = match self.model.update {
+            PlantUpdate::Median => inner_median,
+            PlantUpdate::Mean => inner_mean,
+        };
+        let mut offset = inner(&x.work.u, &x.work.v, weight, &prior);
+        if self.monotone() && offset[0].hypot(offset[1]) > RELAXED_PX {
+            let Work { u, v, .. } = &x.work;
+            let beyond = offset.map(|step| step * self.model.relaxation);
+            let value = |at| match self.model.update {
+                PlantUpdate::Median => inner::median_cost(u, v, weight, &prior, at),
+                PlantUpdate::Mean => inner::mean_cost(u, v, weight, &prior, at),
+            };
+            if value(beyond) <= value([0.0; 2]) {
+                offset = beyond;
+            }
+        }
+        x.balance[plant] = prior.gradient(offset).map(|g| g / weight);
+        let at = &mut x.positions_px[plant];
+        *at = [at[0] + offset[0], at[1] + offset[1]];
+        offset
+    }
+
+    fn refit_members(&self, x: &mut Field) {
+        for family in [&mut x.rows, &mut x.columns] {
+            family.refit_members(&x.positions_px, &self.axes);
+            family.gather(&x.positions_px, &self.axes);
+        }
+    }
+
+    fn refit_lines(&self, x: &mut Field) {
+        x.rows.refit_lines();
+        x.columns.refit_lines();
+    }
+
+    fn refit_variances(&self, x: &mut Field) {
+        x.rows.refit_variances();
+        x.columns.refit_variances();
+    }
+
+    fn refit_sigma(&self, x: &mut Field) {
+        x.work.assignment.refresh(&self.index, &x.positions_px);
+        let sums = x.work.assignment.sums(&self.index, &x.positions_px);
+        let (count, dimension) = (self.index.len() as f64, self.model.sigma.dimension());
+        let estimate = match self.model.update {
+            PlantUpdate::Median => sums.distance / (dimension * count),
+            PlantUpdate::Mean => (sums.square / (dimension * count)).sqrt(),
+        };
+        x.sigma_px = match self.model.sigma {
+            SigmaRule::Fixed(px) => px,
+            SigmaRule::Paper | SigmaRule::Planar => estimate.max(SIGMA_FLOOR_PX),
+        };
+    }
+
+    /// Marks the plants whose optimum the refits have moved noticeably, although they kept their
+    /// pixels. With `r` the gradient left over, it moves by about `H^-1 r` at most, for the pixels
+    /// only stiffen the prior's `H`.
+    fn mark_unsettled(&self, x: &Field, active: &mut ActiveSet) {
+        if self.model.prior == Prior::None {
+            return;
+        }
+        let weight = self.weight(x);
+        for (plant, balance) in x.balance.iter().enumerate() {
+            let prior = self.prior_of(x, plant);
+            let gradient = prior.gradient([0.0; 2]);
+            let pull = [0, 1].map(|k| weight * balance[k] - gradient[k]);
+            let shift = Quadratic { pull, ..prior }.minimiser();
+            if shift[0].hypot(shift[1]) > self.model.settle_px {
+                active.mark(plant);
+            }
+        }
+    }
+
+    /// How many plants have no pixel.
+    pub fn empty_clusters(&self, x: &Field) -> usize {
+        let mut empty = vec![true; self.plants];
+        for pair in x.work.assignment.pairs() {
+            empty[pair.near as usize] = false;
+        }
+        empty.iter().filter(|&&empty| empty).count()
+    }
+
+    /// Mean distance from a pixel to its plant, in pixels.
+    pub fn mean_distance_px(&self, x: &Field) -> f64 {
+        x.work.assignment.sums(&self.index, &x.positions_px).distance / self.index.len() as f64
+    }
+
+    /// Nearest and second nearest plant of every pixel, in the order of [`PixelIndex`].
+    pub fn pairs<'x>(&self, x: &'x Field) -> &'x [assignment::NearestPlants] {
+        x.work.assignment.pairs()
+    }
+
+    /// Puts the offsets of the plant's pixels into the working memory.
+    fn gather(&self, x: &mut Field, plant: usize) {
+        let (at, index) = (x.positions_px[plant], &self.index);
+        let Work { assignment, u, v } = &mut x.work;
+        u.clear();
+        v.clear();
+        let farthest = self.model.truncate_px.unwrap_or(f64::INFINITY);
+        assignment.won_by(index, plant as u32, at, |pixel| {
+            let position = index.position(pixel);
+            let (du, dv) = (position[0] - at[0], position[1] - at[1]);
+            if du * du + dv * dv <= farthest * farthest {
+                u.push(du);
+                v.push(dv);
+            }
+        });
+    }
+}
+
+impl BlockCost for Plants {
+    type Iterate = Field;
+
+    fn len(&self) -> usize {
+        self.plants
+    }
+
+    fn prepare(&self, x: &mut Field) -> Result<(), SolveError> {
+        self.check(&x.positions_px)?;
+        let sound = |family: &Family, wanted: bool| {
+            family.lines.is_empty() != wanted && family.is_sound(self.plants)
+        };
+        let prior = self.model.prior;
+        let belongs = x.sigma_px.is_finite()
+            && x.sigma_px > 0.0
+            && x.balance.len() == self.plants
+            && sound(&x.rows, prior != Prior::None)
+            && sound(&x.columns, prior == Prior::Grid);
+        if !belongs {
+            return Err(SolveError::Misuse("the field does not belong to this problem".to_owned()));
+        }
+        x.work.assignment = self.assign(&x.positions_px);
+        Ok(())
+    }
+
+    fn cost(&self, x: &Field) -> f64 {
+        let sums = x.work.assignment.sums(&self.index, &x.positions_px);
+        let (count, dimension) = (self.index.len() as f64, self.model.sigma.dimension());
+        let data = self.weight(x)
+            * match self.model.update {
+                PlantUpdate::Median => sums.distance,
+                PlantUpdate::Mean => sums.square / 2.0,
+            };
+        let prior = [&x.rows, &x.columns]
+            .map(|family| family.cost(&x.positions_px, &self.axes, self.joint()));
+        self.temperature() * dimension * count * x.sigma_px.ln() + data + prior[0] + prior[1]
+    }
+
+    fn monotone(&self) -> bool {
+        self.joint() || self.model.prior == Prior::None
+    }
+
+    fn update(&self, x: &mut Field, plant: usize, active: &mut ActiveSet) -> f64 {
+        self.gather(x, plant);
+        let old = x.positions_px[plant];
+        let offset = self.solve(x, plant);
+        let step_norm = offset[0].hypot(offset[1]);
+        if step_norm > RELAXED_PX {
+            active.mark(plant);
+        }
+        if x.positions_px[plant] == old {
+            return 0.0;
+        }
+        let Field { positions_px, work, .. } = x;
+        work.assignment.follow(&self.index, positions_px, plant as u32, old, |p| {
+            active.mark(p as usize);
+        });
+        step_norm
+    }
+
+    fn end_sweep(&self, x: &mut Field, active: &mut ActiveSet) {
+        self.refit_members(x);
+        self.refit_lines(x);
+        self.refit_variances(x);
+        self.refit_sigma(x);
+        self.mark_unsettled(x, active);
+    }
+
+    fn metrics(&self, x: &Field) -> Vec<(&'static str, f64)> {
+        let across: Vec<f64> = x.rows.lines.iter().map(|line| line.variance_px2).collect();
+        let mean = across.iter().sum::<f64>() / across.len().max(1) as f64;
+        vec![("sigma_px", x.sigma_px), ("across_px", mean.sqrt())]
+    }
+}
+
+#[cfg(test)]
+mod tests;

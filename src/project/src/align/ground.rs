@@ -1,0 +1,248 @@
+//! What is known of a project on the ground and in the air, in one frame.
+
+use super::{
+    inputs::{Frame, Photo, Sources, stand_ins},
+    place as places,
+};
+use rowgram_base::{
+    error::Error,
+    monitor::{Diagnostic, Monitor},
+};
+use rowgram_files::{control, gcp_list, photo::Geotag};
+use rowgram_raster::crs::{Crs, LocalPlane};
+use rowgram_survey::{
+    scene::{CameraPosition, GroundObservation, GroundPoint, Role},
+    sfm::georeference::Known,
+};
+
+/// Control as it was read.
+struct Ground {
+    crs: Option<String>,
+    geographic: bool,
+    points: Vec<GroundPoint>,
+    marks: Vec<GroundObservation>,
+}
+
+fn control(
+    photos: &[Photo],
+    sources: &Sources<'_>,
+    monitor: &mut dyn Monitor,
+) -> Result<Option<Ground>, Error> {
+    let Some(path) = &sources.control else { return Ok(None) };
+    let images = stand_ins(photos);
+    let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
+    if extension.eq_ignore_ascii_case("csv") {
+        let points = control::ground_points(path, &sources.defaults)?;
+        let Some(marks) = &sources.marks else {
+            let message =
+                "there is no marks.csv that says where the points are in the photos: not used";
+            let subject = path.display().to_string();
+            monitor.diagnostic(&Diagnostic::warning("no-marks", subject, message));
+            return Ok(None);
+        };
+        let (marks, aside) = control::marks(marks, &images, &points, &sources.defaults)?;
+        for excluded in &aside {
+            let diagnostic = Diagnostic::warning("mark-excluded", "marks", excluded.to_string());
+            monitor.diagnostic(&diagnostic);
+        }
+        return Ok(Some(Ground { crs: None, geographic: false, points, marks }));
+    }
+    let names = control::Names::new(&images);
+    let read = if extension.eq_ignore_ascii_case("json") {
+        let size = |name: &str| names.find(name).map(|k| photos[k as usize].size_px);
+        gcp_list::read_opensfm(path, &sources.defaults, size)?
+    } else {
+        gcp_list::read(path, &sources.defaults)?
+    };
+    let mut marks = Vec::new();
+    let mut unmatched = std::collections::BTreeSet::new();
+    for mark in &read.marks {
+        match names.find(&mark.image) {
+            Some(image) => marks.push(GroundObservation {
+                image,
+                ground: mark.ground as u32,
+                image_px: mark.image_px,
+                sigma_px: sources.defaults.mark_px,
+            }),
+            None => {
+                unmatched.insert(mark.image.clone());
+            }
+        }
+    }
+    if !unmatched.is_empty() {
+        let names: Vec<String> = unmatched.into_iter().collect();
+        let message = format!("marks in images that are not here: {}", names.join(", "));
+        let subject = path.display().to_string();
+        monitor.diagnostic(&Diagnostic::warning("mark-excluded", subject, message));
+    }
+    Ok(Some(Ground { crs: read.crs, geographic: read.geographic, points: read.ground, marks }))
+}
+
+/// A flight is no wider than this; control farther from its photos is in another system.
+const REACH_M: f64 = 20_000.0;
+
+/// Control and camera positions in the frame of the project.
+pub(super) fn read(
+    photos: &[Photo],
+    tags: &[Option<Geotag>],
+    sources: &Sources<'_>,
+    monitor: &mut dyn Monitor,
+) -> Result<(Frame, Known, Vec<bool>), Error> {
+    let control = control(photos, sources, monitor)?;
+    let mut known = Known::default();
+    let tagged: Vec<(usize, Geotag)> =
+        tags.iter().enumerate().filter_map(|(k, tag)| tag.map(|tag| (k, tag))).collect();
+    let bad = |e: rowgram_raster::crs::CrsError| Error::Argument(format!("--crs: {e}"));
+    let mut crs = match sources.crs {
+        Some(words) => Some(Crs::from_words(words).map_err(bad)?),
+        None => match control.as_ref().and_then(|c| c.crs.as_deref().filter(|_| !c.geographic)) {
+            Some(words) => Some(Crs::from_words(words).map_err(|e| {
+                Error::Argument(format!("the control points' reference system: {e}"))
+            })?),
+            None => None,
+        },
+    };
+    let geographic = control.as_ref().is_some_and(|c| c.geographic);
+    if let Some(control) = control {
+        known.ground = control.points;
+        known.marks = control.marks;
+    }
+    for name in sources.check {
+        let point = known.ground.iter_mut().find(|point| point.name == *name);
+        let point = point.ok_or_else(|| {
+            Error::Argument(format!("--check {name}: there is no such ground point"))
+        })?;
+        point.role = Role::Check;
+    }
+    for name in sources.keep {
+        let point = known.ground.iter().find(|point| point.name == *name);
+        let point = point.ok_or_else(|| {
+            Error::Argument(format!("--keep {name}: there is no such ground point"))
+        })?;
+        if point.role != Role::Control {
+            let message = format!("--keep {name}: it is a check point, and no control to keep");
+            return Err(Error::Argument(message));
+        }
+    }
+    known.keep = sources.keep.to_vec();
+    let taken: Vec<Geotag> = tagged.iter().map(|(_, tag)| *tag).collect();
+    places::check_numbers(&known.ground)?;
+    if let Some(crs) = &crs {
+        places::check_crs(crs, &taken)?;
+        if !geographic && sources.use_positions {
+            places::check_control(crs, &known.ground, &taken)?;
+        }
+    }
+    // Control that lies where the photos were taken in the UTM zone of those is in that zone.
+    if let (None, Some((_, tag)), false, false) =
+        (&crs, tagged.first(), known.ground.is_empty(), geographic)
+        && let Ok(zone) = Crs::utm_of(tag.latitude_deg, tag.longitude_deg)
+        && let Ok([east, north]) = zone.from_wgs84(tag.latitude_deg, tag.longitude_deg)
+    {
+        let near =
+            |p: &GroundPoint| (p.position_m[0] - east).hypot(p.position_m[1] - north) < REACH_M;
+        if known.ground.iter().filter(|p| near(p)).count() * 2 > known.ground.len() {
+            let message = format!(
+                "none was given; using {}, in which the control points lie among the photos",
+                zone.name()
+            );
+            let diagnostic = Diagnostic::info("crs-assumed", "coordinate system", message);
+            monitor.diagnostic(&diagnostic.with_remedy("change it with [project] crs"));
+            crs = Some(zone);
+        }
+    }
+    let frame = match (crs, tagged.first()) {
+        (Some(crs), _) => Frame::Map(Box::new(crs)),
+        (None, Some(_)) if known.ground.is_empty() || geographic => {
+            let n = tagged.len() as f64;
+            let mean =
+                |of: &dyn Fn(&Geotag) -> f64| tagged.iter().map(|(_, t)| of(t)).sum::<f64>() / n;
+            let (lat, lon) = (mean(&|t| t.latitude_deg), mean(&|t| t.longitude_deg));
+            match Crs::utm_of(lat, lon) {
+                // Poleward of it there is no zone.
+                Ok(zone) if lat.abs() < 84.0 => {
+                    let message =
+                        format!("none was given; using {}, the zone of the photos", zone.name());
+                    let diagnostic = Diagnostic::info("crs-assumed", "coordinate system", message);
+                    monitor.diagnostic(&diagnostic.with_remedy("change it with [project] crs"));
+                    Frame::Map(Box::new(zone))
+                }
+                _ => Frame::Local(LocalPlane::at([lat, lon, 0.0])),
+            }
+        }
+        (None, _) if !known.ground.is_empty() && !geographic => {
+            if !tagged.is_empty() {
+                if sources.use_positions {
+                    places::check_unnamed(&known.ground, &taken)?;
+                }
+                let message = "that of the control points is not known: camera positions only tell which photos are neighbours";
+                let diagnostic = Diagnostic::warning("crs-unknown", "coordinate system", message);
+                let remedy = "name it with [project] crs = \"EPSG:<code>\" to use them";
+                monitor.diagnostic(&diagnostic.with_remedy(remedy));
+            }
+            Frame::Unnamed
+        }
+        (None, Some(_)) | (None, None) => Frame::Free,
+    };
+    if geographic {
+        for point in &mut known.ground {
+            let [lat, lon, height] = point.position_m;
+            point.position_m = place(&frame, lat, lon, height).map_err(bad)?;
+        }
+    }
+    if let Frame::Map(crs) = &frame
+        && !crs.knows_datum()
+    {
+        let message = "its definition does not tell how its datum differs from WGS84: positions of receivers may be off by up to some hundred metres, all alike; ground control corrects that";
+        monitor.diagnostic(&Diagnostic::warning("datum-unknown", crs.name(), message));
+    }
+    let mut has_sigma = vec![false; photos.len()];
+    if sources.use_positions && !matches!(frame, Frame::Unnamed | Frame::Free) {
+        for (k, tag) in tagged {
+            let Some(height) = tag.height_m else { continue };
+            let position_m =
+                place(&frame, tag.latitude_deg, tag.longitude_deg, height).map_err(bad)?;
+            let default = sources.defaults.position_m;
+            has_sigma[k] = tag.sigma_m.is_some();
+            known.positions.push(CameraPosition {
+                image: k as u32,
+                position_m,
+                sigma_m: tag.sigma_m.unwrap_or([default, default, default]),
+            });
+        }
+    }
+    Ok((frame, known, has_sigma))
+}
+
+fn place(
+    frame: &Frame,
+    latitude_deg: f64,
+    longitude_deg: f64,
+    height_m: f64,
+) -> Result<[f64; 3], rowgram_raster::crs::CrsError> {
+    match frame {
+        Frame::Map(crs) => {
+            let [east, north] = crs.from_wgs84(latitude_deg, longitude_deg)?;
+            Ok([east, north, height_m])
+        }
+        Frame::Local(plane) => Ok(plane.from_wgs84([latitude_deg, longitude_deg, height_m])),
+        Frame::Unnamed | Frame::Free => Ok([f64::NAN; 3]),
+    }
+}
+
+/// Positions in a plane for choosing neighbours, metres; NaN where there is none.
+pub(super) fn plan_m(tags: &[Option<Geotag>]) -> Vec<[f64; 2]> {
+    let Some(first) = tags.iter().flatten().next() else {
+        return vec![[f64::NAN; 2]; tags.len()];
+    };
+    let plane = LocalPlane::at([first.latitude_deg, first.longitude_deg, 0.0]);
+    tags.iter()
+        .map(|tag| match tag {
+            Some(tag) => {
+                let [east, north, _] = plane.from_wgs84([tag.latitude_deg, tag.longitude_deg, 0.0]);
+                [east, north]
+            }
+            None => [f64::NAN; 2],
+        })
+        .collect()
+}

@@ -1,0 +1,391 @@
+//! Which photos a project has, what their files say, what is known on the ground and in the air.
+
+use super::{AlignOptions, ground, known_photos, place};
+use crate::{
+    Project, Stage,
+    record::{Cache, Key},
+};
+use rowgram_base::{
+    error::Error,
+    monitor::{Diagnostic, Monitor},
+};
+use rowgram_files::{
+    control::{self, Defaults},
+    gcp_list, images,
+    photo::{Geotag, Metadata},
+};
+use rowgram_optim::output::FileError;
+use rowgram_raster::crs::{Crs, LocalPlane};
+use rowgram_survey::{
+    camera::{Camera, Model},
+    scene::{HorizontalFrame, Image, LengthUnit, Pose, ReferenceFrame, VerticalFrame},
+    sfm::{georeference::Known, intrinsics::without_distortion},
+};
+use std::{
+    collections::HashMap,
+    path::{Path, PathBuf},
+};
+
+/// One photo.
+pub(super) struct Photo {
+    pub(super) path: PathBuf,
+    pub(super) name: String,
+    pub(super) metadata: Metadata,
+    pub(super) size_px: [u32; 2],
+    /// Mark of the file's bytes.
+    pub(super) content: Key,
+    /// Index of its camera.
+    pub(super) camera: usize,
+}
+
+/// Where the coordinates of a project live.
+pub(super) enum Frame {
+    /// A reference system that somebody named, or that the control can only be in.
+    Map(Box<Crs>),
+    /// That of the control, which nobody named.
+    Unnamed,
+    /// A plane at a place on the ellipsoid.
+    Local(LocalPlane),
+    /// None: nothing is known on the ground or in the air.
+    Free,
+}
+
+impl Frame {
+    /// As the reconstruction's file has it.
+    pub(super) fn reference(&self, georeferenced: bool, has_control: bool) -> ReferenceFrame {
+        if !georeferenced {
+            return ReferenceFrame::default();
+        }
+        ReferenceFrame {
+            horizontal: match self {
+                Frame::Map(crs) => HorizontalFrame::from(&**crs),
+                Frame::Unnamed => HorizontalFrame::Unnamed,
+                Frame::Local(plane) => HorizontalFrame::from(plane),
+                Frame::Free => HorizontalFrame::Free,
+            },
+            vertical: if has_control {
+                VerticalFrame::ControlPoints
+            } else {
+                VerticalFrame::CameraPositions
+            },
+            unit: LengthUnit::Metre,
+        }
+    }
+}
+
+/// Everything that is known before a photo is looked at.
+pub(super) struct Inputs {
+    pub(super) photos: Vec<Photo>,
+    /// The cameras at their start, and where their principal distance comes from; `None` where it is
+    /// only a guess.
+    pub(super) cameras: Vec<(Camera, Option<String>)>,
+    /// Whether the cameras were calibrated beforehand.
+    pub(super) calibrated: bool,
+    pub(super) frame: Frame,
+    pub(super) known: Known,
+    /// For each photo whether the accuracy of its position was given.
+    pub(super) has_position_sigma: Vec<bool>,
+    /// Horizontal positions for the choice of neighbours, metres; NaN where there is none.
+    pub(super) plan_m: Vec<[f64; 2]>,
+    /// Photos that are left out, and why.
+    pub(super) left_out: Vec<(String, String)>,
+}
+
+impl Inputs {
+    /// The photos in the order in which they were taken, as far as they tell: by moment, then by name.
+    pub(super) fn flight(&self) -> Vec<usize> {
+        let mut order: Vec<usize> = (0..self.photos.len()).collect();
+        order.sort_by(|&a, &b| {
+            let (a, b) = (&self.photos[a], &self.photos[b]);
+            a.metadata.moment.cmp(&b.metadata.moment).then(a.name.cmp(&b.name))
+        });
+        order
+    }
+
+    /// The names of the photos.
+    pub(super) fn names(&self) -> Vec<&str> {
+        self.photos.iter().map(|photo| photo.name.as_str()).collect()
+    }
+
+    /// The cameras.
+    pub(super) fn cameras(&self) -> Vec<Camera> {
+        self.cameras.iter().map(|(camera, _)| camera.clone()).collect()
+    }
+
+    /// The frame as the reconstruction has it.
+    pub(super) fn reference(&self, georeferenced: bool) -> ReferenceFrame {
+        self.frame.reference(georeferenced, self.known.has_control())
+    }
+
+    /// Sizes that image measurements may have been made in, relative to the photos.
+    pub(super) fn mark_scales(&self) -> Vec<f64> {
+        let mut scales = vec![0.25, 0.5, 2.0, 4.0];
+        for photo in &self.photos {
+            if let Some([width, _]) = photo.metadata.written_size_px {
+                let scale = f64::from(photo.size_px[0]) / f64::from(width);
+                if (scale - 1.0).abs() > 0.01 && !scales.iter().any(|s| (s - scale).abs() < 0.01) {
+                    scales.push(scale);
+                }
+            }
+        }
+        scales
+    }
+
+    /// A photo in grey.
+    pub(super) fn read_grey(&self, image: usize) -> Result<image::GrayImage, Error> {
+        Ok(rowgram_survey::features::grey(&images::read_photo(&self.photos[image].path)?))
+    }
+}
+
+/// Where things are, and what the settings say about them.
+pub(super) struct Sources<'a> {
+    pub(super) crs: Option<&'a str>,
+    pub(super) control: Option<PathBuf>,
+    pub(super) marks: Option<PathBuf>,
+    pub(super) positions: Option<PathBuf>,
+    pub(super) camera: Option<PathBuf>,
+    pub(super) check: &'a [String],
+    pub(super) keep: &'a [String],
+    pub(super) use_positions: bool,
+    pub(super) model: Model,
+    pub(super) defaults: Defaults,
+}
+
+/// The usual names of files of ground control.
+pub(crate) const CONTROL: [&str; 3] = ["gcps.csv", "gcp_list.txt", "ground_control_points.json"];
+
+impl<'a> Sources<'a> {
+    fn of(project: &'a Project, options: &'a AlignOptions) -> Sources<'a> {
+        let settings = &project.config().project;
+        let calibrated = || project.existing(Stage::Calibrate, "camera.toml");
+        Sources {
+            crs: settings.crs.as_deref(),
+            control: project.given(settings.control.as_ref(), &CONTROL),
+            marks: project.given(settings.marks.as_ref(), &["marks.csv"]),
+            positions: project.given(settings.positions.as_ref(), &["geolocation.csv"]),
+            camera: project.given(settings.camera.as_ref(), &["camera.toml"]).or_else(calibrated),
+            check: &options.check,
+            keep: &options.keep,
+            use_positions: options.use_positions,
+            model: options.lens.model(),
+            defaults: Defaults {
+                mark_px: options.mark_sigma_px,
+                control_m: options.control_sigma_m,
+                ..Defaults::default()
+            },
+        }
+    }
+}
+
+/// The files beside the photos that are read.
+pub(super) fn beside(project: &Project) -> Vec<PathBuf> {
+    let options = AlignOptions::default();
+    let Sources { control, marks, positions, camera, .. } = Sources::of(project, &options);
+    // Only a CSV file of control has its image measurements beside it.
+    let is_csv = |path: &PathBuf| path.extension().is_some_and(|e| e.eq_ignore_ascii_case("csv"));
+    let marks = marks.filter(|_| control.as_ref().is_some_and(is_csv));
+    [control, marks, positions, camera].into_iter().flatten().collect()
+}
+
+/// Reads everything that is known beforehand; photos that the cache knows are not read again.
+///
+/// # Errors
+/// Control that cannot be read, a coordinate reference system that is none.
+pub(super) fn inspect(
+    project: &Project,
+    options: &AlignOptions,
+    cache: Option<&Cache>,
+    monitor: &mut dyn Monitor,
+) -> Result<Inputs, Error> {
+    let sources = &Sources::of(project, options);
+    let read = known_photos::read(&project.photos(), cache)?;
+    let mut photos: Vec<Photo> = Vec::new();
+    let mut left_out = Vec::new();
+    let mut seen: HashMap<Key, String> = HashMap::new();
+    for photo in read {
+        match photo {
+            Err(fault) => left_out.push(fault),
+            Ok(photo) => match seen.get(&photo.content) {
+                Some(other) => {
+                    let reason = format!("it is the same file as {other}");
+                    left_out.push((photo.name.clone(), reason));
+                }
+                None => {
+                    seen.insert(photo.content, photo.name.clone());
+                    photos.push(photo);
+                }
+            },
+        }
+    }
+    for (name, reason) in &left_out {
+        monitor.diagnostic(&Diagnostic::warning(
+            "photo-left-out",
+            name.as_str(),
+            format!("left out: {reason}"),
+        ));
+    }
+    let cameras = cameras(&mut photos, sources, monitor)?;
+    let tags = geotags(&photos, sources, monitor)?;
+    let (frame, known, has_position_sigma) = ground::read(&photos, &tags, sources, monitor)?;
+    let plan_m = ground::plan_m(&tags);
+    tracing::debug!(
+        "{} photos, {} with a position, {} ground points, {} marks; frame: {}",
+        photos.len(),
+        plan_m.iter().filter(|p| p[0].is_finite()).count(),
+        known.ground.len(),
+        known.marks.len(),
+        frame.reference(true, known.has_control()).name()
+    );
+    let calibrated = sources.camera.is_some();
+    Ok(Inputs { photos, cameras, calibrated, frame, known, has_position_sigma, plan_m, left_out })
+}
+
+/// Photos of one make, model, size and focal length share a camera.
+fn cameras(
+    photos: &mut [Photo],
+    sources: &Sources<'_>,
+    monitor: &mut dyn Monitor,
+) -> Result<Vec<(Camera, Option<String>)>, Error> {
+    let given = match &sources.camera {
+        Some(path) => Some((path.as_path(), rowgram_files::camera::read(path)?)),
+        None => None,
+    };
+    let mut groups: Vec<(String, [u32; 2])> = Vec::new();
+    let mut cameras = Vec::new();
+    // A photo without metadata has the camera of the others of its size, if there is one.
+    let described: Vec<(usize, [u32; 2])> = photos
+        .iter()
+        .enumerate()
+        .filter(|(_, p)| p.metadata.focal_mm.is_some() || p.metadata.focal_35mm.is_some())
+        .map(|(k, p)| (k, p.size_px))
+        .collect();
+    let mut adopted = Vec::new();
+    for k in 0..photos.len() {
+        let size_px = photos[k].size_px;
+        let own = photos[k].metadata.focal_mm.is_some() || photos[k].metadata.focal_35mm.is_some();
+        let adopts = described.iter().find(|(_, size)| *size == size_px);
+        let like = match (own, adopts) {
+            (false, Some((other, _))) => {
+                adopted.push(photos[k].name.clone());
+                *other
+            }
+            _ => k,
+        };
+        let metadata = &photos[like].metadata;
+        let label = match metadata.focal_mm.or(metadata.focal_35mm) {
+            Some(focal) => format!("{} {} {focal:.3} mm", metadata.make, metadata.model),
+            None => format!("{} {} unknown camera", metadata.make, metadata.model),
+        };
+        let label = label.trim().to_owned();
+        let key = (label.clone(), size_px);
+        let place = groups.iter().position(|group| *group == key);
+        let place = match place {
+            Some(place) => place,
+            None => {
+                groups.push(key);
+                cameras.push(start(&label, size_px, metadata, sources.model, given.as_ref())?);
+                groups.len() - 1
+            }
+        };
+        photos[k].camera = place;
+    }
+    if !adopted.is_empty() && adopted.len() < photos.len() {
+        let message =
+            "no camera data in the file; taken as photos of the camera of the others of that size";
+        monitor.diagnostic(&Diagnostic::warning("camera-assumed", adopted.join(", "), message));
+    }
+    for (camera, source) in &cameras {
+        if source.is_none() {
+            let message =
+                "the files do not tell the focal length; it is estimated from the matches";
+            monitor.diagnostic(&Diagnostic::warning(
+                "focal-length-unknown",
+                camera.name.as_str(),
+                message,
+            ));
+        }
+    }
+    Ok(cameras)
+}
+
+fn start(
+    label: &str,
+    size_px: [u32; 2],
+    metadata: &Metadata,
+    model: Model,
+    given: Option<&(&Path, Camera)>,
+) -> Result<(Camera, Option<String>), Error> {
+    if let Some((path, camera)) = given {
+        if camera.interior.size_px() != size_px {
+            let message = format!(
+                "it is for images of {:?} pixels, these are {size_px:?}",
+                camera.interior.size_px()
+            );
+            return Err(FileError::malformed(path, None, message).into());
+        }
+        return Ok((camera.clone(), Some(path.display().to_string())));
+    }
+    let found = metadata.principal_distance_px(size_px);
+    let [width, height] = size_px.map(f64::from);
+    let c = found.map_or(1.2 * width.max(height), |(c, _)| c);
+    let mut camera = without_distortion(label, model, size_px, c)
+        .map_err(|e| Error::Argument(format!("camera {label}: {e}")))?;
+    // What the maker says of a focal length is good to a few per cent.
+    camera.standard_deviations[0] = Some(if found.is_some() { 0.05 * c } else { 0.3 * c });
+    Ok((camera, found.map(|(_, source)| source.to_owned())))
+}
+
+/// Positions by file or by EXIF.
+fn geotags(
+    photos: &[Photo],
+    sources: &Sources<'_>,
+    monitor: &mut dyn Monitor,
+) -> Result<Vec<Option<Geotag>>, Error> {
+    let mut tags: Vec<Option<Geotag>> = photos.iter().map(|photo| photo.metadata.geotag).collect();
+    if let Some(path) = &sources.positions {
+        let rows = gcp_list::geolocation(path)?;
+        let own = tags.clone();
+        let stand_ins = stand_ins(photos);
+        let names = control::Names::new(&stand_ins);
+        let mut unmatched = Vec::new();
+        for (name, tag) in rows {
+            match names.find(&name) {
+                Some(k) => tags[k as usize] = Some(tag),
+                None => unmatched.push(name),
+            }
+        }
+        place::check_tables(&own, &tags)?;
+        if let Some(first) = unmatched.first() {
+            let message = format!("{} rows name no photo, the first {first:?}", unmatched.len());
+            let subject = path.display().to_string();
+            monitor.diagnostic(&Diagnostic::warning("rows-without-photo", subject, message));
+        }
+    }
+    place::drop_far(photos, &mut tags, monitor);
+    let missing: Vec<&str> = photos
+        .iter()
+        .zip(&tags)
+        .filter(|(_, tag)| tag.is_none())
+        .map(|(photo, _)| photo.name.as_str())
+        .collect();
+    if !missing.is_empty() && missing.len() < photos.len() {
+        let subject = missing.join(", ");
+        monitor.diagnostic(&Diagnostic::warning("no-position", subject, "no position in the file"));
+    }
+    Ok(tags)
+}
+
+/// Images that carry no more than their names, to match other names against.
+pub(super) fn stand_ins(photos: &[Photo]) -> Vec<Image> {
+    let pose =
+        Pose { rotation: rowgram_optim::geometry::rotation::IDENTITY, translation: [0.0; 3] };
+    let image = |photo: &Photo| Image {
+        name: photo.name.clone(),
+        id: 0,
+        camera: photo.camera,
+        pose,
+        motion: [0.0; 6],
+        expected_motion: [0.0; 6],
+    };
+    photos.iter().map(image).collect()
+}

@@ -1,0 +1,267 @@
+//! From photos to a reconstruction in the mapping frame.
+//!
+//! Steps: inspect, features, match, verify (orientation of pairs), orient (exterior orientation image by image), adjust
+//! (into the mapping frame, bundle adjustment with self-calibration), report. What a step found is kept in the cache of
+//! the stage's folder and used again until something that it came from changes.
+
+mod descriptor_store;
+mod enlarge;
+mod export;
+mod features;
+mod figures;
+mod ground;
+pub(super) mod inputs;
+mod known_photos;
+mod matches;
+mod options;
+mod outcome;
+mod pair_figures;
+mod parts;
+mod place;
+mod results;
+mod sharpness;
+mod steps;
+
+pub(super) use descriptor_store::DESCRIPTORS_IN_MEMORY_BYTES;
+pub use options::{AlignOptions, EnlargeChoice, ShutterChoice, SolverChoice, StartChoice, Step};
+pub use outcome::{AlignOutcome, Fragment, PartialReport, PointErrors};
+pub use parts::{find_features, match_pairs};
+
+use super::{
+    CACHE, Project, Stage, Task, adjust,
+    record::{Cache, Key},
+    stage,
+};
+use matches::Matching;
+use rowgram_base::{
+    error::Error,
+    monitor::{Monitor, Recorder},
+};
+use rowgram_survey::{
+    features::DescriptorSource,
+    sfm::{
+        adjust_block::{Flight, Photos, adjust_blocks},
+        tracks::Tracks,
+    },
+};
+use std::path::{Path, PathBuf};
+
+pub use rowgram_survey::sfm::{adjust_block::When, intrinsics::LensChoice};
+
+/// The task of [`align`].
+pub struct AlignTask;
+
+impl Task for AlignTask {
+    type Options = AlignOptions;
+    type Outcome = AlignOutcome;
+    const STAGE: Stage = Stage::Align;
+    const RESUMES: bool = true;
+
+    fn inputs(project: &Project, _: &AlignOptions) -> Result<Vec<PathBuf>, Error> {
+        if project.given_orthomosaic().is_some() {
+            return Err(Error::NothingToDo("the orthomosaic is there already".to_owned()));
+        }
+        let mut files = project.photos();
+        if files.len() < 3 {
+            return Err(Error::NothingToDo(format!(
+                "{}: {} photos (JPEG, PNG, TIFF) here or in images/; at least 3 are needed",
+                project.root().display(),
+                files.len()
+            )));
+        }
+        files.extend(inputs::beside(project));
+        Ok(files)
+    }
+
+    fn context(project: &Project) -> String {
+        project.config().project.crs.clone().unwrap_or_default()
+    }
+
+    fn work(
+        project: &Project,
+        options: &AlignOptions,
+        folder: &Path,
+        monitor: &mut dyn Monitor,
+    ) -> Result<AlignOutcome, Error> {
+        stage::clear(folder)?;
+        match run(project, options, Step::Report, folder, monitor)? {
+            StepOutcome::Whole(outcome) => Ok(*outcome),
+            StepOutcome::Part(_) => {
+                Err(Error::Incomplete("the last step was not reached".to_owned()))
+            }
+        }
+    }
+}
+
+/// Orients the photos of a project: camera poses, a sparse cloud, self-calibration, check points.
+///
+/// Writes `reconstruction.json` with its tables (see [`rowgram_files::reconstruction`]), `camera-N.toml`,
+/// `exterior_orientation.csv`, `cloud.ply`, `cloud.laz`, `crs.txt`, exports for COLMAP and OpenSfM, `report/` and `figures/`.
+/// An adjustment that did not converge is a diagnostic of severity error, and the outcome says so.
+///
+/// # Errors
+/// [`Error::NothingToDo`] for a project without photos; bad input; [`Error::Incomplete`] where no three photos can be
+/// oriented together.
+pub fn align(
+    project: &Project,
+    options: &AlignOptions,
+    monitor: &mut dyn Monitor,
+) -> Result<AlignOutcome, Error> {
+    stage::perform::<AlignTask>(project, options, monitor)
+}
+
+/// As [`align`], up to a step; what that found is kept in the cache, and a later [`align`] goes on from there.
+///
+/// # Errors
+/// As [`align`].
+pub fn align_until(
+    project: &Project,
+    options: &AlignOptions,
+    last: Step,
+    monitor: &mut dyn Monitor,
+) -> Result<PartialReport, Error> {
+    let refused = |why| Error::Argument(format!("[align] {why}"));
+    rowgram_base::options::Options::validate(options).map_err(refused)?;
+    let _lock = project.lock()?;
+    AlignTask::inputs(project, options)?;
+    let folder = project.folder(Stage::Align);
+    std::fs::create_dir_all(&folder)
+        .map_err(|e| rowgram_optim::output::FileError::write(&folder, e))?;
+    match run(project, options, last.min(Step::Adjust), &folder, monitor)? {
+        StepOutcome::Part(report) => Ok(report),
+        StepOutcome::Whole(_) => Err(Error::Incomplete("the step was passed".to_owned())),
+    }
+}
+
+/// Reads what [`align`] reads, photos only by their heads, and tells the monitor what is remarkable; writes nothing.
+///
+/// # Errors
+/// What is missing or contradicts itself.
+pub fn inspect(
+    project: &Project,
+    options: &AlignOptions,
+    monitor: &mut dyn Monitor,
+) -> Result<PartialReport, Error> {
+    AlignTask::inputs(project, options)?;
+    Ok(PartialReport::new(&inputs::inspect(project, options, None, monitor)?, Step::Inspect))
+}
+
+/// Makes [`align`] do a step and those after it again, whatever is kept.
+///
+/// # Errors
+/// A project that another process is working on; a file that cannot be removed.
+pub fn forget(project: &Project, from: Step) -> Result<(), Error> {
+    let _lock = project.lock()?;
+    project.records().forget(Stage::Align)?;
+    let cache = Cache::new(&project.folder(Stage::Align).join(CACHE))?;
+    for (step, name) in steps::KEPT {
+        if from <= step {
+            cache.forget(name)?;
+        }
+    }
+    Ok(())
+}
+
+/// How far it went.
+enum StepOutcome {
+    Part(PartialReport),
+    Whole(Box<AlignOutcome>),
+}
+
+fn run(
+    project: &Project,
+    options: &AlignOptions,
+    last: Step,
+    folder: &Path,
+    monitor: &mut dyn Monitor,
+) -> Result<StepOutcome, Error> {
+    let monitor = &mut Recorder::new(monitor);
+    let cache = Cache::new(&folder.join(CACHE))?;
+    let mut inputs = inputs::inspect(project, options, Some(&cache), monitor)?;
+    let mut report = PartialReport::new(&inputs, last);
+    if last == Step::Inspect {
+        return Ok(StepOutcome::Part(report));
+    }
+    let search = (&options.detection(), options.enlarge);
+    let extracted = features::features(&inputs, search, true, &cache, monitor)?;
+    report.features = Some(extracted.geometric.iter().map(|of| of.positions_px.len()).sum());
+    if last == Step::Features {
+        return Ok(StepOutcome::Part(report));
+    }
+    let (mut matched, matched_key) =
+        Matching::new(&inputs, &extracted, options.seed, &cache)?.all(monitor)?;
+    matches::remove_duplicates(&inputs, &extracted, &mut matched, monitor);
+    report.pairs = Some(matched.len());
+    report.matches = Some(matched.iter().map(|m| m.matches.len()).sum());
+    if last == Step::Match {
+        return Ok(StepOutcome::Part(report));
+    }
+    let features::Extracted { geometric, descriptors, .. } = extracted;
+    steps::intrinsics(&mut inputs, &geometric, (&matched, matched_key), options, &cache, monitor)?;
+    let cameras = inputs.cameras();
+    let verification = options.verification();
+    let looks: &dyn DescriptorSource = &descriptors;
+    let images = (geometric.as_slice(), cameras.as_slice(), looks);
+    let (pairs, pairs_key) =
+        steps::verify(images, (&matched, matched_key), &verification, &cache, monitor)?;
+    descriptors.check()?;
+    report.pairs = Some(pairs.len());
+    report.matches = Some(pairs.iter().map(|pair| pair.matches.len()).sum());
+    if last == Step::Verify {
+        results::pairs_table(&folder.join(results::REPORT), &pairs, &inputs.names())?;
+        return Ok(StepOutcome::Part(report));
+    }
+    let calibrated = inputs.calibrated;
+    let tracks = Tracks::of_pairs(
+        &geometric,
+        pairs.iter().map(|pair| (pair.images, pair.matches.as_slice())),
+    )
+    .thinned(&geometric, options.max_tie_observations);
+    let tracks_key = Key::begin().key(pairs_key).count(options.max_tie_observations as u64);
+    let marked = (pairs.as_slice(), tracks_key.finish());
+    let incremental = options.incremental(calibrated);
+    let blocks =
+        steps::orient((&geometric, &tracks, &cameras), marked, &incremental, &cache, monitor)?;
+    report.registered = blocks.first().map(rowgram_survey::sfm::Block::registered);
+    report.fragments = Some(blocks.len());
+    if last == Step::Orient {
+        return Ok(StepOutcome::Part(report));
+    }
+    let read = |image: usize| inputs.read_grey(image);
+    let photos = Photos { descriptors: &descriptors, matched: &matched, read: &read };
+    let (order, mark_scales) = (inputs.flight(), inputs.mark_scales());
+    let flight = Flight {
+        known: &inputs.known,
+        order: &order,
+        has_position_sigma: &inputs.has_position_sigma,
+        mark_scales: &mark_scales,
+    };
+    let mut found = adjust_blocks(blocks, &flight, &photos, &options.block(calibrated), monitor)?;
+    descriptors.check()?;
+    let exported = export::Exports::of(&found.adjusted.reconstruction);
+    found.diagnostics.extend(exported.diagnostics.iter().cloned());
+    found.diagnostics.iter().for_each(|diagnostic| monitor.diagnostic(diagnostic));
+    for diagnostic in rowgram_survey::sfm::adjust_block::unregistered(
+        &found,
+        &geometric,
+        &pairs,
+        &monitor.diagnostics,
+    ) {
+        monitor.diagnostic(&diagnostic);
+    }
+    let outcome = AlignOutcome::new(&found, &inputs, pairs.len());
+    if last == Step::Adjust {
+        return Ok(StepOutcome::Part(report));
+    }
+    let scene = results::reconstruction(&inputs, &found);
+    results::write(folder, &scene, &outcome, &exported)?;
+    adjust::write_report(folder, &adjust::Adjustment::of_block(found))?;
+    let drawn = folder.join(results::FIGURES);
+    figures::write(&drawn, &folder.join(results::REPORT), &scene, &pairs, &inputs.names())?;
+    let of = (inputs.photos.as_slice(), geometric.as_slice());
+    pair_figures::write(&drawn, of, &cameras, &pairs)?;
+    if !outcome.converged {
+        monitor.diagnostic(&adjust::not_converged());
+    }
+    Ok(StepOutcome::Whole(Box::new(outcome)))
+}

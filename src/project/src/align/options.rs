@@ -1,0 +1,208 @@
+//! How photos are oriented: the options of the stage.
+
+use rowgram_survey::{
+    features::FeatureOptions,
+    sfm::{
+        adjust_block::{BlockOptions, ShutterModel, USUAL_READOUT_S, When},
+        incremental::{IncrementalOptions, Start},
+        intrinsics::LensChoice,
+        relative::Solver,
+        verify::GeometricVerificationOptions,
+    },
+};
+use serde::{Deserialize, Serialize};
+
+/// The minimal solver of relative orientation.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum SolverChoice {
+    /// Whichever explains more matches of a pair.
+    Auto,
+    /// The paper's, for nadir photos from nearly the same height.
+    TwoPoint,
+    /// Any photos.
+    FivePoint,
+}
+
+/// Where exterior orientation starts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum StartChoice {
+    /// Three photos that fit; the others join one by one.
+    Triplet,
+    /// All photos at once: averaged rotations, positions by convex programming.
+    Global,
+}
+
+/// Whether photos are enlarged twofold before features are looked for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum EnlargeChoice {
+    /// Those of fewer than eight megapixels, and those that show too few features at their own size.
+    Auto,
+    /// All.
+    On,
+    /// None.
+    Off,
+}
+
+/// Whether rows are read one after the other while the camera moves.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ShutterChoice {
+    /// It is estimated, and modelled where it explains much.
+    Auto,
+    /// All rows are read at once.
+    Off,
+    /// It is modelled in any case.
+    On,
+}
+
+/// A step of the stage, in their order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Step {
+    /// Files and what they say.
+    Inspect,
+    /// Features of every photo.
+    Features,
+    /// Matches of the pairs worth trying.
+    Match,
+    /// Orientation of pairs.
+    Verify,
+    /// Exterior orientation.
+    Orient,
+    /// Mapping frame, bundle adjustment, self-calibration.
+    Adjust,
+    /// Files and pictures.
+    Report,
+}
+
+rowgram_base::choices!(SolverChoice: Auto, TwoPoint, FivePoint);
+rowgram_base::choices!(StartChoice: Triplet, Global);
+rowgram_base::choices!(EnlargeChoice: Auto, On, Off);
+rowgram_base::choices!(ShutterChoice: Auto, Off, On);
+rowgram_base::choices!(Step: Inspect, Features, Match, Verify, Orient, Adjust, Report);
+
+rowgram_base::options! {
+    /// From photos to camera poses, calibrated cameras and a sparse cloud in the mapping frame.
+    pub struct AlignOptions in "align", together go_together {
+        /// Lens model of cameras that are not given.
+        pub lens: LensChoice = LensChoice::Auto;
+        /// Lens parameters of the last adjustment; all but the aspect and rational terms where not set, or those that a
+        /// calibrated camera names.
+        pub free: Option<Vec<String>> = None, example "[\"f_px\", \"k1\", \"k2\"]";
+        /// Minimal solver of relative orientation.
+        pub solver: SolverChoice = SolverChoice::Auto;
+        /// Where exterior orientation starts: at three photos that fit, or with all photos at once.
+        pub start: StartChoice = StartChoice::Triplet;
+        /// The most features of a photo.
+        pub max_features: usize = 6000, limits at_least(100.0);
+        /// Whether photos are enlarged twofold before features are looked for, which takes four times as long: auto enlarges
+        /// photos of fewer than eight megapixels, and those that show too few features at their own size.
+        pub enlarge: EnlargeChoice = EnlargeChoice::Auto;
+        /// The most image measurements of tie points that are adjusted together. Of more, the longest tie points are kept that
+        /// leave no part of a photo without; memory grows with them, about 0.7 kB each.
+        pub max_tie_observations: usize = 1_000_000, limits at_least(1000.0);
+        /// Distance from the projection of its point up to which an image position is used.
+        pub tolerance_px: f64 = 4.0, limits POSITIVE;
+        /// Standard deviation of control points that come without one.
+        pub control_sigma_m: f64 = 0.02, limits POSITIVE;
+        /// Standard deviation of image measurements of ground points that come without one.
+        pub mark_sigma_px: f64 = 0.5, limits POSITIVE;
+        /// Whether camera positions take part in the adjustment; else they only tell which photos are neighbours.
+        pub use_positions: bool = true;
+        /// Ground points that take no part and are compared afterwards.
+        pub check: Vec<String> = Vec::new();
+        /// Control points that are never left out, whatever the block says of them.
+        pub keep: Vec<String> = Vec::new();
+        /// Whether rows are read one after the other while the camera moves: auto estimates it, on models it in any case.
+        pub rolling_shutter: ShutterChoice = ShutterChoice::Auto;
+        /// Time from the first to the last row of a photo. Where it is not set, velocities are told for 0.03 s.
+        pub readout_s: Option<f64> = None, limits between(0.0001, 1.0), example "0.03";
+        /// Whether matching is repeated with the adjusted poses (guided matching): auto does so with ground control.
+        pub guided_matching: When = When::Auto;
+        /// Whether tie points are measured again by least-squares matching, several times as exact, and in further photos: auto
+        /// does so with ground control.
+        pub refine_tie_points: When = When::Auto;
+        /// Seed of all random sampling.
+        pub seed: u64 = 1;
+    }
+}
+
+/// Lens parameters are those of a lens, and only a rolling shutter has a readout.
+fn go_together(options: &AlignOptions) -> Result<(), String> {
+    let known: Vec<&str> = rowgram_survey::camera::Model::ALL
+        .iter()
+        .flat_map(|model| model.parameters())
+        .map(|parameter| parameter.name)
+        .collect();
+    for name in options.free.iter().flatten() {
+        if !known.contains(&name.as_str()) {
+            let near = rowgram_base::options::nearest(name, &known)
+                .map_or_else(String::new, |near| format!("; did you mean {near}?"));
+            return Err(format!("free: no lens has a parameter {name:?}{near}"));
+        }
+    }
+    match (options.rolling_shutter, options.readout_s) {
+        (ShutterChoice::Off, Some(_)) => {
+            Err("readout_s: rolling_shutter = off takes all rows to be read at once".to_owned())
+        }
+        _ => Ok(()),
+    }
+}
+
+impl AlignOptions {
+    pub(super) fn detection(&self) -> FeatureOptions {
+        // Half of the usual contrast: the budget keeps the best, and a plain crop has no others.
+        let contrast_threshold = 0.02;
+        let max_features = self.max_features;
+        FeatureOptions { max_features, contrast_threshold, ..FeatureOptions::default() }
+    }
+
+    pub(super) fn verification(&self) -> GeometricVerificationOptions {
+        GeometricVerificationOptions {
+            solver: match self.solver {
+                SolverChoice::Auto => Solver::Auto,
+                SolverChoice::TwoPoint => Solver::TwoPoint,
+                SolverChoice::FivePoint => Solver::FivePoint,
+            },
+            tolerance_px: self.tolerance_px,
+            seed: self.seed,
+            ..GeometricVerificationOptions::default()
+        }
+    }
+
+    pub(super) fn incremental(&self, calibrated: bool) -> IncrementalOptions {
+        // Of each camera those that its model has.
+        let names: &[&str] =
+            if calibrated { &[] } else { &["f_px", "k1", "k2", "c_px", "K1", "K2"] };
+        IncrementalOptions {
+            start: match self.start {
+                StartChoice::Triplet => Start::Triplet,
+                StartChoice::Global => Start::Global,
+            },
+            tolerance_px: self.tolerance_px,
+            free: names.iter().map(|&name| name.to_owned()).collect(),
+            seed: self.seed,
+            ..IncrementalOptions::default()
+        }
+    }
+
+    pub(super) fn block(&self, calibrated: bool) -> BlockOptions {
+        let readout_s = self.readout_s.unwrap_or(USUAL_READOUT_S);
+        BlockOptions {
+            tolerance_px: self.tolerance_px,
+            shutter: match self.rolling_shutter {
+                ShutterChoice::Auto => ShutterModel::Auto(readout_s),
+                ShutterChoice::Off => ShutterModel::Global,
+                ShutterChoice::On => ShutterModel::Rolling(readout_s),
+            },
+            guided_matching: self.guided_matching,
+            refine_tie_points: self.refine_tie_points,
+            max_tie_observations: self.max_tie_observations,
+            free: self.free.clone(),
+            calibrated,
+        }
+    }
+}

@@ -1,0 +1,496 @@
+//! The settings of a project: `rowgram.toml`, then the environment, then arguments.
+//!
+//! Every section is a set of [`Options`], so the file, its template, the environment (`ROWGRAM_ALIGN_SEED`) and the
+//! arguments (`--set align.seed=2`) have the same names, limits and defaults. What nobody knows, and what cannot be, is
+//! refused where it stands.
+
+use super::{
+    align::AlignOptions,
+    calibrate::CalibrateOptions,
+    checks::ChecksOptions,
+    crops::CropsOptions,
+    dem::DemOptions,
+    evaluate::EvaluateOptions,
+    leaf_count::LeafCountOptions,
+    leaf_density::LeafDensityOptions,
+    leaves::LeavesOptions,
+    locate::LocateOptions,
+    ortho::OrthoOptions,
+    plots::{PlotsOptions, layout::LayoutOptions},
+    segment::SegmentOptions,
+    stage::Stage,
+    surface::SurfaceOptions,
+};
+use rowgram_base::{
+    error::Error,
+    options::{Options, Section, nearest},
+};
+use rowgram_optim::output::FileError;
+use serde::{Deserialize, Serialize};
+use std::{collections::BTreeMap, fmt::Write as _, path::Path, path::PathBuf};
+use toml::{Spanned, Table, Value};
+
+/// The name of the file.
+pub const NAME: &str = "rowgram.toml";
+
+/// What the names of environment variables that set something begin with.
+const PREFIX: &str = "ROWGRAM_";
+/// Variables with that beginning that are no settings: where tests and benches find their data.
+const OTHER_VARIABLES: [&str; 4] =
+    ["ROWGRAM_DATA", "ROWGRAM_TEST_DATA", "ROWGRAM_BAL", "ROWGRAM_BUILD"];
+
+rowgram_base::options! {
+    /// What the folder holds.
+    pub struct ProjectOptions in "project" {
+        /// Name in the report; that of the folder where not set.
+        pub name: Option<String> = None, example "\"My field\"";
+        /// An orthomosaic that exists already. Where it is set, or a folder without photos has a single GeoTIFF, nothing is
+        /// aligned and traits come from it.
+        pub ortho: Option<PathBuf> = None, example "\"ortho.tif\"";
+        /// Coordinate reference system of control and results: `EPSG:CODE` or a PROJ string. That of the control where not
+        /// set.
+        pub crs: Option<String> = None, example "\"EPSG:32616\"";
+        /// Ground control points and check points. Where not set: gcps.csv, gcp_list.txt or ground_control_points.json.
+        pub control: Option<PathBuf> = None, example "\"gcps.csv\"";
+        /// Where the ground points are in the photos (image measurements, also called marks). Where not set: marks.csv.
+        pub marks: Option<PathBuf> = None, example "\"marks.csv\"";
+        /// Camera positions. Where not set: geolocation.csv, else what EXIF says.
+        pub positions: Option<PathBuf> = None, example "\"geolocation.csv\"";
+        /// A calibrated camera. Where not set: camera.toml, else calibration from the photos in `[calibrate] images`, else
+        /// self-calibration.
+        pub camera: Option<PathBuf> = None, example "\"camera.toml\"";
+        /// Polygons of the plots. Where not set: plots.geojson, plots.gpkg or plots.shp.
+        pub plots: Option<PathBuf> = None, example "\"plots.geojson\"";
+        /// Regions in which leaves were counted by hand: polygons with a property "leaves". Where not set:
+        /// regions.geojson, regions.gpkg or regions.shp.
+        pub regions: Option<PathBuf> = None, example "\"regions.geojson\"";
+        /// True plants to compare with: CSV with easting_m and northing_m, or x and y, in the mapping frame.
+        pub truth: Option<PathBuf> = None, example "\"truth/plants.csv\"";
+    }
+}
+
+impl ProjectOptions {
+    /// Whether the files that are named are there.
+    fn check_files(&self, root: &Path) -> Result<(), Error> {
+        let named = [
+            ("ortho", &self.ortho),
+            ("control", &self.control),
+            ("marks", &self.marks),
+            ("positions", &self.positions),
+            ("camera", &self.camera),
+            ("plots", &self.plots),
+            ("regions", &self.regions),
+            ("truth", &self.truth),
+        ];
+        let missing = named.into_iter().find_map(|(key, path)| {
+            path.as_ref().filter(|path| !root.join(path).is_file()).map(|path| (key, path))
+        });
+        match missing {
+            None => self.check_crs(),
+            Some((key, path)) => Err(Error::Argument(format!(
+                "[project] {key} = {:?}: there is no such file in {}",
+                path.display().to_string(),
+                root.display()
+            ))),
+        }
+    }
+}
+
+impl ProjectOptions {
+    /// Whether the coordinate reference system is one that is known.
+    fn check_crs(&self) -> Result<(), Error> {
+        let Some(words) = &self.crs else { return Ok(()) };
+        match rowgram_raster::crs::Crs::from_words(words) {
+            Ok(_) => Ok(()),
+            Err(why) => Err(Error::Argument(format!("[project] crs = {words:?}: {why}"))),
+        }
+    }
+}
+
+rowgram_base::options! {
+    /// Which stages are done.
+    pub struct StagesOptions in "stages" {
+        /// Stages to leave out.
+        pub skip: Vec<Stage> = Vec::new();
+    }
+}
+
+macro_rules! config {
+    ($($name:ident: $kind:ty,)*) => {
+        /// All settings of a project.
+        #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+        #[serde(deny_unknown_fields, default)]
+        pub struct Config {
+            $(
+                #[doc = concat!("The section `", stringify!($name), "`.")]
+                pub $name: $kind,
+            )*
+        }
+
+        impl Config {
+            /// The definitions of all sections in their order.
+            pub fn sections() -> Vec<Section> {
+                vec![$(<$kind>::section()),*]
+            }
+
+            /// Whether all values are within their limits and go together.
+            ///
+            /// # Errors
+            /// The first section and value that does not, and what was expected.
+            pub fn validate(&self) -> Result<(), Error> {
+                $(
+                    self.$name.validate().map_err(|why| {
+                        Error::Argument(format!("[{}] {why}", <$kind as Options>::SECTION))
+                    })?;
+                )*
+                Ok(())
+            }
+        }
+    };
+}
+
+config! {
+    project: ProjectOptions,
+    stages: StagesOptions,
+    calibrate: CalibrateOptions,
+    align: AlignOptions,
+    dem: DemOptions,
+    surface: SurfaceOptions,
+    ortho: OrthoOptions,
+    segment: SegmentOptions,
+    leaf_density: LeafDensityOptions,
+    leaf_count: LeafCountOptions,
+    locate: LocateOptions,
+    leaves: LeavesOptions,
+    layout: LayoutOptions,
+    plots: PlotsOptions,
+    crops: CropsOptions,
+    evaluate: EvaluateOptions,
+    checks: ChecksOptions,
+}
+
+type Entries = BTreeMap<Spanned<String>, BTreeMap<Spanned<String>, Spanned<Value>>>;
+
+impl Config {
+    /// The settings of a folder: its `rowgram.toml` where there is one, defaults elsewhere.
+    ///
+    /// # Errors
+    /// As [`Config::read`].
+    pub fn of_folder(root: &Path) -> Result<Config, Error> {
+        Config::read(root, std::iter::empty(), &[])
+    }
+
+    /// The file of the folder where there is one, then the environment, then `settings` (`section.key=value`).
+    ///
+    /// # Errors
+    /// A file that is no TOML; a section, key or value that does not belong there, with line or name, and what was
+    /// expected.
+    pub fn read(
+        root: &Path,
+        environment: impl Iterator<Item = (String, String)>,
+        settings: &[String],
+    ) -> Result<Config, Error> {
+        let sections = Config::sections();
+        let mut table = from_file(&root.join(NAME), &sections)?;
+        let mut variables: Vec<(String, String)> = environment
+            .filter(|(name, _)| name.starts_with(PREFIX))
+            .filter(|(name, _)| !OTHER_VARIABLES.contains(&name.as_str()))
+            .collect();
+        variables.sort();
+        for (name, text) in variables {
+            let (section, key) = of_variable(&name, &sections)?;
+            set(&mut table, &sections, (&section, &key), &text)
+                .map_err(|why| Error::Argument(format!("environment variable {name}: {why}")))?;
+        }
+        for setting in settings {
+            let (name, text) = setting.split_once('=').ok_or_else(|| {
+                Error::Argument(format!(
+                    "--set {setting}: expected section.key=value, as in --set align.seed=2"
+                ))
+            })?;
+            let (section, key) = name.trim().split_once('.').ok_or_else(|| {
+                Error::Argument(format!(
+                    "--set {setting}: expected section.key=value, as in --set align.seed=2"
+                ))
+            })?;
+            set(&mut table, &sections, (section.trim(), key.trim()), text)
+                .map_err(|why| Error::Argument(format!("--set {setting}: {why}")))?;
+        }
+        let config: Config = Value::Table(table)
+            .try_into()
+            .map_err(|e: toml::de::Error| Error::Argument(e.to_string()))?;
+        config.validate()?;
+        config.project.check_files(root)?;
+        Ok(config)
+    }
+
+    /// The settings as a file, every key that is set.
+    pub fn to_toml(&self) -> String {
+        toml::to_string(self).unwrap_or_default()
+    }
+
+    /// The file that `rowgram init` writes: every key with its default, its limits and what it means.
+    pub fn template() -> String {
+        let mut text = String::from(
+            "# Settings of rowgram. Every key is here with its default; a key behind \"# \" is not set. Paths are relative to\n\
+             # this folder. The same keys come from the environment (ROWGRAM_ALIGN_SEED=2) and from arguments\n\
+             # (--set align.seed=2); arguments come before the environment, the environment before this file.\n",
+        );
+        for section in Config::sections() {
+            let about = section.about.split_whitespace().collect::<Vec<_>>().join(" ");
+            let _ = write!(text, "\n{}[{}]\n", commented(&about), section.name);
+            for field in &section.fields {
+                let what = format!("{} Expected: {}.", field.paragraph(), field.expected());
+                text += &commented(&what);
+                let _ = match (&field.default, field.example) {
+                    (Some(value), _) => writeln!(text, "{} = {value}", field.name),
+                    (None, Some(example)) => writeln!(text, "# {} = {example}", field.name),
+                    (None, None) => writeln!(text, "# {} =", field.name),
+                };
+            }
+        }
+        text
+    }
+}
+
+/// The reference of all settings as a page; `docs/options.md` is this text, and a test compares the two.
+pub fn reference_page() -> String {
+    let mut page = String::from(
+        "# Options\n\n\
+         Every option of a project, by section of `rowgram.toml`. An option `name` of a section `stage` can be given as `name = value` in the\n\
+         section of the file, as `ROWGRAM_STAGE_NAME` in the environment, as `--set stage.name=value` of `rowgram run`, as `--name value` (with\n\
+         hyphens) of the command of that stage, and as a keyword of `project.stage()` from Python. Arguments come before the environment, the\n\
+         environment before the file. This page is made from the definitions in the library.\n",
+    );
+    for section in Config::sections() {
+        let about = section.about.split_whitespace().collect::<Vec<_>>().join(" ");
+        let _ = write!(
+            page,
+            "\n## {}\n\n{about}\n\n| option | default | expected | what it does |\n|---|---|---|---|\n",
+            section.name
+        );
+        for field in &section.fields {
+            let cell = |text: &str| text.replace('|', "\\|");
+            let default = match &field.default {
+                Some(value) => format!("`{}`", cell(&value.to_string())),
+                None => "not set".to_owned(),
+            };
+            let _ = writeln!(
+                page,
+                "| `{}` | {default} | {} | {} |",
+                field.name,
+                cell(&field.expected()),
+                cell(&field.paragraph())
+            );
+        }
+    }
+    page
+}
+
+/// Lines of a comment, at most 110 characters each.
+fn commented(text: &str) -> String {
+    const WIDTH: usize = 110;
+    let mut lines = vec!["#".to_owned()];
+    for word in text.split_whitespace() {
+        if lines.last().is_some_and(|line| line.len() + 1 + word.len() > WIDTH) {
+            lines.push("#".to_owned());
+        }
+        if let Some(line) = lines.last_mut() {
+            *line += " ";
+            *line += word;
+        }
+    }
+    lines.join("\n") + "\n"
+}
+
+/// What a settings file says, each entry checked; nothing where there is no file.
+fn from_file(path: &Path, sections: &[Section]) -> Result<Table, Error> {
+    let text = match std::fs::read_to_string(path) {
+        Ok(text) => text,
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Table::new()),
+        Err(e) => return Err(FileError::read(path, e).into()),
+    };
+    let at = |span: std::ops::Range<usize>| 1 + text[..span.start].matches('\n').count();
+    let entries: Entries = toml::from_str(&text)
+        .map_err(|e| FileError::malformed(path, e.span().map(at), e.message()))?;
+    let mut table = Table::new();
+    for (name, keys) in entries {
+        let refused = |why: String| FileError::malformed(path, at(name.span()), why);
+        let section = find(sections, name.get_ref()).map_err(refused)?;
+        let mut known = Table::new();
+        for (key, value) in keys {
+            let refused = |why: String| FileError::malformed(path, at(key.span()), why);
+            section.check_entry(key.get_ref(), value.get_ref()).map_err(refused)?;
+            known.insert(key.into_inner(), value.into_inner());
+        }
+        table.insert(section.name.to_owned(), Value::Table(known));
+    }
+    Ok(table)
+}
+
+fn find<'a>(sections: &'a [Section], name: &str) -> Result<&'a Section, String> {
+    let names: Vec<&str> = sections.iter().map(|section| section.name).collect();
+    sections.iter().find(|section| section.name == name).ok_or_else(|| {
+        match nearest(name, &names) {
+            Some(near) => format!("[{name}]: there is no such section; did you mean [{near}]?"),
+            None => format!("[{name}]: there is no such section; there are {}", names.join(", ")),
+        }
+    })
+}
+
+/// Sets a value from the words of a command line.
+fn set(
+    table: &mut Table,
+    sections: &[Section],
+    (name, key): (&str, &str),
+    text: &str,
+) -> Result<(), String> {
+    let section = find(sections, name)?;
+    let value = match section.field(key) {
+        Some(field) => field.kind.read(text),
+        None => Value::String(text.to_owned()),
+    };
+    section.check_entry(key, &value)?;
+    let entry = table.entry(name).or_insert_with(|| Value::Table(Table::new()));
+    if let Value::Table(entry) = entry {
+        entry.insert(key.to_owned(), value);
+    }
+    Ok(())
+}
+
+/// Section and key of an environment variable.
+fn of_variable(name: &str, sections: &[Section]) -> Result<(String, String), Error> {
+    let known: Vec<(String, &Section, &str)> = sections
+        .iter()
+        .flat_map(|section| {
+            section.fields.iter().map(move |field| {
+                let variable = format!("{PREFIX}{}_{}", section.name, field.name).to_uppercase();
+                (variable, section, field.name)
+            })
+        })
+        .collect();
+    if let Some((_, section, key)) = known.iter().find(|(variable, ..)| variable == name) {
+        return Ok((section.name.to_owned(), (*key).to_owned()));
+    }
+    let names: Vec<&str> = known.iter().map(|(variable, ..)| variable.as_str()).collect();
+    let hint = nearest(name, &names).map_or_else(String::new, |n| format!("; did you mean {n}?"));
+    Err(Error::Argument(format!("environment variable {name}: there is no such setting{hint}")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rowgram_base::options::Kind;
+
+    #[test]
+    fn the_reference_page_is_what_is_defined() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/options.md");
+        let page = std::fs::read_to_string(path).unwrap_or_default();
+        assert_eq!(page, reference_page(), "cargo run -p experiments -- pages");
+    }
+
+    fn read(file: &str, variables: &[(&str, &str)], settings: &[&str]) -> Result<Config, String> {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join(NAME), file).unwrap();
+        // The files that the examples name.
+        std::fs::create_dir(folder.path().join("truth")).unwrap();
+        for field in ProjectOptions::fields().iter().filter(|field| field.kind == Kind::Path) {
+            let path = field.example.unwrap().trim_matches('"');
+            std::fs::write(folder.path().join(path), "").unwrap();
+        }
+        let variables = variables.iter().map(|(a, b)| ((*a).to_owned(), (*b).to_owned()));
+        let settings: Vec<String> = settings.iter().map(|text| (*text).to_owned()).collect();
+        Config::read(folder.path(), variables, &settings).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn the_template_says_every_default_and_every_key() {
+        let template = Config::template();
+        assert_eq!(read(&template, &[], &[]).unwrap(), Config::default());
+        // Keys that are not set are known too, and their examples are within their limits.
+        let set: String = template
+            .lines()
+            .map(|line| match line.strip_prefix("# ") {
+                Some(rest) if rest.split_once(" = ").is_some_and(|(k, _)| !k.contains(' ')) => rest,
+                _ => line,
+            })
+            .map(|line| format!("{line}\n"))
+            .collect();
+        let table: Table = set.parse().unwrap();
+        for section in Config::sections() {
+            for field in &section.fields {
+                let written = table[section.name].get(field.name);
+                let written = written.unwrap_or_else(|| panic!("{} lacks an example", field.name));
+                section.check_entry(field.name, written).unwrap();
+            }
+        }
+        assert!(template.lines().all(|line| line.chars().count() <= 110));
+    }
+
+    #[test]
+    fn file_then_environment_then_arguments() {
+        let file = "[align]\nseed = 2\n[ortho]\ngsd_m = 0.5\ncanopy_height_m = 0\n";
+        let variables =
+            [("ROWGRAM_ALIGN_SEED", "3"), ("ROWGRAM_ORTHO_GSD_M", "0.25"), ("PATH", "")];
+        let settings = ["align.seed=4", "project.crs=EPSG:32616", "align.check=T3,T7"];
+        let config = read(file, &variables, &settings).unwrap();
+        assert_eq!(config.align.seed, 4);
+        assert_eq!(config.align.check, ["T3", "T7"]);
+        assert_eq!(config.ortho.gsd_m, Some(0.25));
+        assert_eq!(config.ortho.canopy_height_m, rowgram_base::options::Auto::Given(0.0));
+        assert_eq!(config.project.crs.as_deref(), Some("EPSG:32616"));
+        assert_eq!(toml::from_str::<Config>(&config.to_toml()).unwrap(), config);
+    }
+
+    #[test]
+    fn nonsense_is_refused_where_it_stands() {
+        for (file, expected) in [
+            ("[align]\nsede = 2\n", "line 2: sede: there is no such option; did you mean seed?"),
+            ("[align]\nseed = \"two\"\n", "line 2: seed = \"two\": expected a whole number"),
+            ("[align\n", "line 1"),
+            (
+                "[algin]\nseed = 2\n",
+                "line 1: [algin]: there is no such section; did you mean [align]?",
+            ),
+            ("[ortho]\ngsd_m = -0.01\n", "line 2: gsd_m = -0.01: expected a number greater than 0"),
+            (
+                "[locate]\nmethod = \"magic\"\n",
+                "line 2: method = \"magic\": expected one of: row-model",
+            ),
+            (
+                "[stages]\nskip = [\"grow\"]\n",
+                "line 2: skip = [\"grow\"]: expected a list of: calibrate",
+            ),
+        ] {
+            let error = read(file, &[], &[]).unwrap_err();
+            assert!(error.contains(expected) && error.contains(NAME), "{error}");
+        }
+        for (settings, expected) in [
+            ("seed=1", "--set seed=1: expected section.key=value"),
+            ("align.seed", "--set align.seed: expected section.key=value"),
+            ("align.sede=1", "did you mean seed?"),
+            ("align.seed=two", "--set align.seed=two: seed = \"two\": expected a whole number"),
+        ] {
+            let error = read("", &[], &[settings]).unwrap_err();
+            assert!(error.contains(expected), "{error}");
+        }
+        let error = read("", &[("ROWGRAM_ALIGN_SEEED", "2")], &[]).unwrap_err();
+        assert!(error.contains("did you mean ROWGRAM_ALIGN_SEED?"), "{error}");
+        for (file, expected) in [
+            ("[plots]\nrows_per_plot = 4\n", "[plots] alley_m is not set"),
+            (
+                "[checks]\ncheck_points_yellow_gsd = 9\n",
+                "[checks] check_points_yellow_gsd = 9: expected at most",
+            ),
+            (
+                "[project]\ntruth = \"a.csv\"\n",
+                "[project] truth = \"a.csv\": there is no such file",
+            ),
+        ] {
+            let error = read(file, &[], &[]).unwrap_err();
+            assert!(error.contains(expected), "{error}");
+        }
+        let error = read("", &[("ROWGRAM_ALIGN_SEED", "two")], &[]).unwrap_err();
+        assert!(error.contains("environment variable ROWGRAM_ALIGN_SEED: seed"), "{error}");
+    }
+}

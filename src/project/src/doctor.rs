@@ -1,0 +1,272 @@
+//! What a project lacks, before hours are spent on it.
+
+use super::{
+    Config, PHOTO_ENDINGS, Project, Stage,
+    forecast::{self, Forecast},
+    run::LEAST_PHOTOS,
+};
+use rayon::prelude::*;
+use rowgram_base::{
+    error::Error,
+    monitor::{Collector, Diagnostic},
+};
+use rowgram_files::{
+    images,
+    photo::{self, Geotag},
+    polygons, rasters,
+};
+use rowgram_raster::crs::LocalPlane;
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+};
+
+/// Forward overlap, percent, below which photos do not connect, and below which connections are weak.
+const OVERLAP_PERCENT: [f64; 2] = [30.0, 55.0];
+
+/// Checks photos, what their heads say, settings, tables and overlap; writes nothing. Information is what is well, a
+/// warning is what makes results less than they could be, an error has to be put right first.
+///
+/// # Errors
+/// A folder that is none.
+pub fn doctor(
+    root: &Path,
+    environment: impl Iterator<Item = (String, String)>,
+) -> Result<Vec<Diagnostic>, Error> {
+    let mut found = Vec::new();
+    let config = match Config::read(root, environment, &[]) {
+        Ok(config) => {
+            let message = "rowgram.toml and the environment are understood";
+            found.push(Diagnostic::info("settings-valid", "settings", message));
+            config
+        }
+        Err(error) => {
+            found.push(Diagnostic::error("settings-refused", "settings", error.to_string()));
+            Config::default()
+        }
+    };
+    let project = Project::new(root, config)?;
+    let photos = project.photos();
+    if let Some(ortho) = project.given_orthomosaic() {
+        let name = ortho.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        found.extend(of_orthomosaic(&ortho, &name));
+    } else if photos.is_empty() {
+        let message = format!("none in images/ or directly ({})", PHOTO_ENDINGS.join(", "));
+        found.push(Diagnostic::error("photos-missing", "photos", message));
+    } else {
+        let positions = project.config().project.positions.as_ref();
+        let tabled = project.given(positions, &["geolocation.csv"]).is_some();
+        found.extend(of_photos(&photos, tabled));
+        let align = &project.config().align;
+        let forecast = Forecast::new(photos.len(), align.max_features, align.max_tie_observations);
+        let threads = rayon::current_num_threads();
+        found.push(forecast.diagnostic(threads, forecast::available_bytes()));
+        let free = forecast::free_disk_bytes(&project.folder(Stage::Align));
+        found.extend(forecast.disk_diagnostic(free));
+        found.extend(tables(&project));
+        let control = project.config().project.control.as_ref();
+        if project.given(control, &super::align::inputs::CONTROL).is_none() {
+            let message = "no ground points: place and height are those of the camera positions, metres off, and nothing \
+                           independent tells the error";
+            found.push(
+                Diagnostic::warning("control-missing", "control", message)
+                    .with_remedy("give gcps.csv with marks.csv, or [project] control"),
+            );
+        }
+    }
+    found.extend(of_polygons(&project));
+    if let Err(error) = project.config().validate() {
+        found.push(Diagnostic::error("settings-refused", "settings", error.to_string()));
+    }
+    if project.plots().is_none() && project.config().plots.rows_per_plot.is_none() {
+        let message = "no plots.geojson, .gpkg or .shp: traits are of the whole field";
+        found.push(
+            Diagnostic::warning("plots-missing", "plots", message)
+                .with_remedy("draw the plots, or say in [plots] how rows make plots"),
+        );
+    }
+    Ok(found)
+}
+
+/// Whether plots and regions can be read, and lie on the orthomosaic where there is one.
+fn of_polygons(project: &Project) -> Vec<Diagnostic> {
+    let ortho = project.orthomosaic().ok();
+    let place = ortho.and_then(|path| rasters::Source::open(&path).ok()?.georeference());
+    let mut found = Vec::new();
+    for path in [project.plots(), project.regions()].into_iter().flatten() {
+        let subject = path.display().to_string();
+        // Without a map their place cannot be checked, but everything else can.
+        let read = match &place {
+            Some(place) => polygons::read(&path, Some(place)).map(|read| read.len()),
+            None => polygons::check(&path),
+        };
+        match read {
+            Err(error) => {
+                found.push(Diagnostic::error("polygons-unreadable", subject, error.to_string()));
+            }
+            Ok(count) => {
+                let message = format!("{count} polygons");
+                found.push(Diagnostic::info("polygons-readable", subject, message));
+            }
+        }
+    }
+    found
+}
+
+/// What an orthomosaic that is given lacks.
+fn of_orthomosaic(path: &Path, name: &str) -> Vec<Diagnostic> {
+    let source = match rasters::Source::open(path) {
+        Ok(source) => source,
+        Err(error) => {
+            return vec![Diagnostic::error("orthomosaic-unreadable", name, error.to_string())];
+        }
+    };
+    let given = match source.georeference().and_then(|place| place.gsd_m()) {
+        Some(gsd_m) => {
+            let message = format!(
+                "traits come from this orthomosaic, {:.2} cm per pixel; photos are not used",
+                100.0 * gsd_m
+            );
+            Diagnostic::info("orthomosaic-given", name, message)
+        }
+        None => {
+            let message = "traits come from this orthomosaic, which does not say how large its pixels are: lengths and areas are in pixels";
+            Diagnostic::warning("orthomosaic-given", name, message)
+                .with_remedy("give a GeoTIFF in a projected reference system")
+        }
+    };
+    let size = source.size();
+    let memory = forecast::map_diagnostic(name, size, forecast::available_bytes());
+    std::iter::once(given).chain(memory).collect()
+}
+
+/// What their heads say, and whether all of them can be decoded.
+fn of_photos(photos: &[PathBuf], tabled: bool) -> Vec<Diagnostic> {
+    let mut found = Vec::new();
+    let heads: Vec<_> = photos
+        .par_iter()
+        .map(|path| {
+            (photo::read(path), images::read_photo(path).map(|photo| photo.dimensions()).ok())
+        })
+        .collect();
+    let mut cameras: BTreeMap<String, usize> = BTreeMap::new();
+    let (mut unread, mut without_focal, mut without_place) = (Vec::new(), 0, 0);
+    let mut places = Vec::new();
+    let mut footprint_m = Vec::new();
+    for (path, (head, size)) in photos.iter().zip(&heads) {
+        let (Ok(head), Some((width, height))) = (head, size) else {
+            unread.push(path.file_name().unwrap_or_default().to_string_lossy().into_owned());
+            continue;
+        };
+        *cameras.entry(format!("{} {} {width} x {height}", head.make, head.model)).or_default() +=
+            1;
+        let principal = head.principal_distance_px([*width, *height]);
+        without_focal += usize::from(principal.is_none());
+        match &head.geotag {
+            Some(tag) => places.push(*tag),
+            None => without_place += 1,
+        }
+        if let (Some((distance, _)), Some(above)) = (principal, head.height_above_take_off_m) {
+            footprint_m.push(above / distance * f64::from(*width.min(height)));
+        }
+    }
+    let all = photos.len();
+    let opened = all - unread.len();
+    if unread.is_empty() {
+        let message = format!("{all}, all can be opened");
+        found.push(Diagnostic::info("photos-readable", "photos", message));
+    } else {
+        let message = format!("{} of {all} cannot be opened: {}", unread.len(), unread.join(", "));
+        found.push(Diagnostic::error("photos-unreadable", "photos", message));
+    }
+    if all < LEAST_PHOTOS {
+        let message = format!("{all} are too few for a block, expected {LEAST_PHOTOS} or more");
+        found.push(Diagnostic::error("photos-too-few", "photos", message));
+    }
+    let list: Vec<String> =
+        cameras.iter().map(|(name, n)| format!("{n} by {}", name.trim())).collect();
+    match cameras.len() {
+        0 => return found,
+        1 => found.push(Diagnostic::info("cameras", "camera", list.join("; "))),
+        _ => found.push(Diagnostic::warning("cameras-several", "camera", list.join("; "))),
+    }
+    if without_focal > 0 {
+        let message = format!(
+            "{without_focal} of {opened} photos state no focal length; it is estimated from the photos"
+        );
+        found.push(
+            Diagnostic::warning("focal-length-missing", "camera", message)
+                .with_remedy("give camera.toml, or photos of a chessboard for [calibrate]"),
+        );
+    }
+    if without_place > 0 && tabled {
+        let message = "those of a file are used; photos that it does not name are named below";
+        found.push(Diagnostic::info("positions", "positions", message));
+    } else if without_place > 0 {
+        let message = format!(
+            "{without_place} of {opened} photos have no position: what they show has to tell their neighbours"
+        );
+        found.push(
+            Diagnostic::warning("positions-missing", "positions", message)
+                .with_remedy("give geolocation.csv, or [project] positions"),
+        );
+    } else {
+        let message = format!("all {opened} photos have one");
+        found.push(Diagnostic::info("positions", "positions", message));
+    }
+    found.extend(overlap(&places, &footprint_m));
+    found
+}
+
+/// How far photos are from their nearest neighbours, and what overlap that makes where the height is known.
+fn overlap(places: &[Geotag], footprint_m: &[f64]) -> Option<Diagnostic> {
+    let first = places.first().filter(|_| places.len() > 2)?;
+    let plane = LocalPlane::at([first.latitude_deg, first.longitude_deg, 0.0]);
+    let at: Vec<[f64; 2]> = places
+        .iter()
+        .map(|tag| {
+            let [east, north, _] = plane.from_wgs84([tag.latitude_deg, tag.longitude_deg, 0.0]);
+            [east, north]
+        })
+        .collect();
+    let nearest = |k: usize| {
+        let others = at.iter().enumerate().filter(|(j, _)| *j != k);
+        others.map(|(_, p)| (p[0] - at[k][0]).hypot(p[1] - at[k][1])).fold(f64::INFINITY, f64::min)
+    };
+    let mut distances: Vec<f64> = (0..at.len()).map(nearest).collect();
+    distances.sort_by(f64::total_cmp);
+    let (median, last) = (distances[distances.len() / 2], distances[distances.len() - 1]);
+    let mut message = format!("nearest neighbours are {median:.1} m apart, at most {last:.1} m");
+    let Some(&side) = footprint_m.get(footprint_m.len() / 2).filter(|side| **side > 0.0) else {
+        return Some(Diagnostic::info("overlap", "overlap", message));
+    };
+    let percent = 100.0 * (1.0 - median / side);
+    message += &format!("; about {percent:.0} % forward overlap by the heights in the photos");
+    let remedy = "fly more slowly, or take photos at shorter intervals: 75 % or more";
+    let [least, weak] = OVERLAP_PERCENT;
+    Some(if percent < least {
+        Diagnostic::error("overlap-too-small", "overlap", message).with_remedy(remedy)
+    } else if percent < weak {
+        Diagnostic::warning("overlap-small", "overlap", message).with_remedy(remedy)
+    } else {
+        Diagnostic::info("overlap", "overlap", message)
+    })
+}
+
+/// Whether photos, control, image measurements and positions fit together.
+fn tables(project: &Project) -> Vec<Diagnostic> {
+    let mut collector = Collector::default();
+    match super::align::inspect(project, &project.config().align, &mut collector) {
+        Ok(_) => collector.diagnostics.push(Diagnostic::info(
+            "tables-consistent",
+            "tables",
+            "photos, control, image measurements and positions fit together",
+        )),
+        Err(error) => collector.diagnostics.push(Diagnostic::error(
+            "tables-inconsistent",
+            "tables",
+            error.to_string(),
+        )),
+    }
+    collector.diagnostics
+}

@@ -1,0 +1,205 @@
+//! What a flight will take, before hours are spent on it: memory, processor time and disk of `align`; and the memory of `locate` on a map.
+//!
+//! ```text
+//! memory = photos in work + descriptors in use + bytes a photo * N + bytes a measurement * measurements
+//! measurements = min(F * share * N, M)
+//! time = seconds a photo * N,   disk = bytes of a feature * F * N
+//! ```
+//!
+//! with `N` photos, at most `F` features in each, and at most `M` measurements that are adjusted. The numbers come from `rowgram align` on
+//! synthetic flights of 135 to 2,108 photos with 6,000 features (`docs/large.md`); other flights are extrapolation. Those with 75 % and 65 % of
+//! overlap have 4,700 measurements a photo, one with 70 % and 65 % 2,850, 12 real photos of a meadow 570.
+
+use super::align::DESCRIPTORS_IN_MEMORY_BYTES;
+use rowgram_base::monitor::Diagnostic;
+use std::path::Path;
+
+/// Memory of photos in work and of the program itself: six photos of 9 and 12 megapixels took 180 MB with one thread, 190 with two.
+/// More threads were not measured.
+const WORK_BYTES: f64 = 200e6;
+/// Memory for each measurement of the adjusted block and its statistics, and for each feature of a photo with its matches and tracks: flights
+/// of 135, 544, 1,056 and 2,108 photos, of which 0.64, 0.95, 1.0 and 1.1 million measurements were adjusted, took 0.9, 1.6, 2.1 and 3.3 GB.
+const MEASUREMENT_BYTES: f64 = 650.0;
+const MATCHED_BYTES: f64 = 190.0;
+/// Share of the features that become measurements of tie points: 639,000 of 135 times 6,000.
+const MEASURED: f64 = 0.79;
+/// Disk for a feature, its matches included: the cache of 1,056 photos has 1.18 GB. Of that 128 bytes are the descriptor in memory.
+const FEATURE_BYTES: f64 = 190.0;
+/// Processor time for a photo, seconds: 2.8 on that flight, 2.3 on 12 photos of 3 megapixels.
+const PHOTO_S: f64 = 3.0;
+
+/// Memory of `locate`, which of all stages after the orthomosaic takes most: so much for decoded tiles that are kept, at most, and so much for
+/// each pixel of the map. Maps of 452 and 458 million pixels took 4.4 and 4.2 GB (`docs/large.md`), one of 3.2 million 59 MB in all.
+const LOCATE_BYTES: f64 = 4e8;
+const PIXEL_BYTES: f64 = 9.5;
+
+/// A warning where this machine has less memory than plants of a map of so many columns and rows take to be located.
+pub fn map_diagnostic(
+    subject: &str,
+    (width, height): (usize, usize),
+    available_bytes: Option<f64>,
+) -> Option<Diagnostic> {
+    let needed = LOCATE_BYTES + PIXEL_BYTES * width as f64 * height as f64;
+    let available = available_bytes.filter(|&available| available < needed)?;
+    let message = format!(
+        "locating plants on a map of {width} x {height} pixels takes up to {} of memory; {} are free",
+        size(needed),
+        size(available)
+    );
+    let remedy = "make the map coarser or of parts of the field ([ortho] gsd_m, bounds_m; of an orthomosaic that is given, resample or cut the file)";
+    Some(Diagnostic::warning("map-memory-short", subject, message).with_remedy(remedy))
+}
+
+/// What `align` will take.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Forecast {
+    /// Photos.
+    pub photos: usize,
+    /// Memory at most, bytes.
+    pub memory_bytes: f64,
+    /// Processor time of all threads together, seconds.
+    pub processor_s: f64,
+    /// Disk for what is kept between the steps, bytes.
+    pub disk_bytes: f64,
+}
+
+impl Forecast {
+    /// Of a flight of `photos` with at most `max_features` in each, and at most `max_tie_observations` that are adjusted.
+    pub fn new(photos: usize, max_features: usize, max_tie_observations: usize) -> Forecast {
+        let features = photos as f64 * max_features as f64;
+        let measurements = (MEASURED * features).min(max_tie_observations as f64);
+        let descriptors = (FEATURE_BYTES * features).min(DESCRIPTORS_IN_MEMORY_BYTES as f64);
+        Forecast {
+            photos,
+            memory_bytes: WORK_BYTES
+                + descriptors
+                + MATCHED_BYTES * features
+                + MEASUREMENT_BYTES * measurements,
+            processor_s: PHOTO_S * photos as f64,
+            disk_bytes: FEATURE_BYTES * features,
+        }
+    }
+
+    /// A warning where less disk is free than that.
+    pub fn disk_diagnostic(&self, free_bytes: Option<f64>) -> Option<Diagnostic> {
+        let free = free_bytes.filter(|&free| free < self.disk_bytes)?;
+        let message = format!(
+            "align of {} photos keeps {} between its steps; {} are free where results go",
+            self.photos,
+            size(self.disk_bytes),
+            size(free)
+        );
+        let remedy = "make room, or choose another folder for the results (--output)";
+        Some(Diagnostic::warning("disk-short", "align", message).with_remedy(remedy))
+    }
+
+    /// In words; a warning where this machine has less memory than that.
+    pub fn diagnostic(&self, threads: usize, available_bytes: Option<f64>) -> Diagnostic {
+        let minutes = self.processor_s / 60.0 / threads.max(1) as f64;
+        let message = format!(
+            "align of {} photos takes up to {} of memory, {} of disk and about {:.0} min on {threads} threads",
+            self.photos,
+            size(self.memory_bytes),
+            size(self.disk_bytes),
+            minutes.ceil()
+        );
+        match available_bytes {
+            Some(available) if available < self.memory_bytes => {
+                let message = format!("{message}; {} of memory are free", size(available));
+                Diagnostic::warning("memory-short", "align", message)
+                    .with_remedy("lower max_features or max_tie_observations in [align], or align parts of the flight")
+            }
+            _ => Diagnostic::info("align-forecast", "align", message),
+        }
+    }
+}
+
+fn size(bytes: f64) -> String {
+    match bytes {
+        bytes if bytes < 1e9 => format!("{:.0} MB", bytes / 1e6),
+        bytes => format!("{:.1} GB", bytes / 1e9),
+    }
+}
+
+/// Disk that is free for a folder, which need not be there yet, bytes; `None` where the system does not say (Unix does).
+#[cfg(unix)]
+pub fn free_disk_bytes(folder: &Path) -> Option<f64> {
+    let folder = folder.ancestors().find(|folder| folder.is_dir())?;
+    let found = rustix::fs::statvfs(folder).ok()?;
+    Some(found.f_bavail as f64 * found.f_frsize as f64)
+}
+
+/// Disk that is free for a folder, bytes: this system is not asked.
+#[cfg(not(unix))]
+pub fn free_disk_bytes(_: &Path) -> Option<f64> {
+    None
+}
+
+/// Memory that programs can still have, bytes; `None` where the system does not say (Linux does).
+pub fn available_bytes() -> Option<f64> {
+    let text = std::fs::read_to_string("/proc/meminfo").ok()?;
+    let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
+    let kibibytes: f64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some(1024.0 * kibibytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_flight_that_was_measured_is_within_what_is_said() {
+        // docs/large.md: 140 photos with 6,000 features took 714 MB at most and 396 s.
+        let said = Forecast::new(140, 6000, 1_000_000);
+        assert!((714e6..2.0 * 714e6).contains(&said.memory_bytes), "{said:?}");
+        assert!((396.0..1.5 * 396.0).contains(&said.processor_s), "{said:?}");
+        assert!((136e6..2.0 * 136e6).contains(&said.disk_bytes), "{said:?}");
+    }
+
+    #[test]
+    fn large_flights_that_were_measured_take_what_is_said() {
+        // docs/large.md.
+        for (photos, memory_bytes, disk_bytes) in
+            [(135, 0.9e9, 0.15e9), (544, 1.6e9, 0.6e9), (1056, 2.1e9, 1.2e9), (2108, 3.3e9, 2.4e9)]
+        {
+            let said = Forecast::new(photos, 6000, 1_000_000);
+            assert!((memory_bytes..1.25 * memory_bytes).contains(&said.memory_bytes), "{said:?}");
+            assert!((0.95 * disk_bytes..1.25 * disk_bytes).contains(&said.disk_bytes), "{said:?}");
+        }
+    }
+
+    #[test]
+    fn a_map_that_does_not_fit_is_told_before() {
+        let map = |available| map_diagnostic("mask.tif", (21_848, 20_685), available);
+        // Measured: 4.4 GB.
+        assert_eq!(map(Some(4.3e9)).unwrap().code, "map-memory-short");
+        assert_eq!(map(Some(5e9)), None);
+        assert_eq!(map(None), None);
+    }
+
+    #[test]
+    fn a_full_disk_is_told_before() {
+        let large = Forecast::new(5000, 6000, 1_000_000);
+        assert_eq!(large.disk_diagnostic(Some(1e9)).unwrap().code, "disk-short");
+        assert_eq!(large.disk_diagnostic(Some(1e12)), None);
+        assert_eq!(large.disk_diagnostic(None), None);
+        if cfg!(unix) {
+            let there = std::env::temp_dir();
+            let free = free_disk_bytes(&there).unwrap();
+            let below = free_disk_bytes(&there.join("not/yet/there")).unwrap();
+            // Others write meanwhile.
+            assert!(free > 0.0 && (below / free - 1.0).abs() < 0.5, "{free} {below}");
+        }
+    }
+
+    #[test]
+    fn short_memory_is_a_warning() {
+        let large = Forecast::new(5000, 6000, 1_000_000);
+        assert_eq!(large.diagnostic(8, Some(4e9)).code, "memory-short");
+        assert_eq!(large.diagnostic(8, Some(1e12)).code, "align-forecast");
+        assert_eq!(large.diagnostic(8, None).code, "align-forecast");
+        let fewer = Forecast::new(5000, 6000, 200_000);
+        assert!(fewer.memory_bytes < large.memory_bytes);
+        assert!(Forecast::new(5000, 2000, 1_000_000).memory_bytes < large.memory_bytes);
+    }
+}

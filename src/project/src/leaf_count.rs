@@ -1,0 +1,201 @@
+//! Number of leaves from the area that they cover.
+
+use super::{
+    Project, Stage, Task,
+    leaf_mask::{self, LeafMask},
+    stage,
+};
+use rowgram_base::{
+    error::Error,
+    monitor::{Diagnostic, Monitor},
+    options::Auto,
+};
+use rowgram_files::{leaf_counts, polygons};
+use rowgram_optim::output::FileError;
+use rowgram_plants::phenotype::leaf_count::{Calibration, LeafCount, Region, squares};
+use rowgram_raster::{
+    Mask,
+    georeference::{CrsKind, Georeference},
+    polygon::Polygon,
+};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+rowgram_base::options! {
+    /// Number of leaves from the area that they cover.
+    pub struct LeafCountOptions in "leaf_count" {
+        /// Leaf pixels per leaf; from the regions counted by hand where not set. Without both, leaves are not counted by area.
+        pub rho_px: Option<f64> = None, limits POSITIVE, example "120.0";
+        /// Side of the squares whose unevenness the interval shows where there are fewer than three regions.
+        pub square_px: usize = 64, limits at_least(1.0);
+        /// Seed of the draws of the interval.
+        pub seed: u64 = 0;
+    }
+}
+
+/// Leaves of one area.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PlotLeafCount {
+    /// Name of the plot; `whole` for all of the raster.
+    pub plot: String,
+    /// Its leaves.
+    #[serde(flatten)]
+    pub count: LeafCount,
+}
+
+/// Leaves by area in numbers.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct LeafCountOutcome {
+    /// Leaf pixels per leaf.
+    pub rho_px: f64,
+    /// Whether the raster has a place in a mapping frame, so that a leaf has the same area everywhere.
+    pub is_orthorectified: bool,
+    /// The whole raster, then the plots.
+    pub counts: Vec<PlotLeafCount>,
+}
+
+/// Counts the leaves of the field and of its plots by area: `leaf-count/counts.csv`.
+///
+/// # Errors
+/// [`Error::NothingToDo`] without a leaf mask, or where nobody says how large a leaf is; as [`stage::perform`].
+pub fn leaf_count(
+    project: &Project,
+    options: &LeafCountOptions,
+    monitor: &mut dyn Monitor,
+) -> Result<LeafCountOutcome, Error> {
+    stage::perform::<LeafCountStage>(project, options, monitor)
+}
+
+/// The stage.
+pub(super) struct LeafCountStage;
+
+impl Task for LeafCountStage {
+    type Options = LeafCountOptions;
+    type Outcome = LeafCountOutcome;
+    const STAGE: Stage = Stage::LeafCount;
+
+    fn inputs(project: &Project, options: &LeafCountOptions) -> Result<Vec<PathBuf>, Error> {
+        let mut files = vec![project.mask()?];
+        match (options.rho_px, project.regions()) {
+            (Some(_), _) => {}
+            (None, Some(regions)) => files.extend(polygons::files(&regions)),
+            (None, None) => {
+                return Err(Error::NothingToDo(
+                    "no leaves were counted by hand: give regions.geojson or [leaf_count] rho_px"
+                        .to_owned(),
+                ));
+            }
+        }
+        files.extend(project.plots().iter().flat_map(|plots| polygons::files(plots)));
+        Ok(files)
+    }
+
+    fn work(
+        project: &Project,
+        options: &LeafCountOptions,
+        folder: &Path,
+        monitor: &mut dyn Monitor,
+    ) -> Result<LeafCountOutcome, Error> {
+        let image = project.mask()?;
+        let (source, LeafMask { mask, .. }) = leaf_mask::read_leaf_mask(&image, Auto::Auto)?;
+        let areas = Areas {
+            regions: project.regions().filter(|_| options.rho_px.is_none()),
+            plots: project.plots(),
+        };
+        let subject = super::record::relative(project.root(), &image).display().to_string();
+        let outcome =
+            count_leaves(&mask, source.georeference(), &areas, options, &subject, monitor)?;
+        outcome.write(&folder.join("counts.csv"), true)?;
+        Ok(outcome)
+    }
+}
+
+impl LeafCountOutcome {
+    /// Writes the counts as a table, [`leaf_counts::write`].
+    ///
+    /// # Errors
+    /// Where it cannot be written.
+    pub fn write(&self, path: &Path, force: bool) -> Result<(), FileError> {
+        let rows: Vec<(&str, &LeafCount)> =
+            self.counts.iter().map(|line| (line.plot.as_str(), &line.count)).collect();
+        leaf_counts::write(path, force, &rows)
+    }
+}
+
+/// Files with the areas that are counted.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Areas {
+    /// Polygons with a property `leaves`, the leaves that somebody counted there.
+    pub regions: Option<PathBuf>,
+    /// Polygons of the plots.
+    pub plots: Option<PathBuf>,
+}
+
+/// Counts the leaves of a mask and of its plots. `subject` names the mask in diagnostics.
+///
+/// # Errors
+/// Files of polygons that cannot be read; no size of a leaf, given or from regions.
+pub fn count_leaves(
+    mask: &Mask,
+    georeference: Option<Georeference>,
+    areas: &Areas,
+    options: &LeafCountOptions,
+    subject: &str,
+    monitor: &mut dyn Monitor,
+) -> Result<LeafCountOutcome, Error> {
+    let is_orthorectified = georeference.is_some_and(|place| place.crs.kind != CrsKind::Unknown);
+    if !is_orthorectified {
+        let message = "it has no coordinate reference system and may not be orthorectified; where the scale \
+                       varies, so does the area of a leaf, and the count is biased";
+        monitor.diagnostic(&Diagnostic::warning("not-orthorectified", subject, message));
+    }
+    let calibration = match (options.rho_px, &areas.regions) {
+        (Some(rho), _) => Calibration::given(rho).map_err(Error::Argument)?,
+        (None, Some(path)) => {
+            let regions = regions(path, mask, georeference.as_ref())?;
+            Calibration::from_regions(&regions)
+                .map_err(|message| FileError::malformed(path, None, message))?
+        }
+        (None, None) => {
+            let message = "expected regions with counted leaves (--regions), or --rho-px";
+            return Err(Error::Argument(message.to_owned()));
+        }
+    };
+    let [width, height] = [mask.width as f64, mask.height as f64];
+    let whole = vec![[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]];
+    let count = |plot: String, area: &Polygon| PlotLeafCount {
+        plot,
+        count: calibration.count(&squares(mask, area, options.square_px), options.seed),
+    };
+    let mut counts = vec![count("whole".to_owned(), &Polygon { rings: vec![whole] })];
+    if let Some(path) = &areas.plots {
+        let plots = polygons::read(path, georeference.as_ref())?;
+        counts.extend(plots.into_iter().map(|plot| count(plot.name, &plot.polygon)));
+    }
+    Ok(LeafCountOutcome { rho_px: calibration.rho, is_orthorectified, counts })
+}
+
+/// Leaf pixels and counted leaves of the regions.
+fn regions(
+    path: &Path,
+    mask: &Mask,
+    georeference: Option<&Georeference>,
+) -> Result<Vec<Region>, Error> {
+    polygons::read(path, georeference)?
+        .into_iter()
+        .map(|region| {
+            let name = &region.name;
+            let leaves = region.leaves.ok_or_else(|| {
+                let message =
+                    format!("region {name} lacks the property leaves, its counted leaves");
+                FileError::malformed(path, None, message)
+            })?;
+            if region.polygon.runs(mask.width, mask.height).is_empty() {
+                let message = format!("region {name} holds no pixel of the raster");
+                return Err(FileError::malformed(path, None, message).into());
+            }
+            let pixels: u64 = squares(mask, &region.polygon, mask.width.max(1)).iter().sum();
+            Ok(Region { pixels: pixels as f64, leaves })
+        })
+        .collect()
+}

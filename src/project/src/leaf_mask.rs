@@ -1,0 +1,259 @@
+//! The leaf mask of a photo, with the posterior probability of vegetation where it was estimated; as a whole, or band by band.
+
+use super::{Project, Stage, segment::SegmentOptions};
+use image::RgbImage;
+use rowgram_base::{error::Error, options::Auto};
+use rowgram_files::{
+    images,
+    rasters::{self, BAND_ROWS, Source},
+};
+use rowgram_optim::output::FileError;
+use rowgram_raster::{
+    Mask,
+    mask::Thresholds,
+    vegetation::{self, Classified, Coherence, Estimate, Estimator, Model, VegetationError},
+    white_balance::{Channels, Gains, WhiteBalance},
+    window::{self, Band},
+};
+use std::{ops::Range, path::Path};
+
+/// The file of the stage `segment` with the posterior.
+pub(super) const POSTERIOR: &str = "posterior.tif";
+
+// Bands begin where those do that are looked at first.
+const _: () = assert!(BAND_ROWS.is_multiple_of(Estimator::ROWS));
+
+/// Most sweeps of iterated conditional modes; hardly a pixel changes after the third.
+pub(super) const SWEEPS: usize = 4;
+
+/// A leaf mask and what is known of it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LeafMask {
+    /// Leaf pixels.
+    pub mask: Mask,
+    /// Posterior probability of vegetation of each pixel, in 1/255, row by row; none for a given mask and for thresholds.
+    pub posterior: Option<Vec<u8>>,
+    /// Pixels that show something; none if all do, and for a given mask and for thresholds.
+    pub valid: Option<Mask>,
+    /// What was estimated of vegetation and background, where it was.
+    pub vegetation: Option<Model>,
+    /// The thresholds, where the mask was made by them.
+    pub hsv: Option<Thresholds>,
+}
+
+impl From<Mask> for LeafMask {
+    fn from(mask: Mask) -> LeafMask {
+        LeafMask { mask, posterior: None, valid: None, vegetation: None, hsv: None }
+    }
+}
+
+impl LeafMask {
+    /// Some rows of it.
+    pub(super) fn rows(&self, rows: Range<usize>) -> LeafRows {
+        let pixels = rows.start * self.mask.width..rows.end * self.mask.width;
+        let of = |all: &Vec<u8>| all[pixels.clone()].to_vec();
+        LeafRows {
+            rows,
+            mask: of(&self.mask.data),
+            posterior: self.posterior.as_ref().map(of),
+            shown: self.valid.as_ref().map(|valid| of(&valid.data)),
+        }
+    }
+}
+
+/// A photo, mask or orthomosaic with its leaf mask: a mask's own two values, else pixels within thresholds, or vegetation
+/// as it is estimated from the photo.
+///
+/// # Errors
+/// A file that cannot be read; a photo that shows nothing.
+pub fn read_leaf_mask(image: &Path, hsv: Auto<Thresholds>) -> Result<(Source, LeafMask), Error> {
+    let source = Source::open(image)?;
+    let found = if source.is_photo() {
+        of_photo(&source, image, &SegmentOptions { hsv, ..SegmentOptions::default() })?
+    } else {
+        source.mask(|photo| Thresholds::default().mask(photo))?.into()
+    };
+    Ok((source, found))
+}
+
+/// The leaf mask that the stage `segment` made, with its posterior.
+///
+/// # Errors
+/// [`Error::NothingToDo`] where there is none; files that cannot be read.
+pub fn of_project(project: &Project) -> Result<(Source, LeafMask), Error> {
+    let (source, mut found) = read_leaf_mask(&project.mask()?, Auto::Auto)?;
+    if let Some(path) = project.finished(Stage::Segment, POSTERIOR) {
+        let size = (found.mask.width, found.mask.height);
+        found.posterior = Some(rasters::read_posterior(&path, size)?);
+    }
+    Ok((source, found))
+}
+
+/// Opens what is to be segmented: anything but a mask.
+pub(super) fn open_photo(path: &Path) -> Result<Source, FileError> {
+    let source = Source::open(path)?;
+    match &source {
+        _ if source.is_photo() => Ok(source),
+        Source::Picture { .. } => {
+            let message = "it holds a mask (two values), expected a photo";
+            Err(FileError::malformed(path, None, message))
+        }
+        // Whether a grey TIFF is a photo or a mask is known when all of it has been read.
+        Source::File(_) => images::read_photo(path)
+            .map(|photo| Source::Picture { picture: images::Picture::Photo(photo), gaps: None }),
+    }
+}
+
+/// The leaf mask of a photo.
+pub(super) fn of_photo(
+    source: &Source,
+    image: &Path,
+    options: &SegmentOptions,
+) -> Result<LeafMask, Error> {
+    Ok(Segmenter::new(source, image, options)?.whole()?)
+}
+
+/// What says where leaves are in a photo, which is then segmented band by band.
+pub(super) struct Segmenter<'a> {
+    source: &'a Source,
+    gains: Option<Gains>,
+    rule: Rule,
+}
+
+enum Rule {
+    Thresholds(Thresholds),
+    Vegetation(Box<Estimate>),
+}
+
+/// The leaf mask of some rows, pixel by pixel.
+pub(super) struct LeafRows {
+    /// The rows.
+    pub(super) rows: Range<usize>,
+    /// 1 where there are leaves, 0 elsewhere.
+    pub(super) mask: Vec<u8>,
+    /// Posterior probability of vegetation in 1/255; none for thresholds.
+    pub(super) posterior: Option<Vec<u8>>,
+    /// 1 where something is shown, 0 elsewhere; none where all of the band is, and for thresholds.
+    pub(super) shown: Option<Vec<u8>>,
+}
+
+impl<'a> Segmenter<'a> {
+    /// Sees all of the photo, where vegetation or gains are estimated.
+    pub(super) fn new(
+        source: &'a Source,
+        image: &Path,
+        options: &SegmentOptions,
+    ) -> Result<Segmenter<'a>, Error> {
+        let gains = options.white_balance.map(|how| gains(source, how)).transpose()?;
+        let rule = match options.hsv {
+            Auto::Given(hsv) => Rule::Thresholds(hsv),
+            Auto::Auto => {
+                let coherence = match options.coherence {
+                    0.0 => Coherence::None,
+                    weight => Coherence::Icm { weight, sweeps: SWEEPS },
+                };
+                let how = vegetation::Options { coherence, ..vegetation::Options::default() };
+                let malformed =
+                    |why: VegetationError| FileError::malformed(image, None, why.to_string());
+                let size = source.size();
+                let mut estimator = Estimator::new(size, &how).map_err(malformed)?;
+                for band in window::bands(size.1, BAND_ROWS, Estimator::HALO) {
+                    let (photo, shown) = seen(source, gains, &band)?;
+                    estimator.add(&band, &photo, shown.as_deref());
+                }
+                Rule::Vegetation(Box::new(estimator.finish().map_err(malformed)?))
+            }
+        };
+        Ok(Segmenter { source, gains, rule })
+    }
+
+    /// What was estimated of vegetation and background, where it was.
+    pub(super) fn vegetation(&self) -> Option<Model> {
+        match &self.rule {
+            Rule::Thresholds(_) => None,
+            Rule::Vegetation(estimate) => Some(estimate.model),
+        }
+    }
+
+    /// The thresholds, where the mask is made by them.
+    pub(super) fn hsv(&self) -> Option<Thresholds> {
+        match &self.rule {
+            &Rule::Thresholds(hsv) => Some(hsv),
+            Rule::Vegetation(_) => None,
+        }
+    }
+
+    /// The leaf mask of the whole photo.
+    pub(super) fn whole(&self) -> Result<LeafMask, FileError> {
+        let (width, height) = self.source.size();
+        let (mut mask, mut posterior) = (Vec::with_capacity(width * height), None);
+        // Until a band has pixels that show nothing, all show something.
+        let mut valid: Option<Vec<u8>> = None;
+        for band in self.bands() {
+            let LeafRows { mask: leaf, posterior: probable, shown, .. } = band?;
+            if valid.is_some() || shown.is_some() {
+                let valid = valid.get_or_insert_with(|| vec![1; mask.len()]);
+                valid.extend(shown.unwrap_or_else(|| vec![1; leaf.len()]));
+            }
+            if let Some(probable) = probable {
+                let all = posterior.get_or_insert_with(|| Vec::with_capacity(width * height));
+                all.extend(probable);
+            }
+            mask.extend(leaf);
+        }
+        Ok(LeafMask {
+            mask: Mask { width, height, data: mask },
+            posterior,
+            valid: valid.map(|data| Mask { width, height, data }),
+            vegetation: self.vegetation(),
+            hsv: self.hsv(),
+        })
+    }
+
+    /// The leaf mask, from the top.
+    pub(super) fn bands(&self) -> impl Iterator<Item = Result<LeafRows, FileError>> + '_ {
+        let halo = match &self.rule {
+            Rule::Thresholds(_) => 0,
+            Rule::Vegetation(estimate) => estimate.halo(),
+        };
+        window::bands(self.source.size().1, BAND_ROWS, halo).map(|band| {
+            let (photo, shown) = seen(self.source, self.gains, &band)?;
+            Ok(match &self.rule {
+                Rule::Thresholds(hsv) => {
+                    let mask = hsv.mask(&photo).data;
+                    LeafRows { rows: band.rows, mask, posterior: None, shown: None }
+                }
+                Rule::Vegetation(estimate) => {
+                    let found = estimate.classify(&band, &photo, shown.as_deref());
+                    let Classified { mask, posterior, shown } = found;
+                    LeafRows { rows: band.rows, mask, posterior: Some(posterior), shown }
+                }
+            })
+        })
+    }
+}
+
+/// The photo around a band, balanced, and which of its pixels show something (1), where some do not.
+fn seen(
+    source: &Source,
+    gains: Option<Gains>,
+    band: &Band,
+) -> Result<(RgbImage, Option<Vec<u8>>), FileError> {
+    let (photo, gaps) = source.rgb_and_gaps(band.seen.clone())?;
+    let shown = gaps.map(|gaps| gaps.into_iter().map(|gap| u8::from(!gap)).collect());
+    let photo = match gains {
+        None => photo,
+        Some(gains) => gains.applied(&photo),
+    };
+    Ok((photo, shown))
+}
+
+/// The gains of the channels, from all of the photo.
+fn gains(source: &Source, how: WhiteBalance) -> Result<Gains, FileError> {
+    let (_, height) = source.size();
+    let mut histogram = Channels::default();
+    for band in window::bands(height, BAND_ROWS, 0) {
+        histogram.add(&source.rgb(band.rows)?);
+    }
+    Ok(histogram.gains(how))
+}

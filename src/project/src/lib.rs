@@ -1,0 +1,68 @@
+//! From photos to traits: the stages over a project on disk.
+//!
+//! Every stage is one function, `stage(&Project, &Options, &mut dyn Monitor) -> Result<Outcome, Error>`. It reads what
+//! earlier stages wrote, writes its own folder below `Project::results`, and gives typed results. A record of what was
+//! read and written decides whether a stage has to be done again ([`stage`]).
+
+pub mod adjust;
+pub mod align;
+pub mod batches;
+pub mod calibrate;
+pub mod camera;
+mod checks;
+mod config;
+pub mod convert;
+pub mod crops;
+pub mod dem;
+pub mod doctor;
+pub mod evaluate;
+pub mod evaluate_positions;
+pub mod features;
+pub mod figures;
+pub mod forecast;
+pub mod import;
+pub mod leaf_count;
+pub mod leaf_density;
+pub mod leaf_mask;
+pub mod leaves;
+pub mod locate;
+mod map_figures;
+pub mod ortho;
+pub mod plan;
+pub mod plots;
+mod project;
+pub mod query;
+mod reconstruction;
+pub mod record;
+#[cfg(feature = "report")]
+pub mod report;
+pub mod run;
+pub mod season;
+pub mod segment;
+mod stac;
+pub mod stage;
+pub mod surface;
+#[cfg(feature = "synth")]
+pub mod synth;
+pub mod thresholds;
+pub mod undistort;
+pub mod verify;
+
+pub use checks::ChecksOptions;
+pub use config::{Config, NAME as SETTINGS, ProjectOptions, StagesOptions, reference_page};
+pub use project::{PHOTO_ENDINGS, Project, photos_in};
+pub use stage::{Stage, State, Task};
+
+/// The folder within a stage's own that keeps what an interrupted attempt has found; no part of the results.
+pub const CACHE: &str = "cache";
+
+/// The most memory that this process has used, in megabytes, where the system tells.
+pub fn peak_memory_mb() -> Option<f64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    let kilobytes: f64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some(kilobytes / 1024.0)
+}
+
+/// Digest of the sources that this library was built from; results of another build are told by it.
+pub const BUILD: &str = env!("ROWGRAM_BUILD");

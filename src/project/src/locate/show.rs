@@ -1,0 +1,111 @@
+//! What was found of plants, in words and as a picture.
+
+use crate::figures::View;
+use image::Rgb;
+use rowgram_base::monitor::{Diagnostic, Monitor};
+use rowgram_plants::phenotype::{
+    locator::Found,
+    stand::{Stalk, Stand},
+};
+use rowgram_raster::overlay;
+
+/// From this share of the leaf area on, what stands between the rows is worth a warning.
+const BETWEEN_ROWS: f64 = 0.05;
+/// From this share of the leaf area on, what is too small to be a plant is worth a warning.
+const UNEXPLAINED: f64 = 0.1;
+/// A row is thin with less than this share of the plants of the middle row, for its length.
+const THIN: f64 = 0.6;
+
+/// Tells what was found in a few words, and what no plant in a row explains.
+pub(super) fn tell(stand: &Stand, subject: &str, monitor: &mut dyn Monitor) {
+    let rows = stand.rows.rows.len();
+    let thin = thin_rows(stand);
+    let what = match (rows, thin) {
+        (0, _) => "no rows stand out; plants are counted by their leaf area".to_owned(),
+        (1, _) => "1 row".to_owned(),
+        (_, 0) => format!("{rows} rows"),
+        (_, thin) => format!("{rows} rows, {thin} of them thin"),
+    };
+    monitor.diagnostic(&Diagnostic::info("rows-found", subject, what));
+    if let Some(between) = stand.between_rows.as_ref().filter(|of| of.leaf_share >= BETWEEN_ROWS) {
+        let message = format!(
+            "{:.0} % of the leaf area lies between the rows: weeds? {} patches of it were left out and are not counted as plants",
+            100.0 * between.leaf_share,
+            between.weeds_px.len()
+        );
+        monitor.diagnostic(
+            &Diagnostic::warning("leaf-between-rows", subject, message).with_remedy(
+                "look at figures/plants.png, where plants between the rows are violet, small if they were left out",
+            ),
+        );
+    }
+    let Some(mass) = &stand.leaf_mass else { return };
+    if mass.unexplained >= UNEXPLAINED {
+        let message = format!(
+            "{:.0} % of the leaf area is in {} specks too small to be plants: weeds, or other colours taken for leaf?",
+            100.0 * mass.unexplained,
+            mass.specks_px.len()
+        );
+        monitor.diagnostic(
+            &Diagnostic::warning("leaf-without-plant", subject, message)
+                .with_remedy("look at figures/plants.png, where specks are blue"),
+        );
+    }
+}
+
+/// Rows with far fewer plants for their length than the middle one.
+fn thin_rows(stand: &Stand) -> usize {
+    let rows = stand.row_counts.iter().zip(&stand.rows.rows);
+    let mut density: Vec<f64> = rows.map(|(count, row)| count / row.length_px().max(1.0)).collect();
+    density.sort_by(f64::total_cmp);
+    let Some(&middle) = density.get(density.len() / 2) else { return 0 };
+    density.iter().filter(|&&of| of < THIN * middle).count()
+}
+
+/// Plants in red, doubtful ones in orange, those between the rows in violet, small where they were left out as weeds; yellow where plants are missing; specks in blue;
+/// rows as dotted white lines.
+pub(super) fn draw(view: &mut View, found: &Found) {
+    const SURE: Rgb<u8> = Rgb([255, 40, 40]);
+    const DOUBTFUL: Rgb<u8> = Rgb([255, 150, 0]);
+    const MISSING: Rgb<u8> = Rgb([255, 230, 60]);
+    const BETWEEN: Rgb<u8> = Rgb([200, 60, 255]);
+    const SPECK: Rgb<u8> = Rgb([60, 120, 255]);
+    const ROW: Rgb<u8> = Rgb([255, 255, 255]);
+    let step = view.step as f64;
+    let radius = |px: f64| (px / step).clamp(2.0, 12.0) as u32;
+    let mut points = |at_px: Vec<[f64; 2]>, colour, radius_px| {
+        let at: Vec<[f64; 2]> = at_px.into_iter().map(|at| view.position(at)).collect();
+        overlay::draw_points(&mut view.picture, &at, colour, radius_px);
+    };
+    match found {
+        Found::Stand(stand) => {
+            let radius_px = radius(stand.spacing.spacing / 4.0);
+            points(stand.missing.iter().map(|gap| gap.position_px).collect(), MISSING, radius_px);
+            if let Some(mass) = &stand.leaf_mass {
+                points(mass.specks_px.clone(), SPECK, 2);
+            }
+            if let Some(between) = &stand.between_rows {
+                points(between.weeds_px.clone(), BETWEEN, 2);
+            }
+            for row in &stand.rows.rows {
+                let dots = (row.length_px() / (8.0 * step)).ceil() as usize;
+                let at = |k: usize| [row.start_px + 8.0 * step * k as f64, row.across_px];
+                points((0..=dots).map(|k| stand.rows.axes.image(at(k))).collect(), ROW, 1);
+            }
+            let (between, inside): (Vec<Stalk>, Vec<Stalk>) =
+                stand.plants.iter().partition(|plant| stand.is_between_rows(plant));
+            let (sure, doubtful): (Vec<Stalk>, Vec<Stalk>) =
+                inside.into_iter().partition(|plant| plant.confidence >= 0.5);
+            for (plants, colour) in [(between, BETWEEN), (sure, SURE), (doubtful, DOUBTFUL)] {
+                points(plants.iter().map(|p| p.position_px).collect(), colour, radius_px);
+            }
+        }
+        Found::Tiles(plants) => {
+            points(plants.iter().map(|p| p.position_px).collect(), SURE, 3);
+        }
+        Found::Descent(found) => {
+            let plants = found.located.plants.iter().map(|p| p.position_px).collect();
+            points(plants, SURE, radius(found.located.mean_distance_px / 3.0));
+        }
+    }
+}

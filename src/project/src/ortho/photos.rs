@@ -1,0 +1,67 @@
+//! The photos of an orthomosaic: which are used, and their pixels.
+
+use super::write::OrthoInput;
+use rowgram_base::error::Error;
+use rowgram_files::{geotiff, images};
+use rowgram_optim::output::FileError;
+use rowgram_raster::window::Window;
+use rowgram_survey::mapping::{View, photo::DecodedPhoto, views};
+use std::path::{Path, PathBuf};
+
+/// The photos that are used.
+pub(super) struct Chosen {
+    pub(super) views: Vec<View>,
+    pub(super) photos: Vec<PathBuf>,
+    /// Index of the camera of each.
+    pub(super) cameras: Vec<usize>,
+}
+
+pub(super) fn chosen(input: &OrthoInput<'_>, only: &[String]) -> Result<Chosen, Error> {
+    let all = views(input.reconstruction);
+    if all.is_empty() {
+        return Err(Error::Argument("there is no photo with a pose".into()));
+    }
+    let is = |view: &View, wanted: &String| {
+        let stem = Path::new(wanted).file_stem().and_then(|stem| stem.to_str());
+        view.name == *wanted || Some(view.name.as_str()) == stem
+    };
+    if let Some(missing) = only.iter().find(|name| !all.iter().any(|view| is(view, name))) {
+        return Err(Error::Argument(format!("photo {missing:?} has no pose")));
+    }
+    let used = |view: &View| only.is_empty() || only.iter().any(|name| is(view, name));
+    let cameras = input.reconstruction.images.iter().map(|image| image.camera);
+    let mut chosen = Chosen { views: Vec::new(), photos: Vec::new(), cameras: Vec::new() };
+    for ((view, photo), camera) in all.into_iter().zip(input.photos).zip(cameras) {
+        if used(&view) {
+            chosen.views.push(view);
+            chosen.photos.push(photo.clone());
+            chosen.cameras.push(camera);
+        }
+    }
+    Ok(chosen)
+}
+
+/// Reads a photo that must be as large as its camera says.
+pub(crate) fn read_photo(path: &Path, size_px: [u32; 2]) -> Result<DecodedPhoto, Error> {
+    let mut first = [0; 4];
+    let tiff = std::fs::File::open(path)
+        .and_then(|mut file| std::io::Read::read_exact(&mut file, &mut first))
+        .is_ok_and(|()| geotiff::is_tiff(&first));
+    let (photo, gaps) = if tiff {
+        let reader = geotiff::Reader::open(path)?;
+        reader.read_rgb_and_gaps(Window::whole(reader.width(), reader.height()))?
+    } else {
+        images::read_colour_and_gaps(path)?
+    };
+    if [photo.width(), photo.height()] != size_px {
+        let message = format!(
+            "it has {} x {} pixels, its camera {} x {}",
+            photo.width(),
+            photo.height(),
+            size_px[0],
+            size_px[1]
+        );
+        return Err(FileError::malformed(path, None, message).into());
+    }
+    Ok(DecodedPhoto::new(&photo, gaps.as_deref()))
+}

@@ -1,0 +1,400 @@
+//! Traits of every plot: from polygons, from a grid that the rows give, or of the whole field.
+//!
+//! Written as a wide table (`traits.csv`), a tidy one (`traits_long.csv`: plot, trait, value, unit), polygons with
+//! the traits (`traits.geojson`, `traits.gpkg`, `traits.parquet`), BrAPI answers (`*.brapi.json`), and what each trait is
+//! (`trait_dictionary.csv`). Plants and gaps come with the plot that they stand in (`plants.csv`, `gaps.csv`, and
+//! both as `.gpkg` and `.parquet`). Layers have styles for QGIS beside them.
+
+mod brapi;
+mod colours;
+mod heights;
+pub mod layout;
+mod plants;
+mod variable_ids;
+mod write;
+
+use super::{Project, Stage, Task, align::AlignOutcome, stage, surface};
+use rowgram_base::{
+    error::Error,
+    monitor::{Diagnostic, Monitor},
+};
+use rowgram_files::{
+    csv_table::CsvTable,
+    polygons::{self, Named},
+    rasters,
+};
+use rowgram_optim::output::FileError;
+use rowgram_plants::phenotype::{
+    plots::{FieldMeasurements, LeavesByArea, MeasuredLeaf, RowGap, plots_from_rows},
+    traits::PlotTraits,
+};
+use rowgram_raster::{georeference::Georeference, mask::Thresholds, polygon::Polygon};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+};
+use variable_ids::VariableIds;
+
+rowgram_base::options! {
+    /// Traits of plots. Without polygons and without both options below the whole field is one plot.
+    pub struct PlotsOptions in "plots", together both_or_neither {
+        /// Number of rows of plants in a plot, where there are no polygons.
+        pub rows_per_plot: Option<usize> = None, limits at_least(1.0), example "4";
+        /// Least length of an alley between plots, where there are no polygons.
+        pub alley_m: Option<f64> = None, limits POSITIVE, example "1.0";
+        /// Table with identifiers of traits for BrAPI, such as those of the Crop Ontology: columns trait and id.
+        pub variable_ids: Option<PathBuf> = None, example "\"variables.csv\"";
+    }
+}
+
+fn both_or_neither(options: &PlotsOptions) -> Result<(), String> {
+    match (options.rows_per_plot, options.alley_m) {
+        (Some(_), None) => Err("alley_m is not set: expected it beside rows_per_plot".to_owned()),
+        (None, Some(_)) => Err("rows_per_plot is not set: expected it beside alley_m".to_owned()),
+        _ => Ok(()),
+    }
+}
+
+/// Where plots come from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum PlotSource {
+    /// Polygons that somebody drew.
+    Polygons,
+    /// Groups of rows, cut at alleys.
+    Rows,
+    /// There is one plot: the whole field.
+    WholeField,
+}
+
+rowgram_base::choices!(PlotSource: Polygons, Rows, WholeField);
+
+/// Traits of the plots of a project.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PlotsOutcome {
+    /// Where the plots come from.
+    pub source: PlotSource,
+    /// The plots in the order of their source.
+    pub plots: Vec<PlotTraits>,
+    /// Plots that lie outside of the orthomosaic.
+    pub outside: Vec<String>,
+    /// Plots of which the orthomosaic shows a part only.
+    #[serde(default)]
+    pub partly_outside: Vec<String>,
+}
+
+/// A plot, its polygon in pixels, its traits, and what its polygon says of it.
+struct Plot {
+    polygon: Polygon,
+    traits: PlotTraits,
+    attributes: Vec<(String, Value)>,
+}
+
+/// A plot of which the orthomosaic shows less than this is told.
+const WHOLE: f64 = 0.99;
+
+/// Measures the traits of the plots from what earlier stages found, and writes them.
+///
+/// # Errors
+/// As [`stage::perform`]; plots none of which lies on the orthomosaic; an alley in metres where the orthomosaic has no
+/// scale.
+pub fn plots(
+    project: &Project,
+    options: &PlotsOptions,
+    monitor: &mut dyn Monitor,
+) -> Result<PlotsOutcome, Error> {
+    stage::perform::<Plots>(project, options, monitor)
+}
+
+/// Polygons of the plots with their traits.
+pub const POLYGONS: &str = "traits.geojson";
+
+/// The stage.
+pub(super) struct Plots;
+
+/// The tables of earlier stages that are there.
+struct Tables {
+    plants: Option<PathBuf>,
+    gaps: Option<PathBuf>,
+    rows: Option<PathBuf>,
+    leaves: Option<PathBuf>,
+    counts: Option<PathBuf>,
+    /// Heights of the canopy, a raster.
+    canopy: Option<PathBuf>,
+}
+
+impl Tables {
+    fn of(project: &Project) -> Tables {
+        Tables {
+            plants: project.finished(Stage::Locate, "plants.csv"),
+            gaps: project.finished(Stage::Locate, "gaps.csv"),
+            rows: project.finished(Stage::Locate, "rows.csv"),
+            leaves: project.finished(Stage::Leaves, "leaves.csv"),
+            counts: project.finished(Stage::LeafCount, "counts.csv"),
+            canopy: project.finished(Stage::Surface, surface::CANOPY),
+        }
+    }
+}
+
+impl Task for Plots {
+    type Options = PlotsOptions;
+    type Outcome = PlotsOutcome;
+    const STAGE: Stage = Stage::Plots;
+
+    fn inputs(project: &Project, options: &PlotsOptions) -> Result<Vec<PathBuf>, Error> {
+        let mut files = vec![project.mask()?];
+        files.extend(project.orthomosaic().ok());
+        if let Some(path) = project.plots() {
+            files.extend(polygons::files(&path));
+        }
+        files.extend(variable_ids_path(project, options));
+        let tables = Tables::of(project);
+        let of_plants = [tables.plants, tables.gaps, tables.rows];
+        let others = [tables.leaves, tables.counts, tables.canopy];
+        files.extend(of_plants.into_iter().chain(others).flatten());
+        Ok(files)
+    }
+
+    fn context(project: &Project) -> String {
+        let study = study(project, VariableIds::default());
+        format!("{} {}", study.name, study.time.unwrap_or_default())
+    }
+
+    fn work(
+        project: &Project,
+        options: &PlotsOptions,
+        folder: &Path,
+        monitor: &mut dyn Monitor,
+    ) -> Result<PlotsOutcome, Error> {
+        let ids = variable_ids_path(project, options).map(|path| VariableIds::read(&path));
+        let ids = ids.transpose()?.unwrap_or_default();
+        let (mask, place) = rasters::read_mask(&project.mask()?, &Thresholds::default())?;
+        let picture = project.orthomosaic().ok().map(|path| rasters::Source::open(&path));
+        let picture = picture.transpose()?;
+        let tables = Tables::of(project);
+        let field = measurements(&tables, place.and_then(|place| place.gsd_m()))?;
+        let (source, areas) = areas(project, options, &tables, place, monitor)?;
+        let areas = areas.unwrap_or_else(|| {
+            let [u, v] = [mask.width as f64 - 0.5, mask.height as f64 - 0.5];
+            let ring = vec![[-0.5, -0.5], [u, -0.5], [u, v], [-0.5, v]];
+            vec![named("field".to_owned(), Polygon { rings: vec![ring] })]
+        });
+        let polygons = areas.iter().map(|area| &area.polygon);
+        let colours = picture.map(|picture| colours::of_leaves(&picture, &mask, polygons));
+        let colours = colours.transpose()?.flatten();
+        let heights = match (&tables.canopy, place) {
+            (Some(path), Some(place)) => {
+                Some(heights::of_areas(path, place, areas.iter().map(|area| &area.polygon))?)
+            }
+            _ => None,
+        };
+        let mut outside = Vec::new();
+        let mut partly_outside = Vec::new();
+        let plots: Vec<Plot> = areas
+            .into_iter()
+            .enumerate()
+            .map(|(number, Named { name, polygon, attributes, .. })| {
+                let colour = colours.as_ref().map(|sums| &sums.of_leaves[number]);
+                let canopy = heights.as_ref().and_then(|heights| heights[number]);
+                let (traits, pixels) = field.traits(&name, &polygon, &mask, colour, canopy);
+                let shown = pixels - colours.as_ref().map_or(0, |sums| sums.gaps[number]);
+                if shown == 0 {
+                    outside.push(name);
+                } else if source == PlotSource::Polygons
+                    && (shown as f64) < WHOLE * polygon.pixels() as f64
+                {
+                    partly_outside.push(name);
+                }
+                Plot { polygon, traits, attributes }
+            })
+            .collect();
+        if let (Some(path), false) = (project.plots(), outside.is_empty()) {
+            if outside.len() == plots.len() {
+                let message = "none of its plots lies on the orthomosaic: is it of another field, or in another \
+                               reference system than it says?";
+                return Err(FileError::malformed(&path, None, message).into());
+            }
+            let message = format!(
+                "{} of {} plots lie outside of the orthomosaic and have no traits: {}",
+                outside.len(),
+                plots.len(),
+                outside.join(", ")
+            );
+            let subject = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            monitor.diagnostic(&Diagnostic::warning("plots-outside", subject, message));
+        }
+        if let (Some(path), false) = (project.plots(), partly_outside.is_empty()) {
+            let message = format!(
+                "the orthomosaic shows only a part of {} of {} plots, whose traits are of that part: {}",
+                partly_outside.len(),
+                plots.len(),
+                partly_outside.join(", ")
+            );
+            let subject = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            monitor.diagnostic(&Diagnostic::warning("plots-partly-outside", subject, message));
+        }
+        write::traits(&plots, place, folder, monitor)?;
+        brapi::write(&plots, &study(project, ids), folder)?;
+        plants::write(&tables, &plots, place, folder)?;
+        let plots = plots.into_iter().map(|plot| plot.traits).collect();
+        Ok(PlotsOutcome { source, plots, outside, partly_outside })
+    }
+}
+
+/// The study. Its name is not the folder's: a project that moves keeps its bytes.
+fn study(project: &Project, ids: VariableIds) -> brapi::Study {
+    let name = project.config().project.name.clone().unwrap_or_else(|| "field".to_owned());
+    let align = project.records().read(Stage::Align);
+    let outcome =
+        align.and_then(|record| serde_json::from_value::<AlignOutcome>(record.outcome).ok());
+    brapi::Study { name, time: outcome.and_then(|outcome| outcome.flight.first_photo_time), ids }
+}
+
+fn variable_ids_path(project: &Project, options: &PlotsOptions) -> Option<PathBuf> {
+    options.variable_ids.as_ref().map(|path| project.root().join(path))
+}
+
+/// Polygons with names, pixels.
+type Areas = Vec<Named>;
+
+/// A plot that nobody drew.
+fn named(name: String, polygon: Polygon) -> Named {
+    Named { name, polygon, leaves: None, attributes: Vec::new() }
+}
+
+/// The plots in pixels; `None` where the whole field is one.
+fn areas(
+    project: &Project,
+    options: &PlotsOptions,
+    tables: &Tables,
+    place: Option<Georeference>,
+    monitor: &mut dyn Monitor,
+) -> Result<(PlotSource, Option<Areas>), Error> {
+    if let Some(path) = project.plots() {
+        return Ok((PlotSource::Polygons, Some(polygons::read(&path, place.as_ref())?)));
+    }
+    let (Some(rows), Some(alley_m)) = (options.rows_per_plot, options.alley_m) else {
+        return Ok((PlotSource::WholeField, None));
+    };
+    let plants = tables.plants.as_deref().map(CsvTable::read).transpose()?;
+    let of_rows = plants.and_then(|table| table.pairs("u_px", "v_px").zip(table.numbers("row")));
+    let Some((plants, row_of)) = of_rows else {
+        let message = "there are no plants with rows, so the whole field is one plot";
+        monitor.diagnostic(
+            &Diagnostic::warning("plots-without-rows", "plots", message)
+                .with_remedy("locate plants with the row model, or draw the plots as polygons"),
+        );
+        return Ok((PlotSource::WholeField, None));
+    };
+    let gsd_m = place.and_then(|place| place.gsd_m()).ok_or_else(|| {
+        Error::Argument("[plots] alley_m: the orthomosaic has no scale in metres".into())
+    })?;
+    let areas = plots_from_rows(&plants, &row_of, rows, alley_m / gsd_m);
+    let areas = areas.into_iter().map(|(name, polygon)| named(name, polygon)).collect();
+    Ok((PlotSource::Rows, Some(areas)))
+}
+
+fn measurements(tables: &Tables, gsd_m: Option<f64>) -> Result<FieldMeasurements, Error> {
+    let read = |path: &Option<PathBuf>| path.as_deref().map(CsvTable::read).transpose();
+    let gaps = read(&tables.gaps)?.and_then(|table| {
+        let (places, plants) = (table.pairs("u_px", "v_px")?, table.numbers("plants")?);
+        let probability =
+            table.numbers("probability").unwrap_or_else(|| vec![f64::NAN; plants.len()]);
+        let gap =
+            |k: usize| RowGap { at_px: places[k], plants: plants[k], probability: probability[k] };
+        Some((0..places.len()).map(gap).collect())
+    });
+    let by_area = read(&tables.counts)?.and_then(|table| {
+        let columns = [table.numbers("leaves")?, table.numbers("low")?, table.numbers("high")?];
+        let plots = table.texts("plot")?.into_iter().enumerate();
+        let row = |(k, plot): (usize, &str)| LeavesByArea {
+            plot: plot.to_owned(),
+            leaves: [0, 1, 2].map(|column| columns[column][k]),
+        };
+        Some(plots.map(row).collect())
+    });
+    let plants = read(&tables.plants)?;
+    let column = |name: &str| plants.as_ref().and_then(|table| table.numbers(name));
+    let row_of = column("row").unwrap_or_default();
+    let confidence = column("confidence").unwrap_or_default();
+    let rows = read(&tables.rows)?.map(|table| row_variances(&table)).unwrap_or_default();
+    Ok(FieldMeasurements {
+        gsd_m,
+        plants: plants.as_ref().and_then(|table| table.pairs("u_px", "v_px")),
+        count_variance: count_variances(&confidence, &row_of, &rows),
+        along_sigma_px: column("sigma_along_px").unwrap_or_default(),
+        row_of,
+        gaps,
+        leaves: read(&tables.leaves)?.as_ref().and_then(single_leaves),
+        by_area,
+    })
+}
+
+/// What each plant of a row adds to the variance of a number of plants: that of the row, in equal shares.
+fn row_variances(table: &CsvTable) -> BTreeMap<u64, f64> {
+    let columns = ["row", "plants", "low", "high"].map(|name| table.numbers(name));
+    let [Some(rows), Some(plants), Some(low), Some(high)] = columns else { return BTreeMap::new() };
+    let share = |k: usize| {
+        // The interval of 95 % reaches two standard deviations to either side.
+        let variance = ((high[k] - low[k]) / 4.0).powi(2);
+        (rows[k] >= 0.0 && plants[k] > 0.0 && variance.is_finite())
+            .then(|| (rows[k] as u64, variance / plants[k]))
+    };
+    (0..rows.len()).filter_map(share).collect()
+}
+
+/// What each plant adds to the variance of a number of plants; of a plant in no row, what the probability that it is one says.
+fn count_variances(confidence: &[f64], row_of: &[f64], rows: &BTreeMap<u64, f64>) -> Vec<f64> {
+    let variance = |(k, confidence): (usize, &f64)| {
+        let row = row_of.get(k).filter(|row| row.is_finite());
+        let of_row = row.and_then(|&row| rows.get(&(row as u64)));
+        of_row.copied().unwrap_or(confidence * (1.0 - confidence))
+    };
+    confidence.iter().enumerate().map(variance).collect()
+}
+
+fn single_leaves(table: &CsvTable) -> Option<Vec<MeasuredLeaf>> {
+    let places = table.pairs("u_px", "v_px")?;
+    let unknown = || vec![f64::NAN; places.len()];
+    let [lengths, widths, hues] = ["length_m", "mean_width_m", "hue_deg"]
+        .map(|name| table.numbers(name).unwrap_or_else(unknown));
+    let leaf = |k: usize| MeasuredLeaf {
+        at_px: places[k],
+        length_m: lengths[k],
+        width_m: widths[k],
+        hue_deg: hues[k],
+    };
+    Some((0..places.len()).map(leaf).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rowgram_base::options::Options;
+
+    #[test]
+    fn rows_share_their_variance_among_their_plants() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("rows.csv");
+        let text = "row,plants,expected,low,high,length_px\n0,10,10.5,8,12,90\n1,0,0.2,0,1,90\n";
+        std::fs::write(&path, text).unwrap();
+        let rows = row_variances(&CsvTable::read(&path).unwrap());
+        // The row has a standard deviation of 1.
+        assert_eq!(rows, BTreeMap::from([(0, 0.1)]));
+        let found = count_variances(&[0.5, 0.5, 1.0], &[0.0, f64::NAN, 1.0], &rows);
+        assert_eq!(found, [0.1, 0.25, 0.0]);
+    }
+
+    #[test]
+    fn rows_and_alley_belong_together() {
+        let with = |text: &str| PlotsOptions::default().with(&text.parse().unwrap()).unwrap();
+        assert!(with("rows_per_plot = 4\nalley_m = 1.0").validate().is_ok());
+        assert!(with("").validate().is_ok());
+        let error = with("rows_per_plot = 4").validate().unwrap_err();
+        assert!(error.contains("alley_m is not set"), "{error}");
+        let error = with("alley_m = 1").validate().unwrap_err();
+        assert!(error.contains("rows_per_plot is not set"), "{error}");
+    }
+}

@@ -1,0 +1,258 @@
+//! Traits as files: CSV wide and tidy, GeoJSON, GeoPackage, GeoParquet.
+
+use super::Plot;
+use rowgram_base::{
+    error::Error,
+    monitor::{Diagnostic, Monitor},
+};
+use rowgram_files::{
+    geoparquet,
+    gpkg::{self, Column, ColumnKind, Feature, Geometry, GeometryKind, Layer},
+    qgis::{self, Style},
+};
+use rowgram_optim::output;
+use rowgram_plants::phenotype::traits::{PlotTraits, TRAITS, Trait};
+use rowgram_raster::{georeference::Georeference, polygon::Polygon};
+use serde_json::{Value, json};
+use std::path::Path;
+
+/// Writes all of them into a folder.
+///
+/// # Errors
+/// Where a file cannot be written.
+pub(super) fn traits(
+    plots: &[Plot],
+    place: Option<Georeference>,
+    folder: &Path,
+    monitor: &mut dyn Monitor,
+) -> Result<(), Error> {
+    let text = |value: Option<f64>| value.map(|value| value.to_string()).unwrap_or_default();
+    let attributes = attributes(plots, monitor);
+    output::write(&folder.join("traits.csv"), true, |out| {
+        let mut csv = csv::Writer::from_writer(out);
+        let own = attributes.iter().map(|of| of.name.as_str());
+        let columns = columns();
+        let names = columns.iter().map(|column| column.name.as_str());
+        csv.write_record(std::iter::once("plot").chain(names).chain(own))?;
+        for plot in plots {
+            let values = columns.iter().map(|column| text(column.value(&plot.traits)));
+            let own = attributes.iter().map(|of| match of.value(plot) {
+                Value::Null => String::new(),
+                Value::String(text) => text.clone(),
+                other => other.to_string(),
+            });
+            let name = plot.traits.plot.clone();
+            csv.write_record(std::iter::once(name).chain(values).chain(own))?;
+        }
+        csv.flush()
+    })?;
+    output::write(&folder.join("traits_long.csv"), true, |out| {
+        let mut csv = csv::Writer::from_writer(out);
+        csv.write_record(["plot", "trait", "value", "unit", "standard_deviation"])?;
+        for Plot { traits, .. } in plots {
+            for of in TRAITS {
+                if let Some(value) = (of.value)(traits) {
+                    let sd = text(of.standard_deviation(traits));
+                    csv.write_record([&traits.plot, of.name, &value.to_string(), of.unit, &sd])?;
+                }
+            }
+        }
+        csv.flush()
+    })?;
+    output::write(&folder.join("trait_dictionary.csv"), true, |out| {
+        let mut csv = csv::Writer::from_writer(out);
+        csv.write_record([
+            "trait",
+            "unit",
+            "meaning",
+            "method",
+            "standard_deviation",
+            "reference",
+        ])?;
+        for of in TRAITS {
+            csv.write_record([
+                of.name,
+                of.unit,
+                of.meaning,
+                of.method,
+                of.deviation,
+                of.reference,
+            ])?;
+        }
+        csv.flush()
+    })?;
+    let rings: Vec<Rings> = plots.iter().map(|plot| on_map(&plot.polygon, place)).collect();
+    let layer = layer(plots, &attributes, &rings, place);
+    if gpkg::IS_AVAILABLE {
+        gpkg::write(&folder.join("traits.gpkg"), true, std::slice::from_ref(&layer))?;
+    } else {
+        left_out("traits.gpkg", "GeoPackages", "geopackage", monitor);
+    }
+    if geoparquet::IS_AVAILABLE {
+        geoparquet::write(&folder.join("traits.parquet"), true, &layer)?;
+    } else {
+        left_out("traits.parquet", "GeoParquet", "geoparquet", monitor);
+    }
+    let features: Vec<Value> = plots
+        .iter()
+        .zip(&rings)
+        .map(|(plot, rings)| {
+            let mut properties = json!(plot.traits);
+            for of in attributes.iter().filter(|of| !of.value(plot).is_null()) {
+                properties[&of.name] = of.value(plot).clone();
+            }
+            json!({
+                "type": "Feature",
+                "properties": properties,
+                "geometry": {"type": "Polygon", "coordinates": rings},
+            })
+        })
+        .collect();
+    let mut collection = json!({"type": "FeatureCollection", "features": features});
+    if let Some(code) = place.and_then(|place| place.crs.epsg) {
+        let name = format!("urn:ogc:def:crs:EPSG::{code}");
+        collection["crs"] = json!({"type": "name", "properties": {"name": name}});
+    }
+    output::write(&folder.join(super::POLYGONS), true, |out| writeln!(out, "{collection}"))?;
+    style(plots, folder)?;
+    Ok(())
+}
+
+/// A column of numbers: a trait, or its standard deviation, which stands behind it.
+struct NumberColumn {
+    name: String,
+    of: &'static Trait,
+    is_deviation: bool,
+}
+
+impl NumberColumn {
+    fn value(&self, plot: &PlotTraits) -> Option<f64> {
+        if self.is_deviation { self.of.standard_deviation(plot) } else { (self.of.value)(plot) }
+    }
+}
+
+/// The columns of numbers of every table of plots.
+fn columns() -> Vec<NumberColumn> {
+    let both = |of: &'static Trait| {
+        let own = NumberColumn { name: of.name.to_owned(), of, is_deviation: false };
+        let sd = of.deviation_name().map(|name| NumberColumn { name, of, is_deviation: true });
+        std::iter::once(own).chain(sd)
+    };
+    TRAITS.iter().flat_map(both).collect()
+}
+
+/// What polygons say of plots beside their names: genotype, treatment, block.
+struct Attribute {
+    name: String,
+    kind: ColumnKind,
+}
+
+impl Attribute {
+    /// Its value for a plot.
+    fn value<'a>(&self, plot: &'a Plot) -> &'a Value {
+        let found = plot.attributes.iter().find(|(name, _)| *name == self.name);
+        found.map_or(&Value::Null, |(_, value)| value)
+    }
+}
+
+/// The attributes of the plots in the order in which they first appear. One with the name of a trait is left out: it
+/// is of an earlier table of traits.
+fn attributes(plots: &[Plot], monitor: &mut dyn Monitor) -> Vec<Attribute> {
+    let mut found: Vec<Attribute> = Vec::new();
+    let mut taken: Vec<String> = Vec::new();
+    for (name, value) in plots.iter().flat_map(|plot| &plot.attributes) {
+        let is_taken = |other: &str| other.eq_ignore_ascii_case(name);
+        if columns().iter().any(|column| is_taken(&column.name)) {
+            if !taken.contains(name) {
+                taken.push(name.clone());
+            }
+            continue;
+        }
+        let kind = if value.is_number() { ColumnKind::Real } else { ColumnKind::Text };
+        match found.iter_mut().find(|of| is_taken(&of.name)) {
+            Some(of) if of.kind != kind => of.kind = ColumnKind::Text,
+            Some(_) => {}
+            None => found.push(Attribute { name: name.clone(), kind }),
+        }
+    }
+    if !taken.is_empty() {
+        let message =
+            format!("attributes with the names of traits are not kept: {}", taken.join(", "));
+        monitor.diagnostic(&Diagnostic::info("attributes-left-out", "plots", message));
+    }
+    found
+}
+
+/// How the layers of plots open in QGIS: coloured by the first of some traits that was measured.
+fn style(plots: &[Plot], folder: &Path) -> Result<(), Error> {
+    let values = |of: &Trait| -> Vec<f64> {
+        plots.iter().filter_map(|plot| (of.value)(&plot.traits)).filter(|x| x.is_finite()).collect()
+    };
+    let by = ["plants_per_ha", "plants", "canopy_cover"];
+    let known = by.iter().filter_map(|name| {
+        let values = values(TRAITS.iter().find(|of| of.name == *name)?);
+        (!values.is_empty()).then_some((*name, values))
+    });
+    let Some((by, values)) = known.into_iter().next() else { return Ok(()) };
+    let range = [
+        values.iter().copied().fold(f64::INFINITY, f64::min),
+        values.iter().copied().fold(f64::NEG_INFINITY, f64::max),
+    ];
+    let style = Style::Polygons { by, range, label: "plot" };
+    Ok(qgis::write(&folder.join("traits.qml"), true, &style)?)
+}
+
+/// Closed rings of map positions, to a tenth of a millimetre.
+type Rings = Vec<Vec<[f64; 2]>>;
+
+fn on_map(polygon: &Polygon, place: Option<Georeference>) -> Rings {
+    let ring = |ring: &Vec<[f64; 2]>| {
+        let closed = ring.iter().chain(ring.first());
+        let map = closed.map(|&at| place.map_or(at, |place| place.map(at)));
+        map.map(|at| at.map(|x| (x * 1e4).round() / 1e4)).collect()
+    };
+    polygon.rings.iter().map(ring).collect()
+}
+
+fn left_out(file: &str, format: &str, feature: &str, monitor: &mut dyn Monitor) {
+    let message = format!("not written: this build of rowgram has no {format}");
+    let remedy = format!("take traits.geojson, or build with the Cargo feature {feature}");
+    let found = Diagnostic::info("output-left-out", file, message).with_remedy(remedy);
+    monitor.diagnostic(&found);
+}
+
+/// The same as a layer; the unit of a trait is in its name.
+fn layer(
+    plots: &[Plot],
+    attributes: &[Attribute],
+    rings: &[Rings],
+    place: Option<Georeference>,
+) -> Layer {
+    let numbers = columns();
+    let columns = std::iter::once(Column::new("plot", ColumnKind::Text))
+        .chain(numbers.iter().map(|column| Column::new(&column.name, ColumnKind::Real)))
+        .chain(attributes.iter().map(|of| Column::new(&of.name, of.kind)));
+    let feature = |(plot, rings): (&Plot, &Rings)| {
+        let number = |value: Option<f64>| value.map_or(gpkg::Value::Null, gpkg::Value::Real);
+        let values = numbers.iter().map(|column| number(column.value(&plot.traits)));
+        let own = attributes.iter().map(|of| match (of.value(plot), of.kind) {
+            (Value::Null, _) => gpkg::Value::Null,
+            (value, ColumnKind::Real) => number(value.as_f64()),
+            (Value::String(text), _) => gpkg::Value::Text(text.clone()),
+            (other, _) => gpkg::Value::Text(other.to_string()),
+        });
+        let name = gpkg::Value::Text(plot.traits.plot.clone());
+        Feature {
+            geometry: Some(Geometry::Polygon(rings.clone())),
+            values: std::iter::once(name).chain(values).chain(own).collect(),
+        }
+    };
+    Layer {
+        name: "plots".to_owned(),
+        description: "Traits of plots".to_owned(),
+        kind: GeometryKind::Polygon,
+        crs: place.map(|place| place.crs),
+        columns: columns.collect(),
+        features: plots.iter().zip(rings).map(feature).collect(),
+    }
+}

@@ -1,0 +1,117 @@
+//! Pictures that go into the page itself, as data URIs.
+
+use base64::{Engine, engine::general_purpose::STANDARD};
+use image::{Rgb, RgbImage, codecs::jpeg::JpegEncoder};
+use rowgram_base::error::Error;
+use rowgram_files::rasters::Source;
+use rowgram_optim::output::FileError;
+use std::path::Path;
+
+/// Quality of the JPEGs.
+const QUALITY: u8 = 82;
+
+/// A file as it is.
+///
+/// # Errors
+/// Where it cannot be read.
+pub(super) fn file(path: &Path) -> Result<String, Error> {
+    let bytes = std::fs::read(path).map_err(|e| FileError::read(path, e))?;
+    let kind = match path.extension().and_then(|e| e.to_str()) {
+        Some("svg") => "image/svg+xml",
+        Some("jpg" | "jpeg") => "image/jpeg",
+        _ => "image/png",
+    };
+    Ok(format!("data:{kind};base64,{}", STANDARD.encode(bytes)))
+}
+
+/// A picture as JPEG, no wider or higher than `side_px`.
+///
+/// # Errors
+/// Where it cannot be encoded.
+pub(super) fn jpeg(picture: &RgbImage, side_px: u32) -> Result<String, Error> {
+    let largest = picture.width().max(picture.height());
+    let small = (largest > side_px).then(|| {
+        let scale = f64::from(side_px) / f64::from(largest);
+        let size = |n: u32| (f64::from(n) * scale).round().max(1.0) as u32;
+        image::imageops::thumbnail(picture, size(picture.width()), size(picture.height()))
+    });
+    let mut bytes = Vec::new();
+    JpegEncoder::new_with_quality(&mut bytes, QUALITY)
+        .encode_image(small.as_ref().unwrap_or(picture))
+        .map_err(|e| FileError::write("report.html".as_ref(), std::io::Error::other(e)))?;
+    Ok(format!("data:image/jpeg;base64,{}", STANDARD.encode(bytes)))
+}
+
+/// A raster in a smaller scale.
+pub(super) struct Overview {
+    pub(super) picture: RgbImage,
+    /// Columns and rows of the raster.
+    pub(super) size: (usize, usize),
+}
+
+/// What is drawn where a map shows nothing: it reads as paper in both colour schemes, black as a dark field.
+const NOTHING: Rgb<u8> = Rgb([238, 239, 235]);
+
+/// `picture` with paper where it is entirely black, as mosaics are outside of what photos cover.
+pub(super) fn on_paper(mut picture: RgbImage) -> RgbImage {
+    for pixel in picture.pixels_mut().filter(|pixel| pixel.0 == [0; 3]) {
+        *pixel = NOTHING;
+    }
+    picture
+}
+
+/// Reads a raster by bands and means blocks of its pixels, so that no side is longer than `side_px`.
+///
+/// # Errors
+/// Where it cannot be read.
+pub(super) fn overview(path: &Path, side_px: usize) -> Result<Overview, Error> {
+    let source = Source::open(path)?;
+    let (width, height) = source.size();
+    let step = width.max(height).div_ceil(side_px).max(1);
+    let (columns, rows) = (width.div_ceil(step), height.div_ceil(step));
+    let mut sums = vec![[0u32; 4]; columns * rows];
+    for band in rowgram_raster::window::bands(height, rowgram_files::rasters::BAND_ROWS, 0) {
+        let part = source.rgb(band.rows.clone())?;
+        for (u, v, Rgb(pixel)) in part.enumerate_pixels() {
+            let row = (band.rows.start + v as usize) / step;
+            let sum = &mut sums[row * columns + u as usize / step];
+            (0..3).for_each(|k| sum[k] += u32::from(pixel[k]));
+            sum[3] += 1;
+        }
+    }
+    let picture = RgbImage::from_fn(columns as u32, rows as u32, |u, v| {
+        let sum = sums[v as usize * columns + u as usize];
+        Rgb([0, 1, 2].map(|k| (sum[k] / sum[3].max(1)) as u8))
+    });
+    Ok(Overview { picture, size: (width, height) })
+}
+
+/// Pixels of a raster as they are, around a place.
+///
+/// # Errors
+/// Where it cannot be read.
+pub(super) fn detail(
+    path: &Path,
+    around: [f64; 2],
+    [width, height]: [usize; 2],
+) -> Result<([usize; 2], RgbImage), Error> {
+    let source = Source::open(path)?;
+    let (columns, rows) = source.size();
+    let (width, height) = (width.min(columns), height.min(rows));
+    let first = |at: f64, size: usize, all: usize| {
+        ((at - size as f64 / 2.0).max(0.0) as usize).min(all - size)
+    };
+    let (u, v) = (first(around[0], width, columns), first(around[1], height, rows));
+    let band = source.rgb(v..v + height)?;
+    let part = image::imageops::crop_imm(&band, u as u32, 0, width as u32, height as u32);
+    Ok(([u, v], part.to_image()))
+}
+
+/// Several pixels of a mask as one, darker where more of them are plant.
+pub(super) fn green(overview: &RgbImage) -> RgbImage {
+    RgbImage::from_fn(overview.width(), overview.height(), |u, v| {
+        let share = f64::from(overview.get_pixel(u, v).0[0]) / 255.0;
+        let from = |paper: f64, leaf: f64| (paper + share * (leaf - paper)) as u8;
+        Rgb([from(247.0, 28.0), from(246.0, 110.0), from(240.0, 56.0)])
+    })
+}

@@ -1,0 +1,275 @@
+//! The map of a project in full resolution, for a browser on the same machine.
+//!
+//! [`Viewer::answer`] turns the target of a request into an answer; [`serve`] brings both over HTTP. A target names a tile, a
+//! place or the number of a photo, never a file, so that nothing outside of the project can be asked for.
+//!
+//! | target | answer |
+//! |---|---|
+//! | `/` | the page |
+//! | `/tiles/LEVEL/COLUMN/ROW.jpg` | 512 x 512 pixels of the orthomosaic, each of 2^LEVEL x 2^LEVEL of its own |
+//! | `/photos?u=U&v=V` | the photos in whose frame a place of the orthomosaic (pixels) lies, as JSON |
+//! | `/photos/NUMBER.jpg?u=U&v=V&side=S` | S x S pixels of a photo around a place |
+
+mod serve;
+
+use super::{Facts, map, page};
+use crate::{
+    Project,
+    query::{OrthophotoOrigins, Sighting, query},
+    run::RunOutcome,
+};
+use image::{Rgb, RgbImage, codecs::jpeg::JpegEncoder, imageops};
+use rowgram_base::error::Error;
+use rowgram_files::{geotiff::Reader, images};
+use rowgram_raster::{georeference::Georeference, window::Window};
+pub use serve::{Server, serve};
+use std::{
+    path::Path,
+    sync::{Arc, Mutex, PoisonError},
+};
+
+/// Side of a tile, pixels.
+pub(super) const TILE_PX: usize = 512;
+/// Quality of the JPEGs.
+const QUALITY: u8 = 88;
+/// Photos that are kept decoded: as many as are looked at side by side.
+const PHOTOS_KEPT: usize = 8;
+/// The largest part of a photo that is sent, pixels.
+const LARGEST_PX: u32 = 2048;
+
+/// What is sent back.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Answer {
+    /// Status of HTTP: 200, 400 (a target that cannot be understood), 404 (nothing there), 500.
+    pub status: u16,
+    /// Media type of the body.
+    pub media_type: &'static str,
+    /// What is sent.
+    pub body: Vec<u8>,
+}
+
+impl Answer {
+    fn found(media_type: &'static str, body: Vec<u8>) -> Answer {
+        Answer { status: 200, media_type, body }
+    }
+
+    fn failed(status: u16, message: impl Into<String>) -> Answer {
+        Answer { status, media_type: "text/plain; charset=utf-8", body: message.into().into() }
+    }
+}
+
+/// What a map of a project is drawn from.
+pub struct Viewer {
+    page: String,
+    orthomosaic: Option<Reader>,
+    place: Option<Georeference>,
+    origins: Option<OrthophotoOrigins>,
+    photos: Mutex<Vec<(usize, Arc<RgbImage>)>>,
+}
+
+impl Viewer {
+    /// Opens the results of the last run of a project.
+    ///
+    /// # Errors
+    /// [`Error::NothingToDo`] where there is no orthomosaic; results that cannot be read.
+    pub fn open(project: &Project) -> Result<Viewer, Error> {
+        let outcome = RunOutcome::of_last_run(project)?;
+        let facts = Facts::gather(project, &outcome)?;
+        let Some(path) = facts.orthomosaic() else {
+            return Err(Error::NothingToDo(format!(
+                "{}: there is no orthomosaic with a leaf mask yet; make them with rowgram run",
+                project.results().display()
+            )));
+        };
+        // Plain pictures are in the page in a size that can be looked at.
+        let orthomosaic = Reader::open(&path).ok();
+        // An orthomosaic from elsewhere has no photos.
+        let origins = match query(project, None) {
+            Ok(origins) => Some(origins),
+            Err(Error::NothingToDo(_)) => None,
+            Err(error) => return Err(error),
+        };
+        let place = orthomosaic.as_ref().and_then(Reader::georeference);
+        let served = map::Served { tiles: orthomosaic.is_some(), photos: origins.is_some() };
+        let page = page::viewer(&outcome.project, &map::served(&facts, served)?);
+        Ok(Viewer { page, orthomosaic, place, origins, photos: Mutex::default() })
+    }
+
+    /// The answer to the target of a GET request: path and query, as in `/tiles/0/3/4.jpg`.
+    pub fn answer(&self, target: &str) -> Answer {
+        let (path, query) = target.split_once('?').unwrap_or((target, ""));
+        let parts: Vec<&str> = path.trim_start_matches('/').split('/').collect();
+        let answer = match parts[..] {
+            [""] => Some(Answer::found("text/html; charset=utf-8", self.page.clone().into())),
+            ["tiles", level, column, row] => numbers([level, column, jpeg_name(row)])
+                .and_then(|[level, column, row]| self.tile(level, column, row)),
+            ["photos"] => values(query, ["u", "v"]).map(|at| self.sightings(at)),
+            ["photos", name] => numbers([jpeg_name(name)])
+                .zip(values(query, ["u", "v", "side"]))
+                .map(|([number], [u, v, side])| self.part([u, v], side, number)),
+            _ => None,
+        };
+        answer.unwrap_or_else(|| Answer::failed(404, format!("there is no {path}")))
+    }
+
+    fn tile(&self, level: usize, column: usize, row: usize) -> Option<Answer> {
+        let reader = self.orthomosaic.as_ref()?;
+        let step =
+            1_usize.checked_shl(u32::try_from(level).ok()?).filter(|&step| step <= 1 << 20)?;
+        let whole = [reader.width(), reader.height()];
+        let size = whole.map(|length| length.div_ceil(step));
+        let first = [column, row].map(|k| k.checked_mul(TILE_PX));
+        let [Some(u), Some(v)] = first else { return None };
+        if u >= size[0] || v >= size[1] {
+            return None;
+        }
+        let part = [(size[0] - u).min(TILE_PX), (size[1] - v).min(TILE_PX)];
+        let window = Window { u, v, width: part[0], height: part[1] };
+        let stored = reader.overviews().iter().position(|&of| of == size);
+        let picture = match (level, stored) {
+            (0, _) => reader.read_rgb(window),
+            (_, Some(overview)) => reader.read_overview_rgb(overview, window),
+            (_, None) => every(reader, window, step),
+        };
+        Some(match picture {
+            Ok(picture) => encoded(&super::pictures::on_paper(picture)),
+            Err(error) => Answer::failed(500, error.to_string()),
+        })
+    }
+
+    fn sightings(&self, [u, v]: [f64; 2]) -> Answer {
+        let found: Result<Vec<Sighting>, Error> = match (&self.origins, self.place) {
+            (Some(origins), Some(place)) => origins.sightings(place.map([u, v])),
+            _ => Ok(Vec::new()),
+        };
+        match found.map(|found| serde_json::to_vec(&found)) {
+            Ok(Ok(body)) => Answer::found("application/json", body),
+            Ok(Err(error)) => Answer::failed(500, error.to_string()),
+            Err(error) => Answer::failed(404, error.to_string()),
+        }
+    }
+
+    /// A square of a photo around a place; what lies outside of the photo is left out.
+    fn part(&self, [u, v]: [f64; 2], side: f64, number: usize) -> Answer {
+        let Some(path) = self.origins.as_ref().and_then(|origins| origins.photo(number)) else {
+            return Answer::failed(404, format!("there is no photo number {number}"));
+        };
+        let side = side.clamp(1.0, f64::from(LARGEST_PX));
+        let photo = match self.read(number, path) {
+            Ok(photo) => photo,
+            Err(error) => return Answer::failed(500, error.to_string()),
+        };
+        let first = |at: f64, length: u32| (at - 0.5 * side).round().clamp(0.0, f64::from(length));
+        let last = |at: f64, length: u32| (at + 0.5 * side).round().clamp(0.0, f64::from(length));
+        let (width, height) = photo.dimensions();
+        let (left, top) = (first(u, width) as u32, first(v, height) as u32);
+        let (right, bottom) = (last(u, width) as u32, last(v, height) as u32);
+        if left >= right || top >= bottom {
+            return Answer::failed(404, format!("photo number {number} does not show ({u}, {v})"));
+        }
+        encoded(&imageops::crop_imm(&*photo, left, top, right - left, bottom - top).to_image())
+    }
+
+    fn read(&self, number: usize, path: &Path) -> Result<Arc<RgbImage>, Error> {
+        let kept = || self.photos.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, photo)) = kept().iter().find(|(of, _)| *of == number) {
+            return Ok(Arc::clone(photo));
+        }
+        let photo = Arc::new(images::read_colour(path)?);
+        let mut kept = kept();
+        if kept.len() >= PHOTOS_KEPT {
+            kept.remove(0);
+        }
+        kept.push((number, Arc::clone(&photo)));
+        Ok(photo)
+    }
+}
+
+/// One pixel of `step` x `step`, for files without a picture of that resolution.
+fn every(
+    reader: &Reader,
+    window: Window,
+    step: usize,
+) -> Result<RgbImage, rowgram_optim::output::FileError> {
+    let mut picture = RgbImage::new(window.width as u32, window.height as u32);
+    let width = ((window.width - 1) * step + 1).min(reader.width() - window.u * step);
+    for v in 0..window.height {
+        let row = Window { u: window.u * step, v: (window.v + v) * step, width, height: 1 };
+        let row = reader.read_rgb(row)?;
+        for (u, Rgb(pixel)) in row.pixels().step_by(step).enumerate() {
+            picture.put_pixel(u as u32, v as u32, Rgb(*pixel));
+        }
+    }
+    Ok(picture)
+}
+
+fn encoded(picture: &RgbImage) -> Answer {
+    let mut body = Vec::new();
+    match JpegEncoder::new_with_quality(&mut body, QUALITY).encode_image(picture) {
+        Ok(()) => Answer::found("image/jpeg", body),
+        Err(error) => Answer::failed(500, error.to_string()),
+    }
+}
+
+fn jpeg_name(name: &str) -> &str {
+    name.strip_suffix(".jpg").unwrap_or("")
+}
+
+fn numbers<const N: usize>(texts: [&str; N]) -> Option<[usize; N]> {
+    let found = texts.map(|text| text.parse().ok());
+    found.iter().all(Option::is_some).then(|| found.map(Option::unwrap_or_default))
+}
+
+/// Finite numbers of a query by their names.
+fn values<const N: usize>(query: &str, names: [&str; N]) -> Option<[f64; N]> {
+    let of = |name: &str| {
+        let mut pairs = query.split('&').filter_map(|pair| pair.split_once('='));
+        let (_, text) = pairs.find(|(key, _)| *key == name)?;
+        text.parse().ok().filter(|value: &f64| value.is_finite())
+    };
+    let found = names.map(of);
+    found.iter().all(Option::is_some).then(|| found.map(Option::unwrap_or_default))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn targets_are_numbers() {
+        assert_eq!(numbers(["3", "14"]), Some([3, 14]));
+        for bad in ["", "-1", "1.5", "..", "%2e", "99999999999999999999999"] {
+            assert_eq!(numbers([bad]), None, "{bad}");
+        }
+        assert_eq!(values("u=1.5&v=-2", ["v", "u"]), Some([-2.0, 1.5]));
+        for bad in ["", "u=1", "u=1&v=", "u=1&v=NaN", "u=inf&v=1", "u=1&w=2", "uv"] {
+            assert_eq!(values(bad, ["u", "v"]), None, "{bad}");
+        }
+    }
+
+    #[test]
+    fn what_is_not_there_is_said() {
+        let nothing = Viewer {
+            page: "page".into(),
+            orthomosaic: None,
+            place: None,
+            origins: None,
+            photos: Mutex::default(),
+        };
+        assert_eq!(nothing.answer("/").body, b"page");
+        assert_eq!(nothing.answer("/photos?u=1&v=2").body, b"[]");
+        for target in [
+            "",
+            "//",
+            "/../../etc/passwd",
+            "/tiles/0/0/0.jpg",
+            "/tiles/99/0/0.jpg",
+            "/photos/0.jpg?u=1&v=1&side=10",
+            "/photos/..%2f..%2fetc%2fpasswd",
+            "/photos?u=1",
+        ] {
+            let expected = if target.trim_start_matches('/').is_empty() { 200 } else { 404 };
+            assert_eq!(nothing.answer(target).status, expected, "{target}");
+        }
+    }
+}

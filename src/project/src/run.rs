@@ -1,0 +1,442 @@
+//! From photos to traits, one stage after the other.
+//!
+//! A stage for which the project has no input is left out with the reason. A stage that fails takes those with it that
+//! need its result; the others go on. What a stage did before is kept while nothing that it came from has changed.
+
+use super::{Project, Stage, State, checks, record, stac, stage};
+use rowgram_base::{
+    error::Error,
+    monitor::{Diagnostic, Monitor, Recorder, Severity},
+    options::Choice,
+};
+use rowgram_files::{rasters, reconstruction};
+use rowgram_optim::output::{self, FileError};
+use serde::{Deserialize, Serialize};
+use std::{
+    collections::BTreeSet,
+    path::{Path, PathBuf},
+};
+
+/// The file in the folder of results that holds the [`RunOutcome`].
+pub const RUN_FILE: &str = "stats.json";
+/// The file in the folder of results that holds the settings of the run.
+pub const RESOLVED_FILE: &str = "resolved.toml";
+
+/// Fewer photos than this make no block.
+pub(super) const LEAST_PHOTOS: usize = 3;
+
+/// Which stages are done.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct RunOptions {
+    /// Stages that are left out, besides those that the settings leave out; what they did before is used.
+    pub skip: Vec<Stage>,
+    /// This stage and those after it are done again, whatever is kept.
+    pub from: Option<Stage>,
+    /// The last stage that is done.
+    pub until: Option<Stage>,
+}
+
+impl RunOptions {
+    /// The stages that are looked at, and whether each is asked for.
+    fn stages(&self, project: &Project) -> Result<Vec<(Stage, bool)>, Error> {
+        if let (Some(from), Some(until)) = (self.from, self.until)
+            && from > until
+        {
+            return Err(Error::Argument(format!(
+                "--from {from} --until {until}: expected a stage to end with that does not come before the first"
+            )));
+        }
+        let until = self.until.unwrap_or(Stage::Evaluate);
+        let by_settings = &project.config().stages.skip;
+        let wanted = |stage: &Stage| !(self.skip.contains(stage) || by_settings.contains(stage));
+        let all = Stage::all().into_iter().filter(|stage| *stage <= until);
+        Ok(all.map(|stage| (stage, wanted(&stage))).collect())
+    }
+}
+
+/// How a stage ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Ending {
+    /// It was done.
+    Done,
+    /// Its result was there and current.
+    Kept,
+    /// It was not done: there was nothing to do, a stage before it failed, or it was not asked for.
+    LeftOut,
+    /// It could not be done.
+    Failed,
+}
+
+/// What became of a stage.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct StageReport {
+    /// The stage.
+    pub stage: Stage,
+    /// How it ended.
+    pub ending: Ending,
+    /// Why it was left out or failed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reason: Option<String>,
+    /// What was found on the way.
+    pub diagnostics: Vec<Diagnostic>,
+}
+
+/// The stages that have to have succeeded before this one; old results do not stand in for one that failed.
+fn needs(stage: Stage) -> &'static [Stage] {
+    match stage {
+        Stage::Calibrate => &[],
+        Stage::Align => &[Stage::Calibrate],
+        Stage::Dem => &[Stage::Align],
+        Stage::Surface | Stage::Ortho => &[Stage::Align, Stage::Dem],
+        Stage::Segment => &[Stage::Ortho],
+        Stage::LeafDensity | Stage::LeafCount | Stage::Locate | Stage::Leaves | Stage::Plots => {
+            &[Stage::Segment]
+        }
+        Stage::Evaluate => &[Stage::Locate],
+    }
+}
+
+macro_rules! stages {
+    ($($module:ident: $stage:ident, $outcome:ident, $task:ident;)*) => {
+        /// What came of the stages; `None` for one that was not done.
+        #[derive(Debug, Default, Serialize, Deserialize)]
+        pub struct StageResults {
+            $(
+                #[doc = concat!("What came of `", stringify!($module), "`.")]
+                #[serde(default, skip_serializing_if = "Option::is_none")]
+                pub $module: Option<super::$module::$outcome>,
+            )*
+        }
+
+        impl StageResults {
+            /// Does a stage with the settings of the project, or with `options` where they are given.
+            fn perform(
+                &mut self,
+                stage: Stage,
+                project: &Project,
+                options: Option<&serde_json::Value>,
+                monitor: &mut dyn Monitor,
+            ) -> Result<(), Error> {
+                match stage {
+                    $(Stage::$stage => {
+                        let options = match options {
+                            Some(options) => recorded(stage, options)?,
+                            None => project.config().$module.clone(),
+                        };
+                        self.$module = Some(super::$module::$module(project, &options, monitor)?);
+                    })*
+                }
+                Ok(())
+            }
+        }
+
+        /// The files that a stage reads.
+        fn inputs(stage: Stage, project: &Project) -> Result<Vec<PathBuf>, Error> {
+            match stage {
+                $(Stage::$stage => {
+                    <super::$module::$task as stage::Task>::inputs(project, &project.config().$module)
+                })*
+            }
+        }
+
+        /// What would become of a stage.
+        fn state(stage: Stage, project: &Project) -> Result<State, Error> {
+            match stage {
+                $(Stage::$stage => {
+                    stage::state::<super::$module::$task>(project, &project.config().$module)
+                })*
+            }
+        }
+    };
+}
+
+stages! {
+    calibrate: Calibrate, CalibrateOutcome, Calibrate;
+    align: Align, AlignOutcome, AlignTask;
+    dem: Dem, DemOutcome, DemTask;
+    surface: Surface, SurfaceOutcome, SurfaceTask;
+    ortho: Ortho, OrthoOutcome, OrthoTask;
+    segment: Segment, SegmentOutcome, Segment;
+    leaf_density: LeafDensity, LeafDensityOutcome, LeafDensity;
+    leaf_count: LeafCount, LeafCountOutcome, LeafCountStage;
+    locate: Locate, LocateOutcome, Locate;
+    leaves: Leaves, LeavesOutcome, LeavesStage;
+    plots: Plots, PlotsOutcome, Plots;
+    evaluate: Evaluate, EvaluateOutcome, Evaluate;
+}
+
+fn recorded<T: serde::de::DeserializeOwned>(
+    stage: Stage,
+    options: &serde_json::Value,
+) -> Result<T, Error> {
+    serde_json::from_value(options.clone()).map_err(|e| {
+        Error::Argument(format!("the recorded options of {stage} are of another version: {e}"))
+    })
+}
+
+/// What came of a run.
+#[derive(Debug, Default, Serialize, Deserialize)]
+pub struct RunOutcome {
+    /// Name of the project.
+    pub project: String,
+    /// Version of the program.
+    pub version: String,
+    /// Digest of the sources that the program was built from.
+    pub build: String,
+    /// Ground sampling distance of the orthomosaic that traits come from, metres.
+    pub gsd_m: Option<f64>,
+    /// Quality checks: information is green, a warning is yellow, an error is red.
+    pub checks: Vec<Diagnostic>,
+    /// What became of the stages, in their order.
+    pub stages: Vec<StageReport>,
+    /// What came of them.
+    pub results: StageResults,
+    /// Why the first stage failed that did.
+    #[serde(skip)]
+    pub failure: Option<Error>,
+}
+
+impl RunOutcome {
+    /// Of the last run of a project.
+    ///
+    /// # Errors
+    /// Where there was none, or by another version of the program.
+    pub fn of_last_run(project: &Project) -> Result<RunOutcome, Error> {
+        let path = project.results().join(RUN_FILE);
+        let text = std::fs::read(&path).map_err(|_| {
+            let message = "there are no results here: run `rowgram run` first";
+            FileError::malformed(project.results(), None, message)
+        })?;
+        let outcome = serde_json::from_slice(&text).map_err(|e| {
+            let message = format!("it is of another version of the program, run again ({e})");
+            FileError::malformed(&path, e.line(), message)
+        })?;
+        Ok(outcome)
+    }
+
+    /// The quality checks that forbid the use of results before somebody has looked at them.
+    pub fn red_checks(&self) -> impl Iterator<Item = &Diagnostic> {
+        self.checks.iter().filter(|check| check.severity == Severity::Error)
+    }
+
+    /// Whether a stage has a result.
+    pub fn has(&self, stage: Stage) -> bool {
+        let ended = |report: &&StageReport| report.stage == stage;
+        let report = self.stages.iter().find(ended);
+        report.is_some_and(|report| matches!(report.ending, Ending::Done | Ending::Kept))
+    }
+}
+
+/// Does the stages of a project, checks the quality of what came out, and writes `stats.json`, `resolved.toml` and, where the
+/// products have a place and a time, `stac.json`.
+///
+/// A stage that fails does not end the run; its error is in the outcome.
+///
+/// # Errors
+/// A folder without photos and orthomosaic, a project that another process is working on, results that cannot be
+/// written.
+pub fn run(
+    project: &Project,
+    options: &RunOptions,
+    monitor: &mut dyn Monitor,
+) -> Result<RunOutcome, Error> {
+    let wanted = options.stages(project)?;
+    check_input(project)?;
+    project.config().validate()?;
+    let project = &project.reserve()?;
+    let records = project.records();
+    if let Some(from) = options.from {
+        for (stage, _) in wanted.iter().filter(|(stage, wanted)| *wanted && *stage >= from) {
+            records.forget(*stage)?;
+        }
+    }
+    let mut outcome = RunOutcome {
+        project: project.name(),
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        build: crate::BUILD.to_owned(),
+        ..RunOutcome::default()
+    };
+    let mut missing = BTreeSet::new();
+    for (stage, is_wanted) in wanted {
+        let broken = needs(stage).iter().find(|needed| missing.contains(*needed));
+        let mut recorder = Recorder::new(monitor);
+        let (ending, reason) = if !is_wanted {
+            (Ending::LeftOut, Some("left out as asked".to_owned()))
+        } else if let Some(broken) = broken {
+            missing.insert(stage);
+            (Ending::LeftOut, Some(format!("{broken} has no result")))
+        } else {
+            match outcome.results.perform(stage, project, None, &mut recorder) {
+                Ok(()) => {
+                    let kept = recorder.diagnostics.iter().any(|found| found.code == "stage-kept");
+                    (if kept { Ending::Kept } else { Ending::Done }, None)
+                }
+                Err(Error::NothingToDo(why)) => {
+                    records.forget(stage)?;
+                    let left_out = Diagnostic::info(
+                        "stage-left-out",
+                        stage.word(),
+                        format!("left out: {why}"),
+                    );
+                    recorder.diagnostic(&left_out);
+                    (Ending::LeftOut, Some(why))
+                }
+                Err(error) => {
+                    records.forget(stage)?;
+                    missing.insert(stage);
+                    let why = error.to_string();
+                    outcome.failure.get_or_insert(error);
+                    (Ending::Failed, Some(why))
+                }
+            }
+        };
+        let mut diagnostics = recorder.diagnostics;
+        diagnostics.retain(|found| !found.code.starts_with("stage-"));
+        outcome.stages.push(StageReport { stage, ending, reason, diagnostics });
+    }
+    let ortho = project.orthomosaic().ok().and_then(|path| rasters::Source::open(&path).ok());
+    outcome.gsd_m = ortho.and_then(|source| source.georeference()?.gsd_m());
+    let aligned = project.finished(Stage::Align, reconstruction::NAME);
+    let reconstruction = aligned
+        .filter(|_| outcome.results.align.is_some())
+        .map(|path| reconstruction::read(&path))
+        .transpose()?;
+    outcome.checks = checks::checks(&outcome, reconstruction.as_ref(), &project.config().checks);
+    monitor.stage("checks");
+    outcome.checks.iter().for_each(|found| monitor.diagnostic(found));
+    write(project.results(), &outcome, &project.config().to_toml())?;
+    stac::write(project, &outcome)?;
+    Ok(outcome)
+}
+
+pub(super) fn check_input(project: &Project) -> Result<(), Error> {
+    let photos = project.photos().len();
+    if project.given_orthomosaic().is_some() || photos >= LEAST_PHOTOS {
+        return Ok(());
+    }
+    let number = if photos == 0 { "no".to_owned() } else { format!("only {photos}") };
+    let message = format!(
+        "{number} photos (in images/ or directly) and no orthomosaic; expected {LEAST_PHOTOS} photos or more ({})",
+        super::PHOTO_ENDINGS.join(", ")
+    );
+    Err(FileError::malformed(project.root(), None, message).into())
+}
+
+fn write(results: &Path, outcome: &RunOutcome, settings: &str) -> Result<(), Error> {
+    output::write(&results.join(RESOLVED_FILE), true, |out| out.write_all(settings.as_bytes()))?;
+    output::write(&results.join(RUN_FILE), true, |out| {
+        serde_json::to_writer_pretty(&mut *out, outcome)?;
+        writeln!(out)
+    })
+    .map_err(|error: FileError| error.into())
+}
+
+/// What a run would do about a stage.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct PlannedStage {
+    /// The stage.
+    pub stage: Stage,
+    /// What would be done about it.
+    pub plan: Plan,
+    /// The command that does it alone, where it would be done, else why it would not.
+    pub text: String,
+}
+
+/// What would be done about a stage.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Plan {
+    /// It would be done.
+    ToDo,
+    /// Its result is there and current.
+    Keep,
+    /// It depends on what stages before it give, which have to be done first.
+    Depends,
+    /// It would be left out.
+    LeaveOut,
+}
+
+/// Says what a run would do, and does nothing.
+///
+/// # Errors
+/// As [`run`], and what a stage cannot read.
+pub fn plan(project: &Project, options: &RunOptions) -> Result<Vec<PlannedStage>, Error> {
+    let mut planned: Vec<PlannedStage> = Vec::new();
+    check_input(project)?;
+    project.config().validate()?;
+    for (stage, is_wanted) in options.stages(project)? {
+        let waits = needs(stage).iter().any(|needed| {
+            let before = planned.iter().find(|other| other.stage == *needed);
+            before.is_some_and(|before| matches!(before.plan, Plan::ToDo | Plan::Depends))
+        });
+        let again = options.from.is_some_and(|from| stage >= from);
+        let (plan, text) = match state(stage, project) {
+            _ if !is_wanted => (Plan::LeaveOut, "left out as asked".to_owned()),
+            Err(Error::NothingToDo(why)) if waits => (Plan::Depends, format!("so far {why}")),
+            Err(Error::NothingToDo(why)) => (Plan::LeaveOut, why),
+            Err(error) => return Err(error),
+            Ok(state) if waits => (Plan::Depends, state.command),
+            Ok(state) if state.is_current && !again => (Plan::Keep, state.command),
+            Ok(state) => (Plan::ToDo, state.command),
+        };
+        planned.push(PlannedStage { stage, plan, text });
+    }
+    Ok(planned)
+}
+
+/// Does one stage, whose predecessors have been done, and nothing else: no checks, no report.
+///
+/// # Errors
+/// As [`run`], and what the stage itself says; having nothing to do is none.
+pub fn only(
+    project: &Project,
+    stage: Stage,
+    monitor: &mut dyn Monitor,
+) -> Result<StageReport, Error> {
+    check_input(project)?;
+    project.config().validate()?;
+    let project = &project.reserve()?;
+    let mut recorder = Recorder::new(monitor);
+    let done = StageResults::default().perform(stage, project, None, &mut recorder);
+    let mut diagnostics = recorder.diagnostics;
+    let kept = diagnostics.iter().any(|found| found.code == "stage-kept");
+    diagnostics.retain(|found| !found.code.starts_with("stage-"));
+    let (ending, reason) = match done {
+        Ok(()) => (if kept { Ending::Kept } else { Ending::Done }, None),
+        Err(Error::NothingToDo(why)) => (Ending::LeftOut, Some(why)),
+        Err(error) => return Err(error),
+    };
+    Ok(StageReport { stage, ending, reason, diagnostics })
+}
+
+/// The stages that a run would look at, each with the files that it is known to read from outside the results.
+///
+/// # Errors
+/// As [`run`].
+pub(super) fn workflow(project: &Project) -> Result<Vec<(Stage, Vec<PathBuf>)>, Error> {
+    let planned = plan(project, &RunOptions::default())?;
+    let taken = planned.into_iter().filter(|stage| stage.plan != Plan::LeaveOut);
+    taken
+        .map(|planned| match inputs(planned.stage, project) {
+            Ok(mut files) => {
+                files.retain(|path| !path.starts_with(project.results()));
+                Ok((planned.stage, files))
+            }
+            Err(Error::NothingToDo(_)) => Ok((planned.stage, Vec::new())),
+            Err(error) => Err(error),
+        })
+        .collect()
+}
+
+/// Does a stage again as its record says, with results in the folder of `project`.
+///
+/// # Errors
+/// What the stage says.
+pub(super) fn repeat(
+    project: &Project,
+    record: &record::Record,
+    monitor: &mut dyn Monitor,
+) -> Result<(), Error> {
+    StageResults::default().perform(record.stage, project, Some(&record.options), monitor)
+}

@@ -1,0 +1,283 @@
+//! The tables of a season, long: one row per value.
+
+use super::{
+    SEASON_RESULTS, SeasonOutcome,
+    follow::{Day, Found},
+};
+use rowgram_base::error::Error;
+use rowgram_optim::output;
+use rowgram_plants::{
+    phenotype::{stand::NORMAL_95, traits::TRAITS},
+    problems::growth_curve::Estimate,
+};
+use serde_json::json;
+use std::path::Path;
+
+/// Writes all of them into a folder.
+///
+/// # Errors
+/// Where a file cannot be written.
+pub(super) fn write(
+    folder: &Path,
+    outcome: &SeasonOutcome,
+    days: &[Day],
+    found: &Found,
+) -> Result<(), Error> {
+    flights(&folder.join("flights.csv"), outcome)?;
+    traits(&folder.join("traits_long.csv"), outcome, days)?;
+    plants(&folder.join("plants_long.csv"), days, found)?;
+    growth(&folder.join("growth.csv"), outcome)?;
+    Ok(output::write(&folder.join(SEASON_RESULTS), true, |out| {
+        serde_json::to_writer_pretty(&mut *out, outcome)?;
+        writeln!(out)
+    })?)
+}
+
+fn number(value: Option<f64>, digits: usize) -> String {
+    value.filter(|x| x.is_finite()).map(|x| format!("{x:.digits$}")).unwrap_or_default()
+}
+
+/// Six significant digits, as traits have them.
+fn significant(value: Option<f64>) -> String {
+    let Some(x) = value.filter(|x| x.is_finite()) else { return String::new() };
+    if x == 0.0 {
+        return "0".to_owned();
+    }
+    let unit = 10f64.powi(5 - x.abs().log10().floor() as i32);
+    ((x * unit).round() / unit).to_string()
+}
+
+fn flights(path: &Path, outcome: &SeasonOutcome) -> Result<(), Error> {
+    Ok(output::write(path, true, |out| {
+        let mut csv = csv::Writer::from_writer(out);
+        csv.write_record([
+            "date",
+            "day",
+            "project",
+            "gsd_m",
+            "frame",
+            "tied_to",
+            "ties",
+            "shift_east_m",
+            "shift_north_m",
+            "scale",
+            "rotation_rad",
+            "stretch",
+            "stretch_45",
+            "scatter_m",
+            "deformation_m",
+            "middle_sigma_m",
+            "edge_sigma_m",
+            "plants",
+            "red_checks",
+        ])?;
+        for flight in &outcome.flights {
+            let fit = flight.placement.as_ref().and_then(|placement| placement.fit);
+            let frame = match (&flight.placement, fit) {
+                (None, _) => "none",
+                (Some(_), None) => "own",
+                (Some(_), Some(_)) => "tied",
+            };
+            let tied_to = flight.placement.as_ref().map(|placement| placement.tied_to.join(" "));
+            let transform = fit.map(|fit| fit.transform);
+            csv.write_record([
+                flight.date.clone(),
+                flight.day.to_string(),
+                flight.project.to_string_lossy().into_owned(),
+                number(flight.gsd_m, 5),
+                frame.to_owned(),
+                tied_to.unwrap_or_default(),
+                fit.map(|fit| fit.ties.to_string()).unwrap_or_default(),
+                number(transform.map(|s| s.shift_m[0]), 4),
+                number(transform.map(|s| s.shift_m[1]), 4),
+                number(transform.map(|s| 1.0 + s.scale), 6),
+                number(transform.map(|s| s.rotation), 6),
+                number(transform.map(|s| s.stretch[0]), 6),
+                number(transform.map(|s| s.stretch[1]), 6),
+                number(fit.map(|fit| fit.scatter_m), 4),
+                number(fit.map(|fit| fit.deformation_m), 4),
+                number(fit.map(|fit| fit.middle_sigma_m), 4),
+                number(fit.map(|fit| fit.edge_sigma_m), 4),
+                flight.plants.map(|plants| plants.to_string()).unwrap_or_default(),
+                flight.red_checks.to_string(),
+            ])?;
+        }
+        csv.flush()
+    })?)
+}
+
+fn traits(path: &Path, outcome: &SeasonOutcome, days: &[Day]) -> Result<(), Error> {
+    Ok(output::write(path, true, |out| {
+        let mut csv = csv::Writer::from_writer(out);
+        csv.write_record([
+            "date",
+            "day",
+            "plot",
+            "trait",
+            "value",
+            "unit",
+            "low",
+            "high",
+            "fitted",
+            "fitted_low",
+            "fitted_high",
+            "outlier",
+        ])?;
+        for day in days {
+            for plot in &outcome.plots {
+                let Some(traits) = day.traits.get(plot) else { continue };
+                for of in TRAITS {
+                    let Some(value) = (of.value)(traits) else { continue };
+                    let season = outcome.traits.iter().find(|season| season.name == of.name);
+                    let sd = of.standard_deviation(traits);
+                    let half = match season {
+                        Some(season) => season.half_interval_with(sd),
+                        None => sd.map(|sd| NORMAL_95 * sd),
+                    };
+                    let curve = season
+                        .and_then(|season| season.plots.iter().find(|series| series.plot == *plot))
+                        .and_then(|series| series.curve.as_ref());
+                    let fitted = curve.map(|curve| {
+                        let [value, sigma] = curve.at(day.day);
+                        [value, value - curve.t95 * sigma, value + curve.t95 * sigma]
+                    });
+                    let is_outlier = outcome
+                        .outliers
+                        .iter()
+                        .any(|o| o.plot == *plot && o.name == of.name && o.date == day.date);
+                    csv.write_record([
+                        day.date.clone(),
+                        day.day.to_string(),
+                        plot.clone(),
+                        of.name.to_owned(),
+                        significant(Some(value)),
+                        of.unit.to_owned(),
+                        significant(half.map(|half| value - half)),
+                        significant(half.map(|half| value + half)),
+                        significant(fitted.map(|f| f[0])),
+                        significant(fitted.map(|f| f[1])),
+                        significant(fitted.map(|f| f[2])),
+                        season.map(|_| u8::from(is_outlier).to_string()).unwrap_or_default(),
+                    ])?;
+                }
+            }
+        }
+        csv.flush()
+    })?)
+}
+
+fn plants(path: &Path, days: &[Day], found: &Found) -> Result<(), Error> {
+    Ok(output::write(path, true, |out| {
+        let mut csv = csv::Writer::from_writer(out);
+        csv.write_record([
+            "plant",
+            "plot",
+            "date",
+            "day",
+            "easting_m",
+            "northing_m",
+            "place",
+            "confidence",
+            "same_probability",
+            "new_probability",
+            "lost_probability",
+        ])?;
+        for (number_of, track) in found.tracks.tracks.iter().enumerate() {
+            let (first, last) = (track.first(), track.last());
+            for (k, place) in track.seen.iter().enumerate() {
+                let Some((place, plants)) = place.zip(days[k].plants.as_ref()) else { continue };
+                let plant = &plants[place];
+                csv.write_record([
+                    number_of.to_string(),
+                    plant.plot.clone(),
+                    days[k].date.clone(),
+                    days[k].day.to_string(),
+                    format!("{:.4}", plant.at_m[0]),
+                    format!("{:.4}", plant.at_m[1]),
+                    place.to_string(),
+                    number(plant.confidence, 4),
+                    number(track.same_probability[k], 4),
+                    number(track.new_probability.filter(|_| first == Some(k)), 4),
+                    number(track.lost_probability.filter(|_| last == Some(k)), 4),
+                ])?;
+            }
+        }
+        csv.flush()
+    })?)
+}
+
+fn growth(path: &Path, outcome: &SeasonOutcome) -> Result<(), Error> {
+    Ok(output::write(path, true, |out| {
+        let mut csv = csv::Writer::from_writer(out);
+        let mut header: Vec<String> =
+            ["plot", "trait", "unit", "model", "dates", "status", "scatter"]
+                .map(str::to_owned)
+                .to_vec();
+        for name in ["final", "rate_per_day", "half_day", "onset_day"] {
+            header.extend(["", "_sigma", "_low", "_high"].map(|end| format!("{name}{end}")));
+        }
+        csv.write_record(&header)?;
+        for of in &outcome.traits {
+            for series in &of.plots {
+                let status = match (&series.curve, series.untold) {
+                    (Some(_), _) => "fitted".to_owned(),
+                    (None, untold) => untold.map(|why| why.to_string()).unwrap_or_default(),
+                };
+                let mut row = vec![
+                    series.plot.clone(),
+                    of.name.clone(),
+                    of.unit.clone(),
+                    of.model.to_string(),
+                    series.samples.len().to_string(),
+                    status,
+                    significant(of.scatter),
+                ];
+                let pick: [fn(&rowgram_plants::problems::growth_curve::GrowthCurve) -> Estimate;
+                    4] = [|c| c.final_value, |c| c.rate_per_day, |c| c.half_day, |c| c.onset_day];
+                for of in pick {
+                    let estimate = series.curve.as_ref().map(of);
+                    row.extend(
+                        [
+                            estimate.map(|e| e.value),
+                            estimate.map(|e| e.sigma),
+                            estimate.map(|e| e.low),
+                            estimate.map(|e| e.high),
+                        ]
+                        .map(significant),
+                    );
+                }
+                csv.write_record(&row)?;
+            }
+        }
+        csv.flush()
+    })?)
+}
+
+/// Named polygons of one ring as GeoJSON.
+///
+/// # Errors
+/// Where the file cannot be written.
+pub(super) fn polygons<'a>(
+    path: &Path,
+    epsg: Option<u32>,
+    plots: impl Iterator<Item = (&'a str, Vec<[f64; 2]>)>,
+) -> Result<(), Error> {
+    let features: Vec<serde_json::Value> = plots
+        .map(|(name, mut ring)| {
+            // A tenth of a millimetre: the same place gives the same text.
+            ring.iter_mut().flatten().for_each(|x| *x = (*x * 1e4).round() / 1e4);
+            ring.extend(ring.first().copied());
+            json!({
+                "type": "Feature",
+                "properties": {"name": name},
+                "geometry": {"type": "Polygon", "coordinates": [ring]},
+            })
+        })
+        .collect();
+    let mut collection = json!({"type": "FeatureCollection", "features": features});
+    if let Some(code) = epsg {
+        let name = format!("urn:ogc:def:crs:EPSG::{code}");
+        collection["crs"] = json!({"type": "name", "properties": {"name": name}});
+    }
+    Ok(output::write(path, true, |out| writeln!(out, "{collection}"))?)
+}

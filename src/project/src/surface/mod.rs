@@ -1,0 +1,325 @@
+//! The dense surface: what grows, the ground below it, and the height of the one over the other.
+//!
+//! For crops that stand on soil. Heights are looked for near the tie points and, on each block, as far beyond as larger cells see something.
+//! What is not green is ground unless it surely stands on it.
+
+mod range;
+mod store;
+mod write;
+
+use super::{
+    CACHE, Project, Stage, Task,
+    batches::Part,
+    dem,
+    dem::read_surface,
+    import, ortho,
+    record::{self, Cache, Key},
+    stage,
+};
+use rowgram_base::{
+    error::Error,
+    monitor::{Counter, Diagnostic, Monitor},
+    options::{Auto, Choice},
+};
+use rowgram_raster::georeference::{Crs, Georeference};
+use rowgram_survey::mapping::{
+    MapError, Surface, View,
+    dem::SurfacePoint,
+    dense::{Area, AreaOptions, Pass, Prior, Tile, area::TILE},
+    grid::{coverage, covering, median_gsd_m, rounded},
+    orientation_sigma::OrientationSigma,
+    surface::HeightInterpolation,
+    views,
+};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// What plants are beside, for the prior.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum GroundColour {
+    /// What is not green is ground unless it surely stands on it, what is green is above it.
+    Soil,
+    /// Colours say nothing: buildings, ripe crops, meadows.
+    Any,
+}
+
+rowgram_base::choices!(GroundColour: Soil, Any);
+
+rowgram_base::options! {
+    /// The dense surface of the canopy, the ground below it, and the height of the canopy.
+    pub struct SurfaceOptions in "surface" {
+        /// Side of a cell; the median ground sampling distance of the photos where not set.
+        pub cell_m: Option<f64> = None, limits POSITIVE, example "0.02";
+        /// What is mapped: least x, least y, greatest x, greatest y; everything that photos show where not set.
+        pub bounds_m: Option<[f64; 4]> = None, example "[500600.0, 4480100.0, 500700.0, 4480200.0]";
+        /// How far above and below the surface of the tie points heights are looked for; auto takes it from how much neighbouring
+        /// tie points differ, and trees and houses are looked for beyond it.
+        pub range_m: Auto<f64> = Auto::Auto, limits between(0.05, 200.0);
+        /// What the ground looks like: soil, what is not green is ground unless it surely stands on it; any, colours
+        /// say nothing of heights.
+        pub ground: GroundColour = GroundColour::Soil;
+        /// How many photos are compared with the one nearest to a place.
+        pub others: usize = 4, limits between(1.0, 8.0);
+        /// Also write the surface as a coloured cloud of points (dsm.laz).
+        pub cloud: bool = false;
+    }
+}
+
+/// The first surface, in the folder of the stage.
+pub const SURFACE: &str = "dsm.tif";
+/// Standard deviation of its heights.
+pub const SIGMA: &str = "dsm_sigma.tif";
+/// The ground under the canopy.
+pub const GROUND: &str = "dtm.tif";
+/// Standard deviation of its heights.
+pub const GROUND_SIGMA: &str = "dtm_sigma.tif";
+/// The surface as a coloured cloud of points.
+pub const CLOUD: &str = "dsm.laz";
+/// The height of the surface over the ground.
+pub const CANOPY: &str = "chm.tif";
+
+/// What was written; files are named relative to the folder of the stage.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SurfaceOutcome {
+    /// Heights of the first surface, metres.
+    pub surface: PathBuf,
+    /// Heights of the ground, metres; `None` where nothing bare shows it.
+    pub ground: Option<PathBuf>,
+    /// Height of the surface over the ground, metres.
+    pub canopy: Option<PathBuf>,
+    /// The surface as points with colours, where it was asked for.
+    #[serde(default)]
+    pub cloud: Option<PathBuf>,
+    /// Columns.
+    pub width_px: usize,
+    /// Rows.
+    pub height_px: usize,
+    /// Side of a cell, metres.
+    pub cell_m: f64,
+    /// EPSG code of the mapping frame, where it has one.
+    pub epsg: Option<u32>,
+    /// How far around the surface of the tie points heights were looked for, metres.
+    pub range_m: f64,
+    /// Distance of the heights that were compared, metres.
+    pub layer_m: f64,
+    /// Cells that at least two photos show.
+    pub cells_seen: usize,
+    /// Those of them with a height.
+    pub cells_with_height: usize,
+    /// Median standard deviation of the surface, metres.
+    #[serde(default)]
+    pub median_surface_sigma_m: Option<f64>,
+    /// The part of it, and of that of the ground, that comes from the orientation of the photos, metres; `None` where no adjustment said how
+    /// well tie points are known.
+    #[serde(default)]
+    pub median_orientation_sigma_m: Option<f64>,
+    /// Median standard deviation of the ground, metres.
+    pub median_ground_sigma_m: Option<f64>,
+    /// Height over the ground that 50, 95 and 99 % of the cells do not exceed, metres.
+    pub canopy_percentiles_m: Option<[f64; 3]>,
+    /// Where the colours of its picture end, metres over the ground.
+    #[serde(default)]
+    pub canopy_picture_to_m: Option<f64>,
+}
+
+/// The stage.
+#[derive(Debug, Clone, Copy)]
+pub struct SurfaceTask;
+
+impl Task for SurfaceTask {
+    type Options = SurfaceOptions;
+    type Outcome = SurfaceOutcome;
+    const STAGE: Stage = Stage::Surface;
+    const RESUMES: bool = true;
+
+    fn inputs(project: &Project, _: &SurfaceOptions) -> Result<Vec<PathBuf>, Error> {
+        let mut files = project.reconstruction_files()?;
+        files.push(base(project)?);
+        files.extend(project.photos());
+        Ok(files)
+    }
+
+    fn work(
+        project: &Project,
+        options: &SurfaceOptions,
+        folder: &Path,
+        monitor: &mut dyn Monitor,
+    ) -> Result<SurfaceOutcome, Error> {
+        let scene = Scene::new(project, options)?;
+        stage::clear(folder)?;
+        let mut store = store::TilesOnDisk::new(&folder.join(CACHE), scene.key)?;
+        let (place, range_m) = (&scene.place, scene.options.range_m);
+        let ground = scene.with_area(|area| {
+            let steps = area.tiles(Pass::Coarse) + area.tiles(Pass::Fine);
+            let counter = Counter::new(monitor, "matching the surface", steps, "tiles");
+            area.match_all(&mut store, &mut || counter.tick())
+        })?;
+        let subject = Stage::Surface.word();
+        if ground.terrain.is_none() {
+            let message =
+                "nothing bare was found, so there is no ground and no height of the canopy";
+            monitor.diagnostic(&Diagnostic::warning("surface-no-ground", subject, message));
+        }
+        let orientation = scene.orientation.as_ref();
+        let found =
+            write::Found { area: scene.cells, place, ground: &ground, range_m, orientation };
+        let mut outcome = write::write(&found, &mut store, folder)?;
+        if options.cloud {
+            write::cloud(&found, &mut store, &folder.join(CLOUD))?;
+            outcome.cloud = Some(CLOUD.into());
+        }
+        // The rasters have it all.
+        Cache::new(folder)?.forget(CACHE)?;
+        Ok(outcome)
+    }
+}
+
+/// Makes the dense surface of a project.
+///
+/// # Errors
+/// A project that has not been aligned or has no surface of tie points, photos that cannot be read.
+pub fn surface(
+    project: &Project,
+    options: &SurfaceOptions,
+    monitor: &mut dyn Monitor,
+) -> Result<SurfaceOutcome, Error> {
+    stage::perform::<SurfaceTask>(project, options, monitor)
+}
+
+/// What a surface is matched from.
+struct Scene {
+    views: Vec<View>,
+    files: Vec<PathBuf>,
+    base: Surface,
+    place: Georeference,
+    cells: Tile,
+    /// What orientation leaves of heights unknown, where an adjustment says so.
+    orientation: Option<OrientationSigma>,
+    options: AreaOptions,
+    /// Of all that decides the tiles.
+    key: Key,
+}
+
+impl Scene {
+    fn new(project: &Project, options: &SurfaceOptions) -> Result<Scene, Error> {
+        let reconstruction = project.reconstruction()?;
+        if !reconstruction.reference.has_scale() {
+            let message = "the reconstruction has no scale, so heights have no metres; give camera positions or control";
+            return Err(Error::NothingToDo(message.into()));
+        }
+        let files = import::photo_files(&reconstruction, &project.photo_folder())?;
+        let base = read_surface(&base(project)?, HeightInterpolation::Bilinear)?;
+        let views = views(&reconstruction);
+        let crs = Crs::from(&reconstruction.reference);
+        let (place, size) = grid(&views, &base, options, crs)?;
+        let cells = Tile { corner_m: place.origin, cell_m: place.per_column[0], size };
+        let points = SurfacePoint::of(&reconstruction);
+        let orientation = OrientationSigma::of(&points);
+        let (range_m, relief_m) = match options.range_m {
+            Auto::Given(range_m) => (range_m, range_m),
+            Auto::Auto => {
+                let of = |range: fn(&[SurfacePoint], f64) -> f64| range(&points, cells.cell_m);
+                (of(range::range_of), of(range::relief_of))
+            }
+        };
+        let prior = match options.ground {
+            GroundColour::Soil => Prior::default(),
+            GroundColour::Any => Prior::None,
+        };
+        let area_options = AreaOptions {
+            range_m,
+            relief_m,
+            others: options.others,
+            tile_cells: TILE,
+            penalties: Default::default(),
+            prior,
+        };
+        let inputs = record::contents(project.root(), &SurfaceTask::inputs(project, options)?)?;
+        let key = stage::key::<SurfaceTask>(project, options, &inputs);
+        let key = Key::begin().text(&key).finish();
+        Ok(Scene { views, files, base, place, cells, orientation, options: area_options, key })
+    }
+
+    /// Does something with the area, whose photos are read as they are needed.
+    fn with_area<R>(
+        &self,
+        work: impl FnOnce(&Area<'_, Error>) -> Result<R, Error>,
+    ) -> Result<R, Error> {
+        let read = |k: usize| ortho::read_photo(&self.files[k], self.views[k].interior.size_px());
+        let base = |at: [f64; 2]| self.base.at(at);
+        let (views, cells, options) = (self.views.as_slice(), self.cells, self.options);
+        work(&Area { views, read: &read, base: &base, cells, options }).map_err(left_out)
+    }
+}
+
+/// Matches a part of the tiles of a pass and keeps them for [`surface`]; all of the coarse pass come before the first of the fine one.
+/// Gives the number of tiles.
+///
+/// # Errors
+/// As [`surface`].
+pub fn match_tiles(
+    project: &Project,
+    options: &SurfaceOptions,
+    (pass, part): (Pass, Part),
+    monitor: &mut dyn Monitor,
+) -> Result<usize, Error> {
+    let scene = Scene::new(project, options)?;
+    let folder = project.folder(Stage::Surface);
+    let mut store = store::TilesOnDisk::new(&folder.join(CACHE), scene.key)?;
+    scene.with_area(|area| {
+        let numbers = part.range(area.tiles(pass));
+        let count = numbers.len();
+        let counter = Counter::new(monitor, "matching the surface", count, "tiles");
+        area.match_tiles(pass, numbers, &mut store, &mut || counter.tick())?;
+        Ok(count)
+    })
+}
+
+/// The surface of the tie points.
+fn base(project: &Project) -> Result<PathBuf, Error> {
+    project.existing(Stage::Dem, dem::SURFACE).ok_or_else(|| {
+        Error::NothingToDo(format!(
+            "there is no surface of tie points in {}; make one with rowgram dem",
+            project.folder(Stage::Dem).display()
+        ))
+    })
+}
+
+/// What cannot be matched is nothing to do, and no failure of a run.
+fn left_out(error: Error) -> Error {
+    match error {
+        why if why.is::<MapError>() => Error::NothingToDo(why.to_string()),
+        other => other,
+    }
+}
+
+/// The cells: those of the orthomosaic, where both are made by default.
+fn grid(
+    views: &[View],
+    base: &Surface,
+    options: &SurfaceOptions,
+    crs: Crs,
+) -> Result<(Georeference, [usize; 2]), Error> {
+    let nothing =
+        || Error::NothingToDo("no photo shows any of the surface of the tie points".into());
+    let cell_m = match options.cell_m {
+        Some(cell_m) => cell_m,
+        None => rounded(median_gsd_m(views, base).ok_or_else(nothing)?, 3),
+    };
+    let bounds_m = match options.bounds_m {
+        Some([left, bottom, right, top]) if left < right && bottom < top => {
+            [[left, right], [bottom, top]]
+        }
+        Some([left, bottom, right, top]) => {
+            return Err(Error::Argument(format!(
+                "bounds_m = {left},{bottom},{right},{top}: expected least x, least y, greatest x, greatest y"
+            )));
+        }
+        None => coverage(views, base).bounds_m.ok_or_else(nothing)?,
+    };
+    Ok(covering(bounds_m, cell_m, crs, MAX_CELLS)?)
+}
+
+/// The most cells: beyond are mistakes in a number.
+const MAX_CELLS: f64 = 1e11;

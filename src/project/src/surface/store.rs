@@ -1,0 +1,161 @@
+//! Matched tiles on disk, so that an attempt that was interrupted goes on where it stopped.
+
+use crate::record::{Cache, Key};
+use rowgram_base::error::Error;
+use rowgram_survey::mapping::dense::{DenseTile, Pass, Tile, TileStore};
+use serde::{Deserialize, Serialize, de};
+use std::{fmt, path::Path};
+
+/// Tiles in the cache of the stage, under one key of all that decides them.
+pub(super) struct TilesOnDisk {
+    cache: Cache,
+    key: Key,
+}
+
+impl TilesOnDisk {
+    /// Those in a folder, which is made. Tiles of other keys are not seen.
+    pub(super) fn new(folder: &Path, key: Key) -> Result<TilesOnDisk, Error> {
+        Ok(TilesOnDisk { cache: Cache::new(folder)?, key })
+    }
+}
+
+fn name(pass: Pass, number: usize) -> String {
+    let pass = match pass {
+        Pass::Coarse => "coarse",
+        Pass::Fine => "fine",
+    };
+    format!("{pass}-{number}.cbor")
+}
+
+impl TileStore<Error> for TilesOnDisk {
+    fn load(&mut self, pass: Pass, number: usize) -> Result<Option<DenseTile>, Error> {
+        let stored: Option<StoredTile> = self.cache.load(&name(pass, number), self.key);
+        Ok(stored.and_then(StoredTile::tile))
+    }
+
+    fn save(&mut self, pass: Pass, number: usize, tile: &DenseTile) -> Result<(), Error> {
+        self.cache.save(&name(pass, number), self.key, &StoredTile::of(tile))
+    }
+}
+
+/// A tile as it is written: little-endian bytes.
+#[derive(Serialize, Deserialize)]
+struct StoredTile {
+    corner_m: [f64; 2],
+    cell_m: f64,
+    size: [usize; 2],
+    surface_m: Bytes,
+    sigma_m: Bytes,
+    confidence: Bytes,
+    photos: Bytes,
+    colour: Bytes,
+}
+
+impl StoredTile {
+    fn of(tile: &DenseTile) -> StoredTile {
+        let Tile { corner_m, cell_m, size } = tile.tile;
+        StoredTile {
+            corner_m,
+            cell_m,
+            size,
+            surface_m: of_floats(&tile.surface_m),
+            sigma_m: of_floats(&tile.sigma_m),
+            confidence: Bytes(tile.confidence.clone()),
+            photos: Bytes(tile.photos.clone()),
+            colour: Bytes(tile.colour.as_flattened().to_vec()),
+        }
+    }
+
+    /// `None` where lengths do not fit.
+    fn tile(self) -> Option<DenseTile> {
+        let StoredTile { corner_m, cell_m, size, surface_m, sigma_m, confidence, photos, colour } =
+            self;
+        let cells = size[0] * size[1];
+        let tile = DenseTile {
+            tile: Tile { corner_m, cell_m, size },
+            surface_m: floats(&surface_m),
+            sigma_m: floats(&sigma_m),
+            confidence: confidence.0,
+            photos: photos.0,
+            colour: colour.0.as_chunks::<3>().0.to_vec(),
+            terrain: None,
+        };
+        let fits = tile.surface_m.len() == cells
+            && tile.sigma_m.len() == cells
+            && tile.confidence.len() == cells
+            && tile.photos.len() == cells
+            && tile.colour.len() == cells;
+        fits.then_some(tile)
+    }
+}
+
+fn of_floats(values: &[f32]) -> Bytes {
+    Bytes(values.iter().flat_map(|value| value.to_le_bytes()).collect())
+}
+
+fn floats(bytes: &Bytes) -> Vec<f32> {
+    bytes.0.as_chunks::<4>().0.iter().map(|&value| f32::from_le_bytes(value)).collect()
+}
+
+/// Bytes that are written as such, and not number by number.
+struct Bytes(Vec<u8>);
+
+impl Serialize for Bytes {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_bytes(&self.0)
+    }
+}
+
+impl<'de> Deserialize<'de> for Bytes {
+    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Bytes, D::Error> {
+        struct Visitor;
+        impl de::Visitor<'_> for Visitor {
+            type Value = Bytes;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("bytes")
+            }
+
+            fn visit_bytes<E: de::Error>(self, bytes: &[u8]) -> Result<Bytes, E> {
+                Ok(Bytes(bytes.to_vec()))
+            }
+
+            fn visit_byte_buf<E: de::Error>(self, bytes: Vec<u8>) -> Result<Bytes, E> {
+                Ok(Bytes(bytes))
+            }
+        }
+        deserializer.deserialize_byte_buf(Visitor)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_tile_comes_back_bit_by_bit_and_only_under_its_key() {
+        let folder = tempfile::tempdir().unwrap();
+        let key = |text| Key::begin().text(text).finish();
+        let tile = DenseTile {
+            tile: Tile { corner_m: [0.1, 2.0], cell_m: 0.015, size: [3, 2] },
+            surface_m: vec![1.5, f32::NAN, -0.25, 0.0, 7.0, f32::NAN],
+            sigma_m: vec![0.01, f32::NAN, 0.5, 0.25, 1.0, 0.0],
+            confidence: vec![0, 1, 2, 3, 4, 255],
+            photos: vec![0, 5, 2, 3, 4, 1],
+            colour: vec![[1, 2, 3], [4, 5, 6], [0; 3], [255; 3], [7; 3], [9, 8, 7]],
+            terrain: None,
+        };
+        let mut store = TilesOnDisk::new(folder.path(), key("one")).unwrap();
+        store.save(Pass::Fine, 3, &tile).unwrap();
+        let found = store.load(Pass::Fine, 3).unwrap().unwrap();
+        let bits = |tile: &DenseTile| -> Vec<u32> {
+            tile.surface_m.iter().chain(&tile.sigma_m).map(|z| z.to_bits()).collect()
+        };
+        assert_eq!(bits(&found), bits(&tile));
+        assert_eq!((found.tile, &found.colour), (tile.tile, &tile.colour));
+        assert_eq!((&found.confidence, &found.photos), (&tile.confidence, &tile.photos));
+        assert!(store.load(Pass::Coarse, 3).unwrap().is_none());
+        let mut other = TilesOnDisk::new(folder.path(), key("two")).unwrap();
+        assert!(other.load(Pass::Fine, 3).unwrap().is_none());
+    }
+}

@@ -1,0 +1,289 @@
+//! One block of cells: which photos, what they say, and where their points fall on the ground.
+
+use super::{
+    DenseOptions, LAYERS, MOST_LAYERS, Relief,
+    aggregate::{Penalties, aggregate},
+    posterior::{self, Estimate, Pixels, PosteriorOptions},
+    rectify::{BlockPlane, PosedPhoto, greenness, rectify},
+    relief::Colours,
+    sweep::{MOST_OTHERS, REACH, Rectified, WORST, costs, transfer},
+};
+use crate::mapping::{View, undistort::Interpolation};
+
+/// Cells beyond the core of a block that its neighbours have too, so that paths begin before it.
+const OVERLAP: usize = 16;
+/// Photos closer to the reference than this, per height of flight, say little of heights.
+const LEAST_BASE: f64 = 0.05;
+/// What layers that take no part cost more than those in which nothing fits: as much as the prior may add to these.
+pub(super) const DISLIKED: u8 = 20;
+/// Between the usual and the most layers: less memory and time where so many are enough.
+const MIDDLE: usize = 2 * LAYERS;
+/// How far from its middle the pixels of leaves reach, in cells: at their edges they share pixels with soil.
+const LEAF_REACH: f64 = 0.75;
+
+/// Of the pixels that fall on a cell the one stays that is highest when lowered by so many of its standard deviations: a wrong match does
+/// not hide what is sure.
+const LOWERED: f32 = 1.0;
+/// Standard deviations of leaves are so many times what costs say, since some matches are wrong. Chosen on the synthetic flights of seeds 1 to 3
+/// of `docs/accuracy.md` (`benches/surface/compare.py`), where errors are 1.3 to 1.6 times what is told without it; the other seeds took no part.
+const LEAF_SIGMA_FACTOR: f32 = 1.55;
+
+/// What was found for the cells of a block, row by row.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Block {
+    /// Height of the first surface, metres; NaN where not known.
+    pub height_m: Vec<f32>,
+    /// How much better the best height is than any other, 0 to 255; 0 where a height was filled in.
+    pub confidence: Vec<u8>,
+    /// How many photos show the cell, of those compared.
+    pub photos: Vec<u8>,
+    /// Standard deviation of the height relative to its neighbours, metres; NaN where not known.
+    pub sigma_m: Vec<f32>,
+    /// Red, green, blue of what is seen; black where nothing is.
+    pub colour: Vec<[u8; 3]>,
+}
+
+/// A surface of larger cells that says which heights places may have besides usual ones above the ground, metres.
+pub(super) type Limits<'a> = (&'a Relief, [f64; 2]);
+
+/// Matches a block from its reference and the others ([`choose`]); `ground` gives the height of the ground at a place, for the prior.
+/// `None` where the reference is not well above all layers.
+pub(super) fn match_block(
+    photos: &[PosedPhoto<'_>],
+    (reference, others): (usize, &[usize]),
+    core: &BlockPlane,
+    ground: &dyn Fn([f64; 2]) -> Option<f64>,
+    options: &DenseOptions,
+    limits: Option<Limits<'_>>,
+) -> Option<Block> {
+    let layers = options.layers.clamp(2, MOST_LAYERS);
+    let heights_m: Vec<f64> =
+        (0..layers).map(|k| options.lowest_m + options.layer_m * k as f64).collect();
+    let margin = OVERLAP + displacement(photos[reference], core, &heights_m)?;
+    let [width, height] = core.size.map(|n| n + 2 * margin);
+    let corner_m = core.place_m([-(margin as f64); 2]);
+    let whole =
+        BlockPlane { corner_m, size: [width, height], height_m: core.at_m(corner_m), ..*core };
+    let (picture, colour) =
+        rectify(photos[reference], &whole, (0, options.samples), Interpolation::Bicubic);
+    let green: Vec<i16> = colour.iter().copied().map(greenness).collect();
+    let others: Vec<Rectified> = others
+        .iter()
+        .map(|&k| {
+            let margin = reach(&picture, photos[k], &whole, &heights_m);
+            rectify(photos[k], &whole, (margin, options.samples), Interpolation::Bicubic).0
+        })
+        .collect();
+    let mut volume = costs(&picture, &others, &heights_m);
+    let mut ground_m = Vec::new();
+    if options.prior.needs_ground() {
+        let above = |at: usize| {
+            let place = whole.place_m([(at % width) as f64, (at / width) as f64]);
+            ground(place).map_or(f32::NAN, |z| (z - whole.at_m(place)) as f32)
+        };
+        ground_m = (0..width * height).map(above).collect();
+        options.prior.add(&mut volume, &green, &ground_m, &heights_m);
+    }
+    let mut standing = vec![];
+    if let Some((relief, usual)) = limits {
+        let farther = options.lowest_m < usual[0] || options.highest_m() > usual[1];
+        let limits = relief.limits(&whole, (usual, farther), &options.prior, ground);
+        let colours = Colours {
+            centre: picture.centre,
+            above_m: picture.above_m,
+            prior: &options.prior,
+            green: &green,
+            ground_m: &ground_m,
+        };
+        standing = limits.apply(&mut volume, &whole, &colours, &heights_m);
+    }
+    let class: Vec<u8> = (0..width * height)
+        .map(|at| match (picture.values[at], &options.prior) {
+            (0, _) => posterior::CLASSES as u8,
+            _ if standing.get(at) == Some(&true) => posterior::UNSURE,
+            (_, prior) => prior.class(green[at]),
+        })
+        .collect();
+    let to_layer = |z: f32| (z - options.lowest_m as f32) / options.layer_m as f32;
+    let ground_layers: Vec<f32> = ground_m.into_iter().map(to_layer).collect();
+    let pixels = Pixels { width, layers, class: &class, ground: &ground_layers };
+    let costs = Costs {
+        volume,
+        picture: &picture.values,
+        penalties: &options.penalties,
+        posterior: &options.posterior,
+    };
+    let best = match layers {
+        0..=LAYERS => costs.heights::<LAYERS, { LAYERS + 2 }>(&pixels),
+        _ if layers <= MIDDLE => costs.heights::<MIDDLE, { MIDDLE + 2 }>(&pixels),
+        _ => costs.heights::<MOST_LAYERS, { MOST_LAYERS + 2 }>(&pixels),
+    };
+    // Each pixel of the reference to its cells; what surely is the highest stays.
+    let mut top_m = vec![f32::NEG_INFINITY; width * height];
+    let mut rank_m = vec![f32::NEG_INFINITY; width * height];
+    let mut from = vec![usize::MAX; width * height];
+    for row in REACH..height - REACH {
+        for column in REACH..width - REACH {
+            let at = row * width + column;
+            if picture.values[at] == 0 {
+                continue;
+            }
+            let z = options.lowest_m + options.layer_m * f64::from(best[at].layer);
+            let share = z / picture.above_m;
+            let [u, v] = [column as f64, row as f64];
+            let [u, v] = [u + (picture.centre[0] - u) * share, v + (picture.centre[1] - v) * share];
+            let half = if options.prior.is_leaf(green[at]) { LEAF_REACH } else { 0.5 };
+            let low = [u, v].map(|c| (c - half).ceil().max(0.0) as usize);
+            let high = [(u, width), (v, height)]
+                .map(|(c, n)| ((c + half).floor().max(-1.0) as isize).min(n as isize - 1));
+            for j in low[1] as isize..=high[1] {
+                for i in low[0] as isize..=high[0] {
+                    let cell = j as usize * width + i as usize;
+                    let rank = z as f32 - LOWERED * best[at].sigma * options.layer_m as f32;
+                    if rank > rank_m[cell] {
+                        rank_m[cell] = rank;
+                        (top_m[cell], from[cell]) = (z as f32, at);
+                    }
+                }
+            }
+        }
+    }
+    let [columns, rows] = core.size;
+    let cells = columns * rows;
+    let mut block = Block {
+        height_m: vec![f32::NAN; cells],
+        confidence: vec![0; cells],
+        photos: vec![0; cells],
+        sigma_m: vec![f32::NAN; cells],
+        colour: vec![[0; 3]; cells],
+    };
+    for row in 0..rows {
+        for column in 0..columns {
+            let (out, u, v) = (row * columns + column, column + margin, row + margin);
+            let mut z = top_m[v * width + u];
+            let source = from[v * width + u];
+            if source != usize::MAX {
+                // Eight paths of 72 at most; a tenth of that is as sure as it gets.
+                block.confidence[out] = (f32::from(best[source].margin) * 2.0).min(255.0) as u8;
+                block.colour[out] = colour[source];
+                let is_leaf = options.prior.is_leaf(green[source]);
+                let factor = if is_leaf { LEAF_SIGMA_FACTOR } else { 1.0 };
+                block.sigma_m[out] = factor * best[source].sigma * options.layer_m as f32;
+            } else {
+                // Hidden in the reference: what is behind, so the lowest beside it.
+                z = f32::INFINITY;
+                for j in v - 1..=v + 1 {
+                    for &beside in &top_m[j * width + u - 1..=j * width + u + 1] {
+                        z = if beside.is_finite() { z.min(beside) } else { z };
+                    }
+                }
+            }
+            if z.is_finite() {
+                let place = core.place_m([column as f64, row as f64]);
+                block.height_m[out] = (f64::from(z) + core.at_m(place)) as f32;
+            }
+            let seen = |other: &&Rectified| {
+                let margin = (-other.origin[0]) as usize;
+                other.values[(v + margin) * other.width + u + margin] > 0
+            };
+            let reference = u8::from(picture.values[v * width + u] > 0);
+            block.photos[out] = reference + others.iter().filter(seen).count() as u8;
+        }
+    }
+    Some(block)
+}
+
+/// The matching costs of a block, and how heights are found from them.
+struct Costs<'a> {
+    volume: Vec<u8>,
+    picture: &'a [u8],
+    penalties: &'a Penalties,
+    posterior: &'a PosteriorOptions,
+}
+
+impl Costs<'_> {
+    /// The height of every pixel, with room for `D` layers; `P` is `D + 2`.
+    fn heights<const D: usize, const P: usize>(mut self, pixels: &Pixels<'_>) -> Vec<Estimate> {
+        // Layers that take no part fit nowhere.
+        self.volume.resize(self.picture.len() * D, WORST + DISLIKED);
+        let sums = aggregate::<D, P>(&self.volume, self.picture, pixels.width, self.penalties);
+        drop(self.volume);
+        posterior::estimates(&sums, pixels, self.posterior)
+    }
+}
+
+/// The reference, nearest in plan to the middle, and the nearest others that show at least the inner half.
+pub(super) fn choose(
+    views: &[&View],
+    block: &BlockPlane,
+    count: usize,
+) -> Option<(usize, Vec<usize>)> {
+    let at = |share: [f64; 2]| {
+        let [x, y] = block.place_m([0, 1].map(|k| share[k] * block.size[k] as f64));
+        [x, y, block.at_m([x, y])]
+    };
+    let middle = at([0.5, 0.5]);
+    const INNER: [[f64; 2]; 4] = [[0.25, 0.25], [0.75, 0.25], [0.25, 0.75], [0.75, 0.75]];
+    let away = |from: [f64; 3], k: usize| {
+        let c = views[k].centre_m();
+        (c[0] - from[0]).hypot(c[1] - from[1])
+    };
+    let mut near: Vec<usize> = (0..views.len())
+        .filter(|&k| INNER.iter().all(|&share| views[k].pixel(at(share)).is_some()))
+        .collect();
+    near.sort_by(|&a, &b| away(middle, a).total_cmp(&away(middle, b)).then(a.cmp(&b)));
+    let reference = *near.first()?;
+    let centre = views[reference].centre_m();
+    let least_m = LEAST_BASE * (centre[2] - middle[2]);
+    let others: Vec<usize> = near[1..]
+        .iter()
+        .copied()
+        .filter(|&k| away(centre, k) >= least_m)
+        .take(count.min(MOST_OTHERS))
+        .collect();
+    (!others.is_empty()).then_some((reference, others))
+}
+
+/// How far points of the block move on the plane with their height, seen from a photo, cells. `None` where the photo is
+/// not above all layers.
+fn displacement(photo: PosedPhoto<'_>, block: &BlockPlane, heights_m: &[f64]) -> Option<usize> {
+    let [x, y, z] = photo.view.centre_m();
+    let above_m = z - block.at_m([x, y]);
+    let most = heights_m.iter().fold(0.0f64, |most, h| most.max(h.abs()));
+    if above_m <= 2.0 * most {
+        return None;
+    }
+    let [u, v] = block.cell([x, y]);
+    let farthest = (u.abs().max((u - block.size[0] as f64).abs()))
+        .max(v.abs().max((v - block.size[1] as f64).abs()));
+    Some((farthest * most / (above_m - most)).ceil() as usize + 1)
+}
+
+/// Cells around the block that another photo needs for all layers.
+fn reach(
+    reference: &Rectified,
+    photo: PosedPhoto<'_>,
+    block: &BlockPlane,
+    heights_m: &[f64],
+) -> usize {
+    let centre = photo.view.centre_m();
+    let other = Rectified {
+        values: Vec::new(),
+        width: 0,
+        height: 0,
+        origin: [0.0; 2],
+        centre: block.cell([centre[0], centre[1]]),
+        above_m: centre[2] - block.at_m([centre[0], centre[1]]),
+    };
+    let mut most = 0.0f64;
+    for &height_m in [heights_m[0], heights_m[heights_m.len() - 1]].iter() {
+        let (scale, offset) = transfer(reference, &other, height_m);
+        for k in 0..2 {
+            for end in [0.0, block.size[k] as f64] {
+                most = most.max((scale * end + offset[k] - end).abs());
+            }
+        }
+    }
+    // A photo far away or hardly above the plane shows nothing useful beyond twice the block.
+    (most.ceil() as usize + 2).min(2 * block.size[0].max(block.size[1]))
+}

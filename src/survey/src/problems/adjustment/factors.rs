@@ -1,0 +1,215 @@
+//! The observations besides tie points: marks, ground coordinates, camera positions, distances,
+//! what is known of lenses and motions beforehand. All residuals are divided by their standard
+//! deviations.
+
+use super::reprojection::{DATA, LENS, Shutter};
+use rowgram_optim::{
+    geometry::{cross, dot, rotation},
+    nlls::{BlockId, Factor, Infeasible, Jacobian},
+};
+
+/// A ground point measured in an image: blocks image, lens, ground point.
+#[derive(Debug, Clone)]
+pub(super) struct GroundPointFactor {
+    pub(super) shutter: Shutter,
+    pub(super) blocks: [BlockId; 3],
+    pub(super) data: [f64; DATA],
+}
+
+impl Factor for GroundPointFactor {
+    fn rows(&self) -> usize {
+        2
+    }
+
+    fn blocks(&self) -> &[BlockId] {
+        &self.blocks
+    }
+
+    fn linearize(
+        &self,
+        x: &[&[f64]],
+        residual: &mut [f64],
+        jacobian: Option<&mut Jacobian<'_>>,
+    ) -> Result<(), Infeasible> {
+        let point = [x[2][0], x[2][1], x[2][2]];
+        let prepared = self.shutter.prepare(x[0], x[1]);
+        let found = self.shutter.linearize(&prepared, &point, &self.data);
+        residual.copy_from_slice(&found.residual);
+        if let Some(jacobian) = jacobian {
+            let dimension = found.by_image.len() / 2;
+            for row in 0..2 {
+                let (by_image, rest) = jacobian.row(row).split_at_mut(dimension);
+                let (by_lens, by_point) = rest.split_at_mut(LENS);
+                by_image.copy_from_slice(&found.by_image[row * dimension..][..dimension]);
+                by_lens.copy_from_slice(&found.by_lens[row * LENS..][..LENS]);
+                by_point.copy_from_slice(&found.by_point[row]);
+            }
+        }
+        if residual.iter().all(|v| v.is_finite()) { Ok(()) } else { Err(Infeasible) }
+    }
+}
+
+/// Known coordinates of a ground point, along some axes.
+#[derive(Debug, Clone)]
+pub(super) struct ControlPointFactor {
+    pub(super) block: [BlockId; 1],
+    pub(super) axes: &'static [usize],
+    pub(super) position_m: [f64; 3],
+    pub(super) sigma_m: [f64; 3],
+}
+
+impl Factor for ControlPointFactor {
+    fn rows(&self) -> usize {
+        self.axes.len()
+    }
+
+    fn blocks(&self) -> &[BlockId] {
+        &self.block
+    }
+
+    fn linearize(
+        &self,
+        x: &[&[f64]],
+        residual: &mut [f64],
+        mut jacobian: Option<&mut Jacobian<'_>>,
+    ) -> Result<(), Infeasible> {
+        for (row, &axis) in self.axes.iter().enumerate() {
+            residual[row] = (x[0][axis] - self.position_m[axis]) / self.sigma_m[axis];
+            if let Some(jacobian) = jacobian.as_deref_mut() {
+                jacobian.row(row)[axis] = 1.0 / self.sigma_m[axis];
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The measured position of the antenna, `R^T (l - t)` with the lever arm `l`.
+#[derive(Debug, Clone)]
+pub(super) struct CameraPositionFactor {
+    pub(super) block: [BlockId; 1],
+    pub(super) lever_arm_m: [f64; 3],
+    pub(super) position_m: [f64; 3],
+    pub(super) sigma_m: [f64; 3],
+}
+
+impl Factor for CameraPositionFactor {
+    fn rows(&self) -> usize {
+        3
+    }
+
+    fn blocks(&self) -> &[BlockId] {
+        &self.block
+    }
+
+    fn linearize(
+        &self,
+        x: &[&[f64]],
+        residual: &mut [f64],
+        mut jacobian: Option<&mut Jacobian<'_>>,
+    ) -> Result<(), Infeasible> {
+        let r = rotation::matrix([x[0][0], x[0][1], x[0][2], x[0][3]]);
+        let l = self.lever_arm_m;
+        let from_centre = [l[0] - x[0][4], l[1] - x[0][5], l[2] - x[0][6]];
+        for k in 0..3 {
+            let axis = [r[0][k], r[1][k], r[2][k]];
+            residual[k] = (dot(axis, from_centre) - self.position_m[k]) / self.sigma_m[k];
+            if let Some(jacobian) = jacobian.as_deref_mut() {
+                let row = jacobian.row(k);
+                // The camera turns about its own centre: the antenna moves by R^T (l x w - s).
+                let turn = cross(axis, l);
+                for c in 0..3 {
+                    row[c] = turn[c] / self.sigma_m[k];
+                    row[3 + c] = -axis[c] / self.sigma_m[k];
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// A measured distance between two ground points.
+#[derive(Debug, Clone)]
+pub(super) struct ScaleBarFactor {
+    pub(super) blocks: [BlockId; 2],
+    pub(super) length_m: f64,
+    pub(super) sigma_m: f64,
+}
+
+impl Factor for ScaleBarFactor {
+    fn rows(&self) -> usize {
+        1
+    }
+
+    fn blocks(&self) -> &[BlockId] {
+        &self.blocks
+    }
+
+    fn linearize(
+        &self,
+        x: &[&[f64]],
+        residual: &mut [f64],
+        jacobian: Option<&mut Jacobian<'_>>,
+    ) -> Result<(), Infeasible> {
+        let between: [f64; 3] = std::array::from_fn(|k| x[1][k] - x[0][k]);
+        let length = dot(between, between).sqrt();
+        if length.is_nan() || length <= 0.0 {
+            return Err(Infeasible);
+        }
+        residual[0] = (length - self.length_m) / self.sigma_m;
+        if let Some(jacobian) = jacobian {
+            let row = jacobian.row(0);
+            for k in 0..3 {
+                let slope = between[k] / (length * self.sigma_m);
+                (row[k], row[3 + k]) = (-slope, slope);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// What is known of some entries of a block's tangent beforehand: `W (x - x_0)` with `W^T W` the
+/// inverse of their covariance. `first` is where the entries are counted from in the values.
+#[derive(Debug, Clone)]
+pub(super) struct GaussianPrior {
+    pub(super) block: [BlockId; 1],
+    /// Places in the values, and in the tangent.
+    pub(super) places: Vec<(usize, usize)>,
+    pub(super) expected: Vec<f64>,
+    /// Row-major, square.
+    pub(super) whitening: Vec<f64>,
+}
+
+impl Factor for GaussianPrior {
+    fn rows(&self) -> usize {
+        self.expected.len()
+    }
+
+    fn blocks(&self) -> &[BlockId] {
+        &self.block
+    }
+
+    fn linearize(
+        &self,
+        x: &[&[f64]],
+        residual: &mut [f64],
+        mut jacobian: Option<&mut Jacobian<'_>>,
+    ) -> Result<(), Infeasible> {
+        let n = self.expected.len();
+        for row in 0..n {
+            let weights = &self.whitening[row * n..(row + 1) * n];
+            residual[row] = weights
+                .iter()
+                .zip(&self.places)
+                .zip(&self.expected)
+                .map(|((w, &(value, _)), expected)| w * (x[0][value] - expected))
+                .sum();
+            if let Some(jacobian) = jacobian.as_deref_mut() {
+                let to = jacobian.row(row);
+                for (w, &(_, tangent)) in weights.iter().zip(&self.places) {
+                    to[tangent] = *w;
+                }
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,395 @@
+//! A reconstruction as a least-squares problem.
+
+pub(super) use super::settings::{Group, Settings};
+use super::{
+    factors::{
+        CameraPositionFactor, ControlPointFactor, GaussianPrior, GroundPointFactor, ScaleBarFactor,
+    },
+    reprojection::{DATA, LENS, Shutter, lens_block, lens_values},
+};
+use crate::camera::{Lens, Model};
+use crate::scene::{Axes, Reconstruction, Role};
+use rowgram_optim::{
+    engine::SolveError,
+    nlls::{
+        BlockId, Euclidean, Factor, Factors, LeastSquares, Loss, Measurement, Problem, manifold,
+    },
+};
+
+/// A reconstruction as a least-squares problem, and which block is what.
+#[derive(Debug)]
+pub struct AdjustmentProblem {
+    /// The problem; its blocks start at the reconstruction's values.
+    pub problem: Problem,
+    pub(super) origin_m: [f64; 3],
+    pub(super) lenses: Vec<BlockId>,
+    pub(super) images: Vec<BlockId>,
+    /// None for ground points that take no part.
+    pub(super) ground: Vec<Option<BlockId>>,
+    pub(super) points: Vec<BlockId>,
+    /// Batches besides the tie points: group, name, the index of what each factor observes.
+    pub(super) batches: Vec<(Group, String, Vec<usize>)>,
+    pub(super) shutter: Shutter,
+    /// Factor on the standard deviations of marks.
+    pub(super) mark_sigma_factor: f64,
+}
+
+/// The data of an image measurement.
+pub(super) fn measurement(
+    reconstruction: &Reconstruction,
+    image: usize,
+    image_px: [f64; 2],
+    sigma_px: f64,
+) -> [f64; DATA] {
+    let centre = reconstruction.cameras[reconstruction.images[image].camera].interior.centre_px();
+    [
+        image_px[0] - centre[0],
+        image_px[1] - centre[1],
+        1.0 / sigma_px,
+        reconstruction.readout_share(image, image_px[1]),
+    ]
+}
+
+impl AdjustmentProblem {
+    /// Sets up the adjustment of a reconstruction that has been validated
+    /// ([`super::validation::validate`]).
+    ///
+    /// # Errors
+    /// [`SolveError::Misuse`] where the problem cannot be set up.
+    pub fn new(
+        reconstruction: &Reconstruction,
+        settings: &Settings,
+    ) -> Result<AdjustmentProblem, SolveError> {
+        let origin_m = reconstruction.origin_m();
+        let mut local = reconstruction.clone();
+        local.shift(origin_m);
+        let mut adjustment = AdjustmentProblem {
+            problem: Problem::new(),
+            origin_m,
+            lenses: Vec::new(),
+            images: Vec::new(),
+            ground: Vec::new(),
+            points: Vec::new(),
+            batches: Vec::new(),
+            shutter: match reconstruction.rolling_shutter {
+                Some(_) => Shutter::Rolling,
+                None => Shutter::Global,
+            },
+            mark_sigma_factor: settings.factor(Group::Marks),
+        };
+        adjustment.add_images(&local, settings)?;
+        adjustment.add_lenses(&local, settings)?;
+        adjustment.add_ground(&local, settings)?;
+        adjustment.add_tie_points(&local, settings)?;
+        adjustment.add_motion(&local, settings)?;
+        if settings.minimal_datum {
+            adjustment.hold_datum(&local)?;
+        }
+        Ok(adjustment)
+    }
+
+    fn add_images(
+        &mut self,
+        reconstruction: &Reconstruction,
+        settings: &Settings,
+    ) -> Result<(), SolveError> {
+        // A pose at rest has no motion behind it.
+        let space =
+            manifold::PoseWithParameters(if self.shutter == Shutter::Rolling { 6 } else { 0 });
+        for image in &reconstruction.images {
+            let mut values = image.pose.rotation.to_vec();
+            values.extend(image.pose.translation);
+            if self.shutter == Shutter::Rolling {
+                values.extend(image.motion);
+            }
+            self.images.push(self.problem.block("image", space, &values)?);
+        }
+        let factor = settings.factor(Group::Positions);
+        let antennas = reconstruction.positions.iter().map(|position| CameraPositionFactor {
+            block: [self.images[position.image as usize]],
+            lever_arm_m: reconstruction.lever_arm_m,
+            position_m: position.position_m,
+            sigma_m: position.sigma_m.map(|sigma| sigma * factor),
+        });
+        let antennas = antennas.collect();
+        let subjects = (0..reconstruction.positions.len()).collect();
+        self.add(Group::Positions, "camera positions", antennas, subjects)
+    }
+
+    fn add_lenses(
+        &mut self,
+        reconstruction: &Reconstruction,
+        settings: &Settings,
+    ) -> Result<(), SolveError> {
+        for (index, camera) in reconstruction.cameras.iter().enumerate() {
+            let corrected = settings.corrected_domain && camera.interior.model() == Model::Smac;
+            let values = lens_block(&camera.interior, corrected);
+            let block = self.problem.block("camera", Euclidean(LENS), &values)?;
+            self.lenses.push(block);
+            let held: Vec<usize> =
+                (0..LENS).filter(|&k| !camera.free.get(k).copied().unwrap_or(false)).collect();
+            self.problem.fix_entries(block, &held)?;
+            let Some((places, covariance)) = camera.covariance() else { continue };
+            // Only what is free needs a prior; what is held is known exactly.
+            let free: Vec<usize> = (0..places.len()).filter(|&k| camera.free[places[k]]).collect();
+            if free.is_empty() {
+                continue;
+            }
+            let n = free.len();
+            let factor = settings.factor(Group::Interior);
+            let part = nalgebra::DMatrix::from_fn(n, n, |i, j| {
+                covariance[(free[i], free[j])] * factor * factor
+            });
+            let whitening = whitening(part).ok_or_else(|| {
+                SolveError::Misuse(format!(
+                    "camera {:?}: the covariance of its parameters is not positive definite",
+                    camera.name
+                ))
+            })?;
+            let now = camera.interior.values();
+            let expected = camera.expected.as_deref().unwrap_or(now);
+            let known = GaussianPrior {
+                block: [block],
+                places: free.iter().map(|&k| (places[k], places[k])).collect(),
+                expected: free
+                    .iter()
+                    .map(|&k| values[places[k]] + (expected[places[k]] - now[places[k]]))
+                    .collect(),
+                whitening,
+            };
+            let name = format!("interior orientation {index}");
+            self.add(Group::Interior, &name, vec![known], vec![index])?;
+        }
+        Ok(())
+    }
+
+    fn add_ground(
+        &mut self,
+        reconstruction: &Reconstruction,
+        settings: &Settings,
+    ) -> Result<(), SolveError> {
+        for point in &reconstruction.ground {
+            self.ground.push(match point.role {
+                Role::Check => None,
+                Role::Control | Role::Tie => {
+                    Some(self.problem.block("ground point", Euclidean(3), &point.position_m)?)
+                }
+            });
+        }
+        let mut marks = Vec::new();
+        let mut subjects = Vec::new();
+        let factor = settings.factor(Group::Marks);
+        for (k, mark) in reconstruction.marks.iter().enumerate() {
+            if let Some(ground) = self.ground[mark.ground as usize] {
+                let image = mark.image as usize;
+                marks.push(GroundPointFactor {
+                    shutter: self.shutter,
+                    blocks: [
+                        self.images[image],
+                        self.lenses[reconstruction.images[image].camera],
+                        ground,
+                    ],
+                    data: measurement(reconstruction, image, mark.image_px, mark.sigma_px * factor),
+                });
+                subjects.push(k);
+            }
+        }
+        self.add(Group::Marks, "marks", marks, subjects)?;
+        let factor = settings.factor(Group::Control);
+        for (axes, name) in [
+            (Axes::Xyz, "control coordinates"),
+            (Axes::Xy, "control coordinates in plan"),
+            (Axes::Z, "control heights"),
+        ] {
+            let mut subjects = Vec::new();
+            let mut factors = Vec::new();
+            for (k, point) in reconstruction.ground.iter().enumerate() {
+                if let (Some(block), Role::Control) = (self.ground[k], point.role)
+                    && point.axes == axes
+                {
+                    subjects.push(k);
+                    factors.push(ControlPointFactor {
+                        block: [block],
+                        axes: axes.indices(),
+                        position_m: point.position_m,
+                        sigma_m: point.sigma_m.map(|sigma| sigma * factor),
+                    });
+                }
+            }
+            self.add(Group::Control, name, factors, subjects)?;
+        }
+        let factor = settings.factor(Group::ScaleBars);
+        let mut bars = Vec::new();
+        let mut subjects = Vec::new();
+        for (k, bar) in reconstruction.scale_bars.iter().enumerate() {
+            if let [Some(a), Some(b)] = bar.ends.map(|end| self.ground[end as usize]) {
+                bars.push(ScaleBarFactor {
+                    blocks: [a, b],
+                    length_m: bar.length_m,
+                    sigma_m: bar.sigma_m * factor,
+                });
+                subjects.push(k);
+            }
+        }
+        self.add(Group::ScaleBars, "scale bars", bars, subjects)
+    }
+
+    fn add_tie_points(
+        &mut self,
+        reconstruction: &Reconstruction,
+        settings: &Settings,
+    ) -> Result<(), SolveError> {
+        for point in &reconstruction.points {
+            let block = self.problem.block("tie point", Euclidean(3), &point.position_m)?;
+            self.problem.eliminate(block);
+            self.points.push(block);
+        }
+        if reconstruction.observations.is_empty() {
+            return Ok(());
+        }
+        let sigma_px = reconstruction.tie_sigma_px * settings.factor(Group::TiePoints);
+        let pairs: Vec<Measurement<DATA>> = reconstruction
+            .observations
+            .iter()
+            .map(|o| {
+                let image = o.image as usize;
+                Measurement::with_shared(
+                    self.images[image],
+                    self.lenses[reconstruction.images[image].camera],
+                    self.points[o.point as usize],
+                    measurement(reconstruction, image, o.image_px, sigma_px),
+                )
+            })
+            .collect();
+        let name = Group::TiePoints.name();
+        self.shutter.add_measurements(&mut self.problem, name, settings.tie_loss, pairs)
+    }
+
+    fn add_motion(
+        &mut self,
+        reconstruction: &Reconstruction,
+        settings: &Settings,
+    ) -> Result<(), SolveError> {
+        let Some(shutter) = reconstruction.rolling_shutter else { return Ok(()) };
+        let mut known = Vec::new();
+        for (image, &block) in reconstruction.images.iter().zip(&self.images) {
+            let turning = shutter.sigma_rate_rad_s > 0.0;
+            if !turning {
+                self.problem.fix_entries(block, &[6, 7, 8])?;
+            }
+            let entries: Vec<usize> = (if turning { 0 } else { 3 }..6).collect();
+            let factor = settings.factor(Group::Motion);
+            let n = entries.len();
+            let mut whitening = vec![0.0; n * n];
+            for (row, &entry) in entries.iter().enumerate() {
+                let sigma =
+                    if entry < 3 { shutter.sigma_rate_rad_s } else { shutter.sigma_velocity_m_s };
+                whitening[row * n + row] = 1.0 / (sigma * shutter.readout_s * factor);
+            }
+            known.push(GaussianPrior {
+                block: [block],
+                places: entries.iter().map(|&k| (7 + k, 6 + k)).collect(),
+                expected: entries.iter().map(|&k| image.expected_motion[k]).collect(),
+                whitening,
+            });
+        }
+        let subjects = (0..known.len()).collect();
+        self.add(Group::Motion, "motion", known, subjects)
+    }
+
+    /// Holds the first image and, of the one farthest from it, the coordinate of its centre that
+    /// points most away: position, orientation and scale of the block.
+    fn hold_datum(&mut self, reconstruction: &Reconstruction) -> Result<(), SolveError> {
+        let Some(first) = reconstruction.images.first() else { return Ok(()) };
+        let from = first.pose.centre_m();
+        let distance = |k: usize| -> f64 {
+            let centre = reconstruction.images[k].pose.centre_m();
+            (0..3).map(|axis| (centre[axis] - from[axis]).powi(2)).sum()
+        };
+        let Some(farthest) =
+            (1..reconstruction.images.len()).max_by(|&a, &b| distance(a).total_cmp(&distance(b)))
+        else {
+            return Ok(());
+        };
+        // Where the first centre is, seen from the farthest camera.
+        let seen = reconstruction.images[farthest].pose.to_camera(from);
+        let axis = (0..3).max_by(|&a, &b| seen[a].abs().total_cmp(&seen[b].abs())).unwrap_or(0);
+        self.problem.fix_entries(self.images[0], &[0, 1, 2, 3, 4, 5])?;
+        self.problem.fix_entries(self.images[farthest], &[3 + axis])
+    }
+
+    fn add<F: Factor + 'static>(
+        &mut self,
+        group: Group,
+        name: &str,
+        factors: Vec<F>,
+        subjects: Vec<usize>,
+    ) -> Result<(), SolveError> {
+        if factors.is_empty() {
+            return Ok(());
+        }
+        self.batches.push((group, name.to_owned(), subjects));
+        self.problem.add(name, Loss::Trivial, Factors(factors))
+    }
+
+    /// Keeps the pose of an image as it is.
+    ///
+    /// # Errors
+    /// [`SolveError::Misuse`] for an image that is not there.
+    pub fn hold_image(&mut self, image: usize) -> Result<(), SolveError> {
+        let block = self.images.get(image).copied();
+        let block =
+            block.ok_or_else(|| SolveError::Misuse(format!("there is no image {image}")))?;
+        self.problem.fix_entries(block, &[0, 1, 2, 3, 4, 5])
+    }
+
+    /// The engine for it.
+    pub fn engine(settings: &Settings) -> LeastSquares {
+        LeastSquares::new(settings.engine())
+    }
+
+    /// Writes the values `x` into `reconstruction`, the one this came from. What was measured stays.
+    pub fn update(&self, x: &[f64], reconstruction: &mut Reconstruction) {
+        for (camera, &block) in reconstruction.cameras.iter_mut().zip(&self.lenses) {
+            let values = lens_values(&camera.interior, self.problem.values(x, block));
+            if let Ok(interior) = camera.interior.with_values(&values) {
+                camera.interior = interior;
+            }
+        }
+        let ground = |reconstruction: &Reconstruction| -> Vec<[f64; 3]> {
+            reconstruction.ground.iter().map(|point| point.position_m).collect()
+        };
+        let (kept, positions) = (ground(reconstruction), reconstruction.positions.clone());
+        reconstruction.shift(self.origin_m);
+        for (image, &block) in reconstruction.images.iter_mut().zip(&self.images) {
+            let v = self.problem.values(x, block);
+            image.pose.rotation = [v[0], v[1], v[2], v[3]];
+            image.pose.translation = [v[4], v[5], v[6]];
+            if self.shutter == Shutter::Rolling {
+                image.motion.copy_from_slice(&v[7..]);
+            }
+        }
+        for (point, &block) in reconstruction.points.iter_mut().zip(&self.points) {
+            point.position_m.copy_from_slice(self.problem.values(x, block));
+        }
+        reconstruction.shift(self.origin_m.map(|v| -v));
+        for (point, position_m) in reconstruction.ground.iter_mut().zip(kept) {
+            point.position_m = position_m;
+        }
+        reconstruction.positions = positions;
+    }
+
+    /// Where the adjustment puts a ground point that took part, metres.
+    pub fn ground_m(&self, x: &[f64], ground: usize) -> Option<[f64; 3]> {
+        let values = self.problem.values(x, self.ground[ground]?);
+        Some(std::array::from_fn(|k| values[k] + self.origin_m[k]))
+    }
+}
+
+/// `W` with `W^T W = C^-1`: the inverse of the Cholesky factor of `C`, row-major.
+fn whitening(covariance: nalgebra::DMatrix<f64>) -> Option<Vec<f64>> {
+    let n = covariance.nrows();
+    let factor = covariance.cholesky()?.unpack();
+    let inverse = factor.solve_lower_triangular(&nalgebra::DMatrix::identity(n, n))?;
+    Some((0..n * n).map(|k| inverse[(k / n, k % n)]).collect())
+}

@@ -1,0 +1,326 @@
+//! How well a calibration is known.
+//!
+//! ```text
+//! s0^2 = v^T v / (n - u),   C = s0^2 (J^T J)^-1,   t_k = x_k / sqrt(C_kk)
+//! ```
+//!
+//! for `n` observations and `u` unknowns. A parameter is significant where the two-sided probability
+//! of its `t` under Student's distribution with `n - u` degrees of freedom is small.
+
+use super::{BoardShape, Mark, Request, Solution, State, View};
+use crate::camera::{Interior, Lens};
+use nalgebra::{DMatrix, Dyn, Matrix6, SMatrix, SymmetricEigen};
+use rowgram_optim::{
+    engine::SolveError,
+    geometry::{cross, dot, rotation},
+    nlls::{LinearSolver, covariance::Covariance},
+};
+use serde::{Deserialize, Serialize};
+use statrs::distribution::{ContinuousCDF, StudentsT};
+use std::borrow::Cow;
+
+/// One parameter of the interior orientation.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ParameterStatistics {
+    /// Its name.
+    pub name: Cow<'static, str>,
+    /// Its unit.
+    pub unit: Cow<'static, str>,
+    /// Its value.
+    pub value: f64,
+    /// Whether it was estimated.
+    pub free: bool,
+    /// Its standard deviation; 0 where it was held.
+    pub standard_deviation: f64,
+    /// Value over standard deviation; none where it was held.
+    pub t: Option<f64>,
+    /// Probability of so large a `t` where the true value is 0.
+    pub probability: Option<f64>,
+}
+
+/// One photo.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ViewStatistics {
+    /// Corners in it.
+    pub corners: usize,
+    /// Root mean square of the distances between corners and projections, pixels.
+    pub rms_px: f64,
+    /// The largest such distance, pixels.
+    pub largest_px: f64,
+    /// The angle between the board and the image plane, degrees.
+    pub tilt_deg: f64,
+    /// Distance of the board's first corner from the camera, metres.
+    pub distance_m: f64,
+}
+
+/// Everything known about a solution.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Statistics {
+    /// Observations `n`: two for each corner of each photo.
+    pub observations: usize,
+    /// Unknowns `u`.
+    pub unknowns: usize,
+    /// `s0`, pixels: what one coordinate of a corner is off.
+    pub sigma0_px: f64,
+    /// Root mean square of the distances, pixels (`sqrt(2)` times that of the coordinates).
+    pub rms_px: f64,
+    /// The parameters of the model.
+    pub parameters: Vec<ParameterStatistics>,
+    /// Names of the free ones, in the order of [`Statistics::correlation`].
+    pub free: Vec<Cow<'static, str>>,
+    /// Correlation matrix of the free parameters, row by row.
+    pub correlation: Vec<Vec<f64>>,
+    /// Each photo.
+    pub views: Vec<ViewStatistics>,
+    /// Height of each corner of the board and its standard deviation, metres, where unknown.
+    pub heights_m: Vec<[f64; 2]>,
+}
+
+/// Projection minus measurement of every mark of every view, pixels.
+///
+/// # Errors
+/// Where a corner has no projection.
+pub fn residuals(views: &[View], state: &State) -> Result<Vec<Vec<[f64; 2]>>, SolveError> {
+    views
+        .iter()
+        .zip(&state.poses)
+        .map(|(view, pose)| {
+            let r = rotation::matrix([pose[0], pose[1], pose[2], pose[3]]);
+            let residual = |mark: &Mark| {
+                let height = state.heights_m.get(mark.corner).copied().unwrap_or(0.0);
+                let board = [mark.board_m[0], mark.board_m[1], height];
+                let point = std::array::from_fn(|k| dot(r[k], board) + pose[4 + k]);
+                let [u, v] = state.interior.project(point)?;
+                Some([u - mark.image_px[0], v - mark.image_px[1]])
+            };
+            view.marks
+                .iter()
+                .map(residual)
+                .collect::<Option<Vec<_>>>()
+                .ok_or_else(|| SolveError::InfeasibleStart("a corner has no projection".into()))
+        })
+        .collect()
+}
+
+/// The statistics of a solution.
+///
+/// # Errors
+/// [`SolveError::RankDeficient`] says in words which parameters the photos leave undetermined.
+pub fn statistics(
+    views: &[View],
+    request: &Request,
+    solution: &Solution,
+) -> Result<Statistics, SolveError> {
+    let residuals = residuals(views, &solution.state)?;
+    let problem = &solution.calibration.problem;
+    let observations = 2 * residuals.iter().map(Vec::len).sum::<usize>();
+    let unknowns = problem.parameter_count();
+    if observations <= unknowns {
+        return Err(SolveError::RankDeficient(format!(
+            "{observations} observations do not determine {unknowns} unknowns; add photos"
+        )));
+    }
+    let squares: f64 = residuals.iter().flatten().map(|r| r[0] * r[0] + r[1] * r[1]).sum();
+    let freedom = (observations - unknowns) as f64;
+    let variance = squares / freedom;
+    let free: Vec<usize> = (0..request.free.len()).filter(|&k| request.free[k]).collect();
+    let own = lens_covariance(views, request, solution, &free)?;
+    let count = request.free.len();
+    let mut block = DMatrix::<f64>::zeros(count, count);
+    for (i, &row) in free.iter().enumerate() {
+        for (j, &column) in free.iter().enumerate() {
+            block[(row, column)] = own[(i, j)];
+        }
+    }
+    let sigma = |k: usize| (variance * block[(k, k)]).max(0.0).sqrt();
+    let student = StudentsT::new(0.0, 1.0, freedom)
+        .map_err(|error| SolveError::Misuse(format!("Student's distribution: {error}")))?;
+    let described = request.model.parameters();
+    let values = solution.state.interior.values();
+    let parameters = (0..count)
+        .map(|k| {
+            let t = request.free[k].then(|| values[k] / sigma(k));
+            ParameterStatistics {
+                name: described[k].name.into(),
+                unit: described[k].unit.into(),
+                value: values[k],
+                free: request.free[k],
+                standard_deviation: if request.free[k] { sigma(k) } else { 0.0 },
+                t,
+                probability: t.map(|t| 2.0 * student.cdf(-t.abs())),
+            }
+        })
+        .collect();
+    let correlation = free
+        .iter()
+        .map(|&i| {
+            free.iter()
+                .map(|&j| match i == j {
+                    true => 1.0,
+                    false => block[(i, j)] / (block[(i, i)] * block[(j, j)]).sqrt(),
+                })
+                .collect()
+        })
+        .collect();
+    let mut heights_m = Vec::new();
+    if request.shape == BoardShape::Free {
+        let mut covariance = Covariance::new(problem, &solution.x, LinearSolver::Schur)?;
+        let blocks = &solution.calibration.heights;
+        for (block, &height) in blocks.iter().zip(&solution.state.heights_m) {
+            if let Some(block) = *block {
+                let square = variance * covariance.block(block)[0];
+                heights_m.push([height, square.max(0.0).sqrt()]);
+            }
+        }
+    }
+    let views = views
+        .iter()
+        .zip(&residuals)
+        .zip(&solution.state.poses)
+        .map(|((view, residuals), pose)| view_statistics(view, residuals, pose))
+        .collect();
+    Ok(Statistics {
+        observations,
+        unknowns,
+        sigma0_px: variance.sqrt(),
+        rms_px: (2.0 * squares / observations as f64).sqrt(),
+        parameters,
+        free: free.iter().map(|&k| described[k].name.into()).collect(),
+        correlation,
+        views,
+        heights_m,
+    })
+}
+
+fn view_statistics(view: &View, residuals: &[[f64; 2]], pose: &[f64; 7]) -> ViewStatistics {
+    let squares = residuals.iter().map(|r| r[0] * r[0] + r[1] * r[1]);
+    let r = rotation::matrix([pose[0], pose[1], pose[2], pose[3]]);
+    let t = [pose[4], pose[5], pose[6]];
+    ViewStatistics {
+        corners: view.marks.len(),
+        rms_px: (squares.clone().sum::<f64>() / residuals.len().max(1) as f64).sqrt(),
+        largest_px: squares.fold(0.0, f64::max).sqrt(),
+        tilt_deg: r[2][2].abs().min(1.0).acos().to_degrees(),
+        distance_m: dot(t, t).sqrt(),
+    }
+}
+
+/// A direction of the interior orientation is undetermined below this curvature, every parameter
+/// scaled to unit curvature of its own: what eliminating the poses leaves of an exact zero, with a wide margin.
+const RANK_TOLERANCE: f64 = 1e-12;
+/// A parameter takes part in such a direction with at least this share of its length.
+const PART: f64 = 0.15;
+
+/// `(J^T J)^-1` of the free interior parameters, everything else eliminated.
+fn lens_covariance(
+    views: &[View],
+    request: &Request,
+    solution: &Solution,
+    free: &[usize],
+) -> Result<DMatrix<f64>, SolveError> {
+    let failed = || SolveError::RankDeficient("a photo does not determine its own pose".into());
+    let (reduced, alone) = reduced_normal(views, free, &solution.state).ok_or_else(failed)?;
+    // Scaled by the curvature without the poses: what a pose takes over entirely has none left.
+    let scale: Vec<f64> =
+        (0..free.len()).map(|k| 1.0 / alone[(k, k)].sqrt().max(f64::MIN_POSITIVE)).collect();
+    let scaled =
+        DMatrix::from_fn(free.len(), free.len(), |i, j| reduced[(i, j)] * scale[i] * scale[j]);
+    let eigen = SymmetricEigen::new(scaled);
+    if let Some(words) = undetermined(request, free, &eigen) {
+        return Err(SolveError::RankDeficient(words));
+    }
+    if request.shape == BoardShape::Free {
+        let problem = &solution.calibration.problem;
+        let mut covariance = Covariance::new(problem, &solution.x, LinearSolver::Schur)?;
+        let block = covariance.block(solution.calibration.lens);
+        return Ok(DMatrix::from_row_slice(free.len(), free.len(), &block));
+    }
+    let inverse = DMatrix::from_diagonal(&eigen.eigenvalues.map(|value| 1.0 / value));
+    let scaled = &eigen.eigenvectors * inverse * eigen.eigenvectors.transpose();
+    Ok(DMatrix::from_fn(free.len(), free.len(), |i, j| scaled[(i, j)] * scale[i] * scale[j]))
+}
+
+/// Says in words which free parameters the photos do not tell apart, if there are any.
+fn undetermined(
+    request: &Request,
+    free: &[usize],
+    eigen: &SymmetricEigen<f64, Dyn>,
+) -> Option<String> {
+    let parameters = request.model.parameters();
+    let mut sentences = Vec::new();
+    for (k, value) in eigen.eigenvalues.iter().enumerate() {
+        if *value > RANK_TOLERANCE {
+            continue;
+        }
+        let direction = eigen.eigenvectors.column(k);
+        let names: Vec<&str> = (0..free.len())
+            .filter(|&i| direction[i].abs() > PART)
+            .map(|i| parameters[free[i]].name)
+            .collect();
+        sentences.push(match names.as_slice() {
+            [] => "the photos leave the interior orientation undetermined".to_owned(),
+            [name] => format!("the photos say nothing about {name}"),
+            [first, last] => format!("{first} and {last} are the same parameter here"),
+            [rest @ .., last] => {
+                format!("{} and {last} cannot be told apart in these photos", rest.join(", "))
+            }
+        });
+    }
+    (!sentences.is_empty()).then(|| {
+        format!(
+            "{}; hold one of them, or add photos that are tilted against each other",
+            sentences.join("; ")
+        )
+    })
+}
+
+/// The normal matrix of the free interior parameters with the poses eliminated, and without.
+fn reduced_normal(
+    views: &[View],
+    free: &[usize],
+    state: &State,
+) -> Option<(DMatrix<f64>, DMatrix<f64>)> {
+    let count = free.len();
+    let mut reduced = DMatrix::zeros(count, count);
+    let mut alone = DMatrix::zeros(count, count);
+    for (view, pose) in views.iter().zip(&state.poses) {
+        let mut own = Matrix6::zeros();
+        let mut mixed = DMatrix::<f64>::zeros(count, 6);
+        for mark in &view.marks {
+            let height = state.heights_m.get(mark.corner).copied().unwrap_or(0.0);
+            let (by_lens, by_pose) = rows(&state.interior, pose, mark.board_m, height)?;
+            for (lens, pose) in by_lens.iter().zip(&by_pose) {
+                let lens: Vec<f64> = free.iter().map(|&k| lens[k]).collect();
+                let pose = SMatrix::<f64, 1, 6>::from_row_slice(pose);
+                own += pose.transpose() * pose;
+                for i in 0..count {
+                    for j in 0..6 {
+                        mixed[(i, j)] += lens[i] * pose[j];
+                    }
+                    for j in 0..count {
+                        alone[(i, j)] += lens[i] * lens[j];
+                    }
+                }
+            }
+        }
+        let inverse = own.cholesky()?.inverse();
+        let inverse = DMatrix::from_fn(6, 6, |i, j| inverse[(i, j)]);
+        reduced -= &mixed * inverse * mixed.transpose();
+    }
+    reduced += &alone;
+    Some((reduced, alone))
+}
+
+type Rows = ([[f64; crate::camera::MAX_PARAMETERS]; 2], [[f64; 6]; 2]);
+
+fn rows(interior: &Interior, pose: &[f64; 7], board_m: [f64; 2], height: f64) -> Option<Rows> {
+    let r = rotation::matrix([pose[0], pose[1], pose[2], pose[3]]);
+    let board = [board_m[0], board_m[1], height];
+    let point = std::array::from_fn(|k| dot(r[k], board) + pose[4 + k]);
+    let found = interior.project_with_derivatives(point)?;
+    let by_pose = found.by_point.map(|j| {
+        let w = cross(point, j);
+        [w[0], w[1], w[2], j[0], j[1], j[2]]
+    });
+    Some((found.by_parameters, by_pose))
+}

@@ -1,0 +1,9 @@
+//! Estimation problems: the equations of each, posed for the engines.
+
+pub mod adjustment;
+pub mod bundle;
+pub mod calibration;
+pub mod lens_fit;
+pub mod map_transform;
+mod pose_chain;
+pub mod radiometry;

@@ -1,0 +1,232 @@
+//! What is wrong with image measurements, coordinates and positions before a block is adjusted, and what of its lenses is free.
+
+use super::{BlockOptions, Flight, MARK};
+use crate::{
+    camera::Lens,
+    scene::Reconstruction,
+    sfm::{
+        Block, Features,
+        georeference::{Known, MarkReview, axes_exchanged, control_left_m, review_marks},
+        intrinsics::estimable,
+        level::{HeightError, HeightReview, tilt_rad},
+        triangulate::TriangulationOptions,
+    },
+};
+use rowgram_base::{error::Error, monitor::Diagnostic};
+
+/// Fewer images than this do not determine a whole lens.
+const MIN_IMAGES_FOR_WHOLE_LENS: usize = 6;
+/// A difference of heights beyond this is one of vertical datums, metres.
+const DATUM_DIFFERENCE_M: f64 = 10.0;
+
+/// No receiver is off by more in the plan, metres.
+const RECEIVER_ERROR_M: f64 = 100.0;
+
+pub(super) fn position_shift([x, y, z]: [f64; 3]) -> Diagnostic {
+    let message = format!(
+        "they are offset from the control by {x:+.2} {y:+.2} {z:+.2} m (easting, northing, height); the offset was removed"
+    );
+    if z.abs() > DATUM_DIFFERENCE_M {
+        let message =
+            format!("{message}; heights that differ by so much have different vertical datums");
+        return Diagnostic::warning("vertical-datum", "camera positions", message);
+    }
+    if x.hypot(y) > RECEIVER_ERROR_M {
+        let remedy =
+            "check [project] crs, its datum, and both tables: one of them may be of another place";
+        return Diagnostic::warning("position-offset", "camera positions", message)
+            .with_remedy(remedy);
+    }
+    Diagnostic::info("position-offset", "camera positions", message)
+}
+
+/// Heights of camera positions that err by less than this along a flight are what receivers give, metres.
+const HEIGHT_ERROR_M: f64 = 3.0;
+/// A tilt beyond this is none of a mount.
+const TILT_DEG: f64 = 8.0;
+
+/// What was found in the heights of the camera positions.
+pub(super) fn heights(review: &HeightReview) -> Vec<Diagnostic> {
+    let mut found = Vec::new();
+    let error = match review.error {
+        HeightError::Drift(_) => Some("drift"),
+        HeightError::Jump(..) => Some("jump"),
+        HeightError::Constant => None,
+    };
+    if let Some(what) = error.filter(|_| review.range_m > HEIGHT_ERROR_M) {
+        let message = format!(
+            "their heights {what} by {:.1} m along the flight, which the photos contradict; that was taken off them",
+            review.range_m
+        );
+        let diagnostic = Diagnostic::warning("heights-corrected", "camera positions", message);
+        found.push(
+            diagnostic
+                .with_remedy("heights of the result may be off by as much: give control points"),
+        );
+    }
+    let degrees = review.tilt_rad.to_degrees();
+    if degrees > TILT_DEG {
+        let message = format!(
+            "their heights alone would tilt the block by {degrees:.0} degrees against the direction in which the cameras look; the cameras were followed"
+        );
+        found.push(Diagnostic::warning("heights-tilted", "camera positions", message));
+    }
+    found
+}
+
+/// Whether a block in the map is level as its cameras have it.
+pub(super) fn tilt(scene: &Reconstruction, georeferenced: bool) -> Option<Diagnostic> {
+    let degrees = tilt_rad(scene).filter(|_| georeferenced)?.to_degrees();
+    let message = format!(
+        "the cameras of the block look {degrees:.0} degrees away from straight down on average: it may be tilted"
+    );
+    let remedy = "check the heights of control points and camera positions; nothing has to be done where the camera was mounted obliquely";
+    let diagnostic = Diagnostic::warning("block-tilted", "block", message);
+    (degrees > TILT_DEG).then(|| diagnostic.with_remedy(remedy))
+}
+
+/// What image measurements of one ground point must be like: a free block is bent, but not within the few photos of one.
+pub(super) fn mark_triangulation(options: &BlockOptions) -> TriangulationOptions {
+    TriangulationOptions { tolerance_px: 3.0 * options.tolerance_px, min_angle_rad: 0.01 }
+}
+
+/// Ground points that do little or nothing for want of image measurements.
+pub(super) fn name_scarcely_marked(
+    blocks: &[Block<'_>],
+    known: &Known,
+    found: &mut Vec<Diagnostic>,
+) {
+    for (ground, point) in known.ground.iter().enumerate() {
+        let oriented = |image: u32| {
+            blocks.iter().any(|block| block.poses.get(image as usize).is_some_and(Option::is_some))
+        };
+        let marks = known.marks.iter().filter(|mark| mark.ground as usize == ground);
+        let message = match marks.filter(|mark| oriented(mark.image)).count() {
+            0 => "it is measured in no oriented photo: it takes no part",
+            1 => "it is measured in one oriented photo only: two at least fix its place",
+            _ => continue,
+        };
+        let subject = format!("ground point {}", point.name);
+        found.push(Diagnostic::warning("scarcely-measured", subject, message));
+    }
+}
+
+/// Image measurements and coordinates that cannot be as they are. What they are once they are read right, nothing
+/// rejected.
+pub(super) fn review(
+    block: &Block<'_>,
+    known: &mut Known,
+    flight: &Flight<'_>,
+    options: &BlockOptions,
+    found: &mut Vec<Diagnostic>,
+) -> Known {
+    let mut given = known.clone();
+    if known.marks.is_empty() {
+        return given;
+    }
+    let review = review_marks(block, known, flight.mark_scales, &mark_triangulation(options));
+    if review.scale != 1.0 {
+        let message = format!(
+            "they fit the photos only when multiplied by {}: they were made in resized images, and were converted",
+            review.scale
+        );
+        found.push(Diagnostic::warning("marks-resized", "marks", message));
+    }
+    name_wrong_marks(&review, known, block.features, found);
+    for mark in &mut given.marks {
+        mark.image_px = mark.image_px.map(|v| (v + 0.5) * review.scale - 0.5);
+    }
+    if axes_exchanged(block, known) {
+        for point in known.ground.iter_mut().chain(&mut given.ground) {
+            point.position_m.swap(0, 1);
+        }
+        let message = "X and Y are exchanged: as given they would turn the block upside down; they were swapped";
+        found.push(Diagnostic::warning("axes-exchanged", "control points", message));
+    }
+    given
+}
+
+pub(super) fn name_wrong_marks(
+    review: &MarkReview,
+    known: &Known,
+    images: &[Features],
+    found: &mut Vec<Diagnostic>,
+) {
+    for wrong in &review.wrong {
+        let point = &known.ground[wrong.ground as usize].name;
+        let subject = format!("mark of {point} in {}", images[wrong.image as usize].name);
+        let message = if wrong.error_px.is_finite() {
+            format!(
+                "it is {:.0} px from where the other marks of the point put it; removed",
+                wrong.error_px
+            )
+        } else {
+            "no two marks of the point agree".to_owned()
+        };
+        found.push(Diagnostic::warning(MARK, subject, message));
+    }
+}
+
+/// What of the lenses the last adjustment frees, and what is known of them beforehand.
+pub(super) fn prepare_cameras(
+    block: &mut Block<'_>,
+    georeferenced: bool,
+    options: &BlockOptions,
+) -> Result<(), Error> {
+    let images = block.registered();
+    for camera in &mut block.cameras {
+        let model = camera.interior.model();
+        let names: Vec<String> = match &options.free {
+            Some(names) => names.clone(),
+            None if options.calibrated => {
+                let free = camera.free.iter().zip(model.parameters()).filter(|(free, _)| **free);
+                free.map(|(_, parameter)| parameter.name.to_owned()).collect()
+            }
+            None => estimable(model, images >= MIN_IMAGES_FOR_WHOLE_LENS),
+        };
+        camera.set_free(&names).map_err(|e| Error::Argument(format!("free: {e}")))?;
+        if options.calibrated {
+            continue;
+        }
+        let larger = f64::from(camera.interior.size_px()[0].max(camera.interior.size_px()[1]));
+        let parameters = camera.interior.parameters();
+        for (k, parameter) in parameters.iter().enumerate() {
+            camera.standard_deviations[k] = match parameter.name {
+                "f_px" | "c_px" if !georeferenced => {
+                    // A block of its own has found it better than the files told it, where they did.
+                    let c = camera.interior.principal_distance_px();
+                    if let Some(expected) = &mut camera.expected {
+                        expected[k] = c;
+                    }
+                    Some(0.1 * c)
+                }
+                "cx_px" | "cy_px" | "xp_px" | "yp_px" => Some(0.02 * larger),
+                _ => None,
+            };
+        }
+    }
+    Ok(())
+}
+
+/// Control that is this many times as far off as half of it is wrong.
+const GROSS_ERROR_RATIO: f64 = 8.0;
+
+/// The control point that the block contradicts most, and by how many metres.
+pub(super) fn worst_control(
+    block: &Block<'_>,
+    known: &Known,
+    sigma_m: f64,
+) -> Option<(usize, f64)> {
+    let mut left = control_left_m(block, known);
+    left.retain(|(ground, _)| !known.keep.contains(&known.ground[*ground].name));
+    if left.len() < 4 {
+        return None;
+    }
+    let mut sorted: Vec<f64> = left.iter().map(|(_, left)| *left).collect();
+    sorted.sort_by(f64::total_cmp);
+    let half = sorted[sorted.len() / 2];
+    let (index, most) = left.into_iter().max_by(|a, b| a.1.total_cmp(&b.1))?;
+    let given = known.ground[index].sigma_m.iter().copied().fold(0.0, f64::max);
+    let is_gross = most > GROSS_ERROR_RATIO * half && most > GROSS_ERROR_RATIO * given;
+    (is_gross && most > sigma_m).then_some((index, most))
+}
