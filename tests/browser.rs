@@ -15,7 +15,7 @@ fn shown(folder: &Path, address: &str) -> Option<String> {
     let browsers = ["chromium", "chromium-browser", "google-chrome"];
     let is_there = |name: &&str| Command::new(name).arg("--version").output().is_ok();
     let Some(browser) = browsers.into_iter().find(is_there) else {
-        println!("skipped: no map is driven, for there is no Chromium here");
+        crate::data::tool_is_missing("Chromium");
         return None;
     };
     let run = Command::new(browser)

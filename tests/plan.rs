@@ -149,7 +149,7 @@ fn a_season_in_parts_gives_what_a_season_gives() {
 /// The same by Snakemake; says so where there is none.
 fn by_snakemake(folder: &Path, project: &Path, expected: &BTreeMap<PathBuf, Vec<u8>>) {
     if Command::new("snakemake").arg("--version").output().is_err() {
-        println!("skipped: the workflow is not run by Snakemake, which is not installed");
+        crate::data::tool_is_missing("Snakemake");
         return;
     }
     let made = rowgram(folder, "plan third -o third-work -q");

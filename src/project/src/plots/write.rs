@@ -86,12 +86,10 @@ pub(super) fn traits(
     if gpkg::IS_AVAILABLE {
         gpkg::write(&folder.join("traits.gpkg"), true, std::slice::from_ref(&layer))?;
     } else {
-        left_out("traits.gpkg", "GeoPackages", "geopackage", monitor);
+        left_out(monitor);
     }
     if geoparquet::IS_AVAILABLE {
         geoparquet::write(&folder.join("traits.parquet"), true, &layer)?;
-    } else {
-        left_out("traits.parquet", "GeoParquet", "geoparquet", monitor);
     }
     let features: Vec<Value> = plots
         .iter()
@@ -214,10 +212,10 @@ fn on_map(polygon: &Polygon, place: Option<Georeference>) -> Rings {
     polygon.rings.iter().map(ring).collect()
 }
 
-fn left_out(file: &str, format: &str, feature: &str, monitor: &mut dyn Monitor) {
-    let message = format!("not written: this build of rowgram has no {format}");
-    let remedy = format!("take traits.geojson, or build with the Cargo feature {feature}");
-    let found = Diagnostic::info("output-left-out", file, message).with_remedy(remedy);
+fn left_out(monitor: &mut dyn Monitor) {
+    let message = "not written: this build of rowgram has no GeoPackages";
+    let remedy = "take traits.geojson, or build with the Cargo feature geopackage";
+    let found = Diagnostic::info("output-left-out", "traits.gpkg", message).with_remedy(remedy);
     monitor.diagnostic(&found);
 }
 
