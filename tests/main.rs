@@ -38,6 +38,7 @@ mod parsers;
 mod plan;
 mod plot_layout;
 mod program;
+mod results;
 mod row_model;
 mod run;
 mod season;

@@ -170,12 +170,12 @@ fn an_orthomosaic_alone_is_a_project() {
     let (_, plan, _) = run("--dry-run --set locate.plants=50");
     let of = |stage: &str| plan.lines().find(|line| line.starts_with(stage)).unwrap().to_owned();
     assert!(of("segment").contains("kept") && of("locate").contains("to be done"), "{plan}");
-    assert!(of("locate").contains("rowgram locate . --plants 50"), "{plan}");
+    assert!(of("locate").contains("rowgram locate . --plants=50"), "{plan}");
     assert!(of("evaluate").contains("afterwards") && of("dem").contains("left out"), "{plan}");
     assert!(results(&project) == first);
 
-    // A file that somebody touched is made again.
-    fs::write(project.join("rowgram/locate/plants.csv"), "u_px,v_px\n").unwrap();
+    // A file that is gone is made again.
+    fs::remove_file(project.join("rowgram/locate/plants.csv")).unwrap();
     run("-q");
     assert!(results(&project) == first);
 

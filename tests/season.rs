@@ -125,8 +125,8 @@ fn a_season_without_control_after_its_first_flight_is_in_one_frame() {
     let all = SeasonFile::read(&path).unwrap();
     let mut two = all.clone();
     two.flights.truncate(2);
-    let before = season::season(&two, &[], &settings, &mut first).unwrap();
-    let outcome = season::season(&all, &[], &settings, &mut first).unwrap();
+    let before = season::season(&two, &[], &settings, false, &mut first).unwrap();
+    let outcome = season::season(&all, &[], &settings, false, &mut first).unwrap();
     // The third flight changes nothing of the others.
     assert_eq!(before.flights[..], outcome.flights[..2]);
     let frames: Vec<bool> = outcome
@@ -163,6 +163,6 @@ fn a_season_without_control_after_its_first_flight_is_in_one_frame() {
     let tables = ["flights.csv", "traits_long.csv", "plants_long.csv", "growth.csv"];
     let read = || tables.map(|name| fs::read(root.join("season").join(name)).unwrap());
     let kept = read();
-    season::season(&all, &[], &settings, &mut Silent).unwrap();
+    season::season(&all, &[], &settings, false, &mut Silent).unwrap();
     assert_eq!(kept, read());
 }

@@ -244,9 +244,9 @@ pub(crate) fn season<'py>(
     let done = without_python(py, || {
         let file = SeasonFile::read(&file)?;
         let environment: Vec<(String, String)> = std::env::vars().collect();
-        let outcome = pipeline::season::season(&file, &environment, &settings, &mut monitor)?;
+        let outcome = pipeline::season::season(&file, &environment, &settings, false, &mut monitor)?;
         if report {
-            rowgram::report::write_season(&file, &outcome)?;
+            rowgram::report::write_season(&file, &outcome, false)?;
         }
         Ok((outcome, file.results()))
     })?;

@@ -61,7 +61,7 @@ pub(super) struct Args {
     /// Stop after this step.
     #[arg(long, value_name = "STEP", value_parser = step())]
     until: Option<String>,
-    /// Do all of it again.
+    /// Do all of it again; results that were edited since are kept beside, as NAME.edited.
     #[arg(long)]
     force: bool,
     /// Print one line of JSON instead of a summary.
@@ -94,7 +94,8 @@ impl Args {
         }
         config.align = options.clone();
         let project = project::with_config(&self.project, self.output.as_deref(), config)?;
-        Ok((project, options))
+        let again = self.force || self.from.is_some();
+        Ok((project.again(again.then_some(Stage::Align)).forced(self.force), options))
     }
 
     fn steps(&self) -> Result<(Option<Step>, Option<Step>), Error> {

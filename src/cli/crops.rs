@@ -28,7 +28,7 @@ pub(super) struct Args {
     output: Option<PathBuf>,
     #[command(flatten)]
     options: Given<CropsOptions>,
-    /// Replace crops that are there.
+    /// Replace crops that are there; files that were edited since are kept beside, as NAME.edited.
     #[arg(long)]
     force: bool,
     /// Print the outcome as one line of JSON.

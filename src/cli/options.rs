@@ -175,3 +175,85 @@ impl clap::FromArgMatches for HsvArgument {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::{CommandFactory, FromArgMatches};
+    use rowgram_base::options::Choice;
+    use rowgram_project::{self as project, Task, stage};
+    use std::process;
+
+    /// Values of a kind that are awkward to write on a command line.
+    fn values(kind: &Kind) -> Vec<toml::Value> {
+        let text = |all: &[&str]| all.iter().map(|&text| text.into()).collect::<Vec<_>>();
+        match kind {
+            Kind::Flag => vec![true.into(), false.into()],
+            Kind::Whole => [1, 2, 7, 101, 300].map(toml::Value::from).to_vec(),
+            Kind::Number => [-2.5, 0.125, 0.5, 1.5, 33.0, 1e-7].map(toml::Value::from).to_vec(),
+            Kind::Text | Kind::Path => text(&["it's, \"5\" $HOME", "'quoted'", "-x", "3", "true"]),
+            Kind::Words(words) => words.iter().map(|word| word.as_str().into()).collect(),
+            Kind::AutoOr(kind) => [text(&["auto"]), values(kind)].concat(),
+            Kind::List(kind) => {
+                let all = values(kind);
+                let single = all.iter().map(|value| toml::Value::Array(vec![value.clone()]));
+                single
+                    .chain([toml::Value::Array(all.clone()), toml::Value::Array(vec![])])
+                    .collect()
+            }
+            Kind::Several(kind, count) => {
+                let all = values(kind);
+                let rising: Vec<_> = all.iter().cycle().take(*count).cloned().collect();
+                let same = all.iter().map(|value| vec![value.clone(); *count]);
+                same.chain([rising]).map(toml::Value::Array).collect()
+            }
+        }
+    }
+
+    /// The words that a shell makes of a command.
+    fn words(command: &str) -> Vec<String> {
+        let script = format!("printf '%s\\0' {command}");
+        let output = process::Command::new("sh").args(["-c", &script]).output().unwrap();
+        let text = String::from_utf8(output.stdout).unwrap();
+        text.split_terminator('\0').map(str::to_owned).collect()
+    }
+
+    fn every_option_comes_back<T: Task>() {
+        let mut checked = 0;
+        for field in T::Options::fields() {
+            for value in values(&field.kind) {
+                let table = toml::Table::from_iter([(field.name.to_owned(), value)]);
+                let Ok(options) = T::Options::default().with(&table) else { continue };
+                let command = stage::command::<T>(&options);
+                let matches = super::super::Cli::command().try_get_matches_from(words(&command));
+                let matches = matches.unwrap_or_else(|e| panic!("{command}: {e}"));
+                let (name, matches) = matches.subcommand().unwrap();
+                assert_eq!(name, T::STAGE.word());
+                let given = Given::<T::Options>::from_arg_matches(matches).unwrap();
+                // Paths are made absolute, for a project is worked on from anywhere.
+                if field.kind != Kind::Path {
+                    assert!(given.over_defaults().unwrap() == options, "{command}");
+                }
+                checked += 1;
+            }
+        }
+        assert!(checked > 0 || T::Options::fields().is_empty(), "{}", T::STAGE);
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn the_commands_of_reports_and_plans_are_understood() {
+        every_option_comes_back::<project::calibrate::Calibrate>();
+        every_option_comes_back::<project::align::AlignTask>();
+        every_option_comes_back::<project::dem::DemTask>();
+        every_option_comes_back::<project::surface::SurfaceTask>();
+        every_option_comes_back::<project::ortho::OrthoTask>();
+        every_option_comes_back::<project::segment::Segment>();
+        every_option_comes_back::<project::leaf_density::LeafDensity>();
+        every_option_comes_back::<project::leaf_count::LeafCountStage>();
+        every_option_comes_back::<project::locate::Locate>();
+        every_option_comes_back::<project::leaves::LeavesStage>();
+        every_option_comes_back::<project::plots::Plots>();
+        every_option_comes_back::<project::evaluate::Evaluate>();
+    }
+}

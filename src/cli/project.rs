@@ -46,7 +46,7 @@ pub(super) fn with_config(
     })
 }
 
-/// As [`open`]; with `force`, `stage` is done again even where nothing has changed.
+/// As [`open`]; with `force`, `stage` is done again even where nothing has changed, and files in its way are kept beside.
 ///
 /// # Errors
 /// As [`open`].
@@ -57,10 +57,7 @@ pub(super) fn open_for(
     force: bool,
 ) -> Result<Project, Error> {
     let project = open(root, results)?;
-    if force {
-        project.records().forget(stage)?;
-    }
-    Ok(project)
+    Ok(project.again(force.then_some(stage)).forced(force))
 }
 
 #[derive(Serialize)]

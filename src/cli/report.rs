@@ -21,6 +21,9 @@ pub(super) struct Args {
     /// Folder of the results [default: PROJECT/rowgram].
     #[arg(short, long, value_name = "DIR")]
     output: Option<PathBuf>,
+    /// Replace files that were edited since, or that rowgram did not write: they are kept beside, as NAME.edited.
+    #[arg(long)]
+    force: bool,
     /// Print the outcome of the run as one line of JSON.
     #[arg(long)]
     json: bool,
@@ -31,7 +34,7 @@ pub(super) struct Args {
 /// # Errors
 /// A project without results, files that cannot be read or written, and [`Error::Incomplete`] where a check is red.
 pub(super) fn run(args: &Args) -> Result<(), Error> {
-    let project = project::open(&args.project, args.output.as_deref())?;
+    let project = project::open(&args.project, args.output.as_deref())?.forced(args.force);
     let outcome = RunOutcome::of_last_run(&project)?;
     let page = report::write(&project, &outcome)?;
     if args.json {

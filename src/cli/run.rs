@@ -71,7 +71,8 @@ pub(super) struct Args {
     /// Say what would be done, and do nothing.
     #[arg(long)]
     dry_run: bool,
-    /// Put a synthetic project into a folder that holds something else.
+    /// Replace results that were edited since, or that rowgram did not write: they are kept beside, as NAME.edited. Put a
+    /// synthetic project into a folder that holds something else.
     #[arg(long)]
     force: bool,
     /// Print the outcome as one line of JSON in place of the summary.
@@ -107,6 +108,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
             open_with(&root, None, &args.set)?
         }
     };
+    let project = project.forced(args.force);
     if args.dry_run {
         return print_plan(&project, args);
     }
@@ -119,13 +121,19 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
         return if args.json { print_json(&report) } else { print(&one_line(&report)) };
     }
     let mut outcome = run::run(&project, &args.options(), &mut terminal)?;
-    let page = report::write(&project, &outcome)?;
+    let page = project.results().join(report::REPORT_FILE);
+    let state = if outcome.is_whole {
+        report::write(&project, &outcome)?;
+        ""
+    } else {
+        "  (of a run of more stages; do that again to renew it)"
+    };
     drop(terminal);
     if args.json {
         print_json(&outcome)?;
     } else {
         print(&format!(
-            "{}\nreport  {}\n        {:.1} s",
+            "{}\nreport  {}{state}\n        {:.1} s",
             report::summary(&outcome),
             page.display(),
             begin.elapsed().as_secs_f64()

@@ -41,6 +41,9 @@ pub(super) struct Args {
     /// Set a key of the rowgram.toml of all flights; may be given several times.
     #[arg(long, value_name = "SECTION.KEY=VALUE")]
     set: Vec<String>,
+    /// Replace files that were edited since, or that rowgram did not write: they are kept beside, as NAME.edited.
+    #[arg(long)]
+    force: bool,
     /// Print the outcome as one line of JSON in place of the summary.
     #[arg(long)]
     json: bool,
@@ -54,8 +57,8 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     let file = SeasonFile::read(&args.file)?;
     let mut terminal = Terminal::new();
     let environment: Vec<(String, String)> = std::env::vars().collect();
-    let outcome = season::season(&file, &environment, &args.set, &mut terminal)?;
-    let page = report::write_season(&file, &outcome)?;
+    let outcome = season::season(&file, &environment, &args.set, args.force, &mut terminal)?;
+    let page = report::write_season(&file, &outcome, args.force)?;
     drop(terminal);
     if args.json {
         print_json(&outcome)?;

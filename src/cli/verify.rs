@@ -7,9 +7,10 @@ use std::path::PathBuf;
 
 /// Do a run again from its inputs and compare all files byte by byte
 ///
-/// Inputs must be as they were; every stage is done again in a folder of the project that is removed afterwards, with the
-/// options of its record, and its files are compared with the recorded ones. With --files nothing is done again: only the
-/// recorded files are compared with what is there. Exit code 3 where something differs.
+/// Inputs, settings and results must be as they were, with no other file among the results; every stage is done again in a
+/// folder of the project that is removed afterwards, with the options of its record, and its files and what it found are
+/// compared with the recorded ones. With --files nothing is done again: only files are compared with what records and the
+/// manifest say of them. Exit code 3 where something differs.
 #[derive(Debug, clap::Args)]
 #[command(
     verbatim_doc_comment,

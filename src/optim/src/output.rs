@@ -4,7 +4,7 @@
 //! reader never sees half of one and a failure leaves what was there before.
 
 use std::{
-    fs::File,
+    fs::{self, File},
     io::{BufWriter, Write},
     path::{Path, PathBuf},
 };
@@ -82,20 +82,45 @@ impl FileError {
 ///
 /// # Errors
 /// [`FileError::Exists`] where the file exists; [`FileError::Unusable`] where its folder does not,
-/// or where the path is a folder.
+/// or where the path is a folder, a device or a pipe.
 pub fn check(path: &Path, force: bool) -> Result<(), FileError> {
-    let unusable = |message| FileError::Unusable { path: path.to_owned(), message };
-    if path.is_dir() {
-        return Err(unusable("it is a folder, a file name was expected"));
+    let target = target_of(path, force)?;
+    if folder_of(&target).is_dir() {
+        return Ok(());
     }
-    if path.exists() && !force {
-        return Err(FileError::Exists { path: path.to_owned() });
-    }
-    if !folder_of(path).is_dir() {
-        return Err(unusable("its folder does not exist"));
-    }
-    Ok(())
+    Err(FileError::Unusable { path: path.to_owned(), message: "its folder does not exist" })
 }
+
+/// The file that an output becomes: where `path` is a link, what it leads to, so that the link stays.
+fn target_of(path: &Path, force: bool) -> Result<PathBuf, FileError> {
+    let unusable = |message| FileError::Unusable { path: path.to_owned(), message };
+    let mut target = path.to_owned();
+    match fs::metadata(path) {
+        Ok(found) if found.is_dir() => {
+            return Err(unusable("it is a folder, a file name was expected"));
+        }
+        Ok(found) if !found.is_file() => {
+            return Err(unusable("it is a device, a pipe or a socket, a file was expected"));
+        }
+        Ok(_) if !force => return Err(FileError::Exists { path: path.to_owned() }),
+        Ok(_) => target = path.canonicalize().map_err(|e| FileError::write(path, e))?,
+        // A link to nothing yet.
+        Err(_) => {
+            let mut links = 0;
+            while let Ok(next) = fs::read_link(&target) {
+                links += 1;
+                if links > MAX_LINKS {
+                    return Err(unusable("it is a link that leads in a circle"));
+                }
+                target = folder_of(&target).join(next);
+            }
+        }
+    }
+    Ok(target)
+}
+
+/// Links that lead to one another, at most; the limit of Linux.
+const MAX_LINKS: usize = 40;
 
 /// Refuses a name without one of these endings, upper or lower case.
 ///
@@ -135,9 +160,7 @@ pub fn check_apart(outputs: &[&Path], inputs: &[&Path], force: bool) -> Result<(
             let message = "it is an input, expected another output";
             return Err(FileError::Unusable { path: (*output).to_owned(), message });
         }
-        if output.exists() && !force {
-            return Err(FileError::Exists { path: (*output).to_owned() });
-        }
+        target_of(output, force)?;
     }
     Ok(())
 }
@@ -168,36 +191,55 @@ pub fn write_seekable<E: From<FileError>>(
     force: bool,
     fill: impl FnOnce(&mut File) -> Result<(), E>,
 ) -> Result<(), E> {
-    if path.exists() && !force {
-        return Err(FileError::Exists { path: path.to_owned() }.into());
-    }
-    let failed = |source| FileError::write(path, source);
-    let mut temporary = tempfile::Builder::new()
-        .prefix(".rowgram-")
-        .tempfile_in(folder_of(path))
-        .map_err(failed)?;
-    fill(temporary.as_file_mut())?;
-    Ok(take_place(temporary, path, force)?)
+    let mut waiting = Waiting::new(path, force)?;
+    fill(waiting.temporary.as_file_mut())?;
+    Ok(waiting.take_place()?)
 }
 
-/// Gives a complete file its name.
-fn take_place(
+/// A file that is being written, beside its place.
+struct Waiting<'a> {
+    path: &'a Path,
+    target: PathBuf,
     temporary: tempfile::NamedTempFile,
-    path: &Path,
     force: bool,
-) -> Result<(), FileError> {
-    let failed = |source| FileError::write(path, source);
-    temporary.as_file().sync_all().map_err(failed)?;
-    share(&temporary).map_err(failed)?;
-    if force {
-        temporary.persist(path).map_err(|e| failed(e.error))?;
-    } else {
-        temporary.persist_noclobber(path).map_err(|e| match e.error.kind() {
-            std::io::ErrorKind::AlreadyExists => FileError::Exists { path: path.to_owned() },
-            _ => failed(e.error),
-        })?;
+}
+
+impl<'a> Waiting<'a> {
+    /// A new file is as readable as the person's other files are, which the umask says; one that is replaced stays as readable as it is.
+    fn new(path: &'a Path, force: bool) -> Result<Waiting<'a>, FileError> {
+        let target = target_of(path, force)?;
+        let mut builder = tempfile::Builder::new();
+        builder.prefix(".rowgram-");
+        #[cfg(unix)]
+        {
+            use std::os::unix::fs::PermissionsExt;
+            let replaced = fs::metadata(&target).map(|found| found.permissions().mode() & 0o777);
+            let mode = replaced.map_or(0o666, |mode| mode | 0o600);
+            builder.permissions(fs::Permissions::from_mode(mode));
+        }
+        let made = builder.tempfile_in(folder_of(&target));
+        let temporary = made.map_err(|source| FileError::write(path, source))?;
+        Ok(Waiting { path, target, temporary, force })
     }
-    Ok(())
+
+    /// Gives the complete file its name.
+    fn take_place(self) -> Result<(), FileError> {
+        let Waiting { path, target, temporary, force } = self;
+        let failed = |source| FileError::write(path, source);
+        temporary.as_file().sync_all().map_err(failed)?;
+        if let (true, Ok(replaced)) = (force, fs::metadata(&target)) {
+            temporary.as_file().set_permissions(replaced.permissions()).map_err(failed)?;
+        }
+        if force {
+            temporary.persist(&target).map_err(|e| failed(e.error))?;
+        } else {
+            temporary.persist_noclobber(&target).map_err(|e| match e.error.kind() {
+                std::io::ErrorKind::AlreadyExists => FileError::Exists { path: path.to_owned() },
+                _ => failed(e.error),
+            })?;
+        }
+        Ok(())
+    }
 }
 
 /// As [`write()`], for content that a library writes to a path of its own opening: `fill` gets the path of an empty file,
@@ -210,16 +252,9 @@ pub fn write_by_path(
     force: bool,
     fill: impl FnOnce(&Path) -> Result<(), FileError>,
 ) -> Result<(), FileError> {
-    if path.exists() && !force {
-        return Err(FileError::Exists { path: path.to_owned() });
-    }
-    let failed = |source| FileError::write(path, source);
-    let temporary = tempfile::Builder::new()
-        .prefix(".rowgram-")
-        .tempfile_in(folder_of(path))
-        .map_err(failed)?;
-    fill(temporary.path())?;
-    take_place(temporary, path, force)
+    let waiting = Waiting::new(path, force)?;
+    fill(waiting.temporary.path())?;
+    waiting.take_place()
 }
 
 /// Makes a folder, and those it lies in, unless it is there.
@@ -236,18 +271,6 @@ pub fn make_folder(path: &Path) -> Result<(), FileError> {
 /// Where none can be made in that folder.
 pub fn scratch(path: &Path) -> Result<File, FileError> {
     tempfile::tempfile_in(folder_of(path)).map_err(|source| FileError::write(path, source))
-}
-
-/// Temporary files are private by default; an output should be as readable as any other file.
-#[cfg(unix)]
-fn share(file: &tempfile::NamedTempFile) -> std::io::Result<()> {
-    use std::os::unix::fs::PermissionsExt;
-    file.as_file().set_permissions(std::fs::Permissions::from_mode(0o644))
-}
-
-#[cfg(not(unix))]
-fn share(_: &tempfile::NamedTempFile) -> std::io::Result<()> {
-    Ok(())
 }
 
 /// The folder that a path lies in.
@@ -277,6 +300,54 @@ mod tests {
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "no litter");
         write(&path, true, |w| w.write_all(b"second")).unwrap();
         assert_eq!(std::fs::read(&path).unwrap(), b"second");
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn links_devices_and_modes_stay_as_they_are() {
+        use std::os::unix::{
+            fs::{PermissionsExt, symlink},
+            net::UnixListener,
+        };
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        let mode = |name: &str| fs::metadata(at(name)).unwrap().permissions().mode() & 0o777;
+        let put = |name: &str, force| write(&at(name), force, |w| w.write_all(b"new"));
+        fs::write(at("target"), "precious").unwrap();
+        fs::set_permissions(at("target"), fs::Permissions::from_mode(0o640)).unwrap();
+        symlink("target", at("link")).unwrap();
+        assert!(matches!(put("link", false), Err(FileError::Exists { .. })));
+        put("link", true).unwrap();
+        assert_eq!(fs::read_link(at("link")).unwrap(), Path::new("target"), "still a link");
+        assert_eq!((fs::read(at("target")).unwrap(), mode("target")), (b"new".to_vec(), 0o640));
+        // A link to nothing yet makes what it leads to; links in a circle lead nowhere.
+        symlink("later", at("to-later")).unwrap();
+        put("to-later", false).unwrap();
+        assert_eq!(fs::read(at("later")).unwrap(), b"new");
+        assert!(fs::symlink_metadata(at("to-later")).unwrap().is_symlink());
+        symlink("b", at("a")).unwrap();
+        symlink("a", at("b")).unwrap();
+        assert!(put("a", true).unwrap_err().to_string().contains("circle"));
+        // What is no file is refused, and stays.
+        let _socket = UnixListener::bind(at("socket")).unwrap();
+        symlink("/dev/null", at("null")).unwrap();
+        for name in ["socket", "null"] {
+            for force in [false, true] {
+                let why = put(name, force).unwrap_err().to_string();
+                assert!(why.contains("a device, a pipe or a socket"), "{why}");
+                assert!(check(&at(name), force).is_err());
+            }
+        }
+        // The umask decides for a new file, as for a file of any other program.
+        fs::write(at("usual"), "").unwrap();
+        put("fresh", false).unwrap();
+        assert_eq!(mode("fresh"), mode("usual"));
+        fs::set_permissions(at("fresh"), fs::Permissions::from_mode(0o400)).unwrap();
+        write_by_path(&at("fresh"), true, |path| {
+            fs::write(path, "by path").map_err(|e| FileError::write(path, e))
+        })
+        .unwrap();
+        assert_eq!((fs::read(at("fresh")).unwrap(), mode("fresh")), (b"by path".to_vec(), 0o400));
     }
 
     #[test]

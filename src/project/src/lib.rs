@@ -53,15 +53,17 @@ pub use config::{Config, NAME as SETTINGS, ProjectOptions, StagesOptions, refere
 pub use project::{PHOTO_ENDINGS, Project, photos_in};
 pub use stage::{Stage, State, Task};
 
-/// The folder within a stage's own that keeps what an interrupted attempt has found; no part of the results.
-pub const CACHE: &str = "cache";
-
-/// The most memory that this process has used, in megabytes, where the system tells.
+/// The most memory that this process has used since it began or the count did, in megabytes, where the system tells.
 pub fn peak_memory_mb() -> Option<f64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
     let kilobytes: f64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
     Some(kilobytes / 1024.0)
+}
+
+/// Begins to count the most memory anew; `false` where the system cannot.
+fn reset_peak_memory() -> bool {
+    std::fs::write("/proc/self/clear_refs", "5").is_ok()
 }
 
 /// Digest of the sources that this library was built from; results of another build are told by it.

@@ -16,7 +16,7 @@ use super::{
     Project, SETTINGS, Stage,
     batches::{Batch, BatchStep, Part},
     run,
-    season::SeasonFile,
+    season::{self, SeasonFile},
 };
 use rowgram_base::{error::Error, options::Choice};
 use rowgram_optim::output::{self, FileError};
@@ -125,7 +125,7 @@ impl Planner<'_> {
         let mut inputs = vec![path.clone()];
         inputs.extend(file.plots.as_deref().map(absolute).transpose()?);
         for flight in flights {
-            inputs.extend(self.project(flight, &[Stage::Plots, Stage::Evaluate])?);
+            inputs.extend(self.project(flight, &season::BY_PLOTS)?);
         }
         let results =
             std::path::absolute(file.results()).map_err(|e| FileError::read(&file.results(), e))?;

@@ -9,11 +9,13 @@
 //!     align/ dem/ ...     a folder per stage
 //!     stages/align.json   what a stage read, did and wrote
 //!     report.html         the report
+//!     rowgram-manifest.json   what was written, and what was in it
+//!     .rowgram-store/     what stages found on their way, for the next time
 //! ```
 
 use super::{
-    Config, Stage,
-    record::{Lock, Records},
+    Config, SETTINGS, Stage,
+    record::{self, Content, Lock, Records, STORE, Store},
 };
 use rowgram_base::{error::Error, options::Choice};
 use rowgram_files::{polygons, rasters};
@@ -27,13 +29,17 @@ use std::{
 pub const PHOTO_ENDINGS: [&str; 5] = ["jpg", "jpeg", "png", "tif", "tiff"];
 
 /// A folder with photos or an orthomosaic, its settings, and where results go.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Project {
     root: PathBuf,
     results: PathBuf,
     config: Config,
     /// Held where a run of several stages works on the project.
     lock: Option<Arc<Lock>>,
+    /// Stages that are done again whatever is there.
+    again: Vec<Stage>,
+    /// Whether files in the way of results, which are not as they were written, are kept beside in place of a refusal.
+    force: bool,
 }
 
 impl Project {
@@ -58,7 +64,7 @@ impl Project {
             return Err(FileError::malformed(&root, None, message).into());
         }
         let results = root.join("rowgram");
-        Ok(Project { root, results, config, lock: None })
+        Ok(Project { root, results, config, lock: None, again: Vec::new(), force: false })
     }
 
     /// The same with results in another folder.
@@ -68,33 +74,45 @@ impl Project {
         self
     }
 
+    /// The same, whose stages of this list are done again although nothing has changed.
+    #[must_use]
+    pub fn again(mut self, stages: impl IntoIterator<Item = Stage>) -> Project {
+        self.again.extend(stages);
+        self
+    }
+
+    /// The same, where `force` says that a file in the way of results, which was edited or is somebody else's, is kept beside with the
+    /// ending `.edited`; else it is refused.
+    #[must_use]
+    pub fn forced(mut self, force: bool) -> Project {
+        self.force = force;
+        self
+    }
+
+    /// Whether a stage is done although nothing has changed.
+    pub(super) fn is_again(&self, stage: Stage) -> bool {
+        self.again.contains(&stage)
+    }
+
+    /// Whether files in the way are kept beside.
+    pub(super) fn is_forced(&self) -> bool {
+        self.force
+    }
+
     /// The same, reserved for this process until it is dropped.
     ///
     /// # Errors
     /// Where another process is working on it.
     pub fn reserved(mut self) -> Result<Project, Error> {
-        self.lock = Some(Arc::new(Lock::take(&self.results)?));
+        self.lock = Some(self.lock()?);
         Ok(self)
     }
 
-    /// A copy that is reserved for this process until it is dropped.
-    ///
-    /// # Errors
-    /// Where another process is working on it.
-    pub(super) fn reserve(&self) -> Result<Project, Error> {
-        let lock = match &self.lock {
-            Some(lock) => Arc::clone(lock),
-            None => Arc::new(Lock::take(&self.results)?),
-        };
-        let (root, results) = (self.root.clone(), self.results.clone());
-        Ok(Project { root, results, config: self.config.clone(), lock: Some(lock) })
-    }
-
-    /// Reserves the project for a stage, unless it is reserved already.
-    pub(super) fn lock(&self) -> Result<Option<Lock>, Error> {
-        match self.lock {
-            Some(_) => Ok(None),
-            None => Lock::take(&self.results).map(Some),
+    /// Reserves the project for this process, until the lock and the project are dropped.
+    pub(super) fn lock(&self) -> Result<Arc<Lock>, Error> {
+        match &self.lock {
+            Some(lock) => Ok(Arc::clone(lock)),
+            None => Ok(Arc::new(Lock::take(&self.root, &self.results)?)),
         }
     }
 
@@ -134,15 +152,40 @@ impl Project {
         self.folder(stage).join(name)
     }
 
-    /// A file of a stage, if it is there.
-    pub fn existing(&self, stage: Stage, name: &str) -> Option<PathBuf> {
-        Some(self.file(stage, name)).filter(|path| path.is_file())
+    /// A file that a stage wrote when it was done last; `None` also where the stage had nothing to do since.
+    pub fn finished(&self, stage: Stage, name: &str) -> Option<PathBuf> {
+        let path = Some(self.file(stage, name)).filter(|path| path.is_file())?;
+        self.records().read(stage).filter(|record| !record.is_superseded).map(|_| path)
     }
 
-    /// A file that a stage left when it was done last.
-    pub fn finished(&self, stage: Stage, name: &str) -> Option<PathBuf> {
-        let path = self.existing(stage, name)?;
-        self.records().read(stage).map(|_| path)
+    /// The content store.
+    pub(super) fn store_of_all(&self) -> Store {
+        Store::new(self.results.join(STORE))
+    }
+
+    /// What the steps of a stage found before.
+    pub(super) fn store(&self, stage: Stage) -> Store {
+        self.store_of_all().within(&stage.word())
+    }
+
+    /// The contents of files, each by itself.
+    pub(super) fn content_of_each(
+        &self,
+        files: &[PathBuf],
+    ) -> Result<Vec<Result<Content, FileError>>, Error> {
+        record::remembered(&self.root, files, &self.store_of_all())
+    }
+
+    /// The contents of files.
+    pub(super) fn contents(&self, files: &[PathBuf]) -> Result<Vec<Content>, Error> {
+        let all: Result<Vec<Content>, FileError> =
+            self.content_of_each(files)?.into_iter().collect();
+        Ok(all?)
+    }
+
+    /// The settings that a person wrote, where there are any.
+    pub(super) fn settings_file(&self) -> Option<PathBuf> {
+        Some(self.root.join(SETTINGS)).filter(|path| path.is_file())
     }
 
     /// The polygons of its plots.
@@ -217,7 +260,7 @@ impl Project {
     /// [`Error::NothingToDo`] where there is none.
     pub fn orthomosaic(&self) -> Result<PathBuf, Error> {
         self.given_orthomosaic()
-            .or_else(|| self.existing(Stage::Ortho, "ortho.tif"))
+            .or_else(|| self.finished(Stage::Ortho, "ortho.tif"))
             .ok_or_else(|| Error::NothingToDo("there is no orthomosaic".to_owned()))
     }
 
@@ -226,7 +269,7 @@ impl Project {
     /// # Errors
     /// [`Error::NothingToDo`] where there is none.
     pub fn mask(&self) -> Result<PathBuf, Error> {
-        self.existing(Stage::Segment, "mask.tif")
+        self.finished(Stage::Segment, "mask.tif")
             .ok_or_else(|| Error::NothingToDo("there is no leaf mask".to_owned()))
     }
 }

@@ -103,7 +103,7 @@ pub struct OrthophotoOrigins {
 /// # Errors
 /// [`Error::NothingToDo`] where there is no orthomosaic of photos; as [`OrthophotoOrigins::open`].
 pub fn query(project: &Project, dem: Option<&Path>) -> Result<OrthophotoOrigins, Error> {
-    let mosaic = project.existing(Stage::Ortho, ortho::ORTHOMOSAIC).ok_or_else(|| {
+    let mosaic = project.finished(Stage::Ortho, ortho::ORTHOMOSAIC).ok_or_else(|| {
         Error::NothingToDo(format!(
             "there is no orthomosaic in {}; make one with rowgram ortho",
             project.folder(Stage::Ortho).display()

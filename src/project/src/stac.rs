@@ -35,22 +35,17 @@ const PRODUCTS: [(Stage, &str, &str, &str, &str); 11] = [
 const COG: &str = "image/tiff; application=geotiff; profile=cloud-optimized";
 const GEOPACKAGE: &str = "application/geopackage+sqlite3";
 
-/// Writes the item, or removes an old one where there is nothing to say.
+/// Writes the item into a folder; `false` where there is nothing to say.
 ///
 /// # Errors
 /// Files that cannot be read or written.
-pub(super) fn write(project: &Project, outcome: &RunOutcome) -> Result<(), Error> {
-    let path = project.results().join(STAC_FILE);
-    match item(project, outcome)? {
-        Some(item) => Ok(output::write(&path, true, |out| {
-            serde_json::to_writer_pretty(&mut *out, &item)?;
-            writeln!(out)
-        })?),
-        None => {
-            let _ = std::fs::remove_file(&path);
-            Ok(())
-        }
-    }
+pub(super) fn write(project: &Project, outcome: &RunOutcome, folder: &Path) -> Result<bool, Error> {
+    let Some(item) = item(project, outcome)? else { return Ok(false) };
+    output::write(&folder.join(STAC_FILE), true, |out| {
+        serde_json::to_writer_pretty(&mut *out, &item)?;
+        writeln!(out)
+    })?;
+    Ok(true)
 }
 
 fn item(project: &Project, outcome: &RunOutcome) -> Result<Option<Value>, Error> {

@@ -1,7 +1,7 @@
 //! The stages from photos to traits, and what they have in common.
 
 use super::{Project, record};
-use record::Record;
+use record::{NewFolder, Record};
 use rowgram_base::{
     error::Error,
     monitor::{Diagnostic, Monitor, Recorder},
@@ -49,7 +49,8 @@ rowgram_base::choices!(Stage: Calibrate, Align, Dem, Surface, Ortho, Segment, Le
 /// What a stage reads, does and gives.
 ///
 /// The record of a stage names the build of the program, the options and the contents of everything that was read. While
-/// none of them changes and its files are as they were written, the stage is not done again.
+/// none of them changes and its files are as they were written, the stage is not done again. What it finds on its way, and an attempt
+/// that was interrupted should find again, goes to the content store of the project.
 pub trait Task {
     /// How it is done.
     type Options: Options;
@@ -57,9 +58,6 @@ pub trait Task {
     type Outcome: Serialize + DeserializeOwned;
     /// Which stage it is.
     const STAGE: Stage;
-    /// Whether its folder keeps what an earlier attempt that was interrupted has found.
-    const RESUMES: bool = false;
-
     /// The files that it reads.
     ///
     /// # Errors
@@ -71,7 +69,7 @@ pub trait Task {
         String::new()
     }
 
-    /// Does it, writing into `folder`.
+    /// Does it, writing into `folder`, which is empty.
     ///
     /// # Errors
     /// As the stage says.
@@ -101,50 +99,106 @@ pub fn state<T: Task>(project: &Project, options: &T::Options) -> Result<State, 
     let records = project.records();
     // Contents are read where there is something to compare them with: of thousands of photos that takes minutes.
     let is_current = records.read(T::STAGE).is_some() && {
-        let inputs = record::contents(project.root(), &files)?;
-        records.kept(T::STAGE, &key::<T>(project, options, &inputs))?.is_some()
+        let key = key::<T>(project, options, &project.contents(&files)?);
+        records.current(T::STAGE, &key, &project.store_of_all())?.is_some()
     };
     Ok(State { is_current, command: command::<T>(options) })
+}
+
+/// What came of a stage.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Performed<T> {
+    /// Its outcome.
+    pub outcome: T,
+    /// Whether it was there and current, so that nothing was done.
+    pub was_current: bool,
 }
 
 /// Does a stage, unless its result is there and current, and gives what came of it.
 ///
 /// # Errors
-/// Options beyond their limits, [`Error::NothingToDo`] where the project has no input for it, a project that another
-/// process is working on, and what the stage itself says.
+/// As [`execute`].
 pub fn perform<T: Task>(
     project: &Project,
     options: &T::Options,
     monitor: &mut dyn Monitor,
 ) -> Result<T::Outcome, Error> {
+    let performed = execute::<T>(project, options, monitor)?;
+    if performed.was_current {
+        monitor.diagnostic(&nothing_changed(T::STAGE));
+    }
+    Ok(performed.outcome)
+}
+
+/// Says that a stage was current.
+pub(super) fn nothing_changed(stage: Stage) -> Diagnostic {
+    Diagnostic::info("stage-kept", stage.word(), "nothing has changed since it was done: kept")
+}
+
+/// Does a stage, unless its result is there and current.
+///
+/// It is done in a folder of its own, which takes the place of the old result at the end: a stage that fails leaves its last result as it
+/// was. So does one that has nothing to do, but later stages do not read that.
+///
+/// # Errors
+/// Options beyond their limits, [`Error::NothingToDo`] where the project has no input for it, a project that another
+/// process is working on, an input among the results that it replaces, results that somebody has edited, and what the stage itself says.
+pub(super) fn execute<T: Task>(
+    project: &Project,
+    options: &T::Options,
+    monitor: &mut dyn Monitor,
+) -> Result<Performed<T::Outcome>, Error> {
     let section = <T::Options as Options>::SECTION;
     options.validate().map_err(|why| Error::Argument(format!("[{section}] {why}")))?;
-    let _lock = project.lock()?;
-    let stage = T::STAGE.word();
-    let inputs = record::contents(project.root(), &T::inputs(project, options)?)?;
-    let key = key::<T>(project, options, &inputs);
+    let lock = project.lock()?;
+    let performed = attempt::<T>(project, options, &lock, monitor);
+    match &performed {
+        Ok(_) => project.records().supersede(T::STAGE, false)?,
+        Err(error) => {
+            lock.check()?;
+            if matches!(error, Error::NothingToDo(_)) {
+                project.records().supersede(T::STAGE, true)?;
+            }
+        }
+    }
+    performed
+}
+
+fn attempt<T: Task>(
+    project: &Project,
+    options: &T::Options,
+    lock: &record::Lock,
+    monitor: &mut dyn Monitor,
+) -> Result<Performed<T::Outcome>, Error> {
     let records = project.records();
-    monitor.stage(&stage);
-    if let Some(kept) = records.kept(T::STAGE, &key)?
-        && let Ok(outcome) = serde_json::from_value(kept.outcome)
-    {
-        kept.diagnostics.iter().for_each(|found| monitor.diagnostic(found));
-        let message = "nothing has changed since it was done: kept";
-        monitor.diagnostic(&Diagnostic::info("stage-kept", stage, message));
-        return Ok(outcome);
-    }
-    let begin = Instant::now();
-    records.forget(T::STAGE)?;
     let folder = project.folder(T::STAGE);
-    if !T::RESUMES && folder.is_dir() {
-        std::fs::remove_dir_all(&folder).map_err(|e| FileError::write(&folder, e))?;
+    let files = T::inputs(project, options)?;
+    refuse_own::<T>(&files, &folder)?;
+    let inputs = project.contents(&files)?;
+    let key = key::<T>(project, options, &inputs);
+    monitor.stage(&T::STAGE.word());
+    let store = project.store_of_all();
+    if !project.is_again(T::STAGE)
+        && let Some(record) = records.current(T::STAGE, &key, &store)?
+        && let Ok(outcome) = serde_json::from_value(record.outcome)
+    {
+        record.diagnostics.iter().for_each(|found| monitor.diagnostic(found));
+        return Ok(Performed { outcome, was_current: true });
     }
-    std::fs::create_dir_all(&folder).map_err(|e| FileError::write(&folder, e))?;
+    record::check_folder(&folder, &records.listed(T::STAGE), project.is_forced())?;
+    let begin = Instant::now();
+    let counts_memory = super::reset_peak_memory();
+    let new = NewFolder::begin(&folder)?;
     let mut recorder = Recorder::new(monitor);
-    let outcome = T::work(project, options, &folder, &mut recorder)?;
+    let outcome = T::work(project, options, new.path(), &mut recorder)?;
     let diagnostics = recorder.diagnostics;
-    let written = record::files(&folder, &[super::CACHE])?;
-    records.write(&Record {
+    lock.check()?;
+    let written = record::contents(new.path(), &record::files(new.path())?)?;
+    let place = |content: record::Content| record::Content {
+        path: record::relative(project.root(), &folder.join(&content.path)),
+        ..content
+    };
+    let record = Record {
         stage: T::STAGE,
         key,
         command: command::<T>(options),
@@ -152,31 +206,31 @@ pub fn perform<T: Task>(
         version: env!("CARGO_PKG_VERSION").to_owned(),
         build: crate::BUILD.to_owned(),
         inputs,
-        outputs: record::contents(project.root(), &written)?,
+        outputs: written.into_iter().map(place).collect(),
         outcome: as_value(&folder, &outcome)?,
         diagnostics,
         seconds: begin.elapsed().as_secs_f64(),
-        peak_memory_mb: super::peak_memory_mb(),
-    })?;
-    Ok(outcome)
+        peak_memory_mb: super::peak_memory_mb().filter(|_| counts_memory),
+        is_superseded: false,
+    };
+    records.finish(&record, new, project.is_forced())?;
+    Ok(Performed { outcome, was_current: false })
 }
 
-/// Removes the results of an earlier attempt, but not what it keeps for the next.
-pub(super) fn clear(folder: &Path) -> Result<(), Error> {
-    for entry in std::fs::read_dir(folder).map_err(|e| FileError::read(folder, e))? {
-        let entry = entry.map_err(|e| FileError::read(folder, e))?;
-        let path = entry.path();
-        if entry.file_name() == super::CACHE {
-            continue;
+/// Refuses inputs among the results that the stage replaces: read again, they would be another input.
+fn refuse_own<T: Task>(files: &[PathBuf], folder: &Path) -> Result<(), Error> {
+    let Ok(own) = folder.canonicalize() else { return Ok(()) };
+    let is_own = |file: &&PathBuf| file.canonicalize().is_ok_and(|file| file.starts_with(&own));
+    match files.iter().find(is_own) {
+        None => Ok(()),
+        Some(file) => {
+            let message = format!(
+                "{} reads it and would replace it, for it is one of its own results: copy it to another folder and name that file",
+                T::STAGE
+            );
+            Err(FileError::malformed(file, None, message).into())
         }
-        let removed = if path.is_dir() {
-            std::fs::remove_dir_all(&path)
-        } else {
-            std::fs::remove_file(&path)
-        };
-        removed.map_err(|e| FileError::write(&path, e))?;
     }
-    Ok(())
 }
 
 fn as_value(folder: &Path, what: &impl Serialize) -> Result<serde_json::Value, Error> {
@@ -198,27 +252,232 @@ pub(super) fn key<T: Task>(
     key.finish().to_string()
 }
 
-/// The command that does a stage with these options.
-fn command<T: Task>(options: &T::Options) -> String {
+/// The command that does a stage with these options, as a person types it in the folder of the project.
+pub fn command<T: Task>(options: &T::Options) -> String {
     let mut words = format!("rowgram {} .", T::STAGE.word());
     for (name, value) in options.changed() {
-        words += &format!(" --{} {}", name.replace('_', "-"), on_the_command_line(&value));
+        words += &format!(" --{}={}", name.replace('_', "-"), quoted(&on_the_command_line(&value)));
     }
     words
 }
 
+/// As [`Kind::read`](rowgram_base::options::Kind::read) reads it again: as TOML spells it, where a word or a list of words is something else.
 fn on_the_command_line(value: &toml::Value) -> String {
-    let text = match value {
-        toml::Value::String(text) => text.clone(),
-        toml::Value::Array(values) => {
+    let is_word = |text: &str| !text.contains(['\'', '"', ',']) && text.trim() == text;
+    match value {
+        toml::Value::String(text) if !text.contains(['\'', '"']) && text.trim() == text => {
+            text.clone()
+        }
+        toml::Value::Array(values)
+            if values.iter().all(|value| {
+                value.as_str().is_none_or(|text| is_word(text) && !text.is_empty())
+            }) =>
+        {
             values.iter().map(on_the_command_line).collect::<Vec<_>>().join(",")
         }
         other => other.to_string(),
-    };
+    }
+}
+
+/// Text as one word of a shell.
+pub(super) fn quoted(text: &str) -> String {
     let plain = |c: char| c.is_alphanumeric() || "._-/,:=+".contains(c);
     if !text.is_empty() && text.chars().all(plain) {
-        text
+        text.to_owned()
     } else {
         format!("'{}'", text.replace('\'', "'\\''"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Config;
+    use rowgram_base::monitor::Silent;
+    use std::fs;
+
+    rowgram_base::options! {
+        /// What the task of these tests does.
+        pub struct ProbeOptions in "leaf_density" {
+            /// What is read.
+            pub input: PathBuf = PathBuf::from("in.txt");
+            /// Any number.
+            pub number: usize = 1;
+        }
+    }
+
+    /// Writes what it reads, and does what that says.
+    struct Probe;
+
+    impl Task for Probe {
+        type Options = ProbeOptions;
+        type Outcome = String;
+        const STAGE: Stage = Stage::LeafDensity;
+
+        fn inputs(project: &Project, options: &ProbeOptions) -> Result<Vec<PathBuf>, Error> {
+            let path = project.root().join(&options.input);
+            let nothing = || Error::NothingToDo("there is no input".to_owned());
+            Ok(vec![Some(path).filter(|path| path.is_file()).ok_or_else(nothing)?])
+        }
+
+        fn work(
+            project: &Project,
+            options: &ProbeOptions,
+            folder: &Path,
+            _: &mut dyn Monitor,
+        ) -> Result<String, Error> {
+            let text = fs::read_to_string(project.root().join(&options.input)).unwrap();
+            fs::create_dir(folder.join("figures")).unwrap();
+            fs::write(folder.join("figures/a.txt"), &text).unwrap();
+            fs::write(folder.join("out.txt"), &text).unwrap();
+            match text.as_str() {
+                "fail" => Err(Error::Incomplete("it failed".to_owned())),
+                "vanish" => {
+                    fs::remove_dir_all(project.results()).unwrap();
+                    Ok(text)
+                }
+                "much" => {
+                    let much = vec![1_u8; 300 << 20];
+                    Ok(format!("{}", much.iter().map(|&x| usize::from(x)).sum::<usize>()))
+                }
+                _ => Ok(text),
+            }
+        }
+    }
+
+    fn project(root: &Path) -> Project {
+        Project::new(root, Config::default()).unwrap()
+    }
+
+    fn done(project: &Project) -> Result<Performed<String>, Error> {
+        execute::<Probe>(project, &ProbeOptions::default(), &mut Silent)
+    }
+
+    #[test]
+    fn a_stage_that_fails_is_refused_or_has_nothing_to_do_leaves_its_last_result() {
+        let folder = tempfile::tempdir().unwrap();
+        let root = folder.path();
+        let (project, input) = (project(root), root.join("in.txt"));
+        let out = project.file(Stage::LeafDensity, "out.txt");
+        let told = |project: &Project| project.finished(Stage::LeafDensity, "out.txt").is_some();
+        fs::write(&input, "one").unwrap();
+        assert!(!done(&project).unwrap().was_current && done(&project).unwrap().was_current);
+        fs::write(&input, "fail").unwrap();
+        assert!(done(&project).unwrap_err().to_string().contains("it failed"));
+        assert!(fs::read_to_string(&out).unwrap() == "one" && told(&project));
+        // Later stages do not read it where there is nothing to do any more, until it is current again.
+        fs::remove_file(&input).unwrap();
+        assert!(matches!(done(&project), Err(Error::NothingToDo(_))));
+        assert!(fs::read_to_string(&out).unwrap() == "one" && !told(&project));
+        fs::write(&input, "one").unwrap();
+        assert!(done(&project).unwrap().was_current && told(&project));
+        // One of its own results cannot be its input.
+        let own =
+            ProbeOptions { input: "rowgram/leaf-density/out.txt".into(), ..Default::default() };
+        let why = execute::<Probe>(&project, &own, &mut Silent).unwrap_err().to_string();
+        assert!(why.contains("out.txt") && why.contains("its own results"), "{why}");
+        assert_eq!(fs::read_to_string(&out).unwrap(), "one");
+        // Nothing is left of all that but results, records and the store.
+        let mut names: Vec<String> = fs::read_dir(project.results())
+            .unwrap()
+            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+            .collect();
+        names.sort();
+        assert_eq!(names, [".lock", "leaf-density", "rowgram-manifest.json", "stages"]);
+    }
+
+    #[test]
+    fn what_is_edited_or_somebodys_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        let root = folder.path();
+        let (project, input) = (project(root), root.join("in.txt"));
+        let at = |name: &str| project.file(Stage::LeafDensity, name);
+        let text = |name: &str| fs::read_to_string(at(name)).unwrap();
+        fs::create_dir_all(at("figures")).unwrap();
+        fs::write(at("notes.txt"), "mine").unwrap();
+        fs::write(&input, "one").unwrap();
+        done(&project).unwrap();
+        fs::write(at("figures/b.txt"), "mine").unwrap();
+        fs::write(&input, "two").unwrap();
+        done(&project).unwrap();
+        assert_eq!(
+            [text("out.txt"), text("notes.txt"), text("figures/b.txt")],
+            ["two", "mine", "mine"]
+        );
+        fs::write(at("out.txt"), "edited").unwrap();
+        let why = done(&project).unwrap_err().to_string();
+        assert!(why.contains("out.txt") && why.contains("--force"), "{why}");
+        assert_eq!(text("out.txt"), "edited");
+        done(&project.clone().forced(true)).unwrap();
+        assert_eq!([text("out.txt"), text("out.txt.edited")], ["two", "edited"]);
+        // A foreign file in the way of the first result.
+        fs::remove_dir_all(project.results()).unwrap();
+        fs::create_dir_all(at("figures")).unwrap();
+        fs::write(at("figures/a.txt"), "mine").unwrap();
+        assert!(done(&project).unwrap_err().to_string().contains("a.txt"));
+        assert!(text("figures/a.txt") == "mine" && !at("out.txt").exists());
+    }
+
+    #[test]
+    fn a_record_that_was_forged_says_nothing() {
+        let folder = tempfile::tempdir().unwrap();
+        let project = project(folder.path());
+        fs::write(folder.path().join("in.txt"), "one").unwrap();
+        done(&project).unwrap();
+        let path = project.results().join("stages/leaf-density.json");
+        let record = fs::read_to_string(&path).unwrap();
+        fs::write(&path, record.replace("\"outcome\": \"one\"", "\"outcome\": \"999999\""))
+            .unwrap();
+        let again = done(&project).unwrap();
+        assert!(!again.was_current && again.outcome == "one");
+        assert!(done(&project).unwrap().was_current);
+    }
+
+    #[test]
+    fn a_kill_between_exchange_and_record_is_put_right() {
+        let folder = tempfile::tempdir().unwrap();
+        let project = project(folder.path());
+        fs::write(folder.path().join("in.txt"), "one").unwrap();
+        done(&project).unwrap();
+        let path = project.results().join("stages/leaf-density.json");
+        let first = fs::read(&path).unwrap();
+        let manifest = project.results().join(record::MANIFEST);
+        let listed = fs::read(&manifest).unwrap();
+        fs::write(folder.path().join("in.txt"), "two").unwrap();
+        done(&project).unwrap();
+        // The folder is the new one, all else as before the exchange but for the record that waits.
+        fs::rename(&path, project.results().join("stages/.leaf-density.next")).unwrap();
+        fs::write(&path, first).unwrap();
+        fs::write(&manifest, listed).unwrap();
+        let found = done(&project).unwrap();
+        assert!(found.was_current && found.outcome == "two");
+        assert!(!project.results().join("stages/.leaf-density.next").exists());
+    }
+
+    #[test]
+    fn results_that_vanish_are_told() {
+        let folder = tempfile::tempdir().unwrap();
+        let project = project(folder.path());
+        fs::write(folder.path().join("in.txt"), "vanish").unwrap();
+        let why = done(&project).unwrap_err().to_string();
+        assert!(why.contains("has vanished"), "{why}");
+        assert!(!project.results().exists(), "nothing is made again in their place");
+    }
+
+    #[test]
+    #[cfg(target_os = "linux")]
+    fn the_memory_of_a_stage_is_its_own() {
+        let folder = tempfile::tempdir().unwrap();
+        let project = project(folder.path());
+        let peak_mb = |text: &str| {
+            fs::write(folder.path().join("in.txt"), text).unwrap();
+            done(&project).unwrap();
+            project.records().read(Stage::LeafDensity).unwrap().peak_memory_mb
+        };
+        if let (Some(much), Some(little)) = (peak_mb("much"), peak_mb("little")) {
+            assert!(much > 300.0 && little < much - 200.0, "{much} {little}");
+        } else {
+            assert!(!crate::reset_peak_memory(), "where it can be counted, it is");
+        }
     }
 }

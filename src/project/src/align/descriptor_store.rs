@@ -1,45 +1,15 @@
-//! Descriptors in files, read again when they are needed.
+//! Descriptors in the content store, read again when they are needed.
 //!
 //! They are the largest part of what a photo leaves behind: 0.8 MB for 6,000 features. Those that were not used for longest
 //! leave first; what is computed with them does not depend on the room.
 
-use crate::record::{Cache, Key};
+use crate::record::{Bytes, Key, Store};
 use rowgram_base::error::Error;
 use rowgram_survey::features::{DescriptorSource, Descriptors};
-use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Visitor};
 use std::{
     collections::HashMap,
     sync::{Arc, Mutex, MutexGuard, PoisonError},
 };
-
-/// Bytes as one CBOR string instead of a list of numbers.
-#[derive(Debug, Default)]
-pub(super) struct Bytes(pub(super) Vec<u8>);
-
-impl Serialize for Bytes {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.serialize_bytes(&self.0)
-    }
-}
-
-impl<'de> Deserialize<'de> for Bytes {
-    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Bytes, D::Error> {
-        struct Read;
-        impl Visitor<'_> for Read {
-            type Value = Bytes;
-            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-                f.write_str("bytes")
-            }
-            fn visit_bytes<E>(self, v: &[u8]) -> Result<Bytes, E> {
-                Ok(Bytes(v.to_vec()))
-            }
-            fn visit_byte_buf<E>(self, v: Vec<u8>) -> Result<Bytes, E> {
-                Ok(Bytes(v))
-            }
-        }
-        from.deserialize_byte_buf(Read)
-    }
-}
 
 /// Bytes of descriptors that are kept in memory: those of 330 photos with 6,000 features. A flight's photo has its
 /// neighbours in a few strips before and after it.
@@ -47,8 +17,8 @@ pub(crate) const DESCRIPTORS_IN_MEMORY_BYTES: usize = 256 << 20;
 
 /// The descriptors of all photos.
 pub(super) struct DescriptorStore {
-    cache: Cache,
-    /// File and key of each photo.
+    store: Store,
+    /// Name and key of each photo.
     files: Vec<(String, Key)>,
     room_bytes: usize,
     kept: Mutex<Kept>,
@@ -65,10 +35,10 @@ struct Kept {
 }
 
 impl DescriptorStore {
-    /// An empty one over a folder.
-    pub(super) fn new(cache: Cache) -> DescriptorStore {
+    /// An empty one over a store.
+    pub(super) fn new(store: Store) -> DescriptorStore {
         DescriptorStore {
-            cache,
+            store,
             files: Vec::new(),
             room_bytes: DESCRIPTORS_IN_MEMORY_BYTES,
             kept: Mutex::default(),
@@ -88,7 +58,7 @@ impl DescriptorStore {
         match &self.kept().lost {
             None => Ok(()),
             Some(file) => Err(Error::Incomplete(format!(
-                "{file} in the cache of align has vanished or is damaged; run it again"
+                "{file} in the store of align has vanished or is damaged; run it again"
             ))),
         }
     }
@@ -110,7 +80,7 @@ impl DescriptorSource for DescriptorStore {
             }
         }
         let file = self.files.get(photo);
-        let read = file.and_then(|(name, key)| self.cache.load::<Bytes>(name, *key));
+        let read = file.and_then(|(name, key)| self.store.load::<Bytes>(name, *key));
         let read = read.and_then(|bytes| Descriptors::from_bytes(bytes.0));
         let mut kept = self.kept();
         if read.is_none() {
@@ -144,11 +114,11 @@ mod tests {
     #[test]
     fn descriptors_leave_and_come_back_and_a_lost_file_is_told() {
         let folder = tempfile::tempdir().unwrap();
-        let mut store = DescriptorStore::new(Cache::new(folder.path()).unwrap());
+        let mut store = DescriptorStore::new(Store::new(folder.path()));
         let files: Vec<(String, Key)> =
-            (0..5).map(|k| (format!("{k}.cbor"), Key::begin().count(k).finish())).collect();
+            (0..5).map(|k| (k.to_string(), Key::begin().count(k).finish())).collect();
         for (k, (name, key)) in files.iter().enumerate() {
-            store.cache.save(name, *key, &Bytes(vec![k as u8; 1280])).unwrap();
+            store.store.save(name, *key, &Bytes(vec![k as u8; 1280])).unwrap();
         }
         store.hold(files);
         store.room_bytes = 3000;
@@ -165,6 +135,6 @@ mod tests {
         store.check().unwrap();
         std::fs::remove_file(folder.path().join("2.cbor")).unwrap();
         assert!(store.descriptors(2).is_empty());
-        assert!(store.check().unwrap_err().to_string().contains("2.cbor"));
+        assert!(store.check().unwrap_err().to_string().contains("2 in the store"));
     }
 }

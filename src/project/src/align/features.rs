@@ -2,14 +2,14 @@
 
 use super::{
     EnlargeChoice,
-    descriptor_store::{Bytes, DescriptorStore},
+    descriptor_store::DescriptorStore,
     enlarge::detect,
     inputs::Inputs,
     sharpness::{self, Quality},
 };
 use crate::{
     batches::Part,
-    record::{Cache, Key},
+    record::{Bytes, Key, Store},
 };
 use image::RgbImage;
 use rowgram_base::{
@@ -72,8 +72,8 @@ struct Files<'a> {
     enlarge: EnlargeChoice,
     /// Of all photos, what decides their features besides their content.
     described: String,
-    cache: Cache,
-    descriptors: Cache,
+    store: Store,
+    descriptors: Store,
 }
 
 /// What there is to do about a photo.
@@ -89,12 +89,12 @@ impl<'a> Files<'a> {
         inputs: &'a Inputs,
         options: &'a features::FeatureOptions,
         enlarge: EnlargeChoice,
-        cache: &Cache,
+        store: &Store,
     ) -> Result<Files<'a>, Error> {
-        let cache = cache.within(FEATURES)?;
-        let descriptors = cache.within(DESCRIPTORS)?;
+        let store = store.within(FEATURES);
+        let descriptors = store.within(DESCRIPTORS);
         let described = format!("{options:?} {enlarge:?}");
-        Ok(Files { inputs, options, enlarge, described, cache, descriptors })
+        Ok(Files { inputs, options, enlarge, described, store, descriptors })
     }
 
     fn key(&self, k: usize) -> Key {
@@ -102,20 +102,19 @@ impl<'a> Files<'a> {
     }
 
     fn name(&self, k: usize) -> String {
-        format!("{}.cbor", self.inputs.photos[k].content)
+        self.inputs.photos[k].content.to_string()
     }
 
     /// Removes what was found in photos that are no longer there.
     fn retain(&self) -> Result<(), Error> {
-        let photos = (0..self.inputs.photos.len()).map(|k| self.name(k));
-        let names: Vec<String> = photos.chain([DESCRIPTORS.to_owned()]).collect();
-        self.cache.retain(&names)?;
+        let names: Vec<String> = (0..self.inputs.photos.len()).map(|k| self.name(k)).collect();
+        self.store.retain(&names)?;
         self.descriptors.retain(&names)
     }
 
     fn work(&self, k: usize) -> PhotoWork {
         let (key, name) = (self.key(k), self.name(k));
-        if let Some(found) = self.cache.load::<Found>(&name, key)
+        if let Some(found) = self.store.load::<Found>(&name, key)
             && self.descriptors.load::<Bytes>(&name, key).is_some()
         {
             return PhotoWork::Kept(Box::new(found));
@@ -144,7 +143,7 @@ impl<'a> Files<'a> {
             let (found, looks) = found;
             if let Some(looks) = looks {
                 self.descriptors.save(&self.name(k), self.key(k), &looks)?;
-                self.cache.save(&self.name(k), self.key(k), &found)?;
+                self.store.save(&self.name(k), self.key(k), &found)?;
             }
             take(k, found);
         }
@@ -157,10 +156,10 @@ pub(super) fn find_part(
     inputs: &Inputs,
     (options, enlarge): (&features::FeatureOptions, EnlargeChoice),
     part: Part,
-    cache: &Cache,
+    store: &Store,
     monitor: &mut dyn Monitor,
 ) -> Result<usize, Error> {
-    let files = Files::new(inputs, options, enlarge, cache)?;
+    let files = Files::new(inputs, options, enlarge, store)?;
     let photos = part.range(inputs.photos.len());
     let count = photos.len();
     let counter = Counter::new(monitor, "detecting features", count, "photos");
@@ -174,10 +173,10 @@ pub(super) fn features(
     inputs: &Inputs,
     (options, enlarge): (&features::FeatureOptions, EnlargeChoice),
     alone: bool,
-    cache: &Cache,
+    store: &Store,
     monitor: &mut dyn Monitor,
 ) -> Result<Extracted, Error> {
-    let files = Files::new(inputs, options, enlarge, cache)?;
+    let files = Files::new(inputs, options, enlarge, store)?;
     if alone {
         files.retain()?;
     }

@@ -153,7 +153,7 @@ fn overlap(
 
 /// The pairs with their orientations: the rotation as a quaternion `w, x, y, z` and the baseline of
 /// length 1 that take the camera frame of the first to that of the second (`y` up, looking along `-z`).
-pub(super) fn pairs_table(folder: &Path, pairs: &[Pair], names: &[&str]) -> Result<(), Error> {
+fn pairs_table(folder: &Path, pairs: &[Pair], names: &[&str]) -> Result<(), Error> {
     std::fs::create_dir_all(folder).map_err(|e| FileError::write(folder, e))?;
     output::write(&folder.join("pairs.csv"), true, |out| {
         writeln!(out, "first,second,matches,solver,angle_deg,tilt_deg,qw,qx,qy,qz,tx,ty,tz")?;

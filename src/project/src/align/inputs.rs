@@ -3,7 +3,7 @@
 use super::{AlignOptions, ground, known_photos, place};
 use crate::{
     Project, Stage,
-    record::{Cache, Key},
+    record::{Key, Store},
 };
 use rowgram_base::{
     error::Error,
@@ -32,7 +32,7 @@ pub(super) struct Photo {
     pub(super) name: String,
     pub(super) metadata: Metadata,
     pub(super) size_px: [u32; 2],
-    /// Mark of the file's bytes.
+    /// Key of the file's bytes.
     pub(super) content: Key,
     /// Index of its camera.
     pub(super) camera: usize,
@@ -157,7 +157,7 @@ pub(crate) const CONTROL: [&str; 3] = ["gcps.csv", "gcp_list.txt", "ground_contr
 impl<'a> Sources<'a> {
     fn of(project: &'a Project, options: &'a AlignOptions) -> Sources<'a> {
         let settings = &project.config().project;
-        let calibrated = || project.existing(Stage::Calibrate, "camera.toml");
+        let calibrated = || project.finished(Stage::Calibrate, "camera.toml");
         Sources {
             crs: settings.crs.as_deref(),
             control: project.given(settings.control.as_ref(), &CONTROL),
@@ -187,18 +187,18 @@ pub(super) fn beside(project: &Project) -> Vec<PathBuf> {
     [control, marks, positions, camera].into_iter().flatten().collect()
 }
 
-/// Reads everything that is known beforehand; photos that the cache knows are not read again.
+/// Reads everything that is known beforehand; photos that the store knows are not read again.
 ///
 /// # Errors
 /// Control that cannot be read, a coordinate reference system that is none.
 pub(super) fn inspect(
     project: &Project,
     options: &AlignOptions,
-    cache: Option<&Cache>,
+    store: Option<&Store>,
     monitor: &mut dyn Monitor,
 ) -> Result<Inputs, Error> {
     let sources = &Sources::of(project, options);
-    let read = known_photos::read(&project.photos(), cache)?;
+    let read = known_photos::read(project, &project.photos(), store)?;
     let mut photos: Vec<Photo> = Vec::new();
     let mut left_out = Vec::new();
     let mut seen: HashMap<Key, String> = HashMap::new();

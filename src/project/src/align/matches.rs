@@ -3,7 +3,7 @@
 use super::{features::Extracted, inputs::Inputs};
 use crate::{
     batches::Part,
-    record::{Cache, Key},
+    record::{Key, Store},
 };
 use rayon::prelude::*;
 use rowgram_base::{
@@ -22,11 +22,11 @@ use rowgram_survey::{
 use std::sync::Arc;
 
 /// Where the matches are kept.
-pub(super) const MATCHES: &str = "matches.cbor";
+pub(super) const MATCHES: &str = "matches";
 /// Where parts of them are, until all have been found.
 pub(super) const PARTS: &str = "matching";
 /// Within that, the pairs that are matched.
-const CHOSEN: &str = "chosen.cbor";
+const CHOSEN: &str = "chosen";
 
 /// Pairs that are matched and kept together, and whose photos' descriptors are in memory together.
 const TOGETHER: usize = 512;
@@ -103,8 +103,8 @@ pub(super) struct Matching<'a> {
     choice: Choice,
     options: MatchOptions,
     candidates: Vec<pairs::Pair>,
-    cache: &'a Cache,
-    parts: Cache,
+    store: &'a Store,
+    parts: Store,
     key: Key,
 }
 
@@ -114,7 +114,7 @@ impl<'a> Matching<'a> {
         inputs: &'a Inputs,
         extracted: &'a Extracted,
         seed: u64,
-        cache: &'a Cache,
+        store: &'a Store,
     ) -> Result<Matching<'a>, Error> {
         let (choice, options) = (Choice::new(seed), MatchOptions::default());
         let candidates = candidates(inputs, extracted, &choice);
@@ -125,8 +125,8 @@ impl<'a> Matching<'a> {
             })
             .text(&format!("{choice:?} {options:?}"))
             .finish();
-        let parts = cache.within(PARTS)?;
-        Ok(Matching { inputs, extracted, choice, options, candidates, cache, parts, key })
+        let parts = store.within(PARTS);
+        Ok(Matching { inputs, extracted, choice, options, candidates, store, parts, key })
     }
 
     /// All matches.
@@ -134,16 +134,16 @@ impl<'a> Matching<'a> {
     /// # Errors
     /// Where they cannot be kept.
     pub(super) fn all(&self, monitor: &mut dyn Monitor) -> Result<(Vec<PairMatches>, Key), Error> {
-        let stored = match self.cache.load::<Stored>(MATCHES, self.key) {
+        let stored = match self.store.load::<Stored>(MATCHES, self.key) {
             Some(stored) => stored,
             None => {
                 let mut all = Stored::new();
                 self.part(Part::WHOLE, monitor, |found| all.extend(found))?;
-                self.cache.save(MATCHES, self.key, &all)?;
+                self.store.save(MATCHES, self.key, &all)?;
                 all
             }
         };
-        self.cache.forget(PARTS)?;
+        self.store.forget(PARTS)?;
         let found = stored.into_iter().map(|(images, matches)| PairMatches { images, matches });
         Ok((found.collect(), self.key))
     }
@@ -164,7 +164,7 @@ impl<'a> Matching<'a> {
         let pairs = own.clone().map(|k| sets[k].len()).sum::<usize>();
         let counter = Counter::new(monitor, "matching", pairs, "pairs");
         for k in own.clone() {
-            let name = format!("{k}.cbor");
+            let name = k.to_string();
             let key = Key::begin().key(self.key).count(k as u64).finish();
             let found = match self.parts.load::<Stored>(&name, key) {
                 Some(found) => {

@@ -1,8 +1,8 @@
 //! From photos to a reconstruction in the mapping frame.
 //!
 //! Steps: inspect, features, match, verify (orientation of pairs), orient (exterior orientation image by image), adjust
-//! (into the mapping frame, bundle adjustment with self-calibration), report. What a step found is kept in the cache of
-//! the stage's folder and used again until something that it came from changes.
+//! (into the mapping frame, bundle adjustment with self-calibration), report. What a step found is kept in the content store
+//! and used again until something that it came from changes.
 
 mod descriptor_store;
 mod enlarge;
@@ -27,11 +27,7 @@ pub use options::{AlignOptions, EnlargeChoice, ShutterChoice, SolverChoice, Star
 pub use outcome::{AlignOutcome, Fragment, PartialReport, PointErrors};
 pub use parts::{find_features, match_pairs};
 
-use super::{
-    CACHE, Project, Stage, Task, adjust,
-    record::{Cache, Key},
-    stage,
-};
+use super::{Project, Stage, Task, adjust, record::Key, stage};
 use matches::Matching;
 use rowgram_base::{
     error::Error,
@@ -55,7 +51,6 @@ impl Task for AlignTask {
     type Options = AlignOptions;
     type Outcome = AlignOutcome;
     const STAGE: Stage = Stage::Align;
-    const RESUMES: bool = true;
 
     fn inputs(project: &Project, _: &AlignOptions) -> Result<Vec<PathBuf>, Error> {
         if project.given_orthomosaic().is_some() {
@@ -83,8 +78,7 @@ impl Task for AlignTask {
         folder: &Path,
         monitor: &mut dyn Monitor,
     ) -> Result<AlignOutcome, Error> {
-        stage::clear(folder)?;
-        match run(project, options, Step::Report, folder, monitor)? {
+        match run(project, options, Step::Report, Some(folder), monitor)? {
             StepOutcome::Whole(outcome) => Ok(*outcome),
             StepOutcome::Part(_) => {
                 Err(Error::Incomplete("the last step was not reached".to_owned()))
@@ -110,7 +104,7 @@ pub fn align(
     stage::perform::<AlignTask>(project, options, monitor)
 }
 
-/// As [`align`], up to a step; what that found is kept in the cache, and a later [`align`] goes on from there.
+/// As [`align`], up to a step; what that found is kept in the store, and a later [`align`] goes on from there.
 ///
 /// # Errors
 /// As [`align`].
@@ -124,10 +118,7 @@ pub fn align_until(
     rowgram_base::options::Options::validate(options).map_err(refused)?;
     let _lock = project.lock()?;
     AlignTask::inputs(project, options)?;
-    let folder = project.folder(Stage::Align);
-    std::fs::create_dir_all(&folder)
-        .map_err(|e| rowgram_optim::output::FileError::write(&folder, e))?;
-    match run(project, options, last.min(Step::Adjust), &folder, monitor)? {
+    match run(project, options, last.min(Step::Adjust), None, monitor)? {
         StepOutcome::Part(report) => Ok(report),
         StepOutcome::Whole(_) => Err(Error::Incomplete("the step was passed".to_owned())),
     }
@@ -146,17 +137,16 @@ pub fn inspect(
     Ok(PartialReport::new(&inputs::inspect(project, options, None, monitor)?, Step::Inspect))
 }
 
-/// Makes [`align`] do a step and those after it again, whatever is kept.
+/// Makes [`align`] do a step and those after it again, where it is done again.
 ///
 /// # Errors
 /// A project that another process is working on; a file that cannot be removed.
 pub fn forget(project: &Project, from: Step) -> Result<(), Error> {
     let _lock = project.lock()?;
-    project.records().forget(Stage::Align)?;
-    let cache = Cache::new(&project.folder(Stage::Align).join(CACHE))?;
+    let store = project.store(Stage::Align);
     for (step, name) in steps::KEPT {
         if from <= step {
-            cache.forget(name)?;
+            store.forget(name)?;
         }
     }
     Ok(())
@@ -172,24 +162,24 @@ fn run(
     project: &Project,
     options: &AlignOptions,
     last: Step,
-    folder: &Path,
+    folder: Option<&Path>,
     monitor: &mut dyn Monitor,
 ) -> Result<StepOutcome, Error> {
     let monitor = &mut Recorder::new(monitor);
-    let cache = Cache::new(&folder.join(CACHE))?;
-    let mut inputs = inputs::inspect(project, options, Some(&cache), monitor)?;
+    let store = project.store(Stage::Align);
+    let mut inputs = inputs::inspect(project, options, Some(&store), monitor)?;
     let mut report = PartialReport::new(&inputs, last);
     if last == Step::Inspect {
         return Ok(StepOutcome::Part(report));
     }
     let search = (&options.detection(), options.enlarge);
-    let extracted = features::features(&inputs, search, true, &cache, monitor)?;
+    let extracted = features::features(&inputs, search, true, &store, monitor)?;
     report.features = Some(extracted.geometric.iter().map(|of| of.positions_px.len()).sum());
     if last == Step::Features {
         return Ok(StepOutcome::Part(report));
     }
     let (mut matched, matched_key) =
-        Matching::new(&inputs, &extracted, options.seed, &cache)?.all(monitor)?;
+        Matching::new(&inputs, &extracted, options.seed, &store)?.all(monitor)?;
     matches::remove_duplicates(&inputs, &extracted, &mut matched, monitor);
     report.pairs = Some(matched.len());
     report.matches = Some(matched.iter().map(|m| m.matches.len()).sum());
@@ -197,18 +187,17 @@ fn run(
         return Ok(StepOutcome::Part(report));
     }
     let features::Extracted { geometric, descriptors, .. } = extracted;
-    steps::intrinsics(&mut inputs, &geometric, (&matched, matched_key), options, &cache, monitor)?;
+    steps::intrinsics(&mut inputs, &geometric, (&matched, matched_key), options, &store, monitor)?;
     let cameras = inputs.cameras();
     let verification = options.verification();
     let looks: &dyn DescriptorSource = &descriptors;
     let images = (geometric.as_slice(), cameras.as_slice(), looks);
     let (pairs, pairs_key) =
-        steps::verify(images, (&matched, matched_key), &verification, &cache, monitor)?;
+        steps::verify(images, (&matched, matched_key), &verification, &store, monitor)?;
     descriptors.check()?;
     report.pairs = Some(pairs.len());
     report.matches = Some(pairs.iter().map(|pair| pair.matches.len()).sum());
     if last == Step::Verify {
-        results::pairs_table(&folder.join(results::REPORT), &pairs, &inputs.names())?;
         return Ok(StepOutcome::Part(report));
     }
     let calibrated = inputs.calibrated;
@@ -221,7 +210,7 @@ fn run(
     let marked = (pairs.as_slice(), tracks_key.finish());
     let incremental = options.incremental(calibrated);
     let blocks =
-        steps::orient((&geometric, &tracks, &cameras), marked, &incremental, &cache, monitor)?;
+        steps::orient((&geometric, &tracks, &cameras), marked, &incremental, &store, monitor)?;
     report.registered = blocks.first().map(rowgram_survey::sfm::Block::registered);
     report.fragments = Some(blocks.len());
     if last == Step::Orient {
@@ -250,9 +239,7 @@ fn run(
         monitor.diagnostic(&diagnostic);
     }
     let outcome = AlignOutcome::new(&found, &inputs, pairs.len());
-    if last == Step::Adjust {
-        return Ok(StepOutcome::Part(report));
-    }
+    let Some(folder) = folder else { return Ok(StepOutcome::Part(report)) };
     let scene = results::reconstruction(&inputs, &found);
     results::write(folder, &scene, &outcome, &exported)?;
     adjust::write_report(folder, &adjust::Adjustment::of_block(found))?;

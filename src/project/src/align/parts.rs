@@ -1,21 +1,18 @@
 //! Parts of the steps that look at photos and compare them; see [`crate::batches`].
 
 use super::{AlignOptions, AlignTask, Task, features, inputs, inputs::Inputs, matches::Matching};
-use crate::{CACHE, Project, Stage, batches::Part, record::Cache};
+use crate::{Project, Stage, batches::Part, record::Store};
 use rowgram_base::{error::Error, monitor::Monitor};
-use rowgram_optim::output::FileError;
 
 fn prepare(
     project: &Project,
     options: &AlignOptions,
     monitor: &mut dyn Monitor,
-) -> Result<(Inputs, Cache), Error> {
+) -> Result<(Inputs, Store), Error> {
     AlignTask::inputs(project, options)?;
-    let folder = project.folder(Stage::Align);
-    std::fs::create_dir_all(&folder).map_err(|e| FileError::write(&folder, e))?;
-    let cache = Cache::new(&folder.join(CACHE))?;
-    let inputs = inputs::inspect(project, options, Some(&cache), monitor)?;
-    Ok((inputs, cache))
+    let store = project.store(Stage::Align);
+    let inputs = inputs::inspect(project, options, Some(&store), monitor)?;
+    Ok((inputs, store))
 }
 
 /// Finds the features of a part of the photos and keeps them for [`super::align`]. Gives the number of these photos.
@@ -28,9 +25,9 @@ pub fn find_features(
     part: Part,
     monitor: &mut dyn Monitor,
 ) -> Result<usize, Error> {
-    let (inputs, cache) = prepare(project, options, monitor)?;
+    let (inputs, store) = prepare(project, options, monitor)?;
     let search = (&options.detection(), options.enlarge);
-    features::find_part(&inputs, search, part, &cache, monitor)
+    features::find_part(&inputs, search, part, &store, monitor)
 }
 
 /// Matches a part of the pairs of photos and keeps the matches for [`super::align`]; features that are not kept are looked for. Gives the
@@ -44,8 +41,8 @@ pub fn match_pairs(
     part: Part,
     monitor: &mut dyn Monitor,
 ) -> Result<usize, Error> {
-    let (inputs, cache) = prepare(project, options, monitor)?;
+    let (inputs, store) = prepare(project, options, monitor)?;
     let search = (&options.detection(), options.enlarge);
-    let extracted = features::features(&inputs, search, false, &cache, monitor)?;
-    Matching::new(&inputs, &extracted, options.seed, &cache)?.part(part, monitor, drop)
+    let extracted = features::features(&inputs, search, false, &store, monitor)?;
+    Matching::new(&inputs, &extracted, options.seed, &store)?.part(part, monitor, drop)
 }

@@ -1,17 +1,17 @@
 //! The files of the stage.
 
-use super::{AlignOutcome, export::Exports, figures, inputs::Inputs};
+use super::{AlignOutcome, export::Exports, inputs::Inputs};
 use rowgram_base::error::Error;
 use rowgram_files::{
     camera,
     cloud::{self, CloudPoint},
     orientation, reconstruction,
 };
-use rowgram_optim::output::{self, FileError};
+use rowgram_optim::output;
 use rowgram_survey::{
     problems::adjustment::Removed,
     scene::{Excluded, ExcludedKind, Reconstruction},
-    sfm::{Pair, adjust_block::AdjustedBlock},
+    sfm::adjust_block::AdjustedBlock,
 };
 use std::path::Path;
 
@@ -71,10 +71,4 @@ pub(super) fn write(
         writeln!(out)
     })?;
     Ok(())
-}
-
-/// Writes the table of oriented pairs.
-pub(super) fn pairs_table(folder: &Path, pairs: &[Pair], names: &[&str]) -> Result<(), Error> {
-    std::fs::create_dir_all(folder).map_err(|e| FileError::write(folder, e))?;
-    figures::pairs_table(folder, pairs, names)
 }

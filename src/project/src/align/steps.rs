@@ -1,7 +1,7 @@
 //! The steps that compute, with what they keep: lenses to start with, orientation of pairs, blocks.
 
 use super::{AlignOptions, Step, features::FEATURES, inputs::Inputs, matches};
-use crate::record::{Cache, Key};
+use crate::record::{Key, Store};
 use nalgebra::{Matrix3, Vector3};
 use rowgram_base::{
     error::Error,
@@ -23,9 +23,9 @@ use rowgram_survey::{
 };
 use serde::{Deserialize, Serialize};
 
-const LENSES: &str = "lenses.cbor";
-const PAIRS: &str = "pairs.cbor";
-const BLOCKS: &str = "blocks.cbor";
+const LENSES: &str = "lenses";
+const PAIRS: &str = "pairs";
+const BLOCKS: &str = "blocks";
 
 /// What is kept of every step.
 pub(super) const KEPT: [(Step, &str); 6] = [
@@ -46,7 +46,7 @@ pub(super) fn intrinsics(
     features: &[sfm::Features],
     (matched, matched_key): (&[PairMatches], Key),
     options: &AlignOptions,
-    cache: &Cache,
+    store: &Store,
     monitor: &mut dyn Monitor,
 ) -> Result<(), Error> {
     if inputs.calibrated {
@@ -62,7 +62,7 @@ pub(super) fn intrinsics(
     let wrong = |camera: &Camera, why: rowgram_survey::camera::CameraError| {
         Error::Incomplete(format!("camera {}: {why}", camera.name))
     };
-    let kept = cache.load::<Vec<InitialIntrinsics>>(LENSES, key);
+    let kept = store.load::<Vec<InitialIntrinsics>>(LENSES, key);
     let found = match kept.filter(|kept| kept.len() == inputs.cameras.len()) {
         Some(found) => found,
         None => {
@@ -74,7 +74,7 @@ pub(super) fn intrinsics(
                         .map_err(|why| wrong(camera, why))
                 })
                 .collect::<Result<_, Error>>()?;
-            cache.save(LENSES, key, &found)?;
+            store.save(LENSES, key, &found)?;
             found
         }
     };
@@ -128,7 +128,7 @@ pub(super) fn verify(
     (features, cameras, descriptors): (&[sfm::Features], &[Camera], &dyn DescriptorSource),
     (matched, matched_key): (&[PairMatches], Key),
     verification: &GeometricVerificationOptions,
-    cache: &Cache,
+    store: &Store,
     monitor: &mut dyn Monitor,
 ) -> Result<(Vec<Pair>, Key), Error> {
     let rematching = RematchingOptions::default();
@@ -137,7 +137,7 @@ pub(super) fn verify(
         key = key.text(camera.interior.model().word()).numbers(camera.interior.values());
     }
     let key = key.finish();
-    if let Some(found) = cache.load::<Vec<StoredPair>>(PAIRS, key) {
+    if let Some(found) = store.load::<Vec<StoredPair>>(PAIRS, key) {
         return Ok((found.into_iter().map(StoredPair::pair).collect(), key));
     }
     let counter = Counter::new(monitor, "orienting pairs", matched.len(), "pairs");
@@ -145,7 +145,7 @@ pub(super) fn verify(
     let counter = Counter::new(monitor, "rematching weak pairs", pairs.len(), "pairs");
     let how = (verification, &rematching);
     let pairs = rematch_weak_pairs(features, descriptors, cameras, &pairs, how, &|| counter.tick());
-    cache.save(PAIRS, key, &pairs.iter().map(StoredPair::of).collect::<Vec<_>>())?;
+    store.save(PAIRS, key, &pairs.iter().map(StoredPair::of).collect::<Vec<_>>())?;
     Ok((pairs, key))
 }
 
@@ -162,11 +162,11 @@ pub(super) fn orient<'a>(
     (features, tracks, cameras): (&'a [sfm::Features], &'a Tracks, &[Camera]),
     (pairs, tracks_key): (&[Pair], Key),
     incremental: &IncrementalOptions,
-    cache: &Cache,
+    store: &Store,
     monitor: &mut dyn Monitor,
 ) -> Result<Vec<Block<'a>>, Error> {
     let key = Key::begin().key(tracks_key).text(&format!("{incremental:?}")).finish();
-    if let Some(stored) = cache.load::<Vec<StoredBlock>>(BLOCKS, key) {
+    if let Some(stored) = store.load::<Vec<StoredBlock>>(BLOCKS, key) {
         let restored = stored.into_iter().map(|stored| restore(stored, features, tracks, cameras));
         return restored.collect();
     }
@@ -204,7 +204,7 @@ pub(super) fn orient<'a>(
             used: block.used.clone(),
         })
         .collect();
-    cache.save(BLOCKS, key, &stored)?;
+    store.save(BLOCKS, key, &stored)?;
     // What is stored holds every bit, so that a run that goes on from here is the same.
     Ok(blocks)
 }

@@ -15,6 +15,7 @@ use super::{
     Project, Stage,
     plots::{self, PlotsOutcome},
     query,
+    record::{self, NewFolder},
 };
 pub use comparison::TraitComparison;
 use image::RgbImage;
@@ -149,7 +150,10 @@ pub fn crops(
     };
     let plots = read_plots(project, georeference, size, gsd_m, options.margin_m)?;
     let folder = project.results().join(FOLDER);
-    let fresh = write::Fresh::begin(&folder, force)?;
+    if folder.exists() && !force {
+        return Err(FileError::Exists { path: folder }.into());
+    }
+    let fresh = NewFolder::begin(&folder)?;
     let source = Source {
         views: origins.views(),
         surface: origins.surface(),
@@ -185,7 +189,7 @@ pub fn crops(
     let folder_of = folder.clone();
     let outcome = CropsOutcome { folder: folder_of, epsg, gsd_m, crops, comparison, without_photo };
     write::tables(&outcome, fresh.path())?;
-    fresh.finish(&folder)?;
+    record::publish_folder(fresh, project.results(), FOLDER, force)?;
     Ok(outcome)
 }
 

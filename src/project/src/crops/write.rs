@@ -13,47 +13,6 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// A folder that is written beside the one that it becomes.
-pub(super) struct Fresh(tempfile::TempDir);
-
-impl Fresh {
-    /// # Errors
-    /// A folder that is there already, without `force`; a place where nothing can be written.
-    pub(super) fn begin(folder: &Path, force: bool) -> Result<Fresh, Error> {
-        if folder.exists() && !force {
-            return Err(FileError::Exists { path: folder.to_owned() }.into());
-        }
-        let parent = output::folder_of(folder);
-        std::fs::create_dir_all(parent).map_err(|e| FileError::write(parent, e))?;
-        let made = tempfile::Builder::new().prefix(".crops-").tempdir_in(parent);
-        Ok(Fresh(made.map_err(|e| FileError::write(parent, e))?))
-    }
-
-    pub(super) fn path(&self) -> &Path {
-        self.0.path()
-    }
-
-    /// Puts it in its place; what was there before goes.
-    pub(super) fn finish(self, folder: &Path) -> Result<(), Error> {
-        let failed = |e| FileError::write(folder, e);
-        if folder.exists() {
-            std::fs::remove_dir_all(folder).map_err(failed)?;
-        }
-        std::fs::rename(self.0.path(), folder).map_err(failed)?;
-        // Others may read results; a temporary folder is for its owner alone.
-        #[cfg(unix)]
-        {
-            use std::os::unix::fs::PermissionsExt;
-            let like = std::fs::metadata(output::folder_of(folder)).map_err(failed)?.permissions();
-            let mode = std::fs::Permissions::from_mode(like.mode());
-            std::fs::set_permissions(folder, mode).map_err(failed)?;
-        }
-        // There is nothing left to remove.
-        let _ = self.0.keep();
-        Ok(())
-    }
-}
-
 /// A name that every file system takes: letters, digits, hyphen, underscore, point; no point in front.
 pub(super) fn as_file_name(name: &str) -> String {
     let usable = |c: char| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '_' };

@@ -198,7 +198,7 @@ impl Task for OrthoTask {
 
 /// The surface that the options name, else that of the project.
 fn surface_file(project: &Project, options: &OrthoOptions) -> Result<PathBuf, Error> {
-    let own = || project.existing(Stage::Dem, dem::SURFACE);
+    let own = || project.finished(Stage::Dem, dem::SURFACE);
     options.dem.as_ref().map(|path| project.root().join(path)).or_else(own).ok_or_else(|| {
         Error::NothingToDo(format!(
             "there is no surface in {}; make one with rowgram dem, or name one with [ortho] dem",

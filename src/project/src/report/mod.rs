@@ -12,28 +12,37 @@ mod summary;
 mod traits;
 pub mod view;
 
-use crate::{Project, Stage, record::Record, run::RunOutcome};
+pub use crate::run::REPORT_FILE;
+use crate::{
+    Project, Stage,
+    record::{self, Record},
+    run::RunOutcome,
+};
 use adjustment::Adjustment;
 use rowgram_base::{error::Error, options::Choice};
 use rowgram_files::{csv_table::CsvTable, reconstruction};
 use rowgram_optim::output::{self, FileError};
 use rowgram_survey::scene::Reconstruction;
 pub use season::write_season;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 pub use summary::summary;
-
-/// The file in the folder of results.
-pub const REPORT_FILE: &str = "report.html";
 
 /// Writes `report.html` into the results of a project, and gives its path.
 ///
 /// # Errors
-/// Files of the results that cannot be read, and writing.
+/// A file of that name that is not as it was written; files of the results that cannot be read, and writing.
 pub fn write(project: &Project, outcome: &RunOutcome) -> Result<PathBuf, Error> {
+    let _lock = project.lock()?;
     let page = page::page(&Facts::gather(project, outcome)?)?;
-    let path = project.results().join(REPORT_FILE);
-    output::write(&path, true, |out| out.write_all(page.as_bytes()))?;
-    Ok(path)
+    put(&page, project.results(), project.is_forced())
+}
+
+/// Puts a page into a folder of results.
+fn put(page: &str, results: &Path, force: bool) -> Result<PathBuf, Error> {
+    let work = record::temporary(results)?;
+    output::write(&work.path().join(REPORT_FILE), true, |out| out.write_all(page.as_bytes()))?;
+    record::publish(work.path(), results, force)?;
+    Ok(results.join(REPORT_FILE))
 }
 
 /// All that the report tells.
@@ -63,7 +72,7 @@ impl<'a> Facts<'a> {
 
     /// A file of a stage that has a result.
     fn file(&self, stage: Stage, name: &str) -> Option<PathBuf> {
-        self.project.existing(stage, name).filter(|_| self.outcome.has(stage))
+        self.project.finished(stage, name).filter(|_| self.outcome.has(stage))
     }
 
     /// A table of a stage that has a result.

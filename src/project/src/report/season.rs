@@ -1,10 +1,8 @@
 //! The report of a season: one HTML file that needs no other, from the typed outcome; computes nothing.
 
-use super::REPORT_FILE;
 use crate::season::{PlotSeries, SeasonFile, SeasonOutcome, SeasonTrait};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use rowgram_base::{error::Error, monitor::Severity};
-use rowgram_optim::output;
 use rowgram_plants::problems::growth_curve::Estimate;
 use serde_json::json;
 use std::path::PathBuf;
@@ -23,11 +21,12 @@ const MOST_DRAWINGS: usize = 240;
 ///
 /// # Errors
 /// Where it cannot be written.
-pub fn write_season(file: &SeasonFile, outcome: &SeasonOutcome) -> Result<PathBuf, Error> {
-    let path = file.results().join(REPORT_FILE);
-    let page = page(outcome);
-    output::write(&path, true, |out| out.write_all(page.as_bytes()))?;
-    Ok(path)
+pub fn write_season(
+    file: &SeasonFile,
+    outcome: &SeasonOutcome,
+    force: bool,
+) -> Result<PathBuf, Error> {
+    super::put(&page(outcome), &file.results(), force)
 }
 
 fn page(outcome: &SeasonOutcome) -> String {

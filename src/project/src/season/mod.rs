@@ -9,7 +9,7 @@
 //! season/
 //!   flights.csv  traits_long.csv  plants_long.csv  growth.csv  season.json
 //!   plots/DATE.geojson   the plots on the map of a date
-//!   ties/                places that two dates share, kept while nothing changes
+//!   .rowgram-store/      places that two dates share, used again while nothing changes
 //! ```
 
 mod file;
@@ -22,8 +22,10 @@ pub use follow::{EmergenceDate, Outlier, PlotSeries, SeasonTrait};
 pub use register::Placement;
 
 use super::{
-    Config, Project, Stage, record,
+    Config, Project, Stage,
+    record::{self, Lock, STORE, Store},
     run::{self, RunOptions},
+    stage,
 };
 use follow::Day;
 use register::DateMap;
@@ -32,7 +34,7 @@ use rowgram_base::{
     monitor::{Diagnostic, Monitor, Recorder},
 };
 use rowgram_files::polygons;
-use rowgram_optim::output::FileError;
+use rowgram_optim::output::{self, FileError};
 use rowgram_plants::{phenotype::traits::PlotTraits, problems::growth_curve::GrowthModel};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -59,6 +61,9 @@ rowgram_base::options! {
 
 /// Results of a season in its folder.
 pub const SEASON_RESULTS: &str = "season.json";
+
+/// What the season itself measures on the map of a flight, in its own plots.
+pub(super) const BY_PLOTS: [Stage; 3] = [Stage::LeafCount, Stage::Plots, Stage::Evaluate];
 
 /// A flight of a season.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -116,6 +121,10 @@ impl SeasonOutcome {
     pub fn read(file: &SeasonFile) -> Result<SeasonOutcome, Error> {
         let path = file.results().join(SEASON_RESULTS);
         let text = std::fs::read(&path).map_err(|e| FileError::read(&path, e))?;
+        if !record::holds(&file.results(), SEASON_RESULTS) {
+            let message = "it is not as a season wrote it: do `rowgram season` again";
+            return Err(FileError::malformed(&path, None, message).into());
+        }
         Ok(serde_json::from_slice(&text).map_err(|e| {
             let message =
                 format!("it is of another version of the program ({e}): run the season again");
@@ -134,16 +143,18 @@ struct Flight {
     root: PathBuf,
     report: SeasonFlight,
     traits: Vec<PlotTraits>,
+    force: bool,
 }
 
 impl Flight {
     fn project(&self) -> Result<Project, Error> {
-        Project::new(&self.root, self.config.clone())
+        Ok(Project::new(&self.root, self.config.clone())?.forced(self.force))
     }
 }
 
 /// Runs the flights of a season as far as something has changed, brings them into one frame, and writes what grows. Settings of the
-/// flights are read with `environment` and `settings` (`section.key=value`) over their files.
+/// flights are read with `environment` and `settings` (`section.key=value`) over their files. Files in the way that were edited, or are
+/// somebody else's, are refused, or kept beside with `force`.
 ///
 /// A flight that fails takes no part, with a diagnostic.
 ///
@@ -153,9 +164,13 @@ pub fn season(
     file: &SeasonFile,
     environment: &[(String, String)],
     settings: &[String],
+    force: bool,
     monitor: &mut dyn Monitor,
 ) -> Result<SeasonOutcome, Error> {
     let root = file.root();
+    let results = file.results();
+    let _lock = Lock::take(&root, &results)?;
+    record::check(&results, &write::FILES, force)?;
     let mut flights = Vec::new();
     for entry in &file.flights {
         let folder = root.join(&entry.project);
@@ -171,7 +186,7 @@ pub fn season(
             failure: None,
         };
         let (entry, traits) = (entry.clone(), Vec::new());
-        flights.push(Flight { entry, config, root: folder, report, traits });
+        flights.push(Flight { entry, config, root: folder, report, traits, force });
     }
     let mut recorder = Recorder::new(monitor);
     let mut maps = Vec::new();
@@ -190,12 +205,9 @@ pub fn season(
         let message = "none of its flights has a map; the messages above say why".to_owned();
         return Err(Error::Incomplete(format!("{}: {message}", file.path.display())));
     }
-    let results = file.results();
-    let ties = results.join("ties");
-    std::fs::create_dir_all(&ties).map_err(|e| FileError::write(&ties, e))?;
     recorder.stage("season");
-    let cache = record::Cache::new(&ties)?;
-    let placed = register::place(&maps, &file.options, &cache, &mut recorder)?;
+    let ties = Store::new(results.join(STORE));
+    let placed = register::place(&maps, &file.options, &ties, &mut recorder)?;
     for (&k, placement) in with_map.iter().zip(placed) {
         flights[k].report.placement = placement;
     }
@@ -245,15 +257,18 @@ pub fn season(
         outliers: found.outliers.clone(),
         diagnostics: recorder.diagnostics,
     };
-    write::write(&results, &outcome, &days, &found)?;
+    let work = record::temporary(&results)?;
+    write::write(work.path(), &outcome, &days, &found)?;
+    record::publish(work.path(), &results, force)?;
     Ok(outcome)
 }
 
 fn fail(flight: &mut Flight, error: &Error, monitor: &mut dyn Monitor) {
     let message = format!("it takes no part in the season: {error}");
     monitor.diagnostic(
-        &Diagnostic::warning("season-flight-failed", &flight.report.date, message)
-            .with_remedy(format!("rowgram run {} says more", flight.root.display())),
+        &Diagnostic::warning("season-flight-failed", &flight.report.date, message).with_remedy(
+            format!("rowgram run {} says more", stage::quoted(&flight.root.display().to_string())),
+        ),
     );
     flight.report.failure = Some(error.to_string());
 }
@@ -261,7 +276,7 @@ fn fail(flight: &mut Flight, error: &Error, monitor: &mut dyn Monitor) {
 /// Runs a flight up to its plants, and looks at its map.
 fn first_run(flight: &mut Flight, monitor: &mut dyn Monitor) -> Result<DateMap, Error> {
     let project = flight.project()?;
-    let options = RunOptions { skip: vec![Stage::Plots, Stage::Evaluate], ..RunOptions::default() };
+    let options = RunOptions { skip: BY_PLOTS.to_vec(), ..RunOptions::default() };
     let outcome = run::run(&project, &options, &mut Quiet(monitor))?;
     let has_control =
         outcome.results.align.as_ref().is_some_and(|align| align.control_points.count > 0);
@@ -292,14 +307,15 @@ fn second_run(
     monitor: &mut dyn Monitor,
 ) -> Result<(), Error> {
     if let (Some(outlines), Some(placement)) = (outlines_m, &flight.report.placement) {
-        let folder = results.join("plots");
-        std::fs::create_dir_all(&folder).map_err(|e| FileError::write(&folder, e))?;
-        let path = folder.join(format!("{}.geojson", map.date));
+        let name = PathBuf::from("plots").join(format!("{}.geojson", map.date));
+        let work = record::temporary(results)?;
+        output::make_folder(&work.path().join("plots"))?;
         let on_map = outlines.iter().map(|(name, ring)| {
             (name.as_str(), ring.iter().map(|&at| placement.transform.invert(at)).collect())
         });
-        write::polygons(&path, map.place.crs.epsg, on_map)?;
-        flight.config.project.plots = Some(from(&flight.root, &path));
+        write::polygons(&work.path().join(&name), map.place.crs.epsg, on_map)?;
+        record::publish(work.path(), results, flight.force)?;
+        flight.config.project.plots = Some(from(&flight.root, &results.join(&name)));
     }
     let outcome = run::run(&flight.project()?, &RunOptions::default(), &mut Quiet(monitor))?;
     if let Some(plots) = outcome.results.plots {

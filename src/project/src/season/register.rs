@@ -7,7 +7,7 @@
 use super::{SeasonOptions, file::Frame};
 use crate::{
     Project, Stage,
-    record::{Cache, Key},
+    record::{Key, Store},
 };
 use rowgram_base::{
     error::Error,
@@ -234,7 +234,7 @@ fn ties(
 pub(super) fn place(
     maps: &[DateMap],
     options: &SeasonOptions,
-    cache: &Cache,
+    store: &Store,
     monitor: &mut dyn Monitor,
 ) -> Result<Vec<Option<Placement>>, Error> {
     let own = || Placement { transform: MapTransform::IDENTITY, tied_to: Vec::new(), fit: None };
@@ -264,7 +264,7 @@ pub(super) fn place(
             near.truncate(NEIGHBOURS);
             let (mut all, mut tied_to) = (Vec::new(), Vec::new());
             for other in near {
-                let found = kept_ties(maps, [next, other], &mut features, options, cache)?;
+                let found = kept_ties(maps, [next, other], &mut features, options, store)?;
                 if let Some(placement) =
                     placed[other].as_ref().filter(|_| found.len() >= map_transform::LEAST_TIES)
                 {
@@ -319,17 +319,17 @@ fn kept_ties(
     pair: [usize; 2],
     features: &mut Features,
     options: &SeasonOptions,
-    cache: &Cache,
+    store: &Store,
 ) -> Result<Vec<MapTie>, Error> {
     let [from, to] = pair.map(|k| &maps[k]);
     let options_text = serde_json::to_string(options).unwrap_or_default();
     let key = Key::begin().text(&from.key).text(&to.key).text(&options_text).finish();
-    let name = format!("{}--{}.ties", from.date, to.date);
+    let name = format!("ties-{}--{}", from.date, to.date);
     let is_known = !from.key.is_empty() && !to.key.is_empty();
-    if let Some(kept) = cache.load(&name, key).filter(|_| is_known) {
+    if let Some(kept) = store.load(&name, key).filter(|_| is_known) {
         return Ok(kept);
     }
     let found = ties(maps, pair, features, options)?;
-    cache.save(&name, key, &found)?;
+    store.save(&name, key, &found)?;
     Ok(found)
 }

@@ -13,7 +13,17 @@ use rowgram_plants::{
 use serde_json::json;
 use std::path::Path;
 
-/// Writes all of them into a folder.
+/// The files.
+pub(super) const FILES: [&str; 6] = [
+    "flights.csv",
+    "traits_long.csv",
+    "plants_long.csv",
+    "growth.csv",
+    SEASON_RESULTS,
+    crate::run::REPORT_FILE,
+];
+
+/// Writes all of them but the report into a folder.
 ///
 /// # Errors
 /// Where a file cannot be written.

@@ -8,13 +8,7 @@ mod store;
 mod write;
 
 use super::{
-    CACHE, Project, Stage, Task,
-    batches::Part,
-    dem,
-    dem::read_surface,
-    import, ortho,
-    record::{self, Cache, Key},
-    stage,
+    Project, Stage, Task, batches::Part, dem, dem::read_surface, import, ortho, record::Key, stage,
 };
 use rowgram_base::{
     error::Error,
@@ -131,7 +125,6 @@ impl Task for SurfaceTask {
     type Options = SurfaceOptions;
     type Outcome = SurfaceOutcome;
     const STAGE: Stage = Stage::Surface;
-    const RESUMES: bool = true;
 
     fn inputs(project: &Project, _: &SurfaceOptions) -> Result<Vec<PathBuf>, Error> {
         let mut files = project.reconstruction_files()?;
@@ -147,8 +140,7 @@ impl Task for SurfaceTask {
         monitor: &mut dyn Monitor,
     ) -> Result<SurfaceOutcome, Error> {
         let scene = Scene::new(project, options)?;
-        stage::clear(folder)?;
-        let mut store = store::TilesOnDisk::new(&folder.join(CACHE), scene.key)?;
+        let mut store = store::TilesOnDisk::new(project, scene.key);
         let (place, range_m) = (&scene.place, scene.options.range_m);
         let ground = scene.with_area(|area| {
             let steps = area.tiles(Pass::Coarse) + area.tiles(Pass::Fine);
@@ -170,7 +162,7 @@ impl Task for SurfaceTask {
             outcome.cloud = Some(CLOUD.into());
         }
         // The rasters have it all.
-        Cache::new(folder)?.forget(CACHE)?;
+        store.forget()?;
         Ok(outcome)
     }
 }
@@ -235,7 +227,7 @@ impl Scene {
             penalties: Default::default(),
             prior,
         };
-        let inputs = record::contents(project.root(), &SurfaceTask::inputs(project, options)?)?;
+        let inputs = project.contents(&SurfaceTask::inputs(project, options)?)?;
         let key = stage::key::<SurfaceTask>(project, options, &inputs);
         let key = Key::begin().text(&key).finish();
         Ok(Scene { views, files, base, place, cells, orientation, options: area_options, key })
@@ -265,8 +257,7 @@ pub fn match_tiles(
     monitor: &mut dyn Monitor,
 ) -> Result<usize, Error> {
     let scene = Scene::new(project, options)?;
-    let folder = project.folder(Stage::Surface);
-    let mut store = store::TilesOnDisk::new(&folder.join(CACHE), scene.key)?;
+    let mut store = store::TilesOnDisk::new(project, scene.key);
     scene.with_area(|area| {
         let numbers = part.range(area.tiles(pass));
         let count = numbers.len();
@@ -278,7 +269,7 @@ pub fn match_tiles(
 
 /// The surface of the tie points.
 fn base(project: &Project) -> Result<PathBuf, Error> {
-    project.existing(Stage::Dem, dem::SURFACE).ok_or_else(|| {
+    project.finished(Stage::Dem, dem::SURFACE).ok_or_else(|| {
         Error::NothingToDo(format!(
             "there is no surface of tie points in {}; make one with rowgram dem",
             project.folder(Stage::Dem).display()

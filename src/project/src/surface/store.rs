@@ -1,21 +1,28 @@
-//! Matched tiles on disk, so that an attempt that was interrupted goes on where it stopped.
+//! Matched tiles in the content store, so that an attempt that was interrupted goes on where it stopped.
 
-use crate::record::{Cache, Key};
+use crate::{
+    Project, Stage,
+    record::{Bytes, Key, Store},
+};
 use rowgram_base::error::Error;
 use rowgram_survey::mapping::dense::{DenseTile, Pass, Tile, TileStore};
-use serde::{Deserialize, Serialize, de};
-use std::{fmt, path::Path};
+use serde::{Deserialize, Serialize};
 
-/// Tiles in the cache of the stage, under one key of all that decides them.
+/// Tiles under one key of all that decides them.
 pub(super) struct TilesOnDisk {
-    cache: Cache,
+    store: Store,
     key: Key,
 }
 
 impl TilesOnDisk {
-    /// Those in a folder, which is made. Tiles of other keys are not seen.
-    pub(super) fn new(folder: &Path, key: Key) -> Result<TilesOnDisk, Error> {
-        Ok(TilesOnDisk { cache: Cache::new(folder)?, key })
+    /// Those of a project. Tiles of other keys are not seen.
+    pub(super) fn new(project: &Project, key: Key) -> TilesOnDisk {
+        TilesOnDisk { store: project.store(Stage::Surface), key }
+    }
+
+    /// Removes them all.
+    pub(super) fn forget(&self) -> Result<(), Error> {
+        self.store.retain(&[])
     }
 }
 
@@ -24,17 +31,17 @@ fn name(pass: Pass, number: usize) -> String {
         Pass::Coarse => "coarse",
         Pass::Fine => "fine",
     };
-    format!("{pass}-{number}.cbor")
+    format!("{pass}-{number}")
 }
 
 impl TileStore<Error> for TilesOnDisk {
     fn load(&mut self, pass: Pass, number: usize) -> Result<Option<DenseTile>, Error> {
-        let stored: Option<StoredTile> = self.cache.load(&name(pass, number), self.key);
+        let stored: Option<StoredTile> = self.store.load(&name(pass, number), self.key);
         Ok(stored.and_then(StoredTile::tile))
     }
 
     fn save(&mut self, pass: Pass, number: usize, tile: &DenseTile) -> Result<(), Error> {
-        self.cache.save(&name(pass, number), self.key, &StoredTile::of(tile))
+        self.store.save(&name(pass, number), self.key, &StoredTile::of(tile))
     }
 }
 
@@ -97,37 +104,6 @@ fn floats(bytes: &Bytes) -> Vec<f32> {
     bytes.0.as_chunks::<4>().0.iter().map(|&value| f32::from_le_bytes(value)).collect()
 }
 
-/// Bytes that are written as such, and not number by number.
-struct Bytes(Vec<u8>);
-
-impl Serialize for Bytes {
-    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.serialize_bytes(&self.0)
-    }
-}
-
-impl<'de> Deserialize<'de> for Bytes {
-    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Bytes, D::Error> {
-        struct Visitor;
-        impl de::Visitor<'_> for Visitor {
-            type Value = Bytes;
-
-            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("bytes")
-            }
-
-            fn visit_bytes<E: de::Error>(self, bytes: &[u8]) -> Result<Bytes, E> {
-                Ok(Bytes(bytes.to_vec()))
-            }
-
-            fn visit_byte_buf<E: de::Error>(self, bytes: Vec<u8>) -> Result<Bytes, E> {
-                Ok(Bytes(bytes))
-            }
-        }
-        deserializer.deserialize_byte_buf(Visitor)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -145,7 +121,7 @@ mod tests {
             colour: vec![[1, 2, 3], [4, 5, 6], [0; 3], [255; 3], [7; 3], [9, 8, 7]],
             terrain: None,
         };
-        let mut store = TilesOnDisk::new(folder.path(), key("one")).unwrap();
+        let mut store = TilesOnDisk { store: Store::new(folder.path()), key: key("one") };
         store.save(Pass::Fine, 3, &tile).unwrap();
         let found = store.load(Pass::Fine, 3).unwrap().unwrap();
         let bits = |tile: &DenseTile| -> Vec<u32> {
@@ -155,7 +131,7 @@ mod tests {
         assert_eq!((found.tile, &found.colour), (tile.tile, &tile.colour));
         assert_eq!((&found.confidence, &found.photos), (&tile.confidence, &tile.photos));
         assert!(store.load(Pass::Coarse, 3).unwrap().is_none());
-        let mut other = TilesOnDisk::new(folder.path(), key("two")).unwrap();
+        let mut other = TilesOnDisk { store: Store::new(folder.path()), key: key("two") };
         assert!(other.load(Pass::Fine, 3).unwrap().is_none());
     }
 }

@@ -2,7 +2,7 @@
 //! leaves were counted, settings, and the truth.
 
 use super::{FlightOptions, FlightOutcome, write_flight};
-use crate::{CACHE, Config, SETTINGS, record};
+use crate::{Config, SETTINGS, record};
 use data_synth::{
     board::BOARD,
     twin::{FlightPreset, TwinConfig},
@@ -108,8 +108,9 @@ fn make(
     }
     let outcome =
         SynthesisOutcome { seed, flight, plots: plots.len(), counted_by_hand: counted.len() };
-    let mut files = record::files(root, &[CACHE, "rowgram"])?;
-    files.retain(|path| !path.ends_with(SETTINGS) && !path.ends_with(MARKER));
+    let mut files = record::files(root)?;
+    let is_result = |path: &Path| path.starts_with(root.join("rowgram"));
+    files.retain(|path| !path.ends_with(SETTINGS) && !path.ends_with(MARKER) && !is_result(path));
     let files = record::contents(root, &files)?;
     mark(root, &Made { seed, build, outcome: Some(outcome.clone()), files })?;
     Ok(outcome)

@@ -3,7 +3,11 @@
 //! A stage for which the project has no input is left out with the reason. A stage that fails takes those with it that
 //! need its result; the others go on. What a stage did before is kept while nothing that it came from has changed.
 
+mod planned;
+
 use super::{Project, Stage, State, checks, record, stac, stage};
+pub(crate) use planned::workflow;
+pub use planned::{Plan, PlannedStage, plan};
 use rowgram_base::{
     error::Error,
     monitor::{Diagnostic, Monitor, Recorder, Severity},
@@ -12,15 +16,15 @@ use rowgram_base::{
 use rowgram_files::{rasters, reconstruction};
 use rowgram_optim::output::{self, FileError};
 use serde::{Deserialize, Serialize};
-use std::{
-    collections::BTreeSet,
-    path::{Path, PathBuf},
-};
+use std::{collections::BTreeSet, path::PathBuf};
 
 /// The file in the folder of results that holds the [`RunOutcome`].
 pub const RUN_FILE: &str = "stats.json";
 /// The file in the folder of results that holds the settings of the run.
 pub const RESOLVED_FILE: &str = "resolved.toml";
+
+/// The file in the folder of results that holds the report, one page.
+pub const REPORT_FILE: &str = "report.html";
 
 /// Fewer photos than this make no block.
 pub(super) const LEAST_PHOTOS: usize = 3;
@@ -51,6 +55,13 @@ impl RunOptions {
         let wanted = |stage: &Stage| !(self.skip.contains(stage) || by_settings.contains(stage));
         let all = Stage::all().into_iter().filter(|stage| *stage <= until);
         Ok(all.map(|stage| (stage, wanted(&stage))).collect())
+    }
+
+    /// The stages that the results of a run are of, whatever the settings leave out.
+    fn asked(&self) -> Vec<Stage> {
+        let until = self.until.unwrap_or(Stage::Evaluate);
+        let is_asked = |stage: &Stage| *stage <= until && !self.skip.contains(stage);
+        Stage::all().into_iter().filter(is_asked).collect()
     }
 }
 
@@ -117,17 +128,20 @@ macro_rules! stages {
                 project: &Project,
                 options: Option<&serde_json::Value>,
                 monitor: &mut dyn Monitor,
-            ) -> Result<(), Error> {
-                match stage {
+            ) -> Result<Ending, Error> {
+                let was_current = match stage {
                     $(Stage::$stage => {
                         let options = match options {
                             Some(options) => recorded(stage, options)?,
                             None => project.config().$module.clone(),
                         };
-                        self.$module = Some(super::$module::$module(project, &options, monitor)?);
+                        let performed =
+                            stage::execute::<super::$module::$task>(project, &options, monitor)?;
+                        self.$module = Some(performed.outcome);
+                        performed.was_current
                     })*
-                }
-                Ok(())
+                };
+                Ok(if was_current { Ending::Kept } else { Ending::Done })
             }
         }
 
@@ -192,9 +206,15 @@ pub struct RunOutcome {
     pub stages: Vec<StageReport>,
     /// What came of them.
     pub results: StageResults,
+    /// The stages that were asked for.
+    #[serde(default)]
+    pub asked: Vec<Stage>,
     /// Why the first stage failed that did.
     #[serde(skip)]
     pub failure: Option<Error>,
+    /// Whether [`RUN_FILE`] and the report are to be of this run: those of a run of more stages stay.
+    #[serde(skip)]
+    pub is_whole: bool,
 }
 
 impl RunOutcome {
@@ -208,6 +228,10 @@ impl RunOutcome {
             let message = "there are no results here: run `rowgram run` first";
             FileError::malformed(project.results(), None, message)
         })?;
+        if !record::holds(project.results(), RUN_FILE) {
+            let message = "it is not as a run wrote it: do `rowgram run` again";
+            return Err(FileError::malformed(&path, None, message).into());
+        }
         let outcome = serde_json::from_slice(&text).map_err(|e| {
             let message = format!("it is of another version of the program, run again ({e})");
             FileError::malformed(&path, e.line(), message)
@@ -244,57 +268,59 @@ pub fn run(
     let wanted = options.stages(project)?;
     check_input(project)?;
     project.config().validate()?;
-    let project = &project.reserve()?;
+    let again = |stage: &Stage| options.from.is_some_and(|from| *stage >= from);
+    let again = Stage::all().into_iter().filter(again);
+    let project = &project.clone().again(again).reserved()?;
+    let results = project.results();
+    let written = [RUN_FILE, RESOLVED_FILE, stac::STAC_FILE, REPORT_FILE];
+    record::check(results, &written, project.is_forced())?;
     let records = project.records();
-    if let Some(from) = options.from {
-        for (stage, _) in wanted.iter().filter(|(stage, wanted)| *wanted && *stage >= from) {
-            records.forget(*stage)?;
-        }
-    }
     let mut outcome = RunOutcome {
         project: project.name(),
         version: env!("CARGO_PKG_VERSION").to_owned(),
         build: crate::BUILD.to_owned(),
+        asked: options.asked(),
         ..RunOutcome::default()
     };
     let mut missing = BTreeSet::new();
     for (stage, is_wanted) in wanted {
         let broken = needs(stage).iter().find(|needed| missing.contains(*needed));
         let mut recorder = Recorder::new(monitor);
-        let (ending, reason) = if !is_wanted {
-            (Ending::LeftOut, Some("left out as asked".to_owned()))
+        let ended = if !is_wanted {
+            Err("left out as asked".to_owned())
         } else if let Some(broken) = broken {
             missing.insert(stage);
-            (Ending::LeftOut, Some(format!("{broken} has no result")))
+            Err(format!("{broken} has no result"))
         } else {
             match outcome.results.perform(stage, project, None, &mut recorder) {
-                Ok(()) => {
-                    let kept = recorder.diagnostics.iter().any(|found| found.code == "stage-kept");
-                    (if kept { Ending::Kept } else { Ending::Done }, None)
-                }
+                Ok(ending) => Ok((ending, None)),
                 Err(Error::NothingToDo(why)) => {
-                    records.forget(stage)?;
-                    let left_out = Diagnostic::info(
-                        "stage-left-out",
-                        stage.word(),
-                        format!("left out: {why}"),
-                    );
-                    recorder.diagnostic(&left_out);
-                    (Ending::LeftOut, Some(why))
+                    check_results(project, &outcome.stages)?;
+                    Err(why)
                 }
                 Err(error) => {
-                    records.forget(stage)?;
+                    check_results(project, &outcome.stages)?;
+                    records.supersede(stage, true)?;
                     missing.insert(stage);
                     let why = error.to_string();
                     outcome.failure.get_or_insert(error);
-                    (Ending::Failed, Some(why))
+                    Ok((Ending::Failed, Some(why)))
                 }
             }
         };
-        let mut diagnostics = recorder.diagnostics;
-        diagnostics.retain(|found| !found.code.starts_with("stage-"));
+        let diagnostics = recorder.diagnostics;
+        let (ending, reason) = ended.unwrap_or_else(|why| (Ending::LeftOut, Some(why)));
+        match (ending, &reason) {
+            (Ending::Kept, _) => monitor.diagnostic(&stage::nothing_changed(stage)),
+            (Ending::LeftOut, Some(why)) if is_wanted && broken.is_none() => {
+                let message = format!("left out: {why}");
+                monitor.diagnostic(&Diagnostic::info("stage-left-out", stage.word(), message));
+            }
+            _ => {}
+        }
         outcome.stages.push(StageReport { stage, ending, reason, diagnostics });
     }
+    check_results(project, &outcome.stages)?;
     let ortho = project.orthomosaic().ok().and_then(|path| rasters::Source::open(&path).ok());
     outcome.gsd_m = ortho.and_then(|source| source.georeference()?.gsd_m());
     let aligned = project.finished(Stage::Align, reconstruction::NAME);
@@ -305,9 +331,22 @@ pub fn run(
     outcome.checks = checks::checks(&outcome, reconstruction.as_ref(), &project.config().checks);
     monitor.stage("checks");
     outcome.checks.iter().for_each(|found| monitor.diagnostic(found));
-    write(project.results(), &outcome, &project.config().to_toml())?;
-    stac::write(project, &outcome)?;
+    let before = RunOutcome::of_last_run(project).map(|before| before.asked).unwrap_or_default();
+    outcome.is_whole = before.iter().all(|stage| outcome.asked.contains(stage));
+    write(project, &outcome)?;
     Ok(outcome)
+}
+
+/// Whether everything is there that this run has made.
+fn check_results(project: &Project, stages: &[StageReport]) -> Result<(), Error> {
+    project.lock()?.check()?;
+    let records = project.records();
+    let mut done =
+        stages.iter().filter(|stage| matches!(stage.ending, Ending::Done | Ending::Kept));
+    match done.find_map(|stage| records.missing(stage.stage)) {
+        Some(path) => Err(record::vanished(&path)),
+        None => Ok(()),
+    }
 }
 
 pub(super) fn check_input(project: &Project) -> Result<(), Error> {
@@ -323,66 +362,24 @@ pub(super) fn check_input(project: &Project) -> Result<(), Error> {
     Err(FileError::malformed(project.root(), None, message).into())
 }
 
-fn write(results: &Path, outcome: &RunOutcome, settings: &str) -> Result<(), Error> {
-    output::write(&results.join(RESOLVED_FILE), true, |out| out.write_all(settings.as_bytes()))?;
-    output::write(&results.join(RUN_FILE), true, |out| {
-        serde_json::to_writer_pretty(&mut *out, outcome)?;
-        writeln!(out)
-    })
-    .map_err(|error: FileError| error.into())
-}
-
-/// What a run would do about a stage.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct PlannedStage {
-    /// The stage.
-    pub stage: Stage,
-    /// What would be done about it.
-    pub plan: Plan,
-    /// The command that does it alone, where it would be done, else why it would not.
-    pub text: String,
-}
-
-/// What would be done about a stage.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Plan {
-    /// It would be done.
-    ToDo,
-    /// Its result is there and current.
-    Keep,
-    /// It depends on what stages before it give, which have to be done first.
-    Depends,
-    /// It would be left out.
-    LeaveOut,
-}
-
-/// Says what a run would do, and does nothing.
-///
-/// # Errors
-/// As [`run`], and what a stage cannot read.
-pub fn plan(project: &Project, options: &RunOptions) -> Result<Vec<PlannedStage>, Error> {
-    let mut planned: Vec<PlannedStage> = Vec::new();
-    check_input(project)?;
-    project.config().validate()?;
-    for (stage, is_wanted) in options.stages(project)? {
-        let waits = needs(stage).iter().any(|needed| {
-            let before = planned.iter().find(|other| other.stage == *needed);
-            before.is_some_and(|before| matches!(before.plan, Plan::ToDo | Plan::Depends))
-        });
-        let again = options.from.is_some_and(|from| stage >= from);
-        let (plan, text) = match state(stage, project) {
-            _ if !is_wanted => (Plan::LeaveOut, "left out as asked".to_owned()),
-            Err(Error::NothingToDo(why)) if waits => (Plan::Depends, format!("so far {why}")),
-            Err(Error::NothingToDo(why)) => (Plan::LeaveOut, why),
-            Err(error) => return Err(error),
-            Ok(state) if waits => (Plan::Depends, state.command),
-            Ok(state) if state.is_current && !again => (Plan::Keep, state.command),
-            Ok(state) => (Plan::ToDo, state.command),
-        };
-        planned.push(PlannedStage { stage, plan, text });
+/// Writes the settings of a run, and what came of it unless that of more stages is there.
+fn write(project: &Project, outcome: &RunOutcome) -> Result<(), Error> {
+    let results = project.results();
+    let work = record::temporary(results)?;
+    let settings = project.config().to_toml();
+    let resolved = work.path().join(RESOLVED_FILE);
+    output::write(&resolved, true, |out| out.write_all(settings.as_bytes()))?;
+    if outcome.is_whole {
+        output::write(&work.path().join(RUN_FILE), true, |out| {
+            serde_json::to_writer_pretty(&mut *out, outcome)?;
+            writeln!(out)
+        })?;
+        if !stac::write(project, outcome, work.path())? {
+            record::withdraw(results, stac::STAC_FILE)?;
+        }
     }
-    Ok(planned)
+    record::publish(work.path(), results, project.is_forced())?;
+    record::list_settings(results, project.settings_file())
 }
 
 /// Does one stage, whose predecessors have been done, and nothing else: no checks, no report.
@@ -396,37 +393,16 @@ pub fn only(
 ) -> Result<StageReport, Error> {
     check_input(project)?;
     project.config().validate()?;
-    let project = &project.reserve()?;
+    let project = &project.clone().reserved()?;
     let mut recorder = Recorder::new(monitor);
     let done = StageResults::default().perform(stage, project, None, &mut recorder);
-    let mut diagnostics = recorder.diagnostics;
-    let kept = diagnostics.iter().any(|found| found.code == "stage-kept");
-    diagnostics.retain(|found| !found.code.starts_with("stage-"));
+    let diagnostics = recorder.diagnostics;
     let (ending, reason) = match done {
-        Ok(()) => (if kept { Ending::Kept } else { Ending::Done }, None),
+        Ok(ending) => (ending, None),
         Err(Error::NothingToDo(why)) => (Ending::LeftOut, Some(why)),
         Err(error) => return Err(error),
     };
     Ok(StageReport { stage, ending, reason, diagnostics })
-}
-
-/// The stages that a run would look at, each with the files that it is known to read from outside the results.
-///
-/// # Errors
-/// As [`run`].
-pub(super) fn workflow(project: &Project) -> Result<Vec<(Stage, Vec<PathBuf>)>, Error> {
-    let planned = plan(project, &RunOptions::default())?;
-    let taken = planned.into_iter().filter(|stage| stage.plan != Plan::LeaveOut);
-    taken
-        .map(|planned| match inputs(planned.stage, project) {
-            Ok(mut files) => {
-                files.retain(|path| !path.starts_with(project.results()));
-                Ok((planned.stage, files))
-            }
-            Err(Error::NothingToDo(_)) => Ok((planned.stage, Vec::new())),
-            Err(error) => Err(error),
-        })
-        .collect()
 }
 
 /// Does a stage again as its record says, with results in the folder of `project`.
@@ -438,5 +414,5 @@ pub(super) fn repeat(
     record: &record::Record,
     monitor: &mut dyn Monitor,
 ) -> Result<(), Error> {
-    StageResults::default().perform(record.stage, project, Some(&record.options), monitor)
+    StageResults::default().perform(record.stage, project, Some(&record.options), monitor).map(drop)
 }
