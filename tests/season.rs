@@ -120,7 +120,8 @@ fn a_season_without_control_after_its_first_flight_is_in_one_frame() {
     write_season(&config, &FlightOptions::default(), root, false, &mut Silent).unwrap();
     let path = root.join("season.toml");
     // Dense surfaces take most of the time and are not needed here.
-    let settings = ["stages.skip=[\"surface\", \"leaves\"]".to_owned()];
+    let settings = ["stages.skip=[\"surface\", \"leaves\"]", "leaf_count.rho_px=60"];
+    let settings = settings.map(str::to_owned);
     let mut first = Collector::default();
     let all = SeasonFile::read(&path).unwrap();
     let mut two = all.clone();
@@ -165,4 +166,13 @@ fn a_season_without_control_after_its_first_flight_is_in_one_frame() {
     let kept = read();
     season::season(&all, &[], &settings, false, &mut Silent).unwrap();
     assert_eq!(kept, read());
+    // And nothing is done again: every flight is measured in the plots of the season only.
+    for flight in &outcome.flights {
+        let text = fs::read(root.join(&flight.project).join("rowgram/stats.json")).unwrap();
+        let stats: serde_json::Value = serde_json::from_slice(&text).unwrap();
+        let stages = stats["stages"].as_array().unwrap();
+        assert!(stages.iter().all(|stage| stage["ending"] != "done"), "{stats}");
+        let count = stages.iter().find(|stage| stage["stage"] == "leaf-count").unwrap();
+        assert_eq!(count["ending"], "kept", "{stats}");
+    }
 }

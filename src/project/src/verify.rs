@@ -98,7 +98,7 @@ pub fn verify(
                 let path = results.join(&content.path);
                 // A record that is gone is missed here.
                 found.compare(content, &path, None, Occasion::Output)?;
-                known.insert(path);
+                known.insert(record::absolute(&path));
             }
             let settings = project.settings_file();
             match (&manifest.settings, &settings) {
@@ -121,13 +121,13 @@ pub fn verify(
                 let path = root.join(&content.path);
                 found.compare(content, &path, stage, occasion)?;
                 if occasion == Occasion::Output {
-                    known.insert(path);
+                    known.insert(record::absolute(&path));
                 }
             }
         }
     }
     for path in files_of_results(project)? {
-        if !known.contains(&path) {
+        if !known.contains(&record::absolute(&path)) {
             found.tell(&path, None, Occasion::Foreign);
         }
     }

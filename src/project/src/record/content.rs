@@ -56,10 +56,12 @@ impl Content {
 
 /// A path as seen from the project; one outside is absolute, for it is found again from another place.
 pub(crate) fn relative(root: &Path, path: &Path) -> PathBuf {
-    match path.strip_prefix(root) {
-        Ok(inside) => inside.to_owned(),
-        Err(_) => std::path::absolute(path).unwrap_or_else(|_| path.to_owned()),
-    }
+    path.strip_prefix(root).map_or_else(|_| absolute(path), Path::to_owned)
+}
+
+/// A path that does not depend on where the process works.
+pub(crate) fn absolute(path: &Path) -> PathBuf {
+    std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
 }
 
 /// Lengths and contents of files, in the order given, read from the first byte to the last.

@@ -15,7 +15,7 @@ mod manifest;
 mod store;
 
 pub use content::{Content, contents};
-pub(crate) use content::{relative, remembered};
+pub(crate) use content::{absolute, relative, remembered};
 pub(crate) use folder::{NewFolder, check as check_folder, temporary};
 pub(crate) use key::Key;
 pub(crate) use manifest::{
@@ -122,10 +122,10 @@ impl Records {
 
     /// The files that a stage has written, by their paths from its folder.
     pub(crate) fn listed(&self, stage: Stage) -> Vec<Content> {
-        let folder = self.results.join(stage.word());
+        let folder = absolute(&self.results.join(stage.word()));
         let written = self.stored(stage).map(|record| record.outputs).unwrap_or_default();
         let from_folder = |content: Content| {
-            let path = self.root.join(&content.path);
+            let path = absolute(&self.root.join(&content.path));
             Content { path: relative(&folder, &path), ..content }
         };
         written.into_iter().map(from_folder).collect()

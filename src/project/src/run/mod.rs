@@ -290,6 +290,7 @@ pub fn run(
             Err("left out as asked".to_owned())
         } else if let Some(broken) = broken {
             missing.insert(stage);
+            records.supersede(stage, true)?;
             Err(format!("{broken} has no result"))
         } else {
             match outcome.results.perform(stage, project, None, &mut recorder) {
