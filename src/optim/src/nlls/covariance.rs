@@ -304,7 +304,7 @@ pub type Direction = Vec<(BlockId, Vec<f64>)>;
 /// dozen; none where there is a covariance.
 ///
 /// # Errors
-/// Where a factor cannot be evaluated, or an eliminated block is undetermined by itself.
+/// Where a factor cannot be evaluated or is not finite, or an eliminated block is undetermined by itself.
 pub fn null_space(
     problem: &Problem,
     x: &[f64],
@@ -314,8 +314,11 @@ pub fn null_space(
     normal
         .linearize(problem, x)
         .map_err(|(batch, factor)| problem.infeasible(&problem.batches[batch], factor))?;
-    if let Err(NotPositiveDefinite(Some(block))) = normal.reduce(problem, x, 0.0) {
-        return Err(undetermined_point(problem, block));
+    if let Err(NotPositiveDefinite(block)) = normal.reduce(problem, x, 0.0) {
+        normal.require_finite(problem, x)?;
+        if let Some(block) = block {
+            return Err(undetermined_point(problem, block));
+        }
     }
     let directions = null_space_directions(problem, &mut normal);
     Ok(directions

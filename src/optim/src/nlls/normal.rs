@@ -56,6 +56,9 @@ pub(super) struct Normal {
     pub(super) paths: Vec<BatchPath>,
     /// The largest `|g_k| / sqrt(D_k)` of the points that the fused batch eliminates.
     pub(super) fused_slope: f64,
+    /// Whether [`Normal::gradient`] and [`Normal::diagonal`] are those of the current linearisation; an elimination that
+    /// fails leaves them unfinished.
+    pub(super) gradient_is_known: bool,
 }
 
 impl Normal {
@@ -116,6 +119,7 @@ impl Normal {
             linear_path,
             shift: Vec::new(),
             fused_slope: 0.0,
+            gradient_is_known: false,
             gradient: vec![0.0; tangent],
             diagonal: vec![0.0; tangent],
         })
@@ -204,6 +208,7 @@ impl Normal {
         self.kept_vector.fill(0.0);
         self.gradient.fill(0.0);
         self.diagonal.fill(0.0);
+        self.gradient_is_known = false;
         if let Some((batch, work)) = &mut self.fused {
             let settings = Settings {
                 loss: &problem.batches[*batch].loss,
@@ -219,16 +224,20 @@ impl Normal {
             self.fused_slope = work.0.reduce(problem, x, &self.linearizations, settings, sums)?;
         } else {
             let (structure, linearizations) = (&self.structure, &self.linearizations);
+            // The first chunk that fails is reported, whichever thread is the fastest.
             self.partials
                 .par_iter_mut()
                 .zip(&structure.chunks)
                 .map(|(partial, chunk)| {
                     eliminate(problem, structure, chunk, linearizations, lambda, partial)
                 })
+                .collect::<Vec<_>>()
+                .into_iter()
                 .collect::<Result<(), NotPositiveDefinite>>()?;
             self.add_partials(problem);
         }
         self.add_camera_only_factors(problem);
+        self.gradient_is_known = true;
         self.shift.clear();
         for &block in &self.structure.kept {
             let block = &problem.blocks[block];

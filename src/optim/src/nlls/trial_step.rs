@@ -1,6 +1,7 @@
 //! Damped steps: solve the reduced system, substitute back, try where that leads.
 
 use super::{
+    cholesky::NotPositiveDefinite,
     elimination::{backward_solve, forward_solve, inner},
     factor::batch_cost,
     normal::Normal,
@@ -25,7 +26,14 @@ pub(super) struct TrialStep {
 
 impl Normal {
     /// Solves for the step `d` over the tangents of all blocks.
-    pub(super) fn solve(&mut self, problem: &Problem, d: &mut [f64]) {
+    ///
+    /// # Errors
+    /// As [`super::schur_solver::SchurSolver::solve`].
+    pub(super) fn solve(
+        &mut self,
+        problem: &Problem,
+        d: &mut [f64],
+    ) -> Result<(), NotPositiveDefinite> {
         d.fill(0.0);
         // kept_vector holds -W V^-1 g_e; the right-hand side is -(g_k + that).
         for (place, &block) in self.structure.kept.iter().enumerate() {
@@ -44,7 +52,7 @@ impl Normal {
             if let Some((_, work)) = fused {
                 work.0.multiply(starts, x, y);
             }
-        });
+        })?;
         for (place, &block) in self.structure.kept.iter().enumerate() {
             let block = &problem.blocks[block];
             let n = block.dimension;
@@ -55,11 +63,12 @@ impl Normal {
         if self.fused.is_none() {
             self.substitute(problem, d);
         }
+        Ok(())
     }
 
     /// Tries the step with damping `lambda` from the current linearisation at `x`: writes it to
-    /// `step` and the values it leads to to `trial`; points beyond `restart_cost` are started again. `None` where the system is not positive
-    /// definite.
+    /// `step` and the values it leads to to `trial`; points beyond `restart_cost` are started again. `None` where the
+    /// system is not positive definite.
     pub(super) fn attempt(
         &mut self,
         problem: &Problem,
@@ -69,7 +78,7 @@ impl Normal {
         trial: &mut [f64],
     ) -> Option<TrialStep> {
         self.reduce(problem, x, lambda).ok()?;
-        self.solve(problem, step);
+        self.solve(problem, step).ok()?;
         let (mut predicted, mut square) = (0.0, 0.0);
         // -(g d + 1/2 d H d) with H d = -g - lambda D d.
         for ((d, g), w) in step.iter().zip(&self.gradient).zip(&self.diagonal) {

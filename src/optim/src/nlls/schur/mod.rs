@@ -194,12 +194,15 @@ impl<
         self.priors.sum(problem, linearizations);
         let priors = &self.priors.sums;
         let (layout, prepared) = (&self.layout, &self.prepared);
+        // The first chunk that fails is reported, whichever thread is the fastest.
         let largest = self
             .chunks
             .par_iter_mut()
             .map(|chunk| {
                 eliminate_chunk::<F, R, K, S, P, Q, D>(layout, chunk, prepared, priors, x, settings)
             })
+            .collect::<Vec<_>>()
+            .into_iter()
             .collect::<Result<Vec<f64>, NotPositiveDefinite>>()?;
         for chunk in &self.chunks {
             layout.add_chunk(chunk, &mut sums);
