@@ -1,4 +1,4 @@
-//! Every method and linear solver on one problem: Rosenbrock's valley in many dimensions, as a table and as a plot.
+//! Every method and linear solver on one problem, Rosenbrock's valley many times over, as a table and as a plot.
 //!
 //! ```sh
 //! cargo run -p rowgram-optim --example compare_solvers > solvers.svg
@@ -30,7 +30,7 @@ pub(crate) fn main() -> Result<(), SolveError> {
     let blocks = (0..40)
         .map(|k| problem.block("x", Euclidean(1), &[if k % 2 == 0 { -1.2 } else { 1.0 }]))
         .collect::<Result<Vec<_>, _>>()?;
-    let valleys = blocks.windows(2).map(|pair| ([pair[0], pair[1]], Valley));
+    let valleys = blocks.chunks_exact(2).map(|pair| ([pair[0], pair[1]], Valley));
     problem.add("valleys", Loss::Trivial, Residuals::new(valleys))?;
     let (mut curves, mut legend) = (String::new(), String::new());
     let methods = [Method::LevenbergMarquardt, Method::Dogleg];

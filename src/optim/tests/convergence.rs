@@ -26,8 +26,7 @@ fn an_elimination_that_fails_is_damped_and_is_no_convergence() {
     let z = problem.block("z", Euclidean(1), &[5.0]).unwrap();
     let point = problem.block("point", Euclidean(2), &[3.0, 4.0]).unwrap();
     problem.eliminate(point);
-    let sums = [0.0, 1.0].map(|k| ([z, point], Sum(k)));
-    problem.add("sums", Loss::Trivial, Residuals::new(sums)).unwrap();
+    problem.add("sum", Loss::Trivial, Residuals::new([([z, point], Sum(1.0))])).unwrap();
     // So small that the second pivot of the point is 0.
     let options = Options { initial_damping: 1e-20, ..Options::default() };
     let mut x = problem.start();
@@ -93,14 +92,13 @@ fn options_are_named_as_they_are_written() {
     assert!(keys.get(&key).is_some(), "{error}");
 }
 
-/// Two valleys with a wall between them: steps are refused again and again.
+/// It has a meaning at 10 only: steps are refused again and again.
 struct Wall;
 
 impl Residual<1> for Wall {
     type Blocks = (Vector<1>,);
     fn evaluate<T: Scalar>(&self, (x,): ([T; 1],)) -> Result<[T; 1], Infeasible> {
-        // Every step of the model leads out of the domain.
-        if (x[0].value() - 10.0).abs() > 1e-9 { Err(Infeasible) } else { Ok([x[0]]) }
+        if x[0].value() == 10.0 { Ok([x[0]]) } else { Err(Infeasible) }
     }
 }
 
@@ -119,7 +117,7 @@ fn the_share_of_the_curvature_vanishes_after_a_few_refusals() {
         state["curvature_share"] = serde_json::json!(0.9);
         let state = serde_json::from_value(state).unwrap();
         engine.resume(&problem, &mut x, state).unwrap();
-        let shares: Vec<f64> = (0..12)
+        let shares: Vec<f64> = (0..10)
             .map(|_| {
                 let step = engine.step(&problem, &mut x).unwrap();
                 let share = step.metrics.iter().find(|(name, _)| *name == "curvature_share");

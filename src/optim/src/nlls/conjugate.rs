@@ -15,7 +15,7 @@ use super::{
 };
 
 /// Most products with the matrix for one solution.
-const MOST_PRODUCTS: usize = 500;
+const MAX_PRODUCTS: usize = 500;
 
 /// The preconditioner and the vectors of the iteration.
 #[derive(Debug)]
@@ -82,7 +82,7 @@ impl ConjugateGradients {
         self.direction.copy_from_slice(&self.preconditioned);
         let mut square = inner(&self.residual, &self.preconditioned);
         let enough = self.tolerance * self.tolerance * square;
-        for product in 0..MOST_PRODUCTS {
+        for product in 0..MAX_PRODUCTS {
             if square <= enough {
                 return Ok(());
             }
