@@ -97,7 +97,7 @@ fn sweeps(criterion: &mut Criterion) {
         let count = problem.index().len() as f64;
         println!(
             "    quality: {} sweeps, cost per pixel {:.5} -> {:.5}, {}",
-            outcome.sweeps,
+            outcome.iterations,
             outcome.initial_cost / count,
             outcome.final_cost / count,
             outcome.stop.explain(),

@@ -34,7 +34,7 @@ pub mod cli;
 
 pub use rowgram_base::{Error, Kind, choices, disjoint_sets, error, monitor, options};
 pub use rowgram_files as io;
-pub use rowgram_optim::{convex, descent, drive, engine, geometry, lanes, nlls, output, simplex};
+pub use rowgram_optim::{convex, descent, drive, engine, geometry, lanes, nlls, output, robust};
 pub use rowgram_plants::{phenotype, score};
 #[cfg(feature = "report")]
 pub use rowgram_project::report;

@@ -10,7 +10,7 @@ use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use rowgram::{
     camera::{Interior, Lens, Model},
     engine::SolveError,
-    nlls::Loss,
+    nlls::{LinearSolver, Loss, covariance::Covariance},
     problems::calibration::{
         BoardShape, CORNERS, Calibration, MAX_ITERATIONS, Mark, Request, View, adjust, calibrate,
         start,
@@ -111,6 +111,31 @@ fn known_lenses_come_back_within_their_sigmas() {
         // The sigmas are not too large either: the normalised squares are about one each.
         let count = free.count() as f64;
         assert!(squares > 0.15 * count, "{name}: {squares} of {count}");
+    }
+}
+
+#[test]
+fn sigmas_with_a_robust_loss_are_those_of_the_weighted_problem_whatever_the_board() {
+    let mut views = views(&wide(SIZE), 10, 0.2, 7);
+    for mark in views.iter_mut().flat_map(|view| &mut view.marks).step_by(17) {
+        mark.image_px[0] += 6.0;
+    }
+    for shape in [BoardShape::Flat, BoardShape::Free] {
+        let request = Request { loss: Loss::Cauchy(0.5), shape, ..request(Model::Brown, BROWN) };
+        let solution = calibrate(&views, &request).unwrap();
+        let found = statistics(&views, &request, &solution).unwrap();
+        // The loss takes some weight of good corners too.
+        assert!((found.sigma0_px / 0.2 - 1.0).abs() < 0.3, "{shape:?}: {}", found.sigma0_px);
+        let calibration = &solution.calibration;
+        let mut covariance =
+            Covariance::new(&calibration.problem, &solution.x, LinearSolver::Schur).unwrap();
+        let block = covariance.block(calibration.lens);
+        let free: Vec<_> = found.parameters.iter().filter(|p| p.free).collect();
+        for (k, p) in free.iter().enumerate() {
+            let sigma = found.sigma0_px * block[k * free.len() + k].sqrt();
+            let ratio = p.standard_deviation / sigma;
+            assert!((ratio - 1.0).abs() < 1e-5, "{shape:?}: {}: {ratio}", p.name);
+        }
     }
 }
 

@@ -94,7 +94,7 @@ fn check_driven_resume<P: ?Sized, E: Engine<P>>(
             .keep_best()
             .fingerprint(7)
     };
-    let summary = |outcome: rowgram::drive::Outcome<E::Iterate>| {
+    let summary = |outcome: rowgram::drive::DriveOutcome<E::Iterate>| {
         assert!(
             outcome.error.is_none() && outcome.file_error.is_none(),
             "{outcome:?}",

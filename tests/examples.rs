@@ -39,15 +39,9 @@ macro_rules! examples {
 const NOT_HERE: [&str; 1] = ["photos_to_plants"];
 
 examples! {
-    hello_world: "../examples/hello_world.rs",
-    curve_fitting: "../examples/curve_fitting.rs",
-    pose_graph: "../examples/pose_graph.rs",
-    small_bundle: "../examples/small_bundle.rs",
     built_in_bundle: "../examples/built_in_bundle.rs",
-    covariance: "../examples/covariance.rs",
-    custom_manifold: "../examples/custom_manifold.rs",
-    custom_prior: "../examples/custom_prior.rs",
-    coordinate_descent: "../examples/coordinate_descent.rs",
     calibrate_corners: "../examples/calibrate_corners.rs",
     locate_array: "../examples/locate_array.rs",
+    plant_priors: "../examples/plant_priors.rs",
+    hexagonal_planting: "../examples/hexagonal_planting.rs",
 }

@@ -127,7 +127,7 @@ pub(crate) fn run(
             let score = Score::new(&found, truth, radii_px)?;
             run.f1 = score.radii.iter().map(|radius| radius.f1.unwrap_or(0.0)).collect();
             run.median_error_px = score.median_error_px;
-            run.sweeps = outcome.sweeps;
+            run.sweeps = outcome.iterations;
             outcome.stop.word().clone_into(&mut run.stop);
         }
         Err(error) => run.stop = error.to_string(),
@@ -139,7 +139,7 @@ fn descend(
     index: &PixelIndex,
     options: &PlantFitOptions,
     detection: &Detection,
-) -> Result<(Located, descent::Outcome), rowgram::Error> {
+) -> Result<(Located, rowgram::engine::RunOutcome), rowgram::Error> {
     let mut setup = Setup::with_rows(index.clone(), options, detection.clone())?;
     let outcome = descent::run(
         &setup.problem,

@@ -14,6 +14,7 @@ use crate::{
     table,
 };
 use rayon::prelude::*;
+use rowgram::robust::median;
 use rowgram::{
     Error,
     io::{FileError, images, output, points},
@@ -150,6 +151,5 @@ fn spacing_px(truth: &[[f64; 2]]) -> f64 {
         row.sort_by(|a, b| a[0].total_cmp(&b[0]));
         gaps.extend(row.windows(2).map(|pair| pair[1][0] - pair[0][0]));
     }
-    gaps.sort_by(f64::total_cmp);
-    gaps.get(gaps.len() / 2).copied().unwrap_or(40.0).max(4.0)
+    median(gaps).unwrap_or(40.0).max(4.0)
 }

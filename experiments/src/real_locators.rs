@@ -203,7 +203,7 @@ impl<'a> Ready<'a> {
         let outcome = descent::run(problem, field, options.descent, options.max_sweeps, |_, _| ())?;
         let places = setup.finish().plants.iter().map(|plant| plant.position_px).collect();
         let stop = if variant.fit { outcome.stop.word() } else { "no fit" };
-        Ok((places, outcome.sweeps, stop.to_owned()))
+        Ok((places, outcome.iterations, stop.to_owned()))
     }
 
     fn today(&self, told: bool) -> Result<(Vec<[f64; 2]>, u64, String), LocateError> {

@@ -7,6 +7,7 @@ use crate::{
     locate::{GSD_M, Job, jobs, make},
 };
 use rayon::prelude::*;
+use rowgram::robust::median;
 use rowgram::{
     Error,
     io::{images, output, points},
@@ -145,8 +146,7 @@ fn spacings(truth: &[[f64; 2]], axes: &rowgram::problems::plants::lines::Axes) -
         row.sort_by(|a, b| a[0].total_cmp(&b[0]));
         gaps.extend(row.windows(2).map(|pair| pair[1][0] - pair[0][0]));
     }
-    gaps.sort_by(f64::total_cmp);
-    let median = gaps.get(gaps.len() / 2).copied().unwrap_or(0.0);
+    let median = median(gaps).unwrap_or(0.0);
     ((middles[last] - middles[0]) / last.max(1) as f64, median)
 }
 

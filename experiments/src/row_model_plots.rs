@@ -16,6 +16,7 @@ use crate::{
     plots::{CANDIDATES, Plot, read},
 };
 use rayon::prelude::*;
+use rowgram::robust::median;
 use rowgram::{
     Error,
     io::{FileError, images, output},
@@ -184,7 +185,7 @@ pub(crate) fn clips(root: &Path) -> Result<[Vec<Plot>; 2], Error> {
 /// Median distance to the nearest neighbour on the farther side: with rows farther apart than plants,
 /// the spacing in the rows, whatever their heading.
 pub(crate) fn nearest_px(truth: &[[f64; 2]]) -> f64 {
-    let mut distances: Vec<f64> = truth
+    let distances: Vec<f64> = truth
         .iter()
         .filter_map(|at| {
             let mut near: Vec<[f64; 2]> = truth
@@ -199,8 +200,7 @@ pub(crate) fn nearest_px(truth: &[[f64; 2]]) -> f64 {
             Some(0.5 * (first[0].hypot(first[1]) + other[0].hypot(other[1])))
         })
         .collect();
-    distances.sort_by(f64::total_cmp);
-    distances.get(distances.len() / 2).copied().unwrap_or(4.0).max(4.0)
+    median(distances).unwrap_or(4.0).max(4.0)
 }
 
 fn mask_of(plot: &Plot, [t1, t2, t3, t4, least]: [i64; 5]) -> Result<rowgram::raster::Mask, Error> {

@@ -5,6 +5,7 @@
 //! two plants share a site; from those between comes the jitter along, `sd / sqrt 2`, as two plants make a gap.
 
 use crate::real_locators::{Case, Ready};
+use rowgram::robust::median;
 use rowgram::{
     phenotype::rows::Rows,
     raster::{Mask, components},
@@ -83,13 +84,13 @@ fn spread(mask: &Mask, truth: &[[f64; 2]], spacing: f64) -> Option<[f64; 2]> {
             sums[p] = [sums[p][0] + at[0], sums[p][1] + at[1], sums[p][2] + 1.0];
         }
     }
-    let mut apart: Vec<f64> = sums
+    let apart: Vec<f64> = sums
         .iter()
         .zip(truth)
         .filter(|(sum, _)| sum[2] > 0.0)
         .map(|(sum, t)| (sum[0] / sum[2] - t[0]).hypot(sum[1] / sum[2] - t[1]) / spacing)
         .collect();
-    Some([median(&mut distances)?, median(&mut apart)?])
+    Some([median(distances)?, median(apart)?])
 }
 
 fn nearest(truth: &[[f64; 2]], at: [f64; 2]) -> Option<(usize, f64)> {
@@ -183,7 +184,7 @@ fn sowing(truth: &[[f64; 2]], rows: &Rows, spacing: f64) -> [Option<f64>; 4] {
         gaps.extend(row.windows(2).map(|pair| pair[1][0] - pair[0][0]));
         across.extend(residuals(row));
     }
-    let middle = median(&mut gaps.clone()).filter(|gap| *gap > 0.0 && gaps.len() >= 6);
+    let middle = median(gaps.iter().copied()).filter(|gap| *gap > 0.0 && gaps.len() >= 6);
     let Some(middle) = middle else { return [None; 4] };
     gaps.iter_mut().for_each(|gap| *gap /= middle);
     let usual: Vec<f64> = gaps.iter().copied().filter(|gap| (0.35..1.5).contains(gap)).collect();
@@ -219,11 +220,6 @@ fn deviation(values: &[f64]) -> f64 {
     let middle = mean(values);
     let squares: f64 = values.iter().map(|x| (x - middle).powi(2)).sum();
     (squares / (values.len() as f64 - 1.0).max(1.0)).sqrt()
-}
-
-fn median(values: &mut [f64]) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
 }
 
 #[cfg(test)]

@@ -2,9 +2,7 @@
 
 use crate::{Folders, locate::make};
 use rowgram::{
-    Error,
-    descent::{self, Descent},
-    engine::Engine,
+    Error, descent,
     io::{images, output, points},
     phenotype::{
         locate::{Init, PlantFitOptions, Setup},
@@ -68,17 +66,15 @@ pub(crate) fn run(folders: &Folders) -> Result<(), Error> {
         let mut setup = Setup::with_rows(index.clone(), &options, detection.clone())?;
         let started = clock.elapsed().as_secs_f64();
         let clock = Instant::now();
-        let mut engine = Descent::new(options.descent);
-        let initial = engine.start(&setup.problem, &mut setup.field)?;
-        let (mut updates, mut sweeps, mut cost) = (0.0, 0, initial);
-        for _ in 0..options.max_sweeps {
-            let step = engine.step(&setup.problem, &mut setup.field)?;
-            updates += step.metrics.first().map_or(0.0, |note| note.1);
-            (sweeps, cost) = (sweeps + 1, step.cost);
-            if step.stop.is_some() {
-                break;
-            }
-        }
+        let mut updates = 0.0;
+        let outcome = descent::run(
+            &setup.problem,
+            &mut setup.field,
+            options.descent,
+            options.max_sweeps,
+            |_, step| updates += step.metrics.first().map_or(0.0, |note| note.1),
+        )?;
+        let (sweeps, cost) = (outcome.iterations, outcome.final_cost);
         let seconds = clock.elapsed().as_secs_f64();
         let count = index.len() as f64;
         let located = setup.finish();
@@ -90,7 +86,7 @@ pub(crate) fn run(folders: &Folders) -> Result<(), Error> {
             "| {init:?} | {prior:?}, {update:?} | {started:.2} | {seconds:.2} | {sweeps} | \
              {updates} | {:.1} | {:.4} -> {:.4} | {:.3} | {:.3} |",
             1e6 * seconds / updates,
-            initial / count,
+            outcome.initial_cost / count,
             cost / count,
             f1(0),
             f1(1)

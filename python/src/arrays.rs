@@ -157,7 +157,7 @@ pub(crate) fn locate<'py>(
             out.set_item("positions_px", table(py, 2, at)?)?;
             out.set_item("sigma_px", found.located.sigma_px)?;
             out.set_item("final_cost", found.outcome.final_cost)?;
-            out.set_item("sweeps", found.outcome.sweeps)?;
+            out.set_item("sweeps", found.outcome.iterations)?;
         }
     }
     Ok(out)

@@ -125,7 +125,7 @@ pub(crate) fn coordinate_descent<'py>(
     let summary = PyDict::new(py);
     summary.set_item("initial_cost", outcome.initial_cost)?;
     summary.set_item("final_cost", outcome.final_cost)?;
-    summary.set_item("sweeps", outcome.sweeps)?;
+    summary.set_item("sweeps", outcome.iterations)?;
     summary.set_item("stop", outcome.stop.word())?;
     summary.set_item("converged", outcome.stop.converged())?;
     Ok((array, summary))

@@ -3,14 +3,14 @@
 use crate::{
     error::{exception, from_solver, input, result, without_python},
     options,
-    residuals::{CameraPosition, Prior, PythonBatch, Raised, Reprojection, Space, rows},
+    residuals::{CameraPosition, PythonBatch, Raised, Reprojection, Space, rows},
 };
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArrayDyn, PyUntypedArrayMethods};
 use pyo3::{prelude::*, types::PyDict};
 use rowgram::{
     engine::SolveError,
     nlls::{
-        self, BlockId, Euclidean, Factors, LinearSolver, Loss, Residuals,
+        self, BlockId, Euclidean, Factors, GaussianPrior, LinearSolver, Loss, Residuals,
         covariance::Covariance,
         manifold::{Pose, Rotation, Similarity, UnitVector},
     },
@@ -267,7 +267,8 @@ impl Problem {
             if values.len() != length || sigma.len() != length {
                 return Err(input(format!("{name}: expected {length} values and sigmas for block {index}")));
             }
-            factors.push(Prior { block: [self.ids[index]], values, sigma: sigma.clone() });
+            let prior = GaussianPrior::new(&self.problem, self.ids[index], &values, &sigma);
+            factors.push(prior.map_err(|error| input(format!("{name}: {error}")))?);
         }
         let outcome = self.problem.add(name, self::loss(loss)?, Factors(factors));
         self.checked(outcome)

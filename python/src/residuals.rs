@@ -286,38 +286,6 @@ impl Residual<3> for CameraPosition {
     }
 }
 
-/// What is known of a vector beforehand: its values with their standard deviations.
-pub(crate) struct Prior {
-    pub(crate) block: [BlockId; 1],
-    pub(crate) values: Vec<f64>,
-    pub(crate) sigma: Vec<f64>,
-}
-
-impl rowgram::nlls::Factor for Prior {
-    fn rows(&self) -> usize {
-        self.values.len()
-    }
-
-    fn blocks(&self) -> &[BlockId] {
-        &self.block
-    }
-
-    fn linearize(
-        &self,
-        x: &[&[f64]],
-        residual: &mut [f64],
-        mut jacobian: Option<&mut rowgram::nlls::Jacobian<'_>>,
-    ) -> Result<(), Infeasible> {
-        for (k, out) in residual.iter_mut().enumerate() {
-            *out = (x[0][k] - self.values[k]) / self.sigma[k];
-            if let Some(jacobian) = jacobian.as_deref_mut() {
-                jacobian.row(k)[k] = 1.0 / self.sigma[k];
-            }
-        }
-        Ok(())
-    }
-}
-
 /// Rows of a two-dimensional array of numbers.
 pub(crate) fn rows(name: &str, columns: usize, given: &Bound<'_, PyAny>) -> PyResult<Vec<Vec<f64>>> {
     let wrong = || input(format!("{name}: expected an array of numbers with shape (n, {columns})"));

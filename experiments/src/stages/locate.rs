@@ -2,6 +2,7 @@
 
 use crate::stage::{Measured, Metric, Stage, Trace, metric};
 use data_synth::{field::FieldConfig, scenario::Scenario};
+use rowgram::robust::median;
 use rowgram::{
     descent,
     phenotype::{
@@ -198,7 +199,7 @@ impl Stage for Locate {
         let located = setup.finish();
         let found: Vec<[f64; 2]> = located.plants.iter().map(|plant| plant.position_px).collect();
         judge(&mut measured, &found, &truth, &scenario.field)?;
-        measured.put("sweeps", outcome.sweeps as f64);
+        measured.put("sweeps", outcome.iterations as f64);
         measured.put("cost_per_pixel", outcome.final_cost / pixels);
         measured.put("sigma_m", located.sigma_px * gsd_m);
         if p.trace {
@@ -241,15 +242,10 @@ fn positions(found: &[[f64; 2]], truth: &[[f64; 2]]) -> Trace {
 
 /// Median over the true plants of the distance to the nearest found one.
 fn nearest(truth: &[[f64; 2]], found: &[[f64; 2]]) -> Option<f64> {
-    let mut distances: Vec<f64> = truth
-        .iter()
-        .map(|t| {
-            let apart = found.iter().map(|f| (f[0] - t[0]).hypot(f[1] - t[1]));
-            apart.fold(f64::INFINITY, f64::min)
-        })
-        .collect();
-    distances.sort_by(f64::total_cmp);
-    distances.get(distances.len() / 2).copied()
+    median(truth.iter().map(|t| {
+        let apart = found.iter().map(|f| (f[0] - t[0]).hypot(f[1] - t[1]));
+        apart.fold(f64::INFINITY, f64::min)
+    }))
 }
 
 /// Used by the map of the cost: how far a pixel counts.

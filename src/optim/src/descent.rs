@@ -7,14 +7,15 @@
 //! - The order of sweep `k` is a pure function of `(seed, k)`, so nothing of it has to be kept.
 //! - A block is visited only while *active*: at the start, and whenever an update or the end of a
 //!   sweep says that its optimum may have moved ([`ActiveSet::mark`]).
-//! - It ends when no block is active, or none moved by more than the tolerance and the end of the
+//! - It ends as converged when no block is active, or none moved by more than the tolerance and the end of the
 //!   sweep active no other, or, where one joint objective exists, when a sweep decreases it by less
 //!   than the relative tolerance. A problem without a joint objective (the paper's conditionals) is
 //!   judged by movement alone.
+//! - A sweep that raises a joint objective beyond rounding ends it as stalled: an update is not the minimiser that it should be.
 //!
 //! Reference: S. J. Wright, "Coordinate descent algorithms", Mathematical Programming 151 (2015).
 
-use crate::engine::{Engine, SolveError, Step, Termination};
+use crate::engine::{self, Engine, RunOutcome, SolveError, Step, Termination};
 use rand::{SeedableRng, seq::SliceRandom};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
@@ -148,10 +149,15 @@ pub struct DescentState {
 pub struct Descent {
     options: CoordinateDescentOptions,
     sweep: u64,
-    active: ActiveSet,
+    /// `None` before the start.
+    active: Option<ActiveSet>,
     cost: f64,
     order: Vec<u32>,
 }
+
+/// A cost that an exact update has to leave or lower may rise by this share of it: rounding, also of problems that compare
+/// in single precision.
+const ROUNDING: f64 = 1e-8;
 
 impl Descent {
     /// An engine with these options.
@@ -191,23 +197,27 @@ impl<P: BlockCost> Engine<P> for Descent {
     fn start(&mut self, problem: &P, x: &mut P::Iterate) -> Result<f64, SolveError> {
         self.cost = Descent::check(problem, x)?;
         self.sweep = 0;
-        self.active = ActiveSet::new(problem.len(), true);
+        self.active = Some(ActiveSet::new(problem.len(), true));
         Ok(self.cost)
     }
 
     fn step(&mut self, problem: &P, x: &mut P::Iterate) -> Result<Step, SolveError> {
         self.order_blocks(problem.len());
+        let started = self.active.as_mut().filter(|active| active.flags.len() == problem.len());
+        let Some(active) = started else {
+            return Err(SolveError::Misuse("the engine was not started on this problem".into()));
+        };
         let (mut step_norm, mut visited) = (0.0_f64, 0_u32);
         for index in 0..self.order.len() {
             let block = self.order[index] as usize;
-            if self.active.take(block) {
+            if active.take(block) {
                 visited += 1;
-                step_norm = step_norm.max(problem.update(x, block, &mut self.active));
+                step_norm = step_norm.max(problem.update(x, block, active));
             }
         }
-        let waiting = self.active.count();
-        problem.end_sweep(x, &mut self.active);
-        let waiting_after = self.active.count();
+        let waiting = active.count();
+        problem.end_sweep(x, active);
+        let waiting_after = active.count();
         self.sweep += 1;
         let before = self.cost;
         self.cost = problem.cost(x);
@@ -219,10 +229,13 @@ impl<P: BlockCost> Engine<P> for Descent {
         let flat = problem.monotone()
             && self.options.cost_tolerance > 0.0
             && before - self.cost <= self.options.cost_tolerance * before.abs();
-        let stop = match (still, flat) {
-            (true, _) => Some(Termination::StepConverged),
-            (false, true) => Some(Termination::CostConverged),
-            (false, false) => None,
+        let rises = problem.monotone() && self.cost - before > ROUNDING * before.abs();
+        let stop = match (rises, still, flat) {
+            // An update or the end of a sweep is not the minimiser that it is said to be.
+            (true, ..) => Some(Termination::Stalled),
+            (_, true, _) => Some(Termination::StepConverged),
+            (_, _, true) => Some(Termination::CostConverged),
+            (false, false, false) => None,
         };
         let mut metrics = vec![("visited", f64::from(visited))];
         metrics.extend(problem.metrics(x));
@@ -230,7 +243,8 @@ impl<P: BlockCost> Engine<P> for Descent {
     }
 
     fn state(&self) -> DescentState {
-        DescentState { sweep: self.sweep, active: self.active.blocks(), cost: self.cost }
+        let active = self.active.as_ref().map_or_else(Vec::new, ActiveSet::blocks);
+        DescentState { sweep: self.sweep, active, cost: self.cost }
     }
 
     fn resume(
@@ -239,66 +253,34 @@ impl<P: BlockCost> Engine<P> for Descent {
         x: &mut P::Iterate,
         memory: DescentState,
     ) -> Result<f64, SolveError> {
-        Descent::check(problem, x)?;
+        let found_cost = Descent::check(problem, x)?;
         if memory.active.iter().any(|&block| block as usize >= problem.len()) {
             return Err(SolveError::Misuse(
                 "the checkpoint names blocks that are not there".into(),
             ));
         }
-        self.active = ActiveSet::new(problem.len(), false);
+        let mut active = ActiveSet::new(problem.len(), false);
         for block in memory.active {
-            self.active.mark(block as usize);
+            active.mark(block as usize);
         }
-        self.sweep = memory.sweep;
-        self.cost = memory.cost;
-        Ok(self.cost)
+        self.active = Some(active);
+        (self.sweep, self.cost) = (memory.sweep, memory.cost);
+        Ok(found_cost)
     }
 }
 
-/// How a descent ended.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Outcome {
-    /// Cost of the start.
-    pub initial_cost: f64,
-    /// Cost at the end.
-    pub final_cost: f64,
-    /// Sweeps made.
-    pub sweeps: u64,
-    /// Why it ended.
-    pub stop: Termination,
-}
-
-/// Starts an engine and steps it until it wants to stop or `max_sweeps` are made; `observe` sees
-/// the number of every sweep and what it did.
+/// Descends until nothing moves any more or `max_sweeps` are made; `observe` sees the number of every sweep and what it did.
 ///
 /// # Errors
-/// As [`Engine::start`] and [`Engine::step`].
+/// As [`engine::run`].
 pub fn run<P: BlockCost>(
     problem: &P,
     x: &mut P::Iterate,
     options: CoordinateDescentOptions,
     max_sweeps: u64,
-    mut observe: impl FnMut(u64, &Step),
-) -> Result<Outcome, SolveError> {
-    let mut engine = Descent::new(options);
-    let initial_cost = engine.start(problem, x)?;
-    let mut outcome = Outcome {
-        initial_cost,
-        final_cost: initial_cost,
-        sweeps: 0,
-        stop: Termination::MaxIterations,
-    };
-    while outcome.sweeps < max_sweeps {
-        let step = engine.step(problem, x)?;
-        outcome.sweeps += 1;
-        outcome.final_cost = step.cost;
-        observe(outcome.sweeps, &step);
-        if let Some(stop) = step.stop {
-            outcome.stop = stop;
-            break;
-        }
-    }
-    Ok(outcome)
+    observe: impl FnMut(u64, &Step),
+) -> Result<RunOutcome, SolveError> {
+    engine::run(problem, &mut Descent::new(options), x, max_sweeps, observe)
 }
 
 #[cfg(test)]
@@ -419,7 +401,7 @@ mod tests {
         let problem = Chain { targets: vec![] };
         let outcome =
             run(&problem, &mut vec![], CoordinateDescentOptions::default(), 10, |_, _| ()).unwrap();
-        assert_eq!((outcome.sweeps, outcome.stop), (1, Termination::StepConverged));
+        assert_eq!((outcome.iterations, outcome.stop), (1, Termination::StepConverged));
         let memory = DescentState { sweep: 3, active: vec![20], cost: 0.0 };
         let refused = Descent::default().resume(&chain(), &mut vec![0.0; 20], memory);
         assert!(matches!(refused, Err(SolveError::Misuse(_))));

@@ -91,6 +91,51 @@ pub struct Step {
     pub metrics: Vec<(&'static str, f64)>,
 }
 
+/// How a run of an engine ended.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RunOutcome {
+    /// Cost of the start.
+    pub initial_cost: f64,
+    /// Cost at the end.
+    pub final_cost: f64,
+    /// Steps made: trials of least squares, refused ones included, or sweeps of coordinate descent.
+    pub iterations: u64,
+    /// Why it ended.
+    pub stop: Termination,
+}
+
+/// Starts `engine` and steps it until it wants to stop or `max_iterations` are made; `observe` sees the number of every
+/// step and what it did. [`crate::drive`] does the same with clocks, files and interruption around it.
+///
+/// # Errors
+/// As [`Engine::start`] and [`Engine::step`].
+pub fn run<P: ?Sized, E: Engine<P>>(
+    problem: &P,
+    engine: &mut E,
+    x: &mut E::Iterate,
+    max_iterations: u64,
+    mut observe: impl FnMut(u64, &Step),
+) -> Result<RunOutcome, SolveError> {
+    let initial_cost = engine.start(problem, x)?;
+    let mut outcome = RunOutcome {
+        initial_cost,
+        final_cost: initial_cost,
+        iterations: 0,
+        stop: Termination::MaxIterations,
+    };
+    while outcome.iterations < max_iterations {
+        let step = engine.step(problem, x)?;
+        outcome.iterations += 1;
+        outcome.final_cost = step.cost;
+        observe(outcome.iterations, &step);
+        if let Some(stop) = step.stop {
+            outcome.stop = stop;
+            break;
+        }
+    }
+    Ok(outcome)
+}
+
 /// Why an engine cannot go on at all (a numerical end is a [`Termination`], not one of these).
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum SolveError {
@@ -135,10 +180,11 @@ pub trait Engine<P: ?Sized> {
     /// What a checkpoint must hold besides the iterate.
     fn state(&self) -> Self::State;
 
-    /// Like [`Engine::start`], but goes on from a checkpoint.
+    /// Like [`Engine::start`], but goes on from a checkpoint. The cost that is returned is the one that the problem gives at
+    /// `x`, by which a checkpoint of another problem is told; steps go on from the one in `state`.
     ///
     /// # Errors
-    /// As [`Engine::start`], and where `memory` does not belong to this problem.
+    /// As [`Engine::start`], and where `state` does not belong to this problem.
     fn resume(
         &mut self,
         problem: &P,

@@ -19,6 +19,7 @@ use rowgram_files::{
     rasters::{BAND_ROWS, Source},
 };
 use rowgram_optim::output::FileError;
+use rowgram_optim::robust::median;
 use rowgram_plants::phenotype::leaves::{self, Bridging, Leaf, LeafOptions, LeafShape, Leaves};
 use rowgram_raster::{Mask, hsv, window};
 use serde::{Deserialize, Serialize};
@@ -238,9 +239,7 @@ fn ending(path: &Path) -> Option<String> {
 }
 
 fn median_length_px(found: &Leaves) -> Option<f64> {
-    let mut lengths: Vec<f64> = found.leaves.iter().map(|leaf| leaf.length_px).collect();
-    lengths.sort_by(f64::total_cmp);
-    lengths.get(lengths.len() / 2).copied()
+    median(found.leaves.iter().map(|leaf| leaf.length_px))
 }
 
 /// The mean hue of each leaf, degrees; the mean of directions on the circle, so that red is no green.

@@ -15,7 +15,7 @@ use rowgram_base::{
 };
 use rowgram_files::{plants as table, rasters::Source};
 use rowgram_optim::{
-    descent::{Descent, Outcome},
+    descent::Descent,
     drive::{Drive, Limits},
 };
 use rowgram_plants::{
@@ -358,7 +358,7 @@ impl DescentOutcome {
             plants_without_pixels: located.empty_clusters,
             initial_cost: outcome.initial_cost,
             final_cost: outcome.final_cost,
-            sweeps: outcome.sweeps,
+            sweeps: outcome.iterations,
             stop: outcome.stop.word().to_owned(),
             certificate: *certificate,
         }
@@ -374,12 +374,7 @@ fn traced(descend: Descend, trace: &Path, force: bool, certify: bool) -> Result<
         .trace(trace)
         .run()?
         .checked()?;
-    let done = Outcome {
-        initial_cost: outcome.initial_cost,
-        final_cost: outcome.final_cost,
-        sweeps: outcome.iterations,
-        stop: outcome.stop,
-    };
+    let done = outcome.as_run();
     Ok(Descended::finish(Setup { problem, field: outcome.x, detection }, done, certify)?)
 }
 

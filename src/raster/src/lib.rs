@@ -21,6 +21,7 @@ pub mod mask;
 pub mod overlay;
 mod pixels;
 pub mod polygon;
+mod simplex;
 pub mod tuning;
 pub mod vegetation;
 pub mod white_balance;

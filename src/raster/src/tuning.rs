@@ -13,10 +13,9 @@
 //!
 //! References: N. Otsu, IEEE Trans. SMC 9, 1979; D. Woebbecke et al., Trans. ASAE 38, 1995 (excess green).
 
-use super::{Mask, hsv, mask::Thresholds};
+use super::{Mask, hsv, mask::Thresholds, simplex};
 use image::RgbImage;
 use rowgram_base::error::Error;
-use rowgram_optim::simplex;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 

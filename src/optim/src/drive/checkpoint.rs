@@ -88,7 +88,6 @@ impl Saver {
                 effects.saved_at = Some(run.iterations);
             }
             Err(error) => {
-                tracing::warn!("no checkpoint at iteration {}: {error}", run.iterations);
                 effects.file_error.get_or_insert(error);
             }
         }

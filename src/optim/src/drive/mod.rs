@@ -6,7 +6,7 @@
 //!
 //! Invariants, each a test:
 //! - The iterate is moved, never copied, and never lost: an engine that fails in the middle of a
-//!   run, a full disk or an interruption still give an [`Outcome`] with the iterate in it.
+//!   run, a full disk or an interruption still give an [`DriveOutcome`] with the iterate in it.
 //! - A run that was stopped at any iteration and resumed from its checkpoint ends in the same bytes
 //!   as one that was not: iterate, costs, iteration numbers, log and trace, but for the seconds.
 //! - No step is made beyond a limit; the limits count from the very start, over all resumptions.
@@ -51,10 +51,10 @@ mod state;
 mod trace;
 
 pub use crate::drive::container::Fingerprint;
-pub use observe::{Event, Observe, Progress};
+pub use observe::{Event, Observe};
 
 use crate::{
-    engine::{Engine, SolveError, Termination},
+    engine::{Engine, RunOutcome, SolveError, Termination},
     output::{self, FileError},
 };
 use serde::{Deserialize, Serialize};
@@ -132,22 +132,22 @@ impl From<LogEntry> for (u64, f64, f64) {
 
 /// How a run ended.
 #[derive(Debug)]
-pub struct Outcome<X> {
+pub struct DriveOutcome<X> {
     /// The iterate after the last step.
     pub x: X,
     /// The iterate of the smallest cost, where [`Drive::keep_best`] asked for it.
     pub best: Option<X>,
     /// Cost of the start.
     pub initial_cost: f64,
-    /// Cost of [`Outcome::x`].
+    /// Cost of [`DriveOutcome::x`].
     pub final_cost: f64,
-    /// The smallest cost of all; below [`Outcome::final_cost`] only if the engine is not monotone.
+    /// The smallest cost of all; below [`DriveOutcome::final_cost`] only if the engine is not monotone.
     pub best_cost: f64,
     /// The iteration that reached it.
     pub best_iteration: u64,
     /// Iterations made, those before a resumption among them.
     pub iterations: u64,
-    /// Why it ended; [`Termination::Stalled`] where [`Outcome::error`] says more.
+    /// Why it ended; [`Termination::Stalled`] where [`DriveOutcome::error`] says more.
     pub stop: Termination,
     /// Seconds from the engine's preparation to the last step, over all resumptions.
     pub seconds: f64,
@@ -159,18 +159,28 @@ pub struct Outcome<X> {
     pub file_error: Option<FileError>,
 }
 
-impl<X> Outcome<X> {
+impl<X> DriveOutcome<X> {
     /// The outcome, or the error that it carries.
     ///
     /// # Errors
-    /// [`Outcome::error`] first, then [`Outcome::file_error`].
-    pub fn checked(mut self) -> Result<Outcome<X>, DriveError> {
+    /// [`DriveOutcome::error`] first, then [`DriveOutcome::file_error`].
+    pub fn checked(mut self) -> Result<DriveOutcome<X>, DriveError> {
         if let Some(error) = self.error.take() {
             return Err(error.into());
         }
         match self.file_error.take() {
             Some(error) => Err(error.into()),
             None => Ok(self),
+        }
+    }
+
+    /// The same without what only a driven run has.
+    pub fn as_run(&self) -> RunOutcome {
+        RunOutcome {
+            initial_cost: self.initial_cost,
+            final_cost: self.final_cost,
+            iterations: self.iterations,
+            stop: self.stop,
         }
     }
 
@@ -302,8 +312,8 @@ impl<'a, P: ?Sized, E: Engine<P>> Drive<'a, P, E> {
     /// # Errors
     /// Only before the first step, while there is nothing to lose: where an output path cannot be
     /// used, where the checkpoint to resume from cannot be read or belongs to another engine or
-    /// problem, and where the engine cannot start. What goes wrong later is in the [`Outcome`].
-    pub fn run(mut self) -> Result<Outcome<E::Iterate>, DriveError> {
+    /// problem, and where the engine cannot start. What goes wrong later is in the [`DriveOutcome`].
+    pub fn run(mut self) -> Result<DriveOutcome<E::Iterate>, DriveError> {
         let began = Instant::now();
         let saver = self.check_outputs()?;
         let mut run = state::RunState::empty(began);
@@ -330,7 +340,6 @@ impl<'a, P: ?Sized, E: Engine<P>> Drive<'a, P, E> {
             run.rows =
                 Some(trace::Rows::start(run.iterations, run.cost, run.best_cost, run.seconds));
         }
-        tracing::debug!(engine = E::NAME, iteration = run.iterations, cost = run.cost, "start");
 
         let (mut run, stop) = executor::execute(self.problem, self.engine, run, saver)?;
 
@@ -347,7 +356,7 @@ impl<'a, P: ?Sized, E: Engine<P>> Drive<'a, P, E> {
         let Some(x) = run.x else {
             return Err(DriveError::Incomplete("the run ended without an iterate".to_owned()));
         };
-        let outcome = Outcome {
+        Ok(DriveOutcome {
             x,
             best: run.best,
             initial_cost: run.initial_cost,
@@ -360,9 +369,7 @@ impl<'a, P: ?Sized, E: Engine<P>> Drive<'a, P, E> {
             log: run.log,
             error: run.error,
             file_error,
-        };
-        tracing::debug!(engine = E::NAME, stop = stop.word(), "{}", outcome.brief());
-        Ok(outcome)
+        })
     }
 
     /// Refuses output paths that are taken before any work is done.

@@ -160,14 +160,6 @@ impl<X> RunState<'_, X> {
         if let Some(rows) = &mut self.rows {
             rows.push(self.iterations, &step, self.best_cost, self.seconds);
         }
-        tracing::debug!(
-            engine = self.engine,
-            iteration = self.iterations,
-            cost = step.cost,
-            step_norm = step.step_norm,
-            accepted = step.accepted,
-            "step"
-        );
         self.last = Some(step);
     }
 
@@ -199,6 +191,7 @@ impl<X> RunState<'_, X> {
     /// Shows this moment to all observers.
     pub(super) fn show(&self, mut to: impl FnMut(&mut dyn Observe<X>, &Event<'_, X>)) {
         let (Some(x), Ok(mut effects)) = (&self.x, self.effects.try_borrow_mut()) else { return };
+        let SideEffects { observers, file_error, .. } = &mut *effects;
         let event = Event {
             engine: self.engine,
             iteration: self.iterations,
@@ -210,8 +203,9 @@ impl<X> RunState<'_, X> {
             iterations_here: self.iterations - self.resumed_at,
             seconds_here: self.seconds - self.earlier_seconds,
             limits: &self.limits,
+            file_error: file_error.as_ref(),
         };
-        for observer in &mut effects.observers {
+        for observer in observers {
             to(observer.as_mut(), &event);
         }
     }

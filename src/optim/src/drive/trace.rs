@@ -60,23 +60,36 @@ impl Rows {
     }
 
     fn write_csv(&self, file: &mut dyn Write) -> std::io::Result<()> {
-        let mut csv = csv::Writer::from_writer(file);
-        csv.write_record(COLUMNS.into_iter().chain(self.names.iter().map(String::as_str)))?;
+        let names = self.names.iter().map(|name| quoted(name));
+        let header: Vec<String> = COLUMNS.into_iter().map(str::to_owned).chain(names).collect();
+        writeln!(file, "{}", header.join(","))?;
         let mut metrics = self.metrics.iter();
         for row in &self.rows {
-            csv.write_field(row.iteration.to_string())?;
-            csv.write_field(number(row.cost))?;
-            csv.write_field(number(row.best_cost))?;
-            csv.write_field(row.step.map_or(String::new(), |(step_norm, _)| number(step_norm)))?;
-            csv.write_field(row.step.map_or("", |(_, accepted)| if accepted { "1" } else { "0" }))?;
-            csv.write_field(format!("{:.6}", row.seconds))?;
+            let (step_norm, accepted) = match row.step {
+                Some((step_norm, accepted)) => {
+                    (number(step_norm), if accepted { "1" } else { "0" })
+                }
+                None => (String::new(), ""),
+            };
+            let [cost, best_cost] = [row.cost, row.best_cost].map(number);
+            let (iteration, seconds) = (row.iteration, row.seconds);
+            write!(file, "{iteration},{cost},{best_cost},{step_norm},{accepted},{seconds:.6}")?;
             for _ in &self.names {
                 let note = if row.step.is_some() { metrics.next() } else { None };
-                csv.write_field(note.map_or(String::new(), |value| number(*value)))?;
+                write!(file, ",{}", note.map_or(String::new(), |value| number(*value)))?;
             }
-            csv.write_record(None::<&[u8]>)?;
+            writeln!(file)?;
         }
-        csv.flush()
+        file.flush()
+    }
+}
+
+/// A name as a cell: an engine of somebody else's may call a metric what it likes.
+fn quoted(name: &str) -> String {
+    if name.contains([',', '"', '\n', '\r']) {
+        format!("\"{}\"", name.replace('"', "\"\""))
+    } else {
+        name.to_owned()
     }
 }
 
@@ -97,7 +110,7 @@ mod tests {
             step_norm: 1e-300,
             accepted,
             stop: None,
-            metrics: vec![("damping", cost / 3.0), ("active", f64::NAN)],
+            metrics: vec![("damping", cost / 3.0), ("active, \"all\"", f64::NAN)],
         };
         rows.push(1, &step(1.0, true), 1.0, 0.5);
         rows.push(2, &step(1.5, false), 1.0, 0.75);
@@ -105,7 +118,7 @@ mod tests {
         rows.write_csv(&mut text).unwrap();
         assert_eq!(
             String::from_utf8(text).unwrap(),
-            "iteration,cost,best_cost,step_norm,accepted,seconds,damping,active\n\
+            "iteration,cost,best_cost,step_norm,accepted,seconds,damping,\"active, \"\"all\"\"\"\n\
              0,2.0,2.0,,,0.000000,,\n\
              1,1.0,1.0,1e-300,1,0.500000,0.3333333333333333,NaN\n\
              2,1.5,1.0,1e-300,0,0.750000,0.5,NaN\n"

@@ -15,7 +15,7 @@ use super::{
 };
 
 /// Most products with the matrix for one solution.
-const MOST_PRODUCTS: usize = 500;
+const MAX_PRODUCTS: usize = 500;
 
 /// The preconditioner and the vectors of the iteration.
 #[derive(Debug)]
@@ -67,28 +67,34 @@ impl ConjugateGradients {
 
     /// Replaces `b` by an approximate solution of `A d = b`; `multiply(d, out)` says what `A d` is, and `matrix` holds
     /// its diagonal blocks.
+    ///
+    /// # Errors
+    /// Where rounding or a NaN lets not even the first direction descend: a step of nothing would pass for the solution.
     pub(super) fn solve(
         &mut self,
         matrix: &BlockMatrix,
         b: &mut [f64],
         mut multiply: impl FnMut(&[f64], &mut [f64]),
-    ) {
+    ) -> Result<(), NotPositiveDefinite> {
         self.residual.copy_from_slice(b);
         b.fill(0.0);
         self.precondition(matrix);
         self.direction.copy_from_slice(&self.preconditioned);
         let mut square = inner(&self.residual, &self.preconditioned);
         let enough = self.tolerance * self.tolerance * square;
-        for _ in 0..MOST_PRODUCTS {
-            if square <= enough || square.is_nan() {
-                return;
+        for product in 0..MAX_PRODUCTS {
+            if square <= enough {
+                return Ok(());
+            }
+            if square.is_nan() {
+                return if product == 0 { Err(NotPositiveDefinite(None)) } else { Ok(()) };
             }
             multiply(&self.direction, &mut self.product);
             self.products += 1;
             let curvature = inner(&self.direction, &self.product);
-            // Rounding has eaten the definiteness: what there is so far is a descent direction.
+            // Rounding has eaten the definiteness: what there is so far, if anything, is a descent direction.
             if curvature <= 0.0 || curvature.is_nan() {
-                return;
+                return if product == 0 { Err(NotPositiveDefinite(None)) } else { Ok(()) };
             }
             let length = square / curvature;
             for k in 0..b.len() {
@@ -103,6 +109,7 @@ impl ConjugateGradients {
                 *p = z + conjugate * *p;
             }
         }
+        Ok(())
     }
 
     /// `preconditioned = M^-1 residual`.
@@ -189,14 +196,14 @@ mod tests {
             let mut found = b.clone();
             let mut solver = ConjugateGradients::new(&matrix, tolerance);
             solver.prepare(&matrix).unwrap();
-            solver.solve(&matrix, &mut found, |x, y| multiply(&matrix, x, y));
+            solver.solve(&matrix, &mut found, |x, y| multiply(&matrix, x, y)).unwrap();
             let error = found.iter().zip(&x).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
             assert!(error < within, "{tolerance}: {error}");
             assert!(inner(&found, &solver.residual).abs() < 1e-10 * inner(&found, &b));
         }
         let mut exact = ConjugateGradients::new(&matrix, 1e-12);
         exact.prepare(&matrix).unwrap();
-        exact.solve(&matrix, &mut b.clone(), |x, y| multiply(&matrix, x, y));
+        exact.solve(&matrix, &mut b.clone(), |x, y| multiply(&matrix, x, y)).unwrap();
         assert!(exact.products as usize <= n);
     }
 
@@ -207,5 +214,23 @@ mod tests {
         matrix.values[at] = -1.0;
         let mut solver = ConjugateGradients::new(&matrix, 0.1);
         assert_eq!(solver.prepare(&matrix), Err(NotPositiveDefinite(None)));
+    }
+
+    #[test]
+    fn a_matrix_along_which_nothing_descends_is_refused_and_not_solved_by_zero() {
+        let matrix = ring(10);
+        let mut solver = ConjugateGradients::new(&matrix, 0.1);
+        solver.prepare(&matrix).unwrap();
+        let mut b = vec![1.0; matrix.dimension()];
+        let negative = |x: &[f64], y: &mut [f64]| {
+            multiply(&matrix, x, y);
+            y.iter_mut().for_each(|v| *v = -*v);
+        };
+        assert_eq!(solver.solve(&matrix, &mut b, negative), Err(NotPositiveDefinite(None)));
+        let mut b = vec![f64::NAN; matrix.dimension()];
+        let product = |x: &[f64], y: &mut [f64]| multiply(&matrix, x, y);
+        assert_eq!(solver.solve(&matrix, &mut b, product), Err(NotPositiveDefinite(None)));
+        let mut b = vec![0.0; matrix.dimension()];
+        assert_eq!(solver.solve(&matrix, &mut b, product), Ok(()));
     }
 }

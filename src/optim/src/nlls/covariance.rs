@@ -80,7 +80,7 @@ impl<'a> Covariance<'a> {
         firsts.iter().map(|&first| self.cross_of(first, second, &solution)).collect()
     }
 
-    /// The covariances of all pairs of kept blocks that a factor or an eliminated block couples, at the
+    /// The covariances of all pairs of retained blocks that a factor or an eliminated block couples, at the
     /// cost of a few factorisations.
     pub fn selected_inverse(&self) -> SelectedCovariance<'_> {
         let Normal { solver, matrix, .. } = &self.normal;
@@ -111,13 +111,13 @@ impl<'a> Covariance<'a> {
         out
     }
 
-    /// The kept part of the columns of `C` that belong to `block`, column after column.
+    /// The retained part of the columns of `C` that belong to `block`, column after column.
     fn columns(&mut self, block: BlockId) -> Vec<f64> {
         let index = block.index();
         let n = self.problem.dimension(block);
         let dimension = self.normal.matrix.dimension();
         let mut rhs = vec![0.0; dimension * n];
-        let place = self.normal.structure.kept_index[index];
+        let place = self.normal.structure.retained_index[index];
         let e = self.normal.structure.eliminated_index[index];
         if place != NONE {
             let start = self.normal.matrix.starts[place as usize];
@@ -126,8 +126,8 @@ impl<'a> Covariance<'a> {
             }
         } else if e != NONE {
             let factor = self.normal.point_factor(e as usize).to_vec();
-            for (kept, transposed) in self.normal.coupling(self.problem, e as usize) {
-                let start = self.normal.matrix.starts[kept];
+            for (retained, transposed) in self.normal.coupling(self.problem, e as usize) {
+                let start = self.normal.matrix.starts[retained];
                 let dim = transposed.len() / n;
                 for column in 0..n {
                     let mut unit = vec![0.0; n];
@@ -148,17 +148,17 @@ impl<'a> Covariance<'a> {
         rhs
     }
 
-    /// Rows `block` of column `column` of `of`, given the kept part of its columns.
+    /// Rows `block` of column `column` of `of`, given the retained part of its columns.
     fn rows_of(&self, block: BlockId, of: BlockId, column: usize, solution: &[f64]) -> Vec<f64> {
         let index = block.index();
         let n = self.problem.dimension(block);
         let dimension = self.normal.matrix.dimension();
-        let kept = &solution[column * dimension..(column + 1) * dimension];
-        let place = self.normal.structure.kept_index[index];
+        let retained = &solution[column * dimension..(column + 1) * dimension];
+        let place = self.normal.structure.retained_index[index];
         let e = self.normal.structure.eliminated_index[index];
         if place != NONE {
             let start = self.normal.matrix.starts[place as usize];
-            return kept[start..start + n].to_vec();
+            return retained[start..start + n].to_vec();
         }
         let mut values = vec![0.0; n];
         if e == NONE {
@@ -172,7 +172,7 @@ impl<'a> Covariance<'a> {
             let dim = transposed.len() / n;
             for i in 0..n {
                 for j in 0..dim {
-                    values[i] -= transposed[i * dim + j] * kept[start + j];
+                    values[i] -= transposed[i * dim + j] * retained[start + j];
                 }
             }
         }
@@ -197,7 +197,7 @@ impl SelectedCovariance<'_> {
             return Some(vec![0.0; rows * columns]);
         }
         let inverse = self.inverse.as_ref()?;
-        let [a, b] = [first, second].map(|block| structure.kept_index[block.index()]);
+        let [a, b] = [first, second].map(|block| structure.retained_index[block.index()]);
         if [a, b].contains(&NONE) {
             return None;
         }
@@ -242,7 +242,7 @@ fn undetermined_point(problem: &Problem, block: usize) -> SolveError {
     ))
 }
 
-/// Directions of the kept parameters, scaled to unit curvature each, that have next to none
+/// Directions of the retained parameters, scaled to unit curvature each, that have next to none
 /// together: inverse subspace iteration with Rayleigh-Ritz.
 fn null_space_directions(problem: &Problem, normal: &mut Normal) -> Vec<Vec<f64>> {
     let n = normal.matrix.dimension();
@@ -251,7 +251,7 @@ fn null_space_directions(problem: &Problem, normal: &mut Normal) -> Vec<Vec<f64>
     }
     let scale: Vec<f64> = normal
         .structure
-        .kept
+        .retained
         .iter()
         .flat_map(|&block| {
             let block = &problem.blocks[block];
@@ -296,15 +296,15 @@ fn null_space_directions(problem: &Problem, normal: &mut Normal) -> Vec<Vec<f64>
 }
 
 /// A direction of the parameters that the observations leave undetermined: its entries by block,
-/// scaled so that every parameter has unit curvature of its own, and of unit length over all kept
+/// scaled so that every parameter has unit curvature of its own, and of unit length over all retained
 /// blocks.
 pub type Direction = Vec<(BlockId, Vec<f64>)>;
 
-/// The directions of the kept blocks that the observations leave undetermined at `x`, at most a
+/// The directions of the retained blocks that the observations leave undetermined at `x`, at most a
 /// dozen; none where there is a covariance.
 ///
 /// # Errors
-/// Where a factor cannot be evaluated, or an eliminated block is undetermined by itself.
+/// Where a factor cannot be evaluated or is not finite, or an eliminated block is undetermined by itself.
 pub fn null_space(
     problem: &Problem,
     x: &[f64],
@@ -314,17 +314,20 @@ pub fn null_space(
     normal
         .linearize(problem, x)
         .map_err(|(batch, factor)| problem.infeasible(&problem.batches[batch], factor))?;
-    if let Err(NotPositiveDefinite(Some(block))) = normal.reduce(problem, x, 0.0) {
-        return Err(undetermined_point(problem, block));
+    if let Err(NotPositiveDefinite(block)) = normal.reduce(problem, x, 0.0) {
+        normal.require_finite(problem, x)?;
+        if let Some(block) = block {
+            return Err(undetermined_point(problem, block));
+        }
     }
     let directions = null_space_directions(problem, &mut normal);
     Ok(directions
         .iter()
         .map(|direction| {
-            (0..normal.structure.kept.len())
+            (0..normal.structure.retained.len())
                 .map(|place| {
                     let range = normal.matrix.starts[place]..normal.matrix.starts[place + 1];
-                    (Problem::id(normal.structure.kept[place]), direction[range].to_vec())
+                    (Problem::id(normal.structure.retained[place]), direction[range].to_vec())
                 })
                 .collect()
         })
@@ -332,7 +335,7 @@ pub fn null_space(
 }
 
 fn describe(problem: &Problem, normal: &Normal, directions: &[Vec<f64>]) -> SolveError {
-    let mut chunks: Vec<(f64, usize)> = (0..normal.structure.kept.len())
+    let mut chunks: Vec<(f64, usize)> = (0..normal.structure.retained.len())
         .map(|place| {
             let range = normal.matrix.starts[place]..normal.matrix.starts[place + 1];
             let chunk: f64 = directions.iter().flat_map(|d| &d[range.clone()]).map(|v| v * v).sum();
@@ -351,7 +354,7 @@ fn describe(problem: &Problem, normal: &Normal, directions: &[Vec<f64>]) -> Solv
                 .filter(|k| directions.iter().any(|d| d[range.start + k].powi(2) > 1e-3))
                 .map(|k| k.to_string())
                 .collect();
-            let name = problem.describe(Problem::id(normal.structure.kept[*place]));
+            let name = problem.describe(Problem::id(normal.structure.retained[*place]));
             if entries.is_empty() {
                 name
             } else {

@@ -95,7 +95,9 @@ pub trait Scalar:
     /// An integer power.
     fn powi(self, n: i32) -> Self {
         let v = self.value();
-        self.chain(v.powi(n), f64::from(n) * v.powi(n - 1))
+        // 0 times the infinite `0^-1` would be no number.
+        let derivative = if n == 0 { 0.0 } else { f64::from(n) * v.powi(n - 1) };
+        self.chain(v.powi(n), derivative)
     }
 
     /// The absolute value; at 0 its derivative is taken from the right.

@@ -15,7 +15,7 @@ use super::{
 pub(super) struct PartialSums {
     /// Blocks of the reduced matrix, as laid out in [`Chunk`].
     pub(super) values: Vec<f64>,
-    /// `F^T r`, `-W V^-1 g_e` and the diagonal of `F^T F`, over the kept blocks of the chunk.
+    /// `F^T r`, `-W V^-1 g_e` and the diagonal of `F^T F`, over the retained blocks of the chunk.
     pub(super) gradient: Vec<f64>,
     pub(super) correction: Vec<f64>,
     pub(super) diagonal: Vec<f64>,
@@ -34,12 +34,12 @@ pub(super) fn damping(diagonal: f64) -> f64 {
 
 impl PartialSums {
     pub(super) fn new(chunk: &Chunk) -> PartialSums {
-        let kept = chunk.starts.last().copied().unwrap_or(0);
+        let retained = chunk.starts.last().copied().unwrap_or(0);
         PartialSums {
             values: vec![0.0; chunk.len],
-            gradient: vec![0.0; kept],
-            correction: vec![0.0; kept],
-            diagonal: vec![0.0; kept],
+            gradient: vec![0.0; retained],
+            correction: vec![0.0; retained],
+            diagonal: vec![0.0; retained],
             ..PartialSums::default()
         }
     }
@@ -62,7 +62,7 @@ pub(super) fn eliminate(
         let n = block.dimension;
         let adjacent = structure.adjacent(e);
         let height: usize = adjacent.iter().map(|&k| chunk.size(k)).sum();
-        // V, g_e, then W with the rows of the adjacent kept blocks one after the other.
+        // V, g_e, then W with the rows of the adjacent retained blocks one after the other.
         scratch.clear();
         scratch.resize(n * n + n + height * n, 0.0);
         let (v, rest) = scratch.split_at_mut(n * n);
@@ -75,14 +75,14 @@ pub(super) fn eliminate(
             let mut seen = [(0, 0, 0); MAX_ARITY];
             let mut count = 0;
             for (block, column, dim) in factor.columns() {
-                let index = structure.kept_index[block.index()];
+                let index = structure.retained_index[block.index()];
                 if index != NONE {
-                    let local = chunk.kept.partition_point(|&other| other < index);
+                    let local = chunk.retained.partition_point(|&other| other < index);
                     let position = adjacent.partition_point(|&other| (other as usize) < local);
                     let at: usize =
                         adjacent[..position].iter().map(|&k| chunk.size(k)).sum::<usize>() * n;
                     let w = &mut w[at..at + dim * n];
-                    factor.add_kept((own_column, n), column, w, partial, chunk.starts[local]);
+                    factor.add_retained((own_column, n), column, w, partial, chunk.starts[local]);
                     seen[count] = (local, column, dim);
                     count += 1;
                 }
@@ -161,10 +161,10 @@ impl<'a> LinearFactor<'a> {
         }
     }
 
-    /// `W += F^T E`, the gradient and the diagonal of the kept block at `column`, which begins at
+    /// `W += F^T E`, the gradient and the diagonal of the retained block at `column`, which begins at
     /// `start` in the chunk's vectors.
     #[inline]
-    fn add_kept(
+    fn add_retained(
         &self,
         (own_column, n): (usize, usize),
         column: usize,
@@ -185,7 +185,7 @@ impl<'a> LinearFactor<'a> {
         }
     }
 
-    /// `F^T F` of all pairs of the kept blocks `seen`: local index, column, dimension.
+    /// `F^T F` of all pairs of the retained blocks `seen`: local index, column, dimension.
     #[inline]
     fn add_products(
         &self,
@@ -223,7 +223,7 @@ impl PartialSums {
         }
     }
 
-    /// `-Y Y^T` and `-Y u` of one eliminated block; `y` holds the rows of its adjacent kept blocks.
+    /// `-Y Y^T` and `-Y u` of one eliminated block; `y` holds the rows of its adjacent retained blocks.
     #[inline]
     fn subtract_products(&mut self, chunk: &Chunk, adjacent: &[u32], y: &[f64], u: &[f64]) {
         let n = u.len();

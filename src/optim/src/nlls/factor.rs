@@ -223,7 +223,7 @@ pub(super) struct Linearization {
 }
 
 /// How the loss enters the normal equations: which share of its (negative) curvature along the
-/// residual is kept, next to its weight `rho'`.
+/// residual is stored, next to its weight `rho'`.
 ///
 /// All of it is the Gauss-Newton Hessian of the robust cost itself, right near the optimum and far
 /// too optimistic away from it; none of it is iteratively reweighted least squares, safe
@@ -375,6 +375,6 @@ pub(super) fn robust_weights(loss: &BatchLoss, curvature_share: f64, s: f64) -> 
     Weights { jacobian: weight, shift: alpha / s, residual: weight / (1.0 - alpha) }
 }
 
-/// The least share of the curvature along an outlying residual that is kept; 0 would be the exact
+/// The least share of the curvature along an outlying residual that is left; 0 would be the exact
 /// Hessian of Huber's linear part and leave the step there to the damping alone.
 const MIN_RADIAL_CURVATURE: f64 = 1e-2;

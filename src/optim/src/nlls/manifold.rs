@@ -48,6 +48,12 @@ pub trait Manifold: Any + Debug + Send + Sync {
         None
     }
 
+    /// The place of the number that entry `entry` of the tangent moves by just its own size, alone and whatever the other
+    /// entries are, if there is one; a prior may be put on it.
+    fn additive_value(&self, entry: usize) -> Option<usize> {
+        self.is_euclidean().then_some(entry)
+    }
+
     /// Whether `x (+) d = x + d`. The fused elimination moves only such blocks.
     fn is_euclidean(&self) -> bool {
         false
@@ -180,6 +186,10 @@ impl Manifold for PoseWithParameters {
         subtract(&y[7..], &x[7..], &mut out[6..]);
     }
 
+    fn additive_value(&self, entry: usize) -> Option<usize> {
+        (entry >= 6).then_some(entry + 1)
+    }
+
     fn defect(&self, x: &[f64]) -> Option<String> {
         not_unit(&x[..4])
     }
@@ -250,6 +260,10 @@ impl Manifold for Similarity {
         out[..3].copy_from_slice(&turned(quaternion(y), quaternion(x)));
         subtract(&y[4..7], &x[4..7], &mut out[3..6]);
         out[6] = (y[7] / x[7]).ln();
+    }
+
+    fn additive_value(&self, entry: usize) -> Option<usize> {
+        (3..6).contains(&entry).then_some(entry + 1)
     }
 
     fn defect(&self, x: &[f64]) -> Option<String> {

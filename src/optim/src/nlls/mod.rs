@@ -25,6 +25,7 @@ mod loss;
 pub mod manifold;
 mod normal;
 mod options;
+mod prior;
 mod problem;
 mod projection;
 pub mod residual;
@@ -46,6 +47,7 @@ pub use linearized::LinearizedFactor;
 pub use loss::{Loss, LossFunction, Rho};
 pub use manifold::{Euclidean, Manifold};
 pub use options::{Method, Options};
+pub use prior::GaussianPrior;
 pub use problem::{BlockId, Problem};
 pub use projection::{
     Dim, Linearized, LinearizedProjection, Measurement, Of, ProjectionBatch, ProjectionFactor, Size,
@@ -56,7 +58,7 @@ pub use step_profiler::StepProfiler;
 pub use summary::{BatchPath, BatchSummary, LinearKind, LinearPath, Summary};
 pub use trust_region::{LeastSquares, SolverState};
 
-use crate::engine::{Engine, SolveError, Termination};
+use crate::engine::{self, SolveError};
 use serde::{Deserialize, Serialize};
 
 /// How the linear system of a step is solved.
@@ -97,7 +99,7 @@ impl LinearSolver {
 /// `max_iterations`; `x` holds the result.
 ///
 /// # Errors
-/// As [`Engine::start`] and [`Engine::step`].
+/// As [`engine::run`].
 pub fn solve(
     problem: &Problem,
     x: &mut Vec<f64>,
@@ -105,17 +107,7 @@ pub fn solve(
     max_iterations: u64,
 ) -> Result<Summary, SolveError> {
     let mut engine = LeastSquares::new(options.clone());
-    let initial_cost = engine.start(problem, x)?;
-    let (mut stop, mut iterations, mut final_cost) = (Termination::MaxIterations, 0, initial_cost);
-    while iterations < max_iterations {
-        let step = engine.step(problem, x)?;
-        iterations += 1;
-        final_cost = step.cost;
-        if let Some(reason) = step.stop {
-            stop = reason;
-            break;
-        }
-    }
-    let summary = Summary::new(problem, x, initial_cost, final_cost, iterations, stop)?;
+    let outcome = engine::run(problem, &mut engine, x, max_iterations, |_, _| ())?;
+    let summary = Summary::new(problem, x, outcome)?;
     Ok(summary.with_paths(engine.paths(), engine.linear_path()))
 }

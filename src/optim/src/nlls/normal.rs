@@ -1,6 +1,6 @@
 //! The numeric part of the normal equations: linearise, eliminate, solve, substitute back.
 //!
-//! With eliminated blocks `e` and kept blocks `k`, residual `r` and Jacobian `[E F]`, a damped step
+//! With eliminated blocks `e` and retained blocks `k`, residual `r` and Jacobian `[E F]`, a damped step
 //! solves
 //!
 //! ```text
@@ -45,7 +45,7 @@ pub(super) struct Normal {
     /// Diagonal of `J^T J` over the tangents of all blocks.
     pub(super) diagonal: Vec<f64>,
     /// `-(g_k - W V^-1 g_e)`, then `d_k`.
-    pub(super) kept_vector: Vec<f64>,
+    pub(super) retained_vector: Vec<f64>,
     /// The batch that is eliminated without being stored, if there is one that can be.
     pub(super) fused: Option<(usize, FusedElimination)>,
     /// How the reduced system is solved.
@@ -56,6 +56,9 @@ pub(super) struct Normal {
     pub(super) paths: Vec<BatchPath>,
     /// The largest `|g_k| / sqrt(D_k)` of the points that the fused batch eliminates.
     pub(super) fused_slope: f64,
+    /// Whether [`Normal::gradient`] and [`Normal::diagonal`] are those of the current linearisation; an elimination that
+    /// fails leaves them unfinished.
+    pub(super) gradient_is_known: bool,
 }
 
 impl Normal {
@@ -94,8 +97,8 @@ impl Normal {
         let mut tangent = problem.tangent_len();
         let mut partials = Vec::new();
         if fused.is_some() {
-            // Vectors over tangents reach as far as the last kept block.
-            let ends = structure.kept.iter().map(|&k| &problem.blocks[k]);
+            // Vectors over tangents reach as far as the last retained block.
+            let ends = structure.retained.iter().map(|&k| &problem.blocks[k]);
             tangent = ends.map(|block| block.tangent + block.dimension).max().unwrap_or(0);
             structure.forget_factors();
         } else {
@@ -105,7 +108,7 @@ impl Normal {
         Ok(Normal {
             linearizations: vec![Linearization::default(); problem.batches.len()],
             partials,
-            kept_vector: vec![0.0; matrix.dimension()],
+            retained_vector: vec![0.0; matrix.dimension()],
             matrix,
             solver,
             structure,
@@ -116,6 +119,7 @@ impl Normal {
             linear_path,
             shift: Vec::new(),
             fused_slope: 0.0,
+            gradient_is_known: false,
             gradient: vec![0.0; tangent],
             diagonal: vec![0.0; tangent],
         })
@@ -201,9 +205,10 @@ impl Normal {
         lambda: f64,
     ) -> Result<(), NotPositiveDefinite> {
         self.matrix.values.fill(0.0);
-        self.kept_vector.fill(0.0);
+        self.retained_vector.fill(0.0);
         self.gradient.fill(0.0);
         self.diagonal.fill(0.0);
+        self.gradient_is_known = false;
         if let Some((batch, work)) = &mut self.fused {
             let settings = Settings {
                 loss: &problem.batches[*batch].loss,
@@ -214,23 +219,27 @@ impl Normal {
                 matrix: &mut self.matrix,
                 gradient: &mut self.gradient,
                 diagonal: &mut self.diagonal,
-                correction: &mut self.kept_vector,
+                correction: &mut self.retained_vector,
             };
             self.fused_slope = work.0.reduce(problem, x, &self.linearizations, settings, sums)?;
         } else {
             let (structure, linearizations) = (&self.structure, &self.linearizations);
+            // The first chunk that fails is reported, whichever thread is the fastest.
             self.partials
                 .par_iter_mut()
                 .zip(&structure.chunks)
                 .map(|(partial, chunk)| {
                     eliminate(problem, structure, chunk, linearizations, lambda, partial)
                 })
+                .collect::<Vec<_>>()
+                .into_iter()
                 .collect::<Result<(), NotPositiveDefinite>>()?;
             self.add_partials(problem);
         }
         self.add_camera_only_factors(problem);
+        self.gradient_is_known = true;
         self.shift.clear();
-        for &block in &self.structure.kept {
+        for &block in &self.structure.retained {
             let block = &problem.blocks[block];
             for k in 0..block.dimension {
                 let frozen = block.frozen >> k & 1 == 1;
@@ -291,7 +300,7 @@ impl Normal {
         &self.partials[chunk].factor[squares[e] - squares[first]..squares[e + 1] - squares[first]]
     }
 
-    /// `W^T` of eliminated block `e`: per adjacent kept block its place and `E^T F`, row-major.
+    /// `W^T` of eliminated block `e`: per adjacent retained block its place and `E^T F`, row-major.
     pub(super) fn coupling(&self, problem: &Problem, e: usize) -> Vec<(usize, Vec<f64>)> {
         let own = self.structure.eliminated[e];
         let n = problem.blocks[own].dimension;
@@ -305,7 +314,7 @@ impl Normal {
             let own_column =
                 blocks.iter().position(|block| block.index() == own).map_or(0, |k| columns[k]);
             for (k, block) in blocks.iter().enumerate() {
-                let place = self.structure.kept_index[block.index()];
+                let place = self.structure.retained_index[block.index()];
                 if place == NONE {
                     continue;
                 }

@@ -75,7 +75,7 @@ impl Options {
             ("cost-tolerance", self.cost_tolerance),
             ("gradient-tolerance", self.gradient_tolerance),
             ("step-tolerance", self.step_tolerance),
-            ("min_relative_decrease", self.min_relative_decrease),
+            ("min-relative-decrease", self.min_relative_decrease),
         ] {
             if !(0.0..1.0).contains(&value) {
                 return Err(SolveError::Misuse(format!("{name} is {value}, expected 0 to 1")));

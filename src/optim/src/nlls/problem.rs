@@ -170,6 +170,20 @@ impl Problem {
         Ok(())
     }
 
+    /// Keeps every block that no factor depends on at its starting values, and returns which these are: an engine refuses
+    /// to move what nothing determines.
+    pub fn fix_unused(&mut self) -> Vec<BlockId> {
+        let mut used = vec![false; self.blocks.len()];
+        for batch in self.batches.iter().map(|named| &named.batch) {
+            for block in (0..batch.len()).flat_map(|factor| batch.blocks(factor)) {
+                used[block.index()] = true;
+            }
+        }
+        let unused: Vec<BlockId> = (0..used.len()).filter(|&k| !used[k]).map(Problem::id).collect();
+        unused.iter().for_each(|&block| self.fix(block));
+        unused
+    }
+
     /// Lets a block move again.
     pub fn free(&mut self, block: BlockId) {
         self.blocks[block.index()].frozen = 0;

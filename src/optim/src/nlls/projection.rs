@@ -1,4 +1,4 @@
-//! Factors between one kept and one eliminated block, with sizes known at compile time.
+//! Factors between one retained and one eliminated block, with sizes known at compile time.
 //!
 //! This is the shape that carries the load of bundle adjustment. A factor is written once over
 //! [`Lane`]s; from that the engine has the scalar form that every solver can use, and a fused one
@@ -35,7 +35,7 @@ pub type Of<N, T> = <N as Size>::Of<T>;
 pub struct LinearizedProjection<L: Copy, R: Size, K: Size, S: Size, P: Size> {
     /// The residual.
     pub residual: R::Of<L>,
-    /// By the tangent of the kept block.
+    /// By the tangent of the retained block.
     pub jacobian_camera: R::Of<K::Of<L>>,
     /// By the tangent of the shared block.
     pub jacobian_shared: R::Of<S::Of<L>>,
@@ -52,7 +52,7 @@ pub type Linearized<F, L> = LinearizedProjection<
     <F as ProjectionFactor>::Point,
 >;
 
-/// A factor of a kept block (a camera), perhaps a block shared by many of those (a lens), and an
+/// A factor of a retained block (a camera), perhaps a block shared by many of those (a lens), and an
 /// eliminated Euclidean block (a point).
 ///
 /// In an implementation `Of<Self::Point, L>` is written `[L; 3]` where `Point` is `Dim<3>`. A value
@@ -60,20 +60,20 @@ pub type Linearized<F, L> = LinearizedProjection<
 pub trait ProjectionFactor: Sized + Send + Sync + 'static {
     /// The residual.
     type Residual: Size;
-    /// The tangent of the kept block.
+    /// The tangent of the retained block.
     type Camera: Size;
     /// The tangent of the shared block; `Dim<0>` where nothing is shared.
     type Shared: Size;
     /// The eliminated block.
     type Point: Size;
-    /// What is prepared of a kept block and its shared one.
+    /// What is prepared of a retained block and its shared one.
     type Prepared: Size;
     /// The data of an observation.
     type Data: Size;
 
-    /// What all observations of one kept block need of it, once per linearisation: a rotation
+    /// What all observations of one retained block need of it, once per linearisation: a rotation
     /// matrix, say.
-    fn prepare(kept: &[f64], shared: &[f64]) -> Of<Self::Prepared, f64>;
+    fn prepare(retained: &[f64], shared: &[f64]) -> Of<Self::Prepared, f64>;
 
     /// The residual alone.
     fn residual<L: Lane>(
@@ -91,7 +91,7 @@ pub trait ProjectionFactor: Sized + Send + Sync + 'static {
         data: &Of<Self::Data, L>,
     ) -> Linearized<Self, L>;
 
-    /// Whether a point is where the kept block can see it. Only a factor with finite residuals elsewhere, behind a camera say, has to
+    /// Whether a point is where the retained block can see it. Only a factor with finite residuals elsewhere, behind a camera say, has to
     /// tell.
     fn is_in_front(_prepared: &Of<Self::Prepared, f64>, _point: &Of<Self::Point, f64>) -> bool {
         true
@@ -140,32 +140,32 @@ where
 {
 }
 
-/// Kept blocks that are held prepared while observations are gone through one by one.
+/// Retained blocks that are held prepared while observations are gone through one by one.
 const RECENT: usize = 32;
 
 /// One observation: its blocks and its data.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Measurement<const D: usize> {
-    /// Kept, shared (left out where nothing is shared), eliminated.
+    /// Retained, shared (left out where nothing is shared), eliminated.
     blocks: [BlockId; 3],
     /// The data.
     pub data: [f64; D],
 }
 
 impl<const D: usize> Measurement<D> {
-    /// An observation of `point` by `kept`.
-    pub fn new(kept: BlockId, point: BlockId, data: [f64; D]) -> Measurement<D> {
-        Measurement { blocks: [kept, point, point], data }
+    /// An observation of `point` by `retained`.
+    pub fn new(retained: BlockId, point: BlockId, data: [f64; D]) -> Measurement<D> {
+        Measurement { blocks: [retained, point, point], data }
     }
 
-    /// An observation of `point` by `kept`, which shares `shared` with others.
+    /// An observation of `point` by `retained`, which shares `shared` with others.
     pub fn with_shared(
-        kept: BlockId,
+        retained: BlockId,
         shared: BlockId,
         point: BlockId,
         data: [f64; D],
     ) -> Measurement<D> {
-        Measurement { blocks: [kept, shared, point], data }
+        Measurement { blocks: [retained, shared, point], data }
     }
 }
 
@@ -228,7 +228,7 @@ where
         width: usize,
     ) -> Result<(), InfeasibleFactor> {
         let first = range.start;
-        // Observations come point by point, so the same few kept blocks come again and again.
+        // Observations come point by point, so the same few retained blocks come again and again.
         let mut recent: [Option<([BlockId; 2], [f64; Q])>; RECENT] = [None; RECENT];
         for (k, pair) in self.pairs[range].iter().enumerate() {
             let of = [pair.blocks[0], pair.blocks[1]];
@@ -272,7 +272,7 @@ where
 
 impl<const D: usize> Measurement<D> {
     #[inline(always)]
-    pub(super) fn kept(&self) -> BlockId {
+    pub(super) fn retained(&self) -> BlockId {
         self.blocks[0]
     }
 

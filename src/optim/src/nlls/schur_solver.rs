@@ -28,16 +28,22 @@ impl SchurSolver {
 
     /// Solves for one right-hand side; `matrix` is the one that was factorised, `product` that of the reduced system
     /// with a vector where there is no matrix of it.
+    ///
+    /// # Errors
+    /// Where an iteration cannot make its first step.
     pub(super) fn solve(
         &mut self,
         matrix: &BlockMatrix,
         rhs: &mut [f64],
         product: impl FnMut(&[f64], &mut [f64]),
-    ) {
+    ) -> Result<(), NotPositiveDefinite> {
         match self {
-            SchurSolver::Direct(cholesky) => cholesky.solve(rhs, 1),
+            SchurSolver::Direct(cholesky) => {
+                cholesky.solve(rhs, 1);
+                Ok(())
+            }
             SchurSolver::Iterative(iteration) => {
-                iteration.solve(matrix, rhs, |x, y| multiply(matrix, x, y));
+                iteration.solve(matrix, rhs, |x, y| multiply(matrix, x, y))
             }
             SchurSolver::Implicit(iteration) => iteration.solve(matrix, rhs, product),
         }

@@ -60,9 +60,9 @@ impl<'a> StepProfiler<'a> {
         normal.solver.factorize(&normal.matrix).is_ok()
     }
 
-    /// The step of the kept blocks, and of all blocks where Jacobians are stored.
-    pub fn solve(&mut self) -> &[f64] {
-        self.normal.solve(self.problem, &mut self.step);
-        &self.step
+    /// The step of the retained blocks, and of all blocks where Jacobians are stored; `None` where an iteration cannot begin.
+    pub fn solve(&mut self) -> Option<&[f64]> {
+        self.normal.solve(self.problem, &mut self.step).ok()?;
+        Some(&self.step)
     }
 }

@@ -41,7 +41,7 @@ const PRODUCT_NS: f64 = 35.0;
 /// Products of one step: `trafalgar-257` takes 7 and 62 in the first two, then 140 to 300.
 const PRODUCTS: f64 = 150.0;
 /// The reduced system has to have at least this many unknowns before anything but a factorisation is thought of.
-const LEAST_DIMENSION: usize = 1000;
+const MIN_DIMENSION: usize = 1000;
 
 impl Strategy {
     pub(super) fn is_implicit(&self) -> bool {
@@ -79,10 +79,10 @@ pub(super) fn choose(
 ) -> Strategy {
     let refused = if !fuse {
         Some("Jacobians are stored")
-    } else if !structure.single_kept {
-        Some("factors depend on several kept blocks")
+    } else if !structure.single_retained {
+        Some("factors depend on several retained blocks")
     } else if !structure.camera_only_factors.is_empty() {
-        Some("factors depend on kept blocks alone")
+        Some("factors depend on retained blocks alone")
     } else {
         None
     };
@@ -90,7 +90,7 @@ pub(super) fn choose(
         (LinearSolver::IterativeSchur, None) => {
             Strategy { way: Way::Implicit, why: "asked for".into() }
         }
-        (LinearSolver::Auto, None) if matrix.dimension() >= LEAST_DIMENSION => {
+        (LinearSolver::Auto, None) if matrix.dimension() >= MIN_DIMENSION => {
             let order = Cholesky::order(matrix, false);
             let formed = PAIR_NS * structure.joined_pairs() + MULTIPLY_ADD_NS * order.work();
             let observations = structure.factor_count() as f64;

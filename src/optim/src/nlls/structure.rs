@@ -1,8 +1,8 @@
 //! The symbolic part of the normal equations: which blocks share a factor, found once per problem.
 //!
-//! Free blocks are *eliminated* (points, solved for block by block) or *kept* (cameras, solved for
+//! Free blocks are *eliminated* (points, solved for block by block) or *retained* (cameras, solved for
 //! together in the reduced system). Eliminated blocks are cut into a fixed number of ranges, each
-//! with its own small accumulator over just the kept blocks adjacent to it; accumulators are
+//! with its own small accumulator over just the retained blocks adjacent to it; accumulators are
 //! added in the order of the ranges, so that the sums do not depend on the number of threads.
 
 mod incidence;
@@ -18,7 +18,7 @@ use incidence::Incidence;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// No kept block, no slot, no block of a table.
+/// No retained block, no slot, no block of a table.
 pub(super) const NONE: u32 = u32::MAX;
 
 /// One factor: its batch and its place in it.
@@ -29,9 +29,9 @@ pub(super) type FactorRef = (u32, u32);
 pub(super) struct Chunk {
     /// Indices into [`Structure::eliminated`].
     pub(super) eliminated: Range<usize>,
-    /// The kept blocks adjacent to its eliminated ones, ascending.
-    pub(super) kept: Vec<u32>,
-    /// Where each kept block begins in local vectors; one more entry than blocks.
+    /// The retained blocks adjacent to its eliminated ones, ascending.
+    pub(super) retained: Vec<u32>,
+    /// Where each retained block begins in local vectors; one more entry than blocks.
     pub(super) starts: Vec<usize>,
     /// Where each local block begins; none once only the fused path goes on.
     table: Option<BlockTable>,
@@ -50,7 +50,7 @@ impl Chunk {
         }
     }
 
-    /// Tangent dimension of a local kept block.
+    /// Tangent dimension of a local retained block.
     #[inline]
     pub(super) fn size(&self, local: u32) -> usize {
         self.starts[local as usize + 1] - self.starts[local as usize]
@@ -66,10 +66,10 @@ impl Chunk {
 /// The pattern of a problem.
 #[derive(Debug, Clone)]
 pub(super) struct Structure {
-    /// The block behind each kept one.
-    pub(super) kept: Vec<usize>,
-    /// The index of each block among the kept ones, or [`NONE`].
-    pub(super) kept_index: Vec<u32>,
+    /// The block behind each retained one.
+    pub(super) retained: Vec<usize>,
+    /// The index of each block among the retained ones, or [`NONE`].
+    pub(super) retained_index: Vec<u32>,
     /// The blocks to eliminate, in the order in which they are.
     pub(super) eliminated: Vec<usize>,
     /// The index of each block among the eliminated ones, or [`NONE`].
@@ -79,12 +79,12 @@ pub(super) struct Structure {
     factor_ptr: Vec<usize>,
     factors: Vec<FactorRef>,
     adjacent_ptr: Vec<usize>,
-    /// The kept blocks adjacent to each eliminated one, ascending, as indices into their chunk's list.
+    /// The retained blocks adjacent to each eliminated one, ascending, as indices into their chunk's list.
     adjacent: Vec<u32>,
     /// Factors without an eliminated block.
     pub(super) camera_only_factors: Vec<FactorRef>,
-    /// No factor depends on more than one kept block.
-    pub(super) single_kept: bool,
+    /// No factor depends on more than one retained block.
+    pub(super) single_retained: bool,
     pub(super) chunks: Vec<Chunk>,
 }
 
@@ -100,24 +100,24 @@ impl Structure {
     ) -> Result<(Structure, BlockMatrix), SolveError> {
         let eliminating = linear.eliminates();
         let blocks = &problem.blocks;
-        let mut kept_index = vec![NONE; blocks.len()];
+        let mut retained_index = vec![NONE; blocks.len()];
         let mut eliminated_index = vec![NONE; blocks.len()];
-        let (mut kept, mut eliminated) = (Vec::new(), Vec::new());
+        let (mut retained, mut eliminated) = (Vec::new(), Vec::new());
         for (k, block) in blocks.iter().enumerate().filter(|(_, block)| !block.is_fixed()) {
             if eliminating && block.eliminate {
                 // Its index among the eliminated ones, until they are sorted.
                 eliminated_index[k] = eliminated.len() as u32;
                 eliminated.push(k as u32);
             } else {
-                kept_index[k] = kept.len() as u32;
-                kept.push(k);
+                retained_index[k] = retained.len() as u32;
+                retained.push(k);
             }
         }
-        if kept.is_empty() && eliminated.is_empty() {
+        if retained.is_empty() && eliminated.is_empty() {
             return Err(SolveError::Misuse("every block is fixed: nothing to solve for".into()));
         }
-        let Incidence { owner, camera_only_factors, mut neighbourhood, single_kept } =
-            Incidence::new(problem, &kept_index, &eliminated_index, &eliminated)?;
+        let Incidence { owner, camera_only_factors, mut neighbourhood, single_retained } =
+            Incidence::new(problem, &retained_index, &eliminated_index, &eliminated)?;
         neighbourhood.par_sort_unstable();
         let eliminated: Vec<usize> =
             neighbourhood.iter().map(|&(_, first)| eliminated[first as usize] as usize).collect();
@@ -127,8 +127,8 @@ impl Structure {
             eliminated_index[eliminated[e]] = e as u32;
         }
         let mut structure = Structure {
-            kept,
-            kept_index,
+            retained,
+            retained_index,
             squares: Vec::new(),
             eliminated,
             eliminated_index,
@@ -137,41 +137,41 @@ impl Structure {
             adjacent_ptr: Vec::new(),
             adjacent: Vec::new(),
             camera_only_factors,
-            single_kept,
+            single_retained,
             chunks: Vec::new(),
         };
         structure.list_factors(problem, &owner, &sorted);
-        let dims: Vec<usize> = structure.kept.iter().map(|&k| blocks[k].dimension).collect();
+        let dims: Vec<usize> = structure.retained.iter().map(|&k| blocks[k].dimension).collect();
         structure.connect(problem, Coupling::All);
         structure.refuse_unconstrained_blocks(problem)?;
         let matrix = structure.reduced_pattern(problem, &dims);
         Ok((structure, matrix))
     }
 
-    /// Cuts the eliminated blocks into chunks with the pairs of kept blocks that `coupling` wants.
+    /// Cuts the eliminated blocks into chunks with the pairs of retained blocks that `coupling` wants.
     fn connect(&mut self, problem: &Problem, coupling: Coupling) {
-        let kept = self.kept.len();
+        let retained = self.retained.len();
         self.chunks = self
             .partition()
             .into_par_iter()
             .with_max_len(1)
-            .map(|range| Chunk::new(self, problem, range, kept, coupling))
+            .map(|range| Chunk::new(self, problem, range, retained, coupling))
             .collect();
     }
 
-    /// Forgets which kept blocks meet; returns the pattern of the diagonal blocks.
+    /// Forgets which retained blocks meet; returns the pattern of the diagonal blocks.
     pub(super) fn uncouple(&mut self, problem: &Problem) -> BlockMatrix {
         self.connect(problem, Coupling::None);
-        let dims: Vec<usize> = self.kept.iter().map(|&k| problem.blocks[k].dimension).collect();
+        let dims: Vec<usize> = self.retained.iter().map(|&k| problem.blocks[k].dimension).collect();
         self.reduced_pattern(problem, &dims)
     }
 
-    /// Finds again which kept blocks meet.
+    /// Finds again which retained blocks meet.
     pub(super) fn couple(&mut self, problem: &Problem) {
         self.connect(problem, Coupling::All);
     }
 
-    /// How many pairs of kept blocks the eliminated ones join, each as often as it is joined.
+    /// How many pairs of retained blocks the eliminated ones join, each as often as it is joined.
     pub(super) fn joined_pairs(&self) -> f64 {
         let ends = self.factor_ptr.windows(2).map(|ends| (ends[1] - ends[0]) as f64);
         ends.map(|n| 0.5 * n * (n + 1.0)).sum()
@@ -189,10 +189,10 @@ impl Structure {
             Some(*sum)
         });
         self.squares = std::iter::once(0).chain(squares).collect();
-        let mut local = vec![NONE; self.kept.len()];
+        let mut local = vec![NONE; self.retained.len()];
         let (mut adjacent_ptr, mut adjacent, mut one) = (vec![0], Vec::new(), Vec::new());
         for chunk in &self.chunks {
-            for (k, &place) in chunk.kept.iter().enumerate() {
+            for (k, &place) in chunk.retained.iter().enumerate() {
                 local[place as usize] = k as u32;
             }
             for e in chunk.eliminated.clone() {
@@ -225,7 +225,7 @@ impl Structure {
         }
     }
 
-    /// The kept blocks adjacent to eliminated block `e`, as indices into its chunk's list.
+    /// The retained blocks adjacent to eliminated block `e`, as indices into its chunk's list.
     #[inline]
     pub(super) fn adjacent(&self, e: usize) -> &[u32] {
         &self.adjacent[self.adjacent_ptr[e]..self.adjacent_ptr[e + 1]]
@@ -256,12 +256,12 @@ impl Structure {
         (self.factor_ptr, self.factors) = (ends, factors);
     }
 
-    /// The kept blocks that share a factor with eliminated block `e`, ascending.
+    /// The retained blocks that share a factor with eliminated block `e`, ascending.
     fn find_adjacent(&self, problem: &Problem, e: usize, out: &mut Vec<u32>) {
         out.clear();
         for &(b, f) in self.factors(e) {
             for block in problem.batches[b as usize].batch.blocks(f as usize) {
-                let place = self.kept_index[block.index()];
+                let place = self.retained_index[block.index()];
                 if place != NONE {
                     out.push(place);
                 }
@@ -274,22 +274,22 @@ impl Structure {
     }
 
     fn refuse_unconstrained_blocks(&self, problem: &Problem) -> Result<(), SolveError> {
-        let mut busy = vec![false; self.kept.len()];
+        let mut busy = vec![false; self.retained.len()];
         for chunk in &self.chunks {
-            chunk.kept.iter().for_each(|&k| busy[k as usize] = true);
+            chunk.retained.iter().for_each(|&k| busy[k as usize] = true);
         }
         for &(b, f) in &self.camera_only_factors {
             for block in problem.batches[b as usize].batch.blocks(f as usize) {
-                if self.kept_index[block.index()] != NONE {
-                    busy[self.kept_index[block.index()] as usize] = true;
+                if self.retained_index[block.index()] != NONE {
+                    busy[self.retained_index[block.index()] as usize] = true;
                 }
             }
         }
-        let unconstrained_kept = busy.iter().position(|busy| !busy).map(|k| self.kept[k]);
+        let unconstrained_retained = busy.iter().position(|busy| !busy).map(|k| self.retained[k]);
         let unconstrained_point = (0..self.eliminated.len())
             .find(|&e| self.factors(e).is_empty())
             .map(|e| self.eliminated[e]);
-        match unconstrained_kept.or(unconstrained_point) {
+        match unconstrained_retained.or(unconstrained_point) {
             None => Ok(()),
             Some(block) => Err(SolveError::Misuse(format!(
                 "{} is free but no factor depends on it; fix it or leave it out",
@@ -322,7 +322,7 @@ impl Structure {
         for chunk in &self.chunks {
             chunk.for_each_pair(|row, column| {
                 if row != column {
-                    columns[chunk.kept[column] as usize].push(chunk.kept[row]);
+                    columns[chunk.retained[column] as usize].push(chunk.retained[row]);
                 }
             });
         }
@@ -330,7 +330,8 @@ impl Structure {
             let blocks = problem.batches[b as usize].batch.blocks(f as usize);
             for (k, first) in blocks.iter().enumerate() {
                 for second in &blocks[..k] {
-                    let pair = [self.kept_index[first.index()], self.kept_index[second.index()]];
+                    let pair =
+                        [self.retained_index[first.index()], self.retained_index[second.index()]];
                     if !pair.contains(&NONE) {
                         columns[pair[0].min(pair[1]) as usize].push(pair[0].max(pair[1]));
                     }
@@ -345,7 +346,7 @@ impl Structure {
     }
 }
 
-/// Which pairs of kept blocks have a place of their own.
+/// Which pairs of retained blocks have a place of their own.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Coupling {
     /// All that an eliminated block joins.
@@ -359,46 +360,47 @@ impl Chunk {
         structure: &Structure,
         problem: &Problem,
         eliminated: Range<usize>,
-        kept: usize,
+        retained: usize,
         coupling: Coupling,
     ) -> Chunk {
         let (mut first, mut members, mut one) = (vec![0], Vec::new(), Vec::new());
-        let mut local = vec![NONE; kept];
+        let mut local = vec![NONE; retained];
         for e in eliminated.clone() {
             structure.find_adjacent(problem, e, &mut one);
             one.iter().for_each(|&index| local[index as usize] = 0);
             members.extend_from_slice(&one);
             first.push(members.len());
         }
-        let kept: Vec<u32> = (0..kept as u32).filter(|&index| local[index as usize] == 0).collect();
-        for (k, &index) in kept.iter().enumerate() {
+        let retained: Vec<u32> =
+            (0..retained as u32).filter(|&index| local[index as usize] == 0).collect();
+        for (k, &index) in retained.iter().enumerate() {
             local[index as usize] = k as u32;
         }
         members.iter_mut().for_each(|index| *index = local[*index as usize]);
-        let dim = |index: u32| problem.blocks[structure.kept[index as usize]].dimension;
+        let dim = |index: u32| problem.blocks[structure.retained[index as usize]].dimension;
         let mut starts = vec![0];
-        for &index in &kept {
+        for &index in &retained {
             starts.push(starts[starts.len() - 1] + dim(index));
         }
         let rows = match coupling {
-            Coupling::All => pairs_of_groups(kept.len(), &first, &members),
-            Coupling::None => (0..kept.len() as u32).map(|k| vec![k]).collect(),
+            Coupling::All => pairs_of_groups(retained.len(), &first, &members),
+            Coupling::None => (0..retained.len() as u32).map(|k| vec![k]).collect(),
         };
         let mut len = 0;
         let table = BlockTable::new(rows.into_iter(), |row, column| {
             let at = len;
-            len += dim(kept[row]) * dim(kept[column]);
+            len += dim(retained[row]) * dim(retained[column]);
             at as u32
         });
-        Chunk { eliminated, kept, starts, table: Some(table), len, copies: Vec::new() }
+        Chunk { eliminated, retained, starts, table: Some(table), len, copies: Vec::new() }
     }
 
     /// Finds where its blocks are in `matrix`.
     fn connect(&mut self, matrix: &BlockMatrix) {
         let Some(table) = &self.table else { return };
-        let (kept, copies) = (&self.kept, &mut self.copies);
+        let (retained, copies) = (&self.retained, &mut self.copies);
         table.for_each(|row, column, local| {
-            if let Some(slot) = matrix.slot(kept[row] as usize, kept[column] as usize) {
+            if let Some(slot) = matrix.slot(retained[row] as usize, retained[column] as usize) {
                 let global = matrix.value_ptr[slot];
                 copies.push((local as usize, global, matrix.value_ptr[slot + 1] - global));
             }

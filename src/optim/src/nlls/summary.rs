@@ -1,7 +1,7 @@
 //! What came of an adjustment, for a person ([`std::fmt::Display`]) and for a machine (serde).
 
 use super::problem::Problem;
-use crate::engine::{SolveError, Termination};
+use crate::engine::{RunOutcome, SolveError, Termination};
 use serde::Serialize;
 
 /// How the factors of a batch enter the normal equations.
@@ -104,14 +104,8 @@ impl Summary {
     ///
     /// # Errors
     /// Where a factor cannot be evaluated there.
-    pub fn new(
-        problem: &Problem,
-        x: &[f64],
-        initial_cost: f64,
-        final_cost: f64,
-        iterations: u64,
-        stop: Termination,
-    ) -> Result<Summary, SolveError> {
+    pub fn new(problem: &Problem, x: &[f64], outcome: RunOutcome) -> Result<Summary, SolveError> {
+        let RunOutcome { initial_cost, final_cost, iterations, stop } = outcome;
         let costs = problem.costs(x)?;
         let batches = problem
             .batches

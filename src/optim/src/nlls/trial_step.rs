@@ -1,6 +1,7 @@
 //! Damped steps: solve the reduced system, substitute back, try where that leads.
 
 use super::{
+    cholesky::NotPositiveDefinite,
     elimination::{backward_solve, forward_solve, inner},
     factor::batch_cost,
     normal::Normal,
@@ -25,41 +26,49 @@ pub(super) struct TrialStep {
 
 impl Normal {
     /// Solves for the step `d` over the tangents of all blocks.
-    pub(super) fn solve(&mut self, problem: &Problem, d: &mut [f64]) {
+    ///
+    /// # Errors
+    /// As [`super::schur_solver::SchurSolver::solve`].
+    pub(super) fn solve(
+        &mut self,
+        problem: &Problem,
+        d: &mut [f64],
+    ) -> Result<(), NotPositiveDefinite> {
         d.fill(0.0);
-        // kept_vector holds -W V^-1 g_e; the right-hand side is -(g_k + that).
-        for (place, &block) in self.structure.kept.iter().enumerate() {
+        // retained_vector holds -W V^-1 g_e; the right-hand side is -(g_k + that).
+        for (place, &block) in self.structure.retained.iter().enumerate() {
             let block = &problem.blocks[block];
             let start = self.matrix.starts[place];
             for k in 0..block.dimension {
                 let g = self.gradient[block.tangent + k];
-                self.kept_vector[start + k] = -(g + self.kept_vector[start + k]);
+                self.retained_vector[start + k] = -(g + self.retained_vector[start + k]);
             }
         }
         let (shift, starts, fused) = (&self.shift, &self.matrix.starts, &mut self.fused);
-        self.solver.solve(&self.matrix, &mut self.kept_vector, |x, y| {
+        self.solver.solve(&self.matrix, &mut self.retained_vector, |x, y| {
             for ((y, x), shift) in y.iter_mut().zip(x).zip(shift) {
                 *y = x * shift;
             }
             if let Some((_, work)) = fused {
                 work.0.multiply(starts, x, y);
             }
-        });
-        for (place, &block) in self.structure.kept.iter().enumerate() {
+        })?;
+        for (place, &block) in self.structure.retained.iter().enumerate() {
             let block = &problem.blocks[block];
             let n = block.dimension;
             let start = self.matrix.starts[place];
             d[block.tangent..block.tangent + n]
-                .copy_from_slice(&self.kept_vector[start..start + n]);
+                .copy_from_slice(&self.retained_vector[start..start + n]);
         }
         if self.fused.is_none() {
             self.substitute(problem, d);
         }
+        Ok(())
     }
 
     /// Tries the step with damping `lambda` from the current linearisation at `x`: writes it to
-    /// `step` and the values it leads to to `trial`; points beyond `restart_cost` are started again. `None` where the system is not positive
-    /// definite.
+    /// `step` and the values it leads to to `trial`; points beyond `restart_cost` are started again. `None` where the
+    /// system is not positive definite.
     pub(super) fn attempt(
         &mut self,
         problem: &Problem,
@@ -69,7 +78,7 @@ impl Normal {
         trial: &mut [f64],
     ) -> Option<TrialStep> {
         self.reduce(problem, x, lambda).ok()?;
-        self.solve(problem, step);
+        self.solve(problem, step).ok()?;
         let (mut predicted, mut square) = (0.0, 0.0);
         // -(g d + 1/2 d H d) with H d = -g - lambda D d.
         for ((d, g), w) in step.iter().zip(&self.gradient).zip(&self.diagonal) {
@@ -125,7 +134,7 @@ impl Normal {
 
     /// Fills in `d_e` where `d` holds `d_k`.
     fn substitute(&self, problem: &Problem, d: &mut [f64]) {
-        let kept: &[f64] = d;
+        let retained: &[f64] = d;
         let steps: Vec<Vec<f64>> = self
             .partials
             .par_iter()
@@ -138,7 +147,7 @@ impl Normal {
                     let n = problem.blocks[block].dimension;
                     let step = &mut steps[at..at + n];
                     for &(b, f) in self.structure.factors(e) {
-                        self.add_coupling(problem, (b as usize, f as usize), block, kept, step);
+                        self.add_coupling(problem, (b as usize, f as usize), block, retained, step);
                     }
                     let factor = &partial.factor[factor_at..factor_at + n * n];
                     forward_solve(factor, n, step);
@@ -178,7 +187,7 @@ impl Normal {
             for (block, &dim) in named.batch.blocks(f).iter().zip(&named.dims) {
                 if block.index() == eliminated {
                     own = column;
-                } else if self.structure.kept_index[block.index()] != NONE {
+                } else if self.structure.retained_index[block.index()] != NONE {
                     let at = problem.blocks[block.index()].tangent;
                     product += inner(&row[column..column + dim], &d[at..at + dim]);
                 }

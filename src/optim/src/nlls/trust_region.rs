@@ -23,6 +23,9 @@ pub struct SolverState {
     radius: Option<f64>,
     /// Share of the losses' curvature in the Hessian.
     curvature_share: f64,
+    /// Cost of the iterate as the step that led to it added it up; evaluated afresh it may differ in its last bits, because
+    /// the sums are then cut otherwise.
+    cost: f64,
     values: usize,
 }
 
@@ -55,6 +58,8 @@ const MODEL_TOO_STIFF: f64 = 1.25;
 const MODEL_TOO_SOFT: f64 = 0.5;
 /// How fast the share of the curvature goes to 1 or to 0.
 const CURVATURE_GAIN: f64 = 0.4;
+/// A smaller share changes the model by less than a thousandth of the losses' curvature, which is not worth a linearisation.
+const MIN_CURVATURE_SHARE: f64 = 1e-3;
 /// Beyond this damping a step is shorter than rounding.
 const MAX_LAMBDA: f64 = 1e30;
 const MIN_LAMBDA: f64 = 1e-15;
@@ -107,7 +112,7 @@ impl LeastSquares {
         if !cost.is_finite() {
             return Err(SolveError::NotFinite("the cost of the starting values".into()));
         }
-        self.state.values = x.len();
+        (self.state.values, self.state.cost) = (x.len(), cost);
         let tangent = normal.gradient.len();
         self.work = Some(Workspace {
             normal,
@@ -160,8 +165,11 @@ impl Engine<Problem> for LeastSquares {
             work.known_finite = true;
         }
         let residual_norm = (2.0 * work.cost).sqrt();
-        let slope = work.normal.largest_slope();
-        let cosine = if residual_norm > 0.0 { slope / residual_norm } else { 0.0 };
+        let cosine = match (work.normal.gradient_is_known, residual_norm > 0.0) {
+            (true, true) => work.normal.largest_slope() / residual_norm,
+            (true, false) => 0.0,
+            (false, _) => f64::NAN,
+        };
         let mut step = Step {
             cost: work.cost,
             step_norm: 0.0,
@@ -182,6 +190,7 @@ impl Engine<Problem> for LeastSquares {
         }
         let Some(trial) = trial else {
             // Not positive definite: more damping is the remedy.
+            work.solved = false;
             step.stop = self.state.reject_step(&self.options, 0.0);
             return Ok(step);
         };
@@ -199,7 +208,7 @@ impl Engine<Problem> for LeastSquares {
             } else if trial.length <= self.options.step_tolerance * residual_norm {
                 step.stop = Some(Termination::StepConverged);
             }
-            work.cost = trial.cost;
+            (work.cost, self.state.cost) = (trial.cost, trial.cost);
             work.linearized = false;
             self.state.accept_step(&self.options, ratio, trial.length);
             self.state.adapt_curvature(&self.options, ratio);
@@ -232,8 +241,14 @@ impl Engine<Problem> for LeastSquares {
                 x.len()
             )));
         }
+        let saved_cost = state.cost;
         self.state = state;
-        self.prepare(problem, x)
+        let found_cost = self.prepare(problem, x)?;
+        self.state.cost = saved_cost;
+        if let Some(work) = &mut self.work {
+            work.cost = saved_cost;
+        }
+        Ok(found_cost)
     }
 }
 
@@ -248,6 +263,7 @@ impl SolverState {
             nu: 2.0,
             radius: None,
             curvature_share,
+            cost: f64::NAN,
             values: 0,
         }
     }
@@ -262,7 +278,8 @@ impl SolverState {
         if ratio > MODEL_TOO_STIFF {
             self.curvature_share = 1.0 - (1.0 - before) * CURVATURE_GAIN;
         } else if ratio < MODEL_TOO_SOFT {
-            self.curvature_share = before * CURVATURE_GAIN;
+            let smaller = before * CURVATURE_GAIN;
+            self.curvature_share = if smaller < MIN_CURVATURE_SHARE { 0.0 } else { smaller };
         }
         self.curvature_share != before
     }
@@ -319,7 +336,7 @@ fn dogleg_step(
     if !work.solved {
         work.normal.reduce(problem, x, state.lambda).ok()?;
         work.gauss_newton.resize(work.step.len(), 0.0);
-        work.normal.solve(problem, &mut work.gauss_newton);
+        work.normal.solve(problem, &mut work.gauss_newton).ok()?;
         work.solved = true;
     }
     let normal = &work.normal;

@@ -8,7 +8,8 @@
 //! On synthetic masks such a score tells two plants within 7.5 cm from one with an area under the curve of 0.95 (spacing 20 cm), 0.98
 //! (30 cm), 0.73 (10 and 12 cm), with 3 % doubles (`experiments/reference/canopy.md`).
 
-use super::{evidence::Evidence, isolated_plants::median};
+use super::evidence::Evidence;
+use rowgram_optim::robust::median_and_sigma;
 
 /// Radius of the leaf mass near a place.
 const NEAR: f64 = 5.0;
@@ -138,9 +139,8 @@ pub struct PlantScores {
 
 /// Middle and robust standard deviation.
 fn usual(values: &[f64]) -> [f64; 2] {
-    let middle = median(values.to_vec()).unwrap_or(0.0);
-    let off = values.iter().map(|value| (value - middle).abs()).collect();
-    [middle, (1.4826 * median(off).unwrap_or(0.0)).max(1e-3)]
+    let (middle, sigma) = median_and_sigma(values).unwrap_or((0.0, 0.0));
+    [middle, sigma.max(1e-3)]
 }
 
 /// What is usual of the plants of a field.

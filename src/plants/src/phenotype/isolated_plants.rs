@@ -8,6 +8,7 @@
 //! patches is where the search for the spacing starts.
 
 use super::rows::Rows;
+use rowgram_optim::robust::median;
 use rowgram_raster::Mask;
 
 /// Share of the rows that must be bare: photos of young maize and seedlings have from 0.16 on, closed and young canopies of 20 cm less.
@@ -49,7 +50,7 @@ pub fn spacing_px(mask: &Mask, rows: &Rows) -> Option<f64> {
         return None;
     }
     let spacing = middle_distance(&patches)?;
-    let longest = median(patches.iter().flatten().map(|patch| patch.to - patch.from).collect())?;
+    let longest = median(patches.iter().flatten().map(|patch| patch.to - patch.from))?;
     let count: usize = patches.iter().map(Vec::len).sum();
     (count >= LEAST && longest <= LONGEST * spacing).then_some(spacing)
 }
@@ -114,19 +115,13 @@ fn runs(profile: &[f64]) -> Vec<Patch> {
 
 fn middle_distance(patches: &[Vec<Patch>]) -> Option<f64> {
     let pairs = patches.iter().flat_map(|row| row.windows(2));
-    median(pairs.map(|pair| pair[1].middle() - pair[0].middle()).collect())
+    median(pairs.map(|pair| pair[1].middle() - pair[0].middle()))
 }
 
 fn remove_small_patches(patches: &mut [Vec<Patch>]) {
-    let masses = patches.iter().flatten().map(|patch| patch.mass).collect();
+    let masses = patches.iter().flatten().map(|patch| patch.mass);
     let Some(middle) = median(masses) else { return };
     patches.iter_mut().for_each(|row| row.retain(|patch| patch.mass >= SPECK * middle));
-}
-
-/// The middle one, the upper of two; `None` of nothing.
-pub(super) fn median(mut values: Vec<f64>) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
 }
 
 #[cfg(test)]

@@ -11,8 +11,8 @@ use crate::problems::plants::{Field, Model, Plants, Prior, index::PixelIndex, li
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rowgram_optim::{
-    descent::{self, BlockCost as _, Outcome},
-    engine::{SolveError, Step},
+    descent::{self, BlockCost as _},
+    engine::{RunOutcome, SolveError, Step},
 };
 use serde::{Deserialize, Serialize};
 
@@ -222,7 +222,8 @@ impl Setup {
             .enumerate()
             .map(|(p, &position_px)| {
                 let [along, across] = problem.axes().aligned(position_px);
-                let fitted = field.rows.of.get(p).filter(|_| !field.rows.lines.is_empty());
+                let held_to = &field.latent.rows;
+                let fitted = held_to.of.get(p).filter(|_| !held_to.lines.is_empty());
                 let apart = |row: usize| (rows[row].across_px - across).abs();
                 let nearest = (0..rows.len()).min_by(|&a, &b| apart(a).total_cmp(&apart(b)));
                 let row = fitted.map(|&row| row as usize).or(nearest);
@@ -249,7 +250,7 @@ pub fn locate(
     index: PixelIndex,
     options: &PlantFitOptions,
     observe: impl FnMut(u64, &Step),
-) -> Result<(Located, Outcome), LocateError> {
+) -> Result<(Located, RunOutcome), LocateError> {
     let mut setup = Setup::new(index, options)?;
     let outcome = descent::run(
         &setup.problem,
@@ -289,8 +290,8 @@ pub fn locate_best(
     detection: &Detection,
     positions: Option<&[[f64; 2]]>,
     effort: Restarts,
-) -> Result<(Setup, Outcome), LocateError> {
-    let mut best: Option<(Setup, Outcome)> = None;
+) -> Result<(Setup, RunOutcome), LocateError> {
+    let mut best: Option<(Setup, RunOutcome)> = None;
     for start in 0..effort.starts {
         let options = PlantFitOptions { seed: options.seed.wrapping_add(start), ..*options };
         let positions = positions.map(<[[f64; 2]]>::to_vec);
@@ -307,8 +308,8 @@ pub fn locate_best(
         let mut outcome = descend(&mut setup)?;
         if effort.swaps > 0 && setup.problem.swap(&mut setup.field, effort.swaps)? > 0 {
             let again = descend(&mut setup)?;
-            let sweeps = outcome.sweeps + again.sweeps;
-            outcome = Outcome { sweeps, initial_cost: outcome.initial_cost, ..again };
+            let iterations = outcome.iterations + again.iterations;
+            outcome = RunOutcome { iterations, initial_cost: outcome.initial_cost, ..again };
         }
         if best.as_ref().is_none_or(|(_, least)| outcome.final_cost < least.final_cost) {
             best = Some((setup, outcome));

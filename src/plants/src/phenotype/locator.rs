@@ -14,7 +14,10 @@ use crate::problems::plants::{
     Form, Model, PlantUpdate, Prior, Proof, SigmaRule, index::PixelIndex,
 };
 use rowgram_base::options::{Auto, Options as _};
-use rowgram_optim::descent::{self, Order, Outcome};
+use rowgram_optim::{
+    descent::{self, Order},
+    engine::RunOutcome,
+};
 use rowgram_raster::Mask;
 use serde::{Deserialize, Serialize};
 
@@ -240,7 +243,7 @@ pub struct Descended {
     /// The plants.
     pub located: Located,
     /// How it went.
-    pub outcome: Outcome,
+    pub outcome: RunOutcome,
     /// How far plants are from the optima of their convex problems, where that was asked for.
     pub certificate: Option<Proof>,
 }
@@ -322,7 +325,7 @@ impl Descended {
     /// Plants whose convex problem cannot be solved.
     pub fn finish(
         mut setup: Setup,
-        outcome: Outcome,
+        outcome: RunOutcome,
         certify: bool,
     ) -> Result<Descended, LocateError> {
         let certificate = if certify { Some(setup.problem.prove(&mut setup.field)?) } else { None };

@@ -13,7 +13,7 @@
 
 use super::{
     broad_leaves,
-    isolated_plants::{covered_share, median},
+    isolated_plants::covered_share,
     plant_mass::{MassCount, Parts, Plant},
     plant_spacing::Spacing,
     row_membership::RowMembership,
@@ -22,6 +22,7 @@ use super::{
     stand::{BETWEEN, BetweenRows, Gap, LEAST_MISSING, LeafMass, Stalk, Stand},
 };
 use crate::problems::plants::lines::Axes;
+use rowgram_optim::robust::median;
 use rowgram_raster::Mask;
 
 /// The smallest components with this share of the leaf mass are left out when the covered share of rows is measured: specks of residue
@@ -281,7 +282,7 @@ fn find_gaps(stand: &mut Stand) {
         return;
     }
     let gaps: Vec<f64> = pairs().map(|pair| pair[1].along_px - pair[0].along_px).collect();
-    let Some(middle) = median(gaps.clone()) else { return };
+    let Some(middle) = median(gaps.iter().copied()) else { return };
     let mut spacing = Spacing::new(middle);
     for _ in 0..4 {
         spacing = spacing.refit(&gaps);
@@ -338,7 +339,7 @@ fn nearest_px(plants: &[Plant]) -> Option<f64> {
         others.map(|(_, other)| apart(&plants[k], other)).reduce(f64::min)
     };
     // Some of the plants tell enough.
-    median((0..plants.len()).step_by(plants.len().div_ceil(500).max(1)).filter_map(of).collect())
+    median((0..plants.len()).step_by(plants.len().div_ceil(500).max(1)).filter_map(of))
 }
 
 /// The rows of the leaf mask or those of the plants, whichever hold more; none where chance would hold as many.

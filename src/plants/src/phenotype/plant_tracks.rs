@@ -20,6 +20,7 @@
 //! 843-854, with one hypothesis.
 
 use crate::score::matching;
+use rowgram_optim::robust::{median, sigma_of_distances};
 
 /// A plant as one date shows it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -142,11 +143,6 @@ fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
     (a[0] - b[0]).hypot(a[1] - b[1])
 }
 
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    let middle = values.len() / 2;
-    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
-}
-
 /// For each point the nearest of the others and its distance.
 fn nearest(points: &[[f64; 2]], others: &[[f64; 2]], itself: bool) -> Vec<Option<(usize, f64)>> {
     if others.is_empty() {
@@ -200,7 +196,7 @@ fn nearest(points: &[[f64; 2]], others: &[[f64; 2]], itself: bool) -> Vec<Option
 
 /// Distance of neighbouring plants: the median of that to the nearest one.
 fn spacing_m(points: &[[f64; 2]]) -> Option<f64> {
-    median(nearest(points, points, true).into_iter().flatten().map(|(_, d)| d).collect())
+    median(nearest(points, points, true).into_iter().flatten().map(|(_, d)| d))
 }
 
 /// Matches plants of the dates before with those of a date: the pairs as (before, now, probability).
@@ -237,7 +233,7 @@ fn step(from: &[Sighting], to: &[Sighting], plots: usize) -> (Step, Vec<(usize, 
         if chosen.len() < least {
             return None;
         }
-        let axis = |k: usize| median(chosen.iter().map(|d| d[k]).collect());
+        let axis = |k: usize| median(chosen.iter().map(|d| d[k]));
         Some([axis(0)?, axis(1)?])
     };
     let of_field = middle(&|_| true, 1).unwrap_or([0.0; 2]);
@@ -253,7 +249,7 @@ fn step(from: &[Sighting], to: &[Sighting], plots: usize) -> (Step, Vec<(usize, 
         .collect();
     let pairs = matching::within(&expected, &now, REACH * spacing_m);
     // Half of the distances in the plane are below 1.1774 standard deviations of an axis.
-    let scale = median(pairs.iter().map(|pair| pair.distance_px).collect()).map(|m| m / 1.1774);
+    let scale = sigma_of_distances(pairs.iter().map(|pair| pair.distance_px));
     let sigma_m = scale.map(|s| s.max(1e-3 * spacing_m));
     let matched = pairs.len();
     let seen_again = (matched as f64 + 0.5) / (from.len() as f64 + 1.0);

@@ -7,6 +7,7 @@ use super::{
     plot_scatter::{ColourParts, PARTS, PlotParts, jackknife},
     traits::{PlotTraits, deviation_name},
 };
+use rowgram_optim::robust::median;
 use rowgram_raster::{Mask, polygon::Polygon};
 use statrs::statistics::Statistics;
 use std::collections::BTreeMap;
@@ -379,9 +380,7 @@ pub fn plots_from_rows(
     let across = |at: &[f64; 2]| cos * at[1] - sin * at[0];
     of_row.sort_by(|a, b| across(&middle(a)).total_cmp(&across(&middle(b))));
     let middles: Vec<f64> = of_row.iter().map(|row| across(&middle(row))).collect();
-    let mut steps: Vec<f64> = middles.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    steps.sort_by(f64::total_cmp);
-    let half = 0.5 * steps.get(steps.len() / 2).copied().unwrap_or(alley_px);
+    let half = 0.5 * median(middles.windows(2).map(|pair| pair[1] - pair[0])).unwrap_or(alley_px);
     let mut plots = Vec::new();
     for (group, rows) in of_row.chunks(rows_per_plot.max(1)).enumerate() {
         let mut at: Vec<f64> = rows.iter().flatten().map(along).collect();

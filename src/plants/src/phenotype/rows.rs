@@ -19,6 +19,7 @@
 
 use super::{leaf_pixels::LeafPixels, row_lines::lines};
 use crate::problems::plants::lines::Axes;
+use rowgram_optim::robust::median;
 use std::f64::consts::PI;
 
 /// Pixels that the search for the heading looks at, at most.
@@ -152,9 +153,7 @@ pub fn detect(pixels: &impl LeafPixels) -> Detection {
 /// Whether what repeats itself are the plants of one row, seen end on: a row is longer than the
 /// distance to the next.
 fn are_plants(rows: &[Row], spacing_px: f64) -> bool {
-    let mut lengths: Vec<f64> = rows.iter().map(Row::length_px).collect();
-    lengths.sort_by(f64::total_cmp);
-    lengths.get(lengths.len() / 2).is_some_and(|&length| length < 1.2 * spacing_px)
+    median(rows.iter().map(Row::length_px)).is_some_and(|length| length < 1.2 * spacing_px)
 }
 
 /// The headings, in whole degrees, at which the score peaks, the highest first: a field's edges can

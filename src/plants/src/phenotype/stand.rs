@@ -3,6 +3,7 @@
 //! Positions and lengths in pixels of the mask, centre of the top-left pixel at (0, 0).
 
 use super::{plant_spacing::Spacing, rows::Rows};
+use rowgram_optim::robust::median;
 use serde::Serialize;
 
 /// The 97.5 % point of the standard normal distribution.
@@ -99,14 +100,12 @@ impl Stand {
     /// Median distance between neighbours in a row, plants in one place left out; the fitted
     /// spacing where no two plants are in one row.
     pub fn median_gap_px(&self) -> f64 {
-        let mut gaps: Vec<f64> = self
+        let gaps = self
             .plants
             .windows(2)
             .filter(|pair| pair[0].row == pair[1].row)
-            .map(|pair| pair[1].along_px - pair[0].along_px)
-            .collect();
-        gaps.sort_by(f64::total_cmp);
-        gaps.get(gaps.len() / 2).copied().unwrap_or(self.spacing.spacing)
+            .map(|pair| pair[1].along_px - pair[0].along_px);
+        median(gaps).unwrap_or(self.spacing.spacing)
     }
 
     /// Distance between rows and its standard error, where there is more than one.

@@ -8,7 +8,7 @@ use rowgram_base::{
 };
 use rowgram_files::bal;
 use rowgram_optim::{
-    drive::{Drive, Fingerprint, Limits, LogEntry, Outcome},
+    drive::{Drive, DriveOutcome, Fingerprint, Limits, LogEntry},
     engine::Termination,
     nlls::{self, BatchPath, BatchSummary, LeastSquares, LinearPath, LinearSolver, Summary},
     output::{self, FileError},
@@ -120,15 +120,8 @@ pub(super) fn adjust_network(
     outcome.log.iter_mut().for_each(|entry| entry.seconds += setup_seconds);
     let solve_seconds = begin.elapsed().as_secs_f64();
 
-    let summary = Summary::new(
-        &bundle.problem,
-        &outcome.x,
-        outcome.initial_cost,
-        outcome.final_cost,
-        outcome.iterations,
-        outcome.stop,
-    )?
-    .with_paths(&paths, linear.as_ref());
+    let summary = Summary::new(&bundle.problem, &outcome.x, outcome.as_run())?
+        .with_paths(&paths, linear.as_ref());
     if let Some(path) = &outputs.output {
         bundle.update(&outcome.x, &mut network);
         bal::write(path, &network, outputs.force)?;
@@ -182,7 +175,7 @@ fn limits(options: &AdjustOptions) -> Result<Limits, Error> {
 }
 
 /// The outcome, and how batches and linear systems were worked on.
-type Solved = (Outcome<Vec<f64>>, Vec<BatchPath>, Option<LinearPath>);
+type Solved = (DriveOutcome<Vec<f64>>, Vec<BatchPath>, Option<LinearPath>);
 
 fn solve(
     bundle: &Bundle,
@@ -201,10 +194,18 @@ fn solve(
     };
     let mut engine = LeastSquares::new(settings.clone());
     let total = limits.max_iterations;
+    let mut warned = false;
     let mut drive = Drive::new(&bundle.problem, &mut engine, bundle.problem.start())
         .limits(limits)
         .force(outputs.force)
         .on_step(|event| {
+            let (iteration, cost) = (event.iteration, event.cost);
+            let step = event.step.map(|step| (step.step_norm, step.accepted));
+            tracing::debug!(iteration, cost, ?step, "adjusting");
+            if let (Some(error), false) = (event.file_error, warned) {
+                tracing::warn!("no checkpoint at iteration {iteration}: {error}");
+                warned = true;
+            }
             monitor.progress(&Progress {
                 activity: "adjusting",
                 done: event.iteration,

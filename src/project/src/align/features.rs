@@ -245,14 +245,14 @@ fn find(
         grey.as_raw().iter().filter(|&&value| is(value)).count() as f32 / grey.len().max(1) as f32
     };
     let largest = pairs::largest(&found, CoarseOptions::default().features);
-    let sigmas_px = found.key_points.iter().map(|point| point.sigma_px).collect();
+    let sigmas_px = found.key_points.iter().map(|point| point.sigma_px);
     let mut out = Found {
         clipped: [share(&|value| value < 3), share(&|value| value > 252)],
         width_px: found.width_px,
         height_px: found.height_px,
         largest: Bytes(largest.as_bytes().to_vec()),
         feature_sigma_px: (found.key_points.len() >= LEAST_FEATURES)
-            .then(|| sharpness::median(sigmas_px)),
+            .then(|| rowgram_optim::robust::median(sigmas_px).unwrap_or(0.0)),
         ..Found::default()
     };
     for point in &found.key_points {

@@ -7,6 +7,7 @@ use rowgram_base::{
     monitor::{Diagnostic, Monitor},
 };
 use rowgram_files::photo::Geotag;
+use rowgram_optim::robust::median;
 use rowgram_raster::crs::{Crs, FOOT_M, US_SURVEY_FOOT_M};
 use rowgram_survey::scene::GroundPoint;
 
@@ -23,11 +24,6 @@ const LONGITUDE_DEG: f64 = 60.0;
 /// The metre in feet: international and of the US survey.
 const FEET: [f64; 2] = [FOOT_M, US_SURVEY_FOOT_M];
 
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
-}
-
 /// Metres between two places on a sphere.
 fn distance_m([lat, lon]: [f64; 2], [lat2, lon2]: [f64; 2]) -> f64 {
     let [a, b] = [lat, lat2].map(f64::to_radians);
@@ -38,8 +34,8 @@ fn distance_m([lat, lon]: [f64; 2], [lat2, lon2]: [f64; 2]) -> f64 {
 
 fn middle(tags: &[Geotag]) -> [f64; 2] {
     [
-        median(tags.iter().map(|tag| tag.latitude_deg).collect()),
-        median(tags.iter().map(|tag| tag.longitude_deg).collect()),
+        median(tags.iter().map(|tag| tag.latitude_deg)).unwrap_or(0.0),
+        median(tags.iter().map(|tag| tag.longitude_deg)).unwrap_or(0.0),
     ]
 }
 
@@ -149,7 +145,7 @@ fn apart_m(ground: &[GroundPoint], photos: &[[f64; 2]], factor: f64) -> f64 {
         let [x, y, _] = point.position_m.map(|v| v * factor);
         photos.iter().map(|p| (p[0] - x).hypot(p[1] - y)).fold(f64::INFINITY, f64::min)
     };
-    median(ground.iter().map(of).collect())
+    median(ground.iter().map(of)).unwrap_or(0.0)
 }
 
 /// Why control lies far from the photos in a system, if it does.

@@ -1,6 +1,7 @@
 //! What the photos themselves say of their quality: blur and exposure, against the other photos of the flight.
 
 use rowgram_base::monitor::Diagnostic;
+use rowgram_optim::robust::median;
 
 /// What is known of one photo.
 pub(super) struct Quality<'a> {
@@ -22,15 +23,6 @@ const LEAST_PHOTOS: usize = 4;
 /// A photo with a larger share of black or white pixels has lost what it could have shown there.
 const CLIPPED_SHARE: f32 = 0.5;
 
-/// The middle of the values; 0 without any.
-pub(super) fn median(mut values: Vec<f32>) -> f32 {
-    let middle = values.len() / 2;
-    if values.is_empty() {
-        return 0.0;
-    }
-    *values.select_nth_unstable_by(middle, f32::total_cmp).1
-}
-
 /// Names photos that are blurred, too dark or too bright.
 pub(super) fn judge(photos: &[Quality<'_>]) -> Vec<Diagnostic> {
     let mut found = Vec::new();
@@ -48,7 +40,7 @@ pub(super) fn judge(photos: &[Quality<'_>]) -> Vec<Diagnostic> {
         if sizes.len() < LEAST_PHOTOS {
             continue;
         }
-        let ratio = sigma_px / median(sizes);
+        let ratio = sigma_px / median(sizes).unwrap_or(0.0);
         if ratio > BLURRED_RATIO {
             let message = format!(
                 "it seems blurred: what it shows is {ratio:.1} times as coarse as in the other photos"

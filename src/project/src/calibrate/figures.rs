@@ -4,6 +4,7 @@ use super::{Calibration, tables::residual_rows};
 use plotters::prelude::*;
 use rowgram_base::error::Error;
 use rowgram_optim::output::{self, FileError};
+use rowgram_optim::robust::median;
 use rowgram_survey::problems::calibration::{
     residuals::{CornerResidual, DistortionAt, Ring, distortion_curve, principal_point_px, rings},
     statistics::Statistics,
@@ -76,9 +77,8 @@ fn residuals(
     size_px: [u32; 2],
 ) -> Result<(), Error> {
     let [width, height] = size_px.map(f64::from);
-    let mut lengths: Vec<f64> = rows.iter().map(|row| row.du_px.hypot(row.dv_px)).collect();
-    lengths.sort_by(f64::total_cmp);
-    let usual = lengths.get(lengths.len() / 2).copied().unwrap_or(1.0).max(1e-9);
+    let lengths = rows.iter().map(|row| row.du_px.hypot(row.dv_px));
+    let usual = median(lengths).unwrap_or(1.0).max(1e-9);
     // The usual arrow is about a hundredth of the picture's width long.
     let wanted = width / 100.0 / usual;
     let decade = 10f64.powf(wanted.log10().floor());

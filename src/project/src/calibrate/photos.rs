@@ -8,6 +8,7 @@ use rowgram_base::{
 };
 use rowgram_files::{corners, images};
 use rowgram_optim::output::FileError;
+use rowgram_optim::robust::median;
 use rowgram_survey::{
     problems::calibration::{Mark, View, consistent::MIN_VIEWS, start},
     target::{self, Board, BoardCorner, NotFound, detect},
@@ -392,12 +393,8 @@ pub(super) fn refuse_too_few(photos: &[Photo], used: &[usize], board: Board) -> 
 pub(super) fn report_blurred(photos: &mut [Photo], used: &[usize], monitor: &mut dyn Monitor) {
     const RATIO: f64 = 2.0;
     const MIN_WIDTH_PX: f64 = 2.5;
-    let mut widths: Vec<f64> = used.iter().filter_map(|&k| photos[k].edge_width_px).collect();
-    if widths.is_empty() {
-        return;
-    }
-    widths.sort_by(f64::total_cmp);
-    let median = widths[widths.len() / 2];
+    let widths = used.iter().filter_map(|&k| photos[k].edge_width_px);
+    let Some(median) = median(widths) else { return };
     for &k in used {
         let Some(width) = photos[k].edge_width_px else { continue };
         if width > RATIO * median && width > MIN_WIDTH_PX {

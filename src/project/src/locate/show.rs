@@ -3,6 +3,7 @@
 use crate::figures::View;
 use image::Rgb;
 use rowgram_base::monitor::{Diagnostic, Monitor};
+use rowgram_optim::robust::median;
 use rowgram_plants::phenotype::{
     locator::Found,
     stand::{Stalk, Stand},
@@ -56,9 +57,8 @@ pub(super) fn tell(stand: &Stand, subject: &str, monitor: &mut dyn Monitor) {
 /// Rows with far fewer plants for their length than the middle one.
 fn thin_rows(stand: &Stand) -> usize {
     let rows = stand.row_counts.iter().zip(&stand.rows.rows);
-    let mut density: Vec<f64> = rows.map(|(count, row)| count / row.length_px().max(1.0)).collect();
-    density.sort_by(f64::total_cmp);
-    let Some(&middle) = density.get(density.len() / 2) else { return 0 };
+    let density: Vec<f64> = rows.map(|(count, row)| count / row.length_px().max(1.0)).collect();
+    let Some(middle) = median(density.iter().copied()) else { return 0 };
     density.iter().filter(|&&of| of < THIN * middle).count()
 }
 

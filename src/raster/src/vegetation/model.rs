@@ -17,6 +17,7 @@
 //! Reference: T. W. Ridler, S. Calvard, "Picture thresholding using an iterative selection method", IEEE Trans.
 //! SMC 8, 1978.
 
+use rowgram_optim::robust::median;
 use serde::{Deserialize, Serialize};
 
 /// Share of the way from background to vegetation at which both are equally likely. Chosen, as the two weights below
@@ -195,12 +196,11 @@ fn dot(a: &[f64; 5], b: &[f64; 5]) -> f64 {
 /// Robust least squares of the background on the surface's basis, held near zero where there is little background.
 fn background_surface(samples: &[Sample], z: &[f64], classes: &Classes) -> [f64; 5] {
     let limit = classes.background + 0.3 * classes.distance();
-    let mut below: Vec<f64> = z.iter().copied().filter(|&z| z < limit).collect();
+    let below: Vec<f64> = z.iter().copied().filter(|&z| z < limit).collect();
     if below.len() < 100 {
         return [0.0; 5];
     }
-    let middle = below.len() / 2;
-    let median = *below.select_nth_unstable_by(middle, f64::total_cmp).1;
+    let median = median(below).unwrap_or(0.0);
     let mut normal = nalgebra::SMatrix::<f64, 5, 5>::identity() * (0.02 * samples.len() as f64);
     let mut right = nalgebra::SVector::<f64, 5>::zeros();
     for (sample, &z) in samples.iter().zip(z).filter(|(_, z)| **z < limit) {

@@ -77,7 +77,7 @@ fn bisect(c: &[f64], mut low: f64, mut high: f64) -> Option<f64> {
 
 /// The `r` in `0..=limit` with `curve(r) = target`, for a curve from 0 that grows up to `limit`
 /// (which may be infinite); `curve` gives value and slope. `None` where the curve does not reach so
-/// far.
+/// far, and of a target that is not finite.
 pub(super) fn invert_monotonic(
     target: f64,
     limit: f64,
@@ -85,6 +85,9 @@ pub(super) fn invert_monotonic(
 ) -> Option<f64> {
     if target == 0.0 {
         return Some(0.0);
+    }
+    if !target.is_finite() {
+        return None;
     }
     let (mut low, mut high) = (0.0, limit);
     if !high.is_finite() {
@@ -172,5 +175,14 @@ mod tests {
         // Near is not crossing.
         assert_eq!(smallest_positive_root(&[1.000_001, -2.0, 1.0]), None);
         assert_eq!(invert_monotonic(3.0, 1.0, |r| (r, 1.0)), None);
+    }
+
+    #[test]
+    fn a_target_that_is_not_finite_is_not_reached() {
+        for target in [f64::NAN, f64::INFINITY] {
+            for limit in [1.0, f64::INFINITY] {
+                assert_eq!(invert_monotonic(target, limit, |r| (r, 1.0)), None);
+            }
+        }
     }
 }

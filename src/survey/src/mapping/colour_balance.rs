@@ -17,6 +17,7 @@ use crate::problems::radiometry::{
 };
 use rayon::prelude::*;
 use rowgram_optim::engine::SolveError;
+use rowgram_optim::robust::median;
 use rowgram_raster::window::Window;
 use serde::{Deserialize, Serialize};
 
@@ -290,7 +291,7 @@ fn summary(
         downweighted: solution.downweighted,
         difference: differences(block, solution, &shapes),
         gain_range: [least, most],
-        gain_sigma: median(log_gain_sigmas.iter().map(mean).collect()),
+        gain_sigma: median(log_gain_sigmas.iter().map(mean)).unwrap_or(0.0),
         cameras: cameras.collect(),
     };
     BalancedPhotos { balance, log_gain_sigmas, corrections }
@@ -317,12 +318,7 @@ fn differences(
             let (a, b) = (grey(&pair[0], corrected), grey(&pair[1], corrected));
             (0..3).map(|c| (a[c] - b[c]).abs()).sum::<f64>() / 3.0
         });
-        median(off.collect())
+        median(off).unwrap_or(0.0)
     };
     OverlapDifference { before: of(false), after: of(true) }
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
 }

@@ -18,6 +18,7 @@
 use super::{MapError, Surface, surface::HeightInterpolation};
 use crate::scene::Reconstruction;
 use rayon::prelude::*;
+use rowgram_optim::robust;
 use rowgram_raster::georeference::Georeference;
 use serde::{Deserialize, Serialize};
 use spade::{
@@ -167,10 +168,8 @@ impl TriangulatedCloud {
             mesh = triangulate(&vertices)?;
         }
         outliers.sort_unstable();
-        let mut sides: Vec<f64> =
-            mesh.undirected_edges().map(|edge| edge.length_2().sqrt()).collect();
-        sides.sort_by(f64::total_cmp);
-        let spacing_m = sides[sides.len() / 2];
+        let sides = mesh.undirected_edges().map(|edge| edge.length_2().sqrt());
+        let spacing_m = robust::median(sides).unwrap_or(0.0);
         let statistics = CloudStatistics {
             points: points.len(),
             duplicates,
@@ -300,10 +299,7 @@ fn residuals(mesh: &Mesh) -> Vec<f64> {
 
 /// The height at the origin of the plane with the least sum of distances, by repeated weighting.
 fn plane(points: &[[f64; 3]]) -> f64 {
-    let median = |mut values: Vec<f64>| {
-        values.sort_by(f64::total_cmp);
-        if values.is_empty() { 0.0 } else { values[values.len() / 2] }
-    };
+    let median = |values: Vec<f64>| robust::median(values).unwrap_or(0.0);
     if points.len() < 5 {
         return median(points.iter().map(|p| p[2]).collect());
     }

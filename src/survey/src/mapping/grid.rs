@@ -1,6 +1,7 @@
 //! Grids of products: which part of the mapping frame they cover, and with how many cells.
 
 use super::{MapError, Surface, View, view::Bounds};
+use rowgram_optim::robust::median;
 use rowgram_raster::georeference::{Crs, Georeference};
 
 /// What photos show of a surface.
@@ -36,9 +37,7 @@ pub fn coverage(views: &[View], surface: &Surface) -> Coverage {
 
 /// Median ground sampling distance of photos, metres per pixel; `None` where the middle of none shows the surface.
 pub fn median_gsd_m(views: &[View], surface: &Surface) -> Option<f64> {
-    let mut all: Vec<f64> = views.iter().filter_map(|view| view.gsd_m(surface)).collect();
-    all.sort_by(f64::total_cmp);
-    all.get(all.len() / 2).copied()
+    median(views.iter().filter_map(|view| view.gsd_m(surface)))
 }
 
 /// A number with so many significant digits, so that people can name it.

@@ -18,6 +18,7 @@ use rowgram_optim::nlls::{
     self, Euclidean, Infeasible, LinearSolver, Loss, Options, Problem, Residual, Residuals, Scalar,
     Vector, covariance::Covariance,
 };
+use rowgram_optim::robust::{median, sigma_of_distances};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -194,8 +195,9 @@ impl Field<'_> {
 
     /// With or without the stretch.
     fn fitted(&self, stretches: bool) -> Option<Fitted> {
-        let shift = |k: usize| self.ties.iter().map(move |t| t.to_m[k] - t.from_m[k]).collect();
-        let mut parameters = [median(shift(0)), median(shift(1)), 0.0, 0.0, 0.0, 0.0];
+        let shift = |k: usize| self.ties.iter().map(move |t| t.to_m[k] - t.from_m[k]);
+        let middle = [0, 1].map(|k| median(shift(k)).unwrap_or(0.0));
+        let mut parameters = [middle[0], middle[1], 0.0, 0.0, 0.0, 0.0];
         let mut sigma_m = self.spread(&parameters);
         let mut covariance = Vec::new();
         for _ in 0..ROUNDS {
@@ -235,7 +237,7 @@ impl Field<'_> {
             let [x, y] = self.residual(tie, p);
             x.hypot(y)
         });
-        (median(lengths.collect()) / 1.1774).max(1e-6 * self.reach_m)
+        sigma_of_distances(lengths).unwrap_or(0.0).max(1e-6 * self.reach_m)
     }
 }
 
@@ -297,14 +299,6 @@ impl Fitted {
             edge_sigma_m: place(1.0, 0.0).max(place(0.0, 1.0)),
         })
     }
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    let middle = values.len() / 2;
-    if values.is_empty() {
-        return 0.0;
-    }
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
 #[cfg(test)]

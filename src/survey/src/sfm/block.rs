@@ -13,6 +13,7 @@ use crate::{
 };
 use rayon::prelude::*;
 use rowgram_optim::geometry::rotation;
+use rowgram_optim::robust::sigma_of_distances;
 
 /// What is found in one image.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -141,10 +142,8 @@ impl<'a> Block<'a> {
                 errors.extend(projected.map(|[u, v]| (u - at[0]).hypot(v - at[1])));
             }
         }
-        errors.sort_by(f64::total_cmp);
         let share = 1.0 - unknowns as f64 / (2 * errors.len().max(1)) as f64;
-        let median = errors.get(errors.len() / 2).copied().unwrap_or(1.1774);
-        median / 1.1774 / share.max(0.1).sqrt()
+        sigma_of_distances(errors).unwrap_or(1.0) / share.max(0.1).sqrt()
     }
 
     /// How many images have a pose.

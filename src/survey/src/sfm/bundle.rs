@@ -44,7 +44,7 @@ fn keep_feasible(scene: &mut Reconstruction) {
 }
 
 /// Adjusts a reconstruction whose images from `free` on are held; the final cost. What cannot be evaluated at the start
-/// takes no part.
+/// takes no part; points, images and cameras that this leaves without any measurement stay where they are.
 ///
 /// # Errors
 /// Where it cannot be evaluated.
@@ -57,6 +57,7 @@ pub(super) fn bundle_adjust(
     let settings = Settings { tie_loss: options.loss, ..Settings::default() };
     let mut problem = AdjustmentProblem::new(scene, &settings)?;
     (free..scene.images.len()).try_for_each(|image| problem.hold_image(image))?;
+    problem.problem.fix_unused();
     let engine = Engine { cost_tolerance: options.cost_tolerance, ..settings.engine() };
     let mut x = problem.problem.start();
     let summary = solve(&problem.problem, &mut x, &engine, options.iterations)?;
@@ -101,6 +102,68 @@ impl Block<'_> {
         }
         for (camera, adjusted) in self.cameras.iter_mut().zip(&scene.cameras) {
             camera.interior = adjusted.interior;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        camera::{Camera, Interior, Lens, Model},
+        scene::{Image, Observation, Pose, TiePoint},
+    };
+
+    #[test]
+    fn what_has_lost_all_its_measurements_stays_and_ends_nothing() {
+        let values = [480.0, 1.0, 299.5, 224.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+        let lens = Interior::new(Model::Brown, [600, 450], &values).unwrap();
+        let mut scene = Reconstruction {
+            cameras: vec![Camera::new("toy", lens)],
+            tie_sigma_px: 0.5,
+            ..Reconstruction::default()
+        };
+        for k in 0..4_u32 {
+            scene.images.push(Image {
+                name: format!("photo {k}"),
+                id: k,
+                camera: 0,
+                pose: Pose::from_centre([1.0, 0.0, 0.0, 0.0], [2.0 * f64::from(k), 0.0, 12.0]),
+                motion: [0.0; 6],
+                expected_motion: [0.0; 6],
+            });
+        }
+        let mut point = |position_m: [f64; 3]| {
+            scene.points.push(TiePoint { id: 7, position_m, colour: [0; 3] });
+            scene.points.len() as u32 - 1
+        };
+        let seen: Vec<(u32, [f64; 3])> = (0..25_u32)
+            .map(|k| [f64::from(k % 5), f64::from(k / 5) - 2.0, 0.3 * f64::from(k % 3)])
+            .map(|at| (point(at), at))
+            .collect();
+        // Above the photos: no step has put it there yet, but none can see it. The last photo has nothing else.
+        let lost = point([2.0, 0.0, 30.0]);
+        for (point, at) in seen {
+            for image in 0..3 {
+                let image_px = lens.project(scene.images[image].pose.to_camera(at)).unwrap();
+                scene.observations.push(Observation { image: image as u32, point, image_px });
+            }
+        }
+        for image in 0..4 {
+            scene.observations.push(Observation { image, point: lost, image_px: [300.0, 200.0] });
+        }
+        scene.images[2].pose.translation[0] += 0.05;
+        let before = scene.clone();
+        let options =
+            BundleAdjustmentOptions { loss: Loss::Trivial, iterations: 50, cost_tolerance: 1e-9 };
+        let cost = bundle_adjust(&mut scene, 4, &options).unwrap();
+        assert!(cost < 1e-6, "{cost}");
+        for k in 0..3 {
+            let [was, is] =
+                [&before, &scene].map(|scene| scene.points[lost as usize].position_m[k]);
+            assert!((was - is).abs() < 1e-9);
+            let [was, is] = [&before, &scene].map(|scene| scene.images[3].pose.translation[k]);
+            assert!((was - is).abs() < 1e-9);
         }
     }
 }

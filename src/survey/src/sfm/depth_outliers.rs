@@ -12,6 +12,7 @@
 
 use super::{block::Block, epipolar_rematching::Buckets, relative::Ray};
 use rayon::prelude::*;
+use rowgram_optim::robust;
 
 /// The neighbours that a point is compared with.
 const NEIGHBOURS: usize = 16;
@@ -40,7 +41,7 @@ impl Place {
             0.5 * (values[NEIGHBOURS / 2 - 1] + values[NEIGHBOURS / 2])
         };
         let middle = median(&mut around.clone());
-        let spread = 1.4826 * median(&mut around.map(|q| (q - middle).abs()));
+        let spread = robust::NORMAL_MAD_RATIO * median(&mut around.map(|q| (q - middle).abs()));
         Place { track, own, around, median: middle, spread }
     }
 
@@ -96,9 +97,7 @@ fn alone_in(block: &Block<'_>, image: usize) -> Vec<u32> {
             Some(Place::new(tracks[index], inverse[index], around.map(|k| inverse[k as usize])))
         })
         .collect();
-    let mut spreads: Vec<f64> = found.iter().map(|place| place.spread).collect();
-    spreads.sort_by(f64::total_cmp);
-    let least = LEAST * spreads.get(spreads.len() / 2).copied().unwrap_or(0.0);
+    let least = LEAST * robust::median(found.iter().map(|place| place.spread)).unwrap_or(0.0);
     let alone = found.iter().filter(|place| place.stands_alone(least));
     alone.map(|place| place.track).collect()
 }

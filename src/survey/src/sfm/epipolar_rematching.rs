@@ -21,6 +21,7 @@ use crate::{
 };
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
+use rowgram_optim::robust::sigma_of_errors;
 
 /// How matches are looked for again.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -93,9 +94,7 @@ impl Ground {
                 .iter()
                 .map(|[x, y, inverse]| inverse / at(&plane, [*x, *y]).max(1e-12) - 1.0)
                 .collect();
-            let mut sizes: Vec<f64> = off.iter().map(|v| v.abs()).collect();
-            sizes.sort_by(f64::total_cmp);
-            spread = 1.4826 * sizes[sizes.len() / 2];
+            spread = sigma_of_errors(off.iter().copied())?;
             let scale = 2.0 * spread.max(1e-6);
             for (weight, off) in weights.iter_mut().zip(&off) {
                 *weight = 1.0 / (1.0 + (off / scale).powi(2)).powi(2);

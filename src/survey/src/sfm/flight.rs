@@ -9,6 +9,7 @@ use crate::{
     scene::{Image, Reconstruction},
 };
 use rowgram_optim::geometry::rotation;
+use rowgram_optim::robust::median;
 use serde::{Deserialize, Serialize};
 
 /// Pixels of a photo that are followed, along each side.
@@ -34,21 +35,20 @@ pub struct FlightSummary {
 impl FlightSummary {
     /// Of a block, and the times of its photos after ISO 8601.
     pub fn of(block: &Reconstruction, times: &[String]) -> FlightSummary {
-        let mut heights: Vec<f64> = block.points.iter().map(|point| point.position_m[2]).collect();
+        let heights = block.points.iter().map(|point| point.position_m[2]);
         let mut found = FlightSummary {
             first_photo_time: times.iter().min().cloned(),
             last_photo_time: times.iter().max().cloned(),
             ..FlightSummary::default()
         };
-        let Some(ground) = median(&mut heights) else { return found };
+        let Some(ground) = finite_median(heights) else { return found };
         let above = |image: &Image| image.pose.centre_m()[2] - ground;
-        found.height_above_ground_m =
-            median(&mut block.images.iter().map(above).collect::<Vec<f64>>());
+        found.height_above_ground_m = finite_median(block.images.iter().map(above));
         let shares: Vec<[f64; 2]> =
             (0..block.images.len()).filter_map(|image| shared(block, image, ground)).collect();
-        let column = |k: usize| shares.iter().map(|share| share[k]).collect::<Vec<f64>>();
-        found.overlap = median(&mut column(0));
-        found.photos_per_place = median(&mut column(1));
+        let column = |k: usize| shares.iter().map(move |share| share[k]);
+        found.overlap = finite_median(column(0));
+        found.photos_per_place = finite_median(column(1));
         found
     }
 }
@@ -107,13 +107,9 @@ fn shows(block: &Reconstruction, image: usize, place: [f64; 3]) -> bool {
         .is_some_and(|at| (0..2).all(|axis| at[axis] >= -0.5 && at[axis] < size[axis] - 0.5))
 }
 
-fn median(values: &mut [f64]) -> Option<f64> {
-    if values.is_empty() {
-        return None;
-    }
-    let middle = values.len() / 2;
-    let (_, value, _) = values.select_nth_unstable_by(middle, f64::total_cmp);
-    value.is_finite().then_some(*value)
+/// The median; `None` of nothing, and where it is no number.
+fn finite_median(values: impl IntoIterator<Item = f64>) -> Option<f64> {
+    median(values).filter(|value| value.is_finite())
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 //! positions, each by its own similarity; then fragments are one block, tied by the tracks they share.
 
 pub use super::positions::{PositionFit, weigh_positions};
+use rowgram_optim::robust::median;
 
 pub use super::control::{MarkReview, WrongMark, axes_exchanged, control_left_m, review_marks};
 
@@ -282,11 +283,6 @@ pub fn join<'a>(
     Some(Joined { block, alignments, georeferenced, position_shift_m, heights })
 }
 
-pub(super) fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
-}
-
 /// A receiver's positions have a common error (and heights of another datum than the control's),
 /// which control tells.
 fn remove_common_offset(block: &Block<'_>, positions: &mut [CameraPosition]) -> Option<[f64; 3]> {
@@ -300,7 +296,7 @@ fn remove_common_offset(block: &Block<'_>, positions: &mut [CameraPosition]) -> 
     if left.len() < 3 {
         return None;
     }
-    let shift: [f64; 3] = std::array::from_fn(|k| median(left.iter().map(|d| d[k]).collect()));
+    let shift: [f64; 3] = std::array::from_fn(|k| median(left.iter().map(|d| d[k])).unwrap_or(0.0));
     for position in positions.iter_mut() {
         (0..3).for_each(|k| position.position_m[k] -= shift[k]);
     }

@@ -1,10 +1,8 @@
 //! Camera positions against a block: how accurate they are, how long their errors stay alike, and which of them are wrong.
 
-use super::{
-    block::Block,
-    georeference::{Known, median},
-};
+use super::{block::Block, georeference::Known};
 use crate::scene::{CameraPosition, Role};
+use rowgram_optim::robust::{median, sigma_of_errors};
 use serde::Serialize;
 
 /// From so many control points on these fix where a block is.
@@ -61,15 +59,15 @@ pub fn weigh_positions(
         return None;
     }
     let scale = |axes: &[usize]| {
-        let values = all.iter().flat_map(|d| axes.iter().map(|&k| d[k].abs())).collect();
-        (1.4826 * median(values)).max(0.01)
+        let errors = all.iter().flat_map(|d| axes.iter().map(|&k| d[k]));
+        sigma_of_errors(errors).unwrap_or(0.0).max(0.01)
     };
     let sigma_m = [scale(&[0, 1]), scale(&[2])];
     let mut outliers = Vec::new();
     // What a receiver says of its accuracy may be far from true.
     let usual = |axis: usize| {
         let of = known.positions.iter().filter_map(|p| *told.get(p.image as usize)?);
-        median(of.map(|sigma| sigma[axis]).collect())
+        median(of.map(|sigma| sigma[axis])).unwrap_or(0.0)
     };
     let larger: [f64; 3] = std::array::from_fn(|k| {
         (sigma_m[usize::from(k == 2)] / (TOLD_SIGMA_RATIO * usual(k)).max(1e-9)).max(1.0)

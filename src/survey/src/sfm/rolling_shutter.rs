@@ -20,6 +20,7 @@ use crate::{
     scene::{GroundObservation, Reconstruction, RollingShutter},
 };
 use nalgebra::Vector3;
+use rowgram_optim::robust::median;
 use rowgram_optim::{engine::SolveError, geometry::rotation, nlls::Loss};
 
 /// What a rolling shutter does to a block.
@@ -354,17 +355,11 @@ fn common(survey: &Reconstruction, along: &[Option<[f64; 3]>]) -> (f64, f64) {
 
 /// Median distance of points from the cameras that see them, metres.
 fn distance_m(survey: &Reconstruction) -> Option<f64> {
-    let mut all: Vec<f64> = survey
-        .observations
-        .iter()
-        .step_by(5)
-        .map(|o| {
-            let pose = survey.images[o.image as usize].pose;
-            -pose.to_camera(survey.points[o.point as usize].position_m)[2]
-        })
-        .collect();
-    all.sort_by(f64::total_cmp);
-    all.get(all.len() / 2).copied().filter(|&distance| distance > 0.0)
+    let all = survey.observations.iter().step_by(5).map(|o| {
+        let pose = survey.images[o.image as usize].pose;
+        -pose.to_camera(survey.points[o.point as usize].position_m)[2]
+    });
+    median(all).filter(|&distance| distance > 0.0)
 }
 
 /// Marks in images that do not show the point would end an adjustment before it begins.

@@ -1,4 +1,4 @@
-//! Assembly of the reduced system: what the chunks of eliminated blocks sum up, and the factors of kept blocks alone.
+//! Assembly of the reduced system: what the chunks of eliminated blocks sum up, and the factors of retained blocks alone.
 //!
 //! Symbols as in [`super`]. Chunks and factors are added in their order, so that sums do not depend on the number of threads.
 
@@ -15,13 +15,13 @@ impl Normal {
                     *to += from;
                 }
             }
-            for (k, &kept) in chunk.kept.iter().enumerate() {
-                let block = problem.blocks[self.structure.kept[kept as usize]].tangent;
-                let start = self.matrix.starts[kept as usize];
+            for (k, &retained) in chunk.retained.iter().enumerate() {
+                let block = problem.blocks[self.structure.retained[retained as usize]].tangent;
+                let start = self.matrix.starts[retained as usize];
                 for (offset, local) in (chunk.starts[k]..chunk.starts[k + 1]).enumerate() {
                     self.gradient[block + offset] += partial.gradient[local];
                     self.diagonal[block + offset] += partial.diagonal[local];
-                    self.kept_vector[start + offset] += partial.correction[local];
+                    self.retained_vector[start + offset] += partial.correction[local];
                 }
             }
             let mut at = 0;
@@ -48,7 +48,7 @@ impl Normal {
             let blocks = named.batch.blocks(f);
             let mut column = 0;
             for (k, block) in blocks.iter().enumerate() {
-                let place = self.structure.kept_index[block.index()];
+                let place = self.structure.retained_index[block.index()];
                 if place != NONE {
                     let dim = named.dims[k];
                     let at = problem.blocks[block.index()].tangent;
@@ -61,7 +61,7 @@ impl Normal {
                     }
                     let mut other_column = 0;
                     for (other, other_dim) in blocks[..=k].iter().zip(&named.dims) {
-                        let other_place = self.structure.kept_index[other.index()];
+                        let other_place = self.structure.retained_index[other.index()];
                         if other_place != NONE {
                             add_product(
                                 &mut self.matrix,

@@ -71,7 +71,7 @@ impl<const K: usize, const S: usize, const D: usize> Layout<K, S, D> {
 /// The rows or the columns of a rectangle.
 #[derive(Clone, Copy)]
 struct Side<'a> {
-    /// Its block's place among the kept ones.
+    /// Its block's place among the retained ones.
     place: usize,
     /// How many the block has.
     dimensions: usize,
@@ -79,7 +79,7 @@ struct Side<'a> {
     entries: &'a [usize],
 }
 
-/// Adds a row-major block of kept blocks, its rows padded, in whichever triangle it is stored.
+/// Adds a row-major block of retained blocks, its rows padded, in whichever triangle it is stored.
 fn add_rectangle(sums: &mut NormalEquationsMut<'_>, row: Side<'_>, column: Side<'_>, from: &[f64]) {
     let turned = row.place < column.place;
     let Some(slot) = sums.matrix.slot(row.place.max(column.place), row.place.min(column.place))

@@ -1,6 +1,6 @@
 //! What the fused path keeps in memory: observations by point, and the sums of each chunk.
 
-use super::product::{Kept, kept_record, whole};
+use super::product::{StoredNumber, stored_record, whole};
 use crate::{
     lanes::MAX_WIDTH,
     nlls::{
@@ -11,7 +11,7 @@ use crate::{
 };
 use std::ops::Range;
 
-/// Numbers per row of a kept Jacobian in memory: whole registers.
+/// Numbers per row of a retained Jacobian in memory: whole registers.
 pub(super) const fn padded(k: usize) -> usize {
     k.div_ceil(8) * 8
 }
@@ -30,8 +30,8 @@ pub(super) const fn block_len(k: usize) -> usize {
 /// Observations that are linearised before their points are eliminated: their Jacobians fit into
 /// half of a first-level cache.
 pub(super) const TILE: usize = 48;
-/// The most tangent dimensions of a kept block that the fused path takes.
-pub(super) const MAX_KEPT: usize = 32;
+/// The most tangent dimensions of a retained block that the fused path takes.
+pub(super) const MAX_RETAINED: usize = 32;
 /// The most numbers of a [`point_record`].
 pub(super) const MAX_RECORD: usize = 32;
 /// The most numbers prepared per camera, with its step and that of its shared block.
@@ -39,14 +39,14 @@ pub(super) const MAX_CAMERA_RECORD: usize = 96;
 /// The most shared blocks; with more, every camera has about its own.
 pub(super) const MAX_SHARED: usize = 8;
 
-/// A kept block of the batch, fixed or not.
+/// A retained block of the batch, fixed or not.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Camera {
     /// Its index in the problem.
     pub(super) block: u32,
     /// Its shared block's index in the problem.
     pub(super) shared: u32,
-    /// Its place among the kept blocks, or [`NONE`].
+    /// Its place among the retained blocks, or [`NONE`].
     pub(super) place: u32,
     /// Its shared block's place in [`Layout::shared`].
     pub(super) lens: u32,
@@ -77,14 +77,14 @@ pub(super) struct Layout<const K: usize, const S: usize, const D: usize> {
     pub(super) lens_columns: Vec<usize>,
     /// As `camera_mask`, for each of `lens_columns` in each shared block.
     pub(super) lens_mask: Vec<[f64; S]>,
-    /// The places of the shared blocks among the kept ones, or [`NONE`].
+    /// The places of the shared blocks among the retained ones, or [`NONE`].
     pub(super) shared: Vec<u32>,
     /// One more entry than points.
     pub(super) points: Vec<PointAt>,
     /// Per observation its camera; those of one point by their places, fixed ones last.
     pub(super) observed_by: Vec<u32>,
     pub(super) data: Vec<[f64; D]>,
-    /// Where each kept block's tangent begins.
+    /// Where each retained block's tangent begins.
     pub(super) tangents: Vec<usize>,
 }
 
@@ -123,7 +123,7 @@ pub(super) struct ChunkSums<const P: usize> {
     /// Where its points are seen from; empty where that is not known of all.
     pub(super) sights: Vec<[f64; P]>,
     /// Where the reduced system is not formed, one record per observation; see [`super::product`].
-    pub(super) kept: Vec<Kept>,
+    pub(super) stored_jacobians: Vec<StoredNumber>,
     /// Its product with a vector, per local camera [`whole`] numbers.
     pub(super) product: Vec<f64>,
     pub(super) buffers: Buffers,
@@ -158,23 +158,23 @@ impl<const P: usize> ChunkSums<P> {
         rows: usize,
         implicit: bool,
     ) -> Option<Self> {
-        // Cameras are in the order of their places, and so are the kept blocks of the chunk.
+        // Cameras are in the order of their places, and so are the retained blocks of the chunk.
         let mut members: Vec<u32> = Vec::new();
         let mut in_chunk: Vec<usize> = Vec::new();
         let mut local = vec![NONE; layout.cameras.len()];
         let mut next = 0;
         for (k, camera) in layout.cameras.iter().enumerate() {
-            while next < chunk.kept.len() && chunk.kept[next] < camera.place {
+            while next < chunk.retained.len() && chunk.retained[next] < camera.place {
                 next += 1;
             }
-            if chunk.kept.get(next) == Some(&camera.place) {
+            if chunk.retained.get(next) == Some(&camera.place) {
                 local[k] = members.len() as u32;
                 members.push(k as u32);
                 in_chunk.push(next);
             }
         }
         let n = members.len();
-        let mut member_of = vec![NONE; chunk.kept.len()];
+        let mut member_of = vec![NONE; chunk.retained.len()];
         for (member, &k) in in_chunk.iter().enumerate() {
             member_of[k] = member as u32;
         }
@@ -219,7 +219,14 @@ impl<const P: usize> ChunkSums<P> {
             lens_diagonal: vec![0.0; lenses * width],
             moved: vec![[0.0; P]; chunk.eliminated.len()],
             sights: Vec::new(),
-            kept: vec![0.0; if implicit { observations * kept_record(rows, K, P) } else { 0 }],
+            stored_jacobians: vec![
+                0.0;
+                if implicit {
+                    observations * stored_record(rows, K, P)
+                } else {
+                    0
+                }
+            ],
             product: vec![0.0; if implicit { n * whole(K) } else { 0 }],
             buffers: Buffers::new::<K, P>(longest.max(TILE), rows, (lenses, width)),
             local,

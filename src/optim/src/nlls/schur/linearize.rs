@@ -141,8 +141,8 @@ fn weigh<V: Simd, const R: usize, const K: usize, const P: usize>(
 ) {
     let record = &mut buffers.jacobian_point[o * point_record(R, P)..(o + 1) * point_record(R, P)];
     let weights = weigh_point::<R, P>(settings, record);
-    let (kept, shared) = (R * padded(K), R * lens_width);
-    fold_rows(simd, &mut buffers.jacobian_camera[o * kept..(o + 1) * kept], &weights);
+    let (retained, shared) = (R * padded(K), R * lens_width);
+    fold_rows(simd, &mut buffers.jacobian_camera[o * retained..(o + 1) * retained], &weights);
     fold_rows(simd, &mut buffers.jacobian_shared[o * shared..(o + 1) * shared], &weights);
 }
 

@@ -13,7 +13,7 @@
 //! and evaluates the trial cost while it is at hand. Nothing per observation is ever stored. A factor of another
 //! batch that depends on a point alone, a prior, is stored and enters `V` and `g` of its point.
 //!
-//! Where the reduced system is not formed ([`product`]), `Jc` and `Q` of all observations are kept for its products.
+//! Where the reduced system is not formed ([`product`]), `Jc` and `Q` of all observations are stored for its products.
 
 mod accumulate;
 mod lanes;
@@ -48,7 +48,7 @@ pub struct FusionRequest<'a> {
     structure: &'a Structure,
     matrix: &'a BlockMatrix,
     batch: usize,
-    /// Keep Jacobians for products with the reduced system, whose matrix holds diagonal blocks only.
+    /// Store Jacobians for products with the reduced system, whose matrix holds diagonal blocks only.
     implicit: bool,
 }
 
@@ -105,7 +105,7 @@ pub(super) struct Settings<'a> {
     pub(super) lambda: f64,
 }
 
-/// Where the sums of a reduction go; kept blocks only.
+/// Where the sums of a reduction go; retained blocks only.
 pub(super) struct NormalEquationsMut<'a> {
     pub(super) matrix: &'a mut BlockMatrix,
     /// `J^T r` and the diagonal of `J^T J` over tangents.
@@ -144,12 +144,12 @@ pub(super) trait Eliminator: Send + Sync + std::fmt::Debug {
         sums: NormalEquationsMut<'_>,
     ) -> Result<f64, NotPositiveDefinite>;
 
-    /// `y += S x` of the linearisation that was reduced last, without the damping of kept blocks: over the reduced
+    /// `y += S x` of the linearisation that was reduced last, without the damping of retained blocks: over the reduced
     /// system, whose blocks begin at `starts`.
     fn multiply(&mut self, starts: &[usize], x: &[f64], y: &mut [f64]);
 
-    /// Writes the moved points into `trial`, which holds the moved kept blocks already; `step` is
-    /// the kept blocks' step. A point whose observations cost more than a cost, shared among the observations of the batch, is
+    /// Writes the moved points into `trial`, which holds the moved retained blocks already; `step` is
+    /// the retained blocks' step. A point whose observations cost more than a cost, shared among the observations of the batch, is
     /// started again.
     fn substitute(
         &mut self,
@@ -194,12 +194,15 @@ impl<
         self.priors.sum(problem, linearizations);
         let priors = &self.priors.sums;
         let (layout, prepared) = (&self.layout, &self.prepared);
+        // The first chunk that fails is reported, whichever thread is the fastest.
         let largest = self
             .chunks
             .par_iter_mut()
             .map(|chunk| {
                 eliminate_chunk::<F, R, K, S, P, Q, D>(layout, chunk, prepared, priors, x, settings)
             })
+            .collect::<Vec<_>>()
+            .into_iter()
             .collect::<Result<Vec<f64>, NotPositiveDefinite>>()?;
         for chunk in &self.chunks {
             layout.add_chunk(chunk, &mut sums);

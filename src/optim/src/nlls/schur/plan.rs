@@ -4,7 +4,7 @@ use super::{
     FusionRequest,
     lanes::CameraCache,
     layout::{
-        Camera, ChunkSums, Layout, MAX_CAMERA_RECORD, MAX_KEPT, MAX_RECORD, MAX_SHARED, PointAt,
+        Camera, ChunkSums, Layout, MAX_CAMERA_RECORD, MAX_RECORD, MAX_RETAINED, MAX_SHARED, PointAt,
     },
     prior::Priors,
     product::whole,
@@ -71,7 +71,7 @@ impl<
         request: FusionRequest<'_>,
     ) -> Result<Self, String> {
         let FusionRequest { problem, structure, matrix, batch, implicit } = request;
-        if K > MAX_KEPT || R * (P + 1) > MAX_RECORD || Q + K + S > MAX_CAMERA_RECORD {
+        if K > MAX_RETAINED || R * (P + 1) > MAX_RECORD || Q + K + S > MAX_CAMERA_RECORD {
             return Err(format!(
                 "blocks of {K} and {P} degrees of freedom with {Q} prepared numbers are too large"
             ));
@@ -93,7 +93,7 @@ impl<
         let free = |block: usize, k: usize| problem.blocks[block].frozen >> k & 1 == 0;
         let mask = |block: usize, k: usize| f64::from(u8::from(free(block, k)));
         let held = cameras.iter().any(|c| (0..K).any(|k| !free(c.block as usize, k)));
-        let moves = |block: usize| structure.kept_index[block] != NONE;
+        let moves = |block: usize| structure.retained_index[block] != NONE;
         let lens_columns: Vec<usize> = (0..S)
             .filter(|&k| shared_blocks.iter().any(|&block| moves(block) && free(block, k)))
             .collect();
@@ -115,9 +115,9 @@ impl<
                 })
                 .collect(),
             lens_columns,
-            shared: shared_blocks.iter().map(|&block| structure.kept_index[block]).collect(),
+            shared: shared_blocks.iter().map(|&block| structure.retained_index[block]).collect(),
             points,
-            tangents: structure.kept.iter().map(|&k| problem.blocks[k].tangent).collect(),
+            tangents: structure.retained.iter().map(|&k| problem.blocks[k].tangent).collect(),
             observed_by,
             data,
             cameras,
@@ -154,15 +154,15 @@ impl<
         prepare_cameras::<F, R, K, S, P, Q, D>(&self.layout, problem, x, &mut self.trial_prepared);
     }
 
-    /// Takes the kept blocks' steps, zero for those that are fixed.
+    /// Takes the retained blocks' steps, zero for those that are fixed.
     pub(super) fn prepare_steps(&mut self, problem: &Problem, step: &[f64]) {
         for (camera, record) in self.layout.cameras.iter().zip(self.prepared.each()) {
-            let (kept, shared) = record[Q..Q + K + S].split_at_mut(K);
-            kept.fill(0.0);
+            let (retained, shared) = record[Q..Q + K + S].split_at_mut(K);
+            retained.fill(0.0);
             shared.fill(0.0);
             if camera.place != NONE {
                 let at = problem.blocks[camera.block as usize].tangent;
-                kept.copy_from_slice(&step[at..at + K]);
+                retained.copy_from_slice(&step[at..at + K]);
             }
             if S > 0 && self.layout.shared[camera.lens as usize] != NONE {
                 let at = problem.blocks[camera.shared as usize].tangent;
@@ -188,15 +188,15 @@ fn prepare_cameras<
 ) {
     let point = problem.all_values(x);
     for (camera, out) in layout.cameras.iter().zip(out.each()) {
-        let kept = point.block(Problem::id(camera.block as usize));
+        let retained = point.block(Problem::id(camera.block as usize));
         let shared =
             if S == 0 { &[][..] } else { point.block(Problem::id(camera.shared as usize)) };
-        out[..Q].copy_from_slice(&F::prepare(kept, shared));
+        out[..Q].copy_from_slice(&F::prepare(retained, shared));
     }
 }
 
 /// The eliminated blocks with the numbers of their observations, and their priors; an error where one is not a
-/// vector, or a factor of another batch joins it with a kept block: that sum would be missing.
+/// vector, or a factor of another batch joins it with a retained block: that sum would be missing.
 fn find_points<const P: usize>(
     problem: &Problem,
     structure: &Structure,
@@ -224,7 +224,7 @@ fn find_points<const P: usize>(
             }
             let named = &problem.batches[b as usize];
             let blocks = named.batch.blocks(f as usize);
-            if blocks.iter().any(|other| structure.kept_index[other.index()] != NONE) {
+            if blocks.iter().any(|other| structure.retained_index[other.index()] != NONE) {
                 return Err(format!(
                     "{} is eliminated, and batch {:?} joins it with another block as well; do not eliminate it",
                     problem.describe(id),
@@ -286,7 +286,7 @@ fn collect<const D: usize>(
         for e in range {
             one.clear();
             for &(_, f) in structure.factors(e).iter().filter(|(b, _)| *b as usize == batch) {
-                one.push((ordinal[pairs[f as usize].kept().index()], f));
+                one.push((ordinal[pairs[f as usize].retained().index()], f));
             }
             one.sort_unstable();
             for &(camera, f) in &one {
@@ -299,17 +299,17 @@ fn collect<const D: usize>(
     (observed_by, data)
 }
 
-/// The kept blocks of the batch and the shared ones; an error where one kept block goes with several
+/// The retained blocks of the batch and the shared ones; an error where one retained block goes with several
 /// shared ones, or there are too many of those.
 fn find_cameras<const D: usize, const S: usize>(
     pairs: &[Measurement<D>],
     structure: &Structure,
 ) -> Result<(Vec<Camera>, Vec<usize>), String> {
-    let mut ordinal = vec![NONE; structure.kept_index.len()];
+    let mut ordinal = vec![NONE; structure.retained_index.len()];
     let mut cameras: Vec<Camera> = Vec::new();
     let mut shared: Vec<usize> = Vec::new();
     for pair in pairs {
-        let block = pair.kept().index();
+        let block = pair.retained().index();
         let lens_block = if S == 0 { 0 } else { pair.shared().index() };
         if ordinal[block] == NONE {
             let lens = match shared.iter().position(|&other| other == lens_block) {
@@ -327,7 +327,7 @@ fn find_cameras<const D: usize, const S: usize>(
             cameras.push(Camera {
                 block: block as u32,
                 shared: lens_block as u32,
-                place: structure.kept_index[block],
+                place: structure.retained_index[block],
                 lens: lens as u32,
             });
         } else if S > 0 && cameras[ordinal[block] as usize].shared as usize != lens_block {

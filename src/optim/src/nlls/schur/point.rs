@@ -2,9 +2,9 @@
 
 use super::{
     Settings,
-    layout::{Buffers, ChunkSums, Layout, MAX_KEPT, block_len, padded, point_record},
+    layout::{Buffers, ChunkSums, Layout, MAX_RETAINED, block_len, padded, point_record},
     point_system::{PointSystem, PriorSums},
-    product::keep,
+    product::store_jacobians,
     shared_block::add_shared,
 };
 use crate::nlls::{cholesky::NotPositiveDefinite, structure::NONE};
@@ -58,8 +58,8 @@ pub(super) fn eliminate_point<
     if S > 0 {
         add_shared::<V, R, K, S, P, D>(simd, layout, chunk, buffers, (first, end), origin, &u);
     }
-    if !chunk.kept.is_empty() {
-        keep::<R, K, P>(chunk, buffers, (first, end), origin - chunk_origin);
+    if !chunk.stored_jacobians.is_empty() {
+        store_jacobians::<R, K, P>(chunk, buffers, (first, end), origin - chunk_origin);
     }
     add_cameras::<V, R, K, S, P, D>(simd, layout, chunk, buffers, (first, end), origin);
     Ok(slope)
@@ -125,7 +125,11 @@ fn add_cameras<
         let q_i = &buffers.whitened[i * R * P..(i + 1) * R * P];
         let row = chunk.table.row(local);
         // Where only diagonal blocks are wanted, nothing but the camera's own measurements of the point.
-        let from = if chunk.kept.is_empty() { 0 } else { own_first(layout, origin + first, i) };
+        let from = if chunk.stored_jacobians.is_empty() {
+            0
+        } else {
+            own_first(layout, origin + first, i)
+        };
         for j in from..=i {
             let other = chunk.local[layout.observed_by[origin + first + j] as usize] as usize;
             let q_j = &buffers.whitened[j * R * P..(j + 1) * R * P];
@@ -209,7 +213,7 @@ fn add_product<V: Simd, const R: usize, const K: usize>(
     column: &[f64],
 ) {
     // M J_column in registers, as many as there are; the rest of the array costs nothing.
-    let mut product = [[simd.splat_f64s(0.0); MAX_KEPT]; R];
+    let mut product = [[simd.splat_f64s(0.0); MAX_RETAINED]; R];
     let columns = padded(K) / V::F64_LANES;
     let column: &[V::f64s] = V::as_simd_f64s(&column[..R * padded(K)]).0;
     for a in 0..R {

@@ -6,7 +6,7 @@
 //! a_i = J_i x_c(i)      t = sum_i Q_i^T a_i      y_c(i) += J_i^T (a_i - Q_i t)
 //! ```
 //!
-//! which is `y = S x` in time proportional to the observations, whatever their number per point. `J` and `Q` are kept
+//! which is `y = S x` in time proportional to the observations, whatever their number per point. `J` and `Q` are stored
 //! from the elimination in single precision, which halves what a product reads; sums are in double precision.
 //! Rounding them changes `S` by a share of 6e-8: the step solves a system next to the one that was posed.
 
@@ -18,8 +18,8 @@ use crate::nlls::{projection::SizedFactor, structure::NONE};
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-/// A number that is kept.
-pub(super) type Kept = f32;
+/// A number of a Jacobian that is stored.
+pub(super) type StoredNumber = f32;
 
 /// Numbers that are added to four sums in turn.
 const LANES: usize = 4;
@@ -30,31 +30,31 @@ pub(super) const fn whole(k: usize) -> usize {
 }
 
 /// Numbers per observation: `rows` of `J`, padded, then `Q`.
-pub(super) const fn kept_record(rows: usize, k: usize, p: usize) -> usize {
+pub(super) const fn stored_record(rows: usize, k: usize, p: usize) -> usize {
     rows * (whole(k) + p)
 }
 
 /// Keeps the observations `first..end` of a tile that begins with observation `origin` of its chunk.
 #[inline(always)]
-pub(super) fn keep<const R: usize, const K: usize, const P: usize>(
+pub(super) fn store_jacobians<const R: usize, const K: usize, const P: usize>(
     chunk: &mut ChunkSums<P>,
     buffers: &Buffers,
     (first, end): (usize, usize),
     origin: usize,
 ) {
-    let length = kept_record(R, K, P);
-    let records = &mut chunk.kept[(origin + first) * length..(origin + end) * length];
+    let length = stored_record(R, K, P);
+    let records = &mut chunk.stored_jacobians[(origin + first) * length..(origin + end) * length];
     for (i, record) in records.chunks_exact_mut(length).enumerate() {
         for row in 0..R {
             let from = &buffers.jacobian_camera[((first + i) * R + row) * padded(K)..][..K];
             let to = &mut record[row * whole(K)..row * whole(K) + K];
             for (to, from) in to.iter_mut().zip(from) {
-                *to = *from as Kept;
+                *to = *from as StoredNumber;
             }
         }
         let from = &buffers.whitened[i * R * P..(i + 1) * R * P];
         for (to, from) in record[R * whole(K)..].iter_mut().zip(from) {
-            *to = *from as Kept;
+            *to = *from as StoredNumber;
         }
     }
 }
@@ -74,15 +74,15 @@ impl<const K: usize, const R: usize, const S: usize, const P: usize, const D: us
     #[inline(always)]
     fn with_simd<V: Simd>(self, _: V) {
         let Multiply { layout, chunk, directions } = self;
-        let (kept, local, product) = (&chunk.kept, &chunk.local, &mut chunk.product);
+        let (stored, local, product) = (&chunk.stored_jacobians, &chunk.local, &mut chunk.product);
         let along = &mut chunk.buffers.along;
-        let (length, k) = (kept_record(R, K, P), whole(K));
+        let (length, k) = (stored_record(R, K, P), whole(K));
         product.fill(0.0);
         let origin = layout.points[chunk.range.start].first as usize;
         for e in chunk.range.clone() {
             let (first, end) =
                 (layout.points[e].first as usize, layout.points[e + 1].first as usize);
-            let records = &kept[(first - origin) * length..(end - origin) * length];
+            let records = &stored[(first - origin) * length..(end - origin) * length];
             let cameras = &layout.observed_by[first..end];
             let mut t = [0.0; P];
             for ((record, &camera), along) in

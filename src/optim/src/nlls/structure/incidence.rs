@@ -1,4 +1,4 @@
-//! Incidence of factors and blocks: which eliminated block each factor depends on, and between which kept ones it lies.
+//! Incidence of factors and blocks: which eliminated block each factor depends on, and between which retained ones it lies.
 
 use super::{FactorRef, NONE};
 use crate::{engine::SolveError, nlls::problem::Problem};
@@ -7,14 +7,14 @@ use crate::{engine::SolveError, nlls::problem::Problem};
 pub(super) struct Incidence {
     /// Per factor, batch after batch, its eliminated block by its index before sorting, or [`NONE`].
     pub(super) owner: Vec<u32>,
-    /// Factors of kept blocks alone.
+    /// Factors of retained blocks alone.
     pub(super) camera_only_factors: Vec<FactorRef>,
-    /// Per eliminated block the first and the last kept one adjacent to it, and its index before
-    /// sorting. Blocks with the same adjacent kept ones follow each other, so that a chunk's sums
+    /// Per eliminated block the first and the last retained one adjacent to it, and its index before
+    /// sorting. Blocks with the same adjacent retained ones follow each other, so that a chunk's sums
     /// stay in the cache and differ from the other chunks'.
     pub(super) neighbourhood: Vec<(u64, u32)>,
-    /// No factor depends on more than one kept block.
-    pub(super) single_kept: bool,
+    /// No factor depends on more than one retained block.
+    pub(super) single_retained: bool,
 }
 
 impl Incidence {
@@ -24,7 +24,7 @@ impl Incidence {
     /// Where a factor joins two blocks that are to be eliminated.
     pub(super) fn new(
         problem: &Problem,
-        kept_index: &[u32],
+        retained_index: &[u32],
         eliminated_index: &[u32],
         eliminated: &[u32],
     ) -> Result<Incidence, SolveError> {
@@ -32,7 +32,7 @@ impl Incidence {
         let mut owner = Vec::with_capacity(total);
         let mut camera_only_factors = Vec::new();
         let mut ends = vec![(NONE, 0u32); eliminated.len()];
-        let mut single_kept = true;
+        let mut single_retained = true;
         for (b, named) in problem.batches.iter().enumerate() {
             for f in 0..named.batch.len() {
                 let blocks = named.batch.blocks(f);
@@ -50,12 +50,12 @@ impl Incidence {
                             )));
                         }
                         found = e;
-                    } else if kept_index[block.index()] != NONE {
-                        low = low.min(kept_index[block.index()]);
-                        high = high.max(kept_index[block.index()]);
+                    } else if retained_index[block.index()] != NONE {
+                        low = low.min(retained_index[block.index()]);
+                        high = high.max(retained_index[block.index()]);
                     }
                 }
-                single_kept &= low == NONE || low == high;
+                single_retained &= low == NONE || low == high;
                 owner.push(found);
                 if found != NONE {
                     let end = &mut ends[found as usize];
@@ -70,6 +70,6 @@ impl Incidence {
             .enumerate()
             .map(|(e, (low, high))| (u64::from(low) << 32 | u64::from(high), e as u32))
             .collect();
-        Ok(Incidence { owner, camera_only_factors, neighbourhood, single_kept })
+        Ok(Incidence { owner, camera_only_factors, neighbourhood, single_retained })
     }
 }

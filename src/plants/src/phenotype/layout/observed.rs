@@ -8,6 +8,7 @@ use crate::problems::plot_layout::{
     AFFINE, BEND, Placement,
     fit::{EndSample, Observations, RowSample},
 };
+use rowgram_optim::robust::median;
 use std::collections::BTreeMap;
 
 /// A plant on the map.
@@ -48,12 +49,10 @@ impl FoundRows {
                 along(a).total_cmp(&along(b))
             });
         }
-        let mut steps: Vec<f64> = rows
+        let steps = rows
             .iter()
-            .flat_map(|row| row.windows(2).map(|p| (p[1][0] - p[0][0]).hypot(p[1][1] - p[0][1])))
-            .collect();
-        steps.sort_by(f64::total_cmp);
-        let plant_spacing_m = steps.get(steps.len() / 2).copied().unwrap_or(0.0);
+            .flat_map(|row| row.windows(2).map(|p| (p[1][0] - p[0][0]).hypot(p[1][1] - p[0][1])));
+        let plant_spacing_m = median(steps).unwrap_or(0.0);
         FoundRows { rows, plant_spacing_m }
     }
 
@@ -70,9 +69,7 @@ impl FoundRows {
         };
         let mut places: Vec<f64> = self.rows.iter().map(across).collect();
         places.sort_by(f64::total_cmp);
-        let mut steps: Vec<f64> = places.windows(2).map(|pair| pair[1] - pair[0]).collect();
-        steps.sort_by(f64::total_cmp);
-        steps.get(steps.len() / 2).copied()
+        median(places.windows(2).map(|pair| pair[1] - pair[0]))
     }
 
     /// Number of plants.

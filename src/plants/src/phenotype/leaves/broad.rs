@@ -3,6 +3,7 @@
 use super::{Leaf, LeafOptions, Leaves};
 use crate::phenotype::broad_leaves::{BroadLeaves, broad_leaves};
 use rayon::prelude::*;
+use rowgram_optim::robust::median;
 use rowgram_raster::{Mask, components::Run};
 
 /// Points of an axis.
@@ -24,9 +25,7 @@ pub(super) fn find(mask: &Mask, options: &LeafOptions) -> Leaves {
     }
     let mut leaves: Vec<Leaf> = runs.into_par_iter().map(measured).collect();
     leaves.retain(|leaf| leaf.area_px >= options.min_pixels.max(1));
-    let mut widths: Vec<f64> = leaves.iter().map(Leaf::max_width_px).collect();
-    widths.sort_by(f64::total_cmp);
-    let usual_width_px = widths.get(widths.len() / 2).copied().unwrap_or(0.0);
+    let usual_width_px = median(leaves.iter().map(Leaf::max_width_px)).unwrap_or(0.0);
     Leaves { leaves, usual_width_px, is_broad: true }
 }
 

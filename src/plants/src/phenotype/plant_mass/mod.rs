@@ -14,6 +14,7 @@ mod sizes;
 mod split;
 
 pub use model::{LEAST, MOST, MassModel, Measured, ShapeModel};
+use rowgram_optim::robust::median;
 pub use split::{Weighted, split};
 
 use rayon::prelude::*;
@@ -244,9 +245,7 @@ impl<'a> Parts<'a> {
         };
         let within: f64 = self.measured.iter().map(|of| self.number(model, of).2).sum();
         let (expected, plant_px, misfit, slope) = if self.sizes.is_some() {
-            let mut masses: Vec<f64> = plants.iter().map(|plant| plant.mass_px).collect();
-            masses.sort_by(f64::total_cmp);
-            let middle = masses.get(masses.len() / 2).copied().unwrap_or(1.0);
+            let middle = median(plants.iter().map(|plant| plant.mass_px)).unwrap_or(1.0);
             // Halfway between what is probable and what was found.
             let expected = 0.5 * (expected_of(model) + plants.len() as f64);
             (expected, middle, sizes::MISFIT * expected, 0.0)

@@ -8,6 +8,7 @@ use super::{
     search::{improve, largest, residual_squares, robust_cost, search},
 };
 use rowgram_optim::nlls::Loss;
+use rowgram_optim::robust::median;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 /// Scale of the robust loss, standard deviations: 95 % of the efficiency of least squares on normal errors (Holland and
@@ -58,13 +59,12 @@ pub(super) fn first_fits(series: &[Vec<Sample>], model: GrowthModel) -> FirstFit
     if variances.is_empty() {
         return FirstFits { model, found, scatter: None };
     }
-    variances.sort_unstable_by(f64::total_cmp);
     let mean = squares / freedom as f64;
     // The median is not moved by plots with a wrong value; of a few plots it says too little.
     let degrees = freedom as f64 / variances.len() as f64;
     let variance = match ChiSquared::new(degrees) {
         Ok(spread) if variances.len() >= 5 => {
-            variances[variances.len() / 2] * degrees / spread.inverse_cdf(0.5)
+            median(variances.iter().copied()).unwrap_or(mean) * degrees / spread.inverse_cdf(0.5)
         }
         _ => mean,
     };
@@ -124,12 +124,8 @@ fn typical_residual(
                 .extend(samples.iter().map(|s| (s.value - model.value(*parameters, s.day)).abs()));
         }
     }
-    let middle = residuals.len() / 2;
-    if residuals.is_empty() || freedom == 0 {
-        return None;
-    }
-    let (_, median, _) = residuals.select_nth_unstable_by(middle, f64::total_cmp);
+    let count = residuals.len() as f64;
     // Half of normal residuals are below 0.6745 standard deviations.
-    let median = *median / 0.6745;
-    Some(median * (residuals.len() as f64 / freedom as f64).sqrt())
+    let sigma = median(residuals)? / 0.6745;
+    (freedom > 0).then(|| sigma * (count / freedom as f64).sqrt())
 }

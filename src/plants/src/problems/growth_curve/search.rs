@@ -11,6 +11,7 @@ use super::{GrowthModel, Sample, Untold};
 use rowgram_optim::nlls::{
     self, Euclidean, Infeasible, Loss, Options, Problem, Residual, Residuals, Scalar, Vector,
 };
+use rowgram_optim::robust::median;
 
 const STEPS: u64 = 100;
 
@@ -112,10 +113,7 @@ pub(super) fn search(
             let (yf, ff) =
                 shape.iter().fold((0.0, 0.0), |(yf, ff), (y, f)| (yf + y * f, ff + f * f));
             // By least squares, and by the median of what the values say one by one, which a wrong one does not move.
-            let mut ratios: Vec<f64> =
-                shape.iter().filter(|(_, f)| *f > 0.1).map(|(y, f)| y / f).collect();
-            ratios.sort_unstable_by(f64::total_cmp);
-            let median = ratios.get(ratios.len() / 2).copied();
+            let median = median(shape.iter().filter(|(_, f)| *f > 0.1).map(|(y, f)| y / f));
             for last in [(ff > 0.0).then(|| yf / ff), median].into_iter().flatten() {
                 if last > 0.0 {
                     let start = [last.ln(), rate, half];

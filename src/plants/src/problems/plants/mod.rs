@@ -3,7 +3,7 @@
 //! Leaf pixels `Z_n` and plants `X_p` are image positions in pixels, centre of the top-left pixel
 //! at (0, 0); `d_n = min_p |Z_n - X_p|` (where the paper prints an argmin). The objective in its
 //! joint form, with `m` the dimension of the density (1 as in the paper, 2 for the planar rule) and
-//! the prior of [`lines`]:
+//! the prior of [`lines`] (or one of your own, [`PlantPrior`]):
 //!
 //! `J(X, lines, sigma, R) = m N ln sigma + (1/sigma) sum_n d_n
 //!   + sum_p [1/2 |X_p - mu_p(lines)|^2_{R^-1} + 1/2 ln det R] + sum_lines slope^2 / (2 tau^2)`
@@ -36,18 +36,20 @@ mod inner;
 pub mod lines;
 pub mod moves;
 mod options;
+mod prior;
 mod proof;
 mod quadratic;
 pub mod start;
 
 pub use inner::{mean as inner_mean, median as inner_median};
 pub use options::{Form, Model, PlantUpdate, Prior, SigmaRule};
+pub use prior::{LinePrior, Lines, PlantPrior};
 pub use proof::Proof;
 pub use quadratic::Quadratic;
 
 use assignment::Assignment;
 use index::PixelIndex;
-use lines::{Axes, Family};
+use lines::Axes;
 use rowgram_optim::{
     descent::{ActiveSet, BlockCost},
     engine::SolveError,
@@ -63,24 +65,22 @@ const FARTHEST_PX: f64 = 1e9;
 
 /// The pixels of one mask and the model that explains them.
 #[derive(Debug, Clone)]
-pub struct Plants {
+pub struct Plants<P = LinePrior> {
     index: PixelIndex,
     model: Model,
-    axes: Axes,
+    prior: P,
     plants: usize,
 }
 
 /// Everything the descent moves. What follows from the positions is not serialised.
 #[derive(Debug, Clone, Serialize, Deserialize)]
-pub struct Field {
+pub struct Field<L = Lines> {
     /// The plants, image positions in pixels.
     pub positions_px: Vec<[f64; 2]>,
     /// Scale of the distances, in pixels.
     pub sigma_px: f64,
-    /// The rows.
-    pub rows: Family,
-    /// The columns.
-    pub columns: Family,
+    /// What the prior fits with the plants.
+    pub latent: L,
     /// Gradient of the prior over the weight of the data at the last visit of each plant: with the
     /// same pixels its optimum moves only as this changes.
     balance: Vec<[f64; 2]>,
@@ -97,17 +97,54 @@ struct Work {
 }
 
 impl Plants {
-    /// A problem over these pixels with a number of plants.
+    /// A problem over these pixels with a number of plants and the prior that the model asks for.
     ///
     /// # Errors
-    /// [`SolveError::Misuse`] without pixels, without plants, with more plants than pixels, or with
-    /// numbers in the model that are not positive.
+    /// As [`Plants::with_prior`] and [`LinePrior::new`].
     pub fn new(
         index: PixelIndex,
         plants: usize,
         model: Model,
         axes: Axes,
     ) -> Result<Plants, SolveError> {
+        Plants::with_prior(index, plants, model, LinePrior::new(&model, axes)?)
+    }
+
+    /// The row-aligned axes.
+    pub fn axes(&self) -> &Axes {
+        self.prior.axes()
+    }
+
+    /// A field to start from: positions, and offsets across of the rows and along of the columns
+    /// (those that the prior does not ask for are ignored).
+    ///
+    /// # Errors
+    /// As [`LinePrior::lines`] and [`Plants::field_with`].
+    pub fn field(
+        &self,
+        positions_px: Vec<[f64; 2]>,
+        rows_px: &[f64],
+        columns_px: &[f64],
+    ) -> Result<Field, SolveError> {
+        self.check(&positions_px)?;
+        let lines = self.prior.lines(&positions_px, rows_px, columns_px)?;
+        self.field_with(positions_px, lines)
+    }
+}
+
+impl<P: PlantPrior> Plants<P> {
+    /// A problem over these pixels with a number of plants and a prior; of the model all but [`Model::prior`],
+    /// [`Model::form`] and [`Model::floor_px`], which are those of the built-in priors.
+    ///
+    /// # Errors
+    /// [`SolveError::Misuse`] without pixels, without plants, with more plants than pixels, or with
+    /// numbers in the model that are not positive.
+    pub fn with_prior(
+        index: PixelIndex,
+        plants: usize,
+        model: Model,
+        prior: P,
+    ) -> Result<Plants<P>, SolveError> {
         let misuse = |message: String| Err(SolveError::Misuse(message));
         if index.is_empty() {
             return misuse("there is no leaf pixel".to_owned());
@@ -127,10 +164,7 @@ impl Plants {
         if !(1.0..2.0).contains(&model.relaxation) {
             return misuse("the relaxation has to be at least 1 and less than 2".to_owned());
         }
-        if ![axes.origin_px[0], axes.origin_px[1], axes.heading_rad].iter().all(|x| x.is_finite()) {
-            return misuse("the axes are not finite".to_owned());
-        }
-        Ok(Plants { index, model, axes, plants })
+        Ok(Plants { index, model, prior, plants })
     }
 
     /// The pixels.
@@ -138,52 +172,28 @@ impl Plants {
         &self.index
     }
 
-    /// The row-aligned axes.
-    pub fn axes(&self) -> &Axes {
-        &self.axes
-    }
-
     /// The model.
     pub fn model(&self) -> &Model {
         &self.model
     }
 
-    /// A field to start from: positions, and offsets across of the rows and along of the columns
-    /// (those that the prior does not ask for are ignored).
+    /// The prior.
+    pub fn prior(&self) -> &P {
+        &self.prior
+    }
+
+    /// A field to start from: positions, and the latent variables of the prior.
     ///
     /// # Errors
-    /// [`SolveError::Misuse`] where the prior asks for lines and none are given, or as
-    /// [`BlockCost::prepare`].
-    pub fn field(
+    /// As [`BlockCost::prepare`].
+    pub fn field_with(
         &self,
         positions_px: Vec<[f64; 2]>,
-        rows_px: &[f64],
-        columns_px: &[f64],
-    ) -> Result<Field, SolveError> {
-        let (rows_px, columns_px) = match self.model.prior {
-            Prior::None => (&[][..], &[][..]),
-            Prior::Rows => (rows_px, &[][..]),
-            Prior::Grid => (rows_px, columns_px),
-        };
-        if (self.model.prior != Prior::None && rows_px.is_empty())
-            || (self.model.prior == Prior::Grid && columns_px.is_empty())
-        {
-            return Err(SolveError::Misuse("the prior needs rows, and there are none".to_owned()));
-        }
-        self.check(&positions_px)?;
-        let floor_px2 = self.model.floor_px * self.model.floor_px;
-        let family = |offsets: &[f64], exchanged| {
-            // A wide start: the descent narrows it.
-            let gaps =
-                offsets.windows(2).map(|w| (w[1] - w[0]).abs()).fold(f64::INFINITY, f64::min);
-            let start_px = if gaps.is_finite() { gaps / 10.0 } else { 10.0 * self.model.floor_px };
-            let variance_px2 = (start_px * start_px).max(floor_px2);
-            Family::new(offsets, exchanged, variance_px2, floor_px2, &positions_px, &self.axes)
-        };
-        let (rows, columns) = (family(rows_px, false), family(columns_px, true));
+        latent: P::Latent,
+    ) -> Result<Field<P::Latent>, SolveError> {
         let balance = vec![[0.0; 2]; positions_px.len()];
         let work = Work::default();
-        let mut x = Field { positions_px, sigma_px: 1.0, rows, columns, balance, work };
+        let mut x = Field { positions_px, sigma_px: 1.0, latent, balance, work };
         self.prepare(&mut x)?;
         self.refit_sigma(&mut x);
         Ok(x)
@@ -204,7 +214,7 @@ impl Plants {
     }
 
     /// What one unit of distance (or half a squared one) costs.
-    fn weight(&self, x: &Field) -> f64 {
+    fn weight(&self, x: &Field<P::Latent>) -> f64 {
         self.temperature()
             * match self.model.update {
                 PlantUpdate::Median => 1.0 / x.sigma_px,
@@ -222,22 +232,15 @@ impl Plants {
         Assignment::new(&self.index, positions_px).truncated(self.model.truncate_px)
     }
 
-    fn joint(&self) -> bool {
-        self.model.form == Form::Joint
-    }
-
     /// The prior of a plant as a function of its offset from where it is.
-    pub fn prior_of(&self, x: &Field, plant: usize) -> Quadratic {
+    pub fn prior_of(&self, x: &Field<P::Latent>, plant: usize) -> Quadratic {
         let mut quadratic = Quadratic::default();
-        for family in [&x.rows, &x.columns] {
-            let at = x.positions_px[plant];
-            family.add_to(&mut quadratic, plant, at, &self.axes, self.joint());
-        }
+        self.prior.add_to(&x.latent, plant, x.positions_px[plant], &mut quadratic);
         quadratic
     }
 
     /// Moves a plant to the optimum for the pixels in `x.work`, and returns its offset.
-    fn solve(&self, x: &mut Field, plant: usize) -> [f64; 2] {
+    fn solve(&self, x: &mut Field<P::Latent>, plant: usize) -> [f64; 2] {
         let (prior, weight) = (self.prior_of(x, plant), self.weight(x));
         let inner = match self.model.update {
             PlantUpdate::Median => inner_median,
@@ -261,24 +264,7 @@ impl Plants {
         offset
     }
 
-    fn refit_members(&self, x: &mut Field) {
-        for family in [&mut x.rows, &mut x.columns] {
-            family.refit_members(&x.positions_px, &self.axes);
-            family.gather(&x.positions_px, &self.axes);
-        }
-    }
-
-    fn refit_lines(&self, x: &mut Field) {
-        x.rows.refit_lines();
-        x.columns.refit_lines();
-    }
-
-    fn refit_variances(&self, x: &mut Field) {
-        x.rows.refit_variances();
-        x.columns.refit_variances();
-    }
-
-    fn refit_sigma(&self, x: &mut Field) {
+    fn refit_sigma(&self, x: &mut Field<P::Latent>) {
         x.work.assignment.refresh(&self.index, &x.positions_px);
         let sums = x.work.assignment.sums(&self.index, &x.positions_px);
         let (count, dimension) = (self.index.len() as f64, self.model.sigma.dimension());
@@ -295,8 +281,8 @@ impl Plants {
     /// Marks the plants whose optimum the refits have moved noticeably, although they kept their
     /// pixels. With `r` the gradient left over, it moves by about `H^-1 r` at most, for the pixels
     /// only stiffen the prior's `H`.
-    fn mark_unsettled(&self, x: &Field, active: &mut ActiveSet) {
-        if self.model.prior == Prior::None {
+    fn mark_unsettled(&self, x: &Field<P::Latent>, active: &mut ActiveSet) {
+        if self.prior.is_flat() {
             return;
         }
         let weight = self.weight(x);
@@ -312,7 +298,7 @@ impl Plants {
     }
 
     /// How many plants have no pixel.
-    pub fn empty_clusters(&self, x: &Field) -> usize {
+    pub fn empty_clusters(&self, x: &Field<P::Latent>) -> usize {
         let mut empty = vec![true; self.plants];
         for pair in x.work.assignment.pairs() {
             empty[pair.near as usize] = false;
@@ -321,17 +307,17 @@ impl Plants {
     }
 
     /// Mean distance from a pixel to its plant, in pixels.
-    pub fn mean_distance_px(&self, x: &Field) -> f64 {
+    pub fn mean_distance_px(&self, x: &Field<P::Latent>) -> f64 {
         x.work.assignment.sums(&self.index, &x.positions_px).distance / self.index.len() as f64
     }
 
     /// Nearest and second nearest plant of every pixel, in the order of [`PixelIndex`].
-    pub fn pairs<'x>(&self, x: &'x Field) -> &'x [assignment::NearestPlants] {
+    pub fn pairs<'x>(&self, x: &'x Field<P::Latent>) -> &'x [assignment::NearestPlants] {
         x.work.assignment.pairs()
     }
 
     /// Puts the offsets of the plant's pixels into the working memory.
-    fn gather(&self, x: &mut Field, plant: usize) {
+    fn gather(&self, x: &mut Field<P::Latent>, plant: usize) {
         let (at, index) = (x.positions_px[plant], &self.index);
         let Work { assignment, u, v } = &mut x.work;
         u.clear();
@@ -348,24 +334,19 @@ impl Plants {
     }
 }
 
-impl BlockCost for Plants {
-    type Iterate = Field;
+impl<P: PlantPrior> BlockCost for Plants<P> {
+    type Iterate = Field<P::Latent>;
 
     fn len(&self) -> usize {
         self.plants
     }
 
-    fn prepare(&self, x: &mut Field) -> Result<(), SolveError> {
+    fn prepare(&self, x: &mut Field<P::Latent>) -> Result<(), SolveError> {
         self.check(&x.positions_px)?;
-        let sound = |family: &Family, wanted: bool| {
-            family.lines.is_empty() != wanted && family.is_sound(self.plants)
-        };
-        let prior = self.model.prior;
         let belongs = x.sigma_px.is_finite()
             && x.sigma_px > 0.0
             && x.balance.len() == self.plants
-            && sound(&x.rows, prior != Prior::None)
-            && sound(&x.columns, prior == Prior::Grid);
+            && self.prior.is_sound(&x.latent, self.plants);
         if !belongs {
             return Err(SolveError::Misuse("the field does not belong to this problem".to_owned()));
         }
@@ -373,7 +354,7 @@ impl BlockCost for Plants {
         Ok(())
     }
 
-    fn cost(&self, x: &Field) -> f64 {
+    fn cost(&self, x: &Field<P::Latent>) -> f64 {
         let sums = x.work.assignment.sums(&self.index, &x.positions_px);
         let (count, dimension) = (self.index.len() as f64, self.model.sigma.dimension());
         let data = self.weight(x)
@@ -381,16 +362,16 @@ impl BlockCost for Plants {
                 PlantUpdate::Median => sums.distance,
                 PlantUpdate::Mean => sums.square / 2.0,
             };
-        let prior = [&x.rows, &x.columns]
-            .map(|family| family.cost(&x.positions_px, &self.axes, self.joint()));
-        self.temperature() * dimension * count * x.sigma_px.ln() + data + prior[0] + prior[1]
+        let mut cost = self.temperature() * dimension * count * x.sigma_px.ln() + data;
+        self.prior.add_cost(&x.latent, &x.positions_px, &mut cost);
+        cost
     }
 
     fn monotone(&self) -> bool {
-        self.joint() || self.model.prior == Prior::None
+        self.prior.is_joint()
     }
 
-    fn update(&self, x: &mut Field, plant: usize, active: &mut ActiveSet) -> f64 {
+    fn update(&self, x: &mut Field<P::Latent>, plant: usize, active: &mut ActiveSet) -> f64 {
         self.gather(x, plant);
         let old = x.positions_px[plant];
         let offset = self.solve(x, plant);
@@ -408,18 +389,16 @@ impl BlockCost for Plants {
         step_norm
     }
 
-    fn end_sweep(&self, x: &mut Field, active: &mut ActiveSet) {
-        self.refit_members(x);
-        self.refit_lines(x);
-        self.refit_variances(x);
+    fn end_sweep(&self, x: &mut Field<P::Latent>, active: &mut ActiveSet) {
+        self.prior.refit(&mut x.latent, &x.positions_px);
         self.refit_sigma(x);
         self.mark_unsettled(x, active);
     }
 
-    fn metrics(&self, x: &Field) -> Vec<(&'static str, f64)> {
-        let across: Vec<f64> = x.rows.lines.iter().map(|line| line.variance_px2).collect();
-        let mean = across.iter().sum::<f64>() / across.len().max(1) as f64;
-        vec![("sigma_px", x.sigma_px), ("across_px", mean.sqrt())]
+    fn metrics(&self, x: &Field<P::Latent>) -> Vec<(&'static str, f64)> {
+        let mut metrics = vec![("sigma_px", x.sigma_px)];
+        metrics.extend(self.prior.metrics(&x.latent));
+        metrics
     }
 }
 

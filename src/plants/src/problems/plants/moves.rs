@@ -9,7 +9,7 @@
 //!
 //! Reference: P. Franti, "Efficiency of random swap clustering", Journal of Big Data 5 (2018).
 
-use super::{Field, PlantUpdate, Plants, assignment::NONE};
+use super::{Field, PlantPrior, PlantUpdate, Plants, assignment::NONE};
 use rowgram_optim::{
     descent::{ActiveSet, BlockCost},
     engine::SolveError,
@@ -31,9 +31,9 @@ pub struct Worth {
     pub moments: Vec<[f64; 6]>,
 }
 
-impl Plants {
+impl<P: PlantPrior> Plants<P> {
     /// What every plant is worth to the pixels, by the assignment of `x`.
-    pub fn worth(&self, x: &Field) -> Worth {
+    pub fn worth(&self, x: &Field<P::Latent>) -> Worth {
         let count = x.positions_px.len();
         let farthest = self.model.truncate_px.unwrap_or(f64::INFINITY);
         let price = |d2: f32| {
@@ -70,7 +70,7 @@ impl Plants {
     /// # Errors
     /// [`SolveError::Misuse`] for a model without a joint objective, in which nothing says whether a
     /// swap is better.
-    pub fn swap(&self, x: &mut Field, most: usize) -> Result<usize, SolveError> {
+    pub fn swap(&self, x: &mut Field<P::Latent>, most: usize) -> Result<usize, SolveError> {
         if !self.monotone() {
             let message = "swaps need a joint objective; the conditional form has none".to_owned();
             return Err(SolveError::Misuse(message));
@@ -82,7 +82,7 @@ impl Plants {
         Ok(made)
     }
 
-    fn swap_once(&self, x: &mut Field) -> bool {
+    fn swap_once(&self, x: &mut Field<P::Latent>) -> bool {
         if self.plants < 2 {
             return false;
         }
@@ -117,7 +117,7 @@ impl Plants {
 
     /// Puts `plant` beside `split`, 0.8 standard deviations to each side of their middle along the longer axis of its pixels, and lets those
     /// around both places settle.
-    fn make(&self, x: &mut Field, plant: usize, split: usize, moments: &[f64; 6]) {
+    fn make(&self, x: &mut Field<P::Latent>, plant: usize, split: usize, moments: &[f64; 6]) {
         let [count, u, v, uu, uv, vv] = *moments;
         let count = count.max(1.0);
         let (u, v) = (u / count, v / count);
@@ -136,7 +136,7 @@ impl Plants {
                 active.mark(p as usize);
             });
         }
-        self.refit_members(x);
+        self.prior.reassign(&mut x.latent, &x.positions_px);
         let mut visits = VISITS * active.count();
         while active.count() > 0 && visits > 0 {
             for block in 0..self.plants {

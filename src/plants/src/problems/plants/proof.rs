@@ -1,6 +1,6 @@
 //! Certificates: every plant against the exact optimum of its convex inner problem.
 
-use super::{Field, PlantUpdate, Plants, inner};
+use super::{Field, PlantPrior, PlantUpdate, Plants, inner};
 use rowgram_optim::{convex, engine::SolveError};
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -27,13 +27,17 @@ impl fmt::Display for Proof {
     }
 }
 
-impl Plants {
+impl<P: PlantPrior> Plants<P> {
     /// Certifies the place of one plant for the pixels it has: the convex optimum, as an offset
     /// from where the plant is.
     ///
     /// # Errors
     /// As [`convex::plant`]; also for the mean update, which needs no certificate.
-    pub fn certify(&self, x: &mut Field, plant: usize) -> Result<convex::Certificate, SolveError> {
+    pub fn certify(
+        &self,
+        x: &mut Field<P::Latent>,
+        plant: usize,
+    ) -> Result<convex::Certificate, SolveError> {
         if self.model.update == PlantUpdate::Mean || plant >= self.plants {
             return Err(SolveError::Misuse("only a plant placed by medians is certified".into()));
         }
@@ -46,7 +50,7 @@ impl Plants {
     ///
     /// # Errors
     /// As [`Plants::certify`].
-    pub fn prove(&self, x: &mut Field) -> Result<Proof, SolveError> {
+    pub fn prove(&self, x: &mut Field<P::Latent>) -> Result<Proof, SolveError> {
         let mut proof = Proof::default();
         for plant in 0..self.plants {
             self.gather(x, plant);

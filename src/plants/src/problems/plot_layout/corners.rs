@@ -11,8 +11,8 @@ use super::{AFFINE, BEND, Placement, moved};
 use rowgram_optim::{
     engine::SolveError,
     nlls::{
-        self, Euclidean, Infeasible, LinearSolver, Loss, Options, Problem, Residual, Residuals,
-        Scalar, Vector, covariance::Covariance,
+        self, Euclidean, Factors, GaussianPrior, Infeasible, LinearSolver, Loss, Options, Problem,
+        Residual, Residuals, Scalar, Vector, covariance::Covariance,
     },
 };
 
@@ -62,19 +62,6 @@ impl Residual<2> for AtCorner {
     }
 }
 
-/// Stretches and shear are those of the design.
-struct Design {
-    sigmas: [f64; 3],
-}
-
-impl Residual<3> for Design {
-    type Blocks = (Vector<AFFINE>,);
-
-    fn evaluate<T: Scalar>(&self, (affine,): ([T; AFFINE],)) -> Result<[T; 3], Infeasible> {
-        Ok([0, 1, 2].map(|k| affine[3 + k] / self.sigmas[k]))
-    }
-}
-
 /// Fits a plan to its corners; `start` is a placement near them.
 ///
 /// # Errors
@@ -91,8 +78,10 @@ pub fn fit(
         ([affine], AtCorner { at: corner.at, q, sigma_m: sigmas.corner_m })
     });
     problem.add("corners", Loss::Trivial, Residuals::new(factors))?;
-    let design = Design { sigmas: [sigmas.stretch, sigmas.stretch, sigmas.shear_rad] };
-    problem.add("design", Loss::Trivial, Residuals::new([([affine], design)]))?;
+    // Stretches and shear are those of the design.
+    let sigmas = [sigmas.stretch, sigmas.stretch, sigmas.shear_rad];
+    let design = GaussianPrior::of_entries(&problem, affine, &[3, 4, 5], &[0.0; 3], &sigmas)?;
+    problem.add("design", Loss::Trivial, Factors(vec![design]))?;
     let mut x = problem.start();
     let options = Options { linear: LinearSolver::Dense, ..Options::default() };
     nlls::solve(&problem, &mut x, &options, 100)?;

@@ -4,8 +4,8 @@ use super::{AFFINE, BEND, FREE, Placement, bend, unmoved};
 use rowgram_optim::{
     engine::SolveError,
     nlls::{
-        self, BlockId, Euclidean, Infeasible, LinearSolver, Loss, Options, Problem, Residual,
-        Residuals, Scalar, Vector, covariance::Covariance,
+        self, BlockId, Euclidean, Factors, GaussianPrior, Infeasible, LinearSolver, Loss, Options,
+        Problem, Residual, Residuals, Scalar, Vector, covariance::Covariance,
     },
 };
 
@@ -192,20 +192,6 @@ impl Residual<1> for AtEndOfPlot {
     }
 }
 
-/// `N` numbers with their means and standard deviations.
-struct Prior<const N: usize> {
-    mean: [f64; N],
-    sigma: [f64; N],
-}
-
-impl<const N: usize> Residual<N> for Prior<N> {
-    type Blocks = (Vector<N>,);
-
-    fn evaluate<T: Scalar>(&self, (values,): ([T; N],)) -> Result<[T; N], Infeasible> {
-        Ok(std::array::from_fn(|k| (values[k] - self.mean[k]) / self.sigma[k]))
-    }
-}
-
 /// The problem and its blocks.
 struct Posed {
     problem: Problem,
@@ -221,8 +207,17 @@ struct Posed {
 const ROWS: &str = "rows";
 const ENDS: &str = "ends";
 
-fn same<const N: usize>(sigma: f64) -> Prior<N> {
-    Prior { mean: [0.0; N], sigma: [sigma; N] }
+/// Shifts of blocks about 0, all with one standard deviation.
+fn shifts(
+    problem: &Problem,
+    blocks: &[BlockId],
+    sigma: f64,
+) -> Result<Factors<GaussianPrior>, SolveError> {
+    let of = |&block: &BlockId| {
+        let n = problem.dimension(block);
+        GaussianPrior::new(problem, block, &vec![0.0; n], &vec![sigma; n])
+    };
+    Ok(Factors(blocks.iter().map(of).collect::<Result<_, _>>()?))
 }
 
 fn pose(
@@ -244,23 +239,27 @@ fn pose(
     let lines = blocks("line of ends", seen.lines, 1)?;
     let plots = blocks("plot", priors.plot_shift_m.map_or(0, |_| seen.plots), 2)?;
     plots.iter().for_each(|&plot| problem.eliminate(plot));
-    let prior = Prior { mean: start.affine, sigma: priors.affine };
-    problem.add("placement", Loss::Trivial, Residuals::new([([affine], prior)]))?;
-    problem.add("bend", Loss::Trivial, Residuals::new([([bend], same::<BEND>(priors.bend_m))]))?;
-    let [mean, sigma] = priors.margin_m.map(|x| [x]);
-    problem.add("margin", Loss::Trivial, Residuals::new([([margin], Prior { mean, sigma })]))?;
-    let of_groups = |blocks: &[BlockId], sigma_m: f64| {
-        Residuals::new(blocks.iter().map(|&block| ([block], same::<1>(sigma_m))))
+    let known = |block, mean: &[f64], sigma: &[f64]| {
+        Ok::<_, SolveError>(Factors(vec![GaussianPrior::new(&problem, block, mean, sigma)?]))
     };
+    let placement = known(affine, &start.affine, &priors.affine)?;
+    let [mean, sigma] = priors.margin_m;
+    let margins = known(margin, &[mean], &[sigma])?;
+    problem.add("placement", Loss::Trivial, placement)?;
+    let bends = shifts(&problem, &[bend], priors.bend_m)?;
+    problem.add("bend", Loss::Trivial, bends)?;
+    problem.add("margin", Loss::Trivial, margins)?;
     if !rows.is_empty() {
-        problem.add("row offsets", Loss::Trivial, of_groups(&rows, scatter.row_m))?;
+        let offsets = shifts(&problem, &rows, scatter.row_m)?;
+        problem.add("row offsets", Loss::Trivial, offsets)?;
     }
     if !lines.is_empty() {
-        problem.add("line offsets", Loss::Trivial, of_groups(&lines, scatter.line_m))?;
+        let offsets = shifts(&problem, &lines, scatter.line_m)?;
+        problem.add("line offsets", Loss::Trivial, offsets)?;
     }
     if let Some(sigma_m) = priors.plot_shift_m.filter(|_| !plots.is_empty()) {
-        let own = plots.iter().map(|&block| ([block], same::<2>(sigma_m)));
-        problem.add("plot shifts", Loss::Trivial, Residuals::new(own))?;
+        let own = shifts(&problem, &plots, sigma_m)?;
+        problem.add("plot shifts", Loss::Trivial, own)?;
     }
     let across = |sample: &RowSample| AcrossRow {
         sample: *sample,

@@ -14,6 +14,7 @@
 //! weights of bare cells near a node and grows with the distance to them.
 
 use super::lattice::Lattice;
+use rowgram_optim::robust::{median, median_and_sigma, sigma_of_errors};
 use std::collections::BTreeMap;
 
 /// Weight of the second differences relative to the usual node: relief of 2.5 nodes keeps four fifths of its height.
@@ -110,9 +111,9 @@ impl GroundPlaces {
     fn reduce(&mut self, at: usize) {
         let Some([mut bare, mut standing]) = self.open.remove(&at) else { return };
         if bare.len() >= LEAST_CELLS {
-            self.data[at] = median(&mut bare);
-            let mut off: Vec<f64> = bare.iter().map(|z| (z - self.data[at]).abs()).collect();
-            let sigma = (1.4826 * median(&mut off)).max(LEAST_SIGMA_M);
+            let (middle, sigma) = median_and_sigma(&bare).unwrap_or((0.0, 0.0));
+            self.data[at] = middle;
+            let sigma = sigma.max(LEAST_SIGMA_M);
             self.weight[at] = (bare.len() as f64).min(MOST_CELLS) / (sigma * sigma);
         } else if bare.len() + standing.len() >= LEAST_STANDING {
             standing.append(&mut bare);
@@ -127,11 +128,11 @@ impl GroundPlaces {
         let rest: Vec<usize> = self.open.keys().copied().collect();
         rest.into_iter().for_each(|at| self.reduce(at));
         let GroundPlaces { corner_m, node_m, size, data, weight, standing, .. } = self;
-        let mut known: Vec<f64> = weight.iter().copied().filter(|&w| w > 0.0).collect();
+        let known: Vec<f64> = weight.iter().copied().filter(|&w| w > 0.0).collect();
         if known.is_empty() {
             return None;
         }
-        let stiffness = STIFFNESS * median(&mut known);
+        let stiffness = STIFFNESS * median(known).unwrap_or(0.0);
         // Data of weight w have a say from (stiffness / w)^(1/4) nodes on.
         let lowest = stiffness * (node_m / GroundPlaces::LOWEST_FROM_M).powi(4);
         let total: f64 = weight.iter().sum();
@@ -149,9 +150,8 @@ impl GroundPlaces {
             lattice.weight = (0..data.len()).map(of).collect();
             height = lattice.solve(height).value;
             let off: Vec<f64> = (0..data.len()).map(|k| lattice.data[k] - height[k]).collect();
-            let mut sizes: Vec<f64> =
-                (0..data.len()).filter(|&k| weight[k] > 0.0).map(|k| off[k].abs()).collect();
-            let scale = (1.4826 * median(&mut sizes)).max(LEAST_SIGMA_M);
+            let errors = (0..data.len()).filter(|&k| weight[k] > 0.0).map(|k| off[k]);
+            let scale = sigma_of_errors(errors).unwrap_or(0.0).max(LEAST_SIGMA_M);
             for k in 0..data.len() {
                 let r = off[k] / (2.4 * scale);
                 robust[k] = weight[k] / (1.0 + r * r);
@@ -221,11 +221,6 @@ impl Terrain {
         let below = value(low[0], next[1]) * (1.0 - s) + value(next[0], next[1]) * s;
         Some(above * (1.0 - t) + below * t)
     }
-}
-
-fn median(values: &mut [f64]) -> f64 {
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
 #[cfg(test)]

@@ -9,6 +9,7 @@ use super::{
 };
 use crate::scene::{Excluded, ExcludedKind, Reconstruction, Role};
 use rowgram_base::Kind;
+use rowgram_optim::robust::sigma_of_distances;
 use rowgram_optim::{
     engine::{SolveError, Termination},
     nlls::{Loss, Options, Summary, solve},
@@ -98,7 +99,12 @@ pub(super) fn adjust_after(
         validated = set_aside(whole, &validated, &far)?;
     }
     let plain = Settings { tie_loss: Loss::Trivial, ..settings.clone() };
-    let adjustment = AdjustmentProblem::new(&validated.reconstruction, &plain)?;
+    let same = |last: &&Adjusted| {
+        last.validated.images == validated.images && last.validated.ground == validated.ground
+    };
+    let of_last = last.filter(same).map(|last| last.statistics.inverse.clone());
+    let datum = of_last.as_ref().and_then(|inverse| inverse.scale_datum);
+    let adjustment = AdjustmentProblem::with_scale_datum(&validated.reconstruction, &plain, datum)?;
     let mut x = adjustment.problem.start();
     let mut engine = plain.engine();
     if last.is_some() {
@@ -107,12 +113,8 @@ pub(super) fn adjust_after(
     let (summary, moving) = solve_to_rest(&adjustment, &mut x, &engine, plain.max_iterations)?;
     let mut reconstruction = validated.reconstruction.clone();
     adjustment.update(&x, &mut reconstruction);
-    let same = |last: &&Adjusted| {
-        last.validated.images == validated.images && last.validated.ground == validated.ground
-    };
-    let statistics = match last.filter(same) {
-        Some(last) => {
-            let inverse = last.statistics.inverse.clone();
+    let statistics = match of_last {
+        Some(inverse) => {
             Statistics::with_inverse(&reconstruction, &adjustment, &plain, &x, inverse)?
         }
         None => Statistics::new(&reconstruction, &adjustment, &plain, &x)?,
@@ -235,11 +237,8 @@ impl Adjusted {
 fn far_observations(adjustment: &AdjustmentProblem, x: &[f64]) -> Result<Vec<bool>, SolveError> {
     let residuals = adjustment.problem.residuals(x, Group::TiePoints.name())?;
     let lengths: Vec<f64> = residuals.chunks_exact(2).map(|r| r[0].hypot(r[1])).collect();
-    let mut sorted = lengths.clone();
-    sorted.sort_by(f64::total_cmp);
-    // The median of a length in the plane is 1.1774 standard deviations; nothing within four of
-    // those given is suspect.
-    let sigma = (sorted[sorted.len() / 2] / 1.1774).max(1.0);
+    // Nothing within four of the standard deviations given is suspect.
+    let sigma = sigma_of_distances(lengths.iter().copied()).unwrap_or(1.0).max(1.0);
     Ok(lengths.iter().map(|&length| length > 4.0 * sigma).collect())
 }
 

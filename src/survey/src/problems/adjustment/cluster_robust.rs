@@ -23,6 +23,7 @@ use super::{
 use crate::scene::Reconstruction;
 use nalgebra::{DMatrix, SMatrix, SVector};
 use rayon::prelude::*;
+use rowgram_optim::robust::median;
 use std::{array, collections::BTreeMap};
 
 type OfLens = SMatrix<f64, LENS, LENS>;
@@ -207,18 +208,10 @@ fn influence<'c>(
 fn typical_distance_m(reconstruction: &Reconstruction) -> f64 {
     let centres: Vec<[f64; 3]> =
         reconstruction.images.iter().map(|image| image.pose.centre_m()).collect();
-    let mut distances: Vec<f64> = reconstruction
-        .observations
-        .iter()
-        .map(|o| {
-            let (a, b) =
-                (centres[o.image as usize], reconstruction.points[o.point as usize].position_m);
-            (0..3).map(|k| (a[k] - b[k]).powi(2)).sum::<f64>().sqrt()
-        })
-        .collect();
-    if distances.is_empty() {
-        return 1.0;
-    }
-    let middle = distances.len() / 2;
-    *distances.select_nth_unstable_by(middle, f64::total_cmp).1
+    let distances = reconstruction.observations.iter().map(|o| {
+        let (a, b) =
+            (centres[o.image as usize], reconstruction.points[o.point as usize].position_m);
+        (0..3).map(|k| (a[k] - b[k]).powi(2)).sum::<f64>().sqrt()
+    });
+    median(distances).unwrap_or(1.0)
 }

@@ -1,5 +1,4 @@
-//! The observations besides tie points: marks, ground coordinates, camera positions, distances,
-//! what is known of lenses and motions beforehand. All residuals are divided by their standard
+//! The observations besides tie points that are no priors of numbers: marks, camera positions, distances. All residuals are divided by their standard
 //! deviations.
 
 use super::reprojection::{DATA, LENS, Shutter};
@@ -46,40 +45,6 @@ impl Factor for GroundPointFactor {
             }
         }
         if residual.iter().all(|v| v.is_finite()) { Ok(()) } else { Err(Infeasible) }
-    }
-}
-
-/// Known coordinates of a ground point, along some axes.
-#[derive(Debug, Clone)]
-pub(super) struct ControlPointFactor {
-    pub(super) block: [BlockId; 1],
-    pub(super) axes: &'static [usize],
-    pub(super) position_m: [f64; 3],
-    pub(super) sigma_m: [f64; 3],
-}
-
-impl Factor for ControlPointFactor {
-    fn rows(&self) -> usize {
-        self.axes.len()
-    }
-
-    fn blocks(&self) -> &[BlockId] {
-        &self.block
-    }
-
-    fn linearize(
-        &self,
-        x: &[&[f64]],
-        residual: &mut [f64],
-        mut jacobian: Option<&mut Jacobian<'_>>,
-    ) -> Result<(), Infeasible> {
-        for (row, &axis) in self.axes.iter().enumerate() {
-            residual[row] = (x[0][axis] - self.position_m[axis]) / self.sigma_m[axis];
-            if let Some(jacobian) = jacobian.as_deref_mut() {
-                jacobian.row(row)[axis] = 1.0 / self.sigma_m[axis];
-            }
-        }
-        Ok(())
     }
 }
 
@@ -161,53 +126,6 @@ impl Factor for ScaleBarFactor {
             for k in 0..3 {
                 let slope = between[k] / (length * self.sigma_m);
                 (row[k], row[3 + k]) = (-slope, slope);
-            }
-        }
-        Ok(())
-    }
-}
-
-/// What is known of some entries of a block's tangent beforehand: `W (x - x_0)` with `W^T W` the
-/// inverse of their covariance. `first` is where the entries are counted from in the values.
-#[derive(Debug, Clone)]
-pub(super) struct GaussianPrior {
-    pub(super) block: [BlockId; 1],
-    /// Places in the values, and in the tangent.
-    pub(super) places: Vec<(usize, usize)>,
-    pub(super) expected: Vec<f64>,
-    /// Row-major, square.
-    pub(super) whitening: Vec<f64>,
-}
-
-impl Factor for GaussianPrior {
-    fn rows(&self) -> usize {
-        self.expected.len()
-    }
-
-    fn blocks(&self) -> &[BlockId] {
-        &self.block
-    }
-
-    fn linearize(
-        &self,
-        x: &[&[f64]],
-        residual: &mut [f64],
-        mut jacobian: Option<&mut Jacobian<'_>>,
-    ) -> Result<(), Infeasible> {
-        let n = self.expected.len();
-        for row in 0..n {
-            let weights = &self.whitening[row * n..(row + 1) * n];
-            residual[row] = weights
-                .iter()
-                .zip(&self.places)
-                .zip(&self.expected)
-                .map(|((w, &(value, _)), expected)| w * (x[0][value] - expected))
-                .sum();
-            if let Some(jacobian) = jacobian.as_deref_mut() {
-                let to = jacobian.row(row);
-                for (w, &(_, tangent)) in weights.iter().zip(&self.places) {
-                    to[tangent] = *w;
-                }
             }
         }
         Ok(())

@@ -4,7 +4,7 @@
 //! their lenses: the pattern of the reduced system, in which the inverse is had for a few
 //! factorisations. What else is asked for is solved for.
 
-use super::problem::AdjustmentProblem;
+use super::problem::{AdjustmentProblem, ScaleDatum};
 use crate::scene::Reconstruction;
 use rowgram_optim::nlls::{BlockId, covariance::Covariance, manifold::MAX_TANGENT};
 use std::collections::{BTreeSet, HashMap};
@@ -13,6 +13,8 @@ use std::collections::{BTreeSet, HashMap};
 #[derive(Debug)]
 pub(super) struct SelectedInverse {
     blocks: HashMap<(u32, u32), Vec<f64>>,
+    /// How the scale was held.
+    pub(super) scale_datum: Option<ScaleDatum>,
 }
 
 fn place(block: BlockId) -> u32 {
@@ -87,7 +89,7 @@ impl SelectedInverse {
                 blocks.insert((place(*other), place(block)), values);
             }
         }
-        SelectedInverse { blocks }
+        SelectedInverse { blocks, scale_datum: adjustment.scale_datum() }
     }
 
     /// Adds `A C B^T` to `sum`, `C` the covariance of two blocks (0 where it was not asked for) and `A`,

@@ -44,7 +44,7 @@ pub use analysis::{
     variance_components,
 };
 pub use check_points::{AxisError, CheckPoint, check_points, rmse};
-pub use problem::AdjustmentProblem;
+pub use problem::{AdjustmentProblem, ScaleDatum};
 pub use rank::{Undetermined, undetermined};
 pub use settings::{Group, Settings};
 pub use snooping::{DataSnooping, DataSnoopingOptions, Removed, retained_suspects, snoop};

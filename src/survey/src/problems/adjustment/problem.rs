@@ -2,9 +2,7 @@
 
 pub(super) use super::settings::{Group, Settings};
 use super::{
-    factors::{
-        CameraPositionFactor, ControlPointFactor, GaussianPrior, GroundPointFactor, ScaleBarFactor,
-    },
+    factors::{CameraPositionFactor, GroundPointFactor, ScaleBarFactor},
     reprojection::{DATA, LENS, Shutter, lens_block, lens_values},
 };
 use crate::camera::{Lens, Model};
@@ -12,7 +10,8 @@ use crate::scene::{Axes, Reconstruction, Role};
 use rowgram_optim::{
     engine::SolveError,
     nlls::{
-        BlockId, Euclidean, Factor, Factors, LeastSquares, Loss, Measurement, Problem, manifold,
+        BlockId, Euclidean, Factor, Factors, GaussianPrior, LeastSquares, Loss, Measurement,
+        Problem, manifold,
     },
 };
 
@@ -32,6 +31,33 @@ pub struct AdjustmentProblem {
     pub(super) shutter: Shutter,
     /// Factor on the standard deviations of marks.
     pub(super) mark_sigma_factor: f64,
+    scale_datum: Option<ScaleDatum>,
+}
+
+/// What holds the scale of a block with a minimal datum, beside its first image: one coordinate of another image.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ScaleDatum {
+    /// The image.
+    pub image: usize,
+    /// Which of the three coordinates of its translation.
+    pub axis: usize,
+}
+
+impl ScaleDatum {
+    /// The image farthest from the first, and the coordinate of its centre that points most away from there.
+    fn choose(reconstruction: &Reconstruction) -> Option<ScaleDatum> {
+        let from = reconstruction.images.first()?.pose.centre_m();
+        let distance = |k: usize| -> f64 {
+            let centre = reconstruction.images[k].pose.centre_m();
+            (0..3).map(|axis| (centre[axis] - from[axis]).powi(2)).sum()
+        };
+        let image = (1..reconstruction.images.len())
+            .max_by(|&a, &b| distance(a).total_cmp(&distance(b)))?;
+        // Where the first centre is, seen from the farthest camera.
+        let seen = reconstruction.images[image].pose.to_camera(from);
+        let axis = (0..3).max_by(|&a, &b| seen[a].abs().total_cmp(&seen[b].abs())).unwrap_or(0);
+        Some(ScaleDatum { image, axis })
+    }
 }
 
 /// The data of an image measurement.
@@ -60,6 +86,19 @@ impl AdjustmentProblem {
         reconstruction: &Reconstruction,
         settings: &Settings,
     ) -> Result<AdjustmentProblem, SolveError> {
+        AdjustmentProblem::with_scale_datum(reconstruction, settings, None)
+    }
+
+    /// As [`AdjustmentProblem::new`], with the scale held as in another problem of the same images: the farthest image may
+    /// be another one once all have moved, and covariances of two different data do not go together.
+    ///
+    /// # Errors
+    /// As [`AdjustmentProblem::new`].
+    pub fn with_scale_datum(
+        reconstruction: &Reconstruction,
+        settings: &Settings,
+        datum: Option<ScaleDatum>,
+    ) -> Result<AdjustmentProblem, SolveError> {
         let origin_m = reconstruction.origin_m();
         let mut local = reconstruction.clone();
         local.shift(origin_m);
@@ -76,6 +115,7 @@ impl AdjustmentProblem {
                 None => Shutter::Global,
             },
             mark_sigma_factor: settings.factor(Group::Marks),
+            scale_datum: None,
         };
         adjustment.add_images(&local, settings)?;
         adjustment.add_lenses(&local, settings)?;
@@ -83,7 +123,7 @@ impl AdjustmentProblem {
         adjustment.add_tie_points(&local, settings)?;
         adjustment.add_motion(&local, settings)?;
         if settings.minimal_datum {
-            adjustment.hold_datum(&local)?;
+            adjustment.hold_datum(datum.or_else(|| ScaleDatum::choose(&local)))?;
         }
         Ok(adjustment)
     }
@@ -137,26 +177,19 @@ impl AdjustmentProblem {
             }
             let n = free.len();
             let factor = settings.factor(Group::Interior);
-            let part = nalgebra::DMatrix::from_fn(n, n, |i, j| {
-                covariance[(free[i], free[j])] * factor * factor
-            });
-            let whitening = whitening(part).ok_or_else(|| {
-                SolveError::Misuse(format!(
-                    "camera {:?}: the covariance of its parameters is not positive definite",
-                    camera.name
-                ))
-            })?;
+            let part: Vec<f64> = (0..n * n)
+                .map(|k| covariance[(free[k / n], free[k % n])] * factor * factor)
+                .collect();
             let now = camera.interior.values();
             let expected = camera.expected.as_deref().unwrap_or(now);
-            let known = GaussianPrior {
-                block: [block],
-                places: free.iter().map(|&k| (places[k], places[k])).collect(),
-                expected: free
-                    .iter()
-                    .map(|&k| values[places[k]] + (expected[places[k]] - now[places[k]]))
-                    .collect(),
-                whitening,
-            };
+            let entries: Vec<usize> = free.iter().map(|&k| places[k]).collect();
+            let expected: Vec<f64> =
+                entries.iter().map(|&k| values[k] + (expected[k] - now[k])).collect();
+            let known =
+                GaussianPrior::with_covariance(&self.problem, block, &entries, &expected, &part)
+                    .map_err(|error| {
+                        SolveError::Misuse(format!("camera {:?}: {error}", camera.name))
+                    })?;
             let name = format!("interior orientation {index}");
             self.add(Group::Interior, &name, vec![known], vec![index])?;
         }
@@ -208,12 +241,15 @@ impl AdjustmentProblem {
                     && point.axes == axes
                 {
                     subjects.push(k);
-                    factors.push(ControlPointFactor {
-                        block: [block],
-                        axes: axes.indices(),
-                        position_m: point.position_m,
-                        sigma_m: point.sigma_m.map(|sigma| sigma * factor),
-                    });
+                    let entries = axes.indices();
+                    let of_axes = |v: [f64; 3]| entries.iter().map(|&k| v[k]).collect::<Vec<f64>>();
+                    factors.push(GaussianPrior::of_entries(
+                        &self.problem,
+                        block,
+                        entries,
+                        &of_axes(point.position_m),
+                        &of_axes(point.sigma_m.map(|sigma| sigma * factor)),
+                    )?);
                 }
             }
             self.add(Group::Control, name, factors, subjects)?;
@@ -286,36 +322,28 @@ impl AdjustmentProblem {
                     if entry < 3 { shutter.sigma_rate_rad_s } else { shutter.sigma_velocity_m_s };
                 whitening[row * n + row] = 1.0 / (sigma * shutter.readout_s * factor);
             }
-            known.push(GaussianPrior {
-                block: [block],
-                places: entries.iter().map(|&k| (7 + k, 6 + k)).collect(),
-                expected: entries.iter().map(|&k| image.expected_motion[k]).collect(),
-                whitening,
-            });
+            let expected: Vec<f64> = entries.iter().map(|&k| image.expected_motion[k]).collect();
+            let entries: Vec<usize> = entries.iter().map(|&k| 6 + k).collect();
+            let prior =
+                GaussianPrior::whitened(&self.problem, block, &entries, &expected, whitening)?;
+            known.push(prior);
         }
         let subjects = (0..known.len()).collect();
         self.add(Group::Motion, "motion", known, subjects)
     }
 
-    /// Holds the first image and, of the one farthest from it, the coordinate of its centre that
-    /// points most away: position, orientation and scale of the block.
-    fn hold_datum(&mut self, reconstruction: &Reconstruction) -> Result<(), SolveError> {
-        let Some(first) = reconstruction.images.first() else { return Ok(()) };
-        let from = first.pose.centre_m();
-        let distance = |k: usize| -> f64 {
-            let centre = reconstruction.images[k].pose.centre_m();
-            (0..3).map(|axis| (centre[axis] - from[axis]).powi(2)).sum()
-        };
-        let Some(farthest) =
-            (1..reconstruction.images.len()).max_by(|&a, &b| distance(a).total_cmp(&distance(b)))
-        else {
-            return Ok(());
-        };
-        // Where the first centre is, seen from the farthest camera.
-        let seen = reconstruction.images[farthest].pose.to_camera(from);
-        let axis = (0..3).max_by(|&a, &b| seen[a].abs().total_cmp(&seen[b].abs())).unwrap_or(0);
+    /// Holds the first image and one coordinate of another: position, orientation and scale of the block.
+    fn hold_datum(&mut self, scale: Option<ScaleDatum>) -> Result<(), SolveError> {
+        let Some(scale) = scale else { return Ok(()) };
         self.problem.fix_entries(self.images[0], &[0, 1, 2, 3, 4, 5])?;
-        self.problem.fix_entries(self.images[farthest], &[3 + axis])
+        self.problem.fix_entries(self.images[scale.image], &[3 + scale.axis])?;
+        self.scale_datum = Some(scale);
+        Ok(())
+    }
+
+    /// What holds the scale of the block, where a minimal datum does.
+    pub fn scale_datum(&self) -> Option<ScaleDatum> {
+        self.scale_datum
     }
 
     fn add<F: Factor + 'static>(
@@ -386,10 +414,43 @@ impl AdjustmentProblem {
     }
 }
 
-/// `W` with `W^T W = C^-1`: the inverse of the Cholesky factor of `C`, row-major.
-fn whitening(covariance: nalgebra::DMatrix<f64>) -> Option<Vec<f64>> {
-    let n = covariance.nrows();
-    let factor = covariance.cholesky()?.unpack();
-    let inverse = factor.solve_lower_triangular(&nalgebra::DMatrix::identity(n, n))?;
-    Some((0..n * n).map(|k| inverse[(k / n, k % n)]).collect())
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        camera::{Camera, Interior},
+        scene::{Image, Pose},
+    };
+
+    #[test]
+    fn a_problem_of_the_same_images_can_hold_the_scale_as_another_did() {
+        let values = [480.0, 1.0, 299.5, 224.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+        let lens = Interior::new(Model::Brown, [600, 450], &values).unwrap();
+        let image = |x: f64| Image {
+            name: format!("{x}"),
+            id: 0,
+            camera: 0,
+            pose: Pose::from_centre([1.0, 0.0, 0.0, 0.0], [x, 0.0, 12.0]),
+            motion: [0.0; 6],
+            expected_motion: [0.0; 6],
+        };
+        let mut scene = Reconstruction {
+            cameras: vec![Camera::new("toy", lens)],
+            images: vec![image(0.0), image(10.0), image(10.1)],
+            tie_sigma_px: 0.5,
+            ..Reconstruction::default()
+        };
+        let settings = Settings { minimal_datum: true, ..Settings::default() };
+        let started = AdjustmentProblem::new(&scene, &settings).unwrap();
+        let datum = started.scale_datum();
+        assert_eq!(datum, Some(ScaleDatum { image: 2, axis: 0 }));
+        // The adjustment makes another image the farthest.
+        scene.images[1] = image(10.3);
+        let again = AdjustmentProblem::new(&scene, &settings).unwrap();
+        assert_eq!(again.scale_datum(), Some(ScaleDatum { image: 1, axis: 0 }));
+        let same = AdjustmentProblem::with_scale_datum(&scene, &settings, datum).unwrap();
+        assert_eq!(same.scale_datum(), datum);
+        let free = |problem: &AdjustmentProblem| problem.problem.parameter_count();
+        assert_eq!(free(&same), free(&started));
+    }
 }

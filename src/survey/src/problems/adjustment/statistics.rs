@@ -92,7 +92,7 @@ impl Statistics {
             &mut found.interiors,
         );
         if effect > LEAST_DESIGN_EFFECT {
-            found.spread(reconstruction, settings, effect)?;
+            found.spread(reconstruction, adjustment, settings, effect)?;
         }
         Ok(found)
     }
@@ -101,12 +101,14 @@ impl Statistics {
     fn spread(
         &mut self,
         reconstruction: &Reconstruction,
+        adjustment: &AdjustmentProblem,
         settings: &Settings,
         effect: f64,
     ) -> Result<(), SolveError> {
         let mut wider = settings.clone();
         wider.sigma_factors[Group::TiePoints as usize] *= effect.sqrt();
-        let adjustment = &AdjustmentProblem::new(reconstruction, &wider)?;
+        let datum = adjustment.scale_datum();
+        let adjustment = &AdjustmentProblem::with_scale_datum(reconstruction, &wider, datum)?;
         let x = &adjustment.problem.start();
         let mut covariance = Covariance::new(&adjustment.problem, x, LinearSolver::Schur)
             .map_err(|error| rank::explain(reconstruction, adjustment, x, error))?;

@@ -5,6 +5,7 @@ use super::{
     statistics::{Statistics, statistics},
 };
 use rowgram_optim::engine::SolveError;
+use rowgram_optim::robust::median;
 
 /// Fewer photos determine no camera.
 pub const MIN_VIEWS: usize = 3;
@@ -58,9 +59,7 @@ pub fn calibrate_consistent(
         let own: Vec<View> = used.iter().map(|&k| views[k].clone()).collect();
         let solution = calibrate(&own, request)?;
         let found = statistics(&own, request, &solution)?;
-        let mut sorted: Vec<f64> = found.views.iter().map(|view| view.rms_px).collect();
-        sorted.sort_by(f64::total_cmp);
-        let median_px = sorted[sorted.len() / 2];
+        let median_px = median(found.views.iter().map(|view| view.rms_px)).unwrap_or(0.0);
         let worst = (0..used.len())
             .max_by(|&a, &b| found.views[a].rms_px.total_cmp(&found.views[b].rms_px))
             .map(|k| (k, found.views[k].rms_px))

@@ -1,10 +1,11 @@
 //! How well a calibration is known.
 //!
 //! ```text
-//! s0^2 = v^T v / (n - u),   C = s0^2 (J^T J)^-1,   t_k = x_k / sqrt(C_kk)
+//! s0^2 = v^T W v / (n - u),   C = s0^2 (J^T W J)^-1,   t_k = x_k / sqrt(C_kk)
 //! ```
 //!
-//! for `n` observations and `u` unknowns. A parameter is significant where the two-sided probability
+//! for `u` unknowns and `n` observations. `W` holds the weights `rho'` that a robust loss gives the corners, 1 without one, and `n`
+//! is their sum over all coordinates: a corner that the loss all but leaves out is no observation. A parameter is significant where the two-sided probability
 //! of its `t` under Student's distribution with `n - u` degrees of freedom is small.
 
 use super::{BoardShape, Mark, Request, Solution, State, View};
@@ -120,9 +121,22 @@ pub fn statistics(
             "{observations} observations do not determine {unknowns} unknowns; add photos"
         )));
     }
-    let squares: f64 = residuals.iter().flatten().map(|r| r[0] * r[0] + r[1] * r[1]).sum();
-    let freedom = (observations - unknowns) as f64;
-    let variance = squares / freedom;
+    let square = |r: &[f64; 2]| r[0] * r[0] + r[1] * r[1];
+    let squares: f64 = residuals.iter().flatten().map(square).sum();
+    let weighted = residuals.iter().flatten().map(|r| {
+        let weight = request.loss.evaluate(square(r)).first;
+        [weight, weight * square(r)]
+    });
+    let [weights, weighted_squares] =
+        weighted.fold([0.0; 2], |sums, [weight, part]| [sums[0] + weight, sums[1] + part]);
+    let freedom = 2.0 * weights - unknowns as f64;
+    if freedom <= 0.0 {
+        return Err(SolveError::RankDeficient(format!(
+            "the robust loss leaves the weight of {:.0} of {observations} observations, which do not determine {unknowns} unknowns; take a loss of larger scale or add photos",
+            2.0 * weights
+        )));
+    }
+    let variance = weighted_squares / freedom;
     let free: Vec<usize> = (0..request.free.len()).filter(|&k| request.free[k]).collect();
     let own = lens_covariance(views, request, solution, &free)?;
     let count = request.free.len();
@@ -211,7 +225,7 @@ const RANK_TOLERANCE: f64 = 1e-12;
 /// A parameter takes part in such a direction with at least this share of its length.
 const PART: f64 = 0.15;
 
-/// `(J^T J)^-1` of the free interior parameters, everything else eliminated.
+/// `(J^T W J)^-1` of the free interior parameters, everything else eliminated.
 fn lens_covariance(
     views: &[View],
     request: &Request,
@@ -219,7 +233,8 @@ fn lens_covariance(
     free: &[usize],
 ) -> Result<DMatrix<f64>, SolveError> {
     let failed = || SolveError::RankDeficient("a photo does not determine its own pose".into());
-    let (reduced, alone) = reduced_normal(views, free, &solution.state).ok_or_else(failed)?;
+    let (reduced, alone) =
+        reduced_normal(views, request, free, &solution.state).ok_or_else(failed)?;
     // Scaled by the curvature without the poses: what a pose takes over entirely has none left.
     let scale: Vec<f64> =
         (0..free.len()).map(|k| 1.0 / alone[(k, k)].sqrt().max(f64::MIN_POSITIVE)).collect();
@@ -277,6 +292,7 @@ fn undetermined(
 /// The normal matrix of the free interior parameters with the poses eliminated, and without.
 fn reduced_normal(
     views: &[View],
+    request: &Request,
     free: &[usize],
     state: &State,
 ) -> Option<(DMatrix<f64>, DMatrix<f64>)> {
@@ -288,10 +304,12 @@ fn reduced_normal(
         let mut mixed = DMatrix::<f64>::zeros(count, 6);
         for mark in &view.marks {
             let height = state.heights_m.get(mark.corner).copied().unwrap_or(0.0);
-            let (by_lens, by_pose) = rows(&state.interior, pose, mark.board_m, height)?;
+            let (at_px, by_lens, by_pose) = rows(&state.interior, pose, mark.board_m, height)?;
+            let [du, dv] = [0, 1].map(|k| at_px[k] - mark.image_px[k]);
+            let root_weight = request.loss.evaluate(du * du + dv * dv).first.sqrt();
             for (lens, pose) in by_lens.iter().zip(&by_pose) {
-                let lens: Vec<f64> = free.iter().map(|&k| lens[k]).collect();
-                let pose = SMatrix::<f64, 1, 6>::from_row_slice(pose);
+                let lens: Vec<f64> = free.iter().map(|&k| root_weight * lens[k]).collect();
+                let pose = SMatrix::<f64, 1, 6>::from_row_slice(&pose.map(|v| root_weight * v));
                 own += pose.transpose() * pose;
                 for i in 0..count {
                     for j in 0..6 {
@@ -311,7 +329,8 @@ fn reduced_normal(
     Some((reduced, alone))
 }
 
-type Rows = ([[f64; crate::camera::MAX_PARAMETERS]; 2], [[f64; 6]; 2]);
+/// The projection, and its derivatives by the lens and by the pose.
+type Rows = ([f64; 2], [[f64; crate::camera::MAX_PARAMETERS]; 2], [[f64; 6]; 2]);
 
 fn rows(interior: &Interior, pose: &[f64; 7], board_m: [f64; 2], height: f64) -> Option<Rows> {
     let r = rotation::matrix([pose[0], pose[1], pose[2], pose[3]]);
@@ -322,5 +341,5 @@ fn rows(interior: &Interior, pose: &[f64; 7], board_m: [f64; 2], height: f64) ->
         let w = cross(point, j);
         [w[0], w[1], w[2], j[0], j[1], j[2]]
     });
-    Some((found.by_parameters, by_pose))
+    Some((found.image_px, found.by_parameters, by_pose))
 }

@@ -11,7 +11,10 @@
 //! A photo's block is `[g_0, g_1, g_2, l]`, in the combinations of channels that [`super`] names.
 
 use super::{DIRECTION, RADIAL};
-use rowgram_optim::nlls::{BlockId, Factor, Factors, Infeasible, Jacobian};
+use rowgram_optim::{
+    engine::SolveError,
+    nlls::{BlockId, Factor, Factors, GaussianPrior, Infeasible, Jacobian, Problem},
+};
 
 /// Standard deviation of a link of the chain: far below what a gain is known to, far above rounding.
 const TIGHT: f64 = 1e-4;
@@ -130,42 +133,20 @@ impl Factor for Walk {
     }
 }
 
-/// Coefficients near 0.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct ShapePrior<const N: usize> {
-    pub(super) blocks: [BlockId; 1],
-    pub(super) inverse_sigma: f64,
-}
-
-impl<const N: usize> ShapePrior<N> {
-    /// One for each block.
-    pub(super) fn all(blocks: &[BlockId], sigma: f64) -> Factors<ShapePrior<N>> {
-        let of = |&block: &BlockId| ShapePrior { blocks: [block], inverse_sigma: 1.0 / sigma };
-        Factors(blocks.iter().map(of).collect())
-    }
-}
-
-impl<const N: usize> Factor for ShapePrior<N> {
-    fn rows(&self) -> usize {
-        N
-    }
-
-    fn blocks(&self) -> &[BlockId] {
-        &self.blocks
-    }
-
-    fn linearize(
-        &self,
-        x: &[&[f64]],
-        residual: &mut [f64],
-        jacobian: Option<&mut Jacobian<'_>>,
-    ) -> Result<(), Infeasible> {
-        (0..N).for_each(|k| residual[k] = x[0][k] * self.inverse_sigma);
-        if let Some(jacobian) = jacobian {
-            (0..N).for_each(|k| jacobian.row(k)[k] = self.inverse_sigma);
-        }
-        Ok(())
-    }
+/// Coefficients near 0, the same for each block.
+pub(super) fn shape_priors(
+    problem: &Problem,
+    blocks: &[BlockId],
+    sigma: f64,
+) -> Result<Factors<GaussianPrior>, SolveError> {
+    let of = |&block: &BlockId| {
+        let n = problem.dimension(block);
+        let entries: Vec<usize> = (0..n).collect();
+        let whitening =
+            (0..n * n).map(|k| if k % n == k / n { 1.0 / sigma } else { 0.0 }).collect();
+        GaussianPrior::whitened(problem, block, &entries, &vec![0.0; n], whitening)
+    };
+    Ok(Factors(blocks.iter().map(of).collect::<Result<_, _>>()?))
 }
 
 /// A link of the weighted sum of gains.

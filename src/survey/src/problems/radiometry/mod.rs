@@ -30,8 +30,9 @@ mod factors;
 #[cfg(test)]
 mod tests;
 
-use factors::{Chain, Light, PhotoPrior, ShapePrior, Walk};
+use factors::{Chain, Light, PhotoPrior, Walk, shape_priors};
 use nalgebra::{Matrix2, Vector2};
+use rowgram_optim::robust::sigma_of_errors;
 use rowgram_optim::{
     engine::SolveError,
     nlls::{
@@ -286,9 +287,9 @@ impl RadiometricBlock {
         if !walks.is_empty() {
             problem.add("light of the flight", Loss::Trivial, Factors(walks))?;
         }
-        let lens = ShapePrior::<RADIAL>::all(&vignetting, RADIAL_SIGMA);
+        let lens = shape_priors(&problem, &vignetting, RADIAL_SIGMA)?;
         problem.add("vignetting", Loss::Trivial, lens)?;
-        let view = ShapePrior::<DIRECTION>::all(&direction, DIRECTION_SIGMA);
+        let view = shape_priors(&problem, &direction, DIRECTION_SIGMA)?;
         problem.add("direction of view", Loss::Trivial, view)?;
         let chain = (0..n)
             .map(|k| Chain { blocks: [photos[k], sums[k], sums[k + 1]], weight: count[k] / mean });
@@ -303,10 +304,9 @@ impl RadiometricBlock {
         let count = self.observations.len() as f64;
         let redundancy = ((count - unknowns) / count).max(0.1);
         std::array::from_fn(|k| {
-            let mut all: Vec<f64> = residuals.iter().skip(k).step_by(3).map(|r| r.abs()).collect();
-            all.sort_by(f64::total_cmp);
-            let median = all[all.len() / 2];
-            (1.4826 * median * sigma[k] / redundancy.sqrt()).max(LEAST_SPREAD)
+            let whitened = residuals.iter().skip(k).step_by(3).copied();
+            (sigma_of_errors(whitened).unwrap_or(0.0) * sigma[k] / redundancy.sqrt())
+                .max(LEAST_SPREAD)
         })
     }
 

@@ -28,6 +28,7 @@ use rowgram_base::{
     error::Error,
     monitor::{Diagnostic, Monitor},
 };
+use rowgram_optim::robust::median;
 use serde::{Deserialize, Serialize};
 
 /// Whether something that takes time is done.
@@ -270,18 +271,12 @@ fn triangulation(tolerance_px: f64) -> TriangulationOptions {
 
 /// Ground sample distance: the median of the distances of points over the principal distance, metres per pixel.
 pub fn gsd_m(scene: &Reconstruction) -> f64 {
-    let mut all: Vec<f64> = scene
-        .observations
-        .iter()
-        .step_by(5)
-        .map(|o| {
-            let image = &scene.images[o.image as usize];
-            let c = scene.cameras[image.camera].interior.principal_distance_px();
-            -image.pose.to_camera(scene.points[o.point as usize].position_m)[2] / c
-        })
-        .collect();
-    all.sort_by(f64::total_cmp);
-    all.get(all.len() / 2).copied().unwrap_or(0.0)
+    let of = |o: &crate::scene::Observation| {
+        let image = &scene.images[o.image as usize];
+        let c = scene.cameras[image.camera].interior.principal_distance_px();
+        -image.pose.to_camera(scene.points[o.point as usize].position_m)[2] / c
+    };
+    median(scene.observations.iter().step_by(5).map(of)).unwrap_or(0.0)
 }
 
 /// Why photos are not part of a block: one diagnostic for each that is not and of which nothing is said yet.

@@ -13,6 +13,7 @@ use crate::{
     },
 };
 use rowgram_base::{error::Error, monitor::Diagnostic};
+use rowgram_optim::robust::median;
 
 /// Fewer images than this do not determine a whole lens.
 const MIN_IMAGES_FOR_WHOLE_LENS: usize = 6;
@@ -222,9 +223,7 @@ pub(super) fn worst_control(
     if left.len() < 4 {
         return None;
     }
-    let mut sorted: Vec<f64> = left.iter().map(|(_, left)| *left).collect();
-    sorted.sort_by(f64::total_cmp);
-    let half = sorted[sorted.len() / 2];
+    let half = median(left.iter().map(|(_, left)| *left))?;
     let (index, most) = left.into_iter().max_by(|a, b| a.1.total_cmp(&b.1))?;
     let given = known.ground[index].sigma_m.iter().copied().fold(0.0, f64::max);
     let is_gross = most > GROSS_ERROR_RATIO * half && most > GROSS_ERROR_RATIO * given;

@@ -1,6 +1,7 @@
 //! Heights of a receiver, or of cameras, over the plan of a flight: a slope, an offset, and an error along the flight.
 
 use nalgebra::{DMatrix, DVector, Matrix2, Vector2};
+use rowgram_optim::robust::sigma_of_errors;
 
 /// Heights of receivers agree no better than this, metres.
 const LEAST_SIGMA_M: f64 = 0.05;
@@ -58,11 +59,10 @@ impl Slope {
 }
 
 pub(super) fn robust_sigma(values: impl Iterator<Item = f64>, unknowns: usize) -> f64 {
-    let mut values: Vec<f64> = values.map(f64::abs).collect();
-    values.sort_by(f64::total_cmp);
+    let values: Vec<f64> = values.collect();
     let n = values.len();
     let share = (n.saturating_sub(unknowns).max(1) as f64 / n.max(1) as f64).sqrt();
-    1.4826 * values.get(n / 2).copied().unwrap_or(0.0) / share
+    sigma_of_errors(values).unwrap_or(0.0) / share
 }
 
 /// A photo's place in the plan and the flight, and a height, metres.

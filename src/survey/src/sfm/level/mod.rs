@@ -18,6 +18,7 @@ mod heights;
 mod plan;
 
 pub use heights::HeightError;
+use rowgram_optim::robust::median;
 
 use super::{block::Block, georeference::apply};
 use crate::{
@@ -81,9 +82,7 @@ pub fn mean_up(survey: &Reconstruction) -> Option<(Vector3<f64>, f64)> {
         up = axes.iter().map(|axis| weight(axis) * axis).sum();
     }
     let up = up.try_normalize(1e-9)?;
-    let mut angles: Vec<f64> = axes.iter().map(|axis| axis.angle(&up)).collect();
-    angles.sort_by(f64::total_cmp);
-    Some((up, *angles.get(angles.len() / 2)?))
+    Some((up, median(axes.iter().map(|axis| axis.angle(&up)))?))
 }
 
 /// The angle between the vertical and the middle of the axes of a flight that looks down, radians.
@@ -151,11 +150,6 @@ fn middle(survey: &Reconstruction) -> [f64; 2] {
     let sum = survey.images.iter().map(|image| image.pose.centre_m());
     let sum = sum.fold([0.0; 2], |s, c| [s[0] + c[0], s[1] + c[1]]);
     sum.map(|v| v / n)
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
 
 /// Brings a flight that looks down into the frame of its camera positions, level whatever their heights are. `places` says
@@ -261,7 +255,7 @@ pub fn review_level(survey: &Reconstruction, places: &[f64]) -> Option<HeightRev
 /// The error that most heights have, metres: the part of the flight that most of it agrees with is taken to be right.
 fn usual_error(survey: &Reconstruction, places: &[f64], error: HeightError) -> f64 {
     let of = survey.positions.iter().map(|position| error.at(places[position.image as usize]));
-    median(of.collect())
+    median(of).unwrap_or(0.0)
 }
 
 /// What is to be taken off the heights so that they say what the block does of the vertical.

@@ -16,6 +16,7 @@
 
 use super::{Correspondence, RelativePose, sampson_squared, vector};
 use nalgebra::{Matrix3, Rotation3, SMatrix, SVector, Vector3};
+use rowgram_optim::robust::{NORMAL_MAD_RATIO, median};
 
 /// Gauss-Newton on the co-planarity of the correspondences within a tolerance, which are chosen
 /// anew in every iteration; `None` where they do not determine the orientation.
@@ -159,13 +160,10 @@ pub fn by_parallax(
     if found.len() < 3 || band.sigmas.is_infinite() {
         return found.into_iter().map(|(k, _)| k).collect();
     }
-    let median = |values: &mut Vec<f64>| -> f64 {
-        values.sort_by(f64::total_cmp);
-        values[values.len() / 2]
-    };
-    let centre = median(&mut found.iter().map(|(_, p)| *p).collect());
-    let deviation = median(&mut found.iter().map(|(_, p)| (p - centre).abs()).collect());
-    let half = (band.sigmas * 1.4826 * deviation).max(band.min_share * centre);
+    let middle = |values: Vec<f64>| median(values).unwrap_or(0.0);
+    let centre = middle(found.iter().map(|(_, p)| *p).collect());
+    let deviation = middle(found.iter().map(|(_, p)| (p - centre).abs()).collect());
+    let half = (band.sigmas * NORMAL_MAD_RATIO * deviation).max(band.min_share * centre);
     found.into_iter().filter(|(_, p)| (p - centre).abs() <= half).map(|(k, _)| k).collect()
 }
 

@@ -1,15 +1,15 @@
-//! A manifold of your own: headings, as points `(cos, sin)` of the unit circle.
+//! A manifold of your own, without a derivative by hand: headings, as points `(cos, sin)` of the unit circle.
 //!
 //! ```sh
-//! cargo run --example custom_manifold
+//! cargo run -p rowgram-optim --example custom_manifold
 //! ```
 #![allow(clippy::print_stdout, reason = "an example prints")]
 
-use rowgram::{
+use rowgram_optim::{
     engine::SolveError,
     nlls::{
-        BlockId, Factor, Factors, Infeasible, Jacobian, Loss, Manifold, Options, Problem,
-        check::check_manifold, solve,
+        Infeasible, Loss, Manifold, Options, Problem, Residual, Residuals, Scalar,
+        check::check_manifold, residual::Parameter, solve,
     },
 };
 
@@ -32,27 +32,26 @@ impl Manifold for Circle {
     }
 }
 
-/// A measured heading, as a unit vector; derived by hand, because the block is our own.
-struct Compass([BlockId; 1], [f64; 2]);
+/// What residuals see of such a block: `plus` over dual numbers, which is all that their derivatives need.
+struct Heading;
 
-impl Factor for Compass {
-    fn rows(&self) -> usize {
-        2
+impl Parameter for Heading {
+    const AMBIENT: usize = 2;
+    const TANGENT: usize = 1;
+    type Of<T: Scalar> = [T; 2];
+    fn at<T: Scalar>(x: &[f64], increment: impl Fn(usize) -> T) -> [T; 2] {
+        let (sin, cos) = (increment(0).sin(), increment(0).cos());
+        [cos * x[0] - sin * x[1], sin * x[0] + cos * x[1]]
     }
-    fn blocks(&self) -> &[BlockId] {
-        &self.0
-    }
-    fn linearize(
-        &self,
-        x: &[&[f64]],
-        residual: &mut [f64],
-        jacobian: Option<&mut Jacobian<'_>>,
-    ) -> Result<(), Infeasible> {
-        (0..2).for_each(|k| residual[k] = x[0][k] - self.1[k]);
-        if let Some(jacobian) = jacobian {
-            (jacobian.row(0)[0], jacobian.row(1)[0]) = (-x[0][1], x[0][0]);
-        }
-        Ok(())
+}
+
+/// A measured heading, as a unit vector.
+struct Compass([f64; 2]);
+
+impl Residual<2> for Compass {
+    type Blocks = (Heading,);
+    fn evaluate<T: Scalar>(&self, (heading,): ([T; 2],)) -> Result<[T; 2], Infeasible> {
+        Ok([heading[0] - self.0[0], heading[1] - self.0[1]])
     }
 }
 
@@ -64,8 +63,8 @@ pub(crate) fn main() -> Result<(), SolveError> {
     // On both sides of 180 degrees, where a mean of angles would be 0.
     let seen =
         [179.0f64, -179.0, 178.0].map(|deg| [deg.to_radians().cos(), deg.to_radians().sin()]);
-    let factors = seen.map(|measured| Compass([heading], measured));
-    problem.add("compass", Loss::Trivial, Factors(factors.into()))?;
+    let residuals = seen.map(|measured| ([heading], Compass(measured)));
+    problem.add("compass", Loss::Trivial, Residuals::new(residuals))?;
     let mut x = problem.start();
     solve(&problem, &mut x, &Options::default(), 50)?;
     let found_deg = x[1].atan2(x[0]).to_degrees();

@@ -1,11 +1,11 @@
 //! A curve `y = a exp(-b t)` through measurements of which two are wrong, with a robust loss.
 //!
 //! ```sh
-//! cargo run --example curve_fitting
+//! cargo run -p rowgram-optim --example curve_fitting
 //! ```
 #![allow(clippy::print_stdout, reason = "an example prints")]
 
-use rowgram::{
+use rowgram_optim::{
     engine::SolveError,
     nlls::{
         Euclidean, Infeasible, Loss, Options, Problem, Residual, Residuals, Scalar, Vector, solve,

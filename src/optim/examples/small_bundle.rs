@@ -1,11 +1,11 @@
 //! A small bundle adjustment with a residual of your own, differentiated by dual numbers.
 //!
 //! ```sh
-//! cargo run --example small_bundle
+//! cargo run -p rowgram-optim --example small_bundle
 //! ```
 #![allow(clippy::print_stdout, reason = "an example prints")]
 
-use rowgram::{
+use rowgram_optim::{
     engine::SolveError,
     nlls::{
         Euclidean, Infeasible, Loss, Options, Problem, Residual, Residuals, Scalar, Vector,

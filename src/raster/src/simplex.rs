@@ -19,7 +19,7 @@ impl<F: Fn(&[f64]) -> f64> CostFunction for Cost<F> {
 
 /// The best point that the simplex method finds from `start`, with a first simplex that reaches `reach` along each axis,
 /// in at most `iterations` iterations; `start` itself where the method cannot run.
-pub fn minimise(
+pub(crate) fn minimise(
     cost: impl Fn(&[f64]) -> f64,
     start: &[f64],
     reach: &[f64],

@@ -2,11 +2,11 @@
 //! its neighbours and to what was measured there.
 //!
 //! ```sh
-//! cargo run --example coordinate_descent
+//! cargo run -p rowgram-optim --example coordinate_descent
 //! ```
 #![allow(clippy::print_stdout, reason = "an example prints")]
 
-use rowgram::{
+use rowgram_optim::{
     descent::{ActiveSet, BlockCost, CoordinateDescentOptions, run},
     engine::SolveError,
 };
@@ -57,7 +57,7 @@ pub(crate) fn main() -> Result<(), SolveError> {
         ..CoordinateDescentOptions::default()
     };
     let outcome = run(&problem, &mut x, options, 500, |_, _| ())?;
-    println!("{x:.3?} after {} sweeps: {}", outcome.sweeps, outcome.stop.explain());
+    println!("{x:.3?} after {} sweeps: {}", outcome.iterations, outcome.stop.explain());
     // At the optimum all data residuals add up to nothing.
     let sum: f64 = x.iter().zip(&problem.measured).map(|(x, y)| x - y).sum();
     assert!(sum.abs() < 1e-6);

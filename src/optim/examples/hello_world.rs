@@ -1,11 +1,11 @@
 //! The smallest problem: `min 1/2 (10 - x)^2`.
 //!
 //! ```sh
-//! cargo run --example hello_world
+//! cargo run -p rowgram-optim --example hello_world
 //! ```
 #![allow(clippy::print_stdout, reason = "an example prints")]
 
-use rowgram::{
+use rowgram_optim::{
     engine::SolveError,
     nlls::{
         Euclidean, Infeasible, Loss, Options, Problem, Residual, Residuals, Scalar, Vector, solve,

@@ -1,11 +1,11 @@
 //! A pose graph: a round of relative measurements that drifts, closed by a loop.
 //!
 //! ```sh
-//! cargo run --example pose_graph
+//! cargo run -p rowgram-optim --example pose_graph
 //! ```
 #![allow(clippy::print_stdout, reason = "an example prints")]
 
-use rowgram::{
+use rowgram_optim::{
     engine::SolveError,
     geometry::rotation,
     nlls::{

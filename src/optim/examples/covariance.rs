@@ -1,11 +1,11 @@
 //! Standard deviations: a post measured with tapes from three known ones.
 //!
 //! ```sh
-//! cargo run --example covariance
+//! cargo run -p rowgram-optim --example covariance
 //! ```
 #![allow(clippy::print_stdout, reason = "an example prints")]
 
-use rowgram::{
+use rowgram_optim::{
     engine::SolveError,
     nlls::{
         Euclidean, Infeasible, LinearSolver, Loss, Options, Problem, Residual, Residuals, Scalar,
