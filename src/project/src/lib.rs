@@ -28,6 +28,7 @@ pub mod leaves;
 pub mod locate;
 mod map_figures;
 pub mod ortho;
+mod photo_folder;
 pub mod plan;
 pub mod plots;
 mod project;
@@ -50,7 +51,8 @@ pub mod verify;
 
 pub use checks::ChecksOptions;
 pub use config::{Config, NAME as SETTINGS, ProjectOptions, StagesOptions, reference_page};
-pub use project::{PHOTO_ENDINGS, Project, photos_in};
+pub use photo_folder::photos_in;
+pub use project::{PHOTO_ENDINGS, Project};
 pub use stage::{Stage, State, Task};
 
 /// The folder within a stage's own that keeps what an interrupted attempt has found; no part of the results.

@@ -84,20 +84,27 @@ type Known = BTreeMap<String, (FileState, Seen)>;
 /// A photo, or its name and why it cannot be used.
 pub(super) type Read = Result<Photo, (String, String)>;
 
-/// Reads photos; what the cache knows of them is taken from there, and what is read is kept there.
+/// Reads photos with their names; what the cache knows of them is taken from there, and what is read is kept there.
 ///
 /// # Errors
 /// A cache that cannot be written.
-pub(super) fn read(paths: &[PathBuf], cache: Option<&Cache>) -> Result<Vec<Read>, Error> {
+pub(super) fn read(
+    photos: &[(PathBuf, String)],
+    cache: Option<&Cache>,
+) -> Result<Vec<Read>, Error> {
     let now = SystemTime::now().duration_since(UNIX_EPOCH);
-    read_at(now.map_or(0, |since| since.as_secs() as i64), paths, cache)
+    read_at(now.map_or(0, |since| since.as_secs() as i64), photos, cache)
 }
 
-fn read_at(now_s: i64, paths: &[PathBuf], cache: Option<&Cache>) -> Result<Vec<Read>, Error> {
+fn read_at(
+    now_s: i64,
+    photos: &[(PathBuf, String)],
+    cache: Option<&Cache>,
+) -> Result<Vec<Read>, Error> {
     let key = Key::begin().finish();
     let known: Known = cache.and_then(|cache| cache.load(KEPT, key)).unwrap_or_default();
     let read: Vec<(Read, Option<(FileState, Seen)>)> =
-        paths.par_iter().map(|path| one(now_s, path, &known)).collect();
+        photos.par_iter().map(|photo| one(now_s, photo, &known)).collect();
     let (mut photos, mut keep) = (Vec::with_capacity(read.len()), Known::new());
     for (photo, kept) in read {
         if let (Ok(photo), Some(kept)) = (&photo, kept) {
@@ -112,8 +119,12 @@ fn read_at(now_s: i64, paths: &[PathBuf], cache: Option<&Cache>) -> Result<Vec<R
 }
 
 /// A photo, and what to keep of it.
-fn one(now_s: i64, path: &Path, known: &Known) -> (Read, Option<(FileState, Seen)>) {
-    let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+fn one(
+    now_s: i64,
+    (path, name): &(PathBuf, String),
+    known: &Known,
+) -> (Read, Option<(FileState, Seen)>) {
+    let name = name.clone();
     // Before it is read: a change meanwhile is seen the next time.
     let file = FileState::of(path);
     let kept = known.get(&name).filter(|(state, _)| Some(state) == file.as_ref());
@@ -147,7 +158,7 @@ mod tests {
         picture(10);
         let now_s = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs() as i64;
         let content = |now_s: i64| {
-            let read = read_at(now_s, std::slice::from_ref(&path), Some(&cache)).unwrap();
+            let read = read_at(now_s, &[(path.clone(), "a.png".to_owned())], Some(&cache)).unwrap();
             let [Ok(photo)] = read.as_slice() else { panic!("a picture that can be read") };
             assert_eq!((photo.size_px, photo.name.as_str()), ([8, 6], "a.png"));
             photo.content
@@ -171,7 +182,8 @@ mod tests {
         assert!(changed != mark && changed != first);
         fs::remove_file(&path).unwrap();
         fs::write(&path, "no picture").unwrap();
-        let read = read_at(now_s + 100, std::slice::from_ref(&path), Some(&cache)).unwrap();
+        let read =
+            read_at(now_s + 100, &[(path.clone(), "a.png".to_owned())], Some(&cache)).unwrap();
         assert!(read[0].as_ref().is_err_and(|(_, why)| why.contains("no picture")));
         assert!(kept().is_empty());
     }

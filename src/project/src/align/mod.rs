@@ -9,9 +9,11 @@ mod enlarge;
 mod export;
 mod features;
 mod figures;
+mod geotags;
 mod ground;
 pub(super) mod inputs;
 mod known_photos;
+mod marks;
 mod matches;
 mod options;
 mod outcome;
@@ -144,6 +146,16 @@ pub fn inspect(
 ) -> Result<PartialReport, Error> {
     AlignTask::inputs(project, options)?;
     Ok(PartialReport::new(&inputs::inspect(project, options, None, monitor)?, Step::Inspect))
+}
+
+/// As [`inspect`]: where each photo was taken, as [`align`] would take it.
+pub(super) fn places(
+    project: &Project,
+    options: &AlignOptions,
+    monitor: &mut dyn Monitor,
+) -> Result<Vec<Option<rowgram_files::photo::Geotag>>, Error> {
+    AlignTask::inputs(project, options)?;
+    Ok(inputs::inspect(project, options, None, monitor)?.tags)
 }
 
 /// Makes [`align`] do a step and those after it again, whatever is kept.

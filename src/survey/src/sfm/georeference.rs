@@ -3,7 +3,9 @@
 
 pub use super::positions::{PositionFit, weigh_positions};
 
-pub use super::control::{MarkReview, WrongMark, axes_exchanged, control_left_m, review_marks};
+pub use super::control::{axes_exchanged, control_left_m};
+
+pub use super::mark_reading::{MarkReading, MarkReview, WrongMark, review_marks};
 
 use super::{
     block::Block,
@@ -11,6 +13,7 @@ use super::{
     depth_outliers,
     level::{self, HeightReview},
     triangulate::TriangulationOptions,
+    weak_control,
 };
 use crate::{
     problems::adjustment::{Alignment, align},
@@ -65,6 +68,13 @@ impl Known {
                 Some(CameraPosition { image: place(position.image)?, ..*position })
             })
             .collect();
+    }
+
+    /// Without anything on the ground.
+    pub fn without_control(&mut self) {
+        self.ground.clear();
+        self.marks.clear();
+        self.keep.clear();
     }
 
     /// Whether there are control points with all coordinates.
@@ -174,8 +184,24 @@ pub(super) fn apply(
     }
 }
 
-/// Brings a survey into the frame of what is known of it.
+/// Brings a survey into the frame of what is known of it. Control that leaves a tilt open comes after positions.
 fn georeference(
+    survey: &mut Reconstruction,
+    places: &[f64],
+) -> Option<(Alignment, Option<HeightReview>)> {
+    if weak_control::is_weak(survey) != Some(true) {
+        return georeference_by_all(survey, places);
+    }
+    let known = (std::mem::take(&mut survey.ground), std::mem::take(&mut survey.marks));
+    let mut found = georeference_by_all(survey, places);
+    (survey.ground, survey.marks) = known;
+    if let Some((alignment, _)) = &mut found {
+        weak_control::settle(survey, alignment);
+    }
+    found
+}
+
+fn georeference_by_all(
     survey: &mut Reconstruction,
     places: &[f64],
 ) -> Option<(Alignment, Option<HeightReview>)> {
@@ -267,10 +293,13 @@ pub fn join<'a>(
     block.points.fill(None);
     block.used.fill(false);
     retriangulate_and_filter(&mut block, demands);
-    let control = alignments.iter().flatten().any(|alignment| alignment.by == "control points");
-    let position_shift_m =
-        if control { remove_common_offset(&block, &mut known.positions) } else { None };
-    if control {
+    let by = |what: &str| alignments.iter().flatten().any(|of| of.by.ends_with(what));
+    let position_shift_m = if by("control points") {
+        remove_common_offset(&block, &mut known.positions)
+    } else {
+        None
+    };
+    if alignments.iter().flatten().any(|of| of.by == "control points") {
         let (mut survey, _, order) = block.reconstruction(None);
         known.attach(&mut survey, &order);
         let review = level::review_level(&survey, &places_of(&places, &order));
@@ -279,6 +308,7 @@ pub fn join<'a>(
             correct_heights(&mut known.positions, review, &order, &places);
         }
     }
+    weak_control::fill_unknown_coordinates(&block, known);
     Some(Joined { block, alignments, georeferenced, position_shift_m, heights })
 }
 
