@@ -253,32 +253,4 @@ impl Metadata {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn numbers_of_a_drone_are_read_in_both_forms() {
-        let text = br#"....<x:xmpmeta><rdf:Description drone-dji:GimbalYawDegree="+12.5" drone-dji:GimbalPitchDegree="-90.0"
-            drone-dji:RelativeAltitude="+40.1"><drone-dji:GimbalRollDegree>0.0</drone-dji:GimbalRollDegree></x:xmpmeta>..."#;
-        let found = parse(text);
-        assert_eq!(found.gimbal_deg, Some([12.5, -90.0, 0.0]));
-        assert_eq!(found.height_above_take_off_m, Some(40.1));
-        assert_eq!(found.geotag, None);
-    }
-
-    #[test]
-    fn the_principal_distance_is_taken_from_what_there_is() {
-        let plain = Metadata { focal_35mm: Some(24.0), ..Metadata::default() };
-        let (c, _) = plain.principal_distance_px([4000, 3000]).unwrap();
-        assert!((c - 24.0 / DIAGONAL_35MM * 5000.0).abs() < 1e-9);
-        let canon = Metadata {
-            make: "Canon".into(),
-            model: "Canon IXUS 220 HS".into(),
-            focal_mm: Some(4.3),
-            ..Metadata::default()
-        };
-        let (c, _) = canon.principal_distance_px([2000, 1500]).unwrap();
-        assert!((c - 4.3 / 6.17 * 2000.0).abs() < 1e-9);
-        assert_eq!(Metadata::default().principal_distance_px([10, 10]), None);
-    }
-}
+mod tests;

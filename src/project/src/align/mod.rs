@@ -135,20 +135,11 @@ pub fn align_until(
     }
 }
 
-/// Reads what [`align`] reads, photos only by their heads, and tells the monitor what is remarkable; writes nothing.
+/// Reads what [`align`] reads, photos only by their heads, and tells the monitor what is remarkable; writes nothing. Where
+/// each photo was taken, as [`align`] would take it.
 ///
 /// # Errors
 /// What is missing or contradicts itself.
-pub fn inspect(
-    project: &Project,
-    options: &AlignOptions,
-    monitor: &mut dyn Monitor,
-) -> Result<PartialReport, Error> {
-    AlignTask::inputs(project, options)?;
-    Ok(PartialReport::new(&inputs::inspect(project, options, None, monitor)?, Step::Inspect))
-}
-
-/// As [`inspect`]: where each photo was taken, as [`align`] would take it.
 pub(super) fn places(
     project: &Project,
     options: &AlignOptions,

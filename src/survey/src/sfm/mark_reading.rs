@@ -146,18 +146,14 @@ pub struct MarkReview {
     pub fitting: usize,
     /// Those that do not; they were taken out, unless nothing of their point agrees.
     pub wrong: Vec<WrongMark>,
+    /// Whether most marks contradict each other by more than a block may be bent, however they are read.
+    pub is_contradiction: bool,
 }
 
 /// So many marks tell what is wrong with all.
 const LEAST_TELLING: usize = 4;
-
-impl MarkReview {
-    /// Whether most marks contradict each other, however they are read.
-    pub fn is_contradiction(&self) -> bool {
-        let all = self.fitting + self.wrong.len();
-        all >= LEAST_TELLING && 2 * self.fitting < all
-    }
-}
+/// A block with a lens that is not known yet leaves marks off by up to so many times what is demanded.
+const BENT_TIMES: f64 = 5.0;
 
 /// Looks through the marks by the block's own geometry: marks that are meant otherwise are brought to pixels of the photos,
 /// wrong ones are taken out. `scales` are sizes of images, relative to the photos, that marks may be of; `others` whether
@@ -179,6 +175,11 @@ pub fn review_marks(
             (fitting, wrong, reading) = (more, rest, other);
         }
     }
+    let bent = TriangulationOptions { tolerance_px: BENT_TIMES * demands.tolerance_px, ..*demands };
+    let is_contradiction = 2 * fitting < fitting + wrong.len() && {
+        let (fitting, wrong) = marks_that_fit(block, known, reading, &bent);
+        fitting + wrong.len() >= LEAST_TELLING && fitting < wrong.len()
+    };
     for mark in &mut known.marks {
         mark.image_px = reading.px(mark.image_px, block.lens(mark.image as usize).size_px());
     }
@@ -188,7 +189,7 @@ pub fn review_marks(
         .map(|mark| (mark.image, mark.ground))
         .collect();
     known.marks.retain(|mark| !out.contains(&(mark.image, mark.ground)));
-    MarkReview { reading, fitting, wrong }
+    MarkReview { reading, fitting, wrong, is_contradiction }
 }
 
 #[cfg(test)]

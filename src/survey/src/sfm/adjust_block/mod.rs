@@ -216,6 +216,8 @@ fn adjust_with_known(
     monitor: &mut dyn Monitor,
 ) -> Result<AdjustedBlock, Error> {
     let mut known = flight.known.clone();
+    let told = known.positions.iter().filter(|p| flight.has_position_sigma[p.image as usize]);
+    known.told_positions = 2 * told.count() > known.positions.len();
     let mut found = Vec::new();
     let mut fragments: Vec<(Vec<String>, bool)> =
         blocks.iter().map(|block| (block.image_names(), false)).collect();

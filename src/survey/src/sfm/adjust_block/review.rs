@@ -161,7 +161,7 @@ pub(super) fn review(
             found.push(Diagnostic::warning("marks-resized", "marks", message));
             None
         }
-        MarkReading::Pixels => review.is_contradiction().then(|| {
+        MarkReading::Pixels => review.is_contradiction.then(|| {
             let all = review.fitting + review.wrong.len();
             let message = format!(
                 "{} of {all} contradict the other marks of their points, however they are read: control is not used",
