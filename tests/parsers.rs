@@ -57,8 +57,10 @@ fn read(kind: &str, path: &Path) {
         "camera" => camera::read(path).err().map(|e| e.to_string()),
         "colmap" => colmap::read(path.parent().unwrap()).err().map(|e| e.to_string()),
         "ground" => control::ground_points(path, &defaults).err().map(|e| e.to_string()),
-        "gcp_list" => gcp_list::read(path, &defaults).err().map(|e| e.to_string()),
-        "geolocation" => gcp_list::geolocation(path).err().map(|e| e.to_string()),
+        "gcp_list" => gcp_list::read(path, &defaults, None).err().map(|e| e.to_string()),
+        "geolocation" => {
+            rowgram::io::camera_positions::read(path, None).err().map(|e| e.to_string())
+        }
         "geotiff" => geotiff::Reader::open(path)
             .and_then(|reader| {
                 let height = reader.height().min(64);

@@ -217,7 +217,7 @@ fn misuse_is_named() {
     assert!(problem.add("prior", Loss::Trivial, Factors(vec![prior(a, &[1.0])])).is_err());
     let mut x = problem.start();
     let error = solve(&problem, &mut x, &Options::default(), 10).unwrap_err();
-    assert!(error.to_string().contains("b 0 is free but no factor"), "{error}");
+    assert!(error.to_string().contains("nothing is observed of b 0"), "{error}");
     problem.fix(b);
     let summary = solve(&problem, &mut x, &Options::default(), 10).unwrap();
     assert!((x[0] - 1.0).abs() < 1e-12 && summary.stop.converged(), "{summary}");

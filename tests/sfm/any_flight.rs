@@ -94,7 +94,7 @@ fn any_part_of_a_flight_is_a_block_or_is_said_to_be_none() {
 }
 
 /// The angle between the vertical of a block and the true one, degrees, and the error of its places in the plan, metres.
-fn off_level(flown: &Flown, found: &AdjustedBlock) -> (f64, f64) {
+pub(super) fn off_level(flown: &Flown, found: &AdjustedBlock) -> (f64, f64) {
     let images = &found.adjusted.reconstruction.images;
     let (mut up, mut plan) = ([0.0; 3], 0.0_f64);
     for image in images {

@@ -12,7 +12,9 @@ use rowgram::{
             AdjustedBlock, BlockOptions, Flight as Given, Photos, ShutterModel, When, adjust_blocks,
         },
         block::Block,
-        georeference::{Known, adjust, axes_exchanged, join, review_marks, weigh_positions},
+        georeference::{
+            Known, MarkReading, adjust, axes_exchanged, join, review_marks, weigh_positions,
+        },
         incremental::{IncrementalOptions, reconstruct},
         rolling_shutter,
         tracks::Tracks,
@@ -403,14 +405,14 @@ fn marks_and_coordinates_that_cannot_be_are_found() {
     let scales = [0.25, 0.5, 2.0, 4.0];
 
     let mut good = known(&flown);
-    let review = review_marks(&blocks[0], &mut good, &scales, &demands);
-    assert!(review.scale == 1.0 && review.wrong.is_empty(), "{review:?}");
+    let review = review_marks(&blocks[0], &mut good, &scales, true, &demands);
+    assert!(review.reading == MarkReading::Pixels && review.wrong.is_empty(), "{review:?}");
     assert!(!axes_exchanged(&blocks[0], &good));
 
     let mut moved = known(&flown);
     moved.marks[7].image_px[0] += 90.0;
     let (image, ground) = (moved.marks[7].image, moved.marks[7].ground);
-    let review = review_marks(&blocks[0], &mut moved, &scales, &demands);
+    let review = review_marks(&blocks[0], &mut moved, &scales, true, &demands);
     assert_eq!(review.wrong.len(), 1);
     assert_eq!((review.wrong[0].image, review.wrong[0].ground), (image, ground));
     assert_eq!(moved.marks.len() + 1, flown.marks.len());
@@ -419,9 +421,33 @@ fn marks_and_coordinates_that_cannot_be_are_found() {
     for mark in &mut resized.marks {
         mark.image_px = mark.image_px.map(|v| (v + 0.5) * 0.5 - 0.5);
     }
-    let review = review_marks(&blocks[0], &mut resized, &scales, &demands);
-    assert_eq!(review.scale, 2.0);
+    let review = review_marks(&blocks[0], &mut resized, &scales, true, &demands);
+    assert_eq!(review.reading, MarkReading::Resized(2.0));
     assert!((resized.marks[3].image_px[0] - flown.marks[3].image_px[0]).abs() < 1e-9);
+
+    // Marks that are meant otherwise: what they are is found.
+    let size = blocks[0].lens(0).size_px();
+    let [width, height] = size.map(f64::from);
+    for (reading, written) in [
+        (MarkReading::Exchanged, (|[u, v]: [f64; 2], _| [v, u]) as fn([f64; 2], [f64; 2]) -> _),
+        (MarkReading::FromBottom, |[u, v], [_, h]| [u, h - 1.0 - v]),
+        (MarkReading::Shares, |[u, v], [w, h]| [(u + 0.5) / w, (v + 0.5) / h]),
+    ] {
+        let mut meant = known(&flown);
+        for mark in &mut meant.marks {
+            mark.image_px = written(mark.image_px, [width, height]);
+        }
+        let review = review_marks(&blocks[0], &mut meant, &scales, true, &demands);
+        assert_eq!(review.reading, reading);
+        assert!((meant.marks[3].image_px[1] - flown.marks[3].image_px[1]).abs() < 1e-9);
+    }
+    // None of them fits.
+    let mut nonsense = known(&flown);
+    for (k, mark) in nonsense.marks.iter_mut().enumerate() {
+        mark.image_px = [(k * 397 % 1000) as f64, (k * 211 % 700) as f64];
+    }
+    let review = review_marks(&blocks[0], &mut nonsense, &scales, true, &demands);
+    assert!(review.is_contradiction, "{review:?}");
 
     let mut exchanged = known(&flown);
     exchanged.ground.iter_mut().for_each(|point| point.position_m.swap(0, 1));

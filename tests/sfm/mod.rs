@@ -5,3 +5,4 @@ mod blocks;
 mod longer_tracks;
 mod pairs;
 mod toy;
+mod weak_datum;

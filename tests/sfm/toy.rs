@@ -88,6 +88,11 @@ fn seen(
 
 impl Flight {
     pub fn fly(&self) -> Flown {
+        self.fly_with_mount([0.0; 2])
+    }
+
+    /// The same with a camera that hangs in its mount turned about its own axes, radians.
+    pub fn fly_with_mount(&self, [about_x, about_y]: [f64; 2]) -> Flown {
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         let normal = Normal::new(0.0, 1.0).unwrap();
         let truth = lens(C_PX, -0.05);
@@ -105,6 +110,7 @@ impl Flight {
                     rotation::exp([tilt * number(), tilt * number(), 0.03 * number()]),
                     rotation::exp([0.0, 0.0, -kappa]),
                 );
+                let turn = rotation::multiply(rotation::exp([about_x, about_y, 0.0]), turn);
                 let centre = [
                     strip as f64 * across + 0.8 * number(),
                     along_at + 0.8 * number(),

@@ -1,4 +1,4 @@
-//! *Bundle Adjustment in the Large* text files, plain or gzipped.
+//! *Bundle Adjustment in the Large* text files, plain, gzipped or, as they are published, by bzip2.
 //!
 //! ```text
 //! cameras points observations
@@ -8,7 +8,7 @@
 //! three numbers per point
 //! ```
 //!
-//! Numbers are separated by any white space. Conventions: [`rowgram_survey::camera::bal`].
+//! Numbers are separated by any white space; what follows a `#` in a line is a comment. Conventions: [`rowgram_survey::camera::bal`].
 
 use super::{FileError, output};
 use rowgram_survey::problems::bundle::{Camera, Network, Observation};
@@ -25,6 +25,12 @@ pub fn read(path: &Path) -> Result<Network, FileError> {
         flate2::read::MultiGzDecoder::new(bytes.as_slice())
             .read_to_end(&mut plain)
             .map_err(|e| FileError::malformed(path, None, format!("damaged gzip data: {e}")))?;
+        bytes = plain;
+    } else if bytes.starts_with(b"BZh") {
+        let mut plain = Vec::new();
+        bzip2::read::MultiBzDecoder::new(bytes.as_slice())
+            .read_to_end(&mut plain)
+            .map_err(|e| FileError::malformed(path, None, format!("damaged bzip2 data: {e}")))?;
         bytes = plain;
     }
     let text = std::str::from_utf8(&bytes).map_err(|e| {
@@ -147,9 +153,13 @@ impl<'a> Tokens<'a> {
     fn next(&mut self) -> Option<&'a str> {
         let bytes = self.text.as_bytes();
         let mut start = 0;
-        while start < bytes.len() && bytes[start].is_ascii_whitespace() {
-            self.line += usize::from(bytes[start] == b'\n');
-            start += 1;
+        while start < bytes.len() && (bytes[start].is_ascii_whitespace() || bytes[start] == b'#') {
+            if bytes[start] == b'#' {
+                start += bytes[start..].iter().take_while(|b| **b != b'\n').count();
+            } else {
+                self.line += usize::from(bytes[start] == b'\n');
+                start += 1;
+            }
         }
         let length = bytes[start..].iter().take_while(|b| !b.is_ascii_whitespace()).count();
         let token = &self.text[start..start + length];
@@ -202,6 +212,24 @@ mod tests {
             write(&path, &network, false).unwrap();
             assert_eq!(read(&path).unwrap(), network);
         }
+    }
+
+    #[test]
+    fn published_forms_are_read() {
+        let network = parse(SMALL).unwrap();
+        let commented =
+            format!("# made by a program\n{}# end", SMALL.replacen('\n', " # counts\n", 1));
+        assert_eq!(parse(&commented).unwrap(), network);
+        assert_eq!(parse(&commented.replace("500", "x")).unwrap_err().0, 6);
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.txt.bz2");
+        let mut packed = bzip2::write::BzEncoder::new(Vec::new(), bzip2::Compression::best());
+        packed.write_all(SMALL.as_bytes()).unwrap();
+        let packed = packed.finish().unwrap();
+        std::fs::write(&path, &packed).unwrap();
+        assert_eq!(read(&path).unwrap(), network);
+        std::fs::write(&path, &packed[..packed.len() / 2]).unwrap();
+        assert!(read(&path).unwrap_err().to_string().contains("bzip2"));
     }
 
     #[test]

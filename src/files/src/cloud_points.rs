@@ -9,7 +9,7 @@ use std::path::Path;
 /// # Errors
 /// Names the file, the line and the column.
 pub fn read(path: &Path) -> Result<Vec<SurfacePoint>, FileError> {
-    let table = Table::read(path)?;
+    let table = Table::with_header(path)?;
     let axes = [
         table.required("the east coordinate", &["x_m", "x", "easting_m"])?,
         table.required("the north coordinate", &["y_m", "y", "northing_m"])?,

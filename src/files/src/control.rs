@@ -10,11 +10,20 @@
 //! | camera positions | `image`, `easting_m`, `northing_m`, `height_m`; optional standard deviations as above |
 //! | scale bars | `from`, `to`, `length_m`; optional `sigma_m` |
 //!
-//! Coordinates are metres in one mapping frame; degrees are refused. An image is matched by its
-//! whole name, or else by its name without folder and extension where only one image has it.
+//! Columns may also have the names that other programs give them ([`super::columns`]), or none: then the first is the
+//! name, and coordinates follow. Coordinates are metres in one mapping frame; degrees are read by [`read`], for a flight
+//! whose frame is known. A point without a height is control in plan only. Images are matched by [`Names`].
+
+mod marks;
+
+pub use super::image_names::Names;
+pub use marks::marks;
 
 use super::{
     FileError,
+    columns::{
+        self, EASTING, HEIGHT, IMAGE, LABEL, LATITUDE, LONGITUDE, NORTHING, look_like_degrees,
+    },
     table::{Column, Row, Table},
 };
 use rowgram_survey::scene::{
@@ -25,13 +34,6 @@ use std::{
     collections::{HashMap, HashSet},
     path::Path,
 };
-
-const LABEL: &[&str] = &["label", "name", "point", "gcp", "id"];
-const IMAGE: &[&str] = &["image", "image_name", "filename", "file"];
-const EASTING: &[&str] = &["easting_m", "easting", "x_m", "x", "east"];
-const NORTHING: &[&str] = &["northing_m", "northing", "y_m", "y", "north"];
-const HEIGHT: &[&str] = &["height_m", "height", "z_m", "z", "elevation", "up"];
-const DEGREES: &[&str] = &["lat", "latitude", "lon", "longitude", "lng"];
 
 /// Standard deviations where a file has none.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -50,39 +52,104 @@ impl Default for Defaults {
     }
 }
 
+/// A mark that is not yet joined to an image.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NamedMark {
+    /// What the file calls the image.
+    pub image: String,
+    /// Index of the ground point.
+    pub ground: usize,
+    /// Pixels.
+    pub image_px: [f64; 2],
+    /// Its line.
+    pub line: usize,
+}
+
+/// Control with the words that name its reference system.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Control {
+    /// The words, where the file has any.
+    pub crs: Option<String>,
+    /// Whether positions are degrees instead of metres: latitude, longitude, height.
+    pub geographic: bool,
+    /// Whether the file itself says which coordinates of its points are known.
+    pub has_axes: bool,
+    /// The points.
+    pub ground: Vec<GroundPoint>,
+    /// Their marks, where the file has them.
+    pub marks: Vec<NamedMark>,
+    /// How columns were told where they have no names.
+    pub choice: Option<String>,
+}
+
+impl Control {
+    /// Heights that are all 0 were not measured: such points are control in plan only. Says whether there were any.
+    pub fn drop_zero_heights(&mut self) -> bool {
+        let with_height: Vec<f64> = (self.ground.iter())
+            .filter(|point| point.axes == Axes::Xyz)
+            .map(|point| point.position_m[2])
+            .collect();
+        let all_zero =
+            !self.has_axes && with_height.len() > 1 && with_height.iter().all(|&z| z == 0.0);
+        if all_zero {
+            self.ground.iter_mut().for_each(|point| point.axes = Axes::Xy);
+        }
+        all_zero
+    }
+}
+
 /// The columns of coordinates and their standard deviations.
 struct Coordinates {
-    place: [Column; 3],
+    /// East and north, or longitude and latitude.
+    plan: [Column; 2],
+    height: Option<Column>,
     sigma: [Option<Column>; 3],
+    is_degrees: bool,
 }
 
 impl Coordinates {
     fn of(table: &Table) -> Result<Coordinates, FileError> {
-        let found = [table.column(EASTING), table.column(NORTHING)];
-        if found.iter().any(Option::is_none) && table.column(DEGREES).is_some() {
-            return Err(table.whole_fault(
-                "the coordinates are latitude and longitude in degrees; expected easting_m, northing_m, height_m in metres: transform them into the mapping frame first".into(),
-            ));
-        }
-        let horizontal =
-            |own: &str| table.column(&[own, "sigma_xy_m", "accuracy_horizontal", "sigma_m"]);
-        Ok(Coordinates {
-            place: [
-                table.required("easting", EASTING)?,
-                table.required("northing", NORTHING)?,
-                table.required("height", HEIGHT)?,
-            ],
-            sigma: [
-                horizontal("sigma_x_m"),
-                horizontal("sigma_y_m"),
-                table.column(&["sigma_z_m", "accuracy_vertical", "sigma_m"]),
-            ],
-        })
+        let metres = table.column(EASTING).zip(table.column(NORTHING));
+        let degrees = table.column(LONGITUDE).zip(table.column(LATITUDE));
+        // Where both are there, degrees say what they are.
+        let is_degrees = degrees.is_some();
+        let plan = match degrees.or(metres) {
+            Some((east, north)) => [east, north],
+            None => [table.required("easting", EASTING)?, table.required("northing", NORTHING)?],
+        };
+        let height = table.column(HEIGHT);
+        let sigma = columns::sigmas(table);
+        let mut found = Coordinates { plan, height, sigma, is_degrees };
+        found.is_degrees |= look_like_degrees(&found.places(table));
+        Ok(found)
     }
 
-    fn position(&self, table: &Table, row: &Row) -> Result<[f64; 3], FileError> {
-        let [x, y, z] = self.place.map(|column| table.number(row, column));
-        Ok([x?, y?, z?])
+    fn places(&self, table: &Table) -> Vec<[f64; 2]> {
+        let [x, y] = self.plan;
+        let of = |row: &Row| Some([table.parse(row, x)?, table.parse(row, y)?]);
+        table.rows().iter().filter_map(of).collect()
+    }
+
+    /// In metres.
+    fn in_metres(table: &Table) -> Result<Coordinates, FileError> {
+        let mut found = Coordinates::of(table)?;
+        if found.is_degrees
+            && let Some((east, north)) = table.column(EASTING).zip(table.column(NORTHING))
+        {
+            found = Coordinates { plan: [east, north], is_degrees: false, ..found };
+            found.is_degrees = look_like_degrees(&found.places(table));
+        }
+        match found.is_degrees {
+            true => Err(table.whole_fault(DEGREES_AS_METRES.into())),
+            false => Ok(found),
+        }
+    }
+
+    /// A position; the height is `None` where it is not told.
+    fn position(&self, table: &Table, row: &Row) -> Result<([f64; 2], Option<f64>), FileError> {
+        let [x, y] = self.plan.map(|column| table.number(row, column));
+        let height = self.height.map(|column| table.number_or_none(row, column)).transpose()?;
+        Ok(([x?, y?], height.flatten()))
     }
 
     fn sigma(&self, table: &Table, row: &Row, default: f64) -> Result<[f64; 3], FileError> {
@@ -91,30 +158,76 @@ impl Coordinates {
     }
 }
 
-/// Positions that can only be degrees: all within a degree of each other and within a globe's
-/// range, which a survey in metres is not unless it is smaller than a metre.
-fn look_like_degrees(positions: &[[f64; 3]]) -> bool {
-    let spread = |k: usize| {
-        let values = positions.iter().map(|p| p[k]);
-        values.clone().fold(f64::MIN, f64::max) - values.fold(f64::MAX, f64::min)
-    };
-    let range = |k: usize, most: f64| positions.iter().all(|p| p[k].abs() <= most);
-    positions.len() >= 2
-        && (range(0, 180.0) && range(1, 90.0) || range(0, 90.0) && range(1, 180.0))
-        && spread(0) < 1.0
-        && spread(1) < 1.0
-}
+const DEGREES_AS_METRES: &str = "the coordinates are latitude and longitude in degrees; expected easting_m, northing_m, height_m in metres: transform them into the mapping frame first";
 
-const DEGREES_AS_METRES: &str = "the coordinates look like degrees: all are within one unit of each other; expected metres in the mapping frame";
-
-/// Reads ground points.
+/// Reads ground points in metres.
 ///
 /// # Errors
 /// Missing columns, fields that are no numbers, names that are there twice, degrees given as metres.
 pub fn ground_points(path: &Path, defaults: &Defaults) -> Result<Vec<GroundPoint>, FileError> {
     let table = Table::read(path)?;
     let label = table.required("name of the point", LABEL)?;
-    let coordinates = Coordinates::of(&table)?;
+    let coordinates = Coordinates::in_metres(&table)?;
+    points(&table, label, &coordinates, defaults)
+}
+
+/// Reads ground points, in metres or degrees, from a table with a header or without one. `photos_deg` is about where photos
+/// were taken, latitude and longitude, where they tell; `knows_system` whether the system of metres is known.
+///
+/// # Errors
+/// As [`ground_points`], but for degrees.
+pub fn read(
+    path: &Path,
+    defaults: &Defaults,
+    photos_deg: Option<[f64; 2]>,
+    knows_system: bool,
+) -> Result<Control, FileError> {
+    let table = Table::read(path)?;
+    let crs = table.system().map(str::to_owned);
+    let has_axes = table.column(&["axes"]).is_some();
+    let (label, mut coordinates, choice) = if table.is_named() {
+        let label = table.required("name of the point", LABEL)?;
+        let mut coordinates = Coordinates::of(&table)?;
+        if (knows_system || crs.is_some()) && coordinates.is_degrees {
+            coordinates = Coordinates::in_metres(&table).unwrap_or(coordinates);
+        }
+        (label, coordinates, None)
+    } else {
+        let found = columns::unnamed(&table, photos_deg, true)?;
+        let [east, north] =
+            if found.is_degrees { ["longitude", "latitude"] } else { ["easting", "northing"] };
+        let said = columns::said(
+            &table,
+            &[
+                ("names", Some(found.name)),
+                (east, Some(found.plan[0])),
+                (north, Some(found.plan[1])),
+                ("height", found.height),
+            ],
+        );
+        let coordinates = Coordinates {
+            plan: found.plan,
+            height: found.height,
+            sigma: [None; 3],
+            is_degrees: found.is_degrees,
+        };
+        (found.name, coordinates, Some(format!("it has no header; read with {said}")))
+    };
+    let geographic = coordinates.is_degrees;
+    if geographic {
+        // As points have it: latitude first.
+        coordinates.plan.swap(0, 1);
+    }
+    let ground = points(&table, label, &coordinates, defaults)?;
+    Ok(Control { crs, geographic, has_axes, ground, marks: Vec::new(), choice })
+}
+
+fn points(
+    table: &Table,
+    label: Column,
+    coordinates: &Coordinates,
+    defaults: &Defaults,
+) -> Result<Vec<GroundPoint>, FileError> {
     let (role, axes) = (table.column(&["role"]), table.column(&["axes"]));
     let mut points = Vec::new();
     let mut names = HashSet::new();
@@ -145,49 +258,21 @@ pub fn ground_points(path: &Path, defaults: &Defaults) -> Result<Vec<GroundPoint
                 return Err(table.fault(row, format!("axes is {other:?}, expected xyz, xy or z")));
             }
         };
+        let ([x, y], height) = coordinates.position(table, row)?;
+        let axes = match (height, axes) {
+            (None, Axes::Z) => return Err(table.fault(row, format!("{name} has no height"))),
+            (None, _) => Axes::Xy,
+            (Some(_), axes) => axes,
+        };
         points.push(GroundPoint {
             name,
-            position_m: coordinates.position(&table, row)?,
-            sigma_m: coordinates.sigma(&table, row, defaults.control_m)?,
+            position_m: [x, y, height.unwrap_or(0.0)],
+            sigma_m: coordinates.sigma(table, row, defaults.control_m)?,
             role,
             axes,
         });
     }
-    let positions: Vec<[f64; 3]> = points.iter().map(|point| point.position_m).collect();
-    if look_like_degrees(&positions) {
-        return Err(table.whole_fault(DEGREES_AS_METRES.into()));
-    }
     Ok(points)
-}
-
-/// Finds images by what other files call them.
-pub struct Names<'a> {
-    whole: HashMap<&'a str, usize>,
-    /// By stem in lower case; none where several have it.
-    stems: HashMap<String, Option<usize>>,
-}
-
-fn stem(name: &str) -> String {
-    let file = name.rsplit(['/', '\\']).next().unwrap_or(name);
-    file.rsplit_once('.').map_or(file, |(stem, _)| stem).to_ascii_lowercase()
-}
-
-impl<'a> Names<'a> {
-    /// The names of `images`.
-    pub fn new(images: &'a [Image]) -> Names<'a> {
-        let mut names = Names { whole: HashMap::new(), stems: HashMap::new() };
-        for (k, image) in images.iter().enumerate() {
-            names.whole.insert(&image.name, k);
-            names.stems.entry(stem(&image.name)).and_modify(|k| *k = None).or_insert(Some(k));
-        }
-        names
-    }
-
-    /// The place of the image of this name: as it stands, or alone with its stem.
-    pub fn find(&self, name: &str) -> Option<u32> {
-        let whole = self.whole.get(name).copied();
-        whole.or_else(|| self.stems.get(&stem(name)).copied().flatten()).map(|k| k as u32)
-    }
 }
 
 fn no_such_image(kind: ExcludedKind, image: &str, point: Option<&str>) -> Excluded {
@@ -197,58 +282,6 @@ fn no_such_image(kind: ExcludedKind, image: &str, point: Option<&str>) -> Exclud
         point: point.map(str::to_owned),
         reason: "the block has no image of this name".into(),
     }
-}
-
-/// Reads marks; those in images that are not in the block are set aside by name.
-///
-/// # Errors
-/// Missing columns, fields that are no numbers, a ground point that is not there or is marked twice
-/// in one image, no image that matches.
-pub fn marks(
-    path: &Path,
-    images: &[Image],
-    ground: &[GroundPoint],
-    defaults: &Defaults,
-) -> Result<(Vec<GroundObservation>, Vec<Excluded>), FileError> {
-    let table = Table::read(path)?;
-    let image = table.required("image", IMAGE)?;
-    let label = table.required("name of the point", LABEL)?;
-    let u = table.required("column in the image", &["u_px", "u", "x_px", "px"])?;
-    let v = table.required("row in the image", &["v_px", "v", "y_px", "py"])?;
-    let sigma = table.column(&["sigma_px"]);
-    let names = Names::new(images);
-    let points: HashMap<&str, u32> =
-        ground.iter().enumerate().map(|(k, point)| (point.name.as_str(), k as u32)).collect();
-    let mut found = Vec::new();
-    let mut aside = Vec::new();
-    let mut lines: HashMap<(u32, u32), usize> = HashMap::new();
-    for row in table.rows() {
-        let label = table.text(row, label);
-        let Some(&ground) = points.get(label) else {
-            let message = format!("there is no ground point {label:?}");
-            return Err(table.fault(row, message));
-        };
-        let name = table.text(row, image);
-        let mark = GroundObservation {
-            image: 0,
-            ground,
-            image_px: [table.number(row, u)?, table.number(row, v)?],
-            sigma_px: table.positive_or(row, sigma, defaults.mark_px)?,
-        };
-        let Some(image) = names.find(name) else {
-            aside.push(no_such_image(ExcludedKind::Mark, name, Some(label)));
-            continue;
-        };
-        if let Some(line) = lines.insert((image, ground), row.line) {
-            let message = format!("{label} is marked twice in {name}, first in line {line}");
-            return Err(table.fault(row, message));
-        }
-        found.push(GroundObservation { image, ..mark });
-    }
-    if found.is_empty() {
-        return Err(table.whole_fault(nothing_matches(&aside, images)));
-    }
-    Ok((found, aside))
 }
 
 fn nothing_matches(aside: &[Excluded], images: &[Image]) -> String {
@@ -271,14 +304,16 @@ pub fn positions(
 ) -> Result<(Vec<CameraPosition>, Vec<Excluded>), FileError> {
     let table = Table::read(path)?;
     let image = table.required("image", IMAGE)?;
-    let coordinates = Coordinates::of(&table)?;
+    let coordinates = Coordinates::in_metres(&table)?;
     let names = Names::new(images);
     let mut found = Vec::new();
     let mut aside = Vec::new();
     let mut seen = HashSet::new();
     for row in table.rows() {
         let name = table.text(row, image);
-        let position_m = coordinates.position(&table, row)?;
+        let ([x, y], height) = coordinates.position(&table, row)?;
+        let height = height.ok_or_else(|| table.fault(row, format!("{name} has no height")))?;
+        let position_m = [x, y, height];
         let sigma_m = coordinates.sigma(&table, row, defaults.position_m)?;
         match names.find(name) {
             None => aside.push(no_such_image(ExcludedKind::CameraPosition, name, None)),
@@ -290,10 +325,6 @@ pub fn positions(
     }
     if found.is_empty() {
         return Err(table.whole_fault(nothing_matches(&aside, images)));
-    }
-    let given: Vec<[f64; 3]> = found.iter().map(|position| position.position_m).collect();
-    if look_like_degrees(&given) {
-        return Err(table.whole_fault(DEGREES_AS_METRES.into()));
     }
     Ok((found, aside))
 }

@@ -1,17 +1,14 @@
 //! CSV tables with a header, read by the names of their columns.
 
-use super::FileError;
+use super::{
+    FileError,
+    table::{Row, Table},
+};
 use std::path::Path;
 
-/// A table of texts. All of them are one: tables of leaves have millions of cells.
+/// A table of texts.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct CsvTable {
-    header: Vec<String>,
-    /// The texts of all cells, row by row.
-    text: String,
-    /// Where each ends.
-    ends: Vec<usize>,
-}
+pub struct CsvTable(Table);
 
 impl CsvTable {
     /// Reads a CSV file with a header.
@@ -19,27 +16,12 @@ impl CsvTable {
     /// # Errors
     /// A file that cannot be read or is no table.
     pub fn read(path: &Path) -> Result<CsvTable, FileError> {
-        let malformed = |e: csv::Error| match e.into_kind() {
-            csv::ErrorKind::Io(source) => FileError::read(path, source),
-            other => FileError::malformed(path, None, format!("damaged table: {other:?}")),
-        };
-        let mut reader = csv::Reader::from_path(path).map_err(malformed)?;
-        let header = reader.headers().map_err(malformed)?;
-        let header = header.iter().map(|name| name.trim().to_owned()).collect();
-        let (mut text, mut ends) = (String::new(), Vec::new());
-        let mut record = csv::StringRecord::new();
-        while reader.read_record(&mut record).map_err(malformed)? {
-            for cell in &record {
-                text += cell;
-                ends.push(text.len());
-            }
-        }
-        Ok(CsvTable { header, text, ends })
+        Table::with_header(path).map(CsvTable)
     }
 
     /// Number of rows, without the header.
     pub fn len(&self) -> usize {
-        self.ends.len() / self.header.len().max(1)
+        self.0.rows().len()
     }
 
     /// Whether there is no row.
@@ -47,35 +29,34 @@ impl CsvTable {
         self.len() == 0
     }
 
-    fn cell(&self, at: usize) -> &str {
-        let start = at.checked_sub(1).map_or(0, |before| self.ends[before]);
-        &self.text[start..self.ends[at]]
-    }
-
     /// The names of the columns.
     pub fn header(&self) -> &[String] {
-        &self.header
+        self.0.header()
     }
 
     /// The cells of a row.
     pub fn row(&self, row: usize) -> impl Iterator<Item = &str> {
-        let first = row * self.header.len();
-        (first..first + self.header.len()).map(|at| self.cell(at))
+        let row = &self.0.rows()[row];
+        self.0.columns().map(|(_, column)| self.0.text(row, column))
     }
 
-    fn column(&self, name: &str) -> Option<impl Iterator<Item = &str>> {
-        let place = self.header.iter().position(|other| other == name)?;
-        Some((place..self.ends.len()).step_by(self.header.len()).map(|at| self.cell(at)))
+    fn column<T>(
+        &self,
+        name: &str,
+        of: impl Fn(&Row, super::table::Column) -> T,
+    ) -> Option<Vec<T>> {
+        let (_, column) = self.0.columns().find(|(title, _)| *title == name)?;
+        Some(self.0.rows().iter().map(|row| of(row, column)).collect())
     }
 
     /// The column of this name; `None` where there is no such column.
     pub fn texts(&self, name: &str) -> Option<Vec<&str>> {
-        Some(self.column(name)?.collect())
+        self.column(name, |row, column| self.0.text(row, column))
     }
 
     /// The numbers of a column, NaN where a cell has none; `None` where there is no such column.
     pub fn numbers(&self, name: &str) -> Option<Vec<f64>> {
-        Some(self.column(name)?.map(|text| text.trim().parse().unwrap_or(f64::NAN)).collect())
+        self.column(name, |row, column| self.0.parse(row, column).unwrap_or(f64::NAN))
     }
 
     /// Pairs of numbers of two columns; `None` where one of them is not there.
@@ -107,6 +88,6 @@ mod tests {
         let empty = CsvTable::read(&path).unwrap();
         assert!(empty.is_empty() && empty.numbers("v_px").unwrap().is_empty());
         std::fs::write(&path, "u_px,v_px\n1,2,3\n").unwrap();
-        assert!(CsvTable::read(&path).unwrap_err().to_string().contains("damaged table"));
+        assert!(CsvTable::read(&path).unwrap_err().to_string().contains("expected 2 columns"));
     }
 }

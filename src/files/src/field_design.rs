@@ -38,7 +38,7 @@ pub enum Surveyed {
 /// # Errors
 /// A damaged table, a corner that does not exist or is there twice, fewer than two corners.
 pub fn read_corners(path: &Path) -> Result<Vec<(FieldCorner, Surveyed)>, FileError> {
-    let table = Table::read(path)?;
+    let table = Table::with_header(path)?;
     let name = table.required("corners", CORNER)?;
     let in_degrees = table.column(LONGITUDE).zip(table.column(LATITUDE));
     let place = |row: &Row| match in_degrees {
@@ -92,7 +92,7 @@ pub struct FieldMap {
 /// # Errors
 /// A damaged table, a table without plots or with a plot twice, an attribute that would be taken for the plot's name.
 pub fn read_field_map(path: &Path) -> Result<FieldMap, FileError> {
-    let table = Table::read(path)?;
+    let table = Table::with_header(path)?;
     let plot = table.required("plots", PLOT)?;
     let plot_title =
         table.columns().find(|(title, _)| PLOT.iter().any(|p| p.eq_ignore_ascii_case(title)));

@@ -1,53 +1,53 @@
-//! Control in the forms of other programs: OpenDroneMap's `gcp_list.txt`, OpenSfM's
-//! `ground_control_points.json`, and tables of geographic camera positions.
+//! Control in the forms of other programs: OpenDroneMap's `gcp_list.txt` and OpenSfM's
+//! `ground_control_points.json`.
 //!
 //! `gcp_list.txt`: a first line that names the coordinate reference system, then per mark
 //! `x y z u v image [name]`, separated by blanks or tabs; a name that begins with `CHK-` is a check
-//! point. Without names, marks with the same coordinates are one point.
+//! point. Without names, marks with the same coordinates are one point. In a geographic system `x` is the longitude. A height
+//! that is `NaN` makes a point control in plan only.
 
-use super::{FileError, control::Defaults, photo::Geotag, table::Table};
+use super::{
+    FileError,
+    camera_positions::is_geographic,
+    columns::latitude_first,
+    control::{Control, Defaults, NamedMark},
+    table::decode,
+};
 use rowgram_survey::scene::{Axes, GroundPoint, Role};
 use std::path::Path;
-
-/// A mark that is not yet joined to an image.
-#[derive(Debug, Clone, PartialEq)]
-pub struct NamedMark {
-    /// What the file calls the image.
-    pub image: String,
-    /// Index of the ground point.
-    pub ground: usize,
-    /// Pixels.
-    pub image_px: [f64; 2],
-    /// Its line.
-    pub line: usize,
-}
-
-/// Control with the words that name its reference system.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Control {
-    /// The words, where the file has any.
-    pub crs: Option<String>,
-    /// The points, where they are degrees instead of metres: latitude, longitude, height.
-    pub geographic: bool,
-    /// The points.
-    pub ground: Vec<GroundPoint>,
-    /// Their marks.
-    pub marks: Vec<NamedMark>,
-}
 
 /// Reads a `gcp_list.txt`.
 ///
 /// # Errors
 /// Lines that are none; names the line and what was expected.
-pub fn read(path: &Path, defaults: &Defaults) -> Result<Control, FileError> {
-    let text = std::fs::read_to_string(path).map_err(|e| FileError::read(path, e))?;
-    let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
-    parse(text, defaults).map_err(|(line, message)| FileError::malformed(path, line, message))
+pub fn read(
+    path: &Path,
+    defaults: &Defaults,
+    photos_deg: Option<[f64; 2]>,
+) -> Result<Control, FileError> {
+    let text = decode(std::fs::read(path).map_err(|e| FileError::read(path, e))?);
+    let mut control = parse(&text, defaults)
+        .map_err(|(line, message)| FileError::malformed(path, line, message))?;
+    if control.geographic {
+        latitude_before_longitude(&mut control, photos_deg);
+    }
+    Ok(control)
+}
+
+/// Brings degrees into the order latitude, longitude, and says how they were taken.
+fn latitude_before_longitude(control: &mut Control, photos_deg: Option<[f64; 2]>) {
+    let pairs: Vec<[f64; 2]> =
+        control.ground.iter().map(|p| [p.position_m[0], p.position_m[1]]).collect();
+    let latitude_first = latitude_first(&pairs, photos_deg, false);
+    if !latitude_first {
+        control.ground.iter_mut().for_each(|point| point.position_m.swap(0, 1));
+    }
+    let order = if latitude_first { ["latitude", "longitude"] } else { ["longitude", "latitude"] };
+    control.choice = Some(format!("its coordinates are read as {}, {}", order[0], order[1]));
 }
 
 fn parse(text: &str, defaults: &Defaults) -> Result<Control, (usize, String)> {
-    let mut control =
-        Control { crs: None, geographic: false, ground: Vec::new(), marks: Vec::new() };
+    let mut control = Control::default();
     let mut places: Vec<[f64; 3]> = Vec::new();
     for (k, line) in text.lines().enumerate() {
         let (number, line) = (k + 1, line.trim());
@@ -56,9 +56,7 @@ fn parse(text: &str, defaults: &Defaults) -> Result<Control, (usize, String)> {
         }
         if control.crs.is_none() {
             control.crs = Some(line.to_owned());
-            control.geographic = line.contains("+proj=longlat")
-                || line.eq_ignore_ascii_case("EPSG:4326")
-                || line.eq_ignore_ascii_case("WGS84");
+            control.geographic = is_geographic(line);
             continue;
         }
         let fields: Vec<&str> = line.split_whitespace().collect();
@@ -75,7 +73,8 @@ fn parse(text: &str, defaults: &Defaults) -> Result<Control, (usize, String)> {
                 )
             })
         };
-        let position = [value(0)?, value(1)?, value(2)?];
+        let no_height = fields[2].eq_ignore_ascii_case("nan");
+        let position = [value(0)?, value(1)?, if no_height { 0.0 } else { value(2)? }];
         let name = fields.get(6).map(|name| (*name).to_owned());
         let known = (0..places.len()).find(|&at| match &name {
             Some(name) => control.ground[at].name == *name,
@@ -97,7 +96,7 @@ fn parse(text: &str, defaults: &Defaults) -> Result<Control, (usize, String)> {
                     name,
                     position_m: position,
                     sigma_m: [defaults.control_m; 3],
-                    axes: Axes::Xyz,
+                    axes: if no_height { Axes::Xy } else { Axes::Xyz },
                 });
                 at
             }
@@ -137,8 +136,7 @@ pub fn read_opensfm(
     let points = file["points"]
         .as_array()
         .ok_or_else(|| wrong("expected an object with a list \"points\"".into()))?;
-    let mut control =
-        Control { crs: None, geographic: false, ground: Vec::new(), marks: Vec::new() };
+    let mut control = Control::default();
     for (k, point) in points.iter().enumerate() {
         let name = point["id"].as_str().map_or_else(|| format!("point {k}"), str::to_owned);
         let triple = |value: &serde_json::Value, keys: [&str; 3]| -> Option<[f64; 3]> {
@@ -187,52 +185,6 @@ pub fn read_opensfm(
         }
     }
     Ok(control)
-}
-
-/// Reads a table of geographic camera positions: an image's name, latitude, longitude, height.
-/// Columns by name; a file without a header has them in that order (as `geo.txt`, where longitude comes
-/// first, is not).
-///
-/// # Errors
-/// Missing columns, numbers that are none, degrees beyond the globe.
-pub fn geolocation(path: &Path) -> Result<Vec<(String, Geotag)>, FileError> {
-    let table = Table::read(path)?;
-    let image = table.required("image", &["image_name", "image", "filename", "file", "label"])?;
-    let latitude = table.required("latitude", &["lat", "latitude", "latitude_deg"])?;
-    let longitude = table.required("longitude", &["lon", "longitude", "lng", "longitude_deg"])?;
-    let height = table.column(&[
-        "gps_height",
-        "height_m",
-        "height",
-        "altitude",
-        "alt",
-        "altitude_m",
-        "ellipsoidal_height_m",
-    ]);
-    let horizontal =
-        table.column(&["sigma_xy_m", "accuracy_horizontal", "sigma_m", "horizontal_m"]);
-    let vertical = table.column(&["sigma_z_m", "accuracy_vertical", "sigma_m", "vertical_m"]);
-    let mut found = Vec::new();
-    for row in table.rows() {
-        let (lat, lon) = (table.number(row, latitude)?, table.number(row, longitude)?);
-        if lat.abs() > 90.0 || lon.abs() > 180.0 {
-            let message = format!("latitude {lat}, longitude {lon} is no place on the globe");
-            return Err(table.fault(row, message));
-        }
-        let height_m = match height {
-            Some(column) if !table.text(row, column).is_empty() => Some(table.number(row, column)?),
-            _ => None,
-        };
-        let sigma = [
-            table.positive_or(row, horizontal, f64::NAN)?,
-            table.positive_or(row, vertical, f64::NAN)?,
-        ];
-        let sigma_m =
-            (!sigma[0].is_nan() && !sigma[1].is_nan()).then_some([sigma[0], sigma[0], sigma[1]]);
-        let tag = Geotag { latitude_deg: lat, longitude_deg: lon, height_m, sigma_m };
-        found.push((table.text(row, image).to_owned(), tag));
-    }
-    Ok(found)
 }
 
 #[cfg(test)]

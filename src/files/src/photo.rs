@@ -1,8 +1,9 @@
 //! What a photo's file says of how it was taken: EXIF, and the XMP of drones.
 //!
-//! EXIF is read by `kamadak-exif`. XMP is text inside the file; of it only the numbers that drones write as
-//! attributes or elements are read (`drone-dji:GimbalPitchDegree`, `drone-dji:RtkFlag`,
-//! `drone-dji:RtkStdLon` and their like).
+//! EXIF is read by `kamadak-exif`, as far as it can be read: a directory that is damaged leaves the others. XMP ([`xmp`])
+//! gives what EXIF does not: the position, its accuracy, the angles of the camera mount, the band of a multispectral camera.
+
+mod xmp;
 
 use super::FileError;
 use exif::{In, Reader, Tag, Value};
@@ -33,6 +34,8 @@ pub struct Metadata {
     pub moment: String,
     /// Offset of that time from UTC, as EXIF writes it (`+02:00`); empty where it is not told.
     pub utc_offset: String,
+    /// When it was taken in UTC by the receiver's clock, written as `moment`; empty where it is not told.
+    pub utc: String,
     /// Focal length, millimetres.
     pub focal_mm: Option<f64>,
     /// Focal length of a 36 x 24 mm camera with as wide a view, millimetres.
@@ -49,6 +52,10 @@ pub struct Metadata {
     /// Yaw, pitch and roll of the camera mount, degrees, as a DJI drone writes them (pitch -90: straight
     /// down).
     pub gimbal_deg: Option<[f64; 3]>,
+    /// The band that a camera of several bands says the file is of.
+    pub band: Option<String>,
+    /// What of EXIF could not be read; empty where all could.
+    pub unread: String,
     /// Height above the point of take-off, metres.
     pub height_above_take_off_m: Option<f64>,
     /// How long each pixel was exposed, seconds.
@@ -94,11 +101,36 @@ impl Metadata {
 /// As [`read`], from a file's bytes.
 pub fn parse(bytes: &[u8]) -> Metadata {
     let mut found = Metadata { orientation: 1, ..Metadata::default() };
-    if let Ok(exif) = Reader::new().read_from_container(&mut Cursor::new(bytes)) {
-        from_exif(&exif, &mut found);
+    let mut xmp = None;
+    match Reader::new().continue_on_error(true).read_from_container(&mut Cursor::new(bytes)) {
+        Ok(exif) => {
+            from_exif(&exif, &mut found);
+            xmp = xmp::of_tiff(&exif);
+        }
+        Err(exif::Error::PartialResult(partial)) => {
+            let (exif, errors) = partial.into_inner();
+            from_exif(&exif, &mut found);
+            xmp = xmp::of_tiff(&exif);
+            // A file without a thumbnail, or with a wrong one, lacks nothing that counts.
+            let lost: Vec<String> = errors.iter().map(ToString::to_string).collect();
+            found.unread = lost.join(", ");
+        }
+        Err(exif::Error::InvalidFormat(why) | exif::Error::BlankValue(why)) => {
+            found.unread = why.to_owned();
+        }
+        Err(_) => {}
     }
-    from_xmp(bytes, &mut found);
+    if let Some(text) = xmp.or_else(|| xmp::of_file(bytes)) {
+        xmp::read(&text, &mut found);
+    }
     found
+}
+
+/// A place on the globe, if it is one: exactly 0, 0 is what receivers write that know nothing.
+fn is_place(latitude_deg: f64, longitude_deg: f64) -> bool {
+    latitude_deg.abs() <= 90.0
+        && longitude_deg.abs() <= 180.0
+        && (latitude_deg, longitude_deg) != (0.0, 0.0)
 }
 
 fn number(value: &Value, k: usize) -> Option<f64> {
@@ -130,6 +162,12 @@ fn from_exif(exif: &exif::Exif, found: &mut Metadata) {
         found.moment = format!("{}.{fraction}", found.moment);
     }
     found.utc_offset = text(Tag::OffsetTimeOriginal);
+    let date = text(Tag::GPSDateStamp);
+    let clock = value(Tag::GPSTimeStamp)
+        .and_then(|v| Some([number(v, 0)? as u32, number(v, 1)? as u32, number(v, 2)? as u32]));
+    if let (false, Some([hour, minute, second])) = (date.is_empty(), clock) {
+        found.utc = format!("{date} {hour:02}:{minute:02}:{second:02}");
+    }
     found.focal_mm = positive(Tag::FocalLength);
     found.focal_35mm = positive(Tag::FocalLengthIn35mmFilm);
     found.exposure_s = positive(Tag::ExposureTime);
@@ -161,65 +199,14 @@ fn from_exif(exif: &exif::Exif, found: &mut Metadata) {
         Tag::GPSLongitudeRef,
         "W",
     ));
-    // Exactly 0, 0 is what receivers write that know nothing.
-    found.geotag = place
-        .filter(|(latitude, longitude)| {
-            latitude.abs() <= 90.0
-                && longitude.abs() <= 180.0
-                && (*latitude, *longitude) != (0.0, 0.0)
-        })
-        .map(|(latitude_deg, longitude_deg)| {
+    found.geotag = place.filter(|(latitude, longitude)| is_place(*latitude, *longitude)).map(
+        |(latitude_deg, longitude_deg)| {
             let below = value(Tag::GPSAltitudeRef).and_then(|v| v.get_uint(0)) == Some(1);
             let height = value(Tag::GPSAltitude).and_then(|v| number(v, 0));
             let height_m = height.map(|h| if below { -h } else { h });
             Geotag { latitude_deg, longitude_deg, height_m, sigma_m: None }
-        });
-}
-
-/// Where XMP begins.
-const XMP: &[u8] = b"<x:xmpmeta";
-const XMP_END: &[u8] = b"</x:xmpmeta>";
-
-fn position(bytes: &[u8], what: &[u8]) -> Option<usize> {
-    bytes.windows(what.len()).position(|window| window == what)
-}
-
-fn from_xmp(bytes: &[u8], found: &mut Metadata) {
-    // It stands before the picture.
-    let head = &bytes[..bytes.len().min(1 << 18)];
-    let Some(begin) = position(head, XMP) else { return };
-    let Some(end) = position(&head[begin..], XMP_END) else { return };
-    let text = String::from_utf8_lossy(&head[begin..begin + end]);
-    let number = |name: &str| -> Option<f64> {
-        let at = text.find(&format!("drone-dji:{name}"))? + "drone-dji:".len() + name.len();
-        let rest = text[at..].trim_start();
-        // An attribute `name="1.0"` or an element `<name>1.0</name>`.
-        let value = match rest.strip_prefix('=') {
-            Some(rest) => rest.trim_start().strip_prefix(['"', '\''])?,
-            None => rest.strip_prefix('>')?,
-        };
-        let end = value.find(['"', '\'', '<'])?;
-        value[..end].trim().parse::<f64>().ok().filter(|v| v.is_finite())
-    };
-    found.gimbal_deg = number("GimbalYawDegree")
-        .zip(number("GimbalPitchDegree"))
-        .zip(number("GimbalRollDegree"))
-        .map(|((yaw, pitch), roll)| [yaw, pitch, roll]);
-    found.height_above_take_off_m = number("RelativeAltitude");
-    let Some(geotag) = &mut found.geotag else { return };
-    // 50: fixed ambiguities; only then are the standard deviations those of a solution.
-    if number("RtkFlag").is_some_and(|flag| flag >= 50.0)
-        && let (Some(east), Some(north), Some(up)) =
-            (number("RtkStdLon"), number("RtkStdLat"), number("RtkStdHgt"))
-        && east > 0.0
-        && north > 0.0
-        && up > 0.0
-    {
-        geotag.sigma_m = Some([east, north, up]);
-    }
-    if let Some(height) = number("AbsoluteAltitude") {
-        geotag.height_m = Some(height);
-    }
+        },
+    );
 }
 
 /// Widths of sensors, millimetres, of cameras whose files do not tell them, by parts of maker and
@@ -266,32 +253,4 @@ impl Metadata {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn numbers_of_a_drone_are_read_in_both_forms() {
-        let text = br#"....<x:xmpmeta><rdf:Description drone-dji:GimbalYawDegree="+12.5" drone-dji:GimbalPitchDegree="-90.0"
-            drone-dji:RelativeAltitude="+40.1"><drone-dji:GimbalRollDegree>0.0</drone-dji:GimbalRollDegree></x:xmpmeta>..."#;
-        let found = parse(text);
-        assert_eq!(found.gimbal_deg, Some([12.5, -90.0, 0.0]));
-        assert_eq!(found.height_above_take_off_m, Some(40.1));
-        assert_eq!(found.geotag, None);
-    }
-
-    #[test]
-    fn the_principal_distance_is_taken_from_what_there_is() {
-        let plain = Metadata { focal_35mm: Some(24.0), ..Metadata::default() };
-        let (c, _) = plain.principal_distance_px([4000, 3000]).unwrap();
-        assert!((c - 24.0 / DIAGONAL_35MM * 5000.0).abs() < 1e-9);
-        let canon = Metadata {
-            make: "Canon".into(),
-            model: "Canon IXUS 220 HS".into(),
-            focal_mm: Some(4.3),
-            ..Metadata::default()
-        };
-        let (c, _) = canon.principal_distance_px([2000, 1500]).unwrap();
-        assert!((c - 4.3 / 6.17 * 2000.0).abs() < 1e-9);
-        assert_eq!(Metadata::default().principal_distance_px([10, 10]), None);
-    }
-}
+mod tests;

@@ -7,7 +7,10 @@
 //! frame (y up, looking along -z) to the map. Columns with the velocity and turn of a photo during the readout of
 //! its rows, as `rowgram synth flight` writes them, are used where they are.
 
-use super::FileError;
+use super::{
+    FileError,
+    table::{Row, Table},
+};
 use rowgram_optim::geometry::rotation;
 use rowgram_survey::scene::Pose;
 use serde_json::Value;
@@ -43,14 +46,15 @@ pub fn from_angles_rad([omega, phi, kappa]: [f64; 3]) -> rotation::Quaternion {
 /// # Errors
 /// Names the file, the line, the column or the photo.
 pub fn read(path: &Path) -> Result<Vec<Exterior>, FileError> {
-    let text = std::fs::read_to_string(path).map_err(|e| FileError::read(path, e))?;
-    let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
+    let bytes = std::fs::read(path).map_err(|e| FileError::read(path, e))?;
+    let text = super::table::decode(bytes);
     let poses = if text.trim_start().starts_with('{') {
-        let file: Value = serde_json::from_str(text)
+        let file: Value = serde_json::from_str(&text)
             .map_err(|e| FileError::malformed(path, e.line(), e.to_string()))?;
         geojson(&file).map_err(|message| FileError::malformed(path, None, message))?
     } else {
-        table(text).map_err(|(line, message)| FileError::malformed(path, line, message))?
+        let table = Table::with_header(path)?;
+        table.rows().iter().map(|of| row(&table, of)).collect::<Result<_, _>>()?
     };
     if poses.is_empty() {
         return Err(FileError::malformed(path, None, "it holds no photo"));
@@ -67,56 +71,15 @@ pub fn read(path: &Path) -> Result<Vec<Exterior>, FileError> {
     Ok(poses)
 }
 
-type Fault = (Option<usize>, String);
-
-fn table(text: &str) -> Result<Vec<Exterior>, Fault> {
-    let first = text.lines().find(|line| !line.trim().is_empty()).unwrap_or_default();
-    let count = |c: &char| first.matches(*c).count();
-    let separator = [' ', '\t', ';', ','].into_iter().max_by_key(count).unwrap_or(',');
-    let mut reader = csv::ReaderBuilder::new()
-        .has_headers(false)
-        .flexible(true)
-        .delimiter(separator as u8)
-        .quote(if first.contains('\'') { b'\'' } else { b'"' })
-        .trim(csv::Trim::All)
-        .from_reader(text.as_bytes());
-    let mut header: Vec<String> = Vec::new();
-    let mut found = Vec::new();
-    for record in reader.records() {
-        let record = record.map_err(|e| (None, e.to_string()))?;
-        let line = record.position().map(|position| position.line() as usize);
-        if record.iter().all(str::is_empty) {
-            continue;
-        }
-        if header.is_empty() {
-            header = record.iter().map(str::to_lowercase).collect();
-            continue;
-        }
-        found.push(row(&header, &record).map_err(|message| (line, message))?);
-    }
-    Ok(found)
-}
-
-fn row(header: &[String], record: &csv::StringRecord) -> Result<Exterior, String> {
-    let place = |names: &[&str]| header.iter().position(|h| names.contains(&h.as_str()));
-    let text = |names: &[&str]| place(names).and_then(|k| record.get(k));
-    let number = |names: &[&str]| -> Result<Option<f64>, String> {
-        let Some(text) = text(names) else { return Ok(None) };
-        let value = text.parse::<f64>().ok().filter(|v| v.is_finite());
-        value.map(Some).ok_or_else(|| format!("{} is {text:?}, expected a number", names[0]))
+fn row(table: &Table, row: &Row) -> Result<Exterior, FileError> {
+    let text = |names: &[&str]| table.column(names).map(|column| table.text(row, column));
+    let number = |names: &[&str]| -> Result<Option<f64>, FileError> {
+        table.column(names).map(|column| table.number(row, column)).transpose()
     };
-    let needed = |names: &[&str]| {
-        number(names)?.ok_or_else(|| {
-            format!(
-                "no column {:?}; expected filename, x, y, z, omega, phi, kappa, found {}",
-                names[0],
-                header.join(", ")
-            )
-        })
-    };
+    let needed = |names: &[&str]| table.number(row, table.required("pose", names)?);
     let name = text(&["filename", "image", "photo", "label", "name"])
         .filter(|name| !name.is_empty())
-        .ok_or("no name of a photo; expected a column \"filename\"")?;
+        .ok_or_else(|| table.fault(row, "no name of a photo; expected a column filename".into()))?;
     let centre_m = [
         needed(&["x", "x_m", "easting", "easting_m"])?,
         needed(&["y", "y_m", "northing", "northing_m"])?,
@@ -133,7 +96,7 @@ fn row(header: &[String], record: &csv::StringRecord) -> Result<Exterior, String
     let rotation = from_angles_rad(angles);
     let motion = match number(&["readout_s"])? {
         Some(readout_s) if readout_s != 0.0 => {
-            let three = |names: [&str; 3]| -> Result<[f64; 3], String> {
+            let three = |names: [&str; 3]| -> Result<[f64; 3], FileError> {
                 let mut of = [0.0; 3];
                 for (value, name) in of.iter_mut().zip(names) {
                     *value = number(&[name])?.unwrap_or(0.0);
@@ -190,6 +153,12 @@ mod tests {
             "'filename' 'x' 'y' 'z' 'omega' 'phi' 'kappa' 'camera'\n'a.tif' 1 2 3 10 -20 30 'a b c'\n",
             "image;x_m;y_m;z_m;omega_deg;phi_deg;kappa_deg\na.tif;1;2;3;10;-20;30\n",
         ];
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("poses.csv");
+        let table = |text: &str| {
+            std::fs::write(&path, text).unwrap();
+            read(&path)
+        };
         for text in texts {
             let poses = table(text).unwrap();
             assert_eq!(poses[0].name, "a.tif");
@@ -204,7 +173,7 @@ mod tests {
                 );
             }
         }
-        let fault = table("filename,x,y,z,omega,phi\na,1,2,3,4,5\n").unwrap_err();
-        assert!(fault.1.contains("kappa") && fault.0 == Some(2), "{fault:?}");
+        let fault = table("filename,x,y,z,omega,phi\na,1,2,3,4,5\n").unwrap_err().to_string();
+        assert!(fault.contains("kappa"), "{fault}");
     }
 }

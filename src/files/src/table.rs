@@ -1,81 +1,213 @@
-//! CSV files with a header, read by the names of their columns.
+//! Tables of text, read by the names of their columns: the one reader of all tables that people and programs deliver.
 //!
-//! A byte order mark, CRLF line ends, blank lines, and comma, semicolon or tab as separator are
-//! accepted.
+//! Comma, semicolon, tab or blanks separate; numbers have a decimal point or, where commas do not separate, a decimal comma;
+//! the text is UTF-8, UTF-16 with a byte order mark, or else Latin-1. A first row in which no field is a number is the header;
+//! without one, the last line of comments (`#`, `%`) before the rows is, where it has as many fields. Lines of comments and a
+//! first line that names a reference system are kept apart.
+
+mod decode;
+mod separator;
 
 use super::FileError;
+pub(super) use decode::decode;
+use separator::Separator;
 use std::path::{Path, PathBuf};
 
-/// A file with a header and rows of as many fields.
-#[derive(Debug)]
+/// A file with rows of fields. All of them are one text: tables of leaves have millions of cells.
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Table {
     path: PathBuf,
     header: Vec<String>,
+    named: bool,
+    preamble: Vec<String>,
+    text: String,
+    /// Where each field ends.
+    ends: Vec<usize>,
     rows: Vec<Row>,
+    decimal_comma: bool,
 }
 
 /// One row.
-#[derive(Debug)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Row {
     pub(super) line: usize,
-    fields: Vec<String>,
+    first: usize,
 }
 
 /// A column that was found.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Column(usize);
 
+/// A title as it is compared: without unit, in lower case, words joined by `_`.
+fn normal(title: &str) -> String {
+    let mut depth = 0;
+    let mut out = String::new();
+    for c in title.chars() {
+        match c {
+            '(' | '[' => depth += 1,
+            ')' | ']' => depth -= 1,
+            _ if depth > 0 => {}
+            c if c.is_alphanumeric() => out.extend(c.to_lowercase()),
+            _ if !out.is_empty() && !out.ends_with('_') => out.push('_'),
+            _ => {}
+        }
+    }
+    out.truncate(out.trim_end_matches('_').len());
+    out
+}
+
+/// Whether a line names a reference system, as the first of an OpenDroneMap list does.
+fn names_system(line: &str) -> bool {
+    let upper = line.trim_start_matches(['#', ' ']).to_ascii_uppercase();
+    ["EPSG:", "+PROJ", "WGS84", "WGS 84"].iter().any(|begin| upper.starts_with(begin))
+}
+
 impl Table {
+    /// Reads a table, with a header or without one.
     pub(super) fn read(path: &Path) -> Result<Table, FileError> {
+        Table::of(path, false)
+    }
+
+    /// Reads a table whose first row is its header, whatever is in it.
+    pub(super) fn with_header(path: &Path) -> Result<Table, FileError> {
+        Table::of(path, true)
+    }
+
+    fn of(path: &Path, has_header: bool) -> Result<Table, FileError> {
         let bytes = std::fs::read(path).map_err(|e| FileError::read(path, e))?;
-        let bytes = bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(&bytes);
-        let text =
-            std::str::from_utf8(bytes).map_err(|_| FileError::malformed(path, None, "not text"))?;
-        let first = text.lines().find(|line| !line.trim().is_empty()).unwrap_or_default();
-        let most = |a: &char, b: &char| first.matches(*a).count().cmp(&first.matches(*b).count());
-        // The earlier of equals: a single column has none of them.
-        let separator = ['\t', ';', ','].into_iter().max_by(most).unwrap_or(',');
-        let mut reader = csv::ReaderBuilder::new()
-            .has_headers(false)
-            .flexible(true)
-            .delimiter(separator as u8)
-            .trim(csv::Trim::All)
-            .from_reader(text.as_bytes());
-        let mut table = Table { path: path.to_owned(), header: Vec::new(), rows: Vec::new() };
-        let (mut counted, mut newlines) = (0, 0);
-        for record in reader.records() {
-            let record = record.map_err(|e| FileError::malformed(path, None, e.to_string()))?;
-            let at = record.position().map_or(counted, |position| position.byte() as usize);
-            let skipped = text[at..].chars().take_while(|c| c.is_whitespace());
-            let blank = skipped.filter(|&c| c == '\n').count();
-            newlines += text[counted..at].matches('\n').count();
-            counted = at;
-            let line = newlines + blank + 1;
-            let fields: Vec<String> = record.iter().map(str::to_owned).collect();
-            if fields.iter().all(String::is_empty) {
-                continue;
+        let text = decode(bytes);
+        if text.contains('\0') {
+            return Err(FileError::malformed(path, None, "not text"));
+        }
+        let mut table = Table {
+            path: path.to_owned(),
+            header: Vec::new(),
+            named: true,
+            preamble: Vec::new(),
+            text: String::new(),
+            ends: Vec::new(),
+            rows: Vec::new(),
+            decimal_comma: false,
+        };
+        let mut begin = 0;
+        for line in text.split_inclusive('\n').filter(|_| !has_header) {
+            let bare = line.trim();
+            let first_system =
+                names_system(bare) && table.preamble.iter().all(|l| !names_system(l));
+            if !(bare.is_empty() || bare.starts_with(['#', '%']) || first_system) {
+                break;
             }
-            if table.header.is_empty() {
-                table.header = fields;
-            } else if fields.len() == table.header.len() {
-                table.rows.push(Row { line, fields });
-            } else {
-                let message = format!(
-                    "expected {} columns as in the header, found {}",
-                    table.header.len(),
-                    fields.len()
-                );
-                return Err(FileError::malformed(path, line, message));
+            begin += line.len();
+            if !bare.is_empty() {
+                table.preamble.push(bare.to_owned());
             }
         }
-        if table.header.is_empty() {
-            return Err(FileError::malformed(path, None, "the file is empty, expected a header"));
-        }
+        let separator = Separator::of(&text[begin..]);
+        table.fill(&text, begin, &separator, has_header)?;
         Ok(table)
+    }
+
+    fn fill(
+        &mut self,
+        text: &str,
+        begin: usize,
+        separator: &Separator,
+        has_header: bool,
+    ) -> Result<(), FileError> {
+        self.decimal_comma = separator.decimal_comma;
+        let (mut counted, mut newlines) = (0, 0);
+        let mut fault = None;
+        separator
+            .split(&text[begin..], |at, fields| {
+                let at = begin + at;
+                newlines += text[counted..at].matches('\n').count();
+                counted = at;
+                let skipped = text[at..].chars().take_while(|c| c.is_whitespace());
+                let line = newlines + skipped.filter(|&c| c == '\n').count() + 1;
+                if fields.iter().all(|field| field.is_empty()) {
+                    return true;
+                }
+                if self.header.is_empty() && self.rows.is_empty() {
+                    self.named =
+                        has_header || fields.iter().all(|field| separator.number(field).is_none());
+                    if self.named {
+                        self.header = fields.iter().map(|field| (*field).to_owned()).collect();
+                        return true;
+                    }
+                    self.header = self.commented_header(fields.len(), separator);
+                }
+                let width = self.header.len();
+                let comment = fields[0].starts_with(['#', '%']) && !has_header;
+                if comment && fields.len() != width {
+                    return true;
+                }
+                // Trailing separators, and trailing fields that a table without a header may leave out.
+                let surplus = fields.get(width..).unwrap_or_default();
+                let ragged = !self.named && separator.is_blank();
+                if surplus.iter().any(|field| !field.is_empty()) && !ragged
+                    || fields.len() < width && !ragged
+                {
+                    let message = format!(
+                        "expected {width} columns as in the header, found {}",
+                        fields.len()
+                    );
+                    fault = Some(FileError::malformed(&self.path, line, message));
+                    return false;
+                }
+                self.rows.push(Row { line, first: self.ends.len() });
+                for k in 0..width {
+                    self.text += fields.get(k).copied().unwrap_or_default();
+                    self.ends.push(self.text.len());
+                }
+                true
+            })
+            .map_err(|message| FileError::malformed(&self.path, None, message))?;
+        match fault {
+            Some(fault) => Err(fault),
+            None if self.header.is_empty() => {
+                let message = "the file is empty, expected a header or rows";
+                Err(FileError::malformed(&self.path, None, message))
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// The header that comments give to so many columns, else their numbers.
+    fn commented_header(&mut self, width: usize, separator: &Separator) -> Vec<String> {
+        let last = self.preamble.iter().rfind(|line| line.starts_with(['#', '%']));
+        let mut titles: Vec<String> = Vec::new();
+        if let Some(line) = last {
+            let bare = line.trim_start_matches(['#', '%', ' ']);
+            titles = separator.fields_of(bare).into_iter().map(str::to_owned).collect();
+        }
+        // A moment of time is two fields.
+        if titles.len() + 1 == width
+            && titles.first().is_some_and(|t| ["GPST", "UTC"].contains(&t.as_str()))
+        {
+            titles.insert(0, "date".to_owned());
+        }
+        self.named = titles.len() == width && titles.iter().all(|t| separator.number(t).is_none());
+        if self.named { titles } else { (1..=width).map(|k| format!("column {k}")).collect() }
     }
 
     pub(super) fn rows(&self) -> &[Row] {
         &self.rows
+    }
+
+    /// Whether its columns have names.
+    pub(super) fn is_named(&self) -> bool {
+        self.named
+    }
+
+    /// The titles of its columns.
+    pub(super) fn header(&self) -> &[String] {
+        &self.header
+    }
+
+    /// The words by which it names a reference system.
+    pub(super) fn system(&self) -> Option<&str> {
+        let line = self.preamble.iter().find(|line| names_system(line))?;
+        Some(line.trim_start_matches(['#', ' ']))
     }
 
     /// All columns with their names, in their order.
@@ -83,11 +215,16 @@ impl Table {
         self.header.iter().enumerate().map(|(k, title)| (title.as_str(), Column(k)))
     }
 
-    /// The column of one of these names, letters' case aside.
+    /// The title of a column.
+    pub(super) fn title(&self, column: Column) -> &str {
+        &self.header[column.0]
+    }
+
+    /// The column of one of these names, letters' case and units aside.
     pub(super) fn column(&self, names: &[&str]) -> Option<Column> {
-        names.iter().find_map(|name| {
-            self.header.iter().position(|title| title.eq_ignore_ascii_case(name)).map(Column)
-        })
+        let titles: Vec<String> = self.header.iter().map(|title| normal(title)).collect();
+        let place = |name: &&str| titles.iter().position(|title| *title == normal(name));
+        names.iter().find_map(place).map(Column)
     }
 
     /// As [`Table::column`], where there must be one.
@@ -102,18 +239,36 @@ impl Table {
         })
     }
 
-    pub(super) fn text<'a>(&self, row: &'a Row, column: Column) -> &'a str {
-        &row.fields[column.0]
+    fn cell(&self, at: usize) -> &str {
+        let start = at.checked_sub(1).map_or(0, |before| self.ends[before]);
+        &self.text[start..self.ends[at]]
+    }
+
+    pub(super) fn text(&self, row: &Row, column: Column) -> &str {
+        self.cell(row.first + column.0)
+    }
+
+    /// The field as a number; `None` where it is none.
+    pub(super) fn parse(&self, row: &Row, column: Column) -> Option<f64> {
+        separator::number(self.text(row, column), self.decimal_comma)
     }
 
     pub(super) fn number(&self, row: &Row, column: Column) -> Result<f64, FileError> {
-        let field = self.text(row, column);
-        match field.parse::<f64>() {
-            Ok(value) if value.is_finite() => Ok(value),
-            _ => Err(self.fault(
-                row,
-                format!("{} is {field:?}, expected a finite number", self.header[column.0]),
-            )),
+        self.parse(row, column).filter(|value| value.is_finite()).ok_or_else(|| {
+            let (title, field) = (&self.header[column.0], self.text(row, column));
+            self.fault(row, format!("{title} is {field:?}, expected a finite number"))
+        })
+    }
+
+    /// A number, or `None` where the field is empty or says that there is none.
+    pub(super) fn number_or_none(
+        &self,
+        row: &Row,
+        column: Column,
+    ) -> Result<Option<f64>, FileError> {
+        match self.text(row, column).to_ascii_lowercase().as_str() {
+            "" | "nan" | "na" | "n/a" | "none" | "null" | "-" | "*" => Ok(None),
+            _ => self.number(row, column).map(Some),
         }
     }
 
@@ -138,15 +293,13 @@ impl Table {
         otherwise: f64,
     ) -> Result<f64, FileError> {
         let Some(column) = column else { return Ok(otherwise) };
-        if self.text(row, column).is_empty() {
-            return Ok(otherwise);
-        }
-        let value = self.number(row, column)?;
-        if value > 0.0 {
-            Ok(value)
-        } else {
-            let title = &self.header[column.0];
-            Err(self.fault(row, format!("{title} is {value}, expected a positive number")))
+        match self.number_or_none(row, column)? {
+            None => Ok(otherwise),
+            Some(value) if value > 0.0 => Ok(value),
+            Some(value) => {
+                let title = &self.header[column.0];
+                Err(self.fault(row, format!("{title} is {value}, expected a positive number")))
+            }
         }
     }
 
@@ -158,3 +311,6 @@ impl Table {
         FileError::malformed(&self.path, None, message)
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -90,6 +90,9 @@ pub(super) fn checks(
             Diagnostic::error("stage-failed", report.stage.word(), format!("failed: {why}"))
         })
         .collect();
+    // What a stage says must not be used as it is.
+    let severe = outcome.stages.iter().flat_map(|report| &report.diagnostics);
+    found.extend(severe.filter(|said| said.severity == Severity::Error).cloned());
     of_block(outcome, limits, &mut found);
     found.extend(reconstruction.and_then(|found| of_accuracy(found, limits)));
     found.extend(reconstruction.and_then(|found| of_lenses(found, limits)));

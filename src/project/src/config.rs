@@ -54,7 +54,7 @@ rowgram_base::options! {
         pub control: Option<PathBuf> = None, example "\"gcps.csv\"";
         /// Where the ground points are in the photos (image measurements, also called marks). Where not set: marks.csv.
         pub marks: Option<PathBuf> = None, example "\"marks.csv\"";
-        /// Camera positions. Where not set: geolocation.csv, else what EXIF says.
+        /// Camera positions. Where not set: geolocation.csv, geo.txt, an image log (.MRK), else what EXIF and XMP say.
         pub positions: Option<PathBuf> = None, example "\"geolocation.csv\"";
         /// A calibrated camera. Where not set: camera.toml, else calibration from the photos in `[calibrate] images`, else
         /// self-calibration.

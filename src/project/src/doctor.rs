@@ -8,7 +8,7 @@ use super::{
 use rayon::prelude::*;
 use rowgram_base::{
     error::Error,
-    monitor::{Collector, Diagnostic},
+    monitor::{Collector, Diagnostic, Severity},
 };
 use rowgram_files::{
     images,
@@ -54,16 +54,15 @@ pub fn doctor(
         let message = format!("none in images/ or directly ({})", PHOTO_ENDINGS.join(", "));
         found.push(Diagnostic::error("photos-missing", "photos", message));
     } else {
-        let positions = project.config().project.positions.as_ref();
-        let tabled = project.given(positions, &["geolocation.csv"]).is_some();
-        found.extend(of_photos(&photos, tabled));
+        let (said, places) = tables(&project);
+        found.extend(of_photos(&project, &photos, places.as_deref()));
         let align = &project.config().align;
         let forecast = Forecast::new(photos.len(), align.max_features, align.max_tie_observations);
         let threads = rayon::current_num_threads();
         found.push(forecast.diagnostic(threads, forecast::available_bytes()));
         let free = forecast::free_disk_bytes(&project.folder(Stage::Align));
         found.extend(forecast.disk_diagnostic(free));
-        found.extend(tables(&project));
+        found.extend(said);
         let control = project.config().project.control.as_ref();
         if project.given(control, &super::align::inputs::CONTROL).is_none() {
             let message = "no ground points: place and height are those of the camera positions, metres off, and nothing \
@@ -140,8 +139,13 @@ fn of_orthomosaic(path: &Path, name: &str) -> Vec<Diagnostic> {
     std::iter::once(given).chain(memory).collect()
 }
 
-/// What their heads say, and whether all of them can be decoded.
-fn of_photos(photos: &[PathBuf], tabled: bool) -> Vec<Diagnostic> {
+/// What their heads say, whether all of them can be decoded, and where they were taken by what a run would use: `places`, a
+/// photo's each; `None` where that cannot be read.
+fn of_photos(
+    project: &Project,
+    photos: &[PathBuf],
+    places: Option<&[Option<Geotag>]>,
+) -> Vec<Diagnostic> {
     let mut found = Vec::new();
     let heads: Vec<_> = photos
         .par_iter()
@@ -150,22 +154,17 @@ fn of_photos(photos: &[PathBuf], tabled: bool) -> Vec<Diagnostic> {
         })
         .collect();
     let mut cameras: BTreeMap<String, usize> = BTreeMap::new();
-    let (mut unread, mut without_focal, mut without_place) = (Vec::new(), 0, 0);
-    let mut places = Vec::new();
+    let (mut unread, mut without_focal) = (Vec::new(), 0);
     let mut footprint_m = Vec::new();
     for (path, (head, size)) in photos.iter().zip(&heads) {
         let (Ok(head), Some((width, height))) = (head, size) else {
-            unread.push(path.file_name().unwrap_or_default().to_string_lossy().into_owned());
+            unread.push(project.photo_name(path));
             continue;
         };
         *cameras.entry(format!("{} {} {width} x {height}", head.make, head.model)).or_default() +=
             1;
         let principal = head.principal_distance_px([*width, *height]);
         without_focal += usize::from(principal.is_none());
-        match &head.geotag {
-            Some(tag) => places.push(*tag),
-            None => without_place += 1,
-        }
         if let (Some((distance, _)), Some(above)) = (principal, head.height_above_take_off_m) {
             footprint_m.push(above / distance * f64::from(*width.min(height)));
         }
@@ -199,22 +198,23 @@ fn of_photos(photos: &[PathBuf], tabled: bool) -> Vec<Diagnostic> {
                 .with_remedy("give camera.toml, or photos of a chessboard for [calibrate]"),
         );
     }
-    if without_place > 0 && tabled {
-        let message = "those of a file are used; photos that it does not name are named below";
-        found.push(Diagnostic::info("positions", "positions", message));
-    } else if without_place > 0 {
+    let Some(places) = places else { return found };
+    let there: Vec<Geotag> = places.iter().flatten().copied().collect();
+    let without_place = places.len() - there.len();
+    if without_place > 0 {
         let message = format!(
-            "{without_place} of {opened} photos have no position: what they show has to tell their neighbours"
+            "{without_place} of {} photos have no position: what they show has to tell their neighbours",
+            places.len()
         );
         found.push(
             Diagnostic::warning("positions-missing", "positions", message)
-                .with_remedy("give geolocation.csv, or [project] positions"),
+                .with_remedy("give geolocation.csv or geo.txt, or [project] positions"),
         );
     } else {
-        let message = format!("all {opened} photos have one");
+        let message = format!("all {} photos have one", places.len());
         found.push(Diagnostic::info("positions", "positions", message));
     }
-    found.extend(overlap(&places, &footprint_m));
+    found.extend(overlap(&there, &footprint_m));
     found
 }
 
@@ -253,20 +253,25 @@ fn overlap(places: &[Geotag], footprint_m: &[f64]) -> Option<Diagnostic> {
     })
 }
 
-/// Whether photos, control, image measurements and positions fit together.
-fn tables(project: &Project) -> Vec<Diagnostic> {
+/// Whether photos, control, image measurements and positions fit together, and where photos were taken as far as they do.
+fn tables(project: &Project) -> (Vec<Diagnostic>, Option<Vec<Option<Geotag>>>) {
     let mut collector = Collector::default();
-    match super::align::inspect(project, &project.config().align, &mut collector) {
-        Ok(_) => collector.diagnostics.push(Diagnostic::info(
-            "tables-consistent",
-            "tables",
-            "photos, control, image measurements and positions fit together",
-        )),
-        Err(error) => collector.diagnostics.push(Diagnostic::error(
-            "tables-inconsistent",
-            "tables",
-            error.to_string(),
-        )),
+    let places = super::align::places(project, &project.config().align, &mut collector);
+    let mut said = collector.diagnostics;
+    match &places {
+        Ok(_) => {
+            let odd = said.iter().any(|found| found.severity > Severity::Info);
+            let message = match odd {
+                true => {
+                    "photos, control, image measurements and positions can be read; what is odd about them is named"
+                }
+                false => "photos, control, image measurements and positions fit together",
+            };
+            said.push(Diagnostic::info("tables-consistent", "tables", message));
+        }
+        Err(error) => {
+            said.push(Diagnostic::error("tables-inconsistent", "tables", error.to_string()))
+        }
     }
-    collector.diagnostics
+    (said, places.ok())
 }

@@ -1,7 +1,8 @@
 //! Reconstructions of other programs: a model with its tie points, or a table of poses with cameras.
 
+use crate::photo_folder::{flight_photos, photo_name};
 use rowgram_base::error::Error;
-use rowgram_files::{bundler, camera, colmap, opensfm, orthority, poses};
+use rowgram_files::{bundler, camera, colmap, image_names::composed, opensfm, orthority, poses};
 use rowgram_optim::output::FileError;
 use rowgram_raster::crs;
 use rowgram_survey::{
@@ -152,15 +153,21 @@ impl ModelImport {
 pub fn photo_files(reconstruction: &Reconstruction, folder: &Path) -> Result<Vec<PathBuf>, Error> {
     std::fs::read_dir(folder).map_err(|e| FileError::read(folder, e))?;
     let mut by_stem: BTreeMap<String, Vec<PathBuf>> = BTreeMap::new();
-    for path in super::photos_in(folder) {
+    let photos = flight_photos(folder).photos;
+    let by_name: BTreeMap<String, &PathBuf> =
+        photos.iter().map(|path| (photo_name(path, folder), path)).collect();
+    for path in &photos {
         if let Some(stem) = path.file_stem().and_then(|stem| stem.to_str()) {
-            by_stem.entry(stem.to_owned()).or_default().push(path);
+            by_stem.entry(stem.to_owned()).or_default().push(path.clone());
         }
     }
     let find = |image: &Image| {
         let exact = folder.join(&image.name);
         if exact.is_file() {
             return Ok(exact);
+        }
+        if let Some(path) = by_name.get(&composed(&image.name)) {
+            return Ok((*path).clone());
         }
         let named = Path::new(&image.name);
         let stems = [named.file_stem().and_then(|stem| stem.to_str()), Some(image.name.as_str())];

@@ -28,6 +28,7 @@ pub mod leaves;
 pub mod locate;
 mod map_figures;
 pub mod ortho;
+mod photo_folder;
 pub mod plan;
 pub mod plots;
 mod project;
@@ -50,7 +51,8 @@ pub mod verify;
 
 pub use checks::ChecksOptions;
 pub use config::{Config, NAME as SETTINGS, ProjectOptions, StagesOptions, reference_page};
-pub use project::{PHOTO_ENDINGS, Project, photos_in};
+pub use photo_folder::photos_in;
+pub use project::{PHOTO_ENDINGS, Project};
 pub use stage::{Stage, State, Task};
 
 /// The most memory that this process has used since it began or the count did, in megabytes, where the system tells.

@@ -15,6 +15,7 @@
 
 use super::{
     Config, SETTINGS, Stage,
+    photo_folder::{FlightPhotos, IMAGES, flight_photos, photo_name, photos_in},
     record::{self, Content, Lock, Records, STORE, Store},
 };
 use rowgram_base::{error::Error, options::Choice};
@@ -220,17 +221,35 @@ impl Project {
         }
     }
 
-    /// The photos, sorted by name: those in `images`, else those in the root.
+    /// The folder of the photos: `images`, else the root.
+    pub fn photo_folder(&self) -> PathBuf {
+        let images = self.root.join(IMAGES);
+        if images.is_dir() { images } else { self.root.clone() }
+    }
+
+    /// What a photo is called: its path from the folder of the photos on.
+    pub fn photo_name(&self, path: &Path) -> String {
+        photo_name(path, &self.photo_folder())
+    }
+
+    /// The photos, sorted by name: those in `images`, else those in the root, with the subfolders of a card.
     pub fn photos(&self) -> Vec<PathBuf> {
-        let images = self.root.join("images");
-        if images.is_dir() {
-            return photos_in(&images);
+        self.flight_photos().photos
+    }
+
+    /// Bands of a multispectral camera beside the photos, which are not used.
+    pub fn bands(&self) -> Vec<PathBuf> {
+        self.flight_photos().bands
+    }
+
+    fn flight_photos(&self) -> FlightPhotos {
+        let mut found = flight_photos(&self.photo_folder());
+        if !self.root.join(IMAGES).is_dir()
+            && let Some(ortho) = self.given_among(&found.photos)
+        {
+            found.photos.retain(|path| *path != ortho);
         }
-        let photos = photos_in(&self.root);
-        match self.given_among(&photos) {
-            Some(ortho) => photos.into_iter().filter(|path| *path != ortho).collect(),
-            None => photos,
-        }
+        found
     }
 
     /// An orthomosaic that is there from the beginning: the one that the settings name, or a single GeoTIFF in a folder
@@ -239,7 +258,7 @@ impl Project {
         if self.config.project.ortho.is_some() {
             return self.given_among(&[]);
         }
-        if self.root.join("images").is_dir() {
+        if self.root.join(IMAGES).is_dir() {
             return None;
         }
         self.given_among(&photos_in(&self.root))
@@ -272,23 +291,4 @@ impl Project {
         self.finished(Stage::Segment, "mask.tif")
             .ok_or_else(|| Error::NothingToDo("there is no leaf mask".to_owned()))
     }
-}
-
-/// The photos of a folder by their endings, sorted by name; hidden files are none.
-pub fn photos_in(folder: &Path) -> Vec<PathBuf> {
-    let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
-    let mut found: Vec<PathBuf> = entries
-        .flatten()
-        .map(|entry| entry.path())
-        .filter(|path| {
-            let hidden =
-                path.file_name().and_then(|n| n.to_str()).is_none_or(|name| name.starts_with('.'));
-            let ending = path.extension().and_then(|e| e.to_str()).map(str::to_lowercase);
-            path.is_file()
-                && !hidden
-                && ending.is_some_and(|ending| PHOTO_ENDINGS.contains(&ending.as_str()))
-        })
-        .collect();
-    found.sort();
-    found
 }

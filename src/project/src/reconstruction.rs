@@ -7,12 +7,6 @@ use rowgram_survey::scene::Reconstruction;
 use std::path::PathBuf;
 
 impl Project {
-    /// The folder of the photos: `images` where there is one, else the root.
-    pub fn photo_folder(&self) -> PathBuf {
-        let images = self.root().join("images");
-        if images.is_dir() { images } else { self.root().to_owned() }
-    }
-
     /// The files of the reconstruction, for the record of a stage.
     ///
     /// # Errors

@@ -1,8 +1,9 @@
 //! The map products of a run as an item of a SpatioTemporal Asset Catalog, by which catalogues and GIS find them.
 //!
 //! Written as `stac.json` into the folder of results where the orthomosaic lies in a system of the EPSG registry and at least
-//! one photo says when it was taken: the standard wants a place and a time. Cameras write local time without its zone; it is
-//! given as if it were UTC, and `rowgram:time` says so.
+//! one photo says when it was taken: the standard wants a place and a time. Times are UTC, by the receiver's clock or by the
+//! camera's with its offset. Many cameras write local time without its zone: then the interval is the one within which the
+//! photos were taken whatever the zone, `datetime` is null, and `rowgram:local_time` has the clock's own words.
 //!
 //! Reference: STAC item specification 1.0.0 and its extension `projection` 1.1.0.
 
@@ -54,7 +55,9 @@ fn item(project: &Project, outcome: &RunOutcome) -> Result<Option<Value>, Error>
     let Some(place) = source.georeference() else { return Ok(None) };
     let Some(epsg) = place.crs.epsg else { return Ok(None) };
     let Ok(crs) = Crs::from_epsg(epsg) else { return Ok(None) };
-    let Some([begin, end]) = times(project)? else { return Ok(None) };
+    let Some(times) = times(project)? else { return Ok(None) };
+    let [begin, end] = times.utc_s.map(rfc3339);
+    let datetime = if times.is_exact { Some(begin.as_str()) } else { None };
     let corners = corners(&place, source.size());
     let geographic: Result<Vec<[f64; 2]>, _> =
         corners.iter().map(|[x, y]| crs.to_wgs84(*x, *y).map(|[lat, lon]| [lon, lat])).collect();
@@ -86,10 +89,10 @@ fn item(project: &Project, outcome: &RunOutcome) -> Result<Option<Value>, Error>
         "bbox": bounds,
         "geometry": {"type": "Polygon", "coordinates": [closed]},
         "properties": {
-            "datetime": begin,
+            "datetime": datetime,
             "start_datetime": begin,
             "end_datetime": end,
-            "rowgram:time": "clock of the camera, without its zone",
+            "rowgram:local_time": times.local,
             "gsd": outcome.gsd_m,
             "proj:epsg": epsg,
             "proj:shape": [height, width],
@@ -120,33 +123,96 @@ fn transform(place: &Georeference) -> [f64; 6] {
     [place.per_column[0], place.per_row[0], x, place.per_column[1], place.per_row[1], y]
 }
 
-/// When the first and the last photo by name were taken, in order of time.
-fn times(project: &Project) -> Result<Option<[String; 2]>, Error> {
-    let photos = project.photos();
-    let mut found = Vec::new();
-    for path in photos.first().into_iter().chain(photos.last()) {
-        found.extend(rfc3339(&photo::read(path)?.moment));
-    }
-    found.sort();
-    Ok(found.first().cloned().zip(found.last().cloned()).map(|(begin, end)| [begin, end]))
+/// When photos were taken.
+struct Times {
+    /// From when to when, seconds of UTC since 1970.
+    utc_s: [i64; 2],
+    /// Whether the zone is known.
+    is_exact: bool,
+    /// The camera's clock at the beginning.
+    local: String,
 }
 
-/// `2015:06:24 10:31:07.50` as `2015-06-24T10:31:07Z`; `None` where it is no time.
-fn rfc3339(moment: &str) -> Option<String> {
+/// Offsets of local time from UTC lie between these, hours.
+const ZONES_H: [i64; 2] = [-12, 14];
+
+/// When the first and the last photo by name were taken, in order of time.
+fn times(project: &Project) -> Result<Option<Times>, Error> {
+    let photos = project.photos();
+    let mut found: Option<Times> = None;
+    for path in photos.first().into_iter().chain(photos.last()) {
+        let Some(next) = times_of(&photo::read(path)?) else { continue };
+        found = Some(match found {
+            None => next,
+            Some(before) => Times {
+                utc_s: [before.utc_s[0].min(next.utc_s[0]), before.utc_s[1].max(next.utc_s[1])],
+                is_exact: before.is_exact && next.is_exact,
+                local: before.local.min(next.local),
+            },
+        });
+    }
+    Ok(found)
+}
+
+fn times_of(photo: &photo::Metadata) -> Option<Times> {
+    let local = photo.moment.clone();
+    if let Some(utc_s) = seconds(&photo.utc) {
+        return Some(Times { utc_s: [utc_s; 2], is_exact: true, local });
+    }
+    let clock_s = seconds(&photo.moment)?;
+    let offset = || -> Option<i64> {
+        let (hours, minutes) = photo.utc_offset.trim().split_once(':')?;
+        let (hours, minutes) = (hours.parse::<i64>().ok()?, minutes.parse::<i64>().ok()?);
+        let sign = if photo.utc_offset.trim().starts_with('-') { -1 } else { 1 };
+        Some(hours * 3600 + sign * minutes * 60)
+    };
+    Some(match offset() {
+        Some(offset_s) => Times { utc_s: [clock_s - offset_s; 2], is_exact: true, local },
+        None => {
+            let [least_h, most_h] = ZONES_H;
+            let utc_s = [clock_s - 3600 * most_h, clock_s - 3600 * least_h];
+            Times { utc_s, is_exact: false, local }
+        }
+    })
+}
+
+/// Days from 1 January 1970 to a date, by years that begin in March.
+fn days(year: i64, month: i64, day: i64) -> i64 {
+    let year = if month < 3 { year - 1 } else { year };
+    let of_year = (153 * ((month + 9) % 12) + 2) / 5 + day - 1;
+    365 * year + year.div_euclid(4) - year.div_euclid(100) + year.div_euclid(400) + of_year
+        - 719_468
+}
+
+/// `2015:06:24 10:31:07.50` as seconds since 1970 by that clock; `None` where it is no time.
+fn seconds(moment: &str) -> Option<i64> {
     let (date, time) = moment.trim().split_once([' ', 'T'])?;
-    let numbers = |text: &str| -> Option<Vec<u32>> {
+    let numbers = |text: &str| -> Option<Vec<i64>> {
         let parts = text.split([':', '-']);
         parts.map(|part| part.split('.').next()?.parse().ok()).collect()
     };
     let ([year, month, day], [hour, minute, second]) =
-        (<[u32; 3]>::try_from(numbers(date)?).ok()?, <[u32; 3]>::try_from(numbers(time)?).ok()?);
+        (<[i64; 3]>::try_from(numbers(date)?).ok()?, <[i64; 3]>::try_from(numbers(time)?).ok()?);
     let is_time = (1..=12).contains(&month)
         && (1..=31).contains(&day)
-        && year >= 1
-        && hour < 24
-        && minute < 60
-        && second < 61;
-    is_time.then(|| format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}Z"))
+        && (1..=9999).contains(&year)
+        && (0..24).contains(&hour)
+        && (0..60).contains(&minute)
+        && (0..61).contains(&second);
+    is_time.then(|| days(year, month, day) * 86_400 + hour * 3600 + minute * 60 + second)
+}
+
+/// Seconds since 1970 as `2015-06-24T10:31:07Z`.
+fn rfc3339(seconds: i64) -> String {
+    let (day, rest) = (seconds.div_euclid(86_400), seconds.rem_euclid(86_400));
+    let mut year = 1970 + day.div_euclid(366);
+    while days(year + 1, 1, 1) <= day {
+        year += 1;
+    }
+    let month = (2..=12).rev().find(|&month| days(year, month, 1) <= day).unwrap_or(1);
+    let date = day - days(year, month, 1) + 1;
+    let (hour, minute, second) = (rest / 3600, rest / 60 % 60, rest % 60);
+    format!("{year:04}-{month:02}-{date:02}T{hour:02}:{minute:02}:{second:02}Z")
 }
 
 #[cfg(test)]
@@ -155,12 +221,32 @@ mod tests {
     use rowgram_raster::georeference;
 
     #[test]
-    fn times_of_cameras_are_understood() {
-        let of = |text: &str| rfc3339(text);
-        assert_eq!(of("2015:06:24 10:31:07.50").as_deref(), Some("2015-06-24T10:31:07Z"));
-        assert_eq!(of("2015-06-24 10:31:07").as_deref(), Some("2015-06-24T10:31:07Z"));
+    fn times_are_utc_or_an_interval_of_it() {
+        let of = |moment: &str, offset: &str, utc: &str| {
+            let photo = photo::Metadata {
+                moment: moment.to_owned(),
+                utc_offset: offset.to_owned(),
+                utc: utc.to_owned(),
+                ..photo::Metadata::default()
+            };
+            times_of(&photo).map(|times| (times.utc_s.map(rfc3339), times.is_exact))
+        };
+        let at = |text: &str| [text.to_owned(), text.to_owned()];
+        let local = "2015:06:24 22:31:07.50";
+        assert_eq!(of(local, "-05:30", ""), Some((at("2015-06-25T04:01:07Z"), true)));
+        assert_eq!(of(local, "", "2015:06:25 02:31:05"), Some((at("2015-06-25T02:31:05Z"), true)));
+        let any = ["2015-06-24T08:31:07Z", "2015-06-25T10:31:07Z"].map(str::to_owned);
+        assert_eq!(of(local, "", ""), Some((any, false)));
         for bad in ["", "0000:00:00 00:00:00", "2015:06:24", "2015:13:01 00:00:00", "a:b:c d:e:f"] {
-            assert_eq!(of(bad), None, "{bad:?}");
+            assert_eq!(of(bad, "", ""), None, "{bad:?}");
+        }
+        for text in [
+            "1970-01-01T00:00:00Z",
+            "2000-02-29T12:00:00Z",
+            "2023-12-31T23:59:59Z",
+            "2024-03-01T00:00:00Z",
+        ] {
+            assert_eq!(rfc3339(seconds(text.trim_end_matches('Z')).unwrap()), text);
         }
     }
 

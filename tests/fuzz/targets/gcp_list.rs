@@ -2,5 +2,5 @@
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
-    rowgram_fuzz::read(bytes, "gcp_list.txt", |path| rowgram::io::gcp_list::read(path, &Default::default()).map(drop));
+    rowgram_fuzz::read(bytes, "gcp_list.txt", |path| rowgram::io::gcp_list::read(path, &Default::default(), None).map(drop));
 });

@@ -1,6 +1,6 @@
 //! COLMAP's binary form, little-endian.
 
-use super::{CameraRow, Fault, Feature, HALF_PX, ImageRow, KINDS, PointRow, Rows};
+use super::{CameraRow, Fault, Feature, HALF_PX, ImageRow, PointRow, ReadKind, Rows};
 use rowgram_survey::scene::Reconstruction;
 
 /// Bytes yet to be read.
@@ -61,11 +61,11 @@ pub(super) fn cameras(bytes: &[u8]) -> Result<Vec<CameraRow>, Fault> {
     for _ in 0..count {
         let id = bytes.u32("a camera number")?;
         let number = bytes.u32("a lens model")? as i32;
-        let kind = *KINDS.iter().find(|kind| kind.id == number).ok_or_else(|| {
-            (None, format!("camera {id}: COLMAP's lens model {number} is not supported"))
+        let kind = ReadKind::numbered(number).ok_or_else(|| {
+            (None, format!("camera {id}: COLMAP's lens model {number} is not supported; write the model as text"))
         })?;
         let size = [bytes.u64("the width")?, bytes.u64("the height")?];
-        let parameters = kind.places.iter().map(|_| bytes.finite("a lens parameter"));
+        let parameters = (0..kind.count()).map(|_| bytes.finite("a lens parameter"));
         let parameters = parameters.collect::<Result<Vec<f64>, Fault>>()?;
         rows.push(CameraRow { id, kind, size, parameters });
     }
@@ -140,7 +140,7 @@ pub(super) fn write(
     let mut to_cameras = (cameras.len() as u64).to_le_bytes().to_vec();
     for row in cameras {
         to_cameras.extend(row.id.to_le_bytes());
-        to_cameras.extend(row.kind.id.to_le_bytes());
+        to_cameras.extend(row.kind.id().to_le_bytes());
         row.size.iter().for_each(|n| to_cameras.extend(n.to_le_bytes()));
         row.parameters.iter().for_each(|v| to_cameras.extend(v.to_le_bytes()));
     }

@@ -2,18 +2,20 @@
 //!
 //! COLMAP has the centre of the top-left pixel at (0.5, 0.5) and a camera frame with `y` down and
 //! `z` forward; both are converted here and nowhere else. Its lens models are Brown's or the
-//! equidistant fisheye with entries left out; a lens of ours is written as the smallest that holds
-//! it.
+//! equidistant fisheye with entries left out, or are fitted by one of these ([`fitted`]); a lens of ours is written as the
+//! smallest that holds it.
 //!
 //! Reference: <https://colmap.github.io/format.html>.
 
 mod binary;
+mod fitted;
 mod text;
 
 use super::{
     FileError,
     model::{Feature, Model, as_brown, from_computer_vision, to_computer_vision},
 };
+use fitted::Fitted;
 use rowgram_optim::geometry::rotation;
 use rowgram_survey::{
     camera::{Camera, Interior, Lens, Model as LensModel},
@@ -65,7 +67,7 @@ const FX: usize = 100;
 const FY: usize = 101;
 
 /// From the smallest up; a lens is written as the first that holds it.
-const KINDS: [Kind; 9] = [
+const KINDS: [Kind; 11] = [
     Kind { id: 0, name: "SIMPLE_PINHOLE", model: LensModel::Brown, places: &[0, 2, 3] },
     Kind { id: 2, name: "SIMPLE_RADIAL", model: LensModel::Brown, places: &[0, 2, 3, 4] },
     Kind { id: 3, name: "RADIAL", model: LensModel::Brown, places: &[0, 2, 3, 4, 5] },
@@ -85,7 +87,55 @@ const KINDS: [Kind; 9] = [
         model: LensModel::Fisheye,
         places: &[FX, FY, 2, 3, 4, 5, 6, 7],
     },
+    // Never written: those above hold them too.
+    Kind { id: -1, name: "SIMPLE_FISHEYE", model: LensModel::Fisheye, places: &[0, 2, 3] },
+    Kind { id: -1, name: "FISHEYE", model: LensModel::Fisheye, places: &[FX, FY, 2, 3] },
 ];
+
+/// A lens model that can be read.
+#[derive(Debug, Clone, Copy)]
+enum ReadKind {
+    /// One of ours.
+    Ours(Kind),
+    /// One that the nearest of ours stands for.
+    Fitted(Fitted),
+}
+
+impl ReadKind {
+    fn named(name: &str) -> Option<ReadKind> {
+        let ours = KINDS.iter().find(|kind| kind.name == name).copied().map(ReadKind::Ours);
+        ours.or_else(|| Fitted::named(name).map(ReadKind::Fitted))
+    }
+
+    fn numbered(number: i32) -> Option<ReadKind> {
+        let numbered = |kind: &&Kind| kind.id == number && number >= 0;
+        let ours = KINDS.iter().find(numbered).copied().map(ReadKind::Ours);
+        ours.or_else(|| Fitted::numbered(number).map(ReadKind::Fitted))
+    }
+
+    fn name(&self) -> &'static str {
+        match self {
+            ReadKind::Ours(kind) => kind.name,
+            ReadKind::Fitted(kind) => kind.name(),
+        }
+    }
+
+    /// Its number in binary files, which COLMAP knows for those of ours that are written.
+    fn id(&self) -> i32 {
+        match self {
+            ReadKind::Ours(kind) => kind.id,
+            ReadKind::Fitted(_) => -1,
+        }
+    }
+
+    /// How many parameters it has.
+    fn count(&self) -> usize {
+        match self {
+            ReadKind::Ours(kind) => kind.places.len(),
+            ReadKind::Fitted(kind) => kind.count(),
+        }
+    }
+}
 
 impl Kind {
     /// Our values from COLMAP's parameters.
@@ -126,7 +176,7 @@ impl Kind {
 /// A camera as COLMAP has it.
 struct CameraRow {
     id: u32,
-    kind: Kind,
+    kind: ReadKind,
     size: [u64; 2],
     parameters: Vec<f64>,
 }
@@ -195,17 +245,27 @@ fn cameras_of(rows: Vec<CameraRow>) -> Result<(Vec<Camera>, Vec<u32>), String> {
     for row in rows {
         let named = |message: String| format!("camera {}: {message}", row.id);
         let size = row.size.map(|n| u32::try_from(n).unwrap_or(0));
-        if row.parameters.len() != row.kind.places.len() {
+        if row.parameters.len() != row.kind.count() {
             return Err(named(format!(
                 "{} has {} parameters, {} were given",
-                row.kind.name,
-                row.kind.places.len(),
+                row.kind.name(),
+                row.kind.count(),
                 row.parameters.len()
             )));
         }
-        let interior = Interior::new(row.kind.model, size, &row.kind.values(&row.parameters))
-            .map_err(|error| named(error.to_string()))?;
-        cameras.push(Camera::new(&format!("camera {}", row.id), interior));
+        cameras.push(match row.kind {
+            ReadKind::Ours(kind) => {
+                let interior = Interior::new(kind.model, size, &kind.values(&row.parameters))
+                    .map_err(|error| named(error.to_string()))?;
+                Camera::new(&format!("camera {}", row.id), interior)
+            }
+            ReadKind::Fitted(kind) => {
+                let (interior, rms_px) = kind.fit(size, &row.parameters).map_err(named)?;
+                let (model, id) = (interior.model().word(), row.id);
+                let name = format!("camera {id} ({} as {model}, rms {rms_px:.4} px)", kind.name());
+                Camera::new(&name, interior)
+            }
+        });
         ids.push(row.id);
     }
     Ok((cameras, ids))
@@ -310,6 +370,7 @@ fn rows(model: &Model) -> Result<Rows, String> {
                 lens.word()
             )
         })?;
+        let kind = ReadKind::Ours(kind);
         Ok(CameraRow { id, kind, size: interior.size_px().map(u64::from), parameters })
     });
     let cameras = cameras.collect::<Result<Vec<_>, String>>()?;

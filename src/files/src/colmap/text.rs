@@ -1,6 +1,6 @@
 //! COLMAP's text form.
 
-use super::{CameraRow, Fault, Feature, HALF_PX, ImageRow, KINDS, PointRow, Rows};
+use super::{CameraRow, Fault, Feature, HALF_PX, ImageRow, PointRow, ReadKind, Rows};
 use rowgram_survey::scene::Reconstruction;
 use std::io::Write;
 
@@ -66,18 +66,16 @@ pub(super) fn cameras(bytes: &[u8]) -> Result<Vec<CameraRow>, Fault> {
         let mut words = Words::new(line);
         let id = words.number("a camera number")?;
         let name = words.word("the name of a lens model")?;
-        let kind = *KINDS
-            .iter()
-            .find(|kind| kind.name == name)
+        let kind = ReadKind::named(name)
             .ok_or_else(|| words.fault(format!("the lens model {name:?} is not supported")))?;
         let size = [words.number("the width")?, words.number("the height")?];
         let mut parameters = Vec::new();
-        for _ in kind.places {
+        for _ in 0..kind.count() {
             parameters.push(words.finite("a lens parameter")?);
         }
         if words.words.next().is_some() {
             return Err(
-                words.fault(format!("{name} has {} parameters, there are more", kind.places.len()))
+                words.fault(format!("{name} has {} parameters, there are more", kind.count()))
             );
         }
         rows.push(CameraRow { id, kind, size, parameters });
@@ -163,7 +161,7 @@ fn fill(
 ) -> std::io::Result<()> {
     writeln!(to_cameras, "# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]")?;
     for row in cameras {
-        write!(to_cameras, "{} {} {} {}", row.id, row.kind.name, row.size[0], row.size[1])?;
+        write!(to_cameras, "{} {} {} {}", row.id, row.kind.name(), row.size[0], row.size[1])?;
         for value in &row.parameters {
             write!(to_cameras, " {value}")?;
         }

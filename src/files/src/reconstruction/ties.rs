@@ -101,7 +101,7 @@ pub(super) fn read_points(
     expected: usize,
     scene: &mut Reconstruction,
 ) -> Result<(), FileError> {
-    let table = Table::read(path)?;
+    let table = Table::with_header(path)?;
     let id = table.required("number of the point", &["point"])?;
     let axes = [
         table.required("easting", &["x_m"])?,
@@ -147,7 +147,7 @@ pub(super) fn read_observations(
     expected: usize,
     scene: &mut Reconstruction,
 ) -> Result<(), FileError> {
-    let table = Table::read(path)?;
+    let table = Table::with_header(path)?;
     let image = table.required("image", &["image"])?;
     let point = table.required("number of the point", &["point"])?;
     let axes = [table.required("column", &["u_px"])?, table.required("row", &["v_px"])?];

@@ -292,7 +292,7 @@ impl Structure {
         match unconstrained_retained.or(unconstrained_point) {
             None => Ok(()),
             Some(block) => Err(SolveError::Misuse(format!(
-                "{} is free but no factor depends on it; fix it or leave it out",
+                "nothing is observed of {}, which is to be found: hold it or leave it out",
                 problem.describe(Problem::id(block))
             ))),
         }

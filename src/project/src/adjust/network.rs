@@ -14,6 +14,7 @@ use rowgram_optim::{
     output::{self, FileError},
 };
 use rowgram_survey::problems::bundle::{Bundle, InteriorSharing, Network};
+use rowgram_survey::problems::network_start::move_points_off_centres;
 use serde::Serialize;
 use std::{
     path::Path,
@@ -103,6 +104,15 @@ pub(super) fn adjust_network(
     }
     let load_seconds = begin.elapsed().as_secs_f64();
     report_single_rays(file, &network, monitor);
+    let moved = move_points_off_centres(&mut network);
+    if let Some(first) = moved.first() {
+        let message = format!(
+            "{} points start at the centre of a camera that sees them, the first number {first}: they begin where their rays meet",
+            moved.len()
+        );
+        let subject = file.display().to_string();
+        monitor.diagnostic(&Diagnostic::warning("points-at-centres", subject, message));
+    }
 
     let begin = Instant::now();
     let sharing = options.interior.unwrap_or(InteriorSharing::PerImage);

@@ -1,26 +1,40 @@
 //! What is known of a project on the ground and in the air, in one frame.
 
 use super::{
+    geotags::photos_deg,
     inputs::{Frame, Photo, Sources, stand_ins},
-    place as places,
+    marks, place as places,
 };
 use rowgram_base::{
     error::Error,
     monitor::{Diagnostic, Monitor},
 };
-use rowgram_files::{control, gcp_list, photo::Geotag};
+use rowgram_files::{
+    control::{self, Control, Defaults},
+    gcp_list,
+    photo::Geotag,
+};
 use rowgram_raster::crs::{Crs, LocalPlane};
 use rowgram_survey::{
-    scene::{CameraPosition, GroundObservation, GroundPoint, Role},
+    scene::{Axes, CameraPosition, GroundObservation, GroundPoint, Role},
     sfm::georeference::Known,
 };
+use std::path::Path;
 
 /// Control as it was read.
 struct Ground {
-    crs: Option<String>,
-    geographic: bool,
-    points: Vec<GroundPoint>,
+    control: Control,
     marks: Vec<GroundObservation>,
+}
+
+/// Whether a file of control is a table whose image measurements are in another.
+pub(super) fn is_table(path: &Path) -> bool {
+    let ending = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
+    let named = path.file_stem().is_some_and(|stem| stem.eq_ignore_ascii_case("gcp_list"));
+    ending.eq_ignore_ascii_case("csv")
+        || !named
+            && !ending.eq_ignore_ascii_case("json")
+            && gcp_list::read(path, &Defaults::default(), None).is_err()
 }
 
 fn control(
@@ -29,30 +43,52 @@ fn control(
     monitor: &mut dyn Monitor,
 ) -> Result<Option<Ground>, Error> {
     let Some(path) = &sources.control else { return Ok(None) };
+    let subject = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let images = stand_ins(photos);
-    let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
-    if extension.eq_ignore_ascii_case("csv") {
-        let points = control::ground_points(path, &sources.defaults)?;
+    let photos_deg = photos_deg(photos);
+    let ground = if is_table(path) {
+        let read = control::read(path, &sources.defaults, photos_deg, sources.crs.is_some())?;
         let Some(marks) = &sources.marks else {
             let message =
                 "there is no marks.csv that says where the points are in the photos: not used";
-            let subject = path.display().to_string();
             monitor.diagnostic(&Diagnostic::warning("no-marks", subject, message));
             return Ok(None);
         };
-        let (marks, aside) = control::marks(marks, &images, &points, &sources.defaults)?;
+        let (marks, aside) = control::marks(marks, &images, &read.ground, &sources.defaults)?;
         for excluded in &aside {
             let diagnostic = Diagnostic::warning("mark-excluded", "marks", excluded.to_string());
             monitor.diagnostic(&diagnostic);
         }
-        return Ok(Some(Ground { crs: None, geographic: false, points, marks }));
+        Ground { control: read, marks }
+    } else {
+        listed(path, photos, sources, monitor)?
+    };
+    if let Some(choice) = &ground.control.choice {
+        let found = Diagnostic::info("columns-assumed", subject.as_str(), choice.as_str());
+        let remedy = "gcps.csv with a first row label, easting_m, northing_m, height_m (or latitude, longitude) says otherwise";
+        monitor.diagnostic(&found.with_remedy(remedy));
     }
+    let mut ground = ground;
+    without_heights(&mut ground.control, &subject, monitor);
+    marks::outside(&ground.marks, photos, monitor);
+    Ok(Some(ground))
+}
+
+/// Control of a file that has the image measurements too.
+fn listed(
+    path: &Path,
+    photos: &[Photo],
+    sources: &Sources<'_>,
+    monitor: &mut dyn Monitor,
+) -> Result<Ground, Error> {
+    let images = stand_ins(photos);
     let names = control::Names::new(&images);
-    let read = if extension.eq_ignore_ascii_case("json") {
+    let is_json = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"));
+    let read = if is_json {
         let size = |name: &str| names.find(name).map(|k| photos[k as usize].size_px);
         gcp_list::read_opensfm(path, &sources.defaults, size)?
     } else {
-        gcp_list::read(path, &sources.defaults)?
+        gcp_list::read(path, &sources.defaults, photos_deg(photos))?
     };
     let mut marks = Vec::new();
     let mut unmatched = std::collections::BTreeSet::new();
@@ -75,7 +111,26 @@ fn control(
         let subject = path.display().to_string();
         monitor.diagnostic(&Diagnostic::warning("mark-excluded", subject, message));
     }
-    Ok(Some(Ground { crs: read.crs, geographic: read.geographic, points: read.ground, marks }))
+    Ok(Ground { control: read, marks })
+}
+
+/// Says which points have no heights, those at 0 among them.
+fn without_heights(control: &mut Control, subject: &str, monitor: &mut dyn Monitor) {
+    if control.drop_zero_heights() {
+        let message = "the heights of all points are 0, as where they were not measured: the points are used in plan only";
+        let found = Diagnostic::warning("control-without-heights", subject, message);
+        let remedy =
+            "give their heights; where 0 is meant, gcps.csv with a column axes that says xyz";
+        monitor.diagnostic(&found.with_remedy(remedy));
+        return;
+    }
+    let flat = control.ground.iter().filter(|point| point.axes == Axes::Xy);
+    let names: Vec<&str> = flat.map(|point| point.name.as_str()).collect();
+    if !names.is_empty() {
+        let message =
+            format!("points without a height are used in plan only: {}", names.join(", "));
+        monitor.diagnostic(&Diagnostic::info("control-without-heights", subject, message));
+    }
 }
 
 /// A flight is no wider than this; control farther from its photos is in another system.
@@ -88,24 +143,25 @@ pub(super) fn read(
     sources: &Sources<'_>,
     monitor: &mut dyn Monitor,
 ) -> Result<(Frame, Known, Vec<bool>), Error> {
-    let control = control(photos, sources, monitor)?;
+    let read = control(photos, sources, monitor)?;
+    let control = read.as_ref().map(|read| &read.control);
     let mut known = Known::default();
     let tagged: Vec<(usize, Geotag)> =
         tags.iter().enumerate().filter_map(|(k, tag)| tag.map(|tag| (k, tag))).collect();
     let bad = |e: rowgram_raster::crs::CrsError| Error::Argument(format!("--crs: {e}"));
     let mut crs = match sources.crs {
         Some(words) => Some(Crs::from_words(words).map_err(bad)?),
-        None => match control.as_ref().and_then(|c| c.crs.as_deref().filter(|_| !c.geographic)) {
+        None => match control.and_then(|c| c.crs.as_deref().filter(|_| !c.geographic)) {
             Some(words) => Some(Crs::from_words(words).map_err(|e| {
                 Error::Argument(format!("the control points' reference system: {e}"))
             })?),
             None => None,
         },
     };
-    let geographic = control.as_ref().is_some_and(|c| c.geographic);
-    if let Some(control) = control {
-        known.ground = control.points;
-        known.marks = control.marks;
+    let geographic = control.is_some_and(|c| c.geographic);
+    if let Some(read) = read {
+        known.ground = read.control.ground;
+        known.marks = read.marks;
     }
     for name in sources.check {
         let point = known.ground.iter_mut().find(|point| point.name == *name);

@@ -1,25 +1,25 @@
 //! Which photos a project has, what their files say, what is known on the ground and in the air.
 
-use super::{AlignOptions, ground, known_photos, place};
+use super::{AlignOptions, geotags, ground, known_photos};
 use crate::{
     Project, Stage,
     record::{Key, Store},
 };
 use rowgram_base::{
     error::Error,
-    monitor::{Diagnostic, Monitor},
+    monitor::{Diagnostic, Monitor, Severity},
 };
 use rowgram_files::{
-    control::{self, Defaults},
-    gcp_list, images,
+    control::Defaults,
+    images,
     photo::{Geotag, Metadata},
 };
 use rowgram_optim::output::FileError;
 use rowgram_raster::crs::{Crs, LocalPlane};
 use rowgram_survey::{
     camera::{Camera, Model},
-    scene::{HorizontalFrame, Image, LengthUnit, Pose, ReferenceFrame, VerticalFrame},
-    sfm::{georeference::Known, intrinsics::without_distortion},
+    scene::{Axes, HorizontalFrame, Image, LengthUnit, Pose, ReferenceFrame, Role, VerticalFrame},
+    sfm::{adjust_block::AdjustedBlock, georeference::Known, intrinsics::without_distortion},
 };
 use std::{
     collections::HashMap,
@@ -87,6 +87,8 @@ pub(super) struct Inputs {
     pub(super) has_position_sigma: Vec<bool>,
     /// Horizontal positions for the choice of neighbours, metres; NaN where there is none.
     pub(super) plan_m: Vec<[f64; 2]>,
+    /// Where each photo was taken, as far as that is used.
+    pub(super) tags: Vec<Option<Geotag>>,
     /// Photos that are left out, and why.
     pub(super) left_out: Vec<(String, String)>,
 }
@@ -94,12 +96,7 @@ pub(super) struct Inputs {
 impl Inputs {
     /// The photos in the order in which they were taken, as far as they tell: by moment, then by name.
     pub(super) fn flight(&self) -> Vec<usize> {
-        let mut order: Vec<usize> = (0..self.photos.len()).collect();
-        order.sort_by(|&a, &b| {
-            let (a, b) = (&self.photos[a], &self.photos[b]);
-            a.metadata.moment.cmp(&b.metadata.moment).then(a.name.cmp(&b.name))
-        });
-        order
+        flight(&self.photos)
     }
 
     /// The names of the photos.
@@ -112,9 +109,11 @@ impl Inputs {
         self.cameras.iter().map(|(camera, _)| camera.clone()).collect()
     }
 
-    /// The frame as the reconstruction has it.
-    pub(super) fn reference(&self, georeferenced: bool) -> ReferenceFrame {
-        self.frame.reference(georeferenced, self.known.has_control())
+    /// The frame as the reconstruction has it, whose heights are those of the control that takes part.
+    pub(super) fn reference(&self, found: &AdjustedBlock) -> ReferenceFrame {
+        let mut ground = found.adjusted.reconstruction.ground.iter();
+        let has_control = ground.any(|point| point.role == Role::Control && point.axes != Axes::Xy);
+        self.frame.reference(found.georeferenced, has_control)
     }
 
     /// Sizes that image measurements may have been made in, relative to the photos.
@@ -142,7 +141,8 @@ pub(super) struct Sources<'a> {
     pub(super) crs: Option<&'a str>,
     pub(super) control: Option<PathBuf>,
     pub(super) marks: Option<PathBuf>,
-    pub(super) positions: Option<PathBuf>,
+    /// Files of camera positions, the one that is used first.
+    pub(super) positions: Vec<PathBuf>,
     pub(super) camera: Option<PathBuf>,
     pub(super) check: &'a [String],
     pub(super) keep: &'a [String],
@@ -152,7 +152,14 @@ pub(super) struct Sources<'a> {
 }
 
 /// The usual names of files of ground control.
-pub(crate) const CONTROL: [&str; 3] = ["gcps.csv", "gcp_list.txt", "ground_control_points.json"];
+pub(crate) const CONTROL: [&str; 6] = [
+    "gcps.csv",
+    "gcp_list.txt",
+    "ground_control_points.json",
+    "gcps.txt",
+    "images/gcp_list.txt",
+    "gcp.csv",
+];
 
 impl<'a> Sources<'a> {
     fn of(project: &'a Project, options: &'a AlignOptions) -> Sources<'a> {
@@ -162,7 +169,7 @@ impl<'a> Sources<'a> {
             crs: settings.crs.as_deref(),
             control: project.given(settings.control.as_ref(), &CONTROL),
             marks: project.given(settings.marks.as_ref(), &["marks.csv"]),
-            positions: project.given(settings.positions.as_ref(), &["geolocation.csv"]),
+            positions: geotags::files(project, settings.positions.as_ref()),
             camera: project.given(settings.camera.as_ref(), &["camera.toml"]).or_else(calibrated),
             check: &options.check,
             keep: &options.keep,
@@ -181,9 +188,9 @@ impl<'a> Sources<'a> {
 pub(super) fn beside(project: &Project) -> Vec<PathBuf> {
     let options = AlignOptions::default();
     let Sources { control, marks, positions, camera, .. } = Sources::of(project, &options);
-    // Only a CSV file of control has its image measurements beside it.
-    let is_csv = |path: &PathBuf| path.extension().is_some_and(|e| e.eq_ignore_ascii_case("csv"));
-    let marks = marks.filter(|_| control.as_ref().is_some_and(is_csv));
+    // Only a table of control has its image measurements beside it.
+    let marks = marks.filter(|_| control.as_deref().is_some_and(ground::is_table));
+    let positions = positions.into_iter().next();
     [control, marks, positions, camera].into_iter().flatten().collect()
 }
 
@@ -198,7 +205,10 @@ pub(super) fn inspect(
     monitor: &mut dyn Monitor,
 ) -> Result<Inputs, Error> {
     let sources = &Sources::of(project, options);
-    let read = known_photos::read(project, &project.photos(), store)?;
+    let named = |path: PathBuf| (path.clone(), project.photo_name(&path));
+    let files: Vec<(PathBuf, String)> = project.photos().into_iter().map(named).collect();
+    let read = known_photos::read(project, &files, store)?;
+    set_aside(project, monitor);
     let mut photos: Vec<Photo> = Vec::new();
     let mut left_out = Vec::new();
     let mut seen: HashMap<Key, String> = HashMap::new();
@@ -225,7 +235,9 @@ pub(super) fn inspect(
         ));
     }
     let cameras = cameras(&mut photos, sources, monitor)?;
-    let tags = geotags(&photos, sources, monitor)?;
+    unread(&photos, monitor);
+    let order = flight(&photos);
+    let tags = geotags::geotags(&photos, &order, sources, monitor)?;
     let (frame, known, has_position_sigma) = ground::read(&photos, &tags, sources, monitor)?;
     let plan_m = ground::plan_m(&tags);
     tracing::debug!(
@@ -237,7 +249,53 @@ pub(super) fn inspect(
         frame.reference(true, known.has_control()).name()
     );
     let calibrated = sources.camera.is_some();
-    Ok(Inputs { photos, cameras, calibrated, frame, known, has_position_sigma, plan_m, left_out })
+    Ok(Inputs {
+        photos,
+        cameras,
+        calibrated,
+        frame,
+        known,
+        has_position_sigma,
+        plan_m,
+        tags,
+        left_out,
+    })
+}
+
+fn flight(photos: &[Photo]) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..photos.len()).collect();
+    order.sort_by(|&a, &b| {
+        let (a, b) = (&photos[a], &photos[b]);
+        a.metadata.moment.cmp(&b.metadata.moment).then(a.name.cmp(&b.name))
+    });
+    order
+}
+
+/// Names files that lie among the photos and are not used.
+fn set_aside(project: &Project, monitor: &mut dyn Monitor) {
+    let bands = project.bands();
+    let Some(first) = bands.first() else { return };
+    let message = format!(
+        "{} files are bands of a multispectral camera, the first {}: set aside; the colour photos are used",
+        bands.len(),
+        project.photo_name(first)
+    );
+    monitor.diagnostic(&Diagnostic::info("bands-set-aside", "photos", message));
+}
+
+/// Says what of the photos' EXIF could not be read.
+fn unread(photos: &[Photo], monitor: &mut dyn Monitor) {
+    let damaged: Vec<&Photo> = photos.iter().filter(|p| !p.metadata.unread.is_empty()).collect();
+    let Some(first) = damaged.first() else { return };
+    let message = format!(
+        "{} photos have EXIF that is damaged in part ({}, the first {}); what can be read is used",
+        damaged.len(),
+        first.metadata.unread,
+        first.name
+    );
+    let lacks = |p: &&Photo| p.metadata.geotag.is_none() || p.metadata.focal_mm.is_none();
+    let severity = if damaged.iter().any(lacks) { Severity::Warning } else { Severity::Info };
+    monitor.diagnostic(&Diagnostic::new(severity, "exif-damaged", "photos", message));
 }
 
 /// Photos of one make, model, size and focal length share a camera.
@@ -333,46 +391,6 @@ fn start(
     // What the maker says of a focal length is good to a few per cent.
     camera.standard_deviations[0] = Some(if found.is_some() { 0.05 * c } else { 0.3 * c });
     Ok((camera, found.map(|(_, source)| source.to_owned())))
-}
-
-/// Positions by file or by EXIF.
-fn geotags(
-    photos: &[Photo],
-    sources: &Sources<'_>,
-    monitor: &mut dyn Monitor,
-) -> Result<Vec<Option<Geotag>>, Error> {
-    let mut tags: Vec<Option<Geotag>> = photos.iter().map(|photo| photo.metadata.geotag).collect();
-    if let Some(path) = &sources.positions {
-        let rows = gcp_list::geolocation(path)?;
-        let own = tags.clone();
-        let stand_ins = stand_ins(photos);
-        let names = control::Names::new(&stand_ins);
-        let mut unmatched = Vec::new();
-        for (name, tag) in rows {
-            match names.find(&name) {
-                Some(k) => tags[k as usize] = Some(tag),
-                None => unmatched.push(name),
-            }
-        }
-        place::check_tables(&own, &tags)?;
-        if let Some(first) = unmatched.first() {
-            let message = format!("{} rows name no photo, the first {first:?}", unmatched.len());
-            let subject = path.display().to_string();
-            monitor.diagnostic(&Diagnostic::warning("rows-without-photo", subject, message));
-        }
-    }
-    place::drop_far(photos, &mut tags, monitor);
-    let missing: Vec<&str> = photos
-        .iter()
-        .zip(&tags)
-        .filter(|(_, tag)| tag.is_none())
-        .map(|(photo, _)| photo.name.as_str())
-        .collect();
-    if !missing.is_empty() && missing.len() < photos.len() {
-        let subject = missing.join(", ");
-        monitor.diagnostic(&Diagnostic::warning("no-position", subject, "no position in the file"));
-    }
-    Ok(tags)
 }
 
 /// Images that carry no more than their names, to match other names against.

@@ -51,23 +51,24 @@ type Known = BTreeMap<String, Seen>;
 /// A photo, or its name and why it cannot be used.
 pub(super) type Read = Result<Photo, (String, String)>;
 
-/// Reads photos; what the store knows of them is taken from there, and what is read is stored there.
+/// Reads photos with their names; what the store knows of them is taken from there, and what is read is stored there.
 ///
 /// # Errors
 /// A store that cannot be written.
 pub(super) fn read(
     project: &Project,
-    paths: &[PathBuf],
+    photos: &[(PathBuf, String)],
     store: Option<&Store>,
 ) -> Result<Vec<Read>, Error> {
+    let paths: Vec<PathBuf> = photos.iter().map(|(path, _)| path.clone()).collect();
     let contents = match store {
-        Some(_) => project.content_of_each(paths)?,
+        Some(_) => project.content_of_each(&paths)?,
         None => paths.par_iter().map(|path| Content::read(project.root(), path)).collect(),
     };
     let key = Key::begin().finish();
     let known: Known = store.and_then(|store| store.load(PHOTOS, key)).unwrap_or_default();
-    let photo = |(path, content): (&PathBuf, Result<Content, FileError>)| {
-        let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    let photo = |((path, name), content): (&(PathBuf, String), Result<Content, FileError>)| {
+        let name = name.clone();
         let read = content.map_err(|error| unreadable(&error)).and_then(|content| {
             let before = known.get(&content.sha256).cloned();
             Ok((before.map_or_else(|| Seen::read(path), Ok)?, content.sha256))
@@ -78,7 +79,7 @@ pub(super) fn read(
         let photo = Photo { path: path.clone(), name, metadata, size_px, content, camera: 0 };
         Ok((photo, (sha256, seen)))
     };
-    let read: Vec<Result<_, _>> = paths.par_iter().zip(contents).map(photo).collect();
+    let read: Vec<Result<_, _>> = photos.par_iter().zip(contents).map(photo).collect();
     let all: Known = read.iter().flatten().map(|(_, seen)| seen.clone()).collect();
     if let Some(store) = store.filter(|_| all != known) {
         store.save(PHOTOS, key, &all)?;
@@ -99,7 +100,7 @@ mod tests {
         let picture = |width: u32| {
             image::GrayImage::from_pixel(width, 6, image::Luma([10])).save(&path).unwrap();
         };
-        let read = || read(&project, std::slice::from_ref(&path), Some(&store)).unwrap().remove(0);
+        let read = || read(&project, &[(path.clone(), "a.png".to_owned())], Some(&store)).unwrap().remove(0);
         picture(8);
         let first = read().unwrap_or_else(|(_, why)| panic!("{why}"));
         assert_eq!((first.size_px, first.name.as_str()), ([8, 6], "a.png"));

@@ -9,9 +9,11 @@ mod enlarge;
 mod export;
 mod features;
 mod figures;
+mod geotags;
 mod ground;
 pub(super) mod inputs;
 mod known_photos;
+mod marks;
 mod matches;
 mod options;
 mod outcome;
@@ -124,17 +126,18 @@ pub fn align_until(
     }
 }
 
-/// Reads what [`align`] reads, photos only by their heads, and tells the monitor what is remarkable; writes nothing.
+/// Reads what [`align`] reads, photos only by their heads, and tells the monitor what is remarkable; writes nothing. Where
+/// each photo was taken, as [`align`] would take it.
 ///
 /// # Errors
 /// What is missing or contradicts itself.
-pub fn inspect(
+pub(super) fn places(
     project: &Project,
     options: &AlignOptions,
     monitor: &mut dyn Monitor,
-) -> Result<PartialReport, Error> {
+) -> Result<Vec<Option<rowgram_files::photo::Geotag>>, Error> {
     AlignTask::inputs(project, options)?;
-    Ok(PartialReport::new(&inputs::inspect(project, options, None, monitor)?, Step::Inspect))
+    Ok(inputs::inspect(project, options, None, monitor)?.tags)
 }
 
 /// Makes [`align`] do a step and those after it again, where it is done again.

@@ -133,7 +133,7 @@ impl AlignOutcome {
             registered: registered.len(),
             fragments: apart + usize::from(!registered.is_empty()),
             georeferenced: found.georeferenced,
-            crs: inputs.reference(found.georeferenced).name(),
+            crs: inputs.reference(found).name(),
             gsd_m: found.georeferenced.then(|| gsd_m(block)),
             reprojection_rms_px,
             tie_points: block.points.len(),

@@ -32,6 +32,11 @@ fn distance_m([lat, lon]: [f64; 2], [lat2, lon2]: [f64; 2]) -> f64 {
     2.0 * 6_371_000.0 * h.sqrt().min(1.0).asin()
 }
 
+/// Metres between two positions in the plan.
+pub(super) fn apart_m(a: &Geotag, b: &Geotag) -> f64 {
+    distance_m([a.latitude_deg, a.longitude_deg], [b.latitude_deg, b.longitude_deg])
+}
+
 fn middle(tags: &[Geotag]) -> [f64; 2] {
     [
         median(tags.iter().map(|tag| tag.latitude_deg)).unwrap_or(0.0),
@@ -140,7 +145,7 @@ pub(super) fn check_numbers(ground: &[GroundPoint]) -> Result<(), Error> {
 }
 
 /// Least distance in the plan between control and photos, metres.
-fn apart_m(ground: &[GroundPoint], photos: &[[f64; 2]], factor: f64) -> f64 {
+fn control_apart_m(ground: &[GroundPoint], photos: &[[f64; 2]], factor: f64) -> f64 {
     let of = |point: &GroundPoint| {
         let [x, y, _] = point.position_m.map(|v| v * factor);
         photos.iter().map(|p| (p[0] - x).hypot(p[1] - y)).fold(f64::INFINITY, f64::min)
@@ -159,20 +164,20 @@ fn cause(crs: &Crs, ground: &[GroundPoint], tags: &[Geotag]) -> Option<(f64, Opt
         tags.iter().filter_map(of).collect()
     };
     let photos = within(crs, false);
-    let far_m = apart_m(ground, &photos, 1.0);
+    let far_m = control_apart_m(ground, &photos, 1.0);
     if far_m < APART_M {
         return None;
     }
     let swapped: Vec<[f64; 2]> = photos.iter().map(|p| [p[1], p[0]]).collect();
-    if apart_m(ground, &swapped, 1.0) < APART_M {
+    if control_apart_m(ground, &swapped, 1.0) < APART_M {
         // Found by the block itself, and put right.
         return None;
     }
-    if apart_m(ground, &within(crs, true), 1.0) < APART_M {
+    if control_apart_m(ground, &within(crs, true), 1.0) < APART_M {
         let cause = "latitude and longitude of the camera positions are exchanged: exchange the columns of their file";
         return Some((far_m, Some(cause.to_owned())));
     }
-    if FEET.iter().any(|feet| apart_m(ground, &photos, *feet) < APART_M) {
+    if FEET.iter().any(|feet| control_apart_m(ground, &photos, *feet) < APART_M) {
         let cause = "the control points are in feet: convert them to metres";
         return Some((far_m, Some(cause.to_owned())));
     }
@@ -184,7 +189,7 @@ fn cause(crs: &Crs, ground: &[GroundPoint], tags: &[Geotag]) -> Option<(f64, Opt
     };
     let other = zones.filter(near).filter_map(|code| Crs::from_epsg(code).ok());
     let other = other.into_iter().find(|other| {
-        other.name() != crs.name() && apart_m(ground, &within(other, false), 1.0) < APART_M
+        other.name() != crs.name() && control_apart_m(ground, &within(other, false), 1.0) < APART_M
     });
     let cause = other.map(|other| {
         format!("they lie among the photos in {0}: set [project] crs = \"{0}\"", other.name())

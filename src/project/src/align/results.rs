@@ -32,7 +32,7 @@ pub(super) fn reconstruction(inputs: &Inputs, found: &AdjustedBlock) -> Reconstr
         reason: reason.clone(),
     });
     Reconstruction {
-        reference: inputs.reference(found.georeferenced),
+        reference: inputs.reference(found),
         accuracy: Some(adjusted.accuracy()),
         excluded: excluded.chain(removed).chain(left_out).collect(),
         ..adjusted.reconstruction.clone()

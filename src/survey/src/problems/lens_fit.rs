@@ -77,32 +77,65 @@ impl Factor for Ray {
     }
 }
 
+/// What a lens does at its axis.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Axis {
+    /// Principal distance along the rows, pixels.
+    pub f_px: f64,
+    /// That along the columns over it.
+    pub aspect: f64,
+    /// Where the axis meets the image, pixels.
+    pub at_px: [f64; 2],
+}
+
 /// The lens of `model` with the parameters `free` that is nearest to `source`.
 ///
 /// # Errors
 /// Where the source shows too little for it, or no lens of the model is near.
 pub fn fit(source: &Interior, model: Model, free: &[&str]) -> Result<Fit, CameraError> {
-    let size_px = source.size_px();
+    let axis = source
+        .project_with_derivatives([0.0, 0.0, -1.0])
+        .ok_or_else(|| CameraError("the lens has no image of its own axis".into()))?;
+    let f_px = axis.by_point[0][0].abs();
+    let aspect = axis.by_point[1][1].abs() / f_px;
+    let axis = Axis { f_px, aspect, at_px: axis.image_px };
+    fit_rays(source.size_px(), |at| source.unproject(at), &axis, model, free)
+}
+
+/// As [`fit`], of any lens by the rays of its pixels.
+///
+/// # Errors
+/// As [`fit`].
+pub fn fit_rays(
+    size_px: [u32; 2],
+    ray: impl Fn([f64; 2]) -> Option<[f64; 3]>,
+    axis: &Axis,
+    model: Model,
+    free: &[&str],
+) -> Result<Fit, CameraError> {
     let [width, height] = size_px.map(|n| f64::from(n) - 1.0);
     let step = width.max(height) / f64::from(GRID - 1);
     let flat = model != Model::Fisheye;
     let mut rays = Vec::new();
     let mut left_out = 0;
     let (columns, rows) = ((width / step).round() as u32, (height / step).round() as u32);
+    let is_seen = |ray: &[f64; 3]| {
+        let length = ray.iter().map(|v| v * v).sum::<f64>().sqrt();
+        !flat || -ray[2] > WIDEST_RAD.cos() * length
+    };
     for j in 0..=rows {
         for i in 0..=columns {
             let at = [
                 width * f64::from(i) / f64::from(columns.max(1)),
                 height * f64::from(j) / f64::from(rows.max(1)),
             ];
-            let ray = source.unproject(at).filter(|ray| !flat || -ray[2] > WIDEST_RAD.cos());
-            match ray {
+            match ray(at).filter(is_seen) {
                 Some(ray) => rays.push((ray, at)),
                 None => left_out += 1,
             }
         }
     }
-    let mut start = start(source, model, size_px)?;
+    let mut start = start(axis, model, size_px);
     let parameters = model.parameters();
     if rays.len() < parameters.len() {
         return Err(CameraError("the camera has next to no rays to fit a lens to".into()));
@@ -162,26 +195,20 @@ pub fn fit(source: &Interior, model: Model, free: &[&str]) -> Result<Fit, Camera
 }
 
 /// A lens without distortion that agrees with the source on its axis.
-fn start(source: &Interior, model: Model, size_px: [u32; 2]) -> Result<Vec<f64>, CameraError> {
-    let parameters = model.parameters();
-    let axis = source
-        .project_with_derivatives([0.0, 0.0, -1.0])
-        .ok_or_else(|| CameraError("the lens has no image of its own axis".into()))?;
-    let f = axis.by_point[0][0].abs();
+fn start(axis: &Axis, model: Model, size_px: [u32; 2]) -> Vec<f64> {
     let centre = size_px.map(|n| 0.5 * (f64::from(n) - 1.0));
-    Ok(parameters
-        .iter()
-        .enumerate()
+    let parameters = model.parameters().iter().enumerate();
+    parameters
         .map(|(k, parameter)| match parameter.name {
-            "c_px" | "f_px" => f,
-            "aspect" => axis.by_point[1][1].abs() / f,
-            "cx_px" => axis.image_px[0],
-            "cy_px" => axis.image_px[1],
-            "xp_px" => axis.image_px[0] - centre[0],
-            "yp_px" => centre[1] - axis.image_px[1],
+            "c_px" | "f_px" => axis.f_px,
+            "aspect" => axis.aspect,
+            "cx_px" => axis.at_px[0],
+            "cy_px" => axis.at_px[1],
+            "xp_px" => axis.at_px[0] - centre[0],
+            "yp_px" => centre[1] - axis.at_px[1],
             _ => model.default_value(k, size_px).unwrap_or(0.0),
         })
-        .collect())
+        .collect()
 }
 
 /// Brown's rational lens by a linear fit of its denominator alone, `1/q = 1 + k4 s + k5 s^2 + k6 s^3`: near enough that all

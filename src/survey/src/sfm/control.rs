@@ -3,7 +3,7 @@
 use super::{
     block::Block,
     georeference::Known,
-    triangulate::{TriangulationOptions, View, error_px, triangulate},
+    triangulate::{TriangulationOptions, View, triangulate},
 };
 use crate::{
     camera::Lens,
@@ -44,105 +44,6 @@ pub fn control_left_m(block: &Block<'_>, known: &Known) -> Vec<(usize, f64)> {
         }
     }
     found
-}
-
-/// Marks that the block contradicts, by the distances from where the others of their point put them.
-#[derive(Debug, Clone, PartialEq)]
-pub struct WrongMark {
-    /// Index of the image.
-    pub image: u32,
-    /// Index of the ground point.
-    pub ground: u32,
-    /// Distance, pixels; infinite where no two marks of the point agree.
-    pub error_px: f64,
-}
-
-/// How many marks of a block fit and which do not, `scale` times what they are.
-fn marks_that_fit(
-    block: &Block<'_>,
-    known: &Known,
-    scale: f64,
-    demands: &TriangulationOptions,
-) -> (usize, Vec<WrongMark>) {
-    let (mut fitting, mut wrong) = (0, Vec::new());
-    for ground in 0..known.ground.len() {
-        let mut marks = Vec::new();
-        let mut views = Vec::new();
-        for mark in known.marks.iter().filter(|mark| mark.ground as usize == ground) {
-            let image_px = mark.image_px.map(|v| (v + 0.5) * scale - 0.5);
-            if let Some(pose) = block.pose_at(mark.image as usize, image_px[1]) {
-                views.push(View { pose, lens: block.lens(mark.image as usize), image_px });
-                marks.push(*mark);
-            }
-        }
-        if views.len() < 2 {
-            continue;
-        }
-        match triangulate(&views, demands) {
-            Some((point, fits)) => {
-                for (k, fits) in fits.into_iter().enumerate() {
-                    if fits {
-                        fitting += 1;
-                    } else {
-                        let error_px = error_px(&views[k], point).unwrap_or(f64::INFINITY);
-                        wrong.push(WrongMark {
-                            image: marks[k].image,
-                            ground: ground as u32,
-                            error_px,
-                        });
-                    }
-                }
-            }
-            None => wrong.extend(marks.iter().map(|mark| WrongMark {
-                image: mark.image,
-                ground: ground as u32,
-                error_px: f64::INFINITY,
-            })),
-        }
-    }
-    (fitting, wrong)
-}
-
-/// What is wrong with the marks of a block.
-#[derive(Debug, Clone, PartialEq)]
-pub struct MarkReview {
-    /// The factor that the marks were multiplied with: 1 unless they are those of resized images.
-    pub scale: f64,
-    /// How many fit.
-    pub fitting: usize,
-    /// Those that do not; they were taken out, unless nothing of their point agrees.
-    pub wrong: Vec<WrongMark>,
-}
-
-/// Looks through the marks by the block's own geometry, which needs no coordinates: marks of images
-/// of another size are brought to that of the photos, wrong ones are taken out.
-pub fn review_marks(
-    block: &Block<'_>,
-    known: &mut Known,
-    scales: &[f64],
-    demands: &TriangulationOptions,
-) -> MarkReview {
-    let (mut fitting, mut wrong) = marks_that_fit(block, known, 1.0, demands);
-    let mut scale = 1.0;
-    for &other in scales {
-        let (more, rest) = marks_that_fit(block, known, other, demands);
-        // Some marks fit by chance: another size must explain clearly more.
-        if more > 2 * fitting && more >= 4 {
-            (fitting, wrong, scale) = (more, rest, other);
-        }
-    }
-    if scale != 1.0 {
-        for mark in &mut known.marks {
-            mark.image_px = mark.image_px.map(|v| (v + 0.5) * scale - 0.5);
-        }
-    }
-    let out: std::collections::BTreeSet<(u32, u32)> = wrong
-        .iter()
-        .filter(|mark| mark.error_px.is_finite())
-        .map(|mark| (mark.image, mark.ground))
-        .collect();
-    known.marks.retain(|mark| !out.contains(&(mark.image, mark.ground)));
-    MarkReview { scale, fitting, wrong }
 }
 
 /// Whether control has X and Y exchanged: as given it turns the block upside down or does not fit,

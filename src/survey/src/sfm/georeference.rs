@@ -4,7 +4,9 @@
 pub use super::positions::{PositionFit, weigh_positions};
 use rowgram_optim::robust::median;
 
-pub use super::control::{MarkReview, WrongMark, axes_exchanged, control_left_m, review_marks};
+pub use super::control::{axes_exchanged, control_left_m};
+
+pub use super::mark_reading::{MarkReading, MarkReview, WrongMark, review_marks};
 
 use super::{
     block::Block,
@@ -12,6 +14,7 @@ use super::{
     depth_outliers,
     level::{self, HeightReview},
     triangulate::TriangulationOptions,
+    weak_control,
 };
 use crate::{
     problems::adjustment::{Alignment, align},
@@ -31,6 +34,8 @@ pub struct Known {
     pub positions: Vec<CameraPosition>,
     /// Names of control points that are never left out.
     pub keep: Vec<String>,
+    /// Whether the accuracies of most positions were told.
+    pub told_positions: bool,
 }
 
 /// What came of bringing blocks into one frame.
@@ -68,6 +73,13 @@ impl Known {
             .collect();
     }
 
+    /// Without anything on the ground.
+    pub fn without_control(&mut self) {
+        self.ground.clear();
+        self.marks.clear();
+        self.keep.clear();
+    }
+
     /// Whether there are control points with all coordinates.
     pub fn has_control(&self) -> bool {
         self.ground.iter().any(|point| point.role == Role::Control)
@@ -77,18 +89,50 @@ impl Known {
 /// Below this share of the spread along the flight the spread across it does not tell where down is.
 const NEARLY_A_LINE: f64 = 0.1;
 
-/// Ratio of the second to the first principal spread of some positions.
-pub(super) fn spread_across(positions: &[[f64; 3]]) -> f64 {
+/// Standard deviations of some positions along their principal directions, the largest first, metres.
+fn principal_spreads_m(positions: &[[f64; 3]]) -> [f64; 3] {
     let n = positions.len().max(1) as f64;
     let mean = positions.iter().map(|p| Vector3::from(*p)).sum::<Vector3<f64>>() / n;
     let mut moments = Matrix3::zeros();
     for p in positions {
         let d = Vector3::from(*p) - mean;
-        moments += d * d.transpose();
+        moments += d * d.transpose() / n;
     }
     let mut values: Vec<f64> = moments.symmetric_eigenvalues().iter().copied().collect();
     values.sort_by(f64::total_cmp);
-    (values[1].max(0.0) / values[2].max(1e-300)).sqrt()
+    [2, 1, 0].map(|k| values[k].max(0.0).sqrt())
+}
+
+/// Ratio of the second to the first principal spread of some positions.
+pub(super) fn spread_across(positions: &[[f64; 3]]) -> f64 {
+    let [first, second, _] = principal_spreads_m(positions);
+    second / first.max(1e-150)
+}
+
+/// A tilt that told heights fix better than this is theirs: the optical axes of a flight tell it no better, radians.
+const TILT_BY_AXES_RAD: f64 = 0.002;
+/// A free block is bent by up to this share of its extent: positions that leave more than that and their accuracies are wrong.
+const BENT: f64 = 0.02;
+/// Told accuracies are exceeded by errors of up to so many of them.
+const TOLD_RATIO: f64 = 10.0;
+
+/// By positions whose told accuracies fix all of how a block lies, as those of a receiver with fixed ambiguities do: believed
+/// whatever the cameras' axes say. `None`, and nothing changed, where they do not, or where positions and block contradict.
+fn align_told(survey: &mut Reconstruction) -> Option<Alignment> {
+    let positions: Vec<[f64; 3]> = survey.positions.iter().map(|p| p.position_m).collect();
+    let [along, across, _] = principal_spreads_m(&positions);
+    let sigma_m = median(survey.positions.iter().map(|p| p.sigma_m[2]).collect());
+    let tilt_rad = sigma_m / (across * (positions.len() as f64).sqrt()).max(1e-9);
+    if positions.len() < 4 || across < NEARLY_A_LINE * along || tilt_rad > TILT_BY_AXES_RAD {
+        return None;
+    }
+    let mut trial = survey.clone();
+    let alignment = align(&mut trial)?;
+    if alignment.rmse_m > (TOLD_RATIO * sigma_m).max(BENT * along) {
+        return None;
+    }
+    *survey = trial;
+    Some(alignment)
 }
 
 /// One strip: its positions give scale, place and heading, and the mean optical axis is down.
@@ -175,14 +219,38 @@ pub(super) fn apply(
     }
 }
 
-/// Brings a survey into the frame of what is known of it.
+/// Brings a survey into the frame of what is known of it. Control that leaves a tilt open comes after positions.
 fn georeference(
     survey: &mut Reconstruction,
     places: &[f64],
+    told_positions: bool,
+) -> Option<(Alignment, Option<HeightReview>)> {
+    if weak_control::is_weak(survey) != Some(true) {
+        return georeference_by_all(survey, places, told_positions);
+    }
+    let known = (std::mem::take(&mut survey.ground), std::mem::take(&mut survey.marks));
+    let mut found = georeference_by_all(survey, places, told_positions);
+    (survey.ground, survey.marks) = known;
+    if let Some((alignment, _)) = &mut found {
+        weak_control::settle(survey, alignment);
+    }
+    found
+}
+
+fn georeference_by_all(
+    survey: &mut Reconstruction,
+    places: &[f64],
+    told_positions: bool,
 ) -> Option<(Alignment, Option<HeightReview>)> {
     let mut trial = survey.clone();
     let first = align(&mut trial);
     let by_positions = first.as_ref().is_none_or(|alignment| alignment.by == "camera positions");
+    if by_positions
+        && told_positions
+        && let Some(alignment) = align_told(survey)
+    {
+        return Some((alignment, None));
+    }
     if by_positions && let Some((alignment, review)) = level::level(survey, places) {
         return Some((alignment, Some(review)));
     }
@@ -236,7 +304,9 @@ pub fn join<'a>(
         let (mut survey, _, order) = block.reconstruction(None);
         known.attach(&mut survey, &order);
         let mut alignment = None;
-        if let Some((found, review)) = georeference(&mut survey, &places_of(&places, &order)) {
+        if let Some((found, review)) =
+            georeference(&mut survey, &places_of(&places, &order), known.told_positions)
+        {
             for (image, &index) in survey.images.iter().zip(&order) {
                 block.poses[index] = Some(image.pose);
             }
@@ -268,10 +338,13 @@ pub fn join<'a>(
     block.points.fill(None);
     block.used.fill(false);
     retriangulate_and_filter(&mut block, demands);
-    let control = alignments.iter().flatten().any(|alignment| alignment.by == "control points");
-    let position_shift_m =
-        if control { remove_common_offset(&block, &mut known.positions) } else { None };
-    if control {
+    let by = |what: &str| alignments.iter().flatten().any(|of| of.by.ends_with(what));
+    let position_shift_m = if by("control points") {
+        remove_common_offset(&block, &mut known.positions)
+    } else {
+        None
+    };
+    if alignments.iter().flatten().any(|of| of.by == "control points") {
         let (mut survey, _, order) = block.reconstruction(None);
         known.attach(&mut survey, &order);
         let review = level::review_level(&survey, &places_of(&places, &order));
@@ -280,6 +353,7 @@ pub fn join<'a>(
             correct_heights(&mut known.positions, review, &order, &places);
         }
     }
+    weak_control::fill_unknown_coordinates(&block, known);
     Some(Joined { block, alignments, georeferenced, position_shift_m, heights })
 }
 

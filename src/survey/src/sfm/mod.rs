@@ -37,6 +37,7 @@ pub mod incremental;
 pub mod intrinsics;
 pub mod level;
 pub mod longer_tracks;
+mod mark_reading;
 pub mod positions;
 pub mod refinement;
 pub mod resection;
@@ -47,5 +48,6 @@ mod track_thinning;
 pub mod tracks;
 pub mod triangulate;
 pub mod verify;
+mod weak_control;
 
 pub use block::{Block, Features, Pair};

@@ -60,7 +60,7 @@ pub fn rmse(errors_m: &[f64], confidence: f64) -> Option<AxisError> {
 
 /// Where the rays of some marks come nearest to each other, by the poses of `reconstruction`; `None` where they
 /// are parallel or a mark has no ray.
-pub(super) fn nearest_to_rays(
+pub(crate) fn nearest_to_rays(
     reconstruction: &Reconstruction,
     marks: &[GroundObservation],
 ) -> Option<[f64; 3]> {

@@ -43,6 +43,7 @@ pub use analysis::{
     AdjustError, Adjusted, LeaveOneOut, VarianceComponents, adjust, leave_one_out,
     variance_components,
 };
+pub(crate) use check_points::nearest_to_rays;
 pub use check_points::{AxisError, CheckPoint, check_points, rmse};
 pub use problem::{AdjustmentProblem, ScaleDatum};
 pub use rank::{Undetermined, undetermined};

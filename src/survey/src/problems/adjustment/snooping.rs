@@ -88,8 +88,35 @@ pub struct DataSnooping {
     pub complete: bool,
 }
 
+/// Control that was taken out on trial.
+struct Trial {
+    name: String,
+    whole: Reconstruction,
+    /// What the other control points were off by, each against all the rest.
+    others_m2: f64,
+}
+
+/// So many other control points have to say that the block is better without one.
+const LEAST_OTHERS: usize = 3;
+
+/// Mean square of how far control points are from what all the rest says, but for one of them; `None` where too few are left.
+fn others_m2(adjusted: &Adjusted, settings: &Settings, but: &str) -> Option<f64> {
+    let (mut sum, mut count) = (0.0, 0);
+    for (place, tested) in adjusted.statistics.tested.iter().enumerate() {
+        if let ObservationRef::Control(k) = tested.subject
+            && adjusted.reconstruction.ground[k].name != but
+        {
+            sum +=
+                describe(adjusted, place, 1.0, settings).error.iter().map(|e| e * e).sum::<f64>();
+            count += 1;
+        }
+    }
+    (count >= LEAST_OTHERS).then(|| sum / count as f64)
+}
+
 /// Adjusts `whole`, takes out the most suspect observation, and so on until none is suspect. A
-/// control point that is taken out becomes a check point. Of tie points as many go in one round as
+/// control point that is taken out becomes a check point; it stays control where the others do not fit better without it, or
+/// are too few to say so. Of tie points as many go in one round as
 /// are the worst of their point; the block keeps its shape then, so that neither its robust adjustment
 /// nor the covariances of its cameras are repeated before nothing is suspect any more.
 ///
@@ -106,10 +133,20 @@ pub fn snoop(
     let plain = Settings { tie_loss: Loss::Trivial, ..settings.clone() };
     let mut only_ties = false;
     let mut last: Option<Adjusted> = None;
+    let mut trial: Option<Trial> = None;
+    let mut snooping = snooping.clone();
     loop {
         let with = if only_ties { &plain } else { settings };
         let mut adjusted = adjust_after(whole, with, last.as_ref())?;
-        let worst = select_outliers(&adjusted, settings, snooping);
+        if let Some(Trial { name, whole: before, others_m2: worse }) = trial.take()
+            && others_m2(&adjusted, settings, &name).is_none_or(|better| better >= worse)
+        {
+            *whole = before;
+            removed.pop();
+            snooping.keep.push(name);
+            continue;
+        }
+        let worst = select_outliers(&adjusted, settings, &snooping);
         let at_end = worst.is_empty() || round == snooping.rounds;
         if at_end && last.take().is_some() {
             continue;
@@ -126,6 +163,16 @@ pub fn snoop(
         only_ties = worst
             .iter()
             .all(|(place, _)| adjusted.statistics.tested[*place].group == Group::TiePoints);
+        if let [(place, _)] = worst.as_slice()
+            && let ObservationRef::Control(k) = adjusted.statistics.tested[*place].subject
+        {
+            let name = adjusted.reconstruction.ground[k].name.clone();
+            let Some(others_m2) = others_m2(&adjusted, settings, &name) else {
+                snooping.keep.push(name);
+                continue;
+            };
+            trial = Some(Trial { name, whole: whole.clone(), others_m2 });
+        }
         for (place, excess) in &worst {
             removed.push(describe(&adjusted, *place, *excess, settings));
         }
@@ -201,14 +248,17 @@ pub fn retained_suspects(
 fn suspects(adjusted: &Adjusted, snooping: &DataSnoopingOptions) -> Vec<(usize, f64)> {
     let statistics = &adjusted.statistics;
     let count = |group: Group| {
-        statistics.tested.iter().filter(|tested| tested.group == group).count().max(1) as f64
+        statistics.tested.iter().filter(|tested| tested.group == group).count() as f64
     };
-    let counts: BTreeMap<Group, f64> = Group::ALL.iter().map(|&g| (g, count(g))).collect();
+    // What is on the ground and in the air is one family: a false alarm there costs a point.
+    let known: f64 = Group::ALL.iter().filter(|g| **g != Group::TiePoints).map(|&g| count(g)).sum();
+    let of = |group: Group| if group == Group::TiePoints { count(group) } else { known };
+    let counts: BTreeMap<Group, f64> = Group::ALL.iter().map(|&g| (g, of(g))).collect();
     let critical: BTreeMap<Group, [f64; 4]> = counts
         .iter()
         .map(|(&group, count)| {
             let of = |freedom: usize| {
-                let significance = snooping.significance / count;
+                let significance = snooping.significance / count.max(1.0);
                 statistics.critical(snooping.test, group, freedom.max(1), significance)
             };
             (group, std::array::from_fn(of))

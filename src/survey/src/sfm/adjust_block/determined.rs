@@ -174,8 +174,8 @@ fn leave_out(
     }
     if what.datum > 0 && !settings.minimal_datum {
         settings.minimal_datum = true;
-        let message = "camera positions and control do not fix how it lies: the first photo is held where it was found";
-        found.push(Diagnostic::warning("datum-weak", "block", message));
+        let message = "camera positions and control do not fix how it lies: the first photo is held where it was found, and standard deviations are those against it";
+        found.push(Diagnostic::error("datum-weak", "block", message));
         return true;
     }
     false

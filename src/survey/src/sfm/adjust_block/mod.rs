@@ -152,7 +152,9 @@ const SHUTTER: &str = "rolling-shutter";
 
 /// Brings blocks into the mapping frame, makes them one, adjusts it and finds what cannot be right.
 ///
-/// Without ground control and camera positions the largest block is adjusted in a frame of its own.
+/// Without ground control and camera positions the largest block is adjusted in a frame of its own. Where it cannot be
+/// adjusted with them, it is adjusted without control, then without positions, and an error says so: the block of the photos
+/// is there in any case.
 ///
 /// # Errors
 /// [`Error::Incomplete`] where there is no block; a block that cannot be evaluated; a photo that cannot be read any more.
@@ -164,10 +166,63 @@ pub fn adjust_blocks(
     monitor: &mut dyn Monitor,
 ) -> Result<AdjustedBlock, Error> {
     let mut known = flight.known.clone();
+    let mut said = Vec::new();
+    loop {
+        let with = Flight { known: &known, ..*flight };
+        let error = match adjust_with_known(blocks.clone(), &with, photos, options, monitor) {
+            Ok(mut found) => {
+                found.diagnostics.splice(0..0, said);
+                return Ok(found);
+            }
+            Err(error) => error,
+        };
+        let is_of_the_block =
+            matches!(error, Error::Solve(_) | Error::Incomplete(_) | Error::Module { .. });
+        let what = if known.marks.is_empty() { "camera positions" } else { "ground control" };
+        if !is_of_the_block || known.marks.is_empty() && known.positions.is_empty() {
+            return Err(in_words(error));
+        }
+        tracing::debug!("with {what}: {error}");
+        if known.marks.is_empty() {
+            known.positions.clear();
+        } else {
+            known.without_control();
+        }
+        let message = format!(
+            "with it the photos cannot be adjusted as one block: {what} and photos contradict each other; the block is adjusted without"
+        );
+        let remedy = "check coordinates, image measurements and the reference system";
+        said.push(Diagnostic::error("control-contradicts", what, message).with_remedy(remedy));
+    }
+}
+
+/// An error of the engine says nothing to a person.
+fn in_words(error: Error) -> Error {
+    match error {
+        Error::Solve(why) => {
+            tracing::debug!("{why}");
+            Error::Incomplete(
+                "the photos fell apart while they were adjusted: too few points tie them to each other".to_owned(),
+            )
+        }
+        other => other,
+    }
+}
+
+fn adjust_with_known(
+    blocks: Vec<Block<'_>>,
+    flight: &Flight<'_>,
+    photos: &Photos<'_>,
+    options: &BlockOptions,
+    monitor: &mut dyn Monitor,
+) -> Result<AdjustedBlock, Error> {
+    let mut known = flight.known.clone();
+    let told = known.positions.iter().filter(|p| flight.has_position_sigma[p.image as usize]);
+    known.told_positions = 2 * told.count() > known.positions.len();
     let mut found = Vec::new();
     let mut fragments: Vec<(Vec<String>, bool)> =
         blocks.iter().map(|block| (block.image_names(), false)).collect();
-    let given = match blocks.first() {
+    let mut given = match blocks.first() {
         Some(largest) => review(largest, &mut known, flight, options, &mut found),
         None => known.clone(),
     };
@@ -180,6 +235,11 @@ pub fn adjust_blocks(
         ));
     };
     found.extend(heights.iter().flat_map(review::heights));
+    found.extend(review::datum(&block, &known, georeferenced));
+    if !georeferenced {
+        known = Known::default();
+        given = Known::default();
+    }
     keep_tied(&mut block, &known, georeferenced, &mut found);
     let within = block.image_names();
     for (k, alignment) in alignments.iter().enumerate() {
@@ -194,7 +254,7 @@ pub fn adjust_blocks(
         position_sigmas[image] = flight.has_position_sigma[image].then_some(position.sigma_m);
     }
     let by_control =
-        alignments.iter().flatten().filter(|alignment| alignment.by == "control points");
+        alignments.iter().flatten().filter(|alignment| alignment.by.ends_with("control points"));
     let max_control_misfit_m = by_control.map(control_misfit_m).fold(0.0, f64::max);
     let datum = DatumInfo { georeferenced, position_sigmas, max_control_misfit_m };
     let adjuster = BlockAdjuster { flight, given: &given, photos, options, datum: &datum };

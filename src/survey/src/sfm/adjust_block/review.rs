@@ -3,13 +3,16 @@
 use super::{BlockOptions, Flight, MARK};
 use crate::{
     camera::Lens,
-    scene::Reconstruction,
+    scene::{Axes, Reconstruction, Role},
     sfm::{
         Block, Features,
-        georeference::{Known, MarkReview, axes_exchanged, control_left_m, review_marks},
+        georeference::{
+            Known, MarkReading, MarkReview, axes_exchanged, control_left_m, review_marks,
+        },
         intrinsics::estimable,
         level::{HeightError, HeightReview, tilt_rad},
         triangulate::TriangulationOptions,
+        weak_control::is_weak,
     },
 };
 use rowgram_base::{error::Error, monitor::Diagnostic};
@@ -112,6 +115,31 @@ pub(super) fn name_scarcely_marked(
     }
 }
 
+/// Says what control and positions leave open of how a block lies.
+pub(super) fn datum(block: &Block<'_>, known: &Known, georeferenced: bool) -> Option<Diagnostic> {
+    let control = known.ground.iter().filter(|point| point.role == Role::Control).count();
+    if !georeferenced {
+        if control == 0 && known.positions.is_empty() {
+            return None;
+        }
+        let message = format!(
+            "{control} control points in photos and {} camera positions do not fix where the block is: it is in a frame of its own, without scale, and they are not used",
+            known.positions.len()
+        );
+        let remedy = "three points or positions at least, not in one line";
+        return Some(Diagnostic::error("datum-undetermined", "block", message).with_remedy(remedy));
+    }
+    let (mut survey, _, order) = block.reconstruction(None);
+    known.attach(&mut survey, &order);
+    let heights = known.ground.iter().any(|p| p.role == Role::Control && p.axes != Axes::Xy);
+    if is_weak(&survey) != Some(true) || !heights {
+        return None;
+    }
+    let message = "its control points are fewer than three or lie nearly in one line: its tilt about them is that of the camera positions, and heights away from them may be far off";
+    let remedy = "measure control points on all sides of the field";
+    Some(Diagnostic::error("datum-weak", "block", message).with_remedy(remedy))
+}
+
 /// Image measurements and coordinates that cannot be as they are. What they are once they are read right, nothing
 /// rejected.
 pub(super) fn review(
@@ -125,17 +153,44 @@ pub(super) fn review(
     if known.marks.is_empty() {
         return given;
     }
-    let review = review_marks(block, known, flight.mark_scales, &mark_triangulation(options));
-    if review.scale != 1.0 {
-        let message = format!(
-            "they fit the photos only when multiplied by {}: they were made in resized images, and were converted",
-            review.scale
-        );
-        found.push(Diagnostic::warning("marks-resized", "marks", message));
+    let review = review_marks(block, known, flight.mark_scales, true, &mark_triangulation(options));
+    let refused = match review.reading {
+        MarkReading::Resized(scale) => {
+            let message = format!(
+                "they fit the photos only when multiplied by {scale}: they were made in resized images, and were converted"
+            );
+            found.push(Diagnostic::warning("marks-resized", "marks", message));
+            None
+        }
+        MarkReading::Pixels => review.is_contradiction.then(|| {
+            let all = review.fitting + review.wrong.len();
+            let message = format!(
+                "{} of {all} contradict the other marks of their points, however they are read: control is not used",
+                review.wrong.len()
+            );
+            Diagnostic::error("marks-contradict", "marks", message)
+                .with_remedy("check that they are of these photos and points")
+        }),
+        other => {
+            let message = format!(
+                "{} of them fit the photos when taken as {}, and hardly any as column and row in pixels: control is not used",
+                review.fitting,
+                other.words()
+            );
+            Some(Diagnostic::error("marks-misread", "marks", message).with_remedy(
+                "write u_px to the right and v_px downwards, from the centre of the top-left pixel",
+            ))
+        }
+    };
+    if let Some(why) = refused {
+        found.push(why);
+        known.without_control();
+        return known.clone();
     }
     name_wrong_marks(&review, known, block.features, found);
     for mark in &mut given.marks {
-        mark.image_px = mark.image_px.map(|v| (v + 0.5) * review.scale - 0.5);
+        let size_px = block.lens(mark.image as usize).size_px();
+        mark.image_px = review.reading.px(mark.image_px, size_px);
     }
     if axes_exchanged(block, known) {
         for point in known.ground.iter_mut().chain(&mut given.ground) {

@@ -147,7 +147,7 @@ impl BlockAdjuster<'_> {
         let limits =
             TriangulationOptions { tolerance_px: MIN_ERROR_PX, ..mark_triangulation(self.options) };
         let mut fitting = self.given.clone();
-        let review = review_marks(&solved, &mut fitting, &[], &limits);
+        let review = review_marks(&solved, &mut fitting, &[], false, &limits);
         let in_use: BTreeSet<(usize, &str)> = scene
             .marks
             .iter()
@@ -255,7 +255,7 @@ impl BlockAdjuster<'_> {
         found.retain(|diagnostic| diagnostic.code != MARK);
         known.marks.clone_from(&self.given.marks);
         let limits = mark_triangulation(self.options);
-        let review = review_marks(block, known, &[], &limits);
+        let review = review_marks(block, known, &[], false, &limits);
         name_wrong_marks(&review, known, block.features, found);
         for factor in [2.0, 1.0, 1.0] {
             let tolerance_px = (6.0 * factor * *sigma_px).max(0.1 * self.options.tolerance_px);

@@ -15,7 +15,7 @@
 //! Annals of Statistics 6, 1978), the prior slope of axes and flatness having heavy tails, because a camera may be mounted obliquely.
 
 mod heights;
-mod plan;
+pub(super) mod plan;
 
 pub use heights::HeightError;
 use rowgram_optim::robust::median;

@@ -2,10 +2,10 @@
 
 /// A similarity of the plane, `scale Rz(heading) p + shift`.
 #[derive(Clone, Copy)]
-pub(super) struct PlanFit {
+pub(in crate::sfm) struct PlanFit {
     /// Scale times cosine and sine of the heading.
-    pub(super) factor: [f64; 2],
-    pub(super) shift: [f64; 2],
+    pub(in crate::sfm) factor: [f64; 2],
+    pub(in crate::sfm) shift: [f64; 2],
 }
 
 impl PlanFit {
@@ -34,13 +34,13 @@ impl PlanFit {
         (sound.is_finite() && sound > 1e-12).then_some(PlanFit { factor, shift })
     }
 
-    pub(super) fn left(&self, (p, q): &([f64; 2], [f64; 2])) -> f64 {
+    pub(in crate::sfm) fn left(&self, (p, q): &([f64; 2], [f64; 2])) -> f64 {
         let at = self.apply(*p);
         (at[0] - q[0]).hypot(at[1] - q[1])
     }
 
     /// Robustly: the two whose similarity leaves the least median, then all that fit.
-    pub(super) fn robust(pairs: &[([f64; 2], [f64; 2])]) -> Option<(PlanFit, Vec<bool>)> {
+    pub(in crate::sfm) fn robust(pairs: &[([f64; 2], [f64; 2])]) -> Option<(PlanFit, Vec<bool>)> {
         let n = pairs.len();
         let every = (n * n.saturating_sub(1) / 2).div_ceil(2000).max(1);
         let twos = (0..n).flat_map(|i| (i + 1..n).map(move |j| [i, j]));

@@ -1,0 +1,331 @@
+//! Words by which other programs call the columns of their tables; the first of each list is our own.
+
+use super::FileError;
+use super::table::{Column, Row, Table};
+
+/// A photo.
+pub(super) const IMAGE: &[&str] = &[
+    "image",
+    "image_name",
+    "imagename",
+    "filename",
+    "file_name",
+    "file",
+    "photo",
+    "photo_name",
+    "label",
+    "name",
+    "source_file",
+    "sourcefile",
+    "camera",
+];
+/// A ground point.
+pub(super) const LABEL: &[&str] = &[
+    "label",
+    "name",
+    "point",
+    "gcp",
+    "id",
+    "point_name",
+    "pointname",
+    "point_id",
+    "point_number",
+    "marker",
+    "gcp_name",
+    "gcp_id",
+    "gcp_label",
+    "number",
+    "no",
+    "nr",
+    "pt",
+    "punkt",
+    "punktnummer",
+];
+/// Degrees north.
+pub(super) const LATITUDE: &[&str] = &[
+    "latitude_deg",
+    "latitude",
+    "lat",
+    "lat_deg",
+    "y_latitude",
+    "gps_latitude",
+    "gpslatitude",
+    "latitude_wgs84",
+    "lat_wgs84",
+    "wgs84_latitude",
+];
+/// Degrees east.
+pub(super) const LONGITUDE: &[&str] = &[
+    "longitude_deg",
+    "longitude",
+    "lon",
+    "long",
+    "lng",
+    "lon_deg",
+    "x_longitude",
+    "gps_longitude",
+    "gpslongitude",
+    "longitude_wgs84",
+    "lon_wgs84",
+    "wgs84_longitude",
+];
+/// Metres east.
+pub(super) const EASTING: &[&str] = &[
+    "easting_m",
+    "easting",
+    "x_m",
+    "x",
+    "east",
+    "e",
+    "x_east",
+    "x_easting",
+    "east_m",
+    "map_x",
+    "rechtswert",
+    "este",
+    "x_local_x",
+    "point_x",
+];
+/// Metres north.
+pub(super) const NORTHING: &[&str] = &[
+    "northing_m",
+    "northing",
+    "y_m",
+    "y",
+    "north",
+    "n",
+    "y_north",
+    "y_northing",
+    "north_m",
+    "map_y",
+    "hochwert",
+    "norte",
+    "y_local_y",
+    "point_y",
+];
+/// Metres up.
+pub(super) const HEIGHT: &[&str] = &[
+    "height_m",
+    "height",
+    "z_m",
+    "z",
+    "elevation",
+    "elevation_m",
+    "elev",
+    "altitude",
+    "altitude_m",
+    "alt",
+    "up",
+    "z_altitude",
+    "z_height",
+    "gps_height",
+    "gps_altitude",
+    "gpsaltitude",
+    "orthometric_height",
+    "ellipsoidal_height_m",
+    "ellipsoidal_height",
+    "ellipsoid_height",
+    "ellh",
+    "h",
+    "hoehe",
+    "map_z",
+    "point_z",
+];
+/// Standard deviations along east, north, up, metres: own columns, then common ones.
+const SIGMA_EAST: &[&str] = &[
+    "sigma_x_m",
+    "sde",
+    "easting_rms",
+    "accuracy_x",
+    "std_east",
+    "east_rms",
+    "accuracy_x_m",
+    "x_accuracy_m",
+];
+const SIGMA_NORTH: &[&str] = &[
+    "sigma_y_m",
+    "sdn",
+    "northing_rms",
+    "accuracy_y",
+    "std_north",
+    "north_rms",
+    "accuracy_y_m",
+    "y_accuracy_m",
+];
+const SIGMA_UP: &[&str] = &[
+    "sigma_z_m",
+    "sdu",
+    "elevation_rms",
+    "accuracy_z",
+    "std_up",
+    "accuracy_vertical",
+    "vertical_accuracy",
+    "accuracy_vertical_m",
+    "vertical_m",
+    "v_accuracy",
+    "vaccuracy",
+    "ellipsoidal_height_rms",
+    "accuracy_z_m",
+    "z_accuracy_m",
+];
+const SIGMA_PLAN: &[&str] = &[
+    "sigma_xy_m",
+    "accuracy_horizontal",
+    "horizontal_accuracy",
+    "accuracy_horizontal_m",
+    "horizontal_m",
+    "h_accuracy",
+    "haccuracy",
+    "accuracy_xy",
+    "accuracy_x_y",
+    "lateral_rms",
+    "accuracy_xy_m",
+];
+const SIGMA_ALL: &[&str] = &["sigma_m", "accuracy_x_y_z", "accuracy", "accuracy_m", "rms"];
+
+/// The columns of standard deviations along east, north, up.
+pub(super) fn sigmas(table: &Table) -> [Option<Column>; 3] {
+    let of = |own: &[&str], common: &[&str]| {
+        table.column(own).or_else(|| table.column(common)).or_else(|| table.column(SIGMA_ALL))
+    };
+    [of(SIGMA_EAST, SIGMA_PLAN), of(SIGMA_NORTH, SIGMA_PLAN), of(SIGMA_UP, &[])]
+}
+
+/// The standard deviations of a row, where it has all three.
+///
+/// # Errors
+/// A field that is no positive number.
+pub(super) fn told_sigma(
+    table: &Table,
+    row: &Row,
+    columns: [Option<Column>; 3],
+) -> Result<Option<[f64; 3]>, FileError> {
+    let mut sigma = [0.0; 3];
+    for (sigma, column) in sigma.iter_mut().zip(columns) {
+        *sigma = table.positive_or(row, column, f64::NAN)?;
+    }
+    Ok(sigma.iter().all(|s| s.is_finite()).then_some(sigma))
+}
+
+/// Which columns of a table without a header hold coordinates, and what they are.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Unnamed {
+    pub(super) name: Column,
+    /// East and north, or longitude and latitude.
+    pub(super) plan: [Column; 2],
+    pub(super) height: Option<Column>,
+    pub(super) is_degrees: bool,
+    /// The numbers after the height.
+    pub(super) rest: [Option<Column>; 5],
+}
+
+/// Whether places are degrees: all within a degree of each other and within a globe's range, which a survey in metres
+/// is not unless it is smaller than a metre.
+pub(super) fn look_like_degrees(places: &[[f64; 2]]) -> bool {
+    let spread = |k: usize| {
+        let values = places.iter().map(|p| p[k]);
+        values.clone().fold(f64::MIN, f64::max) - values.fold(f64::MAX, f64::min)
+    };
+    let range = |k: usize, most: f64| places.iter().all(|p| p[k].abs() <= most);
+    places.len() >= 2
+        && (range(0, 180.0) && range(1, 90.0) || range(0, 90.0) && range(1, 180.0))
+        && spread(0) < 1.0
+        && spread(1) < 1.0
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(0.0)
+}
+
+/// Degrees nearer than this to those of the photos are of the same place.
+const SAME_PLACE_DEG: f64 = 1.0;
+
+/// Whether latitude comes first in pairs of degrees: by the globe's range, else by where photos were taken (latitude and
+/// longitude), else `usually`.
+pub(super) fn latitude_first(
+    pairs: &[[f64; 2]],
+    photos_deg: Option<[f64; 2]>,
+    usually: bool,
+) -> bool {
+    let middle = [0, 1].map(|k| median(pairs.iter().map(|pair| pair[k]).collect()));
+    if middle[0].abs() > 90.0 || middle[1].abs() > 90.0 {
+        return middle[1].abs() > 90.0;
+    }
+    if let Some([latitude, longitude]) = photos_deg {
+        let near = |lat: f64, lon: f64| {
+            (lat - latitude).abs() < SAME_PLACE_DEG && (lon - longitude).abs() < SAME_PLACE_DEG
+        };
+        match (near(middle[0], middle[1]), near(middle[1], middle[0])) {
+            (true, false) => return true,
+            (false, true) => return false,
+            _ => {}
+        }
+    }
+    usually
+}
+
+/// Eastings of UTM and Gauss-Krueger zones are below a million, northings above it but near the equator.
+const MILLION: f64 = 1e6;
+
+/// Finds names and coordinates in a table without a header: the first column, two of numbers, and a third.
+///
+/// `usually_latitude_first` decides where neither numbers nor photos do.
+pub(super) fn unnamed(
+    table: &Table,
+    photos_deg: Option<[f64; 2]>,
+    usually_latitude_first: bool,
+) -> Result<Unnamed, FileError> {
+    let all: Vec<Column> = table.columns().map(|(_, column)| column).collect();
+    let is_number = |column: &Column| {
+        let there = table.rows().iter().filter(|row| !table.text(row, *column).is_empty());
+        let (mut any, mut all) = (false, true);
+        for row in there {
+            any = true;
+            all &= table.parse(row, *column).is_some();
+        }
+        any && all
+    };
+    // The first column is the name even where names are numbers.
+    let name = all.iter().position(|column| !is_number(column)).unwrap_or(0);
+    let numbers: Vec<Column> =
+        all[name + 1..].iter().take_while(|column| is_number(column)).copied().collect();
+    let [a, b, more @ ..] = numbers.as_slice() else {
+        return Err(table.whole_fault(
+            "it has no header, and no name followed by coordinates: expected a header, such as label, easting_m, northing_m, height_m".into(),
+        ));
+    };
+    let pairs: Vec<[f64; 2]> = table
+        .rows()
+        .iter()
+        .filter_map(|row| Some([table.parse(row, *a)?, table.parse(row, *b)?]))
+        .filter(|pair| pair.iter().all(|v| v.is_finite()))
+        .collect();
+    let is_degrees = look_like_degrees(&pairs)
+        || pairs.len() == 1 && pairs[0].iter().all(|v| v.abs() <= 180.0) && photos_deg.is_some();
+    let north_first = if is_degrees {
+        latitude_first(&pairs, photos_deg, usually_latitude_first)
+    } else {
+        let middle = [0, 1].map(|k| median(pairs.iter().map(|pair| pair[k]).collect()));
+        middle[0] >= MILLION && middle[1] < MILLION
+    };
+    let mut rest = [None; 5];
+    for (slot, column) in rest.iter_mut().zip(more.get(1..).unwrap_or_default()) {
+        *slot = Some(*column);
+    }
+    Ok(Unnamed {
+        name: all[name],
+        plan: if north_first { [*b, *a] } else { [*a, *b] },
+        height: more.first().copied(),
+        is_degrees,
+        rest,
+    })
+}
+
+/// How columns were told, for a person: `longitude in column 2, ...`.
+pub(super) fn said(table: &Table, columns: &[(&str, Option<Column>)]) -> String {
+    let of = |(what, column): &(&str, Option<Column>)| {
+        column.map(|column| format!("{what} in {:?}", table.title(column)))
+    };
+    columns.iter().filter_map(of).collect::<Vec<_>>().join(", ")
+}
