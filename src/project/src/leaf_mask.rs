@@ -98,9 +98,16 @@ pub(super) fn open_photo(path: &Path) -> Result<Source, FileError> {
             let message = "it holds a mask (two values), expected a photo";
             Err(FileError::malformed(path, None, message))
         }
+        Source::File(reader) if !reader.holds::<u8>() && !reader.holds::<u16>() => {
+            let message = "its pixels are single values (a vegetation index, heights), expected an orthomosaic in colours";
+            Err(FileError::malformed(path, None, message))
+        }
         // Whether a grey TIFF is a photo or a mask is known when all of it has been read.
-        Source::File(_) => images::read_photo(path)
-            .map(|photo| Source::Picture { picture: images::Picture::Photo(photo), gaps: None }),
+        Source::File(reader) => {
+            let place = reader.georeference();
+            let picture = images::Picture::Photo(images::read_photo(path)?);
+            Ok(Source::Picture { picture, gaps: None, place })
+        }
     }
 }
 
