@@ -53,6 +53,9 @@ impl Placement {
             (Some(map), _) if map.crs.kind == CrsKind::Geographic => {
                 named(["longitude_deg", "latitude_deg"], &|at| map.map(at))
             }
+            (Some(map), _) if matches!(map.crs.kind, CrsKind::Feet | CrsKind::SurveyFeet) => {
+                named(["easting_ft", "northing_ft"], &|at| map.map(at))
+            }
             (Some(map), _) if map.crs.kind == CrsKind::Projected => {
                 named(["easting_m", "northing_m"], &|at| map.map(at))
             }

@@ -1,6 +1,6 @@
 //! Comparison with ground truth: plants one to one, plants and leaves of every plot.
 
-use super::{Project, Stage, Task, stage};
+use super::{Project, Stage, Task, layers, stage};
 use rowgram_base::{error::Error, monitor::Monitor};
 use rowgram_files::{
     csv_table::CsvTable,
@@ -150,8 +150,9 @@ impl Task for Evaluate {
         let counts = counts.as_deref().map(leaf_counts).transpose()?.unwrap_or_default();
         let read = |path: Option<PathBuf>| -> Result<Vec<Named>, Error> {
             Ok(path
-                .map(|path| polygons::read(&path, Some(&place)))
+                .map(|path| layers::layer(project, &path, Some(&place), None))
                 .transpose()?
+                .map(|layer| layer.polygons)
                 .unwrap_or_default())
         };
         let by_hand = read(project.regions())?;

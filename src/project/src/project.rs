@@ -12,11 +12,11 @@
 //! ```
 
 use super::{
-    Config, Stage,
+    Config, Stage, orthomosaic,
     record::{Lock, Records},
 };
 use rowgram_base::{error::Error, options::Choice};
-use rowgram_files::{polygons, rasters};
+use rowgram_files::polygons;
 use rowgram_optim::output::FileError;
 use std::{
     path::{Path, PathBuf},
@@ -184,14 +184,19 @@ impl Project {
             return photos_in(&images);
         }
         let photos = photos_in(&self.root);
-        match self.given_among(&photos) {
-            Some(ortho) => photos.into_iter().filter(|path| *path != ortho).collect(),
+        if self.config.project.ortho.is_none() && orthomosaic::among(&photos).is_some() {
+            return Vec::new();
+        }
+        match &self.config.project.ortho {
+            Some(ortho) => {
+                photos.into_iter().filter(|path| *path != self.root.join(ortho)).collect()
+            }
             None => photos,
         }
     }
 
-    /// An orthomosaic that is there from the beginning: the one that the settings name, or a single GeoTIFF in a folder
-    /// without photos.
+    /// An orthomosaic that is there from the beginning: the one that the settings name, or that of a folder without photos
+    /// ([`orthomosaic`]).
     pub fn given_orthomosaic(&self) -> Option<PathBuf> {
         if self.config.project.ortho.is_some() {
             return self.given_among(&[]);
@@ -202,13 +207,24 @@ impl Project {
         self.given_among(&photos_in(&self.root))
     }
 
+    /// The rasters of a folder without photos, the orthomosaic among them.
+    pub(super) fn rasters(&self) -> Option<orthomosaic::Rasters> {
+        let pictures = photos_in(&self.root);
+        match pictures.is_empty() {
+            true => orthomosaic::below(&self.root),
+            false => orthomosaic::among(&pictures),
+        }
+    }
+
     fn given_among(&self, photos: &[PathBuf]) -> Option<PathBuf> {
         if let Some(path) = &self.config.project.ortho {
             return Some(self.root.join(path));
         }
-        let [only] = photos else { return None };
-        let placed = || rasters::Source::open(only).ok().and_then(|source| source.georeference());
-        (rasters::is_tiff_name(only) && placed().is_some()).then(|| only.clone())
+        let rasters = match photos.is_empty() {
+            true => orthomosaic::below(&self.root),
+            false => orthomosaic::among(photos),
+        };
+        rasters.map(|rasters| rasters.ortho)
     }
 
     /// The orthomosaic, given or made.

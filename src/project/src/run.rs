@@ -3,7 +3,7 @@
 //! A stage for which the project has no input is left out with the reason. A stage that fails takes those with it that
 //! need its result; the others go on. What a stage did before is kept while nothing that it came from has changed.
 
-use super::{Project, Stage, State, checks, record, stac, stage};
+use super::{Project, Stage, State, checks, orthomosaic, record, stac, stage};
 use rowgram_base::{
     error::Error,
     monitor::{Diagnostic, Monitor, Recorder, Severity},
@@ -244,6 +244,9 @@ pub fn run(
     let wanted = options.stages(project)?;
     check_input(project)?;
     project.config().validate()?;
+    if wanted.contains(&(Stage::Plots, true)) {
+        orthomosaic::check(project)?;
+    }
     let project = &project.reserve()?;
     let records = project.records();
     if let Some(from) = options.from {
@@ -316,6 +319,9 @@ pub(super) fn check_input(project: &Project) -> Result<(), Error> {
         return Ok(());
     }
     let number = if photos == 0 { "no".to_owned() } else { format!("only {photos}") };
+    if let Some(message) = orthomosaic::undecided(&project.photos()) {
+        return Err(FileError::malformed(project.root(), None, message).into());
+    }
     let message = format!(
         "{number} photos (in images/ or directly) and no orthomosaic; expected {LEAST_PHOTOS} photos or more ({})",
         super::PHOTO_ENDINGS.join(", ")

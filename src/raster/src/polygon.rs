@@ -68,7 +68,7 @@ impl Polygon {
 
     /// Which of some positions lie inside, by the same rule, in their order.
     pub fn inside(&self, positions: &[[f64; 2]]) -> Vec<usize> {
-        Positions::new(positions).inside(self)
+        Positions::new(positions.iter().copied()).inside(self)
     }
 
     /// How many pixels lie inside of it, on a raster without edges.
@@ -149,14 +149,15 @@ impl Sweep {
 }
 
 /// Positions in the order of their rows, so that each of many polygons looks at those of its own rows only.
-pub struct Positions<'a> {
-    at: &'a [[f64; 2]],
+pub struct Positions {
+    at: Vec<[f64; 2]>,
     order: Vec<usize>,
 }
 
-impl Positions<'_> {
+impl Positions {
     /// Sorts them; those that are no numbers lie in no polygon.
-    pub fn new(at: &[[f64; 2]]) -> Positions<'_> {
+    pub fn new(at: impl IntoIterator<Item = [f64; 2]>) -> Positions {
+        let at: Vec<[f64; 2]> = at.into_iter().collect();
         let mut order: Vec<usize> =
             (0..at.len()).filter(|&k| at[k].iter().all(|x| x.is_finite())).collect();
         order.sort_by(|&a, &b| at[a][1].total_cmp(&at[b][1]));

@@ -6,8 +6,7 @@
 //! Reference: TIFF 6.0; BigTIFF; OGC GeoTIFF 19-008r4 and Cloud Optimized GeoTIFF 21-026.
 
 use super::{
-    FOOT, METRE, SURVEY_FOOT,
-    Sample, TILE,
+    FOOT, METRE, SURVEY_FOOT, Sample, TILE,
     write::{Colour, Layout, predictor},
 };
 use rowgram_raster::georeference::{Crs, CrsKind, Georeference};

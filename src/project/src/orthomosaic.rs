@@ -1,0 +1,202 @@
+//! The orthomosaic that a project begins with: which raster of a folder it is, and what is odd about it.
+
+use super::{Project, layers, project::photos_in};
+use rowgram_base::{error::Error, monitor::Diagnostic};
+use rowgram_files::{
+    polygons::Layer,
+    rasters::{self, Source},
+};
+use rowgram_optim::output::FileError;
+use rowgram_raster::georeference::{CrsKind, Georeference};
+use std::path::{Path, PathBuf};
+
+/// Where other programs put their orthomosaic, from the folder of their results.
+const FOLDERS: [&str; 3] = ["odm_orthophoto", "3_dsm_ortho/2_mosaic", "exports"];
+/// What the names of orthomosaics have in them, where there are several rasters in colours.
+const WORDS: [&str; 3] = ["ortho", "mosaic", "rgb"];
+
+/// The rasters of a folder.
+pub(super) struct Rasters {
+    /// The one that is the orthomosaic.
+    pub(super) ortho: PathBuf,
+    /// The others: heights, index maps, other mosaics.
+    pub(super) others: Vec<PathBuf>,
+}
+
+/// The orthomosaic among pictures, where all of them are rasters on a map: the only one, the only one in colours, or the
+/// only one of these that is called so.
+pub(super) fn among(pictures: &[PathBuf]) -> Option<Rasters> {
+    let mut rasters = Vec::with_capacity(pictures.len());
+    for path in pictures {
+        // A preview has the name of its raster.
+        let is_preview = || {
+            let stem = path.file_stem();
+            pictures.iter().any(|other| rasters::is_tiff_name(other) && other.file_stem() == stem)
+        };
+        if !rasters::is_tiff_name(path) {
+            if is_preview() {
+                continue;
+            }
+            return None;
+        }
+        let source = Source::open(path).ok()?;
+        source.georeference()?;
+        rasters.push((path, source.is_photo()));
+    }
+    let colours: Vec<&PathBuf> =
+        rasters.iter().filter(|(_, is)| *is).map(|(path, _)| *path).collect();
+    let ortho = match (&rasters[..], &colours[..]) {
+        ([(only, _)], _) => *only,
+        (_, [only]) => only,
+        (_, several) => {
+            let is_called_so = |path: &&&PathBuf| {
+                let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
+                WORDS.iter().any(|word| name.contains(word))
+            };
+            let mut called = several.iter().filter(is_called_so);
+            match (called.next(), called.next()) {
+                (Some(only), None) => only,
+                _ => return None,
+            }
+        }
+    };
+    let others = rasters.iter().map(|(path, _)| *path).filter(|path| *path != ortho);
+    Some(Rasters { ortho: ortho.clone(), others: others.cloned().collect() })
+}
+
+/// The orthomosaic in the folders of other programs' results, where the folder itself has no pictures.
+pub(super) fn below(root: &Path) -> Option<Rasters> {
+    FOLDERS.iter().find_map(|folder| {
+        let pictures = photos_in(&root.join(folder));
+        (!pictures.is_empty()).then(|| among(&pictures)).flatten()
+    })
+}
+
+/// Why a folder has neither photos nor an orthomosaic that can be told: the rasters that it has.
+pub(super) fn undecided(pictures: &[PathBuf]) -> Option<String> {
+    let named = |path: &PathBuf| -> Option<String> {
+        let source = Source::open(path).ok().filter(|source| source.georeference().is_some())?;
+        let kind = if source.is_photo() { "colours" } else { "single values" };
+        Some(format!("{} ({kind})", path.file_name().unwrap_or_default().to_string_lossy()))
+    };
+    let rasters: Vec<String> = pictures.iter().filter_map(named).collect();
+    (!rasters.is_empty()).then(|| {
+        format!(
+            "rasters on a map are there: {}; say with [project] ortho which is the orthomosaic",
+            rasters.join(", ")
+        )
+    })
+}
+
+/// Whether the orthomosaic is one, and the plots lie on it; before anything is computed. `None` without either.
+///
+/// # Errors
+/// A raster that is no picture in colours, polygons that cannot be read or lie elsewhere.
+pub(super) fn check(project: &Project) -> Result<Option<Layer>, Error> {
+    let Some(path) = project.given_orthomosaic() else { return Ok(None) };
+    let source = Source::open(&path)?;
+    colours(&source, &path)?;
+    let Some(plots) = project.plots() else { return Ok(None) };
+    let place = source.georeference();
+    Ok(Some(layers::layer(project, &plots, place.as_ref(), Some(source.size()))?))
+}
+
+/// How a picture's samples become colours.
+fn colours(source: &Source, path: &Path) -> Result<Vec<String>, FileError> {
+    match source {
+        Source::File(reader) if reader.is_colour() => reader.colour_notes(),
+        Source::File(reader) if !reader.holds::<u8>() && !reader.holds::<u16>() => {
+            let message = "its pixels are single values (a vegetation index, heights), expected an orthomosaic in colours";
+            Err(FileError::malformed(path, None, message))
+        }
+        _ => Ok(Vec::new()),
+    }
+}
+
+/// What is odd about an orthomosaic: its reference system, its pixels, its bands.
+pub(super) fn oddities(source: &Source, path: &Path) -> Vec<Diagnostic> {
+    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let mut found = Vec::new();
+    match colours(source, path) {
+        Ok(notes) => {
+            let info = |note| Diagnostic::info("orthomosaic-bands", &name, note);
+            found.extend(notes.into_iter().map(info));
+        }
+        Err(error) => {
+            found.push(Diagnostic::error("orthomosaic-no-colours", &name, error.to_string()))
+        }
+    }
+    if let Some(place) = source.georeference() {
+        let stored = match source {
+            Source::File(reader) => reader.stored_size(),
+            Source::Picture { .. } => None,
+        };
+        found.extend(of_place(&place, stored, source.size()).into_iter().map(
+            |(code, message, is_warning)| match is_warning {
+                true => Diagnostic::warning(code, &name, message),
+                false => Diagnostic::info(code, &name, message),
+            },
+        ));
+    }
+    found
+}
+
+/// Code, sentence, and whether it is a warning.
+fn of_place(
+    place: &Georeference,
+    stored: Option<[usize; 2]>,
+    (width, height): (usize, usize),
+) -> Vec<(&'static str, String, bool)> {
+    let mut found = Vec::new();
+    let code = place.crs.epsg.map_or("its system".to_owned(), |code| format!("EPSG:{code}"));
+    match place.crs.kind {
+        CrsKind::Geographic => {
+            let message =
+                format!("{code} is in degrees; lengths and areas are computed on the ground");
+            found.push(("map-in-degrees", message, false));
+        }
+        CrsKind::Feet | CrsKind::SurveyFeet => {
+            let feet = if place.crs.kind == CrsKind::Feet { "international" } else { "US survey" };
+            found.push((
+                "map-in-feet",
+                format!("{code} is in {feet} feet; lengths and areas are in metres"),
+                false,
+            ));
+        }
+        CrsKind::Projected | CrsKind::Unknown => {}
+    }
+    if let Some(scale) = place.map_scale().filter(|scale| (scale - 1.0).abs() > 1e-3) {
+        let message = format!(
+            "a length of 1 in {code} is {scale:.3} on the ground here; lengths and areas are those on the ground"
+        );
+        found.push(("map-scale", message, false));
+    }
+    if let Some([columns, rows]) = stored {
+        let message = format!(
+            "its pixels are oblong on the ground; its {columns} x {rows} pixels are read as {width} x {height} square ones"
+        );
+        found.push(("pixels-oblong", message, false));
+    }
+    if let Some(shear) = place.shear_rad().filter(|shear| *shear > 0.005) {
+        let message = format!(
+            "its columns and rows are {:.1} degrees off a right angle on the ground: lengths are off by up to {:.0} %; save it in \
+             a projected system",
+            shear.to_degrees(),
+            100.0 * shear.sin()
+        );
+        found.push(("pixels-sheared", message, true));
+    }
+    let [[a, c], [b, d]] = [place.per_column, place.per_row];
+    if a * d - b * c > 0.0 {
+        let message = "its rows run from south to north; that is taken into account".to_owned();
+        found.push(("map-south-up", message, false));
+    } else if b != 0.0 || c != 0.0 {
+        let turned = c.atan2(a).to_degrees();
+        found.push((
+            "map-turned",
+            format!("it is turned by {turned:.1} degrees; that is taken into account"),
+            false,
+        ));
+    }
+    found
+}
