@@ -114,17 +114,25 @@ fn of_polygons(project: &Project) -> Vec<Diagnostic> {
         let read = match &ortho {
             Some(ortho) => {
                 let place = ortho.georeference();
-                layers::layer(project, &path, place.as_ref(), Some(ortho.size()))
+                let layer = layers::layer(project, &path, place.as_ref(), Some(ortho.size()));
+                layer.map_err(|error| error.to_string())
             }
-            None => polygons::check(&path, project.config().project.plot_key.as_deref()),
+            None => {
+                let is_of_plots = project.plots().as_ref() == Some(&path);
+                let of_photos = match is_of_plots {
+                    true => orthomosaic::among_photos(project).map(drop),
+                    false => Ok(()),
+                };
+                of_photos.map_err(|error| error.to_string()).and_then(|()| {
+                    let key = project.config().project.plot_key.as_deref();
+                    let key = key.filter(|_| is_of_plots);
+                    polygons::check(&path, key).map_err(|error| error.to_string())
+                })
+            }
         };
         match read {
             Err(error) => {
-                found.diagnostic(&Diagnostic::error(
-                    "polygons-unreadable",
-                    subject,
-                    error.to_string(),
-                ));
+                found.diagnostic(&Diagnostic::error("polygons-unreadable", subject, error));
             }
             Ok(layer) => {
                 layers::say(&path, &layer.notes, &mut found);

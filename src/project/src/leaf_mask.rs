@@ -70,8 +70,29 @@ impl LeafMask {
 /// as it is estimated from the photo.
 ///
 /// # Errors
-/// A file that cannot be read; a photo that shows nothing.
+/// A file that cannot be read; a photo that shows nothing; a mask nearly all of which is plant.
 pub fn read_leaf_mask(image: &Path, hsv: Auto<Thresholds>) -> Result<(Source, LeafMask), Error> {
+    let (source, found) = read_any_leaf_mask(image, hsv)?;
+    let share = found.mask.count() as f64 / found.mask.data.len().max(1) as f64;
+    if !source.is_photo() && share > NEARLY_ALL {
+        let message = format!(
+            "{:.1} % of the mask is plant (its brighter value): are plants and ground exchanged? Invert it; in a canopy that has \
+             closed so far no plants can be told apart",
+            100.0 * share
+        );
+        return Err(FileError::malformed(image, None, message).into());
+    }
+    Ok((source, found))
+}
+
+/// Share of leaf pixels above which a mask is taken for an inverted one.
+const NEARLY_ALL: f64 = 0.95;
+
+/// The same without doubting a mask: that of a project was made from its picture.
+pub(super) fn read_any_leaf_mask(
+    image: &Path,
+    hsv: Auto<Thresholds>,
+) -> Result<(Source, LeafMask), Error> {
     let source = Source::open(image)?;
     let found = if source.is_photo() {
         of_photo(&source, image, &SegmentOptions { hsv, ..SegmentOptions::default() })?
@@ -86,7 +107,7 @@ pub fn read_leaf_mask(image: &Path, hsv: Auto<Thresholds>) -> Result<(Source, Le
 /// # Errors
 /// [`Error::NothingToDo`] where there is none; files that cannot be read.
 pub fn of_project(project: &Project) -> Result<(Source, LeafMask), Error> {
-    let (source, mut found) = read_leaf_mask(&project.mask()?, Auto::Auto)?;
+    let (source, mut found) = read_any_leaf_mask(&project.mask()?, Auto::Auto)?;
     if let Some(path) = project.finished(Stage::Segment, POSTERIOR) {
         let size = (found.mask.width, found.mask.height);
         found.posterior = Some(rasters::read_posterior(&path, size)?);

@@ -3,11 +3,15 @@
 use super::{Project, layers, project::photos_in};
 use rowgram_base::{error::Error, monitor::Diagnostic};
 use rowgram_files::{
-    polygons::Layer,
+    photo,
+    polygons::{self, Layer},
     rasters::{self, Source},
 };
 use rowgram_optim::output::FileError;
-use rowgram_raster::georeference::{CrsKind, Georeference};
+use rowgram_raster::{
+    crs,
+    georeference::{Crs, CrsKind, Georeference},
+};
 use std::path::{Path, PathBuf};
 
 /// Where other programs put their orthomosaic, from the folder of their results.
@@ -88,17 +92,53 @@ pub(super) fn undecided(pictures: &[PathBuf]) -> Option<String> {
     })
 }
 
-/// Whether the orthomosaic is one, and the plots lie on it; before anything is computed. `None` without either.
+/// Whether the orthomosaic is one, and the plots lie on it or, where it will be made, among the photos; before anything is
+/// computed. `None` where there is nothing to compare.
 ///
 /// # Errors
 /// A raster that is no picture in colours, polygons that cannot be read or lie elsewhere.
 pub(super) fn check(project: &Project) -> Result<Option<Layer>, Error> {
-    let Some(path) = project.given_orthomosaic() else { return Ok(None) };
+    let Some(path) = project.given_orthomosaic() else { return among_photos(project) };
     let source = Source::open(&path)?;
     colours(&source, &path)?;
     let Some(plots) = project.plots() else { return Ok(None) };
     let place = source.georeference();
     Ok(Some(layers::layer(project, &plots, place.as_ref(), Some(source.size()))?))
+}
+
+/// Photos that are looked at for where a flight was.
+const LOOKS: usize = 16;
+/// Beyond the photos there may be plots; not so far away.
+const MARGIN_M: f64 = 500.0;
+
+/// Whether the plots lie among the photos, by the positions in these.
+///
+/// # Errors
+/// Polygons that cannot be read or lie elsewhere.
+pub(super) fn among_photos(project: &Project) -> Result<Option<Layer>, Error> {
+    let (Some(plots), photos) = (project.plots(), project.photos()) else { return Ok(None) };
+    let step = photos.len().div_ceil(LOOKS).max(1);
+    let tags: Vec<_> =
+        photos.iter().step_by(step).filter_map(|path| photo::read(path).ok()?.geotag).collect();
+    let Some(first) = tags.first() else { return Ok(None) };
+    if !polygons::is_placed(&plots)? {
+        return Ok(None);
+    }
+    let Ok(zone) = crs::Crs::utm_of(first.latitude_deg, first.longitude_deg) else {
+        return Ok(None);
+    };
+    let code = zone.name().strip_prefix("EPSG:").and_then(|code| code.parse().ok());
+    let at =
+        tags.iter().filter_map(|tag| zone.from_wgs84(tag.latitude_deg, tag.longitude_deg).ok());
+    let bounds = at.fold([[f64::INFINITY; 2], [f64::NEG_INFINITY; 2]], |[low, high], at| {
+        [[0, 1].map(|k| at[k].min(low[k])), [0, 1].map(|k| at[k].max(high[k]))]
+    });
+    let (Some(code), [low, high]) = (code, bounds) else { return Ok(None) };
+    // A map of a pixel for each metre.
+    let corner = [low[0] - MARGIN_M, high[1] + MARGIN_M];
+    let place = Georeference::north_up(corner, 1.0, Crs::projected(code));
+    let size = [0, 1].map(|k| (high[k] - low[k] + 2.0 * MARGIN_M).clamp(1.0, 1e9) as usize);
+    Ok(Some(layers::layer(project, &plots, Some(&place), Some((size[0], size[1])))?))
 }
 
 /// How a picture's samples become colours.

@@ -135,7 +135,7 @@ pub fn read_layer(path: &Path, drawn: Drawn<'_>) -> Result<Layer, FileError> {
             Err(malformed(match (other, cause) {
                 (_, Some(cause)) => cause,
                 (Err(message), None) => message,
-                (Ok(_), None) => "none of its polygons lies on the raster".to_owned(),
+                (Ok(_), None) => "none of its polygons lies on the map".to_owned(),
             }))
         }
     }
@@ -149,6 +149,16 @@ pub fn check(path: &Path, key: Option<&str>) -> Result<Layer, FileError> {
     let same: ToMap = Box::new(Ok);
     let read = layer(&features(path)?.0, Drawn { key, ..Drawn::default() }, &same);
     read.map_err(|message| FileError::malformed(path, None, message))
+}
+
+/// Whether a file states where its polygons lie, or has degrees, which need no statement.
+///
+/// # Errors
+/// As [`read_layer`], where the file is damaged.
+pub fn is_placed(path: &Path) -> Result<bool, FileError> {
+    let (features, stated) = features(path)?;
+    let mut positions = features.iter().flat_map(Feature::positions);
+    Ok(stated != Stated::Nothing || positions.all(systems::in_degrees))
 }
 
 /// Whether the box around a polygon meets a raster.

@@ -74,7 +74,7 @@ fn is_global(definition: &str) -> bool {
 /// From coordinates of a file to those of a map.
 pub(super) type ToMap = Box<dyn Fn([f64; 2]) -> Result<[f64; 2], String>>;
 
-fn in_degrees([x, y]: [f64; 2]) -> bool {
+pub(super) fn in_degrees([x, y]: [f64; 2]) -> bool {
     x.abs() <= 180.0 && y.abs() <= 90.0
 }
 
@@ -156,7 +156,7 @@ pub(super) fn misfit(
     };
     let exchanged = |reading: ToMap| -> ToMap { Box::new(move |[x, y]| reading([y, x])) };
     let all = middles.len();
-    let off = format!("none of its {all} polygons lies on the raster");
+    let off = format!("none of its {all} polygons lies on the map");
     let map_name = match place.crs.epsg {
         Some(code) => format!("EPSG:{code}"),
         None => "the system of the map".to_owned(),
