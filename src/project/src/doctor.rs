@@ -62,9 +62,7 @@ pub fn doctor(
                     .with_remedy("another one: [project] ortho"),
             );
         }
-    } else if let Some(message) =
-        orthomosaic::undecided(&photos).filter(|_| photos.len() < LEAST_PHOTOS)
-    {
+    } else if let Some(message) = orthomosaic::undecided(&photos) {
         found.push(Diagnostic::error("orthomosaic-undecided", "orthomosaic", message));
     } else if photos.is_empty() {
         let message = format!("none in images/ or directly ({})", PHOTO_ENDINGS.join(", "));

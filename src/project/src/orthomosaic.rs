@@ -76,14 +76,15 @@ pub(super) fn below(root: &Path) -> Option<Rasters> {
     })
 }
 
-/// Why a folder has neither photos nor an orthomosaic that can be told: the rasters that it has.
+/// Why a folder whose pictures are all rasters on a map has no orthomosaic that can be told.
 pub(super) fn undecided(pictures: &[PathBuf]) -> Option<String> {
-    let named = |path: &PathBuf| -> Option<String> {
+    let mut rasters = Vec::new();
+    for path in pictures.iter().filter(|path| rasters::is_tiff_name(path)) {
         let source = Source::open(path).ok().filter(|source| source.georeference().is_some())?;
         let kind = if source.is_photo() { "colours" } else { "single values" };
-        Some(format!("{} ({kind})", path.file_name().unwrap_or_default().to_string_lossy()))
-    };
-    let rasters: Vec<String> = pictures.iter().filter_map(named).collect();
+        rasters
+            .push(format!("{} ({kind})", path.file_name().unwrap_or_default().to_string_lossy()));
+    }
     (!rasters.is_empty()).then(|| {
         format!(
             "rasters on a map are there: {}; say with [project] ortho which is the orthomosaic",

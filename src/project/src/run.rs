@@ -314,14 +314,18 @@ pub fn run(
 }
 
 pub(super) fn check_input(project: &Project) -> Result<(), Error> {
-    let photos = project.photos().len();
-    if project.given_orthomosaic().is_some() || photos >= LEAST_PHOTOS {
+    if project.given_orthomosaic().is_some() {
+        return Ok(());
+    }
+    let photos = project.photos();
+    if let Some(message) = orthomosaic::undecided(&photos) {
+        return Err(FileError::malformed(project.root(), None, message).into());
+    }
+    let photos = photos.len();
+    if photos >= LEAST_PHOTOS {
         return Ok(());
     }
     let number = if photos == 0 { "no".to_owned() } else { format!("only {photos}") };
-    if let Some(message) = orthomosaic::undecided(&project.photos()) {
-        return Err(FileError::malformed(project.root(), None, message).into());
-    }
     let message = format!(
         "{number} photos (in images/ or directly) and no orthomosaic; expected {LEAST_PHOTOS} photos or more ({})",
         super::PHOTO_ENDINGS.join(", ")

@@ -137,6 +137,12 @@ fn system(file: &GeoTiffFile) -> Crs {
         let end = text.rfind(']')?;
         crs::Crs::of_well_known_text(text.get(start..=end)?).ok()
     });
+    // As this program writes it.
+    let citation = citation.or_else(|| {
+        let text = keys.get_ascii(1026)?;
+        let text = text.trim_end_matches(['|', '\0']);
+        text.starts_with("+proj").then(|| crs::Crs::of_definition(text).ok())?
+    });
     let by_parameters = || crs::Crs::of_definition(&parameters(file)?).ok();
     match citation.or_else(by_parameters) {
         Some(system) => Crs { vertical_epsg, ..of_system(&system) },

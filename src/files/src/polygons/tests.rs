@@ -159,3 +159,112 @@ fn a_shapefile_is_read() {
     std::fs::remove_file(folder.path().join("plots.dbf")).unwrap();
     assert!(read(&path, None).unwrap_err().to_string().contains("plots.shp"));
 }
+
+/// A shapefile with one polygon and a name in Latin-1.
+fn shapefile_of(folder: &Path, name: &[u8]) -> PathBuf {
+    use shapefile::{
+        Point, PolygonRing,
+        dbase::{FieldValue, Record, TableWriterBuilder},
+    };
+    let path = folder.join("plots.shp");
+    let table = TableWriterBuilder::new()
+        .add_character_field("PLOT".try_into().unwrap(), 20)
+        .add_character_field("GENOTYPE".try_into().unwrap(), 20);
+    let mut writer = shapefile::Writer::from_path(&path, table).unwrap();
+    let ring = [(100.0, 200.0), (100.0, 190.0), (110.0, 190.0), (100.0, 200.0)];
+    let ring = PolygonRing::Outer(ring.map(|(x, y)| Point::new(x, y)).into());
+    let mut record = Record::default();
+    record.insert("PLOT".into(), FieldValue::Character(Some("1".into())));
+    let placeholder = "x".repeat(name.len());
+    record.insert("GENOTYPE".into(), FieldValue::Character(Some(placeholder.clone())));
+    writer.write_shape_and_record(&shapefile::Polygon::new(ring), &record).unwrap();
+    drop(writer);
+    let table = folder.join("plots.dbf");
+    let mut bytes = std::fs::read(&table).unwrap();
+    let at = bytes.windows(name.len()).rposition(|part| part == placeholder.as_bytes()).unwrap();
+    bytes[at..at + name.len()].copy_from_slice(name);
+    std::fs::write(&table, bytes).unwrap();
+    path
+}
+
+#[test]
+fn texts_are_in_the_encoding_that_is_stated_or_fits() {
+    let folder = tempfile::tempdir().unwrap();
+    let genotype = |path: &Path| {
+        let plots = read(path, None).unwrap();
+        plots[0].attributes.iter().find(|(key, _)| key == "GENOTYPE").unwrap().1.clone()
+    };
+    let path = shapefile_of(folder.path(), b"K\xf6ln");
+    assert_eq!(genotype(&path), "Köln");
+    for (label, expected) in
+        [("ISO-8859-1", "Köln"), ("88591", "Köln"), ("ANSI 1252", "Köln"), ("1251", "Kцln")]
+    {
+        std::fs::write(path.with_extension("cpg"), label).unwrap();
+        assert_eq!(genotype(&path), expected, "{label}");
+    }
+    std::fs::write(path.with_extension("cpg"), "Klingon").unwrap();
+    assert!(read(&path, None).unwrap_err().to_string().contains("plots.cpg"));
+    std::fs::remove_file(path.with_extension("cpg")).unwrap();
+    let path = shapefile_of(folder.path(), "Köln".as_bytes());
+    assert_eq!(genotype(&path), "Köln");
+}
+
+#[test]
+fn holes_beside_their_outline_add_nothing() {
+    let square = |x: f64| format!("[[{x},0],[{},0],[{},10],[{x},10],[{x},0]]", x + 10.0, x + 10.0);
+    let text = |hole: String| {
+        format!(
+            r#"{{"type":"FeatureCollection","features":[{{"type":"Feature","properties":{{"plot":1}},
+            "geometry":{{"type":"Polygon","coordinates":[{},{hole}]}}}}]}}"#,
+            square(0.0)
+        )
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("plots.geojson");
+    std::fs::write(&path, text(square(30.0))).unwrap();
+    let layer = read_layer(&path, Drawn::default()).unwrap();
+    assert_eq!(layer.polygons[0].polygon.pixels(), 100);
+    assert!(layer.notes[0].contains("a hole lies outside"), "{:?}", layer.notes);
+    std::fs::write(&path, text("[[2,2],[4,2],[4,4],[2,4],[2,2]]".to_owned())).unwrap();
+    let layer = read_layer(&path, Drawn::default()).unwrap();
+    assert_eq!((layer.polygons[0].polygon.pixels(), layer.notes.len()), (96, 0));
+}
+
+#[test]
+fn names_are_the_property_in_which_plots_differ() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("plots.geojson");
+    let read = |rows: &[&str], key: Option<&str>| {
+        let feature = |(k, properties): (usize, &&str)| {
+            let x = 20 * k;
+            format!(
+                r#"{{"type":"Feature","properties":{properties},"geometry":
+                {{"type":"Polygon","coordinates":[[[{x},0],[{},0],[{x},9],[{x},0]]]}}}}"#,
+                x + 9
+            )
+        };
+        let features: Vec<String> = rows.iter().enumerate().map(feature).collect();
+        let text = format!(r#"{{"type":"FeatureCollection","features":[{}]}}"#, features.join(","));
+        std::fs::write(&path, text).unwrap();
+        let layer =
+            read_layer(&path, Drawn { key, ..Drawn::default() }).map_err(|e| e.to_string())?;
+        Ok::<_, String>((
+            layer.polygons.into_iter().map(|of| of.name).collect::<Vec<_>>(),
+            layer.notes,
+        ))
+    };
+    let genotypes = [r#"{"name":"B73","Plot_ID":101.0}"#, r#"{"name":"B73","Plot_ID":102.0}"#];
+    let (names, notes) = read(&genotypes, None).unwrap();
+    assert_eq!(names, ["101", "102"]);
+    assert!(notes.is_empty(), "{notes:?}");
+    let repeated = [r#"{"plot":"B73","id":7}"#, r#"{"plot":"B73","id":8}"#];
+    let (names, notes) = read(&repeated, None).unwrap();
+    assert_eq!(names, ["7", "8"]);
+    assert!(notes[0].contains("named by id") && notes[0].contains("plot_key"), "{notes:?}");
+    let own = [r#"{"name":"a","Parcel":"x"}"#, r#"{"name":"a","Parcel":"y"}"#];
+    let error = read(&own, None).unwrap_err();
+    assert!(error.contains("unique are: Parcel") && error.contains("plot_key"), "{error}");
+    assert_eq!(read(&own, Some("parcel")).unwrap().0, ["x", "y"]);
+    assert!(read(&own, Some("nothing")).unwrap_err().contains("there are: Parcel, name"));
+    assert!(read(&own, Some("name")).unwrap_err().contains("two polygons"));
+}
