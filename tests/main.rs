@@ -32,6 +32,7 @@ mod features;
 mod formats;
 mod leaves;
 mod locate;
+mod maps;
 mod nlls;
 mod ortho;
 mod parsers;

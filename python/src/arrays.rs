@@ -122,7 +122,7 @@ fn stalks<'py>(py: Python<'py>, out: &Bound<'py, PyDict>, plants: &[Stalk]) -> P
     out.set_item("along_px", column(|plant| plant.along_px))?;
     out.set_item("sigma_along_px", column(|plant| plant.sigma_along_px))?;
     out.set_item("sigma_across_px", column(|plant| plant.sigma_across_px))?;
-    let rows: Vec<i64> = plants.iter().map(|plant| plant.row as i64).collect();
+    let rows: Vec<i64> = plants.iter().map(|plant| plant.row as i64 + 1).collect();
     out.set_item("row", rows.into_pyarray(py))
 }
 

@@ -79,7 +79,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     let inputs = given([Some(target.input.as_path()), regions.as_deref(), plots.as_deref()]);
     check_paths(&[output], &inputs, target.force)?;
     let (options, hsv) = (options.over_defaults()?, hsv.value()?);
-    let areas = Areas { regions: regions.clone(), plots: plots.clone() };
+    let areas = Areas { regions: regions.clone(), plots: plots.clone(), plot_key: None };
     let subject = target.input.display().to_string();
     target.present(
         |monitor| {

@@ -77,6 +77,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
         target.force,
     )?;
     let files = SegmentFiles {
+        valid: None,
         mask,
         posterior: posterior.as_deref(),
         figures: figures.as_deref(),

@@ -10,12 +10,15 @@
 use super::{
     FileError,
     polygons::NAMES,
-    table::{Row, Table},
+    table::{Column, Row, Table},
 };
 use rowgram_base::options::Choice;
 use rowgram_plants::phenotype::layout::design::FieldCorner;
 use serde_json::Value;
-use std::{collections::BTreeMap, path::Path};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    path::Path,
+};
 
 const CORNER: &[&str] = &["corner", "label", "name", "point", "id"];
 const EASTING: &[&str] = &["easting_m", "easting", "x_m", "x", "east"];
@@ -105,12 +108,69 @@ pub fn read_field_map(path: &Path) -> Result<FieldMap, FileError> {
         );
         return Err(table.whole_fault(message));
     }
+    rows_of(&table, plot, &others)
+}
+
+/// A field book: what a table says of plots, by the column that has their names.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FieldBook {
+    /// The title of that column.
+    pub key: String,
+    /// The other columns.
+    pub map: FieldMap,
+}
+
+/// Reads a field book with any titles: the column in which most of the names are found is that of the plots; 101.0 is 101. Rows
+/// of other plots are left out.
+///
+/// # Errors
+/// A damaged table, a table without any of the names or with one of them twice.
+pub fn read_field_book(path: &Path, names: &[&str]) -> Result<FieldBook, FileError> {
+    let table = Table::read(path)?;
+    let known: BTreeSet<&str> = names.iter().copied().collect();
+    let found = |column: Column| {
+        let texts = table.rows().iter().map(|row| plot_name(table.text(row, column)));
+        texts.filter(|text| known.contains(text)).collect::<BTreeSet<_>>().len()
+    };
+    // The first of those with as many.
+    let best = table.columns().map(|(title, column)| (found(column), title, column));
+    let best = best.reduce(|a, b| if b.0 > a.0 { b } else { a }).filter(|(found, ..)| *found > 0);
+    let Some((_, key, plot)) = best else {
+        let titles: Vec<&str> = table.columns().map(|(title, _)| title).collect();
+        let example = names.first().copied().unwrap_or("any");
+        return Err(table.whole_fault(format!(
+            "no column has names of the plots (such as {example:?}); its columns: {}",
+            titles.join(", ")
+        )));
+    };
+    let others: Vec<_> = table.columns().filter(|(title, _)| *title != key).collect();
+    let mut map = rows_of(&table, plot, &others)?;
+    map.plots.retain(|name, _| known.contains(name.as_str()));
+    Ok(FieldBook { key: key.to_owned(), map })
+}
+
+/// A name as polygons have it: a number without fraction has none.
+fn plot_name(text: &str) -> &str {
+    match text.split_once('.') {
+        Some((whole, zeros))
+            if !whole.is_empty()
+                && whole.bytes().all(|b| b.is_ascii_digit())
+                && zeros.bytes().all(|b| b == b'0') =>
+        {
+            whole
+        }
+        _ => text,
+    }
+}
+
+/// The rows of a table by the names of their plots.
+fn rows_of(table: &Table, plot: Column, others: &[(&str, Column)]) -> Result<FieldMap, FileError> {
     let mut map = FieldMap {
         columns: others.iter().map(|(title, _)| (*title).to_owned()).collect(),
         plots: BTreeMap::new(),
     };
     for row in table.rows() {
-        let name = table.text(row, plot).to_owned();
+        let name = plot_name(table.text(row, plot)).to_owned();
         if name.is_empty() {
             return Err(table.fault(row, "the plot has no number".to_owned()));
         }

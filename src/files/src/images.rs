@@ -8,10 +8,11 @@
 //! - Transparent pixels (alpha 0) become black, which is no plant; any other alpha is ignored.
 //! - A **mask** is a picture in grey or with a palette that has only two values (the brighter one
 //!   is plant), a grey or black-and-white one that has only one, or any picture in pure black and
-//!   white. Everything else is a **photo**.
+//!   white; also one that JPEG has blurred. Everything else is a **photo**.
 //! - A JPEG that ends early or whose data are damaged is refused, not filled with grey.
 
 mod jpeg;
+mod lossy;
 
 use super::{FileError, output};
 use image::{
@@ -198,6 +199,7 @@ fn write_png(
 struct Stored {
     image: DynamicImage,
     palette: bool,
+    lossy: bool,
 }
 
 impl Stored {
@@ -206,6 +208,11 @@ impl Stored {
     fn as_mask(&self, expected: bool) -> Option<Mask> {
         let (width, height) = (self.image.width() as usize, self.image.height() as usize);
         let grey = !self.image.color().has_color();
+        if self.lossy
+            && let Some(data) = lossy::black_and_white(&self.image)
+        {
+            return Some(Mask { width, height, data });
+        }
         let data = match &self.image {
             DynamicImage::ImageLuma8(image) => {
                 two_values(image.as_raw().iter().copied(), |v| grey_rank(v, 255))
@@ -347,14 +354,20 @@ fn decode_bytes(bytes: &[u8]) -> Result<Stored, String> {
             // The colour type stands at a fixed place in the header; 3 is a palette.
             let palette = bytes.get(25) == Some(&3);
             // A bit per pixel, and at best 1032 bytes out of one by deflate.
-            Stored { image: by(decoder, "PNG", bytes.len(), 8 * 1032)?, palette }
+            Stored { image: by(decoder, "PNG", bytes.len(), 8 * 1032)?, palette, lossy: false }
         }
         Ok(ImageFormat::Tiff) => {
             let decoder = TiffDecoder::new(Cursor::new(bytes)).map_err(|e| damaged("TIFF", e))?;
             // Fax codes take one bit for a blank line.
-            Stored { image: by(decoder, "TIFF", bytes.len(), 1 << 17)?, palette: false }
+            Stored {
+                image: by(decoder, "TIFF", bytes.len(), 1 << 17)?,
+                palette: false,
+                lossy: false,
+            }
         }
-        Ok(ImageFormat::Jpeg) => Stored { image: jpeg::decode(bytes)?, palette: false },
+        Ok(ImageFormat::Jpeg) => {
+            Stored { image: jpeg::decode(bytes)?, palette: false, lossy: true }
+        }
         // Whatever the name says: pictures saved from web pages often are WebP under another name.
         Ok(
             other @ (ImageFormat::WebP | ImageFormat::Gif | ImageFormat::Bmp | ImageFormat::Avif),

@@ -8,7 +8,7 @@
 //!
 //! | column | |
 //! |---|---|
-//! | `row` | number of the row, from 0, counted across the rows; empty where there are no rows |
+//! | `row` | number of the row, from 1, counted across the rows; empty where there are no rows |
 //! | `confidence` | probability that a plant stands within a quarter of the spacing (row model) |
 //! | `sigma_along_px`, `sigma_across_px` | standard deviations along and across the row (row model) |
 //!
@@ -53,6 +53,9 @@ impl Placement {
             (Some(map), _) if map.crs.kind == CrsKind::Geographic => {
                 named(["longitude_deg", "latitude_deg"], &|at| map.map(at))
             }
+            (Some(map), _) if matches!(map.crs.kind, CrsKind::Feet | CrsKind::SurveyFeet) => {
+                named(["easting_ft", "northing_ft"], &|at| map.map(at))
+            }
             (Some(map), _) if map.crs.kind == CrsKind::Projected => {
                 named(["easting_m", "northing_m"], &|at| map.map(at))
             }
@@ -87,7 +90,7 @@ pub fn write_plants(
     has_rows: bool,
     place: Placement,
 ) -> Result<(), FileError> {
-    let row = |plant: &Stalk| if has_rows { plant.row as f64 } else { f64::NAN };
+    let row = |plant: &Stalk| if has_rows { (plant.row + 1) as f64 } else { f64::NAN };
     let positions: Vec<[f64; 2]> = plants.iter().map(|plant| plant.position_px).collect();
     let columns = vec![
         ("row", plants.iter().map(row).collect()),
@@ -109,7 +112,7 @@ pub fn write_located(
     place: Placement,
 ) -> Result<(), FileError> {
     let positions: Vec<[f64; 2]> = located.plants.iter().map(|p| p.position_px).collect();
-    let row = |plant: &Plant| plant.row.map_or(f64::NAN, |row| row as f64);
+    let row = |plant: &Plant| plant.row.map_or(f64::NAN, |row| (row + 1) as f64);
     let columns = vec![("row", located.plants.iter().map(row).collect())];
     write(path, force, &positions, columns, place)
 }
@@ -127,7 +130,7 @@ pub fn write_gaps(
     let gaps = &stand.missing;
     let positions: Vec<[f64; 2]> = gaps.iter().map(|gap| gap.position_px).collect();
     let columns = vec![
-        ("row", gaps.iter().map(|gap| gap.row as f64).collect()),
+        ("row", gaps.iter().map(|gap| (gap.row + 1) as f64).collect()),
         ("length_px", gaps.iter().map(|gap| gap.length_px).collect()),
         ("plants", gaps.iter().map(|gap| gap.plants as f64).collect()),
         ("probability", gaps.iter().map(|gap| gap.probability).collect()),
@@ -163,7 +166,7 @@ pub fn write_rows(
                 expected + NORMAL_95 * sigma,
                 length_px,
             ];
-            let mut record = vec![row.to_string(), found[row].to_string()];
+            let mut record = vec![(row + 1).to_string(), found[row].to_string()];
             record.extend(numbers.map(|x| format!("{x:.2}")));
             record.extend(gsd_m.map(|gsd| format!("{:.3}", length_px * gsd)));
             csv.write_record(record)?;

@@ -5,7 +5,7 @@
 
 use super::{
     FileError,
-    geotiff::{self, Colour, Layout, Reader},
+    geotiff::{self, Colour, Layout, Reader, Square},
     images::{self, Picture},
     output,
 };
@@ -36,6 +36,8 @@ pub enum Source {
         picture: Picture,
         /// Which of them (row by row) are transparent; `None` where none is.
         gaps: Option<Vec<bool>>,
+        /// Where it lies on the map, if a world file beside it says so.
+        place: Option<Georeference>,
     },
 }
 
@@ -52,7 +54,42 @@ impl Source {
             return Ok(Source::File(Box::new(Reader::open(path)?)));
         }
         let (picture, gaps) = images::read_with_gaps(path)?;
-        Ok(Source::Picture { picture, gaps })
+        let source = Source::Picture { picture, gaps, place: None };
+        Ok(match geotiff::beside(path)? {
+            Some(place) => source.placed(place),
+            None => source,
+        })
+    }
+
+    /// A picture in memory at its place, with square pixels where those of the file are oblong on the ground.
+    fn placed(self, place: Georeference) -> Source {
+        let (width, height) = self.size();
+        let (square, place) = Square::of([width, height], Some(place));
+        match self {
+            Source::Picture { picture, gaps, .. } if square.is_oblong() => {
+                let [columns, rows] = square.shown();
+                let stored = [width, height];
+                let (column, row) = (square.source(stored, 0), square.source(stored, 1));
+                let at = |u: usize, v: usize| (column(u), row(v));
+                let picture = match picture {
+                    Picture::Mask(mask) => Picture::Mask(Mask::from_fn(columns, rows, |u, v| {
+                        let (u, v) = at(u, v);
+                        mask.get(u, v)
+                    })),
+                    Picture::Photo(photo) => {
+                        Picture::Photo(RgbImage::from_fn(columns as u32, rows as u32, |u, v| {
+                            let (u, v) = at(u as usize, v as usize);
+                            *photo.get_pixel(u as u32, v as u32)
+                        }))
+                    }
+                };
+                let all = || (0..columns * rows).map(|k| at(k % columns, k / columns));
+                let gaps = gaps.map(|gaps| all().map(|(u, v)| gaps[v * width + u]).collect());
+                Source::Picture { picture, gaps, place }
+            }
+            Source::Picture { picture, gaps, .. } => Source::Picture { picture, gaps, place },
+            file => file,
+        }
     }
 
     /// Columns and rows.
@@ -70,7 +107,7 @@ impl Source {
     pub fn georeference(&self) -> Option<Georeference> {
         match self {
             Source::File(reader) => reader.georeference(),
-            Source::Picture { .. } => None,
+            Source::Picture { place, .. } => *place,
         }
     }
 
@@ -101,14 +138,17 @@ impl Source {
     ) -> Result<(RgbImage, Option<Vec<bool>>), FileError> {
         match self {
             Source::File(reader) => reader.read_rgb_and_gaps(Window::rows(reader.width(), rows)),
-            Source::Picture { picture, gaps } => {
+            Source::Picture { picture, gaps, .. } => {
                 let crop = |photo: &RgbImage| {
                     let (width, height) = (photo.width(), rows.len() as u32);
                     image::imageops::crop_imm(photo, 0, rows.start as u32, width, height).to_image()
                 };
                 let photo = match picture {
                     Picture::Photo(photo) => crop(photo),
-                    Picture::Mask(mask) => crop(&mask.to_rgb()),
+                    Picture::Mask(Mask { width, data, .. }) => {
+                        let data = data[rows.start * width..rows.end * width].to_vec();
+                        Mask { width: *width, height: rows.len(), data }.to_rgb()
+                    }
                 };
                 let width = photo.width() as usize;
                 let gaps = gaps.as_ref().map(|gaps| &gaps[rows.start * width..rows.end * width]);

@@ -61,6 +61,9 @@ rowgram_base::options! {
         pub camera: Option<PathBuf> = None, example "\"camera.toml\"";
         /// Polygons of the plots. Where not set: plots.geojson, plots.gpkg or plots.shp.
         pub plots: Option<PathBuf> = None, example "\"plots.geojson\"";
+        /// The property of the plots that has their names. Where not set: the first of plot, PlotID, name, id and the like in which
+        /// all plots differ.
+        pub plot_key: Option<String> = None, example "\"PlotID\"";
         /// Regions in which leaves were counted by hand: polygons with a property "leaves". Where not set:
         /// regions.geojson, regions.gpkg or regions.shp.
         pub regions: Option<PathBuf> = None, example "\"regions.geojson\"";

@@ -3,17 +3,19 @@
 use super::{
     Config, PHOTO_ENDINGS, Project, Stage,
     forecast::{self, Forecast},
+    layers, orthomosaic,
     run::LEAST_PHOTOS,
 };
 use rayon::prelude::*;
 use rowgram_base::{
     error::Error,
-    monitor::{Collector, Diagnostic, Severity},
+    monitor::{Collector, Diagnostic, Monitor, Severity},
 };
 use rowgram_files::{
     images,
     photo::{self, Geotag},
-    polygons, rasters,
+    polygons::{self, Named},
+    rasters,
 };
 use rowgram_raster::crs::LocalPlane;
 use std::{
@@ -50,6 +52,18 @@ pub fn doctor(
     if let Some(ortho) = project.given_orthomosaic() {
         let name = ortho.file_name().unwrap_or_default().to_string_lossy().into_owned();
         found.extend(of_orthomosaic(&ortho, &name));
+        let others = project.rasters().map(|rasters| rasters.others).unwrap_or_default();
+        if project.config().project.ortho.is_none() && !others.is_empty() {
+            let names: Vec<_> =
+                others.iter().filter_map(|path| path.file_name()?.to_str()).collect();
+            let message = format!("not used beside {name}: {}", names.join(", "));
+            found.push(
+                Diagnostic::info("rasters-unused", "orthomosaic", message)
+                    .with_remedy("another one: [project] ortho"),
+            );
+        }
+    } else if let Some(message) = orthomosaic::undecided(&photos) {
+        found.push(Diagnostic::error("orthomosaic-undecided", "orthomosaic", message));
     } else if photos.is_empty() {
         let message = format!("none in images/ or directly ({})", PHOTO_ENDINGS.join(", "));
         found.push(Diagnostic::error("photos-missing", "photos", message));
@@ -89,27 +103,75 @@ pub fn doctor(
 
 /// Whether plots and regions can be read, and lie on the orthomosaic where there is one.
 fn of_polygons(project: &Project) -> Vec<Diagnostic> {
-    let ortho = project.orthomosaic().ok();
-    let place = ortho.and_then(|path| rasters::Source::open(&path).ok()?.georeference());
-    let mut found = Vec::new();
+    let ortho = project.orthomosaic().ok().and_then(|path| rasters::Source::open(&path).ok());
+    let mut found = Collector::default();
     for path in [project.plots(), project.regions()].into_iter().flatten() {
         let subject = path.display().to_string();
         // Without a map their place cannot be checked, but everything else can.
-        let read = match &place {
-            Some(place) => polygons::read(&path, Some(place)).map(|read| read.len()),
-            None => polygons::check(&path),
+        let read = match &ortho {
+            Some(ortho) => {
+                let place = ortho.georeference();
+                let layer = layers::layer(project, &path, place.as_ref(), Some(ortho.size()));
+                layer.map_err(|error| error.to_string())
+            }
+            None => {
+                let is_of_plots = project.plots().as_ref() == Some(&path);
+                let of_photos = match is_of_plots {
+                    true => orthomosaic::among_photos(project).map(drop),
+                    false => Ok(()),
+                };
+                of_photos.map_err(|error| error.to_string()).and_then(|()| {
+                    let key = project.config().project.plot_key.as_deref();
+                    let key = key.filter(|_| is_of_plots);
+                    polygons::check(&path, key).map_err(|error| error.to_string())
+                })
+            }
         };
         match read {
             Err(error) => {
-                found.push(Diagnostic::error("polygons-unreadable", subject, error.to_string()));
+                found.diagnostic(&Diagnostic::error("polygons-unreadable", subject, error));
             }
-            Ok(count) => {
-                let message = format!("{count} polygons");
-                found.push(Diagnostic::info("polygons-readable", subject, message));
+            Ok(layer) => {
+                layers::say(&path, &layer.notes, &mut found);
+                let count = layer.polygons.len();
+                let message = match &ortho {
+                    None => format!("{count} polygons"),
+                    Some(ortho) => beside(&layer.polygons, ortho.size()),
+                };
+                let is_well = !message.contains(';');
+                found.diagnostic(&match is_well {
+                    true => Diagnostic::info("polygons-readable", subject, message),
+                    false => Diagnostic::warning("polygons-beside", subject, message),
+                });
             }
         }
     }
-    found
+    found.diagnostics
+}
+
+/// How many polygons there are, and which of them lie beside the raster or hold no pixel.
+fn beside(polygons: &[Named], (width, height): (usize, usize)) -> String {
+    let (mut outside, mut narrow) = (Vec::new(), Vec::new());
+    for Named { name, polygon, .. } in polygons {
+        let size = [width as f64, height as f64];
+        let is_on = polygon.bounds().is_some_and(|[low, high]| {
+            (0..2).all(|axis| high[axis] > -0.5 && low[axis] < size[axis] - 0.5)
+        });
+        if !is_on {
+            outside.push(name.as_str());
+        } else if polygon.pixels() == 0 {
+            narrow.push(name.as_str());
+        }
+    }
+    let mut message = format!("{} polygons", polygons.len());
+    for (which, what) in
+        [(outside, "outside of the orthomosaic"), (narrow, "narrower than a pixel")]
+    {
+        if !which.is_empty() {
+            message += &format!("; {what}: {}", which.join(", "));
+        }
+    }
+    message
 }
 
 /// What an orthomosaic that is given lacks.
@@ -134,9 +196,10 @@ fn of_orthomosaic(path: &Path, name: &str) -> Vec<Diagnostic> {
                 .with_remedy("give a GeoTIFF in a projected reference system")
         }
     };
+    let odd = orthomosaic::oddities(&source, path);
     let size = source.size();
     let memory = forecast::map_diagnostic(name, size, forecast::available_bytes());
-    std::iter::once(given).chain(memory).collect()
+    std::iter::once(given).chain(odd).chain(memory).collect()
 }
 
 /// What their heads say, whether all of them can be decoded, and where they were taken by what a run would use: `places`, a

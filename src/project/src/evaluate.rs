@@ -1,6 +1,6 @@
 //! Comparison with ground truth: plants one to one, plants and leaves of every plot.
 
-use super::{Project, Stage, Task, stage};
+use super::{Project, Stage, Task, layers, stage};
 use rowgram_base::{error::Error, monitor::Monitor};
 use rowgram_files::{
     csv_table::CsvTable,
@@ -11,7 +11,11 @@ use rowgram_files::{
 };
 use rowgram_optim::output::{self, FileError};
 use rowgram_plants::score::Score;
-use rowgram_raster::{georeference::Georeference, polygon::Polygon, window::Window};
+use rowgram_raster::{
+    georeference::Georeference,
+    polygon::{Polygon, Positions},
+    window::Window,
+};
 use serde::{Deserialize, Serialize};
 use std::{
     collections::BTreeMap,
@@ -150,20 +154,22 @@ impl Task for Evaluate {
         let counts = counts.as_deref().map(leaf_counts).transpose()?.unwrap_or_default();
         let read = |path: Option<PathBuf>| -> Result<Vec<Named>, Error> {
             Ok(path
-                .map(|path| polygons::read(&path, Some(&place)))
+                .map(|path| layers::layer(project, &path, Some(&place), None))
                 .transpose()?
+                .map(|layer| layer.polygons)
                 .unwrap_or_default())
         };
         let by_hand = read(project.regions())?;
+        let of_truth = Positions::new(positions.iter().copied());
+        let of_found = Positions::new(found.iter().copied());
         let plots: Vec<PlotComparison> = read(project.plots())?
             .into_iter()
             .map(|plot| {
-                let inside = |at: &[f64; 2]| plot.polygon.holds(*at);
-                let of: Vec<_> = plants.iter().filter(|(at, _)| inside(at)).collect();
+                let of: Vec<_> = of_truth.inside(&plot.polygon);
                 PlotComparison {
                     true_plants: of.len(),
-                    found_plants: found.iter().filter(|at| inside(at)).count(),
-                    true_leaves: of.iter().map(|(_, leaves)| *leaves).sum(),
+                    found_plants: of_found.inside(&plot.polygon).len(),
+                    true_leaves: of.iter().map(|&k| plants[k].1).sum(),
                     leaves_by_area: counts.get(&plot.name).copied(),
                     is_counted_by_hand: by_hand
                         .iter()

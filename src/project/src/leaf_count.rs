@@ -90,6 +90,10 @@ impl Task for LeafCountStage {
         Ok(files)
     }
 
+    fn context(project: &Project) -> String {
+        project.config().project.plot_key.clone().unwrap_or_default()
+    }
+
     fn work(
         project: &Project,
         options: &LeafCountOptions,
@@ -97,10 +101,11 @@ impl Task for LeafCountStage {
         monitor: &mut dyn Monitor,
     ) -> Result<LeafCountOutcome, Error> {
         let image = project.mask()?;
-        let (source, LeafMask { mask, .. }) = leaf_mask::read_leaf_mask(&image, Auto::Auto)?;
+        let (source, LeafMask { mask, .. }) = leaf_mask::read_any_leaf_mask(&image, Auto::Auto)?;
         let areas = Areas {
             regions: project.regions().filter(|_| options.rho_px.is_none()),
             plots: project.plots(),
+            plot_key: project.config().project.plot_key.clone(),
         };
         let subject = super::record::relative(project.root(), &image).display().to_string();
         let outcome =
@@ -129,6 +134,8 @@ pub struct Areas {
     pub regions: Option<PathBuf>,
     /// Polygons of the plots.
     pub plots: Option<PathBuf>,
+    /// The property of the plots that has their names; found where it is not given.
+    pub plot_key: Option<String>,
 }
 
 /// Counts the leaves of a mask and of its plots. `subject` names the mask in diagnostics.
@@ -169,8 +176,12 @@ pub fn count_leaves(
     };
     let mut counts = vec![count("whole".to_owned(), &Polygon { rings: vec![whole] })];
     if let Some(path) = &areas.plots {
-        let plots = polygons::read(path, georeference.as_ref())?;
-        counts.extend(plots.into_iter().map(|plot| count(plot.name, &plot.polygon)));
+        let size = Some((mask.width, mask.height));
+        let key = areas.plot_key.as_deref();
+        let drawn = polygons::Drawn { place: georeference.as_ref(), size, key };
+        let plots = polygons::read_layer(path, drawn)?;
+        crate::layers::say(path, &plots.notes, monitor);
+        counts.extend(plots.polygons.into_iter().map(|plot| count(plot.name, &plot.polygon)));
     }
     Ok(LeafCountOutcome { rho_px: calibration.rho, is_orthorectified, counts })
 }

@@ -73,7 +73,7 @@ impl Task for LeafDensity {
         _: &mut dyn Monitor,
     ) -> Result<LeafDensityOutcome, Error> {
         let (source, LeafMask { mask, .. }) =
-            leaf_mask::read_leaf_mask(&project.mask()?, Auto::Auto)?;
+            leaf_mask::read_any_leaf_mask(&project.mask()?, Auto::Auto)?;
         let files = LeafDensityFiles {
             density: &folder.join("density.tif"),
             figures: Some(&folder.join("figures")),

@@ -11,14 +11,19 @@ use rowgram_optim::output::FileError;
 use rowgram_raster::{
     Mask,
     mask::Thresholds,
-    vegetation::{self, Classified, Coherence, Estimate, Estimator, Model, VegetationError},
+    vegetation::{
+        self, Classified, Coherence, Estimate, Estimator, Model, VegetationError,
+        nothing::{Surround, SurroundFinder},
+    },
     white_balance::{Channels, Gains, WhiteBalance},
-    window::{self, Band},
+    window::{self, Band, Window},
 };
 use std::{ops::Range, path::Path};
 
 /// The file of the stage `segment` with the posterior.
 pub(super) const POSTERIOR: &str = "posterior.tif";
+/// The file of the stage `segment` with the pixels that show something, where some do not.
+pub(super) const VALID: &str = "valid.tif";
 
 // Bands begin where those do that are looked at first.
 const _: () = assert!(BAND_ROWS.is_multiple_of(Estimator::ROWS));
@@ -33,7 +38,7 @@ pub struct LeafMask {
     pub mask: Mask,
     /// Posterior probability of vegetation of each pixel, in 1/255, row by row; none for a given mask and for thresholds.
     pub posterior: Option<Vec<u8>>,
-    /// Pixels that show something; none if all do, and for a given mask and for thresholds.
+    /// Pixels that show something; none if all do, and for a given mask.
     pub valid: Option<Mask>,
     /// What was estimated of vegetation and background, where it was.
     pub vegetation: Option<Model>,
@@ -65,8 +70,29 @@ impl LeafMask {
 /// as it is estimated from the photo.
 ///
 /// # Errors
-/// A file that cannot be read; a photo that shows nothing.
+/// A file that cannot be read; a photo that shows nothing; a mask nearly all of which is plant.
 pub fn read_leaf_mask(image: &Path, hsv: Auto<Thresholds>) -> Result<(Source, LeafMask), Error> {
+    let (source, found) = read_any_leaf_mask(image, hsv)?;
+    let share = found.mask.count() as f64 / found.mask.data.len().max(1) as f64;
+    if !source.is_photo() && share > NEARLY_ALL {
+        let message = format!(
+            "{:.1} % of the mask is plant (its brighter value): are plants and ground exchanged? Invert it; in a canopy that has \
+             closed so far no plants can be told apart",
+            100.0 * share
+        );
+        return Err(FileError::malformed(image, None, message).into());
+    }
+    Ok((source, found))
+}
+
+/// Share of leaf pixels above which a mask is taken for an inverted one.
+const NEARLY_ALL: f64 = 0.95;
+
+/// The same without doubting a mask: that of a project was made from its picture.
+pub(super) fn read_any_leaf_mask(
+    image: &Path,
+    hsv: Auto<Thresholds>,
+) -> Result<(Source, LeafMask), Error> {
     let source = Source::open(image)?;
     let found = if source.is_photo() {
         of_photo(&source, image, &SegmentOptions { hsv, ..SegmentOptions::default() })?
@@ -81,12 +107,23 @@ pub fn read_leaf_mask(image: &Path, hsv: Auto<Thresholds>) -> Result<(Source, Le
 /// # Errors
 /// [`Error::NothingToDo`] where there is none; files that cannot be read.
 pub fn of_project(project: &Project) -> Result<(Source, LeafMask), Error> {
-    let (source, mut found) = read_leaf_mask(&project.mask()?, Auto::Auto)?;
+    let (source, mut found) = read_any_leaf_mask(&project.mask()?, Auto::Auto)?;
     if let Some(path) = project.finished(Stage::Segment, POSTERIOR) {
         let size = (found.mask.width, found.mask.height);
         found.posterior = Some(rasters::read_posterior(&path, size)?);
     }
+    found.valid = valid_of_project(project)?;
     Ok((source, found))
+}
+
+/// The pixels of the orthomosaic that show something, as the stage `segment` found them; `None` where all do.
+///
+/// # Errors
+/// A file that cannot be read.
+pub(super) fn valid_of_project(project: &Project) -> Result<Option<Mask>, Error> {
+    let path = project.finished(Stage::Segment, VALID);
+    let read = |path| rasters::read_mask(path, &Thresholds::default()).map(|(mask, _)| mask);
+    path.as_deref().map(read).transpose()
 }
 
 /// Opens what is to be segmented: anything but a mask.
@@ -98,9 +135,18 @@ pub(super) fn open_photo(path: &Path) -> Result<Source, FileError> {
             let message = "it holds a mask (two values), expected a photo";
             Err(FileError::malformed(path, None, message))
         }
+        Source::File(reader) if !reader.holds::<u8>() && !reader.holds::<u16>() => {
+            let message = "its pixels are single values (a vegetation index, heights), expected an orthomosaic in colours";
+            Err(FileError::malformed(path, None, message))
+        }
         // Whether a grey TIFF is a photo or a mask is known when all of it has been read.
-        Source::File(_) => images::read_photo(path)
-            .map(|photo| Source::Picture { picture: images::Picture::Photo(photo), gaps: None }),
+        Source::File(reader) => {
+            let place = reader.georeference();
+            drop(images::read_photo(path)?);
+            let whole = Window::whole(reader.width(), reader.height());
+            let picture = images::Picture::Photo(reader.read_rgb(whole)?);
+            Ok(Source::Picture { picture, gaps: None, place })
+        }
     }
 }
 
@@ -121,7 +167,8 @@ pub(super) struct Segmenter<'a> {
 }
 
 enum Rule {
-    Thresholds(Thresholds),
+    /// Thresholds, and the flat surround.
+    Thresholds(Thresholds, Option<Surround>),
     Vegetation(Box<Estimate>),
 }
 
@@ -133,7 +180,7 @@ pub(super) struct LeafRows {
     pub(super) mask: Vec<u8>,
     /// Posterior probability of vegetation in 1/255; none for thresholds.
     pub(super) posterior: Option<Vec<u8>>,
-    /// 1 where something is shown, 0 elsewhere; none where all of the band is, and for thresholds.
+    /// 1 where something is shown, 0 elsewhere; none where all of the band is.
     pub(super) shown: Option<Vec<u8>>,
 }
 
@@ -146,7 +193,14 @@ impl<'a> Segmenter<'a> {
     ) -> Result<Segmenter<'a>, Error> {
         let gains = options.white_balance.map(|how| gains(source, how)).transpose()?;
         let rule = match options.hsv {
-            Auto::Given(hsv) => Rule::Thresholds(hsv),
+            Auto::Given(hsv) => {
+                let size = source.size();
+                let mut finder = SurroundFinder::new(size);
+                for band in window::bands(size.1, BAND_ROWS, 0) {
+                    finder.add(&band, &source.rgb(band.rows.clone())?);
+                }
+                Rule::Thresholds(hsv, finder.finish())
+            }
             Auto::Auto => {
                 let coherence = match options.coherence {
                     0.0 => Coherence::None,
@@ -170,15 +224,23 @@ impl<'a> Segmenter<'a> {
     /// What was estimated of vegetation and background, where it was.
     pub(super) fn vegetation(&self) -> Option<Model> {
         match &self.rule {
-            Rule::Thresholds(_) => None,
+            Rule::Thresholds(..) => None,
             Rule::Vegetation(estimate) => Some(estimate.model),
+        }
+    }
+
+    /// Whether a flat black or white surround was found.
+    pub(super) fn has_surround(&self) -> bool {
+        match &self.rule {
+            Rule::Thresholds(_, surround) => surround.is_some(),
+            Rule::Vegetation(estimate) => estimate.has_surround(),
         }
     }
 
     /// The thresholds, where the mask is made by them.
     pub(super) fn hsv(&self) -> Option<Thresholds> {
         match &self.rule {
-            &Rule::Thresholds(hsv) => Some(hsv),
+            &Rule::Thresholds(hsv, _) => Some(hsv),
             Rule::Vegetation(_) => None,
         }
     }
@@ -213,15 +275,26 @@ impl<'a> Segmenter<'a> {
     /// The leaf mask, from the top.
     pub(super) fn bands(&self) -> impl Iterator<Item = Result<LeafRows, FileError>> + '_ {
         let halo = match &self.rule {
-            Rule::Thresholds(_) => 0,
+            Rule::Thresholds(..) => 0,
             Rule::Vegetation(estimate) => estimate.halo(),
         };
         window::bands(self.source.size().1, BAND_ROWS, halo).map(|band| {
             let (photo, shown) = seen(self.source, self.gains, &band)?;
             Ok(match &self.rule {
-                Rule::Thresholds(hsv) => {
-                    let mask = hsv.mask(&photo).data;
-                    LeafRows { rows: band.rows, mask, posterior: None, shown: None }
+                Rule::Thresholds(hsv, surround) => {
+                    let mut mask = hsv.mask(&photo).data;
+                    let width = photo.width() as usize;
+                    let outside = surround.as_ref().map(|of| of.outside(band.rows.clone(), width));
+                    let shown = match (shown, outside) {
+                        (Some(shown), Some(outside)) => {
+                            Some(shown.iter().zip(&outside).map(|(a, b)| a & b).collect())
+                        }
+                        (one, other) => one.or(other),
+                    };
+                    for (pixel, shown) in mask.iter_mut().zip(shown.iter().flatten()) {
+                        *pixel &= shown;
+                    }
+                    LeafRows { rows: band.rows, mask, posterior: None, shown }
                 }
                 Rule::Vegetation(estimate) => {
                     let found = estimate.classify(&band, &photo, shown.as_deref());

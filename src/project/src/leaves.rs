@@ -113,7 +113,8 @@ impl Task for LeavesStage {
         monitor: &mut dyn Monitor,
     ) -> Result<LeavesOutcome, Error> {
         let ortho = project.orthomosaic()?;
-        let (_, LeafMask { mask, .. }) = leaf_mask::read_leaf_mask(&project.mask()?, Auto::Auto)?;
+        let (_, LeafMask { mask, .. }) =
+            leaf_mask::read_any_leaf_mask(&project.mask()?, Auto::Auto)?;
         let plants = project.finished(Stage::Locate, "plants.csv");
         let plants = plants.as_deref().map(points::read).transpose()?;
         let subject = super::record::relative(project.root(), &ortho).display().to_string();

@@ -304,7 +304,8 @@ pub fn locate_plants(
             outcome.plants = stand.plants.len();
             outcome.stand = Some(StandOutcome::new(stand, gsd_m));
             show::tell(stand, subject, monitor);
-            let covered = outcome.leaf_pixels as f64 / mask.data.len().max(1) as f64;
+            let seen = leaf.valid.as_ref().map_or(mask.data.len(), |valid| valid.count());
+            let covered = outcome.leaf_pixels as f64 / seen.max(1) as f64;
             if stand.rows.rows.is_empty() && covered > CLOSED {
                 let message = format!(
                     "{:.0} % of the picture is leaf and no rows stand out: how many plants that are cannot be told",

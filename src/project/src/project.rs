@@ -14,12 +14,12 @@
 //! ```
 
 use super::{
-    Config, SETTINGS, Stage,
+    Config, SETTINGS, Stage, orthomosaic,
     photo_folder::{FlightPhotos, IMAGES, flight_photos, photo_name, photos_in},
     record::{self, Content, Lock, Records, STORE, Store},
 };
 use rowgram_base::{error::Error, options::Choice};
-use rowgram_files::{polygons, rasters};
+use rowgram_files::polygons;
 use rowgram_optim::output::FileError;
 use std::{
     path::{Path, PathBuf},
@@ -244,16 +244,19 @@ impl Project {
 
     fn flight_photos(&self) -> FlightPhotos {
         let mut found = flight_photos(&self.photo_folder());
-        if !self.root.join(IMAGES).is_dir()
-            && let Some(ortho) = self.given_among(&found.photos)
-        {
-            found.photos.retain(|path| *path != ortho);
+        if self.root.join(IMAGES).is_dir() {
+            return found;
+        }
+        match &self.config.project.ortho {
+            Some(ortho) => found.photos.retain(|path| *path != self.root.join(ortho)),
+            None if orthomosaic::among(&found.photos).is_some() => found.photos.clear(),
+            None => {}
         }
         found
     }
 
-    /// An orthomosaic that is there from the beginning: the one that the settings name, or a single GeoTIFF in a folder
-    /// without photos.
+    /// An orthomosaic that is there from the beginning: the one that the settings name, or that of a folder without photos
+    /// ([`orthomosaic`]).
     pub fn given_orthomosaic(&self) -> Option<PathBuf> {
         if self.config.project.ortho.is_some() {
             return self.given_among(&[]);
@@ -264,13 +267,24 @@ impl Project {
         self.given_among(&photos_in(&self.root))
     }
 
+    /// The rasters of a folder without photos, the orthomosaic among them.
+    pub(super) fn rasters(&self) -> Option<orthomosaic::Rasters> {
+        let pictures = photos_in(&self.root);
+        match pictures.is_empty() {
+            true => orthomosaic::below(&self.root),
+            false => orthomosaic::among(&pictures),
+        }
+    }
+
     fn given_among(&self, photos: &[PathBuf]) -> Option<PathBuf> {
         if let Some(path) = &self.config.project.ortho {
             return Some(self.root.join(path));
         }
-        let [only] = photos else { return None };
-        let placed = || rasters::Source::open(only).ok().and_then(|source| source.georeference());
-        (rasters::is_tiff_name(only) && placed().is_some()).then(|| only.clone())
+        let rasters = match photos.is_empty() {
+            true => orthomosaic::below(&self.root),
+            false => orthomosaic::among(photos),
+        };
+        rasters.map(|rasters| rasters.ortho)
     }
 
     /// The orthomosaic, given or made.

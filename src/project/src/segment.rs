@@ -65,8 +65,11 @@ pub struct SegmentOutcome {
     pub vegetation: Option<Model>,
     /// Leaf pixels.
     pub leaf_pixels: usize,
-    /// Share of leaf pixels in the picture.
+    /// Share of leaf pixels among those that show something.
     pub leaf_share: f64,
+    /// Share of the picture that shows something: neither transparent nor without data nor the flat surround of a mosaic.
+    #[serde(default = "whole")]
+    pub valid_share: f64,
     /// Connected leaf areas.
     pub components: usize,
     /// Leaf areas that were removed because they are small.
@@ -79,7 +82,8 @@ pub struct SegmentOutcome {
     pub filled_pixels: usize,
 }
 
-/// Makes the leaf mask of the orthomosaic: `segment/mask.tif`; and `segment/posterior.tif` where vegetation is estimated.
+/// Makes the leaf mask of the orthomosaic: `segment/mask.tif`; `segment/posterior.tif` where vegetation is estimated; and
+/// `segment/valid.tif` where parts of the picture show nothing.
 ///
 /// # Errors
 /// [`Error::NothingToDo`] without an orthomosaic; as [`stage::perform`].
@@ -111,8 +115,10 @@ impl Task for Segment {
     ) -> Result<SegmentOutcome, Error> {
         let image = project.orthomosaic()?;
         let posterior = folder.join(super::leaf_mask::POSTERIOR);
+        let valid = folder.join(super::leaf_mask::VALID);
         let files = SegmentFiles {
             mask: &folder.join("mask.tif"),
+            valid: Some(&valid),
             posterior: matches!(options.hsv, Auto::Auto).then_some(posterior.as_path()),
             figures: Some(&folder.join("figures")),
             force: true,
@@ -122,6 +128,10 @@ impl Task for Segment {
     }
 }
 
+fn whole() -> f64 {
+    1.0
+}
+
 /// What is written of a mask.
 #[derive(Debug, Clone, Copy)]
 pub struct SegmentFiles<'a> {
@@ -129,6 +139,8 @@ pub struct SegmentFiles<'a> {
     pub mask: &'a Path,
     /// Posterior probability of vegetation in 1/255, in the same formats; only where vegetation is estimated.
     pub posterior: Option<&'a Path>,
+    /// Pixels that show something, 255, and those that do not, 0, in the same formats; only where some do not.
+    pub valid: Option<&'a Path>,
     /// Folder of pictures: `mask.png`, the mask drawn over the photo; where vegetation is estimated, also what is doubtful and
     /// what shows nothing.
     pub figures: Option<&'a Path>,
@@ -157,14 +169,21 @@ pub fn segment_file(
     let grey = |path, colour| GreyWriter::begin(path, files.force, (width, height), colour, place);
     let mut mask = grey(files.mask, Colour::Classes)?;
     let mut posterior = files.posterior.map(|path| grey(path, Colour::Values)).transpose()?;
+    let mut valid = files.valid.map(|path| grey(path, Colour::Classes)).transpose()?;
     let mut view = files.figures.map(|_| MaskView::new(width, height));
     let mut counter = components::Counter::default();
-    let mut leaf_pixels = 0;
+    let (mut leaf_pixels, mut nothing_pixels) = (0, 0);
     let mut put = |band: LeafRows| -> Result<(), FileError> {
         counter.add(&band.mask, width);
         leaf_pixels += band.mask.iter().filter(|&&pixel| pixel != 0).count();
         if let Some(view) = &mut view {
             view.add(&band);
+        }
+        let shown = band.shown.as_ref();
+        nothing_pixels += shown.map_or(0, |shown| shown.iter().filter(|&&is| is == 0).count());
+        if let Some(writer) = &mut valid {
+            let seen = shown.map(|shown| shown.iter().map(|is| 255 * is).collect::<Vec<u8>>());
+            writer.put(band.rows.clone(), &seen.unwrap_or_else(|| vec![255; band.mask.len()]))?;
         }
         if let (Some(writer), Some(values)) = (&mut posterior, &band.posterior) {
             writer.put(band.rows.clone(), values)?;
@@ -196,6 +215,23 @@ pub fn segment_file(
     let components = counter.count();
     mask.finish()?;
     posterior.map(GreyWriter::finish).transpose()?;
+    let pixels = (width * height).max(1);
+    let valid_share = 1.0 - nothing_pixels as f64 / pixels as f64;
+    if nothing_pixels > 0 {
+        valid.map(GreyWriter::finish).transpose()?;
+        let kinds = match segmenter.has_surround() {
+            true => {
+                "the flat black or white surround of the mosaic, and what is transparent or without data"
+            }
+            false => "transparent or without data",
+        };
+        let message = format!(
+            "{:.1} % of the picture show nothing ({kinds}) and count in no area, density or mean",
+            100.0 * (1.0 - valid_share)
+        );
+        let subject = image.file_name().unwrap_or_default().to_string_lossy();
+        monitor.diagnostic(&Diagnostic::info("pixels-without-data", subject, message));
+    }
     let hsv = segmenter.hsv();
     if leaf_pixels == 0 {
         let subject = image.display().to_string();
@@ -224,7 +260,8 @@ pub fn segment_file(
         hsv,
         vegetation: segmenter.vegetation(),
         leaf_pixels,
-        leaf_share: leaf_pixels as f64 / (width * height).max(1) as f64,
+        leaf_share: leaf_pixels as f64 / (pixels - nothing_pixels).max(1) as f64,
+        valid_share,
         components,
         removed_components: removed.components,
         removed_pixels: removed.pixels,

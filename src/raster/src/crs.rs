@@ -1,7 +1,7 @@
 //! Coordinate reference systems: from the latitude and longitude of a receiver to the plane of a map.
 //!
-//! A system is named by its EPSG code or a PROJ string; its parameters come from `crs-definitions`, the
-//! projections from `proj4rs`. A datum shift is the one of the definition, three or seven parameters:
+//! A system is named by its EPSG code, a PROJ string or well-known text; its parameters come from `crs-definitions` and
+//! `proj4wkt`, the projections from `proj4rs`. A datum shift is the one of the definition, three or seven parameters:
 //! for EPSG:27700 (British national grid) that is good to about 5 m absolute, and within a flight
 //! what is off is the same for all photos.
 //!
@@ -10,6 +10,10 @@
 //! from the block where there is control, and named.
 
 use proj4rs::{proj::Proj, transform::transform};
+use std::{
+    collections::BTreeSet,
+    sync::{Mutex, PoisonError},
+};
 
 /// The international foot, metres.
 pub const FOOT_M: f64 = 0.3048;
@@ -21,12 +25,13 @@ pub const US_SURVEY_FOOT_M: f64 = 1200.0 / 3937.0;
 #[error("{0}")]
 pub struct CrsError(pub String);
 
-/// A projected coordinate reference system in metres.
+/// A coordinate reference system: a projected one, or longitude and latitude in degrees.
 pub struct Crs {
     name: String,
     definition: String,
     grid: Proj,
     geographic: Proj,
+    is_geographic: bool,
 }
 
 impl std::fmt::Debug for Crs {
@@ -56,11 +61,19 @@ fn knows_datum(definition: &str) -> bool {
 const WGS84: &str = "+proj=longlat +datum=WGS84 +no_defs";
 
 impl Crs {
-    /// The system of an EPSG code.
+    /// The system of an EPSG code, in metres.
     ///
     /// # Errors
-    /// A code that is unknown, geographic, not in metres, or of a projection that is not there.
+    /// As [`Crs::of_code`], and a code that is geographic or not in metres.
     pub fn from_epsg(code: u32) -> Result<Crs, CrsError> {
+        Crs::of_code(code)?.in_metres()
+    }
+
+    /// The system of an EPSG code, whatever its unit.
+    ///
+    /// # Errors
+    /// A code that is unknown, or of a projection that is not there.
+    pub fn of_code(code: u32) -> Result<Crs, CrsError> {
         let unknown =
             || CrsError(format!("EPSG:{code} is not a known coordinate reference system"));
         let short = u16::try_from(code).map_err(|_| unknown())?;
@@ -74,23 +87,108 @@ impl Crs {
         Crs::new(&format!("EPSG:{code}"), &definition)
     }
 
-    /// Metres in the unit of the coordinates of an EPSG code, where that is a known projected one.
-    pub fn metres_per_unit(code: u32) -> Option<f64> {
-        let definition = crs_definitions::from_code(u16::try_from(code).ok()?)?.proj4;
-        let value = |key: &str| {
-            let words = definition.split_whitespace();
-            words.filter_map(|word| word.strip_prefix(key)).next()
+    /// The system of a PROJ string, whatever its unit.
+    ///
+    /// # Errors
+    /// A text that is no such string, or names a projection that is not there.
+    pub fn of_definition(definition: &str) -> Result<Crs, CrsError> {
+        Crs::new(definition, definition)
+    }
+
+    /// The system that well-known text (as in a `.prj` file) describes, whatever its unit.
+    ///
+    /// # Errors
+    /// A text that cannot be read, or names a projection that is not there.
+    pub fn of_well_known_text(text: &str) -> Result<Crs, CrsError> {
+        if let Some(code) = code_of_text(text)
+            && let Ok(known) = Crs::of_code(code)
+        {
+            return Ok(known);
+        }
+        let name = text.split('"').nth(1).unwrap_or("the system").to_owned();
+        let refuse = |what: String| CrsError(format!("{name} cannot be used: {what}"));
+        // Esri names the spherical Mercator projection in a way of its own.
+        let is_web_mercator = text.contains("Mercator_Auxiliary_Sphere");
+        if is_web_mercator {
+            return Crs::of_code(3857);
+        }
+        let definition = proj4wkt::wkt_to_projstring(text).map_err(|e| refuse(e.to_string()))?;
+        Crs::new(&name, &definition)
+    }
+
+    /// The same, where its unit is the metre.
+    fn in_metres(self) -> Result<Crs, CrsError> {
+        let refuse = |what: &str| Err(CrsError(format!("{} cannot be used: {what}", self.name)));
+        if self.is_geographic {
+            return refuse("it is geographic (degrees); a projected one in metres is needed");
+        }
+        if (self.metres_per_unit() - 1.0).abs() > 1e-12 {
+            return refuse("its unit is not the metre");
+        }
+        Ok(self)
+    }
+
+    /// Whether its coordinates are longitude and latitude, degrees.
+    pub fn is_geographic(&self) -> bool {
+        self.is_geographic
+    }
+
+    /// Metres in the unit of its coordinates; radians are not asked for.
+    pub fn metres_per_unit(&self) -> f64 {
+        self.grid.to_meter()
+    }
+
+    /// Metres on the ground, east and north, for one unit of each coordinate at a place: the columns of the Jacobian of
+    /// the way from the map to the ground.
+    ///
+    /// # Errors
+    /// A place that the projection cannot invert.
+    pub fn ground_m_per_unit(&self, [x, y]: [f64; 2]) -> Result<[[f64; 2]; 2], CrsError> {
+        let step = if self.is_geographic { STEP_DEG } else { STEP_M / self.metres_per_unit() };
+        let column = |dx: f64, dy: f64| {
+            let [after, before] =
+                [1.0, -1.0].map(|sign| self.own_degrees(x + sign * dx, y + sign * dy));
+            let (after, before) = (after?, before?);
+            // Halves of the difference, so that nothing is lost where longitudes pass 180 degrees.
+            let [mut lon, lat] = [0, 1].map(|axis| after[axis] - before[axis]);
+            lon -= 360.0 * (lon / 360.0).round();
+            let (per_lat_m, per_lon_m) = metres_per_degree(0.5 * (after[1] + before[1]));
+            Ok([lon * per_lon_m / (2.0 * step), lat * per_lat_m / (2.0 * step)])
         };
-        if definition.contains("+proj=longlat") {
-            return None;
+        Ok([column(step, 0.0)?, column(0.0, step)?])
+    }
+
+    /// Longitude and latitude on its own datum, degrees.
+    fn own_degrees(&self, x: f64, y: f64) -> Result<[f64; 2], CrsError> {
+        if self.is_geographic {
+            return Ok([x, y]);
         }
-        match (value("+to_meter="), value("+units=")) {
-            (Some(metres), _) => metres.parse().ok(),
-            (None, Some("m") | None) => Some(1.0),
-            (None, Some("ft")) => Some(FOOT_M),
-            (None, Some("us-ft")) => Some(US_SURVEY_FOOT_M),
-            (None, Some(_)) => None,
+        // A datum moves places by metres and keeps lengths.
+        let own: Vec<&str> = (self.definition.split_whitespace())
+            .filter(|word| {
+                ["+ellps=", "+a=", "+b=", "+rf=", "+R="].iter().any(|key| word.starts_with(key))
+            })
+            .collect();
+        let plain =
+            |text: String| Proj::from_proj_string(&text).map_err(|e| CrsError(e.to_string()));
+        let words = self.definition.split_whitespace().filter(|word| {
+            !["+datum=", "+towgs84=", "+nadgrids="].iter().any(|key| word.starts_with(key))
+        });
+        let ellipsoid = match own[..] {
+            [] => "+ellps=WGS84".to_owned(),
+            _ => own.join(" "),
+        };
+        let extra = if own.is_empty() { " +ellps=WGS84" } else { "" };
+        let grid = plain(words.collect::<Vec<_>>().join(" ") + extra)?;
+        let degrees = plain(format!("+proj=longlat {ellipsoid} +no_defs"))?;
+        let mut place = (x, y, 0.0);
+        transform(&grid, &degrees, &mut place)
+            .map_err(|e| CrsError(format!("{x}, {y} is not a place in {}: {e}", self.name)))?;
+        let [lon, lat] = [place.0, place.1].map(f64::to_degrees);
+        if !(lon.is_finite() && lat.is_finite()) {
+            return Err(CrsError(format!("{x}, {y} is not a place in {}", self.name)));
         }
+        Ok([lon, lat])
     }
 
     /// Whether its definition says how its datum lies to WGS84; where it does not, places come out up to
@@ -111,7 +209,7 @@ impl Crs {
             return Crs::from_epsg(code);
         }
         if words.starts_with("+proj") {
-            return Crs::new(words, words);
+            return Crs::of_definition(words)?.in_metres();
         }
         let upper = words.to_ascii_uppercase();
         if let Some(zone) = upper.strip_prefix("WGS84 UTM") {
@@ -132,20 +230,13 @@ impl Crs {
 
     fn new(name: &str, definition: &str) -> Result<Crs, CrsError> {
         let refuse = |what: String| CrsError(format!("{name} cannot be used: {what}"));
-        if definition.contains("+proj=longlat") {
-            return Err(refuse(
-                "it is geographic (degrees); a projected one in metres is needed".into(),
-            ));
-        }
-        let in_metres = !definition.contains("+units=") || definition.contains("+units=m");
-        if !in_metres || definition.contains("+to_meter=") && !definition.contains("+to_meter=1 ") {
-            return Err(refuse("its unit is not the metre".into()));
-        }
         let of = |text: &str| Proj::from_proj_string(text).map_err(|e| refuse(e.to_string()));
+        let grid = of(definition)?;
         Ok(Crs {
             name: name.to_owned(),
             definition: definition.to_owned(),
-            grid: of(definition)?,
+            is_geographic: grid.is_latlong(),
+            grid,
             geographic: of(WGS84)?,
         })
     }
@@ -169,7 +260,7 @@ impl Crs {
         &self.definition
     }
 
-    /// Easting and northing, metres, of a place on WGS84, degrees.
+    /// Easting and northing (or longitude and latitude, degrees), in its unit, of a place on WGS84, degrees.
     ///
     /// # Errors
     /// A place that the projection does not reach.
@@ -180,7 +271,11 @@ impl Crs {
         if !(place.0.is_finite() && place.1.is_finite()) {
             return Err(self.out_of_reach(latitude_deg, longitude_deg, "not finite"));
         }
-        Ok([place.0, place.1])
+        Ok(if self.is_geographic {
+            [place.0.to_degrees(), place.1.to_degrees()]
+        } else {
+            [place.0, place.1]
+        })
     }
 
     fn out_of_reach(&self, latitude_deg: f64, longitude_deg: f64, why: &str) -> CrsError {
@@ -190,17 +285,61 @@ impl Crs {
         ))
     }
 
-    /// Latitude and longitude on WGS84, degrees, of a place, metres.
+    /// Latitude and longitude on WGS84, degrees, of a place in its unit.
     ///
     /// # Errors
     /// A place that the projection cannot invert.
-    pub fn to_wgs84(&self, easting_m: f64, northing_m: f64) -> Result<[f64; 2], CrsError> {
-        let mut place = (easting_m, northing_m, 0.0);
+    pub fn to_wgs84(&self, easting: f64, northing: f64) -> Result<[f64; 2], CrsError> {
+        let degrees = |x: f64| if self.is_geographic { x.to_radians() } else { x };
+        let mut place = (degrees(easting), degrees(northing), 0.0);
         transform(&self.grid, &self.geographic, &mut place).map_err(|e| {
-            CrsError(format!("{easting_m}, {northing_m} is not a place in {}: {e}", self.name))
+            CrsError(format!("{easting}, {northing} is not a place in {}: {e}", self.name))
         })?;
         Ok([place.1.to_degrees(), place.0.to_degrees()])
     }
+}
+
+/// The code that well-known text gives itself: the last one, where it stands in no part of the text.
+fn code_of_text(text: &str) -> Option<u32> {
+    let at = text.rfind("AUTHORITY[").max(text.rfind("ID["))?;
+    let depth = text[..at].chars().fold(0, |depth, c| match c {
+        '[' => depth + 1,
+        ']' => depth - 1,
+        _ => depth,
+    });
+    let mut words = text[at..].split(['[', ',', ']']).map(|word| word.trim().trim_matches('"'));
+    let _keyword = words.next();
+    let is_epsg = words.next().is_some_and(|who| who.eq_ignore_ascii_case("EPSG"));
+    if depth != 1 || !is_epsg {
+        return None;
+    }
+    words.next()?.parse().ok()
+}
+
+/// Steps over which the scale of a projection is taken: far less than it changes over, far more than rounding.
+const STEP_M: f64 = 10.0;
+const STEP_DEG: f64 = 1e-4;
+
+/// Metres of a degree of latitude and of a degree of longitude on WGS84.
+fn metres_per_degree(latitude_deg: f64) -> (f64, f64) {
+    let (sin, cos) = latitude_deg.to_radians().sin_cos();
+    let e2 = FLATTENING * (2.0 - FLATTENING);
+    let w2 = 1.0 - e2 * sin * sin;
+    let normal = SEMI_MAJOR_M / w2.sqrt();
+    let meridian = normal * (1.0 - e2) / w2;
+    (meridian.to_radians(), (normal * cos).to_radians())
+}
+
+/// A text that lives as long as the program: there are as many as systems that have no code.
+pub(crate) fn lasting(text: &str) -> &'static str {
+    static TEXTS: Mutex<BTreeSet<&'static str>> = Mutex::new(BTreeSet::new());
+    let mut texts = TEXTS.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some(known) = texts.get(text) {
+        return known;
+    }
+    let text: &'static str = Box::leak(text.to_owned().into_boxed_str());
+    texts.insert(text);
+    text
 }
 
 /// A plane that touches the ellipsoid WGS84 at a place: east, north, up in metres from there.

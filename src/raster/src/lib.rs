@@ -12,6 +12,7 @@
 //! - [`georeference`]: where a raster lies on the map;
 //! - [`window`]: rasters by bands of rows.
 
+pub mod clip;
 pub mod components;
 pub mod crs;
 pub mod density;

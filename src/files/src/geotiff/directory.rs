@@ -6,8 +6,7 @@
 //! Reference: TIFF 6.0; BigTIFF; OGC GeoTIFF 19-008r4 and Cloud Optimized GeoTIFF 21-026.
 
 use super::{
-    Sample, TILE,
-    read::{FOOT, METRE, SURVEY_FOOT},
+    FOOT, METRE, SURVEY_FOOT, Sample, TILE,
     write::{Colour, Layout, predictor},
 };
 use rowgram_raster::georeference::{Crs, CrsKind, Georeference};
@@ -148,6 +147,10 @@ impl Directory {
     }
 }
 
+/// `GTCitationGeoKey`, and the tag with the texts of keys.
+const CITATION: u16 = 1026;
+const ASCII_PARAMETERS: u16 = 34_737;
+
 /// The directory of keys that names a coordinate reference system (GeoTIFF 1.1, 7.1.1), with one key more.
 pub(crate) fn geo_keys(crs: &Crs, more: Option<(u16, u16)>) -> Vec<u16> {
     const USER_DEFINED: u16 = 32767;
@@ -195,7 +198,16 @@ fn place(place: &Georeference) -> Vec<(u16, Value)> {
         vec![(34264, Value::Double(rows.concat()))]
     };
     // The key of the raster's kind says that a pixel is an area.
-    tags.push((34735, Value::Short(geo_keys(&place.crs, Some((1025, 1))))));
+    let mut keys = geo_keys(&place.crs, Some((1025, 1)));
+    // A system without a code: its PROJ string is the citation, from which it is read again.
+    if let Some(definition) = place.crs.definition {
+        let text = format!("{definition}|");
+        let at = 4 + keys[4..].chunks(4).take_while(|key| key[0] < CITATION).count() * 4;
+        keys.splice(at..at, [CITATION, ASCII_PARAMETERS, text.len() as u16, 0]);
+        keys[3] += 1;
+        tags.push((ASCII_PARAMETERS, Value::Ascii(text)));
+    }
+    tags.push((34735, Value::Short(keys)));
     tags
 }
 

@@ -11,14 +11,24 @@
 //! Reference: OGC GeoTIFF standard 19-008r4; OGC Cloud Optimized GeoTIFF 21-026; the coding itself is that of the
 //! crates `geotiff-reader` and `tiff-writer`.
 
+mod bands;
 mod directory;
 mod overview;
+mod place;
 mod read;
+mod square;
 mod write;
 
 pub(crate) use directory::geo_keys;
+pub use place::beside;
 pub use read::Reader;
+pub(crate) use square::Square;
 pub use write::{Colour, Layout, Writer, write};
+
+/// Codes of the metre, the international foot and the foot of the US survey.
+const METRE: u16 = 9001;
+const FOOT: u16 = 9002;
+const SURVEY_FOOT: u16 = 9003;
 
 /// Side of the tiles that are written, pixels.
 pub const TILE: usize = 512;

@@ -1,16 +1,17 @@
 //! Reading a raster by window.
 
-use super::Sample;
+mod colours;
+
+use super::{Sample, bands::Bands, place, square::Square};
 use geotiff_reader::{Error as GeoError, GeoTiffFile, GeoTiffOpenOptions};
 use image::RgbImage;
 use ndarray::ArrayD;
 use rowgram_optim::output::FileError;
-use rowgram_raster::{
-    crs,
-    georeference::{Crs, CrsKind, Georeference},
-    window::Window,
+use rowgram_raster::{georeference::Georeference, window::Window};
+use std::{
+    path::{Path, PathBuf},
+    sync::OnceLock,
 };
-use std::path::{Path, PathBuf};
 use tiff_reader::{Ifd, RasterLayout, TiffError, TiffFile, TiffSample};
 
 /// Decoded tiles or strips that are kept for the next window, bytes.
@@ -25,19 +26,10 @@ const NODATA: u16 = 42_113;
 const SUBFILE: u16 = 254;
 const MASK: u32 = 4;
 const OVERVIEW: u32 = 1;
-/// `ProjLinearUnitsGeoKey` and its code for the metre.
-const LINEAR_UNITS: u16 = 3076;
-pub(super) const METRE: u16 = 9001;
-/// The same of the international foot and the foot of the US survey.
-pub(super) const FOOT: u16 = 9002;
-pub(super) const SURVEY_FOOT: u16 = 9003;
-/// `VerticalGeoKey`, and the first code that is not of the registry.
-const VERTICAL: u16 = 4096;
-const USER_DEFINED: u16 = 32767;
-
 /// An open raster.
 ///
-/// Several threads may read from one at the same time.
+/// Several threads may read from one at the same time. A raster whose pixels are oblong on the ground is read as one with
+/// square pixels (nearest neighbour), so that lengths in pixels are lengths: sizes, windows and place are of that one.
 pub struct Reader {
     path: PathBuf,
     file: File,
@@ -45,7 +37,11 @@ pub struct Reader {
     layout: RasterLayout,
     photometric: u16,
     georeference: Option<Georeference>,
+    square: Square,
+    bands: Bands,
     nodata: Option<f64>,
+    /// The sample value of full brightness, once it is known.
+    full: OnceLock<f64>,
     /// Directory of the internal mask: its pixels are 0 where the picture shows nothing.
     mask: Option<usize>,
 }
@@ -90,10 +86,12 @@ impl Reader {
             return Err(malformed("the picture has no pixel".to_owned()));
         }
         let (georeference, nodata) = match &file {
-            File::Placed(file) => (georeference(file), file.nodata().map(str::to_owned)),
+            File::Placed(file) => (place::of_file(file, path)?, file.nodata().map(str::to_owned)),
             File::Plain(file) => {
-                let tag = file.ifd(directory).ok().and_then(|ifd| ifd.tag(NODATA));
-                (None, tag.and_then(|tag| tag.value.as_str()).map(str::to_owned))
+                let ifd = file.ifd(directory).ok();
+                let place = ifd.map(|ifd| place::of_plain(ifd, path)).transpose()?.flatten();
+                let tag = ifd.and_then(|ifd| ifd.tag(NODATA));
+                (place, tag.and_then(|tag| tag.value.as_str()).map(str::to_owned))
             }
         };
         let nodata = match nodata {
@@ -103,9 +101,30 @@ impl Reader {
             })?),
         };
         let mask = picture_mask(file.tiff(), [layout.width, layout.height], 0);
-        let path = path.to_owned();
         let photometric = photometric.unwrap_or(BLACK_IS_ZERO);
-        Ok(Reader { path, file, directory, layout, photometric, georeference, nodata, mask })
+        let bands = match file.tiff().ifd(directory) {
+            Ok(ifd) if matches!(photometric, BLACK_IS_ZERO | RGB) => {
+                let beside = [path.with_extension("aux.xml"), added(path, ".aux.xml")];
+                let beside = beside.iter().find_map(|path| std::fs::read_to_string(path).ok());
+                Bands::of(ifd, layout.samples_per_pixel, photometric == RGB, beside.as_deref())
+            }
+            _ => Bands::decoded(),
+        };
+        let (square, georeference) = Square::of([layout.width, layout.height], georeference);
+        let (path, full) = (path.to_owned(), OnceLock::new());
+        Ok(Reader {
+            path,
+            file,
+            directory,
+            layout,
+            photometric,
+            georeference,
+            square,
+            bands,
+            nodata,
+            full,
+            mask,
+        })
     }
 
     /// The file.
@@ -115,12 +134,17 @@ impl Reader {
 
     /// Number of columns.
     pub fn width(&self) -> usize {
-        self.layout.width
+        self.square.shown()[0]
     }
 
     /// Number of rows.
     pub fn height(&self) -> usize {
-        self.layout.height
+        self.square.shown()[1]
+    }
+
+    /// Columns and rows as stored, where pixels are oblong on the ground and read as square ones.
+    pub fn stored_size(&self) -> Option<[usize; 2]> {
+        self.square.is_oblong().then_some([self.layout.width, self.layout.height])
     }
 
     /// Number of samples of a pixel, alpha among them.
@@ -140,7 +164,7 @@ impl Reader {
 
     /// Whether its pixels are colours rather than single values.
     pub fn is_colour(&self) -> bool {
-        self.bands() >= 3 || self.photometric > RGB
+        self.bands.is_colour
     }
 
     /// Whether its samples are of kind `T`.
@@ -160,9 +184,7 @@ impl Reader {
                 T::NAME
             )));
         }
-        let Window { u, v, width, height } = window;
-        let read = self.file.tiff().read_window::<T>(self.directory, v, u, height, width);
-        self.flat(read)
+        self.window::<T>(self.directory, window, true)
     }
 
     /// The values of the first band of a window as `f32`, whatever they are stored as; NaN where there
@@ -171,16 +193,19 @@ impl Reader {
     /// # Errors
     /// As [`Reader::read`].
     pub fn read_f32(&self, window: Window) -> Result<Vec<f32>, FileError> {
-        let first = |values: Vec<f32>| values.into_iter().step_by(self.bands()).collect::<Vec<_>>();
+        let all = self.values(self.directory, window)?;
+        Ok(all.into_iter().step_by(self.bands()).collect())
+    }
+
+    /// All samples of a window as `f32`; NaN where they are the value of no data.
+    fn values(&self, directory: usize, window: Window) -> Result<Vec<f32>, FileError> {
         macro_rules! from {
             ($($type:ty),+) => {$(
                 if <$type>::matches_layout(&self.layout) {
-                    let Window { u, v, width, height } = window;
-                    let tiff = self.file.tiff();
-                    let read = tiff.read_window::<$type>(self.directory, v, u, height, width);
                     let nodata = self.nodata.map(|value| value as $type);
                     let value = |x: $type| if Some(x) == nodata { f32::NAN } else { x as f32 };
-                    return Ok(first(self.flat(read)?.into_iter().map(value).collect()));
+                    let read = self.window::<$type>(directory, window, true)?;
+                    return Ok(read.into_iter().map(value).collect());
                 }
             )+};
         }
@@ -188,11 +213,32 @@ impl Reader {
         Err(self.malformed(format!("its samples are {}, expected numbers", self.sample_name())))
     }
 
-    /// A window as a picture in 8-bit colours. 16 bits are scaled (65535 becomes 255); grey has three
-    /// equal channels; pixels without data, with alpha 0 or outside the file's internal mask are black.
+    /// The samples of a window of a directory, as stored or decoded into colours.
+    fn window<T: TiffSample>(
+        &self,
+        directory: usize,
+        window: Window,
+        stored: bool,
+    ) -> Result<Vec<T>, FileError> {
+        let tiff = self.file.tiff();
+        let ifd = tiff.ifd(directory).map_err(|e| self.malformed(format!("damaged TIFF: {e}")))?;
+        let size = [ifd.width() as usize, ifd.height() as usize];
+        let read = |Window { u, v, width, height }: Window| {
+            self.flat(if stored {
+                tiff.read_window::<T>(directory, v, u, height, width)
+            } else {
+                tiff.read_decoded_window::<T>(directory, v, u, height, width)
+            })
+        };
+        self.square.read(size, window, read)
+    }
+
+    /// A window as a picture in 8-bit colours. 16 bits in full range are scaled (65535 becomes 255), reflectance and others to
+    /// what the raster has; grey has three equal channels; pixels without data, with alpha 0 or outside the file's internal
+    /// mask are black.
     ///
     /// # Errors
-    /// As [`Reader::read`], and where the samples are not of 8 or 16 bits.
+    /// As [`Reader::read`], and where it is not known which bands are colours.
     pub fn read_rgb(&self, window: Window) -> Result<RgbImage, FileError> {
         Ok(self.read_rgb_and_gaps(window)?.0)
     }
@@ -216,6 +262,8 @@ impl Reader {
         let &(directory, size) = of
             .get(overview)
             .ok_or_else(|| self.malformed(format!("there is no overview number {overview}")))?;
+        let stored = self.file.tiff().ifds().get(directory);
+        let size = stored.map_or(size, |ifd| [ifd.width() as usize, ifd.height() as usize]);
         let mask = picture_mask(self.file.tiff(), size, OVERVIEW);
         Ok(self.rgb_and_gaps(directory, mask, window)?.0)
     }
@@ -224,7 +272,9 @@ impl Reader {
         let base = [self.width(), self.height()];
         let mut found: Vec<_> = (self.file.tiff().ifds().iter().enumerate())
             .filter(|(_, ifd)| subfile(ifd) & (MASK | OVERVIEW) == OVERVIEW)
-            .map(|(k, ifd)| (k, [ifd.width() as usize, ifd.height() as usize]))
+            .map(|(k, ifd)| {
+                (k, self.square.shown_of([ifd.width() as usize, ifd.height() as usize]))
+            })
             // A file may hold pictures of something else.
             .filter(|(_, size)| (0..2).all(|axis| size[axis] > 0 && size[axis] < base[axis]))
             .collect();
@@ -241,86 +291,6 @@ impl Reader {
         window: Window,
     ) -> Result<(RgbImage, Option<Vec<bool>>), FileError> {
         self.rgb_and_gaps(self.directory, self.mask, window)
-    }
-
-    fn rgb_and_gaps(
-        &self,
-        directory: usize,
-        mask: Option<usize>,
-        window: Window,
-    ) -> Result<(RgbImage, Option<Vec<bool>>), FileError> {
-        let Window { width, height, .. } = window;
-        let mut gaps = Vec::with_capacity(window.pixels());
-        let stored = matches!(self.photometric, BLACK_IS_ZERO | RGB);
-        let mut rgb = Vec::with_capacity(3 * window.pixels());
-        if u8::matches_layout(&self.layout) {
-            let samples = self.pixels::<u8>(directory, window, stored)?;
-            self.add_rgb(&samples, window, 255, |x| x, (&mut rgb, &mut gaps));
-        } else if u16::matches_layout(&self.layout) {
-            let samples = self.pixels::<u16>(directory, window, stored)?;
-            let byte = |x: u16| ((u32::from(x) * 255 + 32_767) / 65_535) as u8;
-            self.add_rgb(&samples, window, 65_535, byte, (&mut rgb, &mut gaps));
-        } else {
-            return Err(self.malformed(format!(
-                "its samples are {}, expected colours of 8 or 16 bits",
-                self.sample_name()
-            )));
-        }
-        if let Some(mask) = mask {
-            let Window { u, v, width, height } = window;
-            let read = self.file.tiff().read_decoded_window::<u8>(mask, v, u, height, width);
-            let seen = self.flat(read)?;
-            for ((gap, pixel), seen) in gaps.iter_mut().zip(rgb.chunks_exact_mut(3)).zip(seen) {
-                if seen == 0 {
-                    *gap = true;
-                    pixel.fill(0);
-                }
-            }
-        }
-        let rgb = RgbImage::from_raw(width as u32, height as u32, rgb).ok_or_else(|| {
-            self.malformed("damaged: it has fewer pixels than it says".to_owned())
-        })?;
-        Ok((rgb, gaps.contains(&true).then_some(gaps)))
-    }
-
-    fn pixels<T: Sample>(
-        &self,
-        at: usize,
-        window: Window,
-        stored: bool,
-    ) -> Result<Vec<T>, FileError> {
-        let Window { u, v, width, height } = window;
-        let tiff = self.file.tiff();
-        self.flat(if stored {
-            tiff.read_window::<T>(at, v, u, height, width)
-        } else {
-            tiff.read_decoded_window::<T>(at, v, u, height, width)
-        })
-    }
-
-    fn add_rgb<T: Sample + Into<f64> + PartialEq>(
-        &self,
-        samples: &[T],
-        window: Window,
-        largest: u32,
-        byte: impl Fn(T) -> u8,
-        (rgb, gaps): (&mut Vec<u8>, &mut Vec<bool>),
-    ) {
-        let bands = samples.len() / window.pixels().max(1);
-        // Without a note to the contrary a second or fourth band is alpha.
-        let alpha = matches!(bands, 2 | 4).then_some(bands - 1);
-        let nodata = self.nodata.filter(|value| (0.0..=f64::from(largest)).contains(value));
-        let colours = if bands >= 3 { 3 } else { 1 };
-        for pixel in samples.chunks_exact(bands.max(1)) {
-            let empty = alpha.is_some_and(|band| pixel[band].into() == 0.0)
-                || nodata.is_some_and(|value| pixel[..colours].iter().all(|&x| x.into() == value));
-            gaps.push(empty);
-            match (empty, colours) {
-                (true, _) => rgb.extend([0; 3]),
-                (false, 3) => rgb.extend([byte(pixel[0]), byte(pixel[1]), byte(pixel[2])]),
-                (false, _) => rgb.extend([byte(pixel[0]); 3]),
-            }
-        }
     }
 
     fn flat<T>(&self, read: Result<ArrayD<T>, TiffError>) -> Result<Vec<T>, FileError> {
@@ -369,44 +339,9 @@ fn picture_mask(tiff: &TiffFile, size: [usize; 2], overview: u32) -> Option<usiz
     })
 }
 
-/// By the unit that the file states, else by that of its code.
-fn kind_of_unit(file: &GeoTiffFile) -> CrsKind {
-    let by_code = || match file.epsg().map(crs::Crs::metres_per_unit) {
-        None => CrsKind::Projected,
-        Some(None) => CrsKind::Unknown,
-        Some(Some(metres)) => {
-            let all = [CrsKind::Projected, CrsKind::Feet, CrsKind::SurveyFeet];
-            // The two feet differ by two millionths.
-            let same = |kind: &CrsKind| {
-                kind.metres_per_unit().is_some_and(|of| (of / metres - 1.0).abs() < 1e-7)
-            };
-            all.into_iter().find(same).unwrap_or(CrsKind::Unknown)
-        }
-    };
-    match file.geokeys().get_short(LINEAR_UNITS) {
-        Some(METRE) => CrsKind::Projected,
-        Some(FOOT) => CrsKind::Feet,
-        Some(SURVEY_FOOT) => CrsKind::SurveyFeet,
-        Some(_) => CrsKind::Unknown,
-        None => by_code(),
-    }
-}
-
-fn georeference(file: &GeoTiffFile) -> Option<Georeference> {
-    let transform = file.transform()?;
-    let info = file.crs();
-    let kind = match info.model_type {
-        1 => kind_of_unit(file),
-        2 => CrsKind::Geographic,
-        _ => CrsKind::Unknown,
-    };
-    let code = file.geokeys().get_short(VERTICAL);
-    let vertical_epsg = code.filter(|code| (1..USER_DEFINED).contains(code)).map(u32::from);
-    let (x, y) = transform.pixel_to_geo(0.5, 0.5);
-    Some(Georeference {
-        origin: [x, y],
-        per_column: [transform.pixel_width, transform.skew_y],
-        per_row: [transform.skew_x, transform.pixel_height],
-        crs: Crs { epsg: file.epsg(), kind, vertical_epsg },
-    })
+/// A path with something behind its name.
+fn added(path: &Path, more: &str) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(more);
+    PathBuf::from(name)
 }

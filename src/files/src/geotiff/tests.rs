@@ -1,6 +1,7 @@
 //! What GDAL writes is read, what is written is read again, what is damaged is told.
 
 use super::*;
+use rowgram_optim::output::FileError;
 use rowgram_raster::{
     georeference::{Crs, CrsKind, Georeference},
     window::Window,
@@ -76,7 +77,9 @@ fn the_place_on_the_map_is_that_of_gdal_at_pixel_centres() {
     }
     assert_eq!(turned.gsd_m().map(|gsd| (gsd * 1e4).round()), Some(130.0));
     let degrees = place("degrees.tif");
-    assert_eq!((degrees.crs.kind, degrees.gsd_m()), (CrsKind::Geographic, None));
+    assert_eq!(degrees.crs.kind, CrsKind::Geographic);
+    let [width, height] = degrees.pixel_m().unwrap();
+    assert!((width / height - 1.0).abs() < 0.02, "read with square pixels: {width} {height}");
 }
 
 #[test]
@@ -236,4 +239,74 @@ fn tiles_that_do_not_fit_and_failures_leave_no_file() {
     assert_eq!((read[0], read[599], read[600 * 599]), (9, 1, 9));
     let none = Layout { width: 0, ..layout };
     assert!(write::<u8, rowgram_optim::output::FileError>(&path, true, &none, |_| Ok(())).is_err());
+}
+
+fn layout(place: Georeference, [width, height]: [usize; 2]) -> Layout {
+    Layout { width, height, colour: Colour::Values, georeference: Some(place), nodata: None }
+}
+
+#[test]
+fn oblong_pixels_are_read_as_square_ones() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("oblong.tif");
+    let place = Georeference {
+        per_row: [0.0, -0.02],
+        ..Georeference::north_up([500_000.0, 5_000_000.0], 0.01, Crs::projected(32616))
+    };
+    let values: Vec<f32> = (0..12u8).map(f32::from).collect();
+    write::<f32, FileError>(&path, false, &layout(place, [4, 3]), |writer| {
+        writer.put(Window::whole(4, 3), &values)
+    })
+    .unwrap();
+    let reader = Reader::open(&path).unwrap();
+    assert_eq!((reader.width(), reader.height(), reader.stored_size()), (4, 6, Some([4, 3])));
+    let square = reader.georeference().unwrap();
+    assert_eq!(square.gsd_m().map(|gsd| (gsd * 1e6).round()), Some(1e4));
+    // The corner stays; the middle of the first pixel is a quarter of the old height below it.
+    for (a, b) in square.map([-0.5, -0.5]).iter().zip(place.map([-0.5, -0.5])) {
+        assert!((a - b).abs() < 1e-6, "{a} {b}");
+    }
+    let expected: Vec<f32> =
+        [0, 0, 1, 1, 2, 2].iter().flat_map(|row| values[4 * row..][..4].to_vec()).collect();
+    assert_eq!(reader.read_f32(Window::whole(4, 6)).unwrap(), expected);
+    let window = Window { u: 1, v: 1, width: 2, height: 3 };
+    assert_eq!(reader.read_f32(window).unwrap(), [1.0, 2.0, 5.0, 6.0, 5.0, 6.0]);
+    assert!(reader.read_f32(Window { u: 0, v: 5, width: 1, height: 2 }).is_err());
+}
+
+#[test]
+fn systems_without_a_code_are_kept() {
+    use rowgram_raster::crs;
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("local.tif");
+    let text =
+        "+proj=tmerc +lat_0=48 +lon_0=9 +k=0.5 +x_0=1000 +y_0=0 +ellps=GRS80 +units=m +no_defs";
+    let local = Crs::defined(&crs::Crs::of_definition(text).unwrap());
+    let place = Georeference::north_up([1000.0, 10.0], 0.01, local);
+    write::<f32, FileError>(&path, false, &layout(place, [2, 2]), |writer| {
+        writer.put(Window::whole(2, 2), &[0.0; 4])
+    })
+    .unwrap();
+    let read = Reader::open(&path).unwrap().georeference().unwrap();
+    assert_eq!(read.crs, local);
+    // A metre of this map is two on the ground.
+    assert!((read.gsd_m().unwrap() - 0.02).abs() < 1e-5, "{:?}", read.gsd_m());
+}
+
+#[test]
+fn world_files_and_projections_beside_a_picture_are_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("mask.png");
+    std::fs::write(folder.path().join("mask.pgw"), "0.01\n0\n0\n-0.01\n500000.005\n5000000\n")
+        .unwrap();
+    let place = beside(&path).unwrap().unwrap();
+    assert_eq!((place.origin, place.crs.kind), ([500_000.005, 5_000_000.0], CrsKind::Unknown));
+    let text = r#"PROJCS["NAD_1983_2011_UTM_Zone_16N",GEOGCS["GCS_NAD_1983_2011",DATUM["D_NAD_1983_2011",
+        SPHEROID["GRS_1980",6378137.0,298.257222101]],PRIMEM["Greenwich",0.0],UNIT["Degree",0.0174532925199433]],
+        PROJECTION["Transverse_Mercator"],PARAMETER["False_Easting",500000.0],PARAMETER["False_Northing",0.0],
+        PARAMETER["Central_Meridian",-87.0],PARAMETER["Scale_Factor",0.9996],PARAMETER["Latitude_Of_Origin",0.0],UNIT["Meter",1.0]]"#;
+    std::fs::write(folder.path().join("mask.prj"), text).unwrap();
+    assert_eq!(beside(&path).unwrap().unwrap().gsd_m(), Some(0.01));
+    std::fs::write(folder.path().join("mask.pgw"), "0.01 0 0 many 0 0").unwrap();
+    assert!(beside(&path).unwrap_err().to_string().contains("mask.pgw"));
 }

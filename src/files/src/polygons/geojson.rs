@@ -1,65 +1,50 @@
-//! GeoJSON: a `FeatureCollection` (or one `Feature`) of `Polygon`s and `MultiPolygon`s.
+//! GeoJSON: a `FeatureCollection`, or one `Feature`, with `Polygon`s and `MultiPolygon`s.
 
-use super::{Feature, Stated};
+use super::{Feature, Rings, Shape, systems::Stated};
 use rowgram_optim::output::FileError;
-use serde::Deserialize;
 use serde_json::{Map, Value};
 use std::path::Path;
 
-#[derive(Deserialize)]
-#[serde(tag = "type")]
-enum Document {
-    FeatureCollection { features: Vec<Item>, crs: Option<Value> },
-    Feature(Item),
-}
-
-#[derive(Deserialize)]
-struct Item {
-    geometry: Geometry,
-    #[serde(default)]
-    properties: Option<Map<String, Value>>,
-    id: Option<Value>,
-}
-
-type Rings = Vec<Vec<Vec<f64>>>;
-
-#[derive(Deserialize)]
-#[serde(tag = "type", content = "coordinates")]
-enum Geometry {
-    Polygon(Rings),
-    MultiPolygon(Vec<Rings>),
-}
-
 /// The polygons of a file, and what its coordinates are.
 pub(super) fn read(path: &Path) -> Result<(Vec<Feature>, Stated), FileError> {
-    let text = std::fs::read_to_string(path).map_err(|error| FileError::read(path, error))?;
-    let document: Document = serde_json::from_str(&text).map_err(|error| {
-        let message = format!("{error}; expected GeoJSON with Polygon or MultiPolygon features");
+    let bytes = std::fs::read(path).map_err(|error| FileError::read(path, error))?;
+    // A byte order mark is what some editors begin a file with.
+    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes);
+    let document: Value = serde_json::from_slice(bytes).map_err(|error| {
+        let message = format!(
+            "it is no JSON (column {}); expected GeoJSON with Polygon or MultiPolygon features",
+            error.column()
+        );
         FileError::malformed(path, Some(error.line()), message)
     })?;
-    let (items, crs) = match document {
-        Document::FeatureCollection { features, crs } => (features, crs),
-        Document::Feature(feature) => (vec![feature], None),
+    let malformed = |message: String| FileError::malformed(path, None, message);
+    let items = match (document["type"].as_str(), &document["features"]) {
+        (Some("FeatureCollection"), Value::Array(items)) => &items[..],
+        (Some("Feature"), _) => std::slice::from_ref(&document),
+        (kind, _) => {
+            let kind = kind.map_or("nothing".to_owned(), |kind| format!("{kind:?}"));
+            return Err(malformed(format!(
+                "its type is {kind}, expected GeoJSON: a FeatureCollection with Polygon or MultiPolygon features"
+            )));
+        }
     };
-    let stated = stated(crs.as_ref()).map_err(|name| {
-        let message =
-            format!("its crs is {name}, expected a code such as urn:ogc:def:crs:EPSG::32616");
-        FileError::malformed(path, None, message)
+    let stated = stated(&document["crs"]).map_err(|name| {
+        malformed(format!("its crs is {name}, expected a code such as urn:ogc:def:crs:EPSG::32616"))
     })?;
-    let features = items.into_iter().enumerate().map(|(index, item)| {
-        feature(item).map_err(|message| {
-            FileError::malformed(path, None, format!("feature {}: {message}", index + 1))
-        })
+    let features = items.iter().enumerate().map(|(index, item)| {
+        feature(item).map_err(|message| malformed(format!("feature {}: {message}", index + 1)))
     });
     Ok((features.collect::<Result<_, _>>()?, stated))
 }
 
 /// The code at the end of a name such as `urn:ogc:def:crs:EPSG::32616`; `CRS84` is longitude and latitude.
-fn stated(crs: Option<&Value>) -> Result<Stated, String> {
-    let name = crs.and_then(|crs| crs.get("properties")?.get("name"));
-    let Some(name) = name else { return Ok(Stated::Nothing) };
+fn stated(crs: &Value) -> Result<Stated, String> {
+    let name = &crs["properties"]["name"];
+    if name.is_null() {
+        return Ok(Stated::Nothing);
+    }
     let text = name.as_str().unwrap_or_default();
-    let last = text.rsplit(':').next().unwrap_or_default();
+    let last = text.rsplit([':', '/']).next().unwrap_or_default();
     match last.parse() {
         _ if last == "CRS84" => Ok(Stated::Degrees),
         Ok(code) if text.to_uppercase().contains("EPSG") => Ok(Stated::code(code)),
@@ -67,19 +52,56 @@ fn stated(crs: Option<&Value>) -> Result<Stated, String> {
     }
 }
 
-fn feature(item: Item) -> Result<Feature, String> {
-    let parts = match item.geometry {
-        Geometry::Polygon(rings) => vec![rings],
-        Geometry::MultiPolygon(parts) => parts,
+fn feature(item: &Value) -> Result<Feature, String> {
+    let properties = match &item["properties"] {
+        Value::Object(properties) => properties.clone(),
+        _ => Map::new(),
     };
-    let position = |position: Vec<f64>| match position[..] {
-        [x, y, ..] => Ok([x, y]),
-        _ => Err("a position has fewer than two numbers".to_owned()),
+    let id = Some(item["id"].clone()).filter(|id| !id.is_null());
+    Ok(Feature { shape: shape(&item["geometry"])?, properties, id })
+}
+
+fn shape(geometry: &Value) -> Result<Shape, String> {
+    let coordinates = &geometry["coordinates"];
+    let polygons = match geometry["type"].as_str() {
+        None => return Ok(Shape::NoArea("has no geometry".to_owned())),
+        Some("Polygon") => vec![rings(coordinates)?],
+        Some("MultiPolygon") => {
+            let parts = coordinates.as_array().map(Vec::as_slice).unwrap_or_default();
+            parts.iter().map(rings).collect::<Result<_, _>>()?
+        }
+        Some("GeometryCollection") => {
+            let members = geometry["geometries"].as_array().map(Vec::as_slice).unwrap_or_default();
+            let mut found = Vec::new();
+            for member in members {
+                if let Shape::Polygons(polygons) = shape(member)? {
+                    found.extend(polygons);
+                }
+            }
+            found
+        }
+        Some(other) => return Ok(Shape::NoArea(format!("is a {other}"))),
     };
-    let rings = parts.into_iter().flatten().map(|ring| ring.into_iter().map(position).collect());
-    Ok(Feature {
-        rings: rings.collect::<Result<_, String>>()?,
-        properties: item.properties.unwrap_or_default(),
-        id: item.id,
+    let polygons: Vec<Rings> = polygons.into_iter().filter(|rings| !rings.is_empty()).collect();
+    Ok(match polygons.is_empty() {
+        true => Shape::NoArea("has an empty geometry".to_owned()),
+        false => Shape::Polygons(polygons),
     })
+}
+
+fn rings(coordinates: &Value) -> Result<Rings, String> {
+    let list =
+        |value: &Value| value.as_array().cloned().ok_or("its coordinates are no list".to_owned());
+    let position = |position: &Value| {
+        let numbers = position.as_array().map(Vec::as_slice).unwrap_or_default();
+        match numbers {
+            [x, y, ..] => match (x.as_f64(), y.as_f64()) {
+                (Some(x), Some(y)) => Ok([x, y]),
+                _ => Err(format!("the position {position} is no pair of numbers")),
+            },
+            _ => Err("a position has fewer than two numbers".to_owned()),
+        }
+    };
+    let ring = |ring: &Value| list(ring)?.iter().map(position).collect::<Result<Vec<_>, _>>();
+    list(coordinates)?.iter().map(ring).collect()
 }

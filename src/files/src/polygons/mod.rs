@@ -1,33 +1,30 @@
 //! Polygons with names: plots, calibration regions. GeoJSON, shapefiles and GeoPackages.
 //!
 //! Each comes out in pixels of the raster that it is drawn over. Coordinates in another reference system than the
-//! raster's are transformed; a GeoJSON file that states none is in longitude and latitude where the standard says so
-//! (RFC 7946) and its numbers allow nothing else, otherwise in the raster's own. Where the raster has no place on the
-//! map, coordinates are pixels (the centre of the top-left pixel at 0, 0). A polygon's name is its property `name`,
-//! `plot` or `id`, else its number. Other properties come along as attributes. [`write()`] writes plots.
+//! raster's are transformed ([`systems`]); where the size of the raster is known and nothing lies on it, the file is refused with
+//! the likely cause. Where the raster has no place on the map, coordinates are pixels (the centre of the top-left pixel at
+//! 0, 0). A polygon's name comes from the first usual property that is there and unique ([`names`]), else it is its number.
+//! Other properties come along as attributes. [`write()`] writes plots.
 //!
 //! A file without polygons, two polygons of one name, a ring that crosses itself and a polygon without area are refused: each
-//! would give traits of something that nobody drew.
+//! would give traits of something that nobody drew. What has no area (no geometry, a point, a line) is left out and named.
 
 mod geojson;
+mod names;
 #[cfg(feature = "geopackage")]
 mod package;
 mod shapes;
+mod systems;
 mod write;
 
+pub use names::NAMES;
 pub use write::{Outline, projection, write};
 
 use super::FileError;
-use rowgram_raster::{
-    crs,
-    georeference::{CrsKind, Georeference},
-    polygon::Polygon,
-};
+use rowgram_raster::{georeference::Georeference, polygon::Polygon};
 use serde_json::Value;
-use std::{
-    collections::BTreeSet,
-    path::{Path, PathBuf},
-};
+use std::path::{Path, PathBuf};
+use systems::{Stated, ToMap};
 
 /// A named polygon, in pixels.
 #[derive(Debug, Clone, PartialEq)]
@@ -42,36 +39,54 @@ pub struct Named {
     pub attributes: Vec<(String, Value)>,
 }
 
-/// Properties that are a name, the first one first.
-pub const NAMES: [&str; 3] = ["name", "plot", "id"];
-/// Properties that are no attributes: the number of leaves, and numbers that programs give to rows.
-const NO_ATTRIBUTES: [&str; 4] = ["leaves", "fid", "ogc_fid", "objectid"];
-
-/// What the coordinates of a file are.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Stated {
-    /// The file does not say.
-    Nothing,
-    /// Longitude and latitude, degrees.
-    Degrees,
-    /// A system of the EPSG registry.
-    Epsg(u32),
+/// The polygons of a file.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Layer {
+    /// The polygons in their order.
+    pub polygons: Vec<Named>,
+    /// What was chosen and what was left out, for people.
+    pub notes: Vec<String>,
 }
 
-impl Stated {
-    /// A code of the registry; the usual geographic ones are degrees whatever their datum is, which differs by less
-    /// than the outline of a plot is worth.
-    fn code(epsg: u32) -> Stated {
-        if matches!(epsg, 4326 | 4258 | 4269 | 4979) { Stated::Degrees } else { Stated::Epsg(epsg) }
-    }
+/// What polygons are drawn over, and how they are named.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Drawn<'a> {
+    /// Where the raster lies.
+    pub place: Option<&'a Georeference>,
+    /// Its columns and rows; where they are given, a file nothing of which lies on the raster is refused.
+    pub size: Option<(usize, usize)>,
+    /// The property that has the names; found where it is not given.
+    pub key: Option<&'a str>,
 }
 
-/// A polygon as a file has it.
+/// Closed rings of map positions.
+type Rings = Vec<Vec<[f64; 2]>>;
+
+/// What a feature of a file has for a shape.
+#[derive(Debug, PartialEq)]
+enum Shape {
+    /// Polygons, each an outline and its holes.
+    Polygons(Vec<Rings>),
+    /// No area; what it is.
+    NoArea(String),
+}
+
+/// A feature as a file has it.
 struct Feature {
-    /// Rings of map positions; holes are rings inside others.
-    rings: Vec<Vec<[f64; 2]>>,
+    shape: Shape,
     properties: serde_json::Map<String, Value>,
     id: Option<Value>,
+}
+
+impl Feature {
+    /// Its positions.
+    fn positions(&self) -> impl Iterator<Item = [f64; 2]> + '_ {
+        let polygons = match &self.shape {
+            Shape::Polygons(polygons) => &polygons[..],
+            Shape::NoArea(_) => &[],
+        };
+        polygons.iter().flatten().flatten().copied()
+    }
 }
 
 /// The endings of files that [`read`] understands, the usual one first.
@@ -87,7 +102,7 @@ pub fn find(folder: &Path, stem: &str) -> Option<PathBuf> {
 pub fn files(path: &Path) -> Vec<PathBuf> {
     let mut files = vec![path.to_owned()];
     if path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("shp")) {
-        let beside = ["dbf", "shx", "prj"].map(|ending| path.with_extension(ending));
+        let beside = ["dbf", "shx", "prj", "qpj", "cpg"].map(|ending| path.with_extension(ending));
         files.extend(beside.into_iter().filter(|path| path.is_file()));
     }
     files
@@ -96,23 +111,61 @@ pub fn files(path: &Path) -> Vec<PathBuf> {
 /// Reads the polygons of a file: `.gpkg`, `.shp`, else GeoJSON.
 ///
 /// # Errors
-/// Where the file cannot be read or is damaged, has a reference system that is not known, no polygon, two of one name, or
-/// one that is no area: a ring of fewer than three points or one that crosses itself.
+/// As [`read_layer`], but for polygons that lie elsewhere.
 pub fn read(path: &Path, georeference: Option<&Georeference>) -> Result<Vec<Named>, FileError> {
-    let (features, stated) = features(path)?;
-    let malformed = |message| FileError::malformed(path, None, message);
-    let to_map = to_map_of(georeference, stated, &features).map_err(malformed)?;
-    all_named(features, georeference, &to_map).map_err(malformed)
+    Ok(read_layer(path, Drawn { place: georeference, ..Drawn::default() })?.polygons)
 }
 
-/// Whether the polygons of a file can be used wherever they lie; how many there are.
+/// Reads the polygons of a file, and what there is to say of it.
 ///
 /// # Errors
-/// As [`read`], but for the reference system.
-pub fn check(path: &Path) -> Result<usize, FileError> {
+/// Where the file cannot be read or is damaged, has a reference system that is not known, no polygon, two of one name, or
+/// one that is no area: a ring of fewer than three points or one that crosses itself; where none lies on the raster.
+pub fn read_layer(path: &Path, drawn: Drawn<'_>) -> Result<Layer, FileError> {
+    let (features, stated) = features(path)?;
+    let malformed = |message| FileError::malformed(path, None, message);
+    let read = systems::to_map(drawn.place, &stated, &features)
+        .and_then(|to_map| layer(&features, drawn, &to_map));
+    let Some(size) = drawn.size else { return read.map_err(malformed) };
+    match read {
+        Ok(layer) if layer.polygons.iter().any(|of| touches(&of.polygon, size)) => Ok(layer),
+        // Places that a projection does not reach, and places beside the raster, may have the same cause.
+        other => {
+            let cause = systems::misfit(drawn.place, size, &stated, &features);
+            Err(malformed(match (other, cause) {
+                (_, Some(cause)) => cause,
+                (Err(message), None) => message,
+                (Ok(_), None) => "none of its polygons lies on the map".to_owned(),
+            }))
+        }
+    }
+}
+
+/// Whether the polygons of a file can be used wherever they lie.
+///
+/// # Errors
+/// As [`read_layer`], but for the reference system.
+pub fn check(path: &Path, key: Option<&str>) -> Result<Layer, FileError> {
     let same: ToMap = Box::new(Ok);
-    let named = all_named(features(path)?.0, None, &same);
-    Ok(named.map_err(|message| FileError::malformed(path, None, message))?.len())
+    let read = layer(&features(path)?.0, Drawn { key, ..Drawn::default() }, &same);
+    read.map_err(|message| FileError::malformed(path, None, message))
+}
+
+/// Whether a file states where its polygons lie, or has degrees, which need no statement.
+///
+/// # Errors
+/// As [`read_layer`], where the file is damaged.
+pub fn is_placed(path: &Path) -> Result<bool, FileError> {
+    let (features, stated) = features(path)?;
+    let mut positions = features.iter().flat_map(Feature::positions);
+    Ok(stated != Stated::Nothing || positions.all(systems::in_degrees))
+}
+
+/// Whether the box around a polygon meets a raster.
+fn touches(polygon: &Polygon, (width, height): (usize, usize)) -> bool {
+    let Some([low, high]) = polygon.bounds() else { return false };
+    let size = [width as f64, height as f64];
+    (0..2).all(|axis| high[axis] > -0.5 && low[axis] < size[axis] - 0.5)
 }
 
 fn features(path: &Path) -> Result<(Vec<Feature>, Stated), FileError> {
@@ -127,127 +180,73 @@ fn features(path: &Path) -> Result<(Vec<Feature>, Stated), FileError> {
     }
 }
 
-fn all_named(
-    features: Vec<Feature>,
-    place: Option<&Georeference>,
-    to_map: &ToMap,
-) -> Result<Vec<Named>, String> {
-    if features.is_empty() {
-        return Err("it has no polygons, expected one for each plot".to_owned());
-    }
-    let named: Vec<Named> = features
-        .into_iter()
-        .enumerate()
-        .map(|(index, feature)| named(index, feature, place, to_map))
-        .collect::<Result<_, _>>()?;
-    let mut names = BTreeSet::new();
-    match named.iter().find(|polygon| !names.insert(polygon.name.as_str())) {
-        Some(Named { name, .. }) => Err(format!(
-            "two polygons are named {name:?}, expected a name for each; parts of one plot belong into one MultiPolygon"
-        )),
-        None => Ok(named),
-    }
-}
-
-type ToMap = Box<dyn Fn([f64; 2]) -> Result<[f64; 2], String>>;
-
-/// How coordinates of a file become those of the raster's map.
-fn to_map_of(
-    place: Option<&Georeference>,
-    stated: Stated,
-    features: &[Feature],
-) -> Result<ToMap, String> {
-    let same: ToMap = Box::new(Ok);
-    let Some(place) = place else {
-        return match stated {
-            Stated::Nothing => Ok(same),
-            _ => Err(
-                "it has a reference system and the raster has none: draw the polygons in pixels"
-                    .into(),
-            ),
-        };
-    };
-    let in_degrees = |[x, y]: [f64; 2]| x.abs() <= 180.0 && y.abs() <= 90.0;
-    let all_degrees =
-        || features.iter().flat_map(|f| f.rings.iter().flatten()).all(|&p| in_degrees(p));
-    let stated = match stated {
-        Stated::Nothing
-            if place.crs.epsg.is_some() && !in_degrees(place.origin) && all_degrees() =>
-        {
-            Stated::Degrees
-        }
-        stated => stated,
-    };
-    let known = |code| crs::Crs::from_epsg(code).map_err(|e| e.to_string());
-    let to_degrees: ToMap = match stated {
-        Stated::Nothing => return Ok(same),
-        Stated::Epsg(code) if place.crs.epsg == Some(code) => return Ok(same),
-        Stated::Degrees if place.crs.kind == CrsKind::Geographic => return Ok(same),
-        Stated::Degrees => same,
-        Stated::Epsg(code) => {
-            let from = known(code)?;
-            Box::new(move |[x, y]| {
-                let [latitude, longitude] = from.to_wgs84(x, y).map_err(|e| e.to_string())?;
-                Ok([longitude, latitude])
-            })
-        }
-    };
-    match (place.crs.kind, place.crs.epsg) {
-        (CrsKind::Geographic, _) => Ok(to_degrees),
-        (_, Some(code)) => {
-            let onto = known(code)?;
-            Ok(Box::new(move |p| {
-                let [longitude, latitude] = to_degrees(p)?;
-                onto.from_wgs84(latitude, longitude).map_err(|e| e.to_string())
-            }))
-        }
-        (_, None) => Err(format!(
-            "it is in {}, and the raster does not say its reference system",
-            match stated {
-                Stated::Epsg(code) => format!("EPSG:{code}"),
-                _ => "longitude and latitude".to_owned(),
+fn layer(features: &[Feature], drawn: Drawn<'_>, to_map: &ToMap) -> Result<Layer, String> {
+    let mut notes = Vec::new();
+    let names = names::of(features, drawn.key, &mut notes)?;
+    let mut polygons = Vec::with_capacity(features.len());
+    for (feature, name) in features.iter().zip(names.texts) {
+        match &feature.shape {
+            Shape::NoArea(what) => notes.push(format!("feature {name} {what} and is left out")),
+            Shape::Polygons(parts) => {
+                let of = Outlines { name: &name, place: drawn.place, to_map };
+                let polygon = of.polygon(parts, &mut notes)?;
+                let (leaves, attributes) = names::properties(feature, &name, names.key.as_deref())?;
+                polygons.push(Named { name, polygon, leaves, attributes });
             }
-        )),
+        }
     }
+    if polygons.is_empty() {
+        let left_out: String = notes.iter().map(|note| format!("; {note}")).collect();
+        return Err(format!("it has no polygons, expected one for each plot{left_out}"));
+    }
+    Ok(Layer { polygons, notes })
 }
 
-fn named(
-    index: usize,
-    feature: Feature,
-    place: Option<&Georeference>,
-    to_map: &ToMap,
-) -> Result<Named, String> {
-    // Names of fields of a table are in capitals with some programs.
-    let property = |key: &str| {
-        let found = feature.properties.iter().find(|(name, _)| name.eq_ignore_ascii_case(key));
-        found.map(|(_, value)| value).filter(|value| !value.is_null())
-    };
-    let name = NAMES.into_iter().find_map(property).or(feature.id.as_ref());
-    let name = match name {
-        Some(Value::String(text)) => text.clone(),
-        Some(Value::Null) | None => (index + 1).to_string(),
-        Some(other) => other.to_string(),
-    };
-    let leaves = match property("leaves") {
-        None => None,
-        Some(value) => Some(value.as_f64().ok_or_else(|| {
-            format!("feature {name}: its property leaves is {value}, expected a number")
-        })?),
-    };
-    let own =
-        |key: &str| NAMES.iter().chain(&NO_ATTRIBUTES).any(|other| other.eq_ignore_ascii_case(key));
-    let attributes = feature
-        .properties
-        .iter()
-        .filter(|(key, value)| {
-            !own(key) && (value.is_string() || value.is_number() || value.is_boolean())
-        })
-        .map(|(key, value)| (key.clone(), value.clone()))
-        .collect();
-    let mut polygon = Polygon::default();
-    for ring in feature.rings {
+/// How the rings of a feature become a polygon in pixels.
+struct Outlines<'a> {
+    name: &'a str,
+    place: Option<&'a Georeference>,
+    to_map: &'a ToMap,
+}
+
+impl Outlines<'_> {
+    fn polygon(&self, parts: &[Rings], notes: &mut Vec<String>) -> Result<Polygon, String> {
+        let Outlines { name, place, .. } = self;
+        let mut polygon = Polygon::default();
+        for part in parts {
+            let rings = part.iter().map(|ring| self.ring(ring));
+            let mut rings = rings.collect::<Result<Vec<_>, _>>()?.into_iter();
+            let Some(outline) = rings.next() else { continue };
+            let shell = Polygon { rings: vec![outline] };
+            let holes: Vec<_> = rings.collect();
+            polygon.rings.extend(shell.rings.iter().cloned());
+            for hole in holes {
+                // A hole beside its outline would add its area.
+                if shell.inside(&hole).is_empty() {
+                    notes.push(format!(
+                        "feature {name}: a hole lies outside of its outline and is left out"
+                    ));
+                } else {
+                    polygon.rings.push(hole);
+                }
+            }
+        }
+        if let Some(at) = polygon.crossing() {
+            let [x, y] = place.map_or(at, |place| place.map(at));
+            return Err(format!(
+                "feature {name}: its outline crosses itself at {x:.2}, {y:.2}, expected corners in their order around the plot"
+            ));
+        }
+        if polygon.is_flat() {
+            return Err(format!("feature {name}: its points lie on one line, expected an area"));
+        }
+        Ok(polygon)
+    }
+
+    fn ring(&self, ring: &[[f64; 2]]) -> Result<Vec<[f64; 2]>, String> {
+        let Outlines { name, place, to_map } = self;
         let mut points = Vec::with_capacity(ring.len());
-        for position in ring {
+        for &position in ring {
             let position = to_map(position).map_err(|e| format!("feature {name}: {e}"))?;
             let point = match place {
                 None => Some(position),
@@ -264,179 +263,9 @@ fn named(
         if !points.iter().flatten().all(|x: &f64| x.is_finite()) {
             return Err(format!("feature {name}: a position is no finite number"));
         }
-        polygon.rings.push(points);
+        Ok(points)
     }
-    if let Some(at) = polygon.crossing() {
-        let [x, y] = place.map_or(at, |place| place.map(at));
-        return Err(format!(
-            "feature {name}: its outline crosses itself at {x:.2}, {y:.2}, expected corners in their order around the plot"
-        ));
-    }
-    if polygon.is_flat() {
-        return Err(format!("feature {name}: its points lie on one line, expected an area"));
-    }
-    Ok(Named { name, polygon, leaves, attributes })
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use rowgram_raster::georeference::Crs;
-
-    fn parse(text: &str, place: Option<&Georeference>) -> Result<Vec<Named>, String> {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("plots.geojson");
-        std::fs::write(&path, text).unwrap();
-        read(&path, place).map_err(|error| error.to_string())
-    }
-
-    const PLOTS: &str = r#"{"type":"FeatureCollection",
-        "crs":{"type":"name","properties":{"name":"urn:ogc:def:crs:EPSG::32616"}},"features":[
-        {"type":"Feature","properties":{"name":"A","leaves":12},
-         "geometry":{"type":"Polygon","coordinates":[[[100,200],[110,200],[110,190],[100,200]]]}},
-        {"type":"Feature","id":7,"properties":null,
-         "geometry":{"type":"MultiPolygon","coordinates":[[[[0,0,5],[1,0,5],[1,1,5]]]]}}]}"#;
-
-    #[test]
-    fn plots_are_named_and_in_pixels() {
-        let place = Georeference::north_up([100.0, 200.0], 0.5, Crs::projected(32616));
-        let plots = parse(PLOTS, Some(&place)).unwrap();
-        assert_eq!((plots[0].name.as_str(), plots[0].leaves), ("A", Some(12.0)));
-        assert_eq!(plots[0].polygon.rings, [[[0.0, 0.0], [20.0, 0.0], [20.0, 20.0]]]);
-        assert_eq!((plots[1].name.as_str(), plots[1].leaves), ("7", None));
-        let unnamed = PLOTS.replace("\"crs\"", "\"other\"");
-        assert_eq!(parse(&unnamed, None).unwrap()[0].polygon.rings[0][0], [100.0, 200.0]);
-    }
-
-    #[test]
-    fn what_cannot_be_used_is_told() {
-        let place = Georeference::north_up([100.0, 200.0], 0.5, Crs::projected(32617));
-        let error = parse(&PLOTS.replace("32616", "999999"), Some(&place)).unwrap_err();
-        assert!(error.contains("EPSG:999999 is not a known"), "{error}");
-        let nowhere = Georeference { crs: Crs::LOCAL, ..place };
-        let error = parse(PLOTS, Some(&nowhere)).unwrap_err();
-        assert!(error.contains("EPSG:32616") && error.contains("does not say"), "{error}");
-        assert!(parse(PLOTS, None).unwrap_err().contains("in pixels"));
-        let plots = PLOTS.replace("\"crs\"", "\"other\"");
-        for (text, expected) in [
-            ("", "expected GeoJSON"),
-            ("{\"type\":\"Topology\"}", "expected GeoJSON"),
-            (&plots.replace("12", "\"many\""), "expected a number"),
-            (&plots.replace("[110,200],[110,190],", ""), "fewer than three points"),
-            (&plots.replace("[110,200]", "[110]"), "fewer than two numbers"),
-            (&plots.replace("MultiPolygon", "Point"), "expected GeoJSON"),
-        ] {
-            let error = parse(text, None).unwrap_err();
-            assert!(error.contains(expected) && error.contains("plots.geojson"), "{error}");
-        }
-    }
-
-    #[test]
-    fn what_nobody_meant_to_draw_is_refused() {
-        let place = Georeference::north_up([100.0, 200.0], 0.5, Crs::projected(32616));
-        let square = "[[100,200],[110,200],[110,190],[100,200]]";
-        for (text, expected) in [
-            (
-                PLOTS.replace(square, "[[100,200],[110,190],[110,200],[100,190],[100,200]]"),
-                "crosses itself at 105.00, 195.00",
-            ),
-            (PLOTS.replace(square, "[[100,200],[105,195],[110,190],[100,200]]"), "on one line"),
-            (PLOTS.replace("\"id\":7", "\"id\":\"A\""), "two polygons are named \"A\""),
-            (r#"{"type":"FeatureCollection","features":[]}"#.to_owned(), "no polygons"),
-        ] {
-            let error = parse(&text, Some(&place)).unwrap_err();
-            assert!(error.contains(expected) && error.contains("plots.geojson"), "{error}");
-        }
-    }
-
-    #[test]
-    fn properties_come_along_and_names_do_not() {
-        let text = PLOTS.replace(
-            "\"leaves\":12",
-            "\"leaves\":12,\"genotype\":\"B73\",\"block\":2,\"fid\":9,\"note\":null",
-        );
-        let plots = parse(&text, None).unwrap_err();
-        assert!(plots.contains("in pixels"), "{plots}");
-        let place = Georeference::north_up([100.0, 200.0], 0.5, Crs::projected(32616));
-        let plots = parse(&text, Some(&place)).unwrap();
-        let kept: Vec<&str> = plots[0].attributes.iter().map(|(name, _)| name.as_str()).collect();
-        assert_eq!(kept, ["block", "genotype"]);
-        assert!(plots[1].attributes.is_empty());
-    }
-
-    #[test]
-    fn a_file_is_checked_without_a_map() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("plots.geojson");
-        std::fs::write(&path, PLOTS).unwrap();
-        assert_eq!(check(&path).unwrap(), 2);
-        std::fs::write(&path, PLOTS.replace("\"id\":7", "\"id\":\"A\"")).unwrap();
-        assert!(check(&path).unwrap_err().to_string().contains("two polygons"));
-    }
-
-    /// The same corner of a field in three systems comes to the same pixel.
-    #[test]
-    fn other_systems_are_transformed() {
-        let corner = [500_670.0, 4_480_143.0];
-        let zone_16 = crs::Crs::from_epsg(32616).unwrap();
-        let place = Georeference::north_up(corner, 0.02, Crs::projected(32616));
-        let [latitude, longitude] = zone_16.to_wgs84(corner[0] + 1.0, corner[1] - 2.0).unwrap();
-        let [x, y] = crs::Crs::from_epsg(32617).unwrap().from_wgs84(latitude, longitude).unwrap();
-        let text = |crs: &str, x: f64, y: f64| {
-            format!(
-                r#"{{"type":"FeatureCollection"{crs},"features":[{{"type":"Feature","geometry":
-                {{"type":"Polygon","coordinates":[[[{x},{y}],[{},{y}],[{x},{}],[{x},{y}]]]}}}}]}}"#,
-                x + 1e-4,
-                y + 1e-4
-            )
-        };
-        let named = |code: &str| {
-            format!(r#","crs":{{"type":"name","properties":{{"name":"urn:ogc:def:crs:{code}"}}}}"#)
-        };
-        for text in [
-            text("", longitude, latitude),
-            text(&named("OGC:1.3:CRS84"), longitude, latitude),
-            text(&named("EPSG::4326"), longitude, latitude),
-            text(&named("EPSG::32617"), x, y),
-        ] {
-            let [u, v] = parse(&text, Some(&place)).unwrap()[0].polygon.rings[0][0];
-            assert!((u - 50.0).abs() < 0.01 && (v - 100.0).abs() < 0.01, "{u} {v}: {text}");
-        }
-    }
-
-    #[test]
-    fn a_shapefile_is_read() {
-        use shapefile::{
-            Point, Polygon, PolygonRing,
-            dbase::{FieldValue, Record, TableWriterBuilder},
-        };
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("plots.shp");
-        let table = TableWriterBuilder::new()
-            .add_character_field("PLOT".try_into().unwrap(), 20)
-            .add_numeric_field("LEAVES".try_into().unwrap(), 10, 1);
-        let mut writer = shapefile::Writer::from_path(&path, table).unwrap();
-        let ring = [(100.0, 200.0), (100.0, 190.0), (110.0, 190.0), (100.0, 200.0)];
-        let polygon = Polygon::new(PolygonRing::Outer(ring.map(|(x, y)| Point::new(x, y)).into()));
-        let mut record = Record::default();
-        record.insert("PLOT".into(), FieldValue::Character(Some("7 b".into())));
-        record.insert("LEAVES".into(), FieldValue::Numeric(Some(12.0)));
-        writer.write_shape_and_record(&polygon, &record).unwrap();
-        drop(writer);
-        let place = Georeference::north_up([100.0, 200.0], 0.5, Crs::projected(32616));
-        let plots = read(&path, Some(&place)).unwrap();
-        assert_eq!((plots[0].name.as_str(), plots[0].leaves), ("7 b", Some(12.0)));
-        assert_eq!(plots[0].polygon.rings[0].len(), 3);
-        assert!(plots[0].polygon.rings[0].contains(&[20.0, 20.0]));
-        // Stated by name, in the words of ArcGIS.
-        let projection = folder.path().join("plots.prj");
-        std::fs::write(&projection, r#"PROJCS["WGS_1984_UTM_Zone_16N",GEOGCS["GCS_WGS_1984"]]"#)
-            .unwrap();
-        assert_eq!(read(&path, Some(&place)).unwrap(), plots);
-        std::fs::write(&projection, r#"PROJCS["Mine",GEOGCS["GCS_WGS_1984"]]"#).unwrap();
-        let error = read(&path, Some(&place)).unwrap_err().to_string();
-        assert!(error.contains("plots.prj") && error.contains("Mine"), "{error}");
-        std::fs::remove_file(folder.path().join("plots.dbf")).unwrap();
-        assert!(read(&path, None).unwrap_err().to_string().contains("plots.shp"));
-    }
-}
+mod tests;

@@ -2,7 +2,7 @@
 //!
 //! Reference: OGC GeoPackage Encoding Standard 12-128r18; OGC 06-103r4 for well-known binary.
 
-use super::{Feature, Stated};
+use super::{Feature, Rings, Shape, systems::Stated};
 use rowgram_optim::output::FileError;
 use rusqlite::{Connection, OpenFlags, types::ValueRef};
 use serde_json::{Map, Value};
@@ -16,28 +16,26 @@ pub(super) fn read(path: &Path) -> Result<(Vec<Feature>, Stated), FileError> {
     let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
     let file = Connection::open_with_flags(path, flags).map_err(sql)?;
     let layer = layer(&file, path).map_err(sql)?.map_err(malformed)?;
-    let stated = stated(&file, layer.system).map_err(sql)?;
+    let stated = stated(&file, layer.system).map_err(sql)?.map_err(malformed)?;
     let table = layer.table.replace('"', "\"\"");
     let mut select = file.prepare(&format!("SELECT * FROM \"{table}\"")).map_err(sql)?;
     let columns: Vec<String> = select.column_names().into_iter().map(str::to_owned).collect();
     let mut rows = select.query([]).map_err(sql)?;
     let mut features = Vec::new();
     while let Some(row) = rows.next().map_err(sql)? {
-        let mut feature = Feature { rings: Vec::new(), properties: Map::new(), id: None };
+        let shape = Shape::NoArea("has no geometry".to_owned());
+        let mut feature = Feature { shape, properties: Map::new(), id: None };
         for (k, column) in columns.iter().enumerate() {
             let value = row.get_ref(k).map_err(sql)?;
             if *column == layer.geometry {
                 let ValueRef::Blob(bytes) = value else { continue };
-                feature.rings = geometry(bytes)
+                feature.shape = geometry(bytes)
                     .map_err(|what| malformed(format!("feature {}: {what}", features.len() + 1)))?;
             } else {
                 feature.properties.insert(column.clone(), plain(value));
             }
         }
-        // A plot without a shape is a row of a table, no place.
-        if !feature.rings.is_empty() {
-            features.push(feature);
-        }
+        features.push(feature);
     }
     Ok((features, stated))
 }
@@ -77,23 +75,24 @@ fn layer(file: &Connection, path: &Path) -> rusqlite::Result<Result<LayerOfPolyg
     })
 }
 
-fn stated(file: &Connection, system: i64) -> rusqlite::Result<Stated> {
+fn stated(file: &Connection, system: i64) -> rusqlite::Result<Result<Stated, String>> {
     if system <= 0 {
         // Undefined Cartesian coordinates, or undefined degrees.
-        return Ok(if system == 0 { Stated::Degrees } else { Stated::Nothing });
+        return Ok(Ok(if system == 0 { Stated::Degrees } else { Stated::Nothing }));
     }
     let mut select = file.prepare(
-        "SELECT organization, organization_coordsys_id FROM gpkg_spatial_ref_sys WHERE srs_id = ?1",
+        "SELECT organization, organization_coordsys_id, definition FROM gpkg_spatial_ref_sys WHERE srs_id = ?1",
     )?;
-    let found = select
-        .query_map([system], |row| Ok((row.get::<_, String>(0)?, row.get::<_, i64>(1)?)))?
-        .next()
-        .transpose()?;
+    let row = |row: &rusqlite::Row<'_>| {
+        Ok((row.get::<_, String>(0)?, row.get::<_, i64>(1)?, row.get::<_, String>(2)?))
+    };
+    let found = select.query_map([system], row)?.next().transpose()?;
     Ok(match found {
-        Some((who, code)) if who.eq_ignore_ascii_case("EPSG") => {
-            u32::try_from(code).map_or(Stated::Nothing, Stated::code)
+        Some((who, code, _)) if who.eq_ignore_ascii_case("EPSG") => {
+            Ok(u32::try_from(code).map_or(Stated::Nothing, Stated::code))
         }
-        _ => Stated::Nothing,
+        Some((_, _, text)) if text.contains('[') => Stated::well_known_text(&text),
+        _ => Ok(Stated::Nothing),
     })
 }
 
@@ -106,8 +105,8 @@ fn plain(value: ValueRef<'_>) -> Value {
     }
 }
 
-/// Rings of a geometry with its header.
-fn geometry(bytes: &[u8]) -> Result<Vec<Vec<[f64; 2]>>, String> {
+/// A geometry with its header.
+fn geometry(bytes: &[u8]) -> Result<Shape, String> {
     let header = bytes.get(..8).filter(|header| header.starts_with(b"GP"));
     let flags = header.ok_or("its geometry does not begin as one of a GeoPackage")?[3];
     let bounds = match flags >> 1 & 7 {
@@ -118,12 +117,18 @@ fn geometry(bytes: &[u8]) -> Result<Vec<Vec<[f64; 2]>>, String> {
         other => return Err(format!("its geometry has bounds of kind {other}, which is none")),
     };
     let rest = bytes.get(8 + bounds..).ok_or("its geometry ends early")?;
-    let mut rings = Vec::new();
+    let mut polygons = Vec::new();
     // Empty ones have no rings to read.
-    if flags & 16 == 0 {
-        Reader { bytes: rest, little: true }.shape(&mut rings, 0)?;
+    if flags & 16 == 0
+        && let Some(other) = (Reader { bytes: rest, little: true }).shape(&mut polygons, 0)?
+    {
+        return Ok(Shape::NoArea(format!("is a {other}")));
     }
-    Ok(rings)
+    polygons.retain(|rings: &Rings| !rings.is_empty());
+    Ok(match polygons.is_empty() {
+        true => Shape::NoArea("has an empty geometry".to_owned()),
+        false => Shape::Polygons(polygons),
+    })
 }
 
 /// Well-known binary.
@@ -151,7 +156,12 @@ impl Reader<'_> {
         }
     }
 
-    fn shape(&mut self, rings: &mut Vec<Vec<[f64; 2]>>, depth: usize) -> Result<(), String> {
+    /// Adds its polygons; gives the name of what is none.
+    fn shape(
+        &mut self,
+        polygons: &mut Vec<Rings>,
+        depth: usize,
+    ) -> Result<Option<&'static str>, String> {
         self.little = self.take::<1>()?[0] != 0;
         let code = u32::from_le_bytes(self.take()?);
         // Thousands say which of Z and M follow x and y.
@@ -162,7 +172,10 @@ impl Reader<'_> {
             _ => return Err(format!("its geometry is of kind {code}, expected polygons")),
         };
         match code % 1000 {
+            1 | 4 => Ok(Some("point")),
+            2 | 5 => Ok(Some("line")),
             3 => {
+                let mut rings = Vec::new();
                 for _ in 0..self.count(4)? {
                     let mut ring = Vec::new();
                     for _ in 0..self.count(8 * (2 + extra))? {
@@ -172,11 +185,14 @@ impl Reader<'_> {
                     }
                     rings.push(ring);
                 }
-                Ok(())
+                polygons.push(rings);
+                Ok(None)
             }
             6 if depth == 0 => {
-                let parts = self.count(5)?;
-                (0..parts).try_for_each(|_| self.shape(rings, 1))
+                for _ in 0..self.count(5)? {
+                    self.shape(polygons, 1)?;
+                }
+                Ok(None)
             }
             _ => Err(format!("its geometry is of kind {code}, expected polygons")),
         }
@@ -216,13 +232,13 @@ mod tests {
         gpkg::write(&path, false, &[layer_of("any", vec![ring.clone(), hole.clone()])]).unwrap();
         let (features, stated) = read(&path).unwrap();
         assert_eq!(stated, Stated::Epsg(32616));
-        assert_eq!(features.len(), 1);
-        assert_eq!(features[0].rings, [ring.clone(), hole]);
+        assert_eq!(features[0].shape, Shape::Polygons(vec![vec![ring.clone(), hole]]));
+        assert_eq!(features[1].shape, Shape::NoArea("has no geometry".to_owned()));
         assert_eq!(features[0].properties["plot"], "A 1");
         // Of several layers the one with the file's name.
         let two = [layer_of("other", vec![ring.clone()]), layer_of("Plots", vec![ring])];
         gpkg::write(&path, true, &two).unwrap();
-        assert_eq!(read(&path).unwrap().0.len(), 1);
+        assert_eq!(read(&path).unwrap().0.len(), 2);
         let elsewhere = folder.path().join("both.gpkg");
         std::fs::rename(&path, &elsewhere).unwrap();
         let error = read(&elsewhere).err().unwrap().to_string();
@@ -256,7 +272,8 @@ mod tests {
                 polygon(&mut bytes);
                 polygon(&mut bytes);
                 let ring = vec![[1.0, 2.0], [3.0, 4.0], [5.0, 7.0]];
-                assert_eq!(geometry(&bytes).unwrap(), [ring.clone(), ring]);
+                let expected = Shape::Polygons(vec![vec![ring.clone()], vec![ring]]);
+                assert_eq!(geometry(&bytes).unwrap(), expected);
                 for end in 0..bytes.len() {
                     assert!(geometry(&bytes[..end]).is_err(), "{end}");
                 }

@@ -1,54 +1,124 @@
-//! Shapefiles: `.shp` with `.dbf`, and `.prj` where there is one.
+//! Shapefiles: `.shp` with `.dbf`, and `.prj` (or `.qpj` of QGIS) and `.cpg` where there are any.
 
-use super::{Feature, Stated};
+use super::{Feature, Rings, Shape, systems::Stated};
+use encoding_rs::{Encoding, WINDOWS_1252};
 use rowgram_optim::output::FileError;
+use rowgram_raster::polygon::Polygon;
 use serde_json::{Map, Value};
-use shapefile::{Point, PolygonRing, Shape, dbase::FieldValue};
+use shapefile::{
+    Point, PolygonRing, Reader, ShapeReader,
+    dbase::{
+        FieldValue, ReaderBuilder, Record,
+        encoding::{DynEncoding, EncodingRs, Unicode},
+    },
+};
 use std::path::Path;
 
 /// The polygons of a file, and what its coordinates are.
 pub(super) fn read(path: &Path) -> Result<(Vec<Feature>, Stated), FileError> {
-    let malformed = |message: String| FileError::malformed(path, None, message);
     std::fs::metadata(path).map_err(|error| FileError::read(path, error))?;
-    let shapes = shapefile::read(path).map_err(|error| {
-        malformed(format!("{error}; expected a shapefile with its .shx and .dbf beside it"))
-    })?;
-    let mut features = Vec::with_capacity(shapes.len());
-    for (index, (shape, record)) in shapes.into_iter().enumerate() {
-        let rings = match shape {
-            Shape::Polygon(polygon) => rings(polygon.rings(), |p: &Point| [p.x, p.y]),
-            Shape::PolygonM(polygon) => rings(polygon.rings(), |p| [p.x, p.y]),
-            Shape::PolygonZ(polygon) => rings(polygon.rings(), |p| [p.x, p.y]),
-            Shape::NullShape => continue,
-            other => {
-                let kind = other.shapetype();
-                return Err(malformed(format!(
-                    "shape {} is a {kind}, expected polygons",
-                    index + 1
-                )));
-            }
+    let mut features = Vec::new();
+    for (shape, record) in records(path)? {
+        let polygons = match &shape {
+            shapefile::Shape::Polygon(polygon) => parts(polygon.rings(), |p: &Point| [p.x, p.y]),
+            shapefile::Shape::PolygonM(polygon) => parts(polygon.rings(), |p| [p.x, p.y]),
+            shapefile::Shape::PolygonZ(polygon) => parts(polygon.rings(), |p| [p.x, p.y]),
+            _ => Vec::new(),
+        };
+        let shape = match (polygons.is_empty(), &shape) {
+            (false, _) => Shape::Polygons(polygons),
+            (true, shapefile::Shape::NullShape) => Shape::NoArea("has no geometry".to_owned()),
+            (true, other) => Shape::NoArea(format!("is a {}", other.shapetype())),
         };
         let properties = record.into_iter().map(|(name, field)| (name, value(field)));
-        features.push(Feature { rings, properties: properties.collect::<Map<_, _>>(), id: None });
+        features.push(Feature { shape, properties: properties.collect::<Map<_, _>>(), id: None });
     }
-    let projection = path.with_extension("prj");
-    let stated = match std::fs::read_to_string(&projection) {
-        Ok(text) => stated(&text).ok_or_else(|| {
-            let name = text.split('"').nth(1).unwrap_or("nothing");
-            let message = format!(
-                "its system is {name}, expected one with an EPSG code, a UTM zone, or degrees; \
-                 save the file in the system of the map, or as GeoJSON"
-            );
-            FileError::malformed(&projection, None, message)
-        })?,
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Stated::Nothing,
-        Err(error) => return Err(FileError::read(&projection, error)),
-    };
-    Ok((features, stated))
+    // QGIS wrote a second description with codes for a while.
+    for ending in ["qpj", "prj"] {
+        let projection = path.with_extension(ending);
+        match std::fs::read(&projection) {
+            Ok(text) => {
+                let text = String::from_utf8_lossy(&text);
+                let stated = Stated::well_known_text(text.trim_start_matches('\u{feff}').trim());
+                let stated = stated.map_err(|why| {
+                    let message =
+                        format!("{why}; save the file in the system of the map, or as GeoJSON");
+                    FileError::malformed(&projection, None, message)
+                })?;
+                return Ok((features, stated));
+            }
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}
+            Err(error) => return Err(FileError::read(&projection, error)),
+        }
+    }
+    Ok((features, Stated::Nothing))
 }
 
-fn rings<P>(rings: &[PolygonRing<P>], position: impl Fn(&P) -> [f64; 2]) -> Vec<Vec<[f64; 2]>> {
-    rings.iter().map(|ring| ring.points().iter().map(&position).collect()).collect()
+/// Shapes and rows of the table. Texts are in the encoding of the `.cpg` file; without one in UTF-8, else in Windows-1252,
+/// which holds Latin-1.
+fn records(path: &Path) -> Result<Vec<(shapefile::Shape, Record)>, FileError> {
+    let malformed = |error: shapefile::Error| {
+        let message = format!("{error}; expected a shapefile with its .shx and .dbf beside it");
+        FileError::malformed(path, None, message)
+    };
+    let with = |encoding: DynEncoding| {
+        let table = ReaderBuilder::new().with_encoding(encoding).open(path.with_extension("dbf"));
+        let table = table.map_err(shapefile::Error::DbaseError)?;
+        Reader::new(ShapeReader::from_path(path)?, table).read()
+    };
+    if let Some(encoding) = stated_encoding(path)? {
+        return with(EncodingRs::from(encoding).into()).map_err(malformed);
+    }
+    match with(Unicode.into()) {
+        Err(shapefile::Error::DbaseError(_)) => {
+            with(EncodingRs::from(WINDOWS_1252).into()).map_err(malformed)
+        }
+        other => other.map_err(malformed),
+    }
+}
+
+/// The encoding that a `.cpg` file names: `UTF-8`, `ISO-8859-1`, `1252`, `ANSI 1252`, `88591`.
+fn stated_encoding(path: &Path) -> Result<Option<&'static Encoding>, FileError> {
+    let file = path.with_extension("cpg");
+    let Ok(bytes) = std::fs::read(&file) else { return Ok(None) };
+    let text = String::from_utf8_lossy(&bytes).trim_start_matches('\u{feff}').trim().to_lowercase();
+    let digits: String = text.chars().filter(char::is_ascii_digit).collect();
+    let label = match digits.as_str() {
+        "65001" => "utf-8".to_owned(),
+        _ if digits.len() == 4 && digits.starts_with("125") => format!("windows-{digits}"),
+        _ if digits.starts_with("8859") && digits.len() > 4 => format!("iso-8859-{}", &digits[4..]),
+        _ => text.clone(),
+    };
+    match Encoding::for_label(label.as_bytes()) {
+        Some(encoding) => Ok(Some(encoding)),
+        None if text.is_empty() => Ok(None),
+        None => {
+            let message =
+                format!("the encoding {text:?} is not known, expected one such as UTF-8 or 1252");
+            Err(FileError::malformed(&file, None, message))
+        }
+    }
+}
+
+/// Outlines with their holes.
+fn parts<P>(rings: &[PolygonRing<P>], position: impl Fn(&P) -> [f64; 2]) -> Vec<Rings> {
+    let points = |ring: &PolygonRing<P>| ring.points().iter().map(&position).collect::<Vec<_>>();
+    let is_outer = |ring: &&PolygonRing<P>| matches!(ring, PolygonRing::Outer(_));
+    let mut parts: Vec<Rings> =
+        rings.iter().filter(is_outer).map(|ring| vec![points(ring)]).collect();
+    for ring in rings.iter().filter(|ring| !is_outer(ring)) {
+        let hole = points(ring);
+        let holds = |part: &&mut Rings| {
+            let shell = Polygon { rings: vec![part[0].clone()] };
+            hole.iter().any(|&at| shell.holds(at))
+        };
+        match parts.iter_mut().find(holds) {
+            Some(part) => part.push(hole),
+            // Programs that do not care for the sense of rings write outlines like this.
+            None => parts.push(vec![hole]),
+        }
+    }
+    parts
 }
 
 fn value(field: FieldValue) -> Value {
@@ -64,44 +134,4 @@ fn value(field: FieldValue) -> Value {
         FieldValue::Logical(x) => x.into(),
         FieldValue::Date(_) | FieldValue::DateTime(_) => Value::Null,
     }
-}
-
-/// The system that well-known text names: by its own code, or as a UTM zone in the words of ArcGIS.
-fn stated(text: &str) -> Option<Stated> {
-    let text = text.trim();
-    // The code of the whole is the last one; those before it are of its parts.
-    if let Some((_, code)) = text.rsplit_once("AUTHORITY[\"EPSG\",\"")
-        && text.ends_with("]]")
-        && let Some(code) = code.split('"').next()?.parse().ok()
-        && code_of_whole(text)
-    {
-        return Some(Stated::code(code));
-    }
-    if text.starts_with("GEOGCS") {
-        return Some(Stated::Degrees);
-    }
-    let name = text.strip_prefix("PROJCS[\"")?.split('"').next()?;
-    let (datum, zone) = name.split_once("_UTM_Zone_")?;
-    let (number, hemisphere) = zone.split_at_checked(zone.len().checked_sub(1)?)?;
-    let number: u32 = number.parse().ok().filter(|n| (1..=60).contains(n))?;
-    let base = match (datum, hemisphere) {
-        ("WGS_1984", "N") => 32600,
-        ("WGS_1984", "S") => 32700,
-        ("NAD_1983", "N") => 26900,
-        ("ETRS_1989", "N") => 25800,
-        ("GDA_1994" | "GDA94", "S") => 28300,
-        _ => return None,
-    };
-    Some(Stated::Epsg(base + number))
-}
-
-/// Whether the last code stands at the end of the text, not inside of one of its parts.
-fn code_of_whole(text: &str) -> bool {
-    let Some(at) = text.rfind("AUTHORITY[") else { return false };
-    let depth = text[..at].chars().fold(0, |depth, c| match c {
-        '[' => depth + 1,
-        ']' => depth - 1,
-        _ => depth,
-    });
-    depth == 1
 }

@@ -1,14 +1,17 @@
-//! Traits of plots, and plots that the rows of plants define where nobody drew any.
+//! Traits of plots.
 //!
 //! Positions are pixels of the raster that the mask has; traits are per plot, in SI units.
 
 use super::{
     colour_indices::ColourIndices,
     plot_scatter::{ColourParts, PARTS, PlotParts, jackknife},
+    row_plots::along_the_row,
     traits::{PlotTraits, deviation_name},
 };
-use rowgram_optim::robust::median;
-use rowgram_raster::{Mask, polygon::Polygon};
+use rowgram_raster::{
+    Mask,
+    polygon::{Polygon, Positions},
+};
 use statrs::statistics::Statistics;
 use std::collections::BTreeMap;
 
@@ -134,28 +137,75 @@ pub struct FieldMeasurements {
     pub by_area: Option<Vec<LeavesByArea>>,
 }
 
+/// What a raster shows of a field.
+#[derive(Debug, Clone, Copy)]
+pub struct SeenField<'a> {
+    /// The leaf mask.
+    pub mask: &'a Mask,
+    /// Pixels that show something; `None` where all do.
+    pub valid: Option<&'a Mask>,
+    /// Share of a plot that has to be seen for numbers of the whole plot.
+    pub min_valid_share: f64,
+}
+
+/// An area whose traits are measured.
+#[derive(Debug, Clone, Copy)]
+pub struct Area<'a> {
+    /// Its name.
+    pub name: &'a str,
+    /// Its outline, pixels.
+    pub polygon: &'a Polygon,
+    /// Whether it is the whole field, which ends where the raster shows nothing more.
+    pub is_field: bool,
+}
+
+/// Measurements of a field with their places sorted, from which the traits of many plots are taken.
+pub struct FieldIndex<'a> {
+    field: &'a FieldMeasurements,
+    plants: Positions,
+    gaps: Positions,
+    leaves: Positions,
+}
+
 impl FieldMeasurements {
-    /// The traits of a plot, and how many pixels of the mask's raster it has. `colours` are the sums of the colours of its
+    /// Sorts the places.
+    pub fn index(&self) -> FieldIndex<'_> {
+        FieldIndex {
+            field: self,
+            plants: Positions::new(self.plants.iter().flatten().copied()),
+            gaps: Positions::new(self.gaps.iter().flatten().map(|gap| gap.at_px)),
+            leaves: Positions::new(self.leaves.iter().flatten().map(|leaf| leaf.at_px)),
+        }
+    }
+}
+
+impl FieldIndex<'_> {
+    /// The traits of a plot, and how many pixels of it the raster shows. `colours` are the sums of the colours of its
     /// leaf pixels, where there is a picture, `canopy` its heights, where there is a dense surface.
     pub fn traits(
         &self,
-        name: &str,
-        polygon: &Polygon,
-        mask: &Mask,
+        area: Area<'_>,
+        seen: SeenField<'_>,
         colours: Option<&ColourParts>,
         canopy: Option<CanopyHeights>,
     ) -> (PlotTraits, usize) {
-        let mut found = PlotTraits { plot: name.to_owned(), ..PlotTraits::default() };
-        let pixels = self.add_cover(&mut found, polygon, mask);
-        self.add_plants(&mut found, polygon);
-        self.add_leaves(&mut found, polygon);
+        let mut found = PlotTraits { plot: area.name.to_owned(), ..PlotTraits::default() };
+        let pixels = self.add_cover(&mut found, area.polygon, seen);
+        let all = if area.is_field { pixels } else { area.polygon.pixels() };
+        found.valid_share = (all > 0).then(|| pixels as f64 / all as f64);
+        self.add_plants(&mut found, area.polygon);
+        self.add_leaves(&mut found, area.polygon);
         add_heights(&mut found, canopy);
         add_colours(&mut found, colours);
+        if found.valid_share.is_some_and(|share| share < seen.min_valid_share) {
+            found.without_totals();
+        }
         (found.rounded(), pixels)
     }
 
-    /// Area and cover; gives the number of pixels.
-    fn add_cover(&self, found: &mut PlotTraits, polygon: &Polygon, mask: &Mask) -> usize {
+    /// Area and cover; gives the number of pixels that show something.
+    fn add_cover(&self, found: &mut PlotTraits, polygon: &Polygon, seen: SeenField<'_>) -> usize {
+        let SeenField { mask, valid, .. } = seen;
         let parts = PlotParts::of(polygon);
         // Pixels and leaf pixels.
         let mut counts = [[0usize; 2]; PARTS];
@@ -164,7 +214,11 @@ impl FieldMeasurements {
         for (v, run) in polygon.runs(mask.width, mask.height) {
             let row = mask.row(v);
             let above = v.checked_sub(1).map(|v| mask.row(v));
+            let shown = valid.map(|valid| valid.row(v));
             for u in run {
+                if shown.is_some_and(|shown| shown[u] == 0) {
+                    continue;
+                }
                 let is_leaf = row[u] != 0;
                 let count = &mut counts[parts.at([u as f64, v as f64])];
                 count[0] += 1;
@@ -176,7 +230,7 @@ impl FieldMeasurements {
         let total = |what: usize| counts.iter().map(|count| count[what]).sum::<usize>();
         let share = |pixels: usize, leaf: usize| (pixels > 0).then(|| leaf as f64 / pixels as f64);
         let (pixels, leaf) = (total(0), total(1));
-        found.area_m2 = self.gsd_m.map(|gsd| pixels as f64 * gsd * gsd);
+        found.area_m2 = self.field.gsd_m.map(|gsd| pixels as f64 * gsd * gsd);
         found.canopy_cover = share(pixels, leaf);
         let without = |k: usize| share(pixels - counts[k][0], leaf - counts[k][1]);
         // Steps along the axes are 4/pi times as long as an edge in any direction.
@@ -189,28 +243,29 @@ impl FieldMeasurements {
 
     /// Plants, gaps and spacing; after the area.
     fn add_plants(&self, found: &mut PlotTraits, polygon: &Polygon) {
-        let inside = |at: &[f64; 2]| polygon.holds(*at);
+        let field = self.field;
+        let members = self.plants.inside(polygon);
         let area_m2 = found.area_m2.filter(|&area| area > 0.0);
-        if let Some(plants) = &self.plants {
-            let members: Vec<usize> = (0..plants.len()).filter(|&k| inside(&plants[k])).collect();
+        if field.plants.is_some() {
             let count = members.len() as f64;
             found.plants = Some(count);
             found.plants_per_ha = area_m2.map(|area| count / area * 1e4);
             let variance =
-                members.iter().map(|&k| self.count_variance.get(k).copied()).sum::<Option<f64>>();
-            let sd = variance.filter(|_| !self.count_variance.is_empty()).map(f64::sqrt);
+                members.iter().map(|&k| field.count_variance.get(k).copied()).sum::<Option<f64>>();
+            let sd = variance.filter(|_| !field.count_variance.is_empty()).map(f64::sqrt);
             put(found, "plants", sd);
             put(found, "plants_per_ha", sd.zip(area_m2).map(|(sd, area)| sd / area * 1e4));
         }
-        if let Some(gaps) = &self.gaps {
-            let gaps = || gaps.iter().filter(|gap| inside(&gap.at_px));
+        if let Some(gaps) = &field.gaps {
+            let of_plot = self.gaps.inside(polygon);
+            let gaps = || of_plot.iter().map(|&k| &gaps[k]);
             found.missing_plants = Some(gaps().map(|gap| gap.plants).sum());
             let variance =
                 |gap: &RowGap| gap.plants.powi(2) * gap.probability * (1.0 - gap.probability);
             let variance: f64 = gaps().map(variance).sum();
             put(found, "missing_plants", variance.is_finite().then(|| variance.max(0.0).sqrt()));
         }
-        let steps = self.steps_m(&inside);
+        let steps = self.steps_m(&members);
         let steps_m: Vec<f64> = steps.iter().map(|step| step.0).collect();
         let Some(longest) = steps.iter().copied().reduce(|a, b| if b.0 > a.0 { b } else { a })
         else {
@@ -231,7 +286,9 @@ impl FieldMeasurements {
     }
 
     fn add_leaves(&self, found: &mut PlotTraits, polygon: &Polygon) {
-        if let Some(count) = self.by_area.iter().flatten().find(|count| count.plot == found.plot) {
+        if let Some(count) =
+            self.field.by_area.iter().flatten().find(|count| count.plot == found.plot)
+        {
             let [number, low, high] =
                 count.leaves.map(|number| Some(number).filter(|x| x.is_finite()));
             (found.leaves_by_area, found.leaves_by_area_low, found.leaves_by_area_high) =
@@ -239,9 +296,9 @@ impl FieldMeasurements {
             // The interval reaches two standard deviations to either side.
             put(found, "leaves_by_area", low.zip(high).map(|(low, high)| (high - low) / 4.0));
         }
-        let Some(leaves) = &self.leaves else { return };
+        let Some(leaves) = &self.field.leaves else { return };
         let leaves: Vec<&MeasuredLeaf> =
-            leaves.iter().filter(|leaf| polygon.holds(leaf.at_px)).collect();
+            self.leaves.inside(polygon).into_iter().map(|k| &leaves[k]).collect();
         found.leaves_single = Some(leaves.len() as f64);
         let mut mean = |name: &str, value: fn(&MeasuredLeaf) -> f64| {
             let known = leaves.iter().map(|leaf| value(leaf)).filter(|x| x.is_finite());
@@ -253,18 +310,23 @@ impl FieldMeasurements {
         };
         let length_m = mean("leaf_length_m", |leaf| leaf.length_m);
         let width_m = mean("leaf_width_m", |leaf| leaf.width_m);
-        let hue_deg = mean("leaf_hue_deg", |leaf| leaf.hue_deg);
+        let hues: Vec<f64> = leaves.iter().map(|leaf| leaf.hue_deg).collect();
+        let hue_deg = mean_hue_deg(&hues).map(|(mean, sd)| {
+            put(found, "leaf_hue_deg", sd);
+            mean
+        });
         (found.leaf_length_m, found.leaf_width_m, found.leaf_hue_deg) =
             (length_m, width_m, hue_deg);
     }
 
     /// Distances from each plant of an area to the next of its row, metres, each with its standard deviation where that of
     /// the plants is known.
-    fn steps_m(&self, inside: &dyn Fn(&[f64; 2]) -> bool) -> Vec<(f64, Option<f64>)> {
-        let (Some(plants), Some(gsd_m)) = (&self.plants, self.gsd_m) else { return Vec::new() };
+    fn steps_m(&self, members: &[usize]) -> Vec<(f64, Option<f64>)> {
+        let field = self.field;
+        let (Some(plants), Some(gsd_m)) = (&field.plants, field.gsd_m) else { return Vec::new() };
         let mut rows: BTreeMap<u64, Vec<usize>> = BTreeMap::new();
-        for (k, (at, row)) in plants.iter().zip(&self.row_of).enumerate() {
-            if row.is_finite() && inside(at) {
+        for &k in members {
+            if let Some(row) = field.row_of.get(k).filter(|row| row.is_finite()) {
                 rows.entry(*row as u64).or_default().push(k);
             }
         }
@@ -273,7 +335,7 @@ impl FieldMeasurements {
             let order = along_the_row(&places);
             let step = |pair: &[usize]| {
                 let [a, b] = [0, 1].map(|end| row[pair[end]]);
-                let sigma = |k: usize| self.along_sigma_px.get(k).filter(|x| x.is_finite());
+                let sigma = |k: usize| field.along_sigma_px.get(k).filter(|x| x.is_finite());
                 let sd = sigma(a).zip(sigma(b)).map(|(a, b)| gsd_m * a.hypot(*b));
                 let apart = [0, 1].map(|axis| plants[a][axis] - plants[b][axis]);
                 (gsd_m * apart[0].hypot(apart[1]), sd)
@@ -282,6 +344,23 @@ impl FieldMeasurements {
         });
         steps.collect()
     }
+}
+
+/// The mean direction of hues on the circle, degrees from 0 to 360, and its standard deviation where there are several:
+/// the circular standard deviation over the root of their number. `None` without any, or where they cancel out.
+///
+/// Reference: K. V. Mardia and P. E. Jupp, "Directional Statistics", 2000, 2.2 and 2.3.
+fn mean_hue_deg(hues_deg: &[f64]) -> Option<(f64, Option<f64>)> {
+    let known = || hues_deg.iter().filter(|hue| hue.is_finite()).map(|hue| hue.to_radians());
+    let n = known().count() as f64;
+    let (sin, cos) = known().fold((0.0, 0.0), |sum, hue| (sum.0 + hue.sin(), sum.1 + hue.cos()));
+    let length = (sin.hypot(cos) / n).min(1.0);
+    // Directions that cancel out have no mean; rounding leaves some of them.
+    if !(length > 1e-9) {
+        return None;
+    }
+    let sd = (n > 1.0).then(|| (-2.0 * length.ln()).max(0.0).sqrt().to_degrees() / n.sqrt());
+    Some((sin.atan2(cos).to_degrees().rem_euclid(360.0), sd))
 }
 
 /// Notes a standard deviation where there is one.
@@ -326,132 +405,12 @@ fn add_colours(found: &mut PlotTraits, colours: Option<&ColourParts>) {
     (found.vari, found.tgi, found.a_star) = (indices.vari, Some(indices.tgi), Some(indices.a_star));
 }
 
-/// The plants of a row in their order along it, as indices: along the main axis of their places, towards larger `u` (in rows
-/// along `v`, larger `v`).
-pub fn along_the_row(row: &[[f64; 2]]) -> Vec<usize> {
-    let n = row.len().max(1) as f64;
-    let middle: [f64; 2] = std::array::from_fn(|k| row.iter().map(|at| at[k]).sum::<f64>() / n);
-    let [mut uu, mut uv, mut vv] = [0.0; 3];
-    for at in row {
-        let [a, b] = [at[0] - middle[0], at[1] - middle[1]];
-        (uu, uv, vv) = (uu + a * a, uv + a * b, vv + b * b);
-    }
-    let (sin, cos) = (0.5 * (2.0 * uv).atan2(uu - vv)).sin_cos();
-    let (sin, cos) = if cos < 1e-9 { (sin.abs(), cos) } else { (sin, cos) };
-    let mut order: Vec<usize> = (0..row.len()).collect();
-    order.sort_by(|&i, &j| {
-        let along = |at: [f64; 2]| cos * at[0] + sin * at[1];
-        along(row[i]).total_cmp(&along(row[j]))
-    });
-    order
-}
-
-/// Plots as the rows of plants give them: groups of `rows_per_plot` neighbouring rows, cut where all of a group have
-/// an alley of at least `alley_px` pixels. `rows` has the row of each plant, NaN where it stands in none. Names are
-/// `R01C02`: group of rows, then number along the rows.
-pub fn plots_from_rows(
-    plants: &[[f64; 2]],
-    rows: &[f64],
-    rows_per_plot: usize,
-    alley_px: f64,
-) -> Vec<(String, Polygon)> {
-    let count = rows.iter().filter(|r| r.is_finite()).fold(0.0, |a: f64, &r| a.max(r + 1.0));
-    let mut of_row: Vec<Vec<[f64; 2]>> = vec![Vec::new(); count as usize];
-    for (at, row) in plants.iter().zip(rows).filter(|(_, row)| row.is_finite()) {
-        of_row[*row as usize].push(*at);
-    }
-    of_row.retain(|row| row.len() > 1);
-    // Direction of the rows: the main axis of what is left of each row about its own middle.
-    let middle = |row: &[[f64; 2]]| {
-        let n = row.len() as f64;
-        [0, 1].map(|k| row.iter().map(|at| at[k]).sum::<f64>() / n)
-    };
-    let mut moments = [0.0; 3];
-    for row in &of_row {
-        let m = middle(row);
-        for at in row {
-            let [a, b] = [at[0] - m[0], at[1] - m[1]];
-            moments = [moments[0] + a * a, moments[1] + a * b, moments[2] + b * b];
-        }
-    }
-    let angle = 0.5 * (2.0 * moments[1]).atan2(moments[0] - moments[2]);
-    let (sin, cos) = angle.sin_cos();
-    let along = |at: &[f64; 2]| cos * at[0] + sin * at[1];
-    let across = |at: &[f64; 2]| cos * at[1] - sin * at[0];
-    of_row.sort_by(|a, b| across(&middle(a)).total_cmp(&across(&middle(b))));
-    let middles: Vec<f64> = of_row.iter().map(|row| across(&middle(row))).collect();
-    let half = 0.5 * median(middles.windows(2).map(|pair| pair[1] - pair[0])).unwrap_or(alley_px);
-    let mut plots = Vec::new();
-    for (group, rows) in of_row.chunks(rows_per_plot.max(1)).enumerate() {
-        let mut at: Vec<f64> = rows.iter().flatten().map(along).collect();
-        at.sort_by(f64::total_cmp);
-        let (low, high) = rows
-            .iter()
-            .map(|row| across(&middle(row)))
-            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), s| (low.min(s), high.max(s)));
-        let mut begin = 0;
-        let mut range = 0;
-        for k in 1..=at.len() {
-            if k < at.len() && at[k] - at[k - 1] < alley_px {
-                continue;
-            }
-            // Plots end where their plants end; neighbours across share the line between their rows.
-            let margin = (0.25 * alley_px).min(half);
-            let (t0, t1) = (at[begin] - margin, at[k - 1] + margin);
-            let corner = |t: f64, s: f64| [cos * t - sin * s, sin * t + cos * s];
-            let ring = vec![
-                corner(t0, low - half),
-                corner(t1, low - half),
-                corner(t1, high + half),
-                corner(t0, high + half),
-            ];
-            range += 1;
-            plots.push((format!("R{:02}C{range:02}", group + 1), Polygon { rings: vec![ring] }));
-            begin = k;
-        }
-    }
-    plots
-}
-
 #[cfg(test)]
 mod tests {
     use super::{
         super::{colour_indices::ColourSum, traits::rounded},
         *,
     };
-
-    #[test]
-    fn rows_with_an_alley_give_four_plots() {
-        // Four rows 20 px apart along u, plants 5 px apart, an alley of 30 px in the middle.
-        let mut plants = Vec::new();
-        let mut rows = Vec::new();
-        for row in 0..4 {
-            for k in (0..10).chain(16..26) {
-                plants.push([5.0 * f64::from(k), 20.0 * f64::from(row)]);
-                rows.push(f64::from(row));
-            }
-        }
-        let plots = plots_from_rows(&plants, &rows, 2, 30.0);
-        let names: Vec<&str> = plots.iter().map(|(name, _)| name.as_str()).collect();
-        assert_eq!(names, ["R01C01", "R01C02", "R02C01", "R02C02"]);
-        for (name, polygon) in &plots {
-            let count = plants.iter().filter(|at| polygon.holds(**at)).count();
-            assert_eq!(count, 20, "{name}");
-        }
-        // A plant in no row belongs to no group; without rows there is no plot.
-        assert!(plots_from_rows(&[[0.0, 0.0]], &[f64::NAN], 2, 30.0).is_empty());
-    }
-
-    #[test]
-    fn a_row_has_one_order_whatever_its_direction() {
-        let place = |k: f64, [du, dv]: [f64; 2]| [50.0 + du * k, 50.0 + dv * k];
-        for step in [[5.0, 0.0], [0.0, 5.0], [0.01, 5.0], [3.0, -4.0]] {
-            let row: Vec<[f64; 2]> = [2.0, 0.0, 3.0, 1.0].map(|k| place(k, step)).to_vec();
-            let order = along_the_row(&row);
-            assert_eq!(order, [1, 3, 0, 2], "{step:?}");
-        }
-        assert!(along_the_row(&[]).is_empty());
-    }
 
     #[test]
     fn traits_of_a_square() {
@@ -475,7 +434,10 @@ mod tests {
         let square = Polygon { rings: vec![ring] };
         let mut colours = ColourParts::default();
         colours.0[0] = ColourSum { rgb: [60, 120, 40], pixels: 1 };
-        let (of_a, pixels) = field.traits("A", &square, &mask, Some(&colours), None);
+        let seen = SeenField { mask: &mask, valid: None, min_valid_share: 0.5 };
+        let area = |name| Area { name, polygon: &square, is_field: false };
+        let (of_a, pixels) = field.index().traits(area("A"), seen, Some(&colours), None);
+        assert_eq!(of_a.valid_share, Some(1.0));
         assert_eq!(pixels, 25);
         assert_eq!((of_a.area_m2, of_a.plants), (Some(6.25), Some(3.0)));
         assert_eq!(of_a.plants_per_ha, Some(4800.0));
@@ -501,9 +463,51 @@ mod tests {
         assert_eq!((sd("exg"), sd("leaf_hue_deg"), sd("area_m2")), (None, None, None));
         assert!(sd("canopy_cover").unwrap() > 0.0);
         // Nothing was measured: what is not known is not zero.
-        let (of_b, _) = FieldMeasurements::default().traits("B", &square, &mask, None, None);
+        let (of_b, _) = FieldMeasurements::default().index().traits(area("B"), seen, None, None);
         assert_eq!((of_b.plant_spacing_m, of_b.exg), (None, None));
         assert_eq!((of_b.plants, of_b.area_m2, of_b.leaves_single), (None, None, None));
         assert_eq!(of_b.canopy_cover, Some(0.4));
+    }
+
+    /// Of a plot of 10 x 10 pixels a part has no data.
+    #[test]
+    fn only_what_was_seen_counts() {
+        let mask = Mask::from_fn(10, 10, |u, v| u == 2 && v < 8);
+        let valid = Mask::from_fn(10, 10, |u, v| u < 4 && v < 8);
+        let at = (0..4).map(|v| [2.0, 2.0 * f64::from(v)]).collect();
+        let field = FieldMeasurements {
+            gsd_m: Some(0.5),
+            plants: Some(at),
+            ..FieldMeasurements::default()
+        };
+        let square =
+            Polygon { rings: vec![vec![[-0.5, -0.5], [9.5, -0.5], [9.5, 9.5], [-0.5, 9.5]]] };
+        let traits = |min_valid_share: f64, is_field: bool| {
+            let seen = SeenField { mask: &mask, valid: Some(&valid), min_valid_share };
+            let area = Area { name: "A", polygon: &square, is_field };
+            field.index().traits(area, seen, None, None).0
+        };
+        let of = traits(0.3, false);
+        assert_eq!(
+            (of.area_m2, of.valid_share, of.canopy_cover),
+            (Some(8.0), Some(0.32), Some(0.25))
+        );
+        assert_eq!((of.plants, of.plants_per_ha), (Some(4.0), Some(5000.0)));
+        // Too little of it for a number of plants, enough for one per area.
+        let of = traits(0.5, false);
+        assert_eq!((of.plants, of.plants_per_ha, of.leaves_single), (None, Some(5000.0), None));
+        let of = traits(0.5, true);
+        assert_eq!((of.plants, of.valid_share, of.area_m2), (Some(4.0), Some(1.0), Some(8.0)));
+    }
+
+    #[test]
+    fn hues_have_a_mean_on_the_circle() {
+        let (mean, sd) = mean_hue_deg(&[355.0, 5.0, f64::NAN]).unwrap();
+        assert!(mean < 1e-9 || mean > 360.0 - 1e-9, "{mean}");
+        // Half of ten degrees to either side.
+        assert!((sd.unwrap() - 5.0 / 2f64.sqrt()).abs() < 0.01, "{sd:?}");
+        assert_eq!(mean_hue_deg(&[90.0]).map(|(mean, sd)| (mean.round(), sd)), Some((90.0, None)));
+        assert_eq!(mean_hue_deg(&[0.0, 180.0]), None);
+        assert_eq!(mean_hue_deg(&[]), None);
     }
 }

@@ -8,8 +8,10 @@ use std::collections::BTreeMap;
 pub struct PlotTraits {
     /// Name of the plot.
     pub plot: String,
-    /// Area of the plot on the map, square metres.
+    /// Area of what the map shows of the plot, square metres on the ground.
     pub area_m2: Option<f64>,
+    /// Share of the plot that the map shows.
+    pub valid_share: Option<f64>,
     /// Plants that were located.
     pub plants: Option<f64>,
     /// Plants by area, per hectare.
@@ -97,6 +99,25 @@ impl Trait {
     }
 }
 
+impl PlotTraits {
+    /// Leaves out the numbers of the whole plot, where too little of it was seen.
+    pub(super) fn without_totals(&mut self) {
+        let totals = [
+            ("plants", &mut self.plants),
+            ("missing_plants", &mut self.missing_plants),
+            ("leaves_by_area", &mut self.leaves_by_area),
+            ("leaves_by_area_low", &mut self.leaves_by_area_low),
+            ("leaves_by_area_high", &mut self.leaves_by_area_high),
+            ("leaves_single", &mut self.leaves_single),
+            ("canopy_volume_m3", &mut self.canopy_volume_m3),
+        ];
+        for (name, value) in totals {
+            *value = None;
+            self.standard_deviations.remove(&deviation_name(name));
+        }
+    }
+}
+
 /// From the scatter between parts of the plot.
 const PARTS_SD: &str = "scatter between 16 parts of the plot (jackknife)";
 /// Of a cover.
@@ -130,8 +151,10 @@ macro_rules! traits {
 }
 
 traits! {
-    area_m2, "m2", "area of the plot on the map",
-        "pixels whose centre is in the polygon, times the area of a pixel", "", "";
+    area_m2, "m2", "area of what the map shows of the plot",
+        "pixels with data whose centre is in the polygon, times the area of a pixel on the ground", "", "";
+    valid_share, "1", "share of the plot that the map shows",
+        "pixels with data over all pixels of the polygon; below [plots] min_valid_share numbers of the whole plot are left empty", "", "";
     plants, "1", "plants that were located",
         "plants of the stage locate that stand in the polygon", "", "intervals of the rows, each row's variance shared out by its plants in the plot; without rows from the confidence of the plants";
     plants_per_ha, "1/ha", "plants by area",
@@ -139,7 +162,7 @@ traits! {
     missing_plants, "1", "plants that gaps in the rows lack",
         "most probable number of missing plants of each gap whose middle is in the polygon", "", "probabilities of the gaps";
     canopy_cover, "1", "share of the area that leaves cover",
-        "leaf pixels over pixels of the polygon", "", COVER_SD;
+        "leaf pixels over pixels with data of the polygon", "", COVER_SD;
     leaves_by_area, "1", "leaf pixels over leaf pixels per leaf",
         "stage leaf-count", "Ribera et al. 2016, KDD workshop on data science for food, energy and water", "interval of 95 %, a quarter of its width";
     leaves_by_area_low, "1", "lower end of the 95 % interval",
@@ -153,7 +176,7 @@ traits! {
     leaf_width_m, "m", "mean width of these leaves",
         "area over length", "", MEAN_SD;
     leaf_hue_deg, "deg", "mean hue of these leaves",
-        "mean over leaves of the hue of their pixels", "", MEAN_SD;
+        "mean direction on the circle of the hues of the leaves", "", MEAN_SD;
     plant_spacing_m, "m", "mean distance of neighbouring plants of a row",
         "from each plant to the next of its row within the polygon", "", MEAN_SD;
     plant_spacing_cv, "1", "standard deviation of that distance over its mean",

@@ -100,7 +100,9 @@ mod tests {
         let picture = |width: u32| {
             image::GrayImage::from_pixel(width, 6, image::Luma([10])).save(&path).unwrap();
         };
-        let read = || read(&project, &[(path.clone(), "a.png".to_owned())], Some(&store)).unwrap().remove(0);
+        let read = || {
+            read(&project, &[(path.clone(), "a.png".to_owned())], Some(&store)).unwrap().remove(0)
+        };
         picture(8);
         let first = read().unwrap_or_else(|(_, why)| panic!("{why}"));
         assert_eq!((first.size_px, first.name.as_str()), ([8, 6], "a.png"));

@@ -12,7 +12,7 @@ mod traits;
 mod write;
 
 use super::{
-    Project, Stage,
+    Project, Stage, layers,
     plots::{self, PlotsOutcome},
     query,
     record::{self, NewFolder},
@@ -238,7 +238,7 @@ fn read_plots(
         }
         Ok(Plot { name, folder, rings, frame, place })
     };
-    let named = polygons::read(&path, Some(&georeference))?;
+    let named = layers::layer(project, &path, Some(&georeference), None)?.polygons;
     Ok(named.into_iter().enumerate().map(plot).collect::<Result<_, _>>()?)
 }
 

@@ -9,16 +9,8 @@ use std::ops::Range;
 /// Rows of the orthomosaic that are read at a time.
 const BAND_ROWS: usize = 512;
 
-/// What a picture has in each of some areas.
-pub(super) struct Colours {
-    /// The sums of the colours of its leaf pixels, by part.
-    pub(super) of_leaves: Vec<ColourParts>,
-    /// How many of its pixels have no data.
-    pub(super) gaps: Vec<usize>,
-}
-
-/// The sum of the colours of the leaf pixels of each area; pixels without data take no part and are counted. `None` where the picture has no
-/// colours or another size than the mask.
+/// The sum of the colours of the leaf pixels of each area, by part. `None` where the picture has no colours or another size than
+/// the mask.
 ///
 /// # Errors
 /// A damaged picture.
@@ -26,7 +18,7 @@ pub(super) fn of_leaves<'a>(
     source: &Source,
     mask: &Mask,
     areas: impl Iterator<Item = &'a Polygon>,
-) -> Result<Option<Colours>, FileError> {
+) -> Result<Option<Vec<ColourParts>>, FileError> {
     if !source.is_photo() || source.size() != (mask.width, mask.height) {
         return Ok(None);
     }
@@ -35,20 +27,14 @@ pub(super) fn of_leaves<'a>(
         areas.iter().map(|area| area.runs(mask.width, mask.height)).collect();
     let parts: Vec<PlotParts> = areas.iter().map(|area| PlotParts::of(area)).collect();
     let mut sums = vec![ColourParts::default(); runs.len()];
-    let mut missing = vec![0; runs.len()];
     for first in (0..mask.height).step_by(BAND_ROWS) {
         let rows = first..(first + BAND_ROWS).min(mask.height);
         let (picture, gaps) = source.rgb_and_gaps(rows.clone())?;
-        let all = sums.iter_mut().zip(&mut missing).zip(&runs).zip(&parts);
-        for (((sum, missing), runs), parts) in all {
+        for ((sum, runs), parts) in sums.iter_mut().zip(&runs).zip(&parts) {
             // The runs of an area are sorted by row.
             let begin = runs.partition_point(|(v, _)| *v < rows.start);
             for (v, run) in runs[begin..].iter().take_while(|(v, _)| *v < rows.end) {
                 let leaf = mask.row(*v);
-                if let Some(gaps) = &gaps {
-                    let row = &gaps[(v - first) * mask.width..][..mask.width];
-                    *missing += row[run.clone()].iter().filter(|gap| **gap).count();
-                }
                 for u in run.clone().filter(|&u| leaf[u] != 0) {
                     let row = v - first;
                     if gaps.as_ref().is_some_and(|gaps| gaps[row * mask.width + u]) {
@@ -60,5 +46,5 @@ pub(super) fn of_leaves<'a>(
             }
         }
     }
-    Ok(Some(Colours { of_leaves: sums, gaps: missing }))
+    Ok(Some(sums))
 }

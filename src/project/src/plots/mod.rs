@@ -5,6 +5,7 @@
 //! (`trait_dictionary.csv`). Plants and gaps come with the plot that they stand in (`plants.csv`, `gaps.csv`, and
 //! both as `.gpkg` and `.parquet`). Layers have styles for QGIS beside them.
 
+mod areas;
 mod brapi;
 mod colours;
 mod heights;
@@ -13,7 +14,7 @@ mod plants;
 mod variable_ids;
 mod write;
 
-use super::{Project, Stage, Task, align::AlignOutcome, stage, surface};
+use super::{Project, Stage, Task, align::AlignOutcome, leaf_mask, stage, surface};
 use rowgram_base::{
     error::Error,
     monitor::{Diagnostic, Monitor},
@@ -25,10 +26,10 @@ use rowgram_files::{
 };
 use rowgram_optim::output::FileError;
 use rowgram_plants::phenotype::{
-    plots::{FieldMeasurements, LeavesByArea, MeasuredLeaf, RowGap, plots_from_rows},
+    plots::{Area, FieldMeasurements, LeavesByArea, MeasuredLeaf, RowGap, SeenField},
     traits::PlotTraits,
 };
-use rowgram_raster::{georeference::Georeference, mask::Thresholds, polygon::Polygon};
+use rowgram_raster::{mask::Thresholds, polygon::Polygon};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::{
@@ -44,6 +45,18 @@ rowgram_base::options! {
         pub rows_per_plot: Option<usize> = None, limits at_least(1.0), example "4";
         /// Least length of an alley between plots, where there are no polygons.
         pub alley_m: Option<f64> = None, limits POSITIVE, example "1.0";
+        /// Distance by which plots are measured further in than their outline, along the rows.
+        pub inset_along_m: f64 = 0.0, limits NON_NEGATIVE;
+        /// The same across the rows.
+        pub inset_across_m: f64 = 0.0, limits NON_NEGATIVE;
+        /// Rows of plants that are left out on either side of each plot.
+        pub border_rows: usize = 0;
+        /// Share of a plot that the map has to show for numbers of the whole plot (plants, leaves, volume); means and densities
+        /// are those of what it shows.
+        pub min_valid_share: f64 = 0.5, limits between(0.0, 1.0);
+        /// Table with more of the plots (genotype, treatment): its column that has the names of the plots is found, all others
+        /// become columns of the results.
+        pub field_book: Option<PathBuf> = None, example "\"field_book.csv\"";
         /// Table with identifiers of traits for BrAPI, such as those of the Crop Ontology: columns trait and id.
         pub variable_ids: Option<PathBuf> = None, example "\"variables.csv\"";
     }
@@ -83,6 +96,9 @@ pub struct PlotsOutcome {
     /// Plots of which the orthomosaic shows a part only.
     #[serde(default)]
     pub partly_outside: Vec<String>,
+    /// Plots of which it shows so little that numbers of the whole plot are left empty.
+    #[serde(default)]
+    pub mostly_unseen: Vec<String>,
 }
 
 /// A plot, its polygon in pixels, its traits, and what its polygon says of it.
@@ -150,6 +166,8 @@ impl Task for Plots {
             files.extend(polygons::files(&path));
         }
         files.extend(variable_ids_path(project, options));
+        files.extend(options.field_book.as_ref().map(|path| project.root().join(path)));
+        files.extend(project.finished(Stage::Segment, leaf_mask::VALID));
         let tables = Tables::of(project);
         let of_plants = [tables.plants, tables.gaps, tables.rows];
         let others = [tables.leaves, tables.counts, tables.canopy];
@@ -159,7 +177,8 @@ impl Task for Plots {
 
     fn context(project: &Project) -> String {
         let study = study(project, VariableIds::default());
-        format!("{} {}", study.name, study.time.unwrap_or_default())
+        let key = project.config().project.plot_key.as_deref().unwrap_or_default();
+        format!("{} {} {key}", study.name, study.time.unwrap_or_default())
     }
 
     fn work(
@@ -174,12 +193,24 @@ impl Task for Plots {
         let picture = project.orthomosaic().ok().map(|path| rasters::Source::open(&path));
         let picture = picture.transpose()?;
         let tables = Tables::of(project);
-        let field = measurements(&tables, place.and_then(|place| place.gsd_m()))?;
-        let (source, areas) = areas(project, options, &tables, place, monitor)?;
+        let valid = leaf_mask::valid_of_project(project)?;
+        let valid = valid.filter(|valid| (valid.width, valid.height) == (mask.width, mask.height));
+        let seen = SeenField {
+            mask: &mask,
+            valid: valid.as_ref(),
+            min_valid_share: options.min_valid_share,
+        };
+        let mut field = measurements(&tables, place.and_then(|place| place.gsd_m()))?;
+        if options.leaves_borders_out() {
+            // These are counts of the outlines as they were drawn.
+            field.by_area = None;
+        }
+        let size = (mask.width, mask.height);
+        let (source, areas) = areas::areas(project, options, &tables, (place, size), monitor)?;
         let areas = areas.unwrap_or_else(|| {
             let [u, v] = [mask.width as f64 - 0.5, mask.height as f64 - 0.5];
             let ring = vec![[-0.5, -0.5], [u, -0.5], [u, v], [-0.5, v]];
-            vec![named("field".to_owned(), Polygon { rings: vec![ring] })]
+            vec![areas::named("field".to_owned(), Polygon { rings: vec![ring] })]
         });
         let polygons = areas.iter().map(|area| &area.polygon);
         let colours = picture.map(|picture| colours::of_leaves(&picture, &mask, polygons));
@@ -191,29 +222,49 @@ impl Task for Plots {
             _ => None,
         };
         let mut outside = Vec::new();
-        let mut partly_outside = Vec::new();
+        let (mut partly_outside, mut mostly_unseen, mut slivers) =
+            (Vec::new(), Vec::new(), Vec::new());
+        let index = field.index();
         let plots: Vec<Plot> = areas
             .into_iter()
             .enumerate()
             .map(|(number, Named { name, polygon, attributes, .. })| {
-                let colour = colours.as_ref().map(|sums| &sums.of_leaves[number]);
+                let colour = colours.as_ref().map(|sums| &sums[number]);
                 let canopy = heights.as_ref().and_then(|heights| heights[number]);
-                let (traits, pixels) = field.traits(&name, &polygon, &mask, colour, canopy);
-                let shown = pixels - colours.as_ref().map_or(0, |sums| sums.gaps[number]);
-                if shown == 0 {
+                let is_field = source == PlotSource::WholeField;
+                let area = Area { name: &name, polygon: &polygon, is_field };
+                let (traits, shown) = index.traits(area, seen, colour, canopy);
+                let share = traits.valid_share;
+                if shown == 0 && share.is_none() && is_on(&polygon, size) {
+                    slivers.push(name);
+                } else if shown == 0 {
                     outside.push(name);
-                } else if source == PlotSource::Polygons
-                    && (shown as f64) < WHOLE * polygon.pixels() as f64
+                } else if share.is_some_and(|share| share < options.min_valid_share) {
+                    mostly_unseen.push(format!("{name} ({:.0} %)", 100.0 * share.unwrap_or(0.0)));
+                } else if source == PlotSource::Polygons && share.is_some_and(|share| share < WHOLE)
                 {
                     partly_outside.push(name);
                 }
                 Plot { polygon, traits, attributes }
             })
             .collect();
+        if let (Some(path), false) = (project.plots(), slivers.is_empty()) {
+            let message = format!(
+                "{} of {} plots hold no middle of a pixel, being narrower than one, and have no traits: {}",
+                slivers.len(),
+                plots.len(),
+                slivers.join(", ")
+            );
+            let subject = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            monitor.diagnostic(
+                &Diagnostic::warning("plots-narrow", subject, message)
+                    .with_remedy("draw them as areas; the leftovers of an overlay can go"),
+            );
+        }
         if let (Some(path), false) = (project.plots(), outside.is_empty()) {
             if outside.len() == plots.len() {
-                let message = "none of its plots lies on the orthomosaic: is it of another field, or in another \
-                               reference system than it says?";
+                let message =
+                    "the orthomosaic shows nothing of any of its plots: is it of another field?";
                 return Err(FileError::malformed(&path, None, message).into());
             }
             let message = format!(
@@ -235,12 +286,31 @@ impl Task for Plots {
             let subject = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
             monitor.diagnostic(&Diagnostic::warning("plots-partly-outside", subject, message));
         }
+        if !mostly_unseen.is_empty() {
+            let message = format!(
+                "the orthomosaic shows less than {:.0} % ([plots] min_valid_share) of {} of {} plots; numbers of the whole plot \
+                 are left empty: {}",
+                100.0 * options.min_valid_share,
+                mostly_unseen.len(),
+                plots.len(),
+                mostly_unseen.join(", ")
+            );
+            monitor.diagnostic(&Diagnostic::warning("plots-mostly-unseen", "plots", message));
+        }
         write::traits(&plots, place, folder, monitor)?;
         brapi::write(&plots, &study(project, ids), folder)?;
         plants::write(&tables, &plots, place, folder)?;
         let plots = plots.into_iter().map(|plot| plot.traits).collect();
-        Ok(PlotsOutcome { source, plots, outside, partly_outside })
+        Ok(PlotsOutcome { source, plots, outside, partly_outside, mostly_unseen })
     }
+}
+
+/// Whether the box around a polygon meets the raster.
+fn is_on(polygon: &Polygon, (width, height): (usize, usize)) -> bool {
+    let size = [width as f64, height as f64];
+    polygon.bounds().is_some_and(|[low, high]| {
+        (0..2).all(|axis| high[axis] > -0.5 && low[axis] < size[axis] - 0.5)
+    })
 }
 
 /// The study. Its name is not the folder's: a project that moves keeps its bytes.
@@ -254,46 +324,6 @@ fn study(project: &Project, ids: VariableIds) -> brapi::Study {
 
 fn variable_ids_path(project: &Project, options: &PlotsOptions) -> Option<PathBuf> {
     options.variable_ids.as_ref().map(|path| project.root().join(path))
-}
-
-/// Polygons with names, pixels.
-type Areas = Vec<Named>;
-
-/// A plot that nobody drew.
-fn named(name: String, polygon: Polygon) -> Named {
-    Named { name, polygon, leaves: None, attributes: Vec::new() }
-}
-
-/// The plots in pixels; `None` where the whole field is one.
-fn areas(
-    project: &Project,
-    options: &PlotsOptions,
-    tables: &Tables,
-    place: Option<Georeference>,
-    monitor: &mut dyn Monitor,
-) -> Result<(PlotSource, Option<Areas>), Error> {
-    if let Some(path) = project.plots() {
-        return Ok((PlotSource::Polygons, Some(polygons::read(&path, place.as_ref())?)));
-    }
-    let (Some(rows), Some(alley_m)) = (options.rows_per_plot, options.alley_m) else {
-        return Ok((PlotSource::WholeField, None));
-    };
-    let plants = tables.plants.as_deref().map(CsvTable::read).transpose()?;
-    let of_rows = plants.and_then(|table| table.pairs("u_px", "v_px").zip(table.numbers("row")));
-    let Some((plants, row_of)) = of_rows else {
-        let message = "there are no plants with rows, so the whole field is one plot";
-        monitor.diagnostic(
-            &Diagnostic::warning("plots-without-rows", "plots", message)
-                .with_remedy("locate plants with the row model, or draw the plots as polygons"),
-        );
-        return Ok((PlotSource::WholeField, None));
-    };
-    let gsd_m = place.and_then(|place| place.gsd_m()).ok_or_else(|| {
-        Error::Argument("[plots] alley_m: the orthomosaic has no scale in metres".into())
-    })?;
-    let areas = plots_from_rows(&plants, &row_of, rows, alley_m / gsd_m);
-    let areas = areas.into_iter().map(|(name, polygon)| named(name, polygon)).collect();
-    Ok((PlotSource::Rows, Some(areas)))
 }
 
 fn measurements(tables: &Tables, gsd_m: Option<f64>) -> Result<FieldMeasurements, Error> {

@@ -9,8 +9,11 @@ use rowgram_files::{
     qgis::{self, Style},
 };
 use rowgram_optim::output;
-use rowgram_plants::phenotype::plots::along_the_row;
-use rowgram_raster::georeference::{CrsKind, Georeference};
+use rowgram_plants::phenotype::row_plots::along_the_row;
+use rowgram_raster::{
+    georeference::{CrsKind, Georeference},
+    polygon::Positions,
+};
 use std::{collections::BTreeMap, path::Path};
 
 /// Colour of plants that are sure.
@@ -40,7 +43,16 @@ pub(super) fn write(
     place: Option<Georeference>,
     folder: &Path,
 ) -> Result<(), Error> {
-    let plot_of = |at: [f64; 2]| plots.iter().position(|plot| plot.polygon.holds(at));
+    let plots_of = |at: &[[f64; 2]]| -> Vec<Option<usize>> {
+        let places = Positions::new(at.iter().copied());
+        let mut of = vec![None; at.len()];
+        for (number, plot) in plots.iter().enumerate() {
+            for k in places.inside(&plot.polygon) {
+                of[k].get_or_insert(number);
+            }
+        }
+        of
+    };
     let name_of = |plot: Option<usize>| {
         plot.map_or(Value::Null, |plot| Value::Text(plots[plot].traits.plot.clone()))
     };
@@ -49,7 +61,7 @@ pub(super) fn write(
         && let Some(at_px) = table.pairs("u_px", "v_px")
     {
         let rows = table.numbers("row").unwrap_or_else(|| vec![f64::NAN; at_px.len()]);
-        let plot: Vec<Option<usize>> = at_px.iter().map(|at| plot_of(*at)).collect();
+        let plot = plots_of(&at_px);
         let places = places_in_row(&at_px, &rows, &plot);
         let mut columns = vec![
             Column::new("plant", ColumnKind::Integer),
@@ -71,7 +83,7 @@ pub(super) fn write(
         let values = (0..at_px.len())
             .map(|k| {
                 let mut values = vec![
-                    Value::Integer(k as i64),
+                    Value::Integer(k as i64 + 1),
                     name_of(plot[k]),
                     whole(rows[k]),
                     places[k].map_or(Value::Null, |place| Value::Integer(place as i64)),
@@ -97,6 +109,7 @@ pub(super) fn write(
         let (rows, missing, probability) =
             (numbers("row"), numbers("plants"), numbers("probability"));
         let length_px = numbers("length_px");
+        let plot = plots_of(&at_px);
         let (length, unit) = gsd_m.map_or((1.0, "length_px"), |gsd_m| (gsd_m, "length_m"));
         let columns = vec![
             Column::new("plot", ColumnKind::Text),
@@ -108,7 +121,7 @@ pub(super) fn write(
         let values = (0..at_px.len())
             .map(|k| {
                 vec![
-                    name_of(plot_of(at_px[k])),
+                    name_of(plot[k]),
                     whole(rows[k]),
                     whole(missing[k]),
                     Value::Real(length * length_px[k]),
@@ -164,6 +177,9 @@ impl Points {
         let coordinates = match place {
             None => None,
             Some(_) if degrees(place) => Some(["longitude_deg", "latitude_deg"]),
+            Some(place) if matches!(place.crs.kind, CrsKind::Feet | CrsKind::SurveyFeet) => {
+                Some(["easting_ft", "northing_ft"])
+            }
             Some(_) => Some(["easting_m", "northing_m"]),
         };
         let csv_path = folder.join(format!("{}.csv", self.name));

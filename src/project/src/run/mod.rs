@@ -5,7 +5,7 @@
 
 mod planned;
 
-use super::{Project, Stage, State, checks, record, stac, stage};
+use super::{Project, Stage, State, checks, orthomosaic, record, stac, stage};
 pub(crate) use planned::workflow;
 pub use planned::{Plan, PlannedStage, plan};
 use rowgram_base::{
@@ -268,6 +268,9 @@ pub fn run(
     let wanted = options.stages(project)?;
     check_input(project)?;
     project.config().validate()?;
+    if wanted.contains(&(Stage::Plots, true)) {
+        orthomosaic::check(project)?;
+    }
     let again = |stage: &Stage| options.from.is_some_and(|from| *stage >= from);
     let again = Stage::all().into_iter().filter(again);
     let project = &project.clone().again(again).reserved()?;
@@ -351,8 +354,15 @@ fn check_results(project: &Project, stages: &[StageReport]) -> Result<(), Error>
 }
 
 pub(super) fn check_input(project: &Project) -> Result<(), Error> {
-    let photos = project.photos().len();
-    if project.given_orthomosaic().is_some() || photos >= LEAST_PHOTOS {
+    if project.given_orthomosaic().is_some() {
+        return Ok(());
+    }
+    let photos = project.photos();
+    if let Some(message) = orthomosaic::undecided(&photos) {
+        return Err(FileError::malformed(project.root(), None, message).into());
+    }
+    let photos = photos.len();
+    if photos >= LEAST_PHOTOS {
         return Ok(());
     }
     let number = if photos == 0 { "no".to_owned() } else { format!("only {photos}") };

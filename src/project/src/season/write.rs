@@ -198,13 +198,13 @@ fn plants(path: &Path, days: &[Day], found: &Found) -> Result<(), Error> {
                 let Some((place, plants)) = place.zip(days[k].plants.as_ref()) else { continue };
                 let plant = &plants[place];
                 csv.write_record([
-                    number_of.to_string(),
+                    (number_of + 1).to_string(),
                     plant.plot.clone(),
                     days[k].date.clone(),
                     days[k].day.to_string(),
                     format!("{:.4}", plant.at_m[0]),
                     format!("{:.4}", plant.at_m[1]),
-                    place.to_string(),
+                    (place + 1).to_string(),
                     number(plant.confidence, 4),
                     number(track.same_probability[k], 4),
                     number(track.new_probability.filter(|_| first == Some(k)), 4),

@@ -127,6 +127,11 @@ pub struct Classified {
 }
 
 impl Estimate {
+    /// Whether a flat surround was found.
+    pub fn has_surround(&self) -> bool {
+        self.surround.is_some()
+    }
+
     /// Rows above and below a band that its mask depends on.
     pub fn halo(&self) -> usize {
         self.coherence.reach() + 1

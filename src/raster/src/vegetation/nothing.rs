@@ -19,7 +19,7 @@ const LEAST: f64 = 0.001;
 const GROWN: usize = 2;
 
 /// Which blocks of a picture are flat, gathered band by band.
-pub(super) struct SurroundFinder {
+pub struct SurroundFinder {
     columns: usize,
     rows: usize,
     /// Of each block: [`BLACK`], [`WHITE`] or neither.
@@ -32,16 +32,16 @@ const WHITE: u8 = 2;
 
 impl SurroundFinder {
     /// Bands begin at multiples of so many rows.
-    pub(super) const ROWS: usize = BLOCK;
+    pub const ROWS: usize = BLOCK;
 
     /// For a picture of so many columns and rows.
-    pub(super) fn new((width, height): (usize, usize)) -> SurroundFinder {
+    pub fn new((width, height): (usize, usize)) -> SurroundFinder {
         let (columns, rows) = (width.div_ceil(BLOCK), height.div_ceil(BLOCK));
         SurroundFinder { columns, rows, flat: Vec::with_capacity(columns * rows) }
     }
 
     /// Looks at the next band, from the top; `photo` has the rows that are seen.
-    pub(super) fn add(&mut self, band: &Band, photo: &RgbImage) {
+    pub fn add(&mut self, band: &Band, photo: &RgbImage) {
         debug_assert_eq!(self.flat.len(), band.rows.start / BLOCK * self.columns);
         debug_assert!(band.rows.start.is_multiple_of(BLOCK));
         let skip = band.rows.start - band.seen.start;
@@ -54,7 +54,7 @@ impl SurroundFinder {
     }
 
     /// The surround, when all bands have been seen; `None` if there is none.
-    pub(super) fn finish(self) -> Option<Surround> {
+    pub fn finish(self) -> Option<Surround> {
         let SurroundFinder { columns, rows, flat } = self;
         let least = LEAST * flat.len() as f64;
         let mut surround = Mask { width: columns, height: rows, data: Vec::new() };
@@ -96,7 +96,7 @@ impl Surround {
     }
 
     /// Of the pixels of some rows of `width` columns: 1 outside it, 0 within.
-    pub(super) fn outside(&self, rows: Range<usize>, width: usize) -> Vec<u8> {
+    pub fn outside(&self, rows: Range<usize>, width: usize) -> Vec<u8> {
         let mut outside = Vec::with_capacity(rows.len() * width);
         for v in rows {
             let blocks = self.blocks.row(v / BLOCK);

@@ -121,7 +121,7 @@ const TOLD_RATIO: f64 = 10.0;
 fn align_told(survey: &mut Reconstruction) -> Option<Alignment> {
     let positions: Vec<[f64; 3]> = survey.positions.iter().map(|p| p.position_m).collect();
     let [along, across, _] = principal_spreads_m(&positions);
-    let sigma_m = median(survey.positions.iter().map(|p| p.sigma_m[2]).collect());
+    let sigma_m = median(survey.positions.iter().map(|p| p.sigma_m[2]))?;
     let tilt_rad = sigma_m / (across * (positions.len() as f64).sqrt()).max(1e-9);
     if positions.len() < 4 || across < NEARLY_A_LINE * along || tilt_rad > TILT_BY_AXES_RAD {
         return None;

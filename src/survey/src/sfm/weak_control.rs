@@ -5,7 +5,7 @@
 
 use super::{
     block::Block,
-    georeference::{Known, apply, median, spread_across},
+    georeference::{Known, apply, spread_across},
     level::plan::PlanFit,
     triangulate::{TriangulationOptions, View, triangulate},
 };
@@ -14,6 +14,7 @@ use crate::{
     scene::{Axes, GroundObservation, Reconstruction, Role},
 };
 use nalgebra::{Rotation3, Vector3};
+use rowgram_optim::robust::median;
 
 /// Points whose second principal spread is below this share of the first do not tell a tilt about their line.
 const NEARLY_A_LINE: f64 = 0.1;
@@ -74,7 +75,7 @@ pub(super) fn settle(survey: &mut Reconstruction, alignment: &mut Alignment) {
     let flight_m = extent_m(survey.images.iter().map(|image| image.pose.centre_m()));
     let wide = extent_m(in_plan.iter().map(|point| point.position_m)) > WIDE * flight_m;
     let fit = if wide { PlanFit::robust(&pairs).map(|(fit, _)| fit) } else { None };
-    let axis = |k: usize| median(pairs.iter().map(|(p, q)| q[k] - p[k]).collect());
+    let axis = |k: usize| median(pairs.iter().map(|(p, q)| q[k] - p[k])).unwrap_or(0.0);
     let fit = fit.unwrap_or(PlanFit { factor: [1.0, 0.0], shift: [axis(0), axis(1)] });
     let scale = fit.factor[0].hypot(fit.factor[1]);
     let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), fit.factor[1].atan2(fit.factor[0]));
@@ -82,10 +83,10 @@ pub(super) fn settle(survey: &mut Reconstruction, alignment: &mut Alignment) {
     let left: Vec<f64> = heights.map(|point| point.position_m[2] - scale * point.at[2]).collect();
     let up = if left.is_empty() {
         // The middle of the cameras stays as high as it was.
-        let heights = survey.images.iter().map(|image| image.pose.centre_m()[2]).collect();
-        (1.0 - scale) * median(heights)
+        let heights = survey.images.iter().map(|image| image.pose.centre_m()[2]);
+        median(heights).map_or(0.0, |middle| (1.0 - scale) * middle)
     } else {
-        median(left)
+        median(left).unwrap_or(0.0)
     };
     apply(survey, scale, turn.matrix(), &Vector3::new(fit.shift[0], fit.shift[1], up));
     let squares: f64 = pairs.iter().map(|pair| fit.left(pair).powi(2)).sum();
@@ -100,7 +101,7 @@ pub(super) fn settle(survey: &mut Reconstruction, alignment: &mut Alignment) {
 /// adjustment begins.
 pub(super) fn fill_unknown_coordinates(block: &Block<'_>, known: &mut Known) {
     let heights: Vec<f64> = block.points.iter().flatten().map(|point| point[2]).collect();
-    let usual = median(heights);
+    let usual = median(heights).unwrap_or(0.0);
     let demands = TriangulationOptions { tolerance_px: 50.0, min_angle_rad: 0.01 };
     for ground in 0..known.ground.len() {
         let axes = known.ground[ground].axes;

@@ -108,6 +108,14 @@ pub fn layout(
     let metres = crs.kind.metres_per_unit().ok_or_else(|| {
         Error::Argument("the map is in degrees, expected a projected system in metres".to_owned())
     })?;
+    if let Some(scale) = field.as_ref().and_then(|field| field.place.map_scale())
+        && (scale - 1.0).abs() > 1e-3
+    {
+        return Err(Error::Argument(format!(
+            "a metre of the map is {scale:.3} m on the ground, and layouts are laid out in metres: save the orthomosaic in a \
+             projected system made for surveys, as UTM"
+        )));
+    }
     let plants = match request.project {
         Some(project) => plants(project, field.as_ref(), metres)?,
         None => None,
@@ -199,7 +207,7 @@ fn plants(
     };
     let plant = |(at, row): ([f64; 2], f64)| {
         let at_m = field.place_of_plants.map(at).map(|x| x * metres);
-        (row >= 0.0).then_some(FoundPlant { at_m, row: row as usize })
+        (row >= 1.0).then(|| FoundPlant { at_m, row: row as usize - 1 })
     };
     Ok(Some(places.into_iter().zip(rows).filter_map(plant).collect()))
 }

@@ -1,0 +1,162 @@
+//! The samples of a raster as 8-bit colours.
+
+use super::{BLACK_IS_ZERO, RGB, Reader};
+use image::RgbImage;
+use rowgram_optim::output::FileError;
+use rowgram_raster::window::Window;
+use tiff_reader::TiffSample;
+
+/// Windows along each axis, and their side, in which the range of the samples is looked at.
+const LOOKS: usize = 8;
+const LOOK_PX: usize = 64;
+/// Full brightness of 16 bits, and the share of it that colours in full range reach: those of cameras do, reflectance times
+/// 10,000 (at most .6 of leaves and soil in the visible) and 12 bits do not.
+const FULL_16: f64 = 65_535.0;
+const FULL_RANGE: f64 = 0.25;
+
+impl Reader {
+    /// How its samples become colours, where that is not by their order and in full range: for people.
+    ///
+    /// # Errors
+    /// Where it is not known which bands are colours, or the file is damaged.
+    pub fn colour_notes(&self) -> Result<Vec<String>, FileError> {
+        let [red, green, blue] = self.colours()?;
+        let mut notes = Vec::new();
+        if self.bands.by_name && [red, green, blue] != [0, 1, 2] {
+            let [red, green, blue] = [red, green, blue].map(|band| band + 1);
+            notes
+                .push(format!("by their names, bands {red}, {green}, {blue} are red, green, blue"));
+        }
+        let more = self.bands() - usize::from(self.bands.alpha.is_some());
+        if self.bands.is_colour && more > 3 && matches!(self.photometric, BLACK_IS_ZERO | RGB) {
+            let how = if self.bands.by_name {
+                ""
+            } else {
+                "; bands have no names, the first three are taken for red, green, blue"
+            };
+            notes.push(format!("{more} bands, of which the colours are used{how}"));
+        }
+        if !u8::matches_layout(&self.layout) {
+            let full = self.full()?;
+            if full != FULL_16 {
+                notes.push(format!(
+                    "{} samples: {full} is taken for full brightness",
+                    self.sample_name()
+                ));
+            }
+        }
+        Ok(notes)
+    }
+
+    fn colours(&self) -> Result<[usize; 3], FileError> {
+        self.bands.colours.clone().map_err(|why| self.malformed(why))
+    }
+
+    /// The sample value of full brightness.
+    fn full(&self) -> Result<f64, FileError> {
+        match self.photometric {
+            _ if u8::matches_layout(&self.layout) => return Ok(255.0),
+            BLACK_IS_ZERO | RGB => {}
+            _ => return Ok(FULL_16),
+        }
+        if let Some(&full) = self.full.get() {
+            return Ok(full);
+        }
+        let colours = self.colours()?;
+        let (columns, rows) = (self.width(), self.height());
+        let mut seen: Vec<f32> = Vec::new();
+        for look in 0..LOOKS * LOOKS {
+            let at = |k: usize, size: usize| k * size.saturating_sub(LOOK_PX) / (LOOKS - 1);
+            let (u, v) = (at(look % LOOKS, columns), at(look / LOOKS, rows));
+            let window = Window { u, v, width: LOOK_PX.min(columns), height: LOOK_PX.min(rows) };
+            for pixel in self.values(self.directory, window)?.chunks_exact(self.bands()) {
+                let is_shown = self.bands.alpha.is_none_or(|band| pixel[band] != 0.0);
+                let values = colours.iter().map(|&band| pixel[band]);
+                seen.extend(values.filter(|x| is_shown && x.is_finite() && *x > 0.0));
+            }
+        }
+        // The brightest thousandth may be glare.
+        let brightest = seen.len().saturating_sub(1) * 999 / 1000;
+        let high = match seen.is_empty() {
+            true => 1.0,
+            false => f64::from(*seen.select_nth_unstable_by(brightest, f32::total_cmp).1),
+        };
+        let is_full_16 = u16::matches_layout(&self.layout) && high >= FULL_RANGE * FULL_16;
+        Ok(*self.full.get_or_init(|| if is_full_16 { FULL_16 } else { high }))
+    }
+
+    pub(super) fn rgb_and_gaps(
+        &self,
+        directory: usize,
+        mask: Option<usize>,
+        window: Window,
+    ) -> Result<(RgbImage, Option<Vec<bool>>), FileError> {
+        let Window { width, height, .. } = window;
+        let mut gaps = Vec::with_capacity(window.pixels());
+        let stored = matches!(self.photometric, BLACK_IS_ZERO | RGB);
+        let mut rgb = Vec::with_capacity(3 * window.pixels());
+        if u8::matches_layout(&self.layout) {
+            let samples = self.window::<u8>(directory, window, stored)?;
+            self.add_rgb(&samples, window, |x| x, (&mut rgb, &mut gaps))?;
+        } else if u16::matches_layout(&self.layout) {
+            let samples = self.window::<u16>(directory, window, stored)?;
+            let full = self.full()?;
+            let byte = |x: u16| (f64::from(x) * 255.0 / full).round() as u8;
+            self.add_rgb(&samples, window, byte, (&mut rgb, &mut gaps))?;
+        } else if self.is_colour() {
+            let samples = self.values(directory, window)?;
+            let full = self.full()?;
+            let byte = |x: f32| (f64::from(x) * 255.0 / full).round() as u8;
+            self.add_rgb(&samples, window, byte, (&mut rgb, &mut gaps))?;
+        } else {
+            return Err(self.malformed(format!(
+                "its pixels are single values of {} (a vegetation index, heights), expected a photo in colours",
+                self.sample_name()
+            )));
+        }
+        if let Some(mask) = mask {
+            let seen = self.window::<u8>(mask, window, false)?;
+            for ((gap, pixel), seen) in gaps.iter_mut().zip(rgb.chunks_exact_mut(3)).zip(seen) {
+                if seen == 0 {
+                    *gap = true;
+                    pixel.fill(0);
+                }
+            }
+        }
+        let rgb = RgbImage::from_raw(width as u32, height as u32, rgb).ok_or_else(|| {
+            self.malformed("damaged: it has fewer pixels than it says".to_owned())
+        })?;
+        Ok((rgb, gaps.contains(&true).then_some(gaps)))
+    }
+
+    fn add_rgb<T: Copy + Into<f64>>(
+        &self,
+        samples: &[T],
+        window: Window,
+        byte: impl Fn(T) -> u8,
+        (rgb, gaps): (&mut Vec<u8>, &mut Vec<bool>),
+    ) -> Result<(), FileError> {
+        let bands = (samples.len() / window.pixels().max(1)).max(1);
+        let colours = self.colours()?.map(|band| band.min(bands - 1));
+        let alpha = match self.bands.alpha {
+            Some(band) => Some(band),
+            // Colours that were decoded (a palette, YCbCr) have alpha behind them, where they have one.
+            None if self.photometric > RGB && matches!(bands, 2 | 4) => Some(bands - 1),
+            None => None,
+        };
+        let nodata = self.nodata;
+        for pixel in samples.chunks_exact(bands) {
+            let values = colours.map(|band| pixel[band].into());
+            let empty = alpha.is_some_and(|band| pixel[band].into() == 0.0)
+                || nodata.is_some_and(|nodata| values.iter().all(|&x| x == nodata))
+                || values.iter().all(|x| x.is_nan());
+            gaps.push(empty);
+            if empty {
+                rgb.extend([0; 3]);
+            } else {
+                rgb.extend(colours.map(|band| byte(pixel[band])));
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,270 @@
+//! Polygons of all formats.
+
+use super::*;
+use rowgram_raster::{crs, georeference::Crs};
+
+fn parse(text: &str, place: Option<&Georeference>) -> Result<Vec<Named>, String> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("plots.geojson");
+    std::fs::write(&path, text).unwrap();
+    read(&path, place).map_err(|error| error.to_string())
+}
+
+const PLOTS: &str = r#"{"type":"FeatureCollection",
+    "crs":{"type":"name","properties":{"name":"urn:ogc:def:crs:EPSG::32616"}},"features":[
+    {"type":"Feature","properties":{"name":"A","leaves":12},
+     "geometry":{"type":"Polygon","coordinates":[[[100,200],[110,200],[110,190],[100,200]]]}},
+    {"type":"Feature","id":7,"properties":null,
+     "geometry":{"type":"MultiPolygon","coordinates":[[[[0,0,5],[1,0,5],[1,1,5]]]]}}]}"#;
+
+#[test]
+fn plots_are_named_and_in_pixels() {
+    let place = Georeference::north_up([100.0, 200.0], 0.5, Crs::projected(32616));
+    let plots = parse(PLOTS, Some(&place)).unwrap();
+    assert_eq!((plots[0].name.as_str(), plots[0].leaves), ("A", Some(12.0)));
+    assert_eq!(plots[0].polygon.rings, [[[0.0, 0.0], [20.0, 0.0], [20.0, 20.0]]]);
+    assert_eq!((plots[1].name.as_str(), plots[1].leaves), ("7", None));
+    let unnamed = PLOTS.replace("\"crs\"", "\"other\"");
+    assert_eq!(parse(&unnamed, None).unwrap()[0].polygon.rings[0][0], [100.0, 200.0]);
+}
+
+#[test]
+fn what_cannot_be_used_is_told() {
+    let place = Georeference::north_up([100.0, 200.0], 0.5, Crs::projected(32617));
+    let error = parse(&PLOTS.replace("32616", "999999"), Some(&place)).unwrap_err();
+    assert!(error.contains("EPSG:999999 is not a known"), "{error}");
+    let nowhere = Georeference { crs: Crs::LOCAL, ..place };
+    let error = parse(PLOTS, Some(&nowhere)).unwrap_err();
+    assert!(error.contains("EPSG:32616") && error.contains("does not say"), "{error}");
+    assert!(parse(PLOTS, None).unwrap_err().contains("in pixels"));
+    let plots = PLOTS.replace("\"crs\"", "\"other\"");
+    for (text, expected) in [
+        ("", "expected GeoJSON"),
+        ("{\"type\":\"Topology\"}", "expected GeoJSON"),
+        (&plots.replace("12", "\"many\""), "expected a number"),
+        (&plots.replace("[110,200],[110,190],", ""), "fewer than three points"),
+        (&plots.replace("[110,200]", "[110]"), "fewer than two numbers"),
+        (&plots.replace("\"Polygon\"", "\"Point\"").replace("MultiPolygon", "Point"), "is a Point"),
+    ] {
+        let error = parse(text, None).unwrap_err();
+        assert!(error.contains(expected) && error.contains("plots.geojson"), "{error}");
+    }
+}
+
+#[test]
+fn what_nobody_meant_to_draw_is_refused() {
+    let place = Georeference::north_up([100.0, 200.0], 0.5, Crs::projected(32616));
+    let square = "[[100,200],[110,200],[110,190],[100,200]]";
+    for (text, expected) in [
+        (
+            PLOTS.replace(square, "[[100,200],[110,190],[110,200],[100,190],[100,200]]"),
+            "crosses itself at 105.00, 195.00",
+        ),
+        (PLOTS.replace(square, "[[100,200],[105,195],[110,190],[100,200]]"), "on one line"),
+        (PLOTS.replace("\"id\":7", "\"id\":\"A\""), "two polygons are named \"A\""),
+        (r#"{"type":"FeatureCollection","features":[]}"#.to_owned(), "no polygons"),
+    ] {
+        let error = parse(&text, Some(&place)).unwrap_err();
+        assert!(error.contains(expected) && error.contains("plots.geojson"), "{error}");
+    }
+}
+
+#[test]
+fn properties_come_along_and_names_do_not() {
+    let text = PLOTS.replace(
+        "\"leaves\":12",
+        "\"leaves\":12,\"genotype\":\"B73\",\"block\":2,\"fid\":9,\"note\":null",
+    );
+    let plots = parse(&text, None).unwrap_err();
+    assert!(plots.contains("in pixels"), "{plots}");
+    let place = Georeference::north_up([100.0, 200.0], 0.5, Crs::projected(32616));
+    let plots = parse(&text, Some(&place)).unwrap();
+    let kept: Vec<&str> = plots[0].attributes.iter().map(|(name, _)| name.as_str()).collect();
+    assert_eq!(kept, ["block", "genotype"]);
+    assert!(plots[1].attributes.is_empty());
+}
+
+#[test]
+fn a_file_is_checked_without_a_map() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("plots.geojson");
+    std::fs::write(&path, PLOTS).unwrap();
+    assert_eq!(check(&path, None).unwrap().polygons.len(), 2);
+    std::fs::write(&path, PLOTS.replace("\"id\":7", "\"id\":\"A\"")).unwrap();
+    assert!(check(&path, None).unwrap_err().to_string().contains("two polygons"));
+}
+
+/// The same corner of a field in three systems comes to the same pixel.
+#[test]
+fn other_systems_are_transformed() {
+    let corner = [500_670.0, 4_480_143.0];
+    let zone_16 = crs::Crs::from_epsg(32616).unwrap();
+    let place = Georeference::north_up(corner, 0.02, Crs::projected(32616));
+    let [latitude, longitude] = zone_16.to_wgs84(corner[0] + 1.0, corner[1] - 2.0).unwrap();
+    let [x, y] = crs::Crs::from_epsg(32617).unwrap().from_wgs84(latitude, longitude).unwrap();
+    let text = |crs: &str, x: f64, y: f64| {
+        format!(
+            r#"{{"type":"FeatureCollection"{crs},"features":[{{"type":"Feature","geometry":
+            {{"type":"Polygon","coordinates":[[[{x},{y}],[{},{y}],[{x},{}],[{x},{y}]]]}}}}]}}"#,
+            x + 1e-4,
+            y + 1e-4
+        )
+    };
+    let named = |code: &str| {
+        format!(r#","crs":{{"type":"name","properties":{{"name":"urn:ogc:def:crs:{code}"}}}}"#)
+    };
+    for text in [
+        text("", longitude, latitude),
+        text(&named("OGC:1.3:CRS84"), longitude, latitude),
+        text(&named("EPSG::4326"), longitude, latitude),
+        text(&named("EPSG::32617"), x, y),
+    ] {
+        let [u, v] = parse(&text, Some(&place)).unwrap()[0].polygon.rings[0][0];
+        assert!((u - 50.0).abs() < 0.01 && (v - 100.0).abs() < 0.01, "{u} {v}: {text}");
+    }
+}
+
+#[test]
+fn a_shapefile_is_read() {
+    use shapefile::{
+        Point, Polygon, PolygonRing,
+        dbase::{FieldValue, Record, TableWriterBuilder},
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("plots.shp");
+    let table = TableWriterBuilder::new()
+        .add_character_field("PLOT".try_into().unwrap(), 20)
+        .add_numeric_field("LEAVES".try_into().unwrap(), 10, 1);
+    let mut writer = shapefile::Writer::from_path(&path, table).unwrap();
+    let ring = [(100.0, 200.0), (100.0, 190.0), (110.0, 190.0), (100.0, 200.0)];
+    let polygon = Polygon::new(PolygonRing::Outer(ring.map(|(x, y)| Point::new(x, y)).into()));
+    let mut record = Record::default();
+    record.insert("PLOT".into(), FieldValue::Character(Some("7 b".into())));
+    record.insert("LEAVES".into(), FieldValue::Numeric(Some(12.0)));
+    writer.write_shape_and_record(&polygon, &record).unwrap();
+    drop(writer);
+    let place = Georeference::north_up([100.0, 200.0], 0.5, Crs::projected(32616));
+    let plots = read(&path, Some(&place)).unwrap();
+    assert_eq!((plots[0].name.as_str(), plots[0].leaves), ("7 b", Some(12.0)));
+    assert_eq!(plots[0].polygon.rings[0].len(), 3);
+    assert!(plots[0].polygon.rings[0].contains(&[20.0, 20.0]));
+    // Stated by name, in the words of ArcGIS.
+    let projection = folder.path().join("plots.prj");
+    std::fs::write(&projection, r#"PROJCS["WGS_1984_UTM_Zone_16N",GEOGCS["GCS_WGS_1984"]]"#)
+        .unwrap();
+    assert_eq!(read(&path, Some(&place)).unwrap(), plots);
+    std::fs::write(&projection, r#"PROJCS["Mine",GEOGCS["GCS_WGS_1984"]]"#).unwrap();
+    let error = read(&path, Some(&place)).unwrap_err().to_string();
+    assert!(error.contains("plots.prj") && error.contains("Mine"), "{error}");
+    std::fs::remove_file(folder.path().join("plots.dbf")).unwrap();
+    assert!(read(&path, None).unwrap_err().to_string().contains("plots.shp"));
+}
+
+/// A shapefile with one polygon and a name in Latin-1.
+fn shapefile_of(folder: &Path, name: &[u8]) -> PathBuf {
+    use shapefile::{
+        Point, PolygonRing,
+        dbase::{FieldValue, Record, TableWriterBuilder},
+    };
+    let path = folder.join("plots.shp");
+    let table = TableWriterBuilder::new()
+        .add_character_field("PLOT".try_into().unwrap(), 20)
+        .add_character_field("GENOTYPE".try_into().unwrap(), 20);
+    let mut writer = shapefile::Writer::from_path(&path, table).unwrap();
+    let ring = [(100.0, 200.0), (100.0, 190.0), (110.0, 190.0), (100.0, 200.0)];
+    let ring = PolygonRing::Outer(ring.map(|(x, y)| Point::new(x, y)).into());
+    let mut record = Record::default();
+    record.insert("PLOT".into(), FieldValue::Character(Some("1".into())));
+    let placeholder = "x".repeat(name.len());
+    record.insert("GENOTYPE".into(), FieldValue::Character(Some(placeholder.clone())));
+    writer.write_shape_and_record(&shapefile::Polygon::new(ring), &record).unwrap();
+    drop(writer);
+    let table = folder.join("plots.dbf");
+    let mut bytes = std::fs::read(&table).unwrap();
+    let at = bytes.windows(name.len()).rposition(|part| part == placeholder.as_bytes()).unwrap();
+    bytes[at..at + name.len()].copy_from_slice(name);
+    std::fs::write(&table, bytes).unwrap();
+    path
+}
+
+#[test]
+fn texts_are_in_the_encoding_that_is_stated_or_fits() {
+    let folder = tempfile::tempdir().unwrap();
+    let genotype = |path: &Path| {
+        let plots = read(path, None).unwrap();
+        plots[0].attributes.iter().find(|(key, _)| key == "GENOTYPE").unwrap().1.clone()
+    };
+    let path = shapefile_of(folder.path(), b"K\xf6ln");
+    assert_eq!(genotype(&path), "Köln");
+    for (label, expected) in
+        [("ISO-8859-1", "Köln"), ("88591", "Köln"), ("ANSI 1252", "Köln"), ("1251", "Kцln")]
+    {
+        std::fs::write(path.with_extension("cpg"), label).unwrap();
+        assert_eq!(genotype(&path), expected, "{label}");
+    }
+    std::fs::write(path.with_extension("cpg"), "Klingon").unwrap();
+    assert!(read(&path, None).unwrap_err().to_string().contains("plots.cpg"));
+    std::fs::remove_file(path.with_extension("cpg")).unwrap();
+    let path = shapefile_of(folder.path(), "Köln".as_bytes());
+    assert_eq!(genotype(&path), "Köln");
+}
+
+#[test]
+fn holes_beside_their_outline_add_nothing() {
+    let square = |x: f64| format!("[[{x},0],[{},0],[{},10],[{x},10],[{x},0]]", x + 10.0, x + 10.0);
+    let text = |hole: String| {
+        format!(
+            r#"{{"type":"FeatureCollection","features":[{{"type":"Feature","properties":{{"plot":1}},
+            "geometry":{{"type":"Polygon","coordinates":[{},{hole}]}}}}]}}"#,
+            square(0.0)
+        )
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("plots.geojson");
+    std::fs::write(&path, text(square(30.0))).unwrap();
+    let layer = read_layer(&path, Drawn::default()).unwrap();
+    assert_eq!(layer.polygons[0].polygon.pixels(), 100);
+    assert!(layer.notes[0].contains("a hole lies outside"), "{:?}", layer.notes);
+    std::fs::write(&path, text("[[2,2],[4,2],[4,4],[2,4],[2,2]]".to_owned())).unwrap();
+    let layer = read_layer(&path, Drawn::default()).unwrap();
+    assert_eq!((layer.polygons[0].polygon.pixels(), layer.notes.len()), (96, 0));
+}
+
+#[test]
+fn names_are_the_property_in_which_plots_differ() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("plots.geojson");
+    let read = |rows: &[&str], key: Option<&str>| {
+        let feature = |(k, properties): (usize, &&str)| {
+            let x = 20 * k;
+            format!(
+                r#"{{"type":"Feature","properties":{properties},"geometry":
+                {{"type":"Polygon","coordinates":[[[{x},0],[{},0],[{x},9],[{x},0]]]}}}}"#,
+                x + 9
+            )
+        };
+        let features: Vec<String> = rows.iter().enumerate().map(feature).collect();
+        let text = format!(r#"{{"type":"FeatureCollection","features":[{}]}}"#, features.join(","));
+        std::fs::write(&path, text).unwrap();
+        let layer =
+            read_layer(&path, Drawn { key, ..Drawn::default() }).map_err(|e| e.to_string())?;
+        Ok::<_, String>((
+            layer.polygons.into_iter().map(|of| of.name).collect::<Vec<_>>(),
+            layer.notes,
+        ))
+    };
+    let genotypes = [r#"{"name":"B73","Plot_ID":101.0}"#, r#"{"name":"B73","Plot_ID":102.0}"#];
+    let (names, notes) = read(&genotypes, None).unwrap();
+    assert_eq!(names, ["101", "102"]);
+    assert!(notes.is_empty(), "{notes:?}");
+    let repeated = [r#"{"plot":"B73","id":7}"#, r#"{"plot":"B73","id":8}"#];
+    let (names, notes) = read(&repeated, None).unwrap();
+    assert_eq!(names, ["7", "8"]);
+    assert!(notes[0].contains("named by id") && notes[0].contains("plot_key"), "{notes:?}");
+    let own = [r#"{"name":"a","Parcel":"x"}"#, r#"{"name":"a","Parcel":"y"}"#];
+    let error = read(&own, None).unwrap_err();
+    assert!(error.contains("unique are: Parcel") && error.contains("plot_key"), "{error}");
+    assert_eq!(read(&own, Some("parcel")).unwrap().0, ["x", "y"]);
+    assert!(read(&own, Some("nothing")).unwrap_err().contains("there are: Parcel, name"));
+    assert!(read(&own, Some("name")).unwrap_err().contains("two polygons"));
+}
