@@ -42,7 +42,7 @@ impl PlantPrior for Hexagonal {
             [((at[0] - shift) / along).round() * along + shift, origin[1] + row * across]
         };
         let nearer = |at, a, b| if square(at, b) < square(at, a) { b } else { a };
-        let nearest = |at| nearer(*at, node(at, 0.0), node(at, 1.0));
+        let nearest = |at: &[f64; 2]| nearer(*at, node(at, 0.0), node(at, 1.0));
         *expected = positions.iter().map(nearest).collect();
         for k in 0..2 {
             let off = positions.iter().zip(&*expected).map(|(at, node)| at[k] - node[k]);

@@ -1,6 +1,6 @@
 //! The orthomosaic that a project begins with: which raster of a folder it is, and what is odd about it.
 
-use super::{Project, layers, project::photos_in};
+use super::{Project, layers, photo_folder::photos_in};
 use rowgram_base::{error::Error, monitor::Diagnostic};
 use rowgram_files::{
     photo,
