@@ -116,24 +116,46 @@ fn the_numerical_core_opens_no_files_prints_nothing_reads_no_clock() {
     assert_none(found, "the numerical core opens no files, prints nothing, reads no clock");
 }
 
-#[test]
-fn the_library_alone_needs_no_program_report_database_or_generator() {
+/// Names of the packages that a crate is built from.
+fn packages_of(arguments: &str) -> Vec<String> {
     let output = std::process::Command::new(env!("CARGO"))
-        .args("tree -p rowgram -e normal --no-default-features --prefix none".split(' '))
-        .args(["--offline", "--locked"])
+        .args("tree -e normal --prefix none --offline --locked".split(' '))
+        .args(arguments.split(' '))
         .current_dir(root())
         .output()
         .unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let text = String::from_utf8(output.stdout).unwrap();
-    let packages: Vec<&str> =
-        text.lines().filter_map(|line| line.split_whitespace().next()).collect();
-    assert!(packages.contains(&"faer"), "this is no list of dependencies: {text}");
-    let unwanted = ["clap", "maud", "rusqlite", "libsqlite3-sys", "data-synth"];
-    assert_none(
-        unwanted.iter().filter(|name| packages.contains(name)).map(|name| (*name).to_owned()),
+    let packages: Vec<String> =
+        text.lines().filter_map(|line| line.split_whitespace().next()).map(str::to_owned).collect();
+    assert!(packages.iter().any(|name| name == "faer"), "this is no list of dependencies: {text}");
+    packages
+}
+
+fn assert_without(packages: &[String], unwanted: &[&str], rule: &str) {
+    let found = packages.iter().filter(|name| unwanted.contains(&name.as_str()));
+    assert_none(found.cloned(), rule);
+}
+
+#[test]
+fn the_library_alone_needs_no_program_report_database_or_generator() {
+    assert_without(
+        &packages_of("-p rowgram --no-default-features"),
+        &["clap", "maud", "rusqlite", "libsqlite3-sys", "data-synth"],
         "the library without default features depends on something of the program",
     );
+}
+
+#[test]
+fn the_engines_need_no_picture_table_or_terminal() {
+    let packages = packages_of("-p rowgram-optim");
+    assert_without(
+        &packages,
+        &["clap", "csv", "image", "indicatif", "png", "tiff", "tracing", "zune-jpeg"],
+        "the engines depend on something that is not numerical",
+    );
+    let ours = packages.iter().filter(|name| name.starts_with("rowgram-"));
+    assert_none(ours.filter(|name| *name != "rowgram-optim").cloned(), "the engines stand alone");
 }
 
 #[test]
