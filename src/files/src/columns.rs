@@ -2,6 +2,7 @@
 
 use super::FileError;
 use super::table::{Column, Row, Table};
+use rowgram_optim::robust::median;
 
 /// A photo.
 pub(super) const IMAGE: &[&str] = &[
@@ -233,11 +234,6 @@ pub(super) fn look_like_degrees(places: &[[f64; 2]]) -> bool {
         && spread(1) < 1.0
 }
 
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
-}
-
 /// Degrees nearer than this to those of the photos are of the same place.
 const SAME_PLACE_DEG: f64 = 1.0;
 
@@ -248,7 +244,7 @@ pub(super) fn latitude_first(
     photos_deg: Option<[f64; 2]>,
     usually: bool,
 ) -> bool {
-    let middle = [0, 1].map(|k| median(pairs.iter().map(|pair| pair[k]).collect()));
+    let middle = [0, 1].map(|k| median(pairs.iter().map(|pair| pair[k])).unwrap_or(0.0));
     if middle[0].abs() > 90.0 || middle[1].abs() > 90.0 {
         return middle[1].abs() > 90.0;
     }
@@ -306,7 +302,7 @@ pub(super) fn unnamed(
     let north_first = if is_degrees {
         latitude_first(&pairs, photos_deg, usually_latitude_first)
     } else {
-        let middle = [0, 1].map(|k| median(pairs.iter().map(|pair| pair[k]).collect()));
+        let middle = [0, 1].map(|k| median(pairs.iter().map(|pair| pair[k])).unwrap_or(0.0));
         middle[0] >= MILLION && middle[1] < MILLION
     };
     let mut rest = [None; 5];

@@ -14,6 +14,7 @@ use rowgram_files::{
     control::Names,
     photo::Geotag,
 };
+use rowgram_optim::robust::median;
 use rowgram_raster::crs::Crs;
 use std::path::{Path, PathBuf};
 
@@ -59,18 +60,13 @@ fn subject(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
-}
-
 /// About where the photos were taken by what they say themselves: latitude and longitude.
 pub(super) fn photos_deg(photos: &[Photo]) -> Option<[f64; 2]> {
     let tags: Vec<Geotag> = photos.iter().filter_map(|photo| photo.metadata.geotag).collect();
     (!tags.is_empty()).then(|| {
         [
-            median(tags.iter().map(|tag| tag.latitude_deg).collect()),
-            median(tags.iter().map(|tag| tag.longitude_deg).collect()),
+            median(tags.iter().map(|tag| tag.latitude_deg)).unwrap_or(0.0),
+            median(tags.iter().map(|tag| tag.longitude_deg)).unwrap_or(0.0),
         ]
     })
 }
