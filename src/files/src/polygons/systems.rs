@@ -66,7 +66,7 @@ impl Stated {
 
 /// Whether a datum is within a metre or two of WGS84.
 fn is_global(definition: &str) -> bool {
-    ["+datum=WGS84", "+datum=NAD83", "+ellps=GRS80", "+ellps=WGS84", "+a=6378137 "]
+    ["+datum=WGS84", "+datum=NAD83", "+ellps=GRS80", "+ellps=WGS84", "+a=6378137"]
         .iter()
         .any(|key| definition.contains(key))
 }
