@@ -67,7 +67,7 @@ fn collection(code: Option<u32>, features: Vec<Value>) -> String {
 
 /// The table of traits of a project that is run up to its plots: plot, then trait.
 fn traits(project: &Path, words: &str) -> BTreeMap<String, BTreeMap<String, String>> {
-    let run = rowgram(project, &format!("run . --to plots -q {words}"));
+    let run = rowgram(project, &format!("run . -q {words}"));
     assert!(matches!(run.code, 0 | 3), "{}{}", run.stdout, run.stderr);
     let mut table = csv::Reader::from_path(project.join("rowgram/plots/traits.csv")).unwrap();
     let header = table.headers().unwrap().clone();

@@ -180,8 +180,10 @@ impl Task for Locate {
     const STAGE: Stage = Stage::Locate;
 
     fn inputs(project: &Project, _: &LocateOptions) -> Result<Vec<PathBuf>, Error> {
-        let posterior = project.finished(Stage::Segment, leaf_mask::POSTERIOR);
-        Ok([project.mask()?].into_iter().chain(posterior).collect())
+        let more = [leaf_mask::POSTERIOR, leaf_mask::VALID]
+            .into_iter()
+            .filter_map(|name| project.finished(Stage::Segment, name));
+        Ok(std::iter::once(project.mask()?).chain(more).collect())
     }
 
     fn work(

@@ -124,8 +124,8 @@ pub fn read(path: &Path, georeference: Option<&Georeference>) -> Result<Vec<Name
 pub fn read_layer(path: &Path, drawn: Drawn<'_>) -> Result<Layer, FileError> {
     let (features, stated) = features(path)?;
     let malformed = |message| FileError::malformed(path, None, message);
-    let read = systems::to_map(drawn.place, &stated, &features)
-        .and_then(|to_map| layer(&features, drawn, &to_map));
+    let to_map = systems::to_map(drawn.place, &stated, &features).map_err(malformed)?;
+    let read = layer(&features, drawn, &to_map);
     let Some(size) = drawn.size else { return read.map_err(malformed) };
     match read {
         Ok(layer) if layer.polygons.iter().any(|of| touches(&of.polygon, size)) => Ok(layer),

@@ -66,7 +66,7 @@ impl Stated {
 
 /// Whether a datum is within a metre or two of WGS84.
 fn is_global(definition: &str) -> bool {
-    ["+datum=WGS84", "+datum=NAD83", "+ellps=GRS80", "+ellps=WGS84"]
+    ["+datum=WGS84", "+datum=NAD83", "+ellps=GRS80", "+ellps=WGS84", "+a=6378137"]
         .iter()
         .any(|key| definition.contains(key))
 }
@@ -128,6 +128,15 @@ fn from_to(stated: &Stated, place: &Georeference) -> Result<ToMap, String> {
             ),
         });
     };
+    // Well-known text of Esri names a datum and does not say where it lies: some hundred metres from WGS84, or more.
+    for definition in [from.definition(), onto.definition()] {
+        let is_known = !definition.contains("+towgs84=0,0,0,0,0,0,0");
+        if !is_known && !is_global(definition) {
+            return Err(format!(
+                "the datum of its system ({definition}) is not known; save the file in the system of the map, or state an EPSG code"
+            ));
+        }
+    }
     Ok(Box::new(move |[x, y]| {
         let [latitude, longitude] = from.to_wgs84(x, y).map_err(|e| e.to_string())?;
         onto.from_wgs84(latitude, longitude).map_err(|e| e.to_string())

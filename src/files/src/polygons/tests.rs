@@ -148,10 +148,9 @@ fn a_shapefile_is_read() {
     assert_eq!((plots[0].name.as_str(), plots[0].leaves), ("7 b", Some(12.0)));
     assert_eq!(plots[0].polygon.rings[0].len(), 3);
     assert!(plots[0].polygon.rings[0].contains(&[20.0, 20.0]));
-    // Stated by name, in the words of ArcGIS.
     let projection = folder.path().join("plots.prj");
-    std::fs::write(&projection, r#"PROJCS["WGS_1984_UTM_Zone_16N",GEOGCS["GCS_WGS_1984"]]"#)
-        .unwrap();
+    let text = r#"PROJCS["WGS 84 / UTM zone 16N",GEOGCS["WGS 84"],AUTHORITY["EPSG","32616"]]"#;
+    std::fs::write(&projection, text).unwrap();
     assert_eq!(read(&path, Some(&place)).unwrap(), plots);
     std::fs::write(&projection, r#"PROJCS["Mine",GEOGCS["GCS_WGS_1984"]]"#).unwrap();
     let error = read(&path, Some(&place)).unwrap_err().to_string();
@@ -161,7 +160,7 @@ fn a_shapefile_is_read() {
 }
 
 /// A shapefile with one polygon and a name in Latin-1.
-fn shapefile_of(folder: &Path, name: &[u8]) -> PathBuf {
+fn shapefile_of(folder: &Path, name: &[u8], [x, y]: [f64; 2]) -> PathBuf {
     use shapefile::{
         Point, PolygonRing,
         dbase::{FieldValue, Record, TableWriterBuilder},
@@ -171,7 +170,7 @@ fn shapefile_of(folder: &Path, name: &[u8]) -> PathBuf {
         .add_character_field("PLOT".try_into().unwrap(), 20)
         .add_character_field("GENOTYPE".try_into().unwrap(), 20);
     let mut writer = shapefile::Writer::from_path(&path, table).unwrap();
-    let ring = [(100.0, 200.0), (100.0, 190.0), (110.0, 190.0), (100.0, 200.0)];
+    let ring = [(x, y), (x, y - 10.0), (x + 10.0, y - 10.0), (x, y)];
     let ring = PolygonRing::Outer(ring.map(|(x, y)| Point::new(x, y)).into());
     let mut record = Record::default();
     record.insert("PLOT".into(), FieldValue::Character(Some("1".into())));
@@ -194,7 +193,7 @@ fn texts_are_in_the_encoding_that_is_stated_or_fits() {
         let plots = read(path, None).unwrap();
         plots[0].attributes.iter().find(|(key, _)| key == "GENOTYPE").unwrap().1.clone()
     };
-    let path = shapefile_of(folder.path(), b"K\xf6ln");
+    let path = shapefile_of(folder.path(), b"K\xf6ln", [0.0; 2]);
     assert_eq!(genotype(&path), "Köln");
     for (label, expected) in
         [("ISO-8859-1", "Köln"), ("88591", "Köln"), ("ANSI 1252", "Köln"), ("1251", "Kцln")]
@@ -205,7 +204,7 @@ fn texts_are_in_the_encoding_that_is_stated_or_fits() {
     std::fs::write(path.with_extension("cpg"), "Klingon").unwrap();
     assert!(read(&path, None).unwrap_err().to_string().contains("plots.cpg"));
     std::fs::remove_file(path.with_extension("cpg")).unwrap();
-    let path = shapefile_of(folder.path(), "Köln".as_bytes());
+    let path = shapefile_of(folder.path(), "Köln".as_bytes(), [0.0; 2]);
     assert_eq!(genotype(&path), "Köln");
 }
 
@@ -267,4 +266,56 @@ fn names_are_the_property_in_which_plots_differ() {
     assert_eq!(read(&own, Some("parcel")).unwrap().0, ["x", "y"]);
     assert!(read(&own, Some("nothing")).unwrap_err().contains("there are: Parcel, name"));
     assert!(read(&own, Some("name")).unwrap_err().contains("two polygons"));
+}
+
+/// Projections without codes, as Esri's programs and survey software describe them, come to the same pixel as those with codes.
+#[test]
+fn systems_are_read_from_well_known_text() {
+    let degrees = r#"PRIMEM["Greenwich",0.0],UNIT["Degree",0.0174532925199433]]"#;
+    let grs80 = r#"SPHEROID["GRS_1980",6378137.0,298.257222101]]"#;
+    let nad83 = format!(r#"GEOGCS["GCS_NAD_1983_2011",DATUM["D_NAD_1983_2011",{grs80},{degrees}"#);
+    let utm = format!(
+        r#"PROJCS["NAD_1983_2011_UTM_Zone_16N",{nad83},PROJECTION["Transverse_Mercator"],PARAMETER["False_Easting",500000.0],
+        PARAMETER["False_Northing",0.0],PARAMETER["Central_Meridian",-87.0],PARAMETER["Scale_Factor",0.9996],
+        PARAMETER["Latitude_Of_Origin",0.0],UNIT["Meter",1.0]]"#
+    );
+    // A state plane in US survey feet: EPSG:2263, Long Island.
+    let state = format!(
+        r#"PROJCS["NAD_1983_2011_StatePlane_New_York_Long_Isl_FIPS_3104_Ft_US",{nad83},PROJECTION["Lambert_Conformal_Conic"],
+        PARAMETER["False_Easting",984250.0],PARAMETER["False_Northing",0.0],PARAMETER["Central_Meridian",-74.0],
+        PARAMETER["Standard_Parallel_1",40.66666666666666],PARAMETER["Standard_Parallel_2",41.03333333333333],
+        PARAMETER["Latitude_Of_Origin",40.16666666666666],UNIT["Foot_US",0.3048006096012192]]"#
+    );
+    let etrs = format!(
+        r#"PROJCS["ETRS_1989_UTM_Zone_32N",GEOGCS["GCS_ETRS_1989",DATUM["D_ETRS_1989",{grs80},{degrees},
+        PROJECTION["Transverse_Mercator"],PARAMETER["False_Easting",500000.0],PARAMETER["False_Northing",0.0],
+        PARAMETER["Central_Meridian",9.0],PARAMETER["Scale_Factor",0.9996],PARAMETER["Latitude_Of_Origin",0.0],UNIT["Meter",1.0]]"#
+    );
+    for (text, at, own, map) in [
+        (&utm, [500_200.0, 4_480_000.0], 6345, 32616),
+        (&state, [1_000_000.0, 200_000.0], 2263, 32618),
+        (&etrs, [520_000.0, 5_400_000.0], 25832, 32632),
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        let path = shapefile_of(folder.path(), b"B73", at);
+        std::fs::write(path.with_extension("prj"), text).unwrap();
+        let [latitude, longitude] = crs::Crs::of_code(own).unwrap().to_wgs84(at[0], at[1]).unwrap();
+        let onto = crs::Crs::of_code(map).unwrap();
+        let corner = onto.from_wgs84(latitude, longitude).unwrap();
+        let place = Georeference::north_up(corner, 0.01, Crs::projected(map));
+        let plots = read(&path, Some(&place)).unwrap();
+        let near = |p: &[f64; 2]| p[0].abs() < 1.0 && p[1].abs() < 1.0;
+        assert!(plots[0].polygon.rings[0].iter().any(near), "{own}: {plots:?}");
+    }
+    // Airy's ellipsoid, and nothing of where the datum lies: a hundred metres off.
+    let folder = tempfile::tempdir().unwrap();
+    let path = shapefile_of(folder.path(), b"B73", [351_000.0, 512_000.0]);
+    let text = format!(
+        r#"PROJCS["British_National_Grid",GEOGCS["GCS_OSGB_1936",DATUM["D_OSGB_1936",SPHEROID["Airy_1830",6377563.396,299.3249646]],
+        {degrees},PROJECTION["Transverse_Mercator"],PARAMETER["False_Easting",400000.0],PARAMETER["False_Northing",-100000.0],
+        PARAMETER["Central_Meridian",-2.0],PARAMETER["Scale_Factor",0.9996012717],PARAMETER["Latitude_Of_Origin",49.0],UNIT["Meter",1.0]]"#
+    );
+    std::fs::write(path.with_extension("prj"), text).unwrap();
+    let place = Georeference::north_up([500_000.0, 6_000_000.0], 0.01, Crs::projected(32630));
+    assert!(read(&path, Some(&place)).unwrap_err().to_string().contains("datum"));
 }

@@ -69,7 +69,13 @@ impl DateMap {
     ) -> Result<DateMap, Error> {
         let (ortho, mask) = (project.orthomosaic()?, project.mask()?);
         let reader = Reader::open(&ortho)?;
-        let placed = reader.georeference().and_then(|place| Some((place, place.gsd_m()?)));
+        // Places of dates are compared on the map, so that its metres have to be those on the ground.
+        let is_in_metres = |place: &Georeference| {
+            let is_metre = place.crs.kind.metres_per_unit() == Some(1.0);
+            is_metre && place.map_scale().is_some_and(|scale| (scale - 1.0).abs() < 1e-3)
+        };
+        let place = reader.georeference().filter(is_in_metres);
+        let placed = place.and_then(|place| Some((place, place.gsd_m()?)));
         let (place, gsd_m) = placed.ok_or_else(|| {
             let message =
                 "it has no place on the map in metres, so it cannot be compared with other dates";
