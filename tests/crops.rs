@@ -1,4 +1,4 @@
-//! `rowgram crops`: plots in the photos themselves.
+//! `rowgram plots crops`: plots in the photos themselves.
 
 use crate::program::rowgram;
 use rowgram::io::csv_table::CsvTable;
@@ -9,7 +9,8 @@ use std::{collections::BTreeSet, fs, path::Path};
 pub fn assert_photos_agree_with_the_map(project: &Path) {
     let parent = project.parent().unwrap();
     let name = project.file_name().unwrap().to_str().unwrap();
-    let run = rowgram(parent, &format!("crops {name} -q --json --as-taken --photos-per-plot 4"));
+    let run =
+        rowgram(parent, &format!("plots crops {name} -q --json --as-taken --photos-per-plot 4"));
     assert_eq!(run.code, 0, "{}", run.stderr);
     let outcome: Value = serde_json::from_str(&run.stdout).unwrap();
     let crops = outcome["crops"].as_array().unwrap();
@@ -59,7 +60,7 @@ pub fn assert_photos_agree_with_the_map(project: &Path) {
         assert!(scatter[plot].is_nan() || scatter[plot] < 0.05, "{plot}: {}", scatter[plot]);
     }
     assert_comparison_agrees(project, &plots);
-    let again = rowgram(parent, &format!("crops {name} -q"));
+    let again = rowgram(parent, &format!("plots crops {name} -q"));
     assert_eq!(again.code, 2, "what is there is not replaced: {}", again.stderr);
     assert!(again.stderr.contains("--force"), "{}", again.stderr);
 }

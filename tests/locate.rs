@@ -297,12 +297,8 @@ fn the_default_counts_and_tells_how_sure_it_is() {
     let proof = of(&["--certify"])["certificate"].clone();
     assert!(proof["worst_gap"].as_f64().unwrap() < 0.05, "{proof}");
     assert!(proof["plants"].as_f64().unwrap() > 0.9 * found, "{proof}");
-    let run = rowgram(&["locate", &mask, "--tile-px", "128", "--force", "-o", &out]);
-    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
-    assert!((read(Path::new(&out)).1.len() as f64 / found - 1.0).abs() < 0.1);
     for (words, reason) in [
         (["--certify", "--method=row-model"], "certify"),
-        (["--tile-px=128", "--plants=30"], "tile_px"),
         (["--starts=0", "--certify"], "--starts"),
     ] {
         let run = rowgram(&[&["locate", &mask, "--force", "-o", &out], &words[..]].concat());

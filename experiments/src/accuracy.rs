@@ -7,11 +7,11 @@
 //! Writes `accuracy_plants.csv`, one line per photo, and `accuracy.md`, the tables of `docs/accuracy.md`. Numbers only.
 
 use crate::{
-    Folders, leaves,
-    locate::make,
-    plots::{self, Plot},
+    Folders,
+    fail::make,
+    leaves,
+    plots::{self, Plot, clips, nearest_px},
     rivals::{by_area, excess_green, green_of_lab},
-    row_model_plots::{clips, nearest_px},
 };
 use image::{DynamicImage, ImageDecoder as _, ImageReader, RgbImage, metadata::Orientation};
 use rayon::prelude::*;
@@ -380,8 +380,7 @@ fn leaves_table(data: &Path, every: usize) -> Result<String, Error> {
                         let photo = path.to_string_lossy().replace("_label", "_rgb");
                         mask = vegetation_of(&images::read_colour(Path::new(&photo))?);
                     }
-                    let (found, _) = leaves::segment(&mask, how);
-                    Ok(leaves::judge("rosettes", name, &found, &truth))
+                    Ok(leaves::judge(&leaves::segment(&mask, how), &truth))
                 })
                 .collect::<Result<_, Error>>()?;
             // Writing to a string does not fail.

@@ -11,7 +11,7 @@
 use crate::{
     accuracy,
     fail::Fail,
-    locate::make,
+    fail::make,
     real_locators::{CHOSEN, Case, How, Judged, LOCATORS, MOST_SWEEPS, Ready, candidates, choose},
     real_tables,
     spec::Spec,

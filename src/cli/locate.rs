@@ -103,7 +103,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     let outputs = given([Some(plants), gaps.as_deref(), rows.as_deref(), trace.as_deref()]);
     let (options, hsv) = (options.over_defaults()?, hsv.value()?);
     let picture = figures.as_deref().map(|folder| (folder, "plants.png"));
-    check_files(&outputs, picture, &[&target.input], target.force)?;
+    check_files(&outputs, picture, &[target.input()], target.force)?;
     let files = LocateFiles {
         plants,
         gaps: gaps.as_deref(),
@@ -112,10 +112,10 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
         figures: figures.as_deref(),
         force: target.force,
     };
-    let subject = target.input.display().to_string();
+    let subject = target.input().display().to_string();
     target.present(
         |monitor| {
-            let (source, leaf) = read_leaf_mask(&target.input, hsv)?;
+            let (source, leaf) = read_leaf_mask(target.input(), hsv)?;
             locate_plants(&source, leaf, &subject, files, &options, monitor)
         },
         text,

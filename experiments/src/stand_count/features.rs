@@ -4,7 +4,7 @@ use rowgram::{
     io::{images, points},
     phenotype::{
         double_plants::{LeafSurroundings, PlantBaseline},
-        evidence::{AxisSource, Evidence, factor},
+        evidence::{Evidence, factor},
         row_curves,
         row_model::{self, RowModelOptions},
         rows,
@@ -105,7 +105,7 @@ pub(super) fn read(path: &Path) -> Result<Field, Box<dyn Error + Send + Sync>> {
     let uncounted = row_model::locate(&mask, &detection, None, &uncounted)?;
     let start = uncounted.spacing.spacing;
     let found = detection.rows().ok_or("no rows")?;
-    let evidence = Evidence::new(&mask, found.axes.heading_rad, AxisSource::Tensor, factor(&mask));
+    let evidence = Evidence::new(&mask, found.axes.heading_rad, factor(&mask));
     let crown = LeafSurroundings::new(&evidence);
     let around = |plant: &Stalk| crown.at(evidence.reduced(plant.position_px));
     let usual = PlantBaseline::new(&uncounted.plants.iter().map(around).collect::<Vec<_>>());

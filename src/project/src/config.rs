@@ -23,7 +23,7 @@ use super::{
 };
 use rowgram_base::{
     error::Error,
-    options::{Options, Section, nearest},
+    options::{Field, Options, Section, nearest},
 };
 use rowgram_optim::output::FileError;
 use serde::{Deserialize, Serialize};
@@ -41,20 +41,20 @@ const OTHER_VARIABLES: [&str; 4] =
 
 rowgram_base::options! {
     /// What the folder holds.
-    pub struct ProjectOptions in "project" {
+    pub struct ProjectOptions in "project", main [ortho, crs, control, marks, positions, camera, plots] {
         /// Name in the report; that of the folder where not set.
         pub name: Option<String> = None, example "\"My field\"";
-        /// An orthomosaic that exists already. Where it is set, or a folder without photos has a single GeoTIFF, nothing is
-        /// aligned and traits come from it.
+        /// An existing orthomosaic. Where it is set, or the folder holds no photos but one GeoTIFF, alignment is
+        /// skipped and traits come from it.
         pub ortho: Option<PathBuf> = None, example "\"ortho.tif\"";
         /// Coordinate reference system of control and results: `EPSG:CODE` or a PROJ string. That of the control where not
         /// set.
         pub crs: Option<String> = None, example "\"EPSG:32616\"";
         /// Ground control points and check points. Where not set: gcps.csv, gcp_list.txt or ground_control_points.json.
         pub control: Option<PathBuf> = None, example "\"gcps.csv\"";
-        /// Where the ground points are in the photos (image measurements, also called marks). Where not set: marks.csv.
+        /// Image measurements of the ground points (marks). Where not set: marks.csv.
         pub marks: Option<PathBuf> = None, example "\"marks.csv\"";
-        /// Camera positions. Where not set: geolocation.csv, geo.txt, an image log (.MRK), else what EXIF and XMP say.
+        /// Camera positions. Where not set: geolocation.csv, geo.txt, an image log (.MRK), else those in EXIF and XMP.
         pub positions: Option<PathBuf> = None, example "\"geolocation.csv\"";
         /// A calibrated camera. Where not set: camera.toml, else calibration from the photos in `[calibrate] images`, else
         /// self-calibration.
@@ -112,7 +112,7 @@ impl ProjectOptions {
 
 rowgram_base::options! {
     /// Which stages are done.
-    pub struct StagesOptions in "stages" {
+    pub struct StagesOptions in "stages", main [skip] {
         /// Stages to leave out.
         pub skip: Vec<Stage> = Vec::new();
     }
@@ -232,18 +232,28 @@ impl Config {
         toml::to_string(self).unwrap_or_default()
     }
 
-    /// The file that `rowgram init` writes: every key with its default, its limits and what it means.
-    pub fn template() -> String {
-        let mut text = String::from(
-            "# Settings of rowgram. Every key is here with its default; a key behind \"# \" is not set. Paths are relative to\n\
-             # this folder. The same keys come from the environment (ROWGRAM_ALIGN_SEED=2) and from arguments\n\
-             # (--set align.seed=2); arguments come before the environment, the environment before this file.\n",
-        );
+    /// The file that `rowgram init` writes: the main options, or with `for_experts` all of them, each with its default, its
+    /// limits and what it means.
+    pub fn template(for_experts: bool) -> String {
+        let mut text = commented(&format!(
+            "Settings of rowgram: {}, each with its default; one behind \"# \" is not set. Paths are relative to this folder. \
+             The same names come from the environment (ROWGRAM_ALIGN_SEED=2) and from arguments (--set align.seed=2); \
+             arguments come before the environment, the environment before this file.",
+            if for_experts {
+                "all options"
+            } else {
+                "the main options (rowgram init --experts writes all)"
+            }
+        ));
         for section in Config::sections() {
-            let about = section.about.split_whitespace().collect::<Vec<_>>().join(" ");
-            let _ = write!(text, "\n{}[{}]\n", commented(&about), section.name);
-            for field in &section.fields {
-                let what = format!("{} Expected: {}.", field.paragraph(), field.expected());
+            let fields = section.by_rank(for_experts);
+            if fields.is_empty() {
+                continue;
+            }
+            let _ = write!(text, "\n{}[{}]\n", commented(&one_line(section.about)), section.name);
+            for field in fields {
+                let rank = if field.is_main { "" } else { "For experts: " };
+                let what = format!("{rank}{} Expected: {}.", field.paragraph(), field.expected());
                 text += &commented(&what);
                 let _ = match (&field.default, field.example) {
                     (Some(value), _) => writeln!(text, "{} = {value}", field.name),
@@ -256,38 +266,66 @@ impl Config {
     }
 }
 
+fn one_line(text: &str) -> String {
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
 /// The reference of all settings as a page; `docs/options.md` is this text, and a test compares the two.
 pub fn reference_page() -> String {
     let mut page = String::from(
         "# Options\n\n\
-         Every option of a project, by section of `rowgram.toml`. An option `name` of a section `stage` can be given as `name = value` in the\n\
-         section of the file, as `ROWGRAM_STAGE_NAME` in the environment, as `--set stage.name=value` of `rowgram run`, as `--name value` (with\n\
-         hyphens) of the command of that stage, and as a keyword of `project.stage()` from Python. Arguments come before the environment, the\n\
-         environment before the file. This page is made from the definitions in the library.\n",
+         The options of a project by section of `rowgram.toml`: first those that most projects need, then [those for experts](#for-experts).\n\
+         An option `name` of a section `stage` can be given\n\n\
+         - as `name = value` in the section of the file,\n\
+         - in the environment as `ROWGRAM_STAGE_NAME`,\n\
+         - on the command line as `--set stage.name=value` of `rowgram run`, or as `--name value` (with hyphens) of the command of that stage,\n\
+         - from Python as a keyword of `project.stage()`.\n\n\
+         The command line comes before the environment, the environment before the file. This page is made from the definitions in the library.\n",
     );
-    for section in Config::sections() {
-        let about = section.about.split_whitespace().collect::<Vec<_>>().join(" ");
-        let _ = write!(
-            page,
-            "\n## {}\n\n{about}\n\n| option | default | expected | what it does |\n|---|---|---|---|\n",
-            section.name
-        );
-        for field in &section.fields {
-            let cell = |text: &str| text.replace('|', "\\|");
-            let default = match &field.default {
-                Some(value) => format!("`{}`", cell(&value.to_string())),
-                None => "not set".to_owned(),
-            };
-            let _ = writeln!(
-                page,
-                "| `{}` | {default} | {} | {} |",
-                field.name,
-                cell(&field.expected()),
-                cell(&field.paragraph())
-            );
-        }
+    let sections = Config::sections();
+    for section in &sections {
+        let fields: Vec<_> = section.fields.iter().filter(|field| field.is_main).collect();
+        describe(&mut page, ("##", section.name), Some(section.about), &fields);
+    }
+    page += "\n## For experts\n\nTheir defaults suit most projects.\n";
+    for section in &sections {
+        let fields: Vec<_> = section.fields.iter().filter(|field| !field.is_main).collect();
+        let name = format!("[{}]", section.name);
+        let about = (fields.len() == section.fields.len()).then_some(section.about);
+        describe(&mut page, ("###", &name), about, &fields);
     }
     page
+}
+
+/// A table of options under a heading; nothing where there are none.
+fn describe(
+    page: &mut String,
+    (level, name): (&str, &str),
+    about: Option<&str>,
+    fields: &[&Field],
+) {
+    if fields.is_empty() {
+        return;
+    }
+    let about = about.map_or(String::new(), |about| one_line(about) + "\n\n");
+    let _ = write!(
+        page,
+        "\n{level} {name}\n\n{about}| option | default | expected | what it does |\n|---|---|---|---|\n"
+    );
+    for field in fields {
+        let cell = |text: &str| text.replace('|', "\\|");
+        let default = match &field.default {
+            Some(value) => format!("`{}`", cell(&value.to_string())),
+            None => "not set".to_owned(),
+        };
+        let _ = writeln!(
+            page,
+            "| `{}` | {default} | {} | {} |",
+            field.name,
+            cell(&field.expected()),
+            cell(&field.paragraph())
+        );
+    }
 }
 
 /// Lines of a comment, at most 110 characters each.
@@ -408,7 +446,7 @@ mod tests {
 
     #[test]
     fn the_template_says_every_default_and_every_key() {
-        let template = Config::template();
+        let template = Config::template(true);
         assert_eq!(read(&template, &[], &[]).unwrap(), Config::default());
         // Keys that are not set are known too, and their examples are within their limits.
         let set: String = template
@@ -428,6 +466,12 @@ mod tests {
             }
         }
         assert!(template.lines().all(|line| line.chars().count() <= 110));
+        let short = Config::template(false);
+        assert_eq!(read(&short, &[], &[]).unwrap(), Config::default());
+        let fields = Config::sections().into_iter().flat_map(|section| section.fields);
+        let main = fields.filter(|field| field.is_main).count();
+        assert!((20..=40).contains(&main), "{main} main options");
+        assert_eq!(short.matches("Expected: ").count(), main);
     }
 
     #[test]

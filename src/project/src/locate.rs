@@ -198,7 +198,7 @@ impl Task for Locate {
             tracing::warn!("{short}");
         }
         let (source, leaf) = leaf_mask::of_project(project)?;
-        let is_row_model = options.method == LocateMethod::RowModel && options.tile_px.is_none();
+        let is_row_model = options.method == LocateMethod::RowModel;
         let of_rows = |name: &str| is_row_model.then(|| folder.join(name));
         let (gaps, rows) = (of_rows("gaps.csv"), of_rows("rows.csv"));
         let files = LocateFiles {
@@ -239,9 +239,6 @@ impl LocateFiles<'_> {
         for (what, path) in [("gaps", self.gaps), ("rows", self.rows)] {
             if path.is_some() && !is_row_model {
                 return refuse(what, "only the method row-model knows them");
-            }
-            if path.is_some() && options.tile_px.is_some() {
-                return refuse(what, "the row model in tiles (tile_px) finds plants only");
             }
         }
         let descent = &options.descent;
@@ -293,7 +290,6 @@ pub fn locate_plants(
     };
     let found = match prepared.work {
         Work::Stand(stand) => Found::Stand(stand),
-        Work::Tiles(plants) => Found::Tiles(plants),
         Work::Descent(descend) => Found::Descent(Box::new(match files.trace {
             Some(trace) => traced(*descend, trace, files.force, options.descent.certify)?,
             None => descend.run(&options.descent)?,
@@ -324,10 +320,6 @@ pub fn locate_plants(
             if let Some(path) = files.rows {
                 table::write_rows(path, files.force, stand, gsd_m)?;
             }
-        }
-        Found::Tiles(plants) => {
-            outcome.plants = plants.len();
-            table::write_plants(files.plants, files.force, plants, true, place)?;
         }
         Found::Descent(found) => {
             outcome.plants = found.located.plants.len();

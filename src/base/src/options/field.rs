@@ -101,6 +101,8 @@ pub struct Field {
     pub default: Option<toml::Value>,
     /// A value to show where there is no default, as TOML spells it.
     pub example: Option<&'static str>,
+    /// Whether most people need to know it; the others are for experts.
+    pub is_main: bool,
 }
 
 impl Field {
@@ -166,6 +168,12 @@ impl Section {
     /// An option by its name.
     pub fn field(&self, name: &str) -> Option<&Field> {
         self.fields.iter().find(|field| field.name == name)
+    }
+
+    /// The main options, and after them the others where these are wanted too.
+    pub fn by_rank(&self, for_experts: bool) -> Vec<&Field> {
+        let of = |is_main: bool| self.fields.iter().filter(move |field| field.is_main == is_main);
+        of(true).chain(of(false).filter(|_| for_experts)).collect()
     }
 
     /// Whether there is such an option and it can have the value.

@@ -78,7 +78,8 @@ pub trait Options: Default + Clone + PartialEq + Serialize + DeserializeOwned {
     }
 }
 
-/// Defines a set of [`Options`](crate::options::Options). Where values have to go together (both or neither, the first
+/// Defines a set of [`Options`](crate::options::Options). `main [cell_m]` names those that most people need to know; the others are
+/// for experts, and listed after them. Where values have to go together (both or neither, the first
 /// not above the second), `in "dem", together checked` names a function `fn(&DemOptions) -> Result<(), String>`.
 ///
 /// `in "dem" with { points: PointOptions, }` adds the options of another set to the same section: one list in the file
@@ -87,7 +88,7 @@ pub trait Options: Default + Clone + PartialEq + Serialize + DeserializeOwned {
 /// ```
 /// rowgram_base::options! {
 ///     /// The surface.
-///     pub struct DemOptions in "dem" {
+///     pub struct DemOptions in "dem", main [cell_m] {
 ///         /// Side of a cell; half the median distance of neighbouring points where not set.
 ///         pub cell_m: Option<f64> = None, limits POSITIVE, example "0.1";
 ///         /// Points farther from their neighbours' plane than this many usual distances are left out.
@@ -108,6 +109,7 @@ macro_rules! options {
         $vis:vis struct $name:ident in $section:literal
             $(with { $($(#[doc = $group_doc:expr])* $gvis:vis $group:ident: $group_kind:ty,)* })?
             $(, together $together:path)?
+            $(, main [$($main:ident),* $(,)?])?
         {
             $(
                 $(#[doc = $doc:expr])*
@@ -131,6 +133,11 @@ macro_rules! options {
             )*)?
         }
 
+        $(
+            // The main options are options.
+            const _: fn(&$name) = |options| { $(let _ = &options.$main;)* };
+        )?
+
         impl Default for $name {
             fn default() -> $name {
                 $name { $($key: $default,)* $($($group: <$group_kind>::default(),)*)? }
@@ -143,7 +150,8 @@ macro_rules! options {
 
             fn fields() -> Vec<$crate::options::Field> {
                 let defaults = $name::default();
-                let own = vec![$(
+                let main: &[&str] = &[$($(stringify!($main)),*)?];
+                let own: Vec<$crate::options::Field> = vec![$(
                     $crate::options::Field {
                         name: stringify!($key),
                         doc: concat!($($doc, "\n"),*),
@@ -151,11 +159,15 @@ macro_rules! options {
                         limits: $crate::options!(@limits $($limits $(($($bound),*))?)?),
                         default: $crate::options::Value::written(&defaults.$key),
                         example: $crate::options!(@example $($example)?),
+                        is_main: false,
                     },
                 )*];
                 let groups: Vec<Vec<$crate::options::Field>> =
                     vec![$($(<$group_kind as $crate::options::Options>::fields(),)*)?];
-                own.into_iter().chain(groups.into_iter().flatten()).collect()
+                let marked = own.into_iter().map(|field| {
+                    $crate::options::Field { is_main: main.contains(&field.name), ..field }
+                });
+                marked.chain(groups.into_iter().flatten()).collect()
             }
 
             $(

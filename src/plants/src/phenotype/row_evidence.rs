@@ -81,11 +81,7 @@ impl RowEvidence {
         let isolated_px = isolated_plants::spacing_px(mask, rows);
         let coarse = isolated_px.map_or(1.0, |spacing| spacing / TARGET_SPACING_PX);
         let factor = evidence::factor(mask).max(coarse.round() as usize);
-        let evidence = if options.leaf_axes {
-            Evidence::new(mask, rows.axes.heading_rad, options.axis_source, factor)
-        } else {
-            Evidence::of_mass(mask, factor)
-        };
+        let evidence = Evidence::new(mask, rows.axes.heading_rad, factor);
         let factor = evidence.factor as f64;
         let axes = Axes { origin_px: evidence.reduced(rows.axes.origin_px), ..rows.axes };
         let shrink = |row: &Row| Row {
@@ -96,12 +92,7 @@ impl RowEvidence {
         };
         let reduced: Vec<Row> = rows.rows.iter().map(shrink).collect();
         let spacing = rows.spacing_px.map(|spacing| spacing / factor);
-        let curves = if options.curved_rows {
-            row_curves::trace(&evidence, &axes, &reduced, spacing)
-        } else {
-            reduced.iter().map(RowCurve::straight).collect()
-        };
-        let whole = curves.into_iter().enumerate();
+        let whole = row_curves::trace(&evidence, &axes, &reduced, spacing).into_iter().enumerate();
         let parts: Vec<Part> =
             whole.map(|(row, curve)| Part { row, curve, before: None }).collect();
         let length = parts.iter().map(|part| part.curve.length()).sum();
@@ -118,11 +109,6 @@ impl RowEvidence {
         };
         scene.read();
         scene
-    }
-
-    /// Whether evidence is votes along the axes of leaves.
-    pub(super) fn has_axes(&self) -> bool {
-        self.evidence.has_axes()
     }
 
     /// Reads what every row shows.
@@ -203,12 +189,7 @@ impl RowEvidence {
                     let places: Vec<Vec<usize>> = found.iter().map(|f| f.0.clone()).collect();
                     let own = plant_log_odds * total(&places) as f64;
                     score = found.iter().map(|f| f.1).sum::<f64>() - own;
-                    let refit = spacing.refit(&gaps(&places));
-                    spacing = if self.options.estimate_jitter {
-                        refit
-                    } else {
-                        Spacing { spacing: refit.spacing, ..Spacing::new(start) }
-                    };
+                    spacing = spacing.refit(&gaps(&places));
                 }
                 (score, spacing)
             })

@@ -17,7 +17,7 @@ use std::{
 };
 
 /// The version of the format.
-const VERSION: u32 = 3;
+const VERSION: u32 = 4;
 
 /// A photo behind an orthophoto.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

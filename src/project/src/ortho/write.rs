@@ -231,16 +231,6 @@ impl Work<'_> {
         monitor: &mut dyn Monitor,
     ) -> Result<(Georeference, [usize; 2]), Error> {
         let crs = surface.georeference.crs;
-        if let Some(path) = &self.options.like {
-            let reader = geotiff::Reader::open(path)?;
-            let place = reader.georeference().filter(|place| {
-                !matches!(place.crs.kind, CrsKind::Geographic | CrsKind::Feet | CrsKind::SurveyFeet)
-            });
-            let place = place.ok_or_else(|| {
-                FileError::malformed(path, None, "it is not georeferenced in metres")
-            })?;
-            return Ok((Georeference { crs, ..place }, [reader.width(), reader.height()]));
-        }
         let gsd_m = match self.options.gsd_m {
             Some(gsd_m) => gsd_m,
             // Three digits are enough to name it.
@@ -305,7 +295,7 @@ impl Work<'_> {
         let colour = self.colour.as_ref();
         let corrections = colour.map(|colour| &colour.corrections[which.clone()]);
         let (assignment, whole_plots) = match output == self.files.mosaic {
-            true => self.assignment(&selector, (grid, size), corrections, &mut cache, monitor)?,
+            true => self.assignment(&selector, (grid, size), monitor)?,
             false => Default::default(),
         };
         let mosaic = Mosaic {
@@ -313,7 +303,6 @@ impl Work<'_> {
             grid,
             size,
             interpolation: options.interpolation,
-            feather_m: options.feather_m,
             corrections,
             assignment: (!assignment.is_empty()).then_some(&assignment),
             with_provenance: options.provenance,

@@ -70,15 +70,6 @@ impl DecodedPhoto {
         }
     }
 
-    /// The pixel nearest to a position; `None` outside the photo and where it has no data.
-    #[inline]
-    pub(super) fn pixel(&self, at_px: [f32; 2]) -> Option<[u8; 4]> {
-        let [u, v] = at_px.map(f32::round);
-        let is_inside = u >= 0.0 && v >= 0.0 && u < self.width as f32 && v < self.height as f32;
-        let pixel = is_inside.then(|| self.pixels[v as usize * self.width + u as usize])?;
-        (pixel[3] > 0).then_some(pixel)
-    }
-
     /// The colours at positions, in bytes, opaque, corrected; all 0 where there are no data.
     pub fn colours(
         &self,

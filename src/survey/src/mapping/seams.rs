@@ -161,11 +161,7 @@ mod tests {
     use super::*;
     use crate::{
         camera::{Interior, Model},
-        mapping::{
-            Surface, View,
-            select::{PhotoRule, SelectionOptions},
-            surface::HeightInterpolation,
-        },
+        mapping::{Surface, View, select::SelectionOptions, surface::HeightInterpolation},
         scene::Pose,
     };
     use rowgram_optim::geometry::rotation;
@@ -200,11 +196,7 @@ mod tests {
         let whole = Window { u: 0, v: 0, width: 360, height: 320 };
         for options in [
             SelectionOptions::default(),
-            SelectionOptions {
-                rule: PhotoRule::Nadir,
-                border_px: 30.0,
-                ..SelectionOptions::default()
-            },
+            SelectionOptions { border_px: 30.0, ..SelectionOptions::default() },
             SelectionOptions {
                 max_angle_rad: Some(0.4),
                 visibility_m: Some(0.01),
