@@ -68,7 +68,7 @@ pub fn assert_photos_agree_with_the_map(project: &Path) {
 /// Most that a trait of a plot may differ between photos and orthomosaic, in the unit of the trait. Both see the same leaves through the
 /// same leaf rule; what is left are the colours that drawing the map balances and the direction from which a leaf is seen.
 /// The one plot that a photo shows whole differs by 0.010 in cover, at most 0.005 in indices and 0.22 in a*: the bounds are four to nine times that.
-const MOST_DIFFERENCE: [(&str, f64); 7] = [
+const MAX_DIFFERENCE: [(&str, f64); 7] = [
     ("canopy_cover", 0.05),
     ("exg", 0.02),
     ("gli", 0.02),
@@ -88,7 +88,7 @@ fn assert_comparison_agrees(project: &Path, plots: &BTreeSet<&str>) {
         names.iter().zip(&traits).map(|(plot, of)| (*plot, *of)).collect();
     let expected: BTreeSet<(&str, &str)> = plots
         .iter()
-        .flat_map(|plot| MOST_DIFFERENCE.iter().map(move |(of, _)| (*plot, *of)))
+        .flat_map(|plot| MAX_DIFFERENCE.iter().map(move |(of, _)| (*plot, *of)))
         .collect();
     assert_eq!(rows, expected, "every trait of every plot once");
     assert_eq!(table.len(), rows.len());
@@ -99,7 +99,7 @@ fn assert_comparison_agrees(project: &Path, plots: &BTreeSet<&str>) {
         assert!((1.0..=4.0).contains(&photos[k]), "{of}: {} photos", photos[k]);
         // Six decimals of each.
         approx::assert_abs_diff_eq!(difference[k], mean[k] - map[k], epsilon = 2e-6);
-        let (_, most) = MOST_DIFFERENCE.iter().find(|(name, _)| *name == traits[k]).unwrap();
+        let (_, most) = MAX_DIFFERENCE.iter().find(|(name, _)| *name == traits[k]).unwrap();
         assert!(difference[k].abs() < *most, "{of}");
     }
 }

@@ -24,8 +24,6 @@ const SPACING_M: [f64; 2] = [0.76, 0.2];
 /// One setting.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Setting {
-    pub(crate) what: &'static str,
-    pub(crate) value: f64,
     pub(crate) wrong_share: f64,
     pub(crate) tilt_deg: f64,
     pub(crate) height_share: f64,

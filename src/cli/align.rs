@@ -24,8 +24,8 @@ use std::path::PathBuf;
 /// plane at the photos.
 ///
 /// Steps: inspect, features, match, verify (orientation of pairs), orient (exterior orientation image by image), adjust
-/// (mapping frame, bundle adjustment with self-calibration), report. What a step found is kept and used again until
-/// something that it came from changes.
+/// (mapping frame, bundle adjustment with self-calibration), report. Results of a step are reused until an input, an option or
+/// the program changes.
 ///
 /// Exit code 3 where photos could not be oriented together, or the adjustment did not converge.
 #[derive(Debug, ClapArgs)]
@@ -49,7 +49,7 @@ pub(super) struct Args {
     /// Ground points: CSV, gcp_list.txt or ground_control_points.json.
     #[arg(long, value_name = "FILE")]
     control: Option<PathBuf>,
-    /// Where the ground points of a CSV file are in the photos.
+    /// Image measurements of the ground points of a CSV file (marks).
     #[arg(long, value_name = "FILE")]
     marks: Option<PathBuf>,
     /// Camera positions: image, latitude, longitude, height.
@@ -60,13 +60,13 @@ pub(super) struct Args {
     camera: Option<PathBuf>,
     #[command(flatten)]
     options: Given<AlignOptions>,
-    /// Do this step and those after it again, whatever is kept.
+    /// Repeat this step and those after it.
     #[arg(long, value_name = "STEP", value_parser = step())]
     from: Option<String>,
     /// Stop after this step.
     #[arg(long, value_name = "STEP", value_parser = step())]
     until: Option<String>,
-    /// Do all of it again; results that were edited since are kept beside, as NAME.edited.
+    /// Repeat all steps; results that were edited since are kept beside, as NAME.edited.
     #[arg(long)]
     force: bool,
     /// Print one line of JSON instead of a summary.

@@ -18,8 +18,8 @@ use std::path::PathBuf;
 /// Find each single leaf and measure it
 ///
 /// Slices across the leaves (stroke width transform) are merged into segments, and segments that face each other across a
-/// gap into leaves. Broad leaves, as those of rosettes, are told from such blades by the mask and found as parts of the plant
-/// between narrow places. One leaf is one label.
+/// gap into leaves. Broad leaves, as those of rosettes, are distinguished from blades by the mask, and found as parts
+/// of the plant between constrictions. One leaf is one label.
 ///
 /// Of a project, the leaf mask, the orthomosaic and the plants are taken, and leaves/leaves.csv and per_plant.csv are
 /// written. A single file is a mask (two values), or a photo or orthomosaic, of which --hsv makes one. The ending of

@@ -1,7 +1,7 @@
 //! The program: parse, call the library, present.
 //!
 //! Data goes to files or stdout, messages to stderr. Exit codes: 0 ok, 1 failure, 2 bad input,
-//! 3 incomplete or a quality gate failed.
+//! 3 incomplete or a quality check failed.
 
 mod adjust;
 mod align;
@@ -52,7 +52,7 @@ use std::process::ExitCode;
   rowgram run field              everything, into field/rowgram
   rowgram locate mask.png --gsd-m 0.01 -o plants.csv
 
-Exit codes: 0 done, 1 failure, 2 bad input, 3 incomplete or a quality gate failed")]
+Exit codes: 0 done, 1 failure, 2 bad input, 3 incomplete or a quality check failed")]
 struct Cli {
     #[command(subcommand)]
     command: Command,

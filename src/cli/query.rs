@@ -24,7 +24,7 @@ pub(super) struct Args {
     /// Folder of results of the project [default: PROJECT/rowgram].
     #[arg(short, long, value_name = "DIR")]
     output: Option<PathBuf>,
-    /// A place: the photo and its pixel behind it are told.
+    /// A place: gives the photo and the pixel behind it.
     #[arg(
         long,
         value_name = "X,Y",
@@ -37,7 +37,7 @@ pub(super) struct Args {
     /// With --at: every photo in whose frame the place lies, the steepest view first.
     #[arg(long, conflicts_with = "photo")]
     every_photo: bool,
-    /// A photo, with --pixel: the place is told.
+    /// A photo, with --pixel: gives the place.
     #[arg(long, value_name = "NAME", requires = "pixel")]
     photo: Option<String>,
     /// Column and row in the photo.

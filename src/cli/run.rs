@@ -22,8 +22,8 @@ use std::{
 /// and camera positions, or with one orthomosaic; rowgram.toml in it, which rowgram init writes, holds the settings.
 ///
 /// Stages: calibrate, align, dem, surface, ortho, segment, leaf-density, leaf-count, locate, leaves, plots, evaluate, then the
-/// report. A stage for which the project has no input is left out with the reason. What a stage wrote in
-/// PROJECT/rowgram is used again until something that it came from changes; a run that was stopped goes on where it was.
+/// report. A stage for which the project has no input is left out with the reason. Results in
+/// PROJECT/rowgram are reused until an input, an option or the program changes; an interrupted run continues.
 ///
 /// Settings: rowgram.toml, then the environment (ROWGRAM_ALIGN_SEED=2), then --set align.seed=2. Stages are left out with
 /// --set stages.skip=surface,leaves.
@@ -52,7 +52,7 @@ pub(super) struct Args {
     /// Set a key of rowgram.toml; may be given several times.
     #[arg(long, value_name = "SECTION.KEY=VALUE")]
     set: Vec<String>,
-    /// Do this stage and those after it again, whatever is kept.
+    /// Repeat this stage and those after it.
     #[arg(long, value_name = "STAGE")]
     from: Option<Stage>,
     /// Stop after this stage.
@@ -63,7 +63,7 @@ pub(super) struct Args {
     #[arg(long, value_name = "STAGE|STEP:PART/PARTS", requires = "project",
         conflicts_with_all = ["from", "until", "dry_run"])]
     only: Option<OneTask>,
-    /// Say what would be done, and do nothing.
+    /// Show what would be done, without doing it.
     #[arg(long)]
     dry_run: bool,
     /// Replace results that were edited since, or that rowgram did not write: they are kept beside, as NAME.edited. Put a

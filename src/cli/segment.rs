@@ -15,8 +15,8 @@ use std::path::PathBuf;
 
 /// Find the leaf pixels of an orthomosaic or photo by their colour
 ///
-/// Vegetation and background are estimated from the picture itself: every pixel gets a probability, and neighbours are made
-/// to agree. With --hsv a pixel is leaf where its hue is within two limits, and its saturation or its value is large enough
+/// Vegetation and background are estimated from the picture itself: every pixel gets a probability, and
+/// neighbouring pixels of different classes are penalised. With --hsv a pixel is leaf where its hue is within two limits, and its saturation or its value is large enough
 /// (OpenCV's 8-bit HSV). Of a project, the orthomosaic is segmented into segment/mask.tif. Of a photo, a mask of its size
 /// is written, 255 where leaves are and 0 elsewhere (.png, or .tif for a GeoTIFF).
 ///

@@ -19,8 +19,8 @@ pub(super) struct Target {
     /// Of a project: the folder of results [default: PROJECT/rowgram]. Of a file: the file to write.
     #[arg(short, long, value_name = "PATH")]
     output: Option<PathBuf>,
-    /// Do the stage again although nothing has changed (results that were edited since are kept beside, as NAME.edited); replace files
-    /// that exist.
+    /// Repeat the stage although nothing has changed (results that were edited since are kept beside, as NAME.edited); replace
+    /// files that exist.
     #[arg(long)]
     pub(super) force: bool,
     /// Print the outcome as one line of JSON.

@@ -13,7 +13,7 @@ use std::path::PathBuf;
 /// For every cell the height at which photos agree, within what the surface of the tie points allows (rowgram surface dem), by
 /// semi-global matching. Writes GeoTIFFs of heights in metres: dsm.tif (the first surface), dtm.tif (the ground below it, from what is
 /// bare), with dsm_sigma.tif and dtm_sigma.tif, their standard deviations (from matching and from the orientation of the photos), and
-/// chm.tif (the height of the one over the other; errors of orientation cancel in it); for every cell how sure its height is
+/// chm.tif (the height of the one over the other; errors of orientation cancel in it); for every cell the confidence of its height
 /// (confidence.tif, 0 to 255) and how many photos were compared (photos.tif); pictures and a profile in figures/.
 ///
 /// For crops that stand on soil. Hills, walls and houses come out too; crowns of trees are noise where photos overlap by two thirds only.

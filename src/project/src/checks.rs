@@ -19,7 +19,7 @@ rowgram_base::options! {
         pub oriented_red: f64 = 0.9, limits SHARE;
         /// Root mean square reprojection error; yellow above it. Key points are found to about half a pixel.
         pub reprojection_yellow_px: f64 = 1.0, limits POSITIVE;
-        /// Root mean square reprojection error; red above it. Two pixels are a wrong lens or wrong matches.
+        /// Root mean square reprojection error; red above it. Two pixels indicate a wrong lens or wrong matches.
         pub reprojection_red_px: f64 = 2.0, limits POSITIVE;
         /// Minimum number of ground control points; yellow below it.
         pub min_control_points: usize = 3;

@@ -247,23 +247,37 @@ impl Config {
         ));
         for section in Config::sections() {
             let fields = section.by_rank(for_experts);
-            if fields.is_empty() {
-                continue;
-            }
-            let _ = write!(text, "\n{}[{}]\n", commented(&one_line(section.about)), section.name);
-            for field in fields {
-                let rank = if field.is_main { "" } else { "For experts: " };
-                let what = format!("{rank}{} Expected: {}.", field.paragraph(), field.expected());
-                text += &commented(&what);
-                let _ = match (&field.default, field.example) {
-                    (Some(value), _) => writeln!(text, "{} = {value}", field.name),
-                    (None, Some(example)) => writeln!(text, "# {} = {example}", field.name),
-                    (None, None) => writeln!(text, "# {} =", field.name),
-                };
+            for (name, about, table) in headings(&section) {
+                let own = fields.iter().filter(|field| field.table == table);
+                let own: Vec<&Field> = own.copied().collect();
+                if !own.is_empty() {
+                    let _ = write!(text, "\n{}[{name}]\n", commented(&one_line(about)));
+                    own.into_iter().for_each(|field| entry(&mut text, field));
+                }
             }
         }
         text
     }
+}
+
+/// The tables of a section in the file: their names, what they are about, and which of the nested tables each is.
+fn headings(section: &Section) -> Vec<(String, &'static str, Option<&'static str>)> {
+    let nested = section.tables.iter();
+    let nested =
+        nested.map(|(table, about)| (format!("{}.{table}", section.name), *about, Some(*table)));
+    [(section.name.to_owned(), section.about, None)].into_iter().chain(nested).collect()
+}
+
+/// An option as the template has it.
+fn entry(text: &mut String, field: &Field) {
+    let rank = if field.is_main { "" } else { "For experts: " };
+    let what = format!("{rank}{} Expected: {}.", field.paragraph(), field.expected());
+    *text += &commented(&what);
+    let _ = match (&field.default, field.example) {
+        (Some(value), _) => writeln!(text, "{} = {value}", field.name),
+        (None, Some(example)) => writeln!(text, "# {} = {example}", field.name),
+        (None, None) => writeln!(text, "# {} =", field.name),
+    };
 }
 
 fn one_line(text: &str) -> String {
@@ -289,10 +303,13 @@ pub fn reference_page() -> String {
     }
     page += "\n## For experts\n\nTheir defaults suit most projects.\n";
     for section in &sections {
-        let fields: Vec<_> = section.fields.iter().filter(|field| !field.is_main).collect();
-        let name = format!("[{}]", section.name);
-        let about = (fields.len() == section.fields.len()).then_some(section.about);
-        describe(&mut page, ("###", &name), about, &fields);
+        for (name, about, table) in headings(section) {
+            let fields =
+                section.fields.iter().filter(|field| !field.is_main && field.table == table);
+            let fields: Vec<_> = fields.collect();
+            let is_new = table.is_some() || section.fields.iter().all(|field| !field.is_main);
+            describe(&mut page, ("###", &format!("[{name}]")), is_new.then_some(about), &fields);
+        }
     }
     page
 }
@@ -361,8 +378,13 @@ fn from_file(path: &Path, sections: &[Section]) -> Result<Table, Error> {
         let mut known = Table::new();
         for (key, value) in keys {
             let refused = |why: String| FileError::malformed(path, at(key.span()), why);
-            section.check_entry(key.get_ref(), value.get_ref()).map_err(refused)?;
-            known.insert(key.into_inner(), value.into_inner());
+            let (name, value) = (key.get_ref(), value.into_inner());
+            section.check_entry(name, &value).map_err(refused)?;
+            if let Some(table) = section.field(name).and_then(|field| field.table) {
+                let why = format!("{name}: it belongs into [{}.{table}]", section.name);
+                return Err(refused(why).into());
+            }
+            section.insert(&mut known, name, value);
         }
         table.insert(section.name.to_owned(), Value::Table(known));
     }
@@ -387,6 +409,8 @@ fn set(
     text: &str,
 ) -> Result<(), String> {
     let section = find(sections, name)?;
+    let within = |table: &str| key.strip_prefix(table).and_then(|key| key.strip_prefix('.'));
+    let key = section.tables.iter().find_map(|(table, _)| within(table)).unwrap_or(key);
     let value = match section.field(key) {
         Some(field) => field.kind.read(text),
         None => Value::String(text.to_owned()),
@@ -394,7 +418,7 @@ fn set(
     section.check_entry(key, &value)?;
     let entry = table.entry(name).or_insert_with(|| Value::Table(Table::new()));
     if let Value::Table(entry) = entry {
-        entry.insert(key.to_owned(), value);
+        section.insert(entry, key, value);
     }
     Ok(())
 }
@@ -405,7 +429,9 @@ fn of_variable(name: &str, sections: &[Section]) -> Result<(String, String), Err
         .iter()
         .flat_map(|section| {
             section.fields.iter().map(move |field| {
-                let variable = format!("{PREFIX}{}_{}", section.name, field.name).to_uppercase();
+                let table = field.table.map_or(String::new(), |table| format!("{table}_"));
+                let variable = format!("{PREFIX}{}_{table}{}", section.name, field.name);
+                let variable = variable.to_uppercase();
                 (variable, section, field.name)
             })
         })
@@ -460,7 +486,8 @@ mod tests {
         let table: Table = set.parse().unwrap();
         for section in Config::sections() {
             for field in &section.fields {
-                let written = table[section.name].get(field.name);
+                let own = &table[section.name];
+                let written = field.table.map_or(own, |table| &own[table]).get(field.name);
                 let written = written.unwrap_or_else(|| panic!("{} lacks an example", field.name));
                 section.check_entry(field.name, written).unwrap();
             }
@@ -479,10 +506,16 @@ mod tests {
         let file = "[align]\nseed = 2\n[ortho]\ngsd_m = 0.5\ncanopy_height_m = 0\n";
         let variables =
             [("ROWGRAM_ALIGN_SEED", "3"), ("ROWGRAM_ORTHO_GSD_M", "0.25"), ("PATH", "")];
-        let settings = ["align.seed=4", "project.crs=EPSG:32616", "align.check=T3,T7"];
+        let settings = [
+            "align.seed=4",
+            "project.crs=EPSG:32616",
+            "align.check=T3,T7",
+            "locate.paper.starts=3",
+        ];
         let config = read(file, &variables, &settings).unwrap();
         assert_eq!(config.align.seed, 4);
         assert_eq!(config.align.check, ["T3", "T7"]);
+        assert_eq!(config.locate.paper.starts, 3);
         assert_eq!(config.ortho.gsd_m, Some(0.25));
         assert_eq!(config.ortho.canopy_height_m, rowgram_base::options::Auto::Given(0.0));
         assert_eq!(config.project.crs.as_deref(), Some("EPSG:32616"));
@@ -503,6 +536,11 @@ mod tests {
             (
                 "[locate]\nmethod = \"magic\"\n",
                 "line 2: method = \"magic\": expected one of: row-model",
+            ),
+            ("[locate]\nprior = \"rows\"\n", "line 2: prior: it belongs into [locate.paper]"),
+            (
+                "[locate.paper]\nprier = \"rows\"\n",
+                "line 1: prier: there is no such option; did you mean prior?",
             ),
             (
                 "[stages]\nskip = [\"grow\"]\n",

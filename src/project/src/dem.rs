@@ -20,7 +20,6 @@ use rowgram_survey::{
         Surface, View,
         dem::{CloudOptions, CloudStatistics, SurfacePoint},
         elevation::{ElevationModel, ElevationOptions, Extent, elevation_model},
-        surface::HeightInterpolation,
         view::{Bounds, views},
     },
     scene::Reconstruction,
@@ -285,7 +284,7 @@ pub(super) fn write_heights(
 ///
 /// # Errors
 /// Names the file: no georeference, degrees, colours, no heights.
-pub fn read_surface(path: &Path, interpolation: HeightInterpolation) -> Result<Surface, Error> {
+pub fn read_surface(path: &Path) -> Result<Surface, Error> {
     let reader = geotiff::Reader::open(path)?;
     let fault = |message: String| FileError::malformed(path, None, message);
     let place = reader.georeference().ok_or_else(|| {
@@ -296,6 +295,5 @@ pub fn read_surface(path: &Path, interpolation: HeightInterpolation) -> Result<S
     }
     let size = [reader.width(), reader.height()];
     let heights = reader.read_f32(Window::whole(size[0], size[1]))?;
-    Surface::new(place, size, heights, interpolation)
-        .map_err(|error| fault(error.to_string()).into())
+    Surface::new(place, size, heights).map_err(|error| fault(error.to_string()).into())
 }

@@ -241,12 +241,9 @@ impl LocateFiles<'_> {
                 return refuse(what, "only the method row-model knows them");
             }
         }
-        let descent = &options.descent;
-        if self.trace.is_some() && (is_row_model || descent.starts > 1 || descent.swaps > 0) {
-            return refuse(
-                "trace",
-                "follows one descent: another method, without starts and swaps",
-            );
+        let descent = &options.paper;
+        if self.trace.is_some() && (is_row_model || descent.starts > 1) {
+            return refuse("trace", "follows one descent: another method, from one start");
         }
         Ok(())
     }
@@ -291,8 +288,8 @@ pub fn locate_plants(
     let found = match prepared.work {
         Work::Stand(stand) => Found::Stand(stand),
         Work::Descent(descend) => Found::Descent(Box::new(match files.trace {
-            Some(trace) => traced(*descend, trace, files.force, options.descent.certify)?,
-            None => descend.run(&options.descent)?,
+            Some(trace) => traced(*descend, trace, files.force, options.paper.certify)?,
+            None => descend.run(&options.paper)?,
         })),
     };
     match &found {

@@ -22,7 +22,6 @@ use rowgram_raster::{
     mask::Thresholds,
     overlay,
     vegetation::Model,
-    white_balance::WhiteBalance,
     window,
 };
 use serde::{Deserialize, Serialize};
@@ -41,8 +40,6 @@ rowgram_base::options! {
         /// Penalty for neighbouring pixels of different classes where vegetation is estimated; 0 classifies every
         /// pixel on its own.
         pub coherence: f64 = 0.5, limits between(0.0, 100.0);
-        /// Scale the channels first, so that the mean colour is grey or the brightest colours are white.
-        pub white_balance: Option<WhiteBalance> = None, example "\"grey-world\"";
         /// Connected leaf areas of fewer pixels are removed.
         pub min_pixels: usize = 0;
         /// Holes of at most this many pixels are filled, after the removal.

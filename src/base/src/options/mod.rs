@@ -23,12 +23,18 @@ pub trait Options: Default + Clone + PartialEq + Serialize + DeserializeOwned {
     /// The options in their order.
     fn fields() -> Vec<Field>;
 
+    /// Its nested tables with what they are about.
+    fn tables() -> Vec<(&'static str, &'static str)> {
+        Vec::new()
+    }
+
     /// The definition for listings and checks.
     fn section() -> Section {
         Section {
             name: Self::SECTION,
             about: Self::ABOUT,
             fields: Self::fields(),
+            tables: Self::tables(),
             check: |table| {
                 let parsed: Result<Self, toml::de::Error> =
                     toml::Value::Table(table.clone()).try_into();
@@ -47,7 +53,9 @@ pub trait Options: Default + Clone + PartialEq + Serialize + DeserializeOwned {
             section.check_entry(name, value)?;
         }
         let mut table = toml::Table::try_from(self).map_err(|error| error.to_string())?;
-        table.extend(given.clone());
+        for (name, value) in given {
+            section.insert(&mut table, name, value.clone());
+        }
         toml::Value::Table(table).try_into().map_err(|e: toml::de::Error| e.message().to_owned())
     }
 
@@ -72,8 +80,18 @@ pub trait Options: Default + Clone + PartialEq + Serialize + DeserializeOwned {
 
     /// The options that differ from their defaults, as `(name, value)`.
     fn changed(&self) -> Vec<(String, toml::Value)> {
-        let table = |options: &Self| toml::Table::try_from(options).unwrap_or_default();
-        let (own, usual) = (table(self), table(&Self::default()));
+        let flat = |options: &Self| {
+            let table = toml::Table::try_from(options).unwrap_or_default();
+            let mut flat = toml::Table::new();
+            for (name, value) in table {
+                match value {
+                    toml::Value::Table(nested) => flat.extend(nested),
+                    value => drop(flat.insert(name, value)),
+                }
+            }
+            flat
+        };
+        let (own, usual) = (flat(self), flat(&Self::default()));
         own.into_iter().filter(|(name, value)| usual.get(name) != Some(value)).collect()
     }
 }
@@ -108,6 +126,7 @@ macro_rules! options {
         $(#[doc = $about:expr])*
         $vis:vis struct $name:ident in $section:literal
             $(with { $($(#[doc = $group_doc:expr])* $gvis:vis $group:ident: $group_kind:ty,)* })?
+            $(nested { $($(#[doc = $nested_doc:expr])* $nvis:vis $nested:ident: $nested_kind:ty,)* })?
             $(, together $together:path)?
             $(, main [$($main:ident),* $(,)?])?
         {
@@ -131,6 +150,10 @@ macro_rules! options {
                 #[serde(flatten)]
                 $gvis $group: $group_kind,
             )*)?
+            $($(
+                $(#[doc = $nested_doc])*
+                $nvis $nested: $nested_kind,
+            )*)?
         }
 
         $(
@@ -140,7 +163,11 @@ macro_rules! options {
 
         impl Default for $name {
             fn default() -> $name {
-                $name { $($key: $default,)* $($($group: <$group_kind>::default(),)*)? }
+                $name {
+                    $($key: $default,)*
+                    $($($group: <$group_kind>::default(),)*)?
+                    $($($nested: <$nested_kind>::default(),)*)?
+                }
             }
         }
 
@@ -160,6 +187,7 @@ macro_rules! options {
                         default: $crate::options::Value::written(&defaults.$key),
                         example: $crate::options!(@example $($example)?),
                         is_main: false,
+                        table: None,
                     },
                 )*];
                 let groups: Vec<Vec<$crate::options::Field>> =
@@ -167,8 +195,25 @@ macro_rules! options {
                 let marked = own.into_iter().map(|field| {
                     $crate::options::Field { is_main: main.contains(&field.name), ..field }
                 });
-                marked.chain(groups.into_iter().flatten()).collect()
+                let nested: Vec<(&'static str, Vec<$crate::options::Field>)> = vec![$($(
+                    (stringify!($nested), <$nested_kind as $crate::options::Options>::fields()),
+                )*)?];
+                let nested = nested.into_iter().flat_map(|(table, fields)| {
+                    fields.into_iter().map(move |field| {
+                        $crate::options::Field { table: Some(table), is_main: false, ..field }
+                    })
+                });
+                marked.chain(groups.into_iter().flatten()).chain(nested).collect()
             }
+
+            $(
+                fn tables() -> Vec<(&'static str, &'static str)> {
+                    vec![$((
+                        stringify!($nested),
+                        <$nested_kind as $crate::options::Options>::ABOUT,
+                    )),*]
+                }
+            )?
 
             $(
                 fn check_together(&self) -> Result<(), String> {

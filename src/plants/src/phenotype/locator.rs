@@ -4,7 +4,7 @@
 //! descent too. Positions and lengths in pixels of the mask, centre of the top-left pixel at (0, 0).
 
 use super::{
-    locate::{Init, LocateError, Located, PlantFitOptions, Restarts, Setup, locate_best},
+    locate::{Init, LocateError, Located, PlantFitOptions, Setup, locate_best},
     row_model::{self, RowModelOptions},
     rows::{self, Detection},
     stand::Stand,
@@ -43,8 +43,8 @@ pub enum LocateMethod {
 rowgram_base::choices!(LocateMethod: RowModel, Refined, Tempered, Descent, Paper, Kmeans, Rows);
 
 rowgram_base::options! {
-    /// The descent and its variants, of all methods but the row model. An option that is not set is as the method says.
-    pub struct DescentOptions in "locate" {
+    /// The paper's objective and its variants, for all methods but the row model. An option that is not set is as the method says.
+    pub struct DescentOptions in "locate.paper" {
         /// Prior of a plant's position: none, its row (rows), its row and column (grid).
         pub prior: Option<Prior> = None, example "\"rows\"";
         /// How a plant is updated: the minimum of squared distances (mean), or the exact minimum of the stated cost
@@ -70,9 +70,6 @@ rowgram_base::options! {
         pub max_sweeps: u64 = 500;
         /// Number of starts with consecutive seeds; the plants with the smallest objective are kept.
         pub starts: u64 = 1, limits between(1.0, 10000.0);
-        /// After every descent the least useful plant is moved to where leaves are farthest from any plant, and
-        /// stays if the objective falls; at most this often.
-        pub swaps: usize = 0;
         /// Solve the convex problem of every plant with an interior-point method, too, and report how far the
         /// descent is from its bound.
         pub certify: bool = false;
@@ -84,8 +81,9 @@ rowgram_base::options! {
     pub struct LocateOptions in "locate" with {
         /// The row model.
         pub row_model: RowModelOptions,
-        /// The descent.
-        pub descent: DescentOptions,
+    } nested {
+        /// The paper's objective and its variants.
+        pub paper: DescentOptions,
     }, together go_together, main [plants, method] {
         /// Number of plants; auto estimates it.
         pub plants: Auto<usize> = Auto::Auto, limits at_least(1.0);
@@ -106,7 +104,7 @@ rowgram_base::options! {
 /// Options of the descent go with methods that descend.
 fn go_together(options: &LocateOptions) -> Result<(), String> {
     let is_row_model = options.method == LocateMethod::RowModel;
-    if let Some((name, _)) = options.descent.changed().first().filter(|_| is_row_model) {
+    if let Some((name, _)) = options.paper.changed().first().filter(|_| is_row_model) {
         return Err(format!(
             "{name}: an option of the descent, which method = \"row-model\" does not use; choose another method"
         ));
@@ -125,11 +123,9 @@ impl LocateOptions {
 
     /// Where the descent starts.
     fn init(&self) -> Init {
-        self.descent.init.unwrap_or(match self.method {
+        self.paper.init.unwrap_or(match self.method {
             LocateMethod::RowModel | LocateMethod::Refined => Init::Votes,
-            LocateMethod::Descent if self.descent.prior == Some(Prior::None) => {
-                Init::KmeansPlusPlus
-            }
+            LocateMethod::Descent if self.paper.prior == Some(Prior::None) => Init::KmeansPlusPlus,
             LocateMethod::Tempered | LocateMethod::Descent | LocateMethod::Rows => Init::Rows,
             LocateMethod::Paper | LocateMethod::Kmeans => Init::KmeansPlusPlus,
         })
@@ -138,7 +134,7 @@ impl LocateOptions {
     /// The problem and the engine of the descent: what the method says, where no option says otherwise.
     fn posed(&self, gsd_m: Option<f64>, plants: usize) -> PlantFitOptions {
         let base = self.method.model(gsd_m);
-        let given = &self.descent;
+        let given = &self.paper;
         let model = Model {
             prior: given.prior.unwrap_or(base.prior),
             update: given.update.unwrap_or(base.update),
@@ -281,21 +277,20 @@ pub fn prepare(
 }
 
 impl Descend {
-    /// Descends, from several starts and with swaps where that is asked for.
+    /// Descends, from several starts where that is asked for.
     ///
     /// # Errors
     /// As [`locate_best`].
     pub fn run(self, options: &DescentOptions) -> Result<Descended, LocateError> {
-        let effort = Restarts { starts: options.starts, swaps: options.swaps };
         let Descend { mut setup, options: posed } = self;
-        let (setup, outcome) = if effort == Restarts::default() {
+        let (setup, outcome) = if options.starts == 1 {
             let Setup { problem, field, .. } = &mut setup;
             let outcome = descent::run(problem, field, posed.descent, posed.max_sweeps, |_, _| ())?;
             (setup, outcome)
         } else {
             let Setup { problem, field, detection } = setup;
             let start = (posed.init == Init::Votes).then_some(&field.positions_px[..]);
-            locate_best(problem.index(), &posed, &detection, start, effort)?
+            locate_best(problem.index(), &posed, &detection, start, options.starts)?
         };
         Descended::finish(setup, outcome, options.certify)
     }
@@ -327,7 +322,7 @@ pub fn find(
 ) -> Result<Found, LocateError> {
     Ok(match prepare(mask, None, gsd_m, options)?.work {
         Work::Stand(stand) => Found::Stand(stand),
-        Work::Descent(descend) => Found::Descent(Box::new(descend.run(&options.descent)?)),
+        Work::Descent(descend) => Found::Descent(Box::new(descend.run(&options.paper)?)),
     })
 }
 

@@ -349,18 +349,18 @@ pub(super) fn gaps(places: &[Vec<usize>]) -> Vec<f64> {
 /// What a plant has to be worth for there to be `count` of them.
 pub(super) fn worth_of(chains: &[Chain<'_>], count: usize) -> Result<f64, LocateError> {
     bisect(chains, count).ok_or_else(|| {
-        let most = total(&best(chains, MOST_WORTH));
+        let most = total(&best(chains, MAX_WORTH));
         LocateError::RowsTooShort { plants: count, most }
     })
 }
 
 /// The most that a plant can be worth.
-const MOST_WORTH: f64 = 40.0;
+const MAX_WORTH: f64 = 40.0;
 
 /// The least worth of a plant at which the chains have `count` of them, nearly.
 pub(super) fn bisect(chains: &[Chain<'_>], count: usize) -> Option<f64> {
     let number = |plant_log_odds: f64| total(&best(chains, plant_log_odds));
-    let (mut low, mut high) = (-MOST_WORTH, MOST_WORTH);
+    let (mut low, mut high) = (-MAX_WORTH, MAX_WORTH);
     // Usually it is near nothing.
     for near in [-6.0, 6.0] {
         match number(near) {
@@ -369,7 +369,7 @@ pub(super) fn bisect(chains: &[Chain<'_>], count: usize) -> Option<f64> {
             _ => low = low.max(near),
         }
     }
-    if high == MOST_WORTH && number(high) < count {
+    if high == MAX_WORTH && number(high) < count {
         return None;
     }
     for _ in 0..14 {

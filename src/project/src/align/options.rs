@@ -4,7 +4,7 @@ use rowgram_survey::{
     features::FeatureOptions,
     sfm::{
         adjust_block::{BlockOptions, ShutterModel, USUAL_READOUT_S, When},
-        incremental::{IncrementalOptions, Start},
+        incremental::IncrementalOptions,
         intrinsics::LensChoice,
         relative::Solver,
         verify::GeometricVerificationOptions,
@@ -22,16 +22,6 @@ pub enum SolverChoice {
     TwoPoint,
     /// Any photos.
     FivePoint,
-}
-
-/// Where exterior orientation starts.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum StartChoice {
-    /// Three photos that fit; the others join one by one.
-    Triplet,
-    /// All photos at once: averaged rotations, positions by convex programming.
-    Global,
 }
 
 /// Whether photos are enlarged twofold before features are looked for.
@@ -79,7 +69,6 @@ pub enum Step {
 }
 
 rowgram_base::choices!(SolverChoice: Auto, TwoPoint, FivePoint);
-rowgram_base::choices!(StartChoice: Triplet, Global);
 rowgram_base::choices!(EnlargeChoice: Auto, On, Off);
 rowgram_base::choices!(ShutterChoice: Auto, Off, On);
 rowgram_base::choices!(Step: Inspect, Features, Match, Verify, Orient, Adjust, Report);
@@ -96,9 +85,6 @@ rowgram_base::options! {
         pub free: Option<Vec<String>> = None, example "[\"f_px\", \"k1\", \"k2\"]";
         /// Minimal solver of relative orientation.
         pub solver: SolverChoice = SolverChoice::Auto;
-        /// How the reconstruction begins: with three photos that fit, adding the others one by one (triplet), or
-        /// with all photos at once (global).
-        pub start: StartChoice = StartChoice::Triplet;
         /// Maximum number of features per photo.
         pub max_features: usize = 6000, limits at_least(100.0);
         /// Enlarge photos twofold before feature detection, which takes four times as long: auto does so for photos
@@ -183,10 +169,6 @@ impl AlignOptions {
         let names: &[&str] =
             if calibrated { &[] } else { &["f_px", "k1", "k2", "c_px", "K1", "K2"] };
         IncrementalOptions {
-            start: match self.start {
-                StartChoice::Triplet => Start::Triplet,
-                StartChoice::Global => Start::Global,
-            },
             tolerance_px: self.tolerance_px,
             free: names.iter().map(|&name| name.to_owned()).collect(),
             seed: self.seed,

@@ -31,7 +31,7 @@ use rowgram_survey::{
         consistent::{Consistent, MIN_VIEWS, calibrate_consistent},
         statistics::Statistics,
     },
-    target::{Board, Refinement},
+    target::Board,
 };
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -112,8 +112,6 @@ rowgram_base::options! {
         /// Robust loss of the final adjustment and its scale in pixels: trivial, huber:1, soft-l1:1, cauchy:1,
         /// geman-mcclure:1 or tukey:4.
         pub loss: LossChoice = LossChoice(Loss::Trivial);
-        /// How corners are refined: by the gradients across their edges, or by a saddle surface.
-        pub refinement: Refinement = Refinement::Gradients;
         /// Use boards that are only partly visible.
         pub partial_boards: bool = false;
         /// Keep photos that contradict the others.

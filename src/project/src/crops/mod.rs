@@ -157,7 +157,7 @@ pub fn crops(
     let source = Source {
         views: origins.views(),
         surface: origins.surface(),
-        rule: LeafRule::of(project, monitor)?,
+        rule: LeafRule::of(project)?,
         options,
         folder: fresh.path(),
     };

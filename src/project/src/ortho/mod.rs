@@ -14,7 +14,7 @@ use rowgram_base::{error::Error, monitor::Monitor, options::Auto};
 use rowgram_files::polygons;
 use rowgram_survey::mapping::{
     canopy_height::CanopyHeight, colour_balance::ColourBalance, select::SelectionOptions,
-    surface::HeightInterpolation, undistort::Interpolation,
+    undistort::Interpolation,
 };
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -34,8 +34,6 @@ rowgram_base::options! {
         pub bounds_m: Option<[f64; 4]> = None, example "[500600.0, 4480100.0, 500700.0, 4480200.0]";
         /// The surface: a GeoTIFF of heights in the mapping frame. That of the stage dem where not set.
         pub dem: Option<PathBuf> = None, example "\"terrain.tif\"";
-        /// Interpolation of heights between the cells of the surface.
-        pub dem_interpolation: HeightInterpolation = HeightInterpolation::Bilinear;
         /// Use only these photos, by name; all where empty.
         pub only: Vec<String> = Vec::new();
         /// The largest angle between line of sight and vertical.

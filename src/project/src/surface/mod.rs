@@ -22,7 +22,6 @@ use rowgram_survey::mapping::{
     dense::{Area, AreaOptions, Pass, Prior, Tile, area::TILE},
     grid::{coverage, covering, median_gsd_m, rounded},
     orientation_sigma::OrientationSigma,
-    surface::HeightInterpolation,
     views,
 };
 use serde::{Deserialize, Serialize};
@@ -201,7 +200,7 @@ impl Scene {
             return Err(Error::NothingToDo(message.into()));
         }
         let files = import::photo_files(&reconstruction, &project.photo_folder())?;
-        let base = read_surface(&base(project)?, HeightInterpolation::Bilinear)?;
+        let base = read_surface(&base(project)?)?;
         let views = views(&reconstruction);
         let crs = Crs::from(&reconstruction.reference);
         let (place, size) = grid(&views, &base, options, crs)?;

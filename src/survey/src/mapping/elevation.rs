@@ -5,7 +5,6 @@ use super::{
     continuation::continue_heights,
     dem::{CloudOptions, CloudStatistics, SurfacePoint, TriangulatedCloud},
     grid::{covering, rounded},
-    surface::HeightInterpolation,
     view::Bounds,
 };
 use rowgram_raster::georeference::Crs;
@@ -90,7 +89,7 @@ pub fn elevation_model(
     if options.extent != Extent::Points {
         let mut heights = surface.heights_m;
         continued_cells = continue_heights(&mut heights, size);
-        surface = Surface::new(grid, size, heights, HeightInterpolation::Bilinear)?;
+        surface = Surface::new(grid, size, heights)?;
     }
     Ok(ElevationModel { surface, sigmas_m, continued_cells, statistics: cloud.statistics })
 }

@@ -10,8 +10,7 @@ use rowgram_plants::{
 };
 
 rowgram_base::options! {
-    /// Plot layout (rowgram plots layout): the design of the field, and how well its place is known before the rows are looked
-    /// at. A corner file needs ranges, plots_per_range, rows_per_plot, row_spacing_m and plot_length_m.
+    /// Plot layout (rowgram plots layout): the design of the field, and the uncertainty of its position before it is fitted to the rows. A corner file needs ranges, plots_per_range, rows_per_plot, row_spacing_m and plot_length_m.
     pub struct LayoutOptions in "layout",
         main [ranges, plots_per_range, rows_per_plot, row_spacing_m, plot_length_m]
     {

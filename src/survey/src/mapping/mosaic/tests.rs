@@ -3,9 +3,7 @@
 use super::*;
 use crate::{
     camera::{Interior, Model},
-    mapping::{
-        Surface, View, photo::DecodedPhoto, select::SelectionOptions, surface::HeightInterpolation,
-    },
+    mapping::{Surface, View, photo::DecodedPhoto, select::SelectionOptions},
     scene::Pose,
 };
 use image::{Rgb, RgbImage};
@@ -24,7 +22,7 @@ fn views() -> Vec<View> {
 
 fn surface() -> Surface {
     let place = Georeference::north_up([-10.0, 10.0], 1.0, Crs::LOCAL);
-    Surface::new(place, [31, 21], vec![0.0; 31 * 21], HeightInterpolation::Bilinear).unwrap()
+    Surface::new(place, [31, 21], vec![0.0; 31 * 21]).unwrap()
 }
 
 /// Photo `k`; the left half of the second one has no data.
