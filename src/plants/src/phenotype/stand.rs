@@ -3,7 +3,6 @@
 //! Positions and lengths in pixels of the mask, centre of the top-left pixel at (0, 0).
 
 use super::{plant_spacing::Spacing, rows::Rows};
-use rowgram_optim::robust::median;
 use serde::Serialize;
 
 /// The 97.5 % point of the standard normal distribution.
