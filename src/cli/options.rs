@@ -236,8 +236,12 @@ mod tests {
                 let command = stage::command::<T>(&options);
                 let matches = super::super::Cli::command().try_get_matches_from(words(&command));
                 let matches = matches.unwrap_or_else(|e| panic!("{command}: {e}"));
-                let (name, matches) = matches.subcommand().unwrap();
-                assert_eq!(name, T::STAGE.word());
+                let (mut names, mut matches) = (Vec::new(), &matches);
+                while let Some((name, own)) = matches.subcommand() {
+                    names.push(name);
+                    matches = own;
+                }
+                assert_eq!(names.join(" "), T::STAGE.command());
                 let given = Given::<T::Options>::from_arg_matches(matches).unwrap();
                 // Paths are made absolute, for a project is worked on from anywhere.
                 if field.kind != Kind::Path {
