@@ -48,7 +48,7 @@ pub mod problems {
     pub use rowgram_survey::problems::*;
 }
 
-/// The programs in `docs/extending.md`, compiled and run as documentation tests.
+/// The programs in `docs/optimisation.md`, compiled and run as documentation tests.
 #[cfg(doctest)]
-#[doc = include_str!("../docs/extending.md")]
+#[doc = include_str!("../docs/optimisation.md")]
 struct Extending;

@@ -126,7 +126,7 @@ pub fn assert_map_is_served(project: &Path) {
     let [x, y] = ortho.georeference().unwrap().map([u, v]);
     let parent = project.parent().unwrap();
     let name = project.file_name().unwrap().to_str().unwrap();
-    let asked = rowgram(parent, &format!("query {name} --at {x},{y} --every-photo --json"));
+    let asked = rowgram(parent, &format!("ortho query {name} --at {x},{y} --every-photo --json"));
     let asked: Vec<Value> = serde_json::from_str(&asked.stdout).unwrap();
     assert_eq!(asked, found);
     let first = &found[0];

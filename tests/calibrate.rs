@@ -1,4 +1,4 @@
-//! `rowgram calibrate`, `undistort` and `camera convert`, as a user meets them.
+//! `rowgram camera calibrate`, `undistort` and `camera convert`, as a user meets them.
 
 use crate::{
     boards::{CLEAN, Look, corners, photo, poses, wide},
@@ -75,7 +75,7 @@ fn photos_become_a_camera_and_a_report() {
     let run = rowgram(
         here,
         &format!(
-            "calibrate {} {TERMS},p1,p2,k3 -o camera.toml --figures figures --tables tables --json",
+            "camera calibrate {} {TERMS},p1,p2,k3 -o camera.toml --figures figures --tables tables --json",
             names.join(" ")
         ),
     );
@@ -137,8 +137,10 @@ fn a_camera_takes_the_distortion_out_of_photos() {
     photos(here, 2, CLEAN);
     let camera = rowgram::camera::Camera::new("wide", wide(SIZE));
     fs::write(here.join("camera.toml"), camera.to_toml()).unwrap();
-    let run =
-        rowgram(here, "undistort 00.png 01.png --camera camera.toml --scale 0.6 -o flat --json");
+    let run = rowgram(
+        here,
+        "camera undistort 00.png 01.png --camera camera.toml --scale 0.6 -o flat --json",
+    );
     assert_eq!(run.code, 0, "{}", run.stderr);
     let ideal = camera_file::read(&here.join("flat/camera.toml")).unwrap().interior;
     let rows = "--board 7x6 --square-m 0.025 --lens brown";
@@ -155,18 +157,18 @@ fn a_camera_takes_the_distortion_out_of_photos() {
         assert!(off < 0.15, "{c:?}: {off}");
     }
     for (arguments, code, part) in [
-        ("undistort 00.png --camera camera.toml -o flat", 2, "--force"),
-        ("undistort 00.png --camera camera.toml -o .", 2, "it is an input"),
-        ("undistort 00.png --camera none.toml -o b", 2, "none.toml"),
-        ("undistort 00.png --camera camera.toml -o b --scale 0", 2, "scale 0"),
-        ("undistort flat/00.png 00.png --camera camera.toml -o b", 2, "would both become"),
-        ("undistort camera.toml --camera camera.toml -o b", 2, "camera.toml"),
+        ("camera undistort 00.png --camera camera.toml -o flat", 2, "--force"),
+        ("camera undistort 00.png --camera camera.toml -o .", 2, "it is an input"),
+        ("camera undistort 00.png --camera none.toml -o b", 2, "none.toml"),
+        ("camera undistort 00.png --camera camera.toml -o b --scale 0", 2, "scale 0"),
+        ("camera undistort flat/00.png 00.png --camera camera.toml -o b", 2, "would both become"),
+        ("camera undistort camera.toml --camera camera.toml -o b", 2, "camera.toml"),
     ] {
         let run = rowgram(here, arguments);
         assert_eq!(run.code, code, "{arguments}: {}", run.stderr);
         assert!(run.stderr.contains(part), "{arguments}: {}", run.stderr);
     }
-    let small = rowgram(here, &format!("calibrate 00.png 01.png {rows} -o few.toml"));
+    let small = rowgram(here, &format!("camera calibrate 00.png 01.png {rows} -o few.toml"));
     assert_eq!(small.code, 2);
     assert!(small.stderr.contains("2 of 2 photos can be used"), "{}", small.stderr);
 }
@@ -211,7 +213,7 @@ fn bad_input_is_named() {
         (format!("small.png {TERMS} {corners} corners.csv"), "small.png has 320 x 240 pixels"),
         (format!("00.png {TERMS} -o 00.png --force"), "is an input"),
     ] {
-        let run = rowgram(here, &format!("calibrate {arguments}"));
+        let run = rowgram(here, &format!("camera calibrate {arguments}"));
         assert_eq!(run.code, 2, "{arguments}: {}", run.stderr);
         assert!(run.stderr.contains(part), "{arguments}: {}", run.stderr);
         assert!(!here.join("camera.toml").exists(), "{arguments}");
@@ -246,7 +248,7 @@ fn a_photo_that_contradicts_the_others_is_left_out() {
     let run = rowgram(
         here,
         &format!(
-            "calibrate {TERMS},p1,p2,k3 --size-px 640,480 --corners mixed.csv -o camera.toml --json"
+            "camera calibrate {TERMS},p1,p2,k3 --size-px 640,480 --corners mixed.csv -o camera.toml --json"
         ),
     );
     assert_eq!(run.code, 0, "{}", run.stderr);
@@ -263,7 +265,7 @@ fn what_cannot_be_told_apart_is_said_in_words() {
     table(folder.path(), "corners.csv");
     let run = rowgram(
         folder.path(),
-        "calibrate --board 7x6 --square-m 0.025 --free K0,K1,K2 --size-px 640,480 --corners corners.csv -o camera.toml",
+        "camera calibrate --board 7x6 --square-m 0.025 --free K0,K1,K2 --size-px 640,480 --corners corners.csv -o camera.toml",
     );
     assert_eq!(run.code, 2);
     assert!(run.stderr.contains("c_px") && run.stderr.contains("K0"), "{}", run.stderr);
@@ -406,7 +408,7 @@ fn real_photos_become_a_camera_that_opencv_agrees_with() {
     let run = rowgram(
         folder.path(),
         &format!(
-            "calibrate {} --board 9x6 --square-m 0.025 --lens brown -o camera.toml --json",
+            "camera calibrate {} --board 9x6 --square-m 0.025 --lens brown -o camera.toml --json",
             names.join(" ")
         ),
     );

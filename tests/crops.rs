@@ -1,4 +1,4 @@
-//! `rowgram crops`: plots in the photos themselves.
+//! `rowgram plots crops`: plots in the photos themselves.
 
 use crate::program::rowgram;
 use rowgram::io::csv_table::CsvTable;
@@ -9,7 +9,8 @@ use std::{collections::BTreeSet, fs, path::Path};
 pub fn assert_photos_agree_with_the_map(project: &Path) {
     let parent = project.parent().unwrap();
     let name = project.file_name().unwrap().to_str().unwrap();
-    let run = rowgram(parent, &format!("crops {name} -q --json --as-taken --photos-per-plot 4"));
+    let run =
+        rowgram(parent, &format!("plots crops {name} -q --json --as-taken --photos-per-plot 4"));
     assert_eq!(run.code, 0, "{}", run.stderr);
     let outcome: Value = serde_json::from_str(&run.stdout).unwrap();
     let crops = outcome["crops"].as_array().unwrap();
@@ -59,7 +60,7 @@ pub fn assert_photos_agree_with_the_map(project: &Path) {
         assert!(scatter[plot].is_nan() || scatter[plot] < 0.05, "{plot}: {}", scatter[plot]);
     }
     assert_comparison_agrees(project, &plots);
-    let again = rowgram(parent, &format!("crops {name} -q"));
+    let again = rowgram(parent, &format!("plots crops {name} -q"));
     assert_eq!(again.code, 2, "what is there is not replaced: {}", again.stderr);
     assert!(again.stderr.contains("--force"), "{}", again.stderr);
 }
@@ -67,7 +68,7 @@ pub fn assert_photos_agree_with_the_map(project: &Path) {
 /// Most that a trait of a plot may differ between photos and orthomosaic, in the unit of the trait. Both see the same leaves through the
 /// same leaf rule; what is left are the colours that drawing the map balances and the direction from which a leaf is seen.
 /// The one plot that a photo shows whole differs by 0.010 in cover, at most 0.005 in indices and 0.22 in a*: the bounds are four to nine times that.
-const MOST_DIFFERENCE: [(&str, f64); 7] = [
+const MAX_DIFFERENCE: [(&str, f64); 7] = [
     ("canopy_cover", 0.05),
     ("exg", 0.02),
     ("gli", 0.02),
@@ -87,7 +88,7 @@ fn assert_comparison_agrees(project: &Path, plots: &BTreeSet<&str>) {
         names.iter().zip(&traits).map(|(plot, of)| (*plot, *of)).collect();
     let expected: BTreeSet<(&str, &str)> = plots
         .iter()
-        .flat_map(|plot| MOST_DIFFERENCE.iter().map(move |(of, _)| (*plot, *of)))
+        .flat_map(|plot| MAX_DIFFERENCE.iter().map(move |(of, _)| (*plot, *of)))
         .collect();
     assert_eq!(rows, expected, "every trait of every plot once");
     assert_eq!(table.len(), rows.len());
@@ -98,7 +99,7 @@ fn assert_comparison_agrees(project: &Path, plots: &BTreeSet<&str>) {
         assert!((1.0..=4.0).contains(&photos[k]), "{of}: {} photos", photos[k]);
         // Six decimals of each.
         approx::assert_abs_diff_eq!(difference[k], mean[k] - map[k], epsilon = 2e-6);
-        let (_, most) = MOST_DIFFERENCE.iter().find(|(name, _)| *name == traits[k]).unwrap();
+        let (_, most) = MAX_DIFFERENCE.iter().find(|(name, _)| *name == traits[k]).unwrap();
         assert!(difference[k].abs() < *most, "{of}");
     }
 }

@@ -292,7 +292,7 @@ fn photos_become_files_and_pictures() {
     imageops::rotate90(&scene()).save(folder.path().join("two.png")).unwrap();
     let run = rowgram(
         folder.path(),
-        "features one.png two.png -o out --max-features 90 --figures pictures",
+        "align features one.png two.png -o out --max-features 90 --figures pictures",
     );
     assert_eq!(run.code, 0, "{}", run.stderr);
     assert_eq!(run.stdout, "out/one.features: 90 features\nout/two.features: 90 features\n");
@@ -305,13 +305,13 @@ fn photos_become_files_and_pictures() {
     assert_eq!(table.lines().count(), 91);
     assert_eq!(table.lines().next(), Some("u_px,v_px,sigma_px,angle_rad,response"));
     assert!(folder.path().join("pictures/two.features.png").exists());
-    let again = rowgram(folder.path(), "features one.png -o out --max-features 90");
+    let again = rowgram(folder.path(), "align features one.png -o out --max-features 90");
     assert_eq!(again.code, 2);
     assert!(again.stderr.contains("out/one.features exists already"), "{}", again.stderr);
 
     let run = rowgram(
         folder.path(),
-        "match one.png two.png -o m.csv --figures pictures --max-features 0 --json --quiet",
+        "align match one.png two.png -o m.csv --figures pictures --max-features 0 --json --quiet",
     );
     assert_eq!(run.code, 0, "{}", run.stderr);
     let summary: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
@@ -338,12 +338,21 @@ fn what_cannot_be_used_is_named() {
             .unwrap();
     }
     for (words, message) in [
-        ("features gone.png -o out", "cannot read gone.png"),
-        ("features one.png b/one.png -o out", "one.png and b/one.png would have the same output"),
-        ("features one.png -o out --contrast nan", "--contrast NaN: expected a number from 0"),
-        ("features one.png -o out --edge 0.5", "--edge 0.5: expected a number from 1"),
-        ("match one.png b/one.png -o m.csv --ratio 0", "ratio 0: expected a number greater than 0"),
-        ("match one.png b/one.png -o one.png", "it is an input"),
+        ("align features gone.png -o out", "cannot read gone.png"),
+        (
+            "align features one.png b/one.png -o out",
+            "one.png and b/one.png would have the same output",
+        ),
+        (
+            "align features one.png -o out --contrast nan",
+            "--contrast NaN: expected a number from 0",
+        ),
+        ("align features one.png -o out --edge 0.5", "--edge 0.5: expected a number from 1"),
+        (
+            "align match one.png b/one.png -o m.csv --ratio 0",
+            "ratio 0: expected a number greater than 0",
+        ),
+        ("align match one.png b/one.png -o one.png", "it is an input"),
     ] {
         let run = rowgram(folder.path(), words);
         assert_eq!(run.code, 2, "{words}: {}", run.stderr);

@@ -232,7 +232,7 @@ fn leaves_are_counted_from_area() {
     std::fs::write(folder.path().join("plots.geojson"), plots).unwrap();
     let run = rowgram(
         folder.path(),
-        "leaf-count mask.png --regions plots.geojson --plots plots.geojson -o counts.csv --json",
+        "leaves count mask.png --regions plots.geojson --plots plots.geojson -o counts.csv --json",
     );
     assert_eq!(run.code, 0, "{}", run.stderr);
     assert!(run.stderr.contains("may not be orthorectified"), "{}", run.stderr);
@@ -241,13 +241,13 @@ fn leaves_are_counted_from_area() {
     assert_eq!(summary["rho_px"].as_f64(), Some(200.0));
     let counts = rows(&folder.path().join("counts.csv"));
     assert_eq!((counts[2][0].as_str(), counts[2][2].as_str()), ("right", "1.000"));
-    let run = rowgram(folder.path(), "leaf-count mask.png --rho-px -3 -o c.csv");
+    let run = rowgram(folder.path(), "leaves count mask.png --rho-px -3 -o c.csv");
     assert!(
         run.code == 2 && run.stderr.contains("expected a number greater than 0"),
         "{}",
         run.stderr
     );
-    let run = rowgram(folder.path(), "leaf-count mask.png -o c.csv");
+    let run = rowgram(folder.path(), "leaves count mask.png -o c.csv");
     assert_eq!(run.code, 2);
 }
 
@@ -257,7 +257,7 @@ fn the_density_is_the_number_of_plants_in_the_window() {
     mask_png(folder.path());
     let run = rowgram(
         folder.path(),
-        "leaf-density mask.png --window-px 5 -o density.tif --figures figures",
+        "leaves density mask.png --window-px 5 -o density.tif --figures figures",
     );
     assert_eq!(run.code, 0, "{}", run.stderr);
     let found: Vec<u32> = Reader::open(&folder.path().join("density.tif"))
@@ -271,7 +271,7 @@ fn the_density_is_the_number_of_plants_in_the_window() {
             .count();
         assert_eq!(found[(v * 170 + u) as usize] as usize, count, "{u} {v}");
     }
-    let run = rowgram(folder.path(), "leaf-density mask.png --window-px 4 -o other.tif");
+    let run = rowgram(folder.path(), "leaves density mask.png --window-px 4 -o other.tif");
     assert!(run.code == 2 && run.stderr.contains("expected an odd number"), "{}", run.stderr);
 }
 
@@ -286,10 +286,12 @@ fn thresholds_are_proposed_tuned_and_drawn() {
     })
     .save(folder.path().join("photo.png"))
     .unwrap();
-    let run = rowgram(folder.path(), "thresholds photo.png --figures proposed");
+    let run = rowgram(folder.path(), "segment thresholds photo.png --figures proposed");
     assert!(run.code == 0 && run.stdout.contains("(proposed)"), "{} {}", run.stdout, run.stderr);
-    let run =
-        rowgram(folder.path(), "thresholds photo.png --masks mask.png --figures figures --json");
+    let run = rowgram(
+        folder.path(),
+        "segment thresholds photo.png --masks mask.png --figures figures --json",
+    );
     assert_eq!(run.code, 0, "{}", run.stderr);
     let summary: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
     assert_eq!(summary["judged"][0]["iou"].as_f64(), Some(1.0));
@@ -307,10 +309,10 @@ fn thresholds_are_proposed_tuned_and_drawn() {
     })
     .save(folder.path().join("soft.png"))
     .unwrap();
-    let run = rowgram(folder.path(), "thresholds photo.png --masks soft.png --json");
+    let run = rowgram(folder.path(), "segment thresholds photo.png --masks soft.png --json");
     let summary: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
     assert_eq!(summary["judged"][0]["iou"].as_f64(), Some(1.0));
-    let run = rowgram(folder.path(), "thresholds photo.png photo.png --masks mask.png");
+    let run = rowgram(folder.path(), "segment thresholds photo.png photo.png --masks mask.png");
     assert!(run.code == 2 && run.stderr.contains("expected one for each"), "{}", run.stderr);
 }
 

@@ -285,24 +285,20 @@ fn the_default_counts_and_tells_how_sure_it_is() {
         assert!(run.status.success(), "{method}: {}", String::from_utf8_lossy(&run.stderr));
         assert_eq!(read(Path::new(&out)).1.len() as f64, found, "{method}");
     }
-    // Several starts and swaps end no worse, and certificates stand.
+    // Several starts end no worse, and certificates stand.
     let of = |extra: &[&str]| {
         let words = ["locate", &mask, "--method", "tempered", "--json", "--force", "-o", &out];
         let run = rowgram(&[&words[..], extra].concat());
         assert!(run.status.success(), "{extra:?}: {}", String::from_utf8_lossy(&run.stderr));
         serde_json::from_slice::<serde_json::Value>(&run.stdout).unwrap()
     };
-    let (plain, tried) = (of(&[]), of(&["--init", "kmeans++", "--starts", "2", "--swaps", "3"]));
+    let (plain, tried) = (of(&[]), of(&["--init", "kmeans++", "--starts", "2"]));
     assert!(tried["final_cost"].as_f64().unwrap().is_finite() && plain["certificate"].is_null());
     let proof = of(&["--certify"])["certificate"].clone();
     assert!(proof["worst_gap"].as_f64().unwrap() < 0.05, "{proof}");
     assert!(proof["plants"].as_f64().unwrap() > 0.9 * found, "{proof}");
-    let run = rowgram(&["locate", &mask, "--tile-px", "128", "--force", "-o", &out]);
-    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
-    assert!((read(Path::new(&out)).1.len() as f64 / found - 1.0).abs() < 0.1);
     for (words, reason) in [
         (["--certify", "--method=row-model"], "certify"),
-        (["--tile-px=128", "--plants=30"], "tile_px"),
         (["--starts=0", "--certify"], "--starts"),
     ] {
         let run = rowgram(&[&["locate", &mask, "--force", "-o", &out], &words[..]].concat());

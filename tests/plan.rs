@@ -79,11 +79,11 @@ fn a_plan_gives_what_a_run_gives() {
         assert!(project.join("rowgram/report.html").is_file());
     }
     // A project without photos has nothing to do for features, and says so.
-    let nothing = rowgram(folder.path(), "run whole --batch features:1/2");
+    let nothing = rowgram(folder.path(), "run whole --only features:1/2");
     assert_eq!(nothing.code, 0, "{}", nothing.stderr);
     assert!(nothing.stdout.contains("left out, the orthomosaic"), "{}", nothing.stdout);
     fs::create_dir(folder.path().join("empty")).unwrap();
-    let refused = rowgram(folder.path(), "run empty --batch features:1/2");
+    let refused = rowgram(folder.path(), "run empty --only features:1/2");
     assert_eq!(refused.code, 2);
     assert!(refused.stderr.contains("no photos"), "{}", refused.stderr);
     by_snakemake(folder.path(), &copy("third"), &expected);
@@ -109,7 +109,11 @@ fn a_season_in_parts_gives_what_a_season_gives() {
     assert_eq!(plan.code, 0, "{}", plan.stderr);
     let plan: Value = serde_json::from_str(&plan.stdout).unwrap();
     let batches = plan["tasks"].as_array().unwrap().iter().filter(|task| {
-        task["arguments"].as_array().unwrap().iter().any(|argument| argument == "--batch")
+        task["arguments"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .any(|argument| argument.as_str().is_some_and(|text| text.contains(':')))
     });
     assert!(batches.count() >= 4 * 2, "four steps, two parts or more: {plan}");
     do_tasks(&folder.path().join("work"));
@@ -138,10 +142,10 @@ fn a_season_in_parts_gives_what_a_season_gives() {
     }
     // What was done is not done again, and parts that do not exist are refused.
     let project = "parts/2015-05-30";
-    let again = rowgram(folder.path(), &format!("run {project} --batch features:1/2 --json {set}"));
+    let again = rowgram(folder.path(), &format!("run {project} --only features:1/2 --json {set}"));
     assert_eq!(again.code, 0, "{}", again.stderr);
     assert!(again.stdout.contains("\"stage_is_current\":true"), "{}", again.stdout);
-    let wrong = rowgram(folder.path(), &format!("run {project} --batch features:3/2"));
+    let wrong = rowgram(folder.path(), &format!("run {project} --only features:3/2"));
     assert_eq!(wrong.code, 2);
     assert!(wrong.stderr.contains("expected a part such as 2/8"), "{}", wrong.stderr);
 }

@@ -13,7 +13,6 @@ use rowgram::{
         row_model::{self, RowModelOptions},
         rows::detect,
         stand::Stand,
-        tiles,
     },
     problems::plants::{Form, Model, index::PixelIndex},
     raster::Mask,
@@ -204,35 +203,6 @@ fn a_mirrored_or_turned_mask_has_mirrored_or_turned_plants() {
         let same = Score::new(&there, &plants, &[1.5]).unwrap().radii[0].f1.unwrap();
         assert!(same > 0.95, "{same}");
     }
-}
-
-#[test]
-#[ignore = "slow; cargo test -- --include-ignored"]
-fn crops_have_the_same_plants_away_from_the_seams() {
-    let (mask, _) = field(Preset::Mid20, 20.0, 8);
-    let detection = detect(&index(&mask));
-    let options = RowModelOptions::default();
-    let whole = positions(&find(&mask, None));
-    let (crop_px, halo_px) = (160, 80);
-    let crops = tiles::locate(&mask, &detection, &options, crop_px, halo_px).unwrap();
-    let crops: Vec<[f64; 2]> = crops.iter().map(|plant| plant.position_px).collect();
-    let away = |at: &&[f64; 2]| {
-        at.iter().all(|x| {
-            let place = (x + 0.5).rem_euclid(crop_px as f64);
-            (5.0..crop_px as f64 - 5.0).contains(&place)
-        })
-    };
-    let inside = |plants: &[[f64; 2]]| plants.iter().filter(away).copied().collect::<Vec<_>>();
-    let same = Score::new(&inside(&crops), &inside(&whole), &[1.5]).unwrap().radii[0].f1.unwrap();
-    assert!(same > 0.9, "{same}");
-    assert!((crops.len() as f64 / whole.len() as f64 - 1.0).abs() < 0.05);
-    // One crop is the whole mask.
-    let one = tiles::locate(&mask, &detection, &options, 10_000, 0).unwrap();
-    let one: Vec<[f64; 2]> = one.iter().map(|plant| plant.position_px).collect();
-    let same = Score::new(&one, &whole, &[0.01]).unwrap().radii[0].f1.unwrap();
-    assert!(same > 0.99, "{same}");
-    let empty = tiles::locate(&Mask::empty(9, 9), &detection, &options, 64, 8);
-    assert_eq!(empty, Err(LocateError::EmptyMask));
 }
 
 #[test]

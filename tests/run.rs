@@ -179,14 +179,6 @@ fn an_orthomosaic_alone_is_a_project() {
     run("-q");
     assert!(results(&project) == first);
 
-    // The report is written again from what the run left, the same page with the same numbers.
-    let page = fs::read(project.join("rowgram/report.html")).unwrap();
-    let path = project.to_str().unwrap();
-    let again =
-        Command::new(env!("CARGO_BIN_EXE_rowgram")).args(["report", path]).output().unwrap();
-    assert!(again.status.success(), "{}", String::from_utf8_lossy(&again.stderr));
-    assert!(page == fs::read(project.join("rowgram/report.html")).unwrap());
-
     // Verified, moved, verified again, and a byte that is not as it was is told.
     let moved = folder.path().join("elsewhere");
     fs::rename(&project, &moved).unwrap();
@@ -267,6 +259,10 @@ fn a_second_run_is_refused_and_mistakes_leave_nothing() {
     let init = rowgram(folder.path(), "init nothing");
     assert_eq!(init.code, 0, "{}", init.stderr);
     let text = fs::read_to_string(nothing.join("rowgram.toml")).unwrap();
+    assert!(text.contains("lens = \"auto\"") && !text.contains("max_features"), "{text}");
+    let init = rowgram(folder.path(), "init nothing --experts --force");
+    assert_eq!(init.code, 0, "{}", init.stderr);
+    let text = fs::read_to_string(nothing.join("rowgram.toml")).unwrap();
     assert!(text.contains("max_features = 6000"), "{text}");
     assert_eq!(rowgram(folder.path(), "init nothing").code, 2, "a file of somebody's stays");
     let sick = rowgram(folder.path(), "doctor nothing -q");
@@ -281,9 +277,9 @@ fn shells_and_manuals_know_the_commands() {
         let script = rowgram(folder.path(), &format!("completions {shell}"));
         assert!(script.code == 0 && script.stdout.contains("calibrate"), "{shell}");
     }
-    let page = rowgram(folder.path(), "man");
+    let page = rowgram(folder.path(), "completions --man");
     assert!(page.code == 0 && page.stdout.contains(".TH rowgram"), "{}", page.stdout);
-    let pages = rowgram(folder.path(), "man -o pages");
+    let pages = rowgram(folder.path(), "completions --man -o pages");
     assert_eq!(pages.code, 0, "{}", pages.stderr);
     assert!(folder.path().join("pages/rowgram-align.1").is_file());
 }
@@ -305,7 +301,7 @@ const NONSENSE: [(&str, &str); 27] = [
     ("dem.outlier_ratio=0", "outlier_ratio = 0: expected a number greater than 0"),
     ("ortho.gsd_m=-0.01", "gsd_m = -0.01: expected a number greater than 0"),
     ("ortho.canopy_height_m=top", "canopy_height_m = \"top\": expected auto or a number"),
-    ("ortho.feather_m=-0.2", "feather_m = -0.2: expected a number"),
+    ("ortho.border_px=-0.2", "border_px = -0.2: expected a number"),
     ("segment.hsv=30,79,30,300", "expected auto or 4 whole numbers from 0 to 255"),
     ("segment.hsv=30,79,30", "expected auto or 4 whole numbers"),
     ("leaf_density.window_px=40", "window_px = 40: expected an odd number"),
@@ -359,18 +355,18 @@ fn settings_that_cannot_be_are_refused_everywhere() {
     fs::write(project.join("rowgram.toml"), text).unwrap();
     let commands = [
         "segment",
-        "leaf-density",
-        "leaf-count",
+        "leaves density",
+        "leaves count",
         "locate",
         "leaves",
         "plots",
         "align",
-        "dem",
+        "surface dem",
         "surface",
         "ortho",
-        "calibrate",
+        "camera calibrate",
     ];
-    for command in commands.iter().chain(&["run", "verify", "report"]) {
+    for command in commands.iter().chain(&["run", "verify"]) {
         let words = format!("{command} field");
         refused(rowgram(folder.path(), &words), &words, "tolerance_px = -4: expected");
     }
@@ -379,7 +375,7 @@ fn settings_that_cannot_be_are_refused_everywhere() {
         ("run field --dry-run --set align.sede=1", "did you mean seed?"),
         ("run field --dry-run --set algin.seed=1", "did you mean [align]?"),
         ("run field --dry-run --set project.control=no.csv", "there is no such file"),
-        ("run field --dry-run --skip grow", "expected one of: calibrate"),
+        ("run field --dry-run --from grow", "expected one of: calibrate"),
         ("run field --dry-run --from plots --until align", "--from plots --until align"),
         ("segment field --hsv 30,79,30,300", "expected auto or 4 whole numbers"),
     ] {

@@ -65,7 +65,7 @@ fn the_smallest_pictures_work() {
     RgbImage::from_pixel(1, 1, SOIL).save(folder.path().join("soil.png")).unwrap();
     let run = rowgram(folder.path(), "segment soil.png --hsv 30,79,30,163 -o empty.png --json");
     assert_eq!(run.code, 0, "{}", run.stderr);
-    assert_snapshot!(run.stderr.trim(), @"warning: soil.png: no pixel is within the thresholds; the leaf mask is empty; choose other thresholds (rowgram thresholds, then --hsv)");
+    assert_snapshot!(run.stderr.trim(), @"warning: soil.png: no pixel is within the thresholds; the leaf mask is empty; choose other thresholds (rowgram segment thresholds, then --hsv)");
     assert!(run.stdout.contains("\"leaf_pixels\":0,\"leaf_share\":0.0"), "{}", run.stdout);
     // A PNG header with a width of 0.
     let mut bytes = std::fs::read(folder.path().join("one.png")).unwrap();
@@ -283,5 +283,5 @@ fn the_posterior_is_written_on_request() {
     let refused = "segment plant.png --hsv 30,79,30,163 -o other.png --posterior no.png";
     let run = rowgram(folder.path(), refused);
     assert_eq!(run.code, 2, "{}", run.stderr);
-    assert!(run.stderr.contains("thresholds (hsv) give no posterior"), "{}", run.stderr);
+    assert!(run.stderr.contains("segment thresholds (hsv) give no posterior"), "{}", run.stderr);
 }

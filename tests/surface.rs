@@ -28,7 +28,7 @@ fn median(values: &mut [f64]) -> f64 {
 }
 
 fn heights(path: &Path) -> Surface {
-    read_surface(path, rowgram::mapping::surface::HeightInterpolation::Bilinear).unwrap()
+    read_surface(path).unwrap()
 }
 
 fn compare(project: &Path) -> Quality {

@@ -3,7 +3,7 @@
     rowgram synth flight --preset small --photo-truth -o field
     venv/bin/python benches/ortho/twin.py --field field --rowgram target/release/rowgram --work /tmp/twin [--aligned]
 
-With the true poses, lens and ground, or with --aligned with those of `rowgram align field` and `rowgram dem field`.
+With the true poses, lens and ground, or with --aligned with those of `rowgram align field` and `rowgram surface dem field`.
 The map is drawn on the ground, where the bases of the stalks are.
 
 Targets: the saddle point of each target's pattern in the mosaic (cv2.cornerSubPix) against the target's true place.
@@ -74,7 +74,7 @@ def main():
     with rasterio.open(mosaic) as file:
         colours, place = file.read(), file.transform
     full = f"{args.work}/origins.tif"
-    subprocess.run([args.rowgram, "query", mosaic, "--write", full, "--force"], check=True, capture_output=True)
+    subprocess.run([args.rowgram, "ortho", "query", mosaic, "--write", full, "--force"], check=True, capture_output=True)
     with rasterio.open(full) as file:
         provenance = file.read()
     with open(f"{folder}/ortho.json") as file:

@@ -230,9 +230,9 @@ struct Placed {
 /// Relief of the walls: standard deviation and most, metres.
 const RELIEF_M: (f64, f64) = (1.2, 3.5);
 /// The steepest ray that a wall is seen under, cosine to its normal.
-const LEAST_COSINE: f64 = 0.2;
+const MIN_COSINE: f64 = 0.2;
 /// Most views of which a point's order is kept.
-const MOST_VIEWS: usize = 1000;
+const MAX_VIEWS: usize = 1000;
 
 /// A point that view `point mod images` sees; `None` where no second view ever does.
 fn place(config: &CollectionConfig, scene: &Scene, point: usize) -> Option<Placed> {
@@ -261,7 +261,7 @@ fn place(config: &CollectionConfig, scene: &Scene, point: usize) -> Option<Place
             continue;
         }
         seen.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        seen.truncate(MOST_VIEWS - 1);
+        seen.truncate(MAX_VIEWS - 1);
         let seen = std::iter::once(owner as u32).chain(seen.into_iter().map(|s| s.1)).collect();
         return Some(Placed { place_m, wall: wall_at, seen });
     }
@@ -287,7 +287,7 @@ fn sight(scene: &Scene, view: usize, wall: &Wall, place_m: [f64; 3]) -> Option<(
     let length_m = ray.iter().map(|v| v * v).sum::<f64>().sqrt();
     let direction = ray.map(|v| v / length_m);
     let n = wall.normal();
-    (n[0] * direction[0] + n[1] * direction[1] > LEAST_COSINE)
+    (n[0] * direction[0] + n[1] * direction[1] > MIN_COSINE)
         .then_some((view.forward.focal_px() / length_m, direction))
 }
 

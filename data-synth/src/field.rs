@@ -29,9 +29,9 @@ use serde::{Deserialize, Serialize};
 use std::{fmt, str::FromStr};
 
 /// Most plants of one field.
-pub const MOST_PLANTS: f64 = 5e6;
+pub const MAX_PLANTS: f64 = 5e6;
 /// Most pixels of one field's picture.
-pub const MOST_PIXELS: f64 = 5e8;
+pub const MAX_PIXELS: f64 = 5e8;
 /// Nearest and farthest that the two plants of a double are apart, metres.
 pub const DOUBLE_DISTANCE_M: (f64, f64) = (0.03, 0.06);
 
@@ -181,17 +181,17 @@ impl FieldConfig {
         self.habit.check()?;
         self.season.as_ref().map_or(Ok(()), SeasonDay::check)?;
         let sites = self.rows as f64 * (self.row_length_m / self.spacing_m + 1.0);
-        if sites > MOST_PLANTS {
+        if sites > MAX_PLANTS {
             let expected = format!(
-                "at most {MOST_PLANTS} planting sites (these rows have {sites:.0} at this spacing)"
+                "at most {MAX_PLANTS} planting sites (these rows have {sites:.0} at this spacing)"
             );
             return Err(ConfigError::new("rows", self.rows, expected));
         }
         let frame = Frame::around(self, std::iter::empty());
         let pixels = f64::from(frame.width_px) * f64::from(frame.height_px);
-        if pixels > MOST_PIXELS {
+        if pixels > MAX_PIXELS {
             let expected = format!(
-                "at most {MOST_PIXELS} pixels (this field has {pixels:.0} at this distance)"
+                "at most {MAX_PIXELS} pixels (this field has {pixels:.0} at this distance)"
             );
             return Err(ConfigError::new("gsd_m", self.gsd_m, expected));
         }

@@ -22,7 +22,7 @@ use crate::{
 pub use crate::flight_config::{FlightConfig, GnssConfig};
 
 /// Most photos of one flight.
-pub const MOST_PHOTOS: usize = 20_000;
+pub const MAX_PHOTOS: usize = 20_000;
 
 /// One photo's exterior orientation and all that goes with it: the truth, and what the receiver says.
 #[derive(Debug, Clone, PartialEq)]
@@ -321,9 +321,9 @@ impl Layout {
         };
         let (photos, strips) =
             (count(config.photos_per_strip, 0, base_m), count(config.strips, 1, strip_m));
-        if photos * strips > MOST_PHOTOS {
+        if photos * strips > MAX_PHOTOS {
             let expected =
-                format!("at most {MOST_PHOTOS} photos (this flight has {})", photos * strips);
+                format!("at most {MAX_PHOTOS} photos (this flight has {})", photos * strips);
             return Err(ConfigError::new(
                 "flight.forward_overlap",
                 config.forward_overlap,

@@ -7,11 +7,11 @@
 //! Writes `accuracy_plants.csv`, one line per photo, and `accuracy.md`, the tables of `docs/accuracy.md`. Numbers only.
 
 use crate::{
-    Folders, leaves,
-    locate::make,
-    plots::{self, Plot},
+    Folders,
+    fail::make,
+    leaves,
+    plots::{self, Plot, clips, nearest_px},
     rivals::{by_area, excess_green, green_of_lab},
-    row_model_plots::{clips, nearest_px},
 };
 use image::{DynamicImage, ImageDecoder as _, ImageReader, RgbImage, metadata::Orientation};
 use rayon::prelude::*;
@@ -31,7 +31,7 @@ use std::{
 };
 
 /// Smallest components that the rival may choose from, in pixels.
-const LEAST: [usize; 6] = [10, 25, 50, 100, 200, 400];
+const RIVAL_MIN_PIXELS: [usize; 6] = [10, 25, 50, 100, 200, 400];
 /// Sets of photos with a point per plant, besides plots and clips.
 const POINTS: [&str; 4] = ["maize_residue", "maize_emergence", "potato_uav", "olive_trees"];
 /// How much wider intervals may become where they are fitted.
@@ -150,7 +150,7 @@ fn count(set: &'static str, plot: &Plot) -> Result<Counted, Error> {
     let plants = stand.as_ref().map_or(&[][..], |stand| &stand.plants);
     let at: Vec<[f64; 2]> = plants.iter().map(|plant| plant.position_px).collect();
     let green = excess_green(&plot.photo);
-    let rival = LEAST
+    let rival = RIVAL_MIN_PIXELS
         .iter()
         .map(|&least| {
             let places = by_area(&green, least);
@@ -225,7 +225,8 @@ fn plants_table(all: &[Counted]) -> String {
             set.iter().map(|c| (c.truth, c.rival[k][0])).collect()
         };
         let cost = |k: usize| errors(&rival(&others, k))[0];
-        let k = (1..LEAST.len()).fold(0, |best, k| if cost(k) < cost(best) { k } else { best });
+        let k = (1..RIVAL_MIN_PIXELS.len())
+            .fold(0, |best, k| if cost(k) < cost(best) { k } else { best });
         let [mape, mae, rmse, r2] =
             errors(&mine.iter().map(|c| (c.truth, c.found)).collect::<Vec<_>>());
         let [mape_r, mae_r, rmse_r, r2_r] = errors(&rival(&mine, k));
@@ -241,7 +242,7 @@ fn plants_table(all: &[Counted]) -> String {
             "| {name} | {} | {mape:.1} | {mae:.1} | {rmse:.1} | {} | {own:.3} | {} | {mape_r:.1} | {mae_r:.1} | {rmse_r:.1} | {} | {theirs:.3} |",
             mine.len(),
             told(r2),
-            LEAST[k],
+            RIVAL_MIN_PIXELS[k],
             told(r2_r),
         );
         let inside = |c: &&Counted| (c.interval[0]..=c.interval[1]).contains(&c.truth);
@@ -380,8 +381,7 @@ fn leaves_table(data: &Path, every: usize) -> Result<String, Error> {
                         let photo = path.to_string_lossy().replace("_label", "_rgb");
                         mask = vegetation_of(&images::read_colour(Path::new(&photo))?);
                     }
-                    let (found, _) = leaves::segment(&mask, how);
-                    Ok(leaves::judge("rosettes", name, &found, &truth))
+                    Ok(leaves::judge(&leaves::segment(&mask, how), &truth))
                 })
                 .collect::<Result<_, Error>>()?;
             // Writing to a string does not fail.

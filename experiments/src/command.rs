@@ -10,7 +10,6 @@ use crate::{
     publish, sensitivity,
     spec::Spec,
     stage::{self, STAGES},
-    submit::{self, Engine},
     work::{self, Shard},
 };
 use clap::Subcommand;
@@ -24,7 +23,7 @@ const PAPER: &str = "paper-";
 pub(crate) enum Command {
     /// Run an experiment: every cell and seed, then tables, figures and the finding.
     ///
-    /// Writes runs.csv and runs.parquet (one row for each cell and seed; the same spec gives the same bytes), timing.csv,
+    /// Writes runs.csv (one row for each cell and seed; the same spec gives the same bytes), timing.csv,
     /// traces/, manifest.json and figures/. An interrupted run goes on with --resume. A cell that fails is a row with its
     /// reason. With --shard, FILE is a folder made by `plan`, and only records of finished tasks are written.
     Run {
@@ -75,20 +74,6 @@ pub(crate) enum Command {
         /// Replace another plan.
         #[arg(long)]
         force: bool,
-    },
-    /// Have the shards of a plan worked on, and merged when all are done.
-    Submit {
-        /// The folder of the plan.
-        folder: PathBuf,
-        /// Who works.
-        #[arg(long, value_enum, default_value = "local")]
-        engine: Engine,
-        /// How many shards.
-        #[arg(long, value_name = "N", default_value_t = 4)]
-        shards: usize,
-        /// An option for sbatch, such as --sbatch=--partition=short; may be given several times.
-        #[arg(long, value_name = "OPTION", allow_hyphen_values = true)]
-        sbatch: Vec<String>,
     },
     /// Merge the records of finished tasks into tables; lists what is missing, duplicate or damaged and exits with 3.
     Merge {
@@ -228,11 +213,6 @@ impl Command {
             Command::Plan { spec, out, small, force } => {
                 let planned = Plan::of(&spec, small)?.save(&out, force)?;
                 say(&format!("{} tasks, plan {}", planned.count(), planned.hash));
-                Ok(())
-            }
-            Command::Submit { folder, engine, shards, sbatch } => {
-                let planned = Planned::load(&folder)?;
-                say(&submit::submit(&planned, engine, shards, &sbatch)?);
                 Ok(())
             }
             Command::Merge { folder } => merge::merge(&Planned::load(&folder)?),

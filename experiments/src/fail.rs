@@ -41,3 +41,8 @@ impl From<FileError> for Fail {
         Fail::Library(error.into())
     }
 }
+
+/// Makes a folder for results.
+pub(crate) fn make(folder: &std::path::Path) -> Result<(), FileError> {
+    std::fs::create_dir_all(folder).map_err(|error| FileError::write(folder, error))
+}

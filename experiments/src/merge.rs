@@ -1,13 +1,12 @@
 //! From records to tables.
 //!
-//! `runs.csv` and `runs.parquet` have one row for each cell and seed, in the order of the plan, and hold
+//! `runs.csv` has one row for each cell and seed, in the order of the plan, and hold
 //! nothing that depends on time, machine or shards: the same plan gives the same bytes. Seconds and
 //! hosts are in `timing.csv`, series in `traces/NAME.csv`, and `manifest.json` says where all of it
 //! comes from.
 
 use crate::{
     fail::Fail,
-    parquet_file,
     plan::{Planned, sha256},
     work::{self, Found, Record, Shard},
 };
@@ -53,7 +52,6 @@ pub(crate) fn merge(planned: &Planned) -> Result<(), Fail> {
     let records: Vec<&Record> = found.records.values().collect();
     let runs = runs(planned, &records)?;
     csv(&folder.join("runs.csv"), &runs)?;
-    parquet_file::write(&folder.join("runs.parquet"), &runs)?;
     csv(&folder.join("timing.csv"), &timing(planned, &records))?;
     let traces = traces(planned, &records);
     for (name, rows) in &traces {
@@ -179,7 +177,7 @@ fn manifest(
     let spec = serde_json::to_string(&plan.spec).map_err(|e| Fail::Failed(e.to_string()))?;
     let hosts: BTreeSet<&str> = records.iter().map(|record| record.host.as_str()).collect();
     let mut files = BTreeMap::new();
-    let names = ["runs.csv".to_owned(), "runs.parquet".to_owned()];
+    let names = ["runs.csv".to_owned()];
     for name in names.into_iter().chain(traces.keys().map(|name| format!("traces/{name}.csv"))) {
         let path = planned.folder.join(&name);
         let bytes = std::fs::read(&path).map_err(|e| Fail::io(&path, &e))?;

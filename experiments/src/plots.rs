@@ -1,124 +1,23 @@
-//! Every variant of the locator on real plots with one annotated point per plant, true number of
-//! plants.
-//!
-//! The thresholds of the leaf mask and the smallest component are chosen on every third plot of
-//! `train.txt` by coordinate search: from the published values, each setting in turn takes the
-//! candidate with the largest score, until a whole round changes nothing (four rounds at most). The
-//! score is the mean F1 at a quarter of the median in-row spacing, over k-means and the inter-row
-//! prior started from rows. `val.txt` takes no part in it.
+//! Real plots and clips with one annotated point per plant.
 
-use crate::{
-    Folders,
-    locate::make,
-    methods::{self, METHODS, Method, Run},
-    table,
-};
 use rayon::prelude::*;
 use rowgram::robust::median;
 use rowgram::{
     Error,
-    io::{FileError, images, output, points},
-    phenotype::rows,
-    problems::plants::index::PixelIndex,
-    raster::{components, mask::Thresholds},
+    io::{FileError, images, points},
 };
 use std::path::Path;
 
 /// Radius in pixels besides the relative one; about 5 cm.
 const FIXED_RADIUS_PX: f64 = 15.0;
-/// Floor of the scatter about a row: about 1 cm.
-const FLOOR_PX: f64 = 3.0;
-/// Methods whose scores decide the thresholds.
-const JUDGES: [&str; 2] = ["k-means", "rows, inter-row joint"];
-
-/// The candidates of every setting: four thresholds, least pixels of a component.
-pub(crate) const CANDIDATES: [&[i64]; 5] = [
-    &[20, 25, 30, 35, 40, 45, 50],
-    &[60, 65, 70, 79, 90],
-    &[0, 15, 30, 50, 70],
-    &[100, 130, 163, 200, 255],
-    &[0, 10, 25, 50, 200],
-];
+/// Side of a clip and about half a box, in pixels.
+const CLIP: (f64, f64) = (640.0, 7.0);
 
 pub(crate) struct Plot {
     pub(crate) name: String,
     pub(crate) photo: image::RgbImage,
     pub(crate) truth: Vec<[f64; 2]>,
     pub(crate) radii_px: [f64; 2],
-}
-
-/// Runs the experiment.
-pub(crate) fn run(folders: &Folders) -> Result<(), Error> {
-    make(&folders.out)?;
-    let root = folders.data.join("maize_plots");
-    let train = read(&root, "train.txt")?;
-    let search: Vec<&Plot> = train.iter().step_by(3).collect();
-    let judges: Vec<Method> =
-        METHODS.iter().copied().filter(|method| JUDGES.contains(&method.name)).collect();
-    let mut settings = [30, 79, 30, 163, 0];
-    let mut best = mean_f1(&compare("search", &search, &judges, settings)?);
-    let mut log = format!("settings,score\n\"{settings:?}\",{best:.4}\n");
-    for _ in 0..4 {
-        let before = settings;
-        for (setting, candidates) in CANDIDATES.iter().enumerate() {
-            for &candidate in *candidates {
-                let mut tried = settings;
-                tried[setting] = candidate;
-                if tried == settings || candidate == before[setting] {
-                    continue;
-                }
-                let score = mean_f1(&compare("search", &search, &judges, tried)?);
-                log += &format!("\"{tried:?}\",{score:.4}\n");
-                if score > best {
-                    (best, settings) = (score, tried);
-                }
-            }
-        }
-        if settings == before {
-            break;
-        }
-    }
-    let path = folders.out.join("locate_plots_search.csv");
-    output::write(&path, true, |writer| writer.write_all(log.as_bytes()))?;
-    let val = read(&root, "val.txt")?;
-    let mut runs = compare("train", &train.iter().collect::<Vec<_>>(), METHODS, settings)?;
-    runs.extend(compare("val", &val.iter().collect::<Vec<_>>(), METHODS, settings)?);
-    let title = format!(
-        "Plant location on real plots, true number of plants; thresholds {:?}, components of at \
-         least {} pixels",
-        &settings[..4],
-        settings[4]
-    );
-    table::write(&folders.out, "locate_plots", &title, &["quarter_spacing", "15px"], &runs)
-}
-
-fn compare(
-    list: &str,
-    plots: &[&Plot],
-    methods: &[Method],
-    [t1, t2, t3, t4, least]: [i64; 5],
-) -> Result<Vec<Run>, Error> {
-    let thresholds = Thresholds::new(t1, t2, t3, t4)?;
-    let runs: Vec<Vec<Run>> = plots
-        .par_iter()
-        .map(|plot| {
-            let mut mask = thresholds.mask(&plot.photo);
-            components::remove_small(&mut mask, least.unsigned_abs() as usize);
-            let index = PixelIndex::from_mask(mask.width, &mask.data);
-            let detection = rows::detect(&index);
-            let at = (list, plot.name.as_str());
-            let run = |method: &Method| {
-                let (truth, radii) = (&plot.truth, &plot.radii_px);
-                methods::run(method, at, &index, &detection, truth, radii, FLOOR_PX)
-            };
-            methods.iter().map(run).collect()
-        })
-        .collect::<Result<_, Error>>()?;
-    Ok(runs.into_iter().flatten().collect())
-}
-
-fn mean_f1(runs: &[Run]) -> f64 {
-    runs.iter().map(|run| run.f1[0]).sum::<f64>() / runs.len().max(1) as f64
 }
 
 pub(crate) fn read(root: &Path, list: &str) -> Result<Vec<Plot>, Error> {
@@ -152,4 +51,60 @@ fn spacing_px(truth: &[[f64; 2]]) -> f64 {
         gaps.extend(row.windows(2).map(|pair| pair[1][0] - pair[0][0]));
     }
     median(gaps).unwrap_or(40.0).max(4.0)
+}
+
+/// Clips with their boxes, every other one.
+pub(crate) fn clips(root: &Path) -> Result<[Vec<Plot>; 2], Error> {
+    let folder = root.join("images");
+    let entries = std::fs::read_dir(&folder).map_err(|error| FileError::read(&folder, error))?;
+    let mut paths: Vec<_> = entries.filter_map(Result::ok).map(|entry| entry.path()).collect();
+    paths.sort();
+    let plots: Vec<Plot> = paths
+        .par_iter()
+        .map(|path| {
+            let name = path.file_stem().map(|n| n.to_string_lossy().into_owned());
+            let name = name.unwrap_or_default();
+            let boxes = root.join(format!("labels/{name}.txt"));
+            let text =
+                std::fs::read_to_string(&boxes).map_err(|error| FileError::read(&boxes, error))?;
+            let truth: Vec<[f64; 2]> = text
+                .lines()
+                .filter_map(|line| {
+                    let numbers: Vec<f64> =
+                        line.split_whitespace().filter_map(|word| word.parse().ok()).collect();
+                    let &[_, x, y, _, _] = numbers.as_slice() else { return None };
+                    Some([x * CLIP.0 - 0.5, y * CLIP.0 - 0.5])
+                })
+                .collect();
+            let radii_px = [nearest_px(&truth) / 4.0, CLIP.1];
+            Ok(Plot { name, photo: images::read_photo(path)?, truth, radii_px })
+        })
+        .collect::<Result<_, Error>>()?;
+    let mut lists = [Vec::new(), Vec::new()];
+    for (k, plot) in plots.into_iter().enumerate() {
+        lists[k % 2].push(plot);
+    }
+    Ok(lists)
+}
+
+/// Median distance to the nearest neighbour on the farther side: with rows farther apart than plants,
+/// the spacing in the rows, whatever their heading.
+pub(crate) fn nearest_px(truth: &[[f64; 2]]) -> f64 {
+    let mut distances: Vec<f64> = truth
+        .iter()
+        .filter_map(|at| {
+            let mut near: Vec<[f64; 2]> = truth
+                .iter()
+                .map(|other| [other[0] - at[0], other[1] - at[1]])
+                .filter(|d| d[0] != 0.0 || d[1] != 0.0)
+                .collect();
+            near.sort_by(|a, b| a[0].hypot(a[1]).total_cmp(&b[0].hypot(b[1])));
+            let first = *near.first()?;
+            let other =
+                near.iter().find(|d| d[0] * first[0] + d[1] * first[1] < 0.0).unwrap_or(&first);
+            Some(0.5 * (first[0].hypot(first[1]) + other[0].hypot(other[1])))
+        })
+        .collect();
+    distances.sort_by(f64::total_cmp);
+    distances.get(distances.len() / 2).copied().unwrap_or(4.0).max(4.0)
 }

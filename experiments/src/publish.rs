@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 const DIGITS: usize = 6;
 
 /// Larger series are not kept; their figures need the run.
-const MOST_BYTES: u64 = 400_000;
+const MAX_BYTES: u64 = 400_000;
 
 /// Copies a merged result into the folder of kept ones; says how many bytes it has.
 pub(crate) fn keep(result: &Path, results: &Path) -> Result<(String, u64), Fail> {
@@ -31,7 +31,7 @@ pub(crate) fn keep(result: &Path, results: &Path) -> Result<(String, u64), Fail>
     for name in tables_of(&spec) {
         let (from, to) = (result.join(&name), folder.join(&name));
         let size = copy_rounded(&from, &to)?;
-        if name != "runs.csv" && size > MOST_BYTES {
+        if name != "runs.csv" && size > MAX_BYTES {
             std::fs::remove_file(&to).map_err(|e| Fail::io(&to, &e))?;
         } else {
             bytes += size;

@@ -2,7 +2,7 @@
 //!
 //! Photos go the way of the command `locate`: the estimated leaf mask, with its posterior for today's locator. All but `today` are
 //! told the number of plants. Where a locator has a choice (form, scale, votes, start) it is the one with the largest mean F1 on
-//! at most [`MOST_FOR_CHOICE`] photos of each *other* real set, every set counting the same; synthetic fields take no part in it.
+//! at most [`MAX_FOR_CHOICE`] photos of each *other* real set, every set counting the same; synthetic fields take no part in it.
 //! The synthetic fields are the levels of the axis `field` of a spec, by default `locate-like-real.toml`.
 //!
 //! Writes `real.csv` (one row for each set, photo and locator), `real-summary.csv`, `real-against-synthetic.csv`,
@@ -11,7 +11,7 @@
 use crate::{
     accuracy,
     fail::Fail,
-    locate::make,
+    fail::make,
     real_locators::{CHOSEN, Case, How, Judged, LOCATORS, MOST_SWEEPS, Ready, candidates, choose},
     real_tables,
     spec::Spec,
@@ -24,7 +24,7 @@ use rowgram::{Error, raster::Mask};
 use std::path::PathBuf;
 
 /// Photos of a set that decide choices, at most: evenly from the list.
-const MOST_FOR_CHOICE: usize = 12;
+const MAX_FOR_CHOICE: usize = 12;
 /// The axis of a spec whose levels are fields.
 const AXIS: &str = "field";
 
@@ -94,7 +94,7 @@ pub(crate) fn run(asked: &RealFields) -> Result<(), Fail> {
     sets.splice(0..0, real(asked)?);
     let (mut rows, mut described, mut scores) = (Vec::new(), Vec::new(), Vec::new());
     for set in &sets {
-        let step = set.cases.len().div_ceil(MOST_FOR_CHOICE).max(1);
+        let step = set.cases.len().div_ceil(MAX_FOR_CHOICE).max(1);
         let done: Vec<Measurements> = set
             .cases
             .par_iter()

@@ -213,7 +213,7 @@ impl<'a> Ready<'a> {
             locator::prepare(&self.case.mask, self.case.posterior.clone(), None, &options)?;
         let places = match prepared.work {
             Work::Stand(stand) => stand.plants.iter().map(|plant| plant.position_px).collect(),
-            Work::Tiles(_) | Work::Descent(_) => Vec::new(),
+            Work::Descent(_) => Vec::new(),
         };
         Ok((places, 0, "done".to_owned()))
     }

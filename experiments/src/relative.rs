@@ -8,16 +8,9 @@
 //! A pair is right where the rotation is within one degree and the baseline within three. Samples are
 //! counted until the sampling ends by itself, at most 3000.
 
-use crate::{Folders, locate::make};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use rayon::prelude::*;
-use rowgram::{
-    Error,
-    io::{FileError, output},
-    sfm::relative::{Correspondence, RelativePoseOptions, Solver, estimate},
-};
-use std::fmt::Write as _;
+use rowgram::sfm::relative::{Correspondence, RelativePoseOptions, Solver, estimate};
 
 use nalgebra::{Rotation3, Vector3};
 
@@ -31,42 +24,10 @@ const SPACING_M: [f64; 2] = [0.76, 0.2];
 /// One setting.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Setting {
-    pub(crate) what: &'static str,
-    pub(crate) value: f64,
     pub(crate) wrong_share: f64,
     pub(crate) tilt_deg: f64,
     pub(crate) height_share: f64,
     pub(crate) repetitive: bool,
-}
-
-fn settings() -> Vec<Setting> {
-    let plain = Setting {
-        what: "wrong matches",
-        value: 0.0,
-        wrong_share: 0.5,
-        tilt_deg: 0.0,
-        height_share: 0.0,
-        repetitive: false,
-    };
-    let mut all = Vec::new();
-    for percent in [0, 20, 40, 60, 70, 80, 85, 90, 95] {
-        let share = f64::from(percent) / 100.0;
-        let value = f64::from(percent);
-        all.push(Setting { value, wrong_share: share, ..plain });
-        let what = "wrong matches, repetitive";
-        all.push(Setting { what, value, wrong_share: share, repetitive: true, ..plain });
-        let what = "wrong matches, tilt of 3 degrees";
-        all.push(Setting { what, value, wrong_share: share, tilt_deg: 3.0, ..plain });
-    }
-    for tilt in [0.0, 1.0, 2.0, 3.0, 5.0, 7.5, 10.0, 15.0] {
-        all.push(Setting { what: "tilt, degrees", value: tilt, tilt_deg: tilt, ..plain });
-    }
-    for percent in [0, 2, 5, 10, 15, 20] {
-        let value = f64::from(percent);
-        let what = "change of height, per cent";
-        all.push(Setting { what, value, height_share: value / 100.0, ..plain });
-    }
-    all
 }
 
 fn normal(rng: &mut impl Rng) -> f64 {
@@ -140,39 +101,4 @@ pub(crate) fn run(setting: &Setting, solver: Solver, seed: u64) -> (bool, usize,
             (right, found.inliers.len(), found.samples)
         }
     }
-}
-
-/// Runs the experiment.
-pub(crate) fn run_all(folders: &Folders, trials: usize) -> Result<(), Error> {
-    make(&folders.out)?;
-    let mut csv = String::from("what,value,solver,trials,right_share,mean_inliers,mean_samples\n");
-    let mut table = String::from(
-        "# Two points or five\n\nShare of pairs that are right, and samples drawn.\n\n| | | two points | samples | five points | samples |\n|---|---|---|---|---|---|\n",
-    );
-    for setting in settings() {
-        let mut cells = Vec::new();
-        for (solver, name) in [(Solver::TwoPoint, "two-point"), (Solver::FivePoint, "five-point")] {
-            let runs: Vec<(bool, usize, usize)> = (0..trials)
-                .into_par_iter()
-                .map(|k| run(&setting, solver, 1000 + k as u64))
-                .collect();
-            let n = trials.max(1) as f64;
-            let right = runs.iter().filter(|r| r.0).count() as f64 / n;
-            let inliers = runs.iter().map(|r| r.1).sum::<usize>() as f64 / n;
-            let samples = runs.iter().map(|r| r.2).sum::<usize>() as f64 / n;
-            let _ = writeln!(
-                csv,
-                "\"{}\",{},{name},{trials},{right:.3},{inliers:.1},{samples:.1}",
-                setting.what, setting.value
-            );
-            cells.push(format!("{right:.2} | {samples:.0}"));
-        }
-        let _ = writeln!(table, "| {} | {} | {} |", setting.what, setting.value, cells.join(" | "));
-    }
-    let save = |name: &str, text: &str| -> Result<(), FileError> {
-        output::write(&folders.out.join(name), true, |out| out.write_all(text.as_bytes()))
-    };
-    save("relative_orientation.csv", &csv)?;
-    save("relative_orientation.md", &table)?;
-    Ok(())
 }

@@ -1,4 +1,4 @@
-//! How near a season of `rowgram synth season` comes to its truth: the tables of docs/season.md.
+//! How near a season of `rowgram synth season` comes to its truth: the tables of docs/accuracy.md.
 //!
 //! Writes `season.csv`, one line for each date, `season_emergence.csv`, one for each plot, and `season.md`, both as tables.
 //!
@@ -150,7 +150,7 @@ impl Season {
         let (truth, results) = (file.root().join("truth"), file.results());
         let dates = dates(&file, &outcome, &truth, &results)?;
         let emergence = emergence(&outcome, &table(&truth.join("plots.csv"))?);
-        crate::locate::make(&self.out).map_err(rowgram::Error::from)?;
+        crate::fail::make(&self.out).map_err(rowgram::Error::from)?;
         write_table(&self.out.join("season.csv"), &dates)?;
         write_table(&self.out.join("season_emergence.csv"), &emergence)?;
         let text = page(&dates, &emergence);

@@ -22,7 +22,7 @@ use std::{collections::BTreeSet, path::Path};
 use toml::{Table, Value};
 
 /// Most tasks of one experiment.
-const MOST_TASKS: usize = 1_000_000;
+const MAX_TASKS: usize = 1_000_000;
 
 /// An experiment as its file has it.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -426,8 +426,8 @@ fn product(
     levels: &[Level],
     mut label: impl FnMut(&mut Cell, &Level),
 ) -> Result<Vec<Cell>, String> {
-    if cells.len().saturating_mul(levels.len()) > MOST_TASKS {
-        return Err(format!("more than {MOST_TASKS} cells"));
+    if cells.len().saturating_mul(levels.len()) > MAX_TASKS {
+        return Err(format!("more than {MAX_TASKS} cells"));
     }
     let mut found = Vec::with_capacity(cells.len() * levels.len());
     for cell in cells {

@@ -150,7 +150,6 @@ pub(crate) fn locate<'py>(
             let missing = stand.missing.iter().flat_map(|gap| gap.position_px).collect();
             out.set_item("missing_px", table(py, 2, missing)?)?;
         }
-        Found::Tiles(plants) => stalks(py, &out, plants)?,
         Found::Descent(found) => {
             let plants = &found.located.plants;
             let at: Vec<f64> = plants.iter().flat_map(|plant| plant.position_px).collect();

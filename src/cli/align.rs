@@ -1,6 +1,7 @@
 //! `rowgram align`: arguments in, results out; see [`rowgram_project::align`].
 
 use super::{
+    features,
     options::Given,
     project::{self, present},
 };
@@ -23,18 +24,22 @@ use std::path::PathBuf;
 /// plane at the photos.
 ///
 /// Steps: inspect, features, match, verify (orientation of pairs), orient (exterior orientation image by image), adjust
-/// (mapping frame, bundle adjustment with self-calibration), report. What a step found is kept and used again until
-/// something that it came from changes.
+/// (mapping frame, bundle adjustment with self-calibration), report. Results of a step are reused until an input, an option or
+/// the program changes.
 ///
 /// Exit code 3 where photos could not be oriented together, or the adjustment did not converge.
 #[derive(Debug, ClapArgs)]
+#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
 #[command(after_help = "Examples:
   rowgram align field --json
   rowgram align field --crs EPSG:27700 --check T3,T7
   rowgram align field --solver two-point --lens smac --until verify")]
 pub(super) struct Args {
-    /// Folder with the photos and what is known of them.
-    project: PathBuf,
+    #[command(subcommand)]
+    command: Option<Command>,
+    /// Folder with the photos, control and camera positions.
+    #[arg(required = true)]
+    project: Option<PathBuf>,
     /// Folder of results [default: PROJECT/rowgram].
     #[arg(short, long, value_name = "DIR")]
     output: Option<PathBuf>,
@@ -44,7 +49,7 @@ pub(super) struct Args {
     /// Ground points: CSV, gcp_list.txt or ground_control_points.json.
     #[arg(long, value_name = "FILE")]
     control: Option<PathBuf>,
-    /// Where the ground points of a CSV file are in the photos.
+    /// Image measurements of the ground points of a CSV file (marks).
     #[arg(long, value_name = "FILE")]
     marks: Option<PathBuf>,
     /// Camera positions: image, latitude, longitude, height.
@@ -55,18 +60,24 @@ pub(super) struct Args {
     camera: Option<PathBuf>,
     #[command(flatten)]
     options: Given<AlignOptions>,
-    /// Do this step and those after it again, whatever is kept.
+    /// Repeat this step and those after it.
     #[arg(long, value_name = "STEP", value_parser = step())]
     from: Option<String>,
     /// Stop after this step.
     #[arg(long, value_name = "STEP", value_parser = step())]
     until: Option<String>,
-    /// Do all of it again; results that were edited since are kept beside, as NAME.edited.
+    /// Repeat all steps; results that were edited since are kept beside, as NAME.edited.
     #[arg(long)]
     force: bool,
     /// Print one line of JSON instead of a summary.
     #[arg(long)]
     json: bool,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Command {
+    Features(features::Args),
+    Match(features::MatchArgs),
 }
 
 fn step() -> clap::builder::PossibleValuesParser {
@@ -75,7 +86,8 @@ fn step() -> clap::builder::PossibleValuesParser {
 
 impl Args {
     fn project(&self) -> Result<(Project, AlignOptions), Error> {
-        let mut config = Config::read(&self.project, std::env::vars(), &[])?;
+        let root = self.project.as_deref().unwrap_or(".".as_ref());
+        let mut config = Config::read(root, std::env::vars(), &[])?;
         let options = self.options.over(&config.align)?;
         let settings = &mut config.project;
         settings.crs = self.crs.clone().or(settings.crs.take());
@@ -93,7 +105,7 @@ impl Args {
             }
         }
         config.align = options.clone();
-        let project = project::with_config(&self.project, self.output.as_deref(), config)?;
+        let project = project::with_config(root, self.output.as_deref(), config)?;
         let again = self.force || self.from.is_some();
         Ok((project.again(again.then_some(Stage::Align)).forced(self.force), options))
     }
@@ -113,6 +125,11 @@ impl Args {
 /// # Errors
 /// Bad input, photos that cannot be oriented together, an adjustment that did not converge.
 pub(super) fn run(args: &Args) -> Result<(), Error> {
+    match &args.command {
+        Some(Command::Features(args)) => return features::run(args),
+        Some(Command::Match(args)) => return features::run_match(args),
+        None => {}
+    }
     let (from, until) = args.steps()?;
     let (project, options) = args.project()?;
     if let Some(from) = from {

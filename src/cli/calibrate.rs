@@ -1,4 +1,4 @@
-//! `rowgram calibrate`: a camera from photos of a chessboard.
+//! `rowgram camera calibrate`: a camera from photos of a chessboard.
 
 use super::{options::Given, project};
 use rowgram_base::{error::Error, monitor::Monitor};
@@ -29,8 +29,8 @@ use std::{
 /// named and left out.
 ///
 /// Examples:
-///   rowgram calibrate field --board 8x6 --square-m 0.025
-///   rowgram calibrate photos/*.jpg --board 8x6 --square-m 0.025 -o camera.toml --figures calibration
+///   rowgram camera calibrate field --board 8x6 --square-m 0.025
+///   rowgram camera calibrate photos/*.jpg --board 8x6 --square-m 0.025 -o camera.toml --figures calibration
 #[derive(Debug, clap::Args)]
 #[command(verbatim_doc_comment)]
 pub(super) struct Args {

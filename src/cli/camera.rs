@@ -1,5 +1,6 @@
-//! `rowgram camera convert`: a calibrated camera in the words of another program.
+//! `rowgram camera`: calibration, conversion to other programs, photos without distortion.
 
+use super::{calibrate, undistort};
 use clap::{Args as ClapArgs, Subcommand};
 use rowgram_base::error::Error;
 use rowgram_files::camera;
@@ -9,26 +10,30 @@ use rowgram_survey::problems::lens_fit::Fit;
 use serde::Serialize;
 use std::path::PathBuf;
 
-/// Work with calibrated cameras.
+/// Calibrate a camera, convert it to other programs, undistort photos.
 #[derive(Debug, ClapArgs)]
-pub(super) struct CameraArgs {
+pub(super) struct Args {
     #[command(subcommand)]
-    command: CameraCommand,
+    command: Command,
 }
 
 #[derive(Debug, Subcommand)]
-enum CameraCommand {
-    Convert(Args),
+enum Command {
+    Calibrate(Box<calibrate::Args>),
+    Convert(ConvertArgs),
+    Undistort(undistort::Args),
 }
 
-impl CameraArgs {
+impl Args {
     /// Runs the command.
     ///
     /// # Errors
     /// As the command says.
     pub(super) fn run(&self) -> Result<(), Error> {
         match &self.command {
-            CameraCommand::Convert(args) => convert(args),
+            Command::Calibrate(args) => calibrate::run(args),
+            Command::Convert(args) => convert(args),
+            Command::Undistort(args) => undistort::run(args),
         }
     }
 }
@@ -43,7 +48,7 @@ impl CameraArgs {
 /// Example: rowgram camera convert camera.toml --to colmap -o cameras.txt
 #[derive(Debug, ClapArgs)]
 #[command(verbatim_doc_comment)]
-struct Args {
+struct ConvertArgs {
     /// The camera.
     camera: PathBuf,
     /// The program whose file is written (opencv, colmap, metashape, opensfm), or the lens model of another camera.toml
@@ -78,7 +83,7 @@ struct Report<'a> {
     fit: &'a Fit,
 }
 
-fn convert(args: &Args) -> Result<(), Error> {
+fn convert(args: &ConvertArgs) -> Result<(), Error> {
     if let Some(most) = args.max_residual_px.filter(|most| !(*most >= 0.0 && most.is_finite())) {
         return Err(Error::Argument(format!(
             "--max-residual-px {most}: expected pixels, 0 or more"
@@ -111,7 +116,7 @@ fn convert(args: &Args) -> Result<(), Error> {
     }
 }
 
-fn show(args: &Args, from: &str, converted: &ConvertedCamera) -> Result<(), Error> {
+fn show(args: &ConvertArgs, from: &str, converted: &ConvertedCamera) -> Result<(), Error> {
     let ConvertedCamera { fit, is_exact, .. } = converted;
     if args.json {
         return super::print_json(&Report {

@@ -1,4 +1,4 @@
-//! `rowgram crops`: plots cut out of the photos themselves.
+//! `rowgram plots crops`: plots cut out of the photos themselves.
 
 use super::{options::Given, project};
 use rowgram_base::error::Error;
@@ -16,8 +16,8 @@ use std::path::PathBuf;
 /// PROJECT is a folder after rowgram run (or align, dem, ortho, segment, plots).
 ///
 /// Examples:
-///   rowgram crops field
-///   rowgram crops field --photos-per-plot 5 --margin-m 0.3 --as-taken
+///   rowgram plots crops field
+///   rowgram plots crops field --photos-per-plot 5 --margin-m 0.3 --as-taken
 #[derive(Debug, clap::Args)]
 #[command(verbatim_doc_comment)]
 pub(super) struct Args {

@@ -1,4 +1,4 @@
-//! `rowgram dem`: a surface from the tie points of a project, or from other points.
+//! `rowgram surface dem`: a surface from the tie points of a project, or from other points.
 
 use super::{import::ModelArgs, options::Given, project};
 use rowgram_base::error::Error;
@@ -20,9 +20,9 @@ use std::path::PathBuf;
 /// PROJECT is a folder after rowgram align. Without a project, points or another program's model are read.
 ///
 /// Examples:
-///   rowgram dem field
-///   rowgram dem field --cell-m 0.1 --ground
-///   rowgram dem --points points.csv --crs EPSG:32616 -o dem.tif
+///   rowgram surface dem field
+///   rowgram surface dem field --cell-m 0.1 --ground
+///   rowgram surface dem --points points.csv --crs EPSG:32616 -o dem.tif
 #[derive(Debug, clap::Args)]
 #[command(verbatim_doc_comment)]
 pub(super) struct Args {

@@ -59,7 +59,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     let Args { target, truth, radius_px, options } = args;
     let Some(truth) = truth else {
         if !target.is_project() {
-            let found = target.input.display();
+            let found = target.input().display();
             return Err(Error::Argument(format!("{found}: expected also a file of true plants")));
         }
         target.refuse_of_files(&[("--radius-px", !radius_px.is_empty())])?;
@@ -67,7 +67,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
         return target.perform(stage, options, |config| &config.evaluate, text);
     };
     let score =
-        evaluate_positions(&target.input, truth, radius_px).map_err(|error| match error {
+        evaluate_positions(target.input(), truth, radius_px).map_err(|error| match error {
             Error::Argument(why) => Error::Argument(format!("--radius-px: {why}")),
             other => other,
         })?;

@@ -1,4 +1,4 @@
-//! `rowgram features`: the key points of photos, and `rowgram match`: what two photos have in common.
+//! `rowgram align features`: the key points of photos, and `rowgram align match`: what two photos have in common.
 
 use super::project;
 use rowgram_base::error::Error;
@@ -56,7 +56,7 @@ impl Search {
 /// centre of the top-left pixel, blur, direction from the u axis towards the v axis, contrast. With
 /// --figures also NAME.features.png, where circles have three times the key points' blur.
 ///
-/// Example: rowgram features flight/*.jpg -o features --max-features 4000 --figures figures
+/// Example: rowgram align features flight/*.jpg -o features --max-features 4000 --figures figures
 #[derive(Debug, clap::Args)]
 #[command(verbatim_doc_comment)]
 pub(super) struct Args {
@@ -79,7 +79,7 @@ pub(super) struct Args {
     json: bool,
 }
 
-/// Runs `rowgram features`.
+/// Runs `rowgram align features`.
 ///
 /// # Errors
 /// Where an argument, a photo or an output path cannot be used, or writing fails.
@@ -104,7 +104,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
 /// taken as 1). A match is the nearest in both directions and passes the ratio test. No geometry is
 /// checked, so some are wrong: look at them with --figures.
 ///
-/// Example: rowgram match one.jpg other.jpg -o matches.csv --figures figures
+/// Example: rowgram align match one.jpg other.jpg -o matches.csv --figures figures
 #[derive(Debug, clap::Args)]
 #[command(verbatim_doc_comment)]
 pub(super) struct MatchArgs {
@@ -131,7 +131,7 @@ pub(super) struct MatchArgs {
     json: bool,
 }
 
-/// Runs `rowgram match`.
+/// Runs `rowgram align match`.
 ///
 /// # Errors
 /// Where an argument, a photo or an output path cannot be used, or writing fails.

@@ -1,4 +1,4 @@
-//! `rowgram leaf-count`: leaves from the area that they cover.
+//! `rowgram leaves count`: leaves from the area that they cover.
 
 use super::{
     options::{Given, HsvArgument},
@@ -22,8 +22,8 @@ use std::path::PathBuf;
 /// of which --hsv makes one; polygons are in the raster's CRS, or in pixels where it has none. In a photo in perspective
 /// leaves far from the camera are smaller and the count is biased: use an orthomosaic.
 ///
-/// Example: rowgram leaf-count field
-/// Example: rowgram leaf-count ortho.tif --regions regions.geojson --plots plots.geojson -o leaves.csv
+/// Example: rowgram leaves count field
+/// Example: rowgram leaves count ortho.tif --regions regions.geojson --plots plots.geojson -o leaves.csv
 #[derive(Debug, clap::Args)]
 #[command(verbatim_doc_comment)]
 pub(super) struct Args {
@@ -76,14 +76,14 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
         return Err(Error::Argument("--regions and --rho-px exclude each other".to_owned()));
     }
     let output = target.file()?;
-    let inputs = given([Some(target.input.as_path()), regions.as_deref(), plots.as_deref()]);
+    let inputs = given([Some(target.input()), regions.as_deref(), plots.as_deref()]);
     check_paths(&[output], &inputs, target.force)?;
     let (options, hsv) = (options.over_defaults()?, hsv.value()?);
     let areas = Areas { regions: regions.clone(), plots: plots.clone(), plot_key: None };
-    let subject = target.input.display().to_string();
+    let subject = target.input().display().to_string();
     target.present(
         |monitor| {
-            let (source, leaf) = read_leaf_mask(&target.input, hsv)?;
+            let (source, leaf) = read_leaf_mask(target.input(), hsv)?;
             let place = source.georeference();
             let outcome = count_leaves(&leaf.mask, place, &areas, &options, &subject, monitor)?;
             outcome.write(output, target.force)?;

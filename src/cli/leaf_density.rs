@@ -1,4 +1,4 @@
-//! `rowgram leaf-density`: how many leaf pixels lie around each pixel.
+//! `rowgram leaves density`: how many leaf pixels lie around each pixel.
 
 use super::{
     options::{Given, HsvArgument},
@@ -21,8 +21,8 @@ use std::path::PathBuf;
 /// Beyond the border there are no leaves. Of a project, the leaf mask is taken; a single file is a mask (two values), or
 /// a photo or orthomosaic, of which --hsv makes one.
 ///
-/// Example: rowgram leaf-density field
-/// Example: rowgram leaf-density ortho.tif --window-px 41 -o density.tif --figures figures
+/// Example: rowgram leaves density field
+/// Example: rowgram leaves density ortho.tif --window-px 41 -o density.tif --figures figures
 #[derive(Debug, clap::Args)]
 #[command(verbatim_doc_comment)]
 pub(super) struct Args {
@@ -64,12 +64,12 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     let density = target.file()?;
     output::expect_ending(density, &["tif", "tiff"])?;
     let picture = figures.as_deref().map(|folder| (folder, "density.png"));
-    check_files(&[density], picture, &[&target.input], target.force)?;
+    check_files(&[density], picture, &[target.input()], target.force)?;
     let (options, hsv) = (options.over_defaults()?, hsv.value()?);
     let files = LeafDensityFiles { density, figures: figures.as_deref(), force: target.force };
     target.present(
         |_| {
-            let (source, leaf) = read_leaf_mask(&target.input, hsv)?;
+            let (source, leaf) = read_leaf_mask(target.input(), hsv)?;
             map_leaf_density(&leaf.mask, source.georeference(), files, &options)
         },
         text,

@@ -1,6 +1,7 @@
 //! `rowgram leaves`: each single leaf of a project, mask, photo or orthomosaic.
 
 use super::{
+    leaf_count, leaf_density,
     options::{Given, HsvArgument},
     stage::{Target, check_files, given},
 };
@@ -17,8 +18,8 @@ use std::path::PathBuf;
 /// Find each single leaf and measure it
 ///
 /// Slices across the leaves (stroke width transform) are merged into segments, and segments that face each other across a
-/// gap into leaves. Broad leaves, as those of rosettes, are told from such blades by the mask and found as parts of the plant
-/// between narrow places. One leaf is one label.
+/// gap into leaves. Broad leaves, as those of rosettes, are distinguished from blades by the mask, and found as parts
+/// of the plant between constrictions. One leaf is one label.
 ///
 /// Of a project, the leaf mask, the orthomosaic and the plants are taken, and leaves/leaves.csv and per_plant.csv are
 /// written. A single file is a mask (two values), or a photo or orthomosaic, of which --hsv makes one. The ending of
@@ -28,8 +29,14 @@ use std::path::PathBuf;
 /// Example: rowgram leaves field
 /// Example: rowgram leaves ortho.tif -o leaves.gpkg --labels labels.tif --figures figures
 #[derive(Debug, clap::Args)]
-#[command(verbatim_doc_comment)]
+#[command(
+    verbatim_doc_comment,
+    args_conflicts_with_subcommands = true,
+    subcommand_negates_reqs = true
+)]
 pub(super) struct Args {
+    #[command(subcommand)]
+    command: Option<Command>,
     #[command(flatten)]
     target: Target,
     #[command(flatten)]
@@ -50,6 +57,12 @@ pub(super) struct Args {
     figures: Option<PathBuf>,
 }
 
+#[derive(Debug, clap::Subcommand)]
+enum Command {
+    Count(Box<leaf_count::Args>),
+    Density(Box<leaf_density::Args>),
+}
+
 fn text(outcome: &LeavesOutcome) -> String {
     let length = match (outcome.median_length_m, outcome.median_length_px) {
         (Some(m), _) => format!(", median length {m:.3} m"),
@@ -65,7 +78,12 @@ fn text(outcome: &LeavesOutcome) -> String {
 /// # Errors
 /// As [`measure_leaves`] and the stage.
 pub(super) fn run(args: &Args) -> Result<(), Error> {
-    let Args { target, options, hsv, labels, plants, per_plant, figures } = args;
+    match &args.command {
+        Some(Command::Count(args)) => return leaf_count::run(args),
+        Some(Command::Density(args)) => return leaf_density::run(args),
+        None => {}
+    }
+    let Args { target, options, hsv, labels, plants, per_plant, figures, .. } = args;
     if target.is_project() {
         target.refuse_of_files(&[
             ("--labels", labels.is_some()),
@@ -86,7 +104,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
         output::expect_ending(labels, &["tif", "tiff"])?;
     }
     let outputs = given([Some(table), labels.as_deref(), per_plant.as_deref()]);
-    let inputs = given([Some(target.input.as_path()), plants.as_deref()]);
+    let inputs = given([Some(target.input()), plants.as_deref()]);
     let (options, hsv) = (options.over_defaults()?, hsv.value()?);
     let picture = figures.as_deref().map(|folder| (folder, "leaves.png"));
     check_files(&outputs, picture, &inputs, target.force)?;
@@ -97,10 +115,10 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
         figures: figures.as_deref(),
         force: target.force,
     };
-    let subject = target.input.display().to_string();
+    let subject = target.input().display().to_string();
     target.present(
         |monitor| {
-            let (source, leaf) = read_leaf_mask(&target.input, hsv)?;
+            let (source, leaf) = read_leaf_mask(target.input(), hsv)?;
             let plants = plants.as_deref().map(points::read).transpose()?;
             let picture = LeafPicture { source: &source, mask: &leaf.mask, subject: &subject };
             measure_leaves(picture, plants.as_deref(), files, &options, monitor)

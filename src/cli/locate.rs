@@ -15,8 +15,8 @@ use std::{fmt::Write as _, path::PathBuf};
 /// Locate plants and count them
 ///
 /// The default method, row-model, finds stalks where the axes of leaves meet, follows the rows where they bend and chooses
-/// the best plants along each row under a model of their spacing. It tells how sure it is of each plant and of their
-/// number, and where plants are missing. The other methods are the paper's descent and its variants (--method paper).
+/// the best plants along each row under a model of their spacing. Every plant has a confidence, their number an
+/// interval, and gaps the probability that plants are missing. The other methods are the paper's descent and its variants (--method paper).
 ///
 /// Of a project, the leaf mask is taken, and locate/plants.csv, gaps.csv and rows.csv are written. A single file is a mask
 /// (two values), or a photo, of which --hsv makes one.
@@ -103,7 +103,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     let outputs = given([Some(plants), gaps.as_deref(), rows.as_deref(), trace.as_deref()]);
     let (options, hsv) = (options.over_defaults()?, hsv.value()?);
     let picture = figures.as_deref().map(|folder| (folder, "plants.png"));
-    check_files(&outputs, picture, &[&target.input], target.force)?;
+    check_files(&outputs, picture, &[target.input()], target.force)?;
     let files = LocateFiles {
         plants,
         gaps: gaps.as_deref(),
@@ -112,10 +112,10 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
         figures: figures.as_deref(),
         force: target.force,
     };
-    let subject = target.input.display().to_string();
+    let subject = target.input().display().to_string();
     target.present(
         |monitor| {
-            let (source, leaf) = read_leaf_mask(&target.input, hsv)?;
+            let (source, leaf) = read_leaf_mask(target.input(), hsv)?;
             locate_plants(&source, leaf, &subject, files, &options, monitor)
         },
         text,

@@ -1,7 +1,7 @@
 //! The program: parse, call the library, present.
 //!
 //! Data goes to files or stdout, messages to stderr. Exit codes: 0 ok, 1 failure, 2 bad input,
-//! 3 incomplete or a quality gate failed.
+//! 3 incomplete or a quality check failed.
 
 mod adjust;
 mod align;
@@ -25,7 +25,6 @@ mod plan;
 mod plots;
 mod project;
 mod query;
-mod report;
 mod run;
 mod season;
 mod segment;
@@ -39,7 +38,7 @@ mod undistort;
 mod verify;
 mod view;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use rowgram_base::error::Error;
 use rowgram_optim::output::FileError;
 use std::process::ExitCode;
@@ -53,7 +52,7 @@ use std::process::ExitCode;
   rowgram run field              everything, into field/rowgram
   rowgram locate mask.png --gsd-m 0.01 -o plants.csv
 
-Exit codes: 0 done, 1 failure, 2 bad input, 3 incomplete or a quality gate failed")]
+Exit codes: 0 done, 1 failure, 2 bad input, 3 incomplete or a quality check failed")]
 struct Cli {
     #[command(subcommand)]
     command: Command,
@@ -71,43 +70,66 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    Run(Box<run::Args>),
-    Plan(plan::Args),
-    Season(season::Args),
     Init(init::Args),
     Doctor(doctor::Args),
-    Report(report::Args),
+    Run(Box<run::Args>),
+    Season(season::Args),
     View(view::Args),
     Verify(verify::Args),
+    Plan(plan::Args),
+    Segment(Box<segment::Args>),
+    Locate(Box<locate::Args>),
+    Leaves(Box<leaves::Args>),
+    Plots(Box<plots::Args>),
+    Evaluate(evaluate::Args),
     Align(Box<align::Args>),
     Adjust(Box<adjust::Args>),
-    Convert(convert::Args),
-    Calibrate(Box<calibrate::Args>),
-    Undistort(undistort::Args),
-    Camera(camera::CameraArgs),
-    Dem(Box<dem::Args>),
-    Surface(surface::Args),
+    Surface(Box<surface::Args>),
     Ortho(Box<ortho::Args>),
-    Query(query::Args),
+    Camera(camera::Args),
+    Convert(convert::Args),
     Synth(synth::Args),
-    Locate(Box<locate::Args>),
-    Segment(segment::Args),
-    Features(features::Args),
-    Match(features::MatchArgs),
-    Thresholds(thresholds::Args),
-    Leaves(leaves::Args),
-    LeafCount(leaf_count::Args),
-    LeafDensity(leaf_density::Args),
-    Plots(plots::Args),
-    Crops(crops::Args),
-    Evaluate(evaluate::Args),
-    Completions(shell::Completions),
-    Man(shell::Man),
+    Completions(shell::Args),
+}
+
+/// The commands as `--help` shows them.
+const GROUPS: [(&str, &[&str]); 5] = [
+    ("A project", &["init", "doctor", "run", "season", "view", "verify", "plan"]),
+    (
+        "Single files, or one stage of a project",
+        &["segment", "locate", "leaves", "plots", "evaluate"],
+    ),
+    ("Cameras and reconstructions", &["align", "adjust", "surface", "ortho", "camera", "convert"]),
+    ("Synthetic data", &["synth"]),
+    ("This program", &["completions", "help"]),
+];
+
+/// The command line, whose help lists commands by group.
+fn command() -> clap::Command {
+    let mut command = Cli::command();
+    command.build();
+    let width = command.get_subcommands().map(|of| of.get_name().len()).max().unwrap_or(0);
+    let mut groups = String::new();
+    for (heading, names) in GROUPS {
+        groups += &format!("{heading}:\n");
+        for name in names {
+            let about = command.find_subcommand(name).and_then(clap::Command::get_about);
+            groups += &format!(
+                "  {name:width$}  {}\n",
+                about.map(ToString::to_string).unwrap_or_default()
+            );
+        }
+        groups.push('\n');
+    }
+    Cli::command().help_template(format!(
+        "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n\n{groups}Options:\n{{options}}{{after-help}}"
+    ))
 }
 
 /// Parses the command line, runs the command, reports what went wrong.
 pub fn main() -> ExitCode {
-    let cli = match Cli::try_parse() {
+    let matches = command().try_get_matches();
+    let cli = match matches.and_then(|matches| Cli::from_arg_matches(&matches)) {
         Ok(cli) => cli,
         Err(error) => {
             // Help and version are printed to stdout with code 0, misuse to stderr with code 2.
@@ -136,38 +158,26 @@ fn run(cli: Cli) -> Result<(), Error> {
 /// Does what a command says.
 fn dispatch(command: Command) -> Result<(), Error> {
     match command {
-        Command::Run(args) => run::run(&args),
-        Command::Plan(args) => plan::run(&args),
-        Command::Season(args) => season::run(&args),
         Command::Init(args) => init::run(&args),
         Command::Doctor(args) => doctor::run(&args),
-        Command::Report(args) => report::run(&args),
+        Command::Run(args) => run::run(&args),
+        Command::Season(args) => season::run(&args),
         Command::View(args) => view::run(&args),
         Command::Verify(args) => verify::run(&args),
+        Command::Plan(args) => plan::run(&args),
+        Command::Segment(args) => segment::run(&args),
+        Command::Locate(args) => locate::run(&args),
+        Command::Leaves(args) => leaves::run(&args),
+        Command::Plots(args) => plots::run(&args),
+        Command::Evaluate(args) => evaluate::run(&args),
         Command::Align(args) => align::run(&args),
         Command::Adjust(args) => adjust::run(&args),
-        Command::Convert(args) => convert::run(&args),
-        Command::Calibrate(args) => calibrate::run(&args),
-        Command::Undistort(args) => undistort::run(&args),
-        Command::Camera(args) => args.run(),
-        Command::Dem(args) => dem::run(&args),
         Command::Surface(args) => surface::run(&args),
         Command::Ortho(args) => ortho::run(&args),
-        Command::Query(args) => query::run(&args),
+        Command::Camera(args) => args.run(),
+        Command::Convert(args) => convert::run(&args),
         Command::Synth(args) => synth::run(&args),
-        Command::Locate(args) => locate::run(&args),
-        Command::Segment(args) => segment::run(&args),
-        Command::Features(args) => features::run(&args),
-        Command::Match(args) => features::run_match(&args),
-        Command::Thresholds(args) => thresholds::run(&args),
-        Command::Leaves(args) => leaves::run(&args),
-        Command::LeafCount(args) => leaf_count::run(&args),
-        Command::LeafDensity(args) => leaf_density::run(&args),
-        Command::Plots(args) => plots::run(&args),
-        Command::Crops(args) => crops::run(&args),
-        Command::Evaluate(args) => evaluate::run(&args),
         Command::Completions(args) => args.run(),
-        Command::Man(args) => args.run(),
     }
 }
 

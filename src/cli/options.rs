@@ -3,7 +3,7 @@
 use clap::{Arg, ArgMatches, Command};
 use rowgram_base::{
     error::Error,
-    options::{Auto, Kind, Options},
+    options::{Auto, Field, Kind, Options},
 };
 use rowgram_project::{Config, segment::SegmentOptions};
 use rowgram_raster::mask::Thresholds;
@@ -50,7 +50,7 @@ fn dashed(why: &str) -> String {
 /// Endings of names that tell the unit; `--gsd` is understood as `--gsd-m`.
 const UNIT_ENDINGS: [&str; 6] = ["-m-s", "-px", "-m", "-deg", "-s", "-rad"];
 
-fn argument<T: Options>(field: &rowgram_base::options::Field) -> Arg {
+fn argument<T: Options>(field: &Field) -> Arg {
     let flag = field.flag();
     let mut help = field.paragraph();
     match (&field.default, &field.kind) {
@@ -63,7 +63,8 @@ fn argument<T: Options>(field: &rowgram_base::options::Field) -> Arg {
         .help(help)
         .value_name(field.kind.placeholder(field.unit()))
         .allow_hyphen_values(true)
-        .help_heading(heading::<T>());
+        .hide_short_help(is_for_experts::<T>(field))
+        .help_heading(heading::<T>(field));
     if let Some(short) = UNIT_ENDINGS.iter().find_map(|ending| flag.strip_suffix(ending)) {
         arg = arg.alias(short.to_owned());
     }
@@ -73,12 +74,20 @@ fn argument<T: Options>(field: &rowgram_base::options::Field) -> Arg {
     arg
 }
 
-fn heading<T: Options>() -> String {
-    let is_section = Config::sections().iter().any(|section| section.name == T::SECTION);
-    if is_section {
-        format!("Options of [{}] in rowgram.toml", T::SECTION)
-    } else {
-        "Options".to_owned()
+fn is_section<T: Options>() -> bool {
+    Config::sections().iter().any(|section| section.name == T::SECTION)
+}
+
+/// Only `--help` shows these, not `-h`.
+fn is_for_experts<T: Options>(field: &Field) -> bool {
+    is_section::<T>() && !field.is_main
+}
+
+fn heading<T: Options>(field: &Field) -> String {
+    match (is_section::<T>(), field.is_main) {
+        (false, _) => "Options".to_owned(),
+        (true, true) => format!("Options of [{}] in rowgram.toml", T::SECTION),
+        (true, false) => format!("Options of [{}] for experts", T::SECTION),
     }
 }
 
@@ -227,8 +236,12 @@ mod tests {
                 let command = stage::command::<T>(&options);
                 let matches = super::super::Cli::command().try_get_matches_from(words(&command));
                 let matches = matches.unwrap_or_else(|e| panic!("{command}: {e}"));
-                let (name, matches) = matches.subcommand().unwrap();
-                assert_eq!(name, T::STAGE.word());
+                let (mut names, mut matches) = (Vec::new(), &matches);
+                while let Some((name, own)) = matches.subcommand() {
+                    names.push(name);
+                    matches = own;
+                }
+                assert_eq!(names.join(" "), T::STAGE.command());
                 let given = Given::<T::Options>::from_arg_matches(matches).unwrap();
                 // Paths are made absolute, for a project is worked on from anywhere.
                 if field.kind != Kind::Path {

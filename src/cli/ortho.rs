@@ -1,6 +1,6 @@
 //! `rowgram ortho`: the orthomosaic of a project, or of photos with poses from elsewhere.
 
-use super::{import::ModelArgs, options::Given, project};
+use super::{import::ModelArgs, options::Given, project, query};
 use rowgram_base::error::Error;
 use rowgram_project::{
     Stage,
@@ -18,9 +18,9 @@ use std::path::{Path, PathBuf};
 ///
 /// Writes a tiled, compressed GeoTIFF with overviews and an alpha channel (ortho.tif), and beside it, as
 /// ortho_provenance.tif, where each pixel comes from: number of the photo, and 1 where a better one was passed over, because it has no
-/// data or does not see the place; ortho.json has the photos. rowgram query computes the rest: column, row, view angle, distance to the seam.
+/// data or does not see the place; ortho.json has the photos. rowgram ortho query computes the rest: column, row, view angle, distance to the seam.
 ///
-/// PROJECT is a folder after rowgram align and rowgram dem. Without a project, another program's model is read, or
+/// PROJECT is a folder after rowgram align and rowgram surface dem. Without a project, another program's model is read, or
 /// poses with a camera.
 ///
 /// Examples:
@@ -28,8 +28,14 @@ use std::path::{Path, PathBuf};
 ///   rowgram ortho field --frames --canopy-height-m 0
 ///   rowgram ortho --poses opk.csv --camera camera.toml --photos photos --dem dem.tif -o ortho.tif
 #[derive(Debug, clap::Args)]
-#[command(verbatim_doc_comment)]
+#[command(
+    verbatim_doc_comment,
+    args_conflicts_with_subcommands = true,
+    subcommand_negates_reqs = true
+)]
 pub(super) struct Args {
+    #[command(subcommand)]
+    command: Option<Command>,
     /// Folder of the project.
     #[arg(required_unless_present_any = ["model", "poses"], conflicts_with_all = ["model", "poses", "photos", "crs", "vertical_crs", "offset", "figures"])]
     project: Option<PathBuf>,
@@ -54,11 +60,19 @@ pub(super) struct Args {
     json: bool,
 }
 
+#[derive(Debug, clap::Subcommand)]
+enum Command {
+    Query(Box<query::Args>),
+}
+
 /// Runs the command.
 ///
 /// # Errors
 /// As the stage says.
 pub(super) fn run(args: &Args) -> Result<(), Error> {
+    if let Some(Command::Query(args)) = &args.command {
+        return query::run(args);
+    }
     let Some(root) = &args.project else { return of_model(args) };
     let project = project::open_for(Stage::Ortho, root, args.output.as_deref(), args.force)?;
     let options = args.options.over(&project.config().ortho)?;
@@ -76,7 +90,7 @@ fn of_model(args: &Args) -> Result<(), Error> {
         path.clone().ok_or_else(|| Error::Argument(format!("without a project {what}")))
     };
     let output = needed(&args.output, "--output names the file of the orthomosaic")?;
-    let surface = needed(&options.dem, "--dem names the surface; rowgram dem makes one")?;
+    let surface = needed(&options.dem, "--dem names the surface; rowgram surface dem makes one")?;
     let folder = needed(&args.photos, "--photos names the folder of the photos")?;
     let reconstruction = args.import.import()?.read()?;
     let photos = photo_files(&reconstruction, &folder)?;

@@ -3,6 +3,7 @@
 mod layout;
 
 use super::{
+    crops,
     options::Given,
     project::{open_for, present},
 };
@@ -50,6 +51,7 @@ pub(super) struct Args {
 #[derive(Debug, clap::Subcommand)]
 enum Command {
     Layout(Box<layout::Args>),
+    Crops(Box<crops::Args>),
 }
 
 fn text(outcome: &PlotsOutcome) -> String {
@@ -72,8 +74,10 @@ fn text(outcome: &PlotsOutcome) -> String {
 /// # Errors
 /// As the stage.
 pub(super) fn run(args: &Args) -> Result<(), Error> {
-    if let Some(Command::Layout(args)) = &args.command {
-        return layout::run(args);
+    match &args.command {
+        Some(Command::Layout(args)) => return layout::run(args),
+        Some(Command::Crops(args)) => return crops::run(args),
+        None => {}
     }
     let root = args.project.as_deref().unwrap_or(".".as_ref());
     let project = open_for(Stage::Plots, root, args.output.as_deref(), args.force)?;

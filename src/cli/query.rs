@@ -1,4 +1,4 @@
-//! `rowgram query`: from a place on an orthomosaic to the pixel of the photo behind it, and back.
+//! `rowgram ortho query`: from a place on an orthomosaic to the pixel of the photo behind it, and back.
 
 use super::project;
 use rowgram_base::error::Error;
@@ -11,11 +11,11 @@ use std::path::PathBuf;
 /// 0,0.
 ///
 /// Examples:
-///   rowgram query field --at 500670.2,4480143.1
-///   rowgram query field --at 500670.2,4480143.1 --every-photo
-///   rowgram query field --photo IMG_0031.JPG --pixel 2011.5,1490
-///   rowgram query ortho.tif --at 500670.2,4480143.1 --json
-///   rowgram query field --write origins.tif
+///   rowgram ortho query field --at 500670.2,4480143.1
+///   rowgram ortho query field --at 500670.2,4480143.1 --every-photo
+///   rowgram ortho query field --photo IMG_0031.JPG --pixel 2011.5,1490
+///   rowgram ortho query ortho.tif --at 500670.2,4480143.1 --json
+///   rowgram ortho query field --write origins.tif
 #[derive(Debug, clap::Args)]
 #[command(verbatim_doc_comment, arg_required_else_help = true)]
 pub(super) struct Args {
@@ -24,7 +24,7 @@ pub(super) struct Args {
     /// Folder of results of the project [default: PROJECT/rowgram].
     #[arg(short, long, value_name = "DIR")]
     output: Option<PathBuf>,
-    /// A place: the photo and its pixel behind it are told.
+    /// A place: gives the photo and the pixel behind it.
     #[arg(
         long,
         value_name = "X,Y",
@@ -37,7 +37,7 @@ pub(super) struct Args {
     /// With --at: every photo in whose frame the place lies, the steepest view first.
     #[arg(long, conflicts_with = "photo")]
     every_photo: bool,
-    /// A photo, with --pixel: the place is told.
+    /// A photo, with --pixel: gives the place.
     #[arg(long, value_name = "NAME", requires = "pixel")]
     photo: Option<String>,
     /// Column and row in the photo.

@@ -11,6 +11,7 @@ use rowgram_project::{
 };
 use std::{
     path::{Path, PathBuf},
+    str::FromStr,
     time::Instant,
 };
 
@@ -21,10 +22,11 @@ use std::{
 /// and camera positions, or with one orthomosaic; rowgram.toml in it, which rowgram init writes, holds the settings.
 ///
 /// Stages: calibrate, align, dem, surface, ortho, segment, leaf-density, leaf-count, locate, leaves, plots, evaluate, then the
-/// report. A stage for which the project has no input is left out with the reason. What a stage wrote in
-/// PROJECT/rowgram is used again until something that it came from changes; a run that was stopped goes on where it was.
+/// report. A stage for which the project has no input is left out with the reason. Results in
+/// PROJECT/rowgram are reused until an input, an option or the program changes; an interrupted run continues.
 ///
-/// Settings: rowgram.toml, then the environment (ROWGRAM_ALIGN_SEED=2), then --set align.seed=2.
+/// Settings: rowgram.toml, then the environment (ROWGRAM_ALIGN_SEED=2), then --set align.seed=2. Stages are left out with
+/// --set stages.skip=surface,leaves.
 ///
 /// Exit code 3 where a stage could not be completed or a quality check is red; the report says what there is.
 #[derive(Debug, clap::Args)]
@@ -50,25 +52,18 @@ pub(super) struct Args {
     /// Set a key of rowgram.toml; may be given several times.
     #[arg(long, value_name = "SECTION.KEY=VALUE")]
     set: Vec<String>,
-    /// Leave out these stages.
-    #[arg(long, value_name = "STAGES", value_delimiter = ',')]
-    skip: Vec<Stage>,
-    /// Do this stage and those after it again, whatever is kept.
+    /// Repeat this stage and those after it.
     #[arg(long, value_name = "STAGE")]
     from: Option<Stage>,
     /// Stop after this stage.
     #[arg(long, value_name = "STAGE")]
     until: Option<Stage>,
-    /// Do this stage alone, without checks and report: for workflow managers (see rowgram plan).
-    #[arg(long, value_name = "STAGE", requires = "project",
-        conflicts_with_all = ["skip", "from", "until", "dry_run"])]
-    only: Option<Stage>,
-    /// Do a part of a long step and keep it for its stage (features, matches, surface-coarse, surface-fine): for workflow
-    /// managers (see rowgram plan).
-    #[arg(long, value_name = "STEP:PART/PARTS", requires = "project",
-        conflicts_with_all = ["skip", "from", "until", "only", "dry_run"])]
-    batch: Option<Batch>,
-    /// Say what would be done, and do nothing.
+    /// Do one task alone, without checks and report: a stage, or a part of a long step (features, matches, surface-coarse,
+    /// surface-fine) such as features:2/8. For workflow managers (see rowgram plan).
+    #[arg(long, value_name = "STAGE|STEP:PART/PARTS", requires = "project",
+        conflicts_with_all = ["from", "until", "dry_run"])]
+    only: Option<OneTask>,
+    /// Show what would be done, without doing it.
     #[arg(long)]
     dry_run: bool,
     /// Replace results that were edited since, or that rowgram did not write: they are kept beside, as NAME.edited. Put a
@@ -80,9 +75,27 @@ pub(super) struct Args {
     json: bool,
 }
 
+/// A task of a workflow.
+#[derive(Debug, Clone, Copy)]
+enum OneTask {
+    Stage(Stage),
+    Part(Batch),
+}
+
+impl FromStr for OneTask {
+    type Err = String;
+    fn from_str(text: &str) -> Result<OneTask, String> {
+        if text.contains(':') {
+            text.parse().map(OneTask::Part)
+        } else {
+            text.parse().map(OneTask::Stage)
+        }
+    }
+}
+
 impl Args {
     fn options(&self) -> RunOptions {
-        RunOptions { skip: self.skip.clone(), from: self.from, until: self.until }
+        RunOptions { from: self.from, until: self.until, ..RunOptions::default() }
     }
 }
 
@@ -112,13 +125,14 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     if args.dry_run {
         return print_plan(&project, args);
     }
-    if let Some(batch) = args.batch {
-        return run_batch(&project, batch, args.json, terminal);
-    }
-    if let Some(stage) = args.only {
-        let report = run::only(&project, stage, &mut terminal)?;
-        drop(terminal);
-        return if args.json { print_json(&report) } else { print(&one_line(&report)) };
+    match args.only {
+        Some(OneTask::Part(batch)) => return run_batch(&project, batch, args.json, terminal),
+        Some(OneTask::Stage(stage)) => {
+            let report = run::only(&project, stage, &mut terminal)?;
+            drop(terminal);
+            return if args.json { print_json(&report) } else { print(&one_line(&report)) };
+        }
+        None => {}
     }
     let mut outcome = run::run(&project, &args.options(), &mut terminal)?;
     let page = project.results().join(report::REPORT_FILE);
@@ -183,7 +197,7 @@ fn one_line(report: &StageReport) -> String {
 ///
 /// # Errors
 /// The failure of the first stage that failed, else [`Error::Incomplete`] with the red checks.
-pub(super) fn judge(outcome: &RunOutcome, failure: Option<Error>) -> Result<(), Error> {
+fn judge(outcome: &RunOutcome, failure: Option<Error>) -> Result<(), Error> {
     let red: Vec<String> = outcome.red_checks().map(ToString::to_string).collect();
     match failure {
         Some(error) => {

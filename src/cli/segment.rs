@@ -3,6 +3,7 @@
 use super::{
     options::Given,
     stage::{Target, check_files, given},
+    thresholds,
 };
 use rowgram_base::error::Error;
 use rowgram_optim::output;
@@ -14,16 +15,22 @@ use std::path::PathBuf;
 
 /// Find the leaf pixels of an orthomosaic or photo by their colour
 ///
-/// Vegetation and background are estimated from the picture itself: every pixel gets a probability, and neighbours are made
-/// to agree. With --hsv a pixel is leaf where its hue is within two limits, and its saturation or its value is large enough
+/// Vegetation and background are estimated from the picture itself: every pixel gets a probability, and
+/// neighbouring pixels of different classes are penalised. With --hsv a pixel is leaf where its hue is within two limits, and its saturation or its value is large enough
 /// (OpenCV's 8-bit HSV). Of a project, the orthomosaic is segmented into segment/mask.tif. Of a photo, a mask of its size
 /// is written, 255 where leaves are and 0 elsewhere (.png, or .tif for a GeoTIFF).
 ///
 /// Example: rowgram segment field
 /// Example: rowgram segment plot.jpg --hsv 30,79,30,163 -o mask.png --figures figures
 #[derive(Debug, clap::Args)]
-#[command(verbatim_doc_comment)]
+#[command(
+    verbatim_doc_comment,
+    args_conflicts_with_subcommands = true,
+    subcommand_negates_reqs = true
+)]
 pub(super) struct Args {
+    #[command(subcommand)]
+    command: Option<Command>,
     #[command(flatten)]
     target: Target,
     #[command(flatten)]
@@ -34,6 +41,11 @@ pub(super) struct Args {
     /// Of a photo: write the photo with its mask drawn over it, mask.png, into this folder.
     #[arg(long, value_name = "DIR")]
     figures: Option<PathBuf>,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Command {
+    Thresholds(Box<thresholds::Args>),
 }
 
 fn text(outcome: &SegmentOutcome) -> String {
@@ -50,7 +62,10 @@ fn text(outcome: &SegmentOutcome) -> String {
 /// # Errors
 /// As [`segment::segment`] and [`segment::segment_file`].
 pub(super) fn run(args: &Args) -> Result<(), Error> {
-    let Args { target, options, posterior, figures } = args;
+    if let Some(Command::Thresholds(args)) = &args.command {
+        return thresholds::run(args);
+    }
+    let Args { target, options, posterior, figures, .. } = args;
     if target.is_project() {
         target.refuse_of_files(&[
             ("--posterior", posterior.is_some()),
@@ -73,7 +88,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     check_files(
         &given([Some(mask), posterior.as_deref()]),
         picture,
-        &[&target.input],
+        &[target.input()],
         target.force,
     )?;
     let files = SegmentFiles {
@@ -83,5 +98,5 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
         figures: figures.as_deref(),
         force: target.force,
     };
-    target.present(|monitor| segment::segment_file(&target.input, files, &options, monitor), text)
+    target.present(|monitor| segment::segment_file(target.input(), files, &options, monitor), text)
 }

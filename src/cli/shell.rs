@@ -1,69 +1,56 @@
-//! `rowgram completions` and `rowgram man`: what shells and readers of manuals know of the program.
+//! `rowgram completions`: what shells and readers of manuals know of the program.
 
-use super::{Cli, print};
-use clap::CommandFactory;
+use super::{command, print};
 use clap_complete::Shell;
 use rowgram_base::error::Error;
 use rowgram_optim::output::FileError;
 use std::path::{Path, PathBuf};
 
-/// Print the completions of a shell
+/// Print the completions of a shell, or the manual page
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   rowgram completions bash > ~/.local/share/bash-completion/completions/rowgram
-  rowgram completions fish > ~/.config/fish/completions/rowgram.fish")]
-pub(super) struct Completions {
+  rowgram completions fish > ~/.config/fish/completions/rowgram.fish
+  rowgram completions --man | man -l -
+  rowgram completions --man -o ~/.local/share/man/man1")]
+pub(super) struct Args {
     /// The shell.
-    #[arg(value_enum)]
-    shell: Shell,
-}
-
-impl Completions {
-    /// Runs the command.
-    ///
-    /// # Errors
-    /// Where stdout is closed.
-    pub(super) fn run(&self) -> Result<(), Error> {
-        let mut script = Vec::new();
-        clap_complete::generate(self.shell, &mut Cli::command(), "rowgram", &mut script);
-        print(&String::from_utf8_lossy(&script))
-    }
-}
-
-/// Print the manual page, or write those of all commands into a folder
-#[derive(Debug, clap::Args)]
-#[command(after_help = "Examples:
-  rowgram man | man -l -
-  rowgram man -o ~/.local/share/man/man1")]
-pub(super) struct Man {
-    /// Folder for the pages of all commands: rowgram.1, rowgram-align.1 and so on.
-    #[arg(short, long, value_name = "DIR")]
+    #[arg(value_enum, required_unless_present = "man", conflicts_with = "man")]
+    shell: Option<Shell>,
+    /// Print the manual page.
+    #[arg(long)]
+    man: bool,
+    /// With --man: write the pages of all commands into this folder: rowgram.1, rowgram-align.1 and so on.
+    #[arg(short, long, value_name = "DIR", requires = "man")]
     output: Option<PathBuf>,
 }
 
-impl Man {
+impl Args {
     /// Runs the command.
     ///
     /// # Errors
-    /// Where a page cannot be written.
+    /// Where stdout is closed, or a page cannot be written.
     pub(super) fn run(&self) -> Result<(), Error> {
-        if let Some(folder) = &self.output {
+        let mut text = Vec::new();
+        if let Some(shell) = self.shell {
+            clap_complete::generate(shell, &mut command(), "rowgram", &mut text);
+        } else if let Some(folder) = &self.output {
             std::fs::create_dir_all(folder).map_err(|e| FileError::write(folder, e))?;
-            return clap_mangen::generate_to(Cli::command(), folder)
+            return clap_mangen::generate_to(command(), folder)
                 .map_err(|e| FileError::write(folder, e).into());
+        } else {
+            let page = clap_mangen::Man::new(command()).render(&mut text);
+            page.map_err(|e| FileError::write(Path::new("stdout"), e))?;
         }
-        let mut page = Vec::new();
-        clap_mangen::Man::new(Cli::command())
-            .render(&mut page)
-            .map_err(|e| FileError::write(Path::new("stdout"), e))?;
-        print(&String::from_utf8_lossy(&page))
+        print(&String::from_utf8_lossy(&text))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clap::{Command, Parser};
+    use crate::cli::GROUPS;
+    use clap::Command;
 
     /// Every command at the end of a chain of commands, with its name in full.
     fn leaves(command: &Command, name: &str, out: &mut Vec<(String, String)>) {
@@ -98,15 +85,37 @@ mod tests {
 
     fn check(place: &str, line: &str) {
         let words = ["rowgram"].into_iter().chain(line.split_whitespace());
-        if let Err(error) = Cli::try_parse_from(words.map(|word| word.trim_matches(['"', '\'']))) {
+        if let Err(error) =
+            command().try_get_matches_from(words.map(|word| word.trim_matches(['"', '\''])))
+        {
             assert!(!error.use_stderr(), "{place}: rowgram {line}\n{error}");
         }
     }
 
     #[test]
-    fn every_verb_shows_examples_that_are_commands() {
+    fn help_shows_every_command_in_one_group() {
+        let mut program = command();
+        program.build();
+        let mut known: Vec<&str> = program.get_subcommands().map(Command::get_name).collect();
+        let mut shown: Vec<&str> = GROUPS.iter().flat_map(|(_, names)| *names).copied().collect();
+        known.sort_unstable();
+        shown.sort_unstable();
+        assert_eq!(shown, known);
+        assert!(known.len() <= 21, "20 commands and help at most: {known:?}");
+        let help = command().render_help().to_string();
+        for (heading, names) in GROUPS {
+            assert!(help.contains(&format!("{heading}:")), "{help}");
+            for name in names {
+                let line = help.lines().find(|line| line.trim_start().starts_with(name)).unwrap();
+                assert!(line.len() > 30 && line.len() <= 110, "{line}");
+            }
+        }
+    }
+
+    #[test]
+    fn every_command_shows_examples_that_are_commands() {
         let mut pages = Vec::new();
-        leaves(&Cli::command(), "rowgram", &mut pages);
+        leaves(&command(), "rowgram", &mut pages);
         assert!(pages.len() > 20, "{}", pages.len());
         let mut without = Vec::new();
         for (name, help) in pages {

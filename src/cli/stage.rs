@@ -14,13 +14,13 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, clap::Args)]
 pub(super) struct Target {
     /// A project (a folder), or a single file.
-    #[arg(value_name = "PROJECT|FILE")]
-    pub(super) input: PathBuf,
+    #[arg(value_name = "PROJECT|FILE", required = true)]
+    input: Option<PathBuf>,
     /// Of a project: the folder of results [default: PROJECT/rowgram]. Of a file: the file to write.
     #[arg(short, long, value_name = "PATH")]
     output: Option<PathBuf>,
-    /// Do the stage again although nothing has changed (results that were edited since are kept beside, as NAME.edited); replace files
-    /// that exist.
+    /// Repeat the stage although nothing has changed (results that were edited since are kept beside, as NAME.edited); replace
+    /// files that exist.
     #[arg(long)]
     pub(super) force: bool,
     /// Print the outcome as one line of JSON.
@@ -32,9 +32,14 @@ pub(super) struct Target {
 pub(super) type StageFunction<O, R> = fn(&Project, &O, &mut dyn Monitor) -> Result<R, Error>;
 
 impl Target {
+    /// The project or file; the folder here where a subcommand stands in its place.
+    pub(super) fn input(&self) -> &Path {
+        self.input.as_deref().unwrap_or(Path::new("."))
+    }
+
     /// Whether it is a project.
     pub(super) fn is_project(&self) -> bool {
-        self.input.is_dir()
+        self.input().is_dir()
     }
 
     /// The file to write for a single file.
@@ -43,7 +48,7 @@ impl Target {
     /// Where it is not given.
     pub(super) fn file(&self) -> Result<&Path, Error> {
         self.output.as_deref().ok_or_else(|| {
-            let input = self.input.display();
+            let input = self.input().display();
             Error::Argument(format!("{input} is a single file: give the file to write (--output)"))
         })
     }
@@ -72,7 +77,7 @@ impl Target {
         of: fn(&Config) -> &O,
         text: impl FnOnce(&R) -> String,
     ) -> Result<(), Error> {
-        let project = open_for(stage, &self.input, self.output.as_deref(), self.force)?;
+        let project = open_for(stage, self.input(), self.output.as_deref(), self.force)?;
         let options = given.over(of(project.config()))?;
         self.present(|monitor| work(&project, &options, monitor), text)
     }

@@ -1,6 +1,6 @@
 //! `rowgram surface`: the dense surface of a project.
 
-use super::{options::Given, project};
+use super::{dem, options::Given, project};
 use rowgram_base::error::Error;
 use rowgram_project::{
     Stage,
@@ -10,24 +10,31 @@ use std::path::PathBuf;
 
 /// Make the dense surface: canopy, ground, plant height
 ///
-/// For every cell the height at which photos agree, within what the surface of the tie points allows (rowgram dem), by
+/// For every cell the height at which photos agree, within what the surface of the tie points allows (rowgram surface dem), by
 /// semi-global matching. Writes GeoTIFFs of heights in metres: dsm.tif (the first surface), dtm.tif (the ground below it, from what is
 /// bare), with dsm_sigma.tif and dtm_sigma.tif, their standard deviations (from matching and from the orientation of the photos), and
-/// chm.tif (the height of the one over the other; errors of orientation cancel in it); for every cell how sure its height is
+/// chm.tif (the height of the one over the other; errors of orientation cancel in it); for every cell the confidence of its height
 /// (confidence.tif, 0 to 255) and how many photos were compared (photos.tif); pictures and a profile in figures/.
 ///
 /// For crops that stand on soil. Hills, walls and houses come out too; crowns of trees are noise where photos overlap by two thirds only.
 ///
-/// PROJECT is a folder after rowgram align and rowgram dem.
+/// PROJECT is a folder after rowgram align and rowgram surface dem.
 ///
 /// Examples:
 ///   rowgram surface field
 ///   rowgram surface field --cell-m 0.02 --ground any
 #[derive(Debug, clap::Args)]
-#[command(verbatim_doc_comment)]
+#[command(
+    verbatim_doc_comment,
+    args_conflicts_with_subcommands = true,
+    subcommand_negates_reqs = true
+)]
 pub(super) struct Args {
+    #[command(subcommand)]
+    command: Option<Command>,
     /// Folder of the project.
-    project: PathBuf,
+    #[arg(required = true)]
+    project: Option<PathBuf>,
     /// Folder of results [default: PROJECT/rowgram].
     #[arg(short, long, value_name = "DIR")]
     output: Option<PathBuf>,
@@ -41,12 +48,20 @@ pub(super) struct Args {
     json: bool,
 }
 
+#[derive(Debug, clap::Subcommand)]
+enum Command {
+    Dem(Box<dem::Args>),
+}
+
 /// Runs the command.
 ///
 /// # Errors
 /// As the stage says.
 pub(super) fn run(args: &Args) -> Result<(), Error> {
-    let root = &args.project;
+    if let Some(Command::Dem(args)) = &args.command {
+        return dem::run(args);
+    }
+    let root = args.project.as_deref().unwrap_or(".".as_ref());
     let project = project::open_for(Stage::Surface, root, args.output.as_deref(), args.force)?;
     let options = args.options.over(&project.config().surface)?;
     let folder = project.folder(Stage::Surface);

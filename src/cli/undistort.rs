@@ -1,4 +1,4 @@
-//! `rowgram undistort`: photos as a camera without distortion would have taken them.
+//! `rowgram camera undistort`: photos as a camera without distortion would have taken them.
 
 use super::project;
 use rowgram_base::error::Error;
@@ -12,7 +12,7 @@ use std::path::PathBuf;
 /// straight. Pixels that the photo does not show are black. The folder also gets camera.toml, the
 /// camera of the new photos (brown without terms, the same principal distance unless --scale).
 ///
-/// Example: rowgram undistort photos/*.jpg --camera camera.toml -o flat --crop inside
+/// Example: rowgram camera undistort photos/*.jpg --camera camera.toml -o flat --crop inside
 #[derive(Debug, clap::Args)]
 #[command(verbatim_doc_comment)]
 pub(super) struct Args {

@@ -224,12 +224,7 @@ fn every_cell_comes_from_the_closest_camera_that_shows_it() {
 fn results_do_not_depend_on_threads_or_room() {
     let folder = tempfile::tempdir().unwrap();
     World { slope: 0.05, exposure: [1.0, 0.9, 1.05] }.build(folder.path());
-    for options in [
-        "",
-        "--balance=false",
-        "--feather-m 2 --visibility-m 0.05 --interpolation bicubic",
-        "--seams least-difference",
-    ] {
+    for options in ["", "--balance=false", "--visibility-m 0.05 --interpolation bicubic"] {
         run(folder.path(), &format!("{GIVEN} {options} -o a.tif --force"));
         run(
             folder.path(),
@@ -250,8 +245,10 @@ fn a_mosaic_knows_the_photo_pixel_behind_each_place_and_back() {
     world.build(folder.path());
     run(folder.path(), &format!("{GIVEN} -o ortho.tif"));
     let (x, y) = (7.31, -3.27);
-    let text =
-        run(folder.path(), &format!("query ortho.tif --at {},{} --json", EAST_M + x, NORTH_M + y));
+    let text = run(
+        folder.path(),
+        &format!("ortho query ortho.tif --at {},{} --json", EAST_M + x, NORTH_M + y),
+    );
     let found: serde_json::Value = serde_json::from_str(&text).unwrap();
     assert_eq!(found["image"], "p1.png");
     let pixel = [found["u_px"].as_f64().unwrap(), found["v_px"].as_f64().unwrap()];
@@ -260,18 +257,18 @@ fn a_mosaic_knows_the_photo_pixel_behind_each_place_and_back() {
         approx::assert_abs_diff_eq!(pixel[k], expected[k], epsilon = 1e-5);
     }
     let arguments =
-        format!("query ortho.tif --photo p1.png --pixel {},{} --json", pixel[0], pixel[1]);
+        format!("ortho query ortho.tif --photo p1.png --pixel {},{} --json", pixel[0], pixel[1]);
     let back: serde_json::Value = serde_json::from_str(&run(folder.path(), &arguments)).unwrap();
     approx::assert_abs_diff_eq!(back["x_m"].as_f64().unwrap(), EAST_M + x, epsilon = 1e-5);
     approx::assert_abs_diff_eq!(back["y_m"].as_f64().unwrap(), NORTH_M + y, epsilon = 1e-5);
     assert_eq!(back["is_source"], true);
-    let outside = rowgram(folder.path(), "query ortho.tif --at 0,0");
+    let outside = rowgram(folder.path(), "ortho query ortho.tif --at 0,0");
     assert_eq!(outside.code, 2, "{}", outside.stderr);
     assert!(outside.stderr.contains("does not show"), "{}", outside.stderr);
 }
 
 #[test]
-fn feathering_and_balance_take_the_step_out_of_a_seam() {
+fn balance_takes_the_step_out_of_a_seam() {
     let folder = tempfile::tempdir().unwrap();
     World { slope: 0.0, exposure: [1.0, 0.6, 1.0] }.build(folder.path());
     // Ratios of the mosaic to the true colour left and right of the seam at x = 5 m.
@@ -289,14 +286,10 @@ fn feathering_and_balance_take_the_step_out_of_a_seam() {
     };
     run(folder.path(), &format!("{GIVEN} -o plain.tif --balance=false"));
     run(folder.path(), &format!("{GIVEN} -o balanced.tif"));
-    run(folder.path(), &format!("{GIVEN} -o feathered.tif --balance=false --feather-m 4"));
-    let (plain, balanced, feathered) =
-        (step("plain.tif"), step("balanced.tif"), step("feathered.tif"));
+    let (plain, balanced) = (step("plain.tif"), step("balanced.tif"));
     // 0.6^(1/2.4) = 0.81.
     assert!((plain - 0.2).abs() < 0.03, "{plain}");
     assert!(balanced < 0.01, "{balanced}");
-    // Over 0.6 m of a ramp of 2 x 4 m.
-    assert!(feathered < 0.04, "{feathered}");
 }
 
 #[test]
@@ -388,9 +381,6 @@ fn what_is_wrong_with_the_input_is_said() {
     refused(&format!("{GIVEN} --max-angle-deg 95"), "from 0.1 to 89.9");
     refused(&GIVEN.replace("--photos images", "--photos ."), "there is no photo \"p0.png\"");
     refused("ortho --poses poses.csv --camera camera.yaml --dem dem.tif", "--photos");
-    let both = "--feather-m 1 --seams least-difference";
-    refused(&format!("{GIVEN} {both}"), "feather_m and seams");
-    refused(&format!("{GIVEN} --feather-m 1 --whole-plots p.geojson"), "feather_m and whole_plots");
     refused(&format!("{GIVEN} --whole-plots p.geojson"), "p.geojson");
     refused("ortho nothing", "expected a folder with photos or an orthomosaic");
     fs::write(at.join("short.csv"), "filename,x,y,z,omega,phi\np0.png,1,2,3,4,5\n").unwrap();

@@ -11,7 +11,7 @@ use rowgram::{
         geotiff::{Colour, Layout, Reader, write},
         poses::from_angles_rad,
     },
-    mapping::{Surface, surface::HeightInterpolation},
+    mapping::Surface,
     monitor::Collector,
     options::Auto,
     pipeline::{
@@ -117,7 +117,7 @@ fn wide_lenses_of_two_cameras_are_right_to_a_fiftieth_of_a_pixel() {
         Ok(writer.put(Window::whole(size[0], size[1]), &z)?)
     })
     .unwrap();
-    let surface = Surface::new(place, size, z, HeightInterpolation::Bilinear).unwrap();
+    let surface = Surface::new(place, size, z).unwrap();
     let project = Project::open(root).unwrap();
     let options = OrthoOptions {
         canopy_height_m: Auto::Given(0.0),

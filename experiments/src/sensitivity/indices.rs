@@ -22,7 +22,7 @@ use rand::RngExt;
 /// Resamples of the bootstrap.
 const RESAMPLES: usize = 1000;
 /// Fewer rows say nothing.
-const LEAST_ROWS: usize = 4;
+const MIN_ROWS: usize = 4;
 
 /// The values at one row of the samples.
 #[derive(Debug, Clone, PartialEq)]
@@ -60,7 +60,7 @@ pub(crate) struct Indices {
 
 /// The indices of `factors` factors; nothing where the values do not vary or there are too few rows.
 pub(crate) fn indices(rows: &[Row], factors: usize) -> Option<Indices> {
-    if rows.len() < LEAST_ROWS {
+    if rows.len() < MIN_ROWS {
         return None;
     }
     let all: Vec<&Row> = rows.iter().collect();

@@ -93,8 +93,8 @@ impl Sensitivity {
         if self.samples < 2 || self.samples > u32::MAX as usize {
             return Err("sensitivity: expected at least 2 samples".to_owned());
         }
-        if self.draws.is_empty() || 2 * self.draws.len() > sobol::MOST {
-            return Err(format!("sensitivity: expected 1 to {} draws", sobol::MOST / 2));
+        if self.draws.is_empty() || 2 * self.draws.len() > sobol::MAX_COORDINATES {
+            return Err(format!("sensitivity: expected 1 to {} draws", sobol::MAX_COORDINATES / 2));
         }
         if let Some(factor) = factors.iter().find(|factor| SAMPLES.contains(&factor.as_str())) {
             return Err(format!("sensitivity: {factor} is the name of a sample, not of a factor"));

@@ -57,9 +57,9 @@ const TABLE: [(u32, &[u32]); 39] = [
 ];
 
 /// Most coordinates.
-pub(crate) const MOST: usize = TABLE.len() + 1;
+pub(crate) const MAX_COORDINATES: usize = TABLE.len() + 1;
 
-/// The direction numbers of a coordinate below [`MOST`].
+/// The direction numbers of a coordinate below [`MAX_COORDINATES`].
 pub(super) fn directions(coordinate: usize) -> [u32; BITS] {
     let mut v = [0; BITS];
     let Some(&(polynomial, first)) = coordinate.checked_sub(1).and_then(|place| TABLE.get(place))
@@ -110,7 +110,7 @@ mod tests {
 
     #[test]
     fn every_coordinate_has_one_point_in_each_interval() {
-        for column in 0..MOST {
+        for column in 0..MAX_COORDINATES {
             let v = directions(column);
             let mut seen = [false; 256];
             for point in 0..256 {

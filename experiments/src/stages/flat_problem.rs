@@ -65,12 +65,12 @@ pub(super) enum Weighing {
 impl LossFunction for Weighing {
     fn evaluate(&self, s: f64) -> Rho {
         /// Squared lengths below this count as this: the slope has no limit at 0.
-        const LEAST: f64 = 1e-24;
+        const MIN_SQUARE: f64 = 1e-24;
         match *self {
             Weighing::Robust(loss) => loss.evaluate(s),
             Weighing::Length(weight) => {
-                let first = weight / s.max(LEAST).sqrt();
-                let second = -0.5 * first / s.max(LEAST);
+                let first = weight / s.max(MIN_SQUARE).sqrt();
+                let second = -0.5 * first / s.max(MIN_SQUARE);
                 Rho { value: 2.0 * weight * s.sqrt(), first, second }
             }
         }

@@ -59,8 +59,6 @@ impl Stage for TwoView {
 
     fn run(p: &Parameters, seed: u64) -> Result<Measured, String> {
         let setting = Setting {
-            what: "",
-            value: 0.0,
             wrong_share: p.wrong_share,
             tilt_deg: p.tilt_deg,
             height_share: p.height_share,

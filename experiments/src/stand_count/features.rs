@@ -4,7 +4,7 @@ use rowgram::{
     io::{images, points},
     phenotype::{
         double_plants::{LeafSurroundings, PlantBaseline},
-        evidence::{AxisSource, Evidence, factor},
+        evidence::{Evidence, factor},
         row_curves,
         row_model::{self, RowModelOptions},
         rows,
@@ -17,7 +17,7 @@ pub(super) const STEP: f64 = 0.5;
 pub(super) const PLACE: usize = 27;
 pub(super) const PAIR: usize = 11;
 pub(super) const ALL: usize = PLACE + PAIR;
-const MOST: usize = 6;
+const MAX_PLANTS: usize = 6;
 const BAND: i32 = 8;
 /// Priors of jitter, missing and doubles: mean, and how many gaps it weighs.
 const WEAK: [(f64, f64); 3] = [(0.15, 20.0), (0.07, 20.0), (0.03, 30.0)];
@@ -47,7 +47,9 @@ impl Gaps {
         self.d * normal(gap, (0.24 * self.s).max(1.5), (0.07 * self.s).powi(2).max(0.3))
     }
     fn density(&self, gap: f64) -> f64 {
-        (1..=MOST).map(|k| self.skipping(gap, k)).sum::<f64>() + self.double(gap) + 1e-5 / self.s
+        (1..=MAX_PLANTS).map(|k| self.skipping(gap, k)).sum::<f64>()
+            + self.double(gap)
+            + 1e-5 / self.s
     }
     pub(super) fn refit(&self, gaps: &[(f64, f64)], prior: &[(f64, f64); 3]) -> Gaps {
         let (mut length, mut places, mut kinds, mut doubles, mut all) = (0.0, 0.0, 0.0, 0.0, 0.0);
@@ -56,7 +58,7 @@ impl Gaps {
             let density = self.density(gap);
             all += number;
             doubles += number * self.double(gap) / density;
-            for k in 1..=MOST {
+            for k in 1..=MAX_PLANTS {
                 let share = number * self.skipping(gap, k) / density;
                 length += share * gap;
                 places += share * k as f64;
@@ -105,7 +107,7 @@ pub(super) fn read(path: &Path) -> Result<Field, Box<dyn Error + Send + Sync>> {
     let uncounted = row_model::locate(&mask, &detection, None, &uncounted)?;
     let start = uncounted.spacing.spacing;
     let found = detection.rows().ok_or("no rows")?;
-    let evidence = Evidence::new(&mask, found.axes.heading_rad, AxisSource::Tensor, factor(&mask));
+    let evidence = Evidence::new(&mask, found.axes.heading_rad, factor(&mask));
     let crown = LeafSurroundings::new(&evidence);
     let around = |plant: &Stalk| crown.at(evidence.reduced(plant.position_px));
     let usual = PlantBaseline::new(&uncounted.plants.iter().map(around).collect::<Vec<_>>());
@@ -271,7 +273,7 @@ impl<'f> Features<'f> {
                 ]
             })
             .collect();
-        let of_gap = (0..((MOST as f64 - 0.5) * s / STEP) as usize + 1)
+        let of_gap = (0..((MAX_PLANTS as f64 - 0.5) * s / STEP) as usize + 1)
             .map(|k| {
                 let gap = k as f64 * STEP;
                 let density = gaps.density(gap);

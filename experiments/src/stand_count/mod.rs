@@ -11,7 +11,7 @@
 //! Penalised maximum likelihood by L-BFGS; the gradient is observed minus expected features.
 //!
 //! The weights in use are of masks 1000 to 1004 with 8 rounds; the locator makes 4 rounds and holds what describes a field
-//! within what those masks show (`experiments/reference/row_model.md` says why).
+//! within what those masks show.
 
 mod features;
 

@@ -99,7 +99,7 @@ pub fn read(path: &Path) -> Result<(u64, Features), FileError> {
 }
 
 fn parse(bytes: &[u8]) -> Result<(u64, Features), String> {
-    let foreign = || "this is not a file of rowgram features".to_owned();
+    let foreign = || "this is not a file of rowgram align features".to_owned();
     let end = bytes.iter().position(|&byte| byte == b'\n').ok_or_else(foreign)?;
     let (header, body) = (&bytes[..end], &bytes[end + 1..]);
     let kind: Kind = serde_json::from_slice(header).map_err(|_| foreign())?;
@@ -203,7 +203,7 @@ mod tests {
         let mut flipped = whole.clone();
         *flipped.last_mut().unwrap() ^= 1;
         assert!(fault(&flipped).contains("checksum"));
-        assert!(fault(b"").contains("not a file of rowgram features"));
+        assert!(fault(b"").contains("not a file of rowgram align features"));
         assert!(fault(b"{\"format\":\"other\",\"version\":1}\n").contains("not a file"));
         let newer = b"{\"format\":\"rowgram-features\",\"version\":2}\n";
         assert!(fault(newer).contains("format 2 cannot be read"));

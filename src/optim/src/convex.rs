@@ -9,9 +9,6 @@
 //! plant locator's own solver, which makes it an oracle in tests and a certificate for users:
 //! the dual objective bounds the optimum from below.
 
-pub mod envelope;
-pub mod positions;
-
 use crate::engine::SolveError;
 use clarabel::{
     algebra::CscMatrix,

@@ -19,9 +19,9 @@ rowgram_base::options! {
         pub oriented_red: f64 = 0.9, limits SHARE;
         /// Root mean square reprojection error; yellow above it. Key points are found to about half a pixel.
         pub reprojection_yellow_px: f64 = 1.0, limits POSITIVE;
-        /// Root mean square reprojection error; red above it. Two pixels are a wrong lens or wrong matches.
+        /// Root mean square reprojection error; red above it. Two pixels indicate a wrong lens or wrong matches.
         pub reprojection_red_px: f64 = 2.0, limits POSITIVE;
-        /// Fewer ground control points than this do not place a block; yellow.
+        /// Minimum number of ground control points; yellow below it.
         pub min_control_points: usize = 3;
         /// Largest root mean square error of check points along an axis; yellow above it.
         pub check_points_yellow_gsd: f64 = 2.0, limits POSITIVE;
@@ -31,7 +31,7 @@ rowgram_base::options! {
         pub sigma0_yellow: f64 = 2.0, limits at_least(1.0);
         /// Factor between the assumed accuracies and those found, either way; red above it.
         pub sigma0_red: f64 = 4.0, limits at_least(1.0);
-        /// Correlation of two lens parameters; yellow above it, for the block hardly tells them apart.
+        /// Correlation of two lens parameters; yellow above it, as the block can hardly separate them.
         pub correlation_yellow: f64 = 0.95, limits SHARE;
         /// Mean probability of the plants; yellow below it.
         pub confidence_yellow: f64 = 0.7, limits between(0.0, 1.0);

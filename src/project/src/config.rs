@@ -23,7 +23,7 @@ use super::{
 };
 use rowgram_base::{
     error::Error,
-    options::{Options, Section, nearest},
+    options::{Field, Options, Section, nearest},
 };
 use rowgram_optim::output::FileError;
 use serde::{Deserialize, Serialize};
@@ -41,20 +41,20 @@ const OTHER_VARIABLES: [&str; 4] =
 
 rowgram_base::options! {
     /// What the folder holds.
-    pub struct ProjectOptions in "project" {
+    pub struct ProjectOptions in "project", main [ortho, crs, control, marks, positions, camera, plots] {
         /// Name in the report; that of the folder where not set.
         pub name: Option<String> = None, example "\"My field\"";
-        /// An orthomosaic that exists already. Where it is set, or a folder without photos has a single GeoTIFF, nothing is
-        /// aligned and traits come from it.
+        /// An existing orthomosaic. Where it is set, or the folder holds no photos but one GeoTIFF, alignment is
+        /// skipped and traits come from it.
         pub ortho: Option<PathBuf> = None, example "\"ortho.tif\"";
         /// Coordinate reference system of control and results: `EPSG:CODE` or a PROJ string. That of the control where not
         /// set.
         pub crs: Option<String> = None, example "\"EPSG:32616\"";
         /// Ground control points and check points. Where not set: gcps.csv, gcp_list.txt or ground_control_points.json.
         pub control: Option<PathBuf> = None, example "\"gcps.csv\"";
-        /// Where the ground points are in the photos (image measurements, also called marks). Where not set: marks.csv.
+        /// Image measurements of the ground points (marks). Where not set: marks.csv.
         pub marks: Option<PathBuf> = None, example "\"marks.csv\"";
-        /// Camera positions. Where not set: geolocation.csv, geo.txt, an image log (.MRK), else what EXIF and XMP say.
+        /// Camera positions. Where not set: geolocation.csv, geo.txt, an image log (.MRK), else those in EXIF and XMP.
         pub positions: Option<PathBuf> = None, example "\"geolocation.csv\"";
         /// A calibrated camera. Where not set: camera.toml, else calibration from the photos in `[calibrate] images`, else
         /// self-calibration.
@@ -112,7 +112,7 @@ impl ProjectOptions {
 
 rowgram_base::options! {
     /// Which stages are done.
-    pub struct StagesOptions in "stages" {
+    pub struct StagesOptions in "stages", main [skip] {
         /// Stages to leave out.
         pub skip: Vec<Stage> = Vec::new();
     }
@@ -232,62 +232,117 @@ impl Config {
         toml::to_string(self).unwrap_or_default()
     }
 
-    /// The file that `rowgram init` writes: every key with its default, its limits and what it means.
-    pub fn template() -> String {
-        let mut text = String::from(
-            "# Settings of rowgram. Every key is here with its default; a key behind \"# \" is not set. Paths are relative to\n\
-             # this folder. The same keys come from the environment (ROWGRAM_ALIGN_SEED=2) and from arguments\n\
-             # (--set align.seed=2); arguments come before the environment, the environment before this file.\n",
-        );
+    /// The file that `rowgram init` writes: the main options, or with `for_experts` all of them, each with its default, its
+    /// limits and what it means.
+    pub fn template(for_experts: bool) -> String {
+        let mut text = commented(&format!(
+            "Settings of rowgram: {}, each with its default; one behind \"# \" is not set. Paths are relative to this folder. \
+             The same names come from the environment (ROWGRAM_ALIGN_SEED=2) and from arguments (--set align.seed=2); \
+             arguments come before the environment, the environment before this file.",
+            if for_experts {
+                "all options"
+            } else {
+                "the main options (rowgram init --experts writes all)"
+            }
+        ));
         for section in Config::sections() {
-            let about = section.about.split_whitespace().collect::<Vec<_>>().join(" ");
-            let _ = write!(text, "\n{}[{}]\n", commented(&about), section.name);
-            for field in &section.fields {
-                let what = format!("{} Expected: {}.", field.paragraph(), field.expected());
-                text += &commented(&what);
-                let _ = match (&field.default, field.example) {
-                    (Some(value), _) => writeln!(text, "{} = {value}", field.name),
-                    (None, Some(example)) => writeln!(text, "# {} = {example}", field.name),
-                    (None, None) => writeln!(text, "# {} =", field.name),
-                };
+            let fields = section.by_rank(for_experts);
+            for (name, about, table) in headings(&section) {
+                let own = fields.iter().filter(|field| field.table == table);
+                let own: Vec<&Field> = own.copied().collect();
+                if !own.is_empty() {
+                    let _ = write!(text, "\n{}[{name}]\n", commented(&one_line(about)));
+                    own.into_iter().for_each(|field| entry(&mut text, field));
+                }
             }
         }
         text
     }
 }
 
+/// The tables of a section in the file: their names, what they are about, and which of the nested tables each is.
+fn headings(section: &Section) -> Vec<(String, &'static str, Option<&'static str>)> {
+    let nested = section.tables.iter();
+    let nested =
+        nested.map(|(table, about)| (format!("{}.{table}", section.name), *about, Some(*table)));
+    [(section.name.to_owned(), section.about, None)].into_iter().chain(nested).collect()
+}
+
+/// An option as the template has it.
+fn entry(text: &mut String, field: &Field) {
+    let rank = if field.is_main { "" } else { "For experts: " };
+    let what = format!("{rank}{} Expected: {}.", field.paragraph(), field.expected());
+    *text += &commented(&what);
+    let _ = match (&field.default, field.example) {
+        (Some(value), _) => writeln!(text, "{} = {value}", field.name),
+        (None, Some(example)) => writeln!(text, "# {} = {example}", field.name),
+        (None, None) => writeln!(text, "# {} =", field.name),
+    };
+}
+
+fn one_line(text: &str) -> String {
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
 /// The reference of all settings as a page; `docs/options.md` is this text, and a test compares the two.
 pub fn reference_page() -> String {
     let mut page = String::from(
         "# Options\n\n\
-         Every option of a project, by section of `rowgram.toml`. An option `name` of a section `stage` can be given as `name = value` in the\n\
-         section of the file, as `ROWGRAM_STAGE_NAME` in the environment, as `--set stage.name=value` of `rowgram run`, as `--name value` (with\n\
-         hyphens) of the command of that stage, and as a keyword of `project.stage()` from Python. Arguments come before the environment, the\n\
-         environment before the file. This page is made from the definitions in the library.\n",
+         The options of a project by section of `rowgram.toml`: first those that most projects need, then [those for experts](#for-experts).\n\
+         An option `name` of a section `stage` can be given\n\n\
+         - as `name = value` in the section of the file,\n\
+         - in the environment as `ROWGRAM_STAGE_NAME`,\n\
+         - on the command line as `--set stage.name=value` of `rowgram run`, or as `--name value` (with hyphens) of the command of that stage,\n\
+         - from Python as a keyword of `project.stage()`.\n\n\
+         The command line comes before the environment, the environment before the file. This page is made from the definitions in the library.\n",
     );
-    for section in Config::sections() {
-        let about = section.about.split_whitespace().collect::<Vec<_>>().join(" ");
-        let _ = write!(
-            page,
-            "\n## {}\n\n{about}\n\n| option | default | expected | what it does |\n|---|---|---|---|\n",
-            section.name
-        );
-        for field in &section.fields {
-            let cell = |text: &str| text.replace('|', "\\|");
-            let default = match &field.default {
-                Some(value) => format!("`{}`", cell(&value.to_string())),
-                None => "not set".to_owned(),
-            };
-            let _ = writeln!(
-                page,
-                "| `{}` | {default} | {} | {} |",
-                field.name,
-                cell(&field.expected()),
-                cell(&field.paragraph())
-            );
+    let sections = Config::sections();
+    for section in &sections {
+        let fields: Vec<_> = section.fields.iter().filter(|field| field.is_main).collect();
+        describe(&mut page, ("##", section.name), Some(section.about), &fields);
+    }
+    page += "\n## For experts\n\nTheir defaults suit most projects.\n";
+    for section in &sections {
+        for (name, about, table) in headings(section) {
+            let fields =
+                section.fields.iter().filter(|field| !field.is_main && field.table == table);
+            let fields: Vec<_> = fields.collect();
+            let is_new = table.is_some() || section.fields.iter().all(|field| !field.is_main);
+            describe(&mut page, ("###", &format!("[{name}]")), is_new.then_some(about), &fields);
         }
     }
     page
+}
+
+/// A table of options under a heading; nothing where there are none.
+fn describe(
+    page: &mut String,
+    (level, name): (&str, &str),
+    about: Option<&str>,
+    fields: &[&Field],
+) {
+    if fields.is_empty() {
+        return;
+    }
+    let about = about.map_or(String::new(), |about| one_line(about) + "\n\n");
+    let _ = write!(
+        page,
+        "\n{level} {name}\n\n{about}| option | default | expected | what it does |\n|---|---|---|---|\n"
+    );
+    for field in fields {
+        let cell = |text: &str| text.replace('|', "\\|");
+        let default = match &field.default {
+            Some(value) => format!("`{}`", cell(&value.to_string())),
+            None => "not set".to_owned(),
+        };
+        let _ = writeln!(
+            page,
+            "| `{}` | {default} | {} | {} |",
+            field.name,
+            cell(&field.expected()),
+            cell(&field.paragraph())
+        );
+    }
 }
 
 /// Lines of a comment, at most 110 characters each.
@@ -323,8 +378,13 @@ fn from_file(path: &Path, sections: &[Section]) -> Result<Table, Error> {
         let mut known = Table::new();
         for (key, value) in keys {
             let refused = |why: String| FileError::malformed(path, at(key.span()), why);
-            section.check_entry(key.get_ref(), value.get_ref()).map_err(refused)?;
-            known.insert(key.into_inner(), value.into_inner());
+            let (name, value) = (key.get_ref(), value.into_inner());
+            section.check_entry(name, &value).map_err(refused)?;
+            if let Some(table) = section.field(name).and_then(|field| field.table) {
+                let why = format!("{name}: it belongs into [{}.{table}]", section.name);
+                return Err(refused(why).into());
+            }
+            section.insert(&mut known, name, value);
         }
         table.insert(section.name.to_owned(), Value::Table(known));
     }
@@ -349,6 +409,8 @@ fn set(
     text: &str,
 ) -> Result<(), String> {
     let section = find(sections, name)?;
+    let within = |table: &str| key.strip_prefix(table).and_then(|key| key.strip_prefix('.'));
+    let key = section.tables.iter().find_map(|(table, _)| within(table)).unwrap_or(key);
     let value = match section.field(key) {
         Some(field) => field.kind.read(text),
         None => Value::String(text.to_owned()),
@@ -356,7 +418,7 @@ fn set(
     section.check_entry(key, &value)?;
     let entry = table.entry(name).or_insert_with(|| Value::Table(Table::new()));
     if let Value::Table(entry) = entry {
-        entry.insert(key.to_owned(), value);
+        section.insert(entry, key, value);
     }
     Ok(())
 }
@@ -367,7 +429,9 @@ fn of_variable(name: &str, sections: &[Section]) -> Result<(String, String), Err
         .iter()
         .flat_map(|section| {
             section.fields.iter().map(move |field| {
-                let variable = format!("{PREFIX}{}_{}", section.name, field.name).to_uppercase();
+                let table = field.table.map_or(String::new(), |table| format!("{table}_"));
+                let variable = format!("{PREFIX}{}_{table}{}", section.name, field.name);
+                let variable = variable.to_uppercase();
                 (variable, section, field.name)
             })
         })
@@ -408,7 +472,7 @@ mod tests {
 
     #[test]
     fn the_template_says_every_default_and_every_key() {
-        let template = Config::template();
+        let template = Config::template(true);
         assert_eq!(read(&template, &[], &[]).unwrap(), Config::default());
         // Keys that are not set are known too, and their examples are within their limits.
         let set: String = template
@@ -422,12 +486,19 @@ mod tests {
         let table: Table = set.parse().unwrap();
         for section in Config::sections() {
             for field in &section.fields {
-                let written = table[section.name].get(field.name);
+                let own = &table[section.name];
+                let written = field.table.map_or(own, |table| &own[table]).get(field.name);
                 let written = written.unwrap_or_else(|| panic!("{} lacks an example", field.name));
                 section.check_entry(field.name, written).unwrap();
             }
         }
         assert!(template.lines().all(|line| line.chars().count() <= 110));
+        let short = Config::template(false);
+        assert_eq!(read(&short, &[], &[]).unwrap(), Config::default());
+        let fields = Config::sections().into_iter().flat_map(|section| section.fields);
+        let main = fields.filter(|field| field.is_main).count();
+        assert!((20..=40).contains(&main), "{main} main options");
+        assert_eq!(short.matches("Expected: ").count(), main);
     }
 
     #[test]
@@ -435,10 +506,16 @@ mod tests {
         let file = "[align]\nseed = 2\n[ortho]\ngsd_m = 0.5\ncanopy_height_m = 0\n";
         let variables =
             [("ROWGRAM_ALIGN_SEED", "3"), ("ROWGRAM_ORTHO_GSD_M", "0.25"), ("PATH", "")];
-        let settings = ["align.seed=4", "project.crs=EPSG:32616", "align.check=T3,T7"];
+        let settings = [
+            "align.seed=4",
+            "project.crs=EPSG:32616",
+            "align.check=T3,T7",
+            "locate.paper.starts=3",
+        ];
         let config = read(file, &variables, &settings).unwrap();
         assert_eq!(config.align.seed, 4);
         assert_eq!(config.align.check, ["T3", "T7"]);
+        assert_eq!(config.locate.paper.starts, 3);
         assert_eq!(config.ortho.gsd_m, Some(0.25));
         assert_eq!(config.ortho.canopy_height_m, rowgram_base::options::Auto::Given(0.0));
         assert_eq!(config.project.crs.as_deref(), Some("EPSG:32616"));
@@ -459,6 +536,11 @@ mod tests {
             (
                 "[locate]\nmethod = \"magic\"\n",
                 "line 2: method = \"magic\": expected one of: row-model",
+            ),
+            ("[locate]\nprior = \"rows\"\n", "line 2: prior: it belongs into [locate.paper]"),
+            (
+                "[locate.paper]\nprier = \"rows\"\n",
+                "line 1: prier: there is no such option; did you mean prior?",
             ),
             (
                 "[stages]\nskip = [\"grow\"]\n",

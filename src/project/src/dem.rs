@@ -20,8 +20,6 @@ use rowgram_survey::{
         Surface, View,
         dem::{CloudOptions, CloudStatistics, SurfacePoint},
         elevation::{ElevationModel, ElevationOptions, Extent, elevation_model},
-        ground::GroundOptions,
-        surface::HeightInterpolation,
         view::{Bounds, views},
     },
     scene::Reconstruction,
@@ -31,25 +29,17 @@ use std::path::{Path, PathBuf};
 
 rowgram_base::options! {
     /// The surface, interpolated from the tie points by natural neighbours.
-    pub struct DemOptions in "dem" {
+    pub struct DemOptions in "dem", main [cell_m, extend_m] {
         /// Side of a cell; half the median distance of neighbouring points where not set.
         pub cell_m: Option<f64> = None, limits POSITIVE, example "0.1";
-        /// Points farther from the plane of their neighbours than this many usual distances are left out.
+        /// Points farther from the plane of their neighbours than this many typical distances are outliers.
         pub outlier_ratio: f64 = 5.0, limits POSITIVE;
         /// The longest side of a triangle that is filled; 30 times the median distance of neighbouring points where not set.
         pub largest_gap_m: Option<f64> = None, limits POSITIVE, example "2.0";
-        /// How far the surface goes beyond the bounds of its points, and over gaps between them, on the plane of the field and as far off
-        /// it as the heights nearest are; auto: as far as photos show ground. 0 ends it with the points. Standard deviations end there
-        /// always.
+        /// How far the surface is extrapolated beyond its points and over gaps: on the plane of the field plus the
+        /// offset of the nearest heights. auto: as far as photos show ground; 0: not at all. Standard deviations
+        /// are never extrapolated.
         pub extend_m: Auto<f64> = Auto::Given(0.0), limits NON_NEGATIVE;
-        /// Write the ground under plants too: the lower envelope of the points, with as few breaks as they allow.
-        pub ground: bool = false;
-        /// Side of the cells of the ground: larger than a plant.
-        pub ground_cell_m: f64 = 1.0, limits POSITIVE;
-        /// Share of the points that noise puts below the ground.
-        pub ground_quantile: f64 = 0.1, limits between(0.001, 0.999);
-        /// What a break of the ground costs, in points.
-        pub ground_smoothness: f64 = 2.0, limits POSITIVE;
     }
 }
 
@@ -75,11 +65,6 @@ impl DemOptions {
                 largest_gap_m: self.largest_gap_m,
             },
             cell_m: self.cell_m,
-            ground: self.ground.then_some(GroundOptions {
-                cell_m: self.ground_cell_m,
-                quantile: self.ground_quantile,
-                smoothness: self.ground_smoothness,
-            }),
             extent,
         })
     }
@@ -92,8 +77,6 @@ pub struct DemOutcome {
     pub surface: PathBuf,
     /// Standard deviations of the heights, metres; `None` where the points have none.
     pub sigma: Option<PathBuf>,
-    /// The ground under plants, where it was wanted.
-    pub ground: Option<PathBuf>,
     /// Columns.
     pub width_px: usize,
     /// Rows.
@@ -214,11 +197,9 @@ pub fn write_elevation(
     (output, figures, force): (&Path, Option<&Path>, bool),
     monitor: &mut dyn Monitor,
 ) -> Result<DemOutcome, Error> {
-    let (sigma, ground) = (beside(output, "sigma"), beside(output, "ground"));
+    let sigma = beside(output, "sigma");
     let style_path = output.with_extension("qml");
-    let wanted =
-        [Some(output), Some(&sigma), Some(&style_path), options.ground.then_some(ground.as_path())];
-    wanted.into_iter().flatten().try_for_each(|path| output::check(path, force))?;
+    [output, &sigma, &style_path].into_iter().try_for_each(|path| output::check(path, force))?;
     let model = elevation_model(&cloud.points, cloud.crs, &options.elevation(cloud.shown_m)?)?;
     let ElevationModel { surface, sigmas_m, statistics, .. } = &model;
     let place = &surface.georeference;
@@ -231,9 +212,6 @@ pub fn write_elevation(
     } else {
         write_heights(&sigma, place, size, sigmas_m, force)?;
     }
-    if let Some(of) = &model.ground {
-        write_heights(&ground, place, size, &of.heights_m, force)?;
-    }
     if let Some(folder) = figures {
         std::fs::create_dir_all(folder).map_err(|e| FileError::write(folder, e))?;
         map_figures::draw_elevation(folder, &model, force)?;
@@ -244,7 +222,6 @@ pub fn write_elevation(
     Ok(DemOutcome {
         surface: name(output).into(),
         sigma: (!sorted.is_empty()).then(|| name(&sigma).into()),
-        ground: model.ground.is_some().then(|| name(&ground).into()),
         width_px: size[0],
         height_px: size[1],
         cell_m: surface.cell_m(),
@@ -307,7 +284,7 @@ pub(super) fn write_heights(
 ///
 /// # Errors
 /// Names the file: no georeference, degrees, colours, no heights.
-pub fn read_surface(path: &Path, interpolation: HeightInterpolation) -> Result<Surface, Error> {
+pub fn read_surface(path: &Path) -> Result<Surface, Error> {
     let reader = geotiff::Reader::open(path)?;
     let fault = |message: String| FileError::malformed(path, None, message);
     let place = reader.georeference().ok_or_else(|| {
@@ -318,6 +295,5 @@ pub fn read_surface(path: &Path, interpolation: HeightInterpolation) -> Result<S
     }
     let size = [reader.width(), reader.height()];
     let heights = reader.read_f32(Window::whole(size[0], size[1]))?;
-    Surface::new(place, size, heights, interpolation)
-        .map_err(|error| fault(error.to_string()).into())
+    Surface::new(place, size, heights).map_err(|error| fault(error.to_string()).into())
 }

@@ -24,8 +24,8 @@ use std::{
 
 rowgram_base::options! {
     /// Comparison with ground truth.
-    pub struct EvaluateOptions in "evaluate" {
-        /// Distances up to which a found plant is a true one.
+    pub struct EvaluateOptions in "evaluate", main [radii_m] {
+        /// Distances within which a located plant matches a true one.
         pub radii_m: Vec<f64> = vec![0.05, 0.1], limits POSITIVE;
     }
 }
@@ -94,7 +94,7 @@ pub fn evaluate(
 }
 
 /// The stage.
-pub(super) struct Evaluate;
+pub struct Evaluate;
 
 fn truth_of(project: &Project) -> Result<PathBuf, Error> {
     let named = project.config().project.truth.as_ref();

@@ -7,7 +7,7 @@
 //! ```
 //!
 //! with `N` photos, at most `F` features in each, and at most `M` measurements that are adjusted. The numbers come from `rowgram align` on
-//! synthetic flights of 135 to 2,108 photos with 6,000 features (`docs/large.md`); other flights are extrapolation. Those with 75 % and 65 % of
+//! synthetic flights of 135 to 2,108 photos with 6,000 features (`docs/optimisation.md`); other flights are extrapolation. Those with 75 % and 65 % of
 //! overlap have 4,700 measurements a photo, one with 70 % and 65 % 2,850, 12 real photos of a meadow 570.
 
 use super::align::DESCRIPTORS_IN_MEMORY_BYTES;
@@ -29,7 +29,7 @@ const FEATURE_BYTES: f64 = 190.0;
 const PHOTO_S: f64 = 3.0;
 
 /// Memory of `locate`, which of all stages after the orthomosaic takes most: so much for decoded tiles that are kept, at most, and so much for
-/// each pixel of the map. Maps of 452 and 458 million pixels took 4.4 and 4.2 GB (`docs/large.md`), one of 3.2 million 59 MB in all.
+/// each pixel of the map. Maps of 452 and 458 million pixels took 4.4 and 4.2 GB (`docs/optimisation.md`), one of 3.2 million 59 MB in all.
 const LOCATE_BYTES: f64 = 4e8;
 const PIXEL_BYTES: f64 = 9.5;
 
@@ -149,7 +149,7 @@ mod tests {
 
     #[test]
     fn the_flight_that_was_measured_is_within_what_is_said() {
-        // docs/large.md: 140 photos with 6,000 features took 714 MB at most and 396 s.
+        // docs/optimisation.md: 140 photos with 6,000 features took 714 MB at most and 396 s.
         let said = Forecast::new(140, 6000, 1_000_000);
         assert!((714e6..2.0 * 714e6).contains(&said.memory_bytes), "{said:?}");
         assert!((396.0..1.5 * 396.0).contains(&said.processor_s), "{said:?}");
@@ -158,7 +158,7 @@ mod tests {
 
     #[test]
     fn large_flights_that_were_measured_take_what_is_said() {
-        // docs/large.md.
+        // docs/optimisation.md.
         for (photos, memory_bytes, disk_bytes) in
             [(135, 0.9e9, 0.15e9), (544, 1.6e9, 0.6e9), (1056, 2.1e9, 1.2e9), (2108, 3.3e9, 2.4e9)]
         {

@@ -23,12 +23,12 @@ use std::path::{Path, PathBuf};
 
 rowgram_base::options! {
     /// Number of leaves from the area that they cover.
-    pub struct LeafCountOptions in "leaf_count" {
+    pub struct LeafCountOptions in "leaf_count", main [rho_px] {
         /// Leaf pixels per leaf; from the regions counted by hand where not set. Without both, leaves are not counted by area.
         pub rho_px: Option<f64> = None, limits POSITIVE, example "120.0";
-        /// Side of the squares whose unevenness the interval shows where there are fewer than three regions.
+        /// Side of the squares whose variation gives the interval where there are fewer than three counted regions.
         pub square_px: usize = 64, limits at_least(1.0);
-        /// Seed of the draws of the interval.
+        /// Seed of the bootstrap of the interval.
         pub seed: u64 = 0;
     }
 }
@@ -67,7 +67,7 @@ pub fn leaf_count(
 }
 
 /// The stage.
-pub(super) struct LeafCountStage;
+pub struct LeafCountStage;
 
 impl Task for LeafCountStage {
     type Options = LeafCountOptions;

@@ -15,7 +15,6 @@ use rowgram_raster::{
         self, Classified, Coherence, Estimate, Estimator, Model, VegetationError,
         nothing::{Surround, SurroundFinder},
     },
-    white_balance::{Channels, Gains, WhiteBalance},
     window::{self, Band, Window},
 };
 use std::{ops::Range, path::Path};
@@ -162,7 +161,6 @@ pub(super) fn of_photo(
 /// What says where leaves are in a photo, which is then segmented band by band.
 pub(super) struct Segmenter<'a> {
     source: &'a Source,
-    gains: Option<Gains>,
     rule: Rule,
 }
 
@@ -185,13 +183,12 @@ pub(super) struct LeafRows {
 }
 
 impl<'a> Segmenter<'a> {
-    /// Sees all of the photo, where vegetation or gains are estimated.
+    /// Sees all of the photo, where vegetation is estimated.
     pub(super) fn new(
         source: &'a Source,
         image: &Path,
         options: &SegmentOptions,
     ) -> Result<Segmenter<'a>, Error> {
-        let gains = options.white_balance.map(|how| gains(source, how)).transpose()?;
         let rule = match options.hsv {
             Auto::Given(hsv) => {
                 let size = source.size();
@@ -212,13 +209,13 @@ impl<'a> Segmenter<'a> {
                 let size = source.size();
                 let mut estimator = Estimator::new(size, &how).map_err(malformed)?;
                 for band in window::bands(size.1, BAND_ROWS, Estimator::HALO) {
-                    let (photo, shown) = seen(source, gains, &band)?;
+                    let (photo, shown) = seen(source, &band)?;
                     estimator.add(&band, &photo, shown.as_deref());
                 }
                 Rule::Vegetation(Box::new(estimator.finish().map_err(malformed)?))
             }
         };
-        Ok(Segmenter { source, gains, rule })
+        Ok(Segmenter { source, rule })
     }
 
     /// What was estimated of vegetation and background, where it was.
@@ -279,7 +276,7 @@ impl<'a> Segmenter<'a> {
             Rule::Vegetation(estimate) => estimate.halo(),
         };
         window::bands(self.source.size().1, BAND_ROWS, halo).map(|band| {
-            let (photo, shown) = seen(self.source, self.gains, &band)?;
+            let (photo, shown) = seen(self.source, &band)?;
             Ok(match &self.rule {
                 Rule::Thresholds(hsv, surround) => {
                     let mut mask = hsv.mask(&photo).data;
@@ -306,27 +303,9 @@ impl<'a> Segmenter<'a> {
     }
 }
 
-/// The photo around a band, balanced, and which of its pixels show something (1), where some do not.
-fn seen(
-    source: &Source,
-    gains: Option<Gains>,
-    band: &Band,
-) -> Result<(RgbImage, Option<Vec<u8>>), FileError> {
+/// The photo around a band, and which of its pixels show something (1), where some do not.
+fn seen(source: &Source, band: &Band) -> Result<(RgbImage, Option<Vec<u8>>), FileError> {
     let (photo, gaps) = source.rgb_and_gaps(band.seen.clone())?;
     let shown = gaps.map(|gaps| gaps.into_iter().map(|gap| u8::from(!gap)).collect());
-    let photo = match gains {
-        None => photo,
-        Some(gains) => gains.applied(&photo),
-    };
     Ok((photo, shown))
-}
-
-/// The gains of the channels, from all of the photo.
-fn gains(source: &Source, how: WhiteBalance) -> Result<Gains, FileError> {
-    let (_, height) = source.size();
-    let mut histogram = Channels::default();
-    for band in window::bands(height, BAND_ROWS, 0) {
-        histogram.add(&source.rgb(band.rows)?);
-    }
-    Ok(histogram.gains(how))
 }

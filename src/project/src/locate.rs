@@ -172,7 +172,7 @@ pub fn locate(
 }
 
 /// The stage.
-pub(super) struct Locate;
+pub struct Locate;
 
 impl Task for Locate {
     type Options = LocateOptions;
@@ -200,7 +200,7 @@ impl Task for Locate {
             tracing::warn!("{short}");
         }
         let (source, leaf) = leaf_mask::of_project(project)?;
-        let is_row_model = options.method == LocateMethod::RowModel && options.tile_px.is_none();
+        let is_row_model = options.method == LocateMethod::RowModel;
         let of_rows = |name: &str| is_row_model.then(|| folder.join(name));
         let (gaps, rows) = (of_rows("gaps.csv"), of_rows("rows.csv"));
         let files = LocateFiles {
@@ -242,16 +242,10 @@ impl LocateFiles<'_> {
             if path.is_some() && !is_row_model {
                 return refuse(what, "only the method row-model knows them");
             }
-            if path.is_some() && options.tile_px.is_some() {
-                return refuse(what, "the row model in tiles (tile_px) finds plants only");
-            }
         }
-        let descent = &options.descent;
-        if self.trace.is_some() && (is_row_model || descent.starts > 1 || descent.swaps > 0) {
-            return refuse(
-                "trace",
-                "follows one descent: another method, without starts and swaps",
-            );
+        let descent = &options.paper;
+        if self.trace.is_some() && (is_row_model || descent.starts > 1) {
+            return refuse("trace", "follows one descent: another method, from one start");
         }
         Ok(())
     }
@@ -295,10 +289,9 @@ pub fn locate_plants(
     };
     let found = match prepared.work {
         Work::Stand(stand) => Found::Stand(stand),
-        Work::Tiles(plants) => Found::Tiles(plants),
         Work::Descent(descend) => Found::Descent(Box::new(match files.trace {
-            Some(trace) => traced(*descend, trace, files.force, options.descent.certify)?,
-            None => descend.run(&options.descent)?,
+            Some(trace) => traced(*descend, trace, files.force, options.paper.certify)?,
+            None => descend.run(&options.paper)?,
         })),
     };
     match &found {
@@ -326,10 +319,6 @@ pub fn locate_plants(
             if let Some(path) = files.rows {
                 table::write_rows(path, files.force, stand, gsd_m)?;
             }
-        }
-        Found::Tiles(plants) => {
-            outcome.plants = plants.len();
-            table::write_plants(files.plants, files.force, plants, true, place)?;
         }
         Found::Descent(found) => {
             outcome.plants = found.located.plants.len();

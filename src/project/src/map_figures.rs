@@ -117,7 +117,7 @@ pub(super) fn draw_mosaic(
     Ok(())
 }
 
-/// Surface, standard deviations and ground, and a table of how heights are distributed.
+/// Surface and standard deviations, and a table of how heights are distributed.
 ///
 /// # Errors
 /// Where one cannot be written.
@@ -128,9 +128,6 @@ pub(super) fn draw_elevation(
 ) -> Result<(), Error> {
     let surface = &model.surface;
     images::write_photo(&folder.join("hillshade.png"), force, &hillshade(surface))?;
-    if let Some(ground) = &model.ground {
-        images::write_photo(&folder.join("ground.png"), force, &hillshade(ground))?;
-    }
     let sigmas = model.sorted_sigmas_m();
     let share = |share: f64| ((sigmas.len().saturating_sub(1)) as f64 * share) as usize;
     if let Some(&most) = sigmas.get(share(0.95)) {

@@ -184,7 +184,7 @@ impl Planner<'_> {
                 let of_step = (1..=parts).filter_map(|number| {
                     let batch = Batch { step, part: Part::new(number, parts)? };
                     let word = format!("{step}-{number}-of-{parts}");
-                    Some(task(&word, ["--batch".to_owned(), batch.to_string()], &before))
+                    Some(task(&word, ["--only".to_owned(), batch.to_string()], &before))
                 });
                 before = of_step.collect();
             }

@@ -120,7 +120,7 @@ impl OrthophotoOrigins {
     pub fn open(orthophoto: &Path, dem: Option<&Path>) -> Result<OrthophotoOrigins, Error> {
         let record = OrthophotoRecord::read(orthophoto)?;
         let surface = dem.unwrap_or(&record.dem);
-        let surface = dem::read_surface(surface, record.dem_interpolation)?;
+        let surface = dem::read_surface(surface)?;
         Ok(OrthophotoOrigins {
             orthophoto: orthophoto.to_owned(),
             views: record.views(orthophoto)?,

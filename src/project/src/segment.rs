@@ -22,7 +22,6 @@ use rowgram_raster::{
     mask::Thresholds,
     overlay,
     vegetation::Model,
-    white_balance::WhiteBalance,
     window,
 };
 use serde::{Deserialize, Serialize};
@@ -33,14 +32,14 @@ use std::{
 
 rowgram_base::options! {
     /// The leaf mask: pixels of the orthomosaic that show leaves.
-    pub struct SegmentOptions in "segment" {
-        /// How leaf pixels are told: auto estimates vegetation from the picture itself; or thresholds in 8-bit HSV: hue from, hue
-        /// to (0 to 180), least saturation, least value (0 to 255), as 30,79,30,163 (the paper's, for June).
+    pub struct SegmentOptions in "segment", main [hsv, min_pixels] {
+        /// How leaf pixels are recognised: auto estimates vegetation from the picture itself; or thresholds in
+        /// 8-bit HSV: hue from, hue to (0 to 180), minimum saturation, minimum value (0 to 255), as 30,79,30,163
+        /// (the paper's, for June).
         pub hsv: Auto<Thresholds> = Auto::Auto, limits between(0.0, 255.0);
-        /// Price of two neighbours of unlike class where vegetation is estimated; 0 judges every pixel alone.
+        /// Penalty for neighbouring pixels of different classes where vegetation is estimated; 0 classifies every
+        /// pixel on its own.
         pub coherence: f64 = 0.5, limits between(0.0, 100.0);
-        /// Scale the channels first, so that the mean colour is grey or the brightest colours are white.
-        pub white_balance: Option<WhiteBalance> = None, example "\"grey-world\"";
         /// Connected leaf areas of fewer pixels are removed.
         pub min_pixels: usize = 0;
         /// Holes of at most this many pixels are filled, after the removal.
@@ -96,7 +95,7 @@ pub fn segment(
 }
 
 /// The stage.
-pub(super) struct Segment;
+pub struct Segment;
 
 impl Task for Segment {
     type Options = SegmentOptions;
@@ -238,7 +237,7 @@ pub fn segment_file(
         let (message, remedy) = match hsv {
             Some(_) => (
                 "no pixel is within the thresholds; the leaf mask is empty",
-                "choose other thresholds (rowgram thresholds, then --hsv)",
+                "choose other thresholds (rowgram segment thresholds, then --hsv)",
             ),
             None => (
                 "no vegetation stands out from the ground; the leaf mask is empty",

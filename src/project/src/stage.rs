@@ -46,6 +46,19 @@ pub enum Stage {
 
 rowgram_base::choices!(Stage: Calibrate, Align, Dem, Surface, Ortho, Segment, LeafDensity, LeafCount, Locate, Leaves, Plots, Evaluate);
 
+impl Stage {
+    /// The command of the program that does this stage alone.
+    pub fn command(self) -> String {
+        match self {
+            Stage::Calibrate => "camera calibrate".to_owned(),
+            Stage::Dem => "surface dem".to_owned(),
+            Stage::LeafDensity => "leaves density".to_owned(),
+            Stage::LeafCount => "leaves count".to_owned(),
+            other => other.word(),
+        }
+    }
+}
+
 /// What a stage reads, does and gives.
 ///
 /// The record of a stage names the build of the program, the options and the contents of everything that was read. While
@@ -254,7 +267,7 @@ pub(super) fn key<T: Task>(
 
 /// The command that does a stage with these options, as a person types it in the folder of the project.
 pub fn command<T: Task>(options: &T::Options) -> String {
-    let mut words = format!("rowgram {} .", T::STAGE.word());
+    let mut words = format!("rowgram {} .", T::STAGE.command());
     for (name, value) in options.changed() {
         words += &format!(" --{}={}", name.replace('_', "-"), quoted(&on_the_command_line(&value)));
     }

@@ -25,7 +25,6 @@ pub mod polygon;
 mod simplex;
 pub mod tuning;
 pub mod vegetation;
-pub mod white_balance;
 pub mod window;
 
 use image::RgbImage;

@@ -10,10 +10,6 @@ pub const MASK_COLOUR: Rgb<u8> = Rgb([255, 0, 255]);
 pub const DOUBTFUL_COLOUR: Rgb<u8> = Rgb([255, 150, 0]);
 /// Colour for pixels that show nothing.
 pub const NOTHING_COLOUR: Rgb<u8> = Rgb([60, 170, 255]);
-/// Colour for plants that were found.
-pub const FOUND_COLOUR: Rgb<u8> = Rgb([255, 40, 40]);
-/// Colour for plants that are known to be there.
-pub const TRUTH_COLOUR: Rgb<u8> = Rgb([60, 170, 255]);
 
 /// Tints the plant pixels of a photo, and paints those at the edge of the mask.
 ///

@@ -270,33 +270,6 @@ pub fn split(photo: &RgbImage, index: Index) -> Mask {
     }
 }
 
-/// Excess green above which pixels are plants on the whole, and below which they are not.
-const GREEN: f64 = 0.05;
-
-/// Thresholds that come nearest to the split of a photo by its excess green.
-///
-/// # Errors
-/// Why there are none: what is above the split is not green, or what is below it is green too.
-pub fn propose(photo: &RgbImage, start: Thresholds) -> Result<Thresholds, String> {
-    let mask = split(photo, Index::ExcessGreen);
-    let mut sums = [[0.0; 2]; 2];
-    for (pixel, &plant) in photo.pixels().zip(&mask.data) {
-        let [r, g, b] = pixel.0.map(f64::from);
-        let sum = &mut sums[usize::from(plant)];
-        sum[0] += (2.0 * g - r - b) / (r + g + b).max(1.0);
-        sum[1] += 1.0;
-    }
-    let [rest, plants] = sums.map(|[sum, count]| sum / f64::max(count, 1.0));
-    if plants < GREEN {
-        return Err(format!("nothing stands out as green (mean excess green {plants:.2})"));
-    }
-    if rest > GREEN {
-        return Err(format!("all of it is green (mean excess green of the rest {rest:.2})"));
-    }
-    let colours = Colours::of([(photo, &mask)]).map_err(|error| error.to_string())?;
-    Ok(colours.tune(start))
-}
-
 /// An index as a byte, larger for plants.
 fn greenness(rgb: [u8; 3], index: Index) -> u8 {
     let [r, g, b] = rgb.map(f64::from);
@@ -377,23 +350,6 @@ mod tests {
         let confusion = joined.judge(&Thresholds::default());
         assert_eq!((confusion.true_positive, confusion.false_positive), (1, 1));
         assert_eq!((confusion.true_negative, joined.0.len()), (1, 2));
-    }
-
-    #[test]
-    fn a_photo_proposes_thresholds_only_where_plants_stand_out() {
-        let photo = |plants: u32, soil: [u8; 3]| {
-            RgbImage::from_fn(40, 40, |u, v| {
-                let shade = ((7 * u + 3 * v) % 11) as u8;
-                let [r, g, b] = if v < plants { [70, 120, 40] } else { soil };
-                Rgb([r + shade, g + shade, b + shade])
-            })
-        };
-        let usual = Thresholds::default();
-        let half = photo(12, [130, 105, 80]);
-        let found = propose(&half, usual).unwrap();
-        assert_eq!(found.mask(&half).count(), 12 * 40, "{found}");
-        assert!(propose(&photo(0, [130, 105, 80]), usual).unwrap_err().contains("stands out"));
-        assert!(propose(&photo(20, [60, 140, 60]), usual).unwrap_err().contains("all of it"));
     }
 
     #[test]

@@ -101,6 +101,10 @@ pub struct Field {
     pub default: Option<toml::Value>,
     /// A value to show where there is no default, as TOML spells it.
     pub example: Option<&'static str>,
+    /// Whether most people need to know it; the others are for experts.
+    pub is_main: bool,
+    /// The table within its section that it stands in, where it has one: `paper` of `[locate.paper]`.
+    pub table: Option<&'static str>,
 }
 
 impl Field {
@@ -158,6 +162,8 @@ pub struct Section {
     pub about: &'static str,
     /// Its options.
     pub fields: Vec<Field>,
+    /// Its nested tables with what they are about.
+    pub tables: Vec<(&'static str, &'static str)>,
     /// Whether serde takes the values, which knows more than their kinds.
     pub(super) check: fn(&toml::Table) -> Result<(), String>,
 }
@@ -168,11 +174,48 @@ impl Section {
         self.fields.iter().find(|field| field.name == name)
     }
 
+    /// Puts a value into a table of this section, into the nested table that its option stands in.
+    pub fn insert(&self, table: &mut toml::Table, name: &str, value: toml::Value) {
+        let nested = match (self.field(name).and_then(|field| field.table), &value) {
+            (Some(nested), _) => nested,
+            (None, toml::Value::Table(values)) => {
+                for (name, value) in values {
+                    self.insert(table, name, value.clone());
+                }
+                return;
+            }
+            (None, _) => {
+                table.insert(name.to_owned(), value);
+                return;
+            }
+        };
+        let entry = table.entry(nested).or_insert_with(|| toml::Table::new().into());
+        if let toml::Value::Table(entry) = entry {
+            entry.insert(name.to_owned(), value);
+        }
+    }
+
+    /// The main options, and after them the others where these are wanted too.
+    pub fn by_rank(&self, for_experts: bool) -> Vec<&Field> {
+        let of = |is_main: bool| self.fields.iter().filter(move |field| field.is_main == is_main);
+        of(true).chain(of(false).filter(|_| for_experts)).collect()
+    }
+
     /// Whether there is such an option and it can have the value.
     ///
     /// # Errors
     /// What was expected.
     pub fn check_entry(&self, name: &str, value: &toml::Value) -> Result<(), String> {
+        if let toml::Value::Table(nested) = value
+            && self.tables.iter().any(|(table, _)| *table == name)
+        {
+            return nested.iter().try_for_each(|(key, value)| {
+                match self.field(key).filter(|field| field.table != Some(name)) {
+                    Some(_) => Err(format!("{key}: it belongs into [{}]", self.name)),
+                    None => self.check_entry(key, value),
+                }
+            });
+        }
         let Some(field) = self.field(name) else {
             let names: Vec<&str> = self.fields.iter().map(|field| field.name).collect();
             return Err(match nearest(name, &names) {
@@ -186,7 +229,8 @@ impl Section {
         if !field.accepts(value) {
             return Err(refused(&field.expected()));
         }
-        let one = toml::Table::from_iter([(name.to_owned(), value.clone())]);
+        let mut one = toml::Table::new();
+        self.insert(&mut one, name, value.clone());
         (self.check)(&one).map_err(|why| format!("{name} = {}: {why}", shown(value)))
     }
 }

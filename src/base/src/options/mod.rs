@@ -23,12 +23,18 @@ pub trait Options: Default + Clone + PartialEq + Serialize + DeserializeOwned {
     /// The options in their order.
     fn fields() -> Vec<Field>;
 
+    /// Its nested tables with what they are about.
+    fn tables() -> Vec<(&'static str, &'static str)> {
+        Vec::new()
+    }
+
     /// The definition for listings and checks.
     fn section() -> Section {
         Section {
             name: Self::SECTION,
             about: Self::ABOUT,
             fields: Self::fields(),
+            tables: Self::tables(),
             check: |table| {
                 let parsed: Result<Self, toml::de::Error> =
                     toml::Value::Table(table.clone()).try_into();
@@ -47,7 +53,9 @@ pub trait Options: Default + Clone + PartialEq + Serialize + DeserializeOwned {
             section.check_entry(name, value)?;
         }
         let mut table = toml::Table::try_from(self).map_err(|error| error.to_string())?;
-        table.extend(given.clone());
+        for (name, value) in given {
+            section.insert(&mut table, name, value.clone());
+        }
         toml::Value::Table(table).try_into().map_err(|e: toml::de::Error| e.message().to_owned())
     }
 
@@ -72,13 +80,24 @@ pub trait Options: Default + Clone + PartialEq + Serialize + DeserializeOwned {
 
     /// The options that differ from their defaults, as `(name, value)`.
     fn changed(&self) -> Vec<(String, toml::Value)> {
-        let table = |options: &Self| toml::Table::try_from(options).unwrap_or_default();
-        let (own, usual) = (table(self), table(&Self::default()));
+        let flat = |options: &Self| {
+            let table = toml::Table::try_from(options).unwrap_or_default();
+            let mut flat = toml::Table::new();
+            for (name, value) in table {
+                match value {
+                    toml::Value::Table(nested) => flat.extend(nested),
+                    value => drop(flat.insert(name, value)),
+                }
+            }
+            flat
+        };
+        let (own, usual) = (flat(self), flat(&Self::default()));
         own.into_iter().filter(|(name, value)| usual.get(name) != Some(value)).collect()
     }
 }
 
-/// Defines a set of [`Options`](crate::options::Options). Where values have to go together (both or neither, the first
+/// Defines a set of [`Options`](crate::options::Options). `main [cell_m]` names those that most people need to know; the others are
+/// for experts, and listed after them. Where values have to go together (both or neither, the first
 /// not above the second), `in "dem", together checked` names a function `fn(&DemOptions) -> Result<(), String>`.
 ///
 /// `in "dem" with { points: PointOptions, }` adds the options of another set to the same section: one list in the file
@@ -87,7 +106,7 @@ pub trait Options: Default + Clone + PartialEq + Serialize + DeserializeOwned {
 /// ```
 /// rowgram_base::options! {
 ///     /// The surface.
-///     pub struct DemOptions in "dem" {
+///     pub struct DemOptions in "dem", main [cell_m] {
 ///         /// Side of a cell; half the median distance of neighbouring points where not set.
 ///         pub cell_m: Option<f64> = None, limits POSITIVE, example "0.1";
 ///         /// Points farther from their neighbours' plane than this many usual distances are left out.
@@ -107,7 +126,9 @@ macro_rules! options {
         $(#[doc = $about:expr])*
         $vis:vis struct $name:ident in $section:literal
             $(with { $($(#[doc = $group_doc:expr])* $gvis:vis $group:ident: $group_kind:ty,)* })?
+            $(nested { $($(#[doc = $nested_doc:expr])* $nvis:vis $nested:ident: $nested_kind:ty,)* })?
             $(, together $together:path)?
+            $(, main [$($main:ident),* $(,)?])?
         {
             $(
                 $(#[doc = $doc:expr])*
@@ -129,11 +150,24 @@ macro_rules! options {
                 #[serde(flatten)]
                 $gvis $group: $group_kind,
             )*)?
+            $($(
+                $(#[doc = $nested_doc])*
+                $nvis $nested: $nested_kind,
+            )*)?
         }
+
+        $(
+            // The main options are options.
+            const _: fn(&$name) = |options| { $(let _ = &options.$main;)* };
+        )?
 
         impl Default for $name {
             fn default() -> $name {
-                $name { $($key: $default,)* $($($group: <$group_kind>::default(),)*)? }
+                $name {
+                    $($key: $default,)*
+                    $($($group: <$group_kind>::default(),)*)?
+                    $($($nested: <$nested_kind>::default(),)*)?
+                }
             }
         }
 
@@ -143,7 +177,8 @@ macro_rules! options {
 
             fn fields() -> Vec<$crate::options::Field> {
                 let defaults = $name::default();
-                let own = vec![$(
+                let main: &[&str] = &[$($(stringify!($main)),*)?];
+                let own: Vec<$crate::options::Field> = vec![$(
                     $crate::options::Field {
                         name: stringify!($key),
                         doc: concat!($($doc, "\n"),*),
@@ -151,12 +186,34 @@ macro_rules! options {
                         limits: $crate::options!(@limits $($limits $(($($bound),*))?)?),
                         default: $crate::options::Value::written(&defaults.$key),
                         example: $crate::options!(@example $($example)?),
+                        is_main: false,
+                        table: None,
                     },
                 )*];
                 let groups: Vec<Vec<$crate::options::Field>> =
                     vec![$($(<$group_kind as $crate::options::Options>::fields(),)*)?];
-                own.into_iter().chain(groups.into_iter().flatten()).collect()
+                let marked = own.into_iter().map(|field| {
+                    $crate::options::Field { is_main: main.contains(&field.name), ..field }
+                });
+                let nested: Vec<(&'static str, Vec<$crate::options::Field>)> = vec![$($(
+                    (stringify!($nested), <$nested_kind as $crate::options::Options>::fields()),
+                )*)?];
+                let nested = nested.into_iter().flat_map(|(table, fields)| {
+                    fields.into_iter().map(move |field| {
+                        $crate::options::Field { table: Some(table), is_main: false, ..field }
+                    })
+                });
+                marked.chain(groups.into_iter().flatten()).chain(nested).collect()
             }
+
+            $(
+                fn tables() -> Vec<(&'static str, &'static str)> {
+                    vec![$((
+                        stringify!($nested),
+                        <$nested_kind as $crate::options::Options>::ABOUT,
+                    )),*]
+                }
+            )?
 
             $(
                 fn check_together(&self) -> Result<(), String> {

@@ -190,7 +190,6 @@ impl PlantBaseline {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::phenotype::evidence::AxisSource;
     use rowgram_raster::Mask;
 
     /// Leaves, two pixels wide, from some stalks outwards.
@@ -205,7 +204,7 @@ mod tests {
                 })
             })
         });
-        Evidence::new(&mask, 0.0, AxisSource::Tensor, 1)
+        Evidence::new(&mask, 0.0, 1)
     }
 
     #[test]

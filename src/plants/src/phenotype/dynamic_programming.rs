@@ -306,12 +306,12 @@ impl<'p> Chain<'p> {
 /// `ln sum exp`, without overflow; minus infinity of nothing.
 pub(super) fn log_sum_exp(terms: &[f64]) -> f64 {
     /// Terms smaller than this share of the largest add nothing.
-    const LEAST: f64 = -36.0;
+    const MIN_LOG_RATIO: f64 = -36.0;
     let highest = terms.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     if highest == f64::NEG_INFINITY {
         return highest;
     }
-    let shares = terms.iter().map(|term| term - highest).filter(|&share| share > LEAST);
+    let shares = terms.iter().map(|term| term - highest).filter(|&share| share > MIN_LOG_RATIO);
     highest + shares.map(f64::exp).sum::<f64>().ln()
 }
 

@@ -15,17 +15,11 @@
 //!
 //! `E = sum_b w_b v_b / (1 + v_b / ``SATURATION``)`.
 //!
-//! Instead of the structure tensor, slices across the leaves can say where the axes are ([`AxisSource::Slices`]): the direction
-//! of a reduced pixel is then the mean of `(cos 2 theta, sin 2 theta)` over its leaf pixels, its coherence the
-//! length of that mean, and a pixel without a slice does not vote.
-//!
 //! A mask of broad leaves is first reduced by the whole factor that makes its strokes about
 //! `STROKE_PX` wide ([`factor`]), or by more where plants stand far apart. Positions in pixels of the given mask, centre of the top-left pixel at (0, 0).
 
-use super::leaves;
 use rayon::prelude::*;
 use rowgram_raster::Mask;
-use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
 /// Scale of the gradient, in reduced pixels.
@@ -34,8 +28,6 @@ const GRADIENT_PX: f64 = 0.7;
 const TENSOR_PX: f64 = 1.3;
 /// Scale by which votes are blurred, in reduced pixels.
 const VOTE_PX: f64 = 0.8;
-/// Scale over which leaf mass is gathered where no votes are wanted, in reduced pixels.
-const MASS_PX: f64 = 1.7;
 /// How far a vote walks, in reduced pixels.
 const REACH_PX: usize = 20;
 /// Where votes saturate.
@@ -48,19 +40,6 @@ const STROKE_PX: f64 = 3.0;
 const STRIPE: usize = 128;
 /// Rows beyond a stripe that its votes and filters can reach.
 const HALO: usize = REACH_PX + 12;
-
-/// What says where the axes of leaves are.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum AxisSource {
-    /// The structure tensor around a pixel.
-    #[default]
-    Tensor,
-    /// Slices across the leaf at a pixel.
-    Slices,
-}
-
-rowgram_base::choices!(AxisSource: Tensor, Slices);
 
 /// The votes for a stalk at every pixel of the reduced mask, in five bytes each: a map of a field has many.
 #[derive(Debug, Clone, PartialEq)]
@@ -77,7 +56,7 @@ pub struct Evidence {
     most: f32,
     /// Share of each reduced pixel that is leaf, in 255ths.
     shares: Vec<u8>,
-    /// The axis of each, `c (cos 2 theta, sin 2 theta)` in 127ths; empty where nothing votes.
+    /// The axis of each, `c (cos 2 theta, sin 2 theta)` in 127ths.
     axes: Vec<[i8; 2]>,
 }
 
@@ -88,12 +67,8 @@ pub fn factor(mask: &Mask) -> usize {
 
 impl Evidence {
     /// Votes of a mask whose rows have this heading (from `u` towards `v`), on a grid reduced by `factor`.
-    pub fn new(mask: &Mask, heading_rad: f64, axes: AxisSource, factor: usize) -> Evidence {
+    pub fn new(mask: &Mask, heading_rad: f64, factor: usize) -> Evidence {
         let (width, height) = (mask.width.div_ceil(factor), mask.height.div_ceil(factor));
-        let across = match axes {
-            AxisSource::Tensor => None,
-            AxisSource::Slices => Some(doubled(mask, factor)),
-        };
         let most = SATURATION * WEIGHTS.iter().sum::<f32>();
         let (mut roots, mut shares) = (vec![0; width * height], vec![0; width * height]);
         let mut held = vec![[0; 2]; width * height];
@@ -108,35 +83,18 @@ impl Evidence {
                 let to = (first + STRIPE + HALO).min(height);
                 let leaf = reduce(mask, factor, from..to);
                 let stripe = Stripe { width, height: to - from };
-                let of_tensor;
-                let axes = match &across {
-                    Some(doubled) => &doubled[from * width..to * width],
-                    None => {
-                        of_tensor = stripe.tensor_axes(&leaf);
-                        &of_tensor[..]
-                    }
-                };
+                let axes = stripe.tensor_axes(&leaf);
                 let skip = (first - from) * width;
                 for (held, axis) in held.iter_mut().zip(&axes[skip..]) {
                     *held = axis.map(|a| (127.0 * a).round() as i8);
                 }
                 keep_shares(&leaf[skip..], shares);
                 let mut votes = vec![0.0; roots.len()];
-                stripe.vote(&leaf, axes, heading_rad, first - from, &mut votes);
+                stripe.vote(&leaf, &axes, heading_rad, first - from, &mut votes);
                 keep_roots(&votes, most, roots);
             });
         }
         Evidence { width, height, factor, roots, most, shares, axes: held }
-    }
-
-    /// The leaf mass around each place instead of votes, on a grid reduced by `factor`.
-    pub fn of_mass(mask: &Mask, factor: usize) -> Evidence {
-        let (width, height) = (mask.width.div_ceil(factor), mask.height.div_ceil(factor));
-        let leaf = reduce(mask, factor, 0..height);
-        let (mut roots, mut shares) = (vec![0; width * height], vec![0; width * height]);
-        keep_shares(&leaf, &mut shares);
-        keep_roots(&Stripe { width, height }.blur(leaf, MASS_PX), 1.0, &mut roots);
-        Evidence { width, height, factor, roots, most: 1.0, shares, axes: Vec::new() }
     }
 
     /// Votes of a pixel of the grid, row by row.
@@ -155,11 +113,6 @@ impl Evidence {
     /// Leaf of the whole mask, in pixels of the grid.
     pub fn leaf_area(&self) -> f64 {
         self.shares.iter().map(|&share| u64::from(share)).sum::<u64>() as f64 / 255.0
-    }
-
-    /// Whether there are axes, which votes follow.
-    pub fn has_axes(&self) -> bool {
-        !self.axes.is_empty()
     }
 
     /// The axis of the leaf at a pixel of the grid, `c (cos 2 theta, sin 2 theta)` in 127ths, `c` its coherence.
@@ -245,32 +198,6 @@ fn keep_shares(leaf: &[f32], to: &mut [u8]) {
 fn keep_roots(votes: &[f32], most: f32, to: &mut [u16]) {
     let root = |votes: f32| (f32::from(u16::MAX) * (votes / most).sqrt()).round() as u16;
     to.iter_mut().zip(votes).for_each(|(to, &votes)| *to = root(votes));
-}
-
-/// The mean of `(cos 2 theta, sin 2 theta)` over the leaf pixels of each block, from slices.
-fn doubled(mask: &Mask, factor: usize) -> Vec<[f32; 2]> {
-    let directions = leaves::directions(mask, &leaves::LeafOptions::default());
-    let (width, height) = (mask.width.div_ceil(factor), mask.height.div_ceil(factor));
-    let mut sums = vec![[0.0_f32; 2]; width * height];
-    let mut counts = vec![0.0_f32; width * height];
-    for v in 0..mask.height {
-        let row = v / factor * width;
-        for (u, &theta) in directions[v * mask.width..][..mask.width].iter().enumerate() {
-            if mask.data[v * mask.width + u] == 0 {
-                continue;
-            }
-            counts[row + u / factor] += 1.0;
-            if theta.is_finite() {
-                let (sin, cos) = (2.0 * theta).sin_cos();
-                let sum = &mut sums[row + u / factor];
-                *sum = [sum[0] + cos, sum[1] + sin];
-            }
-        }
-    }
-    for (sum, count) in sums.iter_mut().zip(counts) {
-        *sum = sum.map(|part| part / count.max(1.0));
-    }
-    sums
 }
 
 /// One stripe of the picture and its surroundings.
@@ -438,18 +365,15 @@ mod tests {
         })
     }
 
-    fn seen(mask: &Mask, heading_rad: f64, axes: AxisSource) -> Evidence {
-        Evidence::new(mask, heading_rad, axes, factor(mask))
+    fn seen(mask: &Mask, heading_rad: f64) -> Evidence {
+        Evidence::new(mask, heading_rad, factor(mask))
     }
 
     #[test]
     fn leaves_that_cross_vote_for_the_crossing() {
-        let cases = [(0.1, 1.0, 60), (0.35, 1.0, 60), (0.2, 4.0, 240)];
-        let both = cases.map(|case| (case, AxisSource::Tensor)).into_iter();
-        for ((turn, scale, side), axes) in both.chain(cases.map(|case| (case, AxisSource::Slices)))
-        {
+        for (turn, scale, side) in [(0.1, 1.0, 60), (0.35, 1.0, 60), (0.2, 4.0, 240)] {
             let centre = [29.3 * scale, 31.0 * scale];
-            let evidence = seen(&star(centre, turn, side, scale), 0.0, axes);
+            let evidence = seen(&star(centre, turn, side, scale), 0.0);
             let best = (0..evidence.width * evidence.height)
                 .max_by(|&a, &b| evidence.votes(a).total_cmp(&evidence.votes(b)))
                 .unwrap();
@@ -466,8 +390,7 @@ mod tests {
         // Long enough for three stripes.
         let mask = Mask::from_fn(40, 300, |u, v| (u + v / 2) % 9 < 2 || (v + 400 - u) % 31 < 3);
         let mirrored = Mask::from_fn(40, 300, |u, v| mask.get(u, 299 - v));
-        let (a, b) =
-            (seen(&mask, 0.3, AxisSource::Tensor), seen(&mirrored, -0.3, AxisSource::Tensor));
+        let (a, b) = (seen(&mask, 0.3), seen(&mirrored, -0.3));
         // Away from the edges, where one walk can leave the mask just before the other.
         for v in 0..300 {
             for u in 0..40 {
@@ -482,13 +405,11 @@ mod tests {
     #[test]
     fn degenerate_masks_have_no_votes() {
         for mask in [Mask::empty(0, 0), Mask::empty(1, 1), Mask::empty(9, 200)] {
-            for axes in [AxisSource::Tensor, AxisSource::Slices] {
-                let evidence = seen(&mask, 0.0, axes);
-                assert!((0..mask.data.len()).all(|k| evidence.votes(k) == 0.0));
-            }
+            let evidence = seen(&mask, 0.0);
+            assert!((0..mask.data.len()).all(|k| evidence.votes(k) == 0.0));
         }
         let dot = Mask::from_fn(1, 1, |_, _| true);
-        assert_eq!(seen(&dot, 0.0, AxisSource::Slices).leaf_share(0), 1.0);
+        assert_eq!(seen(&dot, 0.0).leaf_share(0), 1.0);
     }
 
     #[test]
@@ -496,13 +417,13 @@ mod tests {
         let votes: Vec<f32> = (0..=1000).map(|k| 120.0 * (k as f32 / 1000.0).powi(3)).collect();
         let mut roots = vec![0; votes.len()];
         keep_roots(&votes, 120.0, &mut roots);
-        let evidence = Evidence { roots, most: 120.0, ..Evidence::of_mass(&Mask::empty(1, 1), 1) };
+        let evidence = Evidence { roots, most: 120.0, ..Evidence::new(&Mask::empty(1, 1), 0.0, 1) };
         for (k, votes) in votes.iter().enumerate() {
             // Half a step of the root.
             let most = 1.01 * (120.0 * votes).sqrt() / 65535.0 + 1e-5;
             assert!((evidence.votes(k) - votes).abs() <= most, "{votes}: {}", evidence.votes(k));
         }
-        let half = Evidence::of_mass(&Mask::from_fn(2, 2, |u, _| u == 0), 2);
+        let half = Evidence::new(&Mask::from_fn(2, 2, |u, _| u == 0), 0.0, 2);
         // One half lies between two steps, and rounding comes on top.
         assert!((half.leaf_share(0) - 0.5).abs() < 0.51 / 255.0);
         assert!((half.leaf_area() - 0.5).abs() < 0.51 / 255.0);
@@ -510,7 +431,7 @@ mod tests {
 
     #[test]
     fn positions_turn_there_and_back() {
-        let evidence = Evidence::of_mass(&Mask::empty(1, 1), 3);
+        let evidence = Evidence::new(&Mask::empty(1, 1), 0.0, 3);
         let at = [7.25, -3.0];
         let back = evidence.full(evidence.reduced(at));
         approx::assert_relative_eq!(back[0], at[0], epsilon = 1e-12);

@@ -262,55 +262,32 @@ pub fn locate(
     Ok((setup.finish(), outcome))
 }
 
-/// What goes beyond one descent from one start.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Restarts {
-    /// Starts, with seeds one after the other; the result with the smallest objective is kept.
-    pub starts: u64,
-    /// Swaps of plants after every descent, at most ([`crate::problems::plants::moves`]).
-    pub swaps: usize,
-}
-
-impl Default for Restarts {
-    fn default() -> Restarts {
-        Restarts { starts: 1, swaps: 0 }
-    }
-}
-
-/// Locates plants from several starts, with swaps after every descent; keeps the best by the (tempered)
+/// Locates plants from several starts, with consecutive seeds; keeps the best by the (tempered)
 /// objective. The outcome is that of the start that was kept: its sweeps are those of all its descents.
 ///
 /// # Errors
-/// As [`Setup::new`]; [`SolveError::Misuse`] for no start at all, and for several starts or swaps of a
-/// model without a joint objective.
+/// As [`Setup::new`]; [`SolveError::Misuse`] for no start at all, and for several starts of a model
+/// without a joint objective.
 pub fn locate_best(
     index: &PixelIndex,
     options: &PlantFitOptions,
     detection: &Detection,
     positions: Option<&[[f64; 2]]>,
-    effort: Restarts,
+    starts: u64,
 ) -> Result<(Setup, RunOutcome), LocateError> {
     let mut best: Option<(Setup, RunOutcome)> = None;
-    for start in 0..effort.starts {
+    for start in 0..starts {
         let options = PlantFitOptions { seed: options.seed.wrapping_add(start), ..*options };
         let positions = positions.map(<[[f64; 2]]>::to_vec);
         let mut setup = Setup::from(index.clone(), &options, detection.clone(), positions)?;
-        if effort.starts > 1 && !setup.problem.monotone() {
+        if starts > 1 && !setup.problem.monotone() {
             let message = "several starts need a joint objective to choose by; the conditional form has \
                            none";
             return Err(SolveError::Misuse(message.to_owned()).into());
         }
-        let descend = |setup: &mut Setup| {
-            let Setup { problem, field, .. } = setup;
-            descent::run(problem, field, options.descent, options.max_sweeps, |_, _| ())
-        };
-        let mut outcome = descend(&mut setup)?;
-        if effort.swaps > 0 && setup.problem.swap(&mut setup.field, effort.swaps)? > 0 {
-            let again = descend(&mut setup)?;
-            let iterations = outcome.iterations + again.iterations;
-            outcome = RunOutcome { iterations, initial_cost: outcome.initial_cost, ..again };
-        }
+        let Setup { problem, field, .. } = &mut setup;
+        let run = descent::run(problem, field, options.descent, options.max_sweeps, |_, _| ());
+        let outcome = run?;
         if best.as_ref().is_none_or(|(_, least)| outcome.final_cost < least.final_cost) {
             best = Some((setup, outcome));
         }

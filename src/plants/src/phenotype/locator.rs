@@ -4,11 +4,10 @@
 //! descent too. Positions and lengths in pixels of the mask, centre of the top-left pixel at (0, 0).
 
 use super::{
-    locate::{Init, LocateError, Located, PlantFitOptions, Restarts, Setup, locate_best},
+    locate::{Init, LocateError, Located, PlantFitOptions, Setup, locate_best},
     row_model::{self, RowModelOptions},
     rows::{self, Detection},
-    stand::{Stalk, Stand},
-    tiles,
+    stand::Stand,
 };
 use crate::problems::plants::{
     Form, Model, PlantUpdate, Prior, Proof, SigmaRule, index::PixelIndex,
@@ -44,36 +43,35 @@ pub enum LocateMethod {
 rowgram_base::choices!(LocateMethod: RowModel, Refined, Tempered, Descent, Paper, Kmeans, Rows);
 
 rowgram_base::options! {
-    /// The descent and its variants, of all methods but the row model. An option that is not set is as the method says.
-    pub struct DescentOptions in "locate" {
-        /// What holds a plant: nothing (none), its row (rows), its row and column (grid).
+    /// The paper's objective and its variants, for all methods but the row model. An option that is not set is as the method says.
+    pub struct DescentOptions in "locate.paper" {
+        /// Prior of a plant's position: none, its row (rows), its row and column (grid).
         pub prior: Option<Prior> = None, example "\"rows\"";
-        /// How a plant moves: to the minimum of squared distances (mean), or of the stated cost, exactly (median).
+        /// How a plant is updated: the minimum of squared distances (mean), or the exact minimum of the stated cost
+        /// (median).
         pub update: Option<PlantUpdate> = None, example "\"median\"";
         /// Scale of the distances: paper (mean distance), planar (half of it), fixed:PX.
         pub sigma: Option<SigmaRule> = None, example "\"planar\"";
-        /// How the rows hold a plant: joint (latent lines, one objective), conditional (the other plants of its row).
+        /// Form of the row prior: joint (latent lines, one objective), conditional (given the other plants of the
+        /// row, as in the paper).
         pub form: Option<Form> = None, example "\"joint\"";
-        /// The data count as this many independent pixels per plant; 0 is the paper, all of them.
+        /// Number of independent pixels per plant that the data count as; 0: all pixels, as in the paper.
         pub tempering: Option<f64> = None, limits NON_NEGATIVE, example "6.0";
-        /// Distances are truncated at this length; 0 is the paper, never.
+        /// Distances are truncated at this length; 0: never, as in the paper.
         pub truncate_px: Option<f64> = None, limits NON_NEGATIVE, example "20.0";
-        /// Where the descent starts: far from each other (kmeans++), evenly along the rows (rows), anywhere (random), at the
-        /// plants of the row model (votes).
+        /// Start of the descent: far from each other (kmeans++), evenly along the rows (rows), anywhere (random),
+        /// at the plants of the row model (votes).
         pub init: Option<Init> = None, example "\"rows\"";
-        /// Plants are fitted; else they stay where they start.
+        /// Fit the plants; otherwise they stay at their start.
         pub fit: bool = true;
         /// Order of the updates: cyclic, shuffled.
         pub order: Order = Order::Cyclic;
-        /// Most sweeps over all plants.
+        /// Maximum number of sweeps over all plants.
         pub max_sweeps: u64 = 500;
-        /// Number of starts, with seeds one after the other; the plants with the smallest objective are kept.
+        /// Number of starts with consecutive seeds; the plants with the smallest objective are kept.
         pub starts: u64 = 1, limits between(1.0, 10000.0);
-        /// After every descent, the plant that is least missed moves to where leaves are farthest from theirs, and stays if the
-        /// objective becomes smaller; at most this often.
-        pub swaps: usize = 0;
-        /// Solve the convex problem of every plant again with an interior-point method, and tell how far the descent is from its
-        /// bound.
+        /// Solve the convex problem of every plant with an interior-point method, too, and report how far the
+        /// descent is from its bound.
         pub certify: bool = false;
     }
 }
@@ -83,38 +81,33 @@ rowgram_base::options! {
     pub struct LocateOptions in "locate" with {
         /// The row model.
         pub row_model: RowModelOptions,
-        /// The descent.
-        pub descent: DescentOptions,
-    }, together go_together {
-        /// Number of plants; auto finds as many as there seem to be.
+    } nested {
+        /// The paper's objective and its variants.
+        pub paper: DescentOptions,
+    }, together go_together, main [plants, method] {
+        /// Number of plants; auto estimates it.
         pub plants: Auto<usize> = Auto::Auto, limits at_least(1.0);
-        /// How plants are located: row-model (votes along leaf axes, dynamic programming along curved rows); refined (then the
-        /// tempered descent from its plants); tempered, descent, paper, kmeans (descents from other starts); rows (regular
-        /// spacing).
+        /// How plants are located: row-model (votes along leaf axes, dynamic programming along curved rows);
+        /// refined (row-model, then the tempered descent); tempered, descent, paper, kmeans (descents from other
+        /// starts); rows (regular spacing).
         pub method: LocateMethod = LocateMethod::RowModel;
-        /// Connected leaf areas of fewer pixels are left out.
+        /// Connected leaf areas of fewer pixels are ignored.
         pub min_pixels: usize = 0;
         /// Ground sampling distance, metres per pixel; that of the raster where not set. Without both, lengths are in pixels
         /// only.
         pub gsd_m: Option<f64> = None, limits POSITIVE, example "0.015";
         /// Seed of everything random.
         pub seed: u64 = 0;
-        /// Cut the mask into tiles of this side and locate in each on its own, as the paper does; for comparison. Row model with
-        /// an unknown number of plants only.
-        pub tile_px: Option<usize> = None, limits at_least(64.0), example "512";
     }
 }
 
-/// Options of the descent go with methods that descend, tiles with the row model.
+/// Options of the descent go with methods that descend.
 fn go_together(options: &LocateOptions) -> Result<(), String> {
     let is_row_model = options.method == LocateMethod::RowModel;
-    if let Some((name, _)) = options.descent.changed().first().filter(|_| is_row_model) {
+    if let Some((name, _)) = options.paper.changed().first().filter(|_| is_row_model) {
         return Err(format!(
             "{name}: an option of the descent, which method = \"row-model\" does not use; choose another method"
         ));
-    }
-    if options.tile_px.is_some() && !(is_row_model && options.plants == Auto::Auto) {
-        return Err("tile_px: goes with method = \"row-model\" and plants = \"auto\"".to_owned());
     }
     Ok(())
 }
@@ -130,11 +123,9 @@ impl LocateOptions {
 
     /// Where the descent starts.
     fn init(&self) -> Init {
-        self.descent.init.unwrap_or(match self.method {
+        self.paper.init.unwrap_or(match self.method {
             LocateMethod::RowModel | LocateMethod::Refined => Init::Votes,
-            LocateMethod::Descent if self.descent.prior == Some(Prior::None) => {
-                Init::KmeansPlusPlus
-            }
+            LocateMethod::Descent if self.paper.prior == Some(Prior::None) => Init::KmeansPlusPlus,
             LocateMethod::Tempered | LocateMethod::Descent | LocateMethod::Rows => Init::Rows,
             LocateMethod::Paper | LocateMethod::Kmeans => Init::KmeansPlusPlus,
         })
@@ -143,7 +134,7 @@ impl LocateOptions {
     /// The problem and the engine of the descent: what the method says, where no option says otherwise.
     fn posed(&self, gsd_m: Option<f64>, plants: usize) -> PlantFitOptions {
         let base = self.method.model(gsd_m);
-        let given = &self.descent;
+        let given = &self.paper;
         let model = Model {
             prior: given.prior.unwrap_or(base.prior),
             update: given.update.unwrap_or(base.update),
@@ -212,8 +203,6 @@ pub struct Prepared {
 pub enum Work {
     /// The plants of the row model.
     Stand(Box<Stand>),
-    /// The plants of the row model in tiles.
-    Tiles(Vec<Stalk>),
     /// A descent that has not begun.
     Descent(Box<Descend>),
 }
@@ -223,8 +212,6 @@ pub enum Work {
 pub enum Found {
     /// By the row model.
     Stand(Box<Stand>),
-    /// By the row model in tiles.
-    Tiles(Vec<Stalk>),
     /// By a descent.
     Descent(Box<Descended>),
 }
@@ -263,14 +250,6 @@ pub fn prepare(
     options.check()?;
     let leaf_pixels = mask.count();
     let detection = rows::detect(mask);
-    if let Some(tile_px) = options.tile_px {
-        // Two rows on every side, several plants.
-        let spacing_px = detection.rows().and_then(|rows| rows.spacing_px);
-        let halo_px = 2.0 * spacing_px.unwrap_or(tile_px as f64 / 8.0);
-        let plants =
-            tiles::locate(mask, &detection, &options.row_model, tile_px, halo_px as usize)?;
-        return Ok(Prepared { leaf_pixels, detection, work: Work::Tiles(plants) });
-    }
     let init = options.init();
     let is_row_model = options.method == LocateMethod::RowModel;
     let counts = options.plants == Auto::Auto && leaf_pixels > 0;
@@ -298,21 +277,20 @@ pub fn prepare(
 }
 
 impl Descend {
-    /// Descends, from several starts and with swaps where that is asked for.
+    /// Descends, from several starts where that is asked for.
     ///
     /// # Errors
     /// As [`locate_best`].
     pub fn run(self, options: &DescentOptions) -> Result<Descended, LocateError> {
-        let effort = Restarts { starts: options.starts, swaps: options.swaps };
         let Descend { mut setup, options: posed } = self;
-        let (setup, outcome) = if effort == Restarts::default() {
+        let (setup, outcome) = if options.starts == 1 {
             let Setup { problem, field, .. } = &mut setup;
             let outcome = descent::run(problem, field, posed.descent, posed.max_sweeps, |_, _| ())?;
             (setup, outcome)
         } else {
             let Setup { problem, field, detection } = setup;
             let start = (posed.init == Init::Votes).then_some(&field.positions_px[..]);
-            locate_best(problem.index(), &posed, &detection, start, effort)?
+            locate_best(problem.index(), &posed, &detection, start, options.starts)?
         };
         Descended::finish(setup, outcome, options.certify)
     }
@@ -344,8 +322,7 @@ pub fn find(
 ) -> Result<Found, LocateError> {
     Ok(match prepare(mask, None, gsd_m, options)?.work {
         Work::Stand(stand) => Found::Stand(stand),
-        Work::Tiles(plants) => Found::Tiles(plants),
-        Work::Descent(descend) => Found::Descent(Box::new(descend.run(&options.descent)?)),
+        Work::Descent(descend) => Found::Descent(Box::new(descend.run(&options.paper)?)),
     })
 }
 
@@ -372,7 +349,6 @@ mod tests {
     fn every_method_finds_the_plants() {
         let plants = |options: &LocateOptions| match find(&mask(), Some(0.01), options).unwrap() {
             Found::Stand(stand) => stand.plants.iter().map(|plant| plant.position_px).collect(),
-            Found::Tiles(plants) => plants.iter().map(|plant| plant.position_px).collect(),
             Found::Descent(found) => {
                 found.located.plants.iter().map(|plant| plant.position_px).collect::<Vec<_>>()
             }
@@ -394,8 +370,6 @@ mod tests {
         for (text, expected) in [
             ("prior = \"rows\"", "prior: an option of the descent"),
             ("starts = 2", "starts: an option of the descent"),
-            ("tile_px = 64\nplants = 3", "tile_px: goes with"),
-            ("tile_px = 64\nmethod = \"paper\"", "tile_px: goes with"),
         ] {
             let error = find(&mask(), None, &with(text)).map(drop).unwrap_err();
             assert!(error.to_string().contains(expected), "{text}: {error}");

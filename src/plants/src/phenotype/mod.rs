@@ -41,6 +41,5 @@ mod row_profile;
 pub mod rows;
 pub mod stand;
 pub mod stand_count;
-pub mod tiles;
 pub mod tilt;
 pub mod traits;

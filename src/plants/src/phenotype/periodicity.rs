@@ -6,7 +6,7 @@
 const TWO_ROWS: f64 = 0.9;
 
 /// How far the autocorrelation of rows rises from its valleys to its peaks, of the variance.
-const LEAST_RISE: f64 = 0.1;
+const MIN_RISE: f64 = 0.1;
 
 /// The distance between two rows, if a profile is nothing but two rows.
 pub(super) fn two_rows(profile: &[f64]) -> Option<f64> {
@@ -58,7 +58,7 @@ pub(super) fn period(profile: &[f64]) -> Option<f64> {
     for k in 4..correlation.len().saturating_sub(1) {
         lowest = lowest.min(correlation[k - 1]);
         let is_peak = correlation[k] > correlation[k - 1] && correlation[k] >= correlation[k + 1];
-        if is_peak && correlation[k] - lowest >= LEAST_RISE * variance {
+        if is_peak && correlation[k] - lowest >= MIN_RISE * variance {
             peaks.push(k);
         }
     }

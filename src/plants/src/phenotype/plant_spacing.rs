@@ -13,7 +13,7 @@ use serde::Serialize;
 use std::f64::consts::TAU;
 
 /// Gap plants in a row that are thought possible.
-const MOST: usize = 6;
+const MAX_GAP_PLANTS: usize = 6;
 /// Relative jitter expected, and how many gaps that expectation weighs.
 const JITTER: (f64, f64) = (0.15, 100.0);
 
@@ -42,7 +42,7 @@ impl Spacing {
 
     /// Density of a gap, per pixel.
     pub fn density(&self, gap: f64) -> f64 {
-        let singles: f64 = (1..=MOST).map(|k| self.skipping(gap, k)).sum();
+        let singles: f64 = (1..=MAX_GAP_PLANTS).map(|k| self.skipping(gap, k)).sum();
         let near = (0.18 * self.spacing).max(2.5);
         let double = normal(gap, near, (0.06 * self.spacing).powi(2).max(0.5));
         // Anything can happen, rarely.
@@ -58,7 +58,7 @@ impl Spacing {
 
     /// Probability of each number of plants missing in a gap: none, one, two, ...
     pub fn missing_in(&self, gap: f64) -> Vec<f64> {
-        let parts: Vec<f64> = (1..=MOST).map(|k| self.skipping(gap, k)).collect();
+        let parts: Vec<f64> = (1..=MAX_GAP_PLANTS).map(|k| self.skipping(gap, k)).collect();
         let total = self.density(gap);
         let mut shares: Vec<f64> = parts.iter().map(|part| part / total).collect();
         // Doubles and accidents have none missing.
@@ -78,7 +78,7 @@ impl Spacing {
 
     /// Farthest gap worth looking at.
     pub fn farthest(&self) -> f64 {
-        (MOST as f64 - 0.5) * self.spacing
+        (MAX_GAP_PLANTS as f64 - 0.5) * self.spacing
     }
 
     /// Re-estimates everything from gaps.

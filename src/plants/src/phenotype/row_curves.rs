@@ -193,7 +193,7 @@ mod tests {
         let mask = Mask::from_fn(300, 60, |u, v| {
             (v as f64 - course(u as f64)).abs() < 1.5 && (5..295).contains(&u)
         });
-        let evidence = Evidence::new(&mask, 0.0, crate::phenotype::evidence::AxisSource::Tensor, 1);
+        let evidence = Evidence::new(&mask, 0.0, 1);
         let axes = Axes { origin_px: [0.0; 2], heading_rad: 0.0 };
         let row = Row { across_px: 30.0, start_px: 5.0, end_px: 295.0, pixels: 900 };
         let ridge = &trace(&evidence, &axes, &[row], None)[0];

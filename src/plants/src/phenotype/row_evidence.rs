@@ -81,11 +81,7 @@ impl RowEvidence {
         let isolated_px = isolated_plants::spacing_px(mask, rows);
         let coarse = isolated_px.map_or(1.0, |spacing| spacing / TARGET_SPACING_PX);
         let factor = evidence::factor(mask).max(coarse.round() as usize);
-        let evidence = if options.leaf_axes {
-            Evidence::new(mask, rows.axes.heading_rad, options.axis_source, factor)
-        } else {
-            Evidence::of_mass(mask, factor)
-        };
+        let evidence = Evidence::new(mask, rows.axes.heading_rad, factor);
         let factor = evidence.factor as f64;
         let axes = Axes { origin_px: evidence.reduced(rows.axes.origin_px), ..rows.axes };
         let shrink = |row: &Row| Row {
@@ -96,12 +92,7 @@ impl RowEvidence {
         };
         let reduced: Vec<Row> = rows.rows.iter().map(shrink).collect();
         let spacing = rows.spacing_px.map(|spacing| spacing / factor);
-        let curves = if options.curved_rows {
-            row_curves::trace(&evidence, &axes, &reduced, spacing)
-        } else {
-            reduced.iter().map(RowCurve::straight).collect()
-        };
-        let whole = curves.into_iter().enumerate();
+        let whole = row_curves::trace(&evidence, &axes, &reduced, spacing).into_iter().enumerate();
         let parts: Vec<Part> =
             whole.map(|(row, curve)| Part { row, curve, before: None }).collect();
         let length = parts.iter().map(|part| part.curve.length()).sum();
@@ -118,11 +109,6 @@ impl RowEvidence {
         };
         scene.read();
         scene
-    }
-
-    /// Whether evidence is votes along the axes of leaves.
-    pub(super) fn has_axes(&self) -> bool {
-        self.evidence.has_axes()
     }
 
     /// Reads what every row shows.
@@ -203,12 +189,7 @@ impl RowEvidence {
                     let places: Vec<Vec<usize>> = found.iter().map(|f| f.0.clone()).collect();
                     let own = plant_log_odds * total(&places) as f64;
                     score = found.iter().map(|f| f.1).sum::<f64>() - own;
-                    let refit = spacing.refit(&gaps(&places));
-                    spacing = if self.options.estimate_jitter {
-                        refit
-                    } else {
-                        Spacing { spacing: refit.spacing, ..Spacing::new(start) }
-                    };
+                    spacing = spacing.refit(&gaps(&places));
                 }
                 (score, spacing)
             })
@@ -368,18 +349,18 @@ pub(super) fn gaps(places: &[Vec<usize>]) -> Vec<f64> {
 /// What a plant has to be worth for there to be `count` of them.
 pub(super) fn worth_of(chains: &[Chain<'_>], count: usize) -> Result<f64, LocateError> {
     bisect(chains, count).ok_or_else(|| {
-        let most = total(&best(chains, MOST_WORTH));
+        let most = total(&best(chains, MAX_WORTH));
         LocateError::RowsTooShort { plants: count, most }
     })
 }
 
 /// The most that a plant can be worth.
-const MOST_WORTH: f64 = 40.0;
+const MAX_WORTH: f64 = 40.0;
 
 /// The least worth of a plant at which the chains have `count` of them, nearly.
 pub(super) fn bisect(chains: &[Chain<'_>], count: usize) -> Option<f64> {
     let number = |plant_log_odds: f64| total(&best(chains, plant_log_odds));
-    let (mut low, mut high) = (-MOST_WORTH, MOST_WORTH);
+    let (mut low, mut high) = (-MAX_WORTH, MAX_WORTH);
     // Usually it is near nothing.
     for near in [-6.0, 6.0] {
         match number(near) {
@@ -388,7 +369,7 @@ pub(super) fn bisect(chains: &[Chain<'_>], count: usize) -> Option<f64> {
             _ => low = low.max(near),
         }
     }
-    if high == MOST_WORTH && number(high) < count {
+    if high == MAX_WORTH && number(high) < count {
         return None;
     }
     for _ in 0..14 {

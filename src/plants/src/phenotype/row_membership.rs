@@ -24,10 +24,10 @@ use std::f64::consts::TAU;
 const ROUNDS: usize = 60;
 /// The least standard deviation across a row, as a share of the distance between rows: 0.8 cm at the usual 0.76 m, what a planter
 /// and the middle of a seedling's leaves reach together. It keeps the likelihood of plants exactly in line finite.
-const LEAST_SIGMA: f64 = 0.01;
+const MIN_SIGMA: f64 = 0.01;
 /// The largest, as a share of the distance between rows: the middle between two rows is then 2.5 standard deviations away, and with more the
 /// rows would run into each other.
-const MOST_SIGMA: f64 = 0.2;
+const MAX_SIGMA: f64 = 0.2;
 /// Standard deviation of the distance between rows about that of the rows seen, as a share: weeds as large as plants drew it by 3.5 %
 /// (the test of weeds between the rows in `mass_stand`).
 const SPACING_SIGMA: f64 = 0.05;
@@ -38,7 +38,7 @@ const HEADING_SIGMA: f64 = 0.02;
 const ROW_SIGMA: f64 = 0.04;
 /// The least gain in log likelihood over plants that grow anywhere. The rows were chosen among many before: of 10 to 1,000 plants anywhere,
 /// the best of 210 distances and phases gains at most 9.2 in 200 draws (4 at the median; the test draws 20 of them).
-const LEAST_GAIN: f64 = 10.0;
+const MIN_GAIN: f64 = 10.0;
 
 /// The mixture of crop and weeds across the rows. Lengths are in distances between the rows that were seen.
 #[derive(Debug, Clone, PartialEq)]
@@ -153,7 +153,7 @@ impl RowMembership {
         }
         let distances = places.iter().map(|&place| found.lines.nearest(place).1);
         let gain: f64 = distances.map(|distance| found.density(distance).ln()).sum();
-        if gain <= LEAST_GAIN {
+        if gain <= MIN_GAIN {
             return None;
         }
         for _ in 0..ROUNDS {
@@ -177,8 +177,7 @@ impl RowMembership {
         let of_rows: f64 = members.iter().map(|member| member.2).sum();
         let squares =
             members.iter().map(|&(place, k, weight)| weight * self.lines.away(place, k).powi(2));
-        self.sigma =
-            (squares.sum::<f64>() / of_rows.max(1e-12)).sqrt().clamp(LEAST_SIGMA, MOST_SIGMA);
+        self.sigma = (squares.sum::<f64>() / of_rows.max(1e-12)).sqrt().clamp(MIN_SIGMA, MAX_SIGMA);
         self.share = (of_rows / places.len() as f64).clamp(0.0, 1.0);
     }
 

@@ -34,7 +34,6 @@
 
 use super::{
     dynamic_programming::{Chain, Posterior, STEP},
-    evidence::AxisSource,
     locate::LocateError,
     mass_stand::{self, ByMass, Doubtful},
     plant_spacing::Spacing,
@@ -52,39 +51,28 @@ use rowgram_raster::Mask;
 rowgram_base::options! {
     /// The row model. Lengths without a unit are pixels of the reduced grid, about a third of a leaf's width.
     pub struct RowModelOptions in "locate" {
-        /// Votes along leaf axes are the evidence; else the leaf mass around a place.
-        pub leaf_axes: bool = true;
-        /// What says where leaf axes are: the structure tensor, or slices across the leaves.
-        pub axis_source: AxisSource = AxisSource::Tensor;
-        /// Rows are followed where they bend.
-        pub curved_rows: bool = true;
-        /// Standard deviation of plants across their row, to begin with.
+        /// Initial standard deviation of plants across their row.
         pub across_sigma: f64 = 3.0, limits between(0.000001, 1e6);
         /// Shrinkage of the offset across the row: the share of the best offset that is applied.
         pub shrinkage: f64 = 0.7, limits between(0.0, 1.0);
-        /// Weight of the votes: of the square root of their ratio to what is usual.
+        /// Weight of the leaf-axis votes: of the square root of votes over mean votes.
         pub vote_weight: f64 = 12.0, limits between(0.0, 1e6);
-        /// Weight of the leaf mass that no plant covers, in terms per plant.
+        /// Penalty for leaf area that no plant covers, relative to that of one plant.
         pub uncovered_weight: f64 = 1.0, limits between(0.0, 1e6);
         /// Inverse temperature of the probabilities: scores per unit of log probability.
         pub inverse_temperature: f64 = 0.5, limits between(0.000001, 1e6);
-        /// Where the number of plants is not given, as many as the stand count expects; else as many as are best at
-        /// plant_log_odds.
+        /// Where the number of plants is not given, take it from the stand count; otherwise from plant_log_odds.
         pub stand_count: bool = true;
-        /// Score of one plant more where the number of plants is not given.
+        /// Log-odds of an additional plant where the number of plants is not given.
         pub plant_log_odds: f64 = 1.1, limits between(-1e6, 1e6);
-        /// Score of one plant more while spacings are compared.
+        /// Log-odds of an additional plant while the plant spacing is estimated.
         pub spacing_log_odds: f64 = 0.5, limits between(-1e6, 1e6);
-        /// Plants stand at their mean place under the probabilities; else at the most probable one.
-        pub mean_place: bool = true;
-        /// The relative jitter of the spacing is estimated; else it is that of the prior.
-        pub estimate_jitter: bool = true;
-        /// The leaves around a place say whether one plant stands there, or two, or none.
+        /// Use the leaves around a place to distinguish one plant, two plants and none.
         pub double_plants: bool = true;
         /// Standard deviation, in each direction, of the base of a stalk about the middle of its leaves.
         pub tilt_sigma: f64 = 1.5, limits between(0.0, 1e6);
-        /// Where there is soil between plants, or there are no rows, plants are counted and located by their leaf mass; else only
-        /// along rows.
+        /// Count and locate plants by their leaf area where soil separates them, or where there are no rows;
+        /// otherwise only along rows.
         pub isolated_plants: bool = true;
     }
 }
@@ -190,7 +178,7 @@ fn by_votes(
     };
     let spacing = evidence.spacing(count);
     evidence.cut(&spacing);
-    if options.double_plants && evidence.has_axes() {
+    if options.double_plants {
         // What is usual of plants, from those that are found without it.
         let chains = evidence.chains(&spacing, 0..evidence.profiles.len());
         let plants = best(&chains, options.plant_log_odds);
@@ -304,9 +292,7 @@ impl RowEvidence {
             let whorls: Vec<f64> = places
                 .iter()
                 .zip(&found)
-                .map(|(&at, [_, mean, _])| {
-                    STEP * (at as f64 + if self.options.mean_place { *mean } else { 0.0 })
-                })
+                .map(|(&at, [_, mean, _])| STEP * (at as f64 + mean))
                 .collect();
             let bases = tilt::bases(&whorls, spacing, tilt);
             for (k, ([confidence, _, variance], [base, tilted])) in

@@ -15,7 +15,7 @@ const BARE: f64 = 3.0;
 /// Leaf mass of a bare window, at most, in that of a plant.
 const TRACE: f64 = 0.1;
 /// A part of a row with less leaf mass, in that of a plant, holds no plant of the crop.
-const LEAST: f64 = 0.3;
+const MIN_PART_MASS: f64 = 0.3;
 /// Rows to either side that are asked whether a stretch is an alley.
 const BESIDE: usize = 3;
 /// Share of those that are bare there, at least.
@@ -55,7 +55,7 @@ pub(super) fn cut(profiles: &[Profile], curves: &[RowCurve], spacing: f64, mass:
         let ends = [curve.end, f64::INFINITY];
         for [from, to] in bare[row].iter().copied().chain([ends]) {
             let end = from.min(curve.end);
-            if end > start && mass_between(&profiles[row], start, end) >= LEAST * mass {
+            if end > start && mass_between(&profiles[row], start, end) >= MIN_PART_MASS * mass {
                 let curve = curve.part(start, end);
                 found.push(Part { row, curve, before: before.take() });
             }

@@ -3,7 +3,6 @@
 //! Positions and lengths in pixels of the mask, centre of the top-left pixel at (0, 0).
 
 use super::{plant_spacing::Spacing, rows::Rows};
-use rowgram_optim::robust::median;
 use serde::Serialize;
 
 /// The 97.5 % point of the standard normal distribution.
@@ -97,17 +96,6 @@ pub struct Stand {
 }
 
 impl Stand {
-    /// Median distance between neighbours in a row, plants in one place left out; the fitted
-    /// spacing where no two plants are in one row.
-    pub fn median_gap_px(&self) -> f64 {
-        let gaps = self
-            .plants
-            .windows(2)
-            .filter(|pair| pair[0].row == pair[1].row)
-            .map(|pair| pair[1].along_px - pair[0].along_px);
-        median(gaps).unwrap_or(self.spacing.spacing)
-    }
-
     /// Distance between rows and its standard error, where there is more than one.
     pub fn row_spacing_px(&self) -> Option<(f64, f64)> {
         let spacing = self.rows.spacing_px?;

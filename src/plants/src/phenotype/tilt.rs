@@ -14,7 +14,7 @@ use super::plant_spacing::Spacing;
 /// `c`, the part of a tilt that the chain has not undone yet: on synthetic masks with a tilt of 5 cm better than 0.65 and 0.85.
 const LEFT: f64 = 0.45;
 /// Gaps over more places than the first say nothing, nor do those further off than the second in standard deviations.
-const MOST: (f64, f64) = (3.0, 2.5);
+const MAX_GAP: (f64, f64) = (3.0, 2.5);
 /// Scatter of plants across their row, as it is seen where none is tilted.
 const IN_LINE: f64 = 1.0;
 
@@ -32,8 +32,8 @@ pub fn bases(whorls: &[f64], spacing: &Spacing, tilt: f64) -> Vec<[f64; 2]> {
         let gap = whorls[a] - whorls[a - 1];
         let places = (gap / spacing.spacing).round();
         let (expected, variance) = (places * spacing.spacing, places * unit);
-        let far = (gap - expected).abs() > MOST.1 * (variance + 2.0 * loose).sqrt();
-        if places < 1.0 || places > MOST.0 || far {
+        let far = (gap - expected).abs() > MAX_GAP.1 * (variance + 2.0 * loose).sqrt();
+        if places < 1.0 || places > MAX_GAP.0 || far {
             continue;
         }
         diagonal[a - 1] += 1.0 / variance;

@@ -126,9 +126,9 @@ pub struct GrowthFits {
 }
 
 /// Fewest dates of a curve: one more than it has parameters.
-const LEAST_DATES: usize = 4;
+const MIN_DATES: usize = 4;
 /// A final value whose logarithm is less sure than this is none: its 95 % interval spans a factor of four.
-const MOST_LOG_SIGMA: f64 = 0.35;
+const MAX_LOG_SIGMA: f64 = 0.35;
 /// One good series in a hundred loses a value to the test for outliers.
 const OUTLIER_LEVEL: f64 = 0.01;
 /// Level of the test of growth against none.
@@ -284,7 +284,7 @@ fn outliers(
         })
         .collect();
     far.sort_unstable_by(|a, b| b.0.total_cmp(&a.0));
-    far.truncate(samples.len() - LEAST_DATES);
+    far.truncate(samples.len() - MIN_DATES);
     let mut outliers: Vec<usize> = far.into_iter().map(|(_, k)| k).collect();
     outliers.sort_unstable();
     outliers
@@ -310,7 +310,7 @@ fn curve(
     let sigma = |k: usize| f64::max(covariance[k][k], 0.0).sqrt();
     let days = || samples.iter().map(|s| s.day);
     let span = days().fold(f64::NEG_INFINITY, f64::max) - days().fold(f64::INFINITY, f64::min);
-    if sigma(0) > MOST_LOG_SIGMA || sigma(2) > 0.5 * span {
+    if sigma(0) > MAX_LOG_SIGMA || sigma(2) > 0.5 * span {
         return Err(Untold::NotBracketed);
     }
     let [ln_final, ln_rate, half] = parameters;

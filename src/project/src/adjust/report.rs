@@ -23,7 +23,7 @@ const CONFIDENCE: f64 = 0.95;
 /// Probability of a false alarm of each single test that is reported.
 const SIGNIFICANCE: f64 = 0.001;
 /// Variance factors below this, or above its inverse, are pointed out.
-const LEAST_FACTOR: f64 = 0.25;
+const MIN_FACTOR: f64 = 0.25;
 /// Interior parameters whose neutral value is not 0.
 const NEVER_ZERO: [&str; 5] = ["c_px", "f_px", "aspect", "cx_px", "cy_px"];
 /// Interior parameters that are correlated by more than this are reported.
@@ -269,7 +269,7 @@ fn fill(out: &mut String, report: &Report) -> std::fmt::Result {
         )?;
     }
     let off = |group: &Group| {
-        group.variance_factor.is_some_and(|v| !(LEAST_FACTOR..=1.0 / LEAST_FACTOR).contains(&v))
+        group.variance_factor.is_some_and(|v| !(MIN_FACTOR..=1.0 / MIN_FACTOR).contains(&v))
     };
     if report.groups.iter().any(off) {
         writeln!(

@@ -25,7 +25,7 @@ mod sharpness;
 mod steps;
 
 pub(super) use descriptor_store::DESCRIPTORS_IN_MEMORY_BYTES;
-pub use options::{AlignOptions, EnlargeChoice, ShutterChoice, SolverChoice, StartChoice, Step};
+pub use options::{AlignOptions, EnlargeChoice, ShutterChoice, SolverChoice, Step};
 pub use outcome::{AlignOutcome, Fragment, PartialReport, PointErrors};
 pub use parts::{find_features, match_pairs};
 

@@ -4,7 +4,7 @@ use rowgram_survey::{
     features::FeatureOptions,
     sfm::{
         adjust_block::{BlockOptions, ShutterModel, USUAL_READOUT_S, When},
-        incremental::{IncrementalOptions, Start},
+        incremental::IncrementalOptions,
         intrinsics::LensChoice,
         relative::Solver,
         verify::GeometricVerificationOptions,
@@ -22,16 +22,6 @@ pub enum SolverChoice {
     TwoPoint,
     /// Any photos.
     FivePoint,
-}
-
-/// Where exterior orientation starts.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum StartChoice {
-    /// Three photos that fit; the others join one by one.
-    Triplet,
-    /// All photos at once: averaged rotations, positions by convex programming.
-    Global,
 }
 
 /// Whether photos are enlarged twofold before features are looked for.
@@ -79,51 +69,52 @@ pub enum Step {
 }
 
 rowgram_base::choices!(SolverChoice: Auto, TwoPoint, FivePoint);
-rowgram_base::choices!(StartChoice: Triplet, Global);
 rowgram_base::choices!(EnlargeChoice: Auto, On, Off);
 rowgram_base::choices!(ShutterChoice: Auto, Off, On);
 rowgram_base::choices!(Step: Inspect, Features, Match, Verify, Orient, Adjust, Report);
 
 rowgram_base::options! {
     /// From photos to camera poses, calibrated cameras and a sparse cloud in the mapping frame.
-    pub struct AlignOptions in "align", together go_together {
-        /// Lens model of cameras that are not given.
+    pub struct AlignOptions in "align", together go_together,
+        main [lens, control_sigma_m, check, rolling_shutter]
+    {
+        /// Lens model of cameras without a calibration.
         pub lens: LensChoice = LensChoice::Auto;
-        /// Lens parameters of the last adjustment; all but the aspect and rational terms where not set, or those that a
-        /// calibrated camera names.
+        /// Lens parameters estimated in the last adjustment; all but the aspect and rational terms where not set,
+        /// or those that a calibrated camera names.
         pub free: Option<Vec<String>> = None, example "[\"f_px\", \"k1\", \"k2\"]";
         /// Minimal solver of relative orientation.
         pub solver: SolverChoice = SolverChoice::Auto;
-        /// Where exterior orientation starts: at three photos that fit, or with all photos at once.
-        pub start: StartChoice = StartChoice::Triplet;
-        /// The most features of a photo.
+        /// Maximum number of features per photo.
         pub max_features: usize = 6000, limits at_least(100.0);
-        /// Whether photos are enlarged twofold before features are looked for, which takes four times as long: auto enlarges
-        /// photos of fewer than eight megapixels, and those that show too few features at their own size.
+        /// Enlarge photos twofold before feature detection, which takes four times as long: auto does so for photos
+        /// below eight megapixels, and for those with too few features.
         pub enlarge: EnlargeChoice = EnlargeChoice::Auto;
-        /// The most image measurements of tie points that are adjusted together. Of more, the longest tie points are kept that
-        /// leave no part of a photo without; memory grows with them, about 0.7 kB each.
+        /// Maximum number of tie-point measurements in the adjustment. Beyond it the longest tracks are kept, such
+        /// that every part of every photo has some; each measurement takes about 0.7 kB of memory.
         pub max_tie_observations: usize = 1_000_000, limits at_least(1000.0);
-        /// Distance from the projection of its point up to which an image position is used.
+        /// Largest reprojection error of an image measurement that is used.
         pub tolerance_px: f64 = 4.0, limits POSITIVE;
         /// Standard deviation of control points that come without one.
         pub control_sigma_m: f64 = 0.02, limits POSITIVE;
         /// Standard deviation of image measurements of ground points that come without one.
         pub mark_sigma_px: f64 = 0.5, limits POSITIVE;
-        /// Whether camera positions take part in the adjustment; else they only tell which photos are neighbours.
+        /// Use camera positions in the adjustment; otherwise only to find neighbouring photos.
         pub use_positions: bool = true;
-        /// Ground points that take no part and are compared afterwards.
+        /// Check points: ground points that are left out of the adjustment and compared afterwards.
         pub check: Vec<String> = Vec::new();
-        /// Control points that are never left out, whatever the block says of them.
+        /// Control points that are never rejected as outliers.
         pub keep: Vec<String> = Vec::new();
-        /// Whether rows are read one after the other while the camera moves: auto estimates it, on models it in any case.
+        /// Model the rolling shutter (rows are read out one after the other while the camera moves): auto where the
+        /// photos show it, on always.
         pub rolling_shutter: ShutterChoice = ShutterChoice::Auto;
-        /// Time from the first to the last row of a photo. Where it is not set, velocities are told for 0.03 s.
+        /// Readout time from the first to the last row of a photo. Where it is not set, velocities are given for
+        /// 0.03 s.
         pub readout_s: Option<f64> = None, limits between(0.0001, 1.0), example "0.03";
-        /// Whether matching is repeated with the adjusted poses (guided matching): auto does so with ground control.
+        /// Repeat matching with the adjusted poses (guided matching): auto does so with ground control.
         pub guided_matching: When = When::Auto;
-        /// Whether tie points are measured again by least-squares matching, several times as exact, and in further photos: auto
-        /// does so with ground control.
+        /// Refine tie points by least-squares matching, several times more accurate, and find them in further
+        /// photos: auto does so with ground control.
         pub refine_tie_points: When = When::Auto;
         /// Seed of all random sampling.
         pub seed: u64 = 1;
@@ -178,10 +169,6 @@ impl AlignOptions {
         let names: &[&str] =
             if calibrated { &[] } else { &["f_px", "k1", "k2", "c_px", "K1", "K2"] };
         IncrementalOptions {
-            start: match self.start {
-                StartChoice::Triplet => Start::Triplet,
-                StartChoice::Global => Start::Global,
-            },
             tolerance_px: self.tolerance_px,
             free: names.iter().map(|&name| name.to_owned()).collect(),
             seed: self.seed,

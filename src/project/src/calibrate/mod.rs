@@ -31,7 +31,7 @@ use rowgram_survey::{
         consistent::{Consistent, MIN_VIEWS, calibrate_consistent},
         statistics::Statistics,
     },
-    target::{Board, Refinement},
+    target::Board,
 };
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -88,12 +88,12 @@ impl Value for LossChoice {
 
 rowgram_base::options! {
     /// A camera from photos of a chessboard, all by one camera at one focus and zoom.
-    pub struct CalibrateOptions in "calibrate", together go_together {
+    pub struct CalibrateOptions in "calibrate", together go_together, main [board, square_m, lens] {
         /// Folder with the photos of the board; the stage is done where it exists.
         pub images: PathBuf = "calibration".into();
-        /// Inner corners of the board, where four squares meet: of a row times of a column.
+        /// Number of inner corners of the board, where four squares meet: per row x per column.
         pub board: Option<Board> = None, example "\"8x6\"";
-        /// Side of a square. It sets the scale of the poses of the board, nothing of the lens.
+        /// Side of a square. It sets the scale of the board poses and does not affect the lens.
         pub square_m: Option<f64> = None, limits POSITIVE, example "0.025";
         /// Lens model.
         pub lens: LensModel = LensModel::Smac;
@@ -101,20 +101,18 @@ rowgram_base::options! {
         /// "none" for no distortion. Where empty: all but K0 (smac), k1,k2,p1,p2,k3 (brown, which has k4,k5,k6 too),
         /// k1..k4 (fisheye).
         pub free: Vec<String> = Vec::new();
-        /// Parameters to hold at their neutral value although they would be estimated.
+        /// Parameters to hold at their neutral value instead of estimating them.
         pub hold: Vec<String> = Vec::new();
         /// Hold the ratio of the pixels' sides at 1 (brown, fisheye; smac has none).
         pub square_pixels: bool = false;
-        /// A constant of the smac model: the radius at which K1..K3 change nothing.
+        /// Constant of the smac model: the radius at which K1..K3 have no effect.
         pub r0_px: f64 = 0.0, limits NON_NEGATIVE;
         /// Whether the board is flat, or the height of every corner is estimated too.
         pub board_shape: BoardShape = BoardShape::Flat;
         /// Robust loss of the final adjustment and its scale in pixels: trivial, huber:1, soft-l1:1, cauchy:1,
         /// geman-mcclure:1 or tukey:4.
         pub loss: LossChoice = LossChoice(Loss::Trivial);
-        /// How corners are refined: by the gradients across their edges, or by a saddle surface.
-        pub refinement: Refinement = Refinement::Gradients;
-        /// Use what can be seen of a board that is not wholly in the photo.
+        /// Use boards that are only partly visible.
         pub partial_boards: bool = false;
         /// Keep photos that contradict the others.
         pub keep_misfits: bool = false;

@@ -147,10 +147,7 @@ fn look(
     options: &CalibrateOptions,
     monitor: &mut dyn Monitor,
 ) -> Result<(Vec<Photo>, [u32; 2]), Error> {
-    let search = target::DetectionOptions {
-        refinement: options.refinement,
-        ..target::DetectionOptions::default()
-    };
+    let search = target::DetectionOptions { ..target::DetectionOptions::default() };
     let folder = folder_of_all(images);
     let counter = Counter::new(monitor, "finding corners", images.len(), "photos");
     let found: Vec<Searched> = images

@@ -47,15 +47,15 @@ const MAX_CELLS: usize = 100_000_000;
 const POOR_PHOTOS: [&str; 2] = ["photo-blurred", "photo-exposure"];
 
 rowgram_base::options! {
-    /// Plots cut out of the photos (rowgram crops).
-    pub struct CropsOptions in "crops" {
+    /// Plots cut out of the photos (rowgram plots crops).
+    pub struct CropsOptions in "crops", main [photos_per_plot, margin_m] {
         /// Photos per plot, the best first.
         pub photos_per_plot: usize = 3, limits between(1.0, 1000.0);
-        /// Ground around the plot that is shown too.
+        /// Ground around the plot that is shown, too.
         pub margin_m: f64 = 0.0, limits between(0.0, 1000.0);
         /// Size of a pixel on the ground. Where not set: that of the orthomosaic.
         pub gsd_m: Option<f64> = None, limits POSITIVE, example "0.005";
-        /// How photos are read between their pixels.
+        /// Interpolation between the pixels of photos.
         pub interpolation: Interpolation = Interpolation::Bicubic;
         /// Also write the part of each photo as it was taken, without any interpolation.
         pub as_taken: bool = false;
@@ -157,7 +157,7 @@ pub fn crops(
     let source = Source {
         views: origins.views(),
         surface: origins.surface(),
-        rule: LeafRule::of(project, monitor)?,
+        rule: LeafRule::of(project)?,
         options,
         folder: fresh.path(),
     };

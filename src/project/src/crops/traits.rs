@@ -6,10 +6,7 @@ use crate::{
     segment::{SegmentOptions, SegmentOutcome},
 };
 use image::RgbImage;
-use rowgram_base::{
-    error::Error,
-    monitor::{Diagnostic, Monitor},
-};
+use rowgram_base::error::Error;
 use rowgram_optim::output::FileError;
 use rowgram_plants::phenotype::colour_indices::ColourSum;
 use rowgram_raster::{
@@ -67,14 +64,11 @@ enum Class {
 }
 
 impl LeafRule {
-    /// The rule of the stage `segment`; `None`, with a word, where it cannot be used for a single photo.
+    /// The rule of the stage `segment`; `None` where it was not done.
     ///
     /// # Errors
     /// A record that is damaged.
-    pub(super) fn of(
-        project: &Project,
-        monitor: &mut dyn Monitor,
-    ) -> Result<Option<LeafRule>, Error> {
+    pub(super) fn of(project: &Project) -> Result<Option<LeafRule>, Error> {
         let Some(record) = project.records().read(Stage::Segment) else { return Ok(None) };
         let path = project.folder(Stage::Segment);
         let damaged = |e: serde_json::Error| {
@@ -82,12 +76,6 @@ impl LeafRule {
         };
         let options: SegmentOptions = serde_json::from_value(record.options).map_err(damaged)?;
         let outcome: SegmentOutcome = serde_json::from_value(record.outcome).map_err(damaged)?;
-        if options.white_balance.is_some() {
-            let message = "the leaf mask was made with a white balance of the whole orthomosaic, which a part of a photo has not: \
-                           crops have no traits";
-            monitor.diagnostic(&Diagnostic::warning("crops-without-traits", "crops", message));
-            return Ok(None);
-        }
         let class = match (outcome.vegetation, outcome.hsv) {
             (Some(model), _) => Class::Vegetation(model),
             (None, Some(hsv)) => Class::Hsv(hsv),

@@ -100,9 +100,6 @@ pub(super) fn draw(view: &mut View, found: &Found) {
                 points(plants.iter().map(|p| p.position_px).collect(), colour, radius_px);
             }
         }
-        Found::Tiles(plants) => {
-            points(plants.iter().map(|p| p.position_px).collect(), SURE, 3);
-        }
         Found::Descent(found) => {
             let plants = found.located.plants.iter().map(|p| p.position_px).collect();
             points(plants, SURE, radius(found.located.mean_distance_px / 3.0));

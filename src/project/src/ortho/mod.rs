@@ -13,10 +13,7 @@ pub use record::{OrthophotoRecord, PhotoRecord};
 use rowgram_base::{error::Error, monitor::Monitor, options::Auto};
 use rowgram_files::polygons;
 use rowgram_survey::mapping::{
-    canopy_height::CanopyHeight,
-    colour_balance::ColourBalance,
-    select::{PhotoRule, SelectionOptions},
-    surface::HeightInterpolation,
+    canopy_height::CanopyHeight, colour_balance::ColourBalance, select::SelectionOptions,
     undistort::Interpolation,
 };
 use serde::{Deserialize, Serialize};
@@ -24,86 +21,49 @@ use std::path::{Path, PathBuf};
 pub(super) use write::provenance_path;
 pub use write::{OrthoFiles, OrthoInput, write_orthophotos};
 
-/// Where one photo takes over from the next.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum SeamPaths {
-    /// Where the rule of selection says.
-    #[default]
-    Rule,
-    /// Beside that, along the path on which two photos differ least.
-    LeastDifference,
-}
-
-rowgram_base::choices!(SeamPaths: Rule, LeastDifference);
-
 rowgram_base::options! {
     /// The orthomosaic: every cell takes its colour from the photo whose camera is closest.
-    pub struct OrthoOptions in "ortho", together hard_seams {
-        /// Height above the surface at which the map is drawn; auto is the height of the canopy at which photos agree best, so
-        /// that plants are in their places whichever photo shows them. 0 has the ground in its place.
+    pub struct OrthoOptions in "ortho", main [canopy_height_m, gsd_m, bounds_m, whole_plots] {
+        /// Height above the surface at which the map is drawn. auto: the height of the canopy at which photos agree
+        /// best, so that plants are in the same place whichever photo shows them; 0: the ground.
         pub canopy_height_m: Auto<f64> = Auto::Auto, limits between(-1000.0, 1000.0);
         /// Side of a pixel; the median ground sampling distance of the photos where not set.
         pub gsd_m: Option<f64> = None, limits POSITIVE, example "0.015";
-        /// What the map shows: least x, least y, greatest x, greatest y; everything that photos show where not set.
+        /// What the map shows: minimum x, minimum y, maximum x, maximum y; everything that photos show where not
+        /// set.
         pub bounds_m: Option<[f64; 4]> = None, example "[500600.0, 4480100.0, 500700.0, 4480200.0]";
-        /// A GeoTIFF whose grid the map takes, in place of gsd_m and bounds_m.
-        pub like: Option<PathBuf> = None, example "\"rowgram/dem/dem.tif\"";
         /// The surface: a GeoTIFF of heights in the mapping frame. That of the stage dem where not set.
         pub dem: Option<PathBuf> = None, example "\"terrain.tif\"";
-        /// How the surface is read between its cells.
-        pub dem_interpolation: HeightInterpolation = HeightInterpolation::Bilinear;
         /// Use only these photos, by name; all where empty.
         pub only: Vec<String> = Vec::new();
-        /// Which of the photos that show a cell is taken: closest, its camera is closest; nadir, it looks most straight down;
-        /// gsd, its ground sampling distance is smallest.
-        pub photo_selection: PhotoRule = PhotoRule::Closest;
         /// The largest angle between line of sight and vertical.
         pub max_angle_deg: Option<f64> = None, limits between(0.1, 89.9), example "30.0";
-        /// Leave out photos from which the surface hides the cell; what is less than this above the line of sight hides nothing.
+        /// Occlusion test: leave out photos from which the surface hides the cell. Surface less than this above the
+        /// line of sight does not hide it.
         pub visibility_m: Option<f64> = None, limits NON_NEGATIVE, example "0.05";
-        /// Distance from the borders of photos within which they are not used.
+        /// Margin along the borders of photos that is not used.
         pub border_px: f64 = 0.0, limits NON_NEGATIVE;
-        /// Where one photo takes over from the next: rule, where photo_selection says; least-difference, beside that along the path on
-        /// which two photos differ least, which keeps off leaves.
-        pub seams: SeamPaths = SeamPaths::Rule;
-        /// Polygons of plots (GeoJSON, GeoPackage, shapefile), each of which is to come from one photo: the best by photo_selection of
-        /// those that show all of it.
+        /// Polygons of plots (GeoJSON, GeoPackage, shapefile), each of which is to come from one photo: of those that show
+        /// all of it the one whose camera is closest.
         pub whole_plots: Option<PathBuf> = None, example "\"plots.geojson\"";
-        /// How photos are read between their pixels.
+        /// Interpolation between the pixels of photos.
         pub interpolation: Interpolation = Interpolation::Bilinear;
-        /// Bring the colours of photos together: exposure and white balance of each, vignetting, light and direction of view. What
-        /// each photo's light was multiplied by is in ortho.json.
+        /// Balance the colours of the photos: exposure and white balance of each, vignetting, illumination and view
+        /// direction. ortho.json holds the factors of each photo.
         pub balance: bool = true;
-        /// Distance from the seams up to which photos are blended; hard seams, as in the paper, where not set.
-        pub feather_m: Option<f64> = None, limits POSITIVE, example "0.2";
-        /// Write where every pixel comes from; needed by rowgram query.
+        /// Write which photo every pixel comes from; needed by rowgram ortho query.
         pub provenance: bool = true;
-        /// Write the orthophoto of every photo too, into the folder frames.
+        /// Also write the orthophoto of every single photo, into the folder frames.
         pub frames: bool = false;
-        /// Memory for decoded photos. It has no influence on results.
+        /// Memory for decoded photos. Results do not depend on it.
         pub memory_mb: usize = 600;
     }
-}
-
-/// Blending mixes the photos on both sides of the rule's seams, which others are not.
-fn hard_seams(options: &OrthoOptions) -> Result<(), String> {
-    if options.feather_m.is_none() {
-        return Ok(());
-    }
-    let other = match (options.whole_plots.is_some(), options.seams) {
-        (true, _) => "whole_plots",
-        (_, SeamPaths::LeastDifference) => "seams = \"least-difference\"",
-        _ => return Ok(()),
-    };
-    Err(format!("feather_m and {other} do not go together: leave one of them out"))
 }
 
 impl OrthoOptions {
     /// How photos are chosen for cells.
     pub fn selection(&self) -> SelectionOptions {
         SelectionOptions {
-            rule: self.photo_selection,
             max_angle_rad: self.max_angle_deg.map(f64::to_radians),
             visibility_m: self.visibility_m,
             border_px: self.border_px,
@@ -169,7 +129,6 @@ impl Task for OrthoTask {
     fn inputs(project: &Project, options: &OrthoOptions) -> Result<Vec<PathBuf>, Error> {
         let mut files = project.reconstruction_files()?;
         files.push(surface_file(project, options)?);
-        files.extend(options.like.as_ref().map(|path| project.root().join(path)));
         let plots = options.whole_plots.as_ref().map(|path| project.root().join(path));
         files.extend(plots.iter().flat_map(|path| polygons::files(path)));
         files.extend(project.photos());
@@ -185,11 +144,10 @@ impl Task for OrthoTask {
         let reconstruction = project.reconstruction()?;
         let photos = import::photo_files(&reconstruction, &project.photo_folder())?;
         let surface = surface_file(project, options)?;
-        let like = options.like.as_ref().map(|path| project.root().join(path));
         let input =
             OrthoInput { reconstruction: &reconstruction, photos: &photos, surface: &surface };
         let whole_plots = options.whole_plots.as_ref().map(|path| project.root().join(path));
-        let options = OrthoOptions { like, whole_plots, ..options.clone() };
+        let options = OrthoOptions { whole_plots, ..options.clone() };
         let (mosaic, figures) = (folder.join(ORTHOMOSAIC), folder.join("figures"));
         let files = OrthoFiles { mosaic: &mosaic, figures: Some(&figures), force: false };
         write_orthophotos(&input, &options, &files, monitor)
@@ -201,7 +159,7 @@ fn surface_file(project: &Project, options: &OrthoOptions) -> Result<PathBuf, Er
     let own = || project.finished(Stage::Dem, dem::SURFACE);
     options.dem.as_ref().map(|path| project.root().join(path)).or_else(own).ok_or_else(|| {
         Error::NothingToDo(format!(
-            "there is no surface in {}; make one with rowgram dem, or name one with [ortho] dem",
+            "there is no surface in {}; make one with rowgram surface dem, or name one with [ortho] dem",
             project.folder(Stage::Dem).display()
         ))
     })

@@ -1,9 +1,6 @@
-//! Plots that are to come from one photo each, and seams along paths: which photos are assigned to cells of the mosaic.
+//! Plots that are to come from one photo each: which photos are assigned to cells of the mosaic.
 
-use super::{
-    SeamPaths,
-    write::{OrthoFiles, Work},
-};
+use super::write::{OrthoFiles, Work};
 use crate::dem::name;
 use rowgram_base::{
     error::Error,
@@ -12,10 +9,7 @@ use rowgram_base::{
 use rowgram_files::polygons;
 use rowgram_optim::output;
 use rowgram_raster::{georeference::Georeference, polygon::Polygon};
-use rowgram_survey::mapping::{
-    View, assignment::Assignment, colour_correction::ColourCorrection, photo_cache::PhotoCache,
-    seam_paths, select::PhotoSelector,
-};
+use rowgram_survey::mapping::{View, assignment::Assignment, select::PhotoSelector};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -45,20 +39,11 @@ impl Work<'_> {
         &self,
         selector: &PhotoSelector<'_>,
         (grid, size): (Georeference, [usize; 2]),
-        corrections: Option<&[ColourCorrection]>,
-        photos: &mut PhotoCache<'_, Error>,
         monitor: &mut dyn Monitor,
     ) -> Result<(Assignment, Option<WholePlots>), Error> {
-        let (mut assignment, mut plots) = (Assignment::default(), None);
-        if let Some(path) = &self.options.whole_plots {
-            let (of_plots, found) = whole_plots(selector, path, (grid, size), self.files, monitor)?;
-            (assignment, plots) = (of_plots, Some(found));
-        }
-        if self.options.seams == SeamPaths::LeastDifference {
-            let squares = seam_paths::least_difference(selector, size, corrections, photos)?;
-            assignment = assignment.with_squares(squares);
-        }
-        Ok((assignment, plots))
+        let Some(path) = &self.options.whole_plots else { return Ok(Default::default()) };
+        let (assignment, found) = whole_plots(selector, path, (grid, size), self.files, monitor)?;
+        Ok((assignment, Some(found)))
     }
 }
 

@@ -6,7 +6,7 @@ use rowgram_survey::{
     camera::Camera,
     mapping::{
         View, colour_balance::BalancedPhotos, colour_correction::ColourCorrection,
-        select::SelectionOptions, surface::HeightInterpolation,
+        select::SelectionOptions,
     },
     scene::Pose,
 };
@@ -17,7 +17,7 @@ use std::{
 };
 
 /// The version of the format.
-const VERSION: u32 = 3;
+const VERSION: u32 = 4;
 
 /// A photo behind an orthophoto.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -55,8 +55,6 @@ pub struct OrthophotoRecord {
     pub gsd_m: f64,
     /// The surface; relative to the folder of the record where both are of one project.
     pub dem: PathBuf,
-    /// How it is read between its cells.
-    pub dem_interpolation: HeightInterpolation,
     /// How far above it the map is drawn, metres.
     pub canopy_height_m: f64,
     /// How photos were chosen for cells.

@@ -85,7 +85,7 @@ pub fn write_orthophotos(
             views.len()
         )));
     }
-    let surface = surface(input, options, monitor)?;
+    let surface = surface(input, monitor)?;
     let frames = if options.frames { frame_files(files.mosaic, &photos)? } else { Vec::new() };
     for orthophoto in std::iter::once(files.mosaic).chain(frames.iter().map(PathBuf::as_path)) {
         output::check(orthophoto, files.force)?;
@@ -162,14 +162,10 @@ fn frame_files(mosaic: &Path, photos: &[PathBuf]) -> Result<Vec<PathBuf>, Error>
 }
 
 /// The surface, in the coordinate reference system of the photos.
-fn surface(
-    input: &OrthoInput<'_>,
-    options: &OrthoOptions,
-    monitor: &mut dyn Monitor,
-) -> Result<Surface, Error> {
+fn surface(input: &OrthoInput<'_>, monitor: &mut dyn Monitor) -> Result<Surface, Error> {
     let path = input.surface;
     let fault = |message: String| Error::from(FileError::malformed(path, None, message));
-    let mut surface = read_surface(path, options.dem_interpolation)?;
+    let mut surface = read_surface(path)?;
     let (known, of_photos) = (surface.georeference.crs, Crs::from(&input.reconstruction.reference));
     match (known.epsg, of_photos.epsg) {
         (Some(a), Some(b)) if a != b => {
@@ -231,16 +227,6 @@ impl Work<'_> {
         monitor: &mut dyn Monitor,
     ) -> Result<(Georeference, [usize; 2]), Error> {
         let crs = surface.georeference.crs;
-        if let Some(path) = &self.options.like {
-            let reader = geotiff::Reader::open(path)?;
-            let place = reader.georeference().filter(|place| {
-                !matches!(place.crs.kind, CrsKind::Geographic | CrsKind::Feet | CrsKind::SurveyFeet)
-            });
-            let place = place.ok_or_else(|| {
-                FileError::malformed(path, None, "it is not georeferenced in metres")
-            })?;
-            return Ok((Georeference { crs, ..place }, [reader.width(), reader.height()]));
-        }
         let gsd_m = match self.options.gsd_m {
             Some(gsd_m) => gsd_m,
             // Three digits are enough to name it.
@@ -305,7 +291,7 @@ impl Work<'_> {
         let colour = self.colour.as_ref();
         let corrections = colour.map(|colour| &colour.corrections[which.clone()]);
         let (assignment, whole_plots) = match output == self.files.mosaic {
-            true => self.assignment(&selector, (grid, size), corrections, &mut cache, monitor)?,
+            true => self.assignment(&selector, (grid, size), monitor)?,
             false => Default::default(),
         };
         let mosaic = Mosaic {
@@ -313,7 +299,6 @@ impl Work<'_> {
             grid,
             size,
             interpolation: options.interpolation,
-            feather_m: options.feather_m,
             corrections,
             assignment: (!assignment.is_empty()).then_some(&assignment),
             with_provenance: options.provenance,
@@ -333,7 +318,6 @@ impl Work<'_> {
             height_px: size[1],
             gsd_m: grid.per_column[0],
             dem: self.dem.to_owned(),
-            dem_interpolation: options.dem_interpolation,
             canopy_height_m: self.canopy_height_m,
             selection: options.selection(),
             cameras,

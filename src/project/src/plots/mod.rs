@@ -40,10 +40,10 @@ use variable_ids::VariableIds;
 
 rowgram_base::options! {
     /// Traits of plots. Without polygons and without both options below the whole field is one plot.
-    pub struct PlotsOptions in "plots", together both_or_neither {
+    pub struct PlotsOptions in "plots", together both_or_neither, main [rows_per_plot, alley_m] {
         /// Number of rows of plants in a plot, where there are no polygons.
         pub rows_per_plot: Option<usize> = None, limits at_least(1.0), example "4";
-        /// Least length of an alley between plots, where there are no polygons.
+        /// Minimum length of an alley between plots, where there are no polygons.
         pub alley_m: Option<f64> = None, limits POSITIVE, example "1.0";
         /// Distance by which plots are measured further in than their outline, along the rows.
         pub inset_along_m: f64 = 0.0, limits NON_NEGATIVE;
@@ -128,7 +128,7 @@ pub fn plots(
 pub const POLYGONS: &str = "traits.geojson";
 
 /// The stage.
-pub(super) struct Plots;
+pub struct Plots;
 
 /// The tables of earlier stages that are there.
 struct Tables {

@@ -22,7 +22,6 @@ use rowgram_survey::mapping::{
     dense::{Area, AreaOptions, Pass, Prior, Tile, area::TILE},
     grid::{coverage, covering, median_gsd_m, rounded},
     orientation_sigma::OrientationSigma,
-    surface::HeightInterpolation,
     views,
 };
 use serde::{Deserialize, Serialize};
@@ -42,18 +41,18 @@ rowgram_base::choices!(GroundColour: Soil, Any);
 
 rowgram_base::options! {
     /// The dense surface of the canopy, the ground below it, and the height of the canopy.
-    pub struct SurfaceOptions in "surface" {
+    pub struct SurfaceOptions in "surface", main [cell_m, range_m, cloud] {
         /// Side of a cell; the median ground sampling distance of the photos where not set.
         pub cell_m: Option<f64> = None, limits POSITIVE, example "0.02";
-        /// What is mapped: least x, least y, greatest x, greatest y; everything that photos show where not set.
+        /// What is mapped: minimum x, minimum y, maximum x, maximum y; everything that photos show where not set.
         pub bounds_m: Option<[f64; 4]> = None, example "[500600.0, 4480100.0, 500700.0, 4480200.0]";
-        /// How far above and below the surface of the tie points heights are looked for; auto takes it from how much neighbouring
-        /// tie points differ, and trees and houses are looked for beyond it.
+        /// Search range for heights above and below the surface of the tie points; auto derives it from the spread
+        /// of neighbouring tie points, and searches higher for trees and houses.
         pub range_m: Auto<f64> = Auto::Auto, limits between(0.05, 200.0);
-        /// What the ground looks like: soil, what is not green is ground unless it surely stands on it; any, colours
-        /// say nothing of heights.
+        /// How ground is recognised: soil, pixels that are not green are ground unless they clearly stand on it;
+        /// any, by height alone.
         pub ground: GroundColour = GroundColour::Soil;
-        /// How many photos are compared with the one nearest to a place.
+        /// Number of photos that are matched with the nearest photo at each place.
         pub others: usize = 4, limits between(1.0, 8.0);
         /// Also write the surface as a coloured cloud of points (dsm.laz).
         pub cloud: bool = false;
@@ -201,7 +200,7 @@ impl Scene {
             return Err(Error::NothingToDo(message.into()));
         }
         let files = import::photo_files(&reconstruction, &project.photo_folder())?;
-        let base = read_surface(&base(project)?, HeightInterpolation::Bilinear)?;
+        let base = read_surface(&base(project)?)?;
         let views = views(&reconstruction);
         let crs = Crs::from(&reconstruction.reference);
         let (place, size) = grid(&views, &base, options, crs)?;
@@ -271,7 +270,7 @@ pub fn match_tiles(
 fn base(project: &Project) -> Result<PathBuf, Error> {
     project.finished(Stage::Dem, dem::SURFACE).ok_or_else(|| {
         Error::NothingToDo(format!(
-            "there is no surface of tie points in {}; make one with rowgram dem",
+            "there is no surface of tie points in {}; make one with rowgram surface dem",
             project.folder(Stage::Dem).display()
         ))
     })

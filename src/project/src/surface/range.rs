@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 /// Side of the squares in which tie points are compared, in cells.
 const SQUARE_CELLS: f64 = 60.0;
 /// Fewer points in a square say nothing.
-const LEAST_POINTS: usize = 8;
+const MIN_POINTS: usize = 8;
 /// Share of the squares that differ less than what the range is for.
 const USUAL: f64 = 0.9;
 /// The range is so much more than what tie points of a square differ by, metres: they seldom lie on the highest leaves.
@@ -24,9 +24,9 @@ const RANGE_M: [f64; 2] = [0.5, 30.0];
 const RELIEF_CELLS: f64 = 2048.0;
 /// Trees and houses stand up to so high above the surface of the tie points, in cells: a quarter to half of the height of flight of usual
 /// cameras. Not measured.
-const MOST_RELIEF_CELLS: f64 = 1000.0;
+const MAX_RELIEF_CELLS: f64 = 1000.0;
 /// Fewer squares than this do not say what is usual; larger squares are tried.
-const LEAST_SQUARES: usize = 10;
+const MIN_SQUARES: usize = 10;
 /// How often the side of the squares is doubled.
 const DOUBLINGS: usize = 5;
 
@@ -36,7 +36,7 @@ pub(super) fn range_of(points: &[SurfacePoint], cell_m: f64) -> f64 {
     let mut spans = Vec::new();
     for _ in 0..DOUBLINGS {
         spans = spans_m(points, side_m, 20);
-        if spans.len() >= LEAST_SQUARES {
+        if spans.len() >= MIN_SQUARES {
             break;
         }
         side_m *= 2.0;
@@ -49,7 +49,7 @@ pub(super) fn range_of(points: &[SurfacePoint], cell_m: f64) -> f64 {
 /// How far trees and houses may be from the surface of the tie points: the most that tie points of a tile differ by.
 pub(super) fn relief_of(points: &[SurfacePoint], cell_m: f64) -> f64 {
     let most = spans_m(points, RELIEF_CELLS * cell_m, 0).last().copied().unwrap_or(0.0);
-    rounded((most + MORE_M).min(MOST_RELIEF_CELLS * cell_m), 3)
+    rounded((most + MORE_M).min(MAX_RELIEF_CELLS * cell_m), 3)
 }
 
 /// What heights differ by in squares of this side, without one of so many at both ends (0: with all); sorted.
@@ -59,7 +59,7 @@ fn spans_m(points: &[SurfacePoint], side_m: f64, one_of: usize) -> Vec<f64> {
         let [x, y, z] = point.position_m;
         squares.entry([x, y].map(|c| (c / side_m).floor() as i64)).or_default().push(z);
     }
-    let enough = squares.into_values().filter(|heights| heights.len() >= LEAST_POINTS);
+    let enough = squares.into_values().filter(|heights| heights.len() >= MIN_POINTS);
     let mut spans: Vec<f64> = enough
         .map(|mut heights| {
             heights.sort_by(f64::total_cmp);

@@ -17,7 +17,6 @@ use rowgram_survey::mapping::{
         area::{TILE, starts},
     },
     orientation_sigma::OrientationSigma,
-    surface::HeightInterpolation,
 };
 use std::path::Path;
 
@@ -298,8 +297,7 @@ impl Sums {
             per_row: found.place.per_row.map(|c| c * self.step as f64),
             ..*found.place
         };
-        let bilinear = HeightInterpolation::Bilinear;
-        let surface = Surface::new(place, self.small, self.surface_m.clone(), bilinear)?;
+        let surface = Surface::new(place, self.small, self.surface_m.clone())?;
         map_figures::draw_surface(folder, &surface)?;
         if found.ground.terrain.is_some() {
             map_figures::draw_canopy(folder, self.small, &self.canopy_m, self.top_m())?;

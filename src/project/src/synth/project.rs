@@ -159,7 +159,7 @@ fn mark(root: &Path, made: &Made) -> Result<(), Error> {
 
 /// The template of settings with what is known of the project.
 fn settings(seed: u64, epsg: u32) -> String {
-    Config::template()
+    Config::template(true)
         .replace("# name = \"My field\"", &format!("name = \"Synthetic field {seed}\""))
         .replace("# crs = \"EPSG:32616\"", &format!("crs = \"EPSG:{epsg}\""))
         .replace("# board = \"8x6\"", &format!("board = \"{}x{}\"", BOARD.columns, BOARD.rows))

@@ -41,7 +41,7 @@ impl Default for RetrievalOptions {
 }
 
 /// The most words: as long as a descriptor is compared with all of them, more would take longer than the index saves.
-const MOST_WORDS: usize = 8192;
+const MAX_WORDS: usize = 8192;
 /// Descriptors per word that the words are learned from: a sixth of all of them at 256 per word. Not tuned.
 const SAMPLE: usize = 40;
 /// Rounds of k-means. Not tuned: words need not be at rest to tell photos apart.
@@ -58,7 +58,7 @@ const SCALE: f32 = 16.0;
 /// ([`pairs::largest`]), as many in each photo.
 pub fn similar(photos: &[Descriptors], options: &RetrievalOptions) -> Vec<Pair> {
     let total: usize = photos.iter().map(Descriptors::len).sum();
-    let words = (total / options.features_per_word.max(1)).clamp(1, MOST_WORDS);
+    let words = (total / options.features_per_word.max(1)).clamp(1, MAX_WORDS);
     let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
     let words = learn(photos, words, &mut rng);
     let signs = Signs::new(&mut rng);

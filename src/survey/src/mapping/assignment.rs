@@ -1,4 +1,4 @@
-//! Photos that are assigned to cells of a map before the selection of photos is asked: whole plots from one photo, seams along paths.
+//! Photos that are assigned to cells of a map before the selection of photos is asked: whole plots from one photo.
 //!
 //! An assigned photo is taken where it shows the cell as the options of the selector ask; elsewhere the selector chooses.
 
@@ -17,21 +17,8 @@ const OUTLINE_STEP: f64 = 32.0;
 /// The photos that are assigned to cells, by the number of the photo plus 1; 0 where none is.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Assignment {
-    /// Of each row of the map the columns of plots, ascending and disjoint. They come before squares.
+    /// Of each row of the map the columns of plots, ascending and disjoint.
     plots: Vec<Vec<(Range<usize>, u32)>>,
-    /// Squares of cells.
-    squares: Squares,
-}
-
-/// Squares of cells, each with one photo.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct Squares {
-    /// Cells along a side; 0 where there are none.
-    pub side: usize,
-    /// Squares of a row.
-    pub columns: usize,
-    /// Photos plus 1, row by row.
-    pub photos: Vec<u32>,
 }
 
 /// The photo that shows a plot as a whole.
@@ -44,31 +31,14 @@ pub struct PlotPhoto {
 }
 
 impl Assignment {
-    /// With these squares.
-    #[must_use]
-    pub fn with_squares(self, squares: Squares) -> Assignment {
-        Assignment { squares, ..self }
-    }
-
     /// Whether no cell has an assigned photo.
     pub fn is_empty(&self) -> bool {
-        self.plots.iter().all(Vec::is_empty) && self.squares.side == 0
+        self.plots.iter().all(Vec::is_empty)
     }
 
     /// The photos of the block of cells that begins at `first`; whether there is any.
     fn block(&self, first: [usize; 2], out: &mut [u32; CELLS]) -> bool {
         out.fill(0);
-        let Squares { side, columns, photos } = &self.squares;
-        if *side > 0 {
-            for (j, row) in out.chunks_exact_mut(SIDE).enumerate() {
-                let from = (first[1] + j) / side * columns;
-                for (i, out) in row.iter_mut().enumerate() {
-                    let column = (first[0] + i) / side;
-                    let known = (column < *columns).then(|| photos.get(from + column)).flatten();
-                    *out = known.copied().unwrap_or(0);
-                }
-            }
-        }
         for (j, row) in out.chunks_exact_mut(SIDE).enumerate() {
             let Some(runs) = self.plots.get(first[1] + j) else { break };
             let begin = runs.partition_point(|(run, _)| run.end <= first[0]);
@@ -107,7 +77,7 @@ impl PhotoSelector<'_> {
             }
             runs.retain(|(run, _)| !run.is_empty());
         }
-        (Assignment { plots: rows, squares: Squares::default() }, photos)
+        (Assignment { plots: rows }, photos)
     }
 
     fn photo_of_plot(&self, plot: &Polygon) -> Option<PlotPhoto> {

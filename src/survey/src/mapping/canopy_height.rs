@@ -321,7 +321,7 @@ mod tests {
     use super::*;
     use crate::{
         camera::{Interior, Model},
-        mapping::{Surface, View, select::SelectionOptions, surface::HeightInterpolation},
+        mapping::{Surface, View, select::SelectionOptions},
         scene::Pose,
     };
     use image::{Rgb, RgbImage};
@@ -377,9 +377,7 @@ mod tests {
         let photos: Vec<DecodedPhoto> =
             views.iter().map(|view| photo(view, above_m, leaves)).collect();
         let place = Georeference::north_up([-12.0, 8.0], 1.0, Crs::LOCAL);
-        let surface =
-            Surface::new(place, [25, 17], vec![2.0; 25 * 17], HeightInterpolation::Bilinear)
-                .unwrap();
+        let surface = Surface::new(place, [25, 17], vec![2.0; 25 * 17]).unwrap();
         let grid = Georeference::north_up([-12.0, 8.0], 0.016, Crs::LOCAL);
         let selector = PhotoSelector::new(&views, &surface, grid, SelectionOptions::default());
         let mut sweep = HeightSweep::default();

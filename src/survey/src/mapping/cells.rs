@@ -10,7 +10,7 @@
 //! furthest off, it is compared with the lens; where they differ by more than [`TOLERANCE_PX`], or
 //! the lens has no answer, every cell goes through the lens itself.
 
-use super::{Surface, View, surface::HeightInterpolation};
+use super::{Surface, View};
 use rowgram_raster::georeference::Georeference;
 
 /// Side of a block, cells.
@@ -101,7 +101,7 @@ impl CellBlock {
         self.corner_m = grid.map(first.map(|n| n as f64));
         (self.per_column, self.per_row) = (grid.per_column, grid.per_row);
         let aligned = to_surface[0][2] == 0.0 && to_surface[1][1] == 0.0;
-        if aligned && surface.interpolation == HeightInterpolation::Bilinear {
+        if aligned {
             for (j, row) in self.z_m.chunks_exact_mut(SIDE).enumerate() {
                 let v = to_surface[1][0] + to_surface[1][2] * (first[1] + j) as f64;
                 let u = to_surface[0][0] + to_surface[0][1] * first[0] as f64;
@@ -371,7 +371,7 @@ mod tests {
                 0.5 * (0.3 * i).sin() + 0.5 * (0.17 * j).cos()
             }
         });
-        Surface::new(place, [200, 200], z.collect(), HeightInterpolation::Bilinear).unwrap()
+        Surface::new(place, [200, 200], z.collect()).unwrap()
     }
 
     #[test]

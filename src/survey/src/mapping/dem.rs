@@ -15,7 +15,7 @@
 //! References: R. Sibson, *A brief description of natural neighbour interpolation*, 1981; the triangulation is
 //! the crate `spade`.
 
-use super::{MapError, Surface, surface::HeightInterpolation};
+use super::{MapError, Surface};
 use crate::scene::Reconstruction;
 use rayon::prelude::*;
 use rowgram_optim::robust;
@@ -243,7 +243,7 @@ impl TriangulatedCloud {
         size: [usize; 2],
     ) -> Result<(Surface, Vec<f32>), MapError> {
         let (heights, sigmas) = self.grid(&place, size);
-        Ok((Surface::new(place, size, heights, HeightInterpolation::Bilinear)?, sigmas))
+        Ok((Surface::new(place, size, heights)?, sigmas))
     }
 
     fn is_filled(&self, at: Point2<f64>) -> bool {

@@ -1,12 +1,10 @@
-//! Elevation models of a cloud: the surface on a grid, its standard deviations, and the ground below plants.
+//! Elevation models of a cloud: the surface on a grid and its standard deviations.
 
 use super::{
     MapError, Surface,
     continuation::continue_heights,
     dem::{CloudOptions, CloudStatistics, SurfacePoint, TriangulatedCloud},
     grid::{covering, rounded},
-    ground::{GroundOptions, ground_surface},
-    surface::HeightInterpolation,
     view::Bounds,
 };
 use rowgram_raster::georeference::Crs;
@@ -21,8 +19,6 @@ pub struct ElevationOptions {
     pub cloud: CloudOptions,
     /// Side of a cell, metres; `None`: half the median distance of neighbouring points.
     pub cell_m: Option<f64>,
-    /// How the ground is found, where it is wanted.
-    pub ground: Option<GroundOptions>,
     /// Where the surface goes on beyond its points.
     pub extent: Extent,
 }
@@ -61,8 +57,6 @@ pub struct ElevationModel {
     pub sigmas_m: Vec<f32>,
     /// Cells with a height beyond the points and in their gaps.
     pub continued_cells: usize,
-    /// The ground below plants, where there is a surface.
-    pub ground: Option<Surface>,
     /// What became of the points.
     pub statistics: CloudStatistics,
 }
@@ -79,7 +73,7 @@ impl ElevationModel {
 /// The elevation model of some points.
 ///
 /// # Errors
-/// Fewer than three points, or all on one line; a grid of too many cells; a ground that cannot be found.
+/// Fewer than three points, or all on one line; a grid of too many cells.
 pub fn elevation_model(
     points: &[SurfacePoint],
     crs: Crs,
@@ -91,26 +85,13 @@ pub fn elevation_model(
     let bounds_m = options.extent.bounds_m(cloud.bounds_m());
     let (grid, size) = covering(bounds_m, cell_m, crs, MAX_CELLS)?;
     let (mut surface, sigmas_m) = cloud.surface(grid, size)?;
-    let ground = match &options.ground {
-        None => None,
-        Some(how) => {
-            let coarse = ground_surface(&cloud, how, &grid)?;
-            let heights = (0..size[0] * size[1]).map(|k| {
-                let at = grid.map([(k % size[0]) as f64, (k / size[0]) as f64]);
-                let known = surface.heights_m[k].is_finite();
-                coarse.at(at).filter(|_| known).map_or(f32::NAN, |z| z as f32)
-            });
-            let heights = heights.collect();
-            Some(Surface::new(grid, size, heights, HeightInterpolation::Bilinear)?)
-        }
-    };
     let mut continued_cells = 0;
     if options.extent != Extent::Points {
         let mut heights = surface.heights_m;
         continued_cells = continue_heights(&mut heights, size);
-        surface = Surface::new(grid, size, heights, HeightInterpolation::Bilinear)?;
+        surface = Surface::new(grid, size, heights)?;
     }
-    Ok(ElevationModel { surface, sigmas_m, continued_cells, ground, statistics: cloud.statistics })
+    Ok(ElevationModel { surface, sigmas_m, continued_cells, statistics: cloud.statistics })
 }
 
 #[cfg(test)]
@@ -130,16 +111,9 @@ mod tests {
     }
 
     #[test]
-    fn the_ground_is_below_the_plants_and_ends_with_the_surface() {
-        let options =
-            ElevationOptions { ground: Some(GroundOptions::default()), ..Default::default() };
+    fn plants_are_part_of_the_surface() {
+        let options = ElevationOptions::default();
         let found = elevation_model(&points(), Crs::projected(32616), &options).unwrap();
-        let ground = found.ground.as_ref().unwrap();
-        assert_eq!(ground.georeference, found.surface.georeference);
-        for (ground, surface) in ground.heights_m.iter().zip(&found.surface.heights_m) {
-            assert_eq!(ground.is_finite(), surface.is_finite());
-            assert!(ground.is_nan() || (ground - 5.0).abs() < 0.01, "{ground}");
-        }
         let highest = found.surface.range_m()[1];
         assert!(highest > 5.3, "{highest}: plants are part of the surface");
         let sigmas = found.sorted_sigmas_m();

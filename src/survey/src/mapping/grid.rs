@@ -77,7 +77,6 @@ mod tests {
     use super::*;
     use crate::{
         camera::{Interior, Model},
-        mapping::surface::HeightInterpolation,
         scene::Pose,
     };
 
@@ -113,9 +112,7 @@ mod tests {
         // 10 m x 10 m on the ground each, on a surface from -20 m to 20 m.
         let views = [at(0.0), at(18.0), at(100.0)];
         let place = Georeference::north_up([-20.0, 20.0], 1.0, Crs::LOCAL);
-        let surface =
-            Surface::new(place, [41, 41], vec![0.0; 41 * 41], HeightInterpolation::Bilinear)
-                .unwrap();
+        let surface = Surface::new(place, [41, 41], vec![0.0; 41 * 41]).unwrap();
         let found = coverage(&views, &surface);
         assert_eq!((found.outside, found.partly_outside), (vec![2], vec![1]));
         let [[left, right], [bottom, top]] = found.bounds_m.unwrap();

@@ -30,17 +30,17 @@ pub struct MapFeatures {
 /// A feature's surroundings, in multiples of its blur.
 const SURROUNDINGS: f32 = 2.0;
 /// Least contrast of a feature, half of what photos are asked for: soil is weak in texture, and between two dates most of it changes.
-const LEAST_CONTRAST: f32 = 0.02;
+const MIN_CONTRAST: f32 = 0.02;
 /// Of two dates next to no feature stands out from the others as it does in two photos of one flight. One similarity of the whole map,
 /// which wrong ties agree with by chance less than one time in a thousand, tells the right ones instead.
 const RATIO: f32 = 0.95;
 /// Draws of the consensus: of ties one fifth of which are right, a pair of right ones is missed once in 10,000 runs.
 const DRAWS: usize = 230;
 /// Two ties nearer to each other than this share of the map say too little about rotation and scale.
-const LEAST_BASE: f64 = 0.2;
+const MIN_BASE: f64 = 0.2;
 /// A similarity between two dates of one field changes scale and direction by no more than this: the heights of two flights'
 /// receivers and their compasses agree that well.
-const MOST_CHANGE: f64 = 0.15;
+const MAX_CHANGE: f64 = 0.15;
 
 /// The features of a piece of a map, `place` being that of the piece; `usable` says (row by row) which pixels show what does not
 /// grow.
@@ -53,7 +53,7 @@ pub fn features(
     let options = FeatureOptions {
         max_features: 0,
         upscale: Upscale::Precise,
-        contrast_threshold: LEAST_CONTRAST,
+        contrast_threshold: MIN_CONTRAST,
         ..FeatureOptions::default()
     };
     let found = features::detect(&features::grey(picture), &options);
@@ -120,13 +120,13 @@ pub fn consistent(ties: &[MapTie], tolerance_m: f64, seed: u64) -> Vec<MapTie> {
         let [(p, q), (p2, q2)] = pair.map(|k| places[k]);
         let (d, e) = ([p2[0] - p[0], p2[1] - p[1]], [q2[0] - q[0], q2[1] - q[1]]);
         let square = d[0] * d[0] + d[1] * d[1];
-        if square.sqrt() < LEAST_BASE * reach {
+        if square.sqrt() < MIN_BASE * reach {
             continue;
         }
         // e = [a -b; b a] d
         let a = (d[0] * e[0] + d[1] * e[1]) / square;
         let b = (d[0] * e[1] - d[1] * e[0]) / square;
-        if (a - 1.0).hypot(b) > MOST_CHANGE {
+        if (a - 1.0).hypot(b) > MAX_CHANGE {
             continue;
         }
         draws += 1;

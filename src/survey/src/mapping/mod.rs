@@ -10,12 +10,12 @@
 //! - [`surface`]: heights on a grid; where a ray meets it, what it hides;
 //! - [`view`]: a photo with its lens and pose, and which cells it can show;
 //! - [`select`]: the photo of every cell, its pixel there, the distance to the seam (`seams`);
-//! - [`photo`], [`photo_cache`] and [`paint`]: decoded photos, their colours between pixels, feathering;
+//! - [`photo`], [`photo_cache`] and [`paint`]: decoded photos, their colours between pixels;
 //! - [`canopy_height`]: the height of the canopy above the surface;
 //! - [`colour_balance`] and [`colour_correction`]: what brings the colours of overlapping photos together;
 //! - [`grid`]: the area that photos cover, and the grid of a product;
 //! - [`mosaic`]: the orthomosaic, tile by tile, and where its cells come from ([`provenance`]);
-//! - [`elevation`]: elevation models of a cloud ([`dem`]) and of the ground below plants ([`ground`]);
+//! - [`elevation`]: elevation models of a cloud ([`dem`]);
 //! - [`dense`]: the first surface, cell by cell, and the ground below it.
 
 pub mod assignment;
@@ -28,7 +28,6 @@ pub mod dem;
 pub mod dense;
 pub mod elevation;
 pub mod grid;
-pub mod ground;
 pub mod map_ties;
 pub mod mosaic;
 pub mod orientation_sigma;
@@ -38,7 +37,6 @@ pub mod photo_cache;
 pub mod plant_ties;
 pub mod plot_frame;
 pub mod provenance;
-pub mod seam_paths;
 mod seams;
 pub mod select;
 pub mod surface;

@@ -7,7 +7,7 @@
 use super::{
     assignment::Assignment,
     colour_correction::ColourCorrection,
-    paint::{Blend, paint},
+    paint::paint,
     photo_cache::PhotoCache,
     provenance,
     select::{CellSources, PhotoSelector},
@@ -34,8 +34,6 @@ pub struct Mosaic<'a> {
     pub size: [usize; 2],
     /// How photos are read between their pixels.
     pub interpolation: Interpolation,
-    /// Distance from seams up to which photos are blended, metres; `None`: hard seams.
-    pub feather_m: Option<f64>,
     /// What corrects the colours of each photo.
     pub corrections: Option<&'a [ColourCorrection]>,
     /// Photos that are assigned to cells, before the selector is asked.
@@ -178,31 +176,12 @@ fn tile<E: Send>(
     }
     let mut cells = cells_of(sources, count);
     let mut rgba = vec![[0u8; 4]; window.pixels()];
-    match mosaic.feather_m {
-        None => {
-            photos.each_group(&used(&cells), |photos| {
-                paint(sources, photos, mosaic.corrections, mosaic.interpolation, &mut rgba);
-            })?;
-            if has_gaps(sources, &rgba) {
-                fill_gaps(mosaic, photos, sources, &mut rgba)?;
-                cells = cells_of(sources, count);
-            }
-        }
-        Some(feather_m) => {
-            let needed = Blend::photos(selector, sources, feather_m);
-            let mut blend = Blend::new(window);
-            photos.each_group(&needed, |photos| {
-                let how = (mosaic.interpolation, feather_m);
-                blend.add(selector, sources, photos, mosaic.corrections, how);
-            })?;
-            blend.finish(&mut rgba);
-            let empty: Vec<usize> = gaps(sources, &rgba).collect();
-            for cell in empty {
-                sources.source[cell] = 0;
-                sources.pixel[cell] = [f32::NAN; 2];
-            }
-            cells = cells_of(sources, count);
-        }
+    photos.each_group(&used(&cells), |photos| {
+        paint(sources, photos, mosaic.corrections, mosaic.interpolation, &mut rgba);
+    })?;
+    if has_gaps(sources, &rgba) {
+        fill_gaps(mosaic, photos, sources, &mut rgba)?;
+        cells = cells_of(sources, count);
     }
     let sources = &*sources;
     rendered.coloured += cells.iter().sum::<usize>();

@@ -18,7 +18,7 @@ const BEST: f64 = 0.1;
 /// Tie points of a square on average, and around its middle at least: of fewer, a tenth is hardly a number. Not searched for.
 const POINTS: usize = 30;
 /// Squares in each direction, at most: orientation varies over photos, of which flights have fewer in a row. Not searched for.
-const MOST_SQUARES: f64 = 256.0;
+const MAX_SQUARES: f64 = 256.0;
 
 /// A lattice of standard deviations.
 #[derive(Debug, Clone, PartialEq)]
@@ -48,7 +48,7 @@ impl OrientationSigma {
         let extent = [0, 1].map(|k| extreme(k, f64::max) - low[k]);
         let longest = extent[0].max(extent[1]);
         let side_m = (extent[0] * extent[1] * POINTS as f64 / count as f64).sqrt();
-        let side_m = side_m.max(longest / MOST_SQUARES).max(f64::MIN_POSITIVE);
+        let side_m = side_m.max(longest / MAX_SQUARES).max(f64::MIN_POSITIVE);
         let size = extent.map(|extent| (extent / side_m) as usize + 1);
         let mut squares = vec![Vec::new(); size[0] * size[1]];
         for point in known() {

@@ -13,7 +13,7 @@ use image::RgbImage;
 /// From here on a byte may have been cut off; JPEG leaves a cut-off value a few below 255.
 const SATURATED: u8 = 251;
 /// The largest share of such pixels in a window whose mean is used: what they lack moves the mean by much less than its noise.
-const MOST_SATURATED: f64 = 0.01;
+const MAX_SATURATED: f64 = 0.01;
 
 /// A photo with four bytes for a pixel.
 #[derive(Debug, Clone)]
@@ -70,15 +70,6 @@ impl DecodedPhoto {
         }
     }
 
-    /// The pixel nearest to a position; `None` outside the photo and where it has no data.
-    #[inline]
-    pub(super) fn pixel(&self, at_px: [f32; 2]) -> Option<[u8; 4]> {
-        let [u, v] = at_px.map(f32::round);
-        let is_inside = u >= 0.0 && v >= 0.0 && u < self.width as f32 && v < self.height as f32;
-        let pixel = is_inside.then(|| self.pixels[v as usize * self.width + u as usize])?;
-        (pixel[3] > 0).then_some(pixel)
-    }
-
     /// The colours at positions, in bytes, opaque, corrected; all 0 where there are no data.
     pub fn colours(
         &self,
@@ -93,7 +84,7 @@ impl DecodedPhoto {
     }
 
     /// The mean of the linear light of a square window, red, green, blue; `light` holds that of each byte. `None` where the window is
-    /// not all in the photo, has pixels without data, or more than [`MOST_SATURATED`] of its pixels may be cut off.
+    /// not all in the photo, has pixels without data, or more than [`MAX_SATURATED`] of its pixels may be cut off.
     pub(super) fn mean_light(
         &self,
         [u, v]: [f64; 2],
@@ -123,7 +114,7 @@ impl DecodedPhoto {
             }
         }
         let count = (side_px * side_px) as f64;
-        let usable = saturated as f64 <= MOST_SATURATED * count;
+        let usable = saturated as f64 <= MAX_SATURATED * count;
         usable.then(|| sums.map(|sum| f64::from(sum) / count))
     }
 

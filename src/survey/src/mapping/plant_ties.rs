@@ -11,7 +11,7 @@
 //!
 //! `x_i` and `y_j`: plants of the two dates, metres; `c` the middle of the plants that vote, the ones nearest to the middle of what both
 //! maps show. Rows and an even spacing repeat, so another shift has votes too; where the runner-up has nearly as many as the
-//! best, nothing is said (`LEAST_LEAD`).
+//! best, nothing is said (`MIN_LEAD`).
 //!
 //! Reference: the Hough transform, D. H. Ballard, Pattern Recognition 13, 1981; iterated closest points, P. J. Besl and N. D. McKay,
 //! IEEE PAMI 14, 1992.
@@ -28,16 +28,16 @@ const CELL_M: f64 = 0.06;
 /// maps may be apart: by 1 m where that is 5 m, which is 0.05 rad and 5 % over a field of 20 m.
 const TURNED: f64 = 0.2;
 /// And never by more than this, radians and share: on fields of 5 m (`rowgram synth season --preset tiny`) 0.052 rad and 4.9 % were found.
-const MOST_TURN: f64 = 0.12;
+const MAX_TURN: f64 = 0.12;
 /// Votes of the best shift over those of the best one elsewhere.
-const LEAST_LEAD: f64 = 1.25;
+const MIN_LEAD: f64 = 1.25;
 /// Shifts nearer than this to the best one are the same one, metres.
 const SAME_SHIFT_M: f64 = 0.15;
 /// Rounds of the fine search, and the radius that it begins with, metres.
 const ROUNDS: usize = 8;
 const FIRST_RADIUS_M: f64 = 0.15;
 /// The radius shrinks no further than this, metres.
-const LEAST_RADIUS_M: f64 = 0.03;
+const MIN_RADIUS_M: f64 = 0.03;
 
 /// Plants that stand at the same place on two maps, as pairs of places; empty where it cannot be told which they are. `search_m` is
 /// how far the maps may be apart.
@@ -51,7 +51,7 @@ pub fn plant_ties(from_m: &[[f64; 2]], to_m: &[[f64; 2]], search_m: f64) -> Vec<
         ties = mutual(from_m, to_m, &back, &grid, &similarity, radius_m);
         let Some(fit) = map_transform::fit(&ties) else { return Vec::new() };
         similarity = fit.transform;
-        let wanted = (3.0 * fit.scatter_m).clamp(LEAST_RADIUS_M, FIRST_RADIUS_M);
+        let wanted = (3.0 * fit.scatter_m).clamp(MIN_RADIUS_M, FIRST_RADIUS_M);
         if round > 0 && wanted >= radius_m {
             break;
         }
@@ -79,7 +79,7 @@ fn coarse(from_m: &[[f64; 2]], to_m: &[[f64; 2]], search_m: f64) -> Option<MapTr
     let near: Vec<[f64; 2]> =
         to_m.iter().copied().filter(|at| apart(at) < 1.1 * reach_m + search_m).collect();
     // Neighbouring rotations move the outermost voter by a cell.
-    let most_m = (TURNED * search_m).min(MOST_TURN * reach_m);
+    let most_m = (TURNED * search_m).min(MAX_TURN * reach_m);
     let steps = (most_m / CELL_M).ceil() as i64;
     let candidates: Vec<[f64; 2]> = (-steps..=steps)
         .flat_map(|s| (-steps..=steps).map(move |t| [s as f64, t as f64]))
@@ -98,7 +98,7 @@ fn coarse(from_m: &[[f64; 2]], to_m: &[[f64; 2]], search_m: f64) -> Option<MapTr
     let best =
         votes.into_iter().reduce(|best, next| if next.most > best.most { next } else { best })?;
     let enough =
-        best.most >= map_transform::LEAST_TIES as f64 && best.most >= LEAST_LEAD * best.elsewhere;
+        best.most >= map_transform::LEAST_TIES as f64 && best.most >= MIN_LEAD * best.elsewhere;
     enough.then_some(best.transform)
 }
 

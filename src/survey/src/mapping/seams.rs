@@ -161,11 +161,7 @@ mod tests {
     use super::*;
     use crate::{
         camera::{Interior, Model},
-        mapping::{
-            Surface, View,
-            select::{PhotoRule, SelectionOptions},
-            surface::HeightInterpolation,
-        },
+        mapping::{Surface, View, select::SelectionOptions},
         scene::Pose,
     };
     use rowgram_optim::geometry::rotation;
@@ -195,16 +191,12 @@ mod tests {
         let place = Georeference::north_up([-20.0, 20.0], 0.5, Crs::LOCAL);
         let wave = |k: usize| ((k % 80) as f32 * 0.4).sin() * 0.4;
         let z = (0..80 * 80).map(wave).collect();
-        let surface = Surface::new(place, [80, 80], z, HeightInterpolation::Bilinear).unwrap();
+        let surface = Surface::new(place, [80, 80], z).unwrap();
         let grid = Georeference::north_up([-9.0, 8.0], 0.05, Crs::LOCAL);
         let whole = Window { u: 0, v: 0, width: 360, height: 320 };
         for options in [
             SelectionOptions::default(),
-            SelectionOptions {
-                rule: PhotoRule::Nadir,
-                border_px: 30.0,
-                ..SelectionOptions::default()
-            },
+            SelectionOptions { border_px: 30.0, ..SelectionOptions::default() },
             SelectionOptions {
                 max_angle_rad: Some(0.4),
                 visibility_m: Some(0.01),

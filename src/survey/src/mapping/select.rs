@@ -4,8 +4,7 @@
 //! k = argmin d_k(P),   P = (X, Y, Z(X, Y)),   d_k = |C_k - P|          over the photos that show P
 //! ```
 //!
-//! is the paper's rule; instead of the distance the view angle from the vertical or the ground sampling
-//! distance may decide. Where two photos would show it equally well is the seam. Under the paper's rule its
+//! is the paper's rule. Where two photos would show it equally well is the seam. Its
 //! distance from the cell, in plan, is `(d_j^2 - d_k^2) / 2 |C_j - C_k|_xy`, with `j` the nearest of the others that
 //! show the cell: exactly so where cameras fly at one height over level ground.
 //!
@@ -21,26 +20,9 @@ use rayon::prelude::*;
 use rowgram_raster::{georeference::Georeference, window::Window};
 use serde::{Deserialize, Serialize};
 
-/// Which of the photos that show a cell is taken.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum PhotoRule {
-    /// The one whose camera is closest.
-    #[default]
-    Closest,
-    /// The one that looks most straight down.
-    Nadir,
-    /// The one with the smallest ground sampling distance.
-    Gsd,
-}
-
-rowgram_base::choices!(PhotoRule: Closest, Nadir, Gsd);
-
 /// What decides.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct SelectionOptions {
-    /// Which of several.
-    pub rule: PhotoRule,
     /// The largest angle between the line of sight and the vertical, radians.
     pub max_angle_rad: Option<f64>,
     /// Photos from which the surface itself hides the cell do not show it; how far, metres, it may stand
@@ -155,21 +137,7 @@ impl<'a> PhotoSelector<'a> {
                 return None;
             }
         }
-        Some(match self.options.rule {
-            PhotoRule::Closest => squared,
-            PhotoRule::Nadir => {
-                if d[2] <= 0.0 {
-                    return None;
-                }
-                plan / (d[2] * d[2])
-            }
-            PhotoRule::Gsd => {
-                // The area of ground in a pixel grows with the obliqueness.
-                let cosine = (d[2] / squared.sqrt()).max(1e-3);
-                let f = view.interior.principal_distance_px();
-                squared / (f * f * cosine)
-            }
-        })
+        Some(squared)
     }
 
     #[inline]
@@ -289,7 +257,6 @@ impl<'a> PhotoSelector<'a> {
         let middle = cells.bounds_m.map(|[low, high]| 0.5 * (low + high));
         let half = cells.bounds_m.map(|[low, high]| 0.5 * (high - low));
         let radius = half.iter().map(|h| h * h).sum::<f64>().sqrt();
-        let by_distance = self.options.rule == PhotoRule::Closest;
         order.clear();
         order.extend(among.iter().map(|&k| {
             let c = self.views[k as usize].centre_m();
@@ -306,7 +273,7 @@ impl<'a> PhotoSelector<'a> {
         let mut projected = false;
         for &(distance, k) in order.iter() {
             let view = &self.views[k as usize];
-            if by_distance && painted == cells.known {
+            if painted == cells.known {
                 // The largest distance from a cell to its photo, and no less than that.
                 let hopeless = match owner {
                     Some(own) => {

@@ -1,24 +1,9 @@
 //! Heights on a grid, and straight lines through them.
 //!
-//! Between the centres of its cells the surface is bilinear or, where all of 4 x 4 heights are known,
-//! Keys' bicubic; where a height that is needed is not known there is no surface.
+//! Between the centres of its cells the surface is bilinear; where a height that is needed is not known there is no surface.
 
 use super::MapError;
 use rowgram_raster::georeference::{CrsKind, Georeference};
-use serde::{Deserialize, Serialize};
-
-/// How heights are read between the centres of cells.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum HeightInterpolation {
-    /// From 2 x 2 cells.
-    #[default]
-    Bilinear,
-    /// From 4 x 4 cells; from 2 x 2 beside cells without a height.
-    Bicubic,
-}
-
-rowgram_base::choices!(HeightInterpolation: Bilinear, Bicubic);
 
 /// Rounding may put a position on the border a hair outside, in cells.
 const ROUNDING_CELLS: f64 = 1e-6;
@@ -34,8 +19,6 @@ pub struct Surface {
     pub height: usize,
     /// Metres, row by row; NaN where not known.
     pub heights_m: Vec<f32>,
-    /// How it is read between the centres.
-    pub interpolation: HeightInterpolation,
     range_m: [f64; 2],
 }
 
@@ -48,7 +31,6 @@ impl Surface {
         georeference: Georeference,
         [width, height]: [usize; 2],
         heights_m: Vec<f32>,
-        interpolation: HeightInterpolation,
     ) -> Result<Surface, MapError> {
         if heights_m.len() != width * height {
             return Err(MapError(format!(
@@ -75,7 +57,7 @@ impl Surface {
         if range_m[0] > range_m[1] {
             return Err(MapError("none of its cells has a height".into()));
         }
-        Ok(Surface { georeference, width, height, heights_m, interpolation, range_m })
+        Ok(Surface { georeference, width, height, heights_m, range_m })
     }
 
     /// The least and the greatest height, metres.
@@ -170,24 +152,6 @@ impl Surface {
         let (u, v) = (u.clamp(0.0, right), v.clamp(0.0, below));
         let (i, j) = (u as usize, v as usize);
         let (s, t) = (u - i as f64, v - j as f64);
-        if self.interpolation == HeightInterpolation::Bicubic
-            && i >= 1
-            && j >= 1
-            && i + 2 < self.width
-            && j + 2 < self.height
-        {
-            let (across, down) = (keys(s), keys(t));
-            let mut z = 0.0;
-            for (n, weight) in down.iter().enumerate() {
-                let at = (j + n - 1) * self.width + i - 1;
-                let row = &self.heights_m[at..at + 4];
-                let line: f64 = (0..4).map(|m| across[m] * f64::from(row[m])).sum();
-                z += weight * line;
-            }
-            if z.is_finite() {
-                return Some(z);
-            }
-        }
         let (i1, j1) = ((i + 1).min(self.width - 1), (j + 1).min(self.height - 1));
         let z = |i: usize, j: usize| f64::from(self.heights_m[j * self.width + i]);
         let mut top = z(i, j);
@@ -316,66 +280,48 @@ impl pulp::WithSimd for InChunk<'_> {
     }
 }
 
-/// Keys' cubic weights (`a = -1/2`) of the four cells around a position.
-fn keys(t: f64) -> [f64; 4] {
-    [
-        ((-0.5 * t + 1.0) * t - 0.5) * t,
-        (1.5 * t - 2.5) * t * t + 1.0,
-        ((-1.5 * t + 2.0) * t + 0.5) * t,
-        (0.5 * t - 0.5) * t * t,
-    ]
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use rowgram_raster::georeference::Crs;
 
-    fn slope(interpolation: HeightInterpolation) -> Surface {
+    fn slope() -> Surface {
         let place = Georeference::north_up([100.0, 200.0], 2.0, Crs::LOCAL);
         let heights = (0..20 * 30).map(|k| (k % 20) as f32 * 0.5 - (k / 20) as f32 * 0.25);
-        Surface::new(place, [20, 30], heights.collect(), interpolation).unwrap()
+        Surface::new(place, [20, 30], heights.collect()).unwrap()
     }
 
     #[test]
     fn a_plane_is_a_plane_between_its_cells() {
-        for interpolation in [HeightInterpolation::Bilinear, HeightInterpolation::Bicubic] {
-            let surface = slope(interpolation);
-            let [x, y] = [107.3, 171.1];
-            let expected = (x - 100.0) / 2.0 * 0.5 - (200.0 - y) / 2.0 * 0.25;
-            approx::assert_abs_diff_eq!(surface.at([x, y]).unwrap(), expected, epsilon = 1e-9);
-            assert_eq!(surface.at([99.0, 180.0]), None, "outside");
-        }
+        let surface = slope();
+        let [x, y] = [107.3, 171.1];
+        let expected = (x - 100.0) / 2.0 * 0.5 - (200.0 - y) / 2.0 * 0.25;
+        approx::assert_abs_diff_eq!(surface.at([x, y]).unwrap(), expected, epsilon = 1e-9);
+        assert_eq!(surface.at([99.0, 180.0]), None, "outside");
     }
 
     #[test]
     fn what_is_not_known_is_no_surface() {
-        let mut surface = slope(HeightInterpolation::Bicubic);
+        let mut surface = slope();
         surface.heights_m[5 * 20 + 5] = f32::NAN;
         let at = |u, v| surface.at_pixel([u, v]);
         assert_eq!((at(4.5, 5.0), at(5.0, 5.0), at(5.5, 4.5)), (None, None, None));
-        // Beside it 4 x 4 heights are not known, 2 x 2 are.
+        // Beside it 2 x 2 heights are known.
         approx::assert_abs_diff_eq!(at(3.5, 5.0).unwrap(), 1.75 - 1.25, epsilon = 1e-9);
         approx::assert_abs_diff_eq!(at(4.0, 5.0).unwrap(), 2.0 - 1.25, epsilon = 1e-9);
     }
 
     #[test]
     fn rays_meet_the_plane_and_walls_hide() {
-        let surface = slope(HeightInterpolation::Bilinear);
+        let surface = slope();
         let met = surface.intersect_ray([110.0, 180.0, 50.0], [0.1, -0.05, -1.0]).unwrap();
         approx::assert_abs_diff_eq!(surface.at([met[0], met[1]]).unwrap(), met[2], epsilon = 1e-6);
         assert_eq!(surface.intersect_ray([110.0, 180.0, 50.0], [0.0, 0.1, 1.0]), None);
-        let mut wall = slope(HeightInterpolation::Bilinear);
+        let mut wall = slope();
         for row in 0..30 {
             wall.heights_m[row * 20 + 10] = 30.0;
         }
-        let wall = Surface::new(
-            wall.georeference,
-            [20, 30],
-            wall.heights_m,
-            HeightInterpolation::Bilinear,
-        )
-        .unwrap();
+        let wall = Surface::new(wall.georeference, [20, 30], wall.heights_m).unwrap();
         let point = [110.0, 180.0, wall.at([110.0, 180.0]).unwrap()];
         assert!(!wall.is_visible(point, [140.0, 180.0, 40.0], 0.1));
         assert!(wall.is_visible(point, [90.0, 180.0, 40.0], 0.1));
@@ -386,12 +332,10 @@ mod tests {
     fn degrees_and_emptiness_are_refused() {
         let crs = Crs::geographic(4326);
         let place = Georeference::north_up([9.0, 48.0], 1e-5, crs);
-        let error =
-            Surface::new(place, [1, 1], vec![1.0], HeightInterpolation::Bilinear).unwrap_err();
+        let error = Surface::new(place, [1, 1], vec![1.0]).unwrap_err();
         assert!(error.to_string().contains("degrees"), "{error}");
         let place = Georeference::north_up([0.0; 2], 1.0, Crs::LOCAL);
-        let error =
-            Surface::new(place, [1, 1], vec![f32::NAN], HeightInterpolation::Bilinear).unwrap_err();
+        let error = Surface::new(place, [1, 1], vec![f32::NAN]).unwrap_err();
         assert!(error.to_string().contains("none of its cells"), "{error}");
     }
 }

@@ -19,21 +19,9 @@ use nalgebra::Matrix3;
 use rayon::prelude::*;
 use rowgram_optim::{engine::SolveError, geometry::rotation, nlls::Loss};
 
-/// Where blocks start.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Start {
-    /// At three images that fit.
-    #[default]
-    Triplet,
-    /// With all images at once ([`super::global`]); what that leaves out joins one by one.
-    Global,
-}
-
 /// How blocks grow.
 #[derive(Debug, Clone, PartialEq)]
 pub struct IncrementalOptions {
-    /// Where the first block starts.
-    pub start: Start,
     /// Distance up to which an image position belongs to a point, pixels.
     pub tolerance_px: f64,
     /// The least angle at which the rays of a point meet, radians.
@@ -55,7 +43,6 @@ pub struct IncrementalOptions {
 impl Default for IncrementalOptions {
     fn default() -> IncrementalOptions {
         IncrementalOptions {
-            start: Start::Triplet,
             tolerance_px: 4.0,
             min_angle_rad: 0.026,
             min_points: 15,
@@ -105,9 +92,7 @@ pub fn reconstruct<'a>(
             allowed: &allowed,
             tell: &mut tell,
         };
-        let global = options.start == Start::Global && blocks.is_empty();
-        let block = if global { grown.run_global(pairs)? } else { grown.run()? };
-        let Some(block) = block else { break };
+        let Some(block) = grown.run()? else { break };
         for (image, pose) in block.poses.iter().enumerate() {
             allowed[image] &= pose.is_none();
         }
@@ -122,7 +107,7 @@ pub fn reconstruct<'a>(
 }
 
 /// How many starts are tried.
-const MOST_STARTS: usize = 20;
+const MAX_STARTS: usize = 20;
 
 struct Incremental<'a, 'b> {
     block: Block<'a>,
@@ -151,7 +136,7 @@ impl<'a> Incremental<'a, '_> {
             self.allowed,
             &self.options.closing,
         );
-        for triplet in triplets.into_iter().take(MOST_STARTS) {
+        for triplet in triplets.into_iter().take(MAX_STARTS) {
             if !self.start(&triplet)? {
                 self.block.poses.fill(None);
                 self.block.points.fill(None);
@@ -164,25 +149,6 @@ impl<'a> Incremental<'a, '_> {
             return Ok(enough.then_some(self.block));
         }
         Ok(None)
-    }
-
-    fn run_global(mut self, pairs: &[Pair]) -> Result<Option<Block<'a>>, SolveError> {
-        let images = super::global::start(&mut self.block, pairs)?;
-        if images < self.options.min_images {
-            return Ok(None);
-        }
-        // Averaged poses are good to a degree or so: what fits is found from loose to tight.
-        let tracks = self.block.all_tracks();
-        for looser in [12.0, 6.0, 3.0, 1.5] {
-            let tolerance_px = looser * self.options.tolerance_px;
-            let demands = TriangulationOptions { tolerance_px, ..self.demands() };
-            self.block.retriangulate(&tracks, &demands);
-            self.block.adjust(None, &self.refining(15))?;
-        }
-        self.adjust_global(false)?;
-        self.grow()?;
-        let enough = self.block.registered() >= self.options.min_images;
-        Ok(enough.then_some(self.block))
     }
 
     /// The pair of the three with the widest angle, then the third by what it sees.

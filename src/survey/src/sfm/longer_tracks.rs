@@ -33,15 +33,15 @@ pub struct LongerTracksOptions {
 
 impl Default for LongerTracksOptions {
     fn default() -> LongerTracksOptions {
-        LongerTracksOptions { same_px: 1.5, most_rays: MOST_RAYS }
+        LongerTracksOptions { same_px: 1.5, most_rays: MAX_RAYS }
     }
 }
 
 /// Further rays add little to a point that has as many: its standard deviation falls with their root, and every one takes time in
 /// all adjustments to come.
-const MOST_RAYS: usize = 6;
+const MAX_RAYS: usize = 6;
 /// Images that share fewer points are no neighbours.
-const LEAST_SHARED: u32 = 10;
+const MIN_SHARED: u32 = 10;
 /// What is nearer to an edge has no whole window, pixels.
 const EDGE_PX: f64 = HALF as f64 + 3.0;
 
@@ -156,7 +156,7 @@ fn tracks_around(block: &Block<'_>, image: usize) -> Vec<u32> {
     }
     shared[image] = 0;
     let mut around = Vec::new();
-    for (other, _) in shared.iter().enumerate().filter(|(_, count)| **count >= LEAST_SHARED) {
+    for (other, _) in shared.iter().enumerate().filter(|(_, count)| **count >= MIN_SHARED) {
         for &(track, place) in block.tracks.in_image(other) {
             if block.used[place as usize]
                 && block.points[track as usize].is_some()

@@ -23,7 +23,6 @@ pub mod relative;
 mod single_pair_registration;
 
 pub mod adjust_block;
-pub mod averaging;
 pub mod block;
 pub mod bundle;
 pub mod control;
@@ -31,7 +30,6 @@ pub mod depth_outliers;
 pub mod epipolar_rematching;
 pub mod flight;
 pub mod georeference;
-pub mod global;
 pub mod guided_matching;
 pub mod incremental;
 pub mod intrinsics;

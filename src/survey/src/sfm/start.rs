@@ -132,29 +132,6 @@ impl<'a> Graph<'a> {
         let score = common as f64 * angle * sharp;
         Some(Triplet { images: [a, b, c], closure_rad, out_of_plane, common, score })
     }
-
-    /// For every pair in how many loops it closes and in how many it is at all.
-    pub fn support(&self, closing: &LoopClosureOptions) -> Vec<[u32; 2]> {
-        self.pairs
-            .iter()
-            .map(|pair| {
-                let [a, b] = pair.images;
-                let (mut closed, mut all) = (0, 0);
-                for &c in self.neighbours(a) {
-                    let (Some(ac), Some(cb), Some(ab)) =
-                        (self.relative(a, c), self.relative(c, b), self.relative(a, b))
-                    else {
-                        continue;
-                    };
-                    all += 1;
-                    let turn = ab.0.transpose() * cb.0 * ac.0;
-                    let angle = (0.5 * (turn.trace() - 1.0)).clamp(-1.0, 1.0).acos();
-                    closed += u32::from(angle <= closing.closure_rad);
-                }
-                [closed, all]
-            })
-            .collect()
-    }
 }
 
 /// How many tracks each three images share.

@@ -8,7 +8,7 @@
 use super::{Features, tracks::Tracks};
 
 /// Cells of an image in each direction. Not searched for; a block with 1,500 features in an image, six for each cell, was as exact as one with
-/// 6,000 (`docs/large.md`).
+/// 6,000 (`docs/optimisation.md`).
 const CELLS: usize = 16;
 
 impl Tracks {

@@ -75,7 +75,7 @@ pub fn widest_angle_rad(centres: &[[f64; 3]], point: [f64; 3]) -> f64 {
 }
 
 /// Pairs that are tried where not all rays agree.
-const MOST_PAIRS: usize = 45;
+const MAX_PAIRS: usize = 45;
 
 /// The point of some views and which of them belong to it; `None` where fewer than two do or they are
 /// too nearly parallel.
@@ -122,7 +122,7 @@ pub fn triangulate(
     let mut best: Option<(usize, Vec<bool>)> = None;
     // Far apart first: those are the widest.
     let pairs = (1..n).rev().flat_map(|apart| (0..n - apart).map(move |i| (i, i + apart)));
-    for (i, j) in pairs.take(MOST_PAIRS) {
+    for (i, j) in pairs.take(MAX_PAIRS) {
         let (Some(a), Some(b)) = (&rays[i], &rays[j]) else { continue };
         let Some(point) = nearest(&[a, b]) else { continue };
         let fits = inside(point);

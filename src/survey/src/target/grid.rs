@@ -7,7 +7,7 @@
 
 use super::{
     grey::Grey,
-    refine::{Refinement, refine},
+    refine::refine,
     shape::{Corner, Ring},
 };
 use std::{
@@ -247,7 +247,7 @@ fn grown(
     let (at, spacing) = predict(grid, place)?;
     let half = ((0.3 * spacing) as usize).clamp(2, 8);
     let at = {
-        let refined = refine(picture, at, half, Refinement::Gradients)?;
+        let refined = refine(picture, at, half)?;
         let off = (refined[0] - at[0]).hypot(refined[1] - at[1]);
         (off < 0.25 * spacing).then_some(refined)?
     };

@@ -20,8 +20,6 @@ mod order;
 mod refine;
 mod shape;
 
-pub use refine::Refinement;
-
 use grey::Grey;
 use grid::Grid;
 use image::GrayImage;
@@ -92,8 +90,6 @@ impl std::str::FromStr for Board {
 /// How corners are looked for.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DetectionOptions {
-    /// How they are refined.
-    pub refinement: Refinement,
     /// Half the side of the window of the refinement, as a share of the distance to the nearest
     /// neighbour.
     pub window_share: f64,
@@ -103,7 +99,7 @@ pub struct DetectionOptions {
 
 impl Default for DetectionOptions {
     fn default() -> DetectionOptions {
-        DetectionOptions { refinement: Refinement::Gradients, window_share: 0.3, max_window_px: 11 }
+        DetectionOptions { window_share: 0.3, max_window_px: 11 }
     }
 }
 
@@ -342,9 +338,8 @@ fn finish(
             let start = at.map(|x| (x - offset) / scale);
             // Beside the border of the picture the window shrinks.
             let half = share.clamp(2, options.max_window_px);
-            let refined = (2..=half)
-                .rev()
-                .find_map(|half| refine::refine(&levels[finer], start, half, options.refinement));
+            let refined =
+                (2..=half).rev().find_map(|half| refine::refine(&levels[finer], start, half));
             match refined {
                 Some(refined) => at = refined.map(|x| scale * x + offset),
                 None if board.is_some() => return None,

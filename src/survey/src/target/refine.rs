@@ -3,24 +3,8 @@
 //! *Gradients* (Foerstner and Guelch, 1987; the method of OpenCV's `cornerSubPix`): on every edge
 //! through the corner `q` the gradient is across the edge, so `g_i . (p_i - q) = 0`, and
 //! `q = (sum w g g^T)^-1 sum w g g^T p` over a window, repeated with the window on the new `q`.
-//!
-//! *Saddle*: the stationary point of the quadratic surface fitted to the blurred picture in a disc.
 
 use super::grey::Grey;
-use serde::{Deserialize, Serialize};
-
-/// How corners are refined.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Refinement {
-    /// Gradients across the edges.
-    #[default]
-    Gradients,
-    /// A saddle-shaped surface.
-    Saddle,
-}
-
-rowgram_base::choices!(Refinement: Gradients, Saddle);
 
 const MAX_ITERATIONS: usize = 30;
 /// A corner that moves less has arrived, in pixels.
@@ -28,18 +12,10 @@ const TOLERANCE_PX: f64 = 1e-4;
 
 /// The corner near `start` in a window that reaches `half_px` pixels to each side; `None` where it
 /// leaves the picture or the window, or where there is no corner.
-pub(super) fn refine(
-    picture: &Grey,
-    start: [f64; 2],
-    half_px: usize,
-    method: Refinement,
-) -> Option<[f64; 2]> {
+pub(super) fn refine(picture: &Grey, start: [f64; 2], half_px: usize) -> Option<[f64; 2]> {
     let mut at = start;
     for _ in 0..MAX_ITERATIONS {
-        let next = match method {
-            Refinement::Gradients => by_gradients(picture, at, half_px)?,
-            Refinement::Saddle => by_saddle(picture, at, half_px)?,
-        };
+        let next = by_gradients(picture, at, half_px)?;
         let moved = (next[0] - at[0]).hypot(next[1] - at[1]);
         at = next;
         let drift = (at[0] - start[0]).hypot(at[1] - start[1]);
@@ -131,49 +107,4 @@ fn by_gradients(picture: &Grey, at: [f64; 2], half: usize) -> Option<[f64; 2]> {
         return None;
     }
     Some([at[0] + (yy * bx - xy * by) / determinant, at[1] + (xx * by - xy * bx) / determinant])
-}
-
-fn by_saddle(picture: &Grey, at: [f64; 2], half: usize) -> Option<[f64; 2]> {
-    let window = Window::new(picture, at, half)?;
-    // f = a x^2 + b xy + c y^2 + d x + e y + g over a disc: sums of even powers alone couple.
-    let (mut count, mut xx_sum, mut xxxx, mut xxyy) = (0.0, 0.0, 0.0, 0.0);
-    let [mut f1, mut fx, mut fy, mut fxx, mut fxy, mut fyy] = [0.0; 6];
-    let radius = half as f64 + 0.5;
-    for row in 0..=2 * half {
-        let y = row as f64 - half as f64;
-        for column in 0..=2 * half {
-            let x = column as f64 - half as f64;
-            let square = x * x + y * y;
-            if square > radius * radius {
-                continue;
-            }
-            // A cone as window, which also blurs.
-            let w = 1.0 - square.sqrt() / (radius + 0.5);
-            let f = w * f64::from(window.value(column, row));
-            count += w;
-            xx_sum += w * x * x;
-            xxxx += w * x.powi(4);
-            xxyy += w * x * x * y * y;
-            f1 += f;
-            fx += f * x;
-            fy += f * y;
-            fxx += f * x * x;
-            fxy += f * x * y;
-            fyy += f * y * y;
-        }
-    }
-    let (d, e, b) = (fx / xx_sum, fy / xx_sum, fxy / xxyy);
-    // The rest couples a, c and the constant: a - c and a + c apart.
-    let minus = (fxx - fyy) / (xxxx - xxyy);
-    let plus =
-        (fxx + fyy - 2.0 * xx_sum * f1 / count) / (xxxx + xxyy - 2.0 * xx_sum * xx_sum / count);
-    let (a, c) = (0.5 * (plus + minus), 0.5 * (plus - minus));
-    let determinant = 4.0 * a * c - b * b;
-    if determinant >= 0.0 {
-        return None;
-    }
-    let limit = half as f64;
-    let du = (-2.0 * c * d + b * e) / determinant;
-    let dv = (-2.0 * a * e + b * d) / determinant;
-    (du.abs() < limit && dv.abs() < limit).then_some([at[0] + du, at[1] + dv])
 }

@@ -89,7 +89,7 @@ pub struct Design {
 }
 
 /// Places of a plan, at most: a design with more is a slip of the keyboard.
-const MOST_PLOTS: usize = 1_000_000;
+const MAX_PLOTS: usize = 1_000_000;
 
 impl Design {
     /// The plan, in metres from the middle of the field.
@@ -185,9 +185,9 @@ impl Design {
             ));
         }
         let places = self.ranges.checked_mul(self.plots_per_range);
-        if places.is_none_or(|places| places == 0 || places > MOST_PLOTS) {
+        if places.is_none_or(|places| places == 0 || places > MAX_PLOTS) {
             return refuse(format!(
-                "{} ranges of {} plots: expected at least one plot and at most {MOST_PLOTS}",
+                "{} ranges of {} plots: expected at least one plot and at most {MAX_PLOTS}",
                 self.ranges, self.plots_per_range
             ));
         }

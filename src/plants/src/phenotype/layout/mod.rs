@@ -60,7 +60,7 @@ pub struct Plan {
 /// Points along a bent side of a plot, metres apart.
 const STEP_M: f64 = 1.0;
 /// From this distance between chord and side on a side has points of its own, metres. Half a pixel of a usual map.
-const LEAST_SAGITTA_M: f64 = 0.005;
+const MIN_SAGITTA_M: f64 = 0.005;
 
 impl Plan {
     /// The extent `[low, high]` of all plots along and across, metres.
@@ -91,7 +91,7 @@ impl PlannedPlot {
     pub fn on_map(&self, placement: &Placement) -> Vec<Vec<[f64; 2]>> {
         let side = |from: [f64; 2], to: [f64; 2]| {
             let length = (to[0] - from[0]).hypot(to[1] - from[1]);
-            let parts = match placement.sagitta_m(from, to) > LEAST_SAGITTA_M {
+            let parts = match placement.sagitta_m(from, to) > MIN_SAGITTA_M {
                 true => (length / STEP_M).ceil().max(1.0) as usize,
                 false => 1,
             };

@@ -75,17 +75,17 @@ pub struct Refinement {
 }
 
 /// Rows further from the heading of the plan than this are no rows of it, radians, whatever is assumed.
-const LEAST_TURN_RAD: f64 = 0.05;
+const MIN_TURN_RAD: f64 = 0.05;
 /// Rows whose spacing differs more from that of the plan are no rows of it.
 const SPACING_RATIO: f64 = 1.25;
 /// Rounds in which plants find their rows again.
 const ROUNDS: usize = 4;
 /// A fit needs so many pieces of rows.
-const LEAST_PIECES: usize = 6;
+const MIN_PIECES: usize = 6;
 /// Where the scatter begins, metres.
 const FIRST: Scatter = Scatter { sample_m: 0.02, row_m: 0.02, end_m: 0.08, line_m: 0.02 };
 /// Alternatives are kept from these odds on.
-const LEAST_ODDS: f64 = 1e-3;
+const MIN_ODDS: f64 = 1e-3;
 
 /// Moves a plan from `about` onto the plants that were found. `is_visible` says whether a map position is on the picture in
 /// which plants were looked for.
@@ -102,7 +102,7 @@ pub fn refine(
     let nominal = Placement::nominal(about.origin_m, about.heading_rad, about.half_length_m);
     let found = FoundRows::new(plants, &nominal);
     let turn = found.turn_rad();
-    let most = LEAST_TURN_RAD.max(4.0 * assumed.rotation_rad);
+    let most = MIN_TURN_RAD.max(4.0 * assumed.rotation_rad);
     if found.rows.is_empty() {
         return refuse("there are no rows of plants to compare the layout with".into());
     }
@@ -153,9 +153,9 @@ pub fn refine(
     let mut scatter = FIRST;
     for _ in 0..ROUNDS {
         let (seen, _) = observe(&found, plan, &lookup, &placement, &cutting, is_visible);
-        if seen.rows.len() < LEAST_PIECES {
+        if seen.rows.len() < MIN_PIECES {
             return refuse(format!(
-                "only {} pieces of rows with plants lie on the layout, expected {LEAST_PIECES} or more",
+                "only {} pieces of rows with plants lie on the layout, expected {MIN_PIECES} or more",
                 seen.rows.len()
             ));
         }
@@ -212,7 +212,7 @@ fn alternatives(
     let mut all: Vec<Alternative> = of_along
         .filter(|of| of.along_m.abs() > apart_m)
         .chain(of_across.filter(|of| of.across_m.abs() > 0.6 * plan.row_spacing_m))
-        .filter(|of| of.odds > LEAST_ODDS)
+        .filter(|of| of.odds > MIN_ODDS)
         .collect();
     all.sort_by(|a, b| b.odds.total_cmp(&a.odds));
     all

@@ -34,7 +34,7 @@ const REACH: f64 = 3.0;
 /// Length of the pieces that are compared, metres.
 const PIECE_M: f64 = 2.0;
 /// Steps of a lattice to either side, at most.
-const MOST_STEPS: f64 = 400.0;
+const MAX_STEPS: f64 = 400.0;
 
 /// Standard deviations of what is known beforehand.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -120,7 +120,7 @@ impl Lattice {
     /// Shifts in steps; stretches so that the ends of a field of this half length move by a step.
     fn nodes(&self, step_m: f64, half_m: f64) -> (Vec<f64>, Vec<f64>) {
         let steps = |limit: f64, step: f64| -> Vec<f64> {
-            let count = (limit / step).ceil().clamp(1.0, MOST_STEPS);
+            let count = (limit / step).ceil().clamp(1.0, MAX_STEPS);
             (-(count as i64)..=count as i64).map(|k| k as f64 * limit / count).collect()
         };
         let shifts = steps(REACH * self.reach.position_m, step_m);

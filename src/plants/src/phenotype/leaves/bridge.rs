@@ -246,14 +246,14 @@ mod tests {
     use rand::RngExt;
     use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
-    const MOST: f64 = 0.8;
+    const MAX_BRIDGE_COST: f64 = 0.8;
 
     fn rules(bridging: Bridging) -> Rules {
-        Rules { t_c: 0.5, limit_px: 9.0, bridging, curvature: true, most: MOST }
+        Rules { t_c: 0.5, limit_px: 9.0, bridging, curvature: true, most: MAX_BRIDGE_COST }
     }
 
     fn weight(gaps: &[Gap]) -> f64 {
-        gaps.iter().map(|gap| MOST - gap.cost).sum()
+        gaps.iter().map(|gap| MAX_BRIDGE_COST - gap.cost).sum()
     }
 
     /// The heaviest matching by trying all of them.
@@ -264,7 +264,7 @@ mod tests {
             return without;
         }
         taken.extend(first.ends);
-        let with = MOST - first.cost + exhaustive(rest, taken);
+        let with = MAX_BRIDGE_COST - first.cost + exhaustive(rest, taken);
         taken.truncate(taken.len() - 2);
         without.max(with)
     }
@@ -278,7 +278,7 @@ mod tests {
             for a in 0..7usize {
                 for b in a + 1..7 {
                     if rng.random_range(0..2) == 0 {
-                        let cost = rng.random_range(0.0..3.0 * MOST);
+                        let cost = rng.random_range(0.0..3.0 * MAX_BRIDGE_COST);
                         gaps.push(Gap { ends: [a, b], length: cost, cost });
                     }
                 }

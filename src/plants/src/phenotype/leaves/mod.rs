@@ -30,7 +30,7 @@ mod slices;
 mod split;
 
 use crate::phenotype::broad_leaves;
-pub use plants::{assign, directions};
+pub use plants::assign;
 use rowgram_raster::{
     Mask,
     components::{self, Part, Run},
@@ -73,9 +73,9 @@ rowgram_base::choices!(Bridging: None, Greedy, Global);
 
 rowgram_base::options! {
     /// What decides which pixels are one leaf.
-    pub struct LeafOptions in "leaves" {
-        /// What leaves look like: blades, which are measured by slices across them; broad leaves, which are parts of the plant
-        /// between narrow places; auto finds that from the mask.
+    pub struct LeafOptions in "leaves", main [shape] {
+        /// Leaf shape: blade, measured by slices across the leaf; broad, parts of the plant between constrictions;
+        /// auto decides from the mask.
         pub shape: LeafShape = LeafShape::Auto;
         /// How far the gradients at the two edges of a slice may be from opposite (T_a of the paper, 36 degrees).
         pub edge_angle_rad: f64 = PI / 5.0, limits between(0.0, PI);
@@ -85,20 +85,20 @@ rowgram_base::options! {
         pub gap_angle_rad: f64 = PI / 6.0, limits between(0.0, PI);
         /// How segments are joined across gaps: all gaps at once (global), the shortest first (greedy), or not at all (none).
         pub bridging: Bridging = Bridging::Global;
-        /// Whether a bridge that bends costs more; of global bridging only.
+        /// Let bridges that bend cost more; global bridging only.
         pub curvature: bool = true;
-        /// Whether segments are split where their width says that they are two leaves.
+        /// Split segments that are wide enough for two leaves.
         pub split: bool = true;
         /// Cost from which two ends are not bridged; of global bridging only. Of the pairs of ends that the other rules allow one
         /// in seven is one leaf, and more bridges join opposite leaves of a plant; a crossing at a right angle costs some 0.7.
         pub bridge_cost: f64 = 0.8, limits NON_NEGATIVE;
-        /// The width from which on two leaves lie side by side, in usual leaf widths.
+        /// Width from which two leaves lie side by side, in typical leaf widths.
         pub double_width_ratio: f64 = 1.5, limits POSITIVE;
-        /// The longest gap that is bridged, in usual leaf widths.
+        /// Longest gap that is bridged, in typical leaf widths.
         pub longest_gap_ratio: f64 = 6.0, limits NON_NEGATIVE;
-        /// The widest slice, in usual leaf widths, four pixels added.
+        /// Widest slice, in typical leaf widths, plus four pixels.
         pub widest_slice_ratio: f64 = 1.2, limits NON_NEGATIVE;
-        /// Usual width of a leaf; found from the mask where not set.
+        /// Typical leaf width; estimated from the mask where not set.
         pub leaf_width_px: Option<f64> = None, limits between(0.5, 10000.0), example "8.0";
         /// Leaves of fewer pixels are left out.
         pub min_pixels: usize = 1;

@@ -1,8 +1,7 @@
-//! Leaves and plants: which plant a leaf belongs to, and leaf directions for finding plants.
+//! Which plant a leaf belongs to.
 
-use super::{LeafOptions, Leaves, Local, measure, numbers, usual_width};
+use super::Leaves;
 use rayon::prelude::*;
-use rowgram_raster::{Mask, components};
 
 /// A leaf has no plant when the nearest is farther than this many leaf lengths (at least 10 usual widths).
 const FARTHEST: f64 = 0.75;
@@ -41,33 +40,4 @@ pub fn assign(leaves: &Leaves, plants_px: &[[f64; 2]]) -> Vec<Option<usize>> {
         best.map(|(_, plant)| plant)
     };
     leaves.leaves.par_iter().map(assign_one).collect()
-}
-
-/// The direction of the leaf at each pixel of a mask, row by row: `theta` in (-pi/2, pi/2] from the `u` axis towards the `v`
-/// axis, from the slices through the pixel; NaN where there is no plant or no slice.
-///
-/// An alternative to the structure tensor wherever the direction of leaves votes for plants: it looks at both
-/// edges of a leaf and not at its neighbours.
-pub fn directions(mask: &Mask, options: &LeafOptions) -> Vec<f32> {
-    let parts = components::parts(mask);
-    let usual_px =
-        options.leaf_width_px.unwrap_or_else(|| usual_width(&parts, options.edge_angle_rad));
-    let of_parts: Vec<Vec<f32>> = parts
-        .par_iter()
-        .map(|part| {
-            let local = Local::of(part);
-            measure(&local, &numbers(&local), options, usual_px).theta
-        })
-        .collect();
-    let mut directions = vec![f32::NAN; mask.data.len()];
-    for (part, theta) in parts.iter().zip(of_parts) {
-        let mut rest = theta.as_slice();
-        for run in &part.runs {
-            let (here, behind) = rest.split_at(run.end - run.start);
-            let row = run.v * mask.width;
-            directions[row + run.start..row + run.end].copy_from_slice(here);
-            rest = behind;
-        }
-    }
-    directions
 }

@@ -51,33 +51,6 @@ fn a_ribbon_is_one_leaf_of_its_width_length_and_direction() {
 }
 
 #[test]
-fn directions_are_those_of_the_ribbon_at_every_pixel() {
-    for step in 0..12 {
-        let angle = f64::from(step) * PI / 12.0 + 0.1;
-        let mut mask = Mask::empty(90, 90);
-        let [a, b] = turned([45.0, 45.0], angle, 60.0);
-        ribbon(&mut mask, a, b, 4.0);
-        let theta = directions(&mask, &LeafOptions::default());
-        let inner: Vec<f32> = theta
-            .iter()
-            .enumerate()
-            .filter(|(i, t)| {
-                let d = ((i % 90) as f64 - 45.0).hypot((i / 90) as f64 - 45.0);
-                !t.is_nan() && d < 22.0
-            })
-            .map(|(_, &t)| t)
-            .collect();
-        let plants = mask.count();
-        assert!(inner.len() * 10 > plants * 6, "{} of {plants}", inner.len());
-        let mean = inner.iter().map(|&t| difference(f64::from(t), angle)).sum::<f64>();
-        // Edges of pixels in steps leave a few degrees to each slice.
-        let mean = mean / inner.len() as f64;
-        assert!(mean < 0.15, "{angle}: {mean}");
-        assert!(theta.iter().zip(&mask.data).all(|(t, &m)| m != 0 || t.is_nan()));
-    }
-}
-
-#[test]
 fn crossing_leaves_are_two_leaves() {
     let mut mask = Mask::empty(100, 100);
     ribbon(&mut mask, [10.0, 20.0], [88.0, 70.0], 5.0);

@@ -26,13 +26,13 @@ const MANY: usize = 5;
 const COMPACT: f64 = -0.8;
 /// A component of this share of the middle mass is as likely a speck as a plant. Chosen with [`LESS_GREEN`] on potatoes and emerging maize
 /// together: from 0.05 to 0.1, mean F1 is 0.87 to 0.84 and 0.96 to 0.99.
-const LEAST_SIZE: f64 = 0.07;
+const MIN_SIZE: f64 = 0.07;
 /// So many standard deviations below the mean log odds a component is as likely a weed as a plant.
 const LESS_GREEN: f64 = 1.0;
 /// How sharply both tell.
 const SHARPNESS: (f64, f64) = (1.5, 3.0);
 /// The least standard deviation of log odds.
-const LEAST_SPREAD: f64 = 0.05;
+const MIN_SPREAD: f64 = 0.05;
 /// Standard deviation of the relative error of a count that the probabilities do not know: intervals of 95 % then hold the truth in 0.90 of
 /// 20 photos of potatoes and in 4 of 4 of emerging maize.
 pub(super) const MISFIT: f64 = 0.25;
@@ -74,10 +74,7 @@ impl Sizes {
             left -= mass;
             left <= 0.0
         });
-        Some(Sizes {
-            least: LEAST_SIZE * middle?,
-            green: (mean, variance.sqrt().max(LEAST_SPREAD)),
-        })
+        Some(Sizes { least: MIN_SIZE * middle?, green: (mean, variance.sqrt().max(MIN_SPREAD)) })
     }
 
     /// How much greener than the least green plant, in standard deviations.

@@ -4,7 +4,7 @@
 //! residuals of the robust curves have a much smaller median, it is lowered towards that. Symbols as in [`super`].
 
 use super::{
-    GrowthModel, LEAST_DATES, Sample, Untold,
+    GrowthModel, MIN_DATES, Sample, Untold,
     search::{improve, largest, residual_squares, robust_cost, search},
 };
 use rowgram_optim::nlls::Loss;
@@ -40,7 +40,7 @@ pub(super) fn first_fits(series: &[Vec<Sample>], model: GrowthModel) -> FirstFit
     let mut found: Vec<Result<[f64; 3], Untold>> = series
         .iter()
         .map(|samples| {
-            if samples.len() < LEAST_DATES {
+            if samples.len() < MIN_DATES {
                 return Err(Untold::TooFewDates);
             }
             search(model, samples, (0.05 * largest(samples), Loss::Trivial))

@@ -192,7 +192,7 @@ pub fn median(u: &[f64], v: &[f64], weight: f64, prior: &Quadratic) -> [f64; 2] 
     /// Rounds of the search; twenty are seldom needed.
     const ROUNDS: usize = 200;
     /// The nearest pixel is tested as the minimiser once it is this close; squared pixels.
-    const CLOSE2: f64 = 0.5;
+    const MAX_CLOSE_PX2: f64 = 0.5;
     if u.is_empty() {
         return prior.minimiser();
     }
@@ -203,7 +203,7 @@ pub fn median(u: &[f64], v: &[f64], weight: f64, prior: &Quadratic) -> [f64; 2] 
         if local.is_optimal_vertex(weight) {
             break;
         }
-        if local.nearest2 < CLOSE2 && tested != local.nearest {
+        if local.nearest2 < MAX_CLOSE_PX2 && tested != local.nearest {
             let vertex = [u[local.nearest], v[local.nearest]];
             if local.may_be_optimal(weight, [vertex[0] - x[0], vertex[1] - x[1]]) {
                 tested = local.nearest;

@@ -34,7 +34,6 @@ mod buckets;
 pub mod index;
 mod inner;
 pub mod lines;
-pub mod moves;
 mod options;
 mod prior;
 mod proof;

@@ -10,9 +10,10 @@ use rowgram_plants::{
 };
 
 rowgram_base::options! {
-    /// Plot layout (rowgram plots layout): the design of the field, and how well its place is known before the rows are looked
-    /// at. A corner file needs ranges, plots_per_range, rows_per_plot, row_spacing_m and plot_length_m.
-    pub struct LayoutOptions in "layout" {
+    /// Plot layout (rowgram plots layout): the design of the field, and the uncertainty of its position before it is fitted to the rows. A corner file needs ranges, plots_per_range, rows_per_plot, row_spacing_m and plot_length_m.
+    pub struct LayoutOptions in "layout",
+        main [ranges, plots_per_range, rows_per_plot, row_spacing_m, plot_length_m]
+    {
         /// Number of ranges: plots one after the other along the rows.
         pub ranges: Option<usize> = None, limits at_least(1.0), example "12";
         /// Number of plots of a range, side by side.
@@ -52,7 +53,7 @@ rowgram_base::options! {
         pub stretch_sigma: f64 = 0.01, limits POSITIVE;
         /// Standard deviation of the angle between rows and ranges against a right angle.
         pub shear_sigma_deg: f64 = 0.2, limits POSITIVE;
-        /// Standard deviation of each of the three numbers that say how the rows bend.
+        /// Standard deviation of each of the three coefficients of row curvature.
         pub bend_sigma_m: f64 = 0.1, limits POSITIVE;
         /// Standard deviation of the shift of a plot by itself; plots move together where not set.
         pub plot_shift_sigma_m: Option<f64> = None, limits POSITIVE, example "0.1";

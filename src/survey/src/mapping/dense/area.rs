@@ -7,9 +7,8 @@
 //! photos that it compares are in memory; tiles go to a store, and what an interrupted attempt has left there is not matched again.
 
 use super::{
-    DenseOptions, DenseTile, GroundPlaces, HeightCounts, LAYERS, MOST_LAYERS, Penalties,
-    PosedPhoto, PosteriorOptions, Prior, Relief, Terrain, Tile, block, match_tile,
-    rectify::greenness, tile,
+    DenseOptions, DenseTile, GroundPlaces, HeightCounts, LAYERS, MAX_LAYERS, Penalties, PosedPhoto,
+    PosteriorOptions, Prior, Relief, Terrain, Tile, block, match_tile, rectify::greenness, tile,
 };
 use crate::mapping::{MapError, View, photo::DecodedPhoto};
 use rayon::prelude::*;
@@ -17,7 +16,7 @@ use std::{collections::BTreeMap, ops::Range};
 
 /// The usual side of a tile, cells: the photos that one tile compares are in memory together.
 pub const TILE: usize = 1024;
-// Of the next, `USUAL`, `HIGHER` and `SURE` were chosen on the synthetic flight `small` (`rowgram synth flight --preset small`, then `run`), beside what the test of the run
+// Of the next, `USUAL`, `HIGHER` and `MIN_HEIGHT_CONFIDENCE` were chosen on the synthetic flight `small` (`rowgram synth flight --preset small`, then `run`), beside what the test of the run
 // prints; docs/decisions.md has the numbers. No other flight was looked at.
 /// Share of what surely stands on the ground in the coarse pass that decides how high layers reach: one leaf in ten may be mistaken
 /// there, and mistakes are as high as the layers.
@@ -27,11 +26,11 @@ const MISTAKEN: f64 = 0.001;
 /// Layers reach so many times as high as that.
 const HIGHER: f64 = 1.4;
 /// Confidence (of 255) of a coarse cell that says how high layers have to reach.
-const SURE: u8 = 80;
+const MIN_HEIGHT_CONFIDENCE: u8 = 80;
 /// Layers below the ground, and above what stands on it, metres: what the ground may be off by.
 const SPARE_M: f64 = 0.1;
 /// The layers of the second pass reach at least so high, metres: young plants, where nothing stands surely. Not measured.
-const LEAST_TOP_M: f64 = 0.3;
+const MIN_TOP_M: f64 = 0.3;
 // The next three were chosen while looking at the surfaces of three real flights (docs/accuracy.md), not by a measured optimum.
 /// Side of the cells in which trees and houses are looked for, in coarse cells, and the values of a photo in each, across.
 const OVERVIEW_CELLS: usize = 4;
@@ -268,7 +267,7 @@ impl<E: From<MapError> + Send> Area<'_, E> {
             size: part.size.map(|n| n.div_ceil(OVERVIEW_CELLS)),
             ..*part
         };
-        let layer_m = tile.cell_m.max(2.0 * range_m / (MOST_LAYERS - 1) as f64);
+        let layer_m = tile.cell_m.max(2.0 * range_m / (MAX_LAYERS - 1) as f64);
         let options = DenseOptions {
             layer_m,
             lowest_m: -range_m,
@@ -327,7 +326,7 @@ impl<E: From<MapError> + Send> Area<'_, E> {
         let usual = usual_height_m(&self.cells_of(Pass::Coarse), terrain, options, store)?;
         // Without colours all sure cells are asked, most of which are ground.
         let higher = if options.prior == Prior::None { 1.0 } else { HIGHER };
-        let span = (higher * usual).max(LEAST_TOP_M) + 2.0 * SPARE_M;
+        let span = (higher * usual).max(MIN_TOP_M) + 2.0 * SPARE_M;
         let layer_m = (span / (LAYERS - 1) as f64).max(self.cells.cell_m);
         Ok(DenseOptions {
             layer_m,
@@ -386,7 +385,7 @@ fn usual_height_m<E>(
         let Some(found) = store.load(Pass::Coarse, number)? else { continue };
         for at in 0..found.surface_m.len() {
             let green = greenness(found.colour[at]);
-            if found.confidence[at] < SURE
+            if found.confidence[at] < MIN_HEIGHT_CONFIDENCE
                 || options.prior != Prior::None && !options.prior.is_leaf(green)
             {
                 continue;

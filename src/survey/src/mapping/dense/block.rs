@@ -1,19 +1,19 @@
 //! One block of cells: which photos, what they say, and where their points fall on the ground.
 
 use super::{
-    DenseOptions, LAYERS, MOST_LAYERS, Relief,
+    DenseOptions, LAYERS, MAX_LAYERS, Relief,
     aggregate::{Penalties, aggregate},
     posterior::{self, Estimate, Pixels, PosteriorOptions},
     rectify::{BlockPlane, PosedPhoto, greenness, rectify},
     relief::Colours,
-    sweep::{MOST_OTHERS, REACH, Rectified, WORST, costs, transfer},
+    sweep::{MAX_OTHERS, REACH, Rectified, WORST, costs, transfer},
 };
 use crate::mapping::{View, undistort::Interpolation};
 
 /// Cells beyond the core of a block that its neighbours have too, so that paths begin before it.
 const OVERLAP: usize = 16;
 /// Photos closer to the reference than this, per height of flight, say little of heights.
-const LEAST_BASE: f64 = 0.05;
+const MIN_BASE: f64 = 0.05;
 /// What layers that take no part cost more than those in which nothing fits: as much as the prior may add to these.
 pub(super) const DISLIKED: u8 = 20;
 /// Between the usual and the most layers: less memory and time where so many are enough.
@@ -56,7 +56,7 @@ pub(super) fn match_block(
     options: &DenseOptions,
     limits: Option<Limits<'_>>,
 ) -> Option<Block> {
-    let layers = options.layers.clamp(2, MOST_LAYERS);
+    let layers = options.layers.clamp(2, MAX_LAYERS);
     let heights_m: Vec<f64> =
         (0..layers).map(|k| options.lowest_m + options.layer_m * k as f64).collect();
     let margin = OVERLAP + displacement(photos[reference], core, &heights_m)?;
@@ -116,7 +116,7 @@ pub(super) fn match_block(
     let best = match layers {
         0..=LAYERS => costs.heights::<LAYERS, { LAYERS + 2 }>(&pixels),
         _ if layers <= MIDDLE => costs.heights::<MIDDLE, { MIDDLE + 2 }>(&pixels),
-        _ => costs.heights::<MOST_LAYERS, { MOST_LAYERS + 2 }>(&pixels),
+        _ => costs.heights::<MAX_LAYERS, { MAX_LAYERS + 2 }>(&pixels),
     };
     // Each pixel of the reference to its cells; what surely is the highest stays.
     let mut top_m = vec![f32::NEG_INFINITY; width * height];
@@ -234,12 +234,12 @@ pub(super) fn choose(
     near.sort_by(|&a, &b| away(middle, a).total_cmp(&away(middle, b)).then(a.cmp(&b)));
     let reference = *near.first()?;
     let centre = views[reference].centre_m();
-    let least_m = LEAST_BASE * (centre[2] - middle[2]);
+    let least_m = MIN_BASE * (centre[2] - middle[2]);
     let others: Vec<usize> = near[1..]
         .iter()
         .copied()
         .filter(|&k| away(centre, k) >= least_m)
-        .take(count.min(MOST_OTHERS))
+        .take(count.min(MAX_OTHERS))
         .collect();
     (!others.is_empty()).then_some((reference, others))
 }

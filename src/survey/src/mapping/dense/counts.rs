@@ -23,8 +23,8 @@ impl HeightCounts {
     /// Counts a height; what is not finite is none.
     pub fn add(&mut self, height_m: f64) {
         // Classes further out than any height on Earth would only take memory.
-        const MOST_M: f64 = 1e4;
-        if height_m.is_finite() && height_m.abs() < MOST_M {
+        const MAX_M: f64 = 1e4;
+        if height_m.is_finite() && height_m.abs() < MAX_M {
             let class = (height_m / self.width_m).floor() as i64;
             if self.counts.is_empty() {
                 self.lowest = class;

@@ -24,7 +24,7 @@ const FEW_NODES: usize = 4;
 /// hangs on the smallest weights is right within a centimetre then.
 const SOLVED: f64 = 1e-7;
 /// Iterations, at most. The tests of this file need fewer than 120.
-const MOST_ITERATIONS: usize = 1000;
+const MAX_ITERATIONS: usize = 1000;
 /// Eigenvalues of the coarsest equations below this, relative to the largest, belong to what no data determine: rounding leaves them at
 /// about 1e-16.
 const SINGULAR: f64 = 1e-12;
@@ -70,7 +70,7 @@ impl Lattice {
         let mut direction = scaled.clone();
         let mut size = self.dot(&residual, &scaled);
         let mut iterations = 0;
-        while size > enough && iterations < MOST_ITERATIONS {
+        while size > enough && iterations < MAX_ITERATIONS {
             levels.finest.apply(&direction, &mut image);
             let along = self.dot(&direction, &image);
             if along <= 0.0 {

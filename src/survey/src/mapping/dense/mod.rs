@@ -52,7 +52,7 @@ pub use tile::{DenseTile, Tile, match_tile, surface_tile};
 /// Layers of heights, usually: one or two SIMD registers of bytes.
 pub const LAYERS: usize = 64;
 /// The most layers of heights: trees, houses and cliffs.
-pub const MOST_LAYERS: usize = 4 * LAYERS;
+pub const MAX_LAYERS: usize = 4 * LAYERS;
 
 /// How a surface is matched.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -61,7 +61,7 @@ pub struct DenseOptions {
     pub layer_m: f64,
     /// The lowest layer above the plane of a block, metres (below it where negative).
     pub lowest_m: f64,
-    /// How many layers there are, from the lowest on; at most [`MOST_LAYERS`].
+    /// How many layers there are, from the lowest on; at most [`MAX_LAYERS`].
     pub layers: usize,
     /// A cell is the mean of so many by so many values of each photo, so that large cells do not alias.
     pub samples: usize,

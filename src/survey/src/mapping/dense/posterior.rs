@@ -48,9 +48,9 @@ pub(super) const UNSURE: u8 = 2;
 /// Every so-manieth pixel of every so-manieth row takes part in the estimate of the distributions.
 const THINNED: usize = 4;
 /// Share of pixels whose height may be any: stones, weeds, what the photos show wrongly.
-const ANY: f64 = 0.02;
+const ANY_HEIGHT_SHARE: f64 = 0.02;
 /// Fewer pixels of a class say nothing of its heights.
-const LEAST_PIXELS: usize = 50;
+const MIN_PIXELS: usize = 50;
 
 /// What is known of a block besides the costs.
 #[derive(Debug, Clone, Copy)]
@@ -71,8 +71,8 @@ struct Likelihood(Vec<f32>);
 impl Likelihood {
     fn new(temperature: f64) -> Likelihood {
         // Eight paths of costs of at most 255 each.
-        const MOST: usize = 8 * 255;
-        Likelihood((0..=MOST).map(|cost| (-(cost as f64) / temperature).exp() as f32).collect())
+        const MAX_COST: usize = 8 * 255;
+        Likelihood((0..=MAX_COST).map(|cost| (-(cost as f64) / temperature).exp() as f32).collect())
     }
 
     /// Of all layers of a pixel.
@@ -139,11 +139,11 @@ impl<const D: usize> Heights<D> {
                 }
             }
             for class in 0..CLASSES {
-                if counts[class] < LEAST_PIXELS {
+                if counts[class] < MIN_PIXELS {
                     continue;
                 }
-                let part = (1.0 - ANY) / counts[class] as f64;
-                let any = ANY / pixels.layers as f64;
+                let part = (1.0 - ANY_HEIGHT_SHARE) / counts[class] as f64;
+                let any = ANY_HEIGHT_SHARE / pixels.layers as f64;
                 let of = &next[class];
                 for (k, out) in heights.0[class].iter_mut().enumerate() {
                     *out = (part * of[k] + any) as f32;

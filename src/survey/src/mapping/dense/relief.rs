@@ -9,10 +9,10 @@
 //! and cliffs get layers of their own, and single wrong matches do not. Of these layers each pixel may take the usual ones, and those
 //! near the larger cells around its place; where larger cells are not sure, only the usual ones. Near larger cells that stand on the ground
 //! nothing has to be green where they are not: walls, roofs, ripe crops. Reference: M. Rothermel, K. Wenzel, D. Fritsch, N. Haala,
-//! *SURE: photogrammetric surface reconstruction from imagery*, 2012 (ranges that a coarser level of a pyramid gives).
+//! *MIN_VOTING_CONFIDENCE: photogrammetric surface reconstruction from imagery*, 2012 (ranges that a coarser level of a pyramid gives).
 
 use super::{
-    DenseOptions, DenseTile, LAYERS, MOST_LAYERS, Prior, Tile,
+    DenseOptions, DenseTile, LAYERS, MAX_LAYERS, Prior, Tile,
     block::DISLIKED,
     rectify::{BlockPlane, greenness},
     sweep::WORST,
@@ -22,11 +22,11 @@ use std::ops::Range;
 // All numbers below were chosen while looking at the surfaces of three real flights (docs/accuracy.md), not by a measured optimum; on four
 // synthetic flights (`benches/surface/compare.py twin`) they change less than two in a hundred of the leaf cells within 5 cm.
 /// Confidence (of 255) from which a cell has a say.
-const SURE: u8 = 100;
+const MIN_VOTING_CONFIDENCE: u8 = 100;
 /// Cells around a cell, in each direction, whose median is its height.
 const AROUND: usize = 2;
 /// Sure cells among those 25, at least.
-const LEAST_SURE: usize = 9;
+const MIN_SHARE_OF_CONFIDENT: usize = 9;
 /// What layers cost that a place cannot have: more than those in which nothing fits, with all that the prior may add.
 const FORBIDDEN: u8 = WORST + DISLIKED;
 /// Share of the cells of a block left out at either end.
@@ -159,12 +159,14 @@ impl Relief {
                 for j in row.saturating_sub(AROUND)..(row + AROUND + 1).min(height) {
                     for i in column.saturating_sub(AROUND)..(column + AROUND + 1).min(width) {
                         let at = j * width + i;
-                        if found.confidence[at] >= SURE && found.surface_m[at].is_finite() {
+                        if found.confidence[at] >= MIN_VOTING_CONFIDENCE
+                            && found.surface_m[at].is_finite()
+                        {
                             around.push(found.surface_m[at]);
                         }
                     }
                 }
-                if around.len() >= LEAST_SURE {
+                if around.len() >= MIN_SHARE_OF_CONFIDENT {
                     let middle = around.len() / 2;
                     height_m[row * width + column] =
                         *around.select_nth_unstable_by(middle, f32::total_cmp).1;
@@ -225,7 +227,7 @@ impl Relief {
                         if top.is_finite() {
                             limits = [limits[0].min(top - spare), limits[1].max(top + spare)];
                         }
-                        if self.found.confidence[at] >= SURE {
+                        if self.found.confidence[at] >= MIN_VOTING_CONFIDENCE {
                             let stands = z.is_some_and(|z| {
                                 self.found.surface_m[at] - z as f32
                                     > STANDS_CELLS * tile.cell_m as f32
@@ -238,7 +240,8 @@ impl Relief {
                     }
                 }
                 sure_m.push(limits);
-                let stands = prior.needs_ground() && sure >= LEAST_SURE && 2 * standing > sure;
+                let stands =
+                    prior.needs_ground() && sure >= MIN_SHARE_OF_CONFIDENT && 2 * standing > sure;
                 standing_m.push(if stands { limits } else { NOTHING });
             }
         }
@@ -262,8 +265,7 @@ impl Relief {
         let high = if high > usual[1] { high + spare } else { usual[1] };
         let span = high - low;
         if span > options.layer_m * (LAYERS - 1) as f64 {
-            options.layer_m =
-                options.layer_m.max(block.cell_m).max(span / (MOST_LAYERS - 1) as f64);
+            options.layer_m = options.layer_m.max(block.cell_m).max(span / (MAX_LAYERS - 1) as f64);
         }
         options.layers = (span / options.layer_m).ceil() as usize + 1;
         block.height_m += 0.5 * (low + high);
@@ -324,7 +326,7 @@ mod tests {
             assert!((low - 49.9).abs() < 0.01 && (55.8..55.86).contains(&high), "{low} {high}");
             assert!((plane.height_m - 0.5 * (49.9 + 55.8)).abs() < 0.01, "{}", plane.height_m);
             assert_eq!(on.layer_m, 0.05);
-            assert!(on.layers > LAYERS && on.layers <= MOST_LAYERS);
+            assert!(on.layers > LAYERS && on.layers <= MAX_LAYERS);
             // The roof stands on the ground, what is beside the house does not.
             let usual = [options.lowest_m, options.highest_m()];
             let prior = &options.prior;
@@ -381,6 +383,6 @@ mod tests {
         plane.cell_m = 0.01;
         plane.size = [200; 2];
         let (_, on) = relief(false).fit(&plane, &options);
-        assert!((on.layer_m - 5.9 / 255.0).abs() < 1e-9 && on.layers <= MOST_LAYERS, "{on:?}");
+        assert!((on.layer_m - 5.9 / 255.0).abs() < 1e-9 && on.layers <= MAX_LAYERS, "{on:?}");
     }
 }

@@ -30,7 +30,7 @@ pub(super) const WORST: u8 = 3 * NEIGHBOURS;
 /// Pixels whose distances are found together.
 const RUN: usize = 64;
 /// The most photos beside the reference.
-pub(super) const MOST_OTHERS: usize = 8;
+pub(super) const MAX_OTHERS: usize = 8;
 
 /// A photo rectified onto the plane of a block: one byte for a pixel, 0 where the photo shows nothing.
 #[derive(Debug, Clone)]

@@ -9,12 +9,12 @@ use crate::mapping::{MapError, View};
 use rayon::prelude::*;
 
 /// Least side of a block, cells: as wide as what its neighbours share with it on both sides.
-const LEAST_BLOCK: usize = 32;
+const MIN_BLOCK: usize = 32;
 /// Distance of the nodes of the ground, metres, and at least this many coarse cells.
 const NODE_M: f64 = 0.3;
 const NODE_CELLS: f64 = 6.0;
 /// Confidence (of 255) from which a coarse cell may show the ground.
-const SURE: u8 = 30;
+const MIN_GROUND_CONFIDENCE: u8 = 30;
 /// Greenness below which a cell may show the ground.
 const BARE_BELOW: i16 = 2;
 
@@ -138,7 +138,7 @@ pub(super) fn nothing(tile: &Tile) -> DenseTile {
 }
 
 /// First column and row of the blocks of a tile that two photos show, and the plane of each. A block of which photos show only a part is
-/// cut into four, down to a side of [`LEAST_BLOCK`].
+/// cut into four, down to a side of [`MIN_BLOCK`].
 pub(super) fn blocks(
     views: &[&View],
     ground: &dyn Fn([f64; 2]) -> Option<f64>,
@@ -146,7 +146,7 @@ pub(super) fn blocks(
     options: &DenseOptions,
 ) -> Vec<([usize; 2], BlockPlane)> {
     let [width, height] = tile.size;
-    let side = options.block_cells.max(LEAST_BLOCK);
+    let side = options.block_cells.max(MIN_BLOCK);
     let starts = (0..height)
         .step_by(side)
         .flat_map(|row| (0..width).step_by(side).map(move |column| [column, row]));
@@ -161,12 +161,12 @@ pub(super) fn blocks(
         let plane = plane(tile.place_m(column, row), tile.cell_m, size, ground);
         // Whatever is left at the end is as small as blocks are; before, the reference has to show all of it.
         let is_shown = |plane: &BlockPlane| match choose(views, plane, options.others) {
-            Some((reference, _)) => side == LEAST_BLOCK || shows_all(views[reference], plane),
+            Some((reference, _)) => side == MIN_BLOCK || shows_all(views[reference], plane),
             None => false,
         };
         match plane.filter(is_shown) {
             Some(plane) => found.push(([column, row], plane)),
-            None if side > LEAST_BLOCK => {
+            None if side > MIN_BLOCK => {
                 let half = side / 2;
                 let parts = [[half, half], [0, half], [half, 0], [0, 0]];
                 open.extend(parts.map(|[u, v]| ([column + u, row + v], half)));
@@ -188,7 +188,7 @@ fn shows_all(view: &View, block: &BlockPlane) -> bool {
 
 /// Cells of a coarse tile that are sure: x, y, z in metres, and whether they may show the ground.
 pub(super) fn sure_cells(found: &DenseTile) -> impl Iterator<Item = ([f64; 3], bool)> + '_ {
-    let is_sure = |at: &usize| found.confidence[*at] >= SURE;
+    let is_sure = |at: &usize| found.confidence[*at] >= MIN_GROUND_CONFIDENCE;
     (0..found.surface_m.len()).filter(is_sure).map(|at| {
         let [x, y] = found.tile.place_m(at % found.tile.size[0], at / found.tile.size[0]);
         let bare = greenness(found.colour[at]) < BARE_BELOW;

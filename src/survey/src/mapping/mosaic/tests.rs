@@ -3,9 +3,7 @@
 use super::*;
 use crate::{
     camera::{Interior, Model},
-    mapping::{
-        Surface, View, photo::DecodedPhoto, select::SelectionOptions, surface::HeightInterpolation,
-    },
+    mapping::{Surface, View, photo::DecodedPhoto, select::SelectionOptions},
     scene::Pose,
 };
 use image::{Rgb, RgbImage};
@@ -24,7 +22,7 @@ fn views() -> Vec<View> {
 
 fn surface() -> Surface {
     let place = Georeference::north_up([-10.0, 10.0], 1.0, Crs::LOCAL);
-    Surface::new(place, [31, 21], vec![0.0; 31 * 21], HeightInterpolation::Bilinear).unwrap()
+    Surface::new(place, [31, 21], vec![0.0; 31 * 21]).unwrap()
 }
 
 /// Photo `k`; the left half of the second one has no data.
@@ -36,18 +34,16 @@ fn photo(k: usize) -> DecodedPhoto {
 
 /// All cells of a mosaic of 16 m x 6 m: colour, all of the provenance and whether a photo was passed over, what came of it.
 fn rendered(
-    feather_m: Option<f64>,
     corrections: Option<&[ColourCorrection]>,
     room: usize,
 ) -> (Vec<[u8; 4]>, Vec<[f32; 6]>, Rendered) {
-    rendered_with(feather_m, corrections, room, &[]).0
+    rendered_with(corrections, room, &[]).0
 }
 
 type Found = (Vec<[u8; 4]>, Vec<[f32; 6]>, Rendered);
 
 /// The same with plots that are to come from one photo, and which they come from.
 fn rendered_with(
-    feather_m: Option<f64>,
     corrections: Option<&[ColourCorrection]>,
     room: usize,
     plots: &[&Polygon],
@@ -64,7 +60,6 @@ fn rendered_with(
         grid,
         size,
         interpolation: Interpolation::Bilinear,
-        feather_m,
         corrections,
         assignment: Some(&assignment),
         with_provenance: true,
@@ -103,7 +98,7 @@ fn tiles_cover_every_cell_once() {
 
 #[test]
 fn a_cell_without_data_comes_from_the_next_best_photo() {
-    let (colours, records, found) = rendered(None, None, usize::MAX);
+    let (colours, records, found) = rendered(None, usize::MAX);
     // Along the middle row: the nearest camera, but left of 4 m the second photo has no data.
     for (x, photo) in [(-3.0_f64, 0), (1.9, 0), (3.0, 0), (4.2, 1), (5.9, 1), (6.1, 2), (11.0, 2)] {
         let at = 300 * 1600 + ((x + 4.0) * 100.0).round() as usize;
@@ -137,10 +132,10 @@ fn a_plot_comes_from_the_photo_that_shows_all_of_it() {
     let too_wide = rectangle([-1.0, 7.5], [-1.5, -0.5]);
     let beside = rectangle([6.5, 7.7], [1.0, 2.0]);
     let plots = [&across, &without_data, &too_wide, &beside];
-    let ((colours, records, found), photos) = rendered_with(None, None, usize::MAX, &plots);
+    let ((colours, records, found), photos) = rendered_with(None, usize::MAX, &plots);
     // The last one overlaps the first, which begins farther left and keeps its cells.
     assert_eq!(photos, [Some(1), Some(1), None, Some(2)]);
-    let (by_rule, rule_records, _) = rendered(None, None, usize::MAX);
+    let (by_rule, rule_records, _) = rendered(None, usize::MAX);
     let at = |[x, y]: [f64; 2]| {
         ((3.0 - y) * 100.0).round() as usize * 1600 + ((x + 4.0) * 100.0).round() as usize
     };
@@ -175,28 +170,18 @@ fn a_plot_comes_from_the_photo_that_shows_all_of_it() {
     let record = records[at([6.9, 1.0])];
     assert!((f64::from(record[1]) - (39.5 + 10.0 * (6.905 - 4.0))).abs() < 0.06, "{record:?}");
     assert_eq!(found.coloured, colours.iter().filter(|colour| colour[3] > 0).count());
-    let (again, _) = rendered_with(None, None, 0, &plots);
+    let (again, _) = rendered_with(None, 0, &plots);
     assert!(again.0 == colours && again.2 == found);
 }
 
 #[test]
 fn the_room_for_photos_changes_nothing() {
-    for feather_m in [None, Some(1.0)] {
-        let (roomy, without) =
-            (rendered(feather_m, None, usize::MAX), rendered(feather_m, None, 0));
-        assert!(roomy.0 == without.0 && roomy.1 == without.1 && roomy.2 == without.2);
-    }
+    let (roomy, without) = (rendered(None, usize::MAX), rendered(None, 0));
+    assert!(roomy.0 == without.0 && roomy.1 == without.1 && roomy.2 == without.2);
 }
 
 #[test]
-fn feathering_mixes_photos_at_a_seam_and_corrections_change_them() {
-    let (colours, _, _) = rendered(Some(1.0), None, usize::MAX);
-    // The seam of the second and the third photo, at 6 m: half of each; beyond a metre of it one alone.
-    let at = |x: f64| colours[300 * 1600 + ((x + 4.0) * 100.0).round() as usize];
-    let [r, g, b, a] = at(6.0);
-    assert!(r == 10 && a == 255, "{r} {a}");
-    assert!(g.abs_diff(105) <= 2 && b.abs_diff(105) <= 2, "{g} {b}");
-    assert_eq!((at(4.9), at(7.1)), ([10, 200, 10, 255], [10, 10, 200, 255]));
+fn corrections_change_the_colours_of_photos() {
     let by = |gain: [f32; 3]| ColourCorrection {
         gain,
         middle_px: [39.5, 29.5],
@@ -204,7 +189,7 @@ fn feathering_mixes_photos_at_a_seam_and_corrections_change_them() {
         log_shape: [0.0; 7],
     };
     let corrections = [by([0.5; 3]), by([1.0; 3]), by([2.0, 1.0, 1.0])];
-    let (colours, _, _) = rendered(None, Some(&corrections), usize::MAX);
+    let (colours, _, _) = rendered(Some(&corrections), usize::MAX);
     // By the equations of IEC 61966-2-1 half the light of 200 is 146.3.
     assert_eq!(colours[300 * 1600 + 100][0], 146);
     // At 5 m: the left half of the second photo has no data.
@@ -222,7 +207,6 @@ fn errors_of_reading_and_of_taking_end_the_work() {
         grid,
         size: [1600, 600],
         interpolation: Interpolation::Bilinear,
-        feather_m: None,
         corrections: None,
         assignment: None,
         with_provenance: false,

@@ -138,7 +138,7 @@ fn beside_their_rays(reconstruction: &Reconstruction, sigma_m: f64) -> Vec<(Stri
 }
 
 /// The most threes that are tried.
-const MOST_TRIALS: usize = 3000;
+const MAX_TRIALS: usize = 3000;
 
 fn fit_robustly(pairs: &[Pairing]) -> Option<(Similarity, Vec<bool>)> {
     let n = pairs.len();
@@ -148,7 +148,7 @@ fn fit_robustly(pairs: &[Pairing]) -> Option<(Similarity, Vec<bool>)> {
     let threes =
         (0..n).flat_map(|i| (i + 1..n).flat_map(move |j| (j + 1..n).map(move |k| [i, j, k])));
     let total = n * n.saturating_sub(1) * n.saturating_sub(2) / 6;
-    let every = total.div_ceil(MOST_TRIALS).max(1);
+    let every = total.div_ceil(MAX_TRIALS).max(1);
     let mut best: Option<(f64, Similarity)> = None;
     for three in threes.step_by(every) {
         let three = three.map(|k| (pairs[k].1, pairs[k].2));

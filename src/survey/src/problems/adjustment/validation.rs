@@ -38,7 +38,7 @@ pub struct Validated {
 }
 
 /// Equations that an image needs: three points.
-const LEAST_OBSERVATIONS: usize = 3;
+const MIN_OBSERVATIONS: usize = 3;
 
 /// Validates a reconstruction.
 ///
@@ -131,7 +131,7 @@ fn keep_feasible(
 
 /// Rays of a point that are within this of each other everywhere do not say how far away it is, radians:
 /// those of a photo and of its double, for one.
-const LEAST_ANGLE_RAD: f64 = 1e-4;
+const MIN_ANGLE_RAD: f64 = 1e-4;
 
 fn drop_points(
     reconstruction: &Reconstruction,
@@ -163,7 +163,7 @@ fn drop_points(
         }
         let reason = if rays[k] < 2 {
             format!("{} image(s) see it, two are needed", rays[k])
-        } else if widest[k] < LEAST_ANGLE_RAD {
+        } else if widest[k] < MIN_ANGLE_RAD {
             "the images that see it see it along one line".into()
         } else {
             continue;
@@ -221,14 +221,14 @@ fn drop_images(
             usize::from(reconstruction.ground[m.ground as usize].role != Role::Check);
     }
     for (k, keep) in image.iter_mut().enumerate() {
-        if *keep && seen[k] < LEAST_OBSERVATIONS {
+        if *keep && seen[k] < MIN_OBSERVATIONS {
             *keep = false;
             excluded.push(Excluded {
                 kind: ExcludedKind::Image,
                 image: Some(reconstruction.images[k].name.clone()),
                 point: None,
                 reason: format!(
-                    "it has {} usable observation(s), its pose needs {LEAST_OBSERVATIONS}",
+                    "it has {} usable observation(s), its pose needs {MIN_OBSERVATIONS}",
                     seen[k]
                 ),
             });
