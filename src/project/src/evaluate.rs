@@ -94,7 +94,7 @@ pub fn evaluate(
 }
 
 /// The stage.
-pub(super) struct Evaluate;
+pub struct Evaluate;
 
 fn truth_of(project: &Project) -> Result<PathBuf, Error> {
     let named = project.config().project.truth.as_ref();

@@ -67,7 +67,7 @@ pub fn leaf_count(
 }
 
 /// The stage.
-pub(super) struct LeafCountStage;
+pub struct LeafCountStage;
 
 impl Task for LeafCountStage {
     type Options = LeafCountOptions;

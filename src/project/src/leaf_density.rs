@@ -55,7 +55,7 @@ pub fn leaf_density(
 }
 
 /// The stage.
-pub(super) struct LeafDensity;
+pub struct LeafDensity;
 
 impl Task for LeafDensity {
     type Options = LeafDensityOptions;

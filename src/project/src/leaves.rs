@@ -93,7 +93,7 @@ pub fn leaves(
 }
 
 /// The stage.
-pub(super) struct LeavesStage;
+pub struct LeavesStage;
 
 impl Task for LeavesStage {
     type Options = LeavesOptions;

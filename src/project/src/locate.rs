@@ -172,7 +172,7 @@ pub fn locate(
 }
 
 /// The stage.
-pub(super) struct Locate;
+pub struct Locate;
 
 impl Task for Locate {
     type Options = LocateOptions;

@@ -96,7 +96,7 @@ pub fn segment(
 }
 
 /// The stage.
-pub(super) struct Segment;
+pub struct Segment;
 
 impl Task for Segment {
     type Options = SegmentOptions;

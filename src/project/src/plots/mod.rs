@@ -128,7 +128,7 @@ pub fn plots(
 pub const POLYGONS: &str = "traits.geojson";
 
 /// The stage.
-pub(super) struct Plots;
+pub struct Plots;
 
 /// The tables of earlier stages that are there.
 struct Tables {
