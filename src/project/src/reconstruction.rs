@@ -16,7 +16,8 @@ impl Project {
             return Err(Error::NothingToDo("the orthomosaic is given".to_owned()));
         }
         let path = self.file(Stage::Align, reconstruction::NAME);
-        if !path.is_file() {
+        let record = self.records().read(Stage::Align);
+        if !path.is_file() || record.is_some_and(|record| record.is_superseded) {
             return Err(Error::NothingToDo(format!(
                 "there is no reconstruction in {}; make one with rowgram align",
                 self.folder(Stage::Align).display()

@@ -203,7 +203,8 @@ fn attempt<T: Task>(
     let counts_memory = super::reset_peak_memory();
     let new = NewFolder::begin(&folder)?;
     let mut recorder = Recorder::new(monitor);
-    let outcome = T::work(project, options, new.path(), &mut recorder)?;
+    let outcome = T::work(project, options, new.path(), &mut recorder)
+        .map_err(|error| in_place(error, new.path(), &folder))?;
     let diagnostics = recorder.diagnostics;
     lock.check()?;
     let written = record::contents(new.path(), &record::files(new.path())?)?;
@@ -228,6 +229,18 @@ fn attempt<T: Task>(
     };
     records.finish(&record, new, project.is_forced())?;
     Ok(Performed { outcome, was_current: false })
+}
+
+/// An error that names a file by the place that it would have had.
+fn in_place(error: Error, work: &Path, folder: &Path) -> Error {
+    match error {
+        Error::File(FileError::Write { path, source }) => {
+            let path =
+                path.strip_prefix(work).map_or_else(|_| path.clone(), |path| folder.join(path));
+            FileError::Write { path, source }.into()
+        }
+        other => other,
+    }
 }
 
 /// Refuses inputs among the results that the stage replaces: read again, they would be another input.

@@ -198,9 +198,10 @@ fn repeat(
         }
         // An outcome may name files among the results.
         let own = |path: &Path| record::relative(root, path).to_string_lossy().into_owned();
+        // As text: a number that is read once more may be another in its last bit.
         let text =
             repeated.outcome.to_string().replace(&own(folder.path()), &own(project.results()));
-        if serde_json::from_str::<serde_json::Value>(&text).ok().as_ref() != Some(&record.outcome) {
+        if text != record.outcome.to_string() {
             let path = project.results().join(Records::name(record.stage));
             found.push(path, stage, Occasion::Outcome, false);
         }
