@@ -27,13 +27,9 @@ use super::{
     table::{Column, Row, Table},
 };
 use rowgram_survey::scene::{
-    Axes, CameraPosition, Excluded, ExcludedKind, GroundObservation, GroundPoint, Image, Role,
-    ScaleBar,
+    Axes, CameraPosition, Excluded, ExcludedKind, GroundPoint, Image, Role, ScaleBar,
 };
-use std::{
-    collections::{HashMap, HashSet},
-    path::Path,
-};
+use std::{collections::HashSet, path::Path};
 
 /// Standard deviations where a file has none.
 #[derive(Debug, Clone, Copy, PartialEq)]
