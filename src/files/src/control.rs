@@ -128,14 +128,15 @@ impl Coordinates {
 
     /// In metres.
     fn in_metres(table: &Table) -> Result<Coordinates, FileError> {
-        let mut found = Coordinates::of(table)?;
-        if found.is_degrees
-            && let Some((east, north)) = table.column(EASTING).zip(table.column(NORTHING))
-        {
-            found = Coordinates { plan: [east, north], is_degrees: false, ..found };
-            found.is_degrees = look_like_degrees(&found.places(table));
+        let found = Coordinates::of(table)?;
+        if !found.is_degrees {
+            return Ok(found);
         }
-        match found.is_degrees {
+        let Some((east, north)) = table.column(EASTING).zip(table.column(NORTHING)) else {
+            return Err(table.whole_fault(DEGREES.into()));
+        };
+        let found = Coordinates { plan: [east, north], is_degrees: false, ..found };
+        match look_like_degrees(&found.places(table)) {
             true => Err(table.whole_fault(DEGREES_AS_METRES.into())),
             false => Ok(found),
         }
@@ -154,7 +155,8 @@ impl Coordinates {
     }
 }
 
-const DEGREES_AS_METRES: &str = "the coordinates are latitude and longitude in degrees; expected easting_m, northing_m, height_m in metres: transform them into the mapping frame first";
+const DEGREES: &str = "the coordinates are latitude and longitude in degrees; expected easting_m, northing_m, height_m in metres: transform them into the mapping frame first";
+const DEGREES_AS_METRES: &str = "the coordinates look like degrees: all are within one unit of each other; expected metres in the mapping frame";
 
 /// Reads ground points in metres.
 ///

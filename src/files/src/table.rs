@@ -102,7 +102,8 @@ impl Table {
                 table.preamble.push(bare.to_owned());
             }
         }
-        let separator = Separator::of(&text[begin..]);
+        let rest = &text[begin..];
+        let separator = if has_header { Separator::of_header(rest) } else { Separator::of(rest) };
         table.fill(&text, begin, &separator, has_header)?;
         Ok(table)
     }

@@ -58,6 +58,36 @@ fn knows_datum(definition: &str) -> bool {
     same_as_wgs84 || ["+datum=", "+towgs84="].iter().any(|key| definition.contains(key))
 }
 
+/// The code of a UTM zone in words: `WGS84 UTM 16N`, `WGS 84 / UTM zone 16N`, `UTM 16T`, where the letter is that of the
+/// hemisphere or of the band of latitude (C to M are south of the equator). `S` alone is the southern hemisphere, as in
+/// the headers of control point lists.
+fn utm_code(words: &str) -> Option<u32> {
+    let upper = words.to_ascii_uppercase();
+    let (datum, zone) = upper.split_once("UTM")?;
+    let datum: String = datum.chars().filter(char::is_ascii_alphanumeric).collect();
+    let zone = zone.trim().trim_start_matches("ZONE").trim();
+    let digits = zone.len() - zone.trim_start_matches(|c: char| c.is_ascii_digit()).len();
+    let (number, letter) = zone.split_at(digits);
+    let number = number.parse::<u32>().ok().filter(|zone| (1..=60).contains(zone))?;
+    let south = match letter.trim() {
+        "" => false,
+        "S" => true,
+        letter if letter.len() == 1 => match letter.as_bytes()[0] {
+            b'C'..=b'M' => true,
+            b'N'..=b'X' => false,
+            _ => return None,
+        },
+        _ => return None,
+    };
+    match (datum.as_str(), south) {
+        ("" | "WGS84", false) => Some(32600 + number),
+        ("" | "WGS84", true) => Some(32700 + number),
+        ("ETRS89", false) if (28..=38).contains(&number) => Some(25800 + number),
+        ("NAD83", false) if number <= 23 => Some(26900 + number),
+        _ => None,
+    }
+}
+
 const WGS84: &str = "+proj=longlat +datum=WGS84 +no_defs";
 
 impl Crs {
@@ -197,7 +227,7 @@ impl Crs {
         knows_datum(&self.definition)
     }
 
-    /// The system that words name: `EPSG:32611`, `32611`, a PROJ string, or `WGS84 UTM 11N` as in the
+    /// The system that words name: `EPSG:32611`, `32611`, a PROJ string, or `WGS84 UTM 11N` or `11T` as in the
     /// headers of control point lists.
     ///
     /// # Errors
@@ -211,17 +241,8 @@ impl Crs {
         if words.starts_with("+proj") {
             return Crs::of_definition(words)?.in_metres();
         }
-        let upper = words.to_ascii_uppercase();
-        if let Some(zone) = upper.strip_prefix("WGS84 UTM") {
-            let zone = zone.trim();
-            let (number, south) = match (zone.strip_suffix('N'), zone.strip_suffix('S')) {
-                (Some(number), _) => (number, false),
-                (_, Some(number)) => (number, true),
-                _ => (zone, false),
-            };
-            if let Ok(number @ 1..=60) = number.trim().parse::<u32>() {
-                return Crs::from_epsg(if south { 32700 } else { 32600 } + number);
-            }
+        if let Some(code) = utm_code(words) {
+            return Crs::from_epsg(code);
         }
         Err(CrsError(format!(
             "{words:?} names no coordinate reference system; expected EPSG:<code>, a PROJ string or WGS84 UTM <zone>N"
@@ -384,5 +405,30 @@ impl LocalPlane {
             -sin_lat * cos_lon * d[0] - sin_lat * sin_lon * d[1] + cos_lat * d[2],
             cos_lat * cos_lon * d[0] + cos_lat * sin_lon * d[1] + sin_lat * d[2],
         ]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn zones_are_named_in_many_ways() {
+        for (words, code) in [
+            ("WGS84 UTM 16N", Some(32616)),
+            ("WGS84 UTM 16T", Some(32616)),
+            ("wgs84 utm 23K", Some(32723)),
+            ("WGS 84 / UTM zone 33S", Some(32733)),
+            ("UTM 5", Some(32605)),
+            ("ETRS89 / UTM zone 32N", Some(25832)),
+            ("NAD83 / UTM zone 16N", Some(26916)),
+            ("WGS84 UTM 61N", None),
+            ("WGS84 UTM 16NN", None),
+            ("ED50 UTM 32N", None),
+            ("UTM", None),
+        ] {
+            assert_eq!(utm_code(words), code, "{words}");
+        }
+        assert_eq!(Crs::from_words("WGS84 UTM 16T").unwrap().name(), "EPSG:32616");
     }
 }

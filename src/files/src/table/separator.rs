@@ -21,6 +21,19 @@ struct Sample {
 }
 
 impl Separator {
+    /// The one that a header has most of; blanks where it has no other.
+    pub(super) fn of_header(text: &str) -> Separator {
+        let first = text.lines().find(|line| !line.trim().is_empty()).unwrap_or_default();
+        let count = |by: &u8| first.bytes().filter(|b| b == by).count();
+        let most = *[b'\t', b';', b','].iter().max_by_key(|by| count(by)).unwrap_or(&b',');
+        let by = if count(&most) == 0 && first.trim().contains(' ') { b' ' } else { most };
+        let quote = if first.trim_start().starts_with('\'') { b'\'' } else { b'"' };
+        let mut found = Separator { by, quote, decimal_comma: false };
+        let head: String = text.split_inclusive('\n').take(SAMPLE).collect();
+        found.decimal_comma = by != b',' && found.has_decimal_commas(&head);
+        found
+    }
+
     /// The one by which most fields are numbers, or by which there are most fields.
     pub(super) fn of(text: &str) -> Separator {
         let first = text.lines().find(|line| !line.trim().is_empty()).unwrap_or_default();

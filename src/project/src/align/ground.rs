@@ -207,13 +207,17 @@ pub(super) fn read(
             crs = Some(zone);
         }
     }
-    let frame = match (crs, tagged.first()) {
+    // Where the photos were taken, or control in degrees lies.
+    let mut places_deg: Vec<[f64; 2]> =
+        tagged.iter().map(|(_, tag)| [tag.latitude_deg, tag.longitude_deg]).collect();
+    if places_deg.is_empty() && geographic {
+        places_deg = known.ground.iter().map(|p| [p.position_m[0], p.position_m[1]]).collect();
+    }
+    let frame = match (crs, places_deg.first()) {
         (Some(crs), _) => Frame::Map(Box::new(crs)),
         (None, Some(_)) if known.ground.is_empty() || geographic => {
-            let n = tagged.len() as f64;
-            let mean =
-                |of: &dyn Fn(&Geotag) -> f64| tagged.iter().map(|(_, t)| of(t)).sum::<f64>() / n;
-            let (lat, lon) = (mean(&|t| t.latitude_deg), mean(&|t| t.longitude_deg));
+            let n = places_deg.len() as f64;
+            let [lat, lon] = [0, 1].map(|k| places_deg.iter().map(|at| at[k]).sum::<f64>() / n);
             match Crs::utm_of(lat, lon) {
                 // Poleward of it there is no zone.
                 Ok(zone) if lat.abs() < 84.0 => {
