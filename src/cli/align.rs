@@ -9,6 +9,7 @@ use rowgram_base::{error::Error, options::Choice};
 use rowgram_project::{
     Config, Project, Stage,
     align::{self, AlignOptions, Step},
+    environment,
 };
 use std::path::PathBuf;
 
@@ -75,7 +76,7 @@ fn step() -> clap::builder::PossibleValuesParser {
 
 impl Args {
     fn project(&self) -> Result<(Project, AlignOptions), Error> {
-        let mut config = Config::read(&self.project, std::env::vars(), &[])?;
+        let mut config = Config::read(&self.project, environment()?.into_iter(), &[])?;
         let options = self.options.over(&config.align)?;
         let settings = &mut config.project;
         settings.crs = self.crs.clone().or(settings.crs.take());

@@ -4,7 +4,7 @@ use super::{Project, Stage, segment::SegmentOptions};
 use image::RgbImage;
 use rowgram_base::{error::Error, options::Auto};
 use rowgram_files::{
-    images,
+    images, memory,
     rasters::{self, BAND_ROWS, Source},
 };
 use rowgram_optim::output::FileError;
@@ -162,6 +162,7 @@ pub(super) fn of_photo(
 /// What says where leaves are in a photo, which is then segmented band by band.
 pub(super) struct Segmenter<'a> {
     source: &'a Source,
+    image: &'a Path,
     gains: Option<Gains>,
     rule: Rule,
 }
@@ -188,7 +189,7 @@ impl<'a> Segmenter<'a> {
     /// Sees all of the photo, where vegetation or gains are estimated.
     pub(super) fn new(
         source: &'a Source,
-        image: &Path,
+        image: &'a Path,
         options: &SegmentOptions,
     ) -> Result<Segmenter<'a>, Error> {
         let gains = options.white_balance.map(|how| gains(source, how)).transpose()?;
@@ -218,7 +219,7 @@ impl<'a> Segmenter<'a> {
                 Rule::Vegetation(Box::new(estimator.finish().map_err(malformed)?))
             }
         };
-        Ok(Segmenter { source, gains, rule })
+        Ok(Segmenter { source, image, gains, rule })
     }
 
     /// What was estimated of vegetation and background, where it was.
@@ -248,6 +249,9 @@ impl<'a> Segmenter<'a> {
     /// The leaf mask of the whole photo.
     pub(super) fn whole(&self) -> Result<LeafMask, FileError> {
         let (width, height) = self.source.size();
+        // The mask, its posterior, and which of its pixels show something.
+        let bytes = 3 * (width as u64).saturating_mul(height as u64);
+        memory::require(self.image, "its leaf mask", bytes)?;
         let (mut mask, mut posterior) = (Vec::with_capacity(width * height), None);
         // Until a band has pixels that show nothing, all show something.
         let mut valid: Option<Vec<u8>> = None;
