@@ -159,6 +159,48 @@ fn the_engines_need_no_picture_table_or_terminal() {
 }
 
 #[test]
+fn dependencies_may_be_passed_on() {
+    /// Licences that ask for no more than to be named.
+    const ALLOWED: &[&str] = &[
+        "MIT",
+        "Apache-2.0",
+        "Apache-2.0 WITH LLVM-exception",
+        "BSD-2-Clause",
+        "BSD-3-Clause",
+        "0BSD",
+        "BSL-1.0",
+        "CC0-1.0",
+        "IJG",
+        "ISC",
+        "Unicode-3.0",
+        "Unlicense",
+        "Zlib",
+    ];
+    let output = std::process::Command::new(env!("CARGO"))
+        .args(["metadata", "--format-version", "1", "--offline", "--locked"])
+        .current_dir(root())
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let metadata: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let packages = metadata["packages"].as_array().unwrap();
+    assert!(packages.len() > 100, "these are no dependencies: {packages:?}");
+    // One of each choice, and all of what is joined.
+    let is_allowed = |licence: &str| {
+        let licence = licence.replace(['(', ')'], "").replace('/', " OR ");
+        licence
+            .split(" AND ")
+            .all(|part| part.split(" OR ").any(|one| ALLOWED.contains(&one.trim())))
+    };
+    let found = packages.iter().filter_map(|package| {
+        let licence = package["license"].as_str().unwrap_or("none stated");
+        let line = format!("{} {}: {licence}", package["name"], package["version"]);
+        (!is_allowed(licence)).then_some(line)
+    });
+    assert_none(found, "the licence of a dependency is not one of those that are allowed");
+}
+
+#[test]
 fn argmin_is_no_part_of_the_interface() {
     let sources = sources("src");
     let executor = sources.iter().filter(|source| source.path == "src/optim/src/drive/executor.rs");

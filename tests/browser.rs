@@ -62,13 +62,24 @@ impl Drop for Running {
     }
 }
 
-/// Status and body of what a server says to these bytes.
-fn ask(address: &str, request: &str) -> (String, Vec<u8>) {
+/// What a server says to these bytes.
+fn answer(address: &str, request: &str) -> Vec<u8> {
     let mut stream = TcpStream::connect(address).unwrap();
-    stream.write_all(request.as_bytes()).unwrap();
-    let mut answer = Vec::new();
     // A connection that is reset has given its answer, or none.
+    let _ = stream.write_all(request.as_bytes());
+    let mut answer = Vec::new();
     let _ = stream.read_to_end(&mut answer);
+    answer
+}
+
+/// The same as text.
+fn ask_whole(address: &str, request: &str) -> String {
+    String::from_utf8_lossy(&answer(address, request)).into_owned()
+}
+
+/// Status and body of it.
+fn ask(address: &str, request: &str) -> (String, Vec<u8>) {
+    let answer = answer(address, request);
     let end = answer.windows(4).position(|four| four == b"\r\n\r\n").unwrap_or(answer.len());
     let head = String::from_utf8_lossy(&answer[..end]).into_owned();
     let status = head.lines().next().unwrap_or_default().to_owned();
@@ -90,14 +101,37 @@ pub fn assert_map_is_served(project: &Path) {
     BufReader::new(server.0.stdout.take().unwrap()).read_line(&mut line).unwrap();
     let said: Value = serde_json::from_str(&line).unwrap();
     let url = said["url"].as_str().unwrap();
-    let address = url.trim_start_matches("http://").trim_end_matches('/');
+    let (address, token) =
+        url.trim_start_matches("http://").trim_end_matches('/').split_once('/').unwrap();
     assert!(address.starts_with("127.0.0.1:"), "{url}");
-    let get = |target: &str| {
+    assert!(token.len() >= 32 && token.bytes().all(|b| b.is_ascii_hexdigit()), "{url}");
+    let raw = |target: &str, more: &str| {
         ask(
             address,
-            &format!("GET {target} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n"),
+            &format!("GET {target} HTTP/1.1\r\nHost: {address}\r\n{more}Connection: close\r\n\r\n"),
         )
     };
+    let get = |target: &str| raw(&format!("/{token}{target}"), "");
+
+    // The page runs nothing that stands in it, and nobody without the token has anything.
+    let page = ask_whole(
+        address,
+        &format!("GET /{token}/ HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n"),
+    );
+    let policy =
+        page.lines().find(|line| line.to_lowercase().starts_with("content-security-policy"));
+    assert!(!policy.unwrap().contains("unsafe"), "{policy:?}");
+    assert!(!page.contains(" style=\"") && !page.contains("<style"), "{page}");
+    let wrong = "0".repeat(token.len());
+    for target in [
+        "/",
+        "/tiles/0/0/0.jpg",
+        &format!("/{wrong}/"),
+        &format!("/{token}"),
+        &format!("/{}/", &token[1..]),
+    ] {
+        assert!(raw(target, "").0.contains(" 404"), "{target}");
+    }
 
     // A tile is what the orthomosaic is there.
     let ortho =
@@ -124,6 +158,16 @@ pub fn assert_map_is_served(project: &Path) {
     assert!(found.len() >= 2, "{found:?}");
     assert_eq!(found.iter().filter(|of| of["is_source"] == true).count(), 1, "{found:?}");
     let [x, y] = ortho.georeference().unwrap().map([u, v]);
+
+    // The raster itself, whole and in parts.
+    let file = fs::read(project.join("rowgram/ortho/ortho.tif")).unwrap();
+    let raster = format!("/{token}/rasters/ortho.tif");
+    let (status, whole) = raw(&raster, "");
+    assert!(status.contains(" 200") && whole == file, "{status}");
+    let (status, part) = raw(&raster, "Range: bytes=100-299\r\n");
+    assert!(status.contains(" 206") && part == file[100..300], "{status}");
+    let (status, _) = raw(&raster, &format!("Range: bytes={}-\r\n", file.len()));
+    assert!(status.contains(" 416"), "{status}");
     let parent = project.parent().unwrap();
     let name = project.file_name().unwrap().to_str().unwrap();
     let asked = rowgram(parent, &format!("ortho query {name} --at {x},{y} --every-photo --json"));
@@ -147,17 +191,44 @@ pub fn assert_map_is_served(project: &Path) {
         let (status, body) = get(target);
         assert!(status.contains(" 404") || status.contains(" 400"), "{target}: {status}");
         assert!(body.len() < 300, "{target}");
+        let said = String::from_utf8_lossy(&body);
+        assert!(!said.contains(&*project.to_string_lossy()), "{target}: {said}");
     }
-    let elsewhere =
-        ask(address, "GET / HTTP/1.1\r\nHost: evil.example\r\nConnection: close\r\n\r\n");
+    let elsewhere = ask(
+        address,
+        &format!("GET /{token}/ HTTP/1.1\r\nHost: evil.example\r\nConnection: close\r\n\r\n"),
+    );
     assert!(elsewhere.0.contains(" 403"), "{}", elsewhere.0);
     let written = ask(
         address,
         &format!(
-            "PUT / HTTP/1.1\r\nHost: {address}\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
+            "PUT /{token}/ HTTP/1.1\r\nHost: {address}\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
         ),
     );
     assert!(written.0.contains(" 405"), "{}", written.0);
+    // A body that is announced is neither made room for nor waited for, and heads have an end.
+    for length in ["1000000000000000000", "10"] {
+        let (status, _) = raw(&format!("/{token}/"), &format!("Content-Length: {length}\r\n"));
+        assert!(status.contains(" 413"), "{length}: {status}");
+    }
+    let (status, _) = raw("/", &format!("X: {}\r\n", "x".repeat(1 << 20)));
+    assert!(status.contains(" 431") || status.contains(" 400") || status.is_empty(), "{status}");
+    // Clients that ask and never read, or never end their request, hold up nobody.
+    let idle: Vec<TcpStream> = (0..24)
+        .map(|k| {
+            let mut stream = TcpStream::connect(address).unwrap();
+            let request = format!("GET {raster} HTTP/1.1\r\nHost: {address}\r\n");
+            stream.write_all(request.as_bytes()).unwrap();
+            if k % 2 == 0 {
+                stream.write_all(b"\r\n").unwrap();
+            }
+            stream
+        })
+        .collect();
+    let begin = std::time::Instant::now();
+    assert!(get("/tiles/0/0/0.jpg").0.contains(" 200"), "others are served meanwhile");
+    assert!(begin.elapsed().as_secs() < 8, "{:?}", begin.elapsed());
+    drop(idle);
     for broken in ["\r\n\r\n", "GET\r\n\r\n", "\u{0}\u{1}\r\n\r\n", "GET / HTTP/9.9\r\n\r\n"] {
         ask(address, broken);
     }

@@ -30,9 +30,13 @@ mod examples;
 mod faults;
 mod features;
 mod formats;
+#[cfg(target_os = "linux")]
+mod hostile;
 mod leaves;
 mod locate;
 mod maps;
+#[cfg(target_os = "linux")]
+mod mutations;
 mod nlls;
 mod ortho;
 mod parsers;

@@ -24,10 +24,22 @@ MAIN_TABLES = {
     "crops": "traits.csv",
     "layout": "layout.csv",
     "season": "traits_long.csv",
-    "leaf-count": "leaf_counts.csv",
-    "align": "cameras.csv",
+    "leaf-count": "counts.csv",
+    "align": "exterior_orientation.csv",
 }
 """The table of a stage that ``to_pandas()`` reads where none is named."""
+
+
+def _of_cell(cell: Any) -> Any:
+    """A name as it was before it was written: one like a formula has an apostrophe in front (see the formats)."""
+    if not isinstance(cell, str) or not cell.startswith("'"):
+        return cell
+    text = cell.lstrip("'")
+    try:
+        float(text)
+    except ValueError:
+        return cell[1:] if text.startswith(("=", "+", "-", "@", "\t", "\r")) else cell
+    return cell
 
 
 def season(
@@ -145,7 +157,10 @@ class StageResult:
         """A table of the stage; that of its plants, leaves, plots, ... where none is named."""
         import pandas
 
-        return pandas.read_csv(self.file(table or self._main(".csv")))
+        found = pandas.read_csv(self.file(table or self._main(".csv")))
+        for column in found.select_dtypes(exclude=["number", "bool"]):
+            found[column] = found[column].map(_of_cell)
+        return found.rename(columns=_of_cell)
 
     def to_geopandas(self, layer: str | None = None) -> geopandas.GeoDataFrame:
         """A map layer of the stage (GeoPackage or GeoJSON), where it has one."""

@@ -86,7 +86,9 @@ impl Project {
         results: Option<PathBuf>,
         settings: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Project> {
-        let config = Config::read(&path, std::env::vars(), &self::settings(settings)?)
+        let settings = self::settings(settings)?;
+        let config = pipeline::environment()
+            .and_then(|environment| Config::read(&path, environment.into_iter(), &settings))
             .map_err(|error| from_library(&error))?;
         let project =
             pipeline::Project::new(path, config).map_err(|error| from_library(&error))?;
@@ -243,7 +245,7 @@ pub(crate) fn season<'py>(
     let mut monitor = PythonMonitor::new(progress);
     let done = without_python(py, || {
         let file = SeasonFile::read(&file)?;
-        let environment: Vec<(String, String)> = std::env::vars().collect();
+        let environment = pipeline::environment()?;
         let outcome = pipeline::season::season(&file, &environment, &settings, false, &mut monitor)?;
         if report {
             rowgram::report::write_season(&file, &outcome, false)?;
@@ -258,7 +260,9 @@ pub(crate) fn season<'py>(
 /// What a project lacks, before hours are spent on it: diagnostics.
 #[pyfunction]
 pub(crate) fn doctor(py: Python<'_>, path: PathBuf) -> PyResult<Bound<'_, PyAny>> {
-    let found = without_python(py, || pipeline::doctor::doctor(&path, std::env::vars()))?;
+    let found = without_python(py, || {
+        pipeline::doctor::doctor(&path, pipeline::environment()?.into_iter())
+    })?;
     result(py, &found.map_err(|error| from_library(&error))?)
 }
 

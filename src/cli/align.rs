@@ -10,6 +10,7 @@ use rowgram_base::{error::Error, options::Choice};
 use rowgram_project::{
     Config, Project, Stage,
     align::{self, AlignOptions, Step},
+    environment,
 };
 use std::path::PathBuf;
 
@@ -87,7 +88,7 @@ fn step() -> clap::builder::PossibleValuesParser {
 impl Args {
     fn project(&self) -> Result<(Project, AlignOptions), Error> {
         let root = self.project.as_deref().unwrap_or(".".as_ref());
-        let mut config = Config::read(root, std::env::vars(), &[])?;
+        let mut config = Config::read(root, environment()?.into_iter(), &[])?;
         let options = self.options.over(&config.align)?;
         let settings = &mut config.project;
         settings.crs = self.crs.clone().or(settings.crs.take());

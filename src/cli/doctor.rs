@@ -28,7 +28,7 @@ pub(super) struct Args {
 /// # Errors
 /// A project that is no folder, and [`Error::Incomplete`] where something has to be put right first.
 pub(super) fn run(args: &Args) -> Result<(), Error> {
-    let found = pipeline::doctor::doctor(&args.project, std::env::vars())?;
+    let found = pipeline::doctor::doctor(&args.project, pipeline::environment()?.into_iter())?;
     if args.json {
         print_json(&found)?;
     } else {

@@ -41,7 +41,7 @@ mod view;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use rowgram_base::error::Error;
 use rowgram_optim::output::FileError;
-use std::process::ExitCode;
+use std::{borrow::Cow, process::ExitCode};
 
 /// From overlapping drone photos of a crop field to plant traits.
 #[derive(Debug, Parser)]
@@ -60,6 +60,10 @@ struct Cli {
     #[arg(long, global = true, default_value_t = 0, value_name = "N",
         value_parser = clap::value_parser!(u16).range(0..=1024))]
     threads: u16,
+    /// Memory that the content of one file may take, megabytes; a file that takes more is refused [default: what the
+    /// machine has free].
+    #[arg(long, global = true, value_name = "MB", value_parser = clap::value_parser!(u64).range(1..=1 << 30))]
+    max_memory_mb: Option<u64>,
     /// Say more on stderr (-v: details, -vv: everything).
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
     verbose: u8,
@@ -133,7 +137,11 @@ pub fn main() -> ExitCode {
         Ok(cli) => cli,
         Err(error) => {
             // Help and version are printed to stdout with code 0, misuse to stderr with code 2.
-            let _ = error.print();
+            let text = error.render().to_string();
+            match terminal::visible(&text) {
+                Cow::Borrowed(_) => drop(error.print()),
+                Cow::Owned(text) => say(&text),
+            }
             return ExitCode::from(u8::from(error.use_stderr()) * 2);
         }
     };
@@ -152,6 +160,9 @@ fn run(cli: Cli) -> Result<(), Error> {
         .num_threads(cli.threads.into())
         .build_global()
         .map_err(|e| Error::Argument(format!("--threads {}: {e}", cli.threads)))?;
+    if let Some(megabytes) = cli.max_memory_mb {
+        rowgram_files::memory::set_limit_bytes(megabytes * 1_000_000);
+    }
     dispatch(cli.command)
 }
 
@@ -181,9 +192,14 @@ fn dispatch(command: Command) -> Result<(), Error> {
     }
 }
 
-#[expect(clippy::print_stderr, reason = "the program's last word goes to stderr")]
 fn report(error: &Error) {
-    eprintln!("error: {error}");
+    say(&terminal::visible(&format!("error: {error}")));
+}
+
+/// A line on stderr; where nobody can read it, the exit code still tells.
+fn say(text: &str) {
+    use std::io::Write;
+    let _ = writeln!(std::io::stderr(), "{text}");
 }
 
 /// Messages go to stderr, coloured only on a terminal and only where `NO_COLOR` is not set.
@@ -197,7 +213,8 @@ fn start_logging(verbose: u8, quiet: bool) {
         (false, _) => tracing::Level::TRACE,
     };
     let colour = std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none();
-    let lines = fmt::layer().with_writer(std::io::stderr);
+    // A message that cannot be written is no reason to end.
+    let lines = fmt::layer().with_writer(std::io::stderr).log_internal_errors(false);
     tracing_subscriber::registry()
         .with(lines.event_format(terminal::Lines { colour }))
         .with(Targets::new().with_target("rowgram", level))
@@ -208,7 +225,7 @@ fn start_logging(verbose: u8, quiet: bool) {
 fn print(text: &str) -> Result<(), Error> {
     use std::io::Write;
     let mut out = std::io::stdout().lock();
-    match writeln!(out, "{}", text.trim_end()).and_then(|()| out.flush()) {
+    match writeln!(out, "{}", terminal::visible(text.trim_end())).and_then(|()| out.flush()) {
         // A reader that has seen enough is no failure.
         Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
         result => result.map_err(|e| FileError::write("stdout".as_ref(), e).into()),

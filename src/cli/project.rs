@@ -5,7 +5,7 @@ use rowgram_base::{
     error::Error,
     monitor::{Diagnostic, Monitor, Recorder, Severity},
 };
-use rowgram_project::{Config, Project, Stage};
+use rowgram_project::{Config, Project, Stage, environment};
 use serde::Serialize;
 use std::path::Path;
 
@@ -26,7 +26,7 @@ pub(super) fn open_with(
     results: Option<&Path>,
     settings: &[String],
 ) -> Result<Project, Error> {
-    let config = Config::read(root, std::env::vars(), settings)?;
+    let config = Config::read(root, environment()?.into_iter(), settings)?;
     with_config(root, results, config)
 }
 

@@ -5,7 +5,7 @@ use rowgram_base::{error::Error, options::Choice};
 use rowgram_project::{
     Config, Project, Stage,
     batches::{self, Batch, BatchStep},
-    report,
+    environment, report,
     run::{self, Ending, Plan, RunOptions, RunOutcome, StageReport},
     synth,
 };
@@ -115,7 +115,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
                 return print(&synthetic_plan(&root, args.seed));
             }
             // Settings that cannot be understood are refused before anything is made.
-            Config::read(&root, std::env::vars(), &args.set)?;
+            Config::read(&root, environment()?.into_iter(), &args.set)?;
             let grow = if args.force { synth::synthesize_over } else { synth::synthesize };
             grow(&root, args.seed, &mut terminal)?;
             open_with(&root, None, &args.set)?

@@ -3,7 +3,7 @@
 use super::{print, print_json, terminal::Terminal};
 use rowgram_base::error::Error;
 use rowgram_project::{
-    report,
+    environment, report,
     season::{self, SeasonFile, SeasonOutcome},
 };
 use std::path::PathBuf;
@@ -56,8 +56,7 @@ pub(super) struct Args {
 pub(super) fn run(args: &Args) -> Result<(), Error> {
     let file = SeasonFile::read(&args.file)?;
     let mut terminal = Terminal::new();
-    let environment: Vec<(String, String)> = std::env::vars().collect();
-    let outcome = season::season(&file, &environment, &args.set, args.force, &mut terminal)?;
+    let outcome = season::season(&file, &environment()?, &args.set, args.force, &mut terminal)?;
     let page = report::write_season(&file, &outcome, args.force)?;
     drop(terminal);
     if args.json {

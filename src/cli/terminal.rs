@@ -2,12 +2,27 @@
 
 use indicatif::{ProgressBar, ProgressStyle};
 use rowgram_base::monitor::{Diagnostic, Monitor, Progress, Severity};
-use std::{fmt, time::Instant};
+use std::{borrow::Cow, fmt, time::Instant};
 use tracing::{Event, Level, Subscriber};
 use tracing_subscriber::{
     fmt::{FmtContext, FormatEvent, FormatFields, format::Writer},
     registry::LookupSpan,
 };
+
+/// A text with its control characters escaped, but for ends of lines and tabs: names of files and plots are data, and must
+/// not command the terminal.
+pub(super) fn visible(text: &str) -> Cow<'_, str> {
+    let commands = |c: char| c.is_control() && !matches!(c, '\n' | '\t');
+    if !text.contains(commands) {
+        return Cow::Borrowed(text);
+    }
+    // As JSON has them, so that a line of JSON stays one.
+    let escaped = |c: char| match commands(c) {
+        true => format!("\\u{:04x}", u32::from(c)),
+        false => c.to_string(),
+    };
+    Cow::Owned(text.chars().map(escaped).collect())
+}
 
 /// How messages are written: as they are, warnings and errors behind their word.
 pub(super) struct Lines {
@@ -37,8 +52,9 @@ where
             ("", _) | (_, false) => line.write_str(word)?,
             (_, true) => write!(line, "\x1b[{code}m{word}\x1b[0m")?,
         }
-        context.field_format().format_fields(line.by_ref(), event)?;
-        writeln!(line)
+        let mut text = String::new();
+        context.field_format().format_fields(Writer::new(&mut text), event)?;
+        writeln!(line, "{}", visible(&text))
     }
 }
 

@@ -8,8 +8,9 @@ use std::path::PathBuf;
 /// Show the map of a project in a browser, in full resolution
 ///
 /// The map of the report with every pixel of the orthomosaic, and with the photos: a click on a plant shows it in every photo
-/// in whose frame it lies. Prints the address to open, and answers until it is stopped (Ctrl-C). Only this machine can
-/// ask, and only for what the map shows.
+/// in whose frame it lies. Prints the address to open, and answers until it is stopped (Ctrl-C). Only programs on this
+/// machine can ask, only those that know the address with its random part, and only for what the map shows. The rasters
+/// of the project are at ADDRESS/rasters/ortho.tif and so on, for QGIS and GDAL.
 ///
 /// PROJECT is a folder after rowgram run.
 ///
@@ -45,6 +46,5 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     } else {
         print(&format!("{}  (Ctrl-C ends)", server.url()))?;
     }
-    serve(&server, &viewer);
-    Ok(())
+    serve(server, viewer)
 }

@@ -6,7 +6,7 @@
 #
 # Needs a nightly compiler and cargo-fuzz; says so and ends with 77 where one is missing. What is found lies in
 # tests/fuzz/artifacts, and `cargo fuzz run` with that file repeats it. Seeds are in tests/fuzz/corpus; what grows
-# from them is kept in target.
+# from them is kept in target. Commands as a whole are in commands.sh, which needs neither.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/../.."
 

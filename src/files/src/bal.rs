@@ -19,7 +19,7 @@ use std::{io::Read, io::Write, path::Path};
 /// # Errors
 /// Where the file cannot be read, or is not such a file; names the line.
 pub fn read(path: &Path) -> Result<Network, FileError> {
-    let mut bytes = std::fs::read(path).map_err(|e| FileError::read(path, e))?;
+    let mut bytes = crate::memory::read_file(path)?;
     if bytes.starts_with(&[0x1f, 0x8b]) {
         let mut plain = Vec::new();
         flate2::read::MultiGzDecoder::new(bytes.as_slice())
@@ -97,6 +97,9 @@ pub fn parse(text: &str) -> Result<Network, (usize, String)> {
         None => Ok(network),
     }
 }
+
+/// Size of the largest number: squares of projections of larger ones are none.
+const LARGEST: f64 = 1e15;
 
 const CAMERA_ENTRIES: [&str; 9] = [
     "rotation x",
@@ -176,11 +179,14 @@ impl<'a> Tokens<'a> {
 
     fn finite(&mut self, what: &str) -> Result<f64, (usize, String)> {
         let value: f64 = self.number(what)?;
-        if value.is_finite() {
-            Ok(value)
-        } else {
-            Err((self.line, format!("{what} is {value}, a finite number was expected")))
+        if !value.is_finite() {
+            return Err((self.line, format!("{what} is {value}, a finite number was expected")));
         }
+        if value.abs() > LARGEST {
+            let message = format!("{what} is {value:e}, expected at most {LARGEST:e} in size");
+            return Err((self.line, message));
+        }
+        Ok(value)
     }
 
     fn index(&mut self, what: &str, count: usize) -> Result<u32, (usize, String)> {

@@ -46,7 +46,7 @@ pub fn read(path: &Path, list: Option<&Path>, size_px: [u32; 2]) -> Result<Model
 }
 
 fn read_text(path: &Path) -> Result<String, FileError> {
-    std::fs::read_to_string(path).map_err(|e| FileError::read(path, e))
+    crate::memory::read_text(path)
 }
 
 type Fault = (Option<usize>, String);

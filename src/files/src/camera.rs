@@ -18,7 +18,7 @@ use std::path::Path;
 /// # Errors
 /// Names the file, the key and what was expected.
 pub fn read(path: &Path) -> Result<Camera, FileError> {
-    let text = std::fs::read_to_string(path).map_err(|error| FileError::read(path, error))?;
+    let text = crate::memory::read_text(path)?;
     Camera::from_toml(&text).map_err(|error| FileError::malformed(path, None, error.to_string()))
 }
 

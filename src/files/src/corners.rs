@@ -10,7 +10,11 @@
 //! `column` and `row` count the board's inner corners from 0. The centre of the top-left pixel is (0, 0).
 //! The rows of one photo may stand anywhere in the file; photos keep the order of their first row.
 
-use super::{FileError, output};
+use super::{
+    FileError,
+    csv_table::{CsvWriter, of_cell},
+    output,
+};
 use rowgram_survey::target::{Board, BoardCorner};
 use serde::Deserialize;
 use std::path::Path;
@@ -42,7 +46,7 @@ struct Row {
 /// Names file and line: where a column is missing, a number is none or not finite, a corner is not
 /// on the board or there twice.
 pub fn read(path: &Path, board: Board) -> Result<Vec<ImageCorners>, FileError> {
-    let bytes = std::fs::read(path).map_err(|error| FileError::read(path, error))?;
+    let bytes = crate::memory::read_file(path)?;
     parse(&bytes, board).map_err(|(line, message)| FileError::malformed(path, line, message))
 }
 
@@ -78,9 +82,10 @@ fn parse(bytes: &[u8], board: Board) -> Result<Vec<ImageCorners>, Fault> {
             (line, message)
         })?;
         let line = record.position().map(|position| position.line() as usize);
-        let row: Row = record
+        let mut row: Row = record
             .deserialize(Some(&headers))
             .map_err(|error| (line, field_message(&error, &headers, &record)))?;
+        row.image = of_cell(&row.image).to_owned();
         for (name, value) in [("u_px", row.u_px), ("v_px", row.v_px)] {
             if !value.is_finite() {
                 return Err((line, format!("{name} is {value}, expected a finite number")));
@@ -149,7 +154,7 @@ fn field_message(
 /// As [`output::write`].
 pub fn write(path: &Path, force: bool, images: &[ImageCorners]) -> Result<(), FileError> {
     output::write(path, force, |writer| {
-        let mut writer = csv::Writer::from_writer(writer);
+        let mut writer = CsvWriter::new(writer);
         writer.write_record(COLUMNS)?;
         for image in images {
             for corner in &image.corners {

@@ -1,10 +1,62 @@
 //! CSV tables with a header, read by the names of their columns.
+//!
+//! Names of plots and photos are data. One that a spreadsheet would take for a formula, because it begins with `=`, `+`, `-`, `@`,
+//! a tab or a carriage return and is no number, is written with an apostrophe in front, as spreadsheets mark text; readers take it
+//! away again ([`as_cell`], [`of_cell`]).
 
 use super::{
     FileError,
     table::{Row, Table},
 };
-use std::path::Path;
+use std::{borrow::Cow, io::Write, path::Path};
+
+/// Writes rows of a table, each cell by [`as_cell`].
+pub struct CsvWriter<W: Write>(csv::Writer<W>);
+
+impl<W: Write> CsvWriter<W> {
+    /// Writes to `out`.
+    pub fn new(out: W) -> CsvWriter<W> {
+        CsvWriter(csv::Writer::from_writer(out))
+    }
+
+    /// Writes a row.
+    ///
+    /// # Errors
+    /// Where it cannot be written; rows of different lengths.
+    pub fn write_record<T: AsRef<str>>(
+        &mut self,
+        cells: impl IntoIterator<Item = T>,
+    ) -> std::io::Result<()> {
+        for cell in cells {
+            self.0.write_field(&*as_cell(cell.as_ref()))?;
+        }
+        Ok(self.0.write_record(None::<&[u8]>)?)
+    }
+
+    /// Writes what is still in memory.
+    ///
+    /// # Errors
+    /// Where it cannot be written.
+    pub fn flush(&mut self) -> std::io::Result<()> {
+        self.0.flush()
+    }
+}
+
+/// Whether a text begins like a formula, apostrophes aside.
+fn is_like_formula(text: &str) -> bool {
+    let text = text.trim_start_matches('\'');
+    text.starts_with(['=', '+', '-', '@', '\t', '\r']) && text.parse::<f64>().is_err()
+}
+
+/// A text as it is written into a cell.
+pub fn as_cell(text: &str) -> Cow<'_, str> {
+    if is_like_formula(text) { Cow::Owned(format!("'{text}")) } else { Cow::Borrowed(text) }
+}
+
+/// The text of a cell.
+pub fn of_cell(cell: &str) -> &str {
+    cell.strip_prefix('\'').filter(|text| is_like_formula(text)).unwrap_or(cell)
+}
 
 /// A table of texts.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -69,6 +121,51 @@ impl CsvTable {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_looks_like_a_formula_is_text_and_comes_back() {
+        let names = [
+            "=HYPERLINK(\"http://x\")",
+            "+1 north",
+            "-a",
+            "@b",
+            "\tc",
+            "\rd",
+            "'=e",
+            "''=f",
+            "'g",
+            "'",
+            "",
+            "-1",
+            "+2.5e3",
+            "a,b",
+            "a\"b",
+            "a\nb",
+            "--",
+            "-inf",
+            "Köln",
+        ];
+        for name in names {
+            let cell = as_cell(name);
+            assert_eq!(of_cell(&cell), name);
+            let is_number = cell.parse::<f64>().is_ok();
+            assert!(is_number || !cell.starts_with(['=', '+', '-', '@', '\t', '\r']), "{cell:?}");
+        }
+        assert_eq!(as_cell("=1+1"), "'=1+1");
+        assert_eq!([as_cell("-1"), as_cell("'g")], ["-1", "'g"]);
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("plots.csv");
+        let mut out = Vec::new();
+        let mut csv = CsvWriter::new(&mut out);
+        csv.write_record(["plot", "=genotype"]).unwrap();
+        names.iter().for_each(|name| csv.write_record([*name, "x"]).unwrap());
+        csv.flush().unwrap();
+        drop(csv);
+        std::fs::write(&path, out).unwrap();
+        let table = CsvTable::read(&path).unwrap();
+        assert_eq!(table.header(), ["plot", "=genotype"]);
+        assert_eq!(table.texts("plot").unwrap(), names);
+    }
 
     #[test]
     fn columns_are_found_by_name() {

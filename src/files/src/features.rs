@@ -94,7 +94,7 @@ pub fn write(path: &Path, force: bool, key: u64, features: &Features) -> Result<
 /// [`FileError::Read`] where the file cannot be read; [`FileError::Malformed`] where it is no such file,
 /// of another version, truncated or damaged.
 pub fn read(path: &Path) -> Result<(u64, Features), FileError> {
-    let bytes = std::fs::read(path).map_err(|error| FileError::read(path, error))?;
+    let bytes = crate::memory::read_file(path)?;
     parse(&bytes).map_err(|message| FileError::malformed(path, None, message))
 }
 

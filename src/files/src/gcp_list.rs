@@ -25,7 +25,7 @@ pub fn read(
     defaults: &Defaults,
     photos_deg: Option<[f64; 2]>,
 ) -> Result<Control, FileError> {
-    let text = decode(std::fs::read(path).map_err(|e| FileError::read(path, e))?);
+    let text = decode(crate::memory::read_file(path)?);
     let mut control = parse(&text, defaults)
         .map_err(|(line, message)| FileError::malformed(path, line, message))?;
     if control.geographic {
@@ -129,7 +129,7 @@ pub fn read_opensfm(
     defaults: &Defaults,
     size_px: impl Fn(&str) -> Option<[u32; 2]>,
 ) -> Result<Control, FileError> {
-    let text = std::fs::read_to_string(path).map_err(|e| FileError::read(path, e))?;
+    let text = crate::memory::read_text(path)?;
     let file: serde_json::Value = serde_json::from_str(&text)
         .map_err(|e| FileError::malformed(path, e.line(), e.to_string()))?;
     let wrong = |message: String| FileError::malformed(path, None, message);

@@ -14,7 +14,7 @@
 mod jpeg;
 mod lossy;
 
-use super::{FileError, output};
+use super::{FileError, memory, output};
 use image::{
     DynamicImage, ExtendedColorType, GrayImage, ImageDecoder, ImageEncoder, ImageFormat, Limits,
     RgbImage,
@@ -339,8 +339,22 @@ fn two_values<T: Copy + PartialEq>(
 /// Largest number of pixels of one picture; an orthomosaic beyond it comes in tiles.
 const MAX_PIXELS: u64 = 1 << 31;
 
+/// Columns and rows of a picture, from its header.
+///
+/// # Errors
+/// A file that cannot be read, or is no PNG, JPEG or TIFF picture.
+pub fn size_px(path: &Path) -> Result<[u32; 2], FileError> {
+    let failed = |error| FileError::read(path, error);
+    let reader = image::ImageReader::open(path).map_err(failed)?.with_guessed_format();
+    match reader.map_err(failed)?.into_dimensions() {
+        Ok((width, height)) => Ok([width, height]),
+        Err(image::ImageError::IoError(error)) => Err(failed(error)),
+        Err(error) => Err(FileError::malformed(path, None, damaged("picture", error))),
+    }
+}
+
 fn decode(path: &Path) -> Result<Stored, FileError> {
-    let bytes = std::fs::read(path).map_err(|error| FileError::read(path, error))?;
+    let bytes = memory::read_file(path)?;
     decode_bytes(&bytes).map_err(|message| FileError::malformed(path, None, message))
 }
 
@@ -404,6 +418,13 @@ fn check_size(width: u64, height: u64, length: usize, most: u64) -> Result<(), S
     Ok(())
 }
 
+/// Refuses pictures that do not fit into memory: as decoded, and the mask and the colours that are made of them.
+fn check_memory(decoded_bytes: u64, width: u64, height: u64) -> Result<(), String> {
+    let pixels = width.saturating_mul(height);
+    let what = format!("decoding {width} x {height} pixels");
+    memory::check(&what, decoded_bytes.saturating_add(pixels.saturating_mul(4)))
+}
+
 fn by(
     mut decoder: impl ImageDecoder,
     format: &str,
@@ -412,6 +433,7 @@ fn by(
 ) -> Result<DynamicImage, String> {
     let (width, height) = decoder.dimensions();
     check_size(width.into(), height.into(), length, most)?;
+    check_memory(decoder.total_bytes(), width.into(), height.into())?;
     let colour = decoder.color_type();
     if colour.bytes_per_pixel() / colour.channel_count() > 2 {
         return Err(format!("unsupported {format}: {colour:?}, expected 8 or 16 bits per channel"));

@@ -8,7 +8,7 @@
 //! | `low`, `high` | interval of 95 % of the leaves; empty where there are no leaf pixels |
 //! | `interval` | what the interval accounts for: `regions`, how well the regions counted by hand agree, or `plot`, how unevenly the plot is covered |
 
-use super::{FileError, output};
+use super::{FileError, csv_table::CsvWriter, output};
 use rowgram_plants::phenotype::leaf_count::{Interval, LeafCount};
 use std::path::Path;
 
@@ -21,7 +21,7 @@ pub const COLUMNS: [&str; 6] = ["plot", "pixels", "leaves", "low", "high", "inte
 /// As [`output::write`].
 pub fn write(path: &Path, force: bool, plots: &[(&str, &LeafCount)]) -> Result<(), FileError> {
     output::write(path, force, |writer| {
-        let mut csv = csv::Writer::from_writer(writer);
+        let mut csv = CsvWriter::new(writer);
         csv.write_record(COLUMNS)?;
         for (plot, count) in plots {
             let end = |value: fn(&Interval) -> f64| {

@@ -22,6 +22,7 @@ pub mod images;
 pub mod labels;
 pub mod leaf_counts;
 pub mod leaves;
+pub mod memory;
 pub mod model;
 pub mod opensfm;
 pub mod orientation;

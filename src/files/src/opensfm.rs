@@ -27,11 +27,11 @@ use std::{collections::HashMap, path::Path};
 /// # Errors
 /// Where a file cannot be read or is no such file; names the camera, shot or point, or the line.
 pub fn read(path: &Path, tracks: &Path) -> Result<Model, FileError> {
-    let text = std::fs::read_to_string(path).map_err(|e| FileError::read(path, e))?;
+    let text = crate::memory::read_text(path)?;
     let file: Value = serde_json::from_str(&text)
         .map_err(|e| FileError::malformed(path, e.line(), e.to_string()))?;
     let mut model = parse(&file).map_err(|message| FileError::malformed(path, None, message))?;
-    let text = std::fs::read_to_string(tracks).map_err(|e| FileError::read(tracks, e))?;
+    let text = crate::memory::read_text(tracks)?;
     measurements(&text, &mut model)
         .map_err(|(line, message)| FileError::malformed(tracks, line, message))?;
     Ok(model)
@@ -42,7 +42,7 @@ pub fn read(path: &Path, tracks: &Path) -> Result<Model, FileError> {
 /// # Errors
 /// As [`read`].
 pub fn read_poses(path: &Path) -> Result<Model, FileError> {
-    let text = std::fs::read_to_string(path).map_err(|e| FileError::read(path, e))?;
+    let text = crate::memory::read_text(path)?;
     let file: Value = serde_json::from_str(&text)
         .map_err(|e| FileError::malformed(path, e.line(), e.to_string()))?;
     parse(&file).map_err(|message| FileError::malformed(path, None, message))

@@ -23,7 +23,7 @@ use std::{collections::BTreeMap, path::Path};
 /// # Errors
 /// Names the file, and the line or the camera.
 pub fn read(path: &Path) -> Result<Vec<Camera>, FileError> {
-    let text = std::fs::read_to_string(path).map_err(|e| FileError::read(path, e))?;
+    let text = crate::memory::read_text(path)?;
     parse(&text).map_err(|(line, message)| FileError::malformed(path, line, message))
 }
 

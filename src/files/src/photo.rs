@@ -71,7 +71,7 @@ pub struct Metadata {
 /// # Errors
 /// Where the file cannot be read.
 pub fn read(path: &Path) -> Result<Metadata, FileError> {
-    let bytes = std::fs::read(path).map_err(|e| FileError::read(path, e))?;
+    let bytes = crate::memory::read_file(path)?;
     Ok(parse(&bytes))
 }
 

@@ -19,7 +19,7 @@ const NAMES: [[&str; 2]; 2] = [["u_px", "v_px"], ["x", "y"]];
 /// Where the file cannot be read, lacks the columns, or has a row that is not two finite numbers;
 /// the message names file and line.
 pub fn read(path: &Path) -> Result<Vec<[f64; 2]>, FileError> {
-    let bytes = std::fs::read(path).map_err(|error| FileError::read(path, error))?;
+    let bytes = crate::memory::read_file(path)?;
     parse(&bytes).map_err(|(line, message)| FileError::malformed(path, line, message))
 }
 

@@ -46,8 +46,7 @@ pub fn from_angles_rad([omega, phi, kappa]: [f64; 3]) -> rotation::Quaternion {
 /// # Errors
 /// Names the file, the line, the column or the photo.
 pub fn read(path: &Path) -> Result<Vec<Exterior>, FileError> {
-    let bytes = std::fs::read(path).map_err(|e| FileError::read(path, e))?;
-    let text = super::table::decode(bytes);
+    let text = super::table::decode(crate::memory::read_file(path)?);
     let poses = if text.trim_start().starts_with('{') {
         let file: Value = serde_json::from_str(&text)
             .map_err(|e| FileError::malformed(path, e.line(), e.to_string()))?;

@@ -7,7 +7,7 @@ use super::{
     FileError,
     geotiff::{self, Colour, Layout, Reader, Square},
     images::{self, Picture},
-    output,
+    memory, output,
 };
 use image::RgbImage;
 use rowgram_base::error::Error;
@@ -111,6 +111,14 @@ impl Source {
         }
     }
 
+    /// Whether it says which pixels show nothing.
+    pub fn states_gaps(&self) -> bool {
+        match self {
+            Source::File(reader) => reader.states_gaps(),
+            Source::Picture { gaps, .. } => gaps.is_some(),
+        }
+    }
+
     /// Whether it has colours; what has none is a mask.
     pub fn is_photo(&self) -> bool {
         match self {
@@ -172,6 +180,7 @@ impl Source {
         if !self.is_photo() {
             return two_values(reader).map_err(Error::from);
         }
+        memory::require(reader.path(), "its mask", (width as u64).saturating_mul(height as u64))?;
         let mut data = Vec::with_capacity(width * height);
         for band in window::bands(height, BAND_ROWS, 0) {
             data.extend_from_slice(&of_photo(&self.rgb(band.rows)?).data);
@@ -183,6 +192,7 @@ impl Source {
 /// The mask in a file of single values.
 fn two_values(reader: &Reader) -> Result<Mask, FileError> {
     let (width, height) = (reader.width(), reader.height());
+    memory::require(reader.path(), "its mask", (width as u64).saturating_mul(height as u64))?;
     let mut values: Vec<f32> = Vec::new();
     let mut data = Vec::with_capacity(width * height);
     for band in window::bands(height, BAND_ROWS, 0) {
@@ -237,6 +247,11 @@ impl GreyWriter {
             Grey::Tiff(Box::new(geotiff::Writer::begin(path, force, &layout)?))
         } else {
             output::check(path, force)?;
+            memory::require(
+                path,
+                "a picture that is no TIFF",
+                (size.0 as u64).saturating_mul(size.1 as u64),
+            )?;
             let values = Vec::with_capacity(size.0 * size.1);
             Grey::Picture { path: path.to_owned(), force, size, values }
         }))

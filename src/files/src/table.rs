@@ -8,10 +8,13 @@
 mod decode;
 mod separator;
 
-use super::FileError;
+use super::{FileError, csv_table::of_cell};
 pub(super) use decode::decode;
 use separator::Separator;
 use std::path::{Path, PathBuf};
+
+/// Size of the largest number: squares and quotients of larger ones cannot be computed with.
+const LARGEST: f64 = 1e15;
 
 /// A file with rows of fields. All of them are one text: tables of leaves have millions of cells.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -74,10 +77,11 @@ impl Table {
     }
 
     fn of(path: &Path, has_header: bool) -> Result<Table, FileError> {
-        let bytes = std::fs::read(path).map_err(|e| FileError::read(path, e))?;
+        let bytes = crate::memory::read_file(path)?;
         let text = decode(bytes);
-        if text.contains('\0') {
-            return Err(FileError::malformed(path, None, "not text"));
+        if let Some(at) = text.find('\0') {
+            let line = text[..at].matches('\n').count() + 1;
+            return Err(FileError::malformed(path, line, "not text: it has a character NUL"));
         }
         let mut table = Table {
             path: path.to_owned(),
@@ -132,7 +136,8 @@ impl Table {
                     self.named =
                         has_header || fields.iter().all(|field| separator.number(field).is_none());
                     if self.named {
-                        self.header = fields.iter().map(|field| (*field).to_owned()).collect();
+                        self.header =
+                            fields.iter().map(|field| of_cell(field).to_owned()).collect();
                         return true;
                     }
                     self.header = self.commented_header(fields.len(), separator);
@@ -157,7 +162,7 @@ impl Table {
                 }
                 self.rows.push(Row { line, first: self.ends.len() });
                 for k in 0..width {
-                    self.text += fields.get(k).copied().unwrap_or_default();
+                    self.text += of_cell(fields.get(k).copied().unwrap_or_default());
                     self.ends.push(self.text.len());
                 }
                 true
@@ -255,10 +260,13 @@ impl Table {
     }
 
     pub(super) fn number(&self, row: &Row, column: Column) -> Result<f64, FileError> {
-        self.parse(row, column).filter(|value| value.is_finite()).ok_or_else(|| {
-            let (title, field) = (&self.header[column.0], self.text(row, column));
-            self.fault(row, format!("{title} is {field:?}, expected a finite number"))
-        })
+        let (title, field) = (&self.header[column.0], self.text(row, column));
+        match self.parse(row, column).filter(|value| value.is_finite()) {
+            Some(value) if value.abs() <= LARGEST => Ok(value),
+            Some(_) => Err(self
+                .fault(row, format!("{title} is {field}, expected at most {LARGEST:e} in size"))),
+            None => Err(self.fault(row, format!("{title} is {field:?}, expected a finite number"))),
+        }
     }
 
     /// A number, or `None` where the field is empty or says that there is none.

@@ -130,7 +130,25 @@ macro_rules! config {
             )*
         }
 
-        impl Config {
+        /// The variables of the environment that may set something: those whose names begin with `ROWGRAM_`. What else is there is
+/// nobody's business here and need not be text.
+///
+/// # Errors
+/// One of these that is not UTF-8: its name.
+pub fn environment() -> Result<Vec<(String, String)>, Error> {
+    let own = std::env::vars_os()
+        .filter(|(name, _)| name.as_encoded_bytes().starts_with(PREFIX.as_bytes()));
+    own.map(|(name, value)| {
+        let text = |text: &std::ffi::OsString| text.to_str().map(str::to_owned);
+        text(&name).zip(text(&value)).ok_or_else(|| {
+            let name = name.to_string_lossy().into_owned();
+            Error::Argument(format!("environment variable {name}: it is not UTF-8 text"))
+        })
+    })
+    .collect()
+}
+
+impl Config {
             /// The definitions of all sections in their order.
             pub fn sections() -> Vec<Section> {
                 vec![$(<$kind>::section()),*]

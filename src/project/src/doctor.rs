@@ -4,6 +4,7 @@ use super::{
     Config, PHOTO_ENDINGS, Project, Stage,
     forecast::{self, Forecast},
     layers, orthomosaic,
+    photo_folder::UNUSABLE_NAME,
     run::LEAST_PHOTOS,
 };
 use rayon::prelude::*;
@@ -49,6 +50,9 @@ pub fn doctor(
     };
     let project = Project::new(root, config)?;
     let photos = project.photos();
+    for name in project.unusable_photos() {
+        found.push(Diagnostic::error("photo-name-unusable", name, UNUSABLE_NAME));
+    }
     if let Some(ortho) = project.given_orthomosaic() {
         let name = ortho.file_name().unwrap_or_default().to_string_lossy().into_owned();
         found.extend(of_orthomosaic(&ortho, &name));
@@ -277,12 +281,12 @@ fn of_photos(
         let message = format!("all {} photos have one", places.len());
         found.push(Diagnostic::info("positions", "positions", message));
     }
-    found.extend(overlap(&there, &footprint_m));
+    found.extend(overlap(&there, footprint_m));
     found
 }
 
 /// How far photos are from their nearest neighbours, and what overlap that makes where the height is known.
-fn overlap(places: &[Geotag], footprint_m: &[f64]) -> Option<Diagnostic> {
+fn overlap(places: &[Geotag], mut footprint_m: Vec<f64>) -> Option<Diagnostic> {
     let first = places.first().filter(|_| places.len() > 2)?;
     let plane = LocalPlane::at([first.latitude_deg, first.longitude_deg, 0.0]);
     let at: Vec<[f64; 2]> = places
@@ -300,6 +304,7 @@ fn overlap(places: &[Geotag], footprint_m: &[f64]) -> Option<Diagnostic> {
     distances.sort_by(f64::total_cmp);
     let (median, last) = (distances[distances.len() / 2], distances[distances.len() - 1]);
     let mut message = format!("nearest neighbours are {median:.1} m apart, at most {last:.1} m");
+    footprint_m.sort_by(f64::total_cmp);
     let Some(&side) = footprint_m.get(footprint_m.len() / 2).filter(|side| **side > 0.0) else {
         return Some(Diagnostic::info("overlap", "overlap", message));
     };

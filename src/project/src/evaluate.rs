@@ -3,7 +3,7 @@
 use super::{Project, Stage, Task, layers, stage};
 use rowgram_base::{error::Error, monitor::Monitor};
 use rowgram_files::{
-    csv_table::CsvTable,
+    csv_table::{CsvTable, CsvWriter},
     geotiff::Reader,
     points,
     polygons::{self, Named},
@@ -294,7 +294,7 @@ fn leaf_counts(path: &Path) -> Result<BTreeMap<String, f64>, Error> {
 
 fn write(outcome: &EvaluateOutcome, folder: &Path) -> Result<(), Error> {
     output::write(&folder.join("plots.csv"), true, |out| {
-        let mut csv = csv::Writer::from_writer(out);
+        let mut csv = CsvWriter::new(out);
         csv.write_record(["plot", "true_plants", "found_plants", "true_leaves", "leaves_by_area"])?;
         let number = |value: Option<f64>| value.map_or(String::new(), |value| format!("{value:?}"));
         for plot in &outcome.plots {

@@ -12,6 +12,8 @@
 
 use super::align::DESCRIPTORS_IN_MEMORY_BYTES;
 use rowgram_base::monitor::Diagnostic;
+use rowgram_files::memory;
+use rowgram_optim::output::FileError;
 use std::path::Path;
 
 /// Memory of photos in work and of the program itself: six photos of 9 and 12 megapixels took 180 MB with one thread, 190 with two.
@@ -32,6 +34,15 @@ const PHOTO_S: f64 = 3.0;
 /// each pixel of the map. Maps of 452 and 458 million pixels took 4.4 and 4.2 GB (`docs/optimisation.md`), one of 3.2 million 59 MB in all.
 const LOCATE_BYTES: f64 = 4e8;
 const PIXEL_BYTES: f64 = 9.5;
+
+/// Refuses a map of so many columns and rows whose plants take more memory to be located than there is.
+///
+/// # Errors
+/// Both numbers.
+pub fn require_map(path: &Path, (width, height): (usize, usize)) -> Result<(), FileError> {
+    let what = format!("locating plants on {width} x {height} pixels");
+    memory::require(path, &what, (PIXEL_BYTES * width as f64 * height as f64) as u64)
+}
 
 /// A warning where this machine has less memory than plants of a map of so many columns and rows take to be located.
 pub fn map_diagnostic(
@@ -135,12 +146,9 @@ pub fn free_disk_bytes(_: &Path) -> Option<f64> {
     None
 }
 
-/// Memory that programs can still have, bytes; `None` where the system does not say (Linux does).
+/// Memory that can be had, bytes; `None` where the system does not say (Linux does).
 pub fn available_bytes() -> Option<f64> {
-    let text = std::fs::read_to_string("/proc/meminfo").ok()?;
-    let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
-    let kibibytes: f64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
-    Some(1024.0 * kibibytes)
+    memory::available_bytes().map(|bytes| bytes as f64)
 }
 
 #[cfg(test)]

@@ -127,6 +127,9 @@ impl LeafCountOutcome {
     }
 }
 
+/// Name of the line for all of the raster.
+const WHOLE: &str = "whole";
+
 /// Files with the areas that are counted.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Areas {
@@ -174,14 +177,24 @@ pub fn count_leaves(
         plot,
         count: calibration.count(&squares(mask, area, options.square_px), options.seed),
     };
-    let mut counts = vec![count("whole".to_owned(), &Polygon { rings: vec![whole] })];
+    let mut counts = vec![count(WHOLE.to_owned(), &Polygon { rings: vec![whole] })];
     if let Some(path) = &areas.plots {
         let size = Some((mask.width, mask.height));
         let key = areas.plot_key.as_deref();
         let drawn = polygons::Drawn { place: georeference.as_ref(), size, key };
         let plots = polygons::read_layer(path, drawn)?;
         crate::layers::say(path, &plots.notes, monitor);
-        counts.extend(plots.polygons.into_iter().map(|plot| count(plot.name, &plot.polygon)));
+        for plot in plots.polygons {
+            let name = match plot.name.as_str() {
+                WHOLE => {
+                    let message = "a plot has the name of the line for all of the raster; its line is called \"plot whole\"";
+                    monitor.diagnostic(&Diagnostic::info("plot-renamed", WHOLE, message));
+                    "plot whole".to_owned()
+                }
+                _ => plot.name,
+            };
+            counts.push(count(name, &plot.polygon));
+        }
     }
     Ok(LeafCountOutcome { rho_px: calibration.rho, is_orthorectified, counts })
 }

@@ -4,7 +4,7 @@ use super::{Project, Stage, segment::SegmentOptions};
 use image::RgbImage;
 use rowgram_base::{error::Error, options::Auto};
 use rowgram_files::{
-    images,
+    images, memory,
     rasters::{self, BAND_ROWS, Source},
 };
 use rowgram_optim::output::FileError;
@@ -161,6 +161,7 @@ pub(super) fn of_photo(
 /// What says where leaves are in a photo, which is then segmented band by band.
 pub(super) struct Segmenter<'a> {
     source: &'a Source,
+    image: &'a Path,
     rule: Rule,
 }
 
@@ -186,7 +187,7 @@ impl<'a> Segmenter<'a> {
     /// Sees all of the photo, where vegetation is estimated.
     pub(super) fn new(
         source: &'a Source,
-        image: &Path,
+        image: &'a Path,
         options: &SegmentOptions,
     ) -> Result<Segmenter<'a>, Error> {
         let rule = match options.hsv {
@@ -215,7 +216,7 @@ impl<'a> Segmenter<'a> {
                 Rule::Vegetation(Box::new(estimator.finish().map_err(malformed)?))
             }
         };
-        Ok(Segmenter { source, rule })
+        Ok(Segmenter { source, image, rule })
     }
 
     /// What was estimated of vegetation and background, where it was.
@@ -245,6 +246,9 @@ impl<'a> Segmenter<'a> {
     /// The leaf mask of the whole photo.
     pub(super) fn whole(&self) -> Result<LeafMask, FileError> {
         let (width, height) = self.source.size();
+        // The mask, its posterior, and which of its pixels show something.
+        let bytes = 3 * (width as u64).saturating_mul(height as u64);
+        memory::require(self.image, "its leaf mask", bytes)?;
         let (mut mask, mut posterior) = (Vec::with_capacity(width * height), None);
         // Until a band has pixels that show nothing, all show something.
         let mut valid: Option<Vec<u8>> = None;

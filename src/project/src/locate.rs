@@ -5,7 +5,7 @@ mod show;
 use super::{
     Project, Stage, Task,
     figures::View,
-    forecast::{self, map_diagnostic},
+    forecast,
     leaf_mask::{self, LeafMask},
     stage,
 };
@@ -194,11 +194,6 @@ impl Task for Locate {
     ) -> Result<LocateOutcome, Error> {
         let image = project.mask()?;
         let subject = super::record::relative(project.root(), &image).display().to_string();
-        let size = Source::open(&image)?.size();
-        // Not a diagnostic: results do not depend on the memory of a machine, and neither does what is recorded of them.
-        if let Some(short) = map_diagnostic(&subject, size, forecast::available_bytes()) {
-            tracing::warn!("{short}");
-        }
         let (source, leaf) = leaf_mask::of_project(project)?;
         let is_row_model = options.method == LocateMethod::RowModel;
         let of_rows = |name: &str| is_row_model.then(|| folder.join(name));
@@ -265,6 +260,7 @@ pub fn locate_plants(
 ) -> Result<LocateOutcome, Error> {
     files.check(options)?;
     let mut mask = leaf.mask;
+    forecast::require_map(subject.as_ref(), (mask.width, mask.height))?;
     components::remove_small(&mut mask, options.min_pixels);
     let of_raster = || source.georeference().and_then(|place| place.gsd_m());
     let gsd_m = options.gsd_m.or_else(of_raster);

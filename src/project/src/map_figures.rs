@@ -5,7 +5,7 @@ use super::figures;
 use image::{Rgb, RgbImage};
 use rayon::prelude::*;
 use rowgram_base::error::Error;
-use rowgram_files::images;
+use rowgram_files::{csv_table::CsvWriter, images};
 use rowgram_optim::output;
 use rowgram_raster::georeference::Georeference;
 use rowgram_survey::mapping::{
@@ -107,12 +107,14 @@ pub(super) fn draw_mosaic(
         Ok(())
     })?;
     output::write(&folder.join("sources.csv"), force, |out| {
-        writeln!(out, "number,image,pixels,x_m,y_m,z_m")?;
+        let mut csv = CsvWriter::new(out);
+        csv.write_record(["number", "image", "pixels", "x_m", "y_m", "z_m"])?;
         for (k, view) in selector.views().iter().enumerate() {
-            let [x, y, z] = view.centre_m();
-            writeln!(out, "{k},{},{},{x:.4},{y:.4},{z:.4}", view.name, rendered.cells_of[k])?;
+            let fixed = [k.to_string(), view.name.clone(), rendered.cells_of[k].to_string()];
+            let at = view.centre_m().map(|metres| format!("{metres:.4}"));
+            csv.write_record(fixed.into_iter().chain(at))?;
         }
-        Ok(())
+        csv.flush()
     })?;
     Ok(())
 }

@@ -22,6 +22,8 @@ pub(super) struct FlightPhotos {
     pub(super) photos: Vec<PathBuf>,
     /// Bands of a multispectral camera beside colour photos, which are not.
     pub(super) bands: Vec<PathBuf>,
+    /// Those whose names are not UTF-8, which are not either.
+    pub(super) unusable: Vec<PathBuf>,
 }
 
 /// Whether a folder has a name that cameras give: `100MEDIA`, `DCIM`, `DJI_202308141235_001`.
@@ -32,8 +34,29 @@ fn is_of_card(name: &str) -> bool {
     numbered || name.eq_ignore_ascii_case("DCIM") || name.starts_with("DJI_")
 }
 
-/// The photos of a folder by their endings, sorted by name; hidden files are none.
+/// What is wrong with a photo whose name is not UTF-8, and what to do.
+pub(super) const UNUSABLE_NAME: &str =
+    "its name is not UTF-8, expected one that is: rename the file";
+
+/// The photos of a folder by their endings, sorted by name; hidden files are none, nor are those whose names are not UTF-8
+/// ([`unusable_names_in`]).
 pub fn photos_in(folder: &Path) -> Vec<PathBuf> {
+    pictures_in(folder).into_iter().filter(|path| is_text_below(path, folder)).collect()
+}
+
+/// Photos of a folder whose names are not UTF-8, with a sign for what cannot be shown. Tables and records cannot name them, so they
+/// cannot take part.
+pub fn unusable_names_in(folder: &Path) -> Vec<String> {
+    let pictures = pictures_in(folder).into_iter();
+    let unusable = pictures.filter(|path| !is_text_below(path, folder));
+    unusable.map(|path| photo_name(&path, folder)).collect()
+}
+
+fn is_text_below(path: &Path, folder: &Path) -> bool {
+    path.strip_prefix(folder).is_ok_and(|below| below.to_str().is_some())
+}
+
+fn pictures_in(folder: &Path) -> Vec<PathBuf> {
     let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
     let mut found: Vec<PathBuf> = entries
         .flatten()
@@ -41,7 +64,7 @@ pub fn photos_in(folder: &Path) -> Vec<PathBuf> {
         .filter(|path| {
             let hidden =
                 path.file_name().is_none_or(|name| name.to_string_lossy().starts_with('.'));
-            let ending = path.extension().and_then(|e| e.to_str()).map(str::to_lowercase);
+            let ending = path.extension().map(|e| e.to_string_lossy().to_lowercase());
             path.is_file()
                 && !hidden
                 && ending.is_some_and(|ending| PHOTO_ENDINGS.contains(&ending.as_str()))
@@ -67,7 +90,7 @@ fn subfolders(folder: &Path, any: bool) -> Vec<PathBuf> {
 }
 
 fn gather(folder: &Path, any: bool, depth: usize, found: &mut Vec<PathBuf>) {
-    found.extend(photos_in(folder));
+    found.extend(pictures_in(folder));
     if depth < DEEPEST {
         for below in subfolders(folder, any) {
             gather(&below, any, depth + 1, found);
@@ -81,17 +104,19 @@ pub(super) fn flight_photos(folder: &Path) -> FlightPhotos {
     let mut all = Vec::new();
     gather(folder, any, 0, &mut all);
     all.sort();
+    let (all, unusable): (Vec<PathBuf>, Vec<PathBuf>) =
+        all.into_iter().partition(|path| is_text_below(path, folder));
     let (tiff, colour): (Vec<PathBuf>, Vec<PathBuf>) =
         all.iter().cloned().partition(|path| rowgram_files::rasters::is_tiff_name(path));
     if tiff.is_empty() || colour.len() < LEAST_COLOUR {
-        return FlightPhotos { photos: all, bands: Vec::new() };
+        return FlightPhotos { photos: all, bands: Vec::new(), unusable };
     }
     let (bands, more): (Vec<PathBuf>, Vec<PathBuf>) =
         tiff.into_iter().partition(|path| is_band(path));
     let mut photos = colour;
     photos.extend(more);
     photos.sort();
-    FlightPhotos { photos, bands }
+    FlightPhotos { photos, bands, unusable }
 }
 
 /// Whether a TIFF file is of one band: by its name, else because it has one channel.

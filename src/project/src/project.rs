@@ -255,6 +255,12 @@ impl Project {
         found
     }
 
+    /// Photos whose names are not UTF-8, with a sign for what cannot be shown; they take no part.
+    pub fn unusable_photos(&self) -> Vec<String> {
+        let found = self.flight_photos().unusable;
+        found.iter().map(|path| self.photo_name(path)).collect()
+    }
+
     /// An orthomosaic that is there from the beginning: the one that the settings name, or that of a folder without photos
     /// ([`orthomosaic`]).
     pub fn given_orthomosaic(&self) -> Option<PathBuf> {

@@ -36,6 +36,13 @@ const PRODUCTS: [(Stage, &str, &str, &str, &str); 11] = [
 const COG: &str = "image/tiff; application=geotiff; profile=cloud-optimized";
 const GEOPACKAGE: &str = "application/geopackage+sqlite3";
 
+/// The rasters among the products: stage and file.
+#[cfg(feature = "report")]
+pub(super) fn rasters() -> impl Iterator<Item = (Stage, &'static str)> {
+    let rasters = PRODUCTS.into_iter().filter(|(.., kind, _)| *kind == COG);
+    rasters.map(|(stage, name, ..)| (stage, name))
+}
+
 /// Writes the item into a folder; `false` where there is nothing to say.
 ///
 /// # Errors

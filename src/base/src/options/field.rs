@@ -229,15 +229,32 @@ impl Section {
         if !field.accepts(value) {
             return Err(refused(&field.expected()));
         }
+        if has_extreme(value) {
+            return Err(refused(&"0, or a number from 1e-15 to 1e15 in size"));
+        }
         let mut one = toml::Table::new();
         self.insert(&mut one, name, value.clone());
         (self.check)(&one).map_err(|why| format!("{name} = {}: {why}", shown(value)))
     }
 }
 
-/// A value as TOML spells it, floats with their point.
+/// Sizes of numbers that squares and quotients of them can be computed with, whatever an option means.
+const SIZES: std::ops::RangeInclusive<f64> = 1e-15..=1e15;
+
+fn has_extreme(value: &toml::Value) -> bool {
+    match value {
+        toml::Value::Float(number) => *number != 0.0 && !SIZES.contains(&number.abs()),
+        toml::Value::Array(values) => values.iter().any(has_extreme),
+        _ => false,
+    }
+}
+
+/// A value as TOML spells it, floats with their point; in powers of ten where it would be long.
 fn shown(value: &toml::Value) -> String {
-    value.to_string().trim().to_owned()
+    match value {
+        toml::Value::Float(number) if has_extreme(value) => format!("{number:e}"),
+        _ => value.to_string().trim().to_owned(),
+    }
 }
 
 /// The name that is nearly the one given, if any is.

@@ -215,7 +215,7 @@ pub fn read(folder: &Path) -> Result<Model, FileError> {
     };
     let bytes = |name: &str| {
         let path = folder.join(format!("{name}.{}", form.extension()));
-        std::fs::read(&path).map_err(|e| FileError::read(&path, e)).map(|bytes| (path, bytes))
+        crate::memory::read_file(&path).map(|bytes| (path, bytes))
     };
     let (cameras_at, cameras) = bytes("cameras")?;
     let (images_at, images) = bytes("images")?;

@@ -3,6 +3,7 @@
 mod colours;
 
 use super::{Sample, bands::Bands, place, square::Square};
+use crate::memory;
 use geotiff_reader::{Error as GeoError, GeoTiffFile, GeoTiffOpenOptions};
 use image::RgbImage;
 use ndarray::ArrayD;
@@ -84,6 +85,9 @@ impl Reader {
             .map_err(|e| malformed(format!("damaged or unsupported TIFF: {e}")))?;
         if layout.width == 0 || layout.height == 0 {
             return Err(malformed("the picture has no pixel".to_owned()));
+        }
+        for ifd in file.tiff().ifds() {
+            memory::require(path, "decoding a tile or strip of it", block_bytes(ifd))?;
         }
         let (georeference, nodata) = match &file {
             File::Placed(file) => (place::of_file(file, path)?, file.nodata().map(str::to_owned)),
@@ -187,6 +191,14 @@ impl Reader {
         self.window::<T>(self.directory, window, true)
     }
 
+    /// Refuses a window that does not fit into memory as stored and as single precision.
+    fn require(&self, window: Window) -> Result<(), FileError> {
+        let pixel = self.layout.pixel_stride_bytes() as u64 + 4 * self.bands() as u64;
+        let pixels = (window.width as u64).saturating_mul(window.height as u64);
+        let what = format!("decoding {} x {} pixels", window.width, window.height);
+        memory::require(&self.path, &what, pixels.saturating_mul(pixel))
+    }
+
     /// The values of the first band of a window as `f32`, whatever they are stored as; NaN where there
     /// are no data.
     ///
@@ -220,6 +232,7 @@ impl Reader {
         window: Window,
         stored: bool,
     ) -> Result<Vec<T>, FileError> {
+        self.require(window)?;
         let tiff = self.file.tiff();
         let ifd = tiff.ifd(directory).map_err(|e| self.malformed(format!("damaged TIFF: {e}")))?;
         let size = [ifd.width() as usize, ifd.height() as usize];
@@ -248,16 +261,16 @@ impl Reader {
         self.overview_directories().into_iter().map(|(_, size)| size).collect()
     }
 
-    /// As [`Reader::read_rgb`], from the picture of lower resolution that has number `overview` in
+    /// As [`Reader::read_rgb_and_gaps`], from the picture of lower resolution that has number `overview` in
     /// [`Reader::overviews`].
     ///
     /// # Errors
     /// As [`Reader::read_rgb`], and where there is no such picture.
-    pub fn read_overview_rgb(
+    pub fn read_overview_rgb_and_gaps(
         &self,
         overview: usize,
         window: Window,
-    ) -> Result<RgbImage, FileError> {
+    ) -> Result<(RgbImage, Option<Vec<bool>>), FileError> {
         let of = self.overview_directories();
         let &(directory, size) = of
             .get(overview)
@@ -265,7 +278,12 @@ impl Reader {
         let stored = self.file.tiff().ifds().get(directory);
         let size = stored.map_or(size, |ifd| [ifd.width() as usize, ifd.height() as usize]);
         let mask = picture_mask(self.file.tiff(), size, OVERVIEW);
-        Ok(self.rgb_and_gaps(directory, mask, window)?.0)
+        self.rgb_and_gaps(directory, mask, window)
+    }
+
+    /// Whether the file says which pixels show nothing: by alpha, a value without data or a mask.
+    pub fn states_gaps(&self) -> bool {
+        self.bands.alpha.is_some() || self.nodata.is_some() || self.mask.is_some()
     }
 
     fn overview_directories(&self) -> Vec<(usize, [usize; 2])> {
@@ -323,6 +341,17 @@ impl File {
             File::Plain(file) => file,
         }
     }
+}
+
+/// What a tile or strip takes when it is decoded, which is the least that any window takes.
+fn block_bytes(ifd: &Ifd) -> u64 {
+    let rows = |rows: u32| u64::from(rows).min(ifd.height().into());
+    let [width, height] = match (ifd.tile_width(), ifd.tile_height()) {
+        (Some(width), Some(height)) => [u64::from(width), u64::from(height)],
+        _ => [u64::from(ifd.width()), rows(ifd.rows_per_strip())],
+    };
+    let pixel = ifd.raster_layout().map_or(1, |layout| layout.pixel_stride_bytes() as u64);
+    width.saturating_mul(height).saturating_mul(pixel)
 }
 
 /// What a directory is: bits [`MASK`] and [`OVERVIEW`].

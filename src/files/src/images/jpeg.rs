@@ -1,6 +1,6 @@
 //! JPEG files: decoded strictly, so that what is damaged is refused and not filled with grey.
 
-use super::{check_size, damaged};
+use super::{check_memory, check_size, damaged};
 use image::{DynamicImage, GrayImage, RgbImage};
 use zune_jpeg::zune_core::{bytestream::ZCursor, colorspace::ColorSpace, options::DecoderOptions};
 
@@ -17,6 +17,7 @@ pub(super) fn decode(bytes: &[u8]) -> Result<DynamicImage, String> {
     let (width, height) = decoder.dimensions().ok_or("damaged JPEG: it has no size")?;
     // At least one bit for every 8 x 8 block.
     check_size(width as u64, height as u64, bytes.len(), 1024)?;
+    check_memory(3 * width as u64 * height as u64, width as u64, height as u64)?;
     let grey = decoder.input_colorspace() == Some(ColorSpace::Luma);
     let colour = if grey { ColorSpace::Luma } else { ColorSpace::RGB };
     decoder.set_options(options.set_strict_mode(true).jpeg_set_out_colorspace(colour));

@@ -7,7 +7,7 @@ use std::path::Path;
 
 /// The polygons of a file, and what its coordinates are.
 pub(super) fn read(path: &Path) -> Result<(Vec<Feature>, Stated), FileError> {
-    let bytes = std::fs::read(path).map_err(|error| FileError::read(path, error))?;
+    let bytes = crate::memory::read_file(path)?;
     // A byte order mark is what some editors begin a file with.
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes);
     let document: Value = serde_json::from_slice(bytes).map_err(|error| {

@@ -15,11 +15,19 @@ pub(super) fn read(path: &Path) -> Result<(Vec<Feature>, Stated), FileError> {
     let sql = |error: rusqlite::Error| malformed(format!("{error}; expected a GeoPackage"));
     let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
     let file = Connection::open_with_flags(path, flags).map_err(sql)?;
+    // Functions that a file of somebody else calls from its definitions are not run.
+    file.execute_batch("PRAGMA trusted_schema = OFF").map_err(sql)?;
+    for table in ["gpkg_geometry_columns", "gpkg_spatial_ref_sys"] {
+        expect_table(&file, table).map_err(sql)?.map_err(malformed)?;
+    }
     let layer = layer(&file, path).map_err(sql)?.map_err(malformed)?;
+    expect_table(&file, &layer.table).map_err(sql)?.map_err(malformed)?;
     let stated = stated(&file, layer.system).map_err(sql)?.map_err(malformed)?;
-    let table = layer.table.replace('"', "\"\"");
-    let mut select = file.prepare(&format!("SELECT * FROM \"{table}\"")).map_err(sql)?;
-    let columns: Vec<String> = select.column_names().into_iter().map(str::to_owned).collect();
+    let columns = columns(&file, &layer.table).map_err(sql)?.map_err(malformed)?;
+    let quoted = |name: &str| format!("\"{}\"", name.replace('"', "\"\""));
+    let listed: Vec<String> = columns.iter().map(|name| quoted(name)).collect();
+    let query = format!("SELECT {} FROM {}", listed.join(", "), quoted(&layer.table));
+    let mut select = file.prepare(&query).map_err(sql)?;
     let mut rows = select.query([]).map_err(sql)?;
     let mut features = Vec::new();
     while let Some(row) = rows.next().map_err(sql)? {
@@ -38,6 +46,40 @@ pub(super) fn read(path: &Path) -> Result<(Vec<Feature>, Stated), FileError> {
         features.push(feature);
     }
     Ok((features, stated))
+}
+
+/// Refuses what is computed when it is read: a view may have no end.
+fn expect_table(file: &Connection, name: &str) -> rusqlite::Result<Result<(), String>> {
+    let mut select = file.prepare(
+        "SELECT type FROM pragma_table_list WHERE schema = 'main' AND name = ?1 COLLATE NOCASE",
+    )?;
+    let kind = select.query_map([name], |row| row.get::<_, String>(0))?.next().transpose()?;
+    Ok(match kind.as_deref() {
+        Some("table") => Ok(()),
+        Some(kind) => {
+            let message = format!(
+                "{name:?} is a {kind}, expected a table: export the layer to a new GeoPackage"
+            );
+            Err(message)
+        }
+        None => Err(format!("it has no table {name:?}; expected a GeoPackage")),
+    })
+}
+
+/// The names of the columns of a table.
+fn columns(file: &Connection, table: &str) -> rusqlite::Result<Result<Vec<String>, String>> {
+    let mut select = file.prepare("SELECT name FROM pragma_table_xinfo(?1) WHERE hidden <> 1")?;
+    let mut rows = select.query([table])?;
+    let mut names = Vec::new();
+    while let Some(row) = rows.next()? {
+        let bytes = row.get_ref(0)?.as_bytes().unwrap_or_default();
+        let Ok(name) = std::str::from_utf8(bytes) else {
+            let name = String::from_utf8_lossy(bytes);
+            return Ok(Err(format!("the name of column {name:?} of {table:?} is not UTF-8")));
+        };
+        names.push(name.to_owned());
+    }
+    Ok(Ok(names))
 }
 
 struct LayerOfPolygons {
@@ -245,6 +287,30 @@ mod tests {
         assert!(error.contains("both.gpkg") && error.contains("Plots, other"), "{error}");
         std::fs::write(&path, "no database, but long enough to be looked at").unwrap();
         assert!(read(&path).err().unwrap().to_string().contains("expected a GeoPackage"));
+    }
+
+    #[test]
+    fn a_layer_without_end_and_a_column_without_a_readable_name_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("plots.gpkg");
+        let ring = vec![[1.0, 2.0], [5.0, 2.0], [5.0, 9.5], [1.0, 2.0]];
+        gpkg::write(&path, false, &[layer_of("plots", vec![ring])]).unwrap();
+        let whole = std::fs::read(&path).unwrap();
+
+        let endless = "ALTER TABLE plots RENAME TO other;
+            CREATE VIEW plots AS WITH RECURSIVE n(k) AS (SELECT 1 UNION ALL SELECT k + 1 FROM n)
+            SELECT k AS fid, other.geom AS geom, 'x' AS plot FROM n, other";
+        Connection::open(&path).unwrap().execute_batch(endless).unwrap();
+        let error = read(&path).err().unwrap().to_string();
+        assert!(error.contains("\"plots\" is a view"), "{error}");
+
+        let mut bytes = whole;
+        while let Some(at) = bytes.windows(6).position(|word| word == b"leaves") {
+            bytes[at..at + 6].copy_from_slice(b"\xFF\xFEaves");
+        }
+        std::fs::write(&path, bytes).unwrap();
+        let error = read(&path).err().unwrap().to_string();
+        assert!(error.contains("is not UTF-8") && error.contains("plots.gpkg"), "{error}");
     }
 
     /// Both byte orders, Z and M, several polygons; and none of their beginnings.

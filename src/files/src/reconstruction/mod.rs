@@ -48,7 +48,7 @@ pub fn is_one(path: &Path) -> bool {
 /// `reconstruction.json` says.
 pub fn read(path: &Path) -> Result<Reconstruction, FileError> {
     let path = file_of(path);
-    let text = std::fs::read_to_string(&path).map_err(|e| FileError::read(&path, e))?;
+    let text = crate::memory::read_text(&path)?;
     let document: Document = serde_json::from_str(&text)
         .map_err(|error| FileError::malformed(&path, error.line(), message(&text, &error)))?;
     let wrong = |why: String| FileError::malformed(&path, None, why);

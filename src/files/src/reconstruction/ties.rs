@@ -1,6 +1,6 @@
 //! The tables of tie points and of their measurements.
 
-use super::super::{FileError, output, table::Table};
+use super::super::{FileError, csv_table::as_cell, output, table::Table};
 use rowgram_survey::scene::{Observation, Reconstruction, TiePoint};
 use std::{
     collections::{HashMap, HashSet},
@@ -78,6 +78,7 @@ pub(super) fn write_observations(
 
 /// A name as CSV has it.
 fn quoted(name: &str) -> String {
+    let name = &*as_cell(name);
     if name.contains([',', '"', '\n', '\r', ';', '\t']) || name.trim() != name {
         format!("\"{}\"", name.replace('"', "\"\""))
     } else {

@@ -180,11 +180,12 @@ impl Watershed {
     }
 }
 
-/// Euclidean distance to the background, in pixels.
+/// Euclidean distance to the background, in pixels. Squares are whole numbers: beyond 4,096 pixels single precision has not all of
+/// them.
 fn distance(inside: &[bool], width: usize, height: usize) -> Vec<f32> {
-    let far = ((width + height) as f32).powi(2);
-    let mut squared: Vec<f32> = inside.iter().map(|&i| if i { far } else { 0.0 }).collect();
-    let mut column = vec![0.0; height];
+    let far = ((width + height) as i64).pow(2);
+    let mut squared: Vec<i64> = inside.iter().map(|&i| if i { far } else { 0 }).collect();
+    let mut column = vec![0; height];
     for u in 0..width {
         for v in 0..height {
             column[v] = squared[v * width + u];
@@ -194,32 +195,32 @@ fn distance(inside: &[bool], width: usize, height: usize) -> Vec<f32> {
         }
     }
     let rows = squared.chunks(width).flat_map(lower_envelope);
-    rows.map(f32::sqrt).collect()
+    rows.map(|squared| (squared as f64).sqrt() as f32).collect()
 }
 
 /// `min_q (p - q)^2 + f(q)` of each `p`: the lower envelope of parabolas.
-fn lower_envelope(f: &[f32]) -> Vec<f32> {
-    let mut vertices: Vec<(usize, f32)> = Vec::with_capacity(f.len());
+fn lower_envelope(f: &[i64]) -> Vec<i64> {
+    let mut vertices: Vec<(usize, f64)> = Vec::with_capacity(f.len());
     for (q, &value) in f.iter().enumerate() {
-        let height = |q: usize, value: f32| value + (q * q) as f32;
-        let mut from = f32::NEG_INFINITY;
+        let height = |q: usize, value: i64| value + (q * q) as i64;
+        let mut from = f64::NEG_INFINITY;
         while let Some(&(p, start)) = vertices.last() {
-            from = (height(q, value) - height(p, f[p])) / (2 * (q - p)) as f32;
+            from = (height(q, value) - height(p, f[p])) as f64 / (2 * (q - p)) as f64;
             if from > start {
                 break;
             }
             vertices.pop();
-            from = f32::NEG_INFINITY;
+            from = f64::NEG_INFINITY;
         }
         vertices.push((q, from));
     }
     let mut at = 0;
     let value = |p: usize| {
-        while vertices.get(at + 1).is_some_and(|next| next.1 < p as f32) {
+        while vertices.get(at + 1).is_some_and(|next| next.1 < p as f64) {
             at += 1;
         }
         let q = vertices[at].0;
-        (p as f32 - q as f32).powi(2) + f[q]
+        (p.abs_diff(q) as i64).pow(2) + f[q]
     };
     (0..f.len()).map(value).collect()
 }
@@ -386,6 +387,19 @@ mod tests {
             let nearest =
                 (0..inside.len()).filter(|&j| !inside[j]).map(to).fold(f32::MAX, f32::min);
             assert!((found[i] - nearest).abs() < 1e-3, "{i}: {}, expected {nearest}", found[i]);
+        }
+    }
+
+    #[test]
+    fn distance_is_exact_in_large_windows() {
+        // Background in the first and the last column only.
+        let (width, height) = (12_001, 3);
+        let inside: Vec<bool> =
+            (0..width * height).map(|i| ![0, width - 1].contains(&(i % width))).collect();
+        let found = distance(&inside, width, height);
+        for (i, &found) in found.iter().enumerate() {
+            let u = i % width;
+            assert_eq!(found, u.min(width - 1 - u) as f32, "column {u}");
         }
     }
 

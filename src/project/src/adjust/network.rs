@@ -9,7 +9,7 @@ use rowgram_base::{
 use rowgram_files::bal;
 use rowgram_optim::{
     drive::{Drive, DriveOutcome, Fingerprint, Limits, LogEntry},
-    engine::Termination,
+    engine::{SolveError, Termination},
     nlls::{self, BatchPath, BatchSummary, LeastSquares, LinearPath, LinearSolver, Summary},
     output::{self, FileError},
 };
@@ -126,7 +126,8 @@ pub(super) fn adjust_network(
         )));
     }
     let setup_seconds = begin.elapsed().as_secs_f64();
-    let (mut outcome, paths, linear) = solve(&bundle, sharing, options, limits, outputs, monitor)?;
+    let solved = solve(&bundle, sharing, options, limits, outputs, monitor);
+    let (mut outcome, paths, linear) = solved.map_err(|error| unusable(file, error))?;
     outcome.log.iter_mut().for_each(|entry| entry.seconds += setup_seconds);
     let solve_seconds = begin.elapsed().as_secs_f64();
 
@@ -168,6 +169,18 @@ pub(super) fn adjust_network(
         log: outcome.log,
         summary,
     })
+}
+
+/// Numbers of a file that cannot be computed with are the fault of the file.
+fn unusable(file: &Path, error: Error) -> Error {
+    match error {
+        Error::Solve(SolveError::InfeasibleStart(_) | SolveError::NotFinite(_)) => {
+            let message = "the points cannot be projected into its images: their coordinates, poses or lenses are too large, or points \
+                           lie in the planes of cameras";
+            FileError::malformed(file, None, message).into()
+        }
+        other => other,
+    }
 }
 
 fn limits(options: &AdjustOptions) -> Result<Limits, Error> {

@@ -65,7 +65,7 @@ rowgram_base::options! {
         /// Of a BAL file: stop as soon as the cost is not above this.
         pub target_cost: Option<f64> = None, example "1e4";
         /// Of a BAL file: stop where a step gains less than this share of the cost.
-        pub cost_tolerance: f64 = 1e-9, limits between(0.0, 1.0);
+        pub cost_tolerance: f64 = 1e-9, limits between(0.0, 0.9);
         /// Of a BAL file: start points again that a step leaves with so many times the mean cost of a measurement; 0 never does.
         pub restart_ratio: f64 = 30.0, limits NON_NEGATIVE;
     }

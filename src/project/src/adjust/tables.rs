@@ -2,6 +2,7 @@
 
 use super::Adjustment;
 use rowgram_base::error::Error;
+use rowgram_files::csv_table::CsvWriter;
 use rowgram_optim::output;
 use rowgram_survey::problems::adjustment::{ObservationRef, TestedObservation};
 use std::path::Path;
@@ -168,7 +169,7 @@ fn save(
     force: bool,
 ) -> Result<(), Error> {
     output::write(path, force, |out| {
-        let mut writer = csv::Writer::from_writer(out);
+        let mut writer = CsvWriter::new(out);
         writer.write_record(header)?;
         for row in rows {
             writer.write_record(row)?;

@@ -9,6 +9,7 @@ use super::{
 };
 use crate::{
     batches::Part,
+    features::require_memory,
     record::{Bytes, Key, Store},
 };
 use image::RgbImage;
@@ -119,7 +120,9 @@ impl<'a> Files<'a> {
         {
             return PhotoWork::Kept(Box::new(found));
         }
-        PhotoWork::Photo(images::read_photo(&self.inputs.photos[k].path).map_err(|e| e.to_string()))
+        let path = &self.inputs.photos[k].path;
+        let read = require_memory(path).and_then(|()| images::read_photo(path));
+        PhotoWork::Photo(read.map_err(|e| e.to_string()))
     }
 
     /// The features of some photos, kept; while those of one are looked for, the next is decoded.

@@ -4,7 +4,7 @@
 use image::{Rgb, RgbImage};
 use plotters::prelude::*;
 use rowgram_base::error::Error;
-use rowgram_files::images;
+use rowgram_files::{csv_table::CsvWriter, images};
 use rowgram_optim::output::{self, FileError};
 use rowgram_survey::{
     camera::Lens,
@@ -156,19 +156,40 @@ fn overlap(
 fn pairs_table(folder: &Path, pairs: &[Pair], names: &[&str]) -> Result<(), Error> {
     std::fs::create_dir_all(folder).map_err(|e| FileError::write(folder, e))?;
     output::write(&folder.join("pairs.csv"), true, |out| {
-        writeln!(out, "first,second,matches,solver,angle_deg,tilt_deg,qw,qx,qy,qz,tx,ty,tz")?;
+        let mut csv = CsvWriter::new(out);
+        csv.write_record([
+            "first",
+            "second",
+            "matches",
+            "solver",
+            "angle_deg",
+            "tilt_deg",
+            "qw",
+            "qx",
+            "qy",
+            "qz",
+            "tx",
+            "ty",
+            "tz",
+        ])?;
         for pair in pairs {
             let [a, b] = pair.images.map(|k| names[k as usize]);
             let solver = if pair.solver == Solver::TwoPoint { "two-point" } else { "five-point" };
             let (angle, tilt) = (pair.angle_rad.to_degrees(), pair.pose.tilt_rad().to_degrees());
-            write!(out, "{a},{b},{},{solver},{angle:.3},{tilt:.3}", pair.matches.len())?;
             let [w, x, y, z] = quaternion(&pair.pose.rotation);
             let t = pair.pose.translation;
             let numbers = [w, x, y, z, t.x, t.y, t.z];
-            numbers.iter().try_for_each(|number| write!(out, ",{number:.9}"))?;
-            writeln!(out)?;
+            let fixed = [
+                a.to_owned(),
+                b.to_owned(),
+                pair.matches.len().to_string(),
+                solver.to_owned(),
+                format!("{angle:.3}"),
+                format!("{tilt:.3}"),
+            ];
+            csv.write_record(fixed.into_iter().chain(numbers.map(|x| format!("{x:.9}"))))?;
         }
-        Ok(())
+        csv.flush()
     })?;
     Ok(())
 }

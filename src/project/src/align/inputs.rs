@@ -3,6 +3,7 @@
 use super::{AlignOptions, geotags, ground, known_photos};
 use crate::{
     Project, Stage,
+    photo_folder::UNUSABLE_NAME,
     record::{Key, Store},
 };
 use rowgram_base::{
@@ -227,6 +228,8 @@ pub(super) fn inspect(
             },
         }
     }
+    left_out
+        .extend(project.unusable_photos().into_iter().map(|name| (name, UNUSABLE_NAME.to_owned())));
     for (name, reason) in &left_out {
         monitor.diagnostic(&Diagnostic::warning(
             "photo-left-out",

@@ -12,7 +12,9 @@ mod tables;
 pub use photos::{Photo, PhotoStatus};
 pub use tables::{CalibrateOutcome, PhotoOutcome};
 
-use super::{Project, Stage, Task, photos_in, stage};
+use super::{
+    Project, Stage, Task, photo_folder::UNUSABLE_NAME, photos_in, stage, unusable_names_in,
+};
 use rowgram_base::{
     error::Error,
     monitor::{Diagnostic, Monitor},
@@ -211,7 +213,11 @@ impl Task for Calibrate {
     ) -> Result<CalibrateOutcome, Error> {
         let mut options = options.clone();
         options.corners = options.corners.map(|path| project.root().join(path));
-        let images = photos_in(&project.root().join(&options.images));
+        let images = project.root().join(&options.images);
+        for name in unusable_names_in(&images) {
+            monitor.diagnostic(&Diagnostic::warning("photo-left-out", name, UNUSABLE_NAME));
+        }
+        let images = photos_in(&images);
         let found = calibrate_photos(&images, &options, monitor)?;
         let text = found.camera.to_toml();
         tables::write(folder, false, &found)?;

@@ -2,7 +2,10 @@
 
 use super::{Calibration, PhotoStatus, photos};
 use rowgram_base::error::Error;
-use rowgram_files::corners;
+use rowgram_files::{
+    corners,
+    csv_table::{CsvWriter, as_cell},
+};
 use rowgram_optim::output::{self, FileError};
 use rowgram_survey::{
     camera::Model,
@@ -219,7 +222,7 @@ fn residual_table(path: &Path, force: bool, rows: &[ResidualRow<'_>]) -> Result<
         writeln!(out, "image,column,row,u_px,v_px,du_px,dv_px,radius_px,radial_px,tangential_px")?;
         let mut writer = csv::WriterBuilder::new().has_headers(false).from_writer(out);
         for row in rows {
-            let fields = (row.image, row.column, row.row, row.residual);
+            let fields = (as_cell(row.image), row.column, row.row, row.residual);
             writer.serialize(fields).map_err(std::io::Error::other)?;
         }
         writer.flush()
@@ -238,7 +241,7 @@ fn table<T: Serialize>(path: &Path, force: bool, rows: &[T]) -> Result<(), FileE
 
 fn photo_table(path: &Path, force: bool, outcome: &Calibration) -> Result<(), FileError> {
     output::write(path, force, |out| {
-        let mut writer = csv::Writer::from_writer(out);
+        let mut writer = CsvWriter::new(out);
         writer.write_record([
             "image",
             "status",

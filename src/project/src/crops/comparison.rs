@@ -8,6 +8,7 @@ use super::{
     traits::{COLUMNS, mean_and_deviation},
 };
 use rowgram_base::error::Error;
+use rowgram_files::csv_table::CsvWriter;
 use rowgram_optim::output;
 use rowgram_plants::phenotype::{
     plots::Measured,
@@ -93,7 +94,7 @@ pub(super) fn summary(pairs: &[PairedTrait]) -> Vec<TraitComparison> {
 pub(super) fn write(pairs: &[PairedTrait], folder: &Path) -> Result<(), Error> {
     let number = |value: Option<f64>| value.map(|x| format!("{x:.6}")).unwrap_or_default();
     output::write(&folder.join("comparison.csv"), false, |out| {
-        let mut csv = csv::Writer::from_writer(out);
+        let mut csv = CsvWriter::new(out);
         csv.write_record([
             "plot",
             "trait",

@@ -218,7 +218,8 @@ fn read_plots(
     })?;
     let fault =
         |name: &str, why: &str| FileError::malformed(&path, None, format!("plot {name:?} {why}"));
-    let mut folders = HashSet::new();
+    // Folders of plots stand beside the tables.
+    let mut folders: HashSet<String> = write::TABLES.map(str::to_owned).into();
     let plot = |(number, polygons::Named { name, polygon, .. }): (usize, polygons::Named)| {
         let on_map = |ring: &Vec<[f64; 2]>| ring.iter().map(|at| georeference.map(*at)).collect();
         let rings: Vec<Vec<[f64; 2]>> = polygon.rings.iter().map(on_map).collect();

@@ -6,6 +6,7 @@ use super::{
 };
 use image::{RgbImage, imageops};
 use rowgram_base::error::Error;
+use rowgram_files::csv_table::CsvWriter;
 use rowgram_optim::output::{self, FileError};
 use rowgram_raster::georeference::Georeference;
 use std::{
@@ -53,6 +54,9 @@ pub(super) fn part_around(
     })
 }
 
+/// Files that stand beside the folders of the plots.
+pub(super) const TABLES: [&str; 4] = ["crops.csv", "traits.csv", "crops.json", "comparison.csv"];
+
 /// `crops.csv` (one line a crop), `traits.csv` (one line a plot) and `crops.json` (everything).
 pub(super) fn tables(outcome: &CropsOutcome, folder: &Path) -> Result<(), Error> {
     let number = |value: Option<f64>| {
@@ -63,7 +67,7 @@ pub(super) fn tables(outcome: &CropsOutcome, folder: &Path) -> Result<(), Error>
         text
     };
     output::write(&folder.join("crops.csv"), false, |out| {
-        let mut csv = csv::Writer::from_writer(out);
+        let mut csv = CsvWriter::new(out);
         let fixed = ["plot", "image", "rank", "file", "as_taken", "view_angle_deg", "sharpness"];
         csv.write_record(fixed.into_iter().chain(COLUMNS.map(|(name, _)| name)))?;
         for crop in &outcome.crops {
@@ -83,7 +87,7 @@ pub(super) fn tables(outcome: &CropsOutcome, folder: &Path) -> Result<(), Error>
         csv.flush()
     })?;
     output::write(&folder.join("traits.csv"), false, |out| {
-        let mut csv = csv::Writer::from_writer(out);
+        let mut csv = CsvWriter::new(out);
         let names = COLUMNS.iter().flat_map(|(name, _)| [(*name).to_owned(), format!("{name}_sd")]);
         csv.write_record(["plot".to_owned(), "photos".to_owned()].into_iter().chain(names))?;
         for crops in outcome.crops.chunk_by(|a, b| a.plot == b.plot) {

@@ -6,7 +6,7 @@ use rowgram_base::{
     error::Error,
     monitor::{Diagnostic, Monitor},
 };
-use rowgram_files::polygons;
+use rowgram_files::{csv_table::CsvWriter, polygons};
 use rowgram_optim::output;
 use rowgram_raster::{georeference::Georeference, polygon::Polygon};
 use rowgram_survey::mapping::{View, assignment::Assignment, select::PhotoSelector};
@@ -60,7 +60,7 @@ fn whole_plots(
     let table = table_path(files.mosaic);
     let view = |k: usize| -> &View { &selector.views()[k] };
     output::write(&table, files.force, |out| {
-        let mut csv = csv::Writer::from_writer(out);
+        let mut csv = CsvWriter::new(out);
         csv.write_record(["plot", "photo", "view_angle_deg"])?;
         for (plot, photo) in plots.iter().zip(&photos) {
             let named = photo.map_or("", |of| &view(of.view).name);

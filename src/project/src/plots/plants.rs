@@ -3,7 +3,7 @@
 use super::{Plot, Tables};
 use rowgram_base::error::Error;
 use rowgram_files::{
-    csv_table::CsvTable,
+    csv_table::{CsvTable, CsvWriter},
     geoparquet,
     gpkg::{self, Column, ColumnKind, Feature, Geometry, GeometryKind, Layer, Value},
     qgis::{self, Style},
@@ -184,7 +184,7 @@ impl Points {
         };
         let csv_path = folder.join(format!("{}.csv", self.name));
         output::write(&csv_path, true, |out| {
-            let mut csv = csv::Writer::from_writer(out);
+            let mut csv = CsvWriter::new(out);
             let own = self.columns.iter().map(|column| column.name.as_str());
             let header = coordinates.into_iter().flatten().chain(["u_px", "v_px"]).chain(own);
             csv.write_record(header)?;

@@ -6,6 +6,7 @@ use rowgram_base::{
     monitor::{Diagnostic, Monitor},
 };
 use rowgram_files::{
+    csv_table::CsvWriter,
     geoparquet,
     gpkg::{self, Column, ColumnKind, Feature, Geometry, GeometryKind, Layer},
     qgis::{self, Style},
@@ -29,7 +30,7 @@ pub(super) fn traits(
     let text = |value: Option<f64>| value.map(|value| value.to_string()).unwrap_or_default();
     let attributes = attributes(plots, monitor);
     output::write(&folder.join("traits.csv"), true, |out| {
-        let mut csv = csv::Writer::from_writer(out);
+        let mut csv = CsvWriter::new(out);
         let own = attributes.iter().map(|of| of.name.as_str());
         let columns = columns();
         let names = columns.iter().map(|column| column.name.as_str());
@@ -47,7 +48,7 @@ pub(super) fn traits(
         csv.flush()
     })?;
     output::write(&folder.join("traits_long.csv"), true, |out| {
-        let mut csv = csv::Writer::from_writer(out);
+        let mut csv = CsvWriter::new(out);
         csv.write_record(["plot", "trait", "value", "unit", "standard_deviation"])?;
         for Plot { traits, .. } in plots {
             for of in TRAITS {
@@ -60,7 +61,7 @@ pub(super) fn traits(
         csv.flush()
     })?;
     output::write(&folder.join("trait_dictionary.csv"), true, |out| {
-        let mut csv = csv::Writer::from_writer(out);
+        let mut csv = CsvWriter::new(out);
         csv.write_record([
             "trait",
             "unit",
@@ -141,6 +142,9 @@ fn columns() -> Vec<NumberColumn> {
 
 /// What polygons say of plots beside their names: genotype, treatment, block.
 struct Attribute {
+    /// Its name as the plots have it.
+    own: String,
+    /// Its name as a column of the tables.
     name: String,
     kind: ColumnKind,
 }
@@ -148,18 +152,26 @@ struct Attribute {
 impl Attribute {
     /// Its value for a plot.
     fn value<'a>(&self, plot: &'a Plot) -> &'a Value {
-        let found = plot.attributes.iter().find(|(name, _)| *name == self.name);
+        let found = plot.attributes.iter().find(|(name, _)| is_same(name, &self.own));
         found.map_or(&Value::Null, |(_, value)| value)
     }
 }
 
+/// Columns that every table of plots has beside traits and attributes.
+const OWN_COLUMNS: [&str; 3] = ["fid", "geom", "plot"];
+
+/// Whether two names are one column: in tables of SQL upper and lower case are the same.
+fn is_same(one: &str, other: &str) -> bool {
+    one.to_lowercase() == other.to_lowercase()
+}
+
 /// The attributes of the plots in the order in which they first appear. One with the name of a trait is left out: it
-/// is of an earlier table of traits.
+/// is of an earlier table of traits. One with the name of another column gets another one.
 fn attributes(plots: &[Plot], monitor: &mut dyn Monitor) -> Vec<Attribute> {
     let mut found: Vec<Attribute> = Vec::new();
     let mut taken: Vec<String> = Vec::new();
     for (name, value) in plots.iter().flat_map(|plot| &plot.attributes) {
-        let is_taken = |other: &str| other.eq_ignore_ascii_case(name);
+        let is_taken = |other: &str| is_same(other, name);
         if columns().iter().any(|column| is_taken(&column.name)) {
             if !taken.contains(name) {
                 taken.push(name.clone());
@@ -167,11 +179,38 @@ fn attributes(plots: &[Plot], monitor: &mut dyn Monitor) -> Vec<Attribute> {
             continue;
         }
         let kind = if value.is_number() { ColumnKind::Real } else { ColumnKind::Text };
-        match found.iter_mut().find(|of| is_taken(&of.name)) {
+        match found.iter_mut().find(|of| is_taken(&of.own)) {
             Some(of) if of.kind != kind => of.kind = ColumnKind::Text,
             Some(_) => {}
-            None => found.push(Attribute { name: name.clone(), kind }),
+            None => found.push(Attribute { own: name.clone(), name: name.clone(), kind }),
         }
+    }
+    let mut renamed = Vec::new();
+    for k in 0..found.len() {
+        let is_free = |name: &str| {
+            let others = found.iter().enumerate().filter(|(j, _)| *j != k);
+            !OWN_COLUMNS.iter().any(|own| is_same(own, name))
+                && !columns().iter().any(|column| is_same(&column.name, name))
+                && !others.into_iter().any(|(_, other)| is_same(&other.name, name))
+        };
+        let mut name = found[k].name.clone();
+        if name.trim().is_empty() {
+            name = "attribute".to_owned();
+        }
+        while !is_free(&name) {
+            name += "_of_plot";
+        }
+        if name != found[k].name {
+            renamed.push(format!("{:?} to {name:?}", found[k].own));
+            found[k].name = name;
+        }
+    }
+    if !renamed.is_empty() {
+        let message = format!(
+            "attributes with the names of other columns are renamed: {}",
+            renamed.join(", ")
+        );
+        monitor.diagnostic(&Diagnostic::info("attributes-renamed", "plots", message));
     }
     if !taken.is_empty() {
         let message =
@@ -252,5 +291,40 @@ fn layer(
         crs: place.map(|place| place.crs),
         columns: columns.collect(),
         features: plots.iter().zip(rings).map(feature).collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rowgram_base::monitor::Collector;
+
+    #[test]
+    fn attributes_with_the_names_of_columns_are_renamed_and_keep_their_values() {
+        let names = ["geom", "FID", "Plot", "", "genotype", "area_m2", "É", "geom_of_plot"];
+        let of = |names: &[&str]| {
+            let attributes = names.iter().map(|&name| (name.to_owned(), json!(name))).collect();
+            Plot { traits: PlotTraits::default(), polygon: Polygon::default(), attributes }
+        };
+        let plots = [of(&names), of(&["é", "GEOM"])];
+        let mut collector = Collector::default();
+        let found = attributes(&plots, &mut collector);
+        let columns: Vec<&str> = found.iter().map(|of| of.name.as_str()).collect();
+        assert_eq!(
+            columns,
+            [
+                "geom_of_plot_of_plot",
+                "FID_of_plot",
+                "Plot_of_plot",
+                "attribute",
+                "genotype",
+                "É",
+                "geom_of_plot"
+            ]
+        );
+        assert_eq!(found[0].value(&plots[0]), "geom");
+        assert_eq!(found[0].value(&plots[1]), "GEOM");
+        let codes: Vec<&str> = collector.diagnostics.iter().map(|of| &*of.code).collect();
+        assert_eq!(codes, ["attributes-left-out", "attributes-renamed"]);
     }
 }

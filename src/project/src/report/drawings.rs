@@ -137,6 +137,10 @@ pub(super) fn cameras(facts: &Facts<'_>) -> Result<Option<(Markup, String)>, Err
     Ok(Some((drawing, caption)))
 }
 
+/// Half axes of an ellipse that holds a place in the plane with 95 %, in standard deviations along its axes: the square root of the
+/// 0.95 quantile of chi-square with two degrees of freedom, `-2 ln 0.05`.
+const ELLIPSE_95: f64 = 2.447_746_830_680_816;
+
 /// Some plants over the orthomosaic as it is, with their ellipses.
 ///
 /// # Errors
@@ -188,7 +192,7 @@ pub(super) fn plants(facts: &Facts<'_>) -> Result<Option<Markup>, Error> {
             image href=(href) x=(f(u0 as f64 - 0.5)) y=(f(v0 as f64 - 0.5)) width=(columns) height=(rows) {}
             @for &k in &near {
                 @let turn = format!("rotate({:.1} {:.2} {:.2})", heading, at[k][0], at[k][1]);
-                ellipse cx=(f(at[k][0])) cy=(f(at[k][1])) rx=(f(2.0 * along[k])) ry=(f(2.0 * across[k])) transform=(turn)
+                ellipse cx=(f(at[k][0])) cy=(f(at[k][1])) rx=(f(ELLIPSE_95 * along[k])) ry=(f(ELLIPSE_95 * across[k])) transform=(turn)
                     fill=(colour(k)) fill-opacity="0.12" stroke=(colour(k)) stroke-width="0.7" {}
                 circle cx=(f(at[k][0])) cy=(f(at[k][1])) r="1" fill=(colour(k)) {
                     title { (format!("confidence {:.2}", confidence[k])) }

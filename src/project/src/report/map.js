@@ -168,7 +168,7 @@
         if (!tile) {
           tile = new Image();
           tile.addEventListener("load", draw);
-          tile.src = "/tiles/" + name + ".jpg";
+          tile.src = "tiles/" + name + ".jpg";
         }
         // The last one used is the last one dropped.
         loaded.delete(name);

@@ -13,16 +13,16 @@ use rowgram_raster::georeference::Georeference;
 use rowgram_survey::scene::Role;
 use serde_json::{Value, json};
 
-const SCRIPT: &str = include_str!("map.js");
-const PHOTOS_SCRIPT: &str = include_str!("view/photos.js");
+pub(super) const SCRIPT: &str = include_str!("map.js");
+pub(super) const PHOTOS_SCRIPT: &str = include_str!("view/photos.js");
 /// The longer side of the picture in the page: what a browser holds with ease, and shows rows of plants in a field of half
 /// a hectare.
 const SIDE_PX: usize = 2400;
 /// The trait that plots are coloured by at first; where it is not known, the first that is.
 const FIRST_TRAIT: &str = "canopy_cover";
 
-/// What a server adds to the map.
-#[derive(Debug, Clone, Copy, Default)]
+/// What a server adds to the map; its scripts are files then.
+#[derive(Debug, Clone, Copy)]
 pub(super) struct Served {
     /// The orthomosaic in full resolution.
     pub(super) tiles: bool,
@@ -35,7 +35,7 @@ pub(super) struct Served {
 /// # Errors
 /// Files of the results that cannot be read.
 pub(super) fn map(facts: &Facts<'_>) -> Result<Option<Markup>, Error> {
-    drawn(facts, Served::default())
+    drawn(facts, None)
 }
 
 /// As [`map`], for a page that a server sends.
@@ -43,10 +43,10 @@ pub(super) fn map(facts: &Facts<'_>) -> Result<Option<Markup>, Error> {
 /// # Errors
 /// As [`map`].
 pub(super) fn served(facts: &Facts<'_>, served: Served) -> Result<Markup, Error> {
-    Ok(drawn(facts, served)?.unwrap_or_default())
+    Ok(drawn(facts, Some(served))?.unwrap_or_default())
 }
 
-fn drawn(facts: &Facts<'_>, served: Served) -> Result<Option<Markup>, Error> {
+fn drawn(facts: &Facts<'_>, served: Option<Served>) -> Result<Option<Markup>, Error> {
     let Some(ortho) = facts.orthomosaic() else { return Ok(None) };
     let place = Source::open(&ortho)?.georeference();
     let overview = pictures::overview(&ortho, SIDE_PX)?;
@@ -72,15 +72,16 @@ fn drawn(facts: &Facts<'_>, served: Served) -> Result<Option<Markup>, Error> {
         "gsd_m": facts.outcome.gsd_m,
         "georeference": place.map(|of| [of.origin, of.per_column, of.per_row].concat()),
         "crs": place.and_then(|place| place.crs.epsg).map(|code| format!("EPSG:{code}")),
-        "picture": pictures::jpeg(&pictures::on_paper(overview.picture), SIDE_PX as u32)?,
+        "picture": pictures::jpeg(&overview.on_paper(), SIDE_PX as u32)?,
         "traits": TRAITS.iter().map(|of| json!({"name": of.name, "meaning": of.meaning})).collect::<Vec<_>>(),
         "plots": plots,
         "plants": plants.unwrap_or_else(none),
         "gaps": gaps.unwrap_or_else(none),
         "photos": photos,
         "ground": ground,
-        "tile_px": served.tiles.then_some(super::view::TILE_PX),
+        "tile_px": served.filter(|served| served.tiles).map(|_| super::view::TILE_PX),
     });
+    let with_photos = served.is_some_and(|served| served.photos);
     let first = known.iter().position(|&k| TRAITS[k].name == FIRST_TRAIT).unwrap_or(0);
     // Nothing in the data may end the script.
     let data = data.to_string().replace('<', "\\u003c");
@@ -117,10 +118,10 @@ fn drawn(facts: &Facts<'_>, served: Served) -> Result<Option<Markup>, Error> {
             div .values aria-live="polite" {
                 p .note { "Drag to move the map, turn the wheel to zoom, click for values." }
             }
-            @if served.photos { div .photos {} }
+            @if with_photos { div .photos {} }
             script id="field-map-data" type="application/json" { (PreEscaped(data)) }
-            script { (PreEscaped(SCRIPT)) }
-            @if served.photos { script { (PreEscaped(PHOTOS_SCRIPT)) } }
+            @if served.is_some() { script src="map.js" {} } @else { script { (PreEscaped(SCRIPT)) } }
+            @if with_photos { script src="photos.js" {} }
         }
     }))
 }

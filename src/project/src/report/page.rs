@@ -7,7 +7,7 @@ use rowgram_base::{
     monitor::{Diagnostic, Severity},
 };
 
-const STYLE: &str = include_str!("style.css");
+pub(super) const STYLE: &str = include_str!("style.css");
 
 /// A section: its mark, its title, what is in it; `None` where there is nothing to tell.
 pub(super) type Section = Option<(&'static str, &'static str, Markup)>;
@@ -36,7 +36,7 @@ pub(super) fn page(facts: &Facts<'_>) -> Result<String, Error> {
     let page = html! {
         (DOCTYPE)
         html lang="en" {
-            (head(name))
+            (head(name, &html! { style { (PreEscaped(STYLE)) } }))
             body {
                 header {
                     h1 { (name) }
@@ -67,12 +67,12 @@ pub(super) fn page(facts: &Facts<'_>) -> Result<String, Error> {
     Ok(page.into_string())
 }
 
-/// The page of a map that a server sends.
+/// The page of a map that a server sends, with its style in a file.
 pub(super) fn viewer(name: &str, map: &Markup) -> String {
     let page = html! {
         (DOCTYPE)
         html lang="en" {
-            (head(name))
+            (head(name, &html! { link rel="stylesheet" href="style.css"; }))
             body .viewer {
                 header { h1 { (name) } }
                 main { (map) }
@@ -82,14 +82,14 @@ pub(super) fn viewer(name: &str, map: &Markup) -> String {
     page.into_string()
 }
 
-fn head(name: &str) -> Markup {
+fn head(name: &str, style: &Markup) -> Markup {
     html! {
         head {
             meta charset="utf-8";
             meta name="viewport" content="width=device-width, initial-scale=1";
             meta name="generator" content=(concat!("rowgram ", env!("CARGO_PKG_VERSION")));
             title { (name) " - rowgram" }
-            style { (PreEscaped(STYLE)) }
+            (style)
         }
     }
 }

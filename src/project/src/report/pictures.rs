@@ -47,15 +47,34 @@ pub(super) struct Overview {
     pub(super) picture: RgbImage,
     /// Columns and rows of the raster.
     pub(super) size: (usize, usize),
+    /// Which pixels of the picture (row by row) show nothing.
+    gaps: Vec<bool>,
+    /// Whether the raster says which of its pixels show nothing.
+    states_gaps: bool,
+}
+
+impl Overview {
+    /// The picture with paper where it shows nothing.
+    pub(super) fn on_paper(self) -> RgbImage {
+        on_paper(self.picture, Some(&self.gaps), self.states_gaps)
+    }
 }
 
 /// What is drawn where a map shows nothing: it reads as paper in both colour schemes, black as a dark field.
 const NOTHING: Rgb<u8> = Rgb([238, 239, 235]);
 
-/// `picture` with paper where it is entirely black, as mosaics are outside of what photos cover.
-pub(super) fn on_paper(mut picture: RgbImage) -> RgbImage {
-    for pixel in picture.pixels_mut().filter(|pixel| pixel.0 == [0; 3]) {
-        *pixel = NOTHING;
+/// `picture` with paper where it shows nothing: in its `gaps`, and where it is entirely black, as mosaics are outside of what photos
+/// cover, unless its file `states_gaps` and black is a colour.
+pub(super) fn on_paper(
+    mut picture: RgbImage,
+    gaps: Option<&[bool]>,
+    states_gaps: bool,
+) -> RgbImage {
+    for (k, pixel) in picture.pixels_mut().enumerate() {
+        let is_gap = gaps.is_some_and(|gaps| gaps[k]);
+        if is_gap || (!states_gaps && pixel.0 == [0; 3]) {
+            *pixel = NOTHING;
+        }
     }
     picture
 }
@@ -71,8 +90,11 @@ pub(super) fn overview(path: &Path, side_px: usize) -> Result<Overview, Error> {
     let (columns, rows) = (width.div_ceil(step), height.div_ceil(step));
     let mut sums = vec![[0u32; 4]; columns * rows];
     for band in rowgram_raster::window::bands(height, rowgram_files::rasters::BAND_ROWS, 0) {
-        let part = source.rgb(band.rows.clone())?;
-        for (u, v, Rgb(pixel)) in part.enumerate_pixels() {
+        let (part, gaps) = source.rgb_and_gaps(band.rows.clone())?;
+        for (k, (u, v, Rgb(pixel))) in part.enumerate_pixels().enumerate() {
+            if gaps.as_ref().is_some_and(|gaps| gaps[k]) {
+                continue;
+            }
             let row = (band.rows.start + v as usize) / step;
             let sum = &mut sums[row * columns + u as usize / step];
             (0..3).for_each(|k| sum[k] += u32::from(pixel[k]));
@@ -83,7 +105,8 @@ pub(super) fn overview(path: &Path, side_px: usize) -> Result<Overview, Error> {
         let sum = sums[v as usize * columns + u as usize];
         Rgb([0, 1, 2].map(|k| (sum[k] / sum[3].max(1)) as u8))
     });
-    Ok(Overview { picture, size: (width, height) })
+    let gaps = sums.iter().map(|sum| sum[3] == 0).collect();
+    Ok(Overview { picture, size: (width, height), gaps, states_gaps: source.states_gaps() })
 }
 
 /// Pixels of a raster as they are, around a place.

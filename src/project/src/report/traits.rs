@@ -218,7 +218,7 @@ pub(super) fn plants(facts: &Facts<'_>) -> Result<Section, Error> {
             "."
         }
         @if let Some(detail) = &detail {
-            (drawing(detail, "Part of the map as it is: plants with ellipses of 95 %, orange where they are doubtful (confidence below one half)."))
+            (drawing(detail, "Part of the map as it is: plants with ellipses of 95 % (2.448 standard deviations along and across the row), orange where they are doubtful (confidence below one half)."))
         }
         @if let Some(rows) = &rows {
             details open[rows.len() <= 12] { summary { "Rows (" (rows.len()) ")" } (beginning(rows)) }

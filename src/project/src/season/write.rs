@@ -5,6 +5,7 @@ use super::{
     follow::{Day, Found},
 };
 use rowgram_base::error::Error;
+use rowgram_files::csv_table::CsvWriter;
 use rowgram_optim::output;
 use rowgram_plants::{
     phenotype::{stand::NORMAL_95, traits::TRAITS},
@@ -59,7 +60,7 @@ fn significant(value: Option<f64>) -> String {
 
 fn flights(path: &Path, outcome: &SeasonOutcome) -> Result<(), Error> {
     Ok(output::write(path, true, |out| {
-        let mut csv = csv::Writer::from_writer(out);
+        let mut csv = CsvWriter::new(out);
         csv.write_record([
             "date",
             "day",
@@ -118,7 +119,7 @@ fn flights(path: &Path, outcome: &SeasonOutcome) -> Result<(), Error> {
 
 fn traits(path: &Path, outcome: &SeasonOutcome, days: &[Day]) -> Result<(), Error> {
     Ok(output::write(path, true, |out| {
-        let mut csv = csv::Writer::from_writer(out);
+        let mut csv = CsvWriter::new(out);
         csv.write_record([
             "date",
             "day",
@@ -178,7 +179,7 @@ fn traits(path: &Path, outcome: &SeasonOutcome, days: &[Day]) -> Result<(), Erro
 
 fn plants(path: &Path, days: &[Day], found: &Found) -> Result<(), Error> {
     Ok(output::write(path, true, |out| {
-        let mut csv = csv::Writer::from_writer(out);
+        let mut csv = CsvWriter::new(out);
         csv.write_record([
             "plant",
             "plot",
@@ -218,7 +219,7 @@ fn plants(path: &Path, days: &[Day], found: &Found) -> Result<(), Error> {
 
 fn growth(path: &Path, outcome: &SeasonOutcome) -> Result<(), Error> {
     Ok(output::write(path, true, |out| {
-        let mut csv = csv::Writer::from_writer(out);
+        let mut csv = CsvWriter::new(out);
         let mut header: Vec<String> =
             ["plot", "trait", "unit", "model", "dates", "status", "scatter"]
                 .map(str::to_owned)

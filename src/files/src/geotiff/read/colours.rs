@@ -91,6 +91,7 @@ impl Reader {
         mask: Option<usize>,
         window: Window,
     ) -> Result<(RgbImage, Option<Vec<bool>>), FileError> {
+        self.require(window)?;
         let Window { width, height, .. } = window;
         let mut gaps = Vec::with_capacity(window.pixels());
         let stored = matches!(self.photometric, BLACK_IS_ZERO | RGB);

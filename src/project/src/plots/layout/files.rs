@@ -6,6 +6,7 @@ use rowgram_base::{
     monitor::{Diagnostic, Monitor},
 };
 use rowgram_files::{
+    csv_table::CsvWriter,
     gpkg,
     polygons::{self, Outline},
 };
@@ -81,7 +82,7 @@ pub(super) fn write(
         left_out(monitor, "plots.prj", why);
     }
     output::write(&folder.join("layout.csv"), force, |out| {
-        let mut csv = csv::Writer::from_writer(out);
+        let mut csv = CsvWriter::new(out);
         csv.write_record([
             "plot",
             "range",

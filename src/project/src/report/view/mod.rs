@@ -1,30 +1,36 @@
 //! The map of a project in full resolution, for a browser on the same machine.
 //!
 //! [`Viewer::answer`] turns the target of a request into an answer; [`serve`] brings both over HTTP. A target names a tile, a
-//! place or the number of a photo, never a file, so that nothing outside of the project can be asked for.
+//! place, the number of a photo or one of the rasters of the project, never a path, so that nothing outside of the project can be
+//! asked for. Targets are relative to the address that [`Server::url`] gives.
 //!
 //! | target | answer |
 //! |---|---|
-//! | `/` | the page |
-//! | `/tiles/LEVEL/COLUMN/ROW.jpg` | 512 x 512 pixels of the orthomosaic, each of 2^LEVEL x 2^LEVEL of its own |
-//! | `/photos?u=U&v=V` | the photos in whose frame a place of the orthomosaic (pixels) lies, as JSON |
-//! | `/photos/NUMBER.jpg?u=U&v=V&side=S` | S x S pixels of a photo around a place |
+//! | (empty) | the page; `style.css`, `map.js` and `photos.js` are its parts |
+//! | `rasters/NAME.tif` | a raster of the project as it is, whole or in ranges of bytes, for QGIS and GDAL (`/vsicurl/`) |
+//! | `tiles/LEVEL/COLUMN/ROW.jpg` | 512 x 512 pixels of the orthomosaic, each of 2^LEVEL x 2^LEVEL of its own |
+//! | `photos?u=U&v=V` | the photos in whose frame a place of the orthomosaic (pixels) lies, as JSON |
+//! | `photos/NUMBER.jpg?u=U&v=V&side=S` | S x S pixels of a photo around a place |
 
 mod serve;
 
-use super::{Facts, map, page};
+use super::{Facts, map, page, pictures::on_paper};
 use crate::{
     Project,
     query::{OrthophotoOrigins, Sighting, query},
     run::RunOutcome,
+    stac,
 };
 use image::{Rgb, RgbImage, codecs::jpeg::JpegEncoder, imageops};
 use rowgram_base::error::Error;
 use rowgram_files::{geotiff::Reader, images};
+use rowgram_optim::output::FileError;
 use rowgram_raster::{georeference::Georeference, window::Window};
 pub use serve::{Server, serve};
 use std::{
-    path::Path,
+    collections::BTreeMap,
+    fmt::Display,
+    path::{Path, PathBuf},
     sync::{Arc, Mutex, PoisonError},
 };
 
@@ -37,10 +43,13 @@ const PHOTOS_KEPT: usize = 8;
 /// The largest part of a photo that is sent, pixels.
 const LARGEST_PX: u32 = 2048;
 
+/// A picture, and which of its pixels (row by row) show nothing.
+type WithGaps = (RgbImage, Option<Vec<bool>>);
+
 /// What is sent back.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Answer {
-    /// Status of HTTP: 200, 400 (a target that cannot be understood), 404 (nothing there), 500.
+    /// Status of HTTP: 200, 403 to 413 (a request that is refused), 404 (nothing there), 500.
     pub status: u16,
     /// Media type of the body.
     pub media_type: &'static str,
@@ -53,8 +62,14 @@ impl Answer {
         Answer { status: 200, media_type, body }
     }
 
-    fn failed(status: u16, message: impl Into<String>) -> Answer {
-        Answer { status, media_type: "text/plain; charset=utf-8", body: message.into().into() }
+    fn failed(status: u16, message: &str) -> Answer {
+        Answer { status, media_type: "text/plain; charset=utf-8", body: message.into() }
+    }
+
+    /// What cannot be read. Which file that is stands in the messages of the program, not in the answer.
+    fn unreadable(error: &impl Display) -> Answer {
+        tracing::warn!("not shown: {error}");
+        Answer::failed(500, "it cannot be read")
     }
 }
 
@@ -65,6 +80,8 @@ pub struct Viewer {
     place: Option<Georeference>,
     origins: Option<OrthophotoOrigins>,
     photos: Mutex<Vec<(usize, Arc<RgbImage>)>>,
+    /// Files that are sent as they are, by name.
+    rasters: BTreeMap<&'static str, PathBuf>,
 }
 
 impl Viewer {
@@ -92,15 +109,28 @@ impl Viewer {
         let place = orthomosaic.as_ref().and_then(Reader::georeference);
         let served = map::Served { tiles: orthomosaic.is_some(), photos: origins.is_some() };
         let page = page::viewer(&outcome.project, &map::served(&facts, served)?);
-        Ok(Viewer { page, orthomosaic, place, origins, photos: Mutex::default() })
+        let rasters = stac::rasters()
+            .filter_map(|(stage, name)| Some((name, facts.file(stage, name)?)))
+            .collect();
+        Ok(Viewer { page, orthomosaic, place, origins, photos: Mutex::default(), rasters })
     }
 
-    /// The answer to the target of a GET request: path and query, as in `/tiles/0/3/4.jpg`.
+    /// The raster that a target names.
+    pub fn raster(&self, target: &str) -> Option<&Path> {
+        self.rasters.get(target.strip_prefix("rasters/")?).map(PathBuf::as_path)
+    }
+
+    /// The answer to the target of a GET request: path and query, as in `tiles/0/3/4.jpg`.
     pub fn answer(&self, target: &str) -> Answer {
         let (path, query) = target.split_once('?').unwrap_or((target, ""));
-        let parts: Vec<&str> = path.trim_start_matches('/').split('/').collect();
+        let parts: Vec<&str> = path.split('/').collect();
+        let script =
+            |text: &str| Some(Answer::found("text/javascript; charset=utf-8", text.into()));
         let answer = match parts[..] {
             [""] => Some(Answer::found("text/html; charset=utf-8", self.page.clone().into())),
+            ["style.css"] => Some(Answer::found("text/css; charset=utf-8", page::STYLE.into())),
+            ["map.js"] => script(map::SCRIPT),
+            ["photos.js"] => script(map::PHOTOS_SCRIPT),
             ["tiles", level, column, row] => numbers([level, column, jpeg_name(row)])
                 .and_then(|[level, column, row]| self.tile(level, column, row)),
             ["photos"] => values(query, ["u", "v"]).map(|at| self.sightings(at)),
@@ -109,7 +139,7 @@ impl Viewer {
                 .map(|([number], [u, v, side])| self.part([u, v], side, number)),
             _ => None,
         };
-        answer.unwrap_or_else(|| Answer::failed(404, format!("there is no {path}")))
+        answer.unwrap_or_else(|| Answer::failed(404, "there is nothing here"))
     }
 
     fn tile(&self, level: usize, column: usize, row: usize) -> Option<Answer> {
@@ -127,13 +157,14 @@ impl Viewer {
         let window = Window { u, v, width: part[0], height: part[1] };
         let stored = reader.overviews().iter().position(|&of| of == size);
         let picture = match (level, stored) {
-            (0, _) => reader.read_rgb(window),
-            (_, Some(overview)) => reader.read_overview_rgb(overview, window),
+            (0, _) => reader.read_rgb_and_gaps(window),
+            (_, Some(overview)) => reader.read_overview_rgb_and_gaps(overview, window),
             (_, None) => every(reader, window, step),
         };
+        let states_gaps = reader.states_gaps();
         Some(match picture {
-            Ok(picture) => encoded(&super::pictures::on_paper(picture)),
-            Err(error) => Answer::failed(500, error.to_string()),
+            Ok((picture, gaps)) => encoded(&on_paper(picture, gaps.as_deref(), states_gaps)),
+            Err(error) => Answer::unreadable(&error),
         })
     }
 
@@ -144,20 +175,21 @@ impl Viewer {
         };
         match found.map(|found| serde_json::to_vec(&found)) {
             Ok(Ok(body)) => Answer::found("application/json", body),
-            Ok(Err(error)) => Answer::failed(500, error.to_string()),
-            Err(error) => Answer::failed(404, error.to_string()),
+            Ok(Err(error)) => Answer::unreadable(&error),
+            // A place outside of the map.
+            Err(_) => Answer::failed(404, "there is nothing here"),
         }
     }
 
     /// A square of a photo around a place; what lies outside of the photo is left out.
     fn part(&self, [u, v]: [f64; 2], side: f64, number: usize) -> Answer {
         let Some(path) = self.origins.as_ref().and_then(|origins| origins.photo(number)) else {
-            return Answer::failed(404, format!("there is no photo number {number}"));
+            return Answer::failed(404, "there is no photo of that number");
         };
         let side = side.clamp(1.0, f64::from(LARGEST_PX));
         let photo = match self.read(number, path) {
             Ok(photo) => photo,
-            Err(error) => return Answer::failed(500, error.to_string()),
+            Err(error) => return Answer::unreadable(&error),
         };
         let first = |at: f64, length: u32| (at - 0.5 * side).round().clamp(0.0, f64::from(length));
         let last = |at: f64, length: u32| (at + 0.5 * side).round().clamp(0.0, f64::from(length));
@@ -165,7 +197,7 @@ impl Viewer {
         let (left, top) = (first(u, width) as u32, first(v, height) as u32);
         let (right, bottom) = (last(u, width) as u32, last(v, height) as u32);
         if left >= right || top >= bottom {
-            return Answer::failed(404, format!("photo number {number} does not show ({u}, {v})"));
+            return Answer::failed(404, "that photo does not show the place");
         }
         encoded(&imageops::crop_imm(&*photo, left, top, right - left, bottom - top).to_image())
     }
@@ -185,29 +217,27 @@ impl Viewer {
     }
 }
 
-/// One pixel of `step` x `step`, for files without a picture of that resolution.
-fn every(
-    reader: &Reader,
-    window: Window,
-    step: usize,
-) -> Result<RgbImage, rowgram_optim::output::FileError> {
+/// One pixel of `step` x `step`, for files without a picture of that resolution, and which show nothing.
+fn every(reader: &Reader, window: Window, step: usize) -> Result<WithGaps, FileError> {
     let mut picture = RgbImage::new(window.width as u32, window.height as u32);
+    let mut gaps = Vec::new();
     let width = ((window.width - 1) * step + 1).min(reader.width() - window.u * step);
     for v in 0..window.height {
         let row = Window { u: window.u * step, v: (window.v + v) * step, width, height: 1 };
-        let row = reader.read_rgb(row)?;
+        let (row, missing) = reader.read_rgb_and_gaps(row)?;
         for (u, Rgb(pixel)) in row.pixels().step_by(step).enumerate() {
             picture.put_pixel(u as u32, v as u32, Rgb(*pixel));
+            gaps.push(missing.as_ref().is_some_and(|missing| missing[u * step]));
         }
     }
-    Ok(picture)
+    Ok((picture, Some(gaps)))
 }
 
 fn encoded(picture: &RgbImage) -> Answer {
     let mut body = Vec::new();
     match JpegEncoder::new_with_quality(&mut body, QUALITY).encode_image(picture) {
         Ok(()) => Answer::found("image/jpeg", body),
-        Err(error) => Answer::failed(500, error.to_string()),
+        Err(error) => Answer::unreadable(&error),
     }
 }
 
@@ -255,21 +285,32 @@ mod tests {
             place: None,
             origins: None,
             photos: Mutex::default(),
+            rasters: BTreeMap::from([("ortho.tif", PathBuf::from("/field/ortho.tif"))]),
         };
-        assert_eq!(nothing.answer("/").body, b"page");
-        assert_eq!(nothing.answer("/photos?u=1&v=2").body, b"[]");
+        assert_eq!(nothing.answer("").body, b"page");
+        assert_eq!(nothing.answer("photos?u=1&v=2").body, b"[]");
+        for target in ["style.css", "map.js", "photos.js"] {
+            assert_eq!(nothing.answer(target).status, 200, "{target}");
+        }
         for target in [
-            "",
+            "/",
             "//",
-            "/../../etc/passwd",
-            "/tiles/0/0/0.jpg",
-            "/tiles/99/0/0.jpg",
-            "/photos/0.jpg?u=1&v=1&side=10",
-            "/photos/..%2f..%2fetc%2fpasswd",
-            "/photos?u=1",
+            "../../etc/passwd",
+            "tiles/0/0/0.jpg",
+            "tiles/99/0/0.jpg",
+            "photos/0.jpg?u=1&v=1&side=10",
+            "photos/..%2f..%2fetc%2fpasswd",
+            "photos?u=1",
         ] {
-            let expected = if target.trim_start_matches('/').is_empty() { 200 } else { 404 };
-            assert_eq!(nothing.answer(target).status, expected, "{target}");
+            let answer = nothing.answer(target);
+            assert_eq!(answer.status, 404, "{target}");
+            let said = String::from_utf8(answer.body).unwrap();
+            assert!(!said.contains('/') && !said.contains(".."), "{target}: {said}");
+        }
+        assert!(nothing.raster("rasters/ortho.tif").is_some());
+        for target in ["rasters/", "rasters/../ortho.tif", "rasters//field/ortho.tif", "ortho.tif"]
+        {
+            assert!(nothing.raster(target).is_none(), "{target}");
         }
     }
 }

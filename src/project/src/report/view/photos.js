@@ -14,7 +14,7 @@
     pane.className = "window";
     const picture = document.createElement("img");
     picture.alt = "Part of " + of.image;
-    picture.src = "/photos/" + of.number + ".jpg?u=" + of.u_px + "&v=" + of.v_px + "&side=" + SIDE_PX;
+    picture.src = "photos/" + of.number + ".jpg?u=" + of.u_px + "&v=" + of.v_px + "&side=" + SIDE_PX;
     // At the edge of a photo the part is smaller than the pane.
     const left = Math.round(Math.min(Math.max(of.u_px - SIDE_PX / 2, 0), columns));
     const top = Math.round(Math.min(Math.max(of.v_px - SIDE_PX / 2, 0), rows));
@@ -35,7 +35,7 @@
     const { u, v } = event.detail;
     asked += 1;
     const mine = asked;
-    const answer = await fetch("/photos?u=" + u + "&v=" + v);
+    const answer = await fetch("photos?u=" + u + "&v=" + v);
     const found = answer.ok ? await answer.json() : [];
     if (mine === asked) shelf.replaceChildren(...found.slice(0, MOST).map(figure));
   });

@@ -166,9 +166,14 @@ impl AdjustmentProblem {
             let values = lens_block(&camera.interior, corrected);
             let block = self.problem.block("camera", Euclidean(LENS), &values)?;
             self.lenses.push(block);
-            let held: Vec<usize> =
-                (0..LENS).filter(|&k| !camera.free.get(k).copied().unwrap_or(false)).collect();
+            // Nothing says anything of a camera without images.
+            let is_used = reconstruction.images.iter().any(|image| image.camera == index);
+            let is_free = |k: usize| is_used && camera.free.get(k).copied().unwrap_or(false);
+            let held: Vec<usize> = (0..LENS).filter(|&k| !is_free(k)).collect();
             self.problem.fix_entries(block, &held)?;
+            if !is_used {
+                continue;
+            }
             let Some((places, covariance)) = camera.covariance() else { continue };
             // Only what is free needs a prior; what is held is known exactly.
             let free: Vec<usize> = (0..places.len()).filter(|&k| camera.free[places[k]]).collect();
