@@ -189,7 +189,6 @@ impl clap::FromArgMatches for HsvArgument {
 mod tests {
     use super::*;
     use clap::{CommandFactory, FromArgMatches};
-    use rowgram_base::options::Choice;
     use rowgram_project::{self as project, Task, stage};
     use std::process;
 
