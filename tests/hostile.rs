@@ -124,7 +124,8 @@ fn what_a_header_promises_is_not_made_room_for() {
     tiff(&at.join("wide.tif"), [u32::MAX / 2, 64], 9);
     tiff(&at.join("strip.tif"), [100_000, 100_000], 100_000);
     for name in ["wide.tif", "strip.tif"] {
-        for command in ["segment", "locate", "leaf-density", "leaf-count --rho-px 5", "leaves"] {
+        for command in ["segment", "locate", "leaves density", "leaves count --rho-px 5", "leaves"]
+        {
             let run = rowgram(at, &format!("{command} {name} -o out.tif --max-memory-mb 2000"));
             refused(&run, &[name, "of memory", "2.0 GB may be used"]);
         }
@@ -143,8 +144,8 @@ fn small_files_of_large_pictures_are_refused_with_both_numbers() {
         ("locate mask.png -o p.csv", 100, "150 MB of memory, 100 MB may be used"),
         ("segment photo.png -o m.png", 200, "210 MB of memory, 200 MB may be used"),
         // Decoded it fits, its scale space does not.
-        ("features photo.png -o f", 1000, "1.2 GB of memory, 1.0 GB may be used"),
-        ("match photo.png photo.png -o m.csv", 1000, "1.2 GB of memory"),
+        ("align features photo.png -o f", 1000, "1.2 GB of memory, 1.0 GB may be used"),
+        ("align match photo.png photo.png -o m.csv", 1000, "1.2 GB of memory"),
     ] {
         let run = rowgram(at, &format!("{command} --max-memory-mb {limit_mb}"));
         refused(&run, &["6000 x 5000", words, "--max-memory-mb"]);
@@ -195,7 +196,7 @@ fn names_of_plots_are_text_in_tables() {
     let plots: Vec<_> = names.iter().enumerate().map(plot).collect();
     let plots = serde_json::json!({"type": "FeatureCollection", "features": plots});
     fs::write(at.join("plots.geojson"), plots.to_string()).unwrap();
-    let run = rowgram(at, "leaf-count mask.png --plots plots.geojson --rho-px 5 -o counts.csv");
+    let run = rowgram(at, "leaves count mask.png --plots plots.geojson --rho-px 5 -o counts.csv");
     assert_eq!(run.code, 0, "{}", run.stderr);
     assert!(run.stderr.contains("plot whole"), "{}", run.stderr);
     let text = fs::read_to_string(at.join("counts.csv")).unwrap();
