@@ -175,6 +175,7 @@ fn dependencies_may_be_passed_on() {
         "Unicode-3.0",
         "Unlicense",
         "Zlib",
+        "bzip2-1.0.6",
     ];
     let output = std::process::Command::new(env!("CARGO"))
         .args(["metadata", "--format-version", "1", "--offline", "--locked"])

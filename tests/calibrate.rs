@@ -116,7 +116,7 @@ fn photos_become_a_camera_and_a_report() {
     }
     // The corners that were written lead to the same camera, whatever the number of threads.
     let again = format!(
-        "--threads 1 calibrate --corners tables/corners.csv --size-px 640,480 {TERMS},p1,p2,k3 -o again.toml --json"
+        "--threads 1 camera calibrate --corners tables/corners.csv --size-px 640,480 {TERMS},p1,p2,k3 -o again.toml --json"
     );
     let second = rowgram(here, &again);
     assert_eq!(second.code, 0, "{}", second.stderr);

@@ -178,11 +178,10 @@ fn bad_input_is_refused_with_code_2_and_a_reason() {
         assert!(message.contains(reason), "{arguments:?}: {message}");
         assert!(!Path::new(&out).exists());
     }
-    // Leaf all over is no error: as many plants as were asked for, and a word that leaf alone cannot tell.
+    // Leaf all over is taken for a mask whose values are exchanged.
     let run = rowgram(&["locate", &white, "--plants", "3", "-o", &path("white.csv")]);
-    assert_eq!(run.status.code(), Some(0));
-    assert!(String::from_utf8_lossy(&run.stderr).contains("cannot be told"));
-    assert_eq!(std::fs::read_to_string(path("white.csv")).unwrap().lines().count(), 4);
+    assert_eq!(run.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&run.stderr).contains("exchanged"));
     let run = rowgram(&["locate", mask, "--plants", "3", "--force", "-o", mask]);
     assert_eq!(run.status.code(), Some(2));
     assert!(String::from_utf8_lossy(&run.stderr).contains("is an input"));

@@ -262,12 +262,15 @@ fn plots_as_they_are() {
     let point = json!({"type": "Feature", "properties": {"PlotID": 108.0, "name": "B73"},
                        "geometry": {"type": "Point", "coordinates": [1.0, 2.0]}});
     let named = |id: f64| json!({"PlotID": id, "name": "B73"});
+    // Between the centres of two columns of pixels.
+    let width = f64::from(square.width());
+    let between = |at: f64| ((0.5 * width).floor() + 0.5 + at) / width;
     set(collection(
         Some(32632),
         vec![
             drawn(0.0, 0.5, named(101.0)),
             drawn(0.5, 1.0, named(102.0)),
-            drawn(0.5, 0.5005, named(103.0)),
+            drawn(between(0.2), between(0.4), named(103.0)),
             nothing,
             point,
         ],

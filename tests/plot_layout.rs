@@ -559,7 +559,7 @@ fn a_layout_is_moved_onto_the_picture_of_a_field() {
     // Plots that the map shows a part of, and none of, are told.
     let geojson = std::fs::read_to_string(root.join("plots.geojson")).unwrap();
     let mut document: serde_json::Value = serde_json::from_str(&geojson).unwrap();
-    for (plot, east) in [(0, -8.0), (1, 500.0)] {
+    for (plot, east) in [(0, -3.0), (1, 500.0)] {
         let ring = &mut document["features"][plot]["geometry"]["coordinates"][0];
         for at in ring.as_array_mut().unwrap() {
             at[0] = (at[0].as_f64().unwrap() + east).into();

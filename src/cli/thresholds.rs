@@ -16,7 +16,7 @@ use std::path::PathBuf;
 /// a picture of several classes everything but black is leaf. Masks are laid over photos pixel by pixel as stored;
 /// --as-shown first turns the photos as their metadata says, for masks drawn over what a viewer shows.
 ///
-/// Example: rowgram segment thresholds a.jpg b.jpg --masks a.png,b.png --leave-one-out --figures figures
+/// Example: rowgram segment thresholds a.jpg b.jpg --masks a.png,b.png --figures figures
 #[derive(Debug, clap::Args)]
 #[command(verbatim_doc_comment)]
 pub(super) struct Args {

@@ -28,6 +28,7 @@ pub mod leaf_mask;
 pub mod leaves;
 pub mod locate;
 mod map_figures;
+mod options_page;
 pub mod ortho;
 mod orthomosaic;
 mod photo_folder;
@@ -55,6 +56,7 @@ pub use checks::ChecksOptions;
 pub use config::{
     Config, NAME as SETTINGS, ProjectOptions, StagesOptions, environment, reference_page,
 };
+pub use options_page::reference_page;
 pub use photo_folder::{photos_in, unusable_names_in};
 pub use project::{PHOTO_ENDINGS, Project};
 pub use stage::{Stage, State, Task};

@@ -130,7 +130,7 @@ impl Crs {
     /// # Errors
     /// A text that cannot be read, or names a projection that is not there.
     pub fn of_well_known_text(text: &str) -> Result<Crs, CrsError> {
-        if let Some(code) = code_of_text(text)
+        if let Some(code) = code_of_text(text).or_else(|| code_of_zone(text))
             && let Ok(known) = Crs::of_code(code)
         {
             return Ok(known);
@@ -142,7 +142,13 @@ impl Crs {
         if is_web_mercator {
             return Crs::of_code(3857);
         }
-        let definition = proj4wkt::wkt_to_projstring(text).map_err(|e| refuse(e.to_string()))?;
+        // Esri has one name for Lambert's conic, with one parallel of true scale or with two.
+        let parallels = if text.contains("Standard_Parallel_2") { "_2SP" } else { "_1SP" };
+        let text = text.replace(
+            "\"Lambert_Conformal_Conic\"",
+            &format!("\"Lambert_Conformal_Conic{parallels}\""),
+        );
+        let definition = proj4wkt::wkt_to_projstring(&text).map_err(|e| refuse(e.to_string()))?;
         Crs::new(&name, &definition)
     }
 
@@ -335,6 +341,18 @@ fn code_of_text(text: &str) -> Option<u32> {
         return None;
     }
     words.next()?.parse().ok()
+}
+
+/// The EPSG code of a text of a UTM zone on WGS84 as Esri names it, `PROJCS["WGS_1984_UTM_Zone_16N",...`.
+fn code_of_zone(text: &str) -> Option<u32> {
+    let zone = text.split('"').nth(1)?.strip_prefix("WGS_1984_UTM_Zone_")?;
+    let (number, half) = zone.split_at_checked(zone.len().checked_sub(1)?)?;
+    let number: u32 = number.parse().ok().filter(|zone| (1..=60).contains(zone))?;
+    match half {
+        "N" => Some(32600 + number),
+        "S" => Some(32700 + number),
+        _ => None,
+    }
 }
 
 /// Steps over which the scale of a projection is taken: far less than it changes over, far more than rounding.

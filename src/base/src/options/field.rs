@@ -252,7 +252,9 @@ fn has_extreme(value: &toml::Value) -> bool {
 /// A value as TOML spells it, floats with their point; in powers of ten where it would be long.
 fn shown(value: &toml::Value) -> String {
     match value {
-        toml::Value::Float(number) if has_extreme(value) => format!("{number:e}"),
+        toml::Value::Float(number) if number.is_finite() && has_extreme(value) => {
+            format!("{number:e}")
+        }
         _ => value.to_string().trim().to_owned(),
     }
 }

@@ -188,7 +188,8 @@ fn what_is_written_is_read_again() {
                 Layout {
                     georeference: Some(Georeference {
                         crs: Crs::LOCAL,
-                        per_column: [0.01, 0.002],
+                        per_column: [0.016, 0.012],
+                        per_row: [0.012, -0.016],
                         ..place
                     }),
                     ..layout

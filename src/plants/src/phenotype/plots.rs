@@ -193,7 +193,7 @@ impl FieldIndex<'_> {
         let pixels = self.add_cover(&mut found, area.polygon, seen);
         let all = if area.is_field { pixels } else { area.polygon.pixels() };
         found.valid_share = (all > 0).then(|| pixels as f64 / all as f64);
-        self.add_plants(&mut found, area.polygon);
+        self.add_plants(&mut found, area.polygon, seen.valid);
         self.add_leaves(&mut found, area.polygon);
         add_heights(&mut found, canopy);
         add_colours(&mut found, colours);
@@ -242,19 +242,30 @@ impl FieldIndex<'_> {
     }
 
     /// Plants, gaps and spacing; after the area.
-    fn add_plants(&self, found: &mut PlotTraits, polygon: &Polygon) {
+    fn add_plants(&self, found: &mut PlotTraits, polygon: &Polygon, valid: Option<&Mask>) {
         let field = self.field;
         let members = self.plants.inside(polygon);
         let area_m2 = found.area_m2.filter(|&area| area > 0.0);
         if field.plants.is_some() {
             let count = members.len() as f64;
             found.plants = Some(count);
-            found.plants_per_ha = area_m2.map(|area| count / area * 1e4);
+            // The density is that of the area that shows something, so that only its plants are in it.
+            let is_seen = |k: &&usize| {
+                let at = field.plants.as_ref().and_then(|plants| plants.get(**k));
+                at.zip(valid).is_none_or(|(at, valid)| {
+                    let [u, v] = at.map(|x| x.round().max(0.0) as usize);
+                    valid.get(u, v)
+                })
+            };
+            let seen = members.iter().filter(is_seen).count() as f64;
+            found.plants_per_ha = area_m2.map(|area| seen / area * 1e4);
             let variance =
                 members.iter().map(|&k| field.count_variance.get(k).copied()).sum::<Option<f64>>();
             let sd = variance.filter(|_| !field.count_variance.is_empty()).map(f64::sqrt);
             put(found, "plants", sd);
-            put(found, "plants_per_ha", sd.zip(area_m2).map(|(sd, area)| sd / area * 1e4));
+            let share = if count > 0.0 { seen / count } else { 0.0 };
+            let per_ha = |(sd, area)| share * sd / area * 1e4;
+            put(found, "plants_per_ha", sd.zip(area_m2).map(per_ha));
         }
         if let Some(gaps) = &field.gaps {
             let of_plot = self.gaps.inside(polygon);
@@ -356,7 +367,7 @@ fn mean_hue_deg(hues_deg: &[f64]) -> Option<(f64, Option<f64>)> {
     let (sin, cos) = known().fold((0.0, 0.0), |sum, hue| (sum.0 + hue.sin(), sum.1 + hue.cos()));
     let length = (sin.hypot(cos) / n).min(1.0);
     // Directions that cancel out have no mean; rounding leaves some of them.
-    if !(length > 1e-9) {
+    if n == 0.0 || length <= 1e-9 {
         return None;
     }
     let sd = (n > 1.0).then(|| (-2.0 * length.ln()).max(0.0).sqrt().to_degrees() / n.sqrt());

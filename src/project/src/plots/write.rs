@@ -325,6 +325,6 @@ mod tests {
         assert_eq!(found[0].value(&plots[0]), "geom");
         assert_eq!(found[0].value(&plots[1]), "GEOM");
         let codes: Vec<&str> = collector.diagnostics.iter().map(|of| &*of.code).collect();
-        assert_eq!(codes, ["attributes-left-out", "attributes-renamed"]);
+        assert_eq!(codes, ["attributes-renamed", "attributes-left-out"]);
     }
 }

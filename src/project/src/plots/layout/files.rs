@@ -19,12 +19,11 @@ use std::path::Path;
 const NAMES: [&str; 6] =
     ["plots.geojson", "plots.gpkg", "plots.shp", "layout.csv", "layout.json", "figures/layout.png"];
 
-/// Makes the folder, and refuses what is there already.
+/// Refuses what is there already.
 ///
 /// # Errors
 /// The first file that exists, unless `force`.
 pub(super) fn check(folder: &Path, force: bool) -> Result<(), FileError> {
-    output::make_folder(folder)?;
     for name in NAMES {
         let path = folder.join(name);
         if path.exists() {
@@ -47,6 +46,7 @@ pub(super) fn write(
     monitor: &mut dyn Monitor,
 ) -> Result<(), Error> {
     let (folder, force) = (request.output, request.force);
+    output::make_folder(folder)?;
     let outlines: Vec<Outline> = laid
         .plan
         .plots
