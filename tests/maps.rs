@@ -401,7 +401,9 @@ fn tiff(picture: &RgbImage, place: Georeference, samples: Samples, names: &[&str
         .collect();
     let xml = format!("<GDALMetadata>{items}</GDALMetadata>\0").into_bytes();
     let corner = place.map([-0.5, -0.5]);
-    let mut tags: Vec<(u16, (u16, u32, Vec<u8>))> = vec![
+    /// Type, number of values and bytes of a tag.
+    type TagValue = (u16, u32, Vec<u8>);
+    let mut tags: Vec<(u16, TagValue)> = vec![
         (256, long(picture.width())),
         (257, long(picture.height())),
         (258, shorts(&vec![bits; bands])),

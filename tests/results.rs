@@ -84,7 +84,8 @@ fn a_run_leaves_alone_what_it_did_not_write_and_a_verification_sees_what_others_
     // Everything that others change is seen, and nothing forged is shown.
     let stats: Value = serde_json::from_str(&text(&results.join("stats.json"))).unwrap();
     let plants = stats["results"]["locate"]["plants"].to_string();
-    let changes: [(&str, &dyn Fn(&str) -> String); 8] = [
+    type Change<'a> = &'a dyn Fn(&str) -> String;
+    let changes: [(&str, Change<'_>); 8] = [
         ("rowgram/stages/locate.json", &|text| {
             let forged = text.replace(&format!("\"plants\": {plants}"), "\"plants\": 999999");
             assert!(forged != text, "{text}");

@@ -1,8 +1,6 @@
 //! Run by Cargo before the crate is compiled: a digest of the sources of all that results depend on, so that results
 //! which another build of the program kept are told from its own.
 
-#![expect(clippy::print_stdout, reason = "this is how a build script speaks to Cargo")]
-
 use std::{
     env, fs,
     hash::{DefaultHasher, Hash, Hasher},

@@ -150,8 +150,8 @@ impl Table {
                 // Trailing separators, and trailing fields that a table without a header may leave out.
                 let surplus = fields.get(width..).unwrap_or_default();
                 let ragged = !self.named && separator.is_blank();
-                if surplus.iter().any(|field| !field.is_empty()) && !ragged
-                    || fields.len() < width && !ragged
+                if !ragged
+                    && (fields.len() < width || surplus.iter().any(|field| !field.is_empty()))
                 {
                     let message = format!(
                         "expected {width} columns as in the header, found {}",

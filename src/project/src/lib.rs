@@ -53,9 +53,7 @@ pub mod undistort;
 pub mod verify;
 
 pub use checks::ChecksOptions;
-pub use config::{
-    Config, NAME as SETTINGS, ProjectOptions, StagesOptions, environment, reference_page,
-};
+pub use config::{Config, NAME as SETTINGS, ProjectOptions, StagesOptions, environment};
 pub use options_page::reference_page;
 pub use photo_folder::{photos_in, unusable_names_in};
 pub use project::{PHOTO_ENDINGS, Project};

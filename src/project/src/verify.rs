@@ -201,7 +201,8 @@ fn repeat(
         // As text: a number that is read once more may be another in its last bit.
         let text =
             repeated.outcome.to_string().replace(&own(folder.path()), &own(project.results()));
-        if text != record.outcome.to_string() {
+        let stated = record.outcome.to_string();
+        if text != stated {
             let path = project.results().join(Records::name(record.stage));
             found.push(path, stage, Occasion::Outcome, false);
         }

@@ -197,12 +197,7 @@ mod tests {
         for options in [
             SelectionOptions::default(),
             SelectionOptions { border_px: 30.0, ..SelectionOptions::default() },
-            SelectionOptions {
-                max_angle_rad: Some(0.4),
-                visibility_m: Some(0.01),
-                border_px: 5.0,
-                ..SelectionOptions::default()
-            },
+            SelectionOptions { max_angle_rad: Some(0.4), visibility_m: Some(0.01), border_px: 5.0 },
         ] {
             let selector = PhotoSelector::new(&views, &surface, grid, options);
             let sources = selector.sources(whole);
