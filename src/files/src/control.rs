@@ -10,7 +10,7 @@
 //! | camera positions | `image`, `easting_m`, `northing_m`, `height_m`; optional standard deviations as above |
 //! | scale bars | `from`, `to`, `length_m`; optional `sigma_m` |
 //!
-//! Columns may also have the names that other programs give them ([`super::columns`]), or none: then the first is the
+//! Columns may also have the names that other programs give them (`columns`), or none: then the first is the
 //! name, and coordinates follow. Coordinates are metres in one mapping frame; degrees are read by [`read`], for a flight
 //! whose frame is known. A point without a height is control in plan only. Images are matched by [`Names`].
 

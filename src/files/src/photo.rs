@@ -1,6 +1,6 @@
 //! What a photo's file says of how it was taken: EXIF, and the XMP of drones.
 //!
-//! EXIF is read by `kamadak-exif`, as far as it can be read: a directory that is damaged leaves the others. XMP ([`xmp`])
+//! EXIF is read by `kamadak-exif`, as far as it can be read: a directory that is damaged leaves the others. XMP (`xmp`)
 //! gives what EXIF does not: the position, its accuracy, the angles of the camera mount, the band of a multispectral camera.
 
 mod xmp;

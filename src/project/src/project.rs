@@ -262,7 +262,7 @@ impl Project {
     }
 
     /// An orthomosaic that is there from the beginning: the one that the settings name, or that of a folder without photos
-    /// ([`orthomosaic`]).
+    /// (`orthomosaic`).
     pub fn given_orthomosaic(&self) -> Option<PathBuf> {
         if self.config.project.ortho.is_some() {
             return self.given_among(&[]);

@@ -130,7 +130,7 @@ pub struct Performed<T> {
 /// Does a stage, unless its result is there and current, and gives what came of it.
 ///
 /// # Errors
-/// As [`execute`].
+/// As the stage itself.
 pub fn perform<T: Task>(
     project: &Project,
     options: &T::Options,

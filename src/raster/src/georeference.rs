@@ -6,7 +6,7 @@
 //!
 //! with `(u, v)` in pixels, the **centre** of the top-left pixel being (0, 0), so `origin` is the map
 //! position of that centre. (GeoTIFF and GDAL count from the pixel's corner; the conversion is in
-//! [`rowgram_files::geotiff`].)
+//! `geotiff` of `rowgram-files`.)
 
 use crate::crs::{self, FOOT_M, US_SURVEY_FOOT_M};
 use serde::Serialize;

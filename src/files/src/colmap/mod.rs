@@ -2,7 +2,7 @@
 //!
 //! COLMAP has the centre of the top-left pixel at (0.5, 0.5) and a camera frame with `y` down and
 //! `z` forward; both are converted here and nowhere else. Its lens models are Brown's or the
-//! equidistant fisheye with entries left out, or are fitted by one of these ([`fitted`]); a lens of ours is written as the
+//! equidistant fisheye with entries left out, or are fitted by one of these (`fitted`); a lens of ours is written as the
 //! smallest that holds it.
 //!
 //! Reference: <https://colmap.github.io/format.html>.

@@ -1,9 +1,9 @@
 //! Polygons with names: plots, calibration regions. GeoJSON, shapefiles and GeoPackages.
 //!
 //! Each comes out in pixels of the raster that it is drawn over. Coordinates in another reference system than the
-//! raster's are transformed ([`systems`]); where the size of the raster is known and nothing lies on it, the file is refused with
+//! raster's are transformed (`systems`); where the size of the raster is known and nothing lies on it, the file is refused with
 //! the likely cause. Where the raster has no place on the map, coordinates are pixels (the centre of the top-left pixel at
-//! 0, 0). A polygon's name comes from the first usual property that is there and unique ([`names`]), else it is its number.
+//! 0, 0). A polygon's name comes from the first usual property that is there and unique (`names`), else it is its number.
 //! Other properties come along as attributes. [`write()`] writes plots.
 //!
 //! A file without polygons, two polygons of one name, a ring that crosses itself and a polygon without area are refused: each

@@ -34,7 +34,7 @@ pub enum Plan {
 /// Says what a run would do, and does nothing.
 ///
 /// # Errors
-/// As [`run`], and what a stage cannot read.
+/// As [`super::run`], and what a stage cannot read.
 pub fn plan(project: &Project, options: &RunOptions) -> Result<Vec<PlannedStage>, Error> {
     let mut planned: Vec<PlannedStage> = Vec::new();
     check_input(project)?;
