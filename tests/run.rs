@@ -308,7 +308,7 @@ const NONSENSE: [(&str, &str); 27] = [
     ("leaf_count.rho_px=0", "rho_px = 0: expected a number greater than 0"),
     ("locate.plants=0", "plants = 0: expected auto or a whole number of at least 1"),
     ("locate.method=magic", "method = \"magic\": expected one of: row-model"),
-    ("locate.tempering=6", "tempering: an option of the descent"),
+    ("locate.tempering=6", "tempering: it belongs into [locate.paper]"),
     ("calibrate.square_m=0.025", "board and square_m: expected both"),
     ("project.crs=EPSG:1", "[project] crs = \"EPSG:1\""),
     ("plots.rows_per_plot=4", "[plots] alley_m is not set"),

@@ -47,7 +47,7 @@ fn a_mask_is_cleaned_and_drawn() {
         "--hsv 30,79,30,163 --min-pixels 2 --fill-holes 1 --figures figures --json --quiet";
     let run = rowgram(folder.path(), &format!("segment photo.png -o mask.png {options}"));
     assert_eq!((run.code, run.stderr.as_str()), (0, ""));
-    assert_snapshot!(run.stdout, @r#"{"image":"photo.png","width_px":30,"height_px":20,"hsv":[30,79,30,163],"leaf_pixels":32,"leaf_share":0.05333333333333334,"components":1,"removed_components":1,"removed_pixels":1,"filled_holes":1,"filled_pixels":1,"diagnostics":[]}"#);
+    assert_snapshot!(run.stdout, @r#"{"image":"photo.png","width_px":30,"height_px":20,"hsv":[30,79,30,163],"leaf_pixels":32,"leaf_share":0.05333333333333334,"valid_share":1.0,"components":1,"removed_components":1,"removed_pixels":1,"filled_holes":1,"filled_pixels":1,"diagnostics":[]}"#);
     let seen = images::read_photo(&folder.path().join("figures/mask.png")).unwrap();
     assert_eq!(seen.get_pixel(0, 0), &SOIL);
     assert_eq!(seen.get_pixel(25, 15), &LEAF, "the speck is not marked");
@@ -283,5 +283,5 @@ fn the_posterior_is_written_on_request() {
     let refused = "segment plant.png --hsv 30,79,30,163 -o other.png --posterior no.png";
     let run = rowgram(folder.path(), refused);
     assert_eq!(run.code, 2, "{}", run.stderr);
-    assert!(run.stderr.contains("segment thresholds (hsv) give no posterior"), "{}", run.stderr);
+    assert!(run.stderr.contains("thresholds (hsv) give no posterior"), "{}", run.stderr);
 }

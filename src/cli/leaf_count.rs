@@ -23,7 +23,7 @@ use std::path::PathBuf;
 /// leaves far from the camera are smaller and the count is biased: use an orthomosaic.
 ///
 /// Example: rowgram leaves count field
-/// Example: rowgram leaves count ortho.tif --regions regions.geojson --plots plots.geojson -o leaves.csv
+/// Example: rowgram leaves count ortho.tif --plots plots.geojson --output leaves.csv
 #[derive(Debug, clap::Args)]
 #[command(verbatim_doc_comment)]
 pub(super) struct Args {

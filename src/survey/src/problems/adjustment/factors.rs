@@ -48,10 +48,12 @@ impl Factor for GroundPointFactor {
     }
 }
 
-/// The measured position of the antenna, `R^T (l - t)` with the lever arm `l`.
+/// The measured position of the antenna, `R^T (l - t) + o` with the lever arm `l`, and the offset `o` of the receiver's frame
+/// from that of the control where there is one.
 #[derive(Debug, Clone)]
 pub(super) struct CameraPositionFactor {
-    pub(super) block: [BlockId; 1],
+    /// The pose, and the offset.
+    pub(super) blocks: Vec<BlockId>,
     pub(super) lever_arm_m: [f64; 3],
     pub(super) position_m: [f64; 3],
     pub(super) sigma_m: [f64; 3],
@@ -63,7 +65,7 @@ impl Factor for CameraPositionFactor {
     }
 
     fn blocks(&self) -> &[BlockId] {
-        &self.block
+        &self.blocks
     }
 
     fn linearize(
@@ -77,7 +79,8 @@ impl Factor for CameraPositionFactor {
         let from_centre = [l[0] - x[0][4], l[1] - x[0][5], l[2] - x[0][6]];
         for k in 0..3 {
             let axis = [r[0][k], r[1][k], r[2][k]];
-            residual[k] = (dot(axis, from_centre) - self.position_m[k]) / self.sigma_m[k];
+            let offset = x.get(1).map_or(0.0, |offset| offset[k]);
+            residual[k] = (dot(axis, from_centre) + offset - self.position_m[k]) / self.sigma_m[k];
             if let Some(jacobian) = jacobian.as_deref_mut() {
                 let row = jacobian.row(k);
                 // The camera turns about its own centre: the antenna moves by R^T (l x w - s).
@@ -85,6 +88,10 @@ impl Factor for CameraPositionFactor {
                 for c in 0..3 {
                     row[c] = turn[c] / self.sigma_m[k];
                     row[3 + c] = -axis[c] / self.sigma_m[k];
+                }
+                if x.len() > 1 {
+                    let offset = row.len() - 3;
+                    row[offset + k] = 1.0 / self.sigma_m[k];
                 }
             }
         }

@@ -6,7 +6,7 @@
 //! min 1/2 [ sum |u(P_ij; interior) - u_ij|^2 / s_tie^2       tie points, P_ij = R_i X_j + t_i
 //!         + sum |u(P_ik; interior) - u_ik|^2 / s_ik^2        marks of ground points
 //!         + sum |X_k - X_k0|^2 / s_k^2                       coordinates of control points
-//!         + sum |C_i + R_i^T l - C_i0|^2 / s_i^2             camera positions, lever arm l
+//!         + sum |C_i + R_i^T l + o - C_i0|^2 / s_i^2         camera positions, lever arm l, offset o from control
 //!         + sum (|X_a - X_b| - d_ab)^2 / s_ab^2              scale bars
 //!         + (p - p_0)^T C_p^-1 (p - p_0) + ... ]             interior orientation, motion
 //! ```

@@ -145,8 +145,9 @@ impl AdjustmentProblem {
             self.images.push(self.problem.block("image", space, &values)?);
         }
         let factor = settings.factor(Group::Positions);
+        let offset = self.position_offset(reconstruction, settings)?;
         let antennas = reconstruction.positions.iter().map(|position| CameraPositionFactor {
-            block: [self.images[position.image as usize]],
+            blocks: std::iter::once(self.images[position.image as usize]).chain(offset).collect(),
             lever_arm_m: reconstruction.lever_arm_m,
             position_m: position.position_m,
             sigma_m: position.sigma_m.map(|sigma| sigma * factor),
@@ -154,6 +155,23 @@ impl AdjustmentProblem {
         let antennas = antennas.collect();
         let subjects = (0..reconstruction.positions.len()).collect();
         self.add(Group::Positions, "camera positions", antennas, subjects)
+    }
+
+    /// The offset of camera positions from control, along the axes that control knows.
+    fn position_offset(
+        &mut self,
+        reconstruction: &Reconstruction,
+        settings: &Settings,
+    ) -> Result<Option<BlockId>, SolveError> {
+        if !settings.position_offset || reconstruction.positions.is_empty() {
+            return Ok(None);
+        }
+        let control = reconstruction.ground.iter().filter(|point| point.role == Role::Control);
+        let known: Vec<usize> = control.flat_map(|point| point.axes.indices()).copied().collect();
+        let held: Vec<usize> = (0..3).filter(|axis| !known.contains(axis)).collect();
+        let block = self.problem.block("offset of camera positions", Euclidean(3), &[0.0; 3])?;
+        self.problem.fix_entries(block, &held)?;
+        Ok(Some(block))
     }
 
     fn add_lenses(

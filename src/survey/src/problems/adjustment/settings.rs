@@ -59,6 +59,8 @@ pub struct Settings {
     pub corrected_domain: bool,
     /// Without control: hold the first image, and one coordinate of the farthest one.
     pub minimal_datum: bool,
+    /// With control: camera positions are all off by the same unknown vector, as those of a receiver without a base are.
+    pub position_offset: bool,
     /// Factors on the standard deviations of each group, in the order of [`Group::ALL`].
     pub sigma_factors: [f64; 7],
     /// The most iterations.
@@ -71,6 +73,7 @@ impl Default for Settings {
             tie_loss: Loss::Trivial,
             corrected_domain: false,
             minimal_datum: false,
+            position_offset: false,
             sigma_factors: [1.0; 7],
             max_iterations: 100,
         }

@@ -3,7 +3,7 @@
 use super::{
     analysis::{AdjustError, Adjusted, FAR_OUT, adjust_after},
     problem::{Group, Settings},
-    statistics::{ObservationRef, OutlierTest},
+    statistics::{ObservationRef, OutlierTest, TestedObservation},
 };
 use crate::scene::{Excluded, ExcludedKind, Reconstruction, Role};
 use rowgram_optim::nlls::Loss;
@@ -206,9 +206,29 @@ fn select_outliers(
     }
     match worst {
         // A wrong control point bends the block and makes good tie points look bad.
-        Some(worst) => vec![worst],
+        Some((place, excess)) => vec![(point_of_single_mark(adjusted, place, snooping), excess)],
         None => of_points.into_values().collect(),
     }
+}
+
+/// A control point and its only mark are one and the same doubt: the point is what is named.
+fn point_of_single_mark(
+    adjusted: &Adjusted,
+    place: usize,
+    snooping: &DataSnoopingOptions,
+) -> usize {
+    let ObservationRef::Mark(mark) = adjusted.statistics.tested[place].subject else {
+        return place;
+    };
+    let marks = &adjusted.reconstruction.marks;
+    let ground = marks[mark].ground;
+    if marks.iter().filter(|other| other.ground == ground).count() > 1 {
+        return place;
+    }
+    let is_point =
+        |tested: &TestedObservation| tested.subject == ObservationRef::Control(ground as usize);
+    let point = adjusted.statistics.tested.iter().position(is_point);
+    point.filter(|&point| !is_kept(adjusted, point, snooping)).unwrap_or(place)
 }
 
 fn is_kept(adjusted: &Adjusted, place: usize, snooping: &DataSnoopingOptions) -> bool {

@@ -119,6 +119,8 @@ struct DatumInfo {
     georeferenced: bool,
     /// Standard deviations of camera positions that were given, image by image.
     position_sigmas: Vec<Option<[f64; 3]>>,
+    /// Whether camera positions and control differ by an offset.
+    position_offset: bool,
     /// What control is off by at most before it is adjusted, metres.
     max_control_misfit_m: f64,
 }
@@ -256,7 +258,8 @@ fn adjust_with_known(
     let by_control =
         alignments.iter().flatten().filter(|alignment| alignment.by.ends_with("control points"));
     let max_control_misfit_m = by_control.map(control_misfit_m).fold(0.0, f64::max);
-    let datum = DatumInfo { georeferenced, position_sigmas, max_control_misfit_m };
+    let position_offset = position_shift_m.is_some();
+    let datum = DatumInfo { georeferenced, position_sigmas, position_offset, max_control_misfit_m };
     let adjuster = BlockAdjuster { flight, given: &given, photos, options, datum: &datum };
     let (mut adjusted, mut more) = adjuster.adjust(block.clone(), known.clone(), monitor)?;
     let wrong: Vec<Removed> =

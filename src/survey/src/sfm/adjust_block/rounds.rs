@@ -391,8 +391,12 @@ impl BlockAdjuster<'_> {
         let checks = checks.map(|point| point.name.clone()).filter(was_check).collect();
         // Without a mapping frame the first photo and the distance to the farthest one are the frame.
         let minimal_datum = !self.datum.georeferenced;
-        let mut settings =
-            Settings { tie_loss: Loss::SoftL1(2.0), minimal_datum, ..Settings::default() };
+        let mut settings = Settings {
+            tie_loss: Loss::SoftL1(2.0),
+            minimal_datum,
+            position_offset: self.datum.position_offset,
+            ..Settings::default()
+        };
         let snooping = DataSnoopingOptions {
             rounds: 8,
             least_error_m: MIN_ERROR_PX * gsd_m(&scene),
