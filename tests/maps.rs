@@ -187,11 +187,10 @@ fn only_what_the_map_shows_counts() {
     let project = folder.path().join("framed");
     fs::create_dir(&project).unwrap();
     write(&project.join("ortho.tif"), &framed, place);
-    // The whole field: the part of the picture that shows something, less the edge of the surround.
+    // The whole field: the part of the picture that shows something.
     let of = traits(&project, "").remove("field").unwrap();
     let seen = 0.75 * f64::from(width) * f64::from(height) * GSD_M * GSD_M;
-    assert!((number(&of, "area_m2") / seen - 1.0).abs() < 0.15, "{of:?} {seen}");
-    assert!(number(&of, "area_m2") <= seen, "{of:?}");
+    assert!((number(&of, "area_m2") / seen - 1.0).abs() < 0.02, "{of:?} {seen}");
     assert_eq!(number(&of, "valid_share"), 1.0);
     let inner = place.from_pixel(100, 50);
     let features = vec![

@@ -14,14 +14,13 @@ use std::path::PathBuf;
 ///
 /// Points that do not fit their neighbours are left out; the rest is triangulated (Delaunay) and interpolated by
 /// natural neighbours. Where there are no points there is no height, but for --extend-m. Writes a tiled GeoTIFF of heights in metres
-/// (dem.tif, nodata -9999), their standard deviations (dem_sigma.tif) and, with --ground, the ground under plants
-/// (dem_ground.tif).
+/// (dem.tif, nodata -9999) and their standard deviations (dem_sigma.tif).
 ///
 /// PROJECT is a folder after rowgram align. Without a project, points or another program's model are read.
 ///
 /// Examples:
 ///   rowgram surface dem field
-///   rowgram surface dem field --cell-m 0.1 --ground
+///   rowgram surface dem field --cell-m 0.1
 ///   rowgram surface dem --points points.csv --crs EPSG:32616 -o dem.tif
 #[derive(Debug, clap::Args)]
 #[command(verbatim_doc_comment)]

@@ -337,10 +337,7 @@ fn from_file(path: &Path, sections: &[Section]) -> Result<Table, Error> {
             let refused = |why: String| FileError::malformed(path, at(key.span()), why);
             let (name, value) = (key.get_ref(), value.into_inner());
             section.check_entry(name, &value).map_err(refused)?;
-            if let Some(table) = section.field(name).and_then(|field| field.table) {
-                let why = format!("{name}: it belongs into [{}.{table}]", section.name);
-                return Err(refused(why).into());
-            }
+            section.check_table(name, None).map_err(refused)?;
             section.insert(&mut known, name, value);
         }
         table.insert(section.name.to_owned(), Value::Table(known));
@@ -367,12 +364,14 @@ fn set(
 ) -> Result<(), String> {
     let section = find(sections, name)?;
     let within = |table: &str| key.strip_prefix(table).and_then(|key| key.strip_prefix('.'));
-    let key = section.tables.iter().find_map(|(table, _)| within(table)).unwrap_or(key);
+    let in_table = section.tables.iter().find_map(|(table, _)| Some((*table, within(table)?)));
+    let (table_of, key) = in_table.map_or((None, key), |(table, key)| (Some(table), key));
     let value = match section.field(key) {
         Some(field) => field.kind.read(text),
         None => Value::String(text.to_owned()),
     };
     section.check_entry(key, &value)?;
+    section.check_table(key, table_of)?;
     let entry = table.entry(name).or_insert_with(|| Value::Table(Table::new()));
     if let Value::Table(entry) = entry {
         section.insert(entry, key, value);
@@ -382,19 +381,21 @@ fn set(
 
 /// Section and key of an environment variable.
 fn of_variable(name: &str, sections: &[Section]) -> Result<(String, String), Error> {
-    let known: Vec<(String, &Section, &str)> = sections
+    let known: Vec<(String, &Section, String)> = sections
         .iter()
         .flat_map(|section| {
             section.fields.iter().map(move |field| {
-                let table = field.table.map_or(String::new(), |table| format!("{table}_"));
-                let variable = format!("{PREFIX}{}_{table}{}", section.name, field.name);
-                let variable = variable.to_uppercase();
-                (variable, section, field.name)
+                let key = match field.table {
+                    Some(table) => format!("{table}.{}", field.name),
+                    None => field.name.to_owned(),
+                };
+                let variable = format!("{PREFIX}{}_{}", section.name, key.replace('.', "_"));
+                (variable.to_uppercase(), section, key)
             })
         })
         .collect();
     if let Some((_, section, key)) = known.iter().find(|(variable, ..)| variable == name) {
-        return Ok((section.name.to_owned(), (*key).to_owned()));
+        return Ok((section.name.to_owned(), key.clone()));
     }
     let names: Vec<&str> = known.iter().map(|(variable, ..)| variable.as_str()).collect();
     let hint = nearest(name, &names).map_or_else(String::new, |n| format!("; did you mean {n}?"));

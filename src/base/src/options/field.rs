@@ -201,6 +201,22 @@ impl Section {
         of(true).chain(of(false).filter(|_| for_experts)).collect()
     }
 
+    /// Whether an option was given in its own table, `None` for the section itself; what is no option passes.
+    ///
+    /// # Errors
+    /// Where it belongs.
+    pub fn check_table(&self, name: &str, table: Option<&str>) -> Result<(), String> {
+        match self.field(name).map(|field| field.table) {
+            Some(Some(own)) if table != Some(own) => {
+                Err(format!("{name}: it belongs into [{}.{own}]", self.name))
+            }
+            Some(None) if table.is_some() => {
+                Err(format!("{name}: it belongs into [{}]", self.name))
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// Whether there is such an option and it can have the value.
     ///
     /// # Errors
@@ -210,10 +226,8 @@ impl Section {
             && self.tables.iter().any(|(table, _)| *table == name)
         {
             return nested.iter().try_for_each(|(key, value)| {
-                match self.field(key).filter(|field| field.table != Some(name)) {
-                    Some(_) => Err(format!("{key}: it belongs into [{}]", self.name)),
-                    None => self.check_entry(key, value),
-                }
+                self.check_table(key, Some(name))?;
+                self.check_entry(key, value)
             });
         }
         let Some(field) = self.field(name) else {

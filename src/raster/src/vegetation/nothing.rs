@@ -2,7 +2,8 @@
 //!
 //! Blocks of 4 x 4 pixels that are black throughout (no channel above 28: compression leaves noise) or white
 //! (no channel below 253) belong to the surround where they are connected to the border of the picture and are at least
-//! 0.1 % of it. It is grown by two blocks: compression bleeds into it and out of it.
+//! 0.1 % of it. Where its edge is noisy it is grown by two blocks, because compression bleeds into it and out of it; where
+//! it is exactly black or white up to its edge, it ends with the last such pixel.
 
 use crate::{Mask, components, window::Band};
 use image::RgbImage;
@@ -17,6 +18,8 @@ const FLAT: (u8, u8) = (28, 253);
 const LEAST: f64 = 0.001;
 /// Blocks by which the surround grows.
 const GROWN: usize = 2;
+/// Share of the blocks at its edge that have to be exactly black or white for a surround that no compression has changed.
+const EXACT: f64 = 0.9;
 
 /// Which blocks of a picture are flat, gathered band by band.
 pub struct SurroundFinder {
@@ -24,6 +27,8 @@ pub struct SurroundFinder {
     rows: usize,
     /// Of each block: [`BLACK`], [`WHITE`] or neither.
     flat: Vec<u8>,
+    /// Of each block: which of its pixels are exactly black or white, row by row.
+    exact: Vec<u16>,
 }
 
 /// Kinds of flat blocks.
@@ -37,7 +42,9 @@ impl SurroundFinder {
     /// For a picture of so many columns and rows.
     pub fn new((width, height): (usize, usize)) -> SurroundFinder {
         let (columns, rows) = (width.div_ceil(BLOCK), height.div_ceil(BLOCK));
-        SurroundFinder { columns, rows, flat: Vec::with_capacity(columns * rows) }
+        let (flat, exact) =
+            (Vec::with_capacity(columns * rows), Vec::with_capacity(columns * rows));
+        SurroundFinder { columns, rows, flat, exact }
     }
 
     /// Looks at the next band, from the top; `photo` has the rows that are seen.
@@ -50,12 +57,14 @@ impl SurroundFinder {
             flat_blocks(photo, first..(first + BLOCK).min(skip + band.rows.len()))
         };
         let rows = (0..band.rows.len().div_ceil(BLOCK)).into_par_iter();
-        self.flat.par_extend(rows.flat_map_iter(of_row));
+        let blocks: Vec<(u8, u16)> = rows.flat_map_iter(of_row).collect();
+        self.flat.extend(blocks.iter().map(|block| block.0));
+        self.exact.extend(blocks.iter().map(|block| block.1));
     }
 
     /// The surround, when all bands have been seen; `None` if there is none.
     pub fn finish(self) -> Option<Surround> {
-        let SurroundFinder { columns, rows, flat } = self;
+        let SurroundFinder { columns, rows, flat, exact } = self;
         let least = LEAST * flat.len() as f64;
         let mut surround = Mask { width: columns, height: rows, data: Vec::new() };
         for kind in [BLACK, WHITE] {
@@ -80,30 +89,68 @@ impl SurroundFinder {
                 }
             }
         }
-        (!surround.data.is_empty()).then(|| Surround { blocks: grow(&surround) })
+        if surround.data.is_empty() {
+            return None;
+        }
+        let grown = grow(&surround);
+        let ends_exactly = ends_exactly(&surround, &exact);
+        let ring = grown.data.iter().zip(&surround.data);
+        let pixels = ring.zip(exact).map(|((&grown, &core), exact)| match (grown, core) {
+            (0, _) => 0,
+            (_, 0) if ends_exactly => exact,
+            _ => u16::MAX,
+        });
+        Some(Surround { columns, pixels: pixels.collect() })
     }
+}
+
+/// Whether the blocks at the edge of a surround are exactly black or white.
+fn ends_exactly(surround: &Mask, exact: &[u16]) -> bool {
+    let (mut edge, mut count) = (0_usize, 0_usize);
+    for v in 0..surround.height {
+        for u in 0..surround.width {
+            let near = [(u.wrapping_sub(1), v), (u + 1, v), (u, v.wrapping_sub(1)), (u, v + 1)];
+            let is_inside = |&(u, v): &(usize, usize)| {
+                u < surround.width && v < surround.height && !surround.get(u, v)
+            };
+            if surround.get(u, v) && near.iter().any(is_inside) {
+                edge += 1;
+                count += usize::from(exact[v * surround.width + u] == u16::MAX);
+            }
+        }
+    }
+    count as f64 >= EXACT * edge as f64
 }
 
 /// The flat surround of a picture.
 pub struct Surround {
-    blocks: Mask,
+    /// Blocks in a row.
+    columns: usize,
+    /// Of each block: which of its pixels belong to the surround, row by row.
+    pixels: Vec<u16>,
 }
 
 impl Surround {
     /// Whether it holds a pixel.
     pub fn contains(&self, u: usize, v: usize) -> bool {
-        self.blocks.get(u / BLOCK, v / BLOCK)
+        let block = self.pixels[v / BLOCK * self.columns + u / BLOCK];
+        block >> bit(u, v) & 1 != 0
     }
 
     /// Of the pixels of some rows of `width` columns: 1 outside it, 0 within.
     pub fn outside(&self, rows: Range<usize>, width: usize) -> Vec<u8> {
         let mut outside = Vec::with_capacity(rows.len() * width);
         for v in rows {
-            let blocks = self.blocks.row(v / BLOCK);
-            outside.extend((0..width).map(|u| 1 - blocks[u / BLOCK]));
+            let blocks = &self.pixels[v / BLOCK * self.columns..][..self.columns];
+            outside.extend((0..width).map(|u| u8::from(blocks[u / BLOCK] >> bit(u, v) & 1 == 0)));
         }
         outside
     }
+}
+
+/// The place of a pixel in its block.
+fn bit(u: usize, v: usize) -> usize {
+    v % BLOCK * BLOCK + u % BLOCK
 }
 
 /// The surround of a picture; `None` if it has none.
@@ -114,15 +161,21 @@ pub fn border(photo: &RgbImage) -> Option<Surround> {
     finder.finish()
 }
 
-/// The kinds of a row of blocks that has these rows of the picture.
-fn flat_blocks(photo: &RgbImage, rows: Range<usize>) -> Vec<u8> {
+/// The kinds of a row of blocks that has these rows of the picture, and which of their pixels are exactly black or white.
+/// What a block lacks at the border of the picture counts as exact.
+fn flat_blocks(photo: &RgbImage, rows: Range<usize>) -> Vec<(u8, u16)> {
     let width = photo.width() as usize;
     let mut range = vec![(u8::MAX, 0_u8); width.div_ceil(BLOCK)];
-    for v in rows {
+    let mut other = vec![0_u16; range.len()];
+    for (row, v) in rows.enumerate() {
         let line = &photo.as_raw()[3 * v * width..3 * (v + 1) * width];
-        for (range, bytes) in range.iter_mut().zip(line.chunks(3 * BLOCK)) {
-            for &byte in bytes {
-                *range = (range.0.min(byte), range.1.max(byte));
+        for ((range, other), pixels) in range.iter_mut().zip(&mut other).zip(line.chunks(3 * BLOCK))
+        {
+            for (column, pixel) in pixels.chunks_exact(3).enumerate() {
+                let (least, most) =
+                    (pixel[0].min(pixel[1]).min(pixel[2]), pixel[0].max(pixel[1]).max(pixel[2]));
+                *range = (range.0.min(least), range.1.max(most));
+                *other |= u16::from(most > 0 && least < 255) << bit(column, row);
             }
         }
     }
@@ -135,7 +188,7 @@ fn flat_blocks(photo: &RgbImage, rows: Range<usize>) -> Vec<u8> {
             0
         }
     };
-    range.into_iter().map(kind).collect()
+    range.into_iter().map(kind).zip(other.into_iter().map(|other| !other)).collect()
 }
 
 fn grow(mask: &Mask) -> Mask {
@@ -161,6 +214,20 @@ mod tests {
         let shows = |u, v| !border.contains(u, v);
         assert!(!shows(3, 100) && !shows(59, 0) && !shows(67, 80));
         assert!(shows(90, 75) && shows(69, 80) && shows(150, 20));
+    }
+
+    #[test]
+    fn an_exact_surround_ends_with_its_last_pixel() {
+        let photo = RgbImage::from_fn(201, 163, |u, v| {
+            if u < 61 || v >= 131 { Rgb([0; 3]) } else { Rgb([120, 100, 80]) }
+        });
+        let border = border(&photo).unwrap();
+        for (u, v, is_in) in [(60, 80, true), (61, 80, false), (100, 131, true), (100, 130, false)]
+        {
+            assert_eq!(border.contains(u, v), is_in, "{u} {v}");
+        }
+        let outside: usize = border.outside(0..163, 201).iter().map(|&of| usize::from(of)).sum();
+        assert_eq!(outside, 140 * 131);
     }
 
     #[test]

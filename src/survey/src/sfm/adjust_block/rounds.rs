@@ -110,6 +110,13 @@ impl BlockAdjuster<'_> {
         let adjusted = &adjusted.adjusted;
         let scene = &adjusted.reconstruction;
         let mut again = known.clone();
+        for point in &mut again.ground {
+            let rejected =
+                |of: &&scene::GroundPoint| of.name == point.name && of.role == Role::Check;
+            if scene.ground.iter().any(|of| rejected(&of)) {
+                point.role = Role::Check;
+            }
+        }
         let mut is_any = false;
         let least_m = MIN_ERROR_PX * gsd_m(scene);
         for check in &adjusted.check_points {
@@ -117,7 +124,8 @@ impl BlockAdjuster<'_> {
             let was_control = |given: &&scene::GroundPoint| {
                 given.name == point.name && given.role == Role::Control
             };
-            if self.given.ground.iter().find(was_control).is_none() {
+            // One ray fits wherever its photo is bent to.
+            if check.rays < 2 || self.given.ground.iter().find(was_control).is_none() {
                 continue;
             }
             let variance = adjusted.statistics.sigma0.powi(2);
