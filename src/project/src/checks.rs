@@ -2,7 +2,10 @@
 //!
 //! Every check is a [`Diagnostic`]: information is green, a warning yellow, an error red.
 
-use super::run::{Ending, RunOutcome};
+use super::{
+    align::AlignOutcome,
+    run::{Ending, RunOutcome},
+};
 use rowgram_base::{
     monitor::{Diagnostic, Severity},
     options::Choice,
@@ -119,15 +122,20 @@ fn remedied(found: Diagnostic, remedy: &str) -> Diagnostic {
     if found.severity == Severity::Info { found } else { found.with_remedy(remedy) }
 }
 
-fn of_block(outcome: &RunOutcome, limits: &ChecksOptions, found: &mut Vec<Diagnostic>) {
-    let Some(align) = &outcome.results.align else { return };
+/// How many photos of a flight are oriented.
+pub(crate) fn photos_oriented(align: &AlignOutcome, limits: &ChecksOptions) -> Diagnostic {
     let share = align.registered as f64 / align.images.max(1) as f64;
     let severity = rising(-share, [-limits.oriented_yellow, -limits.oriented_red]);
     let message = format!("{} of {}", align.registered, align.images);
-    found.push(remedied(
+    remedied(
         Diagnostic::new(severity, "photos-oriented", "photos oriented", message),
         "look at the photos that are not: blurred, or too little overlap",
-    ));
+    )
+}
+
+fn of_block(outcome: &RunOutcome, limits: &ChecksOptions, found: &mut Vec<Diagnostic>) {
+    let Some(align) = &outcome.results.align else { return };
+    found.push(photos_oriented(align, limits));
     let rms = align.reprojection_rms_px;
     let severity = rising(rms, [limits.reprojection_yellow_px, limits.reprojection_red_px]);
     found.push(remedied(

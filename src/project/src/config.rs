@@ -35,9 +35,9 @@ pub const NAME: &str = "rowgram.toml";
 
 /// What the names of environment variables that set something begin with.
 const PREFIX: &str = "ROWGRAM_";
-/// Variables with that beginning that are no settings: where tests and benches find their data.
-const OTHER_VARIABLES: [&str; 4] =
-    ["ROWGRAM_DATA", "ROWGRAM_TEST_DATA", "ROWGRAM_BAL", "ROWGRAM_BUILD"];
+/// Variables with that beginning that are no settings: where tests and benches find their data and tools.
+const OTHER_VARIABLES: [&str; 5] =
+    ["ROWGRAM_DATA", "ROWGRAM_TEST_DATA", "ROWGRAM_TEST_TOOLS", "ROWGRAM_BAL", "ROWGRAM_BUILD"];
 
 rowgram_base::options! {
     /// What the folder holds.

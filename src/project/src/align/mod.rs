@@ -29,11 +29,11 @@ pub use options::{AlignOptions, EnlargeChoice, ShutterChoice, SolverChoice, Step
 pub use outcome::{AlignOutcome, Fragment, PartialReport, PointErrors};
 pub use parts::{find_features, match_pairs};
 
-use super::{Project, Stage, Task, adjust, record::Key, stage};
+use super::{Project, Stage, Task, adjust, checks, record::Key, stage};
 use matches::Matching;
 use rowgram_base::{
     error::Error,
-    monitor::{Monitor, Recorder},
+    monitor::{Monitor, Recorder, Severity},
 };
 use rowgram_survey::{
     features::DescriptorSource,
@@ -252,6 +252,10 @@ fn run(
     pair_figures::write(&drawn, of, &cameras, &pairs)?;
     if !outcome.converged {
         monitor.diagnostic(&adjust::not_converged());
+    }
+    let oriented = checks::photos_oriented(&outcome, &project.config().checks);
+    if oriented.severity == Severity::Error {
+        monitor.diagnostic(&oriented);
     }
     Ok(StepOutcome::Whole(Box::new(outcome)))
 }

@@ -90,10 +90,19 @@ impl BlockAdjuster<'_> {
         let Some(known) = self.reconsidered(&mut block, &known, &adjusted) else {
             return Ok((adjusted, found));
         };
-        found.truncate(said);
+        let before = found.split_off(said);
         let limits = triangulation((6.0 * sigma_px).max(0.1 * self.options.tolerance_px));
         adjust(&mut block, &known, sigma_px, &limits, REMATCHED_ITERATIONS)?;
-        let adjusted = self.reject_outliers(&block, &known, sigma_px, &mut found)?;
+        let removed = adjusted.removed;
+        let mut adjusted = self.reject_outliers(&block, &known, sigma_px, &mut found)?;
+        // What was rejected and does not take part again stays rejected.
+        let is_out = |name: &str| {
+            let mut checks = known.ground.iter().filter(|point| point.role == Role::Check);
+            checks.any(|point| name == format!("control point {}", point.name))
+        };
+        found.extend(before.into_iter().filter(|said| is_out(&said.subject)));
+        let still = removed.into_iter().filter(|r| r.group == Group::Control && is_out(&r.name));
+        adjusted.removed.splice(0..0, still);
         Ok((adjusted, found))
     }
 
