@@ -270,6 +270,7 @@ fn stand(
         rows,
         leaf_mass: None,
         between_rows: None,
+        doubts: Vec::new(),
     };
     let relative = found.sigma / found.expected.max(1.0);
     let (mut between_px, size) = (weeds_px, plant_px.sqrt());

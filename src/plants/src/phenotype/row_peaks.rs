@@ -21,7 +21,7 @@ use rowgram_raster::Mask;
 /// plots, seedling clips and maize on straw, which took part in its choice, and within 10 % on plots of beans, which did not.
 const BLUR: f64 = 0.24;
 /// Standard deviation of the blur, as a factor.
-const SCALE_SIGMA: f64 = 1.25;
+const SCALE_SIGMA: f64 = 1.35;
 /// A peak has this share of the middle height of places with leaf, at least.
 const LEAST_HEIGHT: f64 = 0.15;
 /// Places with less than this share of the highest peak have no leaf.
@@ -176,5 +176,96 @@ impl Profile {
         let around = place.saturating_sub(near)..(place + near + 1).min(self.pixels.len());
         let pixels: f64 = self.pixels[around.clone()].iter().sum();
         (pixels > 0.0).then(|| self.across[around].iter().sum::<f64>() / pixels)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        phenotype::{
+            row_model::{self, RowModelOptions},
+            rows::{self, Row},
+            stand::Doubt,
+        },
+        problems::plants::lines::Axes,
+    };
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    /// Two rows of plants with a leaf on either side of a stalk that is not seen, some with a small one between them; some places are
+    /// without a plant. And where the stalks are.
+    fn beans(seed: u64) -> (Mask, Vec<[f64; 2]>) {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let (mut leaves, mut plants) = (Vec::new(), Vec::new());
+        for row in 0..2 {
+            for k in 0..40 {
+                let mut jitter = |by: f64| by * (2.0 * rng.random::<f64>() - 1.0);
+                let at = [50.0 + 48.0 * f64::from(k) + jitter(13.0), 90.0 + 220.0 * f64::from(row)];
+                let (turn, size) = (jitter(0.2), 1.0 + jitter(0.3));
+                if jitter(1.0) < -0.6 {
+                    continue;
+                }
+                plants.push(at);
+                let away = 11.0 * size;
+                for side in [-away, away] {
+                    let middle = [at[0] + side * turn.sin(), at[1] + side * turn.cos()];
+                    leaves.push((middle, (7.0 + jitter(1.5)) * size));
+                }
+                if jitter(1.0) > 0.4 {
+                    leaves.push((at, 2.5));
+                }
+            }
+        }
+        let mask = Mask::from_fn(2000, 400, |u, v| {
+            leaves.iter().any(|(at, r)| (u as f64 - at[0]).hypot(v as f64 - at[1]) < *r)
+        });
+        (mask, plants)
+    }
+
+    #[test]
+    fn several_leaves_are_one_plant() {
+        let axes = Axes { origin_px: [0.0; 2], heading_rad: 0.0 };
+        let row = |across_px| Row { across_px, start_px: 20.0, end_px: 1980.0, pixels: 1 };
+        let rows = vec![row(90.0), row(310.0)];
+        let rows = Rows { axes, rows, spacing_px: Some(220.0), contrast: 0.5 };
+        for seed in 1..4 {
+            let (mask, plants) = beans(seed);
+            let n = plants.len() as f64;
+            for count in [None, Some(plants.len())] {
+                let found = locate(&mask, &rows, 55.0, 150.0, count).unwrap();
+                let number = found.plants.len() as f64;
+                assert!((number / n - 1.0).abs() < 0.1, "{seed}: {number} of {n}");
+                let near = |plant: &&[f64; 2]| {
+                    let off = |at: &Plant| (at.u_px - plant[0]).hypot(at.v_px - plant[1]);
+                    found.plants.iter().any(|at| off(at) < 12.0)
+                };
+                let right = plants.iter().filter(near).count() as f64;
+                assert!(right > 0.9 * n, "{seed}: {right} of {n}");
+                let [low, high] = found.interval();
+                assert!(low <= number && number <= high, "{seed}: {low} to {high}");
+            }
+            assert!(locate(&mask, &rows, 55.0, 150.0, Some(5000)).is_none());
+        }
+    }
+
+    #[test]
+    fn plants_nearer_than_they_are_wide_are_in_doubt() {
+        let (mask, _) = beans(1);
+        let detection = rows::detect(&mask);
+        let sure = row_model::locate(&mask, &detection, None, &RowModelOptions::default()).unwrap();
+        let mut stand = sure.clone();
+        stand.spacing.spacing = 10.0;
+        stand.doubt(|| false);
+        assert!(matches!(stand.doubts[..], [Doubt::Narrow { .. }]), "{:?}", stand.doubts);
+        assert!(stand.plants[0].confidence < sure.plants[0].confidence);
+        let width = |stand: &crate::phenotype::stand::Stand| {
+            stand.count_interval[1] - stand.count_interval[0]
+        };
+        assert!(width(&stand) > 1.9 * width(&sure));
+        let mut stand = sure;
+        (stand.spacing.missing, stand.spacing.doubles) = (0.5, 0.1);
+        stand.doubt(|| false);
+        assert_eq!(stand.doubts, [Doubt::Uneven { missing: 0.5, doubles: 0.1 }]);
     }
 }
