@@ -44,14 +44,16 @@ fn masks(folder: &Path) -> Vec<(String, PathBuf)> {
 /// The numbers of each line of a table.
 fn numbers(path: &Path) -> Result<Vec<Vec<f64>>, FileError> {
     let text = std::fs::read_to_string(path).map_err(|error| FileError::read(path, error))?;
-    let line = |line: &str| line.split(',').filter_map(|word| word.trim().parse().ok()).collect();
+    let line = |line: &str| -> Vec<f64> {
+        line.split(',').filter_map(|word| word.trim().parse().ok()).collect()
+    };
     Ok(text.lines().skip(1).map(line).collect())
 }
 
 /// Plots of dry bean, whose leaves a mask shows apart.
 pub(crate) fn beans(data: &Path) -> Result<Vec<MaskPlot>, Error> {
     let folder = data.join("fields/bean_plots_masks");
-    let read = |(name, path): (String, PathBuf)| {
+    let read = |(name, path): (String, PathBuf)| -> Result<MaskPlot, Error> {
         let boxes = numbers(&folder.join(format!("{name}.boxes.csv")))?;
         let truth: Vec<[f64; 2]> =
             boxes.iter().filter_map(|of| Some([*of.first()?, *of.get(1)?])).collect();
