@@ -10,6 +10,7 @@ use crate::{
     Folders,
     fail::make,
     leaves,
+    mask_sets::{self, MaskPlot},
     plots::{self, Plot, clips, nearest_px},
     rivals::{by_area, excess_green, green_of_lab},
 };
@@ -34,10 +35,14 @@ use std::{
 const RIVAL_MIN_PIXELS: [usize; 6] = [10, 25, 50, 100, 200, 400];
 /// Sets of photos with a point per plant, besides plots and clips.
 const POINTS: [&str; 4] = ["maize_residue", "maize_emergence", "potato_uav", "olive_trees"];
+/// Tilted photos from a hovering drone, with points marked by eye.
+const LOW_DRONE: &str = "corn_soy_low_drone";
+/// Leaf masks that come without their photos.
+const BEANS: &str = "bean_plots_masks";
 /// How much wider intervals may become where they are fitted.
 const WIDEST: f64 = 10.0;
 /// Sets whose numbers no width of an interval holds: they take no part in fits for others.
-const OUT_OF_REACH: [&str; 1] = ["olive_trees"];
+const OUT_OF_REACH: [&str; 2] = ["olive_trees", LOW_DRONE];
 /// Sets whose photos have nearly the same number of plants: nothing is left to explain beside their mean.
 const WITHOUT_R2: [&str; 1] = ["maize_emergence"];
 
@@ -59,14 +64,25 @@ struct Counted {
 pub(crate) fn run(folders: &Folders, every: usize) -> Result<(), Error> {
     make(&folders.out)?;
     let mut all = Vec::new();
-    for (set, plots) in sets(&folders.data)? {
+    let mut photos = sets(&folders.data)?;
+    photos.push((LOW_DRONE, tilted(&folders.data)?));
+    for (set, plots) in photos {
         let some: Vec<&Plot> = plots.iter().step_by(every).collect();
         let counted: Vec<Counted> =
             some.par_iter().map(|plot| count(set, plot)).collect::<Result<_, Error>>()?;
         all.extend(counted);
     }
+    let beans = mask_sets::beans(&folders.data)?;
+    let some: Vec<&MaskPlot> = beans.iter().step_by(every).collect();
+    let judged = |plot: &&MaskPlot| {
+        let leaf = (plot.mask.clone(), None);
+        judge(BEANS, &plot.name, &plot.truth, plot.radius_px, leaf, &plot.mask)
+    };
+    all.extend(some.par_iter().map(judged).collect::<Result<Vec<_>, Error>>()?);
     write_csv(&folders.out.join("accuracy_plants.csv"), &all)?;
     let mut text = plants_table(&all);
+    text += &mask_sets::sorghum_table(&folders.data)?;
+    text += "\n";
     text += &masks_table(&folders.data, every)?;
     text += &leaves_table(&folders.data, every)?;
     let path = folders.out.join("accuracy.md");
@@ -105,6 +121,22 @@ pub(crate) fn sets(data: &Path) -> Result<Vec<(&'static str, Vec<Plot>)>, Error>
     Ok(sets)
 }
 
+/// Photos from a hovering drone; none where they are not there.
+fn tilted(data: &Path) -> Result<Vec<Plot>, Error> {
+    let root = data.join("fields").join(LOW_DRONE);
+    let mut tilted = Vec::new();
+    if !root.exists() {
+        return Ok(tilted);
+    }
+    for path in files(&root)?.iter().filter(|path| path.extension().is_some_and(|e| e == "jpg")) {
+        let stem = path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
+        let truth = marks(&root.join(format!("{stem}.plants.csv")))?;
+        let radii_px = [nearest_px(&truth) / 4.0, 15.0];
+        tilted.push(Plot { name: stem, photo: images::read_photo(path)?, truth, radii_px });
+    }
+    Ok(tilted)
+}
+
 /// The first two columns of a table.
 fn marks(path: &Path) -> Result<Vec<[f64; 2]>, FileError> {
     let text = std::fs::read_to_string(path).map_err(|error| FileError::read(path, error))?;
@@ -134,13 +166,25 @@ fn vegetation_of(photo: &RgbImage) -> Mask {
     leaf_of(photo).0
 }
 
-fn right(found: &[[f64; 2]], plot: &Plot) -> Result<f64, Error> {
-    let score = Score::new(found, &plot.truth, &plot.radii_px[..1])?;
+fn right(found: &[[f64; 2]], truth: &[[f64; 2]], radius_px: f64) -> Result<f64, Error> {
+    let score = Score::new(found, truth, &[radius_px])?;
     Ok(score.radii[0].precision.unwrap_or(0.0) * found.len() as f64)
 }
 
 fn count(set: &'static str, plot: &Plot) -> Result<Counted, Error> {
-    let (mask, posterior) = leaf_of(&plot.photo);
+    let (leaf, green) = (leaf_of(&plot.photo), excess_green(&plot.photo));
+    judge(set, &plot.name, &plot.truth, plot.radii_px[0], leaf, &green)
+}
+
+/// The plants of a leaf mask, with its posterior, and what the rival makes of its own mask.
+fn judge(
+    set: &'static str,
+    name: &str,
+    truth: &[[f64; 2]],
+    radius_px: f64,
+    (mask, posterior): (Mask, Option<Vec<u8>>),
+    green: &Mask,
+) -> Result<Counted, Error> {
     let found = locator::prepare(&mask, posterior, None, &LocateOptions::default());
     // Where no plant can be located none was found: the photo counts, with all its plants missed.
     let stand = match found.map(|found| found.work) {
@@ -149,20 +193,19 @@ fn count(set: &'static str, plot: &Plot) -> Result<Counted, Error> {
     };
     let plants = stand.as_ref().map_or(&[][..], |stand| &stand.plants);
     let at: Vec<[f64; 2]> = plants.iter().map(|plant| plant.position_px).collect();
-    let green = excess_green(&plot.photo);
     let rival = RIVAL_MIN_PIXELS
         .iter()
         .map(|&least| {
-            let places = by_area(&green, least);
-            Ok([places.len() as f64, right(&places, plot)?])
+            let places = by_area(green, least);
+            Ok([places.len() as f64, right(&places, truth, radius_px)?])
         })
         .collect::<Result<_, Error>>()?;
     Ok(Counted {
         set,
-        photo: plot.name.clone(),
-        truth: plot.truth.len() as f64,
+        photo: name.to_owned(),
+        truth: truth.len() as f64,
         found: at.len() as f64,
-        right: right(&at, plot)?,
+        right: right(&at, truth, radius_px)?,
         confidence: plants.iter().map(|plant| plant.confidence).sum(),
         interval: stand.as_ref().map_or([0.0; 2], |stand| stand.count_interval),
         rival,

@@ -19,6 +19,7 @@ mod figures;
 mod findings;
 mod keys;
 mod leaves;
+mod mask_sets;
 mod merge;
 mod plan;
 mod plots;

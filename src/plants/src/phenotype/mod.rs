@@ -36,6 +36,7 @@ mod row_lines;
 mod row_membership;
 pub mod row_model;
 mod row_parts;
+mod row_peaks;
 pub mod row_plots;
 mod row_profile;
 pub mod rows;

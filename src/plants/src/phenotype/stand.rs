@@ -69,6 +69,32 @@ pub struct BetweenRows {
     pub weeds_px: Vec<[f64; 2]>,
 }
 
+/// Why what was found may be no plants.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Doubt {
+    /// No stand of a crop has so many places without a plant and as many with two.
+    Uneven {
+        /// Share of the places without a plant.
+        missing: f64,
+        /// Share of the gaps between two plants in one place.
+        doubles: f64,
+    },
+    /// Plants of a row are nearer to each other than they are wide.
+    Narrow {
+        /// The distance between them.
+        spacing_px: f64,
+        /// Diameter of a disc with the leaf area of a plant.
+        width_px: f64,
+    },
+    /// Leaves have closed and are no blades: they have no axes along which to look for stalks.
+    Broad,
+}
+
+/// Confidence of plants in doubt, as a share of that without it, and how many times as wide the interval of their number is. Not fitted:
+/// the sets have too few stands of this kind.
+const DOUBTED: (f64, f64) = (0.7, 2.0);
+
 /// What was found.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Stand {
@@ -93,6 +119,8 @@ pub struct Stand {
     pub leaf_mass: Option<LeafMass>,
     /// What grows between the rows, where there are rows and soil between leaves tells.
     pub between_rows: Option<BetweenRows>,
+    /// Why what was found may be no plants; nothing where it is like the stand of a crop.
+    pub doubts: Vec<Doubt>,
 }
 
 impl Stand {
@@ -111,6 +139,33 @@ impl Stand {
         let count = errors.len() as f64;
         let variance = errors.iter().map(|e| e * e).sum::<f64>() / (count - 1.0).max(1.0);
         Some((spacing, (variance / count).sqrt()))
+    }
+
+    /// Looks for what no stand of a crop is like. Where there is such, plants are less sure and their number has a wider interval.
+    pub(super) fn doubt(&mut self, has_broad_leaves: impl FnOnce() -> bool) {
+        let Spacing { spacing, missing, doubles, .. } = self.spacing;
+        if self.spacing.is_implausible() {
+            self.doubts.push(Doubt::Uneven { missing, doubles });
+        }
+        match &self.leaf_mass {
+            Some(mass) => {
+                let width_px = 2.0 * (mass.plant_px / std::f64::consts::PI).sqrt();
+                if !self.rows.rows.is_empty() && spacing < width_px {
+                    self.doubts.push(Doubt::Narrow { spacing_px: spacing, width_px });
+                }
+            }
+            None if has_broad_leaves() => self.doubts.push(Doubt::Broad),
+            None => {}
+        }
+        if self.doubts.is_empty() {
+            return;
+        }
+        let (less, wider) = DOUBTED;
+        self.plants.iter_mut().for_each(|plant| plant.confidence *= less);
+        self.row_count_sigmas.iter_mut().for_each(|sigma| *sigma *= wider);
+        let [low, high] = self.count_interval;
+        let (middle, half) = (0.5 * (low + high), 0.5 * wider * (high - low));
+        self.count_interval = [(middle - half).max(0.0), middle + half];
     }
 
     /// Puts the rows through the middle of their plants, [`LEAST`] or more, and fits the distance between rows to that.
@@ -199,6 +254,7 @@ mod tests {
             missing: vec![],
             leaf_mass: None,
             between_rows: None,
+            doubts: vec![],
         };
         stand.refit_rows();
         let across: Vec<f64> = stand.rows.rows.iter().map(|row| row.across_px).collect();

@@ -6,7 +6,7 @@ use rowgram_base::monitor::{Diagnostic, Monitor};
 use rowgram_optim::robust::median;
 use rowgram_plants::phenotype::{
     locator::Found,
-    stand::{Stalk, Stand},
+    stand::{Doubt, Stalk, Stand},
 };
 use rowgram_raster::overlay;
 
@@ -38,6 +38,32 @@ pub(super) fn tell(stand: &Stand, subject: &str, monitor: &mut dyn Monitor) {
             &Diagnostic::warning("leaf-between-rows", subject, message).with_remedy(
                 "look at figures/plants.png, where plants between the rows are violet, small if they were left out",
             ),
+        );
+    }
+    for doubt in &stand.doubts {
+        let (message, remedy) = match *doubt {
+            Doubt::Uneven { missing, doubles } => (
+                format!(
+                    "{:.0} % of the places in the rows are without a plant and {:.0} % of the gaps lie between two plants in one place: no crop stands like that, so leaves or weeds may have been taken for plants",
+                    100.0 * missing,
+                    100.0 * doubles
+                ),
+                "look at figures/plants.png; give the number of plants (plants) where it is known",
+            ),
+            Doubt::Narrow { spacing_px, width_px } => (
+                format!(
+                    "plants are {spacing_px:.1} px apart and have the leaf of a disc {width_px:.1} px wide: plants of a row that are not told apart, or leaves taken for plants"
+                ),
+                "look at figures/plants.png; count on an earlier photo, or give the number of plants (plants)",
+            ),
+            Doubt::Broad => (
+                "leaves have closed and are broad: they have no axes along which stalks could be found, and the number is a guess"
+                    .to_owned(),
+                "count on an earlier photo, or give the number of plants (plants)",
+            ),
+        };
+        monitor.diagnostic(
+            &Diagnostic::warning("plants-implausible", subject, message).with_remedy(remedy),
         );
     }
     let Some(mass) = &stand.leaf_mass else { return };

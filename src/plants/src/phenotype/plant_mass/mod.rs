@@ -154,6 +154,18 @@ impl<'a> Parts<'a> {
         Measured { mass, shape, log_odds: log_odds.map(|sum| sum / n) }
     }
 
+    /// The mass of the component in which the middle pixel of all leaf lies.
+    pub(super) fn middle_px(&self) -> f64 {
+        let mut masses: Vec<f64> = self.measured.iter().map(|of| of.mass).collect();
+        masses.sort_by(f64::total_cmp);
+        let mut left = 0.5 * masses.iter().sum::<f64>();
+        let middle = masses.into_iter().find(|mass| {
+            left -= mass;
+            left <= 0.0
+        });
+        middle.unwrap_or(1.0)
+    }
+
     /// The mask without its smallest components, which have this share of the mass together.
     pub(super) fn without_smallest(&self, share: f64) -> Mask {
         let mut masses: Vec<f64> = self.measured.iter().map(|of| of.mass).collect();
