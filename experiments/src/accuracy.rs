@@ -32,7 +32,7 @@ use std::{
 };
 
 /// Smallest components that the rival may choose from, in pixels.
-const RIVAL_MIN_PIXELS: [usize; 6] = [10, 25, 50, 100, 200, 400];
+const MIN_PIXELS: [usize; 6] = [10, 25, 50, 100, 200, 400];
 /// Sets of photos with a point per plant, besides plots and clips.
 const POINTS: [&str; 4] = ["maize_residue", "maize_emergence", "potato_uav", "olive_trees"];
 /// Tilted photos from a hovering drone, with points marked by eye.
@@ -81,8 +81,7 @@ pub(crate) fn run(folders: &Folders, every: usize) -> Result<(), Error> {
     all.extend(some.par_iter().map(judged).collect::<Result<Vec<_>, Error>>()?);
     write_csv(&folders.out.join("accuracy_plants.csv"), &all)?;
     let mut text = plants_table(&all);
-    text += &mask_sets::sorghum_table(&folders.data)?;
-    text += "\n";
+    text += &(mask_sets::sorghum_table(&folders.data)? + "\n");
     text += &masks_table(&folders.data, every)?;
     text += &leaves_table(&folders.data, every)?;
     let path = folders.out.join("accuracy.md");
@@ -124,11 +123,9 @@ pub(crate) fn sets(data: &Path) -> Result<Vec<(&'static str, Vec<Plot>)>, Error>
 /// Photos from a hovering drone; none where they are not there.
 fn tilted(data: &Path) -> Result<Vec<Plot>, Error> {
     let root = data.join("fields").join(LOW_DRONE);
+    let paths = if root.exists() { files(&root)? } else { Vec::new() };
     let mut tilted = Vec::new();
-    if !root.exists() {
-        return Ok(tilted);
-    }
-    for path in files(&root)?.iter().filter(|path| path.extension().is_some_and(|e| e == "jpg")) {
+    for path in paths.iter().filter(|path| path.extension().is_some_and(|e| e == "jpg")) {
         let stem = path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
         let truth = marks(&root.join(format!("{stem}.plants.csv")))?;
         let radii_px = [nearest_px(&truth) / 4.0, 15.0];
@@ -193,7 +190,7 @@ fn judge(
     };
     let plants = stand.as_ref().map_or(&[][..], |stand| &stand.plants);
     let at: Vec<[f64; 2]> = plants.iter().map(|plant| plant.position_px).collect();
-    let rival = RIVAL_MIN_PIXELS
+    let rival = MIN_PIXELS
         .iter()
         .map(|&least| {
             let places = by_area(green, least);
@@ -268,8 +265,8 @@ fn plants_table(all: &[Counted]) -> String {
             set.iter().map(|c| (c.truth, c.rival[k][0])).collect()
         };
         let cost = |k: usize| errors(&rival(&others, k))[0];
-        let k = (1..RIVAL_MIN_PIXELS.len())
-            .fold(0, |best, k| if cost(k) < cost(best) { k } else { best });
+        let k =
+            (1..MIN_PIXELS.len()).fold(0, |best, k| if cost(k) < cost(best) { k } else { best });
         let [mape, mae, rmse, r2] =
             errors(&mine.iter().map(|c| (c.truth, c.found)).collect::<Vec<_>>());
         let [mape_r, mae_r, rmse_r, r2_r] = errors(&rival(&mine, k));
@@ -285,7 +282,7 @@ fn plants_table(all: &[Counted]) -> String {
             "| {name} | {} | {mape:.1} | {mae:.1} | {rmse:.1} | {} | {own:.3} | {} | {mape_r:.1} | {mae_r:.1} | {rmse_r:.1} | {} | {theirs:.3} |",
             mine.len(),
             told(r2),
-            RIVAL_MIN_PIXELS[k],
+            MIN_PIXELS[k],
             told(r2_r),
         );
         let inside = |c: &&Counted| (c.interval[0]..=c.interval[1]).contains(&c.truth);

@@ -30,7 +30,7 @@ use std::{
 ///
 /// Examples:
 ///   rowgram camera calibrate field --board 8x6 --square-m 0.025
-///   rowgram camera calibrate photos/*.jpg --board 8x6 --square-m 0.025 -o camera.toml --figures calibration
+///   rowgram camera calibrate photos/*.jpg --board 8x6 --square-m 0.025 -o camera.toml
 #[derive(Debug, clap::Args)]
 #[command(verbatim_doc_comment)]
 pub(super) struct Args {

@@ -83,13 +83,12 @@ mod tests {
         text.lines().flat_map(|line| line.split("&&")).filter_map(program).collect()
     }
 
-    fn check(place: &str, line: &str) {
+    /// What is wrong with a command line.
+    fn fault(place: &str, line: &str) -> Option<String> {
         let words = ["rowgram"].into_iter().chain(line.split_whitespace());
-        if let Err(error) =
-            command().try_get_matches_from(words.map(|word| word.trim_matches(['"', '\''])))
-        {
-            assert!(!error.use_stderr(), "{place}: rowgram {line}\n{error}");
-        }
+        let words = words.map(|word| word.trim_matches(['"', '\'']));
+        let error = command().try_get_matches_from(words).err()?;
+        error.use_stderr().then(|| format!("{place}: rowgram {line}\n{error}"))
     }
 
     #[test]
@@ -117,7 +116,7 @@ mod tests {
         let mut pages = Vec::new();
         leaves(&command(), "rowgram", &mut pages);
         assert!(pages.len() > 20, "{}", pages.len());
-        let mut without = Vec::new();
+        let (mut without, mut faults) = (Vec::new(), Vec::new());
         for (name, help) in pages {
             // Before the examples there is prose, whose lines may begin with the program's name.
             let lines = commands(help.find("Example").map_or("", |at| &help[at..]));
@@ -125,10 +124,9 @@ mod tests {
             if !lines.iter().any(own) {
                 without.push(name.clone());
             }
-            for line in &lines {
-                check(&name, line);
-            }
+            faults.extend(lines.iter().filter_map(|line| fault(&name, line)));
         }
+        assert!(faults.is_empty(), "{}", faults.join("\n"));
         assert!(without.is_empty(), "--help shows no example: {without:?}");
     }
 
@@ -137,15 +135,16 @@ mod tests {
         let root = Path::new(env!("CARGO_MANIFEST_DIR"));
         let mut files = vec![root.join("README.md"), root.join("CONTRIBUTING.md")];
         files.extend(std::fs::read_dir(root.join("docs")).unwrap().map(|e| e.unwrap().path()));
-        let mut seen = 0;
+        let (mut seen, mut faults) = (0, Vec::new());
         for file in files.iter().filter(|file| file.extension().is_some_and(|e| e == "md")) {
             let text = std::fs::read_to_string(file).unwrap();
             let fenced = text.split("```").skip(1).step_by(2).collect::<Vec<_>>().join("\n");
             for line in commands(&fenced) {
-                check(&file.display().to_string(), &line);
+                faults.extend(fault(&file.display().to_string(), &line));
                 seen += 1;
             }
         }
+        assert!(faults.is_empty(), "{}", faults.join("\n"));
         assert!(seen > 10, "{seen}");
     }
 }

@@ -19,10 +19,10 @@ use super::{
     row_membership::RowMembership,
     row_parts::is_alley,
     row_peaks,
-    rows::{self, Detection, Row, Rows},
+    rows::{self, Detection, Rows},
+    rows_of_plants::{LONE, rows_of},
     stand::{BETWEEN, BetweenRows, Gap, LEAST_MISSING, LeafMass, Stalk, Stand},
 };
-use crate::problems::plants::lines::Axes;
 use rowgram_optim::robust::median;
 use rowgram_raster::Mask;
 
@@ -34,14 +34,8 @@ const SPECKS: f64 = 0.05;
 const CLOSED: f64 = 0.78;
 /// Closed rows are this many times longer than they are apart; shorter ones may be plants.
 const LONG: f64 = 3.0;
-/// Half the width of the band of a lone row, in sizes of a plant.
-const LONE: f64 = 1.5;
-/// Radius of the disc that stands for a plant when rows are looked for, of that of a disc with the plant's mass.
-const DISC: f64 = 0.6;
 /// Gaps longer than this many spacings may be alleys: as many as the bare stretch at which closed rows are cut (`row_parts`).
 const LONG_GAP: f64 = 4.0;
-/// Plants that say something of rows, at least.
-const LEAST: usize = 6;
 /// Standard deviation of a place along each axis, in square roots of a plant's mass: of a plant alone in its component, and of each of
 /// several. Found 0.11 to 0.15 and 0.10 to 0.23 on maize plots, seedling clips and maize on straw, a shift common to the photos of
 /// a set left out.
@@ -359,13 +353,13 @@ fn is_alley_between(along: &[Vec<f64>], row: usize, [from, to]: [f64; 2]) -> boo
 }
 
 /// The nearest row and how far away it is; row 0 where there are none.
-fn nearest_row(rows: &Rows, across_px: f64) -> (usize, f64) {
+pub(super) fn nearest_row(rows: &Rows, across_px: f64) -> (usize, f64) {
     let away = |row: usize| (rows.rows[row].across_px - across_px).abs();
     let nearest = (0..rows.rows.len()).min_by(|&a, &b| away(a).total_cmp(&away(b)));
     nearest.map_or((0, 0.0), |row| (row, away(row)))
 }
 
-fn band_px(rows: &Rows, plant_px: f64) -> f64 {
+pub(super) fn band_px(rows: &Rows, plant_px: f64) -> f64 {
     rows.spacing_px.map_or(LONE * plant_px.sqrt(), |spacing| BETWEEN * spacing)
 }
 
@@ -378,93 +372,6 @@ fn nearest_px(plants: &[Plant]) -> Option<f64> {
     };
     // Some of the plants tell enough.
     median((0..plants.len()).step_by(plants.len().div_ceil(500).max(1)).filter_map(of))
-}
-
-/// The rows of the leaf mask or those of the plants, whichever hold more; none where chance would hold as many.
-fn rows_of(mask: &Mask, plants: &[Plant], plant_px: f64, detection: &Detection) -> Rows {
-    let middle = [0.5 * (mask.width as f64 - 1.0), 0.5 * (mask.height as f64 - 1.0)];
-    let axes = Axes { origin_px: middle, heading_rad: 0.0 };
-    let none = Rows { axes, rows: Vec::new(), spacing_px: None, contrast: 0.0 };
-    if plants.len() < LEAST {
-        return none;
-    }
-    let discs = discs(mask, plants, DISC * (plant_px / std::f64::consts::PI).sqrt());
-    let again = rows::detect(&discs);
-    let worth = |rows: &Rows| held_beyond_chance(rows, mask, plants, plant_px);
-    let lone = lone_row(plants, axes, plant_px);
-    let found = [detection.rows(), again.rows(), lone.as_ref()].into_iter().flatten();
-    // A line through two plants is no row.
-    let filled = found.filter(|rows| plants.len() >= FILLED * rows.rows.len());
-    let best = filled.max_by(|a, b| worth(a).total_cmp(&worth(b)));
-    best.filter(|rows| worth(rows) > HELD).map_or(none, Rows::clone)
-}
-
-/// The line through all plants, where most of them stand along it: one row alone repeats nothing across itself.
-fn lone_row(plants: &[Plant], axes: Axes, plant_px: f64) -> Option<Rows> {
-    let count = plants.len() as f64;
-    let mean = plants.iter().fold([0.0; 2], |m, p| [m[0] + p.u_px / count, m[1] + p.v_px / count]);
-    let away = plants.iter().map(|p| [p.u_px - mean[0], p.v_px - mean[1]]);
-    let [uu, uv, vv] =
-        away.fold([0.0; 3], |[uu, uv, vv], [u, v]| [uu + u * u, uv + u * v, vv + v * v]);
-    let axes = Axes { heading_rad: 0.5 * (2.0 * uv).atan2(uu - vv), ..axes };
-    let across_px = axes.aligned(mean)[1];
-    let places = plants.iter().map(|plant| axes.aligned([plant.u_px, plant.v_px]));
-    let along: Vec<f64> = places
-        .filter(|[_, across]| (across - across_px).abs() <= LONE * plant_px.sqrt())
-        .map(|[along, _]| along)
-        .collect();
-    let start_px = along.iter().copied().fold(f64::INFINITY, f64::min);
-    let end_px = along.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    let pixels = plants.iter().map(|plant| plant.mass_px).sum::<f64>() as usize;
-    let row = Row { across_px, start_px, end_px, pixels };
-    (along.len() as f64 >= ALONG * count).then(|| Rows {
-        axes,
-        rows: vec![row],
-        spacing_px: None,
-        contrast: 0.0,
-    })
-}
-
-/// Share of the plants along a lone row, at least.
-const ALONG: f64 = 0.8;
-/// Plants per row, at least.
-const FILLED: usize = 3;
-/// The least share of the plants that rows hold beyond chance.
-const HELD: f64 = 0.15;
-
-/// Share of the plants within the bands of the rows, less what would be there if plants stood anywhere in the picture.
-fn held_beyond_chance(rows: &Rows, mask: &Mask, plants: &[Plant], plant_px: f64) -> f64 {
-    let band = band_px(rows, plant_px);
-    let across: Vec<f64> =
-        plants.iter().map(|plant| rows.axes.aligned([plant.u_px, plant.v_px])[1]).collect();
-    let (right, below) = (mask.width as f64 - 1.0, mask.height as f64 - 1.0);
-    let corners = [[0.0, 0.0], [right, 0.0], [0.0, below], [right, below]];
-    let corners = corners.map(|corner| rows.axes.aligned(corner)[1]);
-    let low = corners.into_iter().fold(f64::INFINITY, f64::min);
-    let high = corners.into_iter().fold(f64::NEG_INFINITY, f64::max);
-    let held = across.iter().filter(|&&across| nearest_row(rows, across).1 <= band).count();
-    let bands = 2.0 * band * rows.rows.len() as f64;
-    held as f64 / plants.len() as f64 - (bands / (high - low).max(1.0)).min(1.0)
-}
-
-/// A mask of discs in the places of plants.
-fn discs(mask: &Mask, plants: &[Plant], radius: f64) -> Mask {
-    let mut discs = Mask::empty(mask.width, mask.height);
-    let radius = radius.max(1.0);
-    for plant in plants {
-        let span = |at: f64, size: usize| {
-            let from = (at - radius).ceil().max(0.0) as usize;
-            from..((at + radius) as usize + 1).min(size)
-        };
-        for v in span(plant.v_px, mask.height) {
-            for u in span(plant.u_px, mask.width) {
-                if (u as f64 - plant.u_px).hypot(v as f64 - plant.v_px) <= radius {
-                    discs.data[v * mask.width + u] = 1;
-                }
-            }
-        }
-    }
-    discs
 }
 
 #[cfg(test)]

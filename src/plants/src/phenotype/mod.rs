@@ -40,6 +40,7 @@ mod row_peaks;
 pub mod row_plots;
 mod row_profile;
 pub mod rows;
+mod rows_of_plants;
 pub mod stand;
 pub mod stand_count;
 pub mod tilt;

@@ -1,6 +1,6 @@
 //! What is wrong with image measurements, coordinates and positions before a block is adjusted, and what of its lenses is free.
 
-use super::{BlockOptions, Flight, MARK};
+use super::{BlockOptions, Flight, MARK, SHUTTER, ShutterModel};
 use crate::{
     camera::Lens,
     scene::{Axes, Reconstruction, Role},
@@ -11,6 +11,7 @@ use crate::{
         },
         intrinsics::estimable,
         level::{HeightError, HeightReview, tilt_rad},
+        rolling_shutter::RollingShutterEstimate,
         triangulate::TriangulationOptions,
         weak_control::is_weak,
     },
@@ -25,6 +26,19 @@ const DATUM_DIFFERENCE_M: f64 = 10.0;
 
 /// No receiver is off by more in the plan, metres.
 const RECEIVER_ERROR_M: f64 = 100.0;
+
+/// What is said of a rolling shutter that is part of the adjustment.
+pub(super) fn shutter(estimate: &RollingShutterEstimate, model: ShutterModel) -> Diagnostic {
+    let message = format!(
+        "while a photo is read its camera moves {:.2} m, {:.1} px on the ground (single photos +- {:.3} m); the motion is part of the adjustment",
+        estimate.readout_displacement_m, estimate.readout_displacement_px, estimate.image_sigma_m
+    );
+    let diagnostic = Diagnostic::info(SHUTTER, "rolling shutter", message);
+    match model {
+        ShutterModel::Rolling(_) => diagnostic,
+        _ => diagnostic.with_remedy("[align] rolling_shutter = \"off\" leaves it out"),
+    }
+}
 
 pub(super) fn position_shift([x, y, z]: [f64; 3]) -> Diagnostic {
     let message = format!(

@@ -4,7 +4,7 @@ use super::{
     AdjustedBlock, BlockOptions, DatumInfo, Flight, MARK, Photos, SHUTTER, ShutterModel,
     determined::{keep_tied, snoop_determined},
     gsd_m,
-    review::{mark_triangulation, name_wrong_marks, worst_control},
+    review::{self, mark_triangulation, name_wrong_marks, worst_control},
     triangulation,
 };
 use crate::{
@@ -16,7 +16,7 @@ use crate::{
         guided_matching::{GuidedMatchingOptions, match_guided},
         longer_tracks::{LongerTracksOptions, lengthen},
         refinement::{LeastSquaresMatchingOptions, MIN_REFINED, refine_tie_points},
-        rolling_shutter::{self, RollingShutterEstimate, Update},
+        rolling_shutter::{self, Update},
         tracks::Tracks,
         triangulate::TriangulationOptions,
     },
@@ -116,16 +116,15 @@ impl BlockAdjuster<'_> {
         known: &Known,
         adjusted: &AdjustedBlock,
     ) -> Option<Known> {
-        let adjusted = &adjusted.adjusted;
-        let scene = &adjusted.reconstruction;
         let mut again = known.clone();
         for point in &mut again.ground {
-            let rejected =
-                |of: &&scene::GroundPoint| of.name == point.name && of.role == Role::Check;
-            if scene.ground.iter().any(|of| rejected(&of)) {
+            let name = format!("control point {}", point.name);
+            if adjusted.removed.iter().any(|removed| removed.name == name) {
                 point.role = Role::Check;
             }
         }
+        let adjusted = &adjusted.adjusted;
+        let scene = &adjusted.reconstruction;
         let mut is_any = false;
         let least_m = MIN_ERROR_PX * gsd_m(scene);
         for check in &adjusted.check_points {
@@ -267,7 +266,7 @@ impl BlockAdjuster<'_> {
             return Ok(());
         };
         estimate.apply(block);
-        found.push(self.shutter_diagnostic(&estimate));
+        found.push(review::shutter(&estimate, self.options.shutter));
         // Marks that were off by what the shutter does are right after all.
         found.retain(|diagnostic| diagnostic.code != MARK);
         known.marks.clone_from(&self.given.marks);
@@ -280,20 +279,6 @@ impl BlockAdjuster<'_> {
             *sigma_px = block.robust_sigma_px().max(0.05);
         }
         Ok(())
-    }
-
-    fn shutter_diagnostic(&self, estimate: &RollingShutterEstimate) -> Diagnostic {
-        let message = format!(
-            "while a photo is read its camera moves {:.2} m, {:.1} px on the ground (single photos +- {:.3} m); the motion is part of the adjustment",
-            estimate.readout_displacement_m,
-            estimate.readout_displacement_px,
-            estimate.image_sigma_m
-        );
-        let diagnostic = Diagnostic::info(SHUTTER, "rolling shutter", message);
-        match self.options.shutter {
-            ShutterModel::Rolling(_) => diagnostic,
-            _ => diagnostic.with_remedy("[align] rolling_shutter = \"off\" leaves it out"),
-        }
     }
 
     /// The tracks of all that the block now tells.
@@ -369,7 +354,7 @@ impl BlockAdjuster<'_> {
                 estimate.apply(block);
                 let mut said = found.iter_mut();
                 if let Some(said) = said.rfind(|diagnostic| diagnostic.code == SHUTTER) {
-                    *said = self.shutter_diagnostic(&estimate);
+                    *said = review::shutter(&estimate, self.options.shutter);
                 }
             }
             Update::Global => {
