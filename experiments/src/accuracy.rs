@@ -18,7 +18,7 @@ use image::{DynamicImage, ImageDecoder as _, ImageReader, RgbImage, metadata::Or
 use rayon::prelude::*;
 use rowgram::{
     Error,
-    io::{FileError, images, output},
+    io::{FileError, images, output, points},
     phenotype::{
         leaves::LeafOptions,
         locator::{self, LocateOptions, Work},
@@ -104,9 +104,9 @@ pub(crate) fn sets(data: &Path) -> Result<Vec<(&'static str, Vec<Plot>)>, Error>
         for path in files(&root.join("images"))? {
             let stem = path.file_stem().map(|s| s.to_string_lossy().into_owned());
             let stem = stem.unwrap_or_default();
-            let points = root.join(format!("truth/{stem}.csv"));
-            if points.exists() {
-                let truth = marks(&points)?;
+            let path_of_truth = root.join(format!("truth/{stem}.csv"));
+            if path_of_truth.exists() {
+                let truth = points::read(&path_of_truth)?;
                 let radii_px = [nearest_px(&truth) / 4.0, 15.0];
                 match images::read_photo(&path) {
                     Ok(photo) => found.push(Plot { name: stem, photo, truth, radii_px }),
@@ -127,25 +127,15 @@ fn tilted(data: &Path) -> Result<Vec<Plot>, Error> {
     let mut tilted = Vec::new();
     for path in paths.iter().filter(|path| path.extension().is_some_and(|e| e == "jpg")) {
         let stem = path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
-        let truth = marks(&root.join(format!("{stem}.plants.csv")))?;
+        let truth = points::read(&root.join(format!("{stem}.plants.csv")))?;
         let radii_px = [nearest_px(&truth) / 4.0, 15.0];
         tilted.push(Plot { name: stem, photo: images::read_photo(path)?, truth, radii_px });
     }
     Ok(tilted)
 }
 
-/// The first two columns of a table.
-fn marks(path: &Path) -> Result<Vec<[f64; 2]>, FileError> {
-    let text = std::fs::read_to_string(path).map_err(|error| FileError::read(path, error))?;
-    let number = |word: Option<&str>| word.and_then(|word| word.trim().parse::<f64>().ok());
-    let point = |line: &str| {
-        let mut words = line.split(',');
-        Some([number(words.next())?, number(words.next())?])
-    };
-    Ok(text.lines().skip(1).filter_map(point).collect())
-}
-
-fn files(folder: &Path) -> Result<Vec<PathBuf>, FileError> {
+/// The files of a folder, in order of their names.
+pub(crate) fn files(folder: &Path) -> Result<Vec<PathBuf>, FileError> {
     let entries = std::fs::read_dir(folder).map_err(|error| FileError::read(folder, error))?;
     let mut paths: Vec<_> = entries.flatten().map(|entry| entry.path()).collect();
     paths.sort();

@@ -1,24 +1,25 @@
 //! Real leaf masks that come without their photos: beans with a box per plant, sorghum with its rows and weeds.
 
-use crate::plots::nearest_px;
+use crate::{accuracy::files, plots::nearest_px};
 use rowgram::{
     Error,
-    io::{FileError, images},
+    io::{FileError, images, points},
     phenotype::{
         locator::{self, LocateOptions, Work},
         stand::Stand,
     },
     raster::Mask,
 };
+use serde::Deserialize;
 use std::{
     fmt::Write as _,
     path::{Path, PathBuf},
 };
 
 /// Rows are right within this share of the distance between them.
-const NEAR: f64 = 0.12;
+const MAX_ROW_ERROR: f64 = 0.125;
 /// Half the side of the square around a plant in which crop and weeds are compared, in pixels: half the width of a plant.
-const AROUND: usize = 20;
+const HALF_SQUARE_PX: usize = 20;
 
 /// A leaf mask and its plants.
 pub(crate) struct MaskPlot {
@@ -29,38 +30,23 @@ pub(crate) struct MaskPlot {
 }
 
 /// Every mask of a folder, `NAME.leaves.png`, and its name; nothing where there is no such folder.
-fn masks(folder: &Path) -> Vec<(String, PathBuf)> {
-    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
-    let mut found: Vec<(String, PathBuf)> = entries
-        .filter_map(|entry| {
-            let name = entry.file_name().to_string_lossy().into_owned();
-            Some((name.strip_suffix(".leaves.png")?.to_owned(), entry.path()))
-        })
-        .collect();
-    found.sort();
-    found
-}
-
-/// The numbers of each line of a table.
-fn numbers(path: &Path) -> Result<Vec<Vec<f64>>, FileError> {
-    let text = std::fs::read_to_string(path).map_err(|error| FileError::read(path, error))?;
-    let line = |line: &str| -> Vec<f64> {
-        line.split(',').filter_map(|word| word.trim().parse().ok()).collect()
+fn masks(folder: &Path) -> Result<Vec<(String, PathBuf)>, FileError> {
+    let all = if folder.exists() { files(folder)? } else { Vec::new() };
+    let name = |path: &PathBuf| {
+        Some(path.file_name()?.to_string_lossy().strip_suffix(".leaves.png")?.to_owned())
     };
-    Ok(text.lines().skip(1).map(line).collect())
+    Ok(all.into_iter().filter_map(|path| Some((name(&path)?, path))).collect())
 }
 
 /// Plots of dry bean, whose leaves a mask shows apart.
 pub(crate) fn beans(data: &Path) -> Result<Vec<MaskPlot>, Error> {
     let folder = data.join("fields/bean_plots_masks");
     let read = |(name, path): (String, PathBuf)| -> Result<MaskPlot, Error> {
-        let boxes = numbers(&folder.join(format!("{name}.boxes.csv")))?;
-        let truth: Vec<[f64; 2]> =
-            boxes.iter().filter_map(|of| Some([*of.first()?, *of.get(1)?])).collect();
+        let truth = points::read(&folder.join(format!("{name}.boxes.csv")))?;
         let radius_px = nearest_px(&truth) / 4.0;
         Ok(MaskPlot { name, mask: mask_at(&path, |grey| grey > 0)?, truth, radius_px })
     };
-    masks(&folder).into_iter().map(read).collect()
+    masks(&folder)?.into_iter().map(read).collect()
 }
 
 fn mask_at(path: &Path, is_leaf: impl Fn(u8) -> bool) -> Result<Mask, FileError> {
@@ -76,7 +62,7 @@ pub(crate) fn sorghum_table(data: &Path) -> Result<String, Error> {
          their distance in the middle of the picture. On weeds: share of the plants around which weeds have more leaf than the crop.\n\n\
          | picture | true rows | found | right | weeds, share of leaf | plants | on weeds | confidence |\n|---|---|---|---|---|---|---|---|\n"
         .to_owned();
-    for (name, path) in masks(&folder) {
+    for (name, path) in masks(&folder)? {
         let rows_path = folder.join(format!("{name}.rows.csv"));
         if !rows_path.exists() {
             continue;
@@ -85,19 +71,16 @@ pub(crate) fn sorghum_table(data: &Path) -> Result<String, Error> {
         let classes = folder.join(format!("{name}.classes.png"));
         let (crop, weeds) =
             (mask_at(&classes, |grey| grey == 255)?, mask_at(&classes, |grey| grey == 128)?);
-        let found = locator::prepare(&mask, None, None, &LocateOptions::default());
-        let stand = match found.map(|found| found.work) {
-            Ok(Work::Stand(stand)) => Some(stand),
+        let stand = match locator::prepare(&mask, None, None, &LocateOptions::default())?.work {
+            Work::Stand(stand) => Some(stand),
             _ => None,
         };
         let middle = 0.5 * mask.height as f64;
-        let truth: Vec<f64> = numbers(&rows_path)?
-            .iter()
-            .filter_map(|of| Some(0.5 * (of.get(1)? + of.get(3)?)))
-            .collect();
+        let truth = row_middles(&rows_path)?;
         let apart = truth.windows(2).map(|pair| pair[1] - pair[0]).fold(f64::INFINITY, f64::min);
         let found = stand.as_ref().map(|stand| rows_at(stand, middle)).unwrap_or_default();
-        let is_right = |at: &&f64| found.iter().any(|found| (found - **at).abs() <= NEAR * apart);
+        let is_right =
+            |at: &&f64| found.iter().any(|found| (found - **at).abs() <= MAX_ROW_ERROR * apart);
         let plants = stand.as_ref().map_or(&[][..], |stand| &stand.plants);
         let on_weeds = plants
             .iter()
@@ -119,6 +102,21 @@ pub(crate) fn sorghum_table(data: &Path) -> Result<String, Error> {
     Ok(text)
 }
 
+/// A true row, from the top of the picture to its bottom.
+#[derive(Deserialize)]
+struct TrueRow {
+    x_top: f64,
+    x_bottom: f64,
+}
+
+/// Where true rows cross the middle of the picture.
+fn row_middles(path: &Path) -> Result<Vec<f64>, FileError> {
+    let wrong = |error: csv::Error| FileError::malformed(path, None, error.to_string());
+    let mut table = csv::Reader::from_path(path).map_err(wrong)?;
+    let middle = |row: Result<TrueRow, csv::Error>| row.map(|row| 0.5 * (row.x_top + row.x_bottom));
+    table.deserialize().map(middle).collect::<Result<_, _>>().map_err(wrong)
+}
+
 /// Where the rows cross a line of the picture.
 fn rows_at(stand: &Stand, v: f64) -> Vec<f64> {
     let axes = &stand.rows.axes;
@@ -132,7 +130,7 @@ fn rows_at(stand: &Stand, v: f64) -> Vec<f64> {
 fn near(mask: &Mask, [u, v]: [f64; 2]) -> usize {
     let around = |at: f64, size: usize| {
         let at = at.max(0.0) as usize;
-        at.saturating_sub(AROUND)..(at + AROUND + 1).min(size)
+        at.saturating_sub(HALF_SQUARE_PX)..(at + HALF_SQUARE_PX + 1).min(size)
     };
     let of_row = |v: usize| around(u, mask.width).filter(|&u| mask.get(u, v)).count();
     around(v, mask.height).map(of_row).sum()

@@ -28,7 +28,7 @@ use std::path::PathBuf;
 /// (mapping frame, bundle adjustment with self-calibration), report. Results of a step are reused until an input, an option or
 /// the program changes.
 ///
-/// Exit code 3 where photos could not be oriented together, or the adjustment did not converge.
+/// Exit code 3 where fewer photos could be oriented together than [checks] oriented_red, or the adjustment did not converge.
 #[derive(Debug, ClapArgs)]
 #[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
 #[command(after_help = "Examples:

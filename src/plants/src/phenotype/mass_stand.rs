@@ -20,7 +20,7 @@ use super::{
     row_parts::is_alley,
     row_peaks,
     rows::{self, Detection, Rows},
-    rows_of_plants::{LONE, rows_of},
+    rows_of_plants::{LONE_ROW_HALF_WIDTH, rows_of},
     stand::{BETWEEN, BetweenRows, Gap, LEAST_MISSING, LeafMass, Stalk, Stand},
 };
 use rowgram_optim::robust::median;
@@ -55,8 +55,8 @@ const CONTRADICTS: f64 = std::f64::consts::SQRT_2;
 const HALF_CLOSED: f64 = 0.5;
 
 /// Plants are peaks of leaf where those have this share of the missing and double plants, at most, that components have: on 13 plots of beans 0.45
-/// to 0.71; in sparse sorghum, whose plants are components, 0.87 to 0.98 (`experiments accuracy`).
-const MORE_REGULAR: f64 = 0.8;
+/// to 0.71; in sparse sorghum, whose plants are components, 0.87 to 0.98. Chosen between these two, so neither is a set left out.
+const MAX_IRREGULAR_RATIO: f64 = 0.8;
 
 /// The share of the rows that leaves cover, of rows that may be closed.
 fn covered(parts: &Parts<'_>, detection: &Detection) -> f64 {
@@ -235,7 +235,11 @@ fn plants_or_leaves(
     let Some(peaks) = peaks else { return by_mass };
     let by_peaks = stand(mask, peaks, rows, count, left_out);
     let irregular = |stand: &Stand| stand.spacing.missing + stand.spacing.doubles;
-    if irregular(&by_peaks) < MORE_REGULAR * irregular(&by_mass) { by_peaks } else { by_mass }
+    if irregular(&by_peaks) < MAX_IRREGULAR_RATIO * irregular(&by_mass) {
+        by_peaks
+    } else {
+        by_mass
+    }
 }
 
 /// The stand of plants that were found by their mass in a mask, in their rows.
@@ -360,7 +364,7 @@ pub(super) fn nearest_row(rows: &Rows, across_px: f64) -> (usize, f64) {
 }
 
 pub(super) fn band_px(rows: &Rows, plant_px: f64) -> f64 {
-    rows.spacing_px.map_or(LONE * plant_px.sqrt(), |spacing| BETWEEN * spacing)
+    rows.spacing_px.map_or(LONE_ROW_HALF_WIDTH * plant_px.sqrt(), |spacing| BETWEEN * spacing)
 }
 
 /// The middle distance to the nearest plant.

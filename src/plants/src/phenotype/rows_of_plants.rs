@@ -9,35 +9,35 @@ use crate::problems::plants::lines::Axes;
 use rowgram_raster::Mask;
 
 /// Half the width of the band of a lone row, in sizes of a plant.
-pub(super) const LONE: f64 = 1.5;
+pub(super) const LONE_ROW_HALF_WIDTH: f64 = 1.5;
 /// Radius of the disc that stands for a plant when rows are looked for, of that of a disc with the plant's mass.
-const DISC: f64 = 0.6;
+const DISC_RADIUS_SHARE: f64 = 0.6;
 /// Plants that say something of rows, at least.
-const LEAST: usize = 6;
+const MIN_PLANTS: usize = 6;
 /// Share of the plants along a lone row, at least.
-const ALONG: f64 = 0.8;
+const MIN_SHARE_ALONG: f64 = 0.8;
 /// Plants per row, at least.
-const FILLED: usize = 3;
+const MIN_PLANTS_PER_ROW: usize = 3;
 /// The least share of the plants that rows hold beyond chance.
-const HELD: f64 = 0.15;
+const MIN_SHARE_HELD: f64 = 0.15;
 
 /// The rows of the leaf mask or those of the plants, whichever hold more; none where chance would hold as many.
 pub(super) fn rows_of(mask: &Mask, plants: &[Plant], plant_px: f64, detection: &Detection) -> Rows {
     let middle = [0.5 * (mask.width as f64 - 1.0), 0.5 * (mask.height as f64 - 1.0)];
     let axes = Axes { origin_px: middle, heading_rad: 0.0 };
     let none = Rows { axes, rows: Vec::new(), spacing_px: None, contrast: 0.0 };
-    if plants.len() < LEAST {
+    if plants.len() < MIN_PLANTS {
         return none;
     }
-    let discs = discs(mask, plants, DISC * (plant_px / std::f64::consts::PI).sqrt());
+    let discs = discs(mask, plants, DISC_RADIUS_SHARE * (plant_px / std::f64::consts::PI).sqrt());
     let again = rows::detect(&discs);
     let worth = |rows: &Rows| held_beyond_chance(rows, mask, plants, plant_px);
     let lone = lone_row(plants, axes, plant_px);
     let found = [detection.rows(), again.rows(), lone.as_ref()].into_iter().flatten();
     // A line through two plants is no row.
-    let filled = found.filter(|rows| plants.len() >= FILLED * rows.rows.len());
+    let filled = found.filter(|rows| plants.len() >= MIN_PLANTS_PER_ROW * rows.rows.len());
     let best = filled.max_by(|a, b| worth(a).total_cmp(&worth(b)));
-    best.filter(|rows| worth(rows) > HELD).map_or(none, Rows::clone)
+    best.filter(|rows| worth(rows) > MIN_SHARE_HELD).map_or(none, Rows::clone)
 }
 
 /// The line through all plants, where most of them stand along it: one row alone repeats nothing across itself.
@@ -51,14 +51,14 @@ fn lone_row(plants: &[Plant], axes: Axes, plant_px: f64) -> Option<Rows> {
     let across_px = axes.aligned(mean)[1];
     let places = plants.iter().map(|plant| axes.aligned([plant.u_px, plant.v_px]));
     let along: Vec<f64> = places
-        .filter(|[_, across]| (across - across_px).abs() <= LONE * plant_px.sqrt())
+        .filter(|[_, across]| (across - across_px).abs() <= LONE_ROW_HALF_WIDTH * plant_px.sqrt())
         .map(|[along, _]| along)
         .collect();
     let start_px = along.iter().copied().fold(f64::INFINITY, f64::min);
     let end_px = along.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let pixels = plants.iter().map(|plant| plant.mass_px).sum::<f64>() as usize;
     let row = Row { across_px, start_px, end_px, pixels };
-    (along.len() as f64 >= ALONG * count).then(|| Rows {
+    (along.len() as f64 >= MIN_SHARE_ALONG * count).then(|| Rows {
         axes,
         rows: vec![row],
         spacing_px: None,

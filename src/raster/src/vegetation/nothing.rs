@@ -18,8 +18,9 @@ const FLAT: (u8, u8) = (28, 253);
 const LEAST: f64 = 0.001;
 /// Blocks by which the surround grows.
 const GROWN: usize = 2;
-/// Share of the blocks at its edge that have to be exactly black or white for a surround that no compression has changed.
-const EXACT: f64 = 0.9;
+/// Share of the blocks at its edge that have to be exactly black or white for a surround that no
+/// compression has changed: all are but those beside dark soil. JPEG changes nearly all of them. A guess between, not searched for.
+const MIN_EXACT_SHARE: f64 = 0.9;
 
 /// Which blocks of a picture are flat, gathered band by band.
 pub struct SurroundFinder {
@@ -110,16 +111,16 @@ fn ends_exactly(surround: &Mask, exact: &[u16]) -> bool {
     for v in 0..surround.height {
         for u in 0..surround.width {
             let near = [(u.wrapping_sub(1), v), (u + 1, v), (u, v.wrapping_sub(1)), (u, v + 1)];
-            let is_inside = |&(u, v): &(usize, usize)| {
+            let is_field = |&(u, v): &(usize, usize)| {
                 u < surround.width && v < surround.height && !surround.get(u, v)
             };
-            if surround.get(u, v) && near.iter().any(is_inside) {
+            if surround.get(u, v) && near.iter().any(is_field) {
                 edge += 1;
                 count += usize::from(exact[v * surround.width + u] == u16::MAX);
             }
         }
     }
-    count as f64 >= EXACT * edge as f64
+    count as f64 >= MIN_EXACT_SHARE * edge as f64
 }
 
 /// The flat surround of a picture.
