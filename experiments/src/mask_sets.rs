@@ -58,7 +58,7 @@ fn mask_at(path: &Path, is_leaf: impl Fn(u8) -> bool) -> Result<Mask, FileError>
 /// Rows and weeds of sorghum: a table.
 pub(crate) fn sorghum_table(data: &Path) -> Result<String, Error> {
     let folder = data.join("fields/sorghum_uav_masks");
-    let mut text = "\n## Rows and weeds of sorghum\n\nHand-drawn masks with weeds, without photos. Rows: of the true ones with a row within an eighth of \
+    let mut text = "## Rows and weeds of sorghum\n\nHand-drawn masks with weeds, without photos. Rows: of the true ones with a row within an eighth of \
          their distance in the middle of the picture. On weeds: share of the plants around which weeds have more leaf than the crop.\n\n\
          | picture | true rows | found | right | weeds, share of leaf | plants | on weeds | confidence |\n|---|---|---|---|---|---|---|---|\n"
         .to_owned();

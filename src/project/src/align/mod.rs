@@ -93,7 +93,8 @@ impl Task for AlignTask {
 ///
 /// Writes `reconstruction.json` with its tables (see [`rowgram_files::reconstruction`]), `camera-N.toml`,
 /// `exterior_orientation.csv`, `cloud.ply`, `cloud.laz`, `crs.txt`, exports for COLMAP and OpenSfM, `report/` and `figures/`.
-/// An adjustment that did not converge is a diagnostic of severity error, and the outcome says so.
+/// An adjustment that did not converge, and fewer oriented photos than `[checks] oriented_red`, are diagnostics of severity
+/// error.
 ///
 /// # Errors
 /// [`Error::NothingToDo`] for a project without photos; bad input; [`Error::Incomplete`] where no three photos can be
@@ -103,7 +104,12 @@ pub fn align(
     options: &AlignOptions,
     monitor: &mut dyn Monitor,
 ) -> Result<AlignOutcome, Error> {
-    stage::perform::<AlignTask>(project, options, monitor)
+    let outcome = stage::perform::<AlignTask>(project, options, monitor)?;
+    let oriented = checks::photos_oriented(&outcome, &project.config().checks);
+    if oriented.severity == Severity::Error {
+        monitor.diagnostic(&oriented);
+    }
+    Ok(outcome)
 }
 
 /// As [`align`], up to a step; what that found is kept in the store, and a later [`align`] goes on from there.
@@ -252,10 +258,6 @@ fn run(
     pair_figures::write(&drawn, of, &cameras, &pairs)?;
     if !outcome.converged {
         monitor.diagnostic(&adjust::not_converged());
-    }
-    let oriented = checks::photos_oriented(&outcome, &project.config().checks);
-    if oriented.severity == Severity::Error {
-        monitor.diagnostic(&oriented);
     }
     Ok(StepOutcome::Whole(Box::new(outcome)))
 }

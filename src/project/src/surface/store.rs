@@ -85,7 +85,6 @@ impl StoredTile {
             confidence: confidence.0,
             photos: photos.0,
             colour: colour.0.as_chunks::<3>().0.to_vec(),
-            terrain: None,
         };
         let fits = tile.surface_m.len() == cells
             && tile.sigma_m.len() == cells
@@ -119,7 +118,6 @@ mod tests {
             confidence: vec![0, 1, 2, 3, 4, 255],
             photos: vec![0, 5, 2, 3, 4, 1],
             colour: vec![[1, 2, 3], [4, 5, 6], [0; 3], [255; 3], [7; 3], [9, 8, 7]],
-            terrain: None,
         };
         let mut store = TilesOnDisk { store: Store::new(folder.path()), key: key("one") };
         store.save(Pass::Fine, 3, &tile).unwrap();

@@ -347,7 +347,6 @@ mod tests {
             photos: vec![2; 6],
             sigma_m: vec![0.01; 6],
             colour: vec![[1, 2, 3]; 6],
-            terrain: None,
         };
         tile.colour[2] = [255, 0, 128];
         let mut store = TilesInMemory::default();

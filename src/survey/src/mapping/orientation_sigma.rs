@@ -95,7 +95,8 @@ impl OrientationSigma {
 
     /// Combined with another standard deviation that is independent of it, metres.
     pub fn combined_with(&self, sigma_m: f64, place_m: [f64; 2]) -> f64 {
-        sigma_m.hypot(self.at_m(place_m))
+        let orientation_m = self.at_m(place_m);
+        (sigma_m * sigma_m + orientation_m * orientation_m).sqrt()
     }
 }
 

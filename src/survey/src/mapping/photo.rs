@@ -42,6 +42,30 @@ impl DecodedPhoto {
         (colour[3] - 255.0).abs() < 0.5
     }
 
+    /// Of half as many columns and rows: each pixel the mean of 2 x 2, with data where all four have. A last odd column or row is left out.
+    pub fn halved(&self) -> DecodedPhoto {
+        let (width, height) = (self.width / 2, self.height / 2);
+        let mut pixels = Vec::with_capacity(width * height);
+        for row in 0..height {
+            let [above, below] =
+                [0, 1].map(|k| &self.pixels[(2 * row + k) * self.width..][..2 * width]);
+            let pairs = above.as_chunks::<2>().0.iter().zip(below.as_chunks::<2>().0);
+            pixels.extend(pairs.map(|(&[a, b], &[c, d])| {
+                let mean = |k: usize| {
+                    let sum = [a, b, c, d].into_iter().map(|of| u16::from(of[k])).sum::<u16>();
+                    ((sum + 2) / 4) as u8
+                };
+                if a[3] & b[3] & c[3] & d[3] == 0 { [0; 4] } else { [0, 1, 2, 3].map(mean) }
+            }));
+        }
+        DecodedPhoto { width, height, pixels }
+    }
+
+    /// The pixels, row by row: red, green, blue, and 0 where there are no data.
+    pub fn pixels(&self) -> &[[u8; 4]] {
+        &self.pixels
+    }
+
     /// Columns and rows.
     pub fn size_px(&self) -> [usize; 2] {
         [self.width, self.height]
@@ -58,14 +82,7 @@ impl DecodedPhoto {
     pub fn at(&self, at_px: [f32; 2], interpolation: Interpolation) -> [f32; 4] {
         match interpolation {
             Interpolation::Bilinear => self.bilinear(at_px),
-            Interpolation::Bicubic => self.sum::<4>(at_px, |t| {
-                [
-                    ((-0.5 * t + 1.0) * t - 0.5) * t,
-                    (1.5 * t - 2.5) * t * t + 1.0,
-                    ((-1.5 * t + 2.0) * t + 0.5) * t,
-                    (0.5 * t - 0.5) * t * t,
-                ]
-            }),
+            Interpolation::Bicubic => self.sum::<4>(at_px, cubic),
             Interpolation::Lanczos => self.sum::<6>(at_px, lanczos),
         }
     }
@@ -186,7 +203,7 @@ impl DecodedPhoto {
 
 /// The whole pixels before a position; positions that a lens sends to where no photo is stay within what integers hold.
 #[inline(always)]
-fn first(position_px: f32) -> f32 {
+pub(super) fn first(position_px: f32) -> f32 {
     const FAR_PX: f32 = 1e9;
     position_px.floor().clamp(-FAR_PX, FAR_PX)
 }
@@ -226,6 +243,17 @@ impl pulp::WithSimd for Colours<'_> {
             out[i] = if data { bytes } else { [0; 4] };
         }
     }
+}
+
+/// Weights of Keys' cubic kernel; they add up to 1.
+#[inline(always)]
+pub(super) fn cubic(t: f32) -> [f32; 4] {
+    [
+        ((-0.5 * t + 1.0) * t - 0.5) * t,
+        (1.5 * t - 2.5) * t * t + 1.0,
+        ((-1.5 * t + 2.0) * t + 0.5) * t,
+        (0.5 * t - 0.5) * t * t,
+    ]
 }
 
 /// Weights of Lanczos' kernel with three lobes; they add up to 1.

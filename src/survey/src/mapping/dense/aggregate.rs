@@ -36,16 +36,17 @@ impl Default for Penalties {
     }
 }
 
-/// Aggregates costs (layer by layer, row by row, `D` layers) over a picture: the sums of the eight paths, pixel by pixel. `P` is
-/// `D + 2`.
+/// Aggregates costs (layer by layer, row by row, at most `D` layers) over a picture: the sums of the eight paths, pixel by pixel. `P` is
+/// `D + 2`; layers for which there are no costs have the cost `missing`. The costs are given up before memory for the sums is taken.
 pub fn aggregate<const D: usize, const P: usize>(
-    costs: &[u8],
+    (costs, missing): (Vec<u8>, u8),
     picture: &[u8],
     width: usize,
     penalties: &Penalties,
 ) -> Vec<[u16; D]> {
     let height = picture.len() / width.max(1);
-    let by_pixel = transpose::<D>(costs, width * height);
+    let by_pixel = transpose::<D>((&costs, missing), width * height);
+    drop(costs);
     let jumps = std::array::from_fn(|difference| {
         let jump = f64::from(penalties.jump) / (1.0 + penalties.edge * difference as f64);
         jump.round().max(1.5 * f64::from(penalties.step)) as u8
@@ -67,12 +68,12 @@ pub fn aggregate<const D: usize, const P: usize>(
 }
 
 /// From layers of pixels to pixels of layers.
-fn transpose<const D: usize>(costs: &[u8], cells: usize) -> Vec<[u8; D]> {
+fn transpose<const D: usize>((costs, missing): (&[u8], u8), cells: usize) -> Vec<[u8; D]> {
     const RUN: usize = 64;
-    let mut out = vec![[0; D]; cells];
+    let mut out = vec![[missing; D]; cells];
     for (chunk, out) in out.chunks_mut(RUN).enumerate() {
-        for layer in 0..D {
-            let from = &costs[layer * cells + chunk * RUN..][..out.len()];
+        for (layer, costs) in costs.chunks_exact(cells).enumerate() {
+            let from = &costs[chunk * RUN..][..out.len()];
             for (pixel, &cost) in out.iter_mut().zip(from) {
                 pixel[layer] = cost;
             }
@@ -211,7 +212,7 @@ mod tests {
         }
         let picture: Vec<u8> =
             (0..width * height).map(|at| if at % width < 30 { 80 } else { 150 }).collect();
-        let sums = aggregate::<D, { D + 2 }>(&costs, &picture, width, &Penalties::default());
+        let sums = aggregate::<D, { D + 2 }>((costs, 0), &picture, width, &Penalties::default());
         let best: Vec<f64> = sums.iter().map(best_layer).collect();
         let right = best.iter().enumerate().filter(|&(at, best)| (best - truth(at)).abs() < 0.6);
         // Each pixel on its own would be right in seven of ten. At the border fewer paths help, and beside the edge
@@ -229,7 +230,7 @@ mod tests {
                 [(2.0 * off * off).min(72.0).round() as u8; 100]
             })
             .collect();
-        let sums = aggregate::<64, 66>(&costs, &[7; 100], 10, &Penalties::default());
+        let sums = aggregate::<64, 66>((costs, 0), &[7; 100], 10, &Penalties::default());
         let inner: Vec<f64> = sums[33..37].iter().map(best_layer).collect();
         assert!(inner.iter().all(|&b| b > 30.01 && b < 30.35), "{inner:?}");
     }

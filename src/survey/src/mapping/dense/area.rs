@@ -7,8 +7,9 @@
 //! photos that it compares are in memory; tiles go to a store, and what an interrupted attempt has left there is not matched again.
 
 use super::{
-    DenseOptions, DenseTile, GroundPlaces, HeightCounts, LAYERS, MAX_LAYERS, Penalties, PosedPhoto,
-    PosteriorOptions, Prior, Relief, Terrain, Tile, block, match_tile, rectify::greenness, tile,
+    DenseOptions, DenseTile, GroundPlaces, HeightCounts, LAYERS, MAX_LAYERS, MatchedPhoto,
+    Penalties, PosedPhoto, PosteriorOptions, Prior, Relief, Terrain, Tile, block, match_tile,
+    rectify::greenness, tile,
 };
 use crate::mapping::{MapError, View, photo::DecodedPhoto};
 use rayon::prelude::*;
@@ -110,7 +111,8 @@ impl<E> TileStore<E> for TilesInMemory {
 struct Album<'a, E> {
     views: &'a [View],
     read: &'a (dyn Fn(usize) -> Result<DecodedPhoto, E> + Sync),
-    photos: BTreeMap<usize, DecodedPhoto>,
+    pass: Pass,
+    photos: BTreeMap<usize, MatchedPhoto>,
 }
 
 impl<E: Send> Album<'_, E> {
@@ -119,8 +121,15 @@ impl<E: Send> Album<'_, E> {
         self.photos.retain(|k, _| needed.contains(k));
         let missing: Vec<usize> =
             needed.iter().copied().filter(|k| !self.photos.contains_key(k)).collect();
-        let found: Vec<(usize, DecodedPhoto)> =
-            missing.into_par_iter().map(|k| Ok((k, (self.read)(k)?))).collect::<Result<_, E>>()?;
+        let read = |k: usize| -> Result<(usize, MatchedPhoto), E> {
+            let photo = (self.read)(k)?;
+            Ok(match self.pass {
+                Pass::Coarse => (k, MatchedPhoto::halved(&photo)),
+                Pass::Fine => (k, MatchedPhoto::new(photo)),
+            })
+        };
+        let found: Vec<(usize, MatchedPhoto)> =
+            missing.into_par_iter().map(read).collect::<Result<_, E>>()?;
         self.photos.extend(found);
         Ok(())
     }
@@ -167,11 +176,10 @@ impl<E: From<MapError> + Send> Area<'_, E> {
         store: &mut dyn TileStore<E>,
         done: &mut dyn FnMut(),
     ) -> Result<AreaGround, E> {
-        let mut album = self.album()?;
-        let terrain = self.ground(&mut album, store, done)?;
+        let terrain = self.ground(store, done)?;
         let fine = self.fine(terrain.as_ref(), store)?;
         let all = 0..self.tiles(Pass::Fine);
-        self.surface(&mut album, all, (terrain.as_ref(), &fine), store, done)?;
+        self.surface(all, (terrain.as_ref(), &fine), store, done)?;
         Ok(AreaGround { terrain, layer_m: fine.layer_m })
     }
 
@@ -186,9 +194,9 @@ impl<E: From<MapError> + Send> Area<'_, E> {
         store: &mut dyn TileStore<E>,
         done: &mut dyn FnMut(),
     ) -> Result<(), E> {
-        let mut album = self.album()?;
         match pass {
             Pass::Coarse => {
+                let mut album = self.album(pass)?;
                 for number in numbers {
                     self.coarse_tile(&mut album, number, store)?;
                     done();
@@ -196,14 +204,14 @@ impl<E: From<MapError> + Send> Area<'_, E> {
                 Ok(())
             }
             Pass::Fine => {
-                let terrain = self.ground(&mut album, store, &mut || ())?;
+                let terrain = self.ground(store, &mut || ())?;
                 let fine = self.fine(terrain.as_ref(), store)?;
-                self.surface(&mut album, numbers, (terrain.as_ref(), &fine), store, done)
+                self.surface(numbers, (terrain.as_ref(), &fine), store, done)
             }
         }
     }
 
-    fn album(&self) -> Result<Album<'_, E>, E> {
+    fn album(&self, pass: Pass) -> Result<Album<'_, E>, E> {
         if self.views.len() < 2 {
             let found = self.views.len();
             let message = format!("{found} photos, expected at least 2 that overlap");
@@ -216,7 +224,7 @@ impl<E: From<MapError> + Send> Area<'_, E> {
                 return Err(MapError(message).into());
             }
         }
-        Ok(Album { views: self.views, read: self.read, photos: BTreeMap::new() })
+        Ok(Album { views: self.views, read: self.read, pass, photos: BTreeMap::new() })
     }
 
     /// How the first pass is matched.
@@ -227,7 +235,7 @@ impl<E: From<MapError> + Send> Area<'_, E> {
             layers: LAYERS,
             samples: 1,
             others: self.options.others,
-            block_cells: DenseOptions::default().block_cells / 2,
+            block_cells: DenseOptions::default().block_cells,
             penalties: self.options.penalties,
             prior: Prior::None,
             posterior: PosteriorOptions { rounds: 0, ..PosteriorOptions::default() },
@@ -290,16 +298,16 @@ impl<E: From<MapError> + Send> Area<'_, E> {
     /// The first pass, and the ground from it.
     fn ground(
         &self,
-        album: &mut Album<'_, E>,
         store: &mut dyn TileStore<E>,
         done: &mut dyn FnMut(),
     ) -> Result<Option<Terrain>, E> {
+        let mut album = self.album(Pass::Coarse)?;
         let cells = self.cells_of(Pass::Coarse);
         let cell_m = cells.cell_m;
         let mut places = GroundPlaces::new(cells.bounds_m(), tile::node_m(cell_m));
         let mut any = false;
         for number in 0..self.tiles(Pass::Coarse) {
-            let found = self.coarse_tile(album, number, store)?;
+            let found = self.coarse_tile(&mut album, number, store)?;
             tile::sure_cells(&found).for_each(|(place, bare)| places.add(place, bare));
             // Cells reach half their side beyond their middles.
             let half = 0.5 * cell_m;
@@ -332,7 +340,6 @@ impl<E: From<MapError> + Send> Area<'_, E> {
             layer_m,
             layers: (span / layer_m).ceil() as usize + 1,
             lowest_m: -SPARE_M,
-            block_cells: DenseOptions::default().block_cells,
             prior: options.prior,
             posterior: PosteriorOptions::default(),
             ..self.wide()
@@ -342,12 +349,12 @@ impl<E: From<MapError> + Send> Area<'_, E> {
     /// Tiles of the second pass.
     fn surface(
         &self,
-        album: &mut Album<'_, E>,
         numbers: Range<usize>,
         (terrain, fine): (Option<&Terrain>, &DenseOptions),
         store: &mut dyn TileStore<E>,
         done: &mut dyn FnMut(),
     ) -> Result<(), E> {
+        let mut album = self.album(Pass::Fine)?;
         let ground = |place: [f64; 2]| match terrain {
             Some(terrain) => terrain.at_m(place),
             None => (self.base)(place),
@@ -357,7 +364,7 @@ impl<E: From<MapError> + Send> Area<'_, E> {
             if kept(store, (Pass::Fine, number), &part)?.is_none() {
                 let coarse = store.load(Pass::Coarse, self.coarse_of(number))?;
                 let relief = coarse.map(|found| Relief::new(found, &part));
-                let found = match_part(album, &ground, &part, fine, relief.as_ref())?;
+                let found = match_part(&mut album, &ground, &part, fine, relief.as_ref())?;
                 store.save(Pass::Fine, number, &found)?;
             }
             done();

@@ -3,12 +3,13 @@
 use super::{
     DenseOptions, LAYERS, MAX_LAYERS, Relief,
     aggregate::{Penalties, aggregate},
+    matched::PosedPhoto,
     posterior::{self, Estimate, Pixels, PosteriorOptions},
-    rectify::{BlockPlane, PosedPhoto, greenness, rectify},
+    rectify::{BlockPlane, colours, greenness, rectify},
     relief::Colours,
     sweep::{MAX_OTHERS, REACH, Rectified, WORST, costs, transfer},
 };
-use crate::mapping::{View, undistort::Interpolation};
+use crate::mapping::View;
 
 /// Cells beyond the core of a block that its neighbours have too, so that paths begin before it.
 const OVERLAP: usize = 16;
@@ -59,19 +60,20 @@ pub(super) fn match_block(
     let layers = options.layers.clamp(2, MAX_LAYERS);
     let heights_m: Vec<f64> =
         (0..layers).map(|k| options.lowest_m + options.layer_m * k as f64).collect();
-    let margin = OVERLAP + displacement(photos[reference], core, &heights_m)?;
-    let [width, height] = core.size.map(|n| n + 2 * margin);
-    let corner_m = core.place_m([-(margin as f64); 2]);
-    let whole =
-        BlockPlane { corner_m, size: [width, height], height_m: core.at_m(corner_m), ..*core };
-    let (picture, colour) =
-        rectify(photos[reference], &whole, (0, options.samples), Interpolation::Bicubic);
+    let ends_m = [heights_m[0], heights_m[layers - 1]];
+    let margins = margins(photos[reference], core, ends_m)?;
+    let size = [0, 1].map(|k| core.size[k] + margins[k].iter().sum::<usize>());
+    let [width, height] = size;
+    let whole = core.window(margins.map(|[before, _]| -(before as isize)), size);
+    let picture = rectify(photos[reference], &whole, options.samples);
+    let colour = colours(photos[reference], &whole, options.samples);
     let green: Vec<i16> = colour.iter().copied().map(greenness).collect();
     let others: Vec<Rectified> = others
         .iter()
         .map(|&k| {
-            let margin = reach(&picture, photos[k], &whole, &heights_m);
-            rectify(photos[k], &whole, (margin, options.samples), Interpolation::Bicubic).0
+            let (first, size) = reach(&picture, photos[k], &whole, ends_m);
+            let window = whole.window(first, size);
+            rectify(photos[k], &window, options.samples).placed(first)
         })
         .collect();
     let mut volume = costs(&picture, &others, &heights_m);
@@ -88,14 +90,14 @@ pub(super) fn match_block(
     if let Some((relief, usual)) = limits {
         let farther = options.lowest_m < usual[0] || options.highest_m() > usual[1];
         let limits = relief.limits(&whole, (usual, farther), &options.prior, ground);
-        let colours = Colours {
+        let of_colours = Colours {
             centre: picture.centre,
             above_m: picture.above_m,
             prior: &options.prior,
             green: &green,
             ground_m: &ground_m,
         };
-        standing = limits.apply(&mut volume, &whole, &colours, &heights_m);
+        standing = limits.apply(&mut volume, &whole, &of_colours, &heights_m);
     }
     let class: Vec<u8> = (0..width * height)
         .map(|at| match (picture.values[at], &options.prior) {
@@ -159,7 +161,7 @@ pub(super) fn match_block(
     };
     for row in 0..rows {
         for column in 0..columns {
-            let (out, u, v) = (row * columns + column, column + margin, row + margin);
+            let (out, u, v) = (row * columns + column, column + margins[0][0], row + margins[1][0]);
             let mut z = top_m[v * width + u];
             let source = from[v * width + u];
             if source != usize::MAX {
@@ -182,10 +184,7 @@ pub(super) fn match_block(
                 let place = core.place_m([column as f64, row as f64]);
                 block.height_m[out] = (f64::from(z) + core.at_m(place)) as f32;
             }
-            let seen = |other: &&Rectified| {
-                let margin = (-other.origin[0]) as usize;
-                other.values[(v + margin) * other.width + u + margin] > 0
-            };
+            let seen = |other: &&Rectified| other.at([u, v]) > 0;
             let reference = u8::from(picture.values[v * width + u] > 0);
             block.photos[out] = reference + others.iter().filter(seen).count() as u8;
         }
@@ -203,11 +202,10 @@ struct Costs<'a> {
 
 impl Costs<'_> {
     /// The height of every pixel, with room for `D` layers; `P` is `D + 2`.
-    fn heights<const D: usize, const P: usize>(mut self, pixels: &Pixels<'_>) -> Vec<Estimate> {
+    fn heights<const D: usize, const P: usize>(self, pixels: &Pixels<'_>) -> Vec<Estimate> {
         // Layers that take no part fit nowhere.
-        self.volume.resize(self.picture.len() * D, WORST + DISLIKED);
-        let sums = aggregate::<D, P>(&self.volume, self.picture, pixels.width, self.penalties);
-        drop(self.volume);
+        let costs = (self.volume, WORST + DISLIKED);
+        let sums = aggregate::<D, P>(costs, self.picture, pixels.width, self.penalties);
         posterior::estimates(&sums, pixels, self.posterior)
     }
 }
@@ -244,46 +242,57 @@ pub(super) fn choose(
     (!others.is_empty()).then_some((reference, others))
 }
 
-/// How far points of the block move on the plane with their height, seen from a photo, cells. `None` where the photo is
-/// not above all layers.
-fn displacement(photo: PosedPhoto<'_>, block: &BlockPlane, heights_m: &[f64]) -> Option<usize> {
+/// Cells before and behind a block, along columns and rows, whose pixels of the reference may show points of the block; `ends_m` are the lowest
+/// and the highest layer. `None` where the photo is not well above all layers.
+fn margins(photo: PosedPhoto<'_>, block: &BlockPlane, ends_m: [f64; 2]) -> Option<[[usize; 2]; 2]> {
     let [x, y, z] = photo.view.centre_m();
     let above_m = z - block.at_m([x, y]);
-    let most = heights_m.iter().fold(0.0f64, |most, h| most.max(h.abs()));
+    let most = ends_m[0].abs().max(ends_m[1].abs());
     if above_m <= 2.0 * most {
         return None;
     }
-    let [u, v] = block.cell([x, y]);
-    let farthest = (u.abs().max((u - block.size[0] as f64).abs()))
-        .max(v.abs().max((v - block.size[1] as f64).abs()));
-    Some((farthest * most / (above_m - most)).ceil() as usize + 1)
+    let centre = block.cell([x, y]);
+    // The point X at the height h is seen at p = (X - C h/F) / (1 - h/F).
+    let moved = |k: usize, end: f64| {
+        ends_m.map(|h| h / above_m).map(|share| share * (end - centre[k]) / (1.0 - share))
+    };
+    Some([0, 1].map(|k| {
+        let before = moved(k, 0.0).into_iter().fold(0.0, f64::min);
+        let behind = moved(k, block.size[k] as f64).into_iter().fold(0.0, f64::max);
+        [-before, behind].map(|cells| OVERLAP + cells.ceil() as usize + 1)
+    }))
 }
 
-/// Cells around the block that another photo needs for all layers.
+/// First column and row, and how many of them, that another photo needs for all layers and for the plane itself.
 fn reach(
     reference: &Rectified,
     photo: PosedPhoto<'_>,
     block: &BlockPlane,
-    heights_m: &[f64],
-) -> usize {
+    ends_m: [f64; 2],
+) -> ([isize; 2], [usize; 2]) {
     let centre = photo.view.centre_m();
     let other = Rectified {
         values: Vec::new(),
         width: 0,
         height: 0,
-        origin: [0.0; 2],
+        origin: [0; 2],
         centre: block.cell([centre[0], centre[1]]),
         above_m: centre[2] - block.at_m([centre[0], centre[1]]),
     };
-    let mut most = 0.0f64;
-    for &height_m in [heights_m[0], heights_m[heights_m.len() - 1]].iter() {
+    let (mut low, mut high) = ([0.0f64; 2], block.size.map(|n| n as f64));
+    for height_m in ends_m {
         let (scale, offset) = transfer(reference, &other, height_m);
         for k in 0..2 {
-            for end in [0.0, block.size[k] as f64] {
-                most = most.max((scale * end + offset[k] - end).abs());
-            }
+            low[k] = low[k].min(offset[k]);
+            high[k] = high[k].max(scale * block.size[k] as f64 + offset[k]);
         }
     }
     // A photo far away or hardly above the plane shows nothing useful beyond twice the block.
-    (most.ceil() as usize + 2).min(2 * block.size[0].max(block.size[1]))
+    let far = 2.0 * block.size[0].max(block.size[1]) as f64;
+    let first = low.map(|low| low.max(-far).floor() as isize - 2);
+    let size = [0, 1].map(|k| {
+        let end = high[k].min(block.size[k] as f64 + far).ceil() as isize + 2;
+        (end - first[k]) as usize
+    });
+    (first, size)
 }

@@ -6,51 +6,49 @@
 //!
 //! with `w` the width, metres. Within half of it of the exact percentile.
 
-/// Numbers of heights by class.
+use std::collections::BTreeMap;
+
+/// Classes that are counted side by side.
+const TOGETHER: usize = 1024;
+
+/// Numbers of heights by class. Memory follows how many classes occur, not how far they are apart.
 #[derive(Debug, Clone, PartialEq)]
 pub struct HeightCounts {
     width_m: f64,
-    lowest: i64,
-    counts: Vec<u64>,
+    counts: BTreeMap<i64, Vec<u64>>,
 }
 
 impl HeightCounts {
     /// None yet, in classes of this width.
     pub fn new(width_m: f64) -> HeightCounts {
-        HeightCounts { width_m, lowest: 0, counts: Vec::new() }
+        HeightCounts { width_m, counts: BTreeMap::new() }
     }
 
-    /// Counts a height; what is not finite is none.
+    /// Counts a height; what is not finite is none, and beyond any height on Earth neither.
     pub fn add(&mut self, height_m: f64) {
-        // Classes further out than any height on Earth would only take memory.
         const MAX_M: f64 = 1e4;
         if height_m.is_finite() && height_m.abs() < MAX_M {
             let class = (height_m / self.width_m).floor() as i64;
-            if self.counts.is_empty() {
-                self.lowest = class;
-            }
-            if class < self.lowest {
-                let more = (self.lowest - class) as usize;
-                self.counts.splice(0..0, std::iter::repeat_n(0, more));
-                self.lowest = class;
-            }
-            let at = (class - self.lowest) as usize;
-            if at >= self.counts.len() {
-                self.counts.resize(at + 1, 0);
-            }
-            self.counts[at] += 1;
+            let (group, at) =
+                (class.div_euclid(TOGETHER as i64), class.rem_euclid(TOGETHER as i64));
+            self.counts.entry(group).or_insert_with(|| vec![0; TOGETHER])[at as usize] += 1;
         }
     }
 
     /// The height that a share of them does not exceed; `None` where there are none.
     pub fn percentile_m(&self, share: f64) -> Option<f64> {
-        let total: u64 = self.counts.iter().sum();
+        let total: u64 = self.counts.values().flatten().sum();
         let (wanted, mut sum) = (share * total as f64, 0);
-        let class = self.counts.iter().position(|&count| {
-            sum += count;
-            sum > 0 && sum as f64 >= wanted
-        })?;
-        Some((self.lowest as f64 + class as f64 + 0.5) * self.width_m)
+        for (group, counts) in &self.counts {
+            for (at, count) in counts.iter().enumerate() {
+                sum += count;
+                if sum > 0 && sum as f64 >= wanted {
+                    let class = (group * TOGETHER as i64 + at as i64) as f64;
+                    return Some((class + 0.5) * self.width_m);
+                }
+            }
+        }
+        None
     }
 }
 
@@ -75,5 +73,13 @@ mod tests {
             let off = counts.percentile_m(share).unwrap() - heights[(share * 1000.0) as usize];
             assert!(off.abs() <= 0.0015, "{share}: {off}");
         }
+    }
+
+    #[test]
+    fn heights_far_apart_take_little_memory() {
+        let mut counts = HeightCounts::new(1e-4);
+        [9e3, 0.01, -9e3].into_iter().for_each(|height_m| counts.add(height_m));
+        assert_eq!(counts.counts.len(), 3);
+        assert!((counts.percentile_m(0.5).unwrap() - 0.01).abs() <= 1e-4);
     }
 }

@@ -31,6 +31,7 @@ pub mod area;
 pub mod block;
 pub mod counts;
 mod lattice;
+pub mod matched;
 pub mod posterior;
 pub mod prior;
 pub mod rectify;
@@ -42,12 +43,12 @@ pub mod tile;
 pub use aggregate::Penalties;
 pub use area::{Area, AreaGround, AreaOptions, Pass, TileStore, TilesInMemory};
 pub use counts::HeightCounts;
+pub use matched::{MatchedPhoto, PosedPhoto};
 pub use posterior::PosteriorOptions;
 pub use prior::Prior;
-pub use rectify::PosedPhoto;
 pub use relief::Relief;
 pub use terrain::{GroundPlaces, Terrain};
-pub use tile::{DenseTile, Tile, match_tile, surface_tile};
+pub use tile::{DenseTile, Tile, match_tile};
 
 /// Layers of heights, usually: one or two SIMD registers of bytes.
 pub const LAYERS: usize = 64;

@@ -65,25 +65,98 @@ pub(super) struct Pixels<'a> {
     pub ground: &'a [f32],
 }
 
-/// Likelihoods by cost above the least.
-struct Likelihood(Vec<f32>);
+/// Layers whose shares are summed together.
+const TOGETHER: usize = 8;
 
-impl Likelihood {
-    fn new(temperature: f64) -> Likelihood {
-        // Eight paths of costs of at most 255 each.
-        const MAX_COST: usize = 8 * 255;
-        Likelihood((0..=MAX_COST).map(|cost| (-(cost as f64) / temperature).exp() as f32).collect())
+/// What costs say of the layers of a pixel, and what is known of their heights before.
+struct Distribution<const D: usize> {
+    /// Shares of the layers, not normalised; 0 for those that take no part.
+    share: [f32; D],
+    /// Sums of the shares of [`TOGETHER`] layers each, and of all.
+    sums: [f32; D],
+    total: f32,
+    /// Halvings of the likelihood per cost.
+    rate: f32,
+}
+
+impl<const D: usize> Distribution<D> {
+    fn new(options: &PosteriorOptions) -> Distribution<D> {
+        let rate = (std::f64::consts::LOG2_E / options.temperature) as f32;
+        Distribution { share: [0.0; D], sums: [0.0; D], total: 0.0, rate }
     }
 
-    /// Of all layers of a pixel.
+    /// `p_d exp(-(S_d - min S)/T)`.
     #[inline(always)]
-    fn of<const D: usize>(&self, sums: &[u16; D], out: &mut [f32; D]) {
-        let least = sums.iter().copied().min().unwrap_or_default();
-        for (out, &sum) in out.iter_mut().zip(sums) {
-            let above = usize::from(sum.wrapping_sub(least)).min(self.0.len() - 1);
-            *out = self.0[above];
+    fn set(&mut self, costs: &[u16; D], prior: &[f32], layers: usize) {
+        let mut least = u16::MAX;
+        for &cost in costs {
+            least = least.min(cost);
+        }
+        let prior = &prior[..D];
+        for d in 0..D {
+            let likely = half_to_the(f32::from(costs[d].wrapping_sub(least)) * self.rate);
+            self.share[d] = if d < layers { likely * prior[d] } else { 0.0 };
+        }
+        self.total = 0.0;
+        for (of, sum) in self.share.as_chunks::<TOGETHER>().0.iter().zip(&mut self.sums) {
+            let four = [0, 1, 2, 3].map(|k| of[k] + of[k + 4]);
+            *sum = (four[0] + four[2]) + (four[1] + four[3]);
+            self.total += *sum;
         }
     }
+
+    /// The layer of the greatest share; the lowest of several.
+    #[inline(always)]
+    fn best(&self) -> usize {
+        let mut most = [0.0f32; TOGETHER];
+        for of in self.share.as_chunks::<TOGETHER>().0 {
+            for (most, &share) in most.iter_mut().zip(of) {
+                *most = if share > *most { share } else { *most };
+            }
+        }
+        let most = most.into_iter().fold(0.0f32, f32::max);
+        self.share.iter().position(|&share| share == most).unwrap_or(0)
+    }
+
+    /// Half the width of the middle 68 %, where the share of a layer is even over its width.
+    #[inline(always)]
+    fn half_width(&self, layers: usize) -> f32 {
+        const TAIL: f32 = 0.158_655;
+        let wanted = TAIL * self.total;
+        let groups = D / TOGETHER;
+        // Layers from one end on that have the share of a tail together.
+        let tail = |group: &dyn Fn(usize) -> usize, layer: &dyn Fn(usize) -> usize| -> f32 {
+            let (mut sum, mut whole) = (0.0f32, 0);
+            while whole < groups && sum + self.sums[group(whole)] < wanted {
+                sum += self.sums[group(whole)];
+                whole += 1;
+            }
+            let first = whole * TOGETHER;
+            for d in first..D.min(first + TOGETHER) {
+                let share = self.share[layer(d)];
+                if sum + share >= wanted {
+                    return d as f32 + (wanted - sum) / share.max(f32::MIN_POSITIVE);
+                }
+                sum += share;
+            }
+            D.min(first + TOGETHER) as f32
+        };
+        let low = tail(&|k| k, &|d| d);
+        let high = D as f32 - tail(&|k| groups - 1 - k, &|d| D - 1 - d);
+        (0.5 * (high.min(layers as f32) - low)).max(0.0)
+    }
+}
+
+/// `2^-x` for `x` from 0 on, within a ten-thousandth: the whole part goes to the exponent, and the polynomial of third degree whose greatest relative
+/// error over 0 to 1 is least stands for the rest.
+#[inline(always)]
+fn half_to_the(x: f32) -> f32 {
+    // Beyond, a float is as good as 0.
+    let x = if x < 120.0 { x } else { 120.0 };
+    let whole = x as i32;
+    let rest = x - whole as f32;
+    let power = 0.999_925_2 + rest * (-0.691_020_7 + rest * (0.230_070_3 - rest * 0.039_012_1));
+    f32::from_bits(((127 - whole) as u32) << 23) * power
 }
 
 /// How likely heights are by class and layer above the lowest possible; heights are shifted so that the ground is at layer `D`.
@@ -101,12 +174,8 @@ impl<const D: usize> Heights<D> {
         }
     }
 
-    fn estimate(
-        sums: &[[u16; D]],
-        pixels: &Pixels<'_>,
-        likelihood: &Likelihood,
-        rounds: usize,
-    ) -> Heights<D> {
+    #[inline(always)]
+    fn estimate(sums: &[[u16; D]], pixels: &Pixels<'_>, options: &PosteriorOptions) -> Heights<D> {
         let even = 1.0 / pixels.layers as f32;
         let mut heights = Heights(std::array::from_fn(|_| vec![even; 2 * D + 1]));
         let height = sums.len() / pixels.width.max(1);
@@ -116,24 +185,18 @@ impl<const D: usize> Heights<D> {
             .flat_map(|v| (THINNED / 2..width).step_by(THINNED).map(move |u| v * width + u))
             .filter(|&at| usize::from(pixels.class[at]) < CLASSES)
             .collect();
-        for _ in 0..rounds {
+        let mut of = Distribution::<D>::new(options);
+        for _ in 0..options.rounds {
             let mut next: [Vec<f64>; CLASSES] = std::array::from_fn(|_| vec![0.0; 2 * D + 1]);
             let mut counts = [0usize; CLASSES];
-            let mut p = [0.0f32; D];
             for &at in &taken {
                 let class = usize::from(pixels.class[at]);
-                likelihood.of(&sums[at], &mut p);
                 let first = Self::first(pixels, at);
-                let prior = &heights.0[class][first..first + D];
-                let mut total = 0.0f32;
-                for d in 0..pixels.layers {
-                    p[d] *= prior[d];
-                    total += p[d];
-                }
-                if total > 0.0 {
-                    let share = 1.0 / f64::from(total);
-                    for d in 0..pixels.layers {
-                        next[class][first + d] += f64::from(p[d]) * share;
+                of.set(&sums[at], &heights.0[class][first..first + D], pixels.layers);
+                if of.total > 0.0 {
+                    let part = 1.0 / f64::from(of.total);
+                    for (next, &share) in next[class][first..first + D].iter_mut().zip(&of.share) {
+                        *next += f64::from(share) * part;
                     }
                     counts[class] += 1;
                 }
@@ -160,73 +223,72 @@ pub(super) fn estimates<const D: usize>(
     pixels: &Pixels<'_>,
     options: &PosteriorOptions,
 ) -> Vec<Estimate> {
-    let likelihood = Likelihood::new(options.temperature);
-    let heights = Heights::<D>::estimate(sums, pixels, &likelihood, options.rounds);
-    let mut out = vec![Estimate::default(); sums.len()];
-    let mut p = [0.0f32; D];
-    for (at, (sums, out)) in sums.iter().zip(&mut out).enumerate() {
-        let class = usize::from(pixels.class[at]);
-        if class >= CLASSES {
-            continue;
-        }
-        likelihood.of(sums, &mut p);
-        let first = Heights::<D>::first(pixels, at);
-        let prior = &heights.0[class][first..first + D];
-        let (mut best, mut most, mut total) = (0, -1.0f32, 0.0f32);
-        for d in 0..pixels.layers {
-            p[d] *= prior[d];
-            total += p[d];
-            if p[d] > most {
-                (best, most) = (d, p[d]);
-            }
-        }
-        let mut shift = 0.0;
-        if best > 0 && best + 1 < pixels.layers {
-            let [a, c, b] = [0, 1, 2].map(|k| f32::from(sums[best + k - 1]));
-            let bend = a + b - 2.0 * c;
-            // The prior may have chosen a layer that is no minimum of the costs.
-            if bend > 0.0 {
-                shift = (0.5 * (a - b) / bend).clamp(-0.5, 0.5);
-            }
-        }
-        let mut second = u16::MAX;
-        for d in 0..pixels.layers {
-            let away = d.abs_diff(best) > 2;
-            second = second.min(if away { sums[d] } else { u16::MAX });
-        }
-        *out = Estimate {
-            layer: best as f32 + shift,
-            sigma: half_width(&p[..pixels.layers], total),
-            margin: second.saturating_sub(sums[best]),
-        };
-    }
-    out
+    const { assert!(D.is_multiple_of(TOGETHER)) };
+    pulp::Arch::new().dispatch(Estimates { sums, pixels, options })
 }
 
-/// Half the width of the middle 68 % of a distribution over layers, each of which is even over its width.
-#[inline(always)]
-fn half_width(p: &[f32], total: f32) -> f32 {
-    const TAIL: f32 = 0.158_655;
-    // Layers from one end on that have the share of a tail together.
-    let layers_of_tail = |layers: &mut dyn Iterator<Item = &f32>| -> f32 {
-        let (wanted, mut sum, mut whole) = (TAIL * total, 0.0f32, 0.0f32);
-        for &share in layers {
-            if sum + share >= wanted {
-                return whole + (wanted - sum) / share.max(f32::MIN_POSITIVE);
+struct Estimates<'a, const D: usize> {
+    sums: &'a [[u16; D]],
+    pixels: &'a Pixels<'a>,
+    options: &'a PosteriorOptions,
+}
+
+impl<const D: usize> pulp::WithSimd for Estimates<'_, D> {
+    type Output = Vec<Estimate>;
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) -> Vec<Estimate> {
+        let Estimates { sums, pixels, options } = self;
+        let heights = Heights::<D>::estimate(sums, pixels, options);
+        let mut out = vec![Estimate::default(); sums.len()];
+        let mut of = Distribution::<D>::new(options);
+        let index: [u16; D] = std::array::from_fn(|d| d as u16);
+        for (at, (sums, out)) in sums.iter().zip(&mut out).enumerate() {
+            let class = usize::from(pixels.class[at]);
+            if class >= CLASSES {
+                continue;
             }
-            sum += share;
-            whole += 1.0;
+            let first = Heights::<D>::first(pixels, at);
+            of.set(sums, &heights.0[class][first..first + D], pixels.layers);
+            let best = of.best();
+            let mut shift = 0.0;
+            if best > 0 && best + 1 < pixels.layers {
+                let [a, c, b] = [0, 1, 2].map(|k| f32::from(sums[best + k - 1]));
+                let bend = a + b - 2.0 * c;
+                // The prior may have chosen a layer that is no minimum of the costs.
+                if bend > 0.0 {
+                    shift = (0.5 * (a - b) / bend).clamp(-0.5, 0.5);
+                }
+            }
+            let (middle, layers) = (best as u16, pixels.layers as u16);
+            let mut second = u16::MAX;
+            for d in 0..D {
+                let other = index[d].abs_diff(middle) > 2 && index[d] < layers;
+                second = second.min(if other { sums[d] } else { u16::MAX });
+            }
+            *out = Estimate {
+                layer: best as f32 + shift,
+                sigma: of.half_width(pixels.layers),
+                margin: second.saturating_sub(sums[best]),
+            };
         }
-        whole
-    };
-    let low = layers_of_tail(&mut p.iter());
-    let high = p.len() as f32 - layers_of_tail(&mut p.iter().rev());
-    (0.5 * (high - low)).max(0.0)
+        out
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn powers_of_a_half_are_exact_to_four_digits() {
+        for k in 0..12_000 {
+            let x = 0.01 * k as f32;
+            let off = f64::from(half_to_the(x)) / (-f64::from(x)).exp2() - 1.0;
+            assert!(off.abs() < 1e-4, "{x}: {off}");
+        }
+        assert!(half_to_the(1e6) < 1e-35);
+    }
 
     #[test]
     fn sure_pixels_decide_for_those_with_two_minima() {

@@ -99,7 +99,9 @@ fn price([soil, leaf]: [f32; 2], above_m: f32) -> u8 {
     const SLOPE: f32 = 1.0 / TOLERANCE_M;
     let off = ((above_m.abs() - TOLERANCE_M) * SLOPE).clamp(0.0, 1.0);
     let on = ((LEAF_M - above_m) * SLOPE).clamp(0.0, 1.0);
-    (soil * off + leaf * on) as u8
+    // Beside 2^23 a number has no fractions, and its last byte is what it was rounded to: here the whole part, to a thousandth.
+    let whole = (soil * off + leaf * on - 0.499).max(0.0);
+    (whole + 8_388_608.0).to_bits() as u8
 }
 
 /// The costs of colours in one layer.

@@ -21,6 +21,8 @@
 //! than the centre in one photo and not in the other; summed over the best photos but one, so that one may be hidden.
 //! Reference: R. Zabih, J. Woodfill, *Non-parametric local transforms for computing visual correspondence*, 1994.
 
+use std::ops::Range;
+
 /// Half the side of the census window.
 pub(super) const REACH: usize = 2;
 /// Neighbours compared by the census.
@@ -42,11 +44,26 @@ pub struct Rectified {
     /// Rows.
     pub height: usize,
     /// Where its first pixel is in the grid of the reference, cells.
-    pub origin: [f64; 2],
+    pub origin: [isize; 2],
     /// The projection centre in plan, cells of the reference's grid.
     pub centre: [f64; 2],
     /// Height of the projection centre above the plane, metres.
     pub above_m: f64,
+}
+
+impl Rectified {
+    /// One whose first pixel is at `origin` of the reference's grid, from one in a grid of its own.
+    pub fn placed(mut self, origin: [isize; 2]) -> Rectified {
+        self.origin = origin;
+        (0..2).for_each(|k| self.centre[k] += origin[k] as f64);
+        self
+    }
+
+    /// The value at a cell of the reference's grid; 0 beyond its own.
+    pub fn at(&self, cell: [usize; 2]) -> u8 {
+        let [u, v] = [0, 1].map(|k| cell[k].wrapping_add_signed(-self.origin[k]));
+        if u < self.width && v < self.height { self.values[v * self.width + u] } else { 0 }
+    }
 }
 
 /// Scale and offset by which pixels of the reference are found in another photo at a height.
@@ -57,10 +74,12 @@ pub fn transfer(reference: &Rectified, other: &Rectified, height_m: f64) -> (f64
     (scale, offset)
 }
 
-/// Positions along one axis of another photo: whole places and weights of the next, of 128.
+/// Positions along one axis of another photo: whole places and weights of the next, of 128; and the ranges in which whole places follow
+/// each other.
 struct Positions {
     first: Vec<i32>,
     weight: Vec<u8>,
+    runs: Vec<Range<usize>>,
 }
 
 impl Positions {
@@ -71,7 +90,11 @@ impl Positions {
             first.push(at >> 7);
             weight.push((at & 127) as u8);
         }
-        Positions { first, weight }
+        let ends = first.windows(2).enumerate().filter(|(_, pair)| pair[1] != pair[0] + 1);
+        let ends: Vec<usize> = ends.map(|(k, _)| k + 1).chain([count]).collect();
+        let starts = std::iter::once(0).chain(ends.iter().copied());
+        let runs = starts.zip(ends.iter()).map(|(start, &end)| start..end).collect();
+        Positions { first, weight, runs }
     }
 }
 
@@ -119,7 +142,7 @@ fn resample(
     out: &mut [u8],
 ) {
     let (scale, offset) = transfer(reference, other, height_m);
-    let at = |k: usize| offset[k] - other.origin[k];
+    let at = |k: usize| offset[k] - other.origin[k] as f64;
     let across = Positions::new(scale, at(0), reference.width);
     let down = Positions::new(scale, at(1), reference.height);
     let (across, down, width) = (&across, &down, reference.width);
@@ -169,13 +192,7 @@ impl pulp::WithSimd for Resample<'_> {
             let at = row as usize * other.width;
             let (upper, rest) = other.values[at..at + 2 * other.width].split_at(other.width);
             mix(upper, rest, u16::from(down.weight[y]), line);
-            let mut x = 0;
-            while x < width {
-                let shift = across.first[x] - x as i32;
-                let mut end = x + 1;
-                while end < width && across.first[end] - end as i32 == shift {
-                    end += 1;
-                }
+            for &Range { start: x, end } in &across.runs {
                 let from = across.first[x];
                 if from < 0 || from as usize + (end - x) >= other.width {
                     // Rare: at the border of what was rectified.
@@ -194,7 +211,6 @@ impl pulp::WithSimd for Resample<'_> {
                     let (left, right) = (&line[from..][..end - x], &line[from + 1..][..end - x]);
                     mix_each(left, right, &across.weight[x..end], &mut out[x..end]);
                 }
-                x = end;
             }
         }
     }
@@ -341,7 +357,7 @@ mod tests {
             values: picture(width + 2 * margin, height + 2 * margin, shift),
             width: width + 2 * margin,
             height: height + 2 * margin,
-            origin: [-(margin as f64); 2],
+            origin: [-(margin as isize); 2],
             centre: [centre, 20.0],
             above_m: 20.0,
         };

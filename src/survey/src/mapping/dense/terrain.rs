@@ -14,6 +14,7 @@
 //! weights of bare cells near a node and grows with the distance to them.
 
 use super::lattice::Lattice;
+use rayon::prelude::*;
 use rowgram_optim::robust::{median, median_and_sigma, sigma_of_errors};
 use std::collections::BTreeMap;
 
@@ -176,17 +177,24 @@ impl Terrain {
     /// What the weights within two nodes leave; twice as much for every further two nodes without any.
     fn sigmas(&self, weight: &[f64]) -> Vec<f64> {
         let [columns, rows] = self.size;
+        const REACHES: [usize; 4] = [2, 4, 8, 16];
+        // By distance along a row or a column.
+        let near = REACHES.map(|reach| -> Vec<f64> {
+            let of = |d: usize| (-2.0 * (d * d) as f64 / (reach * reach) as f64).exp();
+            (0..=reach).map(of).collect()
+        });
         let of = |at: usize| {
-            let (column, row) = ((at % columns) as isize, (at / columns) as isize);
+            let (column, row) = (at % columns, at / columns);
             let mut factor = 1.0;
-            for reach in [2isize, 4, 8, 16] {
+            for (reach, near) in REACHES.into_iter().zip(&near) {
                 let mut sum = 0.0;
-                for j in (row - reach).max(0)..=(row + reach).min(rows as isize - 1) {
-                    for i in (column - reach).max(0)..=(column + reach).min(columns as isize - 1) {
-                        let d2 = ((i - column).pow(2) + (j - row).pow(2)) as f64;
-                        let near = (-2.0 * d2 / (reach * reach) as f64).exp();
-                        sum += weight[j as usize * columns + i as usize] * near;
-                    }
+                for j in row.saturating_sub(reach)..(row + reach + 1).min(rows) {
+                    let from = column.saturating_sub(reach);
+                    let line = &weight
+                        [j * columns + from..j * columns + (column + reach + 1).min(columns)];
+                    let along: f64 =
+                        line.iter().zip(from..).map(|(w, i)| w * near[i.abs_diff(column)]).sum();
+                    sum += along * near[j.abs_diff(row)];
                 }
                 if sum > 0.0 {
                     return factor / sum.sqrt();
@@ -195,7 +203,7 @@ impl Terrain {
             }
             f64::INFINITY
         };
-        (0..weight.len()).map(of).collect()
+        (0..weight.len()).into_par_iter().map(of).collect()
     }
 
     /// The height of the ground at a place, linear between the nodes; `None` beyond them.

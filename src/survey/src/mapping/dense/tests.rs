@@ -59,6 +59,17 @@ fn views(twin: &Twin) -> Vec<View> {
         .collect()
 }
 
+fn area_options() -> AreaOptions {
+    AreaOptions {
+        range_m: 0.6,
+        relief_m: 0.6,
+        others: 4,
+        tile_cells: 64,
+        penalties: Penalties::default(),
+        prior: Prior::default(),
+    }
+}
+
 struct Quality {
     known: f64,
     bare_nmad_m: f64,
@@ -67,7 +78,7 @@ struct Quality {
     terrain_rmse_m: f64,
 }
 
-fn compare(found: &DenseTile, truth: &FirstSurface) -> Quality {
+fn compare((found, ground): &(DenseTile, Terrain), truth: &FirstSurface) -> Quality {
     let near_plant = |at: usize| {
         let (i, j) = ((at % SIZE) as i32, (at / SIZE) as i32);
         (-5..=5).any(|dj| {
@@ -88,8 +99,8 @@ fn compare(found: &DenseTile, truth: &FirstSurface) -> Quality {
             _ => {}
         }
         let place = found.tile.place_m(at % SIZE, at / SIZE);
-        let ground = found.terrain.as_ref().unwrap().at_m(place).unwrap();
-        terrain.push((ground - f64::from(truth.ground_m[at])).powi(2));
+        let below = ground.at_m(place).unwrap();
+        terrain.push((below - f64::from(truth.ground_m[at])).powi(2));
     }
     let within =
         |off: &[f64]| off.iter().filter(|off| off.abs() < 0.05).count() as f64 / off.len() as f64;
@@ -107,7 +118,7 @@ fn compare(found: &DenseTile, truth: &FirstSurface) -> Quality {
     }
 }
 
-fn surface_of(twin: &Twin) -> (DenseTile, FirstSurface) {
+fn surface_of(twin: &Twin) -> ((DenseTile, Terrain), FirstSurface) {
     let tile = Tile { corner_m: [-1.5, 1.9], cell_m: CELL_M, size: [SIZE; 2] };
     let [left_m, top_m] = tile.corner_m;
     let grid = SurfaceGrid { left_m, top_m, cell_m: CELL_M, width: SIZE, height: SIZE };
@@ -116,13 +127,17 @@ fn surface_of(twin: &Twin) -> (DenseTile, FirstSurface) {
     let photos: Vec<DecodedPhoto> = (0..twin.shots.len())
         .map(|k| DecodedPhoto::new(&studio.photo(&twin.shots[k], k).image, None))
         .collect();
-    let posed: Vec<PosedPhoto<'_>> =
-        views.iter().zip(&photos).map(|(view, photo)| PosedPhoto { view, photo }).collect();
+    let read = |k: usize| -> Result<DecodedPhoto, MapError> { Ok(photos[k].clone()) };
     // A surface of tie points: a level somewhere in the canopy.
     let level = twin.field().terrain.height_m(0.3, 0.1) + 0.1;
     let base = |_: [f64; 2]| Some(level);
-    let found = surface_tile(&posed, &base, &tile, &DenseOptions::default()).unwrap();
-    (found, studio.first_surface(grid))
+    let options = AreaOptions { tile_cells: SIZE, ..area_options() };
+    let area = Area { views: &views, read: &read, base: &base, cells: tile, options };
+    let mut store = TilesInMemory::default();
+    let tiles: &mut dyn TileStore<MapError> = &mut store;
+    let ground = area.match_all(tiles, &mut || ()).unwrap().terrain.unwrap();
+    let found = tiles.load(Pass::Fine, 0).unwrap().unwrap();
+    ((found, ground), studio.first_surface(grid))
 }
 
 #[test]
@@ -147,6 +162,7 @@ fn rows_that_repeat_every_ten_centimetres_are_not_matched_one_off() {
     (config.field.rows, config.field.inter_row_m, config.field.spacing_m) = (60, 0.1, 0.05);
     config.field.terrain.furrow_m = 0.01;
     let (found, truth) = surface_of(&config.build().unwrap());
+    let found = found.0;
     let off = found.surface_m.iter().zip(&truth.top_m).map(|(z, top)| (z - top).abs());
     let wrong = off.filter(|off| *off > 0.2).count();
     assert!(wrong < SIZE * SIZE / 1000, "{wrong} cells");
@@ -166,8 +182,8 @@ fn any_number_of_threads_gives_the_same_and_bad_input_is_refused() {
     let twin = twin(0.0);
     let views = views(&twin);
     let studio = twin.studio();
-    let photos: Vec<DecodedPhoto> =
-        (0..4).map(|k| DecodedPhoto::new(&studio.photo(&twin.shots[k], k).image, None)).collect();
+    let of = |k: usize| DecodedPhoto::new(&studio.photo(&twin.shots[k], k).image, None);
+    let photos: Vec<MatchedPhoto> = (0..4).map(|k| MatchedPhoto::new(of(k))).collect();
     let posed: Vec<PosedPhoto<'_>> =
         views.iter().zip(&photos).map(|(view, photo)| PosedPhoto { view, photo }).collect();
     let [x, y, _] = twin.shots[1].centre_m;
@@ -226,14 +242,7 @@ fn an_attempt_that_stops_between_tiles_goes_on_to_the_same_bits() {
     let [x, y, _] = twin.shots[1].centre_m;
     let cells = Tile { corner_m: [x - 1.0, y + 0.9], cell_m: 0.03, size: [200, 120] };
     let base = |_: [f64; 2]| Some(0.1);
-    let options = AreaOptions {
-        range_m: 0.6,
-        relief_m: 0.6,
-        others: 4,
-        tile_cells: 64,
-        penalties: Penalties::default(),
-        prior: Prior::default(),
-    };
+    let options = area_options();
     let area = Area { views: &views, read: &read, base: &base, cells, options };
     let attempt = |store: &mut dyn TileStore<MapError>| {
         let mut done = 0;
@@ -288,14 +297,7 @@ fn two_photos_no_overlap_and_water_say_what_is_not_known() {
         (0..2).map(|k| DecodedPhoto::new(&studio.photo(&twin.shots[k], k).image, None)).collect();
     let [x, y, _] = twin.shots[1].centre_m;
     let area = Tile { corner_m: [x - 1.0, y + 0.9], cell_m: 0.03, size: [100, 60] };
-    let options = AreaOptions {
-        range_m: 0.6,
-        relief_m: 0.6,
-        others: 4,
-        tile_cells: 64,
-        penalties: Penalties::default(),
-        prior: Prior::default(),
-    };
+    let options = area_options();
     type Read<'a> = &'a (dyn Fn(usize) -> Result<DecodedPhoto, MapError> + Sync);
     let attempt = |read: Read<'_>, cells: &Tile| {
         let mut store = TilesInMemory::default();

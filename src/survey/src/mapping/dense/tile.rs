@@ -1,9 +1,9 @@
-//! A tile of the ground: its blocks, and the two passes from coarse to fine.
+//! A tile of the ground and its blocks.
 
 use super::{
-    DenseOptions, Prior, Relief, Terrain,
+    DenseOptions, PosedPhoto, Relief,
     block::{Block, choose, match_block},
-    rectify::{BlockPlane, PosedPhoto, greenness},
+    rectify::{BlockPlane, greenness},
 };
 use crate::mapping::{MapError, View};
 use rayon::prelude::*;
@@ -61,8 +61,6 @@ pub struct DenseTile {
     pub sigma_m: Vec<f32>,
     /// Red, green, blue of what is seen; black where nothing is.
     pub colour: Vec<[u8; 3]>,
-    /// The ground under the canopy, where it was asked for and could be found.
-    pub terrain: Option<Terrain>,
 }
 
 /// Matches the cells of a tile. `ground` gives a height near the ground (within the layers of the options) everywhere on the tile; it
@@ -133,7 +131,6 @@ pub(super) fn nothing(tile: &Tile) -> DenseTile {
         photos: vec![0; cells],
         sigma_m: vec![f32::NAN; cells],
         colour: vec![[0; 3]; cells],
-        terrain: None,
     }
 }
 
@@ -199,45 +196,6 @@ pub(super) fn sure_cells(found: &DenseTile) -> impl Iterator<Item = ([f64; 3], b
 /// Distance of the nodes of the ground under cells of this side, metres.
 pub(super) fn node_m(coarse_cell_m: f64) -> f64 {
     NODE_M.max(NODE_CELLS * coarse_cell_m)
-}
-
-/// The first surface of a tile and the ground below it. `base` is a surface near the ground, such as that of tie points: within
-/// [`DenseOptions::lowest_m`] and the highest layer, relative to it.
-///
-/// # Errors
-/// As [`match_tile`].
-pub fn surface_tile(
-    photos: &[PosedPhoto<'_>],
-    base: &(dyn Fn([f64; 2]) -> Option<f64> + Sync),
-    tile: &Tile,
-    options: &DenseOptions,
-) -> Result<DenseTile, MapError> {
-    let coarse = Tile {
-        corner_m: tile.corner_m,
-        cell_m: 2.0 * tile.cell_m,
-        size: tile.size.map(|n| n.div_ceil(2)),
-    };
-    let wide = DenseOptions {
-        layer_m: 1.5 * options.layer_m,
-        // The base may lie in the canopy.
-        lowest_m: options.lowest_m - 0.5 * options.layer_m * super::LAYERS as f64,
-        prior: Prior::None,
-        block_cells: options.block_cells / 2,
-        ..*options
-    };
-    let found = match_tile(photos, base, &coarse, &wide, None)?;
-    let bare: Vec<[f64; 3]> =
-        sure_cells(&found).filter(|(_, bare)| *bare).map(|(place, _)| place).collect();
-    let terrain = Terrain::fit(&bare, coarse.bounds_m(), node_m(coarse.cell_m));
-    let Some(terrain) = terrain else {
-        // Nothing bare: colours say nothing of the ground.
-        let options = DenseOptions { prior: Prior::None, ..*options };
-        return match_tile(photos, base, tile, &options, None);
-    };
-    let ground = |place: [f64; 2]| terrain.at_m(place);
-    let mut result = match_tile(photos, &ground, tile, options, None)?;
-    result.terrain = Some(terrain);
-    Ok(result)
 }
 
 /// The plane through nine heights of the ground over a block; level where the ground is known at one place only.
