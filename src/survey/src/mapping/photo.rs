@@ -42,25 +42,6 @@ impl DecodedPhoto {
         (colour[3] - 255.0).abs() < 0.5
     }
 
-    /// Of half as many columns and rows: each pixel the mean of 2 x 2, with data where all four have. A last odd column or row is left out.
-    pub fn halved(&self) -> DecodedPhoto {
-        let (width, height) = (self.width / 2, self.height / 2);
-        let mut pixels = Vec::with_capacity(width * height);
-        for row in 0..height {
-            let [above, below] =
-                [0, 1].map(|k| &self.pixels[(2 * row + k) * self.width..][..2 * width]);
-            let pairs = above.as_chunks::<2>().0.iter().zip(below.as_chunks::<2>().0);
-            pixels.extend(pairs.map(|(&[a, b], &[c, d])| {
-                let mean = |k: usize| {
-                    let sum = [a, b, c, d].into_iter().map(|of| u16::from(of[k])).sum::<u16>();
-                    ((sum + 2) / 4) as u8
-                };
-                if a[3] & b[3] & c[3] & d[3] == 0 { [0; 4] } else { [0, 1, 2, 3].map(mean) }
-            }));
-        }
-        DecodedPhoto { width, height, pixels }
-    }
-
     /// The pixels, row by row: red, green, blue, and 0 where there are no data.
     pub fn pixels(&self) -> &[[u8; 4]] {
         &self.pixels

@@ -111,7 +111,6 @@ impl<E> TileStore<E> for TilesInMemory {
 struct Album<'a, E> {
     views: &'a [View],
     read: &'a (dyn Fn(usize) -> Result<DecodedPhoto, E> + Sync),
-    pass: Pass,
     photos: BTreeMap<usize, MatchedPhoto>,
 }
 
@@ -121,13 +120,7 @@ impl<E: Send> Album<'_, E> {
         self.photos.retain(|k, _| needed.contains(k));
         let missing: Vec<usize> =
             needed.iter().copied().filter(|k| !self.photos.contains_key(k)).collect();
-        let read = |k: usize| -> Result<(usize, MatchedPhoto), E> {
-            let photo = (self.read)(k)?;
-            Ok(match self.pass {
-                Pass::Coarse => (k, MatchedPhoto::halved(&photo)),
-                Pass::Fine => (k, MatchedPhoto::new(photo)),
-            })
-        };
+        let read = |k: usize| Ok((k, MatchedPhoto::new((self.read)(k)?)));
         let found: Vec<(usize, MatchedPhoto)> =
             missing.into_par_iter().map(read).collect::<Result<_, E>>()?;
         self.photos.extend(found);
@@ -196,7 +189,7 @@ impl<E: From<MapError> + Send> Area<'_, E> {
     ) -> Result<(), E> {
         match pass {
             Pass::Coarse => {
-                let mut album = self.album(pass)?;
+                let mut album = self.album()?;
                 for number in numbers {
                     self.coarse_tile(&mut album, number, store)?;
                     done();
@@ -211,7 +204,7 @@ impl<E: From<MapError> + Send> Area<'_, E> {
         }
     }
 
-    fn album(&self, pass: Pass) -> Result<Album<'_, E>, E> {
+    fn album(&self) -> Result<Album<'_, E>, E> {
         if self.views.len() < 2 {
             let found = self.views.len();
             let message = format!("{found} photos, expected at least 2 that overlap");
@@ -224,7 +217,7 @@ impl<E: From<MapError> + Send> Area<'_, E> {
                 return Err(MapError(message).into());
             }
         }
-        Ok(Album { views: self.views, read: self.read, pass, photos: BTreeMap::new() })
+        Ok(Album { views: self.views, read: self.read, photos: BTreeMap::new() })
     }
 
     /// How the first pass is matched.
@@ -235,7 +228,7 @@ impl<E: From<MapError> + Send> Area<'_, E> {
             layers: LAYERS,
             samples: 1,
             others: self.options.others,
-            block_cells: DenseOptions::default().block_cells,
+            block_cells: DenseOptions::default().block_cells / 2,
             penalties: self.options.penalties,
             prior: Prior::None,
             posterior: PosteriorOptions { rounds: 0, ..PosteriorOptions::default() },
@@ -301,7 +294,7 @@ impl<E: From<MapError> + Send> Area<'_, E> {
         store: &mut dyn TileStore<E>,
         done: &mut dyn FnMut(),
     ) -> Result<Option<Terrain>, E> {
-        let mut album = self.album(Pass::Coarse)?;
+        let mut album = self.album()?;
         let cells = self.cells_of(Pass::Coarse);
         let cell_m = cells.cell_m;
         let mut places = GroundPlaces::new(cells.bounds_m(), tile::node_m(cell_m));
@@ -340,6 +333,7 @@ impl<E: From<MapError> + Send> Area<'_, E> {
             layer_m,
             layers: (span / layer_m).ceil() as usize + 1,
             lowest_m: -SPARE_M,
+            block_cells: DenseOptions::default().block_cells,
             prior: options.prior,
             posterior: PosteriorOptions::default(),
             ..self.wide()
@@ -354,7 +348,7 @@ impl<E: From<MapError> + Send> Area<'_, E> {
         store: &mut dyn TileStore<E>,
         done: &mut dyn FnMut(),
     ) -> Result<(), E> {
-        let mut album = self.album(Pass::Fine)?;
+        let mut album = self.album()?;
         let ground = |place: [f64; 2]| match terrain {
             Some(terrain) => terrain.at_m(place),
             None => (self.base)(place),

@@ -15,13 +15,12 @@ use crate::mapping::{
 /// Weight `w` of the green part of the channel that is matched, in 512ths.
 const GREEN_WEIGHT: u32 = 768;
 
-/// A photo in memory, at its own size or half of it.
+/// A photo in memory.
 #[derive(Debug, Clone)]
 pub struct MatchedPhoto {
     colours: DecodedPhoto,
-    channel: Vec<u8>,
-    /// Side of a pixel in pixels of the photo as it was taken.
-    pixel: f64,
+    /// 64ths, at least 64; 0 where there are no data.
+    channel: Vec<u16>,
 }
 
 /// A photo in memory with its lens and pose.
@@ -34,31 +33,17 @@ pub struct PosedPhoto<'a> {
 }
 
 impl MatchedPhoto {
-    /// At its own size.
+    /// Takes over a photo.
     pub fn new(colours: DecodedPhoto) -> MatchedPhoto {
-        MatchedPhoto::of(colours, 1.0)
-    }
-
-    /// At half its size, for cells of twice the side.
-    pub fn halved(photo: &DecodedPhoto) -> MatchedPhoto {
-        MatchedPhoto::of(photo.halved(), 2.0)
-    }
-
-    fn of(colours: DecodedPhoto, pixel: f64) -> MatchedPhoto {
         // In 512ths: half of 0.299, 0.587 and 0.114 for grey.
         let mixed = |&[r, g, b, data]: &[u8; 4]| {
             let [r, g, b] = [r, g, b].map(u32::from);
             let grey = 77 * r + 150 * g + 29 * b;
-            let mixed = (grey + GREEN_WEIGHT * g.saturating_sub(r) + 256) >> 9;
-            if data == 0 { 0 } else { mixed.clamp(1, 255) as u8 }
+            let mixed = (grey + GREEN_WEIGHT * g.saturating_sub(r) + 4) >> 3;
+            if data == 0 { 0 } else { mixed.clamp(64, 64 * 255) as u16 }
         };
         let channel = colours.pixels().iter().map(mixed).collect();
-        MatchedPhoto { colours, channel, pixel }
-    }
-
-    /// A position of the photo as it was taken, in pixels of this one.
-    pub(super) fn position(&self, taken_px: [f64; 2]) -> [f64; 2] {
-        taken_px.map(|c| (c + 0.5) / self.pixel - 0.5)
+        MatchedPhoto { colours, channel }
     }
 
     /// Whether it shows a position: half a pixel beyond the middles of those at the border.
@@ -89,7 +74,7 @@ impl MatchedPhoto {
         let (column, row) = (first(u), first(v));
         let (across, down) = (cubic(u - column), cubic(v - row));
         let (left, top) = (column as isize - 1, row as isize - 1);
-        let mut lines = [[0u8; 4]; 4];
+        let mut lines = [[0u16; 4]; 4];
         let inside =
             left >= 0 && top >= 0 && left + 4 <= width as isize && top + 4 <= height as isize;
         if inside {
@@ -106,7 +91,7 @@ impl MatchedPhoto {
                 }
             }
         }
-        let (mut sums, mut least) = ([0.0f32; 4], [u8::MAX; 4]);
+        let (mut sums, mut least) = ([0.0f32; 4], [u16::MAX; 4]);
         for (line, weight) in lines.iter().zip(down) {
             for i in 0..4 {
                 sums[i] += weight * f32::from(line[i]);
@@ -115,7 +100,7 @@ impl MatchedPhoto {
         }
         let value: f32 = sums.iter().zip(across).map(|(sum, weight)| sum * weight).sum();
         // Beside 2^23 a number has no fractions, and its last byte is the rounded value.
-        let byte = (value.clamp(1.0, 255.0) + 8_388_608.0).to_bits() as u8;
+        let byte = ((value / 64.0).clamp(1.0, 255.0) + 8_388_608.0).to_bits() as u8;
         if least.contains(&0) { 0 } else { byte }
     }
 }
@@ -170,23 +155,8 @@ mod tests {
             [[19.5, 8.0], [20.0, 8.0], [22.1, 8.0], [17.9, 8.0], [-0.6, 8.0], [f32::NAN, 8.0]];
         photo.values(&near, &mut out);
         assert_eq!(out.map(|value| value > 0), [false, false, true, true, false, false]);
-        // Colours are linear between pixels.
         let mut colours = [[9; 4]; 6];
         photo.colours(&near, &mut colours);
         assert_eq!(colours.map(|of| of[3] > 0), [false, false, true, true, false, false]);
-    }
-
-    #[test]
-    fn half_the_size_shows_the_same_at_the_same_place() {
-        let (whole, half) = (MatchedPhoto::new(photo()), MatchedPhoto::halved(&photo()));
-        assert_eq!(half.colours.size_px(), [20, 15]);
-        for taken in [[7.0, 8.0], [30.5, 21.25]] {
-            let value = |photo: &MatchedPhoto| {
-                let mut out = [0];
-                photo.values(&[photo.position(taken).map(|c| c as f32)], &mut out);
-                i32::from(out[0])
-            };
-            assert!((value(&whole) - value(&half)).abs() <= 2, "{taken:?}");
-        }
     }
 }

@@ -133,7 +133,7 @@ fn rows(photo: PosedPhoto<'_>, block: &BlockPlane, mut with: impl FnMut(usize, &
     let nodes = width.div_ceil(LATTICE) + 1;
     let at = |column: usize, row: usize| -> Option<[f64; 2]> {
         let [x, y] = block.place_m([column as f64, row as f64]);
-        photo.view.seen_px([x, y, block.at_m([x, y])]).map(|taken| photo.photo.position(taken))
+        photo.view.seen_px([x, y, block.at_m([x, y])])
     };
     let line = |row: usize| -> Vec<Option<[f64; 2]>> {
         (0..nodes).map(|k| at(k * LATTICE, row * LATTICE)).collect()
