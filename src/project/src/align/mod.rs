@@ -93,8 +93,8 @@ impl Task for AlignTask {
 ///
 /// Writes `reconstruction.json` with its tables (see [`rowgram_files::reconstruction`]), `camera-N.toml`,
 /// `exterior_orientation.csv`, `cloud.ply`, `cloud.laz`, `crs.txt`, exports for COLMAP and OpenSfM, `report/` and `figures/`.
-/// An adjustment that did not converge, and fewer oriented photos than `[checks] oriented_red`, are diagnostics of severity
-/// error.
+/// An adjustment that did not converge ([`AlignOutcome::converged`]), and a smaller share of oriented photos than
+/// `[checks] oriented_red`, are diagnostics of severity error; the latter for a result that was kept, too.
 ///
 /// # Errors
 /// [`Error::NothingToDo`] for a project without photos; bad input; [`Error::Incomplete`] where no three photos can be

@@ -169,10 +169,11 @@ impl<E: From<MapError> + Send> Area<'_, E> {
         store: &mut dyn TileStore<E>,
         done: &mut dyn FnMut(),
     ) -> Result<AreaGround, E> {
-        let terrain = self.ground(store, done)?;
+        let mut album = self.album()?;
+        let terrain = self.ground(&mut album, store, done)?;
         let fine = self.fine(terrain.as_ref(), store)?;
         let all = 0..self.tiles(Pass::Fine);
-        self.surface(all, (terrain.as_ref(), &fine), store, done)?;
+        self.surface(&mut album, all, (terrain.as_ref(), &fine), store, done)?;
         Ok(AreaGround { terrain, layer_m: fine.layer_m })
     }
 
@@ -187,9 +188,9 @@ impl<E: From<MapError> + Send> Area<'_, E> {
         store: &mut dyn TileStore<E>,
         done: &mut dyn FnMut(),
     ) -> Result<(), E> {
+        let mut album = self.album()?;
         match pass {
             Pass::Coarse => {
-                let mut album = self.album()?;
                 for number in numbers {
                     self.coarse_tile(&mut album, number, store)?;
                     done();
@@ -197,9 +198,9 @@ impl<E: From<MapError> + Send> Area<'_, E> {
                 Ok(())
             }
             Pass::Fine => {
-                let terrain = self.ground(store, &mut || ())?;
+                let terrain = self.ground(&mut album, store, &mut || ())?;
                 let fine = self.fine(terrain.as_ref(), store)?;
-                self.surface(numbers, (terrain.as_ref(), &fine), store, done)
+                self.surface(&mut album, numbers, (terrain.as_ref(), &fine), store, done)
             }
         }
     }
@@ -291,16 +292,16 @@ impl<E: From<MapError> + Send> Area<'_, E> {
     /// The first pass, and the ground from it.
     fn ground(
         &self,
+        album: &mut Album<'_, E>,
         store: &mut dyn TileStore<E>,
         done: &mut dyn FnMut(),
     ) -> Result<Option<Terrain>, E> {
-        let mut album = self.album()?;
         let cells = self.cells_of(Pass::Coarse);
         let cell_m = cells.cell_m;
         let mut places = GroundPlaces::new(cells.bounds_m(), tile::node_m(cell_m));
         let mut any = false;
         for number in 0..self.tiles(Pass::Coarse) {
-            let found = self.coarse_tile(&mut album, number, store)?;
+            let found = self.coarse_tile(album, number, store)?;
             tile::sure_cells(&found).for_each(|(place, bare)| places.add(place, bare));
             // Cells reach half their side beyond their middles.
             let half = 0.5 * cell_m;
@@ -343,12 +344,12 @@ impl<E: From<MapError> + Send> Area<'_, E> {
     /// Tiles of the second pass.
     fn surface(
         &self,
+        album: &mut Album<'_, E>,
         numbers: Range<usize>,
         (terrain, fine): (Option<&Terrain>, &DenseOptions),
         store: &mut dyn TileStore<E>,
         done: &mut dyn FnMut(),
     ) -> Result<(), E> {
-        let mut album = self.album()?;
         let ground = |place: [f64; 2]| match terrain {
             Some(terrain) => terrain.at_m(place),
             None => (self.base)(place),
@@ -358,7 +359,7 @@ impl<E: From<MapError> + Send> Area<'_, E> {
             if kept(store, (Pass::Fine, number), &part)?.is_none() {
                 let coarse = store.load(Pass::Coarse, self.coarse_of(number))?;
                 let relief = coarse.map(|found| Relief::new(found, &part));
-                let found = match_part(&mut album, &ground, &part, fine, relief.as_ref())?;
+                let found = match_part(album, &ground, &part, fine, relief.as_ref())?;
                 store.save(Pass::Fine, number, &found)?;
             }
             done();

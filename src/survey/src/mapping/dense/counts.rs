@@ -8,7 +8,7 @@
 
 use std::collections::BTreeMap;
 
-/// Classes that are counted side by side.
+/// Classes that are counted side by side: a matter of memory and time, not of results.
 const TOGETHER: usize = 1024;
 
 /// Numbers of heights by class. Memory follows how many classes occur, not how far they are apart.

@@ -1,4 +1,4 @@
-//! Photos as they are matched: one byte for a pixel, in which leaves stand out from soil of the same brightness,
+//! Photos as they are matched: one number for a pixel, in which leaves stand out from soil of the same brightness,
 //!
 //! ```text
 //! m = 1/2 grey + w max(0, G - R)
@@ -12,14 +12,14 @@ use crate::mapping::{
     undistort::Interpolation,
 };
 
-/// Weight `w` of the green part of the channel that is matched, in 512ths.
+/// Weight `w` of the green part of the channel that is matched, 1.5, in 512ths; chosen with the other constants of [`super`].
 const GREEN_WEIGHT: u32 = 768;
 
-/// A photo in memory.
+/// A photo in memory: its colours, and the channel that is matched.
 #[derive(Debug, Clone)]
 pub struct MatchedPhoto {
     colours: DecodedPhoto,
-    /// 64ths, at least 64; 0 where there are no data.
+    /// `m` in 64ths, at least 64, row by row; 0 where there are no data.
     channel: Vec<u16>,
 }
 
@@ -68,6 +68,7 @@ impl MatchedPhoto {
         }
     }
 
+    /// The channel at a position that the photo shows; 0 where a pixel that takes part has no data.
     #[inline(always)]
     fn value(&self, [u, v]: [f32; 2]) -> u8 {
         let [width, height] = self.colours.size_px();

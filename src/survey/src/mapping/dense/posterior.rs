@@ -65,7 +65,7 @@ pub(super) struct Pixels<'a> {
     pub ground: &'a [f32],
 }
 
-/// Layers whose shares are summed together.
+/// Layers whose shares are summed together: as many numbers as a register of AVX2 holds.
 const TOGETHER: usize = 8;
 
 /// What costs say of the layers of a pixel, and what is known of their heights before.
@@ -121,6 +121,7 @@ impl<const D: usize> Distribution<D> {
     /// Half the width of the middle 68 %, where the share of a layer is even over its width.
     #[inline(always)]
     fn half_width(&self, layers: usize) -> f32 {
+        // Of a normal distribution beyond one standard deviation.
         const TAIL: f32 = 0.158_655;
         let wanted = TAIL * self.total;
         let groups = D / TOGETHER;
@@ -227,6 +228,7 @@ pub(super) fn estimates<const D: usize>(
     pulp::Arch::new().dispatch(Estimates { sums, pixels, options })
 }
 
+/// [`estimates`] with the machine's SIMD.
 struct Estimates<'a, const D: usize> {
     sums: &'a [[u16; D]],
     pixels: &'a Pixels<'a>,

@@ -127,7 +127,7 @@ fn smaller(block: &BlockPlane, samples: usize) -> BlockPlane {
     BlockPlane { corner_m, cell_m, size, height_m: block.at_m(corner_m), slope: block.slope }
 }
 
-/// Row by row, where the photo shows the cells of a block.
+/// Calls `with` for every row of a block: its number, and where the photo shows its cells, pixels.
 fn rows(photo: PosedPhoto<'_>, block: &BlockPlane, mut with: impl FnMut(usize, &[[f32; 2]])) {
     let [width, height] = block.size;
     let nodes = width.div_ceil(LATTICE) + 1;
