@@ -158,6 +158,13 @@ fn small_files_of_large_pictures_are_refused_with_both_numbers() {
     assert!(rowgram(at, "segment photo.png -o m.png --max-memory-mb 0").code == 2);
     let endless = rowgram(at, "evaluate /dev/zero /dev/zero --radius-px 5 --max-memory-mb 60");
     refused(&endless, &["/dev/zero", "no end"]);
+    let mut packed = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::best());
+    (0..200).for_each(|_| packed.write_all(&[b' '; 1 << 20]).unwrap());
+    let packed = packed.finish().unwrap();
+    assert!(packed.len() < 1 << 20);
+    fs::write(at.join("bomb.txt.gz"), packed).unwrap();
+    let bomb = rowgram(at, "adjust bomb.txt.gz --max-memory-mb 150");
+    refused(&bomb, &["bomb.txt.gz", "no end within 50 MB"]);
 }
 
 #[test]

@@ -30,6 +30,7 @@ mod examples;
 mod faults;
 mod features;
 mod formats;
+mod heights;
 #[cfg(target_os = "linux")]
 mod hostile;
 mod leaves;
@@ -49,6 +50,7 @@ mod run;
 mod season;
 mod segment;
 mod sfm;
+mod spoiled;
 mod surface;
 mod synth;
 mod synth_flight;

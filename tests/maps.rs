@@ -15,20 +15,20 @@ use serde_json::{Value, json};
 use std::{collections::BTreeMap, fs, path::Path};
 
 /// Ground sampling distance, metres.
-const GSD_M: f64 = 0.015;
+pub(crate) const GSD_M: f64 = 0.015;
 /// Where the field lies: a place far from the equator and in the middle of a UTM zone.
-const LATITUDE: f64 = 48.5;
-const LONGITUDE: f64 = 9.0;
+pub(crate) const LATITUDE: f64 = 48.5;
+pub(crate) const LONGITUDE: f64 = 9.0;
 
 /// A picture of a field of four rows.
-fn picture(folder: &Path) -> RgbImage {
+pub(crate) fn picture(folder: &Path) -> RgbImage {
     let words = "synth mask --stage mid --rows 4 --row-length 5 --seed 3 -o grown -q";
     let grown = rowgram(folder, &format!("{words} --gsd {GSD_M}"));
     assert_eq!(grown.code, 0, "{}", grown.stderr);
     image::open(folder.join("grown/picture.png")).unwrap().into_rgb8()
 }
 
-fn write(path: &Path, picture: &RgbImage, place: Georeference) {
+pub(crate) fn write(path: &Path, picture: &RgbImage, place: Georeference) {
     let (width, height) = (picture.width() as usize, picture.height() as usize);
     let layout = geotiff::Layout {
         width,
@@ -44,7 +44,7 @@ fn write(path: &Path, picture: &RgbImage, place: Georeference) {
 }
 
 /// A plot over a part of a picture, in map coordinates.
-fn plot(
+pub(crate) fn plot(
     picture: &RgbImage,
     place: Georeference,
     [left, right]: [f64; 2],
@@ -57,7 +57,7 @@ fn plot(
            "geometry": {"type": "Polygon", "coordinates": [ring]}})
 }
 
-fn collection(code: Option<u32>, features: Vec<Value>) -> String {
+pub(crate) fn collection(code: Option<u32>, features: Vec<Value>) -> String {
     let mut all = json!({"type": "FeatureCollection", "features": features});
     if let Some(code) = code {
         all["crs"] = json!({"type": "name", "properties": {"name": format!("urn:ogc:def:crs:EPSG::{code}")}});
@@ -66,7 +66,7 @@ fn collection(code: Option<u32>, features: Vec<Value>) -> String {
 }
 
 /// The table of traits of a project that is run up to its plots: plot, then trait.
-fn traits(project: &Path, words: &str) -> BTreeMap<String, BTreeMap<String, String>> {
+pub(crate) fn traits(project: &Path, words: &str) -> BTreeMap<String, BTreeMap<String, String>> {
     let run = rowgram(project, &format!("run . -q {words}"));
     assert!(matches!(run.code, 0 | 3), "{}{}", run.stdout, run.stderr);
     let mut table = csv::Reader::from_path(project.join("rowgram/plots/traits.csv")).unwrap();
@@ -81,7 +81,7 @@ fn traits(project: &Path, words: &str) -> BTreeMap<String, BTreeMap<String, Stri
         .collect()
 }
 
-fn number(of: &BTreeMap<String, String>, name: &str) -> f64 {
+pub(crate) fn number(of: &BTreeMap<String, String>, name: &str) -> f64 {
     of[name].parse().unwrap_or_else(|_| panic!("{name}: {of:?}"))
 }
 
@@ -90,7 +90,7 @@ fn at(code: u32) -> [f64; 2] {
 }
 
 /// The place of a raster with pixels of [`GSD_M`] on the ground in a system with so many units for a metre there.
-fn placed(code: u32, kind: CrsKind, units_per_m: [f64; 2]) -> Georeference {
+pub(crate) fn placed(code: u32, kind: CrsKind, units_per_m: [f64; 2]) -> Georeference {
     let crs = Crs { kind, ..Crs::projected(code) };
     Georeference {
         origin: at(code),
@@ -341,8 +341,8 @@ fn bands_are_what_they_are_called() {
 }
 
 /// What the samples of a file are.
-#[derive(Clone, Copy)]
-enum Samples {
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Samples {
     /// Channels of the picture in this order, and a band of zeros that is no alpha.
     Bytes([usize; 3], bool),
     /// 16 bits, a reflectance of 0.4 for full brightness times 10,000.
@@ -354,7 +354,12 @@ enum Samples {
 }
 
 /// A TIFF file with one strip, as other programs write them.
-fn tiff(picture: &RgbImage, place: Georeference, samples: Samples, names: &[&str]) -> Vec<u8> {
+pub(crate) fn tiff(
+    picture: &RgbImage,
+    place: Georeference,
+    samples: Samples,
+    names: &[&str],
+) -> Vec<u8> {
     let (bits, format, bands) = match samples {
         Samples::Bytes(_, more) => (8u16, 1u16, if more { 4 } else { 3 }),
         Samples::Reflectance => (16, 1, 3),

@@ -84,6 +84,10 @@ fn a_run_leaves_alone_what_it_did_not_write_and_a_verification_sees_what_others_
     // Everything that others change is seen, and nothing forged is shown.
     let stats: Value = serde_json::from_str(&text(&results.join("stats.json"))).unwrap();
     let plants = stats["results"]["locate"]["plants"].to_string();
+    for stage in stats["stages"].as_array().unwrap() {
+        let is_done = matches!(stage["ending"].as_str(), Some("done" | "kept"));
+        assert_eq!(stage["seconds"].as_f64().is_some(), is_done, "{stage}");
+    }
     type Change<'a> = &'a dyn Fn(&str) -> String;
     let changes: [(&str, Change<'_>); 8] = [
         ("rowgram/stages/locate.json", &|text| {

@@ -12,6 +12,8 @@ Single steps on arrays: :func:`segment`, :func:`locate`, :func:`leaves`, :func:`
 Synthetic fields with ground truth: :mod:`rowgram.synth`. The two optimisation engines: :class:`Problem`,
 :func:`bundle_adjust` and :func:`coordinate_descent`.
 
+A file that takes more memory than the machine has free is refused; :func:`limit_memory` sets another limit.
+
 Image positions are ``(u, v)`` in pixels, ``u`` to the right and ``v`` down, with the centre of the top-left pixel at
 ``(0, 0)``. Lengths carry their unit in the name (``_px``, ``_m``, ``_rad``).
 """
@@ -26,7 +28,7 @@ from ._errors import (
     RowgramWarning,
     SolverError,
 )
-from ._rowgram import __version__
+from ._rowgram import __version__, limit_memory
 from .arrays import Leaves, Plants, Score, Vegetation, evaluate, leaves, locate, match, segment, sift
 from .optimize import (
     AdjustResult,
@@ -70,6 +72,7 @@ __all__ = [
     "doctor",
     "evaluate",
     "leaves",
+    "limit_memory",
     "locate",
     "match",
     "options",

@@ -15,6 +15,12 @@ mod synth;
 
 use pyo3::prelude::*;
 
+/// The most memory that the content of one file may take, megabytes; `None`: what the machine has free.
+#[pyfunction]
+fn limit_memory(megabytes: Option<u32>) {
+    rowgram::io::memory::set_limit_bytes(megabytes.map(|megabytes| 1_000_000 * u64::from(megabytes)));
+}
+
 /// What the package is made of.
 #[pymodule]
 fn _rowgram(module: &Bound<'_, PyModule>) -> PyResult<()> {
@@ -22,6 +28,7 @@ fn _rowgram(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("BUILD", rowgram::BUILD)?;
     module.add_class::<project::Project>()?;
     module.add_class::<least_squares::Problem>()?;
+    module.add_function(wrap_pyfunction!(limit_memory, module)?)?;
     module.add_function(wrap_pyfunction!(project::stage_names, module)?)?;
     module.add_function(wrap_pyfunction!(project::sections, module)?)?;
     module.add_function(wrap_pyfunction!(project::doctor, module)?)?;

@@ -178,3 +178,18 @@ def test_undetermined_blocks_are_named():
     problem.solve()
     with pytest.raises(rowgram.SolverError, match="height"):
         problem.covariance(block[0])
+
+
+def test_a_file_that_takes_more_memory_than_allowed_is_refused(tmp_path):
+    path = tmp_path / "problem.txt"
+    with path.open("wb") as file:
+        file.truncate(40_000_000)
+    rowgram.limit_memory(20)
+    try:
+        with pytest.raises(rowgram.InputError, match="takes 40 MB of memory, 20 MB may be used"):
+            rowgram.read_bal(path)
+    finally:
+        rowgram.limit_memory(None)
+    with pytest.raises(rowgram.InputError, match="expected") as found:
+        rowgram.read_bal(path)
+    assert "memory" not in str(found.value)

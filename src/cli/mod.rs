@@ -160,9 +160,9 @@ fn run(cli: Cli) -> Result<(), Error> {
         .num_threads(cli.threads.into())
         .build_global()
         .map_err(|e| Error::Argument(format!("--threads {}: {e}", cli.threads)))?;
-    if let Some(megabytes) = cli.max_memory_mb {
-        rowgram_files::memory::set_limit_bytes(megabytes * 1_000_000);
-    }
+    rowgram_files::memory::set_limit_bytes(
+        cli.max_memory_mb.map(|megabytes| megabytes * 1_000_000),
+    );
     dispatch(cli.command)
 }
 

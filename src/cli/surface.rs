@@ -18,11 +18,13 @@ use std::path::PathBuf;
 ///
 /// For crops that stand on soil. Hills, walls and houses come out too; crowns of trees are noise where photos overlap by two thirds only.
 ///
-/// PROJECT is a folder after rowgram align and rowgram surface dem.
+/// PROJECT is a folder after rowgram align and rowgram surface dem; or one with the heights of another program (--dsm, --dtm, or dsm.tif
+/// and dtm.tif beside its orthomosaic): then nothing is matched.
 ///
 /// Examples:
 ///   rowgram surface field
 ///   rowgram surface field --cell-m 0.02 --ground any
+///   rowgram surface field --dsm cloud.laz --dtm terrain.tif
 #[derive(Debug, clap::Args)]
 #[command(
     verbatim_doc_comment,
@@ -74,10 +76,12 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
 
 fn text(path: &str, of: &SurfaceOutcome) -> String {
     let share = 100.0 * of.cells_with_height as f64 / of.cells_seen.max(1) as f64;
-    let mut text = format!(
-        "{path}: {} x {} cells of {} m, {share:.1} % of those that two photos show have a height",
-        of.width_px, of.height_px, of.cell_m
-    );
+    let from = match &of.given {
+        Some(file) => format!("heights are those of {file}"),
+        None => format!("{share:.1} % of those that two photos show have a height"),
+    };
+    let mut text =
+        format!("{path}: {} x {} cells of {} m, {from}", of.width_px, of.height_px, of.cell_m);
     if let Some(cloud) = &of.cloud {
         text += &format!("\nas points with colours: {} beside it", cloud.display());
     }

@@ -10,28 +10,24 @@
 //!
 //! Numbers are separated by any white space; what follows a `#` in a line is a comment. Conventions: [`rowgram_survey::camera::bal`].
 
-use super::{FileError, output};
+use super::{
+    FileError,
+    memory::{read_file, read_to_end},
+    output,
+};
 use rowgram_survey::problems::bundle::{Camera, Network, Observation};
-use std::{io::Read, io::Write, path::Path};
+use std::{io::Write, path::Path};
 
 /// Reads a network.
 ///
 /// # Errors
 /// Where the file cannot be read, or is not such a file; names the line.
 pub fn read(path: &Path) -> Result<Network, FileError> {
-    let mut bytes = crate::memory::read_file(path)?;
+    let mut bytes = read_file(path)?;
     if bytes.starts_with(&[0x1f, 0x8b]) {
-        let mut plain = Vec::new();
-        flate2::read::MultiGzDecoder::new(bytes.as_slice())
-            .read_to_end(&mut plain)
-            .map_err(|e| FileError::malformed(path, None, format!("damaged gzip data: {e}")))?;
-        bytes = plain;
+        bytes = read_to_end(path, flate2::read::MultiGzDecoder::new(bytes.as_slice()))?;
     } else if bytes.starts_with(b"BZh") {
-        let mut plain = Vec::new();
-        bzip2::read::MultiBzDecoder::new(bytes.as_slice())
-            .read_to_end(&mut plain)
-            .map_err(|e| FileError::malformed(path, None, format!("damaged bzip2 data: {e}")))?;
-        bytes = plain;
+        bytes = read_to_end(path, bzip2::read::MultiBzDecoder::new(bytes.as_slice()))?;
     }
     let text = std::str::from_utf8(&bytes).map_err(|e| {
         let line = bytes[..e.valid_up_to()].iter().filter(|&&b| b == b'\n').count() + 1;

@@ -1,9 +1,17 @@
-//! Coloured point clouds: PLY for viewers, LAZ with the keys of its coordinate reference system for GIS.
+//! Point clouds: PLY for viewers, LAZ with the keys of its coordinate reference system for GIS; LAS and LAZ of others are read point by
+//! point.
 
 use super::{FileError, geotiff::geo_keys, output};
-use rowgram_raster::georeference::{Crs, CrsKind};
+use rowgram_raster::{
+    crs,
+    georeference::{Crs, CrsKind},
+};
 use rowgram_survey::scene::ReferenceFrame;
-use std::{fs::File, io::BufWriter, path::Path};
+use std::{
+    fs::File,
+    io::BufWriter,
+    path::{Path, PathBuf},
+};
 
 /// A point with its colour.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -122,6 +130,106 @@ impl LazWriter<'_> {
         self.writer.close().map_err(|e| FileError::write(path, std::io::Error::other(e)))
     }
 }
+
+/// A point of somebody's cloud.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ReadPoint {
+    /// In the coordinates of its file.
+    pub position: [f64; 3],
+    /// Red, green, blue, where the cloud has colours.
+    pub colour: Option<[u8; 3]>,
+    /// Whether it was classified as ground (class 2).
+    pub is_ground: bool,
+}
+
+/// A LAS or LAZ file that is read point by point.
+pub struct CloudReader {
+    path: PathBuf,
+    reader: las::Reader,
+}
+
+impl CloudReader {
+    /// Opens a cloud.
+    ///
+    /// # Errors
+    /// A file that cannot be read, is no such cloud, or has no points.
+    pub fn open(path: &Path) -> Result<CloudReader, FileError> {
+        std::fs::File::open(path).map_err(|error| FileError::read(path, error))?;
+        let failed = |error: las::Error| {
+            FileError::malformed(path, None, format!("it is no LAS or LAZ file: {error}"))
+        };
+        let reader = las::Reader::from_path(path).map_err(failed)?;
+        if reader.header().number_of_points() == 0 {
+            return Err(FileError::malformed(path, None, "it holds no points"));
+        }
+        Ok(CloudReader { path: path.to_owned(), reader })
+    }
+
+    /// Number of points that it says it has.
+    pub fn points(&self) -> u64 {
+        self.reader.header().number_of_points()
+    }
+
+    /// Least and greatest x and y that it says it has.
+    pub fn bounds(&self) -> [[f64; 2]; 2] {
+        let las::Bounds { min, max } = self.reader.header().bounds();
+        [[min.x, max.x], [min.y, max.y]]
+    }
+
+    /// The reference system of its coordinates; `None` where it does not say.
+    pub fn crs(&self) -> Option<Crs> {
+        let header = self.reader.header();
+        let text = header.get_wkt_crs_bytes().map(String::from_utf8_lossy);
+        if let Some(text) = text {
+            let system = crs::Crs::of_well_known_text(text.trim_end_matches('\0')).ok()?;
+            let code = system.name().strip_prefix("EPSG:").and_then(|code| code.parse().ok());
+            return Some(match code {
+                Some(code) => Crs { kind: CrsKind::of(&system), ..Crs::projected(code) },
+                None => Crs::defined(&system),
+            });
+        }
+        let code = u32::from(header.get_geotiff_crs().ok()??.get_projected_crs_geo_key_value()?);
+        let system = crs::Crs::of_code(code).ok()?;
+        Some(Crs { kind: CrsKind::of(&system), ..Crs::projected(code) })
+    }
+
+    /// Hands over all points but those that are noise (classes 7 and 18) or withheld.
+    ///
+    /// # Errors
+    /// A file that is damaged.
+    pub fn each(&mut self, mut take: impl FnMut(ReadPoint)) -> Result<(), FileError> {
+        let mut chunk = Vec::new();
+        // Many write eight bits into the sixteen of a colour.
+        let mut are_eight_bits = true;
+        loop {
+            chunk.clear();
+            let count = self.reader.read_points_into(CHUNK, &mut chunk).map_err(|error| {
+                FileError::malformed(&self.path, None, format!("its points are damaged: {error}"))
+            })?;
+            if count == 0 {
+                return Ok(());
+            }
+            let all = || chunk.iter().filter_map(|point| point.color);
+            are_eight_bits &= all().all(|c| c.red.max(c.green).max(c.blue) < 256);
+            for point in &chunk {
+                let class = u8::from(point.classification);
+                if point.is_withheld || NOISE.contains(&class) {
+                    continue;
+                }
+                let byte = |value: u16| if are_eight_bits { value } else { value >> 8 } as u8;
+                let colour = point.color.map(|c| [c.red, c.green, c.blue].map(byte));
+                let position = [point.x, point.y, point.z];
+                take(ReadPoint { position, colour, is_ground: class == GROUND });
+            }
+        }
+    }
+}
+
+/// Classes of the ASPRS: ground; low and high noise.
+const GROUND: u8 = 2;
+const NOISE: [u8; 2] = [7, 18];
+/// Points that are decoded together.
+const CHUNK: u64 = 100_000;
 
 fn header(crs: &Crs, corner_m: [f64; 3]) -> Result<las::Header, las::Error> {
     let mut builder = las::Builder::from((1, 2));

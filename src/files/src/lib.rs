@@ -14,6 +14,7 @@ pub mod csv_table;
 pub mod features;
 pub mod field_design;
 pub mod gcp_list;
+pub mod geoid;
 pub mod geoparquet;
 pub mod geotiff;
 pub mod gpkg;

@@ -13,9 +13,10 @@ use std::{
 /// The limit that was set, bytes; 0 where none was.
 static LIMIT: AtomicU64 = AtomicU64::new(0);
 
-/// Sets the most memory that the content of one file may take, in place of what the machine has free. For all threads of the process.
-pub fn set_limit_bytes(bytes: u64) {
-    LIMIT.store(bytes.max(1), Ordering::Relaxed);
+/// Sets the most memory that the content of one file may take; with `None` it is what the machine has free. For all threads of the
+/// process.
+pub fn set_limit_bytes(bytes: Option<u64>) {
+    LIMIT.store(bytes.map_or(0, |bytes| bytes.max(1)), Ordering::Relaxed);
 }
 
 /// Memory that the content of a file may take, bytes: the limit that was set, else what the machine has free and the process is allowed.
@@ -44,7 +45,7 @@ pub(super) fn check(what: &str, bytes: u64) -> Result<(), String> {
     match available_bytes().filter(|&available| available < bytes) {
         None => Ok(()),
         Some(available) => Err(format!(
-            "{what} takes {} of memory, {} may be used: cut it into parts or make it coarser, or raise --max-memory-mb",
+            "{what} takes {} of memory, {} may be used: cut it into parts or make it coarser, or raise the limit (--max-memory-mb, limit_memory in Python)",
             size(bytes),
             size(available)
         )),
@@ -69,16 +70,24 @@ pub fn read_file(path: &Path) -> Result<Vec<u8>, FileError> {
     let failed = |error| FileError::read(path, error);
     let mut file = std::fs::File::open(path).map_err(failed)?;
     let about = file.metadata().map_err(failed)?;
-    let mut bytes = Vec::new();
     if about.is_file() {
         require(path, "reading it", about.len())?;
-        bytes.reserve_exact(about.len() as usize);
+        let mut bytes = Vec::with_capacity(about.len() as usize);
         file.read_to_end(&mut bytes).map_err(failed)?;
         return Ok(bytes);
     }
+    read_to_end(path, file)
+}
+
+/// Everything that comes from a pipe or a decompressor, whose length nobody says, of the file at `path`.
+///
+/// # Errors
+/// As [`read_file`].
+pub fn read_to_end(path: &Path, reader: impl Read) -> Result<Vec<u8>, FileError> {
+    let mut bytes = Vec::new();
     // A buffer doubles while it grows.
     let most = available_bytes().map_or(u64::MAX, |bytes| bytes / 3);
-    file.take(most).read_to_end(&mut bytes).map_err(failed)?;
+    reader.take(most).read_to_end(&mut bytes).map_err(|error| FileError::read(path, error))?;
     if bytes.len() as u64 == most {
         let message =
             format!("it has no end within {}, a third of the memory that may be used", size(most));

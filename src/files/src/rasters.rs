@@ -56,16 +56,21 @@ impl Source {
         let (picture, gaps) = images::read_with_gaps(path)?;
         let source = Source::Picture { picture, gaps, place: None };
         Ok(match geotiff::beside(path)? {
-            Some(place) => source.placed(place),
+            Some(place) => {
+                source.placed(place).map_err(|why| FileError::malformed(path, None, why))?
+            }
             None => source,
         })
     }
 
     /// A picture in memory at its place, with square pixels where those of the file are oblong on the ground.
-    fn placed(self, place: Georeference) -> Source {
+    ///
+    /// # Errors
+    /// A place that makes lines of pixels.
+    fn placed(self, place: Georeference) -> Result<Source, String> {
         let (width, height) = self.size();
-        let (square, place) = Square::of([width, height], Some(place));
-        match self {
+        let (square, place) = Square::of([width, height], Some(place))?;
+        Ok(match self {
             Source::Picture { picture, gaps, .. } if square.is_oblong() => {
                 let [columns, rows] = square.shown();
                 let stored = [width, height];
@@ -89,7 +94,7 @@ impl Source {
             }
             Source::Picture { picture, gaps, .. } => Source::Picture { picture, gaps, place },
             file => file,
-        }
+        })
     }
 
     /// Columns and rows.

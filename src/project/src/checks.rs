@@ -253,6 +253,8 @@ mod tests {
             stage: Stage::Ortho,
             ending: Ending::Failed,
             reason: Some("no photo".to_owned()),
+            seconds: None,
+            peak_memory_mb: None,
             diagnostics: Vec::new(),
         };
         let outcome = RunOutcome { stages: vec![report], ..RunOutcome::default() };

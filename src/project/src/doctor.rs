@@ -6,6 +6,7 @@ use super::{
     layers, orthomosaic,
     photo_folder::UNUSABLE_NAME,
     run::LEAST_PHOTOS,
+    surface,
 };
 use rayon::prelude::*;
 use rowgram_base::{
@@ -56,7 +57,10 @@ pub fn doctor(
     if let Some(ortho) = project.given_orthomosaic() {
         let name = ortho.file_name().unwrap_or_default().to_string_lossy().into_owned();
         found.extend(of_orthomosaic(&ortho, &name));
-        let others = project.rasters().map(|rasters| rasters.others).unwrap_or_default();
+        let mut others = project.rasters().map(|rasters| rasters.others).unwrap_or_default();
+        let (heights, said) = surface::doctor(&project);
+        found.extend(said);
+        others.retain(|path| !heights.contains(path));
         if project.config().project.ortho.is_none() && !others.is_empty() {
             let names: Vec<_> =
                 others.iter().filter_map(|path| path.file_name()?.to_str()).collect();

@@ -76,6 +76,56 @@ pub(super) fn below(root: &Path) -> Option<Rasters> {
     })
 }
 
+/// Heights that lie beside an orthomosaic.
+#[derive(Debug, Default, Clone, PartialEq, Eq)]
+pub(super) struct HeightsBeside {
+    /// Of the first surface.
+    pub(super) dsm: Option<PathBuf>,
+    /// Of the ground.
+    pub(super) dtm: Option<PathBuf>,
+}
+
+/// Where other programs put heights, from the folder of their results.
+const HEIGHT_FOLDERS: [&str; 5] =
+    ["odm_dem", "3_dsm_ortho/1_dsm", "3_dsm_ortho/1_dtm", "3_dsm_ortho/extras/dtm", "exports"];
+
+/// The heights among the rasters beside an orthomosaic, or else in the folders of other programs' results: by their names, where one only is
+/// called so and holds single values.
+pub(super) fn heights(root: &Path, others: &[PathBuf]) -> HeightsBeside {
+    let own = by_name(others);
+    if own != HeightsBeside::default() {
+        return own;
+    }
+    let below: Vec<PathBuf> =
+        HEIGHT_FOLDERS.iter().flat_map(|folder| photos_in(&root.join(folder))).collect();
+    by_name(&below)
+}
+
+fn by_name(rasters: &[PathBuf]) -> HeightsBeside {
+    let called = |words: &[&str], but: &str| {
+        let is = |path: &&PathBuf| {
+            let name = path.file_stem().unwrap_or_default().to_string_lossy().to_lowercase();
+            words.iter().any(|word| name.contains(word)) && (but.is_empty() || !name.contains(but))
+        };
+        let mut named = rasters.iter().filter(is).filter(|path| holds_values(path));
+        named.next().filter(|_| named.next().is_none()).cloned()
+    };
+    HeightsBeside {
+        dsm: called(&["dsm"], "dtm").or_else(|| called(&["dem"], "dtm")),
+        dtm: called(&["dtm"], "dsm"),
+    }
+}
+
+/// Whether it is a raster on a map with one band of what may be heights.
+fn holds_values(path: &Path) -> bool {
+    match Source::open(path) {
+        Ok(Source::File(reader)) => {
+            reader.bands() == 1 && !reader.holds::<u8>() && reader.georeference().is_some()
+        }
+        _ => false,
+    }
+}
+
 /// Why a folder whose pictures are all rasters on a map has no orthomosaic that can be told.
 pub(super) fn undecided(pictures: &[PathBuf]) -> Option<String> {
     let mut rasters = Vec::new();

@@ -282,6 +282,17 @@ impl Project {
         }
     }
 
+    /// Heights of another program beside an orthomosaic that is there from the beginning.
+    pub(super) fn heights_beside(&self) -> orthomosaic::HeightsBeside {
+        let Some(ortho) = self.given_orthomosaic() else { return Default::default() };
+        let mut others = match &self.config.project.ortho {
+            None => self.rasters().map(|rasters| rasters.others).unwrap_or_default(),
+            Some(_) => ortho.parent().map(photos_in).unwrap_or_default(),
+        };
+        others.retain(|path| *path != ortho);
+        orthomosaic::heights(&self.root, &others)
+    }
+
     fn given_among(&self, photos: &[PathBuf]) -> Option<PathBuf> {
         if let Some(path) = &self.config.project.ortho {
             return Some(self.root.join(path));

@@ -191,6 +191,25 @@ impl Georeference {
     }
 }
 
+/// From positions on one map to those on another.
+pub struct Transfer(Option<[crs::Crs; 2]>);
+
+impl Transfer {
+    /// Through longitude and latitude where the two systems differ and both are known; else positions are the same.
+    pub fn between(from: &Crs, to: &Crs) -> Transfer {
+        let is_same = (from.epsg, from.definition) == (to.epsg, to.definition);
+        let both = || from.system().zip(to.system()).map(|(from, to)| [from, to]);
+        Transfer(if is_same { None } else { both() })
+    }
+
+    /// A position; `None` where the other map does not reach.
+    pub fn at(&self, [x, y]: [f64; 2]) -> Option<[f64; 2]> {
+        let Some([from, to]) = &self.0 else { return Some([x, y]) };
+        let [latitude, longitude] = from.to_wgs84(x, y).ok()?;
+        to.from_wgs84(latitude, longitude).ok()
+    }
+}
+
 /// Largest difference of the scale of a grid from 1 that surveys live with: UTM stays within it in its zone, state planes and
 /// national grids too. Lengths there are those of the grid, as surveyors quote them.
 const SURVEY_SCALE: f64 = 1e-3;
@@ -274,6 +293,21 @@ mod tests {
         approx::assert_relative_eq!(width, 0.02, max_relative = 1e-9);
         approx::assert_relative_eq!(height, 0.04, max_relative = 1e-9);
         assert!(turned.shear_rad().unwrap() < 1e-9);
+    }
+
+    #[test]
+    fn positions_go_to_another_map_and_back() {
+        let [zone, next] = [32632, 32633].map(Crs::projected);
+        let there = Transfer::between(&zone, &next).at([700_000.0, 5_300_000.0]).unwrap();
+        assert!(there[0] < 300_000.0, "{there:?}");
+        let back = Transfer::between(&next, &zone).at(there).unwrap();
+        assert!((back[0] - 700_000.0).abs() < 1e-3 && (back[1] - 5_300_000.0).abs() < 1e-3);
+        let same = Transfer::between(&zone, &Crs::LOCAL).at([1.5, 2.5]);
+        assert_eq!(
+            same,
+            Some([1.5, 2.5]),
+            "a map that does not say its system is taken for the same"
+        );
     }
 
     #[test]

@@ -114,7 +114,8 @@ impl Reader {
             }
             _ => Bands::decoded(),
         };
-        let (square, georeference) = Square::of([layout.width, layout.height], georeference);
+        let (square, georeference) = Square::of([layout.width, layout.height], georeference)
+            .map_err(|why| FileError::malformed(path, None, why))?;
         let (path, full) = (path.to_owned(), OnceLock::new());
         Ok(Reader {
             path,

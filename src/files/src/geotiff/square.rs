@@ -4,6 +4,8 @@ use rowgram_raster::{georeference::Georeference, window::Window};
 
 /// Ratio of the sides of a pixel up to which it counts as square: lengths are then within a quarter of a percent.
 const SQUARE: f64 = 1.005;
+/// Ratio beyond which no survey has pixels: what says so is damaged.
+const LARGEST: f64 = 100.0;
 
 /// The size of a raster as stored and as it is shown. The finer side of its pixels is the side of those that are shown, so
 /// that nothing is lost.
@@ -15,19 +17,28 @@ pub(crate) struct Square {
 
 impl Square {
     /// Of a raster of so many columns and rows; and its place with square pixels.
+    ///
+    /// # Errors
+    /// Pixels that are lines.
     pub(crate) fn of(
         stored: [usize; 2],
         place: Option<Georeference>,
-    ) -> (Square, Option<Georeference>) {
-        let same = (Square { stored, shown: stored }, place);
+    ) -> Result<(Square, Option<Georeference>), String> {
+        let same = Ok((Square { stored, shown: stored }, place));
         let Some((place, [width_m, height_m])) = place.and_then(|of| Some((of, of.pixel_m()?)))
         else {
             return same;
         };
         let side_m = width_m.min(height_m);
         let ratio = [width_m / side_m, height_m / side_m];
-        if !ratio.iter().any(|&ratio| ratio > SQUARE && ratio.is_finite()) {
+        let largest = ratio[0].max(ratio[1]);
+        if !largest.is_finite() || largest <= SQUARE {
             return same;
+        }
+        if largest > LARGEST {
+            return Err(format!(
+                "its place on the map is damaged: pixels of {width_m:.3e} x {height_m:.3e} m on the ground"
+            ));
         }
         let shown =
             [0, 1].map(|axis| (stored[axis] as f64 * ratio[axis]).round().max(1.0) as usize);
@@ -41,7 +52,7 @@ impl Square {
             per_row: scaled(place.per_row, steps[1]),
             ..place
         };
-        (Square { stored, shown }, Some(place))
+        Ok((Square { stored, shown }, Some(place)))
     }
 
     /// Columns and rows that are shown.

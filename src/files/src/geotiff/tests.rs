@@ -247,6 +247,31 @@ fn layout(place: Georeference, [width, height]: [usize; 2]) -> Layout {
 }
 
 #[test]
+fn pixels_that_are_lines_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("lines.tif");
+    for side in [-1.4e133, 50.0] {
+        let place = Georeference {
+            per_column: [side, 0.0],
+            ..Georeference::north_up([500_000.0, 4_500_000.0], 0.05, Crs::projected(32616))
+        };
+        let layout = Layout {
+            width: 8,
+            height: 6,
+            colour: Colour::Values,
+            georeference: Some(place),
+            nodata: None,
+        };
+        write::<u8, FileError>(&path, true, &layout, |writer| {
+            writer.put(Window::whole(8, 6), &[7; 48])
+        })
+        .unwrap();
+        let error = Reader::open(&path).err().unwrap().to_string();
+        assert!(error.contains("its place on the map is damaged"), "{error}");
+    }
+}
+
+#[test]
 fn oblong_pixels_are_read_as_square_ones() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("oblong.tif");

@@ -6,7 +6,11 @@ use rowgram_plants::phenotype::{
     plot_scatter::{PARTS, PlotParts},
     plots::CanopyHeights,
 };
-use rowgram_raster::{georeference::Georeference, polygon::Polygon, window::Window};
+use rowgram_raster::{
+    georeference::{Georeference, Transfer},
+    polygon::Polygon,
+    window::Window,
+};
 use std::path::Path;
 
 /// The heights in each of some areas, given in pixels of a raster that lies at `place`; `None` where an area has none.
@@ -26,9 +30,10 @@ pub(super) fn of_areas<'a>(
     areas.map(|area| of_area(&reader, &own, size, &on_grid(area, place, own))).collect()
 }
 
-/// A polygon in pixels of another raster.
+/// A polygon in pixels of another raster, which may be in another system.
 fn on_grid(area: &Polygon, from: Georeference, to: Georeference) -> Polygon {
-    let moved = |at: &[f64; 2]| to.pixel(from.map(*at));
+    let transfer = Transfer::between(&from.crs, &to.crs);
+    let moved = |at: &[f64; 2]| to.pixel(transfer.at(from.map(*at))?);
     let rings = area.rings.iter().map(|ring| ring.iter().filter_map(moved).collect());
     Polygon { rings: rings.collect() }
 }

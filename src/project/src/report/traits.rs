@@ -101,8 +101,12 @@ pub(super) fn map(facts: &Facts<'_>) -> Result<Section, Error> {
             h3 { "Canopy" }
             p {
                 "Dense surface: " (surface.width_px) " x " (surface.height_px) " cells of " (format!("{:.3}", surface.cell_m)) " m, "
-                (format!("{:.1}", 100.0 * surface.cells_with_height as f64 / surface.cells_seen.max(1) as f64))
-                " % of those that two photos show have a height"
+                @if let Some(file) = &surface.given {
+                    "heights are those of " (file)
+                } @else {
+                    (format!("{:.1}", 100.0 * surface.cells_with_height as f64 / surface.cells_seen.max(1) as f64))
+                    " % of those that two photos show have a height"
+                }
                 @if let Some([half, most, top]) = surface.canopy_percentiles_m {
                     "; over the ground 50 % of them at most " (format!("{half:.2}")) " m, 95 % " (format!("{most:.2}")) " m, 99 % "
                     (format!("{top:.2}")) " m"

@@ -89,8 +89,29 @@ pub struct StageReport {
     /// Why it was left out or failed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
+    /// How long it took when it was done.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub seconds: Option<f64>,
+    /// The most memory that the process had then, megabytes; of this stage alone, where the system can count it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub peak_memory_mb: Option<f64>,
     /// What was found on the way.
     pub diagnostics: Vec<Diagnostic>,
+}
+
+impl StageReport {
+    fn new(
+        records: &record::Records,
+        stage: Stage,
+        (ending, reason): (Ending, Option<String>),
+        diagnostics: Vec<Diagnostic>,
+    ) -> StageReport {
+        let has_result = matches!(ending, Ending::Done | Ending::Kept);
+        let record = if has_result { records.read(stage) } else { None };
+        let (seconds, peak_memory_mb) =
+            record.map_or((None, None), |of| (Some(of.seconds), of.peak_memory_mb));
+        StageReport { stage, ending, reason, seconds, peak_memory_mb, diagnostics }
+    }
 }
 
 /// The stages that have to have succeeded before this one; old results do not stand in for one that failed.
@@ -322,7 +343,7 @@ pub fn run(
             }
             _ => {}
         }
-        outcome.stages.push(StageReport { stage, ending, reason, diagnostics });
+        outcome.stages.push(StageReport::new(&records, stage, (ending, reason), diagnostics));
     }
     check_results(project, &outcome.stages)?;
     let ortho = project.orthomosaic().ok().and_then(|path| rasters::Source::open(&path).ok());
@@ -413,7 +434,7 @@ pub fn only(
         Err(Error::NothingToDo(why)) => (Ending::LeftOut, Some(why)),
         Err(error) => return Err(error),
     };
-    Ok(StageReport { stage, ending, reason, diagnostics })
+    Ok(StageReport::new(&project.records(), stage, (ending, reason), diagnostics))
 }
 
 /// Does a stage again as its record says, with results in the folder of `project`.

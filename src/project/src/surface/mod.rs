@@ -1,25 +1,36 @@
 //! The dense surface: what grows, the ground below it, and the height of the one over the other.
 //!
+//! A surface or a ground that another program, a sensor or an earlier date gave takes the place of one's own (`given`).
+//!
 //! For crops that stand on soil. Heights are looked for near the tie points and, on each block, as far beyond as larger cells see something.
 //! What is not green is ground unless it surely stands on it.
 
+mod given;
+mod ground;
+mod heights;
 mod range;
 mod store;
 mod write;
 
+use self::{
+    given::GivenFiles,
+    ground::{Fitted, Ground},
+    write::{Found, Matching, Part},
+};
 use super::{
-    Project, Stage, Task, batches::Part, dem, dem::read_surface, import, ortho, record::Key, stage,
+    Project, Stage, Task, batches, dem, dem::read_surface, import, ortho, record::Key, stage,
 };
 use rowgram_base::{
     error::Error,
     monitor::{Counter, Diagnostic, Monitor},
     options::{Auto, Choice},
 };
+use rowgram_optim::output::FileError;
 use rowgram_raster::georeference::{Crs, Georeference};
 use rowgram_survey::mapping::{
     MapError, Surface, View,
     dem::SurfacePoint,
-    dense::{Area, AreaOptions, Pass, Prior, Tile, area::TILE},
+    dense::{Area, AreaOptions, Pass, Prior, Tile, TileStore, area::TILE},
     grid::{coverage, covering, median_gsd_m, rounded},
     orientation_sigma::OrientationSigma,
     views,
@@ -39,6 +50,18 @@ pub enum GroundColour {
 
 rowgram_base::choices!(GroundColour: Soil, Any);
 
+/// Which of two heights are over the ellipsoid, where those of the other are over the geoid.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Ellipsoidal {
+    /// Those of the surface.
+    Dsm,
+    /// Those of the ground.
+    Dtm,
+}
+
+rowgram_base::choices!(Ellipsoidal: Dsm, Dtm);
+
 rowgram_base::options! {
     /// The dense surface of the canopy, the ground below it, and the height of the canopy.
     pub struct SurfaceOptions in "surface", main [cell_m, range_m, cloud] {
@@ -56,6 +79,18 @@ rowgram_base::options! {
         pub others: usize = 4, limits between(1.0, 8.0);
         /// Also write the surface as a coloured cloud of points (dsm.laz).
         pub cloud: bool = false;
+        /// The surface of another program in place of matching: a GeoTIFF of heights, or a point cloud (LAS, LAZ). Beside an
+        /// orthomosaic that is given: the raster whose name has dsm or dem in it.
+        pub dsm: Option<PathBuf> = None, example "\"dsm.tif\"";
+        /// The ground of another program, of an airborne laser scan or of an earlier date: a GeoTIFF of heights, or a cloud with
+        /// points of class 2. Beside an orthomosaic that is given: the raster whose name has dtm in it. Fitted to bare soil
+        /// where there is none.
+        pub dtm: Option<PathBuf> = None, example "\"dtm.tif\"";
+        /// Heights of the geoid (GTX, or GeoTIFF in degrees), where those of surface and dtm are of two kinds: over the
+        /// ellipsoid and over the geoid (the sea).
+        pub geoid: Option<PathBuf> = None, example "\"egm2008.gtx\"";
+        /// Which of the two are over the ellipsoid, where a geoid is given.
+        pub ellipsoidal: Ellipsoidal = Ellipsoidal::Dsm;
     }
 }
 
@@ -77,6 +112,9 @@ pub const CANOPY: &str = "chm.tif";
 pub struct SurfaceOutcome {
     /// Heights of the first surface, metres.
     pub surface: PathBuf,
+    /// The file that its heights come from, where they were not matched.
+    #[serde(default)]
+    pub given: Option<String>,
     /// Heights of the ground, metres; `None` where nothing bare shows it.
     pub ground: Option<PathBuf>,
     /// Height of the surface over the ground, metres.
@@ -92,11 +130,11 @@ pub struct SurfaceOutcome {
     pub cell_m: f64,
     /// EPSG code of the mapping frame, where it has one.
     pub epsg: Option<u32>,
-    /// How far around the surface of the tie points heights were looked for, metres.
-    pub range_m: f64,
+    /// How far around the surface of the tie points heights were looked for, metres; `None` where nothing was matched.
+    pub range_m: Option<f64>,
     /// Distance of the heights that were compared, metres.
-    pub layer_m: f64,
-    /// Cells that at least two photos show.
+    pub layer_m: Option<f64>,
+    /// Cells that at least two photos show; of a surface that was given, those with a height.
     pub cells_seen: usize,
     /// Those of them with a height.
     pub cells_with_height: usize,
@@ -111,6 +149,9 @@ pub struct SurfaceOutcome {
     pub median_ground_sigma_m: Option<f64>,
     /// Height over the ground that 50, 95 and 99 % of the cells do not exceed, metres.
     pub canopy_percentiles_m: Option<[f64; 3]>,
+    /// What 5 and 50 % of the cells do not exceed, where those below the ground count as negative: about 0, and the canopy.
+    #[serde(default)]
+    pub above_ground_m: Option<[f64; 2]>,
     /// Where the colours of its picture end, metres over the ground.
     #[serde(default)]
     pub canopy_picture_to_m: Option<f64>,
@@ -125,8 +166,14 @@ impl Task for SurfaceTask {
     type Outcome = SurfaceOutcome;
     const STAGE: Stage = Stage::Surface;
 
-    fn inputs(project: &Project, _: &SurfaceOptions) -> Result<Vec<PathBuf>, Error> {
-        let mut files = project.reconstruction_files()?;
+    fn inputs(project: &Project, options: &SurfaceOptions) -> Result<Vec<PathBuf>, Error> {
+        let given = GivenFiles::of(project, options);
+        let mut files: Vec<PathBuf> = given.all().collect();
+        if given.dsm.is_some() {
+            files.extend(project.given_orthomosaic());
+            return Ok(files);
+        }
+        files.extend(project.reconstruction_files()?);
         files.push(base(project)?);
         files.extend(project.photos());
         Ok(files)
@@ -138,32 +185,98 @@ impl Task for SurfaceTask {
         folder: &Path,
         monitor: &mut dyn Monitor,
     ) -> Result<SurfaceOutcome, Error> {
-        let scene = Scene::new(project, options)?;
-        let mut store = store::TilesOnDisk::new(project, scene.key);
-        let (place, range_m) = (&scene.place, scene.options.range_m);
-        let ground = scene.with_area(|area| {
-            let steps = area.tiles(Pass::Coarse) + area.tiles(Pass::Fine);
-            let counter = Counter::new(monitor, "matching the surface", steps, "tiles");
-            area.match_all(&mut store, &mut || counter.tick())
-        })?;
+        let given = GivenFiles::of(project, options);
+        let outcome = match &given.dsm {
+            Some(dsm) => given::work(project, (options, &given), dsm, folder, monitor)?,
+            None => matched(project, (options, &given), folder, monitor)?,
+        };
         let subject = Stage::Surface.word();
-        if ground.terrain.is_none() {
+        if outcome.ground.is_none() {
             let message =
                 "nothing bare was found, so there is no ground and no height of the canopy";
-            monitor.diagnostic(&Diagnostic::warning("surface-no-ground", subject, message));
+            monitor.diagnostic(
+                &Diagnostic::warning("surface-no-ground", subject.clone(), message)
+                    .with_remedy("give the ground: [surface] dtm"),
+            );
         }
-        let orientation = scene.orientation.as_ref();
-        let found =
-            write::Found { area: scene.cells, place, ground: &ground, range_m, orientation };
-        let mut outcome = write::write(&found, &mut store, folder)?;
-        if options.cloud {
-            write::cloud(&found, &mut store, &folder.join(CLOUD))?;
-            outcome.cloud = Some(CLOUD.into());
+        if let Some([low, middle]) = outcome.above_ground_m
+            && given.dtm.is_some()
+            && (low > MAX_LOW_M || middle < MIN_MIDDLE_M)
+        {
+            let message = format!(
+                "95 % of the surface lie more than {low:.2} m above the ground that is given, half of it more than {middle:.2} m: are their \
+                 heights of two kinds, or in two units?"
+            );
+            monitor.diagnostic(
+                &Diagnostic::warning("surface-datum", subject, message).with_remedy(
+                    "[surface] geoid for heights over the ellipsoid and over the geoid",
+                ),
+            );
         }
-        // The rasters have it all.
-        store.forget()?;
         Ok(outcome)
     }
+}
+
+/// Files that heights come from, and whether they can be read; for a project with an orthomosaic.
+pub(super) fn doctor(project: &Project) -> (Vec<PathBuf>, Vec<Diagnostic>) {
+    let options = &project.config().surface;
+    let files = GivenFiles::of(project, options);
+    let said = given::doctor(project, options, &files);
+    (files.all().collect(), said)
+}
+
+/// Somewhere a crop shows the ground, or is lower than this; half of it is not below the ground by more than what two surveys are off by,
+/// metres. First choices, not measured.
+const MAX_LOW_M: f64 = 4.0;
+const MIN_MIDDLE_M: f64 = -0.3;
+
+/// Does the stage with photos.
+fn matched(
+    project: &Project,
+    (options, given): (&SurfaceOptions, &GivenFiles),
+    folder: &Path,
+    monitor: &mut dyn Monitor,
+) -> Result<SurfaceOutcome, Error> {
+    let scene = Scene::new(project, options)?;
+    let ground = given.ground(options, Some(scene.place.crs))?;
+    let mut store = store::TilesOnDisk::new(project, scene.key);
+    let own = scene.with_area(|area| {
+        let steps = area.tiles(Pass::Coarse) + area.tiles(Pass::Fine);
+        let counter = Counter::new(monitor, "matching the surface", steps, "tiles");
+        area.match_all(&mut store, &mut || counter.tick())
+    })?;
+    let matching = Matching {
+        range_m: scene.options.range_m,
+        layer_m: own.layer_m,
+        orientation: scene.orientation.as_ref(),
+    };
+    let ground = ground.unwrap_or_else(|| match own.terrain {
+        Some(terrain) => Ground::Fitted(Fitted::on_map(terrain, scene.place.crs)),
+        None => Ground::Unknown,
+    });
+    let found = Found {
+        place: &scene.place,
+        size: scene.cells.size,
+        ground: &ground,
+        cell_m: scene.cells.cell_m,
+        matching: Some(matching),
+    };
+    let gone = || {
+        let message = "a tile of the surface that was matched is gone; run the stage again";
+        Error::from(FileError::read(folder, std::io::Error::other(message)))
+    };
+    let mut load = |number: usize, _| {
+        let tile = TileStore::<Error>::load(&mut store, Pass::Fine, number)?;
+        Ok(Part::Matched(tile.ok_or_else(gone)?))
+    };
+    let mut outcome = write::write(&found, &mut load, folder)?;
+    if options.cloud {
+        write::cloud(&found, &mut store, &folder.join(CLOUD))?;
+        outcome.cloud = Some(CLOUD.into());
+    }
+    // The rasters have it all.
+    store.forget()?;
+    Ok(outcome)
 }
 
 /// Makes the dense surface of a project.
@@ -252,7 +365,7 @@ impl Scene {
 pub fn match_tiles(
     project: &Project,
     options: &SurfaceOptions,
-    (pass, part): (Pass, Part),
+    (pass, part): (Pass, batches::Part),
     monitor: &mut dyn Monitor,
 ) -> Result<usize, Error> {
     let scene = Scene::new(project, options)?;

@@ -1,6 +1,6 @@
-//! Rasters, pictures and tables of the stage, from tiles that are in memory one at a time.
+//! Rasters, pictures and tables of the stage, from parts of the map that are in memory one at a time.
 
-use super::{CANOPY, GROUND, GROUND_SIGMA, SIGMA, SURFACE, SurfaceOutcome};
+use super::{CANOPY, GROUND, GROUND_SIGMA, SIGMA, SURFACE, SurfaceOutcome, ground::Ground};
 use crate::{dem::NODATA, figures, map_figures};
 use rowgram_base::error::Error;
 use rowgram_files::{
@@ -13,51 +13,68 @@ use rowgram_raster::{georeference::Georeference, window::Window};
 use rowgram_survey::mapping::{
     Surface,
     dense::{
-        AreaGround, DenseTile, HeightCounts, Pass, Tile, TileStore,
+        DenseTile, HeightCounts, Pass, TileStore,
         area::{TILE, starts},
     },
     orientation_sigma::OrientationSigma,
 };
 use std::path::Path;
 
-// Tiles are written whole.
+// Parts are written whole.
 const _: () = assert!(TILE.is_multiple_of(geotiff::TILE));
 /// Width of the classes in which heights of the canopy are counted, metres.
 const HEIGHT_CLASS_M: f64 = 1e-3;
 /// The same of standard deviations.
 const SIGMA_CLASS_M: f64 = 1e-4;
 
-/// The area, its ground, and how far heights were looked for.
+/// The cells of a surface, its ground, and how it was matched.
 pub(super) struct Found<'a> {
-    pub(super) area: Tile,
     pub(super) place: &'a Georeference,
-    pub(super) ground: &'a AreaGround,
+    pub(super) size: [usize; 2],
+    pub(super) ground: &'a Ground,
+    /// Side of a cell on the ground, metres.
+    pub(super) cell_m: f64,
+    /// `None` where the surface comes from elsewhere.
+    pub(super) matching: Option<Matching<'a>>,
+}
+
+/// How a surface was matched.
+#[derive(Clone, Copy)]
+pub(super) struct Matching<'a> {
+    /// How far heights were looked for, metres.
     pub(super) range_m: f64,
+    /// Distance of the layers that were compared, metres.
+    pub(super) layer_m: f64,
     pub(super) orientation: Option<&'a OrientationSigma>,
 }
 
-/// Writes everything into the folder of the stage.
+/// What is known of the cells of a part of a surface.
+pub(super) enum Part {
+    Matched(DenseTile),
+    /// Heights from elsewhere, metres; NaN where there are none.
+    Given(Vec<f32>),
+}
+
+/// Writes everything into the folder of the stage; `load` has the parts by number, in the order of [`starts`].
 pub(super) fn write(
     found: &Found<'_>,
-    store: &mut dyn TileStore<Error>,
+    load: &mut dyn FnMut(usize, Window) -> Result<Part, Error>,
     folder: &Path,
 ) -> Result<SurfaceOutcome, Error> {
     let pictures = folder.join("figures");
     std::fs::create_dir_all(&pictures).map_err(|e| FileError::write(&pictures, e))?;
     let mut rasters = Rasters::begin(found, folder)?;
     let mut sums = Sums::new(found);
-    for (number, start) in starts(&found.area, TILE).into_iter().enumerate() {
-        let Some(tile) = store.load(Pass::Fine, number)? else {
-            let message = "a tile of the surface that was matched is gone; run the stage again";
-            return Err(FileError::read(folder, std::io::Error::other(message)).into());
-        };
-        let planes = Planes::new(tile, found);
-        rasters.put(start, &planes)?;
-        sums.add(start, &planes, found);
+    for (number, [u, v]) in starts(found.size, TILE).into_iter().enumerate() {
+        let [width, height] = [TILE.min(found.size[0] - u), TILE.min(found.size[1] - v)];
+        let window = Window { u, v, width, height };
+        let planes = Planes::new(load(number, window)?, window, found)?;
+        rasters.put(&planes)?;
+        sums.add(&planes, found);
     }
     rasters.finish()?;
     sums.draw(found, &pictures)?;
-    if found.ground.terrain.is_some() {
+    if found.ground.is_known() {
         let style = qgis::Style::Raster { range: [0.0, sums.top_m()], quantity: "m" };
         qgis::write(&folder.join("chm.qml"), true, &style)?;
     }
@@ -70,12 +87,14 @@ pub(super) fn cloud(
     store: &mut dyn TileStore<Error>,
     path: &Path,
 ) -> Result<(), Error> {
-    let [x, y] = found.area.place_m(0, found.area.size[1].saturating_sub(1));
-    let level_m = found.ground.terrain.as_ref().and_then(|terrain| terrain.at_m([x, y]));
+    let last = Window { u: 0, v: found.size[1].saturating_sub(1), width: 1, height: 1 };
+    let [x, y] = found.place.map([0.0, last.v as f64]);
+    let [ground_m, _] = found.ground.on(found.place, last)?;
+    let level_m = ground_m.first().map(|&z| f64::from(z)).filter(|z| z.is_finite());
     output::write_seekable(path, true, |file| {
         let mut writer =
             LazWriter::begin(file, path, &found.place.crs, [x, y, level_m.unwrap_or(0.0)])?;
-        for number in 0..starts(&found.area, TILE).len() {
+        for number in 0..starts(found.size, TILE).len() {
             let Some(of) = store.load(Pass::Fine, number)? else { continue };
             let width = of.tile.size[0];
             for (at, &top) in of.surface_m.iter().enumerate().filter(|(_, top)| top.is_finite()) {
@@ -89,96 +108,132 @@ pub(super) fn cloud(
     })
 }
 
-/// A tile with the ground below it.
+/// A part with the ground below it; what is not known of any cell is empty.
 struct Planes {
-    tile: DenseTile,
+    window: Window,
+    surface_m: Vec<f32>,
+    sigma_m: Vec<f32>,
     ground_m: Vec<f32>,
     ground_sigma_m: Vec<f32>,
     canopy_m: Vec<f32>,
+    confidence: Vec<u8>,
+    photos: Vec<u8>,
 }
 
 impl Planes {
-    fn new(mut tile: DenseTile, found: &Found<'_>) -> Planes {
-        let width = tile.tile.size[0];
+    fn new(part: Part, window: Window, found: &Found<'_>) -> Result<Planes, Error> {
+        let place = |at: usize| {
+            found
+                .place
+                .map([window.u + at % window.width, window.v + at / window.width].map(|c| c as f64))
+        };
         // Matching and orientation are independent of each other.
-        let with_orientation = |sigma_m: f64, place_m: [f64; 2]| match found.orientation {
-            Some(orientation) => orientation.combined_with(sigma_m, place_m),
-            None => sigma_m,
+        let orientation = found.matching.and_then(|matching| matching.orientation);
+        let with_orientation = |sigma: &mut f32, at: usize| match orientation {
+            Some(orientation) if sigma.is_finite() => {
+                *sigma = orientation.combined_with(f64::from(*sigma), place(at)) as f32;
+            }
+            _ => {}
         };
-        for (at, sigma) in tile.sigma_m.iter_mut().enumerate().filter(|(_, of)| of.is_finite()) {
-            let place = tile.tile.place_m(at % width, at / width);
-            *sigma = with_orientation(f64::from(*sigma), place) as f32;
-        }
-        let Some(terrain) = &found.ground.terrain else {
-            let [ground_m, ground_sigma_m, canopy_m] = [const { Vec::new() }; 3];
-            return Planes { tile, ground_m, ground_sigma_m, canopy_m };
+        let each = |sigmas: &mut Vec<f32>| {
+            sigmas.iter_mut().enumerate().for_each(|(at, sigma)| with_orientation(sigma, at));
         };
-        // The ground is known where photos show something; beyond it is a guess.
-        let on_grid = |of: &dyn Fn([f64; 2]) -> Option<f64>| -> Vec<f32> {
-            let cell = |at: usize| {
-                let value = of(tile.tile.place_m(at % width, at / width));
-                value.filter(|_| tile.photos[at] >= 2).map_or(f32::NAN, |value| value as f32)
+        let [mut ground_m, mut ground_sigma_m] = found.ground.on(found.place, window)?;
+        let (surface_m, mut sigma_m, confidence, photos) = match part {
+            Part::Matched(tile) => (tile.surface_m, tile.sigma_m, tile.confidence, tile.photos),
+            Part::Given(surface_m) => (surface_m, Vec::new(), Vec::new(), Vec::new()),
+        };
+        if found.ground.has_sigma() {
+            // A fit is known where something is seen; beyond it is a guess.
+            let is_seen = |at: usize| match photos.get(at) {
+                Some(&photos) => photos >= 2,
+                None => surface_m[at].is_finite(),
             };
-            (0..tile.surface_m.len()).map(cell).collect()
-        };
-        let ground_m = on_grid(&|place| terrain.at_m(place));
-        let finite = |sigma: &f64| sigma.is_finite();
-        let ground_sigma_m = on_grid(&|place| {
-            let sigma = terrain.sigma_at_m(place).filter(finite);
-            sigma.map(|sigma| with_orientation(sigma, place))
-        });
+            for at in (0..ground_m.len()).filter(|&at| !is_seen(at)) {
+                (ground_m[at], ground_sigma_m[at]) = (f32::NAN, f32::NAN);
+            }
+        }
+        each(&mut sigma_m);
+        each(&mut ground_sigma_m);
         // Not `max`, which takes zero for what is not known.
         let above = |(top, ground): (&f32, &f32)| if top < ground { 0.0 } else { top - ground };
-        let canopy_m = tile.surface_m.iter().zip(&ground_m).map(above).collect();
-        Planes { tile, ground_m, ground_sigma_m, canopy_m }
+        let canopy_m = surface_m.iter().zip(&ground_m).map(above).collect();
+        Ok(Planes {
+            window,
+            surface_m,
+            sigma_m,
+            ground_m,
+            ground_sigma_m,
+            canopy_m,
+            confidence,
+            photos,
+        })
+    }
+
+    fn is_seen(&self, at: usize) -> bool {
+        match self.photos.get(at) {
+            Some(&photos) => photos >= 2,
+            None => self.surface_m[at].is_finite(),
+        }
+    }
+
+    /// Rasters of heights, as [`Rasters::begin`] has them.
+    fn heights(&self) -> [&Vec<f32>; 5] {
+        [&self.surface_m, &self.sigma_m, &self.ground_m, &self.ground_sigma_m, &self.canopy_m]
     }
 }
 
 /// The rasters that are being written.
 struct Rasters {
-    heights: Vec<Writer<f32>>,
-    bytes: Vec<Writer<u8>>,
+    heights: [Option<Writer<f32>>; 5],
+    bytes: [Option<Writer<u8>>; 2],
 }
 
 impl Rasters {
     fn begin(found: &Found<'_>, folder: &Path) -> Result<Rasters, Error> {
         let layout = |nodata: Option<f64>| Layout {
-            width: found.area.size[0],
-            height: found.area.size[1],
+            width: found.size[0],
+            height: found.size[1],
             colour: Colour::Values,
             georeference: Some(*found.place),
             nodata,
         };
-        let below: &[&str] = match found.ground.terrain {
-            Some(_) => &[GROUND, GROUND_SIGMA, CANOPY],
-            None => &[],
+        let (is_matched, ground) = (found.matching.is_some(), found.ground);
+        let height = |name: &str, is_there: bool| {
+            let layout = layout(Some(f64::from(NODATA)));
+            is_there.then(|| Writer::begin(&folder.join(name), true, &layout)).transpose()
         };
-        let height =
-            |name: &&str| Writer::begin(&folder.join(name), true, &layout(Some(f64::from(NODATA))));
-        let heights = [SURFACE, SIGMA].iter().chain(below).map(height).collect::<Result<_, _>>()?;
-        let byte = |name: &str| Writer::begin(&folder.join(name), true, &layout(None));
-        Ok(Rasters { heights, bytes: vec![byte("confidence.tif")?, byte("photos.tif")?] })
+        let byte = |name: &str| {
+            is_matched.then(|| Writer::begin(&folder.join(name), true, &layout(None))).transpose()
+        };
+        let heights = [
+            height(SURFACE, true)?,
+            height(SIGMA, is_matched)?,
+            height(GROUND, ground.is_known())?,
+            height(GROUND_SIGMA, ground.has_sigma())?,
+            height(CANOPY, ground.is_known())?,
+        ];
+        Ok(Rasters { heights, bytes: [byte("confidence.tif")?, byte("photos.tif")?] })
     }
 
-    fn put(&mut self, [u, v]: [usize; 2], of: &Planes) -> Result<(), FileError> {
-        let [width, height] = of.tile.tile.size;
-        let window = Window { u, v, width, height };
-        let heights =
-            [&of.tile.surface_m, &of.tile.sigma_m, &of.ground_m, &of.ground_sigma_m, &of.canopy_m];
-        for (writer, values) in self.heights.iter_mut().zip(heights) {
+    fn put(&mut self, of: &Planes) -> Result<(), FileError> {
+        for (writer, values) in self.heights.iter_mut().zip(of.heights()) {
+            let Some(writer) = writer else { continue };
             let known: Vec<f32> =
                 values.iter().map(|&z| if z.is_finite() { z } else { NODATA }).collect();
-            writer.put(window, &known)?;
+            writer.put(of.window, &known)?;
         }
-        for (writer, values) in self.bytes.iter_mut().zip([&of.tile.confidence, &of.tile.photos]) {
-            writer.put(window, values)?;
+        for (writer, values) in self.bytes.iter_mut().zip([&of.confidence, &of.photos]) {
+            if let Some(writer) = writer {
+                writer.put(of.window, values)?;
+            }
         }
         Ok(())
     }
 
     fn finish(self) -> Result<(), FileError> {
-        self.heights.into_iter().try_for_each(Writer::finish)?;
-        self.bytes.into_iter().try_for_each(Writer::finish)
+        self.heights.into_iter().flatten().try_for_each(Writer::finish)?;
+        self.bytes.into_iter().flatten().try_for_each(Writer::finish)
     }
 }
 
@@ -195,6 +250,7 @@ struct Sums {
     step: usize,
     small: [usize; 2],
     surface_m: Vec<f32>,
+    ground_m: Vec<f32>,
     canopy_m: Vec<f32>,
     /// Surface and ground along the middle row and the middle column.
     row_m: Vec<[f32; 2]>,
@@ -203,7 +259,7 @@ struct Sums {
 
 impl Sums {
     fn new(found: &Found<'_>) -> Sums {
-        let size = found.area.size;
+        let size = found.size;
         let step = figures::step(size[0], size[1]);
         let small = size.map(|n| n.div_ceil(step));
         let empty = vec![f32::NAN; small[0] * small[1]];
@@ -218,36 +274,36 @@ impl Sums {
             step,
             small,
             surface_m: empty.clone(),
+            ground_m: empty.clone(),
             canopy_m: empty,
             row_m: vec![[f32::NAN; 2]; size[0]],
             column_m: vec![[f32::NAN; 2]; size[1]],
         }
     }
 
-    fn add(&mut self, start: [usize; 2], of: &Planes, found: &Found<'_>) {
-        let width = of.tile.tile.size[0];
+    fn add(&mut self, of: &Planes, found: &Found<'_>) {
+        let Window { u, v, width, .. } = of.window;
         let middle = self.size.map(|n| n / 2);
-        for at in 0..of.tile.surface_m.len() {
-            let [u, v] = [start[0] + at % width, start[1] + at / width];
-            let top = of.tile.surface_m[at];
-            if of.tile.photos[at] >= 2 {
+        let orientation = found.matching.and_then(|matching| matching.orientation);
+        for at in 0..of.surface_m.len() {
+            let [u, v] = [u + at % width, v + at / width];
+            let top = of.surface_m[at];
+            if of.is_seen(at) {
                 self.seen += 1;
                 self.with_height += usize::from(top.is_finite());
             }
-            let below = of.ground_m.get(at).copied().unwrap_or(f32::NAN);
-            let canopy = of.canopy_m.get(at).copied().unwrap_or(f32::NAN);
+            let or_none = |values: &[f32]| values.get(at).copied().unwrap_or(f32::NAN);
+            let (below, canopy) = (or_none(&of.ground_m), or_none(&of.canopy_m));
             self.canopy.add(f64::from(canopy));
-            self.surface_sigma.add(f64::from(of.tile.sigma_m[at]));
-            if let Some(orientation) = found.orientation.filter(|_| top.is_finite()) {
-                let place = of.tile.tile.place_m(at % width, at / width);
+            self.surface_sigma.add(f64::from(or_none(&of.sigma_m)));
+            if let Some(orientation) = orientation.filter(|_| top.is_finite()) {
+                let place = found.place.map([u as f64, v as f64]);
                 self.orientation_sigma.add(orientation.at_m(place));
             }
-            if let Some(&sigma) = of.ground_sigma_m.get(at) {
-                self.ground_sigma.add(f64::from(sigma));
-            }
+            self.ground_sigma.add(f64::from(or_none(&of.ground_sigma_m)));
             if u.is_multiple_of(self.step) && v.is_multiple_of(self.step) {
                 let to = v / self.step * self.small[0] + u / self.step;
-                (self.surface_m[to], self.canopy_m[to]) = (top, canopy);
+                (self.surface_m[to], self.ground_m[to], self.canopy_m[to]) = (top, below, canopy);
             }
             if v == middle[1] {
                 self.row_m[u] = [top, below];
@@ -258,13 +314,22 @@ impl Sums {
         }
     }
 
+    /// How far the surface is above the ground at the places of the pictures, metres, sorted; below it where negative.
+    fn above_m(&self) -> Vec<f32> {
+        let both = self.surface_m.iter().zip(&self.ground_m);
+        let mut above: Vec<f32> =
+            both.map(|(top, ground)| top - ground).filter(|z| z.is_finite()).collect();
+        above.sort_by(f32::total_cmp);
+        above
+    }
+
     /// Where the colours of the height of the canopy end.
     fn top_m(&self) -> f64 {
         self.canopy.percentile_m(0.995).unwrap_or(0.0).max(0.05)
     }
 
     fn outcome(&self, found: &Found<'_>) -> SurfaceOutcome {
-        let has_ground = found.ground.terrain.is_some();
+        let has_ground = found.ground.is_known();
         let percentile = |share| self.canopy.percentile_m(share);
         SurfaceOutcome {
             surface: SURFACE.into(),
@@ -273,10 +338,11 @@ impl Sums {
             cloud: None,
             width_px: self.size[0],
             height_px: self.size[1],
-            cell_m: found.area.cell_m,
+            cell_m: found.cell_m,
             epsg: found.place.crs.epsg,
-            range_m: found.range_m,
-            layer_m: found.ground.layer_m,
+            given: None,
+            range_m: found.matching.map(|of| of.range_m),
+            layer_m: found.matching.map(|of| of.layer_m),
             cells_seen: self.seen,
             cells_with_height: self.with_height,
             median_surface_sigma_m: self.surface_sigma.percentile_m(0.5),
@@ -286,6 +352,7 @@ impl Sums {
                 .zip(percentile(0.95))
                 .zip(percentile(0.99))
                 .map(|((a, b), c)| [a, b, c]),
+            above_ground_m: shares(&self.above_m()),
             canopy_picture_to_m: has_ground.then(|| self.top_m()),
         }
     }
@@ -299,7 +366,7 @@ impl Sums {
         };
         let surface = Surface::new(place, self.small, self.surface_m.clone())?;
         map_figures::draw_surface(folder, &surface)?;
-        if found.ground.terrain.is_some() {
+        if found.ground.is_known() {
             map_figures::draw_canopy(folder, self.small, &self.canopy_m, self.top_m())?;
             self.profile(found, folder)?;
         }
@@ -315,14 +382,14 @@ impl Sums {
         let along = self.row_m.iter().enumerate().map(|(u, of)| ("east", [u, height / 2], of));
         let across = self.column_m.iter().enumerate().map(|(v, of)| ("south", [width / 2, v], of));
         for (direction, [u, v], &[top, below]) in along.chain(across) {
-            let [x, y] = found.area.place_m(u, v);
+            let [x, y] = found.place.map([u as f64, v as f64]);
             let (top, below) = (text(top), text(below));
             csv += &format!("{direction},{x:.4},{y:.4},{top},{below}\n");
         }
         let line = |which: usize| -> Vec<(f64, f64)> {
             let cells = self.row_m.iter().map(|of| of[which]).enumerate();
             let known = cells.filter(|(_, z)| z.is_finite());
-            known.map(|(u, z)| (u as f64 * found.area.cell_m, f64::from(z))).collect()
+            known.map(|(u, z)| (u as f64 * found.cell_m, f64::from(z))).collect()
         };
         let svg = figures::profile(&line(0), &line(1))
             .map_err(|e| FileError::write(folder, std::io::Error::other(e.to_string())))?;
@@ -330,11 +397,17 @@ impl Sums {
     }
 }
 
+/// What a twentieth and a half of sorted values do not exceed.
+fn shares(sorted: &[f32]) -> Option<[f64; 2]> {
+    let at = |share: f64| sorted.get((share * sorted.len() as f64) as usize).map(|&z| f64::from(z));
+    at(0.05).zip(at(0.5)).map(|(low, middle)| [low, middle])
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use rowgram_raster::georeference::Crs;
-    use rowgram_survey::mapping::dense::area::TilesInMemory;
+    use rowgram_survey::mapping::dense::{Tile, area::TilesInMemory};
 
     #[test]
     fn the_cloud_has_every_cell_with_a_height() {
@@ -352,8 +425,10 @@ mod tests {
         let mut store = TilesInMemory::default();
         let tiles: &mut dyn TileStore<Error> = &mut store;
         tiles.save(Pass::Fine, 0, &tile).unwrap();
-        let ground = AreaGround { terrain: None, layer_m: 0.01 };
-        let found = Found { area, place: &place, ground: &ground, range_m: 1.0, orientation: None };
+        let ground = Ground::Unknown;
+        let matching = Some(Matching { range_m: 1.0, layer_m: 0.01, orientation: None });
+        let found =
+            Found { place: &place, size: area.size, ground: &ground, cell_m: 0.02, matching };
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("dsm.laz");
         cloud(&found, &mut store, &path).unwrap();

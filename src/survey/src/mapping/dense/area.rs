@@ -149,7 +149,7 @@ pub struct Area<'a, E> {
 impl<E: From<MapError> + Send> Area<'_, E> {
     /// Number of tiles of a pass.
     pub fn tiles(&self, pass: Pass) -> usize {
-        starts(&self.cells_of(pass), self.options.tile_cells).len()
+        starts(self.cells_of(pass).size, self.options.tile_cells).len()
     }
 
     fn cells_of(&self, pass: Pass) -> Tile {
@@ -284,7 +284,7 @@ impl<E: From<MapError> + Send> Area<'_, E> {
     /// The cells of a tile.
     fn part(&self, pass: Pass, number: usize) -> Tile {
         let (area, side) = (self.cells_of(pass), self.options.tile_cells);
-        let start = starts(&area, side)[number];
+        let start = starts(area.size, side)[number];
         let size = [0, 1].map(|k| side.min(area.size[k] - start[k]));
         Tile { corner_m: area.place_m(start[0], start[1]), cell_m: area.cell_m, size }
     }
@@ -370,7 +370,7 @@ impl<E: From<MapError> + Send> Area<'_, E> {
     /// The tile of the coarse pass in which a tile of the fine pass lies.
     fn coarse_of(&self, number: usize) -> usize {
         let side = self.options.tile_cells;
-        let [column, row] = starts(&self.cells, side)[number].map(|start| start / (2 * side));
+        let [column, row] = starts(self.cells.size, side)[number].map(|start| start / (2 * side));
         row * self.cells_of(Pass::Coarse).size[0].div_ceil(side) + column
     }
 }
@@ -383,7 +383,7 @@ fn usual_height_m<E>(
     store: &mut dyn TileStore<E>,
 ) -> Result<f64, E> {
     let mut counts = HeightCounts::new(CLASS_M);
-    for number in 0..starts(coarse, options.tile_cells).len() {
+    for number in 0..starts(coarse.size, options.tile_cells).len() {
         let Some(found) = store.load(Pass::Coarse, number)? else { continue };
         for at in 0..found.surface_m.len() {
             let green = greenness(found.colour[at]);
@@ -407,8 +407,8 @@ fn coarse(area: &Tile) -> Tile {
 }
 
 /// First columns and rows of the tiles of an area.
-pub fn starts(area: &Tile, tile_cells: usize) -> Vec<[usize; 2]> {
-    let ([width, height], side) = (area.size, tile_cells.max(1));
+pub fn starts([width, height]: [usize; 2], tile_cells: usize) -> Vec<[usize; 2]> {
+    let side = tile_cells.max(1);
     let rows = (0..height).step_by(side);
     rows.flat_map(|row| (0..width).step_by(side).map(move |column| [column, row])).collect()
 }

@@ -188,13 +188,17 @@ pub(super) fn sure_cells(found: &DenseTile) -> impl Iterator<Item = ([f64; 3], b
     let is_sure = |at: &usize| found.confidence[*at] >= MIN_GROUND_CONFIDENCE;
     (0..found.surface_m.len()).filter(is_sure).map(|at| {
         let [x, y] = found.tile.place_m(at % found.tile.size[0], at / found.tile.size[0]);
-        let bare = greenness(found.colour[at]) < BARE_BELOW;
-        ([x, y, f64::from(found.surface_m[at])], bare)
+        ([x, y, f64::from(found.surface_m[at])], is_bare(found.colour[at]))
     })
 }
 
+/// Whether what has this colour may be the ground.
+pub fn is_bare(colour: [u8; 3]) -> bool {
+    greenness(colour) < BARE_BELOW
+}
+
 /// Distance of the nodes of the ground under cells of this side, metres.
-pub(super) fn node_m(coarse_cell_m: f64) -> f64 {
+pub fn node_m(coarse_cell_m: f64) -> f64 {
     NODE_M.max(NODE_CELLS * coarse_cell_m)
 }
 
