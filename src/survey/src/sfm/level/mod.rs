@@ -1,7 +1,7 @@
 //! Which way is down, where only a receiver tells places.
 //!
-//! Heights of receivers drift with air pressure, jump with the set of satellites, are constant or missing. The cameras of a
-//! flight that looks down know better, and so does a flight at constant height:
+//! Heights of receivers drift with air pressure, jump with the set of satellites, are constant or missing. Cameras whose
+//! orientation a gimbal tells know better, those of a flight that looks down too, and so does a flight at constant height:
 //!
 //! ```text
 //! axes       d_i       = (a, b) + R(k_i) m + e_i            m: how the camera hangs, a few degrees
@@ -9,7 +9,8 @@
 //! receiver   z_i - h_i =  a x_i + b y_i + c + g(t_i) + r_i  g: none, a drift, or a jump
 //! ```
 //!
-//! with `(a, b)` the slope by which the block is still off level, `d_i` the slopes of the optical axes, `k_i` the headings,
+//! with `(a, b)` the slope by which the block is still off level, `d_i` the slopes of what each camera takes for the vertical (its
+//! optical axis, where no gimbal tells better), `k_i` the headings,
 //! `h_i` the heights of the cameras in the block, in metres, `z_i` those of the receiver, `t_i` the place in the flight. The
 //! error `g` is the one with the least `n ln s^2 + misfit + p ln n` (G. Schwarz, "Estimating the dimension of a model",
 //! Annals of Statistics 6, 1978), the prior slope of axes and flatness having heavy tails, because a camera may be mounted obliquely.
@@ -20,12 +21,15 @@ pub(super) mod plan;
 pub use heights::HeightError;
 use rowgram_optim::robust::median;
 
-use super::{block::Block, georeference::apply};
+use super::{
+    block::Block,
+    georeference::{apply, told_error_m},
+};
 use crate::{
-    problems::adjustment::Alignment,
+    problems::adjustment::{Alignment, COMMON_SIGMA_RAD},
     scene::{CameraPosition, Pose, Reconstruction},
 };
-use heights::{HeightFit, Sample, Slope, plane, review_heights, robust_sigma};
+use heights::{Believed, HeightFit, Sample, Slope, plane, review_heights, robust_sigma};
 use nalgebra::{Matrix2, Matrix3, Matrix4, Rotation3, Vector2, Vector3, Vector4};
 use plan::PlanFit;
 use rowgram_optim::geometry::rotation;
@@ -46,7 +50,7 @@ pub struct HeightReview {
     pub error: HeightError,
     /// From the least to the greatest of that error, metres.
     pub range_m: f64,
-    /// By how much they scatter besides, metres.
+    /// By how much they scatter besides, at least as much as is told of them, metres.
     pub sigma_m: f64,
     /// The angle by which they alone would have tilted the block, radians.
     pub tilt_rad: f64,
@@ -62,14 +66,25 @@ impl HeightReview {
     }
 }
 
-/// The middle of the directions against which cameras look, and the median angle from it; `None` without images.
+/// The vertical in each image's camera frame: as its gimbal tells it, else as if it looked straight down.
+fn verticals(survey: &Reconstruction) -> Vec<[f64; 3]> {
+    let up = [0.0, 0.0, 1.0];
+    let mut verticals = vec![up; survey.images.len()];
+    for told in &survey.orientations {
+        verticals[told.image as usize] = rotation::rotate(told.rotation, up);
+    }
+    verticals
+}
+
+/// The middle of what cameras take for the vertical, and the median angle from it; `None` without images.
 pub fn mean_up(survey: &Reconstruction) -> Option<(Vector3<f64>, f64)> {
     let axes: Vec<Vector3<f64>> = survey
         .images
         .iter()
-        .map(|image| {
+        .zip(verticals(survey))
+        .map(|(image, vertical)| {
             let back = rotation::inverse(image.pose.rotation);
-            Vector3::from(rotation::rotate(back, [0.0, 0.0, 1.0]))
+            Vector3::from(rotation::rotate(back, vertical))
         })
         .collect();
     let mut up = axes.iter().sum::<Vector3<f64>>();
@@ -96,9 +111,10 @@ fn slope_of_axes(survey: &Reconstruction) -> Slope {
     let rows: Vec<(Vector2<f64>, [f64; 2])> = survey
         .images
         .iter()
-        .map(|image| {
+        .zip(verticals(survey))
+        .map(|(image, vertical)| {
             let back = rotation::inverse(image.pose.rotation);
-            let axis = rotation::rotate(back, [0.0, 0.0, 1.0]);
+            let axis = rotation::rotate(back, vertical);
             let right = rotation::rotate(back, [1.0, 0.0, 0.0]);
             let length = right[0].hypot(right[1]).max(1e-9);
             let up = axis[2].max(0.2);
@@ -128,7 +144,9 @@ fn slope_of_axes(survey: &Reconstruction) -> Slope {
     let covariance = information.try_inverse().unwrap_or_else(Matrix4::identity);
     let of_slope: Matrix2<f64> = covariance.fixed_view::<2, 2>(0, 0).into_owned();
     let information = of_slope.try_inverse().unwrap_or_else(Matrix2::identity);
-    Slope { value: Vector2::new(x[0], x[1]), information }.with_common_error(AXES_RAD)
+    let is_told = 2 * survey.orientations.len() > survey.images.len();
+    let common_rad = if is_told { COMMON_SIGMA_RAD[0] } else { AXES_RAD };
+    Slope { value: Vector2::new(x[0], x[1]), information }.with_common_error(common_rad)
 }
 
 /// Positions of a survey as samples: height left between receiver and block, and the images' places.
@@ -145,6 +163,18 @@ fn samples(survey: &Reconstruction, places: &[f64], middle: [f64; 2]) -> Vec<Sam
     survey.positions.iter().map(sample).collect()
 }
 
+impl Believed {
+    /// Of positions whose accuracies are told.
+    fn told(survey: &Reconstruction) -> Believed {
+        let sigma_m = median(survey.positions.iter().map(|position| position.sigma_m[2]));
+        let positions: Vec<[f64; 3]> = survey.positions.iter().map(|p| p.position_m).collect();
+        sigma_m.map_or_else(Believed::default, |sigma_m| Believed {
+            sigma_m,
+            error_m: told_error_m(sigma_m, &positions),
+        })
+    }
+}
+
 fn middle(survey: &Reconstruction) -> [f64; 2] {
     let n = survey.images.len().max(1) as f64;
     let sum = survey.images.iter().map(|image| image.pose.centre_m());
@@ -153,14 +183,19 @@ fn middle(survey: &Reconstruction) -> [f64; 2] {
 }
 
 /// Brings a flight that looks down into the frame of its camera positions, level whatever their heights are. `places` says
-/// for each image of the survey where in the flight it was taken, 0 to 1. `None`, and nothing changed, where it does not
-/// look down or has too few positions.
-pub fn level(survey: &mut Reconstruction, places: &[f64]) -> Option<(Alignment, HeightReview)> {
+/// for each image of the survey where in the flight it was taken, 0 to 1; `is_told` whether the accuracies of its positions are
+/// told. `None`, and nothing changed, where it neither looks down nor has a gimbal that tells how it looks, or has too few positions.
+pub fn level(
+    survey: &mut Reconstruction,
+    places: &[f64],
+    is_told: bool,
+) -> Option<(Alignment, HeightReview)> {
     let (mut up, spread) = mean_up(survey)?;
     if spread > LOOKS_DOWN_RAD || survey.positions.len() < 2 {
         return None;
     }
     let start = survey.clone();
+    let believed = if is_told { Believed::told(survey) } else { Believed::default() };
     let mut found = None;
     for _ in 0..4 {
         *survey = start.clone();
@@ -186,7 +221,7 @@ pub fn level(survey: &mut Reconstruction, places: &[f64]) -> Option<(Alignment, 
         let at = middle(survey);
         let heights = samples(survey, places, at);
         let prior = prior(survey, at);
-        let review = review_heights(&heights, prior)?;
+        let review = review_heights(&heights, prior, &believed)?;
         let alone = plane(&heights).map_or(review.slope, |alone| alone.slope);
         // The vertical in the frame of the start.
         let slope = review.slope;
@@ -215,7 +250,11 @@ pub fn level(survey: &mut Reconstruction, places: &[f64]) -> Option<(Alignment, 
         rmse_m: (squares / used.len().max(1) as f64).sqrt(),
     };
     let tilt_rad = (alone - review.slope).norm().atan();
-    let review = corrected(survey, places, review, tilt_rad);
+    let mut review = corrected(survey, places, review, tilt_rad);
+    if is_told && !survey.orientations.is_empty() && review.error == HeightError::Constant {
+        // Told heights and the gimbal are weighed in the adjustment.
+        review.correction_m.fill(0.0);
+    }
     Some((alignment, review))
 }
 
@@ -248,7 +287,7 @@ pub fn review_level(survey: &Reconstruction, places: &[f64]) -> Option<HeightRev
     }
     let heights = samples(survey, places, middle(survey));
     let fixed = Slope { value: Vector2::zeros(), information: 1e12 * Matrix2::identity() };
-    let review = review_heights(&heights, fixed)?;
+    let review = review_heights(&heights, fixed, &Believed::default())?;
     Some(corrected(survey, places, review, 0.0))
 }
 
