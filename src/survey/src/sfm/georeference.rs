@@ -284,7 +284,8 @@ fn places_of(places: &[f64], order: &[usize]) -> Vec<f64> {
     order.iter().map(|&image| places.get(image).copied().unwrap_or(0.0)).collect()
 }
 
-/// Heights that are off by less than this along a flight may as well be those of a block that is bent, metres.
+/// Heights of which no accuracy is told, and that are off by less than this along a flight, may as well be those of a block that
+/// is bent, metres.
 const LEAST_HEIGHT_ERROR_M: f64 = 3.0;
 
 /// Takes off camera positions what a review found in their heights; those of images that it did not see get what it
@@ -363,8 +364,10 @@ pub fn join<'a>(
     if alignments.iter().flatten().any(|of| of.by == "control points") {
         let (mut survey, _, order) = block.reconstruction(None);
         known.attach(&mut survey, &order);
-        let review = level::review_level(&survey, &places_of(&places, &order));
-        heights = review.filter(|review| review.range_m > LEAST_HEIGHT_ERROR_M);
+        let told_m = median(known.positions.iter().map(|position| position.sigma_m[2]));
+        let told_m = told_m.filter(|_| known.told_positions);
+        let least_m = told_m.map_or(LEAST_HEIGHT_ERROR_M, |sigma_m| TOLD_RATIO * sigma_m);
+        heights = level::review_level(&survey, &places_of(&places, &order), least_m);
         if let Some(review) = &heights {
             correct_heights(&mut known.positions, review, &order, &places);
         }

@@ -7,16 +7,16 @@
 //!
 //! with the rotation `R_i` from the block's frame to the camera, `R_i0` the told one from the mapping frame, `Q` from the mapping
 //! frame to that of the block, and `b` how the camera hangs in its mount, as in
-//! [`rowgram_survey::problems::adjustment`](crate::problems::adjustment). `Q` is free in a block that has a frame of its own; in the
-//! mapping frame it is what an inertial unit takes for level and a compass for north. Iterated least squares with Huber's
-//! weights; radians, about the axes of the mapping frame (east, north, up).
+//! [`crate::problems::adjustment`]. `Q` is free: for a block in the mapping frame it is what an inertial unit is off level and a
+//! compass from north, with as much as they may be off anyway for comparison. Iterated least squares with Huber's weights;
+//! radians, about the axes of the mapping frame (east, north, up).
 
 use super::{block::Block, georeference::Known};
 use crate::{
     problems::adjustment::{COMMON_SIGMA_RAD, MOUNT_SIGMA_RAD},
     scene::{CameraOrientation, Reconstruction},
 };
-use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Vector2, Vector3};
 use rowgram_optim::{
     geometry::rotation::{self, Quaternion},
     robust::{median, sigma_of_errors},
@@ -39,7 +39,7 @@ const MAX_STARTS: usize = 100;
 pub struct OrientationSummary {
     /// How many take part.
     pub photos: usize,
-    /// What all are off by, about east, north and up, degrees.
+    /// What all are off by against the adjusted block, about east, north and up, degrees.
     pub mean_correction_deg: [f64; 3],
     /// By how much each camera hangs from where its gimbal points, degrees; 0 for a camera without orientations.
     pub mount_deg: Vec<f64>,
@@ -77,6 +77,8 @@ struct Pairing<'a> {
 
 struct Fit {
     turn: Quaternion,
+    /// Covariance of the turn about east and north.
+    level_covariance: Matrix2<f64>,
     /// Of each camera.
     mounts: Vec<Vector3<f64>>,
     left: Vec<Vector3<f64>>,
@@ -123,10 +125,11 @@ fn told_rad(pairings: &[Pairing<'_>]) -> [f64; 2] {
     [0, 2].map(|k| median(pairings.iter().map(|p| p.told.sigma_rad[k])).unwrap_or(0.0))
 }
 
-/// Fits what orientations have in common. `is_mapped` says whether the block is in the mapping frame.
-fn fit(pairings: &[Pairing<'_>], cameras: usize, is_mapped: bool) -> Option<Fit> {
+/// Fits what orientations have in common.
+fn fit(pairings: &[Pairing<'_>], cameras: usize) -> Option<Fit> {
     let told = told_rad(pairings);
-    let mut turn = if is_mapped { [1.0, 0.0, 0.0, 0.0] } else { start(pairings) };
+    let mut turn = start(pairings);
+    let mut level_covariance = Matrix2::zeros();
     let mut mounts = vec![Vector3::zeros(); cameras];
     let n = 3 + 3 * cameras;
     let errors = |turn: Quaternion, mounts: &[Vector3<f64>]| -> Vec<Vector3<f64>> {
@@ -165,14 +168,9 @@ fn fit(pairings: &[Pairing<'_>], cameras: usize, is_mapped: bool) -> Option<Fit>
                 sum[at] -= mount[k] * MOUNT_SIGMA_RAD.powi(-2);
             }
         }
-        if is_mapped {
-            let common = rotation::log(turn);
-            for k in 0..3 {
-                normal[(k, k)] += COMMON_SIGMA_RAD[k].powi(-2);
-                sum[k] -= common[k] * COMMON_SIGMA_RAD[k].powi(-2);
-            }
-        }
-        let step = normal.cholesky()?.solve(&sum);
+        let factor = normal.cholesky()?;
+        let step = factor.solve(&sum);
+        level_covariance = factor.inverse().fixed_view::<2, 2>(0, 0).into_owned();
         turn = rotation::normalize(rotation::multiply(
             turn,
             rotation::exp([step[0], step[1], step[2]]),
@@ -183,7 +181,7 @@ fn fit(pairings: &[Pairing<'_>], cameras: usize, is_mapped: bool) -> Option<Fit>
         left = errors(turn, &mounts);
     }
     let scatter_rad = scatter(&left, [0.0; 2]);
-    Some(Fit { turn, mounts, left, scatter_rad })
+    Some(Fit { turn, level_covariance, mounts, left, scatter_rad })
 }
 
 /// Compares orientations with a block in any frame: takes out those that are wrong, all where they contradict it, and gives the
@@ -201,7 +199,7 @@ pub fn review_orientations(block: &Block<'_>, known: &mut Known) -> Option<Orien
     if pairings.len() < MIN_ORIENTATIONS {
         return None;
     }
-    let fit = fit(&pairings, block.cameras.len(), false)?;
+    let fit = fit(&pairings, block.cameras.len())?;
     let told = told_rad(&pairings);
     let sigma: [f64; 2] = std::array::from_fn(|k| fit.scatter_rad[k].max(told[k]));
     let wrong = pairings.iter().zip(&fit.left).filter(|(_, e)| {
@@ -238,15 +236,16 @@ pub fn summarize_orientations(scene: &Reconstruction) -> Option<OrientationSumma
     if pairings.is_empty() {
         return None;
     }
-    let fit = fit(&pairings, scene.cameras.len(), true)?;
+    let fit = fit(&pairings, scene.cameras.len())?;
     let count = pairings.len() as f64;
     let told = told_rad(&pairings);
     let common = Vector3::from(rotation::log(fit.turn));
     let mean = |square: &dyn Fn(&Vector3<f64>) -> f64| {
         (fit.left.iter().map(square).sum::<f64>() / count).sqrt().to_degrees()
     };
-    let level_sigma = COMMON_SIGMA_RAD[0].hypot(told[0] / count.sqrt());
-    let hung = fit.mounts.iter().map(|mount| mount.norm() / MOUNT_SIGMA_RAD).fold(0.0, f64::max);
+    let level = Vector2::new(common[0], common[1]);
+    let expected = fit.level_covariance + COMMON_SIGMA_RAD[0].powi(2) * Matrix2::identity();
+    let weight = expected.try_inverse().unwrap_or_else(Matrix2::zeros);
     Some(OrientationSummary {
         photos: pairings.len(),
         mean_correction_deg: common.map(f64::to_degrees).into(),
@@ -255,6 +254,6 @@ pub fn summarize_orientations(scene: &Reconstruction) -> Option<OrientationSumma
         heading_rms_deg: mean(&|e| e[2] * e[2]),
         level_sigma_deg: told[0].to_degrees(),
         heading_sigma_deg: told[1].to_degrees(),
-        contradiction_sigmas: (common[0].hypot(common[1]) / level_sigma).hypot(hung),
+        contradiction_sigmas: level.dot(&(weight * level)).sqrt(),
     })
 }

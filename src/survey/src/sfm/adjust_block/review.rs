@@ -67,6 +67,8 @@ pub(super) fn position_shift([x, y, z]: [f64; 3]) -> Diagnostic {
 const HEIGHT_ERROR_M: f64 = 3.0;
 /// Orientations that are farther from the level of the block than this contradict it, standard deviations.
 const CONTRADICTION_SIGMAS: f64 = 4.0;
+/// A tilt of heights by more standard deviations than this is said.
+const TILT_SIGMAS: f64 = 3.0;
 /// A tilt beyond this is none of a mount.
 const TILT_DEG: f64 = 8.0;
 
@@ -95,11 +97,13 @@ pub(super) fn heights(review: &HeightReview) -> Vec<Diagnostic> {
         );
     }
     let degrees = review.tilt_rad.to_degrees();
-    if degrees > TILT_DEG {
+    if degrees > TILT_DEG || review.tilt_sigmas > TILT_SIGMAS {
         let message = format!(
-            "their heights alone would tilt the block by {degrees:.0} degrees against the direction in which the cameras look; the cameras were followed"
+            "their heights alone would tilt the block by {degrees:.1} degrees ({:.0} standard deviations) against the direction in which the cameras look; they were weighed with the cameras",
+            review.tilt_sigmas
         );
-        found.push(Diagnostic::warning("heights-tilted", "camera positions", message));
+        let severity = if degrees > TILT_DEG { Severity::Warning } else { Severity::Info };
+        found.push(Diagnostic::new(severity, "heights-tilted", "camera positions", message));
     }
     found
 }

@@ -54,6 +54,8 @@ pub struct HeightReview {
     pub sigma_m: f64,
     /// The angle by which they alone would have tilted the block, radians.
     pub tilt_rad: f64,
+    /// That angle in standard deviations of what heights and all else say of the vertical.
+    pub tilt_sigmas: f64,
     /// What is to be taken off them, photo by photo in the order of the block; 0 for photos without a height.
     pub correction_m: Vec<f64>,
     usual_m: f64,
@@ -222,7 +224,7 @@ pub fn level(
         let heights = samples(survey, places, at);
         let prior = prior(survey, at);
         let review = review_heights(&heights, prior, &believed)?;
-        let alone = plane(&heights).map_or(review.slope, |alone| alone.slope);
+        let alone = plane(&heights);
         // The vertical in the frame of the start.
         let slope = review.slope;
         up = turn.transpose() * Vector3::new(slope[0], slope[1], 1.0).normalize();
@@ -249,8 +251,8 @@ pub fn level(
         misfits: (0..pairs.len()).filter(|&k| !inside[k]).map(|k| (name(k), left[k])).collect(),
         rmse_m: (squares / used.len().max(1) as f64).sqrt(),
     };
-    let tilt_rad = (alone - review.slope).norm().atan();
-    let mut review = corrected(survey, places, review, tilt_rad);
+    let tilt = alone.as_ref().map_or([0.0; 2], |alone| tilt_against(alone, &review));
+    let mut review = corrected(survey, places, review, tilt);
     if is_told && !survey.orientations.is_empty() && review.error == HeightError::Constant {
         // Told heights and the gimbal are weighed in the adjustment.
         review.correction_m.fill(0.0);
@@ -280,15 +282,35 @@ fn prior(survey: &Reconstruction, middle: [f64; 2]) -> Slope {
     if agrees { axes.and(flat) } else { axes }
 }
 
-/// Heights of positions against a block that is level and in its place by something better.
-pub fn review_level(survey: &Reconstruction, places: &[f64]) -> Option<HeightReview> {
+/// Heights of positions against a block that is level and in its place by something better. Their errors along the flight are
+/// larger than `least_error_m`.
+pub fn review_level(
+    survey: &Reconstruction,
+    places: &[f64],
+    least_error_m: f64,
+) -> Option<HeightReview> {
     if survey.positions.len() < 4 {
         return None;
     }
     let heights = samples(survey, places, middle(survey));
     let fixed = Slope { value: Vector2::zeros(), information: 1e12 * Matrix2::identity() };
-    let review = review_heights(&heights, fixed, &Believed::default())?;
-    Some(corrected(survey, places, review, 0.0))
+    let believed = Believed { error_m: least_error_m, ..Believed::default() };
+    let review = review_heights(&heights, fixed, &believed)?;
+    if review.error == HeightError::Constant {
+        return None;
+    }
+    Some(corrected(survey, places, review, [0.0; 2]))
+}
+
+/// The angle between the vertical of heights alone and that of heights and all else, radians, and in its standard deviations.
+fn tilt_against(alone: &HeightFit, all: &HeightFit) -> [f64; 2] {
+    let apart = alone.slope - all.slope;
+    let covariance = |fit: &HeightFit| fit.information.try_inverse().unwrap_or_else(Matrix2::zeros);
+    // All are the best of heights and the rest: the covariance of the difference is the difference of the covariances.
+    let difference = covariance(alone) - covariance(all);
+    let variance = apart.dot(&(difference * apart)) / apart.norm_squared().max(1e-300);
+    let sigmas = if variance > 0.0 { apart.norm() / variance.sqrt() } else { 0.0 };
+    [apart.norm().atan(), sigmas]
 }
 
 /// The error that most heights have, metres: the part of the flight that most of it agrees with is taken to be right.
@@ -302,7 +324,7 @@ fn corrected(
     survey: &Reconstruction,
     places: &[f64],
     fit: HeightFit,
-    tilt_rad: f64,
+    [tilt_rad, tilt_sigmas]: [f64; 2],
 ) -> HeightReview {
     let at = middle(survey);
     let mut heights = samples(survey, places, at);
@@ -324,6 +346,7 @@ fn corrected(
         range_m: (most - least).max(0.0),
         sigma_m: fit.sigma,
         tilt_rad,
+        tilt_sigmas,
         correction_m,
         usual_m: usual,
     }
