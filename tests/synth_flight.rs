@@ -265,9 +265,8 @@ fn a_gimbal_and_a_receiver_with_corrections_are_in_the_photos_as_they_truly_are(
         let told = gimbal_rotation(found.gimbal_deg.unwrap());
         let apart = rotation::log(rotation::multiply(true_rotation, rotation::inverse(told)));
         // The camera is turned about its first axis against the gimbal; angles are written with hundredths of degrees.
-        let expected = [-5.0, 0.0, 0.0];
-        for axis in 0..3 {
-            let off_deg = apart[axis].to_degrees() - expected[axis];
+        for (turn, expected_deg) in apart.iter().zip([-5.0, 0.0, 0.0]) {
+            let off_deg = turn.to_degrees() - expected_deg;
             assert!(off_deg.abs() < 0.03, "{}: {:?}", cells[0], apart.map(f64::to_degrees));
         }
         assert_eq!(found.geotag.unwrap().sigma_m, Some([0.02; 3]));

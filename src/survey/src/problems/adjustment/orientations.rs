@@ -86,8 +86,8 @@ impl Factor for OrientationFactor {
             rotation::multiply(self.rotation, rotation::exp(w.map(|v| -v))),
         );
         let e = rotation::log(rotation::multiply(back, expected));
-        for k in 0..3 {
-            residual[k] = e[k] / self.sigma_rad[k];
+        for ((residual, error), sigma) in residual.iter_mut().zip(e).zip(self.sigma_rad) {
+            *residual = error / sigma;
         }
         let Some(jacobian) = jacobian else { return Ok(()) };
         let (e, w, b) = (Vector3::from(e), Vector3::from(w), Vector3::from(b));
