@@ -4,7 +4,12 @@ use data_synth::{
     camera::{Camera, CameraConfig},
     twin::{FlightPreset, TwinConfig},
 };
-use rowgram::camera::{Camera as Description, Lens};
+use rowgram::{
+    camera::{Camera as Description, Lens},
+    geometry::rotation,
+    io::photo,
+    scene::gimbal_rotation,
+};
 use std::{
     collections::BTreeMap,
     fs,
@@ -237,6 +242,38 @@ fn the_truth_files_close_the_loop() {
         let off_px = f64::hypot(u - number(&mark, "u_px"), v - number(&mark, "v_px"));
         assert!(off_px < 1e-3, "{off_px} px");
     }
+}
+
+#[test]
+fn a_gimbal_and_a_receiver_with_corrections_are_in_the_photos_as_they_truly_are() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = tiny(folder.path());
+    let out = folder.path().join("out");
+    let options = ["--gimbal", "0", "--mount-tilt", "5", "--rtk", "0.02", "-o", text(&out)];
+    succeed(&[&["synth", "flight", "--config", text(&config)], options.as_slice()].concat());
+    let truth = fs::read_to_string(out.join("truth/exterior_orientation.csv")).unwrap();
+    for row in truth.lines().skip(1) {
+        let cells: Vec<&str> = row.split(',').collect();
+        let [o, p, k] = [4, 5, 6].map(|at| cells[at].parse::<f64>().unwrap().to_radians());
+        // From the mapping frame to the camera.
+        let true_rotation = [[0.0, 0.0, -k], [0.0, -p, 0.0], [-o, 0.0, 0.0]]
+            .into_iter()
+            .map(rotation::exp)
+            .reduce(rotation::multiply)
+            .unwrap();
+        let found = photo::read(&out.join("images").join(cells[0])).unwrap();
+        let told = gimbal_rotation(found.gimbal_deg.unwrap());
+        let apart = rotation::log(rotation::multiply(true_rotation, rotation::inverse(told)));
+        // The camera is turned about its first axis against the gimbal; angles are written with hundredths of degrees.
+        for (turn, expected_deg) in apart.iter().zip([-5.0, 0.0, 0.0]) {
+            let off_deg = turn.to_degrees() - expected_deg;
+            assert!(off_deg.abs() < 0.03, "{}: {:?}", cells[0], apart.map(f64::to_degrees));
+        }
+        assert_eq!(found.geotag.unwrap().sigma_m, Some([0.02; 3]));
+    }
+    let refused = rowgram(&["synth", "flight", "--mount-tilt", "9", "-o", text(&out), "--force"]);
+    let message = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(message.contains("flight.mount_tilt_deg"), "{message}");
 }
 
 #[test]

@@ -1,4 +1,5 @@
-//! Photos as JPEG files with the EXIF that a camera with a receiver would write.
+//! Photos as JPEG files with the EXIF that a camera with a receiver would write, and the XMP of one with a gimbal or with
+//! corrections for its receiver.
 
 use crate::{camera::CameraConfig, flight::Shot, site::Site};
 use exif::{Field, In, Rational, Tag, Value, experimental::Writer};
@@ -6,7 +7,8 @@ use image::{ExtendedColorType, ImageEncoder, RgbImage, codecs::jpeg::JpegEncoder
 use std::io;
 
 /// The bytes of a photo: JPEG of a quality from 1 to 100 with EXIF (maker, model, moment, exposure time, focal
-/// length, its equivalent in pixels as that of a frame 36 mm wide, and the receiver's position: WGS84, height above the ellipsoid).
+/// length, its equivalent in pixels as that of a frame 36 mm wide, and the receiver's position: WGS84, height above the ellipsoid),
+/// and with XMP where there is something that EXIF has no place for: angles of the gimbal, accuracies of the receiver.
 ///
 /// # Errors
 /// Where the position has no latitude and longitude, or the picture is too large for a JPEG.
@@ -23,7 +25,52 @@ pub fn jpeg(
     encoder
         .write_image(image.as_raw(), image.width(), image.height(), ExtendedColorType::Rgb8)
         .map_err(io::Error::other)?;
+    if let Some(packet) = packet(shot) {
+        insert_xmp(&mut bytes, &packet)?;
+    }
     Ok(bytes)
+}
+
+/// What a receiver with fixed ambiguities says of its state.
+const RTK_FIXED: u8 = 50;
+
+/// The XMP of a photo; nothing where it has none.
+fn packet(shot: &Shot) -> Option<String> {
+    let mut attributes = String::new();
+    if let Some([yaw, pitch, roll]) = shot.gimbal_deg {
+        for (name, degrees) in [("Yaw", yaw), ("Pitch", pitch), ("Roll", roll)] {
+            attributes += &format!(" drone-dji:Gimbal{name}Degree=\"{degrees:+.2}\"");
+        }
+    }
+    if let Some(sigma_m) = shot.stated_sigma_m {
+        attributes += &format!(" drone-dji:RtkFlag=\"{RTK_FIXED}\"");
+        for name in ["Lon", "Lat", "Hgt"] {
+            attributes += &format!(" drone-dji:RtkStd{name}=\"{sigma_m:.5}\"");
+        }
+    }
+    (!attributes.is_empty()).then(|| {
+        format!(
+            "<x:xmpmeta xmlns:x=\"adobe:ns:meta/\"><rdf:RDF xmlns:rdf=\"http://www.w3.org/1999/02/22-rdf-syntax-ns#\">\
+             <rdf:Description rdf:about=\"\" xmlns:drone-dji=\"http://www.dji.com/drone-dji/1.0/\"{attributes}/>\
+             </rdf:RDF></x:xmpmeta>"
+        )
+    })
+}
+
+/// Puts XMP behind the other application segments of a JPEG.
+fn insert_xmp(bytes: &mut Vec<u8>, packet: &str) -> io::Result<()> {
+    const NAME: &[u8] = b"http://ns.adobe.com/xap/1.0/\0";
+    let mut at = 2;
+    while let Some([0xff, 0xe0..=0xef, high, low]) = bytes.get(at..at + 4) {
+        at += 2 + usize::from(u16::from_be_bytes([*high, *low]));
+    }
+    let length = u16::try_from(2 + NAME.len() + packet.len()).map_err(io::Error::other)?;
+    let mut segment = vec![0xff, 0xe1];
+    segment.extend(length.to_be_bytes());
+    segment.extend(NAME);
+    segment.extend(packet.as_bytes());
+    bytes.splice(at..at, segment);
+    Ok(())
 }
 
 /// Sensitivity and aperture of a camera that reports them.

@@ -86,7 +86,8 @@ pub fn geolocation(twin: &Twin, out: &mut dyn Write) -> Result {
     )?;
     let config = &twin.config.flight.gnss;
     // No receiver claims to be exact.
-    let claimed_m = [config.horizontal_m, config.vertical_m].map(|sigma_m| sigma_m.max(0.01));
+    let claimed_m = [config.horizontal_m, config.vertical_m]
+        .map(|sigma_m| config.stated_sigma_m.unwrap_or_else(|| sigma_m.max(0.01)));
     for shot in &twin.shots {
         let [latitude, longitude, height] =
             twin.site.geographic(shot.gnss_m).map_err(io::Error::other)?;

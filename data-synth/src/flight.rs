@@ -16,10 +16,11 @@ use crate::{
     camera::Camera,
     check::ConfigError,
     field::Field,
+    gimbal,
     streams::{Draw, Stage, stream},
 };
 
-pub use crate::flight_config::{FlightConfig, GnssConfig};
+pub use crate::flight_config::{FlightConfig, GimbalRecordConfig, GnssConfig};
 
 /// Most photos of one flight.
 pub const MAX_PHOTOS: usize = 20_000;
@@ -53,6 +54,10 @@ pub struct Shot {
     height_px: f64,
     /// Where the receiver says its antenna is, metres.
     pub gnss_m: [f64; 3],
+    /// Standard deviation of each coordinate that the receiver states, metres.
+    pub stated_sigma_m: Option<f64>,
+    /// What the gimbal says: yaw, pitch and roll, degrees ([`crate::gimbal`]).
+    pub gimbal_deg: Option<[f64; 3]>,
 }
 
 impl Shot {
@@ -178,10 +183,17 @@ pub fn fly(
             let crab = f64::atan2(-across, (config.speed_m_s - along).max(1e-9));
             let heading = f64::atan2(toward[1], toward[0]) + crab + yaw;
             let kappa = heading - std::f64::consts::FRAC_PI_2;
-            let rotation = multiply(
+            let gimbal = multiply(
                 &matrix([0.0, 0.0, kappa]),
                 &multiply(&matrix([tilt[0], 0.0, 0.0]), &matrix([0.0, tilt[1], 0.0])),
             );
+            let rotation = match config.mount_tilt_deg.to_radians() {
+                0.0 => gimbal,
+                tilt_rad => multiply(&gimbal, &matrix([tilt_rad, 0.0, 0.0])),
+            };
+            let gimbal_deg = config.gimbal_record.as_ref().map(|record| {
+                record_deg(record, &gimbal, &mut stream(seed, Stage::Gimbal, shots.len() as u64))
+            });
             let mut gnss_m = times(&rotation, config.gnss.lever_arm_m);
             let mut noise = stream(seed, Stage::Gnss, shots.len() as u64);
             let (common, own) =
@@ -206,6 +218,8 @@ pub fn fly(
                 sensitivity: None,
                 height_px: f64::from(camera.config().height_px),
                 gnss_m,
+                stated_sigma_m: config.gnss.stated_sigma_m,
+                gimbal_deg,
             });
             time_s += interval_s;
         }
@@ -213,6 +227,16 @@ pub fn fly(
     }
     check_view(&shots, field, camera)?;
     Ok(shots)
+}
+
+/// What a gimbal writes whose camera frame stands like this: with noise about the axes of the mapping frame, and a heading
+/// that is off.
+fn record_deg(record: &GimbalRecordConfig, gimbal: &Matrix, rng: &mut impl Draw) -> [f64; 3] {
+    let level = [rng.normal(), rng.normal()].map(|n| (record.level_sigma_deg * n).to_radians());
+    // Headings are clockwise, turns about the vertical are not.
+    let heading_deg = record.heading_offset_deg + record.heading_sigma_deg * rng.normal();
+    let noise = matrix([level[0], level[1], -heading_deg.to_radians()]);
+    gimbal::angles_deg(&multiply(&noise, gimbal))
 }
 
 /// Lets the light change slowly over a flight, with a standard deviation `drift` of its logarithm, and the camera follow it in thirds

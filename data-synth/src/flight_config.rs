@@ -44,8 +44,39 @@ pub struct FlightConfig {
     pub turn_rate_deg_s: f64,
     /// Exposure time, seconds.
     pub exposure_seconds: f64,
+    /// How far the camera is tilted in its mount, degrees: its upper edge looks that much ahead of where the gimbal points.
+    pub mount_tilt_deg: f64,
     /// The satellite receiver.
     pub gnss: GnssConfig,
+    /// What the gimbal says of its angles in the photos; nothing where there is no record.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gimbal_record: Option<GimbalRecordConfig>,
+}
+
+/// The record of the gimbal's angles in the photos' XMP.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct GimbalRecordConfig {
+    /// Standard deviation of the angles about east and north, degrees.
+    pub level_sigma_deg: f64,
+    /// Standard deviation of the heading, degrees.
+    pub heading_sigma_deg: f64,
+    /// How far all headings are off, degrees clockwise, as those of a compass whose declination is not known.
+    pub heading_offset_deg: f64,
+}
+
+impl GimbalRecordConfig {
+    /// A record whose angles about east and north have this standard deviation; a compass is three times as bad.
+    pub fn of_sigma_deg(level_sigma_deg: f64) -> GimbalRecordConfig {
+        let heading_sigma_deg = 3.0 * level_sigma_deg;
+        GimbalRecordConfig { level_sigma_deg, heading_sigma_deg, heading_offset_deg: 0.0 }
+    }
+}
+
+impl Default for GimbalRecordConfig {
+    fn default() -> GimbalRecordConfig {
+        GimbalRecordConfig::of_sigma_deg(0.5)
+    }
 }
 
 /// The satellite receiver whose positions are in the photos' EXIF.
@@ -60,6 +91,10 @@ pub struct GnssConfig {
     pub drift_share: f64,
     /// From the camera to the antenna in the camera frame (right, forward, up), metres.
     pub lever_arm_m: [f64; 3],
+    /// Standard deviation that the receiver states of each coordinate where its ambiguities are fixed, metres, whatever the
+    /// true ones are; with it the photos' XMP has what a receiver with corrections writes.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub stated_sigma_m: Option<f64>,
 }
 
 impl Default for GnssConfig {
@@ -69,6 +104,7 @@ impl Default for GnssConfig {
             vertical_m: 2.5,
             drift_share: 0.7,
             lever_arm_m: [0.0, -0.05, 0.12],
+            stated_sigma_m: None,
         }
     }
 }
@@ -94,7 +130,9 @@ impl Default for FlightConfig {
             readout_seconds: 0.0,
             turn_rate_deg_s: 0.0,
             exposure_seconds: 0.0005,
+            mount_tilt_deg: 0.0,
             gnss: GnssConfig::default(),
+            gimbal_record: None,
         }
     }
 }
@@ -128,6 +166,16 @@ impl FlightConfig {
         within("flight.gnss.drift_share", self.gnss.drift_share, 0.0..=1.0)?;
         for part in self.gnss.lever_arm_m {
             within("flight.gnss.lever_arm_m", part, -10.0..=10.0)?;
+        }
+        if let Some(sigma_m) = self.gnss.stated_sigma_m {
+            within("flight.gnss.stated_sigma_m", sigma_m, 0.001..=100.0)?;
+        }
+        within("flight.mount_tilt_deg", self.mount_tilt_deg, 0.0..=8.0)?;
+        if let Some(record) = &self.gimbal_record {
+            within("flight.gimbal_record.level_sigma_deg", record.level_sigma_deg, 0.0..=20.0)?;
+            within("flight.gimbal_record.heading_sigma_deg", record.heading_sigma_deg, 0.0..=60.0)?;
+            let offset_deg = record.heading_offset_deg;
+            within("flight.gimbal_record.heading_offset_deg", offset_deg, -180.0..=180.0)?;
         }
         Ok(())
     }

@@ -46,6 +46,7 @@ pub mod field;
 pub mod files;
 pub mod flight;
 mod flight_config;
+pub mod gimbal;
 pub mod habit;
 pub mod labels;
 pub mod leaf;

@@ -38,6 +38,7 @@ pub(crate) enum Stage {
     TieOutlier = 56,
     BoardPose = 57,
     BoardNoise = 58,
+    Gimbal = 59,
     BlockPose = 32,
     BlockLens = 33,
     BlockRelief = 34,

@@ -369,7 +369,7 @@ fn check_points_follow_the_accuracy_that_their_marks_are_found_to_have() {
     let survey = measured(&with_positions(truth(&Plan::default())), 91, NOISE);
     let variances = |factor: f64| -> f64 {
         // All observations alike: the geometry is the same, its scale is not.
-        let settings = Settings { sigma_factors: [factor; 7], ..Settings::default() };
+        let settings = Settings { sigma_factors: [factor; 8], ..Settings::default() };
         let adjusted = adjust(&mut survey.clone(), &settings).unwrap();
         adjusted.check_points.iter().map(|check| check.covariance_m2[2][2]).sum()
     };

@@ -2,6 +2,7 @@
 
 mod any_flight;
 mod blocks;
+mod gimbal;
 mod longer_tracks;
 mod pairs;
 mod toy;

@@ -3,6 +3,7 @@
 use crate::cli::terminal::Terminal;
 use data_synth::{
     field::GrowthStage,
+    flight::GimbalRecordConfig,
     twin::{FlightPreset, TwinConfig},
 };
 use rowgram_base::error::Error;
@@ -47,6 +48,16 @@ pub(super) struct Args {
     /// Tie points per photo made straight from geometry.
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     tie_points: Option<usize>,
+    /// Tilt of the camera in its mount, 0 to 8: it looks that much ahead of where the gimbal points [default: 0].
+    #[arg(long, value_name = "DEG", allow_negative_numbers = true)]
+    mount_tilt: Option<f64>,
+    /// Write the gimbal's angles into the photos (XMP) with this standard deviation about east and north, and three
+    /// times of it in the heading.
+    #[arg(long, value_name = "DEG", allow_negative_numbers = true)]
+    gimbal: Option<f64>,
+    /// A receiver with corrections: positions have this standard deviation, and say so (XMP and geolocation.csv).
+    #[arg(long, value_name = "M", allow_negative_numbers = true)]
+    rtk: Option<f64>,
     /// Render no photos: everything else in seconds.
     #[arg(long)]
     no_photos: bool,
@@ -100,6 +111,17 @@ impl Args {
         }
         if let Some(count) = self.tie_points {
             config.tie_points.per_photo = count;
+        }
+        if let Some(tilt_deg) = self.mount_tilt {
+            config.flight.mount_tilt_deg = tilt_deg;
+        }
+        if let Some(sigma_deg) = self.gimbal {
+            config.flight.gimbal_record = Some(GimbalRecordConfig::of_sigma_deg(sigma_deg));
+        }
+        if let Some(sigma_m) = self.rtk {
+            let gnss = &mut config.flight.gnss;
+            (gnss.horizontal_m, gnss.vertical_m) = (sigma_m, sigma_m);
+            gnss.stated_sigma_m = Some(sigma_m);
         }
         Ok(config)
     }

@@ -4,8 +4,9 @@ use super::{FORMAT, VERSION};
 use rowgram_survey::{
     camera::{Camera, Correlation, Interior, Lens, Model},
     scene::{
-        Accuracy, CameraPosition, CameraSigma, Excluded, GroundObservation, GroundPoint, Image,
-        Pose, PoseSigma, Reconstruction, ReferenceFrame, RollingShutter, ScaleBar,
+        Accuracy, CameraOrientation, CameraPosition, CameraSigma, Excluded, GroundObservation,
+        GroundPoint, Image, Pose, PoseSigma, Reconstruction, ReferenceFrame, RollingShutter,
+        ScaleBar,
     },
 };
 use serde::{Deserialize, Serialize};
@@ -33,6 +34,9 @@ pub(super) struct Document {
     ground_points: Vec<GroundPoint>,
     marks: Vec<MarkRecord>,
     camera_positions: Vec<PositionRecord>,
+    /// Absent where there are none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    camera_orientations: Vec<OrientationRecord>,
     scale_bars: Vec<BarRecord>,
     excluded: Vec<Excluded>,
 }
@@ -92,6 +96,14 @@ struct PositionRecord {
     image: String,
     position_m: [f64; 3],
     sigma_m: [f64; 3],
+}
+
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct OrientationRecord {
+    image: String,
+    rotation_wxyz: [f64; 4],
+    sigma_rad: [f64; 3],
 }
 
 #[derive(Debug, Serialize, Deserialize)]
@@ -229,6 +241,13 @@ impl Document {
                 sigma_m: position.sigma_m,
             })
         });
+        let orientations = scene.orientations.iter().map(|known| {
+            Ok(OrientationRecord {
+                image: image(known.image, "camera orientations")?,
+                rotation_wxyz: known.rotation,
+                sigma_rad: known.sigma_rad,
+            })
+        });
         let bars = scene.scale_bars.iter().map(|bar| {
             Ok(BarRecord {
                 from: ground(bar.ends[0], "scale bars")?,
@@ -254,6 +273,7 @@ impl Document {
             ground_points: scene.ground.clone(),
             marks: marks.collect::<Result<_, String>>()?,
             camera_positions: positions.collect::<Result<_, String>>()?,
+            camera_orientations: orientations.collect::<Result<_, String>>()?,
             scale_bars: bars.collect::<Result<_, String>>()?,
             excluded: scene.excluded.clone(),
         })
@@ -310,6 +330,13 @@ impl Document {
                 sigma_m: position.sigma_m,
             })
         });
+        let orientations = self.camera_orientations.iter().map(|known| {
+            Ok(CameraOrientation {
+                image: found(&images, "image", &known.image, "camera_orientations")?,
+                rotation: known.rotation_wxyz,
+                sigma_rad: known.sigma_rad,
+            })
+        });
         let bars = self.scale_bars.iter().map(|bar| {
             let end = |name: &str| found(&ground, "ground point", name, "scale_bars");
             Ok(ScaleBar {
@@ -338,6 +365,7 @@ impl Document {
             tie_sigma_px: self.tie_sigma_px,
             marks: marks.collect::<Result<_, String>>()?,
             positions: positions.collect::<Result<_, String>>()?,
+            orientations: orientations.collect::<Result<_, String>>()?,
             scale_bars: bars.collect::<Result<_, String>>()?,
             ground: self.ground_points,
             lever_arm_m: self.lever_arm_m,

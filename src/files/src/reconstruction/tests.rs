@@ -83,6 +83,11 @@ fn scene() -> Reconstruction {
             position_m: [awkward(1); 3],
             sigma_m: [2.0; 3],
         }],
+        orientations: vec![CameraOrientation {
+            image: 1,
+            rotation: [awkward(2), 0.1, 1.0 / 3.0, -0.0],
+            sigma_rad: [0.1 / 3.0, 0.02, 0.1],
+        }],
         lever_arm_m: [0.1, 1.0 / 3.0, -0.0],
         scale_bars: Vec::new(),
         rolling_shutter: Some(RollingShutter {

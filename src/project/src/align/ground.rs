@@ -16,7 +16,10 @@ use rowgram_files::{
 };
 use rowgram_raster::crs::{Crs, LocalPlane};
 use rowgram_survey::{
-    scene::{Axes, CameraPosition, GroundObservation, GroundPoint, Role},
+    scene::{
+        Axes, CameraOrientation, CameraPosition, GroundObservation, GroundPoint, Role,
+        gimbal_rotation,
+    },
     sfm::georeference::Known,
 };
 use std::path::Path;
@@ -271,7 +274,30 @@ pub(super) fn read(
             });
         }
     }
+    if matches!(frame, Frame::Map(_) | Frame::Local(_)) {
+        known.orientations = orientations(photos, sources.gimbal_sigma_deg);
+    }
     Ok((frame, known, has_sigma))
+}
+
+/// A compass is this many times as bad as what levels a gimbal.
+const HEADING_RATIO: f64 = 5.0;
+
+/// Orientations that the photos' gimbals tell. Angles that are all 0 are those of a gimbal that tells none.
+fn orientations(photos: &[Photo], sigma_deg: f64) -> Vec<CameraOrientation> {
+    let told = |photo: &Photo| photo.metadata.gimbal_deg.filter(|angles| *angles != [0.0; 3]);
+    if sigma_deg <= 0.0 {
+        return Vec::new();
+    }
+    let sigma_rad = sigma_deg.to_radians();
+    let known = photos.iter().zip(0..).filter_map(|(photo, image)| {
+        Some(CameraOrientation {
+            image,
+            rotation: gimbal_rotation(told(photo)?),
+            sigma_rad: [sigma_rad, sigma_rad, HEADING_RATIO * sigma_rad],
+        })
+    });
+    known.collect()
 }
 
 fn place(

@@ -148,6 +148,8 @@ pub(super) struct Sources<'a> {
     pub(super) check: &'a [String],
     pub(super) keep: &'a [String],
     pub(super) use_positions: bool,
+    /// Standard deviation of a gimbal's angles about the horizon, degrees; 0 leaves them out.
+    pub(super) gimbal_sigma_deg: f64,
     pub(super) model: Model,
     pub(super) defaults: Defaults,
 }
@@ -175,6 +177,7 @@ impl<'a> Sources<'a> {
             check: &options.check,
             keep: &options.keep,
             use_positions: options.use_positions,
+            gimbal_sigma_deg: options.gimbal_sigma_deg,
             model: options.lens.model(),
             defaults: Defaults {
                 mark_px: options.mark_sigma_px,

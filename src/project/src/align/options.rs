@@ -101,6 +101,10 @@ rowgram_base::options! {
         pub mark_sigma_px: f64 = 0.5, limits POSITIVE;
         /// Use camera positions in the adjustment; otherwise only to find neighbouring photos.
         pub use_positions: bool = true;
+        /// Standard deviation of the gimbal's angles about the horizon that photos have in their XMP, single photos; of
+        /// their heading it is five times that. What all photos of a camera have in common (mount, declination) is
+        /// estimated. 0 leaves them out.
+        pub gimbal_sigma_deg: f64 = 1.0, limits between(0.0, 45.0);
         /// Check points: ground points that are left out of the adjustment and compared afterwards.
         pub check: Vec<String> = Vec::new();
         /// Control points that are never rejected as outliers.

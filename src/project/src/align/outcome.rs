@@ -9,6 +9,7 @@ use rowgram_survey::{
     sfm::{
         adjust_block::{AdjustedBlock, gsd_m},
         flight::FlightSummary,
+        orientation_record::OrientationSummary,
     },
 };
 use serde::{Deserialize, Serialize};
@@ -67,6 +68,9 @@ pub struct AlignOutcome {
     pub sigma0: f64,
     /// Whether the adjustment has converged and nothing is suspect any more.
     pub converged: bool,
+    /// Angles of a gimbal that took part; absent without.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gimbal: Option<OrientationSummary>,
     /// Height, overlap, times.
     pub flight: FlightSummary,
     /// The lens parameters of every camera by name.
@@ -143,6 +147,7 @@ impl AlignOutcome {
             check_points: errors(&checks),
             sigma0: adjusted.statistics.sigma0,
             converged: adjusted.converged() && found.complete,
+            gimbal: found.orientations.clone(),
             flight: FlightSummary::of(block, &times),
             cameras: block.cameras.iter().map(described).collect(),
             unregistered,

@@ -5,12 +5,14 @@
 
 mod accuracy;
 mod excluded;
+mod orientation;
 mod pose;
 mod reconstruction;
 mod reference;
 
 pub use accuracy::{Accuracy, CameraSigma, PoseSigma};
 pub use excluded::{Excluded, ExcludedKind};
+pub use orientation::{CameraOrientation, gimbal_rotation};
 pub use pose::Pose;
 pub use reconstruction::{
     Axes, CameraPosition, GroundObservation, GroundPoint, Image, Observation, Reconstruction, Role,

@@ -1,7 +1,7 @@
 //! What a photogrammetric block is: cameras, images, tie points, ground points and their marks,
 //! measured camera positions and distances.
 
-use super::{Accuracy, Excluded, Pose, ReferenceFrame};
+use super::{Accuracy, CameraOrientation, Excluded, Pose, ReferenceFrame};
 use crate::camera::{Camera, Lens};
 use rowgram_optim::geometry::{dot, rotation};
 use serde::{Deserialize, Serialize};
@@ -167,6 +167,8 @@ pub struct Reconstruction {
     pub marks: Vec<GroundObservation>,
     /// Measured camera positions.
     pub positions: Vec<CameraPosition>,
+    /// Measured orientations of cameras.
+    pub orientations: Vec<CameraOrientation>,
     /// The antenna in the camera frame, metres.
     pub lever_arm_m: [f64; 3],
     /// Measured distances.

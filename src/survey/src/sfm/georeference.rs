@@ -18,7 +18,10 @@ use super::{
 };
 use crate::{
     problems::adjustment::{Alignment, align},
-    scene::{CameraPosition, GroundObservation, GroundPoint, Pose, Reconstruction, Role},
+    scene::{
+        CameraOrientation, CameraPosition, GroundObservation, GroundPoint, Pose, Reconstruction,
+        Role,
+    },
 };
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use rowgram_optim::{engine::SolveError, geometry::rotation, nlls::Loss};
@@ -32,6 +35,8 @@ pub struct Known {
     pub marks: Vec<GroundObservation>,
     /// Camera positions.
     pub positions: Vec<CameraPosition>,
+    /// Camera orientations.
+    pub orientations: Vec<CameraOrientation>,
     /// Names of control points that are never left out.
     pub keep: Vec<String>,
     /// Whether the accuracies of most positions were told.
@@ -70,6 +75,11 @@ impl Known {
             .filter_map(|position| {
                 Some(CameraPosition { image: place(position.image)?, ..*position })
             })
+            .collect();
+        survey.orientations = self
+            .orientations
+            .iter()
+            .filter_map(|known| Some(CameraOrientation { image: place(known.image)?, ..*known }))
             .collect();
     }
 
@@ -116,6 +126,11 @@ const BENT: f64 = 0.02;
 /// Told accuracies are exceeded by errors of up to so many of them.
 const TOLD_RATIO: f64 = 10.0;
 
+/// Errors of positions with this told standard deviation that are smaller are none of the receiver's: a free block is bent, metres.
+pub(super) fn told_error_m(sigma_m: f64, positions: &[[f64; 3]]) -> f64 {
+    (TOLD_RATIO * sigma_m).max(BENT * principal_spreads_m(positions)[0])
+}
+
 /// By positions whose told accuracies fix all of how a block lies, as those of a receiver with fixed ambiguities do: believed
 /// whatever the cameras' axes say. `None`, and nothing changed, where they do not, or where positions and block contradict.
 fn align_told(survey: &mut Reconstruction) -> Option<Alignment> {
@@ -128,7 +143,7 @@ fn align_told(survey: &mut Reconstruction) -> Option<Alignment> {
     }
     let mut trial = survey.clone();
     let alignment = align(&mut trial)?;
-    if alignment.rmse_m > (TOLD_RATIO * sigma_m).max(BENT * along) {
+    if alignment.rmse_m > told_error_m(sigma_m, &positions) {
         return None;
     }
     *survey = trial;
@@ -251,7 +266,8 @@ fn georeference_by_all(
     {
         return Some((alignment, None));
     }
-    if by_positions && let Some((alignment, review)) = level::level(survey, places) {
+    if by_positions && let Some((alignment, review)) = level::level(survey, places, told_positions)
+    {
         return Some((alignment, Some(review)));
     }
     let measured: Vec<[f64; 3]> = survey.positions.iter().map(|p| p.position_m).collect();
@@ -268,7 +284,8 @@ fn places_of(places: &[f64], order: &[usize]) -> Vec<f64> {
     order.iter().map(|&image| places.get(image).copied().unwrap_or(0.0)).collect()
 }
 
-/// Heights that are off by less than this along a flight may as well be those of a block that is bent, metres.
+/// Heights of which no accuracy is told, and that are off by less than this along a flight, may as well be those of a block that
+/// is bent, metres.
 const LEAST_HEIGHT_ERROR_M: f64 = 3.0;
 
 /// Takes off camera positions what a review found in their heights; those of images that it did not see get what it
@@ -347,8 +364,10 @@ pub fn join<'a>(
     if alignments.iter().flatten().any(|of| of.by == "control points") {
         let (mut survey, _, order) = block.reconstruction(None);
         known.attach(&mut survey, &order);
-        let review = level::review_level(&survey, &places_of(&places, &order));
-        heights = review.filter(|review| review.range_m > LEAST_HEIGHT_ERROR_M);
+        let told_m = median(known.positions.iter().map(|position| position.sigma_m[2]));
+        let told_m = told_m.filter(|_| known.told_positions);
+        let least_m = told_m.map_or(LEAST_HEIGHT_ERROR_M, |sigma_m| TOLD_RATIO * sigma_m);
+        heights = level::review_level(&survey, &places_of(&places, &order), least_m);
         if let Some(review) = &heights {
             correct_heights(&mut known.positions, review, &order, &places);
         }

@@ -15,6 +15,8 @@ pub struct PositionFit {
     pub sigma_m: [f64; 2],
     /// Over how many photos errors stay alike, horizontally and vertically.
     pub together: [f64; 2],
+    /// Factors that told standard deviations were multiplied by along X, Y and Z, because errors exceed them; 1 where they hold.
+    pub told_factors: [f64; 3],
     /// Images whose positions are far out, with the distance, metres.
     pub outliers: Vec<(u32, f64)>,
 }
@@ -102,7 +104,7 @@ pub fn weigh_positions(
             }
         }
     }
-    Some(PositionFit { sigma_m, together, outliers })
+    Some(PositionFit { sigma_m, together, told_factors: larger, outliers })
 }
 
 #[cfg(test)]

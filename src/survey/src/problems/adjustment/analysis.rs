@@ -344,7 +344,7 @@ const LEAST_GROUP_REDUNDANCY: f64 = 3.0;
 
 /// Estimates a factor on the standard deviations of each group so that every group fits its own,
 /// by rounds of `sigma_g^2 <- sigma_g^2 (v^T v)_g / r_g` (Foerstner). What is known beforehand of lenses and
-/// motions keeps its weight.
+/// motions keeps its weight, and so do orientations, whose errors have parts in common.
 ///
 /// # Errors
 /// As [`adjust`].
@@ -359,7 +359,7 @@ pub fn variance_components(
     for round in 0..rounds {
         let mut change: f64 = 0.0;
         for group in &adjusted.statistics.groups {
-            let held = matches!(group.group, Group::Interior | Group::Motion);
+            let held = matches!(group.group, Group::Interior | Group::Motion | Group::Orientations);
             if held || group.redundancy < LEAST_GROUP_REDUNDANCY {
                 continue;
             }

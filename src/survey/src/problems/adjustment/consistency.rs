@@ -153,6 +153,20 @@ fn check_ground(reconstruction: &Reconstruction) -> Result<(), InvalidReconstruc
             return fail(format!("image {} has two camera positions", image.name));
         }
     }
+    for known in &reconstruction.orientations {
+        let Some(image) = reconstruction.images.get(known.image as usize) else {
+            return fail(format!(
+                "a camera orientation names image {}, which is not there",
+                known.image
+            ));
+        };
+        if known.rotation.iter().any(|v| !v.is_finite()) || !positive(&known.sigma_rad) {
+            return fail(format!(
+                "the camera orientation of image {} must be finite, its standard deviations positive",
+                image.name
+            ));
+        }
+    }
     for bar in &reconstruction.scale_bars {
         let there = bar.ends.iter().all(|&end| (end as usize) < reconstruction.ground.len());
         if !there || bar.ends[0] == bar.ends[1] || !positive(&[bar.length_m, bar.sigma_m]) {

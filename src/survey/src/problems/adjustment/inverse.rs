@@ -60,6 +60,13 @@ impl SelectedInverse {
                 bar.ends.iter().filter_map(|&end| adjustment.ground[end as usize]).collect();
             couple(&ends);
         }
+        for known in &reconstruction.orientations {
+            let image = known.image as usize;
+            let record = adjustment.records[reconstruction.images[image].camera];
+            let pair: Vec<BlockId> =
+                std::iter::once(adjustment.images[image]).chain(record).collect();
+            couple(&pair);
+        }
         for &block in adjustment.images.iter().chain(&adjustment.lenses) {
             couple(&[block]);
         }

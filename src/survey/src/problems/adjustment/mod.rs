@@ -7,6 +7,7 @@
 //!         + sum |u(P_ik; interior) - u_ik|^2 / s_ik^2        marks of ground points
 //!         + sum |X_k - X_k0|^2 / s_k^2                       coordinates of control points
 //!         + sum |C_i + R_i^T l + o - C_i0|^2 / s_i^2         camera positions, lever arm l, offset o from control
+//!         + sum |log(R_i^T exp(-b) R_i0 exp(-w))|^2 / s_i^2  orientations of a gimbal, errors w and b common to a camera's
 //!         + sum (|X_a - X_b| - d_ab)^2 / s_ab^2              scale bars
 //!         + (p - p_0)^T C_p^-1 (p - p_0) + ... ]             interior orientation, motion
 //! ```
@@ -27,6 +28,7 @@ mod cluster_robust;
 mod consistency;
 mod factors;
 mod inverse;
+mod orientations;
 mod problem;
 mod rank;
 mod rays;
@@ -45,6 +47,7 @@ pub use analysis::{
 };
 pub(crate) use check_points::nearest_to_rays;
 pub use check_points::{AxisError, CheckPoint, check_points, rmse};
+pub use orientations::{COMMON_SIGMA_RAD, MOUNT_SIGMA_RAD};
 pub use problem::{AdjustmentProblem, ScaleDatum};
 pub use rank::{Undetermined, undetermined};
 pub use settings::{Group, Settings};

@@ -28,6 +28,8 @@ pub struct AdjustmentProblem {
     pub(super) points: Vec<BlockId>,
     /// Batches besides the tie points: group, name, the index of what each factor observes.
     pub(super) batches: Vec<(Group, String, Vec<usize>)>,
+    /// What orientations of each camera have in common; none where it has none.
+    pub(super) records: Vec<Option<BlockId>>,
     pub(super) shutter: Shutter,
     /// Factor on the standard deviations of marks.
     pub(super) mark_sigma_factor: f64,
@@ -110,6 +112,7 @@ impl AdjustmentProblem {
             ground: Vec::new(),
             points: Vec::new(),
             batches: Vec::new(),
+            records: Vec::new(),
             shutter: match reconstruction.rolling_shutter {
                 Some(_) => Shutter::Rolling,
                 None => Shutter::Global,
@@ -122,6 +125,7 @@ impl AdjustmentProblem {
         adjustment.add_ground(&local, settings)?;
         adjustment.add_tie_points(&local, settings)?;
         adjustment.add_motion(&local, settings)?;
+        adjustment.add_orientations(&local, settings)?;
         if settings.minimal_datum {
             adjustment.hold_datum(datum.or_else(|| ScaleDatum::choose(&local)))?;
         }
@@ -369,7 +373,7 @@ impl AdjustmentProblem {
         self.scale_datum
     }
 
-    fn add<F: Factor + 'static>(
+    pub(super) fn add<F: Factor + 'static>(
         &mut self,
         group: Group,
         name: &str,

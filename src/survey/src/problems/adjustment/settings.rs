@@ -21,11 +21,13 @@ pub enum Group {
     Interior,
     /// What is known of motions beforehand.
     Motion,
+    /// Measured orientations of cameras.
+    Orientations,
 }
 
 impl Group {
     /// All groups.
-    pub const ALL: [Group; 7] = [
+    pub const ALL: [Group; 8] = [
         Group::TiePoints,
         Group::Marks,
         Group::Control,
@@ -33,6 +35,7 @@ impl Group {
         Group::ScaleBars,
         Group::Interior,
         Group::Motion,
+        Group::Orientations,
     ];
 
     /// What a person calls it.
@@ -45,6 +48,7 @@ impl Group {
             Group::ScaleBars => "scale bars",
             Group::Interior => "interior orientation",
             Group::Motion => "motion",
+            Group::Orientations => "camera orientations",
         }
     }
 }
@@ -62,7 +66,7 @@ pub struct Settings {
     /// With control: camera positions are all off by the same unknown vector, as those of a receiver without a base are.
     pub position_offset: bool,
     /// Factors on the standard deviations of each group, in the order of [`Group::ALL`].
-    pub sigma_factors: [f64; 7],
+    pub sigma_factors: [f64; 8],
     /// The most iterations.
     pub max_iterations: u64,
 }
@@ -74,7 +78,7 @@ impl Default for Settings {
             corrected_domain: false,
             minimal_datum: false,
             position_offset: false,
-            sigma_factors: [1.0; 7],
+            sigma_factors: [1.0; 8],
             max_iterations: 100,
         }
     }

@@ -151,7 +151,9 @@ impl Statistics {
                     Group::Control => ObservationRef::Control(k),
                     Group::Positions => ObservationRef::Position(k),
                     Group::ScaleBars => ObservationRef::ScaleBar(k),
-                    Group::TiePoints | Group::Interior | Group::Motion => continue,
+                    Group::TiePoints | Group::Interior | Group::Motion | Group::Orientations => {
+                        continue;
+                    }
                 };
                 tested.push(test(*group, subject, &residual, &redundancy));
             }

@@ -3,8 +3,8 @@
 
 use super::consistency::check;
 use crate::scene::{
-    Axes, CameraPosition, Excluded, ExcludedKind, GroundObservation, Observation, Reconstruction,
-    Role, ScaleBar,
+    Axes, CameraOrientation, CameraPosition, Excluded, ExcludedKind, GroundObservation,
+    Observation, Reconstruction, Role, ScaleBar,
 };
 use rowgram_optim::geometry::{cross, dot};
 use std::collections::HashSet;
@@ -261,6 +261,7 @@ fn compact(
         observations: Vec::new(),
         marks: Vec::new(),
         positions: Vec::new(),
+        orientations: Vec::new(),
         scale_bars: Vec::new(),
         accuracy: None,
         ..whole.clone()
@@ -293,6 +294,12 @@ fn compact(
                 point: None,
                 reason: "its image takes no part".into(),
             });
+        }
+    }
+    for known in &whole.orientations {
+        let image = new_image[known.image as usize];
+        if image != u32::MAX {
+            reconstruction.orientations.push(CameraOrientation { image, ..*known });
         }
     }
     for (k, bar) in whole.scale_bars.iter().enumerate() {

@@ -214,4 +214,5 @@ fn remove_images(scene: &mut Reconstruction, images: &[usize]) {
     scene.observations.retain_mut(|o| place(&mut o.image));
     scene.marks.retain_mut(|m| place(&mut m.image));
     scene.positions.retain_mut(|p| place(&mut p.image));
+    scene.orientations.retain_mut(|o| place(&mut o.image));
 }

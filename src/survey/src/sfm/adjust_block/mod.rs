@@ -12,6 +12,7 @@ use super::{
     Block, Features, Pair,
     georeference::{Joined, Known, join},
     incremental::IncrementalOptions,
+    orientation_record::{OrientationSummary, review_orientations, summarize_orientations},
     triangulate::TriangulationOptions,
     verify::PairMatches,
 };
@@ -144,6 +145,8 @@ pub struct AdjustedBlock {
     pub fragments: Vec<(Vec<String>, bool)>,
     /// Names of check points that were given as such, not those that control was made into.
     pub checks: Vec<String>,
+    /// Orientations of a gimbal that took part.
+    pub orientations: Option<OrientationSummary>,
     /// What was found.
     pub diagnostics: Vec<Diagnostic>,
 }
@@ -229,6 +232,11 @@ fn adjust_with_known(
         None => known.clone(),
     };
     name_scarcely_marked(&blocks, &known, &mut found);
+    if let Some(largest) = blocks.first()
+        && let Some(review) = review_orientations(largest, &mut known)
+    {
+        found.extend(review::orientations(&review, largest.features));
+    }
     let Some(Joined { mut block, alignments, georeferenced, position_shift_m, heights }) =
         join(blocks, &mut known, flight.order, &triangulation(3.0 * options.tolerance_px))
     else {
@@ -282,8 +290,13 @@ fn adjust_with_known(
     }
     found.extend(more);
     take_back(&mut adjusted, &mut found);
-    found.extend(review::tilt(&adjusted.adjusted.reconstruction, georeferenced));
+    let orientations = summarize_orientations(&adjusted.adjusted.reconstruction);
+    match &orientations {
+        Some(summary) => found.push(review::orientations_used(summary)),
+        None => found.extend(review::tilt(&adjusted.adjusted.reconstruction, georeferenced)),
+    }
     Ok(AdjustedBlock {
+        orientations,
         alignment: alignments.into_iter().flatten().next(),
         fragments,
         diagnostics: found,

@@ -11,12 +11,17 @@ use crate::{
         },
         intrinsics::estimable,
         level::{HeightError, HeightReview, tilt_rad},
+        orientation_record::{OrientationReview, OrientationSummary},
+        positions::PositionFit,
         rolling_shutter::RollingShutterEstimate,
         triangulate::TriangulationOptions,
         weak_control::is_weak,
     },
 };
-use rowgram_base::{error::Error, monitor::Diagnostic};
+use rowgram_base::{
+    error::Error,
+    monitor::{Diagnostic, Severity},
+};
 use rowgram_optim::robust::median;
 
 /// Fewer images than this do not determine a whole lens.
@@ -60,6 +65,10 @@ pub(super) fn position_shift([x, y, z]: [f64; 3]) -> Diagnostic {
 
 /// Heights of camera positions that err by less than this along a flight are what receivers give, metres.
 const HEIGHT_ERROR_M: f64 = 3.0;
+/// Orientations that are farther from the level of the block than this contradict it, standard deviations.
+const CONTRADICTION_SIGMAS: f64 = 4.0;
+/// A tilt of heights by more standard deviations than this is said.
+const TILT_SIGMAS: f64 = 3.0;
 /// A tilt beyond this is none of a mount.
 const TILT_DEG: f64 = 8.0;
 
@@ -71,25 +80,102 @@ pub(super) fn heights(review: &HeightReview) -> Vec<Diagnostic> {
         HeightError::Jump(..) => Some("jump"),
         HeightError::Constant => None,
     };
-    if let Some(what) = error.filter(|_| review.range_m > HEIGHT_ERROR_M) {
+    if let Some(what) = error {
         let message = format!(
-            "their heights {what} by {:.1} m along the flight, which the photos contradict; that was taken off them",
-            review.range_m
+            "their heights {what} by {:.2} m along the flight ({:.0} standard deviations of {:.2} m), which the photos contradict; that was taken off them",
+            review.range_m,
+            review.range_m / review.sigma_m.max(1e-9),
+            review.sigma_m
         );
-        let diagnostic = Diagnostic::warning("heights-corrected", "camera positions", message);
+        let is_usual = review.range_m <= HEIGHT_ERROR_M;
+        let severity = if is_usual { Severity::Info } else { Severity::Warning };
+        let diagnostic =
+            Diagnostic::new(severity, "heights-corrected", "camera positions", message);
         found.push(
             diagnostic
                 .with_remedy("heights of the result may be off by as much: give control points"),
         );
     }
     let degrees = review.tilt_rad.to_degrees();
-    if degrees > TILT_DEG {
+    if degrees > TILT_DEG || review.tilt_sigmas > TILT_SIGMAS {
         let message = format!(
-            "their heights alone would tilt the block by {degrees:.0} degrees against the direction in which the cameras look; the cameras were followed"
+            "their heights alone would tilt the block by {degrees:.1} degrees ({:.0} standard deviations) against the direction in which the cameras look; they were weighed with the cameras",
+            review.tilt_sigmas
         );
-        found.push(Diagnostic::warning("heights-tilted", "camera positions", message));
+        let severity = if degrees > TILT_DEG { Severity::Warning } else { Severity::Info };
+        found.push(Diagnostic::new(severity, "heights-tilted", "camera positions", message));
     }
     found
+}
+
+/// Whether camera positions are off by more than is told of them.
+pub(super) fn exceeded_accuracy(
+    fit: &PositionFit,
+    told: &[Option<[f64; 3]>],
+) -> Option<Diagnostic> {
+    let factor = fit.told_factors.into_iter().fold(1.0, f64::max);
+    let usual = |axis: usize| median(told.iter().flatten().map(|sigma| sigma[axis]));
+    let [east, north, up] = [usual(0)?, usual(1)?, usual(2)?];
+    let message = format!(
+        "they are {:.3} m (plan) and {:.3} m (height) from where the photos put them, {:.0} and {:.0} of the standard deviations that they come with; those were multiplied by {factor:.1}",
+        fit.sigma_m[0],
+        fit.sigma_m[1],
+        fit.sigma_m[0] / east.max(north),
+        fit.sigma_m[1] / up
+    );
+    let found = Diagnostic::warning("position-accuracy", "camera positions", message);
+    let remedy = "check which accuracies the receiver states, its base station, and its lever arm";
+    (factor > 1.0).then(|| found.with_remedy(remedy))
+}
+
+/// What is said of orientations before the adjustment.
+pub(super) fn orientations(found: &OrientationReview, images: &[Features]) -> Vec<Diagnostic> {
+    let remedy = "[align] gimbal_sigma_deg = 0 leaves the gimbal's angles out";
+    let [level, heading] = found.scatter_rad.map(f64::to_degrees);
+    if found.is_contradiction {
+        let message = format!(
+            "the gimbal's angles contradict how the photos lie to each other: {} of {} are far out, the others differ by {level:.1} degrees about the horizon and {heading:.1} in heading; not used",
+            found.outliers.len(),
+            found.compared
+        );
+        let said = Diagnostic::warning("gimbal-rejected", "camera orientations", message);
+        return vec![said.with_remedy(remedy)];
+    }
+    let Some((_, most)) = found.outliers.iter().max_by(|a, b| a.1.total_cmp(&b.1)) else {
+        return Vec::new();
+    };
+    let names: Vec<&str> =
+        found.outliers.iter().map(|(image, _)| images[*image as usize].name.as_str()).collect();
+    let message = format!(
+        "the gimbal's angles are up to {:.0} degrees from how the photos lie to each other; not used for these photos",
+        most.to_degrees()
+    );
+    vec![Diagnostic::warning("gimbal-rejected", names.join(", "), message)]
+}
+
+/// What is said of orientations that took part.
+pub(super) fn orientations_used(found: &OrientationSummary) -> Diagnostic {
+    let [east, north, heading] = found.mean_correction_deg;
+    let mount = found.mount_deg.iter().copied().fold(0.0, f64::max);
+    let message = format!(
+        "the gimbal's angles of {} photos take part: corrected by {:.2} degrees about the horizon and {heading:+.1} in heading on average, the camera hangs {mount:.1} degrees from where they point; residuals {:.2} and {:.1} degrees (assumed {:.2}, {:.1})",
+        found.photos,
+        east.hypot(north),
+        found.level_rms_deg,
+        found.heading_rms_deg,
+        found.level_sigma_deg,
+        found.heading_sigma_deg
+    );
+    if found.contradiction_sigmas < CONTRADICTION_SIGMAS {
+        return Diagnostic::info("gimbal-used", "camera orientations", message);
+    }
+    let message = format!(
+        "{message}: {:.0} standard deviations from what positions and control say",
+        found.contradiction_sigmas
+    );
+    Diagnostic::warning("gimbal-contradicts", "camera orientations", message).with_remedy(
+        "check the mount of the camera and the heights of control points and camera positions",
+    )
 }
 
 /// Whether a block in the map is level as its cameras have it.

@@ -202,6 +202,7 @@ impl BlockAdjuster<'_> {
     ) -> Result<f64, Error> {
         let tolerance_px = self.options.tolerance_px;
         let mut sigma_px: f64 = 1.0;
+        let mut last_fit = None;
         for round in 0..4 {
             if self.datum.georeferenced && !known.positions.is_empty() {
                 let fit = weigh_positions(block, known, &self.datum.position_sigmas);
@@ -212,6 +213,7 @@ impl BlockAdjuster<'_> {
                     );
                     found.push(Diagnostic::warning("position-rejected", subject, message));
                 }
+                last_fit = fit;
             }
             let widest_px = if round == 0 { 2.0 * tolerance_px } else { tolerance_px };
             let limits = triangulation((6.0 * sigma_px).max(0.1 * tolerance_px).min(widest_px));
@@ -233,6 +235,8 @@ impl BlockAdjuster<'_> {
             }
             sigma_px = block.robust_sigma_px().max(0.05);
         }
+        let told = &self.datum.position_sigmas;
+        found.extend(last_fit.and_then(|fit| review::exceeded_accuracy(&fit, told)));
         Ok(sigma_px)
     }
 
@@ -432,6 +436,7 @@ impl BlockAdjuster<'_> {
             georeferenced: self.datum.georeferenced,
             fragments: Vec::new(),
             checks,
+            orientations: None,
             diagnostics: Vec::new(),
         })
     }

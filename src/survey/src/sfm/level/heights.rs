@@ -3,8 +3,6 @@
 use nalgebra::{DMatrix, DVector, Matrix2, Vector2};
 use rowgram_optim::robust::sigma_of_errors;
 
-/// Heights of receivers agree no better than this, metres.
-const LEAST_SIGMA_M: f64 = 0.05;
 /// Degrees of freedom of the prior's heavy tails.
 const TAILS: f64 = 6.0;
 /// Jumps leave at least this many photos on each side.
@@ -24,6 +22,14 @@ pub enum HeightError {
 }
 
 impl HeightError {
+    /// How large it is over the whole flight, metres.
+    fn size_m(self) -> f64 {
+        match self {
+            HeightError::Constant => 0.0,
+            HeightError::Drift(metres) | HeightError::Jump(_, metres) => metres.abs(),
+        }
+    }
+
     /// The error at a place in the flight, 0 to 1.
     pub(super) fn at(self, place: f64) -> f64 {
         match self {
@@ -31,6 +37,22 @@ impl HeightError {
             HeightError::Drift(metres) => metres * place,
             HeightError::Jump(from, metres) => f64::from(u8::from(place >= from)) * metres,
         }
+    }
+}
+
+/// What heights are expected to be.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Believed {
+    /// They agree no better than this, metres.
+    pub(super) sigma_m: f64,
+    /// Smaller errors along the flight are those of the block, metres.
+    pub(super) error_m: f64,
+}
+
+impl Default for Believed {
+    /// Of a receiver of which nothing is told.
+    fn default() -> Believed {
+        Believed { sigma_m: 0.05, error_m: 0.0 }
     }
 }
 
@@ -83,7 +105,12 @@ pub(super) struct HeightFit {
     score: f64,
 }
 
-fn fit_heights(samples: &[Sample], prior: Option<Slope>, error: HeightError) -> Option<HeightFit> {
+fn fit_heights(
+    samples: &[Sample],
+    prior: Option<Slope>,
+    error: HeightError,
+    least_sigma_m: f64,
+) -> Option<HeightFit> {
     let columns = |sample: &Sample| -> Vec<f64> {
         let mut row = vec![sample.plan[0], sample.plan[1], 1.0];
         match error {
@@ -125,7 +152,7 @@ fn fit_heights(samples: &[Sample], prior: Option<Slope>, error: HeightError) -> 
         for (k, row) in rows.iter().enumerate() {
             left[k] = samples[k].height - row.iter().zip(x.iter()).map(|(a, b)| a * b).sum::<f64>();
         }
-        sigma = robust_sigma(left.iter().copied(), p - 2).max(LEAST_SIGMA_M);
+        sigma = robust_sigma(left.iter().copied(), p - 2).max(least_sigma_m);
         prior_weight = prior.map_or(1.0, |prior| 1.0 / (1.0 + contradiction(&prior, &x) / TAILS));
     }
     let misfit: f64 = left
@@ -154,8 +181,13 @@ fn contradiction(prior: &Slope, x: &DVector<f64>) -> f64 {
 }
 
 /// The best of all that may be wrong with heights.
-pub(super) fn review_heights(samples: &[Sample], prior: Slope) -> Option<HeightFit> {
-    let mut best = fit_heights(samples, Some(prior), HeightError::Constant)?;
+pub(super) fn review_heights(
+    samples: &[Sample],
+    prior: Slope,
+    believed: &Believed,
+) -> Option<HeightFit> {
+    let fit = |error| fit_heights(samples, Some(prior), error, believed.sigma_m);
+    let mut best = fit(HeightError::Constant)?;
     let mut candidates = Vec::new();
     if samples.len() >= 5 {
         candidates.push(HeightError::Drift(1.0));
@@ -166,8 +198,9 @@ pub(super) fn review_heights(samples: &[Sample], prior: Slope) -> Option<HeightF
         candidates.extend(inner.step_by(every).map(|k| HeightError::Jump(places[k], 1.0)));
     }
     for error in candidates {
-        if let Some(fit) = fit_heights(samples, Some(prior), error)
+        if let Some(fit) = fit(error)
             && fit.score + MARGIN < best.score
+            && fit.error.size_m() >= believed.error_m
         {
             best = fit;
         }
@@ -177,5 +210,5 @@ pub(super) fn review_heights(samples: &[Sample], prior: Slope) -> Option<HeightF
 
 /// Slopes of heights over a plan, robustly and without anything known beforehand.
 pub(super) fn plane(samples: &[Sample]) -> Option<HeightFit> {
-    fit_heights(samples, None, HeightError::Constant)
+    fit_heights(samples, None, HeightError::Constant, Believed::default().sigma_m)
 }

@@ -1,7 +1,7 @@
 //! Which way is down, where only a receiver tells places.
 //!
-//! Heights of receivers drift with air pressure, jump with the set of satellites, are constant or missing. The cameras of a
-//! flight that looks down know better, and so does a flight at constant height:
+//! Heights of receivers drift with air pressure, jump with the set of satellites, are constant or missing. Cameras whose
+//! orientation a gimbal tells know better, those of a flight that looks down too, and so does a flight at constant height:
 //!
 //! ```text
 //! axes       d_i       = (a, b) + R(k_i) m + e_i            m: how the camera hangs, a few degrees
@@ -9,7 +9,8 @@
 //! receiver   z_i - h_i =  a x_i + b y_i + c + g(t_i) + r_i  g: none, a drift, or a jump
 //! ```
 //!
-//! with `(a, b)` the slope by which the block is still off level, `d_i` the slopes of the optical axes, `k_i` the headings,
+//! with `(a, b)` the slope by which the block is still off level, `d_i` the slopes of what each camera takes for the vertical (its
+//! optical axis, where no gimbal tells better), `k_i` the headings,
 //! `h_i` the heights of the cameras in the block, in metres, `z_i` those of the receiver, `t_i` the place in the flight. The
 //! error `g` is the one with the least `n ln s^2 + misfit + p ln n` (G. Schwarz, "Estimating the dimension of a model",
 //! Annals of Statistics 6, 1978), the prior slope of axes and flatness having heavy tails, because a camera may be mounted obliquely.
@@ -20,12 +21,15 @@ pub(super) mod plan;
 pub use heights::HeightError;
 use rowgram_optim::robust::median;
 
-use super::{block::Block, georeference::apply};
+use super::{
+    block::Block,
+    georeference::{apply, told_error_m},
+};
 use crate::{
-    problems::adjustment::Alignment,
+    problems::adjustment::{Alignment, COMMON_SIGMA_RAD},
     scene::{CameraPosition, Pose, Reconstruction},
 };
-use heights::{HeightFit, Sample, Slope, plane, review_heights, robust_sigma};
+use heights::{Believed, HeightFit, Sample, Slope, plane, review_heights, robust_sigma};
 use nalgebra::{Matrix2, Matrix3, Matrix4, Rotation3, Vector2, Vector3, Vector4};
 use plan::PlanFit;
 use rowgram_optim::geometry::rotation;
@@ -46,10 +50,12 @@ pub struct HeightReview {
     pub error: HeightError,
     /// From the least to the greatest of that error, metres.
     pub range_m: f64,
-    /// By how much they scatter besides, metres.
+    /// By how much they scatter besides, at least as much as is told of them, metres.
     pub sigma_m: f64,
     /// The angle by which they alone would have tilted the block, radians.
     pub tilt_rad: f64,
+    /// That angle in standard deviations of what heights and all else say of the vertical.
+    pub tilt_sigmas: f64,
     /// What is to be taken off them, photo by photo in the order of the block; 0 for photos without a height.
     pub correction_m: Vec<f64>,
     usual_m: f64,
@@ -62,14 +68,25 @@ impl HeightReview {
     }
 }
 
-/// The middle of the directions against which cameras look, and the median angle from it; `None` without images.
+/// The vertical in each image's camera frame: as its gimbal tells it, else as if it looked straight down.
+fn verticals(survey: &Reconstruction) -> Vec<[f64; 3]> {
+    let up = [0.0, 0.0, 1.0];
+    let mut verticals = vec![up; survey.images.len()];
+    for told in &survey.orientations {
+        verticals[told.image as usize] = rotation::rotate(told.rotation, up);
+    }
+    verticals
+}
+
+/// The middle of what cameras take for the vertical, and the median angle from it; `None` without images.
 pub fn mean_up(survey: &Reconstruction) -> Option<(Vector3<f64>, f64)> {
     let axes: Vec<Vector3<f64>> = survey
         .images
         .iter()
-        .map(|image| {
+        .zip(verticals(survey))
+        .map(|(image, vertical)| {
             let back = rotation::inverse(image.pose.rotation);
-            Vector3::from(rotation::rotate(back, [0.0, 0.0, 1.0]))
+            Vector3::from(rotation::rotate(back, vertical))
         })
         .collect();
     let mut up = axes.iter().sum::<Vector3<f64>>();
@@ -96,9 +113,10 @@ fn slope_of_axes(survey: &Reconstruction) -> Slope {
     let rows: Vec<(Vector2<f64>, [f64; 2])> = survey
         .images
         .iter()
-        .map(|image| {
+        .zip(verticals(survey))
+        .map(|(image, vertical)| {
             let back = rotation::inverse(image.pose.rotation);
-            let axis = rotation::rotate(back, [0.0, 0.0, 1.0]);
+            let axis = rotation::rotate(back, vertical);
             let right = rotation::rotate(back, [1.0, 0.0, 0.0]);
             let length = right[0].hypot(right[1]).max(1e-9);
             let up = axis[2].max(0.2);
@@ -128,7 +146,9 @@ fn slope_of_axes(survey: &Reconstruction) -> Slope {
     let covariance = information.try_inverse().unwrap_or_else(Matrix4::identity);
     let of_slope: Matrix2<f64> = covariance.fixed_view::<2, 2>(0, 0).into_owned();
     let information = of_slope.try_inverse().unwrap_or_else(Matrix2::identity);
-    Slope { value: Vector2::new(x[0], x[1]), information }.with_common_error(AXES_RAD)
+    let is_told = 2 * survey.orientations.len() > survey.images.len();
+    let common_rad = if is_told { COMMON_SIGMA_RAD[0] } else { AXES_RAD };
+    Slope { value: Vector2::new(x[0], x[1]), information }.with_common_error(common_rad)
 }
 
 /// Positions of a survey as samples: height left between receiver and block, and the images' places.
@@ -145,6 +165,18 @@ fn samples(survey: &Reconstruction, places: &[f64], middle: [f64; 2]) -> Vec<Sam
     survey.positions.iter().map(sample).collect()
 }
 
+impl Believed {
+    /// Of positions whose accuracies are told.
+    fn told(survey: &Reconstruction) -> Believed {
+        let sigma_m = median(survey.positions.iter().map(|position| position.sigma_m[2]));
+        let positions: Vec<[f64; 3]> = survey.positions.iter().map(|p| p.position_m).collect();
+        sigma_m.map_or_else(Believed::default, |sigma_m| Believed {
+            sigma_m,
+            error_m: told_error_m(sigma_m, &positions),
+        })
+    }
+}
+
 fn middle(survey: &Reconstruction) -> [f64; 2] {
     let n = survey.images.len().max(1) as f64;
     let sum = survey.images.iter().map(|image| image.pose.centre_m());
@@ -153,14 +185,19 @@ fn middle(survey: &Reconstruction) -> [f64; 2] {
 }
 
 /// Brings a flight that looks down into the frame of its camera positions, level whatever their heights are. `places` says
-/// for each image of the survey where in the flight it was taken, 0 to 1. `None`, and nothing changed, where it does not
-/// look down or has too few positions.
-pub fn level(survey: &mut Reconstruction, places: &[f64]) -> Option<(Alignment, HeightReview)> {
+/// for each image of the survey where in the flight it was taken, 0 to 1; `is_told` whether the accuracies of its positions are
+/// told. `None`, and nothing changed, where it neither looks down nor has a gimbal that tells how it looks, or has too few positions.
+pub fn level(
+    survey: &mut Reconstruction,
+    places: &[f64],
+    is_told: bool,
+) -> Option<(Alignment, HeightReview)> {
     let (mut up, spread) = mean_up(survey)?;
     if spread > LOOKS_DOWN_RAD || survey.positions.len() < 2 {
         return None;
     }
     let start = survey.clone();
+    let believed = if is_told { Believed::told(survey) } else { Believed::default() };
     let mut found = None;
     for _ in 0..4 {
         *survey = start.clone();
@@ -186,8 +223,8 @@ pub fn level(survey: &mut Reconstruction, places: &[f64]) -> Option<(Alignment, 
         let at = middle(survey);
         let heights = samples(survey, places, at);
         let prior = prior(survey, at);
-        let review = review_heights(&heights, prior)?;
-        let alone = plane(&heights).map_or(review.slope, |alone| alone.slope);
+        let review = review_heights(&heights, prior, &believed)?;
+        let alone = plane(&heights);
         // The vertical in the frame of the start.
         let slope = review.slope;
         up = turn.transpose() * Vector3::new(slope[0], slope[1], 1.0).normalize();
@@ -214,8 +251,12 @@ pub fn level(survey: &mut Reconstruction, places: &[f64]) -> Option<(Alignment, 
         misfits: (0..pairs.len()).filter(|&k| !inside[k]).map(|k| (name(k), left[k])).collect(),
         rmse_m: (squares / used.len().max(1) as f64).sqrt(),
     };
-    let tilt_rad = (alone - review.slope).norm().atan();
-    let review = corrected(survey, places, review, tilt_rad);
+    let tilt = alone.as_ref().map_or([0.0; 2], |alone| tilt_against(alone, &review));
+    let mut review = corrected(survey, places, review, tilt);
+    if is_told && !survey.orientations.is_empty() && review.error == HeightError::Constant {
+        // Told heights and the gimbal are weighed in the adjustment.
+        review.correction_m.fill(0.0);
+    }
     Some((alignment, review))
 }
 
@@ -241,15 +282,35 @@ fn prior(survey: &Reconstruction, middle: [f64; 2]) -> Slope {
     if agrees { axes.and(flat) } else { axes }
 }
 
-/// Heights of positions against a block that is level and in its place by something better.
-pub fn review_level(survey: &Reconstruction, places: &[f64]) -> Option<HeightReview> {
+/// Heights of positions against a block that is level and in its place by something better. Their errors along the flight are
+/// larger than `least_error_m`.
+pub fn review_level(
+    survey: &Reconstruction,
+    places: &[f64],
+    least_error_m: f64,
+) -> Option<HeightReview> {
     if survey.positions.len() < 4 {
         return None;
     }
     let heights = samples(survey, places, middle(survey));
     let fixed = Slope { value: Vector2::zeros(), information: 1e12 * Matrix2::identity() };
-    let review = review_heights(&heights, fixed)?;
-    Some(corrected(survey, places, review, 0.0))
+    let believed = Believed { error_m: least_error_m, ..Believed::default() };
+    let review = review_heights(&heights, fixed, &believed)?;
+    if review.error == HeightError::Constant {
+        return None;
+    }
+    Some(corrected(survey, places, review, [0.0; 2]))
+}
+
+/// The angle between the vertical of heights alone and that of heights and all else, radians, and in its standard deviations.
+fn tilt_against(alone: &HeightFit, all: &HeightFit) -> [f64; 2] {
+    let apart = alone.slope - all.slope;
+    let covariance = |fit: &HeightFit| fit.information.try_inverse().unwrap_or_else(Matrix2::zeros);
+    // All are the best of heights and the rest: the covariance of the difference is the difference of the covariances.
+    let difference = covariance(alone) - covariance(all);
+    let variance = apart.dot(&(difference * apart)) / apart.norm_squared().max(1e-300);
+    let sigmas = if variance > 0.0 { apart.norm() / variance.sqrt() } else { 0.0 };
+    [apart.norm().atan(), sigmas]
 }
 
 /// The error that most heights have, metres: the part of the flight that most of it agrees with is taken to be right.
@@ -263,7 +324,7 @@ fn corrected(
     survey: &Reconstruction,
     places: &[f64],
     fit: HeightFit,
-    tilt_rad: f64,
+    [tilt_rad, tilt_sigmas]: [f64; 2],
 ) -> HeightReview {
     let at = middle(survey);
     let mut heights = samples(survey, places, at);
@@ -285,6 +346,7 @@ fn corrected(
         range_m: (most - least).max(0.0),
         sigma_m: fit.sigma,
         tilt_rad,
+        tilt_sigmas,
         correction_m,
         usual_m: usual,
     }
