@@ -79,8 +79,9 @@ fn a_line_of_oblique_photos_with_a_coarse_receiver_is_level_by_its_gimbal() {
         println!(
             "{is_told}: {tilt:.3} degrees, {plan:.2} m; without a gimbal {without:.2} degrees"
         );
-        assert!(tilt < 0.3, "{is_told}: {tilt} degrees");
-        assert!(without > 3.0, "{without}");
+        // A strip flown in one direction does not tell the tilt of a mount, which is known to 3 degrees: heights count along it.
+        assert!(tilt < 1.5, "{is_told}: {tilt} degrees");
+        assert!(without > 8.0, "{without}");
         let summary = found.orientations.as_ref().unwrap();
         assert_eq!(summary.photos, 14);
         assert!((0.3..0.8).contains(&summary.level_rms_deg), "{summary:?}");

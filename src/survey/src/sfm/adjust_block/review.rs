@@ -108,6 +108,17 @@ pub(super) fn heights(review: &HeightReview) -> Vec<Diagnostic> {
     found
 }
 
+/// Camera positions that are far from where the block puts them.
+pub(super) fn rejected_positions(fit: &PositionFit, images: &[Features]) -> Vec<Diagnostic> {
+    let said = |(image, distance): &(u32, f64)| {
+        let message = format!(
+            "its camera position is {distance:.1} m from where the block puts it; the position is not used"
+        );
+        Diagnostic::warning("position-rejected", images[*image as usize].name.as_str(), message)
+    };
+    fit.outliers.iter().map(said).collect()
+}
+
 /// Whether camera positions are off by more than is told of them.
 pub(super) fn exceeded_accuracy(
     fit: &PositionFit,

@@ -206,13 +206,8 @@ impl BlockAdjuster<'_> {
         for round in 0..4 {
             if self.datum.georeferenced && !known.positions.is_empty() {
                 let fit = weigh_positions(block, known, &self.datum.position_sigmas);
-                for (image, distance) in fit.iter().flat_map(|fit| &fit.outliers) {
-                    let subject = block.features[*image as usize].name.as_str();
-                    let message = format!(
-                        "its camera position is {distance:.1} m from where the block puts it; the position is not used"
-                    );
-                    found.push(Diagnostic::warning("position-rejected", subject, message));
-                }
+                let rejected = |fit| review::rejected_positions(fit, block.features);
+                found.extend(fit.iter().flat_map(rejected));
                 last_fit = fit;
             }
             let widest_px = if round == 0 { 2.0 * tolerance_px } else { tolerance_px };
