@@ -48,8 +48,9 @@ pub(super) fn served(facts: &Facts<'_>, served: Served) -> Result<Markup, Error>
 
 fn drawn(facts: &Facts<'_>, served: Option<Served>) -> Result<Option<Markup>, Error> {
     let Some(ortho) = facts.orthomosaic() else { return Ok(None) };
-    let place = Source::open(&ortho)?.georeference();
-    let overview = pictures::overview(&ortho, SIDE_PX)?;
+    let source = facts.project.open_picture(&ortho)?;
+    let place = source.georeference();
+    let overview = pictures::overview(&source, SIDE_PX)?;
     let (width, height) = overview.size;
     let plots = plots(facts, place)?;
     let known: Vec<usize> = (0..TRAITS.len())

@@ -143,7 +143,7 @@ pub(super) fn leaves(facts: &Facts<'_>) -> Result<Section, Error> {
     else {
         return Ok(None);
     };
-    let overview = pictures::overview(&mask, 1100)?;
+    let overview = pictures::overview(&Source::open(&mask)?, 1100)?;
     let densest = results.leaf_density.as_ref().map_or(0, |density| density.largest);
     let content = html! {
         p {

@@ -46,6 +46,7 @@ pub(super) struct DateMap {
     pub(super) day: f64,
     pub(super) frame: Frame,
     ortho: PathBuf,
+    reading: Reading,
     mask: PathBuf,
     pub(super) place: Georeference,
     pub(super) gsd_m: f64,
@@ -68,7 +69,7 @@ impl DateMap {
         frame: Frame,
     ) -> Result<DateMap, Error> {
         let (ortho, mask) = (project.orthomosaic()?, project.mask()?);
-        let reader = Reader::open(&ortho)?;
+        let reader = Reader::open_with(&ortho, &project.reading(&ortho))?;
         // Places of dates are compared on the map, so that its metres have to be those on the ground.
         let is_in_metres = |place: &Georeference| {
             let is_metre = place.crs.kind.metres_per_unit() == Some(1.0);
@@ -126,7 +127,7 @@ impl DateMap {
         if window.width < LEAST_SIDE || window.height < LEAST_SIDE {
             return Ok(MapFeatures::default());
         }
-        let (picture, gaps) = Reader::open(&self.ortho)?.read_rgb_and_gaps(window)?;
+        let (picture, gaps) = Reader::open_with(&self.ortho, &self.reading)?.read_rgb_and_gaps(window)?;
         let leaf = Reader::open(&self.mask)?.read::<u8>(window)?;
         let usable: Vec<bool> = leaf
             .iter()
