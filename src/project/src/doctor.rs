@@ -16,7 +16,6 @@ use rowgram_files::{
     images,
     photo::{self, Geotag},
     polygons::{self, Named},
-    rasters,
 };
 use rowgram_raster::crs::LocalPlane;
 use std::{

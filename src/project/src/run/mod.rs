@@ -13,7 +13,7 @@ use rowgram_base::{
     monitor::{Diagnostic, Monitor, Recorder, Severity},
     options::Choice,
 };
-use rowgram_files::{rasters, reconstruction};
+use rowgram_files::reconstruction;
 use rowgram_optim::output::{self, FileError};
 use serde::{Deserialize, Serialize};
 use std::{collections::BTreeSet, path::PathBuf};
