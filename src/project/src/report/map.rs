@@ -55,9 +55,9 @@ fn drawn(facts: &Facts<'_>, served: Option<Served>) -> Result<Option<Markup>, Er
     let place = source.georeference();
     let overview = pictures::overview(&source, SIDE_PX)?;
     let (width, height) = overview.size;
-    let plots = plots(facts, &all, place)?;
     let measured = facts.outcome.results.plots.as_ref();
     let all = measured.map(PlotsOutcome::traits).unwrap_or_default();
+    let plots = plots(facts, &all, place)?;
     let known: Vec<usize> = (0..all.len())
         .filter(|&k| plots.iter().any(|plot| !plot["values"][k].is_null()))
         .collect();
