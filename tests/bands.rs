@@ -9,7 +9,8 @@ use rowgram::{
 use std::{collections::BTreeMap, fs, path::Path};
 
 /// A field of eight plots of two rows.
-const FIELD: &str = "synth map --rows 8 --row-length 11 --plot-rows 2 --plot-length 5 --alley 1 --gsd 0.02 -q -o";
+const FIELD: &str =
+    "synth map --rows 8 --row-length 11 --plot-rows 2 --plot-length 5 --alley 1 --gsd 0.02 -q -o";
 
 /// A synthetic orthomosaic as a project.
 fn map(folder: &Path, name: &str, words: &str) {
@@ -105,7 +106,12 @@ fn indices_of_plots_are_those_of_the_reflectances() {
         let all: Vec<f64> = of.values().map(|plot| number(plot, "ndvi_leaf")).collect();
         all.iter().copied().fold(0.0, f64::max) - all.iter().copied().fold(1.0, f64::min)
     };
-    assert!((spread(&named) - spread(&truth)).abs() < 0.02, "{} {}", spread(&named), spread(&truth));
+    assert!(
+        (spread(&named) - spread(&truth)).abs() < 0.02,
+        "{} {}",
+        spread(&named),
+        spread(&truth)
+    );
     everything_has_them(&folder.join("named/rowgram/plots"));
     plants_have_theirs(&folder.join("named"));
 }
@@ -120,7 +126,10 @@ fn everything_has_them(plots: &Path) {
     assert!(text("variables.brapi.json").contains("\"ndre_leaf\""));
     assert!(text("traits.brapi.json").contains("\"observationVariableName\": \"ndvi\""));
     let report = fs::read_to_string(plots.join("../report.html")).unwrap();
-    assert!(report.contains("ndvi of leaves") && report.contains("by their names: 1 blue"), "report");
+    assert!(
+        report.contains("ndvi of leaves") && report.contains("by their names: 1 blue"),
+        "report"
+    );
 }
 
 /// Plants get what their leaves show, drawn towards their neighbours where leaves overlap.
@@ -203,10 +212,17 @@ fn alpha_hides_and_infrared_makes_the_mask() {
         both as f64 / either as f64
     };
     let with_infrared = share("rowgram/segment/mask.tif");
-    run(folder, "field", "[project]\nbands = [\"blue\", \"green\", \"red\", \"other\", \"other\"]\n");
+    run(
+        folder,
+        "field",
+        "[project]\nbands = [\"blue\", \"green\", \"red\", \"other\", \"other\"]\n",
+    );
     let with_colours = share("rowgram/segment/mask.tif");
     println!("mask over truth: {with_infrared:.3} by near infrared, {with_colours:.3} by colours");
-    assert!(with_infrared > 0.85 && with_infrared >= with_colours, "{with_infrared} {with_colours}");
+    assert!(
+        with_infrared > 0.85 && with_infrared >= with_colours,
+        "{with_infrared} {with_colours}"
+    );
     let header = fs::read_to_string(project.join("rowgram/plots/traits.csv")).unwrap();
     assert!(!header.contains("ndvi"), "without near infrared there is no index");
 }
@@ -229,16 +245,28 @@ fn what_cannot_be_measured_is_named_before() {
     let project = folder.join("field");
     for (settings, expected) in [
         ("[plots]\nindices = [\"ndwvi\"]\n", "[plots] indices: \"ndwvi\" is neither a known index"),
-        ("[plots]\nindices = [\"x = (nir - red\"]\n", "[plots] indices: \"(nir - red\" is no formula"),
+        (
+            "[plots]\nindices = [\"x = (nir - red\"]\n",
+            "[plots] indices: \"(nir - red\" is no formula",
+        ),
         ("[plots]\nindices = [\"x = nir - swir\"]\n", "\"swir\" in \"nir - swir\" is no band"),
         ("[plots]\nindices = [\"plants = nir\"]\n", "\"plants\" is a column already"),
-        ("[plots]\nindices = [\"x = b6 / nir\"]\n", "x needs the band b6, and the orthomosaic has 1 blue, 2 green"),
-        ("[project]\nbands = [\"red\", \"green\"]\n", "[project] bands names 2 bands, the file has 5"),
+        (
+            "[plots]\nindices = [\"x = b6 / nir\"]\n",
+            "x needs the band b6, and the orthomosaic has 1 blue, 2 green",
+        ),
+        (
+            "[project]\nbands = [\"red\", \"green\"]\n",
+            "[project] bands names 2 bands, the file has 5",
+        ),
         (
             "[project]\nbands = [\"red\", \"green\", \"blue\", \"nir\", \"nir\"]\n",
             "[project] bands: nir stands twice",
         ),
-        ("[project]\nbands = [\"infrared\"]\n", "expected a list of: blue, green, red, red-edge, nir"),
+        (
+            "[project]\nbands = [\"infrared\"]\n",
+            "expected a list of: blue, green, red, red-edge, nir",
+        ),
         (
             "[project]\nbands = [\"red\", \"green\", \"blue\", \"other\", \"other\"]\n[plots]\nindices = [\"ndvi\"]\n",
             "ndvi needs the band nir, and the orthomosaic has 1 red, 2 green, 3 blue, 4 other",
@@ -246,7 +274,12 @@ fn what_cannot_be_measured_is_named_before() {
     ] {
         fs::write(project.join("rowgram.toml"), settings).unwrap();
         let run = rowgram(folder, "run field -q");
-        assert!(run.code == 2 && run.stderr.contains(expected), "{settings}{}: {}", run.code, run.stderr);
+        assert!(
+            run.code == 2 && run.stderr.contains(expected),
+            "{settings}{}: {}",
+            run.code,
+            run.stderr
+        );
         assert!(!project.join("rowgram/segment").exists(), "{settings}");
         let doctor = rowgram(folder, "doctor field");
         let said = format!("{}{}", doctor.stdout, doctor.stderr);
@@ -254,7 +287,10 @@ fn what_cannot_be_measured_is_named_before() {
     }
     fs::write(project.join("rowgram.toml"), "").unwrap();
     let doctor = one_line(&rowgram(folder, "doctor field").stdout);
-    assert!(doctor.contains("its bands are, by their names: 1 blue, 2 green, 3 red, 4 red-edge, 5 nir"), "{doctor}");
+    assert!(
+        doctor.contains("its bands are, by their names: 1 blue, 2 green, 3 red, 4 red-edge, 5 nir"),
+        "{doctor}"
+    );
     assert!(doctor.contains("16-bit samples: 10000 is taken for a reflectance of 1"), "{doctor}");
 }
 

@@ -97,8 +97,11 @@ pub fn spectra(scene: &Scene) -> Spectra {
     let mut plant_of_leaf = Vec::new();
     let mut health = Vec::new();
     for (number, plant) in field.plants.iter().enumerate() {
-        let mut rng =
-            stream(config.seed, Stage::PlantSpectrum, pair(plant.row, 2 * plant.site + usize::from(plant.second)));
+        let mut rng = stream(
+            config.seed,
+            Stage::PlantSpectrum,
+            pair(plant.row, 2 * plant.site + usize::from(plant.second)),
+        );
         let of_plot = plots.get(plant.plot).map_or(WEED_HEALTH, |plot| plot.0);
         health.push((of_plot + 0.04 * rng.normal()).clamp(0.0, 1.1));
         plant_of_leaf.extend(plant.leaves.iter().map(|_| number));

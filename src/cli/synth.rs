@@ -91,7 +91,12 @@ struct MapArgs {
     #[arg(long, value_name = "KIND", default_value = "u16")]
     samples: MapSamples,
     /// Order of the bands.
-    #[arg(long, value_name = "BAND,...", value_delimiter = ',', default_value = "blue,green,red,red-edge,nir")]
+    #[arg(
+        long,
+        value_name = "BAND,...",
+        value_delimiter = ',',
+        default_value = "blue,green,red,red-edge,nir"
+    )]
     bands: Vec<Band>,
     /// Leave the names of the bands out of the file.
     #[arg(long)]
@@ -113,11 +118,8 @@ fn map(args: &MapArgs) -> Result<(), Error> {
     plots.rows = args.plot_rows.unwrap_or(plots.rows);
     plots.length_m = args.plot_length.unwrap_or(plots.length_m);
     plots.alley_m = args.alley.unwrap_or(plots.alley_m);
-    let options = MapOptions {
-        samples: args.samples,
-        bands: args.bands.clone(),
-        named: !args.unnamed,
-    };
+    let options =
+        MapOptions { samples: args.samples, bands: args.bands.clone(), named: !args.unnamed };
     let found = synth::write_map(&scenario, &options, &args.field.output, args.field.force)?;
     tracing::info!(
         "{}: {} plants in {} plots, {} x {} pixels of {} bands",

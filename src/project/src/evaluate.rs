@@ -136,7 +136,8 @@ impl Task for Evaluate {
         let gsd_m = place
             .gsd_m()
             .ok_or_else(|| FileError::malformed(&ortho, None, "its coordinates are not metres"))?;
-        let shown = Shown { reader: Reader::open_with(&ortho, &project.reading(&ortho)).ok(), size };
+        let shown =
+            Shown { reader: Reader::open_with(&ortho, &project.reading(&ortho)).ok(), size };
         let all = true_plants(&truth_of(project)?)?;
         let mut plants = Vec::new();
         for plant in &all {

@@ -99,7 +99,11 @@ impl Bands {
                 "its bands are {}, expected red, green and blue among them",
                 match is_told {
                     ToldBy::Settings => listed(&roles),
-                    _ => names.into_iter().filter(|name| !name.is_empty()).collect::<Vec<_>>().join(", "),
+                    _ => names
+                        .into_iter()
+                        .filter(|name| !name.is_empty())
+                        .collect::<Vec<_>>()
+                        .join(", "),
                 }
             )),
             (true, None) if rest <= 4 || is_rgb => Ok([0, 1, 2]),
@@ -245,7 +249,8 @@ mod tests {
     #[test]
     fn scales_are_those_of_the_file() {
         let item = |sample, role: &str, text: &str| (sample, role.to_owned(), text.to_owned());
-        let all = [item(0, "scale", "0.0001"), item(1, "scale", "0.0001"), item(1, "offset", "-0.1")];
+        let all =
+            [item(0, "scale", "0.0001"), item(1, "scale", "0.0001"), item(1, "offset", "-0.1")];
         assert_eq!(scales(all.iter(), 2), Some(vec![[0.0001, 0.0], [0.0001, -0.1]]));
         let none = [item(0, "scale", "1"), item(0, "description", "Red"), item(1, "offset", "0")];
         assert_eq!(scales(none.iter(), 2), None);

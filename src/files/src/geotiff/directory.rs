@@ -126,7 +126,9 @@ impl Directory {
         let mut full = layout.georeference.as_ref().map_or_else(Vec::new, place);
         if !names.is_empty() {
             let item = |(k, name): (usize, &Band)| {
-                format!("<Item name=\"DESCRIPTION\" sample=\"{k}\" role=\"description\">{name}</Item>")
+                format!(
+                    "<Item name=\"DESCRIPTION\" sample=\"{k}\" role=\"description\">{name}</Item>"
+                )
             };
             let items: String = names.iter().enumerate().map(item).collect();
             full.push((42112, Value::Ascii(format!("<GDALMetadata>{items}</GDALMetadata>"))));

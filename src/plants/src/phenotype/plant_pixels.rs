@@ -49,7 +49,8 @@ impl PlantPixels {
         }
         let bound = |axis: usize| {
             let all = || plants_px.iter().map(|at| at[axis]);
-            let (low, high) = (all().fold(f64::INFINITY, f64::min), all().fold(f64::NEG_INFINITY, f64::max));
+            let (low, high) =
+                (all().fold(f64::INFINITY, f64::min), all().fold(f64::NEG_INFINITY, f64::max));
             (low, ((high - low) / side_px) as usize + 1)
         };
         let [(u, columns), (v, rows)] = [bound(0), bound(1)];
@@ -72,11 +73,13 @@ impl PlantPixels {
         let range = |axis: usize| {
             let square = ((at_px[axis] - self.first_px[axis]) / self.reach_px).floor();
             // Casts of floats saturate: what lies before the first square looks at that.
-            (square - 1.0).max(0.0) as usize..((square + 2.0).max(0.0) as usize).min(self.squares[axis])
+            (square - 1.0).max(0.0) as usize
+                ..((square + 2.0).max(0.0) as usize).min(self.squares[axis])
         };
         let mut best: Option<(f64, usize)> = None;
         for row in range(1) {
-            for &plant in range(0).flat_map(|column| &self.members[row * self.squares[0] + column]) {
+            for &plant in range(0).flat_map(|column| &self.members[row * self.squares[0] + column])
+            {
                 let place = self.plants_px[plant];
                 let distance = (place[0] - at_px[0]).hypot(place[1] - at_px[1]);
                 let is_better = best.is_none_or(|best| (distance, plant) < best);

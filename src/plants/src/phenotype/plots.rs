@@ -172,7 +172,9 @@ pub struct PlotIndex<'a> {
 
 impl PlotIndex<'_> {
     fn add(&self, found: &mut PlotTraits) {
-        for (name, parts) in [(self.name.to_owned(), self.ground), (leaf_name(self.name), self.leaf)] {
+        for (name, parts) in
+            [(self.name.to_owned(), self.ground), (leaf_name(self.name), self.leaf)]
+        {
             let mean = parts.mean();
             // A colour index of this name is another one.
             found.more.remove(&deviation_name(&name));
@@ -499,7 +501,8 @@ mod tests {
         assert_eq!((sd("exg"), sd("leaf_hue_deg"), sd("area_m2")), (None, None, None));
         assert!(sd("canopy_cover").unwrap() > 0.0);
         // Nothing was measured: what is not known is not zero.
-        let (of_b, _) = FieldMeasurements::default().index().traits(area("B"), seen, None, None, &[]);
+        let (of_b, _) =
+            FieldMeasurements::default().index().traits(area("B"), seen, None, None, &[]);
         assert_eq!((of_b.plant_spacing_m, of_b.exg), (None, None));
         assert_eq!((of_b.plants, of_b.area_m2, of_b.leaves_single), (None, None, None));
         assert_eq!(of_b.canopy_cover, Some(0.4));

@@ -245,7 +245,8 @@ pub fn traits_with(indices: &[Index]) -> Vec<Trait> {
 
 /// All traits that are the same in every project: those without indices, and the known indices.
 pub fn known_traits() -> Vec<Trait> {
-    let index = |of: &KnownIndex| Index { name: of.name.to_owned(), formula: of.formula.to_owned() };
+    let index =
+        |of: &KnownIndex| Index { name: of.name.to_owned(), formula: of.formula.to_owned() };
     traits_with(&KNOWN.iter().map(index).collect::<Vec<_>>())
 }
 
@@ -259,7 +260,8 @@ pub fn check_index_name(index: &Index) -> Result<(), String> {
         let is_colour = COLOUR_TRAITS.contains(&&*of.name);
         !is_colour && (is_own(&of.name) || of.deviation_name().is_some_and(|name| is_own(&name)))
     });
-    let others = ["plot", "plant", "row", "fid", "geom"].into_iter().find(|name| *name == index.name);
+    let others =
+        ["plot", "plant", "row", "fid", "geom"].into_iter().find(|name| *name == index.name);
     match taken.map(|of| &*of.name).or(others) {
         None => Ok(()),
         Some(name) => Err(format!("{name:?} is a column already: give the index another name")),
@@ -311,7 +313,8 @@ pub fn dictionary_page() -> String {
          pixels with data, and `ndvi_leaf`, the mean over the leaf pixels. An index that has the name of a colour index (`vari`) takes its place.\n\n\
          | index | formula | what it is | reference |\n|---|---|---|---|\n";
     for of in KNOWN {
-        page += &format!("| `{}` | {} | {} | {} |\n", of.name, of.formula, of.meaning, of.reference);
+        page +=
+            &format!("| `{}` | {} | {} | {} |\n", of.name, of.formula, of.meaning, of.reference);
     }
     page
 }

@@ -40,11 +40,9 @@ impl PlotsOptions {
         bands: &[Option<Band>],
     ) -> Result<Vec<(Index, Formula)>, Error> {
         let refused = |why: String| Error::Argument(format!("[plots] {why}"));
-        let indices =
-            self.named_indices().map_err(refused)?.unwrap_or_else(|| Index::usual(bands));
+        let indices = self.named_indices().map_err(refused)?.unwrap_or_else(|| Index::usual(bands));
         let bound = |index: Index| {
-            let formula =
-                index.bind(bands).map_err(|why| refused(format!("indices: {why}")))?;
+            let formula = index.bind(bands).map_err(|why| refused(format!("indices: {why}")))?;
             Ok((index, formula))
         };
         indices.into_iter().map(bound).collect()
@@ -82,11 +80,7 @@ impl Measuring<'_> {
     ///
     /// # Errors
     /// A damaged picture.
-    pub(super) fn means(
-        &self,
-        plots: &[&Polygon],
-        plants_px: &[[f64; 2]],
-    ) -> Result<Means, Error> {
+    pub(super) fn means(&self, plots: &[&Polygon], plants_px: &[[f64; 2]]) -> Result<Means, Error> {
         let (width, height) = (self.mask.width, self.mask.height);
         if self.indices.is_empty() || self.source.size() != (width, height) {
             return Ok(Means::default());

@@ -16,12 +16,12 @@ mod variable_ids;
 mod write;
 
 use super::{Project, Stage, Task, align::AlignOutcome, leaf_mask, stage, surface};
+use indices::{Means, Measuring, Sums};
 use rowgram_base::{
     error::Error,
     monitor::{Diagnostic, Monitor},
     options::Auto,
 };
-use indices::{Means, Measuring, Sums};
 use rowgram_files::{
     csv_table::CsvTable,
     polygons::{self, Named},

@@ -58,9 +58,8 @@ fn drawn(facts: &Facts<'_>, served: Option<Served>) -> Result<Option<Markup>, Er
     let measured = facts.outcome.results.plots.as_ref();
     let all = measured.map(PlotsOutcome::traits).unwrap_or_default();
     let plots = plots(facts, &all, place)?;
-    let known: Vec<usize> = (0..all.len())
-        .filter(|&k| plots.iter().any(|plot| !plot["values"][k].is_null()))
-        .collect();
+    let known: Vec<usize> =
+        (0..all.len()).filter(|&k| plots.iter().any(|plot| !plot["values"][k].is_null())).collect();
     let layer = |name: &str| facts.table(Stage::Locate, name);
     let plants = layer("plants.csv")?.map(|table| plants(&table));
     let gaps = layer("gaps.csv")?.map(|table| gaps(&table));

@@ -131,7 +131,8 @@ impl DateMap {
         if window.width < LEAST_SIDE || window.height < LEAST_SIDE {
             return Ok(MapFeatures::default());
         }
-        let (picture, gaps) = Reader::open_with(&self.ortho, &self.reading)?.read_rgb_and_gaps(window)?;
+        let (picture, gaps) =
+            Reader::open_with(&self.ortho, &self.reading)?.read_rgb_and_gaps(window)?;
         let leaf = Reader::open(&self.mask)?.read::<u8>(window)?;
         let usable: Vec<bool> = leaf
             .iter()

@@ -81,7 +81,8 @@ pub fn write_map(
     scenario.check().map_err(refused)?;
     let place_of = |band: &Band| ORDER.iter().position(|of| of == band);
     let order: Option<Vec<usize>> = options.bands.iter().map(place_of).collect();
-    let is_whole = |order: &Vec<usize>| order.len() == BANDS && (0..BANDS).all(|k| order.contains(&k));
+    let is_whole =
+        |order: &Vec<usize>| order.len() == BANDS && (0..BANDS).all(|k| order.contains(&k));
     let order = order.filter(is_whole).ok_or_else(|| {
         Error::Argument("bands: expected blue, green, red, red-edge, nir in any order".to_owned())
     })?;
@@ -103,7 +104,8 @@ pub fn write_map(
             write(&ortho, force, &layout, &samples(&spectra, &order, -1e4, |x| x), options)?;
         }
     }
-    let text = |path: &Path, text: &str| output::write(path, force, |out| out.write_all(text.as_bytes()));
+    let text =
+        |path: &Path, text: &str| output::write(path, force, |out| out.write_all(text.as_bytes()));
     text(&folder.join("field.toml"), &config)?;
     text(&folder.join("plots.geojson"), &plots(&spectra.plots, place))?;
     text(&truth.join("plots.csv"), &plot_table(&spectra.plots))?;

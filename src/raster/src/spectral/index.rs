@@ -93,7 +93,9 @@ pub enum IndexError {
         text: String,
     },
     /// A name that no column can have.
-    #[error("{name:?} cannot be the name of an index: expected lower-case letters, digits and _, from a letter on{why}")]
+    #[error(
+        "{name:?} cannot be the name of an index: expected lower-case letters, digits and _, from a letter on{why}"
+    )]
     Name {
         /// The name.
         name: String,
@@ -241,7 +243,8 @@ impl Index {
                     (Some(number).filter(|&at| at < bands.len()), format!("b{}", number + 1))
                 }
             };
-            let missing = || IndexError::Band { name: self.name.clone(), band, there: bands.to_vec() };
+            let missing =
+                || IndexError::Band { name: self.name.clone(), band, there: bands.to_vec() };
             place.ok_or_else(missing)
         };
         let places = variables.into_iter().map(place).collect::<Result<_, _>>()?;
@@ -287,8 +290,13 @@ impl Formula {
 mod tests {
     use super::*;
 
-    const FIVE: [Option<Band>; 5] =
-        [Some(Band::Blue), Some(Band::Green), Some(Band::Red), Some(Band::RedEdge), Some(Band::Nir)];
+    const FIVE: [Option<Band>; 5] = [
+        Some(Band::Blue),
+        Some(Band::Green),
+        Some(Band::Red),
+        Some(Band::RedEdge),
+        Some(Band::Nir),
+    ];
     const PIXEL: [f32; 5] = [0.04, 0.10, 0.05, 0.30, 0.45];
 
     fn one(text: &str) -> Result<Index, IndexError> {
@@ -358,7 +366,10 @@ mod tests {
         assert!(twice.to_string().contains("ndvi stands twice"), "{twice}");
         let rgb = [Band::Red, Band::Green, Band::Blue].map(Some);
         let missing = one("ndvi").unwrap().bind(&rgb).unwrap_err().to_string();
-        assert_eq!(missing, "ndvi needs the band nir, and the orthomosaic has 1 red, 2 green, 3 blue");
+        assert_eq!(
+            missing,
+            "ndvi needs the band nir, and the orthomosaic has 1 red, 2 green, 3 blue"
+        );
         assert!(one("b4 - b1").unwrap().bind(&rgb).is_err());
     }
 

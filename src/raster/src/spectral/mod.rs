@@ -48,7 +48,10 @@ impl Band {
             "n" | "nir" | "ir" => Band::Nir,
             "re" => Band::RedEdge,
             "lwir" | "pan" | "panchromatic" => Band::Other,
-            _ if ["thermal", "coastal", "longwave", "shortwave"].iter().any(|of| word.contains(of)) => {
+            _ if ["thermal", "coastal", "longwave", "shortwave"]
+                .iter()
+                .any(|of| word.contains(of)) =>
+            {
                 Band::Other
             }
             _ if word.contains("edge") => Band::RedEdge,
@@ -58,7 +61,7 @@ impl Band {
     }
 }
 
-/// The bands of a raster as one line: `1 blue, 2 green, 3 ?`.
+/// The bands of a raster as one line: `1 blue, 2 red-edge, 3 without a name`.
 pub fn listed(bands: &[Option<Band>]) -> String {
     let one = |(number, band): (usize, &Option<Band>)| match band {
         Some(band) => format!("{} {band}", number + 1),

@@ -68,7 +68,10 @@ impl<'a> Converter<'a> {
             None => self.green_yellow(rgb),
             Some(ndvi) => {
                 let ndvi = ndvi.get(number).copied().filter(|x| x.is_finite());
-                [GREEN_OF_NDVI * (ndvi.unwrap_or(NDVI_OF_GREY).clamp(-1.0, 1.0) - NDVI_OF_GREY), 0.0]
+                [
+                    GREEN_OF_NDVI * (ndvi.unwrap_or(NDVI_OF_GREY).clamp(-1.0, 1.0) - NDVI_OF_GREY),
+                    0.0,
+                ]
             }
         }
     }
