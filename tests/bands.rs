@@ -60,6 +60,8 @@ fn check_errors(folder: &Path, name: &str) {
         println!("{name} {column}: mean error {mean:.4}, worst {worst:.4}, sd {:.4}", errors[0][1]);
         assert!(mean.abs() <= 0.01 && worst <= 0.02, "{name} {column}: {errors:?}");
         assert!(errors.iter().all(|error| error[1] > 0.0 && error[1] < 0.1), "{errors:?}");
+        let covered = errors.iter().filter(|[error, sd]| error.abs() < 2.0 * sd).count();
+        assert!(covered >= 7, "{name} {column}: {covered} of 8 within two sd, {errors:?}");
     }
 }
 

@@ -78,7 +78,8 @@ impl Bands {
                 }
             }
         }
-        let extra = alpha(ifd, samples);
+        let named = roles.iter().position(|band| *band == Some(Band::Alpha));
+        let extra = named.or_else(|| alpha(ifd, samples));
         let is_told = if given.is_empty() { ToldBy::Names } else { ToldBy::Settings };
         if is_told == ToldBy::Settings {
             roles = self::given(given, samples, extra)?;

@@ -9,7 +9,8 @@
 //! stays small. The tables hold linear light in 14 bits.
 //!
 //! Where the near infrared is known, greenness is the NDVI instead, brought to the same numbers: soil (NDVI 0.1 to 0.2) about
-//! -2, leaves (0.7 to 0.85) about 14, which are the priors of the two classes. Yellowness is then 0.
+//! -2, leaves (0.7 to 0.85) about 14, which are the priors of the two classes. Yellowness is then 0. Colours are smoothed over 3 x 3 pixels;
+//! the classes are so much further apart in NDVI than its noise that smoothing would only blur the edges of leaves.
 
 use std::sync::LazyLock;
 
@@ -59,6 +60,11 @@ impl<'a> Converter<'a> {
     /// `ndvi`: that of all pixels of the picture, where it is known.
     pub(super) fn new(ndvi: Option<&'a [f32]>) -> Converter<'a> {
         Converter { tables: &TABLES, ndvi }
+    }
+
+    /// Weights of a pixel's neighbours and of itself, along each axis.
+    pub(super) fn weights(self) -> [f32; 2] {
+        if self.ndvi.is_some() { [0.0, 1.0] } else { [0.25, 0.5] }
     }
 
     /// Greenness and yellowness of the pixel with this number of the picture.

@@ -76,11 +76,12 @@ impl Estimator {
         let rows = (self.step / 2..height).step_by(self.step);
         let rows: Vec<usize> = rows.filter(|v| band.rows.contains(v)).collect();
         let converter = Converter::new(ndvi);
+        let [beside, here] = converter.weights();
         let smooth = |u: usize, v: usize| {
             let mut sum = [0.0; 2];
-            for (dv, row_weight) in [(0, 0.25), (1, 0.5), (2, 0.25)] {
+            for (dv, row_weight) in [(0, beside), (1, here), (2, beside)] {
                 let row = (v + dv).saturating_sub(1).min(height - 1) - first;
-                for (du, weight) in [(0, 0.25), (1, 0.5), (2, 0.25)] {
+                for (du, weight) in [(0, beside), (1, here), (2, beside)] {
                     let column = (u + du).saturating_sub(1).min(width - 1);
                     let pixel = photo.get_pixel(column as u32, row as u32).0;
                     let colour = converter.of_pixel(row * width + column, pixel);

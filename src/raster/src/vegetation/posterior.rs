@@ -60,7 +60,7 @@ pub(super) fn posteriors(
     posterior
 }
 
-/// Rows of colour smoothed with weights 1/4, 1/2, 1/4 both ways, from the top down.
+/// Rows of colour smoothed both ways ([`Converter::weights`]), from the top down.
 struct SmoothRows<'a> {
     photo: &'a RgbImage,
     converter: Converter<'a>,
@@ -85,9 +85,10 @@ impl<'a> SmoothRows<'a> {
                 self.load(row);
             }
         }
+        let [beside, middle] = self.converter.weights();
         let [above, here, below] = rows.map(|row| &self.kept[row % 3].1);
         for (out, ((a, h), b)) in out.iter_mut().zip(above.iter().zip(here).zip(below)) {
-            *out = [0.25 * (a[0] + b[0]) + 0.5 * h[0], 0.25 * (a[1] + b[1]) + 0.5 * h[1]];
+            *out = [0, 1].map(|k| beside * (a[k] + b[k]) + middle * h[k]);
         }
     }
 
@@ -100,8 +101,9 @@ impl<'a> SmoothRows<'a> {
         let (row, line) = &mut self.kept[v % 3];
         *row = v;
         let raw = &self.raw;
+        let [beside, middle] = self.converter.weights();
         let mix = |a: [f32; 2], h: [f32; 2], b: [f32; 2]| {
-            [0.25 * (a[0] + b[0]) + 0.5 * h[0], 0.25 * (a[1] + b[1]) + 0.5 * h[1]]
+            [0, 1].map(|k| beside * (a[k] + b[k]) + middle * h[k])
         };
         for (line, near) in line[1..].iter_mut().zip(raw.windows(3)) {
             *line = mix(near[0], near[1], near[2]);
