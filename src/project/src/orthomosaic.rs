@@ -180,19 +180,25 @@ fn colours(source: &Source, path: &Path) -> Result<Vec<String>, FileError> {
     }
 }
 
+/// What the bands of an orthomosaic are taken for, where that has to be said.
+pub(super) fn bands(source: &Source, path: &Path) -> Vec<Diagnostic> {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    match colours(source, path) {
+        Ok(notes) => {
+            let info = |note| Diagnostic::info("orthomosaic-bands", name.as_ref(), note);
+            notes.into_iter().map(info).collect()
+        }
+        Err(error) => {
+            let message = error.to_string();
+            vec![Diagnostic::error("orthomosaic-no-colours", name.as_ref(), message)]
+        }
+    }
+}
+
 /// What is odd about an orthomosaic: its reference system, its pixels, its bands.
 pub(super) fn oddities(source: &Source, path: &Path) -> Vec<Diagnostic> {
     let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let mut found = Vec::new();
-    match colours(source, path) {
-        Ok(notes) => {
-            let info = |note| Diagnostic::info("orthomosaic-bands", &name, note);
-            found.extend(notes.into_iter().map(info));
-        }
-        Err(error) => {
-            found.push(Diagnostic::error("orthomosaic-no-colours", &name, error.to_string()))
-        }
-    }
+    let mut found = bands(source, path);
     if let Some(place) = source.georeference() {
         let stored = match source {
             Source::File(reader) => reader.stored_size(),

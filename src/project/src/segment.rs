@@ -4,7 +4,7 @@ use super::{
     Project, Stage, Task,
     figures::{self, View},
     leaf_mask::{self, LeafRows, Segmenter},
-    stage,
+    orthomosaic, stage,
 };
 use rowgram_base::{
     error::Error,
@@ -123,6 +123,10 @@ impl Task for Segment {
             force: true,
         };
         let source = leaf_mask::photo(project.open_picture(&image)?, &image)?;
+        if project.given_orthomosaic().is_some() {
+            let said = orthomosaic::bands(&source, &image);
+            said.iter().for_each(|found| monitor.diagnostic(found));
+        }
         let outcome = segment_source(&source, &image, files, options, monitor)?;
         Ok(SegmentOutcome { image: super::record::relative(project.root(), &image), ..outcome })
     }
