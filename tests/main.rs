@@ -13,6 +13,7 @@ mod adjust;
 mod adjustment;
 mod align;
 mod architecture;
+mod bands;
 mod boards;
 mod browser;
 mod calibrate;

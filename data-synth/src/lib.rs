@@ -3,6 +3,7 @@
 //!
 //! What exists ([`field`], [`leaf`]) is kept apart from what corrupts it ([`corrupt`]) and from how
 //! it looks from above ([`render`], [`picture`]); [`scenario`] joins the three under one seed.
+//! [`spectrum`] gives the same field in five bands of reflectance.
 //! [`block`] makes the measurements of a nadir aerial block straight from geometry, [`collection`] those of a
 //! collection of photos of places.
 //! [`twin`] sets the field on [`terrain`] at a [`site`] on Earth, flies over it with a true [`camera`]
@@ -57,6 +58,7 @@ pub mod scenario;
 pub mod season;
 pub mod season_plan;
 pub mod site;
+pub mod spectrum;
 pub mod start_model;
 pub mod targets;
 pub mod terrain;

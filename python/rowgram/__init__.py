@@ -8,7 +8,7 @@ A project on disk, stage by stage::
     project.run(until="plots", progress=rowgram.progress_bar())
     traits = project.result("plots").to_pandas()
 
-Single steps on arrays: :func:`segment`, :func:`locate`, :func:`leaves`, :func:`evaluate`, :func:`sift`, :func:`match`.
+Single steps on arrays: :func:`segment`, :func:`spectral_index`, :func:`locate`, :func:`leaves`, :func:`evaluate`, :func:`sift`, :func:`match`.
 Synthetic fields with ground truth: :mod:`rowgram.synth`. The two optimisation engines: :class:`Problem`,
 :func:`bundle_adjust` and :func:`coordinate_descent`.
 
@@ -29,7 +29,19 @@ from ._errors import (
     SolverError,
 )
 from ._rowgram import __version__, limit_memory
-from .arrays import Leaves, Plants, Score, Vegetation, evaluate, leaves, locate, match, segment, sift
+from .arrays import (
+    Leaves,
+    Plants,
+    Score,
+    Vegetation,
+    evaluate,
+    leaves,
+    locate,
+    match,
+    segment,
+    sift,
+    spectral_index,
+)
 from .optimize import (
     AdjustResult,
     BundleResult,
@@ -81,5 +93,6 @@ __all__ = [
     "season",
     "segment",
     "sift",
+    "spectral_index",
     "synth",
 ]

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _rowgram
+from ._errors import InputError
 
 if TYPE_CHECKING:
     import pandas
@@ -41,6 +42,26 @@ def segment(image: ArrayLike, *, hsv: Sequence[int] | None = None) -> Vegetation
     """
     mask, posterior = _rowgram.segment(np.asarray(image), None if hsv is None else list(hsv))
     return Vegetation(mask, posterior)
+
+
+def spectral_index(index: str, /, **bands: ArrayLike) -> NDArray[np.float32]:
+    """Compute a spectral index of every pixel.
+
+    Args:
+        index: A known index (``ndvi``, ``ndre``, ``gndvi``, ``savi``, ``osavi``, ``evi2``, ``ci_green``, ``ci_red_edge``) or a
+            formula of bands, ``(nir - red) / (nir + red)``.
+        **bands: Reflectances from 0 to 1 of ``blue``, ``green``, ``red``, ``red_edge``, ``nir``, as many as the index needs; all of
+            one shape, which the result has too. NaN where there are no data.
+
+    Raises:
+        InputError: A word that is no index, a band that is missing, arrays of different shapes.
+    """
+    arrays = [np.asarray(values, dtype=np.float32) for values in bands.values()]
+    shapes = {values.shape for values in arrays}
+    if len(shapes) != 1:
+        raise InputError(f"bands: expected arrays of one shape, not {sorted(shapes)}")
+    samples = np.stack([values.ravel() for values in arrays], axis=-1)
+    return _rowgram.spectral_index(index, list(bands), samples).reshape(arrays[0].shape)
 
 
 @dataclass(frozen=True)

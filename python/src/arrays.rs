@@ -18,7 +18,12 @@ use rowgram::{
         locator::{self, Found, LocateOptions},
         stand::Stalk,
     },
-    raster::{Mask, mask::Thresholds, vegetation},
+    raster::{
+        Mask,
+        mask::Thresholds,
+        spectral::{Band, Index},
+        vegetation,
+    },
     score::Score,
 };
 
@@ -112,6 +117,29 @@ pub(crate) fn segment<'py>(
     let found = found.map_err(input)?;
     let posterior = found.posterior.iter().map(|&p| f32::from(p) / 255.0).collect();
     Ok((leaf(found.mask)?, Some(table(py, width, posterior)?)))
+}
+
+/// An index of every pixel, from bands by name and samples of shape (pixels, bands).
+#[pyfunction]
+pub(crate) fn spectral_index<'py>(
+    py: Python<'py>,
+    index: &str,
+    names: Vec<String>,
+    samples: PyReadonlyArray2<'py, f32>,
+) -> PyResult<Bound<'py, PyArray1<f32>>> {
+    let band = |name: &String| {
+        Band::named(name).map(Some).ok_or_else(|| {
+            input(format!("{name}: expected bands blue, green, red, red_edge, nir"))
+        })
+    };
+    let bands: Vec<Option<Band>> = names.iter().map(band).collect::<PyResult<_>>()?;
+    let index = Index::list(&[index.to_owned()]).map_err(input)?.remove(0);
+    let formula = index.bind(&bands).map_err(input)?;
+    if samples.shape()[1] != bands.len() {
+        return Err(input("samples: expected a column for each band"));
+    }
+    let flat: Vec<f32> = samples.as_array().iter().copied().collect();
+    Ok(without_python(py, || formula.evaluate(&flat))?.into_pyarray(py))
 }
 
 fn stalks<'py>(py: Python<'py>, out: &Bound<'py, PyDict>, plants: &[Stalk]) -> PyResult<()> {

@@ -94,3 +94,15 @@ def test_nothing_is_an_answer():
     assert rowgram.evaluate(np.zeros((0, 2)), [[1.0, 1.0]], [2.0]).radii[0]["recall"] == 0.0
     points, descriptors = rowgram.sift(np.zeros((40, 60), np.uint8))
     assert len(points) == 0 and len(rowgram.match(descriptors, descriptors)) == 0
+
+
+def test_spectral_indices_are_of_bands_by_name():
+    red, nir = np.full((2, 3), 0.05), np.full((2, 3), 0.45)
+    nir[0, 0] = np.nan
+    ndvi = rowgram.spectral_index("ndvi", nir=nir, red=red)
+    assert ndvi.shape == (2, 3) and np.isnan(ndvi[0, 0]) and ndvi[1, 2] == pytest.approx(0.8)
+    same = rowgram.spectral_index("(nir - red_edge) / (nir + red_edge)", red_edge=red, nir=nir)
+    assert np.array_equal(same, ndvi, equal_nan=True)
+    for index, bands in [("ndwvi", {"red": red}), ("ndvi", {"red": red}), ("ndvi", {"red": red, "nir": nir[0]})]:
+        with pytest.raises(rowgram.InputError):
+            rowgram.spectral_index(index, **bands)

@@ -11,7 +11,8 @@ use data_synth::{
     scenario::{Preset, Scenario},
 };
 use rowgram_base::error::Error;
-use rowgram_project::synth::{self, BlockPreset, BlockSource};
+use rowgram_project::synth::{self, BlockPreset, BlockSource, MapOptions, MapSamples};
+use rowgram_raster::spectral::Band;
 use std::path::PathBuf;
 
 /// Make synthetic data with known truth.
@@ -28,6 +29,7 @@ enum What {
     /// Writes mask.png (255 leaf, 0 other), picture.png, plants.csv (u_px,v_px,row,x_m,y_m; the
     /// centre of the top-left pixel is at 0,0) and field.toml (every parameter, for --config).
     Mask(Box<MaskArgs>),
+    Map(Box<MapArgs>),
     /// Measurements of a nadir aerial block or of a photo collection as a BAL text file, start values included.
     Bundle(BundleArgs),
     Flight(flight::Args),
@@ -41,6 +43,7 @@ enum What {
 pub(super) fn run(args: &Args) -> Result<(), Error> {
     match &args.what {
         What::Mask(args) => mask(args),
+        What::Map(args) => map(args),
         What::Bundle(args) => bundle(args),
         What::Flight(args) => flight::run(args),
         What::Season(args) => season::run(args),
@@ -71,6 +74,63 @@ struct MaskArgs {
     /// Seed of everything random [default: 1].
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     seed: Option<u64>,
+}
+
+/// An orthomosaic of five bands of known reflectance, with plots, as a project folder with its truth.
+///
+/// Writes ortho.tif (blue, green, red, red edge, near infrared), plots.geojson, field.toml (every parameter, for --config),
+/// and under truth/ plots.csv (cover, NDVI and NDRE of all ground and of the leaves), plants.csv (place and NDVI) and mask.png.
+///
+/// Example: rowgram synth map --rows 8 --row-length 11 --plot-rows 2 --plot-length 5 --alley 1 -o field
+#[derive(Debug, clap::Args)]
+#[command(verbatim_doc_comment)]
+struct MapArgs {
+    #[command(flatten)]
+    field: MaskArgs,
+    /// Samples: u16 (reflectance times 10,000) or float.
+    #[arg(long, value_name = "KIND", default_value = "u16")]
+    samples: MapSamples,
+    /// Order of the bands.
+    #[arg(
+        long,
+        value_name = "BAND,...",
+        value_delimiter = ',',
+        default_value = "blue,green,red,red-edge,nir"
+    )]
+    bands: Vec<Band>,
+    /// Leave the names of the bands out of the file.
+    #[arg(long)]
+    unnamed: bool,
+    /// Rows of a plot [default: all].
+    #[arg(long, value_name = "N")]
+    plot_rows: Option<usize>,
+    /// Length of a plot, metres [default: that of the rows].
+    #[arg(long, value_name = "M", allow_negative_numbers = true)]
+    plot_length: Option<f64>,
+    /// Bare alley between plots along the rows, metres [default: 0].
+    #[arg(long, value_name = "M", allow_negative_numbers = true)]
+    alley: Option<f64>,
+}
+
+fn map(args: &MapArgs) -> Result<(), Error> {
+    let mut scenario = args.field.scenario()?;
+    let plots = &mut scenario.field.plots;
+    plots.rows = args.plot_rows.unwrap_or(plots.rows);
+    plots.length_m = args.plot_length.unwrap_or(plots.length_m);
+    plots.alley_m = args.alley.unwrap_or(plots.alley_m);
+    let options =
+        MapOptions { samples: args.samples, bands: args.bands.clone(), named: !args.unnamed };
+    let found = synth::write_map(&scenario, &options, &args.field.output, args.field.force)?;
+    tracing::info!(
+        "{}: {} plants in {} plots, {} x {} pixels of {} bands",
+        args.field.output.display(),
+        found.plants,
+        found.plots,
+        found.size_px[0],
+        found.size_px[1],
+        options.bands.len(),
+    );
+    Ok(())
 }
 
 #[derive(Debug, clap::Args)]

@@ -5,7 +5,7 @@
 
 use super::{
     FileError,
-    geotiff::{self, Colour, Layout, Reader, Square},
+    geotiff::{self, Colour, Layout, Reader, Reading, Spectra, Square},
     images::{self, Picture},
     memory, output,
 };
@@ -15,6 +15,7 @@ use rowgram_raster::{
     Mask,
     georeference::Georeference,
     mask::Thresholds,
+    spectral::Band,
     window::{self, Window},
 };
 use std::{
@@ -47,11 +48,23 @@ impl Source {
     /// # Errors
     /// Where the file cannot be read or is no such picture.
     pub fn open(path: &Path) -> Result<Source, FileError> {
+        Source::open_with(path, &Reading::default())
+    }
+
+    /// As [`Source::open`], with bands and reflectance as the settings say.
+    ///
+    /// # Errors
+    /// As [`Source::open`], and where the file cannot have these bands.
+    pub fn open_with(path: &Path, reading: &Reading) -> Result<Source, FileError> {
         let mut first = [0; 4];
         let mut file = std::fs::File::open(path).map_err(|e| FileError::read(path, e))?;
         let tiff = file.read_exact(&mut first).is_ok() && geotiff::is_tiff(&first);
         if tiff {
-            return Ok(Source::File(Box::new(Reader::open(path)?)));
+            return Ok(Source::File(Box::new(Reader::open_with(path, reading)?)));
+        }
+        if !reading.bands.is_empty() {
+            let message = "[project] bands: it is no TIFF, so its bands are red, green, blue";
+            return Err(FileError::malformed(path, None, message));
         }
         let (picture, gaps) = images::read_with_gaps(path)?;
         let source = Source::Picture { picture, gaps, place: None };
@@ -166,6 +179,32 @@ impl Source {
                 let width = photo.width() as usize;
                 let gaps = gaps.as_ref().map(|gaps| &gaps[rows.start * width..rows.end * width]);
                 Ok((photo, gaps.filter(|gaps| gaps.contains(&true)).map(<[bool]>::to_vec)))
+            }
+        }
+    }
+
+    /// What its bands show, where that is known and they hold anything; red, green, blue where it is no TIFF.
+    ///
+    /// # Errors
+    /// Where the file is damaged.
+    pub fn roles(&self) -> Result<Vec<Option<Band>>, FileError> {
+        match self {
+            Source::File(reader) => reader.filled_roles(),
+            Source::Picture { .. } => Ok([Band::Red, Band::Green, Band::Blue].map(Some).to_vec()),
+        }
+    }
+
+    /// The reflectances of rows of a photo: the bands of [`Source::roles`] of each pixel side by side; and which pixels show nothing,
+    /// where some do.
+    ///
+    /// # Errors
+    /// As [`Source::rgb_and_gaps`].
+    pub fn spectra(&self, rows: Range<usize>) -> Result<Spectra, FileError> {
+        match self {
+            Source::File(reader) => reader.read_spectra(Window::rows(reader.width(), rows)),
+            Source::Picture { .. } => {
+                let (photo, gaps) = self.rgb_and_gaps(rows)?;
+                Ok((photo.into_raw().into_iter().map(|x| f32::from(x) / 255.0).collect(), gaps))
             }
         }
     }

@@ -26,6 +26,7 @@ use rowgram_base::{
     options::{Field, Options, Section, nearest},
 };
 use rowgram_optim::output::FileError;
+use rowgram_raster::spectral::Band;
 use serde::{Deserialize, Serialize};
 use std::{collections::BTreeMap, fmt::Write as _, path::Path, path::PathBuf};
 use toml::{Spanned, Table, Value};
@@ -47,6 +48,11 @@ rowgram_base::options! {
         /// An existing orthomosaic. Where it is set, or the folder holds no photos but one GeoTIFF, alignment is
         /// skipped and traits come from it.
         pub ortho: Option<PathBuf> = None, example "\"ortho.tif\"";
+        /// What the bands of that orthomosaic show, in their order, where the file does not say so or says it wrongly.
+        pub bands: Vec<Band> = Vec::new(), example "[\"blue\", \"green\", \"red\", \"red-edge\", \"nir\"]";
+        /// The sample value of that orthomosaic that stands for a reflectance of 1. Where not set: its tags say so, else its kind of
+        /// samples and the brightest of them (255; 10000, 32768 or 65535; 1 or 100).
+        pub reflectance_scale: Option<f64> = None, limits POSITIVE, example "10000.0";
         /// Coordinate reference system of control and results: `EPSG:CODE` or a PROJ string. That of the control where not
         /// set.
         pub crs: Option<String> = None, example "\"EPSG:32616\"";

@@ -17,7 +17,6 @@ use rowgram_files::{
     images,
     photo::{self, Geotag},
     polygons::{self, Named},
-    rasters,
 };
 use rowgram_raster::crs::LocalPlane;
 use std::{
@@ -56,7 +55,7 @@ pub fn doctor(
     }
     if let Some(ortho) = project.given_orthomosaic() {
         let name = ortho.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        found.extend(of_orthomosaic(&ortho, &name));
+        found.extend(of_orthomosaic(&project, &ortho, &name));
         let mut others = project.rasters().map(|rasters| rasters.others).unwrap_or_default();
         let (heights, said) = surface::doctor(&project);
         found.extend(said);
@@ -96,6 +95,9 @@ pub fn doctor(
         }
     }
     found.extend(of_polygons(&project));
+    if let Err(error) = orthomosaic::check_bands(&project) {
+        found.push(Diagnostic::error("settings-refused", "settings", error.to_string()));
+    }
     if let Err(error) = project.config().validate() {
         found.push(Diagnostic::error("settings-refused", "settings", error.to_string()));
     }
@@ -111,7 +113,7 @@ pub fn doctor(
 
 /// Whether plots and regions can be read, and lie on the orthomosaic where there is one.
 fn of_polygons(project: &Project) -> Vec<Diagnostic> {
-    let ortho = project.orthomosaic().ok().and_then(|path| rasters::Source::open(&path).ok());
+    let ortho = project.orthomosaic().ok().and_then(|path| project.open_picture(&path).ok());
     let mut found = Collector::default();
     for path in [project.plots(), project.regions()].into_iter().flatten() {
         let subject = path.display().to_string();
@@ -183,8 +185,8 @@ fn beside(polygons: &[Named], (width, height): (usize, usize)) -> String {
 }
 
 /// What an orthomosaic that is given lacks.
-fn of_orthomosaic(path: &Path, name: &str) -> Vec<Diagnostic> {
-    let source = match rasters::Source::open(path) {
+fn of_orthomosaic(project: &Project, path: &Path, name: &str) -> Vec<Diagnostic> {
+    let source = match project.open_picture(path) {
         Ok(source) => source,
         Err(error) => {
             return vec![Diagnostic::error("orthomosaic-unreadable", name, error.to_string())];

@@ -136,7 +136,8 @@ impl Task for Evaluate {
         let gsd_m = place
             .gsd_m()
             .ok_or_else(|| FileError::malformed(&ortho, None, "its coordinates are not metres"))?;
-        let shown = Shown { reader: Reader::open(&ortho).ok(), size };
+        let shown =
+            Shown { reader: Reader::open_with(&ortho, &project.reading(&ortho)).ok(), size };
         let all = true_plants(&truth_of(project)?)?;
         let mut plants = Vec::new();
         for plant in &all {
@@ -271,7 +272,7 @@ impl Shown {
             return Ok(true);
         };
         let window = Window { u: u as usize, v: v as usize, width: 1, height: 1 };
-        Ok(reader.read::<u8>(window)?.get(3).is_none_or(|&alpha| alpha > 0))
+        Ok(reader.read_rgb_and_gaps(window)?.1.is_none())
     }
 }
 

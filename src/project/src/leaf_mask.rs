@@ -11,8 +11,9 @@ use rowgram_optim::output::FileError;
 use rowgram_raster::{
     Mask,
     mask::Thresholds,
+    spectral::{Formula, Index},
     vegetation::{
-        self, Classified, Coherence, Estimate, Estimator, Model, VegetationError,
+        self, Classified, Coherence, Estimate, Estimator, Model, Seen, VegetationError,
         nothing::{Surround, SurroundFinder},
     },
     window::{self, Band, Window},
@@ -125,9 +126,8 @@ pub(super) fn valid_of_project(project: &Project) -> Result<Option<Mask>, Error>
     path.as_deref().map(read).transpose()
 }
 
-/// Opens what is to be segmented: anything but a mask.
-pub(super) fn open_photo(path: &Path) -> Result<Source, FileError> {
-    let source = Source::open(path)?;
+/// What is to be segmented, once it is open: anything but a mask.
+pub(super) fn photo(source: Source, path: &Path) -> Result<Source, FileError> {
     match &source {
         _ if source.is_photo() => Ok(source),
         Source::Picture { .. } => {
@@ -162,6 +162,8 @@ pub(super) fn of_photo(
 pub(super) struct Segmenter<'a> {
     source: &'a Source,
     image: &'a Path,
+    /// NDVI, where the photo has near infrared and red, and vegetation is estimated.
+    ndvi: Option<Formula>,
     rule: Rule,
 }
 
@@ -190,6 +192,14 @@ impl<'a> Segmenter<'a> {
         image: &'a Path,
         options: &SegmentOptions,
     ) -> Result<Segmenter<'a>, Error> {
+        let ndvi = match options.hsv {
+            Auto::Given(_) => None,
+            Auto::Auto => {
+                let roles = source.roles()?;
+                let usual = Index::usual(&roles).into_iter().find(|index| index.name == "ndvi");
+                usual.and_then(|index| index.bind(&roles).ok())
+            }
+        };
         let rule = match options.hsv {
             Auto::Given(hsv) => {
                 let size = source.size();
@@ -210,13 +220,13 @@ impl<'a> Segmenter<'a> {
                 let size = source.size();
                 let mut estimator = Estimator::new(size, &how).map_err(malformed)?;
                 for band in window::bands(size.1, BAND_ROWS, Estimator::HALO) {
-                    let (photo, shown) = seen(source, &band)?;
-                    estimator.add(&band, &photo, shown.as_deref());
+                    let rows = SeenRows::read(source, ndvi.as_ref(), &band)?;
+                    estimator.add(&band, rows.seen());
                 }
                 Rule::Vegetation(Box::new(estimator.finish().map_err(malformed)?))
             }
         };
-        Ok(Segmenter { source, image, rule })
+        Ok(Segmenter { source, image, ndvi, rule })
     }
 
     /// What was estimated of vegetation and background, where it was.
@@ -280,9 +290,10 @@ impl<'a> Segmenter<'a> {
             Rule::Vegetation(estimate) => estimate.halo(),
         };
         window::bands(self.source.size().1, BAND_ROWS, halo).map(|band| {
-            let (photo, shown) = seen(self.source, &band)?;
+            let rows = SeenRows::read(self.source, self.ndvi.as_ref(), &band)?;
             Ok(match &self.rule {
                 Rule::Thresholds(hsv, surround) => {
+                    let SeenRows { photo, shown, .. } = rows;
                     let mut mask = hsv.mask(&photo).data;
                     let width = photo.width() as usize;
                     let outside = surround.as_ref().map(|of| of.outside(band.rows.clone(), width));
@@ -298,7 +309,7 @@ impl<'a> Segmenter<'a> {
                     LeafRows { rows: band.rows, mask, posterior: None, shown }
                 }
                 Rule::Vegetation(estimate) => {
-                    let found = estimate.classify(&band, &photo, shown.as_deref());
+                    let found = estimate.classify(&band, rows.seen());
                     let Classified { mask, posterior, shown } = found;
                     LeafRows { rows: band.rows, mask, posterior: Some(posterior), shown }
                 }
@@ -307,9 +318,23 @@ impl<'a> Segmenter<'a> {
     }
 }
 
-/// The photo around a band, and which of its pixels show something (1), where some do not.
-fn seen(source: &Source, band: &Band) -> Result<(RgbImage, Option<Vec<u8>>), FileError> {
-    let (photo, gaps) = source.rgb_and_gaps(band.seen.clone())?;
-    let shown = gaps.map(|gaps| gaps.into_iter().map(|gap| u8::from(!gap)).collect());
-    Ok((photo, shown))
+/// The rows of a photo around a band.
+struct SeenRows {
+    photo: RgbImage,
+    ndvi: Option<Vec<f32>>,
+    shown: Option<Vec<u8>>,
+}
+
+impl SeenRows {
+    fn read(source: &Source, ndvi: Option<&Formula>, band: &Band) -> Result<SeenRows, FileError> {
+        let (photo, gaps) = source.rgb_and_gaps(band.seen.clone())?;
+        let of = |ndvi: &Formula| Ok(ndvi.evaluate(&source.spectra(band.seen.clone())?.0));
+        let ndvi = ndvi.map(of).transpose()?;
+        let shown = gaps.map(|gaps| gaps.into_iter().map(|gap| u8::from(!gap)).collect());
+        Ok(SeenRows { photo, ndvi, shown })
+    }
+
+    fn seen(&self) -> Seen<'_> {
+        Seen { photo: &self.photo, ndvi: self.ndvi.as_deref(), shown: self.shown.as_deref() }
+    }
 }

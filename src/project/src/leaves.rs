@@ -119,7 +119,7 @@ impl Task for LeavesStage {
         let plants = plants.as_deref().map(points::read).transpose()?;
         let subject = super::record::relative(project.root(), &ortho).display().to_string();
         let picture =
-            LeafPicture { source: &Source::open(&ortho)?, mask: &mask, subject: &subject };
+            LeafPicture { source: &project.open_picture(&ortho)?, mask: &mask, subject: &subject };
         let per_plant = folder.join("per_plant.csv");
         let files = LeavesFiles {
             leaves: &folder.join("leaves.csv"),

@@ -1,6 +1,6 @@
 //! The orthomosaic that a project begins with: which raster of a folder it is, and what is odd about it.
 
-use super::{Project, layers, photo_folder::photos_in};
+use super::{Config, Project, config::ProjectOptions, layers, photo_folder::photos_in};
 use rowgram_base::{error::Error, monitor::Diagnostic};
 use rowgram_files::{
     photo,
@@ -11,6 +11,7 @@ use rowgram_optim::output::FileError;
 use rowgram_raster::{
     crs,
     georeference::{Crs, CrsKind, Georeference},
+    spectral::Band,
 };
 use std::path::{Path, PathBuf};
 
@@ -150,11 +151,36 @@ pub(super) fn undecided(pictures: &[PathBuf]) -> Option<String> {
 /// A raster that is no picture in colours, polygons that cannot be read or lie elsewhere.
 pub(super) fn check(project: &Project) -> Result<Option<Layer>, Error> {
     let Some(path) = project.given_orthomosaic() else { return among_photos(project) };
-    let source = Source::open(&path)?;
+    let source = project.open_picture(&path)?;
     colours(&source, &path)?;
     let Some(plots) = project.plots() else { return Ok(None) };
     let place = source.georeference();
     Ok(Some(layers::layer(project, &plots, place.as_ref(), Some(source.size()))?))
+}
+
+/// Whether the orthomosaic has the bands that the settings name, and those that the indices of plots need.
+///
+/// # Errors
+/// Bands that cannot be those of the file, or of an orthomosaic that photos make; an index that needs another.
+pub(super) fn check_bands(project: &Project) -> Result<(), Error> {
+    let Config { project: ProjectOptions { bands, reflectance_scale, .. }, plots, .. } =
+        project.config();
+    let roles = match project.given_orthomosaic() {
+        Some(path) => {
+            let source = project.open_picture(&path)?;
+            if !source.is_photo() {
+                return Ok(());
+            }
+            source.roles()?
+        }
+        None if !bands.is_empty() || reflectance_scale.is_some() => {
+            let message = "[project] bands, reflectance_scale: they are of an orthomosaic that is given ([project] ortho); the \
+                           one that photos make is red, green, blue";
+            return Err(Error::Argument(message.to_owned()));
+        }
+        None => [Band::Red, Band::Green, Band::Blue].map(Some).to_vec(),
+    };
+    plots.indices_of(&roles).map(drop)
 }
 
 /// Photos that are looked at for where a flight was.
@@ -204,19 +230,25 @@ fn colours(source: &Source, path: &Path) -> Result<Vec<String>, FileError> {
     }
 }
 
+/// What the bands of an orthomosaic are taken for, where that has to be said.
+pub(super) fn bands(source: &Source, path: &Path) -> Vec<Diagnostic> {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    match colours(source, path) {
+        Ok(notes) => {
+            let info = |note| Diagnostic::info("orthomosaic-bands", name.as_ref(), note);
+            notes.into_iter().map(info).collect()
+        }
+        Err(error) => {
+            let message = error.to_string();
+            vec![Diagnostic::error("orthomosaic-no-colours", name.as_ref(), message)]
+        }
+    }
+}
+
 /// What is odd about an orthomosaic: its reference system, its pixels, its bands.
 pub(super) fn oddities(source: &Source, path: &Path) -> Vec<Diagnostic> {
     let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let mut found = Vec::new();
-    match colours(source, path) {
-        Ok(notes) => {
-            let info = |note| Diagnostic::info("orthomosaic-bands", &name, note);
-            found.extend(notes.into_iter().map(info));
-        }
-        Err(error) => {
-            found.push(Diagnostic::error("orthomosaic-no-colours", &name, error.to_string()))
-        }
-    }
+    let mut found = bands(source, path);
     if let Some(place) = source.georeference() {
         let stored = match source {
             Source::File(reader) => reader.stored_size(),

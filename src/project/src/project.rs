@@ -14,12 +14,14 @@
 //! ```
 
 use super::{
-    Config, SETTINGS, Stage, orthomosaic,
+    Config, SETTINGS, Stage,
+    config::ProjectOptions,
+    orthomosaic,
     photo_folder::{FlightPhotos, IMAGES, flight_photos, photo_name, photos_in},
     record::{self, Content, Lock, Records, STORE, Store},
 };
 use rowgram_base::{error::Error, options::Choice};
-use rowgram_files::polygons;
+use rowgram_files::{geotiff::Reading, polygons, rasters::Source};
 use rowgram_optim::output::FileError;
 use std::{
     path::{Path, PathBuf},
@@ -312,6 +314,24 @@ impl Project {
         self.given_orthomosaic()
             .or_else(|| self.finished(Stage::Ortho, "ortho.tif"))
             .ok_or_else(|| Error::NothingToDo("there is no orthomosaic".to_owned()))
+    }
+
+    /// How a picture is read: the orthomosaic that was given with bands and reflectance as the settings say.
+    pub(super) fn reading(&self, path: &Path) -> Reading {
+        let ProjectOptions { bands, reflectance_scale, .. } = &self.config.project;
+        let is_said = !bands.is_empty() || reflectance_scale.is_some();
+        if !is_said || self.given_orthomosaic().is_none_or(|ortho| ortho != path) {
+            return Reading::default();
+        }
+        Reading { bands: bands.clone(), full_reflectance: *reflectance_scale }
+    }
+
+    /// Opens a picture or raster of the project.
+    ///
+    /// # Errors
+    /// As [`Source::open_with`].
+    pub(super) fn open_picture(&self, path: &Path) -> Result<Source, FileError> {
+        Source::open_with(path, &self.reading(path))
     }
 
     /// The leaf mask.

@@ -4,7 +4,7 @@ use super::{
     Project, Stage, Task,
     figures::{self, View},
     leaf_mask::{self, LeafRows, Segmenter},
-    stage,
+    orthomosaic, stage,
 };
 use rowgram_base::{
     error::Error,
@@ -13,7 +13,7 @@ use rowgram_base::{
 };
 use rowgram_files::{
     geotiff::Colour,
-    rasters::{BAND_ROWS, GreyWriter},
+    rasters::{BAND_ROWS, GreyWriter, Source},
 };
 use rowgram_optim::output::FileError;
 use rowgram_raster::{
@@ -33,7 +33,7 @@ use std::{
 rowgram_base::options! {
     /// The leaf mask: pixels of the orthomosaic that show leaves.
     pub struct SegmentOptions in "segment", main [hsv, min_pixels] {
-        /// How leaf pixels are recognised: auto estimates vegetation from the picture itself; or thresholds in
+        /// How leaf pixels are recognised: auto estimates vegetation from the picture itself, by NDVI where it has a near-infrared band; or thresholds in
         /// 8-bit HSV: hue from, hue to (0 to 180), minimum saturation, minimum value (0 to 255), as 30,79,30,163
         /// (the paper's, for June).
         pub hsv: Auto<Thresholds> = Auto::Auto, limits between(0.0, 255.0);
@@ -122,7 +122,12 @@ impl Task for Segment {
             figures: Some(&folder.join("figures")),
             force: true,
         };
-        let outcome = segment_file(&image, files, options, monitor)?;
+        let source = leaf_mask::photo(project.open_picture(&image)?, &image)?;
+        if project.given_orthomosaic().is_some() {
+            let said = orthomosaic::bands(&source, &image);
+            said.iter().for_each(|found| monitor.diagnostic(found));
+        }
+        let outcome = segment_source(&source, &image, files, options, monitor)?;
         Ok(SegmentOutcome { image: super::record::relative(project.root(), &image), ..outcome })
     }
 }
@@ -157,12 +162,23 @@ pub fn segment_file(
     options: &SegmentOptions,
     monitor: &mut dyn Monitor,
 ) -> Result<SegmentOutcome, Error> {
+    let source = leaf_mask::photo(Source::open(image)?, image)?;
+    segment_source(&source, image, files, options, monitor)
+}
+
+/// The same of a photo that is open.
+fn segment_source(
+    source: &Source,
+    image: &Path,
+    files: SegmentFiles<'_>,
+    options: &SegmentOptions,
+    monitor: &mut dyn Monitor,
+) -> Result<SegmentOutcome, Error> {
     if files.posterior.is_some() && options.hsv != Auto::Auto {
         let message = "thresholds (hsv) give no posterior: leave out one of them";
         return Err(Error::Argument(message.to_owned()));
     }
-    let source = leaf_mask::open_photo(image)?;
-    let segmenter = Segmenter::new(&source, image, options)?;
+    let segmenter = Segmenter::new(source, image, options)?;
     let (width, height) = source.size();
     let place = source.georeference();
     let grey = |path, colour| GreyWriter::begin(path, files.force, (width, height), colour, place);
@@ -248,7 +264,7 @@ pub fn segment_file(
             .diagnostic(&Diagnostic::warning("empty-mask", subject, message).with_remedy(remedy));
     }
     if let (Some(folder), Some(shown)) = (files.figures, view) {
-        let mut view = View::of(&source)?;
+        let mut view = View::of(source)?;
         shown.draw(&mut view)?;
         view.write(folder, "mask.png", files.force)?;
     }

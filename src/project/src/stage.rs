@@ -7,6 +7,7 @@ use rowgram_base::{
     monitor::{Diagnostic, Monitor, Recorder},
     options::{Choice, Options},
 };
+use rowgram_files::geotiff::Reading;
 use rowgram_optim::output::FileError;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use std::{
@@ -271,7 +272,13 @@ pub(super) fn key<T: Task>(
     inputs: &[record::Content],
 ) -> String {
     let options = serde_json::to_string(options).unwrap_or_default();
-    let own = record::Key::begin().text(&T::STAGE.word()).text(&options).text(&T::context(project));
+    let mut own =
+        record::Key::begin().text(&T::STAGE.word()).text(&options).text(&T::context(project));
+    // How a picture is read is part of what is read.
+    let of_inputs = inputs.iter().map(|input| project.reading(&project.root().join(&input.path)));
+    for reading in of_inputs.filter(|reading| *reading != Reading::default()) {
+        own = own.text(&format!("{reading:?}"));
+    }
     let key = inputs
         .iter()
         .fold(own, |key, input| key.text(&input.sha256).text(&input.path.to_string_lossy()));

@@ -9,6 +9,7 @@
 //! - [`vegetation`]: vegetation estimated from the photo itself, a posterior per pixel;
 //! - [`components`]: small components and holes of a mask;
 //! - [`overlay`]: masks and points drawn over photos;
+//! - [`spectral`]: bands by name, and indices of them;
 //! - [`georeference`]: where a raster lies on the map;
 //! - [`window`]: rasters by bands of rows.
 
@@ -23,6 +24,7 @@ pub mod overlay;
 mod pixels;
 pub mod polygon;
 mod simplex;
+pub mod spectral;
 pub mod tuning;
 pub mod vegetation;
 pub mod window;

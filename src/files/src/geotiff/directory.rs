@@ -9,7 +9,10 @@ use super::{
     FOOT, METRE, SURVEY_FOOT, Sample, TILE,
     write::{Colour, Layout, predictor},
 };
-use rowgram_raster::georeference::{Crs, CrsKind, Georeference};
+use rowgram_raster::{
+    georeference::{Crs, CrsKind, Georeference},
+    spectral::Band,
+};
 use std::io::{Result, Write};
 use tiff_core::Predictor;
 
@@ -91,8 +94,8 @@ pub(super) struct Directory {
 }
 
 impl Directory {
-    /// The tags of a layout whose samples are `T`.
-    pub(super) fn new<T: Sample>(layout: &Layout) -> Directory {
+    /// The tags of a layout whose samples are `T`, and whose bands have these names, if any.
+    pub(super) fn new<T: Sample>(layout: &Layout, names: &[Band]) -> Directory {
         let bands = layout.bands();
         let colours = matches!(layout.colour, Colour::Rgb | Colour::Rgba);
         let extra = bands - if colours { 3 } else { 1 };
@@ -120,7 +123,16 @@ impl Directory {
         if let Some(nodata) = layout.nodata {
             shared.push((42113, Value::Ascii(nodata.to_string())));
         }
-        let full = layout.georeference.as_ref().map_or_else(Vec::new, place);
+        let mut full = layout.georeference.as_ref().map_or_else(Vec::new, place);
+        if !names.is_empty() {
+            let item = |(k, name): (usize, &Band)| {
+                format!(
+                    "<Item name=\"DESCRIPTION\" sample=\"{k}\" role=\"description\">{name}</Item>"
+                )
+            };
+            let items: String = names.iter().enumerate().map(item).collect();
+            full.push((42112, Value::Ascii(format!("<GDALMetadata>{items}</GDALMetadata>"))));
+        }
         Directory { shared, full }
     }
 

@@ -21,7 +21,7 @@ mod write;
 
 pub(crate) use directory::geo_keys;
 pub use place::beside;
-pub use read::Reader;
+pub use read::{Reader, Reading, Spectra};
 pub(crate) use square::Square;
 pub use write::{Colour, Layout, Writer, write};
 

@@ -1,6 +1,9 @@
 //! Reading a raster by window.
 
 mod colours;
+mod spectra;
+
+pub use spectra::Spectra;
 
 use super::{Sample, bands::Bands, place, square::Square};
 use crate::memory;
@@ -8,7 +11,7 @@ use geotiff_reader::{Error as GeoError, GeoTiffFile, GeoTiffOpenOptions};
 use image::RgbImage;
 use ndarray::ArrayD;
 use rowgram_optim::output::FileError;
-use rowgram_raster::{georeference::Georeference, window::Window};
+use rowgram_raster::{georeference::Georeference, spectral::Band, window::Window};
 use std::{
     path::{Path, PathBuf},
     sync::OnceLock,
@@ -43,8 +46,20 @@ pub struct Reader {
     nodata: Option<f64>,
     /// The sample value of full brightness, once it is known.
     full: OnceLock<f64>,
+    /// The sample value of a reflectance of 1 by the settings, and as it was found.
+    given_reflectance: Option<f64>,
+    reflectance: OnceLock<f64>,
     /// Directory of the internal mask: its pixels are 0 where the picture shows nothing.
     mask: Option<usize>,
+}
+
+/// How a raster is read, as far as that is not left to the file.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Reading {
+    /// What its bands show, in their order; none where the file says so.
+    pub bands: Vec<Band>,
+    /// The sample value that stands for a reflectance of 1.
+    pub full_reflectance: Option<f64>,
 }
 
 enum File {
@@ -58,6 +73,14 @@ impl Reader {
     /// # Errors
     /// Where the file cannot be read or is no TIFF that can be used.
     pub fn open(path: &Path) -> Result<Reader, FileError> {
+        Reader::open_with(path, &Reading::default())
+    }
+
+    /// As [`Reader::open`], with bands and reflectance as the settings say.
+    ///
+    /// # Errors
+    /// As [`Reader::open`], and where the file cannot have these bands.
+    pub fn open_with(path: &Path, reading: &Reading) -> Result<Reader, FileError> {
         // The crate's own error for a file that cannot be opened has no kind.
         drop(std::fs::File::open(path).map_err(|e| FileError::read(path, e))?);
         let options = || GeoTiffOpenOptions {
@@ -110,13 +133,15 @@ impl Reader {
             Ok(ifd) if matches!(photometric, BLACK_IS_ZERO | RGB) => {
                 let beside = [path.with_extension("aux.xml"), added(path, ".aux.xml")];
                 let beside = beside.iter().find_map(|path| std::fs::read_to_string(path).ok());
-                Bands::of(ifd, layout.samples_per_pixel, photometric == RGB, beside.as_deref())
+                let samples = layout.samples_per_pixel;
+                Bands::of(ifd, samples, photometric == RGB, beside.as_deref(), &reading.bands)
+                    .map_err(malformed)?
             }
             _ => Bands::decoded(),
         };
         let (square, georeference) = Square::of([layout.width, layout.height], georeference)
             .map_err(|why| FileError::malformed(path, None, why))?;
-        let (path, full) = (path.to_owned(), OnceLock::new());
+        let path = path.to_owned();
         Ok(Reader {
             path,
             file,
@@ -127,7 +152,9 @@ impl Reader {
             square,
             bands,
             nodata,
-            full,
+            full: OnceLock::new(),
+            given_reflectance: reading.full_reflectance,
+            reflectance: OnceLock::new(),
             mask,
         })
     }

@@ -12,7 +12,7 @@ use super::{
 };
 use rayon::prelude::*;
 use rowgram_optim::output::{self, FileError};
-use rowgram_raster::{georeference::Georeference, window::Window};
+use rowgram_raster::{georeference::Georeference, spectral::Band, window::Window};
 use std::{
     collections::BTreeMap,
     fs::File,
@@ -78,6 +78,7 @@ pub struct Writer<T: Sample> {
     levels: Vec<Level>,
     pending: BTreeMap<(usize, usize), Pending<T>>,
     fill: T,
+    names: Vec<Band>,
 }
 
 /// A tile of an overview that waits for tiles below it.
@@ -125,7 +126,13 @@ impl<T: Sample> Writer<T> {
             levels: Level::all(layout),
             pending: BTreeMap::new(),
             fill: T::from_f64(layout.nodata.unwrap_or(0.0)),
+            names: Vec::new(),
         })
+    }
+
+    /// Names the bands in the file, in their order.
+    pub fn name_bands(&mut self, bands: &[Band]) {
+        self.names = bands.to_vec();
     }
 
     /// Puts the file in its place.
@@ -135,7 +142,7 @@ impl<T: Sample> Writer<T> {
     pub fn finish(mut self) -> Result<(), FileError> {
         let mut spool = self.complete()?;
         output::write_seekable(&self.path, self.force, |file| {
-            let directory = Directory::new::<T>(&self.layout);
+            let directory = Directory::new::<T>(&self.layout, &self.names);
             let failed = |error| FileError::write(&self.path, error);
             let mut out = BufWriter::with_capacity(1 << 20, file);
             emit(&mut out, &directory, &self.levels, &mut |offset, length, out| {

@@ -26,6 +26,7 @@ pub mod locator;
 mod mass_stand;
 mod periodicity;
 pub mod plant_mass;
+pub mod plant_pixels;
 pub mod plant_spacing;
 pub mod plant_tracks;
 pub mod plot_scatter;

@@ -10,7 +10,7 @@
 //!
 //! Reference: B. Efron and C. Stein, "The jackknife estimate of variance", Annals of Statistics 9, 1981.
 
-use super::colour_indices::ColourSum;
+use super::{colour_indices::ColourSum, plots::Measured};
 use rowgram_raster::polygon::Polygon;
 
 /// Parts of a plot along each axis of the raster. A standard deviation from 16 parts is known to 18 %, `1 / sqrt(2 * 15)`, and a part of a
@@ -39,6 +39,12 @@ impl PlotParts {
         PlotParts { first_px: [u, v], step_px: [width, height] }
     }
 
+    /// Of the square that reaches so far around a place.
+    pub fn around([u, v]: [f64; 2], reach_px: f64) -> PlotParts {
+        let side = (2.0 * reach_px / ACROSS as f64).max(f64::MIN_POSITIVE);
+        PlotParts { first_px: [u - reach_px, v - reach_px], step_px: [side; 2] }
+    }
+
     /// The part of a place, from 0; places outside belong to the nearest.
     pub fn at(&self, place_px: [f64; 2]) -> usize {
         let along = |axis: usize| {
@@ -65,6 +71,46 @@ pub fn jackknife(
     let mean = values.iter().sum::<f64>() / n;
     let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
     Some(((n - 1.0) / n * squares).sqrt())
+}
+
+/// Sum of a quantity over pixels.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct ValueSum {
+    /// The sum.
+    pub sum: f64,
+    /// Number of pixels.
+    pub pixels: u64,
+}
+
+/// Sums of a quantity over the pixels of a plot, by part.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct ValueParts(pub [ValueSum; PARTS]);
+
+impl ValueParts {
+    /// Adds the value of a pixel of a part; one that is not finite is left out.
+    pub fn add(&mut self, part: usize, value: f32) {
+        if let Some(of) = self.0.get_mut(part).filter(|_| value.is_finite()) {
+            of.sum += f64::from(value);
+            of.pixels += 1;
+        }
+    }
+
+    /// Number of pixels.
+    pub fn pixels(&self) -> u64 {
+        self.0.iter().map(|of| of.pixels).sum()
+    }
+
+    /// The mean with its standard deviation; `None` without any pixel.
+    pub fn mean(&self) -> Option<Measured> {
+        let without = |left_out: Option<usize>| {
+            let parts = self.0.iter().enumerate().filter(|(k, _)| Some(*k) != left_out);
+            let (sum, pixels) =
+                parts.fold((0.0, 0), |(sum, n), (_, part)| (sum + part.sum, n + part.pixels));
+            (pixels > 0).then(|| sum / pixels as f64)
+        };
+        let sd = jackknife(|part| self.0[part].pixels > 0, |part| without(Some(part)));
+        Some(Measured { value: without(None)?, sd })
+    }
 }
 
 /// Sums of the colours of the leaf pixels of a plot, by part.
@@ -99,6 +145,19 @@ mod tests {
         assert_eq!(parts.at([17.9, 31.0]), 7);
         assert_eq!(parts.at([18.0, 60.0]), PARTS - 1);
         assert_eq!(parts.at([-5.0, 900.0]), 12);
+    }
+
+    #[test]
+    fn a_mean_of_pixels_leaves_out_what_is_not_known() {
+        let mut parts = ValueParts::default();
+        for (part, value) in [(0, 1.0), (0, 2.0), (1, f32::NAN), (2, 6.0)] {
+            parts.add(part, value);
+        }
+        let found = parts.mean().unwrap();
+        assert_eq!((parts.pixels(), found.value), (3, 3.0));
+        // Means without either part: 6 and 1.5.
+        assert_relative_eq!(found.sd.unwrap(), 2.25, epsilon = 1e-12);
+        assert_eq!(ValueParts::default().mean(), None);
     }
 
     #[test]

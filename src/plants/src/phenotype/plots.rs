@@ -4,9 +4,9 @@
 
 use super::{
     colour_indices::ColourIndices,
-    plot_scatter::{ColourParts, PARTS, PlotParts, jackknife},
+    plot_scatter::{ColourParts, PARTS, PlotParts, ValueParts, jackknife},
     row_plots::along_the_row,
-    traits::{PlotTraits, deviation_name},
+    traits::{PlotTraits, deviation_name, leaf_name},
 };
 use rowgram_raster::{
     Mask,
@@ -159,6 +159,31 @@ pub struct Area<'a> {
     pub is_field: bool,
 }
 
+/// A spectral index over the pixels of a plot.
+#[derive(Debug, Clone, Copy)]
+pub struct PlotIndex<'a> {
+    /// Its name.
+    pub name: &'a str,
+    /// Over all pixels with data.
+    pub ground: &'a ValueParts,
+    /// Over the leaf pixels.
+    pub leaf: &'a ValueParts,
+}
+
+impl PlotIndex<'_> {
+    fn add(&self, found: &mut PlotTraits) {
+        for (name, parts) in
+            [(self.name.to_owned(), self.ground), (leaf_name(self.name), self.leaf)]
+        {
+            let mean = parts.mean();
+            // A colour index of this name is another one.
+            found.more.remove(&deviation_name(&name));
+            found.set(&name, mean.map(|of| of.value));
+            put(found, &name, mean.and_then(|of| of.sd));
+        }
+    }
+}
+
 /// Measurements of a field with their places sorted, from which the traits of many plots are taken.
 pub struct FieldIndex<'a> {
     field: &'a FieldMeasurements,
@@ -181,13 +206,14 @@ impl FieldMeasurements {
 
 impl FieldIndex<'_> {
     /// The traits of a plot, and how many pixels of it the raster shows. `colours` are the sums of the colours of its
-    /// leaf pixels, where there is a picture, `canopy` its heights, where there is a dense surface.
+    /// leaf pixels, where there is a picture, `canopy` its heights, where there is a dense surface, `indices` its spectral indices.
     pub fn traits(
         &self,
         area: Area<'_>,
         seen: SeenField<'_>,
         colours: Option<&ColourParts>,
         canopy: Option<CanopyHeights>,
+        indices: &[PlotIndex<'_>],
     ) -> (PlotTraits, usize) {
         let mut found = PlotTraits { plot: area.name.to_owned(), ..PlotTraits::default() };
         let pixels = self.add_cover(&mut found, area.polygon, seen);
@@ -197,6 +223,7 @@ impl FieldIndex<'_> {
         self.add_leaves(&mut found, area.polygon);
         add_heights(&mut found, canopy);
         add_colours(&mut found, colours);
+        indices.iter().for_each(|index| index.add(&mut found));
         if found.valid_share.is_some_and(|share| share < seen.min_valid_share) {
             found.without_totals();
         }
@@ -377,7 +404,7 @@ fn mean_hue_deg(hues_deg: &[f64]) -> Option<(f64, Option<f64>)> {
 /// Notes a standard deviation where there is one.
 fn put(found: &mut PlotTraits, name: &str, sd: Option<f64>) {
     if let Some(sd) = sd.filter(|sd| sd.is_finite()) {
-        found.standard_deviations.insert(deviation_name(name), sd);
+        found.more.insert(deviation_name(name), sd);
     }
 }
 
@@ -447,7 +474,7 @@ mod tests {
         colours.0[0] = ColourSum { rgb: [60, 120, 40], pixels: 1 };
         let seen = SeenField { mask: &mask, valid: None, min_valid_share: 0.5 };
         let area = |name| Area { name, polygon: &square, is_field: false };
-        let (of_a, pixels) = field.index().traits(area("A"), seen, Some(&colours), None);
+        let (of_a, pixels) = field.index().traits(area("A"), seen, Some(&colours), None, &[]);
         assert_eq!(of_a.valid_share, Some(1.0));
         assert_eq!(pixels, 25);
         assert_eq!((of_a.area_m2, of_a.plants), (Some(6.25), Some(3.0)));
@@ -464,7 +491,7 @@ mod tests {
             (Some(rounded(1.0 / 3.0)), Some(rounded(140.0 / 220.0)))
         );
         // Variances of the three plants inside sum to 1; their places give that of the longest gap.
-        let sd = |name: &str| of_a.standard_deviations.get(&deviation_name(name)).copied();
+        let sd = |name: &str| of_a.more.get(&deviation_name(name)).copied();
         assert_eq!((sd("plants"), sd("plants_per_ha")), (Some(1.0), Some(1600.0)));
         assert_eq!(sd("missing_plants"), Some(rounded(1.5 * 0.16f64.sqrt())));
         assert_eq!(sd("longest_gap_m"), Some(0.25));
@@ -474,7 +501,8 @@ mod tests {
         assert_eq!((sd("exg"), sd("leaf_hue_deg"), sd("area_m2")), (None, None, None));
         assert!(sd("canopy_cover").unwrap() > 0.0);
         // Nothing was measured: what is not known is not zero.
-        let (of_b, _) = FieldMeasurements::default().index().traits(area("B"), seen, None, None);
+        let (of_b, _) =
+            FieldMeasurements::default().index().traits(area("B"), seen, None, None, &[]);
         assert_eq!((of_b.plant_spacing_m, of_b.exg), (None, None));
         assert_eq!((of_b.plants, of_b.area_m2, of_b.leaves_single), (None, None, None));
         assert_eq!(of_b.canopy_cover, Some(0.4));
@@ -496,7 +524,7 @@ mod tests {
         let traits = |min_valid_share: f64, is_field: bool| {
             let seen = SeenField { mask: &mask, valid: Some(&valid), min_valid_share };
             let area = Area { name: "A", polygon: &square, is_field };
-            field.index().traits(area, seen, None, None).0
+            field.index().traits(area, seen, None, None, &[]).0
         };
         let of = traits(0.3, false);
         assert_eq!(

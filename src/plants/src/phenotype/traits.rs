@@ -1,7 +1,8 @@
 //! The traits of plots: what each is, how it comes about, and the values of one plot.
 
+use rowgram_raster::spectral::{Index, KNOWN, KnownIndex};
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
+use std::{borrow::Cow, collections::BTreeMap};
 
 /// Traits of one plot, rounded to six significant digits; `None` where the trait is not known.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -58,9 +59,10 @@ pub struct PlotTraits {
     pub tgi: Option<f64>,
     /// a* of the mean colour of the leaf pixels.
     pub a_star: Option<f64>,
-    /// Standard deviations in the units of the traits, under the names of the traits with `_sd` behind.
+    /// Spectral indices under their names, and standard deviations in the units of the traits, under the names of the traits with
+    /// `_sd` behind.
     #[serde(flatten)]
-    pub standard_deviations: BTreeMap<String, f64>,
+    pub more: BTreeMap<String, f64>,
 }
 
 /// The name of the standard deviation of a trait.
@@ -69,33 +71,36 @@ pub fn deviation_name(of: &str) -> String {
 }
 
 /// A trait of plots.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Trait {
     /// Its name, with its unit.
-    pub name: &'static str,
+    pub name: Cow<'static, str>,
     /// Its unit after UCUM; `1` for numbers and shares.
     pub unit: &'static str,
     /// What it is.
-    pub meaning: &'static str,
+    pub meaning: Cow<'static, str>,
     /// How it comes about.
-    pub method: &'static str,
+    pub method: Cow<'static, str>,
     /// What defines it; empty where the method says it all.
     pub reference: &'static str,
     /// How its standard deviation comes about; empty where it has none.
     pub deviation: &'static str,
-    /// Its value in a plot.
-    pub value: fn(&PlotTraits) -> Option<f64>,
 }
 
 impl Trait {
+    /// Its value in a plot, in its unit.
+    pub fn value(&self, plot: &PlotTraits) -> Option<f64> {
+        plot.value(&self.name)
+    }
+
     /// Its standard deviation in a plot, in its unit.
     pub fn standard_deviation(&self, plot: &PlotTraits) -> Option<f64> {
-        plot.standard_deviations.get(&deviation_name(self.name)).copied()
+        plot.more.get(&deviation_name(&self.name)).copied()
     }
 
     /// The name of its standard deviation; `None` where it has none.
     pub fn deviation_name(&self) -> Option<String> {
-        (!self.deviation.is_empty()).then(|| deviation_name(self.name))
+        (!self.deviation.is_empty()).then(|| deviation_name(&self.name))
     }
 }
 
@@ -113,7 +118,7 @@ impl PlotTraits {
         ];
         for (name, value) in totals {
             *value = None;
-            self.standard_deviations.remove(&deviation_name(name));
+            self.more.remove(&deviation_name(name));
         }
     }
 }
@@ -130,21 +135,40 @@ macro_rules! traits {
         /// All traits of plots in their order.
         pub const TRAITS: &[Trait] = &[
             $(Trait {
-                name: stringify!($name),
+                name: Cow::Borrowed(stringify!($name)),
                 unit: $unit,
-                meaning: $meaning,
-                method: $method,
+                meaning: Cow::Borrowed($meaning),
+                method: Cow::Borrowed($method),
                 reference: $reference,
                 deviation: $deviation,
-                value: |plot| plot.$name,
             },)*
         ];
 
         impl PlotTraits {
             pub(super) fn rounded(mut self) -> PlotTraits {
                 $(self.$name = self.$name.map(rounded);)*
-                self.standard_deviations.values_mut().for_each(|value| *value = rounded(*value));
+                self.more.values_mut().for_each(|value| *value = rounded(*value));
                 self
+            }
+
+            /// The value of a trait or index by its name.
+            pub fn value(&self, name: &str) -> Option<f64> {
+                match name {
+                    $(stringify!($name) => self.$name,)*
+                    other => self.more.get(other).copied(),
+                }
+            }
+
+            /// Notes the value of an index, which may go by the name of a colour index.
+            pub(super) fn set(&mut self, name: &str, value: Option<f64>) {
+                match name {
+                    $(stringify!($name) => self.$name = value,)*
+                    other => {
+                        if let Some(value) = value {
+                            self.more.insert(other.to_owned(), value);
+                        }
+                    }
+                }
             }
         }
     };
@@ -204,6 +228,65 @@ traits! {
         "of the mean colour of the leaf pixels in the orthomosaic", "CIE 15; IEC 61966-2-1", PARTS_SD;
 }
 
+/// Traits of leaf pixels by their colours, whose names an index of the same name takes over.
+const COLOUR_TRAITS: [&str; 6] = ["exg", "gli", "ngrdi", "vari", "tgi", "a_star"];
+
+/// The column of an index over leaf pixels alone.
+pub fn leaf_name(index: &str) -> String {
+    format!("{index}_leaf")
+}
+
+/// All traits of plots of which these indices were measured, in their order.
+pub fn traits_with(indices: &[Index]) -> Vec<Trait> {
+    let is_index = |of: &&Trait| indices.iter().any(|index| index.name == of.name);
+    let own = TRAITS.iter().filter(|of| !is_index(of)).cloned();
+    own.chain(indices.iter().flat_map(of_index)).collect()
+}
+
+/// All traits that are the same in every project: those without indices, and the known indices.
+pub fn known_traits() -> Vec<Trait> {
+    let index =
+        |of: &KnownIndex| Index { name: of.name.to_owned(), formula: of.formula.to_owned() };
+    traits_with(&KNOWN.iter().map(index).collect::<Vec<_>>())
+}
+
+/// Whether an index can have its name: no other column of the tables of plots has it.
+///
+/// # Errors
+/// The column that it would be.
+pub fn check_index_name(index: &Index) -> Result<(), String> {
+    let taken = TRAITS.iter().find(|of| {
+        let is_own = |name: &str| name == index.name || name == leaf_name(&index.name);
+        let is_colour = COLOUR_TRAITS.contains(&&*of.name);
+        !is_colour && (is_own(&of.name) || of.deviation_name().is_some_and(|name| is_own(&name)))
+    });
+    let others =
+        ["plot", "plant", "row", "fid", "geom"].into_iter().find(|name| *name == index.name);
+    match taken.map(|of| &*of.name).or(others) {
+        None => Ok(()),
+        Some(name) => Err(format!("{name:?} is a column already: give the index another name")),
+    }
+}
+
+fn of_index(index: &Index) -> [Trait; 2] {
+    let Index { name, formula } = index;
+    let known = index.known();
+    let what = known.map_or_else(|| formula.clone(), |of| format!("{}, {formula}", of.meaning));
+    let reference = known.map_or("", |of| of.reference);
+    let of = |name: String, area: &str, pixels: &str| Trait {
+        name: name.into(),
+        unit: "1",
+        meaning: format!("{what}; {area}").into(),
+        method: format!("mean of its value in each {pixels} where it is defined").into(),
+        reference,
+        deviation: PARTS_SD,
+    };
+    [
+        of(name.clone(), "of all ground", "pixel with data of the polygon"),
+        of(leaf_name(name), "of the leaves", "leaf pixel of the polygon"),
+    ]
+}
+
 /// The traits as a page: a table of name, unit, meaning, method and reference.
 ///
 /// `docs/traits.md` is this text, and a test compares the two.
@@ -223,6 +306,15 @@ pub fn dictionary_page() -> String {
             "| `{}` | {} | {} | {} | {} | {} |\n",
             of.name, of.unit, of.meaning, of.method, of.deviation, of.reference
         );
+    }
+    page += "\n## Spectral indices\n\n\
+         Where the orthomosaic has more bands than three, `[plots] indices` says which indices are measured ([how](guide.md#bands-beyond-colours)). An index\n\
+         `ndvi` has two columns, each with a standard deviation (scatter between 16 parts of the plot, jackknife): `ndvi`, the mean over all\n\
+         pixels with data, and `ndvi_leaf`, the mean over the leaf pixels. An index that has the name of a colour index (`vari`) takes its place.\n\n\
+         | index | formula | what it is | reference |\n|---|---|---|---|\n";
+    for of in KNOWN {
+        page +=
+            &format!("| `{}` | {} | {} | {} |\n", of.name, of.formula, of.meaning, of.reference);
     }
     page
 }
@@ -254,7 +346,7 @@ mod tests {
         let plot = PlotTraits {
             plot: "A".to_owned(),
             plants: Some(30.0),
-            standard_deviations: sd.into_iter().collect(),
+            more: sd.into_iter().collect(),
             ..PlotTraits::default()
         }
         .rounded();
@@ -265,5 +357,30 @@ mod tests {
         assert_eq!(of.standard_deviation(&plot), Some(2.345_68));
         let area = TRAITS.iter().find(|of| of.name == "area_m2").unwrap();
         assert_eq!((area.deviation_name(), area.standard_deviation(&plot)), (None, None));
+    }
+
+    #[test]
+    fn indices_are_traits_like_the_others() {
+        let list = |words: &[&str]| {
+            Index::list(&words.iter().map(|&word| word.to_owned()).collect::<Vec<_>>()).unwrap()
+        };
+        let all = traits_with(&list(&["ndvi", "vari = (green - red) / (green + red - blue)"]));
+        let names: Vec<&str> = all.iter().skip(TRAITS.len() - 1).map(|of| &*of.name).collect();
+        assert_eq!(names, ["ndvi", "ndvi_leaf", "vari", "vari_leaf"]);
+        assert_eq!(all.iter().filter(|of| of.name == "vari").count(), 1);
+        assert!(all[TRAITS.len() - 1].reference.starts_with("Rouse"));
+        let mut plot = PlotTraits { plot: "A".to_owned(), ..PlotTraits::default() };
+        plot.set("ndvi", Some(0.5));
+        plot.set("vari", Some(0.25));
+        plot.set("ndvi_leaf", None);
+        let read: PlotTraits =
+            serde_json::from_str(&serde_json::to_string(&plot).unwrap()).unwrap();
+        let values: Vec<_> = names.iter().map(|name| read.value(name)).collect();
+        assert_eq!(values, [Some(0.5), None, Some(0.25), None]);
+        for (index, is_free) in
+            [("ndvi", true), ("vari = nir", true), ("plants = nir", false), ("plot = red", false)]
+        {
+            assert_eq!(check_index_name(&list(&[index])[0]).is_ok(), is_free, "{index}");
+        }
     }
 }

@@ -14,6 +14,7 @@ use rowgram_plants::phenotype::{
     plots::Measured,
     traits::{PlotTraits, TRAITS},
 };
+use rowgram_raster::spectral::Index;
 use serde::{Deserialize, Serialize};
 use std::{collections::BTreeMap, path::Path};
 
@@ -44,16 +45,21 @@ pub(super) struct PairedTrait {
     of_photos: Measured,
 }
 
-/// The traits that plots have from both.
-pub(super) fn pairs(crops: &[PlotCrop], plots: &[PlotTraits]) -> Vec<PairedTrait> {
+/// The traits that plots have from both. An index of the orthomosaic by the name of a colour index is none of these.
+pub(super) fn pairs(
+    crops: &[PlotCrop],
+    plots: &[PlotTraits],
+    indices: &[Index],
+) -> Vec<PairedTrait> {
     let of_map: BTreeMap<&str, &PlotTraits> =
         plots.iter().map(|traits| (traits.plot.as_str(), traits)).collect();
     let mut found = Vec::new();
     for crops in crops.chunk_by(|a, b| a.plot == b.plot) {
         let Some(map) = of_map.get(crops[0].plot.as_str()) else { continue };
-        for (name, value) in COLUMNS {
+        let is_index = |name: &str| indices.iter().any(|index| index.name == name);
+        for (name, value) in COLUMNS.into_iter().filter(|(name, _)| !is_index(name)) {
             let own = TRAITS.iter().find(|of| of.name == name);
-            let Some((of, on_map)) = own.and_then(|of| Some((of, (of.value)(map)?))) else {
+            let Some((of, on_map)) = own.and_then(|of| Some((of, of.value(map)?))) else {
                 continue;
             };
             let (mean, sd) = mean_and_deviation(crops.iter().map(|crop| value(&crop.traits)));
@@ -157,7 +163,7 @@ mod tests {
             exg: Some(exg),
             ..PlotTraits::default()
         };
-        let pairs = pairs(&crops, &[plot("A", 0.5), plot("B", 0.3)]);
+        let pairs = pairs(&crops, &[plot("A", 0.5), plot("B", 0.3)], &[]);
         // C has no traits on the map, and no plot has anything but excess green.
         assert_eq!(pairs.len(), 2);
         assert_eq!((pairs[0].photos, pairs[1].photos), (2, 1));

@@ -27,7 +27,7 @@ use rowgram_base::{
 use rowgram_files::{images, polygons};
 use rowgram_optim::output::FileError;
 use rowgram_plants::phenotype::traits::PlotTraits;
-use rowgram_raster::{georeference::Georeference, polygon::Polygon};
+use rowgram_raster::{georeference::Georeference, polygon::Polygon, spectral::Index};
 use rowgram_survey::mapping::{
     Surface, View, photo::DecodedPhoto, plot_frame::PlotFrame, undistort::Interpolation,
 };
@@ -183,7 +183,8 @@ pub fn crops(
     }
     let crops = cut(&plots, &chosen, &origins, &source, monitor)?;
     let epsg = georeference.crs.epsg;
-    let pairs = comparison::pairs(&crops, &traits_on_map(project)?);
+    let (on_map, indices) = traits_on_map(project)?;
+    let pairs = comparison::pairs(&crops, &on_map, &indices);
     comparison::write(&pairs, fresh.path())?;
     let comparison = comparison::summary(&pairs);
     let folder_of = folder.clone();
@@ -193,14 +194,14 @@ pub fn crops(
     Ok(outcome)
 }
 
-/// The traits of the plots in the orthomosaic.
-fn traits_on_map(project: &Project) -> Result<Vec<PlotTraits>, Error> {
-    let Some(record) = project.records().read(Stage::Plots) else { return Ok(Vec::new()) };
+/// The traits of the plots in the orthomosaic, and the indices among them.
+fn traits_on_map(project: &Project) -> Result<(Vec<PlotTraits>, Vec<Index>), Error> {
+    let Some(record) = project.records().read(Stage::Plots) else { return Ok(Default::default()) };
     let outcome: PlotsOutcome = serde_json::from_value(record.outcome).map_err(|e| {
         let message = format!("its record is damaged ({e}); make it again");
         FileError::malformed(&project.folder(Stage::Plots), None, message)
     })?;
-    Ok(outcome.plots)
+    Ok((outcome.plots, outcome.indices))
 }
 
 fn read_plots(

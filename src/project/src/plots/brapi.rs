@@ -19,7 +19,7 @@
 use super::{Plot, variable_ids::VariableIds};
 use rowgram_base::error::Error;
 use rowgram_optim::output;
-use rowgram_plants::phenotype::traits::{TRAITS, Trait};
+use rowgram_plants::phenotype::traits::Trait;
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -38,12 +38,17 @@ pub(super) struct Study {
 ///
 /// # Errors
 /// Where one cannot be written.
-pub(super) fn write(plots: &[Plot], study: &Study, folder: &Path) -> Result<(), Error> {
+pub(super) fn write(
+    plots: &[Plot],
+    all: &[Trait],
+    study: &Study,
+    folder: &Path,
+) -> Result<(), Error> {
     let files = [
-        ("traits.brapi.json", observations(plots, study)),
-        ("variables.brapi.json", variables(plots, study)),
+        ("traits.brapi.json", observations(plots, all, study)),
+        ("variables.brapi.json", variables(plots, all, study)),
         ("units.brapi.json", units(plots, study)),
-        ("study.brapi.json", vec![self::study(study)]),
+        ("study.brapi.json", vec![self::study(all, study)]),
     ];
     for (name, data) in files {
         let answer = answer(data);
@@ -71,14 +76,14 @@ fn unit_id(study: &Study, plot: &str) -> String {
     format!("{}-{plot}", study.name)
 }
 
-fn observations(plots: &[Plot], study: &Study) -> Vec<Value> {
+fn observations(plots: &[Plot], all: &[Trait], study: &Study) -> Vec<Value> {
     let has_zone = |time: &str| {
         time.ends_with('Z') || time.get(19..).is_some_and(|rest| rest.contains(['+', '-']))
     };
     let stamp = study.time.as_deref().filter(|time| has_zone(time));
     let local = study.time.as_deref().filter(|time| !has_zone(time));
     let known = plots.iter().flat_map(|plot| {
-        TRAITS.iter().filter_map(move |of| Some((plot, of, (of.value)(&plot.traits)?)))
+        all.iter().filter_map(move |of| Some((plot, of, of.value(&plot.traits)?)))
     });
     known
         .map(|(Plot { traits, .. }, of, value)| {
@@ -104,8 +109,8 @@ fn observations(plots: &[Plot], study: &Study) -> Vec<Value> {
 }
 
 /// The traits that some plot has.
-fn variables(plots: &[Plot], study: &Study) -> Vec<Value> {
-    let is_known = |of: &&Trait| plots.iter().any(|plot| (of.value)(&plot.traits).is_some());
+fn variables(plots: &[Plot], all: &[Trait], study: &Study) -> Vec<Value> {
+    let is_known = |of: &&Trait| plots.iter().any(|plot| of.value(&plot.traits).is_some());
     let variable = |of: &Trait| {
         json!({
             "observationVariableDbId": study.ids.of(of),
@@ -131,7 +136,7 @@ fn variables(plots: &[Plot], study: &Study) -> Vec<Value> {
             },
         })
     };
-    TRAITS.iter().filter(is_known).map(variable).collect()
+    all.iter().filter(is_known).map(variable).collect()
 }
 
 fn units(plots: &[Plot], study: &Study) -> Vec<Value> {
@@ -167,14 +172,14 @@ fn units(plots: &[Plot], study: &Study) -> Vec<Value> {
     plots.iter().map(unit).collect()
 }
 
-fn study(of: &Study) -> Value {
+fn study(all: &[Trait], of: &Study) -> Value {
     json!({
         "studyDbId": of.name,
         "studyName": of.name,
         "studyType": "UAV phenotyping",
         "startDate": of.time.as_deref().and_then(|time| time.get(..10)),
         "observationLevels": [{"levelName": "plot", "levelOrder": 2}],
-        "observationVariableDbIds": TRAITS.iter().map(|own| of.ids.of(own)).collect::<Vec<_>>(),
+        "observationVariableDbIds": all.iter().map(|own| of.ids.of(own)).collect::<Vec<_>>(),
         "experimentalDesign": {"description": "not known to this program"},
     })
 }
@@ -182,7 +187,7 @@ fn study(of: &Study) -> Value {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rowgram_plants::phenotype::traits::PlotTraits;
+    use rowgram_plants::phenotype::traits::{PlotTraits, TRAITS};
     use rowgram_raster::polygon::Polygon;
     use serde::Deserialize;
 
@@ -236,7 +241,7 @@ mod tests {
                 time: time.map(str::to_owned),
                 ids: VariableIds::default(),
             };
-            let found = observations(&plots(), &study);
+            let found = observations(&plots(), TRAITS, &study);
             assert_eq!(found.len(), 2);
             for (value, plot) in found.into_iter().zip(["A", "B"]) {
                 let local = value["additionalInfo"]["localTime"].clone();
@@ -260,7 +265,7 @@ mod tests {
             time: Some("2026-06-01T10:20:30".into()),
             ids: VariableIds::default(),
         };
-        write(&plots(), &study, folder.path()).unwrap();
+        write(&plots(), TRAITS, &study, folder.path()).unwrap();
         let read = |name: &str| -> Vec<Value> {
             let text = std::fs::read(folder.path().join(name)).unwrap();
             let answer: Value = serde_json::from_slice(&text).unwrap();

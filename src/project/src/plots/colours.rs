@@ -14,15 +14,14 @@ const BAND_ROWS: usize = 512;
 ///
 /// # Errors
 /// A damaged picture.
-pub(super) fn of_leaves<'a>(
+pub(super) fn of_leaves(
     source: &Source,
     mask: &Mask,
-    areas: impl Iterator<Item = &'a Polygon>,
+    areas: &[&Polygon],
 ) -> Result<Option<Vec<ColourParts>>, FileError> {
     if !source.is_photo() || source.size() != (mask.width, mask.height) {
         return Ok(None);
     }
-    let areas: Vec<&Polygon> = areas.collect();
     let runs: Vec<Vec<(usize, Range<usize>)>> =
         areas.iter().map(|area| area.runs(mask.width, mask.height)).collect();
     let parts: Vec<PlotParts> = areas.iter().map(|area| PlotParts::of(area)).collect();

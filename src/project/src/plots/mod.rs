@@ -9,15 +9,18 @@ mod areas;
 mod brapi;
 mod colours;
 mod heights;
+mod indices;
 pub mod layout;
 mod plants;
 mod variable_ids;
 mod write;
 
 use super::{Project, Stage, Task, align::AlignOutcome, leaf_mask, stage, surface};
+use indices::{Means, Measuring, Sums};
 use rowgram_base::{
     error::Error,
     monitor::{Diagnostic, Monitor},
+    options::Auto,
 };
 use rowgram_files::{
     csv_table::CsvTable,
@@ -26,10 +29,10 @@ use rowgram_files::{
 };
 use rowgram_optim::output::FileError;
 use rowgram_plants::phenotype::{
-    plots::{Area, FieldMeasurements, LeavesByArea, MeasuredLeaf, RowGap, SeenField},
-    traits::PlotTraits,
+    plots::{Area, FieldMeasurements, LeavesByArea, MeasuredLeaf, PlotIndex, RowGap, SeenField},
+    traits::{PlotTraits, Trait, traits_with},
 };
-use rowgram_raster::{mask::Thresholds, polygon::Polygon};
+use rowgram_raster::{mask::Thresholds, polygon::Polygon, spectral::Index};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::{
@@ -40,11 +43,14 @@ use variable_ids::VariableIds;
 
 rowgram_base::options! {
     /// Traits of plots. Without polygons and without both options below the whole field is one plot.
-    pub struct PlotsOptions in "plots", together both_or_neither, main [rows_per_plot, alley_m] {
+    pub struct PlotsOptions in "plots", together check, main [rows_per_plot, alley_m] {
         /// Number of rows of plants in a plot, where there are no polygons.
         pub rows_per_plot: Option<usize> = None, limits at_least(1.0), example "4";
         /// Minimum length of an alley between plots, where there are no polygons.
         pub alley_m: Option<f64> = None, limits POSITIVE, example "1.0";
+        /// Spectral indices: names (ndvi, ndre, gndvi, savi, osavi, evi2, ci_green, ci_red_edge), formulas of bands, or both as
+        /// name = formula. auto takes ndvi where the orthomosaic has a near-infrared band, and ndre where it has a red-edge band too.
+        pub indices: Auto<Vec<String>> = Auto::Auto;
         /// Distance by which plots are measured further in than their outline, along the rows.
         pub inset_along_m: f64 = 0.0, limits NON_NEGATIVE;
         /// The same across the rows.
@@ -62,7 +68,8 @@ rowgram_base::options! {
     }
 }
 
-fn both_or_neither(options: &PlotsOptions) -> Result<(), String> {
+fn check(options: &PlotsOptions) -> Result<(), String> {
+    options.named_indices()?;
     match (options.rows_per_plot, options.alley_m) {
         (Some(_), None) => Err("alley_m is not set: expected it beside rows_per_plot".to_owned()),
         (None, Some(_)) => Err("rows_per_plot is not set: expected it beside alley_m".to_owned()),
@@ -99,6 +106,16 @@ pub struct PlotsOutcome {
     /// Plots of which it shows so little that numbers of the whole plot are left empty.
     #[serde(default)]
     pub mostly_unseen: Vec<String>,
+    /// The spectral indices that were measured.
+    #[serde(default)]
+    pub indices: Vec<Index>,
+}
+
+impl PlotsOutcome {
+    /// All traits of these plots, in the order of their columns.
+    pub fn traits(&self) -> Vec<Trait> {
+        traits_with(&self.indices)
+    }
 }
 
 /// A plot, its polygon in pixels, its traits, and what its polygon says of it.
@@ -187,11 +204,18 @@ impl Task for Plots {
         folder: &Path,
         monitor: &mut dyn Monitor,
     ) -> Result<PlotsOutcome, Error> {
-        let ids = variable_ids_path(project, options).map(|path| VariableIds::read(&path));
-        let ids = ids.transpose()?.unwrap_or_default();
         let (mask, place) = rasters::read_mask(&project.mask()?, &Thresholds::default())?;
-        let picture = project.orthomosaic().ok().map(|path| rasters::Source::open(&path));
+        let picture = project.orthomosaic().ok().map(|path| project.open_picture(&path));
         let picture = picture.transpose()?;
+        let formulas = match &picture {
+            Some(picture) if picture.is_photo() => options.indices_of(&picture.roles()?)?,
+            _ => Vec::new(),
+        };
+        let indices: Vec<Index> = formulas.iter().map(|(index, _)| index.clone()).collect();
+        let all_traits = traits_with(&indices);
+        let ids = variable_ids_path(project, options);
+        let ids = ids.map(|path| VariableIds::read(&path, &all_traits));
+        let ids = ids.transpose()?.unwrap_or_default();
         let tables = Tables::of(project);
         let valid = leaf_mask::valid_of_project(project)?;
         let valid = valid.filter(|valid| (valid.width, valid.height) == (mask.width, mask.height));
@@ -212,9 +236,18 @@ impl Task for Plots {
             let ring = vec![[-0.5, -0.5], [u, -0.5], [u, v], [-0.5, v]];
             vec![areas::named("field".to_owned(), Polygon { rings: vec![ring] })]
         });
-        let polygons = areas.iter().map(|area| &area.polygon);
-        let colours = picture.map(|picture| colours::of_leaves(&picture, &mask, polygons));
+        let polygons: Vec<&Polygon> = areas.iter().map(|area| &area.polygon).collect();
+        let colours = picture.as_ref().map(|picture| colours::of_leaves(picture, &mask, &polygons));
         let colours = colours.transpose()?.flatten();
+        let plants_px = field.plants.as_deref().unwrap_or_default();
+        let means = match &picture {
+            Some(source) => {
+                let valid = valid.as_ref();
+                Measuring { source, mask: &mask, valid, indices: &formulas }
+                    .means(&polygons, plants_px)?
+            }
+            None => Means::default(),
+        };
         let heights = match (&tables.canopy, place) {
             (Some(path), Some(place)) => {
                 Some(heights::of_areas(path, place, areas.iter().map(|area| &area.polygon))?)
@@ -233,7 +266,15 @@ impl Task for Plots {
                 let canopy = heights.as_ref().and_then(|heights| heights[number]);
                 let is_field = source == PlotSource::WholeField;
                 let area = Area { name: &name, polygon: &polygon, is_field };
-                let (traits, shown) = index.traits(area, seen, colour, canopy);
+                let of_plot = means.plots.get(number).into_iter().flatten();
+                let spectral: Vec<PlotIndex<'_>> = (indices.iter().zip(of_plot))
+                    .map(|(index, Sums { ground, leaf })| PlotIndex {
+                        name: &index.name,
+                        ground,
+                        leaf,
+                    })
+                    .collect();
+                let (traits, shown) = index.traits(area, seen, colour, canopy, &spectral);
                 let share = traits.valid_share;
                 if shown == 0 && share.is_none() && is_on(&polygon, size) {
                     slivers.push(name);
@@ -297,11 +338,11 @@ impl Task for Plots {
             );
             monitor.diagnostic(&Diagnostic::warning("plots-mostly-unseen", "plots", message));
         }
-        write::traits(&plots, place, folder, monitor)?;
-        brapi::write(&plots, &study(project, ids), folder)?;
-        plants::write(&tables, &plots, place, folder)?;
+        write::traits(&plots, &all_traits, place, folder, monitor)?;
+        brapi::write(&plots, &all_traits, &study(project, ids), folder)?;
+        plants::write(&tables, &plots, (&indices, &means.plants), place, folder)?;
         let plots = plots.into_iter().map(|plot| plot.traits).collect();
-        Ok(PlotsOutcome { source, plots, outside, partly_outside, mostly_unseen })
+        Ok(PlotsOutcome { source, plots, outside, partly_outside, mostly_unseen, indices })
     }
 }
 

@@ -9,10 +9,16 @@ use rowgram_files::{
     qgis::{self, Style},
 };
 use rowgram_optim::output;
-use rowgram_plants::phenotype::row_plots::along_the_row;
+use rowgram_plants::phenotype::{
+    plot_scatter::ValueParts,
+    plots::Measured,
+    row_plots::along_the_row,
+    traits::{deviation_name, leaf_name},
+};
 use rowgram_raster::{
     georeference::{CrsKind, Georeference},
     polygon::Positions,
+    spectral::Index,
 };
 use std::{collections::BTreeMap, path::Path};
 
@@ -33,13 +39,15 @@ struct Points {
     values: Vec<Vec<Value>>,
 }
 
-/// Writes `plants.csv`, `gaps.csv` and the same as layers (`.gpkg`, `.parquet`), as far as earlier stages found any.
+/// Writes `plants.csv`, `gaps.csv` and the same as layers (`.gpkg`, `.parquet`), as far as earlier stages found any. `means` are the
+/// indices over the leaf pixels of each plant, none where there are no indices.
 ///
 /// # Errors
 /// Tables that cannot be read, files that cannot be written.
 pub(super) fn write(
     tables: &Tables,
     plots: &[Plot],
+    (indices, means): (&[Index], &[Vec<ValueParts>]),
     place: Option<Georeference>,
     folder: &Path,
 ) -> Result<(), Error> {
@@ -80,6 +88,18 @@ pub(super) fn write(
             columns.push(Column::new(&name, ColumnKind::Real));
             numbers.push(values);
         }
+        for (number, index) in indices.iter().enumerate().filter(|_| means.len() == at_px.len()) {
+            let of: Vec<Option<Measured>> =
+                means.iter().map(|of_plant| of_plant.get(number)?.mean()).collect();
+            let column = |value: fn(&Measured) -> Option<f64>| -> Vec<f64> {
+                of.iter().map(|of| of.as_ref().and_then(value).unwrap_or(f64::NAN)).collect()
+            };
+            let name = leaf_name(&index.name);
+            columns.push(Column::new(&name, ColumnKind::Real));
+            numbers.push(column(|of| Some(of.value)));
+            columns.push(Column::new(&deviation_name(&name), ColumnKind::Real));
+            numbers.push(column(|of| of.sd));
+        }
         let values = (0..at_px.len())
             .map(|k| {
                 let mut values = vec![
@@ -88,7 +108,8 @@ pub(super) fn write(
                     whole(rows[k]),
                     places[k].map_or(Value::Null, |place| Value::Integer(place as i64)),
                 ];
-                values.extend(numbers.iter().map(|column| Value::Real(column[k])));
+                let real = |x: f64| if x.is_nan() { Value::Null } else { Value::Real(x) };
+                values.extend(numbers.iter().map(|column| real(column[k])));
                 values
             })
             .collect();

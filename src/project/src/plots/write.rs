@@ -12,7 +12,7 @@ use rowgram_files::{
     qgis::{self, Style},
 };
 use rowgram_optim::output;
-use rowgram_plants::phenotype::traits::{PlotTraits, TRAITS, Trait};
+use rowgram_plants::phenotype::traits::{PlotTraits, Trait};
 use rowgram_raster::{georeference::Georeference, polygon::Polygon};
 use serde_json::{Value, json};
 use std::path::Path;
@@ -23,16 +23,17 @@ use std::path::Path;
 /// Where a file cannot be written.
 pub(super) fn traits(
     plots: &[Plot],
+    all: &[Trait],
     place: Option<Georeference>,
     folder: &Path,
     monitor: &mut dyn Monitor,
 ) -> Result<(), Error> {
     let text = |value: Option<f64>| value.map(|value| value.to_string()).unwrap_or_default();
-    let attributes = attributes(plots, monitor);
+    let columns = columns(all);
+    let attributes = attributes(plots, &columns, monitor);
     output::write(&folder.join("traits.csv"), true, |out| {
         let mut csv = CsvWriter::new(out);
         let own = attributes.iter().map(|of| of.name.as_str());
-        let columns = columns();
         let names = columns.iter().map(|column| column.name.as_str());
         csv.write_record(std::iter::once("plot").chain(names).chain(own))?;
         for plot in plots {
@@ -51,10 +52,10 @@ pub(super) fn traits(
         let mut csv = CsvWriter::new(out);
         csv.write_record(["plot", "trait", "value", "unit", "standard_deviation"])?;
         for Plot { traits, .. } in plots {
-            for of in TRAITS {
-                if let Some(value) = (of.value)(traits) {
+            for of in all {
+                if let Some(value) = of.value(traits) {
                     let sd = text(of.standard_deviation(traits));
-                    csv.write_record([&traits.plot, of.name, &value.to_string(), of.unit, &sd])?;
+                    csv.write_record([&traits.plot, &*of.name, &value.to_string(), of.unit, &sd])?;
                 }
             }
         }
@@ -70,12 +71,12 @@ pub(super) fn traits(
             "standard_deviation",
             "reference",
         ])?;
-        for of in TRAITS {
+        for of in all {
             csv.write_record([
-                of.name,
+                &*of.name,
                 of.unit,
-                of.meaning,
-                of.method,
+                &of.meaning,
+                &of.method,
                 of.deviation,
                 of.reference,
             ])?;
@@ -83,7 +84,7 @@ pub(super) fn traits(
         csv.flush()
     })?;
     let rings: Vec<Rings> = plots.iter().map(|plot| on_map(&plot.polygon, place)).collect();
-    let layer = layer(plots, &attributes, &rings, place);
+    let layer = layer(plots, &columns, &attributes, &rings, place);
     if gpkg::IS_AVAILABLE {
         gpkg::write(&folder.join("traits.gpkg"), true, std::slice::from_ref(&layer))?;
     } else {
@@ -113,31 +114,32 @@ pub(super) fn traits(
         collection["crs"] = json!({"type": "name", "properties": {"name": name}});
     }
     output::write(&folder.join(super::POLYGONS), true, |out| writeln!(out, "{collection}"))?;
-    style(plots, folder)?;
+    style(plots, all, folder)?;
     Ok(())
 }
 
 /// A column of numbers: a trait, or its standard deviation, which stands behind it.
-struct NumberColumn {
+struct NumberColumn<'a> {
     name: String,
-    of: &'static Trait,
+    of: &'a Trait,
     is_deviation: bool,
 }
 
-impl NumberColumn {
+impl NumberColumn<'_> {
     fn value(&self, plot: &PlotTraits) -> Option<f64> {
-        if self.is_deviation { self.of.standard_deviation(plot) } else { (self.of.value)(plot) }
+        if self.is_deviation { self.of.standard_deviation(plot) } else { self.of.value(plot) }
     }
 }
 
 /// The columns of numbers of every table of plots.
-fn columns() -> Vec<NumberColumn> {
-    let both = |of: &'static Trait| {
-        let own = NumberColumn { name: of.name.to_owned(), of, is_deviation: false };
+fn columns(all: &[Trait]) -> Vec<NumberColumn<'_>> {
+    let both = |of| {
+        let of: &Trait = of;
+        let own = NumberColumn { name: of.name.to_string(), of, is_deviation: false };
         let sd = of.deviation_name().map(|name| NumberColumn { name, of, is_deviation: true });
         std::iter::once(own).chain(sd)
     };
-    TRAITS.iter().flat_map(both).collect()
+    all.iter().flat_map(both).collect()
 }
 
 /// What polygons say of plots beside their names: genotype, treatment, block.
@@ -167,12 +169,16 @@ fn is_same(one: &str, other: &str) -> bool {
 
 /// The attributes of the plots in the order in which they first appear. One with the name of a trait is left out: it
 /// is of an earlier table of traits. One with the name of another column gets another one.
-fn attributes(plots: &[Plot], monitor: &mut dyn Monitor) -> Vec<Attribute> {
+fn attributes(
+    plots: &[Plot],
+    columns: &[NumberColumn<'_>],
+    monitor: &mut dyn Monitor,
+) -> Vec<Attribute> {
     let mut found: Vec<Attribute> = Vec::new();
     let mut taken: Vec<String> = Vec::new();
     for (name, value) in plots.iter().flat_map(|plot| &plot.attributes) {
         let is_taken = |other: &str| is_same(other, name);
-        if columns().iter().any(|column| is_taken(&column.name)) {
+        if columns.iter().any(|column| is_taken(&column.name)) {
             if !taken.contains(name) {
                 taken.push(name.clone());
             }
@@ -190,7 +196,7 @@ fn attributes(plots: &[Plot], monitor: &mut dyn Monitor) -> Vec<Attribute> {
         let is_free = |name: &str| {
             let others = found.iter().enumerate().filter(|(j, _)| *j != k);
             !OWN_COLUMNS.iter().any(|own| is_same(own, name))
-                && !columns().iter().any(|column| is_same(&column.name, name))
+                && !columns.iter().any(|column| is_same(&column.name, name))
                 && !others.into_iter().any(|(_, other)| is_same(&other.name, name))
         };
         let mut name = found[k].name.clone();
@@ -221,13 +227,13 @@ fn attributes(plots: &[Plot], monitor: &mut dyn Monitor) -> Vec<Attribute> {
 }
 
 /// How the layers of plots open in QGIS: coloured by the first of some traits that was measured.
-fn style(plots: &[Plot], folder: &Path) -> Result<(), Error> {
+fn style(plots: &[Plot], all: &[Trait], folder: &Path) -> Result<(), Error> {
     let values = |of: &Trait| -> Vec<f64> {
-        plots.iter().filter_map(|plot| (of.value)(&plot.traits)).filter(|x| x.is_finite()).collect()
+        plots.iter().filter_map(|plot| of.value(&plot.traits)).filter(|x| x.is_finite()).collect()
     };
     let by = ["plants_per_ha", "plants", "canopy_cover"];
     let known = by.iter().filter_map(|name| {
-        let values = values(TRAITS.iter().find(|of| of.name == *name)?);
+        let values = values(all.iter().find(|of| of.name == *name)?);
         (!values.is_empty()).then_some((*name, values))
     });
     let Some((by, values)) = known.into_iter().next() else { return Ok(()) };
@@ -261,11 +267,11 @@ fn left_out(monitor: &mut dyn Monitor) {
 /// The same as a layer; the unit of a trait is in its name.
 fn layer(
     plots: &[Plot],
+    numbers: &[NumberColumn<'_>],
     attributes: &[Attribute],
     rings: &[Rings],
     place: Option<Georeference>,
 ) -> Layer {
-    let numbers = columns();
     let columns = std::iter::once(Column::new("plot", ColumnKind::Text))
         .chain(numbers.iter().map(|column| Column::new(&column.name, ColumnKind::Real)))
         .chain(attributes.iter().map(|of| Column::new(&of.name, of.kind)));
@@ -298,6 +304,7 @@ fn layer(
 mod tests {
     use super::*;
     use rowgram_base::monitor::Collector;
+    use rowgram_plants::phenotype::traits::TRAITS;
 
     #[test]
     fn attributes_with_the_names_of_columns_are_renamed_and_keep_their_values() {
@@ -308,7 +315,7 @@ mod tests {
         };
         let plots = [of(&names), of(&["é", "GEOM"])];
         let mut collector = Collector::default();
-        let found = attributes(&plots, &mut collector);
+        let found = attributes(&plots, &columns(TRAITS), &mut collector);
         let columns: Vec<&str> = found.iter().map(|of| of.name.as_str()).collect();
         assert_eq!(
             columns,

@@ -168,7 +168,8 @@ pub(super) fn plants(facts: &Facts<'_>) -> Result<Option<Markup>, Error> {
         rows.sort_by(f64::total_cmp);
         rows[rows.len() / 2]
     };
-    let ([u0, v0], part) = pictures::detail(&ortho, [middle[0], median_v], [360, 240])?;
+    let ([u0, v0], part) =
+        pictures::detail(&facts.project.open_picture(&ortho)?, [middle[0], median_v], [360, 240])?;
     let (columns, rows) = part.dimensions();
     let enlarged = image::imageops::resize(
         &part,

@@ -3,12 +3,15 @@
 //! `map.js` draws it on a canvas, without any library; what it draws is JSON in the page.
 
 use super::{Facts, pictures};
-use crate::{Stage, plots};
+use crate::{
+    Stage,
+    plots::{self, PlotsOutcome},
+};
 use maud::{Markup, PreEscaped, html};
 use rowgram_base::error::Error;
-use rowgram_files::{csv_table::CsvTable, rasters::Source};
+use rowgram_files::csv_table::CsvTable;
 use rowgram_optim::output::FileError;
-use rowgram_plants::phenotype::traits::TRAITS;
+use rowgram_plants::phenotype::traits::Trait;
 use rowgram_raster::georeference::Georeference;
 use rowgram_survey::scene::Role;
 use serde_json::{Value, json};
@@ -48,13 +51,15 @@ pub(super) fn served(facts: &Facts<'_>, served: Served) -> Result<Markup, Error>
 
 fn drawn(facts: &Facts<'_>, served: Option<Served>) -> Result<Option<Markup>, Error> {
     let Some(ortho) = facts.orthomosaic() else { return Ok(None) };
-    let place = Source::open(&ortho)?.georeference();
-    let overview = pictures::overview(&ortho, SIDE_PX)?;
+    let source = facts.project.open_picture(&ortho)?;
+    let place = source.georeference();
+    let overview = pictures::overview(&source, SIDE_PX)?;
     let (width, height) = overview.size;
-    let plots = plots(facts, place)?;
-    let known: Vec<usize> = (0..TRAITS.len())
-        .filter(|&k| plots.iter().any(|plot| !plot["values"][k].is_null()))
-        .collect();
+    let measured = facts.outcome.results.plots.as_ref();
+    let all = measured.map(PlotsOutcome::traits).unwrap_or_default();
+    let plots = plots(facts, &all, place)?;
+    let known: Vec<usize> =
+        (0..all.len()).filter(|&k| plots.iter().any(|plot| !plot["values"][k].is_null())).collect();
     let layer = |name: &str| facts.table(Stage::Locate, name);
     let plants = layer("plants.csv")?.map(|table| plants(&table));
     let gaps = layer("gaps.csv")?.map(|table| gaps(&table));
@@ -73,7 +78,7 @@ fn drawn(facts: &Facts<'_>, served: Option<Served>) -> Result<Option<Markup>, Er
         "georeference": place.map(|of| [of.origin, of.per_column, of.per_row].concat()),
         "crs": place.and_then(|place| place.crs.epsg).map(|code| format!("EPSG:{code}")),
         "picture": pictures::jpeg(&overview.on_paper(), SIDE_PX as u32)?,
-        "traits": TRAITS.iter().map(|of| json!({"name": of.name, "meaning": of.meaning})).collect::<Vec<_>>(),
+        "traits": all.iter().map(|of| json!({"name": of.name, "meaning": of.meaning})).collect::<Vec<_>>(),
         "plots": plots,
         "plants": plants.unwrap_or_else(none),
         "gaps": gaps.unwrap_or_else(none),
@@ -82,7 +87,7 @@ fn drawn(facts: &Facts<'_>, served: Option<Served>) -> Result<Option<Markup>, Er
         "tile_px": served.filter(|served| served.tiles).map(|_| super::view::TILE_PX),
     });
     let with_photos = served.is_some_and(|served| served.photos);
-    let first = known.iter().position(|&k| TRAITS[k].name == FIRST_TRAIT).unwrap_or(0);
+    let first = known.iter().position(|&k| all[k].name == FIRST_TRAIT).unwrap_or(0);
     // Nothing in the data may end the script.
     let data = data.to_string().replace('<', "\\u003c");
     Ok(Some(html! {
@@ -104,7 +109,7 @@ fn drawn(facts: &Facts<'_>, served: Option<Served>) -> Result<Option<Markup>, Er
                         "plots by "
                         select {
                             @for (at, &k) in known.iter().enumerate() {
-                                option value=(TRAITS[k].name) title=(TRAITS[k].meaning) selected[at == first] { (TRAITS[k].name.replace('_', " ")) }
+                                option value=(all[k].name) title=(all[k].meaning) selected[at == first] { (all[k].name.replace('_', " ")) }
                             }
                         }
                     }
@@ -161,7 +166,11 @@ fn gaps(table: &CsvTable) -> Value {
 }
 
 /// Polygons of the plots with the values of all traits.
-fn plots(facts: &Facts<'_>, place: Option<Georeference>) -> Result<Vec<Value>, Error> {
+fn plots(
+    facts: &Facts<'_>,
+    all: &[Trait],
+    place: Option<Georeference>,
+) -> Result<Vec<Value>, Error> {
     let (Some(outcome), Some(path)) =
         (&facts.outcome.results.plots, facts.file(Stage::Plots, plots::POLYGONS))
     else {
@@ -183,7 +192,7 @@ fn plots(facts: &Facts<'_>, place: Option<Georeference>) -> Result<Vec<Value>, E
         json!({
             "name": traits.plot,
             "rings": rings.map(ring).collect::<Vec<_>>(),
-            "values": TRAITS.iter().map(|of| (of.value)(traits)).collect::<Vec<_>>(),
+            "values": all.iter().map(|of| of.value(traits)).collect::<Vec<_>>(),
         })
     });
     Ok(shown.collect())

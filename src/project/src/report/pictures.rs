@@ -83,8 +83,7 @@ pub(super) fn on_paper(
 ///
 /// # Errors
 /// Where it cannot be read.
-pub(super) fn overview(path: &Path, side_px: usize) -> Result<Overview, Error> {
-    let source = Source::open(path)?;
+pub(super) fn overview(source: &Source, side_px: usize) -> Result<Overview, Error> {
     let (width, height) = source.size();
     let step = width.max(height).div_ceil(side_px).max(1);
     let (columns, rows) = (width.div_ceil(step), height.div_ceil(step));
@@ -114,11 +113,10 @@ pub(super) fn overview(path: &Path, side_px: usize) -> Result<Overview, Error> {
 /// # Errors
 /// Where it cannot be read.
 pub(super) fn detail(
-    path: &Path,
+    source: &Source,
     around: [f64; 2],
     [width, height]: [usize; 2],
 ) -> Result<([usize; 2], RgbImage), Error> {
-    let source = Source::open(path)?;
     let (columns, rows) = source.size();
     let (width, height) = (width.min(columns), height.min(rows));
     let first = |at: f64, size: usize, all: usize| {

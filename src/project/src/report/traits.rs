@@ -11,7 +11,7 @@ use crate::{Stage, leaf_count::LeafCountOutcome, plots::PlotSource};
 use maud::{Markup, html};
 use rowgram_base::error::Error;
 use rowgram_files::{csv_table::CsvTable, rasters::Source};
-use rowgram_plants::phenotype::traits::{PlotTraits, TRAITS};
+use rowgram_plants::phenotype::traits::leaf_name;
 use rowgram_survey::mapping::colour_balance::ColourBalance;
 
 /// Rows of a table that are shown; the file has all.
@@ -147,7 +147,7 @@ pub(super) fn leaves(facts: &Facts<'_>) -> Result<Section, Error> {
     else {
         return Ok(None);
     };
-    let overview = pictures::overview(&mask, 1100)?;
+    let overview = pictures::overview(&Source::open(&mask)?, 1100)?;
     let densest = results.leaf_density.as_ref().map_or(0, |density| density.largest);
     let content = html! {
         p {
@@ -261,28 +261,30 @@ const COLUMNS: [(&str, &str, usize); 14] = [
     ("ngrdi", "NGRDI", 3),
 ];
 
-/// A trait that is shown: its title, its digits, its value.
-type Column = (&'static str, usize, fn(&PlotTraits) -> Option<f64>);
+/// A trait that is shown: its name, its title, its digits.
+type Column = (String, String, usize);
 
 /// Traits of the plots.
 pub(super) fn plots(facts: &Facts<'_>) -> Section {
     let outcome = facts.outcome.results.plots.as_ref().filter(|of| !of.plots.is_empty())?;
     let plots = &outcome.plots;
-    let known: Vec<Column> = COLUMNS
-        .iter()
-        .filter_map(|(name, title, digits)| {
-            let value = TRAITS.iter().find(|of| of.name == *name)?.value;
-            plots.iter().any(|plot| value(plot).is_some()).then_some((*title, *digits, value))
-        })
-        .collect();
+    let is_index = |name: &str| outcome.indices.iter().any(|index| index.name == name);
+    let usual = COLUMNS.iter().filter(|(name, ..)| !is_index(name));
+    let usual = usual.map(|(name, title, n)| ((*name).to_owned(), (*title).to_owned(), *n));
+    let spectral = outcome.indices.iter().flat_map(|index| {
+        let of_leaf = (leaf_name(&index.name), format!("{} of leaves", index.name), 3);
+        [(index.name.clone(), index.name.clone(), 3), of_leaf]
+    });
+    let is_known = |(name, ..): &Column| plots.iter().any(|plot| plot.value(name).is_some());
+    let known: Vec<Column> = usual.chain(spectral).filter(is_known).collect();
     let mut header = vec!["plot"];
-    header.extend(known.iter().map(|(title, ..)| *title));
+    header.extend(known.iter().map(|(_, title, _)| title.as_str()));
     let rows: Vec<Vec<String>> = plots
         .iter()
         .take(MOST_ROWS)
         .map(|plot| {
             let mut row = vec![plot.plot.clone()];
-            row.extend(known.iter().map(|(_, n, value)| digits(value(plot), *n)));
+            row.extend(known.iter().map(|(name, _, n)| digits(plot.value(name), *n)));
             row
         })
         .collect();

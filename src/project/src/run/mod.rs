@@ -13,7 +13,7 @@ use rowgram_base::{
     monitor::{Diagnostic, Monitor, Recorder, Severity},
     options::Choice,
 };
-use rowgram_files::{rasters, reconstruction};
+use rowgram_files::reconstruction;
 use rowgram_optim::output::{self, FileError};
 use serde::{Deserialize, Serialize};
 use std::{collections::BTreeSet, path::PathBuf};
@@ -290,6 +290,7 @@ pub fn run(
     check_input(project)?;
     project.config().validate()?;
     if wanted.contains(&(Stage::Plots, true)) {
+        orthomosaic::check_bands(project)?;
         orthomosaic::check(project)?;
     }
     let again = |stage: &Stage| options.from.is_some_and(|from| *stage >= from);
@@ -346,7 +347,7 @@ pub fn run(
         outcome.stages.push(StageReport::new(&records, stage, (ending, reason), diagnostics));
     }
     check_results(project, &outcome.stages)?;
-    let ortho = project.orthomosaic().ok().and_then(|path| rasters::Source::open(&path).ok());
+    let ortho = project.orthomosaic().ok().and_then(|path| project.open_picture(&path).ok());
     outcome.gsd_m = ortho.and_then(|source| source.georeference()?.gsd_m());
     let aligned = project.finished(Stage::Align, reconstruction::NAME);
     let reconstruction = aligned

@@ -21,7 +21,7 @@ use rowgram_base::{
     options::{Options, nearest},
 };
 use rowgram_optim::output::FileError;
-use rowgram_plants::phenotype::traits::TRAITS;
+use rowgram_plants::phenotype::traits::known_traits;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -117,8 +117,9 @@ impl SeasonFile {
         let traits: Vec<String> =
             content.traits.unwrap_or_else(|| USUAL_TRAITS.map(str::to_owned).to_vec());
         for name in &traits {
-            if !TRAITS.iter().any(|of| of.name == name) {
-                let names: Vec<&str> = TRAITS.iter().map(|of| of.name).collect();
+            let all = known_traits();
+            if !all.iter().any(|of| of.name == *name) {
+                let names: Vec<&str> = all.iter().map(|of| &*of.name).collect();
                 let near = nearest(name, &names).map(|near| format!("; did you mean {near:?}?"));
                 let message =
                     format!("traits: {name:?} is no trait of plots{}", near.unwrap_or_default());

@@ -11,7 +11,7 @@ use rowgram_plants::{
     phenotype::{
         plant_tracks::{self, Sighting, Tracks},
         stand::NORMAL_95,
-        traits::{PlotTraits, TRAITS},
+        traits::{PlotTraits, known_traits},
     },
     problems::growth_curve::{self, Estimate, GrowthCurve, GrowthModel, Sample, Untold},
 };
@@ -174,12 +174,12 @@ pub(super) fn follow(
     let fitted: Vec<SeasonTrait> = traits
         .iter()
         .filter_map(|name| {
-            let of = TRAITS.iter().find(|of| of.name == name)?;
+            let of = known_traits().into_iter().find(|of| of.name == *name)?;
             let series: Vec<Vec<Sample>> = plots
                 .iter()
                 .map(|plot| {
                     let sample = |day: &Day| {
-                        let value = (of.value)(day.traits.get(plot)?)?;
+                        let value = of.value(day.traits.get(plot)?)?;
                         value.is_finite().then_some(Sample { day: day.day, value })
                     };
                     days.iter().filter_map(sample).collect()

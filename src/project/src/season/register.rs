@@ -13,7 +13,10 @@ use rowgram_base::{
     error::Error,
     monitor::{Counter, Diagnostic, Monitor},
 };
-use rowgram_files::{csv_table::CsvTable, geotiff::Reader};
+use rowgram_files::{
+    csv_table::CsvTable,
+    geotiff::{Reader, Reading},
+};
 use rowgram_optim::output::FileError;
 use rowgram_raster::{georeference::Georeference, window::Window};
 use rowgram_survey::{
@@ -46,6 +49,7 @@ pub(super) struct DateMap {
     pub(super) day: f64,
     pub(super) frame: Frame,
     ortho: PathBuf,
+    reading: Reading,
     mask: PathBuf,
     pub(super) place: Georeference,
     pub(super) gsd_m: f64,
@@ -68,7 +72,8 @@ impl DateMap {
         frame: Frame,
     ) -> Result<DateMap, Error> {
         let (ortho, mask) = (project.orthomosaic()?, project.mask()?);
-        let reader = Reader::open(&ortho)?;
+        let reading = project.reading(&ortho);
+        let reader = Reader::open_with(&ortho, &reading)?;
         // Places of dates are compared on the map, so that its metres have to be those on the ground.
         let is_in_metres = |place: &Georeference| {
             let is_metre = place.crs.kind.metres_per_unit() == Some(1.0);
@@ -89,7 +94,7 @@ impl DateMap {
         let size = (reader.width(), reader.height());
         let plants_m = sure_plants(project, &place)?;
         let date = date.to_owned();
-        Ok(DateMap { date, day, frame, ortho, mask, place, gsd_m, size, plants_m, key })
+        Ok(DateMap { date, day, frame, ortho, reading, mask, place, gsd_m, size, plants_m, key })
     }
 
     /// Bounds on the map: lowest and highest of each axis, metres.
@@ -126,7 +131,8 @@ impl DateMap {
         if window.width < LEAST_SIDE || window.height < LEAST_SIDE {
             return Ok(MapFeatures::default());
         }
-        let (picture, gaps) = Reader::open(&self.ortho)?.read_rgb_and_gaps(window)?;
+        let (picture, gaps) =
+            Reader::open_with(&self.ortho, &self.reading)?.read_rgb_and_gaps(window)?;
         let leaf = Reader::open(&self.mask)?.read::<u8>(window)?;
         let usable: Vec<bool> = leaf
             .iter()

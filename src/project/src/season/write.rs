@@ -8,7 +8,7 @@ use rowgram_base::error::Error;
 use rowgram_files::csv_table::CsvWriter;
 use rowgram_optim::output;
 use rowgram_plants::{
-    phenotype::{stand::NORMAL_95, traits::TRAITS},
+    phenotype::{stand::NORMAL_95, traits::known_traits},
     problems::growth_curve::Estimate,
 };
 use serde_json::json;
@@ -134,11 +134,12 @@ fn traits(path: &Path, outcome: &SeasonOutcome, days: &[Day]) -> Result<(), Erro
             "fitted_high",
             "outlier",
         ])?;
+        let all = known_traits();
         for day in days {
             for plot in &outcome.plots {
                 let Some(traits) = day.traits.get(plot) else { continue };
-                for of in TRAITS {
-                    let Some(value) = (of.value)(traits) else { continue };
+                for of in &all {
+                    let Some(value) = of.value(traits) else { continue };
                     let season = outcome.traits.iter().find(|season| season.name == of.name);
                     let sd = of.standard_deviation(traits);
                     let half = match season {
@@ -160,7 +161,7 @@ fn traits(path: &Path, outcome: &SeasonOutcome, days: &[Day]) -> Result<(), Erro
                         day.date.clone(),
                         day.day.to_string(),
                         plot.clone(),
-                        of.name.to_owned(),
+                        of.name.to_string(),
                         significant(Some(value)),
                         of.unit.to_owned(),
                         significant(half.map(|half| value - half)),

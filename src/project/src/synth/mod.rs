@@ -1,4 +1,4 @@
-//! Synthetic data with the whole truth, as files: a field from straight above, a flight over it, the measurements of a
+//! Synthetic data with the whole truth, as files: a field from straight above, an orthomosaic of five bands of it, a flight over it, the measurements of a
 //! block, a small project that has everything, and a season of flights.
 //!
 //! What exists and how it looks is `data-synth`'s; here it becomes the files that the other stages read.
@@ -6,12 +6,14 @@
 mod block;
 mod field;
 mod flight;
+mod map;
 mod project;
 mod season;
 
 pub use block::{BlockOutcome, BlockPreset, BlockSource, write_block};
 pub use field::{FieldOutcome, write_field};
 pub use flight::{FlightOptions, FlightOutcome, write_flight};
+pub use map::{MapOptions, MapOutcome, MapSamples, write_map};
 pub use project::{BOARD_PHOTOS, SynthesisOutcome, synthesize, synthesize_over};
 pub use season::{SeasonSynthesis, write_season};
 

@@ -7,6 +7,10 @@
 //!
 //! Greenness is `-a*`. Unlike ratios of channels, it goes to zero with the light, so the noise of dark pixels
 //! stays small. The tables hold linear light in 14 bits.
+//!
+//! Where the near infrared is known, greenness is the NDVI instead, brought to the same numbers: soil (NDVI 0.1 to 0.2) about
+//! -2, leaves (0.7 to 0.85) about 14, which are the priors of the two classes. Yellowness is then 0. Colours are smoothed over 3 x 3 pixels;
+//! the classes are so much further apart in NDVI than its noise that smoothing would only blur the edges of leaves.
 
 use std::sync::LazyLock;
 
@@ -15,6 +19,10 @@ const FULL: u32 = (1 << 14) - 1;
 
 /// Rows of the matrix from linear sRGB to X, Y, Z, each divided by the white, in 1/2^14.
 const XYZ: [[u32; 3]; 3] = [[7110, 6164, 3110], [3485, 11717, 1182], [291, 1794, 14299]];
+
+/// Units of greenness for a unit of NDVI, and the NDVI whose greenness is 0.
+const GREEN_OF_NDVI: f32 = 25.0;
+const NDVI_OF_GREY: f32 = 0.2;
 
 struct Tables {
     linear: [u32; 256],
@@ -43,18 +51,40 @@ static TABLES: LazyLock<Tables> = LazyLock::new(|| {
 
 /// Converts pixels; the tables are looked up once.
 #[derive(Clone, Copy)]
-pub(super) struct Converter {
+pub(super) struct Converter<'a> {
     tables: &'static Tables,
+    ndvi: Option<&'a [f32]>,
 }
 
-impl Converter {
-    pub(super) fn new() -> Converter {
-        Converter { tables: &TABLES }
+impl<'a> Converter<'a> {
+    /// `ndvi`: that of all pixels of the picture, where it is known.
+    pub(super) fn new(ndvi: Option<&'a [f32]>) -> Converter<'a> {
+        Converter { tables: &TABLES, ndvi }
+    }
+
+    /// Weights of a pixel's neighbours and of itself, along each axis.
+    pub(super) fn weights(self) -> [f32; 2] {
+        if self.ndvi.is_some() { [0.0, 1.0] } else { [0.25, 0.5] }
+    }
+
+    /// Greenness and yellowness of the pixel with this number of the picture.
+    #[inline(always)]
+    pub(super) fn of_pixel(self, number: usize, rgb: [u8; 3]) -> [f32; 2] {
+        match self.ndvi {
+            None => self.green_yellow(rgb),
+            Some(ndvi) => {
+                let ndvi = ndvi.get(number).copied().filter(|x| x.is_finite());
+                [
+                    GREEN_OF_NDVI * (ndvi.unwrap_or(NDVI_OF_GREY).clamp(-1.0, 1.0) - NDVI_OF_GREY),
+                    0.0,
+                ]
+            }
+        }
     }
 
     /// `[-a*, b*]` of a pixel.
     #[inline(always)]
-    pub(super) fn green_yellow(self, rgb: [u8; 3]) -> [f32; 2] {
+    fn green_yellow(self, rgb: [u8; 3]) -> [f32; 2] {
         let [r, g, b] = rgb.map(|value| self.tables.linear[usize::from(value)]);
         let [x, y, z] = XYZ.map(|row| {
             let sum = row[0] * r + row[1] * g + row[2] * b;
@@ -79,9 +109,17 @@ mod tests {
             ([255, 255, 255], 0.0, 0.0),
             ([60, 120, 50], -34.22, 32.08),
         ] {
-            let [green, yellow] = Converter::new().green_yellow(rgb);
+            let [green, yellow] = Converter::new(None).of_pixel(0, rgb);
             assert!((green + a).abs() < 0.5, "{rgb:?}: {green}, expected {}", -a);
             assert!((yellow - b).abs() < 0.5, "{rgb:?}: {yellow}, expected {b}");
         }
+    }
+
+    #[test]
+    fn infrared_comes_before_colours() {
+        let ndvi = [0.12, 0.76, f32::NAN];
+        let green = |number: usize| Converter::new(Some(&ndvi)).of_pixel(number, [60, 120, 50]);
+        assert!((green(0)[0] + 2.0).abs() < 1e-4 && (green(1)[0] - 14.0).abs() < 1e-4);
+        assert_eq!(green(2), [0.0, 0.0]);
     }
 }

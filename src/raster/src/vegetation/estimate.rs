@@ -15,6 +15,17 @@ use rayon::prelude::*;
 /// Pixels that the classes are estimated from, about: by arithmetic, the share of a class that is one hundredth of the photo is then known to 3 %.
 const SAMPLES: usize = 120_000;
 
+/// The rows of a photo that are seen for a band of it.
+#[derive(Debug, Clone, Copy)]
+pub struct Seen<'a> {
+    /// Its colours.
+    pub photo: &'a RgbImage,
+    /// NDVI of each of its pixels, row by row, where the near infrared is known of the photo.
+    pub ndvi: Option<&'a [f32]>,
+    /// 0 for those of its pixels that show nothing and 1 for the others; `None` where all show something.
+    pub shown: Option<&'a [u8]>,
+}
+
 /// What is gathered of a photo before its classes are estimated.
 pub struct Estimator {
     width: usize,
@@ -23,6 +34,7 @@ pub struct Estimator {
     surround: Option<SurroundFinder>,
     /// Of the regular grid of pixels that are looked at.
     step: usize,
+    has_ndvi: bool,
     /// Smoothed pixels, and their columns and rows.
     samples: Vec<([usize; 2], Sample)>,
 }
@@ -48,28 +60,31 @@ impl Estimator {
             coherence: options.coherence,
             surround: options.find_borders.then(|| SurroundFinder::new((width, height))),
             step: ((width * height / SAMPLES) as f64).sqrt().max(1.0) as usize,
+            has_ndvi: false,
             samples: Vec::new(),
         })
     }
 
-    /// Looks at the next band, from the top; `photo` has the rows that are seen, `shown` is 0 for those of its pixels that show
-    /// nothing and 1 for the others.
-    pub fn add(&mut self, band: &Band, photo: &RgbImage, shown: Option<&[u8]>) {
+    /// Looks at the next band, from the top.
+    pub fn add(&mut self, band: &Band, seen: Seen<'_>) {
+        let Seen { photo, ndvi, shown } = seen;
         if let Some(surround) = &mut self.surround {
             surround.add(band, photo);
         }
+        self.has_ndvi |= ndvi.is_some();
         let (width, height, first) = (self.width, self.height, band.seen.start);
         let rows = (self.step / 2..height).step_by(self.step);
         let rows: Vec<usize> = rows.filter(|v| band.rows.contains(v)).collect();
-        let converter = Converter::new();
+        let converter = Converter::new(ndvi);
+        let [beside, here] = converter.weights();
         let smooth = |u: usize, v: usize| {
             let mut sum = [0.0; 2];
-            for (dv, row_weight) in [(0, 0.25), (1, 0.5), (2, 0.25)] {
+            for (dv, row_weight) in [(0, beside), (1, here), (2, beside)] {
                 let row = (v + dv).saturating_sub(1).min(height - 1) - first;
-                for (du, weight) in [(0, 0.25), (1, 0.5), (2, 0.25)] {
+                for (du, weight) in [(0, beside), (1, here), (2, beside)] {
                     let column = (u + du).saturating_sub(1).min(width - 1);
                     let pixel = photo.get_pixel(column as u32, row as u32).0;
-                    let colour = converter.green_yellow(pixel);
+                    let colour = converter.of_pixel(row * width + column, pixel);
                     sum[0] += row_weight * weight * colour[0];
                     sum[1] += row_weight * weight * colour[1];
                 }
@@ -94,7 +109,7 @@ impl Estimator {
     /// # Errors
     /// [`VegetationError::Nothing`]: no pixel shows anything.
     pub fn finish(self) -> Result<Estimate, VegetationError> {
-        let Estimator { width, height, coherence, .. } = self;
+        let Estimator { width, height, coherence, has_ndvi, .. } = self;
         let surround = self.surround.and_then(SurroundFinder::finish);
         let is_shown = |[u, v]: [usize; 2]| surround.as_ref().is_none_or(|s| !s.contains(u, v));
         let samples = self.samples.into_iter().filter(|(at, _)| is_shown(*at));
@@ -102,7 +117,8 @@ impl Estimator {
         if samples.is_empty() {
             return Err(VegetationError::Nothing { width, height });
         }
-        Ok(Estimate { width, height, coherence, surround, model: Model::fit(&samples) })
+        let model = Model { has_ndvi, ..Model::fit(&samples) };
+        Ok(Estimate { width, height, coherence, surround, model })
     }
 }
 
@@ -137,9 +153,10 @@ impl Estimate {
         self.coherence.reach() + 1
     }
 
-    /// The vegetation of the rows of a band, in any order of bands. `photo` has the rows that are seen, [`Estimate::halo`] more on
-    /// either side where there are any; `shown` is 0 for those of its pixels that show nothing and 1 for the others.
-    pub fn classify(&self, band: &Band, photo: &RgbImage, shown: Option<&[u8]>) -> Classified {
+    /// The vegetation of the rows of a band, in any order of bands; [`Estimate::halo`] more rows are seen on either side where
+    /// there are any.
+    pub fn classify(&self, band: &Band, seen: Seen<'_>) -> Classified {
+        let Seen { photo, ndvi, shown } = seen;
         let (width, first) = (self.width, band.seen.start);
         debug_assert_eq!(
             (photo.width() as usize, photo.height() as usize),
@@ -155,7 +172,7 @@ impl Estimate {
                 Some(seen)
             }
         };
-        let mut posterior = posteriors(photo, &self.model, first, self.height);
+        let mut posterior = posteriors(photo, ndvi, &self.model, first, self.height);
         hide(&mut posterior, shown.as_deref());
         let mask = self.coherence.mask_of_rows(width, first, &posterior);
         let kept = (band.rows.start - first) * width..(band.rows.end - first) * width;

@@ -20,7 +20,7 @@ pub mod nothing;
 mod posterior;
 
 pub use coherence::Coherence;
-pub use estimate::{Classified, Estimate, Estimator};
+pub use estimate::{Classified, Estimate, Estimator, Seen};
 pub use model::Model;
 
 use super::{Mask, window::Band};
@@ -123,9 +123,10 @@ pub fn segment(
     let shown = shown(valid, (width, height))?.filter(|shown| shown.contains(&0));
     let all = Band { rows: 0..height, seen: 0..height };
     let mut estimator = Estimator::new((width, height), options)?;
-    estimator.add(&all, photo, shown);
+    let seen = Seen { photo, ndvi: None, shown };
+    estimator.add(&all, seen);
     let estimate = estimator.finish()?;
-    let Classified { mask, posterior, shown } = estimate.classify(&all, photo, shown);
+    let Classified { mask, posterior, shown } = estimate.classify(&all, seen);
     let mask = Mask { width, height, data: mask };
     let valid = shown.map(|data| Mask { width, height, data });
     Ok(Vegetation { width, height, posterior, mask, valid, model: estimate.model })
@@ -159,7 +160,7 @@ pub fn classify(
     coherence.check()?;
     let (width, height) = (photo.width() as usize, photo.height() as usize);
     let shown = shown(valid, (width, height))?;
-    let mut posterior = posteriors(photo, model, 0, height);
+    let mut posterior = posteriors(photo, None, model, 0, height);
     hide(&mut posterior, shown);
     Ok(coherence.mask(width, height, &posterior))
 }

@@ -56,6 +56,9 @@ pub struct Model {
     pub yellow_mean: f64,
     /// Coefficients of `x, y, x^2 - 1/3, x y, y^2 - 1/3` of the background's surface, `x` and `y` from -1 to 1.
     pub surface: [f64; 5],
+    /// Whether greenness is not that of colours but the NDVI, as [`super::Seen`] has it.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub has_ndvi: bool,
 }
 
 /// A smoothed pixel: its place in -1..1, greenness, yellowness.
@@ -166,7 +169,8 @@ impl Model {
             classes = Classes::of(z.iter().copied());
         }
         let Classes { background, vegetation, threshold } = classes;
-        Model { background, vegetation, threshold, yellow_weight, yellow_mean, surface }
+        let has_ndvi = false;
+        Model { background, vegetation, threshold, yellow_weight, yellow_mean, surface, has_ndvi }
     }
 
     /// The model of a small part of the photo around a place, given in -1..1 of its width and height: the background's

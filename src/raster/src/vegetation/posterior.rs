@@ -18,7 +18,13 @@ pub(super) fn from_middle(at: usize, size: usize) -> f64 {
 }
 
 /// Posterior of every pixel in 1/255, of rows from `first` on of a photo that has `height` in all.
-pub(super) fn posteriors(photo: &RgbImage, model: &Model, first: usize, height: usize) -> Vec<u8> {
+pub(super) fn posteriors(
+    photo: &RgbImage,
+    ndvi: Option<&[f32]>,
+    model: &Model,
+    first: usize,
+    height: usize,
+) -> Vec<u8> {
     let (width, rows) = (photo.width() as usize, photo.height() as usize);
     let (per_unit, end) = TABLE;
     let entry = |i: usize| {
@@ -33,7 +39,7 @@ pub(super) fn posteriors(photo: &RgbImage, model: &Model, first: usize, height: 
     let mut posterior = vec![0; width * rows];
     let bands = posterior.par_chunks_mut((BAND * width).max(1)).enumerate();
     bands.for_each(|(band, out)| {
-        let mut smooth = SmoothRows::new(photo);
+        let mut smooth = SmoothRows::new(photo, Converter::new(ndvi));
         let mut line: Vec<[f32; 2]> = vec![[0.0; 2]; width];
         for (index, out) in out.chunks_mut(width).enumerate() {
             let v = band * BAND + index;
@@ -54,21 +60,21 @@ pub(super) fn posteriors(photo: &RgbImage, model: &Model, first: usize, height: 
     posterior
 }
 
-/// Rows of colour smoothed with weights 1/4, 1/2, 1/4 both ways, from the top down.
+/// Rows of colour smoothed both ways ([`Converter::weights`]), from the top down.
 struct SmoothRows<'a> {
     photo: &'a RgbImage,
-    converter: Converter,
+    converter: Converter<'a>,
     /// The last rows, smoothed along themselves, and which they are.
     kept: [(usize, Vec<[f32; 2]>); 3],
     raw: Vec<[f32; 2]>,
 }
 
 impl<'a> SmoothRows<'a> {
-    fn new(photo: &'a RgbImage) -> SmoothRows<'a> {
+    fn new(photo: &'a RgbImage, converter: Converter<'a>) -> SmoothRows<'a> {
         let empty = || (usize::MAX, vec![[0.0; 2]; photo.width() as usize]);
         let kept = [empty(), empty(), empty()];
         let raw = vec![[0.0; 2]; photo.width() as usize];
-        SmoothRows { photo, converter: Converter::new(), kept, raw }
+        SmoothRows { photo, converter, kept, raw }
     }
 
     fn smooth(&mut self, v: usize, out: &mut [[f32; 2]]) {
@@ -79,23 +85,25 @@ impl<'a> SmoothRows<'a> {
                 self.load(row);
             }
         }
+        let [beside, middle] = self.converter.weights();
         let [above, here, below] = rows.map(|row| &self.kept[row % 3].1);
         for (out, ((a, h), b)) in out.iter_mut().zip(above.iter().zip(here).zip(below)) {
-            *out = [0.25 * (a[0] + b[0]) + 0.5 * h[0], 0.25 * (a[1] + b[1]) + 0.5 * h[1]];
+            *out = [0, 1].map(|k| beside * (a[k] + b[k]) + middle * h[k]);
         }
     }
 
     fn load(&mut self, v: usize) {
         let width = self.photo.width() as usize;
         let bytes = &self.photo.as_raw()[3 * v * width..3 * (v + 1) * width];
-        for (raw, pixel) in self.raw.iter_mut().zip(bytes.as_chunks::<3>().0) {
-            *raw = self.converter.green_yellow(*pixel);
+        for (u, (raw, pixel)) in self.raw.iter_mut().zip(bytes.as_chunks::<3>().0).enumerate() {
+            *raw = self.converter.of_pixel(v * width + u, *pixel);
         }
         let (row, line) = &mut self.kept[v % 3];
         *row = v;
         let raw = &self.raw;
+        let [beside, middle] = self.converter.weights();
         let mix = |a: [f32; 2], h: [f32; 2], b: [f32; 2]| {
-            [0.25 * (a[0] + b[0]) + 0.5 * h[0], 0.25 * (a[1] + b[1]) + 0.5 * h[1]]
+            [0, 1].map(|k| beside * (a[k] + b[k]) + middle * h[k])
         };
         for (line, near) in line[1..].iter_mut().zip(raw.windows(3)) {
             *line = mix(near[0], near[1], near[2]);

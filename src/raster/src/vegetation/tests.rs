@@ -130,14 +130,15 @@ fn bands_give_what_the_whole_photo_gives() {
             let mut estimator = Estimator::new((240, 180), &Options::default()).unwrap();
             for band in window::bands(180, rows, Estimator::HALO) {
                 let (part, shown) = seen(&band);
-                estimator.add(&band, &part, shown);
+                estimator.add(&band, Seen { photo: &part, ndvi: None, shown });
             }
             let estimate = estimator.finish().unwrap();
             assert_eq!(estimate.model, whole.model);
             let (mut mask, mut posterior, mut shown) = (vec![], vec![], vec![]);
             for band in window::bands(180, rows, estimate.halo()) {
                 let (part, valid) = seen(&band);
-                let found = estimate.classify(&band, &part, valid);
+                let found =
+                    estimate.classify(&band, Seen { photo: &part, ndvi: None, shown: valid });
                 mask.extend(found.mask);
                 posterior.extend(found.posterior);
                 shown.extend(found.shown.unwrap());

@@ -1,9 +1,12 @@
 //! The samples of a raster as 8-bit colours.
 
-use super::{BLACK_IS_ZERO, RGB, Reader};
+use super::{super::bands::ToldBy, BLACK_IS_ZERO, RGB, Reader};
 use image::RgbImage;
 use rowgram_optim::output::FileError;
-use rowgram_raster::window::Window;
+use rowgram_raster::{
+    spectral::{Band, listed},
+    window::Window,
+};
 use tiff_reader::TiffSample;
 
 /// Windows along each axis, and their side, in which the range of the samples is looked at.
@@ -20,21 +23,23 @@ impl Reader {
     /// # Errors
     /// Where it is not known which bands are colours, or the file is damaged.
     pub fn colour_notes(&self) -> Result<Vec<String>, FileError> {
-        let [red, green, blue] = self.colours()?;
+        let colours = self.colours()?;
         let mut notes = Vec::new();
-        if self.bands.by_name && [red, green, blue] != [0, 1, 2] {
-            let [red, green, blue] = [red, green, blue].map(|band| band + 1);
-            notes
-                .push(format!("by their names, bands {red}, {green}, {blue} are red, green, blue"));
-        }
+        let roles = &self.bands.roles;
         let more = self.bands() - usize::from(self.bands.alpha.is_some());
-        if self.bands.is_colour && more > 3 && matches!(self.photometric, BLACK_IS_ZERO | RGB) {
-            let how = if self.bands.by_name {
-                ""
-            } else {
-                "; bands have no names, the first three are taken for red, green, blue"
-            };
-            notes.push(format!("{more} bands, of which the colours are used{how}"));
+        let is_stored = self.bands.is_colour && matches!(self.photometric, BLACK_IS_ZERO | RGB);
+        let is_known = roles.iter().all(|band| !matches!(band, None | Some(Band::Other)));
+        let how = match self.bands.told_by {
+            ToldBy::Order => "by their order, for they have no names",
+            ToldBy::Names => "by their names",
+            ToldBy::Settings => "by [project] bands",
+        };
+        if is_stored && (more > 3 || colours != [0, 1, 2]) {
+            let unused = if is_known { "" } else { "; others are used in formulas by number only" };
+            notes.push(format!("its bands are, {how}: {}{unused}", listed(roles)));
+        }
+        if is_stored && more > 3 {
+            notes.push(self.reflectance_note()?);
         }
         if !u8::matches_layout(&self.layout) {
             let full = self.full()?;
@@ -62,7 +67,35 @@ impl Reader {
         if let Some(&full) = self.full.get() {
             return Ok(full);
         }
-        let colours = self.colours()?;
+        let high = self.brightest(&self.colours()?)?;
+        let is_full_16 = u16::matches_layout(&self.layout) && high >= FULL_RANGE * FULL_16;
+        Ok(*self.full.get_or_init(|| if is_full_16 { FULL_16 } else { high }))
+    }
+
+    /// What its bands show, where that is known and they hold anything: programs write empty bands, too.
+    ///
+    /// # Errors
+    /// Where the file is damaged.
+    pub fn filled_roles(&self) -> Result<Vec<Option<Band>>, FileError> {
+        let of_band = |(place, role): (usize, &Option<Band>)| match role {
+            Some(Band::RedEdge | Band::Nir) if self.looks(&[place])?.is_empty() => Ok(None),
+            role => Ok(*role),
+        };
+        self.bands.roles.iter().enumerate().map(of_band).collect()
+    }
+
+    /// The value that all but the brightest thousandth of the samples of some bands do not exceed; that may be glare.
+    pub(super) fn brightest(&self, bands: &[usize]) -> Result<f64, FileError> {
+        let mut seen = self.looks(bands)?;
+        let place = seen.len().saturating_sub(1) * 999 / 1000;
+        Ok(match seen.is_empty() {
+            true => 1.0,
+            false => f64::from(*seen.select_nth_unstable_by(place, f32::total_cmp).1),
+        })
+    }
+
+    /// Samples of some bands that are greater than 0, here and there over the raster.
+    fn looks(&self, bands: &[usize]) -> Result<Vec<f32>, FileError> {
         let (columns, rows) = (self.width(), self.height());
         let mut seen: Vec<f32> = Vec::new();
         for look in 0..LOOKS * LOOKS {
@@ -71,18 +104,11 @@ impl Reader {
             let window = Window { u, v, width: LOOK_PX.min(columns), height: LOOK_PX.min(rows) };
             for pixel in self.values(self.directory, window)?.chunks_exact(self.bands()) {
                 let is_shown = self.bands.alpha.is_none_or(|band| pixel[band] != 0.0);
-                let values = colours.iter().map(|&band| pixel[band]);
+                let values = bands.iter().map(|&band| pixel[band]);
                 seen.extend(values.filter(|x| is_shown && x.is_finite() && *x > 0.0));
             }
         }
-        // The brightest thousandth may be glare.
-        let brightest = seen.len().saturating_sub(1) * 999 / 1000;
-        let high = match seen.is_empty() {
-            true => 1.0,
-            false => f64::from(*seen.select_nth_unstable_by(brightest, f32::total_cmp).1),
-        };
-        let is_full_16 = u16::matches_layout(&self.layout) && high >= FULL_RANGE * FULL_16;
-        Ok(*self.full.get_or_init(|| if is_full_16 { FULL_16 } else { high }))
+        Ok(seen)
     }
 
     pub(super) fn rgb_and_gaps(

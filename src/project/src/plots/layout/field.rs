@@ -42,7 +42,7 @@ impl Field {
     /// A map that cannot be read or has no place.
     pub(super) fn of(project: &Project) -> Result<Option<Field>, Error> {
         let Ok(path) = project.orthomosaic().or_else(|_| project.mask()) else { return Ok(None) };
-        let source = Source::open(&path)?;
+        let source = project.open_picture(&path)?;
         let place = source.georeference().ok_or_else(|| {
             FileError::malformed(
                 &path,

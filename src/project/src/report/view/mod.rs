@@ -99,7 +99,7 @@ impl Viewer {
             )));
         };
         // Plain pictures are in the page in a size that can be looked at.
-        let orthomosaic = Reader::open(&path).ok();
+        let orthomosaic = Reader::open_with(&path, &project.reading(&path)).ok();
         // An orthomosaic from elsewhere has no photos.
         let origins = match query(project, None) {
             Ok(origins) => Some(origins),
