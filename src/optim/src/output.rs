@@ -66,14 +66,29 @@ impl FileError {
         FileError::Write { path: path.to_owned(), source }
     }
 
-    /// Shorthand for [`FileError::Malformed`]; `line` is one-based.
+    /// Shorthand for [`FileError::Malformed`]; `line` is one-based. Messages quote files, which may hold a word of megabytes: of one
+    /// that is too long to read the middle is left out.
     pub fn malformed(
         path: &Path,
         line: impl Into<Option<usize>>,
         message: impl Into<String>,
     ) -> FileError {
-        FileError::Malformed { path: path.to_owned(), line: line.into(), message: message.into() }
+        let message = readable(message.into());
+        FileError::Malformed { path: path.to_owned(), line: line.into(), message }
     }
+}
+
+/// A message longer than the first number, bytes, is cut to about the second at its start and the third at its end.
+const READABLE: [usize; 3] = [3000, 2000, 500];
+
+fn readable(message: String) -> String {
+    let [longest, start, end] = READABLE;
+    if message.len() <= longest {
+        return message;
+    }
+    let cut = |at: usize| (at..message.len()).find(|&at| message.is_char_boundary(at)).unwrap_or(0);
+    let (start, end) = (cut(start), cut(message.len() - end));
+    format!("{} ... {}", &message[..start], &message[end..])
 }
 
 /// Refuses an output path that is taken, unless `force` says that it may be replaced.
@@ -284,6 +299,21 @@ pub fn folder_of(path: &Path) -> &Path {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn messages_that_quote_megabytes_stay_readable() {
+        let path = Path::new("word.txt");
+        let error = FileError::malformed(
+            path,
+            1,
+            format!("found {}, expected 3", "\u{e4}".repeat(1 << 20)),
+        );
+        let text = error.to_string();
+        assert!(text.len() < 3000 && text.contains("found \u{e4}"), "{} bytes", text.len());
+        assert!(text.ends_with(", expected 3"));
+        let plain = FileError::malformed(path, None, "expected 3").to_string();
+        assert_eq!(plain, "word.txt: expected 3");
+    }
 
     #[test]
     fn a_failed_write_leaves_what_was_there() {

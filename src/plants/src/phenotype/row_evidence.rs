@@ -165,18 +165,21 @@ impl RowEvidence {
         rows.into_iter().map(|row| Chain::new(&self.profiles[row], spacing, &weights)).collect()
     }
 
-    /// The spacing, from several starts on some of the rows.
-    pub(super) fn spacing(&self, count: Option<usize>) -> Spacing {
+    /// The spacing, from several starts on some of the rows; `known` is one that was found before.
+    pub(super) fn spacing(&self, count: Option<usize>, known: Option<&Spacing>) -> Spacing {
         let sample = self.sample(SAMPLE);
         let wanted = count.map(|count| self.share(count, &sample));
-        let starts = match count {
-            Some(count) => [0.8, 1.0].map(|share| share * self.length / count as f64).to_vec(),
-            None => vec![self.likeliest_spacing(&sample)],
+        let mut starts = match count {
+            Some(count) => {
+                [0.8, 1.0].map(|share| Spacing::new(share * self.length / count as f64)).to_vec()
+            }
+            None => vec![Spacing::new(self.likeliest_spacing(&sample))],
         };
+        starts.extend(known);
         let tried: Vec<(f64, Spacing)> = starts
             .par_iter()
             .map(|&start| {
-                let mut spacing = Spacing::new(start);
+                let mut spacing = start;
                 let mut score = f64::NEG_INFINITY;
                 for _ in 0..ROUNDS {
                     let chains = self.chains(&spacing, sample.iter().copied());

@@ -191,18 +191,30 @@ fn by_votes(
             RowEvidence::new(&Mask { width, height, data }, rows, options)
         }
     };
-    let spacing = evidence.spacing(count);
+    let mut spacing = evidence.spacing(count, None);
     evidence.cut(&spacing);
-    if options.double_plants {
-        // What is usual of plants, from those that are found without it.
-        let chains = evidence.chains(&spacing, 0..evidence.profiles.len());
-        let plants = best(&chains, options.plant_log_odds);
-        drop(chains);
-        evidence.compare_surroundings(&plants);
+    let mut expected = None;
+    loop {
+        if options.double_plants {
+            // What is usual of plants, from those that are found without it.
+            let chains = evidence.chains(&spacing, 0..evidence.profiles.len());
+            let plants = best(&chains, options.plant_log_odds);
+            drop(chains);
+            evidence.compare_surroundings(&plants);
+        }
+        if !options.stand_count || expected.is_some() {
+            break;
+        }
+        let counted = evidence.stand_count(spacing.spacing)?;
+        let total = (counted.count / counted.share).round() as usize;
+        expected = Some(counted);
+        if count.is_some() || total == 0 {
+            break;
+        }
+        // How many plants there are says more of their distance than votes do, which leaves of a plant raise too.
+        spacing = evidence.spacing(Some(total), Some(&spacing));
     }
     let chains = evidence.chains(&spacing, 0..evidence.profiles.len());
-    let expected =
-        if options.stand_count { Some(evidence.stand_count(spacing.spacing)?) } else { None };
     let plant_log_odds = match (count, &expected) {
         (Some(count), _) => worth_of(&chains, count)?,
         (None, Some(expected)) => {

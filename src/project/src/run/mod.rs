@@ -22,7 +22,6 @@ use std::{collections::BTreeSet, path::PathBuf};
 pub const RUN_FILE: &str = "stats.json";
 /// The file in the folder of results that holds the settings of the run.
 pub const RESOLVED_FILE: &str = "resolved.toml";
-
 /// The file in the folder of results that holds the report, one page.
 pub const REPORT_FILE: &str = "report.html";
 
@@ -106,10 +105,10 @@ impl StageReport {
         (ending, reason): (Ending, Option<String>),
         diagnostics: Vec<Diagnostic>,
     ) -> StageReport {
-        let has_result = matches!(ending, Ending::Done | Ending::Kept);
-        let record = if has_result { records.read(stage) } else { None };
-        let (seconds, peak_memory_mb) =
-            record.map_or((None, None), |of| (Some(of.seconds), of.peak_memory_mb));
+        let record =
+            matches!(ending, Ending::Done | Ending::Kept).then(|| records.read(stage)).flatten();
+        let seconds = record.as_ref().map(|of| of.seconds);
+        let peak_memory_mb = record.and_then(|of| of.peak_memory_mb);
         StageReport { stage, ending, reason, seconds, peak_memory_mb, diagnostics }
     }
 }

@@ -101,7 +101,8 @@ pub(super) fn doctor(
 ) -> Vec<Diagnostic> {
     let Some(dsm) = &files.dsm else { return Vec::new() };
     let check = || -> Result<(), Error> {
-        let ortho = project.given_orthomosaic().map(|path| Source::open(&path)).transpose()?;
+        let ortho =
+            project.given_orthomosaic().map(|path| project.open_picture(&path)).transpose()?;
         let map = ortho.as_ref().and_then(|source| Some((source.georeference()?, source.size())));
         // Of a cloud the head is read.
         if is_cloud(dsm) {
@@ -151,7 +152,7 @@ pub(super) fn work(
         );
         return Err(Error::Argument(message));
     }
-    let ortho = project.given_orthomosaic().map(|path| Source::open(&path)).transpose()?;
+    let ortho = project.given_orthomosaic().map(|path| project.open_picture(&path)).transpose()?;
     let map = ortho.as_ref().and_then(|source| source.georeference()).map(|place| place.crs);
     let surface = heights::open(dsm, options.cell_m, map)?;
     if let Some((place, (width, height))) =

@@ -131,14 +131,19 @@ pub(super) fn told_error_m(sigma_m: f64, positions: &[[f64; 3]]) -> f64 {
     (TOLD_RATIO * sigma_m).max(BENT * principal_spreads_m(positions)[0])
 }
 
+/// Whether told heights with this standard deviation fix the vertical better than the optical axes of a flight do.
+pub(super) fn fixes_vertical(sigma_m: f64, positions: &[[f64; 3]]) -> bool {
+    let [along, across, _] = principal_spreads_m(positions);
+    let tilt_rad = sigma_m / (across * (positions.len() as f64).sqrt()).max(1e-9);
+    positions.len() >= 4 && across >= NEARLY_A_LINE * along && tilt_rad <= TILT_BY_AXES_RAD
+}
+
 /// By positions whose told accuracies fix all of how a block lies, as those of a receiver with fixed ambiguities do: believed
 /// whatever the cameras' axes say. `None`, and nothing changed, where they do not, or where positions and block contradict.
 fn align_told(survey: &mut Reconstruction) -> Option<Alignment> {
     let positions: Vec<[f64; 3]> = survey.positions.iter().map(|p| p.position_m).collect();
-    let [along, across, _] = principal_spreads_m(&positions);
     let sigma_m = median(survey.positions.iter().map(|p| p.sigma_m[2]))?;
-    let tilt_rad = sigma_m / (across * (positions.len() as f64).sqrt()).max(1e-9);
-    if positions.len() < 4 || across < NEARLY_A_LINE * along || tilt_rad > TILT_BY_AXES_RAD {
+    if !fixes_vertical(sigma_m, &positions) {
         return None;
     }
     let mut trial = survey.clone();
@@ -284,8 +289,7 @@ fn places_of(places: &[f64], order: &[usize]) -> Vec<f64> {
     order.iter().map(|&image| places.get(image).copied().unwrap_or(0.0)).collect()
 }
 
-/// Heights of which no accuracy is told, and that are off by less than this along a flight, may as well be those of a block that
-/// is bent, metres.
+/// Heights without told accuracy that are off by less than this along a flight may be those of a bent block, metres.
 const LEAST_HEIGHT_ERROR_M: f64 = 3.0;
 
 /// Takes off camera positions what a review found in their heights; those of images that it did not see get what it

@@ -23,7 +23,7 @@ use rowgram_optim::robust::median;
 
 use super::{
     block::Block,
-    georeference::{apply, told_error_m},
+    georeference::{apply, fixes_vertical, told_error_m},
 };
 use crate::{
     problems::adjustment::{Alignment, COMMON_SIGMA_RAD},
@@ -166,11 +166,12 @@ fn samples(survey: &Reconstruction, places: &[f64], middle: [f64; 2]) -> Vec<Sam
 }
 
 impl Believed {
-    /// Of positions whose accuracies are told.
+    /// Of positions whose accuracies are told, where these say more of the vertical than cameras do; else as of any others.
     fn told(survey: &Reconstruction) -> Believed {
         let sigma_m = median(survey.positions.iter().map(|position| position.sigma_m[2]));
         let positions: Vec<[f64; 3]> = survey.positions.iter().map(|p| p.position_m).collect();
-        sigma_m.map_or_else(Believed::default, |sigma_m| Believed {
+        let fixing = sigma_m.filter(|&sigma_m| fixes_vertical(sigma_m, &positions));
+        fixing.map_or_else(Believed::default, |sigma_m| Believed {
             sigma_m,
             error_m: told_error_m(sigma_m, &positions),
         })
