@@ -25,15 +25,24 @@ use std::{io::Write, path::Path};
 pub fn read(path: &Path) -> Result<Network, FileError> {
     let mut bytes = read_file(path)?;
     if bytes.starts_with(&[0x1f, 0x8b]) {
-        bytes = read_to_end(path, flate2::read::MultiGzDecoder::new(bytes.as_slice()))?;
+        bytes = unpacked(path, "gzip", flate2::read::MultiGzDecoder::new(bytes.as_slice()))?;
     } else if bytes.starts_with(b"BZh") {
-        bytes = read_to_end(path, bzip2::read::MultiBzDecoder::new(bytes.as_slice()))?;
+        bytes = unpacked(path, "bzip2", bzip2::read::MultiBzDecoder::new(bytes.as_slice()))?;
     }
     let text = std::str::from_utf8(&bytes).map_err(|e| {
         let line = bytes[..e.valid_up_to()].iter().filter(|&&b| b == b'\n').count() + 1;
         FileError::malformed(path, line, "not text")
     })?;
     parse(text).map_err(|(line, message)| FileError::malformed(path, line, message))
+}
+
+fn unpacked(path: &Path, kind: &str, reader: impl std::io::Read) -> Result<Vec<u8>, FileError> {
+    read_to_end(path, reader).map_err(|error| match error {
+        FileError::Read { source, .. } => {
+            FileError::malformed(path, None, format!("damaged {kind} data: {source}"))
+        }
+        other => other,
+    })
 }
 
 /// Reads a network from the text of a file.

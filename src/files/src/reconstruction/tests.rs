@@ -148,10 +148,7 @@ fn what_is_wrong_is_named() {
         (("\"tie_sigma_px\"", "\"tie_sigma\""), "unknown field `tie_sigma`"),
         (("\"camera\":1", "\"camera\":5"), "image \"IMG_2.JPG\": there is no camera with index 5"),
         (("\"model\":\"smac\"", "\"model\":\"fishy\""), "at \"model\": unknown variant `fishy`"),
-        (
-            ("\"image\":\"IMG_2.JPG\"", "\"image\":\"IMG_3.JPG\""),
-            "marks: there is no image \"IMG_3.JPG\"",
-        ),
+        (("\"image\":\"IMG_2.JPG\"", "\"image\":\"IMG_3.JPG\""), "there is no image \"IMG_3.JPG\""),
         (("\"K1\":", "\"k1\":"), "parameter"),
         (
             ("\"tie_point_count\": 20", "\"tie_point_count\": 21"),
