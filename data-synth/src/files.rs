@@ -300,13 +300,8 @@ pub fn plots(twin: &Twin, out: &mut dyn Write) -> Result {
         total.2 += plant.leaves.iter().map(|leaf| leaf.area_m2()).sum::<f64>();
     }
     for (plot, (plants, leaves, area)) in totals.into_iter().enumerate() {
-        let (group, step) = (plot / along, plot % along);
-        let rows = if config.plots.rows == 0 { config.rows } else { config.plots.rows };
-        let (first, last) = (group * rows, ((group + 1) * rows).min(config.rows) - 1);
-        let length =
-            if config.plots.length_m == 0.0 { config.row_length_m } else { config.plots.length_m };
-        let start = step as f64 * (length + config.plots.alley_m) - 0.5 * config.row_length_m;
-        let end = (start + length).min(0.5 * config.row_length_m);
+        let ([first, last], [start, end]) =
+            config.plots.extent(config.rows, config.row_length_m, plot);
         write!(out, "{plot},{first},{last},{plants},{leaves},{area:.6}")?;
         let half = 0.5 * config.inter_row_m;
         for (at, row, beside) in

@@ -106,6 +106,17 @@ impl PlotConfig {
         [side, along]
     }
 
+    /// The part of a plot: its first and last row, and from where to where along the rows from their middle, metres.
+    pub fn extent(&self, rows: usize, row_length_m: f64, plot: usize) -> ([usize; 2], [f64; 2]) {
+        let [_, along] = self.count(rows, row_length_m);
+        let (group, step) = (plot / along, plot % along);
+        let of_plot = if self.rows == 0 { rows } else { self.rows };
+        let length_m = if self.length_m == 0.0 { row_length_m } else { self.length_m };
+        let start_m = step as f64 * (length_m + self.alley_m) - 0.5 * row_length_m;
+        let last = ((group + 1) * of_plot).min(rows) - 1;
+        ([group * of_plot, last], [start_m, (start_m + length_m).min(0.5 * row_length_m)])
+    }
+
     /// The plot at `from_start_m` along `row`, numbered along the rows first; `None` on an alley.
     pub fn plot(
         &self,

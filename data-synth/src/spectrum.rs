@@ -32,7 +32,7 @@ const SOIL: [f64; BANDS] = [0.07, 0.11, 0.15, 0.18, 0.22];
 const NOISE: f64 = 0.004;
 /// What a dark pixel reflects at least.
 const LEAST: f64 = 1e-3;
-/// Brightness of leaf and soil in full sun in the picture, 8 bits; how much of it a pixel has at least and at most.
+/// Brightness of leaf and soil in full sun in [`crate::picture`], 8 bits, by eye; how much of it a pixel has at least and at most.
 const SUNLIT: [f64; 2] = [165.0, 142.0];
 const LIGHT: [f64; 2] = [0.35, 1.4];
 /// Health of weeds.
@@ -189,20 +189,12 @@ impl Spectra {
 fn extents(scene: &Scene) -> Vec<Extent> {
     let config = &scene.field.config;
     let [side, along] = config.plots.count(config.rows, config.row_length_m);
-    let length_m = match config.plots.length_m {
-        0.0 => config.row_length_m,
-        length_m => length_m,
-    };
-    let rows = if config.plots.rows == 0 { config.rows } else { config.plots.rows };
     let half_m = 0.5 * config.inter_row_m;
     let of = |plot: usize| {
-        let (group, step) = (plot / along, plot % along);
-        let start = step as f64 * (length_m + config.plots.alley_m) - 0.5 * config.row_length_m;
-        let end = (start + length_m).min(0.5 * config.row_length_m);
+        let ([first, last], along_m) = config.plots.extent(config.rows, config.row_length_m, plot);
         let across = |row: usize| config.row_across(row, -0.5 * config.row_length_m);
-        let (first, last) = (group * rows, ((group + 1) * rows).min(config.rows) - 1);
         let (a, b) = (across(first), across(last));
-        Extent { along_m: [start, end], across_m: [a.min(b) - half_m, a.max(b) + half_m] }
+        Extent { along_m, across_m: [a.min(b) - half_m, a.max(b) + half_m] }
     };
     (0..side * along).map(of).collect()
 }

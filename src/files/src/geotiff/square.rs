@@ -37,7 +37,7 @@ impl Square {
         }
         if largest > LARGEST {
             return Err(format!(
-                "its place on the map is damaged: pixels of {width_m:.3e} x {height_m:.3e} m on the ground"
+                "its georeference is damaged: pixels of {width_m:.3e} x {height_m:.3e} m on the ground"
             ));
         }
         let shown =

@@ -267,7 +267,7 @@ fn pixels_that_are_lines_are_refused() {
         })
         .unwrap();
         let error = Reader::open(&path).err().unwrap().to_string();
-        assert!(error.contains("its place on the map is damaged"), "{error}");
+        assert!(error.contains("its georeference is damaged"), "{error}");
     }
 }
 

@@ -193,26 +193,18 @@ fn by_votes(
     };
     let mut spacing = evidence.spacing(count, None);
     evidence.cut(&spacing);
-    let mut expected = None;
-    loop {
-        if options.double_plants {
-            // What is usual of plants, from those that are found without it.
-            let chains = evidence.chains(&spacing, 0..evidence.profiles.len());
-            let plants = best(&chains, options.plant_log_odds);
-            drop(chains);
-            evidence.compare_surroundings(&plants);
-        }
-        if !options.stand_count || expected.is_some() {
-            break;
-        }
-        let counted = evidence.stand_count(spacing.spacing)?;
-        let total = (counted.count / counted.share).round() as usize;
-        expected = Some(counted);
-        if count.is_some() || total == 0 {
-            break;
-        }
-        // How many plants there are says more of their distance than votes do, which leaves of a plant raise too.
+    compare_with_plants(&mut evidence, &spacing);
+    let expected = match options.stand_count {
+        true => Some(evidence.stand_count(spacing.spacing)?),
+        false => None,
+    };
+    if let (None, Some(Expected { count, share, .. })) = (count, &expected)
+        && (count / share).round() >= 1.0
+    {
+        // The number of plants shows their distance better than votes do, to which every leaf of a plant contributes.
+        let total = (count / share).round() as usize;
         spacing = evidence.spacing(Some(total), Some(&spacing));
+        compare_with_plants(&mut evidence, &spacing);
     }
     let chains = evidence.chains(&spacing, 0..evidence.profiles.len());
     let plant_log_odds = match (count, &expected) {
@@ -236,6 +228,17 @@ fn by_votes(
         evidence.present(rows, &places, &chains, &posteriors, &spacing, (plant_log_odds, expected));
     stand.refit_rows();
     Ok(stand)
+}
+
+/// Compares the leaves around all places with those around plants, which are found without that, where double plants are told apart.
+fn compare_with_plants(evidence: &mut RowEvidence, spacing: &Spacing) {
+    if !evidence.options.double_plants {
+        return;
+    }
+    let chains = evidence.chains(spacing, 0..evidence.profiles.len());
+    let plants = best(&chains, evidence.options.plant_log_odds);
+    drop(chains);
+    evidence.compare_surroundings(&plants);
 }
 
 fn posteriors(

@@ -280,12 +280,12 @@ pub(super) fn read(
     Ok((frame, known, has_sigma))
 }
 
-/// A compass is this many times as bad as what levels a gimbal.
+/// Standard deviation of a heading over that of roll and pitch: compasses are worse than levels. Assumed.
 const HEADING_RATIO: f64 = 5.0;
 
-/// Orientations that the photos' gimbals tell. Angles that are all 0 are those of a gimbal that tells none.
+/// Orientations in the photos. Angles that are all 0 stand for none.
 fn orientations(photos: &[Photo], sigma_deg: f64) -> Vec<CameraOrientation> {
-    let told = |photo: &Photo| photo.metadata.gimbal_deg.filter(|angles| *angles != [0.0; 3]);
+    let angles = |photo: &Photo| photo.metadata.gimbal_deg.filter(|angles| *angles != [0.0; 3]);
     if sigma_deg <= 0.0 {
         return Vec::new();
     }
@@ -293,7 +293,7 @@ fn orientations(photos: &[Photo], sigma_deg: f64) -> Vec<CameraOrientation> {
     let known = photos.iter().zip(0..).filter_map(|(photo, image)| {
         Some(CameraOrientation {
             image,
-            rotation: gimbal_rotation(told(photo)?),
+            rotation: gimbal_rotation(angles(photo)?),
             sigma_rad: [sigma_rad, sigma_rad, HEADING_RATIO * sigma_rad],
         })
     });

@@ -148,7 +148,7 @@ pub(super) struct Sources<'a> {
     pub(super) check: &'a [String],
     pub(super) keep: &'a [String],
     pub(super) use_positions: bool,
-    /// Standard deviation of a gimbal's angles about the horizon, degrees; 0 leaves them out.
+    /// Standard deviation of a gimbal's roll and pitch, degrees; 0: not used.
     pub(super) gimbal_sigma_deg: f64,
     pub(super) model: Model,
     pub(super) defaults: Defaults,

@@ -101,9 +101,9 @@ rowgram_base::options! {
         pub mark_sigma_px: f64 = 0.5, limits POSITIVE;
         /// Use camera positions in the adjustment; otherwise only to find neighbouring photos.
         pub use_positions: bool = true;
-        /// Standard deviation of the gimbal's angles about the horizon that photos have in their XMP, single photos; of
-        /// their heading it is five times that. What all photos of a camera have in common (mount, declination) is
-        /// estimated. 0 leaves them out.
+        /// Standard deviation of the roll and pitch of the gimbal in the XMP of single photos; that of the heading is five
+        /// times as large. Errors common to all photos of a camera (boresight, declination) are estimated. 0: the
+        /// gimbal's angles are not used.
         pub gimbal_sigma_deg: f64 = 1.0, limits between(0.0, 45.0);
         /// Check points: ground points that are left out of the adjustment and compared afterwards.
         pub check: Vec<String> = Vec::new();

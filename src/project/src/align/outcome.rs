@@ -9,7 +9,7 @@ use rowgram_survey::{
     sfm::{
         adjust_block::{AdjustedBlock, gsd_m},
         flight::FlightSummary,
-        orientation_record::OrientationSummary,
+        orientation_review::OrientationSummary,
     },
 };
 use serde::{Deserialize, Serialize};

@@ -7,7 +7,7 @@ use super::{
     SurfaceOptions, SurfaceOutcome,
     ground::{Datum, Fitted, Ground},
     heights::{self, Heights, cloud_crs, is_cloud},
-    write::{self, Found, Part},
+    write::{self, Found, SurfacePart},
 };
 use crate::Project;
 use image::RgbImage;
@@ -73,7 +73,7 @@ impl GivenFiles {
             return match datum {
                 None => Ok(None),
                 Some(_) => Err(Error::Argument(
-                    "[surface] geoid is for a dtm whose heights are of another kind than those of the surface, and there is no dtm".into(),
+                    "[surface] geoid: there is no dtm; a geoid model brings the heights of a dtm to the vertical datum of the surface".into(),
                 )),
             };
         };
@@ -186,7 +186,7 @@ pub(super) fn work(
         cell_m: rounded((pixel_m[0] * pixel_m[1]).sqrt(), 5),
         matching: None,
     };
-    let mut load = |_, window| Ok(Part::Given(surface.window(window)?));
+    let mut load = |_, window| Ok(SurfacePart::Given(surface.window(window)?));
     let mut outcome = write::write(&found, &mut load, folder).map_err(|error| match error {
         why if why.is::<MapError>() => FileError::malformed(dsm, None, why.to_string()).into(),
         other => other,
@@ -289,7 +289,7 @@ struct Colours {
     reach: f64,
 }
 
-/// At most so many pixels to either side stand for a cell.
+/// At most so many pixels to either side stand for a cell: 17 by 17 are enough for a mean colour.
 const MAX_REACH: f64 = 8.0;
 
 impl Colours {

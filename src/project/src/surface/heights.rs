@@ -31,9 +31,9 @@ pub(super) fn is_cloud(path: &Path) -> bool {
     is("las") || is("laz")
 }
 
-/// Side of the cells of a cloud, in distances of its points if they lay evenly: nearly all cells have one then.
+/// Side of the cells of a cloud, in distances of its points if they lay evenly: of points at random nine cells in ten have one.
 const CELL_DISTANCES: f64 = 1.5;
-/// Known neighbours, of eight, with which a cell without a point gets their mean.
+/// Known neighbours, of eight, with which a cell without a point gets their mean: more than half. Not measured.
 const NEIGHBOURS: usize = 5;
 /// Positions of this many cells are interpolated between their ends: over so short a way two projections differ by a linear map.
 const STEP: usize = 64;

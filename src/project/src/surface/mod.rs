@@ -15,10 +15,10 @@ mod write;
 use self::{
     given::GivenFiles,
     ground::{Fitted, Ground},
-    write::{Found, Matching, Part},
+    write::{Found, Matching, SurfacePart},
 };
 use super::{
-    Project, Stage, Task, batches, dem, dem::read_surface, import, ortho, record::Key, stage,
+    Project, Stage, Task, batches::Part, dem, dem::read_surface, import, ortho, record::Key, stage,
 };
 use rowgram_base::{
     error::Error,
@@ -50,7 +50,7 @@ pub enum GroundColour {
 
 rowgram_base::choices!(GroundColour: Soil, Any);
 
-/// Which of two heights are over the ellipsoid, where those of the other are over the geoid.
+/// Which of two rasters has ellipsoidal heights, where the other has heights over the geoid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Ellipsoidal {
@@ -86,10 +86,10 @@ rowgram_base::options! {
         /// points of class 2. Beside an orthomosaic that is given: the raster whose name has dtm in it. Fitted to bare soil
         /// where there is none.
         pub dtm: Option<PathBuf> = None, example "\"dtm.tif\"";
-        /// Heights of the geoid (GTX, or GeoTIFF in degrees), where those of surface and dtm are of two kinds: over the
-        /// ellipsoid and over the geoid (the sea).
+        /// A geoid model (GTX, or GeoTIFF in degrees), where the heights of surface and dtm refer to two vertical datums: the
+        /// ellipsoid, as those of most drones, and the sea, as those of most official terrain models.
         pub geoid: Option<PathBuf> = None, example "\"egm2008.gtx\"";
-        /// Which of the two are over the ellipsoid, where a geoid is given.
+        /// Which of the two has ellipsoidal heights, where a geoid model is given.
         pub ellipsoidal: Ellipsoidal = Ellipsoidal::Dsm;
     }
 }
@@ -204,12 +204,12 @@ impl Task for SurfaceTask {
             && (low > MAX_LOW_M || middle < MIN_MIDDLE_M)
         {
             let message = format!(
-                "95 % of the surface lie more than {low:.2} m above the ground that is given, half of it more than {middle:.2} m: are their \
-                 heights of two kinds, or in two units?"
+                "95 % of the surface lie more than {low:.2} m above the ground that is given, half of it more than {middle:.2} m: do \
+                 they refer to two vertical datums, or are they in two units?"
             );
             monitor.diagnostic(
                 &Diagnostic::warning("surface-datum", subject, message).with_remedy(
-                    "[surface] geoid for heights over the ellipsoid and over the geoid",
+                    "[surface] geoid brings ellipsoidal heights and heights over the sea together",
                 ),
             );
         }
@@ -267,7 +267,7 @@ fn matched(
     };
     let mut load = |number: usize, _| {
         let tile = TileStore::<Error>::load(&mut store, Pass::Fine, number)?;
-        Ok(Part::Matched(tile.ok_or_else(gone)?))
+        Ok(SurfacePart::Matched(tile.ok_or_else(gone)?))
     };
     let mut outcome = write::write(&found, &mut load, folder)?;
     if options.cloud {
@@ -365,7 +365,7 @@ impl Scene {
 pub fn match_tiles(
     project: &Project,
     options: &SurfaceOptions,
-    (pass, part): (Pass, batches::Part),
+    (pass, part): (Pass, Part),
     monitor: &mut dyn Monitor,
 ) -> Result<usize, Error> {
     let scene = Scene::new(project, options)?;

@@ -49,7 +49,7 @@ pub(super) struct Matching<'a> {
 }
 
 /// What is known of the cells of a part of a surface.
-pub(super) enum Part {
+pub(super) enum SurfacePart {
     Matched(DenseTile),
     /// Heights from elsewhere, metres; NaN where there are none.
     Given(Vec<f32>),
@@ -58,7 +58,7 @@ pub(super) enum Part {
 /// Writes everything into the folder of the stage; `load` has the parts by number, in the order of [`starts`].
 pub(super) fn write(
     found: &Found<'_>,
-    load: &mut dyn FnMut(usize, Window) -> Result<Part, Error>,
+    load: &mut dyn FnMut(usize, Window) -> Result<SurfacePart, Error>,
     folder: &Path,
 ) -> Result<SurfaceOutcome, Error> {
     let pictures = folder.join("figures");
@@ -121,7 +121,7 @@ struct Planes {
 }
 
 impl Planes {
-    fn new(part: Part, window: Window, found: &Found<'_>) -> Result<Planes, Error> {
+    fn new(part: SurfacePart, window: Window, found: &Found<'_>) -> Result<Planes, Error> {
         let place = |at: usize| {
             found
                 .place
@@ -138,27 +138,15 @@ impl Planes {
         let each = |sigmas: &mut Vec<f32>| {
             sigmas.iter_mut().enumerate().for_each(|(at, sigma)| with_orientation(sigma, at));
         };
-        let [mut ground_m, mut ground_sigma_m] = found.ground.on(found.place, window)?;
-        let (surface_m, mut sigma_m, confidence, photos) = match part {
-            Part::Matched(tile) => (tile.surface_m, tile.sigma_m, tile.confidence, tile.photos),
-            Part::Given(surface_m) => (surface_m, Vec::new(), Vec::new(), Vec::new()),
-        };
-        if found.ground.has_sigma() {
-            // A fit is known where something is seen; beyond it is a guess.
-            let is_seen = |at: usize| match photos.get(at) {
-                Some(&photos) => photos >= 2,
-                None => surface_m[at].is_finite(),
-            };
-            for at in (0..ground_m.len()).filter(|&at| !is_seen(at)) {
-                (ground_m[at], ground_sigma_m[at]) = (f32::NAN, f32::NAN);
+        let [ground_m, ground_sigma_m] = found.ground.on(found.place, window)?;
+        let (surface_m, sigma_m, confidence, photos) = match part {
+            SurfacePart::Matched(tile) => {
+                (tile.surface_m, tile.sigma_m, tile.confidence, tile.photos)
             }
-        }
-        each(&mut sigma_m);
-        each(&mut ground_sigma_m);
-        // Not `max`, which takes zero for what is not known.
-        let above = |(top, ground): (&f32, &f32)| if top < ground { 0.0 } else { top - ground };
-        let canopy_m = surface_m.iter().zip(&ground_m).map(above).collect();
-        Ok(Planes {
+            SurfacePart::Given(surface_m) => (surface_m, Vec::new(), Vec::new(), Vec::new()),
+        };
+        let canopy_m = Vec::new();
+        let mut planes = Planes {
             window,
             surface_m,
             sigma_m,
@@ -167,9 +155,24 @@ impl Planes {
             canopy_m,
             confidence,
             photos,
-        })
+        };
+        if found.ground.has_sigma() {
+            // A fit is known where something is seen; beyond it is a guess.
+            for at in 0..planes.ground_m.len() {
+                if !planes.is_seen(at) {
+                    (planes.ground_m[at], planes.ground_sigma_m[at]) = (f32::NAN, f32::NAN);
+                }
+            }
+        }
+        each(&mut planes.sigma_m);
+        each(&mut planes.ground_sigma_m);
+        // Not `max`, which takes zero for what is not known.
+        let above = |(top, ground): (&f32, &f32)| if top < ground { 0.0 } else { top - ground };
+        planes.canopy_m = planes.surface_m.iter().zip(&planes.ground_m).map(above).collect();
+        Ok(planes)
     }
 
+    /// Whether two photos show a cell, or a surface that was given has a height there.
     fn is_seen(&self, at: usize) -> bool {
         match self.photos.get(at) {
             Some(&photos) => photos >= 2,

@@ -126,12 +126,12 @@ const BENT: f64 = 0.02;
 /// Told accuracies are exceeded by errors of up to so many of them.
 const TOLD_RATIO: f64 = 10.0;
 
-/// Errors of positions with this told standard deviation that are smaller are none of the receiver's: a free block is bent, metres.
-pub(super) fn told_error_m(sigma_m: f64, positions: &[[f64; 3]]) -> f64 {
+/// The smallest error, metres, that is the receiver's where its stated standard deviation is this: smaller ones bend a free block.
+pub(super) fn min_receiver_error_m(sigma_m: f64, positions: &[[f64; 3]]) -> f64 {
     (TOLD_RATIO * sigma_m).max(BENT * principal_spreads_m(positions)[0])
 }
 
-/// Whether told heights with this standard deviation fix the vertical better than the optical axes of a flight do.
+/// Whether heights with this stated standard deviation fix the vertical better than the optical axes of a flight do.
 pub(super) fn fixes_vertical(sigma_m: f64, positions: &[[f64; 3]]) -> bool {
     let [along, across, _] = principal_spreads_m(positions);
     let tilt_rad = sigma_m / (across * (positions.len() as f64).sqrt()).max(1e-9);
@@ -148,7 +148,7 @@ fn align_told(survey: &mut Reconstruction) -> Option<Alignment> {
     }
     let mut trial = survey.clone();
     let alignment = align(&mut trial)?;
-    if alignment.rmse_m > told_error_m(sigma_m, &positions) {
+    if alignment.rmse_m > min_receiver_error_m(sigma_m, &positions) {
         return None;
     }
     *survey = trial;
@@ -289,7 +289,7 @@ fn places_of(places: &[f64], order: &[usize]) -> Vec<f64> {
     order.iter().map(|&image| places.get(image).copied().unwrap_or(0.0)).collect()
 }
 
-/// Heights without told accuracy that are off by less than this along a flight may be those of a bent block, metres.
+/// Heights without stated accuracy that are off by less than this along a flight may be those of a bent block, metres.
 const LEAST_HEIGHT_ERROR_M: f64 = 3.0;
 
 /// Takes off camera positions what a review found in their heights; those of images that it did not see get what it
@@ -368,9 +368,9 @@ pub fn join<'a>(
     if alignments.iter().flatten().any(|of| of.by == "control points") {
         let (mut survey, _, order) = block.reconstruction(None);
         known.attach(&mut survey, &order);
-        let told_m = median(known.positions.iter().map(|position| position.sigma_m[2]));
-        let told_m = told_m.filter(|_| known.told_positions);
-        let least_m = told_m.map_or(LEAST_HEIGHT_ERROR_M, |sigma_m| TOLD_RATIO * sigma_m);
+        let stated_m = median(known.positions.iter().map(|position| position.sigma_m[2]));
+        let stated_m = stated_m.filter(|_| known.told_positions);
+        let least_m = stated_m.map_or(LEAST_HEIGHT_ERROR_M, |sigma_m| TOLD_RATIO * sigma_m);
         heights = level::review_level(&survey, &places_of(&places, &order), least_m);
         if let Some(review) = &heights {
             correct_heights(&mut known.positions, review, &order, &places);

@@ -36,7 +36,7 @@ pub mod intrinsics;
 pub mod level;
 pub mod longer_tracks;
 mod mark_reading;
-pub mod orientation_record;
+pub mod orientation_review;
 pub mod positions;
 pub mod refinement;
 pub mod resection;

@@ -62,7 +62,7 @@ impl SelectedInverse {
         }
         for known in &reconstruction.orientations {
             let image = known.image as usize;
-            let record = adjustment.records[reconstruction.images[image].camera];
+            let record = adjustment.attitude_biases[reconstruction.images[image].camera];
             let pair: Vec<BlockId> =
                 std::iter::once(adjustment.images[image]).chain(record).collect();
             couple(&pair);

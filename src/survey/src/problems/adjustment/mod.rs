@@ -47,7 +47,7 @@ pub use analysis::{
 };
 pub(crate) use check_points::nearest_to_rays;
 pub use check_points::{AxisError, CheckPoint, check_points, rmse};
-pub use orientations::{COMMON_SIGMA_RAD, MOUNT_SIGMA_RAD};
+pub use orientations::{ATTITUDE_BIAS_SIGMA_RAD, BORESIGHT_SIGMA_RAD};
 pub use problem::{AdjustmentProblem, ScaleDatum};
 pub use rank::{Undetermined, undetermined};
 pub use settings::{Group, Settings};

@@ -25,10 +25,10 @@ use rowgram_optim::{
 };
 
 /// What all orientations of a camera are off by about the axes of the mapping frame: of an inertial unit about east and north; of
-/// a compass, with declination and convergence of meridians, about the vertical. Radians.
-pub const COMMON_SIGMA_RAD: [f64; 3] = [0.0035, 0.0035, 0.2];
-/// How far a camera hangs from where its gimbal points, about each axis of the camera, radians.
-pub const MOUNT_SIGMA_RAD: f64 = 0.05;
+/// a compass, with declination and convergence of meridians, about the vertical. Radians. Assumed, not measured on a drone.
+pub const ATTITUDE_BIAS_SIGMA_RAD: [f64; 3] = [0.0035, 0.0035, 0.2];
+/// How far a camera hangs from where its gimbal points, about each axis of the camera, radians. Assumed, not measured on a drone.
+pub const BORESIGHT_SIGMA_RAD: f64 = 0.05;
 
 /// A measured orientation: blocks image, then `w` and `b` of its camera.
 #[derive(Debug, Clone)]
@@ -124,9 +124,10 @@ impl AdjustmentProblem {
             if !reconstruction.orientations.iter().any(|known| camera_of(known.image) == camera) {
                 continue;
             }
-            let added = self.problem.block("orientation record", Euclidean(6), &[0.0; 6])?;
-            let mut sigmas = [MOUNT_SIGMA_RAD; 6];
-            sigmas[..3].copy_from_slice(&COMMON_SIGMA_RAD);
+            let added =
+                self.problem.block("attitude bias and boresight", Euclidean(6), &[0.0; 6])?;
+            let mut sigmas = [BORESIGHT_SIGMA_RAD; 6];
+            sigmas[..3].copy_from_slice(&ATTITUDE_BIAS_SIGMA_RAD);
             priors.push(GaussianPrior::new(&self.problem, added, &[0.0; 6], &sigmas)?);
             cameras.push(camera);
             *block = Some(added);
@@ -142,9 +143,9 @@ impl AdjustmentProblem {
             });
             subjects.push(k);
         }
-        self.records = common;
+        self.attitude_biases = common;
         self.add(Group::Orientations, "camera orientations", factors, subjects)?;
-        self.add(Group::Orientations, "orientation records", priors, cameras)
+        self.add(Group::Orientations, "attitude biases and boresights", priors, cameras)
     }
 }
 
@@ -183,7 +184,7 @@ mod tests {
     fn a_camera_that_nothing_else_holds_is_turned_to_where_its_gimbal_points() {
         let (mut problem, factor) = problem();
         let [image, common] = factor.blocks;
-        let told = factor.rotation;
+        let observed = factor.rotation;
         problem.fix_entries(image, &[3, 4, 5]).unwrap();
         problem.fix_entries(common, &[0, 1, 2, 3, 4, 5]).unwrap();
         problem.add("orientation", Loss::Trivial, Factors(vec![factor])).unwrap();
@@ -193,7 +194,7 @@ mod tests {
         let [w, b] = [[0, 1, 2], [3, 4, 5]].map(|at| at.map(|k| RECORD[k]));
         let back = rotation::multiply(
             rotation::exp(w),
-            rotation::multiply(rotation::inverse(told), rotation::exp(b)),
+            rotation::multiply(rotation::inverse(observed), rotation::exp(b)),
         );
         let left = rotation::log(rotation::multiply([x[0], x[1], x[2], x[3]], back));
         assert!(left.iter().all(|v| v.abs() < 1e-6), "{left:?}");

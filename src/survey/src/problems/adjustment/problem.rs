@@ -29,7 +29,7 @@ pub struct AdjustmentProblem {
     /// Batches besides the tie points: group, name, the index of what each factor observes.
     pub(super) batches: Vec<(Group, String, Vec<usize>)>,
     /// What orientations of each camera have in common; none where it has none.
-    pub(super) records: Vec<Option<BlockId>>,
+    pub(super) attitude_biases: Vec<Option<BlockId>>,
     pub(super) shutter: Shutter,
     /// Factor on the standard deviations of marks.
     pub(super) mark_sigma_factor: f64,
@@ -112,7 +112,7 @@ impl AdjustmentProblem {
             ground: Vec::new(),
             points: Vec::new(),
             batches: Vec::new(),
-            records: Vec::new(),
+            attitude_biases: Vec::new(),
             shutter: match reconstruction.rolling_shutter {
                 Some(_) => Shutter::Rolling,
                 None => Shutter::Global,

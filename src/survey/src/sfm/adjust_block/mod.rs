@@ -12,7 +12,7 @@ use super::{
     Block, Features, Pair,
     georeference::{Joined, Known, join},
     incremental::IncrementalOptions,
-    orientation_record::{OrientationSummary, review_orientations, summarize_orientations},
+    orientation_review::{OrientationSummary, review_orientations, summarize_orientations},
     triangulate::TriangulationOptions,
     verify::PairMatches,
 };

@@ -11,7 +11,7 @@ use crate::{
         },
         intrinsics::estimable,
         level::{HeightError, HeightReview, tilt_rad},
-        orientation_record::{OrientationReview, OrientationSummary},
+        orientation_review::{OrientationReview, OrientationSummary},
         positions::PositionFit,
         rolling_shutter::RollingShutterEstimate,
         triangulate::TriangulationOptions,
@@ -67,7 +67,7 @@ pub(super) fn position_shift([x, y, z]: [f64; 3]) -> Diagnostic {
 const HEIGHT_ERROR_M: f64 = 3.0;
 /// Orientations that are farther from the level of the block than this contradict it, standard deviations.
 const CONTRADICTION_SIGMAS: f64 = 4.0;
-/// A tilt of heights by more standard deviations than this is said.
+/// A tilt of heights by more standard deviations than this is reported.
 const TILT_SIGMAS: f64 = 3.0;
 /// A tilt beyond this is none of a mount.
 const TILT_DEG: f64 = 8.0;
@@ -82,7 +82,7 @@ pub(super) fn heights(review: &HeightReview) -> Vec<Diagnostic> {
     };
     if let Some(what) = error {
         let message = format!(
-            "their heights {what} by {:.2} m along the flight ({:.0} standard deviations of {:.2} m), which the photos contradict; that was taken off them",
+            "their heights {what} by {:.2} m along the flight ({:.0} standard deviations of {:.2} m), which the photos contradict; this error was removed from them",
             review.range_m,
             review.range_m / review.sigma_m.max(1e-9),
             review.sigma_m
@@ -119,7 +119,7 @@ pub(super) fn rejected_positions(fit: &PositionFit, images: &[Features]) -> Vec<
     fit.outliers.iter().map(said).collect()
 }
 
-/// Whether camera positions are off by more than is told of them.
+/// Whether camera positions are off by more than their stated accuracies.
 pub(super) fn exceeded_accuracy(
     fit: &PositionFit,
     told: &[Option<[f64; 3]>],
@@ -128,7 +128,7 @@ pub(super) fn exceeded_accuracy(
     let usual = |axis: usize| median(told.iter().flatten().map(|sigma| sigma[axis]));
     let [east, north, up] = [usual(0)?, usual(1)?, usual(2)?];
     let message = format!(
-        "they are {:.3} m (plan) and {:.3} m (height) from where the photos put them, {:.0} and {:.0} of the standard deviations that they come with; those were multiplied by {factor:.1}",
+        "they are {:.3} m (plan) and {:.3} m (height) from where the photos put them, {:.0} and {:.0} of their stated standard deviations, which were multiplied by {factor:.1}",
         fit.sigma_m[0],
         fit.sigma_m[1],
         fit.sigma_m[0] / east.max(north),
@@ -145,7 +145,7 @@ pub(super) fn orientations(found: &OrientationReview, images: &[Features]) -> Ve
     let [level, heading] = found.scatter_rad.map(f64::to_degrees);
     if found.is_contradiction {
         let message = format!(
-            "the gimbal's angles contradict how the photos lie to each other: {} of {} are far out, the others differ by {level:.1} degrees about the horizon and {heading:.1} in heading; not used",
+            "the gimbal's angles contradict the relative orientations of the photos: {} of {} are outliers, the others differ by {level:.1} degrees in roll and pitch and {heading:.1} in heading; not used",
             found.outliers.len(),
             found.compared
         );
@@ -158,7 +158,7 @@ pub(super) fn orientations(found: &OrientationReview, images: &[Features]) -> Ve
     let names: Vec<&str> =
         found.outliers.iter().map(|(image, _)| images[*image as usize].name.as_str()).collect();
     let message = format!(
-        "the gimbal's angles are up to {:.0} degrees from how the photos lie to each other; not used for these photos",
+        "the gimbal's angles are up to {:.0} degrees from the orientations that the photos give; not used for these photos",
         most.to_degrees()
     );
     vec![Diagnostic::warning("gimbal-rejected", names.join(", "), message)]
@@ -169,7 +169,7 @@ pub(super) fn orientations_used(found: &OrientationSummary) -> Diagnostic {
     let [east, north, heading] = found.mean_correction_deg;
     let mount = found.mount_deg.iter().copied().fold(0.0, f64::max);
     let message = format!(
-        "the gimbal's angles of {} photos take part: corrected by {:.2} degrees about the horizon and {heading:+.1} in heading on average, the camera hangs {mount:.1} degrees from where they point; residuals {:.2} and {:.1} degrees (assumed {:.2}, {:.1})",
+        "the gimbal's angles of {} photos are used: corrected by {:.2} degrees in roll and pitch and {heading:+.1} in heading on average, the camera hangs {mount:.1} degrees from where they point; residuals {:.2} and {:.1} degrees (assumed {:.2}, {:.1})",
         found.photos,
         east.hypot(north),
         found.level_rms_deg,
@@ -181,7 +181,7 @@ pub(super) fn orientations_used(found: &OrientationSummary) -> Diagnostic {
         return Diagnostic::info("gimbal-used", "camera orientations", message);
     }
     let message = format!(
-        "{message}: {:.0} standard deviations from what positions and control say",
+        "{message}: {:.0} standard deviations from the level that positions and control give",
         found.contradiction_sigmas
     );
     Diagnostic::warning("gimbal-contradicts", "camera orientations", message).with_remedy(

@@ -40,19 +40,19 @@ impl HeightError {
     }
 }
 
-/// What heights are expected to be.
+/// How accurate heights are taken to be.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Believed {
+pub(super) struct HeightAccuracy {
     /// They agree no better than this, metres.
-    pub(super) sigma_m: f64,
+    pub(super) min_sigma_m: f64,
     /// Smaller errors along the flight are those of the block, metres.
-    pub(super) error_m: f64,
+    pub(super) min_error_m: f64,
 }
 
-impl Default for Believed {
-    /// Of a receiver of which nothing is told.
-    fn default() -> Believed {
-        Believed { sigma_m: 0.05, error_m: 0.0 }
+impl Default for HeightAccuracy {
+    /// Of a receiver that states nothing.
+    fn default() -> HeightAccuracy {
+        HeightAccuracy { min_sigma_m: 0.05, min_error_m: 0.0 }
     }
 }
 
@@ -184,9 +184,9 @@ fn contradiction(prior: &Slope, x: &DVector<f64>) -> f64 {
 pub(super) fn review_heights(
     samples: &[Sample],
     prior: Slope,
-    believed: &Believed,
+    accuracy: &HeightAccuracy,
 ) -> Option<HeightFit> {
-    let fit = |error| fit_heights(samples, Some(prior), error, believed.sigma_m);
+    let fit = |error| fit_heights(samples, Some(prior), error, accuracy.min_sigma_m);
     let mut best = fit(HeightError::Constant)?;
     let mut candidates = Vec::new();
     if samples.len() >= 5 {
@@ -200,7 +200,7 @@ pub(super) fn review_heights(
     for error in candidates {
         if let Some(fit) = fit(error)
             && fit.score + MARGIN < best.score
-            && fit.error.size_m() >= believed.error_m
+            && fit.error.size_m() >= accuracy.min_error_m
         {
             best = fit;
         }
@@ -210,5 +210,5 @@ pub(super) fn review_heights(
 
 /// Slopes of heights over a plan, robustly and without anything known beforehand.
 pub(super) fn plane(samples: &[Sample]) -> Option<HeightFit> {
-    fit_heights(samples, None, HeightError::Constant, Believed::default().sigma_m)
+    fit_heights(samples, None, HeightError::Constant, HeightAccuracy::default().min_sigma_m)
 }

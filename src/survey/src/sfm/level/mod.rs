@@ -23,13 +23,13 @@ use rowgram_optim::robust::median;
 
 use super::{
     block::Block,
-    georeference::{apply, fixes_vertical, told_error_m},
+    georeference::{apply, fixes_vertical, min_receiver_error_m},
 };
 use crate::{
-    problems::adjustment::{Alignment, COMMON_SIGMA_RAD},
+    problems::adjustment::{ATTITUDE_BIAS_SIGMA_RAD, Alignment},
     scene::{CameraPosition, Pose, Reconstruction},
 };
-use heights::{Believed, HeightFit, Sample, Slope, plane, review_heights, robust_sigma};
+use heights::{HeightAccuracy, HeightFit, Sample, Slope, plane, review_heights, robust_sigma};
 use nalgebra::{Matrix2, Matrix3, Matrix4, Rotation3, Vector2, Vector3, Vector4};
 use plan::PlanFit;
 use rowgram_optim::geometry::rotation;
@@ -50,7 +50,7 @@ pub struct HeightReview {
     pub error: HeightError,
     /// From the least to the greatest of that error, metres.
     pub range_m: f64,
-    /// By how much they scatter besides, at least as much as is told of them, metres.
+    /// By how much they scatter besides, at least their stated standard deviation, metres.
     pub sigma_m: f64,
     /// The angle by which they alone would have tilted the block, radians.
     pub tilt_rad: f64,
@@ -72,8 +72,8 @@ impl HeightReview {
 fn verticals(survey: &Reconstruction) -> Vec<[f64; 3]> {
     let up = [0.0, 0.0, 1.0];
     let mut verticals = vec![up; survey.images.len()];
-    for told in &survey.orientations {
-        verticals[told.image as usize] = rotation::rotate(told.rotation, up);
+    for observed in &survey.orientations {
+        verticals[observed.image as usize] = rotation::rotate(observed.rotation, up);
     }
     verticals
 }
@@ -146,8 +146,8 @@ fn slope_of_axes(survey: &Reconstruction) -> Slope {
     let covariance = information.try_inverse().unwrap_or_else(Matrix4::identity);
     let of_slope: Matrix2<f64> = covariance.fixed_view::<2, 2>(0, 0).into_owned();
     let information = of_slope.try_inverse().unwrap_or_else(Matrix2::identity);
-    let is_told = 2 * survey.orientations.len() > survey.images.len();
-    let common_rad = if is_told { COMMON_SIGMA_RAD[0] } else { AXES_RAD };
+    let has_gimbal = 2 * survey.orientations.len() > survey.images.len();
+    let common_rad = if has_gimbal { ATTITUDE_BIAS_SIGMA_RAD[0] } else { AXES_RAD };
     Slope { value: Vector2::new(x[0], x[1]), information }.with_common_error(common_rad)
 }
 
@@ -165,15 +165,15 @@ fn samples(survey: &Reconstruction, places: &[f64], middle: [f64; 2]) -> Vec<Sam
     survey.positions.iter().map(sample).collect()
 }
 
-impl Believed {
-    /// Of positions whose accuracies are told, where these say more of the vertical than cameras do; else as of any others.
-    fn told(survey: &Reconstruction) -> Believed {
+impl HeightAccuracy {
+    /// Of positions with stated accuracies, where these say more of the vertical than cameras do; else as of any others.
+    fn stated(survey: &Reconstruction) -> HeightAccuracy {
         let sigma_m = median(survey.positions.iter().map(|position| position.sigma_m[2]));
         let positions: Vec<[f64; 3]> = survey.positions.iter().map(|p| p.position_m).collect();
         let fixing = sigma_m.filter(|&sigma_m| fixes_vertical(sigma_m, &positions));
-        fixing.map_or_else(Believed::default, |sigma_m| Believed {
-            sigma_m,
-            error_m: told_error_m(sigma_m, &positions),
+        fixing.map_or_else(HeightAccuracy::default, |sigma_m| HeightAccuracy {
+            min_sigma_m: sigma_m,
+            min_error_m: min_receiver_error_m(sigma_m, &positions),
         })
     }
 }
@@ -186,19 +186,20 @@ fn middle(survey: &Reconstruction) -> [f64; 2] {
 }
 
 /// Brings a flight that looks down into the frame of its camera positions, level whatever their heights are. `places` says
-/// for each image of the survey where in the flight it was taken, 0 to 1; `is_told` whether the accuracies of its positions are
-/// told. `None`, and nothing changed, where it neither looks down nor has a gimbal that tells how it looks, or has too few positions.
+/// for each image of the survey where in the flight it was taken, 0 to 1; `is_stated` whether the accuracies of its positions are
+/// stated. `None`, and nothing changed, where it neither looks down nor has a gimbal that tells how it looks, or has too few positions.
 pub fn level(
     survey: &mut Reconstruction,
     places: &[f64],
-    is_told: bool,
+    is_stated: bool,
 ) -> Option<(Alignment, HeightReview)> {
     let (mut up, spread) = mean_up(survey)?;
     if spread > LOOKS_DOWN_RAD || survey.positions.len() < 2 {
         return None;
     }
     let start = survey.clone();
-    let believed = if is_told { Believed::told(survey) } else { Believed::default() };
+    let accuracy =
+        if is_stated { HeightAccuracy::stated(survey) } else { HeightAccuracy::default() };
     let mut found = None;
     for _ in 0..4 {
         *survey = start.clone();
@@ -224,7 +225,7 @@ pub fn level(
         let at = middle(survey);
         let heights = samples(survey, places, at);
         let prior = prior(survey, at);
-        let review = review_heights(&heights, prior, &believed)?;
+        let review = review_heights(&heights, prior, &accuracy)?;
         let alone = plane(&heights);
         // The vertical in the frame of the start.
         let slope = review.slope;
@@ -254,7 +255,7 @@ pub fn level(
     };
     let tilt = alone.as_ref().map_or([0.0; 2], |alone| tilt_against(alone, &review));
     let mut review = corrected(survey, places, review, tilt);
-    if is_told && !survey.orientations.is_empty() && review.error == HeightError::Constant {
+    if is_stated && !survey.orientations.is_empty() && review.error == HeightError::Constant {
         // Told heights and the gimbal are weighed in the adjustment.
         review.correction_m.fill(0.0);
     }
@@ -295,8 +296,8 @@ pub fn review_level(
     }
     let heights = samples(survey, places, middle(survey));
     let fixed = Slope { value: Vector2::zeros(), information: 1e12 * Matrix2::identity() };
-    let believed = Believed { error_m: least_error_m, ..Believed::default() };
-    let review = review_heights(&heights, fixed, &believed)?;
+    let accuracy = HeightAccuracy { min_error_m: least_error_m, ..HeightAccuracy::default() };
+    let review = review_heights(&heights, fixed, &accuracy)?;
     if review.error == HeightError::Constant {
         return None;
     }

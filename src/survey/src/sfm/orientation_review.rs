@@ -5,7 +5,7 @@
 //! e_i = log(Q^T R_i^T exp(-b) R_i0)
 //! ```
 //!
-//! with the rotation `R_i` from the block's frame to the camera, `R_i0` the told one from the mapping frame, `Q` from the mapping
+//! with the rotation `R_i` from the block's frame to the camera, `R_i0` the observed one from the mapping frame, `Q` from the mapping
 //! frame to that of the block, and `b` how the camera hangs in its mount, as in
 //! [`crate::problems::adjustment`]. `Q` is free: for a block in the mapping frame it is what an inertial unit is off level and a
 //! compass from north, with as much as they may be off anyway for comparison. Iterated least squares with Huber's weights;
@@ -13,7 +13,7 @@
 
 use super::{block::Block, georeference::Known};
 use crate::{
-    problems::adjustment::{COMMON_SIGMA_RAD, MOUNT_SIGMA_RAD},
+    problems::adjustment::{ATTITUDE_BIAS_SIGMA_RAD, BORESIGHT_SIGMA_RAD},
     scene::{CameraOrientation, Reconstruction},
 };
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Vector2, Vector3};
@@ -23,11 +23,11 @@ use rowgram_optim::{
 };
 use serde::{Deserialize, Serialize};
 
-/// Fewer orientations than this are not compared with a block.
+/// Fewer orientations than this are not compared with a block. This and the next four are first choices, tried on synthetic flights only.
 const MIN_ORIENTATIONS: usize = 4;
 /// An orientation that is off by more standard deviations than this is wrong.
 const OUTLIER_SIGMAS: f64 = 5.0;
-/// Orientations that scatter by more than this times of what was told are those of something else.
+/// Orientations that scatter by more than this many of their stated standard deviations belong to something else.
 const SCATTER_RATIO: f64 = 5.0;
 /// With more than this share of them wrong, none is believed.
 const MAX_WRONG_SHARE: f64 = 1.0 / 3.0;
@@ -68,11 +68,11 @@ pub struct OrientationReview {
     pub is_contradiction: bool,
 }
 
-/// An image's rotation in the block and the told one.
+/// An image's rotation in the block and the observed one.
 struct Pairing<'a> {
     rotation: Quaternion,
     camera: usize,
-    told: &'a CameraOrientation,
+    observed: &'a CameraOrientation,
 }
 
 struct Fit {
@@ -91,15 +91,15 @@ fn angle(v: [f64; 3]) -> f64 {
 }
 
 /// `R_i^T exp(-b) R_i0`.
-fn told_turn(pairing: &Pairing<'_>, mount: Vector3<f64>) -> Quaternion {
-    let hung = rotation::multiply(rotation::exp((-mount).into()), pairing.told.rotation);
+fn turn_of_observed(pairing: &Pairing<'_>, mount: Vector3<f64>) -> Quaternion {
+    let hung = rotation::multiply(rotation::exp((-mount).into()), pairing.observed.rotation);
     rotation::multiply(rotation::inverse(pairing.rotation), hung)
 }
 
 /// The turn of one of the images that is nearest to those of half of them.
 fn start(pairings: &[Pairing<'_>]) -> Quaternion {
     let turns: Vec<Quaternion> =
-        pairings.iter().map(|pairing| told_turn(pairing, Vector3::zeros())).collect();
+        pairings.iter().map(|pairing| turn_of_observed(pairing, Vector3::zeros())).collect();
     let every = turns.len().div_ceil(MAX_STARTS);
     let spread = |turn: &Quaternion| {
         let back = rotation::inverse(*turn);
@@ -111,23 +111,23 @@ fn start(pairings: &[Pairing<'_>]) -> Quaternion {
     starts.min_by(|a, b| a.0.total_cmp(&b.0)).map_or([1.0, 0.0, 0.0, 0.0], |(_, turn)| turn)
 }
 
-fn scatter(left: &[Vector3<f64>], told: [f64; 2]) -> [f64; 2] {
+fn scatter(left: &[Vector3<f64>], stated: [f64; 2]) -> [f64; 2] {
     let level = left.iter().flat_map(|e| [e[0], e[1]]);
     let heading = left.iter().map(|e| e[2]);
     [
-        sigma_of_errors(level).unwrap_or(0.0).max(told[0]),
-        sigma_of_errors(heading).unwrap_or(0.0).max(told[1]),
+        sigma_of_errors(level).unwrap_or(0.0).max(stated[0]),
+        sigma_of_errors(heading).unwrap_or(0.0).max(stated[1]),
     ]
 }
 
-/// Standard deviations that were told: medians.
-fn told_rad(pairings: &[Pairing<'_>]) -> [f64; 2] {
-    [0, 2].map(|k| median(pairings.iter().map(|p| p.told.sigma_rad[k])).unwrap_or(0.0))
+/// Medians of the stated standard deviations, about east and in heading.
+fn stated_sigmas_rad(pairings: &[Pairing<'_>]) -> [f64; 2] {
+    [0, 2].map(|k| median(pairings.iter().map(|p| p.observed.sigma_rad[k])).unwrap_or(0.0))
 }
 
 /// Fits what orientations have in common.
 fn fit(pairings: &[Pairing<'_>], cameras: usize) -> Option<Fit> {
-    let told = told_rad(pairings);
+    let stated = stated_sigmas_rad(pairings);
     let mut turn = start(pairings);
     let mut level_covariance = Matrix2::zeros();
     let mut mounts = vec![Vector3::zeros(); cameras];
@@ -135,13 +135,13 @@ fn fit(pairings: &[Pairing<'_>], cameras: usize) -> Option<Fit> {
     let errors = |turn: Quaternion, mounts: &[Vector3<f64>]| -> Vec<Vector3<f64>> {
         let back = rotation::inverse(turn);
         let of = |p: &Pairing<'_>| {
-            rotation::log(rotation::multiply(back, told_turn(p, mounts[p.camera]))).into()
+            rotation::log(rotation::multiply(back, turn_of_observed(p, mounts[p.camera]))).into()
         };
         pairings.iter().map(of).collect()
     };
     let mut left = errors(turn, &mounts);
     for _ in 0..10 {
-        let sigma = scatter(&left, told);
+        let sigma = scatter(&left, stated);
         let mut normal = DMatrix::<f64>::zeros(n, n);
         let mut sum = DVector::<f64>::zeros(n);
         for (pairing, e) in pairings.iter().zip(&left) {
@@ -164,8 +164,8 @@ fn fit(pairings: &[Pairing<'_>], cameras: usize) -> Option<Fit> {
         for (camera, mount) in mounts.iter().enumerate() {
             for k in 0..3 {
                 let at = 3 + 3 * camera + k;
-                normal[(at, at)] += MOUNT_SIGMA_RAD.powi(-2);
-                sum[at] -= mount[k] * MOUNT_SIGMA_RAD.powi(-2);
+                normal[(at, at)] += BORESIGHT_SIGMA_RAD.powi(-2);
+                sum[at] -= mount[k] * BORESIGHT_SIGMA_RAD.powi(-2);
             }
         }
         let factor = normal.cholesky()?;
@@ -185,37 +185,39 @@ fn fit(pairings: &[Pairing<'_>], cameras: usize) -> Option<Fit> {
 }
 
 /// Compares orientations with a block in any frame: takes out those that are wrong, all where they contradict it, and gives the
-/// others the standard deviation with which they scatter where that is larger than the told one.
+/// others the standard deviation with which they scatter where that is larger than the stated one.
 pub fn review_orientations(block: &Block<'_>, known: &mut Known) -> Option<OrientationReview> {
     let pairings: Vec<Pairing<'_>> = known
         .orientations
         .iter()
-        .filter_map(|told| {
-            let rotation = (*block.poses.get(told.image as usize)?)?.rotation;
-            let camera = block.features[told.image as usize].camera;
-            Some(Pairing { rotation, camera, told })
+        .filter_map(|observed| {
+            let rotation = (*block.poses.get(observed.image as usize)?)?.rotation;
+            let camera = block.features[observed.image as usize].camera;
+            Some(Pairing { rotation, camera, observed })
         })
         .collect();
     if pairings.len() < MIN_ORIENTATIONS {
         return None;
     }
     let fit = fit(&pairings, block.cameras.len())?;
-    let told = told_rad(&pairings);
-    let sigma: [f64; 2] = std::array::from_fn(|k| fit.scatter_rad[k].max(told[k]));
+    let stated = stated_sigmas_rad(&pairings);
+    let sigma: [f64; 2] = std::array::from_fn(|k| fit.scatter_rad[k].max(stated[k]));
     let wrong = pairings.iter().zip(&fit.left).filter(|(_, e)| {
         e[0].hypot(e[1]) > OUTLIER_SIGMAS * sigma[0] || e[2].abs() > OUTLIER_SIGMAS * sigma[1]
     });
-    let outliers: Vec<(u32, f64)> = wrong.map(|(p, e)| (p.told.image, e.norm())).collect();
+    let outliers: Vec<(u32, f64)> = wrong.map(|(p, e)| (p.observed.image, e.norm())).collect();
     let compared = pairings.len();
     let is_contradiction = outliers.len() as f64 > MAX_WRONG_SHARE * compared as f64
-        || (0..2).any(|k| fit.scatter_rad[k] > SCATTER_RATIO * told[k]);
-    let larger: [f64; 2] = std::array::from_fn(|k| (sigma[k] / told[k].max(1e-9)).max(1.0));
+        || (0..2).any(|k| fit.scatter_rad[k] > SCATTER_RATIO * stated[k]);
+    let larger: [f64; 2] = std::array::from_fn(|k| (sigma[k] / stated[k].max(1e-9)).max(1.0));
     if is_contradiction {
         known.orientations.clear();
     }
-    known.orientations.retain(|told| !outliers.iter().any(|(image, _)| *image == told.image));
-    for told in &mut known.orientations {
-        for (k, sigma) in told.sigma_rad.iter_mut().enumerate() {
+    known
+        .orientations
+        .retain(|observed| !outliers.iter().any(|(image, _)| *image == observed.image));
+    for observed in &mut known.orientations {
+        for (k, sigma) in observed.sigma_rad.iter_mut().enumerate() {
             *sigma *= larger[usize::from(k == 2)];
         }
     }
@@ -228,9 +230,9 @@ pub fn summarize_orientations(scene: &Reconstruction) -> Option<OrientationSumma
     let pairings: Vec<Pairing<'_>> = scene
         .orientations
         .iter()
-        .map(|told| {
-            let image = &scene.images[told.image as usize];
-            Pairing { rotation: image.pose.rotation, camera: image.camera, told }
+        .map(|observed| {
+            let image = &scene.images[observed.image as usize];
+            Pairing { rotation: image.pose.rotation, camera: image.camera, observed }
         })
         .collect();
     if pairings.is_empty() {
@@ -238,13 +240,13 @@ pub fn summarize_orientations(scene: &Reconstruction) -> Option<OrientationSumma
     }
     let fit = fit(&pairings, scene.cameras.len())?;
     let count = pairings.len() as f64;
-    let told = told_rad(&pairings);
+    let stated = stated_sigmas_rad(&pairings);
     let common = Vector3::from(rotation::log(fit.turn));
     let mean = |square: &dyn Fn(&Vector3<f64>) -> f64| {
         (fit.left.iter().map(square).sum::<f64>() / count).sqrt().to_degrees()
     };
     let level = Vector2::new(common[0], common[1]);
-    let expected = fit.level_covariance + COMMON_SIGMA_RAD[0].powi(2) * Matrix2::identity();
+    let expected = fit.level_covariance + ATTITUDE_BIAS_SIGMA_RAD[0].powi(2) * Matrix2::identity();
     let weight = expected.try_inverse().unwrap_or_else(Matrix2::zeros);
     Some(OrientationSummary {
         photos: pairings.len(),
@@ -252,8 +254,8 @@ pub fn summarize_orientations(scene: &Reconstruction) -> Option<OrientationSumma
         mount_deg: fit.mounts.iter().map(|mount| mount.norm().to_degrees()).collect(),
         level_rms_deg: mean(&|e| 0.5 * (e[0] * e[0] + e[1] * e[1])),
         heading_rms_deg: mean(&|e| e[2] * e[2]),
-        level_sigma_deg: told[0].to_degrees(),
-        heading_sigma_deg: told[1].to_degrees(),
+        level_sigma_deg: stated[0].to_degrees(),
+        heading_sigma_deg: stated[1].to_degrees(),
         contradiction_sigmas: level.dot(&(weight * level)).sqrt(),
     })
 }
