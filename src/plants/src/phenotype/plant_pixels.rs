@@ -1,7 +1,7 @@
 //! Which plant a leaf pixel belongs to: the nearest, if it is in reach.
 //!
 //! Leaves are not told apart here. A pixel goes to the plant with the least distance, ties to the first one; none farther than
-//! [`REACH`] usual distances of neighbours. Where leaves of neighbours overlap, pixels in between are as often the other plant's: means
+//! `REACH` usual distances of neighbours. Where leaves of neighbours overlap, pixels in between are as often the other plant's: means
 //! over pixels of a plant are then drawn towards those of its neighbours.
 
 use rowgram_optim::robust::median;
