@@ -108,7 +108,13 @@ pub(super) fn checks(
     if let Some(stand) = outcome.results.locate.as_ref().and_then(|locate| locate.stand.as_ref()) {
         let confidence = stand.mean_confidence;
         let severity = rising(-confidence, [-limits.confidence_yellow, -limits.confidence_red]);
-        let message = format!("mean confidence {confidence:.2}");
+        let mut message = format!("mean confidence {confidence:.2}");
+        let severity = if stand.doubts.is_empty() {
+            severity
+        } else {
+            message.push_str("; this looks like no stand of a crop, as locate says");
+            severity.max(Severity::Warning)
+        };
         found.push(remedied(
             Diagnostic::new(severity, "plants-confidence", "plants", message),
             "look at them over the orthomosaic; check thresholds of leaves and the spacing of plants",

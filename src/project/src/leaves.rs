@@ -19,8 +19,7 @@ use rowgram_files::{
     rasters::{BAND_ROWS, Source},
 };
 use rowgram_optim::output::FileError;
-use rowgram_optim::robust::median;
-use rowgram_plants::phenotype::leaves::{self, Bridging, Leaf, LeafOptions, LeafShape, Leaves};
+use rowgram_plants::phenotype::leaves::{self, Bridging, Leaf, LeafOptions, LeafShape};
 use rowgram_raster::{Mask, hsv, window};
 use serde::{Deserialize, Serialize};
 use std::{
@@ -186,8 +185,20 @@ pub fn measure_leaves(
                 .with_remedy("give the ground sampling distance (--gsd-m, or [leaves] gsd_m)"),
         );
     }
-    let found = leaves::find(mask, &options.method());
-    if found.leaves.is_empty() {
+    let mut found = leaves::find(mask, &options.method());
+    if let Some(gsd_m) = gsd_m.filter(|&gsd_m| found.are_too_large(gsd_m)) {
+        let [width_cm, length_cm] = [found.usual_width_px, found.median_length_px().unwrap_or(0.0)]
+            .map(|px| 100.0 * gsd_m * px);
+        let message = format!(
+            "areas of leaf are {width_cm:.0} cm wide and {length_cm:.0} cm long, which no leaf of a field crop is: no single leaf is told apart"
+        );
+        monitor.diagnostic(
+            &Diagnostic::warning("leaves-not-single", subject, message).with_remedy(
+                "check the ground sampling distance; look at an earlier photo, or at one from lower above",
+            ),
+        );
+        found.leaves.clear();
+    } else if found.leaves.is_empty() {
         let message = "the leaf mask is empty; there is no leaf";
         monitor.diagnostic(&Diagnostic::warning("no-leaves", subject, message));
     }
@@ -217,7 +228,7 @@ pub fn measure_leaves(
     if let (Some(path), Some(plants), Some(owners)) = (files.per_plant, plants, &owners) {
         table::write_per_plant(path, files.force, plants, owners)?;
     }
-    let length_px = median_length_px(&found);
+    let length_px = found.median_length_px();
     Ok(LeavesOutcome {
         width_px: mask.width,
         height_px: mask.height,
@@ -237,10 +248,6 @@ pub fn measure_leaves(
 /// The ending of a name, in lower case.
 fn ending(path: &Path) -> Option<String> {
     path.extension().map(|ending| ending.to_string_lossy().to_lowercase())
-}
-
-fn median_length_px(found: &Leaves) -> Option<f64> {
-    median(found.leaves.iter().map(|leaf| leaf.length_px))
 }
 
 /// The mean hue of each leaf, degrees; the mean of directions on the circle, so that red is no green.

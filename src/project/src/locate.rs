@@ -22,7 +22,7 @@ use rowgram_plants::{
     phenotype::{
         locate::Setup,
         locator::{self, Descend, Descended, Found, Work},
-        stand::{NORMAL_95, Stand},
+        stand::{Doubt, NORMAL_95, Stand},
     },
     problems::plants::Proof,
 };
@@ -117,6 +117,9 @@ pub struct StandOutcome {
     /// Share of the leaf pixels that belong to plants between the rows, where plants are told by their leaf mass.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub between_rows_share: Option<f64>,
+    /// Why what was found may be no plants; nothing where it is like the stand of a crop.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub doubts: Vec<Doubt>,
     /// Plants over the area of the rows.
     pub plants_per_hectare: Option<f64>,
     /// Its interval.
@@ -151,6 +154,7 @@ impl StandOutcome {
             plant_leaf_px: stand.leaf_mass.as_ref().map(|mass| mass.plant_px),
             unexplained_share: stand.leaf_mass.as_ref().map(|mass| mass.unexplained),
             between_rows_share: stand.between_rows.as_ref().map(|between| between.leaf_share),
+            doubts: stand.doubts.clone(),
             plants_per_hectare: hectares.map(|area| count / area),
             plants_per_hectare_interval: hectares
                 .map(|area| stand.count_interval.map(|count| count / area)),
@@ -295,18 +299,6 @@ pub fn locate_plants(
             outcome.plants = stand.plants.len();
             outcome.stand = Some(StandOutcome::new(stand, gsd_m));
             show::tell(stand, subject, monitor);
-            let seen = leaf.valid.as_ref().map_or(mask.data.len(), |valid| valid.count());
-            let covered = outcome.leaf_pixels as f64 / seen.max(1) as f64;
-            if stand.rows.rows.is_empty() && covered > CLOSED {
-                let message = format!(
-                    "{:.0} % of the picture is leaf and no rows stand out: how many plants that are cannot be told",
-                    100.0 * covered
-                );
-                monitor.diagnostic(
-                    &Diagnostic::warning("canopy-closed", subject, message)
-                        .with_remedy("count on an earlier photo, or give their number (plants)"),
-                );
-            }
             let has_rows = !stand.rows.rows.is_empty();
             table::write_plants(files.plants, files.force, &stand.plants, has_rows, place)?;
             if let Some(path) = files.gaps {
@@ -365,6 +357,3 @@ fn traced(descend: Descend, trace: &Path, force: bool, certify: bool) -> Result<
     let done = outcome.as_run();
     Ok(Descended::finish(Setup { problem, field: outcome.x, detection }, done, certify)?)
 }
-
-/// From this share of the picture on that is leaf, plants without rows are no separate patches.
-const CLOSED: f64 = 0.7;

@@ -4,6 +4,7 @@
 //! descent too. Positions and lengths in pixels of the mask, centre of the top-left pixel at (0, 0).
 
 use super::{
+    broad_leaves,
     locate::{Init, LocateError, Located, PlantFitOptions, Setup, locate_best},
     row_model::{self, RowModelOptions},
     rows::{self, Detection},
@@ -255,7 +256,9 @@ pub fn prepare(
     let counts = options.plants == Auto::Auto && leaf_pixels > 0;
     let stand = if is_row_model || init == Init::Votes || counts {
         let (count, options) = (options.plants.given(), &options.row_model);
-        Some(row_model::locate_in_detail(mask, posterior, &detection, count, options)?)
+        let mut stand = row_model::locate_in_detail(mask, posterior, &detection, count, options)?;
+        stand.doubt(gsd_m, || broad_leaves::is_broad(mask));
+        Some(stand)
     } else {
         None
     };

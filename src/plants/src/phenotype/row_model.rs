@@ -91,10 +91,12 @@ pub fn locate(
     count: Option<usize>,
     options: &RowModelOptions,
 ) -> Result<Stand, LocateError> {
-    locate_in_detail(mask, None, detection, count, options)
+    let mut stand = locate_in_detail(mask, None, detection, count, options)?;
+    stand.doubt(None, || broad_leaves::is_broad(mask));
+    Ok(stand)
 }
 
-/// [`locate`] where the probability of vegetation of each pixel is known, too, in 1/255. Closed rows are told apart by gaps between
+/// [`locate`] without looking for doubts ([`Stand::doubt`]), where the probability of vegetation of each pixel is known, too, in 1/255. Closed rows are told apart by gaps between
 /// leaves as narrow as a pixel, which a mask of neighbours that agree has lost; weeds are less green than the crop.
 ///
 /// # Errors
@@ -128,9 +130,7 @@ pub(super) fn locate_in_detail(
     } else {
         ByMass::Nothing
     };
-    let mut stand = by_mass_or_votes(mask, posterior, detection, count, options, by_mass)?;
-    stand.doubt(|| broad_leaves::is_broad(mask));
-    Ok(stand)
+    by_mass_or_votes(mask, posterior, detection, count, options, by_mass)
 }
 
 /// The plants that mass tells, or votes along leaf axes where it tells nothing or less than those.

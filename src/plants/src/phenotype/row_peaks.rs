@@ -257,7 +257,7 @@ mod tests {
         let sure = row_model::locate(&mask, &detection, None, &RowModelOptions::default()).unwrap();
         let mut stand = sure.clone();
         stand.spacing.spacing = 10.0;
-        stand.doubt(|| false);
+        stand.doubt(None, || false);
         assert!(matches!(stand.doubts[..], [Doubt::Narrow { .. }]), "{:?}", stand.doubts);
         assert!(stand.plants[0].confidence < sure.plants[0].confidence);
         let width = |stand: &crate::phenotype::stand::Stand| {
@@ -266,7 +266,32 @@ mod tests {
         assert!(width(&stand) > 1.9 * width(&sure));
         let mut stand = sure;
         (stand.spacing.missing, stand.spacing.doubles) = (0.5, 0.1);
-        stand.doubt(|| false);
+        stand.doubt(None, || false);
         assert_eq!(stand.doubts, [Doubt::Uneven { missing: 0.5, doubles: 0.1 }]);
+    }
+
+    #[test]
+    fn what_is_larger_than_any_crop_is_in_doubt() {
+        let (mask, _) = beans(1);
+        let detection = rows::detect(&mask);
+        let sure = row_model::locate(&mask, &detection, None, &RowModelOptions::default()).unwrap();
+        let doubts_at = |gsd_m: f64| {
+            let mut stand = sure.clone();
+            stand.doubt(Some(gsd_m), || false);
+            stand.doubts
+        };
+        assert_eq!(sure.doubts, []);
+        assert_eq!(doubts_at(0.004), []);
+        let [Doubt::Wide { spacing_m }, Doubt::Large { plant_m2 }] = doubts_at(0.15)[..] else {
+            panic!("{:?}", doubts_at(0.15));
+        };
+        let spacing_px = sure.spacing.spacing;
+        assert!((spacing_m - 0.15 * spacing_px).abs() < 1e-9 && plant_m2 > 7.0);
+        let mut stand = sure.clone();
+        stand.rows.rows.clear();
+        stand.doubt(None, || false);
+        assert_eq!(stand.doubts, [Doubt::NoRows]);
+        assert_eq!(stand.count_interval, sure.count_interval);
+        assert!(stand.plants[0].confidence < sure.plants[0].confidence);
     }
 }

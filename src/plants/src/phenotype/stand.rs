@@ -3,7 +3,7 @@
 //! Positions and lengths in pixels of the mask, centre of the top-left pixel at (0, 0).
 
 use super::{plant_spacing::Spacing, rows::Rows};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// The 97.5 % point of the standard normal distribution.
 pub const NORMAL_95: f64 = 1.959_963_984_540_054;
@@ -70,7 +70,7 @@ pub struct BetweenRows {
 }
 
 /// Why what was found may be no plants.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Doubt {
     /// No stand of a crop has so many places without a plant and as many with two.
@@ -89,11 +89,36 @@ pub enum Doubt {
     },
     /// Leaves have closed and are no blades: they have no axes along which to look for stalks.
     Broad,
+    /// No rows stand out: patches of leaf are plants of some crop, or something else that is green.
+    NoRows,
+    /// Plants of a row are farther apart than those of a field crop.
+    Wide {
+        /// The distance between them.
+        spacing_m: f64,
+    },
+    /// Plants have more leaf than those of a field crop.
+    Large {
+        /// Leaf area of a plant, seen from above.
+        plant_m2: f64,
+    },
 }
 
-/// Confidence of plants in doubt, as a share of that without it, and how many times as wide the interval of their number is. Not fitted:
-/// the sets have too few stands of this kind.
-const DOUBTED: (f64, f64) = (0.7, 2.0);
+impl Doubt {
+    /// Confidence of such plants as a share of what it is without doubt, and how many times as wide the interval of their number is.
+    /// Not fitted: the sets have too few stands of each kind. Without rows potatoes are counted within their interval (`potato_uav`), and
+    /// what is no crop has no number at all.
+    fn weight(&self) -> (f64, f64) {
+        match self {
+            Doubt::NoRows => (0.7, 1.0),
+            _ => (0.7, 2.0),
+        }
+    }
+}
+
+/// Plants of a field crop stand nearer than this within their row, metres. Bananas and melons need 2 to 3; vines, hedges and orchards are no field crops.
+const WIDEST_SPACING_M: f64 = 3.0;
+/// Leaf area of a plant of a field crop, seen from above, at most, m2: a disc 3 m wide.
+const LARGEST_PLANT_M2: f64 = 7.0;
 
 /// What was found.
 #[derive(Debug, Clone, PartialEq)]
@@ -141,8 +166,9 @@ impl Stand {
         Some((spacing, (variance / count).sqrt()))
     }
 
-    /// Looks for what no stand of a crop is like. Where there is such, plants are less sure and their number has a wider interval.
-    pub(super) fn doubt(&mut self, has_broad_leaves: impl FnOnce() -> bool) {
+    /// Looks for what no stand of a crop is like; sizes only where a pixel is known to be `gsd_m` wide. Where there is such, plants are less
+    /// sure and their number has a wider interval.
+    pub(super) fn doubt(&mut self, gsd_m: Option<f64>, has_broad_leaves: impl FnOnce() -> bool) {
         let Spacing { spacing, missing, doubles, .. } = self.spacing;
         if self.spacing.is_implausible() {
             self.doubts.push(Doubt::Uneven { missing, doubles });
@@ -157,10 +183,22 @@ impl Stand {
             None if has_broad_leaves() => self.doubts.push(Doubt::Broad),
             None => {}
         }
-        if self.doubts.is_empty() {
-            return;
+        if self.rows.rows.is_empty() {
+            self.doubts.push(Doubt::NoRows);
         }
-        let (less, wider) = DOUBTED;
+        if let Some(gsd_m) = gsd_m {
+            let spacing_m = gsd_m * spacing;
+            if spacing_m > WIDEST_SPACING_M && !self.rows.rows.is_empty() {
+                self.doubts.push(Doubt::Wide { spacing_m });
+            }
+            let plant_m2 = self.leaf_mass.as_ref().map(|mass| gsd_m * gsd_m * mass.plant_px);
+            if let Some(plant_m2) = plant_m2.filter(|&area| area > LARGEST_PLANT_M2) {
+                self.doubts.push(Doubt::Large { plant_m2 });
+            }
+        }
+        let weights = self.doubts.iter().map(Doubt::weight);
+        let strongest = weights.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)));
+        let Some((less, wider)) = strongest else { return };
         self.plants.iter_mut().for_each(|plant| plant.confidence *= less);
         self.row_count_sigmas.iter_mut().for_each(|sigma| *sigma *= wider);
         let [low, high] = self.count_interval;

@@ -22,12 +22,14 @@ pub(super) fn tell(stand: &Stand, subject: &str, monitor: &mut dyn Monitor) {
     let rows = stand.rows.rows.len();
     let thin = thin_rows(stand);
     let what = match (rows, thin) {
-        (0, _) => "no rows stand out; plants are counted by their leaf area".to_owned(),
-        (1, _) => "1 row".to_owned(),
-        (_, 0) => format!("{rows} rows"),
-        (_, thin) => format!("{rows} rows, {thin} of them thin"),
+        (0, _) => None,
+        (1, _) => Some("1 row".to_owned()),
+        (_, 0) => Some(format!("{rows} rows")),
+        (_, thin) => Some(format!("{rows} rows, {thin} of them thin")),
     };
-    monitor.diagnostic(&Diagnostic::info("rows-found", subject, what));
+    if let Some(what) = what {
+        monitor.diagnostic(&Diagnostic::info("rows-found", subject, what));
+    }
     if let Some(between) = stand.between_rows.as_ref().filter(|of| of.leaf_share >= BETWEEN_ROWS) {
         let message = format!(
             "{:.0} % of the leaf area lies between the rows: weeds? {} patches of it were left out and are not counted as plants",
@@ -60,6 +62,19 @@ pub(super) fn tell(stand: &Stand, subject: &str, monitor: &mut dyn Monitor) {
                 "leaves have closed and are broad: they have no axes along which stalks could be found, and the number is a guess"
                     .to_owned(),
                 "count on an earlier photo, or give the number of plants (plants)",
+            ),
+            Doubt::NoRows => (
+                "no rows stand out: patches of leaf are counted, each of which may be a plant, several that have grown together, or anything else that is green"
+                    .to_owned(),
+                "look at figures/plants.png; count on an earlier photo, or give the number of plants (plants)",
+            ),
+            Doubt::Wide { spacing_m } => (
+                format!("plants are {spacing_m:.1} m apart in their rows: no field crop stands like that; hedges, trees, or no plants at all?"),
+                "look at figures/plants.png; check the ground sampling distance",
+            ),
+            Doubt::Large { plant_m2 } => (
+                format!("plants have {plant_m2:.1} m2 of leaf each: no field crop does; trees, lawn, or a canopy that has closed?"),
+                "look at figures/plants.png; check the ground sampling distance; count on an earlier photo",
             ),
         };
         monitor.diagnostic(

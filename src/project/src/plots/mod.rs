@@ -437,7 +437,8 @@ fn single_leaves(table: &CsvTable) -> Option<Vec<MeasuredLeaf>> {
         width_m: widths[k],
         hue_deg: hues[k],
     };
-    Some((0..places.len()).map(leaf).collect())
+    // None at all: none could be told apart.
+    (!places.is_empty()).then(|| (0..places.len()).map(leaf).collect())
 }
 
 #[cfg(test)]

@@ -42,11 +42,18 @@ fn traits(text: &mut String, outcome: &RunOutcome) -> std::fmt::Result {
         writeln!(text, "        {:.0} leaves by area", whole.count.leaves)?;
     }
     if let Some(locate) = &results.locate {
-        write!(text, "plants  {} in {} rows", locate.plants, locate.rows)?;
-        if let Some(spacing_m) = locate.stand.as_ref().and_then(|stand| stand.spacing_m) {
+        match locate.rows {
+            0 => write!(text, "plants  {}, no rows stand out", locate.plants)?,
+            rows => write!(text, "plants  {} in {rows} rows", locate.plants)?,
+        }
+        let stand = locate.stand.as_ref().filter(|_| locate.rows > 0);
+        if let Some(spacing_m) = stand.and_then(|stand| stand.spacing_m) {
             write!(text, ", {:.1} cm apart", 100.0 * spacing_m)?;
         }
         writeln!(text)?;
+        if locate.stand.as_ref().is_some_and(|stand| !stand.doubts.is_empty()) {
+            writeln!(text, "        looks like no stand of a crop: see the warnings of locate")?;
+        }
     }
     if let Some(plots) = results.plots.as_ref().filter(|plots| plots.plots.len() > 1) {
         writeln!(text, "plots   {}", plots.plots.len())?;

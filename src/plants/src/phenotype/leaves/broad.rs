@@ -97,6 +97,15 @@ mod tests {
     }
 
     #[test]
+    fn leaves_as_large_as_crowns_are_too_large() {
+        let found = find(&rosette(), &LeafOptions::default());
+        assert!(found.is_broad && !found.are_too_large(0.01) && found.are_too_large(0.03));
+        let ribbon = Mask::from_fn(200, 40, |u, v| (20..180).contains(&u) && (15..25).contains(&v));
+        let found = find(&ribbon, &LeafOptions::default());
+        assert!(!found.is_broad && !found.are_too_large(0.008) && found.are_too_large(0.02));
+    }
+
+    #[test]
     fn a_single_pixel_is_a_leaf_of_length_one() {
         let leaf = measured(vec![Run { v: 4, start: 3, end: 4 }]);
         assert_eq!((leaf.area_px, leaf.length_px), (1, 1.0));

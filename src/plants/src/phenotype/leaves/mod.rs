@@ -31,6 +31,7 @@ mod split;
 
 use crate::phenotype::broad_leaves;
 pub use plants::assign;
+use rowgram_optim::robust::median;
 use rowgram_raster::{
     Mask,
     components::{self, Part, Run},
@@ -172,6 +173,24 @@ pub struct Leaves {
     pub usual_width_px: f64,
     /// Whether they were found as broad leaves.
     pub is_broad: bool,
+}
+
+/// Widest and longest leaf of field crops, metres, blades and broad leaves: maize and sorghum reach 0.13 and 1.2, cabbage and squash 0.4 and 0.5.
+const LARGEST_M: [(f64, f64); 2] = [(0.15, 1.5), (0.4, 0.6)];
+
+impl Leaves {
+    /// Median length, pixels; `None` without leaves.
+    pub fn median_length_px(&self) -> Option<f64> {
+        median(self.leaves.iter().map(|leaf| leaf.length_px))
+    }
+
+    /// Whether leaves are wider or longer than those of field crops where pixels are `gsd_m` wide: then they are canopies, lawns or crowns,
+    /// in which no single leaf is seen.
+    pub fn are_too_large(&self, gsd_m: f64) -> bool {
+        let (width_m, length_m) = LARGEST_M[usize::from(self.is_broad)];
+        let length_px = self.median_length_px().unwrap_or(0.0);
+        gsd_m * self.usual_width_px > width_m || gsd_m * length_px > length_m
+    }
 }
 
 /// The longest walk across a leaf before its usual width is known, pixels.
