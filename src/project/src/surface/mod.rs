@@ -26,11 +26,14 @@ use rowgram_base::{
     options::{Auto, Choice},
 };
 use rowgram_optim::output::FileError;
-use rowgram_raster::georeference::{Crs, Georeference};
+use rowgram_raster::{
+    georeference::{Crs, Georeference},
+    window::Window,
+};
 use rowgram_survey::mapping::{
     MapError, Surface, View,
     dem::SurfacePoint,
-    dense::{Area, AreaOptions, Pass, Prior, Tile, TileStore, area::TILE},
+    dense::{Area, AreaOptions, Pass, Prior, Tile, TileMargins, TileStore, area::TILE},
     grid::{coverage, covering, median_gsd_m, rounded},
     orientation_sigma::OrientationSigma,
     views,
@@ -265,13 +268,17 @@ fn matched(
         let message = "a tile of the surface that was matched is gone; run the stage again";
         Error::from(FileError::read(folder, std::io::Error::other(message)))
     };
-    let mut load = |number: usize, _| {
+    let margins = TileMargins::read(found.size, TILE, own.layer_m, &mut store)?;
+    let mut load = |number: usize, window: Window| {
         let tile = TileStore::<Error>::load(&mut store, Pass::Fine, number)?;
-        Ok(SurfacePart::Matched(tile.ok_or_else(gone)?))
+        let mut tile = tile.ok_or_else(gone)?;
+        margins.join([window.u, window.v], &mut tile);
+        Ok::<_, Error>(tile)
     };
-    let mut outcome = write::write(&found, &mut load, folder)?;
+    let mut part = |number, window| Ok(SurfacePart::Matched(load(number, window)?));
+    let mut outcome = write::write(&found, &mut part, folder)?;
     if options.cloud {
-        write::cloud(&found, &mut store, &folder.join(CLOUD))?;
+        write::cloud(&found, &mut load, &folder.join(CLOUD))?;
         outcome.cloud = Some(CLOUD.into());
     }
     // The rasters have it all.

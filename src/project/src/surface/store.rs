@@ -5,7 +5,7 @@ use crate::{
     record::{Bytes, Key, Store},
 };
 use rowgram_base::error::Error;
-use rowgram_survey::mapping::dense::{DenseTile, Pass, Tile, TileStore};
+use rowgram_survey::mapping::dense::{DenseTile, Margin, Pass, Tile, TileStore};
 use serde::{Deserialize, Serialize};
 
 /// Tiles under one key of all that decides them.
@@ -56,6 +56,7 @@ struct StoredTile {
     confidence: Bytes,
     photos: Bytes,
     colour: Bytes,
+    margin_m: Bytes,
 }
 
 impl StoredTile {
@@ -70,13 +71,23 @@ impl StoredTile {
             confidence: Bytes(tile.confidence.clone()),
             photos: Bytes(tile.photos.clone()),
             colour: Bytes(tile.colour.as_flattened().to_vec()),
+            margin_m: of_floats(tile.margin.heights_m()),
         }
     }
 
     /// `None` where lengths do not fit.
     fn tile(self) -> Option<DenseTile> {
-        let StoredTile { corner_m, cell_m, size, surface_m, sigma_m, confidence, photos, colour } =
-            self;
+        let StoredTile {
+            corner_m,
+            cell_m,
+            size,
+            surface_m,
+            sigma_m,
+            confidence,
+            photos,
+            colour,
+            margin_m,
+        } = self;
         let cells = size[0] * size[1];
         let tile = DenseTile {
             tile: Tile { corner_m, cell_m, size },
@@ -85,6 +96,7 @@ impl StoredTile {
             confidence: confidence.0,
             photos: photos.0,
             colour: colour.0.as_chunks::<3>().0.to_vec(),
+            margin: Margin::from_heights(size, floats(&margin_m))?,
         };
         let fits = tile.surface_m.len() == cells
             && tile.sigma_m.len() == cells
@@ -118,6 +130,7 @@ mod tests {
             confidence: vec![0, 1, 2, 3, 4, 255],
             photos: vec![0, 5, 2, 3, 4, 1],
             colour: vec![[1, 2, 3], [4, 5, 6], [0; 3], [255; 3], [7; 3], [9, 8, 7]],
+            margin: Margin::from_heights([3, 2], (0..336).map(|k| k as f32).collect()).unwrap(),
         };
         let mut store = TilesOnDisk { store: Store::new(folder.path()), key: key("one") };
         store.save(Pass::Fine, 3, &tile).unwrap();
@@ -127,6 +140,7 @@ mod tests {
         };
         assert_eq!(bits(&found), bits(&tile));
         assert_eq!((found.tile, &found.colour), (tile.tile, &tile.colour));
+        assert_eq!(found.margin, tile.margin);
         assert_eq!((&found.confidence, &found.photos), (&tile.confidence, &tile.photos));
         assert!(store.load(Pass::Coarse, 3).unwrap().is_none());
         let mut other = TilesOnDisk { store: Store::new(folder.path()), key: key("two") };

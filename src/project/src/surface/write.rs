@@ -13,7 +13,7 @@ use rowgram_raster::{georeference::Georeference, window::Window};
 use rowgram_survey::mapping::{
     Surface,
     dense::{
-        DenseTile, HeightCounts, Pass, TileStore,
+        DenseTile, HeightCounts,
         area::{TILE, starts},
     },
     orientation_sigma::OrientationSigma,
@@ -65,9 +65,7 @@ pub(super) fn write(
     std::fs::create_dir_all(&pictures).map_err(|e| FileError::write(&pictures, e))?;
     let mut rasters = Rasters::begin(found, folder)?;
     let mut sums = Sums::new(found);
-    for (number, [u, v]) in starts(found.size, TILE).into_iter().enumerate() {
-        let [width, height] = [TILE.min(found.size[0] - u), TILE.min(found.size[1] - v)];
-        let window = Window { u, v, width, height };
+    for (number, window) in windows(found.size).enumerate() {
         let planes = Planes::new(load(number, window)?, window, found)?;
         rasters.put(&planes)?;
         sums.add(&planes, found);
@@ -81,10 +79,18 @@ pub(super) fn write(
     Ok(sums.outcome(found))
 }
 
+/// The parts of a map of so many columns and rows.
+fn windows([columns, rows]: [usize; 2]) -> impl Iterator<Item = Window> {
+    starts([columns, rows], TILE).into_iter().map(move |[u, v]| {
+        let [width, height] = [TILE.min(columns - u), TILE.min(rows - v)];
+        Window { u, v, width, height }
+    })
+}
+
 /// Writes every cell with a height as a point; its intensity is the confidence in it.
 pub(super) fn cloud(
     found: &Found<'_>,
-    store: &mut dyn TileStore<Error>,
+    load: &mut dyn FnMut(usize, Window) -> Result<DenseTile, Error>,
     path: &Path,
 ) -> Result<(), Error> {
     let last = Window { u: 0, v: found.size[1].saturating_sub(1), width: 1, height: 1 };
@@ -94,8 +100,8 @@ pub(super) fn cloud(
     output::write_seekable(path, true, |file| {
         let mut writer =
             LazWriter::begin(file, path, &found.place.crs, [x, y, level_m.unwrap_or(0.0)])?;
-        for number in 0..starts(found.size, TILE).len() {
-            let Some(of) = store.load(Pass::Fine, number)? else { continue };
+        for (number, window) in windows(found.size).enumerate() {
+            let of = load(number, window)?;
             let width = of.tile.size[0];
             for (at, &top) in of.surface_m.iter().enumerate().filter(|(_, top)| top.is_finite()) {
                 let [x, y] = of.tile.place_m(at % width, at / width);
@@ -410,7 +416,7 @@ fn shares(sorted: &[f32]) -> Option<[f64; 2]> {
 mod tests {
     use super::*;
     use rowgram_raster::georeference::Crs;
-    use rowgram_survey::mapping::dense::{Tile, area::TilesInMemory};
+    use rowgram_survey::mapping::dense::{Margin, Tile};
 
     #[test]
     fn the_cloud_has_every_cell_with_a_height() {
@@ -423,18 +429,16 @@ mod tests {
             photos: vec![2; 6],
             sigma_m: vec![0.01; 6],
             colour: vec![[1, 2, 3]; 6],
+            margin: Margin::unknown([3, 2]),
         };
         tile.colour[2] = [255, 0, 128];
-        let mut store = TilesInMemory::default();
-        let tiles: &mut dyn TileStore<Error> = &mut store;
-        tiles.save(Pass::Fine, 0, &tile).unwrap();
         let ground = Ground::Unknown;
         let matching = Some(Matching { range_m: 1.0, layer_m: 0.01, orientation: None });
         let found =
             Found { place: &place, size: area.size, ground: &ground, cell_m: 0.02, matching };
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("dsm.laz");
-        cloud(&found, &mut store, &path).unwrap();
+        cloud(&found, &mut |_, _| Ok(tile.clone()), &path).unwrap();
         let mut reader = las::Reader::from_path(&path).unwrap();
         let points: Vec<las::Point> = reader.points().map(Result::unwrap).collect();
         assert_eq!(points.len(), 4);

@@ -3,6 +3,7 @@
 use super::{
     DenseOptions, LAYERS, MAX_LAYERS, Relief,
     aggregate::{Penalties, aggregate},
+    joins::Margin,
     matched::PosedPhoto,
     posterior::{self, Estimate, Pixels, PosteriorOptions},
     rectify::{BlockPlane, colours, greenness, rectify},
@@ -42,6 +43,8 @@ pub struct Block {
     pub sigma_m: Vec<f32>,
     /// Red, green, blue of what is seen; black where nothing is.
     pub colour: Vec<[u8; 3]>,
+    /// Heights around it.
+    pub margin: Margin,
 }
 
 /// A surface of larger cells that says which heights places may have besides usual ones above the ground, metres.
@@ -158,10 +161,29 @@ pub(super) fn match_block(
         photos: vec![0; cells],
         sigma_m: vec![f32::NAN; cells],
         colour: vec![[0; 3]; cells],
+        margin: Margin::unknown(core.size),
     };
+    let in_whole = |cell: [isize; 2]| [0, 1].map(|k| (cell[k] + margins[k][0] as isize) as usize);
+    // Hidden in the reference: what is behind, so the lowest beside it.
+    let lowest_beside = |[u, v]: [usize; 2]| {
+        let rows = (v - 1..=v + 1).map(|j| &top_m[j * width + u - 1..=j * width + u + 1]);
+        rows.flatten().copied().filter(|z| z.is_finite()).fold(f32::INFINITY, f32::min)
+    };
+    let above_plane = |cell: [isize; 2], z: f32| {
+        (f64::from(z) + core.at_m(core.place_m(cell.map(|n| n as f64)))) as f32
+    };
+    for cell in Margin::places(core.size) {
+        let [u, v] = in_whole(cell);
+        let top_m = top_m[v * width + u];
+        let z = if top_m.is_finite() { top_m } else { lowest_beside([u, v]) };
+        if z.is_finite() {
+            block.margin.set(cell, above_plane(cell, z));
+        }
+    }
     for row in 0..rows {
         for column in 0..columns {
-            let (out, u, v) = (row * columns + column, column + margins[0][0], row + margins[1][0]);
+            let cell = [column as isize, row as isize];
+            let (out, [u, v]) = (row * columns + column, in_whole(cell));
             let mut z = top_m[v * width + u];
             let source = from[v * width + u];
             if source != usize::MAX {
@@ -172,17 +194,10 @@ pub(super) fn match_block(
                 let factor = if is_leaf { LEAF_SIGMA_FACTOR } else { 1.0 };
                 block.sigma_m[out] = factor * best[source].sigma * options.layer_m as f32;
             } else {
-                // Hidden in the reference: what is behind, so the lowest beside it.
-                z = f32::INFINITY;
-                for j in v - 1..=v + 1 {
-                    for &beside in &top_m[j * width + u - 1..=j * width + u + 1] {
-                        z = if beside.is_finite() { z.min(beside) } else { z };
-                    }
-                }
+                z = lowest_beside([u, v]);
             }
             if z.is_finite() {
-                let place = core.place_m([column as f64, row as f64]);
-                block.height_m[out] = (f64::from(z) + core.at_m(place)) as f32;
+                block.height_m[out] = above_plane(cell, z);
             }
             let seen = |other: &&Rectified| other.at([u, v]) > 0;
             let reference = u8::from(picture.values[v * width + u] > 0);

@@ -20,7 +20,8 @@
 //! on it ([`block`]). A parabola through the aggregated costs beside the best layer gives fractions of a layer.
 //!
 //! From coarse to fine ([`tile`], [`area`]): cells of eight times the side say where trees and houses are ([`relief`]), cells of twice the side
-//! without `Q` give the ground under the canopy ([`terrain`]), which the second pass takes as known. Blocks are done on their own, by any number of threads, with the same result.
+//! without `Q` give the ground under the canopy ([`terrain`]), which the second pass takes as known. Blocks are done on their own, by any number of threads, with the same result; where
+//! they meet, heights pass over from one to the next ([`joins`]).
 //!
 //! Constants of this module and its files were chosen on synthetic fields at mid stage, 1.5 cm a cell; what they give is
 //! printed by `cargo test --lib mapping::dense -- --nocapture`: share of cells that have a height, spread of bare soil, shares
@@ -30,6 +31,7 @@ pub mod aggregate;
 pub mod area;
 pub mod block;
 pub mod counts;
+pub mod joins;
 mod lattice;
 pub mod matched;
 pub mod posterior;
@@ -43,6 +45,7 @@ pub mod tile;
 pub use aggregate::Penalties;
 pub use area::{Area, AreaGround, AreaOptions, Pass, TileStore, TilesInMemory};
 pub use counts::HeightCounts;
+pub use joins::{Margin, TileMargins};
 pub use matched::{MatchedPhoto, PosedPhoto};
 pub use posterior::PosteriorOptions;
 pub use prior::Prior;

@@ -325,3 +325,55 @@ fn two_photos_no_overlap_and_water_say_what_is_not_known() {
     let least = sigmas().fold(f32::INFINITY, |least, &sigma| least.min(sigma));
     assert!(sigmas().count() > 0 && f64::from(least) > 15.0 * found.layer_m, "{least}");
 }
+
+#[test]
+fn blocks_and_tiles_meet_without_steps() {
+    let twin = twin(0.0);
+    let mut views = views(&twin);
+    // Orientations in error: blocks of other photos are at other heights.
+    for (k, view) in views.iter_mut().enumerate() {
+        let [x, y, z] = view.centre_m();
+        let pose = Pose::from_centre(view.pose.rotation, [x, y, z + [0.02, -0.03, 0.01][k % 3]]);
+        *view = View::new(&view.name, view.interior, pose, view.motion);
+    }
+    let studio = twin.studio();
+    let photos: Vec<DecodedPhoto> = (0..twin.shots.len())
+        .map(|k| DecodedPhoto::new(&studio.photo(&twin.shots[k], k).image, None))
+        .collect();
+    let read = |k: usize| -> Result<DecodedPhoto, MapError> { Ok(photos[k].clone()) };
+    let cells = Tile { corner_m: [-1.5, 1.9], cell_m: 0.03, size: [128, 128] };
+    let base = |_: [f64; 2]| Some(0.1);
+    let options = AreaOptions { tile_cells: 64, ..area_options() };
+    let area = Area { views: &views, read: &read, base: &base, cells, options };
+    let mut store = TilesInMemory::default();
+    let tiles: &mut dyn TileStore<MapError> = &mut store;
+    let layer_m = area.match_all(tiles, &mut || ()).unwrap().layer_m;
+    let margins = TileMargins::read(cells.size, 64, layer_m, tiles).unwrap();
+    let mut heights = [vec![f32::NAN; 128 * 128], vec![f32::NAN; 128 * 128]];
+    for (number, [u, v]) in area::starts(cells.size, 64).into_iter().enumerate() {
+        let apart = tiles.load(Pass::Fine, number).unwrap().unwrap();
+        let mut joined = apart.clone();
+        margins.join([u, v], &mut joined);
+        for (all, part) in heights.iter_mut().zip([&apart, &joined]) {
+            for (row, from) in part.surface_m.chunks(64).enumerate() {
+                all[(v + row) * 128 + u..][..64].copy_from_slice(from);
+            }
+        }
+    }
+    // Median of the steps from one column to the next, all along the columns.
+    let step = |all: &[f32], column: usize| {
+        let mut steps: Vec<f32> = (0..128)
+            .map(|row| (all[row * 128 + column] - all[row * 128 + column - 1]).abs())
+            .filter(|step| step.is_finite())
+            .collect();
+        steps.sort_by(f32::total_cmp);
+        steps[steps.len() / 2]
+    };
+    let usual: Vec<f32> =
+        (8..120).filter(|k| k % 32 > 8 && k % 32 < 24).map(|k| step(&heights[1], k)).collect();
+    let usual = usual.iter().sum::<f32>() / usual.len() as f32;
+    let [apart, joined] = [0, 1].map(|k| step(&heights[k], 64));
+    println!("steps at the line of tiles {apart} m, joined {joined} m, elsewhere {usual} m");
+    assert!(apart > 1.5 * usual, "{apart} {usual}");
+    assert!(joined < 1.2 * usual, "{joined} {usual}");
+}

@@ -3,6 +3,7 @@
 use super::{
     DenseOptions, PosedPhoto, Relief,
     block::{Block, choose, match_block},
+    joins::{Margin, Part, join, tolerance_m},
     rectify::{BlockPlane, greenness},
 };
 use crate::mapping::{MapError, View};
@@ -61,6 +62,8 @@ pub struct DenseTile {
     pub sigma_m: Vec<f32>,
     /// Red, green, blue of what is seen; black where nothing is.
     pub colour: Vec<[u8; 3]>,
+    /// Heights around it, for its neighbours ([`super::TileMargins`]).
+    pub margin: Margin,
 }
 
 /// Matches the cells of a tile. `ground` gives a height near the ground (within the layers of the options) everywhere on the tile; it
@@ -105,9 +108,12 @@ pub fn match_tile(
         match_block(photos, (reference, &others), &plane, ground, &options, limits)
     };
     let blocks: Vec<Option<Block>> = planes.par_iter().map(|(_, plane)| one(plane)).collect();
-    for (([column, row], plane), block) in planes.into_iter().zip(blocks) {
-        let Some(block) = block else { continue };
-        let [columns, rows] = plane.size;
+    let found = planes
+        .iter()
+        .zip(&blocks)
+        .filter_map(|((start, _), block)| block.as_ref().map(|block| (*start, block)));
+    for ([column, row], block) in found.clone() {
+        let [columns, rows] = block.margin.size();
         for j in 0..rows {
             let (to, from) = ((row + j) * width + column, j * columns);
             result.surface_m[to..to + columns].copy_from_slice(&block.height_m[from..][..columns]);
@@ -117,6 +123,23 @@ pub fn match_tile(
             result.photos[to..to + columns].copy_from_slice(&block.photos[from..][..columns]);
             result.colour[to..to + columns].copy_from_slice(&block.colour[from..][..columns]);
         }
+        // Around the tile, each block what is next to it.
+        for [u, v] in Margin::places(block.margin.size()) {
+            let cell = [u + column as isize, v + row as isize];
+            let next = [0, 1].map(|k| cell[k].clamp(0, tile.size[k] as isize - 1));
+            let is_next = (0..columns as isize).contains(&(next[0] - column as isize))
+                && (0..rows as isize).contains(&(next[1] - row as isize));
+            if let Some(z) = block.margin.at([u, v]).filter(|_| is_next) {
+                result.margin.set(cell, z);
+            }
+        }
+    }
+    let parts: Vec<Part<'_>> =
+        found.map(|(start, block)| Part { start, margin: &block.margin }).collect();
+    for part in &parts {
+        join(part, &parts, tolerance_m(options.layer_m), &mut result.surface_m, |[u, v]| {
+            v * width + u
+        });
     }
     Ok(result)
 }
@@ -131,6 +154,7 @@ pub(super) fn nothing(tile: &Tile) -> DenseTile {
         photos: vec![0; cells],
         sigma_m: vec![f32::NAN; cells],
         colour: vec![[0; 3]; cells],
+        margin: Margin::unknown(tile.size),
     }
 }
 
