@@ -1,11 +1,12 @@
 """How fast a surface is matched, beside semi-global matching of pairs by OpenCV, in one run.
 
-    python3 benches/surface/speed.py PROGRAM PROJECT
+    cargo bench --bench dense --no-run
+    python3 benches/surface/speed.py PROGRAM PROJECT [target/release/deps/dense-...]
 
 PROJECT has been aligned and has a surface of tie points (`rowgram run PROJECT --until dem`). `rowgram surface` is run as a whole on one thread: photos
 read, coarse and fine pass, 64 layers or more, the reference and four others, prior, heights with standard deviations, ground, files
 written. Beside it `StereoSGBM` with MODE_HH (eight paths), 64 disparities, blocks of 5, one thread, on a photo of the project and the same one
-moved: aggregation of one pair and nothing else. Processor time of the best of three, per million cells with two photos and per million
+moved: aggregation of one pair and nothing else. The bench, where it is given, is the same work by rowgram: census and aggregation of one pair. Processor time of the best of three, per million cells with two photos and per million
 pixels. Needs numpy and opencv-python.
 """
 
@@ -34,6 +35,11 @@ def surface(program, project):
     return min(once() for _ in range(ROUNDS))
 
 
+def kernel(bench):
+    said = subprocess.run([bench], check=True, capture_output=True, text=True).stdout
+    return float(said.rsplit("seconds per million pixels: ", 1)[1])
+
+
 def pair(project):
     folder = project / "images" if (project / "images").is_dir() else project
     photo = next(path for path in sorted(folder.iterdir()) if path.suffix.lower() in (".jpg", ".jpeg", ".png", ".tif"))
@@ -54,13 +60,16 @@ def pair(project):
 
 
 def main():
-    if len(sys.argv) != 3:
+    if len(sys.argv) not in (3, 4):
         sys.exit(__doc__)
     program, project = sys.argv[1], pathlib.Path(sys.argv[2])
     whole, one = surface(program, project), pair(project)
     print(f"rowgram surface, all of it: {whole:.2f} s per million cells")
     print(f"StereoSGBM MODE_HH, one pair: {one:.2f} s per million pixels")
     print(f"four pairs: {4 * one:.2f}; ratio {whole / (4 * one):.2f}")
+    if len(sys.argv) == 4:
+        own = kernel(sys.argv[3])
+        print(f"census and aggregation of one pair: {own:.3f} s per million pixels, {one / own:.1f} times as fast as StereoSGBM")
 
 
 if __name__ == "__main__":
