@@ -223,10 +223,19 @@ impl<E: From<MapError> + Send> Area<'_, E> {
 
     /// How the first pass is matched.
     fn wide(&self) -> DenseOptions {
+        let span_m = 2.0 * self.options.range_m;
+        let mut layer_m = (span_m / (LAYERS - 1) as f64).max(self.cells_of(Pass::Coarse).cell_m);
+        let mut layers = layers_over(span_m, layer_m);
+        for fewer in [block::QUARTER, block::HALF] {
+            // A few more would take as long as twice as many.
+            if layers > fewer && layers <= fewer + fewer / 8 {
+                (layers, layer_m) = (fewer, span_m / (fewer - 1) as f64);
+            }
+        }
         DenseOptions {
-            layer_m: 2.0 * self.options.range_m / (LAYERS - 1) as f64,
+            layer_m,
             lowest_m: -self.options.range_m,
-            layers: LAYERS,
+            layers,
             samples: 1,
             others: self.options.others,
             block_cells: DenseOptions::default().block_cells / 2,
@@ -273,7 +282,7 @@ impl<E: From<MapError> + Send> Area<'_, E> {
         let options = DenseOptions {
             layer_m,
             lowest_m: -range_m,
-            layers: (2.0 * range_m / layer_m).ceil() as usize + 1,
+            layers: layers_over(2.0 * range_m, layer_m),
             samples: OVERVIEW_CELLS,
             penalties: OVERVIEW_PENALTIES,
             ..self.wide()
@@ -332,7 +341,7 @@ impl<E: From<MapError> + Send> Area<'_, E> {
         let layer_m = (span / (LAYERS - 1) as f64).max(self.cells.cell_m);
         Ok(DenseOptions {
             layer_m,
-            layers: (span / layer_m).ceil() as usize + 1,
+            layers: layers_over(span, layer_m),
             lowest_m: -SPARE_M,
             block_cells: DenseOptions::default().block_cells,
             prior: options.prior,
@@ -399,6 +408,13 @@ fn usual_height_m<E>(
     }
     let share = if options.prior == Prior::None { 1.0 - MISTAKEN } else { USUAL };
     Ok(counts.percentile_m(share).unwrap_or(0.0))
+}
+
+/// How many layers, so far apart, reach over a span.
+fn layers_over(span_m: f64, layer_m: f64) -> usize {
+    // A whole quotient may come out a hair greater.
+    const ROUNDING: f64 = 1e-9;
+    (span_m / layer_m - ROUNDING).ceil() as usize + 1
 }
 
 /// The same area with cells of twice the side.
