@@ -228,7 +228,7 @@ impl pulp::WithSimd for Colours<'_> {
 
 /// Weights of Keys' cubic kernel; they add up to 1.
 #[inline(always)]
-pub(super) const fn cubic(t: f32) -> [f32; 4] {
+pub(super) fn cubic(t: f32) -> [f32; 4] {
     [
         ((-0.5 * t + 1.0) * t - 0.5) * t,
         (1.5 * t - 2.5) * t * t + 1.0,

@@ -8,33 +8,12 @@
 
 use crate::mapping::{
     View,
-    photo::{DecodedPhoto, cubic},
+    photo::{DecodedPhoto, cubic, first},
     undistort::Interpolation,
 };
 
 /// Weight `w` of the green part of the channel that is matched, 1.5, in 512ths; chosen with the other constants of [`super`].
 const GREEN_WEIGHT: u32 = 768;
-
-/// Parts of a pixel to which positions are rounded: what they are wrong by is below what interpolated positions are.
-const PARTS: usize = 128;
-/// Weights of the four pixels beside a position, by the part of a pixel.
-static WEIGHTS: [[f32; 4]; PARTS] = {
-    let mut weights = [[0.0; 4]; PARTS];
-    let mut part = 0;
-    while part < PARTS {
-        weights[part] = cubic(part as f32 / PARTS as f32);
-        part += 1;
-    }
-    weights
-};
-
-/// The whole pixels before a position, plus 1, and the part of a pixel beyond; for positions from -1/2 to 65534.
-#[inline(always)]
-fn split(position_px: f32) -> (usize, usize) {
-    // Beside 2^16 a number has fractions of 128ths.
-    let bits = (position_px + 65_537.0).to_bits() as usize & 0x7f_ffff;
-    (bits / PARTS, bits % PARTS)
-}
 
 /// A photo in memory: its colours, and the channel that is matched.
 #[derive(Debug, Clone)]
@@ -93,21 +72,22 @@ impl MatchedPhoto {
     #[inline(always)]
     fn value(&self, [u, v]: [f32; 2]) -> u8 {
         let [width, height] = self.colours.size_px();
-        let ((column, across), (row, down)) = (split(u), split(v));
-        let (across, down) = (WEIGHTS[across], WEIGHTS[down]);
-        let (left, top) = (column.wrapping_sub(2), row.wrapping_sub(2));
+        let (column, row) = (first(u), first(v));
+        let (across, down) = (cubic(u - column), cubic(v - row));
+        let (left, top) = (column as isize - 1, row as isize - 1);
         let mut lines = [[0u16; 4]; 4];
-        // What is before the first is far beyond the last.
-        if left < width.saturating_sub(3) && top < height.saturating_sub(3) {
-            let from = &self.channel[top * width + left..][..3 * width + 4];
+        let inside =
+            left >= 0 && top >= 0 && left + 4 <= width as isize && top + 4 <= height as isize;
+        if inside {
+            let from = &self.channel[top as usize * width + left as usize..][..3 * width + 4];
             for (j, line) in lines.iter_mut().enumerate() {
                 line.copy_from_slice(&from[j * width..j * width + 4]);
             }
         } else {
             for (j, line) in lines.iter_mut().enumerate() {
-                let row = (row + j).saturating_sub(2).min(height - 1);
+                let row = (top + j as isize).clamp(0, height as isize - 1) as usize;
                 for (i, value) in line.iter_mut().enumerate() {
-                    let column = (column + i).saturating_sub(2).min(width - 1);
+                    let column = (left + i as isize).clamp(0, width as isize - 1) as usize;
                     *value = self.channel[row * width + column];
                 }
             }
