@@ -224,14 +224,7 @@ impl<E: From<MapError> + Send> Area<'_, E> {
     /// How the first pass is matched.
     fn wide(&self) -> DenseOptions {
         let span_m = 2.0 * self.options.range_m;
-        let mut layer_m = (span_m / (LAYERS - 1) as f64).max(self.cells_of(Pass::Coarse).cell_m);
-        let mut layers = layers_over(span_m, layer_m);
-        for fewer in [block::QUARTER, block::HALF] {
-            // A few more would take as long as twice as many.
-            if layers > fewer && layers <= fewer + fewer / 8 {
-                (layers, layer_m) = (fewer, span_m / (fewer - 1) as f64);
-            }
-        }
+        let (layer_m, layers) = DenseOptions::layers_over(span_m, self.cells.cell_m, LAYERS);
         DenseOptions {
             layer_m,
             lowest_m: -self.options.range_m,
@@ -278,11 +271,11 @@ impl<E: From<MapError> + Send> Area<'_, E> {
             size: part.size.map(|n| n.div_ceil(OVERVIEW_CELLS)),
             ..*part
         };
-        let layer_m = tile.cell_m.max(2.0 * range_m / (MAX_LAYERS - 1) as f64);
+        let (layer_m, layers) = DenseOptions::layers_over(2.0 * range_m, tile.cell_m, MAX_LAYERS);
         let options = DenseOptions {
             layer_m,
             lowest_m: -range_m,
-            layers: layers_over(2.0 * range_m, layer_m),
+            layers,
             samples: OVERVIEW_CELLS,
             penalties: OVERVIEW_PENALTIES,
             ..self.wide()
@@ -338,10 +331,10 @@ impl<E: From<MapError> + Send> Area<'_, E> {
         // Without colours all sure cells are asked, most of which are ground.
         let higher = if options.prior == Prior::None { 1.0 } else { HIGHER };
         let span = (higher * usual).max(MIN_TOP_M) + 2.0 * SPARE_M;
-        let layer_m = (span / (LAYERS - 1) as f64).max(self.cells.cell_m);
+        let (layer_m, layers) = DenseOptions::layers_over(span, self.cells.cell_m, LAYERS);
         Ok(DenseOptions {
             layer_m,
-            layers: layers_over(span, layer_m),
+            layers,
             lowest_m: -SPARE_M,
             block_cells: DenseOptions::default().block_cells,
             prior: options.prior,
@@ -408,13 +401,6 @@ fn usual_height_m<E>(
     }
     let share = if options.prior == Prior::None { 1.0 - MISTAKEN } else { USUAL };
     Ok(counts.percentile_m(share).unwrap_or(0.0))
-}
-
-/// How many layers, so far apart, reach over a span.
-fn layers_over(span_m: f64, layer_m: f64) -> usize {
-    // A whole quotient may come out a hair greater.
-    const ROUNDING: f64 = 1e-9;
-    (span_m / layer_m - ROUNDING).ceil() as usize + 1
 }
 
 /// The same area with cells of twice the side.

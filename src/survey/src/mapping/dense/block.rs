@@ -13,14 +13,14 @@ use crate::mapping::View;
 use std::ops::Range;
 
 /// Cells beyond the core of a block that its neighbours have too, so that paths begin before it.
-const OVERLAP: usize = 8;
+const OVERLAP: usize = 16;
 /// Photos closer to the reference than this, per height of flight, say little of heights.
 const MIN_BASE: f64 = 0.05;
 /// What layers that take no part cost more than those in which nothing fits: as much as the prior may add to these.
 pub(super) const DISLIKED: u8 = 20;
 /// Other numbers of layers than the usual and the most: less memory and time where so many are enough.
-pub(super) const QUARTER: usize = LAYERS / 4;
-pub(super) const HALF: usize = LAYERS / 2;
+const QUARTER: usize = LAYERS / 4;
+const HALF: usize = LAYERS / 2;
 const MIDDLE: usize = 2 * LAYERS;
 /// How far from its middle the pixels of leaves reach, in cells: at their edges they share pixels with soil.
 const LEAF_REACH: f64 = 0.75;
