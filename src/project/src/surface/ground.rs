@@ -123,10 +123,10 @@ impl Ground {
                     let cell = [window.u + at % window.width, window.v + at / window.width];
                     let on_map = transfer.at(place.map(cell.map(|c| c as f64)));
                     let own = on_map.and_then(|at| frame.pixel(at));
-                    let value = |of: Option<f64>| of.map_or(f32::NAN, |value| value as f32);
-                    ground.push(value(own.and_then(|at| terrain.at_m(at))));
-                    let known = own.and_then(|at| terrain.sigma_at_m(at));
-                    sigma.push(value(known.filter(|sigma| sigma.is_finite())));
+                    let known = own.and_then(|at| terrain.with_sigma_at_m(at));
+                    let [height_m, sigma_m] = known.unwrap_or([f64::NAN; 2]).map(|m| m as f32);
+                    ground.push(height_m);
+                    sigma.push(if sigma_m.is_finite() { sigma_m } else { f32::NAN });
                 }
                 Ok([ground, sigma])
             }

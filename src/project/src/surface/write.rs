@@ -68,7 +68,7 @@ pub(super) fn write(
     for (number, window) in windows(found.size).enumerate() {
         let planes = Planes::new(load(number, window)?, window, found)?;
         rasters.put(&planes)?;
-        sums.add(&planes, found);
+        sums.add(&planes);
     }
     rasters.finish()?;
     sums.draw(found, &pictures)?;
@@ -124,6 +124,8 @@ struct Planes {
     canopy_m: Vec<f32>,
     confidence: Vec<u8>,
     photos: Vec<u8>,
+    /// What orientation leaves of heights unknown.
+    orientation_m: Vec<f32>,
 }
 
 impl Planes {
@@ -133,17 +135,6 @@ impl Planes {
                 .place
                 .map([window.u + at % window.width, window.v + at / window.width].map(|c| c as f64))
         };
-        // Matching and orientation are independent of each other.
-        let orientation = found.matching.and_then(|matching| matching.orientation);
-        let with_orientation = |sigma: &mut f32, at: usize| match orientation {
-            Some(orientation) if sigma.is_finite() => {
-                *sigma = orientation.combined_with(f64::from(*sigma), place(at)) as f32;
-            }
-            _ => {}
-        };
-        let each = |sigmas: &mut Vec<f32>| {
-            sigmas.iter_mut().enumerate().for_each(|(at, sigma)| with_orientation(sigma, at));
-        };
         let [ground_m, ground_sigma_m] = found.ground.on(found.place, window)?;
         let (surface_m, sigma_m, confidence, photos) = match part {
             SurfacePart::Matched(tile) => {
@@ -151,7 +142,7 @@ impl Planes {
             }
             SurfacePart::Given(surface_m) => (surface_m, Vec::new(), Vec::new(), Vec::new()),
         };
-        let canopy_m = Vec::new();
+        let (canopy_m, orientation_m) = (Vec::new(), Vec::new());
         let mut planes = Planes {
             window,
             surface_m,
@@ -161,6 +152,7 @@ impl Planes {
             canopy_m,
             confidence,
             photos,
+            orientation_m,
         };
         if found.ground.has_sigma() {
             // A fit is known where something is seen; beyond it is a guess.
@@ -170,12 +162,30 @@ impl Planes {
                 }
             }
         }
-        each(&mut planes.sigma_m);
-        each(&mut planes.ground_sigma_m);
+        if let Some(orientation) = found.matching.and_then(|matching| matching.orientation) {
+            planes.add_orientation(|at| orientation.at_m(place(at)));
+        }
         // Not `max`, which takes zero for what is not known.
         let above = |(top, ground): (&f32, &f32)| if top < ground { 0.0 } else { top - ground };
         planes.canopy_m = planes.surface_m.iter().zip(&planes.ground_m).map(above).collect();
         Ok(planes)
+    }
+
+    /// Adds what orientation leaves unknown to the standard deviations: matching and orientation are independent of each other.
+    fn add_orientation(&mut self, at_m: impl Fn(usize) -> f64) {
+        self.orientation_m = vec![f32::NAN; self.surface_m.len()];
+        for (at, orientation_m) in self.orientation_m.iter_mut().enumerate() {
+            let mut sigmas = [self.sigma_m.get_mut(at), self.ground_sigma_m.get_mut(at)];
+            if sigmas.iter().flatten().all(|sigma| !sigma.is_finite()) {
+                continue;
+            }
+            let own = at_m(at);
+            *orientation_m = own as f32;
+            for sigma in sigmas.iter_mut().flatten().filter(|sigma| sigma.is_finite()) {
+                let matched = f64::from(**sigma);
+                **sigma = (matched * matched + own * own).sqrt() as f32;
+            }
+        }
     }
 
     /// Whether two photos show a cell, or a surface that was given has a height there.
@@ -290,10 +300,9 @@ impl Sums {
         }
     }
 
-    fn add(&mut self, of: &Planes, found: &Found<'_>) {
+    fn add(&mut self, of: &Planes) {
         let Window { u, v, width, .. } = of.window;
         let middle = self.size.map(|n| n / 2);
-        let orientation = found.matching.and_then(|matching| matching.orientation);
         for at in 0..of.surface_m.len() {
             let [u, v] = [u + at % width, v + at / width];
             let top = of.surface_m[at];
@@ -305,9 +314,8 @@ impl Sums {
             let (below, canopy) = (or_none(&of.ground_m), or_none(&of.canopy_m));
             self.canopy.add(f64::from(canopy));
             self.surface_sigma.add(f64::from(or_none(&of.sigma_m)));
-            if let Some(orientation) = orientation.filter(|_| top.is_finite()) {
-                let place = found.place.map([u as f64, v as f64]);
-                self.orientation_sigma.add(orientation.at_m(place));
+            if top.is_finite() {
+                self.orientation_sigma.add(f64::from(or_none(&of.orientation_m)));
             }
             self.ground_sigma.add(f64::from(or_none(&of.ground_sigma_m)));
             if u.is_multiple_of(self.step) && v.is_multiple_of(self.step) {

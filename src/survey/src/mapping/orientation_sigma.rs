@@ -92,12 +92,6 @@ impl OrientationSigma {
         let along = |row: usize| at(u, row) + a * (at(u + 1, row) - at(u, row));
         along(v) + b * (along(v + 1) - along(v))
     }
-
-    /// Combined with another standard deviation that is independent of it, metres.
-    pub fn combined_with(&self, sigma_m: f64, place_m: [f64; 2]) -> f64 {
-        let orientation_m = self.at_m(place_m);
-        (sigma_m * sigma_m + orientation_m * orientation_m).sqrt()
-    }
 }
 
 #[cfg(test)]
@@ -127,7 +121,6 @@ mod tests {
         // Where nothing is seen, as beside; beyond the last points, as there.
         assert!(sigma.at_m([5.0, 5.0]) < 0.025);
         assert_eq!(sigma.at_m([1e6, 30.0]), sigma.at_m([2e6, 30.0]));
-        assert!((sigma.combined_with(0.03, [50.0, 30.0]) - 0.036).abs() < 0.002);
     }
 
     #[test]

@@ -223,10 +223,12 @@ impl<E: From<MapError> + Send> Area<'_, E> {
 
     /// How the first pass is matched.
     fn wide(&self) -> DenseOptions {
+        let span_m = 2.0 * self.options.range_m;
+        let (layer_m, layers) = DenseOptions::layers_over(span_m, self.cells.cell_m, LAYERS);
         DenseOptions {
-            layer_m: 2.0 * self.options.range_m / (LAYERS - 1) as f64,
+            layer_m,
             lowest_m: -self.options.range_m,
-            layers: LAYERS,
+            layers,
             samples: 1,
             others: self.options.others,
             block_cells: DenseOptions::default().block_cells / 2,
@@ -269,11 +271,11 @@ impl<E: From<MapError> + Send> Area<'_, E> {
             size: part.size.map(|n| n.div_ceil(OVERVIEW_CELLS)),
             ..*part
         };
-        let layer_m = tile.cell_m.max(2.0 * range_m / (MAX_LAYERS - 1) as f64);
+        let (layer_m, layers) = DenseOptions::layers_over(2.0 * range_m, tile.cell_m, MAX_LAYERS);
         let options = DenseOptions {
             layer_m,
             lowest_m: -range_m,
-            layers: (2.0 * range_m / layer_m).ceil() as usize + 1,
+            layers,
             samples: OVERVIEW_CELLS,
             penalties: OVERVIEW_PENALTIES,
             ..self.wide()
@@ -329,10 +331,10 @@ impl<E: From<MapError> + Send> Area<'_, E> {
         // Without colours all sure cells are asked, most of which are ground.
         let higher = if options.prior == Prior::None { 1.0 } else { HIGHER };
         let span = (higher * usual).max(MIN_TOP_M) + 2.0 * SPARE_M;
-        let layer_m = (span / (LAYERS - 1) as f64).max(self.cells.cell_m);
+        let (layer_m, layers) = DenseOptions::layers_over(span, self.cells.cell_m, LAYERS);
         Ok(DenseOptions {
             layer_m,
-            layers: (span / layer_m).ceil() as usize + 1,
+            layers,
             lowest_m: -SPARE_M,
             block_cells: DenseOptions::default().block_cells,
             prior: options.prior,

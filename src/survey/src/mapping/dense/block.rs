@@ -11,6 +11,7 @@ use super::{
     sweep::{MAX_OTHERS, REACH, Rectified, WORST, costs, transfer},
 };
 use crate::mapping::View;
+use std::ops::Range;
 
 /// Cells beyond the core of a block that its neighbours have too, so that paths begin before it.
 const OVERLAP: usize = 16;
@@ -18,7 +19,9 @@ const OVERLAP: usize = 16;
 const MIN_BASE: f64 = 0.05;
 /// What layers that take no part cost more than those in which nothing fits: as much as the prior may add to these.
 pub(super) const DISLIKED: u8 = 20;
-/// Between the usual and the most layers: less memory and time where so many are enough.
+/// Other numbers of layers than the usual and the most: less memory and time where so many are enough.
+const QUARTER: usize = LAYERS / 4;
+const HALF: usize = LAYERS / 2;
 const MIDDLE: usize = 2 * LAYERS;
 /// How far from its middle the pixels of leaves reach, in cells: at their edges they share pixels with soil.
 const LEAF_REACH: f64 = 0.75;
@@ -119,7 +122,9 @@ pub(super) fn match_block(
         posterior: &options.posterior,
     };
     let best = match layers {
-        0..=LAYERS => costs.heights::<LAYERS, { LAYERS + 2 }>(&pixels),
+        0..=QUARTER => costs.heights::<QUARTER, { QUARTER + 2 }>(&pixels),
+        _ if layers <= HALF => costs.heights::<HALF, { HALF + 2 }>(&pixels),
+        _ if layers <= LAYERS => costs.heights::<LAYERS, { LAYERS + 2 }>(&pixels),
         _ if layers <= MIDDLE => costs.heights::<MIDDLE, { MIDDLE + 2 }>(&pixels),
         _ => costs.heights::<MAX_LAYERS, { MAX_LAYERS + 2 }>(&pixels),
     };
@@ -138,13 +143,11 @@ pub(super) fn match_block(
             let [u, v] = [column as f64, row as f64];
             let [u, v] = [u + (picture.centre[0] - u) * share, v + (picture.centre[1] - v) * share];
             let half = if options.prior.is_leaf(green[at]) { LEAF_REACH } else { 0.5 };
-            let low = [u, v].map(|c| (c - half).ceil().max(0.0) as usize);
-            let high = [(u, width), (v, height)]
-                .map(|(c, n)| ((c + half).floor().max(-1.0) as isize).min(n as isize - 1));
-            for j in low[1] as isize..=high[1] {
-                for i in low[0] as isize..=high[0] {
-                    let cell = j as usize * width + i as usize;
-                    let rank = z as f32 - LOWERED * best[at].sigma * options.layer_m as f32;
+            let [columns, rows] = [(u, width), (v, height)].map(|(c, n)| within(c, half, n));
+            let rank = z as f32 - LOWERED * best[at].sigma * options.layer_m as f32;
+            for j in rows {
+                for i in columns.clone() {
+                    let cell = j * width + i;
                     if rank > rank_m[cell] {
                         rank_m[cell] = rank;
                         (top_m[cell], from[cell]) = (z as f32, at);
@@ -205,6 +208,18 @@ pub(super) fn match_block(
         }
     }
     Some(block)
+}
+
+/// The cells, of so many, whose middles are within half a width of a position. Without roundings, which are calls where the processor need
+/// not have them.
+#[inline(always)]
+fn within(position: f64, half: f64, cells: usize) -> Range<usize> {
+    // A negative number becomes 0.
+    let (low, high) = (position - half, position + half);
+    let first = low as usize;
+    let first = first + usize::from((first as f64) < low);
+    let end = if high < 0.0 { 0 } else { (high as usize + 1).min(cells) };
+    first..end
 }
 
 /// The matching costs of a block, and how heights are found from them.

@@ -6,8 +6,6 @@
 //!
 //! with `w` the width, metres. Within half of it of the exact percentile.
 
-use std::collections::BTreeMap;
-
 /// Classes that are counted side by side: a matter of memory and time, not of results.
 const TOGETHER: usize = 1024;
 
@@ -15,29 +13,40 @@ const TOGETHER: usize = 1024;
 #[derive(Debug, Clone, PartialEq)]
 pub struct HeightCounts {
     width_m: f64,
-    counts: BTreeMap<i64, Vec<u64>>,
+    /// Numbers of the first of [`TOGETHER`] classes and of the following ones, in ascending order.
+    counts: Vec<(i64, Vec<u64>)>,
+    /// Which of these had the last height: mostly it has the next one too.
+    last: usize,
 }
 
 impl HeightCounts {
     /// None yet, in classes of this width.
     pub fn new(width_m: f64) -> HeightCounts {
-        HeightCounts { width_m, counts: BTreeMap::new() }
+        HeightCounts { width_m, counts: Vec::new(), last: 0 }
     }
 
     /// Counts a height; what is not finite is none, and beyond any height on Earth neither.
     pub fn add(&mut self, height_m: f64) {
         const MAX_M: f64 = 1e4;
         if height_m.is_finite() && height_m.abs() < MAX_M {
-            let class = (height_m / self.width_m).floor() as i64;
+            let classes = height_m / self.width_m;
+            let whole = classes as i64;
+            let class = whole - i64::from(whole as f64 > classes);
             let (group, at) =
                 (class.div_euclid(TOGETHER as i64), class.rem_euclid(TOGETHER as i64));
-            self.counts.entry(group).or_insert_with(|| vec![0; TOGETHER])[at as usize] += 1;
+            if self.counts.get(self.last).is_none_or(|(of, _)| *of != group) {
+                self.last = self.counts.partition_point(|(of, _)| *of < group);
+                if self.counts.get(self.last).is_none_or(|(of, _)| *of != group) {
+                    self.counts.insert(self.last, (group, vec![0; TOGETHER]));
+                }
+            }
+            self.counts[self.last].1[at as usize] += 1;
         }
     }
 
     /// The height that a share of them does not exceed; `None` where there are none.
     pub fn percentile_m(&self, share: f64) -> Option<f64> {
-        let total: u64 = self.counts.values().flatten().sum();
+        let total: u64 = self.counts.iter().flat_map(|(_, counts)| counts).sum();
         let (wanted, mut sum) = (share * total as f64, 0);
         for (group, counts) in &self.counts {
             for (at, count) in counts.iter().enumerate() {

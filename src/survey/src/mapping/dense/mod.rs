@@ -98,6 +98,15 @@ impl Default for DenseOptions {
 }
 
 impl DenseOptions {
+    /// Distance and number of the layers over a span of heights: `least_m` apart or more, and at most so many. From one layer to the
+    /// next as far away as a cell is wide, photos move by less than a cell.
+    fn layers_over(span_m: f64, least_m: f64, most: usize) -> (f64, usize) {
+        // A whole quotient may come out a hair greater.
+        const ROUNDING: f64 = 1e-9;
+        let layer_m = (span_m / (most - 1) as f64).max(least_m);
+        (layer_m, (span_m / layer_m - ROUNDING).ceil() as usize + 1)
+    }
+
     /// The highest layer above the plane of a block, metres.
     pub fn highest_m(&self) -> f64 {
         self.lowest_m + self.layer_m * (self.layers.max(1) - 1) as f64

@@ -77,17 +77,20 @@ struct Distribution<const D: usize> {
     total: f32,
     /// Halvings of the likelihood per cost.
     rate: f32,
+    /// 1 for layers that take part, 0 for the others.
+    part: [f32; D],
 }
 
 impl<const D: usize> Distribution<D> {
-    fn new(options: &PosteriorOptions) -> Distribution<D> {
+    fn new(options: &PosteriorOptions, layers: usize) -> Distribution<D> {
         let rate = (std::f64::consts::LOG2_E / options.temperature) as f32;
-        Distribution { share: [0.0; D], sums: [0.0; D], total: 0.0, rate }
+        let part = std::array::from_fn(|d| f32::from(u8::from(d < layers)));
+        Distribution { share: [0.0; D], sums: [0.0; D], total: 0.0, rate, part }
     }
 
     /// `p_d exp(-(S_d - min S)/T)`.
     #[inline(always)]
-    fn set(&mut self, costs: &[u16; D], prior: &[f32], layers: usize) {
+    fn set(&mut self, costs: &[u16; D], prior: &[f32]) {
         let mut least = u16::MAX;
         for &cost in costs {
             least = least.min(cost);
@@ -95,69 +98,83 @@ impl<const D: usize> Distribution<D> {
         let prior = &prior[..D];
         for d in 0..D {
             let likely = half_to_the(f32::from(costs[d].wrapping_sub(least)) * self.rate);
-            self.share[d] = if d < layers { likely * prior[d] } else { 0.0 };
+            self.share[d] = likely * prior[d] * self.part[d];
         }
         self.total = 0.0;
-        for (of, sum) in self.share.as_chunks::<TOGETHER>().0.iter().zip(&mut self.sums) {
-            let four = [0, 1, 2, 3].map(|k| of[k] + of[k + 4]);
-            *sum = (four[0] + four[2]) + (four[1] + four[3]);
-            self.total += *sum;
+        for group in 0..D / TOGETHER {
+            let of = &self.share[group * TOGETHER..][..TOGETHER];
+            let mut four = [0.0f32; TOGETHER / 2];
+            for k in 0..TOGETHER / 2 {
+                four[k] = of[k] + of[k + TOGETHER / 2];
+            }
+            self.sums[group] = (four[0] + four[2]) + (four[1] + four[3]);
+            self.total += self.sums[group];
         }
     }
 
     /// The layer of the greatest share; the lowest of several.
     #[inline(always)]
     fn best(&self) -> usize {
-        let mut most = [0.0f32; TOGETHER];
-        for of in self.share.as_chunks::<TOGETHER>().0 {
-            for (most, &share) in most.iter_mut().zip(of) {
-                *most = if share > *most { share } else { *most };
-            }
+        // Of numbers that are not negative the bits have the same order, and the greatest of whole numbers needs no order of comparisons.
+        let (mut most, mut first) = (0, u32::MAX);
+        for share in &self.share {
+            most = most.max(share.to_bits());
         }
-        let most = most.into_iter().fold(0.0f32, f32::max);
-        self.share.iter().position(|&share| share == most).unwrap_or(0)
+        for d in 0..D {
+            first = first.min(if self.share[d].to_bits() == most { d as u32 } else { u32::MAX });
+        }
+        (first as usize).min(D - 1)
     }
 
     /// Half the width of the middle 68 %, where the share of a layer is even over its width.
     #[inline(always)]
     fn half_width(&self, layers: usize) -> f32 {
+        let low = self.tail::<false>();
+        let high = D as f32 - self.tail::<true>();
+        (0.5 * (high.min(layers as f32) - low)).max(0.0)
+    }
+
+    /// Layers from the lowest on (from the highest where `DOWN`) that have the share of a tail together. Counts in place of branches, which
+    /// no processor foresees here.
+    #[inline(always)]
+    fn tail<const DOWN: bool>(&self) -> f32 {
         // Of a normal distribution beyond one standard deviation.
         const TAIL: f32 = 0.158_655;
         let wanted = TAIL * self.total;
         let groups = D / TOGETHER;
-        // Layers from one end on that have the share of a tail together.
-        let tail = |group: &dyn Fn(usize) -> usize, layer: &dyn Fn(usize) -> usize| -> f32 {
-            let (mut sum, mut whole) = (0.0f32, 0);
-            while whole < groups && sum + self.sums[group(whole)] < wanted {
-                sum += self.sums[group(whole)];
-                whole += 1;
-            }
-            let first = whole * TOGETHER;
-            for d in first..D.min(first + TOGETHER) {
-                let share = self.share[layer(d)];
-                if sum + share >= wanted {
-                    return d as f32 + (wanted - sum) / share.max(f32::MIN_POSITIVE);
-                }
-                sum += share;
-            }
-            D.min(first + TOGETHER) as f32
-        };
-        let low = tail(&|k| k, &|d| d);
-        let high = D as f32 - tail(&|k| groups - 1 - k, &|d| D - 1 - d);
-        (0.5 * (high.min(layers as f32) - low)).max(0.0)
+        let (mut sum, mut below, mut whole) = (0.0f32, 0.0f32, 0);
+        for group in 0..groups - 1 {
+            sum += self.sums[if DOWN { groups - 1 - group } else { group }];
+            whole += usize::from(sum < wanted);
+            below = if sum < wanted { sum } else { below };
+        }
+        let from = TOGETHER * if DOWN { groups - 1 - whole } else { whole };
+        let of = &self.share[from..][..TOGETHER];
+        let (mut sum, mut single) = (below, 0);
+        for k in 0..TOGETHER - 1 {
+            sum += of[if DOWN { TOGETHER - 1 - k } else { k }];
+            single += usize::from(sum < wanted);
+            below = if sum < wanted { sum } else { below };
+        }
+        let last = of[if DOWN { TOGETHER - 1 - single } else { single }];
+        let part = ((wanted - below) / last.max(f32::MIN_POSITIVE)).min(1.0);
+        (whole * TOGETHER + single) as f32 + part
     }
 }
 
-/// `2^-x` for `x` from 0 on, within a ten-thousandth: the whole part goes to the exponent, and the polynomial of third degree whose greatest relative
-/// error over 0 to 1 is least stands for the rest.
+/// `2^-x` for `x` from 0 on, within a ten-thousandth: the whole part goes to the exponent, and a polynomial of third degree stands for the
+/// rest, its coefficients those of least relative error over -1/2 to 1/2.
 #[inline(always)]
 fn half_to_the(x: f32) -> f32 {
+    // Beside 3 2^22 a number has no fractions, and its last bits are the rounded value, whatever its sign.
+    const BESIDE: f32 = 12_582_912.0;
     // Beyond, a float is as good as 0.
     let x = if x < 120.0 { x } else { 120.0 };
-    let whole = x as i32;
-    let rest = x - whole as f32;
-    let power = 0.999_925_2 + rest * (-0.691_020_7 + rest * (0.230_070_3 - rest * 0.039_012_1));
-    f32::from_bits(((127 - whole) as u32) << 23) * power
+    let beside = x + BESIDE;
+    let rest = x - (beside - BESIDE);
+    let power = 0.999_928_1 + rest * (-0.693_261 + rest * (0.242_611_1 - rest * 0.055_171_7));
+    // The rounded part is taken off the exponent of the power.
+    f32::from_bits(power.to_bits().wrapping_sub(beside.to_bits() << 23))
 }
 
 /// How likely heights are by class and layer above the lowest possible; heights are shifted so that the ground is at layer `D`.
@@ -186,14 +203,14 @@ impl<const D: usize> Heights<D> {
             .flat_map(|v| (THINNED / 2..width).step_by(THINNED).map(move |u| v * width + u))
             .filter(|&at| usize::from(pixels.class[at]) < CLASSES)
             .collect();
-        let mut of = Distribution::<D>::new(options);
+        let mut of = Distribution::<D>::new(options, pixels.layers);
         for _ in 0..options.rounds {
             let mut next: [Vec<f64>; CLASSES] = std::array::from_fn(|_| vec![0.0; 2 * D + 1]);
             let mut counts = [0usize; CLASSES];
             for &at in &taken {
                 let class = usize::from(pixels.class[at]);
                 let first = Self::first(pixels, at);
-                of.set(&sums[at], &heights.0[class][first..first + D], pixels.layers);
+                of.set(&sums[at], &heights.0[class][first..first + D]);
                 if of.total > 0.0 {
                     let part = 1.0 / f64::from(of.total);
                     for (next, &share) in next[class][first..first + D].iter_mut().zip(&of.share) {
@@ -243,7 +260,7 @@ impl<const D: usize> pulp::WithSimd for Estimates<'_, D> {
         let Estimates { sums, pixels, options } = self;
         let heights = Heights::<D>::estimate(sums, pixels, options);
         let mut out = vec![Estimate::default(); sums.len()];
-        let mut of = Distribution::<D>::new(options);
+        let mut of = Distribution::<D>::new(options, pixels.layers);
         let index: [u16; D] = std::array::from_fn(|d| d as u16);
         for (at, (sums, out)) in sums.iter().zip(&mut out).enumerate() {
             let class = usize::from(pixels.class[at]);
@@ -251,7 +268,7 @@ impl<const D: usize> pulp::WithSimd for Estimates<'_, D> {
                 continue;
             }
             let first = Heights::<D>::first(pixels, at);
-            of.set(sums, &heights.0[class][first..first + D], pixels.layers);
+            of.set(sums, &heights.0[class][first..first + D]);
             let best = of.best();
             let mut shift = 0.0;
             if best > 0 && best + 1 < pixels.layers {

@@ -109,6 +109,17 @@ impl Limits {
         let clamp = |at: f64, range: &Range<usize>| {
             (at.round().max(range.start as f64) as usize).min(range.end - 1) - range.start
         };
+        // What all places along a row of larger cells may have, and whether something stands on any.
+        let along_row: Vec<([f32; 2], bool)> = (0..self.rows.len())
+            .map(|row| {
+                let of = row * self.columns.len()..(row + 1) * self.columns.len();
+                let all = self.usual_m[of.clone()].iter();
+                let all = all.fold([f32::NEG_INFINITY, f32::INFINITY], |all, usual| {
+                    [all[0].max(usual[0]), all[1].min(usual[1])]
+                });
+                (all, self.standing_m[of].iter().any(|[low, high]| low < high))
+            })
+            .collect();
         let mut columns = vec![0; width];
         let mut standing = vec![false; width * height];
         for (layer, &h) in volume.chunks_exact_mut(width * height).zip(heights_m) {
@@ -118,13 +129,20 @@ impl Limits {
                 *column = clamp(along(0, u as f64), &self.columns);
             }
             for (v, row) in layer.chunks_exact_mut(width).enumerate() {
-                let from = clamp(along(1, v as f64), &self.rows) * self.columns.len();
+                let larger = clamp(along(1, v as f64), &self.rows);
                 // The plane rises evenly along a row, so two places give all.
                 let at = |u: f64| {
                     let [u, v] = [(u, 0), (v as f64, 1)].map(|(c, k)| c + (centre[k] - c) * share);
                     h + block.at_m(block.place_m([u, v]))
                 };
                 let (start_m, rise_m) = (at(0.0) as f32, (at(1.0) - at(0.0)) as f32);
+                let (all_m, stands) = along_row[larger];
+                let end_m = start_m + rise_m * (width - 1) as f32;
+                let usual = start_m.min(end_m) >= all_m[0] && start_m.max(end_m) <= all_m[1];
+                if !stands && (usual || !self.farther) {
+                    continue;
+                }
+                let from = larger * self.columns.len();
                 for (u, (cost, &column)) in row.iter_mut().zip(&columns).enumerate() {
                     let z = start_m + rise_m * u as f32;
                     let within = |limits: &[[f32; 2]]| {
@@ -212,10 +230,33 @@ impl Relief {
         let [columns, rows] = under(&tile, block.corner_m, size_m);
         let spare = (SPARE_CELLS * tile.cell_m) as f32;
         const NOTHING: [f32; 2] = [f32::INFINITY, f32::NEG_INFINITY];
+        let stands_m = STANDS_CELLS * tile.cell_m as f32;
+        let is_sure = |at: usize| self.found.confidence[at] >= MIN_VOTING_CONFIDENCE;
+        let is_leaf = |at: usize| prior.is_leaf(greenness(self.found.colour[at]));
+        let places = rows.clone().flat_map(|row| columns.clone().map(move |column| [column, row]));
+        let ground_m: Vec<Option<f64>> =
+            places.map(|[column, row]| ground(tile.place_m(column, row))).collect();
+        if !farther {
+            // Mostly nothing is as high above the lowest ground, and nothing is limited.
+            let lowest = ground_m.iter().flatten().fold(f64::INFINITY, |low, &z| low.min(z));
+            let may_stand = |at: usize| {
+                is_sure(at) && self.found.surface_m[at] - lowest as f32 > stands_m && !is_leaf(at)
+            };
+            let [wider, higher] = [(&columns, tile.size[0]), (&rows, tile.size[1])]
+                .map(|(of, n)| of.start.saturating_sub(AROUND)..(of.end + AROUND).min(n));
+            let mut cells =
+                higher.flat_map(|row| wider.clone().map(move |column| row * tile.size[0] + column));
+            if !(prior.needs_ground() && cells.any(may_stand)) {
+                let none = || Vec::new();
+                let (usual_m, sure_m, standing_m) = (none(), none(), none());
+                return Limits { tile, columns, rows, usual_m, sure_m, standing_m, farther };
+            }
+        }
+        let mut ground_m = ground_m.into_iter();
         let (mut usual_m, mut sure_m, mut standing_m) = (Vec::new(), Vec::new(), Vec::new());
         for row in rows.clone() {
             for column in columns.clone() {
-                let z = ground(tile.place_m(column, row));
+                let z = ground_m.next().flatten();
                 usual_m.push(z.map_or(NOTHING, |z| usual.map(|h| (z + h) as f32)));
                 let mut limits = NOTHING;
                 let (mut sure, mut standing) = (0, 0);
@@ -227,15 +268,11 @@ impl Relief {
                         if top.is_finite() {
                             limits = [limits[0].min(top - spare), limits[1].max(top + spare)];
                         }
-                        if self.found.confidence[at] >= MIN_VOTING_CONFIDENCE {
-                            let stands = z.is_some_and(|z| {
-                                self.found.surface_m[at] - z as f32
-                                    > STANDS_CELLS * tile.cell_m as f32
-                            });
+                        if is_sure(at) {
+                            let stands =
+                                z.is_some_and(|z| self.found.surface_m[at] - z as f32 > stands_m);
                             sure += 1;
-                            standing += usize::from(
-                                stands && !prior.is_leaf(greenness(self.found.colour[at])),
-                            );
+                            standing += usize::from(stands && !is_leaf(at));
                         }
                     }
                 }

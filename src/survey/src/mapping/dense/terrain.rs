@@ -207,27 +207,36 @@ impl Terrain {
     }
 
     /// The height of the ground at a place, linear between the nodes; `None` beyond them.
+    #[inline]
     pub fn at_m(&self, place_m: [f64; 2]) -> Option<f64> {
-        self.between(&self.height_m, place_m)
+        self.between([&self.height_m], place_m).map(|[height_m]| height_m)
     }
 
-    /// Its standard deviation.
-    pub fn sigma_at_m(&self, place_m: [f64; 2]) -> Option<f64> {
-        self.between(&self.sigma_m, place_m)
+    /// The height of the ground at a place and its standard deviation.
+    #[inline]
+    pub fn with_sigma_at_m(&self, place_m: [f64; 2]) -> Option<[f64; 2]> {
+        self.between([&self.height_m, &self.sigma_m], place_m)
     }
 
-    fn between(&self, values: &[f64], [x, y]: [f64; 2]) -> Option<f64> {
-        let at = [(x - self.corner_m[0]) / self.node_m, (self.corner_m[1] - y) / self.node_m];
-        if (0..2).any(|k| at[k] < -0.5 || at[k] > self.size[k] as f64 - 0.5 || at[k].is_nan()) {
+    #[inline(always)]
+    fn between<const N: usize>(&self, values: [&[f64]; N], [x, y]: [f64; 2]) -> Option<[f64; N]> {
+        let [columns, rows] = self.size;
+        let u = (x - self.corner_m[0]) / self.node_m;
+        let v = (self.corner_m[1] - y) / self.node_m;
+        // What is no number is not inside.
+        if !(u >= -0.5 && u <= columns as f64 - 0.5 && v >= -0.5 && v <= rows as f64 - 0.5) {
             return None;
         }
-        let low = [0, 1].map(|k| (at[k].max(0.0) as usize).min(self.size[k].saturating_sub(2)));
-        let [s, t] = [0, 1].map(|k| at[k] - low[k] as f64);
-        let next = [0, 1].map(|k| (low[k] + 1).min(self.size[k] - 1));
-        let value = |i: usize, j: usize| values[j * self.size[0] + i];
-        let above = value(low[0], low[1]) * (1.0 - s) + value(next[0], low[1]) * s;
-        let below = value(low[0], next[1]) * (1.0 - s) + value(next[0], next[1]) * s;
-        Some(above * (1.0 - t) + below * t)
+        // A negative number becomes 0.
+        let (i, j) =
+            ((u as usize).min(columns.saturating_sub(2)), (v as usize).min(rows.saturating_sub(2)));
+        let (s, t) = (u - i as f64, v - j as f64);
+        let (above, below) = (j * columns, (j + 1).min(rows - 1) * columns);
+        let next = (i + 1).min(columns - 1);
+        Some(values.map(|values| {
+            let along = |row: usize| values[row + i] * (1.0 - s) + values[row + next] * s;
+            along(above) * (1.0 - t) + along(below) * t
+        }))
     }
 }
 
@@ -255,7 +264,8 @@ mod tests {
             let off = terrain.at_m(place).unwrap() - truth(place[0], place[1]);
             assert!(off.abs() < 0.006, "{place:?}: {off}");
         }
-        let [open, hidden] = [[4.5, 4.5], [2.3, 2.3]].map(|p| terrain.sigma_at_m(p).unwrap());
+        let [open, hidden] =
+            [[4.5, 4.5], [2.3, 2.3]].map(|p| terrain.with_sigma_at_m(p).unwrap()[1]);
         assert!(hidden > open && open < 0.01, "{open} {hidden}");
         assert_eq!(terrain.at_m([9.0, 1.0]), None);
         assert_eq!(Terrain::fit(&bare[..3], [[0.0, 6.0], [0.0, 6.0]], 0.3), None);

@@ -323,7 +323,7 @@ fn two_photos_no_overlap_and_water_say_what_is_not_known() {
     assert!(tile.confidence.iter().all(|&c| c == 0), "{:?}", tile.confidence.iter().max());
     let sigmas = || tile.sigma_m.iter().filter(|sigma| sigma.is_finite());
     let least = sigmas().fold(f32::INFINITY, |least, &sigma| least.min(sigma));
-    assert!(sigmas().count() > 0 && f64::from(least) > 15.0 * found.layer_m, "{least}");
+    assert!(sigmas().count() > 0 && f64::from(least) > 0.47 * options.range_m, "{least}");
 }
 
 #[test]
