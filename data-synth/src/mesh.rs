@@ -365,14 +365,20 @@ impl Mesh {
             const RIM: u32 = 48;
             let thing = self.thing(Kind::Target, WHITE, 0, false);
             let middle = self.vertex(corner(0.0, 0.0), 0.0, 0.0);
-            let rim: Vec<u32> = (0..RIM)
+            let plate = self.thing(Kind::Target, BLACK, 0, false);
+            let rim: Vec<[u32; 2]> = (0..RIM)
                 .map(|k| {
                     let (sin, cos) = (TAU * f64::from(k) / f64::from(RIM)).sin_cos();
-                    self.vertex(corner(0.5 * cos, -0.5 * sin), 0.0, 0.0)
+                    // On the border of the plate in the same direction.
+                    let far = 0.75 / sin.abs().max(cos.abs());
+                    [0.5, far].map(|r| self.vertex(corner(r * cos, -r * sin), 0.0, 0.0))
                 })
                 .collect();
-            for (k, &from) in rim.iter().enumerate() {
-                self.triangles.push([middle, from, rim[(k + 1) % rim.len()], thing]);
+            for (k, &[from, outer]) in rim.iter().enumerate() {
+                let [to, next] = rim[(k + 1) % rim.len()];
+                self.triangles.push([middle, from, to, thing]);
+                self.triangles.push([from, outer, next, plate]);
+                self.triangles.push([from, next, to, plate]);
             }
             return;
         };

@@ -16,7 +16,7 @@ pub enum TargetPattern {
     Chequered,
     /// A white cross on a black plate; the size is the length of its arms, a fifth of it their width.
     Cross,
-    /// A white disc; the size is its diameter.
+    /// A white disc on a black plate half as wide again; the size is its diameter.
     Disc,
     /// AprilTag 36h11 with a white margin; the size is the side of the black square.
     Apriltag,
@@ -87,47 +87,13 @@ fn coded(side: usize, word: u64) -> Cells {
 }
 
 /// The first codes of AprilTag 36h11.
+#[rustfmt::skip]
 const APRILTAG: [u64; 40] = [
-    0xd5d628584,
-    0xd97f18b49,
-    0xdd280910e,
-    0xe479e9c98,
-    0xebcbca822,
-    0xf31dab3ac,
-    0x056a5d085,
-    0x10652e1d4,
-    0x22b1dfead,
-    0x265ad0472,
-    0x34fe91b86,
-    0x3ff962cd5,
-    0x43a25329a,
-    0x474b4385f,
-    0x4e9d243e9,
-    0x5246149ae,
-    0x5997f5538,
-    0x683bb6c4c,
-    0x6be4a7211,
-    0x7e3158eea,
-    0x81da494af,
-    0x858339a74,
-    0x8cd51a5fe,
-    0x9f21cc2d7,
-    0xa2cabc89c,
-    0xadc58d9eb,
-    0xb16e7dfb0,
-    0xb8c05eb3a,
-    0xd25ef139d,
-    0xd607e1962,
-    0xe4aba3076,
-    0x2dde6a3da,
-    0x43d40c678,
-    0x5620be351,
-    0x64c47fa65,
-    0x686d7002a,
-    0x6c16605ef,
-    0x6fbf50bb4,
-    0x8d06d39dc,
-    0x9f53856b5,
+    0xd5d628584, 0xd97f18b49, 0xdd280910e, 0xe479e9c98, 0xebcbca822, 0xf31dab3ac, 0x056a5d085, 0x10652e1d4,
+    0x22b1dfead, 0x265ad0472, 0x34fe91b86, 0x3ff962cd5, 0x43a25329a, 0x474b4385f, 0x4e9d243e9, 0x5246149ae,
+    0x5997f5538, 0x683bb6c4c, 0x6be4a7211, 0x7e3158eea, 0x81da494af, 0x858339a74, 0x8cd51a5fe, 0x9f21cc2d7,
+    0xa2cabc89c, 0xadc58d9eb, 0xb16e7dfb0, 0xb8c05eb3a, 0xd25ef139d, 0xd607e1962, 0xe4aba3076, 0x2dde6a3da,
+    0x43d40c678, 0x5620be351, 0x64c47fa65, 0x686d7002a, 0x6c16605ef, 0x6fbf50bb4, 0x8d06d39dc, 0x9f53856b5,
 ];
 
 /// ArUco 4x4_50.

@@ -150,7 +150,6 @@ pub fn targets(
         Ok(features::grey(&photo))
     };
     let found = find_targets(&reconstruction, &points, &search, &read)?;
-    drop(counter);
     let Some(found) = found.filter(|found| found.measurements().next().is_some()) else {
         return Err(Error::Incomplete(format!(
             "no target was found that photos agree about, within {:.1} m of {} surveyed points; give kind, size_m and search_m in [targets], and see that the control points are in the system of the project",

@@ -191,7 +191,7 @@ pub(super) fn fit(
             &reduced
         }
     };
-    let start = patch.from_photo(start_px);
+    let start = patch.in_patch(start_px);
     let expected_blur = (BLUR.0 / patch.factor).max(0.4).ln();
     let mut values = Values::new(start[0], start[1], turn_rad, 0.0, expected_blur);
     let mut problem =

@@ -14,10 +14,15 @@ mod code_words;
 mod codes;
 mod consensus;
 mod fit;
+mod outcome;
 mod patch;
 mod search;
 mod shape;
 pub mod sheet;
+
+pub use outcome::{
+    FoundTargets, NotFound, TargetKind, TargetMeasurement, TargetSearch, TargetSighting,
+};
 
 use crate::{
     mapping::{View, view::views},
@@ -31,143 +36,6 @@ use rayon::prelude::*;
 use rowgram_base::Error;
 use rowgram_optim::robust;
 use search::{Searched, Wanted};
-use serde::{Deserialize, Serialize};
-
-/// What a target looks like.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum TargetKind {
-    /// Two black and two white quadrants.
-    Chequered,
-    /// A white cross on darker ground.
-    Cross,
-    /// A white disc on darker ground.
-    Disc,
-    /// AprilTag 36h11.
-    Apriltag,
-    /// ArUco `DICT_4X4_50`.
-    Aruco,
-}
-
-rowgram_base::choices!(TargetKind: Chequered, Cross, Disc, Apriltag, Aruco);
-
-impl TargetKind {
-    /// All kinds.
-    pub const ALL: [TargetKind; 5] = [
-        TargetKind::Apriltag,
-        TargetKind::Aruco,
-        TargetKind::Chequered,
-        TargetKind::Cross,
-        TargetKind::Disc,
-    ];
-
-    /// Number of codes of a coded kind.
-    pub fn codes(self) -> Option<usize> {
-        match self {
-            TargetKind::Apriltag => Some(codes::APRILTAG.len()),
-            TargetKind::Aruco => Some(codes::ARUCO.len()),
-            TargetKind::Chequered | TargetKind::Cross | TargetKind::Disc => None,
-        }
-    }
-}
-
-/// How targets are looked for.
-#[derive(Debug, Clone, PartialEq)]
-pub struct TargetSearch {
-    /// What they look like; all kinds are tried where `None`.
-    pub kind: Option<TargetKind>,
-    /// Sizes that are tried, metres: the side of a chequered plate, the length of the arms of a cross, the diameter of a disc, the
-    /// side of the black square of a coded target.
-    pub sizes_m: Vec<f64>,
-    /// How far from their predicted places they are looked for, metres on the ground.
-    pub search_m: f64,
-    /// The least correlation of photo and fitted shape, 0 to 1.
-    pub min_score: f64,
-    /// How far the measurement of one photo may be from where the other photos put the target, pixels.
-    pub tolerance_px: f64,
-}
-
-/// A target that was measured in a photo.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct TargetMeasurement {
-    /// Its centre, pixels.
-    pub image_px: [f64; 2],
-    /// Standard deviation of each coordinate, pixels.
-    pub sigma_px: f64,
-    /// Correlation of photo and fitted shape, 0 to 1.
-    pub score: f64,
-    /// Its code.
-    pub code: Option<usize>,
-    /// Distance from where the photos together put it, pixels; `None` where no other photo has it.
-    pub residual_px: Option<f64>,
-}
-
-/// Why a target was not found in a photo.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, thiserror::Error)]
-#[serde(rename_all = "kebab-case", tag = "reason")]
-pub enum NotFound {
-    /// It has too few pixels to be measured.
-    #[error("it has {size_px:.1} pixels, too few to be measured")]
-    TooSmall {
-        /// Its size, pixels.
-        size_px: f64,
-    },
-    /// Nothing looks like it where it should be.
-    #[error("nothing looks like it (best score {score:.2})")]
-    NothingAlike {
-        /// The best score.
-        score: f64,
-    },
-    /// Its border is there, but not a code.
-    #[error("its code cannot be read")]
-    Unreadable,
-    /// What looks like it is elsewhere than the other photos say.
-    #[error("what looks like it is {off_px:.1} pixels from where the other photos have it")]
-    Inconsistent {
-        /// Distance, pixels.
-        off_px: f64,
-    },
-    /// No other photo or target confirms what looks like it.
-    #[error("no other photo confirms what looks like it")]
-    Unconfirmed,
-}
-
-/// A target that a photo should show.
-#[derive(Debug, Clone, PartialEq)]
-pub struct TargetSighting {
-    /// Index of the ground point.
-    pub ground: usize,
-    /// Index of the image.
-    pub image: usize,
-    /// Where it should be, with the shift of the block, pixels.
-    pub predicted_px: [f64; 2],
-    /// Its size in the photo, pixels.
-    pub size_px: f64,
-    /// What was found.
-    pub outcome: Result<TargetMeasurement, NotFound>,
-}
-
-/// Targets in photos.
-#[derive(Debug, Clone, PartialEq)]
-pub struct FoundTargets {
-    /// What they look like.
-    pub kind: TargetKind,
-    /// Their size, metres.
-    pub size_m: f64,
-    /// Positions in the block less surveyed ones, in the middle of the targets, metres.
-    pub shift_m: [f64; 3],
-    /// What is left of those differences, metres.
-    pub shift_sigma_m: f64,
-    /// Every target in every photo that should show it, in the order of targets, then images.
-    pub sightings: Vec<TargetSighting>,
-}
-
-impl FoundTargets {
-    /// The measurements.
-    pub fn measurements(&self) -> impl Iterator<Item = (&TargetSighting, &TargetMeasurement)> {
-        self.sightings.iter().filter_map(|s| s.outcome.as_ref().ok().map(|found| (s, found)))
-    }
-}
 
 /// Targets with fewer pixels are not looked for.
 pub const MIN_SIZE_PX: f64 = 6.0;
@@ -175,6 +43,14 @@ pub const MIN_SIZE_PX: f64 = 6.0;
 const HEIGHT_POINTS: usize = 15;
 /// What the shift may differ between targets of a block that GNSS holds, as a share of the search radius.
 const DEFORMATION_SHARE: f64 = 0.1;
+/// How far from its place a target is looked for once the shift is known, in sizes: enough for its own deviation, and too near for
+/// much else.
+const NEAR_SIZES: f64 = 0.75;
+/// How far from the shift of the others a target may be beside their scatter, in sizes.
+const MAX_DEVIATION_SIZES: f64 = 0.5;
+/// By how much less a target may score where it has to be: on 36 hand-marked crosses of 10 pixels in grass (Swindale, 5.5 cm per
+/// pixel) half of them score less than 0.7.
+const NEAR_SCORE_MARGIN: f64 = 0.2;
 /// Photos from which kind and size are decided.
 const DECIDING_PHOTOS: usize = 12;
 
@@ -210,21 +86,20 @@ pub fn find_targets(
     let sights = block.sights(&first, &searched, &grounds);
     let Some(offset) = block.offset(&sights, &grounds, wanted.size_m) else { return Ok(None) };
     let (frame, located) = offset;
+    let near_m = NEAR_SIZES * wanted.size_m + 3.0 * frame.sigma_m;
     let narrow = |k: usize| -> Option<([f64; 3], f64)> {
-        let [dx, dy, dz] = frame.at_m(points[k].position_m);
-        let at = points[k].position_m;
-        let z = if points[k].axes == Axes::Xy { grounds[k][2] } else { at[2] + dz };
-        let expected = [at[0] + dx, at[1] + dy, z];
-        let near = 2.0 * wanted.size_m;
-        Some(match &located[k] {
-            Some(found) => (found.position_m, near),
-            None => (expected, near + 3.0 * frame.sigma_m),
-        })
+        let expected = match &located[k] {
+            Some(found) => found.position_m,
+            None => block.expected_m(&frame, &grounds, k),
+        };
+        Some((expected, near_m))
     };
     let second = block.predict(narrow);
+    // Close to where it has to be, less is enough.
+    let wanted = wanted.with_min_score(options.min_score - NEAR_SCORE_MARGIN);
     let searched = block.search(&wanted, &second, read)?;
     let sights = block.sights(&second, &searched, &grounds);
-    Ok(Some(block.judge(&wanted, &frame, &second, &searched, &sights)))
+    Ok(Some(block.judge(&wanted, (&frame, &grounds), &second, &searched, &sights)))
 }
 
 struct Block<'a> {
@@ -280,6 +155,17 @@ impl Block<'_> {
             }
         }
         found
+    }
+
+    /// Where a point is in the block.
+    fn expected_m(&self, frame: &FrameOffset, grounds: &[[f64; 3]], point: usize) -> [f64; 3] {
+        let at = self.points[point].position_m;
+        let offset = frame.at_m(at);
+        let mut expected: [f64; 3] = std::array::from_fn(|k| at[k] + offset[k]);
+        if self.points[point].axes == Axes::Xy {
+            expected[2] = grounds[point][2];
+        }
+        expected
     }
 
     /// Looks for targets at their predictions.
@@ -437,7 +323,7 @@ impl Block<'_> {
     fn judge(
         &self,
         wanted: &Wanted,
-        frame: &FrameOffset,
+        (frame, grounds): (&FrameOffset, &[[f64; 3]]),
         predictions: &[Prediction],
         searched: &[Searched],
         sights: &[Vec<Sight>],
@@ -448,8 +334,17 @@ impl Block<'_> {
             own.iter().filter(|sight| sight.candidate.code == code).copied().collect()
         };
         let sights: Vec<Vec<Sight>> = sights.iter().map(same_code).collect();
-        let located: Vec<Option<Located>> =
-            (sights.par_iter()).map(|own| locate(self.reconstruction, own, tolerance_px)).collect();
+        // What photos agree about may still be another thing beside the target.
+        let fits = |k: usize, found: &Located| {
+            let expected = self.expected_m(frame, grounds, k);
+            let off = (0..3).map(|axis| (found.position_m[axis] - expected[axis]).powi(2));
+            off.sum::<f64>().sqrt() <= 4.0 * frame.sigma_m + MAX_DEVIATION_SIZES * wanted.size_m
+        };
+        let located: Vec<Option<Located>> = (sights.par_iter().enumerate())
+            .map(|(k, own)| {
+                locate(self.reconstruction, own, tolerance_px).filter(|found| fits(k, found))
+            })
+            .collect();
         let residual = |p: &Prediction, at_px: [f64; 2]| {
             let found = located[p.ground].as_ref()?;
             residual_px(self.reconstruction, p.image, at_px, found.position_m)

@@ -61,7 +61,7 @@ impl Patch {
     }
 
     /// A place of the photo in pixels of this.
-    pub(super) fn from_photo(&self, at_px: [f64; 2]) -> [f64; 2] {
+    pub(super) fn in_patch(&self, at_px: [f64; 2]) -> [f64; 2] {
         std::array::from_fn(|k| (at_px[k] - self.origin_px[k]) / self.factor)
     }
 
@@ -72,7 +72,7 @@ impl Patch {
 
     /// The grey value at a place of the photo, bilinear; `None` outside.
     pub(super) fn sample(&self, at_px: [f64; 2]) -> Option<f64> {
-        let [u, v] = self.from_photo(at_px);
+        let [u, v] = self.in_patch(at_px);
         if !(u >= 0.0 && v >= 0.0) {
             return None;
         }

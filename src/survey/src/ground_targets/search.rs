@@ -56,6 +56,11 @@ impl Wanted {
         Wanted { kind, size_m, min_score, shape: Shape::of(kind) }
     }
 
+    /// The same, also of what is less alike.
+    pub(super) fn with_min_score(self, min_score: f64) -> Wanted {
+        Wanted { min_score, ..self }
+    }
+
     fn family(&self) -> Option<&'static Family> {
         match self.kind {
             TargetKind::Apriltag => Some(&APRILTAG),
@@ -128,7 +133,7 @@ impl Wanted {
         radius_px: f64,
     ) -> Vec<(f64, [f64; 2], f64)> {
         let templates: Vec<Template> = self.templates(level, ground);
-        let (columns, rows) = level.window(level.from_photo(centre_px), radius_px / level.factor);
+        let (columns, rows) = level.window(level.in_patch(centre_px), radius_px / level.factor);
         let (width, height) = (columns.len(), rows.len());
         let mut values = vec![(0.0f32, 0usize); width * height];
         for (k, value) in values.iter_mut().enumerate() {

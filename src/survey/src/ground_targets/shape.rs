@@ -69,7 +69,7 @@ impl Shape {
             }
             TargetKind::Disc => Shape {
                 form: Form::Disc,
-                reach: 0.5 + 2.0 * MARGIN,
+                reach: 0.5 + MARGIN,
                 hole: 0.0,
                 period_rad: None,
                 has_plate: false,
@@ -168,7 +168,7 @@ pub(super) struct Drawing {
 }
 
 impl Shape {
-    /// A kind as it is printed: a disc on a black square a quarter wider, a coded target with its white margin.
+    /// A kind as it is printed: a disc on a black square half as wide again, a coded target with its white margin.
     pub(super) fn drawing(kind: TargetKind, code: usize) -> Drawing {
         let shape = match kind {
             TargetKind::Apriltag => Shape::coded(&APRILTAG, Some(code)),
@@ -178,7 +178,7 @@ impl Shape {
         let square = |side: f64| [-0.5 * side, -0.5 * side, side, side];
         match shape.form {
             Form::Disc => {
-                Drawing { side: 1.25, black: vec![square(1.25)], white: Vec::new(), has_disc: true }
+                Drawing { side: 1.5, black: vec![square(1.5)], white: Vec::new(), has_disc: true }
             }
             Form::Grid { lines, white } => {
                 let cells = lines.len() - 1;

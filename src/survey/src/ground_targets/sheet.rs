@@ -60,9 +60,9 @@ pub fn pdf(kind: TargetKind, size_m: f64, first: usize, count: usize) -> Result<
         };
         // Grey, so that it is not taken for a part of the target.
         let text = (0.25 * margin).min(14.0);
-        let _ = write!(
+        let _ = writeln!(
             content,
-            "BT /F1 {text:.2} Tf 0.5 g {margin:.3} {:.3} Td ({name}, {:.1} cm) Tj ET\n",
+            "BT /F1 {text:.2} Tf 0.5 g {margin:.3} {:.3} Td ({name}, {:.1} cm) Tj ET",
             0.3 * margin,
             100.0 * size_m
         );
@@ -85,7 +85,7 @@ pub fn pdf(kind: TargetKind, size_m: f64, first: usize, count: usize) -> Result<
     let start = file.len();
     let _ = write!(file, "xref\n0 {}\n0000000000 65535 f \n", objects.len() + 1);
     for place in places {
-        let _ = write!(file, "{place:010} 00000 n \n");
+        let _ = writeln!(file, "{place:010} 00000 n ");
     }
     let _ = write!(
         file,
