@@ -181,8 +181,30 @@ impl Wanted {
         turns.iter().map(make).collect()
     }
 
-    /// Fits a place, and reads its code.
+    /// Fits a place from the turn of its template, then, where that is not enough, from those halfway to the next ones.
     fn measure(
+        &self,
+        patch: &Patch,
+        ground: &Jacobian,
+        at_px: [f64; 2],
+        turn_rad: f64,
+    ) -> Result<Candidate, (f64, bool)> {
+        let half = self.shape.period_rad.map_or(0.0, |period| 0.5 * period / TURNS as f64);
+        let mut refused = (0.0, false);
+        for turn_rad in [turn_rad, turn_rad + half, turn_rad - half] {
+            match self.measure_turned(patch, ground, at_px, turn_rad) {
+                Ok(found) => return Ok(found),
+                Err((score, unread)) => refused = (f64::max(score, refused.0), unread | refused.1),
+            }
+            if half == 0.0 {
+                break;
+            }
+        }
+        Err(refused)
+    }
+
+    /// Fits a place, and reads its code.
+    fn measure_turned(
         &self,
         patch: &Patch,
         ground: &Jacobian,
