@@ -149,6 +149,7 @@ fn flight(pattern: TargetPattern, size_m: f64) -> Flight {
 }
 
 #[test]
+#[ignore = "slow; renders the photos of five flights"]
 fn targets_of_every_kind_are_found_in_a_block_that_is_off_and_none_is_wrong() {
     for (pattern, kind, size_m) in [
         (TargetPattern::Chequered, TargetKind::Chequered, 0.3),
@@ -159,9 +160,9 @@ fn targets_of_every_kind_are_found_in_a_block_that_is_off_and_none_is_wrong() {
     ] {
         let Flight { twin, block, points } = flight(pattern, size_m);
         let studio = twin.studio();
-        let read = |image: usize| {
-            Ok(crate::features::grey(&studio.photo(&twin.shots[image], image).image))
-        };
+        let photo = |(image, shot)| crate::features::grey(&studio.photo(shot, image).image);
+        let photos: Vec<GrayImage> = twin.shots.iter().enumerate().map(photo).collect();
+        let read = |image: usize| Ok(photos[image].clone());
         let options = TargetSearch {
             kind: Some(kind),
             sizes_m: vec![size_m],
