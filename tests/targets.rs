@@ -47,9 +47,13 @@ fn check_errors(folder: &Path) -> [f64; 3] {
 #[test]
 #[ignore = "slow; aligns photos of four flights"]
 fn targets_are_found_where_they_are_and_are_worth_as_much_as_true_marks() {
-    for (pattern, size) in
-        [("chequered", "0.3"), ("cross", "0.4"), ("disc", "0.25"), ("apriltag", "0.45")]
-    {
+    // A code that a leaf covers in part is not read.
+    for (pattern, size, share) in [
+        ("chequered", "0.3", 0.98),
+        ("cross", "0.4", 0.98),
+        ("disc", "0.25", 0.98),
+        ("apriltag", "0.45", 0.95),
+    ] {
         let folder = tempfile::tempdir().unwrap();
         let folder = folder.path();
         aligned(folder, pattern, size);
@@ -71,7 +75,7 @@ fn targets_are_found_where_they_are_and_are_worth_as_much_as_true_marks() {
             truth.len()
         );
         println!("{said}");
-        assert!(errors.len() as f64 >= 0.98 * truth.len() as f64, "{said}");
+        assert!(errors.len() as f64 >= share * truth.len() as f64, "{said}");
         assert!(median <= 0.15 && worst <= 1.0, "{said}");
         for name in ["targets.csv", "targets.png"] {
             assert!(folder.join("field/rowgram/targets").join(name).is_file(), "{name}");
