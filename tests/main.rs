@@ -56,3 +56,4 @@ mod surface;
 mod synth;
 mod synth_flight;
 mod target;
+mod targets;

@@ -75,6 +75,7 @@ macro_rules! words {
         }
     };
 }
+pub(crate) use words;
 words!(GrowthStage { "early" = Early, "mid" = Mid, "late" = Late });
 words!(Phyllotaxy { "distichous" = Distichous, "random" = Random });
 

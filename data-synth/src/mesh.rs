@@ -357,17 +357,45 @@ impl Mesh {
     fn target(&mut self, target: &Target) {
         let [x, y, z] = target.place_m;
         let (sin, cos) = target.azimuth_rad.sin_cos();
-        let half = 0.5 * target.size_m;
-        let corner = |s: f64, t: f64| [x + s * cos - t * sin, y + s * sin + t * cos, z];
-        for (i, j) in [(-1.0, -1.0), (0.0, -1.0), (-1.0, 0.0), (0.0, 0.0)] {
-            let white = (i + j) as i32 % 2 == 0;
-            let colour = if white { [0.80; 3] } else { [0.03; 3] };
+        let size = target.size_m;
+        // `s` and `t` in its size, `t` down as it is read.
+        let corner =
+            |s: f64, t: f64| [x + size * (s * cos + t * sin), y + size * (s * sin - t * cos), z];
+        let Some(cells) = target.pattern.cells(target.code) else {
+            const RIM: u32 = 48;
+            let thing = self.thing(Kind::Target, WHITE, 0, false);
+            let middle = self.vertex(corner(0.0, 0.0), 0.0, 0.0);
+            let plate = self.thing(Kind::Target, BLACK, 0, false);
+            let rim: Vec<[u32; 2]> = (0..RIM)
+                .map(|k| {
+                    let (sin, cos) = (TAU * f64::from(k) / f64::from(RIM)).sin_cos();
+                    // On the border of the plate in the same direction.
+                    let far = 0.75 / sin.abs().max(cos.abs());
+                    [0.5, far].map(|r| self.vertex(corner(r * cos, -r * sin), 0.0, 0.0))
+                })
+                .collect();
+            for (k, &[from, outer]) in rim.iter().enumerate() {
+                let [to, next] = rim[(k + 1) % rim.len()];
+                self.triangles.push([middle, from, to, thing]);
+                self.triangles.push([from, outer, next, plate]);
+                self.triangles.push([from, next, to, plate]);
+            }
+            return;
+        };
+        let side = cells.lines.len() - 1;
+        for (k, white) in cells.white.iter().enumerate() {
+            let colour = if *white { WHITE } else { BLACK };
             let thing = self.thing(Kind::Target, colour, 0, false);
-            let (s, t) = (i * half, j * half);
-            let [a, b, c, d] = [(s, t), (s + half, t), (s + half, t + half), (s, t + half)]
+            let [left, right] = [k % side, k % side + 1].map(|line| cells.lines[line]);
+            let [top, bottom] = [k / side, k / side + 1].map(|line| cells.lines[line]);
+            let [a, b, c, d] = [(left, bottom), (right, bottom), (right, top), (left, top)]
                 .map(|(s, t)| self.vertex(corner(s, t), 0.0, 0.0));
             self.triangles.push([a, b, c, thing]);
             self.triangles.push([a, c, d, thing]);
         }
     }
 }
+
+/// Reflectances of paint.
+const WHITE: [f32; 3] = [0.80; 3];
+const BLACK: [f32; 3] = [0.03; 3];

@@ -1,7 +1,7 @@
 //! Ground control: targets on the field, their survey, and the marks a person clicks in the photos.
 //!
-//! A target is a square plate of four squares, white and black in turn, level and a little above the ground,
-//! its middle the surveyed point. No plant stands within the clearing around one, as a crew would see to.
+//! A target is a plate, level and a little above the ground, its middle the surveyed point: four squares, white and black in
+//! turn, or another [`TargetPattern`]. No plant stands within the clearing around one, as a crew would see to.
 
 use crate::{
     camera::Camera,
@@ -9,6 +9,7 @@ use crate::{
     field::Field,
     flight::Shot,
     leaf::NODES,
+    patterns::TargetPattern,
     streams::{Draw, Stage, pair, stream},
 };
 use rayon::prelude::*;
@@ -22,7 +23,9 @@ pub struct TargetConfig {
     pub control: usize,
     /// Number of check points.
     pub check: usize,
-    /// Side of a target, metres.
+    /// What is painted on them; coded ones have the codes from 0 on.
+    pub pattern: TargetPattern,
+    /// Size of a target as its pattern says, metres: the side of a chequered one.
     pub size_m: f64,
     /// Height of the plate above the ground, metres.
     pub above_m: f64,
@@ -41,6 +44,7 @@ impl Default for TargetConfig {
         TargetConfig {
             control: 18,
             check: 10,
+            pattern: TargetPattern::Chequered,
             size_m: 0.5,
             above_m: 0.05,
             clearing_m: 0.45,
@@ -59,6 +63,12 @@ impl TargetConfig {
     pub fn check(&self) -> Result<(), ConfigError> {
         within("targets.control", self.control, 0..=10_000)?;
         within("targets.check", self.check, 0..=10_000)?;
+        if let Some(codes) = self.pattern.codes()
+            && self.control + self.check > codes
+        {
+            let expected = format!("at most {codes} targets with check points, one for each code");
+            return Err(ConfigError::new("targets.control", self.control as f64, expected));
+        }
         within("targets.size_m", self.size_m, 0.01..=5.0)?;
         within("targets.above_m", self.above_m, 0.0..=3.0)?;
         within("targets.clearing_m", self.clearing_m, 0.0..=5.0)?;
@@ -101,8 +111,12 @@ pub struct Target {
     pub surveyed_m: [f64; 3],
     /// Direction of one of its edges, radians counter-clockwise from east.
     pub azimuth_rad: f64,
-    /// Side, metres.
+    /// Size, metres.
     pub size_m: f64,
+    /// What is painted on it.
+    pub pattern: TargetPattern,
+    /// Number of its code, where it has one.
+    pub code: usize,
 }
 
 /// A target seen in a photo.
@@ -161,7 +175,8 @@ pub fn set_out(config: &TargetConfig, field: &mut Field) -> Result<Vec<Target>, 
                 (Role::Control, "GCP", index - before + 1)
             };
             let label = format!("{name}{number:02}");
-            Target { label, role, place_m, surveyed_m, azimuth_rad, size_m: config.size_m }
+            let (size_m, pattern) = (config.size_m, config.pattern);
+            Target { label, role, place_m, surveyed_m, azimuth_rad, size_m, pattern, code: index }
         })
         .collect();
     let cleared = |x_m: f64, y_m: f64| {

@@ -32,6 +32,7 @@ mod shell;
 mod stage;
 mod surface;
 mod synth;
+mod targets;
 mod terminal;
 mod thresholds;
 mod undistort;
@@ -87,6 +88,7 @@ enum Command {
     Plots(Box<plots::Args>),
     Evaluate(evaluate::Args),
     Align(Box<align::Args>),
+    Targets(targets::Args),
     Adjust(Box<adjust::Args>),
     Surface(Box<surface::Args>),
     Ortho(Box<ortho::Args>),
@@ -103,7 +105,10 @@ const GROUPS: [(&str, &[&str]); 5] = [
         "Single files, or one stage of a project",
         &["segment", "locate", "leaves", "plots", "evaluate"],
     ),
-    ("Cameras and reconstructions", &["align", "adjust", "surface", "ortho", "camera", "convert"]),
+    (
+        "Cameras and reconstructions",
+        &["align", "targets", "adjust", "surface", "ortho", "camera", "convert"],
+    ),
     ("Synthetic data", &["synth"]),
     ("This program", &["completions", "help"]),
 ];
@@ -182,6 +187,7 @@ fn dispatch(command: Command) -> Result<(), Error> {
         Command::Plots(args) => plots::run(&args),
         Command::Evaluate(args) => evaluate::run(&args),
         Command::Align(args) => align::run(&args),
+        Command::Targets(args) => targets::run(&args),
         Command::Adjust(args) => adjust::run(&args),
         Command::Surface(args) => surface::run(&args),
         Command::Ortho(args) => ortho::run(&args),

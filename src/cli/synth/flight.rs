@@ -4,6 +4,7 @@ use crate::cli::terminal::Terminal;
 use data_synth::{
     field::GrowthStage,
     flight::GimbalRecordConfig,
+    patterns::TargetPattern,
     twin::{FlightPreset, TwinConfig},
 };
 use rowgram_base::error::Error;
@@ -45,6 +46,13 @@ pub(super) struct Args {
     /// Growth stage: early, mid or late.
     #[arg(long, value_name = "STAGE")]
     stage: Option<GrowthStage>,
+    /// What is painted on the targets: chequered, cross, disc, apriltag or aruco [default: chequered].
+    #[arg(long, value_name = "PATTERN")]
+    targets: Option<TargetPattern>,
+    /// Size of the targets: the side of a plate, the length of the arms of a cross, the diameter of a disc, the side of the
+    /// black square of a coded one.
+    #[arg(long, value_name = "M", allow_negative_numbers = true)]
+    target_size: Option<f64>,
     /// Tie points per photo made straight from geometry.
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     tie_points: Option<usize>,
@@ -108,6 +116,12 @@ impl Args {
         }
         if let Some(stage) = self.stage {
             config.field.stage = stage;
+        }
+        if let Some(pattern) = self.targets {
+            config.targets.pattern = pattern;
+        }
+        if let Some(size_m) = self.target_size {
+            config.targets.size_m = size_m;
         }
         if let Some(count) = self.tie_points {
             config.tie_points.per_photo = count;

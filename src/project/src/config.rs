@@ -20,6 +20,7 @@ use super::{
     segment::SegmentOptions,
     stage::Stage,
     surface::SurfaceOptions,
+    targets::TargetsOptions,
 };
 use rowgram_base::{
     error::Error,
@@ -181,6 +182,7 @@ config! {
     stages: StagesOptions,
     calibrate: CalibrateOptions,
     align: AlignOptions,
+    targets: TargetsOptions,
     dem: DemOptions,
     surface: SurfaceOptions,
     ortho: OrthoOptions,

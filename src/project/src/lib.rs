@@ -48,6 +48,7 @@ pub mod stage;
 pub mod surface;
 #[cfg(feature = "synth")]
 pub mod synth;
+pub mod targets;
 pub mod thresholds;
 pub mod undistort;
 pub mod verify;

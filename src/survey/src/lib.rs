@@ -2,6 +2,7 @@
 
 pub mod camera;
 pub mod features;
+pub mod ground_targets;
 pub mod mapping;
 pub mod problems;
 pub mod scene;

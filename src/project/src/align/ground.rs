@@ -118,7 +118,7 @@ fn listed(
 }
 
 /// Says which points have no heights, those at 0 among them.
-fn without_heights(control: &mut Control, subject: &str, monitor: &mut dyn Monitor) {
+pub(super) fn without_heights(control: &mut Control, subject: &str, monitor: &mut dyn Monitor) {
     if control.drop_zero_heights() {
         let message = "the heights of all points are 0, as where they were not measured: the points are used in plan only";
         let found = Diagnostic::warning("control-without-heights", subject, message);
@@ -137,7 +137,7 @@ fn without_heights(control: &mut Control, subject: &str, monitor: &mut dyn Monit
 }
 
 /// A flight is no wider than this; control farther from its photos is in another system.
-const REACH_M: f64 = 20_000.0;
+pub(super) const REACH_M: f64 = 20_000.0;
 
 /// Control and camera positions in the frame of the project.
 pub(super) fn read(
@@ -300,7 +300,7 @@ fn orientations(photos: &[Photo], sigma_deg: f64) -> Vec<CameraOrientation> {
     known.collect()
 }
 
-fn place(
+pub(super) fn place(
     frame: &Frame,
     latitude_deg: f64,
     longitude_deg: f64,

@@ -165,7 +165,7 @@ pub(crate) const CONTROL: [&str; 6] = [
 ];
 
 impl<'a> Sources<'a> {
-    fn of(project: &'a Project, options: &'a AlignOptions) -> Sources<'a> {
+    pub(super) fn of(project: &'a Project, options: &'a AlignOptions) -> Sources<'a> {
         let settings = &project.config().project;
         let calibrated = || project.finished(Stage::Calibrate, "camera.toml");
         Sources {

@@ -23,11 +23,13 @@ mod place;
 mod results;
 mod sharpness;
 mod steps;
+mod surveyed;
 
 pub(super) use descriptor_store::DESCRIPTORS_IN_MEMORY_BYTES;
 pub use options::{AlignOptions, EnlargeChoice, ShutterChoice, SolverChoice, Step};
 pub use outcome::{AlignOutcome, Fragment, PartialReport, PointErrors};
 pub use parts::{find_features, match_pairs};
+pub(super) use surveyed::surveyed_points;
 
 use super::{Project, Stage, Task, adjust, checks, record::Key, stage};
 use matches::Matching;

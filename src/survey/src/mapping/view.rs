@@ -87,7 +87,7 @@ impl View {
 
     /// Where in the image plane a point is, inside the photo or not; `None` where the lens has no answer.
     #[inline]
-    pub(super) fn seen_px(&self, point_m: [f64; 3]) -> Option<[f64; 2]> {
+    pub(crate) fn seen_px(&self, point_m: [f64; 3]) -> Option<[f64; 2]> {
         self.image_px(self.to_camera(point_m))
     }
 
