@@ -3,6 +3,8 @@
 //! The work of OpenCV's `StereoSGBM` with MODE_HH and 64 disparities, which `benches/surface/speed.py` times beside it; per pixel of a picture
 //! of as many pixels as blocks of the surface have. The quality is the share of pixels at the layer by which the second photo was moved.
 
+#![allow(clippy::print_stdout, reason = "a bench prints what it measured")]
+
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rowgram::mapping::dense::{
