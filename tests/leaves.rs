@@ -28,9 +28,9 @@ fn mask_png(folder: &Path) {
     mask.save(folder.join("mask.png")).unwrap();
 }
 
-/// The same as a photo in a GeoTIFF of 2 cm pixels.
+/// The same as a photo in a GeoTIFF of 1 cm pixels.
 fn ortho(path: &Path) {
-    let place = Georeference::north_up([500_000.0, 4_475_000.0], 0.02, Crs::projected(32616));
+    let place = Georeference::north_up([500_000.0, 4_475_000.0], 0.01, Crs::projected(32616));
     let layout = Layout {
         width: 170,
         height: 110,
@@ -87,22 +87,36 @@ fn leaves_of_an_orthomosaic_are_on_the_map_and_belong_to_plants() {
     let run = rowgram(folder.path(), command);
     assert_eq!(run.code, 0, "{}", run.stderr);
     let summary: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
-    assert_eq!((summary["leaves"].as_u64(), summary["gsd_m"].as_f64()), (Some(3), Some(0.02)));
+    assert_eq!((summary["leaves"].as_u64(), summary["gsd_m"].as_f64()), (Some(3), Some(0.01)));
     let text = std::fs::read_to_string(folder.path().join("leaves.geojson")).unwrap();
     let map: serde_json::Value = serde_json::from_str(&text).unwrap();
     assert_eq!(map["crs"]["properties"]["name"], "urn:ogc:def:crs:EPSG::32616");
     for feature in map["features"].as_array().unwrap() {
         let first = &feature["geometry"]["coordinates"][0];
-        assert!((first[0].as_f64().unwrap() - 500_001.7).abs() < 2.0, "{first}");
-        assert!((first[1].as_f64().unwrap() - 4_474_999.0).abs() < 1.5, "{first}");
+        assert!((first[0].as_f64().unwrap() - 500_000.85).abs() < 1.0, "{first}");
+        assert!((first[1].as_f64().unwrap() - 4_474_999.5).abs() < 0.75, "{first}");
         let of = |name: &str| feature["properties"][name].as_f64().unwrap();
-        assert!((of("length_m") - 0.02 * of("length_px")).abs() < 1e-3);
+        assert!((of("length_m") - 0.01 * of("length_px")).abs() < 1e-3);
         // LEAF has a hue of 114 degrees.
         assert!((of("hue_deg") - 114.0).abs() < 2.0);
     }
     let counts = rows(&folder.path().join("counts.csv"));
     let leaves: Vec<&str> = counts.iter().map(|row| row[3].as_str()).collect();
     assert_eq!(leaves, ["leaves", "1", "1", "1"]);
+}
+
+#[test]
+fn areas_larger_than_any_leaf_are_no_leaves() {
+    let folder = tempfile::tempdir().unwrap();
+    ortho(&folder.path().join("ortho.tif"));
+    let command = "leaves ortho.tif --hsv 30,79,30,163 -o leaves.csv --gsd-m 0.05 --json";
+    let run = rowgram(folder.path(), command);
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    assert!(run.stderr.contains("no single leaf is told apart"), "{}", run.stderr);
+    let summary: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
+    assert_eq!(summary["leaves"], 0);
+    assert!(summary["median_length_m"].is_null() && summary["usual_width_px"].as_f64() > Some(1.0));
+    assert_eq!(rows(&folder.path().join("leaves.csv")).len(), 1);
 }
 
 #[test]

@@ -282,11 +282,11 @@ mod tests {
         };
         assert_eq!(sure.doubts, []);
         assert_eq!(doubts_at(0.004), []);
-        let [Doubt::Wide { spacing_m }, Doubt::Large { plant_m2 }] = doubts_at(0.15)[..] else {
-            panic!("{:?}", doubts_at(0.15));
+        let [Doubt::Wide { spacing_m }, Doubt::Large { plant_m2 }] = doubts_at(0.25)[..] else {
+            panic!("{:?}", doubts_at(0.25));
         };
         let spacing_px = sure.spacing.spacing;
-        assert!((spacing_m - 0.15 * spacing_px).abs() < 1e-9 && plant_m2 > 7.0);
+        assert!((spacing_m - 0.25 * spacing_px).abs() < 1e-9 && plant_m2 > 7.0);
         let mut stand = sure.clone();
         stand.rows.rows.clear();
         stand.doubt(None, || false);

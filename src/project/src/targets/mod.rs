@@ -152,7 +152,7 @@ pub fn targets(
     let found = find_targets(&reconstruction, &points, &search, &read)?;
     let Some(found) = found.filter(|found| found.measurements().next().is_some()) else {
         return Err(Error::Incomplete(format!(
-            "no target was found that photos agree about, within {:.1} m of {} surveyed points; give kind, size_m and search_m in [targets], and see that the control points are in the system of the project",
+            "no targets were found that photos and survey agree about, within {:.1} m of {} surveyed points; give kind, size_m and search_m in [targets], and see that the control points are in the system of the project; where the block is bent, mark three targets by hand, align again and then look for the others",
             search.search_m,
             points.len()
         )));

@@ -21,7 +21,7 @@ mod shape;
 pub mod sheet;
 
 pub use outcome::{
-    FoundTargets, NotFound, TargetKind, TargetMeasurement, TargetSearch, TargetSighting,
+    FoundTargets, NotFound, ReadPhoto, TargetKind, TargetMeasurement, TargetSearch, TargetSighting,
 };
 
 use crate::{
@@ -30,7 +30,6 @@ use crate::{
 };
 use consensus::{FrameOffset, Located, Sight, common_shift, locate, offset_m, residual_px};
 use fit::{Jacobian, px_per_m};
-use image::GrayImage;
 use patch::Patch;
 use rayon::prelude::*;
 use rowgram_base::Error;
@@ -65,9 +64,6 @@ struct Prediction {
     radius_m: f64,
 }
 
-/// A photo in grey, by the index of its image.
-pub type ReadPhoto<'a> = &'a (dyn Fn(usize) -> Result<GrayImage, Error> + Sync);
-
 /// Finds the targets of surveyed points in the photos of a block.
 ///
 /// # Errors
@@ -84,8 +80,9 @@ pub fn find_targets(
     let Some(wanted) = block.decide(&first, &grounds, read)? else { return Ok(None) };
     let searched = block.search(&wanted, &first, read)?;
     let sights = block.sights(&first, &searched, &grounds);
-    let Some(offset) = block.offset(&sights, &grounds, wanted.size_m) else { return Ok(None) };
-    let (frame, located) = offset;
+    let offset = block.offset(&sights, &grounds, wanted.size_m);
+    let offset = offset.filter(|(frame, _)| frame.is_believed(wanted.size_m));
+    let Some((frame, located)) = offset else { return Ok(None) };
     let near_m = NEAR_SIZES * wanted.size_m + 3.0 * frame.sigma_m;
     let narrow = |k: usize| -> Option<([f64; 3], f64)> {
         let expected = match &located[k] {
@@ -96,7 +93,9 @@ pub fn find_targets(
     };
     let second = block.predict(narrow);
     // Close to where it has to be, less is enough.
-    let wanted = wanted.with_min_score(options.min_score - NEAR_SCORE_MARGIN);
+    let is_near = 3.0 * frame.sigma_m <= NEAR_SIZES * wanted.size_m;
+    let margin = f64::from(u8::from(is_near)) * NEAR_SCORE_MARGIN;
+    let wanted = wanted.with_min_score(options.min_score - margin);
     let searched = block.search(&wanted, &second, read)?;
     let sights = block.sights(&second, &searched, &grounds);
     Ok(Some(block.judge(&wanted, (&frame, &grounds), &second, &searched, &sights)))

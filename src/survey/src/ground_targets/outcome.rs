@@ -1,7 +1,12 @@
 //! What is looked for, and what became of it.
 
 use super::codes;
+use image::GrayImage;
+use rowgram_base::Error;
 use serde::{Deserialize, Serialize};
+
+/// A photo in grey, by the index of its image.
+pub type ReadPhoto<'a> = &'a (dyn Fn(usize) -> Result<GrayImage, Error> + Sync);
 
 /// What a target looks like.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]

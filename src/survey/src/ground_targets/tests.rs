@@ -161,7 +161,7 @@ fn targets_of_every_kind_are_found_in_a_block_that_is_off_and_none_is_wrong() {
         let Flight { twin, block, points } = flight(pattern, size_m);
         let studio = twin.studio();
         let photo = |(image, shot)| crate::features::grey(&studio.photo(shot, image).image);
-        let photos: Vec<GrayImage> = twin.shots.iter().enumerate().map(photo).collect();
+        let photos: Vec<image::GrayImage> = twin.shots.iter().enumerate().map(photo).collect();
         let read = |image: usize| Ok(photos[image].clone());
         let options = TargetSearch {
             kind: Some(kind),
