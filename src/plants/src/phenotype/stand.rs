@@ -115,9 +115,10 @@ impl Doubt {
     }
 }
 
-/// Plants of a field crop stand nearer than this within their row, metres. Bananas and melons need 2 to 3; vines, hedges and orchards are no field crops.
+/// Plants of a field crop stand nearer than this within their row, metres. Bananas and melons need 2 to 3; vines, hedges and orchards are no field crops. Assumed,
+/// not measured.
 const WIDEST_SPACING_M: f64 = 3.0;
-/// Leaf area of a plant of a field crop, seen from above, at most, m2: a disc 3 m wide.
+/// Leaf area of a plant of a field crop, seen from above, at most, m2: a disc 3 m wide. Assumed likewise.
 const LARGEST_PLANT_M2: f64 = 7.0;
 
 /// What was found.

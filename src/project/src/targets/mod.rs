@@ -47,9 +47,9 @@ rowgram_base::options! {
     }
 }
 
-/// Sizes that are tried where none is given, metres: those that are sold and painted.
+/// Sizes that are tried where none is given, metres: of common targets, each about half again as large as the one before. Assumed.
 const SIZES_M: [f64; 5] = [0.2, 0.3, 0.45, 0.65, 1.0];
-/// Camera positions in plan without a stated accuracy are about as good as a receiver without corrections, metres.
+/// Standard deviation in plan of camera positions without a stated accuracy, metres: that of a receiver without corrections. Assumed.
 const POSITION_SIGMA_M: f64 = 5.0;
 /// A block that receivers with corrections hold is not searched within less, metres.
 const MIN_SEARCH_M: f64 = 2.0;

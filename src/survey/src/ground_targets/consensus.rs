@@ -89,9 +89,9 @@ pub(super) fn common_shift(targets: &[Vec<Sight>], tolerance_m: f64) -> Option<(
     Some((shift, sum))
 }
 
-/// Pairs of candidates from which a target's place is tried, at most.
+/// Pairs of candidates from which a target's place is tried, at most, the best first: bounds the time where many photos show a target.
 const MAX_PAIRS: usize = 400;
-/// Rays that are more nearly parallel do not determine a place, radians.
+/// Rays that are more nearly parallel do not determine a place, radians (1.7 degrees; assumed).
 const MIN_ANGLE_RAD: f64 = 0.03;
 
 /// The place that the rays of most images meet in.
@@ -177,13 +177,14 @@ pub(super) struct FrameOffset {
     pub(super) sigma_m: f64,
 }
 
-/// Targets from which on the difference may change over the block.
+/// Targets from which on the difference may change over the block: its three terms and two more.
 const MIN_FOR_SLOPE: usize = 5;
 
 impl FrameOffset {
-    /// Whether targets of this size agree about it. A block without control that is bent by a size and more lets anything that looks like
-    /// a target agree: on Swindale, aligned by its camera positions alone, half of what was found with a scatter of 0.9 and 1.2 sizes was grass.
-    pub(super) fn is_believed(&self, size_m: f64) -> bool {
+    /// Whether targets of this size agree about it. Where a block without control is bent by more than its targets are wide, anything that looks like
+    /// a target agrees: on Swindale, aligned by its camera positions alone, a scatter of 1.0 and 1.2 sizes let grass be measured. The limit is below
+    /// these two; it was not chosen by an experiment.
+    pub(super) fn is_consistent(&self, size_m: f64) -> bool {
         const MAX_SCATTER_SIZES: f64 = 0.5;
         self.sigma_m <= MAX_SCATTER_SIZES * size_m
     }

@@ -67,7 +67,7 @@ struct Prediction {
 /// Finds the targets of surveyed points in the photos of a block.
 ///
 /// # Errors
-/// A photo that cannot be read; `None` as a result means that nothing was found that photos agree about.
+/// A photo that cannot be read; `None` as a result means that nothing was found that photos and survey agree about.
 pub fn find_targets(
     reconstruction: &Reconstruction,
     points: &[GroundPoint],
@@ -81,7 +81,7 @@ pub fn find_targets(
     let searched = block.search(&wanted, &first, read)?;
     let sights = block.sights(&first, &searched, &grounds);
     let offset = block.offset(&sights, &grounds, wanted.size_m);
-    let offset = offset.filter(|(frame, _)| frame.is_believed(wanted.size_m));
+    let offset = offset.filter(|(frame, _)| frame.is_consistent(wanted.size_m));
     let Some((frame, located)) = offset else { return Ok(None) };
     let near_m = NEAR_SIZES * wanted.size_m + 3.0 * frame.sigma_m;
     let narrow = |k: usize| -> Option<([f64; 3], f64)> {

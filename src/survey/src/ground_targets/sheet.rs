@@ -25,14 +25,14 @@ pub const MAX_TARGETS: usize = 1000;
 /// A page that is larger than a PDF can have, codes that the kind does not have.
 pub fn pdf(kind: TargetKind, size_m: f64, first: usize, count: usize) -> Result<Vec<u8>, MapError> {
     if let Some(codes) = kind.codes()
-        && first + count > codes
+        && first.saturating_add(count) > codes
     {
         return Err(MapError(format!(
             "{kind} has the codes 0 to {}; expected a first code and a number of targets within them",
             codes - 1
         )));
     }
-    if count == 0 || count > MAX_TARGETS {
+    if count == 0 || count > MAX_TARGETS || first > usize::MAX - count {
         return Err(MapError(format!("{count} targets: expected 1 to {MAX_TARGETS}")));
     }
     let size = size_m * POINTS_PER_M;
@@ -150,6 +150,9 @@ mod tests {
             assert!(file.contains(&format!("/MediaBox [0 0 {side:.3} {side:.3}]")), "{kind}");
         }
         assert!(pdf(TargetKind::Aruco, 0.3, 49, 2).is_err());
+        for kind in TargetKind::ALL {
+            assert!(pdf(kind, 0.3, usize::MAX, 1).is_err(), "{kind}");
+        }
         assert!(pdf(TargetKind::Disc, 9.0, 0, 1).is_err());
     }
 }

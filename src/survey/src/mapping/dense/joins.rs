@@ -14,7 +14,7 @@ use super::{DenseTile, Pass, TileStore, area::starts};
 
 /// Width of the margin, cells: half of what blocks share with their neighbours, so that paths have begun before it.
 pub const MARGIN: usize = 8;
-/// Heights that are fewer layers apart than this are of one surface. Two photos in error by a pixel each are off by that.
+/// Heights that are fewer layers apart than this are of one surface. A first choice, not measured.
 const SAME_LAYERS: f64 = 2.0;
 
 /// Heights of the cells around a block or tile, [`MARGIN`] cells wide, metres; NaN where not known.
