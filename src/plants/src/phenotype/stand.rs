@@ -203,8 +203,8 @@ impl Stand {
         self.plants.iter_mut().for_each(|plant| plant.confidence *= less);
         self.row_count_sigmas.iter_mut().for_each(|sigma| *sigma *= wider);
         let [low, high] = self.count_interval;
-        let (middle, half) = (0.5 * (low + high), 0.5 * wider * (high - low));
-        self.count_interval = [(middle - half).max(0.0), middle + half];
+        let more = 0.5 * (wider - 1.0) * (high - low);
+        self.count_interval = [(low - more).max(0.0), high + more];
     }
 
     /// Puts the rows through the middle of their plants, [`LEAST`] or more, and fits the distance between rows to that.

@@ -1,11 +1,11 @@
 //! Plants that explain the leaf mass of a photo, with or without rows.
 //!
-//! Each component of the leaf mask has a mass `m`, the sum of the posteriors of its pixels. How much leaf one plant has
+//! Each component of the leaf mask has a mass `m`, the number of its pixels. How much leaf one plant has
 //! is estimated from all components together ([`MassModel`]); that says how many plants each component holds, or that it
 //! is a speck. Components of several plants are cut into groups of pixels ([`split`]). Nothing is assumed of rows,
 //! of the crop or of the resolution.
 //!
-//! The number of plants has an interval: `Var(n) = sum_c Var(k_c | m_c) + (dn / d ln M)^2 Var(ln M) + (0.18 s n)^2`, the
+//! The number of plants has an interval: `Var(n) = sum_c Var(k_c | m_c) + (dn / d ln M)^2 Var(ln M) + (0.16 s n)^2`, the
 //! last term for what the model does not know. Where few plants of very different sizes stand among weeds, mass does not say how many
 //! there are, and each component is a plant or none (`sizes`). What no plant explains is reported: the mass of specks.
 
@@ -13,7 +13,7 @@ mod model;
 mod sizes;
 mod split;
 
-pub use model::{LEAST, MOST, MassModel, Measured, ShapeModel};
+pub use model::{LEAST, LengthModel, MOST, MassModel, Measured};
 use rowgram_optim::robust::median;
 pub use split::{Weighted, split};
 
@@ -70,17 +70,11 @@ impl MassCount {
     }
 }
 
-/// Counts and locates plants by leaf mass. `posterior` has a probability in 1/255 for each pixel of the mask; pixels
-/// of the mask itself count fully where it is `None`. A photo without leaf has no plants.
-pub fn count(mask: &Mask, posterior: Option<&[u8]>) -> MassCount {
-    Parts::new(mask, posterior, None).count(None)
-}
-
 /// The components of a mask and the masses of plants that they suggest.
 pub(super) struct Parts<'a> {
     mask: &'a Mask,
-    weights: Option<&'a [u8]>,
     posterior: Option<&'a [u8]>,
+    heading_rad: Option<f64>,
     parts: Vec<components::Part>,
     measured: Vec<Measured>,
     model: Option<MassModel>,
@@ -88,27 +82,28 @@ pub(super) struct Parts<'a> {
 }
 
 impl<'a> Parts<'a> {
-    /// `weights` are those of the pixels of the mask, in 1/255; `posterior` says how green they are.
-    pub(super) fn new(
-        mask: &'a Mask,
-        weights: Option<&'a [u8]>,
-        posterior: Option<&'a [u8]>,
-    ) -> Parts<'a> {
+    /// `posterior` has the probability of vegetation of each pixel in 1/255: how green components are.
+    pub(super) fn new(mask: &'a Mask, posterior: Option<&'a [u8]>) -> Parts<'a> {
         let parts = components::parts(mask);
-        let (measured, model, sizes) = (Vec::new(), None, None);
-        let mut found = Parts { mask, weights, posterior, parts, measured, model, sizes };
-        found.measured = found.parts.par_iter().map(|part| found.measure(part)).collect();
-        found.model = MassModel::fit(&found.measured);
-        if let Some(model) = &found.model {
-            let numbers: Vec<usize> = found.measured.iter().map(|&of| model.count(of).0).collect();
-            found.sizes = Sizes::fit(&found.measured, &numbers);
-        }
+        let (measured, model, sizes, heading_rad) = (Vec::new(), None, None, None);
+        let mut found = Parts { mask, posterior, heading_rad, parts, measured, model, sizes };
+        found.measure_all();
         found
     }
 
-    fn weight(&self, u: usize, v: usize) -> f64 {
-        let weight = self.weights.and_then(|p| p.get(v * self.mask.width + u));
-        weight.map_or(1.0, |&p| f64::from(p) / 255.0)
+    /// Plants stand in rows of this heading: components of several are long along it.
+    pub(super) fn stand_along(&mut self, heading_rad: f64) {
+        self.heading_rad = Some(heading_rad);
+        self.measure_all();
+    }
+
+    fn measure_all(&mut self) {
+        self.measured = self.parts.par_iter().map(|part| self.measure(part)).collect();
+        self.model = MassModel::fit(&self.measured);
+        self.sizes = self.model.as_ref().and_then(|model| {
+            let numbers: Vec<usize> = self.measured.iter().map(|&of| model.count(of).0).collect();
+            Sizes::fit(&self.measured, &numbers)
+        });
     }
 
     /// Log odds of vegetation of a pixel; certainty is that of a count of 255.
@@ -129,13 +124,12 @@ impl<'a> Parts<'a> {
     }
 
     fn measure(&self, part: &components::Part) -> Measured {
-        let (mut mass, mut log_odds) = (0.0, Some(0.0));
+        let mut log_odds = Some(0.0);
         let [mut u1, mut v1, mut uu, mut uv, mut vv] = [0.0; 5];
         let (u0, v0) = (part.window.u as f64, part.window.v as f64);
         for run in &part.runs {
             let v = run.v as f64 - v0;
             for u in run.start..run.end {
-                mass += self.weight(u, run.v);
                 log_odds = log_odds.zip(self.log_odds(u, run.v)).map(|(sum, of)| sum + of);
                 let u = u as f64 - u0;
                 u1 += u;
@@ -150,8 +144,16 @@ impl<'a> Parts<'a> {
         let [a, b] = [uu / n - (u1 / n).powi(2), vv / n - (v1 / n).powi(2)].map(|x| x + 1.0 / 12.0);
         let c = uv / n - u1 * v1 / (n * n);
         let longest = 0.5 * (a + b) + (0.25 * (a - b).powi(2) + c * c).sqrt();
-        let shape = Some(0.5 * (longest / n).ln());
-        Measured { mass, shape, log_odds: log_odds.map(|sum| sum / n) }
+        let along = self.heading_rad.map_or(longest, |heading_rad| {
+            let (sin, cos) = heading_rad.sin_cos();
+            cos * cos * a + 2.0 * sin * cos * c + sin * sin * b
+        });
+        Measured {
+            mass: part.pixels as f64,
+            shape: Some(0.5 * (longest / n).ln()),
+            length: Some(0.5 * along.ln()),
+            log_odds: log_odds.map(|sum| sum / n),
+        }
     }
 
     /// The mass of the component in which the middle pixel of all leaf lies.
@@ -225,7 +227,7 @@ impl<'a> Parts<'a> {
             if plants == 0 {
                 return Vec::new();
             }
-            let pixel = |u: usize, v: usize| ([u as f64, v as f64], self.weight(u, v));
+            let pixel = |u: usize, v: usize| ([u as f64, v as f64], 1.0);
             let pixels: Vec<Weighted> = part
                 .runs
                 .iter()
@@ -289,12 +291,12 @@ impl<'a> Parts<'a> {
 }
 
 /// Standard deviation of the relative error of counts that the model does not explain, in spreads of a plant's mass: the more plants
-/// differ, the less mass tells. Chosen on three sets together: intervals of 95 % then hold the truth in 0.95 of 100 maize plots, 0.98 of
-/// 50 clips of seedlings in residue and 5 of 5 photos on straw.
+/// differ, the less mass tells. Chosen on three sets together (maize plots, seedling clips, maize on straw): intervals of 95 % then hold the truth in
+/// 0.95 of 100, 0.98 of 50 and 5 of 5 photos.
 /// `experiments accuracy` fits the width of intervals without each set.
-pub const MISFIT: f64 = 0.18;
+pub const MISFIT: f64 = 0.16;
 /// Share of plants that are within a quarter of the spacing of a true one, of those whose number is right. Mean confidence and precision
-/// are then 0.92 and 0.92 on maize plots, 0.90 and 0.88 on seedling clips, 0.92 and 0.96 on straw.
+/// are then 0.93 and 0.92 on maize plots, 0.90 and 0.92 on seedling clips, 0.91 and 0.98 on straw.
 pub const PLACED: f64 = 0.94;
 
 /// Mean over the plants found in a component of the probability that it holds as many.
@@ -347,7 +349,7 @@ mod tests {
     fn scattered_plants_are_counted_at_any_resolution() {
         for (seed, radius) in [(1, 5.0), (2, 9.0), (3, 20.0)] {
             let (mask, places) = scattered(seed, radius);
-            let found = count(&mask, None);
+            let found = Parts::new(&mask, None).count(None);
             let n = places.len() as f64;
             assert!((found.plants.len() as f64 - n).abs() <= 1.0, "{} of {n}", found.plants.len());
             let [low, high] = found.interval();
@@ -362,20 +364,13 @@ mod tests {
 
     #[test]
     fn nothing_one_and_two() {
-        assert_eq!(count(&Mask::empty(30, 20), None).plants, []);
+        let count = |mask: &Mask| Parts::new(mask, None).count(None);
+        assert_eq!(count(&Mask::empty(30, 20)).plants, []);
         let disc = |u: usize, v: usize, at: f64| (u as f64 - at).hypot(v as f64 - 15.0) < 8.0;
-        let one = count(&Mask::from_fn(60, 30, |u, v| disc(u, v, 15.0)), None);
+        let one = count(&Mask::from_fn(60, 30, |u, v| disc(u, v, 15.0)));
         assert_eq!(one.plants.len(), 1);
         assert!((one.plants[0].u_px - 15.0).abs() < 0.1);
-        let two = count(&Mask::from_fn(60, 30, |u, v| disc(u, v, 15.0) || disc(u, v, 43.0)), None);
+        let two = count(&Mask::from_fn(60, 30, |u, v| disc(u, v, 15.0) || disc(u, v, 43.0)));
         assert_eq!(two.plants.len(), 2);
-    }
-
-    #[test]
-    fn posteriors_weigh_the_mass() {
-        let mask = Mask::from_fn(60, 30, |u, v| (u as f64 - 20.0).hypot(v as f64 - 15.0) < 8.0);
-        let half = vec![128; 60 * 30];
-        let (full, half) = (count(&mask, None), count(&mask, Some(&half)));
-        assert!((half.plants[0].mass_px / full.plants[0].mass_px - 0.502).abs() < 0.001);
     }
 }

@@ -54,9 +54,12 @@ impl Sizes {
         let is_odd = |of: &Measured, number: usize| {
             number == 0 || number >= MANY && of.shape.is_some_and(|shape| shape < COMPACT)
         };
-        let odd = measured.iter().zip(numbers).filter(|(of, number)| is_odd(of, **number));
+        let all = || measured.iter().zip(numbers);
+        let odd = all().filter(|(of, number)| is_odd(of, **number));
         let unexplained: f64 = odd.map(|(of, _)| of.mass).sum();
-        if numbers.iter().sum::<usize>() >= FEW || unexplained <= UNEXPLAINED * total {
+        let usual = all().filter(|(of, number)| !is_odd(of, **number));
+        let plants: usize = usual.map(|(_, number)| number).sum();
+        if plants >= FEW || unexplained <= UNEXPLAINED * total {
             return None;
         }
         let green: Option<Vec<f64>> = measured.iter().map(|of| of.log_odds).collect();
@@ -103,7 +106,12 @@ mod tests {
     /// Compact components of these masses and log odds.
     fn measured(of: &[(f64, f64)]) -> Vec<Measured> {
         of.iter()
-            .map(|&(mass, green)| Measured { mass, shape: Some(-1.1), log_odds: Some(green) })
+            .map(|&(mass, green)| Measured {
+                mass,
+                shape: Some(-1.1),
+                length: None,
+                log_odds: Some(green),
+            })
             .collect()
     }
 
@@ -131,7 +139,7 @@ mod tests {
         all[2].shape = Some(0.1);
         assert_eq!(Sizes::fit(&all, &[1, 1, 10]), None);
         // Without a posterior it is not known how green components are.
-        all[2] = Measured { mass: 5000.0, shape: Some(-1.1), log_odds: None };
+        all[2] = Measured { mass: 5000.0, shape: Some(-1.1), length: None, log_odds: None };
         assert_eq!(Sizes::fit(&all, &[1, 1, 10]), None);
     }
 }
