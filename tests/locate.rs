@@ -273,7 +273,9 @@ fn the_default_counts_and_tells_how_sure_it_is() {
     assert_eq!(plants.len() as f64, found);
     assert!(plants.iter().all(|plant| (0.0..=1.0).contains(&plant[5]) && plant[6] > 0.0));
     let (header, counts) = read(Path::new(&rows));
-    assert_eq!(header, ["row", "plants", "expected", "low", "high", "length_px", "length_m"]);
+    let names = ["row", "plants", "expected", "low", "high", "length_px", "length_m"];
+    assert_eq!(header[..7], names);
+    assert_eq!(header[7..], ["start_u_px", "start_v_px", "end_u_px", "end_v_px"]);
     assert_eq!(counts.iter().map(|row| row[1]).sum::<f64>(), found);
     assert!(read(Path::new(&gaps)).0.contains(&"probability".to_owned()));
     assert!(image::open(path("figures/plants.png")).unwrap().width() > 100);

@@ -457,3 +457,42 @@ pub(crate) fn tiff(
     file.extend(values);
     file
 }
+
+#[test]
+fn closed_rows_have_cover_and_gaps_in_place_of_plants() {
+    let dir = tempfile::tempdir().unwrap();
+    let project = dir.path().join("field");
+    fs::create_dir(&project).unwrap();
+    // Eight rows 30 px (45 cm) apart and 20 px wide with ragged edges; one row in two lacks 100 of 600 px (1.5 m).
+    let map = image::RgbImage::from_fn(600, 240, |u, v| {
+        let (row, away) = (v / 30, (v % 30).abs_diff(15));
+        let edge = 9 + (u * 7 + row * 13) % 23 / 8;
+        let is_gap = row % 2 == 1 && (200..300).contains(&u);
+        let shade = ((u * 31 + v * 17) % 13) as u8;
+        match away < edge && !is_gap {
+            true => image::Rgb([60 + shade, 140 + shade, 50 + shade]),
+            false => image::Rgb([140 + shade, 110 + shade, 80 + shade]),
+        }
+    });
+    write(&project.join("map.tif"), &map, placed(32632, CrsKind::Projected, [1.0; 2]));
+    fs::write(project.join("rowgram.toml"), "[project]\northo = \"map.tif\"\n").unwrap();
+    let done = rowgram(dir.path(), "run field");
+    assert_eq!(done.code, 0, "{}{}", done.stdout, done.stderr);
+    assert!(
+        done.stdout.contains("not told apart: leaves have closed along 8 rows"),
+        "{}",
+        done.stdout
+    );
+    assert!(done.stderr.contains("nothing tells plants apart"), "{}", done.stderr);
+    let mut table = csv::Reader::from_path(project.join("rowgram/plots/traits.csv")).unwrap();
+    let header = table.headers().unwrap().clone();
+    let field = table.records().next().unwrap().unwrap();
+    let of = |name: &str| &field[header.iter().position(|column| column == name).unwrap()];
+    assert_eq!([of("plants"), of("missing_plants"), of("plant_spacing_m")], [""; 3]);
+    let [cover, gaps] = ["row_cover", "row_gap_share"].map(|name| of(name).parse::<f64>().unwrap());
+    // Half of the rows lack a sixth.
+    assert!(
+        (cover - 11.0 / 12.0).abs() < 0.01 && (gaps - 1.0 / 12.0).abs() < 0.01,
+        "{cover} {gaps}"
+    );
+}

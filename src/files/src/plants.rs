@@ -138,6 +138,9 @@ pub fn write_gaps(
     write(path, force, &positions, columns, place)
 }
 
+/// Columns of the ends of a straight row.
+pub const ROW_ENDS: [&str; 4] = ["start_u_px", "start_v_px", "end_u_px", "end_v_px"];
+
 /// Writes the stand count of every row.
 ///
 /// # Errors
@@ -156,6 +159,7 @@ pub fn write_rows(
         let mut csv = csv::Writer::from_writer(writer);
         let mut header = vec!["row", "plants", "expected", "low", "high", "length_px"];
         header.extend(gsd_m.map(|_| "length_m"));
+        header.extend(ROW_ENDS);
         csv.write_record(header)?;
         for (row, line) in stand.rows.rows.iter().enumerate() {
             let (expected, sigma) = (stand.row_counts[row], stand.row_count_sigmas[row]);
@@ -169,6 +173,9 @@ pub fn write_rows(
             let mut record = vec![(row + 1).to_string(), found[row].to_string()];
             record.extend(numbers.map(|x| format!("{x:.2}")));
             record.extend(gsd_m.map(|gsd| format!("{:.3}", length_px * gsd)));
+            let ends = [line.start_px, line.end_px];
+            let ends = ends.map(|along| stand.rows.axes.image([along, line.across_px]));
+            record.extend(ends.concat().iter().map(|x| format!("{x:.2}")));
             csv.write_record(record)?;
         }
         csv.flush()

@@ -111,14 +111,21 @@ pub(super) fn checks(
         let mut message = format!("mean confidence {confidence:.2}");
         let severity = if stand.doubts.is_empty() {
             severity
+        } else if stand.has_closed() {
+            message = "leaves have closed along the rows and show no plants; plots have row_cover and row_gap_share instead".to_owned();
+            Severity::Warning
         } else {
             message.push_str("; this looks like no stand of a crop, as locate says");
             severity.max(Severity::Warning)
         };
-        found.push(remedied(
-            Diagnostic::new(severity, "plants-confidence", "plants", message),
-            "look at them over the orthomosaic; check thresholds of leaves and the spacing of plants",
-        ));
+        let remedy = match stand.has_closed() {
+            true => "count on an earlier photo, or give the number of plants ([locate] plants)",
+            false => {
+                "look at them over the orthomosaic; check thresholds of leaves and the spacing of plants"
+            }
+        };
+        let found_plants = Diagnostic::new(severity, "plants-confidence", "plants", message);
+        found.push(remedied(found_plants, remedy));
     }
     found
 }

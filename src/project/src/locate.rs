@@ -127,6 +127,11 @@ pub struct StandOutcome {
 }
 
 impl StandOutcome {
+    /// Whether leaves have closed along the rows, so that nothing told plants apart.
+    pub fn has_closed(&self) -> bool {
+        self.doubts.contains(&Doubt::Closed)
+    }
+
     fn new(stand: &Stand, gsd_m: Option<f64>) -> StandOutcome {
         let interval =
             |middle: f64, sigma: f64| [middle - NORMAL_95 * sigma, middle + NORMAL_95 * sigma];

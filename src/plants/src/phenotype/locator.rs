@@ -4,7 +4,6 @@
 //! descent too. Positions and lengths in pixels of the mask, centre of the top-left pixel at (0, 0).
 
 use super::{
-    broad_leaves,
     locate::{Init, LocateError, Located, PlantFitOptions, Setup, locate_best},
     row_model::{self, RowModelOptions},
     rows::{self, Detection},
@@ -257,7 +256,7 @@ pub fn prepare(
     let stand = if is_row_model || init == Init::Votes || counts {
         let (count, options) = (options.plants.given(), &options.row_model);
         let mut stand = row_model::locate_in_detail(mask, posterior, &detection, count, options)?;
-        stand.doubt(gsd_m, || broad_leaves::is_broad(mask));
+        stand.doubt(gsd_m, Some(mask));
         Some(stand)
     } else {
         None

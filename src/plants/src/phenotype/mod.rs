@@ -31,6 +31,7 @@ pub mod plant_spacing;
 pub mod plant_tracks;
 pub mod plot_scatter;
 pub mod plots;
+pub mod row_cover;
 pub mod row_curves;
 mod row_evidence;
 mod row_lines;

@@ -5,8 +5,9 @@
 use super::{
     colour_indices::ColourIndices,
     plot_scatter::{ColourParts, PARTS, PlotParts, ValueParts, jackknife},
+    row_cover::RowCover,
     row_plots::along_the_row,
-    traits::{PlotTraits, deviation_name, leaf_name},
+    traits::{PlotTraits, deviation_name, leaf_name, put},
 };
 use rowgram_raster::{
     Mask,
@@ -131,6 +132,8 @@ pub struct FieldMeasurements {
     pub along_sigma_px: Vec<f64>,
     /// Gaps in the rows.
     pub gaps: Option<Vec<RowGap>>,
+    /// Leaf along the rows.
+    pub rows: Option<RowCover>,
     /// Leaves that were told apart.
     pub leaves: Option<Vec<MeasuredLeaf>>,
     /// Leaves by area, by plot.
@@ -189,6 +192,7 @@ pub struct FieldIndex<'a> {
     field: &'a FieldMeasurements,
     plants: Positions,
     gaps: Positions,
+    rows: Positions,
     leaves: Positions,
 }
 
@@ -199,6 +203,7 @@ impl FieldMeasurements {
             field: self,
             plants: Positions::new(self.plants.iter().flatten().copied()),
             gaps: Positions::new(self.gaps.iter().flatten().map(|gap| gap.at_px)),
+            rows: Positions::new(self.rows.iter().flat_map(|rows| &rows.places_px).copied()),
             leaves: Positions::new(self.leaves.iter().flatten().map(|leaf| leaf.at_px)),
         }
     }
@@ -220,6 +225,9 @@ impl FieldIndex<'_> {
         let all = if area.is_field { pixels } else { area.polygon.pixels() };
         found.valid_share = (all > 0).then(|| pixels as f64 / all as f64);
         self.add_plants(&mut found, area.polygon, seen.valid);
+        if let Some(rows) = &self.field.rows {
+            rows.add(&mut found, area.polygon, self.rows.inside(area.polygon));
+        }
         self.add_leaves(&mut found, area.polygon);
         add_heights(&mut found, canopy);
         add_colours(&mut found, colours);
@@ -401,13 +409,6 @@ fn mean_hue_deg(hues_deg: &[f64]) -> Option<(f64, Option<f64>)> {
     Some((sin.atan2(cos).to_degrees().rem_euclid(360.0), sd))
 }
 
-/// Notes a standard deviation where there is one.
-fn put(found: &mut PlotTraits, name: &str, sd: Option<f64>) {
-    if let Some(sd) = sd.filter(|sd| sd.is_finite()) {
-        found.more.insert(deviation_name(name), sd);
-    }
-}
-
 fn add_heights(found: &mut PlotTraits, canopy: Option<CanopyHeights>) {
     let Some(canopy) = canopy else { return };
     found.canopy_height_m = Some(canopy.p95_m.value);
@@ -462,6 +463,7 @@ mod tests {
             count_variance: vec![0.5, 0.25, 0.25, 9.0],
             along_sigma_px: vec![0.3, 0.4, 0.4, 9.0],
             gaps: Some(vec![gap([2.0, 2.0], 1.5), gap([9.0, 9.0], 4.0)]),
+            rows: None,
             leaves: Some(vec![
                 MeasuredLeaf { at_px: [1.0, 2.0], length_m: 0.2, width_m: 0.05, hue_deg: f64::NAN },
                 MeasuredLeaf { at_px: [2.0, 2.0], length_m: 0.4, width_m: 0.07, hue_deg: 90.0 },

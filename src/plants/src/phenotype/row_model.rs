@@ -33,7 +33,6 @@
 //! [`tilt`]: super::tilt
 
 use super::{
-    broad_leaves,
     dynamic_programming::{Chain, Posterior, STEP},
     locate::LocateError,
     mass_stand::{self, ByMass, Doubtful},
@@ -92,7 +91,7 @@ pub fn locate(
     options: &RowModelOptions,
 ) -> Result<Stand, LocateError> {
     let mut stand = locate_in_detail(mask, None, detection, count, options)?;
-    stand.doubt(None, || broad_leaves::is_broad(mask));
+    stand.doubt(None, Some(mask));
     Ok(stand)
 }
 

@@ -257,7 +257,7 @@ mod tests {
         let sure = row_model::locate(&mask, &detection, None, &RowModelOptions::default()).unwrap();
         let mut stand = sure.clone();
         stand.spacing.spacing = 10.0;
-        stand.doubt(None, || false);
+        stand.doubt(None, None);
         assert!(matches!(stand.doubts[..], [Doubt::Narrow { .. }]), "{:?}", stand.doubts);
         assert!(stand.plants[0].confidence < sure.plants[0].confidence);
         let width = |stand: &crate::phenotype::stand::Stand| {
@@ -266,7 +266,7 @@ mod tests {
         assert!(width(&stand) > 1.9 * width(&sure));
         let mut stand = sure;
         (stand.spacing.missing, stand.spacing.doubles) = (0.5, 0.1);
-        stand.doubt(None, || false);
+        stand.doubt(None, None);
         assert_eq!(stand.doubts, [Doubt::Uneven { missing: 0.5, doubles: 0.1 }]);
     }
 
@@ -277,7 +277,7 @@ mod tests {
         let sure = row_model::locate(&mask, &detection, None, &RowModelOptions::default()).unwrap();
         let doubts_at = |gsd_m: f64| {
             let mut stand = sure.clone();
-            stand.doubt(Some(gsd_m), || false);
+            stand.doubt(Some(gsd_m), None);
             stand.doubts
         };
         assert_eq!(sure.doubts, []);
@@ -289,7 +289,7 @@ mod tests {
         assert!((spacing_m - 0.25 * spacing_px).abs() < 1e-9 && plant_m2 > 7.0);
         let mut stand = sure.clone();
         stand.rows.rows.clear();
-        stand.doubt(None, || false);
+        stand.doubt(None, None);
         assert_eq!(stand.doubts, [Doubt::NoRows]);
         assert_eq!(stand.count_interval, sure.count_interval);
         assert!(stand.plants[0].confidence < sure.plants[0].confidence);

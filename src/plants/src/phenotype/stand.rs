@@ -2,7 +2,8 @@
 //!
 //! Positions and lengths in pixels of the mask, centre of the top-left pixel at (0, 0).
 
-use super::{plant_spacing::Spacing, rows::Rows};
+use super::{broad_leaves, plant_spacing::Spacing, row_cover, rows::Rows};
+use rowgram_raster::Mask;
 use serde::{Deserialize, Serialize};
 
 /// The 97.5 % point of the standard normal distribution.
@@ -87,8 +88,8 @@ pub enum Doubt {
         /// Diameter of a disc with the leaf area of a plant.
         width_px: f64,
     },
-    /// Leaves have closed and are no blades: they have no axes along which to look for stalks.
-    Broad,
+    /// Leaves have closed and show no blades: nothing tells plants apart.
+    Closed,
     /// No rows stand out: patches of leaf are plants of some crop, or something else that is green.
     NoRows,
     /// Plants of a row are farther apart than those of a field crop.
@@ -110,6 +111,8 @@ impl Doubt {
     fn weight(&self) -> (f64, f64) {
         match self {
             Doubt::NoRows => (0.7, 1.0),
+            // Plants at the likeliest distance, whatever that is.
+            Doubt::Closed => (0.3, 4.0),
             _ => (0.7, 2.0),
         }
     }
@@ -168,8 +171,8 @@ impl Stand {
     }
 
     /// Looks for what no stand of a crop is like; sizes only where a pixel is known to be `gsd_m` wide. Where there is such, plants are less
-    /// sure and their number has a wider interval.
-    pub(super) fn doubt(&mut self, gsd_m: Option<f64>, has_broad_leaves: impl FnOnce() -> bool) {
+    /// sure and their number has a wider interval. Whether leaves have closed is looked for in the mask.
+    pub(super) fn doubt(&mut self, gsd_m: Option<f64>, mask: Option<&Mask>) {
         let Spacing { spacing, missing, doubles, .. } = self.spacing;
         if self.spacing.is_implausible() {
             self.doubts.push(Doubt::Uneven { missing, doubles });
@@ -181,8 +184,13 @@ impl Stand {
                     self.doubts.push(Doubt::Narrow { spacing_px: spacing, width_px });
                 }
             }
-            None if has_broad_leaves() => self.doubts.push(Doubt::Broad),
-            None => {}
+            None => {
+                let has_closed =
+                    |mask| row_cover::is_closed(mask, &self.rows) || broad_leaves::is_broad(mask);
+                if mask.is_some_and(has_closed) {
+                    self.doubts.push(Doubt::Closed);
+                }
+            }
         }
         if self.rows.rows.is_empty() {
             self.doubts.push(Doubt::NoRows);

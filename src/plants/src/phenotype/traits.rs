@@ -41,6 +41,10 @@ pub struct PlotTraits {
     pub plant_spacing_cv: Option<f64>,
     /// The greatest of these distances, metres.
     pub longest_gap_m: Option<f64>,
+    /// Share of the rows' length that leaf covers.
+    pub row_cover: Option<f64>,
+    /// Share of the rows' length in long gaps.
+    pub row_gap_share: Option<f64>,
     /// Height over the ground that 95 % of the cells do not exceed, metres.
     pub canopy_height_m: Option<f64>,
     /// Mean height over the ground, metres.
@@ -68,6 +72,13 @@ pub struct PlotTraits {
 /// The name of the standard deviation of a trait.
 pub fn deviation_name(of: &str) -> String {
     format!("{of}_sd")
+}
+
+/// Notes a standard deviation where there is one.
+pub(super) fn put(found: &mut PlotTraits, name: &str, sd: Option<f64>) {
+    if let Some(sd) = sd.filter(|sd| sd.is_finite()) {
+        found.more.insert(deviation_name(name), sd);
+    }
 }
 
 /// A trait of plots.
@@ -207,6 +218,10 @@ traits! {
         "of the same distances, from two on", "", "of the coefficient of variation of n normal distances, cv sqrt((1 + 2 cv^2) / 2n)";
     longest_gap_m, "m", "greatest distance of neighbouring plants of a row",
         "of the same distances", "", "standard deviations of the two plants along the row";
+    row_cover, "1", "share of the rows' length that leaf covers",
+        "places along the rows, a pixel apart, with leaf within a quarter of the distance between rows, over all of them in the polygon", "", PARTS_SD;
+    row_gap_share, "1", "share of the rows' length in gaps of [plots] min_gap_m and more",
+        "places in stretches without leaf that are so long within the polygon, over all of them", "Stolf 1986, STAB 4(6), 22-36", PARTS_SD;
     canopy_height_m, "m", "height of the canopy over the ground",
         "95th percentile of the cells of the raster chm.tif inside the polygon (stage surface)", "",
         "scatter between 16 parts of the plot (jackknife), and two cells of the surface, by which all plots of a flight may be off";

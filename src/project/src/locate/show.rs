@@ -58,8 +58,8 @@ pub(super) fn tell(stand: &Stand, subject: &str, monitor: &mut dyn Monitor) {
                 ),
                 "look at figures/plants.png; count on an earlier photo, or give the number of plants (plants)",
             ),
-            Doubt::Broad => (
-                "leaves have closed and are broad: they have no axes along which stalks could be found, and the number is a guess"
+            Doubt::Closed => (
+                "leaves have closed and show no blades: nothing tells plants apart, their places and their number are guesses, and plots have row_cover and row_gap_share instead"
                     .to_owned(),
                 "count on an earlier photo, or give the number of plants (plants)",
             ),

@@ -12,10 +12,11 @@ mod heights;
 mod indices;
 pub mod layout;
 mod plants;
+mod tables;
 mod variable_ids;
 mod write;
 
-use super::{Project, Stage, Task, align::AlignOutcome, leaf_mask, stage, surface};
+use super::{Project, Stage, Task, align::AlignOutcome, leaf_mask, locate::LocateOutcome, stage};
 use indices::{Means, Measuring, Sums};
 use rowgram_base::{
     error::Error,
@@ -23,22 +24,20 @@ use rowgram_base::{
     options::Auto,
 };
 use rowgram_files::{
-    csv_table::CsvTable,
     polygons::{self, Named},
     rasters,
 };
 use rowgram_optim::output::FileError;
 use rowgram_plants::phenotype::{
-    plots::{Area, FieldMeasurements, LeavesByArea, MeasuredLeaf, PlotIndex, RowGap, SeenField},
+    plots::{Area, PlotIndex, SeenField},
+    row_cover::RowCover,
     traits::{PlotTraits, Trait, traits_with},
 };
 use rowgram_raster::{mask::Thresholds, polygon::Polygon, spectral::Index};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
-use std::{
-    collections::BTreeMap,
-    path::{Path, PathBuf},
-};
+use std::path::{Path, PathBuf};
+use tables::Tables;
 use variable_ids::VariableIds;
 
 rowgram_base::options! {
@@ -57,6 +56,8 @@ rowgram_base::options! {
         pub inset_across_m: f64 = 0.0, limits NON_NEGATIVE;
         /// Rows of plants that are left out on either side of each plot.
         pub border_rows: usize = 0;
+        /// Length from which a stretch of a row without leaf is a gap (row_gap_share).
+        pub min_gap_m: f64 = 0.5, limits POSITIVE;
         /// Share of a plot that the map has to show for numbers of the whole plot (plants, leaves, volume); means and densities
         /// are those of what it shows.
         pub min_valid_share: f64 = 0.5, limits between(0.0, 1.0);
@@ -147,30 +148,6 @@ pub const POLYGONS: &str = "traits.geojson";
 /// The stage.
 pub struct Plots;
 
-/// The tables of earlier stages that are there.
-struct Tables {
-    plants: Option<PathBuf>,
-    gaps: Option<PathBuf>,
-    rows: Option<PathBuf>,
-    leaves: Option<PathBuf>,
-    counts: Option<PathBuf>,
-    /// Heights of the canopy, a raster.
-    canopy: Option<PathBuf>,
-}
-
-impl Tables {
-    fn of(project: &Project) -> Tables {
-        Tables {
-            plants: project.finished(Stage::Locate, "plants.csv"),
-            gaps: project.finished(Stage::Locate, "gaps.csv"),
-            rows: project.finished(Stage::Locate, "rows.csv"),
-            leaves: project.finished(Stage::Leaves, "leaves.csv"),
-            counts: project.finished(Stage::LeafCount, "counts.csv"),
-            canopy: project.finished(Stage::Surface, surface::CANOPY),
-        }
-    }
-}
-
 impl Task for Plots {
     type Options = PlotsOptions;
     type Outcome = PlotsOutcome;
@@ -224,7 +201,15 @@ impl Task for Plots {
             valid: valid.as_ref(),
             min_valid_share: options.min_valid_share,
         };
-        let mut field = measurements(&tables, place.and_then(|place| place.gsd_m()))?;
+        let gsd_m = place.and_then(|place| place.gsd_m());
+        let mut field = tables.measurements(gsd_m)?;
+        let rows_px = tables.rows_px()?;
+        let min_gap_px = gsd_m.map(|gsd| options.min_gap_m / gsd);
+        field.rows = RowCover::new(&mask, valid.as_ref(), &rows_px, min_gap_px);
+        if has_closed(project) {
+            // Where they are is a guess.
+            (field.plants, field.gaps) = (None, None);
+        }
         if options.leaves_borders_out() {
             // These are counts of the outlines as they were drawn.
             field.by_area = None;
@@ -367,97 +352,21 @@ fn variable_ids_path(project: &Project, options: &PlotsOptions) -> Option<PathBu
     options.variable_ids.as_ref().map(|path| project.root().join(path))
 }
 
-fn measurements(tables: &Tables, gsd_m: Option<f64>) -> Result<FieldMeasurements, Error> {
-    let read = |path: &Option<PathBuf>| path.as_deref().map(CsvTable::read).transpose();
-    let gaps = read(&tables.gaps)?.and_then(|table| {
-        let (places, plants) = (table.pairs("u_px", "v_px")?, table.numbers("plants")?);
-        let probability =
-            table.numbers("probability").unwrap_or_else(|| vec![f64::NAN; plants.len()]);
-        let gap =
-            |k: usize| RowGap { at_px: places[k], plants: plants[k], probability: probability[k] };
-        Some((0..places.len()).map(gap).collect())
-    });
-    let by_area = read(&tables.counts)?.and_then(|table| {
-        let columns = [table.numbers("leaves")?, table.numbers("low")?, table.numbers("high")?];
-        let plots = table.texts("plot")?.into_iter().enumerate();
-        let row = |(k, plot): (usize, &str)| LeavesByArea {
-            plot: plot.to_owned(),
-            leaves: [0, 1, 2].map(|column| columns[column][k]),
-        };
-        Some(plots.map(row).collect())
-    });
-    let plants = read(&tables.plants)?;
-    let column = |name: &str| plants.as_ref().and_then(|table| table.numbers(name));
-    let row_of = column("row").unwrap_or_default();
-    let confidence = column("confidence").unwrap_or_default();
-    let rows = read(&tables.rows)?.map(|table| row_variances(&table)).unwrap_or_default();
-    Ok(FieldMeasurements {
-        gsd_m,
-        plants: plants.as_ref().and_then(|table| table.pairs("u_px", "v_px")),
-        count_variance: count_variances(&confidence, &row_of, &rows),
-        along_sigma_px: column("sigma_along_px").unwrap_or_default(),
-        row_of,
-        gaps,
-        leaves: read(&tables.leaves)?.as_ref().and_then(single_leaves),
-        by_area,
-    })
-}
-
-/// What each plant of a row adds to the variance of a number of plants: that of the row, in equal shares.
-fn row_variances(table: &CsvTable) -> BTreeMap<u64, f64> {
-    let columns = ["row", "plants", "low", "high"].map(|name| table.numbers(name));
-    let [Some(rows), Some(plants), Some(low), Some(high)] = columns else { return BTreeMap::new() };
-    let share = |k: usize| {
-        // The interval of 95 % reaches two standard deviations to either side.
-        let variance = ((high[k] - low[k]) / 4.0).powi(2);
-        (rows[k] >= 0.0 && plants[k] > 0.0 && variance.is_finite())
-            .then(|| (rows[k] as u64, variance / plants[k]))
-    };
-    (0..rows.len()).filter_map(share).collect()
-}
-
-/// What each plant adds to the variance of a number of plants; of a plant in no row, what the probability that it is one says.
-fn count_variances(confidence: &[f64], row_of: &[f64], rows: &BTreeMap<u64, f64>) -> Vec<f64> {
-    let variance = |(k, confidence): (usize, &f64)| {
-        let row = row_of.get(k).filter(|row| row.is_finite());
-        let of_row = row.and_then(|&row| rows.get(&(row as u64)));
-        of_row.copied().unwrap_or(confidence * (1.0 - confidence))
-    };
-    confidence.iter().enumerate().map(variance).collect()
-}
-
-fn single_leaves(table: &CsvTable) -> Option<Vec<MeasuredLeaf>> {
-    let places = table.pairs("u_px", "v_px")?;
-    let unknown = || vec![f64::NAN; places.len()];
-    let [lengths, widths, hues] = ["length_m", "mean_width_m", "hue_deg"]
-        .map(|name| table.numbers(name).unwrap_or_else(unknown));
-    let leaf = |k: usize| MeasuredLeaf {
-        at_px: places[k],
-        length_m: lengths[k],
-        width_m: widths[k],
-        hue_deg: hues[k],
-    };
-    // None at all: none could be told apart.
-    (!places.is_empty()).then(|| (0..places.len()).map(leaf).collect())
+/// Whether the canopy has closed, so that nothing told its plants apart, and nobody told how many there are.
+fn has_closed(project: &Project) -> bool {
+    if project.config().locate.plants != Auto::Auto {
+        return false;
+    }
+    let record = project.records().read(Stage::Locate);
+    let outcome =
+        record.and_then(|record| serde_json::from_value::<LocateOutcome>(record.outcome).ok());
+    outcome.and_then(|outcome| outcome.stand).is_some_and(|stand| stand.has_closed())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use rowgram_base::options::Options;
-
-    #[test]
-    fn rows_share_their_variance_among_their_plants() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("rows.csv");
-        let text = "row,plants,expected,low,high,length_px\n0,10,10.5,8,12,90\n1,0,0.2,0,1,90\n";
-        std::fs::write(&path, text).unwrap();
-        let rows = row_variances(&CsvTable::read(&path).unwrap());
-        // The row has a standard deviation of 1.
-        assert_eq!(rows, BTreeMap::from([(0, 0.1)]));
-        let found = count_variances(&[0.5, 0.5, 1.0], &[0.0, f64::NAN, 1.0], &rows);
-        assert_eq!(found, [0.1, 0.25, 0.0]);
-    }
 
     #[test]
     fn rows_and_alley_belong_together() {

@@ -1,6 +1,9 @@
 //! The most important numbers of a run, for a terminal.
 
-use crate::run::{Ending, RunOutcome};
+use crate::{
+    locate::{LocateOutcome, StandOutcome},
+    run::{Ending, RunOutcome},
+};
 use std::fmt::Write;
 
 /// The most important numbers of a run, a few lines.
@@ -42,21 +45,31 @@ fn traits(text: &mut String, outcome: &RunOutcome) -> std::fmt::Result {
         writeln!(text, "        {:.0} leaves by area", whole.count.leaves)?;
     }
     if let Some(locate) = &results.locate {
-        match locate.rows {
-            0 => write!(text, "plants  {}, no rows stand out", locate.plants)?,
-            rows => write!(text, "plants  {} in {rows} rows", locate.plants)?,
-        }
-        let stand = locate.stand.as_ref().filter(|_| locate.rows > 0);
-        if let Some(spacing_m) = stand.and_then(|stand| stand.spacing_m) {
-            write!(text, ", {:.1} cm apart", 100.0 * spacing_m)?;
-        }
-        writeln!(text)?;
-        if locate.stand.as_ref().is_some_and(|stand| !stand.doubts.is_empty()) {
-            writeln!(text, "        looks like no stand of a crop: see the warnings of locate")?;
-        }
+        plants(text, locate)?;
     }
     if let Some(plots) = results.plots.as_ref().filter(|plots| plots.plots.len() > 1) {
         writeln!(text, "plots   {}", plots.plots.len())?;
+    }
+    Ok(())
+}
+
+fn plants(text: &mut String, locate: &LocateOutcome) -> std::fmt::Result {
+    let stand = locate.stand.as_ref();
+    if stand.is_some_and(StandOutcome::has_closed) {
+        let rows = locate.rows;
+        return writeln!(text, "plants  not told apart: leaves have closed along {rows} rows");
+    }
+    match locate.rows {
+        0 => write!(text, "plants  {}, no rows stand out", locate.plants)?,
+        rows => write!(text, "plants  {} in {rows} rows", locate.plants)?,
+    }
+    let spacing_m = stand.filter(|_| locate.rows > 0).and_then(|stand| stand.spacing_m);
+    if let Some(spacing_m) = spacing_m {
+        write!(text, ", {:.1} cm apart", 100.0 * spacing_m)?;
+    }
+    writeln!(text)?;
+    if stand.is_some_and(|stand| !stand.doubts.is_empty()) {
+        writeln!(text, "        looks like no stand of a crop: see the warnings of locate")?;
     }
     Ok(())
 }
