@@ -1,21 +1,25 @@
 //! Traits of every plot: from polygons, from a grid that the rows give, or of the whole field.
 //!
 //! Written as a wide table (`traits.csv`), a tidy one (`traits_long.csv`: plot, trait, value, unit), polygons with
-//! the traits (`traits.geojson`, `traits.gpkg`, `traits.parquet`), BrAPI answers (`*.brapi.json`), and what each trait is
-//! (`trait_dictionary.csv`). Plants and gaps come with the plot that they stand in (`plants.csv`, `gaps.csv`, and
+//! the traits (`traits.geojson`, `traits.gpkg`, `traits.parquet`), BrAPI answers (`*.brapi.json`), sections of MIAPPE (`miappe_*.csv`), and what each
+//! trait is (`trait_dictionary.csv`). Plants and gaps come with the plot that they stand in (`plants.csv`, `gaps.csv`, and
 //! both as `.gpkg` and `.parquet`). Layers have styles for QGIS beside them.
 
 mod areas;
 mod brapi;
 mod colours;
+mod crop_ontology;
+mod field;
 mod heights;
 mod indices;
 pub mod layout;
+mod miappe;
 mod plants;
 mod variable_ids;
 mod write;
 
-use super::{Project, Stage, Task, align::AlignOutcome, leaf_mask, stage, surface};
+use super::{Project, Stage, Task, align::AlignOutcome, leaf_mask, stage};
+use field::{Tables, measurements};
 use indices::{Means, Measuring, Sums};
 use rowgram_base::{
     error::Error,
@@ -23,22 +27,18 @@ use rowgram_base::{
     options::Auto,
 };
 use rowgram_files::{
-    csv_table::CsvTable,
     polygons::{self, Named},
     rasters,
 };
 use rowgram_optim::output::FileError;
 use rowgram_plants::phenotype::{
-    plots::{Area, FieldMeasurements, LeavesByArea, MeasuredLeaf, PlotIndex, RowGap, SeenField},
+    plots::{Area, PlotIndex, SeenField},
     traits::{PlotTraits, Trait, traits_with},
 };
 use rowgram_raster::{mask::Thresholds, polygon::Polygon, spectral::Index};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
-use std::{
-    collections::BTreeMap,
-    path::{Path, PathBuf},
-};
+use std::path::{Path, PathBuf};
 use variable_ids::VariableIds;
 
 rowgram_base::options! {
@@ -63,6 +63,9 @@ rowgram_base::options! {
         /// Table with more of the plots (genotype, treatment): its column that has the names of the plots is found, all others
         /// become columns of the results.
         pub field_book: Option<PathBuf> = None, example "\"field_book.csv\"";
+        /// Common name of the crop for BrAPI and MIAPPE. Traits of maize and sorghum have the identifiers of the Crop Ontology
+        /// where it has them.
+        pub crop: Option<String> = None, example "\"sorghum\"";
         /// Table with identifiers of traits for BrAPI, such as those of the Crop Ontology: columns trait and id.
         pub variable_ids: Option<PathBuf> = None, example "\"variables.csv\"";
     }
@@ -70,6 +73,7 @@ rowgram_base::options! {
 
 fn check(options: &PlotsOptions) -> Result<(), String> {
     options.named_indices()?;
+    options.crop.as_deref().map_or(Ok(()), crop_ontology::check)?;
     match (options.rows_per_plot, options.alley_m) {
         (Some(_), None) => Err("alley_m is not set: expected it beside rows_per_plot".to_owned()),
         (None, Some(_)) => Err("rows_per_plot is not set: expected it beside alley_m".to_owned()),
@@ -147,30 +151,6 @@ pub const POLYGONS: &str = "traits.geojson";
 /// The stage.
 pub struct Plots;
 
-/// The tables of earlier stages that are there.
-struct Tables {
-    plants: Option<PathBuf>,
-    gaps: Option<PathBuf>,
-    rows: Option<PathBuf>,
-    leaves: Option<PathBuf>,
-    counts: Option<PathBuf>,
-    /// Heights of the canopy, a raster.
-    canopy: Option<PathBuf>,
-}
-
-impl Tables {
-    fn of(project: &Project) -> Tables {
-        Tables {
-            plants: project.finished(Stage::Locate, "plants.csv"),
-            gaps: project.finished(Stage::Locate, "gaps.csv"),
-            rows: project.finished(Stage::Locate, "rows.csv"),
-            leaves: project.finished(Stage::Leaves, "leaves.csv"),
-            counts: project.finished(Stage::LeafCount, "counts.csv"),
-            canopy: project.finished(Stage::Surface, surface::CANOPY),
-        }
-    }
-}
-
 impl Task for Plots {
     type Options = PlotsOptions;
     type Outcome = PlotsOutcome;
@@ -193,7 +173,7 @@ impl Task for Plots {
     }
 
     fn context(project: &Project) -> String {
-        let study = study(project, VariableIds::default());
+        let study = study(project);
         let key = project.config().project.plot_key.as_deref().unwrap_or_default();
         format!("{} {} {key}", study.name, study.time.unwrap_or_default())
     }
@@ -339,7 +319,9 @@ impl Task for Plots {
             monitor.diagnostic(&Diagnostic::warning("plots-mostly-unseen", "plots", message));
         }
         write::traits(&plots, &all_traits, place, folder, monitor)?;
-        brapi::write(&plots, &all_traits, &study(project, ids), folder)?;
+        let study = brapi::Study { ids, crop: options.crop.clone(), ..study(project) };
+        brapi::write(&plots, &all_traits, &study, folder)?;
+        miappe::write(&plots, &all_traits, &study, folder)?;
         plants::write(&tables, &plots, (&indices, &means.plants), place, folder)?;
         let plots = plots.into_iter().map(|plot| plot.traits).collect();
         Ok(PlotsOutcome { source, plots, outside, partly_outside, mostly_unseen, indices })
@@ -355,109 +337,23 @@ fn is_on(polygon: &Polygon, (width, height): (usize, usize)) -> bool {
 }
 
 /// The study. Its name is not the folder's: a project that moves keeps its bytes.
-fn study(project: &Project, ids: VariableIds) -> brapi::Study {
+fn study(project: &Project) -> brapi::Study {
     let name = project.config().project.name.clone().unwrap_or_else(|| "field".to_owned());
     let align = project.records().read(Stage::Align);
     let outcome =
         align.and_then(|record| serde_json::from_value::<AlignOutcome>(record.outcome).ok());
-    brapi::Study { name, time: outcome.and_then(|outcome| outcome.flight.first_photo_time), ids }
+    let time = outcome.and_then(|outcome| outcome.flight.first_photo_time);
+    brapi::Study { name, time, ..brapi::Study::default() }
 }
 
 fn variable_ids_path(project: &Project, options: &PlotsOptions) -> Option<PathBuf> {
     options.variable_ids.as_ref().map(|path| project.root().join(path))
 }
 
-fn measurements(tables: &Tables, gsd_m: Option<f64>) -> Result<FieldMeasurements, Error> {
-    let read = |path: &Option<PathBuf>| path.as_deref().map(CsvTable::read).transpose();
-    let gaps = read(&tables.gaps)?.and_then(|table| {
-        let (places, plants) = (table.pairs("u_px", "v_px")?, table.numbers("plants")?);
-        let probability =
-            table.numbers("probability").unwrap_or_else(|| vec![f64::NAN; plants.len()]);
-        let gap =
-            |k: usize| RowGap { at_px: places[k], plants: plants[k], probability: probability[k] };
-        Some((0..places.len()).map(gap).collect())
-    });
-    let by_area = read(&tables.counts)?.and_then(|table| {
-        let columns = [table.numbers("leaves")?, table.numbers("low")?, table.numbers("high")?];
-        let plots = table.texts("plot")?.into_iter().enumerate();
-        let row = |(k, plot): (usize, &str)| LeavesByArea {
-            plot: plot.to_owned(),
-            leaves: [0, 1, 2].map(|column| columns[column][k]),
-        };
-        Some(plots.map(row).collect())
-    });
-    let plants = read(&tables.plants)?;
-    let column = |name: &str| plants.as_ref().and_then(|table| table.numbers(name));
-    let row_of = column("row").unwrap_or_default();
-    let confidence = column("confidence").unwrap_or_default();
-    let rows = read(&tables.rows)?.map(|table| row_variances(&table)).unwrap_or_default();
-    Ok(FieldMeasurements {
-        gsd_m,
-        plants: plants.as_ref().and_then(|table| table.pairs("u_px", "v_px")),
-        count_variance: count_variances(&confidence, &row_of, &rows),
-        along_sigma_px: column("sigma_along_px").unwrap_or_default(),
-        row_of,
-        gaps,
-        leaves: read(&tables.leaves)?.as_ref().and_then(single_leaves),
-        by_area,
-    })
-}
-
-/// What each plant of a row adds to the variance of a number of plants: that of the row, in equal shares.
-fn row_variances(table: &CsvTable) -> BTreeMap<u64, f64> {
-    let columns = ["row", "plants", "low", "high"].map(|name| table.numbers(name));
-    let [Some(rows), Some(plants), Some(low), Some(high)] = columns else { return BTreeMap::new() };
-    let share = |k: usize| {
-        // The interval of 95 % reaches two standard deviations to either side.
-        let variance = ((high[k] - low[k]) / 4.0).powi(2);
-        (rows[k] >= 0.0 && plants[k] > 0.0 && variance.is_finite())
-            .then(|| (rows[k] as u64, variance / plants[k]))
-    };
-    (0..rows.len()).filter_map(share).collect()
-}
-
-/// What each plant adds to the variance of a number of plants; of a plant in no row, what the probability that it is one says.
-fn count_variances(confidence: &[f64], row_of: &[f64], rows: &BTreeMap<u64, f64>) -> Vec<f64> {
-    let variance = |(k, confidence): (usize, &f64)| {
-        let row = row_of.get(k).filter(|row| row.is_finite());
-        let of_row = row.and_then(|&row| rows.get(&(row as u64)));
-        of_row.copied().unwrap_or(confidence * (1.0 - confidence))
-    };
-    confidence.iter().enumerate().map(variance).collect()
-}
-
-fn single_leaves(table: &CsvTable) -> Option<Vec<MeasuredLeaf>> {
-    let places = table.pairs("u_px", "v_px")?;
-    let unknown = || vec![f64::NAN; places.len()];
-    let [lengths, widths, hues] = ["length_m", "mean_width_m", "hue_deg"]
-        .map(|name| table.numbers(name).unwrap_or_else(unknown));
-    let leaf = |k: usize| MeasuredLeaf {
-        at_px: places[k],
-        length_m: lengths[k],
-        width_m: widths[k],
-        hue_deg: hues[k],
-    };
-    // None at all: none could be told apart.
-    (!places.is_empty()).then(|| (0..places.len()).map(leaf).collect())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use rowgram_base::options::Options;
-
-    #[test]
-    fn rows_share_their_variance_among_their_plants() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("rows.csv");
-        let text = "row,plants,expected,low,high,length_px\n0,10,10.5,8,12,90\n1,0,0.2,0,1,90\n";
-        std::fs::write(&path, text).unwrap();
-        let rows = row_variances(&CsvTable::read(&path).unwrap());
-        // The row has a standard deviation of 1.
-        assert_eq!(rows, BTreeMap::from([(0, 0.1)]));
-        let found = count_variances(&[0.5, 0.5, 1.0], &[0.0, f64::NAN, 1.0], &rows);
-        assert_eq!(found, [0.1, 0.25, 0.0]);
-    }
 
     #[test]
     fn rows_and_alley_belong_together() {
