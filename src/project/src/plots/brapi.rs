@@ -104,6 +104,9 @@ fn observations(plots: &[Plot], all: &[Trait], study: &Study) -> Vec<Value> {
     let known = plots.iter().flat_map(|plot| {
         all.iter().filter_map(move |of| Some((plot, of, of.value(&plot.traits)?)))
     });
+    // Another date is another observation of the same unit.
+    let date = study.time.as_deref().and_then(|time| time.get(..10));
+    let date = date.map(|date| format!("-{date}")).unwrap_or_default();
     known
         .map(|(plot, of, value)| {
             let traits = &plot.traits;
@@ -115,7 +118,7 @@ fn observations(plots: &[Plot], all: &[Trait], study: &Study) -> Vec<Value> {
             json!({
                 "additionalInfo": info,
                 "germplasmName": attribute(plot, GERMPLASM),
-                "observationDbId": format!("{unit}-{}", of.name),
+                "observationDbId": format!("{unit}-{}{date}", of.name),
                 "observationTimeStamp": study.moment(),
                 "observationUnitDbId": unit,
                 "observationUnitName": traits.plot,
@@ -476,5 +479,6 @@ mod tests {
         let ids: std::collections::BTreeSet<String> =
             observations.iter().map(|of| of["observationDbId"].to_string()).collect();
         assert_eq!(ids.len(), observations.len());
+        assert!(ids.iter().all(|id| id.contains("2026-06-01")), "{ids:?}");
     }
 }

@@ -35,7 +35,7 @@ use rowgram_plants::phenotype::{
     plots::{Area, PlotIndex, SeenField},
     traits::{PlotTraits, Trait, traits_with},
 };
-use rowgram_raster::{mask::Thresholds, polygon::Polygon, spectral::Index};
+use rowgram_raster::{mask::Thresholds, polygon::Polygon, spectral::Index, srgb::LightScale};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
@@ -57,6 +57,11 @@ rowgram_base::options! {
         pub inset_across_m: f64 = 0.0, limits NON_NEGATIVE;
         /// Rows of plants that are left out on either side of each plot.
         pub border_rows: usize = 0;
+        /// What the linear light of a map of three bands is multiplied by before colours are measured: red, green, blue. A season
+        /// sets it for each of its dates.
+        pub light_gain: [f64; 3] = [1.0; 3], limits POSITIVE;
+        /// What is added then, 1 at saturation.
+        pub light_offset: [f64; 3] = [0.0; 3], limits between(-1.0, 1.0);
         /// Share of a plot that the map has to show for numbers of the whole plot (plants, leaves, volume); means and densities
         /// are those of what it shows.
         pub min_valid_share: f64 = 0.5, limits between(0.0, 1.0);
@@ -217,13 +222,15 @@ impl Task for Plots {
             vec![areas::named("field".to_owned(), Polygon { rings: vec![ring] })]
         });
         let polygons: Vec<&Polygon> = areas.iter().map(|area| &area.polygon).collect();
-        let colours = picture.as_ref().map(|picture| colours::of_leaves(picture, &mask, &polygons));
+        let light = LightScale { gain: options.light_gain, offset: options.light_offset };
+        let of_leaves = |picture| colours::of_leaves(picture, (&mask, light), &polygons);
+        let colours = picture.as_ref().map(of_leaves);
         let colours = colours.transpose()?.flatten();
         let plants_px = field.plants.as_deref().unwrap_or_default();
         let means = match &picture {
             Some(source) => {
                 let valid = valid.as_ref();
-                Measuring { source, mask: &mask, valid, indices: &formulas }
+                Measuring { source, mask: &mask, valid, indices: &formulas, light }
                     .means(&polygons, plants_px)?
             }
             None => Means::default(),
