@@ -2,6 +2,7 @@
 
 use data_synth::{
     camera::CameraConfig,
+    panels::PanelConfig,
     photo::ImageConfig,
     season_plan::{SeasonConfig, SeasonPreset},
 };
@@ -28,7 +29,7 @@ fn write(root: &Path) -> Vec<[f64; 3]> {
     let mut config = SeasonConfig::preset(SeasonPreset::Tiny);
     (config.light_spread, config.cast_spread, config.height_spread) = (0.2, 0.1, 0.0);
     let twin = &mut config.twin;
-    twin.panels.size_m = 0.5;
+    twin.panels = PanelConfig { size_m: 0.5, green_plate: true };
     let camera = CameraConfig::compact(SIDE_PX, SIDE_PX, HEIGHT_M / GSD_M);
     twin.camera = CameraConfig { xp_px: 0.0, yp_px: 0.0, ..camera };
     (twin.flight.height_m, twin.targets.control, twin.targets.check) = (HEIGHT_M, 0, 0);

@@ -1,7 +1,6 @@
 //! Panels of known reflectance that lie beside the field, as a crew would lay them out to compare the light of dates.
 //!
-//! Level plates of one colour in a line beyond the beginning of the rows, from the first row across. One of them is
-//! green, as leaves are.
+//! Level plates of one colour in a line beyond the beginning of the rows, from the first row across.
 
 use crate::{
     check::{ConfigError, within},
@@ -15,9 +14,11 @@ use serde::{Deserialize, Serialize};
 pub struct PanelConfig {
     /// Side of a panel, metres; 0: there are none.
     pub size_m: f64,
+    /// Whether there is a plate as green as leaves, too: something green that does not grow. It is taken for leaf.
+    pub green_plate: bool,
 }
 
-/// Names and reflectances, red, green, blue.
+/// Names and reflectances, red, green, blue; the green plate last.
 const PAINTS: [(&str, [f64; 3]); 4] = [
     ("black", [0.05; 3]),
     ("grey", [0.20; 3]),
@@ -94,7 +95,8 @@ impl PanelConfig {
             });
             Panel { name, reflectance, corners_m }
         };
-        PAINTS.iter().enumerate().map(panel).collect()
+        let count = PAINTS.len() - usize::from(!self.green_plate);
+        PAINTS.iter().take(count).enumerate().map(panel).collect()
     }
 }
 
@@ -107,8 +109,9 @@ mod tests {
     fn panels_lie_beyond_the_rows_and_apart() {
         let field = Field::plant(&FieldConfig::default()).unwrap();
         assert_eq!(PanelConfig::default().lay_out(&field), []);
-        let panels = PanelConfig { size_m: 0.4 }.lay_out(&field);
-        assert_eq!(panels.len(), PAINTS.len());
+        let panels = PanelConfig { size_m: 0.4, green_plate: true }.lay_out(&field);
+        let grey = PanelConfig { size_m: 0.4, green_plate: false }.lay_out(&field);
+        assert_eq!((panels.len(), &panels[..3]), (4, &grey[..]));
         let end_m = -0.5 * field.config.row_length_m - BEYOND_M + 1e-9;
         for panel in &panels {
             for [x_m, y_m, _] in panel.corners_m {

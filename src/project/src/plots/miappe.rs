@@ -23,6 +23,9 @@ use rowgram_optim::output;
 use rowgram_plants::phenotype::traits::Trait;
 use std::path::Path;
 
+/// A section: its file, the fields, and the rows.
+type Section<'a> = (&'a str, &'a [&'a str], Vec<Vec<String>>);
+
 /// Writes the four tables.
 ///
 /// # Errors
@@ -41,7 +44,7 @@ pub(super) fn write(
         "a row per plot and trait: plot, trait, value, unit, standard_deviation",
         version,
     ];
-    let tables: [(&str, &[&str], Vec<Vec<String>>); 4] = [
+    let tables: [Section<'_>; 4] = [
         ("miappe_study.csv", STUDY, vec![self::study(plots, study)]),
         ("miappe_observation_units.csv", UNIT, units),
         ("miappe_variables.csv", VARIABLE, variables),
