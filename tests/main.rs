@@ -49,6 +49,7 @@ mod results;
 mod row_model;
 mod run;
 mod season;
+mod season_colours;
 mod segment;
 mod sfm;
 mod spoiled;

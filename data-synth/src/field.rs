@@ -20,6 +20,7 @@ use crate::{
     check::{self, ConfigError, within},
     habit::{Habit, PlotConfig, Stalk},
     leaf::{self, Leaf},
+    panels::Panel,
     season::SeasonDay,
     streams::{Draw, Stage, pair, stream},
     terrain::{Terrain, TerrainConfig},
@@ -323,6 +324,8 @@ pub struct Field {
     pub terrain: Terrain,
     /// Plants by row, site, and first before second.
     pub plants: Vec<Plant>,
+    /// Panels of known reflectance beside it.
+    pub panels: Vec<Panel>,
 }
 
 impl Field {
@@ -340,7 +343,7 @@ impl Field {
             [plant.u_px, plant.v_px] = frame.pixel(plant.x_m, plant.y_m);
             plant.z_m = terrain.height_m(plant.x_m, plant.y_m);
         });
-        Ok(Field { config: config.clone(), frame, terrain, plants })
+        Ok(Field { config: config.clone(), frame, terrain, plants, panels: Vec::new() })
     }
 
     /// Every leaf of every plant, in their order.

@@ -51,6 +51,7 @@ pub mod gimbal;
 pub mod habit;
 pub mod labels;
 pub mod leaf;
+pub mod panels;
 pub mod patterns;
 pub mod photo;
 pub mod picture;

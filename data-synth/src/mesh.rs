@@ -277,6 +277,13 @@ impl<'a> World<'a> {
                 mesh.target(target);
             }
         }
+        for panel in &self.field.panels {
+            let colour = panel.reflectance.map(|part| part as f32);
+            let thing = mesh.thing(Kind::Target, colour, 0, false);
+            let [a, b, c, d] = panel.corners_m.map(|at_m| mesh.vertex(at_m, 0.0, 0.0));
+            mesh.triangles.push([a, b, c, thing]);
+            mesh.triangles.push([a, c, d, thing]);
+        }
         mesh
     }
 

@@ -39,6 +39,10 @@ pub struct SeasonConfig {
     pub sun_elevation_deg: f64,
     /// Standard deviation of the flying height from flight to flight, fraction.
     pub height_spread: f64,
+    /// Standard deviation of the logarithm of the light from flight to flight.
+    pub light_spread: f64,
+    /// Standard deviation of the logarithm of its red and of its blue against green.
+    pub cast_spread: f64,
     /// Weeds of the last flight, per square metre; they become more from sowing on.
     pub weeds_per_m2: f64,
     /// Field, camera and flight; of the flight's day only what its plants do counts.
@@ -94,6 +98,8 @@ impl SeasonConfig {
             sun_azimuth_deg: 25.0,
             sun_elevation_deg: 6.0,
             height_spread: 0.03,
+            light_spread: 0.0,
+            cast_spread: 0.0,
             weeds_per_m2: 0.6,
             twin: TwinConfig {
                 field: FieldConfig {
@@ -176,6 +182,8 @@ impl SeasonConfig {
         within("sun_azimuth_deg", self.sun_azimuth_deg, 0.0..=90.0)?;
         within("sun_elevation_deg", self.sun_elevation_deg, 0.0..=15.0)?;
         within("height_spread", self.height_spread, 0.0..=0.2)?;
+        within("light_spread", self.light_spread, 0.0..=0.5)?;
+        within("cast_spread", self.cast_spread, 0.0..=0.3)?;
         within("weeds_per_m2", self.weeds_per_m2, 0.0..=1000.0)
     }
 
@@ -201,6 +209,12 @@ impl SeasonConfig {
         image.sun_azimuth_deg += self.sun_azimuth_deg * rng.normal().clamp(-2.5, 2.5);
         let elevation_deg = image.sun_elevation_deg + self.sun_elevation_deg * rng.normal();
         image.sun_elevation_deg = elevation_deg.clamp(25.0, 75.0);
+        // A stream of its own, as all else of a seed stays what it was.
+        let mut colours = stream(twin.field.seed, Stage::Weather, (1 << 32) + k as u64);
+        let [light, red, blue] = [self.light_spread, self.cast_spread, self.cast_spread]
+            .map(|spread| (spread * colours.normal().clamp(-2.5, 2.5)).exp());
+        image.light =
+            [image.light[0] * light * red, image.light[1] * light, image.light[2] * light * blue];
         image.exposure_spread *= rng.between(0.5, 1.5);
         flight.height_m *= 1.0 + self.height_spread * rng.normal().clamp(-2.5, 2.5);
         flight.wind_m_s = (flight.wind_m_s * rng.between(0.3, 1.6)).min(0.8 * flight.speed_m_s);

@@ -8,6 +8,7 @@ use crate::{
     field::{Field, FieldConfig, GrowthStage},
     flight::{self, FlightConfig, GnssConfig, Shot},
     habit::{Habit, PlotConfig},
+    panels::PanelConfig,
     photo::{ImageConfig, Studio},
     scenario::{Scenario, Scene},
     site::{Site, SiteConfig},
@@ -36,6 +37,9 @@ pub struct TwinConfig {
     pub flight: FlightConfig,
     /// Ground control.
     pub targets: TargetConfig,
+    /// Panels of known reflectance.
+    #[serde(skip_serializing_if = "PanelConfig::is_empty")]
+    pub panels: PanelConfig,
     /// Light and sensor.
     pub image: ImageConfig,
     /// Tie points made without photos.
@@ -73,6 +77,7 @@ impl TwinConfig {
         self.camera.check()?;
         self.flight.check()?;
         self.targets.check()?;
+        self.panels.check()?;
         self.image.check()?;
         self.tie_points.check()
     }
@@ -86,6 +91,10 @@ impl TwinConfig {
         let scenario = Scenario { field: self.field.clone(), corruption: self.corruption.clone() };
         let mut scene = scenario.build()?;
         let targets = targets::set_out(&self.targets, &mut scene.field)?;
+        scene.field.panels = self.panels.lay_out(&scene.field);
+        let is_near =
+            |weed: &Weed| scene.field.panels.iter().any(|of| of.is_near([weed.x_m, weed.y_m]));
+        scene.weeds.retain(|weed| !is_near(weed));
         let camera = Camera::new(&self.camera)?;
         let site = Site::new(&self.site)?;
         let mut shots = flight::fly(&self.flight, &scene.field, &camera)?;

@@ -52,7 +52,7 @@ def season(
     """Run the flights of a season as far as something has changed, and follow plots and plants through its dates.
 
     ``to_pandas()`` of the result has a row for each date, plot and trait; ``to_pandas("growth.csv")`` the growth curves,
-    ``to_pandas("plants_long.csv")`` the plants.
+    ``to_pandas("plants_long.csv")`` the plants, ``to_pandas("colours.csv")`` what the light of each date was multiplied by.
 
     Args:
         file: The list of flights, usually ``season.toml``.

@@ -64,6 +64,9 @@ pub struct ImageConfig {
     pub shot_noise: f64,
     /// JPEG quality, 1 to 100.
     pub jpeg_quality: u8,
+    /// What the light of the day, sun and sky, is multiplied by: red, green, blue.
+    #[serde(skip_serializing_if = "is_usual")]
+    pub light: [f64; 3],
 }
 
 impl Default for ImageConfig {
@@ -82,8 +85,14 @@ impl Default for ImageConfig {
             read_noise: 0.002,
             shot_noise: 0.012,
             jpeg_quality: 92,
+            light: [1.0; 3],
         }
     }
+}
+
+/// Whether light is that of the usual day.
+fn is_usual(light: &[f64; 3]) -> bool {
+    *light == [1.0; 3]
 }
 
 impl ImageConfig {
@@ -102,6 +111,9 @@ impl ImageConfig {
         within("image.defocus_px", self.defocus_px, 0.0..=20.0)?;
         within("image.read_noise", self.read_noise, 0.0..=0.2)?;
         within("image.shot_noise", self.shot_noise, 0.0..=0.2)?;
+        for light in self.light {
+            within("image.light", light, 0.05..=20.0)?;
+        }
         within("image.jpeg_quality", self.jpeg_quality, 1..=100)
     }
 
@@ -110,6 +122,14 @@ impl ImageConfig {
         let (sin, cos) = self.sun_azimuth_deg.to_radians().sin_cos();
         let (up, flat) = self.sun_elevation_deg.to_radians().sin_cos();
         [flat * cos, flat * sin, up]
+    }
+
+    /// Light that comes back from a level white surface under the open sky, red, green, blue; 1 saturates a photo of usual exposure.
+    pub fn level_light(&self) -> [f64; 3] {
+        let [_, _, up] = self.sun();
+        [0, 1, 2].map(|c| {
+            self.light[c] * (f64::from(shade::SUN_LIGHT[c]) * up + f64::from(shade::SKY_LIGHT[c]))
+        })
     }
 }
 
@@ -189,8 +209,9 @@ impl<'a> Studio<'a> {
 
     /// What the light of each channel is multiplied by in photo number `photo`, vignetting aside.
     pub fn gains(&self, shot: &Shot, photo: usize) -> [f64; 3] {
-        sensor::gains(self.image, self.world.field.config.seed, photo)
-            .map(|gain| gain * shot.light * shot.sensitivity.unwrap_or(1.0))
+        let gains = sensor::gains(self.image, self.world.field.config.seed, photo);
+        let exposure = shot.light * shot.sensitivity.unwrap_or(1.0);
+        [0, 1, 2].map(|c| gains[c] * exposure * self.image.light[c])
     }
 
     /// How far the ground in the middle of every block moves during the exposure, pixels.

@@ -7,9 +7,9 @@ use super::{
 use crate::mesh::{Kind, Mesh, Thing};
 
 /// Light of the sun on a surface that faces it, red, green, blue.
-const SUN_LIGHT: [f32; 3] = [1.02, 0.97, 0.88];
+pub(super) const SUN_LIGHT: [f32; 3] = [1.02, 0.97, 0.88];
 /// Light of the sky on level open ground.
-const SKY_LIGHT: [f32; 3] = [0.24, 0.27, 0.32];
+pub(super) const SKY_LIGHT: [f32; 3] = [0.24, 0.27, 0.32];
 
 /// Shades one photo.
 pub(super) struct Shader {

@@ -319,6 +319,7 @@ impl Flown {
             frame: field.frame,
             terrain: field.terrain.clone(),
             plants,
+            panels: Vec::new(),
         };
         render::mask(&field, &weeds)
     }

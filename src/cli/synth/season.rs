@@ -11,7 +11,8 @@ use std::path::PathBuf;
 /// Writes a project folder per flight, named by its date (as synth flight does; only the first has ground control),
 /// season.toml (the list of flights for rowgram season), plots.geojson, season-twin.toml (every parameter, for
 /// --config), and under truth/ what belongs to no single flight: plants.csv (emergence and loss of every plant),
-/// plant_days.csv (its leaves on each date), plots.csv (how plots grow) and plot_days.csv (plants, cover, height).
+/// plant_days.csv (its leaves on each date), plots.csv (how plots grow), plot_days.csv (plants, cover, height) and light.csv
+/// (the light of each date). With --panels panels.geojson has panels of known reflectance.
 ///
 /// Sun, wind, flying height, weeds and part of the soil differ from date to date. The same parameters give the same bytes
 /// for any number of threads.
@@ -38,6 +39,15 @@ pub(super) struct Args {
     /// Days from sowing to each flight [default: those of the preset].
     #[arg(long, value_name = "DAYS", value_delimiter = ',')]
     days: Vec<u32>,
+    /// Standard deviation of the logarithm of the light from flight to flight [default: 0].
+    #[arg(long, value_name = "X")]
+    light_spread: Option<f64>,
+    /// The same of red and of blue against green [default: 0].
+    #[arg(long, value_name = "X")]
+    cast_spread: Option<f64>,
+    /// Side of panels of known reflectance beside the field, metres [default: 0, none].
+    #[arg(long, value_name = "M")]
+    panels: Option<f64>,
     /// Render no photos: everything else in seconds.
     #[arg(long)]
     no_photos: bool,
@@ -58,6 +68,9 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     if !args.days.is_empty() {
         config.days.clone_from(&args.days);
     }
+    config.light_spread = args.light_spread.unwrap_or(config.light_spread);
+    config.cast_spread = args.cast_spread.unwrap_or(config.cast_spread);
+    config.twin.panels.size_m = args.panels.unwrap_or(config.twin.panels.size_m);
     let options = FlightOptions { photos: !args.no_photos, ..FlightOptions::default() };
     let mut terminal = Terminal::new();
     let found = write_season(&config, &options, &args.output, args.force, &mut terminal)?;

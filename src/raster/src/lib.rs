@@ -9,6 +9,7 @@
 //! - [`vegetation`]: vegetation estimated from the photo itself, a posterior per pixel;
 //! - [`components`]: small components and holes of a mask;
 //! - [`overlay`]: masks and points drawn over photos;
+//! - [`srgb`]: the bytes of a picture as linear light and back;
 //! - [`spectral`]: bands by name, and indices of them;
 //! - [`georeference`]: where a raster lies on the map;
 //! - [`window`]: rasters by bands of rows.
@@ -25,6 +26,7 @@ mod pixels;
 pub mod polygon;
 mod simplex;
 pub mod spectral;
+pub mod srgb;
 pub mod tuning;
 pub mod vegetation;
 pub mod window;

@@ -7,16 +7,16 @@
 //! | `traits.brapi.json` | `/observations` | a value: `observationUnitDbId`, `observationVariableDbId`, `studyDbId`, `observationTimeStamp`, `value` |
 //! | `variables.brapi.json` | `/variables` | a trait: trait, method with reference, scale with unit (UCUM) |
 //! | `units.brapi.json` | `/observationunits` | a plot and its level |
-//! | `study.brapi.json` | `/studies` | the flight as MIAPPE 1.1 describes an observation: facility and environment are not known here |
+//! | `study.brapi.json` | `/studies` | the flight: facility and environment are not known here |
 //!
 //! `observationTimeStamp` is the time of the first photo where the photos tell it together with their time zone; without a zone the
 //! local time is in `additionalInfo`, as standard deviations are, for which BrAPI has no field. Variables have the names of the traits, or the
-//! identifiers that a table gives (those of the Crop Ontology differ by crop).
+//! identifiers that a table gives; traits have those of the [Crop Ontology](crop_ontology) where the crop is named.
 //!
 //! Reference: BrAPI 2.1 (P. Selby et al., *BrAPI: an application programming interface for plant breeding applications*,
-//! Bioinformatics 35, 2019); MIAPPE 1.1 (E. Papoutsoglou et al., New Phytologist 227, 2020).
+//! Bioinformatics 35, 2019). `brapi-2.1.schema.json` has the fields of the standard, which the tests hold the files against.
 
-use super::{Plot, variable_ids::VariableIds};
+use super::{Plot, crop_ontology, variable_ids::VariableIds};
 use rowgram_base::error::Error;
 use rowgram_optim::output;
 use rowgram_plants::phenotype::traits::Trait;
@@ -30,8 +30,32 @@ pub(super) struct Study {
     pub(super) name: String,
     /// Time of the first photo, ISO 8601; with its offset from UTC where that is known.
     pub(super) time: Option<String>,
+    /// The crop, where it is named.
+    pub(super) crop: Option<String>,
     /// What its variables are called.
     pub(super) ids: VariableIds,
+}
+
+impl Study {
+    /// The time, where it is a moment: with its time zone.
+    fn moment(&self) -> Option<&str> {
+        self.time.as_deref().filter(|time| {
+            time.ends_with('Z') || time.get(19..).is_some_and(|rest| rest.contains(['+', '-']))
+        })
+    }
+
+    /// What BrAPI has no field for: the local time, where its time zone is not known.
+    fn more(&self) -> serde_json::Map<String, Value> {
+        let local = self.time.as_ref().filter(|_| self.moment().is_none());
+        local.map(|time| ("localTime".to_owned(), json!(time))).into_iter().collect()
+    }
+
+    /// The year in which the crop grew.
+    fn season(&self) -> Option<Value> {
+        let year: u16 = self.time.as_deref()?.get(..4)?.parse().ok()?;
+        let name = year.to_string();
+        Some(json!({"seasonDbId": name, "seasonName": name, "year": year}))
+    }
 }
 
 /// Writes the four files.
@@ -48,7 +72,7 @@ pub(super) fn write(
         ("traits.brapi.json", observations(plots, all, study)),
         ("variables.brapi.json", variables(plots, all, study)),
         ("units.brapi.json", units(plots, study)),
-        ("study.brapi.json", vec![self::study(all, study)]),
+        ("study.brapi.json", vec![self::study(plots, all, study)]),
     ];
     for (name, data) in files {
         let answer = answer(data);
@@ -77,29 +101,30 @@ fn unit_id(study: &Study, plot: &str) -> String {
 }
 
 fn observations(plots: &[Plot], all: &[Trait], study: &Study) -> Vec<Value> {
-    let has_zone = |time: &str| {
-        time.ends_with('Z') || time.get(19..).is_some_and(|rest| rest.contains(['+', '-']))
-    };
-    let stamp = study.time.as_deref().filter(|time| has_zone(time));
-    let local = study.time.as_deref().filter(|time| !has_zone(time));
     let known = plots.iter().flat_map(|plot| {
         all.iter().filter_map(move |of| Some((plot, of, of.value(&plot.traits)?)))
     });
+    // Another date is another observation of the same unit.
+    let date = study.time.as_deref().and_then(|time| time.get(..10));
+    let date = date.map(|date| format!("-{date}")).unwrap_or_default();
     known
-        .map(|(Plot { traits, .. }, of, value)| {
+        .map(|(plot, of, value)| {
+            let traits = &plot.traits;
             let unit = unit_id(study, &traits.plot);
-            let mut info = local.map_or(json!({}), |time| json!({"localTime": time}));
+            let mut info = study.more();
             if let Some(sd) = of.standard_deviation(traits) {
-                info["standardDeviation"] = json!(sd.to_string());
+                info.insert("standardDeviation".to_owned(), json!(sd.to_string()));
             }
             json!({
                 "additionalInfo": info,
-                "observationDbId": format!("{unit}-{}", of.name),
-                "observationTimeStamp": stamp,
+                "germplasmName": attribute(plot, GERMPLASM),
+                "observationDbId": format!("{unit}-{}{date}", of.name),
+                "observationTimeStamp": study.moment(),
                 "observationUnitDbId": unit,
                 "observationUnitName": traits.plot,
                 "observationVariableDbId": study.ids.of(of),
                 "observationVariableName": of.name,
+                "season": study.season(),
                 "studyDbId": study.name,
                 "uploadedBy": concat!("rowgram ", env!("CARGO_PKG_VERSION")),
                 "value": value.to_string(),
@@ -109,22 +134,41 @@ fn observations(plots: &[Plot], all: &[Trait], study: &Study) -> Vec<Value> {
 }
 
 /// The traits that some plot has.
+pub(super) fn measured<'a>(plots: &'a [Plot], all: &'a [Trait]) -> impl Iterator<Item = &'a Trait> {
+    all.iter().filter(|of| plots.iter().any(|plot| of.value(&plot.traits).is_some()))
+}
+
+/// What the method of a trait is called.
+pub(super) fn method_name(of: &Trait) -> String {
+    format!("{} from photos", of.name)
+}
+
 fn variables(plots: &[Plot], all: &[Trait], study: &Study) -> Vec<Value> {
-    let is_known = |of: &&Trait| plots.iter().any(|plot| of.value(&plot.traits).is_some());
     let variable = |of: &Trait| {
+        let term = crop_ontology::find(study.crop.as_deref(), &of.name);
+        let trait_id = term.and_then(|term| term.trait_id);
+        let comparable: Vec<Value> = term
+            .and_then(|term| term.variable_id)
+            .map(|id| json!({"referenceId": crop_ontology::page(id), "referenceSource": "Crop Ontology"}))
+            .into_iter()
+            .collect();
         json!({
+            "commonCropName": study.crop,
+            "externalReferences": comparable,
             "observationVariableDbId": study.ids.of(of),
             "observationVariableName": of.name,
             "trait": {
+                "ontologyReference": trait_id.map(crop_ontology::reference),
                 "traitDbId": of.name,
                 "traitName": of.name,
                 "traitDescription": of.meaning,
                 "traitClass": "phenotypic",
+                "traitPUI": trait_id.map(crop_ontology::page),
             },
             "method": {
                 "methodDbId": format!("{}-method", of.name),
-                "methodName": format!("{} from photos", of.name),
-                "methodDescription": of.method,
+                "methodName": method_name(of),
+                "description": of.method,
                 "methodClass": "Computation",
                 "bibliographicalReference": of.reference,
             },
@@ -136,160 +180,305 @@ fn variables(plots: &[Plot], all: &[Trait], study: &Study) -> Vec<Value> {
             },
         })
     };
-    all.iter().filter(is_known).map(variable).collect()
+    measured(plots, all).map(variable).collect()
+}
+
+/// The levels of observation units that BrAPI names, from the largest to the smallest.
+const LEVELS: [&str; 11] = [
+    "study",
+    "field",
+    "entry",
+    "rep",
+    "block",
+    "sub-block",
+    "plot",
+    "sub-plot",
+    "plant",
+    "pot",
+    "sample",
+];
+
+/// Columns of field maps that name a level above the plot.
+const RELATIONS: [(&str, &[&str]); 4] = [
+    ("entry", &["entry"]),
+    ("rep", &["rep", "replicate", "replication"]),
+    ("block", &["block"]),
+    ("sub-block", &["sub-block", "sub_block", "subblock"]),
+];
+
+/// Columns of field maps that name what grows on a plot.
+pub(super) const GERMPLASM: &[&str] = &["genotype", "germplasm", "variety"];
+/// Columns of field maps with the row of a plot in the grid of plots.
+pub(super) const ROW: &[&str] = &["row", "range"];
+/// Columns of field maps with its column.
+pub(super) const COLUMN: &[&str] = &["column", "col"];
+
+fn level(name: &str, code: Option<&str>) -> Value {
+    let order = LEVELS.iter().position(|known| *known == name);
+    match code {
+        Some(code) => json!({"levelName": name, "levelOrder": order, "levelCode": code}),
+        None => json!({"levelName": name, "levelOrder": order}),
+    }
+}
+
+fn text(value: &Value) -> Option<String> {
+    match value {
+        Value::Null => None,
+        Value::String(text) => Some(text.clone()),
+        other => Some(other.to_string()),
+    }
+}
+
+/// What the polygon of a plot says under the first of these names that it has.
+pub(super) fn attribute(plot: &Plot, names: &[&str]) -> Option<String> {
+    let named = |wanted: &&str| {
+        let mut own = plot.attributes.iter();
+        own.find(|(name, _)| name.eq_ignore_ascii_case(wanted)).and_then(|(_, value)| text(value))
+    };
+    names.iter().find_map(named)
+}
+
+/// The levels above a plot that it names, with what it names them.
+pub(super) fn relations(plot: &Plot) -> Vec<(&'static str, String)> {
+    let named = |(level, names): (&'static str, &[&str])| Some((level, attribute(plot, names)?));
+    RELATIONS.into_iter().filter_map(named).collect()
+}
+
+/// The levels that a field has.
+pub(super) fn levels(plots: &[Plot]) -> Vec<&'static str> {
+    let is_named =
+        |level: &&str| plots.iter().any(|plot| relations(plot).iter().any(|(own, _)| own == level));
+    RELATIONS.iter().map(|(level, _)| *level).filter(is_named).chain(["plot"]).collect()
+}
+
+/// Factors and modalities: the column `treatment`, and those that start with `treatment_`, behind which the factor stands.
+pub(super) fn treatments(plot: &Plot) -> Vec<(String, String)> {
+    let treatment = |(name, value): &(String, Value)| {
+        let name = name.to_lowercase();
+        let factor = match name.strip_prefix("treatment_") {
+            Some(factor) if !factor.is_empty() => factor,
+            _ if name == "treatment" => "treatment",
+            _ => return None,
+        };
+        Some((factor.to_owned(), text(value)?))
+    };
+    plot.attributes.iter().filter_map(treatment).collect()
 }
 
 fn units(plots: &[Plot], study: &Study) -> Vec<Value> {
     let unit = |plot: &Plot| {
         let name = &plot.traits.plot;
-        // What the polygons say of a plot, under the names that field maps have.
-        let attribute = |wanted: &str| {
-            let found =
-                plot.attributes.iter().find(|(name, _)| name.eq_ignore_ascii_case(wanted))?;
-            match &found.1 {
-                Value::Null => None,
-                Value::String(text) => Some(text.clone()),
-                other => Some(other.to_string()),
+        let above = relations(plot).into_iter().map(|(name, code)| level(name, Some(&code)));
+        let treatments = treatments(plot)
+            .into_iter()
+            .map(|(factor, modality)| json!({"factor": factor, "modality": modality}));
+        let mut position = json!({
+            "observationLevel": level("plot", Some(name)),
+            "observationLevelRelationships": above.collect::<Vec<_>>(),
+        });
+        for (axis, names, kind) in [("X", COLUMN, "GRID_COL"), ("Y", ROW, "GRID_ROW")] {
+            if let Some(at) = attribute(plot, names) {
+                position[format!("positionCoordinate{axis}")] = json!(at);
+                position[format!("positionCoordinate{axis}Type")] = json!(kind);
             }
-        };
-        let block = attribute("block")
-            .map(|code| json!({"levelName": "block", "levelOrder": 1, "levelCode": code}));
-        let treatment =
-            attribute("treatment").map(|value| json!({"factor": "treatment", "modality": value}));
+        }
         json!({
-            "germplasmName": attribute("genotype"),
+            "germplasmName": attribute(plot, GERMPLASM),
             "observationUnitDbId": unit_id(study, name),
             "observationUnitName": name,
-            "observationUnitPosition": {
-                "observationLevel": {"levelName": "plot", "levelOrder": 2, "levelCode": name},
-                "observationLevelRelationships": block.into_iter().collect::<Vec<_>>(),
-            },
+            "observationUnitPosition": position,
             "studyDbId": study.name,
             "studyName": study.name,
-            "treatments": treatment.into_iter().collect::<Vec<_>>(),
+            "treatments": treatments.collect::<Vec<_>>(),
         })
     };
     plots.iter().map(unit).collect()
 }
 
-fn study(all: &[Trait], of: &Study) -> Value {
+fn study(plots: &[Plot], all: &[Trait], of: &Study) -> Value {
+    let levels = levels(plots).into_iter().map(|name| level(name, None));
+    let season = of.season().map(|season| season["seasonDbId"].clone());
     json!({
+        "additionalInfo": of.more(),
+        "commonCropName": of.crop,
         "studyDbId": of.name,
         "studyName": of.name,
         "studyType": "UAV phenotyping",
-        "startDate": of.time.as_deref().and_then(|time| time.get(..10)),
-        "observationLevels": [{"levelName": "plot", "levelOrder": 2}],
-        "observationVariableDbIds": all.iter().map(|own| of.ids.of(own)).collect::<Vec<_>>(),
-        "experimentalDesign": {"description": "not known to this program"},
+        "startDate": of.moment(),
+        "seasons": season.into_iter().collect::<Vec<_>>(),
+        "observationLevels": levels.collect::<Vec<_>>(),
+        "observationVariableDbIds": measured(plots, all).map(|own| of.ids.of(own)).collect::<Vec<_>>(),
+        "experimentalDesign": {"description": "unknown"},
     })
 }
+
+#[cfg(test)]
+pub(super) use tests::plots as examples;
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use rowgram_plants::phenotype::traits::{PlotTraits, TRAITS};
     use rowgram_raster::polygon::Polygon;
-    use serde::Deserialize;
 
-    /// An observation as BrAPI 2.1 has it: what is not named here is not part of the standard.
-    #[derive(Deserialize)]
-    #[serde(rename_all = "camelCase", deny_unknown_fields)]
-    #[expect(dead_code, reason = "the fields of the standard")]
-    struct Observation {
-        additional_info: Option<serde_json::Map<String, Value>>,
-        collector: Option<String>,
-        external_references: Option<Vec<Value>>,
-        geo_coordinates: Option<Value>,
-        germplasm_db_id: Option<String>,
-        germplasm_name: Option<String>,
-        observation_db_id: String,
-        observation_time_stamp: Option<String>,
-        observation_unit_db_id: String,
-        observation_unit_name: Option<String>,
-        observation_variable_db_id: String,
-        observation_variable_name: Option<String>,
-        season: Option<Value>,
-        study_db_id: Option<String>,
-        uploaded_by: Option<String>,
-        value: String,
-    }
-
-    fn plots() -> Vec<Plot> {
+    /// Two plots of a field map with everything that it can say.
+    pub(in super::super) fn plots() -> Vec<Plot> {
+        let attributes = [
+            ("Genotype", json!("B73")),
+            ("rep", json!(1)),
+            ("block", json!(2)),
+            ("range", json!(3)),
+            ("column", json!(4)),
+            ("Treatment", json!("dry")),
+            ("treatment_nitrogen", json!(80)),
+            ("treatment_irrigation", Value::Null),
+        ];
         ["A", "B"]
             .map(|name| Plot {
                 polygon: Polygon { rings: Vec::new() },
                 traits: PlotTraits {
                     plot: name.into(),
                     plants: Some(7.0),
+                    canopy_height_m: Some(1.25),
                     ..PlotTraits::default()
                 },
-                attributes: vec![("Genotype".into(), "B73".into()), ("block".into(), 2.into())],
+                attributes: attributes
+                    .iter()
+                    .map(|(key, of)| ((*key).into(), of.clone()))
+                    .collect(),
             })
             .into()
     }
 
+    fn study_at(time: Option<&str>, crop: Option<&str>) -> Study {
+        Study {
+            name: "north".into(),
+            time: time.map(str::to_owned),
+            crop: crop.map(str::to_owned),
+            ids: VariableIds::default(),
+        }
+    }
+
+    /// What of an entity contradicts the standard.
+    fn faults(entity: &str, value: &Value) -> Vec<String> {
+        let mut schema: Value =
+            serde_json::from_str(include_str!("brapi-2.1.schema.json")).unwrap();
+        schema["$ref"] = json!(format!("#/$defs/{entity}"));
+        let options = jsonschema::options().should_validate_formats(true);
+        let validator = options.build(&schema).unwrap();
+        let faults = validator.iter_errors(value);
+        faults.map(|fault| format!("{}: {fault}", fault.instance_path())).collect()
+    }
+
+    /// The entities of the files that are written, by their file.
+    fn files(study: &Study) -> [(&'static str, Vec<Value>); 4] {
+        let folder = tempfile::tempdir().unwrap();
+        write(&plots(), TRAITS, study, folder.path()).unwrap();
+        let entities = [
+            ("traits", "Observation"),
+            ("variables", "ObservationVariable"),
+            ("units", "ObservationUnit"),
+            ("study", "Study"),
+        ];
+        entities.map(|(file, entity)| {
+            let text = std::fs::read(folder.path().join(format!("{file}.brapi.json"))).unwrap();
+            let answer: Value = serde_json::from_slice(&text).unwrap();
+            assert_eq!(answer["metadata"]["pagination"]["totalPages"], 1, "{file}");
+            (entity, answer["result"]["data"].as_array().unwrap().clone())
+        })
+    }
+
     #[test]
-    fn observations_have_the_fields_of_the_standard() {
-        for (time, stamp) in [
-            (Some("2026-06-01T10:20:30+02:00"), Some("2026-06-01T10:20:30+02:00")),
-            (Some("2026-06-01T10:20:30Z"), Some("2026-06-01T10:20:30Z")),
-            (Some("2026-06-01T10:20:30"), None),
-            (None, None),
+    fn files_are_valid_by_the_schema_of_the_standard() {
+        for time in [
+            Some("2026-06-01T10:20:30+02:00"),
+            Some("2026-06-01T10:20:30Z"),
+            Some("2026-06-01T10:20:30"),
+            None,
         ] {
-            let study = Study {
-                name: "north".into(),
-                time: time.map(str::to_owned),
-                ids: VariableIds::default(),
-            };
-            let found = observations(&plots(), TRAITS, &study);
-            assert_eq!(found.len(), 2);
-            for (value, plot) in found.into_iter().zip(["A", "B"]) {
-                let local = value["additionalInfo"]["localTime"].clone();
-                assert_eq!(local.is_string(), time.is_some() && stamp.is_none(), "{value}");
-                let of: Observation = serde_json::from_value(value).unwrap();
-                assert_eq!(of.observation_time_stamp.as_deref(), stamp);
-                assert_eq!(of.observation_unit_db_id, format!("north-{plot}"));
-                assert_eq!(
-                    (of.observation_variable_db_id.as_str(), of.value.as_str()),
-                    ("plants", "7")
-                );
+            for crop in [None, Some("sorghum"), Some("Maize"), Some("wheat")] {
+                for (entity, data) in files(&study_at(time, crop)) {
+                    assert!(!data.is_empty(), "{entity}");
+                    for value in data {
+                        assert_eq!(faults(entity, &value), [""; 0], "{value:#}");
+                    }
+                }
             }
         }
     }
 
     #[test]
-    fn files_refer_to_each_other() {
-        let folder = tempfile::tempdir().unwrap();
-        let study = Study {
-            name: "north".into(),
-            time: Some("2026-06-01T10:20:30".into()),
-            ids: VariableIds::default(),
+    fn the_schema_refuses_what_the_standard_does() {
+        let [(_, observations), (_, variables), (_, units), (_, studies)] =
+            files(&study_at(Some("2026-06-01T10:20:30Z"), Some("maize")));
+        let refused = |entity: &str, value: &Value, pointer: &str, with: Value, says: &str| {
+            let mut wrong = value.clone();
+            *wrong.pointer_mut(pointer).unwrap() = with;
+            let faults = faults(entity, &wrong);
+            assert!(faults.iter().any(|fault| fault.contains(says)), "{pointer}: {faults:?}");
         };
-        write(&plots(), TRAITS, &study, folder.path()).unwrap();
-        let read = |name: &str| -> Vec<Value> {
-            let text = std::fs::read(folder.path().join(name)).unwrap();
-            let answer: Value = serde_json::from_slice(&text).unwrap();
-            assert_eq!(answer["metadata"]["pagination"]["totalPages"], 1, "{name}");
-            answer["result"]["data"].as_array().unwrap().clone()
-        };
-        let [observations, variables, units, study] = ["traits", "variables", "units", "study"]
-            .map(|name| read(&format!("{name}.brapi.json")));
-        assert_eq!(variables.len(), 1, "only what was measured");
-        assert_eq!(variables[0]["scale"]["units"], "1");
-        assert_eq!(study[0]["startDate"], "2026-06-01");
-        assert_eq!(units[0]["germplasmName"], "B73");
-        let relation = &units[0]["observationUnitPosition"]["observationLevelRelationships"][0];
-        assert_eq!(
-            (&relation["levelName"], &relation["levelCode"]),
-            (&json!("block"), &json!("2"))
+        let observation = &observations[0];
+        refused("Observation", observation, "/value", json!(7), "not of type");
+        refused("Observation", observation, "/observationTimeStamp", json!("1 June"), "date-time");
+        refused("Observation", observation, "/season", json!("2026"), "not of type");
+        refused(
+            "ObservationVariable",
+            &variables[0],
+            "/scale/dataType",
+            json!("Number"),
+            "is not one of",
         );
-        assert_eq!(units[0]["treatments"], json!([]));
-        for of in observations {
+        refused(
+            "ObservationVariable",
+            &variables[0],
+            "/method",
+            json!({"methodDescription": ""}),
+            "methodName",
+        );
+        let level = "/observationUnitPosition/observationLevel/levelName";
+        refused("ObservationUnit", &units[0], level, json!("parcel"), "is not one of");
+        refused("ObservationUnit", &units[0], "/treatments/0", json!({"name": "dry"}), "name");
+        refused("Study", &studies[0], "/startDate", json!("2026-06-01"), "date-time");
+    }
+
+    #[test]
+    fn files_refer_to_each_other() {
+        let [(_, observations), (_, variables), (_, units), (_, studies)] =
+            files(&study_at(Some("2026-06-01T10:20:30"), Some("sorghum")));
+        let names: Vec<&Value> =
+            variables.iter().map(|of| &of["observationVariableDbId"]).collect();
+        assert_eq!(names, ["plants", "canopy_height_m"], "only what was measured");
+        assert_eq!(studies[0]["observationVariableDbIds"], json!(names));
+        let reference = &variables[1]["externalReferences"][0]["referenceId"];
+        assert_eq!(reference, "https://cropontology.org/term/CO_324:0000623");
+        assert_eq!(variables[0]["scale"]["units"], "1");
+        assert_eq!(studies[0]["additionalInfo"]["localTime"], "2026-06-01T10:20:30");
+        let levels = studies[0]["observationLevels"].as_array().unwrap();
+        let levels: Vec<&Value> = levels.iter().map(|level| &level["levelName"]).collect();
+        assert_eq!(levels, ["rep", "block", "plot"]);
+        assert_eq!(units[0]["germplasmName"], "B73");
+        let position = &units[0]["observationUnitPosition"];
+        assert_eq!(position["observationLevelRelationships"][1]["levelCode"], "2");
+        assert_eq!(
+            (&position["positionCoordinateX"], &position["positionCoordinateY"]),
+            (&json!("4"), &json!("3"))
+        );
+        let treatments = json!([
+            {"factor": "treatment", "modality": "dry"},
+            {"factor": "nitrogen", "modality": "80"},
+        ]);
+        assert_eq!(units[0]["treatments"], treatments);
+        assert_eq!(observations.len(), 4);
+        for of in &observations {
             assert!(
                 units.iter().any(|unit| unit["observationUnitDbId"] == of["observationUnitDbId"])
             );
-            assert_eq!(of["observationVariableDbId"], variables[0]["observationVariableDbId"]);
-            assert_eq!(of["studyDbId"], study[0]["studyDbId"]);
+            assert!(names.contains(&&of["observationVariableDbId"]));
+            assert_eq!(of["studyDbId"], studies[0]["studyDbId"]);
         }
+        let ids: std::collections::BTreeSet<String> =
+            observations.iter().map(|of| of["observationDbId"].to_string()).collect();
+        assert_eq!(ids.len(), observations.len());
+        assert!(ids.iter().all(|id| id.contains("2026-06-01")), "{ids:?}");
     }
 }

@@ -3,20 +3,20 @@
 use rowgram_files::rasters::Source;
 use rowgram_optim::output::FileError;
 use rowgram_plants::phenotype::plot_scatter::{ColourParts, PlotParts};
-use rowgram_raster::{Mask, polygon::Polygon};
+use rowgram_raster::{Mask, polygon::Polygon, srgb::LightScale};
 use std::ops::Range;
 
 /// Rows of the orthomosaic that are read at a time.
 const BAND_ROWS: usize = 512;
 
-/// The sum of the colours of the leaf pixels of each area, by part. `None` where the picture has no colours or another size than
+/// The sum of the colours of the leaf pixels of each area, by part, their light in this scale. `None` where the picture has no colours or another size than
 /// the mask.
 ///
 /// # Errors
 /// A damaged picture.
 pub(super) fn of_leaves(
     source: &Source,
-    mask: &Mask,
+    (mask, light): (&Mask, LightScale),
     areas: &[&Polygon],
 ) -> Result<Option<Vec<ColourParts>>, FileError> {
     if !source.is_photo() || source.size() != (mask.width, mask.height) {
@@ -28,7 +28,8 @@ pub(super) fn of_leaves(
     let mut sums = vec![ColourParts::default(); runs.len()];
     for first in (0..mask.height).step_by(BAND_ROWS) {
         let rows = first..(first + BAND_ROWS).min(mask.height);
-        let (picture, gaps) = source.rgb_and_gaps(rows.clone())?;
+        let (mut picture, gaps) = source.rgb_and_gaps(rows.clone())?;
+        light.convert(&mut picture);
         for ((sum, runs), parts) in sums.iter_mut().zip(&runs).zip(&parts) {
             // The runs of an area are sorted by row.
             let begin = runs.partition_point(|(v, _)| *v < rows.start);

@@ -13,6 +13,7 @@ use rowgram_raster::{
     Mask,
     polygon::Polygon,
     spectral::{Band, Formula, Index},
+    srgb::LightScale,
     window,
 };
 use std::ops::Range;
@@ -56,6 +57,8 @@ pub(super) struct Measuring<'a> {
     /// Pixels that show something; `None` where all do.
     pub(super) valid: Option<&'a Mask>,
     pub(super) indices: &'a [(Index, Formula)],
+    /// The scale of the light of a picture that has red, green and blue alone.
+    pub(super) light: LightScale,
 }
 
 /// Sums of an index over some pixels and over the leaf pixels among them.
@@ -86,6 +89,10 @@ impl Measuring<'_> {
             return Ok(Means::default());
         }
         let indices = self.indices.len();
+        let roles = self.source.roles()?;
+        let is_spectral = |band: &Option<Band>| matches!(band, Some(Band::RedEdge | Band::Nir));
+        let is_scaled = self.light != LightScale::IDENTITY && !roles.iter().any(is_spectral);
+        let scaled = is_scaled.then(|| (roles, self.light.grey_values()));
         let mut of_plots: Vec<PlotRuns> = (plots.iter())
             .map(|plot| PlotRuns {
                 runs: plot.runs(width, height),
@@ -99,7 +106,10 @@ impl Measuring<'_> {
         let mut of_plants = vec![vec![ValueParts::default(); indices]; plants_px.len()];
         for band in window::bands(height, BAND_ROWS, 0) {
             let rows = band.rows;
-            let (samples, gaps) = self.source.spectra(rows.clone())?;
+            let (mut samples, gaps) = self.source.spectra(rows.clone())?;
+            if let Some((bands, grey)) = &scaled {
+                samples.par_chunks_mut(bands.len()).for_each(|pixel| scale(pixel, bands, grey));
+            }
             let is_seen = |k: usize| {
                 let valid = self.valid.is_none_or(|of| of.data[rows.start * width + k] != 0);
                 valid && gaps.as_ref().is_none_or(|gaps| !gaps[k])
@@ -138,6 +148,23 @@ impl Measuring<'_> {
         }
         let plots = of_plots.into_iter().map(|plot| plot.sums).collect();
         Ok(Means { plots, plants: of_plants })
+    }
+}
+
+/// Brings the bytes of a pixel, over 255, into a scale of light.
+fn scale(pixel: &mut [f32], bands: &[Option<Band>], grey: &[[f64; 256]; 3]) {
+    for (value, band) in pixel.iter_mut().zip(bands) {
+        let channel = match band {
+            Some(Band::Red) => 0,
+            Some(Band::Green) => 1,
+            Some(Band::Blue) => 2,
+            _ => continue,
+        };
+        // Between two bytes in proportion, for samples of more bits.
+        let at = (255.0 * value.clamp(0.0, 1.0)).min(254.999);
+        let (below, part) = (at as usize, f64::from(at.fract()));
+        let [low, high] = [below, below + 1].map(|byte| grey[channel][byte]);
+        *value = ((low + part * (high - low)) / 255.0) as f32;
     }
 }
 

@@ -1,16 +1,18 @@
 //! Traits of every plot: from polygons, from a grid that the rows give, or of the whole field.
 //!
 //! Written as a wide table (`traits.csv`), a tidy one (`traits_long.csv`: plot, trait, value, unit), polygons with
-//! the traits (`traits.geojson`, `traits.gpkg`, `traits.parquet`), BrAPI answers (`*.brapi.json`), and what each trait is
-//! (`trait_dictionary.csv`). Plants and gaps come with the plot that they stand in (`plants.csv`, `gaps.csv`, and
+//! the traits (`traits.geojson`, `traits.gpkg`, `traits.parquet`), BrAPI answers (`*.brapi.json`), sections of MIAPPE (`miappe_*.csv`), and what each
+//! trait is (`trait_dictionary.csv`). Plants and gaps come with the plot that they stand in (`plants.csv`, `gaps.csv`, and
 //! both as `.gpkg` and `.parquet`). Layers have styles for QGIS beside them.
 
 mod areas;
 mod brapi;
 mod colours;
+mod crop_ontology;
 mod heights;
 mod indices;
 pub mod layout;
+mod miappe;
 mod plants;
 mod tables;
 mod variable_ids;
@@ -33,7 +35,7 @@ use rowgram_plants::phenotype::{
     row_cover::RowCover,
     traits::{PlotTraits, Trait, traits_with},
 };
-use rowgram_raster::{mask::Thresholds, polygon::Polygon, spectral::Index};
+use rowgram_raster::{mask::Thresholds, polygon::Polygon, spectral::Index, srgb::LightScale};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
@@ -58,12 +60,20 @@ rowgram_base::options! {
         pub border_rows: usize = 0;
         /// Length from which a stretch of a row without leaf is a gap (row_gap_share).
         pub min_gap_m: f64 = 0.5, limits POSITIVE;
+        /// What the linear light of a map of three bands is multiplied by before colours are measured: red, green, blue. A season
+        /// sets it for each of its dates.
+        pub light_gain: [f64; 3] = [1.0; 3], limits POSITIVE;
+        /// What is added then, 1 at saturation.
+        pub light_offset: [f64; 3] = [0.0; 3], limits between(-1.0, 1.0);
         /// Share of a plot that the map has to show for numbers of the whole plot (plants, leaves, volume); means and densities
         /// are those of what it shows.
         pub min_valid_share: f64 = 0.5, limits between(0.0, 1.0);
         /// Table with more of the plots (genotype, treatment): its column that has the names of the plots is found, all others
         /// become columns of the results.
         pub field_book: Option<PathBuf> = None, example "\"field_book.csv\"";
+        /// Common name of the crop for BrAPI and MIAPPE. Traits of maize and sorghum have the identifiers of the Crop Ontology
+        /// where it has them.
+        pub crop: Option<String> = None, example "\"sorghum\"";
         /// Table with identifiers of traits for BrAPI, such as those of the Crop Ontology: columns trait and id.
         pub variable_ids: Option<PathBuf> = None, example "\"variables.csv\"";
     }
@@ -71,6 +81,7 @@ rowgram_base::options! {
 
 fn check(options: &PlotsOptions) -> Result<(), String> {
     options.named_indices()?;
+    options.crop.as_deref().map_or(Ok(()), crop_ontology::check)?;
     match (options.rows_per_plot, options.alley_m) {
         (Some(_), None) => Err("alley_m is not set: expected it beside rows_per_plot".to_owned()),
         (None, Some(_)) => Err("rows_per_plot is not set: expected it beside alley_m".to_owned()),
@@ -170,7 +181,7 @@ impl Task for Plots {
     }
 
     fn context(project: &Project) -> String {
-        let study = study(project, VariableIds::default());
+        let study = study(project);
         let key = project.config().project.plot_key.as_deref().unwrap_or_default();
         format!("{} {} {key}", study.name, study.time.unwrap_or_default())
     }
@@ -222,13 +233,15 @@ impl Task for Plots {
             vec![areas::named("field".to_owned(), Polygon { rings: vec![ring] })]
         });
         let polygons: Vec<&Polygon> = areas.iter().map(|area| &area.polygon).collect();
-        let colours = picture.as_ref().map(|picture| colours::of_leaves(picture, &mask, &polygons));
+        let light = LightScale { gain: options.light_gain, offset: options.light_offset };
+        let of_leaves = |picture| colours::of_leaves(picture, (&mask, light), &polygons);
+        let colours = picture.as_ref().map(of_leaves);
         let colours = colours.transpose()?.flatten();
         let plants_px = field.plants.as_deref().unwrap_or_default();
         let means = match &picture {
             Some(source) => {
                 let valid = valid.as_ref();
-                Measuring { source, mask: &mask, valid, indices: &formulas }
+                Measuring { source, mask: &mask, valid, indices: &formulas, light }
                     .means(&polygons, plants_px)?
             }
             None => Means::default(),
@@ -324,7 +337,9 @@ impl Task for Plots {
             monitor.diagnostic(&Diagnostic::warning("plots-mostly-unseen", "plots", message));
         }
         write::traits(&plots, &all_traits, place, folder, monitor)?;
-        brapi::write(&plots, &all_traits, &study(project, ids), folder)?;
+        let study = brapi::Study { ids, crop: options.crop.clone(), ..study(project) };
+        brapi::write(&plots, &all_traits, &study, folder)?;
+        miappe::write(&plots, &all_traits, &study, folder)?;
         plants::write(&tables, &plots, (&indices, &means.plants), place, folder)?;
         let plots = plots.into_iter().map(|plot| plot.traits).collect();
         Ok(PlotsOutcome { source, plots, outside, partly_outside, mostly_unseen, indices })
@@ -340,12 +355,13 @@ fn is_on(polygon: &Polygon, (width, height): (usize, usize)) -> bool {
 }
 
 /// The study. Its name is not the folder's: a project that moves keeps its bytes.
-fn study(project: &Project, ids: VariableIds) -> brapi::Study {
+fn study(project: &Project) -> brapi::Study {
     let name = project.config().project.name.clone().unwrap_or_else(|| "field".to_owned());
     let align = project.records().read(Stage::Align);
     let outcome =
         align.and_then(|record| serde_json::from_value::<AlignOutcome>(record.outcome).ok());
-    brapi::Study { name, time: outcome.and_then(|outcome| outcome.flight.first_photo_time), ids }
+    let time = outcome.and_then(|outcome| outcome.flight.first_photo_time);
+    brapi::Study { name, time, ..brapi::Study::default() }
 }
 
 fn variable_ids_path(project: &Project, options: &PlotsOptions) -> Option<PathBuf> {

@@ -48,6 +48,7 @@ fn page(outcome: &SeasonOutcome) -> String {
                     a href="#overview" { "Overview" }
                     a href="#flights" { "Flights" }
                     @if !outcome.outlines_m.is_empty() { a href="#map" { "Map" } }
+                    @if has_colours(outcome) { a href="#colours" { "Colours" } }
                     a href="#growth" { "Growth" }
                     a href="#plants" { "Plants" }
                 } }
@@ -56,6 +57,9 @@ fn page(outcome: &SeasonOutcome) -> String {
                     section id="flights" { h2 { "Flights in one frame" } (flights(outcome)) }
                     @if !outcome.outlines_m.is_empty() {
                         section id="map" { h2 { "Plots by date" } (map(outcome)) }
+                    }
+                    @if has_colours(outcome) {
+                        section id="colours" { h2 { "One scale of colours" } (colours(outcome)) }
                     }
                     section id="growth" { h2 { "Growth" } (growth(outcome)) }
                     section id="plants" { h2 { "Plants" } (plants(outcome)) }
@@ -137,6 +141,42 @@ fn flights(outcome: &SeasonOutcome) -> Markup {
         p .note {
             "Places are what two maps share and does not grow. Scatter is the standard deviation of one of them; deformation is the "
             "root mean square of their means over cells of the field, which no transform of the map takes out."
+        }
+    }
+}
+
+fn has_colours(outcome: &SeasonOutcome) -> bool {
+    outcome.flights.iter().any(|flight| flight.colours.is_some())
+}
+
+fn colours(outcome: &SeasonOutcome) -> Markup {
+    let percent =
+        |of: [f64; 3], gain: [f64; 3]| [0, 1, 2].map(|c| format!("{:.2}", 100.0 * of[c] / gain[c]));
+    html! {
+        div .scroll { table {
+            tr { th { "date" } th { "scale from" } th { "places" } th { "gain: red" } th { "green" } th { "blue" }
+                th { "+-, %: red" } th { "green" } th { "blue" } th { "offset: red" } th { "green" } th { "blue" }
+                th { "one place, %: red" } th { "green" } th { "blue" } }
+            @for flight in &outcome.flights {
+                tr {
+                    td { (flight.date) }
+                    @match &flight.colours {
+                        Some(of) => {
+                            td { (of.source.word()) @if !of.compared_with.is_empty() { " of " (of.compared_with.join(", ")) } }
+                            td { (of.places) }
+                            @for gain in of.gain { td { (format!("{gain:.3}")) } }
+                            @for sigma in percent(of.gain_sigma, of.gain) { td { (sigma) } }
+                            @for offset in of.offset { td { @if offset != 0.0 { (format!("{offset:.4}")) } } }
+                            @for scatter in of.scatter { td { @if let Some(scatter) = scatter { (format!("{:.1}", 100.0 * scatter)) } } }
+                        }
+                        None => { td .wrap { "none: colours are as its map has them" } @for _ in 0..13 { td {} } }
+                    }
+                }
+            }
+        } }
+        p .note {
+            "The linear light of a date is multiplied by its gain before colours of leaves and indices are measured. +- is the standard deviation "
+            "of a gain, common to all plots of the date; one place is that of a single panel, or of a single square of ground."
         }
     }
 }

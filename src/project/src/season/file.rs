@@ -49,6 +49,9 @@ pub struct FlightEntry {
     /// Whose frame it is in; where not set, its own where ground control took part in its adjustment.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub frame: Option<Frame>,
+    /// Panels of known reflectance, drawn on the map of this flight.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub panels: Option<PathBuf>,
 }
 
 /// What the file says.
@@ -62,6 +65,8 @@ pub struct SeasonFile {
     pub sown: Option<i64>,
     /// Polygons of the plots.
     pub plots: Option<PathBuf>,
+    /// Panels of known reflectance, in the frame of the season.
+    pub panels: Option<PathBuf>,
     /// Traits whose growth is fitted.
     pub traits: Vec<String>,
     /// The flights by date.
@@ -76,6 +81,7 @@ struct Content {
     name: Option<String>,
     sown: Option<String>,
     plots: Option<PathBuf>,
+    panels: Option<PathBuf>,
     traits: Option<Vec<String>>,
     #[serde(default)]
     flights: Vec<toml::Spanned<FlightEntry>>,
@@ -135,6 +141,10 @@ impl SeasonFile {
                 let message = format!("project = {:?}: there is no such folder", flight.project);
                 return Err(malformed(line, message));
             }
+            if let Some(panels) = flight.panels.as_ref().filter(|of| !root.join(of).is_file()) {
+                let message = format!("panels = {panels:?}: there is no such file");
+                return Err(malformed(line, message));
+            }
             if sown.is_some_and(|sown| date < sown) {
                 return Err(malformed(
                     line,
@@ -156,8 +166,11 @@ impl SeasonFile {
         }
         flights.sort_by_key(|(date, order, _)| (*date, *order));
         let plots = content.plots.map(|plots| root.join(plots));
-        if let Some(plots) = plots.as_ref().filter(|plots| !plots.is_file()) {
-            return Err(malformed(None, format!("plots: there is no file {}", plots.display())));
+        let panels = content.panels.map(|panels| root.join(panels));
+        for (key, path) in [("plots", &plots), ("panels", &panels)] {
+            if let Some(path) = path.as_ref().filter(|path| !path.is_file()) {
+                return Err(malformed(None, format!("{key}: there is no file {}", path.display())));
+            }
         }
         let folder = root.canonicalize().ok();
         let folder_name = folder.and_then(|root| Some(root.file_name()?.to_str()?.to_owned()));
@@ -166,6 +179,7 @@ impl SeasonFile {
             name: content.name.or(folder_name).unwrap_or_else(|| "season".to_owned()),
             sown,
             plots,
+            panels,
             traits,
             flights: flights.into_iter().map(|(_, _, flight)| flight).collect(),
             options,
@@ -249,6 +263,14 @@ mod tests {
             ("[[flights]]\nproject = \"a\"\ndate = \"2016-02-30\"\n", "expected a date"),
             ("[[flights]]\nproject = \"a\"\ndata = \"2016-02-28\"\n", "unknown field"),
             ("sown = \"March\"\n[[flights]]\nproject = \"a\"\ndate = \"2016-02-28\"\n", "sown ="),
+            (
+                "panels = \"p.csv\"\n[[flights]]\nproject = \"a\"\ndate = \"2016-02-28\"\n",
+                "panels: there is no file",
+            ),
+            (
+                "[[flights]]\nproject = \"a\"\ndate = \"2016-02-28\"\npanels = \"p.csv\"\n",
+                "panels = \"p.csv\": there is no such file",
+            ),
             (
                 "plots = \"p.geojson\"\n[[flights]]\nproject = \"a\"\ndate = \"2016-02-28\"\n",
                 "no file",

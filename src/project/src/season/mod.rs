@@ -7,16 +7,18 @@
 //!
 //! ```text
 //! season/
-//!   flights.csv  traits_long.csv  plants_long.csv  growth.csv  season.json
+//!   flights.csv  colours.csv  traits_long.csv  plants_long.csv  growth.csv  season.json
 //!   plots/DATE.geojson   the plots on the map of a date
 //!   .rowgram-store/      places that two dates share, used again while nothing changes
 //! ```
 
+mod colours;
 mod file;
 mod follow;
 mod register;
 mod write;
 
+pub use colours::{ColourScale, ColourSource, DateColours};
 pub use file::{FlightEntry, Frame, SEASON_FILE, SeasonFile};
 pub use follow::{EmergenceDate, Outlier, PlotSeries, SeasonTrait};
 pub use register::Placement;
@@ -27,6 +29,7 @@ use super::{
     run::{self, RunOptions},
     stage,
 };
+use colours::PlacedMap;
 use follow::Day;
 use register::DateMap;
 use rowgram_base::{
@@ -52,6 +55,9 @@ rowgram_base::options! {
         pub features_per_tile: usize = 3000, limits at_least(10.0);
         /// How far a place may be from where most others put it, in pixels of the map.
         pub tolerance_px: f64 = 5.0, limits POSITIVE;
+        /// Where the scale of the colours of dates comes from: auto from panels of known reflectance where there are any, else ground from
+        /// ground without leaf that dates share; off leaves colours as they are.
+        pub colours: ColourScale = ColourScale::Auto;
         /// Form of the growth curves; the one that the plots are nearer to where not set.
         pub growth_model: Option<GrowthModel> = None, example "\"logistic\"";
         /// Seed of the random draws.
@@ -78,6 +84,9 @@ pub struct SeasonFlight {
     pub gsd_m: Option<f64>,
     /// How it came into the frame of the season; `None` where it did not, and takes no part.
     pub placement: Option<Placement>,
+    /// The scale of its colours; `None` where it has none, and they are as its map has them.
+    #[serde(default)]
+    pub colours: Option<DateColours>,
     /// Plants that were located on its map.
     pub plants: Option<usize>,
     /// Its quality checks that are red.
@@ -181,6 +190,7 @@ pub fn season(
             project: entry.project.clone(),
             gsd_m: None,
             placement: None,
+            colours: None,
             plants: None,
             red_checks: 0,
             failure: None,
@@ -211,6 +221,7 @@ pub fn season(
     for (&k, placement) in with_map.iter().zip(placed) {
         flights[k].report.placement = placement;
     }
+    scale_colours(file, (&with_map, &maps), &mut flights, &ties, &mut recorder)?;
     let outlines_m = outlines(file, &maps)?;
     for (&k, map) in with_map.iter().zip(&maps) {
         let flight = &mut flights[k];
@@ -261,6 +272,35 @@ pub fn season(
     write::write(work.path(), &outcome, &days, &found)?;
     record::publish(work.path(), &results, force)?;
     Ok(outcome)
+}
+
+/// Gives the flights that have a place the scale of their colours.
+fn scale_colours(
+    file: &SeasonFile,
+    (with_map, maps): (&[usize], &[DateMap]),
+    flights: &mut [Flight],
+    store: &Store,
+    monitor: &mut dyn Monitor,
+) -> Result<(), Error> {
+    let mut placed = Vec::new();
+    let mut numbers = Vec::new();
+    for (&k, map) in with_map.iter().zip(maps) {
+        if let Some(placement) = &flights[k].report.placement {
+            let panels = flights[k].entry.panels.as_ref().map(|path| file.root().join(path));
+            let is_own = placement.fit.is_none();
+            placed.push(PlacedMap { map, transform: placement.transform, panels, is_own });
+            numbers.push(k);
+        }
+    }
+    let scales = colours::scale(file, &placed, store, monitor)?;
+    for (k, scale) in numbers.into_iter().zip(scales) {
+        if let Some(scale) = &scale {
+            let plots = &mut flights[k].config.plots;
+            (plots.light_gain, plots.light_offset) = (scale.gain, scale.offset);
+        }
+        flights[k].report.colours = scale;
+    }
+    Ok(())
 }
 
 fn fail(flight: &mut Flight, error: &Error, monitor: &mut dyn Monitor) {

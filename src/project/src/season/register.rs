@@ -18,7 +18,7 @@ use rowgram_files::{
     geotiff::{Reader, Reading},
 };
 use rowgram_optim::output::FileError;
-use rowgram_raster::{georeference::Georeference, window::Window};
+use rowgram_raster::{georeference::Georeference, spectral::Band, window::Window};
 use rowgram_survey::{
     mapping::{
         map_ties::{self, MapFeatures},
@@ -48,16 +48,16 @@ pub(super) struct DateMap {
     pub(super) date: String,
     pub(super) day: f64,
     pub(super) frame: Frame,
-    ortho: PathBuf,
-    reading: Reading,
-    mask: PathBuf,
+    pub(super) ortho: PathBuf,
+    pub(super) reading: Reading,
+    pub(super) mask: PathBuf,
     pub(super) place: Georeference,
     pub(super) gsd_m: f64,
-    size: (usize, usize),
+    pub(super) size: (usize, usize),
     /// Plants that are sure, metres on the map.
     plants_m: Vec<[f64; 2]>,
     /// What decides orthomosaic, mask and plants.
-    key: String,
+    pub(super) key: String,
 }
 
 impl DateMap {
@@ -95,6 +95,17 @@ impl DateMap {
         let plants_m = sure_plants(project, &place)?;
         let date = date.to_owned();
         Ok(DateMap { date, day, frame, ortho, reading, mask, place, gsd_m, size, plants_m, key })
+    }
+
+    /// Whether it has red, green, blue and no other band: bytes of such a map are light by the curve of sRGB, others are reflectances.
+    ///
+    /// # Errors
+    /// A map that cannot be read.
+    pub(super) fn is_plain_rgb(&self) -> Result<bool, Error> {
+        let roles = Reader::open_with(&self.ortho, &self.reading)?.filled_roles()?;
+        let is_colour = |band: &Band| matches!(band, Band::Red | Band::Green | Band::Blue);
+        let bands = roles.into_iter().flatten().filter(|band| *band != Band::Alpha);
+        Ok(bands.clone().all(|band| is_colour(&band)) && bands.count() == 3)
     }
 
     /// Bounds on the map: lowest and highest of each axis, metres.

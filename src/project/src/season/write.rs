@@ -15,8 +15,9 @@ use serde_json::json;
 use std::path::Path;
 
 /// The files.
-pub(super) const FILES: [&str; 6] = [
+pub(super) const FILES: [&str; 7] = [
     "flights.csv",
+    "colours.csv",
     "traits_long.csv",
     "plants_long.csv",
     "growth.csv",
@@ -35,6 +36,7 @@ pub(super) fn write(
     found: &Found,
 ) -> Result<(), Error> {
     flights(&folder.join("flights.csv"), outcome)?;
+    colours(&folder.join("colours.csv"), outcome)?;
     traits(&folder.join("traits_long.csv"), outcome, days)?;
     plants(&folder.join("plants_long.csv"), days, found)?;
     growth(&folder.join("growth.csv"), outcome)?;
@@ -112,6 +114,43 @@ fn flights(path: &Path, outcome: &SeasonOutcome) -> Result<(), Error> {
                 flight.plants.map(|plants| plants.to_string()).unwrap_or_default(),
                 flight.red_checks.to_string(),
             ])?;
+        }
+        csv.flush()
+    })?)
+}
+
+fn colours(path: &Path, outcome: &SeasonOutcome) -> Result<(), Error> {
+    Ok(output::write(path, true, |out| {
+        let mut csv = CsvWriter::new(out);
+        csv.write_record([
+            "date",
+            "channel",
+            "source",
+            "compared_with",
+            "places",
+            "gain",
+            "gain_sigma",
+            "offset",
+            "offset_sigma",
+            "scatter",
+        ])?;
+        for flight in &outcome.flights {
+            let Some(of) = &flight.colours else { continue };
+            for (c, channel) in ["red", "green", "blue"].into_iter().enumerate() {
+                let has_offset = of.offset_sigma[c] > 0.0;
+                csv.write_record([
+                    flight.date.clone(),
+                    channel.to_owned(),
+                    of.source.word().to_owned(),
+                    of.compared_with.join(" "),
+                    of.places.to_string(),
+                    significant(Some(of.gain[c])),
+                    significant(Some(of.gain_sigma[c])),
+                    significant(Some(of.offset[c]).filter(|_| has_offset)),
+                    significant(Some(of.offset_sigma[c]).filter(|_| has_offset)),
+                    significant(of.scatter[c]),
+                ])?;
+            }
         }
         csv.flush()
     })?)

@@ -2,7 +2,8 @@
 //!
 //! `season.toml` lists the flights for [`crate::season`], `plots.geojson` has the plots. Below `truth/` are what
 //! belongs to no single flight: `plants.csv` (every plant with its emergence and its loss), `plant_days.csv` (its leaves on each
-//! date), `plots.csv` (how each plot grows) and `plot_days.csv` (plants, cover and height on each date). The folder of a flight is
+//! date), `plots.csv` (how each plot grows), `plot_days.csv` (plants, cover and height on each date) and `light.csv` (what comes back from a level
+//! white surface on each date). `panels.geojson` has panels of known reflectance where there are any. The folder of a flight is
 //! that of [`super::write_flight`], with the rows and sites of its plants that tell which plant of the season each is.
 
 use super::refused;
@@ -14,6 +15,7 @@ use super::{
 use crate::{SETTINGS, season::SEASON_FILE};
 use data_synth::{
     field::Plant,
+    panels::Panel,
     photo::SurfaceGrid,
     render,
     season::SeasonDay,
@@ -24,6 +26,7 @@ use rowgram_base::{error::Error, monitor::Monitor};
 use rowgram_optim::output::{self, FileError};
 use rowgram_plants::phenotype::plots::height_percentile_95;
 use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
 use std::{collections::BTreeMap, io::Write, path::Path};
 
 /// What a season holds.
@@ -40,7 +43,7 @@ pub struct SeasonSynthesis {
 }
 
 /// Names of the files beside the flights.
-const FILES: [&str; 7] = [
+const FILES: [&str; 9] = [
     SEASON_FILE,
     "season-twin.toml",
     "plots.geojson",
@@ -48,7 +51,12 @@ const FILES: [&str; 7] = [
     "truth/plant_days.csv",
     "truth/plots.csv",
     "truth/plot_days.csv",
+    "truth/light.csv",
+    PANELS,
 ];
+
+/// Panels of known reflectance.
+const PANELS: &str = "panels.geojson";
 
 /// Writes a season into the folder `root`, which is made if missing.
 ///
@@ -70,7 +78,7 @@ pub fn write_season(
     let mut found =
         SeasonSynthesis { dates: Vec::new(), photos: Vec::new(), plants: Vec::new(), plots: 0 };
     let season = Truth::new(config)?;
-    let (mut plant_days, mut plot_days) = (Vec::new(), Vec::new());
+    let (mut plant_days, mut plot_days, mut light) = (Vec::new(), Vec::new(), Vec::new());
     for k in 0..config.days.len() {
         let date = config.date(k);
         let folder = root.join(&date);
@@ -81,6 +89,8 @@ pub fn write_season(
         let twin = twin_config.build().map_err(refused)?;
         season.plant_rows(&date, &twin, &mut plant_days);
         season.plot_rows(&date, &twin, &mut plot_days);
+        let [red, green, blue] = twin_config.image.level_light();
+        light.push(format!("{date},{red:.6},{green:.6},{blue:.6}"));
         found.dates.push(date);
         found.photos.push(flight.photos);
         found.plants.push(flight.plants);
@@ -101,6 +111,13 @@ pub fn write_season(
         writeln!(out, "date,plot,plants,canopy_cover,crop_cover,canopy_height_m,leaf_area_m2")?;
         plot_days.iter().try_for_each(|row| writeln!(out, "{row}"))
     })?;
+    output::write(&root.join(FILES[7]), force, |out| {
+        writeln!(out, "date,red,green,blue")?;
+        light.iter().try_for_each(|row| writeln!(out, "{row}"))
+    })?;
+    if !config.twin.panels.is_empty() {
+        panels(&root.join(PANELS), &season.all)?;
+    }
     let list = list(config, &found.dates);
     output::write(&root.join(SEASON_FILE), force, |out| out.write_all(list.as_bytes()))?;
     Ok(found)
@@ -113,10 +130,39 @@ fn list(config: &SeasonConfig, dates: &[String]) -> String {
          name = \"Synthetic season {}\"\nsown = \"{}\"\nplots = \"plots.geojson\"\n",
         config.twin.field.seed, config.sown
     );
+    if !config.twin.panels.is_empty() {
+        text += &format!("panels = \"{PANELS}\"\n");
+    }
     for date in dates {
         text += &format!("\n[[flights]]\nproject = \"{date}\"\ndate = \"{date}\"\n");
     }
     text
+}
+
+/// The panels as a crew would draw them on the map: within their edges, with what their maker says of them.
+fn panels(path: &Path, twin: &Twin) -> Result<(), Error> {
+    let feature = |panel: &Panel| {
+        let mut ring: Vec<[f64; 2]> = panel
+            .shrunk(0.7)
+            .map(|corner| twin.site.grid_m(corner))
+            .map(|[e, n, _]| [e, n].map(|x| (x * 1e4).round() / 1e4))
+            .into();
+        ring.push(ring[0]);
+        let [red, green, blue] = panel.reflectance;
+        json!({
+            "type": "Feature",
+            "properties": {"name": panel.name, "red": red, "green": green, "blue": blue},
+            "geometry": {"type": "Polygon", "coordinates": [ring]},
+        })
+    };
+    let features: Vec<Value> = twin.field().panels.iter().map(feature).collect();
+    let name = format!("urn:ogc:def:crs:EPSG::{}", twin.config.site.epsg);
+    let collection = json!({
+        "type": "FeatureCollection",
+        "crs": {"type": "name", "properties": {"name": name}},
+        "features": features,
+    });
+    Ok(output::write(path, true, |out| writeln!(out, "{collection}"))?)
 }
 
 /// Settings of one flight.
