@@ -141,6 +141,11 @@ pub(super) fn scale(
     let mut usable = vec![true; maps.len()];
     for (of, usable) in maps.iter().zip(&mut usable) {
         *usable = of.map.is_plain_rgb()?;
+        if !*usable {
+            let message =
+                "its map has other bands than red, green and blue: its colours stay as they are";
+            monitor.diagnostic(&Diagnostic::info("season-colours-kept", &of.map.date, message));
+        }
     }
     if file.options.colours == ColourScale::Auto {
         for ((of, found), _) in
