@@ -1,4 +1,4 @@
-//! Bytes of a picture as linear light, and a linear scale of that light.
+//! Grey values of a picture as linear light, and a linear scale of that light.
 //!
 //! ```text
 //! x = ((v + 0.055) / 1.055)^2.4        v above 0.04045, from 0 to 1; v / 12.92 below
@@ -12,9 +12,9 @@
 
 use image::RgbImage;
 
-/// The linear light of a byte, 0 to 1.
-pub fn linear_light(byte: u8) -> f64 {
-    let value = f64::from(byte) / 255.0;
+/// The linear light, 0 to 1, of a grey value, 0 to 255.
+pub fn linear_light(grey: f64) -> f64 {
+    let value = grey / 255.0;
     if value <= 0.040_45 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
 }
 
@@ -46,7 +46,7 @@ impl LightScale {
         std::array::from_fn(|channel| {
             let (gain, offset) = (self.gain[channel], self.offset[channel]);
             std::array::from_fn(|byte| {
-                grey_value((gain * linear_light(byte as u8) + offset).max(0.0))
+                grey_value((gain * linear_light(byte as f64) + offset).max(0.0))
             })
         })
     }
@@ -73,16 +73,19 @@ mod tests {
     #[test]
     fn bytes_come_back_and_a_scale_changes_light_by_its_gain() {
         for byte in 0..=255 {
-            assert!((grey_value(linear_light(byte)) - f64::from(byte)).abs() < 1e-3, "{byte}");
+            assert!(
+                (grey_value(linear_light(f64::from(byte))) - f64::from(byte)).abs() < 1e-3,
+                "{byte}"
+            );
         }
-        assert!((linear_light(188) - 0.5029).abs() < 1e-4);
+        assert!((linear_light(188.0) - 0.5029).abs() < 1e-4);
         let mut picture = RgbImage::from_pixel(1, 1, image::Rgb([120, 120, 120]));
         LightScale::IDENTITY.convert(&mut picture);
         assert_eq!(picture.get_pixel(0, 0).0, [120; 3]);
         let scale = LightScale { gain: [0.5, 1.0, 2.0], offset: [0.0, 0.1, 0.0] };
         scale.convert(&mut picture);
-        let found = picture.get_pixel(0, 0).0.map(linear_light);
-        let light = linear_light(120);
+        let found = picture.get_pixel(0, 0).0.map(|value| linear_light(f64::from(value)));
+        let light = linear_light(120.0);
         for (found, expected) in found.iter().zip(scale.apply([light; 3])) {
             assert!((found / expected - 1.0).abs() < 0.02, "{found} {expected}");
         }

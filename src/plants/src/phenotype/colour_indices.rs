@@ -13,7 +13,9 @@
 //! | TGI, triangular greenness index | G - 0.39 R - 0.61 B, over 255 | Hunt et al. 2011, Agron. J. 103, 1090-1099 |
 //! | a* | CIELAB, white D65 | CIE 15; sRGB after IEC 61966-2-1 |
 //!
-//! None of them is corrected for the light of the day: compare plots of one flight, or flights whose colours were balanced.
+//! They are those of the colours as they come: compare plots of one flight, or dates of a season, whose colours have one scale.
+
+use rowgram_raster::srgb::linear_light;
 
 /// Sum of the colours of pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -73,10 +75,7 @@ pub struct ColourIndices {
 
 /// a* of a colour of sRGB, 0 to 255 each.
 fn a_star(rgb: [f64; 3]) -> f64 {
-    let linear = rgb.map(|value| {
-        let value = value / 255.0;
-        if value <= 0.04045 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
-    });
+    let linear = rgb.map(linear_light);
     let dot = |row: [f64; 3]| row.iter().zip(linear).map(|(a, b)| a * b).sum::<f64>();
     let x = dot([0.412_456_4, 0.357_576_1, 0.180_437_5]) / 0.950_47;
     let y = dot([0.212_672_9, 0.715_152_2, 0.072_175]);

@@ -8,19 +8,17 @@
 use super::{
     plot_scatter::{PARTS, PlotParts, jackknife},
     rows::{Row, Rows},
+    stand::BETWEEN,
     traits::{PlotTraits, put},
 };
 use rayon::prelude::*;
 use rowgram_optim::robust::median;
 use rowgram_raster::{Mask, polygon::Polygon};
 
-/// Leaf this far from a row covers it, in distances between rows.
-const BAND: f64 = 0.25;
-/// A row reaches this far to either side, in distances between rows.
+/// A row reaches this far to either side, in distances between rows: half the way to the next.
 const HALF: f64 = 0.5;
-
-/// From this solidity on rows are closed: one-row plots of soybean have 0.99, and crops whose plants are told by votes 0.58 to 0.81 (fourteen kinds of
-/// synthetic masks, maps of synthetic flights at late stages, sorghum).
+/// From this solidity on rows are closed: one-row plots of soybean have 0.99, and crops whose plants are told by votes 0.58 to 0.81 (ten kinds of
+/// synthetic masks, four maps of synthetic flights at late stages, sorghum). In the middle between, so neither is left out.
 const SOLID: f64 = 0.9;
 
 /// Places along the rows of a field, a pixel apart.
@@ -29,7 +27,7 @@ pub struct RowCover {
     /// The places by row and along it.
     pub places_px: Vec<[f64; 2]>,
     /// The row of each place, and whether leaf covers it.
-    pub is_covered: Vec<(usize, bool)>,
+    pub row_and_cover: Vec<(usize, bool)>,
     /// Shorter gaps do not count; `None` where there is no scale to tell.
     pub min_gap_px: Option<f64>,
 }
@@ -78,7 +76,7 @@ impl RowCover {
         rows_px: &[[[f64; 2]; 2]],
         min_gap_px: Option<f64>,
     ) -> Option<RowCover> {
-        let reach_px = BAND * apart_px(rows_px)?;
+        let reach_px = BETWEEN * apart_px(rows_px)?;
         let of_row = |(row, &line): (usize, &[[f64; 2]; 2])| {
             let (places, normal) = places(line);
             let is_seen = |at: &[f64; 2]| {
@@ -91,8 +89,8 @@ impl RowCover {
             seen.map(covered).collect::<Vec<_>>()
         };
         let all: Vec<_> = rows_px.par_iter().enumerate().map(of_row).collect::<Vec<_>>().concat();
-        let (places_px, is_covered) = all.into_iter().unzip();
-        Some(RowCover { places_px, is_covered, min_gap_px })
+        let (places_px, row_and_cover) = all.into_iter().unzip();
+        Some(RowCover { places_px, row_and_cover, min_gap_px })
     }
 
     /// Adds what the rows in an area tell; `members` are the places in it.
@@ -102,9 +100,9 @@ impl RowCover {
         let mut counts = [Counts::default(); PARTS];
         // A stretch along a row that is covered or not.
         let together =
-            |a: &usize, b: &usize| *b == a + 1 && self.is_covered[*a] == self.is_covered[*b];
+            |a: &usize, b: &usize| *b == a + 1 && self.row_and_cover[*a] == self.row_and_cover[*b];
         for stretch in members.chunk_by(together) {
-            let is_covered = self.is_covered[stretch[0]].1;
+            let is_covered = self.row_and_cover[stretch[0]].1;
             let is_long = self.min_gap_px.is_some_and(|least| stretch.len() as f64 >= least);
             for &place in stretch {
                 let count = &mut counts[parts.at(self.places_px[place])];

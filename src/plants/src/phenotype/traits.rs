@@ -310,7 +310,7 @@ pub fn dictionary_page() -> String {
         "# Traits of plots\n\n\
          Every column of `traits.csv`, of the layer `plots` in `traits.gpkg` and of `traits.geojson`. The same table is written beside them as\n\
          `trait_dictionary.csv`. Units are after UCUM; 1 stands for numbers and shares. A trait without a value was not measured: a map without\n\
-         scale has no areas, a mask without picture no colours. Colour indices are not corrected for the light of the day.\n\n\
+         scale has no areas, a mask without picture no colours. Colour indices are those of the map as it is; only dates of a season have one scale of colours.\n\n\
          The standard deviation of a trait is in the column with `_sd` behind its name, in the same unit. It says how far another map of the same\n\
          plot, or another part of the same stand, may differ; what is common to the whole plot is in it only\n\
          where the table names it.\n\n\

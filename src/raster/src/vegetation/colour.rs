@@ -12,6 +12,7 @@
 //! -2, leaves (0.7 to 0.85) about 14, which are the priors of the two classes. Yellowness is then 0. Colours are smoothed over 3 x 3 pixels;
 //! the classes are so much further apart in NDVI than its noise that smoothing would only blur the edges of leaves.
 
+use crate::srgb::linear_light;
 use std::sync::LazyLock;
 
 /// Largest linear value of the tables.
@@ -32,13 +33,7 @@ struct Tables {
 static TABLES: LazyLock<Tables> = LazyLock::new(|| {
     let mut linear = [0; 256];
     for (value, linear) in linear.iter_mut().enumerate() {
-        let encoded = value as f64 / 255.0;
-        let light = if encoded <= 0.04045 {
-            encoded / 12.92
-        } else {
-            ((encoded + 0.055) / 1.055).powf(2.4)
-        };
-        *linear = (light * f64::from(FULL)).round() as u32;
+        *linear = (linear_light(value as f64) * f64::from(FULL)).round() as u32;
     }
     let root = (0..=FULL + 1).map(|t| {
         let t = f64::from(t) / f64::from(FULL);

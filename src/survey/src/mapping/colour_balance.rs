@@ -8,7 +8,7 @@
 //! ones, take no part. [`crate::problems::radiometry`] has the equations, [`ColourCorrection`] undoes what it finds.
 
 use super::{
-    colour_correction::{ColourCorrection, PixelGeometry, grey_value, linear_light, log_shape},
+    colour_correction::{ColourCorrection, PixelGeometry, linear_light, log_shape},
     photo_cache::PhotoCache,
     select::PhotoSelector,
 };
@@ -18,7 +18,7 @@ use crate::problems::radiometry::{
 use rayon::prelude::*;
 use rowgram_optim::engine::SolveError;
 use rowgram_optim::robust::median;
-use rowgram_raster::window::Window;
+use rowgram_raster::{srgb::grey_value, window::Window};
 use serde::{Deserialize, Serialize};
 
 /// Places that are looked at, for each photo, and the least number of them.

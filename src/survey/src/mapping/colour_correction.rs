@@ -15,6 +15,7 @@ use crate::{
     camera::Lens,
     problems::radiometry::{DIRECTION, RADIAL, direction_terms, radial_terms},
 };
+use rowgram_raster::srgb;
 use serde::{Deserialize, Serialize};
 
 /// `o`: 255 times the offset of the sRGB curve, in which `y = 255 (1.055 x^(1/2.4) - 0.055)`.
@@ -24,19 +25,9 @@ const STRAIGHT: f32 = 255.0 * 0.040_45;
 /// The exponent of the curve.
 const GAMMA: f32 = 2.4;
 
-/// The linear light, 0 to 1, of each sRGB byte. Reference: IEC 61966-2-1.
+/// The linear light, 0 to 1, of each sRGB byte.
 pub(super) fn linear_light() -> [f32; 256] {
-    std::array::from_fn(|byte| {
-        let value = byte as f64 / 255.0;
-        let linear =
-            if value <= 0.040_45 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) };
-        linear as f32
-    })
-}
-
-/// The sRGB grey value, 0 to 255 and beyond, of linear light.
-pub(super) fn grey_value(light: f64) -> f64 {
-    255.0 * if light <= 0.003_130_8 { 12.92 * light } else { 1.055 * light.powf(1.0 / 2.4) - 0.055 }
+    std::array::from_fn(|byte| srgb::linear_light(byte as f64) as f32)
 }
 
 /// How pixels of a photo lie to its principal point and to the ground.
@@ -218,6 +209,7 @@ mod tests {
         scene::Pose,
     };
     use rowgram_optim::geometry::rotation;
+    use rowgram_raster::srgb::grey_value;
 
     #[test]
     fn a_factor_on_light_is_what_bytes_are_changed_by() {

@@ -18,7 +18,7 @@ use super::Measured;
 /// Leaf mass that plants of one size do not explain, as a share of all, from which on the photo is looked at in this way; 0.05 to 0.07
 /// are the same on all sets.
 const UNEXPLAINED: f64 = 0.06;
-/// More plants say enough of their size.
+/// More plants, in components that are not odd, say enough of their size.
 const FEW: usize = 30;
 /// A component with so many plants or more ...
 const MANY: usize = 5;

@@ -78,7 +78,7 @@ pub(super) fn sample(
     let first = low.map(|x| (x / step).floor() as i32);
     let count = [0, 1].map(|axis| ((high[axis] / step).floor() as i32 - first[axis] + 1) as usize);
     let mut sums = vec![Sum::default(); count[0] * count[1]];
-    let light: [f64; 256] = std::array::from_fn(|byte| linear_light(byte as u8));
+    let light: [f64; 256] = std::array::from_fn(|byte| linear_light(byte as f64));
     let (picture, mask) = (Reader::open_with(&map.ortho, &map.reading)?, Reader::open(&map.mask)?);
     let mut pixels_of_block = 0.0f64;
     for band in window::bands(height, BAND_ROWS, 0) {

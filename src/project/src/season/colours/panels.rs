@@ -140,7 +140,7 @@ fn light(
             bright += f64::from(u8::from(pixel.iter().any(|&value| value >= BRIGHT)));
             let part = parts.at([u as f64, *v as f64]);
             for (sum, value) in sums.iter_mut().zip(pixel) {
-                sum.add(part, linear_light(value) as f32);
+                sum.add(part, linear_light(f64::from(value)) as f32);
             }
         }
     }
