@@ -44,4 +44,5 @@ examples! {
     locate_array: "../examples/locate_array.rs",
     plant_priors: "../examples/plant_priors.rs",
     hexagonal_planting: "../examples/hexagonal_planting.rs",
+    leaf_density: "../examples/leaf_density.rs",
 }

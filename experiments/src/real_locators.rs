@@ -1,5 +1,5 @@
 //! The locators that are compared on photos: the paper's, as it has them and with its open choices, rows with regular spacing,
-//! and today's.
+//! today's, and that of an example with a leaf density of its own (`examples/leaf_density.rs`).
 //!
 //! Lengths are in spacings, for no photo says how many metres a pixel is: the spacing is the length of the detected rows over
 //! the number of plants, which all but one are told. Found plants are right within a quarter of the true spacing.
@@ -16,6 +16,10 @@ use rowgram::{
     raster::Mask,
     score::Score,
 };
+
+#[path = "../../examples/leaf_density.rs"]
+#[allow(dead_code, reason = "the example's own field takes no part")]
+mod leaf_density;
 
 /// Most sweeps of a descent; a run that ends here says so.
 pub(crate) const MOST_SWEEPS: u64 = 100;
@@ -62,12 +66,14 @@ const PAPER: Variant = Variant {
 pub(crate) enum How {
     /// A descent that is told the number of plants.
     Descent(Variant),
+    /// A descent likewise, with the leaf density of the example.
+    Example(Variant, leaf_density::Student),
     /// Today's locator, told the number or not.
     Today { told: bool },
 }
 
 /// The locators without a choice, by name.
-pub(crate) const LOCATORS: [(&str, How); 7] = [
+pub(crate) const LOCATORS: [(&str, How); 8] = [
     (BASELINE, How::Descent(Variant { prior: Prior::None, update: PlantUpdate::Mean, ..PAPER })),
     ("k-median", How::Descent(Variant { prior: Prior::None, ..PAPER })),
     ("inter-row", How::Descent(PAPER)),
@@ -75,6 +81,13 @@ pub(crate) const LOCATORS: [(&str, How); 7] = [
     (
         "rows, regular spacing",
         How::Descent(Variant { prior: Prior::None, start: Init::Rows, fit: false, ..PAPER }),
+    ),
+    (
+        "example, heavy tails",
+        How::Example(
+            Variant { form: Form::Joint, start: Init::Rows, ..PAPER },
+            leaf_density::Student(2.0),
+        ),
     ),
     ("today, number told", How::Today { told: true }),
     ("today", How::Today { told: false }),
@@ -157,7 +170,8 @@ impl<'a> Ready<'a> {
     /// Locates and judges. What cannot be located is found nowhere: the photo counts, with all its plants missed.
     pub(crate) fn run(&self, how: How) -> Result<Judged, Error> {
         let located = match how {
-            How::Descent(variant) => self.descend(&variant),
+            How::Descent(variant) => self.descend(&variant, None),
+            How::Example(variant, density) => self.descend(&variant, Some(density)),
             How::Today { told } => self.today(told),
         };
         let (found, sweeps, stop) =
@@ -173,7 +187,11 @@ impl<'a> Ready<'a> {
         })
     }
 
-    fn descend(&self, variant: &Variant) -> Result<(Vec<[f64; 2]>, u64, String), LocateError> {
+    fn descend(
+        &self,
+        variant: &Variant,
+        density: Option<leaf_density::Student>,
+    ) -> Result<(Vec<[f64; 2]>, u64, String), LocateError> {
         let plants = self.case.truth.len();
         let rows = self.detection.rows();
         let length: f64 = rows.map_or(0.0, |rows| rows.rows.iter().map(|r| r.length_px()).sum());
@@ -200,7 +218,13 @@ impl<'a> Ready<'a> {
         };
         let mut setup = Setup::with_rows(self.index.clone(), &options, self.detection.clone())?;
         let Setup { problem, field, .. } = &mut setup;
-        let outcome = descent::run(problem, field, options.descent, options.max_sweeps, |_, _| ())?;
+        let (how, most) = (options.descent, options.max_sweeps);
+        let outcome = match density {
+            Some(density) => {
+                descent::run(&problem.clone().with_density(density), field, how, most, |_, _| ())?
+            }
+            None => descent::run(problem, field, how, most, |_, _| ())?,
+        };
         let places = setup.finish().plants.iter().map(|plant| plant.position_px).collect();
         let stop = if variant.fit { outcome.stop.word() } else { "no fit" };
         Ok((places, outcome.iterations, stop.to_owned()))

@@ -304,13 +304,23 @@ impl Assignment {
         total
     }
 
+    /// The sum of a function of `d_n^2` over all pixels, likewise.
+    pub fn sum(&self, index: &PixelIndex, plants: &[[f64; 2]], of: impl Fn(f64) -> f64) -> f64 {
+        (0..self.pairs.len()).map(|pixel| of(self.square(index, plants, pixel))).sum()
+    }
+
+    /// The squared distance of a pixel from its plant, truncated.
+    fn square(&self, index: &PixelIndex, plants: &[[f64; 2]], pixel: usize) -> f64 {
+        let plant = plants[self.pairs[pixel].near as usize];
+        let [u, v] = index.position(pixel);
+        let (du, dv) = (u - plant[0], v - plant[1]);
+        (du * du + dv * dv).min(self.truncate2.unwrap_or(f64::INFINITY))
+    }
+
     fn sum_of(&self, index: &PixelIndex, plants: &[[f64; 2]], leaf: usize) -> Sums {
         let mut sums = Sums::default();
         for pixel in index.pixels_of(leaf) {
-            let plant = plants[self.pairs[pixel].near as usize];
-            let [u, v] = index.position(pixel);
-            let (du, dv) = (u - plant[0], v - plant[1]);
-            let square = (du * du + dv * dv).min(self.truncate2.unwrap_or(f64::INFINITY));
+            let square = self.square(index, plants, pixel);
             sums.distance += square.sqrt();
             sums.square += square;
         }

@@ -9,7 +9,8 @@
 //!   + sum_p [1/2 |X_p - mu_p(lines)|^2_{R^-1} + 1/2 ln det R] + sum_lines slope^2 / (2 tau^2)`
 //!
 //! and for the `mean` update `d_n^2 / (2 sigma^2)` in place of `d_n / sigma`: the paper's closed
-//! form minimises squares, not the stated distances.
+//! form minimises squares, not the stated distances. Any other density of leaf about a plant goes in their place
+//! ([`LeafDensity`]).
 //!
 //! One update takes the pixels that the plant wins, moves it to the exact optimum for them
 //! ([`rowgram_optim::convex`] certifies it) and lets every pixel choose again. The cost for held pixels lies
@@ -31,6 +32,7 @@
 
 pub mod assignment;
 mod buckets;
+mod density;
 pub mod index;
 mod inner;
 pub mod lines;
@@ -40,6 +42,7 @@ mod proof;
 mod quadratic;
 pub mod start;
 
+pub use density::{Distances, Held, LeafDensity};
 pub use inner::{mean as inner_mean, median as inner_median};
 pub use options::{Form, Model, PlantUpdate, Prior, SigmaRule};
 pub use prior::{LinePrior, Lines, PlantPrior};
@@ -64,10 +67,11 @@ const FARTHEST_PX: f64 = 1e9;
 
 /// The pixels of one mask and the model that explains them.
 #[derive(Debug, Clone)]
-pub struct Plants<P = LinePrior> {
+pub struct Plants<P = LinePrior, D = PlantUpdate> {
     index: PixelIndex,
     model: Model,
     prior: P,
+    density: D,
     plants: usize,
 }
 
@@ -163,7 +167,15 @@ impl<P: PlantPrior> Plants<P> {
         if !(1.0..2.0).contains(&model.relaxation) {
             return misuse("the relaxation has to be at least 1 and less than 2".to_owned());
         }
-        Ok(Plants { index, model, prior, plants })
+        Ok(Plants { index, model, prior, density: model.update, plants })
+    }
+}
+
+impl<P: PlantPrior, D: LeafDensity> Plants<P, D> {
+    /// The same problem with another leaf density than that of [`Model::update`].
+    pub fn with_density<E: LeafDensity>(self, density: E) -> Plants<P, E> {
+        let Plants { index, model, prior, plants, .. } = self;
+        Plants { index, model, prior, density, plants }
     }
 
     /// The pixels.
@@ -212,13 +224,9 @@ impl<P: PlantPrior> Plants<P> {
         }
     }
 
-    /// What one unit of distance (or half a squared one) costs.
+    /// How strongly the pixels of a plant pull.
     fn weight(&self, x: &Field<P::Latent>) -> f64 {
-        self.temperature()
-            * match self.model.update {
-                PlantUpdate::Median => 1.0 / x.sigma_px,
-                PlantUpdate::Mean => 1.0 / (x.sigma_px * x.sigma_px),
-            }
+        self.density.weight(x.sigma_px, self.temperature())
     }
 
     /// `T`: how much of a pixel counts.
@@ -238,42 +246,46 @@ impl<P: PlantPrior> Plants<P> {
         quadratic
     }
 
+    /// The plant with the pixels in `x.work`.
+    fn held<'x>(&self, x: &'x Field<P::Latent>, plant: usize) -> Held<'x> {
+        let Work { u, v, .. } = &x.work;
+        let (sigma_px, share) = (x.sigma_px, self.temperature());
+        Held { u_px: u, v_px: v, sigma_px, share, prior: self.prior_of(x, plant) }
+    }
+
     /// Moves a plant to the optimum for the pixels in `x.work`, and returns its offset.
     fn solve(&self, x: &mut Field<P::Latent>, plant: usize) -> [f64; 2] {
-        let (prior, weight) = (self.prior_of(x, plant), self.weight(x));
-        let inner = match self.model.update {
-            PlantUpdate::Median => inner_median,
-            PlantUpdate::Mean => inner_mean,
-        };
-        let mut offset = inner(&x.work.u, &x.work.v, weight, &prior);
+        let held = self.held(x, plant);
+        let mut offset = self.density.place(&held);
         if self.monotone() && offset[0].hypot(offset[1]) > RELAXED_PX {
-            let Work { u, v, .. } = &x.work;
             let beyond = offset.map(|step| step * self.model.relaxation);
-            let value = |at| match self.model.update {
-                PlantUpdate::Median => inner::median_cost(u, v, weight, &prior, at),
-                PlantUpdate::Mean => inner::mean_cost(u, v, weight, &prior, at),
-            };
-            if value(beyond) <= value([0.0; 2]) {
+            if self.density.cost_at(&held, beyond) <= self.density.cost_at(&held, [0.0; 2]) {
                 offset = beyond;
             }
         }
-        x.balance[plant] = prior.gradient(offset).map(|g| g / weight);
+        let (pull, weight) = (held.prior.gradient(offset), self.weight(x));
+        x.balance[plant] = pull.map(|g| g / weight);
         let at = &mut x.positions_px[plant];
         *at = [at[0] + offset[0], at[1] + offset[1]];
         offset
     }
 
+    /// The distances of the pixels from their plants.
+    fn distances<'x>(&'x self, x: &'x Field<P::Latent>) -> Distances<'x> {
+        let Field { positions_px, work, .. } = x;
+        Distances { assignment: &work.assignment, index: &self.index, positions_px }
+    }
+
     fn refit_sigma(&self, x: &mut Field<P::Latent>) {
         x.work.assignment.refresh(&self.index, &x.positions_px);
-        let sums = x.work.assignment.sums(&self.index, &x.positions_px);
-        let (count, dimension) = (self.index.len() as f64, self.model.sigma.dimension());
-        let estimate = match self.model.update {
-            PlantUpdate::Median => sums.distance / (dimension * count),
-            PlantUpdate::Mean => (sums.square / (dimension * count)).sqrt(),
-        };
         x.sigma_px = match self.model.sigma {
             SigmaRule::Fixed(px) => px,
-            SigmaRule::Paper | SigmaRule::Planar => estimate.max(SIGMA_FLOOR_PX),
+            SigmaRule::Paper | SigmaRule::Planar => {
+                let dimension = self.model.sigma.dimension();
+                self.density
+                    .scale_px(&self.distances(x), dimension, x.sigma_px)
+                    .max(SIGMA_FLOOR_PX)
+            }
         };
     }
 
@@ -307,7 +319,7 @@ impl<P: PlantPrior> Plants<P> {
 
     /// Mean distance from a pixel to its plant, in pixels.
     pub fn mean_distance_px(&self, x: &Field<P::Latent>) -> f64 {
-        x.work.assignment.sums(&self.index, &x.positions_px).distance / self.index.len() as f64
+        self.distances(x).sums().distance / self.index.len() as f64
     }
 
     /// Nearest and second nearest plant of every pixel, in the order of [`PixelIndex`].
@@ -333,7 +345,7 @@ impl<P: PlantPrior> Plants<P> {
     }
 }
 
-impl<P: PlantPrior> BlockCost for Plants<P> {
+impl<P: PlantPrior, D: LeafDensity> BlockCost for Plants<P, D> {
     type Iterate = Field<P::Latent>;
 
     fn len(&self) -> usize {
@@ -354,14 +366,10 @@ impl<P: PlantPrior> BlockCost for Plants<P> {
     }
 
     fn cost(&self, x: &Field<P::Latent>) -> f64 {
-        let sums = x.work.assignment.sums(&self.index, &x.positions_px);
         let (count, dimension) = (self.index.len() as f64, self.model.sigma.dimension());
-        let data = self.weight(x)
-            * match self.model.update {
-                PlantUpdate::Median => sums.distance,
-                PlantUpdate::Mean => sums.square / 2.0,
-            };
-        let mut cost = self.temperature() * dimension * count * x.sigma_px.ln() + data;
+        let share = self.temperature();
+        let data = self.density.total(&self.distances(x), x.sigma_px, share);
+        let mut cost = share * dimension * count * x.sigma_px.ln() + data;
         self.prior.add_cost(&x.latent, &x.positions_px, &mut cost);
         cost
     }

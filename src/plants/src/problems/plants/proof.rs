@@ -1,6 +1,6 @@
 //! Certificates: every plant against the exact optimum of its convex inner problem.
 
-use super::{Field, PlantPrior, PlantUpdate, Plants, inner};
+use super::{Field, LeafDensity as _, PlantPrior, PlantUpdate, Plants};
 use rowgram_optim::{convex, engine::SolveError};
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -38,7 +38,7 @@ impl<P: PlantPrior> Plants<P> {
         x: &mut Field<P::Latent>,
         plant: usize,
     ) -> Result<convex::Certificate, SolveError> {
-        if self.model.update == PlantUpdate::Mean || plant >= self.plants {
+        if self.density == PlantUpdate::Mean || plant >= self.plants {
             return Err(SolveError::Misuse("only a plant placed by medians is certified".into()));
         }
         self.gather(x, plant);
@@ -57,8 +57,7 @@ impl<P: PlantPrior> Plants<P> {
             if x.work.u.is_empty() {
                 continue;
             }
-            let (prior, weight) = (self.prior_of(x, plant), self.weight(x));
-            let here = inner::median_cost(&x.work.u, &x.work.v, weight, &prior, [0.0; 2]);
+            let here = self.density.cost_at(&self.held(x, plant), [0.0; 2]);
             let certificate = self.certify(x, plant)?;
             let [u, v] = certificate.offset_px;
             proof.plants += 1;

@@ -79,31 +79,71 @@ fn problem(model: Model, seed: u64) -> (Plants, Field) {
     (problem, x)
 }
 
+/// Takes steps one by one and looks at the objective after each.
+fn check_decrease<D: LeafDensity>(problem: &Plants<LinePrior, D>, mut x: Field) {
+    let mut active = ActiveSet::new(24, true);
+    let mut cost = problem.cost(&x);
+    let mut check = |x: &Field, what: &str| {
+        let (next, model) = (problem.cost(x), problem.model);
+        // The assignment compares distances rounded to single precision.
+        assert!(next <= cost + 1e-9 * cost.abs(), "{model:?}, {what}: {cost} -> {next}");
+        cost = next;
+    };
+    for _ in 0..8 {
+        for plant in 0..24 {
+            problem.update(&mut x, plant, &mut active);
+            check(&x, "plant");
+        }
+        problem.prior.reassign(&mut x.latent, &x.positions_px);
+        check(&x, "members");
+        problem.prior.refit_lines(&mut x.latent);
+        check(&x, "lines");
+        problem.prior.refit_variances(&mut x.latent);
+        check(&x, "variances");
+        problem.refit_sigma(&mut x);
+        check(&x, "sigma");
+    }
+}
+
+/// Any density, with the provided methods alone.
+#[derive(Debug, Clone)]
+struct Own(fn(f64) -> f64, fn(f64) -> f64);
+
+impl LeafDensity for Own {
+    fn cost(&self, ratio2: f64) -> f64 {
+        self.0(ratio2)
+    }
+    fn slope(&self, ratio2: f64) -> f64 {
+        self.1(ratio2)
+    }
+}
+
 #[test]
 fn every_step_of_the_joint_form_decreases_its_objective() {
+    let student = Own(|ratio2| 2.0 * (0.5 * ratio2).ln_1p(), |ratio2| 1.0 / (1.0 + 0.5 * ratio2));
     for model in models().into_iter().filter(|model| model.form == Form::Joint) {
-        let (problem, mut x) = problem(model, 1);
-        let mut active = ActiveSet::new(24, true);
-        let mut cost = problem.cost(&x);
-        let mut check = |x: &Field, what: &str| {
-            let next = problem.cost(x);
-            // The assignment compares distances rounded to single precision.
-            assert!(next <= cost + 1e-9 * cost.abs(), "{model:?}, {what}: {cost} -> {next}");
-            cost = next;
-        };
-        for _ in 0..8 {
-            for plant in 0..24 {
-                problem.update(&mut x, plant, &mut active);
-                check(&x, "plant");
-            }
-            problem.prior.reassign(&mut x.latent, &x.positions_px);
-            check(&x, "members");
-            problem.prior.refit_lines(&mut x.latent);
-            check(&x, "lines");
-            problem.prior.refit_variances(&mut x.latent);
-            check(&x, "variances");
-            problem.refit_sigma(&mut x);
-            check(&x, "sigma");
+        let (problem, x) = problem(model, 1);
+        check_decrease(&problem, x.clone());
+        let own = problem.with_density(student.clone());
+        let x = own.field_with(x.positions_px, x.latent).unwrap();
+        check_decrease(&own, x);
+    }
+}
+
+#[test]
+fn the_provided_methods_find_the_closed_form_of_squares() {
+    let gaussian = Own(|ratio2| 0.5 * ratio2, |_| 0.5);
+    let squares = models().into_iter().filter(|model| model.update == PlantUpdate::Mean);
+    for model in squares {
+        let (problem, mut exact) = problem(model, 5);
+        let own = problem.clone().with_density(gaussian.clone());
+        let mut x = own.field_with(exact.positions_px.clone(), exact.latent.clone()).unwrap();
+        let options = CoordinateDescentOptions::default();
+        run(&problem, &mut exact, options, 20, |_, _| ()).unwrap();
+        run(&own, &mut x, options, 20, |_, _| ()).unwrap();
+        approx::assert_relative_eq!(x.sigma_px, exact.sigma_px, max_relative = 1e-6);
+        for (a, b) in x.positions_px.iter().zip(&exact.positions_px) {
+            assert!((a[0] - b[0]).hypot(a[1] - b[1]) < 1e-4, "{model:?}: {a:?} {b:?}");
         }
     }
 }
