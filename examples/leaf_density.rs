@@ -28,8 +28,9 @@ impl LeafDensity for Student {
 
 pub(crate) fn main() -> Result<(), SolveError> {
     // Three rows of ten plants with discs of leaf, and a weed beside every third plant.
-    let truth: Vec<[f64; 2]> =
-        (0..30).map(|p| [40.0 + 30.0 * f64::from(p % 10), 40.0 + 60.0 * f64::from(p / 10)]).collect();
+    let truth: Vec<[f64; 2]> = (0..30)
+        .map(|p| [40.0 + 30.0 * f64::from(p % 10), 40.0 + 60.0 * f64::from(p / 10)])
+        .collect();
     let disc = |at: [f64; 2], radius: i32| {
         let square = (-radius..=radius).flat_map(move |v| (-radius..=radius).map(move |u| [u, v]));
         let inside = square.filter(move |[u, v]| u * u + v * v <= radius * radius);
@@ -54,7 +55,9 @@ pub(crate) fn main() -> Result<(), SolveError> {
     let mut x = student.field_with(start, x.latent)?;
     let end = run(&student, &mut x, options, 200, |_, _| ())?;
     let after = farthest(&x.positions_px);
-    println!("the farthest plant: {before:.1} px away as the paper has it, {after:.1} px with heavy tails");
+    println!(
+        "the farthest plant: {before:.1} px away as the paper has it, {after:.1} px with heavy tails"
+    );
     assert!(after < 0.5 * before && end.stop.converged(), "{before} {after}");
     Ok(())
 }

@@ -270,15 +270,15 @@ mod tests {
         let wave = |k: usize, length: f64| (k as f64 * TAU / length).sin();
         let votes: Vec<f64> =
             (0..count).map(|k| 0.7 + 0.5 * wave(k, 26.0) + 0.1 * wave(k, 7.3)).collect();
-        let scores: Vec<f64> = (0..count).map(|k| 2.0 * wave(k, 41.0) - 0.3).collect();
+        let scores: Vec<f64> = (0..count).map(|k| 2.0 * wave(k - k % 2, 41.0) - 0.3).collect();
         let mut mass = vec![[0.0; 2]];
         for k in 0..count {
             let [sum, moment] = mass[k];
             let here = 4.0 + 2.0 * wave(k, 31.0);
             mass.push([sum + here, moment + here * k as f64]);
         }
-        let surroundings =
-            scores.iter().map(|&score| PlantScores { thin: 0.0, second: 0.0, score }).collect();
+        let judged = |&score| PlantScores { thin: 0.0, second: 0.0, score };
+        let surroundings = scores.iter().step_by(2).map(judged).collect();
         let profile = Profile {
             start: 0.0,
             votes: votes.clone(),

@@ -19,6 +19,8 @@ const WIDE: f64 = 9.0;
 const RING: [f64; 2] = [4.0, 14.0];
 /// Scale of the distance at which an axis passes.
 const PASSES: f64 = 1.5;
+/// A leaf that passes farther than by this exponent counts for less than single precision can add.
+const NOT_AT_ALL: f32 = -20.0;
 /// Directions.
 const SECTORS: usize = 36;
 
@@ -29,6 +31,8 @@ pub const FEATURES: usize = 3;
 struct Neighbour {
     dx: i32,
     dy: i32,
+    /// How far on it is in the grid, row by row.
+    step: isize,
     squared: f32,
     /// `cos 2 phi`, `sin 2 phi` of its direction.
     doubled: [f32; 2],
@@ -58,6 +62,7 @@ impl<'e> LeafSurroundings<'e> {
                 around.push(Neighbour {
                     dx,
                     dy,
+                    step: dy as isize * evidence.width as isize + dx as isize,
                     squared: (x * x + y * y) as f32,
                     doubled: [cos as f32, sin as f32],
                     sector: ((turn * SECTORS as f64) as usize).min(SECTORS - 1),
@@ -70,16 +75,28 @@ impl<'e> LeafSurroundings<'e> {
     /// The numbers of a place.
     pub fn at(&self, at: [f64; 2]) -> [f64; FEATURES] {
         let [x, y] = at.map(|a| a.round() as i64);
-        let evidence = self.evidence;
+        let (evidence, reach) = (self.evidence, RING[1] as i64);
+        let (width, height) = (evidence.width as i64, evidence.height as i64);
+        let centre = (y * width + x) as isize;
+        if (reach..width - reach).contains(&x) && (reach..height - reach).contains(&y) {
+            let whole = self.around.iter();
+            self.look(whole.map(|neighbour| ((centre + neighbour.step) as usize, neighbour)))
+        } else {
+            let inside = self.around.iter().filter(|neighbour| {
+                let (u, v) = (x + i64::from(neighbour.dx), y + i64::from(neighbour.dy));
+                (0..width).contains(&u) && (0..height).contains(&v)
+            });
+            self.look(inside.map(|neighbour| ((centre + neighbour.step) as usize, neighbour)))
+        }
+    }
+
+    /// The numbers of these pixels.
+    #[inline(always)]
+    fn look<'n>(&self, pixels: impl Iterator<Item = (usize, &'n Neighbour)>) -> [f64; FEATURES] {
         let (mut near, mut wide) = (0.0_f32, 0.0_f32);
         let mut sectors = [0.0_f32; SECTORS];
-        for neighbour in &self.around {
-            let (u, v) = (x + i64::from(neighbour.dx), y + i64::from(neighbour.dy));
-            if u < 0 || v < 0 || u >= evidence.width as i64 || v >= evidence.height as i64 {
-                continue;
-            }
-            let k = v as usize * evidence.width + u as usize;
-            let leaf = evidence.leaf_share(k);
+        for (k, neighbour) in pixels {
+            let leaf = self.evidence.leaf_share(k);
             if leaf == 0.0 {
                 continue;
             }
@@ -91,15 +108,17 @@ impl<'e> LeafSurroundings<'e> {
                 wide += leaf;
             }
             if squared > (RING[0] * RING[0]) as f32 {
-                let [cos2, sin2] = evidence.axis(k).map(f32::from);
-                let coherence = cos2.hypot(sin2);
+                let [cos2, sin2] = self.evidence.axis(k).map(f32::from);
+                let coherence = (cos2 * cos2 + sin2 * sin2).sqrt();
                 if coherence < 6.0 {
                     continue;
                 }
                 let along = (cos2 * neighbour.doubled[0] + sin2 * neighbour.doubled[1]) / coherence;
                 let passes = 0.5 * squared * (1.0 - along);
-                let weight = (-0.5 * passes / (PASSES * PASSES) as f32).exp();
-                sectors[neighbour.sector] += leaf * weight * coherence / 127.0;
+                let exponent = -0.5 * passes / (PASSES * PASSES) as f32;
+                if exponent > NOT_AT_ALL {
+                    sectors[neighbour.sector] += leaf * exponent.exp() * coherence / 127.0;
+                }
             }
         }
         let leaves: f32 = sectors.iter().map(|s| s.sqrt()).sum();

@@ -19,7 +19,11 @@
 //! so are the probability of a plant at every place and the distribution of their number
 //! ([`Chain::posterior`]). Lengths in pixels of the reduced grid.
 
-use super::{double_plants::PlantScores, plant_spacing::Spacing};
+use super::{
+    chain_links::{Links, dot, highest, normalise},
+    double_plants::PlantScores,
+    plant_spacing::Spacing,
+};
 
 /// Distance between the places looked at.
 pub const STEP: f64 = 0.5;
@@ -47,11 +51,17 @@ pub struct Profile {
     pub offsets: Vec<f64>,
     /// Leaf mass up to each place, and its first moment in steps; one longer than `votes`.
     pub mass: Vec<[f64; 2]>,
-    /// What leaves around each place say of one plant there and of a second one; empty where that is not known.
+    /// What leaves around every other place say of one plant there and of a second one, for the place before it too, for they change
+    /// slowly along a row; empty where that is not known.
     pub surroundings: Vec<PlantScores>,
 }
 
 impl Profile {
+    /// What leaves around a place say, where that is known.
+    pub(super) fn around(&self, at: usize) -> Option<&PlantScores> {
+        self.surroundings.get(at / 2)
+    }
+
     /// Mass between two places times its distance, at most `truncated` steps, from the first (`ahead`) or the second.
     pub(super) fn spread(&self, truncated: usize, from: usize, to: usize, ahead: bool) -> f64 {
         if from >= to {
@@ -89,18 +99,18 @@ pub struct Weights {
 /// The score of one row, ready to be maximised.
 #[derive(Debug, Clone)]
 pub struct Chain<'p> {
-    profile: &'p Profile,
-    worth: Vec<f64>,
+    pub(super) profile: &'p Profile,
+    pub(super) worth: Vec<f64>,
     /// What a second plant in the same place adds; empty where that is not known.
     second: Vec<f64>,
     /// Steps from one to the other.
     apart: usize,
-    gaps: Vec<f64>,
-    overlap: Vec<f64>,
+    pub(super) gaps: Vec<f64>,
+    pub(super) overlap: Vec<f64>,
     /// Worth of votes, of uncovered mass, of a missing place at an end per step.
-    weights: [f64; 3],
-    covered: usize,
-    truncated: usize,
+    pub(super) weights: [f64; 3],
+    pub(super) covered: usize,
+    pub(super) truncated: usize,
     free: usize,
 }
 
@@ -111,6 +121,8 @@ pub struct Posterior {
     pub marginals: Vec<f64>,
     /// Expected number of plants.
     pub count: f64,
+    /// Variance of that number.
+    pub count_variance: f64,
     /// Logarithm of the sum of all exponentiated scores.
     pub log_sum: f64,
 }
@@ -130,14 +142,14 @@ impl<'p> Chain<'p> {
                 let near = (sums[to] - sums[from]) / (to - from) as f64;
                 let usual = (1.0 - WHOLE) * near + WHOLE * weights.mean;
                 let ratio = profile.votes[k].max(0.0) / usual.max(f64::MIN_POSITIVE);
-                let thin = profile.surroundings.get(k).map_or(0.0, |around| around.thin);
+                let thin = profile.around(k).map_or(0.0, |around| around.thin);
                 weights.votes * (ratio.sqrt() - 1.0) - thin
             })
             .collect();
         let rare = spacing.doubles.ln();
-        let second = profile.surroundings.iter().map(|around| around.second + rare).collect();
+        let second = (0..count).map_while(|k| Some(profile.around(k)?.second + rare)).collect();
         let s = spacing.spacing;
-        let steps = (spacing.farthest() / STEP) as usize + 1;
+        let steps = ((spacing.farthest() / STEP) as usize + 1).max(3);
         let gaps = (0..steps).map(|g| spacing.density(g as f64 * STEP).ln()).collect();
         let overlap = (0..(5.0 * OVERLAP / STEP) as usize)
             .map(|g| (-0.5 * (g as f64 * STEP / OVERLAP).powi(2)).exp())
@@ -157,21 +169,11 @@ impl<'p> Chain<'p> {
         }
     }
 
-    /// The score of two neighbours, without their own worth.
-    fn link(&self, a: usize, b: usize) -> f64 {
-        let gap = b - a;
-        let mut score = self.gaps[gap];
-        if let Some(share) = self.overlap.get(gap) {
-            let claimed = self.worth[a].min(self.worth[b]) + self.weights[0];
-            score -= share * claimed.max(0.0);
-        }
-        if gap > 2 * self.covered {
-            let middle = a.midpoint(b);
-            let open = self.profile.spread(self.truncated, a + self.covered, middle, true)
-                + self.profile.spread(self.truncated, middle, b - self.covered, false);
-            score -= self.weights[1] * open;
-        }
-        score
+    /// The votes that two neighbours, less than the reach of `overlap` apart, both claim.
+    #[inline(always)]
+    pub(super) fn claimed_twice(&self, a: usize, b: usize) -> f64 {
+        let claimed = self.worth[a].min(self.worth[b]) + self.weights[0];
+        self.overlap[b - a] * claimed.max(0.0)
     }
 
     /// The score of a first plant here, or of a last one.
@@ -213,30 +215,15 @@ impl<'p> Chain<'p> {
 
     /// The places from which a plant at `at` can be the next one. Two plants are at least two
     /// steps apart.
-    fn before(&self, at: usize) -> std::ops::Range<usize> {
+    pub(super) fn before(&self, at: usize) -> std::ops::Range<usize> {
         (at + 1).saturating_sub(self.gaps.len())..(at + 1).saturating_sub(2)
     }
 
     /// The plants that score best, as places, and their score.
     pub fn best(&self, plant_log_odds: f64) -> (Vec<usize>, f64) {
         let count = self.worth.len();
-        let (mut scores, mut from) = (vec![0.0; count], vec![usize::MAX; count]);
-        let (mut last, mut top) = (usize::MAX, f64::NEG_INFINITY);
-        for at in 0..count {
-            let mut score = self.end(at, true);
-            for a in self.before(at) {
-                let linked = scores[a] + self.link(a, at);
-                if linked > score {
-                    (score, from[at]) = (linked, a);
-                }
-            }
-            scores[at] =
-                score + self.worth[at] + plant_log_odds + self.second(at, plant_log_odds).max(0.0);
-            let whole = scores[at] + self.end(at, false);
-            if whole > top {
-                (last, top) = (at, whole);
-            }
-        }
+        let (from, last, top) = pulp::Arch::new().dispatch(BestChain(self, plant_log_odds));
+        let mut last = last;
         let mut places = Vec::new();
         while last != usize::MAX {
             if self.second(last, plant_log_odds) > 0.0 {
@@ -257,62 +244,145 @@ impl<'p> Chain<'p> {
 
     /// The logarithm of the sum of `exp(inverse_temperature * score)` over all sets of plants.
     pub fn log_sum(&self, plant_log_odds: f64, inverse_temperature: f64) -> f64 {
-        self.ahead(&self.own(plant_log_odds, inverse_temperature), inverse_temperature).1
-    }
-
-    /// That sum over all sets that end with a plant at each place, and over all sets.
-    fn ahead(&self, own: &[f64], inverse_temperature: f64) -> (Vec<f64>, f64) {
-        let count = self.worth.len();
-        let (mut ahead, mut terms) = (vec![0.0; count], Vec::new());
-        for at in 0..count {
-            terms.clear();
-            terms.push(inverse_temperature * self.end(at, true));
-            terms
-                .extend(self.before(at).map(|a| ahead[a] + inverse_temperature * self.link(a, at)));
-            ahead[at] = own[at] + log_sum_exp(&terms);
-        }
-        terms.clear();
-        terms.extend((0..count).map(|at| ahead[at] + inverse_temperature * self.end(at, false)));
-        let log_sum = log_sum_exp(&terms);
-        (ahead, log_sum)
+        let own = self.own(plant_log_odds, inverse_temperature);
+        let sums = Forward { chain: self, own: &own, inverse_temperature, two: &[] };
+        pulp::Arch::new().dispatch(sums).log_sum
     }
 
     /// Probabilities proportional to `exp(inverse_temperature * score)`.
     pub fn posterior(&self, plant_log_odds: f64, inverse_temperature: f64) -> Posterior {
-        let count = self.worth.len();
         let own = self.own(plant_log_odds, inverse_temperature);
-        let (ahead, log_sum) = self.ahead(&own, inverse_temperature);
-        let (mut behind, mut terms) = (vec![0.0; count], Vec::new());
-        for at in (0..count).rev() {
-            terms.clear();
-            terms.push(inverse_temperature * self.end(at, false));
-            let beyond = (at + 2).min(count)..(at + self.gaps.len()).min(count);
-            terms.extend(
-                beyond.map(|b| behind[b] + own[b] + inverse_temperature * self.link(at, b)),
-            );
-            behind[at] = log_sum_exp(&terms);
-        }
+        let two = (0..own.len()).map(|at| self.two(at, plant_log_odds, inverse_temperature));
+        let two: Vec<f64> = two.collect();
+        let forward = Forward { chain: self, own: &own, inverse_temperature, two: &two };
+        let Sums { ahead, log_sum, count_variance } = pulp::Arch::new().dispatch(forward);
+        let behind = Backward { chain: self, own: &own, inverse_temperature };
+        let behind = pulp::Arch::new().dispatch(behind);
         // Of plants: a place with two counts twice.
-        let marginals: Vec<f64> = (0..count)
-            .map(|at| {
-                (1.0 + self.two(at, plant_log_odds, inverse_temperature))
-                    * (ahead[at] + behind[at] - log_sum).exp()
-            })
+        let both = ahead.iter().zip(&behind).zip(&two);
+        let marginals: Vec<f64> = both
+            .map(|((ahead, behind), two)| (1.0 + two) * (ahead + behind - log_sum).exp())
             .collect();
-        Posterior { count: marginals.iter().sum(), marginals, log_sum }
+        Posterior { count: marginals.iter().sum(), count_variance, marginals, log_sum }
     }
 }
 
-/// `ln sum exp`, without overflow; minus infinity of nothing.
-pub(super) fn log_sum_exp(terms: &[f64]) -> f64 {
-    /// Terms smaller than this share of the largest add nothing.
-    const MIN_LOG_RATIO: f64 = -36.0;
-    let highest = terms.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    if highest == f64::NEG_INFINITY {
-        return highest;
+/// The best chain of plants: of each place the one before it, the last place, the score.
+struct BestChain<'c>(&'c Chain<'c>, f64);
+
+impl pulp::WithSimd for BestChain<'_> {
+    type Output = (Vec<usize>, usize, f64);
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) -> Self::Output {
+        let BestChain(chain, plant_log_odds) = self;
+        let count = chain.worth.len();
+        let (mut scores, mut from) = (vec![0.0; count], vec![usize::MAX; count]);
+        let (mut last, mut top) = (usize::MAX, f64::NEG_INFINITY);
+        let mut links = Links::new(chain);
+        for at in 0..count {
+            let mut score = chain.end(at, true);
+            links.back(at);
+            let before = chain.before(at);
+            for (link, score) in links.scores.iter_mut().zip(&scores[before.clone()]) {
+                *link += score;
+            }
+            let linked = highest(&links.scores);
+            if linked > score {
+                let first = links.scores.iter().position(|&score| score == linked);
+                (score, from[at]) = (linked, before.start + first.unwrap_or(0));
+            }
+            let second = chain.second(at, plant_log_odds).max(0.0);
+            scores[at] = score + chain.worth[at] + plant_log_odds + second;
+            let whole = scores[at] + chain.end(at, false);
+            if whole > top {
+                (last, top) = (at, whole);
+            }
+        }
+        (from, last, top)
     }
-    let shares = terms.iter().map(|term| term - highest).filter(|&share| share > MIN_LOG_RATIO);
-    highest + shares.map(f64::exp).sum::<f64>().ln()
+}
+
+/// The sums of exponentiated scores of all sets that end with a plant at each place, and over all sets; and, where the probabilities of
+/// two plants are given, the variance of the number of plants.
+struct Forward<'c> {
+    chain: &'c Chain<'c>,
+    own: &'c [f64],
+    inverse_temperature: f64,
+    two: &'c [f64],
+}
+
+/// What [`Forward`] finds: logarithms, and a variance.
+struct Sums {
+    ahead: Vec<f64>,
+    log_sum: f64,
+    count_variance: f64,
+}
+
+impl pulp::WithSimd for Forward<'_> {
+    type Output = Sums;
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) -> Sums {
+        let Forward { chain, own, inverse_temperature, two } = self;
+        let count = own.len();
+        let (mut ahead, mut terms) = (vec![0.0; count], Vec::new());
+        // Mean and mean square of the number of plants up to each place.
+        let mut numbers = [vec![0.0; two.len()], vec![0.0; two.len()]];
+        let mut links = Links::new(chain);
+        for at in 0..count {
+            links.back(at);
+            let before = chain.before(at);
+            terms.clear();
+            let linked = links.scores.iter().zip(&ahead[before.clone()]);
+            terms.extend(linked.map(|(link, ahead)| ahead + inverse_temperature * link));
+            terms.push(inverse_temperature * chain.end(at, true));
+            ahead[at] = own[at] + normalise(&mut terms);
+            if let Some(two) = two.get(at) {
+                let shares = &terms[..before.len()];
+                let [mean, square] =
+                    [0, 1].map(|k| dot(shares, &numbers[k][before.start..before.end]));
+                numbers[0][at] = mean + 1.0 + two;
+                numbers[1][at] = square + 2.0 * mean * (1.0 + two) + 1.0 + 3.0 * two;
+            }
+        }
+        terms.clear();
+        terms.extend((0..count).map(|at| ahead[at] + inverse_temperature * chain.end(at, false)));
+        let log_sum = normalise(&mut terms);
+        let [mean, square] = numbers.map(|of| dot(&terms[..of.len()], &of));
+        Sums { ahead, log_sum, count_variance: (square - mean * mean).max(0.0) }
+    }
+}
+
+/// The logarithms of the sums over all that may come after a plant at each place.
+struct Backward<'c> {
+    chain: &'c Chain<'c>,
+    own: &'c [f64],
+    inverse_temperature: f64,
+}
+
+impl pulp::WithSimd for Backward<'_> {
+    type Output = Vec<f64>;
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) -> Vec<f64> {
+        let Backward { chain, own, inverse_temperature } = self;
+        let count = own.len();
+        let (mut behind, mut terms) = (vec![0.0; count], Vec::new());
+        // With the place's own score, which what comes before it adds.
+        let mut beyond = vec![0.0; count];
+        let mut links = Links::new(chain);
+        for at in (0..count).rev() {
+            links.ahead(at);
+            terms.clear();
+            let linked = links.scores.iter().zip(&beyond[(at + 2).min(count)..]);
+            terms.extend(linked.map(|(link, beyond)| beyond + inverse_temperature * link));
+            terms.push(inverse_temperature * chain.end(at, false));
+            behind[at] = normalise(&mut terms);
+            beyond[at] = behind[at] + own[at];
+        }
+        behind
+    }
 }
 
 #[cfg(test)]
@@ -338,10 +408,48 @@ mod tests {
 
     const WEIGHTS: Weights = Weights { votes: 6.0, cover: 1.0, mean: 0.5, mass: 14.0 };
 
+    /// The score of two neighbours by its definition, without their own worth.
+    fn link(chain: &Chain<'_>, a: usize, b: usize) -> f64 {
+        let gap = b - a;
+        let mut score = chain.gaps[gap];
+        if gap < chain.overlap.len() {
+            score -= chain.claimed_twice(a, b);
+        }
+        if gap > 2 * chain.covered {
+            let middle = a.midpoint(b);
+            let open = chain.profile.spread(chain.truncated, a + chain.covered, middle, true)
+                + chain.profile.spread(chain.truncated, middle, b - chain.covered, false);
+            score -= chain.weights[1] * open;
+        }
+        score
+    }
+
+    #[test]
+    fn links_made_together_are_those_made_one_by_one() {
+        let profile = profile(&[6.0, 19.0, 32.0, 58.0, 71.0], 80.0);
+        for s in [2.0, 4.0, 13.0] {
+            let chain = Chain::new(&profile, &Spacing::new(s), &WEIGHTS);
+            let (mut links, count) = (Links::new(&chain), chain.worth.len());
+            for at in 0..count {
+                links.back(at);
+                assert_eq!(links.scores.len(), chain.before(at).len());
+                for (a, score) in chain.before(at).zip(&links.scores) {
+                    approx::assert_relative_eq!(*score, link(&chain, a, at), epsilon = 1e-9);
+                }
+                links.ahead(at);
+                let after = at + 2..(at + chain.gaps.len()).min(count);
+                assert_eq!(links.scores.len(), after.len());
+                for (b, score) in after.zip(&links.scores) {
+                    approx::assert_relative_eq!(*score, link(&chain, at, b), epsilon = 1e-9);
+                }
+            }
+        }
+    }
+
     /// The score by its definition.
     fn score(chain: &Chain<'_>, places: &[usize], plant_log_odds: f64) -> f64 {
         let own: f64 = places.iter().map(|&at| chain.worth[at] + plant_log_odds).sum();
-        let links: f64 = places.windows(2).map(|pair| chain.link(pair[0], pair[1])).sum();
+        let links: f64 = places.windows(2).map(|pair| link(chain, pair[0], pair[1])).sum();
         own + links + chain.end(places[0], true) + chain.end(places[places.len() - 1], false)
     }
 
@@ -352,7 +460,7 @@ mod tests {
             second: if (3..6).contains(&k) { 3.5 } else { -2.0 },
             score: 0.0,
         };
-        profile.surroundings = (0..profile.votes.len()).map(judge).collect();
+        profile.surroundings = (0..profile.votes.len()).step_by(2).map(judge).collect();
         profile
     }
 
@@ -364,7 +472,8 @@ mod tests {
             let chain = Chain::new(&profile, &spacing, &WEIGHTS);
             let (plant_log_odds, inverse_temperature, count) = (0.3, 0.7, profile.votes.len());
             let mut best = (vec![], f64::NEG_INFINITY);
-            let (mut sum, mut marginals, mut number) = (0.0, vec![0.0; count], 0.0);
+            let (mut sum, mut marginals, mut number, mut square) =
+                (0.0, vec![0.0; count], 0.0, 0.0);
             for set in 1_u32..1 << count {
                 let places: Vec<usize> = (0..count).filter(|k| set >> k & 1 == 1).collect();
                 let allowed =
@@ -383,12 +492,16 @@ mod tests {
                     .product();
                 let weight = (inverse_temperature * score).exp() * ways;
                 sum += weight;
+                let (mut plants, mut spread) = (0.0, 0.0);
                 for (&at, second) in places.iter().zip(&seconds) {
                     let two = (inverse_temperature * second).exp()
                         / (1.0 + (inverse_temperature * second).exp());
                     marginals[at] += weight * (1.0 + two);
-                    number += weight * (1.0 + two);
+                    plants += 1.0 + two;
+                    spread += two * (1.0 - two);
                 }
+                number += weight * plants;
+                square += weight * (plants * plants + spread);
                 if most > best.1 {
                     best = (places, most);
                 }
@@ -409,6 +522,8 @@ mod tests {
             let posterior = chain.posterior(plant_log_odds, inverse_temperature);
             approx::assert_relative_eq!(posterior.log_sum, sum.ln(), epsilon = 1e-9);
             approx::assert_relative_eq!(posterior.count, number / sum, epsilon = 1e-9);
+            let variance = square / sum - (number / sum).powi(2);
+            approx::assert_relative_eq!(posterior.count_variance, variance, epsilon = 1e-9);
             for (fast, slow) in posterior.marginals.iter().zip(&marginals) {
                 approx::assert_relative_eq!(*fast, slow / sum, epsilon = 1e-9);
             }

@@ -133,17 +133,15 @@ impl Evidence {
 
     /// Votes between pixel centres, bilinear; 0 outside.
     pub fn at(&self, [x, y]: [f64; 2]) -> f64 {
-        let (left, top) = (x.floor(), y.floor());
-        let inside = left >= 0.0
-            && top >= 0.0
-            && left + 1.0 < self.width as f64
-            && top + 1.0 < self.height as f64;
+        // Cut to whole numbers where it is 0 or more.
+        let (left, top) = (x as usize, y as usize);
+        let inside = x >= 0.0 && y >= 0.0 && left + 1 < self.width && top + 1 < self.height;
         if !inside {
             return 0.0;
         }
-        let upper = top as usize * self.width + left as usize;
+        let upper = top * self.width + left;
         let lower = upper + self.width;
-        let (a, b) = ((x - left) as f32, (y - top) as f32);
+        let (a, b) = ((x - left as f64) as f32, (y - top as f64) as f32);
         let between = |from: f32, to: f32, part: f32| from + part * (to - from);
         let above = between(self.votes(upper), self.votes(upper + 1), a);
         let below = between(self.votes(lower), self.votes(lower + 1), a);

@@ -12,6 +12,7 @@
 //! Lengths are in pixels of the mask unless a name says metres.
 
 pub mod broad_leaves;
+mod chain_links;
 pub mod colour_indices;
 pub mod double_plants;
 pub mod dynamic_programming;

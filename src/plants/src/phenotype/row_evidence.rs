@@ -4,7 +4,7 @@
 //! All lengths in pixels of the reduced grid of [`Evidence`].
 
 use super::{
-    double_plants::{LeafSurroundings, PlantBaseline, PlantScores},
+    double_plants::{LeafSurroundings, PlantBaseline},
     dynamic_programming::{Chain, Profile, STEP, Weights},
     evidence::{self, Evidence},
     isolated_plants,
@@ -270,8 +270,7 @@ impl RowEvidence {
         tried[rivals.fold(likeliest, |best, k| if bare(k) > bare(best) { k } else { best })].1
     }
 
-    /// Looks at the leaves around all places, which are compared with those of these plants. Leaves around a place change
-    /// slowly along a row: every other place is looked at, and stands for the one before it too.
+    /// Looks at the leaves around every other place, which are compared with those of these plants.
     pub(super) fn compare_surroundings(&mut self, places: &[Vec<usize>]) {
         let surroundings = LeafSurroundings::new(&self.evidence);
         let look = |row: usize, at: usize| {
@@ -294,8 +293,7 @@ impl RowEvidence {
             .collect();
         let usual = PlantBaseline::new(&plants);
         for (profile, row) in self.profiles.iter_mut().zip(&all) {
-            let judged: Vec<PlantScores> = row.iter().map(|place| usual.judge(place)).collect();
-            profile.surroundings = (0..profile.votes.len()).map(|at| judged[at / 2]).collect();
+            profile.surroundings = row.iter().map(|place| usual.judge(place)).collect();
         }
     }
 

@@ -217,14 +217,14 @@ fn by_votes(
     };
     let mut places = best(&chains, plant_log_odds);
     let posteriors = posteriors(&chains, plant_log_odds, options.inverse_temperature);
+    drop(chains);
     let whole = expected.as_ref().filter(|expected| expected.share > 0.999);
     let wanted = count.or(whole.map(|expected| (expected.count.round() as usize).max(1)));
     if let Some(count) = wanted {
         keep_likeliest(&mut places, &posteriors, count);
     }
     let spacing = spacing.refit(&gaps(&places));
-    let mut stand =
-        evidence.present(rows, &places, &chains, &posteriors, &spacing, (plant_log_odds, expected));
+    let mut stand = evidence.present(rows, &places, &posteriors, &spacing, expected);
     stand.refit_rows();
     Ok(stand)
 }
@@ -297,13 +297,11 @@ impl RowEvidence {
         &self,
         rows: &Rows,
         places: &[Vec<usize>],
-        chains: &[Chain<'_>],
         posteriors: &[Posterior],
         spacing: &Spacing,
-        (plant_log_odds, expected): (f64, Option<Expected>),
+        expected: Option<Expected>,
     ) -> Stand {
         let factor = self.evidence.factor as f64;
-        let inverse_temperature = self.options.inverse_temperature;
         let tilt = self.options.tilt_sigma;
         let across = self.scatter(places, spacing.spacing);
         let shrinkage =
@@ -360,14 +358,7 @@ impl RowEvidence {
                 }
             }
         }
-        // The variance of a count is its derivative by the (heated) worth of a plant.
-        let apart = 0.1 / inverse_temperature;
-        let (less, more) = rayon::join(
-            || posterior_counts(chains, plant_log_odds - apart, inverse_temperature),
-            || posterior_counts(chains, plant_log_odds + apart, inverse_temperature),
-        );
-        let variances: Vec<f64> =
-            less.iter().zip(&more).map(|(a, b)| ((b - a) / 0.2).max(0.0)).collect();
+        let variances: Vec<f64> = posteriors.iter().map(|of| of.count_variance).collect();
         let found = total(places) as f64;
         let (middle, variance) = match expected {
             Some(Expected { count, variance, share, .. }) => {
@@ -407,15 +398,4 @@ impl RowEvidence {
             doubts: Vec::new(),
         }
     }
-}
-
-fn posterior_counts(
-    chains: &[Chain<'_>],
-    plant_log_odds: f64,
-    inverse_temperature: f64,
-) -> Vec<f64> {
-    chains
-        .par_iter()
-        .map(|chain| chain.posterior(plant_log_odds, inverse_temperature).count)
-        .collect()
 }

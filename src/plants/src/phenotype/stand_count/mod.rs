@@ -24,7 +24,10 @@
 mod gap_lengths;
 mod weights;
 
-use super::dynamic_programming::{Profile, STEP, log_sum_exp};
+use super::{
+    chain_links::log_sum_exp,
+    dynamic_programming::{Profile, STEP},
+};
 pub use gap_lengths::Gaps;
 use gap_lengths::MOST;
 use rayon::prelude::*;
@@ -114,7 +117,7 @@ impl Lattice {
             terms.push(self.first[at]);
             let links = self.pairs[at].iter().enumerate().skip(2);
             terms.extend(links.map(|(gap, score)| ahead[at - gap] + score));
-            ahead[at] = log_sum_exp(&terms) + self.own[at] + plant_log_odds;
+            ahead[at] = log_sum_exp(&mut terms) + self.own[at] + plant_log_odds;
         }
         let longest = self.pairs.iter().map(Vec::len).max().unwrap_or(0);
         for at in (0..count).rev() {
@@ -126,11 +129,11 @@ impl Lattice {
                     terms.push(behind[next] + self.own[next] + plant_log_odds + score);
                 }
             }
-            behind[at] = log_sum_exp(&terms);
+            behind[at] = log_sum_exp(&mut terms);
         }
         terms.clear();
         terms.extend((0..count).map(|at| ahead[at] + self.last[at]));
-        Sums { all: log_sum_exp(&terms), ahead, behind }
+        Sums { all: log_sum_exp(&mut terms), ahead, behind }
     }
 
     /// The expected number of plants if each were worth `plant_log_odds` more.
@@ -183,7 +186,7 @@ fn mean_around(sums: &[f64], at: usize, reach: usize) -> f64 {
 
 /// How many standard deviations of plants there is less leaf around a place than around plants, and more.
 fn surroundings_scores(profile: &Profile, at: usize) -> [f64; 2] {
-    let score = profile.surroundings.get(at).map_or(0.0, |around| around.score);
+    let score = profile.around(at).map_or(0.0, |around| around.score);
     [score.clamp(CROWNS[0], 0.0), score.clamp(0.0, CROWNS[1])]
 }
 

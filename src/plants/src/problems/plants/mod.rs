@@ -282,9 +282,7 @@ impl<P: PlantPrior, D: LeafDensity> Plants<P, D> {
             SigmaRule::Fixed(px) => px,
             SigmaRule::Paper | SigmaRule::Planar => {
                 let dimension = self.model.sigma.dimension();
-                self.density
-                    .scale_px(&self.distances(x), dimension, x.sigma_px)
-                    .max(SIGMA_FLOOR_PX)
+                self.density.scale_px(&self.distances(x), dimension, x.sigma_px).max(SIGMA_FLOOR_PX)
             }
         };
     }
