@@ -8,7 +8,7 @@ use rowgram_base::error::Error;
 use rowgram_project::{
     Stage,
     leaf_mask::read_leaf_mask,
-    locate::{LocateFiles, LocateOptions, LocateOutcome, locate, locate_plants},
+    locate::{LocateFiles, LocateOptions, LocateOutcome, StandOutcome, locate, locate_plants},
 };
 use std::{fmt::Write as _, path::PathBuf};
 
@@ -62,6 +62,9 @@ fn text(outcome: &LocateOutcome) -> String {
         if let Some(proof) = &descent.certificate {
             let _ = write!(text, "; {proof}");
         }
+    }
+    if outcome.stand.as_ref().is_some_and(StandOutcome::has_closed) {
+        return format!("leaves have closed{rows} and show no plants; {plants} places are guesses");
     }
     if let Some(stand) = &outcome.stand {
         let [low, high] = stand.plants_interval;

@@ -220,7 +220,7 @@ fn start_logging(verbose: u8, quiet: bool) {
     };
     let colour = std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none();
     // A message that cannot be written is no reason to end.
-    let lines = fmt::layer().with_writer(std::io::stderr).log_internal_errors(false);
+    let lines = fmt::layer().with_writer(|| terminal::AboveBars).log_internal_errors(false);
     tracing_subscriber::registry()
         .with(lines.event_format(terminal::Lines { colour }))
         .with(Targets::new().with_target("rowgram", level))

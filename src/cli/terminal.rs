@@ -1,8 +1,13 @@
 //! The terminal as a listener: progress as a bar, diagnostics as lines on stderr.
 
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 use rowgram_base::monitor::{Diagnostic, Monitor, Progress, Severity};
-use std::{borrow::Cow, fmt, time::Instant};
+use std::{
+    borrow::Cow,
+    fmt, io,
+    sync::LazyLock,
+    time::{Duration, Instant},
+};
 use tracing::{Event, Level, Subscriber};
 use tracing_subscriber::{
     fmt::{FmtContext, FormatEvent, FormatFields, format::Writer},
@@ -58,70 +63,96 @@ where
     }
 }
 
-/// Shows what stages tell.
-#[derive(Default)]
+/// The bars that are on the terminal, if it is one; everything else is written above them.
+fn bars() -> &'static MultiProgress {
+    static BARS: LazyLock<MultiProgress> = LazyLock::new(MultiProgress::new);
+    &BARS
+}
+
+/// Writes to stderr above the bars.
+pub(super) struct AboveBars;
+
+impl io::Write for AboveBars {
+    fn write(&mut self, text: &[u8]) -> io::Result<usize> {
+        bars().suspend(|| io::stderr().write(text))
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        io::stderr().flush()
+    }
+}
+
+/// How often a bar shows the time, so that nobody takes long work for none.
+const TICK: Duration = Duration::from_secs(1);
+
+/// Shows what stages tell, and between that for how long the work has been silent.
 pub(super) struct Terminal {
     stage: Option<(String, Instant)>,
-    bar: Option<(String, ProgressBar)>,
+    /// What is being done, where that was told, and its bar.
+    bar: (Option<String>, ProgressBar),
 }
 
 impl Terminal {
     /// Nothing has happened yet.
     pub(super) fn new() -> Terminal {
-        Terminal::default()
+        let mut terminal = Terminal { stage: None, bar: (None, ProgressBar::hidden()) };
+        terminal.wait();
+        terminal
     }
 
     fn clear(&mut self) {
-        if let Some((_, bar)) = self.bar.take() {
-            bar.finish_and_clear();
+        self.bar.1.finish_and_clear();
+        bars().remove(&self.bar.1);
+    }
+
+    /// Shows a bar in place of the last one.
+    fn show(&mut self, activity: Option<&str>, total: Option<u64>, shape: &str) {
+        self.clear();
+        let bar = bars().add(total.map_or_else(ProgressBar::new_spinner, ProgressBar::new));
+        if let Ok(style) = ProgressStyle::with_template(shape) {
+            bar.set_style(style);
         }
+        let stage = self.stage.as_ref().map(|(stage, _)| stage.as_str());
+        bar.set_prefix(activity.or(stage).unwrap_or("working").to_owned());
+        bar.enable_steady_tick(TICK);
+        self.bar = (activity.map(ToOwned::to_owned), bar);
+    }
+
+    /// Shows that the work goes on, although nobody says how far it is.
+    fn wait(&mut self) {
+        self.show(None, None, "{prefix} {spinner} {elapsed}");
     }
 }
 
 impl Monitor for Terminal {
     fn stage(&mut self, name: &str) {
-        self.clear();
         if let Some((before, begin)) = self.stage.replace((name.to_owned(), Instant::now())) {
             tracing::debug!("{before}: {:.2} s", begin.elapsed().as_secs_f64());
         }
         tracing::info!("{name}");
+        self.wait();
     }
 
     fn progress(&mut self, progress: &Progress<'_>) {
-        if self.bar.as_ref().is_none_or(|(activity, _)| activity != progress.activity) {
-            self.clear();
-            let bar = match progress.total {
-                Some(total) => ProgressBar::new(total),
-                None => ProgressBar::new_spinner(),
-            };
+        if self.bar.0.as_deref() != Some(progress.activity) {
             let shape = match progress.total {
                 Some(_) => "{prefix} {wide_bar} {pos}/{len} {msg} {eta}",
-                None => "{prefix} {spinner} {pos} {msg}",
+                None => "{prefix} {spinner} {pos} {msg} {elapsed}",
             };
-            if let Ok(style) = ProgressStyle::with_template(shape) {
-                bar.set_style(style);
-            }
-            bar.set_prefix(progress.activity.to_owned());
-            bar.set_message(progress.unit);
-            self.bar = Some((progress.activity.to_owned(), bar));
+            self.show(Some(progress.activity), progress.total, shape);
+            self.bar.1.set_message(progress.unit);
         }
-        if let Some((_, bar)) = &self.bar {
-            bar.set_position(progress.done);
-        }
+        self.bar.1.set_position(progress.done);
         if progress.is_finished() {
-            self.clear();
+            self.wait();
         }
     }
 
     fn diagnostic(&mut self, diagnostic: &Diagnostic) {
-        let say = || match diagnostic.severity {
+        match diagnostic.severity {
             Severity::Info => tracing::info!("{diagnostic}"),
             Severity::Warning => tracing::warn!("{diagnostic}"),
             Severity::Error => tracing::error!("{diagnostic}"),
-        };
-        match &self.bar {
-            Some((_, bar)) => bar.suspend(say),
-            None => say(),
         }
     }
 }

@@ -228,7 +228,7 @@ fn of_photos(
         .collect();
     let mut cameras: BTreeMap<String, usize> = BTreeMap::new();
     let (mut unread, mut without_focal) = (Vec::new(), 0);
-    let mut footprint_m = Vec::new();
+    let mut scales = Vec::new();
     for (path, (head, size)) in photos.iter().zip(&heads) {
         let (Ok(head), Some((width, height))) = (head, size) else {
             unread.push(project.photo_name(path));
@@ -239,7 +239,10 @@ fn of_photos(
         let principal = head.principal_distance_px([*width, *height]);
         without_focal += usize::from(principal.is_none());
         if let (Some((distance, _)), Some(above)) = (principal, head.height_above_take_off_m) {
-            footprint_m.push(above / distance * f64::from(*width.min(height)));
+            scales.push(Scale {
+                gsd_m: above / distance,
+                sides_px: [*width.min(height), *width.max(height)].map(f64::from),
+            });
         }
     }
     let all = photos.len();
@@ -287,21 +290,57 @@ fn of_photos(
         let message = format!("all {} photos have one", places.len());
         found.push(Diagnostic::info("positions", "positions", message));
     }
-    found.extend(overlap(&there, footprint_m));
+    let at = in_metres(&there);
+    scales.retain(|scale| scale.gsd_m > 0.0);
+    scales.sort_by(|a, b| a.gsd_m.total_cmp(&b.gsd_m));
+    let scale = scales.get(scales.len() / 2).copied();
+    found.extend(overlap(&at, scale));
+    if let Some(pixels) = scale.and_then(|scale| map_pixels(&at, scale, project)) {
+        let threads = rayon::current_num_threads();
+        found.push(forecast::maps_diagnostic(pixels, threads, forecast::available_bytes()));
+    }
     found
 }
 
-/// How far photos are from their nearest neighbours, and what overlap that makes where the height is known.
-fn overlap(places: &[Geotag], mut footprint_m: Vec<f64>) -> Option<Diagnostic> {
-    let first = places.first().filter(|_| places.len() > 2)?;
+/// How large photos show the ground.
+#[derive(Clone, Copy)]
+struct Scale {
+    /// Ground sampling distance.
+    gsd_m: f64,
+    /// The shorter and the longer side of a photo.
+    sides_px: [f64; 2],
+}
+
+/// Places east and north of the first one.
+fn in_metres(places: &[Geotag]) -> Vec<[f64; 2]> {
+    let Some(first) = places.first() else { return Vec::new() };
     let plane = LocalPlane::at([first.latitude_deg, first.longitude_deg, 0.0]);
-    let at: Vec<[f64; 2]> = places
-        .iter()
-        .map(|tag| {
-            let [east, north, _] = plane.from_wgs84([tag.latitude_deg, tag.longitude_deg, 0.0]);
-            [east, north]
-        })
-        .collect();
+    let of = |tag: &Geotag| {
+        let [east, north, _] = plane.from_wgs84([tag.latitude_deg, tag.longitude_deg, 0.0]);
+        [east, north]
+    };
+    places.iter().map(of).collect()
+}
+
+/// Pixels of the map that photos from these places show, about: what lies within half a photo of a place, in a box along the axes.
+fn map_pixels(at: &[[f64; 2]], scale: Scale, project: &Project) -> Option<f64> {
+    let [shorter, longer] = scale.sides_px.map(|px| px * scale.gsd_m);
+    let sides_m = [0, 1].map(|k| {
+        let (least, most) =
+            at.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), p| {
+                (least.min(p[k]), most.max(p[k]))
+            });
+        most - least + 0.5 * (shorter + longer)
+    });
+    let cell_m = project.config().surface.cell_m.unwrap_or(scale.gsd_m);
+    Some(sides_m[0] * sides_m[1] / (cell_m * cell_m)).filter(|pixels| pixels.is_finite())
+}
+
+/// How far photos are from their nearest neighbours, and what overlap that makes where the height is known.
+fn overlap(at: &[[f64; 2]], scale: Option<Scale>) -> Option<Diagnostic> {
+    if at.len() < 3 {
+        return None;
+    }
     let nearest = |k: usize| {
         let others = at.iter().enumerate().filter(|(j, _)| *j != k);
         others.map(|(_, p)| (p[0] - at[k][0]).hypot(p[1] - at[k][1])).fold(f64::INFINITY, f64::min)
@@ -310,11 +349,10 @@ fn overlap(places: &[Geotag], mut footprint_m: Vec<f64>) -> Option<Diagnostic> {
     distances.sort_by(f64::total_cmp);
     let (median, last) = (distances[distances.len() / 2], distances[distances.len() - 1]);
     let mut message = format!("nearest neighbours are {median:.1} m apart, at most {last:.1} m");
-    footprint_m.sort_by(f64::total_cmp);
-    let Some(&side) = footprint_m.get(footprint_m.len() / 2).filter(|side| **side > 0.0) else {
+    let Some(scale) = scale else {
         return Some(Diagnostic::info("overlap", "overlap", message));
     };
-    let percent = 100.0 * (1.0 - median / side);
+    let percent = 100.0 * (1.0 - median / (scale.sides_px[0] * scale.gsd_m));
     message += &format!("; about {percent:.0} % forward overlap by the heights in the photos");
     let remedy = "fly more slowly, or take photos at shorter intervals: 75 % or more";
     let [least, weak] = OVERLAP_PERCENT;

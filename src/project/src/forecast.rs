@@ -1,4 +1,5 @@
-//! What a flight will take, before hours are spent on it: memory, processor time and disk of `align`; and the memory of `locate` on a map.
+//! What a flight will take, before hours are spent on it: memory, processor time and disk of `align`; memory and processor time of the stages
+//! that make and read maps.
 //!
 //! ```text
 //! memory = photos in work + descriptors in use + bytes a photo * N + bytes a measurement * measurements
@@ -35,6 +36,48 @@ const PHOTO_S: f64 = 3.0;
 const LOCATE_BYTES: f64 = 4e8;
 const PIXEL_BYTES: f64 = 9.5;
 
+/// A stage on a map: its name, processor time for a million pixels, seconds, and memory: at least, and for each pixel, bytes. The tables of
+/// `docs/optimisation.md`; leaves take what the larger of the two maps took.
+const MAP_STAGES: [(&str, f64, f64, f64); 6] = [
+    ("surface", 3.1, 0.9e9, 0.0),
+    ("orthomosaic", 0.25, 0.75e9, 0.0),
+    ("leaf mask", 0.11, 0.4e9, 0.6),
+    ("plants", 0.55, LOCATE_BYTES, PIXEL_BYTES),
+    ("leaves", 0.53, LOCATE_BYTES, 6.0),
+    ("plots", 0.05, LOCATE_BYTES, 2.0),
+];
+
+/// What the stages after `align` take for a map of so many pixels: processor time of all threads together in seconds, and memory of the stage
+/// that takes most, with its name.
+fn map_need(pixels: f64) -> (f64, &'static str, f64) {
+    let processor_s = MAP_STAGES.iter().map(|(_, s, ..)| s * pixels / 1e6).sum();
+    let memory = MAP_STAGES.iter().map(|&(name, _, base, each)| (name, base + each * pixels));
+    let (name, most) =
+        memory.fold(("", 0.0), |most, next| if next.1 > most.1 { next } else { most });
+    (processor_s, name, most)
+}
+
+/// What the stages after `align` will take for a map of about so many pixels; a warning where this machine has less memory.
+pub fn maps_diagnostic(pixels: f64, threads: usize, available_bytes: Option<f64>) -> Diagnostic {
+    let (processor_s, stage, most) = map_need(pixels);
+    let minutes = (processor_s / 60.0 / threads.max(1) as f64).ceil();
+    let message = format!(
+        "surface, orthomosaic and traits of a map of about {:.0} million pixels take about {minutes:.0} min on {threads} threads and up to {} of memory ({stage})",
+        (pixels / 1e6).ceil(),
+        size(most)
+    );
+    match available_bytes.filter(|&available| available < most) {
+        Some(available) => {
+            let message = format!("{message}; {} of memory are free", size(available));
+            Diagnostic::warning("map-memory-short", "maps", message).with_remedy(COARSER)
+        }
+        None => Diagnostic::info("maps-forecast", "maps", message),
+    }
+}
+
+/// What to do about a map that is too large.
+const COARSER: &str = "make the map coarser or of parts of the field ([ortho] gsd_m, bounds_m; of an orthomosaic that is given, resample or cut the file)";
+
 /// Refuses a map of so many columns and rows whose plants take more memory to be located than there is.
 ///
 /// # Errors
@@ -57,8 +100,7 @@ pub fn map_diagnostic(
         size(needed),
         size(available)
     );
-    let remedy = "make the map coarser or of parts of the field ([ortho] gsd_m, bounds_m; of an orthomosaic that is given, resample or cut the file)";
-    Some(Diagnostic::warning("map-memory-short", subject, message).with_remedy(remedy))
+    Some(Diagnostic::warning("map-memory-short", subject, message).with_remedy(COARSER))
 }
 
 /// What `align` will take.
@@ -183,6 +225,19 @@ mod tests {
         assert_eq!(map(Some(4.3e9)).unwrap().code, "map-memory-short");
         assert_eq!(map(Some(5e9)), None);
         assert_eq!(map(None), None);
+    }
+
+    #[test]
+    fn maps_that_were_measured_take_what_is_said() {
+        // docs/optimisation.md: a surface in 139 s, maps of 452 million pixels in 555 s from the leaf mask on, with 4.4 GB at most.
+        let (seconds, _, memory) = map_need(6505.0 * 6864.0);
+        assert!((150.0..250.0).contains(&seconds) && memory < 1.2e9, "{seconds} {memory}");
+        let (seconds, stage, memory) = map_need(21_848.0 * 20_685.0);
+        let surface_and_mosaic = 3.35 * 21.848 * 20.685;
+        assert!((0.9..1.2).contains(&((seconds - surface_and_mosaic) / 555.0)), "{seconds}");
+        assert!(stage == "plants" && (4.4e9..5e9).contains(&memory), "{stage} {memory}");
+        assert_eq!(maps_diagnostic(45e6, 2, Some(1e12)).code, "maps-forecast");
+        assert_eq!(maps_diagnostic(45e8, 2, Some(1e9)).code, "map-memory-short");
     }
 
     #[test]

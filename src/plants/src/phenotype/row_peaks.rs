@@ -282,11 +282,16 @@ mod tests {
         };
         assert_eq!(sure.doubts, []);
         assert_eq!(doubts_at(0.004), []);
-        let [Doubt::Wide { spacing_m }, Doubt::Large { plant_m2 }] = doubts_at(0.25)[..] else {
+        let [Doubt::Wide { spacing_m, .. }, Doubt::Large { plant_m2 }] = doubts_at(0.25)[..] else {
             panic!("{:?}", doubts_at(0.25));
         };
         let spacing_px = sure.spacing.spacing;
         assert!((spacing_m - 0.25 * spacing_px).abs() < 1e-9 && plant_m2 > 7.0);
+        let apart_px = sure.rows.spacing_px.unwrap();
+        let [Doubt::Wide { rows_m: Some(rows_m), .. }] = doubts_at(4.1 / apart_px)[..] else {
+            panic!("{:?}", doubts_at(4.1 / apart_px));
+        };
+        assert!((rows_m - 4.1).abs() < 1e-9, "{rows_m}");
         let mut stand = sure.clone();
         stand.rows.rows.clear();
         stand.doubt(None, None);

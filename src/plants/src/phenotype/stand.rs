@@ -92,10 +92,12 @@ pub enum Doubt {
     Closed,
     /// No rows stand out: patches of leaf are plants of some crop, or something else that is green.
     NoRows,
-    /// Plants of a row are farther apart than those of a field crop.
+    /// Plants of a row, or rows, are farther apart than those of a field crop.
     Wide {
-        /// The distance between them.
+        /// The distance between plants.
         spacing_m: f64,
+        /// The distance between rows, where there are several.
+        rows_m: Option<f64>,
     },
     /// Plants have more leaf than those of a field crop.
     Large {
@@ -121,6 +123,8 @@ impl Doubt {
 /// Plants of a field crop stand nearer than this within their row, metres. Bananas and melons need 2 to 3; vines, hedges and orchards are no field crops. Assumed,
 /// not measured.
 const WIDEST_SPACING_M: f64 = 3.0;
+/// Rows of a field crop are nearer to each other than this, metres: bananas and pumpkins need 2 to 3.5. Assumed likewise.
+const WIDEST_ROWS_M: f64 = 4.0;
 /// Leaf area of a plant of a field crop, seen from above, at most, m2: a disc 3 m wide. Assumed likewise.
 const LARGEST_PLANT_M2: f64 = 7.0;
 
@@ -197,8 +201,10 @@ impl Stand {
         }
         if let Some(gsd_m) = gsd_m {
             let spacing_m = gsd_m * spacing;
-            if spacing_m > WIDEST_SPACING_M && !self.rows.rows.is_empty() {
-                self.doubts.push(Doubt::Wide { spacing_m });
+            let rows_m = self.rows.spacing_px.map(|px| gsd_m * px);
+            let are_wide = rows_m.is_some_and(|rows_m| rows_m > WIDEST_ROWS_M);
+            if (spacing_m > WIDEST_SPACING_M || are_wide) && !self.rows.rows.is_empty() {
+                self.doubts.push(Doubt::Wide { spacing_m, rows_m });
             }
             let plant_m2 = self.leaf_mass.as_ref().map(|mass| gsd_m * gsd_m * mass.plant_px);
             if let Some(plant_m2) = plant_m2.filter(|&area| area > LARGEST_PLANT_M2) {

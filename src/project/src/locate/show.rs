@@ -68,8 +68,11 @@ pub(super) fn tell(stand: &Stand, subject: &str, monitor: &mut dyn Monitor) {
                     .to_owned(),
                 "look at figures/plants.png; count on an earlier photo, or give the number of plants (plants)",
             ),
-            Doubt::Wide { spacing_m } => (
-                format!("plants are {spacing_m:.1} m apart in their rows: no field crop stands like that; hedges, trees, or no plants at all?"),
+            Doubt::Wide { spacing_m, rows_m } => (
+                format!(
+                    "plants are {spacing_m:.1} m apart in their rows{}: no field crop stands like that; hedges, trees, or no plants at all?",
+                    rows_m.map_or(String::new(), |rows_m| format!(", and rows {rows_m:.1} m"))
+                ),
                 "look at figures/plants.png; check the ground sampling distance",
             ),
             Doubt::Large { plant_m2 } => (
