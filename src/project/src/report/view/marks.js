@@ -2,7 +2,7 @@
 (function () {
   "use strict";
   const byId = (id) => document.getElementById(id);
-  const COLOURS = { found: "#009e73", hand: "#56b4e9", changed: "#e69f00", expected: "#ffffff" };
+  const COLOURS = { found: "#2bd9a3", hand: "#56b4e9", changed: "#e69f00", expected: "#ffffff" };
   const CROP_PX = 192;
   const LOUPE_PX = 512;
   // What is farther from the other marks of its point is said in red.
@@ -89,10 +89,11 @@
     }
     if (!at) return;
     // Four strokes that leave the middle open.
+    const length = side / 12;
     stroke(colour(sight), [], () => {
       for (const [i, j] of [[1, 0], [-1, 0], [0, 1], [0, -1]]) {
         context.moveTo(x(at[0]) + 5 * i, y(at[1]) + 5 * j);
-        context.lineTo(x(at[0]) + 18 * i, y(at[1]) + 18 * j);
+        context.lineTo(x(at[0]) + length * i, y(at[1]) + length * j);
       }
     });
   }
@@ -112,7 +113,7 @@
     const off = residual(sight);
     const [name, state] = figure.querySelectorAll("figcaption > *");
     name.textContent = sheet.photos[sight.photo].name;
-    state.textContent = said(sight) + (off === null ? "" : ", " + off.toFixed(1) + " px off the others");
+    state.textContent = said(sight) + (off === null ? "" : ", " + off.toFixed(2) + " px off the others");
     state.className = off !== null && off > FAR_PX ? "far" : "";
     figure.setAttribute("aria-selected", sights()[chosen] === sight);
   }
@@ -161,7 +162,7 @@
       part("span", "", "dot" + (marked > 1 ? (worst > FAR_PX ? " red" : " green") : marked ? " yellow" : ""));
       part("b", of.label);
       part("span", marked + " of " + of.sights.length, "count");
-      part("small", of.role + (offs.length ? ", at most " + worst.toFixed(1) + " px off" : ""));
+      part("small", of.role + (offs.length ? ", at most " + worst.toFixed(2) + " px off" : ""));
       button.addEventListener("click", () => goTo(number));
       const item = document.createElement("li");
       item.append(button);
