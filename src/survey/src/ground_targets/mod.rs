@@ -163,7 +163,7 @@ impl Block<'_> {
         predictions: &[Prediction],
         read: ReadPhoto<'_>,
     ) -> Result<Vec<Vec<Searched>>, Error> {
-        let found: Vec<Result<Vec<(usize, usize, Searched)>, Error>> = (0..self.views.len())
+        let found: Vec<Result<Vec<_>, Error>> = (0..self.views.len())
             .into_par_iter()
             .map(|image| {
                 let own = predictions.iter().enumerate().filter(|(_, p)| p.image == image);
