@@ -1,23 +1,30 @@
 //! The map of the report and of `rowgram view`, driven in a browser.
 
 use crate::program::rowgram;
-use serde_json::Value;
+use serde_json::{Value, json};
 use std::{
-    fs,
+    fs::{self, File},
     io::{BufRead, BufReader, Read, Write},
     net::TcpStream,
     path::Path,
     process::{Child, Command, Stdio},
+    time::Duration,
 };
+
+/// The name of Chromium; says so where there is none.
+fn browser() -> Option<&'static str> {
+    let browsers = ["chromium", "chromium-browser", "google-chrome"];
+    let is_there = |name: &&str| Command::new(name).arg("--version").output().is_ok();
+    let browser = browsers.into_iter().find(is_there);
+    if browser.is_none() {
+        crate::data::tool_is_missing("Chromium");
+    }
+    browser
+}
 
 /// The page that headless Chromium makes of an address; says so where there is no browser.
 fn shown(folder: &Path, address: &str) -> Option<String> {
-    let browsers = ["chromium", "chromium-browser", "google-chrome"];
-    let is_there = |name: &&str| Command::new(name).arg("--version").output().is_ok();
-    let Some(browser) = browsers.into_iter().find(is_there) else {
-        crate::data::tool_is_missing("Chromium");
-        return None;
-    };
+    let browser = browser()?;
     let run = Command::new(browser)
         .args(["--headless", "--no-sandbox", "--disable-gpu", "--window-size=1200,900"])
         .arg(format!("--user-data-dir={}", folder.join("browser").display()))
@@ -53,13 +60,155 @@ pub fn drive_map(folder: &Path, page: &str) {
 }
 
 /// A program that is ended when it goes out of scope.
-struct Running(Child);
+pub struct Running(Child);
 
 impl Drop for Running {
     fn drop(&mut self) {
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
+}
+
+/// A page in headless Chromium that is clicked and typed into, over the pipe of its debugger.
+pub struct Page {
+    _browser: Running,
+    to: File,
+    from: BufReader<File>,
+    session: Option<String>,
+    sent: u64,
+}
+
+impl Page {
+    /// Opens an address; `None` where there is no browser.
+    pub fn open(folder: &Path, address: &str) -> Option<Page> {
+        let browser = browser()?;
+        let [to, from] = ["to", "from"].map(|name| folder.join(name));
+        assert!(Command::new("mkfifo").args([&to, &from]).status().unwrap().success());
+        let child = Command::new("sh")
+            .args(["-c", "exec \"$@\" 3<\"$TO\" 4>\"$FROM\"", "sh", browser])
+            .args(["--headless", "--no-sandbox", "--disable-gpu", "--window-size=1500,950"])
+            .arg(format!("--user-data-dir={}", folder.join("browser").display()))
+            .arg("--remote-debugging-pipe")
+            .env("TO", &to)
+            .env("FROM", &from)
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        let browser = Running(child);
+        let to = File::options().write(true).open(to).unwrap();
+        let from = BufReader::new(File::open(from).unwrap());
+        let mut page = Page { _browser: browser, to, from, session: None, sent: 0 };
+        let made = page.ask("Target.createTarget", &json!({"url": "about:blank"}));
+        let attach = json!({"targetId": made["targetId"], "flatten": true});
+        let session = page.ask("Target.attachToTarget", &attach);
+        page.session = Some(session["sessionId"].as_str().unwrap().to_owned());
+        page.go_to(address);
+        Some(page)
+    }
+
+    /// Goes to an address.
+    pub fn go_to(&mut self, address: &str) {
+        self.ask("Page.navigate", &json!({"url": address}));
+    }
+
+    fn ask(&mut self, method: &str, parameters: &Value) -> Value {
+        self.sent += 1;
+        let mut message = json!({"id": self.sent, "method": method, "params": parameters});
+        if let Some(session) = &self.session {
+            message["sessionId"] = json!(session);
+        }
+        self.to.write_all(format!("{message}\0").as_bytes()).unwrap();
+        loop {
+            let mut answer = Vec::new();
+            assert!(self.from.read_until(0, &mut answer).unwrap() > 0, "the browser has ended");
+            answer.pop();
+            let answer: Value = serde_json::from_slice(&answer).unwrap();
+            if answer["id"] == json!(self.sent) {
+                assert!(answer["error"].is_null(), "{method}: {answer}");
+                return answer["result"].clone();
+            }
+        }
+    }
+
+    /// The value of an expression in the page.
+    pub fn value(&mut self, expression: &str) -> Value {
+        let parameters =
+            json!({"expression": expression, "returnByValue": true, "awaitPromise": true});
+        let answer = self.ask("Runtime.evaluate", &parameters);
+        assert!(answer["exceptionDetails"].is_null(), "{expression}: {answer}");
+        answer["result"]["value"].clone()
+    }
+
+    /// Waits until an expression is true; while a page is loaded it may not be known.
+    pub fn wait(&mut self, expression: &str) {
+        let careful =
+            format!("(() => {{ try {{ return {expression} }} catch {{ return false }} }})()");
+        for _ in 0..400 {
+            if self.value(&careful) == json!(true) {
+                return;
+            }
+            std::thread::sleep(Duration::from_millis(50));
+        }
+        let text = self.value("document.body.innerText");
+        panic!("{expression} has not become true: {text}");
+    }
+
+    fn mouse(&mut self, what: &str, [x, y]: [f64; 2], more: &Value) {
+        let mut event = json!({"type": what, "x": x, "y": y});
+        more.as_object().unwrap().iter().for_each(|(key, value)| event[key] = value.clone());
+        self.ask("Input.dispatchMouseEvent", &event);
+    }
+
+    /// Clicks on a place of the window.
+    pub fn click(&mut self, at: [f64; 2]) {
+        let button = json!({"button": "left", "clickCount": 1});
+        self.mouse("mousePressed", at, &button);
+        self.mouse("mouseReleased", at, &button);
+    }
+
+    /// Clicks on the middle of an element.
+    pub fn click_on(&mut self, selector: &str) {
+        let at = self.middle(selector);
+        self.click(at);
+    }
+
+    /// Turns the wheel above the middle of an element.
+    pub fn wheel(&mut self, selector: &str, delta: f64) {
+        let at = self.middle(selector);
+        self.mouse("mouseWheel", at, &json!({"deltaX": 0, "deltaY": delta}));
+    }
+
+    /// Where the middle of an element is in the window.
+    pub fn middle(&mut self, selector: &str) -> [f64; 2] {
+        let box_of = format!("document.querySelector({selector:?}).getBoundingClientRect()");
+        let middle = format!("(b => [b.left + b.width / 2, b.top + b.height / 2])({box_of})");
+        serde_json::from_value(self.value(&middle)).unwrap()
+    }
+
+    /// Presses a key; `modifiers` is 2 for Control and 8 for Shift.
+    pub fn key(&mut self, key: &str, modifiers: u32) {
+        for what in ["rawKeyDown", "keyUp"] {
+            let event = json!({"type": what, "key": key, "modifiers": modifiers});
+            self.ask("Input.dispatchKeyEvent", &event);
+        }
+    }
+}
+
+/// `rowgram view`, and the address that it says.
+pub fn view(project: &Path) -> (Running, String) {
+    let mut server = Running(
+        Command::new(env!("CARGO_BIN_EXE_rowgram"))
+            .arg("view")
+            .arg(project)
+            .arg("--json")
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap(),
+    );
+    let mut line = String::new();
+    BufReader::new(server.0.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    let said: Value = serde_json::from_str(&line).unwrap();
+    (server, said["url"].as_str().unwrap().to_owned())
 }
 
 /// What a server says to these bytes.
@@ -78,7 +227,7 @@ fn ask_whole(address: &str, request: &str) -> String {
 }
 
 /// Status and body of it.
-fn ask(address: &str, request: &str) -> (String, Vec<u8>) {
+pub fn ask(address: &str, request: &str) -> (String, Vec<u8>) {
     let answer = answer(address, request);
     let end = answer.windows(4).position(|four| four == b"\r\n\r\n").unwrap_or(answer.len());
     let head = String::from_utf8_lossy(&answer[..end]).into_owned();
@@ -88,19 +237,7 @@ fn ask(address: &str, request: &str) -> (String, Vec<u8>) {
 
 /// `rowgram view` serves every pixel of the map and the photos behind it, and nothing else.
 pub fn assert_map_is_served(project: &Path) {
-    let mut server = Running(
-        Command::new(env!("CARGO_BIN_EXE_rowgram"))
-            .arg("view")
-            .arg(project)
-            .arg("--json")
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap(),
-    );
-    let mut line = String::new();
-    BufReader::new(server.0.stdout.take().unwrap()).read_line(&mut line).unwrap();
-    let said: Value = serde_json::from_str(&line).unwrap();
-    let url = said["url"].as_str().unwrap();
+    let (_server, url) = view(project);
     let (address, token) =
         url.trim_start_matches("http://").trim_end_matches('/').split_once('/').unwrap();
     assert!(address.starts_with("127.0.0.1:"), "{url}");

@@ -86,6 +86,40 @@ fn a_season_without_maps_is_incomplete_and_says_why() {
     assert_eq!(run.code, 2, "{}", run.stderr);
 }
 
+#[test]
+fn plots_and_panels_are_checked_before_any_flight_is_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    fs::create_dir(root.join("a")).unwrap();
+    let square = |properties: &str| {
+        format!(
+            r#"{{"type":"FeatureCollection","features":[{{"type":"Feature","properties":{properties},"geometry":
+            {{"type":"Polygon","coordinates":[[[0,0],[1,0],[1,1],[0,0]]]}}}}]}}"#
+        )
+    };
+    let flight = "[[flights]]\nproject = \"a\"\ndate = \"2020-05-01\"\n";
+    let (of_season, of_flight) =
+        (format!("panels = \"p.geojson\"\n{flight}"), format!("{flight}panels = \"p.geojson\"\n"));
+    let white = square(r#"{"name":"white","red":0.6,"green":0.6,"blue":60}"#);
+    let off = format!("{of_season}[season]\ncolours = \"off\"\n");
+    for (list, polygons, code, words) in [
+        (&of_season, &white, 2, "at most 1; blue is 60"),
+        (&of_flight, &white, 2, "p.geojson: panel white"),
+        (&of_season, &"{".to_owned(), 2, "p.geojson"),
+        (&format!("plots = \"p.geojson\"\n{flight}"), &"{".to_owned(), 2, "p.geojson"),
+        // Panels that nobody uses are in nobody's way.
+        (&off, &white, 3, "none of its flights has a map"),
+    ] {
+        fs::write(root.join("season.toml"), list).unwrap();
+        fs::write(root.join("p.geojson"), polygons).unwrap();
+        let run = rowgram(root, "season season.toml");
+        assert_eq!(run.code, code, "{list}: {}", run.stderr);
+        assert!(run.stderr.contains(words), "{list}: {}", run.stderr);
+        let has_run = run.stderr.contains("it takes no part in the season");
+        assert_eq!(has_run, code == 3, "{list}: {}", run.stderr);
+    }
+}
+
 /// Where the adjustment of a flight puts its ground points, in the frame of the season, minus where they truly are, metres.
 fn plan_errors(root: &Path, outcome: &SeasonOutcome, flight: usize) -> Vec<[f64; 2]> {
     let flight = &outcome.flights[flight];

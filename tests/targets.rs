@@ -1,6 +1,10 @@
 //! `rowgram targets`: what is found in the photos of a synthetic flight, against where it truly is, and what it is worth.
 
-use crate::program::rowgram;
+use crate::{
+    browser::{self, Page},
+    program::rowgram,
+};
+use serde_json::json;
 use std::{collections::HashMap, fs, path::Path};
 
 /// Image and label to column and row.
@@ -80,10 +84,23 @@ fn targets_are_found_where_they_are_and_are_worth_as_much_as_true_marks() {
         for name in ["targets.csv", "targets.png"] {
             assert!(folder.join("field/rowgram/targets").join(name).is_file(), "{name}");
         }
-        // Marks are never replaced unasked.
-        let again = rowgram(folder, &format!("targets field --size-m {size}"));
-        assert_eq!(again.code, 2);
-        assert!(again.stderr.contains("--force"), "{}", again.stderr);
+        // Marks made by hand are never replaced unasked.
+        let path = folder.join("field/marks.csv");
+        let text = fs::read_to_string(&path).unwrap();
+        let first = text.lines().nth(1).unwrap();
+        let cell: Vec<&str> = first.split(',').collect();
+        let u: f64 = cell[2].parse().unwrap();
+        let by_hand = format!("{},{},{},{},,", cell[0], cell[1], u + 3.0, cell[3]);
+        fs::write(&path, text.replace(first, &by_hand)).unwrap();
+        let options = format!("targets field --size-m {size} --kind {pattern} --json");
+        let again = rowgram(folder, &options);
+        assert_eq!(again.code, 0, "{}", again.stderr);
+        let outcome: serde_json::Value = serde_json::from_str(&again.stdout).unwrap();
+        assert_eq!(outcome["by_hand"], 1);
+        assert_eq!(marks(&path).len(), found.len());
+        assert!(fs::read_to_string(&path).unwrap().contains(&by_hand));
+        assert_eq!(rowgram(folder, &format!("{options} --force")).code, 0);
+        assert_eq!(fs::read_to_string(&path).unwrap(), text);
         if pattern == "chequered" {
             let with_found = check_errors(folder);
             fs::copy(folder.join("field/truth/marks.csv"), folder.join("field/marks.csv")).unwrap();
@@ -115,4 +132,139 @@ fn a_sheet_of_targets_is_a_file_that_says_what_it_needs() {
         assert_eq!(run.code, 2, "{arguments}: {}", run.stderr);
         assert!(run.stderr.contains(part), "{arguments}: {}", run.stderr);
     }
+}
+
+/// The photo and point that the page has chosen, and where the loupe must be clicked to hit the true place.
+fn aim(
+    page: &mut Page,
+    truth: &HashMap<(String, String), [f64; 2]>,
+) -> ((String, String), [f64; 2]) {
+    let said = page.value("document.querySelector('#place').textContent");
+    let (label, rest) = said.as_str().unwrap().split_once(" in ").unwrap();
+    let image = rest.split_once(": ").unwrap().0;
+    let ends = (image.to_owned(), label.to_owned());
+    let loupe = page
+        .value("(d => [d.u, d.v, d.zoom].map(Number))(document.querySelector('#loupe').dataset)");
+    let [u, v, zoom]: [f64; 3] = serde_json::from_value(loupe).unwrap();
+    let middle = page.middle("#loupe");
+    let at = truth[&ends];
+    let off = [at[0] - u, at[1] - v].map(|off| off * zoom);
+    assert!(
+        off.iter().all(|off| off.abs() < 180.0),
+        "{ends:?}: the loupe does not show {at:?}: {u} {v} {zoom}"
+    );
+    (ends, [middle[0] + off[0], middle[1] + off[1]])
+}
+
+#[test]
+#[ignore = "slow; aligns the photos of a flight"]
+fn marks_are_set_moved_and_removed_in_a_browser() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    aligned(folder, "chequered", "0.3");
+    let path = folder.join("field/marks.csv");
+    let truth = marks(&folder.join("field/truth/marks.csv"));
+    let (_server, url) = browser::view(&folder.join("field"));
+
+    // What is put by anybody else is refused, and writes nothing.
+    let (address, token) =
+        url.trim_start_matches("http://").trim_end_matches('/').split_once('/').unwrap();
+    let put = |target: &str, head: &str, body: &str| {
+        let request = format!(
+            "PUT /{target} HTTP/1.1\r\nHost: {address}\r\nContent-Length: {}\r\n{head}Connection: close\r\n\r\n{body}",
+            body.len()
+        );
+        browser::ask(address, &request).0
+    };
+    let (own, typed) = (format!("{token}/marks.json"), "Content-Type: application/json\r\n");
+    let set = |at: [f64; 2]| {
+        let change = json!({"photo": 0, "point": 0, "image_px": at});
+        json!({"revision": "", "changes": [change]}).to_string()
+    };
+    let fits = set([10.0, 10.0]);
+    let elsewhere = format!("{typed}Origin: http://evil.example\r\n");
+    let no_point = fits.replace("\"point\":0", "\"point\":99");
+    for (target, head, body, status) in [
+        (&own, "", &fits, " 415"),
+        (&own, &elsewhere, &fits, " 403"),
+        (&own, typed, &"{".to_owned(), " 400"),
+        (&own, typed, &set([-20.0, 10.0]), " 400"),
+        (&own, typed, &no_point, " 400"),
+        (&own, typed, &fits.replace("\"revision\":\"\"", "\"revision\":\"1\""), " 409"),
+        (&format!("{token}/gcps.csv"), typed, &fits, " 405"),
+        (&format!("{}/marks.json", "0".repeat(32)), typed, &fits, " 405"),
+    ] {
+        let said = put(target, head, body);
+        assert!(said.contains(status), "{target} {head} {body}: {said}");
+        assert!(!path.exists(), "{target} {head} {body}");
+    }
+
+    let Some(mut page) = Page::open(folder, &url) else { return };
+    page.wait("document.querySelectorAll('#crops figure').length > 1");
+    // Two marks: by a click in the loupe each, zoomed out until it shows the target.
+    let mut set = Vec::new();
+    for _ in 0..2 {
+        page.wheel("#loupe", 500.0);
+        page.wait("Number(document.querySelector('#loupe').dataset.zoom) < 3");
+        let (ends, at) = aim(&mut page, &truth);
+        page.click(at);
+        set.push(ends);
+        page.key("n", 0);
+    }
+    assert_ne!(set[0], set[1]);
+    page.wait(
+        "document.querySelector('#state').textContent === '0 marks saved, 2 changes not saved'",
+    );
+    assert!(!path.exists(), "nothing is written before it is saved");
+    page.click_on("#save");
+    page.wait("document.querySelector('#state').textContent === '2 marks saved'");
+    let saved = marks(&path);
+    assert_eq!(saved.len(), 2);
+    for ends in &set {
+        let off = [0, 1].map(|k| (saved[ends][k] - truth[ends][k]).abs());
+        assert!(off.iter().all(|off| *off < 0.3), "{ends:?}: {off:?}");
+    }
+    assert_eq!(page.value("document.querySelectorAll('#points .dot.green').length"), json!(1));
+
+    // The first is moved by keys, the second removed; a copy of the file keeps what stands in no column of ours.
+    let text = fs::read_to_string(&path).unwrap();
+    let noted: Vec<String> = text.lines().map(|line| format!("{line},windy")).collect();
+    fs::write(&path, noted.join("\n") + "\n").unwrap();
+    page.go_to(&url);
+    page.wait("document.querySelector('#state').textContent === '2 marks saved'");
+    let figure = |page: &mut Page, ends: &(String, String)| {
+        let find = format!(
+            "[...document.querySelectorAll('#crops figure')].findIndex(f => f.textContent.startsWith({:?})) + 1",
+            ends.0
+        );
+        let number = page.value(&find);
+        page.click_on(&format!("#crops figure:nth-child({number}) figcaption"));
+    };
+    figure(&mut page, &set[0]);
+    for (key, modifiers) in [("ArrowRight", 0), ("ArrowRight", 0), ("ArrowUp", 8)] {
+        page.key(key, modifiers);
+    }
+    figure(&mut page, &set[1]);
+    page.key("Delete", 0);
+    page.wait(
+        "document.querySelector('#state').textContent === '2 marks saved, 2 changes not saved'",
+    );
+    page.key("s", 2);
+    page.wait("document.querySelector('#state').textContent === '1 mark saved'");
+    let moved = marks(&path);
+    assert_eq!(moved.len(), 1);
+    let off = [0, 1].map(|k| moved[&set[0]][k] - saved[&set[0]][k]);
+    assert!((off[0] - 0.2).abs() < 1e-6 && (off[1] + 1.0).abs() < 1e-6, "{off:?}");
+    assert!(fs::read_to_string(&path).unwrap().contains(",windy"));
+
+    // Somebody else changes the file meanwhile: nothing is overwritten.
+    figure(&mut page, &set[0]);
+    page.key("Delete", 0);
+    let other = fs::read_to_string(&path).unwrap().replace(",windy", ",calm");
+    fs::write(&path, &other).unwrap();
+    page.click_on("#save");
+    page.wait("document.querySelector('#state').className === 'failed'");
+    assert_eq!(fs::read_to_string(&path).unwrap(), other);
+    page.click_on("#discard");
+    page.wait("document.querySelector('#state').textContent === '1 mark saved'");
 }

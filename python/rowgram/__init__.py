@@ -54,7 +54,7 @@ from .optimize import (
     coordinate_descent,
     read_bal,
 )
-from .project import Project, RunResult, StageResult, doctor, options, progress_bar, season
+from .project import Project, RunResult, StageResult, doctor, options, print_targets, progress_bar, season
 
 __all__ = [
     "AdjustResult",
@@ -88,6 +88,7 @@ __all__ = [
     "locate",
     "match",
     "options",
+    "print_targets",
     "progress_bar",
     "read_bal",
     "season",

@@ -22,6 +22,7 @@ MAIN_TABLES = {
     "leaves": "leaves.csv",
     "plots": "traits.csv",
     "crops": "traits.csv",
+    "targets": "targets.csv",
     "layout": "layout.csv",
     "season": "traits_long.csv",
     "leaf-count": "counts.csv",
@@ -65,6 +66,31 @@ def season(
     """
     values, folder = _rowgram.season(os.fspath(file), list(settings), progress, report)
     return StageResult("season", Path(folder), values, values["diagnostics"])
+
+
+def print_targets(
+    path: str | os.PathLike[str],
+    kind: str,
+    size_m: float,
+    *,
+    first: int = 0,
+    count: int = 1,
+    force: bool = False,
+) -> None:
+    """Write targets to print into a PDF, in true size, one on a page.
+
+    Args:
+        path: The file, ``.pdf``.
+        kind: ``"chequered"``, ``"cross"``, ``"disc"``, ``"apriltag"`` or ``"aruco"``.
+        size_m: Side of a chequered plate or of the black square of a code, length of the arms of a cross, diameter of a disc; metres.
+        first: Code of the first target.
+        count: Number of targets.
+        force: Replace a file that exists.
+
+    Raises:
+        InputError: A kind or size that cannot be printed, codes that do not exist, a file that exists.
+    """
+    _rowgram.print_targets(os.fspath(path), {"kind": kind, "size_m": size_m}, first, count, force)
 
 
 def doctor(path: str | os.PathLike[str]) -> list[dict[str, Any]]:
@@ -319,6 +345,24 @@ class Project:
         """
         values, diagnostics = self._inner.crops(options, force, progress)
         return StageResult("crops", Path(values["folder"]), values, diagnostics)
+
+    def targets(self, *, force: bool = False, progress: Progress | None = None, **options: Any) -> StageResult:
+        """Find the ground control targets of an aligned project in its photos, and write ``marks.csv``.
+
+        The next :meth:`run` uses the marks. Marks made by hand stay as they are. The table of the result (``to_pandas()``) has a
+        row for each target in each photo that should show it; ``file("targets.png")`` is a contact sheet.
+
+        Args:
+            force: Replace marks made by hand, too.
+            progress: Called while work goes on.
+            **options: ``kind``, ``size_m``, ``search_m``, ...: ``rowgram.options("targets")`` lists them.
+
+        Raises:
+            InputError: The project has no ground points, or they are nowhere near the photos.
+            IncompleteError: Photos and survey agree about no target.
+        """
+        values, diagnostics = self._inner.targets(options, force, progress)
+        return StageResult("targets", Path(values["table"]).parent, values, diagnostics)
 
     def layout(
         self,

@@ -33,6 +33,7 @@ fn _rowgram(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(project::sections, module)?)?;
     module.add_function(wrap_pyfunction!(project::doctor, module)?)?;
     module.add_function(wrap_pyfunction!(project::season, module)?)?;
+    module.add_function(wrap_pyfunction!(project::print_targets, module)?)?;
     module.add_function(wrap_pyfunction!(arrays::segment, module)?)?;
     module.add_function(wrap_pyfunction!(arrays::spectral_index, module)?)?;
     module.add_function(wrap_pyfunction!(arrays::locate, module)?)?;

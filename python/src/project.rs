@@ -17,6 +17,7 @@ use rowgram::{
         plots::layout::{self, LayoutRequest, LayoutSource},
         run::{RunOptions, RunOutcome},
         season::SeasonFile,
+        targets::{self, TargetsOptions},
     },
 };
 use std::path::PathBuf;
@@ -72,6 +73,19 @@ stages!(
     calibrate: Calibrate, align: Align, dem: Dem, surface: Surface, ortho: Ortho, segment: Segment, leaf_density: LeafDensity,
     leaf_count: LeafCount, locate: Locate, leaves: Leaves, plots: Plots, evaluate: Evaluate,
 );
+
+/// Does long work: `(outcome, diagnostics)`.
+fn done<'py, T: serde::Serialize + Send>(
+    py: Python<'py>,
+    progress: Option<Py<PyAny>>,
+    work: impl FnOnce(&mut PythonMonitor) -> Result<T, rowgram::Error> + Send,
+) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
+    let mut monitor = PythonMonitor::new(progress);
+    let outcome = without_python(py, || work(&mut monitor))?;
+    let outcome = result(py, &outcome.map_err(|error| from_library(&error))?)?;
+    monitor.finish()?;
+    Ok((outcome, diagnostics(py, &monitor.diagnostics)?))
+}
 
 fn diagnostics<'py>(py: Python<'py>, found: &[Diagnostic]) -> PyResult<Bound<'py, PyAny>> {
     result(py, &found)
@@ -154,13 +168,20 @@ impl Project {
         progress: Option<Py<PyAny>>,
     ) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
         let options = options::with(&self.0.config().crops, Some(options))?;
-        let mut monitor = PythonMonitor::new(progress);
-        let outcome = without_python(py, || {
-            pipeline::crops::crops(&self.0, &options, force, &mut monitor)
-        })?;
-        let outcome = result(py, &outcome.map_err(|error| from_library(&error))?)?;
-        monitor.finish()?;
-        Ok((outcome, diagnostics(py, &monitor.diagnostics)?))
+        done(py, progress, |monitor| pipeline::crops::crops(&self.0, &options, force, monitor))
+    }
+
+    /// Finds ground control targets in the photos: `(outcome, diagnostics)`.
+    #[pyo3(signature = (options, force=false, progress=None))]
+    fn targets<'py>(
+        &self,
+        py: Python<'py>,
+        options: &Bound<'py, PyDict>,
+        force: bool,
+        progress: Option<Py<PyAny>>,
+    ) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
+        let options = options::with(&self.0.config().targets, Some(options))?;
+        done(py, progress, |monitor| targets::targets(&self.0, &options, force, monitor))
     }
 
     /// Lays out plots, and moves them onto the rows of the project: `(outcome, diagnostics)`.
@@ -191,11 +212,7 @@ impl Project {
             output: &output,
             force,
         };
-        let mut monitor = PythonMonitor::new(progress);
-        let outcome = without_python(py, || layout::layout(&request, &options, &mut monitor))?;
-        let outcome = result(py, &outcome.map_err(|error| from_library(&error))?)?;
-        monitor.finish()?;
-        Ok((outcome, diagnostics(py, &monitor.diagnostics)?))
+        done(py, progress, |monitor| layout::layout(&request, &options, monitor))
     }
 
     /// Does all stages; the outcome of the run.
@@ -255,6 +272,21 @@ pub(crate) fn season<'py>(
     let (outcome, folder) = done.map_err(|error: rowgram::Error| from_library(&error))?;
     monitor.finish()?;
     Ok((result(py, &outcome)?, folder))
+}
+
+/// Writes a PDF of targets to print.
+#[pyfunction]
+#[pyo3(signature = (path, options, first=0, count=1, force=false))]
+pub(crate) fn print_targets(
+    path: PathBuf,
+    options: &Bound<'_, PyDict>,
+    first: usize,
+    count: usize,
+    force: bool,
+) -> PyResult<()> {
+    let options = options::with(&TargetsOptions::default(), Some(options))?;
+    targets::print_targets(&options, (first, count), &path, force)
+        .map_err(|error| from_library(&error))
 }
 
 /// What a project lacks, before hours are spent on it: diagnostics.

@@ -1,5 +1,8 @@
 """A project from photos to traits."""
 
+import shutil
+
+import pandas
 import pytest
 
 import rowgram
@@ -31,6 +34,28 @@ def test_crops_need_a_photo_that_shows_the_whole_plot(flight):
         flight.crops(photos_per_plot=2, margin_m=0.1)
     with pytest.raises(rowgram.InputError, match="photos_per_plot"):
         flight.crops(photos_per_plott=2)
+
+
+def test_targets_are_found_and_printed(flight, tmp_path):
+    root = tmp_path / "field"
+    shutil.copytree(flight.root, root)
+    (root / "marks.csv").write_text("image,label,u_px,v_px\nnowhere.jpg,elsewhere,1,2\n")
+    project = rowgram.Project(root)
+    result = project.targets(kind="chequered", size_m=0.4)
+    assert result.points_found == result.points and result.found > 0.9 * result.sightings
+    table = result.to_pandas()
+    assert (table.outcome == "found").sum() == result.found and result.file("targets.png").is_file()
+    marks = pandas.read_csv(root / "marks.csv")
+    assert len(marks) == 1 + result.found and marks.image[0] == "nowhere.jpg", "marks made by hand stay"
+    with pytest.raises(rowgram.InputError, match="kind"):
+        project.targets(kind="chequred")
+    with pytest.raises(rowgram.InputError, match="size_m"):
+        project.targets(size=0.4)
+    sheet = tmp_path / "sheet.pdf"
+    rowgram.print_targets(sheet, "aruco", 0.3, count=2)
+    assert sheet.read_bytes().startswith(b"%PDF")
+    with pytest.raises(rowgram.InputError, match="exist"):
+        rowgram.print_targets(sheet, "aruco", 0.3)
 
 
 def test_plots_are_laid_out_before_any_photo(tmp_path):

@@ -9,11 +9,13 @@ use std::path::PathBuf;
 ///
 /// PROJECT is a folder after rowgram align, with surveyed points in gcps.csv. Their targets are looked for where the block has
 /// them, measured to about a tenth of a pixel, and checked by all photos together. Writes marks.csv beside the photos (image, label,
-/// u_px, v_px, sigma_px), which the next rowgram run uses, and, among the results, targets/targets.csv with every target in every
+/// u_px, v_px, sigma_px, source), which the next rowgram run uses, and, among the results, targets/targets.csv with every target in every
 /// photo and targets/targets.png, a contact sheet: a row for each target, green where it was found.
 ///
 /// Targets are chequered plates of four squares, white crosses or discs on darker ground, AprilTag 36h11 or ArUco 4x4_50. Coded
 /// ones need no list of which code is where: positions tell. --print makes targets to print instead.
+///
+/// Marks made by hand stay as they are; those found before (source: found) are found anew. rowgram view shows all of them.
 ///
 /// Exit code 3 where nothing was found that photos agree about.
 ///
@@ -41,7 +43,7 @@ pub(super) struct Args {
     /// Code of the first target to print.
     #[arg(long, value_name = "CODE", default_value_t = 0, requires = "print")]
     first: usize,
-    /// Replace marks or a file that exist.
+    /// Replace marks made by hand too, or a file that exists.
     #[arg(long)]
     force: bool,
     /// Print the outcome as one line of JSON.

@@ -1,18 +1,20 @@
-//! `rowgram view`: the map of a project in a browser.
+//! `rowgram view`: the map and the marks of a project in a browser.
 
 use super::{print, print_json, project};
 use rowgram_base::error::Error;
 use rowgram_project::report::view::{Server, Viewer, serve};
 use std::path::PathBuf;
 
-/// Show the map of a project in a browser, in full resolution
+/// Show the map and the marks of a project in a browser
 ///
 /// The map of the report with every pixel of the orthomosaic, and with the photos: a click on a plant shows it in every photo
-/// in whose frame it lies. Prints the address to open, and answers until it is stopped (Ctrl-C). Only programs on this
-/// machine can ask, only those that know the address with its random part, and only for what the map shows. The rasters
-/// of the project are at ADDRESS/rasters/ortho.tif and so on, for QGIS and GDAL.
+/// in whose frame it lies. Where there are surveyed points, ADDRESS/marks shows each in all photos that should show it;
+/// marks are set, moved and removed in a loupe there, and saved into marks.csv, the only file that can be written. Prints the
+/// address to open, and answers until it is stopped (Ctrl-C). Only programs on this machine can ask, only those that
+/// know the address with its random part, and only for what these pages show. The rasters of the project are at
+/// ADDRESS/rasters/ortho.tif and so on, for QGIS and GDAL.
 ///
-/// PROJECT is a folder after rowgram run.
+/// PROJECT is a folder after rowgram run; after rowgram align there are marks alone.
 ///
 /// Examples:
 ///   rowgram view field
@@ -36,7 +38,7 @@ pub(super) struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// A project without a map; a port that is taken.
+/// A project with neither a map nor anything to mark; a port that is taken.
 pub(super) fn run(args: &Args) -> Result<(), Error> {
     let project = project::open(&args.project, args.output.as_deref())?;
     let viewer = Viewer::open(&project)?;

@@ -6,7 +6,7 @@
 //! | file | columns |
 //! |---|---|
 //! | ground points | `label`, `easting_m`, `northing_m`, `height_m`; optional `sigma_x_m`, `sigma_y_m` or `Accuracy_Horizontal`, `sigma_z_m` or `Accuracy_Vertical`, `role` (control, check, tie; without one a label that begins with `CHK-` is a check point), `axes` (xyz, xy, z) |
-//! | marks | `image`, `label`, `u_px`, `v_px`; optional `sigma_px` |
+//! | marks | `image`, `label`, `u_px`, `v_px`; optional `sigma_px`, `source` (`found` for those that a program found) |
 //! | camera positions | `image`, `easting_m`, `northing_m`, `height_m`; optional standard deviations as above |
 //! | scale bars | `from`, `to`, `length_m`; optional `sigma_m` |
 //!
@@ -17,7 +17,7 @@
 mod marks;
 
 pub use super::image_names::Names;
-pub use marks::marks;
+pub use marks::{MarkRow, MarkTable, marks};
 
 use super::{
     FileError,

@@ -216,6 +216,11 @@ impl Table {
         Some(line.trim_start_matches(['#', ' ']))
     }
 
+    /// The lines before its rows that are none: comments, and a reference system.
+    pub(super) fn comments(&self) -> &[String] {
+        &self.preamble
+    }
+
     /// All columns with their names, in their order.
     pub(super) fn columns(&self) -> impl Iterator<Item = (&str, Column)> {
         self.header.iter().enumerate().map(|(k, title)| (title.as_str(), Column(k)))

@@ -67,14 +67,17 @@ pub(super) fn page(facts: &Facts<'_>) -> Result<String, Error> {
     Ok(page.into_string())
 }
 
-/// The page of a map that a server sends, with its style in a file.
-pub(super) fn viewer(name: &str, map: &Markup) -> String {
+/// The page of a map that a server sends, with its style in a file, and a way to the page of marks where there is one.
+pub(super) fn viewer(name: &str, map: &Markup, has_marks: bool) -> String {
     let page = html! {
         (DOCTYPE)
         html lang="en" {
             (head(name, &html! { link rel="stylesheet" href="style.css"; }))
             body .viewer {
-                header { h1 { (name) } }
+                header {
+                    h1 { (name) }
+                    @if has_marks { p { a href="marks" { "Marks of ground points" } } }
+                }
                 main { (map) }
             }
         }
@@ -82,7 +85,7 @@ pub(super) fn viewer(name: &str, map: &Markup) -> String {
     page.into_string()
 }
 
-fn head(name: &str, style: &Markup) -> Markup {
+pub(super) fn head(name: &str, style: &Markup) -> Markup {
     html! {
         head {
             meta charset="utf-8";

@@ -124,6 +124,19 @@ const NEIGHBOURS: usize = 2;
 /// more than 2 %.
 const MIN_GROUND: usize = 50;
 
+/// Whether the panels of a season can be used, as far as that shows before there are maps.
+///
+/// # Errors
+/// A file that cannot be read, and a panel without reflectances.
+pub(super) fn check_panels(file: &SeasonFile) -> Result<(), Error> {
+    if file.options.colours != ColourScale::Auto {
+        return Ok(());
+    }
+    let of_flights = file.flights.iter().filter_map(|flight| flight.panels.as_ref());
+    let own = of_flights.map(|path| file.root().join(path));
+    own.chain(file.panels.clone()).try_for_each(|path| panels::check(&path))
+}
+
 /// The scale of each map; `None` for one that shares too little with the others.
 ///
 /// # Errors

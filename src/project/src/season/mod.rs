@@ -36,7 +36,7 @@ use rowgram_base::{
     error::Error,
     monitor::{Diagnostic, Monitor, Recorder},
 };
-use rowgram_files::polygons;
+use rowgram_files::polygons::{self, Named};
 use rowgram_optim::output::{self, FileError};
 use rowgram_plants::{phenotype::traits::PlotTraits, problems::growth_curve::GrowthModel};
 use serde::{Deserialize, Serialize};
@@ -180,6 +180,11 @@ pub fn season(
     let results = file.results();
     let _lock = Lock::take(&root, &results)?;
     record::check(&results, &write::FILES, force)?;
+    // Before hours are spent on the flights.
+    colours::check_panels(file)?;
+    if let Some(plots) = &file.plots {
+        polygons::check(plots, None)?;
+    }
     let mut flights = Vec::new();
     for entry in &file.flights {
         let folder = root.join(&entry.project);
@@ -370,20 +375,12 @@ fn outlines(file: &SeasonFile, maps: &[DateMap]) -> Result<Option<Vec<Outline>>,
     // Any map will do: it says in which system, and pixels go back to where they came from.
     let place = maps[0].place;
     let named = polygons::read(path, Some(&place))?;
-    let mut outlines: Vec<Outline> = Vec::new();
-    for plot in named {
-        if outlines.iter().any(|(name, _)| *name == plot.name) {
-            let message = format!(
-                "two plots are called {:?}: expected a name of its own for each",
-                plot.name
-            );
-            return Err(FileError::malformed(path, None, message).into());
-        }
+    let outline = |plot: Named| {
         // Holes are left to the mask: an outline is the first ring.
         let ring = plot.polygon.rings.into_iter().next().unwrap_or_default();
-        outlines.push((plot.name, ring.into_iter().map(|at| place.map(at)).collect()));
-    }
-    Ok(Some(outlines))
+        (plot.name, ring.into_iter().map(|at| place.map(at)).collect())
+    };
+    Ok(Some(named.into_iter().map(outline).collect()))
 }
 
 /// A path as seen from a folder, where both lie in one place; absolute otherwise.

@@ -1,16 +1,23 @@
 //! Ground control targets found in the photos of an aligned project: `marks.csv` without a click.
 //!
-//! Not a stage: what it finds is an input of the next run, beside the photos, where a person may change it.
+//! Not a stage: what it finds is an input of the next run, beside the photos, where a person may change it ([`MarkEditor`]).
 
 mod contact_sheet;
+mod editor;
+mod marks;
+
+pub use editor::{
+    Mark, MarkChange, MarkChanges, MarkEditor, MarkPhoto, MarkSheet, MarkedPoint, PointSight, Saved,
+};
 
 use super::{Project, align, import};
+use marks::marks_file;
 use rowgram_base::{
     error::Error,
     monitor::{Counter, Diagnostic, Monitor},
     options::Auto,
 };
-use rowgram_files::{csv_table::CsvWriter, images};
+use rowgram_files::{control::MarkTable, csv_table::CsvWriter, images};
 use rowgram_optim::{
     output::{self, FileError},
     robust,
@@ -82,6 +89,8 @@ pub struct TargetsOutcome {
     pub sightings: usize,
     /// Those that were measured.
     pub found: usize,
+    /// Marks made by hand, which stay as they are.
+    pub by_hand: usize,
     /// Median standard deviation of a measurement, pixels.
     pub median_sigma_px: f64,
     /// Positions in the block less surveyed ones, metres.
@@ -110,16 +119,19 @@ impl fmt::Display for TargetsOutcome {
             "the block is {east:+.2} m east, {north:+.2} m north, {up:+.2} m up of the survey; targets differ by {:.2} m",
             self.shift_sigma_m
         )?;
+        if self.by_hand > 0 {
+            writeln!(f, "{} marks made by hand stay as they are", self.by_hand)?;
+        }
         write!(f, "look at {}, then rowgram run uses the marks", self.contact_sheet.display())
     }
 }
 
 /// Finds the targets of the surveyed ground points in the photos of an aligned project and writes `marks.csv`, a table and a contact
-/// sheet.
+/// sheet. Marks made by hand stay as they are, unless `force`.
 ///
 /// # Errors
-/// A project that is not aligned or has no ground points, marks that exist unless `force`, photos that cannot be read;
-/// [`Error::Incomplete`] where the photos agree about no target.
+/// A project that is not aligned or has no ground points, marks that cannot be read or contradict the photos, photos that cannot be
+/// read; [`Error::Incomplete`] where the photos agree about no target.
 pub fn targets(
     project: &Project,
     options: &TargetsOptions,
@@ -129,9 +141,13 @@ pub fn targets(
     rowgram_base::options::Options::validate(options)
         .map_err(|why| Error::Argument(format!("[targets] {why}")))?;
     let marks = marks_file(project);
-    output::check(&marks, force)?;
     let reconstruction = project.reconstruction()?;
     let points = align::surveyed_points(project, &reconstruction, monitor)?;
+    let before = || match force {
+        true => Ok(MarkTable::default()),
+        false => marks::read(&marks, &reconstruction.images, &points),
+    };
+    before()?;
     let files = import::photo_files(&reconstruction, &project.photo_folder())?;
     let search = TargetSearch {
         kind: options.kind,
@@ -157,6 +173,10 @@ pub fn targets(
             points.len()
         )));
     };
+    // They may have changed meanwhile.
+    let block = (&reconstruction.images[..], &points[..]);
+    let (table, by_hand) = marks::join(&marks, before()?, &found, block)?;
+    table.write(&marks, true)?;
     let folder = project.results().join(FOLDER);
     output::make_folder(&folder)?;
     let order = contact_sheet::order(&found);
@@ -164,7 +184,6 @@ pub fn targets(
         let image = reconstruction.images[sighting.image].name.as_str();
         [image, points[sighting.ground].name.as_str()]
     };
-    write_marks(&marks, force, &found, named)?;
     let table = folder.join(TABLE);
     write_table(&table, &found, named, &order)?;
     let contact_sheet = folder.join(CONTACT_SHEET);
@@ -183,6 +202,7 @@ pub fn targets(
         points_found: (0..points.len()).filter(is_found).count(),
         sightings: found.sightings.len(),
         found: found.measurements().count(),
+        by_hand,
         median_sigma_px: robust::median(found.measurements().map(|(_, m)| m.sigma_px))
             .unwrap_or(f64::NAN),
         shift_m: found.shift_m,
@@ -210,36 +230,12 @@ pub fn print_targets(
     Ok(output::write(path, force, |out| out.write_all(&file))?)
 }
 
-/// Where a project has its marks.
-fn marks_file(project: &Project) -> PathBuf {
-    let named = project.config().project.marks.as_ref();
-    project.given(named, &["marks.csv"]).unwrap_or_else(|| project.root().join("marks.csv"))
-}
-
 /// Twice the standard deviation of camera positions in plan.
 fn search_m(reconstruction: &Reconstruction) -> f64 {
     let sigmas = reconstruction.positions.iter().map(|at| at.sigma_m[0].hypot(at.sigma_m[1]));
     let sigma_m = robust::median(sigmas)
         .map_or(POSITION_SIGMA_M, |sigma| sigma * std::f64::consts::FRAC_1_SQRT_2);
     (2.0 * sigma_m).max(MIN_SEARCH_M)
-}
-
-fn write_marks<'a>(
-    path: &Path,
-    force: bool,
-    found: &'a FoundTargets,
-    named: impl Fn(&'a TargetSighting) -> [&'a str; 2],
-) -> Result<(), FileError> {
-    output::write(path, force, |out| {
-        let mut csv = CsvWriter::new(out);
-        csv.write_record(["image", "label", "u_px", "v_px", "sigma_px"])?;
-        for (sighting, measured) in found.measurements() {
-            let [image, label] = named(sighting);
-            let [u, v] = measured.image_px.map(|px| format!("{px:.3}"));
-            csv.write_record([image, label, &u, &v, &format!("{:.3}", measured.sigma_px)])?;
-        }
-        csv.flush()
-    })
 }
 
 const COLUMNS: [&str; 14] = [
@@ -314,7 +310,7 @@ fn missing(found: &FoundTargets, points: &[GroundPoint], monitor: &mut dyn Monit
         );
         let found = Diagnostic::warning("targets-not-found", "targets", message);
         monitor.diagnostic(
-            &found.with_remedy("mark them by hand in marks.csv, or lower [targets] min_score"),
+            &found.with_remedy("mark them by hand (rowgram view), or lower [targets] min_score"),
         );
     }
 }

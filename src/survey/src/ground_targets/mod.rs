@@ -13,6 +13,7 @@
 mod code_words;
 mod codes;
 mod consensus;
+mod expected;
 mod fit;
 mod outcome;
 mod patch;
@@ -20,6 +21,7 @@ mod search;
 mod shape;
 pub mod sheet;
 
+pub use expected::{ExpectedMark, ExpectedMarks, expected_marks, on_the_ground};
 pub use outcome::{
     FoundTargets, NotFound, ReadPhoto, TargetKind, TargetMeasurement, TargetSearch, TargetSighting,
 };
@@ -38,8 +40,6 @@ use search::{Searched, Wanted};
 
 /// Targets with fewer pixels are not looked for.
 pub const MIN_SIZE_PX: f64 = 6.0;
-/// Tie points whose heights tell that of the ground at a target.
-const HEIGHT_POINTS: usize = 15;
 /// What the shift may differ between targets of a block that GNSS holds, as a share of the search radius.
 const DEFORMATION_SHARE: f64 = 0.1;
 /// How far from its place a target is looked for once the shift is known, in sizes: enough for its own deviation, and too near for
@@ -75,7 +75,7 @@ pub fn find_targets(
     read: ReadPhoto<'_>,
 ) -> Result<Option<FoundTargets>, Error> {
     let block = Block { reconstruction, views: views(reconstruction), points, options };
-    let grounds = block.on_the_ground();
+    let grounds = on_the_ground(reconstruction, points);
     let first = block.predict(|k| Some((grounds[k], options.search_m)));
     let Some(wanted) = block.decide(&first, &grounds, read)? else { return Ok(None) };
     let searched = block.search(&wanted, &first, read)?;
@@ -109,28 +109,6 @@ struct Block<'a> {
 }
 
 impl Block<'_> {
-    /// The points at the height that the block has there.
-    fn on_the_ground(&self) -> Vec<[f64; 3]> {
-        let ties = &self.reconstruction.points;
-        let place = |point: &GroundPoint| {
-            let [x, y, z] = point.position_m;
-            let mut near: Vec<(f64, f64)> = ties
-                .iter()
-                .map(|tie| {
-                    let [tx, ty, tz] = tie.position_m;
-                    ((tx - x).powi(2) + (ty - y).powi(2), tz)
-                })
-                .collect();
-            let count = near.len().min(HEIGHT_POINTS);
-            if count > 0 && count < near.len() {
-                near.select_nth_unstable_by(count - 1, |a, b| a.0.total_cmp(&b.0));
-            }
-            let height = robust::median(near[..count].iter().map(|(_, height)| *height));
-            [x, y, height.unwrap_or(z)]
-        };
-        self.points.par_iter().map(place).collect()
-    }
-
     /// Where the photos should show points, of which `place` has the position and the radius of the search.
     fn predict(&self, place: impl Fn(usize) -> Option<([f64; 3], f64)>) -> Vec<Prediction> {
         let mut found = Vec::new();
@@ -174,18 +152,29 @@ impl Block<'_> {
         predictions: &[Prediction],
         read: ReadPhoto<'_>,
     ) -> Result<Vec<Searched>, Error> {
-        let of_image = |image: usize| -> Vec<(usize, &Prediction)> {
-            predictions.iter().enumerate().filter(|(_, p)| p.image == image).collect()
-        };
-        let found: Vec<Result<Vec<(usize, Searched)>, Error>> = (0..self.views.len())
+        let mut of_choices = self.search_all(std::slice::from_ref(wanted), predictions, read)?;
+        Ok(of_choices.pop().unwrap_or_default())
+    }
+
+    /// Looks for targets of several kinds and sizes at their predictions; photos are read once.
+    fn search_all(
+        &self,
+        choices: &[Wanted],
+        predictions: &[Prediction],
+        read: ReadPhoto<'_>,
+    ) -> Result<Vec<Vec<Searched>>, Error> {
+        let found: Vec<Result<Vec<_>, Error>> = (0..self.views.len())
             .into_par_iter()
             .map(|image| {
-                let own = of_image(image);
+                let own = predictions.iter().enumerate().filter(|(_, p)| p.image == image);
+                let own: Vec<(usize, usize)> =
+                    own.flat_map(|(k, _)| (0..choices.len()).map(move |c| (c, k))).collect();
                 if own.is_empty() {
                     return Ok(Vec::new());
                 }
                 let photo = read(image)?;
-                let search = |(k, p): (usize, &Prediction)| {
+                let search = |(choice, k): (usize, usize)| {
+                    let (wanted, p): (&Wanted, &Prediction) = (&choices[choice], &predictions[k]);
                     let scale = px_per_m(&p.jacobian);
                     let (size_px, radius_px) = (scale * wanted.size_m, scale * p.radius_m);
                     let patch = Patch::cut(&photo, p.centre_px, radius_px + 1.5 * size_px + 4.0);
@@ -195,15 +184,15 @@ impl Block<'_> {
                         }
                         _ => Searched::default(),
                     };
-                    (k, found)
+                    (choice, k, found)
                 };
                 Ok(own.into_par_iter().map(search).collect())
             })
             .collect();
-        let mut searched = vec![Searched::default(); predictions.len()];
+        let mut searched = vec![vec![Searched::default(); predictions.len()]; choices.len()];
         for of_image in found {
-            for (k, found) in of_image? {
-                searched[k] = found;
+            for (choice, k, found) in of_image? {
+                searched[choice][k] = found;
             }
         }
         Ok(searched)
@@ -257,8 +246,8 @@ impl Block<'_> {
         let few: Vec<Prediction> =
             predictions.iter().filter(|p| deciding.contains(&p.image)).copied().collect();
         let mut best: Option<(f64, Wanted)> = None;
-        for wanted in choices {
-            let searched = self.search(&wanted, &few, read)?;
+        let searched = self.search_all(&choices, &few, read)?;
+        for (wanted, searched) in choices.into_iter().zip(searched) {
             let sights = self.sights(&few, &searched, grounds);
             // The same tolerance for all, or larger ones would gather more by chance.
             let Some((_, sum)) = common_shift(&sights, self.tolerance_m(0.0)) else { continue };

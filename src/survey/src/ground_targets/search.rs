@@ -136,12 +136,14 @@ impl Wanted {
         let (columns, rows) = level.window(level.in_patch(centre_px), radius_px / level.factor);
         let (width, height) = (columns.len(), rows.len());
         let mut values = vec![(0.0f32, 0usize); width * height];
-        for (k, value) in values.iter_mut().enumerate() {
-            let (i, j) = (columns.start + k % width, rows.start + k / width);
+        let mut correlations = vec![0.0f32; width];
+        for (values, j) in values.chunks_mut(width.max(1)).zip(rows.clone()) {
             for (number, template) in templates.iter().enumerate() {
-                let correlation = template.correlation(level, i, j);
-                if correlation > value.0 {
-                    *value = (correlation, number);
+                template.correlate_row(level, columns.start, j, &mut correlations);
+                for (value, &correlation) in values.iter_mut().zip(&correlations) {
+                    if correlation > value.0 {
+                        *value = (correlation, number);
+                    }
                 }
             }
         }
@@ -268,6 +270,8 @@ fn read_code(
 /// A shape on the pixels of a level, with mean 0 and sum of squares 1.
 struct Template {
     turn_rad: f64,
+    /// Its pixels are no farther from the middle, along each axis.
+    half: i32,
     pixels: Vec<(i32, i32, f32)>,
 }
 
@@ -301,7 +305,41 @@ impl Template {
         pixels.iter_mut().for_each(|p| p.2 -= mean);
         let norm = pixels.iter().map(|p| p.2 * p.2).sum::<f32>().sqrt().max(1e-6);
         pixels.iter_mut().for_each(|p| p.2 /= norm);
-        Template { turn_rad, pixels }
+        Template { turn_rad, half, pixels }
+    }
+
+    /// Correlations about the pixels of a row, from a column on.
+    fn correlate_row(&self, level: &Patch, first: usize, j: usize, correlations: &mut [f32]) {
+        /// Pixels that are worked on together: their sums stay in registers.
+        const LANES: usize = 16;
+        let (half, width) = (self.half as usize, level.width);
+        let is_within = j >= half && j + half < level.height;
+        let mut k = 0;
+        while k < correlations.len() {
+            let i = first + k;
+            if !is_within || i < half || i + LANES + half > width || k + LANES > correlations.len()
+            {
+                correlations[k] = self.correlation(level, i, j);
+                k += 1;
+                continue;
+            }
+            let (mut sum, mut squares, mut product) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
+            for &(di, dj, value) in &self.pixels {
+                let at = (j as i32 + dj) as usize * width + (i as i32 + di) as usize;
+                let Some(greys) = level.data.get(at..at + LANES) else { continue };
+                for (lane, grey) in greys.iter().enumerate() {
+                    let grey = grey - 128.0;
+                    sum[lane] += grey;
+                    squares[lane] += grey * grey;
+                    product[lane] += value * grey;
+                }
+            }
+            for (lane, correlation) in correlations[k..k + LANES].iter_mut().enumerate() {
+                let count = self.pixels.len();
+                *correlation = of_sums(sum[lane], squares[lane], product[lane], count);
+            }
+            k += LANES;
+        }
     }
 
     /// Correlation about a pixel; of pixels beyond the border of the photo nothing is known.
@@ -319,12 +357,48 @@ impl Template {
             product += value * grey;
             count += 1;
         }
-        let n = count as f32;
-        let spread = squares - sum * sum / n.max(1.0);
-        // Less than two grey values of contrast is noise.
-        if 3 * count < 2 * self.pixels.len() || spread < 4.0 * n {
+        if 3 * count < 2 * self.pixels.len() {
             return 0.0;
         }
-        product / spread.sqrt()
+        of_sums(sum, squares, product, count)
+    }
+}
+
+/// The correlation that sums over so many pixels make.
+fn of_sums(sum: f32, squares: f32, product: f32, count: usize) -> f32 {
+    let n = count as f32;
+    let spread = squares - sum * sum / n.max(1.0);
+    // Less than two grey values of contrast is noise.
+    if spread < 4.0 * n { 0.0 } else { product / spread.sqrt() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pixels_that_are_worked_on_together_have_the_correlations_of_single_ones() {
+        let (width, height) = (83, 40);
+        let noise = |k: usize| ((k * 7919 + k * k * 31) % 251) as f32;
+        let level = Patch {
+            origin_px: [0.0; 2],
+            factor: 1.0,
+            width,
+            height,
+            data: (0..width * height).map(noise).collect(),
+        };
+        let ground: Jacobian = [[40.0, 3.0], [-2.0, 41.0]];
+        for kind in [TargetKind::Chequered, TargetKind::Disc, TargetKind::Aruco] {
+            let wanted = Wanted::new(kind, 0.2, 0.7);
+            for template in wanted.templates(&level, &ground) {
+                let mut row = vec![0.0; width];
+                for j in 0..height {
+                    template.correlate_row(&level, 0, j, &mut row);
+                    let single: Vec<f32> =
+                        (0..width).map(|i| template.correlation(&level, i, j)).collect();
+                    assert_eq!(row, single);
+                }
+            }
+        }
     }
 }

@@ -7,7 +7,7 @@ use super::{
 };
 use crate::{
     camera::Camera,
-    scene::{Image, Pose, Role, TiePoint},
+    scene::{GroundObservation, Image, Pose, Role, TiePoint},
 };
 use data_synth::{
     patterns::TargetPattern,
@@ -211,4 +211,43 @@ fn targets_of_every_kind_are_found_in_a_block_that_is_off_and_none_is_wrong() {
         assert!(errors.last().is_some_and(|&worst| worst < 1.0), "{kind}");
         assert!(median(&errors) < 0.15, "{kind}");
     }
+}
+
+#[test]
+fn a_few_marks_tell_where_photos_show_the_other_points() {
+    let Flight { twin, block, points } = flight(TargetPattern::Chequered, 0.3);
+    let (views, grounds) = (views(&block), on_the_ground(&block, &points));
+    let mark = |mark: &data_synth::targets::Mark| GroundObservation {
+        image: mark.shot as u32,
+        ground: mark.target as u32,
+        image_px: mark.true_px,
+        sigma_px: 0.5,
+    };
+    let mut marks: Vec<GroundObservation> =
+        twin.marks.iter().filter(|mark| mark.target < 3).map(mark).collect();
+    // The worst distance of a point without marks from where it truly appears, metres.
+    let worst = |marks: &[GroundObservation]| {
+        let found = expected_marks(&block, &views, &grounds, marks);
+        let off_m = twin.marks.iter().filter(|mark| mark.target >= 3).map(|mark| {
+            let own = &found.of_points[mark.target];
+            let at = own.iter().find(|at| at.image == mark.shot)?;
+            let [u, v] = at.image_px;
+            Some((u - mark.true_px[0]).hypot(v - mark.true_px[1]) / at.px_per_m)
+        });
+        // What lies at the edge of a photo may be expected outside of it.
+        let off_m: Vec<f64> = off_m.flatten().collect();
+        assert!(off_m.len() >= 6, "{off_m:?}");
+        (off_m.into_iter().fold(0.0, f64::max), found)
+    };
+    let (without, found) = worst(&[]);
+    assert!(without > 0.5 && found.residuals_px.is_empty(), "{without}");
+    let (with, found) = worst(&marks);
+    assert!(with < 0.2, "{with}");
+    assert!(found.residuals_px.iter().flatten().count() >= 4, "{found:?}");
+    assert!(found.residuals_px.iter().flatten().all(|&off| off < 6.0), "{found:?}");
+    // A slip of the hand stands out.
+    marks[0].image_px[0] += 40.0;
+    let (_, found) = worst(&marks);
+    let slip = found.residuals_px[0];
+    assert!(slip.is_none_or(|off| off > 20.0), "{slip:?}");
 }

@@ -1,4 +1,4 @@
-//! The map of a project in full resolution, for a browser on the same machine.
+//! The map of a project in full resolution and its marks, for a browser on the same machine.
 //!
 //! [`Viewer::answer`] turns the target of a request into an answer; [`serve`] brings both over HTTP. A target names a tile, a
 //! place, the number of a photo or one of the rasters of the project, never a path, so that nothing outside of the project can be
@@ -11,7 +11,11 @@
 //! | `tiles/LEVEL/COLUMN/ROW.jpg` | 512 x 512 pixels of the orthomosaic, each of 2^LEVEL x 2^LEVEL of its own |
 //! | `photos?u=U&v=V` | the photos in whose frame a place of the orthomosaic (pixels) lies, as JSON |
 //! | `photos/NUMBER.jpg?u=U&v=V&side=S` | S x S pixels of a photo around a place |
+//! | `marks` | the page of marks ([`crate::targets::MarkEditor`]), which is the first where there is no map; `marks.css` and `marks.js` are its parts |
+//! | `marks.json` | the marks; what is put there changes their file, and nothing else can be written |
+//! | `marks/NUMBER.jpg?u=U&v=V&side=S` | as for `photos`, of the photos of the block |
 
+mod marks;
 mod serve;
 
 use super::{Facts, map, page, pictures::on_paper};
@@ -20,6 +24,7 @@ use crate::{
     query::{OrthophotoOrigins, Sighting, query},
     run::RunOutcome,
     stac,
+    targets::MarkEditor,
 };
 use image::{Rgb, RgbImage, codecs::jpeg::JpegEncoder, imageops};
 use rowgram_base::error::Error;
@@ -49,7 +54,7 @@ type WithGaps = (RgbImage, Option<Vec<bool>>);
 /// What is sent back.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Answer {
-    /// Status of HTTP: 200, 403 to 413 (a request that is refused), 404 (nothing there), 500.
+    /// Status of HTTP: 200, 400 to 415 (a request that is refused), 404 (nothing there), 500.
     pub status: u16,
     /// Media type of the body.
     pub media_type: &'static str,
@@ -73,23 +78,44 @@ impl Answer {
     }
 }
 
-/// What a map of a project is drawn from.
+/// What a project is looked at with.
+#[derive(Default)]
 pub struct Viewer {
+    /// The first page.
     page: String,
+    marks_page: String,
+    editor: Option<MarkEditor>,
     orthomosaic: Option<Reader>,
     place: Option<Georeference>,
     origins: Option<OrthophotoOrigins>,
-    photos: Mutex<Vec<(usize, Arc<RgbImage>)>>,
+    photos: Mutex<Vec<(PathBuf, Arc<RgbImage>)>>,
     /// Files that are sent as they are, by name.
     rasters: BTreeMap<&'static str, PathBuf>,
 }
 
 impl Viewer {
-    /// Opens the results of the last run of a project.
+    /// Opens the results of the last run of a project, and its marks where it is aligned and has surveyed points.
     ///
     /// # Errors
-    /// [`Error::NothingToDo`] where there is no orthomosaic; results that cannot be read.
+    /// [`Error::NothingToDo`] where there is neither an orthomosaic nor anything to mark; results that cannot be read.
     pub fn open(project: &Project) -> Result<Viewer, Error> {
+        let editor = MarkEditor::open(project);
+        if let Err(error) = &editor {
+            tracing::info!("no page of marks: {error}");
+        }
+        let (editor, name) = (editor.ok(), project.name());
+        match Viewer::of_map(project, editor.is_some()) {
+            Ok(viewer) => Ok(Viewer { marks_page: marks::page(&name, true), editor, ..viewer }),
+            Err(error) if editor.is_some() => {
+                tracing::info!("no map: {error}");
+                let page = marks::page(&name, false);
+                Ok(Viewer { marks_page: page.clone(), page, editor, ..Viewer::default() })
+            }
+            Err(error) => Err(error),
+        }
+    }
+
+    fn of_map(project: &Project, has_marks: bool) -> Result<Viewer, Error> {
         let outcome = RunOutcome::of_last_run(project)?;
         let facts = Facts::gather(project, &outcome)?;
         let Some(path) = facts.orthomosaic() else {
@@ -108,11 +134,11 @@ impl Viewer {
         };
         let place = orthomosaic.as_ref().and_then(Reader::georeference);
         let served = map::Served { tiles: orthomosaic.is_some(), photos: origins.is_some() };
-        let page = page::viewer(&outcome.project, &map::served(&facts, served)?);
+        let page = page::viewer(&outcome.project, &map::served(&facts, served)?, has_marks);
         let rasters = stac::rasters()
             .filter_map(|(stage, name)| Some((name, facts.file(stage, name)?)))
             .collect();
-        Ok(Viewer { page, orthomosaic, place, origins, photos: Mutex::default(), rasters })
+        Ok(Viewer { page, orthomosaic, place, origins, rasters, ..Viewer::default() })
     }
 
     /// The raster that a target names.
@@ -126,17 +152,29 @@ impl Viewer {
         let parts: Vec<&str> = path.split('/').collect();
         let script =
             |text: &str| Some(Answer::found("text/javascript; charset=utf-8", text.into()));
+        let page = |text: &str| Some(Answer::found("text/html; charset=utf-8", text.into()));
+        let style = |text: &str| Some(Answer::found("text/css; charset=utf-8", text.into()));
         let answer = match parts[..] {
-            [""] => Some(Answer::found("text/html; charset=utf-8", self.page.clone().into())),
-            ["style.css"] => Some(Answer::found("text/css; charset=utf-8", page::STYLE.into())),
+            [""] => page(&self.page),
+            ["style.css"] => style(page::STYLE),
+            ["marks.css"] => style(marks::STYLE),
+            ["marks.js"] => script(marks::SCRIPT),
+            ["marks"] if self.editor.is_some() => page(&self.marks_page),
+            [marks::TARGET] => self.editor.as_ref().map(Viewer::marks),
             ["map.js"] => script(map::SCRIPT),
             ["photos.js"] => script(map::PHOTOS_SCRIPT),
             ["tiles", level, column, row] => numbers([level, column, jpeg_name(row)])
                 .and_then(|[level, column, row]| self.tile(level, column, row)),
             ["photos"] => values(query, ["u", "v"]).map(|at| self.sightings(at)),
-            ["photos", name] => numbers([jpeg_name(name)])
+            [photos @ ("photos" | "marks"), name] => numbers([jpeg_name(name)])
                 .zip(values(query, ["u", "v", "side"]))
-                .map(|([number], [u, v, side])| self.part([u, v], side, number)),
+                .and_then(|([number], [u, v, side])| {
+                    let path = match photos {
+                        "photos" => self.origins.as_ref()?.photo(number),
+                        _ => self.editor.as_ref()?.photo(number),
+                    };
+                    Some(self.part(path?, [u, v], side))
+                }),
             _ => None,
         };
         answer.unwrap_or_else(|| Answer::failed(404, "there is nothing here"))
@@ -182,12 +220,9 @@ impl Viewer {
     }
 
     /// A square of a photo around a place; what lies outside of the photo is left out.
-    fn part(&self, [u, v]: [f64; 2], side: f64, number: usize) -> Answer {
-        let Some(path) = self.origins.as_ref().and_then(|origins| origins.photo(number)) else {
-            return Answer::failed(404, "there is no photo of that number");
-        };
+    fn part(&self, path: &Path, [u, v]: [f64; 2], side: f64) -> Answer {
         let side = side.clamp(1.0, f64::from(LARGEST_PX));
-        let photo = match self.read(number, path) {
+        let photo = match self.read(path) {
             Ok(photo) => photo,
             Err(error) => return Answer::unreadable(&error),
         };
@@ -202,9 +237,9 @@ impl Viewer {
         encoded(&imageops::crop_imm(&*photo, left, top, right - left, bottom - top).to_image())
     }
 
-    fn read(&self, number: usize, path: &Path) -> Result<Arc<RgbImage>, Error> {
+    fn read(&self, path: &Path) -> Result<Arc<RgbImage>, Error> {
         let kept = || self.photos.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((_, photo)) = kept().iter().find(|(of, _)| *of == number) {
+        if let Some((_, photo)) = kept().iter().find(|(of, _)| of == path) {
             return Ok(Arc::clone(photo));
         }
         let photo = Arc::new(images::read_colour(path)?);
@@ -212,7 +247,7 @@ impl Viewer {
         if kept.len() >= PHOTOS_KEPT {
             kept.remove(0);
         }
-        kept.push((number, Arc::clone(&photo)));
+        kept.push((path.to_owned(), Arc::clone(&photo)));
         Ok(photo)
     }
 }
@@ -281,15 +316,12 @@ mod tests {
     fn what_is_not_there_is_said() {
         let nothing = Viewer {
             page: "page".into(),
-            orthomosaic: None,
-            place: None,
-            origins: None,
-            photos: Mutex::default(),
             rasters: BTreeMap::from([("ortho.tif", PathBuf::from("/field/ortho.tif"))]),
+            ..Viewer::default()
         };
         assert_eq!(nothing.answer("").body, b"page");
         assert_eq!(nothing.answer("photos?u=1&v=2").body, b"[]");
-        for target in ["style.css", "map.js", "photos.js"] {
+        for target in ["style.css", "map.js", "photos.js", "marks.css", "marks.js"] {
             assert_eq!(nothing.answer(target).status, 200, "{target}");
         }
         for target in [
@@ -301,12 +333,16 @@ mod tests {
             "photos/0.jpg?u=1&v=1&side=10",
             "photos/..%2f..%2fetc%2fpasswd",
             "photos?u=1",
+            "marks",
+            "marks.json",
+            "marks/0.jpg?u=1&v=1&side=10",
         ] {
             let answer = nothing.answer(target);
             assert_eq!(answer.status, 404, "{target}");
             let said = String::from_utf8(answer.body).unwrap();
             assert!(!said.contains('/') && !said.contains(".."), "{target}: {said}");
         }
+        assert!(nothing.put("marks.json", b"{}").is_none(), "without marks nothing can be written");
         assert!(nothing.raster("rasters/ortho.tif").is_some());
         for target in ["rasters/", "rasters/../ortho.tif", "rasters//field/ortho.tif", "ortho.tif"]
         {

@@ -2,9 +2,9 @@
 //!
 //! One thread talks to all connections, some others make the answers. Nothing that a client does or leaves undone holds up another:
 //! the head of a request, the number of connections and the time that a client takes to send and to read are limited, and a body is
-//! refused.
+//! refused but for marks that the page of this server puts.
 
-use super::{Answer, Viewer};
+use super::{Answer, Viewer, marks};
 use hyper::{
     Method, Request, Response, StatusCode,
     body::{Body, Bytes, Frame, Incoming, SizeHint},
@@ -18,7 +18,7 @@ use std::{
     convert::Infallible,
     fmt::Display,
     fs::File,
-    future::Future,
+    future::{Future, poll_fn},
     io::{self, Read, Seek, SeekFrom},
     net::{Ipv4Addr, SocketAddr},
     path::Path,
@@ -33,7 +33,7 @@ use tokio::{
     runtime,
     sync::Semaphore,
     task,
-    time::{Sleep, sleep},
+    time::{Sleep, sleep, timeout},
 };
 
 /// Answers that are made at the same time.
@@ -43,6 +43,8 @@ const MAX_CONNECTIONS: usize = 64;
 /// Largest head of a request, bytes, and most of its fields: browsers send less than 2 kB in 20.
 const MAX_HEAD_BYTES: usize = 1 << 14;
 const MAX_FIELDS: usize = 64;
+/// Largest body, bytes: a hundred for each of 40 thousand marks.
+const MAX_BODY_BYTES: usize = 1 << 22;
 /// Longest time until a request has come, and until a client reads something of an answer.
 const READ_TIMEOUT: Duration = Duration::from_secs(10);
 const WRITE_TIMEOUT: Duration = Duration::from_secs(10);
@@ -124,7 +126,7 @@ pub fn serve(server: Server, viewer: Viewer) -> Result<(), Error> {
 async fn converse(stream: TcpStream, site: Arc<Site>) -> hyper::Result<()> {
     let service = service_fn(move |request| {
         let site = Arc::clone(&site);
-        async move { Ok::<_, Infallible>(site.respond(&request).await) }
+        async move { Ok::<_, Infallible>(site.respond(request).await) }
     });
     http1::Builder::new()
         .timer(TokioTimer::new())
@@ -142,13 +144,15 @@ struct Site {
 }
 
 impl Site {
-    async fn respond(self: Arc<Site>, request: &Request<Incoming>) -> Response<Payload> {
-        let response = match self.refused(request) {
+    async fn respond(self: Arc<Site>, request: Request<Incoming>) -> Response<Payload> {
+        let method = request.method().clone();
+        let response = match self.refused(&request) {
             Some(refused) => in_memory(refused),
-            None => Arc::clone(&self).found(request).await,
+            None if method == Method::PUT => self.put(request).await,
+            None => self.found(&request).await,
         };
         // The target is not logged: it has the token.
-        tracing::debug!("{}: {}", request.method(), response.status());
+        tracing::debug!("{method}: {}", response.status());
         response
     }
 
@@ -156,10 +160,27 @@ impl Site {
     fn refused(&self, request: &Request<Incoming>) -> Option<Answer> {
         let (headers, uri) = (request.headers(), request.uri());
         // A page from elsewhere may have its name point to this machine; it cannot choose the header.
-        let host = headers.get(header::HOST).and_then(|host| host.to_str().ok());
+        let text = |name: HeaderName| headers.get(name).and_then(|value| value.to_str().ok());
+        let host = text(header::HOST);
         let named = uri.authority().map(|authority| authority.as_str());
         if !host.is_some_and(is_loopback) || !named.is_none_or(is_loopback) {
             return Some(Answer::failed(403, "ask for localhost or 127.0.0.1"));
+        }
+        let target = self.target(request);
+        if request.method() == Method::PUT && target == Some(marks::TARGET) {
+            let is_own = |origin: &str| origin.strip_prefix("http://") == host;
+            if headers.contains_key(header::ORIGIN) && !text(header::ORIGIN).is_some_and(is_own) {
+                return Some(Answer::failed(403, "marks are put by the page of this server only"));
+            }
+            if text(header::CONTENT_TYPE) != Some("application/json") {
+                return Some(Answer::failed(415, "expected application/json"));
+            }
+            let length = text(header::CONTENT_LENGTH).and_then(|length| length.parse().ok());
+            return match length {
+                Some(0..=MAX_BODY_BYTES) => None,
+                Some(_) => Some(Answer::failed(413, "these are too many changes at once")),
+                None => Some(Answer::failed(411, "expected Content-Length")),
+            };
         }
         if ![Method::GET, Method::HEAD].contains(request.method()) {
             return Some(Answer::failed(405, "only GET and HEAD"));
@@ -167,7 +188,7 @@ impl Site {
         if !request.body().is_end_stream() {
             return Some(Answer::failed(413, "a request has no body here"));
         }
-        self.target(request).is_none().then(|| Answer::failed(404, "there is nothing here"))
+        target.is_none().then(|| Answer::failed(404, "there is nothing here"))
     }
 
     /// Path and query behind the token.
@@ -175,6 +196,20 @@ impl Site {
         let (token, target) =
             request.uri().path_and_query()?.as_str().strip_prefix('/')?.split_once('/')?;
         is_same(token.as_bytes(), self.token.as_bytes()).then_some(target)
+    }
+
+    async fn put(self: Arc<Site>, request: Request<Incoming>) -> Response<Payload> {
+        let target = self.target(&request).unwrap_or_default().to_owned();
+        let body = match timeout(READ_TIMEOUT, whole(request.into_body())).await {
+            Ok(Some(body)) => body,
+            _ => return in_memory(Answer::failed(408, "the request has not come to its end")),
+        };
+        let made = task::spawn_blocking(move || self.viewer.put(&target, &body));
+        let nothing = || Answer::failed(404, "there is nothing here");
+        match made.await {
+            Ok(answer) => in_memory(answer.unwrap_or_else(nothing)),
+            Err(_) => in_memory(Answer::failed(500, "it cannot be written")),
+        }
     }
 
     async fn found(self: Arc<Site>, request: &Request<Incoming>) -> Response<Payload> {
@@ -195,6 +230,17 @@ impl Site {
             Err(_) => in_memory(Answer::failed(500, "it cannot be shown")),
         }
     }
+}
+
+/// All that a request has behind its head, no more than its head says; `None` where it breaks off.
+async fn whole(mut body: Incoming) -> Option<Vec<u8>> {
+    let mut bytes = Vec::new();
+    while let Some(frame) = poll_fn(|context| Pin::new(&mut body).poll_frame(context)).await {
+        if let Ok(piece) = frame.ok()?.into_data() {
+            bytes.extend_from_slice(&piece);
+        }
+    }
+    Some(bytes)
 }
 
 /// Whether two texts are the same, in a time that does not tell where they differ.

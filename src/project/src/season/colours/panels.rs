@@ -37,6 +37,17 @@ const MIN_PIXELS: u64 = 20;
 const BRIGHT: u8 = 253;
 const MAX_BRIGHT: f64 = 0.02;
 
+/// Whether all panels of a file have reflectances.
+///
+/// # Errors
+/// A file that cannot be read, and a panel without reflectances.
+pub(super) fn check(path: &Path) -> Result<(), Error> {
+    for panel in polygons::check(path, None)?.polygons {
+        reflectance(path, &panel)?;
+    }
+    Ok(())
+}
+
 /// The panels of a file that the map of a date shows.
 ///
 /// # Errors
