@@ -50,6 +50,34 @@ def field(preset: str = "mid20", *, corruption: dict[str, Any] | None = None, **
     return Field(**_rowgram.synth_field(preset, parameters, corruption))
 
 
+def map(
+    folder: str | os.PathLike[str],
+    preset: str = "mid20",
+    *,
+    corruption: dict[str, Any] | None = None,
+    samples: str = "u16",
+    force: bool = False,
+    **parameters: Any,
+) -> dict[str, Any]:
+    """Write an orthomosaic of five bands of known reflectance, with plots, as a project folder with its truth below ``truth/``.
+
+    Args:
+        folder: Folder to write into, made if missing.
+        preset: A usual field by name, as of :func:`field`.
+        corruption: What spoils its picture.
+        samples: "u16" (reflectance times 10,000) or "float".
+        force: Whether files that exist are replaced.
+        **parameters: Parameters of the field; ``plots={"rows": 2, "length_m": 5.0, "alley_m": 1.0}`` divides it.
+
+    Returns:
+        Numbers of ``plants`` and ``plots``, and ``size_px``.
+
+    Raises:
+        InputError: A preset or parameter that does not exist or cannot have this value, a file that exists.
+    """
+    return _rowgram.synth_map(os.fspath(folder), preset, parameters, corruption, samples, force)
+
+
 def flight(
     folder: str | os.PathLike[str],
     preset: str = "small",

@@ -43,6 +43,7 @@ fn _rowgram(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(arrays::match_descriptors, module)?)?;
     module.add_function(wrap_pyfunction!(synth::synth_field, module)?)?;
     module.add_function(wrap_pyfunction!(synth::synth_flight, module)?)?;
+    module.add_function(wrap_pyfunction!(synth::synth_map, module)?)?;
     module.add_function(wrap_pyfunction!(bundle::adjust_network, module)?)?;
     module.add_function(wrap_pyfunction!(bundle::read_bal, module)?)?;
     module.add_function(wrap_pyfunction!(bundle::adjust_file, module)?)?;

@@ -12,8 +12,21 @@ use data_synth::{
 };
 use numpy::{IntoPyArray, PyArray3, PyArrayMethods};
 use pyo3::{prelude::*, types::PyDict};
-use rowgram::pipeline::synth::{FlightOptions, write_flight};
+use rowgram::pipeline::synth::{FlightOptions, MapOptions, write_flight, write_map};
 use std::path::PathBuf;
+
+/// A usual field with other parameters.
+fn scenario(
+    preset: &str,
+    field: Option<&Bound<'_, PyDict>>,
+    corruption: Option<&Bound<'_, PyDict>>,
+) -> PyResult<Scenario> {
+    let preset: Preset = preset.parse().map_err(|why| input(format!("preset {preset:?}: {why}")))?;
+    let mut scenario = Scenario::preset(preset);
+    scenario.field = options::plain("field", &scenario.field, field)?;
+    scenario.corruption = options::plain("corruption", &scenario.corruption, corruption)?;
+    Ok(scenario)
+}
 
 /// A field from straight above: mask, picture, true plants, and the configuration.
 #[pyfunction]
@@ -24,10 +37,7 @@ pub(crate) fn synth_field<'py>(
     field: Option<&Bound<'py, PyDict>>,
     corruption: Option<&Bound<'py, PyDict>>,
 ) -> PyResult<Bound<'py, PyDict>> {
-    let preset: Preset = preset.parse().map_err(|why| input(format!("preset {preset:?}: {why}")))?;
-    let mut scenario = Scenario::preset(preset);
-    scenario.field = options::plain("field", &scenario.field, field)?;
-    scenario.corruption = options::plain("corruption", &scenario.corruption, corruption)?;
+    let scenario = scenario(preset, field, corruption)?;
     let scene = scenario.build().map_err(input)?;
     let (mask, picture) = without_python(py, || scene.mask_and_picture())?;
     let (width, height) = (mask.width() as usize, mask.height() as usize);
@@ -45,6 +55,25 @@ pub(crate) fn synth_field<'py>(
     out.set_item("gsd_m", scenario.field.gsd_m)?;
     out.set_item("config", result(py, &scenario)?)?;
     Ok(out)
+}
+
+/// An orthomosaic of five bands of known reflectance as a project folder.
+#[pyfunction]
+#[pyo3(signature = (folder, preset, field=None, corruption=None, samples="u16", force=false))]
+pub(crate) fn synth_map<'py>(
+    py: Python<'py>,
+    folder: PathBuf,
+    preset: &str,
+    field: Option<&Bound<'py, PyDict>>,
+    corruption: Option<&Bound<'py, PyDict>>,
+    samples: &str,
+    force: bool,
+) -> PyResult<Bound<'py, PyAny>> {
+    let scenario = scenario(preset, field, corruption)?;
+    let samples = samples.parse().map_err(|why| input(format!("samples {samples:?}: {why}")))?;
+    let options = MapOptions { samples, ..MapOptions::default() };
+    let made = without_python(py, || write_map(&scenario, &options, &folder, force))?;
+    result(py, &made.map_err(|error| from_library(&error))?)
 }
 
 /// A flight over a synthetic field as a project folder.
