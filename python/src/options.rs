@@ -30,6 +30,9 @@ pub(crate) fn value(name: &str, given: &Bound<'_, PyAny>) -> PyResult<Value> {
         let values = given.try_iter()?.map(|item| value(name, &item?));
         return Ok(Value::Array(values.collect::<PyResult<_>>()?));
     }
+    if let Ok(group) = given.cast::<PyDict>() {
+        return Ok(Value::Table(table(Some(group))?));
+    }
     if given.hasattr("__fspath__")? {
         let path: std::path::PathBuf = given.extract()?;
         return Ok(Value::String(path.display().to_string()));
