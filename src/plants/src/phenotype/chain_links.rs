@@ -20,7 +20,7 @@ const LANES: usize = 8;
 /// Makes the scores of links of a chain, in memory that is used again.
 pub(super) struct Links<'c> {
     chain: &'c Chain<'c>,
-    /// The densities of gaps, from the longest to none.
+    /// Logarithms of the densities of gaps, from the longest to none.
     gaps_back: Vec<f64>,
     /// `k(x)`.
     moments: Vec<f64>,
@@ -124,9 +124,9 @@ impl<'c> Links<'c> {
 /// `exp(x)` for `x <= 0`, within two units in the last place, without a branch; 0 far below.
 #[inline(always)]
 fn exp(x: f64) -> f64 {
-    /// Adding it rounds to a whole number, which is then in the last bits.
+    /// 1.5 * 2^52: adding it rounds to a whole number, which is then in the last bits.
     const ROUND: f64 = 6_755_399_441_055_744.0;
-    /// The logarithm of 2, the first part of which has 20 zero bits.
+    /// The logarithm of 2 in two parts, the first of which ends in zero bits, so that whole times it is exact (as in fdlibm).
     const LN_2: [f64; 2] = [6.931_471_803_691_238e-1, 1.908_214_929_270_587_7e-10];
     /// 1 / k! from k = 12 down.
     const SERIES: [f64; 13] = [

@@ -9,7 +9,7 @@ use super::{
 };
 use std::fmt::Debug;
 
-/// Steps shorter than this end the search for a place or, as a share of it, for a scale; pixels.
+/// Steps shorter than this end the search for a place, pixels, or, as a share of it, for the square of a scale. Not searched for.
 const SHORT: f64 = 1e-6;
 /// Most steps of such a search. Each lowers the cost, so that an early end does no harm.
 const STEPS: usize = 100;
