@@ -1,14 +1,15 @@
 //! One block of cells: which photos, what they say, and where their points fall on the ground.
 
 use super::{
-    DenseOptions, LAYERS, MAX_LAYERS, Relief,
-    aggregate::{Penalties, aggregate},
+    DenseOptions, MAX_LAYERS, Relief,
+    aggregate::aggregate,
     joins::Margin,
     matched::PosedPhoto,
-    posterior::{self, Estimate, Pixels, PosteriorOptions},
+    posterior::{self, Pixels},
     rectify::{BlockPlane, colours, greenness, rectify},
     relief::Colours,
-    sweep::{MAX_OTHERS, REACH, Rectified, WORST, costs, transfer},
+    sweep::{MAX_OTHERS, REACH, Rectified, costs, transfer},
+    volume::Volume,
 };
 use crate::mapping::View;
 use std::ops::Range;
@@ -19,10 +20,6 @@ const OVERLAP: usize = 16;
 const MIN_BASE: f64 = 0.05;
 /// What layers that take no part cost more than those in which nothing fits: as much as the prior may add to these.
 pub(super) const DISLIKED: u8 = 20;
-/// Other numbers of layers than the usual and the most: less memory and time where so many are enough.
-const QUARTER: usize = LAYERS / 4;
-const HALF: usize = LAYERS / 2;
-const MIDDLE: usize = 2 * LAYERS;
 /// How far from its middle the pixels of leaves reach, in cells: at their edges they share pixels with soil.
 const LEAF_REACH: f64 = 0.75;
 
@@ -50,6 +47,13 @@ pub struct Block {
     pub margin: Margin,
 }
 
+/// Memory that blocks use in turn.
+#[derive(Debug, Default)]
+pub(super) struct Memory {
+    costs: Volume,
+    sums: Volume,
+}
+
 /// A surface of larger cells that says which heights places may have besides usual ones above the ground, metres.
 pub(super) type Limits<'a> = (&'a Relief, [f64; 2]);
 
@@ -62,6 +66,7 @@ pub(super) fn match_block(
     ground: &dyn Fn([f64; 2]) -> Option<f64>,
     options: &DenseOptions,
     limits: Option<Limits<'_>>,
+    memory: &mut Memory,
 ) -> Option<Block> {
     let layers = options.layers.clamp(2, MAX_LAYERS);
     let heights_m: Vec<f64> =
@@ -82,15 +87,12 @@ pub(super) fn match_block(
             rectify(photos[k], &window, options.samples).placed(first)
         })
         .collect();
-    let mut volume = costs(&picture, &others, &heights_m);
+    let Memory { costs: volume, sums } = memory;
+    costs(&picture, &others, &heights_m, volume);
     let mut ground_m = Vec::new();
     if options.prior.needs_ground() {
-        let above = |at: usize| {
-            let place = whole.place_m([(at % width) as f64, (at / width) as f64]);
-            ground(place).map_or(f32::NAN, |z| (z - whole.at_m(place)) as f32)
-        };
-        ground_m = (0..width * height).map(above).collect();
-        options.prior.add(&mut volume, &green, &ground_m, &heights_m);
+        ground_m = ground_above(&whole, ground);
+        options.prior.add(volume, &green, &ground_m, &heights_m);
     }
     let mut standing = vec![];
     if let Some((relief, usual)) = limits {
@@ -103,7 +105,7 @@ pub(super) fn match_block(
             green: &green,
             ground_m: &ground_m,
         };
-        standing = limits.apply(&mut volume, &whole, &of_colours, &heights_m);
+        standing = limits.apply(volume, &whole, &of_colours, &heights_m);
     }
     let class: Vec<u8> = (0..width * height)
         .map(|at| match (picture.values[at], &options.prior) {
@@ -114,20 +116,9 @@ pub(super) fn match_block(
         .collect();
     let to_layer = |z: f32| (z - options.lowest_m as f32) / options.layer_m as f32;
     let ground_layers: Vec<f32> = ground_m.into_iter().map(to_layer).collect();
-    let pixels = Pixels { width, layers, class: &class, ground: &ground_layers };
-    let costs = Costs {
-        volume,
-        picture: &picture.values,
-        penalties: &options.penalties,
-        posterior: &options.posterior,
-    };
-    let best = match layers {
-        0..=QUARTER => costs.heights::<QUARTER, { QUARTER + 2 }>(&pixels),
-        _ if layers <= HALF => costs.heights::<HALF, { HALF + 2 }>(&pixels),
-        _ if layers <= LAYERS => costs.heights::<LAYERS, { LAYERS + 2 }>(&pixels),
-        _ if layers <= MIDDLE => costs.heights::<MIDDLE, { MIDDLE + 2 }>(&pixels),
-        _ => costs.heights::<MAX_LAYERS, { MAX_LAYERS + 2 }>(&pixels),
-    };
+    let pixels = Pixels { class: &class, ground: &ground_layers };
+    aggregate(volume, &picture.values, &options.penalties, sums);
+    let best = posterior::estimates(sums, &pixels, &options.posterior);
     // Each pixel of the reference to its cells; what surely is the highest stays.
     let mut top_m = vec![f32::NEG_INFINITY; width * height];
     let mut rank_m = vec![f32::NEG_INFINITY; width * height];
@@ -190,8 +181,8 @@ pub(super) fn match_block(
             let mut z = top_m[v * width + u];
             let source = from[v * width + u];
             if source != usize::MAX {
-                // Eight paths of 72 at most; a tenth of that is as sure as it gets.
-                block.confidence[out] = (f32::from(best[source].margin) * 2.0).min(255.0) as u8;
+                // Ten paths of 72 at most; a fifth of that is as sure as it gets.
+                block.confidence[out] = (f32::from(best[source].margin) * 1.6).min(255.0) as u8;
                 block.colour[out] = colour[source];
                 let is_leaf = options.prior.is_leaf(green[source]);
                 let factor = if is_leaf { LEAF_SIGMA_FACTOR } else { 1.0 };
@@ -210,6 +201,35 @@ pub(super) fn match_block(
     Some(block)
 }
 
+/// The ground above the plane of a block, metres, between places so many cells apart: nearer than what heights of the ground are known at. NaN
+/// where one of these is not known.
+fn ground_above(block: &BlockPlane, ground: &dyn Fn([f64; 2]) -> Option<f64>) -> Vec<f32> {
+    const APART: usize = 4;
+    let [width, height] = block.size;
+    let nodes = width.div_ceil(APART) + 1;
+    let node = |column: usize, row: usize| {
+        let place = block.place_m([column, row].map(|n| (n * APART) as f64));
+        ground(place).map_or(f32::NAN, |z| (z - block.at_m(place)) as f32)
+    };
+    let line = |row: usize| -> Vec<f32> { (0..nodes).map(|column| node(column, row)).collect() };
+    let (mut above, mut below) = (line(0), line(1));
+    let mut out = vec![f32::NAN; width * height];
+    for (row, out) in out.chunks_exact_mut(width).enumerate() {
+        if row.is_multiple_of(APART) && row > 0 {
+            above = std::mem::replace(&mut below, line(row / APART + 1));
+        }
+        let share = (row % APART) as f32 / APART as f32;
+        let at = |k: usize| above[k] + share * (below[k] - above[k]);
+        for (k, out) in out.chunks_mut(APART).enumerate() {
+            let (left, right) = (at(k), at(k + 1));
+            for (i, out) in out.iter_mut().enumerate() {
+                *out = left + i as f32 / APART as f32 * (right - left);
+            }
+        }
+    }
+    out
+}
+
 /// The cells, of so many, whose middles are within half a width of a position. Without roundings, which are calls where the processor need
 /// not have them.
 #[inline(always)]
@@ -220,24 +240,6 @@ fn within(position: f64, half: f64, cells: usize) -> Range<usize> {
     let first = first + usize::from((first as f64) < low);
     let end = if high < 0.0 { 0 } else { (high as usize + 1).min(cells) };
     first..end
-}
-
-/// The matching costs of a block, and how heights are found from them.
-struct Costs<'a> {
-    volume: Vec<u8>,
-    picture: &'a [u8],
-    penalties: &'a Penalties,
-    posterior: &'a PosteriorOptions,
-}
-
-impl Costs<'_> {
-    /// The height of every pixel, with room for `D` layers; `P` is `D + 2`.
-    fn heights<const D: usize, const P: usize>(self, pixels: &Pixels<'_>) -> Vec<Estimate> {
-        // Layers that take no part fit nowhere.
-        let costs = (self.volume, WORST + DISLIKED);
-        let sums = aggregate::<D, P>(costs, self.picture, pixels.width, self.penalties);
-        posterior::estimates(&sums, pixels, self.posterior)
-    }
 }
 
 /// The reference, nearest in plan to the middle, and the nearest others that show at least the inner half.

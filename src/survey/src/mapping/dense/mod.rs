@@ -41,6 +41,7 @@ pub mod relief;
 pub mod sweep;
 pub mod terrain;
 pub mod tile;
+pub mod volume;
 
 pub use aggregate::Penalties;
 pub use area::{Area, AreaGround, AreaOptions, Pass, TileStore, TilesInMemory};

@@ -13,6 +13,11 @@
 //! distribution. References: J. Kiefer and J. Wolfowitz, *Consistency of the maximum likelihood estimator in the presence of infinitely many
 //! incidental parameters*, 1956; H. Robbins, *An empirical Bayes approach to statistics*, 1956.
 
+use super::{
+    MAX_LAYERS,
+    volume::{LANES, Volume, eights, transpose_eights},
+};
+
 /// How distributions are made from costs.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PosteriorOptions {
@@ -55,16 +60,14 @@ const MIN_PIXELS: usize = 50;
 /// What is known of a block besides the costs.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Pixels<'a> {
-    /// Columns.
-    pub width: usize,
-    /// Layers that take part.
-    pub layers: usize,
     /// Class of each pixel; `CLASSES` where the reference shows nothing.
     pub class: &'a [u8],
     /// Layer of the ground below each pixel; empty where it is not known.
     pub ground: &'a [f32],
 }
 
+/// Aggregated costs are counted by so many.
+const UNIT: f64 = 2.0;
 /// Layers whose shares are summed together: as many numbers as a register of AVX2 holds.
 const TOGETHER: usize = 8;
 
@@ -83,15 +86,15 @@ struct Distribution<const D: usize> {
 
 impl<const D: usize> Distribution<D> {
     fn new(options: &PosteriorOptions, layers: usize) -> Distribution<D> {
-        let rate = (std::f64::consts::LOG2_E / options.temperature) as f32;
+        let rate = (std::f64::consts::LOG2_E * UNIT / options.temperature) as f32;
         let part = std::array::from_fn(|d| f32::from(u8::from(d < layers)));
         Distribution { share: [0.0; D], sums: [0.0; D], total: 0.0, rate, part }
     }
 
     /// `p_d exp(-(S_d - min S)/T)`.
     #[inline(always)]
-    fn set(&mut self, costs: &[u16; D], prior: &[f32]) {
-        let mut least = u16::MAX;
+    fn set(&mut self, costs: &[u8; D], prior: &[f32]) {
+        let mut least = u8::MAX;
         for &cost in costs {
             least = least.min(cost);
         }
@@ -109,6 +112,32 @@ impl<const D: usize> Distribution<D> {
             }
             self.sums[group] = (four[0] + four[2]) + (four[1] + four[3]);
             self.total += self.sums[group];
+        }
+    }
+
+    /// What is known of a pixel.
+    #[inline(always)]
+    fn estimate(&mut self, costs: &[u8; D], layers: usize, prior: &[f32]) -> Estimate {
+        self.set(costs, prior);
+        let best = self.best();
+        let mut shift = 0.0;
+        if best > 0 && best + 1 < layers {
+            let [a, c, b] = [0, 1, 2].map(|k| f32::from(costs[best + k - 1]));
+            let bend = a + b - 2.0 * c;
+            // The prior may have chosen a layer that is no minimum of the costs.
+            if bend > 0.0 {
+                shift = (0.5 * (a - b) / bend).clamp(-0.5, 0.5);
+            }
+        }
+        let mut second = u8::MAX;
+        for d in 0..D {
+            let other = (d as u16).abs_diff(best as u16) > 2;
+            second = second.min(if other { costs[d] } else { u8::MAX });
+        }
+        Estimate {
+            layer: best as f32 + shift,
+            sigma: self.half_width(layers),
+            margin: UNIT as u16 * u16::from(second.saturating_sub(costs[best])),
         }
     }
 
@@ -193,24 +222,34 @@ impl<const D: usize> Heights<D> {
     }
 
     #[inline(always)]
-    fn estimate(sums: &[[u16; D]], pixels: &Pixels<'_>, options: &PosteriorOptions) -> Heights<D> {
-        let even = 1.0 / pixels.layers as f32;
+    fn estimate(sums: &Volume, pixels: &Pixels<'_>, options: &PosteriorOptions) -> Heights<D> {
+        let even = 1.0 / sums.layers() as f32;
         let mut heights = Heights(std::array::from_fn(|_| vec![even; 2 * D + 1]));
-        let height = sums.len() / pixels.width.max(1);
-        let rows = (THINNED / 2..height).step_by(THINNED);
-        let width = pixels.width;
-        let taken: Vec<usize> = rows
-            .flat_map(|v| (THINNED / 2..width).step_by(THINNED).map(move |u| v * width + u))
-            .filter(|&at| usize::from(pixels.class[at]) < CLASSES)
-            .collect();
-        let mut of = Distribution::<D>::new(options, pixels.layers);
+        if options.rounds == 0 {
+            return heights;
+        }
+        let [width, height] = sums.size();
+        let mut taken = Vec::new();
+        let mut layers = [[0; D]; LANES];
+        for row in (THINNED / 2..height).step_by(THINNED) {
+            for chunk in 0..sums.chunks() {
+                pixels_of(sums.chunk(row, chunk), &mut layers);
+                for k in (THINNED / 2..LANES.min(width - chunk * LANES)).step_by(THINNED) {
+                    let at = row * width + chunk * LANES + k;
+                    let class = usize::from(pixels.class[at]);
+                    if class < CLASSES {
+                        taken.push((layers[k], class, Self::first(pixels, at)));
+                    }
+                }
+            }
+        }
+        let mut of = Distribution::<D>::new(options, sums.layers());
         for _ in 0..options.rounds {
             let mut next: [Vec<f64>; CLASSES] = std::array::from_fn(|_| vec![0.0; 2 * D + 1]);
             let mut counts = [0usize; CLASSES];
-            for &at in &taken {
-                let class = usize::from(pixels.class[at]);
-                let first = Self::first(pixels, at);
-                of.set(&sums[at], &heights.0[class][first..first + D]);
+            for (costs, class, first) in &taken {
+                let (class, first) = (*class, *first);
+                of.set(costs, &heights.0[class][first..first + D]);
                 if of.total > 0.0 {
                     let part = 1.0 / f64::from(of.total);
                     for (next, &share) in next[class][first..first + D].iter_mut().zip(&of.share) {
@@ -224,7 +263,7 @@ impl<const D: usize> Heights<D> {
                     continue;
                 }
                 let part = (1.0 - ANY_HEIGHT_SHARE) / counts[class] as f64;
-                let any = ANY_HEIGHT_SHARE / pixels.layers as f64;
+                let any = ANY_HEIGHT_SHARE / sums.layers() as f64;
                 let of = &next[class];
                 for (k, out) in heights.0[class].iter_mut().enumerate() {
                     *out = (part * of[k] + any) as f32;
@@ -235,61 +274,80 @@ impl<const D: usize> Heights<D> {
     }
 }
 
-/// The heights of all pixels.
-pub(super) fn estimates<const D: usize>(
-    sums: &[[u16; D]],
+/// The layers of 32 pixels, from the pixels of their layers.
+#[inline(always)]
+fn pixels_of<const D: usize>(layers: &[[u8; LANES]], out: &mut [[u8; D]; LANES]) {
+    for (eight, layers) in layers.chunks(8).enumerate() {
+        // Layers that take no part fit nowhere.
+        let mut rows = [[u64::MAX; 4]; 8];
+        for (row, layer) in rows.iter_mut().zip(layers) {
+            *row = eights(layer);
+        }
+        transpose_eights(&mut rows);
+        for (c, row) in rows.iter().enumerate() {
+            for (k, of) in row.iter().enumerate() {
+                out[8 * k + c][8 * eight..][..8].copy_from_slice(&of.to_le_bytes());
+            }
+        }
+    }
+}
+
+/// The heights of all pixels, from their aggregated costs.
+pub(super) fn estimates(
+    sums: &Volume,
     pixels: &Pixels<'_>,
     options: &PosteriorOptions,
 ) -> Vec<Estimate> {
-    const { assert!(D.is_multiple_of(TOGETHER)) };
-    pulp::Arch::new().dispatch(Estimates { sums, pixels, options })
+    fn of<const D: usize>(estimates: Estimates<'_>) -> Vec<Estimate> {
+        const { assert!(D.is_multiple_of(TOGETHER)) };
+        pulp::Arch::new().dispatch(Padded::<D>(estimates))
+    }
+    let estimates = Estimates { sums, pixels, options };
+    match sums.layers() {
+        0..=16 => of::<16>(estimates),
+        17..=32 => of::<32>(estimates),
+        33..=48 => of::<48>(estimates),
+        49..=64 => of::<64>(estimates),
+        65..=96 => of::<96>(estimates),
+        97..=128 => of::<128>(estimates),
+        129..=192 => of::<192>(estimates),
+        _ => of::<MAX_LAYERS>(estimates),
+    }
 }
 
-/// [`estimates`] with the machine's SIMD.
-struct Estimates<'a, const D: usize> {
-    sums: &'a [[u16; D]],
+struct Estimates<'a> {
+    sums: &'a Volume,
     pixels: &'a Pixels<'a>,
     options: &'a PosteriorOptions,
 }
 
-impl<const D: usize> pulp::WithSimd for Estimates<'_, D> {
+/// [`estimates`] with the machine's SIMD and room for `D` layers.
+struct Padded<'a, const D: usize>(Estimates<'a>);
+
+impl<const D: usize> pulp::WithSimd for Padded<'_, D> {
     type Output = Vec<Estimate>;
 
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, _: S) -> Vec<Estimate> {
-        let Estimates { sums, pixels, options } = self;
+        let Estimates { sums, pixels, options } = self.0;
         let heights = Heights::<D>::estimate(sums, pixels, options);
-        let mut out = vec![Estimate::default(); sums.len()];
-        let mut of = Distribution::<D>::new(options, pixels.layers);
-        let index: [u16; D] = std::array::from_fn(|d| d as u16);
-        for (at, (sums, out)) in sums.iter().zip(&mut out).enumerate() {
-            let class = usize::from(pixels.class[at]);
-            if class >= CLASSES {
-                continue;
-            }
-            let first = Heights::<D>::first(pixels, at);
-            of.set(sums, &heights.0[class][first..first + D]);
-            let best = of.best();
-            let mut shift = 0.0;
-            if best > 0 && best + 1 < pixels.layers {
-                let [a, c, b] = [0, 1, 2].map(|k| f32::from(sums[best + k - 1]));
-                let bend = a + b - 2.0 * c;
-                // The prior may have chosen a layer that is no minimum of the costs.
-                if bend > 0.0 {
-                    shift = (0.5 * (a - b) / bend).clamp(-0.5, 0.5);
+        let ([width, height], layers) = (sums.size(), sums.layers());
+        let mut out = vec![Estimate::default(); width * height];
+        let mut of = Distribution::<D>::new(options, layers);
+        let mut costs = [[u8::MAX; D]; LANES];
+        for row in 0..height {
+            for chunk in 0..sums.chunks() {
+                pixels_of(sums.chunk(row, chunk), &mut costs);
+                let from = row * width + chunk * LANES;
+                let n = LANES.min(width - chunk * LANES);
+                for (k, out) in out[from..from + n].iter_mut().enumerate() {
+                    let class = usize::from(pixels.class[from + k]);
+                    if class < CLASSES {
+                        let first = Heights::<D>::first(pixels, from + k);
+                        *out = of.estimate(&costs[k], layers, &heights.0[class][first..first + D]);
+                    }
                 }
             }
-            let (middle, layers) = (best as u16, pixels.layers as u16);
-            let mut second = u16::MAX;
-            for d in 0..D {
-                let other = index[d].abs_diff(middle) > 2 && index[d] < layers;
-                second = second.min(if other { sums[d] } else { u16::MAX });
-            }
-            *out = Estimate {
-                layer: best as f32 + shift,
-                sigma: of.half_width(pixels.layers),
-                margin: second.saturating_sub(sums[best]),
-            };
         }
         out
     }
@@ -309,36 +367,43 @@ mod tests {
         assert!(half_to_the(1e6) < 1e-35);
     }
 
+    fn volume(size: [usize; 2], layers: usize, of: impl Fn(usize, usize) -> f64) -> Volume {
+        let mut volume = Volume::new(size, layers);
+        for at in 0..size[0] * size[1] {
+            for d in 0..layers {
+                *volume.at_mut([at % size[0], at / size[0]], d) =
+                    of(at, d).round().min(255.0) as u8;
+            }
+        }
+        volume
+    }
+
     #[test]
     fn sure_pixels_decide_for_those_with_two_minima() {
         // All are at layer 10; in one of eight a wrong match far above costs a little less.
-        const WIDTH: usize = 63;
-        let of = |at: usize| -> [u16; 64] {
-            std::array::from_fn(|d| {
-                let off = |from: usize| (30 * d.abs_diff(from) as u16).min(400);
-                if at.is_multiple_of(8) { (off(10) + 20).min(off(40)) } else { off(10) }
-            })
+        const SIZE: [usize; 2] = [63, 64];
+        let of = |at: usize, d: usize| {
+            let off = |from: usize| (15 * d.abs_diff(from)).min(200) as f64;
+            if at.is_multiple_of(8) { (off(10) + 10.0).min(off(40)) } else { off(10) }
         };
-        let sums: Vec<[u16; 64]> = (0..64 * WIDTH).map(of).collect();
-        let class = vec![1; sums.len()];
-        let pixels = Pixels { width: WIDTH, layers: 64, class: &class, ground: &[] };
+        let sums = volume(SIZE, 64, of);
+        let class = vec![1; SIZE[0] * SIZE[1]];
+        let pixels = Pixels { class: &class, ground: &[] };
         let wrong = |rounds: usize| {
             let options = PosteriorOptions { rounds, ..PosteriorOptions::default() };
             let found = estimates(&sums, &pixels, &options);
             found.iter().filter(|found| (found.layer - 10.0).abs() > 1.0).count()
         };
-        assert_eq!((wrong(0), wrong(5)), (sums.len() / 8, 0));
+        assert_eq!((wrong(0), wrong(5)), (SIZE[0] * SIZE[1] / 8, 0));
     }
 
     #[test]
     fn the_standard_deviation_is_that_of_a_normal_distribution() {
         // Costs of a parabola are a normal distribution: S / T = (h - m)^2 / (2 s^2).
-        let (m, s, t) = (30.3, 4.0, PosteriorOptions::default().temperature);
-        let sums = [std::array::from_fn(|d| {
-            (t * (d as f64 - m).powi(2) / (2.0 * s * s)).round().min(2000.0) as u16
-        })];
-        let pixels = Pixels { width: 1, layers: 64, class: &[1], ground: &[] };
-        let found = estimates::<64>(&sums, &pixels, &PosteriorOptions::default())[0];
+        let (m, s, t) = (30.3, 4.0, PosteriorOptions::default().temperature / UNIT);
+        let sums = volume([1, 1], 64, |_, d| t * (d as f64 - m).powi(2) / (2.0 * s * s));
+        let pixels = Pixels { class: &[1], ground: &[] };
+        let found = estimates(&sums, &pixels, &PosteriorOptions::default())[0];
         assert!((f64::from(found.sigma) - s).abs() < 0.15, "{found:?}");
         assert!((f64::from(found.layer) - m).abs() < 0.1, "{found:?}");
     }

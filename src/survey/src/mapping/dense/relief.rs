@@ -16,6 +16,7 @@ use super::{
     block::DISLIKED,
     rectify::{BlockPlane, greenness},
     sweep::WORST,
+    volume::Volume,
 };
 use std::ops::Range;
 
@@ -85,11 +86,10 @@ impl Limits {
         self.farther || self.standing_m.iter().any(|[low, high]| low < high)
     }
 
-    /// Forbids what no place of a block may have, and takes back what colours have added where something stands: `volume` has the
-    /// costs layer by layer for the pixels of the reference. Gives the pixels that may show what stands; none where nothing does.
+    /// Forbids what no place of a block may have, and takes back what colours have added where something stands. Gives the pixels that may show what stands; none where nothing does.
     pub(super) fn apply(
         &self,
-        volume: &mut [u8],
+        volume: &mut Volume,
         block: &BlockPlane,
         colours: &Colours<'_>,
         heights_m: &[f64],
@@ -122,13 +122,13 @@ impl Limits {
             .collect();
         let mut columns = vec![0; width];
         let mut standing = vec![false; width * height];
-        for (layer, &h) in volume.chunks_exact_mut(width * height).zip(heights_m) {
+        for (layer, &h) in heights_m.iter().enumerate() {
             let share = h / above_m;
             let along = |k: usize, c: f64| first[k] + step[k] * (c + (centre[k] - c) * share);
             for (u, column) in columns.iter_mut().enumerate() {
                 *column = clamp(along(0, u as f64), &self.columns);
             }
-            for (v, row) in layer.chunks_exact_mut(width).enumerate() {
+            for v in 0..height {
                 let larger = clamp(along(1, v as f64), &self.rows);
                 // The plane rises evenly along a row, so two places give all.
                 let at = |u: f64| {
@@ -143,7 +143,7 @@ impl Limits {
                     continue;
                 }
                 let from = larger * self.columns.len();
-                for (u, (cost, &column)) in row.iter_mut().zip(&columns).enumerate() {
+                for (u, &column) in columns.iter().enumerate() {
                     let z = start_m + rise_m * u as f32;
                     let within = |limits: &[[f32; 2]]| {
                         let [low, high] = limits[from + column];
@@ -151,10 +151,11 @@ impl Limits {
                     };
                     if within(&self.standing_m) {
                         let pixel = v * width + u;
+                        let cost = volume.at_mut([u, v], layer);
                         *cost = cost.saturating_sub(colours.added(pixel, h));
                         standing[pixel] = true;
                     } else if self.farther && !within(&self.usual_m) && !within(&self.sure_m) {
-                        *cost = FORBIDDEN;
+                        *volume.at_mut([u, v], layer) = FORBIDDEN;
                     }
                 }
             }
@@ -347,6 +348,14 @@ mod tests {
         BlockPlane { corner_m, cell_m: 0.05, size: [40, 40], height_m: 50.0, slope: [0.0; 2] }
     }
 
+    fn sevens([columns, rows]: [usize; 2], layers: usize) -> Volume {
+        let mut volume = Volume::new([columns, rows], layers);
+        for at in 0..columns * rows * layers {
+            *volume.at_mut([at % columns, at / columns % rows], at / columns / rows) = 7;
+        }
+        volume
+    }
+
     #[test]
     fn layers_reach_a_roof_and_not_a_wrong_match() {
         let options =
@@ -370,7 +379,7 @@ mod tests {
             let limits = relief.limits(&plane, (usual, true), prior, &|_| Some(50.0));
             let heights_m: Vec<f64> =
                 (0..on.layers).map(|k| on.lowest_m + on.layer_m * k as f64).collect();
-            let mut volume = vec![7; plane.size[0] * plane.size[1] * on.layers];
+            let mut volume = sevens(plane.size, on.layers);
             let (green, ground_m) = (vec![-5; 1600], vec![(50.0 - plane.height_m) as f32; 1600]);
             let colours = Colours {
                 centre: [20.0; 2],
@@ -384,7 +393,7 @@ mod tests {
             assert!(standing[26 * 40 + 26] && !standing[2 * 40 + 2]);
             let cost = |pixel: [usize; 2], z: f64| {
                 let layer = ((z - plane.height_m - on.lowest_m) / on.layer_m).round() as usize;
-                volume[layer * 1600 + pixel[1] * 40 + pixel[0]]
+                volume.at(pixel, layer)
             };
             // In the middle of the roof (26, 26): the roof costs what photos say, between is forbidden. Beside the house
             // (2, 2) the ground is free, what stands there costs, and the roof's height is forbidden.
@@ -407,9 +416,9 @@ mod tests {
             green: &[0; 1600],
             ground_m: &[],
         };
-        let mut volume = vec![7; 3200];
+        let mut volume = sevens([40, 40], 2);
         assert!(limits.apply(&mut volume, &away, &colours, &[-0.1, -0.05]).is_empty());
-        assert!(volume.iter().all(|&cost| cost == 7));
+        assert_eq!(volume, sevens([40, 40], 2));
     }
 
     #[test]

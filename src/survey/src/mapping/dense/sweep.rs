@@ -21,16 +21,19 @@
 //! than the centre in one photo and not in the other; summed over the best photos but one, so that one may be hidden.
 //! Reference: R. Zabih, J. Woodfill, *Non-parametric local transforms for computing visual correspondence*, 1994.
 
+use super::volume::{LANES, Volume};
 use std::ops::Range;
 
 /// Half the side of the census window.
 pub(super) const REACH: usize = 2;
 /// Neighbours compared by the census.
-const NEIGHBOURS: u8 = 24;
+const NEIGHBOURS: usize = 24;
+/// Distance of a photo that has nothing in common with the reference, or shows nothing.
+const NOTHING_ALIKE: u8 = NEIGHBOURS as u8;
 /// Greatest matching cost: three photos with nothing in common.
-pub(super) const WORST: u8 = 3 * NEIGHBOURS;
-/// Pixels whose distances are found together.
-const RUN: usize = 64;
+pub(super) const WORST: u8 = 3 * NOTHING_ALIKE;
+/// Rows that are compared together: what they need stays in the cache.
+const ROWS: usize = 16;
 /// The most photos beside the reference.
 pub(super) const MAX_OTHERS: usize = 8;
 
@@ -74,143 +77,199 @@ pub fn transfer(reference: &Rectified, other: &Rectified, height_m: f64) -> (f64
     (scale, offset)
 }
 
-/// Positions along one axis of another photo: whole places and weights of the next, of 128; and the ranges in which whole places follow
-/// each other.
-struct Positions {
-    first: Vec<i32>,
+/// Where the columns of the reference are in another photo: whole places and weights of the next, of 128, and the ranges in which whole places
+/// follow each other, with the first of each.
+struct Columns {
     weight: Vec<u8>,
-    runs: Vec<Range<usize>>,
+    runs: Vec<(Range<usize>, i32)>,
 }
 
-impl Positions {
-    fn new(scale: f64, offset: f64, count: usize) -> Positions {
-        let (mut first, mut weight) = (Vec::with_capacity(count), Vec::with_capacity(count));
+/// A position in 128ths.
+#[inline(always)]
+fn fine(scale: f64, offset: f64, at: usize) -> i32 {
+    ((scale * at as f64 + offset) * 128.0).round() as i32
+}
+
+impl Columns {
+    fn new(scale: f64, offset: f64, count: usize) -> Columns {
+        let (mut weight, mut runs) = (Vec::with_capacity(count), Vec::<(Range<usize>, i32)>::new());
         for k in 0..count {
-            let at = ((scale * k as f64 + offset) * 128.0).round() as i32;
-            first.push(at >> 7);
+            let at = fine(scale, offset, k);
             weight.push((at & 127) as u8);
+            let first = at >> 7;
+            match runs.last_mut() {
+                Some((run, start)) if *start + (k - run.start) as i32 == first => run.end = k + 1,
+                _ => runs.push((k..k + 1, first)),
+            }
         }
-        let ends = first.windows(2).enumerate().filter(|(_, pair)| pair[1] != pair[0] + 1);
-        let ends: Vec<usize> = ends.map(|(k, _)| k + 1).chain([count]).collect();
-        let starts = std::iter::once(0).chain(ends.iter().copied());
-        let runs = starts.zip(ends.iter()).map(|(start, &end)| start..end).collect();
-        Positions { first, weight, runs }
+        Columns { weight, runs }
     }
 }
 
-/// The matching costs of all layers: layer by layer, row by row; `WORST` within `REACH` of the border.
-pub fn costs(reference: &Rectified, others: &[Rectified], heights_m: &[f64]) -> Vec<u8> {
-    let cells = reference.width * reference.height;
-    let mut volume = vec![WORST; cells * heights_m.len()];
-    let mut work = Work::new(reference, others.len());
-    let [Some(&lowest_m), Some(&highest_m)] = [heights_m.first(), heights_m.last()] else {
-        return volume;
+/// A photo at one height, as the reference sees it.
+struct Sight {
+    across: Columns,
+    /// Scale and offset of its rows.
+    down: [f64; 2],
+}
+
+impl Sight {
+    fn new(reference: &Rectified, other: &Rectified, height_m: f64) -> Sight {
+        let (scale, offset) = transfer(reference, other, height_m);
+        let at = |k: usize| offset[k] - other.origin[k] as f64;
+        Sight { across: Columns::new(scale, at(0), reference.width), down: [scale, at(1)] }
+    }
+}
+
+/// The matching costs of all layers; `WORST` within `REACH` of the border.
+pub fn costs(reference: &Rectified, others: &[Rectified], heights_m: &[f64], volume: &mut Volume) {
+    let size = [reference.width, reference.height];
+    volume.begin(size, heights_m.len());
+    let of = |&height_m: &f64| -> Vec<Sight> {
+        others.iter().map(|other| Sight::new(reference, other, height_m)).collect()
     };
-    // A photo that shows a pixel at some heights only would speak for those: it has no say there. What it shows of the lowest
-    // and the highest layer it shows of all between, since photos are convex.
-    let mut shown = vec![vec![u8::MAX; cells]; others.len()];
-    for height_m in [lowest_m, highest_m] {
-        for (k, other) in others.iter().enumerate() {
-            resample(reference, other, height_m, &mut work.line, &mut work.sampled[k]);
-            for (shown, &value) in shown[k].iter_mut().zip(&work.sampled[k]) {
-                *shown = if value == 0 { 0 } else { *shown };
+    let sights: Vec<Vec<Sight>> = heights_m.iter().map(of).collect();
+    pulp::Arch::new().dispatch(Costs { reference, others, sights: &sights, volume });
+    for row in 0..size[1] {
+        let whole =
+            row < REACH || row + REACH >= size[1] || size[0] <= 2 * REACH || others.is_empty();
+        for column in 0..size[0] {
+            if whole || column < REACH || column + REACH >= size[0] {
+                (0..heights_m.len()).for_each(|layer| *volume.at_mut([column, row], layer) = WORST);
             }
         }
     }
-    for (&height_m, layer) in heights_m.iter().zip(volume.chunks_exact_mut(cells)) {
-        for (k, other) in others.iter().enumerate() {
-            let sampled = &mut work.sampled[k];
-            resample(reference, other, height_m, &mut work.line, sampled);
-            sampled.iter_mut().zip(&shown[k]).for_each(|(value, shown)| *value &= shown);
-        }
-        pulp::Arch::new().dispatch(Distances {
-            reference,
-            sampled: &work.sampled,
-            distances: &mut work.distances,
-            out: layer,
-        });
-    }
-    volume
 }
 
-/// A photo at one height, as the reference would see it.
-fn resample(
-    reference: &Rectified,
-    other: &Rectified,
-    height_m: f64,
-    line: &mut Vec<u8>,
-    out: &mut [u8],
-) {
-    let (scale, offset) = transfer(reference, other, height_m);
-    let at = |k: usize| offset[k] - other.origin[k] as f64;
-    let across = Positions::new(scale, at(0), reference.width);
-    let down = Positions::new(scale, at(1), reference.height);
-    let (across, down, width) = (&across, &down, reference.width);
-    pulp::Arch::new().dispatch(Resample { other, across, down, line, out, width });
+/// [`costs`] with the machine's SIMD.
+struct Costs<'a> {
+    reference: &'a Rectified,
+    others: &'a [Rectified],
+    sights: &'a [Vec<Sight>],
+    volume: &'a mut Volume,
 }
 
-/// Memory that the layers use in turn.
-struct Work {
-    sampled: Vec<Vec<u8>>,
-    distances: Vec<Vec<u8>>,
-    line: Vec<u8>,
-}
-
-impl Work {
-    fn new(reference: &Rectified, others: usize) -> Work {
-        Work {
-            sampled: vec![vec![0; reference.width * reference.height]; others],
-            distances: vec![vec![0; reference.width]; others],
-            line: Vec::new(),
-        }
-    }
-}
-
-/// Positions and memory of [`resample`].
-struct Resample<'a> {
-    other: &'a Rectified,
-    across: &'a Positions,
-    down: &'a Positions,
-    line: &'a mut Vec<u8>,
-    out: &'a mut [u8],
-    width: usize,
-}
-
-impl pulp::WithSimd for Resample<'_> {
+impl pulp::WithSimd for Costs<'_> {
     type Output = ();
 
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, _: S) {
-        let Resample { other, across, down, line, out, width } = self;
-        line.resize(other.width, 0);
-        for (y, out) in out.chunks_exact_mut(width).enumerate() {
-            let row = down.first[y];
-            if row < 0 || row as usize + 1 >= other.height {
-                out.fill(0);
-                continue;
+        let Costs { reference, others, sights, volume } = self;
+        let (width, height) = (reference.width, reference.height);
+        if height <= 2 * REACH || others.is_empty() {
+            return;
+        }
+        let chunks = volume.chunks();
+        // Zeros beside the picture, so that registers need not end with it.
+        let room = chunks * LANES + 2 * REACH;
+        let mut own = vec![0; room * (ROWS + 2 * REACH)];
+        let mut sampled = own.clone();
+        let mut brighter = vec![[[0; LANES]; NEIGHBOURS]; ROWS * chunks];
+        let mut shown = vec![own.clone(); others.len()];
+        let mut distances = vec![vec![[0; LANES]; ROWS * chunks]; others.len()];
+        let mut line = Vec::new();
+        for first in (REACH..height - REACH).step_by(ROWS) {
+            let rows = ROWS.min(height - REACH - first);
+            let top = first - REACH;
+            let all = rows + 2 * REACH;
+            for (row, own) in own.chunks_exact_mut(room).take(all).enumerate() {
+                let from = &reference.values[(top + row) * width..][..width];
+                own[REACH..][..width].copy_from_slice(from);
             }
-            let at = row as usize * other.width;
-            let (upper, rest) = other.values[at..at + 2 * other.width].split_at(other.width);
-            mix(upper, rest, u16::from(down.weight[y]), line);
-            for &Range { start: x, end } in &across.runs {
-                let from = across.first[x];
-                if from < 0 || from as usize + (end - x) >= other.width {
-                    // Rare: at the border of what was rectified.
-                    for k in x..end {
-                        let first = across.first[k];
-                        let inside = first >= 0 && (first as usize) + 1 < other.width;
-                        out[k] = if inside {
-                            let pair = &line[first as usize..first as usize + 2];
-                            blend(pair[0], pair[1], u16::from(across.weight[k]))
-                        } else {
-                            0
-                        };
+            compare(&own, room, &mut brighter[..rows * chunks]);
+            // A photo that shows a pixel at some heights only would speak for those: it has no say there. What it shows of the lowest
+            // and the highest layer it shows of all between, since photos are convex.
+            for (k, (other, shown)) in others.iter().zip(&mut shown).enumerate() {
+                shown.fill(u8::MAX);
+                for sights in [sights.first(), sights.last()].into_iter().flatten() {
+                    resample(
+                        (other, &sights[k]),
+                        [top, width],
+                        &mut line,
+                        (&mut sampled, room, all),
+                    );
+                    for (shown, &value) in shown.iter_mut().zip(&sampled) {
+                        *shown &= 0u8.wrapping_sub(u8::from(value != 0));
                     }
-                } else {
-                    let from = from as usize;
-                    let (left, right) = (&line[from..][..end - x], &line[from + 1..][..end - x]);
-                    mix_each(left, right, &across.weight[x..end], &mut out[x..end]);
                 }
+            }
+            for (layer, sights) in sights.iter().enumerate() {
+                for (k, other) in others.iter().enumerate() {
+                    resample(
+                        (other, &sights[k]),
+                        [top, width],
+                        &mut line,
+                        (&mut sampled, room, all),
+                    );
+                    for (value, shown) in sampled[..all * room].iter_mut().zip(&shown[k]) {
+                        *value &= shown;
+                    }
+                    census(&sampled, room, &brighter[..rows * chunks], &mut distances[k]);
+                }
+                for row in 0..rows {
+                    for chunk in 0..chunks {
+                        volume.chunk_mut(first + row, chunk)[layer] =
+                            best(&distances, row * chunks + chunk);
+                    }
+                }
+            }
+        }
+        // What is no column costs nothing.
+        let there = width - (chunks - 1) * LANES;
+        for row in 0..height {
+            for costs in volume.chunk_mut(row, chunks - 1) {
+                costs[there..].fill(0);
+            }
+        }
+    }
+}
+
+/// Rows of a photo from `first` on as the reference sees them, into a grid with lines of `room`.
+#[inline(always)]
+fn resample(
+    (other, sight): (&Rectified, &Sight),
+    [first, width]: [usize; 2],
+    line: &mut Vec<u8>,
+    (out, room, rows): (&mut [u8], usize, usize),
+) {
+    line.resize(other.width, 0);
+    let weight = &sight.across.weight;
+    for (row, out) in out.chunks_exact_mut(room).take(rows).enumerate() {
+        let out = &mut out[REACH..][..width];
+        let at = fine(sight.down[0], sight.down[1], first + row);
+        let above = at >> 7;
+        if above < 0 || above as usize + 1 >= other.height {
+            out.fill(0);
+            continue;
+        }
+        let from = above as usize * other.width;
+        let (upper, lower) = other.values[from..from + 2 * other.width].split_at(other.width);
+        // What of the line is read.
+        let mut read = [usize::MAX, 0];
+        for (run, start) in &sight.across.runs {
+            let end = (*start + (run.end - run.start) as i32 + 1).clamp(0, other.width as i32);
+            read = [read[0].min((*start).clamp(0, end) as usize), read[1].max(end as usize)];
+        }
+        let read = read[0].min(read[1])..read[1];
+        mix(&upper[read.clone()], &lower[read.clone()], (at & 127) as u16, &mut line[read]);
+        for (Range { start: x, end }, from) in &sight.across.runs {
+            let (x, end, from) = (*x, *end, *from);
+            if from < 0 || from as usize + (end - x) >= other.width {
+                // Rare: at the border of what was rectified.
+                for k in x..end {
+                    let first = from + (k - x) as i32;
+                    let inside = first >= 0 && (first as usize) + 1 < other.width;
+                    out[k] = if inside {
+                        let pair = &line[first as usize..first as usize + 2];
+                        blend(pair[0], pair[1], u16::from(weight[k]))
+                    } else {
+                        0
+                    };
+                }
+            } else {
+                let from = from as usize;
+                let (left, right) = (&line[from..][..end - x], &line[from + 1..][..end - x]);
+                mix_each(left, right, &weight[x..end], &mut out[x..end]);
             }
         }
     }
@@ -241,98 +300,133 @@ fn mix_each(a: &[u8], b: &[u8], weights: &[u8], out: &mut [u8]) {
     }
 }
 
-/// The cost of a layer.
-struct Distances<'a> {
-    reference: &'a Rectified,
-    sampled: &'a [Vec<u8>],
-    distances: &'a mut [Vec<u8>],
-    out: &'a mut [u8],
-}
+/// The rows of the windows of as many pixels as are computed together.
+#[derive(Clone, Copy)]
+struct Windows<'a>([&'a [u8; LANES + 2 * REACH]; 2 * REACH + 1]);
 
-impl pulp::WithSimd for Distances<'_> {
-    type Output = ();
-
+impl<'a> Windows<'a> {
     #[inline(always)]
-    fn with_simd<S: pulp::Simd>(self, _: S) {
-        let Distances { reference, sampled, distances, out } = self;
-        let (width, height) = (reference.width, reference.height);
-        if width <= 2 * REACH || height <= 2 * REACH || sampled.is_empty() {
-            return;
+    fn new(values: &'a [u8], room: usize) -> Option<Windows<'a>> {
+        let mut rows = [const { &[0; LANES + 2 * REACH] }; 2 * REACH + 1];
+        for (k, row) in rows.iter_mut().enumerate() {
+            *row = values.get(k * room..)?.first_chunk()?;
         }
-        let n = width - 2 * REACH;
-        for y in REACH..height - REACH {
-            for (sampled, distance) in sampled.iter().zip(distances.iter_mut()) {
-                let mut start = 0;
-                while start < n {
-                    // The last columns overlap those before, so that every run has the same length.
-                    let from = if n >= RUN { start.min(n - RUN) } else { 0 };
-                    let run = RUN.min(n);
-                    let at = (y - REACH) * width + from;
-                    let out = &mut distance[from..from + run];
-                    match <&mut [u8; RUN]>::try_from(&mut *out) {
-                        Ok(out) => census(&reference.values[at..], &sampled[at..], width, out),
-                        Err(_) => census(&reference.values[at..], &sampled[at..], width, out),
-                    }
-                    start += RUN;
-                }
+        Some(Windows(rows))
+    }
+
+    /// 255 where the neighbour at a row and column of the window is brighter than the centre, else 0.
+    #[inline(always)]
+    fn brighter<const ROW: usize, const COLUMN: usize>(self) -> [u8; LANES] {
+        let (neighbour, centre) = (self.0[ROW], self.0[REACH]);
+        let mut out = [0; LANES];
+        for k in 0..LANES {
+            out[k] = if centre[k + REACH] >= neighbour[k + COLUMN] { 0 } else { u8::MAX };
+        }
+        out
+    }
+
+    /// All comparisons.
+    #[inline(always)]
+    fn compared(self) -> Compared {
+        [
+            self.brighter::<0, 0>(),
+            self.brighter::<0, 1>(),
+            self.brighter::<0, 2>(),
+            self.brighter::<0, 3>(),
+            self.brighter::<0, 4>(),
+            self.brighter::<1, 0>(),
+            self.brighter::<1, 1>(),
+            self.brighter::<1, 2>(),
+            self.brighter::<1, 3>(),
+            self.brighter::<1, 4>(),
+            self.brighter::<2, 0>(),
+            self.brighter::<2, 1>(),
+            self.brighter::<2, 3>(),
+            self.brighter::<2, 4>(),
+            self.brighter::<3, 0>(),
+            self.brighter::<3, 1>(),
+            self.brighter::<3, 2>(),
+            self.brighter::<3, 3>(),
+            self.brighter::<3, 4>(),
+            self.brighter::<4, 0>(),
+            self.brighter::<4, 1>(),
+            self.brighter::<4, 2>(),
+            self.brighter::<4, 3>(),
+            self.brighter::<4, 4>(),
+        ]
+    }
+
+    /// How many comparisons come out otherwise than those of the reference, in costs.
+    #[inline(always)]
+    fn differing(self, own: &Compared) -> [u8; LANES] {
+        let theirs = self.compared();
+        let mut distance = [0u8; LANES];
+        for neighbour in 0..NEIGHBOURS {
+            for k in 0..LANES {
+                distance[k] = distance[k].wrapping_sub(theirs[neighbour][k] ^ own[neighbour][k]);
             }
-            best(distances, &mut out[y * width + REACH..][..n]);
+        }
+        let centre = self.0[REACH];
+        for k in 0..LANES {
+            // Nothing is known where a photo shows nothing.
+            distance[k] = if centre[k + REACH] == 0 { NOTHING_ALIKE } else { distance[k] };
+        }
+        distance
+    }
+}
+
+type Compared = [[u8; LANES]; NEIGHBOURS];
+
+/// The comparisons of the reference, of 32 columns after the other.
+#[inline(always)]
+fn compare(values: &[u8], room: usize, out: &mut [Compared]) {
+    for (row, out) in out.chunks_exact_mut(room / LANES).enumerate() {
+        for (chunk, out) in out.iter_mut().enumerate() {
+            if let Some(windows) = Windows::new(&values[row * room + chunk * LANES..], room) {
+                *out = windows.compared();
+            }
         }
     }
 }
 
-/// Census distances of a run of pixels, whose windows begin at the first value of either picture.
+/// How many comparisons come out otherwise in another photo.
 #[inline(always)]
-fn census<O: AsMut<[u8]> + ?Sized>(reference: &[u8], other: &[u8], width: usize, out: &mut O) {
-    let out = out.as_mut();
-    let n = out.len().min(RUN);
-    let centre = REACH * width + REACH;
-    let (r, o) = (&reference[centre..][..n], &other[centre..][..n]);
-    let mut distance = [0u8; RUN];
-    for dy in 0..=2 * REACH {
-        for dx in 0..=2 * REACH {
-            if dx == REACH && dy == REACH {
-                continue;
-            }
-            let (rn, on) = (&reference[dy * width + dx..][..n], &other[dy * width + dx..][..n]);
-            for k in 0..n {
-                let differs = u8::from(rn[k] > r[k]) ^ u8::from(on[k] > o[k]);
-                distance[k] = distance[k].wrapping_add(differs);
-            }
+fn census(values: &[u8], room: usize, own: &[Compared], out: &mut [[u8; LANES]]) {
+    let chunks = room / LANES;
+    let rows = own.chunks_exact(chunks).zip(out.chunks_exact_mut(chunks));
+    for (row, (own, out)) in rows.enumerate() {
+        for (chunk, (own, out)) in own.iter().zip(out).enumerate() {
+            let from = row * room + chunk * LANES;
+            let Some(windows) = Windows::new(&values[from..], room) else { continue };
+            *out = windows.differing(own);
         }
-    }
-    for k in 0..n {
-        // Nothing is known where a photo shows nothing.
-        out[k] = if o[k] == 0 { NEIGHBOURS } else { distance[k] };
     }
 }
 
 /// The sum over the three best photos; over all, scaled to three, where there are fewer.
 #[inline(always)]
-fn best(distances: &[Vec<u8>], out: &mut [u8]) {
-    let n = out.len();
-    for start in (0..n).step_by(64) {
-        let m = 64.min(n - start);
-        let out = &mut out[start..start + m];
-        // Sorted as they come: a is the least.
-        let (mut a, mut b, mut c) = ([NEIGHBOURS; 64], [NEIGHBOURS; 64], [NEIGHBOURS; 64]);
-        for distance in distances {
-            let distance = &distance[start..start + m];
-            for k in 0..m {
-                let (low, rest) = (a[k].min(distance[k]), a[k].max(distance[k]));
-                let (middle, high) = (b[k].min(rest), b[k].max(rest));
-                (a[k], b[k], c[k]) = (low, middle, c[k].min(high));
-            }
-        }
-        for k in 0..m {
-            let two = a[k].wrapping_add(b[k]);
-            out[k] = match distances.len() {
-                1 => a[k].wrapping_mul(3),
-                2 => two.wrapping_add(two / 2),
-                _ => two.wrapping_add(c[k]),
-            };
+fn best(distances: &[Vec<[u8; LANES]>], at: usize) -> [u8; LANES] {
+    // Sorted as they come: a is the least.
+    let (mut a, mut b, mut c) =
+        ([NOTHING_ALIKE; LANES], [NOTHING_ALIKE; LANES], [NOTHING_ALIKE; LANES]);
+    for distance in distances {
+        let distance = &distance[at];
+        for k in 0..LANES {
+            let (low, rest) = (a[k].min(distance[k]), a[k].max(distance[k]));
+            let (middle, high) = (b[k].min(rest), b[k].max(rest));
+            (a[k], b[k], c[k]) = (low, middle, c[k].min(high));
         }
     }
+    let mut out = [0; LANES];
+    for k in 0..LANES {
+        let two = a[k].wrapping_add(b[k]);
+        out[k] = match distances.len() {
+            1 => a[k].wrapping_mul(3),
+            2 => two.wrapping_add(two / 2),
+            _ => two.wrapping_add(c[k]),
+        };
+    }
+    out
 }
 
 #[cfg(test)]
@@ -379,24 +473,21 @@ mod tests {
                 other.values[row * (width + 60) + column] = value as u8;
             }
         }
-        let volume = costs(&reference, std::slice::from_ref(&other), &heights_m);
-        for at in [20 * width + 30, 10 * width + 75, 33 * width + 120] {
-            let of = |layer: usize| volume[layer * width * height + at];
+        let mut volume = Volume::default();
+        costs(&reference, std::slice::from_ref(&other), &heights_m, &mut volume);
+        for at in [[30, 20], [75, 10], [120, 33]] {
+            let of = |layer: usize| volume.at(at, layer);
             let best = (0..21).min_by_key(|&layer| of(layer)).unwrap();
-            assert_eq!(best, 10, "{at}: {:?}", (0..21).map(of).collect::<Vec<_>>());
+            assert_eq!(best, 10, "{at:?}: {:?}", (0..21).map(of).collect::<Vec<_>>());
             assert!(of(10) <= 6 && of(0) > 15);
         }
     }
 
     #[test]
     fn the_three_best_photos_count() {
-        let distances = [[10u8; 70], [3; 70], [24; 70], [5; 70], [0; 70]].map(Vec::from);
-        let mut out = [0; 70];
-        best(&distances, &mut out);
-        assert_eq!(out, [8; 70]);
-        best(&distances[..2], &mut out);
-        assert_eq!(out, [19; 70]);
-        best(&distances[..1], &mut out);
-        assert_eq!(out, [30; 70]);
+        let distances = [10, 3, 24, 5, 0].map(|distance| vec![[distance; LANES]]);
+        assert_eq!(best(&distances, 0), [8; LANES]);
+        assert_eq!(best(&distances[..2], 0), [19; LANES]);
+        assert_eq!(best(&distances[..1], 0), [30; LANES]);
     }
 }

@@ -2,7 +2,7 @@
 
 use super::{
     DenseOptions, PosedPhoto, Relief,
-    block::{Block, choose, match_block},
+    block::{Block, Memory, choose, match_block},
     joins::{Margin, Part, join, tolerance_m},
     rectify::{BlockPlane, greenness},
 };
@@ -97,7 +97,7 @@ pub fn match_tile(
         }
         return Ok(result);
     }
-    let one = |plane: &BlockPlane| {
+    let one = |memory: &mut Memory, plane: &BlockPlane| {
         let (reference, others) = choose(&views, plane, options.others)?;
         let usual = [options.lowest_m, options.highest_m()];
         let (plane, options) = match relief {
@@ -105,9 +105,10 @@ pub fn match_tile(
             None => (*plane, *options),
         };
         let limits = relief.map(|relief| (relief, usual));
-        match_block(photos, (reference, &others), &plane, ground, &options, limits)
+        match_block(photos, (reference, &others), &plane, ground, &options, limits, memory)
     };
-    let blocks: Vec<Option<Block>> = planes.par_iter().map(|(_, plane)| one(plane)).collect();
+    let of = |memory: &mut Memory, (_, plane): &_| one(memory, plane);
+    let blocks: Vec<Option<Block>> = planes.par_iter().map_init(Memory::default, of).collect();
     let found = planes
         .iter()
         .zip(&blocks)
