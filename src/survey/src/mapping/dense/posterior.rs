@@ -405,6 +405,7 @@ mod tests {
         let pixels = Pixels { class: &[1], ground: &[] };
         let found = estimates(&sums, &pixels, &PosteriorOptions::default())[0];
         assert!((f64::from(found.sigma) - s).abs() < 0.15, "{found:?}");
-        assert!((f64::from(found.layer) - m).abs() < 0.1, "{found:?}");
+        // Costs are whole numbers, of which three beside the least hardly differ on so wide a parabola.
+        assert!((f64::from(found.layer) - m).abs() < s / 8.0, "{found:?}");
     }
 }
