@@ -107,16 +107,6 @@ pub(super) fn eights(bytes: &[u8; LANES]) -> [u64; 4] {
     out
 }
 
-/// Numbers as bytes.
-#[inline(always)]
-pub(super) fn bytes(eights: [u64; 4]) -> [u8; LANES] {
-    let mut out = [0; LANES];
-    for (out, eight) in out.as_chunks_mut::<8>().0.iter_mut().zip(eights) {
-        *out = eight.to_le_bytes();
-    }
-    out
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
