@@ -54,7 +54,7 @@ pub use relief::Relief;
 pub use terrain::{GroundPlaces, Terrain};
 pub use tile::{DenseTile, Tile, match_tile};
 
-/// Layers of heights, usually: one or two SIMD registers of bytes.
+/// Layers of heights, usually.
 pub const LAYERS: usize = 64;
 /// The most layers of heights: trees, houses and cliffs.
 pub const MAX_LAYERS: usize = 4 * LAYERS;
