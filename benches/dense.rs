@@ -10,8 +10,8 @@ use rand_chacha::ChaCha8Rng;
 use rowgram::mapping::dense::{
     LAYERS, Penalties,
     aggregate::aggregate,
+    cost_volume::CostVolume,
     sweep::{Rectified, costs},
-    volume::Volume,
 };
 use std::{hint::black_box, time::Instant};
 
@@ -32,7 +32,7 @@ fn photo(values: Vec<u8>, width: usize, origin: [isize; 2], centre: [f64; 2]) ->
 }
 
 /// Memory of costs and of what they sum up to.
-type Memory = [Volume; 2];
+type Memory = [CostVolume; 2];
 
 fn layers(pair: &[Rectified; 2], heights_m: &[f64], [volume, sums]: &mut Memory) {
     costs(&pair[0], &pair[1..], heights_m, volume);

@@ -3,13 +3,13 @@
 use super::{
     DenseOptions, MAX_LAYERS, Relief,
     aggregate::aggregate,
+    cost_volume::CostVolume,
     joins::Margin,
     matched::PosedPhoto,
     posterior::{self, Pixels},
     rectify::{BlockPlane, colours, greenness, rectify},
     relief::Colours,
     sweep::{MAX_OTHERS, REACH, Rectified, costs, transfer},
-    volume::Volume,
 };
 use crate::mapping::View;
 use std::ops::Range;
@@ -18,8 +18,6 @@ use std::ops::Range;
 const OVERLAP: usize = 16;
 /// Photos closer to the reference than this, per height of flight, say little of heights.
 const MIN_BASE: f64 = 0.05;
-/// What layers that take no part cost more than those in which nothing fits: as much as the prior may add to these.
-pub(super) const DISLIKED: u8 = 20;
 /// How far from its middle the pixels of leaves reach, in cells: at their edges they share pixels with soil.
 const LEAF_REACH: f64 = 0.75;
 
@@ -27,7 +25,7 @@ const LEAF_REACH: f64 = 0.75;
 /// not hide what is sure.
 const LOWERED: f32 = 1.0;
 /// Standard deviations of leaves are so many times what costs say, since some matches are wrong. Chosen on the synthetic flights of seeds 1 to 3
-/// of `docs/accuracy.md` (`benches/surface/compare.py`), where errors are 1.3 to 1.6 times what is told without it; the other seeds took no part.
+/// of `docs/accuracy.md` (`benches/surface/compare.py`), where errors were 1.3 to 1.6 times what is stated without it when costs were summed over eight paths; over ten they are 1.5 to 1.9.
 const LEAF_SIGMA_FACTOR: f32 = 1.55;
 
 /// What was found for the cells of a block, row by row.
@@ -47,11 +45,11 @@ pub struct Block {
     pub margin: Margin,
 }
 
-/// Memory that blocks use in turn.
+/// Cost volumes that blocks reuse.
 #[derive(Debug, Default)]
-pub(super) struct Memory {
-    costs: Volume,
-    sums: Volume,
+pub(super) struct BlockBuffers {
+    costs: CostVolume,
+    sums: CostVolume,
 }
 
 /// A surface of larger cells that says which heights places may have besides usual ones above the ground, metres.
@@ -66,7 +64,7 @@ pub(super) fn match_block(
     ground: &dyn Fn([f64; 2]) -> Option<f64>,
     options: &DenseOptions,
     limits: Option<Limits<'_>>,
-    memory: &mut Memory,
+    buffers: &mut BlockBuffers,
 ) -> Option<Block> {
     let layers = options.layers.clamp(2, MAX_LAYERS);
     let heights_m: Vec<f64> =
@@ -87,7 +85,7 @@ pub(super) fn match_block(
             rectify(photos[k], &window, options.samples).placed(first)
         })
         .collect();
-    let Memory { costs: volume, sums } = memory;
+    let BlockBuffers { costs: volume, sums } = buffers;
     costs(&picture, &others, &heights_m, volume);
     let mut ground_m = Vec::new();
     if options.prior.needs_ground() {
@@ -204,26 +202,27 @@ pub(super) fn match_block(
 /// The ground above the plane of a block, metres, between places so many cells apart: nearer than what heights of the ground are known at. NaN
 /// where one of these is not known.
 fn ground_above(block: &BlockPlane, ground: &dyn Fn([f64; 2]) -> Option<f64>) -> Vec<f32> {
-    const APART: usize = 4;
+    /// Far nearer than the nodes of the ground ([`super::tile::node_m`]: six coarse cells, twelve of these).
+    const SPACING_CELLS: usize = 4;
     let [width, height] = block.size;
-    let nodes = width.div_ceil(APART) + 1;
+    let nodes = width.div_ceil(SPACING_CELLS) + 1;
     let node = |column: usize, row: usize| {
-        let place = block.place_m([column, row].map(|n| (n * APART) as f64));
+        let place = block.place_m([column, row].map(|n| (n * SPACING_CELLS) as f64));
         ground(place).map_or(f32::NAN, |z| (z - block.at_m(place)) as f32)
     };
     let line = |row: usize| -> Vec<f32> { (0..nodes).map(|column| node(column, row)).collect() };
     let (mut above, mut below) = (line(0), line(1));
     let mut out = vec![f32::NAN; width * height];
     for (row, out) in out.chunks_exact_mut(width).enumerate() {
-        if row.is_multiple_of(APART) && row > 0 {
-            above = std::mem::replace(&mut below, line(row / APART + 1));
+        if row.is_multiple_of(SPACING_CELLS) && row > 0 {
+            above = std::mem::replace(&mut below, line(row / SPACING_CELLS + 1));
         }
-        let share = (row % APART) as f32 / APART as f32;
+        let share = (row % SPACING_CELLS) as f32 / SPACING_CELLS as f32;
         let at = |k: usize| above[k] + share * (below[k] - above[k]);
-        for (k, out) in out.chunks_mut(APART).enumerate() {
+        for (k, out) in out.chunks_mut(SPACING_CELLS).enumerate() {
             let (left, right) = (at(k), at(k + 1));
             for (i, out) in out.iter_mut().enumerate() {
-                *out = left + i as f32 / APART as f32 * (right - left);
+                *out = left + i as f32 / SPACING_CELLS as f32 * (right - left);
             }
         }
     }

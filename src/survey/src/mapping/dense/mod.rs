@@ -30,6 +30,7 @@
 pub mod aggregate;
 pub mod area;
 pub mod block;
+pub mod cost_volume;
 pub mod counts;
 pub mod joins;
 mod lattice;
@@ -41,7 +42,6 @@ pub mod relief;
 pub mod sweep;
 pub mod terrain;
 pub mod tile;
-pub mod volume;
 
 pub use aggregate::Penalties;
 pub use area::{Area, AreaGround, AreaOptions, Pass, TileStore, TilesInMemory};

@@ -15,7 +15,7 @@
 
 use super::{
     MAX_LAYERS,
-    volume::{LANES, Volume, eights, transpose_eights},
+    cost_volume::{CostVolume, LANES, transpose_8x8, words},
 };
 
 /// How distributions are made from costs.
@@ -28,7 +28,7 @@ pub struct PosteriorOptions {
 }
 
 // Chosen on the synthetic flight `small` of seed 1 (60 % of overlap) and looked at on another seed, at mid and late stage with 80/70 %:
-// docs/decisions.md has the numbers. At half the temperature standard deviations are half of what errors are.
+// docs/decisions.md has the numbers, of sums over eight paths. At half the temperature standard deviations are half of what errors are.
 impl Default for PosteriorOptions {
     fn default() -> PosteriorOptions {
         PosteriorOptions { temperature: 60.0, rounds: 5 }
@@ -66,8 +66,8 @@ pub(super) struct Pixels<'a> {
     pub ground: &'a [f32],
 }
 
-/// Aggregated costs are counted by so many.
-const UNIT: f64 = 2.0;
+/// Aggregated costs are stored as halves ([`super::aggregate`]), so one of them stands for so much.
+const COST_UNIT: f64 = 2.0;
 /// Layers whose shares are summed together: as many numbers as a register of AVX2 holds.
 const TOGETHER: usize = 8;
 
@@ -86,7 +86,7 @@ struct Distribution<const D: usize> {
 
 impl<const D: usize> Distribution<D> {
     fn new(options: &PosteriorOptions, layers: usize) -> Distribution<D> {
-        let rate = (std::f64::consts::LOG2_E * UNIT / options.temperature) as f32;
+        let rate = (std::f64::consts::LOG2_E * COST_UNIT / options.temperature) as f32;
         let part = std::array::from_fn(|d| f32::from(u8::from(d < layers)));
         Distribution { share: [0.0; D], sums: [0.0; D], total: 0.0, rate, part }
     }
@@ -137,7 +137,7 @@ impl<const D: usize> Distribution<D> {
         Estimate {
             layer: best as f32 + shift,
             sigma: self.half_width(layers),
-            margin: UNIT as u16 * u16::from(second.saturating_sub(costs[best])),
+            margin: COST_UNIT as u16 * u16::from(second.saturating_sub(costs[best])),
         }
     }
 
@@ -222,7 +222,7 @@ impl<const D: usize> Heights<D> {
     }
 
     #[inline(always)]
-    fn estimate(sums: &Volume, pixels: &Pixels<'_>, options: &PosteriorOptions) -> Heights<D> {
+    fn estimate(sums: &CostVolume, pixels: &Pixels<'_>, options: &PosteriorOptions) -> Heights<D> {
         let even = 1.0 / sums.layers() as f32;
         let mut heights = Heights(std::array::from_fn(|_| vec![even; 2 * D + 1]));
         if options.rounds == 0 {
@@ -230,10 +230,10 @@ impl<const D: usize> Heights<D> {
         }
         let [width, height] = sums.size();
         let mut taken = Vec::new();
-        let mut layers = [[0; D]; LANES];
+        let mut layers = [[u8::MAX; D]; LANES];
         for row in (THINNED / 2..height).step_by(THINNED) {
             for chunk in 0..sums.chunks() {
-                pixels_of(sums.chunk(row, chunk), &mut layers);
+                costs_by_pixel(sums.chunk(row, chunk), &mut layers);
                 for k in (THINNED / 2..LANES.min(width - chunk * LANES)).step_by(THINNED) {
                     let at = row * width + chunk * LANES + k;
                     let class = usize::from(pixels.class[at]);
@@ -274,16 +274,16 @@ impl<const D: usize> Heights<D> {
     }
 }
 
-/// The layers of 32 pixels, from the pixels of their layers.
+/// From the columns of each layer to the layers of each column.
 #[inline(always)]
-fn pixels_of<const D: usize>(layers: &[[u8; LANES]], out: &mut [[u8; D]; LANES]) {
+fn costs_by_pixel<const D: usize>(layers: &[[u8; LANES]], out: &mut [[u8; D]; LANES]) {
     for (eight, layers) in layers.chunks(8).enumerate() {
         // Layers that take no part fit nowhere.
         let mut rows = [[u64::MAX; 4]; 8];
         for (row, layer) in rows.iter_mut().zip(layers) {
-            *row = eights(layer);
+            *row = words(layer);
         }
-        transpose_eights(&mut rows);
+        transpose_8x8(&mut rows);
         for (c, row) in rows.iter().enumerate() {
             for (k, of) in row.iter().enumerate() {
                 out[8 * k + c][8 * eight..][..8].copy_from_slice(&of.to_le_bytes());
@@ -294,7 +294,7 @@ fn pixels_of<const D: usize>(layers: &[[u8; LANES]], out: &mut [[u8; D]; LANES])
 
 /// The heights of all pixels, from their aggregated costs.
 pub(super) fn estimates(
-    sums: &Volume,
+    sums: &CostVolume,
     pixels: &Pixels<'_>,
     options: &PosteriorOptions,
 ) -> Vec<Estimate> {
@@ -316,7 +316,7 @@ pub(super) fn estimates(
 }
 
 struct Estimates<'a> {
-    sums: &'a Volume,
+    sums: &'a CostVolume,
     pixels: &'a Pixels<'a>,
     options: &'a PosteriorOptions,
 }
@@ -337,7 +337,7 @@ impl<const D: usize> pulp::WithSimd for Padded<'_, D> {
         let mut costs = [[u8::MAX; D]; LANES];
         for row in 0..height {
             for chunk in 0..sums.chunks() {
-                pixels_of(sums.chunk(row, chunk), &mut costs);
+                costs_by_pixel(sums.chunk(row, chunk), &mut costs);
                 let from = row * width + chunk * LANES;
                 let n = LANES.min(width - chunk * LANES);
                 for (k, out) in out[from..from + n].iter_mut().enumerate() {
@@ -367,8 +367,8 @@ mod tests {
         assert!(half_to_the(1e6) < 1e-35);
     }
 
-    fn volume(size: [usize; 2], layers: usize, of: impl Fn(usize, usize) -> f64) -> Volume {
-        let mut volume = Volume::new(size, layers);
+    fn volume(size: [usize; 2], layers: usize, of: impl Fn(usize, usize) -> f64) -> CostVolume {
+        let mut volume = CostVolume::new(size, layers);
         for at in 0..size[0] * size[1] {
             for d in 0..layers {
                 *volume.at_mut([at % size[0], at / size[0]], d) =
@@ -400,7 +400,7 @@ mod tests {
     #[test]
     fn the_standard_deviation_is_that_of_a_normal_distribution() {
         // Costs of a parabola are a normal distribution: S / T = (h - m)^2 / (2 s^2).
-        let (m, s, t) = (30.3, 4.0, PosteriorOptions::default().temperature / UNIT);
+        let (m, s, t) = (30.3, 4.0, PosteriorOptions::default().temperature / COST_UNIT);
         let sums = volume([1, 1], 64, |_, d| t * (d as f64 - m).powi(2) / (2.0 * s * s));
         let pixels = Pixels { class: &[1], ground: &[] };
         let found = estimates(&sums, &pixels, &PosteriorOptions::default())[0];

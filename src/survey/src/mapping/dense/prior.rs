@@ -10,7 +10,7 @@
 //!
 //! Both are bounded, so photos that agree well on another height outweigh them: a stone, a wall, a seedling.
 
-use super::volume::{LANES, Volume};
+use super::cost_volume::{CostVolume, LANES};
 
 /// How strongly colours speak. The default was measured on synthetic fields at mid stage, GSD 1.5 cm.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -83,7 +83,7 @@ impl Prior {
     /// block, NaN where not known.
     pub(super) fn add(
         &self,
-        costs: &mut Volume,
+        costs: &mut CostVolume,
         green: &[i16],
         ground_m: &[f32],
         heights_m: &[f64],
@@ -108,7 +108,7 @@ fn price([soil, leaf]: [f32; 2], above_m: f32) -> u8 {
 
 /// The costs of colours, with the machine's SIMD.
 struct Add<'a> {
-    costs: &'a mut Volume,
+    costs: &'a mut CostVolume,
     prior: &'a Prior,
     green: &'a [i16],
     ground_m: &'a [f32],
@@ -169,7 +169,7 @@ mod tests {
         let mut ground_m: Vec<f32> = (0..200).map(|k| 0.01 * (k % 17) as f32).collect();
         ground_m[7] = f32::NAN;
         let heights_m = [-0.2, 0.003, 0.08, 0.5];
-        let mut costs = Volume::new([40, 5], 4);
+        let mut costs = CostVolume::new([40, 5], 4);
         let pixel = |at: usize| [at % 40, at / 40];
         (0..800).for_each(|at| *costs.at_mut(pixel(at % 200), at / 200) = 30);
         prior.add(&mut costs, &green, &ground_m, &heights_m);

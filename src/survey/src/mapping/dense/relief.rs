@@ -13,10 +13,9 @@
 
 use super::{
     DenseOptions, DenseTile, LAYERS, MAX_LAYERS, Prior, Tile,
-    block::DISLIKED,
+    cost_volume::CostVolume,
     rectify::{BlockPlane, greenness},
     sweep::WORST,
-    volume::Volume,
 };
 use std::ops::Range;
 
@@ -28,8 +27,10 @@ const MIN_VOTING_CONFIDENCE: u8 = 100;
 const AROUND: usize = 2;
 /// Sure cells among those 25, at least.
 const MIN_SHARE_OF_CONFIDENT: usize = 9;
+/// The most that the prior adds to a cost: the larger of the defaults of [`Prior::GreenOnSoil`].
+const MAX_PRIOR: u8 = 20;
 /// What layers cost that a place cannot have: more than those in which nothing fits, with all that the prior may add.
-const FORBIDDEN: u8 = WORST + DISLIKED;
+const FORBIDDEN: u8 = WORST + MAX_PRIOR;
 /// Share of the cells of a block left out at either end.
 const TAIL: f64 = 0.01;
 /// What layers reach beyond that, in cells of the surface that says how far.
@@ -89,7 +90,7 @@ impl Limits {
     /// Forbids what no place of a block may have, and takes back what colours have added where something stands. Gives the pixels that may show what stands; none where nothing does.
     pub(super) fn apply(
         &self,
-        volume: &mut Volume,
+        volume: &mut CostVolume,
         block: &BlockPlane,
         colours: &Colours<'_>,
         heights_m: &[f64],
@@ -348,8 +349,8 @@ mod tests {
         BlockPlane { corner_m, cell_m: 0.05, size: [40, 40], height_m: 50.0, slope: [0.0; 2] }
     }
 
-    fn sevens([columns, rows]: [usize; 2], layers: usize) -> Volume {
-        let mut volume = Volume::new([columns, rows], layers);
+    fn sevens([columns, rows]: [usize; 2], layers: usize) -> CostVolume {
+        let mut volume = CostVolume::new([columns, rows], layers);
         for at in 0..columns * rows * layers {
             *volume.at_mut([at % columns, at / columns % rows], at / columns / rows) = 7;
         }

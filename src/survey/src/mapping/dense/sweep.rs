@@ -21,7 +21,7 @@
 //! than the centre in one photo and not in the other; summed over the best photos but one, so that one may be hidden.
 //! Reference: R. Zabih, J. Woodfill, *Non-parametric local transforms for computing visual correspondence*, 1994.
 
-use super::volume::{LANES, Volume};
+use super::cost_volume::{CostVolume, LANES};
 use std::ops::Range;
 
 /// Half the side of the census window.
@@ -29,9 +29,9 @@ pub(super) const REACH: usize = 2;
 /// Neighbours compared by the census.
 const NEIGHBOURS: usize = 24;
 /// Distance of a photo that has nothing in common with the reference, or shows nothing.
-const NOTHING_ALIKE: u8 = NEIGHBOURS as u8;
+const MAX_DISTANCE: u8 = NEIGHBOURS as u8;
 /// Greatest matching cost: three photos with nothing in common.
-pub(super) const WORST: u8 = 3 * NOTHING_ALIKE;
+pub(super) const WORST: u8 = 3 * MAX_DISTANCE;
 /// Rows that are compared together: what they need stays in the cache.
 const ROWS: usize = 16;
 /// The most photos beside the reference.
@@ -86,7 +86,7 @@ struct Columns {
 
 /// A position in 128ths.
 #[inline(always)]
-fn fine(scale: f64, offset: f64, at: usize) -> i32 {
+fn position_128ths(scale: f64, offset: f64, at: usize) -> i32 {
     ((scale * at as f64 + offset) * 128.0).round() as i32
 }
 
@@ -94,7 +94,7 @@ impl Columns {
     fn new(scale: f64, offset: f64, count: usize) -> Columns {
         let (mut weight, mut runs) = (Vec::with_capacity(count), Vec::<(Range<usize>, i32)>::new());
         for k in 0..count {
-            let at = fine(scale, offset, k);
+            let at = position_128ths(scale, offset, k);
             weight.push((at & 127) as u8);
             let first = at >> 7;
             match runs.last_mut() {
@@ -106,30 +106,35 @@ impl Columns {
     }
 }
 
-/// A photo at one height, as the reference sees it.
-struct Sight {
+/// Where the pixels of the reference are in another photo at one height.
+struct LayerMapping {
     across: Columns,
     /// Scale and offset of its rows.
     down: [f64; 2],
 }
 
-impl Sight {
-    fn new(reference: &Rectified, other: &Rectified, height_m: f64) -> Sight {
+impl LayerMapping {
+    fn new(reference: &Rectified, other: &Rectified, height_m: f64) -> LayerMapping {
         let (scale, offset) = transfer(reference, other, height_m);
         let at = |k: usize| offset[k] - other.origin[k] as f64;
-        Sight { across: Columns::new(scale, at(0), reference.width), down: [scale, at(1)] }
+        LayerMapping { across: Columns::new(scale, at(0), reference.width), down: [scale, at(1)] }
     }
 }
 
 /// The matching costs of all layers; `WORST` within `REACH` of the border.
-pub fn costs(reference: &Rectified, others: &[Rectified], heights_m: &[f64], volume: &mut Volume) {
+pub fn costs(
+    reference: &Rectified,
+    others: &[Rectified],
+    heights_m: &[f64],
+    volume: &mut CostVolume,
+) {
     let size = [reference.width, reference.height];
     volume.begin(size, heights_m.len());
-    let of = |&height_m: &f64| -> Vec<Sight> {
-        others.iter().map(|other| Sight::new(reference, other, height_m)).collect()
+    let of = |&height_m: &f64| -> Vec<LayerMapping> {
+        others.iter().map(|other| LayerMapping::new(reference, other, height_m)).collect()
     };
-    let sights: Vec<Vec<Sight>> = heights_m.iter().map(of).collect();
-    pulp::Arch::new().dispatch(Costs { reference, others, sights: &sights, volume });
+    let mappings: Vec<Vec<LayerMapping>> = heights_m.iter().map(of).collect();
+    pulp::Arch::new().dispatch(Costs { reference, others, mappings: &mappings, volume });
     for row in 0..size[1] {
         let whole =
             row < REACH || row + REACH >= size[1] || size[0] <= 2 * REACH || others.is_empty();
@@ -145,8 +150,8 @@ pub fn costs(reference: &Rectified, others: &[Rectified], heights_m: &[f64], vol
 struct Costs<'a> {
     reference: &'a Rectified,
     others: &'a [Rectified],
-    sights: &'a [Vec<Sight>],
-    volume: &'a mut Volume,
+    mappings: &'a [Vec<LayerMapping>],
+    volume: &'a mut CostVolume,
 }
 
 impl pulp::WithSimd for Costs<'_> {
@@ -154,7 +159,7 @@ impl pulp::WithSimd for Costs<'_> {
 
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, _: S) {
-        let Costs { reference, others, sights, volume } = self;
+        let Costs { reference, others, mappings, volume } = self;
         let (width, height) = (reference.width, reference.height);
         if height <= 2 * REACH || others.is_empty() {
             return;
@@ -181,9 +186,9 @@ impl pulp::WithSimd for Costs<'_> {
             // and the highest layer it shows of all between, since photos are convex.
             for (k, (other, shown)) in others.iter().zip(&mut shown).enumerate() {
                 shown.fill(u8::MAX);
-                for sights in [sights.first(), sights.last()].into_iter().flatten() {
+                for mappings in [mappings.first(), mappings.last()].into_iter().flatten() {
                     resample(
-                        (other, &sights[k]),
+                        (other, &mappings[k]),
                         [top, width],
                         &mut line,
                         (&mut sampled, room, all),
@@ -193,10 +198,10 @@ impl pulp::WithSimd for Costs<'_> {
                     }
                 }
             }
-            for (layer, sights) in sights.iter().enumerate() {
+            for (layer, mappings) in mappings.iter().enumerate() {
                 for (k, other) in others.iter().enumerate() {
                     resample(
-                        (other, &sights[k]),
+                        (other, &mappings[k]),
                         [top, width],
                         &mut line,
                         (&mut sampled, room, all),
@@ -227,16 +232,16 @@ impl pulp::WithSimd for Costs<'_> {
 /// Rows of a photo from `first` on as the reference sees them, into a grid with lines of `room`.
 #[inline(always)]
 fn resample(
-    (other, sight): (&Rectified, &Sight),
+    (other, mapping): (&Rectified, &LayerMapping),
     [first, width]: [usize; 2],
     line: &mut Vec<u8>,
     (out, room, rows): (&mut [u8], usize, usize),
 ) {
     line.resize(other.width, 0);
-    let weight = &sight.across.weight;
+    let weight = &mapping.across.weight;
     for (row, out) in out.chunks_exact_mut(room).take(rows).enumerate() {
         let out = &mut out[REACH..][..width];
-        let at = fine(sight.down[0], sight.down[1], first + row);
+        let at = position_128ths(mapping.down[0], mapping.down[1], first + row);
         let above = at >> 7;
         if above < 0 || above as usize + 1 >= other.height {
             out.fill(0);
@@ -246,13 +251,13 @@ fn resample(
         let (upper, lower) = other.values[from..from + 2 * other.width].split_at(other.width);
         // What of the line is read.
         let mut read = [usize::MAX, 0];
-        for (run, start) in &sight.across.runs {
+        for (run, start) in &mapping.across.runs {
             let end = (*start + (run.end - run.start) as i32 + 1).clamp(0, other.width as i32);
             read = [read[0].min((*start).clamp(0, end) as usize), read[1].max(end as usize)];
         }
         let read = read[0].min(read[1])..read[1];
         mix(&upper[read.clone()], &lower[read.clone()], (at & 127) as u16, &mut line[read]);
-        for (Range { start: x, end }, from) in &sight.across.runs {
+        for (Range { start: x, end }, from) in &mapping.across.runs {
             let (x, end, from) = (*x, *end, *from);
             if from < 0 || from as usize + (end - x) >= other.width {
                 // Rare: at the border of what was rectified.
@@ -302,16 +307,20 @@ fn mix_each(a: &[u8], b: &[u8], weights: &[u8], out: &mut [u8]) {
 
 /// The rows of the windows of as many pixels as are computed together.
 #[derive(Clone, Copy)]
-struct Windows<'a>([&'a [u8; LANES + 2 * REACH]; 2 * REACH + 1]);
+struct CensusWindows<'a>([&'a [u8; LANES + 2 * REACH]; 2 * REACH + 1]);
 
-impl<'a> Windows<'a> {
+impl<'a> CensusWindows<'a> {
     #[inline(always)]
-    fn new(values: &'a [u8], room: usize) -> Option<Windows<'a>> {
+    fn new(values: &'a [u8], room: usize) -> CensusWindows<'a> {
         let mut rows = [const { &[0; LANES + 2 * REACH] }; 2 * REACH + 1];
         for (k, row) in rows.iter_mut().enumerate() {
-            *row = values.get(k * room..)?.first_chunk()?;
+            let found = values[k * room..].first_chunk();
+            debug_assert!(found.is_some(), "a window reaches beyond the last row");
+            if let Some(found) = found {
+                *row = found;
+            }
         }
-        Some(Windows(rows))
+        CensusWindows(rows)
     }
 
     /// 255 where the neighbour at a row and column of the window is brighter than the centre, else 0.
@@ -327,7 +336,7 @@ impl<'a> Windows<'a> {
 
     /// All comparisons.
     #[inline(always)]
-    fn compared(self) -> Compared {
+    fn compared(self) -> CensusBits {
         [
             self.brighter::<0, 0>(),
             self.brighter::<0, 1>(),
@@ -358,7 +367,7 @@ impl<'a> Windows<'a> {
 
     /// How many comparisons come out otherwise than those of the reference, in costs.
     #[inline(always)]
-    fn differing(self, own: &Compared) -> [u8; LANES] {
+    fn differing(self, own: &CensusBits) -> [u8; LANES] {
         let theirs = self.compared();
         let mut distance = [0u8; LANES];
         for neighbour in 0..NEIGHBOURS {
@@ -369,36 +378,34 @@ impl<'a> Windows<'a> {
         let centre = self.0[REACH];
         for k in 0..LANES {
             // Nothing is known where a photo shows nothing.
-            distance[k] = if centre[k + REACH] == 0 { NOTHING_ALIKE } else { distance[k] };
+            distance[k] = if centre[k + REACH] == 0 { MAX_DISTANCE } else { distance[k] };
         }
         distance
     }
 }
 
-type Compared = [[u8; LANES]; NEIGHBOURS];
+/// 255 or 0 for each neighbour of 32 pixels.
+type CensusBits = [[u8; LANES]; NEIGHBOURS];
 
 /// The comparisons of the reference, of 32 columns after the other.
 #[inline(always)]
-fn compare(values: &[u8], room: usize, out: &mut [Compared]) {
+fn compare(values: &[u8], room: usize, out: &mut [CensusBits]) {
     for (row, out) in out.chunks_exact_mut(room / LANES).enumerate() {
         for (chunk, out) in out.iter_mut().enumerate() {
-            if let Some(windows) = Windows::new(&values[row * room + chunk * LANES..], room) {
-                *out = windows.compared();
-            }
+            *out = CensusWindows::new(&values[row * room + chunk * LANES..], room).compared();
         }
     }
 }
 
 /// How many comparisons come out otherwise in another photo.
 #[inline(always)]
-fn census(values: &[u8], room: usize, own: &[Compared], out: &mut [[u8; LANES]]) {
+fn census(values: &[u8], room: usize, own: &[CensusBits], out: &mut [[u8; LANES]]) {
     let chunks = room / LANES;
     let rows = own.chunks_exact(chunks).zip(out.chunks_exact_mut(chunks));
     for (row, (own, out)) in rows.enumerate() {
         for (chunk, (own, out)) in own.iter().zip(out).enumerate() {
             let from = row * room + chunk * LANES;
-            let Some(windows) = Windows::new(&values[from..], room) else { continue };
-            *out = windows.differing(own);
+            *out = CensusWindows::new(&values[from..], room).differing(own);
         }
     }
 }
@@ -408,7 +415,7 @@ fn census(values: &[u8], room: usize, own: &[Compared], out: &mut [[u8; LANES]])
 fn best(distances: &[Vec<[u8; LANES]>], at: usize) -> [u8; LANES] {
     // Sorted as they come: a is the least.
     let (mut a, mut b, mut c) =
-        ([NOTHING_ALIKE; LANES], [NOTHING_ALIKE; LANES], [NOTHING_ALIKE; LANES]);
+        ([MAX_DISTANCE; LANES], [MAX_DISTANCE; LANES], [MAX_DISTANCE; LANES]);
     for distance in distances {
         let distance = &distance[at];
         for k in 0..LANES {
@@ -473,7 +480,7 @@ mod tests {
                 other.values[row * (width + 60) + column] = value as u8;
             }
         }
-        let mut volume = Volume::default();
+        let mut volume = CostVolume::default();
         costs(&reference, std::slice::from_ref(&other), &heights_m, &mut volume);
         for at in [[30, 20], [75, 10], [120, 33]] {
             let of = |layer: usize| volume.at(at, layer);

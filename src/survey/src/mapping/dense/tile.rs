@@ -2,7 +2,7 @@
 
 use super::{
     DenseOptions, PosedPhoto, Relief,
-    block::{Block, Memory, choose, match_block},
+    block::{Block, BlockBuffers, choose, match_block},
     joins::{Margin, Part, join, tolerance_m},
     rectify::{BlockPlane, greenness},
 };
@@ -97,7 +97,7 @@ pub fn match_tile(
         }
         return Ok(result);
     }
-    let one = |memory: &mut Memory, plane: &BlockPlane| {
+    let one = |buffers: &mut BlockBuffers, plane: &BlockPlane| {
         let (reference, others) = choose(&views, plane, options.others)?;
         let usual = [options.lowest_m, options.highest_m()];
         let (plane, options) = match relief {
@@ -105,10 +105,11 @@ pub fn match_tile(
             None => (*plane, *options),
         };
         let limits = relief.map(|relief| (relief, usual));
-        match_block(photos, (reference, &others), &plane, ground, &options, limits, memory)
+        match_block(photos, (reference, &others), &plane, ground, &options, limits, buffers)
     };
-    let of = |memory: &mut Memory, (_, plane): &_| one(memory, plane);
-    let blocks: Vec<Option<Block>> = planes.par_iter().map_init(Memory::default, of).collect();
+    let of = |buffers: &mut BlockBuffers, (_, plane): &_| one(buffers, plane);
+    let blocks: Vec<Option<Block>> =
+        planes.par_iter().map_init(BlockBuffers::default, of).collect();
     let found = planes
         .iter()
         .zip(&blocks)

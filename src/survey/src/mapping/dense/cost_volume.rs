@@ -1,11 +1,11 @@
-//! Costs of all layers of a block, laid out for SIMD over the columns of a row.
+//! The cost volume of a block of the dense surface: a cost for every pixel and layer of heights, laid out for SIMD over the columns of a row.
 
 /// Columns that are computed together: one register of AVX2.
 pub(super) const LANES: usize = 32;
 
 /// One byte for every pixel and layer: row by row, of each row 32 columns after the other, of these the layers.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Volume {
+pub struct CostVolume {
     values: Vec<[u8; LANES]>,
     width: usize,
     height: usize,
@@ -15,10 +15,10 @@ pub struct Volume {
     chunks: usize,
 }
 
-impl Volume {
+impl CostVolume {
     /// All 0.
-    pub fn new(size: [usize; 2], layers: usize) -> Volume {
-        let mut volume = Volume::default();
+    pub fn new(size: [usize; 2], layers: usize) -> CostVolume {
+        let mut volume = CostVolume::default();
         volume.begin(size, layers);
         volume
     }
@@ -29,7 +29,7 @@ impl Volume {
         let mut values = std::mem::take(&mut self.values);
         values.clear();
         values.resize(chunks * height * pitch, [0; LANES]);
-        *self = Volume { values, width, height, layers, pitch, chunks };
+        *self = CostVolume { values, width, height, layers, pitch, chunks };
     }
 
     /// Columns and rows.
@@ -75,7 +75,7 @@ impl Volume {
 /// Transposes eight by eight bytes in four places: `rows[r]` has bytes `8 k + c` before and `8 k + r` of row `c` afterwards. Swaps of halves, in
 /// numbers of eight bytes, which are as fast in any SIMD.
 #[inline(always)]
-pub(super) fn transpose_eights(rows: &mut [[u64; 4]; 8]) {
+pub(super) fn transpose_8x8(rows: &mut [[u64; 4]; 8]) {
     #[inline(always)]
     fn swap<const SHIFT: u32, const MASK: u64>(rows: &mut [[u64; 4]; 8], low: usize, high: usize) {
         let (mut a, mut b) = (rows[low], rows[high]);
@@ -97,9 +97,9 @@ pub(super) fn transpose_eights(rows: &mut [[u64; 4]; 8]) {
     }
 }
 
-/// Bytes as numbers.
+/// 32 bytes as four little-endian words.
 #[inline(always)]
-pub(super) fn eights(bytes: &[u8; LANES]) -> [u64; 4] {
+pub(super) fn words(bytes: &[u8; LANES]) -> [u64; 4] {
     let mut out = [0; 4];
     for (out, bytes) in out.iter_mut().zip(bytes.as_chunks::<8>().0) {
         *out = u64::from_le_bytes(*bytes);
@@ -112,11 +112,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn eights_are_transposed() {
+    fn blocks_of_eight_are_transposed() {
         let byte = |row: usize, at: usize| (row * 37 + at * 11) as u8;
         let mut rows: [[u64; 4]; 8] =
-            std::array::from_fn(|row| eights(&std::array::from_fn(|at| byte(row, at))));
-        transpose_eights(&mut rows);
+            std::array::from_fn(|row| words(&std::array::from_fn(|at| byte(row, at))));
+        transpose_8x8(&mut rows);
         for (row, found) in rows.iter().enumerate() {
             for (k, found) in found.iter().enumerate() {
                 let expected: [u8; 8] = std::array::from_fn(|c| byte(c, 8 * k + row));
