@@ -179,7 +179,7 @@ pub(super) fn match_block(
             let mut z = top_m[v * width + u];
             let source = from[v * width + u];
             if source != usize::MAX {
-                // Ten paths of 72 at most; a fifth of that is as sure as it gets.
+                // Ten paths of 72 at most; a margin of a fifth of that is as sure as it gets.
                 block.confidence[out] = (f32::from(best[source].margin) * 1.6).min(255.0) as u8;
                 block.colour[out] = colour[source];
                 let is_leaf = options.prior.is_leaf(green[source]);
@@ -199,10 +199,10 @@ pub(super) fn match_block(
     Some(block)
 }
 
-/// The ground above the plane of a block, metres, between places so many cells apart: nearer than what heights of the ground are known at. NaN
-/// where one of these is not known.
+/// Height of the ground above the plane of a block at every cell, metres: bilinear between every fourth cell. NaN where the ground is not known at
+/// one of the four around it.
 fn ground_above(block: &BlockPlane, ground: &dyn Fn([f64; 2]) -> Option<f64>) -> Vec<f32> {
-    /// Far nearer than the nodes of the ground ([`super::tile::node_m`]: six coarse cells, twelve of these).
+    // A third of the distance of the nodes of the ground at most (`tile::node_m`: six coarse cells are twelve of these).
     const SPACING_CELLS: usize = 4;
     let [width, height] = block.size;
     let nodes = width.div_ceil(SPACING_CELLS) + 1;

@@ -302,6 +302,7 @@ pub(super) fn estimates(
         const { assert!(D.is_multiple_of(TOGETHER)) };
         pulp::Arch::new().dispatch(Padded::<D>(estimates))
     }
+    // Loops over a fixed number of layers are vectorised, those over any number take twice the time.
     let estimates = Estimates { sums, pixels, options };
     match sums.layers() {
         0..=16 => of::<16>(estimates),
@@ -315,6 +316,7 @@ pub(super) fn estimates(
     }
 }
 
+/// What heights are estimated from.
 struct Estimates<'a> {
     sums: &'a CostVolume,
     pixels: &'a Pixels<'a>,
