@@ -27,9 +27,12 @@ use rowgram::{
     score::Score,
 };
 
+type Array<'py, T> = Bound<'py, PyArray2<T>>;
+
 /// An array of another kind than expected, in words.
 fn unexpected(name: &str, expected: &str, given: &Bound<'_, PyAny>) -> PyErr {
-    let of = |attribute: &str| given.getattr(attribute).and_then(|v| v.str()).map(|v| v.to_string());
+    let of =
+        |attribute: &str| given.getattr(attribute).and_then(|v| v.str()).map(|v| v.to_string());
     let found = match (of("dtype"), of("shape")) {
         (Ok(dtype), Ok(shape)) => format!("an array of {dtype} with shape {shape}"),
         _ => match given.get_type().name() {
@@ -55,11 +58,17 @@ fn photo(given: &Bound<'_, PyAny>) -> PyResult<RgbImage> {
 
 /// A leaf mask from an array of shape (rows, columns), `bool` or `uint8`; what is not 0 is leaf.
 fn mask(given: &Bound<'_, PyAny>) -> PyResult<Mask> {
-    let wrong = || unexpected("mask", "an array of bool or uint8 with shape (rows, columns)", given);
-    let make = |rows: usize, columns: usize, data: Vec<u8>| Mask { width: columns, height: rows, data };
+    let wrong =
+        || unexpected("mask", "an array of bool or uint8 with shape (rows, columns)", given);
+    let make =
+        |rows: usize, columns: usize, data: Vec<u8>| Mask { width: columns, height: rows, data };
     if let Ok(array) = given.extract::<PyReadonlyArray2<'_, bool>>() {
         let view = array.as_array();
-        return Ok(make(view.nrows(), view.ncols(), view.iter().map(|&leaf| leaf.into()).collect()));
+        return Ok(make(
+            view.nrows(),
+            view.ncols(),
+            view.iter().map(|&leaf| leaf.into()).collect(),
+        ));
     }
     let array: PyReadonlyArray2<'_, u8> = given.extract().map_err(|_| wrong())?;
     let view = array.as_array();
@@ -87,7 +96,7 @@ pub(crate) fn table<'py, T: numpy::Element + Clone>(
     py: Python<'py>,
     columns: usize,
     flat: Vec<T>,
-) -> PyResult<Bound<'py, PyArray2<T>>> {
+) -> PyResult<Array<'py, T>> {
     let rows = flat.len() / columns.max(1);
     let array = Array2::from_shape_vec((rows, columns), flat)
         .map_err(|error| crate::error::exception("InternalError", error))?;
@@ -101,10 +110,11 @@ pub(crate) fn segment<'py>(
     py: Python<'py>,
     image: &Bound<'py, PyAny>,
     hsv: Option<[i64; 4]>,
-) -> PyResult<(Bound<'py, PyArray2<bool>>, Option<Bound<'py, PyArray2<f32>>>)> {
+) -> PyResult<(Array<'py, bool>, Option<Array<'py, f32>>)> {
     let photo = photo(image)?;
     let (width, height) = (photo.width() as usize, photo.height() as usize);
-    let leaf = |mask: Mask| table(py, mask.width, mask.data.iter().map(|&leaf| leaf != 0).collect());
+    let leaf =
+        |mask: Mask| table(py, mask.width, mask.data.iter().map(|&leaf| leaf != 0).collect());
     if width == 0 || height == 0 {
         return Err(input(format!("image: expected pixels, not {height} x {width}")));
     }
@@ -128,9 +138,9 @@ pub(crate) fn spectral_index<'py>(
     samples: PyReadonlyArray2<'py, f32>,
 ) -> PyResult<Bound<'py, PyArray1<f32>>> {
     let band = |name: &String| {
-        Band::named(name).map(Some).ok_or_else(|| {
-            input(format!("{name}: expected bands blue, green, red, red_edge, nir"))
-        })
+        Band::named(name)
+            .map(Some)
+            .ok_or_else(|| input(format!("{name}: expected bands blue, green, red, red_edge, nir")))
     };
     let bands: Vec<Option<Band>> = names.iter().map(band).collect::<PyResult<_>>()?;
     let index = Index::list(&[index.to_owned()]).map_err(input)?.remove(0);
@@ -143,7 +153,8 @@ pub(crate) fn spectral_index<'py>(
 }
 
 fn stalks<'py>(py: Python<'py>, out: &Bound<'py, PyDict>, plants: &[Stalk]) -> PyResult<()> {
-    let column = |of: fn(&Stalk) -> f64| plants.iter().map(of).collect::<Vec<f64>>().into_pyarray(py);
+    let column =
+        |of: fn(&Stalk) -> f64| plants.iter().map(of).collect::<Vec<f64>>().into_pyarray(py);
     let at: Vec<f64> = plants.iter().flat_map(|plant| plant.position_px).collect();
     out.set_item("positions_px", table(py, 2, at)?)?;
     out.set_item("confidence", column(|plant| plant.confidence))?;
@@ -220,7 +231,8 @@ pub(crate) fn find_leaves<'py>(
     out.set_item("angle_rad", column(&|leaf| leaf.angle_rad()))?;
     let middle = all.iter().flat_map(|leaf| leaf.middle_px()).collect();
     out.set_item("middle_px", table(py, 2, middle)?)?;
-    let axes = all.iter().map(|leaf| table(py, 2, leaf.axis_px.iter().flatten().copied().collect()));
+    let axes =
+        all.iter().map(|leaf| table(py, 2, leaf.axis_px.iter().flatten().copied().collect()));
     out.set_item("axes_px", axes.collect::<PyResult<Vec<_>>>()?)?;
     out.set_item("usual_width_px", found.usual_width_px)?;
     Ok(out)
@@ -246,7 +258,7 @@ pub(crate) fn sift<'py>(
     py: Python<'py>,
     image: &Bound<'py, PyAny>,
     options: Option<&Bound<'py, PyDict>>,
-) -> PyResult<(Bound<'py, PyArray2<f32>>, Bound<'py, PyArray2<u8>>)> {
+) -> PyResult<(Array<'py, f32>, Array<'py, u8>)> {
     let options = options::plain("sift", &FeatureOptions::default(), options)?;
     let grey = match image.extract::<PyReadonlyArray2<'_, u8>>() {
         Ok(array) => {
@@ -260,7 +272,8 @@ pub(crate) fn sift<'py>(
     };
     let found = without_python(py, || features::detect(&grey, &options))?;
     let points = found.key_points.iter();
-    let points = points.flat_map(|p| [p.u_px, p.v_px, p.sigma_px, p.angle_rad, p.response]).collect();
+    let points =
+        points.flat_map(|p| [p.u_px, p.v_px, p.sigma_px, p.angle_rad, p.response]).collect();
     let descriptors = found.descriptors.as_bytes().to_vec();
     Ok((table(py, 5, points)?, table(py, features::DESCRIPTOR_LENGTH, descriptors)?))
 }
@@ -273,7 +286,7 @@ pub(crate) fn match_descriptors<'py>(
     first: &Bound<'py, PyAny>,
     second: &Bound<'py, PyAny>,
     options: Option<&Bound<'py, PyDict>>,
-) -> PyResult<Bound<'py, PyArray2<u32>>> {
+) -> PyResult<Array<'py, u32>> {
     let options = options::plain("match", &matching::MatchOptions::default(), options)?;
     let read = |name: &str, given: &Bound<'py, PyAny>| -> PyResult<Descriptors> {
         let wrong = || unexpected(name, "an array of uint8 with shape (n, 128)", given);

@@ -20,14 +20,17 @@ use std::path::PathBuf;
 
 fn indices(name: &str, given: &Bound<'_, PyAny>) -> PyResult<Vec<u32>> {
     let wrong = || input(format!("{name}: expected an array of whole numbers with shape (n,)"));
-    let array = given.py().import("numpy")?.call_method1("asarray", (given,)).map_err(|_| wrong())?;
+    let array =
+        given.py().import("numpy")?.call_method1("asarray", (given,)).map_err(|_| wrong())?;
     let kind: String = array.getattr("dtype")?.getattr("kind")?.extract()?;
     if !matches!(kind.as_str(), "i" | "u") {
         return Err(wrong());
     }
     let array: PyReadonlyArray1<'_, i64> =
         array.call_method1("astype", ("int64",))?.extract().map_err(|_| wrong())?;
-    let whole = |&index: &i64| u32::try_from(index).map_err(|_| input(format!("{name}: {index} is no index")));
+    let whole = |&index: &i64| {
+        u32::try_from(index).map_err(|_| input(format!("{name}: {index} is no index")))
+    };
     array.as_array().iter().map(whole).collect()
 }
 
@@ -56,9 +59,8 @@ pub(crate) fn adjust_network<'py>(
     options: Option<&Bound<'py, PyDict>>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let options = options::plain("bundle_adjust", &nlls::Options::default(), options)?;
-    let loss: Loss = loss
-        .map_or(Ok(Loss::Trivial), str::parse)
-        .map_err(|why| input(format!("loss: {why}")))?;
+    let loss: Loss =
+        loss.map_or(Ok(Loss::Trivial), str::parse).map_err(|why| input(format!("loss: {why}")))?;
     let three = |row: &[f64], from: usize| [row[from], row[from + 1], row[from + 2]];
     let camera = |row: &Vec<f64>| Camera {
         rotation_rad: three(row, 0),
@@ -106,8 +108,8 @@ pub(crate) fn adjust_network<'py>(
 /// A file of Bundle Adjustment in the Large as arrays.
 #[pyfunction]
 pub(crate) fn read_bal(py: Python<'_>, path: PathBuf) -> PyResult<Bound<'_, PyDict>> {
-    let network = without_python(py, || bal::read(&path))?
-        .map_err(|error| exception("InputError", error))?;
+    let network =
+        without_python(py, || bal::read(&path))?.map_err(|error| exception("InputError", error))?;
     let out = arrays(py, &network)?;
     let all = &network.observations;
     let of = |index: fn(&Observation) -> u32| {

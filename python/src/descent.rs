@@ -53,7 +53,9 @@ impl BlockCost for PythonProblem {
     fn prepare(&self, x: &mut Vec<f64>) -> Result<(), SolveError> {
         match x.iter().position(|value| !value.is_finite()) {
             None => Ok(()),
-            Some(at) => Err(SolveError::Misuse(format!("x[{at}] is {}, expected a finite number", x[at]))),
+            Some(at) => {
+                Err(SolveError::Misuse(format!("x[{at}] is {}, expected a finite number", x[at])))
+            }
         }
     }
 
@@ -68,9 +70,9 @@ impl BlockCost for PythonProblem {
     fn update(&self, _: &mut Vec<f64>, block: usize, active: &mut ActiveSet) -> f64 {
         self.call(0.0, |py| {
             let found = self.update.bind(py).call1((self.x.bind(py), block))?;
-            let (moved, marked): (f64, Vec<usize>) = found
-                .extract()
-                .map_err(|_| input("update: expected (distance moved, numbers of blocks to visit again)"))?;
+            let (moved, marked): (f64, Vec<usize>) = found.extract().map_err(|_| {
+                input("update: expected (distance moved, numbers of blocks to visit again)")
+            })?;
             marked.into_iter().for_each(|block| active.mark(block));
             Ok(moved)
         })
@@ -110,8 +112,15 @@ pub(crate) fn coordinate_descent<'py>(
 ) -> PyResult<(Bound<'py, PyArray1<f64>>, Bound<'py, PyDict>)> {
     let array = x.clone().into_pyarray(py);
     let raised = Mutex::new(None);
-    let problem =
-        PythonProblem { blocks, x: array.clone().unbind(), cost, update, end_sweep, monotone, raised };
+    let problem = PythonProblem {
+        blocks,
+        x: array.clone().unbind(),
+        cost,
+        update,
+        end_sweep,
+        monotone,
+        raised,
+    };
     let order = if shuffled { Order::Shuffled } else { Order::Cyclic };
     let options = CoordinateDescentOptions { order, seed, movement_tolerance, cost_tolerance };
     let mut x = x;

@@ -41,7 +41,9 @@ impl Problem {
 
     /// Numbers of blocks from an array of shape (n,) or (n, arity): flat, and the arity.
     fn block_ids(&self, given: &Bound<'_, PyAny>) -> PyResult<(Vec<usize>, usize)> {
-        let wrong = || input("blocks: expected numbers of blocks with shape (n,) or (n, blocks per residual)");
+        let wrong = || {
+            input("blocks: expected numbers of blocks with shape (n,) or (n, blocks per residual)")
+        };
         let array = given.py().import("numpy")?.call_method1("asarray", (given, "int64"));
         let array: PyReadonlyArrayDyn<'_, i64> =
             array.map_err(|_| wrong())?.extract().map_err(|_| wrong())?;
@@ -100,7 +102,9 @@ fn same_length(what: &str, found: usize, expected: usize) -> PyResult<()> {
     if found == expected {
         return Ok(());
     }
-    Err(input(format!("{what} has {found} rows, expected one for each of the {expected} residuals")))
+    Err(input(format!(
+        "{what} has {found} rows, expected one for each of the {expected} residuals"
+    )))
 }
 
 #[pymethods]
@@ -265,7 +269,9 @@ impl Problem {
                 return Err(input(format!("{name}: block {index}: expected a euclidean block")));
             };
             if values.len() != length || sigma.len() != length {
-                return Err(input(format!("{name}: expected {length} values and sigmas for block {index}")));
+                return Err(input(format!(
+                    "{name}: expected {length} values and sigmas for block {index}"
+                )));
             }
             let prior = GaussianPrior::new(&self.problem, self.ids[index], &values, &sigma);
             factors.push(prior.map_err(|error| input(format!("{name}: {error}")))?);

@@ -18,7 +18,9 @@ use pyo3::prelude::*;
 /// The most memory that the content of one file may take, megabytes; `None`: what the machine has free.
 #[pyfunction]
 fn limit_memory(megabytes: Option<u32>) {
-    rowgram::io::memory::set_limit_bytes(megabytes.map(|megabytes| 1_000_000 * u64::from(megabytes)));
+    rowgram::io::memory::set_limit_bytes(
+        megabytes.map(|megabytes| 1_000_000 * u64::from(megabytes)),
+    );
 }
 
 /// What the package is made of.

@@ -104,8 +104,7 @@ impl Project {
         let config = pipeline::environment()
             .and_then(|environment| Config::read(&path, environment.into_iter(), &settings))
             .map_err(|error| from_library(&error))?;
-        let project =
-            pipeline::Project::new(path, config).map_err(|error| from_library(&error))?;
+        let project = pipeline::Project::new(path, config).map_err(|error| from_library(&error))?;
         Ok(Project(match results {
             Some(results) => project.with_results(results),
             None => project,
@@ -263,7 +262,8 @@ pub(crate) fn season<'py>(
     let done = without_python(py, || {
         let file = SeasonFile::read(&file)?;
         let environment = pipeline::environment()?;
-        let outcome = pipeline::season::season(&file, &environment, &settings, false, &mut monitor)?;
+        let outcome =
+            pipeline::season::season(&file, &environment, &settings, false, &mut monitor)?;
         if report {
             rowgram::report::write_season(&file, &outcome, false)?;
         }

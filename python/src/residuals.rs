@@ -118,7 +118,13 @@ impl PythonBatch {
         PyTuple::new(py, all)
     }
 
-    fn call(&self, py: Python<'_>, range: &Range<usize>, values: &[Vec<f64>], out: &mut [f64]) -> PyResult<()> {
+    fn call(
+        &self,
+        py: Python<'_>,
+        range: &Range<usize>,
+        values: &[Vec<f64>],
+        out: &mut [f64],
+    ) -> PyResult<()> {
         let found = self.residual.bind(py).call1(self.arguments(py, range, values)?)?;
         copy("the residual", &found, &[range.len(), self.rows], out)
     }
@@ -191,9 +197,8 @@ impl PythonBatch {
 fn copy(name: &str, found: &Bound<'_, PyAny>, shape: &[usize], out: &mut [f64]) -> PyResult<()> {
     let py = found.py();
     let array = py.import("numpy")?.call_method1("asarray", (found, "float64"))?;
-    let array: PyReadonlyArrayDyn<'_, f64> = array
-        .extract()
-        .map_err(|_| input(format!("{name}: expected an array of numbers")))?;
+    let array: PyReadonlyArrayDyn<'_, f64> =
+        array.extract().map_err(|_| input(format!("{name}: expected an array of numbers")))?;
     if array.shape() != shape {
         return Err(input(format!(
             "{name} has shape {:?}, expected {shape:?} (one entry per factor of the call, then its rows)",
@@ -228,8 +233,7 @@ impl Batch for PythonBatch {
         if range.is_empty() {
             return Ok(());
         }
-        let outcome =
-            Python::attach(|py| self.work(py, &range, x, residual, jacobian, width));
+        let outcome = Python::attach(|py| self.work(py, &range, x, residual, jacobian, width));
         outcome.map_err(|error| {
             if let Ok(mut raised) = self.raised.lock() {
                 raised.get_or_insert(error);
@@ -287,7 +291,11 @@ impl Residual<3> for CameraPosition {
 }
 
 /// Rows of a two-dimensional array of numbers.
-pub(crate) fn rows(name: &str, columns: usize, given: &Bound<'_, PyAny>) -> PyResult<Vec<Vec<f64>>> {
+pub(crate) fn rows(
+    name: &str,
+    columns: usize,
+    given: &Bound<'_, PyAny>,
+) -> PyResult<Vec<Vec<f64>>> {
     let wrong = || input(format!("{name}: expected an array of numbers with shape (n, {columns})"));
     let array = given.py().import("numpy")?.call_method1("asarray", (given, "float64"));
     let array = array.map_err(|_| wrong())?;

@@ -21,7 +21,8 @@ fn scenario(
     field: Option<&Bound<'_, PyDict>>,
     corruption: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Scenario> {
-    let preset: Preset = preset.parse().map_err(|why| input(format!("preset {preset:?}: {why}")))?;
+    let preset: Preset =
+        preset.parse().map_err(|why| input(format!("preset {preset:?}: {why}")))?;
     let mut scenario = Scenario::preset(preset);
     scenario.field = options::plain("field", &scenario.field, field)?;
     scenario.corruption = options::plain("corruption", &scenario.corruption, corruption)?;
@@ -48,7 +49,10 @@ pub(crate) fn synth_field<'py>(
     let picture: Bound<'py, PyArray3<u8>> = picture;
     out.set_item("image", picture)?;
     let plants = &scene.field.plants;
-    out.set_item("plants_px", table(py, 2, plants.iter().flat_map(|p| [p.u_px, p.v_px]).collect())?)?;
+    out.set_item(
+        "plants_px",
+        table(py, 2, plants.iter().flat_map(|p| [p.u_px, p.v_px]).collect())?,
+    )?;
     out.set_item("plants_m", table(py, 2, plants.iter().flat_map(|p| [p.x_m, p.y_m]).collect())?)?;
     let rows: Vec<i64> = plants.iter().map(|plant| plant.row as i64).collect();
     out.set_item("row", rows.into_pyarray(py))?;
@@ -102,14 +106,18 @@ pub(crate) fn synth_flight<'py>(
         let keys = Some(keys);
         match name.as_str() {
             "field" => config.field = options::plain("field", &config.field, keys)?,
-            "corruption" => config.corruption = options::plain("corruption", &config.corruption, keys)?,
+            "corruption" => {
+                config.corruption = options::plain("corruption", &config.corruption, keys)?
+            }
             "clutter" => config.clutter = options::plain("clutter", &config.clutter, keys)?,
             "site" => config.site = options::plain("site", &config.site, keys)?,
             "camera" => config.camera = options::plain("camera", &config.camera, keys)?,
             "flight" => config.flight = options::plain("flight", &config.flight, keys)?,
             "targets" => config.targets = options::plain("targets", &config.targets, keys)?,
             "image" => config.image = options::plain("image", &config.image, keys)?,
-            "tie_points" => config.tie_points = options::plain("tie_points", &config.tie_points, keys)?,
+            "tie_points" => {
+                config.tie_points = options::plain("tie_points", &config.tie_points, keys)?
+            }
             _ => {
                 return Err(input(format!(
                     "{name}: expected field, corruption, clutter, site, camera, flight, targets, image or tie_points"
@@ -119,7 +127,8 @@ pub(crate) fn synth_flight<'py>(
     }
     let options = FlightOptions { photos, photo_truth, boards };
     let mut monitor = PythonMonitor::new(progress);
-    let made = without_python(py, || write_flight(&config, &options, &folder, force, &mut monitor))?;
+    let made =
+        without_python(py, || write_flight(&config, &options, &folder, force, &mut monitor))?;
     monitor.finish()?;
     result(py, &made.map_err(|error| from_library(&error))?)
 }

@@ -94,7 +94,12 @@ fn of_model(args: &Args) -> Result<(), Error> {
     let folder = needed(&args.photos, "--photos names the folder of the photos")?;
     let reconstruction = args.import.import()?.read()?;
     let photos = photo_files(&reconstruction, &folder)?;
-    let input = OrthoInput { reconstruction: &reconstruction, photos: &photos, surface: &surface };
+    let input = OrthoInput {
+        reconstruction: &reconstruction,
+        photos: &photos,
+        surface: &surface,
+        filled: None,
+    };
     let figures = args.figures.as_deref();
     let files = OrthoFiles { mosaic: &output, figures, force: args.force };
     project::present(

@@ -17,7 +17,7 @@
 mod marks;
 
 pub use super::image_names::Names;
-pub use marks::{MarkRow, MarkTable, marks};
+pub use marks::{MarkRow, MarkSource, MarkTable, marks};
 
 use super::{
     FileError,

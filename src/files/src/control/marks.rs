@@ -42,8 +42,31 @@ fn unnamed_marks(
     }
 }
 
-/// The word in the column `source` of marks that a program found; all others were made by hand.
-const FOUND: &str = "found";
+/// Where a row of a file of marks comes from: its column `source`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum MarkSource {
+    /// Made by hand: every word but those below, and none.
+    Hand,
+    /// `found`: by a program, which may measure it anew.
+    Found,
+    /// `removed`: found by a program and taken back by a person. It is no mark and is not to be found again.
+    Removed,
+}
+
+impl MarkSource {
+    fn of(text: &str) -> MarkSource {
+        let known = [MarkSource::Found, MarkSource::Removed];
+        known.into_iter().find(|source| source.text() == text).unwrap_or(MarkSource::Hand)
+    }
+
+    fn text(self) -> &'static str {
+        match self {
+            MarkSource::Hand => "",
+            MarkSource::Found => "found",
+            MarkSource::Removed => "removed",
+        }
+    }
+}
 
 /// A row of a file of marks.
 #[derive(Debug, Clone, PartialEq)]
@@ -56,8 +79,8 @@ pub struct MarkRow {
     pub image_px: [f64; 2],
     /// Standard deviation of each coordinate, pixels, where it is given.
     pub sigma_px: Option<f64>,
-    /// Whether a program found it; else it was made by hand.
-    pub is_found: bool,
+    /// Who made it.
+    pub source: MarkSource,
     line: usize,
     cells: Vec<String>,
 }
@@ -145,7 +168,8 @@ impl MarkTable {
                 ground: points.get(label).copied(),
                 image_px: at,
                 sigma_px: Some(sigma_px).filter(|sigma| sigma.is_finite()),
-                is_found: source.is_some_and(|column| table.text(row, column) == FOUND),
+                source: source
+                    .map_or(MarkSource::Hand, |column| MarkSource::of(table.text(row, column))),
                 line: row.line,
                 cells,
             };
@@ -167,10 +191,9 @@ impl MarkTable {
         [image_name, label]: [&str; 2],
         image_px: [f64; 2],
         sigma_px: Option<f64>,
-        is_found: bool,
+        source: MarkSource,
     ) {
-        let is_same = |row: &MarkRow| (row.image, row.ground) == (Some(image), Some(ground));
-        let place = self.rows.iter().position(is_same);
+        let place = self.place((image, ground));
         let mut cells = match place {
             Some(place) => self.rows[place].cells.clone(),
             None => {
@@ -183,14 +206,31 @@ impl MarkTable {
         cells[self.places[2]] = format!("{:.3}", image_px[0]);
         cells[self.places[3]] = format!("{:.3}", image_px[1]);
         cells[self.places[4]] = sigma_px.map_or(String::new(), |sigma| format!("{sigma:.3}"));
-        cells[self.places[5]] = if is_found { FOUND.to_owned() } else { String::new() };
+        cells[self.places[5]] = source.text().to_owned();
         let line = place.map_or(0, |place| self.rows[place].line);
         let (image, ground) = (Some(image), Some(ground));
-        let row = MarkRow { image, ground, image_px, sigma_px, is_found, line, cells };
+        let row = MarkRow { image, ground, image_px, sigma_px, source, line, cells };
         match place {
             Some(place) => self.rows[place] = row,
             None => self.rows.push(row),
         }
+    }
+
+    /// Takes back the mark of a point in an image. Of one that was found a row stays, so that it is not found again.
+    pub fn remove(&mut self, ends: (u32, u32)) {
+        let Some(place) = self.place(ends) else { return };
+        match self.rows[place].source {
+            MarkSource::Hand => drop(self.rows.remove(place)),
+            MarkSource::Found | MarkSource::Removed => {
+                let row = &mut self.rows[place];
+                row.source = MarkSource::Removed;
+                row.cells[self.places[5]] = row.source.text().to_owned();
+            }
+        }
+    }
+
+    fn place(&self, (image, ground): (u32, u32)) -> Option<usize> {
+        self.rows.iter().position(|row| (row.image, row.ground) == (Some(image), Some(ground)))
     }
 
     /// Writes the file.
@@ -225,7 +265,7 @@ pub fn marks(
     let table = MarkTable::read(path, images, ground)?;
     let mut found = Vec::new();
     let mut aside = Vec::new();
-    for row in &table.rows {
+    for row in table.rows.iter().filter(|row| row.source != MarkSource::Removed) {
         let [name, label] = [0, 1].map(|k| row.cells[table.places[k]].as_str());
         let Some(ground) = row.ground else {
             let message = format!("there is no ground point {label:?}");
@@ -281,8 +321,8 @@ mod tests {
         let mut table = MarkTable::read(&path, &images, &ground).unwrap();
         let ends: Vec<_> = table.rows.iter().map(|row| (row.image, row.ground)).collect();
         assert_eq!(ends, [(Some(0), Some(0)), (None, Some(0)), (Some(1), None)]);
-        table.set((1, 1), ["b.jpg", "-T2"], [5.0, 6.25], Some(0.1), true);
-        table.set((0, 0), ["a.jpg", "T1"], [11.0, 21.0], None, false);
+        table.set((1, 1), ["b.jpg", "-T2"], [5.0, 6.25], Some(0.1), MarkSource::Found);
+        table.set((0, 0), ["a.jpg", "T1"], [11.0, 21.0], None, MarkSource::Hand);
         table.write(&path, true).unwrap();
         let written = std::fs::read_to_string(&path).unwrap();
         assert_eq!(
@@ -292,10 +332,42 @@ mod tests {
         );
         let again = MarkTable::read(&path, &images, &ground).unwrap();
         let row = &again.rows[3];
-        assert!(row.is_found && row.ground == Some(1) && row.sigma_px == Some(0.1), "{row:?}");
+        assert!(
+            row.source == MarkSource::Found && row.ground == Some(1) && row.sigma_px == Some(0.1),
+            "{row:?}"
+        );
         // The reader of a block names the point that is not there with its line.
         let error = marks(&path, &images, &ground, &Defaults::default()).unwrap_err().to_string();
         assert!(error.contains("line 5") && error.contains("T9"), "{error}");
+    }
+
+    #[test]
+    fn a_removed_mark_is_none_and_is_remembered_where_it_was_found() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("marks.csv");
+        let (images, ground) = block();
+        let mut table = MarkTable::default();
+        table.set((0, 0), ["a.jpg", "T1"], [1.0, 2.0], None, MarkSource::Hand);
+        table.set((1, 0), ["b.jpg", "T1"], [3.0, 4.0], Some(0.1), MarkSource::Found);
+        table.set((1, 1), ["b.jpg", "-T2"], [5.0, 6.0], Some(0.1), MarkSource::Found);
+        for ends in [(0, 0), (1, 0), (0, 1)] {
+            table.remove(ends);
+        }
+        table.write(&path, false).unwrap();
+        let again = MarkTable::read(&path, &images, &ground).unwrap();
+        let rows: Vec<_> =
+            again.rows.iter().map(|row| (row.image, row.ground, row.source)).collect();
+        assert_eq!(
+            rows,
+            [(Some(1), Some(0), MarkSource::Removed), (Some(1), Some(1), MarkSource::Found)]
+        );
+        let (found, _) = marks(&path, &images, &ground, &Defaults::default()).unwrap();
+        assert_eq!(found.len(), 1);
+        // A person who marks it after all has the last word.
+        table.set((1, 0), ["b.jpg", "T1"], [3.5, 4.0], None, MarkSource::Hand);
+        table.write(&path, true).unwrap();
+        let (found, _) = marks(&path, &images, &ground, &Defaults::default()).unwrap();
+        assert_eq!(found.len(), 2);
     }
 
     #[test]

@@ -1,16 +1,21 @@
 //! The orthomosaic, and orthophotos of single photos.
 
+mod base;
 mod colours;
 mod photos;
 mod plots;
 mod record;
 mod write;
 
-use super::{Project, Stage, Task, dem, import, stage};
+use super::{Project, Stage, Task, dem, import, stage, surface};
 pub(super) use photos::read_photo;
 pub use plots::WholePlots;
 pub use record::{OrthophotoRecord, PhotoRecord};
-use rowgram_base::{error::Error, monitor::Monitor, options::Auto};
+use rowgram_base::{
+    error::Error,
+    monitor::{Diagnostic, Monitor},
+    options::{Auto, Choice},
+};
 use rowgram_files::polygons;
 use rowgram_survey::mapping::{
     canopy_height::CanopyHeight, colour_balance::ColourBalance, select::SelectionOptions,
@@ -32,7 +37,8 @@ rowgram_base::options! {
         /// What the map shows: minimum x, minimum y, maximum x, maximum y; everything that photos show where not
         /// set.
         pub bounds_m: Option<[f64; 4]> = None, example "[500600.0, 4480100.0, 500700.0, 4480200.0]";
-        /// The surface: a GeoTIFF of heights in the mapping frame. That of the stage dem where not set.
+        /// The surface: a GeoTIFF of heights in the mapping frame. Where not set, that of the tie points, and of the dense
+        /// surface where tie points are missing.
         pub dem: Option<PathBuf> = None, example "\"terrain.tif\"";
         /// Use only these photos, by name; all where empty.
         pub only: Vec<String> = Vec::new();
@@ -116,6 +122,8 @@ pub struct OrthoOutcome {
 
 /// The file of the orthomosaic in the folder of the stage.
 pub const ORTHOMOSAIC: &str = "ortho.tif";
+/// The surface of the tie points with its gaps filled, in the same folder, where it had any.
+pub const FILLED: &str = "dem_filled.tif";
 
 /// The stage.
 #[derive(Debug, Clone, Copy)]
@@ -129,6 +137,7 @@ impl Task for OrthoTask {
     fn inputs(project: &Project, options: &OrthoOptions) -> Result<Vec<PathBuf>, Error> {
         let mut files = project.reconstruction_files()?;
         files.push(surface_file(project, options)?);
+        files.extend(dense_surface(project, options).into_iter().flatten());
         let plots = options.whole_plots.as_ref().map(|path| project.root().join(path));
         files.extend(plots.iter().flat_map(|path| polygons::files(path)));
         files.extend(project.photos());
@@ -144,8 +153,24 @@ impl Task for OrthoTask {
         let reconstruction = project.reconstruction()?;
         let photos = import::photo_files(&reconstruction, &project.photo_folder())?;
         let surface = surface_file(project, options)?;
-        let input =
-            OrthoInput { reconstruction: &reconstruction, photos: &photos, surface: &surface };
+        let mut filled = None;
+        if let Some(dense) = dense_surface(project, options) {
+            let to = folder.join(FILLED);
+            let cells = base::fill(&surface, &dense, &to)?;
+            if cells > 0 {
+                let message =
+                    format!("{cells} cells without tie points have heights of the dense surface");
+                let subject = Stage::Ortho.word();
+                monitor.diagnostic(&Diagnostic::info("ortho-gaps-filled", subject, message));
+                filled = Some(to);
+            }
+        }
+        let input = OrthoInput {
+            reconstruction: &reconstruction,
+            photos: &photos,
+            surface: &surface,
+            filled: filled.as_deref(),
+        };
         let whole_plots = options.whole_plots.as_ref().map(|path| project.root().join(path));
         let options = OrthoOptions { whole_plots, ..options.clone() };
         let (mosaic, figures) = (folder.join(ORTHOMOSAIC), folder.join("figures"));
@@ -163,6 +188,14 @@ fn surface_file(project: &Project, options: &OrthoOptions) -> Result<PathBuf, Er
             project.folder(Stage::Dem).display()
         ))
     })
+}
+
+/// Heights of the dense surface, which has some where tie points are missing, and the confidence in them; none where the options name a
+/// surface.
+fn dense_surface(project: &Project, options: &OrthoOptions) -> Option<[PathBuf; 2]> {
+    let file = |name| project.finished(Stage::Surface, name);
+    let both = || Some([file(surface::SURFACE)?, file(surface::CONFIDENCE)?]);
+    options.dem.is_none().then(both).flatten()
 }
 
 /// Makes the orthomosaic of a project, from its reconstruction, its photos and its surface.

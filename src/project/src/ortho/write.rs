@@ -47,8 +47,10 @@ pub struct OrthoInput<'a> {
     pub reconstruction: &'a Reconstruction,
     /// The file of each photo, in the order of the reconstruction.
     pub photos: &'a [PathBuf],
-    /// The surface: a GeoTIFF of heights in the mapping frame.
+    /// The surface: a GeoTIFF of heights in the mapping frame. The grid is chosen by it.
     pub surface: &'a Path,
+    /// The same with its gaps filled, where it had any: photos are drawn on it.
+    pub filled: Option<&'a Path>,
 }
 
 /// Where orthophotos go.
@@ -85,7 +87,9 @@ pub fn write_orthophotos(
             views.len()
         )));
     }
-    let surface = surface(input, monitor)?;
+    let extent = surface(input, input.surface, monitor)?;
+    let drawn = input.filled.map(|filled| surface(input, filled, monitor)).transpose()?;
+    let surface = drawn.unwrap_or_else(|| extent.clone());
     let frames = if options.frames { frame_files(files.mosaic, &photos)? } else { Vec::new() };
     for orthophoto in std::iter::once(files.mosaic).chain(frames.iter().map(PathBuf::as_path)) {
         output::check(orthophoto, files.force)?;
@@ -97,7 +101,8 @@ pub fn write_orthophotos(
     if options.whole_plots.is_some() {
         output::check(&table_path(files.mosaic), files.force)?;
     }
-    let mut work = Work { options, files, dem: input.surface, canopy_height_m: 0.0, colour: None };
+    let dem = input.filled.unwrap_or(input.surface);
+    let mut work = Work { options, files, dem, extent, canopy_height_m: 0.0, colour: None };
     let (canopy_height_m, canopy) = match options.canopy_height_m {
         Auto::Given(metres) => (metres, None),
         Auto::Auto => {
@@ -123,6 +128,7 @@ pub fn write_orthophotos(
         }
     };
     let surface = surface.raised(canopy_height_m);
+    work.extent = work.extent.raised(canopy_height_m);
     work.canopy_height_m = canopy_height_m;
     if options.balance {
         work.colour = work.balance(&views, (&photos, &cameras), &surface, monitor)?;
@@ -161,9 +167,12 @@ fn frame_files(mosaic: &Path, photos: &[PathBuf]) -> Result<Vec<PathBuf>, Error>
     Ok(photos.iter().map(named).collect())
 }
 
-/// The surface, in the coordinate reference system of the photos.
-fn surface(input: &OrthoInput<'_>, monitor: &mut dyn Monitor) -> Result<Surface, Error> {
-    let path = input.surface;
+/// A surface, in the coordinate reference system of the photos.
+fn surface(
+    input: &OrthoInput<'_>,
+    path: &Path,
+    monitor: &mut dyn Monitor,
+) -> Result<Surface, Error> {
     let fault = |message: String| Error::from(FileError::malformed(path, None, message));
     let mut surface = read_surface(path)?;
     let (known, of_photos) = (surface.georeference.crs, Crs::from(&input.reconstruction.reference));
@@ -199,6 +208,8 @@ pub(super) struct Work<'a> {
     pub(super) options: &'a OrthoOptions,
     pub(super) files: &'a OrthoFiles<'a>,
     dem: &'a Path,
+    /// What the grid is chosen by.
+    extent: Surface,
     canopy_height_m: f64,
     colour: Option<BalancedPhotos>,
 }
@@ -222,10 +233,10 @@ impl Work<'_> {
     fn grid(
         &self,
         views: &[View],
-        surface: &Surface,
         subject: &str,
         monitor: &mut dyn Monitor,
     ) -> Result<(Georeference, [usize; 2]), Error> {
+        let surface = &self.extent;
         let crs = surface.georeference.crs;
         let gsd_m = match self.options.gsd_m {
             Some(gsd_m) => gsd_m,
@@ -284,7 +295,7 @@ impl Work<'_> {
     ) -> Result<(Orthophoto, Option<WholePlots>), Error> {
         let options = self.options;
         let (views, photos) = (&all[which.clone()], &files[which.clone()]);
-        let (grid, size) = self.grid(views, surface, &name(output), monitor)?;
+        let (grid, size) = self.grid(views, &name(output), monitor)?;
         let selector = PhotoSelector::new(views, surface, grid, options.selection());
         let read = |k: usize| read_photo(&photos[k], views[k].interior.size_px());
         let mut cache = PhotoCache::new(views, &read, options.memory_mb << 20);

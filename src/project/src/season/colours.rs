@@ -118,6 +118,9 @@ pub(super) struct PlacedMap<'a> {
     pub(super) is_own: bool,
 }
 
+/// Panels that are off their common line by more than this share of their reflectance (standard deviation) are not where they are drawn, or not
+/// what they are said to be: photos of a mosaic agree to about .02. Assumed.
+const MAX_SCATTER: f64 = 0.2;
 /// Scaled dates that another one is compared with.
 const NEIGHBOURS: usize = 2;
 /// Squares of ground that two dates have to share: from fewer a standard deviation of 15 % of one of them, as of moist patches, leaves
@@ -255,6 +258,20 @@ fn by_panels(
     });
     let [Some(red), Some(green), Some(blue)] = channels else { return Ok(None) };
     let all = [red, green, blue];
+    if let Some(scatter) = all.iter().filter_map(|of| of.scatter).find(|of| *of > MAX_SCATTER) {
+        let message = format!(
+            "the panels of {} contradict each other by {:.0} %, expected at most {:.0} %: they are left out",
+            path.display(),
+            100.0 * scatter,
+            100.0 * MAX_SCATTER
+        );
+        monitor.diagnostic(
+            &Diagnostic::warning("season-panel-unusable", &of.map.date, message).with_remedy(
+                "see that the polygons lie on the panels on the map of this date, and their reflectances; draw them on that map and name them below its flight",
+            ),
+        );
+        return Ok(None);
+    }
     Ok(Some(DateColours {
         source: ColourSource::Panels,
         compared_with: Vec::new(),

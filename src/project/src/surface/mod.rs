@@ -109,6 +109,8 @@ pub const GROUND_SIGMA: &str = "dtm_sigma.tif";
 pub const CLOUD: &str = "dsm.laz";
 /// The height of the surface over the ground.
 pub const CANOPY: &str = "chm.tif";
+/// The confidence in the heights of the surface, 0 to 255.
+pub const CONFIDENCE: &str = "confidence.tif";
 
 /// What was written; files are named relative to the folder of the stage.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

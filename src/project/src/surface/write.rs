@@ -1,6 +1,8 @@
 //! Rasters, pictures and tables of the stage, from parts of the map that are in memory one at a time.
 
-use super::{CANOPY, GROUND, GROUND_SIGMA, SIGMA, SURFACE, SurfaceOutcome, ground::Ground};
+use super::{
+    CANOPY, CONFIDENCE, GROUND, GROUND_SIGMA, SIGMA, SURFACE, SurfaceOutcome, ground::Ground,
+};
 use crate::{dem::NODATA, figures, map_figures};
 use rowgram_base::error::Error;
 use rowgram_files::{
@@ -232,7 +234,7 @@ impl Rasters {
             height(GROUND_SIGMA, ground.has_sigma())?,
             height(CANOPY, ground.is_known())?,
         ];
-        Ok(Rasters { heights, bytes: [byte("confidence.tif")?, byte("photos.tif")?] })
+        Ok(Rasters { heights, bytes: [byte(CONFIDENCE)?, byte("photos.tif")?] })
     }
 
     fn put(&mut self, of: &Planes) -> Result<(), FileError> {

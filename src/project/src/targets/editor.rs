@@ -6,6 +6,7 @@ use super::{
 };
 use crate::record::Key;
 use rowgram_base::{error::Error, monitor::Silent};
+use rowgram_files::control::MarkSource;
 use rowgram_optim::output::FileError;
 use rowgram_survey::{
     ground_targets::{ExpectedMark, expected_marks, on_the_ground},
@@ -153,7 +154,8 @@ impl MarkEditor {
     pub fn sheet(&self) -> Result<MarkSheet, Error> {
         let revision = self.revision()?;
         let table = read(&self.path, &self.reconstruction.images, &self.points)?;
-        let known = table.rows.iter().filter_map(|row| {
+        let marks = table.rows.iter().filter(|row| row.source != MarkSource::Removed);
+        let known = marks.filter_map(|row| {
             let (image, ground) = (row.image?, row.ground?);
             let sigma_px = row.sigma_px.unwrap_or(1.0);
             Some((GroundObservation { image, ground, image_px: row.image_px, sigma_px }, row))
@@ -166,7 +168,8 @@ impl MarkEditor {
             .zip(rows)
             .zip(expected.residuals_px)
             .map(|((observed, row), residual_px)| {
-                let (image_px, sigma_px, is_found) = (row.image_px, row.sigma_px, row.is_found);
+                let (image_px, sigma_px) = (row.image_px, row.sigma_px);
+                let is_found = row.source == MarkSource::Found;
                 let mark = Mark { image_px, sigma_px, is_found, residual_px };
                 (observed.ground as usize, observed.image as usize, mark)
             })
@@ -229,7 +232,7 @@ impl MarkEditor {
             };
             let ends = (*photo as u32, *point as u32);
             let Some(at) = image_px else {
-                table.rows.retain(|row| (row.image, row.ground) != (Some(ends.0), Some(ends.1)));
+                table.remove(ends);
                 continue;
             };
             let size = view.interior.size_px().map(f64::from);
@@ -239,7 +242,7 @@ impl MarkEditor {
                     view.name, named.name
                 )));
             }
-            table.set(ends, [&view.name, &named.name], *at, None, false);
+            table.set(ends, [&view.name, &named.name], *at, None, MarkSource::Hand);
         }
         table.write(&self.path, true)?;
         self.sheet().map(Saved::Written)

@@ -1,9 +1,9 @@
 //! What was found joins the marks made by hand, which stay as they are: a mark that was found where there is one by hand is not
-//! written. Marks that were found before are found anew.
+//! written, nor where a person took one back. Marks that were found before are found anew.
 
 use super::Project;
 use rowgram_base::error::Error;
-use rowgram_files::control::{MarkRow, MarkTable};
+use rowgram_files::control::{MarkRow, MarkSource, MarkTable};
 use rowgram_survey::{
     ground_targets::FoundTargets,
     scene::{GroundPoint, Image},
@@ -42,10 +42,10 @@ pub(super) fn join(
     found: &FoundTargets,
     (images, points): (&[Image], &[GroundPoint]),
 ) -> Result<(MarkTable, usize), Error> {
-    table.rows.retain(|row| !row.is_found);
-    let by_hand = table.rows.len();
+    table.rows.retain(|row| row.source != MarkSource::Found);
+    let by_hand = || table.rows.iter().filter(|row| row.source == MarkSource::Hand);
     let ends = |row: &MarkRow| Some((row.image? as usize, row.ground? as usize));
-    let contradicts = table.rows.iter().filter_map(|row| {
+    let contradicts = by_hand().filter_map(|row| {
         let ends = ends(row)?;
         let at = found.sightings.iter().find(|at| (at.image, at.ground) == ends)?;
         let [u, v] = at.outcome.as_ref().map_or(at.predicted_px, |found| found.image_px);
@@ -62,6 +62,7 @@ pub(super) fn join(
             contradicts.len()
         )));
     }
+    let by_hand = by_hand().count();
     let taken: Vec<(usize, usize)> = table.rows.iter().filter_map(ends).collect();
     for (sighting, measured) in found.measurements() {
         if taken.contains(&(sighting.image, sighting.ground)) {
@@ -69,7 +70,7 @@ pub(super) fn join(
         }
         let names = [images[sighting.image].name.as_str(), points[sighting.ground].name.as_str()];
         let ends = (sighting.image as u32, sighting.ground as u32);
-        table.set(ends, names, measured.image_px, Some(measured.sigma_px), true);
+        table.set(ends, names, measured.image_px, Some(measured.sigma_px), MarkSource::Found);
     }
     Ok((table, by_hand))
 }
@@ -144,12 +145,13 @@ mod tests {
 
     #[test]
     fn marks_made_by_hand_win_and_nothing_is_lost() {
-        let found = found(&[(0, 0, 30.0), (1, 0, 60.0), (2, 0, 90.0), (1, 1, 10.0)]);
+        let found = found(&[(0, 0, 30.0), (1, 0, 60.0), (2, 0, 90.0), (1, 1, 10.0), (0, 1, 40.0)]);
         let text = "image,label,u_px,v_px,sigma_px,source,note\n\
                     a.jpg,T1,31.5,50,,,wind\n\
                     c.jpg,T1,91,50,,,\n\
                     d.jpg,T1,7,8,,,another flight\n\
                     b.jpg,T2,200,200,0.1,found,\n\
+                    a.jpg,T2,300,300,0.1,removed,\n\
                     c.jpg,T2,5,5,0.1,found,\n";
         let (lines, by_hand) = joined(text, &found).unwrap();
         assert_eq!(by_hand, 3);
@@ -159,6 +161,7 @@ mod tests {
                 "a.jpg,T1,31.5,50,,,wind",
                 "c.jpg,T1,91,50,,,",
                 "d.jpg,T1,7,8,,,another flight",
+                "a.jpg,T2,300,300,0.1,removed,",
                 "b.jpg,T1,60.000,50.000,0.100,found,",
                 "b.jpg,T2,10.000,50.000,0.100,found,",
             ]
