@@ -496,3 +496,48 @@ fn closed_rows_have_cover_and_gaps_in_place_of_plants() {
         "{cover} {gaps}"
     );
 }
+
+#[test]
+fn plots_have_their_cover_without_weeds_between_rows() {
+    let dir = tempfile::tempdir().unwrap();
+    let project = dir.path().join("field");
+    fs::create_dir(&project).unwrap();
+    // Ten rows of 29 plants 60 px (90 cm) apart, and 30 weeds as large as plants halfway between them, discs all.
+    let jitter = |k: u32| (k * 37 + 11) % 7;
+    let plants = (0..290).map(|k| [27 + 30 * (k % 29) + jitter(k), 40 + 60 * (k / 29)]);
+    let weeds = (0..30).map(|k| [40 + 28 * k, 70 + 60 * (k * 7 % 9)]);
+    let soil = |u: u32, v: u32| [140, 110, 80].map(|c| c + ((u * 31 + v * 17) % 13) as u8);
+    let mut map = image::RgbImage::from_fn(900, 620, |u, v| image::Rgb(soil(u, v)));
+    let mut disc_px = 0;
+    for [x, y] in plants.chain(weeds) {
+        disc_px = 0;
+        for (u, v) in (y - 6..y + 7).flat_map(|v| (x - 6..x + 7).map(move |u| (u, v))) {
+            if u.abs_diff(x).pow(2) + v.abs_diff(y).pow(2) < 36 {
+                map.put_pixel(u, v, image::Rgb([60, 140, 50].map(|c| c + (u % 13) as u8)));
+                disc_px += 1;
+            }
+        }
+    }
+    write(&project.join("map.tif"), &map, placed(32632, CrsKind::Projected, [1.0; 2]));
+    fs::write(project.join("rowgram.toml"), "[project]\northo = \"map.tif\"\n").unwrap();
+    let done = rowgram(dir.path(), "run field");
+    assert_eq!(done.code, 0, "{}{}", done.stdout, done.stderr);
+    let mut table = csv::Reader::from_path(project.join("rowgram/plots/traits.csv")).unwrap();
+    let header = table.headers().unwrap().clone();
+    let field = table.records().next().unwrap().unwrap();
+    let of = |name: &str| -> f64 {
+        field[header.iter().position(|column| column == name).unwrap()].parse().unwrap()
+    };
+    assert_eq!((of("plants"), of("weeds")), (290.0, 30.0));
+    let share = |discs: u32| f64::from(discs * disc_px) / (900.0 * 620.0);
+    for (name, discs) in [("canopy_cover", 320), ("crop_cover", 290)] {
+        assert!(
+            (of(name) / share(discs) - 1.0).abs() < 0.03,
+            "{name} {} {}",
+            of(name),
+            share(discs)
+        );
+    }
+    let weeds = fs::read_to_string(project.join("rowgram/locate/weeds.csv")).unwrap();
+    assert_eq!(weeds.lines().count(), 31);
+}

@@ -49,15 +49,10 @@ fn check_errors(folder: &Path) -> [f64; 3] {
 }
 
 #[test]
-#[ignore = "slow; aligns photos of four flights"]
+#[ignore = "slow; aligns photos of two flights"]
 fn targets_are_found_where_they_are_and_are_worth_as_much_as_true_marks() {
-    // A code that a leaf covers in part is not read.
-    for (pattern, size, share) in [
-        ("chequered", "0.3", 0.98),
-        ("cross", "0.4", 0.98),
-        ("disc", "0.25", 0.98),
-        ("apriltag", "0.45", 0.95),
-    ] {
+    // A code that a leaf covers in part is not read. The other kinds are in the library's own tests.
+    for (pattern, size, share) in [("chequered", "0.3", 0.98), ("apriltag", "0.45", 0.95)] {
         let folder = tempfile::tempdir().unwrap();
         let folder = folder.path();
         aligned(folder, pattern, size);

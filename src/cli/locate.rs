@@ -18,8 +18,8 @@ use std::{fmt::Write as _, path::PathBuf};
 /// the best plants along each row under a model of their spacing. Every plant has a confidence, their number an
 /// interval, and gaps the probability that plants are missing. The other methods are the paper's descent and its variants (--method paper).
 ///
-/// Of a project, the leaf mask is taken, and locate/plants.csv, gaps.csv and rows.csv are written. A single file is a mask
-/// (two values), or a photo, of which --hsv makes one.
+/// Of a project, the leaf mask is taken, and locate/plants.csv, gaps.csv, rows.csv and weeds.csv are written. A single file is a
+/// mask (two values), or a photo, of which --hsv makes one.
 ///
 /// Example: rowgram locate field
 /// Example: rowgram locate mask.png --gsd-m 0.015 -o plants.csv --gaps gaps.csv
@@ -39,6 +39,9 @@ pub(super) struct Args {
     /// Of a single file: write the stand count of every row, with its interval (CSV; method row-model).
     #[arg(long, value_name = "CSV")]
     rows: Option<PathBuf>,
+    /// Of a single file: write the weeds that were left out between rows (CSV; method row-model).
+    #[arg(long, value_name = "CSV")]
+    weeds: Option<PathBuf>,
     /// Of a single file: write one line per sweep (CSV; other methods).
     #[arg(long, value_name = "CSV")]
     trace: Option<PathBuf>,
@@ -91,11 +94,12 @@ fn text(outcome: &LocateOutcome) -> String {
 /// # Errors
 /// As [`locate_plants`] and the stage.
 pub(super) fn run(args: &Args) -> Result<(), Error> {
-    let Args { target, options, hsv, gaps, rows, trace, figures } = args;
+    let Args { target, options, hsv, gaps, rows, weeds, trace, figures } = args;
     if target.is_project() {
         target.refuse_of_files(&[
             ("--gaps", gaps.is_some()),
             ("--rows", rows.is_some()),
+            ("--weeds", weeds.is_some()),
             ("--trace", trace.is_some()),
             ("--figures", figures.is_some()),
             ("--hsv", hsv.is_given()),
@@ -103,7 +107,8 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
         return target.perform((Stage::Locate, locate), options, |config| &config.locate, text);
     }
     let plants = target.file()?;
-    let outputs = given([Some(plants), gaps.as_deref(), rows.as_deref(), trace.as_deref()]);
+    let tables = [gaps, rows, weeds, trace].map(Option::as_deref);
+    let outputs = given([Some(plants)].into_iter().chain(tables));
     let (options, hsv) = (options.over_defaults()?, hsv.value()?);
     let picture = figures.as_deref().map(|folder| (folder, "plants.png"));
     check_files(&outputs, picture, &[target.input()], target.force)?;
@@ -111,6 +116,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
         plants,
         gaps: gaps.as_deref(),
         rows: rows.as_deref(),
+        weeds: weeds.as_deref(),
         trace: trace.as_deref(),
         figures: figures.as_deref(),
         force: target.force,

@@ -31,7 +31,8 @@ impl Residual<3> for Everything {
             return Err(Infeasible);
         }
         Ok([
-            y[0].atan2(y[1]) * direction[0],
+            // Away from the cut of the angle, which differences would step over.
+            y[0].atan2(y[1] * y[1] + 1.0) * direction[0],
             (back[0] * back[0] + back[1] * back[1] + 1.0).sqrt() + direction[1] * direction[2],
             turn.between(&pose.rotation).small_angles()[1] - direction[2],
         ])

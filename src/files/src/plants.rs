@@ -21,7 +21,7 @@
 use super::{FileError, output, points};
 use rowgram_plants::phenotype::{
     locate::{Located, Plant},
-    stand::{NORMAL_95, Stalk, Stand},
+    stand::{NORMAL_95, Stalk, Stand, Weed},
 };
 use rowgram_raster::georeference::{CrsKind, Georeference};
 use std::path::Path;
@@ -135,6 +135,21 @@ pub fn write_gaps(
         ("plants", gaps.iter().map(|gap| gap.plants as f64).collect()),
         ("probability", gaps.iter().map(|gap| gap.probability).collect()),
     ];
+    write(path, force, &positions, columns, place)
+}
+
+/// Writes the weeds that were left out: the middle of each and its leaf pixels.
+///
+/// # Errors
+/// As [`points::write`].
+pub fn write_weeds(
+    path: &Path,
+    force: bool,
+    weeds: &[Weed],
+    place: Placement,
+) -> Result<(), FileError> {
+    let positions: Vec<[f64; 2]> = weeds.iter().map(|weed| weed.position_px).collect();
+    let columns = vec![("leaf_px", weeds.iter().map(|weed| weed.leaf_px).collect())];
     write(path, force, &positions, columns, place)
 }
 

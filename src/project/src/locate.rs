@@ -167,8 +167,8 @@ impl StandOutcome {
     }
 }
 
-/// Locates the plants of the leaf mask: `locate/plants.csv`, and with the row model `locate/gaps.csv` and
-/// `locate/rows.csv`.
+/// Locates the plants of the leaf mask: `locate/plants.csv`, and with the row model `locate/gaps.csv`,
+/// `locate/rows.csv` and, where rows tell weeds, `locate/weeds.csv`.
 ///
 /// # Errors
 /// [`Error::NothingToDo`] without a leaf mask; as [`locator::find`] and [`stage::perform`].
@@ -206,11 +206,12 @@ impl Task for Locate {
         let (source, leaf) = leaf_mask::of_project(project)?;
         let is_row_model = options.method == LocateMethod::RowModel;
         let of_rows = |name: &str| is_row_model.then(|| folder.join(name));
-        let (gaps, rows) = (of_rows("gaps.csv"), of_rows("rows.csv"));
+        let [gaps, rows, weeds] = ["gaps.csv", "rows.csv", "weeds.csv"].map(of_rows);
         let files = LocateFiles {
             plants: &folder.join("plants.csv"),
             gaps: gaps.as_deref(),
             rows: rows.as_deref(),
+            weeds: weeds.as_deref(),
             trace: None,
             figures: Some(&folder.join("figures")),
             force: true,
@@ -228,6 +229,8 @@ pub struct LocateFiles<'a> {
     pub gaps: Option<&'a Path>,
     /// The stand count of every row, a CSV table; row model only.
     pub rows: Option<&'a Path>,
+    /// Weeds that were left out between rows, a CSV table; row model only, and only where rows tell them.
+    pub weeds: Option<&'a Path>,
     /// One line per sweep of a descent, a CSV table; descents from one start only.
     pub trace: Option<&'a Path>,
     /// Folder of pictures: `plants.png`, the plants over the picture.
@@ -242,7 +245,7 @@ impl LocateFiles<'_> {
         options.check()?;
         let refuse = |what: &str, why: &str| Err(Error::Argument(format!("{what}: {why}")));
         let is_row_model = options.method == LocateMethod::RowModel;
-        for (what, path) in [("gaps", self.gaps), ("rows", self.rows)] {
+        for (what, path) in [("gaps", self.gaps), ("rows", self.rows), ("weeds", self.weeds)] {
             if path.is_some() && !is_row_model {
                 return refuse(what, "only the method row-model knows them");
             }
@@ -311,6 +314,9 @@ pub fn locate_plants(
             }
             if let Some(path) = files.rows {
                 table::write_rows(path, files.force, stand, gsd_m)?;
+            }
+            if let (Some(path), Some(between)) = (files.weeds, &stand.between_rows) {
+                table::write_weeds(path, files.force, &between.weeds, place)?;
             }
         }
         Found::Descent(found) => {

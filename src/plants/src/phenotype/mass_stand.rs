@@ -21,7 +21,7 @@ use super::{
     row_peaks,
     rows::{self, Detection, Rows},
     rows_of_plants::{LONE_ROW_HALF_WIDTH, rows_of},
-    stand::{BETWEEN, BetweenRows, Gap, LEAST_MISSING, LeafMass, Stalk, Stand},
+    stand::{BETWEEN, BetweenRows, Gap, LEAST_MISSING, LeafMass, Stalk, Stand, Weed},
 };
 use rowgram_optim::robust::median;
 use rowgram_raster::Mask;
@@ -205,8 +205,9 @@ impl LeftOut {
         self.weeds.iter().map(|weed| weed.mass_px).sum()
     }
 
-    fn weed_places_px(&self) -> Vec<[f64; 2]> {
-        self.weeds.iter().map(|weed| [weed.u_px, weed.v_px]).collect()
+    fn weeds(&self) -> Vec<Weed> {
+        let weed = |of: &Plant| Weed { position_px: [of.u_px, of.v_px], leaf_px: of.mass_px };
+        self.weeds.iter().map(weed).collect()
     }
 }
 
@@ -304,10 +305,8 @@ fn stand(
     }
     stand.plants.sort_by(|a, b| a.row.cmp(&b.row).then(a.along_px.total_cmp(&b.along_px)));
     find_gaps(&mut stand);
-    stand.between_rows = (!stand.rows.rows.is_empty()).then(|| BetweenRows {
-        leaf_share: between_px / leaf.max(1.0),
-        weeds_px: left_out.weed_places_px(),
-    });
+    stand.between_rows = (!stand.rows.rows.is_empty())
+        .then(|| BetweenRows { leaf_share: between_px / leaf.max(1.0), weeds: left_out.weeds() });
     stand.leaf_mass = Some(LeafMass {
         plant_px,
         unexplained: found.unexplained,
@@ -461,7 +460,7 @@ mod tests {
             assert!((stand.plants.len() as f64 / n - 1.0).abs() < 0.04, "{}", stand.plants.len());
             assert!((stand.spacing.spacing - 40.0).abs() < 2.0, "{:?}", stand.spacing);
             let between = stand.between_rows.unwrap();
-            assert_eq!(between.weeds_px.len(), weeds.len(), "{count:?}");
+            assert_eq!(between.weeds.len(), weeds.len(), "{count:?}");
             assert!((between.leaf_share - share).abs() < 0.02);
         }
         // The same, of so few pixels that the shape of leaves cannot be told.
@@ -481,7 +480,10 @@ mod tests {
             let n = plants.len() as f64;
             assert!((stand.plants.len() as f64 / n - 1.0).abs() < 0.04, "{}", stand.plants.len());
             let between = stand.between_rows.unwrap();
-            assert_eq!(between.weeds_px.len(), few.len(), "{count:?}");
+            assert_eq!(between.weeds.len(), few.len(), "{count:?}");
+            let leaf_px: f64 = between.weeds.iter().map(|weed| weed.leaf_px).sum();
+            let expected_px = (weedy.count() - mask.count()) as f64;
+            assert!((leaf_px / expected_px - 1.0).abs() < 0.02, "{leaf_px} for {expected_px}");
             let share = 1.0 - mask.count() as f64 / weedy.count() as f64;
             assert!((between.leaf_share - share).abs() < 0.02, "{between:?}");
         }

@@ -17,6 +17,7 @@ pub mod colour_indices;
 pub mod double_plants;
 pub mod dynamic_programming;
 pub mod evidence;
+pub mod field_measurements;
 pub mod isolated_plants;
 pub mod layout;
 pub mod leaf_count;

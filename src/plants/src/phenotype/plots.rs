@@ -4,8 +4,8 @@
 
 use super::{
     colour_indices::ColourIndices,
+    field_measurements::{FieldMeasurements, MeasuredLeaf, RowGap},
     plot_scatter::{ColourParts, PARTS, PlotParts, ValueParts, jackknife},
-    row_cover::RowCover,
     row_plots::along_the_row,
     traits::{PlotTraits, deviation_name, leaf_name, put},
 };
@@ -84,62 +84,6 @@ const EDGE_SIGMA_PX: f64 = 0.288_675;
 /// the plants of day 21 in `rowgram synth season` (1.1 and 2.4 cm at 7 mm). Noise of heights makes most of it.
 const HEIGHT_SIGMA_CELLS: f64 = 2.0;
 
-/// A leaf that was told apart; NaN where a number is not known.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct MeasuredLeaf {
-    /// Its middle, pixels.
-    pub at_px: [f64; 2],
-    /// Its length, metres.
-    pub length_m: f64,
-    /// Its mean width, metres.
-    pub width_m: f64,
-    /// Its mean hue, degrees.
-    pub hue_deg: f64,
-}
-
-/// A gap in a row.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct RowGap {
-    /// Its middle, pixels.
-    pub at_px: [f64; 2],
-    /// How many plants it lacks.
-    pub plants: f64,
-    /// Probability that it lacks any.
-    pub probability: f64,
-}
-
-/// Leaves of a plot from the area that they cover, with the ends of the 95 % interval.
-#[derive(Debug, Clone, PartialEq)]
-pub struct LeavesByArea {
-    /// Name of the plot.
-    pub plot: String,
-    /// Number, its lower and its upper end; NaN where an end is not known.
-    pub leaves: [f64; 3],
-}
-
-/// What is known of a field; `None` for what was not measured.
-#[derive(Debug, Clone, Default)]
-pub struct FieldMeasurements {
-    /// Ground sampling distance, metres; `None` where the raster has no scale.
-    pub gsd_m: Option<f64>,
-    /// Places of the plants, pixels.
-    pub plants: Option<Vec<[f64; 2]>>,
-    /// The row of each plant, NaN where it stands in none; empty where there are no rows.
-    pub row_of: Vec<f64>,
-    /// What each plant adds to the variance of a number of plants; empty where that is not known.
-    pub count_variance: Vec<f64>,
-    /// Standard deviation of the place of each plant along its row, pixels; empty where that is not known.
-    pub along_sigma_px: Vec<f64>,
-    /// Gaps in the rows.
-    pub gaps: Option<Vec<RowGap>>,
-    /// Leaf along the rows.
-    pub rows: Option<RowCover>,
-    /// Leaves that were told apart.
-    pub leaves: Option<Vec<MeasuredLeaf>>,
-    /// Leaves by area, by plot.
-    pub by_area: Option<Vec<LeavesByArea>>,
-}
-
 /// What a raster shows of a field.
 #[derive(Debug, Clone, Copy)]
 pub struct SeenField<'a> {
@@ -192,6 +136,7 @@ pub struct FieldIndex<'a> {
     field: &'a FieldMeasurements,
     plants: Positions,
     gaps: Positions,
+    weeds: Positions,
     rows: Positions,
     leaves: Positions,
 }
@@ -203,6 +148,7 @@ impl FieldMeasurements {
             field: self,
             plants: Positions::new(self.plants.iter().flatten().copied()),
             gaps: Positions::new(self.gaps.iter().flatten().map(|gap| gap.at_px)),
+            weeds: Positions::new(self.weeds.iter().flatten().map(|weed| weed.at_px)),
             rows: Positions::new(self.rows.iter().flat_map(|rows| &rows.places_px).copied()),
             leaves: Positions::new(self.leaves.iter().flatten().map(|leaf| leaf.at_px)),
         }
@@ -273,6 +219,24 @@ impl FieldIndex<'_> {
         let edge_sd = EDGE_SIGMA_PX * edge_px / pixels.max(1) as f64;
         let scatter = jackknife(|k| counts[k][0] > 0, without);
         put(found, "canopy_cover", scatter.map(|scatter| scatter.hypot(edge_sd)));
+        if let Some(weeds) = &self.field.weeds {
+            let members = self.weeds.inside(polygon);
+            let mut weed_px = [0.0; PARTS];
+            for weed in members.iter().map(|&k| weeds[k]) {
+                weed_px[parts.at(weed.at_px)] += weed.leaf_px;
+            }
+            found.weeds = Some(members.len() as f64);
+            // A weed at the edge of the plot is counted in whole where its middle is.
+            let crop = |pixels: usize, leaf: usize, weed_px: f64| {
+                (pixels > 0).then(|| (leaf as f64 - weed_px).max(0.0) / pixels as f64)
+            };
+            let all_px = weed_px.iter().sum::<f64>();
+            found.crop_cover = crop(pixels, leaf, all_px);
+            let without =
+                |k: usize| crop(pixels - counts[k][0], leaf - counts[k][1], all_px - weed_px[k]);
+            let scatter = jackknife(|k| counts[k][0] > 0, without);
+            put(found, "crop_cover", scatter.map(|scatter| scatter.hypot(edge_sd)));
+        }
         pixels
     }
 
@@ -447,7 +411,11 @@ fn add_colours(found: &mut PlotTraits, colours: Option<&ColourParts>) {
 #[cfg(test)]
 mod tests {
     use super::{
-        super::{colour_indices::ColourSum, traits::rounded},
+        super::{
+            colour_indices::ColourSum,
+            field_measurements::{LeavesByArea, WeedPatch},
+            traits::rounded,
+        },
         *,
     };
 
@@ -463,6 +431,10 @@ mod tests {
             count_variance: vec![0.5, 0.25, 0.25, 9.0],
             along_sigma_px: vec![0.3, 0.4, 0.4, 9.0],
             gaps: Some(vec![gap([2.0, 2.0], 1.5), gap([9.0, 9.0], 4.0)]),
+            weeds: Some(vec![
+                WeedPatch { at_px: [1.0, 1.0], leaf_px: 2.0 },
+                WeedPatch { at_px: [8.0, 1.0], leaf_px: 5.0 },
+            ]),
             rows: None,
             leaves: Some(vec![
                 MeasuredLeaf { at_px: [1.0, 2.0], length_m: 0.2, width_m: 0.05, hue_deg: f64::NAN },
@@ -482,6 +454,7 @@ mod tests {
         assert_eq!((of_a.area_m2, of_a.plants), (Some(6.25), Some(3.0)));
         assert_eq!(of_a.plants_per_ha, Some(4800.0));
         assert_eq!((of_a.missing_plants, of_a.canopy_cover), (Some(1.5), Some(0.4)));
+        assert_eq!((of_a.weeds, of_a.crop_cover), (Some(1.0), Some(0.32)));
         assert_eq!((of_a.leaves_by_area, of_a.leaves_by_area_high), (Some(7.0), None));
         assert_eq!((of_a.leaves_single, of_a.leaf_hue_deg), (Some(2.0), Some(90.0)));
         assert_eq!(of_a.leaf_length_m, Some(0.3));
@@ -508,6 +481,7 @@ mod tests {
         assert_eq!((of_b.plant_spacing_m, of_b.exg), (None, None));
         assert_eq!((of_b.plants, of_b.area_m2, of_b.leaves_single), (None, None, None));
         assert_eq!(of_b.canopy_cover, Some(0.4));
+        assert_eq!((of_b.weeds, of_b.crop_cover), (None, None));
     }
 
     /// Of a plot of 10 x 10 pixels a part has no data.

@@ -67,7 +67,16 @@ pub struct BetweenRows {
     /// Share of the leaf pixels that belong to plants between the rows; weeds that were left out among them.
     pub leaf_share: f64,
     /// Plants between the rows that were taken for weeds and left out.
-    pub weeds_px: Vec<[f64; 2]>,
+    pub weeds: Vec<Weed>,
+}
+
+/// A plant that is none of the crop.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Weed {
+    /// Its middle, pixels.
+    pub position_px: [f64; 2],
+    /// Its leaf pixels.
+    pub leaf_px: f64,
 }
 
 /// Why what was found may be no plants.

@@ -21,6 +21,10 @@ pub struct PlotTraits {
     pub missing_plants: Option<f64>,
     /// Share of the area that leaves cover.
     pub canopy_cover: Option<f64>,
+    /// The same without weeds between the rows.
+    pub crop_cover: Option<f64>,
+    /// Weeds between the rows.
+    pub weeds: Option<f64>,
     /// Leaf pixels over leaf pixels per leaf.
     pub leaves_by_area: Option<f64>,
     /// Lower end of the 95 % interval of `leaves_by_area`.
@@ -121,6 +125,7 @@ impl PlotTraits {
         let totals = [
             ("plants", &mut self.plants),
             ("missing_plants", &mut self.missing_plants),
+            ("weeds", &mut self.weeds),
             ("leaves_by_area", &mut self.leaves_by_area),
             ("leaves_by_area_low", &mut self.leaves_by_area_low),
             ("leaves_by_area_high", &mut self.leaves_by_area_high),
@@ -198,6 +203,10 @@ traits! {
         "most probable number of missing plants of each gap whose middle is in the polygon", "", "probabilities of the gaps";
     canopy_cover, "1", "share of the area that leaves cover",
         "leaf pixels over pixels with data of the polygon", "", COVER_SD;
+    crop_cover, "1", "share of the area that leaves cover, without weeds between the rows",
+        "the same without the leaf pixels of weeds that the stage locate left out; weeds within rows count as crop", "", COVER_SD;
+    weeds, "1", "weeds between the rows",
+        "patches that the stage locate left out, as they stand between rows more probably than in them", "", "";
     leaves_by_area, "1", "leaf pixels over leaf pixels per leaf",
         "stage leaf-count", "Ribera et al. 2016, KDD workshop on data science for food, energy and water", "interval of 95 %, a quarter of its width";
     leaves_by_area_low, "1", "lower end of the 95 % interval",

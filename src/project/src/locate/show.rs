@@ -34,7 +34,7 @@ pub(super) fn tell(stand: &Stand, subject: &str, monitor: &mut dyn Monitor) {
         let message = format!(
             "{:.0} % of the leaf area lies between the rows: weeds? {} patches of it were left out and are not counted as plants",
             100.0 * between.leaf_share,
-            between.weeds_px.len()
+            between.weeds.len()
         );
         monitor.diagnostic(
             &Diagnostic::warning("leaf-between-rows", subject, message).with_remedy(
@@ -129,7 +129,7 @@ pub(super) fn draw(view: &mut View, found: &Found) {
                 points(mass.specks_px.clone(), SPECK, 2);
             }
             if let Some(between) = &stand.between_rows {
-                points(between.weeds_px.clone(), BETWEEN, 2);
+                points(between.weeds.iter().map(|weed| weed.position_px).collect(), BETWEEN, 2);
             }
             for row in &stand.rows.rows {
                 let dots = (row.length_px() / (8.0 * step)).ceil() as usize;

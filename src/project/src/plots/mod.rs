@@ -174,7 +174,7 @@ impl Task for Plots {
         files.extend(options.field_book.as_ref().map(|path| project.root().join(path)));
         files.extend(project.finished(Stage::Segment, leaf_mask::VALID));
         let tables = Tables::of(project);
-        let of_plants = [tables.plants, tables.gaps, tables.rows];
+        let of_plants = [tables.plants, tables.gaps, tables.rows, tables.weeds];
         let others = [tables.leaves, tables.counts, tables.canopy];
         files.extend(of_plants.into_iter().chain(others).flatten());
         Ok(files)
@@ -219,7 +219,7 @@ impl Task for Plots {
         field.rows = RowCover::new(&mask, valid.as_ref(), &rows_px, min_gap_px);
         if has_closed(project) {
             // Where they are is a guess.
-            (field.plants, field.gaps) = (None, None);
+            (field.plants, field.gaps, field.weeds) = (None, None, None);
         }
         if options.leaves_borders_out() {
             // These are counts of the outlines as they were drawn.

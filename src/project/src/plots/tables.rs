@@ -3,13 +3,16 @@
 use crate::{Project, Stage, surface};
 use rowgram_base::error::Error;
 use rowgram_files::{csv_table::CsvTable, plants::ROW_ENDS};
-use rowgram_plants::phenotype::plots::{FieldMeasurements, LeavesByArea, MeasuredLeaf, RowGap};
+use rowgram_plants::phenotype::field_measurements::{
+    FieldMeasurements, LeavesByArea, MeasuredLeaf, RowGap, WeedPatch,
+};
 use std::{collections::BTreeMap, path::PathBuf};
 
 /// The tables of earlier stages that are there.
 pub(super) struct Tables {
     pub(super) plants: Option<PathBuf>,
     pub(super) gaps: Option<PathBuf>,
+    pub(super) weeds: Option<PathBuf>,
     pub(super) rows: Option<PathBuf>,
     pub(super) leaves: Option<PathBuf>,
     pub(super) counts: Option<PathBuf>,
@@ -22,6 +25,7 @@ impl Tables {
         Tables {
             plants: project.finished(Stage::Locate, "plants.csv"),
             gaps: project.finished(Stage::Locate, "gaps.csv"),
+            weeds: project.finished(Stage::Locate, "weeds.csv"),
             rows: project.finished(Stage::Locate, "rows.csv"),
             leaves: project.finished(Stage::Leaves, "leaves.csv"),
             counts: project.finished(Stage::LeafCount, "counts.csv"),
@@ -42,6 +46,11 @@ impl Tables {
                 probability: probability[k],
             };
             Some((0..places.len()).map(gap).collect())
+        });
+        let weeds = read(&self.weeds)?.and_then(|table| {
+            let (places, leaf_px) = (table.pairs("u_px", "v_px")?, table.numbers("leaf_px")?);
+            let weeds = places.into_iter().zip(leaf_px);
+            Some(weeds.map(|(at_px, leaf_px)| WeedPatch { at_px, leaf_px }).collect())
         });
         let by_area = read(&self.counts)?.and_then(|table| {
             let columns = [table.numbers("leaves")?, table.numbers("low")?, table.numbers("high")?];
@@ -64,6 +73,7 @@ impl Tables {
             along_sigma_px: column("sigma_along_px").unwrap_or_default(),
             row_of,
             gaps,
+            weeds,
             rows: None,
             leaves: read(&self.leaves)?.as_ref().and_then(single_leaves),
             by_area,

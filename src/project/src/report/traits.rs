@@ -244,12 +244,13 @@ fn beginning(of: &CsvTable) -> Markup {
 }
 
 /// Traits that are shown, their titles and digits.
-const COLUMNS: [(&str, &str, usize); 14] = [
+const COLUMNS: [(&str, &str, usize); 15] = [
     ("area_m2", "area, m²", 1),
     ("plants", "plants", 0),
     ("plants_per_ha", "per hectare", 0),
     ("missing_plants", "missing", 0),
     ("canopy_cover", "cover", 3),
+    ("weeds", "weeds", 0),
     ("leaves_by_area", "leaves by area", 0),
     ("leaves_single", "leaves told apart", 0),
     ("leaf_length_m", "leaf length, m", 3),
