@@ -343,9 +343,12 @@ pub fn dictionary_page() -> String {
     page
 }
 
-/// Six significant digits.
+/// Six significant digits; zero without a sign, which a sum of nothing has.
 pub(super) fn rounded(value: f64) -> f64 {
-    if value == 0.0 || !value.is_finite() {
+    if value == 0.0 {
+        return 0.0;
+    }
+    if !value.is_finite() {
         return value;
     }
     let unit = 10f64.powi(5 - value.abs().log10().floor() as i32);
@@ -370,11 +373,13 @@ mod tests {
         let plot = PlotTraits {
             plot: "A".to_owned(),
             plants: Some(30.0),
+            missing_plants: Some(-0.0),
             more: sd.into_iter().collect(),
             ..PlotTraits::default()
         }
         .rounded();
         let json = serde_json::to_string(&plot).unwrap();
+        assert!(json.contains("\"missing_plants\":0.0"), "{json}");
         assert!(json.contains("\"plants_sd\":2.34568"), "{json}");
         assert_eq!(serde_json::from_str::<PlotTraits>(&json).unwrap(), plot);
         let of = TRAITS.iter().find(|of| of.name == "plants").unwrap();
