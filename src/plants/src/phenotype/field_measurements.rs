@@ -1,6 +1,6 @@
 //! What earlier steps measured of a field: plants, gaps, weeds, leaves, each with its place in pixels.
 
-use super::row_cover::RowCover;
+use super::{row_cover::RowCover, stand::Weed};
 
 /// A leaf that was told apart; NaN where a number is not known.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -24,15 +24,6 @@ pub struct RowGap {
     pub plants: f64,
     /// Probability that it lacks any.
     pub probability: f64,
-}
-
-/// A weed that is no part of the crop.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct WeedPatch {
-    /// Its middle, pixels.
-    pub at_px: [f64; 2],
-    /// Its leaf pixels.
-    pub leaf_px: f64,
 }
 
 /// Leaves of a plot from the area that they cover, with the ends of the 95 % interval.
@@ -60,7 +51,7 @@ pub struct FieldMeasurements {
     /// Gaps in the rows.
     pub gaps: Option<Vec<RowGap>>,
     /// Weeds between the rows.
-    pub weeds: Option<Vec<WeedPatch>>,
+    pub weeds: Option<Vec<Weed>>,
     /// Leaf along the rows.
     pub rows: Option<RowCover>,
     /// Leaves that were told apart.

@@ -148,7 +148,7 @@ impl FieldMeasurements {
             field: self,
             plants: Positions::new(self.plants.iter().flatten().copied()),
             gaps: Positions::new(self.gaps.iter().flatten().map(|gap| gap.at_px)),
-            weeds: Positions::new(self.weeds.iter().flatten().map(|weed| weed.at_px)),
+            weeds: Positions::new(self.weeds.iter().flatten().map(|weed| weed.position_px)),
             rows: Positions::new(self.rows.iter().flat_map(|rows| &rows.places_px).copied()),
             leaves: Positions::new(self.leaves.iter().flatten().map(|leaf| leaf.at_px)),
         }
@@ -223,7 +223,7 @@ impl FieldIndex<'_> {
             let members = self.weeds.inside(polygon);
             let mut weed_px = [0.0; PARTS];
             for weed in members.iter().map(|&k| weeds[k]) {
-                weed_px[parts.at(weed.at_px)] += weed.leaf_px;
+                weed_px[parts.at(weed.position_px)] += weed.leaf_px;
             }
             found.weeds = Some(members.len() as f64);
             // A weed at the edge of the plot is counted in whole where its middle is.
@@ -412,8 +412,7 @@ fn add_colours(found: &mut PlotTraits, colours: Option<&ColourParts>) {
 mod tests {
     use super::{
         super::{
-            colour_indices::ColourSum,
-            field_measurements::{LeavesByArea, WeedPatch},
+            colour_indices::ColourSum, field_measurements::LeavesByArea, stand::Weed,
             traits::rounded,
         },
         *,
@@ -432,8 +431,8 @@ mod tests {
             along_sigma_px: vec![0.3, 0.4, 0.4, 9.0],
             gaps: Some(vec![gap([2.0, 2.0], 1.5), gap([9.0, 9.0], 4.0)]),
             weeds: Some(vec![
-                WeedPatch { at_px: [1.0, 1.0], leaf_px: 2.0 },
-                WeedPatch { at_px: [8.0, 1.0], leaf_px: 5.0 },
+                Weed { position_px: [1.0, 1.0], leaf_px: 2.0 },
+                Weed { position_px: [8.0, 1.0], leaf_px: 5.0 },
             ]),
             rows: None,
             leaves: Some(vec![

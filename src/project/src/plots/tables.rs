@@ -3,8 +3,9 @@
 use crate::{Project, Stage, surface};
 use rowgram_base::error::Error;
 use rowgram_files::{csv_table::CsvTable, plants::ROW_ENDS};
-use rowgram_plants::phenotype::field_measurements::{
-    FieldMeasurements, LeavesByArea, MeasuredLeaf, RowGap, WeedPatch,
+use rowgram_plants::phenotype::{
+    field_measurements::{FieldMeasurements, LeavesByArea, MeasuredLeaf, RowGap},
+    stand::Weed,
 };
 use std::{collections::BTreeMap, path::PathBuf};
 
@@ -50,7 +51,7 @@ impl Tables {
         let weeds = read(&self.weeds)?.and_then(|table| {
             let (places, leaf_px) = (table.pairs("u_px", "v_px")?, table.numbers("leaf_px")?);
             let weeds = places.into_iter().zip(leaf_px);
-            Some(weeds.map(|(at_px, leaf_px)| WeedPatch { at_px, leaf_px }).collect())
+            Some(weeds.map(|(position_px, leaf_px)| Weed { position_px, leaf_px }).collect())
         });
         let by_area = read(&self.counts)?.and_then(|table| {
             let columns = [table.numbers("leaves")?, table.numbers("low")?, table.numbers("high")?];
