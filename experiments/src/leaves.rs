@@ -53,8 +53,7 @@ pub(crate) fn segment(mask: &Mask, how: &Method) -> Vec<u32> {
             let mut labels = vec![0; mask.data.len()];
             for (leaf, label) in leaves::find(mask, options).leaves.iter().zip(1..) {
                 for run in &leaf.runs {
-                    let row = run.v * mask.width;
-                    labels[row + run.start..row + run.end].fill(label);
+                    labels[run.pixels(mask.width)].fill(label);
                 }
             }
             labels

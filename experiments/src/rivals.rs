@@ -63,11 +63,7 @@ pub(crate) fn by_area(mask: &Mask, least: usize) -> Vec<[f64; 2]> {
     let Some(&middle) = areas.get(areas.len() / 2) else { return Vec::new() };
     let places = parts.iter().flat_map(|part| {
         let plants = ((part.pixels as f64 / middle as f64).round() as usize).max(1);
-        let runs = part.runs.iter();
-        let pixels: Vec<plant_mass::Weighted> = runs
-            .flat_map(|run| (run.start..run.end).map(|u| ([u as f64, run.v as f64], 1.0)))
-            .collect();
-        plant_mass::split(&pixels, plants)
+        plant_mass::split(part, plants)
     });
     places.collect()
 }

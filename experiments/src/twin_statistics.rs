@@ -109,8 +109,8 @@ fn parts(mask: &Mask, truth: &[[f64; 2]], spacing: f64) -> [Option<f64>; 5] {
         let mut near = f64::INFINITY;
         for (p, at) in truth.iter().enumerate() {
             let apart = |run: &components::Run| {
-                let u = at[0].clamp(run.start as f64, run.end as f64 - 1.0);
-                (u - at[0]).hypot(run.v as f64 - at[1])
+                let u = at[0].clamp(f64::from(run.start), f64::from(run.end) - 1.0);
+                (u - at[0]).hypot(f64::from(run.v) - at[1])
             };
             let window = &part.window;
             let beyond = |x: f64, low: usize, length: usize| {

@@ -215,8 +215,7 @@ pub(crate) fn find_leaves<'py>(
     let mut labels = vec![0_i32; mask.width * mask.height];
     for (label, leaf) in (1_i32..).zip(&found.leaves) {
         for run in &leaf.runs {
-            let row = run.v * mask.width;
-            labels[row + run.start..row + run.end].fill(label);
+            labels[run.pixels(mask.width)].fill(label);
         }
     }
     let all = &found.leaves;

@@ -27,7 +27,7 @@ pub fn write(
     let mut of_band: Vec<Vec<(Run, u32)>> = vec![Vec::new(); bands.len()];
     for (set, label) in sets.iter().zip(1..) {
         for run in *set {
-            if let Some(list) = of_band.get_mut(run.v / geotiff::TILE) {
+            if let Some(list) = of_band.get_mut(run.v as usize / geotiff::TILE) {
                 list.push((*run, label));
             }
         }
@@ -37,8 +37,9 @@ pub fn write(
         for (band, runs) in bands.iter().zip(of_band) {
             let mut labels = vec![0; width * band.rows.len()];
             for (run, label) in runs {
-                let row = (run.v - band.rows.start) * width;
-                labels[row + run.start..row + run.end].fill(label);
+                let pixels = run.pixels(width);
+                let above = band.rows.start * width;
+                labels[pixels.start - above..pixels.end - above].fill(label);
             }
             writer.put(Window::rows(width, band.rows.clone()), &labels)?;
         }

@@ -102,7 +102,7 @@ pub(super) fn read_any_leaf_mask(
     Ok((source, found))
 }
 
-/// The leaf mask that the stage `segment` made, with its posterior.
+/// The leaf mask that the stage `segment` made, with its posterior, but not with the pixels that show something.
 ///
 /// # Errors
 /// [`Error::NothingToDo`] where there is none; files that cannot be read.
@@ -112,7 +112,6 @@ pub fn of_project(project: &Project) -> Result<(Source, LeafMask), Error> {
         let size = (found.mask.width, found.mask.height);
         found.posterior = Some(rasters::read_posterior(&path, size)?);
     }
-    found.valid = valid_of_project(project)?;
     Ok((source, found))
 }
 

@@ -257,7 +257,7 @@ fn hues(source: &Source, leaves: &[Leaf]) -> Result<Vec<Option<f64>>, FileError>
     let mut of_band: Vec<Vec<(usize, usize)>> = vec![Vec::new(); bands.len()];
     for (leaf, runs) in leaves.iter().map(|leaf| &leaf.runs).enumerate() {
         for (run, place) in runs.iter().enumerate() {
-            of_band[place.v / BAND_ROWS].push((leaf, run));
+            of_band[place.v as usize / BAND_ROWS].push((leaf, run));
         }
     }
     // Sine and cosine of the 180 hues.
@@ -272,7 +272,7 @@ fn hues(source: &Source, leaves: &[Leaf]) -> Result<Vec<Option<f64>>, FileError>
         for (leaf, run) in runs {
             let run = leaves[leaf].runs[run];
             for u in run.start..run.end {
-                let rgb = photo.get_pixel(u as u32, (run.v - band.rows.start) as u32).0;
+                let rgb = photo.get_pixel(u, run.v - band.rows.start as u32).0;
                 let (sin, cos) = directions[usize::from(hsv::from_rgb(rgb)[0])];
                 sums[leaf][0] += sin;
                 sums[leaf][1] += cos;
@@ -297,12 +297,12 @@ fn colour(leaf: usize) -> [f64; 3] {
 
 /// Tints the pixels of each leaf in a colour of its own and draws its axis.
 fn draw(view: &mut View, leaves: &[Leaf]) {
-    let step = view.step;
+    let step = view.step as u32;
     for (index, leaf) in leaves.iter().enumerate() {
         let colour = colour(index);
         for run in leaf.runs.iter().filter(|run| run.v.is_multiple_of(step)) {
-            for u in (run.start.next_multiple_of(step)..run.end).step_by(step) {
-                let pixel = view.picture.get_pixel_mut((u / step) as u32, (run.v / step) as u32);
+            for u in (run.start.next_multiple_of(step)..run.end).step_by(view.step) {
+                let pixel = view.picture.get_pixel_mut(u / step, run.v / step);
                 for k in 0..3 {
                     let mixed = 0.3 * f64::from(pixel.0[k]) + 0.7 * colour[k];
                     pixel.0[k] = mixed.round() as u8;

@@ -11,6 +11,7 @@
 
 use super::{Mask, window::Window};
 use rowgram_base::disjoint_sets::DisjointSets;
+use std::ops::Range;
 
 /// What a cleaning step changed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -110,11 +111,35 @@ impl Counter {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Run {
     /// The row.
-    pub v: usize,
+    pub v: u32,
     /// The first column.
-    pub start: usize,
+    pub start: u32,
     /// The column behind the last one.
-    pub end: usize,
+    pub end: u32,
+}
+
+impl Run {
+    /// Its pixels in a picture of so many columns, row by row.
+    pub fn pixels(&self, width: usize) -> Range<usize> {
+        let row = self.v as usize * width;
+        row + self.start as usize..row + self.end as usize
+    }
+
+    /// Number of its pixels.
+    pub fn len(&self) -> usize {
+        (self.end - self.start) as usize
+    }
+
+    /// Whether it has none.
+    pub fn is_empty(&self) -> bool {
+        self.end <= self.start
+    }
+
+    /// The middles of its pixels.
+    pub fn places(&self) -> impl Iterator<Item = [f64; 2]> + use<> {
+        let v = f64::from(self.v);
+        (self.start..self.end).map(move |u| [f64::from(u), v])
+    }
 }
 
 /// A component of plant pixels.
@@ -130,40 +155,41 @@ pub struct Part {
 
 /// The components of plant pixels, by their first pixels.
 pub fn parts(mask: &Mask) -> Vec<Part> {
-    let mut all = Runs::of(mask, true);
-    let mut place = vec![usize::MAX; all.runs.len()];
-    let mut parts: Vec<Part> = Vec::new();
-    for index in 0..all.runs.len() {
-        let root = all.sets.root(index);
-        let Stretch { start, end } = all.runs[index];
-        let (v, u) = (start / mask.width, start % mask.width);
-        let run = Run { v, start: u, end: u + end - start };
-        if place[root] == usize::MAX {
-            place[root] = parts.len();
-            let window = Window { u, v, width: end - start, height: 1 };
-            parts.push(Part { runs: Vec::new(), pixels: 0, window });
+    let Runs { runs, mut sets } = Runs::of(mask, true);
+    // The component of each run, and their numbers of runs.
+    let (mut part_of, mut numbers) = (vec![0_u32; runs.len()], Vec::new());
+    for index in 0..runs.len() {
+        // The first of its runs stands for a component.
+        let root = sets.root(index);
+        if root == index {
+            part_of[index] = numbers.len() as u32;
+            numbers.push(0);
         }
-        let part = &mut parts[place[root]];
-        let right = (part.window.u + part.window.width).max(run.end);
-        part.window.u = part.window.u.min(run.start);
-        part.window.width = right - part.window.u;
+        part_of[index] = part_of[root];
+        numbers[part_of[index] as usize] += 1;
+    }
+    drop(sets);
+    let part = |runs| Part { runs: Vec::with_capacity(runs), pixels: 0, window: Window::default() };
+    let mut parts: Vec<Part> = numbers.into_iter().map(part).collect();
+    for (run, part) in runs.into_iter().zip(part_of) {
+        let part = &mut parts[part as usize];
         // Rows come from the top.
-        part.window.height = v - part.window.v + 1;
-        part.pixels += end - start;
+        let v = part.runs.first().map_or(run.v, |first| first.v) as usize;
+        let (mut columns, rows) = (run.start as usize..run.end as usize, v..run.v as usize + 1);
+        if !part.runs.is_empty() {
+            let before = part.window.columns();
+            columns = columns.start.min(before.start)..columns.end.max(before.end);
+        }
+        part.window = Window { u: columns.start, v, width: columns.len(), height: rows.len() };
+        part.pixels += run.len();
         part.runs.push(run);
     }
     parts
 }
 
-/// Pixels `start..end` of the mask, all in one row.
-struct Stretch {
-    start: usize,
-    end: usize,
-}
-
 /// All runs of one kind of pixel, and which of them are connected.
 struct Runs {
-    runs: Vec<Stretch>,
+    runs: Vec<Run>,
     sets: DisjointSets,
 }
 
@@ -177,46 +203,38 @@ impl Runs {
     fn of(mask: &Mask, plant: bool) -> Runs {
         let mut all = Runs { runs: Vec::new(), sets: DisjointSets::default() };
         // Plant runs that meet only at a corner are connected, others are not.
-        let reach = usize::from(plant);
+        let reach = u32::from(plant);
         let mut above = 0..0;
         for v in 0..mask.height {
             let first = all.runs.len();
             all.add_row(mask, v, plant);
-            all.join(above, first..all.runs.len(), mask.width, reach);
+            all.join(above, first..all.runs.len(), reach);
             above = first..all.runs.len();
         }
         all
     }
 
     fn add_row(&mut self, mask: &Mask, v: usize, plant: bool) {
-        let (row, offset) = (mask.row(v), v * mask.width);
+        let row = mask.row(v);
         let wanted = |pixel: &u8| (*pixel != 0) == plant;
         let mut u = 0;
         while let Some(start) = row[u..].iter().position(wanted).map(|n| u + n) {
             let length = row[start..].iter().position(|pixel| !wanted(pixel));
             u = length.map_or(row.len(), |length| start + length);
             self.sets.push();
-            self.runs.push(Stretch { start: offset + start, end: offset + u });
+            self.runs.push(Run { v: v as u32, start: start as u32, end: u as u32 });
         }
     }
 
     /// Joins the runs of a row with those of the row above.
-    fn join(
-        &mut self,
-        above: std::ops::Range<usize>,
-        below: std::ops::Range<usize>,
-        width: usize,
-        reach: usize,
-    ) {
+    fn join(&mut self, above: Range<usize>, below: Range<usize>, reach: u32) {
         let (mut a, mut b) = (above.start, below.start);
         while a < above.end && b < below.end {
-            // Both in the coordinates of the lower row.
-            let (a_start, a_end) = (self.runs[a].start + width, self.runs[a].end + width);
-            let Stretch { start, end } = self.runs[b];
-            if a_start < end + reach && start < a_end + reach {
+            let (upper, lower) = (self.runs[a], self.runs[b]);
+            if upper.start < lower.end + reach && lower.start < upper.end + reach {
                 self.sets.join(a, b);
             }
-            if a_end < end {
+            if upper.end < lower.end {
                 a += 1;
             } else {
                 b += 1;
@@ -229,21 +247,20 @@ impl Runs {
         let mut components = vec![Component::default(); self.runs.len()];
         for run in 0..self.runs.len() {
             let root = self.sets.root(run);
-            let Stretch { start, end } = self.runs[run];
-            let at_border = start < mask.width
-                || end + mask.width > mask.data.len()
-                || start % mask.width == 0
-                || end % mask.width == 0;
-            components[root].pixels += end - start;
+            let of = self.runs[run];
+            let at_border = of.v == 0
+                || of.v as usize + 1 == mask.height
+                || of.start == 0
+                || of.end as usize == mask.width;
+            components[root].pixels += of.len();
             components[root].at_border |= at_border;
         }
         let mut changed = Changed::default();
         for run in 0..self.runs.len() {
             let root = self.sets.root(run);
             if chosen(&components[root]) {
-                let Stretch { start, end } = self.runs[run];
-                mask.data[start..end].fill(value);
-                changed.pixels += end - start;
+                mask.data[self.runs[run].pixels(mask.width)].fill(value);
+                changed.pixels += self.runs[run].len();
                 changed.components += usize::from(run == root);
             }
         }
@@ -342,6 +359,22 @@ mod tests {
             labels.sort_unstable();
             labels.dedup();
             prop_assert_eq!(count(&original), labels.len());
+            let parts = parts(&original);
+            prop_assert_eq!(parts.len(), labels.len());
+            for part in parts {
+                let pixels: Vec<usize> =
+                    part.runs.iter().flat_map(|run| run.pixels(width)).collect();
+                let label = plants[pixels[0]].2;
+                let of_label = (0..plants.len()).filter(|&at| plants[at].2 == label);
+                prop_assert_eq!(of_label.collect::<Vec<_>>(), pixels.clone());
+                prop_assert_eq!(part.pixels, pixels.len());
+                let bounds = |of: fn(usize, usize) -> usize| {
+                    let all = || pixels.iter().map(|&at| of(at, width));
+                    all().min().zip(all().max()).map(|(low, high)| low..high + 1)
+                };
+                prop_assert_eq!(Some(part.window.columns()), bounds(|at, width| at % width));
+                prop_assert_eq!(Some(part.window.row_range()), bounds(|at, width| at / width));
+            }
             let mut removed = original.clone();
             remove_small(&mut removed, limit);
             let mut filled = original.clone();

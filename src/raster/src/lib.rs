@@ -12,6 +12,7 @@
 //! - [`srgb`]: the bytes of a picture as linear light and back;
 //! - [`spectral`]: bands by name, and indices of them;
 //! - [`georeference`]: where a raster lies on the map;
+//! - [`height_counts`]: percentiles of heights in little memory;
 //! - [`window`]: rasters by bands of rows.
 
 pub mod clip;
@@ -19,6 +20,7 @@ pub mod components;
 pub mod crs;
 pub mod density;
 pub mod georeference;
+pub mod height_counts;
 pub mod hsv;
 pub mod mask;
 pub mod overlay;

@@ -20,6 +20,7 @@ use rowgram_raster::{Mask, components};
 use std::{
     cmp::Reverse,
     collections::{BTreeMap, BinaryHeap},
+    ops::Range,
 };
 
 /// Least distance of two markers, as a share of the square root of the plant's area.
@@ -57,10 +58,8 @@ pub fn broad_leaves(mask: &Mask) -> BroadLeaves {
     for (part, (labels, count)) in parts.iter().zip(found) {
         let mut labels = labels.into_iter();
         for run in &part.runs {
-            let first = run.v * mask.width;
-            for (label, found) in
-                leaves.labels[first + run.start..first + run.end].iter_mut().zip(&mut labels)
-            {
+            let pixels = run.pixels(mask.width);
+            for (label, found) in leaves.labels[pixels].iter_mut().zip(&mut labels) {
                 *label = leaves.count + found;
             }
         }
@@ -102,9 +101,7 @@ pub fn is_broad(mask: &Mask) -> bool {
 /// Labels of the pixels of a component, run by run, and their number.
 fn leaves_of(part: &components::Part) -> (Vec<u32>, u32) {
     let cut = Watershed::of(part);
-    let of_run = |run: &components::Run| {
-        cut.labels[cut.place(run.start, run.v)..cut.place(run.end, run.v)].to_vec()
-    };
+    let of_run = |run: &components::Run| cut.labels[cut.pixels(run)].to_vec();
     (part.runs.iter().flat_map(of_run).collect(), cut.count)
 }
 
@@ -127,7 +124,7 @@ impl Watershed {
         let empty = Watershed { origin, width, depth: Vec::new(), labels: Vec::new(), count: 0 };
         let mut inside = vec![false; width * height];
         for run in &part.runs {
-            inside[empty.place(run.start, run.v)..empty.place(run.end, run.v)].fill(true);
+            inside[empty.pixels(run)].fill(true);
         }
         let depth = smooth(&distance(&inside, width, height), width);
         let apart = (MIN_SEPARATION * (part.pixels as f64).sqrt()).round().max(2.0) as usize;
@@ -174,9 +171,11 @@ impl Watershed {
         joined
     }
 
-    /// The window's pixel for a column and row of the mask.
-    fn place(&self, u: usize, v: usize) -> usize {
-        (v - self.origin[1] + 1) * self.width + u - self.origin[0] + 1
+    /// The window's pixels of a run.
+    fn pixels(&self, run: &components::Run) -> Range<usize> {
+        let row = (run.v as usize - self.origin[1] + 1) * self.width;
+        let first = row + run.start as usize - self.origin[0] + 1;
+        first..first + run.len()
     }
 }
 

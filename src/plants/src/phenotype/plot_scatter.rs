@@ -11,7 +11,7 @@
 //! Reference: B. Efron and C. Stein, "The jackknife estimate of variance", Annals of Statistics 9, 1981.
 
 use super::{colour_indices::ColourSum, plots::Measured};
-use rowgram_raster::polygon::Polygon;
+use rowgram_raster::{height_counts::HeightCounts, polygon::Polygon};
 
 /// Parts of a plot along each axis of the raster. A standard deviation from 16 parts is known to 18 %, `1 / sqrt(2 * 15)`, and a part of a
 /// plot of 2 m x 5 m still holds several plants, so that neighbouring parts hardly depend on each other.
@@ -113,6 +113,45 @@ impl ValueParts {
     }
 }
 
+/// Width of the classes in which heights of a canopy are counted, metres: a tenth of what surfaces are off by, at best.
+const HEIGHT_CLASS_M: f64 = 1e-3;
+
+/// Heights of the canopy in the cells of a plot, by part.
+#[derive(Debug, Clone)]
+pub struct HeightParts {
+    pub(super) means: ValueParts,
+    counts: [HeightCounts; PARTS],
+}
+
+impl Default for HeightParts {
+    fn default() -> HeightParts {
+        let counts = std::array::from_fn(|_| HeightCounts::new(HEIGHT_CLASS_M));
+        HeightParts { means: ValueParts::default(), counts }
+    }
+}
+
+impl HeightParts {
+    /// Adds the height of a cell of a part, metres; one that is not finite is left out.
+    pub fn add(&mut self, part: usize, height_m: f32) {
+        self.means.add(part, height_m);
+        if let Some(counts) = self.counts.get_mut(part) {
+            counts.add(f64::from(height_m));
+        }
+    }
+
+    /// The height that a share of the cells does not exceed, to half a millimetre, with its standard deviation; `None` without any.
+    pub fn percentile_m(&self, share: f64) -> Option<Measured> {
+        let without = |left_out: Option<usize>| {
+            let parts = self.counts.iter().enumerate().filter(|(k, _)| Some(*k) != left_out);
+            let mut all = HeightCounts::new(HEIGHT_CLASS_M);
+            parts.for_each(|(_, counts)| all.merge(counts));
+            all.percentile_m(share)
+        };
+        let sd = jackknife(|part| self.means.0[part].pixels > 0, |part| without(Some(part)));
+        Some(Measured { value: without(None)?, sd })
+    }
+}
+
 /// Sums of the colours of the leaf pixels of a plot, by part.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ColourParts(pub [ColourSum; PARTS]);
@@ -158,6 +197,21 @@ mod tests {
         // Means without either part: 6 and 1.5.
         assert_relative_eq!(found.sd.unwrap(), 2.25, epsilon = 1e-12);
         assert_eq!(ValueParts::default().mean(), None);
+    }
+
+    #[test]
+    fn a_percentile_of_heights_scatters_by_part() {
+        let mut parts = HeightParts::default();
+        assert_eq!(parts.percentile_m(0.95), None);
+        for part in 0..PARTS {
+            (0..100).for_each(|k| parts.add(part, 0.01 * k as f32));
+            parts.add(part, f32::NAN);
+        }
+        let alike = parts.percentile_m(0.95).unwrap();
+        assert!((alike.value - 0.94).abs() <= 0.001, "{alike:?}");
+        assert!(alike.sd.unwrap() < 1e-9, "{alike:?}");
+        (0..100).for_each(|_| parts.add(3, 2.0));
+        assert!(parts.percentile_m(0.95).unwrap().sd.unwrap() > 0.1);
     }
 
     #[test]

@@ -5,7 +5,7 @@
 use super::{
     colour_indices::ColourIndices,
     field_measurements::{FieldMeasurements, MeasuredLeaf, RowGap},
-    plot_scatter::{ColourParts, PARTS, PlotParts, ValueParts, jackknife},
+    plot_scatter::{ColourParts, HeightParts, PARTS, PlotParts, ValueParts, jackknife},
     row_plots::along_the_row,
     traits::{PlotTraits, deviation_name, leaf_name, put},
 };
@@ -37,42 +37,20 @@ pub struct CanopyHeights {
 }
 
 impl CanopyHeights {
-    /// Of the heights of cells by part of the plot, metres, each cell a square of this side; `None` without any.
-    pub fn of(parts: &[Vec<f32>; PARTS], cell_m: Option<f64>) -> Option<CanopyHeights> {
-        let has_data = |part: usize| !parts[part].is_empty();
-        let rest = |left_out: Option<usize>| -> Vec<f32> {
-            let parts = parts.iter().enumerate().filter(|(k, _)| Some(*k) != left_out);
-            parts.flat_map(|(_, heights)| heights.iter().copied()).collect()
-        };
-        let of = |value: fn(Vec<f32>) -> Option<f64>| {
-            let sd = jackknife(has_data, |part| value(rest(Some(part))));
-            Some(Measured { value: value(rest(None))?, sd })
-        };
-        let mean_m = of(mean_height)?;
-        let cells: usize = parts.iter().map(Vec::len).sum();
-        let area = cell_m.map(|cell_m| cells as f64 * cell_m * cell_m);
+    /// Of the heights of cells in a plot, each a square of this side; `None` without any.
+    pub fn of(parts: &HeightParts, cell_m: Option<f64>) -> Option<CanopyHeights> {
+        let mean_m = parts.means.mean()?;
+        let p95_m = parts.percentile_m(0.95)?;
+        let area = cell_m.map(|cell_m| parts.means.pixels() as f64 * cell_m * cell_m);
         let volume =
             |area: f64| Measured { value: mean_m.value * area, sd: mean_m.sd.map(|sd| sd * area) };
         let common_m = HEIGHT_SIGMA_CELLS * cell_m.unwrap_or(0.0);
-        let p95_m = of(height_percentile_95)?;
         Some(CanopyHeights {
             p95_m: Measured { sd: p95_m.sd.map(|sd| sd.hypot(common_m)), ..p95_m },
             mean_m,
             volume_m3: area.map(volume),
         })
     }
-}
-
-fn mean_height(heights_m: Vec<f32>) -> Option<f64> {
-    let sum: f64 = heights_m.iter().map(|&height| f64::from(height)).sum();
-    (!heights_m.is_empty()).then(|| sum / heights_m.len() as f64)
-}
-
-/// The height that 95 % do not exceed; `None` without any.
-pub fn height_percentile_95(mut heights_m: Vec<f32>) -> Option<f64> {
-    let last = heights_m.len().checked_sub(1)?;
-    let at = (0.95 * last as f64).round() as usize;
-    Some(f64::from(*heights_m.select_nth_unstable_by(at, f32::total_cmp).1))
 }
 
 /// Standard deviation of where the edge of a leaf is taken to be, the same for all leaves of a picture, pixels: a mask of whole pixels

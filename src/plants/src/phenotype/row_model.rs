@@ -35,7 +35,7 @@
 use super::{
     dynamic_programming::{Chain, Posterior, STEP},
     locate::LocateError,
-    mass_stand::{self, ByMass, Doubtful},
+    mass_stand::{self, ByMass},
     plant_spacing::Spacing,
     row_evidence::{Expected, RowEvidence, best, bisect, gaps, total, worth_of},
     row_parts::Part,
@@ -47,6 +47,7 @@ use rayon::prelude::*;
 use rowgram_base::options::Options as _;
 use rowgram_optim::engine::SolveError;
 use rowgram_raster::Mask;
+use std::borrow::Cow;
 
 rowgram_base::options! {
     /// The row model. Lengths without a unit are pixels of the reduced grid, about a third of a leaf's width.
@@ -143,35 +144,46 @@ fn by_mass_or_votes(
 ) -> Result<Stand, LocateError> {
     match by_mass {
         ByMass::Found(stand) => Ok(*stand),
-        ByMass::Nothing => by_votes(mask, posterior, detection, count, options),
-        ByMass::Doubtful(doubtful) => {
-            let Doubtful { crop, by_mass, .. } = &*doubtful;
+        ByMass::Nothing => {
+            by_votes(&likely(Cow::Borrowed(mask), posterior), detection, count, options)
+        }
+        ByMass::Doubtful(mut doubtful) => {
+            let crop = doubtful.crop.take();
+            let is_cleaned = crop.is_some();
             let stand = match crop {
-                None => by_votes(mask, posterior, detection, count, options)?,
+                None => {
+                    by_votes(&likely(Cow::Borrowed(mask), posterior), detection, count, options)?
+                }
                 Some((crop, detection)) => {
                     let mut posterior = posterior;
                     for (p, crop) in posterior.iter_mut().flatten().zip(&crop.data) {
                         *p *= u8::from(*crop != 0);
                     }
-                    by_votes(crop, posterior, detection, count, options)?
+                    by_votes(&likely(Cow::Owned(crop), posterior), &detection, count, options)?
                 }
             };
-            let (votes, mass) = (stand.plants.len(), by_mass.plants.len());
+            let (votes, mass) = (stand.plants.len(), doubtful.by_mass.plants.len());
             let is_preferred = doubtful.prefers(votes);
             tracing::debug!("{mass} plants by leaf mass, {votes} by votes along leaf axes");
             if !is_preferred {
                 return Ok(doubtful.by_mass);
             }
-            let between_rows = if crop.is_some() { doubtful.by_mass.between_rows } else { None };
+            let between_rows = if is_cleaned { doubtful.by_mass.between_rows } else { None };
             Ok(Stand { between_rows, ..stand })
         }
     }
 }
 
+/// The pixels that are leaf by themselves, where their probabilities are known, in the memory of those.
+fn likely(mask: Cow<'_, Mask>, posterior: Option<Vec<u8>>) -> Cow<'_, Mask> {
+    let Some(mut data) = posterior else { return mask };
+    data.iter_mut().for_each(|p| *p = u8::from(*p >= LIKELY));
+    Cow::Owned(Mask { width: mask.width, height: mask.height, data })
+}
+
 /// [`locate_in_detail`] by votes along leaf axes alone.
 fn by_votes(
     mask: &Mask,
-    posterior: Option<Vec<u8>>,
     detection: &Detection,
     count: Option<usize>,
     options: &RowModelOptions,
@@ -182,14 +194,7 @@ fn by_votes(
             return Err(LocateError::NoRows { contrast, prominence });
         }
     };
-    let mut evidence = match posterior {
-        None => RowEvidence::new(mask, rows, options),
-        Some(mut data) => {
-            let (width, height) = (mask.width, mask.height);
-            data.iter_mut().for_each(|p| *p = u8::from(*p >= LIKELY));
-            RowEvidence::new(&Mask { width, height, data }, rows, options)
-        }
-    };
+    let mut evidence = RowEvidence::new(mask, rows, options);
     let mut spacing = evidence.spacing(count, None);
     evidence.cut(&spacing);
     compare_with_plants(&mut evidence, &spacing);

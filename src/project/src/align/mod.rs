@@ -197,7 +197,8 @@ fn run(
     if last == Step::Match {
         return Ok(StepOutcome::Part(report));
     }
-    let features::Extracted { geometric, descriptors, .. } = extracted;
+    let features::Extracted { geometric, descriptors, largest, .. } = extracted;
+    drop(largest);
     steps::intrinsics(&mut inputs, &geometric, (&matched, matched_key), options, &store, monitor)?;
     let cameras = inputs.cameras();
     let verification = options.verification();

@@ -1,27 +1,44 @@
 //! Pictures that go into the page itself, as data URIs.
 
 use base64::{Engine, engine::general_purpose::STANDARD};
-use image::{Rgb, RgbImage, codecs::jpeg::JpegEncoder};
+use image::{ImageFormat, Rgb, RgbImage, RgbaImage, codecs::jpeg::JpegEncoder};
 use rowgram_base::error::Error;
 use rowgram_files::rasters::Source;
 use rowgram_optim::output::FileError;
-use std::path::Path;
+use std::{io::Cursor, path::Path};
 
 /// Quality of the JPEGs.
 const QUALITY: u8 = 82;
 
-/// A file as it is.
+/// Side from which a picture of a file is shrunk, pixels: a screen shows no more of it, and those of a large map have tens of megabytes.
+const SIDE_PX: u32 = 1600;
+
+/// A drawing or a PNG file, as it is where it is not larger than a screen.
 ///
 /// # Errors
 /// Where it cannot be read.
 pub(super) fn file(path: &Path) -> Result<String, Error> {
     let bytes = std::fs::read(path).map_err(|e| FileError::read(path, e))?;
-    let kind = match path.extension().and_then(|e| e.to_str()) {
-        Some("svg") => "image/svg+xml",
-        Some("jpg" | "jpeg") => "image/jpeg",
-        _ => "image/png",
-    };
-    Ok(format!("data:{kind};base64,{}", STANDARD.encode(bytes)))
+    if path.extension().is_some_and(|ending| ending == "svg") {
+        return Ok(format!("data:image/svg+xml;base64,{}", STANDARD.encode(bytes)));
+    }
+    let malformed = |e: image::ImageError| FileError::malformed(path, None, e.to_string());
+    let reader = || image::ImageReader::with_format(Cursor::new(&bytes), ImageFormat::Png);
+    let (width, height) = reader().into_dimensions().map_err(malformed)?;
+    if width.max(height) > SIDE_PX {
+        let picture = reader().decode().map_err(malformed)?.to_rgba8();
+        return jpeg(&on_white(&picture), SIDE_PX);
+    }
+    Ok(format!("data:image/png;base64,{}", STANDARD.encode(bytes)))
+}
+
+/// A picture that may be transparent, on white.
+fn on_white(picture: &RgbaImage) -> RgbImage {
+    RgbImage::from_fn(picture.width(), picture.height(), |u, v| {
+        let [red, green, blue, alpha] = picture.get_pixel(u, v).0.map(u32::from);
+        let over = |colour: u32| ((colour * alpha + 255 * (255 - alpha) + 127) / 255) as u8;
+        Rgb([over(red), over(green), over(blue)])
+    })
 }
 
 /// A picture as JPEG, no wider or higher than `side_px`.
@@ -135,4 +152,38 @@ pub(super) fn green(overview: &RgbImage) -> RgbImage {
         let from = |paper: f64, leaf: f64| (paper + share * (leaf - paper)) as u8;
         Rgb([from(247.0, 28.0), from(246.0, 110.0), from(240.0, 56.0)])
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn decoded(uri: &str) -> image::DynamicImage {
+        let (_, encoded) = uri.split_once(";base64,").unwrap();
+        image::load_from_memory(&STANDARD.decode(encoded).unwrap()).unwrap()
+    }
+
+    #[test]
+    fn large_pictures_are_shrunk_and_small_ones_stay_as_they_are() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("map.png");
+        let clear_left = |u: u32| if u < 1000 { [0; 4] } else { [10, 120, 30, 255] };
+        let large = RgbaImage::from_fn(4000, 1000, |u, _| image::Rgba(clear_left(u)));
+        large.save(&path).unwrap();
+        let uri = file(&path).unwrap();
+        assert!(uri.starts_with("data:image/jpeg;"), "{}", &uri[..30]);
+        let shown = decoded(&uri).to_rgb8();
+        assert_eq!(shown.dimensions(), (1600, 400));
+        let near = |at: &Rgb<u8>, to: [u8; 3]| (0..3).all(|k| at.0[k].abs_diff(to[k]) < 8);
+        assert!(near(shown.get_pixel(100, 200), [255; 3]), "nothing reads as paper");
+        assert!(near(shown.get_pixel(1000, 200), [10, 120, 30]));
+
+        image::imageops::crop_imm(&large, 0, 0, 300, 200).to_image().save(&path).unwrap();
+        let uri = file(&path).unwrap();
+        let encoded = STANDARD.encode(std::fs::read(&path).unwrap());
+        assert_eq!(uri, format!("data:image/png;base64,{encoded}"));
+
+        std::fs::write(&path, "no picture").unwrap();
+        assert!(file(&path).unwrap_err().to_string().contains("map.png"));
+    }
 }

@@ -11,11 +11,11 @@ use rowgram_files::{
     qgis,
 };
 use rowgram_optim::output::{self, FileError};
-use rowgram_raster::{georeference::Georeference, window::Window};
+use rowgram_raster::{georeference::Georeference, height_counts::HeightCounts, window::Window};
 use rowgram_survey::mapping::{
     Surface,
     dense::{
-        DenseTile, HeightCounts,
+        DenseTile,
         area::{TILE, starts},
     },
     orientation_sigma::OrientationSigma,

@@ -24,7 +24,7 @@ use data_synth::{
 };
 use rowgram_base::{error::Error, monitor::Monitor};
 use rowgram_optim::output::{self, FileError};
-use rowgram_plants::phenotype::plots::height_percentile_95;
+use rowgram_raster::height_counts::HeightCounts;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use std::{collections::BTreeMap, io::Write, path::Path};
@@ -275,7 +275,9 @@ impl<'a> Truth<'a> {
             height: frame.height_px as usize,
         };
         let surface = twin.studio().first_surface(grid);
-        let mut counted = vec![(0u32, 0u32, 0u32, Vec::new()); self.plots];
+        // To the last digit that is written.
+        let heights = HeightCounts::new(1e-4);
+        let mut counted = vec![(0u32, 0u32, 0u32, heights); self.plots];
         for (index, (top_m, ground_m)) in surface.top_m.iter().zip(&surface.ground_m).enumerate() {
             let (u, v) = (index % grid.width, index / grid.width);
             let [x_m, y_m] = frame.ground(u as f64, v as f64);
@@ -286,15 +288,15 @@ impl<'a> Truth<'a> {
                 sums.0 += 1;
                 sums.1 += leaf(&all);
                 sums.2 += leaf(&crop);
-                sums.3.push(top_m - ground_m);
+                sums.3.add(f64::from(top_m - ground_m));
             }
         }
-        for (plot, (pixels, leaf, of_crop, heights_m)) in counted.into_iter().enumerate() {
+        for (plot, (pixels, leaf, of_crop, heights)) in counted.into_iter().enumerate() {
             let of_plot = || field.plants.iter().filter(|plant| plant.plot == plot);
             let area_m2: f64 =
                 of_plot().flat_map(|plant| &plant.leaves).map(|leaf| leaf.area_m2()).sum();
             let share = |count: u32| f64::from(count) / f64::from(pixels.max(1));
-            let height_m = height_percentile_95(heights_m).unwrap_or(0.0);
+            let height_m = heights.percentile_m(0.95).unwrap_or(0.0);
             rows.push(format!(
                 "{date},{},{},{:.6},{:.6},{height_m:.4},{area_m2:.5}",
                 name_of(plot),

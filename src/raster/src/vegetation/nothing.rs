@@ -84,8 +84,7 @@ impl SurroundFinder {
                 if outside && part.pixels as f64 > least {
                     surround.data.resize(flat.len(), 0);
                     for run in &part.runs {
-                        let at = run.v * columns;
-                        surround.data[at + run.start..at + run.end].fill(1);
+                        surround.data[run.pixels(columns)].fill(1);
                     }
                 }
             }

@@ -14,9 +14,9 @@ pub(super) fn find(mask: &Mask, options: &LeafOptions) -> Leaves {
     let BroadLeaves { labels, count } = broad_leaves(mask);
     let mut runs: Vec<Vec<Run>> = vec![Vec::new(); count as usize];
     for (v, row) in labels.chunks(mask.width.max(1)).enumerate() {
-        let mut start = 0;
+        let (v, mut start) = (v as u32, 0);
         for chunk in row.chunk_by(|a, b| a == b) {
-            let end = start + chunk.len();
+            let end = start + chunk.len() as u32;
             if let Some(leaf) = chunk[0].checked_sub(1) {
                 runs[leaf as usize].push(Run { v, start, end });
             }
@@ -31,8 +31,7 @@ pub(super) fn find(mask: &Mask, options: &LeafOptions) -> Leaves {
 
 /// A leaf with its principal axis; the width at a point of it is the area of the strip around it over the strip's length.
 fn measured(runs: Vec<Run>) -> Leaf {
-    let pixels =
-        || runs.iter().flat_map(|run| (run.start..run.end).map(|u| [u as f64, run.v as f64]));
+    let pixels = || runs.iter().flat_map(Run::places);
     let area_px = pixels().count();
     let count = area_px.max(1) as f64;
     let [su, sv] = pixels().fold([0.0; 2], |s, p| [s[0] + p[0], s[1] + p[1]]);

@@ -372,8 +372,8 @@ fn finish(local: &Local, owner: &[u32], mut axes: Vec<Axis>) -> Vec<Leaf> {
     for (leaf, pixels) in leaves.iter_mut().zip(&owned) {
         leaf.area_px = pixels.len();
         for &pixel in pixels {
-            let u = (i64::from(pixel) % local.width as i64 + left) as usize;
-            let v = (i64::from(pixel) / local.width as i64 + top) as usize;
+            let u = (i64::from(pixel) % local.width as i64 + left) as u32;
+            let v = (i64::from(pixel) / local.width as i64 + top) as u32;
             match leaf.runs.last_mut() {
                 Some(run) if run.v == v && run.end == u => run.end += 1,
                 _ => leaf.runs.push(Run { v, start: u, end: u + 1 }),

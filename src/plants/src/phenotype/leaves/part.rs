@@ -27,9 +27,9 @@ impl Local {
         let mut mask = vec![0; width * height];
         let mut pixels = Vec::with_capacity(part.pixels);
         for run in &part.runs {
-            let row = (run.v - window.v + PAD) * width;
-            let start = row + run.start - window.u + PAD;
-            let end = start + run.end - run.start;
+            let row = (run.v as usize - window.v + PAD) * width;
+            let start = row + run.start as usize - window.u + PAD;
+            let end = start + run.len();
             mask[start..end].fill(1);
             pixels.extend(start as u32..end as u32);
         }

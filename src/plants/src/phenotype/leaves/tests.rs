@@ -121,12 +121,10 @@ fn every_plant_pixel_has_one_leaf() {
     for options in [LeafOptions::default(), LeafOptions::paper()] {
         let mut seen = vec![0u8; mask.data.len()];
         for leaf in find(&mask, &options).leaves {
-            let area: usize = leaf.runs.iter().map(|run| run.end - run.start).sum();
+            let area: usize = leaf.runs.iter().map(Run::len).sum();
             assert_eq!(area, leaf.area_px);
             for run in &leaf.runs {
-                seen[run.v * 240 + run.start..run.v * 240 + run.end]
-                    .iter_mut()
-                    .for_each(|n| *n += 1);
+                seen[run.pixels(240)].iter_mut().for_each(|n| *n += 1);
             }
         }
         assert!(seen == mask.data);

@@ -15,7 +15,7 @@ mod split;
 
 pub use model::{LEAST, LengthModel, MOST, MassModel, Measured};
 use rowgram_optim::robust::median;
-pub use split::{Weighted, split};
+pub use split::split;
 
 use rayon::prelude::*;
 use rowgram_raster::{Mask, components};
@@ -107,8 +107,8 @@ impl<'a> Parts<'a> {
     }
 
     /// Log odds of vegetation of a pixel; certainty is that of a count of 255.
-    fn log_odds(&self, u: usize, v: usize) -> Option<f64> {
-        let p = f64::from(*self.posterior?.get(v * self.mask.width + u)?).clamp(1.0, 254.0);
+    fn log_odds(&self, pixel: usize) -> Option<f64> {
+        let p = f64::from(*self.posterior?.get(pixel)?).clamp(1.0, 254.0);
         Some((p / (255.0 - p)).ln())
     }
 
@@ -128,10 +128,9 @@ impl<'a> Parts<'a> {
         let [mut u1, mut v1, mut uu, mut uv, mut vv] = [0.0; 5];
         let (u0, v0) = (part.window.u as f64, part.window.v as f64);
         for run in &part.runs {
-            let v = run.v as f64 - v0;
-            for u in run.start..run.end {
-                log_odds = log_odds.zip(self.log_odds(u, run.v)).map(|(sum, of)| sum + of);
-                let u = u as f64 - u0;
+            for (pixel, [u, v]) in run.pixels(self.mask.width).zip(run.places()) {
+                log_odds = log_odds.zip(self.log_odds(pixel)).map(|(sum, of)| sum + of);
+                let [u, v] = [u - u0, v - v0];
                 u1 += u;
                 v1 += v;
                 uu += u * u;
@@ -185,8 +184,7 @@ impl<'a> Parts<'a> {
         let mut mask = Mask::empty(self.mask.width, self.mask.height);
         for part in (0..self.parts.len()).filter(|&part| is_kept(part)) {
             for run in &self.parts[part].runs {
-                let at = run.v * mask.width;
-                mask.data[at + run.start..at + run.end].fill(1);
+                mask.data[run.pixels(mask.width)].fill(1);
             }
         }
         mask
@@ -227,13 +225,7 @@ impl<'a> Parts<'a> {
             if plants == 0 {
                 return Vec::new();
             }
-            let pixel = |u: usize, v: usize| ([u as f64, v as f64], 1.0);
-            let pixels: Vec<Weighted> = part
-                .runs
-                .iter()
-                .flat_map(|run| (run.start..run.end).map(move |u| pixel(u, run.v)))
-                .collect();
-            let centres = split(&pixels, plants);
+            let centres = split(part, plants);
             let confidence = match &self.sizes {
                 Some(sizes) => PLACED * sizes.probability(&measured) / plants as f64,
                 None => confidence(model, measured, plants),

@@ -7,12 +7,12 @@
 //! photos that it compares are in memory; tiles go to a store, and what an interrupted attempt has left there is not matched again.
 
 use super::{
-    DenseOptions, DenseTile, GroundPlaces, HeightCounts, LAYERS, MAX_LAYERS, MatchedPhoto,
-    Penalties, PosedPhoto, PosteriorOptions, Prior, Relief, Terrain, Tile, block, match_tile,
-    rectify::greenness, tile,
+    DenseOptions, DenseTile, GroundPlaces, LAYERS, MAX_LAYERS, MatchedPhoto, Penalties, PosedPhoto,
+    PosteriorOptions, Prior, Relief, Terrain, Tile, block, match_tile, rectify::greenness, tile,
 };
 use crate::mapping::{MapError, View, photo::DecodedPhoto};
 use rayon::prelude::*;
+use rowgram_raster::height_counts::HeightCounts;
 use std::{collections::BTreeMap, ops::Range};
 
 /// The usual side of a tile, cells: the photos that one tile compares are in memory together.

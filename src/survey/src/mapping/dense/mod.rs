@@ -31,7 +31,6 @@ pub mod aggregate;
 pub mod area;
 pub mod block;
 pub mod cost_volume;
-pub mod counts;
 pub mod joins;
 mod lattice;
 pub mod matched;
@@ -45,7 +44,6 @@ pub mod tile;
 
 pub use aggregate::Penalties;
 pub use area::{Area, AreaGround, AreaOptions, Pass, TileStore, TilesInMemory};
-pub use counts::HeightCounts;
 pub use joins::{Margin, TileMargins};
 pub use matched::{MatchedPhoto, PosedPhoto};
 pub use posterior::PosteriorOptions;

@@ -44,6 +44,18 @@ impl HeightCounts {
         }
     }
 
+    /// Counts what others counted, in classes of the same width.
+    pub fn merge(&mut self, others: &HeightCounts) {
+        debug_assert!(self.width_m == others.width_m, "classes of one width");
+        for (group, counts) in &others.counts {
+            let at = self.counts.partition_point(|(of, _)| of < group);
+            match self.counts.get_mut(at).filter(|(of, _)| of == group) {
+                Some((_, own)) => own.iter_mut().zip(counts).for_each(|(own, more)| *own += more),
+                None => self.counts.insert(at, (*group, counts.clone())),
+            }
+        }
+    }
+
     /// The height that a share of them does not exceed; `None` where there are none.
     pub fn percentile_m(&self, share: f64) -> Option<f64> {
         let total: u64 = self.counts.iter().flat_map(|(_, counts)| counts).sum();
@@ -81,6 +93,21 @@ mod tests {
         for share in [0.0, 0.05, 0.5, 0.95, 1.0] {
             let off = counts.percentile_m(share).unwrap() - heights[(share * 1000.0) as usize];
             assert!(off.abs() <= 0.0015, "{share}: {off}");
+        }
+    }
+
+    #[test]
+    fn parts_together_are_the_whole() {
+        let heights = |from: i32, to: i32| {
+            let mut counts = HeightCounts::new(0.001);
+            (from..to).for_each(|k| counts.add(0.0037 * f64::from(k)));
+            counts
+        };
+        let whole = heights(-900, 900);
+        for cut in [-300, 0, 899] {
+            let (mut low, high) = (heights(-900, cut), heights(cut, 900));
+            low.merge(&high);
+            assert_eq!(low.counts, whole.counts, "{cut}");
         }
     }
 
