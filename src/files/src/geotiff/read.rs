@@ -5,7 +5,7 @@ mod spectra;
 
 pub use spectra::Spectra;
 
-use super::{Sample, bands::Bands, place, square::Square};
+use super::{Sample, TILE, bands::Bands, place, square::Square};
 use crate::memory;
 use geotiff_reader::{Error as GeoError, GeoTiffFile, GeoTiffOpenOptions};
 use image::RgbImage;
@@ -18,8 +18,8 @@ use std::{
 };
 use tiff_reader::{Ifd, RasterLayout, TiffError, TiffFile, TiffSample};
 
-/// Decoded tiles or strips that are kept for the next window, bytes.
-const CACHE_BYTES: usize = 1 << 28;
+/// Decoded tiles or strips that are kept for the next window, bytes: two rows of tiles of a colour map 32,000 pixels wide.
+const CACHE_BYTES: usize = 1 << 27;
 
 /// `PhotometricInterpretation`: black is zero, RGB.
 const BLACK_IS_ZERO: u16 = 1;
@@ -271,7 +271,24 @@ impl Reader {
                 tiff.read_decoded_window::<T>(directory, v, u, height, width)
             })
         };
-        self.square.read(size, window, read)
+        // The decoder holds what it reads twice: a large window comes in rows of tiles, which a strip of all rows would be decoded for each time.
+        let is_kept = block_bytes(ifd) <= CACHE_BYTES as u64;
+        let read_by_bands = |window: Window| {
+            if window.height <= 2 * TILE || !is_kept {
+                return read(window);
+            }
+            let mut all = Vec::new();
+            for v in (window.v..window.row_range().end).step_by(TILE) {
+                let height = TILE.min(window.row_range().end - v);
+                let band = read(Window { v, height, ..window })?;
+                if all.is_empty() {
+                    all.reserve_exact(band.len() / height * window.height);
+                }
+                all.extend(band);
+            }
+            Ok(all)
+        };
+        self.square.read(size, window, read_by_bands)
     }
 
     /// A window as a picture in 8-bit colours. 16 bits in full range are scaled (65535 becomes 255), reflectance and others to

@@ -6,16 +6,16 @@
 //! sum_i w_i rho(z_i - d_i) + lambda sum (second differences of z along rows and columns)^2
 //! ```
 //!
-//! where `d_i` is the median height of the bare cells around node `i`, `w_i` their number over their variance (robust, and
-//! of no more cells than are independent), and `rho` Cauchy's loss by reweighting, so that leaves taken for soil have no
-//! say. Where nothing is bare the ground goes on with constant slope, and farther from bare cells than
+//! where `d_i` is the height of the bare cells around node `i`, from the lowest quarter of them, since soil beside leaves is matched at the height
+//! of the leaves and hardly ever below the ground; `w_i` is their number over their variance (of no more cells than are independent), and
+//! `rho` Cauchy's loss by reweighting, so that leaves taken for soil have no say. Where nothing is bare the ground goes on with constant slope, and farther from bare cells than
 //! [`GroundPlaces::LOWEST_FROM_M`] it follows the lowest of what stands there (`d_i` the twentieth from below of all cells around the node,
 //! with the small weight that has a say from that distance on): meadows, lawns, fields that have closed. Its standard deviation comes from the
 //! weights of bare cells near a node and grows with the distance to them.
 
 use super::lattice::Lattice;
 use rayon::prelude::*;
-use rowgram_optim::robust::{median, median_and_sigma, sigma_of_errors};
+use rowgram_optim::robust::{median, sigma_of_errors};
 use std::collections::BTreeMap;
 
 /// Weight of the second differences relative to the usual node: relief of 2.5 nodes keeps four fifths of its height.
@@ -112,8 +112,8 @@ impl GroundPlaces {
     fn reduce(&mut self, at: usize) {
         let Some([mut bare, mut standing]) = self.open.remove(&at) else { return };
         if bare.len() >= LEAST_CELLS {
-            let (middle, sigma) = median_and_sigma(&bare).unwrap_or((0.0, 0.0));
-            self.data[at] = middle;
+            let (height, sigma) = from_below(&mut bare);
+            self.data[at] = height;
             let sigma = sigma.max(LEAST_SIGMA_M);
             self.weight[at] = (bare.len() as f64).min(MOST_CELLS) / (sigma * sigma);
         } else if bare.len() + standing.len() >= LEAST_STANDING {
@@ -163,6 +163,24 @@ impl GroundPlaces {
         terrain.sigma_m = terrain.sigmas(&robust);
         Some(terrain)
     }
+}
+
+/// The height of the ground among bare cells, some of which have that of the leaves beside them, and how far they scatter. The lowest
+/// quarter is the lower tail of a normal distribution; what the middle of all stands above it counts as scatter.
+fn from_below(cells: &mut [f64]) -> (f64, f64) {
+    // Quantiles of the normal distribution.
+    const TENTH: f64 = -1.281_552;
+    const QUARTER: f64 = -0.674_490;
+    cells.sort_unstable_by(f64::total_cmp);
+    let quantile = |share: f64| {
+        let at = share * (cells.len() - 1) as f64;
+        let (below, above) = (cells[at as usize], cells[(at.ceil() as usize).min(cells.len() - 1)]);
+        below + at.fract() * (above - below)
+    };
+    let [tenth, quarter, middle] = [0.1, 0.25, 0.5].map(quantile);
+    let sigma = (quarter - tenth) / (QUARTER - TENTH);
+    let height = quarter - QUARTER * sigma;
+    (height, sigma.hypot(middle - height))
 }
 
 impl Terrain {
@@ -243,6 +261,7 @@ impl Terrain {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use statrs::distribution::ContinuousCDF as _;
 
     #[test]
     fn the_ground_goes_on_under_leaves_and_ignores_what_stands_on_it() {
@@ -269,6 +288,22 @@ mod tests {
         assert!(hidden > open && open < 0.01, "{open} {hidden}");
         assert_eq!(terrain.at_m([9.0, 1.0]), None);
         assert_eq!(Terrain::fit(&bare[..3], [[0.0, 6.0], [0.0, 6.0]], 0.3), None);
+    }
+
+    #[test]
+    fn soil_matched_at_the_height_of_leaves_does_not_lift_the_ground() {
+        // Quantiles of a normal distribution stand for its sample.
+        let cells = |raised: usize| -> Vec<f64> {
+            let normal = statrs::distribution::Normal::new(2.0, 0.01).unwrap();
+            let of = |k: usize| normal.inverse_cdf((k as f64 + 0.5) / 100.0);
+            (0..100).map(|k| of(k) + if k * 37 % 100 < raised { 0.3 } else { 0.0 }).collect()
+        };
+        let (height, sigma) = from_below(&mut cells(0));
+        assert!((height - 2.0).abs() < 0.001 && (sigma - 0.01).abs() < 0.001, "{height} {sigma}");
+        // The middle of all cells would be at the leaves.
+        let (height, sigma) = from_below(&mut cells(55));
+        assert!((height - 2.0).abs() < 0.02 && sigma > 0.2, "{height} {sigma}");
+        assert_eq!(from_below(&mut [1.0; 4]), (1.0, 0.0));
     }
 
     /// A meadow of 60 m on a slope that bends, with a bare strip at its edge: the ground is below the grass everywhere, and a plot of
