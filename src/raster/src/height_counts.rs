@@ -9,6 +9,10 @@
 /// Classes that are counted side by side: a matter of memory and time, not of results.
 const TOGETHER: usize = 1024;
 
+/// Usual width of the classes in which heights of a canopy are counted, metres: a tenth of the spread of bare soil at best (0.63 cells of
+/// 1.5 cm, docs/accuracy.md).
+pub const HEIGHT_CLASS_M: f64 = 1e-3;
+
 /// Numbers of heights by class. Memory follows how many classes occur, not how far they are apart.
 #[derive(Debug, Clone, PartialEq)]
 pub struct HeightCounts {

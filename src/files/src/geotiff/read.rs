@@ -271,7 +271,8 @@ impl Reader {
                 tiff.read_decoded_window::<T>(directory, v, u, height, width)
             })
         };
-        // The decoder holds what it reads twice: a large window comes in rows of tiles, which a strip of all rows would be decoded for each time.
+        // The decoder holds a window twice, so that a large one is read band by band; but a tile or strip that the cache has no room for
+        // would be decoded again for each band.
         let is_kept = block_bytes(ifd) <= CACHE_BYTES as u64;
         let read_by_bands = |window: Window| {
             if window.height <= 2 * TILE || !is_kept {

@@ -11,7 +11,10 @@
 //! Reference: B. Efron and C. Stein, "The jackknife estimate of variance", Annals of Statistics 9, 1981.
 
 use super::{colour_indices::ColourSum, plots::Measured};
-use rowgram_raster::{height_counts::HeightCounts, polygon::Polygon};
+use rowgram_raster::{
+    height_counts::{HEIGHT_CLASS_M, HeightCounts},
+    polygon::Polygon,
+};
 
 /// Parts of a plot along each axis of the raster. A standard deviation from 16 parts is known to 18 %, `1 / sqrt(2 * 15)`, and a part of a
 /// plot of 2 m x 5 m still holds several plants, so that neighbouring parts hardly depend on each other.
@@ -112,9 +115,6 @@ impl ValueParts {
         Some(Measured { value: without(None)?, sd })
     }
 }
-
-/// Width of the classes in which heights of a canopy are counted, metres: a tenth of what surfaces are off by, at best.
-const HEIGHT_CLASS_M: f64 = 1e-3;
 
 /// Heights of the canopy in the cells of a plot, by part.
 #[derive(Debug, Clone)]

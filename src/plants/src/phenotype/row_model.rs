@@ -149,7 +149,7 @@ fn by_mass_or_votes(
         }
         ByMass::Doubtful(mut doubtful) => {
             let crop = doubtful.crop.take();
-            let is_cleaned = crop.is_some();
+            let has_weeds = crop.is_some();
             let stand = match crop {
                 None => {
                     by_votes(&likely(Cow::Borrowed(mask), posterior), detection, count, options)?
@@ -168,13 +168,14 @@ fn by_mass_or_votes(
             if !is_preferred {
                 return Ok(doubtful.by_mass);
             }
-            let between_rows = if is_cleaned { doubtful.by_mass.between_rows } else { None };
+            let between_rows = if has_weeds { doubtful.by_mass.between_rows } else { None };
             Ok(Stand { between_rows, ..stand })
         }
     }
 }
 
-/// The pixels that are leaf by themselves, where their probabilities are known, in the memory of those.
+/// The pixels that are leaf when judged alone, where `posterior` has their probabilities; else the mask. It takes over the memory of
+/// the posterior: a large map has room for few copies.
 fn likely(mask: Cow<'_, Mask>, posterior: Option<Vec<u8>>) -> Cow<'_, Mask> {
     let Some(mut data) = posterior else { return mask };
     data.iter_mut().for_each(|p| *p = u8::from(*p >= LIKELY));

@@ -97,6 +97,7 @@ mod tests {
         let found = of_areas(&path, fine, areas.iter()).unwrap();
         let inside = found[0].unwrap();
         assert!((inside.mean_m.value - 0.55).abs() < 1e-6, "{inside:?}");
+        // Heights are counted by the millimetre.
         assert!((inside.p95_m.value - 0.7).abs() < 1e-3, "{inside:?}");
         // Means of the four columns of parts are .4 to .7: their scatter is .129, over 16 parts .033.
         assert!((0.028..0.040).contains(&inside.mean_m.sd.unwrap()), "{inside:?}");

@@ -11,7 +11,11 @@ use rowgram_files::{
     qgis,
 };
 use rowgram_optim::output::{self, FileError};
-use rowgram_raster::{georeference::Georeference, height_counts::HeightCounts, window::Window};
+use rowgram_raster::{
+    georeference::Georeference,
+    height_counts::{HEIGHT_CLASS_M, HeightCounts},
+    window::Window,
+};
 use rowgram_survey::mapping::{
     Surface,
     dense::{
@@ -24,9 +28,7 @@ use std::path::Path;
 
 // Parts are written whole.
 const _: () = assert!(TILE.is_multiple_of(geotiff::TILE));
-/// Width of the classes in which heights of the canopy are counted, metres.
-const HEIGHT_CLASS_M: f64 = 1e-3;
-/// The same of standard deviations.
+/// Width of the classes in which standard deviations are counted, metres.
 const SIGMA_CLASS_M: f64 = 1e-4;
 
 /// The cells of a surface, its ground, and how it was matched.

@@ -8,8 +8,8 @@
 //!
 //! where `d_i` is the height of the bare cells around node `i`, from the lowest quarter of them, since soil beside leaves is matched at the height
 //! of the leaves and hardly ever below the ground; `w_i` is their number over their variance (of no more cells than are independent), and
-//! `rho` Cauchy's loss by reweighting, so that leaves taken for soil have no say. Where nothing is bare the ground goes on with constant slope, and farther from bare cells than
-//! [`GroundPlaces::LOWEST_FROM_M`] it follows the lowest of what stands there (`d_i` the twentieth from below of all cells around the node,
+//! `rho` Cauchy's loss by reweighting, so that leaves taken for soil have no say. Where nothing is bare the ground goes on with constant
+//! slope, and farther from bare cells than [`GroundPlaces::LOWEST_FROM_M`] it follows the lowest of what stands there (`d_i` the twentieth from below of all cells around the node,
 //! with the small weight that has a say from that distance on): meadows, lawns, fields that have closed. Its standard deviation comes from the
 //! weights of bare cells near a node and grows with the distance to them.
 
@@ -165,10 +165,11 @@ impl GroundPlaces {
     }
 }
 
-/// The height of the ground among bare cells, some of which have that of the leaves beside them, and how far they scatter. The lowest
-/// quarter is the lower tail of a normal distribution; what the middle of all stands above it counts as scatter.
+/// The height of the ground among bare cells, some of which were matched at the height of the leaves beside them, and its scatter, metres. The
+/// lowest quarter is taken for the lower tail of a normal distribution; how far the median of all is above its middle counts as scatter.
+/// The quantiles 0.05 and 0.15 in place of 0.1 and 0.25 give the same (docs/decisions.md).
 fn from_below(cells: &mut [f64]) -> (f64, f64) {
-    // Quantiles of the normal distribution.
+    // The standard normal distribution has a tenth, and a quarter, below these.
     const TENTH: f64 = -1.281_552;
     const QUARTER: f64 = -0.674_490;
     cells.sort_unstable_by(f64::total_cmp);
