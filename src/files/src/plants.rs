@@ -189,7 +189,7 @@ pub fn write_rows(
             record.extend(numbers.map(|x| format!("{x:.2}")));
             record.extend(gsd_m.map(|gsd| format!("{:.3}", length_px * gsd)));
             let ends = [line.start_px, line.end_px];
-            let ends = ends.map(|along| stand.rows.axes.image([along, line.across_px]));
+            let ends = ends.map(|along| stand.image([along, line.across_px]));
             record.extend(ends.concat().iter().map(|x| format!("{x:.2}")));
             csv.write_record(record)?;
         }

@@ -120,6 +120,9 @@ pub struct StandOutcome {
     /// Why what was found may be no plants; nothing where it is like the stand of a crop.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub doubts: Vec<Doubt>,
+    /// By how much larger than in the middle plants are at the lower edge of the photo, where rows converge.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub convergence: Option<f64>,
     /// Plants over the area of the rows.
     pub plants_per_hectare: Option<f64>,
     /// Its interval.
@@ -160,6 +163,7 @@ impl StandOutcome {
             unexplained_share: stand.leaf_mass.as_ref().map(|mass| mass.unexplained),
             between_rows_share: stand.between_rows.as_ref().map(|between| between.leaf_share),
             doubts: stand.doubts.clone(),
+            convergence: stand.perspective.map(|perspective| perspective.convergence),
             plants_per_hectare: hectares.map(|area| count / area),
             plants_per_hectare_interval: hectares
                 .map(|area| stand.count_interval.map(|count| count / area)),

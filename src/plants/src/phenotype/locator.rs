@@ -5,6 +5,7 @@
 
 use super::{
     locate::{Init, LocateError, Located, PlantFitOptions, Setup, locate_best},
+    perspective::Perspective,
     row_model::{self, RowModelOptions},
     rows::{self, Detection},
     stand::Stand,
@@ -19,6 +20,7 @@ use rowgram_optim::{
 };
 use rowgram_raster::Mask;
 use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 
 /// A named way to locate plants.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -237,7 +239,7 @@ pub struct Descended {
 
 /// Finds rows, and plants by the row model; poses the descent of the other methods. `posterior` is the probability
 /// of vegetation of each pixel of the mask in 1/255, where it is known: closed rows are looked at in pixels judged alone, and weeds
-/// are less green than a crop.
+/// are less green than a crop. The row model levels a tilted photo ([`Perspective`]); with `gsd_m` the mask is of a map, or of a photo from above.
 ///
 /// # Errors
 /// As [`LocateOptions::check`] and [`row_model::locate`].
@@ -249,14 +251,24 @@ pub fn prepare(
 ) -> Result<Prepared, LocateError> {
     options.check()?;
     let leaf_pixels = mask.count();
-    let detection = rows::detect(mask);
-    let init = options.init();
     let is_row_model = options.method == LocateMethod::RowModel;
+    // Whoever knows the ground sampling distance has a map, or a photo from above.
+    let levelled = if is_row_model && gsd_m.is_none() { levelled(mask) } else { None };
+    let perspective = levelled.as_ref().map(|(perspective, ..)| *perspective);
+    let (mask, posterior, detection) = match levelled {
+        None => (Cow::Borrowed(mask), posterior, rows::detect(mask)),
+        Some((perspective, level, detection)) => {
+            let posterior = posterior.map(|values| perspective.level(&values).0);
+            (Cow::Owned(level), posterior, detection)
+        }
+    };
+    let init = options.init();
     let counts = options.plants == Auto::Auto && leaf_pixels > 0;
     let stand = if is_row_model || init == Init::Votes || counts {
         let (count, options) = (options.plants.given(), &options.row_model);
-        let mut stand = row_model::locate_in_detail(mask, posterior, &detection, count, options)?;
-        stand.doubt(gsd_m, Some(mask));
+        let mut stand = row_model::locate_in_detail(&mask, posterior, &detection, count, options)?;
+        stand.doubt(gsd_m, Some(&mask));
+        perspective.into_iter().for_each(|perspective| stand.seen_in(perspective));
         Some(stand)
     } else {
         None
@@ -276,6 +288,15 @@ pub fn prepare(
         }
     };
     Ok(Prepared { leaf_pixels, detection, work })
+}
+
+/// The perspective of a tilted photo, its level picture and the rows in that; `None` where rows do not converge.
+fn levelled(mask: &Mask) -> Option<(Perspective, Mask, Detection)> {
+    let perspective = Perspective::of(mask)?;
+    let level = perspective.level_mask(mask);
+    let detection = rows::detect(&level);
+    let has_rows = detection.rows().is_some_and(|rows| rows.rows.len() > 1);
+    has_rows.then_some((perspective, level, detection))
 }
 
 impl Descend {

@@ -275,6 +275,7 @@ fn stand(
         leaf_mass: None,
         between_rows: None,
         doubts: Vec::new(),
+        perspective: None,
     };
     let relative = found.sigma / found.expected.max(1.0);
     let (mut between_px, size) = (weeds_px, plant_px.sqrt());

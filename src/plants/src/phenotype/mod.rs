@@ -2,7 +2,7 @@
 //!
 //! | question | modules |
 //! |---|---|
-//! | where are the rows? | [`rows`] (heading, straight rows), [`row_curves`] (as they bend) |
+//! | where are the rows? | [`rows`] (heading, straight rows), [`row_curves`] (as they bend), [`perspective`] (tilted photos) |
 //! | where are the plants? | [`locator`] (all methods), [`row_model`] (the default), [`locate`] (the paper's clustering and its variants) |
 //! | what does the row model rest on? | [`evidence`] (votes along leaf axes), [`isolated_plants`], [`plant_spacing`], [`double_plants`], [`dynamic_programming`], [`tilt`] |
 //! | how many plants are there? | [`stand_count`], [`stand`], [`plant_mass`] |
@@ -27,6 +27,7 @@ pub mod locate;
 pub mod locator;
 mod mass_stand;
 mod periodicity;
+pub mod perspective;
 pub mod plant_mass;
 pub mod plant_pixels;
 pub mod plant_spacing;

@@ -402,6 +402,7 @@ impl RowEvidence {
             leaf_mass: None,
             between_rows: None,
             doubts: Vec::new(),
+            perspective: None,
         }
     }
 }

@@ -2,7 +2,9 @@
 //!
 //! Positions and lengths in pixels of the mask, centre of the top-left pixel at (0, 0).
 
-use super::{broad_leaves, plant_spacing::Spacing, row_cover, rows::Rows};
+use super::{
+    broad_leaves, perspective::Perspective, plant_spacing::Spacing, row_cover, rows::Rows,
+};
 use rowgram_raster::Mask;
 use serde::{Deserialize, Serialize};
 
@@ -163,9 +165,23 @@ pub struct Stand {
     pub between_rows: Option<BetweenRows>,
     /// Why what was found may be no plants; nothing where it is like the stand of a crop.
     pub doubts: Vec<Doubt>,
+    /// The perspective of a picture whose rows converge: rows and lengths are then those of its level picture.
+    pub perspective: Option<Perspective>,
 }
 
 impl Stand {
+    /// A position in the picture along and across the rows.
+    pub fn aligned(&self, position_px: [f64; 2]) -> [f64; 2] {
+        let level = self.perspective.map(|perspective| perspective.level_px(position_px));
+        self.rows.axes.aligned(level.unwrap_or(position_px))
+    }
+
+    /// Where the picture shows a place along and across the rows.
+    pub fn image(&self, aligned: [f64; 2]) -> [f64; 2] {
+        let level = self.rows.axes.image(aligned);
+        self.perspective.map_or(level, |perspective| perspective.photo_px(level))
+    }
+
     /// Distance between rows and its standard error, where there is more than one.
     pub fn row_spacing_px(&self) -> Option<(f64, f64)> {
         let spacing = self.rows.spacing_px?;
@@ -264,7 +280,7 @@ impl Stand {
     /// Whether a plant told by its leaf mass stands between two rows, farther than a quarter of their distance from either.
     pub fn is_between_rows(&self, plant: &Stalk) -> bool {
         let row = self.rows.rows.get(plant.row).filter(|_| self.leaf_mass.is_some());
-        let away = |at: f64| (self.rows.axes.aligned(plant.position_px)[1] - at).abs();
+        let away = |at: f64| (self.aligned(plant.position_px)[1] - at).abs();
         row.zip(self.rows.spacing_px)
             .is_some_and(|(row, spacing)| away(row.across_px) > BETWEEN * spacing)
     }
@@ -317,6 +333,7 @@ mod tests {
             leaf_mass: None,
             between_rows: None,
             doubts: vec![],
+            perspective: None,
         };
         stand.refit_rows();
         let across: Vec<f64> = stand.rows.rows.iter().map(|row| row.across_px).collect();

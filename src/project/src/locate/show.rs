@@ -30,6 +30,13 @@ pub(super) fn tell(stand: &Stand, subject: &str, monitor: &mut dyn Monitor) {
     if let Some(what) = what {
         monitor.diagnostic(&Diagnostic::info("rows-found", subject, what));
     }
+    if let Some(perspective) = stand.perspective {
+        let message = format!(
+            "rows converge: the photo was not taken straight down, and plants at its lower edge are {:.2} times as large as in its middle; lengths are those in the middle",
+            1.0 + perspective.convergence
+        );
+        monitor.diagnostic(&Diagnostic::info("photo-tilted", subject, message));
+    }
     if let Some(between) = stand.between_rows.as_ref().filter(|of| of.leaf_share >= BETWEEN_ROWS) {
         let message = format!(
             "{:.0} % of the leaf area lies between the rows: weeds? {} patches of it were left out and are not counted as plants",
@@ -134,7 +141,7 @@ pub(super) fn draw(view: &mut View, found: &Found) {
             for row in &stand.rows.rows {
                 let dots = (row.length_px() / (8.0 * step)).ceil() as usize;
                 let at = |k: usize| [row.start_px + 8.0 * step * k as f64, row.across_px];
-                points((0..=dots).map(|k| stand.rows.axes.image(at(k))).collect(), ROW, 1);
+                points((0..=dots).map(|k| stand.image(at(k))).collect(), ROW, 1);
             }
             let (between, inside): (Vec<Stalk>, Vec<Stalk>) =
                 stand.plants.iter().partition(|plant| stand.is_between_rows(plant));
