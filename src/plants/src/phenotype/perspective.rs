@@ -206,6 +206,10 @@ impl Stand {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::phenotype::{
+        locator::{Found, LocateOptions, find},
+        stand::Stalk,
+    };
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
@@ -247,6 +251,49 @@ mod tests {
             let spacing = rows.rows().and_then(|rows| rows.spacing_px).unwrap();
             assert!((spacing - 60.0).abs() < 2.0, "{convergence}: {spacing}");
         }
+    }
+
+    #[test]
+    fn plants_of_a_tilted_photo_are_where_it_shows_them() {
+        let view = Perspective { size: [900, 700], convergence: 0.25 };
+        let (middle, _) = view.level_picture();
+        let mut mask = Mask::empty(900, 700);
+        let mut plants = Vec::new();
+        for k in 0..21 * 41 {
+            let [row, place] = [k % 21, k / 21].map(|n| n as f64);
+            let at = [middle[0] + 90.0 * (row - 10.0), middle[1] + 30.0 * (place - 20.0)];
+            let at = view.photo_px(at);
+            if at[0] < 8.0 || at[1] < 8.0 || at[0] > 892.0 || at[1] > 692.0 {
+                continue;
+            }
+            let radius = 6.0 * (1.0 + 0.25 * (at[1] - 349.5) / 350.0);
+            for v in 0..700 {
+                for u in 0..900 {
+                    if (u as f64 - at[0]).hypot(v as f64 - at[1]) <= radius {
+                        mask.data[v * 900 + u] = 1;
+                    }
+                }
+            }
+            plants.push(at);
+        }
+        let options = LocateOptions::default();
+        let Found::Stand(stand) = find(&mask, None, &options).unwrap() else { panic!() };
+        assert!(stand.perspective.is_some() && stand.rows.rows.len() > 8);
+        let off = |at: &[f64; 2]| {
+            let of = |plant: &Stalk| {
+                let [u, v] = plant.position_px;
+                (u - at[0]).hypot(v - at[1])
+            };
+            stand.plants.iter().map(of).fold(f64::INFINITY, f64::min)
+        };
+        let right = plants.iter().filter(|at| off(at) < 5.0).count();
+        assert!(right * 100 > plants.len() * 95, "{right} of {}", plants.len());
+        assert!(stand.plants.len() * 100 < plants.len() * 105, "{}", stand.plants.len());
+        let there_and_back = stand.image(stand.aligned(plants[0]));
+        assert!((there_and_back[0] - plants[0][0]).abs() < 1e-6);
+        // Whoever knows the ground sampling distance has no such photo.
+        let Found::Stand(flat) = find(&mask, Some(0.01), &options).unwrap() else { panic!() };
+        assert_eq!(flat.perspective, None);
     }
 
     #[test]
