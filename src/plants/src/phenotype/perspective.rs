@@ -78,7 +78,7 @@ impl Perspective {
         // Where something is in the level picture, and how large a pixel is there.
         let levelled = |at: &[f64; 2]| {
             let factor = self.factor(at[1]);
-            let [u, v] = self.from_middle(*at);
+            let [u, v] = self.away_from_middle(*at);
             (factor * u, factor * v, factor.powi(3))
         };
         let leaf: Vec<_> = pixels.iter().map(levelled).collect();
@@ -123,14 +123,14 @@ impl Perspective {
         0.5 * self.size[1] as f64
     }
 
-    fn from_middle(&self, [u, v]: [f64; 2]) -> [f64; 2] {
+    fn away_from_middle(&self, [u, v]: [f64; 2]) -> [f64; 2] {
         let [width, height] = self.size.map(|n| 0.5 * (n as f64 - 1.0));
         [u - width, v - height]
     }
 
     /// How many times as large as in the picture things are in the level one, at a row.
     fn factor(&self, v: f64) -> f64 {
-        let [_, v] = self.from_middle([0.0, v]);
+        let [_, v] = self.away_from_middle([0.0, v]);
         1.0 / (1.0 + self.convergence * v / self.half_height())
     }
 
@@ -147,7 +147,7 @@ impl Perspective {
     /// Where the level picture shows what the picture shows at a position.
     pub fn level_px(&self, photo_px: [f64; 2]) -> [f64; 2] {
         let (middle, _) = self.level_picture();
-        let (factor, away) = (self.factor(photo_px[1]), self.from_middle(photo_px));
+        let (factor, away) = (self.factor(photo_px[1]), self.away_from_middle(photo_px));
         [0, 1].map(|k| middle[k] + factor * away[k])
     }
 
