@@ -15,8 +15,8 @@ true one, mean and standard deviation. Ground: median error where leaves cover i
 Sigma: 1.4826 times the median absolute error over standard deviation, soil, leaves and ground.
 
 plants (after `rowgram run field --until locate`): F1 of the plants within 5 and 10 cm of the true ones as they are, after the best similarity
-(reweighted least squares of matches within 12 cm), and after the median offset of the matches within 1.5 m: what the datum, and the datum and
-the form of the block, are to blame for.
+(reweighted least squares of matches within 12 cm), and after the median offset of the matches within 1.5 m. The similarity removes errors of the
+datum, the median offset also bending of the block.
 
 cloud: the surface against the cloud's highest points in cells of 0.25 m, after the shift in x, y and z that makes
 the median difference least, and a tilt: the other program has camera positions of its own. Robust spread and shares within 10 and 50 cm, for cells

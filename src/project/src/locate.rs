@@ -120,7 +120,7 @@ pub struct StandOutcome {
     /// Why what was found may be no plants; nothing where it is like the stand of a crop.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub doubts: Vec<Doubt>,
-    /// By how much larger than in the middle plants are at the lower edge of the photo, where rows converge.
+    /// Scale at the lower edge of the photo over that in the middle, less 1, where rows converge; distances are then those in the middle.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub convergence: Option<f64>,
     /// Plants over the area of the rows.

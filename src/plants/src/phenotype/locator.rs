@@ -195,7 +195,7 @@ impl LocateMethod {
 pub struct Prepared {
     /// Leaf pixels.
     pub leaf_pixels: usize,
-    /// The rows, where there are any.
+    /// The rows, where there are any; of the level picture where a photo was levelled ([`Stand::perspective`]).
     pub detection: Detection,
     /// The plants, or how they are found.
     pub work: Work,
@@ -239,7 +239,8 @@ pub struct Descended {
 
 /// Finds rows, and plants by the row model; poses the descent of the other methods. `posterior` is the probability
 /// of vegetation of each pixel of the mask in 1/255, where it is known: closed rows are looked at in pixels judged alone, and weeds
-/// are less green than a crop. The row model levels a tilted photo ([`Perspective`]); with `gsd_m` the mask is of a map, or of a photo from above.
+/// are less green than a crop. Without `gsd_m` the row model levels a tilted
+/// photo ([`Perspective`]).
 ///
 /// # Errors
 /// As [`LocateOptions::check`] and [`row_model::locate`].
@@ -252,7 +253,7 @@ pub fn prepare(
     options.check()?;
     let leaf_pixels = mask.count();
     let is_row_model = options.method == LocateMethod::RowModel;
-    // Whoever knows the ground sampling distance has a map, or a photo from above.
+    // One ground sampling distance for all of a picture means a map, or a photo taken straight down.
     let levelled = if is_row_model && gsd_m.is_none() { levelled(mask) } else { None };
     let perspective = levelled.as_ref().map(|(perspective, ..)| *perspective);
     let (mask, posterior, detection) = match levelled {

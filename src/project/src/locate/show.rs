@@ -32,7 +32,7 @@ pub(super) fn tell(stand: &Stand, subject: &str, monitor: &mut dyn Monitor) {
     }
     if let Some(perspective) = stand.perspective {
         let message = format!(
-            "rows converge: the photo was not taken straight down, and plants at its lower edge are {:.2} times as large as in its middle; lengths are those in the middle",
+            "rows converge, so the photo was not taken straight down: the scale at its lower edge is {:.2} times that in its middle; distances are in pixels of the middle",
             1.0 + perspective.convergence
         );
         monitor.diagnostic(&Diagnostic::info("photo-tilted", subject, message));
