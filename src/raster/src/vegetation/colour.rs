@@ -11,6 +11,8 @@
 //! Where the near infrared is known, greenness is the NDVI instead, brought to the same numbers: soil (NDVI 0.1 to 0.2) about
 //! -2, leaves (0.7 to 0.85) about 14, which are the priors of the two classes. Yellowness is then 0. Colours are smoothed over 3 x 3 pixels;
 //! the classes are so much further apart in NDVI than its noise that smoothing would only blur the edges of leaves.
+//!
+//! Linear light is multiplied by gains of the channels before ([`super::white_balance`]).
 
 use crate::srgb::linear_light;
 use std::sync::LazyLock;
@@ -26,15 +28,13 @@ const GREEN_OF_NDVI: f32 = 25.0;
 const NDVI_OF_GREY: f32 = 0.2;
 
 struct Tables {
-    linear: [u32; 256],
+    /// Linear light of bytes, 0 to `FULL`.
+    linear: [f64; 256],
     root: Vec<f32>,
 }
 
 static TABLES: LazyLock<Tables> = LazyLock::new(|| {
-    let mut linear = [0; 256];
-    for (value, linear) in linear.iter_mut().enumerate() {
-        *linear = (linear_light(value as f64) * f64::from(FULL)).round() as u32;
-    }
+    let linear = std::array::from_fn(|value| linear_light(value as f64) * f64::from(FULL));
     let root = (0..=FULL + 1).map(|t| {
         let t = f64::from(t) / f64::from(FULL);
         let knee = 6.0_f64 / 29.0;
@@ -45,45 +45,48 @@ static TABLES: LazyLock<Tables> = LazyLock::new(|| {
 });
 
 /// Converts pixels; the tables are looked up once.
-#[derive(Clone, Copy)]
 pub(super) struct Converter<'a> {
-    tables: &'static Tables,
+    /// Linear light of the bytes of each channel, with its gain.
+    linear: [[u32; 256]; 3],
+    root: &'static [f32],
     ndvi: Option<&'a [f32]>,
 }
 
+/// Greenness and yellowness at an NDVI; neither where it is not known.
+pub(super) fn of_ndvi(ndvi: f32) -> [f32; 2] {
+    let ndvi = if ndvi.is_finite() { ndvi.clamp(-1.0, 1.0) } else { NDVI_OF_GREY };
+    [GREEN_OF_NDVI * (ndvi - NDVI_OF_GREY), 0.0]
+}
+
 impl<'a> Converter<'a> {
-    /// `ndvi`: that of all pixels of the picture, where it is known.
-    pub(super) fn new(ndvi: Option<&'a [f32]>) -> Converter<'a> {
-        Converter { tables: &TABLES, ndvi }
+    /// `ndvi`: that of all pixels of the picture, where it is known; gains of red, green, blue.
+    pub(super) fn new(ndvi: Option<&'a [f32]>, gains: [f64; 3]) -> Converter<'a> {
+        let scaled = |gain: f64, light: f64| (gain * light).round().min(f64::from(FULL)) as u32;
+        let linear = gains.map(|gain| TABLES.linear.map(|light| scaled(gain, light)));
+        Converter { linear, root: &TABLES.root, ndvi }
     }
 
     /// Weights of a pixel's neighbours and of itself, along each axis.
-    pub(super) fn weights(self) -> [f32; 2] {
+    pub(super) fn weights(&self) -> [f32; 2] {
         if self.ndvi.is_some() { [0.0, 1.0] } else { [0.25, 0.5] }
     }
 
     /// Greenness and yellowness of the pixel with this number of the picture.
     #[inline(always)]
-    pub(super) fn of_pixel(self, number: usize, rgb: [u8; 3]) -> [f32; 2] {
+    pub(super) fn of_pixel(&self, number: usize, rgb: [u8; 3]) -> [f32; 2] {
         match self.ndvi {
             None => self.green_yellow(rgb),
-            Some(ndvi) => {
-                let ndvi = ndvi.get(number).copied().filter(|x| x.is_finite());
-                [
-                    GREEN_OF_NDVI * (ndvi.unwrap_or(NDVI_OF_GREY).clamp(-1.0, 1.0) - NDVI_OF_GREY),
-                    0.0,
-                ]
-            }
+            Some(ndvi) => of_ndvi(ndvi.get(number).copied().unwrap_or(f32::NAN)),
         }
     }
 
     /// `[-a*, b*]` of a pixel.
     #[inline(always)]
-    fn green_yellow(self, rgb: [u8; 3]) -> [f32; 2] {
-        let [r, g, b] = rgb.map(|value| self.tables.linear[usize::from(value)]);
+    pub(super) fn green_yellow(&self, rgb: [u8; 3]) -> [f32; 2] {
+        let [r, g, b] = [0, 1, 2].map(|k| self.linear[k][usize::from(rgb[k])]);
         let [x, y, z] = XYZ.map(|row| {
             let sum = row[0] * r + row[1] * g + row[2] * b;
-            self.tables.root[(((sum + (1 << 13)) >> 14) as usize).min(FULL as usize)]
+            self.root[(((sum + (1 << 13)) >> 14) as usize).min(FULL as usize)]
         });
         [500.0 * (y - x), 200.0 * (y - z)]
     }
@@ -104,7 +107,7 @@ mod tests {
             ([255, 255, 255], 0.0, 0.0),
             ([60, 120, 50], -34.22, 32.08),
         ] {
-            let [green, yellow] = Converter::new(None).of_pixel(0, rgb);
+            let [green, yellow] = Converter::new(None, [1.0; 3]).of_pixel(0, rgb);
             assert!((green + a).abs() < 0.5, "{rgb:?}: {green}, expected {}", -a);
             assert!((yellow - b).abs() < 0.5, "{rgb:?}: {yellow}, expected {b}");
         }
@@ -113,7 +116,8 @@ mod tests {
     #[test]
     fn infrared_comes_before_colours() {
         let ndvi = [0.12, 0.76, f32::NAN];
-        let green = |number: usize| Converter::new(Some(&ndvi)).of_pixel(number, [60, 120, 50]);
+        let green =
+            |number: usize| Converter::new(Some(&ndvi), [1.0; 3]).of_pixel(number, [60, 120, 50]);
         assert!((green(0)[0] + 2.0).abs() < 1e-4 && (green(1)[0] - 14.0).abs() < 1e-4);
         assert_eq!(green(2), [0.0, 0.0]);
     }

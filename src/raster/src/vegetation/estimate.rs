@@ -2,11 +2,12 @@
 
 use super::{
     Coherence, Model, Options, VegetationError,
-    colour::Converter,
+    colour::{Converter, of_ndvi},
     hide,
     model::Sample,
     nothing::{Surround, SurroundFinder},
     posterior::{from_middle, posteriors},
+    white_balance,
 };
 use crate::window::Band;
 use image::RgbImage;
@@ -35,8 +36,16 @@ pub struct Estimator {
     /// Of the regular grid of pixels that are looked at.
     step: usize,
     has_ndvi: bool,
-    /// Smoothed pixels, and their columns and rows.
-    samples: Vec<([usize; 2], Sample)>,
+    looks: Vec<Look>,
+}
+
+/// What is seen at a pixel of the grid.
+struct Look {
+    /// Its column and row.
+    at: [usize; 2],
+    /// The colours of the 3 x 3 pixels around it, row by row.
+    near: [[u8; 3]; 9],
+    ndvi: Option<f32>,
 }
 
 impl Estimator {
@@ -61,7 +70,7 @@ impl Estimator {
             surround: options.find_borders.then(|| SurroundFinder::new((width, height))),
             step: ((width * height / SAMPLES) as f64).sqrt().max(1.0) as usize,
             has_ndvi: false,
-            samples: Vec::new(),
+            looks: Vec::new(),
         })
     }
 
@@ -75,33 +84,23 @@ impl Estimator {
         let (width, height, first) = (self.width, self.height, band.seen.start);
         let rows = (self.step / 2..height).step_by(self.step);
         let rows: Vec<usize> = rows.filter(|v| band.rows.contains(v)).collect();
-        let converter = Converter::new(ndvi);
-        let [beside, here] = converter.weights();
-        let smooth = |u: usize, v: usize| {
-            let mut sum = [0.0; 2];
-            for (dv, row_weight) in [(0, beside), (1, here), (2, beside)] {
-                let row = (v + dv).saturating_sub(1).min(height - 1) - first;
-                for (du, weight) in [(0, beside), (1, here), (2, beside)] {
-                    let column = (u + du).saturating_sub(1).min(width - 1);
-                    let pixel = photo.get_pixel(column as u32, row as u32).0;
-                    let colour = converter.of_pixel(row * width + column, pixel);
-                    sum[0] += row_weight * weight * colour[0];
-                    sum[1] += row_weight * weight * colour[1];
-                }
-            }
-            sum
+        let near = |u: usize, v: usize| {
+            std::array::from_fn(|k| {
+                let row = (v + k / 3).saturating_sub(1).min(height - 1) - first;
+                let column = (u + k % 3).saturating_sub(1).min(width - 1);
+                photo.get_pixel(column as u32, row as u32).0
+            })
         };
-        let of_row = |&v: &usize| -> Vec<([usize; 2], Sample)> {
+        let of_row = |&v: &usize| -> Vec<Look> {
             let shows = |u: &usize| shown.is_none_or(|shown| shown[(v - first) * width + u] != 0);
             let columns = (self.step / 2..width).step_by(self.step).filter(shows);
-            let sample = |u| {
-                let [green, yellow] = smooth(u, v);
-                let (x, y) = (from_middle(u, width) as f32, from_middle(v, height) as f32);
-                ([u, v], Sample { x, y, green, yellow })
+            let look = |u| {
+                let ndvi = ndvi.map(|ndvi| ndvi[(v - first) * width + u]);
+                Look { at: [u, v], near: near(u, v), ndvi }
             };
-            columns.map(sample).collect()
+            columns.map(look).collect()
         };
-        self.samples.extend(rows.par_iter().map(of_row).collect::<Vec<_>>().concat());
+        self.looks.par_extend(rows.par_iter().flat_map_iter(of_row));
     }
 
     /// The classes, when all bands have been seen.
@@ -112,13 +111,44 @@ impl Estimator {
         let Estimator { width, height, coherence, has_ndvi, .. } = self;
         let surround = self.surround.and_then(SurroundFinder::finish);
         let is_shown = |[u, v]: [usize; 2]| surround.as_ref().is_none_or(|s| !s.contains(u, v));
-        let samples = self.samples.into_iter().filter(|(at, _)| is_shown(*at));
-        let samples: Vec<Sample> = samples.map(|(_, sample)| sample).collect();
-        if samples.is_empty() {
+        let mut looks = self.looks;
+        looks.retain(|look| is_shown(look.at));
+        if looks.is_empty() {
             return Err(VegetationError::Nothing { width, height });
         }
-        let model = Model { has_ndvi, ..Model::fit(&samples) };
+        let samples = |gains| -> Vec<Sample> {
+            let converter = Converter::new(None, gains);
+            looks.par_iter().map(|look| look.sample([width, height], &converter)).collect()
+        };
+        let neutral = samples([1.0; 3]);
+        let mut model = Model { has_ndvi, ..Model::fit(&neutral) };
+        if !has_ndvi {
+            let gains = white_balance::gains(&model, &neutral, |k| looks[k].near[4]);
+            if gains != [1.0; 3] {
+                model = Model { white_balance: gains, ..Model::fit(&samples(gains)) };
+            }
+        }
         Ok(Estimate { width, height, coherence, surround, model })
+    }
+}
+
+impl Look {
+    /// Smoothed over the pixels around it, of a photo of so many columns and rows; NDVI is not smoothed.
+    fn sample(&self, [width, height]: [usize; 2], converter: &Converter<'_>) -> Sample {
+        let [u, v] = self.at;
+        let (x, y) = (from_middle(u, width) as f32, from_middle(v, height) as f32);
+        let [beside, here] = converter.weights();
+        let weights = [beside, here, beside];
+        let mut sum = self.ndvi.map_or([0.0; 2], of_ndvi);
+        let near = if self.ndvi.is_some() { &[][..] } else { &self.near };
+        for (k, &rgb) in near.iter().enumerate() {
+            let colour = converter.green_yellow(rgb);
+            for (sum, colour) in sum.iter_mut().zip(colour) {
+                *sum += weights[k / 3] * weights[k % 3] * colour;
+            }
+        }
+        let [green, yellow] = sum;
+        Sample { x, y, green, yellow }
     }
 }
 

@@ -5,7 +5,7 @@
 //! ```
 //!
 //! over 4-neighbours `(i, j)`. The posterior `P` comes from two classes along one axis of colour, both estimated
-//! from the photo with weak priors ([`Model`]); `w_ij` is small across edges of the posterior, and `E` is decreased
+//! from the photo with weak priors ([`Model`]), in light in which its soil has a usual colour (`white_balance`); `w_ij` is small across edges of the posterior, and `E` is decreased
 //! by iterated conditional modes ([`coherence`]). Pixels that show nothing (nodata, borders of a mosaic, alpha:
 //! [`nothing`]) take no part in the estimate and are never vegetation.
 //!
@@ -18,6 +18,7 @@ mod estimate;
 mod model;
 pub mod nothing;
 mod posterior;
+mod white_balance;
 
 pub use coherence::Coherence;
 pub use estimate::{Classified, Estimate, Estimator, Seen};

@@ -39,7 +39,7 @@ pub(super) fn posteriors(
     let mut posterior = vec![0; width * rows];
     let bands = posterior.par_chunks_mut((BAND * width).max(1)).enumerate();
     bands.for_each(|(band, out)| {
-        let mut smooth = SmoothRows::new(photo, Converter::new(ndvi));
+        let mut smooth = SmoothRows::new(photo, Converter::new(ndvi, model.white_balance));
         let mut line: Vec<[f32; 2]> = vec![[0.0; 2]; width];
         for (index, out) in out.chunks_mut(width).enumerate() {
             let v = band * BAND + index;

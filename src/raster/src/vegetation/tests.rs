@@ -46,6 +46,26 @@ fn plants_are_found_in_bright_and_in_dim_light() {
 }
 
 #[test]
+fn plants_are_found_in_warm_and_in_cold_light() {
+    let (photo, truth) = field(1.0, &GRID);
+    let neutral = segment(&photo, None, &Options::default()).unwrap();
+    assert_eq!(neutral.model.white_balance, [1.0; 3]);
+    for (red, blue) in [(1.3, 0.7), (0.8, 1.4)] {
+        let mut photo = photo.clone();
+        for pixel in photo.pixels_mut() {
+            let [r, g, b] = pixel.0.map(f32::from);
+            *pixel = Rgb([(red * r) as u8, g as u8, (blue * b) as u8]);
+        }
+        let found = segment(&photo, None, &Options::default()).unwrap();
+        let agrees = iou(&found.mask, &truth);
+        assert!(agrees > 0.9, "red {red}, blue {blue}: {agrees}, {:?}", found.model);
+        let [of_red, of_green, of_blue] = found.model.white_balance;
+        assert!((of_red <= 1.0) == (red > 1.0) && of_green == 1.0, "{:?}", found.model);
+        assert!((of_blue >= 1.0) == (blue < 1.0), "{:?}", found.model);
+    }
+}
+
+#[test]
 fn bare_soil_and_full_cover_are_not_cut_in_two() {
     let (bare, _) = field(1.0, &[]);
     let found = segment(&bare, None, &Options::default()).unwrap();

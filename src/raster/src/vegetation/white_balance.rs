@@ -1,0 +1,61 @@
+//! The white balance in which the soil of a photo has a usual colour, so that neither the camera's nor the light's counts.
+//!
+//! Leaves and soil keep their places on the axis of colour only in the light that its constants are of. Where most of the background has one colour
+//! beyond those of soils, red and blue are multiplied so that it is one of them, the nearest; a background of several colours (trays, bricks,
+//! cloth) says nothing of the light.
+//!
+//! Masks of wheat, rice, potato and rosettes are the same as without. With red and blue multiplied by 1.2 and 0.8 those of wheat agree to 0.605 of the
+//! union with the true ones instead of 0.41 and those of potatoes to 0.80 instead of 0.73; with 0.85 and 1.2 wheat to 0.585 instead of 0.54.
+
+use super::model::{GREENEST_SOIL, MARGIN, Model, Sample};
+use crate::srgb::linear_light;
+
+/// Logarithms of red and of blue over green, linear light: the middle of soils, and how far they are from it. Ninety photos of fields of maize, wheat, rice and
+/// potato have -0.05 to 0.35 and -0.56 to 0.03; red soil of orchards and of carrots is redder, up to 0.7.
+const RED_OF_SOIL: (f64, f64) = (0.19, 0.17);
+const BLUE_OF_SOIL: (f64, f64) = (-0.28, 0.27);
+/// Greatest logarithm of a gain.
+const MAX_LOG_GAIN: f64 = 0.7;
+/// Half the width of the peak, the reddest one that is soil, and the step in which it is sought, on the axis of colour.
+const HALF_WIDTH: f64 = 5.0;
+const REDDEST_SOIL: f64 = -14.0;
+const STEP: f64 = 1.0;
+/// Less of the photo in the peak, or of the background, says nothing of the light. Soil has 69 to 100 % of the background in it, trays 5 to 15 %.
+const MIN_SHARE: f64 = 0.1;
+const MIN_BACKGROUND_SHARE: f64 = 0.5;
+
+/// What linear red, green and blue are multiplied by; `colour` gives that of a sample. 1 where nothing is known of the light.
+pub(super) fn gains(
+    model: &Model,
+    samples: &[Sample],
+    colour: impl Fn(usize) -> [u8; 3],
+) -> [f64; 3] {
+    let limit = model.threshold - MARGIN * (model.vegetation - model.background);
+    let z = samples.iter().map(|sample| model.z(sample)).enumerate();
+    let background: Vec<(usize, f64)> = z.filter(|(_, z)| *z < limit).collect();
+    let mut counts = vec![0usize; ((GREENEST_SOIL - REDDEST_SOIL) / STEP).ceil() as usize];
+    for (_, z) in &background {
+        let bin = ((z - REDDEST_SOIL) / STEP).floor();
+        if bin >= 0.0 && (bin as usize) < counts.len() {
+            counts[bin as usize] += 1;
+        }
+    }
+    let Some(bin) = (0..counts.len()).max_by_key(|&bin| counts[bin]) else { return [1.0; 3] };
+    let peak = REDDEST_SOIL + STEP * (bin as f64 + 0.5);
+    let (mut sum, mut count) = ([0.0; 3], 0.0);
+    for (k, _) in background.iter().filter(|(_, z)| (z - peak).abs() < HALF_WIDTH) {
+        let light = colour(*k).map(|byte| linear_light(f64::from(byte)));
+        (0..3).for_each(|c| sum[c] += light[c]);
+        count += 1.0;
+    }
+    let is_uniform = count >= MIN_BACKGROUND_SHARE * background.len() as f64;
+    if count < MIN_SHARE * samples.len() as f64 || !is_uniform || sum.contains(&0.0) {
+        return [1.0; 3];
+    }
+    let gain = |c: usize, (middle, tolerance): (f64, f64)| {
+        let log_gain = middle - (sum[c] / sum[1]).ln();
+        let beyond = (log_gain.abs() - tolerance).clamp(0.0, MAX_LOG_GAIN);
+        (beyond * log_gain.signum()).exp()
+    };
+    [gain(0, RED_OF_SOIL), 1.0, gain(2, BLUE_OF_SOIL)]
+}
