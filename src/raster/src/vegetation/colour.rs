@@ -12,7 +12,7 @@
 //! -2, leaves (0.7 to 0.85) about 14, which are the priors of the two classes. Yellowness is then 0. Colours are smoothed over 3 x 3 pixels;
 //! the classes are so much further apart in NDVI than its noise that smoothing would only blur the edges of leaves.
 //!
-//! Linear light is multiplied by gains of the channels before ([`super::white_balance`]).
+//! Linear light is first multiplied by a gain for each channel ([`super::white_balance`]); colours are clipped at white.
 
 use crate::srgb::linear_light;
 use std::sync::LazyLock;
@@ -52,14 +52,14 @@ pub(super) struct Converter<'a> {
     ndvi: Option<&'a [f32]>,
 }
 
-/// Greenness and yellowness at an NDVI; neither where it is not known.
+/// Greenness and yellowness for an NDVI; both 0 where it is not a number.
 pub(super) fn of_ndvi(ndvi: f32) -> [f32; 2] {
     let ndvi = if ndvi.is_finite() { ndvi.clamp(-1.0, 1.0) } else { NDVI_OF_GREY };
     [GREEN_OF_NDVI * (ndvi - NDVI_OF_GREY), 0.0]
 }
 
 impl<'a> Converter<'a> {
-    /// `ndvi`: that of all pixels of the picture, where it is known; gains of red, green, blue.
+    /// `ndvi` of all pixels of the picture, where it is known; `gains` of linear red, green, blue.
     pub(super) fn new(ndvi: Option<&'a [f32]>, gains: [f64; 3]) -> Converter<'a> {
         let scaled = |gain: f64, light: f64| (gain * light).round().min(f64::from(FULL)) as u32;
         let linear = gains.map(|gain| TABLES.linear.map(|light| scaled(gain, light)));

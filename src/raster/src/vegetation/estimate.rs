@@ -36,15 +36,16 @@ pub struct Estimator {
     /// Of the regular grid of pixels that are looked at.
     step: usize,
     has_ndvi: bool,
-    looks: Vec<Look>,
+    pixels: Vec<GridPixel>,
 }
 
-/// What is seen at a pixel of the grid.
-struct Look {
+/// A pixel of the grid and what is around it.
+struct GridPixel {
     /// Its column and row.
     at: [usize; 2],
     /// The colours of the 3 x 3 pixels around it, row by row.
     near: [[u8; 3]; 9],
+    /// Of the pixel itself, where the near infrared is known.
     ndvi: Option<f32>,
 }
 
@@ -70,7 +71,7 @@ impl Estimator {
             surround: options.find_borders.then(|| SurroundFinder::new((width, height))),
             step: ((width * height / SAMPLES) as f64).sqrt().max(1.0) as usize,
             has_ndvi: false,
-            looks: Vec::new(),
+            pixels: Vec::new(),
         })
     }
 
@@ -91,16 +92,16 @@ impl Estimator {
                 photo.get_pixel(column as u32, row as u32).0
             })
         };
-        let of_row = |&v: &usize| -> Vec<Look> {
+        let of_row = |&v: &usize| -> Vec<GridPixel> {
             let shows = |u: &usize| shown.is_none_or(|shown| shown[(v - first) * width + u] != 0);
             let columns = (self.step / 2..width).step_by(self.step).filter(shows);
-            let look = |u| {
+            let pixel = |u| {
                 let ndvi = ndvi.map(|ndvi| ndvi[(v - first) * width + u]);
-                Look { at: [u, v], near: near(u, v), ndvi }
+                GridPixel { at: [u, v], near: near(u, v), ndvi }
             };
-            columns.map(look).collect()
+            columns.map(pixel).collect()
         };
-        self.looks.par_extend(rows.par_iter().flat_map_iter(of_row));
+        self.pixels.par_extend(rows.par_iter().flat_map_iter(of_row));
     }
 
     /// The classes, when all bands have been seen.
@@ -111,19 +112,19 @@ impl Estimator {
         let Estimator { width, height, coherence, has_ndvi, .. } = self;
         let surround = self.surround.and_then(SurroundFinder::finish);
         let is_shown = |[u, v]: [usize; 2]| surround.as_ref().is_none_or(|s| !s.contains(u, v));
-        let mut looks = self.looks;
-        looks.retain(|look| is_shown(look.at));
-        if looks.is_empty() {
+        let mut pixels = self.pixels;
+        pixels.retain(|pixel| is_shown(pixel.at));
+        if pixels.is_empty() {
             return Err(VegetationError::Nothing { width, height });
         }
         let samples = |gains| -> Vec<Sample> {
             let converter = Converter::new(None, gains);
-            looks.par_iter().map(|look| look.sample([width, height], &converter)).collect()
+            pixels.par_iter().map(|pixel| pixel.sample([width, height], &converter)).collect()
         };
         let neutral = samples([1.0; 3]);
         let mut model = Model { has_ndvi, ..Model::fit(&neutral) };
         if !has_ndvi {
-            let gains = white_balance::gains(&model, &neutral, |k| looks[k].near[4]);
+            let gains = white_balance::gains(&model, &neutral, |k| pixels[k].near[4]);
             if gains != [1.0; 3] {
                 model = Model { white_balance: gains, ..Model::fit(&samples(gains)) };
             }
@@ -132,7 +133,7 @@ impl Estimator {
     }
 }
 
-impl Look {
+impl GridPixel {
     /// Smoothed over the pixels around it, of a photo of so many columns and rows; NDVI is not smoothed.
     fn sample(&self, [width, height]: [usize; 2], converter: &Converter<'_>) -> Sample {
         let [u, v] = self.at;

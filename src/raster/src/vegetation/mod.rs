@@ -5,8 +5,8 @@
 //! ```
 //!
 //! over 4-neighbours `(i, j)`. The posterior `P` comes from two classes along one axis of colour, both estimated
-//! from the photo with weak priors ([`Model`]), in light in which its soil has a usual colour (`white_balance`); `w_ij` is small across edges of the posterior, and `E` is decreased
-//! by iterated conditional modes ([`coherence`]). Pixels that show nothing (nodata, borders of a mosaic, alpha:
+//! from the photo with weak priors ([`Model`]), after its soil has been given a colour that soils have (`white_balance`); `w_ij`
+//! is small across edges of the posterior, and `E` is decreased by iterated conditional modes ([`coherence`]). Pixels that show nothing (nodata, borders of a mosaic, alpha:
 //! [`nothing`]) take no part in the estimate and are never vegetation.
 //!
 //! A photo that is larger than the memory is seen band by band ([`Estimator`]); the result depends neither on the bands nor on

@@ -8,8 +8,8 @@
 //!
 //! `m_b` is the mean of what lies below `T`, `m_v` the mean of what lies above beyond the mirror image of the
 //! background (soil is as often redder as greener than its mean, leaves are only greener): so bare soil with some
-//! plants in it is not cut in two. For the same reason `T` does not go down to the top of a peak that is less green than leaves: that is soil, of
-//! two colours or in little light. Both have priors worth some thousandths of the photo, so that neither class is
+//! plants in it is not cut in two. For the same reason `T` stays off the upper part of a peak of the histogram that is less green than leaves: that is soil, for
+//! example in little light, where colours are noisy. Both have priors worth some thousandths of the photo, so that neither class is
 //! invented where it is absent. `m_b`, `m_v` and `T` are iterated to a fixed point (iterative selection). `S` is a
 //! quadratic surface fitted to the background, for vignettes of colour; `w`, from the covariance of confident pixels
 //! of both classes (Fisher's discriminant), lets yellow ground be told from yellow-green leaves, and the blue of cloth and
@@ -28,9 +28,9 @@ const BOUNDARY: f64 = 0.45;
 const VEGETATION: (f64, f64) = (14.0, 0.004);
 /// The same for the background.
 const BACKGROUND: (f64, f64) = (-2.0, 0.003);
-/// Greener is no soil: as far between the priors as the boundary.
+/// A peak of the histogram that is greener than this is not soil: it is the threshold that the priors alone give.
 pub(super) const GREENEST_SOIL: f64 = BACKGROUND.0 + BOUNDARY * (VEGETATION.0 - BACKGROUND.0);
-/// The threshold does not go down to where a peak of soil has more than this share of its height, unless a valley is there. Chosen on wheat, rice,
+/// The threshold does not go down to where the histogram is higher than this share of its peak of soil, unless it has a minimum there. Chosen on wheat, rice,
 /// potato and rosettes, with all photos darkened, too (0.3 to 0.8 were compared): the masks of dark rosettes then agree to 0.93 instead of
 /// 0.70 of their union with the true ones, and dark bare soil with seedlings is not cut in two.
 const MAX_SHARE_OF_PEAK: f64 = 0.6;
@@ -42,7 +42,7 @@ const MIRROR: f64 = 1.1;
 const BLUE: f32 = -2.0;
 /// Variance of a class over the squared distance of the means.
 const VARIANCE: f64 = 0.1;
-/// Pixels farther from the threshold than this share of the distance of the classes are confident.
+/// Pixels farther from the threshold than this share of the distance of the classes are confident. On what it was chosen is not recorded.
 pub(super) const MARGIN: f64 = 0.15;
 /// Largest weight of yellowness.
 const YELLOW: f64 = 0.5;
@@ -65,7 +65,7 @@ pub struct Model {
     pub yellow_mean: f64,
     /// Coefficients of `x, y, x^2 - 1/3, x y, y^2 - 1/3` of the background's surface, `x` and `y` from -1 to 1.
     pub surface: [f64; 5],
-    /// What linear red, green and blue are multiplied by before.
+    /// What linear red, green and blue are multiplied by before they are converted to greenness and yellowness.
     #[serde(default = "neutral")]
     pub white_balance: [f64; 3],
     /// Whether greenness is not that of colours but the NDVI, as [`super::Seen`] has it.
@@ -108,7 +108,7 @@ struct Histogram {
 
 impl Histogram {
     fn of(values: impl Iterator<Item = f64>) -> Histogram {
-        /// Standard deviation of the smoothing, and its reach, bins.
+        /// Standard deviation of the smoothing and its reach, bins. On wheat 5 bins instead of 3 cost 0.017 of the intersection over union.
         const SMOOTHING: (f64, usize) = (3.0, 12);
         let (from, step, bins) = BINS;
         let mut share = vec![0.0; bins];
@@ -143,7 +143,7 @@ impl Histogram {
         self.share[low] * (1.0 - part) + self.share[low + 1] * part
     }
 
-    /// Where a threshold may be that should go down: not on the upper part of a peak of soil, unless there is a valley.
+    /// The threshold, or the next greater one that is not on the upper part of a peak of soil: below it, or in a minimum.
     fn off_peak(&self, threshold: f64) -> f64 {
         let (from, step, bins) = BINS;
         let smooth = &self.smooth;
