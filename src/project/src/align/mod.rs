@@ -207,6 +207,7 @@ fn run(
     let (pairs, pairs_key) =
         steps::verify(images, (&matched, matched_key), &verification, &store, monitor)?;
     descriptors.check()?;
+    descriptors.release();
     report.pairs = Some(pairs.len());
     report.matches = Some(pairs.iter().map(|pair| pair.matches.len()).sum());
     if last == Step::Verify {

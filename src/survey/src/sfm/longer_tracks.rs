@@ -48,7 +48,7 @@ const EDGE_PX: f64 = HALF as f64 + 3.0;
 /// The tracks of a block, made longer.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LongerTracks {
-    /// The features of each image, measured ones first.
+    /// The features of each image that belong to points, measured ones first.
     pub features: Vec<Features>,
     /// How many of them are measured; where the others should be is predicted by the block.
     pub measured: Vec<usize>,
@@ -79,14 +79,13 @@ pub fn lengthen(block: &Block<'_>, options: &LongerTracksOptions) -> LongerTrack
     same.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
     // Several images say it of the same two.
     same.dedup();
-    let mut features = block.features.to_vec();
+    let (mut features, numbers) = features_of_points(block);
     let measured: Vec<usize> = features.iter().map(|of| of.positions_px.len()).collect();
     let mut links: Vec<([u32; 2], [[u32; 2]; 1])> = Vec::new();
     let mut heads: Vec<Option<[u32; 2]>> = vec![None; block.tracks.count()];
     for (track, head) in heads.iter_mut().enumerate() {
         let members: Vec<[u32; 2]> = used(block, track)
-            .map(|place| block.tracks.member(place))
-            .map(|member| [member.image, member.feature])
+            .map(|place| [block.tracks.member(place).image, numbers[place]])
             .collect();
         *head = members.first().copied().filter(|_| members.len() >= 2);
         links.extend(members.windows(2).map(|two| link(two[0], two[1])));
@@ -108,9 +107,9 @@ pub fn lengthen(block: &Block<'_>, options: &LongerTracksOptions) -> LongerTrack
             predicted += 1;
             let feature = features[image].positions_px.len() as u32;
             features[image].positions_px.push(at);
-            let colour = block.features[head[0] as usize].colours.get(head[1] as usize);
+            let colour = features[head[0] as usize].colours.get(head[1] as usize).copied();
             if let (Some(colour), false) = (colour, features[image].colours.is_empty()) {
-                features[image].colours.push(*colour);
+                features[image].colours.push(colour);
             }
             links.push(link(head, [image as u32, feature]));
         }
@@ -119,6 +118,32 @@ pub fn lengthen(block: &Block<'_>, options: &LongerTracksOptions) -> LongerTrack
     let tracks = Tracks::join(&counts, links.iter().map(|(images, of)| (*images, of.as_slice())));
     let joined = heads.iter().flatten().count() - tracks.count();
     LongerTracks { features, measured, joined, tracks, predicted }
+}
+
+/// The features that belong to points, in their order, and the number of each by its place among the members: of a large block, whose
+/// tracks are thinned, a small part of all.
+fn features_of_points(block: &Block<'_>) -> (Vec<Features>, Vec<u32>) {
+    let mut places: Vec<Vec<usize>> = vec![Vec::new(); block.features.len()];
+    for place in (0..block.tracks.count()).flat_map(|track| used(block, track)) {
+        places[block.tracks.member(place).image as usize].push(place);
+    }
+    let mut numbers = vec![u32::MAX; block.tracks.member_count()];
+    let mut of_image = |(all, mut places): (&Features, Vec<usize>)| {
+        let feature = |place: usize| block.tracks.member(place).feature as usize;
+        places.sort_unstable_by_key(|&place| feature(place));
+        for (number, &place) in places.iter().enumerate() {
+            numbers[place] = number as u32;
+        }
+        let own = places.iter().map(|&place| feature(place));
+        Features {
+            name: all.name.clone(),
+            camera: all.camera,
+            positions_px: own.clone().map(|k| all.positions_px[k]).collect(),
+            colours: own.filter_map(|k| all.colours.get(k).copied()).collect(),
+        }
+    };
+    let features = block.features.iter().zip(places).map(&mut of_image).collect();
+    (features, numbers)
 }
 
 /// So many of some, spread over all of them.

@@ -149,7 +149,7 @@ fn leaves_and_soil_are_where_they_are() {
     assert!(q.known > 0.99, "{all:?}");
     assert!(q.bare_nmad_m < 0.5 * CELL_M, "{all:?}");
     assert!(q.leaves_within > 0.55, "{all:?}");
-    assert!(q.soil_near_within > 0.8, "{all:?}");
+    assert!(q.soil_near_within > 0.86, "{all:?}");
     // Furrows of 5 cm between rows are less deep on nodes of 30 cm.
     assert!(q.terrain_rmse_m < 0.02, "{all:?}");
 }
