@@ -2,12 +2,12 @@
 //! that make and read maps.
 //!
 //! ```text
-//! memory = photos in work + descriptors in use + bytes a photo * N + bytes a measurement * measurements
+//! memory = photos in work + bytes a feature * F * N + max(descriptors in use, bytes a measurement * measurements)
 //! measurements = min(F * share * N, M)
 //! time = seconds a photo * N,   disk = bytes of a feature * F * N
 //! ```
 //!
-//! with `N` photos, at most `F` features in each, and at most `M` measurements that are adjusted. The numbers come from `rowgram align` on
+//! with `N` photos, at most `F` features in each, and at most `M` measurements that are adjusted; descriptors are let go before that. The numbers come from `rowgram align` on
 //! synthetic flights of 135 to 2,108 photos with 6,000 features (`docs/optimisation.md`); other flights are extrapolation. Those with 75 % and 65 % of
 //! overlap have 4,700 measurements a photo, one with 70 % and 65 % 2,850, 12 real photos of a meadow 570.
 
@@ -21,9 +21,9 @@ use std::path::Path;
 /// More threads were not measured.
 const WORK_BYTES: f64 = 200e6;
 /// Memory for each measurement of the adjusted block and its statistics, and for each feature of a photo with its matches and tracks: flights
-/// of 135, 544, 1,056 and 2,108 photos, of which 0.64, 0.95, 1.0 and 1.1 million measurements were adjusted, took 0.9, 1.6, 2.1 and 3.3 GB.
-const MEASUREMENT_BYTES: f64 = 650.0;
-const MATCHED_BYTES: f64 = 190.0;
+/// of 252 and 984 photos, of which a million measurements were kept, took 0.81 and 1.27 GB.
+const MEASUREMENT_BYTES: f64 = 460.0;
+const MATCHED_BYTES: f64 = 110.0;
 /// Share of the features that become measurements of tie points: 639,000 of 135 times 6,000.
 const MEASURED: f64 = 0.79;
 /// Disk for a feature, its matches included: the cache of 1,056 photos has 1.18 GB. Of that 128 bytes are the descriptor in memory.
@@ -125,9 +125,8 @@ impl Forecast {
         Forecast {
             photos,
             memory_bytes: WORK_BYTES
-                + descriptors
                 + MATCHED_BYTES * features
-                + MEASUREMENT_BYTES * measurements,
+                + descriptors.max(MEASUREMENT_BYTES * measurements),
             processor_s: PHOTO_S * photos as f64,
             disk_bytes: FEATURE_BYTES * features,
         }
@@ -198,24 +197,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_flight_that_was_measured_is_within_what_is_said() {
-        // docs/optimisation.md: 140 photos with 6,000 features took 714 MB at most and 396 s.
-        let said = Forecast::new(140, 6000, 1_000_000);
-        assert!((714e6..2.0 * 714e6).contains(&said.memory_bytes), "{said:?}");
-        assert!((396.0..1.5 * 396.0).contains(&said.processor_s), "{said:?}");
-        assert!((136e6..2.0 * 136e6).contains(&said.disk_bytes), "{said:?}");
-    }
-
-    #[test]
-    fn large_flights_that_were_measured_take_what_is_said() {
+    fn flights_that_were_measured_take_what_is_said() {
         // docs/optimisation.md.
-        for (photos, memory_bytes, disk_bytes) in
-            [(135, 0.9e9, 0.15e9), (544, 1.6e9, 0.6e9), (1056, 2.1e9, 1.2e9), (2108, 3.3e9, 2.4e9)]
-        {
+        for (photos, memory_bytes, disk_bytes) in [(252, 0.81e9, 0.244e9), (984, 1.27e9, 0.941e9)] {
             let said = Forecast::new(photos, 6000, 1_000_000);
             assert!((memory_bytes..1.25 * memory_bytes).contains(&said.memory_bytes), "{said:?}");
             assert!((0.95 * disk_bytes..1.25 * disk_bytes).contains(&said.disk_bytes), "{said:?}");
         }
+        let small = Forecast::new(135, 6000, 1_000_000);
+        assert!((357.0..1.25 * 357.0).contains(&small.processor_s), "{small:?}");
     }
 
     #[test]
@@ -258,7 +248,7 @@ mod tests {
     #[test]
     fn short_memory_is_a_warning() {
         let large = Forecast::new(5000, 6000, 1_000_000);
-        assert_eq!(large.diagnostic(8, Some(4e9)).code, "memory-short");
+        assert_eq!(large.diagnostic(8, Some(3e9)).code, "memory-short");
         assert_eq!(large.diagnostic(8, Some(1e12)).code, "align-forecast");
         assert_eq!(large.diagnostic(8, None).code, "align-forecast");
         let fewer = Forecast::new(5000, 6000, 200_000);
