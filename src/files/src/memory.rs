@@ -19,6 +19,17 @@ pub fn set_limit_bytes(bytes: Option<u64>) {
     LIMIT.store(bytes.map_or(0, |bytes| bytes.max(1)), Ordering::Relaxed);
 }
 
+/// Gives memory that was freed back to the system, for where much was and work goes on: the allocator of glibc keeps what lies among memory in
+/// use. Nothing elsewhere.
+pub fn give_back() {
+    #[cfg(all(target_os = "linux", target_env = "gnu"))]
+    // SAFETY: looks through the allocator's own lists, under its locks; any thread may call it at any time.
+    #[expect(unsafe_code, reason = "no crate has a safe call of this function")]
+    unsafe {
+        libc::malloc_trim(0);
+    }
+}
+
 /// Memory that the content of a file may take, bytes: the limit that was set, else what the machine has free and the process is allowed.
 /// `None` where the system does not say (Linux does).
 pub fn available_bytes() -> Option<u64> {

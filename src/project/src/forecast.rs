@@ -21,9 +21,10 @@ use std::path::Path;
 /// More threads were not measured.
 const WORK_BYTES: f64 = 200e6;
 /// Memory for each measurement of the adjusted block and its statistics, and for each feature of a photo with its matches and tracks: flights
-/// of 252 and 984 photos, of which a million measurements were kept, took 0.81 and 1.27 GB.
-const MEASUREMENT_BYTES: f64 = 460.0;
-const MATCHED_BYTES: f64 = 110.0;
+/// of 252 photos, of which a million measurements were kept, took 0.89 GB; between 252 and 984 photos memory grew by 105 bytes a feature where all that was freed
+/// went back to the system.
+const MEASUREMENT_BYTES: f64 = 520.0;
+const MATCHED_BYTES: f64 = 130.0;
 /// Share of the features that become measurements of tie points: 639,000 of 135 times 6,000.
 const MEASURED: f64 = 0.79;
 /// Disk for a feature, its matches included: the cache of 1,056 photos has 1.18 GB. Of that 128 bytes are the descriptor in memory.
@@ -199,7 +200,7 @@ mod tests {
     #[test]
     fn flights_that_were_measured_take_what_is_said() {
         // docs/optimisation.md.
-        for (photos, memory_bytes, disk_bytes) in [(252, 0.81e9, 0.244e9), (984, 1.27e9, 0.941e9)] {
+        for (photos, memory_bytes, disk_bytes) in [(252, 0.89e9, 0.244e9), (984, 1.27e9, 0.941e9)] {
             let said = Forecast::new(photos, 6000, 1_000_000);
             assert!((memory_bytes..1.25 * memory_bytes).contains(&said.memory_bytes), "{said:?}");
             assert!((0.95 * disk_bytes..1.25 * disk_bytes).contains(&said.disk_bytes), "{said:?}");

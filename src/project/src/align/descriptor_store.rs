@@ -5,6 +5,7 @@
 
 use crate::record::{Bytes, Key, Store};
 use rowgram_base::error::Error;
+use rowgram_files::memory;
 use rowgram_survey::features::{DescriptorSource, Descriptors};
 use std::{
     collections::HashMap,
@@ -101,9 +102,12 @@ impl DescriptorSource for DescriptorStore {
     }
 
     fn release(&self) {
-        let mut kept = self.kept();
-        kept.photos = HashMap::new();
-        kept.bytes = 0;
+        {
+            let mut kept = self.kept();
+            kept.photos = HashMap::new();
+            kept.bytes = 0;
+        }
+        memory::give_back();
     }
 }
 
