@@ -19,9 +19,9 @@ pub fn set_limit_bytes(bytes: Option<u64>) {
     LIMIT.store(bytes.map_or(0, |bytes| bytes.max(1)), Ordering::Relaxed);
 }
 
-/// Gives memory that was freed back to the system, for where much was and work goes on: the allocator of glibc keeps what lies among memory in
-/// use. Nothing elsewhere.
-pub fn give_back() {
+/// Returns freed memory to the operating system. The allocator of glibc keeps freed blocks that lie between blocks in use, so call this where much was
+/// freed and the work goes on. Does nothing with other allocators.
+pub fn return_freed() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     // SAFETY: looks through the allocator's own lists, under its locks; any thread may call it at any time.
     #[expect(unsafe_code, reason = "no crate has a safe call of this function")]

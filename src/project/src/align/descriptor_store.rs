@@ -107,7 +107,7 @@ impl DescriptorSource for DescriptorStore {
             kept.photos = HashMap::new();
             kept.bytes = 0;
         }
-        memory::give_back();
+        memory::return_freed();
     }
 }
 

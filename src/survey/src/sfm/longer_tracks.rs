@@ -120,8 +120,8 @@ pub fn lengthen(block: &Block<'_>, options: &LongerTracksOptions) -> LongerTrack
     LongerTracks { features, measured, joined, tracks, predicted }
 }
 
-/// The features that belong to points, in their order, and the number of each by its place among the members: of a large block, whose
-/// tracks are thinned, a small part of all.
+/// The features that belong to points, in the order of all features, and for each member of a track the new number of its feature. In a large block, whose
+/// tracks are thinned, these are a small part of all features.
 fn features_of_points(block: &Block<'_>) -> (Vec<Features>, Vec<u32>) {
     let mut places: Vec<Vec<usize>> = vec![Vec::new(); block.features.len()];
     for place in (0..block.tracks.count()).flat_map(|track| used(block, track)) {

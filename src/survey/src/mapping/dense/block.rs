@@ -25,7 +25,7 @@ const LEAF_REACH: f64 = 0.75;
 /// not hide what is sure.
 const LOWERED: f32 = 1.0;
 /// Standard deviations of leaves are so many times what costs say, since some matches are wrong. Chosen on the synthetic flights of seeds 1 to 3
-/// of `docs/accuracy.md` (`benches/surface/compare.py`), where errors are 1.5 to 1.9 times what is stated without it.
+/// of `docs/accuracy.md` (`benches/surface/compare.py`), where errors are 1.6 to 2.0 times what is stated without it.
 const LEAF_SIGMA_FACTOR: f32 = 1.7;
 
 /// What was found for the cells of a block, row by row.
@@ -164,14 +164,15 @@ pub(super) fn match_block(
     let above_plane = |cell: [isize; 2], z: f32| {
         (f64::from(z) + core.at_m(core.place_m(cell.map(|n| n as f64)))) as f32
     };
-    let settled = |[u, v]: [usize; 2]| -> usize {
+    // The cell whose height a cell takes. Only in the last pass: those of larger cells are about trees, houses and the ground, and were not compared.
+    let taken_from = |[u, v]: [usize; 2]| -> usize {
         let own = v * width + u;
         if options.prior.needs_ground() { third_lowest(&top_m, own, width) } else { own }
     };
     for cell in Margin::places(core.size) {
         let [u, v] = in_whole(cell);
         let own_m = top_m[v * width + u];
-        let z = if own_m.is_finite() { top_m[settled([u, v])] } else { lowest_beside([u, v]) };
+        let z = if own_m.is_finite() { top_m[taken_from([u, v])] } else { lowest_beside([u, v]) };
         if z.is_finite() {
             block.margin.set(cell, above_plane(cell, z));
         }
@@ -183,11 +184,12 @@ pub(super) fn match_block(
             let z;
             let own = from[v * width + u];
             if own != usize::MAX {
-                let chosen = settled([u, v]);
+                let chosen = taken_from([u, v]);
                 let source = from[chosen];
                 z = top_m[chosen];
                 // Ten paths of 72 at most; a margin of a fifth of that is as sure as it gets.
                 block.confidence[out] = (f32::from(best[source].margin) * 1.6).min(255.0) as u8;
+                // What is seen there stays what is seen there.
                 block.colour[out] = colour[own];
                 let is_leaf = options.prior.is_leaf(green[source]);
                 let factor = if is_leaf { LEAF_SIGMA_FACTOR } else { 1.0 };
@@ -236,11 +238,11 @@ fn ground_above(block: &BlockPlane, ground: &dyn Fn([f64; 2]) -> Option<f64>) ->
     out
 }
 
-/// Of a cell and the eight around it the one with the third lowest of the heights that are known; of fewer than nine one as low among them. Leaves come
-/// out wider than they are, probably by the window of the census and because of all that falls on a cell the highest stays: on the synthetic flights of
-/// seeds 1 to 3 of `docs/accuracy.md` 17 to 42 % of the soil cells beside leaves were off by more than 7.5 cm, and the 95th percentile of heights of squares
-/// was 2 to 3.4 cm too great. This one leaves 12 to 35 % and at most 0.7 cm; the second lowest makes squares 2 to 3 cm too low, the
-/// fourth leaves half of the bias.
+/// Of a cell and its eight neighbours the one with the third lowest known height; where fewer than nine are known, the one at the same share of the order. Matching
+/// makes leaves wider than they are, probably through the census window and because each cell keeps the highest of the points that fall on it. With its own
+/// height, 17 to 42 % of the soil cells beside leaves are off by more than 7.5 cm, and the 95th percentile of the heights of squares is 2.0 to 3.4 cm too great
+/// (synthetic flights of seeds 1 to 3 of `docs/accuracy.md`, `benches/surface/compare.py`); with the third lowest 12 to 35 %, and the bias is 0.7 cm at most. Other ranks:
+/// `docs/decisions.md`.
 fn third_lowest(top_m: &[f32], own: usize, width: usize) -> usize {
     let mut lowest = [(f32::INFINITY, own); 3];
     let mut known = 0;

@@ -16,8 +16,8 @@
 //! From the aggregated costs come a distribution over the layers, the most probable one, and a standard deviation ([`posterior`]).
 //!
 //! A pixel of the reference sees one surface only, so nothing is hidden in it; what others do not see is left to the best of them.
-//! The pixels are then points in space, `X = p + (C - p) h/F`; each cell of the ground has the highest that falls on it, and takes the third lowest of
-//! what it and its neighbours have ([`block`]). A parabola through the aggregated costs beside the best layer gives fractions of a layer.
+//! The pixels are then points in space, `X = p + (C - p) h/F`; each cell of the ground keeps the highest that falls on it, and in the
+//! last pass takes the third lowest of the heights of itself and its eight neighbours ([`block`]). A parabola through the aggregated costs beside the best layer gives fractions of a layer.
 //!
 //! From coarse to fine ([`tile`], [`area`]): cells of eight times the side say where trees and houses are ([`relief`]), cells of twice the side
 //! without `Q` give the ground under the canopy ([`terrain`]), which the second pass takes as known. Blocks are done on their own, by any number of threads, with the same result; where

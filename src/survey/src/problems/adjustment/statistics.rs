@@ -134,7 +134,7 @@ impl Statistics {
         inverse: Arc<SelectedInverse>,
     ) -> Result<Statistics, SolveError> {
         let (mut tested, points) = ties(reconstruction, adjustment, settings, x, &inverse, true);
-        // One more would otherwise double what holds a million.
+        // Growing by one would double a vector that may hold a million.
         tested.reserve_exact(adjustment.batches.iter().map(|(_, _, of)| of.len()).sum());
         let mut groups: Vec<GroupStatistics> = Vec::new();
         if !tested.is_empty() {
