@@ -22,9 +22,9 @@ use std::path::Path;
 const WORK_BYTES: f64 = 200e6;
 /// Memory for each measurement of the adjusted block and its statistics, and for each feature of a photo with its matches and tracks. Two flights with
 /// at most a million measurements (`docs/optimisation.md`): with large blocks of memory returned as soon as they are freed, 252 and 984 photos took 0.85 and
-/// 1.33 GB, 110 bytes for each further feature; as the program is, 252 photos took 0.94 and 0.98 GB, 2 and 7 % more than these numbers give. A fifth is added to the 110 bytes,
+/// 1.33 GB, 110 bytes for each further feature; as the program is, 252 photos took 0.94 and 0.98 GB. A fifth is added to the 110 bytes,
 /// since 984 photos were not measured like that.
-const MEASUREMENT_BYTES: f64 = 520.0;
+const MEASUREMENT_BYTES: f64 = 580.0;
 const MATCHED_BYTES: f64 = 130.0;
 /// Share of the features that become measurements of tie points: 639,000 of 135 times 6,000.
 const MEASURED: f64 = 0.79;
@@ -200,9 +200,8 @@ mod tests {
 
     #[test]
     fn flights_that_were_measured_take_what_is_said() {
-        // docs/optimisation.md; of 984 photos the memory where freed blocks are returned at once. The bounds are 5 to 9 % below what was measured, 0.94 to 0.98 and
-        // 1.33 GB of memory, 0.26 and 0.99 GB of disk.
-        for (photos, memory_bytes, disk_bytes) in [(252, 0.89e9, 0.244e9), (984, 1.27e9, 0.941e9)] {
+        // docs/optimisation.md; of 984 photos the memory where freed blocks are returned at once.
+        for (photos, memory_bytes, disk_bytes) in [(252, 0.96e9, 0.26e9), (984, 1.33e9, 0.99e9)] {
             let said = Forecast::new(photos, 6000, 1_000_000);
             assert!((memory_bytes..1.25 * memory_bytes).contains(&said.memory_bytes), "{said:?}");
             assert!((0.95 * disk_bytes..1.25 * disk_bytes).contains(&said.disk_bytes), "{said:?}");

@@ -1,6 +1,6 @@
 //! How many leaves there are around a place: what tells two plants in one place from one, and one from none.
 //!
-//! Three numbers of a place, on the reduced grid of [`Evidence`]: leaf mass within `NEAR`, leaf mass within `WIDE`, and
+//! Three numbers of a place, on the reduced grid of [`super::evidence::Evidence`]: leaf mass within `NEAR`, leaf mass within `WIDE`, and
 //! the leaves that point at it: of each of `SECTORS` directions the square root of the coherent leaf mass between
 //! `RING` whose axis passes the place, so that a leaf counts once, be it long or short. Each is taken as a logarithm
 //! and compared with what is usual of the plants of the field ([`PlantBaseline`]); their sum is the score of the place.
@@ -8,7 +8,7 @@
 //! On synthetic masks such a score tells two plants within 7.5 cm from one with an area under the curve of 0.95 (spacing 20 cm), 0.98
 //! (30 cm), 0.73 (10 and 12 cm), with 3 % doubles (`experiments/reference/canopy.md`).
 
-use super::evidence::Evidence;
+use super::evidence::LeafAxes;
 use rowgram_optim::robust::median_and_sigma;
 
 /// Radius of the leaf mass near a place.
@@ -40,14 +40,17 @@ struct Neighbour {
 }
 
 /// Looks at places.
-pub struct LeafSurroundings<'e> {
-    evidence: &'e Evidence,
+pub struct LeafSurroundings {
     around: Vec<Neighbour>,
+    size: [usize; 2],
 }
 
-impl<'e> LeafSurroundings<'e> {
-    /// Of this evidence.
-    pub fn new(evidence: &'e Evidence) -> LeafSurroundings<'e> {
+// Leaves of a stripe reach as far beyond it as is looked.
+const _: () = assert!(RING[1] <= LeafAxes::REACH as f64);
+
+impl LeafSurroundings {
+    /// On a grid of so many columns and rows.
+    pub fn new(size: [usize; 2]) -> LeafSurroundings {
         let reach = RING[1] as i32;
         let mut around = Vec::new();
         for dy in -reach..=reach {
@@ -62,68 +65,71 @@ impl<'e> LeafSurroundings<'e> {
                 around.push(Neighbour {
                     dx,
                     dy,
-                    step: dy as isize * evidence.width as isize + dx as isize,
+                    step: dy as isize * size[0] as isize + dx as isize,
                     squared: (x * x + y * y) as f32,
                     doubled: [cos as f32, sin as f32],
                     sector: ((turn * SECTORS as f64) as usize).min(SECTORS - 1),
                 });
             }
         }
-        LeafSurroundings { evidence, around }
+        LeafSurroundings { around, size }
     }
 
-    /// The numbers of a place.
-    pub fn at(&self, at: [f64; 2]) -> [f64; FEATURES] {
+    /// The numbers of a place, from the leaves of its stripe.
+    pub fn at(&self, leaves: &LeafAxes, at: [f64; 2]) -> [f64; FEATURES] {
         let [x, y] = at.map(|a| a.round() as i64);
-        let (evidence, reach) = (self.evidence, RING[1] as i64);
-        let (width, height) = (evidence.width as i64, evidence.height as i64);
-        let centre = (y * width + x) as isize;
+        let reach = RING[1] as i64;
+        let [width, height] = self.size.map(|n| n as i64);
+        let centre = ((y - leaves.rows.start as i64) * width + x) as isize;
         if (reach..width - reach).contains(&x) && (reach..height - reach).contains(&y) {
             let whole = self.around.iter();
-            self.look(whole.map(|neighbour| ((centre + neighbour.step) as usize, neighbour)))
+            look(leaves, whole.map(|neighbour| ((centre + neighbour.step) as usize, neighbour)))
         } else {
             let inside = self.around.iter().filter(|neighbour| {
                 let (u, v) = (x + i64::from(neighbour.dx), y + i64::from(neighbour.dy));
                 (0..width).contains(&u) && (0..height).contains(&v)
             });
-            self.look(inside.map(|neighbour| ((centre + neighbour.step) as usize, neighbour)))
+            look(leaves, inside.map(|neighbour| ((centre + neighbour.step) as usize, neighbour)))
         }
     }
+}
 
-    /// The numbers of these pixels.
-    #[inline(always)]
-    fn look<'n>(&self, pixels: impl Iterator<Item = (usize, &'n Neighbour)>) -> [f64; FEATURES] {
-        let (mut near, mut wide) = (0.0_f32, 0.0_f32);
-        let mut sectors = [0.0_f32; SECTORS];
-        for (k, neighbour) in pixels {
-            let leaf = self.evidence.leaf_share(k);
-            if leaf == 0.0 {
+/// The numbers of these pixels.
+#[inline(always)]
+fn look<'n>(
+    leaves: &LeafAxes,
+    pixels: impl Iterator<Item = (usize, &'n Neighbour)>,
+) -> [f64; FEATURES] {
+    let (mut near, mut wide) = (0.0_f32, 0.0_f32);
+    let mut sectors = [0.0_f32; SECTORS];
+    for (k, neighbour) in pixels {
+        let leaf = leaves.share[k];
+        if leaf == 0.0 {
+            continue;
+        }
+        let squared = neighbour.squared;
+        if squared <= (NEAR * NEAR) as f32 {
+            near += leaf;
+        }
+        if squared <= (WIDE * WIDE) as f32 {
+            wide += leaf;
+        }
+        if squared > (RING[0] * RING[0]) as f32 {
+            let [cos2, sin2] = leaves.axis[k].map(f32::from);
+            let coherence = (cos2 * cos2 + sin2 * sin2).sqrt();
+            if coherence < 6.0 {
                 continue;
             }
-            let squared = neighbour.squared;
-            if squared <= (NEAR * NEAR) as f32 {
-                near += leaf;
-            }
-            if squared <= (WIDE * WIDE) as f32 {
-                wide += leaf;
-            }
-            if squared > (RING[0] * RING[0]) as f32 {
-                let [cos2, sin2] = self.evidence.axis(k).map(f32::from);
-                let coherence = (cos2 * cos2 + sin2 * sin2).sqrt();
-                if coherence < 6.0 {
-                    continue;
-                }
-                let along = (cos2 * neighbour.doubled[0] + sin2 * neighbour.doubled[1]) / coherence;
-                let passes = 0.5 * squared * (1.0 - along);
-                let exponent = -0.5 * passes / (PASSES * PASSES) as f32;
-                if exponent > NOT_AT_ALL {
-                    sectors[neighbour.sector] += leaf * exponent.exp() * coherence / 127.0;
-                }
+            let along = (cos2 * neighbour.doubled[0] + sin2 * neighbour.doubled[1]) / coherence;
+            let passes = 0.5 * squared * (1.0 - along);
+            let exponent = -0.5 * passes / (PASSES * PASSES) as f32;
+            if exponent > NOT_AT_ALL {
+                sectors[neighbour.sector] += leaf * exponent.exp() * coherence / 127.0;
             }
         }
-        let leaves: f32 = sectors.iter().map(|s| s.sqrt()).sum();
-        [near, wide, leaves].map(|n| f64::from(n + 1.0).ln())
     }
+    let pointing: f32 = sectors.iter().map(|s| s.sqrt()).sum();
+    [near, wide, pointing].map(|n| f64::from(n + 1.0).ln())
 }
 
 /// A plant has fewer leaves around it than others where its score is below this,
@@ -209,10 +215,11 @@ impl PlantBaseline {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::phenotype::evidence::Evidence;
     use rowgram_raster::Mask;
 
     /// Leaves, two pixels wide, from some stalks outwards.
-    fn field(stalks: &[([f64; 2], u32)]) -> Evidence {
+    fn field(stalks: &[([f64; 2], u32)]) -> LeafAxes {
         let mask = Mask::from_fn(300, 60, |u, v| {
             stalks.iter().any(|&([x, y], leaves)| {
                 let (x, y) = (u as f64 - x, v as f64 - y);
@@ -223,7 +230,7 @@ mod tests {
                 })
             })
         });
-        Evidence::new(&mask, 0.0, 1)
+        Evidence::new(&mask, 0.0, 1).leaf_axes(0)
     }
 
     #[test]
@@ -231,9 +238,9 @@ mod tests {
         let stalks: Vec<([f64; 2], u32)> = (0..9)
             .map(|k| ([20.0 + 32.0 * f64::from(k), 30.0], [5, 5, 4, 5, 9, 5, 6, 2, 5][k as usize]))
             .collect();
-        let evidence = field(&stalks);
-        let surroundings = LeafSurroundings::new(&evidence);
-        let numbers: Vec<_> = stalks.iter().map(|&(at, _)| surroundings.at(at)).collect();
+        let leaves = field(&stalks);
+        let surroundings = LeafSurroundings::new([300, 60]);
+        let numbers: Vec<_> = stalks.iter().map(|&(at, _)| surroundings.at(&leaves, at)).collect();
         let usual = PlantBaseline::new(&numbers);
         let score = |k: usize| usual.score(&numbers[k]);
         assert!(score(4) > 1.5 && score(7) < -1.5, "{} {}", score(4), score(7));
@@ -242,7 +249,7 @@ mod tests {
         let judged = |k: usize| usual.judge(&numbers[k]);
         assert!(judged(4).second > judged(0).second && judged(4).thin == 0.0);
         // Beside the mask there is nothing.
-        assert_eq!(surroundings.at([-50.0, 30.0]), [0.0; FEATURES]);
+        assert_eq!(surroundings.at(&leaves, [-50.0, 30.0]), [0.0; FEATURES]);
     }
 
     #[test]

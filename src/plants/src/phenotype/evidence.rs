@@ -41,9 +41,11 @@ const STRIPE: usize = 128;
 /// Rows beyond a stripe that its votes and filters can reach.
 const HALO: usize = REACH_PX + 12;
 
-/// The votes for a stalk at every pixel of the reduced mask, in five bytes each: a map of a field has many.
+/// The votes for a stalk at every pixel of the reduced mask, in two bytes each: a map of a field has many. What else is asked of leaves is computed from the
+/// mask again.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Evidence {
+pub struct Evidence<'m> {
+    mask: &'m Mask,
     /// Columns.
     pub width: usize,
     /// Rows.
@@ -54,10 +56,17 @@ pub struct Evidence {
     roots: Vec<u16>,
     /// No place can have more votes.
     most: f32,
-    /// Share of each reduced pixel that is leaf, in 255ths.
-    shares: Vec<u8>,
-    /// The axis of each, `c (cos 2 theta, sin 2 theta)` in 127ths.
-    axes: Vec<[i8; 2]>,
+}
+
+/// The leaves of some rows of the grid.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LeafAxes {
+    /// These rows.
+    pub rows: Range<usize>,
+    /// Share of each pixel that is leaf, row by row.
+    pub share: Vec<f32>,
+    /// The axis of the leaf there, `c (cos 2 theta, sin 2 theta)` in 127ths, `c` its coherence.
+    pub axis: Vec<[i8; 2]>,
 }
 
 /// The whole factor by which the grid of a mask of broad leaves is reduced.
@@ -65,36 +74,46 @@ pub fn factor(mask: &Mask) -> usize {
     (stroke_px(mask) / STROKE_PX).floor().max(1.0) as usize
 }
 
-impl Evidence {
+impl<'m> Evidence<'m> {
     /// Votes of a mask whose rows have this heading (from `u` towards `v`), on a grid reduced by `factor`.
-    pub fn new(mask: &Mask, heading_rad: f64, factor: usize) -> Evidence {
+    pub fn new(mask: &'m Mask, heading_rad: f64, factor: usize) -> Evidence<'m> {
         let (width, height) = (mask.width.div_ceil(factor), mask.height.div_ceil(factor));
         let most = SATURATION * WEIGHTS.iter().sum::<f32>();
-        let (mut roots, mut shares) = (vec![0; width * height], vec![0; width * height]);
-        let mut held = vec![[0; 2]; width * height];
+        let mut found = Evidence { mask, width, height, factor, roots: vec![], most };
+        let mut roots = vec![0; width * height];
         if width > 0 {
-            let outs = roots
-                .par_chunks_mut(STRIPE * width)
-                .zip(shares.par_chunks_mut(STRIPE * width))
-                .zip(held.par_chunks_mut(STRIPE * width));
-            outs.enumerate().for_each(|(stripe, ((roots, shares), held))| {
-                let first = stripe * STRIPE;
-                let from = first.saturating_sub(HALO);
-                let to = (first + STRIPE + HALO).min(height);
-                let leaf = reduce(mask, factor, from..to);
-                let stripe = Stripe { width, height: to - from };
+            roots.par_chunks_mut(STRIPE * width).enumerate().for_each(|(number, roots)| {
+                let (around, stripe, leaf) = found.stripe(number);
                 let axes = stripe.tensor_axes(&leaf);
-                let skip = (first - from) * width;
-                for (held, axis) in held.iter_mut().zip(&axes[skip..]) {
-                    *held = axis.map(|a| (127.0 * a).round() as i8);
-                }
-                keep_shares(&leaf[skip..], shares);
                 let mut votes = vec![0.0; roots.len()];
-                stripe.vote(&leaf, &axes, heading_rad, first - from, &mut votes);
+                let skip = number * STRIPE - around.start;
+                stripe.vote(&leaf, &axes, heading_rad, skip, &mut votes);
                 keep_roots(&votes, most, roots);
             });
         }
-        Evidence { width, height, factor, roots, most, shares, axes: held }
+        found.roots = roots;
+        found
+    }
+
+    /// The number of the stripe in which a row is.
+    pub fn stripe_of(row: usize) -> usize {
+        row / STRIPE
+    }
+
+    /// The leaves of a stripe and of at least [`LeafAxes::REACH`] rows on either side, where there are any.
+    pub fn leaf_axes(&self, stripe: usize) -> LeafAxes {
+        let (rows, stripe, share) = self.stripe(stripe);
+        let in_127ths = |a: f32| (127.0 * a).round() as i8;
+        let axis = stripe.tensor_axes(&share).into_iter().map(|axis| axis.map(in_127ths)).collect();
+        LeafAxes { rows, share, axis }
+    }
+
+    /// The rows of a stripe with those around it, and their leaf.
+    fn stripe(&self, number: usize) -> (Range<usize>, Stripe, Vec<f32>) {
+        let first = number * STRIPE;
+        let rows = first.saturating_sub(HALO)..(first + STRIPE + HALO).min(self.height);
+        let leaf = reduce(self.mask, self.factor, rows.clone());
+        (rows.clone(), Stripe { width: self.width, height: rows.len() }, leaf)
     }
 
     /// Votes of a pixel of the grid, row by row.
@@ -106,19 +125,19 @@ impl Evidence {
 
     /// Share of a pixel of the grid that is leaf.
     #[inline]
-    pub fn leaf_share(&self, pixel: usize) -> f32 {
-        f32::from(self.shares[pixel]) / 255.0
+    fn leaf_share(&self, column: usize, row: usize) -> f32 {
+        let (mask, factor) = (self.mask, self.factor);
+        let columns = column * factor..((column + 1) * factor).min(mask.width);
+        let rows = row * factor..((row + 1) * factor).min(mask.height);
+        let leaf: usize = rows
+            .map(|v| mask.row(v)[columns.clone()].iter().filter(|pixel| **pixel != 0).count())
+            .sum();
+        leaf as f32 / (factor * factor) as f32
     }
 
     /// Leaf of the whole mask, in pixels of the grid.
     pub fn leaf_area(&self) -> f64 {
-        self.shares.iter().map(|&share| u64::from(share)).sum::<u64>() as f64 / 255.0
-    }
-
-    /// The axis of the leaf at a pixel of the grid, `c (cos 2 theta, sin 2 theta)` in 127ths, `c` its coherence.
-    #[inline]
-    pub fn axis(&self, pixel: usize) -> [i8; 2] {
-        self.axes[pixel]
+        self.mask.count() as f64 / (self.factor * self.factor) as f64
     }
 
     /// A position of the mask in this grid.
@@ -152,8 +171,13 @@ impl Evidence {
     pub fn leaf_at(&self, at: [f64; 2]) -> f64 {
         let [x, y] = at.map(f64::round);
         let inside = x >= 0.0 && y >= 0.0 && x < self.width as f64 && y < self.height as f64;
-        if inside { f64::from(self.leaf_share(y as usize * self.width + x as usize)) } else { 0.0 }
+        if inside { f64::from(self.leaf_share(x as usize, y as usize)) } else { 0.0 }
     }
+}
+
+impl LeafAxes {
+    /// Rows around a stripe in which axes are as they are in the whole mask, at least.
+    pub const REACH: usize = REACH_PX;
 }
 
 /// Mean width of the strokes: twice the area over the perimeter. The edges of pixels are longer
@@ -185,11 +209,6 @@ fn reduce(mask: &Mask, factor: usize, rows: Range<usize>) -> Vec<f32> {
         }
     }
     leaf
-}
-
-/// Shares in 255ths.
-fn keep_shares(leaf: &[f32], to: &mut [u8]) {
-    to.iter_mut().zip(leaf).for_each(|(to, share)| *to = (255.0 * share).round() as u8);
 }
 
 /// Square roots of votes in 65535ths of that of `most`.
@@ -363,7 +382,7 @@ mod tests {
         })
     }
 
-    fn seen(mask: &Mask, heading_rad: f64) -> Evidence {
+    fn seen(mask: &Mask, heading_rad: f64) -> Evidence<'_> {
         Evidence::new(mask, heading_rad, factor(mask))
     }
 
@@ -371,7 +390,8 @@ mod tests {
     fn leaves_that_cross_vote_for_the_crossing() {
         for (turn, scale, side) in [(0.1, 1.0, 60), (0.35, 1.0, 60), (0.2, 4.0, 240)] {
             let centre = [29.3 * scale, 31.0 * scale];
-            let evidence = seen(&star(centre, turn, side, scale), 0.0);
+            let mask = star(centre, turn, side, scale);
+            let evidence = seen(&mask, 0.0);
             let best = (0..evidence.width * evidence.height)
                 .max_by(|&a, &b| evidence.votes(a).total_cmp(&evidence.votes(b)))
                 .unwrap();
@@ -407,29 +427,32 @@ mod tests {
             assert!((0..mask.data.len()).all(|k| evidence.votes(k) == 0.0));
         }
         let dot = Mask::from_fn(1, 1, |_, _| true);
-        assert_eq!(seen(&dot, 0.0).leaf_share(0), 1.0);
+        assert_eq!(seen(&dot, 0.0).leaf_at([0.0; 2]), 1.0);
     }
 
     #[test]
-    fn votes_and_shares_are_kept_closely() {
+    fn votes_are_kept_closely_and_shares_exactly() {
         let votes: Vec<f32> = (0..=1000).map(|k| 120.0 * (k as f32 / 1000.0).powi(3)).collect();
         let mut roots = vec![0; votes.len()];
         keep_roots(&votes, 120.0, &mut roots);
-        let evidence = Evidence { roots, most: 120.0, ..Evidence::new(&Mask::empty(1, 1), 0.0, 1) };
+        let empty = Mask::empty(1, 1);
+        let evidence = Evidence { roots, most: 120.0, ..Evidence::new(&empty, 0.0, 1) };
         for (k, votes) in votes.iter().enumerate() {
             // Half a step of the root.
             let most = 1.01 * (120.0 * votes).sqrt() / 65535.0 + 1e-5;
             assert!((evidence.votes(k) - votes).abs() <= most, "{votes}: {}", evidence.votes(k));
         }
-        let half = Evidence::new(&Mask::from_fn(2, 2, |u, _| u == 0), 0.0, 2);
-        // One half lies between two steps, and rounding comes on top.
-        assert!((half.leaf_share(0) - 0.5).abs() < 0.51 / 255.0);
-        assert!((half.leaf_area() - 0.5).abs() < 0.51 / 255.0);
+        let mask = Mask::from_fn(3, 2, |u, _| u != 1);
+        let halves = Evidence::new(&mask, 0.0, 2);
+        assert_eq!([0.0, 1.0].map(|x| halves.leaf_at([x, 0.0])), [0.5; 2]);
+        assert_eq!(halves.leaf_area(), 1.0);
+        assert_eq!(halves.leaf_axes(0).share, [0.5; 2]);
     }
 
     #[test]
     fn positions_turn_there_and_back() {
-        let evidence = Evidence::new(&Mask::empty(1, 1), 0.0, 3);
+        let empty = Mask::empty(1, 1);
+        let evidence = Evidence::new(&empty, 0.0, 3);
         let at = [7.25, -3.0];
         let back = evidence.full(evidence.reduced(at));
         approx::assert_relative_eq!(back[0], at[0], epsilon = 1e-12);

@@ -61,7 +61,7 @@ impl RowCurve {
         RowCurve { start, end, offsets }
     }
 
-    fn refine(&mut self, evidence: &Evidence, axes: &Axes, window: f64, reach: f64) {
+    fn refine(&mut self, evidence: &Evidence<'_>, axes: &Axes, window: f64, reach: f64) {
         let count = self.offsets.len();
         let (mut weights, mut means) = (vec![0.0; count], vec![0.0; count]);
         let reach = reach.floor() as i32;
@@ -93,7 +93,7 @@ impl RowCurve {
 
 /// Finds the course of every row.
 pub fn trace(
-    evidence: &Evidence,
+    evidence: &Evidence<'_>,
     axes: &Axes,
     rows: &[Row],
     spacing: Option<f64>,

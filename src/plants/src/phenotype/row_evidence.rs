@@ -4,7 +4,7 @@
 //! All lengths in pixels of the reduced grid of [`Evidence`].
 
 use super::{
-    double_plants::{LeafSurroundings, PlantBaseline},
+    double_plants::{FEATURES, LeafSurroundings, PlantBaseline},
     dynamic_programming::{Chain, Profile, STEP, Weights},
     evidence::{self, Evidence},
     isolated_plants,
@@ -61,8 +61,8 @@ const IN_LINE: [f64; 3] = [1.2, 0.2, 13.0];
 const SCATTER_OF_EXCESS: f64 = 5.0;
 
 /// Everything that the chains are made of.
-pub(super) struct RowEvidence {
-    pub(super) evidence: Evidence,
+pub(super) struct RowEvidence<'m> {
+    pub(super) evidence: Evidence<'m>,
     axes: Axes,
     /// The rows, or the parts of rows that have plants.
     pub(super) parts: Vec<Part>,
@@ -75,8 +75,8 @@ pub(super) struct RowEvidence {
     pub(super) options: RowModelOptions,
 }
 
-impl RowEvidence {
-    pub(super) fn new(mask: &Mask, rows: &Rows, options: &RowModelOptions) -> RowEvidence {
+impl<'m> RowEvidence<'m> {
+    pub(super) fn new(mask: &'m Mask, rows: &Rows, options: &RowModelOptions) -> RowEvidence<'m> {
         // Isolated plants are as far from each other, in pixels of the grid, as in a closed canopy.
         let isolated_px = isolated_plants::spacing_px(mask, rows);
         let coarse = isolated_px.map_or(1.0, |spacing| spacing / TARGET_SPACING_PX);
@@ -115,6 +115,8 @@ impl RowEvidence {
     pub(super) fn read(&mut self) {
         let RowEvidence { evidence, axes, parts, options, .. } = self;
         let across = Across::new(axes, options.across_sigma);
+        // They are large, so the old ones go first.
+        self.profiles.clear();
         self.profiles =
             parts.par_iter().map(|part| read(evidence, axes, &part.curve, &across)).collect();
         let profiles = &self.profiles;
@@ -272,20 +274,46 @@ impl RowEvidence {
 
     /// Looks at the leaves around every other place, which are compared with those of these plants.
     pub(super) fn compare_surroundings(&mut self, places: &[Vec<usize>]) {
-        let surroundings = LeafSurroundings::new(&self.evidence);
-        let look = |row: usize, at: usize| {
+        let surroundings = LeafSurroundings::new([self.evidence.width, self.evidence.height]);
+        let place = |row: usize, at: usize| {
             let profile = &self.profiles[row];
             let along = profile.start + at as f64 * STEP;
             let across = self.parts[row].curve.offset(along) + profile.offsets[at];
-            surroundings.at(self.axes.image([along, across]))
+            self.axes.image([along, across])
         };
-        let all: Vec<Vec<_>> = (0..self.profiles.len())
-            .into_par_iter()
-            .map(|row| {
-                let last = self.profiles[row].votes.len() - 1;
-                (0..=last / 2).map(|k| look(row, (2 * k + 1).min(last))).collect()
-            })
+        let looked_at = |row: usize, k: usize| (2 * k + 1).min(self.profiles[row].votes.len() - 1);
+        let mut all: Vec<Vec<_>> = self
+            .profiles
+            .iter()
+            .map(|profile| vec![[0.0; FEATURES]; profile.votes.len().div_ceil(2)])
             .collect();
+        // By stripes of the picture, of which only those in work have the axes of leaves in memory.
+        let last = self.evidence.height.saturating_sub(1) as f64;
+        let mut stripes: Vec<Vec<(u32, u32)>> =
+            vec![vec![]; Evidence::stripe_of(last as usize) + 1];
+        for (row, of_row) in all.iter().enumerate() {
+            for k in 0..of_row.len() {
+                let [_, v] = place(row, looked_at(row, k));
+                let stripe = Evidence::stripe_of(v.round().clamp(0.0, last) as usize);
+                stripes[stripe].push((row as u32, k as u32));
+            }
+        }
+        let of_stripe = |(stripe, places): (usize, &Vec<(u32, u32)>)| -> Vec<_> {
+            if places.is_empty() {
+                return vec![];
+            }
+            let leaves = self.evidence.leaf_axes(stripe);
+            let look = |&(row, k): &(u32, u32)| {
+                let (row, k) = (row as usize, k as usize);
+                surroundings.at(&leaves, place(row, looked_at(row, k)))
+            };
+            places.iter().map(look).collect()
+        };
+        let numbers: Vec<Vec<_>> = stripes.par_iter().enumerate().map(of_stripe).collect();
+        for ((row, k), numbers) in stripes.into_iter().flatten().zip(numbers.into_iter().flatten())
+        {
+            all[row as usize][k as usize] = numbers;
+        }
         let plants: Vec<_> = places
             .iter()
             .zip(&all)

@@ -236,7 +236,7 @@ fn by_votes(
 }
 
 /// Compares the leaves around all places with those around plants, which are found without that, where double plants are told apart.
-fn compare_with_plants(evidence: &mut RowEvidence, spacing: &Spacing) {
+fn compare_with_plants(evidence: &mut RowEvidence<'_>, spacing: &Spacing) {
     if !evidence.options.double_plants {
         return;
     }
@@ -298,7 +298,7 @@ const PLANT: usize = 8;
 /// of 150 to 200 plants is off by 0.06, as it was where both were one).
 const COUNT_SIGMA: (f64, f64) = (0.03, 0.7);
 
-impl RowEvidence {
+impl RowEvidence<'_> {
     fn present(
         &self,
         rows: &Rows,

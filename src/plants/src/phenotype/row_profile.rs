@@ -34,7 +34,7 @@ impl Across {
     }
 
     /// The best votes at a place along a row, and their offset from its middle.
-    pub(super) fn best(&self, evidence: &Evidence, along: f64, middle: f64) -> (f64, f64) {
+    pub(super) fn best(&self, evidence: &Evidence<'_>, along: f64, middle: f64) -> (f64, f64) {
         let ((s, c), [x, y]) = (self.heading, self.origin_px);
         let mut best = (f64::NEG_INFINITY, 0.0);
         for (offset, weight) in self.weights {
@@ -50,12 +50,18 @@ impl Across {
 }
 
 /// Reads the votes along a row.
-pub(super) fn read(evidence: &Evidence, axes: &Axes, curve: &RowCurve, across: &Across) -> Profile {
+pub(super) fn read(
+    evidence: &Evidence<'_>,
+    axes: &Axes,
+    curve: &RowCurve,
+    across: &Across,
+) -> Profile {
     let start = curve.start - BEYOND;
     let count = ((curve.end + BEYOND - start) / STEP) as usize + 1;
     let mut votes = Vec::with_capacity(count);
     let mut offsets = Vec::with_capacity(count);
-    let mut mass = vec![[0.0; 2]];
+    let mut mass = Vec::with_capacity(count + 1);
+    mass.push([0.0; 2]);
     let (mut sum, mut moment) = (0.0, 0.0);
     for k in 0..count {
         let along = start + k as f64 * STEP;

@@ -53,6 +53,11 @@ pub(super) struct Solution {
 impl Lattice {
     /// The least sum, from `start`, or from 0 where that is empty.
     pub(super) fn solve(&self, start: Vec<f64>) -> Solution {
+        // On a thread of the pool: from any other, each of many short loops would wait until one wakes.
+        rayon::scope(|_| self.iterate(start))
+    }
+
+    fn iterate(&self, start: Vec<f64>) -> Solution {
         let nodes = self.weight.len();
         let mut value = if start.is_empty() { vec![0.0; nodes] } else { start };
         let right_side: Vec<f64> = self.data.iter().zip(&self.weight).map(|(d, w)| d * w).collect();
