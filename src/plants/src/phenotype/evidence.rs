@@ -41,7 +41,7 @@ const STRIPE: usize = 128;
 /// Rows beyond a stripe that its votes and filters can reach.
 const HALO: usize = REACH_PX + 12;
 
-/// The votes for a stalk at every pixel of the reduced mask, in two bytes each: a map of a field has many. What else is asked of leaves is computed from the
+/// The votes for a stalk at every pixel of the reduced mask, in one byte each: a map of a field has many. What else is asked of leaves is computed from the
 /// mask again.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Evidence<'m> {
@@ -52,8 +52,8 @@ pub struct Evidence<'m> {
     pub height: usize,
     /// Pixels of the mask per pixel of this grid, along each axis.
     pub factor: usize,
-    /// Square roots of the votes, row by row, in 65535ths of that of `most`.
-    roots: Vec<u16>,
+    /// Square roots of the votes, row by row, in 255ths of that of `most`.
+    roots: Vec<u8>,
     /// No place can have more votes.
     most: f32,
 }
@@ -119,7 +119,7 @@ impl<'m> Evidence<'m> {
     /// Votes of a pixel of the grid, row by row.
     #[inline]
     pub fn votes(&self, pixel: usize) -> f32 {
-        let root = f32::from(self.roots[pixel]) / f32::from(u16::MAX);
+        let root = f32::from(self.roots[pixel]) / f32::from(u8::MAX);
         self.most * root * root
     }
 
@@ -211,9 +211,9 @@ fn reduce(mask: &Mask, factor: usize, rows: Range<usize>) -> Vec<f32> {
     leaf
 }
 
-/// Square roots of votes in 65535ths of that of `most`.
-fn keep_roots(votes: &[f32], most: f32, to: &mut [u16]) {
-    let root = |votes: f32| (f32::from(u16::MAX) * (votes / most).sqrt()).round() as u16;
+/// Square roots of votes in 255ths of that of `most`.
+fn keep_roots(votes: &[f32], most: f32, to: &mut [u8]) {
+    let root = |votes: f32| (f32::from(u8::MAX) * (votes / most).sqrt()).round() as u8;
     to.iter_mut().zip(votes).for_each(|(to, &votes)| *to = root(votes));
 }
 
@@ -439,7 +439,7 @@ mod tests {
         let evidence = Evidence { roots, most: 120.0, ..Evidence::new(&empty, 0.0, 1) };
         for (k, votes) in votes.iter().enumerate() {
             // Half a step of the root.
-            let most = 1.01 * (120.0 * votes).sqrt() / 65535.0 + 1e-5;
+            let most = 1.01 * ((120.0 * votes).sqrt() / 255.0 + 120.0 / 510_f32.powi(2));
             assert!((evidence.votes(k) - votes).abs() <= most, "{votes}: {}", evidence.votes(k));
         }
         let mask = Mask::from_fn(3, 2, |u, _| u != 1);

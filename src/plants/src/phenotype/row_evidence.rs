@@ -60,6 +60,9 @@ const IN_LINE: [f64; 3] = [1.2, 0.2, 13.0];
 /// Scatter of plants across their rows for one of an offset beyond that.
 const SCATTER_OF_EXCESS: f64 = 5.0;
 
+/// Stripes of the picture whose places are looked at together: enough for many threads, and few beside all of a map. Any number gives the same.
+const STRIPES_TOGETHER: usize = 32;
+
 /// Everything that the chains are made of.
 pub(super) struct RowEvidence<'m> {
     pub(super) evidence: Evidence<'m>,
@@ -298,7 +301,7 @@ impl<'m> RowEvidence<'m> {
                 stripes[stripe].push((row as u32, k as u32));
             }
         }
-        let of_stripe = |(stripe, places): (usize, &Vec<(u32, u32)>)| -> Vec<_> {
+        let of_stripe = |stripe: usize, places: &Vec<(u32, u32)>| -> Vec<_> {
             if places.is_empty() {
                 return vec![];
             }
@@ -309,10 +312,14 @@ impl<'m> RowEvidence<'m> {
             };
             places.iter().map(look).collect()
         };
-        let numbers: Vec<Vec<_>> = stripes.par_iter().enumerate().map(of_stripe).collect();
-        for ((row, k), numbers) in stripes.into_iter().flatten().zip(numbers.into_iter().flatten())
-        {
-            all[row as usize][k as usize] = numbers;
+        for (group, stripes) in stripes.chunks(STRIPES_TOGETHER).enumerate() {
+            let numbered = stripes.par_iter().enumerate();
+            let of_stripe = |(n, places)| of_stripe(group * STRIPES_TOGETHER + n, places);
+            let numbers: Vec<Vec<_>> = numbered.map(of_stripe).collect();
+            for (&(row, k), numbers) in stripes.iter().flatten().zip(numbers.into_iter().flatten())
+            {
+                all[row as usize][k as usize] = numbers;
+            }
         }
         let plants: Vec<_> = places
             .iter()

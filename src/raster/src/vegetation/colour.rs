@@ -10,7 +10,7 @@
 //!
 //! Where the near infrared is known, greenness is the NDVI instead, brought to the same numbers: soil (NDVI 0.1 to 0.2) about
 //! -2, leaves (0.7 to 0.85) about 14, which are the priors of the two classes. Yellowness is then 0. Colours are smoothed over 3 x 3 pixels;
-//! the classes are so much further apart in NDVI than its noise that smoothing would only blur the edges of leaves.
+//! the classes are so much further apart in NDVI than its noise that smoothing would only blur the edges of leaves (`smoothing`).
 //!
 //! Linear light is first multiplied by a gain for each channel ([`super::white_balance`]); colours are clipped at white.
 
@@ -64,11 +64,6 @@ impl<'a> Converter<'a> {
         let scaled = |gain: f64, light: f64| (gain * light).round().min(f64::from(FULL)) as u32;
         let linear = gains.map(|gain| TABLES.linear.map(|light| scaled(gain, light)));
         Converter { linear, root: &TABLES.root, ndvi }
-    }
-
-    /// Weights of a pixel's neighbours and of itself, along each axis.
-    pub(super) fn weights(&self) -> [f32; 2] {
-        if self.ndvi.is_some() { [0.0, 1.0] } else { [0.25, 0.5] }
     }
 
     /// Greenness and yellowness of the pixel with this number of the picture.

@@ -4,10 +4,10 @@ use super::{
     Coherence, Model, Options, VegetationError,
     colour::{Converter, of_ndvi},
     hide,
-    model::Sample,
+    model::{Sample, leaf_green, usual_smoothing},
     nothing::{Surround, SurroundFinder},
     posterior::{from_middle, posteriors},
-    white_balance,
+    smoothing, white_balance,
 };
 use crate::window::Band;
 use image::RgbImage;
@@ -129,6 +129,15 @@ impl Estimator {
                 model = Model { white_balance: gains, ..Model::fit(&samples(gains)) };
             }
         }
+        let converter = Converter::new(None, model.white_balance);
+        let second_difference = |pixel: &GridPixel| pixel.second_difference(&converter, &model);
+        model.smoothing_px = match has_ndvi {
+            true => 0,
+            false => smoothing::reach(
+                pixels.par_iter().map(second_difference).collect(),
+                model.vegetation - model.background,
+            ),
+        };
         Ok(Estimate { width, height, coherence, surround, model })
     }
 }
@@ -138,8 +147,8 @@ impl GridPixel {
     fn sample(&self, [width, height]: [usize; 2], converter: &Converter<'_>) -> Sample {
         let [u, v] = self.at;
         let (x, y) = (from_middle(u, width) as f32, from_middle(v, height) as f32);
-        let [beside, here] = converter.weights();
-        let weights = [beside, here, beside];
+        let weights = smoothing::weights(usual_smoothing());
+        let weights = [weights[1], weights[0], weights[1]];
         let mut sum = self.ndvi.map_or([0.0; 2], of_ndvi);
         let near = if self.ndvi.is_some() { &[][..] } else { &self.near };
         for (k, &rgb) in near.iter().enumerate() {
@@ -150,6 +159,14 @@ impl GridPixel {
         }
         let [green, yellow] = sum;
         Sample { x, y, green, yellow }
+    }
+
+    /// Of the pixels around it on the axis of the model, as they are.
+    fn second_difference(&self, converter: &Converter<'_>, model: &Model) -> f64 {
+        smoothing::second_difference(&self.near.map(|rgb| {
+            let [green, yellow] = converter.green_yellow(rgb);
+            f64::from(leaf_green(green, yellow)) + model.yellow_weight * f64::from(yellow)
+        }))
     }
 }
 
@@ -181,7 +198,7 @@ impl Estimate {
 
     /// Rows above and below a band that its mask depends on.
     pub fn halo(&self) -> usize {
-        self.coherence.reach() + 1
+        self.coherence.reach() + self.model.smoothing_px
     }
 
     /// The vegetation of the rows of a band, in any order of bands; [`Estimate::halo`] more rows are seen on either side where

@@ -5,7 +5,8 @@
 //! ```
 //!
 //! over 4-neighbours `(i, j)`. The posterior `P` comes from two classes along one axis of colour, both estimated
-//! from the photo with weak priors ([`Model`]), after its soil has been given a colour that soils have (`white_balance`); `w_ij`
+//! from the photo with weak priors ([`Model`]), after its soil has been given a colour that soils have (`white_balance`), and colours are smoothed
+//! as far as the noise asks for (`smoothing`); `w_ij`
 //! is small across edges of the posterior, and `E` is decreased by iterated conditional modes ([`coherence`]). Pixels that show nothing (nodata, borders of a mosaic, alpha:
 //! [`nothing`]) take no part in the estimate and are never vegetation.
 //!
@@ -18,6 +19,7 @@ mod estimate;
 mod model;
 pub mod nothing;
 mod posterior;
+mod smoothing;
 mod white_balance;
 
 pub use coherence::Coherence;

@@ -1,7 +1,7 @@
 //! The two classes of a photo, estimated from the photo: background and vegetation along one axis of colour.
 //!
 //! ```text
-//! z = g + w (y - y_v) - max(0, -2 - y) - S(u, v),   g = -a*, y = b* of L*a*b*, smoothed over 3 x 3 pixels
+//! z = g + w (y - y_v) - max(0, -2 - y) - S(u, v),   g = -a*, y = b* of L*a*b*, smoothed over 3 x 3 pixels or more
 //! z | background ~ N(m_b, s^2),   z | vegetation ~ N(m_v, s^2),   s^2 = (m_v - m_b)^2 / 10
 //! P(vegetation | z) = 1 / (1 + exp(-(z - T) (m_v - m_b) / s^2)),   T = m_b + 0.45 (m_v - m_b).
 //! ```
@@ -68,6 +68,9 @@ pub struct Model {
     /// What linear red, green and blue are multiplied by before they are converted to greenness and yellowness.
     #[serde(default = "neutral")]
     pub white_balance: [f64; 3],
+    /// Pixels to either side over which colours are smoothed before they are told apart.
+    #[serde(default = "usual_smoothing")]
+    pub smoothing_px: usize,
     /// Whether greenness is not that of colours but the NDVI, as [`super::Seen`] has it.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub has_ndvi: bool,
@@ -75,6 +78,11 @@ pub struct Model {
 
 fn neutral() -> [f64; 3] {
     [1.0; 3]
+}
+
+/// Over 3 x 3 pixels: so photos are smoothed before their classes are estimated.
+pub(super) fn usual_smoothing() -> usize {
+    1
 }
 
 /// A smoothed pixel: its place in -1..1, greenness, yellowness.
@@ -246,6 +254,7 @@ impl Model {
             yellow_mean,
             surface,
             white_balance: neutral(),
+            smoothing_px: usual_smoothing(),
             has_ndvi: false,
         }
     }

@@ -3,6 +3,7 @@
 use super::{
     colour::Converter,
     model::{Model, leaf_green},
+    smoothing,
 };
 use image::RgbImage;
 use rayon::prelude::*;
@@ -39,7 +40,8 @@ pub(super) fn posteriors(
     let mut posterior = vec![0; width * rows];
     let bands = posterior.par_chunks_mut((BAND * width).max(1)).enumerate();
     bands.for_each(|(band, out)| {
-        let mut smooth = SmoothRows::new(photo, Converter::new(ndvi, model.white_balance));
+        let mut smooth =
+            SmoothRows::new(photo, Converter::new(ndvi, model.white_balance), model.smoothing_px);
         let mut line: Vec<[f32; 2]> = vec![[0.0; 2]; width];
         for (index, out) in out.chunks_mut(width).enumerate() {
             let v = band * BAND + index;
@@ -60,55 +62,69 @@ pub(super) fn posteriors(
     posterior
 }
 
-/// Rows of colour smoothed both ways ([`Converter::weights`]), from the top down.
+/// Rows of colour smoothed both ways, from the top down.
 struct SmoothRows<'a> {
     photo: &'a RgbImage,
     converter: Converter<'a>,
+    /// Of a pixel itself, and of those beside it on either side.
+    weights: Vec<f32>,
     /// The last rows, smoothed along themselves, and which they are.
-    kept: [(usize, Vec<[f32; 2]>); 3],
+    kept: Vec<(usize, Vec<[f32; 2]>)>,
+    /// A row with its ends repeated on either side.
     raw: Vec<[f32; 2]>,
 }
 
 impl<'a> SmoothRows<'a> {
-    fn new(photo: &'a RgbImage, converter: Converter<'a>) -> SmoothRows<'a> {
-        let empty = || (usize::MAX, vec![[0.0; 2]; photo.width() as usize]);
-        let kept = [empty(), empty(), empty()];
-        let raw = vec![[0.0; 2]; photo.width() as usize];
-        SmoothRows { photo, converter, kept, raw }
+    fn new(photo: &'a RgbImage, converter: Converter<'a>, reach: usize) -> SmoothRows<'a> {
+        let width = photo.width() as usize;
+        let kept = vec![(usize::MAX, vec![[0.0; 2]; width]); 2 * reach + 1];
+        let raw = vec![[0.0; 2]; width + 2 * reach];
+        SmoothRows { photo, converter, weights: smoothing::weights(reach), kept, raw }
     }
 
     fn smooth(&mut self, v: usize, out: &mut [[f32; 2]]) {
-        let last = self.photo.height() as usize - 1;
-        let rows = [v.saturating_sub(1), v, (v + 1).min(last)];
-        for row in rows {
-            if self.kept[row % 3].0 != row {
+        let (reach, last) = (self.weights.len() - 1, self.photo.height() as usize - 1);
+        for row in v.saturating_sub(reach)..=(v + reach).min(last) {
+            if self.kept[row % self.kept.len()].0 != row {
                 self.load(row);
             }
         }
-        let [beside, middle] = self.converter.weights();
-        let [above, here, below] = rows.map(|row| &self.kept[row % 3].1);
-        for (out, ((a, h), b)) in out.iter_mut().zip(above.iter().zip(here).zip(below)) {
-            *out = [0, 1].map(|k| beside * (a[k] + b[k]) + middle * h[k]);
+        let row = |row: usize| &self.kept[row.min(last) % self.kept.len()].1[..];
+        out.iter_mut()
+            .zip(row(v))
+            .for_each(|(out, &here)| *out = here.map(|x| self.weights[0] * x));
+        for (away, &weight) in self.weights.iter().enumerate().skip(1) {
+            add_pair(row(v.saturating_sub(away)), row(v + away), weight, out);
         }
     }
 
     fn load(&mut self, v: usize) {
-        let width = self.photo.width() as usize;
+        let (width, reach) = (self.photo.width() as usize, self.weights.len() - 1);
         let bytes = &self.photo.as_raw()[3 * v * width..3 * (v + 1) * width];
-        for (u, (raw, pixel)) in self.raw.iter_mut().zip(bytes.as_chunks::<3>().0).enumerate() {
+        let inner = &mut self.raw[reach..reach + width];
+        for (u, (raw, pixel)) in inner.iter_mut().zip(bytes.as_chunks::<3>().0).enumerate() {
             *raw = self.converter.of_pixel(v * width + u, *pixel);
         }
-        let (row, line) = &mut self.kept[v % 3];
+        let (first, end) = (inner[0], inner[width - 1]);
+        self.raw[..reach].fill(first);
+        self.raw[reach + width..].fill(end);
+        let places = self.kept.len();
+        let (row, line) = &mut self.kept[v % places];
         *row = v;
         let raw = &self.raw;
-        let [beside, middle] = self.converter.weights();
-        let mix = |a: [f32; 2], h: [f32; 2], b: [f32; 2]| {
-            [0, 1].map(|k| beside * (a[k] + b[k]) + middle * h[k])
-        };
-        for (line, near) in line[1..].iter_mut().zip(raw.windows(3)) {
-            *line = mix(near[0], near[1], near[2]);
+        line.iter_mut()
+            .zip(&raw[reach..])
+            .for_each(|(line, &here)| *line = here.map(|x| self.weights[0] * x));
+        for (away, &weight) in self.weights.iter().enumerate().skip(1) {
+            add_pair(&raw[reach - away..], &raw[reach + away..], weight, line);
         }
-        line[0] = mix(raw[0], raw[0], raw[1.min(width - 1)]);
-        line[width - 1] = mix(raw[width.saturating_sub(2)], raw[width - 1], raw[width - 1]);
+    }
+}
+
+/// Adds the values on either side with their weight.
+#[inline(always)]
+fn add_pair(before: &[[f32; 2]], after: &[[f32; 2]], weight: f32, out: &mut [[f32; 2]]) {
+    for (out, (a, b)) in out.iter_mut().zip(before.iter().zip(after)) {
+        *out = [0, 1].map(|k| out[k] + weight * (a[k] + b[k]));
     }
 }
