@@ -3,7 +3,7 @@
 use rowgram::{
     io::{images, points},
     phenotype::{
-        double_plants::{LeafSurroundings, PlantBaseline},
+        double_plants::{PlantBaseline, leaf_surroundings},
         evidence::{Evidence, factor},
         row_curves,
         row_model::{self, RowModelOptions},
@@ -108,9 +108,9 @@ pub(super) fn read(path: &Path) -> Result<Field, Box<dyn Error + Send + Sync>> {
     let start = uncounted.spacing.spacing;
     let found = detection.rows().ok_or("no rows")?;
     let evidence = Evidence::new(&mask, found.axes.heading_rad, factor(&mask));
-    let crown = LeafSurroundings::new(&evidence);
-    let around = |plant: &Stalk| crown.at(evidence.reduced(plant.position_px));
-    let usual = PlantBaseline::new(&uncounted.plants.iter().map(around).collect::<Vec<_>>());
+    let at = |plant: &Stalk| evidence.reduced(plant.position_px);
+    let stalks: Vec<[f64; 2]> = uncounted.plants.iter().map(at).collect();
+    let usual = PlantBaseline::new(&leaf_surroundings(&evidence, &stalks));
     let factor = evidence.factor as f64;
     let mut axes = found.axes;
     axes.origin_px = evidence.reduced(axes.origin_px);
@@ -132,6 +132,7 @@ pub(super) fn read(path: &Path) -> Result<Field, Box<dyn Error + Send + Sync>> {
             let start = ridge.start - 6.0;
             let count = ((ridge.end + 6.0 - start) / STEP) as usize + 1;
             let mut row = Row { votes: vec![], crown: vec![], mass: vec![[0.0; 2]], truth: vec![] };
+            let mut places = vec![];
             for k in 0..count {
                 let along = start + k as f64 * STEP;
                 let middle = ridge.offset(along);
@@ -145,12 +146,14 @@ pub(super) fn read(path: &Path) -> Result<Field, Box<dyn Error + Send + Sync>> {
                     }
                 }
                 row.votes.push(best.0);
-                row.crown.push(usual.score(&crown.at(axes.image([along, middle + best.1]))));
+                places.push(axes.image([along, middle + best.1]));
                 let leaf = |v: i32| evidence.leaf_at(axes.image([along, middle + f64::from(v)]));
                 let here = STEP * (-BAND..=BAND).map(leaf).sum::<f64>();
                 let [sum, moment] = row.mass[k];
                 row.mass.push([sum + here, moment + here * k as f64]);
             }
+            let around = leaf_surroundings(&evidence, &places);
+            row.crown = around.iter().map(|numbers| usual.score(numbers)).collect();
             (start, row)
         })
         .collect();

@@ -8,7 +8,8 @@
 //! On synthetic masks such a score tells two plants within 7.5 cm from one with an area under the curve of 0.95 (spacing 20 cm), 0.98
 //! (30 cm), 0.73 (10 and 12 cm), with 3 % doubles (`experiments/reference/canopy.md`).
 
-use super::evidence::LeafAxes;
+use super::evidence::{Evidence, LeafAxes};
+use rayon::prelude::*;
 use rowgram_optim::robust::median_and_sigma;
 
 /// Radius of the leaf mass near a place.
@@ -39,18 +40,48 @@ struct Neighbour {
     sector: usize,
 }
 
-/// Looks at places.
-pub struct LeafSurroundings {
+// Leaves of a stripe reach as far beyond it as is looked.
+const _: () = assert!(RING[1] <= LeafAxes::REACH as f64);
+/// Stripes of the grid whose places are looked at together: enough for many threads, and few beside all of a map. Any number gives the same.
+const STRIPES_TOGETHER: usize = 32;
+
+/// The numbers of places of the grid, stripe by stripe: only those in work have the axes of leaves in memory.
+pub fn leaf_surroundings(evidence: &Evidence<'_>, places: &[[f64; 2]]) -> Vec<[f64; FEATURES]> {
+    let last = evidence.height.saturating_sub(1) as f64;
+    let stripe_of = |v: f64| Evidence::stripe_of(v.round().clamp(0.0, last) as usize);
+    let mut stripes: Vec<Vec<u32>> = vec![vec![]; stripe_of(last) + 1];
+    for (k, [_, v]) in places.iter().enumerate() {
+        stripes[stripe_of(*v)].push(k as u32);
+    }
+    let neighbours = Neighbours::new([evidence.width, evidence.height]);
+    let of_stripe = |(stripe, places_in_it): (usize, &Vec<u32>)| -> Vec<_> {
+        if places_in_it.is_empty() {
+            return vec![];
+        }
+        let leaves = evidence.leaf_axes(stripe);
+        places_in_it.iter().map(|&k| neighbours.look(&leaves, places[k as usize])).collect()
+    };
+    let mut found = vec![[0.0; FEATURES]; places.len()];
+    let numbered: Vec<(usize, &Vec<u32>)> = stripes.iter().enumerate().collect();
+    for group in numbered.chunks(STRIPES_TOGETHER) {
+        let numbers: Vec<Vec<_>> = group.par_iter().copied().map(of_stripe).collect();
+        let places = group.iter().flat_map(|(_, places)| places.iter());
+        for (&k, numbers) in places.zip(numbers.into_iter().flatten()) {
+            found[k as usize] = numbers;
+        }
+    }
+    found
+}
+
+/// The pixels beside a place that are looked at.
+struct Neighbours {
     around: Vec<Neighbour>,
     size: [usize; 2],
 }
 
-// Leaves of a stripe reach as far beyond it as is looked.
-const _: () = assert!(RING[1] <= LeafAxes::REACH as f64);
-
-impl LeafSurroundings {
+impl Neighbours {
     /// On a grid of so many columns and rows.
-    pub fn new(size: [usize; 2]) -> LeafSurroundings {
+    fn new(size: [usize; 2]) -> Neighbours {
         let reach = RING[1] as i32;
         let mut around = Vec::new();
         for dy in -reach..=reach {
@@ -72,31 +103,31 @@ impl LeafSurroundings {
                 });
             }
         }
-        LeafSurroundings { around, size }
+        Neighbours { around, size }
     }
 
     /// The numbers of a place, from the leaves of its stripe.
-    pub fn at(&self, leaves: &LeafAxes, at: [f64; 2]) -> [f64; FEATURES] {
+    fn look(&self, leaves: &LeafAxes, at: [f64; 2]) -> [f64; FEATURES] {
         let [x, y] = at.map(|a| a.round() as i64);
         let reach = RING[1] as i64;
         let [width, height] = self.size.map(|n| n as i64);
         let centre = ((y - leaves.rows.start as i64) * width + x) as isize;
         if (reach..width - reach).contains(&x) && (reach..height - reach).contains(&y) {
             let whole = self.around.iter();
-            look(leaves, whole.map(|neighbour| ((centre + neighbour.step) as usize, neighbour)))
+            numbers(leaves, whole.map(|neighbour| ((centre + neighbour.step) as usize, neighbour)))
         } else {
             let inside = self.around.iter().filter(|neighbour| {
                 let (u, v) = (x + i64::from(neighbour.dx), y + i64::from(neighbour.dy));
                 (0..width).contains(&u) && (0..height).contains(&v)
             });
-            look(leaves, inside.map(|neighbour| ((centre + neighbour.step) as usize, neighbour)))
+            numbers(leaves, inside.map(|neighbour| ((centre + neighbour.step) as usize, neighbour)))
         }
     }
 }
 
 /// The numbers of these pixels.
 #[inline(always)]
-fn look<'n>(
+fn numbers<'n>(
     leaves: &LeafAxes,
     pixels: impl Iterator<Item = (usize, &'n Neighbour)>,
 ) -> [f64; FEATURES] {
@@ -215,12 +246,11 @@ impl PlantBaseline {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::phenotype::evidence::Evidence;
     use rowgram_raster::Mask;
 
     /// Leaves, two pixels wide, from some stalks outwards.
-    fn field(stalks: &[([f64; 2], u32)]) -> LeafAxes {
-        let mask = Mask::from_fn(300, 60, |u, v| {
+    fn field(stalks: &[([f64; 2], u32)]) -> Mask {
+        Mask::from_fn(300, 60, |u, v| {
             stalks.iter().any(|&([x, y], leaves)| {
                 let (x, y) = (u as f64 - x, v as f64 - y);
                 (0..leaves).any(|k| {
@@ -229,8 +259,7 @@ mod tests {
                     (c * y - s * x).abs() < 1.2 && (0.0..13.0).contains(&(c * x + s * y))
                 })
             })
-        });
-        Evidence::new(&mask, 0.0, 1).leaf_axes(0)
+        })
     }
 
     #[test]
@@ -238,9 +267,11 @@ mod tests {
         let stalks: Vec<([f64; 2], u32)> = (0..9)
             .map(|k| ([20.0 + 32.0 * f64::from(k), 30.0], [5, 5, 4, 5, 9, 5, 6, 2, 5][k as usize]))
             .collect();
-        let leaves = field(&stalks);
-        let surroundings = LeafSurroundings::new([300, 60]);
-        let numbers: Vec<_> = stalks.iter().map(|&(at, _)| surroundings.at(&leaves, at)).collect();
+        let mask = field(&stalks);
+        let places: Vec<_> = stalks.iter().map(|&(at, _)| at).chain([[-50.0, 30.0]]).collect();
+        let mut numbers = leaf_surroundings(&Evidence::new(&mask, 0.0, 1), &places);
+        // Beside the mask there is nothing.
+        assert_eq!(numbers.pop(), Some([0.0; FEATURES]));
         let usual = PlantBaseline::new(&numbers);
         let score = |k: usize| usual.score(&numbers[k]);
         assert!(score(4) > 1.5 && score(7) < -1.5, "{} {}", score(4), score(7));
@@ -248,8 +279,6 @@ mod tests {
         assert!((0..9).all(|k| k == 7 || score(k) > score(7)));
         let judged = |k: usize| usual.judge(&numbers[k]);
         assert!(judged(4).second > judged(0).second && judged(4).thin == 0.0);
-        // Beside the mask there is nothing.
-        assert_eq!(surroundings.at(&leaves, [-50.0, 30.0]), [0.0; FEATURES]);
     }
 
     #[test]

@@ -60,13 +60,13 @@ pub struct Evidence<'m> {
 
 /// The leaves of some rows of the grid.
 #[derive(Debug, Clone, PartialEq)]
-pub struct LeafAxes {
+pub(super) struct LeafAxes {
     /// These rows.
-    pub rows: Range<usize>,
+    pub(super) rows: Range<usize>,
     /// Share of each pixel that is leaf, row by row.
-    pub share: Vec<f32>,
+    pub(super) share: Vec<f32>,
     /// The axis of the leaf there, `c (cos 2 theta, sin 2 theta)` in 127ths, `c` its coherence.
-    pub axis: Vec<[i8; 2]>,
+    pub(super) axis: Vec<[i8; 2]>,
 }
 
 /// The whole factor by which the grid of a mask of broad leaves is reduced.
@@ -96,12 +96,12 @@ impl<'m> Evidence<'m> {
     }
 
     /// The number of the stripe in which a row is.
-    pub fn stripe_of(row: usize) -> usize {
+    pub(super) fn stripe_of(row: usize) -> usize {
         row / STRIPE
     }
 
     /// The leaves of a stripe and of at least [`LeafAxes::REACH`] rows on either side, where there are any.
-    pub fn leaf_axes(&self, stripe: usize) -> LeafAxes {
+    pub(super) fn leaf_axes(&self, stripe: usize) -> LeafAxes {
         let (rows, stripe, share) = self.stripe(stripe);
         let in_127ths = |a: f32| (127.0 * a).round() as i8;
         let axis = stripe.tensor_axes(&share).into_iter().map(|axis| axis.map(in_127ths)).collect();
@@ -177,7 +177,7 @@ impl<'m> Evidence<'m> {
 
 impl LeafAxes {
     /// Rows around a stripe in which axes are as they are in the whole mask, at least.
-    pub const REACH: usize = REACH_PX;
+    pub(super) const REACH: usize = REACH_PX;
 }
 
 /// Mean width of the strokes: twice the area over the perimeter. The edges of pixels are longer

@@ -4,7 +4,7 @@
 //! All lengths in pixels of the reduced grid of [`Evidence`].
 
 use super::{
-    double_plants::{FEATURES, LeafSurroundings, PlantBaseline},
+    double_plants::{PlantBaseline, leaf_surroundings},
     dynamic_programming::{Chain, Profile, STEP, Weights},
     evidence::{self, Evidence},
     isolated_plants,
@@ -59,9 +59,6 @@ const WIDE: f64 = 6.0;
 const IN_LINE: [f64; 3] = [1.2, 0.2, 13.0];
 /// Scatter of plants across their rows for one of an offset beyond that.
 const SCATTER_OF_EXCESS: f64 = 5.0;
-
-/// Stripes of the picture whose places are looked at together: enough for many threads, and few beside all of a map. Any number gives the same.
-const STRIPES_TOGETHER: usize = 32;
 
 /// Everything that the chains are made of.
 pub(super) struct RowEvidence<'m> {
@@ -277,57 +274,33 @@ impl<'m> RowEvidence<'m> {
 
     /// Looks at the leaves around every other place, which are compared with those of these plants.
     pub(super) fn compare_surroundings(&mut self, places: &[Vec<usize>]) {
-        let surroundings = LeafSurroundings::new([self.evidence.width, self.evidence.height]);
         let place = |row: usize, at: usize| {
             let profile = &self.profiles[row];
             let along = profile.start + at as f64 * STEP;
             let across = self.parts[row].curve.offset(along) + profile.offsets[at];
             self.axes.image([along, across])
         };
-        let looked_at = |row: usize, k: usize| (2 * k + 1).min(self.profiles[row].votes.len() - 1);
-        let mut all: Vec<Vec<_>> = self
-            .profiles
-            .iter()
-            .map(|profile| vec![[0.0; FEATURES]; profile.votes.len().div_ceil(2)])
+        let looked_at: Vec<[f64; 2]> = (0..self.profiles.len())
+            .flat_map(|row| {
+                let last = self.profiles[row].votes.len() - 1;
+                (0..=last / 2).map(move |k| place(row, (2 * k + 1).min(last)))
+            })
             .collect();
-        // By stripes of the picture, of which only those in work have the axes of leaves in memory.
-        let last = self.evidence.height.saturating_sub(1) as f64;
-        let mut stripes: Vec<Vec<(u32, u32)>> =
-            vec![vec![]; Evidence::stripe_of(last as usize) + 1];
-        for (row, of_row) in all.iter().enumerate() {
-            for k in 0..of_row.len() {
-                let [_, v] = place(row, looked_at(row, k));
-                let stripe = Evidence::stripe_of(v.round().clamp(0.0, last) as usize);
-                stripes[stripe].push((row as u32, k as u32));
-            }
-        }
-        let of_stripe = |stripe: usize, places: &Vec<(u32, u32)>| -> Vec<_> {
-            if places.is_empty() {
-                return vec![];
-            }
-            let leaves = self.evidence.leaf_axes(stripe);
-            let look = |&(row, k): &(u32, u32)| {
-                let (row, k) = (row as usize, k as usize);
-                surroundings.at(&leaves, place(row, looked_at(row, k)))
-            };
-            places.iter().map(look).collect()
-        };
-        for (group, stripes) in stripes.chunks(STRIPES_TOGETHER).enumerate() {
-            let numbered = stripes.par_iter().enumerate();
-            let of_stripe = |(n, places)| of_stripe(group * STRIPES_TOGETHER + n, places);
-            let numbers: Vec<Vec<_>> = numbered.map(of_stripe).collect();
-            for (&(row, k), numbers) in stripes.iter().flatten().zip(numbers.into_iter().flatten())
-            {
-                all[row as usize][k as usize] = numbers;
-            }
+        let all = leaf_surroundings(&self.evidence, &looked_at);
+        let mut rows: Vec<&[_]> = vec![];
+        let mut rest = &all[..];
+        for profile in &self.profiles {
+            let (row, after) = rest.split_at(profile.votes.len().div_ceil(2));
+            rows.push(row);
+            rest = after;
         }
         let plants: Vec<_> = places
             .iter()
-            .zip(&all)
+            .zip(&rows)
             .flat_map(|(places, row)| places.iter().map(|&at| row[at / 2]))
             .collect();
         let usual = PlantBaseline::new(&plants);
-        for (profile, row) in self.profiles.iter_mut().zip(&all) {
+        for (profile, row) in self.profiles.iter_mut().zip(rows) {
             profile.surroundings = row.iter().map(|place| usual.judge(place)).collect();
         }
     }
