@@ -126,13 +126,13 @@ pub(super) fn read(path: &Path) -> Result<Field, Box<dyn Error + Send + Sync>> {
         .collect();
     let apart = found.spacing_px.map(|px| px / factor);
     let curves = row_curves::trace(&evidence, &axes, &reduced, apart);
+    let mut places = vec![];
     let mut rows: Vec<(f64, Row)> = curves
         .iter()
         .map(|ridge| {
             let start = ridge.start - 6.0;
             let count = ((ridge.end + 6.0 - start) / STEP) as usize + 1;
             let mut row = Row { votes: vec![], crown: vec![], mass: vec![[0.0; 2]], truth: vec![] };
-            let mut places = vec![];
             for k in 0..count {
                 let along = start + k as f64 * STEP;
                 let middle = ridge.offset(along);
@@ -152,11 +152,14 @@ pub(super) fn read(path: &Path) -> Result<Field, Box<dyn Error + Send + Sync>> {
                 let [sum, moment] = row.mass[k];
                 row.mass.push([sum + here, moment + here * k as f64]);
             }
-            let around = leaf_surroundings(&evidence, &places);
-            row.crown = around.iter().map(|numbers| usual.score(numbers)).collect();
             (start, row)
         })
         .collect();
+    let around = leaf_surroundings(&evidence, &places);
+    let mut scores = around.iter().map(|numbers| usual.score(numbers));
+    for (_, row) in &mut rows {
+        row.crown = scores.by_ref().take(row.votes.len()).collect();
+    }
     for plant in &plants {
         let [along, across] = axes.aligned(evidence.reduced(*plant));
         let nearest = (0..rows.len())

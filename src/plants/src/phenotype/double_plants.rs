@@ -1,6 +1,6 @@
 //! How many leaves there are around a place: what tells two plants in one place from one, and one from none.
 //!
-//! Three numbers of a place, on the reduced grid of [`super::evidence::Evidence`]: leaf mass within `NEAR`, leaf mass within `WIDE`, and
+//! Three numbers of a place, on the reduced grid of [`Evidence`]: leaf mass within `NEAR`, leaf mass within `WIDE`, and
 //! the leaves that point at it: of each of `SECTORS` directions the square root of the coherent leaf mass between
 //! `RING` whose axis passes the place, so that a leaf counts once, be it long or short. Each is taken as a logarithm
 //! and compared with what is usual of the plants of the field ([`PlantBaseline`]); their sum is the score of the place.
@@ -40,12 +40,12 @@ struct Neighbour {
     sector: usize,
 }
 
-// Leaves of a stripe reach as far beyond it as is looked.
+// Around a place at the border of a stripe, leaves are looked at beyond the stripe.
 const _: () = assert!(RING[1] <= LeafAxes::REACH as f64);
-/// Stripes of the grid whose places are looked at together: enough for many threads, and few beside all of a map. Any number gives the same.
+/// Stripes of the grid that are in work together: enough for many threads, and few of a large map (one of 21,000 rows has 165). Any number gives the same.
 const STRIPES_TOGETHER: usize = 32;
 
-/// The numbers of places of the grid, stripe by stripe: only those in work have the axes of leaves in memory.
+/// The numbers of places, in pixels of the grid and in their order. Stripe by stripe of the grid: the axes of leaves are in memory only for stripes in work.
 pub fn leaf_surroundings(evidence: &Evidence<'_>, places: &[[f64; 2]]) -> Vec<[f64; FEATURES]> {
     let last = evidence.height.saturating_sub(1) as f64;
     let stripe_of = |v: f64| Evidence::stripe_of(v.round().clamp(0.0, last) as usize);

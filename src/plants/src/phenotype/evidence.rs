@@ -41,8 +41,8 @@ const STRIPE: usize = 128;
 /// Rows beyond a stripe that its votes and filters can reach.
 const HALO: usize = REACH_PX + 12;
 
-/// The votes for a stalk at every pixel of the reduced mask, in one byte each: a map of a field has many. What else is asked of leaves is computed from the
-/// mask again.
+/// The votes for a stalk at every pixel of the reduced mask, in one byte each: a map of a field has many. The share of leaf and the axes of leaves
+/// are computed from the mask where they are asked for.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Evidence<'m> {
     mask: &'m Mask,
@@ -176,7 +176,7 @@ impl<'m> Evidence<'m> {
 }
 
 impl LeafAxes {
-    /// Rows around a stripe in which axes are as they are in the whole mask, at least.
+    /// Rows around a stripe in which axes are the same as those of the whole mask, at least.
     pub(super) const REACH: usize = REACH_PX;
 }
 

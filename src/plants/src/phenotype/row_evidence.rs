@@ -115,7 +115,7 @@ impl<'m> RowEvidence<'m> {
     pub(super) fn read(&mut self) {
         let RowEvidence { evidence, axes, parts, options, .. } = self;
         let across = Across::new(axes, options.across_sigma);
-        // They are large, so the old ones go first.
+        // Profiles of a large map take much memory: the old ones are freed before there are new ones.
         self.profiles.clear();
         self.profiles =
             parts.par_iter().map(|part| read(evidence, axes, &part.curve, &across)).collect();

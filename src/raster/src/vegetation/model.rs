@@ -68,7 +68,7 @@ pub struct Model {
     /// What linear red, green and blue are multiplied by before they are converted to greenness and yellowness.
     #[serde(default = "neutral")]
     pub white_balance: [f64; 3],
-    /// Pixels to either side over which colours are smoothed before they are told apart.
+    /// Pixels to either side over which colours are smoothed before pixels are classified; 0 for NDVI, which is not smoothed.
     #[serde(default = "usual_smoothing")]
     pub smoothing_px: usize,
     /// Whether greenness is not that of colours but the NDVI, as [`super::Seen`] has it.
