@@ -46,6 +46,7 @@ pub mod row_plots;
 mod row_profile;
 pub mod rows;
 mod rows_of_plants;
+pub mod rows_to_count;
 pub mod stand;
 pub mod stand_count;
 pub mod tilt;

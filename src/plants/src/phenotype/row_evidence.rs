@@ -203,11 +203,8 @@ impl<'m> RowEvidence<'m> {
         tried.into_iter().fold(first, |best, next| if next.0 > best.0 { next } else { best }).1
     }
 
-    /// How many plants the rows are expected to have, from some of them: the number on those, their
-    /// variance, and the share of all rows' length that they are.
-    pub(super) fn stand_count(&self, spacing: f64) -> Result<Expected, LocateError> {
-        let rows = self.sample(COUNTED);
-        let profiles: Vec<&Profile> = rows.iter().map(|&row| &self.profiles[row]).collect();
+    /// What all rows show together.
+    pub(super) fn overall(&self) -> Overall {
         let places: usize = self.profiles.iter().map(|profile| profile.votes.len()).sum();
         let heights = || {
             let votes = self.profiles.iter().flat_map(|profile| &profile.votes);
@@ -216,14 +213,21 @@ impl<'m> RowEvidence<'m> {
         let middle = heights().sum::<f64>() / places.max(1) as f64;
         let variance = heights().map(|h| (h - middle).powi(2)).sum::<f64>() / places.max(1) as f64;
         let leaf = self.evidence.leaf_area();
-        let overall = Overall {
+        Overall {
             mean: self.mean,
             outside: (1.0 - self.mass / leaf.max(f64::MIN_POSITIVE)).max(0.0),
             mass: self.mass / places.max(1) as f64,
             contrast: variance.sqrt(),
             cover: self.mass / (self.length * f64::from(2 * BAND + 1)).max(f64::MIN_POSITIVE),
-        };
-        let counts = stand_count(&profiles, &overall, spacing)?;
+        }
+    }
+
+    /// How many plants the rows are expected to have, from some of them: the number on those, their
+    /// variance, and the share of all rows' length that they are.
+    pub(super) fn stand_count(&self, spacing: f64) -> Result<Expected, LocateError> {
+        let rows = self.sample(COUNTED);
+        let profiles: Vec<&Profile> = rows.iter().map(|&row| &self.profiles[row]).collect();
+        let counts = stand_count(&profiles, &self.overall(), spacing)?;
         let length: f64 = rows.iter().map(|&row| self.parts[row].curve.length()).sum();
         Ok(Expected {
             count: counts.counts.iter().sum(),
@@ -231,6 +235,18 @@ impl<'m> RowEvidence<'m> {
             share: length / self.length.max(f64::MIN_POSITIVE),
             rows,
         })
+    }
+
+    /// The row that a place of the image is on, within `reach` of its middle, and the step along it.
+    pub(super) fn nearest(&self, position_px: [f64; 2], reach: f64) -> Option<(usize, usize)> {
+        let [along, across] = self.axes.aligned(self.evidence.reduced(position_px));
+        let steps = |row: usize| ((along - self.profiles[row].start) / STEP).round();
+        (0..self.parts.len())
+            .filter(|&row| (0.0..self.profiles[row].votes.len() as f64).contains(&steps(row)))
+            .map(|row| ((across - self.parts[row].curve.offset(along)).abs(), row))
+            .filter(|(off, _)| *off < reach)
+            .min_by(|a, b| a.0.total_cmp(&b.0))
+            .map(|(_, row)| (row, steps(row) as usize))
     }
 
     /// The spacing under which the rows are likeliest, all sets of plants taken together.
@@ -272,8 +288,19 @@ impl<'m> RowEvidence<'m> {
         tried[rivals.fold(likeliest, |best, k| if bare(k) > bare(best) { k } else { best })].1
     }
 
+    /// Compares the leaves around all places with those around plants, which are found without that, where double plants are told apart.
+    pub(super) fn compare_with_plants(&mut self, spacing: &Spacing) {
+        if !self.options.double_plants {
+            return;
+        }
+        let chains = self.chains(spacing, 0..self.profiles.len());
+        let plants = best(&chains, self.options.plant_log_odds);
+        drop(chains);
+        self.compare_surroundings(&plants);
+    }
+
     /// Looks at the leaves around every other place, which are compared with those of these plants.
-    pub(super) fn compare_surroundings(&mut self, places: &[Vec<usize>]) {
+    fn compare_surroundings(&mut self, places: &[Vec<usize>]) {
         let place = |row: usize, at: usize| {
             let profile = &self.profiles[row];
             let along = profile.start + at as f64 * STEP;

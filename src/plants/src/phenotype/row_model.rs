@@ -40,6 +40,7 @@ use super::{
     row_evidence::{Expected, RowEvidence, best, bisect, gaps, total, worth_of},
     row_parts::Part,
     rows::{Detection, Rows},
+    rows_to_count::read_rows,
     stand::{Gap, LEAST_MISSING, NORMAL_95, Stalk, Stand},
     tilt,
 };
@@ -195,10 +196,7 @@ fn by_votes(
             return Err(LocateError::NoRows { contrast, prominence });
         }
     };
-    let mut evidence = RowEvidence::new(mask, rows, options);
-    let mut spacing = evidence.spacing(count, None);
-    evidence.cut(&spacing);
-    compare_with_plants(&mut evidence, &spacing);
+    let (mut evidence, mut spacing) = read_rows(mask, rows, count, options);
     let expected = match options.stand_count {
         true => Some(evidence.stand_count(spacing.spacing)?),
         false => None,
@@ -209,7 +207,7 @@ fn by_votes(
         // The number of plants shows their distance better than votes do, to which every leaf of a plant contributes.
         let total = (count / share).round() as usize;
         spacing = evidence.spacing(Some(total), Some(&spacing));
-        compare_with_plants(&mut evidence, &spacing);
+        evidence.compare_with_plants(&spacing);
     }
     let chains = evidence.chains(&spacing, 0..evidence.profiles.len());
     let plant_log_odds = match (count, &expected) {
@@ -233,17 +231,6 @@ fn by_votes(
     let mut stand = evidence.present(rows, &places, &posteriors, &spacing, expected);
     stand.refit_rows();
     Ok(stand)
-}
-
-/// Compares the leaves around all places with those around plants, which are found without that, where double plants are told apart.
-fn compare_with_plants(evidence: &mut RowEvidence<'_>, spacing: &Spacing) {
-    if !evidence.options.double_plants {
-        return;
-    }
-    let chains = evidence.chains(spacing, 0..evidence.profiles.len());
-    let plants = best(&chains, evidence.options.plant_log_odds);
-    drop(chains);
-    evidence.compare_surroundings(&plants);
 }
 
 fn posteriors(

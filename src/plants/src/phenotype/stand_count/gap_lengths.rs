@@ -31,7 +31,7 @@ fn normal(x: f64, mean: f64, variance: f64) -> f64 {
 
 impl Gaps {
     /// What is expected around a spacing.
-    pub(super) fn new(spacing: f64) -> Gaps {
+    pub fn new(spacing: f64) -> Gaps {
         Gaps { spacing, jitter: JITTER.0 + 0.01, missing: MISSING.0, doubles: DOUBLES.0 }
     }
 
@@ -55,7 +55,7 @@ impl Gaps {
     }
 
     /// Re-estimates everything from how many gaps of each length (in steps) are expected.
-    pub(super) fn refit(&self, expected: &[f64]) -> Gaps {
+    pub fn refit(&self, expected: &[f64]) -> Gaps {
         let (mut length, mut places, mut kinds) = (0.0, 0.0, 0.0);
         let (mut doubles, mut all) = (0.0, 0.0);
         let mut shares = Vec::new();

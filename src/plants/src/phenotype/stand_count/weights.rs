@@ -53,9 +53,17 @@ pub const PAIR_FEATURES: [&str; PAIR] = [
 
 /// Weights of the features.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Weights {
-    pub(super) places: [f64; PLACE],
-    pub(super) pairs: [f64; PAIR],
+pub struct Weights {
+    /// Of those of a place.
+    pub places: [f64; PLACE],
+    /// Of those of two neighbours.
+    pub pairs: [f64; PAIR],
+}
+
+impl Default for Weights {
+    fn default() -> Weights {
+        Weights { places: [0.0; PLACE], pairs: [0.0; PAIR] }
+    }
 }
 
 /// Both sets of weights.

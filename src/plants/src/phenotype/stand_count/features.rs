@@ -1,0 +1,218 @@
+//! What the score of a row of the [stand count](super) is a linear function of.
+
+use super::{
+    Overall, PAIR, PLACE,
+    gap_lengths::{Gaps, MOST},
+};
+use crate::phenotype::dynamic_programming::{Profile, STEP};
+
+/// Which feature of two neighbours is their uncovered leaf mass.
+pub(super) const UNCOVERED: usize = 3;
+/// Half the width of the surroundings that votes are compared with, in steps.
+const AROUND: usize = 60;
+/// Weight of the whole field in that comparison.
+const WHOLE: f64 = 0.6;
+/// Width of the band across a row whose leaf mass was gathered.
+const BAND: f64 = 17.0;
+
+/// Between which values the fields lay to which the weights were fitted: beyond, these say nothing.
+const CONTRASTS: [f64; 2] = [0.25, 0.55];
+const COVERS: [f64; 2] = [0.22, 0.78];
+const OUTSIDES: [f64; 2] = [0.04, 0.6];
+const CROWNS: [f64; 2] = [-4.0, 3.0];
+
+/// Square roots of the votes over what is usual around each place.
+fn heights(profile: &Profile, mean: f64) -> Vec<f64> {
+    let votes = &profile.votes;
+    let sums = sums(votes.iter().copied());
+    (0..votes.len())
+        .map(|at| {
+            let near = mean_around(&sums, at, AROUND);
+            let usual = (1.0 - WHOLE) * near + WHOLE * mean;
+            (votes[at].max(0.0) / usual.max(f64::MIN_POSITIVE)).sqrt()
+        })
+        .collect()
+}
+
+/// Running sums, one longer than the values.
+fn sums(values: impl Iterator<Item = f64>) -> Vec<f64> {
+    let mut sums = vec![0.0];
+    for value in values {
+        sums.push(sums.last().copied().unwrap_or(0.0) + value);
+    }
+    sums
+}
+
+fn mean_around(sums: &[f64], at: usize, reach: usize) -> f64 {
+    let (from, to) = (at.saturating_sub(reach), (at + reach + 1).min(sums.len() - 1));
+    (sums[to] - sums[from]) / (to - from) as f64
+}
+
+/// How many standard deviations of plants there is less leaf around a place than around plants, and more.
+fn surroundings_scores(profile: &Profile, at: usize) -> [f64; 2] {
+    let score = profile.around(at).map_or(0.0, |around| around.score);
+    [score.clamp(CROWNS[0], 0.0), score.clamp(0.0, CROWNS[1])]
+}
+
+/// The features of every place.
+fn places(profile: &Profile, heights: &[f64], overall: &Overall, gaps: &Gaps) -> Vec<[f64; PLACE]> {
+    let sums = sums(heights.iter().copied());
+    let steps = |share: f64| (share * gaps.spacing / STEP) as usize;
+    let (wide, narrow) = (steps(0.5), steps(0.3).max(1));
+    let last = heights.len() as i64 - 1;
+    let size = (gaps.spacing / 13.0).ln();
+    let within =
+        |value: f64, [least, most]: [f64; 2], middle: f64| value.clamp(least, most) - middle;
+    let contrast = within(overall.contrast, CONTRASTS, 0.4);
+    let cover = within(overall.cover, COVERS, 0.5);
+    let outside = within(overall.outside, OUTSIDES, 0.3);
+    (0..heights.len())
+        .map(|at| {
+            let near = |away: i64| heights[(at as i64 + away).clamp(0, last) as usize];
+            let mean = |every: i64, reach: i64| {
+                let sum: f64 = (-reach..=reach).map(|k| near(k * every)).sum();
+                sum / (2 * reach + 1) as f64 - 1.0
+            };
+            let height = heights[at] - 1.0;
+            let local = heights[at] - mean_around(&sums, at, wide);
+            let (from, to) = (at.saturating_sub(narrow), (at + narrow + 1).min(heights.len()));
+            let mass = (profile.mass[to][0] - profile.mass[from][0]) / (to - from) as f64;
+            let [less, more] = surroundings_scores(profile, at);
+            [
+                1.0,
+                height,
+                height * height,
+                local,
+                heights[at] - 0.5 * (near(-4) + near(4)),
+                heights[at] - 0.5 * (near(-8) + near(8)),
+                mean(1, 2),
+                mean(2, 3),
+                (mass / overall.mass.max(f64::MIN_POSITIVE)).max(0.0).sqrt() - 1.0,
+                size,
+                contrast,
+                size * height,
+                contrast * height,
+                cover,
+                cover * height,
+                contrast * local,
+                10.0 * (gaps.missing - 0.07),
+                10.0 * (gaps.jitter - 0.15),
+                10.0 * (gaps.missing - 0.07) * height,
+                10.0 * (gaps.jitter - 0.15) * height,
+                size * size,
+                outside,
+                outside * height,
+                less,
+                more,
+                size * less,
+                size * more,
+            ]
+        })
+        .collect()
+}
+
+/// The features of a row, for some gaps.
+pub struct RowFeatures<'p> {
+    profile: &'p Profile,
+    heights: Vec<f64>,
+    /// Of every place, named by [`PLACE_FEATURES`](super::PLACE_FEATURES).
+    pub places: Vec<[f64; PLACE]>,
+    /// By the gap in steps: log density, share of doubles, votes claimed near and far.
+    of_gap: Vec<[f64; 4]>,
+    /// Worth of uncovered mass, and of a missing place at an end per step.
+    uncovered: f64,
+    absent: f64,
+    covered: usize,
+    truncated: usize,
+    free: usize,
+}
+
+impl<'p> RowFeatures<'p> {
+    /// Lengths in pixels of the reduced grid.
+    pub fn new(profile: &'p Profile, overall: &Overall, gaps: &Gaps) -> RowFeatures<'p> {
+        let s = gaps.spacing;
+        let steps = ((MOST as f64 - 0.5) * s / STEP) as usize + 1;
+        let of_gap = (0..steps)
+            .map(|steps| {
+                let gap = steps as f64 * STEP;
+                let density = gaps.density(gap);
+                let claimed = |range: f64| (-0.5 * (gap / range).powi(2)).exp();
+                [density.ln(), gaps.double(gap) / density, claimed(2.0), claimed(0.35 * s)]
+            })
+            .collect();
+        let heights = heights(profile, overall.mean);
+        // Leaf mass of a plant.
+        let mass = (overall.cover * BAND * s).max(f64::MIN_POSITIVE);
+        RowFeatures {
+            profile,
+            places: places(profile, &heights, overall, gaps),
+            heights,
+            of_gap,
+            uncovered: 1.0 / mass / (0.25 * s),
+            absent: -gaps.missing.ln() * STEP / s,
+            covered: (0.6 * s / STEP) as usize,
+            truncated: ((s / STEP) as usize).max(1),
+            free: (0.7 * s / STEP) as usize,
+        }
+    }
+
+    /// Neighbours are less than this many steps apart.
+    pub fn gap_limit(&self) -> usize {
+        self.of_gap.len()
+    }
+
+    /// The features of a plant at `at` and one before it, named by [`PAIR_FEATURES`](super::PAIR_FEATURES), with the gap between the
+    /// two in steps: two at least.
+    pub fn before(&self, at: usize) -> impl Iterator<Item = (usize, [f64; PAIR])> + '_ {
+        let mut valley = f64::INFINITY;
+        (1..self.gap_limit().min(at + 1)).filter_map(move |gap| {
+            let from = at - gap;
+            let features = (gap >= 2).then(|| (gap, self.pair(from, at, valley)));
+            valley = valley.min(self.heights[from]);
+            features
+        })
+    }
+
+    fn pair(&self, from: usize, to: usize, valley: f64) -> [f64; PAIR] {
+        let gap = to - from;
+        let [density, double, near, far] = self.of_gap[gap];
+        let lower = self.heights[from].min(self.heights[to]);
+        let (depth, close) = (valley - lower, gap < self.covered);
+        let open = if gap > 2 * self.covered {
+            let middle = from.midpoint(to);
+            self.profile.spread(self.truncated, from + self.covered, middle, true)
+                + self.profile.spread(self.truncated, middle, to - self.covered, false)
+        } else {
+            0.0
+        };
+        let middling = !close && gap < 2 * self.covered + self.covered / 2;
+        let more = surroundings_scores(self.profile, from)[1]
+            .min(surroundings_scores(self.profile, to)[1]);
+        [
+            density,
+            near * lower,
+            far * lower,
+            self.uncovered * open,
+            if close { depth } else { 0.0 },
+            if middling { depth } else { 0.0 },
+            double,
+            double * (lower - 1.0),
+            if close { 1.0 - gap as f64 / self.covered as f64 } else { 0.0 },
+            near * more,
+            double * more,
+        ]
+    }
+
+    /// What a first plant here (or a last one) costs whatever the weights, and the feature "leaf mass uncovered" of the leaf beyond it.
+    pub fn end(&self, at: usize, first: bool) -> [f64; 2] {
+        let count = self.heights.len();
+        let (places, open) = if first {
+            let to = at.saturating_sub(self.covered);
+            (at, self.profile.spread(self.truncated, 0, to, false))
+        } else {
+            let from = (at + self.covered).min(count);
+            (count - 1 - at, self.profile.spread(self.truncated, from, count, true))
+        };
+        [self.absent * places.saturating_sub(self.free) as f64, self.uncovered * open]
+    }
+}
