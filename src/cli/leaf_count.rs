@@ -83,7 +83,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     let subject = target.input().display().to_string();
     target.present(
         |monitor| {
-            let (source, leaf) = read_leaf_mask(target.input(), hsv)?;
+            let (source, leaf) = read_leaf_mask(target.input(), hsv, monitor)?;
             let place = source.georeference();
             let outcome = count_leaves(&leaf.mask, place, &areas, &options, &subject, monitor)?;
             outcome.write(output, target.force)?;

@@ -68,8 +68,8 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     let (options, hsv) = (options.over_defaults()?, hsv.value()?);
     let files = LeafDensityFiles { density, figures: figures.as_deref(), force: target.force };
     target.present(
-        |_| {
-            let (source, leaf) = read_leaf_mask(target.input(), hsv)?;
+        |monitor| {
+            let (source, leaf) = read_leaf_mask(target.input(), hsv, monitor)?;
             map_leaf_density(&leaf.mask, source.georeference(), files, &options)
         },
         text,

@@ -118,7 +118,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     let subject = target.input().display().to_string();
     target.present(
         |monitor| {
-            let (source, leaf) = read_leaf_mask(target.input(), hsv)?;
+            let (source, leaf) = read_leaf_mask(target.input(), hsv, monitor)?;
             let plants = plants.as_deref().map(points::read).transpose()?;
             let picture = LeafPicture { source: &source, mask: &leaf.mask, subject: &subject };
             measure_leaves(picture, plants.as_deref(), files, &options, monitor)

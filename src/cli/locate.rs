@@ -124,7 +124,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     let subject = target.input().display().to_string();
     target.present(
         |monitor| {
-            let (source, leaf) = read_leaf_mask(target.input(), hsv)?;
+            let (source, leaf) = read_leaf_mask(target.input(), hsv, monitor)?;
             locate_plants(&source, leaf, &subject, files, &options, monitor)
         },
         text,

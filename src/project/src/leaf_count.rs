@@ -101,7 +101,8 @@ impl Task for LeafCountStage {
         monitor: &mut dyn Monitor,
     ) -> Result<LeafCountOutcome, Error> {
         let image = project.mask()?;
-        let (source, LeafMask { mask, .. }) = leaf_mask::read_any_leaf_mask(&image, Auto::Auto)?;
+        let (source, LeafMask { mask, .. }) =
+            leaf_mask::read_any_leaf_mask(&image, Auto::Auto, monitor)?;
         let areas = Areas {
             regions: project.regions().filter(|_| options.rho_px.is_none()),
             plots: project.plots(),

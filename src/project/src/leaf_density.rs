@@ -70,10 +70,10 @@ impl Task for LeafDensity {
         project: &Project,
         options: &LeafDensityOptions,
         folder: &Path,
-        _: &mut dyn Monitor,
+        monitor: &mut dyn Monitor,
     ) -> Result<LeafDensityOutcome, Error> {
         let (source, LeafMask { mask, .. }) =
-            leaf_mask::read_any_leaf_mask(&project.mask()?, Auto::Auto)?;
+            leaf_mask::read_any_leaf_mask(&project.mask()?, Auto::Auto, monitor)?;
         let files = LeafDensityFiles {
             density: &folder.join("density.tif"),
             figures: Some(&folder.join("figures")),

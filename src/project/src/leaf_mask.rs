@@ -2,7 +2,11 @@
 
 use super::{Project, Stage, segment::SegmentOptions};
 use image::RgbImage;
-use rowgram_base::{error::Error, options::Auto};
+use rowgram_base::{
+    error::Error,
+    monitor::{Diagnostic, Monitor},
+    options::Auto,
+};
 use rowgram_files::{
     images, memory,
     rasters::{self, BAND_ROWS, Source},
@@ -71,8 +75,12 @@ impl LeafMask {
 ///
 /// # Errors
 /// A file that cannot be read; a photo that shows nothing; a mask nearly all of which is plant.
-pub fn read_leaf_mask(image: &Path, hsv: Auto<Thresholds>) -> Result<(Source, LeafMask), Error> {
-    let (source, found) = read_any_leaf_mask(image, hsv)?;
+pub fn read_leaf_mask(
+    image: &Path,
+    hsv: Auto<Thresholds>,
+    monitor: &mut dyn Monitor,
+) -> Result<(Source, LeafMask), Error> {
+    let (source, found) = read_any_leaf_mask(image, hsv, monitor)?;
     let share = found.mask.count() as f64 / found.mask.data.len().max(1) as f64;
     if !source.is_photo() && share > NEARLY_ALL {
         let message = format!(
@@ -92,10 +100,12 @@ const NEARLY_ALL: f64 = 0.95;
 pub(super) fn read_any_leaf_mask(
     image: &Path,
     hsv: Auto<Thresholds>,
+    monitor: &mut dyn Monitor,
 ) -> Result<(Source, LeafMask), Error> {
     let source = Source::open(image)?;
     let found = if source.is_photo() {
-        of_photo(&source, image, &SegmentOptions { hsv, ..SegmentOptions::default() })?
+        let options = SegmentOptions { hsv, ..SegmentOptions::default() };
+        Segmenter::new(&source, image, &options, monitor)?.whole()?
     } else {
         source.mask(|photo| Thresholds::default().mask(photo))?.into()
     };
@@ -106,8 +116,11 @@ pub(super) fn read_any_leaf_mask(
 ///
 /// # Errors
 /// [`Error::NothingToDo`] where there is none; files that cannot be read.
-pub fn of_project(project: &Project) -> Result<(Source, LeafMask), Error> {
-    let (source, mut found) = read_any_leaf_mask(&project.mask()?, Auto::Auto)?;
+pub fn of_project(
+    project: &Project,
+    monitor: &mut dyn Monitor,
+) -> Result<(Source, LeafMask), Error> {
+    let (source, mut found) = read_any_leaf_mask(&project.mask()?, Auto::Auto, monitor)?;
     if let Some(path) = project.finished(Stage::Segment, POSTERIOR) {
         let size = (found.mask.width, found.mask.height);
         found.posterior = Some(rasters::read_posterior(&path, size)?);
@@ -148,14 +161,23 @@ pub(super) fn photo(source: Source, path: &Path) -> Result<Source, FileError> {
     }
 }
 
-/// The leaf mask of a photo.
-pub(super) fn of_photo(
-    source: &Source,
-    image: &Path,
-    options: &SegmentOptions,
-) -> Result<LeafMask, Error> {
-    Ok(Segmenter::new(source, image, options)?.whole()?)
+/// Says where the colours of a photo are so noisy that they are smoothed farther than those of usual photos.
+fn tell_of_noise(model: &Model, image: &Path, monitor: &mut dyn Monitor) {
+    let width = 2 * model.smoothing_px + 1;
+    if width > USUAL_WIDTH {
+        let message = format!(
+            "colours are noisy: they are smoothed over {width} x {width} pixels before leaves are told from ground, instead of \
+             {USUAL_WIDTH} x {USUAL_WIDTH}. Small leaves may be lost and specks of noise may be taken for leaves"
+        );
+        let found = Diagnostic::warning("photo-noisy", image.display().to_string(), message);
+        monitor.diagnostic(&found.with_remedy(
+            "look at the mask (rowgram segment); take photos in more light, or at a lower sensitivity (ISO)",
+        ));
+    }
 }
+
+/// Pixels to a side over which the colours of usual photos are smoothed.
+const USUAL_WIDTH: usize = 3;
 
 /// What says where leaves are in a photo, which is then segmented band by band.
 pub(super) struct Segmenter<'a> {
@@ -185,11 +207,12 @@ pub(super) struct LeafRows {
 }
 
 impl<'a> Segmenter<'a> {
-    /// Sees all of the photo, where vegetation is estimated.
+    /// Sees all of the photo, where vegetation is estimated, and says where its colours are noisy.
     pub(super) fn new(
         source: &'a Source,
         image: &'a Path,
         options: &SegmentOptions,
+        monitor: &mut dyn Monitor,
     ) -> Result<Segmenter<'a>, Error> {
         let ndvi = match options.hsv {
             Auto::Given(_) => None,
@@ -222,7 +245,9 @@ impl<'a> Segmenter<'a> {
                     let rows = SeenRows::read(source, ndvi.as_ref(), &band)?;
                     estimator.add(&band, rows.seen());
                 }
-                Rule::Vegetation(Box::new(estimator.finish().map_err(malformed)?))
+                let estimate = estimator.finish().map_err(malformed)?;
+                tell_of_noise(&estimate.model, image, monitor);
+                Rule::Vegetation(Box::new(estimate))
             }
         };
         Ok(Segmenter { source, image, ndvi, rule })

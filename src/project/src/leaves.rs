@@ -113,7 +113,7 @@ impl Task for LeavesStage {
     ) -> Result<LeavesOutcome, Error> {
         let ortho = project.orthomosaic()?;
         let (_, LeafMask { mask, .. }) =
-            leaf_mask::read_any_leaf_mask(&project.mask()?, Auto::Auto)?;
+            leaf_mask::read_any_leaf_mask(&project.mask()?, Auto::Auto, monitor)?;
         let plants = project.finished(Stage::Locate, "plants.csv");
         let plants = plants.as_deref().map(points::read).transpose()?;
         let subject = super::record::relative(project.root(), &ortho).display().to_string();

@@ -207,7 +207,7 @@ impl Task for Locate {
     ) -> Result<LocateOutcome, Error> {
         let image = project.mask()?;
         let subject = super::record::relative(project.root(), &image).display().to_string();
-        let (source, leaf) = leaf_mask::of_project(project)?;
+        let (source, leaf) = leaf_mask::of_project(project, monitor)?;
         let is_row_model = options.method == LocateMethod::RowModel;
         let of_rows = |name: &str| is_row_model.then(|| folder.join(name));
         let [gaps, rows, weeds] = ["gaps.csv", "rows.csv", "weeds.csv"].map(of_rows);

@@ -178,7 +178,7 @@ fn segment_source(
         let message = "thresholds (hsv) give no posterior: leave out one of them";
         return Err(Error::Argument(message.to_owned()));
     }
-    let segmenter = Segmenter::new(source, image, options)?;
+    let segmenter = Segmenter::new(source, image, options, monitor)?;
     let (width, height) = source.size();
     let place = source.georeference();
     let grey = |path, colour| GreyWriter::begin(path, files.force, (width, height), colour, place);
