@@ -12,7 +12,7 @@
 //! `None`, `null` in JSON. All distances are in pixels.
 
 pub mod matching;
-mod tree;
+pub(crate) mod tree;
 
 use rowgram_base::error::Error;
 use serde::{Deserialize, Serialize};

@@ -4,6 +4,7 @@
 //! `REACH` usual distances of neighbours. Where leaves of neighbours overlap, pixels in between are as often the other plant's: means
 //! over pixels of a plant are then drawn towards those of its neighbours.
 
+use crate::score::tree::Tree;
 use rowgram_optim::robust::median;
 
 /// Usual distances of neighbouring plants within which a pixel belongs to the nearest one. Leaves are longer than plants are apart in
@@ -24,12 +25,11 @@ pub struct PlantPixels {
 impl PlantPixels {
     /// Of plants at these places, pixels.
     pub fn new(plants_px: &[[f64; 2]]) -> PlantPixels {
-        let coarse = PlantPixels::with_side(plants_px, usual_side(plants_px));
-        let nearest: Vec<f64> = (0..plants_px.len())
-            .filter_map(|k| coarse.nearest_but(plants_px[k], Some(k)))
-            .map(|(distance, _)| distance)
-            .filter(|distance| *distance > 0.0)
-            .collect();
+        let tree = Tree::new(plants_px);
+        let nearest = (0..plants_px.len())
+            .filter_map(|k| tree.nearest(plants_px, plants_px[k], Some(k)))
+            .map(|(_, distance)| distance)
+            .filter(|distance| *distance > 0.0);
         PlantPixels::with_side(plants_px, REACH * median(nearest).unwrap_or(0.0))
     }
 
@@ -40,7 +40,25 @@ impl PlantPixels {
 
     /// The plant of a pixel, by its place among the plants.
     pub fn of(&self, at_px: [f64; 2]) -> Option<usize> {
-        self.nearest_but(at_px, None).map(|(_, plant)| plant)
+        let range = |axis: usize| {
+            let square = ((at_px[axis] - self.first_px[axis]) / self.reach_px).floor();
+            // Casts of floats saturate: what lies before the first square looks at that.
+            (square - 1.0).max(0.0) as usize
+                ..((square + 2.0).max(0.0) as usize).min(self.squares[axis])
+        };
+        let mut best: Option<(f64, usize)> = None;
+        for row in range(1) {
+            for &plant in range(0).flat_map(|column| &self.members[row * self.squares[0] + column])
+            {
+                let place = self.plants_px[plant];
+                let distance = (place[0] - at_px[0]).hypot(place[1] - at_px[1]);
+                let is_better = best.is_none_or(|best| (distance, plant) < best);
+                if distance <= self.reach_px && is_better {
+                    best = Some((distance, plant));
+                }
+            }
+        }
+        best.map(|(_, plant)| plant)
     }
 
     fn with_side(plants_px: &[[f64; 2]], side_px: f64) -> PlantPixels {
@@ -67,38 +85,6 @@ impl PlantPixels {
         }
         found
     }
-
-    /// Distance and number of the nearest plant within reach but one.
-    fn nearest_but(&self, at_px: [f64; 2], left_out: Option<usize>) -> Option<(f64, usize)> {
-        let range = |axis: usize| {
-            let square = ((at_px[axis] - self.first_px[axis]) / self.reach_px).floor();
-            // Casts of floats saturate: what lies before the first square looks at that.
-            (square - 1.0).max(0.0) as usize
-                ..((square + 2.0).max(0.0) as usize).min(self.squares[axis])
-        };
-        let mut best: Option<(f64, usize)> = None;
-        for row in range(1) {
-            for &plant in range(0).flat_map(|column| &self.members[row * self.squares[0] + column])
-            {
-                let place = self.plants_px[plant];
-                let distance = (place[0] - at_px[0]).hypot(place[1] - at_px[1]);
-                let is_better = best.is_none_or(|best| (distance, plant) < best);
-                if distance <= self.reach_px && is_better && Some(plant) != left_out {
-                    best = Some((distance, plant));
-                }
-            }
-        }
-        best
-    }
-}
-
-/// The side of squares that would hold some plants each, were they spread evenly.
-fn usual_side(plants_px: &[[f64; 2]]) -> f64 {
-    let extent = |axis: usize| {
-        let all = || plants_px.iter().map(|at| at[axis]);
-        all().fold(f64::NEG_INFINITY, f64::max) - all().fold(f64::INFINITY, f64::min) + 1.0
-    };
-    (4.0 * extent(0) * extent(1) / plants_px.len().max(1) as f64).sqrt()
 }
 
 #[cfg(test)]
@@ -125,6 +111,13 @@ mod tests {
             let nearest = (0..80).min_by(|a, b| distance(a).total_cmp(&distance(b)));
             assert_eq!(found.of(at), nearest.filter(|k| distance(k) <= found.reach_px()), "{at:?}");
         }
+    }
+
+    #[test]
+    fn plants_on_one_line_have_pixels() {
+        let plants: Vec<[f64; 2]> = (0..30).map(|k| [10.0 * f64::from(k), 5.0]).collect();
+        let found = PlantPixels::new(&plants);
+        assert_eq!((found.reach_px(), found.of([51.0, 9.0])), (20.0, Some(5)));
     }
 
     #[test]

@@ -19,7 +19,7 @@
 //! Positions in metres in one frame for all dates. Reference of the matching rule: D. B. Reid, IEEE Trans. Autom. Control 24, 1979,
 //! 843-854, with one hypothesis.
 
-use crate::score::matching;
+use crate::score::{matching, tree::Tree};
 use rowgram_optim::robust::{median, sigma_of_distances};
 
 /// A plant as one date shows it.
@@ -80,8 +80,6 @@ pub struct Tracks {
     pub tracks: Vec<Track>,
     /// From each date to the next.
     pub steps: Vec<Step>,
-    /// Probability of missing a plant that is there, for each date.
-    pub missed: Vec<f64>,
 }
 
 /// Dates for which a plant that is not seen is still looked for.
@@ -136,67 +134,20 @@ pub fn follow(dates: &[Vec<Sighting>], plots: usize) -> Tracks {
     }
     let missed = missed(&tracks, dates.len());
     births_and_losses(&mut tracks, &missed);
-    Tracks { tracks, steps, missed }
-}
-
-fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
-    (a[0] - b[0]).hypot(a[1] - b[1])
+    Tracks { tracks, steps }
 }
 
 /// For each point the nearest of the others and its distance.
-fn nearest(points: &[[f64; 2]], others: &[[f64; 2]], itself: bool) -> Vec<Option<(usize, f64)>> {
-    if others.is_empty() {
-        return vec![None; points.len()];
-    }
-    // A grid of cells as wide as points are apart on average: a few candidates for each.
-    let bound = |axis: usize| {
-        others
-            .iter()
-            .map(|p| p[axis])
-            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)))
-    };
-    let ((x0, x1), (y0, y1)) = (bound(0), bound(1));
-    let area = ((x1 - x0) * (y1 - y0)).max(1e-12);
-    let cell = (area / others.len().max(1) as f64).sqrt().max(1e-6);
-    let place =
-        |p: [f64; 2]| [((p[0] - x0) / cell).floor() as i64, ((p[1] - y0) / cell).floor() as i64];
-    let mut cells: std::collections::BTreeMap<[i64; 2], Vec<usize>> =
-        std::collections::BTreeMap::new();
-    for (k, &p) in others.iter().enumerate() {
-        cells.entry(place(p)).or_default().push(k);
-    }
-    points
-        .iter()
-        .enumerate()
-        .map(|(index, &p)| {
-            let [column, row] = place(p);
-            let mut best: Option<(usize, f64)> = None;
-            for ring in 0..=4i64 {
-                if best.is_some_and(|(_, d)| d <= (ring - 1).max(0) as f64 * cell) {
-                    break;
-                }
-                for dx in -ring..=ring {
-                    for dy in -ring..=ring {
-                        if dx.abs().max(dy.abs()) != ring {
-                            continue;
-                        }
-                        for &k in cells.get(&[column + dx, row + dy]).into_iter().flatten() {
-                            let d = distance(p, others[k]);
-                            if !(itself && k == index) && best.is_none_or(|(_, least)| d < least) {
-                                best = Some((k, d));
-                            }
-                        }
-                    }
-                }
-            }
-            best
-        })
-        .collect()
+fn nearest(points: &[[f64; 2]], others: &[[f64; 2]]) -> Vec<Option<(usize, f64)>> {
+    let tree = Tree::new(others);
+    points.iter().map(|&at| tree.nearest(others, at, None)).collect()
 }
 
 /// Distance of neighbouring plants: the median of that to the nearest one.
 fn spacing_m(points: &[[f64; 2]]) -> Option<f64> {
-    median(nearest(points, points, true).into_iter().flatten().map(|(_, d)| d))
+    let tree = Tree::new(points);
+    let of = |k: usize| tree.nearest(points, points[k], Some(k));
+    median((0..points.len()).filter_map(of).map(|(_, distance)| distance))
 }
 
 /// Matches plants of the dates before with those of a date: the pairs as (before, now, probability).
@@ -217,7 +168,7 @@ fn step(from: &[Sighting], to: &[Sighting], plots: usize) -> (Step, Vec<(usize, 
     else {
         return (nothing(0), Vec::new());
     };
-    let (forth, back) = (nearest(&before, &now, false), nearest(&now, &before, false));
+    let (forth, back) = (nearest(&before, &now), nearest(&now, &before));
     let mutual: Vec<(Option<usize>, [f64; 2])> = forth
         .iter()
         .enumerate()
@@ -392,7 +343,8 @@ mod tests {
             assert!((0.022..0.034).contains(&step.sigma_m.unwrap()), "{step:?}");
         }
         // One of twelve is missed.
-        assert!(found.missed[1..4].iter().all(|m| (0.05..0.12).contains(m)), "{:?}", found.missed);
+        let missed = missed(&found.tracks, dates.len());
+        assert!(missed[1..4].iter().all(|m| (0.05..0.12).contains(m)), "{missed:?}");
     }
 
     #[test]
@@ -433,6 +385,14 @@ mod tests {
                 .filter(|t| t.first() == Some(0))
                 .all(|t| t.new_probability.is_none())
         );
+    }
+
+    #[test]
+    fn plants_on_one_line_are_followed() {
+        let row = |k: i32| Sighting { at_m: [0.0, 0.2 * f64::from(k)], plot: Some(0) };
+        let date: Vec<Sighting> = (0..30).map(row).collect();
+        let found = follow(&[date.clone(), date], 1);
+        assert_eq!((found.tracks.len(), found.steps[0].matched), (30, 30));
     }
 
     #[test]

@@ -18,7 +18,7 @@ struct Node {
 }
 
 /// The tree; points and boxes go by their indices.
-pub(super) struct Tree {
+pub(crate) struct Tree {
     nodes: Vec<Node>,
     order: Vec<usize>,
     leaf_of: Vec<usize>,
@@ -27,9 +27,9 @@ pub(super) struct Tree {
 
 impl Tree {
     /// The box of all points.
-    pub(super) const ROOT: usize = 0;
+    pub(crate) const ROOT: usize = 0;
 
-    pub(super) fn new(points: &[[f64; 2]]) -> Tree {
+    pub(crate) fn new(points: &[[f64; 2]]) -> Tree {
         let mut tree = Tree {
             nodes: Vec::with_capacity(4 * points.len() / LEAF + 1),
             order: (0..points.len()).collect(),
@@ -68,7 +68,7 @@ impl Tree {
 
     /// Distance from a position to a box, no larger than that to any of its points; `None` where
     /// no point is left in it.
-    pub(super) fn distance(&self, index: usize, [u, v]: [f64; 2]) -> Option<f64> {
+    pub(crate) fn distance(&self, index: usize, [u, v]: [f64; 2]) -> Option<f64> {
         let Node { lower, upper, alive, .. } = self.nodes[index];
         let beyond = |x: f64, axis: usize| (lower[axis] - x).max(x - upper[axis]).max(0.0);
         let (du, dv) = (beyond(u, 0), beyond(v, 1));
@@ -76,28 +76,59 @@ impl Tree {
     }
 
     /// The two halves of a box, `None` for a leaf.
-    pub(super) fn halves(&self, index: usize) -> Option<[usize; 2]> {
+    pub(crate) fn halves(&self, index: usize) -> Option<[usize; 2]> {
         self.nodes[index].halves
     }
 
     /// The points of a box, withdrawn or not.
-    pub(super) fn points(&self, index: usize) -> &[usize] {
+    pub(crate) fn points(&self, index: usize) -> &[usize] {
         &self.order[self.nodes[index].start..self.nodes[index].end]
     }
 
-    pub(super) fn is_alive(&self, point: usize) -> bool {
+    /// The point nearest to a position, of equals the first, and its distance; `but` is passed over.
+    pub(crate) fn nearest(
+        &self,
+        points: &[[f64; 2]],
+        at: [f64; 2],
+        but: Option<usize>,
+    ) -> Option<(usize, f64)> {
+        let mut best: Option<(f64, usize)> = None;
+        let mut open = vec![Tree::ROOT];
+        while let Some(index) = open.pop() {
+            let least = self.distance(index, at);
+            if least.is_none_or(|least| best.is_some_and(|(distance, _)| least > distance)) {
+                continue;
+            }
+            if let Some([a, b]) = self.halves(index) {
+                // The nearer one is looked at first.
+                let is_a = self.distance(a, at) < self.distance(b, at);
+                open.extend(if is_a { [b, a] } else { [a, b] });
+                continue;
+            }
+            for &point in self.points(index).iter().filter(|point| self.alive[**point]) {
+                let [du, dv] = [0, 1].map(|k| points[point][k] - at[k]);
+                let found = ((du * du + dv * dv).sqrt(), point);
+                if Some(point) != but && best.is_none_or(|best| found < best) {
+                    best = Some(found);
+                }
+            }
+        }
+        best.map(|(distance, point)| (point, distance))
+    }
+
+    pub(crate) fn is_alive(&self, point: usize) -> bool {
         self.alive[point]
     }
 
     /// Withdraws a point that is there.
-    pub(super) fn kill(&mut self, point: usize) {
+    pub(crate) fn kill(&mut self, point: usize) {
         debug_assert!(self.alive[point], "a point is withdrawn once");
         self.alive[point] = false;
         self.count(point, |alive| *alive -= 1);
     }
 
     /// Brings a withdrawn point back.
-    pub(super) fn revive(&mut self, point: usize) {
+    pub(crate) fn revive(&mut self, point: usize) {
         debug_assert!(!self.alive[point], "only a withdrawn point comes back");
         self.alive[point] = true;
         self.count(point, |alive| *alive += 1);
@@ -149,5 +180,31 @@ mod tests {
         tree.revive(7);
         assert!(tree.distance(Tree::ROOT, points[7]).is_some() && tree.is_alive(7));
         assert_eq!(Tree::new(&[]).distance(Tree::ROOT, here), None);
+    }
+
+    #[test]
+    fn the_nearest_point_is_that_of_a_look_at_all() {
+        let points: Vec<[f64; 2]> =
+            (0..100).map(|i| [f64::from(i * 37 % 11), f64::from(i * 53 % 13)]).collect();
+        let mut tree = Tree::new(&points);
+        tree.kill(3);
+        for k in 0..200 {
+            let at = [f64::from(k % 17) - 2.5, f64::from(k % 19) - 3.0];
+            let (at, but) = if k < 100 {
+                (at, None)
+            } else {
+                (points[k as usize - 100], Some(k as usize - 100))
+            };
+            let distance = |p: usize| {
+                let [du, dv] = [points[p][0] - at[0], points[p][1] - at[1]];
+                (du * du + dv * dv).sqrt()
+            };
+            let expected = (0..100)
+                .filter(|p| *p != 3 && Some(*p) != but)
+                .min_by(|&a, &b| distance(a).total_cmp(&distance(b)));
+            let expected = expected.map(|p| (p, distance(p)));
+            assert_eq!(tree.nearest(&points, at, but), expected);
+        }
+        assert_eq!(Tree::new(&[]).nearest(&[], [0.0; 2], None), None);
     }
 }
