@@ -164,12 +164,9 @@ pub(crate) enum Command {
         /// The folder with the specs.
         #[arg(long, value_name = "DIR", default_value = "experiments/specs")]
         specs: PathBuf,
-        /// The folder with the results of full settings.
+        /// The folder with the committed results.
         #[arg(long, value_name = "DIR", default_value = "experiments/results")]
         results: PathBuf,
-        /// The folder with those of small settings, for specs that have no full one.
-        #[arg(long, value_name = "DIR", default_value = "experiments/reference")]
-        reference: PathBuf,
         /// The file.
         #[arg(long, value_name = "FILE", default_value = "experiments/FINDINGS.md")]
         output: PathBuf,
@@ -251,8 +248,8 @@ impl Command {
                 }
                 Ok(())
             }
-            Command::Findings { specs, results, reference, output, check } => {
-                findings(&specs, [&results, &reference], &output, check)
+            Command::Findings { specs, results, output, check } => {
+                findings(&specs, &results, &output, check)
             }
         }
     }
@@ -345,24 +342,16 @@ fn spec_files(folder: &Path) -> Result<Vec<PathBuf>, Fail> {
     Ok(paths)
 }
 
-fn findings(
-    specs: &Path,
-    [results, reference]: [&Path; 2],
-    output: &Path,
-    check: bool,
-) -> Result<(), Fail> {
+fn findings(specs: &Path, results: &Path, output: &Path, check: bool) -> Result<(), Fail> {
     let mut text = String::from(
         "# Findings\n\nWritten from the committed results by `experiments findings`; every number comes from the tables, and \
-         what\nthe sentences claim is checked against them. Results are those of the full settings (`results/`) unless it says \
-         that they\nare of the small one (`reference/`): few seeds on small fields, which show directions.\n",
+         what\nthe sentences claim is checked against them. Results are those of the full settings (`results/`).\n",
     );
     let (mut refuted, mut pending) = (Vec::new(), Vec::new());
     for path in spec_files(specs)? {
-        let full = results.join(path.file_stem().unwrap_or_default()).join("runs.csv");
-        let small = !full.exists();
-        let (spec, cells) = Spec::read(&path, small)?;
+        let (spec, cells) = Spec::read(&path, false)?;
         let Some(finding) = &spec.finding else { continue };
-        let result = if small { reference.join(&spec.name).join("runs.csv") } else { full };
+        let result = results.join(&spec.name).join("runs.csv");
         if !result.exists() {
             pending.push(spec.name);
             continue;
@@ -378,9 +367,8 @@ fn findings(
             text += &format!("\n{tests}\n");
         }
         text += &format!(
-            "\n`specs/{}.toml`{}: {} cells, {} seed{}.\n",
+            "\n`specs/{}.toml`: {} cells, {} seed{}.\n",
             spec.name,
-            if small { ", small setting" } else { "" },
             cells.len(),
             spec.seeds.count,
             if spec.seeds.count == 1 { "" } else { "s" }
