@@ -64,7 +64,7 @@ fn bad_input_is_explained() {
     assert_snapshot!(error("found.csv damaged.csv --radius-px 5"), @r#"error: damaged.csv, line 4: y is "", expected a finite number"#);
     assert_snapshot!(error("infinite.csv truth.csv --radius-px 5"), @r#"error: infinite.csv, line 2: y is "inf", expected a finite number"#);
     assert_snapshot!(error("columns.csv truth.csv --radius-px 5"), @r#"error: columns.csv, line 1: expected a header with u_px,v_px or x,y, or two numbers, found "east,north""#);
-    assert_snapshot!(error("empty.csv truth.csv --radius-px 5"), @"error: empty.csv: the file is empty, expected a header with u_px,v_px or x,y, or two columns");
+    assert_snapshot!(error("empty.csv truth.csv --radius-px 5"), @"error: empty.csv: the file is empty, expected a header or rows");
     assert_snapshot!(error("missing.csv truth.csv --radius-px 5"), @"error: cannot read missing.csv: No such file or directory (os error 2)");
     assert_snapshot!(error("found.csv truth.csv --radius-px 5,-1"), @"error: --radius-px: radius -1: expected a positive number of pixels");
     assert_snapshot!(error("found.csv truth.csv --radius-px nan"), @"error: --radius-px: radius NaN: expected a positive number of pixels");

@@ -3,7 +3,7 @@
 use crate::{data, program::rowgram};
 use image::{Rgb, RgbImage};
 use insta::assert_snapshot;
-use rowgram::io::{images, rasters};
+use rowgram::io::images::{self, Picture};
 use std::path::Path;
 
 const SOIL: Rgb<u8> = Rgb([150, 120, 90]);
@@ -88,8 +88,7 @@ fn bad_input_is_explained() {
     std::fs::write(path("text.png"), "u_px,v_px\n").unwrap();
     std::fs::write(path("empty.png"), "").unwrap();
     std::fs::write(path("taken.png"), "mine").unwrap();
-    let mask = rowgram::raster::Mask::empty(3, 3);
-    rasters::write_mask(&path("mask.png"), false, &mask, None).unwrap();
+    images::write_grey(&path("mask.png"), false, (3, 3), &[0; 9]).unwrap();
     std::os::unix::fs::symlink(path("photo.png"), path("link.png")).unwrap();
     let error = |arguments: &str| {
         let run = rowgram(folder.path(), &format!("segment {arguments}"));
@@ -157,7 +156,8 @@ fn real_photos_and_masks_are_told_apart() {
         ("leaf_cvppp_a1/plant001_rgb.png", false),
     ] {
         if let Some(path) = data::path(name) {
-            assert_eq!(images::is_mask(&path).unwrap(), mask, "{name}");
+            let found = images::read(&path).unwrap();
+            assert_eq!(matches!(found, Picture::Mask(_)), mask, "{name}");
         }
     }
 }

@@ -188,7 +188,13 @@ fn bundler_files_come_back_and_are_what_bundler_reads() {
         }
     }
     assert_eq!(count, model.survey.observations.len());
-    // A lens that the format cannot hold is refused, not cut short.
+    // A name that the list would cut short is refused.
+    let mut blank = model.clone();
+    blank.survey.images[0].name = "IMG 1.jpg".into();
+    let other = folder.path().join("other.out");
+    let error = bundler::write(&other, Some(&list), &blank, true).unwrap_err().to_string();
+    assert!(error.contains("IMG 1.jpg") && !other.exists(), "{error}");
+    // So is a lens that the format cannot hold.
     let error = bundler::write(&path, None, &exact(brown()), true).unwrap_err().to_string();
     assert!(error.contains("Bundler knows f, k1 and k2"), "{error}");
 }

@@ -14,6 +14,7 @@ use super::{
     FileError,
     memory::{read_file, read_to_end},
     output,
+    words::{self, Fault, Words},
 };
 use rowgram_survey::problems::bundle::{Camera, Network, Observation};
 use std::{io::Write, path::Path};
@@ -29,11 +30,8 @@ pub fn read(path: &Path) -> Result<Network, FileError> {
     } else if bytes.starts_with(b"BZh") {
         bytes = unpacked(path, "bzip2", bzip2::read::MultiBzDecoder::new(bytes.as_slice()))?;
     }
-    let text = std::str::from_utf8(&bytes).map_err(|e| {
-        let line = bytes[..e.valid_up_to()].iter().filter(|&&b| b == b'\n').count() + 1;
-        FileError::malformed(path, line, "not text")
-    })?;
-    parse(text).map_err(|(line, message)| FileError::malformed(path, line, message))
+    let network = words::text(&bytes).and_then(parse);
+    network.map_err(|(line, message)| FileError::malformed(path, line, message))
 }
 
 fn unpacked(path: &Path, kind: &str, reader: impl std::io::Read) -> Result<Vec<u8>, FileError> {
@@ -49,22 +47,23 @@ fn unpacked(path: &Path, kind: &str, reader: impl std::io::Read) -> Result<Vec<u
 ///
 /// # Errors
 /// The one-based line and what is wrong there.
-pub fn parse(text: &str) -> Result<Network, (usize, String)> {
-    let mut tokens = Tokens { text, line: 1 };
+pub fn parse(text: &str) -> Result<Network, (Option<usize>, String)> {
+    let mut words = Words::of_file(text);
     let counts: [usize; 3] = [
-        tokens.number("the number of cameras")?,
-        tokens.number("the number of points")?,
-        tokens.number("the number of observations")?,
+        words.number("the number of cameras")?,
+        words.number("the number of points")?,
+        words.number("the number of observations")?,
     ];
     let [cameras, points, observations] = counts;
     for (count, what) in counts.iter().zip(["cameras", "points", "observations"]) {
         if *count == 0 {
-            return Err((1, format!("the file has no {what}")));
+            return Err((Some(1), format!("the file has no {what}")));
         }
         // Every count needs at least two characters each of what follows; nothing is allocated
         // for a header that promises more than the file can hold.
         if *count > text.len() / 2 || u32::try_from(*count).is_err() {
-            return Err((1, format!("{count} {what} cannot be in a file of {} bytes", text.len())));
+            let message = format!("{count} {what} cannot be in a file of {} bytes", text.len());
+            return Err((Some(1), message));
         }
     }
     let mut network = Network {
@@ -73,15 +72,15 @@ pub fn parse(text: &str) -> Result<Network, (usize, String)> {
         observations: Vec::with_capacity(observations),
     };
     for _ in 0..observations {
-        let camera = tokens.index("camera", cameras)?;
-        let point = tokens.index("point", points)?;
-        let image_px = [tokens.finite("u")?, tokens.finite("v")?];
+        let camera = index(&mut words, "camera", cameras)?;
+        let point = index(&mut words, "point", points)?;
+        let image_px = [words.finite("u")?, words.finite("v")?];
         network.observations.push(Observation { camera, point, image_px });
     }
     for k in 0..cameras {
         let mut values = [0.0; 9];
         for (value, what) in values.iter_mut().zip(CAMERA_ENTRIES) {
-            *value = tokens.finite(what).map_err(|(l, m)| (l, format!("camera {k}: {m}")))?;
+            *value = words.finite(what).map_err(|(l, m)| (l, format!("camera {k}: {m}")))?;
         }
         let [a, b, c, x, y, z, f, k1, k2] = values;
         network.cameras.push(Camera {
@@ -93,18 +92,22 @@ pub fn parse(text: &str) -> Result<Network, (usize, String)> {
     for k in 0..points {
         let mut point = [0.0; 3];
         for (value, what) in point.iter_mut().zip(["X", "Y", "Z"]) {
-            *value = tokens.finite(what).map_err(|(l, m)| (l, format!("point {k}: {m}")))?;
+            *value = words.finite(what).map_err(|(l, m)| (l, format!("point {k}: {m}")))?;
         }
         network.points.push(point);
     }
-    match tokens.next() {
-        Some(extra) => Err((tokens.line, format!("expected the end of the file, found {extra:?}"))),
-        None => Ok(network),
-    }
+    words.end()?;
+    Ok(network)
 }
 
-/// Size of the largest number: squares of projections of larger ones are none.
-const LARGEST: f64 = 1e15;
+fn index(words: &mut Words, what: &str, count: usize) -> Result<u32, Fault> {
+    let index: u32 = words.number(&format!("the index of a {what}"))?;
+    if (index as usize) < count {
+        Ok(index)
+    } else {
+        Err(words.fault(format!("{what} {index} does not exist, there are {count}")))
+    }
+}
 
 const CAMERA_ENTRIES: [&str; 9] = [
     "rotation x",
@@ -151,59 +154,6 @@ fn write_text(out: &mut dyn Write, network: &Network) -> std::io::Result<()> {
     Ok(())
 }
 
-/// White-space separated words with the line that each is on.
-struct Tokens<'a> {
-    text: &'a str,
-    line: usize,
-}
-
-impl<'a> Tokens<'a> {
-    fn next(&mut self) -> Option<&'a str> {
-        let bytes = self.text.as_bytes();
-        let mut start = 0;
-        while start < bytes.len() && (bytes[start].is_ascii_whitespace() || bytes[start] == b'#') {
-            if bytes[start] == b'#' {
-                start += bytes[start..].iter().take_while(|b| **b != b'\n').count();
-            } else {
-                self.line += usize::from(bytes[start] == b'\n');
-                start += 1;
-            }
-        }
-        let length = bytes[start..].iter().take_while(|b| !b.is_ascii_whitespace()).count();
-        let token = &self.text[start..start + length];
-        self.text = &self.text[start + length..];
-        (!token.is_empty()).then_some(token)
-    }
-
-    fn number<T: std::str::FromStr>(&mut self, what: &str) -> Result<T, (usize, String)> {
-        let token = self
-            .next()
-            .ok_or_else(|| (self.line, format!("the file ends where {what} was expected")))?;
-        token.parse().map_err(|_| (self.line, format!("expected {what}, found {token:?}")))
-    }
-
-    fn finite(&mut self, what: &str) -> Result<f64, (usize, String)> {
-        let value: f64 = self.number(what)?;
-        if !value.is_finite() {
-            return Err((self.line, format!("{what} is {value}, a finite number was expected")));
-        }
-        if value.abs() > LARGEST {
-            let message = format!("{what} is {value:e}, expected at most {LARGEST:e} in size");
-            return Err((self.line, message));
-        }
-        Ok(value)
-    }
-
-    fn index(&mut self, what: &str, count: usize) -> Result<u32, (usize, String)> {
-        let index: u32 = self.number(&format!("the index of a {what}"))?;
-        if (index as usize) < count {
-            Ok(index)
-        } else {
-            Err((self.line, format!("{what} {index} does not exist, there are {count}")))
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -231,7 +181,7 @@ mod tests {
         let commented =
             format!("# made by a program\n{}# end", SMALL.replacen('\n', " # counts\n", 1));
         assert_eq!(parse(&commented).unwrap(), network);
-        assert_eq!(parse(&commented.replace("500", "x")).unwrap_err().0, 6);
+        assert_eq!(parse(&commented.replace("500", "x")).unwrap_err().0, Some(6));
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.txt.bz2");
         let mut packed = bzip2::write::BzEncoder::new(Vec::new(), bzip2::Compression::best());
@@ -257,7 +207,10 @@ mod tests {
             (("1 2 2", "-1 2 2"), 1, "number of cameras"),
         ] {
             let (at, message) = parse(&SMALL.replacen(damage.0, damage.1, 1)).unwrap_err();
-            assert!(at == line && message.contains(part), "{damage:?}: line {at}: {message}");
+            assert!(
+                at == Some(line) && message.contains(part),
+                "{damage:?}: line {at:?}: {message}"
+            );
         }
         assert!(parse("").unwrap_err().1.contains("ends"));
     }

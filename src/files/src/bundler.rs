@@ -13,7 +13,13 @@
 //!
 //! Reference: N. Snavely, *Bundler v0.4 User's Manual*, 2010.
 
-use super::{FileError, model::Model, output};
+use super::{
+    FileError,
+    memory::read_text,
+    model::Model,
+    output,
+    words::{Fault, Words},
+};
 use rowgram_optim::geometry::rotation;
 use rowgram_survey::{
     camera::{Camera, Interior, Lens, Model as LensModel},
@@ -45,56 +51,11 @@ pub fn read(path: &Path, list: Option<&Path>, size_px: [u32; 2]) -> Result<Model
         .map_err(|(line, message)| FileError::malformed(path, line, message))
 }
 
-fn read_text(path: &Path) -> Result<String, FileError> {
-    crate::memory::read_text(path)
-}
-
-type Fault = (Option<usize>, String);
-
-/// White-space separated words with the line that each is on.
-struct Words<'a> {
-    words: Box<dyn Iterator<Item = (usize, &'a str)> + 'a>,
-    line: usize,
-}
-
-impl<'a> Words<'a> {
-    fn new(text: &'a str) -> Words<'a> {
-        let lines = text.lines().enumerate().filter(|(_, line)| !line.starts_with('#'));
-        let words =
-            lines.flat_map(|(k, line)| line.split_ascii_whitespace().map(move |w| (k + 1, w)));
-        Words { words: Box::new(words), line: 1 }
-    }
-
-    fn fault(&self, message: String) -> Fault {
-        (Some(self.line), message)
-    }
-
-    fn number<T: std::str::FromStr>(&mut self, what: &str) -> Result<T, Fault> {
-        let Some((line, word)) = self.words.next() else {
-            return Err(self.fault(format!("the file ends where {what} was expected")));
-        };
-        self.line = line;
-        word.parse().map_err(|_| self.fault(format!("expected {what}, found {word:?}")))
-    }
-
-    fn many<const N: usize>(&mut self, what: &str) -> Result<[f64; N], Fault> {
-        let mut out = [0.0; N];
-        for to in &mut out {
-            let value: f64 = self.number(what)?;
-            if !value.is_finite() {
-                return Err(self.fault(format!("{what} is {value}, expected a finite number")));
-            }
-            *to = value;
-        }
-        Ok(out)
-    }
-}
-
 fn parse(text: &str, names: Option<&[String]>, size_px: [u32; 2]) -> Result<Model, Fault> {
     if !is_one(text.as_bytes()) {
         return Err((Some(1), "expected \"# Bundle file v0.3\"".into()));
     }
-    let mut words = Words::new(text);
+    let mut words = Words::of_file(text);
     let cameras: usize = words.number("the number of cameras")?;
     let points: usize = words.number("the number of points")?;
     for (count, what) in [(cameras, "cameras"), (points, "points")] {
@@ -171,9 +132,7 @@ fn parse(text: &str, names: Option<&[String]>, size_px: [u32; 2]) -> Result<Mode
             }
         }
     }
-    if words.words.next().is_some() {
-        return Err(words.fault("expected the end of the file".into()));
-    }
+    words.end()?;
     Ok(model)
 }
 
@@ -192,7 +151,7 @@ fn quaternion(r: &[f64; 9]) -> Option<rotation::Quaternion> {
 /// Writes a block, and its list of images where `list` is given.
 ///
 /// # Errors
-/// A lens that the format cannot hold; otherwise as [`output::write`].
+/// A lens that the format cannot hold, a name with a blank in the list; otherwise as [`output::write`].
 pub fn write(
     path: &Path,
     list: Option<&Path>,
@@ -219,6 +178,15 @@ pub fn write(
         .collect::<Result<_, FileError>>()?;
     if let Some(list) = list {
         output::check(list, force)?;
+        let is_word =
+            |name: &str| !name.is_empty() && !name.contains(|c: char| c.is_ascii_whitespace());
+        if let Some(image) = survey.images.iter().find(|image| !is_word(&image.name)) {
+            let message = format!(
+                "image {:?}: a name in Bundler's list of images ends at the first blank; rename the image",
+                image.name
+            );
+            return Err(FileError::malformed(list, None, message));
+        }
     }
     let mut rays: Vec<Vec<(u32, usize, [f64; 2])>> = vec![Vec::new(); survey.points.len()];
     let mut keys = vec![0; survey.images.len()];

@@ -8,9 +8,10 @@
 //! | RTKLIB's `.pos` | a row for each photo in the order in which they were taken |
 
 use super::{
-    FileError, columns,
+    FileError,
+    columns::{self, Coordinates},
     photo::Geotag,
-    table::{Column, Row, Table, decode},
+    table::{Row, Table, decode},
 };
 use std::path::Path;
 
@@ -82,20 +83,11 @@ pub(super) fn is_geographic(words: &str) -> bool {
         || ["WGS84", "WGS 84", "WGS84 LATLON", "WGS84 LAT/LON"].contains(&upper.as_str())
 }
 
-struct Columns {
-    image: Column,
-    /// East and north, or longitude and latitude.
-    plan: [Column; 2],
-    height: Option<Column>,
-    sigma: [Option<Column>; 3],
-    is_degrees: bool,
-}
-
 fn read_table(path: &Path, photos_deg: Option<[f64; 2]>) -> Result<CameraPlaces, FileError> {
     let table = Table::read(path)?;
     let mut choice = None;
-    let found = if table.is_named() {
-        named(&table)?
+    let (image, found) = if table.is_named() {
+        (table.required("image", columns::IMAGE)?, Coordinates::of(&table)?)
     } else {
         let is_odm = table.system().is_some();
         let found = columns::unnamed(&table, photos_deg, !is_odm)?;
@@ -106,31 +98,13 @@ fn read_table(path: &Path, photos_deg: Option<[f64; 2]>) -> Result<CameraPlaces,
             (.., Some(h), Some(v)) => (Some(h), Some(v)),
             _ => (None, None),
         };
-        let names =
-            if found.is_degrees { ["longitude", "latitude"] } else { ["easting", "northing"] };
-        let said = columns::said(
-            &table,
-            &[
-                ("names", Some(found.name)),
-                (names[0], Some(found.plan[0])),
-                (names[1], Some(found.plan[1])),
-                ("height", found.height),
-                ("accuracy in plan", plan),
-                ("accuracy in height", up),
-            ],
-        );
-        choice = Some(format!("it has no header; read with {said}"));
-        Columns {
-            image: found.name,
-            plan: found.plan,
-            height: found.height,
-            sigma: [plan, plan, up],
-            is_degrees: found.is_degrees,
-        }
+        let more = [("accuracy in plan", plan), ("accuracy in height", up)];
+        choice = Some(found.said(&table, &more));
+        (found.name, Coordinates { sigma: [plan, plan, up], ..found.coordinates })
     };
     let mut rows = Vec::with_capacity(table.rows().len());
     for row in table.rows() {
-        let name = table.text(row, found.image);
+        let name = table.text(row, image);
         if name.is_empty() {
             return Err(table.fault(row, "the row names no photo".into()));
         }
@@ -169,29 +143,6 @@ fn place(table: &Table, row: &Row, plan: [f64; 2], is_degrees: bool) -> Result<P
     Ok(Place::Degrees([lat, lon]))
 }
 
-fn named(table: &Table) -> Result<Columns, FileError> {
-    let image = table.required("image", columns::IMAGE)?;
-    let degrees = table.column(columns::LONGITUDE).zip(table.column(columns::LATITUDE));
-    let metres = table.column(columns::EASTING).zip(table.column(columns::NORTHING));
-    let of = |column: Column| -> Vec<f64> {
-        table.rows().iter().filter_map(|row| table.parse(row, column)).collect()
-    };
-    let (plan, is_degrees) = match (degrees, metres) {
-        (Some((lon, lat)), _) => ([lon, lat], true),
-        // Metashape calls degrees X and Y too.
-        (None, Some((x, y))) => {
-            let pairs: Vec<[f64; 2]> = of(x).into_iter().zip(of(y)).map(|(x, y)| [x, y]).collect();
-            ([x, y], columns::look_like_degrees(&pairs))
-        }
-        (None, None) => {
-            let lat = table.required("latitude", columns::LATITUDE)?;
-            ([table.required("longitude", columns::LONGITUDE)?, lat], true)
-        }
-    };
-    let sigma = columns::sigmas(table);
-    Ok(Columns { image, plan, height: table.column(columns::HEIGHT), sigma, is_degrees })
-}
-
 /// A number before its unit, as in `40.47186604,Lat`.
 fn before<'a>(fields: &[&'a str], unit: &str) -> Option<&'a str> {
     let of = |field: &&'a str| field.strip_suffix(unit)?.strip_suffix(',').map(str::trim);
@@ -200,7 +151,7 @@ fn before<'a>(fields: &[&'a str], unit: &str) -> Option<&'a str> {
 
 /// DJI's image log: one line a photo, fields by tabs, the unit after each number; standard deviations along north, east, up.
 fn read_mrk(path: &Path) -> Result<CameraPlaces, FileError> {
-    let text = decode(std::fs::read(path).map_err(|e| FileError::read(path, e))?);
+    let text = decode(crate::memory::read_file(path)?);
     let mut rows = Vec::new();
     for (k, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
         let fault = |what: &str| {

@@ -208,16 +208,114 @@ pub(super) fn told_sigma(
     Ok(sigma.iter().all(|s| s.is_finite()).then_some(sigma))
 }
 
+/// The columns of coordinates and their standard deviations.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Coordinates {
+    /// East and north, or longitude and latitude.
+    pub(super) plan: [Column; 2],
+    pub(super) height: Option<Column>,
+    pub(super) sigma: [Option<Column>; 3],
+    pub(super) is_degrees: bool,
+}
+
+impl Coordinates {
+    /// By their names. Metashape calls degrees X and Y too.
+    pub(super) fn of(table: &Table) -> Result<Coordinates, FileError> {
+        let metres = table.column(EASTING).zip(table.column(NORTHING));
+        let degrees = table.column(LONGITUDE).zip(table.column(LATITUDE));
+        // Where both are there, degrees say what they are.
+        let is_degrees = degrees.is_some();
+        let plan = match degrees.or(metres) {
+            Some((east, north)) => [east, north],
+            None => {
+                let found = table.header().join(", ");
+                return Err(table.whole_fault(format!(
+                    "no columns for the coordinates: expected easting_m and northing_m, or latitude_deg and longitude_deg, found {found}"
+                )));
+            }
+        };
+        let height = table.column(HEIGHT);
+        let sigma = sigmas(table);
+        let mut found = Coordinates { plan, height, sigma, is_degrees };
+        found.is_degrees |= look_like_degrees(&found.places(table));
+        Ok(found)
+    }
+
+    fn places(&self, table: &Table) -> Vec<[f64; 2]> {
+        let [x, y] = self.plan;
+        let of = |row: &Row| Some([table.parse(row, x)?, table.parse(row, y)?]);
+        table.rows().iter().filter_map(of).collect()
+    }
+
+    /// In metres.
+    pub(super) fn in_metres(table: &Table) -> Result<Coordinates, FileError> {
+        let found = Coordinates::of(table)?;
+        if !found.is_degrees {
+            return Ok(found);
+        }
+        let Some((east, north)) = table.column(EASTING).zip(table.column(NORTHING)) else {
+            return Err(table.whole_fault(DEGREES.into()));
+        };
+        let found = Coordinates { plan: [east, north], is_degrees: false, ..found };
+        match look_like_degrees(&found.places(table)) {
+            true => Err(table.whole_fault(DEGREES_AS_METRES.into())),
+            false => Ok(found),
+        }
+    }
+
+    /// A position; the height is `None` where it is not told.
+    pub(super) fn position(
+        &self,
+        table: &Table,
+        row: &Row,
+    ) -> Result<([f64; 2], Option<f64>), FileError> {
+        let [x, y] = self.plan.map(|column| table.number(row, column));
+        let height = self.height.map(|column| table.number_or_none(row, column)).transpose()?;
+        Ok(([x?, y?], height.flatten()))
+    }
+
+    /// Standard deviations of a row.
+    pub(super) fn sigma(
+        &self,
+        table: &Table,
+        row: &Row,
+        default: f64,
+    ) -> Result<[f64; 3], FileError> {
+        let [x, y, z] = self.sigma.map(|column| table.positive_or(row, column, default));
+        Ok([x?, y?, z?])
+    }
+}
+
+const DEGREES: &str = "the coordinates are latitude and longitude in degrees; expected easting_m, northing_m, height_m in metres: transform them into the mapping frame first";
+const DEGREES_AS_METRES: &str = "the coordinates look like degrees: all are within one unit of each other; expected metres in the mapping frame";
+
 /// Which columns of a table without a header hold coordinates, and what they are.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Unnamed {
     pub(super) name: Column,
-    /// East and north, or longitude and latitude.
-    pub(super) plan: [Column; 2],
-    pub(super) height: Option<Column>,
-    pub(super) is_degrees: bool,
+    pub(super) coordinates: Coordinates,
     /// The numbers after the height.
     pub(super) rest: [Option<Column>; 5],
+}
+
+impl Unnamed {
+    /// How columns were told, for a person: these, and more of them.
+    pub(super) fn said(&self, table: &Table, more: &[(&str, Option<Column>)]) -> String {
+        let Coordinates { plan, height, is_degrees, .. } = self.coordinates;
+        let [east, north] =
+            if is_degrees { ["longitude", "latitude"] } else { ["easting", "northing"] };
+        let own = [
+            ("names", Some(self.name)),
+            (east, Some(plan[0])),
+            (north, Some(plan[1])),
+            ("height", height),
+        ];
+        let of = |(what, column): &(&str, Option<Column>)| {
+            column.map(|column| format!("{what} in {:?}", table.title(column)))
+        };
+        let said: Vec<String> = own.iter().chain(more).filter_map(of).collect();
+        format!("it has no header; read with {}", said.join(", "))
+    }
 }
 
 /// Whether places are degrees: all within a degree of each other and within a globe's range, which a survey in metres
@@ -311,17 +409,12 @@ pub(super) fn unnamed(
     }
     Ok(Unnamed {
         name: all[name],
-        plan: if north_first { [*b, *a] } else { [*a, *b] },
-        height: more.first().copied(),
-        is_degrees,
+        coordinates: Coordinates {
+            plan: if north_first { [*b, *a] } else { [*a, *b] },
+            height: more.first().copied(),
+            sigma: [None; 3],
+            is_degrees,
+        },
         rest,
     })
-}
-
-/// How columns were told, for a person: `longitude in column 2, ...`.
-pub(super) fn said(table: &Table, columns: &[(&str, Option<Column>)]) -> String {
-    let of = |(what, column): &(&str, Option<Column>)| {
-        column.map(|column| format!("{what} in {:?}", table.title(column)))
-    };
-    columns.iter().filter_map(of).collect::<Vec<_>>().join(", ")
 }

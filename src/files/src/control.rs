@@ -21,10 +21,8 @@ pub use marks::{MarkRow, MarkSource, MarkTable, marks};
 
 use super::{
     FileError,
-    columns::{
-        self, EASTING, HEIGHT, IMAGE, LABEL, LATITUDE, LONGITUDE, NORTHING, look_like_degrees,
-    },
-    table::{Column, Row, Table},
+    columns::{self, Coordinates, IMAGE, LABEL},
+    table::{Column, Table},
 };
 use rowgram_survey::scene::{
     Axes, CameraPosition, Excluded, ExcludedKind, GroundPoint, Image, Role, ScaleBar,
@@ -94,70 +92,6 @@ impl Control {
     }
 }
 
-/// The columns of coordinates and their standard deviations.
-struct Coordinates {
-    /// East and north, or longitude and latitude.
-    plan: [Column; 2],
-    height: Option<Column>,
-    sigma: [Option<Column>; 3],
-    is_degrees: bool,
-}
-
-impl Coordinates {
-    fn of(table: &Table) -> Result<Coordinates, FileError> {
-        let metres = table.column(EASTING).zip(table.column(NORTHING));
-        let degrees = table.column(LONGITUDE).zip(table.column(LATITUDE));
-        // Where both are there, degrees say what they are.
-        let is_degrees = degrees.is_some();
-        let plan = match degrees.or(metres) {
-            Some((east, north)) => [east, north],
-            None => [table.required("easting", EASTING)?, table.required("northing", NORTHING)?],
-        };
-        let height = table.column(HEIGHT);
-        let sigma = columns::sigmas(table);
-        let mut found = Coordinates { plan, height, sigma, is_degrees };
-        found.is_degrees |= look_like_degrees(&found.places(table));
-        Ok(found)
-    }
-
-    fn places(&self, table: &Table) -> Vec<[f64; 2]> {
-        let [x, y] = self.plan;
-        let of = |row: &Row| Some([table.parse(row, x)?, table.parse(row, y)?]);
-        table.rows().iter().filter_map(of).collect()
-    }
-
-    /// In metres.
-    fn in_metres(table: &Table) -> Result<Coordinates, FileError> {
-        let found = Coordinates::of(table)?;
-        if !found.is_degrees {
-            return Ok(found);
-        }
-        let Some((east, north)) = table.column(EASTING).zip(table.column(NORTHING)) else {
-            return Err(table.whole_fault(DEGREES.into()));
-        };
-        let found = Coordinates { plan: [east, north], is_degrees: false, ..found };
-        match look_like_degrees(&found.places(table)) {
-            true => Err(table.whole_fault(DEGREES_AS_METRES.into())),
-            false => Ok(found),
-        }
-    }
-
-    /// A position; the height is `None` where it is not told.
-    fn position(&self, table: &Table, row: &Row) -> Result<([f64; 2], Option<f64>), FileError> {
-        let [x, y] = self.plan.map(|column| table.number(row, column));
-        let height = self.height.map(|column| table.number_or_none(row, column)).transpose()?;
-        Ok(([x?, y?], height.flatten()))
-    }
-
-    fn sigma(&self, table: &Table, row: &Row, default: f64) -> Result<[f64; 3], FileError> {
-        let [x, y, z] = self.sigma.map(|column| table.positive_or(row, column, default));
-        Ok([x?, y?, z?])
-    }
-}
-
-const DEGREES: &str = "the coordinates are latitude and longitude in degrees; expected easting_m, northing_m, height_m in metres: transform them into the mapping frame first";
-const DEGREES_AS_METRES: &str = "the coordinates look like degrees: all are within one unit of each other; expected metres in the mapping frame";
-
 /// Reads ground points in metres.
 ///
 /// # Errors
@@ -192,24 +126,7 @@ pub fn read(
         (label, coordinates, None)
     } else {
         let found = columns::unnamed(&table, photos_deg, true)?;
-        let [east, north] =
-            if found.is_degrees { ["longitude", "latitude"] } else { ["easting", "northing"] };
-        let said = columns::said(
-            &table,
-            &[
-                ("names", Some(found.name)),
-                (east, Some(found.plan[0])),
-                (north, Some(found.plan[1])),
-                ("height", found.height),
-            ],
-        );
-        let coordinates = Coordinates {
-            plan: found.plan,
-            height: found.height,
-            sigma: [None; 3],
-            is_degrees: found.is_degrees,
-        };
-        (found.name, coordinates, Some(format!("it has no header; read with {said}")))
+        (found.name, found.coordinates, Some(found.said(&table, &[])))
     };
     let geographic = coordinates.is_degrees;
     if geographic {

@@ -10,13 +10,8 @@
 //! `column` and `row` count the board's inner corners from 0. The centre of the top-left pixel is (0, 0).
 //! The rows of one photo may stand anywhere in the file; photos keep the order of their first row.
 
-use super::{
-    FileError,
-    csv_table::{CsvWriter, of_cell},
-    output,
-};
+use super::{FileError, csv_table::CsvWriter, output, table::Table};
 use rowgram_survey::target::{Board, BoardCorner};
-use serde::Deserialize;
 use std::path::Path;
 
 /// The corners of one photo.
@@ -31,121 +26,45 @@ pub struct ImageCorners {
 /// The columns that have to be there.
 const COLUMNS: [&str; 5] = ["image", "column", "row", "u_px", "v_px"];
 
-#[derive(Deserialize)]
-struct Row {
-    image: String,
-    column: usize,
-    row: usize,
-    u_px: f64,
-    v_px: f64,
-}
-
 /// Reads the corners of `board` in photos.
 ///
 /// # Errors
 /// Names file and line: where a column is missing, a number is none or not finite, a corner is not
 /// on the board or there twice.
 pub fn read(path: &Path, board: Board) -> Result<Vec<ImageCorners>, FileError> {
-    let bytes = crate::memory::read_file(path)?;
-    parse(&bytes, board).map_err(|(line, message)| FileError::malformed(path, line, message))
-}
-
-type Fault = (Option<usize>, String);
-
-fn parse(bytes: &[u8], board: Board) -> Result<Vec<ImageCorners>, Fault> {
-    let bytes = bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes);
-    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes);
-    let headers = reader.headers().map_err(|e| (Some(1), e.to_string()))?.clone();
+    let table = Table::with_header(path)?;
+    table.refuse_twice(&COLUMNS)?;
+    let mut columns = Vec::with_capacity(COLUMNS.len());
     for name in COLUMNS {
-        match headers.iter().filter(|header| *header == name).count() {
-            1 => {}
-            0 => {
-                let found: String = headers.iter().collect::<Vec<_>>().join(",");
-                return Err((
-                    Some(1),
-                    format!("expected a header with {}, found {found:?}", COLUMNS.join(",")),
-                ));
-            }
-            _ => return Err((Some(1), format!("the header names {name} twice"))),
-        }
+        columns.push(table.required(name, &[name])?);
     }
     let mut images: Vec<ImageCorners> = Vec::new();
-    for record in reader.records() {
-        let record = record.map_err(|error| {
-            let line = error.position().map(|position| position.line() as usize);
-            let message = match error.kind() {
-                csv::ErrorKind::UnequalLengths { expected_len, len, .. } => {
-                    format!("expected {expected_len} columns, found {len}")
-                }
-                _ => error.to_string(),
-            };
-            (line, message)
-        })?;
-        let line = record.position().map(|position| position.line() as usize);
-        let mut row: Row = record
-            .deserialize(Some(&headers))
-            .map_err(|error| (line, field_message(&error, &headers, &record)))?;
-        row.image = of_cell(&row.image).to_owned();
-        for (name, value) in [("u_px", row.u_px), ("v_px", row.v_px)] {
-            if !value.is_finite() {
-                return Err((line, format!("{name} is {value}, expected a finite number")));
-            }
+    for row in table.rows() {
+        let name = table.text(row, columns[0]);
+        let (column, of_board) = (table.whole(row, columns[1])?, table.whole(row, columns[2])?);
+        let image_px = [table.number(row, columns[3])?, table.number(row, columns[4])?];
+        let corner = BoardCorner { column, row: of_board, image_px };
+        let place = format!("column {column} of row {of_board}");
+        if column >= board.columns || of_board >= board.rows {
+            let message =
+                format!("{place} is not on a board of {board} inner corners (they count from 0)");
+            return Err(table.fault(row, message));
         }
-        if row.column >= board.columns || row.row >= board.rows {
-            return Err((
-                line,
-                format!(
-                    "column {} of row {} is not on a board of {board} inner corners (they count from 0)",
-                    row.column, row.row
-                ),
-            ));
+        let known = images.iter().position(|image| image.image == name);
+        let known = known.unwrap_or_else(|| {
+            images.push(ImageCorners { image: name.to_owned(), corners: Vec::new() });
+            images.len() - 1
+        });
+        let corners = &mut images[known].corners;
+        if corners.iter().any(|c| (c.column, c.row) == (corner.column, corner.row)) {
+            return Err(table.fault(row, format!("{place} of {name} is there twice")));
         }
-        let corner =
-            BoardCorner { column: row.column, row: row.row, image_px: [row.u_px, row.v_px] };
-        let known = images.iter().position(|image| image.image == row.image);
-        let image = match known {
-            Some(k) => &mut images[k],
-            None => {
-                images.push(ImageCorners { image: row.image, corners: Vec::new() });
-                let last = images.len() - 1;
-                &mut images[last]
-            }
-        };
-        if image.corners.iter().any(|c| (c.column, c.row) == (corner.column, corner.row)) {
-            return Err((
-                line,
-                format!(
-                    "column {} of row {} of {} is there twice",
-                    corner.column, corner.row, image.image
-                ),
-            ));
-        }
-        image.corners.push(corner);
+        corners.push(corner);
     }
     if images.is_empty() {
-        return Err((None, "it has no corners, only a header".to_owned()));
+        return Err(table.whole_fault("it has no corners, only a header".to_owned()));
     }
     Ok(images)
-}
-
-/// What is wrong with a field, without the words of the parser.
-fn field_message(
-    error: &csv::Error,
-    headers: &csv::StringRecord,
-    record: &csv::StringRecord,
-) -> String {
-    if let csv::ErrorKind::Deserialize { err, .. } = error.kind()
-        && let Some(field) = err.field()
-        && let Some(name) = headers.get(field as usize)
-    {
-        let value = record.get(field as usize).unwrap_or_default();
-        let expected = match name {
-            "column" | "row" => "a whole number from 0",
-            _ => "a number",
-        };
-        return format!("{name} is {value:?}, expected {expected}");
-    }
-    error.to_string()
 }
 
 /// Writes corners, photo by photo.
@@ -178,19 +97,36 @@ mod tests {
 
     const BOARD: Board = Board { columns: 4, rows: 3 };
 
+    fn parse(bytes: &[u8]) -> Result<Vec<ImageCorners>, FileError> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("corners.csv");
+        std::fs::write(&path, bytes).unwrap();
+        read(&path, BOARD)
+    }
+
     fn fault(text: &str) -> (usize, String) {
-        let (line, message) = parse(text.as_bytes(), BOARD).unwrap_err();
-        (line.unwrap_or(0), message)
+        match parse(text.as_bytes()).unwrap_err() {
+            FileError::Malformed { line, message, .. } => (line.unwrap_or(0), message),
+            other => panic!("{other}"),
+        }
     }
 
     #[test]
     fn faults_name_line_and_field() {
         let head = "image,column,row,u_px,v_px\n";
         for (text, line, part) in [
-            ("u,v\n1,2\n".to_owned(), 1, "expected a header with image,column"),
-            (format!("{head}a,0,0,1,2\na,1,0,NaN,2\n"), 3, "u_px is NaN"),
-            (format!("{head}a,0,0,1,2\na,1,0,3\n"), 3, "expected 5 columns, found 4"),
-            (format!("{head}a,0,0,1,x\n"), 2, "v_px is \"x\", expected a number"),
+            (
+                "u,v\n1,2\n".to_owned(),
+                1,
+                "no column for the image: expected one called image, found u, v",
+            ),
+            (format!("{head}a,0,0,1,2\na,1,0,NaN,2\n"), 3, "u_px is \"NaN\""),
+            (
+                format!("{head}a,0,0,1,2\na,1,0,3\n"),
+                3,
+                "expected 5 columns as in the header, found 4",
+            ),
+            (format!("{head}a,0,0,1,x\n"), 2, "v_px is \"x\", expected a finite number"),
             (format!("{head}a,-1,0,1,2\n"), 2, "column is \"-1\", expected a whole number"),
             (format!("{head}a,4,0,1,2\n"), 2, "not on a board of 4x3"),
             (format!("{head}a,1,0,1,2\nb,1,0,1,2\na,1,0,5,2\n"), 4, "of a is there twice"),
@@ -221,10 +157,10 @@ mod tests {
     proptest! {
         #[test]
         fn any_bytes_never_panic(bytes in proptest::collection::vec(any::<u8>(), 0..200)) {
-            let _ = parse(&bytes, BOARD);
+            let _ = parse(&bytes);
             let mut text = b"image,column,row,u_px,v_px\n".to_vec();
             text.extend(bytes);
-            let _ = parse(&text, BOARD);
+            let _ = parse(&text);
         }
     }
 }

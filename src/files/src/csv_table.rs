@@ -53,6 +53,16 @@ pub fn as_cell(text: &str) -> Cow<'_, str> {
     if is_like_formula(text) { Cow::Owned(format!("'{text}")) } else { Cow::Borrowed(text) }
 }
 
+/// As [`as_cell`], in quotes where it needs them: for rows that are written without [`CsvWriter`].
+pub(super) fn quoted(text: &str) -> Cow<'_, str> {
+    let cell = as_cell(text);
+    if cell.contains([',', '"', '\n', '\r', ';', '\t']) || cell.trim() != cell {
+        Cow::Owned(format!("\"{}\"", cell.replace('"', "\"\"")))
+    } else {
+        cell
+    }
+}
+
 /// The text of a cell.
 pub fn of_cell(cell: &str) -> &str {
     cell.strip_prefix('\'').filter(|text| is_like_formula(text)).unwrap_or(cell)

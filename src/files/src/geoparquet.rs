@@ -54,13 +54,11 @@ fn encode(layer: &Layer) -> parquet::errors::Result<Vec<u8>> {
     };
     use std::sync::Arc;
     let (geometries, is_wgs84) = on_ellipsoid(layer);
-    let mut properties = WriterProperties::builder()
-        .set_created_by(concat!("rowgram ", env!("CARGO_PKG_VERSION")).to_owned());
-    if layer.kind != GeometryKind::None {
-        let about = about(layer.kind, &geometries, is_wgs84);
-        let about = KeyValue::new("geo".to_owned(), about.to_string());
-        properties = properties.set_key_value_metadata(Some(vec![about]));
-    }
+    let about = about(layer.kind, &geometries, is_wgs84);
+    let about = KeyValue::new("geo".to_owned(), about.to_string());
+    let properties = WriterProperties::builder()
+        .set_created_by(concat!("rowgram ", env!("CARGO_PKG_VERSION")).to_owned())
+        .set_key_value_metadata(Some(vec![about]));
     let schema = Arc::new(parse_message_type(&schema(layer))?);
     let mut writer = SerializedFileWriter::new(Vec::new(), schema, Arc::new(properties.build()))?;
     let mut group = writer.next_row_group()?;
@@ -131,10 +129,7 @@ fn schema(layer: &Layer) -> String {
             ColumnKind::Text => format!("  optional binary {name} (UTF8);\n"),
         };
     }
-    if layer.kind != GeometryKind::None {
-        text += "  optional binary geometry;\n";
-    }
-    text + "}"
+    text + "  optional binary geometry;\n}"
 }
 
 /// What the standard asks to be said of the geometries.
@@ -143,7 +138,7 @@ fn about(kind: GeometryKind, geometries: &[Option<Geometry>], is_wgs84: bool) ->
     let name = match kind {
         GeometryKind::Point => "Point",
         GeometryKind::LineString => "LineString",
-        GeometryKind::Polygon | GeometryKind::None => "Polygon",
+        GeometryKind::Polygon => "Polygon",
     };
     let mut column = serde_json::json!({"encoding": "WKB", "geometry_types": [name]});
     let points = || geometries.iter().flatten().flat_map(|geometry| geometry.points());

@@ -40,8 +40,6 @@ pub enum GeometryKind {
     LineString,
     /// Areas: an outer ring and holes, each ring closed or not.
     Polygon,
-    /// No geometry: a table of attributes.
-    None,
 }
 
 /// A geometry, `[x, y]` in the layer's coordinates.
@@ -190,7 +188,6 @@ impl GeometryKind {
             GeometryKind::Point => "POINT",
             GeometryKind::LineString => "LINESTRING",
             GeometryKind::Polygon => "POLYGON",
-            GeometryKind::None => "",
         }
     }
 }
@@ -320,13 +317,7 @@ mod tests {
             }],
             ..lines.clone()
         };
-        let table = Layer {
-            name: "counts".into(),
-            kind: GeometryKind::None,
-            features: vec![Feature { geometry: None, values: values(1, 2.0, "x") }],
-            ..lines.clone()
-        };
-        vec![lines, areas, table]
+        vec![lines, areas]
     }
 
     #[test]
@@ -376,7 +367,6 @@ mod tests {
         let Sql::Blob(ring) = &row("SELECT geom FROM plots")[0] else { panic!() };
         // Header, bounds, kind, one ring, which was closed.
         assert_eq!(ring.len(), 40 + 5 + 4 + 4 + 4 * 16);
-        assert_eq!(row("SELECT count(*) FROM counts"), [Sql::Integer(1)]);
         assert_eq!(
             row("SELECT srs_id FROM gpkg_geometry_columns WHERE table_name = 'plots'"),
             [Sql::Integer(-1)]

@@ -11,7 +11,7 @@
 //!   white; also one that JPEG has blurred. Everything else is a **photo**.
 //! - A JPEG that ends early or whose data are damaged is refused, not filled with grey.
 
-mod jpeg;
+pub(super) mod jpeg;
 mod lossy;
 
 use super::{FileError, memory, output};
@@ -41,11 +41,7 @@ pub enum Picture {
 /// # Errors
 /// Where the file cannot be read, or is not a whole PNG, JPEG or TIFF picture.
 pub fn read(path: &Path) -> Result<Picture, FileError> {
-    let stored = decode(path)?;
-    Ok(match stored.as_mask(false) {
-        Some(mask) => Picture::Mask(mask),
-        None => Picture::Photo(stored.into_rgb()),
-    })
+    Ok(read_with_gaps(path)?.0)
 }
 
 /// As [`read`], and which pixels (row by row) are transparent (alpha 0); `None` where none is.
@@ -87,7 +83,7 @@ pub fn read_grey(path: &Path) -> Result<GrayImage, FileError> {
 /// # Errors
 /// As [`read`].
 pub fn read_colour(path: &Path) -> Result<RgbImage, FileError> {
-    Ok(decode(path)?.into_rgb())
+    Ok(read_colour_and_gaps(path)?.0)
 }
 
 /// As [`read_colour`], and which pixels (row by row) are transparent (alpha 0); `None` where none is.
@@ -109,14 +105,6 @@ pub fn read_mask(path: &Path) -> Result<Mask, FileError> {
         let message = "it holds a photo (more than two values), expected a mask";
         FileError::malformed(path, None, message)
     })
-}
-
-/// Whether a file holds a mask, as [`read`] tells it.
-///
-/// # Errors
-/// As [`read`].
-pub fn is_mask(path: &Path) -> Result<bool, FileError> {
-    Ok(decode(path)?.as_mask(false).is_some())
 }
 
 /// Writes values as a grey PNG of so many columns and rows.

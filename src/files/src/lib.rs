@@ -37,5 +37,6 @@ pub mod qgis;
 pub mod rasters;
 pub mod reconstruction;
 mod table;
+mod words;
 
 pub use rowgram_optim::output::{self, FileError};

@@ -27,10 +27,7 @@ use std::{collections::HashMap, path::Path};
 /// # Errors
 /// Where a file cannot be read or is no such file; names the camera, shot or point, or the line.
 pub fn read(path: &Path, tracks: &Path) -> Result<Model, FileError> {
-    let text = crate::memory::read_text(path)?;
-    let file: Value = serde_json::from_str(&text)
-        .map_err(|e| FileError::malformed(path, e.line(), e.to_string()))?;
-    let mut model = parse(&file).map_err(|message| FileError::malformed(path, None, message))?;
+    let mut model = read_poses(path)?;
     let text = crate::memory::read_text(tracks)?;
     measurements(&text, &mut model)
         .map_err(|(line, message)| FileError::malformed(tracks, line, message))?;

@@ -1,6 +1,6 @@
 //! Exterior orientations as a table: image, projection centre, omega, phi, kappa.
 
-use super::{FileError, output};
+use super::{FileError, csv_table::quoted, output};
 use rowgram_optim::geometry::rotation;
 use rowgram_survey::scene::{Image, Reconstruction};
 use std::path::Path;
@@ -29,7 +29,8 @@ pub fn write(path: &Path, survey: &Reconstruction, force: bool) -> Result<(), Fi
         for (k, image) in images.iter().enumerate() {
             let [x, y, z] = image.pose.centre_m();
             let [omega, phi, kappa] = image.pose.omega_phi_kappa_rad().map(f64::to_degrees);
-            write!(out, "{},{x:.4},{y:.4},{z:.4},{omega:.7},{phi:.7},{kappa:.7}", image.name)?;
+            write!(out, "{},{x:.4},{y:.4},{z:.4}", quoted(&image.name))?;
+            write!(out, ",{omega:.7},{phi:.7},{kappa:.7}")?;
             if let Some(sigma) = known.and_then(|known| known.images.get(k)) {
                 for sigma_m in sigma.centre_m {
                     write!(out, ",{sigma_m:.4}")?;
@@ -65,8 +66,14 @@ mod tests {
     fn the_motion_of_an_image_comes_back_from_the_table() {
         let motion = [0.002, -0.001, 0.003, 0.12, -0.2, 0.03];
         let pose = Pose::from_centre(rotation::exp([0.1, -0.2, 1.5]), [10.0, 20.0, 30.0]);
-        let image =
-            Image { name: "a.jpg".into(), id: 1, camera: 0, pose, motion, expected_motion: motion };
+        let image = Image {
+            name: "a,b.jpg".into(),
+            id: 1,
+            camera: 0,
+            pose,
+            motion,
+            expected_motion: motion,
+        };
         let shutter =
             RollingShutter { readout_s: 0.03, sigma_velocity_m_s: 1.0, sigma_rate_rad_s: 0.0 };
         for rolling_shutter in [Some(shutter), None] {
@@ -78,7 +85,9 @@ mod tests {
             let folder = tempfile::tempdir().unwrap();
             let path = folder.path().join("exterior_orientation.csv");
             write(&path, &survey, false).unwrap();
-            let found = poses::read(&path).unwrap()[0].motion;
+            let found = &poses::read(&path).unwrap()[0];
+            assert_eq!(found.name, "a,b.jpg");
+            let found = found.motion;
             match (rolling_shutter, found) {
                 // Rates have seven decimals, velocities five; 0.03 s of them are left.
                 (Some(_), Some(found)) => {

@@ -14,7 +14,7 @@
 //! Only this shape of YAML is read: names, and below each `key: value` with numbers, lists of numbers and words.
 //! Reference: <https://orthority.readthedocs.io/en/latest/file_formats/oty_int_param.html>.
 
-use super::FileError;
+use super::{FileError, words::Fault};
 use rowgram_survey::camera::{Camera, Interior, Model, image_centre_px};
 use std::{collections::BTreeMap, path::Path};
 
@@ -26,8 +26,6 @@ pub fn read(path: &Path) -> Result<Vec<Camera>, FileError> {
     let text = crate::memory::read_text(path)?;
     parse(&text).map_err(|(line, message)| FileError::malformed(path, line, message))
 }
-
-type Fault = (Option<usize>, String);
 
 fn parse(text: &str) -> Result<Vec<Camera>, Fault> {
     let mut cameras: Vec<(String, BTreeMap<String, String>)> = Vec::new();

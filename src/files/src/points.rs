@@ -2,12 +2,13 @@
 //!
 //! With a header, the columns are found by name, in any order and among others: `u_px,v_px`, or
 //! else `x,y`. Without one there are just two columns, `u` and `v`. Positions are in pixels, the
-//! centre of the top-left pixel being (0, 0). A byte order mark, CRLF line ends and blank lines
-//! are accepted; a file with a header alone holds no plants, but one with nothing at all is
+//! centre of the top-left pixel being (0, 0). A file with a header alone holds no plants, but one with nothing at all is
 //! refused, because it is more often a failed copy.
 
-use super::{FileError, output};
-use csv::ByteRecord;
+use super::{
+    FileError, output,
+    table::{Column, Table},
+};
 use std::path::Path;
 
 /// The names by which a pair of columns is found, the first pair that is there being taken.
@@ -19,125 +20,30 @@ const NAMES: [[&str; 2]; 2] = [["u_px", "v_px"], ["x", "y"]];
 /// Where the file cannot be read, lacks the columns, or has a row that is not two finite numbers;
 /// the message names file and line.
 pub fn read(path: &Path) -> Result<Vec<[f64; 2]>, FileError> {
-    let bytes = crate::memory::read_file(path)?;
-    parse(&bytes).map_err(|(line, message)| FileError::malformed(path, line, message))
-}
-
-/// What is wrong, and in which line.
-type Fault = (Option<usize>, String);
-
-fn parse(bytes: &[u8]) -> Result<Vec<[f64; 2]>, Fault> {
-    let bytes = bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes);
-    let mut reader = csv::ReaderBuilder::new()
-        .has_headers(false)
-        .flexible(true)
-        .trim(csv::Trim::All)
-        .from_reader(bytes);
-    let mut record = ByteRecord::new();
-    let mut columns: Option<Columns> = None;
-    let mut points = Vec::new();
-    while reader.read_byte_record(&mut record).map_err(|e| (None, e.to_string()))? {
-        let at = |message| (line_of(bytes, &record), message);
-        if record.len() == 1 && record.get(0).is_some_and(<[u8]>::is_empty) {
-            continue;
-        }
-        let columns = match &columns {
-            Some(columns) => columns,
-            None => {
-                let found = Columns::of(&record).map_err(at)?;
-                let header = found.header;
-                let found = columns.insert(found);
-                if header {
-                    continue;
-                }
-                found
-            }
-        };
-        points.push(columns.position(&record).map_err(at)?);
-    }
-    match columns {
-        Some(_) => Ok(points),
-        None => Err((
-            None,
-            "the file is empty, expected a header with u_px,v_px or x,y, or two columns".to_owned(),
-        )),
-    }
-}
-
-/// One-based line in which a record begins; the reader counts blank lines to the record after
-/// them.
-fn line_of(bytes: &[u8], record: &ByteRecord) -> Option<usize> {
-    let position = record.position()?;
-    let rest = bytes.get(usize::try_from(position.byte()).ok()?..)?;
-    let blank = rest.iter().take_while(|byte| matches!(byte, b'\r' | b'\n'));
-    Some(position.line() as usize + blank.filter(|&&byte| byte == b'\n').count())
-}
-
-/// Where the positions stand in a row.
-struct Columns {
-    header: bool,
-    count: usize,
-    places: [usize; 2],
-    names: [&'static str; 2],
-}
-
-impl Columns {
-    /// From the first row, header or not.
-    fn of(record: &ByteRecord) -> Result<Columns, String> {
-        for names in NAMES {
-            let found = names.map(|name| {
-                let mut places =
-                    record.iter().enumerate().filter(|(_, field)| *field == name.as_bytes());
-                (places.next().map(|(place, _)| place), places.next().is_some())
-            });
-            if let [(Some(u), twice_u), (Some(v), twice_v)] = found {
-                if twice_u || twice_v {
-                    return Err(format!("the header names {} or {} twice", names[0], names[1]));
-                }
-                return Ok(Columns { header: true, count: record.len(), places: [u, v], names });
-            }
-        }
-        if !record.iter().take(2).all(|field| number(field).is_some()) {
-            let fields: Vec<_> = record.iter().take(8).map(String::from_utf8_lossy).collect();
-            let shown = shorten(&fields.join(","));
-            return Err(format!(
-                "expected a header with u_px,v_px or x,y, or two numbers, found {shown:?}"
-            ));
-        }
-        if record.len() != 2 {
-            return Err(format!(
+    let table = Table::read(path)?;
+    let columns = if table.is_named() {
+        let pair = |[u, v]: &[&str; 2]| table.column(&[u]).zip(table.column(&[v]));
+        let (names, (u, v)) =
+            NAMES.iter().find_map(|names| Some((names, pair(names)?))).ok_or_else(|| {
+                let found = table.header().join(",");
+                let message = format!(
+                    "expected a header with u_px,v_px or x,y, or two numbers, found {found:?}"
+                );
+                FileError::malformed(path, 1, message)
+            })?;
+        table.refuse_twice(names)?;
+        [u, v]
+    } else {
+        let all: Vec<Column> = table.columns().map(|(_, column)| column).collect();
+        all.try_into().map_err(|all: Vec<Column>| {
+            table.whole_fault(format!(
                 "expected two columns, found {}; more of them need a header with u_px,v_px or x,y",
-                record.len()
-            ));
-        }
-        Ok(Columns { header: false, count: 2, places: [0, 1], names: ["u", "v"] })
-    }
-
-    fn position(&self, record: &ByteRecord) -> Result<[f64; 2], String> {
-        if record.len() != self.count {
-            return Err(format!("expected {} columns, found {}", self.count, record.len()));
-        }
-        let coordinate = |axis: usize| {
-            let field = record.get(self.places[axis]).unwrap_or_default();
-            number(field).filter(|value| value.is_finite()).ok_or_else(|| {
-                let shown = shorten(&String::from_utf8_lossy(field));
-                format!("{} is {shown:?}, expected a finite number", self.names[axis])
-            })
-        };
-        Ok([coordinate(0)?, coordinate(1)?])
-    }
-}
-
-fn number(field: &[u8]) -> Option<f64> {
-    std::str::from_utf8(field).ok()?.parse().ok()
-}
-
-/// A field as a message can show it.
-fn shorten(text: &str) -> String {
-    match text.char_indices().nth(40) {
-        Some((end, _)) => format!("{}...", &text[..end]),
-        None => text.to_owned(),
-    }
+                all.len()
+            ))
+        })?
+    };
+    let of = |row| Ok([table.number(row, columns[0])?, table.number(row, columns[1])?]);
+    table.rows().iter().map(of).collect()
 }
 
 /// Writes positions, in pixels, under the header `u_px,v_px` and further named columns.
@@ -185,9 +91,18 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
+    fn parse(bytes: &[u8]) -> Result<Vec<[f64; 2]>, FileError> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("plants.csv");
+        std::fs::write(&path, bytes).unwrap();
+        read(&path)
+    }
+
     fn fault(text: &str) -> (usize, String) {
-        let (line, message) = parse(text.as_bytes()).unwrap_err();
-        (line.unwrap_or(0), message)
+        match parse(text.as_bytes()).unwrap_err() {
+            FileError::Malformed { line, message, .. } => (line.unwrap_or(0), message),
+            other => panic!("{other}"),
+        }
     }
 
     #[test]
@@ -215,12 +130,15 @@ mod tests {
         assert_eq!(fault("u_px,v_px\n1,2\n3,x\n").0, 3);
         assert_eq!(fault("\n\nx,y\r\n1,2\r\n\r\n\r\nNaN,2\r\n").0, 7);
         assert_eq!(fault("\u{feff}1,2\n\n3,inf\n").0, 3);
-        assert_eq!(fault("1,2\n3\n"), (2, "expected 2 columns, found 1".to_owned()));
+        assert_eq!(
+            fault("1,2\n3\n"),
+            (2, "expected 2 columns as in the header, found 1".to_owned())
+        );
         assert_eq!(fault("x,y,row\n1,2,0\n3,4\n").0, 3);
         assert_eq!(fault("x,y\n1,1e999\n").0, 2);
         insta::assert_snapshot!(fault("a,b\n1,2\n").1, @r#"expected a header with u_px,v_px or x,y, or two numbers, found "a,b""#);
         insta::assert_snapshot!(fault("1,2,3\n").1, @"expected two columns, found 3; more of them need a header with u_px,v_px or x,y");
-        insta::assert_snapshot!(fault("x,y,x\n").1, @"the header names x or y twice");
+        insta::assert_snapshot!(fault("x,y,x\n").1, @"the header names x twice");
         for nothing in ["", "\n\r\n", "\u{feff}", "  \n"] {
             assert!(fault(nothing).1.contains("is empty"), "{nothing:?}");
         }
@@ -230,7 +148,7 @@ mod tests {
     fn written_positions_read_back_exactly() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("plants.csv");
-        let positions = [[0.1 + 0.2, 1e-300], [f64::MAX, -1.0 / 3.0], [0.0, 17.0]];
+        let positions = [[0.1 + 0.2, 1e-300], [1e15, -1.0 / 3.0], [0.0, 17.0]];
         let rows = [0.0, f64::NAN, 2.5];
         write(&path, false, &positions, &[("row", &rows)]).unwrap();
         assert_eq!(read(&path).unwrap(), positions);

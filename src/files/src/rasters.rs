@@ -332,32 +332,6 @@ impl GreyWriter {
     }
 }
 
-/// Writes a mask by the name's ending ([`GreyWriter`]); plants 255, the rest 0.
-///
-/// # Errors
-/// As [`super::output::write`], and where the mask has no pixel, or others than it says.
-pub fn write_mask(
-    path: &Path,
-    force: bool,
-    mask: &Mask,
-    georeference: Option<Georeference>,
-) -> Result<(), FileError> {
-    let size = (mask.width, mask.height);
-    if mask.data.len() != size.0 * size.1 {
-        let (width, height, found) = (size.0, size.1, mask.data.len());
-        let message = format!("a mask of {width} x {height} pixels that holds {found}");
-        let invalid = std::io::Error::new(std::io::ErrorKind::InvalidInput, message);
-        return Err(FileError::write(path, invalid));
-    }
-    let mut writer = GreyWriter::begin(path, force, size, Colour::Classes, georeference)?;
-    for band in window::bands(mask.height, BAND_ROWS, 0) {
-        let pixels = band.rows.start * mask.width..band.rows.end * mask.width;
-        let white = |&pixel: &u8| if pixel == 0 { 0 } else { 255 };
-        writer.put(band.rows, &mask.data[pixels].iter().map(white).collect::<Vec<u8>>())?;
-    }
-    writer.finish()
-}
-
 /// Reads a TIFF file of posterior probabilities in 1/255, of a mask of this size.
 ///
 /// # Errors

@@ -5,16 +5,12 @@
 //! without one, the last line of comments (`#`, `%`) before the rows is, where it has as many fields. Lines of comments and a
 //! first line that names a reference system are kept apart.
 
-mod decode;
 mod separator;
 
-use super::{FileError, csv_table::of_cell};
-pub(super) use decode::decode;
+use super::{FileError, csv_table::of_cell, words::LARGEST};
+use encoding_rs::{Encoding, WINDOWS_1252};
 use separator::Separator;
 use std::path::{Path, PathBuf};
-
-/// Size of the largest number: squares and quotients of larger ones cannot be computed with.
-const LARGEST: f64 = 1e15;
 
 /// A file with rows of fields. All of them are one text: tables of leaves have millions of cells.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -40,6 +36,18 @@ pub(super) struct Row {
 /// A column that was found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Column(usize);
+
+/// The text of a file: by its byte order mark, else UTF-8, else Latin-1 as Windows writes it.
+pub(super) fn decode(bytes: Vec<u8>) -> String {
+    match Encoding::for_bom(&bytes) {
+        Some((encoding, mark)) => {
+            encoding.decode_without_bom_handling(&bytes[mark..]).0.into_owned()
+        }
+        None => String::from_utf8(bytes).unwrap_or_else(|error| {
+            WINDOWS_1252.decode_without_bom_handling(error.as_bytes()).0.into_owned()
+        }),
+    }
+}
 
 /// A title as it is compared: without unit, in lower case, words joined by `_`.
 fn normal(title: &str) -> String {
@@ -248,6 +256,20 @@ impl Table {
             );
             FileError::malformed(&self.path, 1, message)
         })
+    }
+
+    /// Refuses a header with two columns of one of these names.
+    pub(super) fn refuse_twice(&self, names: &[&str]) -> Result<(), FileError> {
+        let titles: Vec<String> = self.header.iter().map(|title| normal(title)).collect();
+        let is_twice =
+            |name: &&&str| titles.iter().filter(|title| title.as_str() == **name).count() > 1;
+        match names.iter().find(is_twice) {
+            Some(name) => {
+                let message = format!("the header names {name} twice");
+                Err(FileError::malformed(&self.path, 1, message))
+            }
+            None => Ok(()),
+        }
     }
 
     fn cell(&self, at: usize) -> &str {

@@ -1,6 +1,7 @@
 //! COLMAP's binary form, little-endian.
 
-use super::{CameraRow, Fault, Feature, HALF_PX, ImageRow, PointRow, ReadKind, Rows};
+use super::{CameraRow, Feature, HALF_PX, ImageRow, PointRow, ReadKind, Rows};
+use crate::words::{Fault, usable};
 use rowgram_survey::scene::Reconstruction;
 
 /// Bytes yet to be read.
@@ -28,11 +29,7 @@ impl<'a> Bytes<'a> {
 
     fn finite(&mut self, what: &str) -> Result<f64, Fault> {
         let value = f64::from_le_bytes(self.take(what)?);
-        if value.is_finite() {
-            Ok(value)
-        } else {
-            Err((None, format!("{what} is {value}, expected a finite number")))
-        }
+        usable(what, value).map_err(|message| (None, message))
     }
 
     /// A count of things of at least `size` bytes each; nothing is allocated for a number that the

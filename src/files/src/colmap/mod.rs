@@ -14,6 +14,7 @@ mod text;
 use super::{
     FileError,
     model::{Feature, Model, as_brown, from_computer_vision, to_computer_vision},
+    words::Fault,
 };
 use fitted::Fitted;
 use rowgram_optim::geometry::rotation;
@@ -197,9 +198,6 @@ struct PointRow {
     position: [f64; 3],
     colour: [u8; 3],
 }
-
-/// What is wrong, and in which line.
-type Fault = (Option<usize>, String);
 
 /// Reads the model in a folder.
 ///

@@ -1,60 +1,13 @@
 //! COLMAP's text form.
 
-use super::{CameraRow, Fault, Feature, HALF_PX, ImageRow, PointRow, ReadKind, Rows};
+use super::{CameraRow, Feature, HALF_PX, ImageRow, PointRow, ReadKind, Rows};
+use crate::words::{Fault, Words, text, usable};
 use rowgram_survey::scene::Reconstruction;
 use std::io::Write;
 
 /// Lines that say something, with their one-based numbers.
 fn lines(bytes: &[u8]) -> Result<Vec<(usize, &str)>, Fault> {
-    let text = std::str::from_utf8(bytes).map_err(|e| {
-        let line = bytes[..e.valid_up_to()].iter().filter(|&&b| b == b'\n').count() + 1;
-        (Some(line), "not text".to_owned())
-    })?;
-    Ok(text.lines().enumerate().map(|(k, line)| (k + 1, line.trim_end())).collect())
-}
-
-/// Words of one line.
-struct Words<'a> {
-    line: usize,
-    words: std::str::SplitAsciiWhitespace<'a>,
-}
-
-impl<'a> Words<'a> {
-    fn new((line, text): (usize, &'a str)) -> Words<'a> {
-        Words { line, words: text.split_ascii_whitespace() }
-    }
-
-    fn fault(&self, message: String) -> Fault {
-        (Some(self.line), message)
-    }
-
-    fn word(&mut self, what: &str) -> Result<&'a str, Fault> {
-        self.words
-            .next()
-            .ok_or_else(|| self.fault(format!("the line ends where {what} was expected")))
-    }
-
-    fn number<T: std::str::FromStr>(&mut self, what: &str) -> Result<T, Fault> {
-        let word = self.word(what)?;
-        word.parse().map_err(|_| self.fault(format!("expected {what}, found {word:?}")))
-    }
-
-    fn finite(&mut self, what: &str) -> Result<f64, Fault> {
-        let value: f64 = self.number(what)?;
-        if value.is_finite() {
-            Ok(value)
-        } else {
-            Err(self.fault(format!("{what} is {value}, expected a finite number")))
-        }
-    }
-
-    fn many<const N: usize>(&mut self, what: &str) -> Result<[f64; N], Fault> {
-        let mut out = [0.0; N];
-        for value in &mut out {
-            *value = self.finite(what)?;
-        }
-        Ok(out)
-    }
+    Ok(text(bytes)?.lines().enumerate().map(|(k, line)| (k + 1, line.trim_end())).collect())
 }
 
 pub(super) fn cameras(bytes: &[u8]) -> Result<Vec<CameraRow>, Fault> {
@@ -63,7 +16,7 @@ pub(super) fn cameras(bytes: &[u8]) -> Result<Vec<CameraRow>, Fault> {
         if line.1.is_empty() || line.1.starts_with('#') {
             continue;
         }
-        let mut words = Words::new(line);
+        let mut words = Words::of_line(line);
         let id = words.number("a camera number")?;
         let name = words.word("the name of a lens model")?;
         let kind = ReadKind::named(name)
@@ -73,7 +26,7 @@ pub(super) fn cameras(bytes: &[u8]) -> Result<Vec<CameraRow>, Fault> {
         for _ in 0..kind.count() {
             parameters.push(words.finite("a lens parameter")?);
         }
-        if words.words.next().is_some() {
+        if words.next().is_some() {
             return Err(
                 words.fault(format!("{name} has {} parameters, there are more", kind.count()))
             );
@@ -92,7 +45,7 @@ pub(super) fn images(bytes: &[u8]) -> Result<Vec<ImageRow>, Fault> {
         if line.1.is_empty() {
             continue;
         }
-        let mut words = Words::new(line);
+        let mut words = Words::of_line(line);
         let id = words.number("an image number")?;
         let rotation = words.many("a component of the quaternion")?;
         let translation = words.many("a component of the translation")?;
@@ -105,16 +58,14 @@ pub(super) fn images(bytes: &[u8]) -> Result<Vec<ImageRow>, Fault> {
         }
         let mut features = Vec::new();
         if let Some(line) = rest.next() {
-            let mut words = Words::new(line);
-            while let Some(first) = words.words.next() {
-                let u: f64 = first
+            let mut words = Words::of_line(line);
+            while let Some(first) = words.next() {
+                let u = first
                     .parse()
                     .map_err(|_| words.fault(format!("expected u, found {first:?}")))?;
+                let u = usable("u", u).map_err(|message| words.fault(message))?;
                 let v = words.finite("v")?;
                 let point: i64 = words.number("the number of a point")?;
-                if !u.is_finite() {
-                    return Err(words.fault(format!("u is {u}, expected a finite number")));
-                }
                 features.push(Feature {
                     image_px: [u - HALF_PX, v - HALF_PX],
                     point: u64::try_from(point).ok(),
@@ -132,7 +83,7 @@ pub(super) fn points(bytes: &[u8]) -> Result<Vec<PointRow>, Fault> {
         if line.1.is_empty() || line.1.starts_with('#') {
             continue;
         }
-        let mut words = Words::new(line);
+        let mut words = Words::of_line(line);
         let id = words.number("the number of a point")?;
         let position = words.many("a coordinate")?;
         let colour = [words.number("red")?, words.number("green")?, words.number("blue")?];

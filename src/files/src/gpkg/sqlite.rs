@@ -1,6 +1,6 @@
 //! The SQLite file of a GeoPackage: its tables, reference systems and rows.
 
-use super::{Bounds, ColumnKind, Feature, Geometry, GeometryKind, Layer, Value};
+use super::{Bounds, ColumnKind, Feature, Geometry, Layer, Value};
 use rowgram_raster::georeference::{Crs, CrsKind};
 use rusqlite::{Connection, Statement, params, types::ToSql};
 use std::{collections::BTreeSet, path::Path};
@@ -114,11 +114,10 @@ fn quoted(name: &str) -> String {
 
 fn put_layer(connection: &Connection, layer: &Layer, system: i64) -> rusqlite::Result<()> {
     let table = quoted(&layer.name);
-    let placed = layer.kind != GeometryKind::None;
-    let mut columns = vec!["fid INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL".to_owned()];
-    if placed {
-        columns.push(format!("geom {}", layer.kind.name()));
-    }
+    let mut columns = vec![
+        "fid INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL".to_owned(),
+        format!("geom {}", layer.kind.name()),
+    ];
     columns.extend(layer.columns.iter().map(|column| {
         let kind = match column.kind {
             ColumnKind::Integer => "INTEGER",
@@ -137,34 +136,27 @@ fn put_layer(connection: &Connection, layer: &Layer, system: i64) -> rusqlite::R
     let [x, y] = bounds.0;
     let known = |value: f64| value.is_finite().then_some(value);
     connection.execute(
-        "INSERT INTO gpkg_contents VALUES (?1, ?2, ?1, ?3, ?4, ?5, ?6, ?7, ?8, ?9)",
+        "INSERT INTO gpkg_contents VALUES (?1, 'features', ?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8)",
         params![
             layer.name,
-            if placed { "features" } else { "attributes" },
             layer.description,
             LAST_CHANGE,
             known(x[0]),
             known(y[0]),
             known(x[1]),
             known(y[1]),
-            placed.then_some(system)
+            system
         ],
     )?;
-    if placed {
-        connection.execute(
-            "INSERT INTO gpkg_geometry_columns VALUES (?1, 'geom', ?2, ?3, 0, 0)",
-            params![layer.name, layer.kind.name(), system],
-        )?;
-    }
-    let count = layer.columns.len() + usize::from(placed);
-    let places: Vec<String> = (0..count).map(|k| format!("?{}", k + 2)).collect();
-    let insert = match places.is_empty() {
-        true => format!("INSERT INTO {table} VALUES (?1)"),
-        false => format!("INSERT INTO {table} VALUES (?1, {})", places.join(", ")),
-    };
+    connection.execute(
+        "INSERT INTO gpkg_geometry_columns VALUES (?1, 'geom', ?2, ?3, 0, 0)",
+        params![layer.name, layer.kind.name(), system],
+    )?;
+    let places: Vec<String> = (1..layer.columns.len() + 3).map(|k| format!("?{k}")).collect();
+    let insert = format!("INSERT INTO {table} VALUES ({})", places.join(", "));
     let mut insert = connection.prepare(&insert)?;
     for (number, feature) in (1i64..).zip(&layer.features) {
-        put_feature(&mut insert, number, feature, placed, system)?;
+        put_feature(&mut insert, number, feature, system)?;
     }
     Ok(())
 }
@@ -173,14 +165,10 @@ fn put_feature(
     insert: &mut Statement<'_>,
     number: i64,
     feature: &Feature,
-    placed: bool,
     system: i64,
 ) -> rusqlite::Result<()> {
     let geometry = feature.geometry.as_ref().map(|geometry| geometry.blob(system as i32));
-    let mut values: Vec<&dyn ToSql> = vec![&number];
-    if placed {
-        values.push(&geometry);
-    }
+    let mut values: Vec<&dyn ToSql> = vec![&number, &geometry];
     values.extend(feature.values.iter().map(|value| -> &dyn ToSql {
         match value {
             Value::Integer(value) => value,

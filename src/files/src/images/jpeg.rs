@@ -34,20 +34,22 @@ pub(super) fn decode(bytes: &[u8]) -> Result<DynamicImage, String> {
     image.ok_or_else(|| "damaged JPEG: it has fewer pixels than its header says".to_owned())
 }
 
-/// Whether an end marker (FF D9) follows the first scan; the headers may hold a thumbnail with an
-/// end marker of its own and are stepped over.
-fn jpeg_is_whole(bytes: &[u8]) -> bool {
+/// Where the scan of a JPEG begins; `None` without one. The headers may hold a thumbnail with markers of its own and are
+/// stepped over.
+pub(crate) fn scan(bytes: &[u8]) -> Option<usize> {
     let mut at = 2;
     while let Some(&[marker, kind, high, low]) = bytes.get(at..).and_then(|b| b.first_chunk::<4>())
     {
-        if marker != 0xFF || kind == 0xFF {
-            at += 1;
-            continue;
-        }
-        at += 2 + usize::from(u16::from_be_bytes([high, low]));
-        if kind == 0xDA {
-            break;
+        match (marker, kind) {
+            (0xFF, 0xDA) => return Some(at),
+            (0xFF, 0..=0xFE) => at += 2 + usize::from(u16::from_be_bytes([high, low])),
+            _ => at += 1,
         }
     }
-    bytes.get(at..).is_some_and(|scan| scan.windows(2).any(|pair| pair == [0xFF, 0xD9]))
+    None
+}
+
+/// Whether an end marker (FF D9) follows the first scan.
+fn jpeg_is_whole(bytes: &[u8]) -> bool {
+    scan(bytes).is_some_and(|at| bytes[at..].windows(2).any(|pair| pair == [0xFF, 0xD9]))
 }

@@ -1,7 +1,6 @@
 //! Every kind of picture, whole and damaged.
 
 use super::*;
-use crate::rasters;
 use image::{ImageBuffer, Luma, Rgb, Rgba};
 use proptest::prelude::*;
 use std::sync::LazyLock;
@@ -120,30 +119,26 @@ fn files_are_written_and_told_apart() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
     let mask = Mask::from_fn(9, 4, |u, v| (u + v) % 3 == 0);
-    rasters::write_mask(&path("mask.png"), false, &mask, None).unwrap();
+    let white: Vec<u8> = mask.data.iter().map(|&plant| if plant == 0 { 0 } else { 255 }).collect();
+    write_grey(&path("mask.png"), false, (9, 4), &white).unwrap();
     write_photo(&path("photo.jpg"), false, &scene(9, 4)).unwrap();
     assert_eq!(read(&path("mask.png")).unwrap(), Picture::Mask(mask.clone()));
     assert_eq!(read_mask(&path("mask.png")).unwrap(), mask);
     assert_eq!(read_photo(&path("photo.jpg")).unwrap(), scene(9, 4), "told by content");
-    assert!(is_mask(&path("mask.png")).unwrap() && !is_mask(&path("photo.jpg")).unwrap());
     let error = read_photo(&path("mask.png")).unwrap_err().to_string();
     assert!(error.ends_with("mask.png: it holds a mask (two values), expected a photo"), "{error}");
     let error = read_mask(&path("photo.jpg")).unwrap_err().to_string();
     assert!(error.ends_with("it holds a photo (more than two values), expected a mask"), "{error}");
     assert!(matches!(
-        rasters::write_mask(&path("mask.png"), false, &mask, None),
+        write_grey(&path("mask.png"), false, (9, 4), &white),
         Err(FileError::Exists { .. })
     ));
     assert!(matches!(read(&path("none.png")), Err(FileError::Read { .. })));
-    let error =
-        rasters::write_mask(&path("empty.png"), false, &Mask::empty(0, 3), None).unwrap_err();
+    let error = write_grey(&path("empty.png"), false, (0, 3), &[]).unwrap_err();
     assert!(error.to_string().contains("0 x 3 pixels cannot be a PNG"), "{error}");
     assert!(write_photo(&path("empty.png"), false, &RgbImage::new(0, 0)).is_err());
-    let wrong = Mask { width: 3, height: 3, data: vec![1; 8] };
-    for name in ["wrong.png", "wrong.tif"] {
-        assert!(rasters::write_mask(&path(name), false, &wrong, None).is_err());
-        assert!(!path(name).exists());
-    }
+    assert!(write_grey(&path("wrong.png"), false, (3, 3), &[1; 8]).is_err());
+    assert!(!path("wrong.png").exists());
 }
 
 #[test]

@@ -3,6 +3,7 @@
 //! whatever stands before their colon.
 
 use super::{Geotag, Metadata, is_place};
+use crate::images::jpeg;
 use exif::{Context, In, Tag, Value};
 
 const BEGIN: &[u8] = b"<x:xmpmeta";
@@ -23,22 +24,11 @@ pub(super) fn of_tiff(exif: &exif::Exif) -> Option<String> {
 
 /// XMP in the head of a picture: in a JPEG it stands before the scan.
 pub(super) fn of_file(bytes: &[u8]) -> Option<String> {
-    cut(&bytes[..head_of_jpeg(bytes).unwrap_or_else(|| bytes.len().min(1 << 18))])
-}
-
-/// Where the scan of a JPEG begins.
-fn head_of_jpeg(bytes: &[u8]) -> Option<usize> {
-    let mut at = 2;
-    if !bytes.starts_with(&[0xff, 0xd8]) {
-        return None;
-    }
-    while let Some([0xff, marker, high, low]) = bytes.get(at..at + 4) {
-        if *marker == 0xda {
-            return Some(at);
-        }
-        at += 2 + usize::from(*high) * 256 + usize::from(*low);
-    }
-    Some(at.min(bytes.len()))
+    let head = match bytes {
+        [0xff, 0xd8, ..] => jpeg::scan(bytes).unwrap_or(bytes.len()),
+        _ => bytes.len().min(1 << 18),
+    };
+    cut(&bytes[..head])
 }
 
 fn position(bytes: &[u8], what: &[u8]) -> Option<usize> {

@@ -110,7 +110,7 @@ fn parts<P>(rings: &[PolygonRing<P>], position: impl Fn(&P) -> [f64; 2]) -> Vec<
         let hole = points(ring);
         let holds = |part: &&mut Rings| {
             let shell = Polygon { rings: vec![part[0].clone()] };
-            hole.iter().any(|&at| shell.holds(at))
+            !shell.inside(&hole).is_empty()
         };
         match parts.iter_mut().find(holds) {
             Some(part) => part.push(hole),

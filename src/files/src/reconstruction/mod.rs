@@ -17,7 +17,11 @@ mod ties;
 use super::{FileError, output};
 use document::Document;
 use rowgram_survey::scene::Reconstruction;
-use std::path::{Path, PathBuf};
+use std::{
+    fs::File,
+    io::Read,
+    path::{Path, PathBuf},
+};
 
 /// Name of the file in a folder of results.
 pub const NAME: &str = "reconstruction.json";
@@ -37,8 +41,9 @@ fn file_of(path: &Path) -> PathBuf {
 
 /// Whether a path is such a file, or a folder with one.
 pub fn is_one(path: &Path) -> bool {
-    let Ok(text) = std::fs::read_to_string(file_of(path)) else { return false };
-    text.get(..400).unwrap_or(&text).contains(FORMAT)
+    let mut head = Vec::new();
+    let read = File::open(file_of(path)).and_then(|file| file.take(400).read_to_end(&mut head));
+    read.is_ok() && String::from_utf8_lossy(&head).contains(FORMAT)
 }
 
 /// Reads a reconstruction: `path` is its `reconstruction.json` or the folder that holds it.

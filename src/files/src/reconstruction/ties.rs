@@ -1,6 +1,6 @@
 //! The tables of tie points and of their measurements.
 
-use super::super::{FileError, csv_table::as_cell, output, table::Table};
+use super::super::{FileError, csv_table::quoted, output, table::Table};
 use rowgram_survey::scene::{Observation, Reconstruction, TiePoint};
 use std::{
     collections::{HashMap, HashSet},
@@ -65,7 +65,7 @@ pub(super) fn write_observations(
     scene: &Reconstruction,
     force: bool,
 ) -> Result<(), FileError> {
-    let names: Vec<String> = scene.images.iter().map(|image| quoted(&image.name)).collect();
+    let names: Vec<_> = scene.images.iter().map(|image| quoted(&image.name)).collect();
     output::write(path, force, |out| {
         writeln!(out, "image,point,u_px,v_px")?;
         scene.observations.iter().try_for_each(|o| {
@@ -74,16 +74,6 @@ pub(super) fn write_observations(
             writeln!(out, "{name},{id},{u},{v}")
         })
     })
-}
-
-/// A name as CSV has it.
-fn quoted(name: &str) -> String {
-    let name = &*as_cell(name);
-    if name.contains([',', '"', '\n', '\r', ';', '\t']) || name.trim() != name {
-        format!("\"{}\"", name.replace('"', "\"\""))
-    } else {
-        name.to_owned()
-    }
 }
 
 fn complete(path: &Path, what: &str, there: usize, expected: usize) -> Result<(), FileError> {
