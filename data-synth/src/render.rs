@@ -104,7 +104,6 @@ impl Bands {
     }
 
     /// The numbers of the ribbons that touch a band, ascending.
-    /// The numbers of the ribbons that touch a band.
     pub(crate) fn numbers(&self, band: usize) -> &[u32] {
         &self.lists[band]
     }

@@ -3,7 +3,7 @@
 use crate::{
     ConfigError,
     corrupt::{Corruption, Weed},
-    field::{Field, FieldConfig, GrowthStage},
+    field::{Field, FieldConfig, GrowthStage, words},
     picture, render,
 };
 use image::{GrayImage, RgbImage};
@@ -92,21 +92,7 @@ macro_rules! presets {
             }
         }
 
-        impl FromStr for Preset {
-            type Err = String;
-            fn from_str(word: &str) -> Result<Preset, String> {
-                match word {
-                    $($name => Ok(Preset::$variant),)+
-                    _ => Err(format!("expected one of: {}", [$($name),+].join(", "))),
-                }
-            }
-        }
-
-        impl fmt::Display for Preset {
-            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str(match self { $(Preset::$variant => $name),+ })
-            }
-        }
+        words!(Preset { $($name = $variant),+ });
     };
 }
 

@@ -9,7 +9,7 @@ use crate::{
     check::{ConfigError, within},
     clutter::ClutterConfig,
     corrupt::Corruption,
-    field::FieldConfig,
+    field::{FieldConfig, words},
     flight::{FlightConfig, GnssConfig},
     habit::PlotConfig,
     season::SeasonDay,
@@ -69,25 +69,7 @@ impl SeasonPreset {
     pub const ALL: &'static [SeasonPreset] = &[SeasonPreset::Small, SeasonPreset::Tiny];
 }
 
-impl FromStr for SeasonPreset {
-    type Err = String;
-    fn from_str(word: &str) -> Result<SeasonPreset, String> {
-        match word {
-            "small" => Ok(SeasonPreset::Small),
-            "tiny" => Ok(SeasonPreset::Tiny),
-            _ => Err("expected one of: small, tiny".to_owned()),
-        }
-    }
-}
-
-impl fmt::Display for SeasonPreset {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            SeasonPreset::Small => "small",
-            SeasonPreset::Tiny => "tiny",
-        })
-    }
-}
+words!(SeasonPreset { "small" = Small, "tiny" = Tiny });
 
 impl SeasonConfig {
     /// The configuration of a preset, with seed 1.

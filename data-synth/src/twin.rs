@@ -5,7 +5,7 @@ use crate::{
     camera::{Camera, CameraConfig},
     clutter::ClutterConfig,
     corrupt::{Corruption, Weed},
-    field::{Field, FieldConfig, GrowthStage},
+    field::{Field, FieldConfig, GrowthStage, words},
     flight::{self, FlightConfig, GnssConfig, Shot},
     habit::{Habit, PlotConfig},
     panels::PanelConfig,
@@ -155,27 +155,7 @@ impl FlightPreset {
         &[FlightPreset::Small, FlightPreset::Paper, FlightPreset::Seneca];
 }
 
-impl FromStr for FlightPreset {
-    type Err = String;
-    fn from_str(word: &str) -> Result<FlightPreset, String> {
-        match word {
-            "small" => Ok(FlightPreset::Small),
-            "paper" => Ok(FlightPreset::Paper),
-            "seneca" => Ok(FlightPreset::Seneca),
-            _ => Err("expected one of: small, paper, seneca".to_owned()),
-        }
-    }
-}
-
-impl fmt::Display for FlightPreset {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            FlightPreset::Small => "small",
-            FlightPreset::Paper => "paper",
-            FlightPreset::Seneca => "seneca",
-        })
-    }
-}
+words!(FlightPreset { "small" = Small, "paper" = Paper, "seneca" = Seneca });
 
 impl TwinConfig {
     /// The configuration of a preset, with seed 1.

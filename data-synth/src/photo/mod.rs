@@ -24,7 +24,7 @@ use crate::{
     mesh::World,
     targets::Target,
 };
-use image::{GrayImage, Luma, Rgb, RgbImage};
+use image::{GrayImage, RgbImage};
 use raster::{Bins, NONE, Place, Samples, TILE};
 use rayon::prelude::*;
 use sensor::Frame;
@@ -416,16 +416,4 @@ fn owner(owners: [u32; 4]) -> u32 {
         return 0;
     }
     plants.max_by_key(|&plant| (count(plant), std::cmp::Reverse(plant))).unwrap_or(0)
-}
-
-/// A picture of the mask over the photo, for people: what is not leaf is grey.
-pub fn overlay(photo: &Photo) -> RgbImage {
-    RgbImage::from_fn(photo.image.width(), photo.image.height(), |u, v| {
-        let Rgb([r, g, b]) = *photo.image.get_pixel(u, v);
-        if photo.mask.get_pixel(u, v) == &Luma([255]) {
-            return Rgb([r, g, b]);
-        }
-        let grey = ((u32::from(r) * 3 + u32::from(g) * 6 + u32::from(b)) / 20) as u8;
-        Rgb([grey, grey, grey])
-    })
 }
