@@ -75,12 +75,19 @@ fn mask(given: &Bound<'_, PyAny>) -> PyResult<Mask> {
     Ok(make(view.nrows(), view.ncols(), view.iter().map(|&leaf| (leaf != 0).into()).collect()))
 }
 
+/// What NumPy makes an array of this type of, with any number of axes; `None` where it is none.
+pub(crate) fn array<'py, T: numpy::Element>(
+    given: &Bound<'py, PyAny>,
+    kind: &str,
+) -> Option<PyReadonlyArrayDyn<'py, T>> {
+    let numpy = given.py().import("numpy").ok()?;
+    numpy.call_method1("asarray", (given, kind)).ok()?.extract().ok()
+}
+
 /// Positions from an array of shape (n, 2), any kind of number.
 fn positions(name: &str, given: &Bound<'_, PyAny>) -> PyResult<Vec<[f64; 2]>> {
     let wrong = || unexpected(name, "an array of numbers with shape (n, 2)", given);
-    let array = given.py().import("numpy")?.call_method1("asarray", (given, "float64"));
-    let array: PyReadonlyArrayDyn<'_, f64> =
-        array.map_err(|_| wrong())?.extract().map_err(|_| wrong())?;
+    let array = array::<f64>(given, "float64").ok_or_else(wrong)?;
     match *array.shape() {
         [_, 2] => {
             let flat: Vec<f64> = array.as_array().iter().copied().collect();

@@ -1,11 +1,12 @@
 //! Engine one from Python: sparse nonlinear least squares.
 
 use crate::{
+    arrays::array,
     error::{exception, from_solver, input, result, without_python},
     options,
     residuals::{CameraPosition, PythonBatch, Raised, Reprojection, Space, rows},
 };
-use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArrayDyn, PyUntypedArrayMethods};
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyUntypedArrayMethods};
 use pyo3::{prelude::*, types::PyDict};
 use rowgram::{
     engine::SolveError,
@@ -44,9 +45,7 @@ impl Problem {
         let wrong = || {
             input("blocks: expected numbers of blocks with shape (n,) or (n, blocks per residual)")
         };
-        let array = given.py().import("numpy")?.call_method1("asarray", (given, "int64"));
-        let array: PyReadonlyArrayDyn<'_, i64> =
-            array.map_err(|_| wrong())?.extract().map_err(|_| wrong())?;
+        let array = array::<i64>(given, "int64").ok_or_else(wrong)?;
         let arity = match *array.shape() {
             [_] => 1,
             [_, arity @ 1..=8] => arity,
@@ -186,6 +185,9 @@ impl Problem {
         jacobian: Option<Py<PyAny>>,
     ) -> PyResult<()> {
         let (flat, arity) = self.block_ids(blocks)?;
+        if flat.is_empty() {
+            return Err(input(format!("{name}: expected the blocks of one residual or more")));
+        }
         let spaces: Vec<Space> = flat.iter().take(arity).map(|&k| self.spaces[k]).collect();
         let same = |(at, &block): (usize, &usize)| {
             let expected = &spaces[at % arity];

@@ -1,7 +1,7 @@
 //! Residuals for `Problem`: written in Python over NumPy, or named ones in Rust.
 
-use crate::error::input;
-use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArrayMethods};
+use crate::{arrays::array, error::input};
+use numpy::{PyArray1, PyArrayMethods, PyUntypedArrayMethods};
 use pyo3::{prelude::*, types::PyTuple};
 use rowgram::nlls::{
     Batch, BlockId, Infeasible, InfeasibleFactor, Residual, Scalar, Values, Vector,
@@ -195,10 +195,8 @@ impl PythonBatch {
 
 /// Copies an array of the expected shape.
 fn copy(name: &str, found: &Bound<'_, PyAny>, shape: &[usize], out: &mut [f64]) -> PyResult<()> {
-    let py = found.py();
-    let array = py.import("numpy")?.call_method1("asarray", (found, "float64"))?;
-    let array: PyReadonlyArrayDyn<'_, f64> =
-        array.extract().map_err(|_| input(format!("{name}: expected an array of numbers")))?;
+    let wrong = || input(format!("{name}: expected an array of numbers"));
+    let array = array::<f64>(found, "float64").ok_or_else(wrong)?;
     if array.shape() != shape {
         return Err(input(format!(
             "{name} has shape {:?}, expected {shape:?} (one entry per factor of the call, then its rows)",
@@ -297,12 +295,9 @@ pub(crate) fn rows(
     given: &Bound<'_, PyAny>,
 ) -> PyResult<Vec<Vec<f64>>> {
     let wrong = || input(format!("{name}: expected an array of numbers with shape (n, {columns})"));
-    let array = given.py().import("numpy")?.call_method1("asarray", (given, "float64"));
-    let array = array.map_err(|_| wrong())?;
-    let array = array.cast::<PyArray2<f64>>().map_err(|_| wrong())?.readonly();
-    if array.shape()[1] != columns {
+    let array = array::<f64>(given, "float64").ok_or_else(wrong)?;
+    if !matches!(*array.shape(), [_, found] if found == columns) {
         return Err(wrong());
     }
-    let view = array.as_array();
-    Ok(view.outer_iter().map(|row| row.to_vec()).collect())
+    Ok(array.as_array().outer_iter().map(|row| row.iter().copied().collect()).collect())
 }

@@ -153,6 +153,7 @@ def test_exceptions_of_residuals_come_through():
         (lambda p, b: p.add("r", [7], lambda x: x), "block 7"),
         (lambda p, b: p.add("r", b, lambda x: x, loss="hubber:1"), "hubber"),
         (lambda p, b: p.add("r", b, lambda x: x, data=[np.zeros(5)]), "5 rows"),
+        (lambda p, b: p.add("r", np.zeros((0, 2), int), lambda x, y: x), "one residual or more"),
         (lambda p, b: p.add_reprojection("r", b, b, b, [[0.0, 0.0]]), "pose"),
         (lambda p, b: p.solve(linaer="dense"), "linear"),
     ],
