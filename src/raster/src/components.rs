@@ -136,7 +136,7 @@ impl Run {
     }
 
     /// The middles of its pixels.
-    pub fn places(&self) -> impl Iterator<Item = [f64; 2]> + use<> {
+    pub fn places(&self) -> impl Iterator<Item = [f64; 2]> + Clone + use<> {
         let v = f64::from(self.v);
         (self.start..self.end).map(move |u| [f64::from(u), v])
     }

@@ -80,8 +80,8 @@ fn utm_code(words: &str) -> Option<u32> {
         _ => return None,
     };
     match (datum.as_str(), south) {
-        ("" | "WGS84", false) => Some(32600 + number),
-        ("" | "WGS84", true) => Some(32700 + number),
+        ("" | "WGS84" | "WGS1984", false) => Some(32600 + number),
+        ("" | "WGS84" | "WGS1984", true) => Some(32700 + number),
         ("ETRS89", false) if (28..=38).contains(&number) => Some(25800 + number),
         ("NAD83", false) if number <= 23 => Some(26900 + number),
         _ => None,
@@ -343,16 +343,11 @@ fn code_of_text(text: &str) -> Option<u32> {
     words.next()?.parse().ok()
 }
 
-/// The EPSG code of a text of a UTM zone on WGS84 as Esri names it, `PROJCS["WGS_1984_UTM_Zone_16N",...`.
+/// The EPSG code of a text of a UTM zone as Esri names it, `PROJCS["WGS_1984_UTM_Zone_16N",...`.
 fn code_of_zone(text: &str) -> Option<u32> {
-    let zone = text.split('"').nth(1)?.strip_prefix("WGS_1984_UTM_Zone_")?;
-    let (number, half) = zone.split_at_checked(zone.len().checked_sub(1)?)?;
-    let number: u32 = number.parse().ok().filter(|zone| (1..=60).contains(zone))?;
-    match half {
-        "N" => Some(32600 + number),
-        "S" => Some(32700 + number),
-        _ => None,
-    }
+    let name = text.split('"').nth(1)?.replace('_', " ");
+    // Without a datum in its name it may be any.
+    if name.starts_with("UTM") { None } else { utm_code(&name) }
 }
 
 /// Steps over which the scale of a projection is taken: far less than it changes over, far more than rounding.
@@ -438,6 +433,7 @@ mod tests {
             ("wgs84 utm 23K", Some(32723)),
             ("WGS 84 / UTM zone 33S", Some(32733)),
             ("UTM 5", Some(32605)),
+            ("WGS 1984 UTM Zone 16N", Some(32616)),
             ("ETRS89 / UTM zone 32N", Some(25832)),
             ("NAD83 / UTM zone 16N", Some(26916)),
             ("WGS84 UTM 61N", None),

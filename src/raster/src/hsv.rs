@@ -19,12 +19,10 @@
 //!
 //! All numbers in it are integers below 2^24, which `f32` holds exactly; and it rounds the quotients
 //! as asked, because none comes closer to a half than `1 / (2 * 255)`. So the arithmetic is done
-//! in `f32`, several pixels at a time, with whatever SIMD the machine has.
+//! in `f32`, in [`super::mask`] several pixels at a time, with whatever SIMD the machine has.
 //!
 //! Reference: A. R. Smith, "Color gamut transform pairs", SIGGRAPH 1978; OpenCV's documentation of
 //! `cvtColor`.
-
-use super::pixels::{self, BLOCK, Channel, PerBlock};
 
 /// A colour's hue and saturation before they are rounded.
 #[derive(Clone, Copy, Default)]
@@ -92,34 +90,6 @@ pub fn from_rgb(rgb: [u8; 3]) -> [u8; 3] {
     Scaled::of(rgb.map(i16::from)).bytes()
 }
 
-/// The conversion, for whole pictures.
-struct ToHsv;
-
-impl PerBlock for ToHsv {
-    type Out = [u8; 3];
-
-    #[inline(always)]
-    fn block(&self, red: &Channel, green: &Channel, blue: &Channel, out: &mut [[u8; 3]; BLOCK]) {
-        // Interleaved apart from the arithmetic, because the two need different shuffles.
-        let mut hsv = [[0; BLOCK]; 3];
-        for i in 0..BLOCK {
-            let bytes = Scaled::of([red[i], green[i], blue[i]]).bytes();
-            (hsv[0][i], hsv[1][i], hsv[2][i]) = (bytes[0], bytes[1], bytes[2]);
-        }
-        for i in 0..BLOCK {
-            out[i] = [hsv[0][i], hsv[1][i], hsv[2][i]];
-        }
-    }
-}
-
-/// Converts pixels in place-for-place order: three bytes R, G, B to three bytes H, S, V.
-///
-/// Use [`super::mask::Thresholds::mask`] where only a mask is wanted: it stores no HSV picture.
-/// Bytes after the last whole pixel, or without a place in `hsv`, are left alone.
-pub fn convert(rgb: &[u8], hsv: &mut [u8]) {
-    pixels::map(&ToHsv, rgb, hsv.as_chunks_mut().0);
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -136,10 +106,8 @@ mod tests {
             .collect();
         assert_eq!(golden.len(), 256);
         for (red, &expected) in golden.iter().enumerate() {
-            let rgb: Vec<u8> =
-                (0..1 << 16).flat_map(|gb: u32| [red as u8, (gb >> 8) as u8, gb as u8]).collect();
-            let mut hsv = vec![0; rgb.len()];
-            convert(&rgb, &mut hsv);
+            let colour = |gb: u32| from_rgb([red as u8, (gb >> 8) as u8, gb as u8]);
+            let hsv: Vec<u8> = (0..1 << 16).flat_map(colour).collect();
             let mut crc = flate2::Crc::new();
             crc.update(&hsv);
             assert_eq!(crc.sum(), expected, "red {red}");
@@ -164,13 +132,5 @@ mod tests {
             assert!((f64::from(s) - 255.0 * range / largest).abs() <= 0.51, "{rgb:?}");
             assert_eq!(f64::from(v), largest);
         }
-    }
-
-    #[test]
-    fn odd_lengths_are_left_alone() {
-        let mut hsv = [9; 5];
-        convert(&[255, 0, 0, 1, 2], &mut hsv);
-        assert_eq!(hsv, [0, 255, 255, 9, 9]);
-        convert(&[], &mut []);
     }
 }

@@ -137,8 +137,6 @@ impl From<Thresholds> for Fused {
 }
 
 impl PerBlock for Fused {
-    type Out = u8;
-
     #[inline(always)]
     fn block(&self, red: &Channel, green: &Channel, blue: &Channel, out: &mut [u8; BLOCK]) {
         for i in 0..BLOCK {

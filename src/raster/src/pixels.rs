@@ -19,15 +19,12 @@ pub(super) type Channel = [i16; BLOCK];
 
 /// What is done to the pixels of a block.
 pub(super) trait PerBlock: Sync {
-    /// What a pixel becomes.
-    type Out: Copy + Default + Send;
-
     /// To be marked `#[inline(always)]`, its loops free of branches.
-    fn block(&self, red: &Channel, green: &Channel, blue: &Channel, out: &mut [Self::Out; BLOCK]);
+    fn block(&self, red: &Channel, green: &Channel, blue: &Channel, out: &mut [u8; BLOCK]);
 }
 
 /// Writes what each pixel (three bytes) of `rgb` becomes, as far as both slices reach.
-pub(super) fn map<P: PerBlock>(per_block: &P, rgb: &[u8], out: &mut [P::Out]) {
+pub(super) fn map<P: PerBlock>(per_block: &P, rgb: &[u8], out: &mut [u8]) {
     let pixels = (rgb.len() / 3).min(out.len());
     let (rgb, out) = (&rgb[..3 * pixels], &mut out[..pixels]);
     out.par_chunks_mut(TASK).zip(rgb.par_chunks(3 * TASK)).for_each(|(out, rgb)| {
@@ -39,7 +36,7 @@ pub(super) fn map<P: PerBlock>(per_block: &P, rgb: &[u8], out: &mut [P::Out]) {
 struct Blocks<'a, P: PerBlock> {
     per_block: &'a P,
     rgb: &'a [u8],
-    out: &'a mut [P::Out],
+    out: &'a mut [u8],
 }
 
 impl<P: PerBlock> pulp::WithSimd for Blocks<'_, P> {
@@ -52,7 +49,7 @@ impl<P: PerBlock> pulp::WithSimd for Blocks<'_, P> {
         for (rgb, out) in rgb_blocks.iter().zip(out_blocks) {
             map_block(self.per_block, rgb, out);
         }
-        let (mut rgb, mut out) = ([0; 3 * BLOCK], [P::Out::default(); BLOCK]);
+        let (mut rgb, mut out) = ([0; 3 * BLOCK], [0; BLOCK]);
         rgb[..rgb_rest.len()].copy_from_slice(rgb_rest);
         map_block(self.per_block, &rgb, &mut out);
         out_rest.copy_from_slice(&out[..out_rest.len()]);
@@ -60,7 +57,7 @@ impl<P: PerBlock> pulp::WithSimd for Blocks<'_, P> {
 }
 
 #[inline(always)]
-fn map_block<P: PerBlock>(per_block: &P, rgb: &[u8; 3 * BLOCK], out: &mut [P::Out; BLOCK]) {
+fn map_block<P: PerBlock>(per_block: &P, rgb: &[u8; 3 * BLOCK], out: &mut [u8; BLOCK]) {
     let (mut red, mut green, mut blue) = ([0; BLOCK], [0; BLOCK], [0; BLOCK]);
     for i in 0..BLOCK {
         red[i] = i16::from(rgb[3 * i]);

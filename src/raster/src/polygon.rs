@@ -99,21 +99,6 @@ impl Polygon {
         // A millionth of its length beside the line is rounding, whatever the unit.
         points().all(|at| (at[0] * far[1] - at[1] * far[0]).abs() <= 1e-6 * longest * longest)
     }
-
-    /// Whether a position lies inside, by the same rule.
-    pub fn holds(&self, [u, v]: [f64; 2]) -> bool {
-        let mut inside = false;
-        for ring in &self.rings {
-            for i in 0..ring.len() {
-                let (a, b) = (ring[i], ring[(i + 1) % ring.len()]);
-                if (a[1] <= v) != (b[1] <= v) {
-                    let (a, b) = if a[1] < b[1] { (a, b) } else { (b, a) };
-                    inside ^= u >= a[0] + (v - a[1]) / (b[1] - a[1]) * (b[0] - a[0]);
-                }
-            }
-        }
-        inside
-    }
 }
 
 /// A side from its lower to its upper end.
@@ -374,7 +359,6 @@ mod tests {
         for (v, row) in inside.iter().enumerate() {
             for (u, &is) in row.iter().enumerate() {
                 let at = [u as f64, v as f64];
-                assert_eq!(polygon.holds(at), is, "{u}, {v}");
                 assert_eq!(polygon.inside(&[at]).len(), usize::from(is), "{u}, {v}");
             }
         }

@@ -110,7 +110,8 @@ impl Coherence {
     }
 
     /// The energy `E` of a mask, in nats.
-    pub fn energy(&self, mask: &Mask, posterior: &[u8]) -> f64 {
+    #[cfg(test)]
+    fn energy(&self, mask: &Mask, posterior: &[u8]) -> f64 {
         let weight = if let Coherence::Icm { weight, .. } = *self { weight } else { 0.0 };
         let prices = Prices::new(weight);
         let (width, y) = (mask.width, &mask.data);

@@ -153,14 +153,6 @@ fn bit(u: usize, v: usize) -> usize {
     v % BLOCK * BLOCK + u % BLOCK
 }
 
-/// The surround of a picture; `None` if it has none.
-pub fn border(photo: &RgbImage) -> Option<Surround> {
-    let (width, height) = (photo.width() as usize, photo.height() as usize);
-    let mut finder = SurroundFinder::new((width, height));
-    finder.add(&Band { rows: 0..height, seen: 0..height }, photo);
-    finder.finish()
-}
-
 /// The kinds of a row of blocks that has these rows of the picture, and which of their pixels are exactly black or white.
 /// What a block lacks at the border of the picture counts as exact.
 fn flat_blocks(photo: &RgbImage, rows: Range<usize>) -> Vec<(u8, u16)> {
@@ -202,6 +194,13 @@ fn grow(mask: &Mask) -> Mask {
 mod tests {
     use super::*;
     use image::Rgb;
+
+    fn border(photo: &RgbImage) -> Option<Surround> {
+        let (width, height) = (photo.width() as usize, photo.height() as usize);
+        let mut finder = SurroundFinder::new((width, height));
+        finder.add(&Band { rows: 0..height, seen: 0..height }, photo);
+        finder.finish()
+    }
 
     #[test]
     fn noisy_black_surround_is_found_and_dark_middle_is_not() {
