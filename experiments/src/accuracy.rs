@@ -95,9 +95,8 @@ pub(crate) fn sets(data: &Path) -> Result<Vec<(&'static str, Vec<Plot>)>, Error>
     let root = data.join("maize_plots");
     let mut maize = plots::read(&root, "train.txt")?;
     maize.extend(plots::read(&root, "val.txt")?);
-    let [mut even, odd] = clips(&data.join("stand_count_clips"))?;
-    even.extend(odd);
-    let mut sets = vec![("maize_plots", maize), ("stand_count_clips", even)];
+    let clips = clips(&data.join("stand_count_clips"))?;
+    let mut sets = vec![("maize_plots", maize), ("stand_count_clips", clips)];
     for name in POINTS {
         let root = data.join("plants").join(name);
         let mut found = Vec::new();
@@ -107,9 +106,9 @@ pub(crate) fn sets(data: &Path) -> Result<Vec<(&'static str, Vec<Plot>)>, Error>
             let path_of_truth = root.join(format!("truth/{stem}.csv"));
             if path_of_truth.exists() {
                 let truth = points::read(&path_of_truth)?;
-                let radii_px = [nearest_px(&truth) / 4.0, 15.0];
+                let radius_px = nearest_px(&truth) / 4.0;
                 match images::read_photo(&path) {
-                    Ok(photo) => found.push(Plot { name: stem, photo, truth, radii_px }),
+                    Ok(photo) => found.push(Plot { name: stem, photo, truth, radius_px }),
                     // The program refuses it as well; the table has one photo less.
                     Err(error) => left_out(&error),
                 }
@@ -128,8 +127,8 @@ fn tilted(data: &Path) -> Result<Vec<Plot>, Error> {
     for path in paths.iter().filter(|path| path.extension().is_some_and(|e| e == "jpg")) {
         let stem = path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
         let truth = points::read(&root.join(format!("{stem}.plants.csv")))?;
-        let radii_px = [nearest_px(&truth) / 4.0, 15.0];
-        tilted.push(Plot { name: stem, photo: images::read_photo(path)?, truth, radii_px });
+        let radius_px = nearest_px(&truth) / 4.0;
+        tilted.push(Plot { name: stem, photo: images::read_photo(path)?, truth, radius_px });
     }
     Ok(tilted)
 }
@@ -160,7 +159,7 @@ fn right(found: &[[f64; 2]], truth: &[[f64; 2]], radius_px: f64) -> Result<f64, 
 
 fn count(set: &'static str, plot: &Plot) -> Result<Counted, Error> {
     let (leaf, green) = (leaf_of(&plot.photo), excess_green(&plot.photo));
-    judge(set, &plot.name, &plot.truth, plot.radii_px[0], leaf, &green)
+    judge(set, &plot.name, &plot.truth, plot.radius_px, leaf, &green)
 }
 
 /// The plants of a leaf mask, with its posterior, and what the rival makes of its own mask.

@@ -2,7 +2,7 @@
 //! with the same printed answer as `benches/peers` have; see scripts/arena_peers.py.
 
 use crate::{
-    fail::Fail,
+    fail::{Fail, write_csv},
     spec::Spec,
     stages::{
         bundle::descend,
@@ -16,11 +16,7 @@ use rowgram::{
     nlls::{LinearSolver, Method, Options},
 };
 use serde_json::json;
-use std::{
-    io::Write as _,
-    path::{Path, PathBuf},
-    time::Instant,
-};
+use std::{io::Write as _, path::PathBuf, time::Instant};
 
 /// Where the blocks come from.
 #[derive(Debug, Args)]
@@ -83,17 +79,8 @@ impl Export {
                 block.observations.len().to_string(),
             ]);
         }
-        table(&self.out.join("instances.csv"), &rows)
+        Ok(write_csv(&self.out.join("instances.csv"), &rows)?)
     }
-}
-
-fn table<const N: usize>(path: &Path, rows: &[[String; N]]) -> Result<(), Fail> {
-    output::write(path, true, |out| {
-        let mut writer = csv::Writer::from_writer(out);
-        rows.iter().try_for_each(|row| writer.write_record(row))?;
-        writer.flush()
-    })?;
-    Ok(())
 }
 
 /// How the engine goes about it.
@@ -162,7 +149,8 @@ mod tests {
     #[test]
     fn the_files_hold_the_instances_of_the_stage() {
         let out = tempfile::tempdir().unwrap();
-        let spec = Path::new(env!("CARGO_MANIFEST_DIR")).join("specs/solver-arena-full.toml");
+        let spec =
+            std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("specs/solver-arena-full.toml");
         let source = || Source { spec: spec.clone(), small: true };
         let (seeds, ranges) = source().read().unwrap();
         Export { source: source(), out: out.path().to_owned() }.run().unwrap();

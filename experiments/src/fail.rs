@@ -1,6 +1,8 @@
 //! Why a command ends badly, and with which exit code.
 
-use rowgram::io::FileError;
+use rowgram::io::{FileError, output};
+use serde::Serialize;
+use std::path::Path;
 
 /// What went wrong.
 #[derive(Debug, thiserror::Error)]
@@ -31,7 +33,7 @@ impl Fail {
     }
 
     /// A file that cannot be read or written.
-    pub(crate) fn io(path: &std::path::Path, error: &std::io::Error) -> Fail {
+    pub(crate) fn io(path: &Path, error: &std::io::Error) -> Fail {
         Fail::Failed(format!("{}: {error}", path.display()))
     }
 }
@@ -43,6 +45,15 @@ impl From<FileError> for Fail {
 }
 
 /// Makes a folder for results.
-pub(crate) fn make(folder: &std::path::Path) -> Result<(), FileError> {
+pub(crate) fn make(folder: &Path) -> Result<(), FileError> {
     std::fs::create_dir_all(folder).map_err(|error| FileError::write(folder, error))
+}
+
+/// Writes the rows of a table; those of a struct under the names of its fields.
+pub(crate) fn write_csv<T: Serialize>(path: &Path, rows: &[T]) -> Result<(), FileError> {
+    output::write(path, true, |out| {
+        let mut writer = csv::Writer::from_writer(out);
+        rows.iter().try_for_each(|row| writer.serialize(row))?;
+        writer.flush()
+    })
 }

@@ -6,16 +6,13 @@
 //! comes from.
 
 use crate::{
-    fail::Fail,
+    fail::{Fail, write_csv},
     plan::{Planned, sha256},
     work::{self, Found, Record, Shard},
 };
-use rowgram::io::{FileError, output};
+use rowgram::io::output;
 use serde_json::json;
-use std::{
-    collections::{BTreeMap, BTreeSet},
-    path::Path,
-};
+use std::collections::{BTreeMap, BTreeSet};
 
 /// How far a plan has come.
 pub(crate) fn status(planned: &Planned, shards: usize) -> Result<String, Fail> {
@@ -51,13 +48,13 @@ pub(crate) fn merge(planned: &Planned) -> Result<(), Fail> {
     let folder = &planned.folder;
     let records: Vec<&Record> = found.records.values().collect();
     let runs = runs(planned, &records)?;
-    csv(&folder.join("runs.csv"), &runs)?;
-    csv(&folder.join("timing.csv"), &timing(planned, &records))?;
+    write_csv(&folder.join("runs.csv"), &runs)?;
+    write_csv(&folder.join("timing.csv"), &timing(planned, &records))?;
     let traces = traces(planned, &records);
     for (name, rows) in &traces {
         let path = folder.join("traces");
         std::fs::create_dir_all(&path).map_err(|e| Fail::io(&path, &e))?;
-        csv(&path.join(format!("{name}.csv")), rows)?;
+        write_csv(&path.join(format!("{name}.csv")), rows)?;
     }
     manifest(planned, &records, &traces)
 }
@@ -158,14 +155,6 @@ fn traces(planned: &Planned, records: &[&Record]) -> BTreeMap<String, Rows> {
         }
     }
     tables
-}
-
-fn csv(path: &Path, rows: &Rows) -> Result<(), FileError> {
-    output::write(path, true, |out| {
-        let mut writer = csv::Writer::from_writer(out);
-        rows.iter().try_for_each(|row| writer.write_record(row))?;
-        writer.flush()
-    })
 }
 
 fn manifest(

@@ -8,16 +8,15 @@ use rowgram::{
 };
 use std::path::Path;
 
-/// Radius in pixels besides the relative one; about 5 cm.
-const FIXED_RADIUS_PX: f64 = 15.0;
-/// Side of a clip and about half a box, in pixels.
-const CLIP: (f64, f64) = (640.0, 7.0);
+/// Side of a clip, in pixels.
+const CLIP_PX: f64 = 640.0;
 
 pub(crate) struct Plot {
     pub(crate) name: String,
     pub(crate) photo: image::RgbImage,
     pub(crate) truth: Vec<[f64; 2]>,
-    pub(crate) radii_px: [f64; 2],
+    /// A quarter of the distance of plants in a row, pixels.
+    pub(crate) radius_px: f64,
 }
 
 pub(crate) fn read(root: &Path, list: &str) -> Result<Vec<Plot>, Error> {
@@ -30,8 +29,8 @@ pub(crate) fn read(root: &Path, list: &str) -> Result<Vec<Plot>, Error> {
         .map(|name| {
             let photo = images::read_photo(&root.join(format!("image/{name}.jpg")))?;
             let truth = points::read(&root.join(format!("label/{name}.txt")))?;
-            let radii_px = [spacing_px(&truth) / 4.0, FIXED_RADIUS_PX];
-            Ok(Plot { name: (*name).to_owned(), photo, truth, radii_px })
+            let radius_px = spacing_px(&truth) / 4.0;
+            Ok(Plot { name: (*name).to_owned(), photo, truth, radius_px })
         })
         .collect()
 }
@@ -53,13 +52,13 @@ fn spacing_px(truth: &[[f64; 2]]) -> f64 {
     median(gaps).unwrap_or(40.0).max(4.0)
 }
 
-/// Clips with their boxes, every other one.
-pub(crate) fn clips(root: &Path) -> Result<[Vec<Plot>; 2], Error> {
+/// Clips with their boxes, by name.
+pub(crate) fn clips(root: &Path) -> Result<Vec<Plot>, Error> {
     let folder = root.join("images");
     let entries = std::fs::read_dir(&folder).map_err(|error| FileError::read(&folder, error))?;
     let mut paths: Vec<_> = entries.filter_map(Result::ok).map(|entry| entry.path()).collect();
     paths.sort();
-    let plots: Vec<Plot> = paths
+    paths
         .par_iter()
         .map(|path| {
             let name = path.file_stem().map(|n| n.to_string_lossy().into_owned());
@@ -73,18 +72,13 @@ pub(crate) fn clips(root: &Path) -> Result<[Vec<Plot>; 2], Error> {
                     let numbers: Vec<f64> =
                         line.split_whitespace().filter_map(|word| word.parse().ok()).collect();
                     let &[_, x, y, _, _] = numbers.as_slice() else { return None };
-                    Some([x * CLIP.0 - 0.5, y * CLIP.0 - 0.5])
+                    Some([x * CLIP_PX - 0.5, y * CLIP_PX - 0.5])
                 })
                 .collect();
-            let radii_px = [nearest_px(&truth) / 4.0, CLIP.1];
-            Ok(Plot { name, photo: images::read_photo(path)?, truth, radii_px })
+            let radius_px = nearest_px(&truth) / 4.0;
+            Ok(Plot { name, photo: images::read_photo(path)?, truth, radius_px })
         })
-        .collect::<Result<_, Error>>()?;
-    let mut lists = [Vec::new(), Vec::new()];
-    for (k, plot) in plots.into_iter().enumerate() {
-        lists[k % 2].push(plot);
-    }
-    Ok(lists)
+        .collect()
 }
 
 /// Median distance to the nearest neighbour on the farther side: with rows farther apart than plants,

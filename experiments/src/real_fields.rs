@@ -167,7 +167,7 @@ fn real(asked: &RealFields) -> Result<Vec<Set>, Fail> {
             .step_by(asked.every.max(1))
             .map(|plot| {
                 let (mask, posterior) = accuracy::leaf_of(&plot.photo);
-                let (set, spacing_px) = (name.to_owned(), 4.0 * plot.radii_px[0]);
+                let (set, spacing_px) = (name.to_owned(), 4.0 * plot.radius_px);
                 Case { set, photo: plot.name, mask, posterior, truth: plot.truth, spacing_px }
             })
             .collect();

@@ -163,7 +163,7 @@ pub(crate) struct Judged {
 impl<'a> Ready<'a> {
     pub(crate) fn new(case: &'a Case) -> Ready<'a> {
         let index = PixelIndex::from_mask(case.mask.width, &case.mask.data);
-        let detection = rows::detect(&index);
+        let detection = rows::detect(&case.mask);
         Ready { case, index, detection }
     }
 
@@ -216,7 +216,7 @@ impl<'a> Ready<'a> {
             descent: descent::CoordinateDescentOptions::default(),
             max_sweeps: if variant.fit { MOST_SWEEPS } else { 0 },
         };
-        let mut setup = Setup::with_rows(self.index.clone(), &options, self.detection.clone())?;
+        let mut setup = Setup::new(self.index.clone(), &options, self.detection.clone())?;
         let Setup { problem, field, .. } = &mut setup;
         let (how, most) = (options.descent, options.max_sweeps);
         let outcome = match density {

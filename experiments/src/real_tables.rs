@@ -3,14 +3,12 @@
 use crate::{
     compare::{Comparison, holm, judge},
     data::Summary,
-    fail::Fail,
-    fail::make,
+    fail::{Fail, make, write_csv},
     figures::Figure,
     real_fields::{Described, Row},
     real_locators::BASELINE,
     twin_statistics::NAMES,
 };
-use rowgram::io::output;
 use std::path::Path;
 
 /// Whether a set of this name is among those that are joined.
@@ -84,18 +82,18 @@ pub(crate) fn write(out: &Path, rows: &[Row], described: &[Described]) -> Result
     let traces = out.join("traces");
     make(&traces)?;
     let long = long(rows);
-    table(&out.join("real.csv"), &long)?;
+    write_csv(&out.join("real.csv"), &long)?;
     let mut shown = long;
     shown.iter_mut().for_each(|row| row[0] = short(&row[0]).to_owned());
-    table(&traces.join("real.csv"), &shown)?;
+    write_csv(&traces.join("real.csv"), &shown)?;
     let lines = summary(rows);
-    table(&out.join("real-summary.csv"), &summary_table(&lines))?;
-    table(&out.join("twin-statistics.csv"), &statistics(described))?;
+    write_csv(&out.join("real-summary.csv"), &summary_table(&lines))?;
+    write_csv(&out.join("twin-statistics.csv"), &statistics(described))?;
     let (pairs, agreement, ranks) = confront(&lines);
-    table(&out.join("real-against-synthetic.csv"), &pairs)?;
-    table(&traces.join("real-against-synthetic.csv"), &pairs)?;
-    table(&out.join("rank-agreement.csv"), &agreement)?;
-    table(&traces.join("ranks.csv"), &ranks)?;
+    write_csv(&out.join("real-against-synthetic.csv"), &pairs)?;
+    write_csv(&traces.join("real-against-synthetic.csv"), &pairs)?;
+    write_csv(&out.join("rank-agreement.csv"), &agreement)?;
+    write_csv(&traces.join("ranks.csv"), &ranks)?;
     let figures = out.join("figures");
     make(&figures)?;
     for text in FIGURES {
@@ -119,15 +117,6 @@ fn header(names: &[&str]) -> Vec<String> {
 fn number(value: f64) -> String {
     // Adding 0 makes a negative zero positive.
     if value.is_finite() { format!("{:.4}", value + 0.0) } else { String::new() }
-}
-
-fn table(path: &Path, rows: &[Vec<String>]) -> Result<(), Fail> {
-    output::write(path, true, |file| {
-        let mut writer = csv::Writer::from_writer(file);
-        rows.iter().try_for_each(|row| writer.write_record(row))?;
-        writer.flush()
-    })?;
-    Ok(())
 }
 
 fn long(rows: &[Row]) -> Cells {

@@ -3,7 +3,7 @@
 use image::RgbImage;
 use rowgram::{
     phenotype::plant_mass,
-    raster::{Mask, components},
+    raster::{Mask, components, srgb::linear_light, tuning::otsu},
 };
 
 /// Excess green over the sum of the channels, above Otsu's threshold.
@@ -17,10 +17,7 @@ pub(crate) fn excess_green(photo: &RgbImage) -> Mask {
 
 /// What is below Otsu's threshold of a*, green to red, of L*a*b* (sRGB, D65).
 pub(crate) fn green_of_lab(photo: &RgbImage) -> Mask {
-    let linear: Vec<f64> = (0..256)
-        .map(|c| f64::from(c) / 255.0)
-        .map(|c| if c <= 0.04045 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) })
-        .collect();
+    let linear: Vec<f64> = (0..256).map(|c| linear_light(f64::from(c))).collect();
     let f = |t: f64| if t > 0.008856 { t.cbrt() } else { 7.787 * t + 16.0 / 116.0 };
     above_otsu(photo, |pixel| {
         let [r, g, b] = pixel.0.map(|c| linear[usize::from(c)]);
@@ -33,24 +30,11 @@ fn above_otsu(photo: &RgbImage, of: impl Fn(&image::Rgb<u8>) -> f64) -> Mask {
     let values: Vec<f64> = photo.pixels().map(of).collect();
     let low = values.iter().copied().fold(f64::INFINITY, f64::min);
     let high = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    let bin = |value: f64| (255.0 * (value - low) / (high - low).max(1e-12)) as usize;
-    let mut histogram = [0.0; 256];
-    values.iter().for_each(|&value| histogram[bin(value).min(255)] += 1.0);
-    let all: f64 = histogram.iter().sum();
-    let sum: f64 = histogram.iter().enumerate().map(|(k, n)| k as f64 * n).sum();
-    let (mut below, mut moment, mut best) = (0.0, 0.0, (0.0, 0));
-    for (k, n) in histogram.iter().enumerate() {
-        below += n;
-        moment += k as f64 * n;
-        let above = all - below;
-        if below > 0.0 && above > 0.0 {
-            let between = below * above * (moment / below - (sum - moment) / above).powi(2);
-            if between > best.0 {
-                best = (between, k);
-            }
-        }
-    }
-    let data = values.iter().map(|&value| u8::from(bin(value).min(255) > best.1)).collect();
+    let bin = |value: f64| (255.0 * (value - low) / (high - low).max(1e-12)) as u8;
+    let mut histogram = [0; 256];
+    values.iter().for_each(|&value| histogram[usize::from(bin(value))] += 1);
+    let threshold = otsu(&histogram);
+    let data = values.iter().map(|&value| u8::from(bin(value) > threshold)).collect();
     Mask { width: photo.width() as usize, height: photo.height() as usize, data }
 }
 

@@ -8,7 +8,7 @@
 //! | `cover_held`, `plants_held`, `height_held` | plots whose value lies in its interval, and those that have an interval |
 //! | `same_plant` | of the plants that this date and the one before show within 10 cm of their true place, the share that is one plant on both |
 
-use crate::fail::Fail;
+use crate::fail::{Fail, write_csv};
 use rowgram::{
     io::output,
     pipeline::season::{SeasonFile, SeasonOutcome},
@@ -151,8 +151,8 @@ impl Season {
         let dates = dates(&file, &outcome, &truth, &results)?;
         let emergence = emergence(&outcome, &table(&truth.join("plots.csv"))?);
         crate::fail::make(&self.out).map_err(rowgram::Error::from)?;
-        write_table(&self.out.join("season.csv"), &dates)?;
-        write_table(&self.out.join("season_emergence.csv"), &emergence)?;
+        write_csv(&self.out.join("season.csv"), &dates)?;
+        write_csv(&self.out.join("season_emergence.csv"), &emergence)?;
         let text = page(&dates, &emergence);
         output::write(&self.out.join("season.md"), true, |to| to.write_all(text.as_bytes()))
             .map_err(rowgram::Error::from)?;
@@ -322,15 +322,6 @@ fn emergence(outcome: &SeasonOutcome, plots: &[PlotTruth]) -> Vec<Emergence> {
         })
     };
     plots.iter().filter_map(of).collect()
-}
-
-fn write_table<T: Serialize>(path: &Path, rows: &[T]) -> Result<(), Fail> {
-    let written = output::write(path, true, |to| {
-        let mut csv = csv::Writer::from_writer(to);
-        rows.iter().try_for_each(|row| csv.serialize(row))?;
-        csv.flush()
-    });
-    Ok(written.map_err(rowgram::Error::from)?)
 }
 
 fn page(dates: &[Date], emergence: &[Emergence]) -> String {

@@ -29,7 +29,7 @@ pub(crate) struct TableSpec {
     #[serde(default = "two")]
     pub(crate) digits: usize,
     /// What the numbers are multiplied with, such as 100 for centimetres from metres.
-    #[serde(default = "unity")]
+    #[serde(default = "crate::figures::unity")]
     pub(crate) scale: f64,
     /// What it shows.
     #[serde(default)]
@@ -38,10 +38,6 @@ pub(crate) struct TableSpec {
 
 fn two() -> usize {
     2
-}
-
-fn unity() -> f64 {
-    1.0
 }
 
 impl TableSpec {

@@ -127,7 +127,7 @@ fn runs() -> String {
     "runs".to_owned()
 }
 
-fn unity() -> f64 {
+pub(crate) fn unity() -> f64 {
     1.0
 }
 

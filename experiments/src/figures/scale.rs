@@ -5,6 +5,7 @@ use plotters::{
     prelude::*,
     style::{FontFamily, RGBAColor},
 };
+use rowgram::raster::density;
 
 /// The drawing area of a figure.
 pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
@@ -46,27 +47,10 @@ pub(super) fn light(series: usize) -> RGBAColor {
     colour(series).mix(0.2)
 }
 
-/// Viridis, at nine places between which it is close to straight.
-const VIRIDIS: [[f64; 3]; 9] = [
-    [68.0, 1.0, 84.0],
-    [71.0, 44.0, 122.0],
-    [59.0, 81.0, 139.0],
-    [44.0, 113.0, 142.0],
-    [33.0, 144.0, 141.0],
-    [39.0, 173.0, 129.0],
-    [92.0, 200.0, 99.0],
-    [170.0, 220.0, 50.0],
-    [253.0, 231.0, 37.0],
-];
-
 /// The colour of a share from 0 to 1.
 pub(super) fn viridis(share: f64) -> RGBColor {
-    let place = share.clamp(0.0, 1.0) * (VIRIDIS.len() - 1) as f64;
-    let low = (place.floor() as usize).min(VIRIDIS.len() - 2);
-    let part = place - low as f64;
-    let mix =
-        |k: usize| (VIRIDIS[low][k] + (VIRIDIS[low + 1][k] - VIRIDIS[low][k]) * part).round() as u8;
-    RGBColor(mix(0), mix(1), mix(2))
+    let [red, green, blue] = density::colour(share);
+    RGBColor(red, green, blue)
 }
 
 /// The extent of numbers, a little wider; never empty. On a logarithmic axis, of the logarithms.

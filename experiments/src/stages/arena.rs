@@ -310,17 +310,18 @@ fn race(p: &Parameters, counted: &Counted, start: Vec<f64>) -> Result<(), String
     };
     let problem = counted.clone();
     let most = p.max_iterations;
-    match p.solver {
-        Solver::LevenbergMarquardt => own(Method::LevenbergMarquardt, 1e-3),
-        Solver::GaussNewton => own(Method::LevenbergMarquardt, 1e-12),
-        Solver::Dogleg => own(Method::Dogleg, 1e-3),
-        Solver::ArgminGaussNewton => contestants::gauss_newton(problem, start, most),
-        Solver::NelderMead => contestants::nelder_mead(problem, &start, most),
-        Solver::Lbfgs => contestants::race(Contestant::Lbfgs, problem, start, most),
-        Solver::NonlinearCg => contestants::race(Contestant::NonlinearCg, problem, start, most),
-        Solver::SteepestDescent => {
-            contestants::race(Contestant::SteepestDescent, problem, start, most)
-        }
-        Solver::Steihaug => contestants::race(Contestant::Steihaug, problem, start, most),
-    }
+    let contestant = match p.solver {
+        Solver::LevenbergMarquardt => return own(Method::LevenbergMarquardt, 1e-3),
+        Solver::GaussNewton => return own(Method::LevenbergMarquardt, 1e-12),
+        Solver::Dogleg => return own(Method::Dogleg, 1e-3),
+        Solver::ArgminGaussNewton => return contestants::gauss_newton(problem, start, most),
+        Solver::NelderMead => return contestants::nelder_mead(problem, &start, most),
+        Solver::Lbfgs => Contestant::Lbfgs,
+        Solver::NonlinearCg => Contestant::NonlinearCg,
+        Solver::SteepestDescent => Contestant::SteepestDescent,
+        Solver::Steihaug => Contestant::Steihaug,
+    };
+    // Conjugate gradients inside a step may make twice as many products as there are parameters.
+    let products = 2 * start.len() as u64;
+    contestants::race(contestant, problem, start, most, products)
 }

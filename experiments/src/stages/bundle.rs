@@ -127,33 +127,38 @@ impl Stage for BundleBlock {
         let bundle = pose(&adjusted)?;
         let mut measured = Measured::default();
         let mut trace = Trace::new("iterations", &["iteration", "passes", "cost_excess"]);
-        let cost = match p.solver.contestant() {
-            None => adjust(p, &bundle, best, &mut adjusted, &mut measured, &mut trace)?,
-            Some(who) => {
-                let problem = pose(&adjusted)?.problem;
-                let charted = charted(problem, adjusted.cameras.len(), loss);
-                let flat = FlatProblem::new(Arc::new(charted), Limits::NONE)?;
-                let ended = contestants::race(who, flat.clone(), flat.origin(), p.max_iterations);
-                let noted = flat.noted.lock().map_err(|_| "a solver failed".to_owned())?;
-                // Solvers that give up with an error have come as far as they have.
-                if let (Err(error), true) = (ended, noted.passes == 0.0) {
-                    return Err(error);
-                }
-                let solved = noted.log.iter().find(|[_, cost, _]| *cost <= SOLVED * best);
-                measured.put_some("passes", solved.map(|[passes, _, _]| *passes));
-                if let Some([_, _, seconds]) = solved {
-                    measured.seconds.insert(TO_SOLVE.to_owned(), *seconds);
-                }
-                let rows = noted.log.iter().enumerate();
-                trace.rows.extend(
-                    rows.map(|(k, [passes, cost, _])| {
+        let cost =
+            match p.solver.contestant() {
+                None => adjust(p, &bundle, best, &mut adjusted, &mut measured, &mut trace)?,
+                Some(who) => {
+                    let problem = pose(&adjusted)?.problem;
+                    let charted = charted(problem, adjusted.cameras.len(), loss);
+                    let flat = FlatProblem::new(Arc::new(charted), Limits::NONE)?;
+                    let ended = contestants::race(
+                        who,
+                        flat.clone(),
+                        flat.origin(),
+                        p.max_iterations,
+                        2 * flat.origin().len() as u64,
+                    );
+                    let noted = flat.noted.lock().map_err(|_| "a solver failed".to_owned())?;
+                    // Solvers that give up with an error have come as far as they have.
+                    if let (Err(error), true) = (ended, noted.passes == 0.0) {
+                        return Err(error);
+                    }
+                    let solved = noted.log.iter().find(|[_, cost, _]| *cost <= SOLVED * best);
+                    measured.put_some("passes", solved.map(|[passes, _, _]| *passes));
+                    if let Some([_, _, seconds]) = solved {
+                        measured.seconds.insert(TO_SOLVE.to_owned(), *seconds);
+                    }
+                    let rows = noted.log.iter().enumerate();
+                    trace.rows.extend(rows.map(|(k, [passes, cost, _])| {
                         vec![k as f64, *passes, (cost - best) / best]
-                    }),
-                );
-                bundle.update(&noted.best, &mut adjusted);
-                noted.lowest
-            }
-        };
+                    }));
+                    bundle.update(&noted.best, &mut adjusted);
+                    noted.lowest
+                }
+            };
         let (error_px, rms_px) = errors(&block, &adjusted);
         measured.put("error_px", error_px);
         measured.put("rms_px", rms_px);

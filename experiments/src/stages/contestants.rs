@@ -130,25 +130,9 @@ fn told(error: Error) -> String {
     error.to_string()
 }
 
-/// Runs a contestant; what it finds is what `problem` noted when it was asked. Conjugate gradients inside
-/// a step may make twice as many products as there are parameters.
+/// Runs a contestant; what it finds is what `problem` noted when it was asked. Conjugate gradients inside a step make so many
+/// products at most.
 pub(super) fn race<P>(
-    contestant: Contestant,
-    problem: P,
-    start: Vec<f64>,
-    max_iterations: u64,
-) -> Result<(), String>
-where
-    P: CostFunction<Param = Vec<f64>, Output = f64>
-        + Gradient<Param = Vec<f64>, Gradient = Vec<f64>>
-        + Hessian<Param = Vec<f64>, Hessian = GaussNewtonHessian>,
-{
-    let products = 2 * start.len() as u64;
-    race_within(contestant, problem, start, max_iterations, products)
-}
-
-/// As [`race`], with so many products inside a step at most.
-pub(super) fn race_within<P>(
     contestant: Contestant,
     problem: P,
     start: Vec<f64>,

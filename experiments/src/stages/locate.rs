@@ -141,19 +141,18 @@ impl Stage for Locate {
         let gsd_m = scene.field.frame.gsd_m;
         let truth: Vec<[f64; 2]> = scene.field.plants.iter().map(|p| [p.u_px, p.v_px]).collect();
         let mask = scene.mask();
-        let index = PixelIndex::from_mask(mask.width() as usize, mask.as_raw());
-        let pixels = index.len() as f64;
-        let detection = rows::detect(&index);
+        let mask = Mask {
+            width: mask.width() as usize,
+            height: mask.height() as usize,
+            data: mask.into_raw(),
+        };
+        let pixels = mask.count() as f64;
+        let detection = rows::detect(&mask);
         let plants = ((truth.len() as f64 * p.count_factor).round() as usize).max(1);
         let mut measured = Measured::default();
         measured.put("plants", truth.len() as f64);
         measured.put("pixels_per_plant", pixels / truth.len().max(1) as f64);
         if p.method != Method::Descent {
-            let mask = Mask {
-                width: mask.width() as usize,
-                height: mask.height() as usize,
-                data: mask.into_raw(),
-            };
             let count = (p.method == Method::RowModel).then_some(plants);
             let found = row_model::locate(&mask, &detection, count, &p.row_model);
             let found = found.map_err(|e| e.to_string())?;
@@ -178,7 +177,8 @@ impl Stage for Locate {
         let descent = descent::CoordinateDescentOptions { seed, ..p.descent };
         let options =
             PlantFitOptions { plants, model, init, seed, descent, max_sweeps: p.max_sweeps };
-        let mut setup = Setup::with_rows(index, &options, detection).map_err(|e| e.to_string())?;
+        let index = PixelIndex::from_mask(mask.width, &mask.data);
+        let mut setup = Setup::new(index, &options, detection).map_err(|e| e.to_string())?;
         if p.start == Start::Truth {
             let found = setup.detection.rows().map_or(&[][..], |rows| &rows.rows);
             let across: Vec<f64> = found.iter().map(|row| row.across_px).collect();

@@ -314,7 +314,7 @@ fn race(p: &Parameters, instance: &Instance, best: f64) -> Result<Vec<Lap>, Stri
         let most = if who == Contestant::Steihaug { p.max_steps } else { p.max_evaluations };
         flat(p, instance, best, |problem| {
             let products = p.max_products.min(2 * instance.parameters() as u64);
-            contestants::race_within(who, problem.clone(), problem.origin(), most, products)
+            contestants::race(who, problem.clone(), problem.origin(), most, products)
         })
     };
     let marquardt = Method::LevenbergMarquardt;
