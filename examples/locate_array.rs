@@ -7,7 +7,6 @@
 
 use rowgram::{
     phenotype::{locate::LocateError, row_model, rows},
-    problems::plants::index::PixelIndex,
     raster::Mask,
 };
 
@@ -33,8 +32,7 @@ fn mask() -> Mask {
 
 pub(crate) fn main() -> Result<(), LocateError> {
     let mask = mask();
-    let index = PixelIndex::from_mask(mask.width, &mask.data);
-    let found = rows::detect(&index);
+    let found = rows::detect(&mask);
     let canopy = row_model::locate(&mask, &found, None, &row_model::RowModelOptions::default())?;
     println!("{} plants in {} rows", canopy.plants.len(), canopy.rows.rows.len());
     for plant in canopy.plants.iter().take(5) {

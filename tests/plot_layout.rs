@@ -8,10 +8,10 @@ use rand_chacha::{
 use rowgram::{
     io::{FileError, csv_table::CsvTable, geotiff, polygons},
     monitor::{Recorder, Silent},
-    options::Options,
+    options::{Choice, Options},
     phenotype::layout::{
         Plan,
-        design::{Design, Numbering, Side},
+        design::{Design, FieldCorner, Numbering, Side},
         observed::FoundPlant,
         refine::{Assumptions, Refinement, refine},
     },
@@ -125,8 +125,11 @@ fn spoiled(config: &FieldConfig, design: &Design, draws: &mut Draws) -> (Plan, P
     let (a, b) = (draws.sign() * 0.01, draws.sign() * 0.01);
     let mut wrong = Placement::nominal([0.0; 2], config.heading_rad(), plan.half_length_m());
     wrong.affine = [0.4 * angle.cos(), 0.4 * angle.sin() + half_row, turn, a, b, 0.0];
-    let surveyed: Vec<Corner> =
-        design.corners().map(|at| Corner { at, surveyed_m: wrong.map(at) }).into();
+    let of = |corner| {
+        let at = design.corner(corner);
+        Corner { at, surveyed_m: wrong.map(at) }
+    };
+    let surveyed: Vec<Corner> = FieldCorner::all().into_iter().map(of).collect();
     let start = Placement::nominal([0.3, -0.2], config.heading_rad() + 0.01, plan.half_length_m());
     let sigmas = CornerSigmas { corner_m: 0.05, stretch: 0.01, shear_rad: 0.0035 };
     let fitted = corners::fit(&start, &surveyed, &sigmas).unwrap();

@@ -35,12 +35,8 @@ fn field(preset: Preset, heading_deg: f64, seed: u64) -> (Mask, Vec<[f64; 2]>) {
     (mask, scene.field.plants.iter().map(|plant| [plant.u_px, plant.v_px]).collect())
 }
 
-fn index(mask: &Mask) -> PixelIndex {
-    PixelIndex::from_mask(mask.width, &mask.data)
-}
-
 fn try_find(mask: &Mask, count: Option<usize>) -> Result<Stand, LocateError> {
-    row_model::locate(mask, &detect(&index(mask)), count, &RowModelOptions::default())
+    row_model::locate(mask, &detect(mask), count, &RowModelOptions::default())
 }
 
 fn find(mask: &Mask, count: Option<usize>) -> Stand {
@@ -65,9 +61,8 @@ fn descend(mask: &Mask, start: &[[f64; 2]], model: Model) -> Vec<[f64; 2]> {
         descent: descent::CoordinateDescentOptions::default(),
         max_sweeps: 200,
     };
-    let index = index(mask);
-    let detection = detect(&index);
-    let mut setup = Setup::from(index, &options, detection, Some(start.to_vec())).unwrap();
+    let index = PixelIndex::from_mask(mask.width, &mask.data);
+    let mut setup = Setup::from(index, &options, detect(mask), Some(start.to_vec())).unwrap();
     descent::run(&setup.problem, &mut setup.field, options.descent, 200, |_, _| ()).unwrap();
     setup.finish().plants.iter().map(|plant| plant.position_px).collect()
 }
@@ -116,7 +111,7 @@ fn young_plants_that_stand_apart_are_found_by_their_mass() {
         image.get_pixel(u as u32, v as u32).0[0] > 0
     });
     let truth: Vec<[f64; 2]> = scene.field.plants.iter().map(|p| [p.u_px, p.v_px]).collect();
-    let rows = detect(&index(&mask));
+    let rows = detect(&mask);
     let score = |apart: bool| {
         let options = RowModelOptions { isolated_plants: apart, ..RowModelOptions::default() };
         let canopy = row_model::locate(&mask, &rows, None, &options).unwrap();

@@ -16,6 +16,7 @@
 //! P. Felzenszwalb, D. Huttenlocher, "Distance transforms of sampled functions", Theory of Computing 8, 2012.
 
 use rayon::prelude::*;
+use rowgram_base::disjoint_sets::DisjointSets;
 use rowgram_raster::{Mask, components};
 use std::{
     cmp::Reverse,
@@ -149,23 +150,16 @@ impl Watershed {
                 }
             }
         }
-        let mut leaf: Vec<usize> = (0..cells.len()).collect();
-        let root = |leaf: &[usize], mut label: usize| {
-            while leaf[label] != label {
-                label = leaf[label];
-            }
-            label
-        };
+        let mut leaves = DisjointSets::new(cells.len());
         for ((a, b), saddle) in saddles {
             let (a, b) = (a as usize, b as usize);
             if saddle > JOINED * cells[a].1.min(cells[b].1) {
-                let (a, b) = (root(&leaf, a), root(&leaf, b));
-                leaf[a.max(b)] = a.min(b);
+                leaves.join(a, b);
             }
         }
         let mut joined = vec![(0, 0.0_f32); cells.len()];
         for (label, cell) in cells.iter().enumerate() {
-            let sum = &mut joined[root(&leaf, label)];
+            let sum = &mut joined[leaves.root(label)];
             *sum = (sum.0 + cell.0, sum.1.max(cell.1));
         }
         joined

@@ -6,7 +6,7 @@
 //! and compared with what is usual of the plants of the field ([`PlantBaseline`]); their sum is the score of the place.
 //!
 //! On synthetic masks such a score tells two plants within 7.5 cm from one with an area under the curve of 0.95 (spacing 20 cm), 0.98
-//! (30 cm), 0.73 (10 and 12 cm), with 3 % doubles (`experiments/reference/canopy.md`).
+//! (30 cm), 0.73 (10 and 12 cm), with 3 % doubles.
 
 use super::evidence::{Evidence, LeafAxes};
 use rayon::prelude::*;

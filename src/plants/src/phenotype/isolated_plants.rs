@@ -67,19 +67,13 @@ pub(super) fn covered_share(mask: &Mask, rows: &Rows) -> f64 {
 fn profiles(mask: &Mask, rows: &Rows) -> Vec<Vec<f64>> {
     let mut profiles: Vec<Vec<f64>> =
         rows.rows.iter().map(|row| vec![0.0; row.length_px().ceil().max(1.0) as usize]).collect();
-    let acrosses: Vec<f64> = rows.rows.iter().map(|row| row.across_px).collect();
     for (v, line) in mask.data.chunks_exact(mask.width.max(1)).enumerate() {
         for (u, _) in line.iter().enumerate().filter(|(_, pixel)| **pixel != 0) {
             let [along, across] = rows.axes.aligned([u as f64, v as f64]);
-            let after = acrosses.partition_point(|&at| at < across);
-            let near = |k: usize| (acrosses[k] - across).abs();
-            let candidates = [after.checked_sub(1), (after < acrosses.len()).then_some(after)];
-            let nearest =
-                candidates.into_iter().flatten().min_by(|&a, &b| near(a).total_cmp(&near(b)));
-            let Some(row) = nearest else { continue };
+            let Some((row, away)) = rows.nearest(across) else { continue };
             let band = rows.spacing_px.map_or(LONE * rows.rows[row].length_px(), |s| 0.4 * s);
             let place = along - rows.rows[row].start_px;
-            if near(row) <= band
+            if away <= band
                 && place >= 0.0
                 && let Some(mass) = profiles[row].get_mut(place as usize)
             {

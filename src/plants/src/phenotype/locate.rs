@@ -6,13 +6,13 @@
 //!
 //! Positions in pixels, centre of the top-left pixel at (0, 0).
 
-use super::rows::{Detection, Row, Rows, detect};
+use super::rows::{Detection, Row, Rows};
 use crate::problems::plants::{Field, Model, Plants, Prior, index::PixelIndex, lines::Axes, start};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rowgram_optim::{
     descent::{self, BlockCost as _},
-    engine::{RunOutcome, SolveError, Step},
+    engine::{RunOutcome, SolveError},
 };
 use serde::{Deserialize, Serialize};
 
@@ -140,20 +140,11 @@ pub struct Located {
 }
 
 impl Setup {
-    /// Finds the rows and poses the problem.
+    /// Poses the problem with the rows that were found.
     ///
     /// # Errors
     /// [`LocateError`], one for everything that cannot be.
-    pub fn new(index: PixelIndex, options: &PlantFitOptions) -> Result<Setup, LocateError> {
-        let detection = detect(&index);
-        Setup::with_rows(index, options, detection)
-    }
-
-    /// Poses the problem with rows that are known already.
-    ///
-    /// # Errors
-    /// As [`Setup::new`].
-    pub fn with_rows(
+    pub fn new(
         index: PixelIndex,
         options: &PlantFitOptions,
         detection: Detection,
@@ -240,26 +231,6 @@ impl Setup {
             detection,
         }
     }
-}
-
-/// Locates plants among leaf pixels; `observe` sees every sweep.
-///
-/// # Errors
-/// As [`Setup::new`].
-pub fn locate(
-    index: PixelIndex,
-    options: &PlantFitOptions,
-    observe: impl FnMut(u64, &Step),
-) -> Result<(Located, RunOutcome), LocateError> {
-    let mut setup = Setup::new(index, options)?;
-    let outcome = descent::run(
-        &setup.problem,
-        &mut setup.field,
-        options.descent,
-        options.max_sweeps,
-        observe,
-    )?;
-    Ok((setup.finish(), outcome))
 }
 
 /// Locates plants from several starts, with consecutive seeds; keeps the best by the (tempered)
@@ -355,7 +326,8 @@ mod tests {
             max_sweeps: 10,
         };
         let square = PixelIndex::new(&(0..2500).map(|k| [k % 50, k / 50]).collect::<Vec<_>>());
-        let fail = |index: &PixelIndex, o| locate(index.clone(), &o, |_, _| ()).unwrap_err();
+        let none = Detection::NoRows { contrast: 0.0, prominence: 0.0 };
+        let fail = |index: &PixelIndex, o| locate_best(index, &o, &none, None, 1).unwrap_err();
         let free = |plants| options(plants, Prior::None, Init::KmeansPlusPlus);
         assert_eq!(fail(&PixelIndex::new(&[]), free(1)), LocateError::EmptyMask);
         assert_eq!(fail(&square, free(0)), LocateError::NoPlants);
@@ -365,7 +337,8 @@ mod tests {
             let error = fail(&square, options(5, prior, init));
             assert!(matches!(error, LocateError::NoRows { .. }), "{error}");
         }
-        let (located, outcome) = locate(square, &free(5), |_, _| ()).unwrap();
+        let (setup, outcome) = locate_best(&square, &free(5), &none, None, 1).unwrap();
+        let located = setup.finish();
         assert_eq!((located.plants.len(), located.empty_clusters), (5, 0));
         assert!(located.plants.iter().all(|plant| plant.row.is_none()));
         assert!(outcome.final_cost < outcome.initial_cost);

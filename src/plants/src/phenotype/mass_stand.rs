@@ -23,6 +23,7 @@ use super::{
     rows_of_plants::{LONE_ROW_HALF_WIDTH, rows_of},
     stand::{BETWEEN, BetweenRows, Gap, LEAST_MISSING, LeafMass, Stalk, Stand, Weed},
 };
+use crate::score::tree::Tree;
 use rowgram_optim::robust::median;
 use rowgram_raster::Mask;
 
@@ -282,7 +283,7 @@ fn stand(
     for plant in &found.plants {
         let position_px = [plant.u_px, plant.v_px];
         let [along_px, across_px] = stand.rows.axes.aligned(position_px);
-        let (row, away_px) = nearest_row(&stand.rows, across_px);
+        let (row, away_px) = stand.rows.nearest(across_px).unwrap_or((0, 0.0));
         if away_px > band_px(&stand.rows, plant_px) {
             between_px += plant.mass_px;
         }
@@ -361,24 +362,15 @@ fn is_alley_between(along: &[Vec<f64>], row: usize, [from, to]: [f64; 2]) -> boo
     is_alley(along.len(), row, reaches, is_bare)
 }
 
-/// The nearest row and how far away it is; row 0 where there are none.
-pub(super) fn nearest_row(rows: &Rows, across_px: f64) -> (usize, f64) {
-    let away = |row: usize| (rows.rows[row].across_px - across_px).abs();
-    let nearest = (0..rows.rows.len()).min_by(|&a, &b| away(a).total_cmp(&away(b)));
-    nearest.map_or((0, 0.0), |row| (row, away(row)))
-}
-
 pub(super) fn band_px(rows: &Rows, plant_px: f64) -> f64 {
     rows.spacing_px.map_or(LONE_ROW_HALF_WIDTH * plant_px.sqrt(), |spacing| BETWEEN * spacing)
 }
 
 /// The middle distance to the nearest plant.
 fn nearest_px(plants: &[Plant]) -> Option<f64> {
-    let apart = |a: &Plant, b: &Plant| (a.u_px - b.u_px).hypot(a.v_px - b.v_px);
-    let of = |k: usize| {
-        let others = plants.iter().enumerate().filter(|(other, _)| *other != k);
-        others.map(|(_, other)| apart(&plants[k], other)).reduce(f64::min)
-    };
+    let places: Vec<[f64; 2]> = plants.iter().map(|plant| [plant.u_px, plant.v_px]).collect();
+    let tree = Tree::new(&places);
+    let of = |k: usize| tree.nearest(&places, places[k], Some(k)).map(|(_, distance)| distance);
     // Some of the plants tell enough.
     median((0..plants.len()).step_by(plants.len().div_ceil(500).max(1)).filter_map(of))
 }

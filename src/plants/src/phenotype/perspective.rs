@@ -14,7 +14,7 @@
 //!
 //! Positions in pixels, centre of the top-left pixel at (0, 0).
 
-use super::{leaf_pixels::LeafPixels, stand::Stand};
+use super::{leaf_pixels::sample, stand::Stand};
 use rayon::prelude::*;
 use rowgram_raster::{Mask, components};
 
@@ -53,7 +53,7 @@ impl Perspective {
     pub fn of(mask: &Mask) -> Option<Perspective> {
         let size = [mask.width, mask.height];
         let view = |convergence: f64| Perspective { size, convergence };
-        let pixels = mask.sample(mask.count().div_ceil(MAX_SAMPLE).max(1));
+        let pixels = sample(mask, mask.count().div_ceil(MAX_SAMPLE).max(1));
         if pixels.is_empty() || size.contains(&0) {
             return None;
         }

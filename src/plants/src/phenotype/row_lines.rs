@@ -4,11 +4,12 @@
 //! the distance between them. Pixels belong to the nearest peak. No list of them is made: they are looked at four times, part by part.
 
 use super::{
-    leaf_pixels::LeafPixels,
+    leaf_pixels::{map_parts, visit},
     periodicity::{blur, period, two_rows},
-    rows::Row,
+    rows::{Row, nearest},
 };
 use crate::problems::plants::lines::Axes;
+use rowgram_raster::Mask;
 
 /// One of so many pixels of a row is left out at either end: weeds and noise beyond it. Not searched for.
 const ENDS: usize = 500;
@@ -17,10 +18,10 @@ const ENDS: usize = 500;
 const BINS: usize = 256;
 
 /// Row lines at a heading, by position across, and the distance between them.
-pub(super) fn lines(pixels: &impl LeafPixels, axes: &Axes) -> (Vec<Row>, Option<f64>) {
-    let extents = pixels.map_parts(|part| {
+pub(super) fn lines(mask: &Mask, axes: &Axes) -> (Vec<Row>, Option<f64>) {
+    let extents = map_parts(|part| {
         let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
-        pixels.visit(part, |at| {
+        visit(mask, part, |at| {
             for (k, at) in axes.aligned(at).into_iter().enumerate() {
                 low[k] = low[k].min(at);
                 high[k] = high[k].max(at);
@@ -35,9 +36,9 @@ pub(super) fn lines(pixels: &impl LeafPixels, axes: &Axes) -> (Vec<Row>, Option<
     });
     let first = across[0].floor();
     let mut profile = vec![0.0; (across[1] - first) as usize + 1];
-    let counts = pixels.map_parts(|part| {
+    let counts = map_parts(|part| {
         let mut counts = vec![0_u32; profile.len()];
-        pixels.visit(part, |at| counts[(axes.aligned(at)[1] - first) as usize] += 1);
+        visit(mask, part, |at| counts[(axes.aligned(at)[1] - first) as usize] += 1);
         counts
     });
     for counts in counts {
@@ -49,7 +50,7 @@ pub(super) fn lines(pixels: &impl LeafPixels, axes: &Axes) -> (Vec<Row>, Option<
         at: peaks(&profile, period),
         band: period.map_or(profile.len() as f64, |period| period / 2.0),
     };
-    let rows = peaks.rows(pixels, axes, along);
+    let rows = peaks.rows(mask, axes, along);
     let gaps: Vec<f64> = rows.windows(2).map(|w| w[1].across_px - w[0].across_px).collect();
     let spacing = period.filter(|_| rows.len() > 1).map(|period| refine(&gaps, period));
     (rows, spacing)
@@ -102,22 +103,18 @@ struct Tally {
 impl Peaks {
     fn nearest(&self, across: f64) -> Option<usize> {
         let strip = across - self.first;
-        let next = self.at.partition_point(|&k| (k as f64) < strip);
-        let candidates = [next.checked_sub(1), (next < self.at.len()).then_some(next)];
-        let distance = |k: usize| (self.at[k] as f64 - strip).abs();
-        let row =
-            candidates.into_iter().flatten().min_by(|&a, &b| distance(a).total_cmp(&distance(b)));
-        row.filter(|&row| distance(row) <= self.band)
+        let found = nearest(&self.at, |&k| k as f64, strip);
+        found.filter(|(_, distance)| *distance <= self.band).map(|(row, _)| row)
     }
 
     /// The rows on the peaks, of those that have pixels.
-    fn rows(&self, pixels: &impl LeafPixels, axes: &Axes, [low, high]: [f64; 2]) -> Vec<Row> {
+    fn rows(&self, mask: &Mask, axes: &Axes, [low, high]: [f64; 2]) -> Vec<Row> {
         let width = (high - low).max(1.0) / BINS as f64;
         let bin = |along: f64| (((along - low) / width) as usize).min(BINS - 1);
         let none = Tally { pixels: 0, across: 0.0, along: [0; BINS] };
-        let of_parts = pixels.map_parts(|part| {
+        let of_parts = map_parts(|part| {
             let mut tallies = vec![none.clone(); self.at.len()];
-            pixels.visit(part, |at| {
+            visit(mask, part, |at| {
                 let [along, across] = axes.aligned(at);
                 if let Some(row) = self.nearest(across) {
                     tallies[row].pixels += 1;
@@ -137,9 +134,9 @@ impl Peaks {
         }
         // The bins of both ends, and how many pixels lie beyond them.
         let ends: Vec<[(usize, usize); 2]> = tallies.iter().map(Tally::ends).collect();
-        let in_bins = pixels.map_parts(|part| {
+        let in_bins = map_parts(|part| {
             let mut places = vec![[Vec::new(), Vec::new()]; self.at.len()];
-            pixels.visit(part, |at| {
+            visit(mask, part, |at| {
                 let [along, across] = axes.aligned(at);
                 let Some(row) = self.nearest(across) else { return };
                 for (places, end) in places[row].iter_mut().zip(ends[row]) {

@@ -106,7 +106,6 @@ pub(super) fn locate(
         plant_px: median(plants.iter().map(|plant| plant.mass_px)).unwrap_or(1.0).max(1.0),
         expected,
         sigma: 0.5 * (more - less).abs(),
-        model: None,
         unexplained: (1.0 - explained / mask.count().max(1) as f64).max(0.0),
         plants,
     })
@@ -130,11 +129,9 @@ fn profiles(mask: &Mask, rows: &Rows, band_px: f64, beyond: f64) -> Vec<Profile>
     for v in 0..mask.height {
         for (u, _) in mask.row(v).iter().enumerate().filter(|(_, pixel)| **pixel != 0) {
             let [along, across] = rows.axes.aligned([u as f64, v as f64]);
-            let after = rows.rows.partition_point(|row| row.across_px < across);
-            let near = |row: &usize| (rows.rows[*row].across_px - across).abs();
-            let beside = [after.checked_sub(1), (after < rows.rows.len()).then_some(after)];
-            let nearest = beside.into_iter().flatten().min_by(|a, b| near(a).total_cmp(&near(b)));
-            let Some(row) = nearest.filter(|row| near(row) <= band_px) else { continue };
+            let Some((row, _)) = rows.nearest(across).filter(|found| found.1 <= band_px) else {
+                continue;
+            };
             let profile = &mut profiles[row];
             let place = (along - profile.start).round();
             if place >= 0.0 && (place as usize) < profile.pixels.len() {

@@ -1,19 +1,13 @@
 //! Rows of plants and plots: plots that rows define where nobody drew any, and plots without their outer rows.
 
+use super::principal_axis::{main_axis_rad, middle};
 use rowgram_raster::{clip, polygon::Polygon};
 use std::collections::BTreeMap;
 
 /// The plants of a row in their order along it, as indices: along the main axis of their places, towards larger `u` (in rows
 /// along `v`, larger `v`).
 pub fn along_the_row(row: &[[f64; 2]]) -> Vec<usize> {
-    let n = row.len().max(1) as f64;
-    let middle: [f64; 2] = std::array::from_fn(|k| row.iter().map(|at| at[k]).sum::<f64>() / n);
-    let [mut uu, mut uv, mut vv] = [0.0; 3];
-    for at in row {
-        let [a, b] = [at[0] - middle[0], at[1] - middle[1]];
-        (uu, uv, vv) = (uu + a * a, uv + a * b, vv + b * b);
-    }
-    let (sin, cos) = (0.5 * (2.0 * uv).atan2(uu - vv)).sin_cos();
+    let (sin, cos) = main_axis_rad([row.iter().copied()]).sin_cos();
     let (sin, cos) = if cos < 1e-9 { (sin.abs(), cos) } else { (sin, cos) };
     let mut order: Vec<usize> = (0..row.len()).collect();
     order.sort_by(|&i, &j| {
@@ -34,16 +28,7 @@ fn rows_of(plants: &[[f64; 2]], rows: &[f64]) -> Vec<Vec<[f64; 2]>> {
 
 /// Direction of rows, radians: the main axis of what is left of each row about its own middle.
 fn row_angle(of_row: &[Vec<[f64; 2]>]) -> f64 {
-    let mut moments = [0.0; 3];
-    for row in of_row {
-        let n = row.len() as f64;
-        let m = [0, 1].map(|k| row.iter().map(|at| at[k]).sum::<f64>() / n);
-        for at in row {
-            let [a, b] = [at[0] - m[0], at[1] - m[1]];
-            moments = [moments[0] + a * a, moments[1] + a * b, moments[2] + b * b];
-        }
-    }
-    0.5 * (2.0 * moments[1]).atan2(moments[0] - moments[2])
+    main_axis_rad(of_row.iter().map(|row| row.iter().copied()))
 }
 
 /// The direction of the rows of plants, a vector of length 1; `None` where no row has two plants.
@@ -90,10 +75,7 @@ pub fn plots_from_rows(
 ) -> Vec<(String, Polygon)> {
     let mut of_row = rows_of(plants, rows);
     let angle = row_angle(&of_row);
-    let middle = |row: &[[f64; 2]]| {
-        let n = row.len() as f64;
-        [0, 1].map(|k| row.iter().map(|at| at[k]).sum::<f64>() / n)
-    };
+    let middle = |row: &[[f64; 2]]| middle(row.iter().copied());
     let (sin, cos) = angle.sin_cos();
     let along = |at: &[f64; 2]| cos * at[0] + sin * at[1];
     let across = |at: &[f64; 2]| cos * at[1] - sin * at[0];
@@ -153,7 +135,7 @@ mod tests {
         let names: Vec<&str> = plots.iter().map(|(name, _)| name.as_str()).collect();
         assert_eq!(names, ["R01C01", "R01C02", "R02C01", "R02C02"]);
         for (name, polygon) in &plots {
-            let count = plants.iter().filter(|at| polygon.holds(**at)).count();
+            let count = polygon.inside(&plants).len();
             assert_eq!(count, 20, "{name}");
         }
         // A plant in no row belongs to no group; without rows there is no plot.

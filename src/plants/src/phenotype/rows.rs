@@ -17,9 +17,13 @@
 //! Headings are measured from the image's `u` axis towards its `v` axis; along and across as in
 //! [`Axes`]; everything else in pixels.
 
-use super::{leaf_pixels::LeafPixels, row_lines::lines};
+use super::{
+    leaf_pixels::{extent, sample},
+    row_lines::lines,
+};
 use crate::problems::plants::lines::Axes;
 use rowgram_optim::robust::median;
+use rowgram_raster::Mask;
 use std::f64::consts::PI;
 
 /// Pixels that the search for the heading looks at, at most.
@@ -70,6 +74,13 @@ pub struct Rows {
     pub contrast: f64,
 }
 
+impl Rows {
+    /// The row nearest to a position across, and how far away it is; `None` without rows.
+    pub(super) fn nearest(&self, across_px: f64) -> Option<(usize, f64)> {
+        nearest(&self.rows, |row| row.across_px, across_px)
+    }
+}
+
 /// What was found.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Detection {
@@ -84,6 +95,14 @@ pub enum Detection {
     },
 }
 
+/// The nearest of things in the order of their places, and how far away it is.
+pub(super) fn nearest<T>(sorted: &[T], place: impl Fn(&T) -> f64, at: f64) -> Option<(usize, f64)> {
+    let next = sorted.partition_point(|thing| place(thing) < at);
+    let beside = [next.checked_sub(1), (next < sorted.len()).then_some(next)];
+    let away = beside.into_iter().flatten().map(|k| (k, (place(&sorted[k]) - at).abs()));
+    away.min_by(|a, b| a.1.total_cmp(&b.1))
+}
+
 impl Detection {
     /// The rows, if any were found.
     pub fn rows(&self) -> Option<&Rows> {
@@ -94,18 +113,18 @@ impl Detection {
     }
 }
 
-/// Finds the rows of a mask, or of an index of its leaf pixels.
-pub fn detect(pixels: &impl LeafPixels) -> Detection {
+/// Finds the rows of a mask.
+pub fn detect(mask: &Mask) -> Detection {
     let none = |contrast, prominence| Detection::NoRows { contrast, prominence };
-    let Some(extent) = pixels.extent() else { return none(0.0, 0.0) };
+    let Some(extent) = extent(mask) else { return none(0.0, 0.0) };
     let (origin_px, _) = extent.circle();
     let size = [
         f64::from(extent.u_max) - f64::from(extent.u_min) + 1.0,
         f64::from(extent.v_max) - f64::from(extent.v_min) + 1.0,
     ];
-    let stride = pixels.count().div_ceil(SAMPLE);
+    let stride = mask.count().div_ceil(SAMPLE);
     let from_origin = |[u, v]: [f64; 2]| [u - origin_px[0], v - origin_px[1]];
-    let sample: Vec<[f64; 2]> = pixels.sample(stride).into_iter().map(from_origin).collect();
+    let sample: Vec<[f64; 2]> = sample(mask, stride).into_iter().map(from_origin).collect();
     let finder = Finder { sample: &sample, size, weight: stride as f64 };
     let window = FIRST_WINDOW_PX.min(size[0].hypot(size[1]));
     let first = Windows::new(&finder, window);
@@ -129,7 +148,7 @@ pub fn detect(pixels: &impl LeafPixels) -> Detection {
         let lines_near = |heading_rad: f64| {
             let heading_rad = finder.refine(heading_rad, window).rem_euclid(PI);
             let axes = Axes { origin_px, heading_rad };
-            let (rows, spacing_px) = lines(pixels, &axes);
+            let (rows, spacing_px) = lines(mask, &axes);
             (axes, rows, spacing_px)
         };
         let (mut axes, mut rows, mut spacing_px) = lines_near((degree as f64).to_radians());
@@ -311,12 +330,18 @@ fn area_below(a: f64, b: f64, area: f64, at: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::problems::plants::index::PixelIndex;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
+    fn mask_of(pixels: &[[u32; 2]]) -> Mask {
+        let size = |k: usize| pixels.iter().map(|at| at[k] as usize + 1).max().unwrap_or(0);
+        let mut mask = Mask::empty(size(0), size(1));
+        pixels.iter().for_each(|&[u, v]| mask.data[v as usize * size(0) + u as usize] = 1);
+        mask
+    }
+
     /// Ragged rows at a heading: blobs along parallel lines inside a square picture.
-    fn field(degrees: f64, rows: i32, spacing: f64, seed: u64) -> PixelIndex {
+    fn field(degrees: f64, rows: i32, spacing: f64, seed: u64) -> Mask {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let axes = Axes { origin_px: [300.0, 300.0], heading_rad: degrees.to_radians() };
         let mut pixels = Vec::new();
@@ -333,9 +358,7 @@ mod tests {
                 along += 14.0 + 4.0 * rng.random::<f64>();
             }
         }
-        pixels.sort_unstable();
-        pixels.dedup();
-        PixelIndex::new(&pixels)
+        mask_of(&pixels)
     }
 
     /// Rows whose leaves have nearly closed, on a round field amid nothing.
@@ -354,7 +377,7 @@ mod tests {
                 }
             }
         }
-        let detection = detect(&PixelIndex::new(&pixels));
+        let detection = detect(&mask_of(&pixels));
         let rows = detection.rows().unwrap_or_else(|| panic!("{detection:?}"));
         assert!((rows.axes.heading_rad - 0.4).abs() < 0.01, "{:?}", rows.axes);
         assert!((rows.spacing_px.unwrap() - 52.0).abs() < 1.0, "{:?}", rows.spacing_px);
@@ -367,15 +390,14 @@ mod tests {
             })
             .filter(|_| rng.random::<f64>() < 0.5)
             .collect();
-        assert!(matches!(detect(&PixelIndex::new(&even)), Detection::NoRows { .. }));
+        assert!(matches!(detect(&mask_of(&even)), Detection::NoRows { .. }));
     }
 
     #[test]
     fn headings_from_0_to_180_degrees_are_recovered() {
         for k in 0..36 {
             let degrees = f64::from(k) * 5.0 + f64::from(k % 3) * 0.7;
-            let index = field(degrees, 6, 50.0, k as u64);
-            let detection = detect(&index);
+            let detection = detect(&field(degrees, 6, 50.0, k as u64));
             let rows = detection.rows().unwrap_or_else(|| panic!("{degrees}: {detection:?}"));
             let error =
                 (rows.axes.heading_rad.to_degrees() - degrees + 90.0).rem_euclid(180.0) - 90.0;
@@ -412,9 +434,7 @@ mod tests {
                 }
             }
         }
-        pixels.sort_unstable();
-        pixels.dedup();
-        let detection = detect(&PixelIndex::new(&pixels));
+        let detection = detect(&mask_of(&pixels));
         let rows = detection.rows().unwrap();
         assert_eq!(rows.rows.len(), 2, "{rows:?}");
         assert!((rows.spacing_px.unwrap() - 220.0).abs() < 3.0, "{rows:?}");
@@ -425,15 +445,15 @@ mod tests {
         let mut rng = ChaCha8Rng::seed_from_u64(9);
         let mut draw = || [rng.random_range(0..400_u32), rng.random_range(0..400_u32)];
         let scattered: Vec<[u32; 2]> = (0..8000).map(|_| draw()).collect();
-        let detection = detect(&PixelIndex::new(&scattered));
+        let detection = detect(&mask_of(&scattered));
         assert!(detection.rows().is_none(), "{detection:?}");
         let square: Vec<[u32; 2]> = (0..10_000).map(|k| [k % 100, k / 100]).collect();
-        assert!(detect(&PixelIndex::new(&square)).rows().is_none());
-        assert!(detect(&PixelIndex::new(&[])).rows().is_none());
+        assert!(detect(&mask_of(&square)).rows().is_none());
+        assert!(detect(&mask_of(&[])).rows().is_none());
         // Must not panic, whatever they answer.
-        detect(&PixelIndex::new(&[[7, 7]]));
-        detect(&PixelIndex::new(&(0..50).map(|k| [3, k]).collect::<Vec<_>>()));
-        detect(&PixelIndex::new(&(0..50).map(|k| [k, 3]).collect::<Vec<_>>()));
+        detect(&mask_of(&[[7, 7]]));
+        detect(&mask_of(&(0..50).map(|k| [3, k]).collect::<Vec<_>>()));
+        detect(&mask_of(&(0..50).map(|k| [k, 3]).collect::<Vec<_>>()));
     }
 
     #[test]

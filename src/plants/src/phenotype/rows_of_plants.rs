@@ -1,8 +1,9 @@
 //! The rows that plants told by their mass stand in: those of the leaf mask, those of the plants, or the line through all of them.
 
 use super::{
-    mass_stand::{band_px, nearest_row},
+    mass_stand::band_px,
     plant_mass::Plant,
+    principal_axis::{main_axis_rad, middle},
     rows::{self, Detection, Row, Rows},
 };
 use crate::problems::plants::lines::Axes;
@@ -42,13 +43,9 @@ pub(super) fn rows_of(mask: &Mask, plants: &[Plant], plant_px: f64, detection: &
 
 /// The line through all plants, where most of them stand along it: one row alone repeats nothing across itself.
 fn lone_row(plants: &[Plant], axes: Axes, plant_px: f64) -> Option<Rows> {
-    let count = plants.len() as f64;
-    let mean = plants.iter().fold([0.0; 2], |m, p| [m[0] + p.u_px / count, m[1] + p.v_px / count]);
-    let away = plants.iter().map(|p| [p.u_px - mean[0], p.v_px - mean[1]]);
-    let [uu, uv, vv] =
-        away.fold([0.0; 3], |[uu, uv, vv], [u, v]| [uu + u * u, uv + u * v, vv + v * v]);
-    let axes = Axes { heading_rad: 0.5 * (2.0 * uv).atan2(uu - vv), ..axes };
-    let across_px = axes.aligned(mean)[1];
+    let places = plants.iter().map(|plant| [plant.u_px, plant.v_px]);
+    let axes = Axes { heading_rad: main_axis_rad([places.clone()]), ..axes };
+    let across_px = axes.aligned(middle(places))[1];
     let places = plants.iter().map(|plant| axes.aligned([plant.u_px, plant.v_px]));
     let along: Vec<f64> = places
         .filter(|[_, across]| (across - across_px).abs() <= LONE_ROW_HALF_WIDTH * plant_px.sqrt())
@@ -58,7 +55,7 @@ fn lone_row(plants: &[Plant], axes: Axes, plant_px: f64) -> Option<Rows> {
     let end_px = along.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let pixels = plants.iter().map(|plant| plant.mass_px).sum::<f64>() as usize;
     let row = Row { across_px, start_px, end_px, pixels };
-    (along.len() as f64 >= MIN_SHARE_ALONG * count).then(|| Rows {
+    (along.len() as f64 >= MIN_SHARE_ALONG * plants.len() as f64).then(|| Rows {
         axes,
         rows: vec![row],
         spacing_px: None,
@@ -76,7 +73,10 @@ fn held_beyond_chance(rows: &Rows, mask: &Mask, plants: &[Plant], plant_px: f64)
     let corners = corners.map(|corner| rows.axes.aligned(corner)[1]);
     let low = corners.into_iter().fold(f64::INFINITY, f64::min);
     let high = corners.into_iter().fold(f64::NEG_INFINITY, f64::max);
-    let held = across.iter().filter(|&&across| nearest_row(rows, across).1 <= band).count();
+    let held = across
+        .iter()
+        .filter(|&&across| rows.nearest(across).is_some_and(|(_, away)| away <= band))
+        .count();
     let bands = 2.0 * band * rows.rows.len() as f64;
     held as f64 / plants.len() as f64 - (bands / (high - low).max(1.0)).min(1.0)
 }

@@ -248,7 +248,7 @@ impl Stand {
 
     /// Puts the rows through the middle of their plants, [`LEAST`] or more, and fits the distance between rows to that.
     ///
-    /// Rows are detected by leaf mass, whose middle is less exact than that of the plants (`experiments/reference/canopy.md`).
+    /// Rows are detected by leaf mass, whose middle is less exact than that of the plants.
     pub(super) fn refit_rows(&mut self) {
         let axes = self.rows.axes;
         let mut sums = vec![[0.0; 2]; self.rows.rows.len()];

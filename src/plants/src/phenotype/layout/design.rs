@@ -160,12 +160,6 @@ impl Design {
         }
     }
 
-    /// All corners of the field in the plan.
-    pub fn corners(&self) -> [[f64; 2]; 4] {
-        use FieldCorner::{Across, Along, First, Opposite};
-        [First, Along, Across, Opposite].map(|corner| self.corner(corner))
-    }
-
     /// Length of the field along the rows, metres.
     pub fn length_m(&self) -> f64 {
         self.ranges as f64 * (self.plot_length_m + self.alley_m) - self.alley_m
@@ -296,7 +290,9 @@ pub(super) mod tests {
         let [[s0, s1], [t0, t1]] = plan.extent();
         assert!((s1 - s0 - 18.0).abs() < 1e-12 && (t1 - t0 - 15.2).abs() < 1e-12);
         // The first plot is at the first corner; the others lie to the right.
-        let [first, along, across, _] = design.corners();
+        let corner = |corner| design.corner(corner);
+        let [first, along, across] =
+            [FieldCorner::First, FieldCorner::Along, FieldCorner::Across].map(corner);
         assert_eq!(plan.plots[0].rings[0][0], first);
         assert!(along[0] > first[0] && across[1] < first[1]);
         let rows: Vec<f64> = plan.plots[0].rows.iter().map(|row| row.across(0.0)).collect();

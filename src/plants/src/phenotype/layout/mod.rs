@@ -78,12 +78,6 @@ impl Plan {
         let [[low, high], _] = self.extent();
         (0.5 * (high - low)).max(f64::MIN_POSITIVE)
     }
-
-    /// The corners of the extent: first along, then across.
-    pub fn corners(&self) -> [[f64; 2]; 4] {
-        let [[s0, s1], [t0, t1]] = self.extent();
-        [[s0, t0], [s1, t0], [s1, t1], [s0, t1]]
-    }
 }
 
 impl PlannedPlot {

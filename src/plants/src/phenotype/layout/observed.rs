@@ -3,7 +3,10 @@
 //! A row that was found is cut into pieces of a given length within each plot; a piece is the mean position of its plants. The
 //! outermost plants of a row of a plot are its ends, where an alley or the edge of the field lets them show.
 
-use super::{Plan, PlannedRow};
+use super::{
+    super::principal_axis::{main_axis_rad, middle},
+    Plan, PlannedRow,
+};
 use crate::problems::plot_layout::{
     AFFINE, BEND, Placement,
     fit::{EndSample, Observations, RowSample},
@@ -71,30 +74,11 @@ impl FoundRows {
         places.sort_by(f64::total_cmp);
         median(places.windows(2).map(|pair| pair[1] - pair[0]))
     }
-
-    /// Number of plants.
-    pub fn plants(&self) -> usize {
-        self.rows.iter().map(Vec::len).sum()
-    }
 }
 
-/// The main axis of the plants about the middles of their rows: half the angle of the summed second moments.
+/// The main axis of the plants about the middles of their rows.
 fn direction(rows: &[Vec<[f64; 2]>]) -> f64 {
-    let (mut difference, mut product) = (0.0, 0.0);
-    for row in rows {
-        let middle = mean(row);
-        for q in row {
-            let [x, y] = [q[0] - middle[0], q[1] - middle[1]];
-            difference += x * x - y * y;
-            product += 2.0 * x * y;
-        }
-    }
-    0.5 * f64::atan2(product, difference)
-}
-
-fn mean(points: &[[f64; 2]]) -> [f64; 2] {
-    let count = points.len().max(1) as f64;
-    [0, 1].map(|axis| points.iter().map(|q| q[axis]).sum::<f64>() / count)
+    main_axis_rad(rows.iter().map(|row| row.iter().copied()))
 }
 
 /// The rows of a plan, found by place.
@@ -263,7 +247,7 @@ pub fn observe(
         }
         let (plot, planned) = lookup.rows[index];
         seen.rows.push(RowSample {
-            q: mean(&piece),
+            q: middle(piece.iter().copied()),
             row: planned.ends,
             found_row,
             plot,

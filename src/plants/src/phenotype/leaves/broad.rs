@@ -1,7 +1,10 @@
 //! Broad leaves as leaves: the parts of [`broad_leaves`] with their axes.
 
 use super::{Leaf, LeafOptions, Leaves};
-use crate::phenotype::broad_leaves::{BroadLeaves, broad_leaves};
+use crate::phenotype::{
+    broad_leaves::{BroadLeaves, broad_leaves},
+    principal_axis::{main_axis_rad, middle},
+};
 use rayon::prelude::*;
 use rowgram_optim::robust::median;
 use rowgram_raster::{Mask, components::Run};
@@ -33,14 +36,8 @@ pub(super) fn find(mask: &Mask, options: &LeafOptions) -> Leaves {
 fn measured(runs: Vec<Run>) -> Leaf {
     let pixels = || runs.iter().flat_map(Run::places);
     let area_px = pixels().count();
-    let count = area_px.max(1) as f64;
-    let [su, sv] = pixels().fold([0.0; 2], |s, p| [s[0] + p[0], s[1] + p[1]]);
-    let centre = [su / count, sv / count];
-    let [uu, uv, vv] = pixels().fold([0.0; 3], |s, p| {
-        let [u, v] = [p[0] - centre[0], p[1] - centre[1]];
-        [s[0] + u * u, s[1] + u * v, s[2] + v * v]
-    });
-    let (sin, cos) = (0.5 * (2.0 * uv).atan2(uu - vv)).sin_cos();
+    let centre = middle(pixels());
+    let (sin, cos) = main_axis_rad([pixels()]).sin_cos();
     let along = |p: [f64; 2]| (p[0] - centre[0]) * cos + (p[1] - centre[1]) * sin;
     // A pixel reaches half a pixel to either side of its centre.
     let (from, to) =

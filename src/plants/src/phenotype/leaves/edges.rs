@@ -13,6 +13,7 @@
 //! position of the edge to a fraction of a pixel ([`Edge::offset`]).
 
 use super::part::Local;
+use statrs::function::erf::erf;
 use std::f64::consts::FRAC_1_SQRT_2;
 
 const REACH: usize = 5;
@@ -66,17 +67,7 @@ impl Edge {
 
 /// The standard normal distribution's share below `x`.
 fn below(x: f64) -> f64 {
-    0.5 * (1.0 + error_function(x * FRAC_1_SQRT_2))
-}
-
-/// Abramowitz and Stegun 7.1.26, to 1.5e-7.
-fn error_function(x: f64) -> f64 {
-    let t = 1.0 / (1.0 + 0.327_591_1 * x.abs());
-    let polynomial = t
-        * (0.254_829_592
-            + t * (-0.284_496_736
-                + t * (1.421_413_741 + t * (-1.453_152_027 + t * 1.061_405_429))));
-    (1.0 - polynomial * (-x * x).exp()).copysign(x)
+    0.5 * (1.0 + erf(x * FRAC_1_SQRT_2))
 }
 
 /// Weights around the middle of a side: `TAPS` pixels across it, one less along it.

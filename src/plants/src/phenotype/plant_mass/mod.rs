@@ -55,8 +55,6 @@ pub struct MassCount {
     pub expected: f64,
     /// Its standard deviation.
     pub sigma: f64,
-    /// What was estimated; `None` where there is no leaf.
-    pub model: Option<MassModel>,
     /// Share of the leaf mass that no plant explains.
     pub unexplained: f64,
 }
@@ -157,14 +155,7 @@ impl<'a> Parts<'a> {
 
     /// The mass of the component in which the middle pixel of all leaf lies.
     pub(super) fn middle_px(&self) -> f64 {
-        let mut masses: Vec<f64> = self.measured.iter().map(|of| of.mass).collect();
-        masses.sort_by(f64::total_cmp);
-        let mut left = 0.5 * masses.iter().sum::<f64>();
-        let middle = masses.into_iter().find(|mass| {
-            left -= mass;
-            left <= 0.0
-        });
-        middle.unwrap_or(1.0)
+        sizes::middle_mass(&self.measured).unwrap_or(1.0)
     }
 
     /// The mask without its smallest components, which have this share of the mass together.
@@ -212,7 +203,6 @@ impl<'a> Parts<'a> {
                 plant_px: 1.0,
                 expected: 0.0,
                 sigma: 0.0,
-                model: None,
                 unexplained,
             };
         };
@@ -264,7 +254,7 @@ impl<'a> Parts<'a> {
         let explained: f64 = plants.iter().map(|plant| plant.mass_px).sum();
         let unexplained = if total > 0.0 { (1.0 - explained / total).max(0.0) } else { 0.0 };
         let sigma = (within + slope * slope + misfit * misfit).sqrt();
-        MassCount { plants, plant_px, expected, sigma, model: self.model.clone(), unexplained }
+        MassCount { plants, plant_px, expected, sigma, unexplained }
     }
 
     /// `wanted` plants shared out to components.

@@ -37,6 +37,17 @@ const MIN_SPREAD: f64 = 0.05;
 /// 20 photos of potatoes and in 4 of 4 of emerging maize.
 pub(super) const MISFIT: f64 = 0.25;
 
+/// The mass of the component in which the middle pixel of all leaf lies.
+pub(super) fn middle_mass(measured: &[Measured]) -> Option<f64> {
+    let mut masses: Vec<f64> = measured.iter().map(|of| of.mass).collect();
+    masses.sort_by(f64::total_cmp);
+    let mut left = 0.5 * masses.iter().sum::<f64>();
+    masses.into_iter().find(|mass| {
+        left -= mass;
+        left <= 0.0
+    })
+}
+
 /// What tells plants of any size from specks and weeds.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Sizes {
@@ -70,14 +81,8 @@ impl Sizes {
         };
         let mean = mean_of(&|green| green);
         let variance = mean_of(&|green| (green - mean).powi(2));
-        let mut masses: Vec<f64> = measured.iter().map(|of| of.mass).collect();
-        masses.sort_by(f64::total_cmp);
-        let mut left = 0.5 * total;
-        let middle = masses.into_iter().find(|mass| {
-            left -= mass;
-            left <= 0.0
-        });
-        Some(Sizes { least: MIN_SIZE * middle?, green: (mean, variance.sqrt().max(MIN_SPREAD)) })
+        let least = MIN_SIZE * middle_mass(measured)?;
+        Some(Sizes { least, green: (mean, variance.sqrt().max(MIN_SPREAD)) })
     }
 
     /// How much greener than the least green plant, in standard deviations.

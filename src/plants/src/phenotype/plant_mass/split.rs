@@ -6,6 +6,7 @@
 //!
 //! by Lloyd's descent, started from quantiles along the longest axis of the component.
 
+use crate::phenotype::principal_axis::{main_axis_rad, middle};
 use rowgram_raster::components::{Part, Run};
 
 /// Most pixels that the descent looks at; larger components are thinned.
@@ -16,13 +17,13 @@ pub fn split(part: &Part, plants: usize) -> Vec<[f64; 2]> {
     let step = part.pixels.div_ceil(PIXELS).max(1);
     let places = part.runs.iter().flat_map(Run::places);
     let pixels: Vec<[f64; 2]> = places.step_by(step).collect();
-    let Some(middle) = mean(&pixels) else { return Vec::new() };
     let plants = plants.min(pixels.len());
+    let middle = middle(pixels.iter().copied());
     if plants <= 1 {
         return vec![middle; plants];
     }
-    let axis = longest_axis(&pixels, middle);
-    let along = |z: &[f64; 2]| (z[0] - middle[0]) * axis[0] + (z[1] - middle[1]) * axis[1];
+    let (sin, cos) = main_axis_rad([pixels.iter().copied()]).sin_cos();
+    let along = |z: &[f64; 2]| (z[0] - middle[0]) * cos + (z[1] - middle[1]) * sin;
     let mut sorted = pixels.clone();
     sorted.sort_by(|a, b| along(a).total_cmp(&along(b)));
     let group = |p: usize| p * sorted.len() / plants..(p + 1) * sorted.len() / plants;
@@ -57,15 +58,6 @@ fn mean(pixels: &[[f64; 2]]) -> Option<[f64; 2]> {
     let [u, v] = pixels.iter().fold([0.0; 2], |sum, z| [sum[0] + z[0], sum[1] + z[1]]);
     let number = pixels.len() as f64;
     (number > 0.0).then(|| [u / number, v / number])
-}
-
-fn longest_axis(pixels: &[[f64; 2]], middle: [f64; 2]) -> [f64; 2] {
-    let [uu, uv, vv] = pixels.iter().fold([0.0; 3], |sum, z| {
-        let (u, v) = (z[0] - middle[0], z[1] - middle[1]);
-        [sum[0] + u * u, sum[1] + u * v, sum[2] + v * v]
-    });
-    let angle = 0.5 * (2.0 * uv).atan2(uu - vv);
-    [angle.cos(), angle.sin()]
 }
 
 #[cfg(test)]

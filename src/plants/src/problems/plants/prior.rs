@@ -38,9 +38,6 @@ pub trait PlantPrior: Clone + Debug + Send + Sync {
     /// Fits the latent variables to the plants.
     fn refit(&self, latent: &mut Self::Latent, positions_px: &[[f64; 2]]);
 
-    /// The first part of [`PlantPrior::refit`] alone, after plants have changed places: which plant belongs to which line, say.
-    fn reassign(&self, _latent: &mut Self::Latent, _positions_px: &[[f64; 2]]) {}
-
     /// Whether plants and latent variables have one joint objective.
     fn is_joint(&self) -> bool {
         true
@@ -125,6 +122,14 @@ impl LinePrior {
         Ok(Lines { rows: family(rows_px, false), columns: family(columns_px, true) })
     }
 
+    /// Which plant belongs to which line, after plants have changed places.
+    pub(super) fn reassign(&self, latent: &mut Lines, positions_px: &[[f64; 2]]) {
+        for family in [&mut latent.rows, &mut latent.columns] {
+            family.refit_members(positions_px, &self.axes);
+            family.gather(positions_px, &self.axes);
+        }
+    }
+
     pub(super) fn refit_lines(&self, latent: &mut Lines) {
         latent.rows.refit_lines();
         latent.columns.refit_lines();
@@ -163,13 +168,6 @@ impl PlantPrior for LinePrior {
         self.reassign(latent, positions_px);
         self.refit_lines(latent);
         self.refit_variances(latent);
-    }
-
-    fn reassign(&self, latent: &mut Lines, positions_px: &[[f64; 2]]) {
-        for family in [&mut latent.rows, &mut latent.columns] {
-            family.refit_members(positions_px, &self.axes);
-            family.gather(positions_px, &self.axes);
-        }
     }
 
     fn is_joint(&self) -> bool {

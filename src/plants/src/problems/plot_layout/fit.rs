@@ -97,8 +97,6 @@ pub struct RowFit {
     pub plot_shifts_m: Vec<[f64; 2]>,
     /// Residuals of the samples of rows, metres.
     pub row_residuals_m: Vec<f64>,
-    /// Residuals of the ends, metres.
-    pub end_residuals_m: Vec<f64>,
     /// Cost at the end.
     pub cost: f64,
 }
@@ -118,40 +116,21 @@ struct AcrossRow {
     sigma_m: f64,
 }
 
-impl AcrossRow {
-    fn residual<T: Scalar>(&self, affine: &[T; AFFINE], bend_m: &[T; BEND], beside: T) -> T {
-        let [along, across] = unmoved(affine, self.sample.q);
-        let s = along / (affine[3] + 1.0);
-        let [from, to] = self.sample.row;
-        let slope = (to[1] - from[1]) / (to[0] - from[0]);
-        let t = (s - from[0]) * slope + from[1];
-        let at = (affine[4] + 1.0) * t + affine[5] * s;
-        let bent = bend(bend_m, s / self.half_length_m);
-        (across - at - bent - beside) / self.sigma_m
-    }
-}
-
 impl Residual<1> for AcrossRow {
-    type Blocks = (Vector<AFFINE>, Vector<BEND>, Vector<1>);
-
-    fn evaluate<T: Scalar>(
-        &self,
-        (affine, bend_m, row): ([T; AFFINE], [T; BEND], [T; 1]),
-    ) -> Result<[T; 1], Infeasible> {
-        Ok([self.residual(&affine, &bend_m, row[0])])
-    }
-}
-
-struct AcrossRowOfPlot(AcrossRow);
-
-impl Residual<1> for AcrossRowOfPlot {
     type Blocks = (Vector<AFFINE>, Vector<BEND>, Vector<1>, Vector<2>);
 
     fn evaluate<T: Scalar>(
         &self,
         (affine, bend_m, row, plot): ([T; AFFINE], [T; BEND], [T; 1], [T; 2]),
     ) -> Result<[T; 1], Infeasible> {
-        Ok([self.0.residual(&affine, &bend_m, row[0] + plot[1])])
+        let [along, across] = unmoved(&affine, self.sample.q);
+        let s = along / (affine[3] + 1.0);
+        let [from, to] = self.sample.row;
+        let slope = (to[1] - from[1]) / (to[0] - from[0]);
+        let t = (s - from[0]) * slope + from[1];
+        let at = (affine[4] + 1.0) * t + affine[5] * s;
+        let bent = bend(&bend_m, s / self.half_length_m);
+        Ok([(across - at - bent - (row[0] + plot[1])) / self.sigma_m])
     }
 }
 
@@ -160,35 +139,17 @@ struct AtEnd {
     sigma_m: f64,
 }
 
-impl AtEnd {
-    fn residual<T: Scalar>(&self, affine: &[T; AFFINE], margin: T, beyond: T) -> T {
-        let [along, _] = unmoved(affine, self.sample.q);
-        let margin = if self.sample.begins { margin } else { -margin };
-        (along - (affine[3] + 1.0) * (margin + self.sample.s) - beyond) / self.sigma_m
-    }
-}
-
 impl Residual<1> for AtEnd {
-    type Blocks = (Vector<AFFINE>, Vector<1>, Vector<1>);
-
-    fn evaluate<T: Scalar>(
-        &self,
-        (affine, margin, line): ([T; AFFINE], [T; 1], [T; 1]),
-    ) -> Result<[T; 1], Infeasible> {
-        Ok([self.residual(&affine, margin[0], line[0])])
-    }
-}
-
-struct AtEndOfPlot(AtEnd);
-
-impl Residual<1> for AtEndOfPlot {
     type Blocks = (Vector<AFFINE>, Vector<1>, Vector<1>, Vector<2>);
 
     fn evaluate<T: Scalar>(
         &self,
         (affine, margin, line, plot): ([T; AFFINE], [T; 1], [T; 1], [T; 2]),
     ) -> Result<[T; 1], Infeasible> {
-        Ok([self.0.residual(&affine, margin[0], line[0] + plot[0])])
+        let [along, _] = unmoved(&affine, self.sample.q);
+        let margin = if self.sample.begins { margin[0] } else { -margin[0] };
+        let place = (affine[3] + 1.0) * (margin + self.sample.s);
+        Ok([(along - place - (line[0] + plot[0])) / self.sigma_m])
     }
 }
 
@@ -237,8 +198,16 @@ fn pose(
     };
     let rows = blocks("row", seen.found_rows, 1)?;
     let lines = blocks("line of ends", seen.lines, 1)?;
-    let plots = blocks("plot", priors.plot_shift_m.map_or(0, |_| seen.plots), 2)?;
-    plots.iter().for_each(|&plot| problem.eliminate(plot));
+    // One that stays where it is stands for plots that do not move by themselves.
+    let moves = priors.plot_shift_m.is_some();
+    let plots = blocks("plot", if moves { seen.plots } else { 1 }, 2)?;
+    let plot_of = |plot: usize| plots[if moves { plot } else { 0 }];
+    for &plot in &plots {
+        match moves {
+            true => problem.eliminate(plot),
+            false => problem.fix(plot),
+        }
+    }
     let known = |block, mean: &[f64], sigma: &[f64]| {
         Ok::<_, SolveError>(Factors(vec![GaussianPrior::new(&problem, block, mean, sigma)?]))
     };
@@ -268,33 +237,19 @@ fn pose(
     };
     let at_end = |sample: &EndSample| AtEnd { sample: *sample, sigma_m: scatter.end_m };
     let loss = Loss::Huber(HUBER);
-    match (seen.rows.is_empty(), plots.is_empty()) {
-        (true, _) => {}
-        (false, true) => {
-            let of = |sample: &RowSample| ([affine, bend, rows[sample.found_row]], across(sample));
-            problem.add(ROWS, loss, Residuals::new(seen.rows.iter().map(of)))?;
-        }
-        (false, false) => {
-            let of = |sample: &RowSample| {
-                let blocks = [affine, bend, rows[sample.found_row], plots[sample.plot]];
-                (blocks, AcrossRowOfPlot(across(sample)))
-            };
-            problem.add(ROWS, loss, Residuals::new(seen.rows.iter().map(of)))?;
-        }
+    if !seen.rows.is_empty() {
+        let of = |sample: &RowSample| {
+            let blocks = [affine, bend, rows[sample.found_row], plot_of(sample.plot)];
+            (blocks, across(sample))
+        };
+        problem.add(ROWS, loss, Residuals::new(seen.rows.iter().map(of)))?;
     }
-    match (seen.ends.is_empty(), plots.is_empty()) {
-        (true, _) => {}
-        (false, true) => {
-            let of = |sample: &EndSample| ([affine, margin, lines[sample.line]], at_end(sample));
-            problem.add(ENDS, loss, Residuals::new(seen.ends.iter().map(of)))?;
-        }
-        (false, false) => {
-            let of = |sample: &EndSample| {
-                let blocks = [affine, margin, lines[sample.line], plots[sample.plot]];
-                (blocks, AtEndOfPlot(at_end(sample)))
-            };
-            problem.add(ENDS, loss, Residuals::new(seen.ends.iter().map(of)))?;
-        }
+    if !seen.ends.is_empty() {
+        let of = |sample: &EndSample| {
+            let blocks = [affine, margin, lines[sample.line], plot_of(sample.plot)];
+            (blocks, at_end(sample))
+        };
+        problem.add(ENDS, loss, Residuals::new(seen.ends.iter().map(of)))?;
     }
     Ok(Posed { problem, affine, bend, margin, rows, lines, plots })
 }
@@ -392,7 +347,10 @@ pub fn fit(
             }
         }
         let margin_sigma_m = covariance.block(margin)[0].sqrt();
-        let shifts = x.len() - 2 * plots.len();
+        let shifts = match priors.plot_shift_m {
+            Some(_) => &x[x.len() - 2 * plots.len()..],
+            None => &[],
+        };
         let sigma_of = |sample: &RowSample| scatter.sample_m / sample.weight.sqrt();
         return Ok(RowFit {
             placement,
@@ -400,13 +358,12 @@ pub fn fit(
             margin_m: x[FREE],
             margin_sigma_m,
             scatter,
-            plot_shifts_m: x[shifts..].chunks_exact(2).map(|w| [w[0], w[1]]).collect(),
+            plot_shifts_m: shifts.chunks_exact(2).map(|w| [w[0], w[1]]).collect(),
             row_residuals_m: of_rows
                 .iter()
                 .zip(&seen.rows)
                 .map(|(r, sample)| r * sigma_of(sample))
                 .collect(),
-            end_residuals_m: of_ends.iter().map(|e| e * scatter.end_m).collect(),
             cost: summary.final_cost,
         });
     }
