@@ -7,13 +7,18 @@
 
 use rowgram::{
     descent::CoordinateDescentOptions,
-    phenotype::locate::{Init, LocateError, PlantFitOptions, locate},
+    phenotype::{
+        locate::{Init, LocateError, PlantFitOptions, locate_best},
+        rows,
+    },
     problems::plants::{Model, PlantUpdate, Prior, index::PixelIndex},
+    raster::Mask,
 };
 
 /// Four rows of 24 plants with leaves of many lengths, which overlap along the row, and some weeds between rows.
-fn pixels(truth: &[[f64; 2]]) -> Vec<[u32; 2]> {
-    let mut pixels = Vec::new();
+fn mask(truth: &[[f64; 2]]) -> Mask {
+    let mut mask = Mask::empty(540, 260);
+    let mut leaf = |u: usize, v: usize| mask.data[v * 540 + u] = 1;
     for (plant, at) in truth.iter().enumerate() {
         for leaf in 0..5 {
             let turn = (37 * plant + 73 * leaf) as f64;
@@ -21,25 +26,25 @@ fn pixels(truth: &[[f64; 2]]) -> Vec<[u32; 2]> {
             for step in 0..40 {
                 let r = length * f64::from(step) / 40.0;
                 let (u, v) = (at[0] + r * turn.cos(), at[1] + r * turn.sin());
-                pixels.push([u.round() as u32, v.round() as u32]);
-                pixels.push([u.round() as u32 + 1, v.round() as u32]);
+                leaf(u.round() as usize, v.round() as usize);
+                leaf(u.round() as usize + 1, v.round() as usize);
             }
         }
     }
-    for weed in 0..12_u32 {
+    for weed in 0..12 {
         let (u, v) = (31 + 39 * weed % 480, 60 + 60 * (weed % 3));
-        pixels.extend((0..25).map(|k| [u + k % 5, v + k / 5]));
+        (0..25).for_each(|k| leaf(u + k % 5, v + k / 5));
     }
-    pixels.sort_unstable();
-    pixels.dedup();
-    pixels
+    mask
 }
 
 pub(crate) fn main() -> Result<(), LocateError> {
     let truth: Vec<[f64; 2]> = (0..96)
         .map(|k| [30.0 + 20.0 * f64::from(k % 24), 30.0 + 60.0 * f64::from(k / 24)])
         .collect();
-    let index = PixelIndex::new(&pixels(&truth));
+    let mask = mask(&truth);
+    let index = PixelIndex::from_mask(mask.width, &mask.data);
+    let rows = rows::detect(&mask);
     println!("{:24} {:>7} {:>14}", "objective", "sweeps", "within 5 px");
     let mut found = Vec::new();
     for (name, update, prior) in [
@@ -55,8 +60,9 @@ pub(crate) fn main() -> Result<(), LocateError> {
             descent: CoordinateDescentOptions::default(),
             max_sweeps: 300,
         };
-        let (located, outcome) = locate(index.clone(), &options, |_, _| ())?;
-        let at: Vec<[f64; 2]> = located.plants.iter().map(|plant| plant.position_px).collect();
+        let (setup, outcome) = locate_best(&index, &options, &rows, None, 1)?;
+        let at: Vec<[f64; 2]> =
+            setup.finish().plants.iter().map(|plant| plant.position_px).collect();
         let near = |t: &&[f64; 2]| at.iter().any(|p| (p[0] - t[0]).hypot(p[1] - t[1]) < 5.0);
         let hit = truth.iter().filter(near).count();
         println!("{name:24} {:>7} {hit:>14}", outcome.iterations);
