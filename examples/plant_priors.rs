@@ -18,7 +18,7 @@ use rowgram::{
 /// Four rows of 24 plants with leaves of many lengths, which overlap along the row, and some weeds between rows.
 fn mask(truth: &[[f64; 2]]) -> Mask {
     let mut mask = Mask::empty(540, 260);
-    let mut leaf = |u: usize, v: usize| mask.data[v * 540 + u] = 1;
+    let mut paint = |u: usize, v: usize| mask.data[v * 540 + u] = 1;
     for (plant, at) in truth.iter().enumerate() {
         for leaf in 0..5 {
             let turn = (37 * plant + 73 * leaf) as f64;
@@ -26,14 +26,14 @@ fn mask(truth: &[[f64; 2]]) -> Mask {
             for step in 0..40 {
                 let r = length * f64::from(step) / 40.0;
                 let (u, v) = (at[0] + r * turn.cos(), at[1] + r * turn.sin());
-                leaf(u.round() as usize, v.round() as usize);
-                leaf(u.round() as usize + 1, v.round() as usize);
+                paint(u.round() as usize, v.round() as usize);
+                paint(u.round() as usize + 1, v.round() as usize);
             }
         }
     }
     for weed in 0..12 {
         let (u, v) = (31 + 39 * weed % 480, 60 + 60 * (weed % 3));
-        (0..25).for_each(|k| leaf(u + k % 5, v + k / 5));
+        (0..25).for_each(|k| paint(u + k % 5, v + k / 5));
     }
     mask
 }
