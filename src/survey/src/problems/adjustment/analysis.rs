@@ -149,7 +149,7 @@ fn solve_to_rest(
     iterations: u64,
 ) -> Result<(Summary, Vec<Vec<f64>>), SolveError> {
     let problem = &adjustment.problem;
-    let most = iterations.saturating_sub(LAST_ITERATIONS).max(1);
+    let most = if iterations > LAST_ITERATIONS { iterations - LAST_ITERATIONS } else { iterations };
     let first = solve(problem, x, engine, most)?;
     if first.stop != Termination::MaxIterations || iterations <= LAST_ITERATIONS {
         return Ok((first, Vec::new()));
