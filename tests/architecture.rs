@@ -208,15 +208,6 @@ fn dependencies_may_be_passed_on() {
 }
 
 #[test]
-fn argmin_is_no_part_of_the_interface() {
-    let sources = sources("src");
-    let executor = sources.iter().filter(|source| source.path == "src/optim/src/drive/executor.rs");
-    let public = executor.flat_map(|source| source.mentions("pub"));
-    let leaks = public.filter(|line| !line.contains("pub(super)") && !line.contains("pub(crate)"));
-    assert_none(leaks, "the one file that knows argmin exports nothing");
-}
-
-#[test]
 fn random_generators_are_portable_and_passed_in() {
     const FORBIDDEN: &[&str] =
         &["StdRng", "SmallRng", "thread_rng", "ThreadRng", "rand::rng", "rand::random"];

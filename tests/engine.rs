@@ -91,7 +91,6 @@ fn check_driven_resume<P: ?Sized, E: Engine<P>>(
             .limits(Limits::iterations(limit))
             .trace(&trace)
             .force(true)
-            .keep_best()
             .fingerprint(7)
     };
     let summary = |outcome: rowgram::drive::DriveOutcome<E::Iterate>| {
@@ -104,7 +103,7 @@ fn check_driven_resume<P: ?Sized, E: Engine<P>>(
             outcome.log.iter().map(|entry| (entry.iteration, entry.best_cost.to_bits())).collect();
         let bits = [outcome.initial_cost, outcome.final_cost, outcome.best_cost].map(f64::to_bits);
         let counts = (outcome.iterations, outcome.best_iteration, outcome.stop);
-        let iterates = serde_json::to_string(&(outcome.x, outcome.best)).unwrap();
+        let iterates = serde_json::to_string(&outcome.x).unwrap();
         (iterates, bits, counts, log, trace_without_seconds(&trace))
     };
     let whole = summary(drive(steps).run().unwrap());

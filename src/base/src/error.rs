@@ -81,7 +81,6 @@ impl From<DriveError> for Error {
             DriveError::File(error) => Error::File(error),
             DriveError::Solve(error) => Error::Solve(error),
             DriveError::Argument(message) => Error::Argument(message),
-            DriveError::Incomplete(message) => Error::Incomplete(message),
         }
     }
 }

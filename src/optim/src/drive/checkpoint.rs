@@ -10,42 +10,42 @@ use crate::{
     output::FileError,
 };
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
-use std::{
-    cell::Cell,
-    path::{Path, PathBuf},
-};
+use std::path::{Path, PathBuf};
 
-/// A run as read back.
-#[derive(Deserialize)]
-#[serde(bound(deserialize = "X: DeserializeOwned"))]
-pub(super) struct Saved<X> {
+/// Where a run is, as it is written and read back.
+#[derive(Serialize, Deserialize)]
+#[serde(bound(serialize = "X: Serialize", deserialize = "X: DeserializeOwned"))]
+pub(super) struct Progress<X> {
     pub(super) iteration: u64,
     pub(super) initial_cost: f64,
     pub(super) cost: f64,
     pub(super) best_cost: f64,
     pub(super) best_iteration: u64,
     pub(super) seconds: f64,
+    /// Why the engine wants no further step.
     pub(super) stop: Option<Termination>,
     pub(super) log: Vec<LogEntry>,
+    /// The trace, where one is kept.
     pub(super) rows: Option<Rows>,
     pub(super) iterate: X,
-    pub(super) best: Option<X>,
 }
 
-/// The same as written; the fields are those of [`Saved`].
-#[derive(Serialize)]
-struct Saving<'s, X> {
-    iteration: u64,
-    initial_cost: f64,
-    cost: f64,
-    best_cost: f64,
-    best_iteration: u64,
-    seconds: f64,
-    stop: Option<Termination>,
-    log: &'s [LogEntry],
-    rows: Option<&'s Rows>,
-    iterate: &'s X,
-    best: Option<&'s X>,
+impl<X> Progress<X> {
+    /// The start at `iterate`.
+    pub(super) fn start(iterate: X, cost: f64) -> Progress<X> {
+        Progress {
+            iteration: 0,
+            initial_cost: cost,
+            cost,
+            best_cost: cost,
+            best_iteration: 0,
+            seconds: 0.0,
+            stop: None,
+            log: Vec::new(),
+            rows: None,
+            iterate,
+        }
+    }
 }
 
 /// Where, when and under which mark checkpoints are written.
@@ -55,17 +55,17 @@ pub(super) struct Saver {
     pub(super) every: u64,
     pub(super) fingerprint: u64,
     /// Whether what lies there may be replaced: from the second time on it is our own.
-    pub(super) force: Cell<bool>,
+    pub(super) force: bool,
 }
 
 impl Saver {
     /// Writes a checkpoint if it is time for one.
     pub(super) fn save_if_due<P: ?Sized, E: Engine<P>>(
-        &self,
+        &mut self,
         engine: &E,
-        run: &RunState<'_, E::Iterate>,
+        run: &mut RunState<'_, E::Iterate>,
     ) {
-        if self.every > 0 && run.iterations.is_multiple_of(self.every) {
+        if self.every > 0 && run.at.iteration.is_multiple_of(self.every) {
             self.save_now(engine, run);
         }
     }
@@ -74,21 +74,20 @@ impl Saver {
     ///
     /// A checkpoint that cannot be written ends no run: the first failure is kept for its end.
     pub(super) fn save_now<P: ?Sized, E: Engine<P>>(
-        &self,
+        &mut self,
         engine: &E,
-        run: &RunState<'_, E::Iterate>,
+        run: &mut RunState<'_, E::Iterate>,
     ) {
-        let (Some(x), Ok(mut effects)) = (&run.x, run.effects.try_borrow_mut()) else { return };
-        if run.error.is_some() || effects.saved_at == Some(run.iterations) {
+        if run.error.is_some() || run.saved_at == Some(run.at.iteration) {
             return;
         }
-        match self.write(engine, run, x) {
+        match self.write(engine, &run.at) {
             Ok(()) => {
-                self.force.set(true);
-                effects.saved_at = Some(run.iterations);
+                self.force = true;
+                run.saved_at = Some(run.at.iteration);
             }
             Err(error) => {
-                effects.file_error.get_or_insert(error);
+                run.file_error.get_or_insert(error);
             }
         }
     }
@@ -96,31 +95,17 @@ impl Saver {
     fn write<P: ?Sized, E: Engine<P>>(
         &self,
         engine: &E,
-        run: &RunState<'_, E::Iterate>,
-        x: &E::Iterate,
+        at: &Progress<E::Iterate>,
     ) -> Result<(), FileError> {
-        let content = Saving {
-            iteration: run.iterations,
-            initial_cost: run.initial_cost,
-            cost: run.cost,
-            best_cost: run.best_cost,
-            best_iteration: run.best_iteration,
-            seconds: run.seconds,
-            stop: run.stop,
-            log: &run.log,
-            rows: run.rows.as_ref(),
-            iterate: x,
-            best: run.best.as_ref(),
-        };
         let mut body = Vec::new();
-        ciborium::into_writer(&(content, engine.state()), &mut body)
+        ciborium::into_writer(&(at, engine.state()), &mut body)
             .map_err(|error| FileError::write(&self.path, std::io::Error::other(error)))?;
         let header = Header {
             engine: E::NAME.to_owned(),
             fingerprint: self.fingerprint,
-            iteration: run.iterations,
+            iteration: at.iteration,
         };
-        container::write(&self.path, self.force.get(), &header, &body)
+        container::write(&self.path, self.force, &header, &body)
     }
 }
 
@@ -130,7 +115,7 @@ pub(super) fn load<X: DeserializeOwned, M: DeserializeOwned>(
     path: &Path,
     engine: &str,
     fingerprint: u64,
-) -> Result<(Saved<X>, M), FileError> {
+) -> Result<(Progress<X>, M), FileError> {
     let refuse = |message: String| Err(FileError::malformed(path, None, message));
     let (header, body) = container::read(path)?;
     if header.engine != engine {
@@ -142,7 +127,7 @@ pub(super) fn load<X: DeserializeOwned, M: DeserializeOwned>(
     if header.fingerprint != fingerprint {
         return refuse("this checkpoint belongs to another problem or other settings".to_owned());
     }
-    match ciborium::from_reader::<(Saved<X>, M), _>(body.as_slice()) {
+    match ciborium::from_reader::<(Progress<X>, M), _>(body.as_slice()) {
         Ok(content) if content.0.iteration == header.iteration => Ok(content),
         Ok((saved, _)) => refuse(format!(
             "the checkpoint contradicts itself: iteration {} or {}",

@@ -1,7 +1,7 @@
 //! The checkpoint container: one line of JSON that a person can read, then the bytes of a run.
 //!
 //! ```text
-//! {"format":"rowgram-checkpoint","version":1,"engine":"...","fingerprint":"...","iteration":40,
+//! {"format":"rowgram-checkpoint","version":2,"engine":"...","fingerprint":"...","iteration":40,
 //!  "bytes":8112,"checksum":"..."}          (one line, ended by \n)
 //! <exactly `bytes` bytes of CBOR>
 //! ```
@@ -18,7 +18,7 @@ use std::{
 };
 
 const FORMAT: &str = "rowgram-checkpoint";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 /// No header is longer; a file without a line end before it is not a checkpoint.
 const LONGEST_HEADER_BYTES: u64 = 4096;
 

@@ -1,8 +1,6 @@
 //! Runs any [`Engine`]: limits, observers, a trace, checkpoints and resumption.
 //!
-//! The engines compute and know nothing of clocks, files or terminals; this is where those are. A
-//! run is driven by argmin's executor, but no type of argmin is part of the interface: all that is
-//! known about it is in one private file.
+//! The engines compute and know nothing of clocks, files or terminals; this is where those are.
 //!
 //! Invariants, each a test:
 //! - The iterate is moved, never copied, and never lost: an engine that fails in the middle of a
@@ -45,13 +43,11 @@
 
 mod checkpoint;
 mod container;
-mod executor;
-mod observe;
 mod state;
 mod trace;
 
 pub use crate::drive::container::Fingerprint;
-pub use observe::{Event, Observe};
+pub use state::Event;
 
 use crate::{
     engine::{Engine, RunOutcome, SolveError, Termination},
@@ -76,9 +72,6 @@ pub enum DriveError {
     /// Settings of the run exclude one another.
     #[error("{0}")]
     Argument(String),
-    /// The run broke off.
-    #[error("{0}")]
-    Incomplete(String),
 }
 
 /// What ends a run at the latest. The default sets no limit: the engine's own end is the only one.
@@ -135,8 +128,6 @@ impl From<LogEntry> for (u64, f64, f64) {
 pub struct DriveOutcome<X> {
     /// The iterate after the last step.
     pub x: X,
-    /// The iterate of the smallest cost, where [`Drive::keep_best`] asked for it.
-    pub best: Option<X>,
     /// Cost of the start.
     pub initial_cost: f64,
     /// Cost of [`DriveOutcome::x`].
@@ -207,14 +198,13 @@ pub struct Drive<'a, P: ?Sized, E: Engine<P>> {
     engine: E,
     x: E::Iterate,
     limits: Limits,
-    keep_best: bool,
     fingerprint: u64,
     force: bool,
     trace: Option<PathBuf>,
     checkpoint: Option<(PathBuf, u64)>,
     resume_from: Option<PathBuf>,
     interrupt: Option<&'a AtomicBool>,
-    observers: Vec<Box<dyn Observe<E::Iterate> + 'a>>,
+    observers: Vec<state::Observer<'a, E::Iterate>>,
 }
 
 impl<'a, P: ?Sized, E: Engine<P>> Drive<'a, P, E> {
@@ -225,7 +215,6 @@ impl<'a, P: ?Sized, E: Engine<P>> Drive<'a, P, E> {
             engine,
             x,
             limits: Limits::default(),
-            keep_best: false,
             fingerprint: 0,
             force: false,
             trace: None,
@@ -248,22 +237,10 @@ impl<'a, P: ?Sized, E: Engine<P>> Drive<'a, P, E> {
         self
     }
 
-    /// Keeps a copy of the best iterate, for engines that are not monotone; costs a copy at every
-    /// new best.
-    pub fn keep_best(mut self) -> Self {
-        self.keep_best = true;
-        self
-    }
-
-    /// Lets somebody watch.
-    pub fn observe(mut self, observer: impl Observe<E::Iterate> + 'a) -> Self {
-        self.observers.push(Box::new(observer));
-        self
-    }
-
     /// Calls a closure after every step.
-    pub fn on_step(self, call: impl FnMut(&Event<'_, E::Iterate>) + 'a) -> Self {
-        self.observe(observe::EachStep(call))
+    pub fn on_step(mut self, call: impl FnMut(&Event<'_, E::Iterate>) + 'a) -> Self {
+        self.observers.push(Box::new(call));
+        self
     }
 
     /// Writes one row per iteration to a CSV file: `iteration, cost, best_cost, step_norm, accepted,
@@ -315,58 +292,64 @@ impl<'a, P: ?Sized, E: Engine<P>> Drive<'a, P, E> {
     /// problem, and where the engine cannot start. What goes wrong later is in the [`DriveOutcome`].
     pub fn run(mut self) -> Result<DriveOutcome<E::Iterate>, DriveError> {
         let began = Instant::now();
-        let saver = self.check_outputs()?;
-        let mut run = state::RunState::empty(began);
-        run.engine = E::NAME;
-        run.limits = self.limits;
-        run.interrupt = self.interrupt;
-        run.keep_best = self.keep_best;
-        run.effects.get_mut().observers = self.observers;
-
-        if let Some(path) = &self.resume_from {
+        let mut saver = self.check_outputs()?;
+        let at = if let Some(path) = &self.resume_from {
             let (mut saved, memory) =
                 checkpoint::load::<E::Iterate, E::State>(path, E::NAME, self.fingerprint)?;
             let cost = self.engine.resume(self.problem, &mut saved.iterate, memory)?;
             refuse_other_cost(path, saved.cost, cost)?;
-            run.resume_at(saved);
-            if self.checkpoint.as_ref().is_some_and(|(to, _)| to == path) {
-                run.effects.get_mut().saved_at = Some(run.iterations);
-            }
+            saved
         } else {
             let cost = self.engine.start(self.problem, &mut self.x)?;
-            run.start_at(self.x, cost);
+            checkpoint::Progress::start(self.x, cost)
+        };
+        let mut run = state::RunState::new(began, at);
+        run.limits = self.limits;
+        run.interrupt = self.interrupt;
+        run.observers = self.observers;
+        if self.checkpoint.as_ref().is_some_and(|(to, _)| self.resume_from.as_ref() == Some(to)) {
+            run.saved_at = Some(run.at.iteration);
         }
-        if self.trace.is_some() && run.rows.is_none() {
-            run.rows =
-                Some(trace::Rows::start(run.iterations, run.cost, run.best_cost, run.seconds));
+        if self.trace.is_some() {
+            let at = &mut run.at;
+            at.rows.get_or_insert_with(|| {
+                trace::Rows::start(at.iteration, at.cost, at.best_cost, at.seconds)
+            });
         }
 
-        let (mut run, stop) = executor::execute(self.problem, self.engine, run, saver)?;
+        let stop = loop {
+            if let Some(stop) = run.over() {
+                break stop;
+            }
+            run.advance(&mut self.engine, self.problem);
+            if let Some(saver) = &mut saver {
+                saver.save_if_due(&self.engine, &mut run);
+            }
+        };
+        if let Some(saver) = &mut saver {
+            saver.save_now(&self.engine, &mut run);
+        }
 
-        let mut file_error = run.effects.get_mut().file_error.take();
-        if let (Some(path), Some(rows)) = (&self.trace, &run.rows)
+        let end = run.entry();
+        let (mut at, mut file_error) = (run.at, run.file_error);
+        if let (Some(path), Some(rows)) = (&self.trace, &at.rows)
             && let Err(error) = rows.write(path, self.force)
         {
             file_error.get_or_insert(error);
         }
-        let end = run.entry();
-        if run.log.last().is_none_or(|last| last.iteration != end.iteration) {
-            run.log.push(end);
+        if at.log.last().is_none_or(|last| last.iteration != end.iteration) {
+            at.log.push(end);
         }
-        let Some(x) = run.x else {
-            return Err(DriveError::Incomplete("the run ended without an iterate".to_owned()));
-        };
         Ok(DriveOutcome {
-            x,
-            best: run.best,
-            initial_cost: run.initial_cost,
-            final_cost: run.cost,
-            best_cost: run.best_cost,
-            best_iteration: run.best_iteration,
-            iterations: run.iterations,
+            x: at.iterate,
+            initial_cost: at.initial_cost,
+            final_cost: at.cost,
+            best_cost: at.best_cost,
+            best_iteration: at.best_iteration,
+            iterations: at.iteration,
             stop,
-            seconds: run.seconds,
-            log: run.log,
+            seconds: at.seconds,
+            log: at.log,
             error: run.error,
             file_error,
         })
@@ -384,8 +367,7 @@ impl<'a, P: ?Sized, E: Engine<P>> Drive<'a, P, E> {
         }
         let force = self.force || self.resume_from.as_ref() == Some(&path);
         output::check(&path, force)?;
-        let (fingerprint, force) = (self.fingerprint, force.into());
-        Ok(Some(checkpoint::Saver { path, every, fingerprint, force }))
+        Ok(Some(checkpoint::Saver { path, every, fingerprint: self.fingerprint, force }))
     }
 }
 

@@ -223,7 +223,7 @@ fn solve(
         .force(outputs.force)
         .on_step(|event| {
             let (iteration, cost) = (event.iteration, event.cost);
-            let step = event.step.map(|step| (step.step_norm, step.accepted));
+            let step = (event.step.step_norm, event.step.accepted);
             tracing::debug!(iteration, cost, ?step, "adjusting");
             if let (Some(error), false) = (event.file_error, warned) {
                 tracing::warn!("no checkpoint at iteration {iteration}: {error}");
