@@ -12,8 +12,7 @@ use rowgram::{
     engine::SolveError,
     nlls::{LinearSolver, Loss, covariance::Covariance},
     problems::calibration::{
-        BoardShape, CORNERS, Calibration, MAX_ITERATIONS, Mark, Request, View, adjust, calibrate,
-        start,
+        BoardShape, Calibration, MAX_ITERATIONS, Mark, Request, View, adjust, calibrate, start,
         statistics::{residuals, statistics},
     },
     target::Board,
@@ -165,37 +164,6 @@ fn sigmas_are_what_repetitions_scatter() {
     let sigma = found.iter().map(|f| f.1).sum::<f64>() / RUNS as f64;
     // 24 runs know a standard deviation to 15 %; three times that.
     assert!((scatter / sigma - 1.0).abs() < 0.45, "{scatter} {sigma}");
-}
-
-#[test]
-fn one_factor_a_photo_is_the_same_problem_as_one_a_corner() {
-    let lens = wide(SIZE);
-    let views = views(&lens, 6, 0.3, 9);
-    let request = request(Model::Brown, BROWN);
-    let begin = start::search(&views, &request).unwrap();
-    let once = adjust(&views, &request, &begin, Loss::Trivial, MAX_ITERATIONS).unwrap();
-    // A loss that is quadratic for everything there is.
-    let each = adjust(&views, &request, &begin, Loss::Huber(1e6), MAX_ITERATIONS).unwrap();
-    for (a, b) in once.state.interior.values().iter().zip(each.state.interior.values()) {
-        assert!((a - b).abs() < 1e-5 * b.abs().max(1e-2), "{a} {b}");
-    }
-    let cost = |s: &rowgram::problems::calibration::Solution| -> f64 {
-        s.calibration.problem.costs(&s.x).unwrap().iter().sum()
-    };
-    assert!((cost(&once) - cost(&each)).abs() < 1e-9 * cost(&each));
-    let squares: f64 = residuals(&views, &once.state)
-        .unwrap()
-        .iter()
-        .flatten()
-        .map(|r| 0.5 * (r[0] * r[0] + r[1] * r[1]))
-        .sum();
-    assert!((squares - cost(&once)).abs() < 1e-9 * squares);
-    // Residuals are the same rows with and without their Jacobian.
-    let problem = &once.calibration.problem;
-    let alone = problem.residuals(&once.x, CORNERS).unwrap();
-    let beside = problem.linearized(&once.x, CORNERS).unwrap().into_iter();
-    let beside: Vec<f64> = beside.flat_map(|(_, residual, _)| residual).collect();
-    assert_eq!(alone, beside);
 }
 
 #[test]

@@ -127,20 +127,6 @@ pub trait Batch: Send + Sync {
         width: usize,
     ) -> Result<(), InfeasibleFactor>;
 
-    /// Writes `|r|^2` of the factors of `range`, where that is cheaper to have than the residuals;
-    /// `None` where it is not, as by default.
-    ///
-    /// # Errors
-    /// The first factor of the range that is infeasible.
-    fn squared_norms(
-        &self,
-        _range: Range<usize>,
-        _x: Values<'_>,
-        _squares: &mut [f64],
-    ) -> Option<Result<(), InfeasibleFactor>> {
-        None
-    }
-
     /// Numbers stored by each block of a factor and the sum of their tangent dimensions, where the
     /// type of the batch says so: [`super::Problem::add`] compares them.
     fn expected_sizes(&self) -> Option<(Vec<usize>, usize)> {
@@ -274,10 +260,6 @@ pub(super) fn batch_cost(
             let first = chunk * FACTORS_PER_TASK;
             let count = residual.len() / rows;
             let range = first..first + count;
-            if let Some(done) = batch.squared_norms(range.clone(), x, &mut residual[..count]) {
-                done?;
-                return Ok(residual[..count].iter().map(|&s| loss.evaluate(s).value).sum());
-            }
             batch.linearize(range, x, residual, None, 1)?;
             Ok(chunk_cost(residual, rows, loss))
         })

@@ -19,7 +19,6 @@
 //! statistics.
 
 pub mod comparison;
-mod condensed;
 pub mod consistent;
 mod corners;
 pub mod residuals;
@@ -27,7 +26,6 @@ pub mod start;
 pub mod statistics;
 
 use crate::camera::{CameraError, Interior, Model};
-use condensed::CondensedPhotos;
 use corners::{CornerObservations, LensParameters};
 use rowgram_optim::{
     engine::{SolveError, Termination},
@@ -138,16 +136,6 @@ impl Calibration {
         }
         let mut heights = vec![None; state.heights_m.len()];
         match request.shape {
-            BoardShape::Flat if loss == Loss::Trivial => {
-                let mut photos = Vec::with_capacity(views.len());
-                let mut marks = Vec::new();
-                for (view, &pose) in views.iter().zip(&poses) {
-                    let first = marks.len();
-                    marks.extend_from_slice(&view.marks);
-                    photos.push(([lens, pose], first..marks.len()));
-                }
-                problem.add(CORNERS, loss, CondensedPhotos::new(lenses.clone(), photos, marks))?;
-            }
             BoardShape::Flat => {
                 let marks = views.iter().zip(&poses).flat_map(|(view, &pose)| {
                     view.marks.iter().map(move |mark| ([lens, pose], *mark))
