@@ -1,4 +1,4 @@
-//! Bundle adjustment, part by part and whole: how fast, and how good.
+//! Bundle adjustment, iteration by iteration: how fast, and how good.
 //!
 //! Runs on a synthetic nadir block, and on the file named by `ROWGRAM_BAL` where it is set. The
 //! quality reached is printed beside the times.
@@ -10,7 +10,7 @@ use data_synth::block::{Block, BlockConfig};
 use rowgram::{
     engine::Engine,
     io::bal,
-    nlls::{LeastSquares, LinearSolver, Loss, Method, Options, StepProfiler, solve},
+    nlls::{LeastSquares, Loss, Method, Options, solve},
     problems::bundle::{Bundle, InteriorSharing, Network},
 };
 
@@ -35,36 +35,6 @@ fn networks() -> Vec<(String, Network)> {
         networks.push((name, bal::read(path.as_ref()).unwrap()));
     }
     networks
-}
-
-fn stages(criterion: &mut Criterion) {
-    for (name, network) in networks() {
-        let mut group = criterion.benchmark_group(format!("stages of {name}"));
-        group.throughput(Throughput::Elements(network.observations.len() as u64));
-        group.sample_size(20);
-        let bundle = Bundle::new(&network, InteriorSharing::PerImage, Loss::Trivial).unwrap();
-        for (path, fuse) in [("fused", true), ("stored", false)] {
-            group.bench_function(format!("{path}: analyse"), |b| {
-                b.iter(|| StepProfiler::new(&bundle.problem, LinearSolver::Schur, fuse).unwrap());
-            });
-            let mut stages = StepProfiler::new(&bundle.problem, LinearSolver::Schur, fuse).unwrap();
-            group.bench_function(format!("{path}: cost"), |b| b.iter(|| stages.cost().unwrap()));
-            if !fuse {
-                group.bench_function(format!("{path}: linearise"), |b| {
-                    b.iter(|| stages.linearize().unwrap());
-                });
-            }
-            group.bench_function(format!("{path}: eliminate"), |b| {
-                b.iter(|| assert!(stages.eliminate(1e-4)));
-            });
-            group.bench_function(format!("{path}: factorise"), |b| {
-                b.iter(|| assert!(stages.factorize()));
-            });
-            group.bench_function(format!("{path}: solve"), |b| {
-                b.iter(|| stages.solve().map(<[f64]>::len))
-            });
-        }
-    }
 }
 
 fn iterations(criterion: &mut Criterion) {
@@ -102,5 +72,5 @@ fn iterations(criterion: &mut Criterion) {
     }
 }
 
-criterion_group!(benches, stages, iterations);
+criterion_group!(benches, iterations);
 criterion_main!(benches);

@@ -1,12 +1,12 @@
 //! Covariances: against Monte Carlo, against dense inversion, and the words for a missing rank.
 
-use super::toys::{Decay, Prior, network, normal};
+use super::toys::{Decay, network, normal};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rowgram::{
     nlls::{
-        BlockId, Euclidean, Factors, LinearSolver, Loss, Options, Problem, covariance::Covariance,
-        solve,
+        BlockId, Euclidean, Factors, GaussianPrior, LinearSolver, Loss, Options, Problem,
+        covariance::Covariance, solve,
     },
     problems::bundle::{Bundle, InteriorSharing, Network},
 };
@@ -190,13 +190,14 @@ fn parameters_that_only_appear_together_are_named() {
     let b = problem.block("principal distance", Euclidean(1), &[0.0]).unwrap();
     let c = problem.block("other", Euclidean(1), &[0.0]).unwrap();
     problem.add("sums", Loss::Trivial, Factors(vec![Sum([a, b]), Sum([a, b])])).unwrap();
-    let prior = |block| Prior { block: [block], value: vec![1.0], sigma: 0.1 };
-    problem.add("prior", Loss::Trivial, Factors(vec![prior(c)])).unwrap();
+    let prior = |block| GaussianPrior::new(&problem, block, &[1.0], &[0.1]).unwrap();
+    let [of_a, of_c] = [a, c].map(prior);
+    problem.add("prior", Loss::Trivial, Factors(vec![of_c])).unwrap();
     let x = problem.start();
     let error = Covariance::new(&problem, &x, LinearSolver::Sparse).unwrap_err().to_string();
     assert!(error.contains("K0 0") && error.contains("principal distance 0"), "{error}");
     assert!(!error.contains("other"), "{error}");
-    problem.add("a", Loss::Trivial, Factors(vec![prior(a)])).unwrap();
+    problem.add("a", Loss::Trivial, Factors(vec![of_a])).unwrap();
     let mut covariance = Covariance::new(&problem, &x, LinearSolver::Sparse).unwrap();
     let variance = covariance.block(b)[0];
     assert!((variance - (0.01 + 0.5)).abs() < 1e-12, "{variance}");

@@ -1,6 +1,6 @@
 //! The engine on problems small enough to know the answer.
 
-use super::toys::{Decay, PointPair, Prior, SeenDirection, normal};
+use super::toys::{Decay, PointPair, SeenDirection, normal};
 use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -8,8 +8,8 @@ use rowgram::{
     engine::{Engine, SolveError},
     geometry::rotation,
     nlls::{
-        BlockId, Euclidean, Factors, LeastSquares, LinearSolver, Loss, Method, Options, Problem,
-        check::check_jacobian, manifold, solve,
+        BlockId, Euclidean, Factors, GaussianPrior, LeastSquares, LinearSolver, Loss, Method,
+        Options, Problem, check::check_jacobian, manifold, solve,
     },
 };
 
@@ -206,15 +206,19 @@ fn misuse_is_named() {
     assert!(problem.block("b", Euclidean(65), &[0.0; 65]).is_err());
     let a = problem.block("a", Euclidean(1), &[0.0]).unwrap();
     let b = problem.block("b", Euclidean(2), &[0.0; 2]).unwrap();
-    let prior = |block, value: &[f64]| Prior { block: [block], value: value.to_vec(), sigma: 1.0 };
-    let none: Vec<Prior> = Vec::new();
+    let prior = |block, of: usize| {
+        GaussianPrior::new(&problem, block, &vec![1.0; of], &vec![1.0; of]).unwrap()
+    };
+    let (of_a, of_b) = (prior(a, 1), prior(b, 2));
+    let one = || Factors(vec![of_a.clone()]);
+    let none: Vec<GaussianPrior> = Vec::new();
     assert!(problem.add("none", Loss::Trivial, Factors(none)).is_err());
-    let mixed = vec![prior(a, &[1.0]), prior(b, &[1.0])];
+    let mixed = vec![of_a.clone(), of_b];
     assert!(problem.add("mixed", Loss::Trivial, Factors(mixed)).is_err());
-    assert!(problem.add("loss", Loss::Huber(-1.0), Factors(vec![prior(a, &[1.0])])).is_err());
+    assert!(problem.add("loss", Loss::Huber(-1.0), one()).is_err());
     assert!(problem.fix_entries(b, &[2]).is_err());
-    problem.add("prior", Loss::Trivial, Factors(vec![prior(a, &[1.0])])).unwrap();
-    assert!(problem.add("prior", Loss::Trivial, Factors(vec![prior(a, &[1.0])])).is_err());
+    problem.add("prior", Loss::Trivial, one()).unwrap();
+    assert!(problem.add("prior", Loss::Trivial, one()).is_err());
     let mut x = problem.start();
     let error = solve(&problem, &mut x, &Options::default(), 10).unwrap_err();
     assert!(error.to_string().contains("nothing is observed of b 0"), "{error}");

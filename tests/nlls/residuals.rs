@@ -1,13 +1,14 @@
 //! Residuals over dual numbers, losses of one's own, and the path that each batch takes.
 
-use super::toys::{Prior, network, perturb};
+use super::toys::{network, perturb};
 use proptest::prelude::*;
 use rowgram::{
     engine::Engine,
     geometry::rotation,
     nlls::{
-        BatchPath, BlockId, Euclidean, Factors, Infeasible, LeastSquares, LinearSolver, Loss,
-        LossFunction, Method, Options, Problem, Residual, Residuals, Rho, Scalar, Vector,
+        BatchPath, BlockId, Euclidean, Factors, GaussianPrior, Infeasible, LeastSquares,
+        LinearSolver, Loss, LossFunction, Method, Options, Problem, Residual, Residuals, Rho,
+        Scalar, Vector,
         check::{check_batch, check_loss},
         manifold,
         residual::{DirectionBlock, PoseBlock, RigidTransform, RotationBlock, RotationMatrix},
@@ -34,7 +35,7 @@ impl Residual<3> for Everything {
             // Away from the cut of the angle, which differences would step over.
             y[0].atan2(y[1] * y[1] + 1.0) * direction[0],
             (back[0] * back[0] + back[1] * back[1] + 1.0).sqrt() + direction[1] * direction[2],
-            turn.between(&pose.rotation).small_angles()[1] - direction[2],
+            turn.between(&pose.rotation).rotate(x)[1] - direction[2],
         ])
     }
 }
@@ -173,13 +174,15 @@ fn the_summary_says_which_path_each_batch_took_and_why() {
     }
 
     // A prior leaves the tie points fused, whether it is on a block that is kept or on a point.
-    let prior = |block: BlockId, values: &[f64]| {
-        Factors(vec![Prior { block: [block], value: values.to_vec(), sigma: 1.0 }])
+    let add_prior = |problem: &mut Problem, block: BlockId, name: &str| {
+        let values = problem.values(&problem.start(), block).to_vec();
+        let sigmas = vec![1.0; values.len()];
+        let prior = GaussianPrior::new(problem, block, &values, &sigmas).unwrap();
+        problem.add(name, Loss::Trivial, Factors(vec![prior])).unwrap();
     };
     let mut with_lens = bundle(Loss::Trivial);
     let lens = with_lens.lens().unwrap();
-    let values = with_lens.problem.values(&with_lens.problem.start(), lens).to_vec();
-    with_lens.problem.add("lens", Loss::Trivial, prior(lens, &values)).unwrap();
+    add_prior(&mut with_lens.problem, lens, "lens");
     assert_eq!(path_of(&with_lens.problem, &options, TIE_POINTS), BatchPath::Fused);
     match path_of(&with_lens.problem, &options, "lens") {
         BatchPath::Stored(why) => assert!(why.contains("no factor depends"), "{why}"),
@@ -187,8 +190,7 @@ fn the_summary_says_which_path_each_batch_took_and_why() {
     }
     let mut with_point = bundle(Loss::Trivial);
     let point = with_point.point(3);
-    let values = with_point.problem.values(&with_point.problem.start(), point).to_vec();
-    with_point.problem.add("point", Loss::Trivial, prior(point, &values)).unwrap();
+    add_prior(&mut with_point.problem, point, "point");
     assert_eq!(path_of(&with_point.problem, &options, TIE_POINTS), BatchPath::Fused);
 
     // A factor that joins a point with a camera is more than a prior, and that is said.
@@ -221,8 +223,9 @@ fn priors_on_points_give_the_same_steps_fused_and_stored() {
         let mut on = |of: &[(usize, f64)], name: &str, loss: Loss| {
             let priors = of.iter().map(|&(point, off)| {
                 let block = bundle.point(point);
-                let value = bundle.problem.values(&start, block).iter().map(|v| v + off).collect();
-                Prior { block: [block], value, sigma: 0.05 }
+                let values = bundle.problem.values(&start, block).iter();
+                let values: Vec<f64> = values.map(|v| v + off).collect();
+                GaussianPrior::new(&bundle.problem, block, &values, &[0.05; 3]).unwrap()
             });
             let priors = Factors(priors.collect());
             bundle.problem.add(name, loss, priors).unwrap();

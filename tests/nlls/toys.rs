@@ -121,36 +121,6 @@ impl Factor for SeenDirection {
     }
 }
 
-/// `(x - value) / sigma` on every number of a Euclidean block.
-pub struct Prior {
-    pub block: [BlockId; 1],
-    pub value: Vec<f64>,
-    pub sigma: f64,
-}
-
-impl Factor for Prior {
-    fn rows(&self) -> usize {
-        self.value.len()
-    }
-    fn blocks(&self) -> &[BlockId] {
-        &self.block
-    }
-    fn linearize(
-        &self,
-        x: &[&[f64]],
-        residual: &mut [f64],
-        mut jacobian: Option<&mut Jacobian<'_>>,
-    ) -> Result<(), Infeasible> {
-        for (k, value) in self.value.iter().enumerate() {
-            residual[k] = (x[0][k] - value) / self.sigma;
-            if let Some(jacobian) = jacobian.as_deref_mut() {
-                jacobian.row(k)[k] = 1.0 / self.sigma;
-            }
-        }
-        Ok(())
-    }
-}
-
 /// A standard normal number (Box-Muller).
 pub fn normal(rng: &mut ChaCha8Rng) -> f64 {
     let (u, v): (f64, f64) = (rng.random(), rng.random());

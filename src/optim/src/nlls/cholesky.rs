@@ -121,34 +121,27 @@ impl BlockMatrix {
         }
     }
 
-    /// `y = A x`.
+    /// `y = A x`, block by block.
     pub(super) fn multiply(&self, x: &[f64], y: &mut [f64]) {
         y.fill(0.0);
-        self.for_each_column(|row, column, values| {
-            for (k, v) in values.iter().enumerate() {
-                y[row + k] += v * x[column];
-                if row + k != column {
-                    y[column] += v * x[row + k];
-                }
-            }
-        });
-    }
-
-    /// Calls `visit(row, column, first, values)` for each column of each block: `values` go to
-    /// scalar rows `row..` of scalar column `column`, without what lies above the diagonal.
-    fn for_each_column(&self, mut visit: impl FnMut(usize, usize, &[f64])) {
         for column in 0..self.block_count() {
-            for k in 0..self.dim(column) {
-                for slot in self.column_ptr[column]..self.column_ptr[column + 1] {
-                    let row = self.rows[slot] as usize;
-                    let dim = self.dim(row);
+            let (c, width) = (self.starts[column], self.dim(column));
+            for slot in self.column_ptr[column]..self.column_ptr[column + 1] {
+                let row = self.rows[slot] as usize;
+                let (r, dim) = (self.starts[row], self.dim(row));
+                let values = &self.values[self.value_ptr[slot]..self.value_ptr[slot + 1]];
+                for (k, values) in values.chunks_exact(dim).enumerate().take(width) {
+                    // Diagonal blocks are sound below the diagonal only.
                     let skip = if row == column { k } else { 0 };
-                    let at = self.value_ptr[slot] + k * dim;
-                    visit(
-                        self.starts[row] + skip,
-                        self.starts[column] + k,
-                        &self.values[at + skip..at + dim],
-                    );
+                    let mut transposed = 0.0;
+                    for i in skip..dim {
+                        y[r + i] += values[i] * x[c + k];
+                        transposed += values[i] * x[r + i];
+                    }
+                    if row == column {
+                        transposed -= values[k] * x[c + k];
+                    }
+                    y[c + k] += transposed;
                 }
             }
         }

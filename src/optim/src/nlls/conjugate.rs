@@ -127,32 +127,6 @@ impl ConjugateGradients {
     }
 }
 
-/// `y = A x`, block by block.
-pub(super) fn multiply(matrix: &BlockMatrix, x: &[f64], y: &mut [f64]) {
-    y.fill(0.0);
-    for column in 0..matrix.block_count() {
-        let (c, width) = (matrix.starts[column], matrix.dim(column));
-        for slot in matrix.column_ptr[column]..matrix.column_ptr[column + 1] {
-            let row = matrix.rows[slot] as usize;
-            let (r, dim) = (matrix.starts[row], matrix.dim(row));
-            let values = &matrix.values[matrix.value_ptr[slot]..matrix.value_ptr[slot + 1]];
-            for (k, values) in values.chunks_exact(dim).enumerate().take(width) {
-                // Diagonal blocks are sound below the diagonal only.
-                let skip = if row == column { k } else { 0 };
-                let mut transposed = 0.0;
-                for i in skip..dim {
-                    y[r + i] += values[i] * x[c + k];
-                    transposed += values[i] * x[r + i];
-                }
-                if row == column {
-                    transposed -= values[k] * x[c + k];
-                }
-                y[c + k] += transposed;
-            }
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -173,19 +147,6 @@ mod tests {
     }
 
     #[test]
-    fn the_product_is_that_of_the_matrix() {
-        let matrix = ring(20);
-        let n = matrix.dimension();
-        let x: Vec<f64> = (0..n).map(|k| (k as f64).cos()).collect();
-        let (mut a, mut b) = (vec![0.0; n], vec![0.0; n]);
-        matrix.multiply(&x, &mut a);
-        multiply(&matrix, &x, &mut b);
-        for (a, b) in a.iter().zip(&b) {
-            assert!((a - b).abs() < 1e-13, "{a} {b}");
-        }
-    }
-
-    #[test]
     fn the_solution_is_as_good_as_the_tolerance_and_conjugate_to_what_is_left() {
         let matrix = ring(40);
         let n = matrix.dimension();
@@ -196,14 +157,14 @@ mod tests {
             let mut found = b.clone();
             let mut solver = ConjugateGradients::new(&matrix, tolerance);
             solver.prepare(&matrix).unwrap();
-            solver.solve(&matrix, &mut found, |x, y| multiply(&matrix, x, y)).unwrap();
+            solver.solve(&matrix, &mut found, |x, y| matrix.multiply(x, y)).unwrap();
             let error = found.iter().zip(&x).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
             assert!(error < within, "{tolerance}: {error}");
             assert!(inner(&found, &solver.residual).abs() < 1e-10 * inner(&found, &b));
         }
         let mut exact = ConjugateGradients::new(&matrix, 1e-12);
         exact.prepare(&matrix).unwrap();
-        exact.solve(&matrix, &mut b.clone(), |x, y| multiply(&matrix, x, y)).unwrap();
+        exact.solve(&matrix, &mut b.clone(), |x, y| matrix.multiply(x, y)).unwrap();
         assert!(exact.products as usize <= n);
     }
 
@@ -223,12 +184,12 @@ mod tests {
         solver.prepare(&matrix).unwrap();
         let mut b = vec![1.0; matrix.dimension()];
         let negative = |x: &[f64], y: &mut [f64]| {
-            multiply(&matrix, x, y);
+            matrix.multiply(x, y);
             y.iter_mut().for_each(|v| *v = -*v);
         };
         assert_eq!(solver.solve(&matrix, &mut b, negative), Err(NotPositiveDefinite(None)));
         let mut b = vec![f64::NAN; matrix.dimension()];
-        let product = |x: &[f64], y: &mut [f64]| multiply(&matrix, x, y);
+        let product = |x: &[f64], y: &mut [f64]| matrix.multiply(x, y);
         assert_eq!(solver.solve(&matrix, &mut b, product), Err(NotPositiveDefinite(None)));
         let mut b = vec![0.0; matrix.dimension()];
         assert_eq!(solver.solve(&matrix, &mut b, product), Ok(()));

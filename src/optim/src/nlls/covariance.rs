@@ -37,16 +37,7 @@ impl<'a> Covariance<'a> {
     /// # Errors
     /// [`SolveError::RankDeficient`] names the blocks that the observations leave undetermined.
     pub fn new(problem: &'a Problem, x: &[f64], linear: LinearSolver) -> Result<Self, SolveError> {
-        let mut normal = Normal::new(problem, linear.direct(), 0.0, false)?;
-        normal
-            .linearize(problem, x)
-            .map_err(|(batch, factor)| problem.infeasible(&problem.batches[batch], factor))?;
-        if let Err(NotPositiveDefinite(block)) = normal.reduce(problem, x, 0.0) {
-            normal.require_finite(problem, x)?;
-            if let Some(block) = block {
-                return Err(undetermined_point(problem, block));
-            }
-        }
+        let mut normal = reduced(problem, x, linear)?;
         if let Some(block) = weak_point(problem, &normal) {
             return Err(undetermined_point(problem, block));
         }
@@ -310,16 +301,7 @@ pub fn null_space(
     x: &[f64],
     linear: LinearSolver,
 ) -> Result<Vec<Direction>, SolveError> {
-    let mut normal = Normal::new(problem, linear.direct(), 0.0, false)?;
-    normal
-        .linearize(problem, x)
-        .map_err(|(batch, factor)| problem.infeasible(&problem.batches[batch], factor))?;
-    if let Err(NotPositiveDefinite(block)) = normal.reduce(problem, x, 0.0) {
-        normal.require_finite(problem, x)?;
-        if let Some(block) = block {
-            return Err(undetermined_point(problem, block));
-        }
-    }
+    let mut normal = reduced(problem, x, linear)?;
     let directions = null_space_directions(problem, &mut normal);
     Ok(directions
         .iter()
@@ -332,6 +314,21 @@ pub fn null_space(
                 .collect()
         })
         .collect())
+}
+
+/// The reduced normal equations at `x`.
+fn reduced(problem: &Problem, x: &[f64], linear: LinearSolver) -> Result<Normal, SolveError> {
+    let mut normal = Normal::new(problem, linear.direct(), 0.0, false)?;
+    normal
+        .linearize(problem, x)
+        .map_err(|(batch, factor)| problem.infeasible(&problem.batches[batch], factor))?;
+    if let Err(NotPositiveDefinite(block)) = normal.reduce(problem, x, 0.0) {
+        normal.require_finite(problem, x)?;
+        if let Some(block) = block {
+            return Err(undetermined_point(problem, block));
+        }
+    }
+    Ok(normal)
 }
 
 fn describe(problem: &Problem, normal: &Normal, directions: &[Vec<f64>]) -> SolveError {

@@ -32,7 +32,6 @@ pub mod residual;
 mod schur;
 mod schur_solver;
 mod sight;
-mod step_profiler;
 mod strategy;
 mod structure;
 mod summary;
@@ -54,7 +53,6 @@ pub use projection::{
 };
 pub use residual::{Residual, Residuals, Vector};
 pub use schur::{FusedElimination, FusionRequest};
-pub use step_profiler::StepProfiler;
 pub use summary::{BatchPath, BatchSummary, LinearKind, LinearPath, Summary};
 pub use trust_region::{LeastSquares, SolverState};
 

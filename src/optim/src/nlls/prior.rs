@@ -105,41 +105,23 @@ impl GaussianPrior {
         covariance: &[f64],
     ) -> Result<GaussianPrior, SolveError> {
         let n = entries.len();
+        let unusable = || {
+            SolveError::Misuse(format!(
+                "the covariance of the prior of {} is no positive definite matrix of {n} rows",
+                problem.describe(block)
+            ))
+        };
         // The inverse of the Cholesky factor of C.
         let inverse = (covariance.len() == n * n)
             .then(|| DMatrix::from_row_slice(n, n, covariance).cholesky())
             .flatten()
             .and_then(|factor| factor.unpack().solve_lower_triangular(&DMatrix::identity(n, n)))
-            .ok_or_else(|| {
-                SolveError::Misuse(format!(
-                    "the covariance of the prior of {} is no positive definite matrix of {n} rows",
-                    problem.describe(block)
-                ))
-            })?;
+            .ok_or_else(unusable)?;
         let whitening: Vec<f64> = (0..n * n).map(|k| inverse[(k / n, k % n)]).collect();
-        GaussianPrior::whitened(problem, block, entries, expected, whitening)
-    }
-
-    /// Numbers with `W`, the whitening matrix, row-major.
-    ///
-    /// # Errors
-    /// As [`GaussianPrior::new`].
-    pub fn whitened(
-        problem: &Problem,
-        block: BlockId,
-        entries: &[usize],
-        expected: &[f64],
-        whitening: Vec<f64>,
-    ) -> Result<GaussianPrior, SolveError> {
-        if whitening.len() != entries.len().pow(2) || whitening.iter().any(|w| !w.is_finite()) {
-            return Err(SolveError::Misuse(format!(
-                "the whitening of the prior of {} is no finite matrix of {} rows",
-                problem.describe(block),
-                entries.len()
-            )));
+        if whitening.iter().any(|w| !w.is_finite()) {
+            return Err(unusable());
         }
-        let scale = Scale::Whitening(whitening);
-        GaussianPrior::with_scale(problem, block, entries, expected, scale)
+        GaussianPrior::with_scale(problem, block, entries, expected, Scale::Whitening(whitening))
     }
 
     fn with_scale(

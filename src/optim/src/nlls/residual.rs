@@ -77,12 +77,6 @@ impl<T: Scalar> RotationMatrix<T> {
         });
         RotationMatrix(std::array::from_fn(|r| std::array::from_fn(|c| columns[c][r])))
     }
-
-    /// The rotation vector (axis times angle, radians) of a small rotation, right to the second order.
-    pub fn small_angles(&self) -> [T; 3] {
-        let r = &self.0;
-        [(r[2][1] - r[1][2]) * 0.5, (r[0][2] - r[2][0]) * 0.5, (r[1][0] - r[0][1]) * 0.5]
-    }
 }
 
 /// The rotation of a quaternion, turned by a first-order increment: `(I + [w]) R`.
@@ -153,75 +147,6 @@ impl Parameter for PoseBlock {
             w[0] * y - w[1] * x + increment(5) + z,
         ];
         RigidTransform { rotation: turned(values, w), translation: moved }
-    }
-}
-
-/// A pose over `T` and the numbers that go with it.
-#[derive(Debug, Clone, Copy)]
-pub struct PoseWith<T, const N: usize> {
-    /// The pose.
-    pub pose: RigidTransform<T>,
-    /// The numbers: a lens, say.
-    pub parameters: [T; N],
-}
-
-/// A pose and `N` numbers that are always used together ([`super::manifold::PoseWithParameters`]), such as a camera with its
-/// own lens.
-#[derive(Debug, Clone, Copy)]
-pub struct PoseWithBlock<const N: usize>;
-
-impl<const N: usize> Parameter for PoseWithBlock<N> {
-    const AMBIENT: usize = 7 + N;
-    const TANGENT: usize = 6 + N;
-    type Of<T: Scalar> = PoseWith<T, N>;
-
-    fn at<T: Scalar>(values: &[f64], increment: impl Fn(usize) -> T) -> PoseWith<T, N> {
-        let parameters = std::array::from_fn(|k| increment(6 + k) + values[7 + k]);
-        PoseWith { pose: PoseBlock::at(&values[..7], increment), parameters }
-    }
-}
-
-/// A similarity over `T`: `y = s R x + t`.
-#[derive(Debug, Clone, Copy)]
-pub struct SimilarityTransform<T> {
-    /// `s`.
-    pub scale: T,
-    /// `R`.
-    pub rotation: RotationMatrix<T>,
-    /// `t`.
-    pub translation: [T; 3],
-}
-
-impl<T: Scalar> SimilarityTransform<T> {
-    /// `s R x + t`.
-    pub fn transform(&self, x: [T; 3]) -> [T; 3] {
-        let turned = self.rotation.rotate(x);
-        std::array::from_fn(|k| self.scale * turned[k] + self.translation[k])
-    }
-
-    /// `R^T (y - t) / s`.
-    pub fn transform_back(&self, y: [T; 3]) -> [T; 3] {
-        let turned = self.rotation.rotate_back(std::array::from_fn(|k| y[k] - self.translation[k]));
-        turned.map(|v| v / self.scale)
-    }
-}
-
-/// A similarity ([`super::manifold::Similarity`]).
-#[derive(Debug, Clone, Copy)]
-pub struct SimilarityBlock;
-
-impl Parameter for SimilarityBlock {
-    const AMBIENT: usize = 8;
-    const TANGENT: usize = 7;
-    type Of<T: Scalar> = SimilarityTransform<T>;
-
-    fn at<T: Scalar>(values: &[f64], increment: impl Fn(usize) -> T) -> SimilarityTransform<T> {
-        SimilarityTransform {
-            // s exp(d) to the first order.
-            scale: increment(6) * values[7] + values[7],
-            rotation: turned(values, std::array::from_fn(&increment)),
-            translation: std::array::from_fn(|k| increment(3 + k) + values[4 + k]),
-        }
     }
 }
 

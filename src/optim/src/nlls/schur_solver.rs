@@ -2,7 +2,7 @@
 
 use super::{
     cholesky::{BlockMatrix, Cholesky, NotPositiveDefinite},
-    conjugate::{ConjugateGradients, multiply},
+    conjugate::ConjugateGradients,
 };
 
 /// A solver of one pattern.
@@ -43,7 +43,7 @@ impl SchurSolver {
                 Ok(())
             }
             SchurSolver::Iterative(iteration) => {
-                iteration.solve(matrix, rhs, |x, y| multiply(matrix, x, y))
+                iteration.solve(matrix, rhs, |x, y| matrix.multiply(x, y))
             }
             SchurSolver::Implicit(iteration) => iteration.solve(matrix, rhs, product),
         }

@@ -205,7 +205,7 @@ impl FrontMemory {
             factorize_columns(l.as_mut(), &mut self.scratch)?;
             if front.parent != NO_PARENT {
                 let u = MatMut::from_column_major_slice_mut(update, rest, rest);
-                subtract_square(u, l.as_ref().split_at_row(width).1);
+                subtract_lower(u, l.as_ref().split_at_row(width).1);
                 let mut to = front.update_at;
                 for column in 0..rest {
                     let from = &update[column * rest + column..(column + 1) * rest];
@@ -305,11 +305,6 @@ fn factorize_columns(
         first += count;
     }
     Ok(())
-}
-
-/// `u -= x x^T`, lower triangle.
-fn subtract_square(u: MatMut<'_, f64>, x: MatRef<'_, f64>) {
-    subtract_lower(u, x);
 }
 
 /// `a -= x y^T` on and below the diagonal of the first columns, `y` the first rows of `x`.
