@@ -60,25 +60,22 @@ fn measure(name: &str, views: &[View], request: &Request) {
         times.sort_by(f64::total_cmp);
         (times[0], times[runs / 2])
     };
-    let trial = start::best_trial(views, request).unwrap();
     let begin = start::search(views, request).unwrap();
     let whole = time(5, &mut || drop(start::search(views, request).unwrap()));
-    let from_trial = time(201, &mut || {
-        drop(adjust(views, request, &trial, Loss::Trivial, MAX_ITERATIONS).unwrap());
+    let from_start = time(201, &mut || {
+        drop(adjust(views, request, &begin, Loss::Trivial, MAX_ITERATIONS).unwrap());
     });
-    let solution = adjust(views, request, &trial, Loss::Trivial, MAX_ITERATIONS).unwrap();
-    let again = adjust(views, request, &begin, Loss::Trivial, MAX_ITERATIONS).unwrap();
+    let solution = adjust(views, request, &begin, Loss::Trivial, MAX_ITERATIONS).unwrap();
     let found = statistics(views, request, &solution).unwrap();
     println!(
         "{name}: {} photos, {} corners, rms {:.4} px; adjustment {:.2} ms (least {:.2}), {} iterations \
-         from homographies (rms {:.4} from the searched start); search of the start {:.1} ms",
+         from the searched start; search of the start {:.1} ms",
         views.len(),
         views.iter().map(|view| view.marks.len()).sum::<usize>(),
         found.rms_px,
-        from_trial.1,
-        from_trial.0,
+        from_start.1,
+        from_start.0,
         solution.iterations,
-        statistics(views, request, &again).unwrap().rms_px,
         whole.1,
     );
 }

@@ -39,8 +39,8 @@ fn a_planted_blunder_is_found_and_nothing_else() {
             }
         };
         let found = adjust(&mut survey.clone(), &Settings::default()).unwrap();
-        let findings = found.statistics.rejected(test, 0.001);
-        assert_eq!(found.name(findings[0].subject), expected);
+        let (worst, _) = found.statistics.rejected(test, |_| 0.001)[0];
+        assert_eq!(found.name(found.statistics.tested[worst].subject), expected);
         let snooping = DataSnoopingOptions { test, ..DataSnoopingOptions::default() };
         let snooped = snoop(&mut survey, &Settings::default(), &snooping).unwrap();
         let names: Vec<&str> =

@@ -320,7 +320,7 @@ fn the_global_test_and_the_groups_fit_noise_as_given() {
     let pope = statistics.critical(OutlierTest::Pope, Group::TiePoints, 1, 0.001).sqrt() / ties;
     assert!((pope / critical - 1.0).abs() < 0.01, "{pope}");
     // Control is better known than tie points, ellipsoids have their axes in order.
-    let (axes, _) = statistics.points[0].ellipsoid();
+    let axes = statistics.images[0].ellipsoid();
     assert!(axes[0] >= axes[1] && axes[1] >= axes[2] && axes[2] > 0.0);
 }
 
@@ -384,6 +384,14 @@ fn a_stalled_adjustment_has_not_converged() {
     assert!(adjusted.converged());
     adjusted.summary.stop = rowgram::engine::Termination::Stalled;
     assert!(!adjusted.converged());
+}
+
+#[test]
+fn a_limit_of_few_iterations_is_reached() {
+    let survey = measured(&with_positions(truth(&Plan::default())), 92, NOISE);
+    let settings = Settings { max_iterations: 10, ..Settings::default() };
+    let adjusted = adjust(&mut survey.clone(), &settings).unwrap();
+    assert!(adjusted.converged() && adjusted.summary.iterations > 1, "{:?}", adjusted.summary);
 }
 
 #[test]

@@ -8,7 +8,7 @@ use rowgram::{
     scene::Pose,
     sfm::{
         Block, Features,
-        longer_tracks::{LongerTracksOptions, lengthen},
+        longer_tracks::{MAX_RAYS, lengthen},
         tracks::Tracks,
     },
 };
@@ -90,7 +90,7 @@ fn tracks_of_one_place_are_joined_and_go_on_where_photos_show_it() {
     }
     let count = |kind: usize| points.iter().filter(|(k, ..)| *k == kind).count();
     assert!((0..4).all(|kind| count(kind) >= 10));
-    let longer = lengthen(&block, &LongerTracksOptions::default());
+    let longer = lengthen(&block, MAX_RAYS);
     assert_eq!(longer.joined, count(1) / 2);
     assert_eq!(longer.predicted, 2 * count(0));
     assert_eq!(longer.measured, counts);
@@ -111,6 +111,5 @@ fn tracks_of_one_place_are_joined_and_go_on_where_photos_show_it() {
     }
     // Of the neighbours neither is taken for the other.
     assert_eq!(lengths[2], count(3) / 2);
-    let few = LongerTracksOptions { most_rays: 3, ..LongerTracksOptions::default() };
-    assert_eq!(lengthen(&block, &few).predicted, count(0));
+    assert_eq!(lengthen(&block, 3).predicted, count(0));
 }

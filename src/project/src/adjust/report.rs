@@ -121,7 +121,7 @@ impl Report {
                 .collect();
             rmse(&errors, CONFIDENCE)
         });
-        let findings = statistics.rejected(OutlierTest::Pope, SIGNIFICANCE);
+        let findings = statistics.rejected(OutlierTest::Pope, |_| SIGNIFICANCE);
         let speeds: Vec<f64> = (0..survey.images.len())
             .filter_map(|k| survey.velocity_m_s(k))
             .map(|v| (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]).sqrt())
@@ -158,9 +158,9 @@ impl Report {
             suspects: findings
                 .iter()
                 .take(200)
-                .map(|finding| Suspect {
-                    name: adjusted.name(finding.subject),
-                    excess: finding.excess,
+                .map(|&(place, excess)| Suspect {
+                    name: adjusted.name(statistics.tested[place].subject),
+                    excess,
                 })
                 .collect(),
             left_out: adjustment.left_out.clone(),

@@ -98,8 +98,7 @@ pub(super) fn write(folder: &Path, adjustment: &Adjustment, force: bool) -> Resu
         let sigma = |k: usize| number(sigma0 * accuracy.centre_m2[k][k].max(0.0).sqrt());
         row.extend([0, 1, 2].map(sigma));
         row.extend(accuracy.angles_rad.map(|angle| number(sigma0 * angle.to_degrees())));
-        let (axes, _) = accuracy.ellipsoid();
-        row.extend(axes.map(|axis| number(sigma0 * axis)));
+        row.extend(accuracy.ellipsoid().map(|axis| number(sigma0 * axis)));
         row
     });
     let header = [

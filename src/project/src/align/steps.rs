@@ -13,7 +13,7 @@ use rowgram_survey::{
     scene::Pose,
     sfm::{
         self, Block, Pair,
-        epipolar_rematching::{RematchingOptions, rematch_weak_pairs},
+        epipolar_rematching::rematch_weak_pairs,
         incremental::{Event, IncrementalOptions, reconstruct},
         intrinsics::{InitialIntrinsics, initialize_intrinsics},
         relative::{RelativePose, Solver},
@@ -131,8 +131,7 @@ pub(super) fn verify(
     store: &Store,
     monitor: &mut dyn Monitor,
 ) -> Result<(Vec<Pair>, Key), Error> {
-    let rematching = RematchingOptions::default();
-    let mut key = Key::begin().key(matched_key).text(&format!("{verification:?} {rematching:?}"));
+    let mut key = Key::begin().key(matched_key).text(&format!("{verification:?}"));
     for camera in cameras {
         key = key.text(camera.interior.model().word()).numbers(camera.interior.values());
     }
@@ -143,8 +142,9 @@ pub(super) fn verify(
     let counter = Counter::new(monitor, "orienting pairs", matched.len(), "pairs");
     let pairs = orient_pairs(features, cameras, matched, verification, &|| counter.tick());
     let counter = Counter::new(monitor, "rematching weak pairs", pairs.len(), "pairs");
-    let how = (verification, &rematching);
-    let pairs = rematch_weak_pairs(features, descriptors, cameras, &pairs, how, &|| counter.tick());
+    let pairs = rematch_weak_pairs(features, descriptors, cameras, &pairs, verification, &|| {
+        counter.tick()
+    });
     store.save(PAIRS, key, &pairs.iter().map(StoredPair::of).collect::<Vec<_>>())?;
     Ok((pairs, key))
 }

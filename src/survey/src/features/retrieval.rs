@@ -27,19 +27,19 @@ use serde::{Deserialize, Serialize};
 pub struct RetrievalOptions {
     /// The most alike photos that each photo asks for.
     pub per_photo: usize,
-    /// Features of all photos per word, about; with fewer, what belongs together falls into different words more often, and
-    /// with more the index takes longer.
-    pub features_per_word: usize,
     /// Seed of the first words and of the projections.
     pub seed: u64,
 }
 
 impl Default for RetrievalOptions {
     fn default() -> RetrievalOptions {
-        RetrievalOptions { per_photo: 40, features_per_word: 256, seed: 1 }
+        RetrievalOptions { per_photo: 40, seed: 1 }
     }
 }
 
+/// Features of all photos per word, about; with fewer, what belongs together falls into different words more often, and
+/// with more the index takes longer.
+const FEATURES_PER_WORD: usize = 256;
 /// The most words: as long as a descriptor is compared with all of them, more would take longer than the index saves.
 const MAX_WORDS: usize = 8192;
 /// Descriptors per word that the words are learned from: a sixth of all of them at 256 per word. Not tuned.
@@ -58,7 +58,7 @@ const SCALE: f32 = 16.0;
 /// ([`pairs::largest`]), as many in each photo.
 pub fn similar(photos: &[Descriptors], options: &RetrievalOptions) -> Vec<Pair> {
     let total: usize = photos.iter().map(Descriptors::len).sum();
-    let words = (total / options.features_per_word.max(1)).clamp(1, MAX_WORDS);
+    let words = (total / FEATURES_PER_WORD).clamp(1, MAX_WORDS);
     let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
     let words = learn(photos, words, &mut rng);
     let signs = Signs::new(&mut rng);

@@ -212,11 +212,6 @@ impl HeightSweep {
         if first > 0.0 && second > 0.0 { both / (first * second).sqrt() } else { 0.0 }
     }
 
-    /// Heights, metres, with the correlation at each.
-    pub fn curve(&self) -> Vec<[f64; 2]> {
-        (0..HEIGHTS).map(|step| [height_m(step), self.correlation(step)]).collect()
-    }
-
     /// The height at which photos agree best; `None` where none stands out.
     pub fn best(&self) -> Option<CanopyHeight> {
         let all: Vec<f64> = (0..HEIGHTS).map(|step| self.correlation(step)).collect();

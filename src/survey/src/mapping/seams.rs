@@ -209,15 +209,18 @@ mod tests {
                 let (u, v) = (part.u + at % part.width, part.v + at / part.width);
                 assert!(*away == found[v * whole.width + u], "{u} {v}");
             }
-            let (mut compared, mut seen, mut off) = (0, 0, 0);
+            let all: Vec<u32> = (0..views.len() as u32).collect();
+            let (mut compared, mut seen, mut off, mut shown) = (0, 0, 0, Vec::new());
             for at in (0..found.len()).step_by(7) {
                 let Some(own) = (sources.source[at] as usize).checked_sub(1) else {
                     assert_eq!(found[at], f32::INFINITY);
                     continue;
                 };
                 let point = selector.point_m(at % whole.width, at / whole.width).unwrap();
-                let nearest = (0..views.len())
-                    .filter(|&k| k != own && selector.shown_by(k, point).is_some())
+                selector.candidates(point, &all, &mut shown);
+                let others = shown.iter().map(|candidate| candidate.view);
+                let nearest = others
+                    .filter(|&k| k != own)
                     .map(|k| selector.to_seam_m(point, own, k))
                     .fold(f64::INFINITY, f64::min);
                 compared += 1;

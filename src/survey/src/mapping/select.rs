@@ -90,11 +90,6 @@ impl<'a> PhotoSelector<'a> {
         self.views
     }
 
-    /// What decides.
-    pub fn options(&self) -> &SelectionOptions {
-        &self.options
-    }
-
     /// The point on the ground of a cell.
     #[inline]
     pub fn point_m(&self, u: usize, v: usize) -> Option<[f64; 3]> {
@@ -159,14 +154,6 @@ impl<'a> PhotoSelector<'a> {
             }
             _ => Some(at),
         }
-    }
-
-    /// The pixel of a point in a photo that shows it as the options ask.
-    #[inline]
-    pub fn shown_by(&self, view: usize, point_m: [f64; 3]) -> Option<[f64; 2]> {
-        let view = &self.views[view];
-        self.cost(view, point_m)?;
-        self.shown(view, point_m)
     }
 
     /// All photos that show a point, the best first.

@@ -11,6 +11,7 @@
 //! *Lanczos filtering in one and two dimensions*, 1979.
 
 use crate::camera::{CameraError, Interior, Lens, Model};
+use crate::mapping::photo::DecodedPhoto;
 use image::RgbImage;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -143,6 +144,10 @@ pub fn undistort(
             from.size_px()[1]
         )));
     }
+    let photo = DecodedPhoto::new(photo, None);
+    // More than half a pixel outside there is no colour.
+    let inside =
+        |at_px: &[f64; 2]| (0..2).all(|k| at_px[k] >= -0.5 && at_px[k] <= f64::from(size[k]) - 0.5);
     let [width, height] = to.size_px();
     let row_bytes = 3 * width as usize;
     let mut bytes = vec![0; row_bytes * height as usize];
@@ -153,10 +158,13 @@ pub fn undistort(
             let mut black = 0;
             for (u, pixel) in row.chunks_exact_mut(3).enumerate() {
                 let ray = to.unproject([u as f64, v as f64]);
-                let at = ray.and_then(|ray| from.project(ray));
-                match at.and_then(|at| sample(photo, at, interpolation)) {
-                    Some(colour) => pixel.copy_from_slice(&colour),
-                    None => black += 1,
+                let Some(at_px) = ray.and_then(|ray| from.project(ray)).filter(inside) else {
+                    black += 1;
+                    continue;
+                };
+                let colour = photo.at(at_px.map(|v| v as f32), interpolation);
+                for (byte, value) in pixel.iter_mut().zip(colour) {
+                    *byte = value.round().clamp(0.0, 255.0) as u8;
                 }
             }
             black
@@ -165,69 +173,6 @@ pub fn undistort(
     let image = RgbImage::from_raw(width, height, bytes)
         .ok_or_else(|| CameraError("the undistorted photo has no pixel".into()))?;
     Ok((image, black))
-}
-
-/// The colour at a position; pixels beyond the border repeat the last one, a position more than
-/// half a pixel outside has none.
-fn sample(photo: &RgbImage, [u, v]: [f64; 2], interpolation: Interpolation) -> Option<[u8; 3]> {
-    let (width, height) = (photo.width() as isize, photo.height() as isize);
-    let inside = u >= -0.5 && v >= -0.5 && u <= width as f64 - 0.5 && v <= height as f64 - 0.5;
-    if !inside {
-        return None;
-    }
-    let reach = match interpolation {
-        Interpolation::Bilinear => 1,
-        Interpolation::Bicubic => 2,
-        Interpolation::Lanczos => 3,
-    };
-    let (column, row) = (u.floor(), v.floor());
-    let across = weights(interpolation, u - column);
-    let down = weights(interpolation, v - row);
-    let (first_column, first_row) = (column as isize - reach + 1, row as isize - reach + 1);
-    let data = photo.as_raw();
-    let mut colour = [0.0f32; 3];
-    for (j, weight) in down[..2 * reach as usize].iter().enumerate() {
-        let row = (first_row + j as isize).clamp(0, height - 1);
-        let mut line = [0.0f32; 3];
-        for (i, weight) in across[..2 * reach as usize].iter().enumerate() {
-            let column = (first_column + i as isize).clamp(0, width - 1);
-            let at = 3 * (row * width + column) as usize;
-            for (sum, &value) in line.iter_mut().zip(&data[at..at + 3]) {
-                *sum += weight * f32::from(value);
-            }
-        }
-        for (sum, value) in colour.iter_mut().zip(line) {
-            *sum += weight * value;
-        }
-    }
-    Some(colour.map(|value| value.round().clamp(0.0, 255.0) as u8))
-}
-
-/// Weights of the pixels around a position `t` beyond the pixel before it; they add up to 1.
-fn weights(interpolation: Interpolation, t: f64) -> [f32; 6] {
-    let mut weights = [0.0; 6];
-    match interpolation {
-        Interpolation::Bilinear => {
-            weights[0] = 1.0 - t;
-            weights[1] = t;
-        }
-        Interpolation::Bicubic => {
-            weights[0] = ((-0.5 * t + 1.0) * t - 0.5) * t;
-            weights[1] = (1.5 * t - 2.5) * t * t + 1.0;
-            weights[2] = ((-1.5 * t + 2.0) * t + 0.5) * t;
-            weights[3] = (0.5 * t - 0.5) * t * t;
-        }
-        Interpolation::Lanczos => {
-            for (k, weight) in weights.iter_mut().enumerate() {
-                let x = std::f64::consts::PI * (t + 2.0 - k as f64);
-                *weight =
-                    if x.abs() < 1e-9 { 1.0 } else { 3.0 * x.sin() * (x / 3.0).sin() / (x * x) };
-            }
-            let sum: f64 = weights.iter().sum();
-            weights.iter_mut().for_each(|weight| *weight /= sum);
-        }
-    }
-    weights.map(|weight| weight as f32)
 }
 
 #[cfg(test)]
@@ -251,24 +196,6 @@ mod tests {
             let (same, black) = undistort(&photo, &camera, &ideal, kind).unwrap();
             assert_eq!((&same, black), (&photo, 0), "{kind:?}");
         }
-    }
-
-    #[test]
-    fn weights_add_up_and_keep_straight_ramps() {
-        for kind in [Interpolation::Bilinear, Interpolation::Bicubic, Interpolation::Lanczos] {
-            for t in [0.0, 0.2, 0.5, 0.9] {
-                let w = weights(kind, t);
-                assert!((w.iter().sum::<f32>() - 1.0).abs() < 1e-6, "{kind:?}");
-            }
-        }
-        let photo = RgbImage::from_fn(20, 20, |u, v| Rgb([(5 * u + 3 * v) as u8; 3]));
-        for kind in [Interpolation::Bilinear, Interpolation::Bicubic] {
-            assert_eq!(
-                sample(&photo, [8.2, 9.5], kind).unwrap(),
-                [(41.0f64 + 28.5).round() as u8; 3]
-            );
-        }
-        assert!(sample(&photo, [-0.6, 3.0], Interpolation::Bicubic).is_none());
     }
 
     #[test]

@@ -28,6 +28,16 @@ impl Pose {
         std::array::from_fn(|k| turned[k] + self.translation[k])
     }
 
+    /// The pose after a turn (rotation vector, radians) and a shift (metres) of the camera frame.
+    pub(crate) fn moved(&self, by: [f64; 6]) -> Pose {
+        let turn = rotation::exp([by[0], by[1], by[2]]);
+        let turned = rotation::rotate(turn, self.translation);
+        Pose {
+            rotation: rotation::normalize(rotation::multiply(turn, self.rotation)),
+            translation: std::array::from_fn(|k| turned[k] + by[3 + k]),
+        }
+    }
+
     /// The angles of `R^T = Rx(omega) Ry(phi) Rz(kappa)`, the photogrammetric rotation matrix from the
     /// camera frame to the world, radians.
     pub fn omega_phi_kappa_rad(&self) -> [f64; 3] {

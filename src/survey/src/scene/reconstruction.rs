@@ -3,6 +3,7 @@
 
 use super::{Accuracy, CameraOrientation, Excluded, Pose, ReferenceFrame};
 use crate::camera::{Camera, Lens};
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use rowgram_optim::geometry::{dot, rotation};
 use serde::{Deserialize, Serialize};
 
@@ -182,6 +183,21 @@ pub struct Reconstruction {
 }
 
 impl Reconstruction {
+    /// Applies `x -> scale turn x + shift` to the poses of images and to tie points.
+    pub(crate) fn transform(&mut self, scale: f64, turn: &Matrix3<f64>, shift: &Vector3<f64>) {
+        let apply =
+            |x: [f64; 3]| -> [f64; 3] { (scale * (turn * Vector3::from(x)) + shift).into() };
+        let q = UnitQuaternion::from_matrix(turn);
+        let back = rotation::inverse(rotation::normalize([q.w, q.i, q.j, q.k]));
+        for image in &mut self.images {
+            let turned = rotation::normalize(rotation::multiply(image.pose.rotation, back));
+            image.pose = Pose::from_centre(turned, apply(image.pose.centre_m()));
+        }
+        for point in &mut self.points {
+            point.position_m = apply(point.position_m);
+        }
+    }
+
     /// Where in the readout a row is: -1/2 for the first, +1/2 for the last.
     pub fn readout_share(&self, image: usize, v_px: f64) -> f64 {
         let height = f64::from(self.cameras[self.images[image].camera].interior.size_px()[1]);
@@ -194,14 +210,7 @@ impl Reconstruction {
         if self.rolling_shutter.is_none() {
             return *pose;
         }
-        let share = self.readout_share(image, v_px);
-        let motion = motion.map(|v| v * share);
-        let turn = rotation::exp([motion[0], motion[1], motion[2]]);
-        let turned = rotation::rotate(turn, pose.translation);
-        Pose {
-            rotation: rotation::normalize(rotation::multiply(turn, pose.rotation)),
-            translation: std::array::from_fn(|k| turned[k] + motion[3 + k]),
-        }
+        pose.moved(motion.map(|v| v * self.readout_share(image, v_px)))
     }
 
     /// Whether a camera can have a point where it was measured: in front of it, and where its lens is one to one.

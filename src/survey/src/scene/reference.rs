@@ -115,11 +115,6 @@ impl ReferenceFrame {
         self.unit == LengthUnit::Metre
     }
 
-    /// Whether directions mean something: Z is up and Y is north.
-    pub fn is_georeferenced(&self) -> bool {
-        self.horizontal != HorizontalFrame::Free
-    }
-
     /// The PROJ string of the projected coordinate reference system, where there is one.
     pub fn definition(&self) -> Option<&str> {
         match &self.horizontal {
@@ -159,7 +154,7 @@ mod tests {
     #[test]
     fn a_frame_says_what_it_has() {
         let free = ReferenceFrame::default();
-        assert!(!free.has_scale() && !free.is_georeferenced() && free.definition().is_none());
+        assert!(!free.has_scale() && free.definition().is_none());
         assert_eq!(free.name(), "free (no scale, no north)");
         let grid = ReferenceFrame {
             horizontal: HorizontalFrame::Projected {
@@ -170,7 +165,7 @@ mod tests {
             vertical: VerticalFrame::Known { epsg: 5703 },
             unit: LengthUnit::Metre,
         };
-        assert!(grid.has_scale() && grid.is_georeferenced());
+        assert!(grid.has_scale());
         assert_eq!(grid.heights(), "EPSG:5703");
         let text = serde_json::to_string(&grid).unwrap();
         assert!(text.contains("\"kind\":\"projected\"") && text.contains("\"unit\":\"metre\""));

@@ -12,7 +12,6 @@ use crate::{
     scene::{Image, Observation, Pose, Reconstruction, RollingShutter, TiePoint},
 };
 use rayon::prelude::*;
-use rowgram_optim::geometry::rotation;
 use rowgram_optim::robust::sigma_of_distances;
 
 /// What is found in one image.
@@ -111,13 +110,13 @@ impl<'a> Block<'a> {
         }
         let height = f64::from(self.lens(image).size_px()[1]);
         let share = (v_px - 0.5 * (height - 1.0)) / height;
-        let motion = self.motions[image].map(|v| v * share);
-        let turn = rotation::exp([motion[0], motion[1], motion[2]]);
-        let turned = rotation::rotate(turn, pose.translation);
-        Some(Pose {
-            rotation: rotation::normalize(rotation::multiply(turn, pose.rotation)),
-            translation: std::array::from_fn(|k| turned[k] + motion[3 + k]),
-        })
+        Some(pose.moved(self.motions[image].map(|v| v * share)))
+    }
+
+    /// The ray of a position in an image that has a pose.
+    pub(super) fn view(&self, image: u32, image_px: [f64; 2]) -> Option<View<'_>> {
+        let image = image as usize;
+        Some(View { pose: self.pose_at(image, image_px[1])?, lens: self.lens(image), image_px })
     }
 
     /// The names of the images that have a pose.
@@ -189,12 +188,10 @@ impl<'a> Block<'a> {
         let mut places = Vec::new();
         let mut views = Vec::new();
         for place in self.tracks.places(track) {
-            let image = self.tracks.member(place).image as usize;
-            let image_px = self.position_px(place);
-            let wanted = !only_used || self.used[place];
-            if let (Some(pose), true) = (self.pose_at(image, image_px[1]), wanted) {
+            let view = self.view(self.tracks.member(place).image, self.position_px(place));
+            if let (Some(view), true) = (view, !only_used || self.used[place]) {
                 places.push(place);
-                views.push(View { pose, lens: self.lens(image), image_px });
+                views.push(view);
             }
         }
         (places, views)

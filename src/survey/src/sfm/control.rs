@@ -24,13 +24,8 @@ pub fn control_left_m(block: &Block<'_>, known: &Known) -> Vec<(usize, f64)> {
             continue;
         }
         let marks = known.marks.iter().filter(|mark| mark.ground as usize == ground);
-        let views: Vec<View<'_>> = marks
-            .filter_map(|mark| {
-                let pose = block.pose_at(mark.image as usize, mark.image_px[1])?;
-                let lens = block.lens(mark.image as usize);
-                Some(View { pose, lens, image_px: mark.image_px })
-            })
-            .collect();
+        let views: Vec<View<'_>> =
+            marks.filter_map(|mark| block.view(mark.image, mark.image_px)).collect();
         if let ([view], Axes::Xyz) = (views.as_slice(), point.axes) {
             if let Some(ray) = view.lens.unproject(view.image_px) {
                 let at = Vector3::from(view.pose.to_camera(point.position_m));

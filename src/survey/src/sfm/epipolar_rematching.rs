@@ -23,36 +23,18 @@ use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
 use rowgram_optim::robust::sigma_of_errors;
 
-/// How matches are looked for again.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct RematchingOptions {
-    /// Pairs with more matches than this need no help.
-    pub enough: usize,
-    /// Distance from its piece of line up to which a feature may match, pixels, in each round.
-    pub tolerances_px: [f64; 2],
-    /// Distance up to which features compete, pixels.
-    pub context_px: f64,
-    /// Largest distance of descriptors relative to that of the next competitor.
-    pub ratio: f64,
-    /// Largest distance of two descriptors, their length taken as 1.
-    pub max_distance: f64,
-    /// The least and the greatest half length of a piece, as a share of the depth.
-    pub slack: [f64; 2],
-}
-
-impl Default for RematchingOptions {
-    fn default() -> RematchingOptions {
-        RematchingOptions {
-            enough: 150,
-            tolerances_px: [12.0, 6.0],
-            context_px: 40.0,
-            ratio: 0.8,
-            max_distance: 0.8,
-            slack: [0.03, 0.25],
-        }
-    }
-}
-
+/// Pairs with more matches than this need no help.
+const ENOUGH: usize = 150;
+/// Distance from its piece of line up to which a feature may match, pixels, in each round.
+const TOLERANCES_PX: [f64; 2] = [12.0, 6.0];
+/// Distance up to which features compete, pixels.
+pub(super) const CONTEXT_PX: f64 = 40.0;
+/// Largest distance of descriptors relative to that of the next competitor.
+const RATIO: f64 = 0.8;
+/// Largest distance of two descriptors, their length taken as 1.
+const MAX_DISTANCE: f64 = 0.8;
+/// The least and the greatest half length of a piece, as a share of the depth.
+const SLACK: [f64; 2] = [0.03, 0.25];
 /// Features of one feature's surroundings that are the same again, pixels: one place with two orientations.
 pub(super) const SAME_PX: f64 = 2.0;
 /// Side of a bucket, in distances up to which features compete.
@@ -241,10 +223,9 @@ pub fn rematch(
     ground: &Ground,
     principal_distance_px: f64,
     tolerance_px: f64,
-    guiding: &RematchingOptions,
 ) -> Vec<[u32; 2]> {
     let tolerance = tolerance_px / principal_distance_px;
-    let context = (guiding.context_px / principal_distance_px).max(tolerance);
+    let context = (CONTEXT_PX / principal_distance_px).max(tolerance);
     let buckets = Buckets::new(second.rays, BUCKET * context);
     let piece = |index: usize| {
         let ray = first.rays[index]?;
@@ -259,7 +240,7 @@ pub fn rematch(
         Some([from?, to?])
     };
     let reach = Reach { tolerance, context, same: SAME_PX / principal_distance_px };
-    compete(first.descriptors, second, &buckets, &piece, &reach, guiding)
+    compete(first.descriptors, second, &buckets, &piece, &reach)
 }
 
 /// Distances in the second photo, in the unit of its places.
@@ -280,9 +261,8 @@ pub(super) fn compete(
     buckets: &Buckets,
     piece: &dyn Fn(usize) -> Option<[Ray; 2]>,
     reach: &Reach,
-    guiding: &RematchingOptions,
 ) -> Vec<[u32; 2]> {
-    let most = (512.0 * guiding.max_distance).powi(2);
+    let most = (512.0 * MAX_DISTANCE).powi(2);
     let theirs = second.descriptors.as_bytes().as_chunks::<DESCRIPTOR_LENGTH>().0;
     // For each of the second photo's features: who of the first looks most like it.
     let mut liked = vec![(u32::MAX, u32::MAX); second.rays.len()];
@@ -320,7 +300,7 @@ pub(super) fn compete(
             // Alone, it must be like its partner as such.
             .unwrap_or(most as u32);
         let square = f64::from(apart);
-        if square <= most && square < guiding.ratio * guiding.ratio * f64::from(next) {
+        if square <= most && square < RATIO * RATIO * f64::from(next) {
             chosen.push([index as u32, best]);
         }
     }
@@ -335,14 +315,14 @@ pub fn rematch_weak_pairs(
     descriptors: &dyn DescriptorSource,
     cameras: &[Camera],
     pairs: &[Pair],
-    (verifying, guiding): (&GeometricVerificationOptions, &RematchingOptions),
+    verifying: &GeometricVerificationOptions,
     tell: &(dyn Fn() + Sync),
 ) -> Vec<Pair> {
     let all = all_rays(features, cameras);
     in_parts(pairs, |pair| {
         let mut best = pair.clone();
-        for tolerance_px in guiding.tolerances_px {
-            if best.matches.len() >= guiding.enough {
+        for tolerance_px in TOLERANCES_PX {
+            if best.matches.len() >= ENOUGH {
                 break;
             }
             let of = best.images.map(|k| k as usize);
@@ -356,9 +336,9 @@ pub fn rematch_weak_pairs(
                     Some(Correspondence { first, second: all[of[1]][*b as usize]? })
                 })
                 .collect();
-            let Some(ground) = Ground::of(&best.pose, &right, guiding.slack) else { break };
+            let Some(ground) = Ground::of(&best.pose, &right, SLACK) else { break };
             let seen = [0, 1].map(|k| Seen { rays: &all[of[k]], descriptors: &looks[k] });
-            let mut matches = rematch(seen, &best.pose, &ground, c, tolerance_px, guiding);
+            let mut matches = rematch(seen, &best.pose, &ground, c, tolerance_px);
             join(&mut matches, &best.matches);
             let matched = PairMatches { images: best.images, matches };
             let again = orient_matched(&matched, of.map(|k| all[k].as_slice()), c, verifying);
@@ -454,12 +434,11 @@ mod tests {
                 second: rays[1][17 * k].unwrap(),
             })
             .collect();
-        let guiding = RematchingOptions::default();
-        let ground = Ground::of(&pose, &few, guiding.slack).unwrap();
+        let ground = Ground::of(&pose, &few, SLACK).unwrap();
         assert!((ground.plane[0] - 0.4).abs() < 0.01, "{ground:?}");
         assert!(ground.slack <= 0.1, "{ground:?}");
         let seen = [0, 1].map(|k| Seen { rays: &rays[k], descriptors: &looks[k] });
-        let found = rematch(seen, &pose, &ground, C_PX, 6.0, &guiding);
+        let found = rematch(seen, &pose, &ground, C_PX, 6.0);
         let right = found.iter().filter(|[a, b]| a == b).count();
         assert!(right > count / 2, "{right} of {count}");
         assert!(20 * right > 19 * found.len(), "{right} of {} are right", found.len());
@@ -474,18 +453,17 @@ mod tests {
     #[test]
     fn nothing_to_see_gives_nothing() {
         let (rays, looks, pose) = crop(40);
-        assert_eq!(Ground::of(&pose, &[], [0.03, 0.25]), None);
+        assert_eq!(Ground::of(&pose, &[], SLACK), None);
         let ground = Ground { plane: [0.4, 0.0, 0.0], slack: 0.1 };
         let none = Descriptors::default();
         let (empty, blind) = (Vec::new(), vec![None; 40]);
-        let guiding = RematchingOptions::default();
         for other in [
             Seen { rays: &empty, descriptors: &none },
             Seen { rays: &blind, descriptors: &looks[1] },
         ] {
             let own = Seen { rays: &rays[0], descriptors: &looks[0] };
-            assert_eq!(rematch([own, other], &pose, &ground, C_PX, 6.0, &guiding), [[0u32; 2]; 0]);
-            assert_eq!(rematch([other, own], &pose, &ground, C_PX, 6.0, &guiding), [[0u32; 2]; 0]);
+            assert_eq!(rematch([own, other], &pose, &ground, C_PX, 6.0), [[0u32; 2]; 0]);
+            assert_eq!(rematch([other, own], &pose, &ground, C_PX, 6.0), [[0u32; 2]; 0]);
         }
     }
 }

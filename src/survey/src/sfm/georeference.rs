@@ -19,11 +19,10 @@ use super::{
 use crate::{
     problems::adjustment::{Alignment, align},
     scene::{
-        CameraOrientation, CameraPosition, GroundObservation, GroundPoint, Pose, Reconstruction,
-        Role,
+        CameraOrientation, CameraPosition, GroundObservation, GroundPoint, Reconstruction, Role,
     },
 };
-use nalgebra::{Matrix3, Rotation3, Vector3};
+use nalgebra::{Matrix3, Vector3};
 use rowgram_optim::{engine::SolveError, geometry::rotation, nlls::Loss};
 
 /// What is known on the ground and in the air; images by their index in the block.
@@ -96,8 +95,8 @@ impl Known {
     }
 }
 
-/// Below this share of the spread along the flight the spread across it does not tell where down is.
-const NEARLY_A_LINE: f64 = 0.1;
+/// Positions whose second principal spread is below this share of the first do not tell a tilt about their line.
+pub(in crate::sfm) const NEARLY_A_LINE: f64 = 0.1;
 
 /// Standard deviations of some positions along their principal directions, the largest first, metres.
 fn principal_spreads_m(positions: &[[f64; 3]]) -> [f64; 3] {
@@ -207,7 +206,7 @@ fn align_strip(survey: &mut Reconstruction) -> Option<Alignment> {
     let turn = frame(y, z_to) * frame(x, z_from).transpose();
     let scale = (spread_to / spread_from).sqrt();
     let shift = to - scale * (turn * from);
-    apply(survey, scale, &turn, &shift);
+    survey.transform(scale, &turn, &shift);
     let residuals: Vec<f64> =
         pairs.iter().map(|p| (scale * (turn * p.0) + shift - p.1).norm()).collect();
     let rmse_m = (residuals.iter().map(|r| r * r).sum::<f64>() / n).sqrt();
@@ -220,23 +219,6 @@ fn align_strip(survey: &mut Reconstruction) -> Option<Alignment> {
         misfits: Vec::new(),
         rmse_m,
     })
-}
-
-pub(super) fn apply(
-    survey: &mut Reconstruction,
-    scale: f64,
-    turn: &Matrix3<f64>,
-    shift: &Vector3<f64>,
-) {
-    let q = super::resection::quaternion(&Rotation3::from_matrix_unchecked(*turn).into_inner());
-    for image in &mut survey.images {
-        let centre = scale * (turn * Vector3::from(image.pose.centre_m())) + shift;
-        let turned = rotation::multiply(image.pose.rotation, rotation::inverse(q));
-        image.pose = Pose::from_centre(rotation::normalize(turned), centre.into());
-    }
-    for point in &mut survey.points {
-        point.position_m = (scale * (turn * Vector3::from(point.position_m)) + shift).into();
-    }
 }
 
 /// Brings a survey into the frame of what is known of it. Control that leaves a tilt open comes after positions.

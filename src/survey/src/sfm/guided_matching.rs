@@ -11,7 +11,7 @@
 use super::{
     block::Block,
     epipolar_rematching::{
-        BUCKET, Buckets, Reach, RematchingOptions, SAME_PX, Seen, compete, distance, in_parts, join,
+        BUCKET, Buckets, CONTEXT_PX, Reach, SAME_PX, Seen, compete, distance, in_parts, join,
     },
     relative::Ray,
     verify::PairMatches,
@@ -20,27 +20,10 @@ use crate::{camera::Lens, features::DescriptorSource};
 use rayon::prelude::*;
 use rowgram_optim::geometry::rotation;
 
-/// How it is looked again.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct GuidedMatchingOptions {
-    /// Distance from its piece of line up to which a feature may match, pixels.
-    pub tolerance_px: f64,
-    /// A pair overlaps where it shows at least this share of a photo's points together.
-    pub overlap: f64,
-    /// How features compete.
-    pub guiding: RematchingOptions,
-}
-
-impl Default for GuidedMatchingOptions {
-    fn default() -> GuidedMatchingOptions {
-        GuidedMatchingOptions {
-            tolerance_px: 4.0,
-            overlap: 0.2,
-            guiding: RematchingOptions::default(),
-        }
-    }
-}
-
+/// Distance from its piece of line up to which a feature may match, pixels.
+const TOLERANCE_PX: f64 = 4.0;
+/// A pair overlaps where it shows at least this share of a photo's points together.
+const OVERLAP: f64 = 0.2;
 /// Cells along each side of a photo in which its depths are gathered.
 const CELLS: usize = 8;
 /// Fewer points than this around a cell do not tell its depths.
@@ -144,7 +127,7 @@ fn read_at(
 }
 
 /// Pairs of images that show the same.
-fn overlapping(block: &Block<'_>, surfaces: &[Option<Surface>], least: f64) -> Vec<[u32; 2]> {
+fn overlapping(block: &Block<'_>, surfaces: &[Option<Surface>]) -> Vec<[u32; 2]> {
     let share = |of: &Surface, other: usize| {
         let [width, height] = block.lens(other).size_px().map(f64::from);
         let inside = |point: &&[f64; 3]| {
@@ -162,7 +145,7 @@ fn overlapping(block: &Block<'_>, surfaces: &[Option<Surface>], least: f64) -> V
                     let (Some(first), Some(second)) = (&surfaces[a], &surfaces[b]) else {
                         return false;
                     };
-                    share(first, b).min(share(second, a)) >= least
+                    share(first, b).min(share(second, a)) >= OVERLAP
                 })
                 .map(move |b| [a as u32, b as u32])
         })
@@ -175,7 +158,6 @@ pub fn match_guided(
     block: &Block<'_>,
     descriptors: &dyn DescriptorSource,
     matched: &[PairMatches],
-    again: &GuidedMatchingOptions,
     tell: &(dyn Fn(usize) + Sync),
 ) -> Vec<PairMatches> {
     let images = 0..block.poses.len();
@@ -186,11 +168,10 @@ pub fn match_guided(
         .par_iter()
         .map(|of| of.positions_px.iter().copied().map(Some).collect())
         .collect();
-    let context = again.guiding.context_px;
     let buckets: Vec<Buckets> =
-        places.par_iter().map(|places| Buckets::new(places, BUCKET * context)).collect();
-    let pairs = overlapping(block, &surfaces, again.overlap);
-    let reach = Reach { tolerance: again.tolerance_px, context, same: SAME_PX };
+        places.par_iter().map(|places| Buckets::new(places, BUCKET * CONTEXT_PX)).collect();
+    let pairs = overlapping(block, &surfaces);
+    let reach = Reach { tolerance: TOLERANCE_PX, context: CONTEXT_PX, same: SAME_PX };
     let total = pairs.len();
     in_parts(&pairs, |&images| {
         let [a, b] = images.map(|k| k as usize);
@@ -223,7 +204,7 @@ pub fn match_guided(
             })
             .copied()
             .collect();
-        let more = compete(&looks[0], second, &buckets[b], &piece, &reach, &again.guiding);
+        let more = compete(&looks[0], second, &buckets[b], &piece, &reach);
         join(&mut matches, &more);
         tell(total);
         PairMatches { images, matches }
@@ -354,8 +335,7 @@ mod tests {
         let far = |k: usize| [few[0].matches[k][0], few[0].matches[k + 20][1]];
         let mut matched = few.clone();
         matched[0].matches = vec![few[0].matches[0], far(1)];
-        let found =
-            match_guided(&block, &looks, &matched, &GuidedMatchingOptions::default(), &|_| ());
+        let found = match_guided(&block, &looks, &matched, &|_| ());
         assert!(found[0].matches.contains(&few[0].matches[0]));
         assert!(!found[0].matches.contains(&far(1)));
         let every = flight.right(1);
@@ -376,15 +356,12 @@ mod tests {
         // Without the shutter up to 27 pixels are missing.
         block.shutter = None;
         let blind: usize =
-            match_guided(&block, &looks, &[], &GuidedMatchingOptions::default(), &|_| ())
-                .iter()
-                .map(|p| p.matches.len())
-                .sum();
+            match_guided(&block, &looks, &[], &|_| ()).iter().map(|p| p.matches.len()).sum();
         let seen: usize = found.iter().map(|pair| pair.matches.len()).sum();
         assert!(3 * blind < 2 * seen, "{blind} {seen}");
         // An image that has no pose takes no part.
         block.poses[0] = None;
-        let rest = match_guided(&block, &looks, &[], &GuidedMatchingOptions::default(), &|_| ());
+        let rest = match_guided(&block, &looks, &[], &|_| ());
         assert!(!rest.is_empty() && rest.iter().all(|pair| pair.images[0] > 0));
     }
 }

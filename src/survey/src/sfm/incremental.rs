@@ -10,7 +10,7 @@ use super::{
     bundle::BundleAdjustmentOptions,
     resection::{quaternion, resect},
     single_pair_registration,
-    start::{Graph, LoopClosureOptions, Triplet},
+    start::{Graph, MAX_CLOSURE_RAD, Triplet},
     tracks::Tracks,
     triangulate::TriangulationOptions,
 };
@@ -30,14 +30,8 @@ pub struct IncrementalOptions {
     pub min_points: usize,
     /// Names of the lens parameters that are adjusted while the block grows.
     pub free: Vec<String>,
-    /// From how many images on.
-    pub free_from: usize,
-    /// TriangulationOptions on loops of pairs.
-    pub closing: LoopClosureOptions,
     /// Seed of all sampling.
     pub seed: u64,
-    /// The fewest images of a block.
-    pub min_images: usize,
 }
 
 impl Default for IncrementalOptions {
@@ -47,10 +41,7 @@ impl Default for IncrementalOptions {
             min_angle_rad: 0.026,
             min_points: 15,
             free: ["f_px", "k1", "k2"].map(str::to_owned).to_vec(),
-            free_from: 5,
-            closing: LoopClosureOptions::default(),
             seed: 1,
-            min_images: 3,
         }
     }
 }
@@ -106,6 +97,10 @@ pub fn reconstruct<'a>(
     Ok(blocks)
 }
 
+/// From how many images on lens parameters are adjusted.
+const FREE_FROM: usize = 5;
+/// The fewest images of a block.
+const MIN_IMAGES: usize = 3;
 /// How many starts are tried.
 const MAX_STARTS: usize = 20;
 
@@ -130,12 +125,7 @@ impl<'a> Incremental<'a, '_> {
     }
 
     fn run(mut self) -> Result<Option<Block<'a>>, SolveError> {
-        let triplets = self.graph.triplets(
-            self.block.tracks,
-            self.block.features,
-            self.allowed,
-            &self.options.closing,
-        );
+        let triplets = self.graph.triplets(self.block.tracks, self.block.features, self.allowed);
         for triplet in triplets.into_iter().take(MAX_STARTS) {
             if !self.start(&triplet)? {
                 self.block.poses.fill(None);
@@ -145,7 +135,7 @@ impl<'a> Incremental<'a, '_> {
             }
             (self.tell)(&Event::Started(triplet));
             self.grow()?;
-            let enough = self.block.registered() >= self.options.min_images;
+            let enough = self.block.registered() >= MIN_IMAGES;
             return Ok(enough.then_some(self.block));
         }
         Ok(None)
@@ -287,7 +277,7 @@ impl<'a> Incremental<'a, '_> {
     /// Adjusts everything, and again where that has changed what belongs to what.
     fn adjust_global(&mut self, last: bool) -> Result<(), SolveError> {
         // Where nothing is named the cameras keep what they say themselves.
-        if !self.options.free.is_empty() && self.block.registered() >= self.options.free_from {
+        if !self.options.free.is_empty() && self.block.registered() >= FREE_FROM {
             for camera in &mut self.block.cameras {
                 // A model without one of these parameters goes without it.
                 let names: Vec<&String> = self
@@ -374,7 +364,7 @@ impl PoseVerifier<'_> {
             all += 1;
             let turn = rotation::multiply(pose.rotation, rotation::inverse(predicted));
             let angle = rotation::log(turn).iter().map(|v| v * v).sum::<f64>().sqrt();
-            agree += usize::from(angle < 3.0 * self.options.closing.closure_rad);
+            agree += usize::from(angle < 3.0 * MAX_CLOSURE_RAD);
         }
         (agree, all)
     }
@@ -399,7 +389,7 @@ impl PoseVerifier<'_> {
             .collect();
         let near = |a: &Matrix3<f64>, b: &Matrix3<f64>| {
             let cosine = 0.5 * ((a.transpose() * b).trace() - 1.0);
-            cosine.clamp(-1.0, 1.0).acos() < 2.0 * self.options.closing.closure_rad
+            cosine.clamp(-1.0, 1.0).acos() < 2.0 * MAX_CLOSURE_RAD
         };
         let most = matrices
             .iter()

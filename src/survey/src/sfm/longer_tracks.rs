@@ -22,24 +22,11 @@ use super::{
 use crate::features::least_squares::HALF;
 use rayon::prelude::*;
 
-/// How tracks are made longer.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct LongerTracksOptions {
-    /// Up to which distance two places are the same, pixels.
-    pub same_px: f64,
-    /// With as many rays a point is not looked for any further.
-    pub most_rays: usize,
-}
-
-impl Default for LongerTracksOptions {
-    fn default() -> LongerTracksOptions {
-        LongerTracksOptions { same_px: 1.5, most_rays: MAX_RAYS }
-    }
-}
-
+/// Up to which distance two places are the same, pixels.
+const PLACE_PX: f64 = 1.5;
 /// Further rays add little to a point that has as many: its standard deviation falls with their root, and every one takes time in
 /// all adjustments to come.
-const MAX_RAYS: usize = 6;
+pub const MAX_RAYS: usize = 6;
 /// Images that share fewer points are no neighbours.
 const MIN_SHARED: u32 = 10;
 /// What is nearer to an edge has no whole window, pixels.
@@ -69,11 +56,11 @@ struct InImage {
     sought: Vec<(u32, [f64; 2])>,
 }
 
-/// The members of a block that belong to points, as tracks that are joined and reach into further photos.
-pub fn lengthen(block: &Block<'_>, options: &LongerTracksOptions) -> LongerTracks {
+/// The members of a block that belong to points, as tracks that are joined and reach into further photos; with `most_rays` a
+/// point is not looked for any further.
+pub fn lengthen(block: &Block<'_>, most_rays: usize) -> LongerTracks {
     let images = 0..block.poses.len();
-    let found: Vec<InImage> =
-        images.into_par_iter().map(|image| look_into(block, image, options)).collect();
+    let found: Vec<InImage> = images.into_par_iter().map(|image| look_into(block, image)).collect();
     let mut same: Vec<(f64, [u32; 2])> =
         found.iter().flat_map(|image| image.same.iter().copied()).collect();
     same.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
@@ -102,7 +89,7 @@ pub fn lengthen(block: &Block<'_>, options: &LongerTracksOptions) -> LongerTrack
     let mut predicted = 0;
     for (track, places) in sought.iter().enumerate() {
         let Some(head) = heads[track] else { continue };
-        let wanted = options.most_rays.saturating_sub(used(block, track).count());
+        let wanted = most_rays.saturating_sub(used(block, track).count());
         for &(image, at) in evenly(places, wanted) {
             predicted += 1;
             let feature = features[image].positions_px.len() as u32;
@@ -195,7 +182,7 @@ fn tracks_around(block: &Block<'_>, image: usize) -> Vec<u32> {
     around
 }
 
-fn look_into(block: &Block<'_>, image: usize, options: &LongerTracksOptions) -> InImage {
+fn look_into(block: &Block<'_>, image: usize) -> InImage {
     let mut found = InImage::default();
     if block.poses[image].is_none() {
         return found;
@@ -209,7 +196,7 @@ fn look_into(block: &Block<'_>, image: usize, options: &LongerTracksOptions) -> 
         .collect();
     let places: Vec<Option<Ray>> =
         own.iter().map(|&(_, place)| Some(block.position_px(place))).collect();
-    let buckets = Buckets::new(&places, BUCKET * options.same_px);
+    let buckets = Buckets::new(&places, BUCKET * PLACE_PX);
     let [width, height] = block.lens(image).size_px().map(f64::from);
     let inside = |[u, v]: [f64; 2]| {
         u >= EDGE_PX && v >= EDGE_PX && u <= width - 1.0 - EDGE_PX && v <= height - 1.0 - EDGE_PX
@@ -218,12 +205,12 @@ fn look_into(block: &Block<'_>, image: usize, options: &LongerTracksOptions) -> 
         let Some(point) = block.points[track as usize] else { continue };
         let Some(at) = seen_at(block, image, point).filter(|&at| inside(at)) else { continue };
         let mut is_there = false;
-        buckets.near([at, at], options.same_px, |k| {
+        buckets.near([at, at], PLACE_PX, |k| {
             let (other, place) = own[k as usize];
-            if apart(at, block.position_px(place)) <= options.same_px {
+            if apart(at, block.position_px(place)) <= PLACE_PX {
                 is_there = true;
                 let two = [track.min(other), track.max(other)];
-                found.same.extend(distance(block, two, options.same_px).map(|d| (d, two)));
+                found.same.extend(distance(block, two).map(|d| (d, two)));
             }
         });
         if !is_there {
@@ -239,7 +226,7 @@ fn apart(a: [f64; 2], b: [f64; 2]) -> f64 {
 
 /// How far apart two tracks are where that is most, if they may be the same point: no image has both, and each lies in all
 /// images of the other where that was measured.
-fn distance(block: &Block<'_>, [a, b]: [u32; 2], most_px: f64) -> Option<f64> {
+fn distance(block: &Block<'_>, [a, b]: [u32; 2]) -> Option<f64> {
     let image = |place: usize| block.tracks.member(place).image;
     let [of_a, of_b] = [a, b].map(|track| used(block, track as usize).collect::<Vec<usize>>());
     if of_a.iter().any(|&p| of_b.iter().any(|&q| image(p) == image(q))) {
@@ -253,5 +240,5 @@ fn distance(block: &Block<'_>, [a, b]: [u32; 2], most_px: f64) -> Option<f64> {
             farthest = farthest.max(apart(at, block.position_px(place)));
         }
     }
-    (farthest <= most_px).then_some(farthest)
+    (farthest <= PLACE_PX).then_some(farthest)
 }

@@ -4,7 +4,7 @@
 use super::{
     block::Block,
     georeference::Known,
-    triangulate::{TriangulationOptions, View, error_px, triangulate},
+    triangulate::{TriangulationOptions, error_px, triangulate},
 };
 
 /// Marks that the block contradicts, by the distances from where the others of their point put them.
@@ -104,8 +104,8 @@ fn marks_that_fit(
         for mark in known.marks.iter().filter(|mark| mark.ground as usize == ground) {
             let lens = block.lens(mark.image as usize);
             let image_px = reading.px(mark.image_px, lens.size_px());
-            if let Some(pose) = block.pose_at(mark.image as usize, image_px[1]) {
-                views.push(View { pose, lens, image_px });
+            if let Some(view) = block.view(mark.image, image_px) {
+                views.push(view);
                 marks.push(*mark);
             }
         }

@@ -22,27 +22,15 @@ use rayon::prelude::*;
 use rowgram_optim::geometry::rotation;
 use std::collections::BTreeMap;
 
-/// What counts as found.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct LeastSquaresMatchingOptions {
-    /// The least correlation of grey values.
-    pub correlation: f64,
-    /// The farthest that it may be from the key point, pixels.
-    pub farthest_px: f64,
-}
+/// The least correlation of grey values of what counts as found.
+const MIN_CORRELATION: f64 = 0.7;
+/// The farthest that it may be from the key point, pixels.
+const FARTHEST_PX: f64 = 1.5;
 
-impl Default for LeastSquaresMatchingOptions {
-    fn default() -> LeastSquaresMatchingOptions {
-        LeastSquaresMatchingOptions { correlation: 0.7, farthest_px: 1.5 }
-    }
-}
-
-impl LeastSquaresMatchingOptions {
-    fn met(&self, found: &Match, start: &Warp) -> bool {
-        let off = [0, 1].map(|k| found.warp.at_px[k] - start.at_px[k]);
-        let far = (off[0] * off[0] + off[1] * off[1]).sqrt();
-        found.correlation >= self.correlation && far <= self.farthest_px
-    }
+fn is_found(found: &Match, start: &Warp) -> bool {
+    let off = [0, 1].map(|k| found.warp.at_px[k] - start.at_px[k]);
+    let far = (off[0] * off[0] + off[1] * off[1]).sqrt();
+    found.correlation >= MIN_CORRELATION && far <= FARTHEST_PX
 }
 
 /// Where the photos have their points.
@@ -104,7 +92,6 @@ pub fn refine_tie_points<E: Send>(
     block: &Block<'_>,
     measured: &[usize],
     read: &(dyn Fn(usize) -> Result<GrayImage, E> + Sync),
-    demands: &LeastSquaresMatchingOptions,
     tell: &(dyn Fn() + Sync),
 ) -> Result<RefinedTiePoints, E> {
     let is_measured = |image: usize, place: usize| {
@@ -138,7 +125,7 @@ pub fn refine_tie_points<E: Send>(
                 continue;
             };
             let matched = template.find(&first.window, &picture, start);
-            match matched.filter(|matched| demands.met(matched, &start)) {
+            match matched.filter(|matched| is_found(matched, &start)) {
                 Some(matched) => found.push(Found { track, place, at_px: matched.warp.at_px }),
                 None => missed.push(Found { track, place, at_px: start.at_px }),
             }
@@ -419,9 +406,7 @@ mod tests {
             })
             .collect();
         let read = |image: usize| Ok::<_, String>(pictures[image].clone());
-        let found =
-            refine_tie_points(&block, &[], &read, &LeastSquaresMatchingOptions::default(), &|| ())
-                .unwrap();
+        let found = refine_tie_points(&block, &[], &read, &|| ()).unwrap();
         let (mut before, mut after) = (Vec::new(), Vec::new());
         for PairMatches { images: [a, b], matches } in &found.matches {
             for &[i, j] in matches {
@@ -472,24 +457,13 @@ mod tests {
             };
             Ok::<_, String>(grey)
         };
-        let without =
-            refine_tie_points(&block, &[], &blank, &LeastSquaresMatchingOptions::default(), &|| ())
-                .unwrap();
+        let without = refine_tie_points(&block, &[], &blank, &|| ()).unwrap();
         let [(2, kept)] = without.kept[..] else { panic!("{:?}", without.kept) };
         assert!(kept > 10 && without.found < found.found);
         let of_blank = without.matches.iter().filter(|pair| pair.images[1] == 2);
         assert!(of_blank.map(|pair| pair.matches.len()).sum::<usize>() >= kept);
         let broken =
             |image: usize| if image == 2 { Err("gone") } else { Ok(pictures[image].clone()) };
-        assert_eq!(
-            refine_tie_points(
-                &block,
-                &[],
-                &broken,
-                &LeastSquaresMatchingOptions::default(),
-                &|| ()
-            ),
-            Err("gone")
-        );
+        assert_eq!(refine_tie_points(&block, &[], &broken, &|| ()), Err("gone"));
     }
 }

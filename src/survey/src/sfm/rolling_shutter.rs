@@ -16,8 +16,8 @@ use super::{
     georeference::Known,
 };
 use crate::{
-    camera::{Camera, Lens},
-    scene::{GroundObservation, Reconstruction, RollingShutter},
+    camera::Camera,
+    scene::{Reconstruction, RollingShutter},
 };
 use nalgebra::Vector3;
 use rowgram_optim::robust::median;
@@ -188,7 +188,6 @@ impl ShutterProblem {
         let (mut survey, _, order) = block.reconstruction(None);
         known.attach(&mut survey, &order);
         survey.tie_sigma_px = tie_sigma_px;
-        keep_feasible_marks(&mut survey);
         let place = |image: usize| order.iter().position(|&k| k == image);
         let flown: Vec<usize> = flight.iter().filter_map(|&image| place(image)).collect();
         let centres: Vec<[f64; 3]> =
@@ -362,16 +361,6 @@ fn distance_m(survey: &Reconstruction) -> Option<f64> {
     median(all).filter(|&distance| distance > 0.0)
 }
 
-/// Marks in images that do not show the point would end an adjustment before it begins.
-pub(super) fn keep_feasible_marks(survey: &mut Reconstruction) {
-    let feasible = |mark: &GroundObservation| {
-        let image = &survey.images[mark.image as usize];
-        let point = survey.ground[mark.ground as usize].position_m;
-        survey.cameras[image.camera].interior.project(image.pose.to_camera(point)).is_some()
-    };
-    survey.marks = survey.marks.iter().copied().filter(feasible).collect();
-}
-
 fn adjust_survey(survey: &mut Reconstruction) -> Result<f64, SolveError> {
     let options =
         BundleAdjustmentOptions { loss: Loss::SoftL1(2.0), iterations: 30, cost_tolerance: 1e-6 };
@@ -382,9 +371,9 @@ fn adjust_survey(survey: &mut Reconstruction) -> Result<f64, SolveError> {
 mod tests {
     use super::*;
     use crate::{
-        camera::{Interior, Model},
+        camera::{Interior, Lens, Model},
         mapping::View,
-        scene::{Axes, GroundPoint, Pose, Role},
+        scene::{Axes, GroundObservation, GroundPoint, Pose, Role},
         sfm::{Features, tracks::Tracks},
     };
     use rand::{RngExt, SeedableRng};

@@ -17,29 +17,14 @@ pub struct Triplet {
     pub images: [u32; 3],
     /// Angle of the rotation that is left around the loop, radians.
     pub closure_rad: f64,
-    /// How far the three baselines are from one plane: the sine of the angle of one out of the plane
-    /// of the others.
-    pub out_of_plane: f64,
-    /// How many tracks all three see.
-    pub common: usize,
     /// What it is worth as a start.
     pub score: f64,
 }
 
-/// TriangulationOptions on loops.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct LoopClosureOptions {
-    /// The most rotation that may be left, radians.
-    pub closure_rad: f64,
-    /// The angle between rays at which a pair is as good as any, radians.
-    pub good_angle_rad: f64,
-}
-
-impl Default for LoopClosureOptions {
-    fn default() -> LoopClosureOptions {
-        LoopClosureOptions { closure_rad: 0.05, good_angle_rad: 0.17 }
-    }
-}
+/// The most rotation that may be left around a loop, radians.
+pub(super) const MAX_CLOSURE_RAD: f64 = 0.05;
+/// The angle between rays at which a pair is as good as any, radians.
+const GOOD_ANGLE_RAD: f64 = 0.17;
 
 /// Pairs by their images, ascending.
 pub struct Graph<'a> {
@@ -86,7 +71,6 @@ impl<'a> Graph<'a> {
         tracks: &Tracks,
         features: &[Features],
         allowed: &[bool],
-        closing: &LoopClosureOptions,
     ) -> Vec<Triplet> {
         let common = common_tracks(tracks, features.len());
         let mut found = Vec::new();
@@ -97,7 +81,7 @@ impl<'a> Graph<'a> {
                 if !three.iter().all(|&k| allowed[k as usize]) {
                     continue;
                 }
-                if let Some(triplet) = self.triplet(three, &common, closing) {
+                if let Some(triplet) = self.triplet(three, &common) {
                     found.push(triplet);
                 }
             }
@@ -106,31 +90,26 @@ impl<'a> Graph<'a> {
         found
     }
 
-    fn triplet(
-        &self,
-        [a, b, c]: [u32; 3],
-        common: &HashMap<[u32; 3], usize>,
-        closing: &LoopClosureOptions,
-    ) -> Option<Triplet> {
+    fn triplet(&self, [a, b, c]: [u32; 3], common: &HashMap<[u32; 3], usize>) -> Option<Triplet> {
         let (ab, bc, ac) = (self.relative(a, b)?, self.relative(b, c)?, self.relative(a, c)?);
         let loop_turn = ac.0.transpose() * bc.0 * ab.0;
         let closure_rad = (0.5 * (loop_turn.trace() - 1.0)).clamp(-1.0, 1.0).acos();
         // The baselines in the frame of the third image: R_bc t_ab, t_bc, t_ac.
         let (u, v, w) = (bc.0 * ab.1, bc.1, ac.1);
         let normal = u.cross(&v);
-        // Three images in a row have no plane, and any third baseline fits.
+        // How far the baselines are from one plane, a sine. Three images in a row have no plane, and any third baseline fits.
         let out_of_plane = if normal.norm() < 0.1 { 0.0 } else { normal.normalize().dot(&w).abs() };
         let common = common.get(&[a, b, c]).copied().unwrap_or(0);
-        if closure_rad > closing.closure_rad || out_of_plane > 0.3 || common < 10 {
+        if closure_rad > MAX_CLOSURE_RAD || out_of_plane > 0.3 || common < 10 {
             return None;
         }
         let good = |x: u32, y: u32| -> f64 {
-            self.pair(x, y).map_or(0.0, |pair| (pair.angle_rad / closing.good_angle_rad).min(1.0))
+            self.pair(x, y).map_or(0.0, |pair| (pair.angle_rad / GOOD_ANGLE_RAD).min(1.0))
         };
         let angle = good(a, b).max(good(b, c)).max(good(a, c));
-        let sharp = 1.0 / (1.0 + (closure_rad / (0.2 * closing.closure_rad)).powi(2));
+        let sharp = 1.0 / (1.0 + (closure_rad / (0.2 * MAX_CLOSURE_RAD)).powi(2));
         let score = common as f64 * angle * sharp;
-        Some(Triplet { images: [a, b, c], closure_rad, out_of_plane, common, score })
+        Some(Triplet { images: [a, b, c], closure_rad, score })
     }
 }
 

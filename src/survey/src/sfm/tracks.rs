@@ -31,8 +31,6 @@ pub struct Tracks {
     members: Vec<Member>,
     /// Per image: `(track, place in members)`, ascending.
     of_images: Vec<Vec<(u32, u32)>>,
-    /// Matches that were refused.
-    refused: usize,
 }
 
 /// The nodes of a tree, from one of them on.
@@ -72,11 +70,11 @@ impl Forest {
         }
     }
 
-    /// Joins two trees unless they share an image; whether they are one now.
-    fn join(&mut self, a: u32, b: u32) -> bool {
+    /// Joins two trees unless they share an image.
+    fn join(&mut self, a: u32, b: u32) {
         let (a, b) = (self.sets.root(a as usize), self.sets.root(b as usize));
         if a == b {
-            return true;
+            return;
         }
         let (root, other) = if self.nodes[a] >= self.nodes[b] { (a, b) } else { (b, a) };
         self.comparisons += 1;
@@ -86,12 +84,11 @@ impl Forest {
         let is_shared =
             |node: usize| self.compared[self.image_of[node] as usize] == self.comparisons;
         if ring(&self.next, root).any(is_shared) {
-            return false;
+            return;
         }
         self.next.swap(root, other);
         self.nodes[root] += self.nodes[other];
         self.sets.link(root, other);
-        true
     }
 }
 
@@ -131,18 +128,16 @@ impl Tracks {
         }
         let total = offsets[features.len()];
         let mut forest = Forest::new(features);
-        let mut refused = 0;
         for (images, matches) in pairs {
             let [first, second] = images.map(|image| offsets[image as usize]);
             for [a, b] in matches {
-                refused += usize::from(!forest.join(first + a, second + b));
+                forest.join(first + a, second + b);
             }
         }
         let mut tracks = Tracks {
             starts: vec![0],
             members: Vec::new(),
             of_images: vec![Vec::new(); features.len()],
-            refused,
         };
         // Tracks come in the order of their first member.
         let mut numbers = vec![u32::MAX; total as usize];
@@ -193,7 +188,6 @@ impl Tracks {
             starts: vec![0],
             members: Vec::new(),
             of_images: vec![Vec::new(); self.of_images.len()],
-            refused: self.refused,
         };
         for track in (0..self.count()).filter(|&track| kept[track]) {
             let number = tracks.count() as u32;
@@ -215,11 +209,6 @@ impl Tracks {
     /// How many members all tracks have.
     pub fn member_count(&self) -> usize {
         self.members.len()
-    }
-
-    /// How many matches contradicted others.
-    pub fn refused(&self) -> usize {
-        self.refused
     }
 
     /// Places of a track's members.
@@ -259,16 +248,11 @@ mod tests {
             let tracks = Tracks::join(&[4; 6], pairs.iter().map(|(i, m)| (*i, m.as_slice())));
             let mut sets: Vec<Vec<(u32, u32)>> =
                 (0..6).flat_map(|i| (0..4).map(move |f| vec![(i, f)])).collect();
-            let mut refused = 0;
             for (a, b) in &matches {
                 let holds = |sets: &[Vec<(u32, u32)>], of| sets.iter().position(|s| s.contains(of));
                 let (one, two) = (holds(&sets, a).unwrap(), holds(&sets, b).unwrap());
                 let share = |s: &(u32, u32)| sets[two].iter().any(|other| other.0 == s.0);
-                if one == two {
-                    continue;
-                }
-                if sets[one].iter().any(share) {
-                    refused += 1;
+                if one == two || sets[one].iter().any(share) {
                     continue;
                 }
                 let moved = std::mem::take(&mut sets[two]);
@@ -282,7 +266,6 @@ mod tests {
             let mut found: Vec<Vec<(u32, u32)>> = (0..tracks.count()).map(of).collect();
             found.sort();
             prop_assert_eq!(found, expected);
-            prop_assert_eq!(tracks.refused(), refused);
         }
     }
 
@@ -296,7 +279,7 @@ mod tests {
         let features = [at(&[[5.0, 6.0], [5.0, 6.0], [9.0, 9.0]]), at(&[[1.0, 2.0], [1.0, 2.0]])];
         let matches = [[0, 0], [1, 1], [2, 0]];
         let tracks = Tracks::of_pairs(&features, [([0, 1], matches.as_slice())].into_iter());
-        assert_eq!((tracks.count(), tracks.member_count(), tracks.refused()), (1, 2, 1));
+        assert_eq!((tracks.count(), tracks.member_count()), (1, 2));
     }
 
     #[test]
@@ -310,7 +293,6 @@ mod tests {
         ];
         let tracks = Tracks::join(&features, pairs.iter().map(|(i, m)| (*i, m.as_slice())));
         assert_eq!(tracks.count(), 2);
-        assert_eq!(tracks.refused(), 1);
         let of = |k: usize| -> Vec<(u32, u32)> {
             tracks.of(k).iter().map(|m| (m.image, m.feature)).collect()
         };

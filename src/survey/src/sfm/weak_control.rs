@@ -5,7 +5,7 @@
 
 use super::{
     block::Block,
-    georeference::{Known, apply, spread_across},
+    georeference::{Known, NEARLY_A_LINE, spread_across},
     level::plan::PlanFit,
     triangulate::{TriangulationOptions, View, triangulate},
 };
@@ -16,8 +16,6 @@ use crate::{
 use nalgebra::{Rotation3, Vector3};
 use rowgram_optim::robust::median;
 
-/// Points whose second principal spread is below this share of the first do not tell a tilt about their line.
-const NEARLY_A_LINE: f64 = 0.1;
 /// Points farther apart than this share of the flight's extent tell its scale and heading better than a receiver does.
 const WIDE: f64 = 0.3;
 
@@ -88,7 +86,7 @@ pub(super) fn settle(survey: &mut Reconstruction, alignment: &mut Alignment) {
     } else {
         median(left).unwrap_or(0.0)
     };
-    apply(survey, scale, turn.matrix(), &Vector3::new(fit.shift[0], fit.shift[1], up));
+    survey.transform(scale, turn.matrix(), &Vector3::new(fit.shift[0], fit.shift[1], up));
     let squares: f64 = pairs.iter().map(|pair| fit.left(pair).powi(2)).sum();
     alignment.by = "camera positions and control points";
     alignment.scale *= scale;
@@ -109,13 +107,8 @@ pub(super) fn fill_unknown_coordinates(block: &Block<'_>, known: &mut Known) {
             continue;
         }
         let marks = known.marks.iter().filter(|mark| mark.ground as usize == ground);
-        let views: Vec<View<'_>> = marks
-            .filter_map(|mark| {
-                let pose = block.pose_at(mark.image as usize, mark.image_px[1])?;
-                let lens = block.lens(mark.image as usize);
-                Some(View { pose, lens, image_px: mark.image_px })
-            })
-            .collect();
+        let views: Vec<View<'_>> =
+            marks.filter_map(|mark| block.view(mark.image, mark.image_px)).collect();
         let at = triangulate(&views, &demands).map(|(at, _)| at);
         let point = &mut known.ground[ground];
         for k in (0..3).filter(|k| !axes.indices().contains(k)) {

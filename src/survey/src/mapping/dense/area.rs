@@ -92,21 +92,6 @@ pub trait TileStore<E> {
     fn save(&mut self, pass: Pass, number: usize, tile: &DenseTile) -> Result<(), E>;
 }
 
-/// All tiles in memory.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct TilesInMemory(BTreeMap<(Pass, usize), DenseTile>);
-
-impl<E> TileStore<E> for TilesInMemory {
-    fn load(&mut self, pass: Pass, number: usize) -> Result<Option<DenseTile>, E> {
-        Ok(self.0.get(&(pass, number)).cloned())
-    }
-
-    fn save(&mut self, pass: Pass, number: usize, tile: &DenseTile) -> Result<(), E> {
-        self.0.insert((pass, number), tile.clone());
-        Ok(())
-    }
-}
-
 /// Photos in memory.
 struct Album<'a, E> {
     views: &'a [View],

@@ -43,7 +43,7 @@ pub mod terrain;
 pub mod tile;
 
 pub use aggregate::Penalties;
-pub use area::{Area, AreaGround, AreaOptions, Pass, TileStore, TilesInMemory};
+pub use area::{Area, AreaGround, AreaOptions, Pass, TileStore};
 pub use joins::{Margin, TileMargins};
 pub use matched::{MatchedPhoto, PosedPhoto};
 pub use posterior::PosteriorOptions;

@@ -252,14 +252,6 @@ fn from_below(cells: &mut [f64]) -> (f64, f64) {
 }
 
 impl Terrain {
-    /// The ground of scattered bare places (x, y, z, metres) within `bounds_m` (least and greatest x and y); `None` where
-    /// no node has enough of them.
-    pub fn fit(bare_m: &[[f64; 3]], bounds_m: [[f64; 2]; 2], node_m: f64) -> Option<Terrain> {
-        let mut places = GroundPlaces::new(bounds_m, node_m);
-        bare_m.iter().for_each(|&place| places.add(place, true));
-        places.fit()
-    }
-
     /// What the weights within two nodes leave; twice as much for every further two nodes without any.
     fn sigmas(&self, weight: &[f64]) -> Vec<f64> {
         let [columns, rows] = self.size;
@@ -346,7 +338,12 @@ mod tests {
                 }
             }
         }
-        let terrain = Terrain::fit(&bare, [[0.0, 6.0], [0.0, 6.0]], 0.3).unwrap();
+        let ground = |bare: &[[f64; 3]]| {
+            let mut places = GroundPlaces::new([[0.0, 6.0], [0.0, 6.0]], 0.3);
+            bare.iter().for_each(|&place| places.add(place, true));
+            places.fit()
+        };
+        let terrain = ground(&bare).unwrap();
         for place in [[1.0, 1.0], [4.7, 3.1], [2.3, 2.3]] {
             let off = terrain.at_m(place).unwrap() - truth(place[0], place[1]);
             assert!(off.abs() < 0.006, "{place:?}: {off}");
@@ -355,7 +352,7 @@ mod tests {
             [[4.5, 4.5], [2.3, 2.3]].map(|p| terrain.with_sigma_at_m(p).unwrap()[1]);
         assert!(hidden > open && open < 0.01, "{open} {hidden}");
         assert_eq!(terrain.at_m([9.0, 1.0]), None);
-        assert_eq!(Terrain::fit(&bare[..3], [[0.0, 6.0], [0.0, 6.0]], 0.3), None);
+        assert_eq!(ground(&bare[..3]), None);
     }
 
     #[test]

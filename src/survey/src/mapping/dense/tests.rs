@@ -13,6 +13,7 @@ use data_synth::{
     twin::{FlightPreset, Twin, TwinConfig},
 };
 use rowgram_optim::geometry::rotation;
+use std::collections::BTreeMap;
 
 const CELL_M: f64 = 0.015;
 const SIZE: usize = 240;
@@ -209,6 +210,21 @@ fn any_number_of_threads_gives_the_same_and_bad_input_is_refused() {
     let beyond = Tile { corner_m: [x + 500.0, y], ..tile };
     let found = match_tile(&posed, &base, &beyond, &options, None).unwrap();
     assert!(found.surface_m.iter().all(|z| z.is_nan()));
+}
+
+/// All tiles in memory.
+#[derive(Default)]
+struct TilesInMemory(BTreeMap<(Pass, usize), DenseTile>);
+
+impl<E> TileStore<E> for TilesInMemory {
+    fn load(&mut self, pass: Pass, number: usize) -> Result<Option<DenseTile>, E> {
+        Ok(self.0.get(&(pass, number)).cloned())
+    }
+
+    fn save(&mut self, pass: Pass, number: usize, tile: &DenseTile) -> Result<(), E> {
+        self.0.insert((pass, number), tile.clone());
+        Ok(())
+    }
 }
 
 /// Tiles in memory that refuse to be kept after a number of them, as a full disk would.

@@ -26,28 +26,14 @@ pub struct PointAccuracy {
     pub covariance_m2: [[f64; 3]; 3],
 }
 
-impl PointAccuracy {
-    /// Semi-axes of the error ellipsoid (standard deviations, largest first) and their directions.
-    pub fn ellipsoid(&self) -> ([f64; 3], [[f64; 3]; 3]) {
-        ellipsoid(&self.covariance_m2)
-    }
-}
-
 impl ImageAccuracy {
-    /// Semi-axes of the error ellipsoid of the centre and their directions.
-    pub fn ellipsoid(&self) -> ([f64; 3], [[f64; 3]; 3]) {
-        ellipsoid(&self.centre_m2)
+    /// Semi-axes of the error ellipsoid of the centre (standard deviations, largest first).
+    pub fn ellipsoid(&self) -> [f64; 3] {
+        let eigen = SymmetricEigen::new(Matrix3::from_fn(|i, j| self.centre_m2[i][j]));
+        let mut axes: [f64; 3] = eigen.eigenvalues.map(|value| value.max(0.0).sqrt()).into();
+        axes.sort_by(|a, b| b.total_cmp(a));
+        axes
     }
-}
-
-fn ellipsoid(covariance: &[[f64; 3]; 3]) -> ([f64; 3], [[f64; 3]; 3]) {
-    let eigen = SymmetricEigen::new(Matrix3::from_fn(|i, j| covariance[i][j]));
-    let mut order = [0, 1, 2];
-    order.sort_by(|&a, &b| eigen.eigenvalues[b].total_cmp(&eigen.eigenvalues[a]));
-    (
-        order.map(|k| eigen.eigenvalues[k].max(0.0).sqrt()),
-        order.map(|k| std::array::from_fn(|i| eigen.eigenvectors[(i, k)])),
-    )
 }
 
 /// How well a camera's interior orientation is known, for a variance factor of 1.

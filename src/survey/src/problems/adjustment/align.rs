@@ -11,9 +11,8 @@
 
 use super::check_points::nearest_to_rays;
 use crate::camera::Lens;
-use crate::scene::{Axes, GroundObservation, Pose, Reconstruction, Role};
-use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
-use rowgram_optim::geometry::rotation;
+use crate::scene::{Axes, GroundObservation, Reconstruction, Role};
+use nalgebra::{Matrix3, Vector3};
 use serde::Serialize;
 
 /// How a block was brought into the mapping frame.
@@ -70,18 +69,8 @@ pub fn align(reconstruction: &mut Reconstruction) -> Option<Alignment> {
         best = fit_robustly(&pairs);
     }
     let (similarity, inside) = best?;
-    let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(
-        similarity.rotation,
-    ));
-    let turn = rotation::normalize([turn.w, turn.i, turn.j, turn.k]);
-    for image in &mut reconstruction.images {
-        let centre = similarity.apply(image.pose.centre_m()).into();
-        let turned = rotation::multiply(image.pose.rotation, rotation::inverse(turn));
-        image.pose = Pose::from_centre(rotation::normalize(turned), centre);
-    }
-    for point in &mut reconstruction.points {
-        point.position_m = similarity.apply(point.position_m).into();
-    }
+    let Similarity { scale, rotation, translation } = &similarity;
+    reconstruction.transform(*scale, rotation, translation);
     let mut alignment = Alignment {
         by,
         scale: similarity.scale,

@@ -113,10 +113,8 @@ fn intersect(
     let measurements: Vec<(usize, usize, [f64; DATA])> = marks
         .iter()
         .map(|mark| {
-            let image = mark.image as usize;
             let sigma_px = mark.sigma_px * adjustment.mark_sigma_factor;
-            let data = measurement(reconstruction, image, mark.image_px, sigma_px);
-            (image, reconstruction.images[image].camera, data)
+            measurement(reconstruction, mark.image, mark.image_px, sigma_px)
         })
         .collect();
     let start = nearest_to_rays(reconstruction, &marks)?;

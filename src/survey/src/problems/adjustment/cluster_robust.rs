@@ -127,10 +127,7 @@ impl Tracks<'_> {
                         .iter()
                         .map(|&k| {
                             let o = &reconstruction.observations[k];
-                            let image = o.image as usize;
-                            let data =
-                                measurement(reconstruction, image, o.image_px, self.sigma_px);
-                            (image, reconstruction.images[image].camera, data)
+                            measurement(reconstruction, o.image, o.image_px, self.sigma_px)
                         })
                         .collect();
                     let at = adjustment.problem.values(self.x, adjustment.points[point]);

@@ -52,8 +52,5 @@ pub use problem::{AdjustmentProblem, ScaleDatum};
 pub use rank::{Undetermined, undetermined};
 pub use settings::{Group, Settings};
 pub use snooping::{DataSnooping, DataSnoopingOptions, Removed, retained_suspects, snoop};
-pub use statistics::{
-    GroupStatistics, ObservationRef, OutlierTest, RejectedObservation, Statistics,
-    TestedObservation,
-};
+pub use statistics::{GroupStatistics, ObservationRef, OutlierTest, Statistics, TestedObservation};
 pub use validation::{InvalidReconstruction, Validated, validate};

@@ -62,20 +62,23 @@ impl ScaleDatum {
     }
 }
 
-/// The data of an image measurement.
+/// An image measurement: image, camera, data.
 pub(super) fn measurement(
     reconstruction: &Reconstruction,
-    image: usize,
+    image: u32,
     image_px: [f64; 2],
     sigma_px: f64,
-) -> [f64; DATA] {
-    let centre = reconstruction.cameras[reconstruction.images[image].camera].interior.centre_px();
-    [
+) -> (usize, usize, [f64; DATA]) {
+    let image = image as usize;
+    let camera = reconstruction.images[image].camera;
+    let centre = reconstruction.cameras[camera].interior.centre_px();
+    let data = [
         image_px[0] - centre[0],
         image_px[1] - centre[1],
         1.0 / sigma_px,
         reconstruction.readout_share(image, image_px[1]),
-    ]
+    ];
+    (image, camera, data)
 }
 
 impl AdjustmentProblem {
@@ -241,15 +244,13 @@ impl AdjustmentProblem {
         let factor = settings.factor(Group::Marks);
         for (k, mark) in reconstruction.marks.iter().enumerate() {
             if let Some(ground) = self.ground[mark.ground as usize] {
-                let image = mark.image as usize;
+                let sigma_px = mark.sigma_px * factor;
+                let (image, camera, data) =
+                    measurement(reconstruction, mark.image, mark.image_px, sigma_px);
                 marks.push(GroundPointFactor {
                     shutter: self.shutter,
-                    blocks: [
-                        self.images[image],
-                        self.lenses[reconstruction.images[image].camera],
-                        ground,
-                    ],
-                    data: measurement(reconstruction, image, mark.image_px, mark.sigma_px * factor),
+                    blocks: [self.images[image], self.lenses[camera], ground],
+                    data,
                 });
                 subjects.push(k);
             }
@@ -315,13 +316,10 @@ impl AdjustmentProblem {
             .observations
             .iter()
             .map(|o| {
-                let image = o.image as usize;
-                Measurement::with_shared(
-                    self.images[image],
-                    self.lenses[reconstruction.images[image].camera],
-                    self.points[o.point as usize],
-                    measurement(reconstruction, image, o.image_px, sigma_px),
-                )
+                let (image, camera, data) =
+                    measurement(reconstruction, o.image, o.image_px, sigma_px);
+                let point = self.points[o.point as usize];
+                Measurement::with_shared(self.images[image], self.lenses[camera], point, data)
             })
             .collect();
         let name = Group::TiePoints.name();
@@ -342,17 +340,16 @@ impl AdjustmentProblem {
             }
             let entries: Vec<usize> = (if turning { 0 } else { 3 }..6).collect();
             let factor = settings.factor(Group::Motion);
-            let n = entries.len();
-            let mut whitening = vec![0.0; n * n];
-            for (row, &entry) in entries.iter().enumerate() {
-                let sigma =
+            let sigma = |&entry: &usize| {
+                let rate =
                     if entry < 3 { shutter.sigma_rate_rad_s } else { shutter.sigma_velocity_m_s };
-                whitening[row * n + row] = 1.0 / (sigma * shutter.readout_s * factor);
-            }
+                rate * shutter.readout_s * factor
+            };
+            let sigmas: Vec<f64> = entries.iter().map(sigma).collect();
             let expected: Vec<f64> = entries.iter().map(|&k| image.expected_motion[k]).collect();
             let entries: Vec<usize> = entries.iter().map(|&k| 6 + k).collect();
             let prior =
-                GaussianPrior::whitened(&self.problem, block, &entries, &expected, whitening)?;
+                GaussianPrior::of_entries(&self.problem, block, &entries, &expected, &sigmas)?;
             known.push(prior);
         }
         let subjects = (0..known.len()).collect();

@@ -193,11 +193,8 @@ fn select_outliers(
     for (place, excess) in suspects(adjusted, snooping) {
         if let ObservationRef::TieObservation(k) = adjusted.statistics.tested[place].subject {
             let point = adjusted.reconstruction.observations[k].point;
-            let best = of_points.entry(point).or_insert((place, excess));
-            if excess > best.1 {
-                *best = (place, excess);
-            }
-        } else if worst.is_none_or(|(_, most)| excess > most)
+            of_points.entry(point).or_insert((place, excess));
+        } else if worst.is_none()
             && !is_kept(adjusted, place, snooping)
             && is_large(&describe(adjusted, place, excess, settings), snooping)
         {
@@ -255,42 +252,23 @@ pub fn retained_suspects(
     settings: &Settings,
     snooping: &DataSnoopingOptions,
 ) -> Vec<Removed> {
-    let mut found: Vec<Removed> = suspects(adjusted, snooping)
+    suspects(adjusted, snooping)
         .into_iter()
         .filter(|(place, _)| adjusted.statistics.tested[*place].group != Group::TiePoints)
         .map(|(place, excess)| describe(adjusted, place, excess, settings))
-        .collect();
-    found.sort_by(|a, b| b.excess.total_cmp(&a.excess));
-    found
+        .collect()
 }
 
-/// Places in `tested` of what the test rejects, each with its test value over the critical one.
+/// What the test rejects, the worst first.
 fn suspects(adjusted: &Adjusted, snooping: &DataSnoopingOptions) -> Vec<(usize, f64)> {
     let statistics = &adjusted.statistics;
-    let count = |group: Group| {
-        statistics.tested.iter().filter(|tested| tested.group == group).count() as f64
-    };
+    let ties = statistics.tested.iter().filter(|tested| tested.group == Group::TiePoints).count();
     // What is on the ground and in the air is one family: a false alarm there costs a point.
-    let known: f64 = Group::ALL.iter().filter(|g| **g != Group::TiePoints).map(|&g| count(g)).sum();
-    let of = |group: Group| if group == Group::TiePoints { count(group) } else { known };
-    let counts: BTreeMap<Group, f64> = Group::ALL.iter().map(|&g| (g, of(g))).collect();
-    let critical: BTreeMap<Group, [f64; 4]> = counts
-        .iter()
-        .map(|(&group, count)| {
-            let of = |freedom: usize| {
-                let significance = snooping.significance / count.max(1.0);
-                statistics.critical(snooping.test, group, freedom.max(1), significance)
-            };
-            (group, std::array::from_fn(of))
-        })
-        .collect();
-    let tested = statistics.tested.iter().enumerate().filter(|(_, tested)| tested.freedom > 0);
-    tested
-        .map(|(place, tested)| {
-            (place, tested.statistic / critical[&tested.group][usize::from(tested.freedom)])
-        })
-        .filter(|(_, excess)| *excess > 1.0)
-        .collect()
+    let known = statistics.tested.len() - ties;
+    statistics.rejected(snooping.test, |group| {
+        let count = if group == Group::TiePoints { ties } else { known };
+        snooping.significance / count.max(1) as f64
+    })
 }
 
 fn describe(adjusted: &Adjusted, place: usize, excess: f64, settings: &Settings) -> Removed {

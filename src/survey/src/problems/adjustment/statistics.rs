@@ -14,9 +14,7 @@
 //! rejected point by point instead of the one that is wrong.
 
 use super::tested::LEAST_REDUNDANCY;
-pub use super::tested::{
-    GroupStatistics, ObservationRef, OutlierTest, RejectedObservation, TestedObservation,
-};
+pub use super::tested::{GroupStatistics, ObservationRef, OutlierTest, TestedObservation};
 use super::{
     accuracy::{ImageAccuracy, InteriorAccuracy, PointAccuracy, array3, image, interior},
     cluster_robust,
@@ -241,28 +239,26 @@ impl Statistics {
         }
     }
 
-    /// The observations that the test rejects at `significance` each, the worst first.
-    pub fn rejected(&self, testing: OutlierTest, significance: f64) -> Vec<RejectedObservation> {
+    /// What the test rejects at the significance of its kind: places in [`Statistics::tested`], each with its test value over
+    /// the critical one, the worst first.
+    pub fn rejected(
+        &self,
+        testing: OutlierTest,
+        significance: impl Fn(Group) -> f64,
+    ) -> Vec<(usize, f64)> {
         let mut criticals: BTreeMap<(Group, usize), f64> = BTreeMap::new();
-        let mut found: Vec<RejectedObservation> = self
-            .tested
-            .iter()
-            .enumerate()
-            .filter(|(_, tested)| tested.freedom > 0)
+        let tested = self.tested.iter().enumerate().filter(|(_, tested)| tested.freedom > 0);
+        let mut found: Vec<(usize, f64)> = tested
             .map(|(place, tested)| {
                 let (group, freedom) = (tested.group, usize::from(tested.freedom));
                 let critical = criticals
                     .entry((group, freedom))
-                    .or_insert_with(|| self.critical(testing, group, freedom, significance));
-                RejectedObservation {
-                    place,
-                    subject: tested.subject,
-                    excess: tested.statistic / *critical,
-                }
+                    .or_insert_with(|| self.critical(testing, group, freedom, significance(group)));
+                (place, tested.statistic / *critical)
             })
-            .filter(|finding| finding.excess > 1.0)
+            .filter(|(_, excess)| *excess > 1.0)
             .collect();
-        found.sort_by(|a, b| b.excess.total_cmp(&a.excess).then(a.place.cmp(&b.place)));
+        found.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
         found
     }
 
@@ -362,9 +358,7 @@ fn ties(
             .iter()
             .map(|&k| {
                 let o = &reconstruction.observations[k];
-                let image = o.image as usize;
-                let data = measurement(reconstruction, image, o.image_px, sigma_px);
-                (image, reconstruction.images[image].camera, data)
+                measurement(reconstruction, o.image, o.image_px, sigma_px)
             })
             .collect();
         let at = adjustment.problem.values(x, adjustment.points[point]);

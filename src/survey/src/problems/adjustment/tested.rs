@@ -85,14 +85,3 @@ impl GroupStatistics {
         (self.redundancy > 0.1).then(|| self.squares / self.redundancy)
     }
 }
-
-/// An observation that the test rejects.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct RejectedObservation {
-    /// Its place in [`Statistics::tested`](super::Statistics::tested).
-    pub place: usize,
-    /// What it is.
-    pub subject: ObservationRef,
-    /// The test value over its critical value: above 1.
-    pub excess: f64,
-}

@@ -35,36 +35,19 @@ enum Shape {
 pub fn search(views: &[View], request: &Request) -> Result<State, SolveError> {
     trials(views, request)
         .into_iter()
-        .find_map(|trial| adjust(views, request, &trial.adjusted, LOSS, MAIN_ITERATIONS).ok())
+        .find_map(|trial| adjust(views, request, &trial, LOSS, MAIN_ITERATIONS).ok())
         .map(|solution| solution.state)
-        .ok_or_else(no_trial)
+        .ok_or_else(|| {
+            SolveError::InfeasibleStart(
+                "no lens was found under which the photos show a plane in front of the camera; \
+                 are the corners of each photo in the order of the board?"
+                    .into(),
+            )
+        })
 }
 
-/// The trial that the best start came from, with nothing adjusted.
-///
-/// # Errors
-/// As [`search`].
-pub fn best_trial(views: &[View], request: &Request) -> Result<State, SolveError> {
-    trials(views, request).into_iter().next().map(|trial| trial.state).ok_or_else(no_trial)
-}
-
-fn no_trial() -> SolveError {
-    SolveError::InfeasibleStart(
-        "no lens was found under which the photos show a plane in front of the camera; \
-         are the corners of each photo in the order of the board?"
-            .into(),
-    )
-}
-
-struct Trial {
-    cost: f64,
-    state: State,
-    /// After a few steps.
-    adjusted: State,
-}
-
-/// All trials that lead anywhere, the best first.
-fn trials(views: &[View], request: &Request) -> Vec<Trial> {
+/// What all trials that lead anywhere are after a few steps, the best first.
+fn trials(views: &[View], request: &Request) -> Vec<State> {
     use rayon::prelude::*;
     let trials: Vec<(Shape, f64)> = [Shape::Rectilinear, Shape::Equidistant]
         .into_iter()
@@ -72,18 +55,18 @@ fn trials(views: &[View], request: &Request) -> Vec<Trial> {
         .collect();
     // Principal distance and radial terms alone.
     let few = Request { free: radial_only(request), ..request.clone() };
-    let mut found: Vec<Trial> = trials
+    let mut found: Vec<(f64, State)> = trials
         .par_iter()
         .filter_map(|&(shape, share)| {
             let state = trial(views, request, shape, share)?;
             let first = adjust(views, &few, &state, LOSS, TRIAL_ITERATIONS).ok()?;
             let cost = first.calibration.problem.costs(&first.x).ok()?.iter().sum();
-            Some(Trial { cost, state, adjusted: first.state })
+            Some((cost, first.state))
         })
         .collect();
     // Equal costs keep the order of the trials, which is the same for any number of threads.
-    found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
-    found
+    found.sort_by(|a, b| a.0.total_cmp(&b.0));
+    found.into_iter().map(|(_, state)| state).collect()
 }
 
 /// The parameters of the request that shape the radial curve, with the principal distance.

@@ -141,10 +141,7 @@ pub(super) fn shape_priors(
 ) -> Result<Factors<GaussianPrior>, SolveError> {
     let of = |&block: &BlockId| {
         let n = problem.dimension(block);
-        let entries: Vec<usize> = (0..n).collect();
-        let whitening =
-            (0..n * n).map(|k| if k % n == k / n { 1.0 / sigma } else { 0.0 }).collect();
-        GaussianPrior::whitened(problem, block, &entries, &vec![0.0; n], whitening)
+        GaussianPrior::new(problem, block, &vec![0.0; n], &vec![sigma; n])
     };
     Ok(Factors(blocks.iter().map(of).collect::<Result<_, _>>()?))
 }

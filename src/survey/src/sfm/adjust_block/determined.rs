@@ -7,7 +7,11 @@ use crate::{
         AdjustError, DataSnooping, DataSnoopingOptions, Settings, Undetermined, snoop, undetermined,
     },
     scene::Reconstruction,
-    sfm::{block::Block, georeference::Known, tied::tied_groups},
+    sfm::{
+        block::Block,
+        georeference::{Known, NEARLY_A_LINE, spread_across},
+        tied::tied_groups,
+    },
 };
 use rowgram_base::{error::Error, monitor::Diagnostic};
 use rowgram_optim::engine::SolveError;
@@ -21,8 +25,6 @@ const FEW_OF_CAMERA: usize = 3;
 const MOST_HELD: usize = 2;
 /// A group of images with so many positions or control points has a place of its own.
 const OWN_DATUM: usize = 3;
-/// Positions whose second principal spread is below this share of the first do not say how a group is turned about them.
-const NEARLY_A_LINE: f64 = 0.1;
 
 /// Takes images out of a block that no points tie to most of it, unless positions or control points give their group a
 /// place of its own.
@@ -62,7 +64,7 @@ fn has_own_datum(group: &[usize], known: &Known) -> bool {
         .map(|mark| mark.ground)
         .filter(|&ground| known.ground[ground as usize].role == crate::scene::Role::Control)
         .collect();
-    let spread = crate::sfm::georeference::spread_across(&positions) > NEARLY_A_LINE;
+    let spread = spread_across(&positions) > NEARLY_A_LINE;
     group.len() >= OWN_DATUM
         && (positions.len() >= OWN_DATUM && spread || control.len() >= OWN_DATUM)
 }

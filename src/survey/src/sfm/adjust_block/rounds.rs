@@ -13,9 +13,9 @@ use crate::{
     sfm::{
         Block, Features,
         georeference::{self, Known, WrongMark, adjust, review_marks, weigh_positions},
-        guided_matching::{GuidedMatchingOptions, match_guided},
-        longer_tracks::{LongerTracksOptions, lengthen},
-        refinement::{LeastSquaresMatchingOptions, MIN_REFINED, refine_tie_points},
+        guided_matching::match_guided,
+        longer_tracks::{MAX_RAYS, lengthen},
+        refinement::{MIN_REFINED, refine_tie_points},
         rolling_shutter::{self, Update},
         tracks::Tracks,
         triangulate::TriangulationOptions,
@@ -283,9 +283,8 @@ impl BlockAdjuster<'_> {
     /// The tracks of all that the block now tells.
     fn match_again(&self, block: &Block<'_>, monitor: &mut dyn Monitor) -> Tracks {
         let counter = Counter::new(monitor, "guided matching", None, "pairs");
-        let options = GuidedMatchingOptions::default();
         let &Photos { descriptors, matched, .. } = self.photos;
-        let found = match_guided(block, descriptors, matched, &options, &|_| counter.tick());
+        let found = match_guided(block, descriptors, matched, &|_| counter.tick());
         let pairs = found.iter().map(|pair| (pair.images, pair.matches.as_slice()));
         Tracks::of_pairs(block.features, pairs)
             .thinned(block.features, self.options.max_tie_observations)
@@ -300,15 +299,14 @@ impl BlockAdjuster<'_> {
     ) -> Result<(Vec<Features>, Tracks), Error> {
         let counter =
             Counter::new(monitor, "refining tie points", 2 * block.features.len(), "photos");
-        let options = LeastSquaresMatchingOptions::default();
-        let longer = lengthen(block, &LongerTracksOptions::default());
+        let longer = lengthen(block, MAX_RAYS);
         let mut block = block.over(&longer.features, &longer.tracks);
         georeference::retriangulate_and_filter(
             &mut block,
             &triangulation(self.options.tolerance_px),
         );
         let (measured, tell) = (longer.measured.as_slice(), &|| counter.tick());
-        let refined = refine_tie_points(&block, measured, self.photos.read, &options, tell)?;
+        let refined = refine_tie_points(&block, measured, self.photos.read, tell)?;
         tracing::debug!(
             "{} pairs of tracks are one, {} of {} places in further photos measured",
             longer.joined,

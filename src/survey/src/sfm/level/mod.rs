@@ -23,7 +23,7 @@ use rowgram_optim::robust::median;
 
 use super::{
     block::Block,
-    georeference::{apply, fixes_vertical, min_receiver_error_m},
+    georeference::{fixes_vertical, min_receiver_error_m},
 };
 use crate::{
     problems::adjustment::{ATTITUDE_BIAS_SIGMA_RAD, Alignment},
@@ -221,7 +221,7 @@ pub fn level(
         let scale = fit.factor[0].hypot(fit.factor[1]);
         let heading = fit.factor[1].atan2(fit.factor[0]);
         let turn = *Rotation3::from_axis_angle(&Vector3::z_axis(), heading).matrix() * turn;
-        apply(survey, scale, &turn, &Vector3::new(fit.shift[0], fit.shift[1], 0.0));
+        survey.transform(scale, &turn, &Vector3::new(fit.shift[0], fit.shift[1], 0.0));
         let at = middle(survey);
         let heights = samples(survey, places, at);
         let prior = prior(survey, at);

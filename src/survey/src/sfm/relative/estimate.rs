@@ -32,15 +32,6 @@ pub struct RelativePoseOptions {
     pub solver: Solver,
     /// Distance from co-planarity up to which a correspondence is an inlier, in the plane `z = -1`.
     pub tolerance: f64,
-    /// How much more a two-point hypothesis may be off, because photos are tilted a little.
-    pub two_point_coarse: f64,
-    /// The share of the x-parallax by which a correspondence may differ from the others while two
-    /// points are sampled: relief, slopes and the tilt that is not yet known.
-    pub parallax_share: f64,
-    /// Robust standard deviations of the x-parallax of a two-point pair.
-    pub band_sigmas: f64,
-    /// The share of the x-parallax that relief may take at least.
-    pub relief_share: f64,
     /// Probability of a sample without outliers.
     pub confidence: f64,
     /// The most samples of each solver.
@@ -54,16 +45,22 @@ impl Default for RelativePoseOptions {
         RelativePoseOptions {
             solver: Solver::Auto,
             tolerance: 2e-3,
-            two_point_coarse: 12.0,
-            parallax_share: 0.15,
-            band_sigmas: 6.0,
-            relief_share: 0.25,
             confidence: 0.9999,
             max_samples: 3000,
             min_inliers: 15,
         }
     }
 }
+
+/// How much more a two-point hypothesis may be off, because photos are tilted a little.
+const TWO_POINT_COARSE: f64 = 12.0;
+/// The share of the x-parallax by which a correspondence may differ from the others while two
+/// points are sampled: relief, slopes and the tilt that is not yet known.
+const PARALLAX_SHARE: f64 = 0.15;
+/// Robust standard deviations of the x-parallax of a two-point pair.
+const BAND_SIGMAS: f64 = 6.0;
+/// The share of the x-parallax that relief may take at least.
+const RELIEF_SHARE: f64 = 0.25;
 
 /// An oriented pair.
 #[derive(Debug, Clone, PartialEq)]
@@ -87,8 +84,6 @@ struct TwoPoint<'a> {
     correspondences: &'a [Correspondence],
     /// Distances beyond this are not looked at any closer.
     squared_reach: f64,
-    /// The share of the x-parallax that a correspondence may be off.
-    parallax_share: f64,
 }
 
 struct FivePoint<'a>(&'a [Correspondence]);
@@ -143,7 +138,7 @@ impl Samples for TwoPoint<'_> {
         let Some((turns, middle)) = &model.parallax else { return squared };
         let fits = self
             .parallax(turns, datum)
-            .is_some_and(|p| (p - middle).abs() <= self.parallax_share * middle.abs());
+            .is_some_and(|p| (p - middle).abs() <= PARALLAX_SHARE * middle.abs());
         if fits { squared } else { f64::INFINITY }
     }
 
@@ -226,23 +221,16 @@ fn two(
 ) -> Option<Estimated> {
     let sampling = Sampling {
         tolerance: options.tolerance,
-        coarse: options.two_point_coarse,
+        coarse: TWO_POINT_COARSE,
         confidence: options.confidence,
         least: 20,
         most: options.max_samples,
     };
-    let data = TwoPoint {
-        correspondences,
-        squared_reach: (options.tolerance * options.two_point_coarse.max(1.0)).powi(2),
-        parallax_share: options.parallax_share,
-    };
+    let data =
+        TwoPoint { correspondences, squared_reach: (options.tolerance * TWO_POINT_COARSE).powi(2) };
     let found = sample(&data, &sampling, rng)?;
     let pose = in_front(found.model.pose, correspondences, &found.inliers);
-    let band = Band {
-        tolerance: options.tolerance,
-        sigmas: options.band_sigmas,
-        min_share: options.relief_share,
-    };
+    let band = Band { tolerance: options.tolerance, sigmas: BAND_SIGMAS, min_share: RELIEF_SHARE };
     finish(pose, correspondences, &band, Solver::TwoPoint, found.samples)
 }
 
