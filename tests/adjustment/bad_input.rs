@@ -99,3 +99,13 @@ fn a_block_of_nothing_says_why() {
         "{message}"
     );
 }
+
+#[test]
+fn a_turn_while_a_photo_is_read_is_refused() {
+    let plan = Plan { tie_points: 60, velocity_m_s: Some(8.0), ..Plan::default() };
+    let mut survey = measured(&truth(&plan), 2, NOISE);
+    assert!(validate(&survey).is_ok());
+    survey.images[1].motion[2] = 0.01;
+    let message = validate(&survey).unwrap_err().to_string();
+    assert!(message.contains("image IMG_0002.JPG: it turns while it is read"), "{message}");
+}

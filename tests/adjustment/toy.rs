@@ -65,11 +65,8 @@ pub fn truth(plan: &Plan) -> Reconstruction {
         ..Reconstruction::default()
     };
     if plan.velocity_m_s.is_some() {
-        survey.rolling_shutter = Some(RollingShutter {
-            readout_s: READOUT_S,
-            sigma_velocity_m_s: 500.0,
-            sigma_rate_rad_s: 0.0,
-        });
+        survey.rolling_shutter =
+            Some(RollingShutter { readout_s: READOUT_S, sigma_velocity_m_s: 500.0 });
     }
     let (along, across, height) = (16.0, 18.0, 50.0);
     for row in 0..plan.rows {

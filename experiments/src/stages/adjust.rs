@@ -367,7 +367,6 @@ pub(super) fn survey(twin: &Twin, e: &Estimate, seed: u64) -> Result<Reconstruct
         survey.rolling_shutter = Some(RollingShutter {
             readout_s: config.flight.readout_seconds,
             sigma_velocity_m_s: 2.0 * config.flight.speed_m_s.max(0.5),
-            sigma_rate_rad_s: config.flight.turn_rate_deg_s.to_radians(),
         });
     }
     Ok(survey)

@@ -74,8 +74,7 @@ mod tests {
             motion,
             expected_motion: motion,
         };
-        let shutter =
-            RollingShutter { readout_s: 0.03, sigma_velocity_m_s: 1.0, sigma_rate_rad_s: 0.0 };
+        let shutter = RollingShutter { readout_s: 0.03, sigma_velocity_m_s: 1.0 };
         for rolling_shutter in [Some(shutter), None] {
             let survey = Reconstruction {
                 images: vec![image.clone()],

@@ -90,11 +90,7 @@ fn scene() -> Reconstruction {
         }],
         lever_arm_m: [0.1, 1.0 / 3.0, -0.0],
         scale_bars: Vec::new(),
-        rolling_shutter: Some(RollingShutter {
-            readout_s: 0.03,
-            sigma_velocity_m_s: 1.0 / 3.0,
-            sigma_rate_rad_s: 0.0,
-        }),
+        rolling_shutter: Some(RollingShutter { readout_s: 0.03, sigma_velocity_m_s: 1.0 / 3.0 }),
         accuracy: Some(Accuracy {
             sigma0: 1.2 / 0.7,
             images: vec![PoseSigma { centre_m: [0.1 / 3.0; 3], angles_rad: [1e-5 / 3.0; 3] }; 2],
@@ -132,6 +128,13 @@ fn what_is_written_is_read_back_to_the_last_bit() {
             scene.images[1].pose.translation.map(f64::to_bits)
         );
     }
+    // A shutter may come with a standard deviation of its turn.
+    let json = folder.path().join(NAME);
+    let text = std::fs::read_to_string(&json).unwrap();
+    let with_rate = text.replacen("\"readout_s\"", "\"sigma_rate_rad_s\": 0.0, \"readout_s\"", 1);
+    assert_ne!(with_rate, text);
+    std::fs::write(&json, with_rate).unwrap();
+    assert_eq!(read(&json).unwrap().rolling_shutter, scene().rolling_shutter);
     let error = write(folder.path(), &scene(), false).unwrap_err().to_string();
     assert!(error.contains("reconstruction.json exists already"), "{error}");
 }

@@ -235,11 +235,8 @@ fn estimate(
     }
     // A shutter is read in seconds of a block in metres.
     if let Some(readout_s) = options.readout_s {
-        survey.rolling_shutter = Some(RollingShutter {
-            readout_s,
-            sigma_velocity_m_s: options.velocity_sigma_m_s,
-            sigma_rate_rad_s: 0.0,
-        });
+        survey.rolling_shutter =
+            Some(RollingShutter { readout_s, sigma_velocity_m_s: options.velocity_sigma_m_s });
     }
     let plain = Settings::default();
     let mut settings = Settings {

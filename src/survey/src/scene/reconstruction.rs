@@ -133,17 +133,13 @@ pub struct ScaleBar {
     pub sigma_m: f64,
 }
 
-/// A shutter that reads the rows one after the other.
+/// A shutter that reads the rows one after the other. In files there may be a `sigma_rate_rad_s` of 0 beside these.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct RollingShutter {
     /// Time from the first to the last row, seconds.
     pub readout_s: f64,
     /// Standard deviation of each component of the velocity about the expected one, metres per second.
     pub sigma_velocity_m_s: f64,
-    /// Standard deviation of each component of the rate of turn about the expected one, radians per
-    /// second; 0 holds it where it is.
-    pub sigma_rate_rad_s: f64,
 }
 
 /// A block of images and everything measured in and about it. Lengths in metres in the mapping

@@ -293,8 +293,7 @@ mod tests {
         all
     }
 
-    const SHUTTER: RollingShutter =
-        RollingShutter { readout_s: 0.03, sigma_velocity_m_s: 1.0, sigma_rate_rad_s: 0.0 };
+    const SHUTTER: RollingShutter = RollingShutter { readout_s: 0.03, sigma_velocity_m_s: 1.0 };
 
     impl Flight {
         /// The matches that are right, every `step`-th of them.

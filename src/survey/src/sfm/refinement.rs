@@ -303,8 +303,7 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     const IMAGES: usize = 3;
-    const SHUTTER: RollingShutter =
-        RollingShutter { readout_s: 0.03, sigma_velocity_m_s: 1.0, sigma_rate_rad_s: 0.0 };
+    const SHUTTER: RollingShutter = RollingShutter { readout_s: 0.03, sigma_velocity_m_s: 1.0 };
 
     /// How bright the ground is: waves of 15 cm and more, where a pixel is 3 cm.
     fn ground(x: f64, y: f64) -> f64 {

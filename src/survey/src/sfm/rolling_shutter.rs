@@ -163,7 +163,7 @@ pub fn remove(block: &mut Block<'_>) {
 
 fn shutter(sigma_m: f64, readout_s: f64) -> RollingShutter {
     let sigma_velocity_m_s = sigma_m / readout_s;
-    RollingShutter { readout_s, sigma_velocity_m_s, sigma_rate_rad_s: 0.0 }
+    RollingShutter { readout_s, sigma_velocity_m_s }
 }
 
 /// A block and how its images flew.

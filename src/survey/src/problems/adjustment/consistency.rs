@@ -2,7 +2,7 @@
 
 use super::validation::InvalidReconstruction;
 use crate::camera::Lens;
-use crate::scene::Reconstruction;
+use crate::scene::{Image, Reconstruction};
 use std::collections::HashSet;
 
 /// Refuses inconsistent input.
@@ -177,11 +177,17 @@ fn check_ground(reconstruction: &Reconstruction) -> Result<(), InvalidReconstruc
         }
     }
     if let Some(shutter) = reconstruction.rolling_shutter {
-        let rate = shutter.sigma_rate_rad_s;
-        let timing = positive(&[shutter.readout_s, shutter.sigma_velocity_m_s]);
-        let turning = rate.is_finite() && rate >= 0.0;
-        if !timing || !turning {
-            return fail("a rolling shutter needs a positive readout time and standard deviation of the velocity, and one of 0 or more for the rate of turn".into());
+        if !positive(&[shutter.readout_s, shutter.sigma_velocity_m_s]) {
+            return fail("a rolling shutter needs a positive readout time and standard deviation of the velocity".into());
+        }
+        let turns = |image: &&Image| {
+            [image.motion, image.expected_motion].iter().any(|motion| motion[..3] != [0.0; 3])
+        };
+        if let Some(image) = reconstruction.images.iter().find(turns) {
+            return fail(format!(
+                "image {}: it turns while it is read; an adjustment knows of shifts only",
+                image.name
+            ));
         }
     }
     Ok(())

@@ -142,12 +142,12 @@ impl AdjustmentProblem {
     ) -> Result<(), SolveError> {
         // A pose at rest has no motion behind it.
         let space =
-            manifold::PoseWithParameters(if self.shutter == Shutter::Rolling { 6 } else { 0 });
+            manifold::PoseWithParameters(if self.shutter == Shutter::Rolling { 3 } else { 0 });
         for image in &reconstruction.images {
             let mut values = image.pose.rotation.to_vec();
             values.extend(image.pose.translation);
             if self.shutter == Shutter::Rolling {
-                values.extend(image.motion);
+                values.extend(&image.motion[3..]);
             }
             self.images.push(self.problem.block("image", space, &values)?);
         }
@@ -332,24 +332,18 @@ impl AdjustmentProblem {
         settings: &Settings,
     ) -> Result<(), SolveError> {
         let Some(shutter) = reconstruction.rolling_shutter else { return Ok(()) };
+        let sigma_m =
+            shutter.sigma_velocity_m_s * shutter.readout_s * settings.factor(Group::Motion);
         let mut known = Vec::new();
         for (image, &block) in reconstruction.images.iter().zip(&self.images) {
-            let turning = shutter.sigma_rate_rad_s > 0.0;
-            if !turning {
-                self.problem.fix_entries(block, &[6, 7, 8])?;
-            }
-            let entries: Vec<usize> = (if turning { 0 } else { 3 }..6).collect();
-            let factor = settings.factor(Group::Motion);
-            let sigma = |&entry: &usize| {
-                let rate =
-                    if entry < 3 { shutter.sigma_rate_rad_s } else { shutter.sigma_velocity_m_s };
-                rate * shutter.readout_s * factor
-            };
-            let sigmas: Vec<f64> = entries.iter().map(sigma).collect();
-            let expected: Vec<f64> = entries.iter().map(|&k| image.expected_motion[k]).collect();
-            let entries: Vec<usize> = entries.iter().map(|&k| 6 + k).collect();
-            let prior =
-                GaussianPrior::of_entries(&self.problem, block, &entries, &expected, &sigmas)?;
+            let expected = &image.expected_motion[3..];
+            let prior = GaussianPrior::of_entries(
+                &self.problem,
+                block,
+                &[6, 7, 8],
+                expected,
+                &[sigma_m; 3],
+            )?;
             known.push(prior);
         }
         let subjects = (0..known.len()).collect();
@@ -418,7 +412,7 @@ impl AdjustmentProblem {
             image.pose.rotation = [v[0], v[1], v[2], v[3]];
             image.pose.translation = [v[4], v[5], v[6]];
             if self.shutter == Shutter::Rolling {
-                image.motion.copy_from_slice(&v[7..]);
+                image.motion[3..].copy_from_slice(&v[7..]);
             }
         }
         for (point, &block) in reconstruction.points.iter_mut().zip(&self.points) {

@@ -1,21 +1,21 @@
 //! The image of a point through any built-in lens, with or without a rolling shutter.
 //!
 //! ```text
-//! P = Exp(tau w) (R X + t) + tau s       tau: share of the readout, -1/2 .. 1/2; w = s = 0 without motion
+//! P = R X + t + tau s       tau: share of the readout, -1/2 .. 1/2; s = 0 without motion
 //! r = (u(P; interior) - u_measured) / sigma
 //! ```
 //!
-//! Blocks: `Pose` (or `PoseWithParameters(6)` with `w`, `s`), lens, point. A lens block holds the parameters of
+//! Blocks: `Pose` (or `PoseWithParameters(3)` with `s`), lens, point. A lens block holds the parameters of
 //! any model with the image centre as origin, then a number for the model; what the model does not
 //! have is frozen.
 
 use crate::{
     camera::{Interior, Lens, MAX_PARAMETERS, Model},
-    problems::pose_chain::{affine, by_increment, by_world, to_camera},
+    problems::pose_chain::{by_increment, by_world, to_camera},
 };
 use rowgram_optim::{
     engine::SolveError,
-    geometry::{cross, rotation},
+    geometry::rotation,
     lanes::Lane,
     nlls::{
         Dim, Linearized, LinearizedProjection, Loss, Measurement, Problem, ProjectionBatch,
@@ -28,7 +28,7 @@ pub(super) const LENS: usize = MAX_PARAMETERS + 1;
 /// Numbers prepared per image: rotation by rows, translation, range of the model, lens block.
 const GLOBAL_SHUTTER: usize = 13 + LENS;
 /// The same and the motion.
-const ROLLING_SHUTTER: usize = GLOBAL_SHUTTER + 6;
+const ROLLING_SHUTTER: usize = GLOBAL_SHUTTER + 3;
 /// Numbers per observation: position from the image centre, 1/sigma, share of the readout.
 pub(super) const DATA: usize = 4;
 
@@ -196,60 +196,19 @@ impl ProjectionFactor for GlobalShutterFactor {
     }
 }
 
-/// `[q, tau, w, s]` to `P`.
-fn moved(m: &[f64; 10]) -> [f64; 3] {
-    let tau = m[3];
-    let turn = rotation::exp([tau * m[4], tau * m[5], tau * m[6]]);
-    let p = rotation::rotate(turn, [m[0], m[1], m[2]]);
-    [p[0] + tau * m[7], p[1] + tau * m[8], p[2] + tau * m[9]]
-}
-
-/// `P`, the rotation `E = Exp(tau w)` by rows, and `dP/dw` by rows.
-fn moved_with_derivatives(m: &[f64; 10]) -> [f64; 21] {
-    let tau = m[3];
-    let w = [tau * m[4], tau * m[5], tau * m[6]];
-    let turn = rotation::matrix(rotation::exp(w));
-    let p: [f64; 3] =
-        std::array::from_fn(|k| turn[k][0] * m[0] + turn[k][1] * m[1] + turn[k][2] * m[2]);
-    let square = w.iter().map(|v| v * v).sum::<f64>();
-    // (1 - cos a)/a^2 and (a - sin a)/a^3, by their series where they would lose digits.
-    let (a, b) = if square < 1e-6 {
-        (0.5 - square / 24.0, 1.0 / 6.0 - square / 120.0)
-    } else {
-        let angle = square.sqrt();
-        ((1.0 - angle.cos()) / square, (angle - angle.sin()) / (square * angle))
-    };
-    let mut out = [0.0; 21];
-    for k in 0..3 {
-        out[k] = p[k] + tau * m[7 + k];
-        out[3 + 3 * k..6 + 3 * k].copy_from_slice(&turn[k]);
-    }
-    for column in 0..3 {
-        let mut unit = [0.0; 3];
-        unit[column] = tau;
-        // The left Jacobian of Exp times the change of tau w.
-        let once = cross(w, unit);
-        let twice = cross(w, once);
-        let change: [f64; 3] = std::array::from_fn(|k| unit[k] + a * once[k] + b * twice[k]);
-        let moved = cross(change, p);
-        for row in 0..3 {
-            out[12 + 3 * row + column] = moved[row];
-        }
-    }
-    out
-}
-
+/// `P` of a point in the frame of the pose's middle.
 #[inline(always)]
-fn motion_asked<L: Lane>(c: &[L; ROLLING_SHUTTER], q: &[L; 3], tau: L) -> [L; 10] {
-    let mut asked = [tau; 10];
-    asked[..3].copy_from_slice(q);
-    asked[4..].copy_from_slice(&c[GLOBAL_SHUTTER..GLOBAL_SHUTTER + 6]);
-    asked
+fn shifted<L: Lane>(c: &[L; ROLLING_SHUTTER], q: &[L; 3], tau: L) -> [L; 3] {
+    let mut p = *q;
+    for k in 0..3 {
+        p[k] = q[k] + tau * c[GLOBAL_SHUTTER + k];
+    }
+    p
 }
 
 impl ProjectionFactor for RollingShutterFactor {
     type Residual = Dim<2>;
-    type Camera = Dim<12>;
+    type Camera = Dim<9>;
     type Shared = Dim<LENS>;
     type Point = Dim<3>;
     type Prepared = Dim<ROLLING_SHUTTER>;
@@ -261,8 +220,7 @@ impl ProjectionFactor for RollingShutterFactor {
 
     #[inline(always)]
     fn residual<L: Lane>(c: &[L; ROLLING_SHUTTER], x: &[L; 3], data: &[L; DATA]) -> [L; 2] {
-        let q = to_camera(c, x);
-        let p = L::each(&motion_asked(c, &q, data[3]), moved);
+        let p = shifted(c, &to_camera(c, x), data[3]);
         let r = L::each(&asked(c, &p, data), residual);
         [r[0] * data[2], r[1] * data[2]]
     }
@@ -274,30 +232,19 @@ impl ProjectionFactor for RollingShutterFactor {
         data: &[L; DATA],
     ) -> Linearized<Self, L> {
         let q = to_camera(c, x);
-        let m = L::each(&motion_asked(c, &q, data[3]), moved_with_derivatives);
-        let p = [m[0], m[1], m[2]];
-        let found = L::each(&asked(c, &p, data), answer);
+        let found = L::each(&asked(c, &shifted(c, &q, data[3]), data), answer);
         let (weight, tau) = (data[2], data[3]);
         let zero = weight.like(0.0);
-        let mut jacobian_camera = [[zero; 12]; 2];
+        let mut jacobian_camera = [[zero; 9]; 2];
         let mut jacobian_point = [[zero; 3]; 2];
         for row in 0..2 {
             let mut j = [zero; 3];
             for k in 0..3 {
                 j[k] = found[2 + 3 * row + k] * weight;
+                jacobian_camera[row][6 + k] = j[k] * tau;
             }
-            // j E: by the point before the motion.
-            let mut before = [zero; 3];
-            for k in 0..3 {
-                before[k] = affine([m[3 + k], m[6 + k], m[9 + k]], &j, zero);
-            }
-            let pose = by_increment(&q, &before);
-            jacobian_camera[row][..6].copy_from_slice(&pose);
-            for k in 0..3 {
-                jacobian_camera[row][6 + k] = affine([m[12 + k], m[15 + k], m[18 + k]], &j, zero);
-                jacobian_camera[row][9 + k] = j[k] * tau;
-            }
-            jacobian_point[row] = by_world(c, &before);
+            jacobian_camera[row][..6].copy_from_slice(&by_increment(&q, &j));
+            jacobian_point[row] = by_world(c, &j);
         }
         LinearizedProjection {
             residual: [found[0] * weight, found[1] * weight],

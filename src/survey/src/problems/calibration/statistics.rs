@@ -8,13 +8,15 @@
 //! is their sum over all coordinates: a corner that the loss all but leaves out is no observation. A parameter is significant where the two-sided probability
 //! of its `t` under Student's distribution with `n - u` degrees of freedom is small.
 
-use super::{BoardShape, Mark, Request, Solution, State, View};
-use crate::camera::{Interior, Lens};
-use nalgebra::{DMatrix, Dyn, Matrix6, SMatrix, SymmetricEigen};
+use super::{BoardShape, Calibration, Mark, Request, Solution, State, View};
+use crate::camera::Lens;
 use rowgram_optim::{
     engine::SolveError,
-    geometry::{cross, dot, rotation},
-    nlls::{LinearSolver, covariance::Covariance},
+    geometry::{dot, rotation},
+    nlls::{
+        LinearSolver,
+        covariance::{Covariance, null_space},
+    },
 };
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, StudentsT};
@@ -138,47 +140,39 @@ pub fn statistics(
     }
     let variance = weighted_squares / freedom;
     let free: Vec<usize> = (0..request.free.len()).filter(|&k| request.free[k]).collect();
-    let own = lens_covariance(views, request, solution, &free)?;
-    let count = request.free.len();
-    let mut block = DMatrix::<f64>::zeros(count, count);
-    for (i, &row) in free.iter().enumerate() {
-        for (j, &column) in free.iter().enumerate() {
-            block[(row, column)] = own[(i, j)];
-        }
-    }
-    let sigma = |k: usize| (variance * block[(k, k)]).max(0.0).sqrt();
+    let mut covariance = Covariance::new(problem, &solution.x, LinearSolver::Schur)
+        .map_err(|error| undetermined(request, solution, &free).unwrap_or(error))?;
+    let own = covariance.block(solution.calibration.lens);
+    let own = |i: usize, j: usize| own[i * free.len() + j];
     let student = StudentsT::new(0.0, 1.0, freedom)
         .map_err(|error| SolveError::Misuse(format!("Student's distribution: {error}")))?;
     let described = request.model.parameters();
     let values = solution.state.interior.values();
-    let parameters = (0..count)
+    let parameters = (0..request.free.len())
         .map(|k| {
-            let t = request.free[k].then(|| values[k] / sigma(k));
+            let place = free.iter().position(|&free| free == k);
+            let sigma = place.map(|i| (variance * own(i, i)).max(0.0).sqrt());
+            let t = sigma.map(|sigma| values[k] / sigma);
             ParameterStatistics {
                 name: described[k].name.into(),
                 unit: described[k].unit.into(),
                 value: values[k],
                 free: request.free[k],
-                standard_deviation: if request.free[k] { sigma(k) } else { 0.0 },
+                standard_deviation: sigma.unwrap_or(0.0),
                 t,
                 probability: t.map(|t| 2.0 * student.cdf(-t.abs())),
             }
         })
         .collect();
-    let correlation = free
-        .iter()
-        .map(|&i| {
-            free.iter()
-                .map(|&j| match i == j {
-                    true => 1.0,
-                    false => block[(i, j)] / (block[(i, i)] * block[(j, j)]).sqrt(),
-                })
-                .collect()
-        })
-        .collect();
+    let correlation = |i: usize, j: usize| match i == j {
+        true => 1.0,
+        false => own(i, j) / (own(i, i) * own(j, j)).sqrt(),
+    };
+    let all = 0..free.len();
+    let correlation =
+        all.clone().map(|i| all.clone().map(|j| correlation(i, j)).collect()).collect();
     let mut heights_m = Vec::new();
     if request.shape == BoardShape::Free {
-        let mut covariance = Covariance::new(problem, &solution.x, LinearSolver::Schur)?;
         let blocks = &solution.calibration.heights;
         for (block, &height) in blocks.iter().zip(&solution.state.heights_m) {
             if let Some(block) = *block {
@@ -219,61 +213,25 @@ fn view_statistics(view: &View, residuals: &[[f64; 2]], pose: &[f64; 7]) -> View
     }
 }
 
-/// A direction of the interior orientation is undetermined below this curvature, every parameter
-/// scaled to unit curvature of its own: what eliminating the poses leaves of an exact zero, with a wide margin.
-const RANK_TOLERANCE: f64 = 1e-12;
-/// A parameter takes part in such a direction with at least this share of its length.
+/// A parameter takes part in an undetermined direction with at least this share of its length.
 const PART: f64 = 0.15;
 
-/// `(J^T W J)^-1` of the free interior parameters, everything else eliminated.
-fn lens_covariance(
-    views: &[View],
-    request: &Request,
-    solution: &Solution,
-    free: &[usize],
-) -> Result<DMatrix<f64>, SolveError> {
-    let failed = || SolveError::RankDeficient("a photo does not determine its own pose".into());
-    let (reduced, alone) =
-        reduced_normal(views, request, free, &solution.state).ok_or_else(failed)?;
-    // Scaled by the curvature without the poses: what a pose takes over entirely has none left.
-    let scale: Vec<f64> =
-        (0..free.len()).map(|k| 1.0 / alone[(k, k)].sqrt().max(f64::MIN_POSITIVE)).collect();
-    let scaled =
-        DMatrix::from_fn(free.len(), free.len(), |i, j| reduced[(i, j)] * scale[i] * scale[j]);
-    let eigen = SymmetricEigen::new(scaled);
-    if let Some(words) = undetermined(request, free, &eigen) {
-        return Err(SolveError::RankDeficient(words));
-    }
-    if request.shape == BoardShape::Free {
-        let problem = &solution.calibration.problem;
-        let mut covariance = Covariance::new(problem, &solution.x, LinearSolver::Schur)?;
-        let block = covariance.block(solution.calibration.lens);
-        return Ok(DMatrix::from_row_slice(free.len(), free.len(), &block));
-    }
-    let inverse = DMatrix::from_diagonal(&eigen.eigenvalues.map(|value| 1.0 / value));
-    let scaled = &eigen.eigenvectors * inverse * eigen.eigenvectors.transpose();
-    Ok(DMatrix::from_fn(free.len(), free.len(), |i, j| scaled[(i, j)] * scale[i] * scale[j]))
-}
-
 /// Says in words which free parameters the photos do not tell apart, if there are any.
-fn undetermined(
-    request: &Request,
-    free: &[usize],
-    eigen: &SymmetricEigen<f64, Dyn>,
-) -> Option<String> {
+fn undetermined(request: &Request, solution: &Solution, free: &[usize]) -> Option<SolveError> {
+    let Calibration { problem, lens, .. } = &solution.calibration;
     let parameters = request.model.parameters();
     let mut sentences = Vec::new();
-    for (k, value) in eigen.eigenvalues.iter().enumerate() {
-        if *value > RANK_TOLERANCE {
-            continue;
-        }
-        let direction = eigen.eigenvectors.column(k);
-        let names: Vec<&str> = (0..free.len())
-            .filter(|&i| direction[i].abs() > PART)
-            .map(|i| parameters[free[i]].name)
+    for direction in null_space(problem, &solution.x, LinearSolver::Schur).ok()? {
+        let of_lens = direction.iter().find(|(block, _)| block == lens);
+        let entries = of_lens.map_or(&[][..], |(_, entries)| entries);
+        let names: Vec<&str> = free
+            .iter()
+            .zip(entries)
+            .filter(|(_, entry)| entry.abs() > PART)
+            .map(|(&k, _)| parameters[k].name)
             .collect();
         sentences.push(match names.as_slice() {
-            [] => "the photos leave the interior orientation undetermined".to_owned(),
+            [] => continue,
             [name] => format!("the photos say nothing about {name}"),
             [first, last] => format!("{first} and {last} are the same parameter here"),
             [rest @ .., last] => {
@@ -282,64 +240,9 @@ fn undetermined(
         });
     }
     (!sentences.is_empty()).then(|| {
-        format!(
+        SolveError::RankDeficient(format!(
             "{}; hold one of them, or add photos that are tilted against each other",
             sentences.join("; ")
-        )
+        ))
     })
-}
-
-/// The normal matrix of the free interior parameters with the poses eliminated, and without.
-fn reduced_normal(
-    views: &[View],
-    request: &Request,
-    free: &[usize],
-    state: &State,
-) -> Option<(DMatrix<f64>, DMatrix<f64>)> {
-    let count = free.len();
-    let mut reduced = DMatrix::zeros(count, count);
-    let mut alone = DMatrix::zeros(count, count);
-    for (view, pose) in views.iter().zip(&state.poses) {
-        let mut own = Matrix6::zeros();
-        let mut mixed = DMatrix::<f64>::zeros(count, 6);
-        for mark in &view.marks {
-            let height = state.heights_m.get(mark.corner).copied().unwrap_or(0.0);
-            let (at_px, by_lens, by_pose) = rows(&state.interior, pose, mark.board_m, height)?;
-            let [du, dv] = [0, 1].map(|k| at_px[k] - mark.image_px[k]);
-            let root_weight = request.loss.evaluate(du * du + dv * dv).first.sqrt();
-            for (lens, pose) in by_lens.iter().zip(&by_pose) {
-                let lens: Vec<f64> = free.iter().map(|&k| root_weight * lens[k]).collect();
-                let pose = SMatrix::<f64, 1, 6>::from_row_slice(&pose.map(|v| root_weight * v));
-                own += pose.transpose() * pose;
-                for i in 0..count {
-                    for j in 0..6 {
-                        mixed[(i, j)] += lens[i] * pose[j];
-                    }
-                    for j in 0..count {
-                        alone[(i, j)] += lens[i] * lens[j];
-                    }
-                }
-            }
-        }
-        let inverse = own.cholesky()?.inverse();
-        let inverse = DMatrix::from_fn(6, 6, |i, j| inverse[(i, j)]);
-        reduced -= &mixed * inverse * mixed.transpose();
-    }
-    reduced += &alone;
-    Some((reduced, alone))
-}
-
-/// The projection, and its derivatives by the lens and by the pose.
-type Rows = ([f64; 2], [[f64; crate::camera::MAX_PARAMETERS]; 2], [[f64; 6]; 2]);
-
-fn rows(interior: &Interior, pose: &[f64; 7], board_m: [f64; 2], height: f64) -> Option<Rows> {
-    let r = rotation::matrix([pose[0], pose[1], pose[2], pose[3]]);
-    let board = [board_m[0], board_m[1], height];
-    let point = std::array::from_fn(|k| dot(r[k], board) + pose[4 + k]);
-    let found = interior.project_with_derivatives(point)?;
-    let by_pose = found.by_point.map(|j| {
-        let w = cross(point, j);
-        [w[0], w[1], w[2], j[0], j[1], j[2]]
-    });
-    Some((found.image_px, found.by_parameters, by_pose))
 }
