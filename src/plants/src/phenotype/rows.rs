@@ -335,8 +335,9 @@ mod tests {
 
     fn mask_of(pixels: &[[u32; 2]]) -> Mask {
         let size = |k: usize| pixels.iter().map(|at| at[k] as usize + 1).max().unwrap_or(0);
-        let mut mask = Mask::empty(size(0), size(1));
-        pixels.iter().for_each(|&[u, v]| mask.data[v as usize * size(0) + u as usize] = 1);
+        let (width, height) = (size(0), size(1));
+        let mut mask = Mask::empty(width, height);
+        pixels.iter().for_each(|&[u, v]| mask.data[v as usize * width + u as usize] = 1);
         mask
     }
 
