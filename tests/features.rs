@@ -339,10 +339,7 @@ fn what_cannot_be_used_is_named() {
     }
     for (words, message) in [
         ("align features gone.png -o out", "cannot read gone.png"),
-        (
-            "align features one.png b/one.png -o out",
-            "one.png and b/one.png would have the same output",
-        ),
+        ("align features one.png b/one.png -o out", "one.png and b/one.png would both become"),
         (
             "align features one.png -o out --contrast nan",
             "--contrast NaN: expected a number from 0",

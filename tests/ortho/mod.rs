@@ -377,7 +377,7 @@ fn what_is_wrong_with_the_input_is_said() {
     refused(&format!("{given} --dem zone.tif --crs EPSG:32616"), "EPSG:32617");
     refused(&format!("{given} --dem images/p0.png"), "p0.png");
     refused(&given, "--dem names the surface");
-    refused(&format!("{GIVEN} --only p7.png"), "p7.png\" has no pose");
+    refused(&format!("{GIVEN} --only p7.png"), "there is no photo \"p7.png\"");
     refused(&format!("{GIVEN} --max-angle-deg 95"), "from 0.1 to 89.9");
     refused(&GIVEN.replace("--photos images", "--photos ."), "there is no photo \"p0.png\"");
     refused("ortho --poses poses.csv --camera camera.yaml --dem dem.tif", "--photos");

@@ -182,15 +182,10 @@ impl CloudReader {
         let text = header.get_wkt_crs_bytes().map(String::from_utf8_lossy);
         if let Some(text) = text {
             let system = crs::Crs::of_well_known_text(text.trim_end_matches('\0')).ok()?;
-            let code = system.name().strip_prefix("EPSG:").and_then(|code| code.parse().ok());
-            return Some(match code {
-                Some(code) => Crs { kind: CrsKind::of(&system), ..Crs::projected(code) },
-                None => Crs::defined(&system),
-            });
+            return Some(Crs::from(&system));
         }
         let code = u32::from(header.get_geotiff_crs().ok()??.get_projected_crs_geo_key_value()?);
-        let system = crs::Crs::of_code(code).ok()?;
-        Some(Crs { kind: CrsKind::of(&system), ..Crs::projected(code) })
+        Some(Crs::from(&crs::Crs::of_code(code).ok()?))
     }
 
     /// Hands over all points but those that are noise (classes 7 and 18) or withheld.

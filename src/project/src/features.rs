@@ -1,5 +1,6 @@
 //! Features of photos and matches of two photos, as files.
 
+use super::photo_names;
 use image::RgbImage;
 use rowgram_base::{
     error::Error,
@@ -121,20 +122,12 @@ fn outputs(
     folder: &Path,
     figures: Option<&Path>,
 ) -> Result<Vec<Outputs>, Error> {
-    let mut names: Vec<(&std::ffi::OsStr, &Path)> = Vec::new();
-    let mut found = Vec::new();
+    let mut found: Vec<Outputs> = Vec::new();
     for image in photos {
         let Some(name) = image.file_stem() else {
             let image = image.display();
             return Err(Error::Argument(format!("{image}: expected the path of a photo")));
         };
-        if let Some((_, other)) = names.iter().find(|(taken, _)| *taken == name) {
-            let (image, other) = (image.display(), other.display());
-            return Err(Error::Argument(format!(
-                "{other} and {image} would have the same output; give them in two calls"
-            )));
-        }
-        names.push((name, image));
         let path = |folder: &Path, end: &str| {
             let mut name = name.to_owned();
             name.push(end);
@@ -146,6 +139,7 @@ fn outputs(
             figure: figures.map(|figures| path(figures, ".features.png")),
         });
     }
+    photo_names::refuse_twins(photos, found.iter().map(|of| &of.binary))?;
     Ok(found)
 }
 

@@ -68,11 +68,7 @@ impl ModelImport {
             Some(words) => {
                 let known = crs::Crs::from_words(words)
                     .map_err(|error| Error::Argument(format!("--crs {words}: {error}")))?;
-                HorizontalFrame::Projected {
-                    name: known.name().to_owned(),
-                    epsg: known.name().strip_prefix("EPSG:").and_then(|code| code.parse().ok()),
-                    definition: known.definition().to_owned(),
-                }
+                HorizontalFrame::from(&known)
             }
         };
         let known = |epsg| VerticalFrame::Known { epsg };

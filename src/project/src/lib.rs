@@ -32,6 +32,7 @@ mod options_page;
 pub mod ortho;
 mod orthomosaic;
 mod photo_folder;
+mod photo_names;
 pub mod plan;
 pub mod plots;
 mod project;

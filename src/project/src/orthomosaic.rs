@@ -204,16 +204,15 @@ pub(super) fn among_photos(project: &Project) -> Result<Option<Layer>, Error> {
     let Ok(zone) = crs::Crs::utm_of(first.latitude_deg, first.longitude_deg) else {
         return Ok(None);
     };
-    let code = zone.name().strip_prefix("EPSG:").and_then(|code| code.parse().ok());
     let at =
         tags.iter().filter_map(|tag| zone.from_wgs84(tag.latitude_deg, tag.longitude_deg).ok());
     let bounds = at.fold([[f64::INFINITY; 2], [f64::NEG_INFINITY; 2]], |[low, high], at| {
         [[0, 1].map(|k| at[k].min(low[k])), [0, 1].map(|k| at[k].max(high[k]))]
     });
-    let (Some(code), [low, high]) = (code, bounds) else { return Ok(None) };
+    let [low, high] = bounds;
     // A map of a pixel for each metre.
     let corner = [low[0] - MARGIN_M, high[1] + MARGIN_M];
-    let place = Georeference::north_up(corner, 1.0, Crs::projected(code));
+    let place = Georeference::north_up(corner, 1.0, Crs::from(&zone));
     let size = [0, 1].map(|k| (high[k] - low[k] + 2.0 * MARGIN_M).clamp(1.0, 1e9) as usize);
     Ok(Some(layers::layer(project, &plots, Some(&place), Some((size[0], size[1])))?))
 }

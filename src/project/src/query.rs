@@ -3,6 +3,7 @@
 use super::{
     Project, Stage, dem,
     ortho::{self, OrthophotoRecord, provenance_path},
+    photo_names::number_of,
 };
 use rowgram_base::{
     error::Error,
@@ -309,17 +310,10 @@ impl OrthophotoOrigins {
     /// The place of a pixel of a photo, named with or without its ending.
     ///
     /// # Errors
-    /// A photo that nobody knows, a pixel that does not show the surface.
+    /// A photo that nobody knows or that is not named alone, a pixel that does not show the surface.
     pub fn map_position(&self, image: &str, image_px: [f64; 2]) -> Result<MapPosition, Error> {
-        let stem = Path::new(image).file_stem().and_then(|stem| stem.to_str());
-        let k = self
-            .views
-            .iter()
-            .position(|view| {
-                let own = Path::new(&view.name).file_stem().and_then(|stem| stem.to_str());
-                view.name == image || Some(view.name.as_str()) == stem || own == Some(image)
-            })
-            .ok_or_else(|| self.fault(format!("there is no photo {image:?}")))?;
+        let k = number_of(self.views.iter().map(|view| view.name.as_str()), image)
+            .map_err(|why| self.fault(why))?;
         let [u, v] = image_px;
         let point = self.views[k].ground(image_px, &self.surface).ok_or_else(|| {
             self.fault(format!("pixel ({u}, {v}) of {image} does not show the surface"))

@@ -1,5 +1,6 @@
 //! Photos as a camera without distortion would have taken them.
 
+use super::photo_names;
 use rayon::prelude::*;
 use rowgram_base::{
     error::Error,
@@ -147,15 +148,8 @@ fn outputs(
         if let Some(format) = format {
             to.set_extension(format.to_string());
         }
-        if let Some(twin) = outputs.iter().position(|other| *other == to) {
-            return Err(Error::Argument(format!(
-                "{} and {} would both become {}",
-                photos[twin].display(),
-                image.display(),
-                to.display()
-            )));
-        }
         outputs.push(to);
     }
+    photo_names::refuse_twins(photos, &outputs)?;
     Ok(outputs)
 }

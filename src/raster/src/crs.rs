@@ -282,6 +282,11 @@ impl Crs {
         &self.name
     }
 
+    /// Its code in the EPSG registry, where it has one.
+    pub fn epsg(&self) -> Option<u32> {
+        self.name.strip_prefix("EPSG:").and_then(|code| code.parse().ok())
+    }
+
     /// Its PROJ string.
     pub fn definition(&self) -> &str {
         &self.definition

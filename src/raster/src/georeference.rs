@@ -80,16 +80,6 @@ impl Crs {
         Crs { epsg: Some(epsg), kind: CrsKind::Geographic, vertical_epsg: None, definition: None }
     }
 
-    /// That of a system that has no code.
-    pub fn defined(system: &crs::Crs) -> Crs {
-        Crs {
-            epsg: None,
-            kind: CrsKind::of(system),
-            vertical_epsg: None,
-            definition: Some(crs::lasting(system.definition())),
-        }
-    }
-
     /// The system itself, where it is known.
     pub fn system(&self) -> Option<crs::Crs> {
         match (self.definition, self.epsg) {
@@ -101,6 +91,15 @@ impl Crs {
     /// Metres in a frame of one's own.
     pub const LOCAL: Crs =
         Crs { epsg: None, kind: CrsKind::Projected, vertical_epsg: None, definition: None };
+}
+
+/// By its code where it has one, else by its PROJ string.
+impl From<&crs::Crs> for Crs {
+    fn from(system: &crs::Crs) -> Crs {
+        let epsg = system.epsg();
+        let definition = epsg.is_none().then(|| crs::lasting(system.definition()));
+        Crs { epsg, kind: CrsKind::of(system), vertical_epsg: None, definition }
+    }
 }
 
 /// Where a raster lies on the map.

@@ -97,21 +97,8 @@ fn projection_beside(path: &Path) -> Result<Option<Crs>, FileError> {
         Ok(text) => {
             let system = crs::Crs::of_well_known_text(&text)
                 .map_err(|error| FileError::malformed(&projection, None, error.to_string()))?;
-            Ok(Some(of_system(&system)))
+            Ok(Some(Crs::from(&system)))
         }
-    }
-}
-
-/// A system by its code, where its name is one.
-fn of_system(system: &crs::Crs) -> Crs {
-    match system.name().strip_prefix("EPSG:").and_then(|code| code.parse().ok()) {
-        Some(code) => Crs {
-            epsg: Some(code),
-            kind: CrsKind::of(system),
-            vertical_epsg: None,
-            definition: None,
-        },
-        None => Crs::defined(system),
     }
 }
 
@@ -145,7 +132,7 @@ fn system(file: &GeoTiffFile) -> Crs {
     });
     let by_parameters = || crs::Crs::of_definition(&parameters(file)?).ok();
     match citation.or_else(by_parameters) {
-        Some(system) => Crs { vertical_epsg, ..of_system(&system) },
+        Some(system) => Crs { vertical_epsg, ..Crs::from(&system) },
         None => known,
     }
 }

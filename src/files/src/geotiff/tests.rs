@@ -307,7 +307,7 @@ fn systems_without_a_code_are_kept() {
     let path = folder.path().join("local.tif");
     let text =
         "+proj=tmerc +lat_0=48 +lon_0=9 +k=0.5 +x_0=1000 +y_0=0 +ellps=GRS80 +units=m +no_defs";
-    let local = Crs::defined(&crs::Crs::of_definition(text).unwrap());
+    let local = Crs::from(&crs::Crs::of_definition(text).unwrap());
     let place = Georeference::north_up([1000.0, 10.0], 0.01, local);
     write::<f32, FileError>(&path, false, &layout(place, [2, 2]), |writer| {
         writer.put(Window::whole(2, 2), &[0.0; 4])

@@ -37,7 +37,7 @@ impl Stated {
     /// What well-known text describes.
     pub(super) fn well_known_text(text: &str) -> Result<Stated, String> {
         let system = crs::Crs::of_well_known_text(text).map_err(|error| error.to_string())?;
-        Ok(match system.name().strip_prefix("EPSG:").and_then(|code| code.parse().ok()) {
+        Ok(match system.epsg() {
             Some(code) => Stated::code(code),
             None if system.is_geographic() && is_global(system.definition()) => Stated::Degrees,
             None => Stated::Definition(system.definition().to_owned()),

@@ -13,6 +13,8 @@ mod write;
 
 use super::{
     Project, Stage, layers,
+    ortho::read_pixels,
+    photo_names,
     plots::{self, PlotsOutcome},
     query,
     record::{self, NewFolder},
@@ -221,7 +223,7 @@ fn read_plots(
         |name: &str, why: &str| FileError::malformed(&path, None, format!("plot {name:?} {why}"));
     // Folders of plots stand beside the tables.
     let mut folders: HashSet<String> = write::TABLES.map(str::to_owned).into();
-    let plot = |(number, polygons::Named { name, polygon, .. }): (usize, polygons::Named)| {
+    let plot = |polygons::Named { name, polygon, .. }: polygons::Named| {
         let on_map = |ring: &Vec<[f64; 2]>| ring.iter().map(|at| georeference.map(*at)).collect();
         let rings: Vec<Vec<[f64; 2]>> = polygon.rings.iter().map(on_map).collect();
         let frame = PlotFrame::around(&rings.concat(), margin_m, gsd_m, georeference.crs)
@@ -233,15 +235,11 @@ fn read_plots(
         }
         let middle = middle(&polygon);
         let place = [0, 1].map(|axis| (2.0 * middle[axis] + 1.0) / size[axis] as f64 - 1.0);
-        let mut folder = write::as_file_name(&name);
-        if !folders.insert(folder.to_lowercase()) {
-            folder = format!("{folder}-{}", number + 1);
-            folders.insert(folder.to_lowercase());
-        }
+        let folder = photo_names::free(&mut folders, &write::as_file_name(&name));
         Ok(Plot { name, folder, rings, frame, place })
     };
     let named = layers::layer(project, &path, Some(&georeference), None)?.polygons;
-    Ok(named.into_iter().enumerate().map(plot).collect::<Result<_, _>>()?)
+    Ok(named.into_iter().map(plot).collect::<Result<_, _>>()?)
 }
 
 /// Mean of the corners of the first ring.
@@ -308,23 +306,23 @@ fn cut(
         std::fs::create_dir(&folder).map_err(|e| FileError::write(&folder, e))?;
     }
     let used: Vec<usize> = (0..of_photo.len()).filter(|&k| !of_photo[k].is_empty()).collect();
+    let names = source.views.iter().enumerate().map(|(number, view)| {
+        let stem = origins.photo(number).and_then(Path::file_stem).unwrap_or_default();
+        [&stem.to_string_lossy(), view.name.as_str()].map(write::as_file_name)
+    });
+    let file_names = photo_names::distinct(&names.collect::<Vec<_>>());
     let counter = Counter::new(monitor, "cutting plots out", used.len(), "photos");
     let of_one = |&number: &usize| -> Result<Vec<(usize, usize, PlotCrop)>, Error> {
         let view = &source.views[number];
         let path = origins
             .photo(number)
             .ok_or_else(|| Error::Incomplete(format!("{}: its file is not known", view.name)))?;
-        let (pixels, gaps) = images::read_colour_and_gaps(path)?;
-        if [pixels.width(), pixels.height()] != view.interior.size_px() {
-            let [width, height] = view.interior.size_px();
-            let message = format!("expected {width} x {height} pixels, as its camera has");
-            return Err(FileError::malformed(path, None, message).into());
-        }
+        let (pixels, gaps) = read_pixels(path, view.interior.size_px())?;
         let photo = Photo {
             view,
             decoded: DecodedPhoto::new(&pixels, gaps.as_deref()),
             pixels,
-            stem: path.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
+            file_name: &file_names[number],
         };
         let crops = of_photo[number].iter().map(|&(plot, rank, angle_deg)| {
             let crop = one(&plots[plot], &photo, source, rank, angle_deg)?;
@@ -346,8 +344,8 @@ struct Photo<'a> {
     view: &'a View,
     decoded: DecodedPhoto,
     pixels: RgbImage,
-    /// Name of its file without the ending.
-    stem: String,
+    /// What its crops are called.
+    file_name: &'a str,
 }
 
 /// Draws a plot from a photo, writes it, and measures its traits.
@@ -369,15 +367,15 @@ fn one(
     let (polygon_px, photo_polygon_px) = (all(&in_frame), all(&in_photo));
     let area = Polygon { rings: polygon_px.clone() };
     let traits = PhotoTraits::of(&picture, &shown, &area, source.rule.as_ref(), plot.place)?;
-    let stem = write::as_file_name(&photo.stem);
-    let file = Path::new(&plot.folder).join(format!("{stem}.png"));
+    let name = photo.file_name;
+    let file = Path::new(&plot.folder).join(format!("{name}.png"));
     images::write_photo(&folder.join(&file), false, &picture)?;
     write::world_file(&folder.join(&file), &frame.georeference)?;
     let (mut as_taken, mut as_taken_from_px) = (None, None);
     if options.as_taken
         && let Some((from, part)) = write::part_around(&photo.pixels, &photo_polygon_px)
     {
-        let file = Path::new(&plot.folder).join(format!("{stem}.as-taken.png"));
+        let file = Path::new(&plot.folder).join(format!("{name}.as-taken.png"));
         images::write_photo(&folder.join(&file), false, &part)?;
         (as_taken, as_taken_from_px) = (Some(file), Some(from));
     }

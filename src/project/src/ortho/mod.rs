@@ -8,7 +8,7 @@ mod record;
 mod write;
 
 use super::{Project, Stage, Task, dem, import, stage, surface};
-pub(super) use photos::read_photo;
+pub(super) use photos::{read_photo, read_pixels};
 pub use plots::WholePlots;
 pub use record::{OrthophotoRecord, PhotoRecord};
 use rowgram_base::{

@@ -1,12 +1,17 @@
 //! The photos of an orthomosaic: which are used, and their pixels.
 
 use super::write::OrthoInput;
+use crate::photo_names::number_of;
+use image::RgbImage;
 use rowgram_base::error::Error;
 use rowgram_files::{geotiff, images};
 use rowgram_optim::output::FileError;
 use rowgram_raster::window::Window;
 use rowgram_survey::mapping::{View, photo::DecodedPhoto, views};
-use std::path::{Path, PathBuf};
+use std::{
+    collections::HashSet,
+    path::{Path, PathBuf},
+};
 
 /// The photos that are used.
 pub(super) struct Chosen {
@@ -21,18 +26,14 @@ pub(super) fn chosen(input: &OrthoInput<'_>, only: &[String]) -> Result<Chosen, 
     if all.is_empty() {
         return Err(Error::Argument("there is no photo with a pose".into()));
     }
-    let is = |view: &View, wanted: &String| {
-        let stem = Path::new(wanted).file_stem().and_then(|stem| stem.to_str());
-        view.name == *wanted || Some(view.name.as_str()) == stem
-    };
-    if let Some(missing) = only.iter().find(|name| !all.iter().any(|view| is(view, name))) {
-        return Err(Error::Argument(format!("photo {missing:?} has no pose")));
-    }
-    let used = |view: &View| only.is_empty() || only.iter().any(|name| is(view, name));
+    let wanted = (only.iter())
+        .map(|name| number_of(all.iter().map(|view| view.name.as_str()), name))
+        .collect::<Result<HashSet<usize>, String>>()
+        .map_err(|why| Error::Argument(format!("[ortho] only: {why}")))?;
     let cameras = input.reconstruction.images.iter().map(|image| image.camera);
     let mut chosen = Chosen { views: Vec::new(), photos: Vec::new(), cameras: Vec::new() };
-    for ((view, photo), camera) in all.into_iter().zip(input.photos).zip(cameras) {
-        if used(&view) {
+    for (k, ((view, photo), camera)) in all.into_iter().zip(input.photos).zip(cameras).enumerate() {
+        if only.is_empty() || wanted.contains(&k) {
             chosen.views.push(view);
             chosen.photos.push(photo.clone());
             chosen.cameras.push(camera);
@@ -43,6 +44,15 @@ pub(super) fn chosen(input: &OrthoInput<'_>, only: &[String]) -> Result<Chosen, 
 
 /// Reads a photo that must be as large as its camera says.
 pub(crate) fn read_photo(path: &Path, size_px: [u32; 2]) -> Result<DecodedPhoto, Error> {
+    let (photo, gaps) = read_pixels(path, size_px)?;
+    Ok(DecodedPhoto::new(&photo, gaps.as_deref()))
+}
+
+/// The same before it is decoded: its colours, and where it has none.
+pub(crate) fn read_pixels(
+    path: &Path,
+    size_px: [u32; 2],
+) -> Result<(RgbImage, Option<Vec<bool>>), Error> {
     let mut first = [0; 4];
     let tiff = std::fs::File::open(path)
         .and_then(|mut file| std::io::Read::read_exact(&mut file, &mut first))
@@ -63,5 +73,5 @@ pub(crate) fn read_photo(path: &Path, size_px: [u32; 2]) -> Result<DecodedPhoto,
         );
         return Err(FileError::malformed(path, None, message).into());
     }
-    Ok(DecodedPhoto::new(&photo, gaps.as_deref()))
+    Ok((photo, gaps))
 }

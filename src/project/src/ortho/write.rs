@@ -9,6 +9,7 @@ use super::{
 use crate::{
     dem::{beside, name, read_surface},
     map_figures,
+    photo_names::distinct,
 };
 use rowgram_base::{
     error::Error,
@@ -90,7 +91,8 @@ pub fn write_orthophotos(
     let extent = surface(input, input.surface, monitor)?;
     let drawn = input.filled.map(|filled| surface(input, filled, monitor)).transpose()?;
     let surface = drawn.unwrap_or_else(|| extent.clone());
-    let frames = if options.frames { frame_files(files.mosaic, &photos)? } else { Vec::new() };
+    let frames =
+        if options.frames { frame_files(files.mosaic, &photos, &views)? } else { Vec::new() };
     for orthophoto in std::iter::once(files.mosaic).chain(frames.iter().map(PathBuf::as_path)) {
         output::check(orthophoto, files.force)?;
         output::check(&record::path(orthophoto), files.force)?;
@@ -157,14 +159,15 @@ pub fn write_orthophotos(
 }
 
 /// The orthophoto of every photo, in a folder beside the mosaic, which is made.
-fn frame_files(mosaic: &Path, photos: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
+fn frame_files(mosaic: &Path, photos: &[PathBuf], views: &[View]) -> Result<Vec<PathBuf>, Error> {
     let folder = output::folder_of(mosaic).join("frames");
     std::fs::create_dir_all(&folder).map_err(|e| FileError::write(&folder, e))?;
-    let named = |photo: &PathBuf| {
-        let stem = photo.file_stem().unwrap_or_default().to_string_lossy();
-        folder.join(format!("{stem}_ortho.tif"))
-    };
-    Ok(photos.iter().map(named).collect())
+    let names = photos.iter().zip(views).map(|(photo, view)| {
+        let stem = photo.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        [stem, view.name.replace(['/', '\\'], "_")]
+    });
+    let names = distinct(&names.collect::<Vec<_>>()).into_iter();
+    Ok(names.map(|name| folder.join(format!("{name}_ortho.tif"))).collect())
 }
 
 /// A surface, in the coordinate reference system of the photos.

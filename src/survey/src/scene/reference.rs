@@ -38,10 +38,8 @@ pub enum HorizontalFrame {
 
 impl From<&Crs> for HorizontalFrame {
     fn from(crs: &Crs) -> HorizontalFrame {
-        let name = crs.name();
-        let epsg = name.strip_prefix("EPSG:").and_then(|code| code.parse().ok());
-        let definition = crs.definition().to_owned();
-        HorizontalFrame::Projected { name: name.to_owned(), epsg, definition }
+        let (name, definition) = (crs.name().to_owned(), crs.definition().to_owned());
+        HorizontalFrame::Projected { name, epsg: crs.epsg(), definition }
     }
 }
 
@@ -55,16 +53,20 @@ impl From<&LocalPlane> for HorizontalFrame {
 /// That of a reconstruction in metres: with its codes, as far as it has any.
 impl From<&ReferenceFrame> for georeference::Crs {
     fn from(reference: &ReferenceFrame) -> georeference::Crs {
-        use georeference::Crs;
-        let horizontal = match reference.horizontal {
-            HorizontalFrame::Projected { epsg: Some(epsg), .. } => Crs::projected(epsg),
-            _ => Crs::LOCAL,
+        let horizontal = match &reference.horizontal {
+            HorizontalFrame::Projected { epsg: Some(epsg), .. } => {
+                georeference::Crs::projected(*epsg)
+            }
+            _ => reference
+                .definition()
+                .and_then(|definition| Crs::of_definition(definition).ok())
+                .map_or(georeference::Crs::LOCAL, |system| (&system).into()),
         };
         let vertical_epsg = match reference.vertical {
             VerticalFrame::Known { epsg } => Some(epsg),
             _ => None,
         };
-        Crs { vertical_epsg, ..horizontal }
+        georeference::Crs { vertical_epsg, ..horizontal }
     }
 }
 
@@ -150,6 +152,19 @@ impl ReferenceFrame {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_map_of_a_frame_is_in_its_system_with_or_without_a_code() {
+        let definition = "+proj=utm +zone=16 +datum=WGS84";
+        let of = |words: &str| {
+            let horizontal = HorizontalFrame::from(&Crs::from_words(words).unwrap());
+            georeference::Crs::from(&ReferenceFrame { horizontal, ..Default::default() })
+        };
+        assert_eq!(of("EPSG:32616"), georeference::Crs::projected(32616));
+        let own = of(definition);
+        assert_eq!((own.epsg, own.definition), (None, Some(definition)));
+        assert_eq!(own.kind, georeference::CrsKind::Projected);
+    }
 
     #[test]
     fn a_frame_says_what_it_has() {

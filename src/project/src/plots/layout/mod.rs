@@ -188,8 +188,7 @@ fn crs_of(request: &LayoutRequest<'_>, path: &Path) -> Result<Crs, Error> {
             zone.transpose().map_err(|why| Error::Argument(why.to_string()))?
         }
     };
-    let code = named.and_then(|crs| crs.name().trim_start_matches("EPSG:").parse().ok());
-    Ok(code.map_or(Crs::LOCAL, Crs::projected))
+    Ok(named.map_or(Crs::LOCAL, |system| Crs::from(&system)))
 }
 
 /// The plants that were located, metres on the map; `None` where there are none yet.
@@ -221,7 +220,7 @@ fn from_corners(
 ) -> Result<Laid, Error> {
     let design = options.design()?;
     let plan = design.plan()?;
-    let projection = crs.epsg.map(crs::Crs::from_epsg).and_then(Result::ok);
+    let projection = crs.system();
     let surveyed: Vec<(FieldCorner, [f64; 2])> = read_corners(path)?
         .into_iter()
         .map(|(corner, at)| {
